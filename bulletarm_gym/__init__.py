@@ -1,0 +1,1 @@
+"""Manipulation tasks of the BulletArm paper as Gymnasium environments."""

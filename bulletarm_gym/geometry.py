@@ -1,0 +1,171 @@
+"""Rigid poses, triangle meshes and the few rotations the package needs.
+
+Conventions: metres, radians, right-handed world frame with z up; quaternions are ``(x, y, z, w)`` as in Bullet.
+Written for single poses in the inner loop, where NumPy on three numbers costs more than plain arithmetic.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple, TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+FloatArray: TypeAlias = NDArray[np.float64]
+IntArray: TypeAlias = NDArray[np.int32]
+Vector: TypeAlias = tuple[float, float, float]
+Quaternion: TypeAlias = tuple[float, float, float, float]
+
+IDENTITY: Quaternion = (0.0, 0.0, 0.0, 1.0)
+
+
+class Pose(NamedTuple):
+    """Position (m) and orientation of a frame in another frame, by default in the world."""
+
+    position: Vector
+    orientation: Quaternion = IDENTITY
+
+    @classmethod
+    def planar(cls, x: float, y: float, z: float, yaw: float = 0.0) -> "Pose":
+        """Return an upright pose turned by ``yaw`` (rad) about z."""
+        return cls((x, y, z), yaw_quaternion(yaw))
+
+    @property
+    def x(self) -> float:
+        """First coordinate (m)."""
+        return self.position[0]
+
+    @property
+    def y(self) -> float:
+        """Second coordinate (m)."""
+        return self.position[1]
+
+    @property
+    def z(self) -> float:
+        """Third coordinate (m)."""
+        return self.position[2]
+
+    @property
+    def yaw(self) -> float:
+        """Rotation about z (rad, in (-pi, pi]), the last of the fixed-axis x-y-z angles."""
+        x, y, z, w = self.orientation
+        return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+
+    @property
+    def tilt(self) -> float:
+        """Angle between the frame's z axis and the world's (rad, in [0, pi])."""
+        x, y, _, _ = self.orientation
+        return math.acos(max(-1.0, min(1.0, 1.0 - 2.0 * (x * x + y * y))))
+
+    def transform(self, point: Vector) -> Vector:
+        """Express in the outer frame a point (m) given in this one."""
+        px, py, pz = rotate(self.orientation, point)
+        return (px + self.position[0], py + self.position[1], pz + self.position[2])
+
+    def compose(self, inner: "Pose") -> "Pose":
+        """Express in the outer frame a pose given in this one."""
+        return Pose(self.transform(inner.position), multiply(self.orientation, inner.orientation))
+
+    def inverse(self) -> "Pose":
+        """Return the pose of the outer frame in this one."""
+        back = conjugate(self.orientation)
+        x, y, z = rotate(back, self.position)
+        return Pose((-x, -y, -z), back)
+
+
+def yaw_quaternion(yaw: float) -> Quaternion:
+    """Return the quaternion of a rotation by ``yaw`` (rad) about z."""
+    return (0.0, 0.0, math.sin(yaw / 2.0), math.cos(yaw / 2.0))
+
+
+def conjugate(q: Quaternion) -> Quaternion:
+    """Return the inverse of a unit quaternion."""
+    return (-q[0], -q[1], -q[2], q[3])
+
+
+def multiply(a: Quaternion, b: Quaternion) -> Quaternion:
+    """Return the rotation that applies ``b`` first, then ``a``."""
+    ax, ay, az, aw = a
+    bx, by, bz, bw = b
+    return (
+        aw * bx + ax * bw + ay * bz - az * by,
+        aw * by - ax * bz + ay * bw + az * bx,
+        aw * bz + ax * by - ay * bx + az * bw,
+        aw * bw - ax * bx - ay * by - az * bz,
+    )
+
+
+def rotate(q: Quaternion, v: Vector) -> Vector:
+    """Rotate a vector by a unit quaternion."""
+    qx, qy, qz, qw = q
+    vx, vy, vz = v
+    tx, ty, tz = 2.0 * (qy * vz - qz * vy), 2.0 * (qz * vx - qx * vz), 2.0 * (qx * vy - qy * vx)
+    return (
+        vx + qw * tx + qy * tz - qz * ty,
+        vy + qw * ty + qz * tx - qx * tz,
+        vz + qw * tz + qx * ty - qy * tx,
+    )
+
+
+def wrap_angle(angle: float, period: float = 2.0 * math.pi) -> float:
+    """Return the angle (rad) of smallest size that equals ``angle`` modulo ``period`` (a symmetry), in [-period/2, period/2)."""
+    return (angle + period / 2.0) % period - period / 2.0
+
+
+def planar_distance(a: Sequence[float], b: Sequence[float]) -> float:
+    """Return the distance (m) between two points in x and y."""
+    return math.hypot(a[0] - b[0], a[1] - b[1])
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """A triangle mesh in the frame of the link that carries it.
+
+    :param vertices: (V, 3) float64, metres
+    :param faces: (F, 3) int32, counter-clockwise seen from outside
+    """
+
+    vertices: FloatArray
+    faces: IntArray
+
+    @classmethod
+    def of(cls, vertices: ArrayLike, faces: ArrayLike) -> "Mesh":
+        """Build a mesh from array-likes."""
+        return cls(
+            np.ascontiguousarray(vertices, dtype=np.float64).reshape(-1, 3),
+            np.ascontiguousarray(faces, dtype=np.int32).reshape(-1, 3),
+        )
+
+    @classmethod
+    def box(cls, extents: Sequence[float], centre: Sequence[float] = (0.0, 0.0, 0.0)) -> "Mesh":
+        """Build an axis-aligned box of full side lengths ``extents`` (m)."""
+        corners = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
+        return cls.of(corners * np.asarray(extents) + np.asarray(centre), _BOX_FACES)
+
+    def moved(self, pose: Pose) -> "Mesh":
+        """Return the mesh in the outer frame of ``pose``."""
+        points = [pose.transform((v[0], v[1], v[2])) for v in self.vertices.tolist()]
+        return Mesh.of(points, self.faces)
+
+    @property
+    def bounds(self) -> FloatArray:
+        """Lowest and highest corner, (2, 3) metres."""
+        return np.stack([self.vertices.min(axis=0), self.vertices.max(axis=0)])
+
+
+def join(meshes: Sequence[Mesh]) -> Mesh:
+    """Return one mesh that holds the triangles of all."""
+    offsets = np.cumsum([0] + [len(m.vertices) for m in meshes[:-1]])
+    faces = [m.faces + int(offset) for m, offset in zip(meshes, offsets, strict=True)]
+    return Mesh.of(np.concatenate([m.vertices for m in meshes]), np.concatenate(faces))
+
+
+_BOX_FACES = (
+    (0, 1, 3), (0, 3, 2),  # x low
+    (4, 6, 7), (4, 7, 5),  # x high
+    (0, 4, 5), (0, 5, 1),  # y low
+    (2, 3, 7), (2, 7, 6),  # y high
+    (0, 2, 6), (0, 6, 4),  # z low
+    (1, 5, 7), (1, 7, 3),  # z high
+)  # fmt: skip
