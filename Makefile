@@ -1,0 +1,43 @@
+# Everything runs in .venv, which the first target that needs it creates.
+#   make demo    train, evaluate and film an agent that picks blocks
+#   make test    what continuous integration runs: lint, types, tests
+PYTHON ?= $(shell command -v python3.11 || command -v python3)
+VENV ?= .venv
+BIN := $(VENV)/bin
+DEMO_LOGS ?= logs/demo
+PYTEST_FLAGS ?=
+
+.PHONY: venv demo test lint format type docs clean
+.DEFAULT_GOAL := venv
+
+venv: $(VENV)/installed-dev
+
+# One stamp file an extra: installed once, and again when the requirements change.
+$(VENV)/installed-%: pyproject.toml constraints.txt
+	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e ".[$*]"
+	@touch $@
+
+demo: venv
+	$(BIN)/bulletarm-zoo train --baseline equi_sacfd --env BulletArm/CloseLoopBlockPicking-v0 --preset cpu --seed 0 -f $(DEMO_LOGS)
+
+# The last line printed is pytest's own summary.
+test: lint type
+	$(BIN)/python -m pytest -n 2 -q $(PYTEST_FLAGS)
+
+lint: venv
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+
+format: venv
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+type: venv
+	$(BIN)/mypy
+
+docs: $(VENV)/installed-docs
+	$(BIN)/mkdocs build --strict
+
+clean:
+	rm -rf $(VENV) build dist *.egg-info .mypy_cache .pytest_cache .ruff_cache site

@@ -1,0 +1,1 @@
+"""The BulletArm baselines as extensions of Stable-Baselines3."""

@@ -1,0 +1,10 @@
+"""Settings of the whole suite: one compute thread a worker, no display.
+
+They are environment variables, set before any test imports a library, so that child processes inherit them.
+"""
+
+import os
+
+for _variable in ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"):
+    os.environ[_variable] = "1"  # PyTorch, too, takes its thread count from OMP_NUM_THREADS
+os.environ["MPLBACKEND"] = "Agg"

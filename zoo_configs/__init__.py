@@ -1,0 +1,1 @@
+"""Hyperparameters, search spaces, presets and the command line ``bulletarm-zoo``."""
