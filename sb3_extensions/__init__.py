@@ -1,1 +1,1 @@
-"""The BulletArm baselines as extensions of Stable-Baselines3."""
+"""Stable-Baselines3 extensions for learning robotic manipulation from images and demonstrations."""

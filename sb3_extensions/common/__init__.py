@@ -1,0 +1,1 @@
+"""Parts shared by the algorithms: networks, replay, augmentation, imitation losses."""
