@@ -21,12 +21,14 @@ FloatArray = npt.NDArray[np.float32]
 class Quantiser:
     """Uniform levels over the bounds of a Box, the lowest level on ``low``, the highest on ``high``.
 
-    ``encode(decode(q)) == q`` for every level, and :meth:`round_trip` equals ``decode(encode(x))`` bit for bit
-    (both are the same sequence of float32 operations).
+    ``encode(decode(q)) == q`` for every level, and :meth:`round_trip` equals ``decode(encode(x))`` bit for
+    bit (both are the same sequence of float32 operations).
 
-    :param space: box with finite bounds, ``low < high`` everywhere; equal bounds for all entries are kept as one number
+    :param space: box with finite bounds, ``low < high`` everywhere; equal bounds for all entries are kept as
+        one number
     :param dtype: ``"uint8"`` (256 levels) or ``"uint16"`` (65536 levels), or the numpy type
-    :raises ValueError: if the bounds are infinite, equal, or too narrow for their offset, or the dtype is another
+    :raises ValueError: if the bounds are infinite, equal, or too narrow for their offset, or the dtype is
+        another
     """
 
     def __init__(self, space: spaces.Box, dtype: npt.DTypeLike = "uint8") -> None:
@@ -76,7 +78,8 @@ class Quantiser:
 
     @th.no_grad()
     def normalise(self, values: th.Tensor) -> th.Tensor:
-        """Rounded values on [0, 1] over the bounds: the same for a value and for its stored copy; no gradient.
+        """Rounded values on [0, 1] over the bounds: the same for a value and for its stored copy; no
+        gradient.
 
         :param values: tensor whose last axes have the shape of the space
         :return: float32 tensor of the same shape

@@ -1,0 +1,208 @@
+"""Convolutional encoders of a square image to a vector, plain and equivariant, as the BulletArm paper's
+close-loop baselines use.
+
+Both halve the image by 3 x 3 convolutions and max-pooling until 6 or 8 pixels a side remain, and end in one
+pixel. Every step maps a grid with a centre of rotation to one with the same, so that rotations by 90 degrees
+stay exact.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from contextlib import AbstractContextManager, nullcontext
+from functools import lru_cache
+from typing import NamedTuple
+
+import torch as th
+from torch import nn
+
+from sb3_extensions.common.equivariant import EquivariantConv2d
+from sb3_extensions.common.groups import FieldType, Group
+
+KERNEL_SIZE = 3
+# Side at which halving stops: 6 and 8 are the largest sizes that the last two layers bring to one pixel.
+SMALLEST_SIZE, LAST_SIZES = 6, (6, 8)
+AUTOCAST_OPTIONS = (None, "bf16")
+
+
+class Stage(NamedTuple):
+    """A 3 x 3 convolution, max-pooling, ReLU.
+
+    :param padding: of the convolution, pixels
+    :param pool: side of the pooling window, 1 for none
+    """
+
+    padding: int
+    pool: int
+
+
+def count_halvings(size: int) -> int:
+    """How often an image is halved until 6 or 8 pixels a side remain.
+
+    :param size: side of the image, pixels
+    :raises ValueError: if halving never gives 6 or 8
+    """
+    halvings, side = 0, size
+    while side % 2 == 0 and side > max(LAST_SIZES):
+        halvings, side = halvings + 1, side // 2
+    if side not in LAST_SIZES:
+        raise ValueError(f"image size must be 6 or 8 times a power of two (as 48, 64, 96, 128), got {size}")
+    return halvings
+
+
+def plan_stages(size: int, count: int) -> list[Stage]:
+    """Stages of an encoder: halvings, then convolutions that keep 6 or 8 pixels, then the two that end in one
+    pixel.
+
+    For 128 pixels and seven stages this is the paper's encoder.
+
+    :param size: side of the image, pixels
+    :param count: number of stages
+    :raises ValueError: if the size cannot be reduced, or in so few stages
+    """
+    halvings = count_halvings(size)
+    kept = count - halvings - 2
+    if kept < 0:
+        raise ValueError(f"channels must have at least {halvings + 2} entries for images of size {size}, got {count}")
+    shrink = Stage(padding=1 if size >> halvings == SMALLEST_SIZE else 0, pool=2)
+    return [Stage(1, 2)] * halvings + [Stage(1, 1)] * kept + [shrink, Stage(0, 1)]
+
+
+def scale_channels(size: int, halving: Sequence[int], last: Sequence[int]) -> tuple[int, ...]:
+    """Channels for another image size: as many halving stages as it takes (the widest repeated), and the last
+    ones.
+
+    :param size: side of the image, pixels
+    :param halving: channels of the halving stages for the largest image
+    :param last: channels of the stages after them
+    """
+    return (*(halving[min(i, len(halving) - 1)] for i in range(count_halvings(size))), *last)
+
+
+@lru_cache(maxsize=None)
+def has_bf16(device_type: str) -> bool:
+    """Whether a kind of device computes in bfloat16; if not, a warning says that float32 is used, once.
+
+    :param device_type: as in ``torch.device.type``
+    """
+    if device_type == "cuda":
+        available = th.cuda.is_bf16_supported()
+    else:
+        probe = getattr(th.cpu, "_is_avx512_bf16_supported", None)
+        available = device_type == "cpu" and probe is not None and probe()
+    if not available:
+        warnings.warn(f"autocast='bf16': this {device_type} has no bfloat16 arithmetic, float32 is used", stacklevel=2)
+    return bool(available)
+
+
+class Encoder(nn.Module):
+    """A sequence of stages, in the memory format and precision asked for: (batch, channels, size, size) to
+    (batch, features).
+
+    :param convolutions: one for each stage
+    :param stages: what :func:`plan_stages` gave
+    :param channels_last: keep the channels of a pixel together in memory; faster on CPUs and recent GPUs
+    :param autocast: ``"bf16"`` computes in bfloat16 where the device can and in float32 elsewhere; ``None``
+        in float32
+    :raises ValueError: if ``autocast`` is something else
+    """
+
+    def __init__(
+        self, convolutions: Sequence[nn.Module], stages: Sequence[Stage], channels_last: bool, autocast: str | None
+    ) -> None:
+        super().__init__()
+        if autocast not in AUTOCAST_OPTIONS:
+            raise ValueError(f"autocast must be one of {AUTOCAST_OPTIONS}, got {autocast!r}")
+        self.autocast = autocast
+        self.memory_format = th.channels_last if channels_last else th.contiguous_format
+        modules: list[nn.Module] = []
+        for convolution, stage in zip(convolutions, stages, strict=True):
+            # Pooling before the ReLU gives the same numbers for a quarter of the work.
+            pooling = [nn.MaxPool2d(stage.pool)] if stage.pool > 1 else []
+            modules += [convolution, *pooling, nn.ReLU(inplace=True)]
+        self.layers = nn.Sequential(*modules)
+
+    def forward(self, image: th.Tensor) -> th.Tensor:
+        """:return: float32 features, (batch, features)"""
+        image = image.contiguous(memory_format=self.memory_format)
+        with self._precision(image.device.type):
+            features: th.Tensor = self.layers(image)
+        return features.flatten(1).float()
+
+    def _precision(self, device_type: str) -> AbstractContextManager[object]:
+        """Context in which the layers run."""
+        if self.autocast is None or not has_bf16(device_type):
+            return nullcontext()
+        return th.autocast(device_type, dtype=th.bfloat16)
+
+
+class CnnEncoder(Encoder):
+    """Plain convolutional encoder; weights Xavier normal, biases zero.
+
+    :param in_channels: channels of the image
+    :param size: side of the image, pixels: 6 or 8 times a power of two
+    :param channels: output channels of each stage; the paper's for images of 128 pixels if ``None``
+    :param channels_last: see :class:`Encoder`
+    :param autocast: see :class:`Encoder`
+    :raises ValueError: if the size or the number of stages does not fit
+    """
+
+    # Close-loop CNN baseline of the paper, 128 x 128 pixels.
+    HALVING, LAST = (16, 32, 64, 128), (256, 256, 128)
+
+    def __init__(
+        self,
+        in_channels: int,
+        size: int,
+        channels: Sequence[int] | None = None,
+        channels_last: bool = True,
+        autocast: str | None = None,
+    ) -> None:
+        channels = channels or scale_channels(size, self.HALVING, self.LAST)
+        stages, widths = plan_stages(size, len(channels)), (in_channels, *channels)
+        convolutions = [
+            nn.Conv2d(widths[i], widths[i + 1], KERNEL_SIZE, padding=stage.padding) for i, stage in enumerate(stages)
+        ]
+        super().__init__(convolutions, stages, channels_last, autocast)
+        for convolution in convolutions:
+            nn.init.xavier_normal_(convolution.weight)
+            nn.init.zeros_(convolution.bias)  # type: ignore[arg-type]
+        self.features_dim = channels[-1]
+
+
+class EquivariantEncoder(Encoder):
+    """Encoder to regular fields at the centre of the image: turning the image permutes the numbers of each
+    field.
+
+    :param in_channels: channels of the image, all scalar (trivial fields)
+    :param size: side of the image, pixels: 6 or 8 times a power of two
+    :param group: the symmetry
+    :param channels: regular fields after each stage; the paper's for images of 128 pixels if ``None``
+    :param channels_last: see :class:`Encoder`
+    :param autocast: see :class:`Encoder`
+    :raises ValueError: if the size or the number of stages does not fit
+    """
+
+    # Close-loop equivariant baseline of the paper, 128 x 128 pixels.
+    HALVING, LAST = (8, 16, 32, 64), (128, 64, 64)
+
+    def __init__(
+        self,
+        in_channels: int,
+        size: int,
+        group: Group,
+        channels: Sequence[int] | None = None,
+        channels_last: bool = True,
+        autocast: str | None = None,
+    ) -> None:
+        channels = channels or scale_channels(size, self.HALVING, self.LAST)
+        stages = plan_stages(size, len(channels))
+        types = [FieldType.of((group.trivial, in_channels))]
+        types += [FieldType.of((group.regular, count)) for count in channels]
+        convolutions = [
+            EquivariantConv2d(types[i], types[i + 1], KERNEL_SIZE, stage.padding) for i, stage in enumerate(stages)
+        ]
+        super().__init__(convolutions, stages, channels_last, autocast)
+        self.out_type = types[-1]
+        self.features_dim = self.out_type.size
