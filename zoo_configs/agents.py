@@ -1,0 +1,69 @@
+"""Trained agents: finding them on disk and loading them."""
+
+from __future__ import annotations
+
+import argparse
+import inspect
+from pathlib import Path
+from typing import Any
+
+from stable_baselines3.common.base_class import BaseAlgorithm
+
+from zoo_configs.algorithms import register_algorithms
+from zoo_configs.environments import known_env_id
+from zoo_configs.errors import CommandError
+from zoo_configs.runs import Run, find_runs, load_run
+
+# Schedules are of no use to a model that is not trained, and need not be loadable.
+UNUSED_OBJECTS: dict[str, Any] = {
+    "learning_rate": 0.0,
+    "lr_schedule": lambda _: 0.0,
+    "clip_range": lambda _: 0.0,
+}
+
+
+def run_from_arguments(args: argparse.Namespace) -> Run:
+    """
+    Find the run that the flags of :func:`zoo_configs.arguments.add_run_arguments` name.
+
+    :param args: The parsed flags
+    :return: The run
+    :raises CommandError: if there is none
+    """
+    if args.run is not None:
+        return load_run(args.run)
+    if args.env is None or (args.baseline is None and args.algo is None):
+        raise CommandError("name a run folder, or --env with --baseline or --algo")
+    env_id = known_env_id(args.env)
+    runs = [
+        run
+        for run in find_runs(args.log_folder, env_id)
+        if args.algo in (None, run.cell.algo)
+        and args.baseline in (None, run.cell.baseline)
+        and args.preset in (None, run.cell.preset)
+        and args.exp_id in (0, run.number)
+    ]
+    if not runs:
+        raise CommandError(f"{args.log_folder} has no such run of {args.baseline or args.algo} on {env_id}")
+    return runs[-1]
+
+
+def load_agent(run: Run, best: bool, device: str) -> tuple[BaseAlgorithm, Path]:
+    """
+    Load the model of a run.
+
+    :param run: The run
+    :param best: Whether to prefer the model that did best in a periodic evaluation
+    :param device: PyTorch device
+    :return: The model, and the file it comes from
+    :raises CommandError: if the run has saved no model yet
+    """
+    path = run.best_model if best and run.best_model.is_file() else run.last_model
+    if not path.is_file():
+        raise CommandError(f"{run.folder} has no model yet")
+    algorithm = register_algorithms()[run.cell.algo]
+    parameters = inspect.signature(algorithm.__init__).parameters
+    # An agent that only acts needs no memory.
+    buffer = {"buffer_size": 1} if "buffer_size" in parameters else {}
+    model: BaseAlgorithm = algorithm.load(path, device=device, custom_objects=UNUSED_OBJECTS, **buffer)
+    return model, path

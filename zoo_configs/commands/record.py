@@ -1,0 +1,157 @@
+"""``bulletarm-zoo record``: films a trained agent, or the expert."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import gymnasium as gym
+
+from zoo_configs.arguments import add_run_arguments, positive_int
+from zoo_configs.environments import known_env_id, register_environments
+from zoo_configs.errors import CommandError
+from zoo_configs.seeds import SeedStream, stream_seed
+
+if TYPE_CHECKING:
+    from zoo_configs.video import Frame
+
+DESCRIPTION = """Film episodes of a trained agent, or with --expert of the expert of --env: the rendered scene
+beside the heightmap that the agent sees."""
+FORMATS = ("gif", "mp4")
+FRAMES_PER_SECOND = 5.0
+FINAL_HOLD = 1.0  # s that the last frame of an episode stays
+
+
+class Actor(NamedTuple):
+    """
+    Who is filmed.
+
+    :param name: For the caption
+    :param env: The environment, rendering to arrays
+    :param act: From an observation to an action
+    :param folder: Where the film goes by default
+    """
+
+    name: str
+    env: gym.Env[Any, Any]
+    act: Callable[[Any], Any]
+    folder: Path
+
+
+def main(argv: Sequence[str]) -> None:
+    """
+    Run the command.
+
+    :param argv: Its arguments
+    :raises CommandError: if there is no such agent or expert
+    """
+    args = _parse(argv)
+    register_environments(args.gym_packages)
+    actor = _expert(args) if args.expert else _agent(args)
+    path = args.output or actor.folder / f"{_task(actor.env)}-{actor.name}.{args.format}"
+    frames: list[Frame] = []
+    try:
+        for frame in _film(actor, args.episodes, stream_seed(args.seed, SeedStream.TEST), args.fps):
+            frames.append(frame)
+    finally:  # after Ctrl-C, too, with what there is
+        actor.env.close()
+        _write(frames, path, args.fps)
+
+
+def _write(frames: list[Frame], path: Path, fps: float) -> None:
+    from zoo_configs.video import write_video
+
+    if frames:
+        write_video(frames, path, fps)
+        print(f"Written:\n  {path}")
+
+
+def _parse(argv: Sequence[str]) -> argparse.Namespace:
+    parser = argparse.ArgumentParser("bulletarm-zoo record", description=DESCRIPTION)
+    add_run_arguments(parser)
+    add = parser.add_argument
+    add("--expert", action="store_true", help="film the expert of --env")
+    add("-n", "--episodes", type=positive_int, default=5, help="how many episodes (default: 5)")
+    add("--seed", type=int, default=0, help="seed of the scenes (default: 0, the first of enjoy)")
+    add("--format", choices=FORMATS, help="kind of film (default: gif, or what --output says)")
+    add("-o", "--output", type=Path, help="file to write (default: in the run folder)")
+    add(
+        "--fps",
+        type=float,
+        default=FRAMES_PER_SECOND,
+        help=f"steps per second (default {FRAMES_PER_SECOND:g})",
+    )
+    args = parser.parse_args(argv)
+    if args.output is not None and args.output.suffix[1:] not in FORMATS:
+        parser.error(f"--output must end in .gif or .mp4, got {args.output}")
+    if args.output is not None and args.format not in (None, args.output.suffix[1:]):
+        parser.error(f"--output {args.output} is no {args.format}")
+    if args.fps <= 0:
+        parser.error(f"--fps must be positive, got {args.fps}")
+    args.format = args.format or "gif"
+    return args
+
+
+def _expert(args: argparse.Namespace) -> Actor:
+    if args.env is None:
+        raise CommandError("--expert needs --env")
+    env = gym.make(known_env_id(args.env), render_mode="rgb_array")
+    if not hasattr(env.unwrapped, "expert_action"):
+        raise CommandError(f"{args.env} has no expert")
+    expert = env.unwrapped.expert_action
+    return Actor("expert", env, lambda _: expert(), Path())
+
+
+def _agent(args: argparse.Namespace) -> Actor:
+    from rl_zoo3.utils import get_wrapper_class
+
+    from zoo_configs.agents import load_agent, run_from_arguments
+
+    run = run_from_arguments(args)
+    hyperparams = run.cell.hyperparams
+    if any(hyperparams.get(key) for key in ("normalize", "frame_stack", "vec_env_wrapper")):
+        raise CommandError(f"{run.folder} acts on normalised or stacked observations, which cannot be filmed")
+    model, path = load_agent(run, args.load_best, args.device)
+    print(f"{run.cell.label} on {run.cell.env_id}, model {path}")
+    env = gym.make(run.cell.env_id, **{**hyperparams.get("env_kwargs", {}), "render_mode": "rgb_array"})
+    wrap = get_wrapper_class(hyperparams)
+    env = wrap(env) if wrap is not None else env
+    return Actor(run.cell.label, env, lambda seen: model.predict(seen, deterministic=True)[0], run.folder)
+
+
+def _film(actor: Actor, episodes: int, seed: int, fps: float) -> Iterator[Frame]:
+    from tqdm import trange
+
+    successes = 0
+    for episode in trange(episodes, unit="episode", disable=None):
+        *frames, last = _film_episode(actor, seed + episode, f"episode {episode + 1} of {episodes}")
+        yield from (frame for frame, _ in frames)
+        yield from [last[0]] * max(1, round(FINAL_HOLD * fps))
+        successes += last[1]
+    print(f"{successes} of {episodes} episodes succeeded")
+
+
+def _film_episode(actor: Actor, seed: int, title: str) -> Iterator[tuple[Frame, bool]]:
+    """Frames of an episode, each with whether the task is solved in it."""
+    from zoo_configs.video import compose_frame
+
+    name = f"{_task(actor.env)}, {actor.name}, {title}"
+    seen, info = actor.env.reset(seed=seed)
+    step, over = 0, False
+    while True:
+        success = bool(info.get("is_success", False))
+        outcome = "success" if success else "failure" if over else f"step {step}"
+        picture: Any = actor.env.render()
+        yield compose_frame(picture, seen, f"{name}: {outcome}", success), success
+        if over:
+            return
+        seen, _, terminated, truncated, info = actor.env.step(actor.act(seen))
+        step, over = step + 1, terminated or truncated
+
+
+def _task(env: gym.Env[Any, Any]) -> str:
+    """``CloseLoopBlockPicking`` for ``BulletArm/CloseLoopBlockPicking-v0``."""
+    assert env.spec is not None
+    return env.spec.name

@@ -1,0 +1,90 @@
+"""Learning curves: evaluation success over time steps."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from zoo_configs.files import whole_file
+from zoo_configs.runs import CURVE_FILE, Run
+
+FIGURE_SIZE = (6.4, 4.0)  # inches
+DOTS_PER_INCH = 150
+
+
+@dataclass(frozen=True)
+class LearningCurve:
+    """
+    What the periodic evaluations of one run measured.
+
+    :param timesteps: When they took place, shape (n,)
+    :param success: Mean success, in [0, 1], shape (n,); mean return where the environment reports no success
+    :param error: Standard error of that mean over the episodes, shape (n,)
+    :param measure: What ``success`` holds, for the axis
+    """
+
+    timesteps: npt.NDArray[np.int64]
+    success: npt.NDArray[np.float64]
+    error: npt.NDArray[np.float64]
+    measure: str
+
+
+def load_curve(path: Path) -> LearningCurve:
+    """
+    Read the evaluations of a run.
+
+    :param path: Its ``evaluations.npz``, as Stable-Baselines3 writes it
+    :return: The curve
+    """
+    with np.load(path) as saved:
+        has_success = "successes" in saved
+        episodes = np.asarray(saved["successes" if has_success else "results"], dtype=np.float64)
+        timesteps = saved["timesteps"]
+    error = episodes.std(axis=1) / np.sqrt(episodes.shape[1])
+    measure = "evaluation success rate" if has_success else "evaluation return"
+    return LearningCurve(timesteps, episodes.mean(axis=1), error, measure)
+
+
+def draw_run(run: Run) -> Path:
+    """
+    Draw the learning curve of a run into its folder.
+
+    :param run: The run; it has at least one evaluation
+    :return: The picture
+    """
+    path = run.folder / CURVE_FILE
+    draw_curves({run.cell.label: load_curve(run.evaluations_file)}, run.cell.env_id, path)
+    return path
+
+
+def draw_curves(curves: dict[str, LearningCurve], title: str, path: Path) -> None:
+    """
+    Draw learning curves into one picture; shading denotes the standard error over episodes.
+
+    :param curves: The curves by their names in the legend
+    :param title: Title of the picture
+    :param path: The PNG to write
+    """
+    from matplotlib.figure import Figure  # not pyplot: needs no display and keeps no state
+
+    figure = Figure(figsize=FIGURE_SIZE, layout="constrained")
+    axes = figure.subplots()
+    for name, curve in curves.items():
+        _draw(axes, name, curve)
+    axes.set(title=title, xlabel="time steps", ylabel=next(iter(curves.values())).measure)
+    if all("success" in curve.measure for curve in curves.values()):
+        axes.set_ylim(-0.02, 1.02)
+    axes.grid(alpha=0.3)
+    axes.legend(loc="lower right")
+    with whole_file(path) as partial:
+        figure.savefig(partial, dpi=DOTS_PER_INCH)
+
+
+def _draw(axes: Any, name: str, curve: LearningCurve) -> None:
+    (line,) = axes.plot(curve.timesteps, curve.success, marker="o", markersize=3, label=name)
+    low, high = curve.success - curve.error, curve.success + curve.error
+    axes.fill_between(curve.timesteps, low, high, color=line.get_color(), alpha=0.2, linewidth=0)

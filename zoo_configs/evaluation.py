@@ -1,0 +1,79 @@
+"""Periodic evaluation during training."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from stable_baselines3.common.callbacks import EvalCallback
+from stable_baselines3.common.vec_env import VecEnv
+
+from zoo_configs.runs import BEST_MODEL_FILE, EVALUATIONS_FILE
+from zoo_configs.seeds import SeedStream, stream_seed
+
+# Files are written here first, then moved into the run folder.
+SCRATCH_FOLDER = ".evaluation"
+
+
+class PeriodicEvaluation(EvalCallback):
+    """
+    Evaluates on scenes of its own, fresh at every evaluation, and keeps the best model.
+
+    The scenes depend on the seed and the time step alone: a resumed run is evaluated on the same ones. Of two
+    equally good models the later one is kept. Files appear whole in the run folder; what an earlier part of
+    the run evaluated is carried on.
+
+    :param eval_env: Environments for evaluation
+    :param run_folder: Folder for ``evaluations.npz`` and ``best_model.zip``
+    :param seed: Seed of the run
+    :param kwargs: Passed on to Stable-Baselines3's ``EvalCallback``
+    """
+
+    def __init__(self, eval_env: VecEnv, run_folder: Path, seed: int, **kwargs: Any) -> None:
+        scratch = run_folder / SCRATCH_FOLDER
+        super().__init__(eval_env, log_path=str(scratch), best_model_save_path=str(scratch), **kwargs)
+        self.run_folder = run_folder
+        self.seed = seed
+
+    def _init_callback(self) -> None:
+        super()._init_callback()
+        self.n_calls = self.model.num_timesteps // self.training_env.num_envs
+        if self.model.num_timesteps > 0:
+            self._carry_on()
+
+    def _carry_on(self) -> None:
+        """Take over the evaluations made before the checkpoint that training goes on from."""
+        path = self.run_folder / EVALUATIONS_FILE
+        if not path.is_file():
+            return
+        with np.load(path) as saved:
+            known = saved["timesteps"] <= self.model.num_timesteps
+            self.evaluations_timesteps = saved["timesteps"][known].tolist()
+            self.evaluations_results = saved["results"][known].tolist()
+            self.evaluations_length = saved["ep_lengths"][known].tolist()
+            if "successes" in saved:
+                self.evaluations_successes = saved["successes"][known].tolist()
+        if self.evaluations_results:
+            self.best_mean_reward = float(np.mean(self.evaluations_results, axis=1).max())
+
+    def _on_step(self) -> bool:
+        if self.eval_freq <= 0 or self.n_calls % self.eval_freq != 0:
+            return True
+        self.eval_env.seed(stream_seed(self.seed, SeedStream.EVALUATION, self.num_timesteps))
+        self.best_mean_reward = float(np.nextafter(self.best_mean_reward, -np.inf))  # a tie is a new best
+        proceed = super()._on_step()
+        for name in (EVALUATIONS_FILE, BEST_MODEL_FILE):
+            self._publish(name)
+        return proceed
+
+    def _publish(self, name: str) -> None:
+        written = self.run_folder / SCRATCH_FOLDER / name
+        if written.exists():
+            os.replace(written, self.run_folder / name)
+
+    def _on_training_end(self) -> None:
+        scratch = self.run_folder / SCRATCH_FOLDER
+        if scratch.is_dir() and not any(scratch.iterdir()):
+            scratch.rmdir()

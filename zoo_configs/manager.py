@@ -1,0 +1,182 @@
+"""Our experiment manager: rl_zoo3's, with what it gets wrong mended."""
+
+from __future__ import annotations
+
+import contextlib
+import re
+from pathlib import Path
+from typing import Any
+
+from rl_zoo3.callbacks import SaveVecNormalizeCallback
+from rl_zoo3.exp_manager import ExperimentManager
+from sb3_extensions.common.checkpoint import DirectoryCheckpointCallback, resume
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.callbacks import BaseCallback, ProgressBarCallback
+from stable_baselines3.common.vec_env import VecEnv
+
+from zoo_configs.algorithms import class_from_path
+from zoo_configs.evaluation import PeriodicEvaluation
+from zoo_configs.files import whole_file
+from zoo_configs.plan import Plan
+from zoo_configs.runs import CHECKPOINT_FOLDER, Run, claim_run_folder, write_resolved
+from zoo_configs.seeds import SeedStream, stream_seed
+
+# Hyperparameters that rl_zoo3 evaluates as Python code if they are strings.
+EVALUATED_KEYS = ("policy_kwargs", "replay_buffer_class", "replay_buffer_kwargs")
+DOTTED_PATH = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)+")
+
+
+class ZooManager(ExperimentManager):
+    """
+    Runs one cell in a folder of its own.
+
+    What differs from rl_zoo3: the run folder is claimed atomically; the environment's parameters reach the
+    evaluation environments, which get seeds of their own; classes in the YAML are named by dotted paths,
+    without evaluation of code; checkpoints are whole directories with replay buffer, from which a run can go
+    on; files are written whole or not at all.
+
+    :param plan: What to train
+    :param args: Positional arguments of rl_zoo3's ``ExperimentManager``
+    :param uuid_str: What follows the number of a new run folder
+    :param kwargs: Keyword arguments of rl_zoo3's ``ExperimentManager``
+    """
+
+    def __init__(self, plan: Plan, *args: Any, uuid_str: str = "", **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        self.run = run = plan.run or self._new_run(plan, uuid_str)
+        self.checkpoint = plan.checkpoint
+        self.interrupted = False
+        self.continue_training = self.continue_training or plan.checkpoint is not None
+        self.config = self.args.conf_file = str(run.resolved_file)
+        self.save_path = str(run.folder)
+        self.params_path = str(run.params_folder)
+
+    def _new_run(self, plan: Plan, suffix: str) -> Run:
+        folder = claim_run_folder(Path(self.log_path), plan.cell.env_id, suffix)
+        run = Run(folder, plan.cell, plan.arguments)
+        write_resolved(run)
+        return run
+
+    def _preprocess_hyperparams(self, hyperparams: dict[str, Any]) -> Any:
+        for key in EVALUATED_KEYS:
+            if key in hyperparams:
+                hyperparams[key] = import_classes(hyperparams[key], is_class=key.endswith("_class"))
+        processed = super()._preprocess_hyperparams(hyperparams)
+        self.eval_env_kwargs = {**self.env_kwargs, **(self._eval_env_kwargs_args or {})}
+        if "info_keywords" in self.monitor_kwargs:  # YAML has lists only
+            self.monitor_kwargs["info_keywords"] = tuple(self.monitor_kwargs["info_keywords"])
+        if self.checkpoint is not None:
+            self.monitor_kwargs["override_existing"] = False
+        return processed
+
+    def create_envs(self, n_envs: int, eval_env: bool = False, no_log: bool = False) -> VecEnv:
+        """
+        Create environments; those for evaluation get another seed than those for training.
+
+        :param n_envs: How many
+        :param eval_env: Whether they are for evaluation
+        :param no_log: Whether to write no monitor files
+        :return: The wrapped environments
+        """
+        training_seed = self.seed
+        if eval_env:
+            self.seed = stream_seed(training_seed, SeedStream.EVALUATION)
+        try:
+            return super().create_envs(n_envs, eval_env, no_log)
+        finally:
+            self.seed = training_seed
+
+    def create_callbacks(self) -> None:
+        """Progress bar, checkpoints and periodic evaluation, as far as they are asked for."""
+        if self.show_progress:
+            self.callbacks.append(ProgressBarCallback())
+        if self.eval_freq > 0 and not self.optimize_hyperparameters:
+            self.callbacks.append(self._periodic_evaluation())
+        if self.save_freq > 0:
+            self.callbacks.append(self._checkpoints())
+
+    def _periodic_evaluation(self) -> BaseCallback:
+        return PeriodicEvaluation(
+            self.create_envs(self.n_eval_envs, eval_env=True),
+            run_folder=self.run.folder,
+            seed=self.seed,
+            callback_on_new_best=SaveVecNormalizeCallback(save_freq=1, save_path=self.params_path),
+            n_eval_episodes=self.n_eval_episodes,
+            eval_freq=self._calls(self.eval_freq),
+            deterministic=self.deterministic_eval,
+        )
+
+    def _checkpoints(self) -> BaseCallback:
+        folder = self.run.folder / CHECKPOINT_FOLDER
+        return DirectoryCheckpointCallback(self._calls(self.save_freq), folder)
+
+    def _calls(self, timesteps: int) -> int:
+        """How many steps of the vector environment make that many time steps."""
+        return max(timesteps // self.n_envs, 1)
+
+    def _load_pretrained_agent(self, hyperparams: dict[str, Any], env: VecEnv) -> BaseAlgorithm:
+        if self.checkpoint is None:
+            return super()._load_pretrained_agent(hyperparams, env)
+        return resume(self.checkpoint, env)
+
+    def learn(self, model: BaseAlgorithm) -> None:
+        """
+        Train; an interruption by Ctrl-C ends training early and without an error.
+
+        :param model: The model, new or from a checkpoint
+        """
+        interval = {} if self.log_interval == -1 else {"log_interval": max(self.log_interval, 0) or None}
+        try:
+            model.learn(
+                self.n_timesteps - (model.num_timesteps if self.checkpoint else 0),
+                callback=self.callbacks,
+                reset_num_timesteps=self.checkpoint is None,
+                **interval,  # type: ignore[arg-type]
+            )
+        except KeyboardInterrupt:
+            self.interrupted = True
+            self._close_progress_bars()
+        finally:
+            self._close_envs(model)
+
+    def _close_progress_bars(self) -> None:
+        for callback in self.callbacks:
+            if isinstance(callback, ProgressBarCallback) and hasattr(callback, "pbar"):
+                callback.pbar.close()
+
+    def _close_envs(self, model: BaseAlgorithm) -> None:
+        evaluations = (item for item in self.callbacks if isinstance(item, PeriodicEvaluation))
+        for env in (model.env, *(evaluation.eval_env for evaluation in evaluations)):
+            if env is not None:
+                with contextlib.suppress(EOFError, BrokenPipeError):  # a worker that Ctrl-C has ended already
+                    env.close()
+
+    def save_trained_model(self, model: BaseAlgorithm) -> None:
+        """
+        Save the model, as whole files.
+
+        :param model: The model at the end of training
+        """
+        with whole_file(self.run.last_model) as partial:
+            model.save(partial)
+        if self.save_replay_buffer and hasattr(model, "save_replay_buffer"):
+            with whole_file(self.run.folder / "replay_buffer.pkl") as partial:
+                model.save_replay_buffer(partial)
+        statistics = model.get_vec_normalize_env()
+        if statistics is not None:
+            statistics.save(str(self.run.params_folder / "vecnormalize.pkl"))
+
+
+def import_classes(value: Any, is_class: bool = False) -> Any:
+    """
+    Replace dotted paths by the classes they name, wherever a key ends in ``_class``.
+
+    :param value: A value from a YAML file
+    :param is_class: Whether the value stands under such a key
+    :return: The value with classes in it
+    """
+    if isinstance(value, dict):
+        return {key: import_classes(item, str(key).endswith("_class")) for key, item in value.items()}
+    if is_class and isinstance(value, str) and DOTTED_PATH.fullmatch(value):
+        return class_from_path(value)
+    return value

@@ -1,0 +1,186 @@
+"""From the name of a baseline, a preset and an environment to one set of hyperparameters."""
+
+from __future__ import annotations
+
+import copy
+import functools
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from fnmatch import fnmatchcase
+from importlib import resources
+from typing import Any
+
+import yaml
+
+from zoo_configs.errors import CommandError, unknown_name
+
+FAMILY_KEYS = ("envs", "hyperparams", "presets", "baselines", "tasks")
+PRESET_KEYS = ("flags", "hyperparams", "policies")
+BASELINE_KEYS = ("algo", "policy", "hyperparams")
+# Flags of rl_zoo3.train for which a preset may choose the default.
+PRESET_FLAGS = ("eval_freq", "eval_episodes", "n_eval_envs", "save_freq", "vec_env", "log_interval")
+
+
+@dataclass(frozen=True)
+class Cell:
+    """
+    One cell of a benchmark: everything rl_zoo3 needs to train one agent.
+
+    :param algo: Name of the algorithm's class in rl_zoo3's table
+    :param env_id: Id of the environment
+    :param hyperparams: The section of rl_zoo3's YAML for this environment
+    :param flags: Defaults for flags of ``rl_zoo3.train``, named as in its namespace
+    :param baseline: The row of the benchmark, None for hyperparameters from elsewhere
+    :param preset: The size of the run, None for hyperparameters from elsewhere
+    """
+
+    algo: str
+    env_id: str
+    hyperparams: dict[str, Any]
+    flags: dict[str, Any] = field(default_factory=dict)
+    baseline: str | None = None
+    preset: str | None = None
+
+    @property
+    def label(self) -> str:
+        """Name for titles and tables: the baseline, or else the algorithm."""
+        return self.baseline or self.algo
+
+
+@dataclass(frozen=True)
+class Family:
+    """
+    One file of hyperparameters: the baselines and presets of a family of environments.
+
+    Layers, later ones win: family, preset, policy of the preset, baseline, task.
+
+    :param name: Name of the file without its suffix
+    :param envs: Shell pattern of the ids it serves
+    :param hyperparams: What all cells share
+    :param presets: From preset to its flags, hyperparameters and policies
+    :param baselines: From baseline to its algorithm, the name of its policy and its hyperparameters
+    :param tasks: From id to preset to what is special about them
+    """
+
+    name: str
+    envs: str
+    hyperparams: dict[str, Any]
+    presets: dict[str, dict[str, Any]]
+    baselines: dict[str, dict[str, Any]]
+    tasks: dict[str, dict[str, dict[str, Any]]]
+
+    def serves(self, env_id: str) -> bool:
+        """Whether the family has hyperparameters for an id."""
+        return fnmatchcase(env_id, self.envs)
+
+
+@functools.cache
+def families() -> tuple[Family, ...]:
+    """
+    Load all files of hyperparameters.
+
+    :return: The families in order of their file names
+    :raises CommandError: if a file has a key that means nothing
+    """
+    folder = resources.files("zoo_configs") / "hyperparams"
+    texts = {
+        file.name: file.read_text(encoding="utf-8") for file in folder.iterdir() if file.name.endswith(".yml")
+    }
+    return tuple(_parse(name.removesuffix(".yml"), texts[name]) for name in sorted(texts))
+
+
+def family_of(env_id: str) -> Family:
+    """
+    The family that serves an environment.
+
+    :param env_id: Id of the environment
+    :return: The family
+    :raises CommandError: if no baselines exist for it
+    """
+    for family in families():
+        if family.serves(env_id):
+            return family
+    served = ", ".join(family.envs for family in families())
+    raise CommandError(f"no baselines for {env_id!r}, only for {served}; use --algo and --conf-file")
+
+
+def resolve(baseline: str, preset: str, env_id: str, overrides: Mapping[str, Any] | None = None) -> Cell:
+    """
+    Look up the hyperparameters of one cell.
+
+    :param baseline: Row of a benchmark, for example ``"equi_sacfd"``
+    :param preset: ``"cpu"`` or ``"paper"``
+    :param env_id: Id of the environment
+    :param overrides: Hyperparameters that win over all layers; mappings are merged, other values replaced
+    :return: The cell, its hyperparameters not shared with any other
+    :raises CommandError: for an unknown name; names the nearest valid one
+    """
+    family = family_of(env_id)
+    row = _entry("baseline", baseline, family.baselines)
+    size = _entry("preset", preset, family.presets)
+    policy = _entry(f"policy of preset {preset}", row["policy"], size["policies"])
+    task = family.tasks.get(env_id, {}).get(preset, {})
+    layers = (
+        family.hyperparams,
+        size.get("hyperparams", {}),
+        policy,
+        row.get("hyperparams", {}),
+        task.get("hyperparams", {}),
+        overrides or {},
+    )
+    hyperparams: dict[str, Any] = {}
+    for layer in layers:
+        hyperparams = merge(hyperparams, layer)
+    _share_action_sequence(hyperparams)
+    flags = merge(size.get("flags", {}), task.get("flags", {}))
+    return Cell(row["algo"], env_id, hyperparams, flags, baseline, preset)
+
+
+def merge(base: Mapping[str, Any], update: Mapping[str, Any]) -> dict[str, Any]:
+    """
+    Merge two nested mappings.
+
+    :param base: The values below
+    :param update: The values on top; a mapping on a mapping is merged, anything else replaces
+    :return: A new mapping that shares nothing with the two
+    """
+    merged = copy.deepcopy(dict(base))
+    for key, value in update.items():
+        below = merged.get(key)
+        both = isinstance(below, Mapping) and isinstance(value, Mapping)
+        merged[key] = merge(below, value) if both else copy.deepcopy(value)  # type: ignore[arg-type]
+    return merged
+
+
+def _share_action_sequence(hyperparams: dict[str, Any]) -> None:
+    """An equivariant policy must know which numbers are dx and dy: the environment's sequence says so."""
+    policy_kwargs = hyperparams.get("policy_kwargs", {})
+    sequence = hyperparams.get("env_kwargs", {}).get("action_sequence")
+    if "action_sequence" in policy_kwargs and sequence is not None:
+        policy_kwargs["action_sequence"] = sequence
+
+
+def _entry(kind: str, name: str, table: Mapping[str, dict[str, Any]]) -> dict[str, Any]:
+    if name not in table:
+        raise unknown_name(kind, name, table)
+    return table[name]
+
+
+def _parse(name: str, text: str) -> Family:
+    data = yaml.safe_load(text)
+    where = f"hyperparams/{name}.yml"
+    _check_keys(f"key of {where}", data, FAMILY_KEYS)
+    for preset in data["presets"].values():
+        _check_keys(f"preset key of {where}", preset, PRESET_KEYS)
+        _check_keys(f"flag of {where}", preset.get("flags", {}), PRESET_FLAGS)
+    for baseline in data["baselines"].values():
+        _check_keys(f"baseline key of {where}", baseline, BASELINE_KEYS)
+    for task in data.get("tasks", {}).values():
+        _check_keys(f"preset of a task of {where}", task, data["presets"])
+    return Family(name=name, **{key: data.get(key, {}) for key in FAMILY_KEYS})
+
+
+def _check_keys(kind: str, mapping: Mapping[str, Any], valid: Mapping[str, Any] | tuple[str, ...]) -> None:
+    for key in mapping:
+        if key not in valid:
+            raise unknown_name(kind, key, valid)

@@ -1,0 +1,159 @@
+"""Run folders, laid out as rl_zoo3 does: ``<log folder>/<algo>/<env>_<number>``, with one resolved YAML."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+from rl_zoo3.utils import get_latest_run_id, get_saved_hyperparams
+
+from zoo_configs.errors import CommandError
+from zoo_configs.files import whole_file
+from zoo_configs.resolve import Cell
+
+RESOLVED_FILE = "hyperparams.yml"
+EVALUATIONS_FILE = "evaluations.npz"
+BEST_MODEL_FILE = "best_model.zip"
+CHECKPOINT_FOLDER = "checkpoints"
+CURVE_FILE = "learning_curve.png"
+# The key of the resolved file beside the environment's section; rl_zoo3 does not read it.
+RUN_KEY = "run"
+
+
+@dataclass(frozen=True)
+class Run:
+    """
+    A training run on disk.
+
+    :param folder: Its folder
+    :param cell: What was trained
+    :param arguments: The arguments given to ``rl_zoo3.train``
+    """
+
+    folder: Path
+    cell: Cell
+    arguments: tuple[str, ...]
+
+    @property
+    def number(self) -> int:
+        """Number of the run among those of its algorithm and environment, 0 for a folder named otherwise."""
+        digits = self.folder.name.removeprefix(f"{env_folder_name(self.cell.env_id)}_").partition("_")[0]
+        return int(digits) if digits.isdigit() else 0
+
+    @property
+    def resolved_file(self) -> Path:
+        """The YAML that rl_zoo3 reads as its ``--conf-file``."""
+        return self.folder / RESOLVED_FILE
+
+    @property
+    def params_folder(self) -> Path:
+        """Folder in which rl_zoo3 keeps the configuration."""
+        return self.folder / env_folder_name(self.cell.env_id)
+
+    @property
+    def last_model(self) -> Path:
+        """The model as training left it."""
+        return self.folder / f"{env_folder_name(self.cell.env_id)}.zip"
+
+    @property
+    def best_model(self) -> Path:
+        """The model that did best in a periodic evaluation."""
+        return self.folder / BEST_MODEL_FILE
+
+    @property
+    def evaluations_file(self) -> Path:
+        """Periodic evaluations, in Stable-Baselines3's format."""
+        return self.folder / EVALUATIONS_FILE
+
+    def saved_hyperparams(self) -> tuple[dict[str, Any], str | None]:
+        """
+        Hyperparameters as trained with, prepared by rl_zoo3 for rebuilding the environment.
+
+        :return: The hyperparameters and the folder of normalisation statistics
+        """
+        hyperparams, stats_path = get_saved_hyperparams(str(self.params_folder), test_mode=True)
+        return dict(hyperparams), stats_path
+
+
+def env_folder_name(env_id: str) -> str:
+    """
+    An id as part of a file name, as rl_zoo3 spells it.
+
+    :param env_id: Id of the environment
+    :return: The id with dashes for slashes
+    """
+    return env_id.replace("/", "-")
+
+
+def claim_run_folder(log_folder: Path, env_id: str, suffix: str = "") -> Path:
+    """
+    Create the next numbered run folder; two runs that start together get different ones.
+
+    :param log_folder: Folder of the algorithm's runs
+    :param env_id: Id of the environment
+    :param suffix: What follows the number
+    :return: The new, empty folder
+    """
+    log_folder.mkdir(parents=True, exist_ok=True)
+    name = env_folder_name(env_id)
+    number = get_latest_run_id(str(log_folder), name)
+    while True:
+        number += 1
+        folder = log_folder / f"{name}_{number}{suffix}"
+        try:
+            folder.mkdir()  # atomic: fails if another process was first
+        except FileExistsError:
+            continue
+        return folder
+
+
+def write_resolved(run: Run) -> Path:
+    """
+    Write a run's resolved hyperparameters, in the form that rl_zoo3 takes as ``--conf-file``.
+
+    :param run: The run
+    :return: The file
+    """
+    about = {
+        "algo": run.cell.algo,
+        "baseline": run.cell.baseline,
+        "preset": run.cell.preset,
+        "arguments": list(run.arguments),
+    }
+    path = run.resolved_file
+    with whole_file(path) as partial, partial.open("w", encoding="utf-8") as file:
+        yaml.safe_dump({RUN_KEY: about, run.cell.env_id: run.cell.hyperparams}, file, sort_keys=False)
+    return path
+
+
+def load_run(folder: Path) -> Run:
+    """
+    Read a run folder.
+
+    :param folder: The folder
+    :return: The run
+    :raises CommandError: if it is not a run folder of this command line
+    """
+    path = folder / RESOLVED_FILE
+    if not path.is_file():
+        raise CommandError(f"{folder} is no run folder: it has no {RESOLVED_FILE}")
+    content = yaml.safe_load(path.read_text(encoding="utf-8"))
+    about = content.pop(RUN_KEY)
+    ((env_id, hyperparams),) = content.items()
+    cell = Cell(about["algo"], env_id, hyperparams, {}, about["baseline"], about["preset"])
+    return Run(folder, cell, tuple(about["arguments"]))
+
+
+def find_runs(log_folder: Path, env_id: str) -> list[Run]:
+    """
+    Runs on an environment in a log folder.
+
+    :param log_folder: The folder given as ``-f`` to ``train``
+    :param env_id: Id of the environment
+    :return: The runs of all algorithms, oldest first
+    """
+    files = log_folder.glob(f"*/{env_folder_name(env_id)}_*/{RESOLVED_FILE}")
+    newest_last = sorted(files, key=lambda path: (path.stat().st_mtime_ns, path.parent.name))
+    return [load_run(path.parent) for path in newest_last]

@@ -1,0 +1,134 @@
+"""Checks hyperparameters against the signatures of what they will be given to, before anything is built."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Mapping
+from typing import Any
+
+import gymnasium as gym
+
+from zoo_configs.algorithms import class_from_path, register_algorithms
+from zoo_configs.errors import CommandError, unknown_name
+from zoo_configs.resolve import Cell
+
+# Keys that rl_zoo3's manager takes for itself; every other key goes to the algorithm.
+MANAGER_KEYS = (
+    "callback",
+    "env_kwargs",
+    "env_wrapper",
+    "frame_stack",
+    "monitor_kwargs",
+    "n_envs",
+    "n_timesteps",
+    "noise_std",
+    "noise_type",
+    "normalize",
+    "policy",
+    "vec_env_wrapper",
+)
+# What the manager passes to every algorithm itself.
+RESERVED_KEYS = ("_init_setup_model", "device", "env", "seed", "tensorboard_log", "verbose")
+
+
+def check_cell(cell: Cell) -> None:
+    """
+    Check the names in a cell: its algorithm, hyperparameters, policy, and what they are given.
+
+    :param cell: The cell
+    :raises CommandError: for a name that does not exist; names the nearest one that does
+    """
+    algorithms = register_algorithms()
+    if cell.algo not in algorithms:
+        raise unknown_name("algorithm", cell.algo, algorithms)
+    algorithm = algorithms[cell.algo]
+    valid = {*MANAGER_KEYS, *constructor_keys(algorithm)} - set(RESERVED_KEYS)
+    _check_names(f"hyperparameter of {cell.algo}", cell.hyperparams, valid)
+    for key in ("n_timesteps", "policy"):
+        if key not in cell.hyperparams:
+            raise CommandError(f"hyperparameter {key!r} is missing for {cell.env_id}")
+    policy = policy_class(algorithm, cell.hyperparams["policy"])
+    _check_policy_kwargs(policy, cell.hyperparams.get("policy_kwargs"))
+
+
+def check_env_kwargs(env_id: str, env_kwargs: Mapping[str, Any]) -> gym.Env[Any, Any]:
+    """
+    Build the environment once, so that a wrong parameter is told before the run begins.
+
+    :param env_id: Id of the environment
+    :param env_kwargs: Its parameters
+    :return: The environment, to be closed by the caller
+    :raises CommandError: if the environment refuses its parameters
+    """
+    try:
+        return gym.make(env_id, **env_kwargs)
+    except (TypeError, ValueError) as error:
+        raise CommandError(f"{env_id} refuses its env_kwargs: {error}") from error
+
+
+def policy_class(algorithm: type[Any], policy: str) -> type[Any]:
+    """
+    The class behind a policy's name.
+
+    :param algorithm: Class of the algorithm
+    :param policy: One of its aliases, or a dotted path
+    :return: Class of the policy
+    :raises CommandError: if there is no such policy
+    """
+    aliases: dict[str, type[Any]] = algorithm.policy_aliases
+    if policy in aliases:
+        return aliases[policy]
+    if "." not in policy:
+        raise unknown_name(f"policy of {algorithm.__name__}", policy, aliases)
+    return _imported("policy", policy)
+
+
+def constructor_keys(cls: type[Any]) -> set[str]:
+    """
+    Names that a constructor takes, up through its parents as long as it passes ``**kwargs`` on.
+
+    :param cls: The class
+    :return: Names of its keyword arguments
+    """
+    keys: set[str] = set()
+    for parent in cls.__mro__:
+        if "__init__" not in vars(parent):
+            continue
+        parameters = list(inspect.signature(vars(parent)["__init__"]).parameters.values())[1:]
+        keys |= {p.name for p in parameters if p.kind in (p.POSITIONAL_OR_KEYWORD, p.KEYWORD_ONLY)}
+        if all(p.kind is not p.VAR_KEYWORD for p in parameters):
+            break
+    return keys
+
+
+def _check_policy_kwargs(policy: type[Any], policy_kwargs: Any) -> None:
+    """Python code in a string is left to rl_zoo3, which evaluates it."""
+    if not isinstance(policy_kwargs, Mapping):
+        return
+    _check_names(f"policy_kwargs of {policy.__name__}", policy_kwargs, constructor_keys(policy))
+    extractor = policy_kwargs.get("features_extractor_class", _default(policy, "features_extractor_class"))
+    if isinstance(extractor, str):
+        extractor = _imported("features extractor", extractor)
+    given = policy_kwargs.get("features_extractor_kwargs", {})
+    _check_names(f"features_extractor_kwargs of {extractor.__name__}", given, constructor_keys(extractor))
+
+
+def _default(cls: type[Any], parameter: str) -> Any:
+    for parent in cls.__mro__:
+        parameters = inspect.signature(vars(parent).get("__init__", object)).parameters
+        if parameter in parameters:
+            return parameters[parameter].default
+    return object
+
+
+def _imported(kind: str, path: str) -> type[Any]:
+    try:
+        return class_from_path(path)
+    except (ImportError, ValueError) as error:  # ValueError: no module in front of the name
+        raise CommandError(f"{kind} {path!r} cannot be imported: {error}") from error
+
+
+def _check_names(kind: str, given: Mapping[str, Any], valid: set[str]) -> None:
+    for name in given:
+        if name not in valid:
+            raise unknown_name(kind, name, valid)
