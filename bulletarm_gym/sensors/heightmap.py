@@ -13,7 +13,7 @@ class HeightmapSensor:
     """A z-buffer that looks straight down on a fixed list of meshes, one a body link.
 
     Heights are those under pixel centres, not averages over pixels. With ``resolution = extent / size``,
-    pixel ``(i, j)`` covers world x from ``centre[0] - extent / 2 + i * resolution`` to one resolution further,
+    pixel ``(i, j)`` covers world x from ``centre[0] - extent / 2 + i * resolution`` to one resolution more,
     y with ``j`` likewise, and its centre lies half a pixel in. Thanks to the half pixel the image has no
     preferred corner: turning scene and window by +90 degrees about z, ``(x, y) -> (-y, x)``, turns the image
     by ``np.rot90(image, k=1)``, bit for bit.

@@ -1,0 +1,85 @@
+"""Rectangles drawn over a heightmap."""
+
+import math
+
+import numpy as np
+import pytest
+
+from bulletarm_gym.sensors.overlays import fill_rectangles, rectangle_mask
+
+EXTENT, SIZE = 0.45, 128
+RESOLUTION = EXTENT / SIZE
+CENTRE = (0.45, 0.0)
+
+
+def inside(rectangle, centre=CENTRE, size=SIZE):
+    x, y, length, width, yaw = rectangle
+    steps = (np.arange(size) + 0.5) * (EXTENT / size) - EXTENT / 2
+    dx, dy = centre[0] + steps[:, None] - x, centre[1] + steps[None, :] - y
+    along, across = math.cos(yaw) * dx + math.sin(yaw) * dy, math.cos(yaw) * dy - math.sin(yaw) * dx
+    return (np.abs(along) <= length / 2) & (np.abs(across) <= width / 2)
+
+
+def random_rectangles(rng, count):
+    columns = [rng.uniform(0.25, 0.65, count), rng.uniform(-0.2, 0.2, count)]
+    columns += [rng.uniform(0.005, 0.2, count), rng.uniform(0.005, 0.2, count), rng.uniform(-4, 4, count)]
+    return np.stack(columns, axis=1)
+
+
+@pytest.mark.parametrize("size", [15, 64, 128])
+def test_mask_holds_the_pixels_inside(size: int) -> None:
+    for rectangle in random_rectangles(np.random.default_rng(0), 50):
+        mask = rectangle_mask(CENTRE, EXTENT, size, [rectangle])
+        assert mask.dtype == np.bool_
+        np.testing.assert_array_equal(mask, inside(rectangle, size=size))
+
+
+def test_fill_sets_the_union_and_nothing_else() -> None:
+    rng = np.random.default_rng(1)
+    rectangles = random_rectangles(rng, 3)
+    image = rng.random((SIZE, SIZE), dtype=np.float32)
+    before = image.copy()
+    fill_rectangles(image, CENTRE, EXTENT, rectangles, 0.25)
+    covered = np.logical_or.reduce([inside(r) for r in rectangles])
+    np.testing.assert_array_equal(image, np.where(covered, np.float32(0.25), before))
+    np.testing.assert_array_equal(rectangle_mask(CENTRE, EXTENT, SIZE, rectangles), covered)
+
+
+def test_edges_through_pixel_centres_belong_to_the_rectangle() -> None:
+    side = 5 * RESOLUTION
+    corner = (CENTRE[0] + RESOLUTION / 2, CENTRE[1] + RESOLUTION / 2)
+    for quarter in range(4):
+        rectangle = (*corner, side - RESOLUTION, side + RESOLUTION, quarter * math.pi / 2)
+        rows, columns = np.nonzero(rectangle_mask(CENTRE, EXTENT, SIZE, [rectangle]))
+        assert sorted([np.ptp(rows) + 1, np.ptp(columns) + 1]) == [5, 7]
+
+
+@pytest.mark.parametrize("size", [64, 75, 128])
+def test_quarter_turn_of_the_world_is_rot90(size: int) -> None:
+    rng = np.random.default_rng(2)
+    rectangles = random_rectangles(rng, 20)
+    rectangles[:5] = [(0.45 + k * RESOLUTION, 0.0, 6 * RESOLUTION, 6 * RESOLUTION, 0.0) for k in range(5)]
+    turned = np.column_stack(
+        [-rectangles[:, 1], rectangles[:, 0], rectangles[:, 2:4], rectangles[:, 4] + math.pi / 2]
+    )
+    for before, after in zip(rectangles, turned, strict=True):
+        mask = rectangle_mask(CENTRE, EXTENT, size, [before])
+        again = rectangle_mask((-CENTRE[1], CENTRE[0]), EXTENT, size, [after])
+        np.testing.assert_array_equal(again, np.rot90(mask, k=1))
+
+
+def test_what_lies_outside_or_covers_nothing_is_not_drawn() -> None:
+    nothing = [
+        (9, 9, 0.1, 0.1, 0),
+        (0.45, 0, 0, 0.1, 0),
+        (math.nan, 0, 0.1, 0.1, 0),
+        (0.45, 0, 0.1, 0.1, math.nan),
+    ]
+    assert not rectangle_mask(CENTRE, EXTENT, SIZE, nothing).any()
+    assert not rectangle_mask(CENTRE, EXTENT, SIZE, np.empty((0, 5))).any()
+    assert rectangle_mask(CENTRE, EXTENT, SIZE, [(0.45, 0, 5, 5, 0.3)]).all()
+
+
+def test_wrong_shape_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"not an array of shape \(5,\)"):
+        rectangle_mask(CENTRE, EXTENT, SIZE, (0.45, 0, 0.1, 0.1, 0))
