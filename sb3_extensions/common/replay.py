@@ -1,0 +1,405 @@
+"""Replay for Dict observations: a flat table of transitions over a store of frames."""
+
+from __future__ import annotations
+
+import logging
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+import psutil
+import torch as th
+from gymnasium import spaces
+from stable_baselines3.common.buffers import BaseBuffer, ReplayBuffer
+from stable_baselines3.common.type_aliases import TensorDict
+from stable_baselines3.common.vec_env import VecNormalize
+
+from sb3_extensions.common.frames import FrameStore, Ids, PinnedRing
+
+logger = logging.getLogger(__name__)
+
+# An episode of n steps has n + 1 frames: room for a last frame every eleven transitions, and 100,000 transitions
+# at 128 x 128 pixels of one byte stay below 1.8 GB.
+FRAMES_PER_TRANSITION = 1.09
+NO_ROW = -1  # in the column of successors: the episode ends here, or its next transition has not come yet
+
+Observations = dict[str, npt.NDArray[Any]]
+
+
+class FrameReplayBufferSamples(NamedTuple):
+    """
+    Stable-Baselines3's ``DictReplayBufferSamples``, and what demonstrations and prioritized replay add to it.
+
+    All tensors but the observations are of shape (batch, 1) or (batch, action dimensions). ``dones`` is 1 only
+    where the episode terminated: a timeout bootstraps. ``discounts`` multiplies the value of
+    ``next_observations``; it is None where the buffer was given no ``gamma``. ``is_expert`` is boolean,
+    ``weights`` are importance weights, ``indices`` (numpy, shape (batch,)) the rows of the table.
+    """
+
+    observations: TensorDict
+    actions: th.Tensor
+    next_observations: TensorDict
+    dones: th.Tensor
+    rewards: th.Tensor
+    discounts: th.Tensor | None
+    is_expert: th.Tensor
+    weights: th.Tensor
+    indices: Ids
+
+
+class FrameReplayBuffer(ReplayBuffer):
+    """
+    Replay buffer for Dict observations that stores every observation once.
+
+    A transition refers to its two observations by number, and the next observation of a step is the observation
+    of the step after it; only the last observation of an episode takes a place of its own. Images of
+    floating-point numbers are stored as integers over the bounds of their space (error at most half a step, see
+    :class:`~sb3_extensions.common.quantisation.Quantiser`). It takes the place of ``DictReplayBuffer``
+    in SAC, TQC, CrossQ and others: ``SAC(..., replay_buffer_class=FrameReplayBuffer)``.
+
+    The arrays are allocated, and their size is logged and compared with the free memory, at the first
+    :meth:`add`. Where episodes are so short that the frames run out before the table is full, the oldest
+    transitions are dropped early; give a larger ``frames_per_transition`` then (2 is always enough).
+
+    :param buffer_size: number of transitions, of all environments together
+    :param observation_space: Dict space of Box spaces
+    :param action_space: action space
+    :param device: PyTorch device of the samples
+    :param n_envs: number of parallel environments
+    :param optimize_memory_usage: must be False: frames are always shared
+    :param handle_timeout_termination: bootstrap from the last observation of an episode that ran out of time
+    :param n_steps: number of rewards summed up before the bootstrap, fewer where an episode or the data end
+    :param gamma: discount factor per step; needed where ``n_steps > 1``. None: the algorithm discounts by its own
+    :param image_dtype: ``"uint8"`` or ``"uint16"``, for the quantised images
+    :param frames_per_transition: number of frames to make room for, per transition
+    :param seed: seed of the sampling. None takes one from NumPy's global generator, which the ``seed`` of a
+        Stable-Baselines3 algorithm sets before it makes its buffer
+    :raises ValueError: if an argument is out of its range
+    """
+
+    def __init__(
+        self,
+        buffer_size: int,
+        observation_space: spaces.Dict,
+        action_space: spaces.Space[Any],
+        device: th.device | str = "auto",
+        n_envs: int = 1,
+        optimize_memory_usage: bool = False,
+        handle_timeout_termination: bool = True,
+        n_steps: int = 1,
+        gamma: float | None = None,
+        image_dtype: str = "uint8",
+        frames_per_transition: float = FRAMES_PER_TRANSITION,
+        seed: int | None = None,
+    ) -> None:
+        # ReplayBuffer's own constructor would allocate its arrays.
+        BaseBuffer.__init__(self, buffer_size, observation_space, action_space, device, n_envs=n_envs)
+        if optimize_memory_usage:
+            raise ValueError("optimize_memory_usage must be False: this buffer always stores a frame once")
+        if n_steps < 1:
+            raise ValueError(f"n_steps must be at least 1, got {n_steps}")
+        if n_steps > 1 and gamma is None:
+            raise ValueError(f"n_steps={n_steps} needs gamma, the discount factor of the algorithm")
+        if buffer_size < 2 * n_envs:
+            raise ValueError(
+                f"buffer_size must be at least {2 * n_envs}, two steps of n_envs={n_envs}, got {buffer_size}"
+            )
+        if frames_per_transition < 1:
+            raise ValueError(f"frames_per_transition must be at least 1, got {frames_per_transition}")
+        self.optimize_memory_usage = False
+        self.handle_timeout_termination = handle_timeout_termination
+        self.n_steps = n_steps
+        self.gamma = gamma
+        # A step links its rows to those of the step before: these two steps must never share a row or a frame.
+        n_frames = int(buffer_size * frames_per_transition) + 2 * n_envs
+        self.frames = FrameStore(observation_space, n_frames, 3 * n_envs, image_dtype)
+        self.rows = PinnedRing(buffer_size, 2 * n_envs)
+        self.table: dict[str, npt.NDArray[Any]] = {}
+        # Of the latest add(): next observations, their frames, and rows (NO_ROW where the episode ended)
+        self._latest: Observations | None = None
+        self._latest_frames = np.zeros(n_envs, dtype=np.int64)
+        self._latest_rows = np.full(n_envs, NO_ROW, dtype=np.int64)
+        self.seed(int(np.random.randint(2**31)) if seed is None else seed)
+
+    def seed(self, seed: int) -> None:
+        """
+        Seed the sampling.
+
+        :param seed: seed
+        """
+        self.rng = np.random.default_rng(seed)
+
+    def size(self) -> int:
+        """
+        :return: number of transitions that can be sampled
+        """
+        return len(self.rows)
+
+    def reset(self) -> None:
+        """Forget all transitions."""
+        super().reset()
+        self.rows = PinnedRing(self.rows.capacity, self.rows.min_ring)
+        self.frames.clear()
+        self._latest = None
+        self._latest_rows.fill(NO_ROW)
+
+    def _columns(self) -> dict[str, tuple[tuple[int, ...], npt.DTypeLike]]:
+        """Shape of an entry and type of each column of the table."""
+        return {
+            "frame": ((), np.int64),  # id of the observation
+            "next_frame": ((), np.int64),
+            "oldest_frame": ((), np.int64),  # oldest frame of all rows added together with this one
+            "next_row": ((), np.int64),  # id of the next transition of the episode, or NO_ROW
+            "action": ((self.action_dim,), self._maybe_cast_dtype(self.action_space.dtype)),
+            "reward": ((), np.float32),
+            "done": ((), np.float32),
+        }
+
+    def _allocate(self) -> None:
+        """Allocate everything, once; announce the size."""
+        columns = self._columns()
+        row_bytes = sum(int(np.prod(shape)) * np.dtype(dtype).itemsize for shape, dtype in columns.values())
+        gigabytes = (self.frames.nbytes + row_bytes * self.rows.capacity) / 1e9
+        available = psutil.virtual_memory().available / 1e9
+        logger.info(
+            "Replay buffer: %d transitions over %d frames, %.2f GB (%.2f GB available)",
+            self.rows.capacity,
+            self.frames.ring.capacity,
+            gigabytes,
+            available,
+        )
+        if gigabytes > available:
+            logger.warning("The full replay buffer will not fit: %.2f GB > %.2f GB", gigabytes, available)
+        self.frames.allocate()
+        for name, (shape, dtype) in columns.items():
+            self.table[name] = np.zeros((self.rows.capacity, *shape), dtype=dtype)
+
+    def add(  # type: ignore[override]
+        self,
+        obs: Observations,
+        next_obs: Observations,
+        action: npt.NDArray[Any],
+        reward: npt.NDArray[np.float32],
+        done: npt.NDArray[np.bool_],
+        infos: list[dict[str, Any]],
+    ) -> None:
+        """
+        Add one transition of every environment.
+
+        :param obs: observations, first axis of length ``n_envs``
+        :param next_obs: observations that followed; the last ones of their episodes where these have ended
+        :param action: actions as the policy gave them
+        :param reward: rewards, shape (n_envs,)
+        :param done: whether the episode ended, shape (n_envs,)
+        :param infos: ``"TimeLimit.truncated"`` says that it ended only for want of time
+        """
+        if not self.table:
+            self._allocate()
+        continues = self._continues(obs)
+        frames = np.where(continues, self._latest_frames, 0)
+        if not continues.all():
+            frames[~continues] = self.frames.append({key: obs[key][~continues] for key in self.frames.keys})
+        next_frames = self.frames.append(next_obs)
+        timeout = np.array([info.get("TimeLimit.truncated", False) for info in infos], dtype=bool)
+        rows = self._write_rows(
+            self.rows.append(self.n_envs),
+            frame=frames,
+            next_frame=next_frames,
+            oldest_frame=min(frames.min(), next_frames.min()),
+            next_row=NO_ROW,
+            action=np.asarray(action).reshape(self.n_envs, self.action_dim),
+            reward=reward,
+            done=done & ~(timeout & self.handle_timeout_termination),
+        )
+        self.table["next_row"][self.rows.slots(self._latest_rows[continues])] = rows[continues]
+        self._latest = {key: np.array(next_obs[key]) for key in self.frames.keys}
+        self._latest_frames = next_frames
+        self._latest_rows = np.where(done, NO_ROW, rows)
+        self._drop_rows_without_frames()
+        self.pos = self.rows.end % self.buffer_size
+        self.full = len(self.rows) == self.buffer_size
+
+    def _continues(self, obs: Observations) -> npt.NDArray[np.bool_]:
+        """Whether each observation is the one its environment's latest transition ended with, (n_envs,)."""
+        continues: npt.NDArray[np.bool_] = self._latest_rows != NO_ROW
+        for key, latest in (self._latest or {}).items():
+            # An environment may have been reset in the middle of an episode: compare, do not trust the order.
+            continues &= (obs[key] == latest).reshape(self.n_envs, -1).all(axis=1)
+        return continues
+
+    def _write_rows(self, rows: Ids, **columns: Any) -> Ids:
+        slots = self.rows.slots(rows)
+        for name, values in columns.items():
+            self.table[name][slots] = values
+        return rows
+
+    def _drop_rows_without_frames(self) -> None:
+        rows, oldest_frame = self.rows, self.table["oldest_frame"]
+        while oldest_frame[rows.slots(np.asarray(rows.first))] < self.frames.ring.first:
+            rows.first += 1
+
+    def sample(  # type: ignore[override]
+        self, batch_size: int, env: VecNormalize | None = None
+    ) -> FrameReplayBufferSamples:
+        """
+        Draw transitions.
+
+        :param batch_size: number of transitions
+        :param env: normalization to apply to observations and rewards
+        :return: the sample
+        :raises ValueError: if the buffer is empty
+        """
+        if not self.size():
+            raise ValueError("the replay buffer is empty: nothing to sample from")
+        rows, weights = self._draw(batch_size)
+        return self._get_samples(rows, env, weights)
+
+    def _draw(self, batch_size: int) -> tuple[Ids, npt.NDArray[np.float32]]:
+        """Ids of sampled rows and their importance weights, both of shape (batch_size,)."""
+        rows = self.rows.ids(self.rng.integers(self.size(), size=batch_size))
+        return rows, np.ones(batch_size, dtype=np.float32)
+
+    def _get_samples(  # type: ignore[override]
+        self, batch_inds: Ids, env: VecNormalize | None = None, weights: npt.NDArray[np.float32] | None = None
+    ) -> FrameReplayBufferSamples:
+        batch_size = len(batch_inds)
+        slots = self.rows.slots(batch_inds)
+        last_slots, rewards, discounts = self._n_step_returns(batch_inds, env)
+        # Both observations in one pass.
+        frames = np.concatenate([self.table["frame"][slots], self.table["next_frame"][last_slots]])
+        images = {key: self.to_torch(array, copy=False) for key, array in self._read(frames, env).items()}
+        weights = np.ones(batch_size, dtype=np.float32) if weights is None else weights
+        return FrameReplayBufferSamples(
+            observations={key: tensor[:batch_size] for key, tensor in images.items()},
+            actions=self.to_torch(self.table["action"][slots], copy=False),
+            next_observations={key: tensor[batch_size:] for key, tensor in images.items()},
+            dones=self._column(self.table["done"][last_slots]),
+            rewards=self._column(rewards),
+            discounts=None if discounts is None else self._column(discounts),
+            is_expert=self._column(batch_inds < self.rows.pinned),
+            weights=self._column(weights),
+            indices=slots,
+        )
+
+    def _read(self, frames: Ids, env: VecNormalize | None) -> Observations:
+        observations = self._normalize_obs(self.frames.read(frames), env)
+        assert isinstance(observations, dict)
+        return observations
+
+    def _column(self, values: npt.NDArray[Any]) -> th.Tensor:
+        return self.to_torch(values.reshape(-1, 1), copy=False)
+
+    def _n_step_returns(
+        self, rows: Ids, env: VecNormalize | None
+    ) -> tuple[Ids, npt.NDArray[np.float32], npt.NDArray[np.float32] | None]:
+        """
+        Sums of discounted rewards over up to ``n_steps`` transitions of the same episode.
+
+        :param rows: ids of the first transitions, shape (batch,)
+        :param env: normalization to apply to the rewards
+        :return: slots of the last transitions, sums, discounts of the value after them; each of shape (batch,)
+        """
+        slots = self.rows.slots(rows)
+        rewards = self._normalize_reward(self.table["reward"][slots], env)
+        if self.gamma is None:
+            return slots, rewards, None
+        discounts = np.full(len(rows), self.gamma, dtype=np.float32)
+        for _ in range(self.n_steps - 1):
+            next_rows = self.table["next_row"][slots]
+            goes_on = next_rows != NO_ROW
+            slots = np.where(goes_on, self.rows.slots(next_rows), slots)
+            reward = self._normalize_reward(self.table["reward"][slots], env)
+            rewards = rewards + np.where(goes_on, discounts * reward, np.float32(0))
+            discounts = np.where(goes_on, discounts * np.float32(self.gamma), discounts)
+        return slots, rewards, discounts
+
+    def __getstate__(self) -> dict[str, Any]:
+        # Only rows that were ever filled go into a pickle.
+        state = self.__dict__.copy()
+        state["table"] = {name: column[: self.rows.used_slots] for name, column in self.table.items()}
+        return state
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        used = state.pop("table")
+        self.__dict__.update(state, table={})
+        for name, column in used.items():
+            self.table[name] = np.zeros((self.rows.capacity, *column.shape[1:]), dtype=column.dtype)
+            self.table[name][: len(column)] = column
+
+
+class ExpertReplayBuffer(FrameReplayBuffer):
+    """
+    :class:`FrameReplayBuffer` whose first rows are those of an expert: flagged, and never overwritten.
+
+    :param args: arguments of :class:`FrameReplayBuffer`; ``buffer_size`` counts the expert rows
+    :param expert_fraction: share of expert transitions in every sample, rounded to whole transitions; all are
+        taken from one side while the other is empty. None draws uniformly from all rows
+    :param kwargs: keyword arguments of :class:`FrameReplayBuffer`
+    :raises ValueError: if an argument is out of its range
+    """
+
+    def __init__(self, *args: Any, expert_fraction: float | None = None, **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        if expert_fraction is not None and not 0 <= expert_fraction <= 1:
+            raise ValueError(f"expert_fraction must be None or between 0 and 1, got {expert_fraction}")
+        self.expert_fraction = expert_fraction
+
+    @property
+    def expert_size(self) -> int:
+        """Number of expert transitions."""
+        return self.rows.pinned
+
+    def add_episode(
+        self,
+        observations: Observations,
+        actions: npt.NDArray[Any],
+        rewards: npt.NDArray[Any],
+        terminations: npt.NDArray[Any],
+    ) -> None:
+        """
+        Add an episode of the expert; only before the first online transition.
+
+        :param observations: for each key an array of n + 1 observations
+        :param actions: n actions in the units of the policy, [-1, 1], shape (n, action dimensions)
+        :param rewards: n rewards
+        :param terminations: n booleans, True where the episode terminated (not where it only ran out of time)
+        :raises ValueError: if the lengths do not fit, the expert rows would fill the buffer, or there are online
+            transitions already
+        """
+        if self.rows.end > self.expert_size:
+            raise ValueError("expert episodes must be added before the first online transition")
+        if missing := self.frames.keys - observations.keys():
+            raise ValueError(f"the episode's observations lack {sorted(missing)}")
+        n_steps = len(actions)
+        lengths = {f"observations[{key!r}]": len(observations[key]) - 1 for key in self.frames.keys}
+        lengths |= {"rewards": len(rewards), "terminations": len(terminations)}
+        wrong = {name: length for name, length in lengths.items() if length != n_steps}
+        if wrong or n_steps == 0:
+            raise ValueError(f"an episode of {n_steps} actions has another number of steps in {wrong}")
+        if not self.table:
+            self._allocate()
+        frames = self.frames.pin(observations)
+        rows = self.rows.pin(n_steps)
+        self._write_rows(
+            rows,
+            frame=frames[:-1],
+            next_frame=frames[1:],
+            oldest_frame=0,
+            next_row=np.append(rows[1:], NO_ROW),
+            action=np.asarray(actions).reshape(n_steps, self.action_dim),
+            reward=rewards,
+            done=terminations,
+        )
+
+    def _draw(self, batch_size: int) -> tuple[Ids, npt.NDArray[np.float32]]:
+        online_size = self.size() - self.expert_size
+        if self.expert_fraction is None or not online_size or not self.expert_size:
+            return super()._draw(batch_size)
+        n_expert = round(batch_size * self.expert_fraction)
+        ranks = np.concatenate(
+            [
+                self.rng.integers(self.expert_size, size=n_expert),
+                self.expert_size + self.rng.integers(online_size, size=batch_size - n_expert),
+            ]
+        )
+        return self.rows.ids(ranks), np.ones(batch_size, dtype=np.float32)
