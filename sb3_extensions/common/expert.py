@@ -22,9 +22,7 @@ AnyEnv = gym.Env[Any, Any]
 
 
 class EpisodeData(Protocol):
-    """
-    An episode of n steps, its parts named as Minari names them: a ``minari.EpisodeData`` is one.
-    """
+    """An episode of n steps, its parts named as Minari names them: a ``minari.EpisodeData`` is one."""
 
     @property
     def observations(self) -> dict[str, npt.NDArray[Any]]:
@@ -89,7 +87,8 @@ def make_expert_env(vec_env: VecEnv) -> AnyEnv:
     if env.observation_space != vec_env.observation_space or env.action_space != vec_env.action_space:
         raise ValueError(
             f"the environment made from {spec.id} has observations {env.observation_space} and actions "
-            f"{env.action_space}, the training environment {vec_env.observation_space} and {vec_env.action_space}: "
+            f"{env.action_space}, the training environment has {vec_env.observation_space} and "
+            f"{vec_env.action_space}: "
             "wrap it by Gymnasium's wrappers only, or hand over episodes by expert_data="
         )
     return env

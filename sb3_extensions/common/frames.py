@@ -1,4 +1,4 @@
-"""Storage of observations for replay: each observation once, images quantised, in a ring behind pinned ones."""
+"""Storage of observations for replay: each once, images quantised, in a ring behind pinned ones."""
 
 from __future__ import annotations
 
@@ -17,8 +17,9 @@ IMAGE_AXES = 3  # channels, rows, columns
 
 class PinnedRing:
     """
-    Numbering of items kept in a fixed number of slots: pinned items first, never overwritten, and a ring of the
-    latest others behind them. Every item has an id, counted from 0 in the order of arrival and never used again.
+    Numbering of items kept in a fixed number of slots: pinned items first, never overwritten, and a ring of
+    the latest others behind them. Every item has an id, counted from 0 in the order of arrival and never used
+    again.
 
     :param capacity: number of slots
     :param min_ring: number of slots that pinned items must leave to the ring

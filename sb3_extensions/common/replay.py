@@ -18,8 +18,8 @@ from sb3_extensions.common.frames import FrameStore, Ids, PinnedRing
 
 logger = logging.getLogger(__name__)
 
-# An episode of n steps has n + 1 frames: room for a last frame every eleven transitions, and 100,000 transitions
-# at 128 x 128 pixels of one byte stay below 1.8 GB.
+# An episode of n steps has n + 1 frames: this is room for a last frame every eleven transitions, and 100,000
+# transitions at 128 x 128 pixels of one byte stay below 1.8 GB.
 FRAMES_PER_TRANSITION = 1.09
 NO_ROW = -1  # in the column of successors: the episode ends here, or its next transition has not come yet
 
@@ -30,8 +30,8 @@ class FrameReplayBufferSamples(NamedTuple):
     """
     Stable-Baselines3's ``DictReplayBufferSamples``, and what demonstrations and prioritized replay add to it.
 
-    All tensors but the observations are of shape (batch, 1) or (batch, action dimensions). ``dones`` is 1 only
-    where the episode terminated: a timeout bootstraps. ``discounts`` multiplies the value of
+    All tensors but the observations are of shape (batch, 1) or (batch, action dimensions). ``dones`` is 1
+    only where the episode terminated: a timeout bootstraps. ``discounts`` multiplies the value of
     ``next_observations``; it is None where the buffer was given no ``gamma``. ``is_expert`` is boolean,
     ``weights`` are importance weights, ``indices`` (numpy, shape (batch,)) the rows of the table.
     """
@@ -51,11 +51,11 @@ class FrameReplayBuffer(ReplayBuffer):
     """
     Replay buffer for Dict observations that stores every observation once.
 
-    A transition refers to its two observations by number, and the next observation of a step is the observation
-    of the step after it; only the last observation of an episode takes a place of its own. Images of
-    floating-point numbers are stored as integers over the bounds of their space (error at most half a step, see
-    :class:`~sb3_extensions.common.quantisation.Quantiser`). It takes the place of ``DictReplayBuffer``
-    in SAC, TQC, CrossQ and others: ``SAC(..., replay_buffer_class=FrameReplayBuffer)``.
+    A transition refers to its two observations by number, and the next observation of a step is the
+    observation of the step after it; only the last observation of an episode takes a place of its own. Images
+    of floating-point numbers are stored as integers over the bounds of their space (error at most half a
+    step, see :class:`~sb3_extensions.common.quantisation.Quantiser`). It takes the place of
+    ``DictReplayBuffer`` in SAC, TQC, CrossQ and others: ``SAC(..., replay_buffer_class=FrameReplayBuffer)``.
 
     The arrays are allocated, and their size is logged and compared with the free memory, at the first
     :meth:`add`. Where episodes are so short that the frames run out before the table is full, the oldest
@@ -69,7 +69,7 @@ class FrameReplayBuffer(ReplayBuffer):
     :param optimize_memory_usage: must be False: frames are always shared
     :param handle_timeout_termination: bootstrap from the last observation of an episode that ran out of time
     :param n_steps: number of rewards summed up before the bootstrap, fewer where an episode or the data end
-    :param gamma: discount factor per step; needed where ``n_steps > 1``. None: the algorithm discounts by its own
+    :param gamma: discount factor per step; needed where ``n_steps > 1``. None leaves it to the algorithm
     :param image_dtype: ``"uint8"`` or ``"uint16"``, for the quantised images
     :param frames_per_transition: number of frames to make room for, per transition
     :param seed: seed of the sampling. None takes one from NumPy's global generator, which the ``seed`` of a
@@ -92,8 +92,9 @@ class FrameReplayBuffer(ReplayBuffer):
         frames_per_transition: float = FRAMES_PER_TRANSITION,
         seed: int | None = None,
     ) -> None:
-        # ReplayBuffer's own constructor would allocate its arrays.
+        # ReplayBuffer's own constructor would allocate its arrays
         BaseBuffer.__init__(self, buffer_size, observation_space, action_space, device, n_envs=n_envs)
+        self.optimize_memory_usage = optimize_memory_usage
         if optimize_memory_usage:
             raise ValueError("optimize_memory_usage must be False: this buffer always stores a frame once")
         if n_steps < 1:
@@ -106,11 +107,10 @@ class FrameReplayBuffer(ReplayBuffer):
             )
         if frames_per_transition < 1:
             raise ValueError(f"frames_per_transition must be at least 1, got {frames_per_transition}")
-        self.optimize_memory_usage = False
         self.handle_timeout_termination = handle_timeout_termination
         self.n_steps = n_steps
         self.gamma = gamma
-        # A step links its rows to those of the step before: these two steps must never share a row or a frame.
+        # A step links its rows to those of the step before: the two must never share a row or a frame.
         n_frames = int(buffer_size * frames_per_transition) + 2 * n_envs
         self.frames = FrameStore(observation_space, n_frames, 3 * n_envs, image_dtype)
         self.rows = PinnedRing(buffer_size, 2 * n_envs)
@@ -130,9 +130,7 @@ class FrameReplayBuffer(ReplayBuffer):
         self.rng = np.random.default_rng(seed)
 
     def size(self) -> int:
-        """
-        :return: number of transitions that can be sampled
-        """
+        """:return: number of transitions that can be sampled"""
         return len(self.rows)
 
     def reset(self) -> None:
@@ -150,7 +148,7 @@ class FrameReplayBuffer(ReplayBuffer):
             "next_frame": ((), np.int64),
             "oldest_frame": ((), np.int64),  # oldest frame of all rows added together with this one
             "next_row": ((), np.int64),  # id of the next transition of the episode, or NO_ROW
-            "action": ((self.action_dim,), self._maybe_cast_dtype(self.action_space.dtype)),
+            "action": ((self.action_dim,), np.dtype(self._maybe_cast_dtype(self.action_space.dtype))),
             "reward": ((), np.float32),
             "done": ((), np.float32),
         }
@@ -262,8 +260,7 @@ class FrameReplayBuffer(ReplayBuffer):
     def _get_samples(  # type: ignore[override]
         self, batch_inds: Ids, env: VecNormalize | None = None, weights: npt.NDArray[np.float32] | None = None
     ) -> FrameReplayBufferSamples:
-        batch_size = len(batch_inds)
-        slots = self.rows.slots(batch_inds)
+        batch_size, slots = len(batch_inds), self.rows.slots(batch_inds)
         last_slots, rewards, discounts = self._n_step_returns(batch_inds, env)
         # Both observations in one pass.
         frames = np.concatenate([self.table["frame"][slots], self.table["next_frame"][last_slots]])
@@ -297,7 +294,7 @@ class FrameReplayBuffer(ReplayBuffer):
 
         :param rows: ids of the first transitions, shape (batch,)
         :param env: normalization to apply to the rewards
-        :return: slots of the last transitions, sums, discounts of the value after them; each of shape (batch,)
+        :return: slots of the last transitions, sums, discounts of the value after them; each (batch,)
         """
         slots = self.rows.slots(rows)
         rewards = self._normalize_reward(self.table["reward"][slots], env)
@@ -363,8 +360,8 @@ class ExpertReplayBuffer(FrameReplayBuffer):
         :param actions: n actions in the units of the policy, [-1, 1], shape (n, action dimensions)
         :param rewards: n rewards
         :param terminations: n booleans, True where the episode terminated (not where it only ran out of time)
-        :raises ValueError: if the lengths do not fit, the expert rows would fill the buffer, or there are online
-            transitions already
+        :raises ValueError: if the lengths do not fit, the expert rows would fill the buffer, or there are
+            online transitions already
         """
         if self.rows.end > self.expert_size:
             raise ValueError("expert episodes must be added before the first online transition")

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import contextlib
-import io
-import pathlib
 from collections import defaultdict
 from collections.abc import Iterable, Iterator
 from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 import torch as th
+from gymnasium import spaces
 from stable_baselines3.common.buffers import ReplayBuffer
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.noise import ActionNoise
@@ -34,16 +33,16 @@ class SACfD(SAC):
     """
     Soft actor-critic from demonstrations (SACfD).
 
-    SAC whose replay buffer begins with the episodes of an expert, and whose actor is also drawn to the expert's
-    actions: its loss has the additional term ``bc_weight * MSE(sampled action, expert action)``, over the expert
-    transitions of the batch and all action dimensions, in the policy's units [-1, 1]. With ``bc_weight=0``
-    and ``expert_episodes=0`` it is SAC.
+    SAC whose replay buffer begins with the episodes of an expert, and whose actor is also drawn to the
+    expert's actions: its loss has the additional term ``bc_weight * MSE(sampled action, expert action)``, the
+    mean over the expert transitions of the batch and all action dimensions, in the policy's units [-1, 1].
+    With ``bc_weight=0`` and ``expert_episodes=0`` it is SAC.
 
     Paper: https://arxiv.org/abs/2205.14292 (BulletArm, Section "Close-Loop 4D Benchmark"); the defaults are
     its parameters. SAC: https://arxiv.org/abs/1801.01290
 
-    The demonstrations are collected at the first ``learn()`` in an environment of their own, made from the spec
-    of the training environment; these steps do not count as timesteps.
+    The demonstrations are collected at the first ``learn()`` in an environment of their own, made from the
+    spec of the training environment; these steps do not count as timesteps.
 
     :param policy: The policy model to use (``"MultiInputPolicy"``, ``"EquivariantPolicy"``, or a class)
     :param env: The environment to learn from (if registered in Gym, can be str); its observations are a Dict
@@ -56,8 +55,8 @@ class SACfD(SAC):
     :param batch_size: Minibatch size for each gradient update
     :param tau: the soft update coefficient ("Polyak update", between 0 and 1)
     :param gamma: the discount factor
-    :param train_freq: Update the model every ``train_freq`` steps. Alternatively pass a tuple of frequency and
-        unit like ``(5, "step")`` or ``(2, "episode")``.
+    :param train_freq: Update the model every ``train_freq`` steps. Alternatively pass a tuple of frequency
+        and unit like ``(5, "step")`` or ``(2, "episode")``.
     :param gradient_steps: How many gradient steps to do after each rollout (see ``train_freq``)
         Set to ``-1`` means to do as many gradient steps as steps done in the environment
         during the rollout.
@@ -98,7 +97,8 @@ class SACfD(SAC):
         "MultiInputPolicy": MultiInputPolicy,
         "EquivariantPolicy": EquivariantPolicy,
     }
-    replay_buffer: ExpertReplayBuffer | None  # type: ignore[assignment]
+    action_space: spaces.Box
+    replay_buffer: ExpertReplayBuffer | None
 
     def __init__(
         self,
@@ -131,6 +131,9 @@ class SACfD(SAC):
         device: th.device | str = "auto",
         _init_setup_model: bool = True,
     ) -> None:
+        replay_buffer_class = replay_buffer_class or ExpertReplayBuffer
+        if not issubclass(replay_buffer_class, ExpertReplayBuffer):
+            raise ValueError(f"replay_buffer_class must be an ExpertReplayBuffer, got {replay_buffer_class}")
         super().__init__(
             policy,
             env,
@@ -143,7 +146,7 @@ class SACfD(SAC):
             train_freq,
             gradient_steps,
             action_noise,
-            replay_buffer_class=replay_buffer_class or ExpertReplayBuffer,
+            replay_buffer_class=replay_buffer_class,
             replay_buffer_kwargs=replay_buffer_kwargs,
             ent_coef=ent_coef,
             target_update_interval=target_update_interval,
@@ -161,8 +164,6 @@ class SACfD(SAC):
         ).items():
             if value < 0:
                 raise ValueError(f"{name} must not be negative, got {value}")
-        if not issubclass(self.replay_buffer_class, ExpertReplayBuffer):
-            raise ValueError(f"replay_buffer_class must be an ExpertReplayBuffer, got {replay_buffer_class}")
         # The base class ignores n_steps and gamma when a buffer class is given, see GH #2274
         self.replay_buffer_kwargs = {"n_steps": n_steps, "gamma": gamma, **self.replay_buffer_kwargs}
         self.bc_weight = bc_weight
@@ -209,6 +210,7 @@ class SACfD(SAC):
         self._update_learning_rate(optimizers)
 
         assert self.replay_buffer is not None
+        assert isinstance(self.target_entropy, float)
         logs: defaultdict[str, list[th.Tensor]] = defaultdict(list)
 
         for gradient_step in range(gradient_steps):
@@ -227,7 +229,7 @@ class SACfD(SAC):
                 ent_coef = th.exp(self.log_ent_coef.detach())
                 ent_coef_loss = -(self.log_ent_coef * (log_prob + self.target_entropy).detach()).mean()
                 self.ent_coef_optimizer.zero_grad()
-                ent_coef_loss.backward()
+                ent_coef_loss.backward()  # type: ignore[no-untyped-call]
                 self.ent_coef_optimizer.step()
                 logs["ent_coef_loss"].append(ent_coef_loss.detach())
             else:
@@ -253,7 +255,7 @@ class SACfD(SAC):
 
             # Optimize the critic
             self.critic.optimizer.zero_grad()
-            critic_loss.backward()
+            critic_loss.backward()  # type: ignore[no-untyped-call]
             self.critic.optimizer.step()
 
             # Min over all critic networks. The critic is frozen: of its gradients only the one with respect
@@ -273,7 +275,7 @@ class SACfD(SAC):
 
             # Optimize the actor
             self.actor.optimizer.zero_grad()
-            actor_loss.backward()
+            actor_loss.backward()  # type: ignore[no-untyped-call]
             self.actor.optimizer.step()
 
             # Update target networks
@@ -360,24 +362,6 @@ class SACfD(SAC):
                 self.policy.scale_action(actions),
                 episode.rewards,
                 episode.terminations,
-            )
-
-    def load_replay_buffer(
-        self,
-        path: str | pathlib.Path | io.BufferedIOBase,
-        truncate_last_traj: bool = True,
-    ) -> None:
-        """
-        Load a replay buffer from a pickle file.
-
-        :param path: Path to the pickled replay buffer.
-        :param truncate_last_traj: passed on to the base class, which uses it for another buffer class
-        :raises ValueError: if the file holds another kind of buffer
-        """
-        super().load_replay_buffer(path, truncate_last_traj)
-        if not isinstance(self.replay_buffer, ExpertReplayBuffer):
-            raise ValueError(
-                f"{path} must hold an ExpertReplayBuffer, got a {type(self.replay_buffer).__name__}"
             )
 
     def _excluded_save_params(self) -> list[str]:
