@@ -1,1 +1,11 @@
-"""Manipulation tasks of the BulletArm paper as Gymnasium environments."""
+"""Manipulation tasks of the BulletArm paper as Gymnasium environments.
+
+Importing the package registers their ids and loads neither the physics engine nor a compiler.
+"""
+
+from bulletarm_gym.registration import ENV_IDS, register_all
+
+__version__ = "0.1.0"
+__all__ = ["ENV_IDS", "__version__"]
+
+register_all()

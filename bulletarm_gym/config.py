@@ -1,0 +1,259 @@
+"""The parameters of an environment, checked once, at the door."""
+
+import difflib
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, fields
+from typing import Any
+
+import numpy as np
+
+Check = Callable[[Any], Any]
+
+CLOSE_LOOP = "close_loop"
+OPEN_LOOP = "open_loop"
+
+SMALLEST_WORKSPACE = 0.1
+"""Side (m) below which no task of the paper fits."""
+LARGEST_SCALE = 2.0
+"""A cube twice the nominal size (10 cm) no longer fits any gripper."""
+
+
+class ParameterError(ValueError):
+    """A parameter is unknown or has a value it cannot take."""
+
+    def __init__(self, name: str, got: object, takes: str) -> None:
+        super().__init__(f"{name}: got {got!r}, takes {takes}")
+
+
+@dataclass(frozen=True)
+class TaskDefaults:
+    """What a task prescribes for its own parameters.
+
+    :param num_objects: the paper's number
+    :param max_steps: the paper's limit
+    :param object_scale: gives exactly the paper's sizes
+    :param allowed_objects: every number the task can have
+    """
+
+    num_objects: int
+    max_steps: int = 50
+    object_scale: float = 1.0
+    allowed_objects: tuple[int, ...] = (1,)
+
+
+@dataclass(frozen=True, kw_only=True)
+class EnvConfig:
+    """All parameters of an environment (paper, List of Configurable Environment Parameters; and ours).
+
+    Values are plain JSON: arrays given by a user are kept as lists. Build one with :meth:`of`.
+
+    :param control: ``"close_loop"``; follows from the environment's id
+    :param robot: the arm
+    :param action_sequence: one character a number of the action, in its order
+    :param workspace: [[x low, x high], [y low, y high], [z low, z high]] (m); square in x and y
+    :param object_scale_range: [low, high] factors on nominal sizes; a grid of 0.02 is drawn from
+    :param max_steps: actions an episode
+    :param num_objects: objects in the scene
+    :param obs_size: pixels a side of the heightmap
+    :param fast_mode: move the arm without simulation where it can touch nothing
+    :param random_orientation: objects start with random yaw
+    :param workspace_check: ``"point"`` asks an object's centre to stay inside, ``"bounding_box"`` all of it
+    :param physics_mode: ``"fast"`` (50 solver iterations) or ``"slow"`` (200, and slower motions)
+    :param reward: None for the task's own, or ``"module:function"`` called as ``function(scene, outcome)``
+    :param render_mode: None, ``"rgb_array"``, ``"depth_array"`` or ``"human"``
+    """
+
+    control: str
+    robot: str
+    action_sequence: str
+    workspace: list[list[float]]
+    object_scale_range: list[float]
+    max_steps: int
+    num_objects: int
+    obs_size: int = 128
+    fast_mode: bool = True
+    random_orientation: bool = True
+    workspace_check: str = "point"
+    physics_mode: str = "fast"
+    reward: str | None = None
+    render_mode: str | None = None
+
+    @classmethod
+    def of(
+        cls, control: str, task: TaskDefaults, robots: Sequence[str], parameters: Mapping[str, Any]
+    ) -> "EnvConfig":
+        """Check a user's parameters and fill in the paper's defaults.
+
+        :param control: which of the paper's two tables applies
+        :param task: the task's own numbers
+        :param robots: names of the arms there are
+        :raises ParameterError: an unknown parameter (the nearest is named), or a wrong type or value
+        """
+        checks = _checks(task, robots)
+        for name, value in parameters.items():
+            if name not in checks:
+                raise _unknown(name, value, control, checks)
+        values = _defaults(task) | {
+            name: _checked(name, checks[name], value) for name, value in parameters.items()
+        }
+        return cls(control=control, **values)
+
+    def parameters(self) -> dict[str, Any]:
+        """Return the parameters by name, as JSON values."""
+        return {name: value for name, value in asdict(self).items() if name != "control"}
+
+    @property
+    def scales(self) -> list[float]:
+        """The sizes that objects are drawn from: a grid of 0.02 over the range, both ends included."""
+        low, high = self.object_scale_range
+        count = round((high - low) / SCALE_STEP)
+        grid = [round(low + SCALE_STEP * step, 6) for step in range(count + 1)]
+        return grid if math.isclose(grid[-1], high) else [*grid, high]
+
+    @property
+    def centre(self) -> tuple[float, float]:
+        """Middle (m) of the workspace in x and y."""
+        (x0, x1), (y0, y1), _ = self.workspace
+        return ((x0 + x1) / 2.0, (y0 + y1) / 2.0)
+
+    @property
+    def workspace_size(self) -> float:
+        """Side (m) of the workspace."""
+        return self.workspace[0][1] - self.workspace[0][0]
+
+
+SCALE_STEP = 0.02
+
+_ELSEWHERE = {"half_rotation": OPEN_LOOP, "in_hand_size": OPEN_LOOP, "close_loop_tray": CLOSE_LOOP}
+
+
+def _defaults(task: TaskDefaults) -> dict[str, Any]:
+    """Return the paper's values where a parameter has no default of its own."""
+    return {
+        "robot": "kuka",
+        "action_sequence": "pxyzr",
+        "workspace": [[0.3, 0.6], [-0.15, 0.15], [0.01, 0.25]],
+        "object_scale_range": [task.object_scale, task.object_scale],
+        "max_steps": task.max_steps,
+        "num_objects": task.num_objects,
+    }
+
+
+def _checks(task: TaskDefaults, robots: Sequence[str]) -> dict[str, Check]:
+    """Return what each parameter of a control must pass."""
+    return {
+        "robot": _choice(*robots),
+        "action_sequence": _close_loop_sequence,
+        "workspace": _workspace,
+        "object_scale_range": _scale_range,
+        "max_steps": _integer(1),
+        "num_objects": _choice(*task.allowed_objects),
+        "obs_size": _integer(16, 1024),
+        "fast_mode": _boolean,
+        "random_orientation": _boolean,
+        "workspace_check": _choice("point", "bounding_box"),
+        "physics_mode": _choice("fast", "slow"),
+        "reward": _optional(_import_path),
+        "render_mode": _choice(None, "rgb_array", "depth_array", "human"),
+    }
+
+
+def _unknown(name: str, value: object, control: str, checks: Mapping[str, Check]) -> ParameterError:
+    if name == "render":
+        return ParameterError(name, value, 'nothing: there is no such parameter; use render_mode="human"')
+    if name in _ELSEWHERE and _ELSEWHERE[name] != control:
+        other, own = (text.replace("_", "-") for text in (_ELSEWHERE[name], control))
+        return ParameterError(
+            name, value, f"nothing here: it belongs to {other} environments, this one is {own}"
+        )
+    near = difflib.get_close_matches(name, checks, n=1, cutoff=0.0)[0]
+    return ParameterError(name, value, f"nothing: there is no such parameter; the nearest is {near!r}")
+
+
+class _Refused(Exception):
+    """Carries what a parameter takes to where its name is known."""
+
+
+def _checked(name: str, check: Check, value: Any) -> Any:
+    try:
+        return check(value)
+    except _Refused as refused:
+        raise ParameterError(name, value, str(refused)) from None
+
+
+def _choice(*choices: Any) -> Check:
+    def check(value: Any) -> Any:
+        if not any(type(value) is type(choice) and value == choice for choice in choices):
+            raise _Refused("one of " + ", ".join(repr(choice) for choice in choices))
+        return value
+
+    return check
+
+
+def _integer(low: int, high: int | None = None) -> Check:
+    def check(value: Any) -> int:
+        whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
+        if not whole or value < low or (high is not None and value > high):
+            raise _Refused(f"an integer of at least {low}" + (f" and at most {high}" if high else ""))
+        return int(value)
+
+    return check
+
+
+def _optional(inner: Check) -> Check:
+    return lambda value: None if value is None else inner(value)
+
+
+def _boolean(value: Any) -> bool:
+    if not isinstance(value, bool | np.bool_):
+        raise _Refused("True or False")
+    return bool(value)
+
+
+def _import_path(value: Any) -> str:
+    module, _, name = value.partition(":") if isinstance(value, str) else ("", "", "")
+    if not all(part.isidentifier() for part in (*module.split("."), name)):
+        raise _Refused('None or "module:function"')
+    return str(value)
+
+
+def _close_loop_sequence(value: Any) -> str:
+    if not isinstance(value, str) or sorted(value) not in (sorted("pxyz"), sorted("pxyzr")):
+        raise _Refused("'pxyz' or 'pxyzr', their characters in any order")
+    return value
+
+
+def _numbers(value: Any, shape: tuple[int, ...], takes: str) -> Any:
+    try:
+        array = np.array(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise _Refused(takes) from None
+    if array.shape != shape or not np.isfinite(array).all():
+        raise _Refused(takes)
+    return array.tolist()
+
+
+def _workspace(value: Any) -> list[list[float]]:
+    takes = (
+        "[[x low, x high], [y low, y high], [z low, z high]] in metres, square in x and y with sides of at least "
+        f"{SMALLEST_WORKSPACE}, z low not below 0"
+    )
+    limits: list[list[float]] = _numbers(value, (3, 2), takes)
+    x, y, z = (high - low for low, high in limits)
+    if not (x >= SMALLEST_WORKSPACE and math.isclose(x, y, abs_tol=1e-9) and z > 0.0 and limits[2][0] >= 0.0):
+        raise _Refused(takes)
+    return limits
+
+
+def _scale_range(value: Any) -> list[float]:
+    takes = f"a positive number or [low, high], at most {LARGEST_SCALE}"
+    pair = [value, value] if isinstance(value, int | float) and not isinstance(value, bool) else value
+    limits: list[float] = _numbers(pair, (2,), takes)
+    if not 0.0 < limits[0] <= limits[1] <= LARGEST_SCALE:
+        raise _Refused(takes)
+    return limits
+
+
+PARAMETERS = tuple(entry.name for entry in fields(EnvConfig) if entry.name != "control")
+"""Names of all parameters."""

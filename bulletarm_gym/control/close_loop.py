@@ -1,0 +1,151 @@
+"""Close-loop control: each action moves the gripper a little from where it is (paper, Close-loop Environments)."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import ArrayLike, NDArray
+
+from bulletarm_gym.config import EnvConfig
+from bulletarm_gym.geometry import Pose, Vector, wrap_angle
+from bulletarm_gym.scene import Scene
+from bulletarm_gym.sensors.heightmap import HeightmapSensor
+from bulletarm_gym.sensors.overlays import fill_rectangles
+from bulletarm_gym.tasks import Waypoint
+
+MAX_TRANSLATION = 0.05
+"""Farthest move (m) along an axis (paper, Close-Loop 4D Benchmark)."""
+MAX_ROTATION = math.pi / 4.0
+"""Farthest turn (rad) about z (paper, Close-Loop 4D Benchmark)."""
+VIEW_SCALE = 1.5
+"""Side of the observed square in workspaces: 0.45 m for 0.3 m (paper, Benchmark Details)."""
+CAMERA_OFFSET = 0.1
+"""Height (m) of the virtual camera plane above the fingertips."""
+MAX_DEPTH = 0.4
+"""Largest value (m) of a depth image."""
+START_HEIGHT = 0.2
+"""Height (m) of the fingertips over the workspace's centre at reset, as in the original BulletArm release."""
+SQUARE = 0.021
+"""Side (m) of the squares that stand for the fingers: 6 of 128 pixels over 0.45 m."""
+ARRIVED = 0.999
+"""Share of the way to a waypoint that counts as all of it."""
+
+
+@dataclass(frozen=True)
+class DeltaMove:
+    """A close-loop action in physical units.
+
+    :param opening: gripper opening ratio, 0 closed to 1 open
+    :param translation: of the fingertips (m), along the world's axes
+    :param rotation: of the gripper about z (rad)
+    """
+
+    opening: float
+    translation: Vector
+    rotation: float = 0.0
+
+
+class CloseLoop:
+    """Delta-pose control.
+
+    An action is one number in [-1, 1] a character of ``action_sequence``: p the opening (-1 closed, +1 open), x, y and z
+    the translation, r the rotation; without r the gripper does not turn.
+
+    :param config: the environment's parameters
+    :param scene: what is acted on
+    """
+
+    name = "close_loop"
+
+    def __init__(self, config: EnvConfig, scene: Scene) -> None:
+        self._sequence = config.action_sequence
+        self._workspace = config.workspace
+        self._size = config.obs_size
+        self._extent = VIEW_SCALE * config.workspace_size
+        self._centre = config.centre
+        self._sensor = HeightmapSensor(scene.meshes)
+        self.action_space = spaces.Box(-1.0, 1.0, (len(self._sequence),), np.float32)
+        self.observation_space = spaces.Dict(
+            {
+                "heightmap": spaces.Box(0.0, MAX_DEPTH, (1, self._size, self._size), np.float32),
+                "holding": spaces.Box(0.0, 1.0, (1,), np.float32),
+            }
+        )
+
+    def decode_action(self, action: ArrayLike) -> DeltaMove:
+        """Return what an action means; numbers outside [-1, 1] are clipped.
+
+        :raises ValueError: the action has the wrong shape or is not finite
+        """
+        array = np.asarray(action, dtype=np.float64)
+        if array.shape != self.action_space.shape or not np.isfinite(array).all():
+            raise ValueError(
+                f"action: got {action!r}, takes {len(self._sequence)} finite numbers, one each for {self._sequence!r}"
+            )
+        value = dict(zip(self._sequence, array.clip(-1.0, 1.0).tolist(), strict=True))
+        x, y, z = (MAX_TRANSLATION * value[axis] for axis in "xyz")
+        return DeltaMove((value["p"] + 1.0) / 2.0, (x, y, z), MAX_ROTATION * value.get("r", 0.0))
+
+    def encode_action(self, move: DeltaMove) -> NDArray[np.float32]:
+        """Return the action for a move, the inverse of :meth:`decode_action`; what is too far is clipped."""
+        value = dict(zip("xyz", (part / MAX_TRANSLATION for part in move.translation), strict=True))
+        value |= {"p": 2.0 * move.opening - 1.0, "r": move.rotation / MAX_ROTATION}
+        return np.array([value[axis] for axis in self._sequence], dtype=np.float32).clip(-1.0, 1.0)
+
+    def start(self, scene: Scene) -> None:
+        """Put the open gripper over the middle of the workspace."""
+        top = self._workspace[2][1]
+        scene.robot.home(Pose.planar(*self._centre, min(START_HEIGHT, top)))
+
+    def apply(self, scene: Scene, move: DeltaMove) -> bool:
+        """Carry out a move: the arm first, then the gripper.
+
+        :return: whether the move was ignored; a close-loop move never is
+        """
+        hand = scene.robot.pose
+        limits = zip(hand.position, move.translation, self._workspace, strict=True)
+        x, y, z = (min(max(now + delta, low), high) for now, delta, (low, high) in limits)
+        scene.robot.move_to(Pose.planar(x, y, z, hand.yaw + move.rotation))
+        scene.robot.set_opening(move.opening)
+        return False
+
+    def towards(self, scene: Scene, waypoint: Waypoint) -> DeltaMove:
+        """Return the move that brings the gripper closest to a waypoint."""
+        hand = scene.robot.pose
+        target = [
+            min(max(value, low), high)
+            for value, (low, high) in zip(waypoint.pose.position, self._workspace, strict=True)
+        ]
+        way = [goal - now for goal, now in zip(target, hand.position, strict=True)]
+        turn = wrap_angle(waypoint.pose.yaw - hand.yaw)
+        excess = max(*(abs(part) / MAX_TRANSLATION for part in way), abs(turn) / MAX_ROTATION)
+        scale = 1.0 / excess if waypoint.straight and excess > 1.0 else 1.0
+        x, y, z = (min(max(part * scale, -MAX_TRANSLATION), MAX_TRANSLATION) for part in way)
+        arrives = (
+            excess * ARRIVED <= 1.0 or ("r" not in self._sequence and max(map(abs, way)) <= MAX_TRANSLATION)
+        )
+        opening = waypoint.finish if arrives and waypoint.finish is not None else waypoint.gripper
+        return DeltaMove(opening, (x, y, z), min(max(turn, -MAX_ROTATION), MAX_ROTATION))
+
+    def observe(self, scene: Scene) -> dict[str, NDArray[np.float32]]:
+        """Return the observation: depth below a plane over the fingertips, the gripper as two squares, and whether it holds.
+
+        The image is centred on the fingertips and keeps the world's axes: rows grow with x, columns with y.
+        """
+        hand = scene.robot.pose
+        centre = (hand.x, hand.y)
+        heights = self._sensor.heights(*scene.mesh_poses(), centre, self._extent, self._size)
+        depth = np.clip(np.float32(hand.z + CAMERA_OFFSET) - heights, 0.0, MAX_DEPTH)
+        fill_rectangles(depth, centre, self._extent, gripper_squares(hand, scene.robot.opening), 0.0)
+        holding = np.array([scene.robot.held is not None], dtype=np.float32)
+        return {"heightmap": depth[None], "holding": holding}
+
+
+def gripper_squares(hand: Pose, opening: float) -> NDArray[np.float64]:
+    """Return the rectangles (2, 5) that stand for the fingers: their inner sides ``opening`` (m) apart, turned by the yaw."""
+    offset = (opening + SQUARE) / 2.0
+    x, y = offset * math.cos(hand.yaw), offset * math.sin(hand.yaw)
+    return np.array(
+        [[hand.x + sign * x, hand.y + sign * y, SQUARE, SQUARE, hand.yaw] for sign in (1.0, -1.0)]
+    )

@@ -1,0 +1,247 @@
+"""The environment: task, control, surface, arm and sensors put together."""
+
+import importlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import gymnasium
+import numpy as np
+from gymnasium.envs.registration import EnvSpec
+from numpy.typing import ArrayLike, NDArray
+
+from bulletarm_gym.config import EnvConfig
+from bulletarm_gym.control import CloseLoop, DeltaMove
+from bulletarm_gym.planners import expert_action
+from bulletarm_gym.robots import ROBOTS, RobotState
+from bulletarm_gym.scene import Scene
+from bulletarm_gym.simulation import Camera, WorldState
+from bulletarm_gym.surfaces import SURFACES
+from bulletarm_gym.tasks import Task
+
+Observation = dict[str, NDArray[np.float32]]
+Action = NDArray[np.float32]
+
+ARRANGEMENT, AFTER_ACTION, PLAN = range(3)
+"""Streams of an episode's randomness: what one of them draws does not move the others."""
+
+
+@dataclass(frozen=True)
+class EnvState:
+    """Everything an environment needs to go on from a moment; picklable.
+
+    :param generator: state of the generator that later episodes are seeded from
+    """
+
+    world: WorldState
+    robot: RobotState
+    cast: tuple[int, ...]
+    memory: Any
+    steps: int
+    episode_seed: int
+    outcome: dict[str, bool]
+    generator: dict[str, Any]
+
+
+class ManipulationEnv(gymnasium.Env[Observation, Action]):
+    """A manipulation task.
+
+    Registered ids name the task, the control and the surface; all else are parameters, see
+    :class:`~bulletarm_gym.config.EnvConfig`. An episode ends with reward 1 on success, with reward 0 when the scene has
+    become invalid, and is truncated at ``max_steps``.
+
+    :param task: ``"module:Class"`` of the task
+    :param control: ``"close_loop"``
+    :param surface: ``"flat"``
+    :param parameters: of :class:`~bulletarm_gym.config.EnvConfig`, by name
+    :raises ValueError: a parameter is unknown or has a value it cannot take; task and control do not fit
+    :raises RuntimeError: ``render_mode="human"`` without a display
+    """
+
+    metadata = {"render_modes": ["rgb_array", "depth_array", "human"], "render_fps": 5}  # noqa: RUF012
+
+    def __init__(self, task: str, control: str, surface: str = "flat", **parameters: Any) -> None:
+        task_type: type[Task] = _load(task)
+        if control not in task_type.controls:
+            raise ValueError(
+                f"control: got {control!r}, {task_type.__name__} takes one of {task_type.controls}"
+            )
+        self.config = EnvConfig.of(control, task_type.defaults, tuple(ROBOTS), parameters)
+        self.render_mode = self.config.render_mode
+        self._recipe = {"task": task, "control": control, "surface": surface}
+        self.task = task_type(self.config)
+        self._reward = self.task.reward if self.config.reward is None else _load(self.config.reward)
+        self.scene = Scene(self.config, ROBOTS[self.config.robot], SURFACES[surface](), self.task.roles())
+        self.control = CloseLoop(self.config, self.scene)
+        self.action_space = self.control.action_space
+        self.observation_space = self.control.observation_space
+        self._steps = 0
+        self._episode_seed: int | None = None
+        self._outcome: dict[str, bool] = {}
+
+    # Gymnasium
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Begin an episode.
+
+        :param seed: the same seed gives the same episode and, from then on, the same episodes
+        :param options: none are known
+        :raises ValueError: an unknown option
+        :raises PlacementError: the workspace is too small for the task
+        """
+        super().reset(seed=seed)
+        if options:
+            raise ValueError(f"options: got {options!r}, takes none")
+        self._episode_seed = int(self.np_random.integers(np.iinfo(np.int64).max))
+        self._steps = 0
+        self.task.memory = None
+        rng = self._rng(ARRANGEMENT)
+        self.scene.clear(rng)
+        self.control.start(self.scene)
+        self.task.arrange(self.scene, rng)
+        self.scene.begin()
+        self.scene.settle()
+        self._outcome = self._evaluate(ignored=False)
+        return self.control.observe(self.scene), dict(self._outcome)
+
+    def step(self, action: ArrayLike) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """Carry out an action.
+
+        :param action: (n,) numbers, clipped to [-1, 1]
+        :raises ValueError: the action has the wrong shape or is not finite
+        :raises gymnasium.error.ResetNeeded: no episode has begun
+        """
+        self._check_running()
+        move = self.control.decode_action(action)
+        self.scene.begin()
+        ignored = self.control.apply(self.scene, move)
+        self.scene.settle()
+        self._steps += 1
+        self.task.after_action(self.scene, self._rng(AFTER_ACTION))
+        self._outcome = self._evaluate(ignored)
+        success, valid = self._outcome["is_success"], self._outcome["is_valid"]
+        reward = float(self._reward(self.scene, self._outcome)) if valid else 0.0
+        terminated = success or not valid
+        truncated = not terminated and self._steps >= self.config.max_steps
+        return self.control.observe(self.scene), reward, terminated, truncated, dict(self._outcome)
+
+    def render(self) -> Any:
+        """Return a picture (480, 480, 3) uint8, distances to the camera (480, 480) float32 in metres, or nothing."""
+        if self.render_mode == "rgb_array":
+            return Camera().color(self.scene.world)
+        if self.render_mode == "depth_array":
+            return Camera().depth(self.scene.world)
+        return None
+
+    def close(self) -> None:
+        """Release the simulation; a second call does nothing."""
+        self.scene.world.close()
+
+    # Ours besides
+
+    @property
+    def action_sequence(self) -> str:
+        """What each number of an action is, a character each."""
+        return self.config.action_sequence
+
+    def decode_action(self, action: ArrayLike) -> DeltaMove:
+        """Return an action in metres and radians."""
+        return self.control.decode_action(action)
+
+    def encode_action(self, move: DeltaMove) -> Action:
+        """Return the action for a move in metres and radians."""
+        return self.control.encode_action(move)
+
+    def expert_action(self) -> Action:
+        """Return what the task's expert would do now; it depends on the state alone and changes nothing.
+
+        :raises gymnasium.error.ResetNeeded: no episode has begun
+        """
+        self._check_running()
+        return expert_action(self.task, self.control, self.scene, self._rng(PLAN))
+
+    def get_state(self) -> EnvState:
+        """Return the present moment; it can be pickled, and set in any environment with the same parameters.
+
+        :raises gymnasium.error.ResetNeeded: no episode has begun
+        """
+        self._check_running()
+        assert self._episode_seed is not None
+        return EnvState(
+            self.scene.world.get_state(),
+            self.scene.robot.get_state(),
+            self.scene.get_cast(),
+            self.task.memory,
+            self._steps,
+            self._episode_seed,
+            dict(self._outcome),
+            dict(self.np_random.bit_generator.state),
+        )
+
+    def set_state(self, state: EnvState) -> None:
+        """Return to a moment of this environment or of another with the same parameters, exactly."""
+        self.scene.world.set_state(state.world)
+        self.scene.robot.set_state(state.robot)
+        self.scene.set_cast(state.cast)
+        self.task.memory = state.memory
+        self._steps = state.steps
+        self._episode_seed = state.episode_seed
+        self._outcome = dict(state.outcome)
+        self.np_random.bit_generator.state = state.generator
+
+    def _evaluate(self, ignored: bool) -> dict[str, bool]:
+        facts = {name: bool(value) for name, value in self.task.evaluate(self.scene).items()}
+        valid = bool(self.task.is_valid(self.scene))
+        return {"is_success": facts["success"] and valid, "is_valid": valid, "ignored": ignored, **facts}
+
+    def _rng(self, stream: int) -> np.random.Generator:
+        """Return the generator of a stream at this step of this episode."""
+        assert self._episode_seed is not None
+        return np.random.default_rng((self._episode_seed, self._steps, stream))
+
+    def _check_running(self) -> None:
+        if self._episode_seed is None:
+            raise gymnasium.error.ResetNeeded("call reset() before anything that needs an episode")
+
+    # Copies
+
+    @property
+    def spec(self) -> EnvSpec | None:  # type: ignore[override]
+        """The spec the environment was made from, its parameters as JSON values."""
+        return self._spec
+
+    @spec.setter
+    def spec(self, spec: EnvSpec | None) -> None:
+        if spec is not None:
+            known = self.config.parameters()
+            spec.kwargs = {name: known.get(name, value) for name, value in spec.kwargs.items()}
+        self._spec = spec
+
+    _spec: EnvSpec | None = None
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle the parameters and, within an episode, the state."""
+        state = None if self._episode_seed is None else self.get_state()
+        return _restore, ({**self._recipe, **self.config.parameters()}, self._spec, state)
+
+
+def _restore(arguments: Mapping[str, Any], spec: EnvSpec | None, state: EnvState | None) -> ManipulationEnv:
+    env = ManipulationEnv(**arguments)
+    env.spec = spec
+    if state is not None:
+        env.set_state(state)
+    return env
+
+
+def _load(path: str) -> Any:
+    """Import ``"module:name"``.
+
+    :raises ValueError: there is no such module or name
+    """
+    module, _, name = path.partition(":")
+    try:
+        return getattr(importlib.import_module(module), name)
+    except (ImportError, AttributeError) as error:
+        raise ValueError(f"{path!r} cannot be imported: {error}") from error

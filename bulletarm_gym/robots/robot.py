@@ -1,0 +1,240 @@
+"""An arm at work in a world: the whole interface that tasks, controls and planners rely on."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from bulletarm_gym.geometry import Pose, wrap_angle
+from bulletarm_gym.robots.gripper import FINGER_JOINTS
+from bulletarm_gym.robots.kinematics import POSITION_TOLERANCE
+from bulletarm_gym.robots.model import RobotModel
+from bulletarm_gym.simulation import Body, BodySpec, World
+from bulletarm_gym.simulation.motion import (
+    JointGroup,
+    drive_fingers,
+    follow,
+    hold,
+    motion_steps,
+    send_fingers,
+)
+
+REFERENCE_DISTANCE = 0.05
+"""The close-loop step (m; paper, Close-Loop 4D Benchmark) ..."""
+REFERENCE_STEPS = 24
+"""... and the simulation steps it takes: 0.1 s."""
+LEAST_STEPS = 6
+TURNING_RADIUS = 0.06
+"""Lever (m) at which a turn about the tool counts as distance: half an open gripper and its fingers."""
+CLEARANCE = 0.004
+"""Gap (m) that must stay between the gripper and everything else where it is moved without simulation."""
+CLEAR_ABOVE = 0.01
+"""A fingertip path this far (m) above a body cannot touch it: joint motions sag a few millimetres below a straight line."""
+SAMPLE_DISTANCE = 0.008
+"""Spacing (m) of the poses at which a path is checked; with the clearance, less than a finger's thickness slips between."""
+GRIP_ALIGNMENT = 0.7
+"""Least cosine between a contact's normal and the fingers' direction for the contact to be a grip."""
+GRIP_DISTANCE = 2e-3
+"""Gap (m) up to which a finger touches."""
+GEAR_FORCE = 200.0
+"""Force (N) that keeps the fingers' motions equal; well above the grip."""
+OPENING_TOLERANCE = 5e-4
+"""Change of opening (m) too small to move the fingers for."""
+
+
+@dataclass(frozen=True)
+class RobotState:
+    """What the arm remembers besides its joints.
+
+    :param held: index of the body in the gripper, or None
+    :param opening: commanded distance (m) between the fingers
+    """
+
+    held: int | None
+    opening: float
+
+
+class Robot:
+    """An arm with its gripper.
+
+    Its pose is that of the fingertips: z up when the gripper looks down, x the direction in which the fingers open.
+
+    :param model: which arm
+    :param world: where it is loaded
+    :param fast: move without simulation where nothing can be touched
+    """
+
+    def __init__(self, model: RobotModel, world: World, fast: bool = True) -> None:
+        self.model = model
+        self.fast = fast
+        self._world = world
+        with model.temporary_urdf() as folder:
+            path = str(Path(folder) / f"{model.name}.urdf")
+            self.body = world.add_urdf(BodySpec(model.name, (), 0.0), path, model.base)
+        names = [world.client.getJointInfo(self.body.id, joint)[1].decode() for joint in self.body.joints]
+        self._arm = JointGroup(self.body, tuple(names.index(name) for name in model.joints), model.force)
+        fingers = tuple(names.index(name) for name in FINGER_JOINTS)
+        self._fingers = JointGroup(self.body, fingers, model.gripper.force)
+        self._couple_fingers()
+        self.held: Body | None = None
+        self._command = model.gripper.stroke
+
+    def _couple_fingers(self) -> None:
+        """Make the fingers mirror each other, as the spindle of a real gripper does."""
+        client, (left, right) = self._world.client, self._fingers.joints
+        for joint in (left, right):
+            client.changeDynamics(self.body.id, joint, lateralFriction=self.model.gripper.friction)
+        gear = client.createConstraint(
+            self.body.id, left, self.body.id, right, client.JOINT_GEAR, (1, 0, 0), (0, 0, 0), (0, 0, 0)
+        )
+        client.changeConstraint(gear, gearRatio=-1, erp=0.2, maxForce=GEAR_FORCE)
+
+    # State
+
+    @property
+    def pose(self) -> Pose:
+        """Pose of the fingertips in the world."""
+        return self.model.chain.forward(np.array(self._arm.positions(self._world)))
+
+    @property
+    def opening(self) -> float:
+        """Distance (m) between the fingers."""
+        return sum(self._fingers.positions(self._world))
+
+    @property
+    def opening_ratio(self) -> float:
+        """Opening over the gripper's stroke, 0 closed to 1 open."""
+        return min(1.0, max(0.0, self.opening / self.model.gripper.stroke))
+
+    def get_state(self) -> RobotState:
+        """Return what is not in the world's state."""
+        return RobotState(None if self.held is None else self.held.index, self._command)
+
+    def set_state(self, state: RobotState) -> None:
+        """Return to a state; the joints are the world's."""
+        self.held = None if state.held is None else self._world.bodies[state.held]
+        self._command = state.opening
+
+    def inverse_kinematics(self, pose: Pose) -> tuple[float, ...]:
+        """Return joint positions (rad) that put the fingertips at a pose, the last joint turned the nearest way.
+
+        :raises ValueError: the pose is out of reach
+        """
+        joints, error = self.model.inverse(pose)
+        if error > POSITION_TOLERANCE:
+            raise ValueError(f"robot {self.model.name!r} cannot reach {pose}: {error:.4f} m or rad remain")
+        now = self._arm.positions(self._world)[-1]
+        joints[-1] = now + wrap_angle(joints[-1] - now)
+        return tuple(joints.tolist())
+
+    # Motion
+
+    def home(self, pose: Pose) -> None:
+        """Put the empty, open gripper at a pose at once."""
+        self.held = None
+        self._command = self.model.gripper.stroke
+        self._place(self._arm, self.inverse_kinematics(pose))
+        self._place(self._fingers, [self.model.gripper.travel] * 2)
+
+    def begin(self) -> None:
+        """Send the motor targets again, which no snapshot holds."""
+        hold(self._world, self._arm, self._arm.positions(self._world))
+        send_fingers(self._world, self._fingers, self._command / 2.0, self.model.gripper.speed)
+
+    def move_to(self, pose: Pose) -> None:
+        """Bring the fingertips to a pose; a blocked arm stops on the way.
+
+        :raises ValueError: the pose is out of reach
+        """
+        start, goal = self.pose, self.inverse_kinematics(pose)
+        distance = max(
+            math.dist(start.position, pose.position), TURNING_RADIUS * abs(wrap_angle(pose.yaw - start.yaw))
+        )
+        if distance < POSITION_TOLERANCE:
+            return
+        if self.fast and self._is_clear(start, pose, goal, distance):
+            self._place(self._arm, goal)
+            return
+        steps = motion_steps(distance, REFERENCE_DISTANCE, REFERENCE_STEPS, LEAST_STEPS)
+        follow(self._world, self._arm, goal, round(steps * self._world.physics.pace))
+        self._finish()
+
+    def set_opening(self, ratio: float) -> None:
+        """Open or close the gripper to a ratio of its stroke, 0 closed to 1 open; an object in between stops it."""
+        command = ratio * self.model.gripper.stroke
+        if abs(command - self._command) < OPENING_TOLERANCE:
+            return
+        self._command = command
+        if self.fast and self._can_jump(command):
+            self._place(self._fingers, [command / 2.0] * 2)
+            return
+        drive_fingers(self._world, self._fingers, command / 2.0, self.model.gripper.speed)
+        self._finish()
+
+    def open(self) -> None:
+        """Open the gripper."""
+        self.set_opening(1.0)
+
+    def close(self) -> None:
+        """Close the gripper on whatever is between the fingers."""
+        self.set_opening(0.0)
+
+    def _place(self, group: JointGroup, positions: Sequence[float]) -> None:
+        self._world.set_joints(self.body, group.moved(self._world, positions))
+        self.begin()
+
+    def _finish(self) -> None:
+        """Read the world and what the fingers hold in it; the arm, and what it holds, stand still between moves."""
+        self._world.end()
+        self._world.set_joints(self.body, self._world.joints[self.body.index])
+        self.held = next((body for body in self._world.free_bodies if self._grips(body)), None)
+        if self.held is not None:
+            self._world.rest(self.held)
+
+    def _grips(self, body: Body) -> bool:
+        return all(self._touches(joint, body) for joint in self._fingers.joints)
+
+    def _touches(self, finger: int, body: Body) -> bool:
+        """Whether a finger's inner side presses on a body."""
+        points = self._world.client.getContactPoints(self.body.id, body.id, finger)
+        yaw = self.pose.yaw
+        x, y = math.cos(yaw), math.sin(yaw)
+        return any(
+            point[8] < GRIP_DISTANCE and abs(point[7][0] * x + point[7][1] * y) > GRIP_ALIGNMENT
+            for point in points
+        )
+
+    # Free space
+
+    def _is_clear(self, start: Pose, end: Pose, goal: Sequence[float], distance: float) -> bool:
+        """Whether nothing moves and nothing can be touched on the way."""
+        if self.held is not None or self._world.has_motion:
+            return False
+        lowest = min(start.z, end.z) - CLEAR_ABOVE
+        near = [body for body in self._world.obstacles if self._world.top(body) > lowest]
+        if not near:
+            return True
+        now = np.array(self._arm.positions(self._world))
+        samples = np.linspace(now, goal, math.ceil(distance / SAMPLE_DISTANCE) + 1)[1:]
+        clear = all(self._is_free(self._arm.moved(self._world, sample), near) for sample in samples.tolist())
+        self._world.set_joints(self.body, self._world.joints[self.body.index])
+        return clear
+
+    def _can_jump(self, command: float) -> bool:
+        """Whether the fingers can take a new opening without touching anything."""
+        if self.held is not None or self._world.has_motion:
+            return False
+        tip = self.pose.z - CLEAR_ABOVE
+        near = [body for body in self._world.obstacles if self._world.top(body) > tip]
+        if not near:
+            return True
+        samples = np.linspace(self.opening / 2.0, command / 2.0, 5)[1:]
+        clear = all(self._is_free(self._fingers.moved(self._world, [s, s]), near) for s in samples.tolist())
+        self._world.set_joints(self.body, self._world.joints[self.body.index])
+        return clear
+
+    def _is_free(self, joints: Sequence[float], bodies: Sequence[Body]) -> bool:
+        self._world.show_joints(self.body, joints)
+        return all(math.isinf(self._world.distance(self.body, body, CLEARANCE)) for body in bodies)

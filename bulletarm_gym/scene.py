@@ -1,0 +1,148 @@
+"""What tasks, controls and planners share: the bodies by role, the arm, the surface and the workspace."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from bulletarm_gym.config import EnvConfig
+from bulletarm_gym.geometry import FloatArray, Mesh, Pose
+from bulletarm_gym.robots import Robot, RobotModel
+from bulletarm_gym.simulation import Body, BodySpec, World
+from bulletarm_gym.simulation.world import PHYSICS_MODES
+from bulletarm_gym.surfaces import Surface
+
+SETTLE_LIMIT = 240
+"""Most simulation steps (1 s) that loose bodies are given to come to rest."""
+
+
+@dataclass(frozen=True)
+class Role:
+    """A part that a body plays in a task, and the bodies that may play it.
+
+    :param variants: of different sizes or shapes; one is drawn each episode
+    """
+
+    name: str
+    variants: tuple[BodySpec, ...]
+
+
+class Item:
+    """The body that plays a role in this episode."""
+
+    def __init__(self, role: Role, bodies: Sequence[Body], world: World) -> None:
+        self.role = role
+        self.variant = 0
+        self._bodies = bodies
+        self._world = world
+
+    @property
+    def body(self) -> Body:
+        """The body in the world."""
+        return self._bodies[self.variant]
+
+    @property
+    def spec(self) -> BodySpec:
+        """What the body is made of."""
+        return self.body.spec
+
+    @property
+    def pose(self) -> Pose:
+        """The body's pose in the world."""
+        return self._world.poses[self.body.index]
+
+    @property
+    def is_present(self) -> bool:
+        """Whether the body takes part at present."""
+        return self._world.active[self.body.index]
+
+    def place(self, pose: Pose) -> None:
+        """Put the body somewhere, at rest."""
+        self._world.place(self.body, pose)
+
+    def park(self) -> None:
+        """Take every body of the role out of the scene."""
+        for body in self._bodies:
+            if self._world.active[body.index]:
+                self._world.park(body)
+
+
+class Scene:
+    """One workspace with everything in it; loaded once, arranged anew each episode.
+
+    :param config: the environment's parameters
+    :param model: the arm
+    :param surface: the ground
+    :param roles: every body the task will ever need
+    """
+
+    def __init__(self, config: EnvConfig, model: RobotModel, surface: Surface, roles: Sequence[Role]) -> None:
+        self.config = config
+        self.surface = surface
+        self.world = World(PHYSICS_MODES[config.physics_mode], gui=config.render_mode == "human")
+        surface.load(self.world)
+        self.robot = Robot(model, self.world, config.fast_mode)
+        self._items = {
+            role.name: Item(role, [self.world.add(spec) for spec in role.variants], self.world)
+            for role in roles
+        }
+        self.world.seal()
+
+    def __getitem__(self, name: str) -> Item:
+        """Return the item of a role."""
+        return self._items[name]
+
+    def __iter__(self) -> Iterator[Item]:
+        """Iterate over the items that take part."""
+        return (item for item in self._items.values() if item.is_present)
+
+    @property
+    def held(self) -> Item | None:
+        """The item in the gripper."""
+        return next((item for item in self if item.body is self.robot.held), None)
+
+    def clear(self, rng: np.random.Generator) -> None:
+        """Empty the scene and draw who plays each role."""
+        for item in self._items.values():
+            item.park()
+            item.variant = int(rng.integers(len(item.role.variants)))
+
+    def begin(self) -> None:
+        """Start a move from the canonical world."""
+        self.world.begin()
+        self.robot.begin()
+
+    def settle(self) -> None:
+        """Let what is loose come to rest."""
+        loose = [body for body in self.world.free_bodies if body is not self.robot.held]
+        if any(self.world.is_moving(body) for body in loose):
+            self.world.settle(loose, SETTLE_LIMIT)
+            self.world.end()
+
+    def get_cast(self) -> tuple[int, ...]:
+        """Return which variant plays each role."""
+        return tuple(item.variant for item in self._items.values())
+
+    def set_cast(self, variants: Sequence[int]) -> None:
+        """Return to a cast; the bodies are the world's."""
+        for item, variant in zip(self._items.values(), variants, strict=True):
+            item.variant = variant
+
+    # Views for sensors
+
+    @property
+    def meshes(self) -> list[Mesh]:
+        """Meshes of all bodies but the arm and the ground, in the world's order."""
+        return [body.spec.mesh for body in self.world.solids]
+
+    def mesh_poses(self) -> tuple[FloatArray, FloatArray, np.ndarray[tuple[int], np.dtype[np.bool_]]]:
+        """Return positions (n, 3), orientations (n, 4) and presence (n,) of :attr:`meshes`."""
+        solids = self.world.solids
+        poses = [self.world.poses[body.index] for body in solids]
+        present = np.array([self.world.active[body.index] for body in solids], dtype=np.bool_)
+        positions = np.array([pose.position for pose in poses], dtype=np.float64).reshape(-1, 3)
+        return (
+            positions,
+            np.array([pose.orientation for pose in poses], dtype=np.float64).reshape(-1, 4),
+            present,
+        )

@@ -1,0 +1,20 @@
+"""The only room that talks to PyBullet: connection, bodies, motion, snapshot, camera."""
+
+from bulletarm_gym.simulation.camera import Camera
+from bulletarm_gym.simulation.client import Client
+from bulletarm_gym.simulation.shapes import BodySpec, Box, Colour, Convex, Piece
+from bulletarm_gym.simulation.world import Body, Physics, World, WorldState
+
+__all__ = [
+    "Body",
+    "BodySpec",
+    "Box",
+    "Camera",
+    "Client",
+    "Colour",
+    "Convex",
+    "Physics",
+    "Piece",
+    "World",
+    "WorldState",
+]

@@ -1,0 +1,59 @@
+"""A connection to a physics server of one's own."""
+
+import os
+import sys
+import weakref
+from functools import partial
+from typing import Any
+
+import pybullet
+
+
+class Client:
+    """One physics server; PyBullet's functions as attributes, bound to it.
+
+    Any number of clients live in a process without touching each other. A client is released by :meth:`close`, or when it
+    is garbage collected.
+
+    :param gui: open PyBullet's window instead of computing headless
+    :raises RuntimeError: ``gui`` without a display (PyBullet itself would end the whole process)
+    """
+
+    def __init__(self, gui: bool = False) -> None:
+        if gui and not _has_display():
+            raise RuntimeError(
+                'render_mode="human" opens a window, but no display was found (DISPLAY and WAYLAND_DISPLAY are not set); '
+                'use render_mode="rgb_array" on a machine without one'
+            )
+        self.id: int = pybullet.connect(pybullet.GUI if gui else pybullet.DIRECT)
+        if self.id < 0:
+            raise RuntimeError(
+                "PyBullet refused another physics server; close environments that are no longer used"
+            )
+        self._release = weakref.finalize(self, _disconnect, self.id)
+
+    def __getattr__(self, name: str) -> Any:
+        """Bind a function of PyBullet to this server, once; constants pass as they are."""
+        value = getattr(pybullet, name)
+        bound = partial(value, physicsClientId=self.id) if callable(value) else value
+        setattr(self, name, bound)
+        return bound
+
+    @property
+    def is_open(self) -> bool:
+        """Whether the server still runs."""
+        return self._release.alive
+
+    def close(self) -> None:
+        """Release the server; a second call does nothing."""
+        self._release()
+
+
+def _disconnect(client_id: int) -> None:
+    if pybullet.isConnected(client_id):
+        pybullet.disconnect(client_id)
+
+
+def _has_display() -> bool:
+    needs_server = sys.platform.startswith("linux")
+    return not needs_server or any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY"))

@@ -1,0 +1,128 @@
+"""Motions of motor-driven joints: a trajectory once computed, then a loop that only steps."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from bulletarm_gym.geometry import FloatArray
+from bulletarm_gym.simulation.world import Body, World
+
+RISE = 0.25
+"""Share of a motion spent speeding up. Slowing down takes the rest, gently enough (about 1 g for the quickest 5 cm move)
+that friction keeps a pushed block at the gripper."""
+MAX_LAG = 0.03
+"""A joint (rad) that stays this far behind its trajectory is blocked: a centimetre or two at the fingertips."""
+LAG_CHECK = 4
+"""Simulation steps between two looks at the lag."""
+STALL_SPEED = 2e-3
+"""Speed (m/s) below which a finger no longer moves."""
+FINGER_TOLERANCE = 2e-4
+"""Distance (m) at which a finger has arrived."""
+FINGER_LIMIT = 60
+"""Most simulation steps a gripper motion takes."""
+FINGER_START = 3
+"""Simulation steps a finger is given to get going."""
+
+
+@dataclass(frozen=True)
+class JointGroup:
+    """Joints of a body that move together.
+
+    :param slots: their places among the body's movable joints
+    :param force: greatest force (N) or torque (N m) of each
+    """
+
+    body: Body
+    slots: tuple[int, ...]
+    force: float
+
+    @property
+    def joints(self) -> list[int]:
+        """Their indices in Bullet."""
+        return [self.body.joints[slot] for slot in self.slots]
+
+    def positions(self, world: World) -> tuple[float, ...]:
+        """Return their positions in the world's state."""
+        joints = world.joints[self.body.index]
+        return tuple(joints[slot] for slot in self.slots)
+
+    def moved(self, world: World, positions: Sequence[float]) -> list[float]:
+        """Return all joint positions of the body with these joints elsewhere."""
+        joints = list(world.joints[self.body.index])
+        for slot, position in zip(self.slots, positions, strict=True):
+            joints[slot] = position
+        return joints
+
+
+def ramp(steps: int) -> FloatArray:
+    """Return the share of the way done after each step: quickly up to speed, slowly to rest."""
+    time = np.arange(1, steps + 1) / steps
+    rising = time**2 / RISE
+    falling = 1.0 - (1.0 - time) ** 2 / (1.0 - RISE)
+    return np.where(time < RISE, rising, falling)
+
+
+def hold(world: World, group: JointGroup, positions: Sequence[float]) -> None:
+    """Send motor targets that keep joints where they should be."""
+    count = len(group.slots)
+    world.client.setJointMotorControlArray(
+        group.body.id,
+        group.joints,
+        world.client.POSITION_CONTROL,
+        targetPositions=positions,
+        forces=[group.force] * count,
+        positionGains=[1.0] * count,
+        velocityGains=[1.0] * count,
+    )
+
+
+def follow(world: World, group: JointGroup, goal: Sequence[float], steps: int) -> None:
+    """Drive joints to a goal in a number of simulation steps; a blocked arm stops where it is."""
+    start = np.array(group.positions(world))
+    path = start + ramp(steps)[:, None] * (np.asarray(goal) - start)
+    for number, target in enumerate(path.tolist(), 1):
+        hold(world, group, target)
+        world.client.stepSimulation()
+        if number % LAG_CHECK == 0 and _lag(world, group, target) > MAX_LAG:
+            hold(world, group, [s[0] for s in world.client.getJointStates(group.body.id, group.joints)])
+            world.client.stepSimulation()
+            return
+
+
+def _lag(world: World, group: JointGroup, target: Sequence[float]) -> float:
+    states = world.client.getJointStates(group.body.id, group.joints)
+    return max(abs(state[0] - goal) for state, goal in zip(states, target, strict=True))
+
+
+def send_fingers(world: World, group: JointGroup, goal: float, speed: float) -> None:
+    """Send the fingers' motor target: to close on what is between them, or to open."""
+    for joint in group.joints:
+        world.client.setJointMotorControl2(
+            group.body.id,
+            joint,
+            world.client.POSITION_CONTROL,
+            targetPosition=goal,
+            force=group.force,
+            positionGain=1.0,
+            velocityGain=1.0,
+            maxVelocity=speed,
+        )
+
+
+def drive_fingers(world: World, group: JointGroup, goal: float, speed: float) -> None:
+    """Step until the fingers arrive or what is between them stops them."""
+    send_fingers(world, group, goal, speed)
+    for number in range(FINGER_LIMIT):
+        world.client.stepSimulation()
+        states = world.client.getJointStates(group.body.id, group.joints)
+        arrived = all(abs(state[0] - goal) < FINGER_TOLERANCE for state in states)
+        stalled = number >= FINGER_START and all(abs(state[1]) < STALL_SPEED for state in states)
+        if arrived or stalled:
+            return
+
+
+def motion_steps(distance: float, reference_distance: float, reference_steps: int, least: int) -> int:
+    """Return how many simulation steps a motion takes at the acceleration of a reference motion."""
+    return max(least, math.ceil(reference_steps * math.sqrt(distance / reference_distance)))

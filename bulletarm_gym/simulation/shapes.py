@@ -1,0 +1,87 @@
+"""What bodies are made of: convex pieces with a mass, a friction and a colour."""
+
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+
+from bulletarm_gym.geometry import Mesh, Pose, Vector, join
+
+Colour: TypeAlias = tuple[float, float, float, float]
+
+ORIGIN = Pose((0.0, 0.0, 0.0))
+
+RED: Colour = (0.84, 0.15, 0.16, 1.0)
+BLUE: Colour = (0.13, 0.35, 0.75, 1.0)
+YELLOW: Colour = (0.95, 0.80, 0.10, 1.0)
+
+
+@dataclass(frozen=True)
+class Box:
+    """A box of full side lengths ``extents`` (m), centred on its frame."""
+
+    extents: Vector
+
+    @property
+    def mesh(self) -> Mesh:
+        """The box's triangles in its frame."""
+        return Mesh.box(self.extents)
+
+
+@dataclass(frozen=True)
+class Convex:
+    """The convex hull of a mesh's vertices; the mesh must be convex for its picture to be true."""
+
+    mesh: Mesh
+
+
+Shape: TypeAlias = Box | Convex
+
+
+@dataclass(frozen=True)
+class Piece:
+    """A convex shape at a pose in its body's frame."""
+
+    shape: Shape
+    pose: Pose = ORIGIN
+
+    @property
+    def mesh(self) -> Mesh:
+        """The piece's triangles in the body's frame."""
+        return self.shape.mesh if self.pose == ORIGIN else self.shape.mesh.moved(self.pose)
+
+
+@dataclass(frozen=True)
+class BodySpec:
+    """Everything needed to make a rigid body.
+
+    :param name: unique in its scene
+    :param pieces: the convex pieces that collide and are seen
+    :param mass: kg; 0 fixes the body to the world
+    :param friction: lateral friction coefficient; Bullet multiplies those of the two bodies in contact
+    :param centre_of_mass: metres, in the body's frame
+    """
+
+    name: str
+    pieces: tuple[Piece, ...]
+    mass: float
+    friction: float = 1.0
+    colour: Colour = RED
+    centre_of_mass: Vector = (0.0, 0.0, 0.0)
+
+    @property
+    def mesh(self) -> Mesh:
+        """The triangles of all pieces in the body's frame."""
+        return join([piece.mesh for piece in self.pieces])
+
+    @property
+    def extents(self) -> Vector:
+        """Full side lengths (m) of the bounding box in the body's frame."""
+        low, high = self.mesh.bounds
+        x, y, z = (high - low).tolist()
+        return (x, y, z)
+
+    @property
+    def footprint(self) -> float:
+        """Radius (m) of the circle about the frame's z axis that holds the body at any yaw."""
+        return float(np.linalg.norm(self.mesh.vertices[:, :2], axis=1).max())

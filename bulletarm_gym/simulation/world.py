@@ -1,0 +1,407 @@
+"""A world whose state is plain arrays.
+
+Bullet keeps more than positions and velocities: contact caches, motor targets, the order of its bodies. Those make two
+runs from equal positions differ. Here every body is loaded once, in a fixed order, and a snapshot is taken of the
+untouched world. :meth:`World.begin` returns to that snapshot and lays the bodies out anew, so what follows depends on the
+poses, velocities and joint positions alone, in this world or in any other built the same way.
+"""
+
+import math
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from bulletarm_gym.geometry import FloatArray, Pose, Quaternion, Vector, rotate
+from bulletarm_gym.simulation.client import Client
+from bulletarm_gym.simulation.shapes import BodySpec, Box, Piece
+
+TIME_STEP = 1.0 / 240.0
+"""Seconds a simulation step, as in the original BulletArm release."""
+GRAVITY = -10.0
+"""Acceleration (m/s^2) along z, as in the original BulletArm release."""
+RESIDUAL_THRESHOLD = 1e-7
+REST_SPEED = 0.01
+"""A body slower than this (m/s at its rim) rests: at 240 Hz gravity alone adds four times as much in one step."""
+REST_RIM = 0.05
+"""Lever (m) at which a body's turning counts as speed."""
+PARKING_HEIGHT = -10.0
+"""Where (m) bodies that take no part wait, far from everything, without mass or contacts."""
+PARKING_PITCH = 1.0
+
+Twist = tuple[Vector, Vector]
+STILL: Twist = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+
+
+@dataclass(frozen=True)
+class Physics:
+    """How exactly contacts are solved.
+
+    :param solver_iterations: of Bullet's constraint solver, each step
+    :param damping: linear and angular damping of free bodies
+    :param pace: how many times longer than the quickest an arm's motion takes
+    """
+
+    solver_iterations: int
+    damping: float
+    pace: float
+
+
+PHYSICS_MODES = {"fast": Physics(50, 0.0, 1.0), "slow": Physics(200, 0.04, 2.0)}
+"""The paper's two physics modes; iterations and damping as in the original BulletArm release."""
+
+
+@dataclass(frozen=True)
+class Body:
+    """A body of the world, by which all others name it.
+
+    :param index: its place in the world's order and in :class:`WorldState`
+    :param joints: indices of its movable joints in Bullet
+    """
+
+    index: int
+    id: int
+    spec: BodySpec
+    joints: tuple[int, ...] = ()
+
+
+@dataclass(frozen=True)
+class WorldState:
+    """Everything that decides what happens next, in plain numbers.
+
+    :param poses: of every body's frame
+    :param twists: linear (m/s) and angular (rad/s) velocity of every body
+    :param active: whether a body takes part or is parked
+    :param joints: positions (m or rad) of every body's movable joints
+    :param joint_rates: their velocities (m/s or rad/s)
+    """
+
+    poses: tuple[Pose, ...]
+    twists: tuple[Twist, ...]
+    active: tuple[bool, ...]
+    joints: tuple[tuple[float, ...], ...]
+    joint_rates: tuple[tuple[float, ...], ...]
+
+
+class World:
+    """Bodies under gravity.
+
+    :param physics: one of :data:`PHYSICS_MODES`
+    :param gui: show PyBullet's window
+    """
+
+    def __init__(self, physics: Physics, gui: bool = False) -> None:
+        self.client = Client(gui)
+        self.physics = physics
+        self.bodies: list[Body] = []
+        self.poses: list[Pose] = []
+        self.twists: list[Twist] = []
+        self.active: list[bool] = []
+        self.joints: list[tuple[float, ...]] = []
+        self.joint_rates: list[tuple[float, ...]] = []
+        self._ground: Body | None = None
+        self._snapshot: int | None = None
+        self.client.setGravity(0.0, 0.0, GRAVITY)
+        self.client.setPhysicsEngineParameter(
+            fixedTimeStep=TIME_STEP,
+            numSolverIterations=physics.solver_iterations,
+            solverResidualThreshold=RESIDUAL_THRESHOLD,
+            deterministicOverlappingPairs=1,
+        )
+
+    # Loading
+
+    def add(self, spec: BodySpec, pose: Pose | None = None) -> Body:
+        """Load a body; without a pose it is parked until :meth:`place` calls it in.
+
+        :raises RuntimeError: the world has been sealed
+        """
+        self._check_open()
+        body_id = self.client.createMultiBody(
+            spec.mass,
+            self._collision_shape(spec),
+            self._visual_shape(spec),
+            baseInertialFramePosition=spec.centre_of_mass,
+        )
+        self.client.changeDynamics(
+            body_id,
+            -1,
+            lateralFriction=spec.friction,
+            linearDamping=self.physics.damping,
+            angularDamping=self.physics.damping,
+        )
+        return self._register(Body(len(self.bodies), body_id, spec), pose)
+
+    def add_plane(self, spec: BodySpec) -> Body:
+        """Load the endless ground at z = 0; ``spec`` gives its name, friction and picture."""
+        self._check_open()
+        shape = self.client.createCollisionShape(self.client.GEOM_PLANE)
+        visual = self._visual_shape(spec)
+        body_id = self.client.createMultiBody(0, shape, visual)
+        self.client.changeDynamics(body_id, -1, lateralFriction=spec.friction)
+        self._ground = self._register(Body(len(self.bodies), body_id, spec), Pose((0.0, 0.0, 0.0)))
+        return self._ground
+
+    def add_urdf(self, spec: BodySpec, path: str, pose: Pose) -> Body:
+        """Load a jointed body fixed to the world, its joints free of Bullet's default brakes."""
+        self._check_open()
+        body_id = self.client.loadURDF(path, pose.position, pose.orientation, useFixedBase=True)
+        count = self.client.getNumJoints(body_id)
+        fixed = self.client.JOINT_FIXED
+        joints = tuple(j for j in range(count) if self.client.getJointInfo(body_id, j)[2] != fixed)
+        self.client.setJointMotorControlArray(
+            body_id, joints, self.client.VELOCITY_CONTROL, forces=[0.0] * len(joints)
+        )
+        return self._register(Body(len(self.bodies), body_id, spec, joints), pose)
+
+    def seal(self) -> None:
+        """Take the snapshot every later move begins from; nothing can be loaded after it."""
+        self._check_open()
+        self._snapshot = self.client.saveState()
+
+    @property
+    def free_bodies(self) -> list[Body]:
+        """Bodies that take part and can move, joints aside."""
+        return [body for body in self.bodies if body.spec.mass > 0.0 and self.active[body.index]]
+
+    @property
+    def solids(self) -> list[Body]:
+        """All bodies, parked ones too, but the endless ground and what moves itself."""
+        return [body for body in self.bodies if body.spec.pieces and body is not self._ground]
+
+    @property
+    def obstacles(self) -> list[Body]:
+        """The solids that take part."""
+        return [body for body in self.solids if self.active[body.index]]
+
+    @property
+    def has_motion(self) -> bool:
+        """Whether a body has speed in the state."""
+        return any(twist is not STILL and twist != STILL for twist in self.twists)
+
+    def _check_open(self) -> None:
+        if self._snapshot is not None:
+            raise RuntimeError("the world is sealed: bodies are loaded once, before the first reset")
+
+    def _register(self, body: Body, pose: Pose | None) -> Body:
+        self.bodies.append(body)
+        self.poses.append(pose or _parking_place(body.index))
+        self.twists.append(STILL)
+        self.active.append(True)
+        self.joints.append((0.0,) * len(body.joints))
+        self.joint_rates.append((0.0,) * len(body.joints))
+        if pose is None:
+            self.park(body)
+        return body
+
+    def _collision_shape(self, spec: BodySpec) -> int:
+        piece = spec.pieces[0]
+        if len(spec.pieces) == 1 and isinstance(piece.shape, Box):
+            half = [extent / 2.0 for extent in piece.shape.extents]
+            return int(
+                self.client.createCollisionShape(
+                    self.client.GEOM_BOX,
+                    halfExtents=half,
+                    collisionFramePosition=piece.pose.position,
+                    collisionFrameOrientation=piece.pose.orientation,
+                )
+            )
+        with tempfile.TemporaryDirectory(prefix="bulletarm_") as folder:
+            path = Path(folder) / "pieces.obj"
+            path.write_text(_wavefront(spec.pieces))
+            return int(self.client.createCollisionShape(self.client.GEOM_MESH, fileName=str(path)))
+
+    def _visual_shape(self, spec: BodySpec) -> int:
+        mesh = spec.mesh
+        return int(
+            self.client.createVisualShape(
+                self.client.GEOM_MESH,
+                vertices=mesh.vertices[mesh.faces.ravel()].tolist(),
+                indices=list(range(mesh.faces.size)),
+                normals=_flat_normals(mesh.vertices[mesh.faces]),
+                rgbaColor=spec.colour,
+            )
+        )
+
+    # Layout
+
+    def place(self, body: Body, pose: Pose, twist: Twist = STILL) -> None:
+        """Put a body somewhere, calling it in if it was parked."""
+        if not self.active[body.index]:
+            self._set_active(body, True)
+        self.poses[body.index] = pose
+        self.twists[body.index] = twist
+        self._send(body)
+
+    def park(self, body: Body) -> None:
+        """Take a body out of the scene: no mass, no contacts, out of sight."""
+        self.poses[body.index] = _parking_place(body.index)
+        self.twists[body.index] = STILL
+        self._set_active(body, False)
+        self._send(body)
+
+    def rest(self, body: Body) -> None:
+        """Take a body's speed from it."""
+        self.twists[body.index] = STILL
+
+    def set_joints(self, body: Body, positions: Sequence[float]) -> None:
+        """Put a body's movable joints somewhere, at rest."""
+        self.joints[body.index] = tuple(positions)
+        self.joint_rates[body.index] = (0.0,) * len(body.joints)
+        self._send_joints(body)
+
+    def show_joints(self, body: Body, positions: Sequence[float]) -> None:
+        """Pose a body's joints for a query; the state stays, :meth:`set_joints` or :meth:`begin` goes back to it."""
+        self.client.resetJointStatesMultiDof(body.id, body.joints, [(position,) for position in positions])
+
+    def _set_active(self, body: Body, active: bool) -> None:
+        self.active[body.index] = active
+        mask = 1 if active else 0
+        self.client.setCollisionFilterGroupMask(body.id, -1, mask, mask)
+        self.client.changeDynamics(body.id, -1, mass=body.spec.mass if active else 0.0)
+
+    def _send(self, body: Body) -> None:
+        pose = _centre_of_mass_pose(body.spec, self.poses[body.index])
+        self.client.resetBasePositionAndOrientation(body.id, pose.position, pose.orientation)
+        if body.spec.mass > 0.0:
+            linear, angular = self.twists[body.index]
+            self.client.resetBaseVelocity(body.id, linear, angular)
+
+    def _send_joints(self, body: Body) -> None:
+        self.client.resetJointStatesMultiDof(
+            body.id,
+            body.joints,
+            [(position,) for position in self.joints[body.index]],
+            [(rate,) for rate in self.joint_rates[body.index]],
+        )
+
+    # State
+
+    def begin(self) -> None:
+        """Return to the canonical world of the present state; every move starts with it."""
+        self.client.restoreState(self._snapshot)
+        for body in self.bodies:
+            if body.joints:
+                self._send_joints(body)
+            elif self.active[body.index] and body.spec.mass > 0.0:
+                self._send(body)
+
+    def end(self) -> None:
+        """Read the world into the state; bodies slower than :data:`REST_SPEED` are at rest."""
+        for body in self.bodies:
+            if body.joints:
+                states = self.client.getJointStates(body.id, body.joints)
+                self.joints[body.index] = tuple(s[0] for s in states)
+                self.joint_rates[body.index] = tuple(s[1] for s in states)
+            elif self.active[body.index] and body.spec.mass > 0.0:
+                self._read(body)
+
+    def _read(self, body: Body) -> None:
+        position, orientation = self.client.getBasePositionAndOrientation(body.id)
+        self.poses[body.index] = _frame_pose(body.spec, position, orientation)
+        linear, angular = self.client.getBaseVelocity(body.id)
+        at_rest = _speed(linear, angular) < REST_SPEED
+        self.twists[body.index] = STILL if at_rest else (linear, angular)
+
+    def get_state(self) -> WorldState:
+        """Return the state; it holds no reference into the world."""
+        return WorldState(
+            tuple(self.poses),
+            tuple(self.twists),
+            tuple(self.active),
+            tuple(self.joints),
+            tuple(self.joint_rates),
+        )
+
+    def set_state(self, state: WorldState) -> None:
+        """Return to a state of this world or of another built the same way."""
+        for body in self.bodies:
+            if state.active[body.index] != self.active[body.index]:
+                self._set_active(body, state.active[body.index])
+        self.poses[:], self.twists[:] = state.poses, state.twists
+        self.joints[:], self.joint_rates[:] = state.joints, state.joint_rates
+        for body in self.bodies:
+            self._send(body)
+            if body.joints:
+                self._send_joints(body)
+
+    # Motion
+
+    def step(self, count: int = 1) -> None:
+        """Advance by ``count`` steps of :data:`TIME_STEP`."""
+        for _ in range(count):
+            self.client.stepSimulation()
+
+    def settle(self, bodies: Sequence[Body], limit: int) -> None:
+        """Advance until the bodies rest, at most ``limit`` steps."""
+        for _ in range(limit):
+            self.client.stepSimulation()
+            if not any(self.is_moving(body) for body in bodies):
+                return
+
+    def is_moving(self, body: Body) -> bool:
+        """Whether a body moves in the simulation right now."""
+        return _speed(*self.client.getBaseVelocity(body.id)) >= REST_SPEED
+
+    # Queries
+
+    def distance(self, first: Body, second: Body, limit: float) -> float:
+        """Return the gap (m) between two bodies, negative where they overlap, infinite beyond ``limit``."""
+        points = self.client.getClosestPoints(first.id, second.id, limit)
+        return min((point[8] for point in points), default=math.inf)
+
+    def bounds(self, body: Body) -> tuple[Vector, Vector]:
+        """Return the lowest and the highest corner (m) of a body's bounding box."""
+        low, high = self.client.getAABB(body.id)
+        return low, high
+
+    def top(self, body: Body) -> float:
+        """Return the height (m) of the highest point of a body's bounding box."""
+        return self.bounds(body)[1][2]
+
+    def close(self) -> None:
+        """Release the physics server."""
+        self.client.close()
+
+
+def _wavefront(pieces: Sequence[Piece]) -> str:
+    """Return the pieces as an OBJ file: Bullet makes one convex hull of each named part."""
+    lines, count = [], 1
+    for number, mesh in enumerate(piece.mesh for piece in pieces):
+        lines.append(f"o piece_{number}")
+        lines += [f"v {x!r} {y!r} {z!r}" for x, y, z in mesh.vertices.tolist()]
+        lines += [f"f {a + count} {b + count} {c + count}" for a, b, c in mesh.faces.tolist()]
+        count += len(mesh.vertices)
+    return "\n".join(lines) + "\n"
+
+
+def _parking_place(index: int) -> Pose:
+    return Pose((PARKING_PITCH * index, 0.0, PARKING_HEIGHT))
+
+
+def _speed(linear: Vector, angular: Vector) -> float:
+    return math.hypot(*linear) + REST_RIM * math.hypot(*angular)
+
+
+def _centre_of_mass_pose(spec: BodySpec, pose: Pose) -> Pose:
+    """Bullet poses a body by its centre of mass."""
+    if not any(spec.centre_of_mass):
+        return pose
+    return Pose(pose.transform(spec.centre_of_mass), pose.orientation)
+
+
+def _frame_pose(spec: BodySpec, position: Vector, orientation: Quaternion) -> Pose:
+    if not any(spec.centre_of_mass):
+        return Pose(position, orientation)
+    x, y, z = rotate(orientation, spec.centre_of_mass)
+    return Pose((position[0] - x, position[1] - y, position[2] - z), orientation)
+
+
+def _flat_normals(triangles: FloatArray) -> list[list[float]]:
+    """One normal a corner, so that edges of blocks are drawn sharp."""
+    normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    corners: list[list[float]] = np.repeat(normals, 3, axis=0).tolist()
+    return corners

@@ -1,0 +1,52 @@
+"""Picking up a block."""
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from bulletarm_gym.config import CLOSE_LOOP, TaskDefaults
+from bulletarm_gym.geometry import Pose
+from bulletarm_gym.objects import cube
+from bulletarm_gym.relations import is_held
+from bulletarm_gym.scene import Role, Scene
+from bulletarm_gym.tasks.grasping import STEP, grasp
+from bulletarm_gym.tasks.reaching import place_cube
+from bulletarm_gym.tasks.task import CLOSED, Task, Waypoint
+
+LIFTED = 0.15
+"""Height (m) of the gripper above the ground that counts as lifted (paper, Block Picking)."""
+YAW_SPREAD = math.pi / 4.0
+
+
+class BlockPicking(Task):
+    """Grasp a cube and lift it.
+
+    Description: one 5 cm cube stands on the floor.
+    Randomisation: the cube's position in the workspace, its yaw in +-45 degrees.
+    Success: the gripper holds the cube and is more than 15 cm above the ground.
+    Expert: down to the cube's centre with the fingers along its sides, close, straight up.
+    """
+
+    defaults = TaskDefaults(num_objects=1)
+    controls = (CLOSE_LOOP,)
+
+    def roles(self) -> list[Role]:
+        """Return the cube."""
+        return [self.scaled("cube", cube)]
+
+    def arrange(self, scene: Scene, rng: np.random.Generator) -> None:
+        """Put the cube anywhere."""
+        place_cube(self, scene, rng, YAW_SPREAD)
+
+    def evaluate(self, scene: Scene) -> dict[str, bool]:
+        """Look whether the cube is held, and how high."""
+        held = is_held(scene, scene["cube"])
+        return {"success": held and scene.robot.pose.z > LIFTED, "is_held": held}
+
+    def plan(self, scene: Scene, rng: np.random.Generator) -> Iterator[Waypoint]:
+        """Grasp, then lift."""
+        item, hand = scene["cube"], scene.robot.pose
+        if not is_held(scene, item):
+            yield from grasp(scene, item.pose, scene.world.top(item.body), math.pi / 2.0)
+        yield Waypoint(Pose.planar(hand.x, hand.y, max(hand.z, LIFTED) + STEP, hand.yaw), CLOSED)

@@ -1,0 +1,109 @@
+"""The contract between a task and the house around it."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+
+from bulletarm_gym.config import EnvConfig, TaskDefaults
+from bulletarm_gym.geometry import Pose
+from bulletarm_gym.scene import Item, Role, Scene
+
+OPEN = 1.0
+CLOSED = 0.0
+
+
+@dataclass(frozen=True)
+class Waypoint:
+    """A place an expert wants the fingertips at (paper, Expert Demonstrations).
+
+    :param pose: of the fingertips, in the world
+    :param gripper: opening ratio on the way, 0 closed to 1 open
+    :param finish: opening ratio on arrival; None keeps that of the way
+    :param straight: come in a straight line, for moves in contact; else each axis runs at its own limit
+    """
+
+    pose: Pose
+    gripper: float
+    finish: float | None = None
+    straight: bool = False
+
+
+class Task(ABC):
+    """A task: its bodies, how they are arranged, when it is solved, and how an expert solves it.
+
+    A task keeps nothing between calls but :attr:`memory`; what it does follows from the scene, so that states can be saved,
+    restored and planned from.
+
+    :param config: the environment's parameters
+    """
+
+    defaults: ClassVar[TaskDefaults]
+    controls: ClassVar[tuple[str, ...]]
+    """Names of the controls the task can be solved with."""
+
+    def __init__(self, config: EnvConfig) -> None:
+        self.config = config
+        self.memory: Any = None
+        """What the task must remember within an episode; picklable."""
+
+    @abstractmethod
+    def roles(self) -> list[Role]:
+        """Return everything the task will ever need."""
+
+    @abstractmethod
+    def arrange(self, scene: Scene, rng: np.random.Generator) -> None:
+        """Lay out the start of an episode in an empty scene."""
+
+    @abstractmethod
+    def evaluate(self, scene: Scene) -> dict[str, bool]:
+        """Return named facts about the scene; ``"success"`` is the goal."""
+
+    @abstractmethod
+    def plan(self, scene: Scene, rng: np.random.Generator) -> Iterator[Waypoint]:
+        """Yield the waypoints that remain from the present scene on, first the next.
+
+        It must give one in every state, also after a failure.
+        """
+
+    def after_action(self, scene: Scene, rng: np.random.Generator) -> None:
+        """Change the scene after an action, where the task has a life of its own."""
+
+    def is_valid(self, scene: Scene) -> bool:
+        """Whether the episode can go on: every loose item is inside the workspace, not above its top nor below the floor."""
+        held = scene.robot.held
+        return all(
+            self._is_inside(scene, item) for item in scene if item.spec.mass > 0.0 and item.body is not held
+        )
+
+    def reward(self, scene: Scene, outcome: Mapping[str, bool]) -> float:
+        """Return 1 on success, else 0 (paper, Environment)."""
+        return float(outcome["success"])
+
+    def yaw_spread(self, spread: float) -> float:
+        """Return the half range (rad) of the yaw that items start with."""
+        return spread if self.config.random_orientation else 0.0
+
+    def scaled(self, name: str, make: Any) -> Role:
+        """Return a role played by one body a size, ``make(name, scale)``."""
+        variants = tuple(make(f"{name} {scale:g}", scale) for scale in self.config.scales)
+        return Role(name, variants)
+
+    def _is_inside(self, scene: Scene, item: Item) -> bool:
+        (x0, x1), (y0, y1), (_, top) = self.config.workspace
+        low, high = self._extent(scene, item)
+        inside = x0 <= low[0] and high[0] <= x1 and y0 <= low[1] and high[1] <= y1
+        return inside and low[2] >= FLOOR and high[2] <= top
+
+    def _extent(self, scene: Scene, item: Item) -> tuple[Any, Any]:
+        """Return the corners (m) that must be inside: of the bounding box, or twice the centre."""
+        if self.config.workspace_check == "bounding_box":
+            low, high = scene.world.bounds(item.body)
+            return (*low[:2], item.pose.z), high
+        return item.pose.position, item.pose.position
+
+
+FLOOR = 0.0
+"""An item whose centre is below this height (m) has fallen through the ground."""
