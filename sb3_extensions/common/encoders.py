@@ -1,9 +1,7 @@
-"""Convolutional encoders of a square image to a vector, plain and equivariant, as the BulletArm paper's
-close-loop baselines use.
+"""Convolutional encoders of a square image to a vector: the paper's close-loop CNN and its equivariant one.
 
-Both halve the image by 3 x 3 convolutions and max-pooling until 6 or 8 pixels a side remain, and end in one
-pixel. Every step maps a grid with a centre of rotation to one with the same, so that rotations by 90 degrees
-stay exact.
+Both halve the image until 6 or 8 pixels a side remain, and end in one pixel. Every step maps a grid to one
+with the same centre, so that rotations by 90 degrees stay exact.
 """
 
 from __future__ import annotations
@@ -11,7 +9,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Sequence
 from contextlib import AbstractContextManager, nullcontext
-from functools import lru_cache
+from functools import cache
 from typing import NamedTuple
 
 import torch as th
@@ -20,21 +18,29 @@ from torch import nn
 from sb3_extensions.common.equivariant import EquivariantConv2d
 from sb3_extensions.common.groups import FieldType, Group
 
-KERNEL_SIZE = 3
-# Side at which halving stops: 6 and 8 are the largest sizes that the last two layers bring to one pixel.
-SMALLEST_SIZE, LAST_SIZES = 6, (6, 8)
+# Sides at which halving stops: the largest that the last two stages bring to one pixel.
+LAST_SIZES = (6, 8)
 AUTOCAST_OPTIONS = (None, "bf16")
 
 
 class Stage(NamedTuple):
-    """A 3 x 3 convolution, max-pooling, ReLU.
+    """A convolution, max-pooling, ReLU.
 
-    :param padding: of the convolution, pixels
+    :param kernel_size: side of the filter, pixels
+    :param stride: of the convolution, pixels
+    :param padding: zeros on each side, pixels
     :param pool: side of the pooling window, 1 for none
     """
 
-    padding: int
-    pool: int
+    kernel_size: int = 3
+    stride: int = 1
+    padding: int = 1
+    pool: int = 1
+
+
+POOLED_HALVING = Stage(pool=2)
+# Four pixels, the smallest filter whose steps of two keep the image's centre and whose neighbours overlap.
+STRIDED_HALVING = Stage(kernel_size=4, stride=2)
 
 
 def count_halvings(size: int) -> int:
@@ -51,38 +57,42 @@ def count_halvings(size: int) -> int:
     return halvings
 
 
-def plan_stages(size: int, count: int) -> list[Stage]:
-    """Stages of an encoder: halvings, then convolutions that keep 6 or 8 pixels, then the two that end in one
-    pixel.
+def plan_stages(size: int, count: int, strided: int = 0) -> list[Stage]:
+    """Stages of an encoder: halvings, stages that keep 6 or 8 pixels, two that end in one pixel.
 
-    For 128 pixels and seven stages this is the paper's encoder.
+    For 128 pixels and seven stages, none strided, this is the paper's encoder.
 
     :param size: side of the image, pixels
     :param count: number of stages
-    :raises ValueError: if the size cannot be reduced, or in so few stages
+    :param strided: halvings, from the first, by a convolution with stride 2 instead of by pooling
+    :raises ValueError: if the size cannot be reduced, or in so few stages, or with so many strided
     """
     halvings = count_halvings(size)
     kept = count - halvings - 2
     if kept < 0:
-        raise ValueError(f"channels must have at least {halvings + 2} entries for images of size {size}, got {count}")
-    shrink = Stage(padding=1 if size >> halvings == SMALLEST_SIZE else 0, pool=2)
-    return [Stage(1, 2)] * halvings + [Stage(1, 1)] * kept + [shrink, Stage(0, 1)]
+        raise ValueError(
+            f"channels needs {halvings + 2} entries or more for images of size {size}, got {count}"
+        )
+    if not 0 <= strided <= halvings:
+        raise ValueError(f"strided must be from 0 to {halvings} for images of size {size}, got {strided}")
+    shrink = Stage(padding=0 if size >> halvings == max(LAST_SIZES) else 1, pool=2)
+    halve = [STRIDED_HALVING] * strided + [POOLED_HALVING] * (halvings - strided)
+    return [*halve, *[Stage()] * kept, shrink, Stage(padding=0)]
 
 
 def scale_channels(size: int, halving: Sequence[int], last: Sequence[int]) -> tuple[int, ...]:
-    """Channels for another image size: as many halving stages as it takes (the widest repeated), and the last
-    ones.
+    """Channels for another image size: as many halvings as it takes, the widest repeated, then the others.
 
     :param size: side of the image, pixels
-    :param halving: channels of the halving stages for the largest image
+    :param halving: channels of the halving stages
     :param last: channels of the stages after them
     """
     return (*(halving[min(i, len(halving) - 1)] for i in range(count_halvings(size))), *last)
 
 
-@lru_cache(maxsize=None)
+@cache
 def has_bf16(device_type: str) -> bool:
-    """Whether a kind of device computes in bfloat16; if not, a warning says that float32 is used, once.
+    """Whether a kind of device computes in bfloat16; if not, one warning says that float32 is used.
 
     :param device_type: as in ``torch.device.type``
     """
@@ -92,24 +102,27 @@ def has_bf16(device_type: str) -> bool:
         probe = getattr(th.cpu, "_is_avx512_bf16_supported", None)
         available = device_type == "cpu" and probe is not None and probe()
     if not available:
-        warnings.warn(f"autocast='bf16': this {device_type} has no bfloat16 arithmetic, float32 is used", stacklevel=2)
+        warnings.warn(f"autocast='bf16': no bfloat16 on this {device_type}, float32 is used", stacklevel=2)
     return bool(available)
 
 
 class Encoder(nn.Module):
-    """A sequence of stages, in the memory format and precision asked for: (batch, channels, size, size) to
-    (batch, features).
+    """A sequence of stages: (batch, channels, size, size) to (batch, features).
 
     :param convolutions: one for each stage
     :param stages: what :func:`plan_stages` gave
     :param channels_last: keep the channels of a pixel together in memory; faster on CPUs and recent GPUs
-    :param autocast: ``"bf16"`` computes in bfloat16 where the device can and in float32 elsewhere; ``None``
-        in float32
+    :param autocast: ``"bf16"`` computes in bfloat16 where the device can (with a warning, in float32 where it
+        cannot); ``None`` in float32
     :raises ValueError: if ``autocast`` is something else
     """
 
     def __init__(
-        self, convolutions: Sequence[nn.Module], stages: Sequence[Stage], channels_last: bool, autocast: str | None
+        self,
+        convolutions: Sequence[nn.Module],
+        stages: Sequence[Stage],
+        channels_last: bool,
+        autocast: str | None,
     ) -> None:
         super().__init__()
         if autocast not in AUTOCAST_OPTIONS:
@@ -142,10 +155,11 @@ class CnnEncoder(Encoder):
 
     :param in_channels: channels of the image
     :param size: side of the image, pixels: 6 or 8 times a power of two
-    :param channels: output channels of each stage; the paper's for images of 128 pixels if ``None``
+    :param channels: output channels of each stage; those of the paper, for the size, if ``None``
+    :param strided: see :func:`plan_stages`
     :param channels_last: see :class:`Encoder`
     :param autocast: see :class:`Encoder`
-    :raises ValueError: if the size or the number of stages does not fit
+    :raises ValueError: if size, channels and strided do not fit together
     """
 
     # Close-loop CNN baseline of the paper, 128 x 128 pixels.
@@ -156,32 +170,34 @@ class CnnEncoder(Encoder):
         in_channels: int,
         size: int,
         channels: Sequence[int] | None = None,
+        strided: int = 0,
         channels_last: bool = True,
         autocast: str | None = None,
     ) -> None:
         channels = channels or scale_channels(size, self.HALVING, self.LAST)
-        stages, widths = plan_stages(size, len(channels)), (in_channels, *channels)
+        stages = plan_stages(size, len(channels), strided)
         convolutions = [
-            nn.Conv2d(widths[i], widths[i + 1], KERNEL_SIZE, padding=stage.padding) for i, stage in enumerate(stages)
+            nn.Conv2d(inputs, outputs, stage.kernel_size, stage.stride, stage.padding)
+            for inputs, outputs, stage in zip((in_channels, *channels), channels, stages, strict=False)
         ]
         super().__init__(convolutions, stages, channels_last, autocast)
         for convolution in convolutions:
             nn.init.xavier_normal_(convolution.weight)
-            nn.init.zeros_(convolution.bias)  # type: ignore[arg-type]
+            nn.init.constant_(convolution.get_parameter("bias"), 0.0)
         self.features_dim = channels[-1]
 
 
 class EquivariantEncoder(Encoder):
-    """Encoder to regular fields at the centre of the image: turning the image permutes the numbers of each
-    field.
+    """Encoder to regular fields at the image's centre: turning the image permutes the numbers of each field.
 
     :param in_channels: channels of the image, all scalar (trivial fields)
     :param size: side of the image, pixels: 6 or 8 times a power of two
     :param group: the symmetry
-    :param channels: regular fields after each stage; the paper's for images of 128 pixels if ``None``
+    :param channels: regular fields after each stage; those of the paper, for the size, if ``None``
+    :param strided: see :func:`plan_stages`
     :param channels_last: see :class:`Encoder`
     :param autocast: see :class:`Encoder`
-    :raises ValueError: if the size or the number of stages does not fit
+    :raises ValueError: if size, channels and strided do not fit together
     """
 
     # Close-loop equivariant baseline of the paper, 128 x 128 pixels.
@@ -193,16 +209,18 @@ class EquivariantEncoder(Encoder):
         size: int,
         group: Group,
         channels: Sequence[int] | None = None,
+        strided: int = 0,
         channels_last: bool = True,
         autocast: str | None = None,
     ) -> None:
         channels = channels or scale_channels(size, self.HALVING, self.LAST)
-        stages = plan_stages(size, len(channels))
-        types = [FieldType.of((group.trivial, in_channels))]
-        types += [FieldType.of((group.regular, count)) for count in channels]
+        stages = plan_stages(size, len(channels), strided)
+        out_types = [FieldType.of((group.regular, count)) for count in channels]
+        in_types = [FieldType.of((group.trivial, in_channels)), *out_types]
         convolutions = [
-            EquivariantConv2d(types[i], types[i + 1], KERNEL_SIZE, stage.padding) for i, stage in enumerate(stages)
+            EquivariantConv2d(in_type, out_type, stage.kernel_size, stage.stride, stage.padding)
+            for in_type, out_type, stage in zip(in_types, out_types, stages, strict=False)
         ]
         super().__init__(convolutions, stages, channels_last, autocast)
-        self.out_type = types[-1]
+        self.out_type = out_types[-1]
         self.features_dim = self.out_type.size

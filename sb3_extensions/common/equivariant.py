@@ -7,7 +7,7 @@ be.
 
 Filters are expanded from their weights in every forward pass, or once in the scope of
 :func:`expanded_filters`. They are never kept beyond it: a Polyak update writes through ``.data``, which no
-    cache can notice.
+cache can notice.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import math
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
-from functools import lru_cache
+from functools import cache
 
 import numpy as np
 import torch as th
@@ -35,18 +35,19 @@ _EXPANDED: ContextVar[Mapping[nn.Module, th.Tensor] | None] = ContextVar("expand
 
 @contextmanager
 def expanded_filters(*modules: nn.Module) -> Iterator[None]:
-    """Expand the filters of the modules once and use them in every forward pass without gradient inside the
-    scope.
+    """Expand the modules' filters once, for every forward pass without gradient inside the scope.
 
     For several forward passes with the same weights, such as an evaluation or the target network in one
     update. The weights must not change inside the scope. Forward passes with gradient expand as always.
 
     :param modules: modules whose equivariant layers, at any depth, are expanded
     """
+    filters = dict(_EXPANDED.get() or {})
     with th.no_grad():
-        layers = (layer for module in modules for layer in module.modules() if isinstance(layer, SteerableMap))
-        filters = {layer: layer.expand() for layer in layers}
-    token = _EXPANDED.set({**(_EXPANDED.get() or {}), **filters})
+        for layer in (layer for module in modules for layer in module.modules()):
+            if isinstance(layer, SteerableMap):
+                filters[layer] = layer.expand()
+    token = _EXPANDED.set(filters)
     try:
         yield
     finally:
@@ -64,6 +65,8 @@ class SteerableMap(nn.Module):
     :raises ValueError: if the groups differ or no such map exists
     """
 
+    bias_basis: th.Tensor
+
     def __init__(
         self,
         in_type: FieldType,
@@ -74,7 +77,7 @@ class SteerableMap(nn.Module):
     ) -> None:
         super().__init__()
         if in_type.group != out_type.group:
-            raise ValueError(f"in_type and out_type must have one group, got {in_type.group} and {out_type.group}")
+            raise ValueError(f"in_type has the group {in_type.group}, out_type {out_type.group}")
         if kernel_size < 1:
             raise ValueError(f"kernel_size must be at least 1, got {kernel_size}")
         self.in_type, self.out_type, self.kernel_size = in_type, out_type, kernel_size
@@ -88,7 +91,7 @@ class SteerableMap(nn.Module):
         if not self.weights:
             raise ValueError(f"no map from {in_type} to {out_type} commutes with the group")
         self.register_buffer("bias_basis", _invariants(out_type), persistent=False)
-        self.bias = nn.Parameter(th.zeros(len(self.get_buffer("bias_basis")))) if bias else None
+        self.bias = nn.Parameter(th.zeros(len(self.bias_basis))) if bias else None
         self.reset_parameters(gain)
 
     def reset_parameters(self, gain: float) -> None:
@@ -99,7 +102,7 @@ class SteerableMap(nn.Module):
         """
         for key, weight in self.weights.items():
             _, column = map(int, key.split("_"))
-            rep, count = self.in_type.fields[column]
+            rep = self.in_type.fields[column][0]
             inputs = self.in_type.size * self.kernel_size**2
             basis = self.get_buffer(f"basis_{key}")
             energy = float(basis.square().sum()) / (basis.shape[1] * rep.size * self.kernel_size**2)
@@ -108,7 +111,7 @@ class SteerableMap(nn.Module):
             nn.init.zeros_(self.bias)
 
     def expand(self) -> th.Tensor:
-        """Filter of the plain convolution that does the same: (out channels, in channels, kernel_size, kernel_size)."""
+        """Filter of the plain convolution that does the same: (out channels, in channels, side, side)."""
         rows = [
             [self._expand_block(row, column) for column in range(len(self.in_type.fields))]
             for row in range(len(self.out_type.fields))
@@ -122,7 +125,7 @@ class SteerableMap(nn.Module):
         shape = (out_count * out_rep.size, in_count * in_rep.size, self.kernel_size, self.kernel_size)
         key = f"{row}_{column}"
         if key not in self.weights:
-            return self.bias_basis.new_zeros(shape)
+            return th.zeros(shape, device=self.bias_basis.device)
         # (out fields, in fields, basis) x (basis, out, in, height, width), numbers of a field kept together.
         basis = self.get_buffer(f"basis_{key}")
         blocks = th.matmul(self.weights[key].flatten(0, 1), basis.flatten(1))
@@ -130,7 +133,7 @@ class SteerableMap(nn.Module):
         return blocks.reshape(shape)
 
     def filters(self) -> tuple[th.Tensor, th.Tensor | None]:
-        """Filter and bias in float32, the filter from the open scope if there is one and no gradient is wanted."""
+        """Filter and bias in float32, the filter from an open scope if no gradient is wanted."""
         with th.autocast(device_type=self.bias_basis.device.type, enabled=False):
             scope = None if th.is_grad_enabled() else _EXPANDED.get()
             weight = self.expand() if scope is None or self not in scope else scope[self]
@@ -140,6 +143,9 @@ class SteerableMap(nn.Module):
 class EquivariantConv2d(SteerableMap):
     """Convolution of a feature map, (batch, in channels, height, width), that commutes with the group.
 
+    With a stride the output is exact under 90 degrees only if it divides ``side + 2 padding - kernel_size``.
+
+    :param stride: pixels between two outputs
     :param padding: zeros added on each side, pixels
     """
 
@@ -148,21 +154,22 @@ class EquivariantConv2d(SteerableMap):
         in_type: FieldType,
         out_type: FieldType,
         kernel_size: int = 3,
+        stride: int = 1,
         padding: int = 0,
         bias: bool = True,
         gain: float = math.sqrt(2.0),
     ) -> None:
         super().__init__(in_type, out_type, kernel_size, bias, gain)
-        self.padding = padding
+        self.stride, self.padding = stride, padding
 
     def forward(self, features: th.Tensor) -> th.Tensor:
         """:return: (batch, out channels, height, width)"""
         weight, bias = self.filters()
-        return F.conv2d(features, weight, bias, padding=self.padding)
+        return F.conv2d(features, weight, bias, stride=self.stride, padding=self.padding)
 
 
 class EquivariantLinear(SteerableMap):
-    """Map of a feature vector, (batch, in channels), that commutes with the group: a convolution of one pixel."""
+    """Map of a feature vector, (batch, in channels), that commutes with the group."""
 
     def __init__(
         self, in_type: FieldType, out_type: FieldType, bias: bool = True, gain: float = math.sqrt(2.0)
@@ -191,10 +198,11 @@ class GroupMaxPool(nn.Module):
 
     def forward(self, features: th.Tensor) -> th.Tensor:
         """:return: (batch, fields, ...)"""
-        return features.unflatten(1, (-1, self.order)).amax(dim=2)
+        fields = features.reshape(len(features), -1, self.order, *features.shape[2:])
+        return fields.amax(dim=2)
 
 
-@lru_cache(maxsize=None)
+@cache
 def steerable_basis(in_rep: Representation, out_rep: Representation, kernel_size: int) -> Matrices:
     """Basis of the filters K with ``K(g x) = out_rep(g) K(x) in_rep(g)^-1`` for all g of the group.
 
@@ -213,7 +221,7 @@ def steerable_basis(in_rep: Representation, out_rep: Representation, kernel_size
     return filters
 
 
-@lru_cache(maxsize=None)
+@cache
 def harmonic_basis(kernel_size: int) -> tuple[Matrices, tuple[int, ...]]:
     """Gaussian rings times circular harmonics on the grid of a filter.
 
@@ -247,7 +255,7 @@ def _invariant_coefficients(
     group = in_rep.group
     harmonic = np.stack([_harmonic_action(group, element, frequencies) for element in range(group.order)])
     actions = (harmonic, out_rep.matrices, in_rep.matrices)
-    mean = np.einsum("gab,gcd,gef->acebdf", *actions) / group.order
+    mean: Matrices = np.einsum("gab,gcd,gef->acebdf", *actions) / group.order
     shape = mean.shape[:3]
     # A regular field visits each of its numbers once: the tensors that start at its first number already span
     # all.
@@ -257,19 +265,18 @@ def _invariant_coefficients(
         spanning = mean[..., 0, :].reshape(*shape, -1)
     else:
         values, vectors = np.linalg.eigh(mean.reshape(math.prod(shape), -1))
-        spanning = vectors[:, values > PROJECTOR_THRESHOLD].reshape(*shape, -1)
-        return np.moveaxis(spanning, -1, 0)
-    return np.moveaxis(spanning, -1, 0) * math.sqrt(group.order)
+        return np.moveaxis(vectors[:, values > PROJECTOR_THRESHOLD].reshape(*shape, -1), -1, 0)
+    return np.moveaxis(spanning, -1, 0) * np.float64(math.sqrt(group.order))
 
 
 def _harmonic_action(group: Group, element: int, frequencies: tuple[int, ...]) -> Matrices:
-    """How the harmonics, in the order of :func:`harmonic_basis`, change under an element: block diagonal."""
+    """How the harmonics of :func:`harmonic_basis` change under an element: block diagonal."""
     reps = [group.irrep(frequency) if frequency else group.trivial for frequency in frequencies]
     return block_diagonal([rep.matrices[element] for rep in reps])
 
 
 def _invariants(out_type: FieldType) -> th.Tensor:
-    """Constant features that the group leaves alone, one row for each regular or trivial field: (biases, channels)."""
+    """Constant features that the group leaves alone, one for each regular or trivial field: (biases, size)."""
     rows, start = [], 0
     for rep, count in out_type.fields:
         for _ in range(count):

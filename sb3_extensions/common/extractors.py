@@ -1,11 +1,12 @@
-"""Features extractors for Dict observations of images and numbers; they serve any Stable-Baselines3 algorithm."""
+"""Features extractors for Dict observations of images and numbers, for any Stable-Baselines3 algorithm."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
+from typing import Any
 
 import gymnasium as gym
-import numpy as np
 import torch as th
 from gymnasium import spaces
 from stable_baselines3.common.preprocessing import get_flattened_obs_dim, is_image_space
@@ -21,12 +22,11 @@ OUTPUTS = ("regular", "invariant")
 
 
 class StackedImage(nn.Module):
-    """One image of a Dict observation: the images' channels on [0, 1], and a constant channel for each
-    further number.
+    """One image of a Dict observation: the images' channels, and a constant channel for each other number.
 
-    Float images (such as heights in metres) are scaled by the bounds of their space, rounded to the levels
-    that the replay buffer stores; ``uint8`` images arrive already scaled by Stable-Baselines3 (its
-    ``normalize_images`` must stay on). Images without finite bounds and all other numbers are taken as they
+    Float images (such as heights in metres) are mapped from the bounds of their space to [0, 1], rounded to
+    the levels that the replay buffer stores; ``uint8`` images arrive so from Stable-Baselines3 (its
+    ``normalize_images`` must stay on). Numbers, and unrounded images without finite bounds, are taken as they
     are.
 
     :param observation_space: with at least one image, (channels, size, size), all of one size
@@ -36,26 +36,35 @@ class StackedImage(nn.Module):
         cannot be quantised
     """
 
-    def __init__(self, observation_space: gym.Space, quantise: str | None) -> None:
+    def __init__(self, observation_space: gym.Space[Any], quantise: str | None) -> None:
         super().__init__()
         if not isinstance(observation_space, spaces.Dict):
-            raise ValueError(f"observation_space must be a Dict of images and numbers, got {observation_space}")
-        self.image_keys = [key for key, space in observation_space.items() if len(space.shape or ()) == 3]
-        self.vector_keys = [key for key in observation_space if key not in self.image_keys]
-        shapes = {key: observation_space[key].shape for key in self.image_keys}
-        sides = {side for shape in shapes.values() for side in shape[1:]}  # type: ignore[index]
+            raise ValueError(
+                f"observation_space must be a Dict of images and numbers, got {observation_space}"
+            )
+        images = {
+            key: space
+            for key, space in observation_space.items()
+            if isinstance(space, spaces.Box) and len(space.shape) == 3
+        }
+        shapes = {key: space.shape for key, space in images.items()}
+        sides = {side for shape in shapes.values() for side in shape[1:]}
         if len(sides) != 1:
-            raise ValueError(f"observation_space needs images (channels, size, size) of one size, got {shapes}")
+            raise ValueError(
+                f"observation_space needs images (channels, size, size), of one size, got {shapes}"
+            )
         self.size = int(sides.pop())
-        self.channels = sum(shape[0] for shape in shapes.values())  # type: ignore[index]
-        self.channels += sum(get_flattened_obs_dim(observation_space[key]) for key in self.vector_keys)
-        self.scales = {key: _Scale(key, observation_space[key], quantise) for key in self.image_keys}
+        self.scales = {key: _Scale(key, space, quantise) for key, space in images.items()}
+        numbers = {key: space for key, space in observation_space.items() if key not in images}
+        self.number_keys = list(numbers)
+        self.channels = sum(int(shape[0]) for shape in shapes.values())
+        self.channels += sum(get_flattened_obs_dim(space) for space in numbers.values())
 
     def forward(self, observations: dict[str, th.Tensor]) -> th.Tensor:
         """:return: (batch, channels, size, size)"""
-        images = [self.scales[key](observations[key]) for key in self.image_keys]
-        numbers = [observations[key].flatten(1)[..., None, None] for key in self.vector_keys]
-        return th.cat(images + [n.expand(-1, -1, self.size, self.size) for n in numbers], dim=1)
+        images = [scale(observations[key]) for key, scale in self.scales.items()]
+        numbers = [observations[key].flatten(1)[..., None, None] for key in self.number_keys]
+        return th.cat(images + [number.expand(-1, -1, self.size, self.size) for number in numbers], dim=1)
 
 
 class _Scale:
@@ -64,10 +73,10 @@ class _Scale:
     :param key: of the observation, for the error
     :param space: of the image
     :param quantise: see :class:`StackedImage`
+    :raises ValueError: if the space cannot be quantised so
     """
 
-    def __init__(self, key: str, space: gym.Space, quantise: str | None) -> None:
-        assert isinstance(space, spaces.Box)
+    def __init__(self, key: str, space: spaces.Box, quantise: str | None) -> None:
         self.quantiser: Quantiser | None = None
         self.low, self.span = 0.0, 1.0
         if is_image_space(space):
@@ -76,10 +85,13 @@ class _Scale:
             try:
                 self.quantiser = Quantiser(space, quantise)
             except ValueError as error:
-                raise ValueError(f"quantise={quantise!r} does not fit observation {key!r}: {error}") from error
-        elif np.isfinite(space.low).all() and np.isfinite(space.high).all():
-            self.low = float(space.low.min())
-            self.span = float(space.high.max()) - self.low
+                raise ValueError(
+                    f"quantise={quantise!r} does not fit observation {key!r}: {error}"
+                ) from error
+            return
+        low, high = float(space.low.min()), float(space.high.max())
+        if math.isfinite(high - low) and high > low:
+            self.low, self.span = low, high - low
 
     def __call__(self, image: th.Tensor) -> th.Tensor:
         if self.quantiser is not None:
@@ -92,6 +104,7 @@ class CnnExtractor(BaseFeaturesExtractor):
 
     :param observation_space: see :class:`StackedImage`
     :param channels: output channels of each stage, see :class:`~sb3_extensions.common.encoders.CnnEncoder`
+    :param strided: halvings without pooling, see :func:`~sb3_extensions.common.encoders.plan_stages`
     :param quantise: see :class:`StackedImage`
     :param channels_last: see :class:`~sb3_extensions.common.encoders.Encoder`
     :param autocast: ``None`` or ``"bf16"``, see :class:`~sb3_extensions.common.encoders.Encoder`
@@ -99,14 +112,15 @@ class CnnExtractor(BaseFeaturesExtractor):
 
     def __init__(
         self,
-        observation_space: gym.Space,
+        observation_space: gym.Space[Any],
         channels: Sequence[int] | None = None,
+        strided: int = 0,
         quantise: str | None = "uint8",
         channels_last: bool = True,
         autocast: str | None = None,
     ) -> None:
         stack = StackedImage(observation_space, quantise)
-        encoder = CnnEncoder(stack.channels, stack.size, channels, channels_last, autocast)
+        encoder = CnnEncoder(stack.channels, stack.size, channels, strided, channels_last, autocast)
         super().__init__(observation_space, encoder.features_dim)
         self.stack, self.encoder = stack, encoder
 
@@ -117,8 +131,7 @@ class CnnExtractor(BaseFeaturesExtractor):
 
 
 class EquivariantExtractor(BaseFeaturesExtractor):
-    """Equivariant encoder of a Dict observation: scalar images that turn with the scene, and numbers that do
-    not.
+    """Equivariant encoder of a Dict observation: images turn with the scene, numbers do not.
 
     With ``output="regular"`` the features are regular fields, permuted when the images turn: for equivariant
     heads; behind an ordinary head (PPO's, TQC's) symmetry is lost there. With ``output="invariant"`` each
@@ -130,6 +143,7 @@ class EquivariantExtractor(BaseFeaturesExtractor):
     :param n: number of rotations
     :param channels: regular fields after each stage, see
         :class:`~sb3_extensions.common.encoders.EquivariantEncoder`
+    :param strided: halvings without pooling, see :func:`~sb3_extensions.common.encoders.plan_stages`
     :param output: ``"regular"`` or ``"invariant"``
     :param quantise: see :class:`StackedImage`
     :param channels_last: see :class:`~sb3_extensions.common.encoders.Encoder`
@@ -140,10 +154,11 @@ class EquivariantExtractor(BaseFeaturesExtractor):
 
     def __init__(
         self,
-        observation_space: gym.Space,
+        observation_space: gym.Space[Any],
         group: str = "cyclic",
         n: int = 8,
         channels: Sequence[int] | None = None,
+        strided: int = 0,
         output: str = "regular",
         quantise: str | None = "uint8",
         channels_last: bool = True,
@@ -152,7 +167,10 @@ class EquivariantExtractor(BaseFeaturesExtractor):
         if output not in OUTPUTS:
             raise ValueError(f"output must be one of {OUTPUTS}, got {output!r}")
         stack = StackedImage(observation_space, quantise)
-        encoder = EquivariantEncoder(stack.channels, stack.size, Group(group, n), channels, channels_last, autocast)
+        symmetry = Group(group, n)
+        encoder = EquivariantEncoder(
+            stack.channels, stack.size, symmetry, channels, strided, channels_last, autocast
+        )
         pool = GroupMaxPool(encoder.out_type) if output == "invariant" else None
         out_type = encoder.out_type if pool is None else pool.out_type
         super().__init__(observation_space, out_type.size)

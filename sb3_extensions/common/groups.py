@@ -145,7 +145,9 @@ class FieldType:
         joined = [(rep, sum(count for _, count in run)) for rep, run in groupby(present, key=itemgetter(0))]
         object.__setattr__(self, "fields", tuple(joined))
         if not joined or any(count < 0 for _, count in present):
-            raise ValueError(f"a field type needs at least one field and no negative count, got {self.fields}")
+            raise ValueError(
+                f"a field type needs at least one field and no negative count, got {self.fields}"
+            )
         if len({rep.group for rep, _ in self.fields}) != 1:
             raise ValueError("all fields of a field type must belong to the same group")
 

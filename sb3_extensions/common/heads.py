@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import torch as th
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
@@ -149,7 +150,9 @@ class InvariantValue(nn.Module):
         return values
 
 
-def equivariant_mlp(in_type: FieldType, net_arch: Sequence[int], activation_fn: type[nn.Module]) -> nn.Sequential:
+def equivariant_mlp(
+    in_type: FieldType, net_arch: Sequence[int], activation_fn: type[nn.Module]
+) -> nn.Sequential:
     """Layers to regular fields, each followed by the nonlinearity.
 
     :param in_type: input fields
@@ -157,7 +160,7 @@ def equivariant_mlp(in_type: FieldType, net_arch: Sequence[int], activation_fn: 
     :param activation_fn: pointwise nonlinearity
     """
     types = [in_type] + [FieldType.of((in_type.group.regular, count)) for count in net_arch]
-    layers = [[EquivariantLinear(*pair), activation_fn()] for pair in zip(types, types[1:], strict=False)]
+    layers = [[EquivariantLinear(*pair), activation_fn()] for pair in pairwise(types)]
     return nn.Sequential(*(layer for pair in layers for layer in pair))
 
 
@@ -171,7 +174,7 @@ def regular_type(features_extractor: BaseFeaturesExtractor) -> FieldType:
     out_type = getattr(features_extractor, "out_type", None)
     if not isinstance(out_type, FieldType) or any(rep.kind != "regular" for rep, _ in out_type.fields):
         raise ValueError(
-            "an equivariant policy needs a features_extractor_class whose features are regular fields, such as "
-            f"EquivariantExtractor with output='regular', got {type(features_extractor).__name__} with {out_type}"
+            "an equivariant policy needs a features_extractor_class of regular fields, such as EquivariantExtractor "
+            f"with output='regular', got {type(features_extractor).__name__} with {out_type}"
         )
     return out_type

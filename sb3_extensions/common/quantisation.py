@@ -98,6 +98,6 @@ def _collapse(bound: npt.NDArray[np.float64]) -> FloatArray:
 
 
 def _like(bound: FloatArray, values: th.Tensor) -> th.Tensor:
-    """The bound as a tensor on the device of the values (a zero-dimensional one stays on the CPU: no copy)."""
+    """The bound as a tensor where the values are; a zero-dimensional one may stay on the CPU."""
     tensor = th.from_numpy(np.array(bound))
     return tensor if bound.ndim == 0 else tensor.to(values.device)

@@ -1,4 +1,4 @@
-"""Policies of SAC and SACfD for Dict observations of images and numbers: the paper's CNN and its equivariant network."""
+"""Policies of SAC and SACfD for images and numbers: the paper's CNN and its equivariant network."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class MultiInputPolicy(SACPolicy):
 
     def __init__(
         self,
-        observation_space: spaces.Space,
+        observation_space: spaces.Space[Any],
         action_space: spaces.Box,
         lr_schedule: Schedule,
         net_arch: NetArch | None = None,
@@ -112,7 +112,7 @@ class EquivariantActor(Actor):
         if net_arch:
             hidden_type = FieldType.of((in_type.group.regular, net_arch[-1]))
         self.latent_pi = equivariant_mlp(in_type, net_arch, activation_fn)
-        self.mu = EquivariantMean(hidden_type, action)  # type: ignore[assignment]
+        self.mu = EquivariantMean(hidden_type, action)
         self.log_std = EquivariantLogStd(hidden_type, action)  # type: ignore[assignment]
 
     def _get_constructor_parameters(self) -> dict[str, Any]:
@@ -142,7 +142,9 @@ class EquivariantCritic(ContinuousCritic):
         activation_fn: type[nn.Module] = nn.ReLU,
         **kwargs: Any,
     ) -> None:
-        super().__init__(net_arch=[], features_extractor=features_extractor, activation_fn=activation_fn, **kwargs)
+        super().__init__(
+            net_arch=[], features_extractor=features_extractor, activation_fn=activation_fn, **kwargs
+        )
         action = ActionFields(action_sequence, get_action_dim(self.action_space))
         in_type = regular_type(features_extractor)
         for idx in range(self.n_critics):
@@ -171,7 +173,7 @@ class EquivariantPolicy(SACPolicy):
 
     def __init__(
         self,
-        observation_space: spaces.Space,
+        observation_space: spaces.Space[Any],
         action_space: spaces.Box,
         lr_schedule: Schedule,
         net_arch: NetArch | None = None,
@@ -202,7 +204,9 @@ class EquivariantPolicy(SACPolicy):
 
     def _get_constructor_parameters(self) -> dict[str, Any]:
         data = super()._get_constructor_parameters()
-        data.update(share_features_extractor=self.share_features_extractor, action_sequence=self.action_sequence)
+        data.update(
+            share_features_extractor=self.share_features_extractor, action_sequence=self.action_sequence
+        )
         return data
 
 
