@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import argparse
-import inspect
 from pathlib import Path
 from typing import Any
 
 from stable_baselines3.common.base_class import BaseAlgorithm
 
-from zoo_configs.algorithms import register_algorithms
+from zoo_configs.algorithms import ALGORITHMS, register_algorithms
 from zoo_configs.environments import known_env_id
 from zoo_configs.errors import CommandError
 from zoo_configs.runs import Run, find_runs, load_run
+from zoo_configs.validation import constructor_keys
 
 # Schedules are of no use to a model that is not trained, and need not be loadable.
 UNUSED_OBJECTS: dict[str, Any] = {
@@ -62,8 +62,8 @@ def load_agent(run: Run, best: bool, device: str) -> tuple[BaseAlgorithm, Path]:
     if not path.is_file():
         raise CommandError(f"{run.folder} has no model yet")
     algorithm = register_algorithms()[run.cell.algo]
-    parameters = inspect.signature(algorithm.__init__).parameters
-    # An agent that only acts needs no memory.
-    buffer = {"buffer_size": 1} if "buffer_size" in parameters else {}
+    # An agent that only acts needs no memory; our buffers allocate none before their first transition.
+    takes_buffer = run.cell.algo not in ALGORITHMS and "buffer_size" in constructor_keys(algorithm)
+    buffer = {"buffer_size": 1} if takes_buffer else {}
     model: BaseAlgorithm = algorithm.load(path, device=device, custom_objects=UNUSED_OBJECTS, **buffer)
     return model, path

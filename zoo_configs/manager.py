@@ -9,12 +9,18 @@ from typing import Any
 
 from rl_zoo3.callbacks import SaveVecNormalizeCallback
 from rl_zoo3.exp_manager import ExperimentManager
-from sb3_extensions.common.checkpoint import DirectoryCheckpointCallback, resume
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback, ProgressBarCallback
 from stable_baselines3.common.vec_env import VecEnv
 
+from sb3_extensions.common.checkpoint import (
+    CheckpointError,
+    DirectoryCheckpointCallback,
+    resume,
+    save_checkpoint,
+)
 from zoo_configs.algorithms import class_from_path
+from zoo_configs.errors import CommandError
 from zoo_configs.evaluation import PeriodicEvaluation
 from zoo_configs.files import whole_file
 from zoo_configs.plan import Plan
@@ -108,7 +114,7 @@ class ZooManager(ExperimentManager):
 
     def _checkpoints(self) -> BaseCallback:
         folder = self.run.folder / CHECKPOINT_FOLDER
-        return DirectoryCheckpointCallback(self._calls(self.save_freq), folder)
+        return DirectoryCheckpointCallback(self.save_freq, folder)
 
     def _calls(self, timesteps: int) -> int:
         """How many steps of the vector environment make that many time steps."""
@@ -117,7 +123,10 @@ class ZooManager(ExperimentManager):
     def _load_pretrained_agent(self, hyperparams: dict[str, Any], env: VecEnv) -> BaseAlgorithm:
         if self.checkpoint is None:
             return super()._load_pretrained_agent(hyperparams, env)
-        return resume(self.checkpoint, env)
+        try:
+            return resume(self.checkpoint, env, self.device)
+        except CheckpointError as error:
+            raise CommandError(str(error)) from error
 
     def learn(self, model: BaseAlgorithm) -> None:
         """
@@ -133,6 +142,8 @@ class ZooManager(ExperimentManager):
                 reset_num_timesteps=self.checkpoint is None,
                 **interval,  # type: ignore[arg-type]
             )
+            if self.save_freq > 0:
+                save_checkpoint(model, self.run.folder / CHECKPOINT_FOLDER)
         except KeyboardInterrupt:
             self.interrupted = True
             self._close_progress_bars()

@@ -1,0 +1,171 @@
+"""Baseline, preset and id resolve to one valid set of hyperparameters, or to a clear error."""
+
+from __future__ import annotations
+
+import gymnasium as gym
+import numpy as np
+import pytest
+import torch as th
+
+from zoo_configs.algorithms import register_algorithms
+from zoo_configs.environments import our_env_ids, register_environments
+from zoo_configs.errors import CommandError, nearest_name
+from zoo_configs.manager import import_classes
+from zoo_configs.resolve import Cell, families, family_of, merge, resolve
+from zoo_configs.validation import check_cell, constructor_keys
+
+register_environments()
+CELLS = [
+    (baseline, preset, env_id)
+    for env_id in our_env_ids()
+    for family in families()
+    if family.serves(env_id)
+    for baseline in family.baselines
+    for preset in family.presets
+]
+PICKING = "BulletArm/CloseLoopBlockPicking-v0"
+
+
+@pytest.mark.parametrize("cell", CELLS, ids="-".join)
+def test_every_cell_is_valid(cell: tuple[str, str, str]) -> None:
+    check_cell(resolve(*cell))
+
+
+@pytest.mark.parametrize("preset", ["cpu", "paper"])
+@pytest.mark.parametrize("baseline", ["sac", "equi_sac", "sacfd", "equi_sacfd"])
+def test_every_network_runs(baseline: str, preset: str, toy_id: str) -> None:
+    cell = resolve(baseline, preset, toy_id)
+    hyperparams = {key: import_classes(value) for key, value in cell.hyperparams.items()}
+    env = gym.make(toy_id, **hyperparams.pop("env_kwargs"))
+    for key in ("n_envs", "n_timesteps", "monitor_kwargs"):
+        del hyperparams[key]
+    hyperparams["buffer_size"] = 10  # what is tested here is the network
+    model = register_algorithms()[cell.algo](env=env, seed=0, device="cpu", **hyperparams)
+    observation, _ = env.reset(seed=0)
+    action, _ = model.predict(observation, deterministic=True)
+    assert action.shape == env.action_space.shape
+    tensors, _ = model.policy.obs_to_tensor(observation)
+    values = model.critic(tensors, th.as_tensor(action)[None])
+    assert all(bool(value.isfinite().all()) for value in values)
+
+
+def test_the_paper_preset_is_the_papers() -> None:
+    """Appendix "Benchmark Details", Close-Loop Benchmark; Polyak and update schedule as its authors' code."""
+    cell = resolve("equi_sacfd", "paper", PICKING)
+    expected = {
+        "learning_rate": 1e-3,
+        "ent_coef": "auto_0.01",
+        "target_entropy": "auto",
+        "gamma": 0.99,
+        "batch_size": 64,
+        "buffer_size": 100_000,
+        "n_envs": 5,
+        "expert_episodes": 100,
+        "tau": 0.01,
+        "train_freq": 1,
+        "gradient_steps": 1,
+        "n_timesteps": 5 * 10_000,
+    }
+    assert {key: cell.hyperparams[key] for key in expected} == expected
+    assert cell.hyperparams["env_kwargs"]["obs_size"] == 128
+    assert cell.flags["eval_freq"] == 5 * 500
+    assert cell.flags["eval_episodes"] == 100
+
+
+def test_only_sacfd_imitates() -> None:
+    assert resolve("equi_sac", "cpu", PICKING).hyperparams["bc_weight"] == 0
+    assert resolve("equi_sacfd", "cpu", PICKING).hyperparams["bc_weight"] == 1
+
+
+def test_overrides_win_and_merge() -> None:
+    overrides = {"learning_rate": 0.5, "env_kwargs": {"action_sequence": "pxyz"}}
+    hyperparams = resolve("equi_sacfd", "cpu", PICKING, overrides).hyperparams
+    assert hyperparams["learning_rate"] == 0.5
+    assert hyperparams["env_kwargs"] == {"action_sequence": "pxyz", "obs_size": 64}
+
+
+def test_the_policy_follows_the_action_sequence() -> None:
+    overrides = {"env_kwargs": {"action_sequence": "xyzp"}}
+    policy_kwargs = resolve("equi_sacfd", "cpu", PICKING, overrides).hyperparams["policy_kwargs"]
+    assert policy_kwargs["action_sequence"] == "xyzp"
+
+
+def test_cells_share_nothing() -> None:
+    resolve("sacfd", "cpu", PICKING).hyperparams["env_kwargs"]["obs_size"] = 1
+    assert resolve("sacfd", "cpu", PICKING).hyperparams["env_kwargs"]["obs_size"] == 64
+
+
+@pytest.mark.parametrize(
+    ("names", "message"),
+    [
+        (("equi_sacdf", "cpu", PICKING), "unknown baseline 'equi_sacdf', did you mean 'equi_sacfd'?"),
+        (("sacfd", "papre", PICKING), "unknown preset 'papre', did you mean 'paper'?"),
+        (("sacfd", "cpu", "CartPole-v1"), "no baselines for 'CartPole-v1'"),
+    ],
+)
+def test_unknown_names_are_told(names: tuple[str, str, str], message: str) -> None:
+    with pytest.raises(CommandError) as error:
+        resolve(*names)
+    assert message in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("overrides", "message"),
+    [
+        (
+            {"learnin_rate": 1},
+            "unknown hyperparameter of sacfd 'learnin_rate', did you mean 'learning_rate'?",
+        ),
+        ({"seed": 1}, "unknown hyperparameter of sacfd 'seed'"),
+        ({"policy": "EquivarantPolicy"}, "did you mean 'EquivariantPolicy'?"),
+        ({"policy": "no_package.Policy"}, "policy 'no_package.Policy' cannot be imported"),
+        ({"policy_kwargs": {"net_arc": []}}, "did you mean 'net_arch'?"),
+        ({"policy_kwargs": {"features_extractor_kwargs": {"chanels": []}}}, "did you mean 'channels'?"),
+    ],
+)
+def test_unknown_keys_are_told(overrides: dict[str, object], message: str) -> None:
+    with pytest.raises(CommandError) as error:
+        check_cell(resolve("equi_sacfd", "cpu", PICKING, overrides))
+    assert message in str(error.value)
+
+
+def test_missing_keys_are_told() -> None:
+    with pytest.raises(CommandError, match="'n_timesteps' is missing"):
+        check_cell(Cell("sacfd", PICKING, {"policy": "MultiInputPolicy"}))
+
+
+def test_merge_copies_and_replaces_lists() -> None:
+    base = {"a": {"b": [1], "c": 2}}
+    merged = merge(base, {"a": {"b": [3]}})
+    assert merged == {"a": {"b": [3], "c": 2}}
+    assert base == {"a": {"b": [1], "c": 2}}
+
+
+def test_constructor_keys_follow_kwargs_to_the_parents() -> None:
+    class Parent:
+        def __init__(self, deep: int, hidden: int) -> None: ...
+
+    class Child(Parent):
+        def __init__(self, top: int, **kwargs: int) -> None: ...
+
+    class Closed(Child):
+        def __init__(self, only: int) -> None: ...
+
+    assert constructor_keys(Child) == {"top", "deep", "hidden"}
+    assert constructor_keys(Closed) == {"only"}
+
+
+def test_classes_are_imported_where_a_key_says_class() -> None:
+    value = {"extractor_class": "collections.OrderedDict", "name": "collections.OrderedDict"}
+    assert import_classes(value)["extractor_class"].__name__ == "OrderedDict"
+    assert import_classes(value)["name"] == "collections.OrderedDict"
+
+
+def test_nearest_name_ignores_case() -> None:
+    assert nearest_name("bulletarm/closeloopblockpicking-v0", [PICKING, "CartPole-v1"]) == PICKING
+    assert nearest_name("qqq", [PICKING]) is None
+
+
+def test_family_of_an_id() -> None:
+    assert family_of(PICKING).name == "close_loop"
+    assert np.isin(["sac", "equi_sac", "sacfd", "equi_sacfd"], list(family_of(PICKING).baselines)).all()

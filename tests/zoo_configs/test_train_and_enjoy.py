@@ -1,0 +1,210 @@
+"""The command line for real, on a quick environment: train, go on, evaluate, film."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from PIL import Image
+
+from zoo_configs.cli import main
+
+TINY = [
+    *(
+        "-n",
+        "12",
+        "--eval-freq",
+        "6",
+        "--eval-episodes",
+        "2",
+        "--save-freq",
+        "6",
+        "--seed",
+        "0",
+        "--device",
+        "cpu",
+    ),
+    *("--num-threads", "1", "--env-kwargs", "obs_size:48", "--no-progress"),
+]
+TINY_SACFD = ["-params", "expert_episodes:2", "batch_size:4", "buffer_size:100"]
+
+
+@pytest.fixture(scope="module")
+def trained(toy_id: str, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Log folder with one run of Equivariant SACfD."""
+    folder = tmp_path_factory.mktemp("logs")
+    arguments = ["train", "--baseline", "equi_sacfd", "--preset", "cpu", "--env", toy_id, "-f", str(folder)]
+    assert main([*arguments, *TINY, *TINY_SACFD]) == 0
+    return folder
+
+
+@pytest.fixture(scope="module")
+def run_folder(trained: Path) -> Path:
+    return trained / "sacfd" / "BulletArm-CloseLoopToy-v0_1"
+
+
+def test_a_run_folder_is_complete(run_folder: Path) -> None:
+    names = {path.name for path in run_folder.iterdir()}
+    models = {"BulletArm-CloseLoopToy-v0.zip", "best_model.zip", "checkpoints"}
+    reports = {"hyperparams.yml", "evaluations.npz", "learning_curve.png", "0.monitor.csv"}
+    assert names == {*models, *reports, "BulletArm-CloseLoopToy-v0"}
+
+
+def test_the_resolved_yaml_is_plain(run_folder: Path, toy_id: str) -> None:
+    content = yaml.safe_load((run_folder / "hyperparams.yml").read_text())
+    assert content["run"]["baseline"] == "equi_sacfd"
+    assert content[toy_id]["policy"] == "EquivariantPolicy"
+    assert content[toy_id]["env_kwargs"] == {"action_sequence": "pxyzr", "obs_size": 48}
+    assert content[toy_id]["batch_size"] == 4
+
+
+def test_evaluations_report_success(run_folder: Path) -> None:
+    with np.load(run_folder / "evaluations.npz") as evaluations:
+        assert evaluations["timesteps"].tolist() == [6, 12]
+        assert evaluations["successes"].shape == (2, 2)
+
+
+def test_monitor_files_report_success(run_folder: Path) -> None:
+    assert "is_success" in (run_folder / "0.monitor.csv").read_text().splitlines()[1]
+
+
+def test_success_rates_are_logged(toy_id: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    arguments = ["train", "--baseline", "sacfd", "--preset", "cpu", "--env", toy_id, "-f", str(tmp_path)]
+    assert main([*arguments, *TINY, *TINY_SACFD, "--log-interval", "1"]) == 0
+    printed = capsys.readouterr().out
+    rollout, evaluation = printed.partition("rollout/")[2], printed.partition("eval/")[2]
+    assert "success_rate" in rollout.partition("time/")[0]
+    assert "success_rate" in evaluation.partition("time/")[0]
+
+
+def test_evaluation_has_the_parameters_but_not_the_scenes_of_training(
+    toy_id: str, tmp_path: Path, toy_envs: list[object]
+) -> None:
+    arguments = ["train", "--baseline", "sac", "--preset", "cpu", "--env", toy_id, "-f", str(tmp_path)]
+    assert main([*arguments, *TINY, "-params", "expert_episodes:0", "batch_size:4", "buffer_size:100"]) == 0
+    _, *evaluation, training = sorted(toy_envs, key=lambda env: 0 in env.seeds)  # type: ignore[attr-defined]
+    assert {env.obs_size for env in toy_envs} == {48}  # type: ignore[attr-defined]
+    seeds = [seed for env in evaluation for seed in env.seeds if seed is not None]  # type: ignore[attr-defined]
+    assert training.seeds[0] == 0  # type: ignore[attr-defined]
+    assert len(set(seeds)) >= 2  # fresh scenes at each of the two evaluations
+    assert 0 not in seeds
+
+
+def test_two_runs_never_share_a_folder(trained: Path, toy_id: str) -> None:
+    from zoo_configs.runs import claim_run_folder
+
+    first = claim_run_folder(trained / "other", toy_id)
+    second = claim_run_folder(trained / "other", toy_id)
+    assert [first.name, second.name] == ["BulletArm-CloseLoopToy-v0_1", "BulletArm-CloseLoopToy-v0_2"]
+
+
+def test_claiming_survives_a_race(tmp_path: Path, toy_id: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Another process takes the number between the look and the claim."""
+    from zoo_configs import runs
+
+    (tmp_path / "BulletArm-CloseLoopToy-v0_1").mkdir()
+    monkeypatch.setattr(runs, "get_latest_run_id", lambda *_: 0)
+    assert runs.claim_run_folder(tmp_path, toy_id).name == "BulletArm-CloseLoopToy-v0_2"
+
+
+@pytest.mark.parametrize("model", ["--load-best", "--load-last"])
+def test_enjoy_ends_with_the_success_rate(
+    run_folder: Path, model: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["enjoy", str(run_folder), "-n", "4", "--device", "cpu", model]) == 0
+    last = capsys.readouterr().out.splitlines()[-1]
+    assert last in {f"success_rate={rate:.2f} episodes=4" for rate in (0, 0.25, 0.5, 0.75, 1)}
+
+
+def test_enjoy_repeats_itself(trained: Path, toy_id: str, capsys: pytest.CaptureFixture[str]) -> None:
+    arguments = ["enjoy", "--baseline", "equi_sacfd", "--env", toy_id, "-f", str(trained), "-n", "5"]
+    printed = []
+    for _ in range(2):
+        assert main([*arguments, "--device", "cpu"]) == 0
+        printed.append(capsys.readouterr().out.splitlines()[-1])
+    assert printed[0] == printed[1]
+
+
+def test_enjoy_finds_no_run_of_another_baseline(
+    trained: Path, toy_id: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["enjoy", "--baseline", "sacfd", "--env", toy_id, "-f", str(trained)]) == 2
+    assert "no such run of sacfd" in capsys.readouterr().err
+
+
+def test_record_films_the_agent(run_folder: Path, tmp_path: Path) -> None:
+    film = tmp_path / "agent.gif"
+    assert main(["record", str(run_folder), "-n", "2", "--device", "cpu", "-o", str(film)]) == 0
+    with Image.open(film) as image:
+        assert image.n_frames > 4
+        assert image.size == (640, 352)
+    assert [path.name for path in tmp_path.iterdir()] == ["agent.gif"]  # nothing half-written
+
+
+def test_record_films_the_expert(toy_id: str, tmp_path: Path) -> None:
+    film = tmp_path / "expert.mp4"
+    assert main(["record", "--expert", "--env", toy_id, "-n", "1", "-o", str(film)]) == 0
+    assert film.stat().st_size > 0
+
+
+def test_resume_goes_on_to_the_end(run_folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["train", "--resume", str(run_folder), "-n", "18", "--no-progress"]) == 0
+    with np.load(run_folder / "evaluations.npz") as evaluations:
+        assert evaluations["timesteps"].tolist() == [6, 12, 18]
+    assert str(run_folder) in capsys.readouterr().out
+    assert len(list(run_folder.parent.glob("*_[0-9]"))) == 1
+
+
+def test_a_stock_algorithm_trains(tmp_path: Path) -> None:
+    arguments = ["train", "--algo", "sac", "--env", "Pendulum-v1", "-f", str(tmp_path), "-n", "20"]
+    assert main([*arguments, "--eval-freq", "-1", "--no-progress", "--env-kwargs", "g:9.0"]) == 0
+    content = yaml.safe_load((tmp_path / "sac" / "Pendulum-v1_1" / "hyperparams.yml").read_text())
+    assert content["Pendulum-v1"]["env_kwargs"] == {"g": 9.0}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["tarin"], "unknown command 'tarin', did you mean 'train'?"),
+        (["train", "--baseline", "sacfd", "--env", "BulletArm/CloseLopToy-v0"], "CloseLoopToy-v0'?"),
+        (["train", "--baseline", "safcd"], "name an environment"),
+        (["train", "--baseline", "safcd", "--env", "TOY"], "unknown baseline 'safcd', did you mean 'sacfd'?"),
+        (
+            ["train", "--baseline", "sacfd", "--algo", "ppo", "--env", "TOY"],
+            "trained by --algo sacfd, not ppo",
+        ),
+        (["train", "--baseline", "sacfd", "--preset", "cpuu", "--env", "TOY"], "did you mean 'cpu'?"),
+        (["train", "--algo", "pp0", "--env", "TOY"], "unknown algorithm 'pp0', did you mean 'ppo'?"),
+        (["train", "--algo", "sacfd", "--env", "TOY", "-params", "gama:1"], "did you mean 'gamma'?"),
+        (["train", "--algo", "sacfd", "--env", "TOY", "-params", "gamma:x"], "-params takes key:value"),
+        (["train", "--algo", "sacfd", "--env", "TOY", "--env-kwargs", "obs_size:8"], "at least 48, got 8"),
+        (["train", "--algo", "ppo", "--conf-file", "none.yml", "--env", "TOY"], "takes a YAML file"),
+        (["train", "--resume", "nowhere"], "nowhere is no run folder"),
+        (["enjoy"], "name a run folder"),
+        (["record", "--expert"], "--expert needs --env"),
+        (["record", "--expert", "--env", "Pendulum-v1"], "has no expert"),
+    ],
+)
+def test_errors_are_one_clear_line(
+    arguments: list[str],
+    message: str,
+    toy_id: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main([toy_id if word == "TOY" else word for word in arguments]) == 2
+    printed = capsys.readouterr()
+    assert message in printed.err
+    assert printed.err.startswith(f"bulletarm-zoo {arguments[0]}: error: ")
+    assert len(printed.err.splitlines()) == 1
+    assert not list(tmp_path.iterdir())  # no run folder left behind
+
+
+def test_help_names_every_command(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([]) == 0
+    printed = capsys.readouterr().out
+    assert all(name in printed for name in ("train", "enjoy", "record", "speed", "list"))

@@ -1,0 +1,98 @@
+"""``bulletarm-zoo list``: environments with their spaces and parameters, or baselines and presets."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from typing import Any
+
+import gymnasium as gym
+from gymnasium import spaces
+
+from zoo_configs.environments import known_env_id, our_env_ids, register_environments
+from zoo_configs.tables import print_table
+
+DESCRIPTION = """List environments with their spaces; with --env the parameters of one; with --baselines the
+baselines and presets that train takes."""
+
+
+def main(argv: Sequence[str]) -> None:
+    """
+    Run the command.
+
+    :param argv: Its arguments
+    :raises CommandError: for an unknown id
+    """
+    args = _parse(argv)
+    register_environments()
+    if args.baselines:
+        _list_baselines(args.markdown)
+    elif args.env is not None:
+        _list_parameters(known_env_id(args.env), args.markdown)
+    else:
+        _list_environments(args.markdown)
+
+
+def _parse(argv: Sequence[str]) -> argparse.Namespace:
+    parser = argparse.ArgumentParser("bulletarm-zoo list", description=DESCRIPTION)
+    add = parser.add_argument
+    add("--env", help="id of an environment: list its parameters and their defaults")
+    add("--baselines", action="store_true", help="list baselines and presets")
+    add("--markdown", action="store_true", help="print tables for a Markdown page")
+    return parser.parse_args(argv)
+
+
+def _list_environments(markdown: bool) -> None:
+    rows = []
+    for env_id in our_env_ids():
+        env = gym.make(env_id)
+        parameters = _parameters(env)
+        limits = [str(parameters.get(name, "")) for name in ("num_objects", "max_steps")]
+        shapes = [_describe(space, bounds=False) for space in (env.observation_space, env.action_space)]
+        rows.append([env_id, *shapes, *limits])
+        env.close()
+    print_table(["environment", "observation", "action", "objects", "max steps"], rows, markdown, wrap=True)
+
+
+def _list_parameters(env_id: str, markdown: bool) -> None:
+    env = gym.make(env_id)
+    print(
+        f"{env_id}\nobservation: {_describe(env.observation_space)}\naction: {_describe(env.action_space)}\n"
+    )
+    rows = [[name, repr(value)] for name, value in _parameters(env).items()]
+    env.close()
+    print_table(["parameter", "default"], rows, markdown, wrap=True)
+
+
+def _list_baselines(markdown: bool) -> None:
+    from zoo_configs.resolve import families
+
+    for family in families():
+        print(f"{family.envs}, presets {' and '.join(family.presets)}\n")
+        rows = [
+            [name, row["algo"], row["policy"], _settings(row.get("hyperparams", {}))]
+            for name, row in family.baselines.items()
+        ]
+        print_table(
+            ["baseline", "--algo", "network", "hyperparameters of its own"], rows, markdown, wrap=True
+        )
+
+
+def _parameters(env: gym.Env[Any, Any]) -> dict[str, Any]:
+    """Parameters of one of our environments, with the values it has."""
+    config: Any = getattr(env.unwrapped, "config", None)
+    return dict(config.parameters()) if config is not None else {}
+
+
+def _settings(hyperparams: dict[str, Any]) -> str:
+    return ", ".join(f"{name}={value}" for name, value in hyperparams.items())
+
+
+def _describe(space: spaces.Space[Any], bounds: bool = True) -> str:
+    """Shapes in a line, with the bounds of boxes where asked for."""
+    if isinstance(space, spaces.Dict):
+        return ", ".join(f"{name} {_describe(part, bounds)}" for name, part in space.items())
+    if not isinstance(space, spaces.Box):
+        return str(space)
+    limits = f" in [{space.low.min():g}, {space.high.max():g}]" if bounds else ""
+    return f"{'x'.join(map(str, space.shape))}{limits}"

@@ -1,0 +1,146 @@
+"""``bulletarm-zoo speed``: steps a second with the expert, and what they are spent on."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections.abc import Iterator, Sequence
+from importlib import resources
+from pathlib import Path
+from typing import NamedTuple
+
+from zoo_configs.environments import known_env_id, our_env_ids, register_environments
+from zoo_configs.machine import describe_machine
+from zoo_configs.throughput import (
+    ReferenceRate,
+    Throughput,
+    load_reference,
+    measure_env,
+)
+
+DESCRIPTION = """Measure steps a second with the expert in one process, split into physics (the engine's
+steps), rendering (heightmaps) and the rest. The yardstick is plain PyBullet, on this machine at this hour."""
+SHIPPED_REFERENCE = "data/reference_rates.csv"
+COLUMNS = (
+    "environment",
+    "yardstick us",
+    "steps/s",
+    "ms/step",
+    "physics",
+    "rendering",
+    "rest",
+    "reset ms",
+    "expert",
+)
+COMPARISON_COLUMNS = ("reference steps/s", "ratio")
+
+
+class Row(NamedTuple):
+    """
+    One environment of the table.
+
+    :param ours: What was measured
+    :param reference: What it is compared with, if anything
+    """
+
+    ours: Throughput
+    reference: ReferenceRate | None
+
+    @property
+    def ratio(self) -> float | None:
+        """How many times as fast as the reference, scaled by the yardsticks."""
+        if self.reference is None:
+            return None
+        return self.ours.steps_per_second / self.reference.scaled_to(self.ours.yardstick)
+
+
+def main(argv: Sequence[str]) -> None:
+    """
+    Run the command.
+
+    :param argv: Its arguments
+    :raises CommandError: for an unknown id, or a file that is no reference
+    """
+    args = _parse(argv)
+    register_environments()
+    env_ids = [known_env_id(env_id) for env_id in args.env] or our_env_ids()
+    reference = load_reference(args.reference) if args.reference else {}
+    print(describe_machine())
+    rows: list[Row] = []
+    try:
+        for ours in _measure(env_ids, args.seconds, args.seed):
+            rows.append(Row(ours, reference.get(ours.env_id)))
+    finally:  # after Ctrl-C, too, with what there is
+        _print(rows, args.markdown)
+
+
+def _parse(argv: Sequence[str]) -> argparse.Namespace:
+    shipped = Path(str(resources.files("zoo_configs") / SHIPPED_REFERENCE))
+    parser = argparse.ArgumentParser("bulletarm-zoo speed", description=DESCRIPTION)
+    add = parser.add_argument
+    add("--env", nargs="+", default=[], help="environment ids (default: all)")
+    add("--seconds", type=float, default=5.0, help="how long to measure each (default: 5)")
+    add("--seed", type=int, default=0, help="seed of the first episode (default: 0)")
+    help_text = "CSV to compare with (default where no file is named: the earlier implementation's rates)"
+    add("--reference", type=Path, nargs="?", const=shipped, metavar="FILE", help=help_text)
+    add("--markdown", action="store_true", help="print a table for a Markdown page")
+    args = parser.parse_args(argv)
+    if not args.seconds > 0:
+        parser.error(f"--seconds must be positive, got {args.seconds}")
+    return args
+
+
+def _measure(env_ids: Sequence[str], seconds: float, seed: int) -> Iterator[Throughput]:
+    from tqdm import tqdm
+
+    with tqdm(
+        total=seconds * len(env_ids), disable=None, bar_format="{desc}: {percentage:.0f}%|{bar}|"
+    ) as bar:
+        for env_id in env_ids:
+            bar.set_description(env_id)
+            yield measure_env(env_id, seconds, seed, bar.update)
+
+
+def _print(rows: Sequence[Row], markdown: bool) -> None:
+    from zoo_configs.tables import print_table
+
+    if not rows:
+        return
+    columns = [
+        "environment",
+        "yardstick us",
+        "steps/s",
+        "ms/step",
+        "physics",
+        "rendering",
+        "rest",
+        "reset ms",
+        "expert",
+    ]
+    cells = [_cells(row.ours) for row in rows]
+    if any(row.reference for row in rows):
+        columns += COMPARISON_COLUMNS
+        cells = [line + _comparison(row) for line, row in zip(cells, rows, strict=True)]
+    print_table(columns, cells, markdown)
+    ratios = [row.ratio for row in rows if row.ratio is not None]
+    if ratios:
+        mean = math.exp(sum(map(math.log, ratios)) / len(ratios))
+        print(f"ratio: geometric mean {mean:.1f}, least {min(ratios):.1f}")
+
+
+def _cells(ours: Throughput) -> list[str]:
+    times = (ours.step_ms, ours.physics_ms, ours.rendering_ms, ours.rest_ms)
+    return [
+        ours.env_id,
+        f"{ours.yardstick.step_us:.1f}",
+        f"{ours.steps_per_second:.0f}",
+        *(f"{time:.2f}" for time in times),
+        f"{ours.reset_ms:.1f}",
+        f"{ours.success_rate:.2f} of {ours.episodes}",
+    ]
+
+
+def _comparison(row: Row) -> list[str]:
+    if row.reference is None:
+        return ["", ""]
+    return [f"{row.reference.scaled_to(row.ours.yardstick):.1f}", f"{row.ratio:.1f}"]

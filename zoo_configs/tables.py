@@ -1,0 +1,33 @@
+"""Tables in the terminal and in Markdown."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+UNLIMITED = 1000  # characters, wider than any table of numbers
+
+
+def print_table(
+    columns: Sequence[str], rows: Sequence[Sequence[str]], markdown: bool = False, wrap: bool = False
+) -> None:
+    """
+    Print a table.
+
+    :param columns: Heads of the columns
+    :param rows: One cell a column
+    :param markdown: Whether to print Markdown
+    :param wrap: Whether cells are text, aligned left and wrapped to the terminal's width, not numbers
+    """
+    if markdown:
+        rules = ["---", *["---" if wrap else "---:"] * (len(columns) - 1)]
+        print("\n".join(f"| {' | '.join(cells)} |" for cells in (columns, rules, *rows)))
+        return
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(box=None, pad_edge=False)
+    for index, column in enumerate(columns):
+        table.add_column(column, justify="left" if wrap or index == 0 else "right", no_wrap=index == 0)
+    for cells in rows:
+        table.add_row(*cells)
+    Console(width=None if wrap else UNLIMITED).print(table)

@@ -1,0 +1,208 @@
+"""How fast environments step, and what the time goes to."""
+
+from __future__ import annotations
+
+import csv
+import importlib
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+
+from zoo_configs.errors import CommandError
+from zoo_configs.machine import Yardstick, measure_yardstick
+
+# What is timed inside a step: module, class (None: the module itself), function.
+PHYSICS = ("pybullet", None, "stepSimulation")
+RENDERING = ("bulletarm_gym.sensors.heightmap", "HeightmapSensor", "heights")
+
+REFERENCE_FIELDS = ("env_id", "yardstick_step_us", "yardstick_render_ms", "steps_per_second", "reset_ms")
+
+
+@dataclass(frozen=True)
+class Throughput:
+    """
+    Speed of one environment in one process, its expert included. Times are in milliseconds.
+
+    :param env_id: Id of the environment
+    :param yardstick: The machine's speed at that hour
+    :param steps: Steps measured
+    :param episodes: Episodes measured
+    :param success_rate: Share of them that the expert solved
+    :param step_ms: A step with the expert's choice of action
+    :param physics_ms: Of that, simulation steps of the engine
+    :param rendering_ms: Of that, drawing heightmaps
+    :param reset_ms: A reset
+    """
+
+    env_id: str
+    yardstick: Yardstick
+    steps: int
+    episodes: int
+    success_rate: float
+    step_ms: float
+    physics_ms: float
+    rendering_ms: float
+    reset_ms: float
+
+    @property
+    def steps_per_second(self) -> float:
+        """Steps a second, resets not counted."""
+        return 1e3 / self.step_ms
+
+    @property
+    def rest_ms(self) -> float:
+        """What is neither physics nor rendering."""
+        return self.step_ms - self.physics_ms - self.rendering_ms
+
+
+def measure_env(env_id: str, seconds: float, seed: int, on_episode: Callable[[float], Any]) -> Throughput:
+    """
+    Let the expert act for a while.
+
+    :param env_id: Id of the environment, with its default parameters
+    :param seconds: How long; whole episodes are played until it is over
+    :param seed: Seed of the first episode; each has the next
+    :param on_episode: Called after each episode with the seconds it took
+    :return: What was measured
+    :raises CommandError: if the environment has no expert
+    """
+    yardstick = measure_yardstick()
+    with _timed(*PHYSICS) as physics, _timed(*RENDERING) as rendering:
+        env = gym.make(env_id)
+        try:
+            if not hasattr(env.unwrapped, "expert_action"):
+                raise CommandError(f"{env_id} has no expert")
+            _Meter(env, physics, rendering).play(seed)  # fills caches, compiles
+            meter = _Meter(env, physics, rendering)
+            while (before := meter.seconds) < seconds:
+                meter.play(seed + 1 + meter.episodes)
+                on_episode(meter.seconds - before)
+        finally:
+            env.close()
+    return meter.result(env_id, yardstick)
+
+
+class _Timer:
+    """Seconds spent in a function so far."""
+
+    def __init__(self) -> None:
+        self.seconds = 0.0
+
+
+class _Meter:
+    """Plays episodes and adds up what they take."""
+
+    def __init__(self, env: gym.Env[Any, Any], physics: _Timer, rendering: _Timer) -> None:
+        self.env, self.physics, self.rendering = env, physics, rendering
+        self.stepping = self.resetting = self.step_physics = self.step_rendering = 0.0  # s
+        self.steps = self.episodes = self.successes = 0
+
+    @property
+    def seconds(self) -> float:
+        return self.stepping + self.resetting
+
+    def play(self, seed: int) -> None:
+        start = time.perf_counter()
+        self.env.reset(seed=seed)
+        begin = time.perf_counter()
+        physics, rendering = self.physics.seconds, self.rendering.seconds
+        expert: Any = self.env.unwrapped
+        over = False
+        while not over:
+            _, _, terminated, truncated, info = self.env.step(expert.expert_action())
+            over = terminated or truncated
+            self.steps += 1
+        self.stepping += time.perf_counter() - begin
+        self.resetting += begin - start
+        self.step_physics += self.physics.seconds - physics
+        self.step_rendering += self.rendering.seconds - rendering
+        self.episodes += 1
+        self.successes += bool(info["is_success"])
+
+    def result(self, env_id: str, yardstick: Yardstick) -> Throughput:
+        per_step = 1e3 / self.steps  # ms
+        return Throughput(
+            env_id=env_id,
+            yardstick=yardstick,
+            steps=self.steps,
+            episodes=self.episodes,
+            success_rate=self.successes / self.episodes,
+            step_ms=self.stepping * per_step,
+            physics_ms=self.step_physics * per_step,
+            rendering_ms=self.step_rendering * per_step,
+            reset_ms=self.resetting * 1e3 / self.episodes,
+        )
+
+
+@contextmanager
+def _timed(module: str, owner: str | None, function: str) -> Iterator[_Timer]:
+    """Put a timer around a function; environments made in the block call it through the timer."""
+    holder: Any = importlib.import_module(module)
+    holder = holder if owner is None else getattr(holder, owner)
+    plain = getattr(holder, function)
+    timer = _Timer()
+
+    def timed(*args: Any, **kwargs: Any) -> Any:
+        start = time.perf_counter()
+        try:
+            return plain(*args, **kwargs)
+        finally:
+            timer.seconds += time.perf_counter() - start
+
+    setattr(holder, function, timed)
+    try:
+        yield timer
+    finally:
+        setattr(holder, function, plain)
+
+
+@dataclass(frozen=True)
+class ReferenceRate:
+    """
+    Speed of another implementation, with the yardstick of the hour it was measured in.
+
+    :param yardstick: The machine's speed then
+    :param steps_per_second: Steps a second with its expert, resets not counted
+    :param reset_ms: A reset, in milliseconds
+    """
+
+    yardstick: Yardstick
+    steps_per_second: float
+    reset_ms: float
+
+    def scaled_to(self, yardstick: Yardstick) -> float:
+        """
+        Steps a second to be expected of it at another hour.
+
+        :param yardstick: The machine's speed at that hour
+        :return: Steps a second, scaled by the simulation step
+        """
+        return self.steps_per_second * self.yardstick.step_us / yardstick.step_us
+
+
+def load_reference(path: Path) -> dict[str, ReferenceRate]:
+    """
+    Read reference rates.
+
+    :param path: CSV with the columns of ``REFERENCE_FIELDS``
+    :return: The rates by id
+    :raises CommandError: if the file is missing or has other columns
+    """
+    try:
+        with path.open(encoding="utf-8", newline="") as file:
+            return {row["env_id"]: _reference_rate(row) for row in csv.DictReader(file)}
+    except (OSError, KeyError, TypeError, ValueError) as error:
+        columns = ",".join(REFERENCE_FIELDS)
+        raise CommandError(
+            f"--reference takes a CSV with the columns {columns}; {path}: {error!r}"
+        ) from error
+
+
+def _reference_rate(row: dict[str, str]) -> ReferenceRate:
+    yardstick = Yardstick(float(row["yardstick_step_us"]), float(row["yardstick_render_ms"]))
+    return ReferenceRate(yardstick, float(row["steps_per_second"]), float(row["reset_ms"]))
