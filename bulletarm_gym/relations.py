@@ -2,8 +2,8 @@
 
 from bulletarm_gym.scene import Item, Scene
 
-TOUCHING = 1e-3
-"""Gap (m) up to which two items touch."""
+TOUCHING = 2e-3
+"""Gap (m) up to which two items touch: what a collision leaves between them when they come to rest."""
 
 
 def touching(scene: Scene, first: Item, second: Item) -> bool:

@@ -122,8 +122,8 @@ class CloseLoop:
         excess = max(*(abs(part) / MAX_TRANSLATION for part in way), abs(turn) / MAX_ROTATION)
         scale = 1.0 / excess if waypoint.straight and excess > 1.0 else 1.0
         x, y, z = (min(max(part * scale, -MAX_TRANSLATION), MAX_TRANSLATION) for part in way)
-        arrives = (
-            excess * ARRIVED <= 1.0 or ("r" not in self._sequence and max(map(abs, way)) <= MAX_TRANSLATION)
+        arrives = excess * ARRIVED <= 1.0 or (
+            "r" not in self._sequence and max(map(abs, way)) <= MAX_TRANSLATION
         )
         opening = waypoint.finish if arrives and waypoint.finish is not None else waypoint.gripper
         return DeltaMove(opening, (x, y, z), min(max(turn, -MAX_ROTATION), MAX_ROTATION))

@@ -33,7 +33,7 @@ class ParallelJaw:
     palm: Vector = (0.125, 0.055, 0.06)
     finger: Vector = (0.012, 0.019, 0.09)
     force: float = 30.0
-    speed: float = 0.6
+    speed: float = 0.4
     friction: float = 1.5
 
     @property

@@ -23,8 +23,12 @@ from bulletarm_gym.simulation.motion import (
 
 REFERENCE_DISTANCE = 0.05
 """The close-loop step (m; paper, Close-Loop 4D Benchmark) ..."""
-REFERENCE_STEPS = 24
-"""... and the simulation steps it takes: 0.1 s."""
+FREE_STEPS = 24
+"""... the simulation steps it takes where nothing is in the way ..."""
+CARRYING_STEPS = 16
+"""... with something in the gripper ..."""
+CAREFUL_STEPS = 48
+"""... and where something may be pushed: it slows down by 3 m/s^2 at most, so friction keeps blocks at the gripper."""
 LEAST_STEPS = 6
 TURNING_RADIUS = 0.06
 """Lever (m) at which a turn about the tool counts as distance: half an open gripper and its fingers."""
@@ -154,10 +158,12 @@ class Robot:
         )
         if distance < POSITION_TOLERANCE:
             return
-        if self.fast and self._is_clear(start, pose, goal, distance):
+        clear = self._is_clear(start, pose, goal, distance)
+        if clear and self.fast:
             self._place(self._arm, goal)
             return
-        steps = motion_steps(distance, REFERENCE_DISTANCE, REFERENCE_STEPS, LEAST_STEPS)
+        pace = FREE_STEPS if clear else CAREFUL_STEPS if self.held is None else CARRYING_STEPS
+        steps = motion_steps(distance, REFERENCE_DISTANCE, pace, LEAST_STEPS)
         follow(self._world, self._arm, goal, round(steps * self._world.physics.pace))
         self._finish()
 

@@ -10,20 +10,21 @@ from bulletarm_gym.geometry import FloatArray
 from bulletarm_gym.simulation.world import Body, World
 
 RISE = 0.25
-"""Share of a motion spent speeding up. Slowing down takes the rest, gently enough (about 1 g for the quickest 5 cm move)
-that friction keeps a pushed block at the gripper."""
+"""Share of a motion spent speeding up. Slowing down takes the rest, so that what is pushed stays at the gripper."""
 MAX_LAG = 0.03
 """A joint (rad) that stays this far behind its trajectory is blocked: a centimetre or two at the fingertips."""
 LAG_CHECK = 4
 """Simulation steps between two looks at the lag."""
-STALL_SPEED = 2e-3
-"""Speed (m/s) below which a finger no longer moves."""
+STALL_PROGRESS = 1e-4
+"""A finger that comes less than this (m) closer to its goal in one step (24 mm/s) is stopped by something."""
 FINGER_TOLERANCE = 2e-4
 """Distance (m) at which a finger has arrived."""
 FINGER_LIMIT = 60
 """Most simulation steps a gripper motion takes."""
-FINGER_START = 3
+FINGER_START = 2
 """Simulation steps a finger is given to get going."""
+SETTLING_STEPS = 3
+"""Simulation steps a stopped finger is given to press."""
 
 
 @dataclass(frozen=True)
@@ -93,7 +94,7 @@ def follow(world: World, group: JointGroup, goal: Sequence[float], steps: int) -
 
 def _lag(world: World, group: JointGroup, target: Sequence[float]) -> float:
     states = world.client.getJointStates(group.body.id, group.joints)
-    return max(abs(state[0] - goal) for state, goal in zip(states, target, strict=True))
+    return float(max(abs(state[0] - goal) for state, goal in zip(states, target, strict=True)))
 
 
 def send_fingers(world: World, group: JointGroup, goal: float, speed: float) -> None:
@@ -114,13 +115,14 @@ def send_fingers(world: World, group: JointGroup, goal: float, speed: float) -> 
 def drive_fingers(world: World, group: JointGroup, goal: float, speed: float) -> None:
     """Step until the fingers arrive or what is between them stops them."""
     send_fingers(world, group, goal, speed)
+    left = math.inf
     for number in range(FINGER_LIMIT):
         world.client.stepSimulation()
         states = world.client.getJointStates(group.body.id, group.joints)
-        arrived = all(abs(state[0] - goal) < FINGER_TOLERANCE for state in states)
-        stalled = number >= FINGER_START and all(abs(state[1]) < STALL_SPEED for state in states)
-        if arrived or stalled:
-            return
+        before, left = left, max(abs(state[0] - goal) for state in states)
+        if left < FINGER_TOLERANCE or (number >= FINGER_START and before - left < STALL_PROGRESS):
+            break
+    world.step(SETTLING_STEPS)
 
 
 def motion_steps(distance: float, reference_distance: float, reference_steps: int, least: int) -> int:

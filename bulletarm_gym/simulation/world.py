@@ -22,7 +22,8 @@ TIME_STEP = 1.0 / 240.0
 """Seconds a simulation step, as in the original BulletArm release."""
 GRAVITY = -10.0
 """Acceleration (m/s^2) along z, as in the original BulletArm release."""
-RESIDUAL_THRESHOLD = 1e-7
+RESIDUAL_THRESHOLD = 1e-5
+"""Squared change of the impulses at which the solver stops before its last iteration."""
 REST_SPEED = 0.01
 """A body slower than this (m/s at its rim) rests: at 240 Hz gravity alone adds four times as much in one step."""
 REST_RIM = 0.05

@@ -11,7 +11,7 @@ from bulletarm_gym.objects import flat_block
 from bulletarm_gym.placement import scatter
 from bulletarm_gym.relations import touching
 from bulletarm_gym.scene import Item, Role, Scene
-from bulletarm_gym.tasks.task import OPEN, Task, Waypoint
+from bulletarm_gym.tasks.task import HALF_OPEN, Task, Waypoint
 
 YAW_SPREAD = math.pi / 2.0
 BORDER = 0.85
@@ -110,10 +110,10 @@ class Pull:
         if not self._is_behind:
             if not self._is_over_start:
                 if self._hand.z < ABOVE - 0.04:
-                    yield Waypoint(Pose.planar(self._hand.x, self._hand.y, ABOVE, self._hand.yaw), OPEN)
-                yield Waypoint(Pose.planar(*self._start, ABOVE, self._yaw), OPEN)
-            yield Waypoint(Pose.planar(*self._start, LOW, self._yaw), OPEN)
-        yield Waypoint(Pose.planar(self._goal.x, self._goal.y, LOW, self._yaw), OPEN, straight=True)
+                    yield Waypoint(Pose.planar(self._hand.x, self._hand.y, ABOVE, self._hand.yaw), HALF_OPEN)
+                yield Waypoint(Pose.planar(*self._start, ABOVE, self._yaw), HALF_OPEN)
+            yield Waypoint(Pose.planar(*self._start, LOW, self._yaw), HALF_OPEN)
+        yield Waypoint(Pose.planar(self._goal.x, self._goal.y, LOW, self._yaw), HALF_OPEN, straight=True)
 
 
 def _distance_outside(point: tuple[float, float], workspace: list[list[float]]) -> float:

@@ -12,6 +12,7 @@ from bulletarm_gym.geometry import Pose
 from bulletarm_gym.scene import Item, Role, Scene
 
 OPEN = 1.0
+HALF_OPEN = 0.5
 CLOSED = 0.0
 
 
