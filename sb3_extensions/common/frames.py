@@ -92,30 +92,32 @@ class PinnedRing:
 
 class FrameStore:
     """
-    Observations of a Dict space. Floating-point images (boxes with three axes and finite bounds) are kept as
+    Observations, each a dictionary of arrays. Floating-point images (boxes with three axes and finite bounds) are kept as
     integers over their bounds, everything else in the type of its space (float64 as float32).
 
     Nothing is allocated before :meth:`allocate`.
 
-    :param observation_space: Dict space of Box spaces
+    :param boxes: Box space of each part of an observation
     :param capacity: number of observations
     :param min_ring: number of places that pinned observations must leave to others
     :param dtype: type of quantised images, ``"uint8"`` or ``"uint16"``
-    :raises ValueError: if the space is something else
+    :raises ValueError: if a space is something else
     """
 
     def __init__(
-        self, observation_space: spaces.Dict, capacity: int, min_ring: int, dtype: npt.DTypeLike = "uint8"
+        self,
+        boxes: dict[str, spaces.Space[Any]],
+        capacity: int,
+        min_ring: int,
+        dtype: npt.DTypeLike = "uint8",
     ) -> None:
-        if not isinstance(observation_space, spaces.Dict):
-            raise ValueError(f"the observation space must be a Dict of Box spaces, got {observation_space}")
         self.ring = PinnedRing(capacity, min_ring)
         self.data: dict[str, npt.NDArray[Any]] = {}
         self._quantisers: dict[str, Quantiser] = {}
         self._layout: dict[str, tuple[tuple[int, ...], np.dtype[Any]]] = {}
-        for key, space in observation_space.spaces.items():
+        for key, space in boxes.items():
             if not isinstance(space, spaces.Box):
-                raise ValueError(f"the observation space must be a Dict of Box spaces, {key!r} is {space}")
+                raise ValueError(f"observations must be of Box spaces, {key!r} is of {space}")
             self._add_key(key, space, np.dtype(dtype))
 
     def _add_key(self, key: str, space: spaces.Box, image_dtype: np.dtype[Any]) -> None:

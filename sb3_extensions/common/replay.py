@@ -1,4 +1,4 @@
-"""Replay for Dict observations: a flat table of transitions over a store of frames."""
+"""Replay of observations with images: a flat table of transitions over a store of frames."""
 
 from __future__ import annotations
 
@@ -23,12 +23,15 @@ logger = logging.getLogger(__name__)
 FRAMES_PER_TRANSITION = 1.09
 NO_ROW = -1  # in the column of successors: the episode ends here, or its next transition has not come yet
 
+KEY = "observation"  # under which the only entry of an observation that is no Dict is stored
+
 Observations = dict[str, npt.NDArray[Any]]
+AnyObservations = npt.NDArray[Any] | Observations
 
 
 class FrameReplayBufferSamples(NamedTuple):
     """
-    Stable-Baselines3's ``DictReplayBufferSamples``, and what demonstrations and prioritized replay add to it.
+    Stable-Baselines3's ``(Dict)ReplayBufferSamples``, and what demonstrations and prioritized replay add.
 
     All tensors but the observations are of shape (batch, 1) or (batch, action dimensions). ``dones`` is 1
     only where the episode terminated: a timeout bootstraps. ``discounts`` multiplies the value of
@@ -36,9 +39,9 @@ class FrameReplayBufferSamples(NamedTuple):
     ``weights`` are importance weights, ``indices`` (numpy, shape (batch,)) the rows of the table.
     """
 
-    observations: TensorDict
+    observations: TensorDict | th.Tensor
     actions: th.Tensor
-    next_observations: TensorDict
+    next_observations: TensorDict | th.Tensor
     dones: th.Tensor
     rewards: th.Tensor
     discounts: th.Tensor | None
@@ -49,20 +52,21 @@ class FrameReplayBufferSamples(NamedTuple):
 
 class FrameReplayBuffer(ReplayBuffer):
     """
-    Replay buffer for Dict observations that stores every observation once.
+    Replay buffer that stores every observation once.
 
     A transition refers to its two observations by number, and the next observation of a step is the
     observation of the step after it; only the last observation of an episode takes a place of its own. Images
     of floating-point numbers are stored as integers over the bounds of their space (error at most half a
-    step, see :class:`~sb3_extensions.common.quantisation.Quantiser`). It takes the place of
-    ``DictReplayBuffer`` in SAC, TQC, CrossQ and others: ``SAC(..., replay_buffer_class=FrameReplayBuffer)``.
+    step, see :class:`~sb3_extensions.common.quantisation.Quantiser`). It takes the place of ``ReplayBuffer``
+    and ``DictReplayBuffer`` in SAC, TQC, CrossQ and others:
+    ``SAC(..., replay_buffer_class=FrameReplayBuffer)``.
 
     The arrays are allocated, and their size is logged and compared with the free memory, at the first
     :meth:`add`. Where episodes are so short that the frames run out before the table is full, the oldest
     transitions are dropped early; give a larger ``frames_per_transition`` then (2 is always enough).
 
     :param buffer_size: number of transitions, of all environments together
-    :param observation_space: Dict space of Box spaces
+    :param observation_space: Box space, or Dict space of Box spaces
     :param action_space: action space
     :param device: PyTorch device of the samples
     :param n_envs: number of parallel environments
@@ -80,7 +84,7 @@ class FrameReplayBuffer(ReplayBuffer):
     def __init__(
         self,
         buffer_size: int,
-        observation_space: spaces.Dict,
+        observation_space: spaces.Space[Any],
         action_space: spaces.Space[Any],
         device: th.device | str = "auto",
         n_envs: int = 1,
@@ -112,7 +116,9 @@ class FrameReplayBuffer(ReplayBuffer):
         self.gamma = gamma
         # A step links its rows to those of the step before: the two must never share a row or a frame.
         n_frames = int(buffer_size * frames_per_transition) + 2 * n_envs
-        self.frames = FrameStore(observation_space, n_frames, 3 * n_envs, image_dtype)
+        self._is_dict = isinstance(observation_space, spaces.Dict)
+        keyed = observation_space if isinstance(observation_space, spaces.Dict) else {KEY: observation_space}
+        self.frames = FrameStore(dict(keyed.items()), n_frames, 3 * n_envs, image_dtype)
         self.rows = PinnedRing(buffer_size, 2 * n_envs)
         self.table: dict[str, npt.NDArray[Any]] = {}
         # Of the latest add(): next observations, their frames, and rows (NO_ROW where the episode ended)
@@ -172,10 +178,10 @@ class FrameReplayBuffer(ReplayBuffer):
         for name, (shape, dtype) in columns.items():
             self.table[name] = np.zeros((self.rows.capacity, *shape), dtype=dtype)
 
-    def add(  # type: ignore[override]
+    def add(
         self,
-        obs: Observations,
-        next_obs: Observations,
+        obs: AnyObservations,
+        next_obs: AnyObservations,
         action: npt.NDArray[Any],
         reward: npt.NDArray[np.float32],
         done: npt.NDArray[np.bool_],
@@ -193,6 +199,7 @@ class FrameReplayBuffer(ReplayBuffer):
         """
         if not self.table:
             self._allocate()
+        obs, next_obs = self._as_dict(obs), self._as_dict(next_obs)
         continues = self._continues(obs)
         frames = np.where(continues, self._latest_frames, 0)
         if not continues.all():
@@ -216,6 +223,9 @@ class FrameReplayBuffer(ReplayBuffer):
         self._drop_rows_without_frames()
         self.pos = self.rows.end % self.buffer_size
         self.full = len(self.rows) == self.buffer_size
+
+    def _as_dict(self, obs: AnyObservations) -> Observations:
+        return obs if isinstance(obs, dict) else {KEY: obs}
 
     def _continues(self, obs: Observations) -> npt.NDArray[np.bool_]:
         """Whether each observation is the one its environment's latest transition ended with, (n_envs,)."""
@@ -264,12 +274,12 @@ class FrameReplayBuffer(ReplayBuffer):
         last_slots, rewards, discounts = self._n_step_returns(batch_inds, env)
         # Both observations in one pass.
         frames = np.concatenate([self.table["frame"][slots], self.table["next_frame"][last_slots]])
-        images = {key: self.to_torch(array, copy=False) for key, array in self._read(frames, env).items()}
+        observations, next_observations = self._observations(frames, env, batch_size)
         weights = np.ones(batch_size, dtype=np.float32) if weights is None else weights
         return FrameReplayBufferSamples(
-            observations={key: tensor[:batch_size] for key, tensor in images.items()},
+            observations=observations,
             actions=self.to_torch(self.table["action"][slots], copy=False),
-            next_observations={key: tensor[batch_size:] for key, tensor in images.items()},
+            next_observations=next_observations,
             dones=self._column(self.table["done"][last_slots]),
             rewards=self._column(rewards),
             discounts=None if discounts is None else self._column(discounts),
@@ -278,10 +288,18 @@ class FrameReplayBuffer(ReplayBuffer):
             indices=slots,
         )
 
-    def _read(self, frames: Ids, env: VecNormalize | None) -> Observations:
-        observations = self._normalize_obs(self.frames.read(frames), env)
-        assert isinstance(observations, dict)
-        return observations
+    def _observations(
+        self, frames: Ids, env: VecNormalize | None, batch_size: int
+    ) -> tuple[TensorDict | th.Tensor, TensorDict | th.Tensor]:
+        """The first ``batch_size`` frames and the others, as the policy takes them."""
+        arrays = self.frames.read(frames)
+        values = self._normalize_obs(arrays if self._is_dict else arrays[KEY], env)
+        if not isinstance(values, dict):
+            tensor = self.to_torch(values, copy=False)
+            return tensor[:batch_size], tensor[batch_size:]
+        tensors = {key: self.to_torch(value, copy=False) for key, value in values.items()}
+        first = {key: tensor[:batch_size] for key, tensor in tensors.items()}
+        return first, {key: tensor[batch_size:] for key, tensor in tensors.items()}
 
     def _column(self, values: npt.NDArray[Any]) -> th.Tensor:
         return self.to_torch(values.reshape(-1, 1), copy=False)
@@ -322,81 +340,3 @@ class FrameReplayBuffer(ReplayBuffer):
         for name, column in used.items():
             self.table[name] = np.zeros((self.rows.capacity, *column.shape[1:]), dtype=column.dtype)
             self.table[name][: len(column)] = column
-
-
-class ExpertReplayBuffer(FrameReplayBuffer):
-    """
-    :class:`FrameReplayBuffer` whose first rows are those of an expert: flagged, and never overwritten.
-
-    :param args: arguments of :class:`FrameReplayBuffer`; ``buffer_size`` counts the expert rows
-    :param expert_fraction: share of expert transitions in every sample, rounded to whole transitions; all are
-        taken from one side while the other is empty. None draws uniformly from all rows
-    :param kwargs: keyword arguments of :class:`FrameReplayBuffer`
-    :raises ValueError: if an argument is out of its range
-    """
-
-    def __init__(self, *args: Any, expert_fraction: float | None = None, **kwargs: Any) -> None:
-        super().__init__(*args, **kwargs)
-        if expert_fraction is not None and not 0 <= expert_fraction <= 1:
-            raise ValueError(f"expert_fraction must be None or between 0 and 1, got {expert_fraction}")
-        self.expert_fraction = expert_fraction
-
-    @property
-    def expert_size(self) -> int:
-        """Number of expert transitions."""
-        return self.rows.pinned
-
-    def add_episode(
-        self,
-        observations: Observations,
-        actions: npt.NDArray[Any],
-        rewards: npt.NDArray[Any],
-        terminations: npt.NDArray[Any],
-    ) -> None:
-        """
-        Add an episode of the expert; only before the first online transition.
-
-        :param observations: for each key an array of n + 1 observations
-        :param actions: n actions in the units of the policy, [-1, 1], shape (n, action dimensions)
-        :param rewards: n rewards
-        :param terminations: n booleans, True where the episode terminated (not where it only ran out of time)
-        :raises ValueError: if the lengths do not fit, the expert rows would fill the buffer, or there are
-            online transitions already
-        """
-        if self.rows.end > self.expert_size:
-            raise ValueError("expert episodes must be added before the first online transition")
-        if missing := self.frames.keys - observations.keys():
-            raise ValueError(f"the episode's observations lack {sorted(missing)}")
-        n_steps = len(actions)
-        lengths = {f"observations[{key!r}]": len(observations[key]) - 1 for key in self.frames.keys}
-        lengths |= {"rewards": len(rewards), "terminations": len(terminations)}
-        wrong = {name: length for name, length in lengths.items() if length != n_steps}
-        if wrong or n_steps == 0:
-            raise ValueError(f"an episode of {n_steps} actions has another number of steps in {wrong}")
-        if not self.table:
-            self._allocate()
-        frames = self.frames.pin(observations)
-        rows = self.rows.pin(n_steps)
-        self._write_rows(
-            rows,
-            frame=frames[:-1],
-            next_frame=frames[1:],
-            oldest_frame=0,
-            next_row=np.append(rows[1:], NO_ROW),
-            action=np.asarray(actions).reshape(n_steps, self.action_dim),
-            reward=rewards,
-            done=terminations,
-        )
-
-    def _draw(self, batch_size: int) -> tuple[Ids, npt.NDArray[np.float32]]:
-        online_size = self.size() - self.expert_size
-        if self.expert_fraction is None or not online_size or not self.expert_size:
-            return super()._draw(batch_size)
-        n_expert = round(batch_size * self.expert_fraction)
-        ranks = np.concatenate(
-            [
-                self.rng.integers(self.expert_size, size=n_expert),
-                self.expert_size + self.rng.integers(online_size, size=batch_size - n_expert),
-            ]
-        )
-        return self.rows.ids(ranks), np.ones(batch_size, dtype=np.float32)

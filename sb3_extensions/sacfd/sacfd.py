@@ -20,7 +20,7 @@ from stable_baselines3.sac.policies import SACPolicy
 from stable_baselines3.sac.sac import SAC
 
 from sb3_extensions.common.expert import EpisodeData, collect_episodes, make_expert_env
-from sb3_extensions.common.replay import ExpertReplayBuffer
+from sb3_extensions.common.expert_replay import ExpertReplayBuffer
 from sb3_extensions.sacfd.policies import EquivariantPolicy, MultiInputPolicy
 
 SelfSACfD = TypeVar("SelfSACfD", bound="SACfD")
@@ -229,7 +229,7 @@ class SACfD(SAC):
                 ent_coef = th.exp(self.log_ent_coef.detach())
                 ent_coef_loss = -(self.log_ent_coef * (log_prob + self.target_entropy).detach()).mean()
                 self.ent_coef_optimizer.zero_grad()
-                ent_coef_loss.backward()  # type: ignore[no-untyped-call]
+                ent_coef_loss.backward()
                 self.ent_coef_optimizer.step()
                 logs["ent_coef_loss"].append(ent_coef_loss.detach())
             else:
@@ -255,7 +255,7 @@ class SACfD(SAC):
 
             # Optimize the critic
             self.critic.optimizer.zero_grad()
-            critic_loss.backward()  # type: ignore[no-untyped-call]
+            critic_loss.backward()
             self.critic.optimizer.step()
 
             # Min over all critic networks. The critic is frozen: of its gradients only the one with respect
@@ -275,7 +275,7 @@ class SACfD(SAC):
 
             # Optimize the actor
             self.actor.optimizer.zero_grad()
-            actor_loss.backward()  # type: ignore[no-untyped-call]
+            actor_loss.backward()
             self.actor.optimizer.step()
 
             # Update target networks

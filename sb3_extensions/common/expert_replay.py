@@ -1,0 +1,89 @@
+"""Replay that begins with the transitions of an expert."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sb3_extensions.common.frames import Ids
+from sb3_extensions.common.replay import NO_ROW, FrameReplayBuffer, Observations
+
+
+class ExpertReplayBuffer(FrameReplayBuffer):
+    """
+    :class:`FrameReplayBuffer` whose first rows are those of an expert: flagged, and never overwritten.
+
+    :param args: arguments of :class:`FrameReplayBuffer`; ``buffer_size`` counts the expert rows
+    :param expert_fraction: share of expert transitions in every sample, rounded to whole transitions; all are
+        taken from one side while the other is empty. None draws uniformly from all rows
+    :param kwargs: keyword arguments of :class:`FrameReplayBuffer`
+    :raises ValueError: if an argument is out of its range
+    """
+
+    def __init__(self, *args: Any, expert_fraction: float | None = None, **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        if expert_fraction is not None and not 0 <= expert_fraction <= 1:
+            raise ValueError(f"expert_fraction must be None or between 0 and 1, got {expert_fraction}")
+        self.expert_fraction = expert_fraction
+
+    @property
+    def expert_size(self) -> int:
+        """Number of expert transitions."""
+        return self.rows.pinned
+
+    def add_episode(
+        self,
+        observations: Observations,
+        actions: npt.NDArray[Any],
+        rewards: npt.NDArray[Any],
+        terminations: npt.NDArray[Any],
+    ) -> None:
+        """
+        Add an episode of the expert; only before the first online transition.
+
+        :param observations: for each key an array of n + 1 observations
+        :param actions: n actions in the units of the policy, [-1, 1], shape (n, action dimensions)
+        :param rewards: n rewards
+        :param terminations: n booleans, True where the episode terminated (not where it only ran out of time)
+        :raises ValueError: if the lengths do not fit, the expert rows would fill the buffer, or there are
+            online transitions already
+        """
+        if self.rows.end > self.expert_size:
+            raise ValueError("expert episodes must be added before the first online transition")
+        if missing := self.frames.keys - observations.keys():
+            raise ValueError(f"the episode's observations lack {sorted(missing)}")
+        n_steps = len(actions)
+        lengths = {f"observations[{key!r}]": len(observations[key]) - 1 for key in self.frames.keys}
+        lengths |= {"rewards": len(rewards), "terminations": len(terminations)}
+        wrong = {name: length for name, length in lengths.items() if length != n_steps}
+        if wrong or n_steps == 0:
+            raise ValueError(f"an episode of {n_steps} actions has another number of steps in {wrong}")
+        if not self.table:
+            self._allocate()
+        frames = self.frames.pin(observations)
+        rows = self.rows.pin(n_steps)
+        self._write_rows(
+            rows,
+            frame=frames[:-1],
+            next_frame=frames[1:],
+            oldest_frame=0,
+            next_row=np.append(rows[1:], NO_ROW),
+            action=np.asarray(actions).reshape(n_steps, self.action_dim),
+            reward=rewards,
+            done=terminations,
+        )
+
+    def _draw(self, batch_size: int) -> tuple[Ids, npt.NDArray[np.float32]]:
+        online_size = self.size() - self.expert_size
+        if self.expert_fraction is None or not online_size or not self.expert_size:
+            return super()._draw(batch_size)
+        n_expert = round(batch_size * self.expert_fraction)
+        ranks = np.concatenate(
+            [
+                self.rng.integers(self.expert_size, size=n_expert),
+                self.expert_size + self.rng.integers(online_size, size=batch_size - n_expert),
+            ]
+        )
+        return self.rows.ids(ranks), np.ones(batch_size, dtype=np.float32)

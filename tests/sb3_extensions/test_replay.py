@@ -1,0 +1,365 @@
+"""The replay buffer: what it stores and what it samples, against slow references."""
+
+import logging
+import pickle
+from typing import Any
+
+import numpy as np
+import pytest
+import torch as th
+from gymnasium import spaces
+from sb3_contrib import TQC, CrossQ
+from sb3_contrib.crossq.policies import CrossQPolicy
+from stable_baselines3 import SAC
+from stable_baselines3.common.torch_layers import CombinedExtractor, FlattenExtractor
+from stable_baselines3.common.vec_env import VecNormalize
+
+from sb3_extensions.common.expert_replay import ExpertReplayBuffer
+from sb3_extensions.common.frames import PinnedRing
+from sb3_extensions.common.replay import FrameReplayBuffer
+
+HEIGHT = 0.4
+OBSERVATION_SPACE = spaces.Dict(
+    {
+        "image": spaces.Box(0.0, HEIGHT, (1, 4, 4), np.float32),
+        "number": spaces.Box(-np.inf, np.inf, (2,), np.float32),
+    }
+)
+ACTION_SPACE = spaces.Box(-1, 1, (3,), np.float32)
+GAMMA = 0.9
+
+
+def make_buffer(cls: type = ExpertReplayBuffer, size: int = 50, n_envs: int = 1, **kwargs: Any) -> Any:
+    return cls(size, OBSERVATION_SPACE, ACTION_SPACE, device="cpu", n_envs=n_envs, seed=0, **kwargs)
+
+
+def observe(ids: np.ndarray) -> dict[str, np.ndarray]:
+    """Observations that carry a number each, in one entry exactly and in the image as brightness."""
+    image = np.broadcast_to((ids % 256)[:, None, None, None] / 255 * HEIGHT, (len(ids), 1, 4, 4))
+    return {
+        "image": image.astype(np.float32),
+        "number": np.stack([ids, -ids], axis=1).astype(np.float32),
+    }
+
+
+class Player:
+    """Adds episodes to a buffer as an algorithm does, and remembers all transitions in a list."""
+
+    def __init__(self, buffer: Any, seed: int = 0) -> None:
+        self.buffer, self.rng = buffer, np.random.default_rng(seed)
+        self.n_envs = buffer.n_envs
+        self.next_id = 1000 * np.arange(1, self.n_envs + 1)
+        self.obs = self.next_id.copy()
+        self.transitions: list[dict[str, Any]] = []
+        self.latest: list[dict[str, Any] | None] = [None] * self.n_envs
+
+    def step(self, p_terminate: float = 0.1, p_truncate: float = 0.1) -> None:
+        terminated = self.rng.random(self.n_envs) < p_terminate
+        truncated = (self.rng.random(self.n_envs) < p_truncate) & ~terminated
+        done = terminated | truncated
+        self.next_id += 1
+        next_obs = self.next_id.copy()
+        action = self.rng.uniform(-1, 1, (self.n_envs, 3)).astype(np.float32)
+        reward = self.rng.random(self.n_envs).astype(np.float32)
+        infos = [{"TimeLimit.truncated": bool(t)} for t in truncated]
+        self.buffer.add(observe(self.obs), observe(next_obs), action, reward, done, infos)
+        for i in range(self.n_envs):
+            transition = {
+                "obs": self.obs[i],
+                "next": next_obs[i],
+                "reward": reward[i],
+                "action": action[i],
+                "terminated": terminated[i],
+                "done": done[i],
+                "successor": None,
+            }
+            if (latest := self.latest[i]) is not None:
+                latest["successor"] = transition
+            self.latest[i] = None if done[i] else transition
+            self.transitions.append(transition)
+        self.next_id += done  # the next episode begins with an observation of its own
+        self.obs = self.next_id.copy()
+
+
+def expert_episode(length: int, first: int = 100) -> tuple[Any, ...]:
+    actions = np.full((length, 3), 0.5, dtype=np.float32)
+    terminations = np.arange(length) == length - 1
+    return observe(np.arange(first, first + length + 1)), actions, np.ones(length), terminations
+
+
+def sampled_ids(tensors: dict[str, th.Tensor]) -> np.ndarray:
+    return tensors["number"][:, 0].numpy().astype(int)
+
+
+def test_pinned_ring_keeps_pinned_and_latest() -> None:
+    ring = PinnedRing(capacity=7, min_ring=2)
+    pinned = ring.pin(3)
+    kept = [ring.append(1).item() for _ in range(10)][-4:]
+    assert len(ring) == 7
+    ids = ring.ids(np.arange(7))
+    assert ids.tolist() == [*pinned, *kept]
+    assert sorted(ring.slots(ids)) == list(range(7))
+    with pytest.raises(ValueError, match="before the first"):
+        ring.pin(1)
+    with pytest.raises(ValueError, match="do not fit"):
+        PinnedRing(capacity=7, min_ring=2).pin(6)
+
+
+@pytest.mark.parametrize("n_envs", [1, 3])
+@pytest.mark.parametrize("n_steps", [1, 3])
+def test_samples_equal_a_slow_reference(n_envs: int, n_steps: int) -> None:
+    size = 40 * n_envs + 1
+    kwargs = {"n_steps": n_steps, "gamma": GAMMA, "frames_per_transition": 2}
+    buffer = make_buffer(size=size, n_envs=n_envs, **kwargs)
+    player = Player(buffer)
+    for _ in range(200):  # several times around
+        player.step()
+    assert buffer.size() == size
+    reference = {t["obs"]: t for t in player.transitions[-buffer.size() :]}
+    samples = buffer.sample(2000)
+    seen = sampled_ids(samples.observations)
+    assert set(seen) == set(reference)  # nothing else, and nothing left out
+    for k, obs in enumerate(seen):
+        first = last = reference[obs]
+        reward, discount = first["reward"], GAMMA
+        while last["successor"] is not None and discount > GAMMA**n_steps * 1.001:
+            last = last["successor"]
+            reward, discount = reward + discount * last["reward"], discount * GAMMA
+        assert sampled_ids(samples.next_observations)[k] == last["next"]
+        assert samples.dones[k].item() == last["terminated"]
+        np.testing.assert_allclose(samples.rewards[k].item(), reward, rtol=1e-5)
+        np.testing.assert_allclose(samples.discounts[k].item(), discount, rtol=1e-5)
+        np.testing.assert_array_equal(samples.actions[k], first["action"])
+
+
+def test_frames_are_shared() -> None:
+    buffer = make_buffer(size=50, n_envs=2)
+    player = Player(buffer)
+    for _ in range(10):
+        player.step(0, 0)
+    assert buffer.frames.ring.end == 2 * 11
+    player.step(1, 0)
+    player.step(0, 0)
+    assert buffer.frames.ring.end == 2 * 14  # a last frame for each episode that ended
+
+
+def test_reset_in_the_middle_of_an_episode_breaks_it() -> None:
+    buffer = make_buffer(n_steps=3, gamma=GAMMA)
+    player = Player(buffer)
+    player.step(0, 0)
+    player.obs = player.next_id = player.next_id + 50  # as env.reset() does between two learn()
+    player.step(0, 0)
+    samples = buffer.sample(100)
+    first = sampled_ids(samples.observations) == 1000
+    assert (sampled_ids(samples.next_observations)[first] == 1001).all()
+    np.testing.assert_allclose(samples.discounts.numpy(), GAMMA, rtol=1e-6)
+
+
+def test_short_episodes_drop_the_oldest_rows_only() -> None:
+    buffer = make_buffer(size=40)
+    player = Player(buffer)
+    for _ in range(300):
+        player.step(p_terminate=0.9)
+    assert 20 <= buffer.size() < 40  # one frame of its own for nearly every transition
+    expected = {(t["obs"], t["next"]) for t in player.transitions[-buffer.size() :]}
+    samples = buffer.sample(500)
+    seen = zip(sampled_ids(samples.observations), sampled_ids(samples.next_observations), strict=True)
+    assert set(seen) == expected
+    roomy = make_buffer(size=40, frames_per_transition=2)
+    player = Player(roomy)
+    for _ in range(300):
+        player.step(p_terminate=1)
+    assert roomy.size() == 40
+
+
+def test_expert_rows_are_never_overwritten() -> None:
+    buffer = make_buffer(size=30)
+    buffer.add_episode(*expert_episode(4, first=100))
+    buffer.add_episode(*expert_episode(3, first=200))
+    player = Player(buffer)
+    expert = {(100 + k, 101 + k) for k in range(4)} | {(200 + k, 201 + k) for k in range(3)}
+    for _ in range(100):
+        player.step(p_terminate=0.4)
+        samples = buffer.sample(200)
+        is_expert = samples.is_expert.numpy()[:, 0]
+        pairs = zip(sampled_ids(samples.observations), sampled_ids(samples.next_observations), strict=True)
+        seen = {pair for pair, flag in zip(pairs, is_expert, strict=True) if flag}
+        assert seen == expert
+        assert (samples.actions[samples.is_expert[:, 0]] == 0.5).all()
+        assert (sampled_ids(samples.observations)[~is_expert] >= 1000).all()
+    assert buffer.expert_size == 7
+
+
+def test_expert_fraction() -> None:
+    buffer = make_buffer(size=60, expert_fraction=0.5)
+    buffer.add_episode(*expert_episode(3))
+    assert buffer.sample(16).is_expert.all()  # nothing else there yet
+    player = Player(buffer)
+    for _ in range(40):
+        player.step()
+    assert buffer.sample(16).is_expert.sum() == 8
+    uniform = make_buffer(size=60)
+    uniform.add_episode(*expert_episode(10))
+    player = Player(uniform)
+    for _ in range(40):
+        player.step()
+    share = uniform.sample(20_000).is_expert.float().mean().item()
+    assert abs(share - 10 / 50) < 0.01
+
+
+def test_expert_episodes_come_first_and_fit() -> None:
+    buffer = make_buffer(size=20)
+    with pytest.raises(ValueError, match="do not fit"):
+        buffer.add_episode(*expert_episode(20))
+    observations, actions, rewards, terminations = expert_episode(4)
+    with pytest.raises(ValueError, match="rewards"):
+        buffer.add_episode(observations, actions, rewards[:-1], terminations)
+    with pytest.raises(ValueError, match="number"):
+        buffer.add_episode({"image": observations["image"]}, actions, rewards, terminations)
+    with pytest.raises(ValueError, match="shape"):
+        flat = {**observations, "image": observations["image"][:, 0]}
+        buffer.add_episode(flat, actions, rewards, terminations)
+    buffer = make_buffer(size=20)
+    Player(buffer).step()
+    with pytest.raises(ValueError, match="before the first online"):
+        buffer.add_episode(*expert_episode(4))
+
+
+@pytest.mark.parametrize(("dtype", "levels"), [("uint8", 255), ("uint16", 65535)])
+def test_quantisation_error_is_at_most_half_a_step(dtype: str, levels: int) -> None:
+    buffer = make_buffer(image_dtype=dtype)
+    rng = np.random.default_rng(0)
+    image = rng.uniform(0, HEIGHT, (1, 1, 4, 4)).astype(np.float32)
+    obs = {"image": image, "number": np.zeros((1, 2), np.float32)}
+    buffer.add(obs, obs, np.zeros((1, 3)), np.zeros(1), np.zeros(1, bool), [{}])
+    sample = buffer.sample(1).observations["image"]
+    assert sample.dtype == th.float32
+    assert np.abs(sample.numpy() - image).max() <= HEIGHT / levels / 2 * 1.001
+
+
+def test_timeouts_bootstrap_unless_told_otherwise() -> None:
+    for handle, expected in [(True, 0.0), (False, 1.0)]:
+        buffer = make_buffer(handle_timeout_termination=handle)
+        Player(buffer).step(p_terminate=0, p_truncate=1)
+        assert buffer.sample(1).dones.item() == expected
+
+
+def test_memory_of_the_paper_preset(caplog: pytest.LogCaptureFixture) -> None:
+    space = spaces.Dict(
+        {
+            "heightmap": spaces.Box(0.0, HEIGHT, (1, 128, 128), np.float32),
+            "holding": spaces.Box(0.0, 1.0, (1,), np.float32),
+        }
+    )
+    buffer = ExpertReplayBuffer(100_000, space, spaces.Box(-1, 1, (5,), np.float32), device="cpu", n_envs=5)
+    assert not buffer.table and not buffer.frames.data  # nothing before the first add
+    obs = {key: np.zeros((5, *value.shape), np.float32) for key, value in space.items()}
+    with caplog.at_level(logging.INFO):
+        for _ in range(3):
+            buffer.add(obs, obs, np.zeros((5, 5)), np.zeros(5), np.zeros(5, bool), [{}] * 5)
+    size = sum(array.nbytes for array in (*buffer.table.values(), *buffer.frames.data.values()))
+    assert size < 1.8e9
+    messages = [record.message for record in caplog.records if "Replay buffer" in record.message]
+    assert len(messages) == 1
+    assert f"{size / 1e9:.2f} GB" in messages[0]
+
+
+def test_same_seed_same_samples_and_pickle() -> None:
+    buffers = [make_buffer(size=20, n_steps=2, gamma=GAMMA) for _ in range(2)]
+    for buffer in buffers:
+        buffer.add_episode(*expert_episode(4))
+        player = Player(buffer)
+        for _ in range(30):
+            player.step()
+    assert (buffers[0].sample(50).indices == buffers[1].sample(50).indices).all()
+    copy = pickle.loads(pickle.dumps(buffers[0]))
+    for _ in range(2):
+        for ours, theirs in zip(buffers[0].sample(20), copy.sample(20), strict=True):
+            for a, b in zip(
+                *(x.values() if isinstance(x, dict) else [x] for x in (ours, theirs)), strict=True
+            ):
+                np.testing.assert_array_equal(a, b)
+    assert copy.frames.data["image"].shape == buffers[0].frames.data["image"].shape
+
+
+def test_pickle_holds_only_what_is_used() -> None:
+    buffer = make_buffer(size=10_000)
+    Player(buffer).step()
+    assert len(pickle.dumps(buffer)) < 10_000
+
+
+def test_reset_forgets_everything() -> None:
+    buffer = make_buffer()
+    buffer.add_episode(*expert_episode(4))
+    Player(buffer).step()
+    buffer.reset()
+    assert buffer.size() == 0
+    with pytest.raises(ValueError, match="empty"):
+        buffer.sample(1)
+    buffer.add_episode(*expert_episode(2))
+    assert set(sampled_ids(buffer.sample(20).observations)) == {100, 101}
+
+
+@pytest.mark.parametrize(
+    ("kwargs", "message"),
+    [
+        ({"n_steps": 0}, "n_steps"),
+        ({"n_steps": 3}, "gamma"),
+        ({"optimize_memory_usage": True}, "optimize_memory_usage"),
+        ({"frames_per_transition": 0.5}, "frames_per_transition"),
+        ({"expert_fraction": 1.5}, "expert_fraction"),
+        ({"image_dtype": "float32"}, "dtype"),
+        ({"size": 1}, "buffer_size"),
+    ],
+)
+def test_bad_arguments(kwargs: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        make_buffer(**kwargs)
+
+
+def test_other_observation_spaces_are_refused() -> None:
+    for space in (spaces.Discrete(3), spaces.Dict({"a": spaces.Discrete(3)})):
+        with pytest.raises(ValueError, match="Box"):
+            FrameReplayBuffer(10, space, ACTION_SPACE)
+
+
+@pytest.mark.parametrize(
+    ("algorithm", "policy"), [(SAC, "MultiInputPolicy"), (TQC, "MultiInputPolicy"), (CrossQ, CrossQPolicy)]
+)
+@pytest.mark.parametrize("n_envs", [1, 2])
+def test_serves_stock_algorithms(algorithm: Any, policy: Any, n_envs: int, make_toy: Any) -> None:
+    # CrossQ takes no Dict observations
+    extractor = FlattenExtractor if policy is CrossQPolicy else CombinedExtractor
+
+    def run() -> np.ndarray:
+        model = algorithm(
+            policy,
+            make_toy(n_envs, image_only=policy is CrossQPolicy),
+            learning_starts=10,
+            buffer_size=30,
+            batch_size=8,
+            gamma=0.8,
+            replay_buffer_class=FrameReplayBuffer,
+            policy_kwargs={"net_arch": [8], "features_extractor_class": extractor},
+            seed=0,
+        )
+        model.learn(50)
+        assert model.replay_buffer.sample(4).discounts is None  # so that the algorithm uses its own gamma
+        return np.concatenate([p.detach().numpy().ravel() for p in model.actor.parameters()])
+
+    np.testing.assert_array_equal(run(), run())
+
+
+def test_vec_normalize(make_toy: Any) -> None:
+    env = VecNormalize(make_toy(), norm_obs_keys=["heightmap"])
+    model = SAC("MultiInputPolicy", env, learning_starts=10, replay_buffer_class=FrameReplayBuffer, seed=0)
+    model.learn(30)
+    raw = model.replay_buffer.sample(20).observations["heightmap"]
+    model.replay_buffer.seed(1)
+    a = model.replay_buffer.sample(20)
+    model.replay_buffer.seed(1)
+    b = model.replay_buffer.sample(20, env=env)
+    assert raw.min() >= 0
+    expected = env.normalize_obs({key: value.numpy() for key, value in a.observations.items()})
+    np.testing.assert_allclose(b.observations["heightmap"], expected["heightmap"], rtol=1e-6)
+    np.testing.assert_allclose(b.rewards, env.normalize_reward(a.rewards.numpy()), rtol=1e-6)
