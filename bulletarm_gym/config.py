@@ -236,8 +236,8 @@ def _numbers(value: Any, shape: tuple[int, ...], takes: str) -> Any:
 
 def _workspace(value: Any) -> list[list[float]]:
     takes = (
-        "[[x low, x high], [y low, y high], [z low, z high]] in metres, square in x and y with sides of at least "
-        f"{SMALLEST_WORKSPACE}, z low not below 0"
+        "[[x low, x high], [y low, y high], [z low, z high]] in metres, square in x and y with sides "
+        f"of at least {SMALLEST_WORKSPACE}, z low not below 0"
     )
     limits: list[list[float]] = _numbers(value, (3, 2), takes)
     x, y, z = (high - low for low, high in limits)

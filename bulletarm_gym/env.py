@@ -47,8 +47,8 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
     """A manipulation task.
 
     Registered ids name the task, the control and the surface; all else are parameters, see
-    :class:`~bulletarm_gym.config.EnvConfig`. An episode ends with reward 1 on success, with reward 0 when the scene has
-    become invalid, and is truncated at ``max_steps``.
+    :class:`~bulletarm_gym.config.EnvConfig`. An episode ends with reward 1 on success, with reward 0 when the
+    scene has become invalid, and is truncated at ``max_steps``.
 
     :param task: ``"module:Class"`` of the task
     :param control: ``"close_loop"``
@@ -71,10 +71,16 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         self._recipe = {"task": task, "control": control, "surface": surface}
         self.task = task_type(self.config)
         self._reward = self.task.reward if self.config.reward is None else _load(self.config.reward)
-        self.scene = Scene(self.config, ROBOTS[self.config.robot], SURFACES[surface](), self.task.roles())
+        self.scene = Scene(
+            self.config,
+            ROBOTS[self.config.robot],
+            SURFACES[surface](self.config.workspace),
+            self.task.bodies(self.config),
+        )
         self.control = CloseLoop(self.config, self.scene)
         self.action_space = self.control.action_space
-        self.observation_space = self.control.observation_space
+        # Gymnasium types a Dict space by its parts instead of its samples.
+        self.observation_space = self.control.observation_space  # type: ignore[assignment]
         self._steps = 0
         self._episode_seed: int | None = None
         self._outcome: dict[str, bool] = {}
@@ -128,7 +134,7 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         return self.control.observe(self.scene), reward, terminated, truncated, dict(self._outcome)
 
     def render(self) -> Any:
-        """Return a picture (480, 480, 3) uint8, distances to the camera (480, 480) float32 in metres, or nothing."""
+        """Return a picture (480, 480, 3) uint8, distances (480, 480) float32 in metres, or nothing."""
         if self.render_mode == "rgb_array":
             return Camera().color(self.scene.world)
         if self.render_mode == "depth_array":
@@ -208,7 +214,7 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
     # Copies
 
     @property
-    def spec(self) -> EnvSpec | None:  # type: ignore[override]
+    def spec(self) -> EnvSpec | None:
         """The spec the environment was made from, its parameters as JSON values."""
         return self._spec
 

@@ -1,7 +1,8 @@
 """Rigid poses, triangle meshes and the few rotations the package needs.
 
-Conventions: metres, radians, right-handed world frame with z up; quaternions are ``(x, y, z, w)`` as in Bullet.
-Written for single poses in the inner loop, where NumPy on three numbers costs more than plain arithmetic.
+Conventions: metres, radians, right-handed world frame with z up; quaternions are ``(x, y, z, w)`` as in
+Bullet. Written for single poses in the inner loop, where NumPy on three numbers costs more than plain
+arithmetic.
 """
 
 import math
@@ -109,7 +110,7 @@ def rotate(q: Quaternion, v: Vector) -> Vector:
 
 
 def wrap_angle(angle: float, period: float = 2.0 * math.pi) -> float:
-    """Return the angle (rad) of smallest size that equals ``angle`` modulo ``period`` (a symmetry), in [-period/2, period/2)."""
+    """Return the angle (rad) in [-period/2, period/2) that equals ``angle`` modulo ``period``, a symmetry."""
     return (angle + period / 2.0) % period - period / 2.0
 
 

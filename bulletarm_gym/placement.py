@@ -5,14 +5,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from bulletarm_gym.scene import Scene
+from bulletarm_gym.geometry import Pose
+from bulletarm_gym.scene import Item, Scene
+from bulletarm_gym.surfaces.surface import Point
 
 ATTEMPTS = 200
 """Positions tried for one item before the whole arrangement is begun anew."""
 ARRANGEMENTS = 50
 """Arrangements tried before the workspace counts as too small."""
-
-Point = tuple[float, float]
 
 
 class PlacementError(RuntimeError):
@@ -32,7 +32,8 @@ def scatter(
     :param gap: least distance between two positions (m)
     :param aligned: all positions share their x, drawn once
     :return: (x, y) of each
-    :raises PlacementError: the workspace is too small
+    :raises PlacementError: they do not fit together
+    :raises ValueError: the workspace is narrower than twice a margin
     """
     for _ in range(ARRANGEMENTS):
         points: list[Point] = []
@@ -57,12 +58,16 @@ def _free_point(
     taken: Sequence[Point],
     line: float | None,
 ) -> Point | None:
-    (x0, x1), (y0, y1), _ = scene.config.workspace
-    if x1 - x0 < 2.0 * margin:
-        return None
     for _ in range(ATTEMPTS):
-        x, y = float(rng.uniform(x0 + margin, x1 - margin)), float(rng.uniform(y0 + margin, y1 - margin))
+        x, y = scene.surface.sample_position(rng, margin)
         point = (x if line is None else line, y)
         if all(math.dist(point, other) >= gap for other in taken):
             return point
     return None
+
+
+def stand(scene: Scene, item: Item, point: Point, rng: np.random.Generator, spread: float) -> None:
+    """Stand an item on the ground at a point, turned by up to ``spread`` (rad) unless orientations are fixed."""
+    yaw = float(rng.uniform(-spread, spread)) if scene.config.random_orientation else 0.0
+    lift = item.spec.extents[2] / 2.0
+    item.place(scene.surface.pose(point, yaw).compose(Pose((0.0, 0.0, lift))))

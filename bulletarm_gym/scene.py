@@ -1,6 +1,6 @@
 """What tasks, controls and planners share: the bodies by role, the arm, the surface and the workspace."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,6 +25,11 @@ class Role:
 
     name: str
     variants: tuple[BodySpec, ...]
+
+
+def scaled(config: EnvConfig, name: str, make: Callable[[str, float], BodySpec]) -> Role:
+    """Return a role played by one body a size: ``make(name, scale)`` for every scale of the configuration."""
+    return Role(name, tuple(make(f"{name} {scale:g}", scale) for scale in config.scales))
 
 
 class Item:

@@ -1,4 +1,4 @@
-"""Close-loop control: each action moves the gripper a little from where it is (paper, Close-loop Environments)."""
+"""Close-loop control: each action moves the gripper a little (paper, Close-loop Environments)."""
 
 import math
 from dataclasses import dataclass
@@ -49,8 +49,8 @@ class DeltaMove:
 class CloseLoop:
     """Delta-pose control.
 
-    An action is one number in [-1, 1] a character of ``action_sequence``: p the opening (-1 closed, +1 open), x, y and z
-    the translation, r the rotation; without r the gripper does not turn.
+    An action is one number in [-1, 1] a character of ``action_sequence``: p the opening (-1 closed, +1 open),
+    x, y and z the translation, r the rotation; without r the gripper does not turn.
 
     :param config: the environment's parameters
     :param scene: what is acted on
@@ -81,7 +81,8 @@ class CloseLoop:
         array = np.asarray(action, dtype=np.float64)
         if array.shape != self.action_space.shape or not np.isfinite(array).all():
             raise ValueError(
-                f"action: got {action!r}, takes {len(self._sequence)} finite numbers, one each for {self._sequence!r}"
+                f"action: got {action!r}, takes {len(self._sequence)} finite numbers, "
+                f"one each for {self._sequence!r}"
             )
         value = dict(zip(self._sequence, array.clip(-1.0, 1.0).tolist(), strict=True))
         x, y, z = (MAX_TRANSLATION * value[axis] for axis in "xyz")
@@ -129,7 +130,7 @@ class CloseLoop:
         return DeltaMove(opening, (x, y, z), min(max(turn, -MAX_ROTATION), MAX_ROTATION))
 
     def observe(self, scene: Scene) -> dict[str, NDArray[np.float32]]:
-        """Return the observation: depth below a plane over the fingertips, the gripper as two squares, and whether it holds.
+        """Return depths below a plane over the fingertips, the gripper as two squares, and whether it holds.
 
         The image is centred on the fingertips and keeps the world's axes: rows grow with x, columns with y.
         """
@@ -143,7 +144,7 @@ class CloseLoop:
 
 
 def gripper_squares(hand: Pose, opening: float) -> NDArray[np.float64]:
-    """Return the rectangles (2, 5) that stand for the fingers: their inner sides ``opening`` (m) apart, turned by the yaw."""
+    """Return the rectangles (2, 5) that stand for the fingers, inner sides ``opening`` (m) apart, turned."""
     offset = (opening + SQUARE) / 2.0
     x, y = offset * math.cos(hand.yaw), offset * math.sin(hand.yaw)
     return np.array(

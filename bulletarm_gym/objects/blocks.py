@@ -1,13 +1,16 @@
-"""The paper's blocks. Sizes are nominal (m) and grow with the object scale; masses are those of the original BulletArm release."""
+"""The paper's blocks.
+
+Sizes are nominal (m) and grow with the object scale; masses are those of the original BulletArm release.
+"""
 
 from bulletarm_gym.simulation.shapes import BLUE, RED, BodySpec, Box, Piece
 
 CUBE_SIZE = 0.05
-"""Side (m) of the cube at scale 1: 5 cm in close loop, 3 cm at the open-loop scale of 0.6 (paper, Environments)."""
+"""Side (m) at scale 1: 5 cm in close loop, 3 cm at the open-loop scale of 0.6 (paper, Environments)."""
 CUBE_MASS = 0.1
 
 FLAT_BLOCK_SIDE = 0.1
-"""Side (m) at scale 1 of the pulling task's block: 8 cm at its default scale of 0.8 (paper, Block Pulling)."""
+"""Side (m) at scale 1: 8 cm at the pulling task's default scale of 0.8 (paper, Block Pulling)."""
 FLAT_BLOCK_HEIGHT = 0.05
 """Height (m), the same at every scale (paper, Block Pulling)."""
 FLAT_BLOCK_MASS = 0.5

@@ -13,7 +13,7 @@ def expert_action(
 ) -> NDArray[np.float32]:
     """Return the action that brings the gripper towards the next waypoint of the task's plan.
 
-    The plan is made anew from the present scene each time, so the expert recovers from whatever happened before.
+    The plan is made anew from the present scene each time, so the expert recovers from what happened before.
     """
     waypoint = next(iter(task.plan(scene, rng)))
     return control.encode_action(control.towards(scene, waypoint))

@@ -1,7 +1,8 @@
 """A parallel-jaw gripper of boxes, to be fitted to any arm's flange.
 
-Frames: the palm's z axis points along the approach; the tool frame at the fingertips points back (z up when the gripper
-looks down) and its x axis is the direction in which the fingers open, as the tasks expect of every arm.
+Frames: the palm's z axis points along the approach; the tool frame at the fingertips points back (z up when
+the gripper looks down) and its x axis is the direction in which the fingers open, as the tasks expect of
+every arm.
 """
 
 import math

@@ -1,8 +1,8 @@
 """Forward and inverse kinematics of a serial arm.
 
-PyBullet's own inverse kinematics needs 200 iterations and 0.3 to 0.5 ms for 0.1 mm, and its answer depends on where the arm
-was before. Here a damped Newton iteration starts from one fixed posture, so a pose always has the same joints, in some
-20 microseconds.
+PyBullet's own inverse kinematics needs 200 iterations and 0.3 to 0.5 ms for 0.1 mm, and its answer depends on
+where the arm was before. Here a damped Newton iteration starts from one fixed posture, so a pose always has
+the same joints, in some 20 microseconds.
 """
 
 import math

@@ -9,7 +9,7 @@ from bulletarm_gym.robots.model import RobotModel
 from bulletarm_gym.simulation.assets import load_model
 
 FLANGE_OFFSET = 0.045
-"""Metres from the origin of the last link to the face of the flange (iiwa 7 R800 data sheet: 126 mm from the wrist centre)."""
+"""From the last link's origin to the flange (m; iiwa 7 R800 data sheet: 126 mm from the wrist centre)."""
 
 KUKA = RobotModel(
     name="kuka",

@@ -43,8 +43,8 @@ class RobotModel:
     def urdf(self) -> ElementTree.Element:
         """The model with its gripper, its arm joints without limits.
 
-        The original release ignores the limits too; with them an arm on the floor cannot reach the whole workspace at
-        every tilt, and its wrist could not turn on and on.
+        The original release ignores the limits too; with them an arm on the floor cannot reach the whole
+        workspace at every tilt, and its wrist could not turn on and on.
         """
         root = self.arm()
         for name in self.joints:
@@ -65,8 +65,8 @@ class RobotModel:
     def inverse(self, pose: Pose) -> tuple[FloatArray, float]:
         """Return joint positions (n,) rad for a fingertip pose, and the error that remains (m or rad).
 
-        The search starts from the model's posture, turned about the base towards the pose and about the flange to its
-        yaw, so the answer depends on the pose alone.
+        The search starts from the model's posture, turned about the base towards the pose and about the
+        flange to its yaw, so the answer depends on the pose alone.
         """
         start = np.array(self.posture)
         azimuth = math.atan2(pose.y - self.base.y, pose.x - self.base.x)

@@ -28,16 +28,16 @@ FREE_STEPS = 24
 CARRYING_STEPS = 16
 """... with something in the gripper ..."""
 CAREFUL_STEPS = 48
-"""... and where something may be pushed: it slows down by 3 m/s^2 at most, so friction keeps blocks at the gripper."""
+"""... and where something may be pushed: braking at 3 m/s^2 at most, friction keeps blocks at the gripper."""
 LEAST_STEPS = 6
 TURNING_RADIUS = 0.06
 """Lever (m) at which a turn about the tool counts as distance: half an open gripper and its fingers."""
 CLEARANCE = 0.004
 """Gap (m) that must stay between the gripper and everything else where it is moved without simulation."""
 CLEAR_ABOVE = 0.01
-"""A fingertip path this far (m) above a body cannot touch it: joint motions sag a few millimetres below a straight line."""
+"""A fingertip path this far (m) above a body cannot touch it: joint motions sag some mm below a line."""
 SAMPLE_DISTANCE = 0.008
-"""Spacing (m) of the poses at which a path is checked; with the clearance, less than a finger's thickness slips between."""
+"""Spacing (m) of the poses a path is checked at; with the clearance, less than a finger slips between."""
 GRIP_ALIGNMENT = 0.7
 """Least cosine between a contact's normal and the fingers' direction for the contact to be a grip."""
 GRIP_DISTANCE = 2e-3
@@ -63,7 +63,7 @@ class RobotState:
 class Robot:
     """An arm with its gripper.
 
-    Its pose is that of the fingertips: z up when the gripper looks down, x the direction in which the fingers open.
+    Its pose is that of the fingertips: z up when the gripper looks down, x along which the fingers open.
 
     :param model: which arm
     :param world: where it is loaded
@@ -122,7 +122,7 @@ class Robot:
         self._command = state.opening
 
     def inverse_kinematics(self, pose: Pose) -> tuple[float, ...]:
-        """Return joint positions (rad) that put the fingertips at a pose, the last joint turned the nearest way.
+        """Return joint positions (rad) for a pose of the fingertips, the last joint turned the nearest way.
 
         :raises ValueError: the pose is out of reach
         """
@@ -168,7 +168,7 @@ class Robot:
         self._finish()
 
     def set_opening(self, ratio: float) -> None:
-        """Open or close the gripper to a ratio of its stroke, 0 closed to 1 open; an object in between stops it."""
+        """Bring the gripper to a ratio of its stroke, 0 closed to 1 open; an object in between stops it."""
         command = ratio * self.model.gripper.stroke
         if abs(command - self._command) < OPENING_TOLERANCE:
             return
@@ -192,7 +192,7 @@ class Robot:
         self.begin()
 
     def _finish(self) -> None:
-        """Read the world and what the fingers hold in it; the arm, and what it holds, stand still between moves."""
+        """Read the world and what the fingers hold; the arm, and what it holds, stand still between moves."""
         self._world.end()
         self._world.set_joints(self.body, self._world.joints[self.body.index])
         self.held = next((body for body in self._world.free_bodies if self._grips(body)), None)

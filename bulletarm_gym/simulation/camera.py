@@ -23,8 +23,8 @@ class Camera:
     :param height: pixels
     """
 
-    eye: Vector = (1.05, -0.75, 0.7)
-    target: Vector = (0.38, 0.0, 0.12)
+    eye: Vector = (1.25, -0.85, 0.8)
+    target: Vector = (0.3, 0.0, 0.24)
     fov: float = 42.0
     width: int = 480
     height: int = 480

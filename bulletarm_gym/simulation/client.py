@@ -12,8 +12,8 @@ import pybullet
 class Client:
     """One physics server; PyBullet's functions as attributes, bound to it.
 
-    Any number of clients live in a process without touching each other. A client is released by :meth:`close`, or when it
-    is garbage collected.
+    Any number of clients live in a process without touching each other. A client is released by
+    :meth:`close`, or when it is garbage collected.
 
     :param gui: open PyBullet's window instead of computing headless
     :raises RuntimeError: ``gui`` without a display (PyBullet itself would end the whole process)
@@ -22,7 +22,8 @@ class Client:
     def __init__(self, gui: bool = False) -> None:
         if gui and not _has_display():
             raise RuntimeError(
-                'render_mode="human" opens a window, but no display was found (DISPLAY and WAYLAND_DISPLAY are not set); '
+                'render_mode="human" opens a window, but no display was found '
+                "(DISPLAY and WAYLAND_DISPLAY are not set); "
                 'use render_mode="rgb_array" on a machine without one'
             )
         self.id: int = pybullet.connect(pybullet.GUI if gui else pybullet.DIRECT)

@@ -10,9 +10,9 @@ from bulletarm_gym.geometry import FloatArray
 from bulletarm_gym.simulation.world import Body, World
 
 RISE = 0.25
-"""Share of a motion spent speeding up. Slowing down takes the rest, so that what is pushed stays at the gripper."""
+"""Share of a motion spent speeding up; braking takes the rest, so what is pushed stays at the gripper."""
 MAX_LAG = 0.03
-"""A joint (rad) that stays this far behind its trajectory is blocked: a centimetre or two at the fingertips."""
+"""A joint (rad) this far behind its trajectory is blocked: a centimetre or two at the fingertips."""
 LAG_CHECK = 4
 """Simulation steps between two looks at the lag."""
 STALL_PROGRESS = 1e-4

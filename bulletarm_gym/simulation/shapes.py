@@ -1,11 +1,12 @@
 """What bodies are made of: convex pieces with a mass, a friction and a colour."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
 
 import numpy as np
 
-from bulletarm_gym.geometry import Mesh, Pose, Vector, join
+from bulletarm_gym.geometry import FloatArray, Mesh, Pose, Vector, join
 
 Colour: TypeAlias = tuple[float, float, float, float]
 
@@ -85,3 +86,22 @@ class BodySpec:
     def footprint(self) -> float:
         """Radius (m) of the circle about the frame's z axis that holds the body at any yaw."""
         return float(np.linalg.norm(self.mesh.vertices[:, :2], axis=1).max())
+
+
+def wavefront(pieces: Sequence[Piece]) -> str:
+    """Return the pieces as an OBJ file: Bullet makes one convex hull of each named part."""
+    lines, count = [], 1
+    for number, mesh in enumerate(piece.mesh for piece in pieces):
+        lines.append(f"o piece_{number}")
+        lines += [f"v {x!r} {y!r} {z!r}" for x, y, z in mesh.vertices.tolist()]
+        lines += [f"f {a + count} {b + count} {c + count}" for a, b, c in mesh.faces.tolist()]
+        count += len(mesh.vertices)
+    return "\n".join(lines) + "\n"
+
+
+def flat_normals(triangles: FloatArray) -> list[list[float]]:
+    """Return one normal a corner of (n, 3, 3) triangles, so that edges of blocks are drawn sharp."""
+    normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    corners: list[list[float]] = np.repeat(normals, 3, axis=0).tolist()
+    return corners

@@ -1,9 +1,10 @@
 """A world whose state is plain arrays.
 
-Bullet keeps more than positions and velocities: contact caches, motor targets, the order of its bodies. Those make two
-runs from equal positions differ. Here every body is loaded once, in a fixed order, and a snapshot is taken of the
-untouched world. :meth:`World.begin` returns to that snapshot and lays the bodies out anew, so what follows depends on the
-poses, velocities and joint positions alone, in this world or in any other built the same way.
+Bullet keeps more than positions and velocities: contact caches, motor targets, the order of its bodies. Those
+make two runs from equal positions differ. Here every body is loaded once, in a fixed order, and a snapshot is
+taken of the untouched world. :meth:`World.begin` returns to that snapshot and lays the bodies out anew, so
+what follows depends on the poses, velocities and joint positions alone, in this world or in any other built
+the same way.
 """
 
 import math
@@ -12,11 +13,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
-from bulletarm_gym.geometry import FloatArray, Pose, Quaternion, Vector, rotate
+from bulletarm_gym.geometry import Pose, Quaternion, Vector, rotate
 from bulletarm_gym.simulation.client import Client
-from bulletarm_gym.simulation.shapes import BodySpec, Box, Piece
+from bulletarm_gym.simulation.shapes import BodySpec, Box, flat_normals, wavefront
 
 TIME_STEP = 1.0 / 240.0
 """Seconds a simulation step, as in the original BulletArm release."""
@@ -25,7 +24,7 @@ GRAVITY = -10.0
 RESIDUAL_THRESHOLD = 1e-5
 """Squared change of the impulses at which the solver stops before its last iteration."""
 REST_SPEED = 0.01
-"""A body slower than this (m/s at its rim) rests: at 240 Hz gravity alone adds four times as much in one step."""
+"""A body slower than this (m/s at its rim) rests: in one step gravity alone adds four times as much."""
 REST_RIM = 0.05
 """Lever (m) at which a body's turning counts as speed."""
 PARKING_HEIGHT = -10.0
@@ -211,7 +210,7 @@ class World:
             )
         with tempfile.TemporaryDirectory(prefix="bulletarm_") as folder:
             path = Path(folder) / "pieces.obj"
-            path.write_text(_wavefront(spec.pieces))
+            path.write_text(wavefront(spec.pieces))
             return int(self.client.createCollisionShape(self.client.GEOM_MESH, fileName=str(path)))
 
     def _visual_shape(self, spec: BodySpec) -> int:
@@ -221,7 +220,7 @@ class World:
                 self.client.GEOM_MESH,
                 vertices=mesh.vertices[mesh.faces.ravel()].tolist(),
                 indices=list(range(mesh.faces.size)),
-                normals=_flat_normals(mesh.vertices[mesh.faces]),
+                normals=flat_normals(mesh.vertices[mesh.faces]),
                 rgbaColor=spec.colour,
             )
         )
@@ -254,7 +253,7 @@ class World:
         self._send_joints(body)
 
     def show_joints(self, body: Body, positions: Sequence[float]) -> None:
-        """Pose a body's joints for a query; the state stays, :meth:`set_joints` or :meth:`begin` goes back to it."""
+        """Pose a body's joints for a query; :meth:`set_joints` or :meth:`begin` goes back to the state."""
         self.client.resetJointStatesMultiDof(body.id, body.joints, [(position,) for position in positions])
 
     def _set_active(self, body: Body, active: bool) -> None:
@@ -367,17 +366,6 @@ class World:
         self.client.close()
 
 
-def _wavefront(pieces: Sequence[Piece]) -> str:
-    """Return the pieces as an OBJ file: Bullet makes one convex hull of each named part."""
-    lines, count = [], 1
-    for number, mesh in enumerate(piece.mesh for piece in pieces):
-        lines.append(f"o piece_{number}")
-        lines += [f"v {x!r} {y!r} {z!r}" for x, y, z in mesh.vertices.tolist()]
-        lines += [f"f {a + count} {b + count} {c + count}" for a, b, c in mesh.faces.tolist()]
-        count += len(mesh.vertices)
-    return "\n".join(lines) + "\n"
-
-
 def _parking_place(index: int) -> Pose:
     return Pose((PARKING_PITCH * index, 0.0, PARKING_HEIGHT))
 
@@ -398,11 +386,3 @@ def _frame_pose(spec: BodySpec, position: Vector, orientation: Quaternion) -> Po
         return Pose(position, orientation)
     x, y, z = rotate(orientation, spec.centre_of_mass)
     return Pose((position[0] - x, position[1] - y, position[2] - z), orientation)
-
-
-def _flat_normals(triangles: FloatArray) -> list[list[float]]:
-    """One normal a corner, so that edges of blocks are drawn sharp."""
-    normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    corners: list[list[float]] = np.repeat(normals, 3, axis=0).tolist()
-    return corners

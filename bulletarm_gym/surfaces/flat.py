@@ -1,10 +1,8 @@
 """The flat floor."""
 
-import numpy as np
-
 from bulletarm_gym.geometry import Pose, Vector
 from bulletarm_gym.simulation import BodySpec, Box, Piece, World
-from bulletarm_gym.surfaces.surface import Surface
+from bulletarm_gym.surfaces.surface import Point, Surface
 
 FLOOR = BodySpec(
     "floor",
@@ -21,14 +19,14 @@ class FlatSurface(Surface):
         """Load the endless plane."""
         world.add_plane(FLOOR)
 
-    def height(self, x: float, y: float) -> float:
+    def height(self, xy: Point) -> float:
         """Return 0 everywhere."""
         return 0.0
 
-    def normal(self, x: float, y: float) -> Vector:
+    def normal(self, xy: Point) -> Vector:
         """Return the vertical everywhere."""
         return (0.0, 0.0, 1.0)
 
-    def rest_pose(self, x: float, y: float, lift: float, rng: np.random.Generator, spread: float) -> Pose:
-        """Return an upright pose with a random yaw."""
-        return Pose.planar(x, y, lift, float(rng.uniform(-spread, spread)))
+    def pose(self, xy: Point, yaw: float) -> Pose:
+        """Return an upright frame."""
+        return Pose.planar(*xy, 0.0, yaw)

@@ -22,7 +22,8 @@ READY = 0.9
 def grasp(scene: Scene, target: Pose, top: float, symmetry: float) -> Iterator[Waypoint]:
     """Yield the way to a grasp from wherever the empty gripper is.
 
-    Straight in where the fingers are above the item for as long as they are not aligned with it, else up, across and down.
+    Straight in where the fingers are above the item for as long as they are not aligned with it, else up,
+    across and down.
 
     :param target: of the fingertips when they close
     :param top: height (m) of the item's highest point

@@ -5,11 +5,11 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from bulletarm_gym.config import CLOSE_LOOP, TaskDefaults
+from bulletarm_gym.config import CLOSE_LOOP, EnvConfig, TaskDefaults
 from bulletarm_gym.geometry import Pose
 from bulletarm_gym.objects import cube
 from bulletarm_gym.relations import is_held
-from bulletarm_gym.scene import Role, Scene
+from bulletarm_gym.scene import Role, Scene, scaled
 from bulletarm_gym.tasks.grasping import STEP, grasp
 from bulletarm_gym.tasks.reaching import place_cube
 from bulletarm_gym.tasks.task import CLOSED, Task, Waypoint
@@ -31,13 +31,13 @@ class BlockPicking(Task):
     defaults = TaskDefaults(num_objects=1)
     controls = (CLOSE_LOOP,)
 
-    def roles(self) -> list[Role]:
+    def bodies(self, config: EnvConfig) -> list[Role]:
         """Return the cube."""
-        return [self.scaled("cube", cube)]
+        return [scaled(config, "cube", cube)]
 
     def arrange(self, scene: Scene, rng: np.random.Generator) -> None:
         """Put the cube anywhere."""
-        place_cube(self, scene, rng, YAW_SPREAD)
+        place_cube(scene, rng, YAW_SPREAD)
 
     def evaluate(self, scene: Scene) -> dict[str, bool]:
         """Look whether the cube is held, and how high."""

@@ -5,12 +5,12 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from bulletarm_gym.config import CLOSE_LOOP, TaskDefaults
+from bulletarm_gym.config import CLOSE_LOOP, EnvConfig, TaskDefaults
 from bulletarm_gym.geometry import Pose, planar_distance, wrap_angle
 from bulletarm_gym.objects import flat_block
-from bulletarm_gym.placement import scatter
+from bulletarm_gym.placement import scatter, stand
 from bulletarm_gym.relations import touching
-from bulletarm_gym.scene import Item, Role, Scene
+from bulletarm_gym.scene import Item, Role, Scene, scaled
 from bulletarm_gym.tasks.task import HALF_OPEN, Task, Waypoint
 
 YAW_SPREAD = math.pi / 2.0
@@ -33,8 +33,8 @@ class BlockPulling(Task):
     """Pull one of two blocks until it touches the other.
 
     Description: two blocks of 8 x 8 x 5 cm stand on the floor, too wide for the gripper.
-    Randomisation: the blocks' positions in the workspace, at least 1.7 sides apart, their yaws in +-90 degrees; with a
-    fixed orientation both lie along y, side by side.
+    Randomisation: the blocks' positions in the workspace, at least 1.7 sides apart, their yaws in +-90
+    degrees; with a fixed orientation both lie along y, side by side.
     Success: the blocks touch.
     Expert: over the far side of a block, down behind it, and with it to the other.
     """
@@ -42,9 +42,9 @@ class BlockPulling(Task):
     defaults = TaskDefaults(num_objects=2, object_scale=0.8, allowed_objects=(2,))
     controls = (CLOSE_LOOP,)
 
-    def roles(self) -> list[Role]:
+    def bodies(self, config: EnvConfig) -> list[Role]:
         """Return the two blocks."""
-        return [self.scaled(name, flat_block) for name in NAMES]
+        return [scaled(config, name, flat_block) for name in NAMES]
 
     def arrange(self, scene: Scene, rng: np.random.Generator) -> None:
         """Put the blocks apart."""
@@ -53,9 +53,8 @@ class BlockPulling(Task):
         points = scatter(
             scene, rng, [BORDER * side] * 2, GAP * side, aligned=not self.config.random_orientation
         )
-        for item, (x, y) in zip(items, points, strict=True):
-            lift = item.spec.extents[2] / 2.0
-            item.place(scene.surface.rest_pose(x, y, lift, rng, self.yaw_spread(YAW_SPREAD)))
+        for item, point in zip(items, points, strict=True):
+            stand(scene, item, point, rng, YAW_SPREAD)
 
     def evaluate(self, scene: Scene) -> dict[str, bool]:
         """Look whether the blocks touch."""

@@ -5,11 +5,11 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from bulletarm_gym.config import CLOSE_LOOP, TaskDefaults
+from bulletarm_gym.config import CLOSE_LOOP, EnvConfig, TaskDefaults
 from bulletarm_gym.geometry import Pose, wrap_angle
 from bulletarm_gym.objects import cube
-from bulletarm_gym.placement import scatter
-from bulletarm_gym.scene import Role, Scene
+from bulletarm_gym.placement import scatter, stand
+from bulletarm_gym.scene import Role, Scene, scaled
 from bulletarm_gym.tasks.task import OPEN, Task, Waypoint
 
 REACH = 0.03
@@ -31,13 +31,13 @@ class BlockReaching(Task):
     defaults = TaskDefaults(num_objects=1)
     controls = (CLOSE_LOOP,)
 
-    def roles(self) -> list[Role]:
+    def bodies(self, config: EnvConfig) -> list[Role]:
         """Return the cube."""
-        return [self.scaled("cube", cube)]
+        return [scaled(config, "cube", cube)]
 
     def arrange(self, scene: Scene, rng: np.random.Generator) -> None:
         """Put the cube anywhere."""
-        place_cube(self, scene, rng, YAW_SPREAD)
+        place_cube(scene, rng, YAW_SPREAD)
 
     def evaluate(self, scene: Scene) -> dict[str, bool]:
         """Compare the fingertips with the cube's centre."""
@@ -51,9 +51,8 @@ class BlockReaching(Task):
         yield Waypoint(Pose.planar(*target.position, hand.yaw + turn), OPEN)
 
 
-def place_cube(task: Task, scene: Scene, rng: np.random.Generator, spread: float) -> None:
+def place_cube(scene: Scene, rng: np.random.Generator, spread: float) -> None:
     """Put the scene's one cube anywhere in the workspace, with a yaw in +-``spread`` (rad)."""
     item = scene["cube"]
-    side = item.spec.extents[2]
-    ((x, y),) = scatter(scene, rng, [BORDER * side], 0.0)
-    item.place(scene.surface.rest_pose(x, y, side / 2.0, rng, task.yaw_spread(spread)))
+    (point,) = scatter(scene, rng, [BORDER * item.spec.extents[0]], 0.0)
+    stand(scene, item, point, rng, spread)

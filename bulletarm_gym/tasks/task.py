@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from bulletarm_gym.config import EnvConfig, TaskDefaults
-from bulletarm_gym.geometry import Pose
+from bulletarm_gym.geometry import Pose, Vector
 from bulletarm_gym.scene import Item, Role, Scene
 
 OPEN = 1.0
@@ -35,8 +35,8 @@ class Waypoint:
 class Task(ABC):
     """A task: its bodies, how they are arranged, when it is solved, and how an expert solves it.
 
-    A task keeps nothing between calls but :attr:`memory`; what it does follows from the scene, so that states can be saved,
-    restored and planned from.
+    A task keeps nothing between calls but :attr:`memory`; what it does follows from the scene, so that states
+    can be saved, restored and planned from.
 
     :param config: the environment's parameters
     """
@@ -51,7 +51,7 @@ class Task(ABC):
         """What the task must remember within an episode; picklable."""
 
     @abstractmethod
-    def roles(self) -> list[Role]:
+    def bodies(self, config: EnvConfig) -> list[Role]:
         """Return everything the task will ever need."""
 
     @abstractmethod
@@ -69,11 +69,11 @@ class Task(ABC):
         It must give one in every state, also after a failure.
         """
 
-    def after_action(self, scene: Scene, rng: np.random.Generator) -> None:
+    def after_action(self, scene: Scene, rng: np.random.Generator) -> None:  # noqa: B027 (most have none)
         """Change the scene after an action, where the task has a life of its own."""
 
     def is_valid(self, scene: Scene) -> bool:
-        """Whether the episode can go on: every loose item is inside the workspace, not above its top nor below the floor."""
+        """Whether every loose item is inside the workspace, not above its top nor below the floor."""
         held = scene.robot.held
         return all(
             self._is_inside(scene, item) for item in scene if item.spec.mass > 0.0 and item.body is not held
@@ -83,26 +83,17 @@ class Task(ABC):
         """Return 1 on success, else 0 (paper, Environment)."""
         return float(outcome["success"])
 
-    def yaw_spread(self, spread: float) -> float:
-        """Return the half range (rad) of the yaw that items start with."""
-        return spread if self.config.random_orientation else 0.0
-
-    def scaled(self, name: str, make: Any) -> Role:
-        """Return a role played by one body a size, ``make(name, scale)``."""
-        variants = tuple(make(f"{name} {scale:g}", scale) for scale in self.config.scales)
-        return Role(name, variants)
-
     def _is_inside(self, scene: Scene, item: Item) -> bool:
         (x0, x1), (y0, y1), (_, top) = self.config.workspace
         low, high = self._extent(scene, item)
         inside = x0 <= low[0] and high[0] <= x1 and y0 <= low[1] and high[1] <= y1
         return inside and low[2] >= FLOOR and high[2] <= top
 
-    def _extent(self, scene: Scene, item: Item) -> tuple[Any, Any]:
+    def _extent(self, scene: Scene, item: Item) -> tuple[Vector, Vector]:
         """Return the corners (m) that must be inside: of the bounding box, or twice the centre."""
         if self.config.workspace_check == "bounding_box":
             low, high = scene.world.bounds(item.body)
-            return (*low[:2], item.pose.z), high
+            return (low[0], low[1], item.pose.z), high
         return item.pose.position, item.pose.position
 
 
