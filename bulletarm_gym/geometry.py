@@ -109,6 +109,33 @@ def rotate(q: Quaternion, v: Vector) -> Vector:
     )
 
 
+def matrix(pose: Pose) -> FloatArray:
+    """Return the (3, 3) rotation matrix of a pose."""
+    x, y, z, w = pose.orientation
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def quaternion(rotation: FloatArray) -> Quaternion:
+    """Return the quaternion of a (3, 3) rotation matrix."""
+    m = rotation.tolist()
+    candidates = (
+        (1 + m[0][0] - m[1][1] - m[2][2], m[1][0] + m[0][1], m[2][0] + m[0][2], m[2][1] - m[1][2]),
+        (m[1][0] + m[0][1], 1 - m[0][0] + m[1][1] - m[2][2], m[2][1] + m[1][2], m[0][2] - m[2][0]),
+        (m[2][0] + m[0][2], m[2][1] + m[1][2], 1 - m[0][0] - m[1][1] + m[2][2], m[1][0] - m[0][1]),
+        (m[2][1] - m[1][2], m[0][2] - m[2][0], m[1][0] - m[0][1], 1 + m[0][0] + m[1][1] + m[2][2]),
+    )
+    best = max(range(4), key=lambda i: candidates[i][i])
+    norm = math.hypot(*candidates[best])
+    x, y, z, w = (value / norm for value in candidates[best])
+    return (x, y, z, w)
+
+
 def wrap_angle(angle: float, period: float = 2.0 * math.pi) -> float:
     """Return the angle (rad) in [-period/2, period/2) that equals ``angle`` modulo ``period``, a symmetry."""
     return (angle + period / 2.0) % period - period / 2.0

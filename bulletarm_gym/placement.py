@@ -67,7 +67,7 @@ def _free_point(
 
 
 def stand(scene: Scene, item: Item, point: Point, rng: np.random.Generator, spread: float) -> None:
-    """Stand an item on the ground at a point, turned by up to ``spread`` (rad) unless orientations are fixed."""
+    """Stand an item on the ground at a point, turned by up to ``spread`` (rad) unless told not to."""
     yaw = float(rng.uniform(-spread, spread)) if scene.config.random_orientation else 0.0
     lift = item.spec.extents[2] / 2.0
     item.place(scene.surface.pose(point, yaw).compose(Pose((0.0, 0.0, lift))))

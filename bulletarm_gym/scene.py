@@ -4,6 +4,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bulletarm_gym.config import EnvConfig
 from bulletarm_gym.geometry import FloatArray, Mesh, Pose
@@ -119,7 +120,7 @@ class Scene:
 
     def settle(self) -> None:
         """Let what is loose come to rest."""
-        loose = [body for body in self.world.free_bodies if body is not self.robot.held]
+        loose = [body for body in self.world.loose_bodies if body is not self.robot.held]
         if any(self.world.is_moving(body) for body in loose):
             self.world.settle(loose, SETTLE_LIMIT)
             self.world.end()
@@ -137,17 +138,19 @@ class Scene:
 
     @property
     def meshes(self) -> list[Mesh]:
-        """Meshes of all bodies but the arm and the ground, in the world's order."""
-        return [body.spec.mesh for body in self.world.solids]
+        """Meshes of all bodies and sliding parts but the arm and the ground, in the world's order."""
+        return [mesh for body in self.world.solids for mesh in body.spec.part_meshes]
 
-    def mesh_poses(self) -> tuple[FloatArray, FloatArray, np.ndarray[tuple[int], np.dtype[np.bool_]]]:
+    def mesh_poses(self) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
         """Return positions (n, 3), orientations (n, 4) and presence (n,) of :attr:`meshes`."""
-        solids = self.world.solids
-        poses = [self.world.poses[body.index] for body in solids]
-        present = np.array([self.world.active[body.index] for body in solids], dtype=np.bool_)
-        positions = np.array([pose.position for pose in poses], dtype=np.float64).reshape(-1, 3)
+        positions, orientations, present = [], [], []
+        for body in self.world.solids:
+            for pose in self.world.part_poses(body):
+                positions.append(pose.position)
+                orientations.append(pose.orientation)
+                present.append(self.world.active[body.index])
         return (
-            positions,
-            np.array([pose.orientation for pose in poses], dtype=np.float64).reshape(-1, 4),
-            present,
+            np.array(positions, dtype=np.float64).reshape(-1, 3),
+            np.array(orientations, dtype=np.float64).reshape(-1, 4),
+            np.array(present, dtype=np.bool_),
         )

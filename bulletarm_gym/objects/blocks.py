@@ -27,4 +27,4 @@ def flat_block(name: str, scale: float) -> BodySpec:
     """Return a square block lower than it is wide, its frame in its centre."""
     side = FLAT_BLOCK_SIDE * scale
     pieces = (Piece(Box((side, side, FLAT_BLOCK_HEIGHT))),)
-    return BodySpec(name, pieces, FLAT_BLOCK_MASS, FLAT_BLOCK_FRICTION, BLUE)
+    return BodySpec(name, pieces, FLAT_BLOCK_MASS, FLAT_BLOCK_FRICTION, colour=BLUE)

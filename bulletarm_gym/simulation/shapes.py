@@ -2,11 +2,13 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TypeAlias
 
 import numpy as np
 
 from bulletarm_gym.geometry import FloatArray, Mesh, Pose, Vector, join
+from bulletarm_gym.simulation.inertia import mass_properties
 
 Colour: TypeAlias = tuple[float, float, float, float]
 
@@ -53,39 +55,83 @@ class Piece:
 
 
 @dataclass(frozen=True)
+class Slide:
+    """A part of a body that slides along an axis of the body's frame, where it lies when the joint is at 0.
+
+    :param name: unique in its body
+    :param limits: least and greatest displacement (m)
+    :param friction: lateral friction coefficient of its surface
+    :param resistance: force (N) that brakes the slide
+    """
+
+    name: str
+    pieces: tuple[Piece, ...]
+    mass: float
+    axis: Vector
+    limits: tuple[float, float]
+    friction: float = 1.0
+    resistance: float = 0.0
+    colour: Colour = RED
+
+    @property
+    def mesh(self) -> Mesh:
+        """The triangles of all pieces in the body's frame, the joint at 0."""
+        return join([piece.mesh for piece in self.pieces])
+
+
+@dataclass(frozen=True)
 class BodySpec:
-    """Everything needed to make a rigid body.
+    """Everything needed to make a body.
 
     :param name: unique in its scene
     :param pieces: the convex pieces that collide and are seen
     :param mass: kg; 0 fixes the body to the world
     :param friction: lateral friction coefficient; Bullet multiplies those of the two bodies in contact
-    :param centre_of_mass: metres, in the body's frame
+    :param rolling_friction: coefficient against rolling (m)
+    :param spinning_friction: coefficient against spinning in place (m)
+    :param slides: parts that slide in a body fixed to the world
     """
 
     name: str
     pieces: tuple[Piece, ...]
     mass: float
     friction: float = 1.0
+    rolling_friction: float = 0.0
+    spinning_friction: float = 0.0
     colour: Colour = RED
-    centre_of_mass: Vector = (0.0, 0.0, 0.0)
+    slides: tuple[Slide, ...] = ()
 
-    @property
+    @cached_property
     def mesh(self) -> Mesh:
         """The triangles of all pieces in the body's frame."""
         return join([piece.mesh for piece in self.pieces])
 
     @property
+    def part_meshes(self) -> list[Mesh]:
+        """The body's mesh and those of its slides."""
+        return [self.mesh, *(slide.mesh for slide in self.slides)]
+
+    @cached_property
     def extents(self) -> Vector:
         """Full side lengths (m) of the bounding box in the body's frame."""
         low, high = self.mesh.bounds
         x, y, z = (high - low).tolist()
         return (x, y, z)
 
-    @property
+    @cached_property
     def footprint(self) -> float:
         """Radius (m) of the circle about the frame's z axis that holds the body at any yaw."""
         return float(np.linalg.norm(self.mesh.vertices[:, :2], axis=1).max())
+
+    @cached_property
+    def mass_properties(self) -> tuple[Pose, Vector]:
+        """Frame of the principal axes at the centre of mass, and the inertia (kg m^2) about them."""
+        only_box = len(self.pieces) == 1 and isinstance(self.pieces[0].shape, Box)
+        if self.mass == 0.0 or (only_box and self.pieces[0].pose == ORIGIN):
+            x, y, z = (side * side for side in self.extents)
+            factor = self.mass / 12.0
+            return ORIGIN, (factor * (y + z), factor * (x + z), factor * (x + y))
+        return mass_properties([piece.mesh for piece in self.pieces], self.mass)
 
 
 def wavefront(pieces: Sequence[Piece]) -> str:

@@ -8,14 +8,13 @@ the same way.
 """
 
 import math
-import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
-from bulletarm_gym.geometry import Pose, Quaternion, Vector, rotate
+from bulletarm_gym.geometry import Pose, Vector
 from bulletarm_gym.simulation.client import Client
-from bulletarm_gym.simulation.shapes import BodySpec, Box, flat_normals, wavefront
+from bulletarm_gym.simulation.loading import load_jointed, load_plane, load_rigid
+from bulletarm_gym.simulation.shapes import ORIGIN, BodySpec
 
 TIME_STEP = 1.0 / 240.0
 """Seconds a simulation step, as in the original BulletArm release."""
@@ -119,28 +118,14 @@ class World:
         :raises RuntimeError: the world has been sealed
         """
         self._check_open()
-        body_id = self.client.createMultiBody(
-            spec.mass,
-            self._collision_shape(spec),
-            self._visual_shape(spec),
-            baseInertialFramePosition=spec.centre_of_mass,
-        )
-        self.client.changeDynamics(
-            body_id,
-            -1,
-            lateralFriction=spec.friction,
-            linearDamping=self.physics.damping,
-            angularDamping=self.physics.damping,
-        )
-        return self._register(Body(len(self.bodies), body_id, spec), pose)
+        load = load_jointed if spec.slides else load_rigid
+        body_id = load(self.client, spec, self.physics.damping)
+        return self._register(Body(len(self.bodies), body_id, spec, tuple(range(len(spec.slides)))), pose)
 
     def add_plane(self, spec: BodySpec) -> Body:
         """Load the endless ground at z = 0; ``spec`` gives its name, friction and picture."""
         self._check_open()
-        shape = self.client.createCollisionShape(self.client.GEOM_PLANE)
-        visual = self._visual_shape(spec)
-        body_id = self.client.createMultiBody(0, shape, visual)
-        self.client.changeDynamics(body_id, -1, lateralFriction=spec.friction)
+        body_id = load_plane(self.client, spec)
         self._ground = self._register(Body(len(self.bodies), body_id, spec), Pose((0.0, 0.0, 0.0)))
         return self._ground
 
@@ -167,6 +152,11 @@ class World:
         return [body for body in self.bodies if body.spec.mass > 0.0 and self.active[body.index]]
 
     @property
+    def loose_bodies(self) -> list[Body]:
+        """Bodies that take part and move, or slide, by themselves."""
+        return [body for body in self.obstacles if body.spec.mass > 0.0 or body.spec.slides]
+
+    @property
     def solids(self) -> list[Body]:
         """All bodies, parked ones too, but the endless ground and what moves itself."""
         return [body for body in self.bodies if body.spec.pieces and body is not self._ground]
@@ -179,7 +169,7 @@ class World:
     @property
     def has_motion(self) -> bool:
         """Whether a body has speed in the state."""
-        return any(twist is not STILL and twist != STILL for twist in self.twists)
+        return any(twist != STILL for twist in self.twists) or any(any(rates) for rates in self.joint_rates)
 
     def _check_open(self) -> None:
         if self._snapshot is not None:
@@ -195,35 +185,6 @@ class World:
         if pose is None:
             self.park(body)
         return body
-
-    def _collision_shape(self, spec: BodySpec) -> int:
-        piece = spec.pieces[0]
-        if len(spec.pieces) == 1 and isinstance(piece.shape, Box):
-            half = [extent / 2.0 for extent in piece.shape.extents]
-            return int(
-                self.client.createCollisionShape(
-                    self.client.GEOM_BOX,
-                    halfExtents=half,
-                    collisionFramePosition=piece.pose.position,
-                    collisionFrameOrientation=piece.pose.orientation,
-                )
-            )
-        with tempfile.TemporaryDirectory(prefix="bulletarm_") as folder:
-            path = Path(folder) / "pieces.obj"
-            path.write_text(wavefront(spec.pieces))
-            return int(self.client.createCollisionShape(self.client.GEOM_MESH, fileName=str(path)))
-
-    def _visual_shape(self, spec: BodySpec) -> int:
-        mesh = spec.mesh
-        return int(
-            self.client.createVisualShape(
-                self.client.GEOM_MESH,
-                vertices=mesh.vertices[mesh.faces.ravel()].tolist(),
-                indices=list(range(mesh.faces.size)),
-                normals=flat_normals(mesh.vertices[mesh.faces]),
-                rgbaColor=spec.colour,
-            )
-        )
 
     # Layout
 
@@ -259,15 +220,25 @@ class World:
     def _set_active(self, body: Body, active: bool) -> None:
         self.active[body.index] = active
         mask = 1 if active else 0
-        self.client.setCollisionFilterGroupMask(body.id, -1, mask, mask)
-        self.client.changeDynamics(body.id, -1, mass=body.spec.mass if active else 0.0)
+        for link in (-1, *body.joints):
+            self.client.setCollisionFilterGroupMask(body.id, link, mask, mask)
+        if body.spec.mass > 0.0:
+            self.client.changeDynamics(body.id, -1, mass=body.spec.mass if active else 0.0)
+            if active:
+                _, moments = body.spec.mass_properties
+                self.client.changeDynamics(body.id, -1, localInertiaDiagonal=moments)
 
     def _send(self, body: Body) -> None:
-        pose = _centre_of_mass_pose(body.spec, self.poses[body.index])
-        self.client.resetBasePositionAndOrientation(body.id, pose.position, pose.orientation)
+        if body.spec.pieces:
+            pose = self.poses[body.index]
+            if body.spec.mass_properties[0] is not ORIGIN:
+                pose = pose.compose(body.spec.mass_properties[0])
+            self.client.resetBasePositionAndOrientation(body.id, pose.position, pose.orientation)
         if body.spec.mass > 0.0:
             linear, angular = self.twists[body.index]
             self.client.resetBaseVelocity(body.id, linear, angular)
+        if body.joints:
+            self._send_joints(body)
 
     def _send_joints(self, body: Body) -> None:
         self.client.resetJointStatesMultiDof(
@@ -283,27 +254,31 @@ class World:
         """Return to the canonical world of the present state; every move starts with it."""
         self.client.restoreState(self._snapshot)
         for body in self.bodies:
-            if body.joints:
-                self._send_joints(body)
-            elif self.active[body.index] and body.spec.mass > 0.0:
+            if self.active[body.index] and body is not self._ground:
                 self._send(body)
 
     def end(self) -> None:
         """Read the world into the state; bodies slower than :data:`REST_SPEED` are at rest."""
         for body in self.bodies:
             if body.joints:
-                states = self.client.getJointStates(body.id, body.joints)
-                self.joints[body.index] = tuple(s[0] for s in states)
-                self.joint_rates[body.index] = tuple(s[1] for s in states)
+                self._read_joints(body)
             elif self.active[body.index] and body.spec.mass > 0.0:
                 self._read(body)
 
     def _read(self, body: Body) -> None:
         position, orientation = self.client.getBasePositionAndOrientation(body.id)
-        self.poses[body.index] = _frame_pose(body.spec, position, orientation)
+        pose, principal = Pose(position, orientation), body.spec.mass_properties[0]
+        self.poses[body.index] = pose if principal is ORIGIN else pose.compose(principal.inverse())
         linear, angular = self.client.getBaseVelocity(body.id)
         at_rest = _speed(linear, angular) < REST_SPEED
         self.twists[body.index] = STILL if at_rest else (linear, angular)
+
+    def _read_joints(self, body: Body) -> None:
+        states = self.client.getJointStates(body.id, body.joints)
+        self.joints[body.index] = tuple(state[0] for state in states)
+        self.joint_rates[body.index] = tuple(
+            state[1] if abs(state[1]) >= REST_SPEED else 0.0 for state in states
+        )
 
     def get_state(self) -> WorldState:
         """Return the state; it holds no reference into the world."""
@@ -324,8 +299,6 @@ class World:
         self.joints[:], self.joint_rates[:] = state.joints, state.joint_rates
         for body in self.bodies:
             self._send(body)
-            if body.joints:
-                self._send_joints(body)
 
     # Motion
 
@@ -343,9 +316,17 @@ class World:
 
     def is_moving(self, body: Body) -> bool:
         """Whether a body moves in the simulation right now."""
+        if body.joints:
+            return any(abs(s[1]) >= REST_SPEED for s in self.client.getJointStates(body.id, body.joints))
         return _speed(*self.client.getBaseVelocity(body.id)) >= REST_SPEED
 
     # Queries
+
+    def part_poses(self, body: Body) -> list[Pose]:
+        """Return the poses of a body and of each of its sliding parts."""
+        pose = self.poses[body.index]
+        slides = zip(body.spec.slides, self.joints[body.index], strict=True) if body.spec.slides else ()
+        return [pose, *(Pose(pose.transform(_along(s.axis, d)), pose.orientation) for s, d in slides)]
 
     def distance(self, first: Body, second: Body, limit: float) -> float:
         """Return the gap (m) between two bodies, negative where they overlap, infinite beyond ``limit``."""
@@ -374,15 +355,5 @@ def _speed(linear: Vector, angular: Vector) -> float:
     return math.hypot(*linear) + REST_RIM * math.hypot(*angular)
 
 
-def _centre_of_mass_pose(spec: BodySpec, pose: Pose) -> Pose:
-    """Bullet poses a body by its centre of mass."""
-    if not any(spec.centre_of_mass):
-        return pose
-    return Pose(pose.transform(spec.centre_of_mass), pose.orientation)
-
-
-def _frame_pose(spec: BodySpec, position: Vector, orientation: Quaternion) -> Pose:
-    if not any(spec.centre_of_mass):
-        return Pose(position, orientation)
-    x, y, z = rotate(orientation, spec.centre_of_mass)
-    return Pose((position[0] - x, position[1] - y, position[2] - z), orientation)
+def _along(axis: Vector, distance: float) -> Vector:
+    return (axis[0] * distance, axis[1] * distance, axis[2] * distance)

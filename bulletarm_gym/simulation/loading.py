@@ -1,0 +1,95 @@
+"""Making bodies in Bullet from what they are specified to be."""
+
+import tempfile
+from pathlib import Path
+
+from bulletarm_gym.simulation.client import Client
+from bulletarm_gym.simulation.shapes import BodySpec, Box, flat_normals, wavefront
+from bulletarm_gym.simulation.urdf import write_urdf
+
+
+def load_rigid(client: Client, spec: BodySpec, damping: float) -> int:
+    """Load a body in one piece, with its true inertia.
+
+    :param damping: linear and angular
+    :return: its id in Bullet
+    """
+    frame, moments = spec.mass_properties
+    body_id = client.createMultiBody(
+        spec.mass,
+        _collision_shape(client, spec),
+        _visual_shape(client, spec),
+        baseInertialFramePosition=frame.position,
+        baseInertialFrameOrientation=frame.orientation,
+    )
+    _set_surface(client, body_id, spec, damping)
+    if spec.mass > 0.0:
+        client.changeDynamics(body_id, -1, localInertiaDiagonal=moments)
+    return int(body_id)
+
+
+def load_jointed(client: Client, spec: BodySpec, damping: float) -> int:
+    """Load a body fixed to the world, with parts that slide.
+
+    :param damping: linear and angular
+    :return: its id in Bullet; its joints are numbered like ``spec.slides``
+    """
+    with tempfile.TemporaryDirectory(prefix="bulletarm_") as folder:
+        body_id = client.loadURDF(str(write_urdf(spec, Path(folder))), useFixedBase=True)
+    _set_surface(client, body_id, spec, damping)
+    for joint, slide in enumerate(spec.slides):
+        client.changeDynamics(body_id, joint, lateralFriction=slide.friction, jointDamping=0.0)
+        client.setJointMotorControl2(
+            body_id, joint, client.VELOCITY_CONTROL, targetVelocity=0.0, force=slide.resistance
+        )
+    return int(body_id)
+
+
+def load_plane(client: Client, spec: BodySpec) -> int:
+    """Load the endless plane z = 0; ``spec`` gives its friction and picture."""
+    shape = client.createCollisionShape(client.GEOM_PLANE)
+    body_id = client.createMultiBody(0, shape, _visual_shape(client, spec))
+    client.changeDynamics(body_id, -1, lateralFriction=spec.friction)
+    return int(body_id)
+
+
+def _set_surface(client: Client, body_id: int, spec: BodySpec, damping: float) -> None:
+    client.changeDynamics(
+        body_id,
+        -1,
+        lateralFriction=spec.friction,
+        rollingFriction=spec.rolling_friction,
+        spinningFriction=spec.spinning_friction,
+        linearDamping=damping,
+        angularDamping=damping,
+    )
+
+
+def _collision_shape(client: Client, spec: BodySpec) -> int:
+    piece = spec.pieces[0]
+    if len(spec.pieces) == 1 and isinstance(piece.shape, Box):
+        return int(
+            client.createCollisionShape(
+                client.GEOM_BOX,
+                halfExtents=[extent / 2.0 for extent in piece.shape.extents],
+                collisionFramePosition=piece.pose.position,
+                collisionFrameOrientation=piece.pose.orientation,
+            )
+        )
+    with tempfile.TemporaryDirectory(prefix="bulletarm_") as folder:
+        path = Path(folder) / "pieces.obj"
+        path.write_text(wavefront(spec.pieces))
+        return int(client.createCollisionShape(client.GEOM_MESH, fileName=str(path)))
+
+
+def _visual_shape(client: Client, spec: BodySpec) -> int:
+    mesh = spec.mesh
+    return int(
+        client.createVisualShape(
+            client.GEOM_MESH,
+            vertices=mesh.vertices[mesh.faces.ravel()].tolist(),
+            indices=list(range(mesh.faces.size)),
+            normals=flat_normals(mesh.vertices[mesh.faces]),
+            rgbaColor=spec.colour,
+        )
+    )
