@@ -95,18 +95,19 @@ class SteerableMap(nn.Module):
         self.reset_parameters(gain)
 
     def reset_parameters(self, gain: float) -> None:
-        """Draw weights so that an output has ``gain ** 2 / 2`` times a He-initialised convolution's variance,
-        and zero biases.
+        """Draw normal weights that keep the mean square of a signal, times ``gain ** 2``; biases become zero.
+
+        He's rule for the stronger of two signals: white noise, and what is constant over pixels and fields.
+        Steerable filters are smooth and pass the latter, of which images and features behind ReLUs mostly
+        consist, better; by the rule for noise alone it would grow with every layer.
 
         :param gain: see the class
         """
         for key, weight in self.weights.items():
-            _, column = map(int, key.split("_"))
-            rep = self.in_type.fields[column][0]
-            inputs = self.in_type.size * self.kernel_size**2
             basis = self.get_buffer(f"basis_{key}")
-            energy = float(basis.square().sum()) / (basis.shape[1] * rep.size * self.kernel_size**2)
-            nn.init.normal_(weight, std=gain / math.sqrt(inputs * energy))
+            noise, constant = basis.square().sum(), basis.sum(dim=(2, 3, 4)).square().sum()
+            passed = max(noise.item(), constant.item()) / basis[0].numel()
+            nn.init.normal_(weight, std=gain / math.sqrt(self.in_type.size * self.kernel_size**2 * passed))
         if self.bias is not None:
             nn.init.zeros_(self.bias)
 

@@ -14,6 +14,8 @@ from sb3_extensions.common.equivariant import EquivariantLinear, GroupMaxPool
 from sb3_extensions.common.groups import FieldType, Group
 
 ACTION_SYMBOLS = "pxyzr"
+# Small at first, so that an untrained actor explores all actions: means near 0, standard deviations near 1.
+OUTPUT_GAIN = 0.1
 
 
 @dataclass(frozen=True)
@@ -77,7 +79,7 @@ class EquivariantMean(nn.Module):
 
     def __init__(self, in_type: FieldType, action: ActionFields) -> None:
         super().__init__()
-        self.linear = EquivariantLinear(in_type, action.field_type(in_type.group), gain=1.0)
+        self.linear = EquivariantLinear(in_type, action.field_type(in_type.group), gain=OUTPUT_GAIN)
         self.register_buffer("index", th.tensor(action.order).argsort(), persistent=False)
 
     def forward(self, features: th.Tensor) -> th.Tensor:
@@ -101,7 +103,7 @@ class EquivariantLogStd(nn.Module):
     def __init__(self, in_type: FieldType, action: ActionFields) -> None:
         super().__init__()
         out_type = FieldType.of((in_type.group.trivial, max(action.std_index) + 1))
-        self.linear = EquivariantLinear(in_type, out_type, gain=1.0)
+        self.linear = EquivariantLinear(in_type, out_type, gain=OUTPUT_GAIN)
         self.register_buffer("index", th.tensor(action.std_index), persistent=False)
 
     def forward(self, features: th.Tensor) -> th.Tensor:

@@ -32,9 +32,11 @@ class Quantiser:
     """
 
     def __init__(self, space: spaces.Box, dtype: npt.DTypeLike = "uint8") -> None:
+        if not isinstance(dtype, str):
+            dtype = np.dtype(dtype).name
+        if dtype not in DTYPES:
+            raise ValueError(f"dtype must be one of {DTYPES}, got {dtype!r}")
         self.dtype = np.dtype(dtype)
-        if self.dtype.name not in DTYPES:
-            raise ValueError(f"dtype must be one of {DTYPES}, got {self.dtype.name!r}")
         low, high = space.low.astype(np.float64), space.high.astype(np.float64)
         if not (np.isfinite(low).all() and np.isfinite(high).all() and (low < high).all()):
             raise ValueError(f"quantisation needs finite bounds with low < high, got {space}")

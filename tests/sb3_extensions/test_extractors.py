@@ -1,0 +1,174 @@
+import gymnasium as gym
+import numpy as np
+import pytest
+import torch as th
+from gymnasium import spaces
+from sb3_contrib import TQC, CrossQ
+from sb3_contrib.crossq.policies import CrossQPolicy
+from stable_baselines3 import PPO
+
+from sb3_extensions.common.extractors import CnnExtractor, EquivariantExtractor, StackedImage
+from sb3_extensions.common.quantisation import Quantiser
+
+SIZE = 16
+CNN = (CnnExtractor, {"channels": [4, 8, 8]})
+REGULAR = (EquivariantExtractor, {"n": 4, "channels": [2, 4, 4]})
+INVARIANT = (EquivariantExtractor, {"n": 4, "channels": [2, 4, 4], "output": "invariant"})
+
+
+def observation_space(size=SIZE, **others):
+    heightmap = spaces.Box(0, 0.4, (1, size, size), np.float32)
+    return spaces.Dict({"heightmap": heightmap, "holding": spaces.Box(0, 1, (1,), np.float32), **others})
+
+
+def sample(space, batch=3, seed=0):
+    space.seed(seed)
+    observations = [space.sample() for _ in range(batch)]
+    return {key: th.from_numpy(np.stack([each[key] for each in observations])).float() for key in space}
+
+
+class NoiseEnv(gym.Env):
+    """Random images and rewards."""
+
+    observation_space = observation_space()
+    action_space = spaces.Box(-1, 1, (5,), np.float32)
+
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        if seed is not None:
+            self.observation_space.seed(seed)
+        self.steps = 0
+        return self.observation_space.sample(), {}
+
+    def step(self, action):
+        self.steps += 1
+        return self.observation_space.sample(), float(action.sum()), False, self.steps == 8, {}
+
+
+@pytest.fixture(autouse=True)
+def _seed():
+    th.manual_seed(0)
+
+
+def test_stack_scales_images_and_spreads_numbers():
+    space = observation_space(
+        extra=spaces.Box(-5, 5, (2,), np.float32), colour=spaces.Box(0, 255, (3, SIZE, SIZE), np.uint8)
+    )
+    observations = sample(space)
+    observations["colour"] /= 255  # as Stable-Baselines3 does before it calls an extractor
+    stack = StackedImage(space, "uint8")
+    image = stack(observations)
+    assert image.shape == (3, 7, SIZE, SIZE) and stack.channels == 7 and stack.size == SIZE
+    order = ["colour", "heightmap", "extra", "holding"]
+    assert th.equal(image[:, :3], observations["colour"])
+    assert th.allclose(image[:, 3:4], observations["heightmap"] / 0.4, atol=0.5 / 255 + 1e-6)
+    for channel, key, number in ((4, "extra", 0), (5, "extra", 1), (6, "holding", 0)):
+        assert th.equal(image[:, channel], observations[key][:, number, None, None].expand(3, SIZE, SIZE))
+    assert sorted(observations) == sorted(order)
+
+
+def test_stack_takes_one_hot_numbers():
+    space = observation_space(stage=spaces.Discrete(4))
+    assert StackedImage(space, None).channels == 1 + 1 + 4
+
+
+@pytest.mark.parametrize("dtype", ["uint8", "uint16"])
+def test_acting_sees_what_training_sees(dtype):
+    """The features of an image equal those of its copy in the replay buffer, bit for bit."""
+    space = observation_space()
+    extractor, quantiser = (
+        CnnExtractor(space, [4, 8, 8], quantise=dtype),
+        Quantiser(space["heightmap"], dtype),
+    )
+    seen = sample(space)
+    stored = {
+        **seen,
+        "heightmap": th.from_numpy(quantiser.decode(quantiser.encode(seen["heightmap"].numpy()))),
+    }
+    assert not th.equal(seen["heightmap"], stored["heightmap"])
+    assert th.equal(extractor(seen), extractor(stored))
+
+
+def test_without_quantisation_heights_are_only_scaled():
+    observations = sample(observation_space())
+    image = StackedImage(observation_space(), None)(observations)
+    assert th.allclose(image[:, :1], observations["heightmap"] / 0.4)
+    unbounded = observation_space(heightmap=spaces.Box(-np.inf, np.inf, (1, SIZE, SIZE), np.float32))
+    assert th.equal(StackedImage(unbounded, None)(observations)[:, :1], observations["heightmap"])
+
+
+@pytest.mark.parametrize("group, n", [("cyclic", 4), ("cyclic", 8), ("dihedral", 4)])
+def test_outputs_turn_or_stay(group, n):
+    space = observation_space()
+    regular = EquivariantExtractor(space, group, n, [4, 4, 4])
+    invariant = EquivariantExtractor(space, group, n, [4, 4, 4], output="invariant")
+    invariant.load_state_dict(regular.state_dict())
+    order = regular.out_type.group.order
+    assert regular.features_dim == 4 * order and invariant.features_dim == 4
+    observations = sample(space)
+    features = regular(observations)
+    assert features.std() > 0
+    for element in (e for e in range(order) if e % n % (n // 4) == 0):
+        image = observations["heightmap"]
+        image = image.flip(-1) if element >= n else image
+        turned = {**observations, "heightmap": th.rot90(image, element % n // (n // 4), (-2, -1))}
+        matrix = th.tensor(regular.out_type.matrix(element)).float()
+        assert th.allclose(regular(turned), features @ matrix.T, atol=1e-5)
+        assert th.allclose(invariant(turned), invariant(observations), atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    "extractor_class, kwargs", [CNN, REGULAR, INVARIANT], ids=["cnn", "regular", "invariant"]
+)
+@pytest.mark.parametrize("algorithm", [PPO, TQC, CrossQ])
+def test_extractors_serve_other_algorithms(algorithm, extractor_class, kwargs, tmp_path):
+    on_policy = (
+        {"n_steps": 8, "n_epochs": 1} if algorithm is PPO else {"learning_starts": 4, "buffer_size": 64}
+    )
+    policy_kwargs = {
+        "features_extractor_class": extractor_class,
+        "features_extractor_kwargs": kwargs,
+        "net_arch": [8],
+    }
+    model = algorithm(
+        CrossQPolicy if algorithm is CrossQ else "MultiInputPolicy",
+        NoiseEnv(),
+        policy_kwargs=policy_kwargs,
+        batch_size=4,
+        seed=0,
+        device="cpu",
+        **on_policy,
+    )
+    before = model.policy.parameters_to_vector()
+    model.learn(12)
+    assert not np.array_equal(model.policy.parameters_to_vector(), before)
+    assert np.isfinite(model.policy.parameters_to_vector()).all()
+    model.save(tmp_path / "model")
+    observation = model.get_env().reset()
+    loaded = algorithm.load(tmp_path / "model", device="cpu")
+    np.testing.assert_array_equal(
+        loaded.predict(observation, deterministic=True)[0], model.predict(observation, deterministic=True)[0]
+    )
+
+
+@pytest.mark.parametrize(
+    "space, kwargs, named",
+    [
+        (spaces.Box(0, 0.4, (1, 16, 16), np.float32), {}, "Dict"),
+        (spaces.Dict({"holding": spaces.Box(0, 1, (1,), np.float32)}), {}, "needs images"),
+        (observation_space(in_hand=spaces.Box(0, 0.4, (1, 24, 24), np.float32)), {}, "one size"),
+        (observation_space(heightmap=spaces.Box(0, 0.4, (1, 16, 24), np.float32)), {}, "one size"),
+        (observation_space(heightmap=spaces.Box(0, np.inf, (1, 16, 16), np.float32)), {}, "'heightmap'"),
+        (observation_space(), {"quantise": "int4"}, "quantise='int4'"),
+        (observation_space(20), {}, "size"),
+        (observation_space(), {"channels": [4]}, "channels"),
+        (observation_space(), {"strided": 2}, "strided"),
+        (observation_space(), {"autocast": "fp16"}, "autocast"),
+        (observation_space(), {"group": "square"}, "group"),
+        (observation_space(), {"n": 0}, "n"),
+        (observation_space(), {"output": "both"}, "output"),
+    ],
+)
+def test_extractor_names_what_does_not_fit(space, kwargs, named):
+    with pytest.raises(ValueError, match=named):
+        EquivariantExtractor(space, **kwargs)
