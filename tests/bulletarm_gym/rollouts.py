@@ -1,0 +1,96 @@
+"""Rollouts reduced to short digests, for exact comparison between instances, processes and days.
+
+As a script it reads pickled requests, ``{name: (env_id, parameters, state or None)}``, from its input and prints the
+digests of the rollouts that follow, as JSON: how the tests look into another process.
+"""
+
+import hashlib
+import json
+import pickle
+import sys
+from collections.abc import Callable
+from typing import Any
+
+import gymnasium
+import numpy as np
+
+import bulletarm_gym
+from bulletarm_gym.env import EnvState, ManipulationEnv
+
+EXPERT_SHARE = 0.7
+"""Share of expert actions among random ones: enough for grasps, pushes and successes to happen."""
+
+
+def make_env(env_id: str, **parameters: Any) -> ManipulationEnv:
+    """Make an environment without wrappers."""
+    assert env_id in bulletarm_gym.ENV_IDS
+    env = gymnasium.make(env_id, **parameters).unwrapped
+    assert isinstance(env, ManipulationEnv)
+    return env
+
+
+def digest(*parts: Any) -> str:
+    """Return a short hash of arrays, dicts of arrays and Python scalars; equal only if they are equal bit for bit."""
+    sha = hashlib.sha256()
+    for part in parts:
+        for name, value in sorted(part.items()) if isinstance(part, dict) else [("", part)]:
+            content = value.tobytes() if isinstance(value, np.ndarray) else repr(value).encode()
+            sha.update(f"{name} {type(value).__name__} ".encode() + content)
+    return sha.hexdigest()[:16]
+
+
+def transcript(
+    env: ManipulationEnv,
+    steps: int = 50,
+    *,
+    seed: int | None = None,
+    action_seed: int = 0,
+    before_step: Callable[[ManipulationEnv], object] = lambda env: None,
+) -> list[str]:
+    """Act on an environment, experts' actions mixed with random ones, through as many episodes as it takes.
+
+    :param seed: of a first reset; without one the rollout goes on from the present state
+    :param before_step: called before every step
+    :return: one digest a step (and a reset) of the action and of all that came back
+    """
+    rng = np.random.default_rng(action_seed)
+    lines = [] if seed is None else [digest(*env.reset(seed=seed))]
+    for _ in range(steps):
+        before_step(env)
+        action = mixed_action(env, rng)
+        result = env.step(action)
+        lines.append(digest(action, *result))
+        if result[2] or result[3]:
+            lines.append(digest(*env.reset()))
+    return lines
+
+
+def mixed_action(env: ManipulationEnv, rng: np.random.Generator) -> np.ndarray:
+    """Return the expert's action or, less often, any action, some of it outside the box."""
+    anything = rng.uniform(-1.2, 1.2, env.action_space.shape).astype(np.float32)
+    return env.expert_action() if rng.random() < EXPERT_SHARE else anything
+
+
+def advance(env: ManipulationEnv, seed: int, steps: int) -> EnvState:
+    """Return the state after some of the expert's steps; the episode must not have ended."""
+    env.reset(seed=seed)
+    for _ in range(steps):
+        *_, terminated, truncated, _ = env.step(env.expert_action())
+        assert not terminated and not truncated
+    return env.get_state()
+
+
+def answer(requests: dict[str, tuple[str, dict[str, Any], EnvState | None]]) -> dict[str, list[str]]:
+    """Return the rollout from each state, or from a seeded reset."""
+    answers = {}
+    for name, (env_id, parameters, state) in requests.items():
+        env = make_env(env_id, **parameters)
+        if state is not None:
+            env.set_state(state)
+        answers[name] = transcript(env, seed=0 if state is None else None)
+        env.close()
+    return answers
+
+
+if __name__ == "__main__":
+    json.dump(answer(pickle.load(sys.stdin.buffer)), sys.stdout)

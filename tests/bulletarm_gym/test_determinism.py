@@ -1,0 +1,171 @@
+"""The same seed gives the same episode, bit for bit, wherever and after whatever it is run."""
+
+from collections.abc import Callable
+
+import gymnasium
+import numpy as np
+import pytest
+from rollouts import digest, make_env, transcript
+
+import bulletarm_gym
+from bulletarm_gym.env import ManipulationEnv
+
+Make = Callable[..., ManipulationEnv]
+
+PICKING = "BulletArm/CloseLoopBlockPicking-v0"
+PARAMETERS = (
+    {},
+    {"fast_mode": False},
+    {"physics_mode": "slow"},
+    {"object_scale_range": [0.8, 1.0]},
+    {"action_sequence": "zpxy", "random_orientation": False, "obs_size": 64},
+)
+
+
+def first_heightmap(env: ManipulationEnv, seed: int | None = None) -> np.ndarray:
+    return env.reset(seed=seed)[0]["heightmap"]
+
+
+@pytest.mark.parametrize("parameters", PARAMETERS, ids=str)
+def test_two_instances_agree(make: Make, env_id: str, parameters: dict) -> None:
+    first, second = (make(env_id, instance, **parameters) for instance in range(2))
+    assert transcript(first, seed=11) == transcript(second, seed=11)
+
+
+def test_rollouts_grasp_and_succeed(picking: ManipulationEnv) -> None:
+    """The rollouts compared here are worth it: the mixture of actions brings grasps and successes about."""
+    seen = []
+    transcript(picking, seed=11, before_step=lambda env: seen.append(env.scene.held is not None))
+    assert any(seen) and not all(seen)
+    successes = []
+    transcript(picking, seed=11, before_step=lambda env: successes.append(env.get_state().steps == 0))
+    assert sum(successes) >= 2, "no second episode began"
+
+
+@pytest.mark.parametrize("parameters", PARAMETERS[:2], ids=str)
+def test_same_instance_after_other_episodes(make: Make, env_id: str, parameters: dict) -> None:
+    env = make(env_id, **parameters)
+    before = transcript(env, seed=3)
+    transcript(env, 60, seed=99, action_seed=5)
+    assert transcript(env, seed=3) == before
+
+
+def test_unseeded_resets_follow_from_the_seed(make: Make, env_id: str) -> None:
+    def sequence(env: ManipulationEnv) -> list[str]:
+        return [digest(*env.reset(seed=5)), *(digest(*env.reset()) for _ in range(4))]
+
+    first, second = make(env_id), make(env_id, 1)
+    expected = sequence(first)
+    transcript(second, 20, seed=8)
+    assert sequence(second) == expected
+    assert len(set(expected)) == len(expected)
+
+
+def test_steps_do_not_move_the_resets_that_follow(env: ManipulationEnv) -> None:
+    env.reset(seed=5)
+    without = digest(*env.reset())
+    env.reset(seed=5)
+    for _ in range(2):
+        env.step(env.expert_action())
+    assert digest(*env.reset()) == without
+
+
+def test_another_process_agrees(make: Make, in_another_process: Callable) -> None:
+    requests = {
+        f"{env_id} {parameters}": (env_id, parameters, None)
+        for env_id in bulletarm_gym.ENV_IDS
+        for parameters in PARAMETERS
+    }
+    answers = in_another_process(requests)
+    for name, (env_id, parameters, _) in requests.items():
+        assert answers[name] == transcript(make(env_id, **parameters), seed=0), name
+
+
+def test_global_randomness_is_neither_read_nor_moved(env: ManipulationEnv) -> None:
+    np.random.seed(1)
+    expected = transcript(env, 20, seed=4)
+    np.random.seed(2)
+    before = np.random.get_state()
+    assert transcript(env, 20, seed=4) == expected
+    after = np.random.get_state()
+    assert all(np.array_equal(one, other) for one, other in zip(before, after, strict=True))
+
+
+def test_seeds_differ(env: ManipulationEnv) -> None:
+    views = {first_heightmap(env, seed).tobytes() for seed in range(8)}
+    assert len(views) == 8
+
+
+def test_consecutive_resets_differ(env: ManipulationEnv) -> None:
+    env.reset(seed=0)
+    views = {first_heightmap(env).tobytes() for _ in range(8)}
+    assert len(views) == 8
+
+
+def test_unseeded_instances_differ(env_id: str) -> None:
+    first, second = make_env(env_id), make_env(env_id)
+    assert not np.array_equal(first_heightmap(first), first_heightmap(second))
+    first.close()
+    second.close()
+
+
+def test_interleaved_instances_do_not_disturb_each_other(make: Make, env_id: str) -> None:
+    first, second = make(env_id), make(env_id, 1)
+    other = make(PICKING, 2)
+    alone = transcript(first, 25, seed=6)
+    second.reset(seed=50)
+    other.reset(seed=51)
+
+    def disturb(env: ManipulationEnv) -> None:
+        for neighbour in (second, other):
+            *_, terminated, truncated, _ = neighbour.step(neighbour.expert_action())
+            if terminated or truncated:
+                neighbour.reset()
+
+    assert transcript(first, 25, seed=6, before_step=disturb) == alone
+
+
+@pytest.mark.parametrize("parameters", PARAMETERS[:2], ids=str)
+def test_looking_changes_nothing(make: Make, env_id: str, parameters: dict) -> None:
+    plain = make(env_id, **parameters)
+    watched = make(env_id, 3, render_mode="rgb_array", **parameters)
+    rng = np.random.default_rng(0)
+
+    def look(env: ManipulationEnv) -> None:
+        looks = (env.get_state, env.expert_action, lambda: env.control.observe(env.scene))
+        for number in rng.integers(len(looks), size=3):
+            looks[number]()
+        if rng.random() < 0.2:
+            env.render()
+
+    assert transcript(watched, 30, seed=2, before_step=look) == transcript(plain, 30, seed=2)
+
+
+def test_render_mode_changes_nothing(make: Make, env_id: str) -> None:
+    for mode in ("rgb_array", "depth_array"):
+        env = make(env_id, render_mode=mode)
+        assert transcript(env, 10, seed=2) == transcript(make(env_id), 10, seed=2)
+
+
+def test_action_type_does_not_matter(env: ManipulationEnv) -> None:
+    action = [0.5, -0.25, 0.125, -1.0, 0.75]
+    results = []
+    for form in (action, tuple(action), np.array(action, np.float32), np.array(action, np.float64)):
+        env.reset(seed=1)
+        results.append(digest(*env.step(form)))
+    assert len(set(results)) == 1
+
+
+def test_step_leaves_the_action_alone(env: ManipulationEnv) -> None:
+    env.reset(seed=1)
+    action = np.full(env.action_space.shape, 3.0, np.float32)
+    env.step(action)
+    assert (action == 3.0).all()
+
+
+def test_wrapped_environment_agrees(env_id: str, make: Make) -> None:
+    wrapped = gymnasium.make(f"bulletarm_gym:{env_id}")
+    expected, _ = make(env_id).reset(seed=21)
+    observed, _ = wrapped.reset(seed=21)
+    assert digest(observed) == digest(expected)
+    wrapped.close()

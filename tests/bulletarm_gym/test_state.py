@@ -1,0 +1,175 @@
+"""States are exact: what follows from one is the same in any instance, process and after any pickle."""
+
+import pickle
+from collections.abc import Callable
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from rollouts import advance, digest, make_env, transcript
+
+import bulletarm_gym
+from bulletarm_gym.env import ManipulationEnv
+
+Make = Callable[..., ManipulationEnv]
+
+PICKING = "BulletArm/CloseLoopBlockPicking-v0"
+PULLING = "BulletArm/CloseLoopBlockPulling-v0"
+MOMENTS = {
+    "Reaching": (0, 1, 2),
+    "Picking": (0, 3, 4, 5, 6),
+    "Pulling": (0, 2, 4, 5),
+}
+"""Numbers of expert's steps after which a state is taken; mid-grasp and mid-push among them."""
+CASES = [
+    (env_id, moment, parameters)
+    for env_id in bulletarm_gym.ENV_IDS
+    for name, moments in MOMENTS.items()
+    if name in env_id
+    for moment in moments
+    for parameters in ({}, {"fast_mode": False, "object_scale_range": [0.7, 1.0]})
+    if not parameters or moment == moments[-1]
+]
+
+
+def name_of(case: Any) -> str:
+    return "-".join(str(part).rsplit("/")[-1] for part in case)
+
+
+@pytest.mark.parametrize("case", CASES, ids=name_of)
+def test_state_is_exact(make: Make, case: tuple[str, int, dict[str, Any]]) -> None:
+    env_id, moment, parameters = case
+    env, other = (make(env_id, instance, **parameters) for instance in range(2))
+    state = advance(env, 2, moment)
+    expected = transcript(env)
+    transcript(env, 15, seed=77)
+    env.set_state(state)
+    assert transcript(env) == expected, "in the same instance"
+    transcript(other, 10, seed=78)
+    other.set_state(state)
+    assert transcript(other) == expected, "in another instance, busy before"
+    env.set_state(state)
+    assert digest(*env.reset()) == digest(*_after(other, state).reset()), "the next episode"
+
+
+def _after(env: ManipulationEnv, state: Any) -> ManipulationEnv:
+    env.set_state(state)
+    return env
+
+
+def test_states_are_exact_in_another_process(make: Make, in_another_process: Callable) -> None:
+    requests, expected = {}, {}
+    for case in CASES:
+        env_id, moment, parameters = case
+        env = make(env_id, **parameters)
+        requests[name_of(case)] = (env_id, parameters, advance(env, 2, moment))
+        expected[name_of(case)] = transcript(env)
+    assert in_another_process(requests) == expected
+
+
+def test_the_moments_cover_grasp_and_push(make: Make) -> None:
+    picking, pulling = make(PICKING), make(PULLING)
+    held = [advance(picking, 2, moment).robot.held is not None for moment in MOMENTS["Picking"]]
+    assert held[0] is False and held[-1] is True
+    start, end = (advance(pulling, 2, moment).world.poses for moment in (0, MOMENTS["Pulling"][-1]))
+    assert start != end
+
+
+def test_state_taken_while_something_moves_is_exact(picking: ManipulationEnv, make: Make) -> None:
+    """A cube let go in the air with the time limit of settling cut short keeps its speed in the state."""
+    picking.reset(seed=0)
+    item = picking.scene["cube"]
+    pose = item.pose._replace(position=(0.45, 0.0, 0.12))
+    picking.scene.world.place(item.body, pose, ((0.1, 0.0, 0.0), (0.0, 2.0, 1.0)))
+    state = picking.get_state()
+    assert state.world.twists[item.body.index] == ((0.1, 0.0, 0.0), (0.0, 2.0, 1.0))
+    expected = transcript(picking)
+    other = _after(make(PICKING, 1), pickle.loads(pickle.dumps(state)))
+    assert transcript(other) == expected
+
+
+def test_setting_a_state_restores_what_can_be_seen(env: ManipulationEnv) -> None:
+    env.reset(seed=1)
+    observation, reward, *_ = env.step(env.expert_action())
+    state = env.get_state()
+    action = env.expert_action()
+    transcript(env, 10, seed=9)
+    env.set_state(state)
+    assert digest(env.control.observe(env.scene)) == digest(observation)
+    assert np.array_equal(env.expert_action(), action)
+    assert env.get_state() == state
+    assert reward == 0.0
+
+
+def test_state_is_independent_of_the_environment(env: ManipulationEnv) -> None:
+    env.reset(seed=1)
+    state = env.get_state()
+    frozen = pickle.dumps(state)
+    transcript(env, 10)
+    assert pickle.dumps(state) == frozen
+    env.set_state(state)
+    transcript(env, 10)
+    assert pickle.dumps(state) == frozen
+
+
+def test_set_state_on_a_fresh_instance(env_id: str, make: Make) -> None:
+    state = advance(make(env_id), 2, 2)
+    expected = transcript(make(env_id), 20)
+    fresh = make_env(env_id)
+    fresh.set_state(state)
+    assert transcript(fresh, 20) == expected
+    fresh.close()
+
+
+def test_state_keeps_the_time_limit(make: Make, env_id: str) -> None:
+    env, other = make(env_id, max_steps=3), make(env_id, 1, max_steps=3)
+    idle = np.zeros(5, np.float32)
+    env.reset(seed=0)
+    env.step(idle)
+    env.step(idle)
+    other.set_state(env.get_state())
+    assert other.step(idle)[3] is True
+
+
+@pytest.mark.parametrize("moment", [None, 0, 2])
+def test_environment_can_be_pickled(env_id: str, moment: int | None) -> None:
+    env = make_env(env_id, max_steps=20, obs_size=64)
+    if moment is not None:
+        advance(env, 2, moment)
+    copy = pickle.loads(pickle.dumps(env))
+    assert copy.config == env.config
+    assert copy.spec == env.spec
+    if moment is None:
+        with pytest.raises(gymnasium.error.ResetNeeded):
+            copy.expert_action()
+    seed = 5 if moment is None else None
+    assert transcript(copy, 30, seed=seed) == transcript(env, 30, seed=seed)
+    env.close()
+    copy.close()
+
+
+def test_wrapped_environment_can_be_pickled(env_id: str) -> None:
+    env = gymnasium.make(env_id)
+    env.reset(seed=3)
+    copy = pickle.loads(pickle.dumps(env))
+    action = env.unwrapped.expert_action()
+    assert digest(*copy.step(action)) == digest(*env.step(action))
+    env.close()
+    copy.close()
+
+
+def test_copies_live_on_their_own(env_id: str) -> None:
+    env = make_env(env_id)
+    env.reset(seed=0)
+    copy = pickle.loads(pickle.dumps(env))
+    env.close()
+    assert transcript(copy, 5)
+    copy.close()
+
+
+def test_state_needs_an_episode(env_id: str) -> None:
+    env = make_env(env_id)
+    with pytest.raises(gymnasium.error.ResetNeeded):
+        env.get_state()
+    env.close()
