@@ -92,8 +92,8 @@ class PinnedRing:
 
 class FrameStore:
     """
-    Observations, each a dictionary of arrays. Floating-point images (boxes with three axes and finite bounds) are kept as
-    integers over their bounds, everything else in the type of its space (float64 as float32).
+    Observations, each a dictionary of arrays. Floating-point images (boxes with three axes and finite bounds)
+    are kept as integers over their bounds, everything else in the type of its space (float64 as float32).
 
     Nothing is allocated before :meth:`allocate`.
 

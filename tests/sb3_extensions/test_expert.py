@@ -1,0 +1,92 @@
+"""Collection of expert episodes."""
+
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.wrappers import TransformObservation
+from stable_baselines3.common.vec_env import DummyVecEnv
+
+from sb3_extensions.common.expert import collect_episodes, make_expert_env
+
+ENV_ID = "ToyReach-v0"
+
+
+def make_env(**kwargs: Any) -> gym.Env[Any, Any]:
+    return gym.make(ENV_ID, **kwargs)
+
+
+def test_counts_and_keeps_successes_only() -> None:
+    env = make_env(expert_failures=3)
+    episodes = list(collect_episodes(env, 5, seed=0, progress_bar=False))
+    assert len(episodes) == 5
+    assert env.unwrapped.episodes == 8
+    assert all(episode.terminations[-1] and episode.rewards[-1] == 1 for episode in episodes)
+
+
+def test_shape_of_an_episode() -> None:
+    episode = next(collect_episodes(make_env(), 1, seed=0, progress_bar=False))
+    n = len(episode.actions)
+    assert episode.actions.shape == (n, 5)
+    assert episode.observations["heightmap"].shape == (n + 1, 1, 16, 16)
+    assert episode.observations["holding"].shape == (n + 1, 1)
+    for array in (episode.rewards, episode.terminations, episode.truncations):
+        assert array.shape == (n,)
+    assert not episode.terminations[:-1].any() and not episode.truncations.any()
+    # The episode can be played again from its seed.
+    env = make_env()
+    env.reset(seed=episode.seed)
+    for k, action in enumerate(episode.actions):
+        observation, reward, *_ = env.step(action)
+        np.testing.assert_array_equal(observation["heightmap"], episode.observations["heightmap"][k + 1])
+        assert reward == episode.rewards[k]
+
+
+def test_same_seed_same_episodes() -> None:
+    def seeds(seed: int) -> list[int]:
+        return [episode.seed for episode in collect_episodes(make_env(), 4, seed, progress_bar=False)]
+
+    assert seeds(1) == seeds(1) != seeds(2)
+    assert len(set(seeds(1))) == 4
+
+
+def test_gives_up() -> None:
+    episodes = collect_episodes(make_env(expert_failures=100), 2, seed=0, progress_bar=False)
+    with pytest.raises(RuntimeError, match="succeeded in 0 of 8 episodes, 2 needed"):
+        list(episodes)
+    episodes = collect_episodes(make_env(expert_failures=3), 2, 0, max_attempts=4, progress_bar=False)
+    with pytest.raises(RuntimeError, match="1 of 4"):
+        list(episodes)
+
+
+def test_needs_an_expert_and_dict_observations() -> None:
+    with pytest.raises(ValueError, match="expert_action"):
+        collect_episodes(_WithoutExpert(), 1)
+    with pytest.raises(ValueError, match="Dict"):
+        collect_episodes(gym.make("Pendulum-v1"), 1)
+    with pytest.raises(ValueError, match="episodes"):
+        collect_episodes(make_env(), -1)
+
+
+class _WithoutExpert(gym.Env[Any, Any]):
+    observation_space = gym.spaces.Dict({"a": gym.spaces.Box(0, 1)})
+
+
+def test_env_like_the_training_env(make_toy: Any) -> None:
+    env = make_expert_env(make_toy(2, max_steps=7))
+    assert env.unwrapped.max_steps == 7
+    assert env.unwrapped.render_mode is None
+    assert "Monitor" not in str(env)
+
+
+def test_env_without_a_spec_or_with_other_observations() -> None:
+    bare = type(make_env().unwrapped)
+    with pytest.raises(ValueError, match="no spec"):
+        make_expert_env(DummyVecEnv([bare]))
+    wrapped = TransformObservation(make_env(), lambda obs: obs, make_env().observation_space)
+    assert make_expert_env(DummyVecEnv([lambda: wrapped])).unwrapped is not wrapped.unwrapped
+    vec_env = DummyVecEnv([make_env])
+    vec_env.observation_space = gym.spaces.Dict({"a": gym.spaces.Box(0, 1)})
+    with pytest.raises(ValueError, match="observations"):
+        make_expert_env(vec_env)

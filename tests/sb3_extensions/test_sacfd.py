@@ -1,0 +1,275 @@
+"""SACfD: in the manner of Stable-Baselines3's tests of its own algorithms."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+import torch as th
+from stable_baselines3 import SAC
+from stable_baselines3.common.evaluation import evaluate_policy
+from stable_baselines3.common.vec_env import VecNormalize
+from stable_baselines3.sac.policies import MultiInputPolicy as StockPolicy
+
+from sb3_extensions.common.expert import collect_episodes, make_expert_env
+from sb3_extensions.common.replay import FrameReplayBuffer
+from sb3_extensions.sacfd import SACfD
+
+SMALL_STOCK = {"net_arch": [16], "features_extractor_kwargs": {"cnn_output_dim": 8}}
+
+
+def make_model(env: Any, policy: tuple[Any, Any] = (StockPolicy, SMALL_STOCK), **kwargs: Any) -> SACfD:
+    name, policy_kwargs = policy
+    kwargs = {"expert_episodes": 5, "batch_size": 16, "buffer_size": 500, "seed": 0, **kwargs}
+    return SACfD(name, env, policy_kwargs=policy_kwargs, device="cpu", **kwargs)
+
+
+def parameters(model: Any) -> dict[str, np.ndarray]:
+    return {name: value.numpy().copy() for name, value in model.policy.state_dict().items()}
+
+
+def assert_equal_parameters(first: Any, second: Any) -> None:
+    theirs = parameters(second)
+    for name, value in parameters(first).items():
+        np.testing.assert_array_equal(value, theirs[name], err_msg=name)
+
+
+@pytest.mark.parametrize("n_envs", [1, 2])
+@pytest.mark.parametrize("n_steps", [1, 3])
+def test_run(policy: Any, n_envs: int, n_steps: int, make_toy: Any) -> None:
+    model = make_model(make_toy(n_envs), policy, n_steps=n_steps)
+    model.learn(20)
+    assert model.num_timesteps == 20
+    assert model._n_updates == 20 // n_envs
+    assert model.replay_buffer.n_steps == n_steps
+    assert model.replay_buffer.expert_size > 0
+    assert model.replay_buffer.size() == model.replay_buffer.expert_size + 20
+
+
+@pytest.mark.parametrize(
+    "kwargs", [{"train_freq": (1, "episode")}, {"ent_coef": 0.1}, {"gradient_steps": -1}]
+)
+def test_run_variants(kwargs: dict[str, Any], make_toy: Any) -> None:
+    make_model(make_toy(), **kwargs).learn(30)
+
+
+def test_run_with_vec_normalize(make_toy: Any) -> None:
+    make_model(VecNormalize(make_toy(), norm_obs_keys=["holding"])).learn(20)
+
+
+def test_id_as_env() -> None:
+    make_model("ToyReach-v0").learn(5)
+
+
+def test_deterministic_training(policy: Any, make_toy: Any) -> None:
+    models = [make_model(make_toy(2), policy).learn(20) for _ in range(2)]
+    assert_equal_parameters(*models)
+    np.random.seed(1)  # neither demonstrations nor samples depend on what came before
+    assert_equal_parameters(models[0], make_model(make_toy(2), policy).learn(20))
+    samples = [model.replay_buffer.sample(16).indices for model in models]
+    np.testing.assert_array_equal(*samples)
+
+
+def test_demonstrations_are_no_timesteps(make_toy: Any) -> None:
+    env = make_toy()
+    model = make_model(env, pretrain_steps=3, learning_starts=1000)
+    model.learn(4)
+    assert env.get_attr("total_steps") == [4]
+    assert model._n_updates == 3
+    size = model.replay_buffer.expert_size
+    model.learn(4, reset_num_timesteps=False)
+    assert model._n_updates == 3
+    assert model.replay_buffer.expert_size == size
+
+
+def test_expert_data_is_an_iterable_of_episodes(make_toy: Any) -> None:
+    env = make_toy()
+    episodes = list(collect_episodes(make_expert_env(env), 3, seed=0, progress_bar=False))
+    model = make_model(env, expert_data=iter(episodes)).learn(2)
+    assert model.replay_buffer.expert_size == sum(len(episode.actions) for episode in episodes)
+    stored = model.replay_buffer.table["action"][: model.replay_buffer.expert_size]
+    np.testing.assert_allclose(stored, np.concatenate([episode.actions for episode in episodes]), atol=1e-6)
+
+
+def test_without_imitation_it_is_sac(make_toy: Any) -> None:
+    kwargs: dict[str, Any] = {
+        "learning_rate": 1e-3,
+        "buffer_size": 500,
+        "learning_starts": 10,
+        "batch_size": 16,
+        "tau": 0.02,
+        "gamma": 0.9,
+        "ent_coef": "auto_0.01",
+        "policy_kwargs": dict(SMALL_STOCK),
+        "device": "cpu",
+        "seed": 0,
+    }
+    ours = SACfD(StockPolicy, make_toy(2), bc_weight=0, expert_episodes=0, **kwargs).learn(80)
+    kwargs |= {"replay_buffer_class": FrameReplayBuffer, "replay_buffer_kwargs": {"seed": 0}}
+    stock = SAC(StockPolicy, make_toy(2), **kwargs).learn(80)
+    assert ours._n_updates == stock._n_updates > 30
+    assert_equal_parameters(ours, stock)
+
+
+def one_update(model: SACfD, **changes: Any) -> tuple[Any, dict[str, float]]:
+    """One gradient step on one sample; returns the sample and what was logged."""
+    sample = model.replay_buffer.sample(16)._replace(**changes)
+    model.replay_buffer.sample = lambda *args, **kwargs: sample  # type: ignore[method-assign]
+    model.train(1, 16)
+    return sample, model.logger.name_to_value
+
+
+@pytest.mark.parametrize("experts", [0, 5, 16])
+def test_losses_equal_a_slow_reference(experts: int, make_toy: Any) -> None:
+    model = make_model(make_toy(), bc_weight=0.7, n_steps=2, gamma=0.9)
+    model.learn(20)
+    is_expert = th.zeros(16, 1, dtype=th.bool)
+    is_expert[:experts] = True
+    weights = th.linspace(0.1, 1, 16)[:, None]
+    before = parameters(model)
+    alpha = model.log_ent_coef.exp().item()
+    actor, critic, target = (copy_of(model, name) for name in ("actor", "critic", "critic_target"))
+    th.manual_seed(3)
+    sample, logged = one_update(model, is_expert=is_expert, weights=weights)
+
+    th.manual_seed(3)
+    with th.no_grad():
+        actions, log_prob = (x.numpy() for x in actor.action_log_prob(sample.observations))
+        next_actions, next_log_prob = actor.action_log_prob(sample.next_observations)
+        next_q = np.stack([q.numpy() for q in target(sample.next_observations, next_actions)])
+        q = np.stack([q.numpy() for q in critic(sample.observations, sample.actions)])
+    critic_loss = squared_error = 0.0
+    for k in range(16):
+        value = next_q[:, k, 0].min() - alpha * next_log_prob[k].item()
+        y = sample.rewards[k].item() + sample.discounts[k].item() * (1 - sample.dones[k].item()) * value
+        for head in range(2):
+            critic_loss += 0.5 * weights[k].item() * (q[head, k, 0] - y) ** 2 / 16
+        if is_expert[k]:
+            squared_error += ((actions[k] - sample.actions[k].numpy()) ** 2).sum() / (5 * experts)
+    np.testing.assert_allclose(logged["train/critic_loss"], critic_loss, rtol=1e-4)
+    np.testing.assert_allclose(logged["train/bc_loss"], squared_error, rtol=1e-4, atol=1e-9)
+    np.testing.assert_allclose(logged["train/ent_coef"], alpha, rtol=1e-5)
+    target_entropy = -5.0
+    ent_coef_loss = -(np.log(alpha) * (log_prob + target_entropy)).mean()
+    np.testing.assert_allclose(logged["train/ent_coef_loss"], ent_coef_loss, rtol=1e-4)
+    # The actor's loss uses the critic after its step.
+    with th.no_grad():
+        q_pi = np.stack([x.numpy() for x in model.critic(sample.observations, th.as_tensor(actions))])
+    expected = (alpha * log_prob - q_pi.min(axis=0)[:, 0]).mean()
+    np.testing.assert_allclose(logged["train/actor_loss"], expected, rtol=1e-4)
+    moved = {name for name, value in parameters(model).items() if not np.array_equal(value, before[name])}
+    assert {name.split(".")[0] for name in moved} == {"actor", "critic", "critic_target"}
+
+
+def copy_of(model: SACfD, name: str) -> Any:
+    copy = type(model.policy)(
+        model.observation_space, model.action_space, lambda _: 0.0, **model.policy_kwargs
+    )
+    copy.load_state_dict(model.policy.state_dict())
+    return getattr(copy, name)
+
+
+def test_imitation_moves_the_actor_only(make_toy: Any) -> None:
+    models = [make_model(make_toy(), bc_weight=weight).learn(1) for weight in (0.0, 10.0)]
+    first, second = (parameters(model) for model in models)
+    different = {name.split(".")[0] for name in first if not np.array_equal(first[name], second[name])}
+    assert different == {"actor"}
+
+
+def test_critic_parameters_get_no_gradient_from_the_actor(make_toy: Any) -> None:
+    model = make_model(make_toy()).learn(2)
+    gradients = []
+    step = model.critic.optimizer.step
+
+    def remember(*args: Any) -> Any:
+        gradients.append([p.grad.clone() for p in model.critic.parameters()])
+        return step(*args)
+
+    model.critic.optimizer.step = remember  # type: ignore[method-assign]
+    model.train(1, 16)
+    for parameter, gradient in zip(model.critic.parameters(), gradients[0], strict=True):
+        assert parameter.requires_grad
+        assert th.equal(parameter.grad, gradient)  # as the critic's own step left it
+
+
+def test_shared_features_extractor_still_learns(make_toy: Any) -> None:
+    kwargs = {"features_extractor_kwargs": {"channels": [4, 8, 8]}, "share_features_extractor": True}
+    model = make_model(make_toy(), ("MultiInputPolicy", kwargs))
+    before = {name: value.clone() for name, value in model.actor.features_extractor.named_parameters()}
+    model.learn(2)
+    after = dict(model.actor.features_extractor.named_parameters())
+    assert any(not th.equal(value, after[name]) for name, value in before.items())
+
+
+def test_predict(policy: Any, make_toy: Any) -> None:
+    env = make_toy(3)
+    model = make_model(env, policy)
+    obs = env.reset()
+    one = {key: value[0] for key, value in obs.items()}
+    assert model.predict(obs)[0].shape == (3, 5)
+    assert model.predict(one)[0].shape == (5,)
+    first, second = (model.predict(obs, deterministic=True)[0] for _ in range(2))
+    np.testing.assert_array_equal(first, second)
+    assert env.action_space.contains(model.predict(one)[0])
+
+
+def test_save_and_load(policy: Any, make_toy: Any, tmp_path: Any) -> None:
+    model = make_model(make_toy(2), policy, bc_weight=0.3, n_steps=2, gamma=0.9).learn(20)
+    model.save(tmp_path / "model")
+    model.save_replay_buffer(tmp_path / "buffer")
+    loaded = SACfD.load(tmp_path / "model", env=make_toy(2), device="cpu")
+    assert_equal_parameters(model, loaded)
+    assert loaded.bc_weight == 0.3 and loaded.expert_episodes == 5
+    assert loaded.replay_buffer.n_steps == 2 and loaded.replay_buffer.gamma == 0.9
+    assert th.equal(model.log_ent_coef, loaded.log_ent_coef)
+    for name in ("actor.optimizer", "critic.optimizer", "ent_coef_optimizer"):
+        ours, theirs = (states(m, name) for m in (model, loaded))
+        assert all(th.equal(a, b) for a, b in zip(ours, theirs, strict=True)) and ours
+    loaded.load_replay_buffer(tmp_path / "buffer")
+    ours, theirs = model.replay_buffer.sample(32), loaded.replay_buffer.sample(32)
+    np.testing.assert_array_equal(ours.indices, theirs.indices)
+    np.testing.assert_array_equal(ours.is_expert, theirs.is_expert)
+    np.testing.assert_array_equal(ours.observations["heightmap"], theirs.observations["heightmap"])
+    expert_size = loaded.replay_buffer.expert_size
+    loaded.learn(10, reset_num_timesteps=False)
+    assert loaded.replay_buffer.expert_size == expert_size
+
+
+def states(model: Any, name: str) -> list[th.Tensor]:
+    optimizer = model
+    for part in name.split("."):
+        optimizer = getattr(optimizer, part)
+    return [value for state in optimizer.state.values() for value in state.values()]
+
+
+def test_expert_data_is_not_saved(make_toy: Any, tmp_path: Any) -> None:
+    env = make_toy()
+    episodes = list(collect_episodes(make_expert_env(env), 2, seed=0, progress_bar=False))
+    model = make_model(env, expert_data=episodes, expert_episodes=0).learn(2)
+    model.save(tmp_path / "model")
+    assert SACfD.load(tmp_path / "model", env=env).expert_data is None
+
+
+@pytest.mark.parametrize(
+    ("kwargs", "message"),
+    [
+        ({"bc_weight": -1}, "bc_weight"),
+        ({"expert_episodes": -1}, "expert_episodes"),
+        ({"pretrain_steps": -1}, "pretrain_steps"),
+        ({"replay_buffer_class": FrameReplayBuffer}, "ExpertReplayBuffer"),
+        ({"n_steps": 0}, "n_steps"),
+        ({"policy": "NoSuchPolicy"}, "NoSuchPolicy"),
+    ],
+)
+def test_bad_arguments(kwargs: dict[str, Any], message: str, make_toy: Any) -> None:
+    with pytest.raises(ValueError, match=message):
+        SACfD(**{"policy": StockPolicy, "env": make_toy(), "policy_kwargs": dict(SMALL_STOCK), **kwargs})
+
+
+def test_learns_to_reach(policy: Any, make_toy: Any) -> None:
+    kwargs = {"expert_episodes": 20, "pretrain_steps": 60, "learning_rate": 3e-3, "batch_size": 32}
+    model = make_model(make_toy(2), policy, **kwargs)
+    untrained, _ = evaluate_policy(model, make_toy(seed=9), 30)
+    model.learn(100)
+    trained, _ = evaluate_policy(model, make_toy(seed=9), 30)
+    assert untrained < 0.6
+    assert trained >= 0.95
