@@ -277,7 +277,7 @@ def _harmonic_action(group: Group, element: int, frequencies: tuple[int, ...]) -
 
 
 def _invariants(out_type: FieldType) -> th.Tensor:
-    """Constant features that the group leaves alone, one for each regular or trivial field: (biases, size)."""
+    """Constant features that the group leaves alone, one a regular or trivial field: (biases, size)."""
     rows, start = [], 0
     for rep, count in out_type.fields:
         for _ in range(count):

@@ -11,6 +11,7 @@ import torch as th
 from gymnasium import spaces
 from stable_baselines3.common.preprocessing import get_flattened_obs_dim, is_image_space
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
+from stable_baselines3.common.type_aliases import PyTorchObs
 from torch import nn
 
 from sb3_extensions.common.encoders import CnnEncoder, EquivariantEncoder
@@ -19,10 +20,14 @@ from sb3_extensions.common.groups import Group
 from sb3_extensions.common.quantisation import Quantiser
 
 OUTPUTS = ("regular", "invariant")
+# Name of the only image where an observation is no Dict.
+IMAGE_KEY = "image"
 
 
 class StackedImage(nn.Module):
     """One image of a Dict observation: the images' channels, and a constant channel for each other number.
+
+    An observation that is an image already is taken as the only one.
 
     Float images (such as heights in metres) are mapped from the bounds of their space to [0, 1], rounded to
     the levels that the replay buffer stores; ``uint8`` images arrive so from Stable-Baselines3 (its
@@ -32,19 +37,18 @@ class StackedImage(nn.Module):
     :param observation_space: with at least one image, (channels, size, size), all of one size
     :param quantise: ``"uint8"`` or ``"uint16"``: what the replay buffer stores float images as; ``None`` if
         it stores floats
-    :raises ValueError: if the space is no Dict, or has no image or images of other shapes, or its bounds
-        cannot be quantised
+    :raises ValueError: if the space has no image or images of other shapes, or their bounds cannot be
+        quantised
     """
 
     def __init__(self, observation_space: gym.Space[Any], quantise: str | None) -> None:
         super().__init__()
-        if not isinstance(observation_space, spaces.Dict):
-            raise ValueError(
-                f"observation_space must be a Dict of images and numbers, got {observation_space}"
-            )
+        parts = {IMAGE_KEY: observation_space}
+        if isinstance(observation_space, spaces.Dict):
+            parts = observation_space.spaces
         images = {
             key: space
-            for key, space in observation_space.items()
+            for key, space in parts.items()
             if isinstance(space, spaces.Box) and len(space.shape) == 3
         }
         shapes = {key: space.shape for key, space in images.items()}
@@ -55,13 +59,15 @@ class StackedImage(nn.Module):
             )
         self.size = int(sides.pop())
         self.scales = {key: _Scale(key, space, quantise) for key, space in images.items()}
-        numbers = {key: space for key, space in observation_space.items() if key not in images}
+        numbers = {key: space for key, space in parts.items() if key not in images}
         self.number_keys = list(numbers)
         self.channels = sum(int(shape[0]) for shape in shapes.values())
         self.channels += sum(get_flattened_obs_dim(space) for space in numbers.values())
 
-    def forward(self, observations: dict[str, th.Tensor]) -> th.Tensor:
+    def forward(self, observations: PyTorchObs) -> th.Tensor:
         """:return: (batch, channels, size, size)"""
+        if isinstance(observations, th.Tensor):
+            observations = {IMAGE_KEY: observations}
         images = [scale(observations[key]) for key, scale in self.scales.items()]
         numbers = [observations[key].flatten(1)[..., None, None] for key in self.number_keys]
         return th.cat(images + [number.expand(-1, -1, self.size, self.size) for number in numbers], dim=1)
@@ -124,7 +130,7 @@ class CnnExtractor(BaseFeaturesExtractor):
         super().__init__(observation_space, encoder.features_dim)
         self.stack, self.encoder = stack, encoder
 
-    def forward(self, observations: dict[str, th.Tensor]) -> th.Tensor:
+    def forward(self, observations: PyTorchObs) -> th.Tensor:
         """:return: (batch, features_dim)"""
         features: th.Tensor = self.encoder(self.stack(observations))
         return features
@@ -176,7 +182,7 @@ class EquivariantExtractor(BaseFeaturesExtractor):
         super().__init__(observation_space, out_type.size)
         self.stack, self.encoder, self.pool, self.out_type = stack, encoder, pool, out_type
 
-    def forward(self, observations: dict[str, th.Tensor]) -> th.Tensor:
+    def forward(self, observations: PyTorchObs) -> th.Tensor:
         """:return: (batch, features_dim)"""
         features: th.Tensor = self.encoder(self.stack(observations))
         return features if self.pool is None else self.pool(features)

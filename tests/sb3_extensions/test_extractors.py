@@ -4,7 +4,6 @@ import pytest
 import torch as th
 from gymnasium import spaces
 from sb3_contrib import TQC, CrossQ
-from sb3_contrib.crossq.policies import CrossQPolicy
 from stable_baselines3 import PPO
 
 from sb3_extensions.common.extractors import CnnExtractor, EquivariantExtractor, StackedImage
@@ -45,6 +44,13 @@ class NoiseEnv(gym.Env):
         return self.observation_space.sample(), float(action.sum()), False, self.steps == 8, {}
 
 
+class ImageNoiseEnv(NoiseEnv):
+    """The same with all numbers in one image: CrossQ takes no Dict observations."""
+
+    bounds = np.float32([[[0.4]], [[1.0]]]) * np.ones((2, SIZE, SIZE), np.float32)
+    observation_space = spaces.Box(0 * bounds, bounds, dtype=np.float32)
+
+
 @pytest.fixture(autouse=True)
 def _seed():
     th.manual_seed(0)
@@ -65,6 +71,15 @@ def test_stack_scales_images_and_spreads_numbers():
     for channel, key, number in ((4, "extra", 0), (5, "extra", 1), (6, "holding", 0)):
         assert th.equal(image[:, channel], observations[key][:, number, None, None].expand(3, SIZE, SIZE))
     assert sorted(observations) == sorted(order)
+
+
+def test_stack_takes_an_image_alone():
+    space = ImageNoiseEnv.observation_space
+    space.seed(0)
+    image = th.from_numpy(np.stack([space.sample() for _ in range(3)]))
+    assert th.allclose(
+        StackedImage(space, "uint8")(image) * th.from_numpy(space.high), image, atol=0.51 / 255
+    )
 
 
 def test_stack_takes_one_hot_numbers():
@@ -131,8 +146,8 @@ def test_extractors_serve_other_algorithms(algorithm, extractor_class, kwargs, t
         "net_arch": [8],
     }
     model = algorithm(
-        CrossQPolicy if algorithm is CrossQ else "MultiInputPolicy",
-        NoiseEnv(),
+        "MlpPolicy" if algorithm is CrossQ else "MultiInputPolicy",
+        ImageNoiseEnv() if algorithm is CrossQ else NoiseEnv(),
         policy_kwargs=policy_kwargs,
         batch_size=4,
         seed=0,
@@ -154,7 +169,8 @@ def test_extractors_serve_other_algorithms(algorithm, extractor_class, kwargs, t
 @pytest.mark.parametrize(
     "space, kwargs, named",
     [
-        (spaces.Box(0, 0.4, (1, 16, 16), np.float32), {}, "Dict"),
+        (spaces.Box(0, 0.4, (16, 16), np.float32), {}, "needs images"),
+        (spaces.Box(0, 0.4, (1, 16, 18), np.float32), {}, "one size"),
         (spaces.Dict({"holding": spaces.Box(0, 1, (1,), np.float32)}), {}, "needs images"),
         (observation_space(in_hand=spaces.Box(0, 0.4, (1, 24, 24), np.float32)), {}, "one size"),
         (observation_space(heightmap=spaces.Box(0, 0.4, (1, 16, 24), np.float32)), {}, "one size"),

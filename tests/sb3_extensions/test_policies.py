@@ -15,7 +15,7 @@ from sb3_extensions.common.heads import ActionFields
 from sb3_extensions.sacfd.policies import EquivariantPolicy, MultiInputPolicy
 
 SIZE = 16
-EXACT = 1e-5
+EXACT = 2e-6
 SMALL = {"n": 4, "channels": [4, 4, 4]}
 GROUPS = [("cyclic", 4), ("cyclic", 8), ("dihedral", 4)]
 OBSERVATION_SPACE = spaces.Dict(
@@ -105,7 +105,7 @@ def test_actor_turns_with_the_scene(group, n, sequence, hidden):
     with th.no_grad():
         mean, log_std, _ = policy.actor.get_action_dist_params(observations)
         action = policy.actor(observations, deterministic=True)
-        assert mean.abs().min() > 1e-4
+        assert mean.abs().max(dim=0).values.min() > 1e-3
         for turns, mirror in grid_elements(group):
             turned = turn_observations(observations, turns, mirror)
             turned_mean, turned_log_std, _ = policy.actor.get_action_dist_params(turned)
