@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import imageio.v3 as iio
 import numpy as np
 import numpy.typing as npt
+from gymnasium import spaces
 from matplotlib import colormaps
 from PIL import Image, ImageDraw, ImageFont
 
@@ -22,21 +23,26 @@ FONT_SIZE = 15
 BACKGROUND = (24, 26, 30)
 FOREGROUND = (235, 235, 235)
 SUCCESS_COLOUR = (110, 200, 120)
-COLOUR_MAP = "viridis"
+COLOUR_MAP = "magma_r"
 
 
-def compose_frame(picture: Frame, observation: Any, caption: str, success: bool = False) -> Frame:
+def compose_frame(
+    picture: Frame, observation: Any, space: spaces.Space[Any], caption: str, success: bool = False
+) -> Frame:
     """
     Put a rendered picture, the images of an observation and a caption side by side.
 
     :param picture: What ``render()`` gave, shape (height, width, 3)
-    :param observation: What the agent sees; single-channel images in it become panels
+    :param observation: What the agent sees; single-channel images in it become panels, near is bright
+    :param space: Space of the observation; colours span its bounds
     :param caption: Text below the panels
     :param success: Whether to write the caption in the colour of success
     :return: The frame, shape (height, width, 3)
     """
     panels = [_resize(Image.fromarray(picture), Image.Resampling.LANCZOS)]
-    panels += [_resize(_colour(image), Image.Resampling.NEAREST) for image in observed_images(observation)]
+    panels += [
+        _resize(_colour(image), Image.Resampling.NEAREST) for image in observed_images(observation, space)
+    ]
     frame = Image.new("RGB", (PANEL_SIZE * len(panels), PANEL_SIZE + CAPTION_HEIGHT), BACKGROUND)
     for column, panel in enumerate(panels):
         frame.paste(panel, (column * PANEL_SIZE, 0))
@@ -47,16 +53,20 @@ def compose_frame(picture: Frame, observation: Any, caption: str, success: bool 
     return np.asarray(frame)
 
 
-def observed_images(observation: Any) -> list[npt.NDArray[Any]]:
+def observed_images(observation: Any, space: spaces.Space[Any]) -> list[npt.NDArray[np.float64]]:
     """
     Single-channel images in an observation.
 
     :param observation: An array, or a mapping of arrays
-    :return: The images, each of shape (height, width)
+    :param space: Its space
+    :return: The images, each of shape (height, width), scaled to [0, 1] over the bounds of their spaces
     """
-    parts = observation.values() if isinstance(observation, Mapping) else [observation]
-    arrays = [np.asarray(part) for part in parts]
-    return [array[0] for array in arrays if array.ndim == 3 and array.shape[0] == 1]
+    if isinstance(space, spaces.Dict):
+        return [image for key, part in space.items() for image in observed_images(observation[key], part)]
+    if not isinstance(space, spaces.Box) or len(space.shape) != 3 or space.shape[0] != 1:
+        return []
+    low, high = float(space.low.min()), float(space.high.max())
+    return [(np.asarray(observation[0], np.float64) - low) / (high - low)]
 
 
 def write_video(frames: Sequence[Frame], path: Path, frames_per_second: float) -> None:
@@ -79,8 +89,5 @@ def _resize(image: Image.Image, resampling: Image.Resampling) -> Image.Image:
     return image.convert("RGB").resize((PANEL_SIZE, PANEL_SIZE), resampling)
 
 
-def _colour(image: npt.NDArray[Any]) -> Image.Image:
-    """Colours from the smallest to the largest value in the image."""
-    values = image.astype(np.float64) - float(image.min())
-    scaled = values / max(float(values.max()), np.finfo(np.float64).tiny)
-    return Image.fromarray((colormaps[COLOUR_MAP](scaled)[..., :3] * 255).astype(np.uint8))
+def _colour(image: npt.NDArray[np.float64]) -> Image.Image:
+    return Image.fromarray((colormaps[COLOUR_MAP](image)[..., :3] * 255).astype(np.uint8))

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import yaml
 from PIL import Image
+from stable_baselines3.common.save_util import load_from_zip_file
 
 from zoo_configs.cli import main
+from zoo_configs.evaluation import PeriodicEvaluation
 
 TINY = [
     *(
@@ -149,12 +152,59 @@ def test_record_films_the_expert(toy_id: str, tmp_path: Path) -> None:
     assert film.stat().st_size > 0
 
 
-def test_resume_goes_on_to_the_end(run_folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["train", "--resume", str(run_folder), "-n", "18", "--no-progress"]) == 0
-    with np.load(run_folder / "evaluations.npz") as evaluations:
-        assert evaluations["timesteps"].tolist() == [6, 12, 18]
-    assert str(run_folder) in capsys.readouterr().out
-    assert len(list(run_folder.parent.glob("*_[0-9]"))) == 1
+def _train(toy_id: str, folder: Path, *more: str) -> int:
+    arguments = ["train", "--baseline", "equi_sacfd", "--preset", "cpu", "--env", toy_id, "-f", str(folder)]
+    return main([*arguments, *TINY, *TINY_SACFD, *more])
+
+
+def _same_run(first: Path, second: Path) -> bool:
+    """Whether two runs were evaluated alike and ended in the same model."""
+    with np.load(first / "evaluations.npz") as left, np.load(second / "evaluations.npz") as right:
+        if any(not np.array_equal(left[key], right[key]) for key in ("timesteps", "results", "successes")):
+            return False
+    name = "BulletArm-CloseLoopToy-v0.zip"
+    models = [load_from_zip_file(folder / name, device="cpu")[1]["policy"] for folder in (first, second)]
+    return all(bool((models[0][key] == models[1][key]).all()) for key in models[0])
+
+
+def test_an_extended_run_equals_a_longer_one(toy_id: str, tmp_path: Path) -> None:
+    extended, longer = (tmp_path / name / "sacfd" / "BulletArm-CloseLoopToy-v0_1" for name in ("a", "b"))
+    assert _train(toy_id, tmp_path / "a") == 0
+    assert main(["train", "--resume", str(extended), "-n", "18", "--no-progress"]) == 0
+    assert _train(toy_id, tmp_path / "b", "-n", "18") == 0
+    assert _same_run(extended, longer)
+    assert len(list(extended.parent.iterdir())) == 1
+
+
+def test_an_interrupted_run_goes_on(
+    toy_id: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    interrupted, whole = (tmp_path / name / "sacfd" / "BulletArm-CloseLoopToy-v0_1" for name in ("a", "b"))
+
+    def press_ctrl_c(callback: PeriodicEvaluation, on_step: Any = PeriodicEvaluation._on_step) -> bool:
+        if callback.num_timesteps == 10:  # four steps after the only checkpoint
+            raise KeyboardInterrupt
+        return bool(on_step(callback))
+
+    with monkeypatch.context() as patch:
+        patch.setattr(PeriodicEvaluation, "_on_step", press_ctrl_c)
+        assert _train(toy_id, tmp_path / "a") == 130
+    assert f"bulletarm-zoo train --resume {interrupted}" in capsys.readouterr().out
+    assert (interrupted / "BulletArm-CloseLoopToy-v0.zip").is_file()
+    assert main(["train", "--resume", str(interrupted), "--no-progress"]) == 0
+    assert _train(toy_id, tmp_path / "b") == 0
+    assert _same_run(interrupted, whole)
+
+
+def test_a_damaged_checkpoint_is_told(
+    toy_id: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert _train(toy_id, tmp_path) == 0
+    folder = tmp_path / "sacfd" / "BulletArm-CloseLoopToy-v0_1"
+    for model in folder.glob("checkpoints/*/model.zip"):
+        model.write_bytes(b"")
+    assert main(["train", "--resume", str(folder)]) == 2
+    assert "damaged: model.zip" in capsys.readouterr().err
 
 
 def test_a_stock_algorithm_trains(tmp_path: Path) -> None:

@@ -144,7 +144,8 @@ def _film_episode(actor: Actor, seed: int, title: str) -> Iterator[tuple[Frame, 
         success = bool(info.get("is_success", False))
         outcome = "success" if success else "failure" if over else f"step {step}"
         picture: Any = actor.env.render()
-        yield compose_frame(picture, seen, f"{name}: {outcome}", success), success
+        space = actor.env.observation_space
+        yield compose_frame(picture, seen, space, f"{name}: {outcome}", success), success
         if over:
             return
         seen, _, terminated, truncated, info = actor.env.step(actor.act(seen))

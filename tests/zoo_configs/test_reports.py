@@ -1,0 +1,116 @@
+"""Tables, curves, films and files."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from gymnasium import spaces
+
+from zoo_configs.cli import main
+from zoo_configs.curves import draw_curves, load_curve
+from zoo_configs.errors import CommandError
+from zoo_configs.files import whole_file
+from zoo_configs.machine import Yardstick
+from zoo_configs.seeds import SeedStream, stream_seed
+from zoo_configs.throughput import ReferenceRate, load_reference
+from zoo_configs.video import compose_frame, observed_images
+
+REACHING = "BulletArm/CloseLoopBlockReaching-v0"
+
+
+def test_speed_compares_with_the_reference(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["speed", "--env", REACHING, "--seconds", "0.1", "--reference", "--markdown"]) == 0
+    machine, head, _, row, summary = capsys.readouterr().out.splitlines()
+    assert "load average" in machine
+    cells = dict(zip(_cells(head), _cells(row), strict=True))
+    assert cells["environment"] == REACHING
+    parts = sum(float(cells[part]) for part in ("physics", "rendering", "rest"))
+    assert parts == pytest.approx(float(cells["ms/step"]), abs=0.02)
+    assert float(cells["ratio"]) > 0
+    assert summary.startswith("ratio: geometric mean")
+
+
+def _cells(line: str) -> list[str]:
+    return [cell.strip() for cell in line.strip("|").split("|")]
+
+
+def test_a_reference_is_scaled_by_the_yardstick() -> None:
+    rate = ReferenceRate(Yardstick(step_us=50, render_ms=4), steps_per_second=40, reset_ms=30)
+    assert rate.scaled_to(Yardstick(step_us=100, render_ms=8)) == 20
+
+
+def test_a_foreign_file_is_no_reference(tmp_path: Path) -> None:
+    path = tmp_path / "rates.csv"
+    path.write_text("a,b\n1,2\n")
+    with pytest.raises(CommandError, match="columns env_id,"):
+        load_reference(path)
+
+
+def test_list_names_ids_parameters_and_baselines(capsys: pytest.CaptureFixture[str]) -> None:
+    for arguments, expected in (
+        ([], REACHING),
+        (["--env", REACHING], "obs_size"),
+        (["--baselines"], "equi_sacfd"),
+    ):
+        assert main(["list", *arguments]) == 0
+        assert expected in capsys.readouterr().out
+
+
+def test_help_is_quick() -> None:
+    """Neither PyTorch nor the engine is loaded to tell what a command takes."""
+    code = (
+        "import sys; from zoo_configs.cli import main\n"
+        "for command in ('enjoy', 'record', 'speed', 'list'):\n"
+        "    try: main([command, '--help'])\n"
+        "    except SystemExit: pass\n"
+        "assert not {'torch', 'pybullet', 'matplotlib'} & set(sys.modules), 'heavy'"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, capture_output=True)
+
+
+def test_curves_read_success(tmp_path: Path) -> None:
+    path = tmp_path / "evaluations.npz"
+    np.savez(path, timesteps=[5, 10], results=[[0, 0], [9, 9]], successes=[[False, True], [True, True]])
+    curve = load_curve(path)
+    assert curve.success.tolist() == [0.5, 1.0]
+    assert curve.error == pytest.approx([0.5 / np.sqrt(2), 0])
+    draw_curves({"agent": curve}, "title", tmp_path / "curve.png")
+    assert (tmp_path / "curve.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_frame_shows_picture_and_heightmap() -> None:
+    space = spaces.Dict({"heightmap": spaces.Box(0, 0.4, (1, 8, 8)), "holding": spaces.Box(0, 1, (1,))})
+    seen = {"heightmap": np.full((1, 8, 8), 0.2, np.float32), "holding": np.zeros(1, np.float32)}
+    (image,) = observed_images(seen, space)
+    assert image == pytest.approx(np.full((8, 8), 0.5))
+    picture = np.full((60, 80, 3), 7, np.uint8)
+    frame = compose_frame(picture, seen, space, "caption")
+    assert frame.shape == (352, 640, 3)
+    assert (frame[:320, :320] == 7).all()
+    assert (frame[:320, 320:] != 7).all()
+    assert frame[320:].max() > 200  # there is a text
+
+
+def test_a_file_is_written_whole_or_not_at_all(tmp_path: Path) -> None:
+    path = tmp_path / "file.txt"
+    path.write_text("before")
+    with pytest.raises(RuntimeError), whole_file(path) as partial:
+        partial.write_text("half")
+        raise RuntimeError
+    assert path.read_text() == "before"
+    with whole_file(path) as partial:
+        partial.write_text("after")
+    assert path.read_text() == "after"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_seed_streams_are_apart() -> None:
+    seeds = {
+        stream_seed(seed, stream, index) for seed in range(4) for stream in SeedStream for index in range(9)
+    }
+    assert len(seeds) == 4 * len(SeedStream) * 9
+    assert stream_seed(1, SeedStream.TEST) == stream_seed(1, SeedStream.TEST)
