@@ -59,6 +59,8 @@ class EnvConfig:
     :param fast_mode: move the arm without simulation where it can touch nothing
     :param random_orientation: objects start with random yaw
     :param workspace_check: ``"point"`` asks an object's centre to stay inside, ``"bounding_box"`` all of it
+    :param view: ``"orthographic"``, looking straight down, or ``"point_cloud"``, the paper's two side cameras
+    :param observation: ``"image"``, or ``"state"``: the poses of gripper and objects
     :param physics_mode: ``"fast"`` (50 solver iterations) or ``"slow"`` (200, and slower motions)
     :param reward: None for the task's own, or ``"module:function"`` called as ``function(scene, outcome)``
     :param render_mode: None, ``"rgb_array"``, ``"depth_array"`` or ``"human"``
@@ -75,6 +77,8 @@ class EnvConfig:
     fast_mode: bool = True
     random_orientation: bool = True
     workspace_check: str = "point"
+    view: str = "orthographic"
+    observation: str = "image"
     physics_mode: str = "fast"
     reward: str | None = None
     render_mode: str | None = None
@@ -153,6 +157,8 @@ def _checks(task: TaskDefaults, robots: Sequence[str]) -> dict[str, Check]:
         "fast_mode": _boolean,
         "random_orientation": _boolean,
         "workspace_check": _choice("point", "bounding_box"),
+        "view": _choice("orthographic", "point_cloud"),
+        "observation": _choice("image", "state"),
         "physics_mode": _choice("fast", "slow"),
         "reward": _optional(_import_path),
         "render_mode": _choice(None, "rgb_array", "depth_array", "human"),

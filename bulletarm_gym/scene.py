@@ -2,17 +2,28 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bulletarm_gym.config import EnvConfig
-from bulletarm_gym.geometry import FloatArray, Mesh, Pose
+from bulletarm_gym.geometry import FloatArray, Pose
 from bulletarm_gym.robots import Robot, RobotModel
-from bulletarm_gym.simulation import Body, BodySpec, World
+from bulletarm_gym.sensors.heightmap import HeightmapSensor
+from bulletarm_gym.sensors.point_cloud import project
+from bulletarm_gym.simulation import Body, BodySpec, Camera, World
 from bulletarm_gym.simulation.world import PHYSICS_MODES
 from bulletarm_gym.surfaces import Surface
 
+SIDE_DISTANCE = 0.5
+"""Where the side cameras stand beside the workspace's centre (m), as in the original release; ..."""
+SIDE_HEIGHT = 1.0
+"""... how high (m) ..."""
+SIDE_FOV = 35.6
+"""... their field of view (degrees) ..."""
+SIDE_PIXELS = 512
+"""... and their resolution."""
 SETTLE_LIMIT = 240
 """Most simulation steps (1 s) that loose bodies are given to come to rest."""
 
@@ -103,6 +114,11 @@ class Scene:
         return (item for item in self._items.values() if item.is_present)
 
     @property
+    def items(self) -> list[Item]:
+        """The items of all roles, in their order, absent ones too."""
+        return list(self._items.values())
+
+    @property
     def held(self) -> Item | None:
         """The item in the gripper."""
         return next((item for item in self if item.body is self.robot.held), None)
@@ -134,15 +150,39 @@ class Scene:
         for item, variant in zip(self._items.values(), variants, strict=True):
             item.variant = variant
 
-    # Views for sensors
+    # What is seen of it
 
-    @property
-    def meshes(self) -> list[Mesh]:
-        """Meshes of all bodies and sliding parts but the arm and the ground, in the world's order."""
-        return [mesh for body in self.world.solids for mesh in body.spec.part_meshes]
+    def heights(self, centre: tuple[float, float], extent: float, size: int) -> NDArray[np.float32]:
+        """Return the height (m) of the highest surface over each pixel of a square; the arm is not seen.
 
-    def mesh_poses(self) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
-        """Return positions (n, 3), orientations (n, 4) and presence (n,) of :attr:`meshes`."""
+        :param centre: world x and y of the middle of the square (m)
+        :param extent: its side (m)
+        :param size: pixels a side
+        :return: (size, size); rows grow with world x, columns with y
+        """
+        if self.config.view == "orthographic":
+            return self._sensor.heights(*self._mesh_poses(), centre, extent, size)
+        clouds = [camera.points(self.world, without=self.robot.body) for camera in self._cameras]
+        return project(np.concatenate(clouds), centre, extent, size, self.config.workspace[2][1])
+
+    @cached_property
+    def _sensor(self) -> HeightmapSensor:
+        return HeightmapSensor([mesh for body in self.world.solids for mesh in body.spec.part_meshes])
+
+    @cached_property
+    def _cameras(self) -> tuple[Camera, Camera]:
+        """The two cameras at the workspace's sides (paper, Close-loop Environments)."""
+        x, y = self.config.centre
+        left, right = (
+            Camera(
+                (x, y + side, SIDE_HEIGHT), (x, y, 0.0), SIDE_FOV, SIDE_PIXELS, SIDE_PIXELS, near=0.1, far=3.0
+            )
+            for side in (-SIDE_DISTANCE, SIDE_DISTANCE)
+        )
+        return left, right
+
+    def _mesh_poses(self) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
+        """Return positions (n, 3), orientations (n, 4) and presence (n,) of the sensor's meshes."""
         positions, orientations, present = [], [], []
         for body in self.world.solids:
             for pose in self.world.part_poses(body):

@@ -10,7 +10,6 @@ from numpy.typing import ArrayLike, NDArray
 from bulletarm_gym.config import EnvConfig
 from bulletarm_gym.geometry import Pose, Vector, wrap_angle
 from bulletarm_gym.scene import Scene
-from bulletarm_gym.sensors.heightmap import HeightmapSensor
 from bulletarm_gym.sensors.overlays import fill_rectangles
 from bulletarm_gym.tasks import Waypoint
 
@@ -28,6 +27,8 @@ START_HEIGHT = 0.2
 """Height (m) of the fingertips over the workspace's centre at reset, as in the original BulletArm release."""
 SQUARE = 0.021
 """Side (m) of the squares that stand for the fingers: 6 of 128 pixels over 0.45 m."""
+POSE_SIZE = 8
+"""Numbers an item has in the state: presence, position, quaternion."""
 ARRIVED = 0.999
 """Share of the way to a waypoint that counts as all of it."""
 
@@ -64,14 +65,19 @@ class CloseLoop:
         self._size = config.obs_size
         self._extent = VIEW_SCALE * config.workspace_size
         self._centre = config.centre
-        self._sensor = HeightmapSensor(scene.meshes)
+        self._observe = self._image if config.observation == "image" else self._state
         self.action_space = spaces.Box(-1.0, 1.0, (len(self._sequence),), np.float32)
         self.observation_space = spaces.Dict(
             {
-                "heightmap": spaces.Box(0.0, MAX_DEPTH, (1, self._size, self._size), np.float32),
+                **self._own_spaces(config, scene),
                 "holding": spaces.Box(0.0, 1.0, (1,), np.float32),
             }
         )
+
+    def _own_spaces(self, config: EnvConfig, scene: Scene) -> dict[str, spaces.Box]:
+        if config.observation == "image":
+            return {"heightmap": spaces.Box(0.0, MAX_DEPTH, (1, self._size, self._size), np.float32)}
+        return {"state": spaces.Box(-np.inf, np.inf, (6 + POSE_SIZE * len(scene.items),), np.float32)}
 
     def decode_action(self, action: ArrayLike) -> DeltaMove:
         """Return what an action means; numbers outside [-1, 1] are clipped.
@@ -130,17 +136,33 @@ class CloseLoop:
         return DeltaMove(opening, (x, y, z), min(max(turn, -MAX_ROTATION), MAX_ROTATION))
 
     def observe(self, scene: Scene) -> dict[str, NDArray[np.float32]]:
-        """Return depths below a plane over the fingertips, the gripper as two squares, and whether it holds.
+        """Return the observation: an image or the poses, and whether the gripper holds something."""
+        holding = np.array([scene.robot.held is not None], dtype=np.float32)
+        return {**self._observe(scene), "holding": holding}
+
+    def _image(self, scene: Scene) -> dict[str, NDArray[np.float32]]:
+        """Depth below a plane over the fingertips, the gripper as two squares.
 
         The image is centred on the fingertips and keeps the world's axes: rows grow with x, columns with y.
         """
         hand = scene.robot.pose
         centre = (hand.x, hand.y)
-        heights = self._sensor.heights(*scene.mesh_poses(), centre, self._extent, self._size)
+        heights = scene.heights(centre, self._extent, self._size)
         depth = np.clip(np.float32(hand.z + CAMERA_OFFSET) - heights, 0.0, MAX_DEPTH)
         fill_rectangles(depth, centre, self._extent, gripper_squares(hand, scene.robot.opening), 0.0)
-        holding = np.array([scene.robot.held is not None], dtype=np.float32)
-        return {"heightmap": depth[None], "holding": holding}
+        return {"heightmap": depth[None]}
+
+    def _state(self, scene: Scene) -> dict[str, NDArray[np.float32]]:
+        """Gripper: opening ratio, position (m), cosine and sine of the yaw.
+
+        Then for each item 1 if it is present, its position (m) and its quaternion; zeros if it is not.
+        """
+        hand = scene.robot.pose
+        numbers = [scene.robot.opening_ratio, *hand.position, math.cos(hand.yaw), math.sin(hand.yaw)]
+        for item in scene.items:
+            pose = item.pose
+            numbers += [1.0, *pose.position, *pose.orientation] if item.is_present else [0.0] * POSE_SIZE
+        return {"state": np.array(numbers, dtype=np.float32)}
 
 
 def gripper_squares(hand: Pose, opening: float) -> NDArray[np.float64]:

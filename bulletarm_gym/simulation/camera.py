@@ -1,15 +1,15 @@
-"""A perspective camera for pictures of the whole scene, headless."""
+"""Perspective cameras, headless: pictures of the whole scene, and what a depth camera would measure."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bulletarm_gym.geometry import Vector
-from bulletarm_gym.simulation.world import World
+from bulletarm_gym.geometry import FloatArray, Vector
+from bulletarm_gym.simulation.world import Body, World
 
-NEAR = 0.05
-FAR = 4.0
+LIGHT = (0.6, -0.9, 1.6)
 
 
 @dataclass(frozen=True)
@@ -19,8 +19,8 @@ class Camera:
     :param eye: where it stands (m, world)
     :param target: what it looks at (m, world)
     :param fov: vertical field of view (degrees)
-    :param width: pixels
-    :param height: pixels
+    :param near: nearest distance seen (m)
+    :param far: farthest distance seen (m)
     """
 
     eye: Vector = (1.25, -0.85, 0.8)
@@ -28,31 +28,58 @@ class Camera:
     fov: float = 42.0
     width: int = 480
     height: int = 480
+    near: float = 0.05
+    far: float = 4.0
 
     def color(self, world: World) -> NDArray[np.uint8]:
         """Return a picture, (height, width, 3)."""
-        pixels = np.asarray(self._shoot(world)[2], dtype=np.uint8)
+        pixels = np.asarray(self._shoot(world, shadow=True)[2], dtype=np.uint8)
         return pixels.reshape(self.height, self.width, 4)[:, :, :3].copy()
 
     def depth(self, world: World) -> NDArray[np.float32]:
         """Return distances (m) along the optical axis, (height, width)."""
-        buffer = np.asarray(self._shoot(world)[3], dtype=np.float64).reshape(self.height, self.width)
-        return (FAR * NEAR / (FAR - (FAR - NEAR) * buffer)).astype(np.float32)
+        return self._distances(self._shoot(world)).astype(np.float32)
 
-    def _shoot(self, world: World) -> tuple[int, int, object, object, object]:
+    def points(self, world: World, without: Body) -> FloatArray:
+        """Return the points (n, 3) of the world (m) that the camera sees, less those on one body."""
+        image = self._shoot(world)
+        distances = self._distances(image)
+        seen = (np.asarray(image[4]).reshape(distances.shape) != without.id) & (distances < self.far * 0.99)
+        rows, columns = np.nonzero(seen)
+        along = distances[rows, columns]
+        right, up, forward = self._axes()
+        tangent = np.tan(np.radians(self.fov) / 2.0)
+        across = (2.0 * (columns + 0.5) / self.width - 1.0) * tangent * self.width / self.height
+        upward = (1.0 - 2.0 * (rows + 0.5) / self.height) * tangent
+        rays = forward + across[:, None] * right + upward[:, None] * up
+        points: FloatArray = np.asarray(self.eye) + along[:, None] * rays
+        return points
+
+    def _axes(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        forward = np.subtract(self.target, self.eye)
+        forward /= np.linalg.norm(forward)
+        right = np.cross(forward, (0.0, 0.0, 1.0))
+        right /= np.linalg.norm(right)
+        return right, np.cross(right, forward), forward
+
+    def _distances(self, image: tuple[Any, ...]) -> FloatArray:
+        buffer = np.asarray(image[3], dtype=np.float64).reshape(self.height, self.width)
+        distances: FloatArray = self.far * self.near / (self.far - (self.far - self.near) * buffer)
+        return distances
+
+    def _shoot(self, world: World, shadow: bool = False) -> tuple[Any, ...]:
         client = world.client
         view = client.computeViewMatrix(self.eye, self.target, (0.0, 0.0, 1.0))
-        projection = client.computeProjectionMatrixFOV(self.fov, self.width / self.height, NEAR, FAR)
-        image: tuple[int, int, object, object, object] = client.getCameraImage(
+        projection = client.computeProjectionMatrixFOV(
+            self.fov, self.width / self.height, self.near, self.far
+        )
+        image: tuple[Any, ...] = client.getCameraImage(
             self.width,
             self.height,
             view,
             projection,
             lightDirection=LIGHT,
-            shadow=1,
+            shadow=int(shadow),
             renderer=client.ER_TINY_RENDERER,
         )
         return image
-
-
-LIGHT = (0.6, -0.9, 1.6)
