@@ -17,7 +17,8 @@ def project(
 ) -> NDArray[np.float32]:
     """Return the height of the highest point over every pixel.
 
-    Pixels that no point fell into take the value of the nearest one that has some. Rows grow with world x, columns with y; pixel (i, j) covers ``extent / size`` of each.
+    Pixels that no point fell into take the value of the nearest one that has some. Rows grow with world x,
+    columns with y; pixel (i, j) covers ``extent / size`` of each.
 
     :param points: (n, 3) world coordinates (m)
     :param centre: world x and y of the middle of the image (m)
