@@ -18,6 +18,7 @@ from stable_baselines3.common.type_aliases import GymEnv, MaybeCallback, Schedul
 from stable_baselines3.common.utils import polyak_update
 from stable_baselines3.sac.policies import SACPolicy
 from stable_baselines3.sac.sac import SAC
+from tqdm import tqdm
 
 from sb3_extensions.common.expert import EpisodeData, collect_episodes, make_expert_env
 from sb3_extensions.common.expert_replay import ExpertReplayBuffer
@@ -77,7 +78,8 @@ class SACfD(SAC):
     :param expert_episodes: number of successful episodes of the expert to begin with, unless ``expert_data``
         is given
     :param expert_data: episodes to begin with instead, with Minari's attributes
-        (see :class:`~sb3_extensions.common.expert.EpisodeData`); their actions are in the environment's units
+        (see :class:`~sb3_extensions.common.expert.EpisodeData`); actions are in the environment's units.
+        Not saved with the model
     :param pretrain_steps: number of gradient steps before the first step in the environment
     :param stats_window_size: Window size for the rollout logging, specifying the number of episodes to
         average the reported success rate, mean episode length, and mean reward over
@@ -336,8 +338,9 @@ class SACfD(SAC):
         total_timesteps, callback = super()._setup_learn(
             total_timesteps, callback, reset_num_timesteps, tb_log_name, progress_bar
         )
-        if self._n_updates == 0 and self.pretrain_steps > 0:
-            self.train(self.pretrain_steps, self.batch_size)
+        if self._n_updates == 0:
+            for _ in tqdm(range(self.pretrain_steps), desc="pretraining", disable=not self.pretrain_steps):
+                self.train(1, self.batch_size)
         return total_timesteps, callback
 
     def _add_demonstrations(self) -> None:
