@@ -1,10 +1,24 @@
 """Who acts: arms with their grippers."""
 
+from bulletarm_gym.robots.gripper import Gripper, ParallelJaw
 from bulletarm_gym.robots.kuka import KUKA
 from bulletarm_gym.robots.model import RobotModel
+from bulletarm_gym.robots.panda import PANDA
 from bulletarm_gym.robots.robot import Robot, RobotState
+from bulletarm_gym.robots.ur5 import UR5, UR5_ROBOTIQ
 
-ROBOTS = {model.name: model for model in (KUKA,)}
+ROBOTS = {model.name: model for model in (KUKA, PANDA, UR5, UR5_ROBOTIQ)}
 """The arms that the parameter ``robot`` takes."""
 
-__all__ = ["KUKA", "ROBOTS", "Robot", "RobotModel", "RobotState"]
+__all__ = [
+    "KUKA",
+    "PANDA",
+    "ROBOTS",
+    "UR5",
+    "UR5_ROBOTIQ",
+    "Gripper",
+    "ParallelJaw",
+    "Robot",
+    "RobotModel",
+    "RobotState",
+]

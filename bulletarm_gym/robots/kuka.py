@@ -8,16 +8,16 @@ from bulletarm_gym.robots.gripper import ParallelJaw
 from bulletarm_gym.robots.model import RobotModel
 from bulletarm_gym.simulation.assets import load_model
 
-FLANGE_OFFSET = 0.045
-"""From the last link's origin to the flange (m; iiwa 7 R800 data sheet: 126 mm from the wrist centre)."""
+FLANGE = Pose((0.0, 0.0, 0.045))
+"""In the last link (m; iiwa 7 R800 data sheet: 126 mm from the wrist centre)."""
+JAW = ParallelJaw(stroke=0.085, palm=(0.125, 0.055, 0.06), finger=(0.012, 0.019, 0.09))
 
 KUKA = RobotModel(
     name="kuka",
-    arm=partial(load_model, "kuka_iiwa/model.urdf"),
+    load=partial(JAW.fitted, partial(load_model, "kuka_iiwa/model.urdf"), "lbr_iiwa_link_7", FLANGE),
     joints=tuple(f"lbr_iiwa_joint_{number}" for number in range(1, 8)),
-    flange_link="lbr_iiwa_link_7",
-    flange=Pose((0.0, 0.0, FLANGE_OFFSET)),
-    gripper=ParallelJaw(),
+    tool=JAW.tool(FLANGE),
+    gripper=JAW,
     base=Pose((0.0, 0.0, 0.0)),
     posture=(0.0, 0.6, 0.0, -1.8, 0.0, math.pi - 2.4, math.pi),
     force=300.0,

@@ -11,8 +11,12 @@ from xml.etree import ElementTree
 import numpy as np
 
 from bulletarm_gym.geometry import FloatArray, Pose
-from bulletarm_gym.robots.gripper import ParallelJaw
+from bulletarm_gym.robots.gripper import Gripper
 from bulletarm_gym.robots.kinematics import Chain
+from bulletarm_gym.robots.urdf import DARK, add_parts, cylinder
+
+PLINTH_RADIUS = 0.09
+"""Of the stand (m) under an arm whose base is above the ground; it stays clear of the workspaces."""
 
 
 @dataclass(frozen=True)
@@ -20,33 +24,32 @@ class RobotModel:
     """An arm and its gripper.
 
     :param name: the value of the parameter ``robot``
-    :param arm: reads the arm's URDF, without a gripper
-    :param joints: names of the revolute joints, from the base to the flange
-    :param flange_link: the link that carries the gripper
-    :param flange: the gripper's mount in that link
+    :param load: reads or makes the URDF of the arm with its gripper
+    :param joints: names of the revolute joints, from the base to the gripper
+    :param tool: the gripper's tool frame, between the fingertips, in the link that the last joint moves
+    :param gripper: the fingers in that model
     :param base: of the arm, in the world; chosen so that every pose of the default workspaces can be reached
     :param posture: joint positions (rad) near which poses are sought: gripper down, elbow up, before the base
     :param force: greatest torque (N m) of each joint
     """
 
     name: str
-    arm: Callable[[], ElementTree.Element]
+    load: Callable[[], ElementTree.Element]
     joints: tuple[str, ...]
-    flange_link: str
-    flange: Pose
-    gripper: ParallelJaw
+    tool: Pose
+    gripper: Gripper
     base: Pose
     posture: tuple[float, ...]
     force: float
 
     @cached_property
     def urdf(self) -> ElementTree.Element:
-        """The model with its gripper, its arm joints without limits.
+        """The model on its plinth, its first link being the root, its arm joints without limits.
 
         The original release ignores the limits too; with them an arm on the floor cannot reach the whole
         workspace at every tilt, and its wrist could not turn on and on.
         """
-        root = self.arm()
+        root = self.load()
         for name in self.joints:
             joint = root.find(f"joint[@name='{name}']")
             if joint is None:
@@ -54,22 +57,27 @@ class RobotModel:
             joint.set("type", "continuous")
             for limit in joint.findall("limit"):
                 joint.remove(limit)
-        self.gripper.attach(root, self.flange_link, self.flange)
+        if self.base.z > 0.0:
+            plinth = cylinder(PLINTH_RADIUS, self.base.z, (0.0, 0.0, -self.base.z / 2.0), DARK)
+            add_parts(root.findall("link")[0], [plinth])
         return root
 
     @cached_property
     def chain(self) -> Chain:
         """Kinematics from the world to the fingertips."""
-        return Chain.from_urdf(self.urdf, list(self.joints), self.base, self.gripper.tool(self.flange))
+        return Chain.from_urdf(self.urdf, list(self.joints), self.base, self.tool)
 
     def inverse(self, pose: Pose) -> tuple[FloatArray, float]:
         """Return joint positions (n,) rad for a fingertip pose, and the error that remains (m or rad).
 
-        The search starts from the model's posture, turned about the base towards the pose and about the
-        flange to its yaw, so the answer depends on the pose alone.
+        The search first goes from the model's posture to the same place with the gripper upright and turned
+        with the arm, then to the pose itself, so neighbours end near each other. The answer depends on the
+        pose alone.
         """
-        start = np.array(self.posture)
-        azimuth = math.atan2(pose.y - self.base.y, pose.x - self.base.x)
+        x, y = pose.x - self.base.x, pose.y - self.base.y
+        azimuth = math.atan2(y, x)
+        upright = Pose.planar(self.base.x + math.hypot(x, y), self.base.y, pose.z)
+        start, _ = self.chain.inverse(upright, np.array(self.posture))
         start[0] += azimuth
         start[-1] -= pose.yaw - azimuth
         return self.chain.inverse(pose, start)

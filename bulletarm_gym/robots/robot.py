@@ -7,8 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from bulletarm_gym.geometry import Pose, wrap_angle
-from bulletarm_gym.robots.gripper import FINGER_JOINTS
+from bulletarm_gym.geometry import Pose, rotate, wrap_angle
 from bulletarm_gym.robots.kinematics import POSITION_TOLERANCE
 from bulletarm_gym.robots.model import RobotModel
 from bulletarm_gym.simulation import Body, BodySpec, World
@@ -79,7 +78,7 @@ class Robot:
             self.body = world.add_urdf(BodySpec(model.name, (), 0.0), path, model.base)
         names = [world.client.getJointInfo(self.body.id, joint)[1].decode() for joint in self.body.joints]
         self._arm = JointGroup(self.body, tuple(names.index(name) for name in model.joints), model.force)
-        fingers = tuple(names.index(name) for name in FINGER_JOINTS)
+        fingers = tuple(names.index(name) for name in model.gripper.joints)
         self._fingers = JointGroup(self.body, fingers, model.gripper.force)
         self._couple_fingers()
         self.held: Body | None = None
@@ -205,10 +204,10 @@ class Robot:
     def _touches(self, finger: int, body: Body) -> bool:
         """Whether a finger's inner side presses on a body."""
         points = self._world.client.getContactPoints(self.body.id, body.id, finger)
-        yaw = self.pose.yaw
-        x, y = math.cos(yaw), math.sin(yaw)
+        x, y, z = rotate(self.pose.orientation, (1.0, 0.0, 0.0))
         return any(
-            point[8] < GRIP_DISTANCE and abs(point[7][0] * x + point[7][1] * y) > GRIP_ALIGNMENT
+            point[8] < GRIP_DISTANCE
+            and abs(point[7][0] * x + point[7][1] * y + point[7][2] * z) > GRIP_ALIGNMENT
             for point in points
         )
 

@@ -1,0 +1,41 @@
+"""Franka Emika Panda with its own hand."""
+
+import math
+from xml.etree.ElementTree import Element
+
+from bulletarm_gym.geometry import Pose
+from bulletarm_gym.robots.gripper import Gripper
+from bulletarm_gym.robots.kinematics import euler_pose
+from bulletarm_gym.robots.model import RobotModel
+from bulletarm_gym.simulation.assets import load_model
+
+FINGERTIPS = 0.107 + 0.0584 + 0.0538
+"""From the last link's origin (m): the flange, the fingers' mount in the hand, and the finger mesh."""
+HAND_YAW = -math.pi / 4.0
+"""Of the hand about the flange."""
+
+
+def _load() -> Element:
+    root = load_model("franka_panda/panda.urdf")
+    for mesh in root.iter("mesh"):  # paths that only ROS resolves
+        mesh.set("filename", mesh.get("filename", "").replace("package:/", ""))
+    for link in root.iter("link"):  # soft, anchored contacts would remember what no state holds
+        for contact in link.findall("contact"):
+            link.remove(contact)
+    return root
+
+
+PANDA = RobotModel(
+    name="panda",
+    load=_load,
+    joints=tuple(f"panda_joint{number}" for number in range(1, 8)),
+    # The fingers open along the hand's y axis.
+    tool=euler_pose((0.0, 0.0, FINGERTIPS), (math.pi, 0.0, HAND_YAW + math.pi / 2.0)),
+    gripper=Gripper(
+        joints=("panda_finger_joint1", "panda_finger_joint2"), stroke=0.08, finger=(0.014, 0.0175, 0.0538)
+    ),
+    base=Pose((0.08, 0.0, 0.25)),
+    posture=(0.0, 0.0, 0.0, -2.2, 0.0, 2.2, -math.pi / 4.0),
+    force=240.0,
+)
+"""Greatest torque as in the original BulletArm release."""

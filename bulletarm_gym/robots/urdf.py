@@ -1,0 +1,139 @@
+"""Links of primitives, written as URDF."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from xml.etree.ElementTree import Element, SubElement
+
+from bulletarm_gym.geometry import Pose, Quaternion, Vector
+from bulletarm_gym.robots.kinematics import euler_pose
+
+ORIGIN = Pose((0.0, 0.0, 0.0))
+
+Colour = tuple[float, float, float]
+
+DARK: Colour = (0.25, 0.25, 0.27)
+LIGHT: Colour = (0.55, 0.57, 0.60)
+
+
+@dataclass(frozen=True)
+class Part:
+    """A primitive of a link.
+
+    :param kind: ``"box"``, ``"cylinder"`` (along its z axis) or ``"sphere"``
+    :param extents: full side lengths (m) of its bounding box
+    :param pose: of its centre in the link
+    :param solid: whether it collides, or is only seen
+    """
+
+    kind: str
+    extents: Vector
+    pose: Pose
+    colour: Colour
+    solid: bool = True
+
+    def seen_from(self, frame: Pose) -> "Part":
+        """Return the part in the link that holds ``frame``."""
+        return replace(self, pose=frame.compose(self.pose))
+
+    def elements(self) -> list[Element]:
+        """Return the URDF elements."""
+        visual = self._element("visual")
+        material = SubElement(visual, "material", name="colour " + _text(self.colour))
+        SubElement(material, "color", rgba=_text((*self.colour, 1.0)))
+        return [visual, self._element("collision")] if self.solid else [visual]
+
+    def _element(self, tag: str) -> Element:
+        element = Element(tag)
+        SubElement(element, "origin", _origin(self.pose))
+        geometry = SubElement(element, "geometry")
+        x, _, z = self.extents
+        sizes = {
+            "box": {"size": _text(self.extents)},
+            "cylinder": {"radius": repr(x / 2.0), "length": repr(z)},
+            "sphere": {"radius": repr(x / 2.0)},
+        }
+        SubElement(geometry, self.kind, sizes[self.kind])
+        return element
+
+
+def box(extents: Vector, centre: Vector, colour: Colour, tilt: float = 0.0, solid: bool = True) -> Part:
+    """Return a box (m), turned by ``tilt`` (rad) about its y axis."""
+    return Part("box", extents, euler_pose(centre, (0.0, tilt, 0.0)), colour, solid)
+
+
+def cylinder(
+    radius: float, length: float, centre: Vector, colour: Colour, axis: str = "z", solid: bool = True
+) -> Part:
+    """Return a cylinder (m) along an axis of its link, ``"x"``, ``"y"`` or ``"z"``."""
+    angles = {"x": (0.0, math.pi / 2.0, 0.0), "y": (math.pi / 2.0, 0.0, 0.0), "z": (0.0, 0.0, 0.0)}
+    diameter = 2.0 * radius
+    return Part("cylinder", (diameter, diameter, length), euler_pose(centre, angles[axis]), colour, solid)
+
+
+def add_link(root: Element, name: str, mass: float, parts: Sequence[Part]) -> None:
+    """Add a link of parts.
+
+    Its mass (kg) lies in the middle of the first part; Bullet computes the inertia from what collides, the
+    numbers here, of a box, are for other readers.
+    """
+    link = SubElement(root, "link", name=name)
+    inertial = SubElement(link, "inertial")
+    SubElement(inertial, "origin", _origin(parts[0].pose))
+    SubElement(inertial, "mass", value=repr(mass))
+    SubElement(inertial, "inertia", _inertia(mass, parts[0].extents))
+    add_parts(link, parts)
+
+
+def add_parts(link: Element, parts: Sequence[Part]) -> None:
+    """Add parts to a link."""
+    for part in parts:
+        link.extend(part.elements())
+
+
+def add_joint(
+    root: Element, kind: str, name: str, links: tuple[str, str], origin: Pose, axis: Vector
+) -> Element:
+    """Add a joint between a parent and a child link and return it."""
+    joint = SubElement(root, "joint", name=name, type=kind)
+    SubElement(joint, "parent", link=links[0])
+    SubElement(joint, "child", link=links[1])
+    SubElement(joint, "origin", _origin(origin))
+    SubElement(joint, "axis", xyz=_text(axis))
+    return joint
+
+
+def find_link(root: Element, name: str) -> Element:
+    """Return a link.
+
+    :raises ValueError: the model has none of that name
+    """
+    link = root.find(f"link[@name='{name}']")
+    if link is None:
+        raise ValueError(f"the model has no link {name!r}")
+    return link
+
+
+def _origin(pose: Pose) -> dict[str, str]:
+    return {"xyz": _text(pose.position), "rpy": _text(_angles(pose.orientation))}
+
+
+def _angles(q: Quaternion) -> Vector:
+    """Return fixed-axis x-y-z angles (rad)."""
+    x, y, z, w = q
+    sine = max(-1.0, min(1.0, 2.0 * (w * y - z * x)))
+    if abs(sine) > 1.0 - 1e-12:  # x and z turn about the same axis: give it all to x
+        return (2.0 * math.atan2(x, w), math.copysign(math.pi / 2.0, sine), 0.0)
+    roll = math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
+    return (roll, math.asin(sine), math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)))
+
+
+def _inertia(mass: float, extents: Vector) -> dict[str, str]:
+    x, y, z = (side * side for side in extents)
+    diagonal = {"ixx": y + z, "iyy": x + z, "izz": x + y}
+    values = {key: repr(mass / 12.0 * value) for key, value in diagonal.items()}
+    return values | {"ixy": "0", "ixz": "0", "iyz": "0"}
+
+
+def _text(values: Sequence[float]) -> str:
+    return " ".join(repr(value) for value in values)
