@@ -176,7 +176,7 @@ def regular_type(features_extractor: BaseFeaturesExtractor) -> FieldType:
     out_type = getattr(features_extractor, "out_type", None)
     if not isinstance(out_type, FieldType) or any(rep.kind != "regular" for rep, _ in out_type.fields):
         raise ValueError(
-            "an equivariant policy needs a features_extractor_class of regular fields, such as EquivariantExtractor"
-            f" with output='regular', got {type(features_extractor).__name__} of {out_type}"
+            "an equivariant policy needs features of regular fields, as EquivariantExtractor's with "
+            f"output='regular'; features_extractor_class {type(features_extractor).__name__} has {out_type}"
         )
     return out_type
