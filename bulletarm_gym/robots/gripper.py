@@ -11,7 +11,7 @@ from xml.etree.ElementTree import Element, SubElement
 
 from bulletarm_gym.geometry import Pose, Vector
 from bulletarm_gym.robots.kinematics import euler_pose
-from bulletarm_gym.robots.urdf import DARK, LIGHT, Part, add_joint, add_link, add_parts, box, find_link
+from bulletarm_gym.robots.urdf import DARK, LIGHT, Colour, Part, add_joint, add_link, add_parts, box, find_link
 
 FINGER_MASS = 0.05
 
@@ -46,11 +46,13 @@ class ParallelJaw(Gripper):
     """A gripper of primitives for any arm's flange, whose z axis points along the approach.
 
     :param palm: side lengths (m) of the box that carries the fingers
+    :param colour: of the fingers
     :param housing: what else is seen of the palm, in the flange's frame
     :param trim: what else is seen of a finger: x outwards from its pad, z along it from the palm
     """
 
     palm: Vector
+    colour: Colour = LIGHT
     housing: tuple[Part, ...] = ()
     trim: tuple[Part, ...] = ()
 
@@ -79,7 +81,7 @@ class ParallelJaw(Gripper):
     def _add_finger(self, root: Element, joint: str, parent: str, mount: Pose) -> None:
         thickness, _, length = self.finger
         child = joint.removesuffix("_joint")
-        pad = box(self.finger, (thickness / 2.0, 0.0, length / 2.0), LIGHT)
+        pad = box(self.finger, (thickness / 2.0, 0.0, length / 2.0), self.colour)
         add_link(root, child, FINGER_MASS, (pad, *self.trim))
         element = add_joint(root, "prismatic", joint, (parent, child), mount, (1.0, 0.0, 0.0))
         limits = {"lower": 0.0, "upper": self.travel, "effort": self.force, "velocity": self.speed}

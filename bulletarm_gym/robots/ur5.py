@@ -137,16 +137,20 @@ ROBOTIQ_2F85 = ParallelJaw(
     stroke=0.085,
     palm=(0.07, 0.05, 0.08),
     finger=(0.012, 0.022, 0.07),
+    colour=BLACK,
     housing=(
-        cylinder(0.0375, 0.02, (0.0, 0.0, 0.01), BLACK, solid=False),
-        cylinder(0.036, 0.05, (0.0, 0.0, 0.045), BLACK, solid=False),
-        box((0.1, 0.036, 0.022), (0.0, 0.0, 0.066), BLACK, solid=False),
+        cylinder(0.0375, 0.02, (0.0, 0.0, 0.01), GREY, solid=False),
+        cylinder(0.037, 0.045, (0.0, 0.0, 0.0425), BLACK, solid=False),
+        box((0.086, 0.036, 0.03), (0.0, 0.0, 0.063), DARK, solid=False),
     ),
     trim=(
-        box((0.014, 0.03, 0.06), (0.018, 0.0, 0.006), GREY, tilt=0.45, solid=False),
-        box((0.012, 0.026, 0.034), (0.016, 0.0, 0.028), BLACK, tilt=-0.15, solid=False),
+        box((0.011, 0.028, 0.066), (0.008, 0.0, 0.002), GREY, tilt=0.6, solid=False),
+        box((0.012, 0.024, 0.042), (0.0185, 0.0, 0.034), BLACK, tilt=-0.4, solid=False),
+        box((0.004, 0.0226, 0.036), (0.0021, 0.0, 0.0525), GREY, solid=False),
     ),
 )
+"""Stroke as in the data sheet of the 2F-85; the fingers run on slides instead of its linkage, for what a
+linkage of position-driven joints grasps it does not hold."""
 LIFT, ELBOW = -1.3, 1.9
 OFFSET = 0.25
 
