@@ -200,6 +200,7 @@ class FrameReplayBuffer(ReplayBuffer):
         if not self.table:
             self._allocate()
         obs, next_obs = self._as_dict(obs), self._as_dict(next_obs)
+        done = np.asarray(done, dtype=bool)
         continues = self._continues(obs)
         frames = np.where(continues, self._latest_frames, 0)
         if not continues.all():
