@@ -6,6 +6,7 @@ import gymnasium
 
 NAMESPACE = "BulletArm"
 ENTRY_POINT = "bulletarm_gym.env:ManipulationEnv"
+VECTOR_ENTRY_POINT = "bulletarm_gym.vector:ParallelEnv"
 
 
 @dataclass(frozen=True)
@@ -43,5 +44,6 @@ def register_all() -> None:
             gymnasium.register(
                 entry.env_id,
                 entry_point=ENTRY_POINT,
+                vector_entry_point=VECTOR_ENTRY_POINT,
                 kwargs={"task": entry.task, "control": entry.control, "surface": entry.surface},
             )

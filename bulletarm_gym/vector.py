@@ -1,0 +1,127 @@
+"""Environments in parallel processes: what ``gymnasium.make_vec(id, num_envs=n)`` gives."""
+
+from collections.abc import Iterable
+from functools import partial
+from multiprocessing.connection import Connection, wait
+from multiprocessing.process import BaseProcess
+from typing import Any, NoReturn
+
+from gymnasium.vector import AsyncVectorEnv, AutoresetMode
+
+from bulletarm_gym.env import ManipulationEnv
+
+
+class WorkerError(RuntimeError):
+    """A worker process ended, or failed with the traceback that this error is raised from."""
+
+
+class ParallelEnv(AsyncVectorEnv):
+    """Gymnasium's ``AsyncVectorEnv`` that neither hangs nor leaves workers behind when one of them fails.
+
+    Observations come through shared memory; autoreset modes are Gymnasium's.
+
+    :param num_envs: worker processes
+    :param autoreset_mode: when a finished environment is reset
+    :param context: how processes start: ``"fork"``, ``"forkserver"``, ``"spawn"``; None for the default
+    :param parameters: of the environments, see :class:`~bulletarm_gym.env.ManipulationEnv`
+    :raises ValueError: ``num_envs`` is not positive, or a parameter is wrong
+    """
+
+    def __init__(
+        self,
+        num_envs: int,
+        autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
+        context: str | None = None,
+        **parameters: Any,
+    ) -> None:
+        if num_envs < 1:
+            raise ValueError(f"num_envs: got {num_envs}, takes at least 1")
+        make = partial(ManipulationEnv, **parameters)
+        super().__init__([make] * num_envs, context=context, autoreset_mode=autoreset_mode)
+
+    def _check_spaces(self) -> None:
+        """Begin to watch the workers, before the first word from them."""
+        watched: list[Any] = [
+            _WatchedPipe(pipe, process, self)
+            for pipe, process in zip(self.parent_pipes, self.processes, strict=True)
+        ]
+        self.parent_pipes = watched
+        super()._check_spaces()  # type: ignore[no-untyped-call]
+
+    def _raise_if_errors(self, successes: Iterable[bool]) -> None:
+        failed = list(successes).count(False)
+        if not failed:
+            return
+        index, _, value, trace = [self.error_queue.get() for _ in range(failed)][-1]
+        self.abandon()
+        raise WorkerError(f"worker {index} failed: {value}") from _RemoteTraceback(trace)
+
+    def abandon(self) -> None:
+        """End all workers at once, whatever they are doing."""
+        for process in self.processes:
+            process.kill()
+        for process in self.processes:
+            process.join()
+        for pipe in self.parent_pipes:
+            pipe.close()
+        self.closed = True
+
+
+class _RemoteTraceback(Exception):
+    """Shows a worker's traceback as the cause of the error raised here."""
+
+    def __str__(self) -> str:
+        return f"\n{self.args[0]}"
+
+
+class _WatchedPipe:
+    """A pipe to a worker that notices when the worker is gone.
+
+    Under fork other workers hold copies of the pipe's far end, so its closing alone tells nothing.
+    """
+
+    def __init__(self, pipe: Connection, process: BaseProcess, owner: ParallelEnv) -> None:
+        self._pipe = pipe
+        self._process = process
+        self._owner = owner
+
+    @property
+    def closed(self) -> bool:
+        """Whether this end is closed."""
+        return self._pipe.closed
+
+    def close(self) -> None:
+        """Close this end."""
+        self._pipe.close()
+
+    def poll(self, timeout: float | None = 0.0) -> bool:
+        """Whether there is something to receive, or to learn of the worker's end."""
+        return bool(wait([self._pipe, self._process.sentinel], timeout))
+
+    def send(self, message: Any) -> None:
+        """Send a command to the worker.
+
+        :raises WorkerError: the worker is gone
+        """
+        try:
+            self._pipe.send(message)
+        except (BrokenPipeError, ConnectionResetError):
+            self._fail()
+
+    def recv(self) -> Any:
+        """Return what the worker answers.
+
+        :raises WorkerError: the worker is gone
+        """
+        if self._pipe not in wait([self._pipe, self._process.sentinel]):
+            self._fail()
+        try:
+            return self._pipe.recv()
+        except (EOFError, ConnectionResetError):
+            self._fail()
+
+    def _fail(self) -> NoReturn:
+        self._process.join(timeout=1.0)
+        name, code = self._process.name, self._process.exitcode
+        self._owner.abandon()
+        raise WorkerError(f"{name} ended with exit code {code} in the middle of its work")

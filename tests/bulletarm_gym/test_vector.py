@@ -1,0 +1,85 @@
+"""Parallel environments: equal to single ones, and well-behaved when a worker fails."""
+
+import multiprocessing
+import os
+import signal
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.vector import AutoresetMode
+
+import bulletarm_gym
+from bulletarm_gym.vector import ParallelEnv, WorkerError
+
+ENV_ID = "BulletArm/CloseLoopBlockPicking-v0"
+ACTION = np.zeros((2, 5), np.float32)
+
+
+@pytest.mark.parametrize("context", ["fork", "forkserver", "spawn"])
+def test_equals_single_environments(context: str) -> None:
+    vector = gymnasium.make_vec(ENV_ID, num_envs=2, obs_size=32, context=context)
+    assert isinstance(vector, ParallelEnv)
+    singles = [gymnasium.make(ENV_ID, obs_size=32) for _ in range(2)]
+    observations, _ = vector.reset(seed=[3, 4])
+    for number, env in enumerate(singles):
+        np.testing.assert_array_equal(
+            observations["heightmap"][number], env.reset(seed=3 + number)[0]["heightmap"]
+        )
+    for _ in range(5):
+        actions = np.stack(vector.call("expert_action"))
+        observations, *_ = vector.step(actions)
+        for number, env in enumerate(singles):
+            expected = env.step(actions[number])[0]["heightmap"]
+            np.testing.assert_array_equal(observations["heightmap"][number], expected)
+    vector.close()
+
+
+@pytest.mark.parametrize("env_id", bulletarm_gym.ENV_IDS)
+def test_make_vec_of_every_id(env_id: str) -> None:
+    vector = gymnasium.make_vec(env_id, num_envs=2, obs_size=32)
+    observations, _ = vector.reset(seed=0)
+    assert observations in vector.observation_space
+    vector.close()
+
+
+def test_autoreset_mode() -> None:
+    vector = gymnasium.make_vec(ENV_ID, num_envs=1, obs_size=32, max_steps=1, autoreset_mode="SameStep")
+    assert vector.metadata["autoreset_mode"] == AutoresetMode.SAME_STEP
+    vector.reset(seed=0)
+    *_, truncations, infos = vector.step(ACTION[:1])
+    assert truncations[0]
+    assert "final_obs" in infos
+    vector.close()
+
+
+def test_error_of_a_worker_arrives_with_its_traceback() -> None:
+    vector = gymnasium.make_vec(ENV_ID, num_envs=2, obs_size=32)
+    assert isinstance(vector, ParallelEnv)
+    vector.reset(seed=0)
+    with pytest.raises(WorkerError, match=r"worker 1 failed: .*finite") as caught:
+        vector.step(ACTION + np.array([[0.0], [np.nan]], np.float32))
+    assert "decode_action" in str(caught.value.__cause__)
+    assert not any(process.is_alive() for process in vector.processes)
+
+
+@pytest.mark.parametrize("context", ["fork", "spawn"])
+def test_killed_worker_is_named(context: str) -> None:
+    vector = gymnasium.make_vec(ENV_ID, num_envs=2, obs_size=32, context=context)
+    assert isinstance(vector, ParallelEnv)
+    vector.reset(seed=0)
+    pid = vector.processes[1].pid
+    assert pid is not None
+    os.kill(pid, signal.SIGKILL)
+    with pytest.raises(RuntimeError, match=r"Worker<ParallelEnv>-1 ended with exit code -9"):
+        for _ in range(3):
+            vector.step(ACTION)
+    assert not multiprocessing.active_children()
+    vector.close()
+
+
+def test_bad_parameter_is_named_before_any_process_starts() -> None:
+    with pytest.raises(ValueError, match="obs_size"):
+        gymnasium.make_vec(ENV_ID, num_envs=2, obs_size=-1)
+    with pytest.raises(ValueError, match="num_envs"):
+        gymnasium.make_vec(ENV_ID, num_envs=0)
