@@ -90,6 +90,7 @@ class BodySpec:
     :param rolling_friction: coefficient against rolling (m)
     :param spinning_friction: coefficient against spinning in place (m)
     :param slides: parts that slide in a body fixed to the world
+    :param is_mark: a mark on the ground: drawn in pictures, no obstacle and not seen by the sensor
     """
 
     name: str
@@ -100,6 +101,7 @@ class BodySpec:
     spinning_friction: float = 0.0
     colour: Colour = RED
     slides: tuple[Slide, ...] = ()
+    is_mark: bool = False
 
     @cached_property
     def mesh(self) -> Mesh:

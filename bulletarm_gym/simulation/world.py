@@ -158,8 +158,9 @@ class World:
 
     @property
     def solids(self) -> list[Body]:
-        """All bodies, parked ones too, but the endless ground and what moves itself."""
-        return [body for body in self.bodies if body.spec.pieces and body is not self._ground]
+        """All bodies, parked ones too, but the endless ground, marks on it and what moves itself."""
+        others = (body for body in self.bodies if body is not self._ground)
+        return [body for body in others if body.spec.pieces and not body.spec.is_mark]
 
     @property
     def obstacles(self) -> list[Body]:
@@ -219,7 +220,7 @@ class World:
 
     def _set_active(self, body: Body, active: bool) -> None:
         self.active[body.index] = active
-        mask = 1 if active else 0
+        mask = 1 if active and not body.spec.is_mark else 0
         for link in (-1, *body.joints):
             self.client.setCollisionFilterGroupMask(body.id, link, mask, mask)
         if body.spec.mass > 0.0:
