@@ -77,7 +77,7 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
             SURFACES[surface](self.config.workspace),
             self.task.bodies(self.config),
         )
-        self.control = CloseLoop(self.config, self.scene)
+        self.control = CloseLoop(self.config, self.scene, self.task.overlays)
         self.action_space = self.control.action_space
         # Gymnasium types a Dict space by its parts instead of its samples.
         self.observation_space = self.control.observation_space  # type: ignore[assignment]

@@ -31,6 +31,7 @@ class Entry:
 ENTRIES = (
     Entry("CloseLoopBlockReaching", "bulletarm_gym.tasks.reaching:BlockReaching", "close_loop"),
     Entry("CloseLoopBlockPicking", "bulletarm_gym.tasks.picking:BlockPicking", "close_loop"),
+    Entry("CloseLoopBlockPushing", "bulletarm_gym.tasks.pushing:BlockPushing", "close_loop"),
     Entry("CloseLoopBlockPulling", "bulletarm_gym.tasks.pulling:BlockPulling", "close_loop"),
 )
 

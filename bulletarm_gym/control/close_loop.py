@@ -1,6 +1,7 @@
 """Close-loop control: each action moves the gripper a little (paper, Close-loop Environments)."""
 
 import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,8 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 from bulletarm_gym.config import EnvConfig
 from bulletarm_gym.geometry import Pose, Vector, wrap_angle
 from bulletarm_gym.scene import Scene
-from bulletarm_gym.sensors.overlays import fill_rectangles
-from bulletarm_gym.tasks import Waypoint
+from bulletarm_gym.sensors.overlays import fill_rectangles, rectangle_mask
+from bulletarm_gym.tasks import Overlay, Waypoint
 
 MAX_TRANSLATION = 0.05
 """Farthest move (m) along an axis (paper, Close-Loop 4D Benchmark)."""
@@ -55,11 +56,18 @@ class CloseLoop:
 
     :param config: the environment's parameters
     :param scene: what is acted on
+    :param overlays: what the task shows in the image besides the bodies
     """
 
     name = "close_loop"
 
-    def __init__(self, config: EnvConfig, scene: Scene) -> None:
+    def __init__(
+        self,
+        config: EnvConfig,
+        scene: Scene,
+        overlays: Callable[[Scene], Sequence[Overlay]] = lambda scene: (),
+    ) -> None:
+        self._overlays = overlays
         self._sequence = config.action_sequence
         self._workspace = config.workspace
         self._size = config.obs_size
@@ -148,6 +156,9 @@ class CloseLoop:
         hand = scene.robot.pose
         centre = (hand.x, hand.y)
         heights = scene.heights(centre, self._extent, self._size)
+        for overlay in self._overlays(scene):
+            covered = rectangle_mask(centre, self._extent, self._size, [overlay.rectangle])
+            heights[covered] += np.float32(overlay.rise)
         depth = np.clip(np.float32(hand.z + CAMERA_OFFSET) - heights, 0.0, MAX_DEPTH)
         fill_rectangles(depth, centre, self._extent, gripper_squares(hand, scene.robot.opening), 0.0)
         return {"heightmap": depth[None]}

@@ -3,6 +3,7 @@
 Sizes are nominal (m) and grow with the object scale; masses are those of the original BulletArm release.
 """
 
+from bulletarm_gym.geometry import Pose
 from bulletarm_gym.simulation.shapes import BLUE, RED, BodySpec, Box, Piece
 
 CUBE_SIZE = 0.05
@@ -16,6 +17,9 @@ FLAT_BLOCK_HEIGHT = 0.05
 FLAT_BLOCK_MASS = 0.5
 FLAT_BLOCK_FRICTION = 0.5
 
+MARK_THICKNESS = 1e-3
+"""Height (m) of marks on the ground: enough for a camera to see them."""
+
 
 def cube(name: str, scale: float) -> BodySpec:
     """Return a cube whose frame is its centre."""
@@ -28,3 +32,9 @@ def flat_block(name: str, scale: float) -> BodySpec:
     side = FLAT_BLOCK_SIDE * scale
     pieces = (Piece(Box((side, side, FLAT_BLOCK_HEIGHT))),)
     return BodySpec(name, pieces, FLAT_BLOCK_MASS, FLAT_BLOCK_FRICTION, colour=BLUE)
+
+
+def goal_area(name: str, side: float) -> BodySpec:
+    """Return a square of ``side`` (m) marked on the ground, its frame on the ground in its middle."""
+    square = Piece(Box((side, side, MARK_THICKNESS)), Pose((0.0, 0.0, MARK_THICKNESS / 2.0)))
+    return BodySpec(name, (square,), mass=0.0, colour=BLUE, is_mark=True)

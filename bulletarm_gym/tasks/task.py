@@ -32,6 +32,18 @@ class Waypoint:
     straight: bool = False
 
 
+@dataclass(frozen=True)
+class Overlay:
+    """A rectangle that the heightmap shows nearer the camera than what is there.
+
+    :param rectangle: world x and y of its centre, length and width (m), yaw (rad)
+    :param rise: by how much it is nearer (m)
+    """
+
+    rectangle: tuple[float, float, float, float, float]
+    rise: float
+
+
 class Task(ABC):
     """A task: its bodies, how they are arranged, when it is solved, and how an expert solves it.
 
@@ -68,6 +80,14 @@ class Task(ABC):
 
         It must give one in every state, also after a failure.
         """
+
+    def carry_on(self, scene: Scene, rng: np.random.Generator) -> bool:
+        """Begin an episode with what the last one left; False, for most, asks for a new arrangement."""
+        return False
+
+    def overlays(self, scene: Scene) -> tuple[Overlay, ...]:
+        """Return what the heightmap shows besides the bodies: goals that no body stands for."""
+        return ()
 
     def after_action(self, scene: Scene, rng: np.random.Generator) -> None:  # noqa: B027 (most have none)
         """Change the scene after an action, where the task has a life of its own."""

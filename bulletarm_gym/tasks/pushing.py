@@ -1,0 +1,70 @@
+"""Pushing a block onto a goal area."""
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from bulletarm_gym.config import CLOSE_LOOP, EnvConfig, TaskDefaults
+from bulletarm_gym.geometry import planar_distance
+from bulletarm_gym.objects import cube, goal_area
+from bulletarm_gym.placement import scatter, stand
+from bulletarm_gym.scene import Role, Scene, scaled
+from bulletarm_gym.tasks.dragging import Drag
+from bulletarm_gym.tasks.reaching import BORDER
+from bulletarm_gym.tasks.task import Overlay, Task, Waypoint
+
+GOAL_SIDE = 0.09
+"""Side (m) of the goal area (paper, Block Pushing)."""
+GOAL_RISE = 0.02
+"""By how much (m) the heightmap shows the goal nearer the camera, as in the original BulletArm release."""
+GOAL_BORDER = 0.065
+"""Distance (m) of the goal's centre to the border, as in the original BulletArm release."""
+APART = 0.09
+"""Least distance (m) of cube and goal at the start, as in the original BulletArm release."""
+REACHED = 0.05
+"""Distance (m) of the cube's centre to the goal's that counts as reached (paper, Block Pushing)."""
+LOW = 0.015
+"""Height (m) of the fingertips while they push: below the middle of the cube, which would fall over else."""
+YAW_SPREAD = math.pi / 2.0
+
+
+class BlockPushing(Task):
+    """Push a cube onto a goal area.
+
+    Description: a 5 cm cube stands on the floor, on which a square of 9 x 9 cm is the goal. The heightmap
+    shows the square 2 cm nearer the camera.
+    Randomisation: the positions of cube and goal, at least 9 cm apart, the cube's yaw in +-90 degrees; with a
+    fixed orientation both lie along y.
+    Success: the cube's centre is within 5 cm of the goal's.
+    Expert: down behind the cube, and with it to the goal.
+    """
+
+    defaults = TaskDefaults(num_objects=1)
+    controls = (CLOSE_LOOP,)
+
+    def bodies(self, config: EnvConfig) -> list[Role]:
+        """Return the cube and the mark of the goal area."""
+        return [scaled(config, "cube", cube), Role("goal", (goal_area("goal", GOAL_SIDE),))]
+
+    def arrange(self, scene: Scene, rng: np.random.Generator) -> None:
+        """Put cube and goal apart."""
+        item, goal = scene["cube"], scene["goal"]
+        margins = [GOAL_BORDER, BORDER * item.spec.extents[0]]
+        goal_point, point = scatter(scene, rng, margins, APART, aligned=not self.config.random_orientation)
+        goal.place(scene.surface.pose(goal_point, 0.0))
+        stand(scene, item, point, rng, YAW_SPREAD)
+
+    def overlays(self, scene: Scene) -> tuple[Overlay, ...]:
+        """Return the goal area."""
+        pose = scene["goal"].pose
+        return (Overlay((pose.x, pose.y, GOAL_SIDE, GOAL_SIDE, pose.yaw), GOAL_RISE),)
+
+    def evaluate(self, scene: Scene) -> dict[str, bool]:
+        """Compare the cube's place with the goal's."""
+        apart = planar_distance(scene["cube"].pose.position, scene["goal"].pose.position)
+        return {"success": apart < REACHED}
+
+    def plan(self, scene: Scene, rng: np.random.Generator) -> Iterator[Waypoint]:
+        """Go behind the cube, and push."""
+        yield from Drag(scene, scene["cube"].pose, scene["goal"].pose.position, LOW).plan()
