@@ -75,8 +75,7 @@ class Quantiser:
         :return: float32 tensor of the same shape
         """
         rounded = self._levels_of(values).mul_(_like(self._step, values)).add_(_like(self._low, values))
-        high = _like(self._high, values)
-        return rounded.clamp_(max=high)
+        return rounded.clamp_(max=_like(self._high, values))
 
     @th.no_grad()
     def normalise(self, values: th.Tensor) -> th.Tensor:
@@ -100,6 +99,5 @@ def _collapse(bound: npt.NDArray[np.float64]) -> FloatArray:
 
 
 def _like(bound: FloatArray, values: th.Tensor) -> th.Tensor:
-    """The bound as a tensor where the values are; a zero-dimensional one may stay on the CPU."""
-    tensor = th.from_numpy(np.array(bound))
-    return tensor if bound.ndim == 0 else tensor.to(values.device)
+    """The bound as a tensor where the values are."""
+    return th.from_numpy(np.array(bound)).to(values.device)
