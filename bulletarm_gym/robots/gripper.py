@@ -11,7 +11,17 @@ from xml.etree.ElementTree import Element, SubElement
 
 from bulletarm_gym.geometry import Pose, Vector
 from bulletarm_gym.robots.kinematics import euler_pose
-from bulletarm_gym.robots.urdf import DARK, LIGHT, Colour, Part, add_joint, add_link, add_parts, box, find_link
+from bulletarm_gym.robots.urdf import (
+    DARK,
+    LIGHT,
+    Colour,
+    Part,
+    add_joint,
+    add_link,
+    add_parts,
+    box,
+    find_link,
+)
 
 FINGER_MASS = 0.05
 

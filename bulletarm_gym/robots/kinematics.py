@@ -44,7 +44,7 @@ class Chain:
         frames, axes = [base], []
         for name in joints:
             element = _find_joint(root, name)
-            frames[-1] = frames[-1].compose(_origin(element))
+            frames[-1] = frames[-1].compose(frame_of(element))
             axes.append(_floats(element.find("axis"), "xyz", "1 0 0"))
             frames.append(Pose((0.0, 0.0, 0.0)))
         frames[-1] = tool
@@ -108,6 +108,12 @@ def euler_pose(position: tuple[float, float, float], angles: tuple[float, float,
     return Pose(position, orientation)
 
 
+def frame_of(element: ElementTree.Element) -> Pose:
+    """Return the ``origin`` of a URDF element in the frame it is given in."""
+    origin = element.find("origin")
+    return euler_pose(_floats(origin, "xyz", "0 0 0"), _floats(origin, "rpy", "0 0 0"))
+
+
 def _find_joint(root: ElementTree.Element, name: str) -> ElementTree.Element:
     joint = root.find(f"joint[@name='{name}']")
     if joint is None:
@@ -119,11 +125,6 @@ def _floats(element: ElementTree.Element | None, key: str, default: str) -> tupl
     text = default if element is None else element.get(key, default)
     x, y, z = (float(value) for value in text.split())
     return (x, y, z)
-
-
-def _origin(joint: ElementTree.Element) -> Pose:
-    element = joint.find("origin")
-    return euler_pose(_floats(element, "xyz", "0 0 0"), _floats(element, "rpy", "0 0 0"))
 
 
 @njit(cache=True)

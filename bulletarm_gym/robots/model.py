@@ -13,7 +13,7 @@ import numpy as np
 from bulletarm_gym.geometry import FloatArray, Pose
 from bulletarm_gym.robots.gripper import Gripper
 from bulletarm_gym.robots.kinematics import Chain
-from bulletarm_gym.robots.urdf import DARK, add_parts, cylinder
+from bulletarm_gym.robots.urdf import DARK, add_parts, cylinder, merge_fixed
 
 PLINTH_RADIUS = 0.09
 """Of the stand (m) under an arm whose base is above the ground; it stays clear of the workspaces."""
@@ -50,6 +50,7 @@ class RobotModel:
         workspace at every tilt, and its wrist could not turn on and on.
         """
         root = self.load()
+        merge_fixed(root)
         for name in self.joints:
             joint = root.find(f"joint[@name='{name}']")
             if joint is None:

@@ -1,4 +1,4 @@
-"""Links of primitives, written as URDF."""
+"""Writing URDF: links of primitives, and links on fixed joints made part of those that carry them."""
 
 import math
 from collections.abc import Sequence
@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from xml.etree.ElementTree import Element, SubElement
 
 from bulletarm_gym.geometry import Pose, Quaternion, Vector
-from bulletarm_gym.robots.kinematics import euler_pose
+from bulletarm_gym.robots.kinematics import euler_pose, frame_of
 
 ORIGIN = Pose((0.0, 0.0, 0.0))
 
@@ -112,6 +112,55 @@ def find_link(root: Element, name: str) -> Element:
     if link is None:
         raise ValueError(f"the model has no link {name!r}")
     return link
+
+
+def merge_fixed(root: Element) -> None:
+    """Make links on fixed joints part of their parents: each costs as much to simulate as one that moves."""
+    for joint in root.findall("joint[@type='fixed']"):
+        parent, child = (find_link(root, _end(joint, end)) for end in ("parent", "child"))
+        mount = frame_of(joint)
+        _add_mass(parent, child, mount)
+        for element in [*child.findall("visual"), *child.findall("collision")]:
+            _move(element, mount)
+            parent.append(element)
+        for other in root.findall("joint"):
+            if _end(other, "parent") == child.get("name"):
+                _move(other, mount)
+                other.findall("parent")[0].set("link", _end(joint, "parent"))
+        root.remove(joint)
+        root.remove(child)
+
+
+def _end(joint: Element, end: str) -> str:
+    """Return the name of a joint's ``"parent"`` or ``"child"``."""
+    return joint.findall(end)[0].get("link", "")
+
+
+def _move(element: Element, frame: Pose) -> None:
+    """Express in an outer frame an element given in ``frame``."""
+    _put(element, frame.compose(frame_of(element)))
+
+
+def _put(element: Element, pose: Pose) -> None:
+    for old in element.findall("origin"):
+        element.remove(old)
+    SubElement(element, "origin", _origin(pose))
+
+
+def _add_mass(link: Element, other: Element, mount: Pose) -> None:
+    """Add another link's mass to a link, at their common centre; the inertia is Bullet's to compute."""
+    own, added = link.find("inertial"), other.find("inertial")
+    if own is None or added is None:
+        return
+    masses = [float(part.findall("mass")[0].get("value", "0")) for part in (own, added)]
+    total = sum(masses)
+    if masses[1] == 0.0:
+        return
+    share = masses[1] / total
+    pairs = zip(frame_of(own).position, mount.transform(frame_of(added).position), strict=True)
+    x, y, z = ((1.0 - share) * here + share * there for here, there in pairs)
+    own.findall("mass")[0].set("value", repr(total))
+    _put(own, Pose((x, y, z)))
 
 
 def _origin(pose: Pose) -> dict[str, str]:
