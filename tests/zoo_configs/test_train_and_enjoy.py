@@ -207,6 +207,14 @@ def test_a_damaged_checkpoint_is_told(
     assert "damaged: model.zip" in capsys.readouterr().err
 
 
+def test_a_real_task_trains(tmp_path: Path) -> None:
+    env_id = "BulletArm/CloseLoopBlockReaching-v0"
+    arguments = ["train", "--baseline", "sacfd", "--preset", "cpu", "--env", env_id, "-f", str(tmp_path)]
+    assert main([*arguments, *TINY, *TINY_SACFD, "--eval-episodes", "1"]) == 0
+    run_folder = tmp_path / "sacfd" / "BulletArm-CloseLoopBlockReaching-v0_1"
+    assert main(["enjoy", str(run_folder), "-n", "1", "--device", "cpu"]) == 0
+
+
 def test_a_stock_algorithm_trains(tmp_path: Path) -> None:
     arguments = ["train", "--algo", "sac", "--env", "Pendulum-v1", "-f", str(tmp_path), "-n", "20"]
     assert main([*arguments, "--eval-freq", "-1", "--no-progress", "--env-kwargs", "g:9.0"]) == 0
