@@ -26,10 +26,12 @@ class Yardstick:
     render_ms: float
 
 
-def measure_yardstick() -> Yardstick:
+def measure_yardstick(steps: int = 2000, pictures: int = 20) -> Yardstick:
     """
     Measure the machine, apart from any environment.
 
+    :param steps: Simulation steps in each of five measurements
+    :param pictures: Pictures in each of five measurements
     :return: The median of five measurements of each figure
     """
     pb: Any = importlib.import_module("pybullet")
@@ -38,9 +40,9 @@ def measure_yardstick() -> Yardstick:
         _build_yardstick_scene(pb, client)
         view = pb.computeViewMatrix([0.45, 0, 0.8], [0.45, 0, 0], [-1, 0, 0])
         lens = pb.computeProjectionMatrixFOV(40, 1, 0.01, 2)
-        step = _median_time(lambda: pb.stepSimulation(physicsClientId=client), 2000)
+        step = _median_time(lambda: pb.stepSimulation(physicsClientId=client), steps)
         shoot = {"renderer": pb.ER_TINY_RENDERER, "physicsClientId": client}
-        picture = _median_time(lambda: pb.getCameraImage(128, 128, view, lens, **shoot), 20)
+        picture = _median_time(lambda: pb.getCameraImage(128, 128, view, lens, **shoot), pictures)
     finally:
         pb.disconnect(client)
     return Yardstick(step_us=step * 1e6, render_ms=picture * 1e3)

@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 from gymnasium import spaces
 
+from zoo_configs import throughput
 from zoo_configs.cli import main
 from zoo_configs.curves import draw_curves, load_curve
 from zoo_configs.errors import CommandError
 from zoo_configs.files import whole_file
-from zoo_configs.machine import Yardstick
+from zoo_configs.machine import Yardstick, measure_yardstick
 from zoo_configs.seeds import SeedStream, stream_seed
 from zoo_configs.throughput import ReferenceRate, load_reference
 from zoo_configs.video import compose_frame, observed_images
@@ -22,7 +23,15 @@ from zoo_configs.video import compose_frame, observed_images
 REACHING = "BulletArm/CloseLoopBlockReaching-v0"
 
 
-def test_speed_compares_with_the_reference(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_yardstick_measures_steps_and_pictures() -> None:
+    yardstick = measure_yardstick(steps=20, pictures=1)
+    assert 1 < yardstick.step_us < 1000 * yardstick.render_ms
+
+
+def test_speed_compares_with_the_reference(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(throughput, "measure_yardstick", lambda: Yardstick(step_us=48, render_ms=4.2))
     assert main(["speed", "--env", REACHING, "--seconds", "0.1", "--reference", "--markdown"]) == 0
     machine, head, _, row, summary = capsys.readouterr().out.splitlines()
     assert "load average" in machine
