@@ -1,0 +1,62 @@
+"""The floor of a tray that stands in the workspace."""
+
+import numpy as np
+
+from bulletarm_gym.geometry import Pose, Vector
+from bulletarm_gym.objects.tray import FLOOR_HEIGHT, RIM, tray_floor, tray_walls
+from bulletarm_gym.simulation import World
+from bulletarm_gym.surfaces.flat import FlatSurface
+from bulletarm_gym.surfaces.surface import Point
+
+SIZE = 5.0 / 6.0
+"""Nominal side of the tray in sides of the workspace: 25 cm for the close-loop 30 cm."""
+COVERED = 0.6
+"""Share of the margin to the workspace's border that an item itself covers: tasks keep 1.2 sides of a cube,
+whose half diagonal is 0.71 sides. On the floor an item needs no more than that."""
+
+
+class TraySurface(FlatSurface):
+    """A tray in the middle of the workspace; what is placed on it stands on its floor.
+
+    :param workspace: [[x low, x high], [y low, y high], [z low, z high]] (m)
+    """
+
+    def __init__(self, workspace: list[list[float]]) -> None:
+        super().__init__(workspace)
+        (x0, x1), (y0, y1), _ = workspace
+        self.centre = ((x0 + x1) / 2.0, (y0 + y1) / 2.0)
+        self.size = SIZE * (x1 - x0)
+
+    @property
+    def floor_side(self) -> float:
+        """Side (m) of the level floor."""
+        return self.size - RIM
+
+    def sample_position(self, rng: np.random.Generator, margin: float) -> Point:
+        """Draw a point from which an item with this margin (m) to the workspace's border stays on the floor.
+
+        :raises ValueError: the floor is too small for the item
+        """
+        reach = self.floor_side / 2.0 - COVERED * margin
+        if reach < 0.0:
+            raise ValueError(f"workspace: its tray of {self.floor_side:.3f} m leaves nothing {margin:.3f} m from the border")
+        dx, dy = rng.uniform(-reach, reach, 2).tolist()
+        return self.centre[0] + dx, self.centre[1] + dy
+
+    def load(self, world: World) -> None:
+        """Load the ground and the tray on it."""
+        super().load(world)
+        for spec in (tray_floor(self.size), tray_walls(self.size)):
+            world.add(spec, Pose((*self.centre, 0.0)))
+
+    def height(self, xy: Point) -> float:
+        """Return the height (m) of the tray's floor."""
+        return FLOOR_HEIGHT
+
+    def normal(self, xy: Point) -> Vector:
+        """Return the vertical: nothing is placed on the walls."""
+        return (0.0, 0.0, 1.0)
+
+    def pose(self, xy: Point, yaw: float) -> Pose:
+        """Return an upright frame on the floor."""
+        return Pose.planar(*xy, FLOOR_HEIGHT, yaw)
