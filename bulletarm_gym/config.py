@@ -2,6 +2,7 @@
 
 import difflib
 import math
+import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from typing import Any
@@ -27,6 +28,18 @@ class ParameterError(ValueError):
 
 
 @dataclass(frozen=True)
+class TrayUse:
+    """Whether a task can stand in a tray.
+
+    :param choices: what ``close_loop_tray`` may be, the default first
+    :param reason: why it cannot be anything else
+    """
+
+    choices: tuple[bool, ...] = (False, True)
+    reason: str = ""
+
+
+@dataclass(frozen=True)
 class TaskDefaults:
     """What a task prescribes for its own parameters.
 
@@ -34,12 +47,16 @@ class TaskDefaults:
     :param max_steps: the paper's limit
     :param object_scale: gives exactly the paper's sizes
     :param allowed_objects: every number the task can have
+    :param tray: whether it can stand in a tray
+    :param takes_object_set: whether its objects can be replaced by a user's
     """
 
     num_objects: int
     max_steps: int = 50
     object_scale: float = 1.0
     allowed_objects: tuple[int, ...] = (1,)
+    tray: TrayUse = TrayUse()
+    takes_object_set: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,6 +76,8 @@ class EnvConfig:
     :param fast_mode: move the arm without simulation where it can touch nothing
     :param random_orientation: objects start with random yaw
     :param workspace_check: ``"point"`` asks an object's centre to stay inside, ``"bounding_box"`` all of it
+    :param close_loop_tray: the task stands in a tray
+    :param object_set: None for the 86 objects made by code, or a folder of OBJ or URDF files
     :param view: ``"orthographic"``, looking straight down, or ``"point_cloud"``, the paper's two side cameras
     :param observation: ``"image"``, or ``"state"``: the poses of gripper and objects
     :param physics_mode: ``"fast"`` (50 solver iterations) or ``"slow"`` (200, and slower motions)
@@ -77,6 +96,8 @@ class EnvConfig:
     fast_mode: bool = True
     random_orientation: bool = True
     workspace_check: str = "point"
+    close_loop_tray: bool = False
+    object_set: str | None = None
     view: str = "orthographic"
     observation: str = "image"
     physics_mode: str = "fast"
@@ -141,6 +162,7 @@ def _defaults(task: TaskDefaults) -> dict[str, Any]:
         "object_scale_range": [task.object_scale, task.object_scale],
         "max_steps": task.max_steps,
         "num_objects": task.num_objects,
+        "close_loop_tray": task.tray.choices[0],
     }
 
 
@@ -157,6 +179,8 @@ def _checks(task: TaskDefaults, robots: Sequence[str]) -> dict[str, Check]:
         "fast_mode": _boolean,
         "random_orientation": _boolean,
         "workspace_check": _choice("point", "bounding_box"),
+        "close_loop_tray": _tray(task.tray),
+        "object_set": _optional(_folder) if task.takes_object_set else _no_object_set,
         "view": _choice("orthographic", "point_cloud"),
         "observation": _choice("image", "state"),
         "physics_mode": _choice("fast", "slow"),
@@ -215,6 +239,26 @@ def _boolean(value: Any) -> bool:
     if not isinstance(value, bool | np.bool_):
         raise _Refused("True or False")
     return bool(value)
+
+
+def _tray(use: TrayUse) -> Check:
+    def check(value: Any) -> bool:
+        if _boolean(value) not in use.choices:
+            raise _Refused(f"{use.choices[0]} with this task: {use.reason}")
+        return bool(value)
+
+    return check
+
+
+def _folder(value: Any) -> str:
+    if not isinstance(value, str | os.PathLike) or not os.path.isdir(value):
+        raise _Refused("None or a folder of OBJ or URDF files")
+    return os.fspath(value)
+
+
+def _no_object_set(value: Any) -> None:
+    if value is not None:
+        raise _Refused("None with this task: its objects are its own")
 
 
 def _import_path(value: Any) -> str:
