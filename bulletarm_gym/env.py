@@ -74,7 +74,7 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         self.scene = Scene(
             self.config,
             ROBOTS[self.config.robot],
-            SURFACES[surface](self.config.workspace),
+            SURFACES["tray" if self.config.close_loop_tray else surface](self.config.workspace),
             self.task.bodies(self.config),
         )
         self.control = CloseLoop(self.config, self.scene, self.task.overlays)
@@ -93,20 +93,23 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         """Begin an episode.
 
         :param seed: the same seed gives the same episode and, from then on, the same episodes
-        :param options: none are known
+        :param options: ``{"new_scene": True}`` arranges a new scene where a task keeps what an episode left,
+            as a seed does
         :raises ValueError: an unknown option
         :raises PlacementError: the workspace is too small for the task
         """
         super().reset(seed=seed)
-        if options:
-            raise ValueError(f"options: got {options!r}, takes none")
+        anew = seed is not None or _new_scene(options) or self._episode_seed is None
         self._episode_seed = int(self.np_random.integers(np.iinfo(np.int64).max))
         self._steps = 0
         self.task.memory = None
         rng = self._rng(ARRANGEMENT)
-        self.scene.clear(rng)
-        self.control.start(self.scene)
-        self.task.arrange(self.scene, rng)
+        if anew or not self.task.carry_on(self.scene, rng):
+            self.scene.clear(rng)
+            self.control.start(self.scene)
+            self.task.arrange(self.scene, rng)
+        else:
+            self.control.start(self.scene)
         self.scene.begin()
         self.scene.settle()
         self._outcome = self._evaluate(ignored=False)
@@ -239,6 +242,13 @@ def _restore(arguments: Mapping[str, Any], spec: EnvSpec | None, state: EnvState
     if state is not None:
         env.set_state(state)
     return env
+
+
+def _new_scene(options: Mapping[str, Any] | None) -> bool:
+    options = options or {}
+    if not options.keys() <= {"new_scene"} or not isinstance(options.get("new_scene", False), bool):
+        raise ValueError(f'options: got {options!r}, takes None or {{"new_scene": True or False}}')
+    return bool(options.get("new_scene", False))
 
 
 def _load(path: str) -> Any:
