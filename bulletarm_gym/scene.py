@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bulletarm_gym.config import EnvConfig
-from bulletarm_gym.geometry import FloatArray, Pose
+from bulletarm_gym.geometry import FloatArray, Pose, matrix
 from bulletarm_gym.robots import Robot, RobotModel
 from bulletarm_gym.sensors.heightmap import HeightmapSensor
 from bulletarm_gym.sensors.point_cloud import project
 from bulletarm_gym.simulation import Body, BodySpec, Camera, World
-from bulletarm_gym.simulation.world import PHYSICS_MODES
+from bulletarm_gym.simulation.world import PHYSICS_MODES, STILL, Twist
 from bulletarm_gym.surfaces import Surface
 
 SIDE_DISTANCE = 0.5
@@ -69,13 +69,19 @@ class Item:
         return self._world.poses[self.body.index]
 
     @property
+    def lowest(self) -> float:
+        """Height (m) of the body's lowest point."""
+        heights = self.spec.mesh.vertices @ matrix(self.pose)[2]
+        return self.pose.z + float(heights.min())
+
+    @property
     def is_present(self) -> bool:
         """Whether the body takes part at present."""
         return self._world.active[self.body.index]
 
-    def place(self, pose: Pose) -> None:
-        """Put the body somewhere, at rest."""
-        self._world.place(self.body, pose)
+    def place(self, pose: Pose, twist: Twist = STILL) -> None:
+        """Put the body somewhere, at rest or with a linear (m/s) and an angular (rad/s) velocity."""
+        self._world.place(self.body, pose, twist)
 
     def park(self) -> None:
         """Take every body of the role out of the scene."""
@@ -164,6 +170,18 @@ class Scene:
             return self._sensor.heights(*self._mesh_poses(), centre, extent, size)
         clouds = [camera.points(self.world, without=self.robot.body) for camera in self._cameras]
         return project(np.concatenate(clouds), centre, extent, size, self.config.workspace[2][1])
+
+    def heights_of(
+        self, bodies: Sequence[Body], centre: tuple[float, float], extent: float, size: int
+    ) -> NDArray[np.float32]:
+        """Return the height (m) of the highest surface of some bodies alone, seen straight from above.
+
+        The parameters are those of :meth:`heights`; where there is none of them the height is 0.
+        """
+        wanted = {body.index for body in bodies}
+        positions, orientations, present = self._mesh_poses()
+        chosen = [body.index in wanted for body in self.world.solids for _ in body.spec.part_meshes]
+        return self._sensor.heights(positions, orientations, present & chosen, centre, extent, size)
 
     @cached_property
     def _sensor(self) -> HeightmapSensor:
