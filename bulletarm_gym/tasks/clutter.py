@@ -1,0 +1,227 @@
+"""Grasping one object after another out of a clutter."""
+
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from bulletarm_gym.config import CLOSE_LOOP, EnvConfig, TaskDefaults, TrayUse
+from bulletarm_gym.geometry import FloatArray, Mesh, Pose, Quaternion, planar_distance
+from bulletarm_gym.objects.sets import object_set
+from bulletarm_gym.placement import ARRANGEMENTS, PlacementError
+from bulletarm_gym.relations import TOUCHING
+from bulletarm_gym.scene import Item, Role, Scene
+from bulletarm_gym.simulation import BodySpec, Convex, Piece
+from bulletarm_gym.tasks.antipodal import YAWS, Relief, find_grasps
+from bulletarm_gym.tasks.grasping import STEP, grasp
+from bulletarm_gym.tasks.task import CLOSED, Task, Waypoint
+
+LIFTED = 0.15
+"""Height (m) of the gripper above the ground that counts as lifted (paper, Object Grasping)."""
+MOST_OBJECTS = 15
+"""As many as the paper's open-loop clutter."""
+DROP_HEIGHT = 0.12
+"""Height (m) above the tray's floor from which objects are dropped."""
+DROP_STEPS = 36
+"""Simulation steps an object falls before the next one: as long as it takes down to the floor."""
+DROP_SPREAD = 0.35
+"""Objects are dropped up to this share of the floor's side from its middle, so that they come to lie on it."""
+SETTLE_STEPS = 480
+"""Most simulation steps (2 s) that a new clutter is given to come to rest."""
+ARM_AWAY = 0.4
+"""Height (m) of the fingertips while objects are dropped."""
+FALLING = ((0.0, 0.0, -0.02), (0.0, 0.0, 0.0))
+"""Velocity (m/s) of an item that is let go: faster than what counts as rest."""
+
+
+CLEARANCE = 0.004
+"""Least height (m) of the fingertips above the tray's floor."""
+PITCH = 0.003
+"""Side (m) of the pixels that grasps are searched in."""
+BORDER = 0.05
+"""How far (m) beyond the workspace is looked: an open gripper reaches there."""
+TURN_WORTH = STEP / (math.pi / 4.0)
+"""A turn takes as many actions as this distance (m/rad)."""
+WAY_WEIGHT = 0.5
+"""What a metre of way costs of a grasp's quality."""
+SAME_PLACE = 0.02
+"""A gripper still as near (m) as this to where it failed has not tried again."""
+NEAR_FAILURE = 0.02
+"""Grasps this near (m) to one that failed ..."""
+FAILURE_COST = 0.06
+"""... are worth less by this, twice where they are turned alike."""
+MOST_FAILURES = 6
+"""Failures remembered."""
+
+Spot = tuple[float, float, float]
+"""x, y (m) and yaw (rad) of the fingertips."""
+
+
+class ObjectGrasping(Task):
+    """Grasp any object of a clutter and lift it.
+
+    Description: a tray with up to N of 86 objects.
+    Randomisation: at the start N objects of the set are dropped into the tray one by one, each in a random
+    pose; with ``random_orientation=False`` each lies flat along y. What an episode leaves in the tray stays
+    for the next; when all are grasped, or the scene has become invalid, N others are drawn.
+    Success: the gripper holds an object and is more than 15 cm above the ground. The object is taken away when
+    the next episode begins.
+    Expert: the best of the grasps from above that a search over heightmaps finds, straight up with it.
+    """
+
+    defaults = TaskDefaults(
+        num_objects=5,
+        allowed_objects=tuple(range(1, MOST_OBJECTS + 1)),
+        tray=TrayUse((True,), "without it the objects would roll out of the workspace"),
+        takes_object_set=True,
+    )
+    controls = (CLOSE_LOOP,)
+
+    def bodies(self, config: EnvConfig) -> list[Role]:
+        """Return all objects of the set, each in one size.
+
+        :raises ValueError: the set has fewer than ``num_objects``
+        """
+        specs, scales = object_set(config.object_set), config.scales
+        if len(specs) < config.num_objects:
+            raise ValueError(
+                f"num_objects: got {config.num_objects}, takes at most {len(specs)} with this object_set"
+            )
+        return [Role(spec.name, (resized(spec, scales[n % len(scales)]),)) for n, spec in enumerate(specs)]
+
+    def arrange(self, scene: Scene, rng: np.random.Generator) -> None:
+        """Drop objects into the tray.
+
+        :raises PlacementError: they do not stay in it
+        """
+        start = scene.robot.pose
+        for _ in range(ARRANGEMENTS):
+            scene.robot.home(Pose.planar(start.x, start.y, ARM_AWAY))
+            self._drop(scene, rng)
+            if self.is_valid(scene):
+                scene.robot.home(start)
+                return
+            scene.clear(rng)
+        raise PlacementError(f"num_objects: {self.config.num_objects} objects do not stay in the tray")
+
+    def _drop(self, scene: Scene, rng: np.random.Generator) -> None:
+        scene.begin()
+        for index in rng.choice(len(scene.items), self.config.num_objects, replace=False):
+            scene.items[index].place(self._drop_pose(scene, rng), FALLING)
+            scene.world.step(DROP_STEPS)
+        scene.world.settle(scene.world.loose_bodies, SETTLE_STEPS)
+        scene.world.end()
+
+    def _drop_pose(self, scene: Scene, rng: np.random.Generator) -> Pose:
+        spread = DROP_SPREAD * (scene.config.workspace_size * 5.0 / 6.0 - 0.03)
+        dx, dy = rng.uniform(-spread, spread, 2).tolist()
+        x, y = scene.config.centre
+        orientation = random_orientation(rng)
+        level = Pose((x + dx, y + dy, scene.surface.height((x, y)) + DROP_HEIGHT))
+        return Pose(level.position, orientation) if self.config.random_orientation else level
+
+    def carry_on(self, scene: Scene, rng: np.random.Generator) -> bool:
+        """Take the grasped object away and keep the others; false when none is left or one is outside."""
+        held = scene.held
+        if held is not None:
+            self._let_go(scene, held)
+            if scene.robot.pose.z > LIFTED:
+                held.park()
+        return any(True for _ in scene) and self.is_valid(scene)
+
+    def _let_go(self, scene: Scene, held: Item) -> None:
+        """Let what hangs in the gripper fall, and what hangs on it."""
+        for item in list(scene):
+            touches = min(
+                scene.world.distance(item.body, other, TOUCHING) for other in (held.body, scene.robot.body)
+            )
+            if touches <= TOUCHING:
+                item.place(item.pose, FALLING)
+
+    def after_action(self, scene: Scene, rng: np.random.Generator) -> None:
+        """Remember where the gripper closed and holds nothing."""
+        hand, failed = scene.robot.pose, self._failed
+        closed = scene.robot.get_state().opening < 0.5 * scene.robot.model.gripper.stroke
+        known = failed and planar_distance(failed[-1], hand.position) < SAME_PLACE
+        if closed and scene.robot.held is None and not known:
+            self.memory = (*failed, (hand.x, hand.y, hand.yaw))[-MOST_FAILURES:]
+
+    @property
+    def _failed(self) -> tuple[Spot, ...]:
+        """Where grasps of this episode failed."""
+        return self.memory or ()
+
+    def evaluate(self, scene: Scene) -> dict[str, bool]:
+        """Look whether anything is held, and how high."""
+        held = scene.held is not None
+        return {"success": held and scene.robot.pose.z > LIFTED, "is_held": held}
+
+    def plan(self, scene: Scene, rng: np.random.Generator) -> Iterator[Waypoint]:
+        """Grasp what is best to grasp, then lift."""
+        hand = scene.robot.pose
+        if scene.robot.held is None:
+            relief = survey(scene)
+            target = self._target(scene, relief)
+            top = relief.top_between(hand.position, target.position, scene.robot.model.gripper.stroke)
+            yield from grasp(scene, target, top, math.pi)
+        yield Waypoint(Pose.planar(hand.x, hand.y, max(hand.z, LIFTED) + STEP, hand.yaw), CLOSED)
+
+    def _target(self, scene: Scene, relief: Relief) -> Pose:
+        """Return the grasp whose quality less the way to it is best.
+
+        The way shrinks as fast as the gripper comes near, and for no other grasp faster: the choice stands.
+        """
+        hand = scene.robot.pose
+        turns = "r" in self.config.action_sequence
+        yaws = [math.pi * step / YAWS for step in range(YAWS)] if turns else [hand.yaw]
+        lowest = max(scene.surface.height((hand.x, hand.y)) + CLEARANCE, self.config.workspace[2][0])
+        grasps = find_grasps(relief, scene.robot.model.gripper, yaws, lowest)
+        if not len(grasps):
+            return self._nudge(scene, relief)
+        (x0, x1), (y0, y1), _ = self.config.workspace
+        x, y, z, yaw, _, quality = grasps.T
+        way = np.max([np.abs(x - hand.x), np.abs(y - hand.y), TURN_WORTH * np.abs(wrap(yaw - hand.yaw))], axis=0)
+        value = quality - WAY_WEIGHT * way
+        value[(x < x0) | (x > x1) | (y < y0) | (y > y1)] -= 1.0
+        for spot in self._failed:
+            near = np.hypot(x - spot[0], y - spot[1]) < NEAR_FAILURE
+            value -= FAILURE_COST * near * (1.0 + (np.abs(wrap(yaw - spot[2])) < 0.3))
+        best = grasps[value.argmax()]
+        return Pose.planar(*best[:4].tolist())
+
+    def _nudge(self, scene: Scene, relief: Relief) -> Pose:
+        """Return a grasp of the highest item, where none has room: it moves what lies there."""
+        item = max(scene, key=lambda item: scene.world.top(item.body))
+        return Pose.planar(*item.pose.position, scene.robot.pose.yaw)
+
+
+def survey(scene: Scene) -> Relief:
+    """Return the relief of the workspace."""
+    centre, extent = scene.config.centre, scene.config.workspace_size + 2.0 * BORDER
+    size = round(extent / PITCH)
+    items = list(scene)
+    layers = [scene.heights_of([item.body], centre, extent, size) for item in items]
+    own = {item.body.index for item in items}
+    others = [body for body in scene.world.obstacles if body.index not in own]
+    return Relief(np.stack(layers), scene.heights_of(others, centre, extent, size), centre, extent)
+
+
+def wrap(angles: FloatArray) -> FloatArray:
+    """Return angles (rad) in [-pi/2, pi/2): half a turn gives the gripper back."""
+    return (angles + math.pi / 2.0) % math.pi - math.pi / 2.0
+
+
+def random_orientation(rng: np.random.Generator) -> Quaternion:
+    """Draw an orientation, all alike likely."""
+    x, y, z, w = rng.standard_normal(4).tolist()
+    norm = math.hypot(x, y, z, w)
+    return (x / norm, y / norm, z / norm, w / norm)
+
+
+def resized(spec: BodySpec, scale: float) -> BodySpec:
+    """Return an object with all lengths times ``scale``."""
+    if scale == 1.0:
+        return spec
+    meshes = [Mesh.of(piece.mesh.vertices * scale, piece.mesh.faces) for piece in spec.pieces]
+    return replace(spec, pieces=tuple(Piece(Convex(mesh)) for mesh in meshes))
