@@ -132,7 +132,7 @@ class EnvConfig:
     def scales(self) -> list[float]:
         """The sizes that objects are drawn from: a grid of 0.02 over the range, both ends included."""
         low, high = self.object_scale_range
-        count = round((high - low) / SCALE_STEP)
+        count = math.floor((high - low) / SCALE_STEP + 1e-6)
         grid = [round(low + SCALE_STEP * step, 6) for step in range(count + 1)]
         return grid if math.isclose(grid[-1], high) else [*grid, high]
 
@@ -169,7 +169,7 @@ def _defaults(task: TaskDefaults) -> dict[str, Any]:
 def _checks(task: TaskDefaults, robots: Sequence[str]) -> dict[str, Check]:
     """Return what each parameter of a control must pass."""
     return {
-        "robot": _choice(*robots),
+        "robot": _robot(robots),
         "action_sequence": _close_loop_sequence,
         "workspace": _workspace,
         "object_scale_range": _scale_range,
@@ -214,9 +214,19 @@ def _checked(name: str, check: Check, value: Any) -> Any:
 
 def _choice(*choices: Any) -> Check:
     def check(value: Any) -> Any:
-        if not any(type(value) is type(choice) and value == choice for choice in choices):
+        plain = value.item() if isinstance(value, np.generic) else value
+        if not any(type(plain) is type(choice) and plain == choice for choice in choices):
             raise _Refused("one of " + ", ".join(repr(choice) for choice in choices))
-        return value
+        return plain
+
+    return check
+
+
+def _robot(names: Sequence[str]) -> Check:
+    def check(value: Any) -> str:
+        if value in names or (isinstance(value, str) and ":" in value):
+            return str(value)
+        raise _Refused("one of " + ", ".join(repr(name) for name in names) + ", or 'module:name' of your own")
 
     return check
 
@@ -298,7 +308,8 @@ def _workspace(value: Any) -> list[list[float]]:
 
 def _scale_range(value: Any) -> list[float]:
     takes = f"a positive number or [low, high], at most {LARGEST_SCALE}"
-    pair = [value, value] if isinstance(value, int | float) and not isinstance(value, bool) else value
+    is_number = isinstance(value, int | float | np.number) and not isinstance(value, bool)
+    pair = [value, value] if is_number else value
     limits: list[float] = _numbers(pair, (2,), takes)
     if not 0.0 < limits[0] <= limits[1] <= LARGEST_SCALE:
         raise _Refused(takes)

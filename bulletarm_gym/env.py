@@ -1,6 +1,5 @@
 """The environment: task, control, surface, arm and sensors put together."""
 
-import importlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -12,8 +11,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from bulletarm_gym.config import EnvConfig
 from bulletarm_gym.control import CloseLoop, DeltaMove
+from bulletarm_gym.extensions import by_path, load
 from bulletarm_gym.planners import expert_action
-from bulletarm_gym.robots import ROBOTS, RobotState
+from bulletarm_gym.robots import ROBOTS, RobotState, find_robot
 from bulletarm_gym.scene import Scene
 from bulletarm_gym.simulation import Camera, WorldState
 from bulletarm_gym.surfaces import SURFACES
@@ -61,19 +61,19 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
     metadata = {"render_modes": ["rgb_array", "depth_array", "human"], "render_fps": 5}  # noqa: RUF012
 
     def __init__(self, task: str, control: str, surface: str = "flat", **parameters: Any) -> None:
-        task_type: type[Task] = _load(task)
+        task_type: type[Task] = load(task)
         if control not in task_type.controls:
             raise ValueError(
                 f"control: got {control!r}, {task_type.__name__} takes one of {task_type.controls}"
             )
-        self.config = EnvConfig.of(control, task_type.defaults, tuple(ROBOTS), parameters)
+        self.config = EnvConfig.of(control, task_type.defaults, tuple(ROBOTS), by_path(parameters))
         self.render_mode = self.config.render_mode
         self._recipe = {"task": task, "control": control, "surface": surface}
         self.task = task_type(self.config)
-        self._reward = self.task.reward if self.config.reward is None else _load(self.config.reward)
+        self._reward = self.task.reward if self.config.reward is None else load(self.config.reward)
         self.scene = Scene(
             self.config,
-            ROBOTS[self.config.robot],
+            find_robot(self.config.robot),
             SURFACES["tray" if self.config.close_loop_tray else surface](self.config.workspace),
             self.task.bodies(self.config),
         )
@@ -249,15 +249,3 @@ def _new_scene(options: Mapping[str, Any] | None) -> bool:
     if not options.keys() <= {"new_scene"} or not isinstance(options.get("new_scene", False), bool):
         raise ValueError(f'options: got {options!r}, takes None or {{"new_scene": True or False}}')
     return bool(options.get("new_scene", False))
-
-
-def _load(path: str) -> Any:
-    """Import ``"module:name"``.
-
-    :raises ValueError: there is no such module or name
-    """
-    module, _, name = path.partition(":")
-    try:
-        return getattr(importlib.import_module(module), name)
-    except (ImportError, AttributeError) as error:
-        raise ValueError(f"{path!r} cannot be imported: {error}") from error

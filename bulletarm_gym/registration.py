@@ -1,12 +1,17 @@
 """The table of environments: what each id is made of. Strings only, so that registering loads no engine."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import gymnasium
+
+from bulletarm_gym.extensions import import_path
 
 NAMESPACE = "BulletArm"
 ENTRY_POINT = "bulletarm_gym.env:ManipulationEnv"
 VECTOR_ENTRY_POINT = "bulletarm_gym.vector:ParallelEnv"
+PREFIXES = {("close_loop", "flat"): "CloseLoop"}
+"""What an id begins with, by control and surface."""
 
 
 @dataclass(frozen=True)
@@ -27,12 +32,18 @@ class Entry:
         """The id to make the environment by."""
         return f"{NAMESPACE}/{self.name}-v0"
 
+    @property
+    def kwargs(self) -> dict[str, str]:
+        """What the environment is constructed with."""
+        return {"task": self.task, "control": self.control, "surface": self.surface}
+
 
 ENTRIES = (
     Entry("CloseLoopBlockReaching", "bulletarm_gym.tasks.reaching:BlockReaching", "close_loop"),
     Entry("CloseLoopBlockPicking", "bulletarm_gym.tasks.picking:BlockPicking", "close_loop"),
     Entry("CloseLoopBlockPushing", "bulletarm_gym.tasks.pushing:BlockPushing", "close_loop"),
     Entry("CloseLoopBlockPulling", "bulletarm_gym.tasks.pulling:BlockPulling", "close_loop"),
+    Entry("CloseLoopObjectGrasping", "bulletarm_gym.tasks.clutter:ObjectGrasping", "close_loop"),
 )
 
 ENV_IDS: tuple[str, ...] = tuple(entry.env_id for entry in ENTRIES)
@@ -42,9 +53,39 @@ def register_all() -> None:
     """Register every entry with Gymnasium, once."""
     for entry in ENTRIES:
         if entry.env_id not in gymnasium.registry:
-            gymnasium.register(
-                entry.env_id,
-                entry_point=ENTRY_POINT,
-                vector_entry_point=VECTOR_ENTRY_POINT,
-                kwargs={"task": entry.task, "control": entry.control, "surface": entry.surface},
-            )
+            _register(entry)
+
+
+def register_task(name: str, task: Any, control: str = "close_loop", surface: str = "flat") -> str:
+    """Make a task of yours available by an id of its own.
+
+    :param name: in the id, like ``"BlockShaking"``
+    :param task: a subclass of :class:`~bulletarm_gym.tasks.Task` that can be imported from a module, or its
+        path ``"module:Class"``
+    :param control: how it is acted in
+    :param surface: where
+    :return: the id, like ``"BulletArm/CloseLoopBlockShaking-v0"``
+    :raises ValueError: the name is no identifier or taken, control or surface is unknown, or the class has no
+        import path
+    """
+    if not name.isidentifier():
+        raise ValueError(f"name: got {name!r}, takes an identifier such as 'BlockShaking'")
+    if (control, surface) not in PREFIXES:
+        known = ", ".join(f"{c!r} on {s!r}" for c, s in PREFIXES)
+        raise ValueError(f"control, surface: got {control!r} on {surface!r}, takes {known}")
+    entry = Entry(PREFIXES[control, surface] + name, import_path(task, f"task {name!r}"), control, surface)
+    known_spec = gymnasium.registry.get(entry.env_id)
+    if known_spec is None:
+        _register(entry)
+    elif known_spec.kwargs != entry.kwargs:
+        raise ValueError(f"name: {entry.env_id} is taken by {known_spec.kwargs.get('task')}")
+    return entry.env_id
+
+
+def _register(entry: Entry) -> None:
+    gymnasium.register(
+        entry.env_id,
+        entry_point=ENTRY_POINT,
+        vector_entry_point=VECTOR_ENTRY_POINT,
+        kwargs=entry.kwargs,
+    )

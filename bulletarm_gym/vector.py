@@ -9,6 +9,7 @@ from typing import Any, NoReturn
 from gymnasium.vector import AsyncVectorEnv, AutoresetMode
 
 from bulletarm_gym.env import ManipulationEnv
+from bulletarm_gym.extensions import by_path
 
 
 class WorkerError(RuntimeError):
@@ -36,7 +37,7 @@ class ParallelEnv(AsyncVectorEnv):
     ) -> None:
         if num_envs < 1:
             raise ValueError(f"num_envs: got {num_envs}, takes at least 1")
-        make = partial(ManipulationEnv, **parameters)
+        make = partial(ManipulationEnv, **by_path(parameters))
         super().__init__([make] * num_envs, context=context, autoreset_mode=autoreset_mode)
 
     def _check_spaces(self) -> None:

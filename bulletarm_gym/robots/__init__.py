@@ -1,5 +1,6 @@
 """Who acts: arms with their grippers."""
 
+from bulletarm_gym.extensions import produce
 from bulletarm_gym.robots.gripper import Gripper, ParallelJaw
 from bulletarm_gym.robots.kuka import KUKA
 from bulletarm_gym.robots.model import RobotModel
@@ -9,6 +10,17 @@ from bulletarm_gym.robots.ur5 import UR5, UR5_ROBOTIQ
 
 ROBOTS = {model.name: model for model in (KUKA, PANDA, UR5, UR5_ROBOTIQ)}
 """The arms that the parameter ``robot`` takes."""
+
+
+def find_robot(name: str) -> RobotModel:
+    """Return one of :data:`ROBOTS`, or a user's arm by its import path ``"module:name"``.
+
+    :raises ValueError: nothing is found there, or something else
+    """
+    model = ROBOTS[name] if name in ROBOTS else produce(name, RobotModel)
+    assert isinstance(model, RobotModel)
+    return model
+
 
 __all__ = [
     "KUKA",
@@ -21,4 +33,5 @@ __all__ = [
     "Robot",
     "RobotModel",
     "RobotState",
+    "find_robot",
 ]

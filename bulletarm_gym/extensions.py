@@ -1,0 +1,106 @@
+"""What users add: robots and objects by name, and everything of theirs by import path.
+
+A thing is stored as ``"module:name"``, so that a worker process, however it is started, finds it by importing
+the user's module. What has no such path (a lambda, something local or of ``__main__``) is refused.
+"""
+
+import importlib
+import sys
+from collections.abc import Mapping
+from typing import Any
+
+ROBOT_PATHS: dict[str, str] = {}
+"""Import paths of the users' arms, by name."""
+OBJECT_PATHS: dict[str, str] = {}
+"""Import paths of the users' objects, by name."""
+
+
+def register_robot(name: str, model: Any) -> None:
+    """Make an arm available as ``robot=name``.
+
+    :param name: a new one
+    :param model: a function without arguments that returns a :class:`~bulletarm_gym.robots.RobotModel`, or
+        the path ``"module:name"`` of such a function or of a model
+    :raises ValueError: the name is taken or no identifier, or the model has no import path
+    """
+    _store(ROBOT_PATHS, "robot", name, model)
+
+
+def register_object(name: str, make: Any) -> None:
+    """Make a kind of object available to tasks as ``objects.create(name, ...)``.
+
+    :param name: a new one
+    :param make: ``make(name, scale)`` returns a :class:`~bulletarm_gym.objects.BodySpec`; a function, or the
+        path ``"module:name"`` of one
+    :raises ValueError: the name is taken or no identifier, or the function has no import path
+    """
+    _store(OBJECT_PATHS, "object", name, make)
+
+
+def import_path(thing: Any, what: str) -> str:
+    """Return the path ``"module:name"`` under which another process finds a class or function.
+
+    :param what: what it is, for the error
+    :raises ValueError: there is no such path, with the reason
+    """
+    if isinstance(thing, str):
+        load(thing)
+        return thing
+    module, name = getattr(thing, "__module__", None), getattr(thing, "__qualname__", None)
+    if module is None or name is None:
+        raise ValueError(f"{what}: {thing!r} is neither a class nor a function nor a path 'module:name'")
+    if "<lambda>" in name:
+        raise ValueError(f"{what}: a lambda has no name that a worker process could import it by")
+    if "<locals>" in name:
+        raise ValueError(f"{what}: {name} is local to a function; define it at the top level of a module")
+    if module == "__main__":
+        file = getattr(sys.modules["__main__"], "__file__", None) or "the interactive session"
+        raise ValueError(
+            f"{what}: {name} is defined in __main__ ({file}), which worker processes do not import; "
+            "put it in a module of its own and import it"
+        )
+    path = f"{module}:{name}"
+    if load(path) is not thing:
+        raise ValueError(f"{what}: importing {path!r} gives something else")
+    return path
+
+
+def load(path: str) -> Any:
+    """Import ``"module:name"``.
+
+    :raises ValueError: there is no such module or name
+    """
+    module, _, name = path.partition(":")
+    try:
+        found = importlib.import_module(module)
+        for part in name.split("."):
+            found = getattr(found, part)
+    except (ImportError, AttributeError, ValueError) as error:
+        raise ValueError(f"{path!r} cannot be imported: {error}") from error
+    return found
+
+
+def produce(path: str, kind: type[Any]) -> Any:
+    """Import a thing of a kind, or the function that makes it.
+
+    :raises ValueError: what is found there is neither
+    """
+    found = load(path)
+    made = found() if callable(found) and not isinstance(found, kind) else found
+    if not isinstance(made, kind):
+        raise ValueError(f"{path!r} is a {type(made).__name__}, not a {kind.__name__}")
+    return made
+
+
+def by_path(parameters: Mapping[str, Any]) -> dict[str, Any]:
+    """Return an environment's parameters with names of users' arms replaced by their import paths."""
+    robot = parameters.get("robot")
+    return {**parameters, "robot": ROBOT_PATHS[robot]} if robot in ROBOT_PATHS else dict(parameters)
+
+
+def _store(table: dict[str, str], what: str, name: str, thing: Any) -> None:
+    if not name.isidentifier():
+        raise ValueError(f"{what}: the name {name!r} is no identifier")
+    path = import_path(thing, f"{what} {name!r}")
+    if table.setdefault(name, path) != path:
+        raise ValueError(f"{what}: the name {name!r} is taken by {table[name]}")
