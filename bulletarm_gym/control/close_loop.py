@@ -92,7 +92,10 @@ class CloseLoop:
 
         :raises ValueError: the action has the wrong shape or is not finite
         """
-        array = np.asarray(action, dtype=np.float64)
+        try:
+            array = np.asarray(action, dtype=np.float64)
+        except (TypeError, ValueError):
+            array = np.empty(0)
         if array.shape != self.action_space.shape or not np.isfinite(array).all():
             raise ValueError(
                 f"action: got {action!r}, takes {len(self._sequence)} finite numbers, "

@@ -1,0 +1,193 @@
+"""Parameters are checked at the door, and errors name what to do."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from rollouts import make_env
+
+import bulletarm_gym
+from bulletarm_gym.config import PARAMETERS, EnvConfig, ParameterError, TaskDefaults
+
+PICKING = "BulletArm/CloseLoopBlockPicking-v0"
+PULLING = "BulletArm/CloseLoopBlockPulling-v0"
+TASK = TaskDefaults(num_objects=2, max_steps=50, object_scale=0.8, allowed_objects=(2, 3))
+WORKSPACE = [[0.3, 0.6], [-0.15, 0.15], [0.01, 0.25]]
+
+
+def config(**parameters: Any) -> EnvConfig:
+    return EnvConfig.of("close_loop", TASK, ("kuka", "panda"), parameters)
+
+
+def test_defaults_are_the_papers() -> None:
+    made = config()
+    assert made.workspace == WORKSPACE
+    assert (made.robot, made.action_sequence, made.max_steps, made.obs_size) == ("kuka", "pxyzr", 50, 128)
+    assert made.object_scale_range == [0.8, 0.8] and made.num_objects == 2
+    assert made.fast_mode and made.random_orientation and made.workspace_check == "point"
+
+
+@pytest.mark.parametrize(
+    ("name", "hint"),
+    [
+        ("obs_sise", "'obs_size'"),
+        ("workspaces", "'workspace'"),
+        ("max_step", "'max_steps'"),
+        ("physics", "'physics_mode'"),
+        ("render", 'render_mode="human"'),
+        ("half_rotation", "open-loop"),
+        ("in_hand_size", "open-loop"),
+    ],
+)
+def test_unknown_parameters(name: str, hint: str) -> None:
+    with pytest.raises(ParameterError, match=f"^{name}: ") as error:
+        config(**{name: 1})
+    assert hint in str(error.value)
+
+
+WRONG: dict[str, list[Any]] = {
+    "robot": ["kuka2", 1, None],
+    "action_sequence": ["pxy", "pxyzrr", "", "PXYZR", 5, None, ["p", "x", "y", "z", "r"]],
+    "workspace": [
+        None,
+        "large",
+        WORKSPACE[:2],
+        [[0.3, 0.6], [-0.15, 0.2], [0.01, 0.25]],
+        [[0.6, 0.3], [0.15, -0.15], [0.01, 0.25]],
+        [[0.3, 0.35], [-0.02, 0.03], [0.01, 0.25]],
+        [[0.3, 0.6], [-0.15, 0.15], [0.25, 0.01]],
+        [[0.3, 0.6], [-0.15, 0.15], [-0.1, 0.25]],
+        [[0.3, float("nan")], [-0.15, 0.15], [0.01, 0.25]],
+        [[0.3, float("inf")], [-0.15, float("inf")], [0.01, 0.25]],
+        np.zeros((3, 2)),
+        np.zeros((2, 3)),
+    ],
+    "object_scale_range": [0, -1.0, [1.0, 0.5], [1.0], [0.5, 3.0], "big", None, True, [float("nan"), 1.0]],
+    "max_steps": [0, -1, 2.5, "50", None, True],
+    "num_objects": [1, 4, 2.0, "2", None, True],
+    "obs_size": [0, 15, 1025, 64.0, "64", (64, 64), True],
+    "fast_mode": [1, 0, "yes", None],
+    "random_orientation": [1, "no", None],
+    "workspace_check": ["box", None, 3],
+    "close_loop_tray": [1, "yes", None],
+    "object_set": [3, "no/such/folder"],
+    "view": ["side", None],
+    "observation": ["vec", None],
+    "physics_mode": ["quick", None, 1],
+    "reward": ["nomodule", "a:b:c", ":f", "m:", 3, len],
+    "render_mode": ["rgb", "ansi", 1, True],
+}
+
+
+@pytest.mark.parametrize(("name", "value"), [(n, v) for n, values in WRONG.items() for v in values], ids=str)
+def test_wrong_values_are_named(name: str, value: Any) -> None:
+    with pytest.raises(ParameterError) as error:
+        config(**{name: value})
+    text = str(error.value)
+    assert text.startswith(f"{name}: got ") and ", takes " in text
+
+
+def test_every_parameter_is_tested_with_wrong_values() -> None:
+    assert set(WRONG) == set(PARAMETERS)
+
+
+def test_errors_come_through_make() -> None:
+    for parameters in ({"obs_sise": 64}, {"num_objects": 3}, {"workspace": 1}, {"robot": "nobody"}):
+        with pytest.raises(ValueError, match=next(iter(parameters))):
+            make_env(PICKING, **parameters)
+
+
+def test_impossible_number_of_objects() -> None:
+    for env_id, wrong in ((PICKING, 2), (PULLING, 1)):
+        with pytest.raises(ValueError, match="num_objects"):
+            make_env(env_id, num_objects=wrong)
+
+
+@pytest.mark.parametrize(
+    ("name", "given", "kept"),
+    [
+        ("workspace", np.array(WORKSPACE), WORKSPACE),
+        ("workspace", tuple(map(tuple, WORKSPACE)), WORKSPACE),
+        ("object_scale_range", (0.6, 1), [0.6, 1.0]),
+        ("object_scale_range", np.array([0.6, 1.0]), [0.6, 1.0]),
+        ("object_scale_range", 1, [1.0, 1.0]),
+        ("object_scale_range", np.float64(0.5), [0.5, 0.5]),
+        ("object_scale_range", np.float32(0.5), [0.5, 0.5]),
+        ("object_scale_range", np.int64(1), [1.0, 1.0]),
+        ("max_steps", np.int64(9), 9),
+        ("obs_size", np.int32(64), 64),
+        ("fast_mode", np.bool_(False), False),
+        ("reward", "package.module:function", "package.module:function"),
+        ("render_mode", None, None),
+        ("action_sequence", "zyxp", "zyxp"),
+    ],
+    ids=str,
+)
+def test_array_likes_are_kept_as_plain_values(name: str, given: Any, kept: Any) -> None:
+    value = getattr(config(**{name: given}), name)
+    assert value == kept and type(value) is type(kept)
+
+
+def test_numpy_strings_and_choices_are_plain() -> None:
+    assert type(config(robot="panda").robot) is str
+    assert config(num_objects=3).num_objects == 3
+    assert config(num_objects=np.int64(3)).num_objects == 3
+
+
+def test_scales_are_a_grid_with_both_ends() -> None:
+    assert config(object_scale_range=[0.6, 0.7]).scales == [0.6, 0.62, 0.64, 0.66, 0.68, 0.7]
+    assert config(object_scale_range=0.6).scales == [0.6]
+    for low, high in ((0.6, 0.63), (0.6, 0.61), (0.5, 0.535)):
+        scales = config(object_scale_range=[low, high]).scales
+        assert scales[0] == low and scales[-1] == high
+        assert scales == sorted(set(scales)), "each once, in order, none beyond the end"
+
+
+def test_what_was_given_is_neither_kept_nor_changed() -> None:
+    workspace = [list(row) for row in WORKSPACE]
+    first = config(workspace=workspace)
+    first.workspace[0][0] = 9.0
+    assert workspace == WORKSPACE
+    array = np.array(WORKSPACE)
+    second = config(workspace=array)
+    array[:] = 0.0
+    assert second.workspace == WORKSPACE
+
+
+def test_defaults_are_not_shared() -> None:
+    config().workspace[0][0] = 9.0
+    assert config().workspace == WORKSPACE
+    first = make_env(PICKING)
+    first.config.workspace[0][0] = 9.0
+    second = make_env(PICKING)
+    assert second.config.workspace == WORKSPACE
+    first.close()
+    second.close()
+
+
+def test_parameters_give_the_same_configuration_back() -> None:
+    made = config(workspace=np.array(WORKSPACE), object_scale_range=0.7, obs_size=64)
+    assert config(**made.parameters()) == made
+    assert set(made.parameters()) == set(PARAMETERS)
+
+
+def test_task_refuses_a_control_it_does_not_know() -> None:
+    from bulletarm_gym.env import ManipulationEnv
+
+    with pytest.raises(ValueError, match="control"):
+        ManipulationEnv(task="bulletarm_gym.tasks.picking:BlockPicking", control="by_hand")
+    with pytest.raises(ValueError, match="nothing_here"):
+        ManipulationEnv(task="bulletarm_gym.nothing_here:Task", control="close_loop")
+
+
+@pytest.mark.parametrize("env_id", bulletarm_gym.ENV_IDS)
+def test_scales_change_sizes(env_id: str) -> None:
+    env = make_env(env_id, object_scale_range=[0.6, 0.8])
+    sizes = set()
+    for seed in range(12):
+        env.reset(seed=seed)
+        sizes |= {round(item.spec.extents[0], 6) for item in env.scene if item.spec.mass > 0.0}
+    nominal = 0.1 if "Pulling" in env_id else 0.05
+    assert sizes <= {round(nominal * (0.6 + 0.02 * step), 6) for step in range(11)}
+    assert len(sizes) > 3
+    env.close()
