@@ -1,4 +1,4 @@
-"""What the tests of the environments share: ids, instances that live as long as the session, another process."""
+"""What the tests of the environments share: ids, instances that last the whole session, another process."""
 
 import json
 import os

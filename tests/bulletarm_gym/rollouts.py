@@ -1,7 +1,7 @@
 """Rollouts reduced to short digests, for exact comparison between instances, processes and days.
 
-As a script it reads pickled requests, ``{name: (env_id, parameters, state or None)}``, from its input and prints the
-digests of the rollouts that follow, as JSON: how the tests look into another process.
+As a script it reads pickled requests, ``{name: (env_id, parameters, state or None)}``, from its input and
+prints the digests of the rollouts that follow, as JSON: how the tests look into another process.
 """
 
 import hashlib
@@ -30,7 +30,7 @@ def make_env(env_id: str, **parameters: Any) -> ManipulationEnv:
 
 
 def digest(*parts: Any) -> str:
-    """Return a short hash of arrays, dicts of arrays and Python scalars; equal only if they are equal bit for bit."""
+    """Return a short hash of arrays, dicts and Python scalars; equal only if they are equal bit for bit."""
     sha = hashlib.sha256()
     for part in parts:
         for name, value in sorted(part.items()) if isinstance(part, dict) else [("", part)]:

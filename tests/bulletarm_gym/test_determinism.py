@@ -17,7 +17,7 @@ PARAMETERS = (
     {},
     {"fast_mode": False},
     {"physics_mode": "slow"},
-    {"object_scale_range": [0.8, 1.0]},
+    {"object_scale_range": [0.7, 0.9]},
     {"action_sequence": "zpxy", "random_orientation": False, "obs_size": 64},
 )
 

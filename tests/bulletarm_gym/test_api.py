@@ -1,0 +1,469 @@
+"""The environments as Gymnasium, Stable-Baselines3 and their users meet them."""
+
+import dataclasses
+import itertools
+import math
+import subprocess
+import sys
+import warnings
+from collections.abc import Callable
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.envs.registration import EnvSpec
+from gymnasium.utils.env_checker import check_env
+from gymnasium.utils.passive_env_checker import env_render_passive_checker
+from rollouts import advance, digest, make_env, mixed_action, transcript
+
+import bulletarm_gym
+from bulletarm_gym.control import DeltaMove
+from bulletarm_gym.env import EnvState, ManipulationEnv
+from bulletarm_gym.geometry import Pose
+
+Make = Callable[..., ManipulationEnv]
+
+PICKING = "BulletArm/CloseLoopBlockPicking-v0"
+PULLING = "BulletArm/CloseLoopBlockPulling-v0"
+REACHING = "BulletArm/CloseLoopBlockReaching-v0"
+IDLE = np.zeros(5, np.float32)
+SB3_IMAGE_WARNINGS = (
+    "whereas it has to be `np.uint8`",
+    "are not in [0, 255]",
+    "The minimal resolution for an image is 36x36",
+)
+"""What Stable-Baselines3 says of images that are depths in metres: their type, their bounds, their size."""
+
+
+def with_pose(env: ManipulationEnv, state: EnvState, role: str, pose: Pose) -> EnvState:
+    """The state with a role's body elsewhere."""
+    poses = list(state.world.poses)
+    poses[env.scene[role].body.index] = pose
+    return dataclasses.replace(state, world=dataclasses.replace(state.world, poses=tuple(poses)))
+
+
+# Checkers
+
+
+def test_gymnasium_finds_no_fault(env: ManipulationEnv) -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        check_env(env, skip_render_check=True)  # it would open a window for "human"
+
+
+@pytest.mark.parametrize("mode", ["rgb_array", "depth_array"])
+def test_gymnasium_finds_no_fault_in_pictures(make: Make, env_id: str, mode: str) -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        check_env(make(env_id, render_mode=mode), skip_render_check=True)
+        env_render_passive_checker(make(env_id, render_mode=mode))
+
+
+def test_default_wrappers_find_no_fault(env_id: str) -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        env = gymnasium.make(env_id)
+        env.reset(seed=0)
+        for _ in range(3):
+            env.step(env.action_space.sample())
+        env.close()
+
+
+@pytest.mark.parametrize("obs_size", [32, 128])
+def test_stable_baselines_warns_of_images_only(make: Make, env_id: str, obs_size: int) -> None:
+    checker = pytest.importorskip("stable_baselines3.common.env_checker")
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        checker.check_env(make(env_id, obs_size=obs_size))
+    texts = [str(warning.message) for warning in caught]
+    others = [text for text in texts if not any(known in text for known in SB3_IMAGE_WARNINGS)]
+    assert not others
+    assert len(texts) == (3 if obs_size < 36 else 2)
+
+
+# Observations and information
+
+
+def test_observations_are_sound(env: ManipulationEnv) -> None:
+    rng = np.random.default_rng(0)
+    observation, _ = env.reset(seed=0)
+    for _ in range(25):
+        previous = observation
+        action = mixed_action(env, rng)
+        observation, _, terminated, truncated, _ = env.step(action)
+        assert env.observation_space.contains(observation)
+        for key, array in observation.items():
+            assert array.dtype == np.float32 and np.isfinite(array).all() and array.flags.c_contiguous
+            assert array.flags.writeable and not np.may_share_memory(array, previous[key])
+        if terminated or truncated:
+            observation, _ = env.reset()
+            assert env.observation_space.contains(observation)
+
+
+@pytest.mark.parametrize("obs_size", [16, 64, 129])
+def test_observation_size(make: Make, obs_size: int) -> None:
+    env = make(PICKING, obs_size=obs_size)
+    assert env.reset(seed=0)[0]["heightmap"].shape == (1, obs_size, obs_size)
+    assert env.observation_space["heightmap"].shape == (1, obs_size, obs_size)
+
+
+def test_later_steps_leave_earlier_observations_alone(env: ManipulationEnv) -> None:
+    observation, info = env.reset(seed=0)
+    before = digest(observation, info)
+    env.step(env.expert_action())
+    env.step(env.expert_action())
+    assert digest(observation, info) == before
+
+
+def test_a_caller_may_write_into_what_it_got(env: ManipulationEnv) -> None:
+    expected = transcript(env, 5, seed=3)
+    observation, info = env.reset(seed=3)
+    observation["heightmap"][:] = 7.0
+    info.clear()
+    assert transcript(env, 5) == expected[1:]
+
+
+def test_info_keeps_its_keys(env: ManipulationEnv) -> None:
+    _, at_reset = env.reset(seed=0)
+    *_, at_step = env.step(env.expert_action())
+    assert at_reset.keys() == at_step.keys() >= {"is_success", "is_valid", "ignored", "success"}
+    assert {type(value) for info in (at_reset, at_step) for value in info.values()} == {bool}
+
+
+# Reward and end
+
+
+def test_success_ends_the_episode_with_reward_one(env: ManipulationEnv) -> None:
+    env.reset(seed=0)
+    for _ in range(env.config.max_steps):
+        _, reward, terminated, truncated, info = env.step(env.expert_action())
+        assert type(reward) is float and type(terminated) is bool and type(truncated) is bool
+        assert reward == float(info["is_success"]) and not truncated
+        if terminated:
+            break
+        assert reward == 0.0
+    assert terminated and info["is_success"] and info["is_valid"]
+
+
+@pytest.mark.parametrize("max_steps", [1, 4])
+def test_time_limit_truncates(make: Make, env_id: str, max_steps: int) -> None:
+    env = make(env_id, max_steps=max_steps)
+    for seed in range(2):
+        env.reset(seed=seed)
+        ends = [env.step(IDLE)[1:4] for _ in range(max_steps)]
+        assert ends == [(0.0, False, False)] * (max_steps - 1) + [(0.0, False, True)]
+
+
+def test_success_at_the_time_limit_terminates(make: Make) -> None:
+    length = _expert_length(make(REACHING), 0)
+    env = make(REACHING, max_steps=length)
+    env.reset(seed=0)
+    for _ in range(length):
+        result = env.step(env.expert_action())
+    assert result[1:4] == (1.0, True, False)
+
+
+def _expert_length(env: ManipulationEnv, seed: int) -> int:
+    env.reset(seed=seed)
+    return next(number for number in itertools.count(1) if env.step(env.expert_action())[2])
+
+
+@pytest.mark.parametrize(
+    "position",
+    [(0.25, 0.0, 0.025), (0.45, 0.2, 0.025), (0.45, -0.151, 0.025), (0.45, 0.0, -0.2)],
+    ids=["before x", "beyond y", "just below y", "below the floor"],
+)
+def test_invalid_scene_terminates_without_reward(env: ManipulationEnv, position: Any) -> None:
+    env.reset(seed=0)
+    role = next(name for name in ("cube", "near block") if name in env.scene._items)
+    env.set_state(with_pose(env, env.get_state(), role, Pose(position)))
+    assert env.expert_action() in env.action_space
+    _, reward, terminated, truncated, info = env.step(IDLE)
+    assert (reward, terminated, truncated) == (0.0, True, False)
+    assert info["is_valid"] is False and info["is_success"] is False
+
+
+def test_border_belongs_to_the_workspace(env: ManipulationEnv) -> None:
+    env.reset(seed=0)
+    role = next(name for name in ("cube", "near block") if name in env.scene._items)
+    env.set_state(with_pose(env, env.get_state(), role, Pose((0.5999, 0.1, 0.025))))
+    *_, info = env.step(IDLE)
+    assert info["is_valid"]
+
+
+def test_bounding_box_is_stricter_than_point(make: Make) -> None:
+    for check, valid in (("point", True), ("bounding_box", False)):
+        env = make(PICKING, workspace_check=check)
+        env.reset(seed=0)
+        assert env._outcome["is_valid"]
+        env.set_state(with_pose(env, env.get_state(), "cube", Pose((0.59, 0.1, 0.025))))
+        assert env.step(IDLE)[4]["is_valid"] is valid
+
+
+@pytest.mark.parametrize(("x", "valid"), [(0.595, True), (0.605, False)])
+def test_success_counts_only_in_a_valid_scene(make: Make, x: float, valid: bool) -> None:
+    env = make(REACHING)
+    env.reset(seed=0)
+    env.set_state(with_pose(env, env.get_state(), "cube", Pose((0.35, 0.1, 0.025))))
+    for _ in range(8):
+        env.step(env.encode_action(_towards(env, (0.6, 0.0, 0.04))))
+    env.set_state(with_pose(env, env.get_state(), "cube", Pose((x, 0.0, 0.025))))
+    _, reward, terminated, truncated, info = env.step([1.0, 0.0, 0.0, 0.0, 0.0])
+    assert info["success"] and terminated and not truncated
+    assert (reward, info["is_success"], info["is_valid"]) == (float(valid), valid, valid)
+
+
+def _towards(env: ManipulationEnv, point: tuple[float, float, float]) -> DeltaMove:
+    hand = env.scene.robot.pose.position
+    x, y, z = (goal - now for goal, now in zip(point, hand, strict=True))
+    return DeltaMove(1.0, (x, y, z))
+
+
+def test_custom_reward(env_id: str) -> None:
+    env = make_env(env_id, reward="math:dist")
+    env._reward = lambda scene, outcome: 0.25  # type: ignore[assignment]
+    env.reset(seed=0)
+    assert env.step(IDLE)[1] == 0.25
+    env.close()
+    with pytest.raises(ValueError, match="nowhere"):
+        make_env(env_id, reward="nowhere:nothing")
+
+
+# Actions
+
+
+def test_actions_outside_the_box_are_clipped(env: ManipulationEnv) -> None:
+    action = np.array([3.0, -2.0, 1.5, -7.0, 1.01], np.float32)
+    env.reset(seed=0)
+    far = digest(*env.step(action))
+    env.reset(seed=0)
+    assert digest(*env.step(action.clip(-1.0, 1.0))) == far
+
+
+@pytest.mark.parametrize(
+    "action",
+    [
+        np.array([0, 0, math.nan, 0, 0], np.float32),
+        np.array([0, 0, math.inf, 0, 0], np.float32),
+        np.zeros(4, np.float32),
+        np.zeros((1, 5), np.float32),
+        np.float32(0.0),
+        "open",
+        None,
+        [0, 0, [1, 2], 0, 0],
+    ],
+    ids=str,
+)
+def test_bad_actions_are_refused_and_do_nothing(env: ManipulationEnv, action: Any) -> None:
+    env.reset(seed=0)
+    state = env.get_state()
+    with pytest.raises(ValueError, match="action"):
+        env.step(action)
+    assert env.get_state() == state
+
+
+def test_decode_gives_physical_units(picking: ManipulationEnv) -> None:
+    move = picking.decode_action([-1.0, 1.0, -1.0, 0.5, 1.0])
+    assert move.opening == 0.0
+    assert move.translation == pytest.approx((0.05, -0.05, 0.025))
+    assert move.rotation == pytest.approx(math.pi / 4)
+
+
+SEQUENCES = ["".join(order) for word in ("pxyz", "pxyzr") for order in itertools.permutations(word)]
+
+
+def test_encode_inverts_decode_for_every_sequence(picking: ManipulationEnv) -> None:
+    rng = np.random.default_rng(0)
+    control = picking.control
+    for sequence in SEQUENCES:
+        control_of = type(control)(
+            dataclasses.replace(picking.config, action_sequence=sequence), picking.scene
+        )
+        action = rng.uniform(-1, 1, len(sequence)).astype(np.float32)
+        assert control_of.action_space.shape == (len(sequence),)
+        np.testing.assert_allclose(
+            control_of.encode_action(control_of.decode_action(action)), action, atol=1e-6
+        )
+        unit = np.zeros(len(sequence))
+        unit[sequence.index("y")] = 1.0
+        assert control_of.decode_action(unit).translation == pytest.approx((0.0, 0.05, 0.0))
+
+
+def test_encode_clips(picking: ManipulationEnv) -> None:
+    action = picking.encode_action(DeltaMove(2.0, (1.0, -1.0, 0.0), 9.0))
+    assert action.tolist() == [1.0, 1.0, -1.0, 0.0, 1.0]
+
+
+@pytest.mark.parametrize("sequence", ["pxyz", "rzyxp", "xyzp"])
+def test_order_of_the_sequence_changes_names_only(make: Make, sequence: str) -> None:
+    env, plain = make(PICKING, action_sequence=sequence), make(PICKING)
+    move = DeltaMove(0.5, (0.03, -0.02, -0.04), 0.3 if "r" in sequence else 0.0)
+    assert digest(env.reset(seed=4)[0]) == digest(plain.reset(seed=4)[0])
+    moved, expected = (e.step(e.encode_action(move))[0] for e in (env, plain))
+    np.testing.assert_allclose(moved["heightmap"], expected["heightmap"], atol=1e-5)
+
+
+def test_nothing_works_before_reset(env_id: str) -> None:
+    env = make_env(env_id)
+    for call in (lambda: env.step(IDLE), env.expert_action, env.get_state):
+        with pytest.raises(gymnasium.error.ResetNeeded):
+            call()
+    env.close()
+
+
+def test_unknown_reset_option_is_refused(env: ManipulationEnv) -> None:
+    with pytest.raises(ValueError, match="scenery"):
+        env.reset(options={"scenery": "alps"})
+    env.reset(options={})
+
+
+# Pictures
+
+
+def test_pictures(make: Make, env_id: str) -> None:
+    shots = {}
+    for mode in ("rgb_array", "depth_array"):
+        env = make(env_id, render_mode=mode)
+        env.reset(seed=0)
+        shots[mode] = env.render()
+        assert np.array_equal(env.render(), shots[mode])
+    color, depth = shots["rgb_array"], shots["depth_array"]
+    assert color.shape == (480, 480, 3) and color.dtype == np.uint8 and color.std() > 10
+    assert depth.shape == (480, 480) and depth.dtype == np.float32
+    assert 0.5 < depth.min() < depth.max() <= 4.0
+
+
+def test_pictures_show_the_scene(make: Make) -> None:
+    env = make(PICKING, render_mode="rgb_array")
+    env.reset(seed=0)
+    state, before = env.get_state(), env.render()
+    env.set_state(with_pose(env, state, "cube", Pose((0.33, -0.1, 0.025))))
+    assert (env.render() != before).any(axis=-1).sum() > 500
+
+
+def test_no_render_mode_gives_nothing(env: ManipulationEnv) -> None:
+    env.reset(seed=0)
+    assert env.render() is None
+
+
+HUMAN = """
+import gymnasium, bulletarm_gym
+try:
+    gymnasium.make(bulletarm_gym.ENV_IDS[0], render_mode="human")
+except RuntimeError as error:
+    print("refused", error)
+"""
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="a display is looked for on Linux only")
+def test_window_without_a_display_is_refused_and_the_process_lives(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    child = subprocess.run([sys.executable, "-c", HUMAN], capture_output=True, text=True, check=False)
+    assert child.returncode == 0, child.stderr
+    assert "refused" in child.stdout and "DISPLAY" in child.stdout and "rgb_array" in child.stdout
+
+
+# Life
+
+
+def test_close_twice(env_id: str) -> None:
+    env = make_env(env_id)
+    env.reset(seed=0)
+    env.close()
+    env.close()
+    fresh = make_env(env_id)
+    fresh.close()
+    fresh.close()
+
+
+def test_many_environments_at_once() -> None:
+    envs = [make_env(env_id) for env_id in bulletarm_gym.ENV_IDS for _ in range(5)]
+    first = [digest(*env.reset(seed=1)) for env in envs]
+    assert len(set(first)) == len(bulletarm_gym.ENV_IDS)
+    for env in envs:
+        env.step(env.expert_action())
+        env.close()
+
+
+# Making
+
+
+def test_ids_are_registered_without_a_time_limit(env_id: str) -> None:
+    spec = gymnasium.spec(env_id)
+    assert spec.max_episode_steps is None
+    assert isinstance(spec.entry_point, str)
+    assert all(isinstance(value, str) for value in spec.kwargs.values())
+
+
+def test_make_with_module_prefix_in_a_fresh_interpreter(env_id: str) -> None:
+    code = f"import gymnasium; gymnasium.make('bulletarm_gym:{env_id}').reset(seed=0); print('made')"
+    child = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert "made" in child.stdout, child.stderr
+
+
+def test_spec_round_trip(env_id: str) -> None:
+    workspace = np.array([[0.32, 0.6], [-0.14, 0.14], [0.01, 0.25]])
+    env = gymnasium.make(
+        env_id, workspace=workspace, object_scale_range=(0.8, 0.8), max_steps=np.int64(7), fast_mode=np.True_
+    )
+    text = env.spec.to_json()
+    assert env.unwrapped.spec.kwargs["workspace"] == workspace.tolist()
+    assert env.unwrapped.spec.kwargs["object_scale_range"] == [0.8, 0.8]
+    again = gymnasium.make(EnvSpec.from_json(text))
+    assert again.unwrapped.config == env.unwrapped.config
+    assert digest(*again.reset(seed=2)) == digest(*env.reset(seed=2))
+    env.close()
+    again.close()
+
+
+def test_making_leaves_the_registry_alone(env_id: str) -> None:
+    before = gymnasium.spec(env_id).to_json()
+    gymnasium.make(env_id, max_steps=3).close()
+    assert gymnasium.spec(env_id).to_json() == before
+
+
+def test_vector_in_one_process(env_id: str, make: Make) -> None:
+    vector = gymnasium.make_vec(env_id, num_envs=2, vectorization_mode="sync")
+    observation, _ = vector.reset(seed=[3, 4])
+    for index, seed in enumerate((3, 4)):
+        alone, _ = make(env_id).reset(seed=seed)
+        assert np.array_equal(observation["heightmap"][index], alone["heightmap"])
+    actions = np.stack(vector.call("expert_action"))
+    assert vector.step(actions)[0] in vector.observation_space
+    vector.close()
+
+
+def _solve(vec_env: Any) -> None:
+    """The experts of a stable-baselines3 vector of environments solve an episode each."""
+    vec_env.seed(0)
+    vec_env.reset()
+    solved = np.zeros(vec_env.num_envs, bool)
+    for _ in range(12):
+        _, _, dones, infos = vec_env.step(np.stack(vec_env.env_method("expert_action")))
+        solved |= dones & np.array([info["is_success"] for info in infos])
+    vec_env.close()
+    assert solved.all()
+
+
+def test_stable_baselines_dummy_vector(env_id: str) -> None:
+    pytest.importorskip("stable_baselines3")
+    from stable_baselines3.common.vec_env import DummyVecEnv
+
+    _solve(DummyVecEnv([lambda: gymnasium.make(env_id)] * 2))
+
+
+@pytest.mark.parametrize("method", ["fork", "forkserver", "spawn"])
+def test_stable_baselines_worker_processes(method: str) -> None:
+    pytest.importorskip("stable_baselines3")
+    from stable_baselines3.common.vec_env import SubprocVecEnv
+
+    _solve(SubprocVecEnv([lambda: gymnasium.make(f"bulletarm_gym:{PICKING}")] * 2, start_method=method))
+
+
+def test_expert_action_is_legal_after_the_end(env: ManipulationEnv) -> None:
+    advance(env, 0, 2)
+    for _ in range(8):
+        assert env.expert_action() in env.action_space
+        env.step(env.expert_action())
