@@ -7,21 +7,34 @@ from bulletarm_gym.geometry import Pose
 from bulletarm_gym.robots.gripper import Gripper
 from bulletarm_gym.robots.kinematics import euler_pose
 from bulletarm_gym.robots.model import RobotModel
+from bulletarm_gym.robots.urdf import LIGHT, box, find_link
 from bulletarm_gym.simulation.assets import load_model
 
 FINGERTIPS = 0.107 + 0.0584 + 0.0538
 """From the last link's origin (m): the flange, the fingers' mount in the hand, and the finger mesh."""
 HAND_YAW = -math.pi / 4.0
 """Of the hand about the flange."""
+FINGERS = ("panda_leftfinger", "panda_rightfinger")
 
 
 def _load() -> Element:
     root = load_model("franka_panda/panda.urdf")
     for mesh in root.iter("mesh"):  # paths that only ROS resolves
         mesh.set("filename", mesh.get("filename", "").replace("package:/", ""))
-    for link in root.iter("link"):  # soft, anchored contacts would remember what no state holds
+    for link in root.iter("link"):  # soft; the grippers of all arms touch alike
         for contact in link.findall("contact"):
             link.remove(contact)
+    for name, sign in zip(FINGERS, (1.0, -1.0), strict=True):
+        finger = find_link(root, name)
+        for mesh in finger.findall("collision"):
+            finger.remove(mesh)
+        finger.extend(
+            part.element("collision")
+            for part in (
+                box((0.0175, 0.0143, 0.0358), (0.0, sign * 0.00715, 0.0359), LIGHT),
+                box((0.0208, 0.0236, 0.019), (0.0, sign * 0.0145, 0.0095), LIGHT),
+            )
+        )
     return root
 
 

@@ -162,7 +162,7 @@ UR5 = RobotModel(
     gripper=JAW,
     base=Pose((-0.08, 0.0, 0.2)),
     posture=(-OFFSET, LIFT, ELBOW, -QUARTER - LIFT - ELBOW, -QUARTER, -QUARTER - OFFSET),
-    force=150.0,
+    force=600.0,
 )
 UR5_ROBOTIQ = RobotModel(
     name="ur5_robotiq",

@@ -38,12 +38,13 @@ class Part:
 
     def elements(self) -> list[Element]:
         """Return the URDF elements."""
-        visual = self._element("visual")
+        visual = self.element("visual")
         material = SubElement(visual, "material", name="colour " + _text(self.colour))
         SubElement(material, "color", rgba=_text((*self.colour, 1.0)))
-        return [visual, self._element("collision")] if self.solid else [visual]
+        return [visual, self.element("collision")] if self.solid else [visual]
 
-    def _element(self, tag: str) -> Element:
+    def element(self, tag: str) -> Element:
+        """Return the bare ``"visual"`` or ``"collision"`` element."""
         element = Element(tag)
         SubElement(element, "origin", _origin(self.pose))
         geometry = SubElement(element, "geometry")
