@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from bulletarm_gym.geometry import Pose, rotate, wrap_angle
+from bulletarm_gym.geometry import Pose, Quaternion, conjugate, multiply, rotate
 from bulletarm_gym.robots.kinematics import POSITION_TOLERANCE
 from bulletarm_gym.robots.model import RobotModel
 from bulletarm_gym.simulation import Body, BodySpec, World
@@ -29,6 +29,7 @@ CARRYING_STEPS = 16
 CAREFUL_STEPS = 48
 """... and where something may be pushed: braking at 3 m/s^2 at most, friction keeps blocks at the gripper."""
 LEAST_STEPS = 6
+FULL_TURN = 2.0 * math.pi
 TURNING_RADIUS = 0.06
 """Lever (m) at which a turn about the tool counts as distance: half an open gripper and its fingers."""
 CLEARANCE = 0.004
@@ -127,16 +128,22 @@ class Robot:
         self._command = state.opening
 
     def inverse_kinematics(self, pose: Pose) -> tuple[float, ...]:
-        """Return joint positions (rad) for a pose of the fingertips, the last joint turned the nearest way.
+        """Return joint positions (rad) for a pose of the fingertips, each joint turned the nearest way.
 
         :raises ValueError: the pose is out of reach
         """
+        now = self._arm.positions(self._world)
+        goal = self._solve(pose)
+        # Whole turns are added, so that the digits depend on the pose alone.
+        turns = [round((a - b) / FULL_TURN) for a, b in zip(now, goal, strict=True)]
+        return tuple(b + FULL_TURN * turn for b, turn in zip(goal, turns, strict=True))
+
+    def _solve(self, pose: Pose) -> list[float]:
         joints, error = self.model.inverse(pose)
         if error > POSITION_TOLERANCE:
             raise ValueError(f"robot {self.model.name!r} cannot reach {pose}: {error:.4f} m or rad remain")
-        now = self._arm.positions(self._world)[-1]
-        joints[-1] = now + wrap_angle(joints[-1] - now)
-        return tuple(joints.tolist())
+        solution: list[float] = joints.tolist()
+        return solution
 
     # Motion
 
@@ -144,7 +151,7 @@ class Robot:
         """Put the empty, open gripper at a pose at once."""
         self.held = None
         self._command = self.model.gripper.stroke
-        self._place(self._arm, self.inverse_kinematics(pose))
+        self._place(self._arm, self._solve(pose))
         self._place(self._fingers, [self.model.gripper.travel] * 2)
 
     def begin(self) -> None:
@@ -158,9 +165,8 @@ class Robot:
         :raises ValueError: the pose is out of reach
         """
         start, goal = self.pose, self.inverse_kinematics(pose)
-        distance = max(
-            math.dist(start.position, pose.position), TURNING_RADIUS * abs(wrap_angle(pose.yaw - start.yaw))
-        )
+        turn = _turn_between(start.orientation, pose.orientation)
+        distance = max(math.dist(start.position, pose.position), TURNING_RADIUS * turn)
         if distance < POSITION_TOLERANCE:
             return
         clear = self._is_clear(start, pose, goal, distance)
@@ -251,3 +257,9 @@ class Robot:
     def _is_free(self, joints: Sequence[float], bodies: Sequence[Body]) -> bool:
         self._world.show_joints(self.body, joints)
         return all(math.isinf(self._world.distance(self.body, body, CLEARANCE)) for body in bodies)
+
+
+def _turn_between(first: Quaternion, second: Quaternion) -> float:
+    """Return the angle (rad, in [0, pi]) of the rotation from one orientation to another."""
+    x, y, z, w = multiply(conjugate(first), second)
+    return 2.0 * math.atan2(math.hypot(x, y, z), abs(w))
