@@ -176,7 +176,7 @@ def _expert_length(env: ManipulationEnv, seed: int) -> int:
 )
 def test_invalid_scene_terminates_without_reward(env: ManipulationEnv, position: Any) -> None:
     env.reset(seed=0)
-    role = next(name for name in ("cube", "near block") if name in env.scene._items)
+    role = next(item.role.name for item in env.scene if item.spec.mass > 0.0)
     env.set_state(with_pose(env, env.get_state(), role, Pose(position)))
     assert env.expert_action() in env.action_space
     _, reward, terminated, truncated, info = env.step(IDLE)
@@ -186,7 +186,7 @@ def test_invalid_scene_terminates_without_reward(env: ManipulationEnv, position:
 
 def test_border_belongs_to_the_workspace(env: ManipulationEnv) -> None:
     env.reset(seed=0)
-    role = next(name for name in ("cube", "near block") if name in env.scene._items)
+    role = next(item.role.name for item in env.scene if item.spec.mass > 0.0)
     env.set_state(with_pose(env, env.get_state(), role, Pose((0.5999, 0.1, 0.025))))
     *_, info = env.step(IDLE)
     assert info["is_valid"]

@@ -13,6 +13,8 @@ from bulletarm_gym.env import ManipulationEnv
 Make = Callable[..., ManipulationEnv]
 
 PICKING = "BulletArm/CloseLoopBlockPicking-v0"
+KEEPS_ITS_SCENE = "BulletArm/CloseLoopObjectGrasping-v0"
+"""Its unseeded resets go on with the clutter that an episode left."""
 PARAMETERS = (
     {},
     {"fast_mode": False},
@@ -58,7 +60,8 @@ def test_unseeded_resets_follow_from_the_seed(make: Make, env_id: str) -> None:
     expected = sequence(first)
     transcript(second, 20, seed=8)
     assert sequence(second) == expected
-    assert len(set(expected)) == len(expected)
+    if env_id != KEEPS_ITS_SCENE:
+        assert len(set(expected)) == len(expected)
 
 
 def test_steps_do_not_move_the_resets_that_follow(env: ManipulationEnv) -> None:
@@ -97,8 +100,9 @@ def test_seeds_differ(env: ManipulationEnv) -> None:
 
 
 def test_consecutive_resets_differ(env: ManipulationEnv) -> None:
+    options = {"new_scene": True} if env.spec.id == KEEPS_ITS_SCENE else None
     env.reset(seed=0)
-    views = {first_heightmap(env).tobytes() for _ in range(8)}
+    views = {env.reset(options=options)[0]["heightmap"].tobytes() for _ in range(8)}
     assert len(views) == 8
 
 

@@ -1,0 +1,113 @@
+"""Experts solve their tasks, come back from failures, and look without touching."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from rollouts import advance, digest, mixed_action
+
+from bulletarm_gym.env import ManipulationEnv
+
+Make = Callable[..., ManipulationEnv]
+
+PICKING = "BulletArm/CloseLoopBlockPicking-v0"
+SEEDS = range(5)
+LENGTHS = {"CloseLoopBlockReaching": 3.0, "CloseLoopBlockPicking": 7.0, "CloseLoopBlockPulling": 7.0}
+"""Mean number of an expert's steps, for tasks whose plan leaves little to chance."""
+
+
+def finish(env: ManipulationEnv) -> tuple[bool, int]:
+    """Let the expert act to the end; return whether it succeeded and its number of steps."""
+    for count in range(1, env.config.max_steps + 1):
+        *_, terminated, truncated, info = env.step(env.expert_action())
+        if terminated or truncated:
+            return info["is_success"], count
+    raise AssertionError("the episode has no end")
+
+
+def solve(env: ManipulationEnv, seed: int) -> tuple[bool, int]:
+    env.reset(seed=seed)
+    return finish(env)
+
+
+def test_expert_solves_every_seed(env: ManipulationEnv) -> None:
+    results = [solve(env, seed) for seed in SEEDS]
+    assert all(success for success, _ in results), results
+    name = env.spec.id.split("/")[1].removesuffix("-v0")
+    if name in LENGTHS:
+        mean = np.mean([count for _, count in results])
+        assert mean == pytest.approx(LENGTHS[name], rel=0.2)
+
+
+@pytest.mark.parametrize(
+    "parameters",
+    [
+        {"action_sequence": "pxyz", "random_orientation": False},
+        {"action_sequence": "rzyxp", "obs_size": 32},
+        {"fast_mode": False},
+        {"physics_mode": "slow"},
+    ],
+    ids=str,
+)
+def test_expert_solves_under_other_parameters(make: Make, env_id: str, parameters: dict[str, Any]) -> None:
+    env = make(env_id, **parameters)
+    results = [solve(env, seed) for seed in range(3)]
+    assert all(success for success, _ in results), results
+
+
+def test_expert_solves_in_a_smaller_workspace_elsewhere(make: Make) -> None:
+    env = make(PICKING, workspace=[[0.36, 0.6], [-0.09, 0.15], [0.01, 0.25]])
+    results = [solve(env, seed) for seed in SEEDS]
+    assert all(success for success, _ in results), results
+
+
+def test_fixed_orientation_leaves_yaw_at_zero(make: Make, env_id: str) -> None:
+    env = make(env_id, action_sequence="pxyz", random_orientation=False)
+    env.reset(seed=0)
+    loose = [item.pose.yaw for item in env.scene if item.spec.mass > 0.0]
+    assert loose
+    if "Grasping" not in env_id:
+        assert loose == pytest.approx([0.0] * len(loose), abs=0.02)
+
+
+def test_expert_recovers_from_random_actions(make: Make, env_id: str) -> None:
+    env = make(env_id, max_steps=60)
+    solved = []
+    for seed in SEEDS:
+        _act_at_random(env, seed)
+        solved.append(finish(env)[0])
+    assert sum(solved) >= 4, solved
+
+
+def _act_at_random(env: ManipulationEnv, seed: int) -> None:
+    """Ten random actions that do not end the episode."""
+    for action_seed in range(20):
+        rng = np.random.default_rng((seed, action_seed))
+        env.reset(seed=seed)
+        ends = [any(env.step(rng.uniform(-1, 1, env.action_space.shape))[2:4]) for _ in range(10)]
+        if not any(ends):
+            return
+    raise AssertionError("random actions end every episode")
+
+
+def test_expert_action_is_pure(env: ManipulationEnv) -> None:
+    rng = np.random.default_rng(0)
+    env.reset(seed=1)
+    for _ in range(12):
+        state, observation = env.get_state(), digest(env.control.observe(env.scene))
+        first, second = env.expert_action(), env.expert_action()
+        assert first.dtype == np.float32 and first in env.action_space
+        np.testing.assert_array_equal(first, second)
+        assert env.get_state() == state and digest(env.control.observe(env.scene)) == observation
+        *_, terminated, truncated, _ = env.step(mixed_action(env, rng))
+        if terminated or truncated:
+            env.reset()
+
+
+def test_expert_follows_the_state(make: Make, env_id: str) -> None:
+    env, other = make(env_id), make(env_id, 1)
+    state = advance(env, 1, 2)
+    other.reset(seed=9)
+    other.set_state(state)
+    np.testing.assert_array_equal(env.expert_action(), other.expert_action())

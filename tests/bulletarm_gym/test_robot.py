@@ -1,0 +1,208 @@
+"""Arms reach all they should, move as told, and hold what they grasp."""
+
+import itertools
+import math
+from collections.abc import Callable, Iterator
+
+import numpy as np
+import pytest
+
+from bulletarm_gym.env import ManipulationEnv
+from bulletarm_gym.geometry import Pose, Quaternion, conjugate, multiply, wrap_angle, yaw_quaternion
+from bulletarm_gym.robots import ROBOTS, RobotModel
+
+Make = Callable[..., ManipulationEnv]
+
+PICKING = "BulletArm/CloseLoopBlockPicking-v0"
+TILT = math.radians(30.0)
+
+
+@pytest.fixture(params=ROBOTS.values(), ids=lambda model: model.name)
+def model(request: pytest.FixtureRequest) -> RobotModel:
+    return request.param
+
+
+@pytest.fixture
+def armed(make: Make, model: RobotModel) -> ManipulationEnv:
+    """The picking task with each arm, at rest over a far cube."""
+    env = make(PICKING, robot=model.name)
+    env.reset(seed=0)
+    env.scene["cube"].place(Pose((0.33, -0.12, 0.025)))
+    return env
+
+
+def grid(heights: tuple[float, ...]) -> Iterator[tuple[float, float, float]]:
+    """Points over the default workspaces of both controls."""
+    xs, ys = np.linspace(0.25, 0.65, 5).tolist(), np.linspace(-0.2, 0.2, 5).tolist()
+    return itertools.product(xs, ys, heights)
+
+
+def angle_between(one: Quaternion, other: Quaternion) -> float:
+    x, y, z, w = multiply(one, conjugate(other))
+    return 2.0 * math.atan2(math.hypot(x, y, z), abs(w))
+
+
+def tilted(yaw: float, direction: float) -> Quaternion:
+    """Upright, turned by ``yaw``, then tilted towards a direction."""
+    axis = (-math.sin(direction), math.cos(direction))
+    half = TILT / 2.0
+    tilt = (axis[0] * math.sin(half), axis[1] * math.sin(half), 0.0, math.cos(half))
+    return multiply(tilt, yaw_quaternion(yaw))
+
+
+def assert_reached(model: RobotModel, pose: Pose) -> None:
+    joints, error = model.inverse(pose)
+    reached = model.chain.forward(joints)
+    assert error < 1e-4, pose
+    assert math.dist(reached.position, pose.position) < 1e-3, pose
+    assert angle_between(reached.orientation, pose.orientation) < 1e-3, pose
+
+
+def test_reaches_the_workspaces_upright(model: RobotModel) -> None:
+    for x, y, z in grid((0.02, 0.1, 0.25)):
+        for yaw in (-2.5, -1.2, 0.0, 0.7, math.pi / 2, math.pi):
+            assert_reached(model, Pose.planar(x, y, z, yaw))
+
+
+def test_reaches_the_workspaces_tilted(model: RobotModel) -> None:
+    for x, y, z in grid((0.02, 0.1, 0.2)):
+        for direction in np.linspace(-math.pi, math.pi, 8, endpoint=False).tolist():
+            for yaw in (0.0, 1.1):
+                assert_reached(model, Pose((x, y, z), tilted(yaw, direction)))
+
+
+def test_inverse_depends_on_the_pose_alone(armed: ManipulationEnv) -> None:
+    robot, goal = armed.scene.robot, Pose.planar(0.5, 0.1, 0.12, 0.4)
+    robot.home(Pose.planar(0.45, 0.0, 0.2))
+    from_home = robot.inverse_kinematics(goal)
+    robot.home(Pose.planar(0.35, -0.1, 0.24, -1.0))
+    from_afar = robot.inverse_kinematics(goal)
+    assert from_afar[:-1] == from_home[:-1]
+    assert wrap_angle(from_afar[-1] - from_home[-1]) == pytest.approx(0.0, abs=1e-9)
+
+
+def test_out_of_reach_is_refused(armed: ManipulationEnv) -> None:
+    before = armed.scene.robot.pose
+    with pytest.raises(ValueError, match="reach"):
+        armed.scene.robot.move_to(Pose.planar(1.6, 0.0, 0.2))
+    assert armed.scene.robot.pose == before
+
+
+def test_kinematics_agree_with_the_simulator(armed: ManipulationEnv) -> None:
+    world, robot = armed.scene.world, armed.scene.robot
+    indices = range(world.client.getNumJoints(robot.body.id))
+    names = {world.client.getJointInfo(robot.body.id, index)[1].decode(): index for index in indices}
+    for pose in (Pose.planar(0.45, 0.0, 0.2), Pose((0.5, -0.1, 0.15), tilted(0.7, 2.0))):
+        robot.home(pose)
+        link = world.client.getLinkState(
+            robot.body.id, names[robot.model.joints[-1]], computeForwardKinematics=True
+        )
+        simulated = Pose(link[4], link[5]).compose(robot.model.tool)
+        assert simulated.position == pytest.approx(pose.position, abs=1e-5)
+        assert angle_between(simulated.orientation, pose.orientation) < 1e-4
+        assert robot.pose.position == pytest.approx(pose.position, abs=1e-6)
+
+
+@pytest.mark.parametrize("fast", [True, False])
+def test_moves_arrive(make: Make, fast: bool) -> None:
+    env = make(PICKING, fast_mode=fast)
+    env.reset(seed=0)
+    env.scene["cube"].place(Pose((0.33, -0.12, 0.025)))
+    rng, robot = np.random.default_rng(0), env.scene.robot
+    for _ in range(15):
+        x, y, z, yaw = rng.uniform([0.42, -0.05, 0.1, -1.5], [0.58, 0.13, 0.25, 1.5]).tolist()
+        env.scene.begin()
+        robot.move_to(Pose.planar(x, y, z, yaw))
+        assert math.dist(robot.pose.position, (x, y, z)) < 2e-3
+        assert abs(wrap_angle(robot.pose.yaw - yaw)) < 0.01 and robot.pose.tilt < 0.01
+
+
+@pytest.mark.parametrize("fast", [True, False])
+def test_opening_follows_the_command(make: Make, model: RobotModel, fast: bool) -> None:
+    env = make(PICKING, robot=model.name, fast_mode=fast)
+    env.reset(seed=0)
+    env.scene["cube"].place(Pose((0.33, -0.12, 0.025)))
+    assert env.scene.robot.opening_ratio == pytest.approx(1.0, abs=0.02)
+    for ratio in (0.0, 0.5, 0.2, 1.0):
+        env.step([2.0 * ratio - 1.0, 0, 0, 0, 0])
+        assert env.scene.robot.opening_ratio == pytest.approx(ratio, abs=0.03)
+
+
+def test_close_and_open(armed: ManipulationEnv) -> None:
+    armed.scene.begin()
+    armed.scene.robot.close()
+    assert armed.scene.robot.opening_ratio < 0.03 and armed.scene.robot.held is None
+    armed.scene.robot.open()
+    assert armed.scene.robot.opening_ratio > 0.97
+
+
+def grasp(env: ManipulationEnv, seed: int = 3) -> Pose:
+    """Let the expert grasp the cube; return the cube's pose in the gripper."""
+    env.reset(seed=seed)
+    for _ in range(8):
+        env.step(env.expert_action())
+        if env.scene.held is not None and env.scene.robot.pose.z > 0.1:
+            return in_hand(env)
+    raise AssertionError("nothing grasped")
+
+
+def in_hand(env: ManipulationEnv) -> Pose:
+    return env.scene.robot.pose.inverse().compose(env.scene["cube"].pose)
+
+
+def test_holds_a_cube_through_random_moves(make: Make, model: RobotModel) -> None:
+    env = make(PICKING, robot=model.name)
+    start, rng = grasp(env), np.random.default_rng(0)
+    for _ in range(30):
+        action = rng.uniform(-1, 1, 5)
+        action[0] = -1.0
+        action[3] = max(action[3], (0.1 - env.scene.robot.pose.z) / 0.05)  # stay off the floor
+        observation, *_ = env.step(action)
+        assert env.scene.held is not None and observation["holding"] == [1.0]
+    end = in_hand(env)
+    assert math.dist(start.position, end.position) < 5e-3
+    assert angle_between(start.orientation, end.orientation) < 0.1
+
+
+def test_lets_go_when_opened(make: Make, model: RobotModel) -> None:
+    env = make(PICKING, robot=model.name)
+    grasp(env)
+    observation, *_ = env.step([1.0, 0, 0, 0, 0])
+    assert env.scene.held is None and observation["holding"] == [0.0]
+    assert env.scene["cube"].pose.z == pytest.approx(0.025, abs=2e-3)
+
+
+def test_turns_without_end(armed: ManipulationEnv) -> None:
+    robot = armed.scene.robot
+    armed.step([1.0, 0.6, 0.4, -0.5, 0.0])
+    start = robot.pose
+    for number in range(1, 20 * 8 + 1):
+        armed.step([1.0, 0.0, 0.0, 0.0, 1.0])
+        expected = start.yaw + number * math.pi / 4
+        assert abs(wrap_angle(robot.pose.yaw - expected)) < 0.02
+    assert math.dist(robot.pose.position, start.position) < 2e-3
+
+
+def test_blocked_motion_stops(armed: ManipulationEnv) -> None:
+    """Closed fingers pressed on a cube stay on it, and the arm is free to go up again."""
+    robot = armed.scene.robot
+    armed.scene["cube"].place(Pose((0.45, 0.0, 0.025)))
+    for _ in range(8):
+        armed.step([-1.0, 0.0, 0.0, -1.0, 0.0])
+    assert robot.pose.z > 0.04
+    cube = armed.scene["cube"].pose
+    assert cube.z == pytest.approx(0.025, abs=5e-3) and math.dist(cube.position[:2], (0.45, 0.0)) < 0.02
+    before = robot.pose.z
+    armed.step([-1.0, 0.0, 0.0, 1.0, 0.0])
+    assert robot.pose.z > before + 0.03
+
+
+def test_gripper_stays_inside_the_workspace(picking: ManipulationEnv) -> None:
+    for direction in itertools.product((-1.0, 1.0), repeat=3):
+        picking.reset(seed=0)
+        picking.scene["cube"].place(Pose((0.45, 0.0, 0.025)))
+        for _ in range(6):
+            picking.step([1.0, *direction, 0.0])
+        hand = picking.scene.robot.pose.position
+        for value, (low, high) in zip(hand, picking.config.workspace, strict=True):
+            assert low - 3e-3 < value < high + 3e-3
