@@ -61,7 +61,7 @@ def _set_surface(client: Client, body_id: int, spec: BodySpec, damping: float) -
         rollingFriction=spec.rolling_friction,
         spinningFriction=spec.spinning_friction,
         linearDamping=damping,
-        angularDamping=damping,
+        angularDamping=damping + spec.angular_damping,
     )
 
 

@@ -89,6 +89,7 @@ class BodySpec:
     :param friction: lateral friction coefficient; Bullet multiplies those of the two bodies in contact
     :param rolling_friction: coefficient against rolling (m)
     :param spinning_friction: coefficient against spinning in place (m)
+    :param angular_damping: share of its turning it loses in a second, besides what the physics mode takes
     :param slides: parts that slide in a body fixed to the world
     :param is_mark: a mark on the ground: drawn in pictures, no obstacle and not seen by the sensor
     """
@@ -99,6 +100,7 @@ class BodySpec:
     friction: float = 1.0
     rolling_friction: float = 0.0
     spinning_friction: float = 0.0
+    angular_damping: float = 0.0
     colour: Colour = RED
     slides: tuple[Slide, ...] = ()
     is_mark: bool = False
