@@ -42,7 +42,7 @@ def _object_files(folder: Path) -> Iterator[Path]:
 
 
 def load_object(path: Path, name: str) -> BodySpec:
-    """Return the object of a file, with the mass and frictions of all objects to be grasped.
+    """Return the object of a file, with the mass and friction of all objects to be grasped.
 
     :raises ValueError: it cannot be loaded
     """

@@ -27,17 +27,10 @@ BELOW = 0.002
 """Least gap (m) between the fingertips and what is under them."""
 OVERLAP = 0.005
 """A surface this far (m) above the fingertips is between the fingers, not under them."""
-
-
-@dataclass(frozen=True)
-class Grasp:
-    """A place for the fingertips to close at.
-
-    :param quality: larger is better, in metres of travel that would be worth it
-    """
-
-    pose: Pose
-    quality: float
+SKEW = 0.7
+"""Sides of the target may be turned against the fingers by this slope (35 degrees) ..."""
+EDGE = 0.007
+"""... and must stand this high (m) above the fingertips where they meet the fingers."""
 
 
 @dataclass(frozen=True)
@@ -196,7 +189,7 @@ def _try(heights, owner, i, j, yaw, depth, fingers, beside, lowest, pitch):  # t
     # Edges square to the fingers, and steep where they touch; quality in metres.
     skew = (low_spread + high_spread) / (2.0 * filled)
     steep = min(low_edge, high_edge) / filled
-    if skew > 0.7 or steep < OVERLAP + 0.002:
+    if skew > SKEW or steep < EDGE:
         return nothing
     quality = 0.3 - 0.12 * skew + 1.5 * min(steep, 0.03) + 0.02 * filled / (2 * lines + 1)
     return u, v, tip, yaw, float(target), quality

@@ -15,6 +15,7 @@ from bulletarm_gym.scene import Item, Role, Scene
 from bulletarm_gym.simulation import BodySpec, Convex, Piece
 from bulletarm_gym.tasks.antipodal import YAWS, Relief, find_grasps
 from bulletarm_gym.tasks.grasping import STEP, grasp
+from bulletarm_gym.tasks.stirring import stir
 from bulletarm_gym.tasks.task import CLOSED, Task, Waypoint
 
 LIFTED = 0.15
@@ -50,7 +51,9 @@ SAME_PLACE = 0.02
 NEAR_FAILURE = 0.02
 """Grasps this near (m) to one that failed ..."""
 FAILURE_COST = 0.06
-"""... are worth less by this, twice where they are turned alike."""
+"""... are worth less by this, twice where they are turned alike ..."""
+ALIKE = 0.3
+"""... within this angle (rad)."""
 MOST_FAILURES = 6
 """Failures remembered."""
 
@@ -158,17 +161,20 @@ class ObjectGrasping(Task):
         return {"success": held and scene.robot.pose.z > LIFTED, "is_held": held}
 
     def plan(self, scene: Scene, rng: np.random.Generator) -> Iterator[Waypoint]:
-        """Grasp what is best to grasp, then lift."""
+        """Grasp what is best to grasp, then lift; where nothing can be grasped, turn something."""
         hand = scene.robot.pose
         if scene.robot.held is None:
             relief = survey(scene)
             target = self._target(scene, relief)
+            if target is None:
+                yield from stir(scene, max(scene, key=lambda item: scene.world.top(item.body)), rng)
+                return
             top = relief.top_between(hand.position, target.position, scene.robot.model.gripper.stroke)
             yield from grasp(scene, target, top, math.pi)
         yield Waypoint(Pose.planar(hand.x, hand.y, max(hand.z, LIFTED) + STEP, hand.yaw), CLOSED)
 
-    def _target(self, scene: Scene, relief: Relief) -> Pose:
-        """Return the grasp whose quality less the way to it is best.
+    def _target(self, scene: Scene, relief: Relief) -> Pose | None:
+        """Return the grasp whose quality less the way to it is best, if any is good enough.
 
         The way shrinks as fast as the gripper comes near, and for no other grasp faster: the choice stands.
         """
@@ -177,23 +183,18 @@ class ObjectGrasping(Task):
         yaws = [math.pi * step / YAWS for step in range(YAWS)] if turns else [hand.yaw]
         lowest = max(scene.surface.height((hand.x, hand.y)) + CLEARANCE, self.config.workspace[2][0])
         grasps = find_grasps(relief, scene.robot.model.gripper, yaws, lowest)
-        if not len(grasps):
-            return self._nudge(scene, relief)
         (x0, x1), (y0, y1), _ = self.config.workspace
-        x, y, z, yaw, _, quality = grasps.T
-        way = np.max([np.abs(x - hand.x), np.abs(y - hand.y), TURN_WORTH * np.abs(wrap(yaw - hand.yaw))], axis=0)
-        value = quality - WAY_WEIGHT * way
-        value[(x < x0) | (x > x1) | (y < y0) | (y > y1)] -= 1.0
+        x, y, _, yaw, _, quality = grasps.T
+        value = quality.copy()
         for spot in self._failed:
             near = np.hypot(x - spot[0], y - spot[1]) < NEAR_FAILURE
-            value -= FAILURE_COST * near * (1.0 + (np.abs(wrap(yaw - spot[2])) < 0.3))
-        best = grasps[value.argmax()]
-        return Pose.planar(*best[:4].tolist())
-
-    def _nudge(self, scene: Scene, relief: Relief) -> Pose:
-        """Return a grasp of the highest item, where none has room: it moves what lies there."""
-        item = max(scene, key=lambda item: scene.world.top(item.body))
-        return Pose.planar(*item.pose.position, scene.robot.pose.yaw)
+            value -= FAILURE_COST * near * (1.0 + (np.abs(wrap(yaw - spot[2])) < ALIKE))
+        good = (value > 0.0) & (x > x0) & (x < x1) & (y > y0) & (y < y1)
+        if not good.any():
+            return None
+        way = np.max([np.abs(x - hand.x), np.abs(y - hand.y), TURN_WORTH * np.abs(wrap(yaw - hand.yaw))], axis=0)
+        best = np.where(good, value - WAY_WEIGHT * way, -np.inf).argmax()
+        return Pose.planar(*grasps[best, :4].tolist())
 
 
 def survey(scene: Scene) -> Relief:

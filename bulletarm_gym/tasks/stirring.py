@@ -1,0 +1,67 @@
+"""Turning what lies in a tray with the tip of the closed gripper, where nothing can be grasped as it lies."""
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from bulletarm_gym.geometry import Pose, matrix, planar_distance
+from bulletarm_gym.scene import Item, Scene
+from bulletarm_gym.tasks.task import CLOSED, Waypoint
+
+RUN_UP = 0.045
+"""Distance (m) beside an item from which one of its ends is pushed."""
+END = 0.75
+"""Share of an item's half length at which it is pushed."""
+LOW = 0.012
+"""Height (m) of the fingertips above the ground while they push."""
+STROKE = 0.09
+"""How far (m) an end is pushed."""
+ASTRAY = 0.012
+"""A gripper this far (m) off the line of the push has left it."""
+HOVER = 0.03
+"""Height (m) above an item at which the gripper crosses it."""
+SPREAD = 0.02
+"""Spread (m) of where the push begins, so that no two tries are alike."""
+
+
+def stir(scene: Scene, item: Item, rng: np.random.Generator) -> Iterator[Waypoint]:
+    """Yield the way of pushing an end of an item across its length, towards the middle of the workspace.
+
+    :param rng: moves the start of the push
+    """
+    hand, low = scene.robot.pose, scene.surface.height(item.pose.position[:2]) + LOW
+    end, push = _end_to_push(scene, item)
+    ahead = (end[0] - hand.x) * push[0] + (end[1] - hand.y) * push[1]
+    aside = abs((end[0] - hand.x) * push[1] - (end[1] - hand.y) * push[0])
+    if hand.z < low + LOW and aside < SPREAD + ASTRAY and RUN_UP - STROKE < ahead < 2.0 * RUN_UP:
+        yield Waypoint(
+            Pose.planar(hand.x + STROKE * push[0], hand.y + STROKE * push[1], low, hand.yaw), CLOSED, straight=True
+        )
+    shift = float(rng.uniform(-SPREAD, SPREAD))
+    start = (
+        end[0] - RUN_UP * push[0] - shift * push[1],
+        end[1] - RUN_UP * push[1] + shift * push[0],
+    )
+    hover = scene.world.top(item.body) + HOVER
+    if planar_distance(start, hand.position) > SPREAD + ASTRAY:
+        if hand.z < hover - ASTRAY:
+            yield Waypoint(Pose.planar(hand.x, hand.y, hover, hand.yaw), CLOSED)
+        yield Waypoint(Pose.planar(*start, hover, hand.yaw), CLOSED)
+    yield Waypoint(Pose.planar(hand.x, hand.y, low, hand.yaw), CLOSED)
+
+
+def _end_to_push(scene: Scene, item: Item) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Return an end of an item and the direction across its length that leads to the middle."""
+    plane = (item.spec.mesh.vertices @ matrix(item.pose).T)[:, :2]
+    centre = (plane.min(axis=0) + plane.max(axis=0)) / 2.0
+    _, axes = np.linalg.eigh(np.cov((plane - centre).T))
+    along = axes[:, 1]
+    half = float(np.abs((plane - centre) @ along).max())
+    x, y = (np.asarray(item.pose.position[:2]) + centre).tolist()
+    across = (-float(along[1]), float(along[0]))
+    inward = np.asarray(scene.config.centre) - (x, y)
+    sign = 1.0 if across[0] * inward[0] + across[1] * inward[1] >= 0.0 else -1.0
+    side = 1.0 if along @ inward >= 0.0 else -1.0
+    reach = END * half * side
+    return (x + reach * float(along[0]), y + reach * float(along[1])), (sign * across[0], sign * across[1])
