@@ -26,7 +26,7 @@ REST_SPEED = 0.01
 """A body slower than this (m/s at its rim) rests: in one step gravity alone adds four times as much."""
 REST_RIM = 0.05
 """Lever (m) at which a body's turning counts as speed."""
-PARKING_HEIGHT = -10.0
+PARKING_HEIGHT = 10.0
 """Where (m) bodies that take no part wait, far from everything, without mass or contacts."""
 PARKING_PITCH = 1.0
 
@@ -255,8 +255,21 @@ class World:
         """Return to the canonical world of the present state; every move starts with it."""
         self.client.restoreState(self._snapshot)
         for body in self.bodies:
+            if self.active[body.index] and body.spec.pieces:
+                self._meet_anew(body)
+        for body in self.bodies:
             if self.active[body.index] and body is not self._ground:
                 self._send(body)
+
+    def _meet_anew(self, body: Body) -> None:
+        """Have Bullet forget which bodies this one was near to.
+
+        Pairs keep what convex shapes found out about their last contact, in an order that depends on who was
+        called in when; no snapshot holds either. Setting its mask enters a body into the broad phase anew.
+        """
+        mask = 0 if body.spec.is_mark else 1
+        for link in (-1, *body.joints):
+            self.client.setCollisionFilterGroupMask(body.id, link, mask, mask)
 
     def end(self) -> None:
         """Read the world into the state; bodies slower than :data:`REST_SPEED` are at rest."""
