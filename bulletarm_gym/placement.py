@@ -15,6 +15,10 @@ ARRANGEMENTS = 50
 """Arrangements tried before the workspace counts as too small."""
 
 
+GRID = 7
+"""Points a side among which room is looked for."""
+
+
 class PlacementError(RuntimeError):
     """No arrangement was found; the workspace is too small for what it should hold."""
 
@@ -71,3 +75,12 @@ def stand(scene: Scene, item: Item, point: Point, rng: np.random.Generator, spre
     yaw = float(rng.uniform(-spread, spread)) if scene.config.random_orientation else 0.0
     lift = item.spec.extents[2] / 2.0
     item.place(scene.surface.pose(point, yaw).compose(Pose((0.0, 0.0, lift))))
+
+
+def roomiest(scene: Scene, item: Item) -> Point:
+    """Return the point of the workspace that is farthest from all other items and not near the border."""
+    margin = item.spec.footprint
+    xs, ys = (np.linspace(low + margin, high - margin, GRID) for low, high in scene.config.workspace[:2])
+    others = [other.pose.position[:2] for other in scene if other is not item]
+    points = [(x, y) for x in xs.tolist() for y in ys.tolist()]
+    return max(points, key=lambda point: min((math.dist(point, other) for other in others), default=0.0))

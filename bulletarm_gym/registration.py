@@ -43,6 +43,9 @@ ENTRIES = (
     Entry("CloseLoopBlockPicking", "bulletarm_gym.tasks.picking:BlockPicking", "close_loop"),
     Entry("CloseLoopBlockPushing", "bulletarm_gym.tasks.pushing:BlockPushing", "close_loop"),
     Entry("CloseLoopBlockPulling", "bulletarm_gym.tasks.pulling:BlockPulling", "close_loop"),
+    Entry("CloseLoopBlockInBowl", "bulletarm_gym.tasks.bowl:BlockInBowl", "close_loop"),
+    Entry("CloseLoopBlockStacking", "bulletarm_gym.tasks.stacking:BlockStacking", "close_loop"),
+    Entry("CloseLoopHouseBuilding", "bulletarm_gym.tasks.house:HouseBuilding", "close_loop"),
     Entry("CloseLoopObjectGrasping", "bulletarm_gym.tasks.clutter:ObjectGrasping", "close_loop"),
 )
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bulletarm_gym.config import EnvConfig
-from bulletarm_gym.geometry import FloatArray, Pose, matrix
+from bulletarm_gym.geometry import FloatArray, Pose, Vector, matrix
 from bulletarm_gym.robots import Robot, RobotModel
 from bulletarm_gym.sensors.heightmap import HeightmapSensor
 from bulletarm_gym.sensors.point_cloud import project
@@ -73,6 +73,11 @@ class Item:
         """Height (m) of the body's lowest point."""
         heights = self.spec.mesh.vertices @ matrix(self.pose)[2]
         return self.pose.z + float(heights.min())
+
+    @property
+    def centre_of_mass(self) -> Vector:
+        """Where (m) the body's centre of mass is in the world."""
+        return self.pose.transform(self.spec.mass_properties[0].position)
 
     @property
     def is_present(self) -> bool:

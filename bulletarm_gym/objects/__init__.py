@@ -1,6 +1,18 @@
 """What is acted on: shapes and object sets made by code."""
 
-from bulletarm_gym.objects.blocks import cube, flat_block, goal_area
+from bulletarm_gym.objects.blocks import cube, flat_block, goal_area, triangle
+from bulletarm_gym.objects.bowl import bowl
 from bulletarm_gym.simulation.shapes import BodySpec, Box, Colour, Convex, Piece
 
-__all__ = ["BodySpec", "Box", "Colour", "Convex", "Piece", "cube", "flat_block", "goal_area"]
+__all__ = [
+    "BodySpec",
+    "Box",
+    "Colour",
+    "Convex",
+    "Piece",
+    "bowl",
+    "cube",
+    "flat_block",
+    "goal_area",
+    "triangle",
+]

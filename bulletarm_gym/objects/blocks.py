@@ -4,10 +4,11 @@ Sizes are nominal (m) and grow with the object scale; masses are those of the or
 """
 
 from bulletarm_gym.geometry import Pose
-from bulletarm_gym.simulation.shapes import BLUE, RED, BodySpec, Box, Piece
+from bulletarm_gym.objects.solids import loft
+from bulletarm_gym.simulation.shapes import BLUE, RED, YELLOW, BodySpec, Box, Piece
 
 CUBE_SIZE = 0.05
-"""Side (m) at scale 1: 5 cm in close loop, 3 cm at the open-loop scale of 0.6 (paper, Environments)."""
+"""Side (m) of cubes and of a triangle's bounding box at scale 1 (paper, Environments); 3 cm at 0.6."""
 CUBE_MASS = 0.1
 
 FLAT_BLOCK_SIDE = 0.1
@@ -32,6 +33,13 @@ def flat_block(name: str, scale: float) -> BodySpec:
     side = FLAT_BLOCK_SIDE * scale
     pieces = (Piece(Box((side, side, FLAT_BLOCK_HEIGHT))),)
     return BodySpec(name, pieces, FLAT_BLOCK_MASS, FLAT_BLOCK_FRICTION, colour=BLUE)
+
+
+def triangle(name: str, scale: float) -> BodySpec:
+    """Return an upright prism whose ridge runs along x, its frame in the middle of its bounding box."""
+    half = CUBE_SIZE * scale / 2.0
+    rings = [[(x, -half, -half), (x, half, -half), (x, 0.0, half)] for x in (-half, half)]
+    return BodySpec(name, (Piece(loft(rings)),), CUBE_MASS, colour=YELLOW)
 
 
 def goal_area(name: str, side: float) -> BodySpec:

@@ -1,10 +1,10 @@
-"""Waypoints for taking hold of an item from above: a tool that tasks' experts share."""
+"""Waypoints for grasping an item from above and putting it down: tools that tasks' experts share."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
-from bulletarm_gym.geometry import Pose, planar_distance, wrap_angle
-from bulletarm_gym.scene import Scene
+from bulletarm_gym.geometry import Pose, matrix, planar_distance, rotate, wrap_angle
+from bulletarm_gym.scene import Item, Scene
 from bulletarm_gym.tasks.task import CLOSED, OPEN, Waypoint
 
 STEP = 0.05
@@ -13,10 +13,18 @@ ALIGNED = 0.008
 """Distance (m) in the plane at which the fingers go down beside an item without touching it ..."""
 ALIGNED_YAW = 0.15
 """... and the angle (rad)."""
+LEVEL = 5e-3
+"""Height (m) that the fingertips may lack."""
 HOVER = 0.03
 """Height (m) of the fingertips over an item while they line up with it."""
 READY = 0.9
 """Opening ratio from which the gripper is ready to grasp."""
+PASSING = 0.01
+"""Gap (m) between what is carried and what it is carried over."""
+RELEASE = 0.003
+"""Gap (m) under an item that is let go."""
+REACH = 0.06
+"""Half the width (m) of an open gripper with its fingers: what lies this near its way is in its way."""
 
 
 def grasp(scene: Scene, target: Pose, top: float, symmetry: float) -> Iterator[Waypoint]:
@@ -26,7 +34,7 @@ def grasp(scene: Scene, target: Pose, top: float, symmetry: float) -> Iterator[W
     across and down.
 
     :param target: of the fingertips when they close
-    :param top: height (m) of the item's highest point
+    :param top: height (m) of the highest point of the item, or of what is on the way to it
     :param symmetry: turning the gripper by this angle (rad) gives as good a grasp
     """
     hand = scene.robot.pose
@@ -36,7 +44,7 @@ def grasp(scene: Scene, target: Pose, top: float, symmetry: float) -> Iterator[W
     aligned = planar_distance(goal.position, hand.position) < ALIGNED and abs(turn) < ALIGNED_YAW
     ready = scene.robot.opening_ratio > READY
     hover = top + HOVER
-    if hand.z < hover and not ((aligned and ready) or _stays_above(hand.z, apart, turn, top)):
+    if hand.z < hover - LEVEL and not ((aligned and ready) or _stays_above(hand.z, apart, turn, top)):
         yield Waypoint(
             Pose.planar(hand.x, hand.y, hover, hand.yaw), OPEN if hand.z > top else scene.robot.opening_ratio
         )
@@ -49,3 +57,90 @@ def _stays_above(height: float, apart: float, turn: float, top: float) -> bool:
     """Whether going down at full speed the fingers are over the item until they are aligned."""
     moves = max(math.ceil(apart / STEP - 1e-6), math.ceil(abs(turn) / (math.pi / 4.0) - 1e-6))
     return height - STEP * moves >= top - 1e-3
+
+
+def grasp_item(scene: Scene, item: Item, yaw: float, symmetry: float) -> Iterator[Waypoint]:
+    """Yield the way to a grasp about an item's centre of mass, over whatever is in between.
+
+    :param yaw: along which the fingers open (rad); the nearest one with room for them is taken
+    :param symmetry: turning the gripper by this angle (rad) gives as good a grasp
+    """
+    hand, centre = scene.robot.pose, item.centre_of_mass
+    top = max(scene.world.top(item.body), highest_between(scene, hand.position, centre, item))
+    nearest = hand.yaw + wrap_angle(yaw - hand.yaw, symmetry)
+    if _has_room(scene, item, nearest) or "r" not in scene.config.action_sequence:
+        yield from grasp(scene, Pose.planar(*centre, nearest), top, symmetry)
+    else:
+        other = nearest - math.copysign(symmetry, wrap_angle(nearest - hand.yaw))
+        yield from grasp(scene, Pose.planar(*centre, other), top, 2.0 * math.pi)
+
+
+def place_item(
+    scene: Scene, item: Item, spot: Sequence[float], height: float, turn: float = 0.0
+) -> Iterator[Waypoint]:
+    """Yield the way of the held item to a spot, over whatever is in between, and let go of it there.
+
+    :param spot: x and y (m) of the item's middle
+    :param height: of the item's lowest point (m) when it is let go
+    :param turn: by which it is turned on the way (rad); ignored where the gripper cannot turn
+    """
+    hand = scene.robot.pose
+    turn = turn if "r" in scene.config.action_sequence else 0.0
+    dx, dy, _ = rotate(Pose.planar(0.0, 0.0, 0.0, turn).orientation, _way(hand, item.pose))
+    goal = Pose.planar(spot[0] - dx, spot[1] - dy, height + hand.z - item.lowest, hand.yaw + turn)
+    if planar_distance(goal.position, hand.position) > ALIGNED or abs(turn) > ALIGNED_YAW:
+        over = max(height, highest_between(scene, hand.position, goal.position, item))
+        level = over + PASSING + hand.z - item.lowest
+        if hand.z < level - LEVEL:
+            yield Waypoint(Pose.planar(hand.x, hand.y, level, hand.yaw), CLOSED)
+        yield Waypoint(Pose.planar(goal.x, goal.y, level, goal.yaw), CLOSED)
+    yield Waypoint(goal, CLOSED, finish=OPEN)
+
+
+def _way(start: Pose, end: Pose) -> tuple[float, float, float]:
+    return (end.x - start.x, end.y - start.y, 0.0)
+
+
+def highest_between(scene: Scene, start: Sequence[float], end: Sequence[float], but: Item) -> float:
+    """Return the height (m) of the highest item but one near a line, or of the ground."""
+    tops = [
+        scene.world.top(item.body)
+        for item in scene
+        if item is not but
+        and not item.spec.is_mark
+        and _distance_to_line(item.pose.position, start, end) < item.spec.footprint + REACH
+    ]
+    return max(tops, default=scene.surface.height((end[0], end[1])))
+
+
+def _distance_to_line(point: Sequence[float], start: Sequence[float], end: Sequence[float]) -> float:
+    """Return the distance (m) in the plane of a point to the line between two others."""
+    dx, dy = end[0] - start[0], end[1] - start[1]
+    square = dx * dx + dy * dy
+    share = ((point[0] - start[0]) * dx + (point[1] - start[1]) * dy) / square if square > 0.0 else 0.0
+    share = min(1.0, max(0.0, share))
+    return math.hypot(point[0] - start[0] - share * dx, point[1] - start[1] - share * dy)
+
+
+def _has_room(scene: Scene, item: Item, yaw: float) -> bool:
+    """Whether no other item is where the open fingers come down."""
+    gripper = scene.robot.model.gripper
+    reach = (gripper.stroke + gripper.finger[0]) / 2.0
+    margin = gripper.finger[1] / 2.0
+    x, y, z = item.centre_of_mass
+    fingers = [(x + s * reach * math.cos(yaw), y + s * reach * math.sin(yaw), z) for s in (1.0, -1.0)]
+    others = [other for other in scene if other is not item and not other.spec.is_mark]
+    return not any(_covers(other, finger, margin) for other in others for finger in fingers)
+
+
+def _covers(item: Item, point: tuple[float, float, float], margin: float) -> bool:
+    """Whether a point is in an item's box, widened by a margin (m)."""
+    inside = item.pose.inverse().transform(point)
+    return all(abs(p) < side / 2.0 + margin for p, side in zip(inside, item.spec.extents, strict=True))
+
+
+def side_yaw(pose: Pose) -> float:
+    """Return the direction (rad) of a box's side that lies flattest, whichever way it has come to lie."""
+    rotation = matrix(pose)
+    flattest = int(abs(rotation[2]).argmin())
+    return math.atan2(rotation[1, flattest], rotation[0, flattest])

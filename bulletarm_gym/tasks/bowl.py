@@ -1,0 +1,73 @@
+"""Putting a block into a bowl."""
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from bulletarm_gym.config import CLOSE_LOOP, EnvConfig, TaskDefaults
+from bulletarm_gym.geometry import planar_distance
+from bulletarm_gym.objects import bowl, cube
+from bulletarm_gym.placement import scatter, stand
+from bulletarm_gym.relations import at_rest, is_empty, is_held, touching, upright
+from bulletarm_gym.scene import Role, Scene, scaled
+from bulletarm_gym.tasks.grasping import grasp_item, place_item, side_yaw
+from bulletarm_gym.tasks.reaching import BORDER
+from bulletarm_gym.tasks.task import Task, Waypoint
+
+CENTRED = 0.03
+"""Distance (m) of the cube's centre to the bowl's axis, as in the original BulletArm release."""
+BOWL_BORDER = 0.53
+"""Distance of the bowl's axis to the border, in its diameters: 8.5 cm, as in the original release."""
+ROOM = 0.06
+"""Room (m) between the cube's centre and the bowl's rim, for the gripper's fingers."""
+DROP = 0.35
+"""Height at which the cube is let go, in bowl heights: there the open fingers still fit in."""
+YAW_SPREAD = math.pi / 2.0
+
+
+class BlockInBowl(Task):
+    """Put a cube into a bowl.
+
+    Description: a 5 cm cube and a bowl of 16 x 16 x 7 cm stand on the floor.
+    Randomisation: the positions of both, with room for the gripper between them, their yaws in +-90 degrees.
+    Success: the cube's centre is within 3 cm of the bowl's axis and the cube touches the bowl, which is
+    upright; the gripper is empty and nothing moves.
+    Expert: grasp the cube, up, over the bowl, down into it, open.
+    """
+
+    defaults = TaskDefaults(num_objects=2, allowed_objects=(2,))
+    controls = (CLOSE_LOOP,)
+
+    def bodies(self, config: EnvConfig) -> list[Role]:
+        """Return cube and bowl."""
+        return [scaled(config, "cube", cube), scaled(config, "bowl", bowl)]
+
+    def arrange(self, scene: Scene, rng: np.random.Generator) -> None:
+        """Put cube and bowl apart."""
+        item, vessel = scene["cube"], scene["bowl"]
+        margins = [BOWL_BORDER * vessel.spec.extents[0], BORDER * item.spec.extents[0]]
+        vessel_point, point = scatter(scene, rng, margins, vessel.spec.footprint + ROOM)
+        stand(scene, vessel, vessel_point, rng, YAW_SPREAD)
+        stand(scene, item, point, rng, YAW_SPREAD)
+
+    def evaluate(self, scene: Scene) -> dict[str, bool]:
+        """Look where the cube is, how the bowl stands, and whether all is done."""
+        item, vessel = scene["cube"], scene["bowl"]
+        facts = {
+            "is_in_bowl": planar_distance(item.pose.position, vessel.pose.position) < CENTRED
+            and touching(scene, item, vessel),
+            "is_upright": upright(vessel),
+            "is_empty": is_empty(scene),
+            "is_at_rest": at_rest(scene),
+        }
+        return {"success": all(facts.values()), **facts}
+
+    def plan(self, scene: Scene, rng: np.random.Generator) -> Iterator[Waypoint]:
+        """Grasp the cube, carry it over the bowl, let go inside."""
+        item, vessel = scene["cube"], scene["bowl"]
+        if is_held(scene, item):
+            height = vessel.lowest + DROP * vessel.spec.extents[2]
+            yield from place_item(scene, item, vessel.pose.position, height)
+        else:
+            yield from grasp_item(scene, item, side_yaw(item.pose), math.pi / 2.0)
