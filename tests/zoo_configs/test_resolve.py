@@ -6,6 +6,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 import torch as th
+from rl_zoo3.exp_manager import ExperimentManager
 
 from zoo_configs.algorithms import register_algorithms
 from zoo_configs.environments import our_env_ids, register_environments
@@ -36,6 +37,7 @@ def test_every_cell_is_valid(cell: tuple[str, str, str]) -> None:
 def test_every_network_runs(baseline: str, preset: str, toy_id: str) -> None:
     cell = resolve(baseline, preset, toy_id)
     hyperparams = {key: import_classes(value) for key, value in cell.hyperparams.items()}
+    hyperparams = ExperimentManager._preprocess_schedules(hyperparams)
     env = gym.make(toy_id, **hyperparams.pop("env_kwargs"))
     for key in ("n_envs", "n_timesteps", "monitor_kwargs"):
         del hyperparams[key]
