@@ -15,27 +15,28 @@ FINGERTIPS = 0.107 + 0.0584 + 0.0538
 HAND_YAW = -math.pi / 4.0
 """Of the hand about the flange."""
 FINGERS = ("panda_leftfinger", "panda_rightfinger")
+PAD = box((0.0175, 0.0143, 0.0358), (0.0, 0.00715, 0.0359), LIGHT)
+ROOT = box((0.0208, 0.0236, 0.019), (0.0, 0.0145, 0.0095), LIGHT)
+"""The two boxes that the mesh of the left finger fills; y points outwards, z to the tip."""
 
 
 def _load() -> Element:
     root = load_model("franka_panda/panda.urdf")
     for mesh in root.iter("mesh"):  # paths that only ROS resolves
         mesh.set("filename", mesh.get("filename", "").replace("package:/", ""))
-    for link in root.iter("link"):  # soft; the grippers of all arms touch alike
-        for contact in link.findall("contact"):
-            link.remove(contact)
-    for name, sign in zip(FINGERS, (1.0, -1.0), strict=True):
-        finger = find_link(root, name)
-        for mesh in finger.findall("collision"):
-            finger.remove(mesh)
-        finger.extend(
-            part.element("collision")
-            for part in (
-                box((0.0175, 0.0143, 0.0358), (0.0, sign * 0.00715, 0.0359), LIGHT),
-                box((0.0208, 0.0236, 0.019), (0.0, sign * 0.0145, 0.0095), LIGHT),
-            )
-        )
+    for name, yaw in zip(FINGERS, (0.0, math.pi), strict=True):
+        _square(find_link(root, name), Pose.planar(0.0, 0.0, 0.0, yaw))
     return root
+
+
+def _square(finger: Element, frame: Pose) -> None:
+    """Let a finger touch with boxes, four points a face, instead of with the hull of its mesh.
+
+    The model's soft contacts go too, so that the grippers of all arms touch alike.
+    """
+    for element in [*finger.findall("collision"), *finger.findall("contact")]:
+        finger.remove(element)
+    finger.extend(part.seen_from(frame).element("collision") for part in (PAD, ROOT))
 
 
 PANDA = RobotModel(

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from bulletarm_gym.geometry import Pose, Quaternion, conjugate, multiply, rotate
+from bulletarm_gym.geometry import Pose, conjugate, multiply, rotate
 from bulletarm_gym.robots.kinematics import POSITION_TOLERANCE
 from bulletarm_gym.robots.model import RobotModel
 from bulletarm_gym.simulation import Body, BodySpec, World
@@ -32,6 +32,8 @@ LEAST_STEPS = 6
 FULL_TURN = 2.0 * math.pi
 TURNING_RADIUS = 0.06
 """Lever (m) at which a turn about the tool counts as distance: half an open gripper and its fingers."""
+TILTING_RADIUS = 0.25
+"""Lever (m) at which a tilt counts as distance: from the fingertips to the wrist of an arm."""
 CLEARANCE = 0.004
 """Gap (m) that must stay between the gripper and everything else where it is moved without simulation."""
 CLEAR_ABOVE = 0.01
@@ -44,6 +46,8 @@ GRIP_DISTANCE = 2e-3
 """Gap (m) up to which a finger touches."""
 GEAR_FORCE = 200.0
 """Force (N) that keeps the fingers' motions equal; well above the grip."""
+SPINNING_FRICTION = 0.1
+"""Of the pads, against turning about a contact's normal; as in the Panda's model in pybullet_data."""
 OPENING_TOLERANCE = 5e-4
 """Change of opening (m) too small to move the fingers for."""
 
@@ -89,12 +93,17 @@ class Robot:
         """Make the fingers mirror each other, as the spindle of a real gripper does, and their pads stick.
 
         Friction alone matches velocities only: on a curved path what is held falls behind by some hundredths
-        of a millimetre a step. Friction anchors bring the points of contact back together.
+        of a millimetre a step. Friction anchors bring the points of contact back together, and spinning
+        friction keeps what is held from pivoting about the line between the pads.
         """
         client, (left, right) = self._world.client, self._fingers.joints
         for joint in (left, right):
             client.changeDynamics(
-                self.body.id, joint, lateralFriction=self.model.gripper.friction, frictionAnchor=1
+                self.body.id,
+                joint,
+                lateralFriction=self.model.gripper.friction,
+                spinningFriction=SPINNING_FRICTION,
+                frictionAnchor=1,
             )
         gear = client.createConstraint(
             self.body.id, left, self.body.id, right, client.JOINT_GEAR, (1, 0, 0), (0, 0, 0), (0, 0, 0)
@@ -165,8 +174,7 @@ class Robot:
         :raises ValueError: the pose is out of reach
         """
         start, goal = self.pose, self.inverse_kinematics(pose)
-        turn = _turn_between(start.orientation, pose.orientation)
-        distance = max(math.dist(start.position, pose.position), TURNING_RADIUS * turn)
+        distance = _distance(start, pose)
         if distance < POSITION_TOLERANCE:
             return
         clear = self._is_clear(start, pose, goal, distance)
@@ -259,7 +267,9 @@ class Robot:
         return all(math.isinf(self._world.distance(self.body, body, CLEARANCE)) for body in bodies)
 
 
-def _turn_between(first: Quaternion, second: Quaternion) -> float:
-    """Return the angle (rad, in [0, pi]) of the rotation from one orientation to another."""
-    x, y, z, w = multiply(conjugate(first), second)
-    return 2.0 * math.atan2(math.hypot(x, y, z), abs(w))
+def _distance(start: Pose, end: Pose) -> float:
+    """Return the way (m) of the fingertips, of the fingers about them or of the wrist, whichever is longest."""
+    x, y, z, w = multiply(conjugate(start.orientation), end.orientation)
+    turn = 2.0 * math.atan2(abs(z), abs(w))
+    tilt = 2.0 * math.atan2(math.hypot(x, y), math.hypot(z, w))
+    return max(math.dist(start.position, end.position), TURNING_RADIUS * turn, TILTING_RADIUS * tilt)

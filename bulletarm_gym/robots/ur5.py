@@ -4,7 +4,7 @@ Joint frames and masses are those Universal Robots publishes (DH parameters of t
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from xml.etree.ElementTree import Element
 
@@ -151,8 +151,9 @@ ROBOTIQ_2F85 = ParallelJaw(
 )
 """Stroke as in the data sheet of the 2F-85; the fingers run on slides instead of its linkage, for what a
 linkage of position-driven joints grasps it does not hold."""
-LIFT, ELBOW = -1.3, 1.9
 OFFSET = 0.25
+"""Angle (rad) by which the shoulder turns past the fingertips: the wrist runs 0.109 m beside its middle."""
+LIFT, ELBOW = -1.3, 1.9
 
 UR5 = RobotModel(
     name="ur5",
@@ -164,13 +165,12 @@ UR5 = RobotModel(
     posture=(-OFFSET, LIFT, ELBOW, -QUARTER - LIFT - ELBOW, -QUARTER, -QUARTER - OFFSET),
     force=600.0,
 )
-UR5_ROBOTIQ = RobotModel(
+"""The torque is what the pace of the simulation takes; a real UR5 has 150 N m and is slower."""
+
+UR5_ROBOTIQ = replace(
+    UR5,
     name="ur5_robotiq",
     load=partial(ROBOTIQ_2F85.fitted, arm, "wrist_3", FLANGE),
-    joints=UR5.joints,
     tool=ROBOTIQ_2F85.tool(FLANGE),
     gripper=ROBOTIQ_2F85,
-    base=UR5.base,
-    posture=UR5.posture,
-    force=UR5.force,
 )

@@ -1,0 +1,298 @@
+"""What every arm must do: reach, move smoothly, stand sanely, grip, hold, solve the tasks, repeat exactly."""
+
+import itertools
+import math
+from collections.abc import Callable, Iterator
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from rollouts import make_env, transcript
+
+from bulletarm_gym.env import ManipulationEnv
+from bulletarm_gym.geometry import Pose, Quaternion, multiply, wrap_angle, yaw_quaternion
+from bulletarm_gym.robots import ROBOTS, Robot, RobotModel
+from bulletarm_gym.robots.urdf import box, cylinder, merge_fixed
+
+PICKING = "BulletArm/CloseLoopBlockPicking-v0"
+TASKS = ("BlockReaching", "BlockPicking", "BlockPulling")
+REACH_TOLERANCE = 1e-3
+TILT = math.radians(30.0)
+"""The largest tilt (rad) that the workspaces of the paper's 6D tasks ask for, in any direction."""
+XY = tuple(itertools.product(np.linspace(0.25, 0.65, 5).tolist(), np.linspace(-0.2, 0.2, 5).tolist()))
+TURNS = tuple(np.linspace(-math.pi, math.pi, 8, endpoint=False).tolist())
+MIDDLE = Pose.planar(0.45, 0.0, 0.15)
+
+Make = Callable[..., ManipulationEnv]
+
+
+@pytest.fixture(params=ROBOTS)
+def name(request: pytest.FixtureRequest) -> str:
+    return str(request.param)
+
+
+@pytest.fixture
+def model(name: str) -> RobotModel:
+    return ROBOTS[name]
+
+
+@pytest.fixture
+def arm_env(make: Make, name: str) -> ManipulationEnv:
+    env = make(PICKING, robot=name)
+    env.reset(seed=0)
+    return env
+
+
+@pytest.fixture
+def robot(arm_env: ManipulationEnv) -> Robot:
+    return arm_env.scene.robot
+
+
+def tilted(yaw: float, tilt: float, direction: float) -> Quaternion:
+    sine = math.sin(tilt / 2.0)
+    about = (sine * math.cos(direction), sine * math.sin(direction), 0.0, math.cos(tilt / 2.0))
+    return multiply(about, yaw_quaternion(yaw))
+
+
+def upright_poses() -> Iterator[Pose]:
+    for (x, y), z, yaw in itertools.product(XY, (0.02, 0.1, 0.18, 0.25), TURNS):
+        yield Pose.planar(x, y, z, yaw)
+
+
+def tilted_poses() -> Iterator[Pose]:
+    for (x, y), z, direction, yaw in itertools.product(XY, (0.02, 0.2), TURNS, TURNS[::2]):
+        yield Pose((x, y, z), tilted(yaw + 0.3, TILT, direction))
+
+
+def far(first: Pose, second: Pose) -> float:
+    """Distance (m) or angle (rad) between two poses, whichever is larger."""
+    w = abs(multiply(first.inverse().orientation, second.orientation)[3])
+    return max(math.dist(first.position, second.position), 2.0 * math.acos(min(1.0, w)))
+
+
+def finger_bounds(env: ManipulationEnv, finger: int) -> np.ndarray:
+    """Lowest and highest corner (2, 3) of a finger in the simulator, which adds a margin of its own."""
+    client, body = env.scene.world.client, env.scene.robot.body.id
+    names = [client.getJointInfo(body, joint)[1].decode() for joint in range(client.getNumJoints(body))]
+    joint = names.index(env.scene.robot.model.gripper.joints[finger])
+    return np.array(client.getAABB(body, joint))
+
+
+def test_parameter_offers_every_arm() -> None:
+    assert list(ROBOTS) == ["kuka", "panda", "ur5", "ur5_robotiq"]
+    with pytest.raises(
+        ValueError, match="robot: got 'ur10', takes one of 'kuka', 'panda', 'ur5', 'ur5_robotiq'"
+    ):
+        make_env(PICKING, robot="ur10")
+
+
+# Kinematics
+
+
+def test_reaches_the_workspaces_upright_and_tilted(model: RobotModel) -> None:
+    for pose in itertools.chain(upright_poses(), tilted_poses()):
+        joints, _ = model.inverse(pose)
+        assert far(model.chain.forward(joints), pose) < REACH_TOLERANCE, pose
+
+
+def test_refuses_what_is_out_of_reach(robot: Robot, name: str) -> None:
+    with pytest.raises(ValueError, match=f"{name!r} cannot reach"):
+        robot.inverse_kinematics(Pose.planar(1.5, 0.0, 0.2))
+
+
+def test_joints_follow_from_the_pose_alone(robot: Robot) -> None:
+    goal = Pose.planar(0.5, 0.1, 0.1, 0.7)
+    first = robot.inverse_kinematics(goal)
+    robot.home(Pose.planar(0.3, -0.15, 0.2, -2.5))
+    second = robot.inverse_kinematics(goal)
+    assert [wrap_angle(a - b) for a, b in zip(first, second, strict=True)] == pytest.approx(
+        [0.0] * len(first)
+    )
+
+
+def test_neighbouring_poses_have_neighbouring_joints(model: RobotModel) -> None:
+    """A straight line in the joints is nearly one at the fingertips, over the largest close-loop moves."""
+    rng = np.random.default_rng(0)
+    for _ in range(300):
+        start = rng.uniform((0.25, -0.2, 0.02, -math.pi), (0.65, 0.2, 0.25, math.pi))
+        move = rng.uniform(-1.0, 1.0, 4) * (0.05, 0.05, 0.05, math.pi / 4.0)
+        end = np.append((start + move)[:3].clip((0.25, -0.2, 0.02), (0.65, 0.2, 0.25)), start[3] + move[3])
+        first, last = (model.inverse(Pose.planar(*pose.tolist()))[0] for pose in (start, end))
+        change = np.array([wrap_angle(turn) for turn in (last - first).tolist()])
+        assert np.abs(change).max() < 1.0
+        assert np.abs(change[:-1]).max() < 0.5
+        for share in (0.25, 0.5, 0.75):
+            position = model.chain.forward(first + share * change).position
+            assert math.dist(position, start[:3] + share * (end - start)[:3]) < 0.006
+
+
+@pytest.mark.parametrize("height", [0.02, 0.25])
+def test_no_link_is_below_the_ground(arm_env: ManipulationEnv, robot: Robot, height: float) -> None:
+    client = arm_env.scene.world.client
+    links = range(client.getNumJoints(robot.body.id))
+    for x, y in XY:
+        robot.home(Pose.planar(x, y, height, 0.8))
+        lowest = [client.getAABB(robot.body.id, link)[0][2] for link in links]
+        assert min(lowest) > -0.01
+        assert client.getLinkState(robot.body.id, 2)[4][2] > height + 0.1, "the elbow is down"
+
+
+# Frames and gripper
+
+
+@pytest.mark.parametrize("yaw", [0.0, math.pi / 2.0])
+def test_fingers_open_along_x_and_end_at_the_pose(arm_env: ManipulationEnv, robot: Robot, yaw: float) -> None:
+    """As the simulator has them: mirrored about the pose, the stroke apart, their tips at its height."""
+    robot.home(Pose.planar(*MIDDLE.position, yaw))
+    axis = 0 if yaw == 0.0 else 1
+    bounds = [finger_bounds(arm_env, finger) - MIDDLE.position for finger in range(2)]
+    lower, upper = sorted(bounds, key=lambda corners: float(corners[0, axis]))
+    gap = robot.model.gripper.stroke / 2.0
+    assert upper[0, axis] == pytest.approx(gap, abs=2e-3)
+    assert lower[1, axis] == pytest.approx(-gap, abs=2e-3)
+    thickness, width, _ = robot.model.gripper.finger
+    for corners in (lower, upper):
+        low, high = corners
+        assert low[2] == pytest.approx(0.0, abs=3e-3)
+        assert low[1 - axis] == pytest.approx(-high[1 - axis], abs=1e-3)
+        assert high[1 - axis] > width / 2.0 - 1e-3
+        assert high[axis] - low[axis] > thickness - 1e-3
+
+
+@pytest.mark.parametrize("fast", [True, False])
+def test_opens_and_closes_over_its_stroke(make: Make, name: str, fast: bool) -> None:
+    env = make(PICKING, robot=name, fast_mode=fast)
+    env.reset(seed=0)
+    robot = env.scene.robot
+    assert robot.opening_ratio == pytest.approx(1.0)
+    for ratio in (0.0, 0.5, 1.0):
+        env.scene.begin()
+        robot.set_opening(ratio)
+        assert robot.opening_ratio == pytest.approx(ratio, abs=0.02)
+        assert robot.opening == pytest.approx(ratio * robot.model.gripper.stroke, abs=2e-3)
+        assert robot.held is None
+
+
+@pytest.mark.parametrize("fast", [True, False])
+def test_moves_arrive(make: Make, name: str, fast: bool) -> None:
+    env = make(PICKING, robot=name, fast_mode=fast)
+    env.reset(seed=0)
+    goals = (Pose.planar(0.5, 0.08, 0.2, 0.6), Pose((0.5, 0.08, 0.2), tilted(0.6, TILT, 2.0)), MIDDLE)
+    for goal in goals:
+        env.scene.begin()
+        env.scene.robot.move_to(goal)
+        assert far(env.scene.robot.pose, goal) < 2e-3
+
+
+def test_closes_on_and_holds_a_cube(arm_env: ManipulationEnv, robot: Robot) -> None:
+    """Over 40 random moves of the largest size, and tilted, the cube stays in the gripper where it was."""
+    grasp_with_the_expert(arm_env)
+    cube = arm_env.scene["cube"]
+    assert robot.opening == pytest.approx(cube.spec.extents[0], abs=3e-3)
+    rng = np.random.default_rng(0)
+    move(arm_env, MIDDLE)
+    before = robot.pose.inverse().compose(cube.pose)
+    for _ in range(40):
+        hand = robot.pose
+        step = rng.uniform(-0.05, 0.05, 3)
+        x, y, z = (hand.position + step).clip((0.3, -0.15, 0.06), (0.6, 0.15, 0.25)).tolist()
+        move(arm_env, Pose.planar(x, y, z, hand.yaw + rng.uniform(-1.0, 1.0) * math.pi / 4.0))
+        assert robot.held is cube.body
+    after = robot.pose.inverse().compose(cube.pose)
+    assert math.dist(before.position, after.position) < 3e-3
+    move(arm_env, Pose((0.45, 0.0, 0.15), tilted(robot.pose.yaw, TILT, 1.0)))
+    assert robot.held is cube.body
+    arm_env.scene.begin()
+    robot.open()
+    assert robot.held is None
+
+
+def grasp_with_the_expert(env: ManipulationEnv) -> None:
+    for _ in range(10):
+        env.step(env.expert_action())
+        if env.scene.robot.held is not None:
+            return
+    pytest.fail("the expert did not grasp")
+
+
+def move(env: ManipulationEnv, pose: Pose) -> None:
+    env.scene.begin()
+    env.scene.robot.move_to(pose)
+    env.scene.settle()
+
+
+# Tasks
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_solves_the_tasks(make: Make, name: str, task: str) -> None:
+    env = make(f"BulletArm/CloseLoop{task}-v0", robot=name)
+    for seed in range(5):
+        env.reset(seed=seed)
+        done, steps = False, 0
+        while not done:
+            _, reward, terminated, truncated, _ = env.step(env.expert_action())
+            done, steps = terminated or truncated, steps + 1
+        assert reward == 1.0, f"seed {seed}"
+        assert steps <= 12, f"seed {seed}"
+
+
+@pytest.fixture(scope="session")
+def elsewhere(in_another_process: Callable[[dict[str, Any]], dict[str, list[str]]]) -> dict[str, list[str]]:
+    """What each arm does in another process."""
+    return in_another_process({name: (PICKING, {"robot": name}, None) for name in ROBOTS})
+
+
+def test_repeats_exactly(make: Make, name: str, elsewhere: dict[str, list[str]]) -> None:
+    env = make(PICKING, robot=name)
+    first = transcript(env, seed=0)
+    transcript(env, 30, seed=99, action_seed=5)
+    assert transcript(env, seed=0) == first, "after other episodes"
+    assert elsewhere[name] == first, "in another process"
+
+
+# Models
+
+
+def test_merging_fixed_links_keeps_masses_and_places() -> None:
+    root = ElementTree.fromstring(
+        """<robot name="two">
+        <link name="a"><inertial><mass value="1"/></inertial></link>
+        <link name="b">
+          <inertial><origin xyz="0 0 1"/><mass value="3"/></inertial>
+          <visual><origin xyz="0 0 1"/><geometry><sphere radius="1"/></geometry></visual>
+        </link>
+        <link name="c"/>
+        <joint name="ab" type="fixed">
+          <parent link="a"/><child link="b"/><origin xyz="1 0 0" rpy="0 0 1.5"/>
+        </joint>
+        <joint name="bc" type="revolute"><parent link="b"/><child link="c"/><origin xyz="1 0 0"/></joint>
+        </robot>"""
+    )
+    merge_fixed(root)
+    assert [link.get("name") for link in root.findall("link")] == ["a", "c"]
+    assert numbers(root, "link/inertial/mass", "value") == pytest.approx([4.0])
+    assert numbers(root, "link/inertial/origin", "xyz") == pytest.approx([0.75, 0.0, 0.75])
+    assert numbers(root, "link/visual/origin", "xyz") == pytest.approx([1.0, 0.0, 1.0])
+    assert numbers(root, "joint/origin", "xyz") == pytest.approx([1.0 + math.cos(1.5), math.sin(1.5), 0.0])
+    assert numbers(root, "joint/origin", "rpy") == pytest.approx([0.0, 0.0, 1.5])
+    assert root.findall("joint/parent")[0].get("link") == "a"
+
+
+def numbers(root: ElementTree.Element, path: str, key: str) -> list[float]:
+    return [float(text) for text in root.findall(path)[0].get(key, "").split()]
+
+
+def test_parts_that_are_only_seen_do_not_collide() -> None:
+    seen = cylinder(0.1, 0.2, (0.0, 0.0, 0.0), (1.0, 1.0, 1.0), "x", solid=False)
+    assert [element.tag for element in seen.elements()] == ["visual"]
+    solid = box((0.1, 0.2, 0.3), (0.0, 0.0, 0.0), (1.0, 1.0, 1.0))
+    assert [element.tag for element in solid.elements()] == ["visual", "collision"]
+
+
+def test_a_gripper_needs_a_link_to_sit_on() -> None:
+    from bulletarm_gym.robots.ur5 import FLANGE, JAW, arm
+
+    with pytest.raises(ValueError, match="no link 'hand'"):
+        JAW.fitted(arm, "hand", FLANGE)
