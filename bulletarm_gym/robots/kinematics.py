@@ -20,7 +20,6 @@ TOLERANCE = 1e-9
 DAMPING = 1e-8
 MAX_JOINT_STEP = 0.4
 """Largest change (rad) of a joint in one iteration: keeps the iteration on the branch of its start."""
-RESTARTS = 4
 POSITION_TOLERANCE = 1e-4
 """Error (m or rad) above which a pose counts as out of reach."""
 

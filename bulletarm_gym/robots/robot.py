@@ -268,7 +268,7 @@ class Robot:
 
 
 def _distance(start: Pose, end: Pose) -> float:
-    """Return the way (m) of the fingertips, of the fingers about them or of the wrist, whichever is longest."""
+    """Return how far (m) the fingertips, the fingers about them or the wrist go, whichever is farthest."""
     x, y, z, w = multiply(conjugate(start.orientation), end.orientation)
     turn = 2.0 * math.atan2(abs(z), abs(w))
     tilt = 2.0 * math.atan2(math.hypot(x, y), math.hypot(z, w))
