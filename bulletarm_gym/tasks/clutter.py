@@ -1,7 +1,7 @@
 """Grasping one object after another out of a clutter."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -98,23 +98,25 @@ class ObjectGrasping(Task):
 
         :raises PlacementError: they do not stay in it
         """
-        start = scene.robot.pose
         for _ in range(ARRANGEMENTS):
-            scene.robot.home(Pose.planar(start.x, start.y, ARM_AWAY))
-            self._drop(scene, rng)
+            chosen = rng.choice(len(scene.items), self.config.num_objects, replace=False)
+            self.drop(scene, [scene.items[index] for index in chosen], rng)
             if self.is_valid(scene):
-                scene.robot.home(start)
                 return
             scene.clear(rng)
         raise PlacementError(f"num_objects: {self.config.num_objects} objects do not stay in the tray")
 
-    def _drop(self, scene: Scene, rng: np.random.Generator) -> None:
+    def drop(self, scene: Scene, items: Sequence[Item], rng: np.random.Generator) -> None:
+        """Drop items into the tray one by one and let them come to rest, the arm out of their way."""
+        start = scene.robot.pose
+        scene.robot.home(Pose.planar(start.x, start.y, ARM_AWAY))
         scene.begin()
-        for index in rng.choice(len(scene.items), self.config.num_objects, replace=False):
-            scene.items[index].place(self._drop_pose(scene, rng), FALLING)
+        for item in items:
+            item.place(self._drop_pose(scene, rng), FALLING)
             scene.world.step(DROP_STEPS)
         scene.world.settle(scene.world.loose_bodies, SETTLE_STEPS)
         scene.world.end()
+        scene.robot.home(start)
 
     def _drop_pose(self, scene: Scene, rng: np.random.Generator) -> Pose:
         spread = DROP_SPREAD * (scene.config.workspace_size * 5.0 / 6.0 - 0.03)
