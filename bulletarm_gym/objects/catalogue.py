@@ -3,10 +3,16 @@
 from collections.abc import Callable, Mapping
 
 from bulletarm_gym.extensions import OBJECT_PATHS, load
-from bulletarm_gym.objects.blocks import cube, flat_block
+from bulletarm_gym.objects.blocks import cube, flat_block, triangle
+from bulletarm_gym.objects.bowl import bowl
 from bulletarm_gym.simulation.shapes import BodySpec
 
-KINDS: Mapping[str, Callable[[str, float], BodySpec]] = {"cube": cube, "flat_block": flat_block}
+KINDS: Mapping[str, Callable[[str, float], BodySpec]] = {
+    "bowl": bowl,
+    "cube": cube,
+    "flat_block": flat_block,
+    "triangle": triangle,
+}
 """What there is besides users' objects."""
 
 
