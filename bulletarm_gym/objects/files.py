@@ -17,7 +17,7 @@ from bulletarm_gym.simulation.shapes import BodySpec, Box, Colour, Convex, Piece
 
 SMALLEST = 0.005
 LARGEST = 0.3
-"""Sides (m) of a bounding box between which an object fits tray and gripper at all: a wrong unit is noticed."""
+"""Sides (m) of a bounding box between which an object can be handled at all: a wrong unit is noticed."""
 GREY: Colour = (0.7, 0.7, 0.7, 1.0)
 
 
@@ -47,7 +47,9 @@ def load_object(path: Path, name: str) -> BodySpec:
     :raises ValueError: it cannot be loaded
     """
     try:
-        pieces, colour = _from_urdf(path) if path.suffix == ".urdf" else (_from_obj(path, (1.0, 1.0, 1.0)), GREY)
+        pieces, colour = (
+            _from_urdf(path) if path.suffix == ".urdf" else (_from_obj(path, (1.0, 1.0, 1.0)), GREY)
+        )
         spec = graspable(name, pieces, colour)
         if not (SMALLEST <= min(spec.extents) and max(spec.extents) <= LARGEST):
             sides = " x ".join(f"{side:.4g}" for side in spec.extents)

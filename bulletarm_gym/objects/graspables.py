@@ -1,9 +1,9 @@
 """The 86 objects of Object Grasping, made by formula.
 
-The paper takes 86 objects from GraspNet-1Billion, whose meshes have owners of their own. These are as many, of
-sizes like theirs (sorted sides about 4 x 6 x 10 cm), diverse in the same way: household things, tools, round
-and angular solids. Each has a part at most :data:`WIDEST` wide that any of the grippers can take from above in
-any pose it comes to rest in. Sizes come from a fixed seed, so an object's name stands for its shape.
+The paper takes 86 objects from GraspNet-1Billion, whose meshes have owners of their own. These are as many,
+of sizes like theirs (sorted sides about 4 x 6 x 10 cm), diverse in the same way: household things, tools, round
+and angular solids. In any pose it comes to rest in, each has a part that the narrowest gripper, 75 mm, can take
+from above. Sizes come from a fixed seed, so an object's name stands for its shape.
 """
 
 from collections.abc import Callable
@@ -34,8 +34,6 @@ Its rolling and spinning friction (0.005) are left out: they triple the cost of 
 rolls to rest instead, at no cost.
 """
 ANGULAR_DAMPING = 4.0
-WIDEST = 0.064
-"""Width (m) up to which a part is meant to be grasped: the narrowest gripper opens 75 mm."""
 
 Shaper = Callable[[np.random.Generator], list[Piece]]
 
@@ -77,7 +75,8 @@ def _bottle(rng: np.random.Generator) -> list[Piece]:
     )
     top = body + shoulder
     return stacked(
-        [(0.92 * radius, 0.0), (radius, 0.005), (radius, body), (neck, top)], [(neck, top - 0.002), (neck, top + length)]
+        [(0.92 * radius, 0.0), (radius, 0.005), (radius, body), (neck, top)],
+        [(neck, top - 0.002), (neck, top + length)],
     )
 
 
@@ -85,7 +84,9 @@ def _vase(rng: np.random.Generator) -> list[Piece]:
     foot, waist, belly, lip = _between(rng, (0.018, 0.026), (0.009, 0.014), (0.022, 0.031), (0.02, 0.028))
     low, mid, high = _between(rng, (0.015, 0.025), (0.045, 0.065), (0.075, 0.105))
     return stacked(
-        [(foot, 0.0), (waist, low)], [(waist, low), (belly, mid), (waist, 0.75 * high)], [(waist, 0.75 * high), (lip, high)]
+        [(foot, 0.0), (waist, low)],
+        [(waist, low), (belly, mid), (waist, 0.75 * high)],
+        [(waist, 0.75 * high), (lip, high)],
     )
 
 

@@ -1,9 +1,11 @@
 """The convex hull of points in space."""
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from bulletarm_gym.geometry import FloatArray, Mesh
+
+Indices = NDArray[np.int64]
 
 TOLERANCE = 1e-7
 """Share of the points' spread that counts as no distance."""
@@ -26,11 +28,11 @@ def convex_hull(points: ArrayLike) -> Mesh:
         seen = normals @ cloud[index] - offsets > TOLERANCE * spread
         if seen.any():
             faces = np.concatenate([faces[~seen], _cone(faces[seen], index)])
-    used, faces = np.unique(faces, return_inverse=True)
-    return Mesh.of(cloud[used], faces.reshape(-1, 3))
+    used, renamed = np.unique(faces, return_inverse=True)
+    return Mesh.of(cloud[used], renamed)
 
 
-def _first_tetrahedron(cloud: FloatArray, tolerance: float) -> FloatArray:
+def _first_tetrahedron(cloud: FloatArray, tolerance: float) -> Indices:
     """Return the outward faces of a tetrahedron of four points far from each other."""
     if len(cloud) < 4:
         raise ValueError(f"{len(cloud)} different vertices enclose no volume")
@@ -47,14 +49,14 @@ def _first_tetrahedron(cloud: FloatArray, tolerance: float) -> FloatArray:
     return np.array([(a, b, c), (a, c, d), (c, b, d), (b, a, d)])
 
 
-def _planes(cloud: FloatArray, faces: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _planes(cloud: FloatArray, faces: Indices) -> tuple[FloatArray, FloatArray]:
     corners = cloud[faces]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
     return normals, np.einsum("fi,fi->f", normals, corners[:, 0])
 
 
-def _cone(seen: FloatArray, apex: int) -> FloatArray:
+def _cone(seen: Indices, apex: int) -> Indices:
     """Return the faces between a point and the rim of the faces it sees."""
     edges = {(int(a), int(b)) for face in seen for a, b in zip(face, np.roll(face, -1), strict=True)}
     return np.array([(a, b, apex) for a, b in sorted(edges) if (b, a) not in edges])

@@ -1,12 +1,13 @@
 """Convex pieces by formula: lofts over rings of points, and what is made of them.
 
-Every piece is a :class:`~bulletarm_gym.simulation.shapes.Convex` whose faces are known without a search for the
-hull, so that a set of many objects is made in milliseconds.
+Every piece is a :class:`~bulletarm_gym.simulation.shapes.Convex` whose faces are known without a search for
+the hull, so that a set of many objects is made in milliseconds.
 """
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -26,7 +27,7 @@ Profile = Sequence[tuple[float, float]]
 def loft(rings: ArrayLike) -> Convex:
     """Return the solid between polygons stacked on one another.
 
-    :param rings: (k, n, 3) corners (m), each ring counter-clockwise seen from the last; the solid must be convex
+    :param rings: (k, n, 3) corners (m), counter-clockwise seen from the last; the solid must be convex
     """
     points = np.asarray(rings, dtype=np.float64)
     count, corners, _ = points.shape
@@ -86,11 +87,16 @@ def vessel(low: Wall, high: Wall, base: float, sectors: int = SECTORS) -> list[P
 def ring(low: Wall, high: Wall, sectors: int = SECTORS) -> list[Piece]:
     """Return the sectors of a wall between two heights."""
     turns = [2.0 * math.pi * sector / sectors for sector in range(sectors + 1)]
-    return [_sector(low, high, start, end) for start, end in zip(turns, turns[1:], strict=False)]
+    return [_sector(low, high, start, end) for start, end in pairwise(turns)]
 
 
 def _sector(low: Wall, high: Wall, start: float, end: float) -> Piece:
-    section = ((low.inner, low.height), (low.outer, low.height), (high.outer, high.height), (high.inner, high.height))
+    section = (
+        (low.inner, low.height),
+        (low.outer, low.height),
+        (high.outer, high.height),
+        (high.inner, high.height),
+    )
     rings = [[(r * math.cos(turn), r * math.sin(turn), z) for r, z in section] for turn in (end, start)]
     return Piece(loft(rings))
 

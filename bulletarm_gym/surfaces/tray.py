@@ -39,7 +39,9 @@ class TraySurface(FlatSurface):
         """
         reach = self.floor_side / 2.0 - COVERED * margin
         if reach < 0.0:
-            raise ValueError(f"workspace: its tray of {self.floor_side:.3f} m leaves nothing {margin:.3f} m from the border")
+            raise ValueError(
+                f"workspace: its tray of {self.floor_side:.3f} m has no room for a margin of {margin:.3f} m"
+            )
         dx, dy = rng.uniform(-reach, reach, 2).tolist()
         return self.centre[0] + dx, self.centre[1] + dy
 

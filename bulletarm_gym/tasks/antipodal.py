@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from bulletarm_gym.geometry import FloatArray, Pose
+from bulletarm_gym.geometry import FloatArray, IntArray
 from bulletarm_gym.robots.gripper import Gripper
 
 YAWS = 16
@@ -27,10 +27,20 @@ BELOW = 0.002
 """Least gap (m) between the fingertips and what is under them."""
 OVERLAP = 0.005
 """A surface this far (m) above the fingertips is between the fingers, not under them."""
+FRAGMENT = 0.5
+"""Share of the fingers' width in which there must be something to press on."""
 SKEW = 0.7
 """Sides of the target may be turned against the fingers by this slope (35 degrees) ..."""
 EDGE = 0.007
 """... and must stand this high (m) above the fingertips where they meet the fingers."""
+
+WORTH = 0.3
+WORTH_SKEW = 0.12
+WORTH_EDGE = 1.5
+WORTH_WIDTH = 0.02
+"""Quality of a grasp, less for its skew, more for its edge (a metre) and its share of the fingers."""
+TALL = 0.03
+"""Edges higher than this (m) are no better."""
 
 
 @dataclass(frozen=True)
@@ -51,145 +61,137 @@ class Relief:
     @property
     def pitch(self) -> float:
         """Side of a pixel (m)."""
-        return self.extent / self.ground.shape[0]
+        return self.extent / len(self.ground)
 
     def top_between(self, first: Sequence[float], second: Sequence[float], reach: float) -> float:
-        """Return the greatest height (m) of an item in the rectangle between two points, ``reach`` (m) wider."""
-        low, high = (
-            [self._pixel(choose(a, b) + sign * reach, axis) for axis, (a, b) in enumerate(zip(first[:2], second[:2], strict=True))]
-            for choose, sign in ((min, -1.0), (max, 1.0))
-        )
-        window = self.layers[:, low[0] : high[0] + 1, low[1] : high[1] + 1]
-        return float(window.max()) if window.size else 0.0
+        """Return the greatest height (m) of an item between two points, ``reach`` (m) more at every side."""
+        rows, columns = (self._span(first[axis], second[axis], reach, axis) for axis in (0, 1))
+        return float(self.layers[:, rows, columns].max())
+
+    def _span(self, first: float, second: float, reach: float, axis: int) -> slice:
+        low, high = min(first, second) - reach, max(first, second) + reach
+        return slice(self._pixel(low, axis), self._pixel(high, axis) + 1)
 
     def _pixel(self, value: float, axis: int) -> int:
-        size = self.ground.shape[0]
+        size = len(self.ground)
         return min(max(int((value - self.centre[axis] + self.extent / 2.0) / self.pitch), 0), size - 1)
 
 
 def find_grasps(relief: Relief, gripper: Gripper, yaws: Sequence[float], lowest: float) -> FloatArray:
-    """Return the grasps that have room, best known by their last column.
+    """Return the grasps that have room.
 
     :param yaws: directions (rad) in which the fingers may open
     :param lowest: height (m) below which the fingertips may not go
-    :return: (n, 6): x, y, z (m), yaw (rad) of the fingertips, index of the item, quality (m)
+    :return: (n, 5): x, y, z (m) and yaw (rad) of the fingertips, quality: up to 0.35, in metres of way
+        that a better grasp is worth
     """
-    heights = np.maximum(relief.layers.max(axis=0), relief.ground)
-    owner = np.where(relief.layers.max(axis=0) >= relief.ground, relief.layers.argmax(axis=0), -1)
-    fingers = np.array([gripper.stroke / 2.0, gripper.finger[0], gripper.finger[1] / 2.0]) / relief.pitch
-    beside = BESIDE / relief.pitch
-    found = _search(
-        heights,
-        owner.astype(np.int32),
-        fingers,
-        beside,
-        np.asarray(yaws, dtype=np.float64),
-        np.array(DEPTHS),
-        lowest,
-        relief.pitch,
+    objects = relief.layers.max(axis=0)
+    owner = np.where(objects >= relief.ground, relief.layers.argmax(axis=0), -1).astype(np.int32)
+    size = np.array([gripper.stroke / 2.0, gripper.finger[0], gripper.finger[1] / 2.0, BESIDE]) / relief.pitch
+    found: FloatArray = _search(
+        np.maximum(objects, relief.ground), owner, size, np.array(yaws), np.array(DEPTHS), lowest
     )
-    half = (heights.shape[0] - 1) / 2.0
-    found[:, 0] = relief.centre[0] + (found[:, 0] - half) * relief.pitch
-    found[:, 1] = relief.centre[1] + (found[:, 1] - half) * relief.pitch
+    middle = (objects.shape[0] - 1) / 2.0
+    found[:, :2] = (found[:, :2] - middle) * relief.pitch + relief.centre
     return found
 
 
+Heights = NDArray[np.float32]
+Frame = tuple[float, float, float, float]
+"""Row and column (pixels) of a gripper's middle, cosine and sine of its yaw."""
+
+
 @njit(cache=True)
-def _search(heights, owner, fingers, beside, yaws, depths, lowest, pitch):  # type: ignore[no-untyped-def]
-    """Try every SPACING-th pixel of every item at every yaw and depth."""
-    size = heights.shape[0]
-    found = np.empty((0, 6))
-    rows = []
-    for i in range(SPACING // 2, size, SPACING):
-        for j in range(SPACING // 2, size, SPACING):
+def _search(
+    heights: Heights, owner: IntArray, size: FloatArray, yaws: FloatArray, depths: FloatArray, lowest: float
+) -> FloatArray:
+    """Try every SPACING-th pixel of every item at every yaw and depth; :func:`find_grasps` in pixels.
+
+    :param size: half stroke, thickness and half width of a finger, gap beside it
+    """
+    rows = [(0.0, 0.0, 0.0, 0.0, 0.0)]
+    for i in range(SPACING // 2, heights.shape[0], SPACING):
+        for j in range(SPACING // 2, heights.shape[1], SPACING):
             if owner[i, j] < 0:
                 continue
             for yaw in yaws:
+                frame = (float(i), float(j), math.cos(yaw), math.sin(yaw))
+                top = _highest(heights, owner, owner[i, j], frame, size)
                 for depth in depths:
-                    row = _try(heights, owner, i, j, yaw, depth, fingers, beside, lowest, pitch)
-                    if row[5] > 0.0:
-                        rows.append(row)
-    if len(rows) > 0:
-        found = np.empty((len(rows), 6))
-        for index in range(len(rows)):
-            found[index] = rows[index]
-    return found
+                    tip = max(lowest, top - depth)
+                    middle, quality = _judge(heights, owner, owner[i, j], frame, size, tip)
+                    if quality > 0.0:
+                        rows.append((i + middle * frame[2], j + middle * frame[3], tip, yaw, quality))
+    return np.array(rows)[1:]
 
 
 @njit(cache=True)
-def _at(heights, u, v):  # type: ignore[no-untyped-def]
-    size = heights.shape[0]
-    i, j = int(np.rint(u)), int(np.rint(v))
-    if i < 0 or j < 0 or i >= size or j >= size:
-        return 1.0, -1, -1
-    return heights[i, j], i, j
+def _pixel(heights: Heights, frame: Frame, along: float, across: float) -> tuple[int, int]:
+    """Return the pixel at a place in a gripper's frame, (-1, -1) outside the image."""
+    row = int(np.rint(frame[0] + along * frame[2] - across * frame[3]))
+    column = int(np.rint(frame[1] + along * frame[3] + across * frame[2]))
+    inside = 0 <= row < heights.shape[0] and 0 <= column < heights.shape[1]
+    return (row, column) if inside else (-1, -1)
 
 
 @njit(cache=True)
-def _try(heights, owner, i, j, yaw, depth, fingers, beside, lowest, pitch):  # type: ignore[no-untyped-def]
-    """Return x, y (pixels), z, yaw, item, quality of a grasp about a pixel; quality 0 where there is none."""
-    target = owner[i, j]
-    nothing = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    cos, sin = math.cos(yaw), math.sin(yaw)
-    inner, thick, half_width = fingers
-    lines = int(half_width) + 1
-    reach = int(inner)
-    # What of the target is between the fingers, and how high.
-    top = 0.0
-    for line in range(-lines, lines + 1):
+def _highest(heights: Heights, owner: IntArray, target: int, frame: Frame, size: FloatArray) -> float:
+    """Return the height (m) of the target's highest point between the open fingers."""
+    reach, lines, top = int(size[0]), int(size[2]) + 1, 0.0
+    for across in range(-lines, lines + 1):
         for along in range(-reach, reach + 1):
-            height, a, b = _at(heights, i + along * cos - line * sin, j + along * sin + line * cos)
-            if a >= 0 and owner[a, b] == target and height > top:
-                top = height
-    tip = max(lowest, top - depth)
-    if top - tip < OVERLAP:
-        return nothing
-    low, high = reach + 1, -reach - 1
-    low_spread, high_spread, filled = 0.0, 0.0, 0
-    low_edge, high_edge = 0.0, 0.0
-    lows = np.zeros(2 * lines + 1)
-    highs = np.zeros(2 * lines + 1)
-    for line in range(-lines, lines + 1):
-        first, last = reach + 1, -reach - 1
+            row, column = _pixel(heights, frame, along, across)
+            if row >= 0 and owner[row, column] == target:
+                top = max(top, heights[row, column])
+    return top
+
+
+@njit(cache=True)
+def _judge(
+    heights: Heights, owner: IntArray, target: int, frame: Frame, size: FloatArray, tip: float
+) -> tuple[float, float]:
+    """Return where along the opening the target's middle is, and the quality of a grasp there, 0 for none."""
+    reach, lines = int(size[0]), int(size[2]) + 1
+    sides = np.empty((2 * lines + 1, 4))  # first and last pixel of each line, heights there above the tips
+    filled = 0
+    for across in range(-lines, lines + 1):
+        found = False
         for along in range(-reach, reach + 1):
-            height, a, b = _at(heights, i + along * cos - line * sin, j + along * sin + line * cos)
-            if height > tip + OVERLAP:
-                if a < 0 or owner[a, b] != target:
-                    return nothing
-                if first > reach:
-                    first = along
-                    low_edge += height - tip
-                last = along
-                high_height = height
-        if last >= first:
-            lows[filled], highs[filled] = first, last
-            high_edge += high_height - tip
-            filled += 1
-            low, high = min(low, first), max(high, last)
-    if filled < lines:
-        return nothing
+            row, column = _pixel(heights, frame, along, across)
+            if row < 0 or heights[row, column] <= tip + OVERLAP:
+                continue
+            if owner[row, column] != target:
+                return 0.0, 0.0
+            height = heights[row, column] - tip
+            if not found:
+                sides[filled, 0], sides[filled, 2] = along, height
+                found = True
+            sides[filled, 1], sides[filled, 3] = along, height
+        filled += found
+    if filled < FRAGMENT * (2 * lines + 1):
+        return 0.0, 0.0
+    sides = sides[:filled]
+    low, high = sides[:, 0].min(), sides[:, 1].max()
+    skew = (sides[:, 0].max() - low + high - sides[:, 1].min()) / (2.0 * filled)
+    edge = min(sides[:, 2].mean(), sides[:, 3].mean())
     middle = 0.5 * (low + high)
-    width = high - low + 1.0
-    if width + 2.0 * beside > 2.0 * inner:
-        return nothing
-    low_spread = lows[:filled].max() - lows[:filled].min()
-    high_spread = highs[:filled].max() - highs[:filled].min()
-    u, v = i + middle * cos, j + middle * sin
-    # Room for the fingers beside it.
-    room = tip - BELOW
-    spare = beside
-    for side in (-1.0, 1.0):
-        steps = int(np.ceil(thick + 2.0 * beside)) + 1
-        for step in range(steps):
-            along = side * (inner - spare + step)
-            for line in range(-lines - 1, lines + 2):
-                height, a, b = _at(heights, u + along * cos - line * sin, v + along * sin + line * cos)
-                if height > room:
-                    return nothing
-    # Edges square to the fingers, and steep where they touch; quality in metres.
-    skew = (low_spread + high_spread) / (2.0 * filled)
-    steep = min(low_edge, high_edge) / filled
-    if skew > SKEW or steep < EDGE:
-        return nothing
-    quality = 0.3 - 0.12 * skew + 1.5 * min(steep, 0.03) + 0.02 * filled / (2 * lines + 1)
-    return u, v, tip, yaw, float(target), quality
+    if high - low + 1.0 + 2.0 * size[3] > 2.0 * size[0] or skew > SKEW or edge < EDGE:
+        return 0.0, 0.0
+    if not _has_room(heights, frame, middle, size, tip - BELOW):
+        return 0.0, 0.0
+    return middle, WORTH - WORTH_SKEW * skew + WORTH_EDGE * min(edge, TALL) + WORTH_WIDTH * filled / (
+        2 * lines + 1
+    )
+
+
+@njit(cache=True)
+def _has_room(heights: Heights, frame: Frame, middle: float, size: FloatArray, room: float) -> bool:
+    """Whether nothing reaches above a height where the fingers come down on both sides of a middle."""
+    lines = int(size[2]) + 2
+    for step in range(int(np.ceil(size[1] + 2.0 * size[3])) + 1):
+        for across in range(-lines, lines + 1):
+            for side in (-1.0, 1.0):
+                row, column = _pixel(heights, frame, middle + side * (size[0] - size[3] + step), across)
+                if row < 0 or heights[row, column] > room:
+                    return False
+    return True

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from bulletarm_gym.config import CLOSE_LOOP, EnvConfig, TaskDefaults, TrayUse
-from bulletarm_gym.geometry import FloatArray, Mesh, Pose, Quaternion, planar_distance
+from bulletarm_gym.geometry import IDENTITY, FloatArray, Mesh, Pose, Quaternion, planar_distance
 from bulletarm_gym.objects.sets import object_set
 from bulletarm_gym.placement import ARRANGEMENTS, PlacementError
 from bulletarm_gym.relations import TOUCHING
@@ -26,8 +26,8 @@ DROP_HEIGHT = 0.12
 """Height (m) above the tray's floor from which objects are dropped."""
 DROP_STEPS = 36
 """Simulation steps an object falls before the next one: as long as it takes down to the floor."""
-DROP_SPREAD = 0.35
-"""Objects are dropped up to this share of the floor's side from its middle, so that they come to lie on it."""
+DROP_MARGIN = 0.055
+"""Distance (m) that objects are dropped within the workspace's border, and so from the tray's walls."""
 SETTLE_STEPS = 480
 """Most simulation steps (2 s) that a new clutter is given to come to rest."""
 ARM_AWAY = 0.4
@@ -68,8 +68,8 @@ class ObjectGrasping(Task):
     Randomisation: at the start N objects of the set are dropped into the tray one by one, each in a random
     pose; with ``random_orientation=False`` each lies flat along y. What an episode leaves in the tray stays
     for the next; when all are grasped, or the scene has become invalid, N others are drawn.
-    Success: the gripper holds an object and is more than 15 cm above the ground. The object is taken away when
-    the next episode begins.
+    Success: the gripper holds an object and is more than 15 cm above the ground. The object is taken away
+    when the next episode begins.
     Expert: the best of the grasps from above that a search over heightmaps finds, straight up with it.
     """
 
@@ -119,12 +119,10 @@ class ObjectGrasping(Task):
         scene.robot.home(start)
 
     def _drop_pose(self, scene: Scene, rng: np.random.Generator) -> Pose:
-        spread = DROP_SPREAD * (scene.config.workspace_size * 5.0 / 6.0 - 0.03)
-        dx, dy = rng.uniform(-spread, spread, 2).tolist()
-        x, y = scene.config.centre
+        point = scene.surface.sample_position(rng, DROP_MARGIN)
         orientation = random_orientation(rng)
-        level = Pose((x + dx, y + dy, scene.surface.height((x, y)) + DROP_HEIGHT))
-        return Pose(level.position, orientation) if self.config.random_orientation else level
+        position = (*point, scene.surface.height(point) + DROP_HEIGHT)
+        return Pose(position, orientation if self.config.random_orientation else IDENTITY)
 
     def carry_on(self, scene: Scene, rng: np.random.Generator) -> bool:
         """Take the grasped object away and keep the others; false when none is left or one is outside."""
@@ -186,7 +184,7 @@ class ObjectGrasping(Task):
         lowest = max(scene.surface.height((hand.x, hand.y)) + CLEARANCE, self.config.workspace[2][0])
         grasps = find_grasps(relief, scene.robot.model.gripper, yaws, lowest)
         (x0, x1), (y0, y1), _ = self.config.workspace
-        x, y, _, yaw, _, quality = grasps.T
+        x, y, _, yaw, quality = grasps.T
         value = quality.copy()
         for spot in self._failed:
             near = np.hypot(x - spot[0], y - spot[1]) < NEAR_FAILURE
@@ -194,7 +192,8 @@ class ObjectGrasping(Task):
         good = (value > 0.0) & (x > x0) & (x < x1) & (y > y0) & (y < y1)
         if not good.any():
             return None
-        way = np.max([np.abs(x - hand.x), np.abs(y - hand.y), TURN_WORTH * np.abs(wrap(yaw - hand.yaw))], axis=0)
+        turn = TURN_WORTH * np.abs(wrap(yaw - hand.yaw))
+        way = np.maximum(np.maximum(np.abs(x - hand.x), np.abs(y - hand.y)), turn)
         best = np.where(good, value - WAY_WEIGHT * way, -np.inf).argmax()
         return Pose.planar(*grasps[best, :4].tolist())
 

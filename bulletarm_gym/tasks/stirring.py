@@ -1,6 +1,5 @@
 """Turning what lies in a tray with the tip of the closed gripper, where nothing can be grasped as it lies."""
 
-import math
 from collections.abc import Iterator
 
 import numpy as np
@@ -35,14 +34,10 @@ def stir(scene: Scene, item: Item, rng: np.random.Generator) -> Iterator[Waypoin
     ahead = (end[0] - hand.x) * push[0] + (end[1] - hand.y) * push[1]
     aside = abs((end[0] - hand.x) * push[1] - (end[1] - hand.y) * push[0])
     if hand.z < low + LOW and aside < SPREAD + ASTRAY and RUN_UP - STROKE < ahead < 2.0 * RUN_UP:
-        yield Waypoint(
-            Pose.planar(hand.x + STROKE * push[0], hand.y + STROKE * push[1], low, hand.yaw), CLOSED, straight=True
-        )
+        beyond = Pose.planar(hand.x + STROKE * push[0], hand.y + STROKE * push[1], low, hand.yaw)
+        yield Waypoint(beyond, CLOSED, straight=True)
     shift = float(rng.uniform(-SPREAD, SPREAD))
-    start = (
-        end[0] - RUN_UP * push[0] - shift * push[1],
-        end[1] - RUN_UP * push[1] + shift * push[0],
-    )
+    start = (end[0] - RUN_UP * push[0] - shift * push[1], end[1] - RUN_UP * push[1] + shift * push[0])
     hover = scene.world.top(item.body) + HOVER
     if planar_distance(start, hand.position) > SPREAD + ASTRAY:
         if hand.z < hover - ASTRAY:
