@@ -76,10 +76,24 @@ def _collision_shape(client: Client, spec: BodySpec) -> int:
                 collisionFrameOrientation=piece.pose.orientation,
             )
         )
+    if all(isinstance(piece.shape, Box) for piece in spec.pieces):
+        return int(_box_compound(client, spec))
     with tempfile.TemporaryDirectory(prefix="bulletarm_") as folder:
         path = Path(folder) / "pieces.obj"
         path.write_text(wavefront(spec.pieces))
         return int(client.createCollisionShape(client.GEOM_MESH, fileName=str(path)))
+
+
+def _box_compound(client: Client, spec: BodySpec) -> int:
+    """Boxes collide quicker and steadier as boxes than as hulls of their corners."""
+    boxes = [piece.shape for piece in spec.pieces if isinstance(piece.shape, Box)]
+    shape: int = client.createCollisionShapeArray(
+        shapeTypes=[client.GEOM_BOX] * len(boxes),
+        halfExtents=[[extent / 2.0 for extent in box.extents] for box in boxes],
+        collisionFramePositions=[piece.pose.position for piece in spec.pieces],
+        collisionFrameOrientations=[piece.pose.orientation for piece in spec.pieces],
+    )
+    return shape
 
 
 def _visual_shape(client: Client, spec: BodySpec) -> int:

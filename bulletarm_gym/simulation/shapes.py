@@ -116,6 +116,11 @@ class BodySpec:
         return [self.mesh, *(slide.mesh for slide in self.slides)]
 
     @cached_property
+    def piece_bounds(self) -> FloatArray:
+        """Lowest and highest corner of each piece in the body's frame, (n, 2, 3) m."""
+        return np.stack([piece.mesh.bounds for piece in self.pieces])
+
+    @cached_property
     def extents(self) -> Vector:
         """Full side lengths (m) of the bounding box in the body's frame."""
         low, high = self.mesh.bounds
