@@ -1,13 +1,16 @@
 """Finding room for things, with a bound on how long is searched."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import TypeVar
 
 import numpy as np
 
 from bulletarm_gym.geometry import Pose
 from bulletarm_gym.scene import Item, Scene
 from bulletarm_gym.surfaces.surface import Point
+
+T = TypeVar("T")
 
 ATTEMPTS = 200
 """Positions tried for one item before the whole arrangement is begun anew."""
@@ -84,3 +87,23 @@ def roomiest(scene: Scene, item: Item) -> Point:
     others = [other.pose.position[:2] for other in scene if other is not item]
     points = [(x, y) for x in xs.tolist() for y in ys.tolist()]
     return max(points, key=lambda point: min((math.dist(point, other) for other in others), default=0.0))
+
+
+def draw_until(draw: Callable[[], T], fits: Callable[[T], bool]) -> T:
+    """Draw until something fits.
+
+    :raises PlacementError: nothing did
+    """
+    for _ in range(ATTEMPTS):
+        drawn = draw()
+        if fits(drawn):
+            return drawn
+    raise PlacementError(f"workspace: nothing fitted in {ATTEMPTS} attempts")
+
+
+def is_within(scene: Scene, point: Sequence[float], margin: float) -> bool:
+    """Whether a point is at least ``margin`` (m) inside the workspace's border in x and y."""
+    limits = scene.config.workspace[:2]
+    return all(
+        low + margin <= value <= high - margin for value, (low, high) in zip(point, limits, strict=False)
+    )

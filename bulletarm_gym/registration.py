@@ -46,6 +46,8 @@ ENTRIES = (
     Entry("CloseLoopBlockInBowl", "bulletarm_gym.tasks.bowl:BlockInBowl", "close_loop"),
     Entry("CloseLoopBlockStacking", "bulletarm_gym.tasks.stacking:BlockStacking", "close_loop"),
     Entry("CloseLoopHouseBuilding", "bulletarm_gym.tasks.house:HouseBuilding", "close_loop"),
+    Entry("CloseLoopCornerPicking", "bulletarm_gym.tasks.corner:CornerPicking", "close_loop"),
+    Entry("CloseLoopDrawerOpening", "bulletarm_gym.tasks.drawer:DrawerOpening", "close_loop"),
     Entry("CloseLoopObjectGrasping", "bulletarm_gym.tasks.clutter:ObjectGrasping", "close_loop"),
 )
 

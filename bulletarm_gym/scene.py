@@ -88,6 +88,15 @@ class Item:
         """Put the body somewhere, at rest or with a linear (m/s) and an angular (rad/s) velocity."""
         self._world.place(self.body, pose, twist)
 
+    @property
+    def joints(self) -> tuple[float, ...]:
+        """Displacements (m) of the body's sliding parts."""
+        return self._world.joints[self.body.index]
+
+    def set_joints(self, positions: Sequence[float]) -> None:
+        """Put the body's sliding parts somewhere, at rest."""
+        self._world.set_joints(self.body, positions)
+
     def park(self) -> None:
         """Take every body of the role out of the scene."""
         for body in self._bodies:

@@ -2,9 +2,9 @@
 
 from bulletarm_gym.objects.blocks import cube, flat_block, goal_area, triangle
 from bulletarm_gym.objects.bowl import bowl
+from bulletarm_gym.objects.catalogue import create
 from bulletarm_gym.objects.corner import corner
 from bulletarm_gym.objects.drawer import drawer
-from bulletarm_gym.objects.catalogue import create
 from bulletarm_gym.simulation.shapes import BodySpec, Box, Colour, Convex, Piece
 
 __all__ = [

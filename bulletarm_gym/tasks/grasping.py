@@ -3,6 +3,8 @@
 import math
 from collections.abc import Iterator, Sequence
 
+import numpy as np
+
 from bulletarm_gym.geometry import Pose, matrix, planar_distance, rotate, wrap_angle
 from bulletarm_gym.scene import Item, Scene
 from bulletarm_gym.tasks.task import CLOSED, OPEN, Waypoint
@@ -134,9 +136,10 @@ def _has_room(scene: Scene, item: Item, yaw: float) -> bool:
 
 
 def _covers(item: Item, point: tuple[float, float, float], margin: float) -> bool:
-    """Whether a point is in an item's box, widened by a margin (m)."""
-    inside = item.pose.inverse().transform(point)
-    return all(abs(p) < side / 2.0 + margin for p, side in zip(inside, item.spec.extents, strict=True))
+    """Whether a point is in the box of one of an item's pieces, widened by a margin (m)."""
+    inside = np.array(item.pose.inverse().transform(point))
+    low, high = item.spec.piece_bounds[:, 0] - margin, item.spec.piece_bounds[:, 1] + margin
+    return bool(((low < inside) & (inside < high)).all(axis=1).any())
 
 
 def side_yaw(pose: Pose) -> float:

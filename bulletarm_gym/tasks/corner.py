@@ -1,0 +1,114 @@
+"""Picking up a block out of a corner."""
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from bulletarm_gym.config import CLOSE_LOOP, EnvConfig, TaskDefaults, TrayUse
+from bulletarm_gym.geometry import Pose, planar_distance, wrap_angle
+from bulletarm_gym.objects import corner, cube
+from bulletarm_gym.objects.corner import INSIDE, PLATE, SIDE
+from bulletarm_gym.placement import draw_until, is_within
+from bulletarm_gym.relations import is_held
+from bulletarm_gym.scene import Role, Scene, scaled
+from bulletarm_gym.tasks.grasping import (
+    ALIGNED,
+    ALIGNED_YAW,
+    HOVER,
+    LEVEL,
+    STEP,
+    grasp_item,
+    highest_between,
+    side_yaw,
+)
+from bulletarm_gym.tasks.picking import LIFTED
+from bulletarm_gym.tasks.task import CLOSED, Task, Waypoint
+
+GAP = 2e-4
+"""Gap (m) between the cube and the walls: it stands flush, but is not pressed against them."""
+PRESS = 2e-3
+"""Depth (m) by which the fingertips are sent into the cube's upper side to take it along."""
+FREE = 0.055
+"""Distance (m) of the cube from the walls at which fingers fit in between, however wide the gripper opens."""
+SHUT = 0.1
+"""Opening ratio up to which the gripper presses with both fingers."""
+BESIDE = 0.02
+"""Distance (m) from the cube's middle within which the fingertips press on it."""
+
+
+class CornerPicking(Task):
+    """Get a cube out of a corner and lift it.
+
+    Description: a 5 cm cube stands in a corner, touching both of its walls, which are 10 cm high and fixed;
+    the fingers do not fit between them and the cube.
+    Randomisation: the corner's position and yaw, the cube with it; with a fixed orientation the walls lie
+    along the axes.
+    Success: the gripper holds the cube and is more than 15 cm above the ground.
+    Expert: press the closed gripper on the cube and draw it out of the corner, up, then as in Block Picking.
+    """
+
+    defaults = TaskDefaults(num_objects=1, tray=TrayUse((False,), "the corner does not fit into the tray"))
+    controls = (CLOSE_LOOP,)
+
+    def bodies(self, config: EnvConfig) -> list[Role]:
+        """Return the cube and the corner."""
+        return [scaled(config, "cube", cube), Role("corner", (corner("corner"),))]
+
+    def arrange(self, scene: Scene, rng: np.random.Generator) -> None:
+        """Put the corner where the cube in it is inside the workspace."""
+        item, walls = scene["cube"], scene["corner"]
+        half = item.spec.extents[0] / 2.0
+        inset = INSIDE + half + GAP
+        place = Pose((inset, inset, PLATE + item.spec.extents[2] / 2.0))
+
+        def draw() -> Pose:
+            return scene.surface.pose(scene.surface.sample_position(rng, SIDE / 2.0), self._yaw(rng))
+
+        pose = draw_until(
+            draw, lambda frame: is_within(scene, frame.transform(place.position), item.spec.footprint)
+        )
+        walls.place(pose)
+        item.place(pose.compose(place))
+
+    def _yaw(self, rng: np.random.Generator) -> float:
+        if self.config.random_orientation:
+            return float(rng.uniform(-math.pi, math.pi))
+        return int(rng.integers(4)) * math.pi / 2.0
+
+    def evaluate(self, scene: Scene) -> dict[str, bool]:
+        """Look whether the cube is held, and how high."""
+        held = is_held(scene, scene["cube"])
+        return {"success": held and scene.robot.pose.z > LIFTED, "is_held": held}
+
+    def plan(self, scene: Scene, rng: np.random.Generator) -> Iterator[Waypoint]:
+        """Nudge the cube out of the corner, grasp it, lift it."""
+        item, hand = scene["cube"], scene.robot.pose
+        if not is_held(scene, item):
+            x, y, _ = scene["corner"].pose.inverse().transform(item.pose.position)
+            if min(x, y) - INSIDE - item.spec.extents[0] / 2.0 < FREE - LEVEL:
+                yield from self._nudge(scene)
+            yield from grasp_item(scene, item, side_yaw(item.pose), math.pi / 2.0)
+        yield Waypoint(Pose.planar(hand.x, hand.y, max(hand.z, LIFTED) + STEP, hand.yaw), CLOSED)
+
+    def _nudge(self, scene: Scene) -> Iterator[Waypoint]:
+        """Press on the cube with the closed gripper, and draw it to the middle of the plate."""
+        item, walls, hand = scene["cube"], scene["corner"], scene.robot.pose
+        x, y, _ = item.pose.position
+        top = scene.world.top(item.body)
+        yaw = hand.yaw
+        if "r" in scene.config.action_sequence:
+            yaw += wrap_angle(side_yaw(item.pose) - hand.yaw, math.pi / 2.0)
+        beside = planar_distance(item.pose.position, hand.position)
+        closed = scene.robot.opening_ratio < SHUT
+        if not (closed and beside < BESIDE and hand.z < top + PRESS):
+            if beside > ALIGNED or abs(hand.yaw - yaw) > ALIGNED_YAW or not closed:
+                over = max(top, highest_between(scene, hand.position, item.pose.position, item)) + HOVER
+                if hand.z < over - LEVEL:
+                    yield Waypoint(Pose.planar(hand.x, hand.y, over, hand.yaw), CLOSED)
+                yield Waypoint(Pose.planar(x, y, over, yaw), CLOSED)
+            yield Waypoint(Pose.planar(x, y, top - PRESS, yaw), CLOSED)
+        half = item.spec.extents[0] / 2.0
+        goal = walls.pose.transform((INSIDE + half + FREE, INSIDE + half + FREE, 0.0))
+        dx, dy = hand.x - x, hand.y - y
+        yield Waypoint(Pose.planar(goal[0] + dx, goal[1] + dy, top - PRESS, yaw), CLOSED, straight=True)

@@ -1,0 +1,108 @@
+"""Opening a drawer."""
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from bulletarm_gym.config import CLOSE_LOOP, EnvConfig, TaskDefaults, TrayUse
+from bulletarm_gym.geometry import Pose, planar_distance, wrap_angle
+from bulletarm_gym.objects import drawer
+from bulletarm_gym.objects.drawer import CABINET, HANDLE, HANDLE_DISTANCE, HANDLE_RADIUS, STRUT_SPACING
+from bulletarm_gym.placement import draw_until, is_within
+from bulletarm_gym.scene import Role, Scene
+from bulletarm_gym.tasks.grasping import ALIGNED, ALIGNED_YAW, HOVER, LEVEL
+from bulletarm_gym.tasks.task import CLOSED, Task, Waypoint
+
+OPENED = 0.15
+"""Displacement (m) of the drawer that counts as open, as in the original BulletArm release."""
+FARTHER = 0.015
+"""By how much (m) more than that the expert pulls."""
+DISTANCE = (0.15, 0.2)
+"""How far (m) the cabinet is behind the workspace's centre, as in the original BulletArm release ..."""
+ASIDE = 0.1
+"""... and aside of it at most (m)."""
+HOOK = (HANDLE_DISTANCE + HANDLE_RADIUS) / 2.0
+"""Where (m) the gripper goes down behind the bar: in the middle between bar and drawer."""
+BELOW = 0.02
+"""How far (m) the fingertips reach below the bar."""
+BORDER = 5e-3
+"""Distance (m) of the gripper's way to the border."""
+
+
+class DrawerOpening(Task):
+    """Pull a drawer open by its handle.
+
+    Description: a cabinet, 21 x 23 x 11 cm, with a drawer that has a bar for a handle. The cabinet is fixed.
+    Randomisation: the cabinet's yaw, its front towards the workspace, and its position, 15 to 20 cm behind
+    the workspace's centre and up to 10 cm aside; with a fixed orientation it opens along y.
+    Success: the drawer is open by more than 15 cm.
+    Expert: over the gap behind the bar with the gripper closed, down, out.
+    """
+
+    defaults = TaskDefaults(num_objects=1, tray=TrayUse((False,), "the cabinet does not fit into the tray"))
+    controls = (CLOSE_LOOP,)
+
+    def bodies(self, config: EnvConfig) -> list[Role]:
+        """Return the cabinet with its drawer."""
+        return [Role("drawer", (drawer("drawer"),))]
+
+    def arrange(self, scene: Scene, rng: np.random.Generator) -> None:
+        """Put the cabinet where the gripper can hook the handle and open the drawer."""
+
+        def draw() -> Pose:
+            offset = (float(rng.uniform(*DISTANCE)), float(rng.uniform(-ASIDE, ASIDE)), 0.0)
+            yaw = self._yaw(rng)
+            x, y, _ = Pose.planar(*scene.config.centre, 0.0, yaw).transform(offset)
+            return scene.surface.pose((x, y), yaw)
+
+        def fits(pose: Pose) -> bool:
+            return all(is_within(scene, pose.transform((x, 0.0, 0.0)), BORDER) for x in (_START, _end(scene)))
+
+        scene["drawer"].place(draw_until(draw, fits))
+        scene["drawer"].set_joints((0.0,))
+
+    def _yaw(self, rng: np.random.Generator) -> float:
+        if self.config.random_orientation:
+            return float(rng.uniform(-math.pi, math.pi))
+        return math.pi / 2.0 if rng.integers(2) else -math.pi / 2.0
+
+    def evaluate(self, scene: Scene) -> dict[str, bool]:
+        """Look how far the drawer is open."""
+        return {"success": scene["drawer"].joints[0] > OPENED}
+
+    def plan(self, scene: Scene, rng: np.random.Generator) -> Iterator[Waypoint]:
+        """Go behind the bar, and pull."""
+        item, hand = scene["drawer"], scene.robot.pose
+        cabinet, opened = item.pose, item.joints[0]
+        yaw = hand.yaw
+        if "r" in scene.config.action_sequence:
+            yaw += wrap_angle(cabinet.yaw + math.pi / 2.0 - hand.yaw, math.pi)
+        x, y, z = cabinet.inverse().transform(hand.position)
+        low = HANDLE[2] - BELOW
+        behind = x + opened - HANDLE[0]
+        if not (0.0 < behind < HANDLE_DISTANCE and abs(y) < STRUT_SPACING / 2.0 and z < HANDLE[2]):
+            yield from self._hook(scene, cabinet.transform((_START - opened, 0.0, low)), yaw)
+            y = 0.0
+        goal = cabinet.transform((_end(scene), y, low))
+        yield Waypoint(Pose.planar(*goal, yaw), CLOSED, straight=True)
+
+    def _hook(self, scene: Scene, hook: tuple[float, float, float], yaw: float) -> Iterator[Waypoint]:
+        """Yield the way of the closed gripper over the cabinet's edge down behind the bar."""
+        hand = scene.robot.pose
+        over = CABINET[2] + HOVER
+        if planar_distance(hook, hand.position) > ALIGNED or abs(hand.yaw - yaw) > ALIGNED_YAW:
+            if hand.z < over - LEVEL:
+                yield Waypoint(Pose.planar(hand.x, hand.y, over, hand.yaw), CLOSED)
+            yield Waypoint(Pose.planar(hook[0], hook[1], over, yaw), CLOSED)
+        yield Waypoint(Pose.planar(*hook, yaw), CLOSED)
+
+
+_START = HANDLE[0] + HOOK
+"""Where (m) along the cabinet's x the gripper goes down when the drawer is shut."""
+
+
+def _end(scene: Scene) -> float:
+    """Return where (m) along the cabinet's x the gripper is when the drawer is open."""
+    finger = scene.robot.model.gripper.finger[1] / 2.0
+    return HANDLE[0] + HANDLE_RADIUS + finger - OPENED - FARTHER
