@@ -32,6 +32,7 @@ COMMANDS = {
     "enjoy": Command("zoo_configs.commands.enjoy", "evaluate a trained agent"),
     "record": Command("zoo_configs.commands.record", "film a trained agent or the expert"),
     "speed": Command("zoo_configs.commands.speed", "measure how fast environments step"),
+    "check": Command("zoo_configs.commands.check", "check environments, a user's own above all"),
     "list": Command("zoo_configs.commands.listing", "list environments, or baselines and presets"),
 }
 

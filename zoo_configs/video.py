@@ -85,6 +85,17 @@ def write_video(frames: Sequence[Frame], path: Path, frames_per_second: float) -
             iio.imwrite(partial, np.stack(frames), fps=frames_per_second)
 
 
+def write_picture(frame: Frame, path: Path) -> None:
+    """
+    Write one frame as PNG, whole or not at all.
+
+    :param frame: Shape (height, width, 3)
+    :param path: The file
+    """
+    with whole_file(path) as partial:
+        iio.imwrite(partial, frame)
+
+
 def _resize(image: Image.Image, resampling: Image.Resampling) -> Image.Image:
     return image.convert("RGB").resize((PANEL_SIZE, PANEL_SIZE), resampling)
 

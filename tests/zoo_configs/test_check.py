@@ -1,0 +1,46 @@
+"""``bulletarm-zoo check`` on one of our environments and on a user's."""
+
+import textwrap
+from pathlib import Path
+
+import pytest
+
+from zoo_configs.cli import main
+
+TASK = """
+    import bulletarm_gym
+    from bulletarm_gym.tasks.reaching import BlockReaching
+
+    class SlowReaching(BlockReaching):
+        def plan(self, scene, rng):
+            raise RuntimeError("no plan")
+            yield
+
+    bulletarm_gym.register_task("SlowReaching", SlowReaching)
+"""
+
+
+def test_environment_of_ours_passes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    arguments = ["-n", "2", "-f", str(tmp_path), "--env-kwargs", "obs_size:32"]
+    assert main(["check", "BulletArm/CloseLoopBlockReaching-v0", *arguments]) == 0
+    printed = capsys.readouterr().out
+    assert printed.count("passed") == 3
+    assert "success_rate=1.000 episodes=2 mean_length=3.00" in printed
+    assert (tmp_path / "CloseLoopBlockReaching-v0.png").stat().st_size > 10_000
+
+
+def test_least_success_rate_decides(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    arguments = ["-n", "1", "-f", str(tmp_path), "--env-kwargs", "max_steps:1"]
+    assert main(["check", "BulletArm/CloseLoopBlockReaching-v0", *arguments]) == 2
+    assert "failed: BulletArm/CloseLoopBlockReaching-v0" in capsys.readouterr().err
+
+
+def test_fault_of_a_users_task_is_reported(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "my_slow_tasks.py").write_text(textwrap.dedent(TASK))
+    monkeypatch.syspath_prepend(str(tmp_path))
+    arguments = ["--gym-packages", "my_slow_tasks", "-n", "1", "-f", str(tmp_path)]
+    with pytest.raises(RuntimeError, match="no plan"):
+        main(["check", "BulletArm/CloseLoopSlowReaching-v0", *arguments])
+    assert "equal episodes from equal seeds: FAILED, RuntimeError: no plan" in capsys.readouterr().out

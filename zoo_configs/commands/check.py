@@ -1,0 +1,150 @@
+"""``bulletarm-zoo check``: puts environments, a user's own above all, through what ours must pass."""
+
+from __future__ import annotations
+
+import argparse
+import warnings
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import gymnasium as gym
+import numpy as np
+from gymnasium.utils.env_checker import check_env as check_gymnasium
+from gymnasium.utils.env_checker import data_equivalence
+from rl_zoo3.utils import StoreDict
+from stable_baselines3.common.env_checker import check_env as check_sb3
+from tqdm import trange
+
+from zoo_configs.arguments import positive_int
+from zoo_configs.environments import known_env_id, register_environments
+from zoo_configs.errors import CommandError
+from zoo_configs.video import compose_frame, write_picture
+
+DESCRIPTION = """Check environments: Gymnasium's and Stable-Baselines3's own checks, equal episodes from equal
+seeds, and how often the expert succeeds. Draws the start and the end of the expert's first episode."""
+ROLLOUT = 25  # steps compared between two environments
+
+
+class Experience(NamedTuple):
+    """
+    What the expert did.
+
+    :param successes: Episodes it solved
+    :param lengths: Their numbers of steps, the solved ones
+    :param frames: Pictures of the first episode's start and end
+    """
+
+    successes: int
+    lengths: list[int]
+    frames: list[np.ndarray[Any, np.dtype[np.uint8]]]
+
+
+def main(argv: Sequence[str]) -> None:
+    """
+    Run the command.
+
+    :param argv: Its arguments
+    :raises CommandError: if a check fails
+    """
+    args = _parse(argv)
+    register_environments(args.gym_packages)
+    failed = [env_id for env_id in map(known_env_id, args.env) if not _passes(env_id, args)]
+    if failed:
+        raise CommandError(f"failed: {', '.join(failed)}")
+
+
+def _parse(argv: Sequence[str]) -> argparse.Namespace:
+    parser = argparse.ArgumentParser("bulletarm-zoo check", description=DESCRIPTION)
+    add = parser.add_argument
+    add("env", nargs="+", metavar="ENV", help="environment ids")
+    add("-n", "--episodes", type=positive_int, default=20, help="episodes of the expert (default: 20)")
+    add("--seed", type=int, default=0, help="seed of the first episode (default: 0)")
+    add("--min-success", type=float, default=0.95, help="least success rate of the expert (default: 0.95)")
+    add("--env-kwargs", nargs="+", action=StoreDict, default={}, help="parameters, KEY:VALUE")
+    add("--gym-packages", nargs="+", default=[], help="packages that register further environments")
+    add("-f", "--log-folder", type=Path, default=Path("logs/check"), help="where pictures go")
+    return parser.parse_args(argv)
+
+
+def _passes(env_id: str, args: argparse.Namespace) -> bool:
+    def make() -> gym.Env[Any, Any]:
+        return gym.make(env_id, **{**args.env_kwargs, "render_mode": "rgb_array"})
+
+    print(env_id)
+    checks = {
+        "Gymnasium's check_env": lambda: _without_warnings(
+            lambda: check_gymnasium(make().unwrapped, skip_render_check=True)
+        ),
+        "Stable-Baselines3's check_env": lambda: check_sb3(make().unwrapped, warn=False),
+        "equal episodes from equal seeds": lambda: _check_determinism(make(), make(), args.seed),
+    }
+    passed = all([_report(name, check) for name, check in checks.items()])
+    experience = _watch_expert(make(), args.episodes, args.seed)
+    rate = experience.successes / args.episodes
+    length = float(np.mean(experience.lengths)) if experience.lengths else float("nan")
+    print(f"  expert: success_rate={rate:.3f} episodes={args.episodes} mean_length={length:.2f}")
+    # What is drawn shows that rendering works; Gymnasium would ask for a window, too.
+    path = args.log_folder / f"{env_id.rpartition('/')[2]}.png"
+    write_picture(np.concatenate(experience.frames), path)
+    print(f"Written:\n  {path}")
+    return passed and rate >= args.min_success
+
+
+def _report(name: str, check: Callable[[], None]) -> bool:
+    try:
+        check()
+    except Exception as error:  # whatever a user's code raises is what the check found
+        print(f"  {name}: FAILED, {type(error).__name__}: {error}")
+        return False
+    print(f"  {name}: passed")
+    return True
+
+
+def _without_warnings(check: Callable[[], None]) -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        check()
+
+
+def _check_determinism(first: gym.Env[Any, Any], second: gym.Env[Any, Any], seed: int) -> None:
+    for episode in range(2):
+        assert data_equivalence(
+            first.reset(seed=seed + episode), second.reset(seed=seed + episode), exact=True
+        ), f"reset(seed={seed + episode}) differs between two environments"
+        for step in range(ROLLOUT):
+            action = _expert(first)()
+            assert np.array_equal(action, _expert(second)()), f"the expert differs in step {step}"
+            results = first.step(action), second.step(action)
+            assert data_equivalence(*results, exact=True), f"step {step} differs between two environments"
+            if results[0][2] or results[0][3]:
+                break
+
+
+def _watch_expert(env: gym.Env[Any, Any], episodes: int, seed: int) -> Experience:
+    successes, lengths, frames = 0, [], []
+    for episode in trange(episodes, unit="episode", disable=None):
+        observation, info = env.reset(seed=seed + episode)
+        if episode == 0:
+            frames.append(_frame(env, observation, "start"))
+        steps, over = 0, False
+        while not over:
+            observation, _, terminated, truncated, info = env.step(_expert(env)())
+            steps, over = steps + 1, terminated or truncated
+        if info["is_success"]:
+            successes += 1
+            lengths.append(steps)
+        if episode == 0:
+            frames.append(_frame(env, observation, "success" if info["is_success"] else "failure"))
+    env.close()
+    return Experience(successes, lengths, frames)
+
+
+def _expert(env: gym.Env[Any, Any]) -> Callable[[], Any]:
+    expert: Callable[[], Any] = env.get_wrapper_attr("expert_action")
+    return expert
+
+
+def _frame(env: gym.Env[Any, Any], observation: Any, title: str) -> np.ndarray[Any, np.dtype[np.uint8]]:
+    picture: Any = env.render()
+    return compose_frame(picture, observation, env.observation_space, title, title == "success")
