@@ -85,7 +85,8 @@ class CloseLoop:
     def _own_spaces(self, config: EnvConfig, scene: Scene) -> dict[str, spaces.Box]:
         if config.observation == "image":
             return {"heightmap": spaces.Box(0.0, MAX_DEPTH, (1, self._size, self._size), np.float32)}
-        return {"state": spaces.Box(-np.inf, np.inf, (6 + POSE_SIZE * len(scene.items),), np.float32)}
+        size = 6 + sum(POSE_SIZE + len(item.spec.slides) for item in scene.items)
+        return {"state": spaces.Box(-np.inf, np.inf, (size,), np.float32)}
 
     def decode_action(self, action: ArrayLike) -> DeltaMove:
         """Return what an action means; numbers outside [-1, 1] are clipped.
@@ -169,13 +170,15 @@ class CloseLoop:
     def _state(self, scene: Scene) -> dict[str, NDArray[np.float32]]:
         """Gripper: opening ratio, position (m), cosine and sine of the yaw.
 
-        Then for each item 1 if it is present, its position (m) and its quaternion; zeros if it is not.
+        Then for each item 1 if it is present, its position (m) and its quaternion; zeros if it is not; and
+        the displacement (m) of each of its sliding parts.
         """
         hand = scene.robot.pose
         numbers = [scene.robot.opening_ratio, *hand.position, math.cos(hand.yaw), math.sin(hand.yaw)]
         for item in scene.items:
             pose = item.pose
             numbers += [1.0, *pose.position, *pose.orientation] if item.is_present else [0.0] * POSE_SIZE
+            numbers += item.joints if item.spec.slides else ()
         return {"state": np.array(numbers, dtype=np.float32)}
 
 

@@ -11,7 +11,7 @@ from bulletarm_gym.objects import drawer
 from bulletarm_gym.objects.drawer import CABINET, HANDLE, HANDLE_DISTANCE, HANDLE_RADIUS, STRUT_SPACING
 from bulletarm_gym.placement import draw_until, is_within
 from bulletarm_gym.scene import Role, Scene
-from bulletarm_gym.tasks.grasping import ALIGNED, ALIGNED_YAW, HOVER, LEVEL
+from bulletarm_gym.tasks.grasping import ALIGNED, ALIGNED_YAW, HOVER, LEVEL, STEP
 from bulletarm_gym.tasks.task import CLOSED, Task, Waypoint
 
 OPENED = 0.15
@@ -83,8 +83,9 @@ class DrawerOpening(Task):
         behind = x + opened - HANDLE[0]
         if not (0.0 < behind < HANDLE_DISTANCE and abs(y) < STRUT_SPACING / 2.0 and z < HANDLE[2]):
             yield from self._hook(scene, cabinet.transform((_START - opened, 0.0, low)), yaw)
-            y = 0.0
-        goal = cabinet.transform((_end(scene), y, low))
+            x, y = _START - opened, 0.0
+        # No faster along the workspace's diagonals than along its sides.
+        goal = cabinet.transform((max(_end(scene), x - STEP), y, low))
         yield Waypoint(Pose.planar(*goal, yaw), CLOSED, straight=True)
 
     def _hook(self, scene: Scene, hook: tuple[float, float, float], yaw: float) -> Iterator[Waypoint]:
