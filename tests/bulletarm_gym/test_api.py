@@ -43,6 +43,12 @@ def with_pose(env: ManipulationEnv, state: EnvState, role: str, pose: Pose) -> E
     return dataclasses.replace(state, world=dataclasses.replace(state.world, poses=tuple(poses)))
 
 
+def loose_role(env: ManipulationEnv) -> str:
+    """The role of something that can leave the workspace."""
+    roles = [item.role.name for item in env.scene if item.spec.mass > 0.0]
+    return roles[0] if roles else pytest.skip("nothing here is loose")
+
+
 # Checkers
 
 
@@ -176,7 +182,7 @@ def _expert_length(env: ManipulationEnv, seed: int) -> int:
 )
 def test_invalid_scene_terminates_without_reward(env: ManipulationEnv, position: Any) -> None:
     env.reset(seed=0)
-    role = next(item.role.name for item in env.scene if item.spec.mass > 0.0)
+    role = loose_role(env)
     env.set_state(with_pose(env, env.get_state(), role, Pose(position)))
     assert env.expert_action() in env.action_space
     _, reward, terminated, truncated, info = env.step(IDLE)
@@ -186,7 +192,7 @@ def test_invalid_scene_terminates_without_reward(env: ManipulationEnv, position:
 
 def test_border_belongs_to_the_workspace(env: ManipulationEnv) -> None:
     env.reset(seed=0)
-    role = next(item.role.name for item in env.scene if item.spec.mass > 0.0)
+    role = loose_role(env)
     env.set_state(with_pose(env, env.get_state(), role, Pose((0.5999, 0.1, 0.025))))
     *_, info = env.step(IDLE)
     assert info["is_valid"]
@@ -440,7 +446,7 @@ def _solve(vec_env: Any) -> None:
     vec_env.seed(0)
     vec_env.reset()
     solved = np.zeros(vec_env.num_envs, bool)
-    for _ in range(12):
+    for _ in range(40):
         _, _, dones, infos = vec_env.step(np.stack(vec_env.env_method("expert_action")))
         solved |= dones & np.array([info["is_success"] for info in infos])
     vec_env.close()
