@@ -1,8 +1,8 @@
 """The 86 objects of Object Grasping, made by formula.
 
 The paper takes 86 objects from GraspNet-1Billion, whose meshes have owners of their own. These are as many,
-of sizes like theirs (sorted sides about 4 x 6 x 10 cm), diverse in the same way: household things, tools, round
-and angular solids. In any pose it comes to rest in, each has a part that the narrowest gripper, 75 mm, can take
+of sizes like theirs (sorted sides about 4 x 6 x 10 cm) and as diverse: household things, tools, round
+and angular solids. However it comes to rest, each has a part that the narrowest gripper, 75 mm, can take
 from above. Sizes come from a fixed seed, so an object's name stands for its shape.
 """
 

@@ -10,9 +10,10 @@ from bulletarm_gym.surfaces.surface import Point
 
 SIZE = 5.0 / 6.0
 """Nominal side of the tray in sides of the workspace: 25 cm for the close-loop 30 cm."""
-COVERED = 0.6
+COVERED = 0.5
 """Share of the margin to the workspace's border that an item itself covers: tasks keep 1.2 sides of a cube,
-whose half diagonal is 0.71 sides. On the floor an item needs no more than that."""
+whose half diagonal is 0.71 sides. On the floor it needs little more than half of that: corners may reach
+over the strip that rises to the walls."""
 
 
 class TraySurface(FlatSurface):

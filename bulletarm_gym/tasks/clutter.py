@@ -110,10 +110,12 @@ class ObjectGrasping(Task):
         """Drop items into the tray one by one and let them come to rest, the arm out of their way."""
         start = scene.robot.pose
         scene.robot.home(Pose.planar(start.x, start.y, ARM_AWAY))
-        scene.begin()
         for item in items:
             item.place(self._drop_pose(scene, rng), FALLING)
+            scene.begin()
             scene.world.step(DROP_STEPS)
+            scene.world.end()
+        scene.begin()
         scene.world.settle(scene.world.loose_bodies, SETTLE_STEPS)
         scene.world.end()
         scene.robot.home(start)
