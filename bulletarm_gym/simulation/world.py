@@ -27,7 +27,7 @@ REST_SPEED = 0.01
 REST_RIM = 0.05
 """Lever (m) at which a body's turning counts as speed."""
 PARKING_HEIGHT = 10.0
-"""Where (m) bodies that take no part wait, far from everything, without mass or contacts."""
+"""Where (m) bodies that take no part wait, far from everything, without contacts."""
 PARKING_PITCH = 1.0
 
 Twist = tuple[Vector, Vector]
@@ -198,7 +198,11 @@ class World:
         self._send(body)
 
     def park(self, body: Body) -> None:
-        """Take a body out of the scene: no mass, no contacts, out of sight."""
+        """Take a body out of the scene: no contacts, out of sight.
+
+        It keeps its mass and falls while the others move, until the next move begins: taking its mass would
+        change the order in which Bullet solves contacts, and with it the last digits of what happens.
+        """
         self.poses[body.index] = _parking_place(body.index)
         self.twists[body.index] = STILL
         self._set_active(body, False)
@@ -223,11 +227,6 @@ class World:
         mask = 1 if active and not body.spec.is_mark else 0
         for link in (-1, *body.joints):
             self.client.setCollisionFilterGroupMask(body.id, link, mask, mask)
-        if body.spec.mass > 0.0:
-            self.client.changeDynamics(body.id, -1, mass=body.spec.mass if active else 0.0)
-            if active:
-                _, moments = body.spec.mass_properties
-                self.client.changeDynamics(body.id, -1, localInertiaDiagonal=moments)
 
     def _send(self, body: Body) -> None:
         if body.spec.pieces:
