@@ -5,6 +5,7 @@ PYTHON ?= $(shell command -v python3.11 || command -v python3)
 VENV ?= .venv
 BIN := $(VENV)/bin
 DEMO_LOGS ?= logs/demo
+DEMO = --baseline equi_sacfd --env BulletArm/CloseLoopBlockPicking-v0 --preset cpu -f $(DEMO_LOGS)
 PYTEST_FLAGS ?=
 
 .PHONY: venv demo test lint format type docs clean
@@ -19,7 +20,9 @@ $(VENV)/installed-%: pyproject.toml constraints.txt
 	@touch $@
 
 demo: venv
-	$(BIN)/bulletarm-zoo train --baseline equi_sacfd --env BulletArm/CloseLoopBlockPicking-v0 --preset cpu --seed 0 -f $(DEMO_LOGS)
+	$(BIN)/bulletarm-zoo train $(DEMO) --seed 0 --progress
+	$(BIN)/bulletarm-zoo record $(DEMO) --load-last -n 4 -o $(DEMO_LOGS)/demo.gif
+	$(BIN)/bulletarm-zoo enjoy $(DEMO) --load-last -n 50
 
 # The last line printed is pytest's own summary.
 test: lint type
