@@ -224,9 +224,7 @@ class World:
 
     def _set_active(self, body: Body, active: bool) -> None:
         self.active[body.index] = active
-        mask = 1 if active and not body.spec.is_mark else 0
-        for link in (-1, *body.joints):
-            self.client.setCollisionFilterGroupMask(body.id, link, mask, mask)
+        self._set_mask(body, 1 if active and not body.spec.is_mark else 0)
 
     def _send(self, body: Body) -> None:
         if body.spec.pieces:
@@ -253,20 +251,30 @@ class World:
     def begin(self) -> None:
         """Return to the canonical world of the present state; every move starts with it."""
         self.client.restoreState(self._snapshot)
-        for body in self.bodies:
-            if self.active[body.index] and body.spec.pieces:
-                self._meet_anew(body)
+        self._forget_contacts()
         for body in self.bodies:
             if self.active[body.index] and body is not self._ground:
                 self._send(body)
 
-    def _meet_anew(self, body: Body) -> None:
-        """Have Bullet forget which bodies this one was near to.
+    def _forget_contacts(self) -> None:
+        """Have Bullet forget which bodies were near each other.
 
-        Pairs keep what convex shapes found out about their last contact, in an order that depends on who was
-        called in when; no snapshot holds either. Setting its mask enters a body into the broad phase anew.
+        Pairs keep what convex shapes found out about their last contact, they are ordered by who was called
+        in when, and those that have come apart are looked for from where the last search stopped, which moves
+        the others. No snapshot holds any of this. Setting masks enters bodies into the broad phase anew, and
+        a search through a single pair stops where it began.
         """
-        mask = 0 if body.spec.is_mark else 1
+        present = [body for body in self.bodies if self.active[body.index] and not body.spec.is_mark]
+        for body in present:
+            self._set_mask(body, 0)
+        for body in present[:2]:
+            self.client.setCollisionFilterGroupMask(body.id, -1, 1, 1)
+        self.client.performCollisionDetection()
+        for body in present:
+            self._set_mask(body, 1)
+
+    def _set_mask(self, body: Body, mask: int) -> None:
+        """Have a body collide (1) or not (0)."""
         for link in (-1, *body.joints):
             self.client.setCollisionFilterGroupMask(body.id, link, mask, mask)
 
