@@ -12,7 +12,7 @@ from xml.etree import ElementTree
 import numpy as np
 from numba import njit
 
-from bulletarm_gym.geometry import FloatArray, Pose
+from bulletarm_gym.geometry import FloatArray, Pose, matrix, quaternion
 
 MAX_ITERATIONS = 60
 TOLERANCE = 1e-9
@@ -65,33 +65,6 @@ class Chain:
         """
         target = np.array(pose.position)
         return _inverse(self.rotations, self.translations, self.axes, matrix(pose), target, start)  # type: ignore[no-any-return]
-
-
-def matrix(pose: Pose) -> FloatArray:
-    """Return the (3, 3) rotation matrix of a pose."""
-    x, y, z, w = pose.orientation
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-        ]
-    )
-
-
-def quaternion(rotation: FloatArray) -> tuple[float, float, float, float]:
-    """Return the quaternion of a (3, 3) rotation matrix."""
-    m = rotation.tolist()
-    candidates = (
-        (1 + m[0][0] - m[1][1] - m[2][2], m[1][0] + m[0][1], m[2][0] + m[0][2], m[2][1] - m[1][2]),
-        (m[1][0] + m[0][1], 1 - m[0][0] + m[1][1] - m[2][2], m[2][1] + m[1][2], m[0][2] - m[2][0]),
-        (m[2][0] + m[0][2], m[2][1] + m[1][2], 1 - m[0][0] - m[1][1] + m[2][2], m[1][0] - m[0][1]),
-        (m[2][1] - m[1][2], m[0][2] - m[2][0], m[1][0] - m[0][1], 1 + m[0][0] + m[1][1] + m[2][2]),
-    )
-    best = max(range(4), key=lambda i: candidates[i][i])
-    norm = math.hypot(*candidates[best])
-    x, y, z, w = (value / norm for value in candidates[best])
-    return (x, y, z, w)
 
 
 def euler_pose(position: tuple[float, float, float], angles: tuple[float, float, float]) -> Pose:

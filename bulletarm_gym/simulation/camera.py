@@ -23,8 +23,8 @@ class Camera:
     :param far: farthest distance seen (m)
     """
 
-    eye: Vector = (1.25, -0.85, 0.8)
-    target: Vector = (0.3, 0.0, 0.24)
+    eye: Vector = (1.4, -0.95, 0.95)
+    target: Vector = (0.27, 0.0, 0.33)
     fov: float = 42.0
     width: int = 480
     height: int = 480

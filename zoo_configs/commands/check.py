@@ -17,7 +17,7 @@ from stable_baselines3.common.env_checker import check_env as check_sb3
 from tqdm import trange
 
 from zoo_configs.arguments import positive_int
-from zoo_configs.environments import known_env_id, register_environments
+from zoo_configs.environments import known_env_id, our_env_ids, register_environments
 from zoo_configs.errors import CommandError
 from zoo_configs.video import compose_frame, write_picture
 
@@ -49,7 +49,8 @@ def main(argv: Sequence[str]) -> None:
     """
     args = _parse(argv)
     register_environments(args.gym_packages)
-    failed = [env_id for env_id in map(known_env_id, args.env) if not _passes(env_id, args)]
+    ids = [known_env_id(env_id) for env_id in args.env] or our_env_ids()
+    failed = [env_id for env_id in ids if not _passes(env_id, args)]
     if failed:
         raise CommandError(f"failed: {', '.join(failed)}")
 
@@ -57,7 +58,7 @@ def main(argv: Sequence[str]) -> None:
 def _parse(argv: Sequence[str]) -> argparse.Namespace:
     parser = argparse.ArgumentParser("bulletarm-zoo check", description=DESCRIPTION)
     add = parser.add_argument
-    add("env", nargs="+", metavar="ENV", help="environment ids")
+    add("env", nargs="*", metavar="ENV", help="environment ids (default: all of ours)")
     add("-n", "--episodes", type=positive_int, default=20, help="episodes of the expert (default: 20)")
     add("--seed", type=int, default=0, help="seed of the first episode (default: 0)")
     add("--min-success", type=float, default=0.95, help="least success rate of the expert (default: 0.95)")
