@@ -198,7 +198,6 @@ def _as_flags(values: dict[str, Any]) -> list[str]:
 
 def _resumed(args: argparse.Namespace, passed_on: list[str]) -> Plan:
     from sb3_extensions.common.checkpoint import latest_checkpoint
-
     from zoo_configs.runs import CHECKPOINT_FOLDER, load_run
 
     run = load_run(args.resume)
