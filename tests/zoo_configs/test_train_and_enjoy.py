@@ -168,10 +168,12 @@ def _same_run(first: Path, second: Path) -> bool:
 
 
 def test_an_extended_run_equals_a_longer_one(toy_id: str, tmp_path: Path) -> None:
+    """At a constant learning rate; one that falls with the share of the run that is left knows its end."""
     extended, longer = (tmp_path / name / "sacfd" / "BulletArm-CloseLoopToy-v0_1" for name in ("a", "b"))
-    assert _train(toy_id, tmp_path / "a") == 0
+    constant = "learning_rate:0.001"  # one more of the -params
+    assert _train(toy_id, tmp_path / "a", constant) == 0
     assert main(["train", "--resume", str(extended), "-n", "18", "--no-progress"]) == 0
-    assert _train(toy_id, tmp_path / "b", "-n", "18") == 0
+    assert _train(toy_id, tmp_path / "b", constant, "-n", "18") == 0
     assert _same_run(extended, longer)
     assert len(list(extended.parent.iterdir())) == 1
 
