@@ -49,7 +49,7 @@ GEAR_FORCE = 200.0
 SPINNING_FRICTION = 0.1
 """Of the pads, against turning about a contact's normal; as in the Panda's model in pybullet_data."""
 OPENING_TOLERANCE = 5e-4
-"""Change of opening (m) too small to move the fingers for."""
+"""Difference of openings (m) too small to move the fingers for, or to be a squeeze."""
 
 
 @dataclass(frozen=True)
@@ -214,9 +214,15 @@ class Robot:
         """Read the world and what the fingers hold; the arm, and what it holds, stand still between moves."""
         self._world.end()
         self._world.set_joints(self.body, self._world.joints[self.body.index])
-        self.held = next((body for body in self._world.free_bodies if self._grips(body)), None)
+        bodies = self._world.free_bodies if self._is_squeezing else []
+        self.held = next((body for body in bodies if self._grips(body)), None)
         if self.held is not None:
             self._world.rest(self.held)
+
+    @property
+    def _is_squeezing(self) -> bool:
+        """Whether something keeps the fingers from closing as far as they should: only then is there a grip."""
+        return self.opening - self._command > OPENING_TOLERANCE
 
     def _grips(self, body: Body) -> bool:
         return all(self._touches(joint, body) for joint in self._fingers.joints)
