@@ -221,7 +221,7 @@ class Robot:
 
     @property
     def _is_squeezing(self) -> bool:
-        """Whether something keeps the fingers from closing as far as they should: only then is there a grip."""
+        """Whether something keeps the fingers from closing as far as they should: without it, no grip."""
         return self.opening - self._command > OPENING_TOLERANCE
 
     def _grips(self, body: Body) -> bool:
