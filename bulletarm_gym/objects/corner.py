@@ -7,8 +7,8 @@ SIDE = 0.2
 """Of the plate and the walls (m), as in the original BulletArm release."""
 PLATE = 0.002
 """Thickness (m) of the plate, as in the original BulletArm release."""
-WALL_HEIGHT = 0.1
-"""As in the original BulletArm release (m)."""
+WALL_HEIGHT = 0.08
+"""Metres; over the original's 10 cm the Panda's wide hand cannot reach the cube."""
 WALL = 0.02
 """Thickness (m) of the walls, which stand on the plate's edges, as in the original BulletArm release."""
 INSIDE = -(SIDE - WALL) / 2.0
