@@ -8,3 +8,17 @@ import os
 for _variable in ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"):
     os.environ[_variable] = "1"  # PyTorch, too, takes its thread count from OMP_NUM_THREADS
 os.environ["MPLBACKEND"] = "Agg"
+
+from collections.abc import Iterator  # noqa: E402
+
+import gymnasium  # noqa: E402
+import pytest  # noqa: E402
+
+
+@pytest.fixture
+def own_registrations() -> Iterator[None]:
+    """Take the environments that a test registers from Gymnasium's registry again."""
+    before = dict(gymnasium.registry)
+    yield
+    gymnasium.registry.clear()
+    gymnasium.registry.update(before)

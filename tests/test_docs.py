@@ -17,6 +17,7 @@ def _snippets(page: Path) -> list[str]:
     return SNIPPET.findall(page.read_text(encoding="utf-8"))
 
 
+@pytest.mark.usefixtures("own_registrations")
 @pytest.mark.parametrize(
     "page", [p for p in PAGES if _snippets(p)], ids=lambda page: str(page.relative_to(ROOT))
 )

@@ -35,6 +35,7 @@ def test_least_success_rate_decides(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert "failed: BulletArm/CloseLoopBlockReaching-v0" in capsys.readouterr().err
 
 
+@pytest.mark.usefixtures("own_registrations")
 def test_fault_of_a_users_task_is_reported(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
