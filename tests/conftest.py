@@ -17,8 +17,8 @@ import pytest  # noqa: E402
 
 @pytest.fixture
 def own_registrations() -> Iterator[None]:
-    """Take the environments that a test registers from Gymnasium's registry again."""
-    before = dict(gymnasium.registry)
+    """Take the environments of a test's own modules (``my_...``) from Gymnasium's registry again."""
     yield
-    gymnasium.registry.clear()
-    gymnasium.registry.update(before)
+    for env_id, spec in list(gymnasium.registry.items()):
+        if str(spec.kwargs.get("task", "")).startswith("my_"):
+            del gymnasium.registry[env_id]
