@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from xml.etree import ElementTree
 
 import numpy as np
-from numba import njit
 
+from bulletarm_gym.compilation import compiled
 from bulletarm_gym.geometry import FloatArray, Pose, matrix, quaternion
 
 MAX_ITERATIONS = 60
@@ -64,7 +64,7 @@ class Chain:
         :return: the joints (n,) rad and the error that remains (the larger of m and rad)
         """
         target = np.array(pose.position)
-        return _inverse(self.rotations, self.translations, self.axes, matrix(pose), target, start)  # type: ignore[no-any-return]
+        return _inverse(self.rotations, self.translations, self.axes, matrix(pose), target, start)
 
 
 def euler_pose(position: tuple[float, float, float], angles: tuple[float, float, float]) -> Pose:
@@ -99,8 +99,8 @@ def _floats(element: ElementTree.Element | None, key: str, default: str) -> tupl
     return (x, y, z)
 
 
-@njit(cache=True)
-def _axis_rotation(axis, angle):  # type: ignore[no-untyped-def]
+@compiled
+def _axis_rotation(axis: FloatArray, angle: float) -> FloatArray:
     c, s = math.cos(angle), math.sin(angle)
     x, y, z = axis
     t = 1.0 - c
@@ -113,16 +113,16 @@ def _axis_rotation(axis, angle):  # type: ignore[no-untyped-def]
     )
 
 
-@njit(cache=True)
-def _apply(m, v):  # type: ignore[no-untyped-def]
+@compiled
+def _apply(m: FloatArray, v: FloatArray) -> FloatArray:
     out = np.empty(3)
     for i in range(3):
         out[i] = m[i, 0] * v[0] + m[i, 1] * v[1] + m[i, 2] * v[2]
     return out
 
 
-@njit(cache=True)
-def _product(a, b):  # type: ignore[no-untyped-def]
+@compiled
+def _product(a: FloatArray, b: FloatArray) -> FloatArray:
     out = np.empty((3, 3))
     for i in range(3):
         for j in range(3):
@@ -130,8 +130,10 @@ def _product(a, b):  # type: ignore[no-untyped-def]
     return out
 
 
-@njit(cache=True)
-def _forward(rotations, translations, axes, joints):  # type: ignore[no-untyped-def]
+@compiled
+def _forward(
+    rotations: FloatArray, translations: FloatArray, axes: FloatArray, joints: FloatArray
+) -> tuple[FloatArray, FloatArray]:
     rotation, position = np.eye(3), np.zeros(3)
     for j in range(len(joints)):
         position = position + _apply(rotation, translations[j])
@@ -140,8 +142,10 @@ def _forward(rotations, translations, axes, joints):  # type: ignore[no-untyped-
     return _product(rotation, rotations[-1]), position
 
 
-@njit(cache=True)
-def _jacobian(rotations, translations, axes, joints):  # type: ignore[no-untyped-def]
+@compiled
+def _jacobian(
+    rotations: FloatArray, translations: FloatArray, axes: FloatArray, joints: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Tool rotation and position, and the (6, n) Jacobian of position and turning in the world."""
     n = len(joints)
     origins, world_axes = np.empty((n, 3)), np.empty((n, 3))
@@ -161,8 +165,8 @@ def _jacobian(rotations, translations, axes, joints):  # type: ignore[no-untyped
     return _product(rotation, rotations[-1]), position, jacobian
 
 
-@njit(cache=True)
-def _turn(goal, now):  # type: ignore[no-untyped-def]
+@compiled
+def _turn(goal: FloatArray, now: FloatArray) -> FloatArray:
     """Rotation vector (rad, world) that carries ``now`` to ``goal``."""
     r = _product(goal, now.T)
     vector = np.array([r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]]) / 2.0
@@ -171,8 +175,8 @@ def _turn(goal, now):  # type: ignore[no-untyped-def]
     return vector * (angle / sine) if sine > 1e-12 else vector
 
 
-@njit(cache=True)
-def _solve(a, b):  # type: ignore[no-untyped-def]
+@compiled
+def _solve(a: FloatArray, b: FloatArray) -> FloatArray:
     """Solve a symmetric positive definite system by Cholesky decomposition."""
     n = len(b)
     low, x = np.zeros((n, n)), b.copy()
@@ -187,8 +191,15 @@ def _solve(a, b):  # type: ignore[no-untyped-def]
     return x
 
 
-@njit(cache=True)
-def _inverse(rotations, translations, axes, goal_rotation, goal_position, start):  # type: ignore[no-untyped-def]
+@compiled
+def _inverse(
+    rotations: FloatArray,
+    translations: FloatArray,
+    axes: FloatArray,
+    goal_rotation: FloatArray,
+    goal_position: FloatArray,
+    start: FloatArray,
+) -> tuple[FloatArray, float]:
     joints = start.copy()
     error = np.empty(6)
     for iteration in range(MAX_ITERATIONS + 1):

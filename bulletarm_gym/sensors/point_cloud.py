@@ -4,9 +4,9 @@ The paper's close-loop observation, Section Close-loop Environments.
 """
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from bulletarm_gym.compilation import compiled
 from bulletarm_gym.geometry import FloatArray
 
 EMPTY = np.float32(-np.inf)
@@ -37,8 +37,8 @@ def project(
     return image
 
 
-@njit(cache=True)
-def _fill(image):  # type: ignore[no-untyped-def]
+@compiled
+def _fill(image: NDArray[np.float32]) -> None:
     """Give empty pixels the value of the nearest filled one, of several the first in rows, then columns."""
     size = image.shape[0]
     source = image.copy()
@@ -48,8 +48,8 @@ def _fill(image):  # type: ignore[no-untyped-def]
                 image[i, j] = _nearest(source, i, j, size)
 
 
-@njit(cache=True)
-def _nearest(source, i, j, size):  # type: ignore[no-untyped-def]
+@compiled
+def _nearest(source: NDArray[np.float32], i: int, j: int, size: int) -> np.float32:
     best, value = size * size * 2, source[i, j]
     for radius in range(1, size):
         if radius * radius > best:
@@ -61,4 +61,4 @@ def _nearest(source, i, j, size):  # type: ignore[no-untyped-def]
                     distance = (row - i) ** 2 + (column - j) ** 2
                     if distance < best:
                         best, value = distance, source[row, column]
-    return value
+    return value  # type: ignore[no-any-return]

@@ -11,13 +11,12 @@ No fastmath and no threads: the same input always gives the same image.
 """
 
 import math
-from collections.abc import Callable
-from typing import Any, ParamSpec, TypeVar
+from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from bulletarm_gym.compilation import compiled
 from bulletarm_gym.geometry import FloatArray, IntArray
 
 SUBPIXELS = 65536.0
@@ -29,26 +28,14 @@ HEIGHT_STEPS = float(2**30)
 Window = tuple[float, float, float]
 """Centre x, centre y and side of the square that an image shows (m)."""
 
-P = ParamSpec("P")
-R = TypeVar("R")
 
-
-def _compile(function: Callable[P, R]) -> Callable[P, R]:
-    """Compile at the first call, kept on disk between processes where any cache folder can be written."""
-    try:
-        compiled: Callable[P, R] = njit(cache=True, error_model="numpy")(function)
-    except RuntimeError:  # numba found neither the package's folder nor the user's to be writable
-        compiled = njit(error_model="numpy")(function)
-    return compiled
-
-
-@_compile
+@compiled
 def _snap(value: float, steps: float) -> float:
     """Round to a multiple of ``1 / steps``; symmetric about zero."""
     return np.rint(value * steps) / steps  # type: ignore[no-any-return]
 
 
-@_compile
+@compiled
 def _rotation(quaternion: FloatArray) -> FloatArray:
     """Return the (3, 3) rotation matrix of an ``(x, y, z, w)`` quaternion, which need not be normalised."""
     x, y, z, w = quaternion
@@ -60,7 +47,7 @@ def _rotation(quaternion: FloatArray) -> FloatArray:
     return matrix
 
 
-@_compile
+@compiled
 def _pixels(low: float, high: float, size: int) -> tuple[int, int]:
     """Return the first index, and the one after the last, of pixels with a centre in [low, high]."""
     middle = 0.5 * (size - 1)
@@ -69,7 +56,7 @@ def _pixels(low: float, high: float, size: int) -> tuple[int, int]:
     return int(first), int(end)
 
 
-@_compile
+@compiled
 def _draw_triangle(image: NDArray[np.float32], corners: FloatArray, ia: int, ib: int, ic: int) -> None:
     """Raise the pixels whose centre a triangle of corners (u, v, height) covers, if it faces up."""
     au, av, ah = corners[ia, 0], corners[ia, 1], corners[ia, 2]
@@ -95,7 +82,7 @@ def _draw_triangle(image: NDArray[np.float32], corners: FloatArray, ia: int, ib:
             line[column] = height if inside & (height > line[column]) else line[column]
 
 
-@_compile
+@compiled
 def _fits(matrix: FloatArray, origin: tuple[float, float, float], sphere: FloatArray, half: float) -> bool:
     """Tell whether a bounding sphere may reach into the window; false for a pose that is not finite."""
     x = origin[0] + matrix[0, 0] * sphere[0] + matrix[0, 1] * sphere[1] + matrix[0, 2] * sphere[2]
@@ -103,7 +90,7 @@ def _fits(matrix: FloatArray, origin: tuple[float, float, float], sphere: FloatA
     return bool(abs(x) <= half + sphere[3] and abs(y) <= half + sphere[3])
 
 
-@_compile
+@compiled
 def _project(
     vertices: FloatArray,
     matrix: FloatArray,
@@ -122,7 +109,7 @@ def _project(
         corners[index, 2] = _snap(height, HEIGHT_STEPS)
 
 
-@_compile
+@compiled
 def draw_parts(
     vertices: FloatArray,
     faces: IntArray,
@@ -166,14 +153,14 @@ def draw_parts(
     return image
 
 
-@_compile
+@compiled
 def _image_point(x: float, y: float, window: Window, size: int) -> tuple[float, float]:
     """Return the snapped image coordinates of a point of the world."""
     scale = size / window[2]
     return _snap((x - window[0]) * scale, SUBPIXELS), _snap((y - window[1]) * scale, SUBPIXELS)
 
 
-@_compile
+@compiled
 def draw_rectangles(image: NDArray[Any], rectangles: FloatArray, window: Window, value: float | bool) -> None:
     """Set the pixels whose centre a rectangle covers, its edges included.
 

@@ -9,9 +9,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from bulletarm_gym.compilation import compiled
 from bulletarm_gym.geometry import FloatArray, IntArray
 from bulletarm_gym.robots.gripper import Gripper
 
@@ -101,7 +101,7 @@ Frame = tuple[float, float, float, float]
 """Row and column (pixels) of a gripper's middle, cosine and sine of its yaw."""
 
 
-@njit(cache=True)
+@compiled
 def _search(
     heights: Heights, owner: IntArray, size: FloatArray, yaws: FloatArray, depths: FloatArray, lowest: float
 ) -> FloatArray:
@@ -125,7 +125,7 @@ def _search(
     return np.array(rows)[1:]
 
 
-@njit(cache=True)
+@compiled
 def _pixel(heights: Heights, frame: Frame, along: float, across: float) -> tuple[int, int]:
     """Return the pixel at a place in a gripper's frame, (-1, -1) outside the image."""
     row = int(np.rint(frame[0] + along * frame[2] - across * frame[3]))
@@ -134,7 +134,7 @@ def _pixel(heights: Heights, frame: Frame, along: float, across: float) -> tuple
     return (row, column) if inside else (-1, -1)
 
 
-@njit(cache=True)
+@compiled
 def _highest(heights: Heights, owner: IntArray, target: int, frame: Frame, size: FloatArray) -> float:
     """Return the height (m) of the target's highest point between the open fingers."""
     reach, lines, top = int(size[0]), int(size[2]) + 1, 0.0
@@ -146,7 +146,7 @@ def _highest(heights: Heights, owner: IntArray, target: int, frame: Frame, size:
     return top
 
 
-@njit(cache=True)
+@compiled
 def _judge(
     heights: Heights, owner: IntArray, target: int, frame: Frame, size: FloatArray, tip: float
 ) -> tuple[float, float]:
@@ -184,7 +184,7 @@ def _judge(
     )
 
 
-@njit(cache=True)
+@compiled
 def _has_room(heights: Heights, frame: Frame, middle: float, size: FloatArray, room: float) -> bool:
     """Whether nothing reaches above a height where the fingers come down on both sides of a middle."""
     lines = int(size[2]) + 2

@@ -6,9 +6,9 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from bulletarm_gym.compilation import compiled
 from bulletarm_gym.geometry import Mesh, join
 from bulletarm_gym.sensors.heightmap import HeightmapSensor
-from bulletarm_gym.sensors.rasterizer import _compile
 
 EXTENT, SIZE = 0.45, 128
 RESOLUTION = EXTENT / SIZE
@@ -388,4 +388,4 @@ def test_agrees_with_a_software_renderer(seed: int) -> None:
 def test_compiles_without_a_folder_to_cache_in() -> None:
     scope: dict[str, Callable[[int], int]] = {}
     exec("def successor(x):\n    return x + 1", scope)  # numba has nowhere to keep a function without a file
-    assert _compile(scope["successor"])(1) == 2
+    assert compiled(scope["successor"])(1) == 2
