@@ -40,11 +40,6 @@ class Client:
         setattr(self, name, bound)
         return bound
 
-    @property
-    def is_open(self) -> bool:
-        """Whether the server still runs."""
-        return self._release.alive
-
     def close(self) -> None:
         """Release the server; a second call does nothing."""
         self._release()

@@ -106,17 +106,7 @@ def _print(rows: Sequence[Row], markdown: bool) -> None:
 
     if not rows:
         return
-    columns = [
-        "environment",
-        "yardstick us",
-        "steps/s",
-        "ms/step",
-        "physics",
-        "rendering",
-        "rest",
-        "reset ms",
-        "expert",
-    ]
+    columns = list(COLUMNS)
     cells = [_cells(row.ours) for row in rows]
     if any(row.reference for row in rows):
         columns += COMPARISON_COLUMNS
