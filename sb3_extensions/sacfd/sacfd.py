@@ -178,6 +178,9 @@ class SACfD(SAC):
 
     def _setup_model(self) -> None:
         super()._setup_model()
+        # Nothing learns through the target. Its forward pass turns gradients on again inside no_grad, see
+        # ContinuousCritic.forward, and its encoder would keep everything for a backward pass
+        self.critic_target.requires_grad_(False)
         # The base class seeds before it makes the buffer
         self._seed_replay_buffer(self.seed)
 
