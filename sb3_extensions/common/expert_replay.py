@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import torch as th
 
 from sb3_extensions.common.frames import Ids
 from sb3_extensions.common.replay import NO_ROW, FrameReplayBuffer, Observations
@@ -27,6 +28,7 @@ class ExpertReplayBuffer(FrameReplayBuffer):
         if expert_fraction is not None and not 0 <= expert_fraction <= 1:
             raise ValueError(f"expert_fraction must be None or between 0 and 1, got {expert_fraction}")
         self.expert_fraction = expert_fraction
+        self.progress_remaining = 1.0  # of the training, falling to 0: kept up to date by the algorithm
 
     @property
     def expert_size(self) -> int:
@@ -74,6 +76,14 @@ class ExpertReplayBuffer(FrameReplayBuffer):
             reward=rewards,
             done=terminations,
         )
+
+    def update_priorities(self, slots: Ids, td_errors: th.Tensor) -> None:
+        """
+        Take the errors that an update has found; here no draw depends on them.
+
+        :param slots: ``indices`` of a sample, shape (batch,)
+        :param td_errors: temporal-difference errors of its transitions, shape (batch, 1)
+        """
 
     def _draw(self, batch_size: int) -> tuple[Ids, npt.NDArray[np.float32]]:
         online_size = self.size() - self.expert_size

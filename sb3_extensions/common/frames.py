@@ -89,6 +89,17 @@ class PinnedRing:
         """
         return np.where(ranks < self.pinned, ranks, ranks - self.pinned + self.first)
 
+    def ids_in(self, slots: Ids) -> Ids:
+        """
+        Ids of the latest items in given slots.
+
+        :param slots: slots that have been filled, any shape
+        :return: ids, same shape
+        """
+        latest = self.end - 1
+        ring = latest - (latest - slots) % (self.capacity - self.pinned)
+        return np.where(slots < self.pinned, slots, ring)
+
 
 class FrameStore:
     """

@@ -194,6 +194,11 @@ class SACfD(SAC):
         super().set_random_seed(seed)
         self._seed_replay_buffer(seed)
 
+    def _update_current_progress_remaining(self, num_timesteps: int, total_timesteps: int) -> None:
+        super()._update_current_progress_remaining(num_timesteps, total_timesteps)
+        if self.replay_buffer is not None:
+            self.replay_buffer.progress_remaining = self._current_progress_remaining
+
     def _seed_replay_buffer(self, seed: int | None) -> None:
         if seed is not None and self.replay_buffer is not None:
             self.replay_buffer.seed(seed)
@@ -255,8 +260,11 @@ class SACfD(SAC):
 
             # Current Q-values estimates for each critic network, using action from the replay buffer
             current_q_values = self.critic(observations, replay_data.actions)
-            squared_td_errors = [(current_q - target_q_values).pow(2) for current_q in current_q_values]
-            critic_loss = 0.5 * th.stack([(replay_data.weights * e).mean() for e in squared_td_errors]).sum()
+            td_errors = [current_q - target_q_values for current_q in current_q_values]
+            critic_loss = 0.5 * th.stack([(replay_data.weights * e.pow(2)).mean() for e in td_errors]).sum()
+            self.replay_buffer.update_priorities(
+                replay_data.indices, th.stack(td_errors).detach().abs().mean(dim=0)
+            )
 
             # Optimize the critic
             self.critic.optimizer.zero_grad()

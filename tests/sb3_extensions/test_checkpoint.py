@@ -20,6 +20,7 @@ from sb3_extensions.common.checkpoint import (
     resume,
     save_checkpoint,
 )
+from sb3_extensions.common.prioritized_replay import PrioritizedReplayBuffer
 from sb3_extensions.sacfd import SACfD
 
 STEPS, MORE_STEPS = 26, 30  # the first ends in the middle of episodes
@@ -70,7 +71,13 @@ def assert_equal_trees(first: Any, second: Any) -> None:
 
 @pytest.mark.parametrize("n_envs", [1, 2])
 @pytest.mark.parametrize(
-    "kwargs", [{}, {"learning_starts": 40}, {"action_noise": NormalActionNoise(np.zeros(5), np.full(5, 0.1))}]
+    "kwargs",
+    [
+        {},
+        {"learning_starts": 40},
+        {"action_noise": NormalActionNoise(np.zeros(5), np.full(5, 0.1))},
+        {"replay_buffer_class": PrioritizedReplayBuffer, "n_steps": 2},
+    ],
 )
 def test_resumed_run_equals_uninterrupted_run(
     n_envs: int, kwargs: dict[str, Any], make_toy: Any, tmp_path: Path

@@ -16,6 +16,7 @@ from stable_baselines3.common.vec_env import VecNormalize
 
 from sb3_extensions.common.expert_replay import ExpertReplayBuffer
 from sb3_extensions.common.frames import PinnedRing
+from sb3_extensions.common.prioritized_replay import PrioritizedReplayBuffer
 from sb3_extensions.common.replay import FrameReplayBuffer
 
 HEIGHT = 0.4
@@ -27,6 +28,7 @@ OBSERVATION_SPACE = spaces.Dict(
 )
 ACTION_SPACE = spaces.Box(-1, 1, (3,), np.float32)
 GAMMA = 0.9
+both_buffers = pytest.mark.parametrize("cls", [ExpertReplayBuffer, PrioritizedReplayBuffer])
 
 
 def make_buffer(cls: type = ExpertReplayBuffer, size: int = 50, n_envs: int = 1, **kwargs: Any) -> Any:
@@ -99,18 +101,20 @@ def test_pinned_ring_keeps_pinned_and_latest() -> None:
     ids = ring.ids(np.arange(7))
     assert ids.tolist() == [*pinned, *kept]
     assert sorted(ring.slots(ids)) == list(range(7))
+    np.testing.assert_array_equal(ring.ids_in(ring.slots(ids)), ids)
     with pytest.raises(ValueError, match="before the first"):
         ring.pin(1)
     with pytest.raises(ValueError, match="do not fit"):
         PinnedRing(capacity=7, min_ring=2).pin(6)
 
 
+@both_buffers
 @pytest.mark.parametrize("n_envs", [1, 3])
 @pytest.mark.parametrize("n_steps", [1, 3])
-def test_samples_equal_a_slow_reference(n_envs: int, n_steps: int) -> None:
+def test_samples_equal_a_slow_reference(cls: type, n_envs: int, n_steps: int) -> None:
     size = 40 * n_envs + 1
     kwargs = {"n_steps": n_steps, "gamma": GAMMA, "frames_per_transition": 2}
-    buffer = make_buffer(size=size, n_envs=n_envs, **kwargs)
+    buffer = make_buffer(cls, size, n_envs, **kwargs)
     player = Player(buffer)
     for _ in range(200):  # several times around
         player.step()
@@ -172,8 +176,9 @@ def test_short_episodes_drop_the_oldest_rows_only() -> None:
     assert roomy.size() == 40
 
 
-def test_expert_rows_are_never_overwritten() -> None:
-    buffer = make_buffer(size=30)
+@both_buffers
+def test_expert_rows_are_never_overwritten(cls: type) -> None:
+    buffer = make_buffer(cls, size=30)
     buffer.add_episode(*expert_episode(4, first=100))
     buffer.add_episode(*expert_episode(3, first=200))
     player = Player(buffer)
@@ -264,8 +269,9 @@ def test_memory_of_the_paper_preset(caplog: pytest.LogCaptureFixture) -> None:
     assert f"{size / 1e9:.2f} GB" in messages[0]
 
 
-def test_same_seed_same_samples_and_pickle() -> None:
-    buffers = [make_buffer(size=20, n_steps=2, gamma=GAMMA) for _ in range(2)]
+@both_buffers
+def test_same_seed_same_samples_and_pickle(cls: type) -> None:
+    buffers = [make_buffer(cls, size=20, n_steps=2, gamma=GAMMA) for _ in range(2)]
     for buffer in buffers:
         buffer.add_episode(*expert_episode(4))
         player = Player(buffer)
