@@ -8,6 +8,7 @@ from typing import Any
 
 import gymnasium as gym
 
+from sb3_extensions.common.augmentation import make_augmentation
 from zoo_configs.algorithms import class_from_path, register_algorithms
 from zoo_configs.errors import CommandError, unknown_name
 from zoo_configs.resolve import Cell
@@ -49,6 +50,10 @@ def check_cell(cell: Cell) -> None:
             raise CommandError(f"hyperparameter {key!r} is missing for {cell.env_id}")
     policy = policy_class(algorithm, cell.hyperparams["policy"])
     _check_policy_kwargs(policy, cell.hyperparams.get("policy_kwargs"))
+    try:
+        make_augmentation(cell.hyperparams.get("augmentation"))
+    except ValueError as error:
+        raise CommandError(str(error)) from error
 
 
 def check_env_kwargs(env_id: str, env_kwargs: Mapping[str, Any]) -> gym.Env[Any, Any]:

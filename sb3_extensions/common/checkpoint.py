@@ -220,13 +220,17 @@ def _import_algorithm(checkpoint: Path, name: str) -> type[BaseAlgorithm]:
 
 
 def _generator_state(model: BaseAlgorithm) -> dict[str, Any]:
-    """States of the global generators and of the action space's. The replay buffer's is in its own file."""
+    """States of the global generators, of the action space's and of the model's own.
+
+    The replay buffer's is in its own file.
+    """
     return {
         "python": random.getstate(),
         "numpy": np.random.get_state(),
         "torch": th.get_rng_state(),
         "cuda": th.cuda.get_rng_state_all() if th.cuda.is_available() else [],
         "action_space": model.action_space.np_random.bit_generator.state,
+        "model": {name: generator.get_state() for name, generator in _own_generators(model).items()},
     }
 
 
@@ -237,6 +241,12 @@ def _set_generator_state(model: BaseAlgorithm, state: dict[str, Any]) -> None:
     if len(state["cuda"]) == th.cuda.device_count():
         th.cuda.set_rng_state_all(state["cuda"])
     model.action_space.np_random.bit_generator.state = state["action_space"]
+    for name, generator in _own_generators(model).items():
+        generator.set_state(state["model"][name])
+
+
+def _own_generators(model: BaseAlgorithm) -> dict[str, th.Generator]:
+    return {name: value for name, value in vars(model).items() if isinstance(value, th.Generator)}
 
 
 def _env_state(model: BaseAlgorithm) -> dict[str, Any]:

@@ -37,11 +37,15 @@ class StackedImage(nn.Module):
     :param observation_space: with at least one image, (channels, size, size), all of one size
     :param quantise: ``"uint8"`` or ``"uint16"``: what the replay buffer stores float images as; ``None`` if
         it stores floats
-    :raises ValueError: if the space has no image or images of other shapes, or their bounds cannot be
-        quantised
+    :param crop: side, in pixels, of the part that is taken from the centre of larger images; images of this
+        size, as cut out at random in training, are taken whole. ``None`` takes all images whole
+    :raises ValueError: if the space has no image or images of other shapes, their bounds cannot be
+        quantised, or they are smaller than the crop
     """
 
-    def __init__(self, observation_space: gym.Space[Any], quantise: str | None) -> None:
+    def __init__(
+        self, observation_space: gym.Space[Any], quantise: str | None, crop: int | None = None
+    ) -> None:
         super().__init__()
         parts = {IMAGE_KEY: observation_space}
         if isinstance(observation_space, spaces.Dict):
@@ -57,7 +61,10 @@ class StackedImage(nn.Module):
             raise ValueError(
                 f"observation_space needs images (channels, size, size), of one size, got {shapes}"
             )
-        self.size = int(sides.pop())
+        side = int(sides.pop())
+        if crop is not None and not 1 <= crop <= side:
+            raise ValueError(f"crop must be from 1 to the images' size, {side}, got {crop}")
+        self.size = crop or side
         self.scales = {key: _Scale(key, space, quantise) for key, space in images.items()}
         numbers = {key: space for key, space in parts.items() if key not in images}
         self.number_keys = list(numbers)
@@ -68,9 +75,21 @@ class StackedImage(nn.Module):
         """:return: (batch, channels, size, size)"""
         if isinstance(observations, th.Tensor):
             observations = {IMAGE_KEY: observations}
-        images = [scale(observations[key]) for key, scale in self.scales.items()]
+        images = [scale(crop_centre(observations[key], self.size)) for key, scale in self.scales.items()]
         numbers = [observations[key].flatten(1)[..., None, None] for key in self.number_keys]
         return th.cat(images + [number.expand(-1, -1, self.size, self.size) for number in numbers], dim=1)
+
+
+def crop_centre(images: th.Tensor, size: int) -> th.Tensor:
+    """
+    The middle of images; where it cannot be exact, half a pixel up and to the left.
+
+    :param images: last axes (side, side)
+    :param size: side of the middle, pixels
+    :return: last axes (size, size); the images themselves if they have this size
+    """
+    start = (images.shape[-1] - size) // 2
+    return images[..., start : start + size, start : start + size]
 
 
 class _Scale:
@@ -114,6 +133,7 @@ class CnnExtractor(BaseFeaturesExtractor):
     :param quantise: see :class:`StackedImage`
     :param channels_last: see :class:`~sb3_extensions.common.encoders.Encoder`
     :param autocast: ``None`` or ``"bf16"``, see :class:`~sb3_extensions.common.encoders.Encoder`
+    :param crop: see :class:`StackedImage`
     """
 
     def __init__(
@@ -124,8 +144,9 @@ class CnnExtractor(BaseFeaturesExtractor):
         quantise: str | None = "uint8",
         channels_last: bool = True,
         autocast: str | None = None,
+        crop: int | None = None,
     ) -> None:
-        stack = StackedImage(observation_space, quantise)
+        stack = StackedImage(observation_space, quantise, crop)
         encoder = CnnEncoder(stack.channels, stack.size, channels, strided, channels_last, autocast)
         super().__init__(observation_space, encoder.features_dim)
         self.stack, self.encoder = stack, encoder
@@ -154,6 +175,7 @@ class EquivariantExtractor(BaseFeaturesExtractor):
     :param quantise: see :class:`StackedImage`
     :param channels_last: see :class:`~sb3_extensions.common.encoders.Encoder`
     :param autocast: ``None`` or ``"bf16"``, see :class:`~sb3_extensions.common.encoders.Encoder`
+    :param crop: see :class:`StackedImage`
     :raises ValueError: if ``group``, ``n`` or ``output`` is none of these, or the encoder does not fit the
         images
     """
@@ -169,10 +191,11 @@ class EquivariantExtractor(BaseFeaturesExtractor):
         quantise: str | None = "uint8",
         channels_last: bool = True,
         autocast: str | None = None,
+        crop: int | None = None,
     ) -> None:
         if output not in OUTPUTS:
             raise ValueError(f"output must be one of {OUTPUTS}, got {output!r}")
-        stack = StackedImage(observation_space, quantise)
+        stack = StackedImage(observation_space, quantise, crop)
         symmetry = Group(group, n)
         encoder = EquivariantEncoder(
             stack.channels, stack.size, symmetry, channels, strided, channels_last, autocast

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections import defaultdict
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from typing import Any, ClassVar, TypeVar
 
 import numpy as np
@@ -20,14 +20,14 @@ from stable_baselines3.sac.policies import SACPolicy
 from stable_baselines3.sac.sac import SAC
 from tqdm import tqdm
 
+from sb3_extensions.common.augmentation import AugmentationSpec, make_augmentation
 from sb3_extensions.common.expert import EpisodeData, collect_episodes, make_expert_env
 from sb3_extensions.common.expert_replay import ExpertReplayBuffer
+from sb3_extensions.common.gradients import frozen
+from sb3_extensions.common.seeds import SeedKey, derive_seed
 from sb3_extensions.sacfd.policies import EquivariantPolicy, MultiInputPolicy
 
 SelfSACfD = TypeVar("SelfSACfD", bound="SACfD")
-
-# Keeps the expert's scenes apart from those of the training environments (seeded by seed, seed + 1, ...).
-EXPERT_SEED_KEY = 0xE9
 
 
 class SACfD(SAC):
@@ -40,7 +40,7 @@ class SACfD(SAC):
     With ``bc_weight=0`` and ``expert_episodes=0`` it is SAC.
 
     Paper: https://arxiv.org/abs/2205.14292 (BulletArm, Section "Close-Loop 4D Benchmark"); the defaults are
-    its parameters. SAC: https://arxiv.org/abs/1801.01290
+    its parameters. SAC: https://arxiv.org/abs/1801.01290. With an ``augmentation`` it is RAD or DrQ SACfD.
 
     The demonstrations are collected at the first ``learn()`` in an environment of their own, made from the
     spec of the training environment; these steps do not count as timesteps.
@@ -80,6 +80,8 @@ class SACfD(SAC):
     :param expert_data: episodes to begin with instead, with Minari's attributes
         (see :class:`~sb3_extensions.common.expert.EpisodeData`); actions are in the environment's units.
         Not saved with the model
+    :param augmentation: random views of the images: None, a :class:`~sb3_extensions.common.augmentation.RAD`
+        or :class:`~sb3_extensions.common.augmentation.DrQ`, or in YAML ``"drq"``, ``{"rad": {"size": 128}}``
     :param pretrain_steps: number of gradient steps before the first step in the environment
     :param stats_window_size: Window size for the rollout logging, specifying the number of episodes to
         average the reported success rate, mean episode length, and mean reward over
@@ -124,6 +126,7 @@ class SACfD(SAC):
         bc_weight: float = 1.0,
         expert_episodes: int = 100,
         expert_data: Iterable[EpisodeData] | None = None,
+        augmentation: AugmentationSpec = None,
         pretrain_steps: int = 0,
         stats_window_size: int = 100,
         tensorboard_log: str | None = None,
@@ -171,37 +174,44 @@ class SACfD(SAC):
         self.bc_weight = bc_weight
         self.expert_episodes = expert_episodes
         self.expert_data = expert_data
+        self.augmentation = make_augmentation(augmentation)
+        self.augmentation_generator = th.Generator().manual_seed(th.initial_seed())
         self.pretrain_steps = pretrain_steps
 
         if _init_setup_model:
             self._setup_model()
 
     def _setup_model(self) -> None:
+        if self.augmentation is not None:
+            self.augmentation.check(self.observation_space)
+            self.policy_kwargs = self.augmentation.with_crop(self.policy_kwargs)
         super()._setup_model()
         # Nothing learns through the target. Its forward pass turns gradients on again inside no_grad, see
         # ContinuousCritic.forward, and its encoder would keep everything for a backward pass
         self.critic_target.requires_grad_(False)
         # The base class seeds before it makes the buffer
-        self._seed_replay_buffer(self.seed)
+        self._seed_samplers(self.seed)
 
     def set_random_seed(self, seed: int | None = None) -> None:
         """
         Set the seed of the pseudo-random generators
-        (python, numpy, pytorch, gym, action_space, replay buffer)
+        (python, numpy, pytorch, gym, action_space, replay buffer, augmentation)
 
         :param seed:
         """
         super().set_random_seed(seed)
-        self._seed_replay_buffer(seed)
+        self._seed_samplers(seed)
 
     def _update_current_progress_remaining(self, num_timesteps: int, total_timesteps: int) -> None:
         super()._update_current_progress_remaining(num_timesteps, total_timesteps)
         if self.replay_buffer is not None:
             self.replay_buffer.progress_remaining = self._current_progress_remaining
 
-    def _seed_replay_buffer(self, seed: int | None) -> None:
-        if seed is not None and self.replay_buffer is not None:
-            self.replay_buffer.seed(seed)
+    def _seed_samplers(self, seed: int | None) -> None:
+        if seed is not None:
+            self.augmentation_generator.manual_seed(derive_seed(seed, SeedKey.AUGMENTATION))
+            if self.replay_buffer is not None:
+                self.replay_buffer.seed(seed)
 
     def train(self, gradient_steps: int, batch_size: int = 64) -> None:
         """
@@ -225,6 +235,8 @@ class SACfD(SAC):
 
         for gradient_step in range(gradient_steps):
             replay_data = self.replay_buffer.sample(batch_size, env=self._vec_normalize_env)
+            if self.augmentation is not None:
+                replay_data = self.augmentation(replay_data, self.augmentation_generator)
             observations, next_observations = replay_data.observations, replay_data.next_observations
 
             # Action by the current actor for the sampled state
@@ -253,6 +265,8 @@ class SACfD(SAC):
                 next_q_values, _ = th.min(next_q_values, dim=1, keepdim=True)
                 # add entropy term
                 next_q_values = next_q_values - ent_coef * next_log_prob.reshape(-1, 1)
+                if self.augmentation is not None:
+                    next_q_values = self.augmentation.average_targets(next_q_values)
                 # td error + entropy term; the discount is gamma**n where n steps are summed up
                 assert replay_data.discounts is not None
                 bootstrap = (1 - replay_data.dones) * replay_data.discounts * next_q_values
@@ -262,9 +276,9 @@ class SACfD(SAC):
             current_q_values = self.critic(observations, replay_data.actions)
             td_errors = [current_q - target_q_values for current_q in current_q_values]
             critic_loss = 0.5 * th.stack([(replay_data.weights * e.pow(2)).mean() for e in td_errors]).sum()
-            self.replay_buffer.update_priorities(
-                replay_data.indices, th.stack(td_errors).detach().abs().mean(dim=0)
-            )
+            # Mean over the critics, and over the views of each observation if there are more
+            priorities = th.stack(td_errors).detach().abs().view(-1, len(replay_data.indices), 1).mean(dim=0)
+            self.replay_buffer.update_priorities(replay_data.indices, priorities)
 
             # Optimize the critic
             self.critic.optimizer.zero_grad()
@@ -273,7 +287,7 @@ class SACfD(SAC):
 
             # Min over all critic networks. The critic is frozen: of its gradients only the one with respect
             # to the actions is needed, and its encoder then keeps nothing for a backward pass
-            with _frozen(self.critic):
+            with frozen(self.critic):
                 q_values_pi = th.cat(self.critic(observations, actions_pi), dim=1)
             min_qf_pi, _ = th.min(q_values_pi, dim=1, keepdim=True)
             actor_loss = (ent_coef * log_prob - min_qf_pi).mean()
@@ -360,9 +374,7 @@ class SACfD(SAC):
             self._add_episodes(self.expert_data)
         elif self.expert_episodes > 0:
             assert self.env is not None, "You must set the environment before calling learn()"
-            seed = None
-            if self.seed is not None:
-                seed = int(np.random.SeedSequence([self.seed, EXPERT_SEED_KEY]).generate_state(1)[0])
+            seed = None if self.seed is None else derive_seed(self.seed, SeedKey.EXPERT)
             with contextlib.closing(make_expert_env(self.env)) as expert_env:
                 self._add_episodes(collect_episodes(expert_env, self.expert_episodes, seed))
 
@@ -379,17 +391,4 @@ class SACfD(SAC):
             )
 
     def _excluded_save_params(self) -> list[str]:
-        return [*super()._excluded_save_params(), "expert_data"]
-
-
-@contextlib.contextmanager
-def _frozen(module: th.nn.Module) -> Iterator[None]:
-    """What a module computes within it carries no gradient with respect to the module's parameters."""
-    parameters = [parameter for parameter in module.parameters() if parameter.requires_grad]
-    for parameter in parameters:
-        parameter.requires_grad_(False)
-    try:
-        yield
-    finally:
-        for parameter in parameters:
-            parameter.requires_grad_(True)
+        return [*super()._excluded_save_params(), "expert_data", "augmentation_generator"]

@@ -22,21 +22,29 @@ class ToyReach(gym.Env[dict[str, np.ndarray], np.ndarray]):
     Moves a point to a target in a square of 2 m. The heightmap, centred on the point, has a bump there.
 
     :param max_steps: episodes are truncated after as many steps
+    :param size: pixels a side of the heightmap
     :param render_mode: not used
     :param expert_failures: in how many of the first episodes the expert stands still
     """
 
     metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"]}
-    observation_space = spaces.Dict(
-        {
-            "heightmap": spaces.Box(0.0, MAX_HEIGHT, (1, SIZE, SIZE), np.float32),
-            "holding": spaces.Box(0.0, 1.0, (1,), np.float32),
-        }
-    )
     action_space = spaces.Box(-1.0, 1.0, (5,), np.float32)  # p, x, y, z, r: only x and y move
 
-    def __init__(self, max_steps: int = 10, expert_failures: int = 0, render_mode: str | None = None) -> None:
+    def __init__(
+        self,
+        max_steps: int = 10,
+        expert_failures: int = 0,
+        render_mode: str | None = None,
+        size: int = SIZE,
+    ) -> None:
         self.render_mode = render_mode
+        self.size = size
+        self.observation_space = spaces.Dict(
+            {
+                "heightmap": spaces.Box(0.0, MAX_HEIGHT, (1, size, size), np.float32),
+                "holding": spaces.Box(0.0, 1.0, (1,), np.float32),
+            }
+        )
         self.max_steps = max_steps
         self.expert_failures = expert_failures
         self.episodes = 0
@@ -61,7 +69,7 @@ class ToyReach(gym.Env[dict[str, np.ndarray], np.ndarray]):
         return {"is_success": bool(np.abs(self.offset).max() < REACH)}
 
     def _observation(self) -> dict[str, np.ndarray]:
-        grid = np.linspace(-1, 1, SIZE)
+        grid = np.linspace(-1, 1, self.size)
         x, y = np.meshgrid(grid, grid, indexing="ij")
         squared_distance = (x - self.offset[0]) ** 2 + (y - self.offset[1]) ** 2
         heightmap = MAX_HEIGHT * np.exp(-squared_distance / 0.1)
@@ -95,7 +103,7 @@ class ImageOnly(gym.ObservationWrapper):
 
     def __init__(self, env: gym.Env[Any, Any]) -> None:
         super().__init__(env)
-        self.observation_space = ToyReach.observation_space["heightmap"]
+        self.observation_space = env.observation_space["heightmap"]
 
     def observation(self, observation: dict[str, np.ndarray]) -> np.ndarray:
         return observation["heightmap"]

@@ -77,6 +77,8 @@ def assert_equal_trees(first: Any, second: Any) -> None:
         {"learning_starts": 40},
         {"action_noise": NormalActionNoise(np.zeros(5), np.full(5, 0.1))},
         {"replay_buffer_class": PrioritizedReplayBuffer, "n_steps": 2},
+        {"augmentation": "drq"},
+        {"augmentation": {"rad": {"size": 12}}},
     ],
 )
 def test_resumed_run_equals_uninterrupted_run(

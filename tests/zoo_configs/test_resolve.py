@@ -33,7 +33,7 @@ def test_every_cell_is_valid(cell: tuple[str, str, str]) -> None:
 
 
 @pytest.mark.parametrize("preset", ["cpu", "paper"])
-@pytest.mark.parametrize("baseline", ["sac", "equi_sac", "sacfd", "equi_sacfd"])
+@pytest.mark.parametrize("baseline", list(family_of(PICKING).baselines))
 def test_every_network_runs(baseline: str, preset: str, toy_id: str) -> None:
     cell = resolve(baseline, preset, toy_id)
     hyperparams = {key: import_classes(value) for key, value in cell.hyperparams.items()}
@@ -74,9 +74,18 @@ def test_the_paper_preset_is_the_papers() -> None:
     assert cell.flags["eval_episodes"] == 100
 
 
-def test_only_sacfd_imitates() -> None:
-    assert resolve("equi_sac", "cpu", PICKING).hyperparams["bc_weight"] == 0
-    assert resolve("equi_sacfd", "cpu", PICKING).hyperparams["bc_weight"] == 1
+@pytest.mark.parametrize("network", ["", "equi_", "rad_", "drq_"])
+def test_only_sacfd_imitates(network: str) -> None:
+    assert resolve(f"{network}sac", "cpu", PICKING).hyperparams["bc_weight"] == 0
+    assert resolve(f"{network}sacfd", "cpu", PICKING).hyperparams["bc_weight"] == 1
+
+
+@pytest.mark.parametrize(("preset", "obs_size", "size"), [("paper", 142, 128), ("cpu", 71, 64)])
+@pytest.mark.parametrize("baseline", ["rad_sac", "rad_sacfd"])
+def test_crops_are_in_the_papers_proportion(baseline: str, preset: str, obs_size: int, size: int) -> None:
+    hyperparams = resolve(baseline, preset, PICKING).hyperparams
+    assert hyperparams["env_kwargs"]["obs_size"] == obs_size
+    assert hyperparams["augmentation"] == {"rad": {"size": size}}
 
 
 def test_overrides_win_and_merge() -> None:
@@ -121,6 +130,7 @@ def test_unknown_names_are_told(names: tuple[str, str, str], message: str) -> No
         ({"seed": 1}, "unknown hyperparameter of sacfd 'seed'"),
         ({"policy": "EquivarantPolicy"}, "did you mean 'EquivariantPolicy'?"),
         ({"policy": "no_package.Policy"}, "policy 'no_package.Policy' cannot be imported"),
+        ({"augmentation": "rda"}, "one of rad, drq, got 'rda'"),
         ({"policy_kwargs": {"net_arc": []}}, "did you mean 'net_arch'?"),
         ({"policy_kwargs": {"features_extractor_kwargs": {"chanels": []}}}, "did you mean 'channels'?"),
     ],
