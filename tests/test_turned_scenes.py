@@ -1,5 +1,6 @@
 """Policies on scenes of the simulator, turned and mirrored: where environments and learners meet."""
 
+import functools
 import math
 from collections.abc import Iterator
 from typing import Any
@@ -10,6 +11,7 @@ import pytest
 import torch as th
 
 from bulletarm_gym.geometry import Pose
+from sb3_extensions.common.rotated_replay import rotate_actions, rotate_images
 from sb3_extensions.sacfd import SACfD
 
 SYMMETRIC = [f"BulletArm/CloseLoopBlock{name}-v0" for name in ("Picking", "Pulling")]
@@ -36,10 +38,10 @@ def model(request: pytest.FixtureRequest) -> SACfD:
     return SACfD("EquivariantPolicy", made, buffer_size=100, seed=0, policy_kwargs=kwargs, device="cpu")
 
 
-def turned(pose: Pose, about: Pose) -> Pose:
-    """By +90 degrees about the vertical through a point."""
-    x, y = pose.x - about.x, pose.y - about.y
-    return Pose.planar(about.x - y, about.y + x, pose.z, pose.yaw + math.pi / 2)
+def turned(pose: Pose, about: Pose, angle: float = math.pi / 2) -> Pose:
+    """About the vertical through a point."""
+    x, y = rotate_actions(np.array([[pose.x - about.x, pose.y - about.y]]), np.array([angle]), "xy")[0]
+    return Pose.planar(about.x + x, about.y + y, pose.z, pose.yaw + angle)
 
 
 def mirrored(pose: Pose, about: Pose) -> Pose:
@@ -88,3 +90,16 @@ def test_mirroring_the_scene_turns_the_sign_of_the_rotation(env: Any, model: SAC
     holds = np.allclose(mirrored_mean, expected, atol=TOLERANCE)
     holds &= np.allclose(mirrored_values, values, atol=TOLERANCE)
     assert holds == (model.policy_kwargs["features_extractor_kwargs"]["group"] == "dihedral")
+
+
+@pytest.mark.parametrize("angle", [0.5, 2.5, 4.0])
+def test_rotated_copies_in_the_replay_are_what_a_turned_scene_shows(env: Any, angle: float) -> None:
+    before, after = look_twice(env, functools.partial(turned, angle=angle))
+    angles = np.arange(0, 2 * math.pi, 0.1)
+    rotated = rotate_images(np.repeat(before["heightmap"][None], len(angles), axis=0), angles)[:, 0]
+    # Within the circle that no corner of the image turns into
+    rows, columns = np.indices((SIZE, SIZE)) - (SIZE - 1) / 2
+    inside = np.hypot(rows, columns) < SIZE / 2 - 1
+    errors = np.abs(rotated - after["heightmap"])[:, inside].mean(axis=1)
+    assert math.isclose(angles[errors.argmin()], angle)
+    assert errors.min() < 0.4 * np.median(errors)

@@ -153,11 +153,12 @@ def merge(base: Mapping[str, Any], update: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _share_action_sequence(hyperparams: dict[str, Any]) -> None:
-    """An equivariant policy must know which numbers are dx and dy: the environment's sequence says so."""
-    policy_kwargs = hyperparams.get("policy_kwargs", {})
+    """What turns with the scene must know which numbers are dx and dy: the environment's sequence says so."""
     sequence = hyperparams.get("env_kwargs", {}).get("action_sequence")
-    if "action_sequence" in policy_kwargs and sequence is not None:
-        policy_kwargs["action_sequence"] = sequence
+    for key in ("policy_kwargs", "replay_buffer_kwargs"):
+        kwargs = hyperparams.get(key, {})
+        if "action_sequence" in kwargs and sequence is not None:
+            kwargs["action_sequence"] = sequence
 
 
 def _entry(kind: str, name: str, table: Mapping[str, dict[str, Any]]) -> dict[str, Any]:

@@ -50,6 +50,7 @@ def check_cell(cell: Cell) -> None:
             raise CommandError(f"hyperparameter {key!r} is missing for {cell.env_id}")
     policy = policy_class(algorithm, cell.hyperparams["policy"])
     _check_policy_kwargs(policy, cell.hyperparams.get("policy_kwargs"))
+    _check_replay_buffer(cell.hyperparams)
     try:
         make_augmentation(cell.hyperparams.get("augmentation"))
     except ValueError as error:
@@ -116,6 +117,14 @@ def _check_policy_kwargs(policy: type[Any], policy_kwargs: Any) -> None:
         extractor = _imported("features extractor", extractor)
     given = policy_kwargs.get("features_extractor_kwargs", {})
     _check_names(f"features_extractor_kwargs of {extractor.__name__}", given, constructor_keys(extractor))
+
+
+def _check_replay_buffer(hyperparams: Mapping[str, Any]) -> None:
+    """What a buffer is given is known only where it is named."""
+    path, kwargs = hyperparams.get("replay_buffer_class"), hyperparams.get("replay_buffer_kwargs", {})
+    if isinstance(path, str) and isinstance(kwargs, Mapping):
+        buffer = _imported("replay buffer", path)
+        _check_names(f"replay_buffer_kwargs of {buffer.__name__}", kwargs, constructor_keys(buffer))
 
 
 def _default(cls: type[Any], parameter: str) -> Any:

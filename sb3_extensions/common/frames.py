@@ -145,6 +145,11 @@ class FrameStore:
         return set(self._layout)
 
     @property
+    def shapes(self) -> dict[str, tuple[int, ...]]:
+        """Shape of each part of an observation."""
+        return {key: shape for key, (shape, _) in self._layout.items()}
+
+    @property
     def nbytes(self) -> int:
         """Size of the whole store in bytes, allocated or not."""
         frame = sum(int(np.prod(shape)) * dtype.itemsize for shape, dtype in self._layout.values())

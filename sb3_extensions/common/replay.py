@@ -229,11 +229,12 @@ class FrameReplayBuffer(ReplayBuffer):
         return obs if isinstance(obs, dict) else {KEY: obs}
 
     def _continues(self, obs: Observations) -> npt.NDArray[np.bool_]:
-        """Whether each observation is the one its environment's latest transition ended with, (n_envs,)."""
-        continues: npt.NDArray[np.bool_] = self._latest_rows != NO_ROW
+        """Whether the observations of the first n environments are what their latest steps led to, (n,)."""
+        n_envs = len(next(iter(obs.values())))
+        continues: npt.NDArray[np.bool_] = self._latest_rows[:n_envs] != NO_ROW
         for key, latest in (self._latest or {}).items():
             # An environment may have been reset in the middle of an episode: compare, do not trust the order.
-            continues &= (obs[key] == latest).reshape(self.n_envs, -1).all(axis=1)
+            continues &= (obs[key] == latest[:n_envs]).reshape(n_envs, -1).all(axis=1)
         return continues
 
     def _write_rows(self, rows: Ids, **columns: Any) -> Ids:

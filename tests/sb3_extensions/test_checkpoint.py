@@ -20,7 +20,7 @@ from sb3_extensions.common.checkpoint import (
     resume,
     save_checkpoint,
 )
-from sb3_extensions.common.prioritized_replay import PrioritizedReplayBuffer
+from sb3_extensions.common.rotated_replay import PrioritizedRotatedReplayBuffer
 from sb3_extensions.sacfd import SACfD
 
 STEPS, MORE_STEPS = 26, 30  # the first ends in the middle of episodes
@@ -76,7 +76,11 @@ def assert_equal_trees(first: Any, second: Any) -> None:
         {},
         {"learning_starts": 40},
         {"action_noise": NormalActionNoise(np.zeros(5), np.full(5, 0.1))},
-        {"replay_buffer_class": PrioritizedReplayBuffer, "n_steps": 2},
+        {
+            "replay_buffer_class": PrioritizedRotatedReplayBuffer,
+            "replay_buffer_kwargs": {"copies": 1},
+            "n_steps": 2,
+        },
         {"augmentation": "drq"},
         {"augmentation": {"rad": {"size": 12}}},
     ],

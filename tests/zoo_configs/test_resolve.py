@@ -36,7 +36,7 @@ def test_every_cell_is_valid(cell: tuple[str, str, str]) -> None:
 @pytest.mark.parametrize("baseline", list(family_of(PICKING).baselines))
 def test_every_network_runs(baseline: str, preset: str, toy_id: str) -> None:
     cell = resolve(baseline, preset, toy_id)
-    hyperparams = {key: import_classes(value) for key, value in cell.hyperparams.items()}
+    hyperparams = import_classes(cell.hyperparams)
     hyperparams = ExperimentManager._preprocess_schedules(hyperparams)
     env = gym.make(toy_id, **hyperparams.pop("env_kwargs"))
     for key in ("n_envs", "n_timesteps", "monitor_kwargs"):
@@ -95,10 +95,11 @@ def test_overrides_win_and_merge() -> None:
     assert hyperparams["env_kwargs"] == {"action_sequence": "pxyz", "obs_size": 64}
 
 
-def test_the_policy_follows_the_action_sequence() -> None:
+def test_policy_and_replay_follow_the_action_sequence() -> None:
     overrides = {"env_kwargs": {"action_sequence": "xyzp"}}
-    policy_kwargs = resolve("equi_sacfd", "cpu", PICKING, overrides).hyperparams["policy_kwargs"]
-    assert policy_kwargs["action_sequence"] == "xyzp"
+    hyperparams = resolve("equi_sacfd_per_aug", "cpu", PICKING, overrides).hyperparams
+    assert hyperparams["policy_kwargs"]["action_sequence"] == "xyzp"
+    assert hyperparams["replay_buffer_kwargs"]["action_sequence"] == "xyzp"
 
 
 def test_cells_share_nothing() -> None:
@@ -130,6 +131,17 @@ def test_unknown_names_are_told(names: tuple[str, str, str], message: str) -> No
         ({"seed": 1}, "unknown hyperparameter of sacfd 'seed'"),
         ({"policy": "EquivarantPolicy"}, "did you mean 'EquivariantPolicy'?"),
         ({"policy": "no_package.Policy"}, "policy 'no_package.Policy' cannot be imported"),
+        (
+            {
+                "replay_buffer_class": "sb3_extensions.common.rotated_replay.RotatedReplayBuffer",
+                "replay_buffer_kwargs": {"copys": 3},
+            },
+            "did you mean 'copies'?",
+        ),
+        (
+            {"replay_buffer_class": "no_package.Buffer"},
+            "replay buffer 'no_package.Buffer' cannot be imported",
+        ),
         ({"augmentation": "rda"}, "one of rad, drq, got 'rda'"),
         ({"policy_kwargs": {"net_arc": []}}, "did you mean 'net_arch'?"),
         ({"policy_kwargs": {"features_extractor_kwargs": {"chanels": []}}}, "did you mean 'channels'?"),

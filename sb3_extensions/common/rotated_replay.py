@@ -1,0 +1,204 @@
+"""Replay in which every transition is kept at several rotations of the scene."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import torch as th
+from gymnasium import spaces
+from torch.nn import functional as F
+
+from sb3_extensions.common.expert_replay import ExpertReplayBuffer
+from sb3_extensions.common.frames import IMAGE_AXES
+from sb3_extensions.common.heads import ActionFields
+from sb3_extensions.common.prioritized_replay import PrioritizedReplayBuffer
+from sb3_extensions.common.replay import AnyObservations, Observations
+
+FloatArray = npt.NDArray[np.float64]
+
+
+def rotate_images(images: npt.NDArray[Any], angles: FloatArray) -> npt.NDArray[Any]:
+    """
+    Rotate images about their centres, bilinearly; what comes from outside is the nearest pixel of the border.
+
+    :param images: shape (n, channels, size, size), rows along x and columns along y
+    :param angles: from x towards y, rad, shape (n,); pi / 2 is ``numpy.rot90(image, k=1)``
+    :return: rotated images, of the same shape and type
+    """
+    cos, sin, zero = np.cos(angles), np.sin(angles), np.zeros(len(angles))
+    # Where each pixel of the result comes from, in PyTorch's order: column, row.
+    inverse = np.stack([cos, -sin, zero, sin, cos, zero], axis=1).reshape(-1, 2, 3)
+    grid = F.affine_grid(th.as_tensor(inverse, dtype=th.float32), list(images.shape), align_corners=False)
+    pixels = th.as_tensor(images, dtype=th.float32)
+    rotated = F.grid_sample(pixels, grid, padding_mode="border", align_corners=False).numpy()
+    return (rotated if np.issubdtype(images.dtype, np.floating) else np.rint(rotated)).astype(images.dtype)
+
+
+def rotate_actions(actions: npt.NDArray[Any], angles: FloatArray, action_sequence: str) -> npt.NDArray[Any]:
+    """
+    Rotate (dx, dy) of actions, and clip them to the bounds of the policy's actions, [-1, 1].
+
+    :param actions: in the units of the policy, shape (n, action dimensions)
+    :param angles: from x towards y, rad, shape (n,)
+    :param action_sequence: one character for each number, see
+        :class:`~sb3_extensions.common.heads.ActionFields`
+    :return: actions whose other numbers are untouched, of the same shape and type
+    """
+    rotated = actions.copy()
+    columns = [action_sequence.index(symbol) for symbol in "xy"]
+    x, y = actions[:, columns].T
+    turned = np.cos(angles) * x - np.sin(angles) * y, np.sin(angles) * x + np.cos(angles) * y
+    rotated[:, columns] = np.clip(np.stack(turned, axis=1), -1, 1)
+    return rotated
+
+
+class RotatedReplayBuffer(ExpertReplayBuffer):
+    """
+    :class:`~sb3_extensions.common.expert_replay.ExpertReplayBuffer` that also keeps rotated copies of every
+    transition, the expert's and the others: both observations' images and (dx, dy) of the action are rotated
+    by one angle, everything else is as it was.
+
+    Each copy of an episode is rotated by one angle throughout, uniform in [0, 2 pi). So a copy is an episode
+    itself: its observations are kept once, and returns over several steps stay within it.
+
+    From the paper's "Equi SACfD + PER + Aug", https://arxiv.org/abs/2205.14292, Section "Close-Loop 4D
+    Benchmark".
+
+    :param buffer_size: number of transitions, copies included
+    :param observation_space: Box space of images (channels, size, size), or Dict space with at least one
+    :param action_space: action space, its bounds on dx and dy alike
+    :param n_envs: number of parallel environments
+    :param copies: number of rotated copies of every transition
+    :param action_sequence: one character for each number of the action, see
+        :class:`~sb3_extensions.common.heads.ActionFields`
+    :param kwargs: keyword arguments of :class:`~sb3_extensions.common.expert_replay.ExpertReplayBuffer`
+    :raises ValueError: if there is nothing to rotate, or an argument is out of its range
+    """
+
+    def __init__(
+        self,
+        buffer_size: int,
+        observation_space: spaces.Space[Any],
+        action_space: spaces.Space[Any],
+        *args: Any,
+        n_envs: int = 1,
+        copies: int = 4,
+        action_sequence: str = "pxyzr",
+        **kwargs: Any,
+    ) -> None:
+        if copies < 1:
+            raise ValueError(f"copies must be at least 1, got {copies}")
+        # A copy is one more environment to the parent.
+        n_streams = n_envs * (1 + copies)
+        super().__init__(buffer_size, observation_space, action_space, *args, n_envs=n_streams, **kwargs)
+        if "x" not in ActionFields(action_sequence, self.action_dim).sequence:
+            raise ValueError(f"action_sequence={action_sequence!r} has no x and y to rotate")
+        self.copies = copies
+        self.action_sequence = action_sequence
+        self._image_keys = {key for key, shape in self.frames.shapes.items() if len(shape) == IMAGE_AXES}
+        shapes = {key: self.frames.shapes[key] for key in self._image_keys}
+        if not shapes or any(height != width for _, height, width in shapes.values()):
+            raise ValueError(f"observation_space must have images (channels, size, size), got {shapes}")
+        self._angles = np.zeros((copies, n_envs))  # of the episodes under way
+
+    def add(
+        self,
+        obs: AnyObservations,
+        next_obs: AnyObservations,
+        action: npt.NDArray[Any],
+        reward: npt.NDArray[np.float32],
+        done: npt.NDArray[np.bool_],
+        infos: list[dict[str, Any]],
+    ) -> None:
+        """
+        Add one transition of every environment, and its copies.
+
+        :param obs: observations, first axis of length ``n_envs``
+        :param next_obs: observations that followed; the last ones of their episodes where these have ended
+        :param action: actions as the policy gave them
+        :param reward: rewards, shape (n_envs,)
+        :param done: whether the episode ended, shape (n_envs,)
+        :param infos: ``"TimeLimit.truncated"`` says that it ended only for want of time
+        """
+        obs, next_obs = self._as_dict(obs), self._as_dict(next_obs)
+        begins = ~self._continues(obs)
+        self._angles[:, begins] = self._draw_angles(int(begins.sum()))
+        times = 1 + self.copies
+        super().add(
+            self._copied_obs(obs, begins),
+            self._copied(next_obs, self._angles),
+            self._copied_actions(np.asarray(action).reshape(len(begins), -1), self._angles),
+            np.tile(reward, times),
+            np.tile(done, times),
+            infos * times,
+        )
+
+    def add_episode(
+        self,
+        observations: Observations,
+        actions: npt.NDArray[Any],
+        rewards: npt.NDArray[Any],
+        terminations: npt.NDArray[Any],
+    ) -> None:
+        """
+        Add an episode of the expert, and its copies; only before the first online transition.
+
+        :param observations: for each key an array of n + 1 observations
+        :param actions: n actions in the units of the policy, [-1, 1], shape (n, action dimensions)
+        :param rewards: n rewards
+        :param terminations: n booleans, True where the episode terminated (not where it only ran out of time)
+        :raises ValueError: if the lengths do not fit, the expert rows would fill the buffer, or there are
+            online transitions already
+        """
+        super().add_episode(observations, actions, rewards, terminations)
+        for angle in self._draw_angles(1)[:, 0]:
+            rotated = {
+                key: self._rotated(key, values, np.full(len(values), angle))
+                for key, values in observations.items()
+            }
+            rotated_actions = rotate_actions(actions, np.full(len(actions), angle), self.action_sequence)
+            super().add_episode(rotated, rotated_actions, rewards, terminations)
+
+    def _draw_angles(self, count: int) -> FloatArray:
+        return self.rng.uniform(0, 2 * np.pi, size=(self.copies, count))
+
+    def _copied_obs(self, obs: Observations, begins: npt.NDArray[np.bool_]) -> Observations:
+        """Observations and their copies; those of episodes that go on were rotated a step ago."""
+        if self._latest is None or begins.all():
+            return self._copied(obs, self._angles)
+        copied = {key: values.copy() for key, values in self._latest.items()}
+        if begins.any():
+            begun = self._copied(
+                {key: values[begins] for key, values in obs.items()}, self._angles[:, begins]
+            )
+            for key, values in copied.items():
+                values[np.tile(begins, 1 + self.copies)] = begun[key]
+        return copied
+
+    def _copied(self, obs: Observations, angles: FloatArray) -> Observations:
+        """
+        Observations and their copies.
+
+        :param obs: n of them
+        :param angles: shape (copies, n)
+        :return: first the n as they are, then the first copies of all, ...; n (1 + copies)
+        """
+        repeated = {key: np.concatenate([obs[key]] * self.copies) for key in self.frames.keys}
+        rotated = {key: self._rotated(key, values, angles.ravel()) for key, values in repeated.items()}
+        return {key: np.concatenate([obs[key], values]) for key, values in rotated.items()}
+
+    def _rotated(self, key: str, values: npt.NDArray[Any], angles: FloatArray) -> npt.NDArray[Any]:
+        return rotate_images(values, angles) if key in self._image_keys else values
+
+    def _copied_actions(self, actions: npt.NDArray[Any], angles: FloatArray) -> npt.NDArray[Any]:
+        repeated = np.concatenate([actions] * self.copies)
+        return np.concatenate([actions, rotate_actions(repeated, angles.ravel(), self.action_sequence)])
+
+
+class PrioritizedRotatedReplayBuffer(PrioritizedReplayBuffer, RotatedReplayBuffer):
+    """
+    Both: :class:`~sb3_extensions.common.prioritized_replay.PrioritizedReplayBuffer` with the copies of
+    :class:`RotatedReplayBuffer`, each with a priority of its own. Takes the arguments of both.
+    """
