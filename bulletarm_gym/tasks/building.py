@@ -3,7 +3,7 @@
 import math
 from collections.abc import Iterator, Sequence
 
-from bulletarm_gym.geometry import wrap_angle
+from bulletarm_gym.geometry import planar_distance, wrap_angle
 from bulletarm_gym.placement import roomiest
 from bulletarm_gym.relations import is_held, on_ground, on_top
 from bulletarm_gym.scene import Item, Scene
@@ -25,9 +25,13 @@ class Tower:
         self._scene = scene
         self._crown = crown
         self._blocks = [*cubes, crown] if crown is not None else list(cubes)
-        piles = (self._pile(cube, cubes) for cube in cubes if not is_held(scene, cube))
+        # Of equal cubes the nearest is grasped, and built on when one is held: what to do can then be seen, and
+        # stays as the gripper comes nearer.
+        nearest_first = sorted(cubes, key=self._distance)
+        bases = nearest_first if scene.held is not None else reversed(nearest_first)
+        piles = (self._pile(cube, cubes) for cube in bases if not is_held(scene, cube))
         self._standing = max(piles, key=len, default=[])
-        self._missing = [cube for cube in cubes if cube not in self._standing]
+        self._missing = [cube for cube in nearest_first if cube not in self._standing]
 
     def plan(self) -> Iterator[Waypoint]:
         """Yield the waypoints of the next block."""
@@ -79,6 +83,9 @@ class Tower:
         others = (block for block in (pool or self._blocks) if block is not item)
         free = (block for block in others if not is_held(self._scene, block))
         return next((block for block in free if on_top(self._scene, item, block)), None)
+
+    def _distance(self, item: Item) -> float:
+        return planar_distance(item.pose.position, self._scene.robot.pose.position)
 
     def _yaw(self, item: Item) -> float:
         return item.pose.yaw if item is self._crown else side_yaw(item.pose)
