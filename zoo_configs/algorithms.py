@@ -7,6 +7,7 @@ from typing import Any
 
 # Named by path, so that listing them does not load PyTorch.
 ALGORITHMS = {
+    "ferm": "sb3_extensions.ferm.FERM",
     "sacfd": "sb3_extensions.sacfd.SACfD",
 }
 

@@ -14,7 +14,7 @@ from stable_baselines3.common.buffers import ReplayBuffer
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.noise import ActionNoise
 from stable_baselines3.common.policies import BasePolicy
-from stable_baselines3.common.type_aliases import GymEnv, MaybeCallback, Schedule
+from stable_baselines3.common.type_aliases import GymEnv, MaybeCallback, PyTorchObs, Schedule
 from stable_baselines3.common.utils import polyak_update
 from stable_baselines3.sac.policies import SACPolicy
 from stable_baselines3.sac.sac import SAC
@@ -59,8 +59,7 @@ class SACfD(SAC):
     :param train_freq: Update the model every ``train_freq`` steps. Alternatively pass a tuple of frequency
         and unit like ``(5, "step")`` or ``(2, "episode")``.
     :param gradient_steps: How many gradient steps to do after each rollout (see ``train_freq``)
-        Set to ``-1`` means to do as many gradient steps as steps done in the environment
-        during the rollout.
+        Set to ``-1`` means to do as many gradient steps as steps done in the environment during the rollout.
     :param action_noise: the action noise type (None by default), this can help
         for hard exploration problem. Cf common.noise for the different action noise type.
     :param replay_buffer_class: Replay buffer class, ``ExpertReplayBuffer`` (the default) or a subclass
@@ -78,8 +77,7 @@ class SACfD(SAC):
     :param expert_episodes: number of successful episodes of the expert to begin with, unless ``expert_data``
         is given
     :param expert_data: episodes to begin with instead, with Minari's attributes
-        (see :class:`~sb3_extensions.common.expert.EpisodeData`); actions are in the environment's units.
-        Not saved with the model
+        (see :class:`~sb3_extensions.common.expert.EpisodeData`), in the environment's units; not saved
     :param augmentation: random views of the images: None, a :class:`~sb3_extensions.common.augmentation.RAD`
         or :class:`~sb3_extensions.common.augmentation.DrQ`, or in YAML ``"drq"``, ``{"rad": {"size": 128}}``
     :param pretrain_steps: number of gradient steps before the first step in the environment
@@ -164,9 +162,8 @@ class SACfD(SAC):
             device=device,
             _init_setup_model=False,
         )
-        for name, value in dict(
-            bc_weight=bc_weight, expert_episodes=expert_episodes, pretrain_steps=pretrain_steps
-        ).items():
+        given = {"bc_weight": bc_weight, "expert_episodes": expert_episodes, "pretrain_steps": pretrain_steps}
+        for name, value in given.items():
             if value < 0:
                 raise ValueError(f"{name} must not be negative, got {value}")
         # The base class ignores n_steps and gamma when a buffer class is given, see GH #2274
@@ -235,6 +232,8 @@ class SACfD(SAC):
 
         for gradient_step in range(gradient_steps):
             replay_data = self.replay_buffer.sample(batch_size, env=self._vec_normalize_env)
+            for name, value in self._update_encoder(replay_data.observations).items():
+                logs[name].append(value)
             if self.augmentation is not None:
                 replay_data = self.augmentation(replay_data, self.augmentation_generator)
             observations, next_observations = replay_data.observations, replay_data.next_observations
@@ -307,7 +306,7 @@ class SACfD(SAC):
 
             # Update target networks
             if gradient_step % self.target_update_interval == 0:
-                polyak_update(self.critic.parameters(), self.critic_target.parameters(), self.tau)
+                self._update_target_critic()
                 # Copy running stats, see GH issue #996
                 polyak_update(self.batch_norm_stats, self.batch_norm_stats_target, 1.0)
 
@@ -320,12 +319,19 @@ class SACfD(SAC):
         for name, values in logs.items():
             self.logger.record(f"train/{name}", th.stack(values).mean().item())
 
+    def _update_encoder(self, observations: PyTorchObs) -> dict[str, th.Tensor]:
+        """Learn from sampled observations alone, here nothing; returns the losses by name."""
+        return {}
+
+    def _update_target_critic(self) -> None:
+        polyak_update(self.critic.parameters(), self.critic_target.parameters(), self.tau)
+
     def learn(
         self: SelfSACfD,
         total_timesteps: int,
         callback: MaybeCallback = None,
         log_interval: int = 4,
-        tb_log_name: str = "SACfD",
+        tb_log_name: str | None = None,
         reset_num_timesteps: bool = True,
         progress_bar: bool = False,
     ) -> SelfSACfD:
@@ -335,7 +341,7 @@ class SACfD(SAC):
         :param total_timesteps: The total number of samples (env steps) to train on, without demonstrations
         :param callback: callback(s) called at every step with state of the algorithm.
         :param log_interval: the number of episodes before logging
-        :param tb_log_name: the name of the run for TensorBoard logging
+        :param tb_log_name: the name of the run for TensorBoard logging; that of the class if ``None``
         :param reset_num_timesteps: whether or not to reset the current timestep number (used in logging)
         :param progress_bar: Display a progress bar using tqdm and rich.
         :return: the trained model
@@ -344,7 +350,7 @@ class SACfD(SAC):
             total_timesteps=total_timesteps,
             callback=callback,
             log_interval=log_interval,
-            tb_log_name=tb_log_name,
+            tb_log_name=tb_log_name or type(self).__name__,
             reset_num_timesteps=reset_num_timesteps,
             progress_bar=progress_bar,
         )

@@ -74,14 +74,14 @@ def test_the_paper_preset_is_the_papers() -> None:
     assert cell.flags["eval_episodes"] == 100
 
 
-@pytest.mark.parametrize("network", ["", "equi_", "rad_", "drq_"])
+@pytest.mark.parametrize("network", ["", "equi_", "rad_", "drq_", "ferm_"])
 def test_only_sacfd_imitates(network: str) -> None:
     assert resolve(f"{network}sac", "cpu", PICKING).hyperparams["bc_weight"] == 0
     assert resolve(f"{network}sacfd", "cpu", PICKING).hyperparams["bc_weight"] == 1
 
 
 @pytest.mark.parametrize(("preset", "obs_size", "size"), [("paper", 142, 128), ("cpu", 71, 64)])
-@pytest.mark.parametrize("baseline", ["rad_sac", "rad_sacfd"])
+@pytest.mark.parametrize("baseline", ["rad_sac", "rad_sacfd", "ferm_sac", "ferm_sacfd"])
 def test_crops_are_in_the_papers_proportion(baseline: str, preset: str, obs_size: int, size: int) -> None:
     hyperparams = resolve(baseline, preset, PICKING).hyperparams
     assert hyperparams["env_kwargs"]["obs_size"] == obs_size

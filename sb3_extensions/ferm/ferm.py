@@ -1,0 +1,121 @@
+"""Framework for efficient robotic manipulation."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+import torch as th
+from stable_baselines3.common.policies import BasePolicy
+from stable_baselines3.common.type_aliases import GymEnv, PyTorchObs
+from stable_baselines3.common.utils import polyak_update
+from stable_baselines3.sac.policies import SACPolicy
+from torch import nn
+from tqdm import tqdm
+
+from sb3_extensions.common.augmentation import AugmentationSpec
+from sb3_extensions.ferm.policies import MultiInputPolicy
+from sb3_extensions.sacfd import SACfD
+
+
+class FERM(SACfD):
+    """
+    Framework for efficient robotic manipulation (FERM).
+
+    SACfD on random views of the images, whose encoder also learns to tell which two views are of the same
+    observation: before everything else from the demonstrations, then in every update from its sample. The
+    queries come from the critic's features extractor, the keys from the target critic's, which follows it
+    with ``encoder_tau``. With ``bc_weight=0`` it is FERM SAC.
+
+    Paper: https://arxiv.org/abs/2012.07975; the defaults are those of BulletArm,
+    https://arxiv.org/abs/2205.14292, appendix "Benchmark Details", and its authors' code.
+
+    :param policy: The policy model to use (``"MultiInputPolicy"`` or a subclass of it)
+    :param env: The environment to learn from (if registered in Gym, can be str); its observations are a Dict
+    :param augmentation: random views of the images, as in :class:`~sb3_extensions.sacfd.SACfD`; not None
+    :param contrastive_steps: number of updates of the encoder by the contrastive loss alone, on the
+        demonstrations, before the first step in the environment; none where there are no demonstrations
+    :param encoder_tau: the soft update coefficient of the target critic's features extractor; ``tau`` is that
+        of its heads
+    :param _init_setup_model: Whether or not to build the network at the creation of the instance
+    :param kwargs: further parameters of :class:`~sb3_extensions.sacfd.SACfD`
+    :raises ValueError: if an argument is out of its range, ``augmentation`` is None, or ``policy`` another
+    """
+
+    policy_aliases: ClassVar[dict[str, type[BasePolicy]]] = {"MultiInputPolicy": MultiInputPolicy}
+    policy: MultiInputPolicy
+
+    def __init__(
+        self,
+        policy: str | type[SACPolicy],
+        env: GymEnv | str,
+        augmentation: AugmentationSpec = "rad",
+        contrastive_steps: int = 1600,
+        encoder_tau: float = 0.05,
+        _init_setup_model: bool = True,
+        **kwargs: Any,
+    ) -> None:
+        super().__init__(policy, env, augmentation=augmentation, _init_setup_model=False, **kwargs)
+        if not issubclass(self.policy_class, MultiInputPolicy):
+            raise ValueError(f"policy must be FERM's MultiInputPolicy, got {self.policy_class.__name__}")
+        if self.augmentation is None:
+            raise ValueError("augmentation=None: FERM compares random views, give 'rad' or 'drq'")
+        if contrastive_steps < 0:
+            raise ValueError(f"contrastive_steps must not be negative, got {contrastive_steps}")
+        if not 0 < encoder_tau <= 1:
+            raise ValueError(f"encoder_tau must be greater than 0 and at most 1, got {encoder_tau}")
+        self.contrastive_steps = contrastive_steps
+        self.encoder_tau = encoder_tau
+
+        if _init_setup_model:
+            self._setup_model()
+
+    def _create_aliases(self) -> None:
+        super()._create_aliases()
+        self.contrast = self.policy.contrast
+
+    def train(self, gradient_steps: int, batch_size: int = 64) -> None:
+        """
+        Sample the replay buffer and do the updates
+        (gradient descent and update target networks)
+
+        :param gradient_steps: number of updates
+        :param batch_size: number of transitions for each
+        """
+        self._update_learning_rate(self.contrast.optimizer)
+        super().train(gradient_steps, batch_size)
+
+    def _add_demonstrations(self) -> None:
+        super()._add_demonstrations()
+        assert self.replay_buffer is not None
+        if self._n_updates or not self.replay_buffer.size():
+            return
+        for _ in tqdm(range(self.contrastive_steps), desc="contrastive pretraining"):
+            self._update_encoder(self.replay_buffer.sample(self.batch_size).observations)
+            self._update_target_encoder()
+
+    def _update_encoder(self, observations: PyTorchObs) -> dict[str, th.Tensor]:
+        """One step on the contrastive loss of two views of each observation."""
+        assert self.augmentation is not None
+        anchors = self.augmentation.view(observations, self.augmentation_generator)
+        positives = self.augmentation.view(observations, self.augmentation_generator)
+        queries = self.critic.extract_features(anchors, self.critic.features_extractor)
+        with th.no_grad():
+            keys = self.critic_target.extract_features(positives, self.critic_target.features_extractor)
+        loss = self.contrast(queries, keys)
+        self.contrast.optimizer.zero_grad()
+        loss.backward()
+        self.contrast.optimizer.step()
+        return {"contrastive_loss": loss.detach()}
+
+    def _update_target_critic(self) -> None:
+        self._update_target_encoder()
+        heads, target_heads = (nn.ModuleList(net.q_networks) for net in (self.critic, self.critic_target))
+        polyak_update(heads.parameters(), target_heads.parameters(), self.tau)
+
+    def _update_target_encoder(self) -> None:
+        extractor, target = self.critic.features_extractor, self.critic_target.features_extractor
+        polyak_update(extractor.parameters(), target.parameters(), self.encoder_tau)
+
+    def _get_torch_save_params(self) -> tuple[list[str], list[str]]:
+        state_dicts, variables = super()._get_torch_save_params()
+        return [*state_dicts, "contrast.optimizer"], variables

@@ -1,0 +1,158 @@
+"""Policy of FERM: one convolutional encoder for critic and actor, and a measure of likeness of two views."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import gymnasium as gym
+import torch as th
+from gymnasium import spaces
+from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
+from stable_baselines3.common.type_aliases import PyTorchObs, Schedule
+from torch import nn
+from torch.nn import functional as F
+
+from sb3_extensions.common.encoders import CnnEncoder, scale_channels
+from sb3_extensions.common.extractors import CnnExtractor, StackedImage
+from sb3_extensions.sacfd import policies as sacfd
+
+# Units of the two hidden layers of actor and critic, as in the paper's FERM baseline.
+NET_ARCH = [1024, 1024]
+
+
+class ContrastiveExtractor(CnnExtractor):
+    """Convolutional encoder, a linear layer and layer normalisation.
+
+    :param observation_space: see :class:`~sb3_extensions.common.extractors.StackedImage`
+    :param features_dim: number of features
+    :param channels: output channels of each stage, see :class:`~sb3_extensions.common.encoders.CnnEncoder`;
+        those of the paper's FERM baseline, for the size of the images, if ``None``
+    :param quantise: see :class:`~sb3_extensions.common.extractors.StackedImage`
+    :param crop: see :class:`~sb3_extensions.common.extractors.StackedImage`
+    :param kwargs: further parameters of :class:`~sb3_extensions.common.extractors.CnnExtractor`
+    """
+
+    LAST = (256, 256, 1024)  # channels of the stages behind the halving ones
+
+    def __init__(
+        self,
+        observation_space: gym.Space[Any],
+        features_dim: int = 50,
+        channels: Sequence[int] | None = None,
+        quantise: str | None = "uint8",
+        crop: int | None = None,
+        **kwargs: Any,
+    ) -> None:
+        size = StackedImage(observation_space, quantise, crop).size
+        channels = channels or scale_channels(size, CnnEncoder.HALVING, self.LAST)
+        super().__init__(observation_space, channels, quantise=quantise, crop=crop, **kwargs)
+        linear = nn.Linear(self.encoder.features_dim, features_dim)
+        nn.init.xavier_uniform_(linear.weight)
+        nn.init.zeros_(linear.bias)
+        self.projection = nn.Sequential(linear, nn.LayerNorm(features_dim))
+        self._features_dim = features_dim
+        self.trains_encoder = True
+
+    def borrow_encoder(self, owner: ContrastiveExtractor) -> None:
+        """
+        Use the convolutions of another extractor from now on, and never train them.
+
+        :param owner: the other one
+        """
+        self.encoder, self.trains_encoder = owner.encoder, False
+
+    def forward(self, observations: PyTorchObs) -> th.Tensor:
+        """:return: (batch, features_dim)"""
+        with th.set_grad_enabled(th.is_grad_enabled() and self.trains_encoder):
+            image_features = super().forward(observations)
+        features: th.Tensor = self.projection(image_features)
+        return features
+
+
+class BilinearContrast(nn.Module):
+    """Tells by ``query^T W key``, with a learned W, which two views are of the same observation.
+
+    InfoNCE: https://arxiv.org/abs/1807.03748; bilinear: CURL, https://arxiv.org/abs/2004.04136
+
+    :param features_dim: length of a query and of a key
+    """
+
+    optimizer: th.optim.Optimizer
+
+    def __init__(self, features_dim: int) -> None:
+        super().__init__()
+        self.weight = nn.Parameter(nn.init.xavier_uniform_(th.empty(features_dim, features_dim)))
+
+    def forward(self, queries: th.Tensor, keys: th.Tensor) -> th.Tensor:
+        """
+        Loss of a batch.
+
+        :param queries: features of one view of each observation, (batch, features_dim)
+        :param keys: features of the other views, (batch, features_dim)
+        :return: mean cross-entropy of finding a query's own key among all keys
+        """
+        return F.cross_entropy(queries @ self.weight @ keys.T, th.arange(len(keys), device=keys.device))
+
+
+class MultiInputPolicy(sacfd.MultiInputPolicy):
+    """
+    Policy class (with both actor and critic) for FERM.
+
+    The critic's convolutions are the actor's as well, which does not train them; each has a linear layer and
+    a normalisation of its own behind them. The contrastive loss trains the critic's whole features extractor;
+    its keys come from that of the target critic. One optimizer of its own updates everything that this loss
+    trains, once.
+
+    The parameters are those of :class:`sb3_extensions.sacfd.policies.MultiInputPolicy`.
+
+    :param observation_space: Dict of images and numbers, see
+        :class:`~sb3_extensions.common.extractors.StackedImage`
+    :param action_space: Action space
+    :param lr_schedule: Learning rate schedule (could be constant)
+    :param net_arch: Hidden layers behind the features extractors, the paper's if ``None``
+    :param features_extractor_class: Features extractor to use, a :class:`ContrastiveExtractor`
+    :param kwargs: further parameters of :class:`stable_baselines3.sac.policies.SACPolicy`
+    :raises ValueError: with ``share_features_extractor`` or another features extractor
+    """
+
+    def __init__(
+        self,
+        observation_space: spaces.Space[Any],
+        action_space: spaces.Box,
+        lr_schedule: Schedule,
+        net_arch: sacfd.NetArch | None = None,
+        features_extractor_class: type[BaseFeaturesExtractor] = ContrastiveExtractor,
+        **kwargs: Any,
+    ) -> None:
+        if kwargs.get("share_features_extractor"):
+            raise ValueError("share_features_extractor=True: FERM shares convolutions in a way of its own")
+        if not issubclass(features_extractor_class, ContrastiveExtractor):
+            raise ValueError(
+                f"features_extractor_class must be a ContrastiveExtractor, got {features_extractor_class}"
+            )
+        super().__init__(
+            observation_space,
+            action_space,
+            lr_schedule,
+            net_arch=NET_ARCH if net_arch is None else net_arch,
+            features_extractor_class=features_extractor_class,
+            **kwargs,
+        )
+
+    def _build(self, lr_schedule: Schedule) -> None:
+        super()._build(lr_schedule)
+        borrower, owner = self.actor.features_extractor, self.critic.features_extractor
+        assert isinstance(borrower, ContrastiveExtractor) and isinstance(owner, ContrastiveExtractor)
+        borrowed = set(owner.encoder.parameters())
+        borrower.borrow_encoder(owner)
+        self.contrast = BilinearContrast(owner.features_dim)
+        for module, parameters in (
+            (self.actor, [p for p in self.actor.parameters() if p not in borrowed]),
+            (self.contrast, [*owner.parameters(), *self.contrast.parameters()]),
+        ):
+            module.optimizer = self.optimizer_class(
+                parameters,
+                lr=lr_schedule(1),  # type: ignore[call-arg]
+                **self.optimizer_kwargs,
+            )
