@@ -16,7 +16,7 @@ from bulletarm_gym.planners import expert_action
 from bulletarm_gym.robots import ROBOTS, RobotState, find_robot
 from bulletarm_gym.scene import Scene
 from bulletarm_gym.simulation import Camera, WorldState
-from bulletarm_gym.surfaces import SURFACES
+from bulletarm_gym.surfaces import make_surface
 from bulletarm_gym.tasks import Task
 
 Observation = dict[str, NDArray[np.float32]]
@@ -52,7 +52,7 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
 
     :param task: ``"module:Class"`` of the task
     :param control: ``"close_loop"``
-    :param surface: ``"flat"``
+    :param surface: one of :data:`~bulletarm_gym.surfaces.SURFACES`
     :param parameters: of :class:`~bulletarm_gym.config.EnvConfig`, by name
     :raises ValueError: a parameter is unknown or has a value it cannot take; task and control do not fit
     :raises RuntimeError: ``render_mode="human"`` without a display
@@ -74,7 +74,9 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         self.scene = Scene(
             self.config,
             find_robot(self.config.robot),
-            SURFACES["tray" if self.config.close_loop_tray else surface](self.config.workspace),
+            make_surface(
+                "tray" if self.config.close_loop_tray else surface, self.config.workspace, self.task.site
+            ),
             self.task.bodies(self.config),
         )
         self.control = CloseLoop(self.config, self.scene, self.task.overlays)

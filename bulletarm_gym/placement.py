@@ -6,6 +6,7 @@ from typing import TypeVar
 
 import numpy as np
 
+from bulletarm_gym.footprint import Footprint, PlacementError
 from bulletarm_gym.geometry import Pose
 from bulletarm_gym.scene import Item, Scene
 from bulletarm_gym.surfaces.surface import Point
@@ -18,12 +19,10 @@ ARRANGEMENTS = 50
 """Arrangements tried before the workspace counts as too small."""
 
 
+BORDER = 0.005
+"""Margin (m) to the workspace's border of what is laid there: it may still move a little to come to rest."""
 GRID = 7
 """Points a side among which room is looked for."""
-
-
-class PlacementError(RuntimeError):
-    """No arrangement was found; the workspace is too small for what it should hold."""
 
 
 def scatter(
@@ -76,8 +75,109 @@ def _free_point(
 def stand(scene: Scene, item: Item, point: Point, rng: np.random.Generator, spread: float) -> None:
     """Stand an item on the ground at a point, turned by up to ``spread`` (rad) unless told not to."""
     yaw = float(rng.uniform(-spread, spread)) if scene.config.random_orientation else 0.0
-    lift = item.spec.extents[2] / 2.0
-    item.place(scene.surface.pose(point, yaw).compose(Pose((0.0, 0.0, lift))))
+    item.place(scene.surface.lay(item.spec, point, yaw))
+
+
+def lay_apart(
+    scene: Scene,
+    rng: np.random.Generator,
+    items: Sequence[Item],
+    gap: float,
+    spread: float = math.pi,
+    taken: Sequence[Footprint] = (),
+) -> None:
+    """Lay items on the ground at random, so that their true footprints are apart and inside the border.
+
+    What is in the scene besides them stays where it is, and they keep the same gap to it.
+
+    :param gap: least distance (m) between two footprints
+    :param spread: greatest yaw (rad) either way; 0 without ``random_orientation``
+    :param taken: more footprints to keep the gap to
+    :raises PlacementError: they do not fit together
+    """
+    others = [*taken, *footprints(scene, without=items)]
+    largest_first = sorted(items, key=lambda item: -item.spec.footprint)
+    for _ in range(ARRANGEMENTS):
+        covered, poses = list(others), []
+        for item in largest_first:
+            pose = _free_pose(scene, rng, item, gap, spread, covered)
+            if pose is None:
+                break
+            poses.append(pose)
+            covered.append(footprint(item, pose))
+        else:
+            for item, pose in zip(largest_first, poses, strict=True):
+                item.place(pose)
+            return
+    raise PlacementError(
+        f"workspace: found no room for {len(items)} items {gap:.3f} m apart in {scene.config.workspace[:2]}"
+    )
+
+
+def free_pose(
+    scene: Scene, rng: np.random.Generator, item: Item, gap: float, spread: float = math.pi
+) -> Pose:
+    """Draw a pose in which an item, held or not, can be put on the ground away from all others.
+
+    :param gap: least distance (m) between footprints
+    :param spread: greatest yaw (rad) either way; 0 without ``random_orientation``
+    :raises PlacementError: there is no room for it
+    """
+    pose = _free_pose(scene, rng, item, gap, spread, footprints(scene, without=[item]))
+    if pose is None:
+        raise PlacementError(f"workspace: found no room for {item.role.name} {gap:.3f} m from all others")
+    return pose
+
+
+def free_site(
+    scene: Scene, rng: np.random.Generator, size: Point, gap: float, without: Sequence[Item] = ()
+) -> Pose:
+    """Draw a place on level ground to build on, away from the items that lie there.
+
+    :param size: width and length (m) of the base, along x and y of the frame returned
+    :param gap: least distance (m) of the base to footprints
+    :param without: items that do not count
+    :return: frame of the site, level, its origin on the ground
+    :raises PlacementError: there is no such place
+    """
+    covered = footprints(scene, without)
+    spread = math.pi if scene.config.random_orientation else 0.0
+
+    def is_free(site: Pose) -> bool:
+        base = Footprint.rectangle(size, site)
+        return all(base.gap(other) >= gap for other in covered)
+
+    return draw_until(lambda: scene.surface.goal_site(size, rng, spread), is_free)
+
+
+def footprint(item: Item, pose: Pose | None = None) -> Footprint:
+    """Return what an item covers of the ground, where it is or would be at a pose."""
+    return Footprint.of(item.spec.mesh.vertices, pose or item.pose)
+
+
+def footprints(scene: Scene, without: Sequence[Item] = ()) -> list[Footprint]:
+    """Return what the items of a scene cover: all but some, marks and what the gripper holds."""
+    absent = [*without, scene.held]
+    return [footprint(item) for item in scene if item not in absent and not item.spec.is_mark]
+
+
+def _free_pose(
+    scene: Scene,
+    rng: np.random.Generator,
+    item: Item,
+    gap: float,
+    spread: float,
+    covered: Sequence[Footprint],
+) -> Pose | None:
+    (x0, x1), (y0, y1), _ = scene.config.workspace
+    for _ in range(ATTEMPTS):
+        point = (float(rng.uniform(x0, x1)), float(rng.uniform(y0, y1)))
+        yaw = float(rng.uniform(-spread, spread)) if scene.config.random_orientation else 0.0
+        pose = scene.surface.lay(item.spec, point, yaw)
+        base = footprint(item, pose)
+        if scene.surface.fits(base, BORDER) and all(base.gap(other) >= gap for other in covered):
+            return pose
+    return None
 
 
 def roomiest(scene: Scene, item: Item) -> Point:

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Iterable, Sequence
 
+from bulletarm_gym.footprint import Footprint
 from bulletarm_gym.geometry import planar_distance
 from bulletarm_gym.scene import Item, Scene
 
@@ -38,8 +39,16 @@ def upright(item: Item) -> bool:
 
 
 def on_ground(scene: Scene, item: Item) -> bool:
-    """Whether an item touches the ground."""
-    return item.lowest - scene.surface.height((item.pose.x, item.pose.y)) <= TOUCHING
+    """Whether an item touches the ground, level or not."""
+    world = scene.world
+    standing = (body for body in scene.surface.bodies if world.active[body.index])
+    return any(world.distance(item.body, body, TOUCHING) <= TOUCHING for body in standing)
+
+
+def on_site(scene: Scene, item: Item) -> bool:
+    """Whether an item stands, all of it, on the level ground where structures are built."""
+    footprint = Footprint.of(item.spec.mesh.vertices, item.pose)
+    return abs(item.lowest - scene.surface.level) <= TOUCHING and scene.surface.fits_site(footprint)
 
 
 def on_top(scene: Scene, bottom: Item, top: Item) -> bool:

@@ -144,7 +144,8 @@ class Scene:
         return next((item for item in self if item.body is self.robot.held), None)
 
     def clear(self, rng: np.random.Generator) -> None:
-        """Empty the scene and draw who plays each role."""
+        """Empty the scene, draw its ground and who plays each role."""
+        self.surface.arrange(rng)
         for item in self._items.values():
             item.park()
             item.variant = int(rng.integers(len(item.role.variants)))

@@ -13,7 +13,7 @@ ROOT = Path(__file__).resolve().parent.parent
 
 # A room (module or subpackage of bulletarm_gym) may import rooms of its own layer and of those before it.
 LAYERS = (
-    {"geometry", "config", "compilation", "extensions"},
+    {"geometry", "footprint", "config", "compilation", "extensions"},
     {"simulation"},
     {"robots", "objects", "surfaces", "sensors"},
     {"scene"},

@@ -123,8 +123,14 @@ class World:
         return self._register(Body(len(self.bodies), body_id, spec, tuple(range(len(spec.slides)))), pose)
 
     def add_plane(self, spec: BodySpec) -> Body:
-        """Load the endless ground at z = 0; ``spec`` gives its name, friction and picture."""
+        """Load the endless ground at z = 0, before all else; ``spec`` gives its name, friction and picture.
+
+        :raises RuntimeError: something has been loaded already: forgetting contacts takes a first pair of
+            bodies that are near each other, which the endless ground is with any
+        """
         self._check_open()
+        if self.bodies:
+            raise RuntimeError("the ground is loaded before anything else")
         body_id = load_plane(self.client, spec)
         self._ground = self._register(Body(len(self.bodies), body_id, spec), Pose((0.0, 0.0, 0.0)))
         return self._ground

@@ -1,6 +1,9 @@
 """The flat floor."""
 
-from bulletarm_gym.geometry import Pose, Vector
+import numpy as np
+from numpy.typing import ArrayLike
+
+from bulletarm_gym.geometry import FloatArray, Pose, Vector
 from bulletarm_gym.simulation import BodySpec, Box, Piece, World
 from bulletarm_gym.surfaces.surface import Point, Surface
 
@@ -17,16 +20,12 @@ class FlatSurface(Surface):
 
     def load(self, world: World) -> None:
         """Load the endless plane."""
-        world.add_plane(FLOOR)
+        self.bodies.append(world.add_plane(FLOOR))
 
-    def height(self, xy: Point) -> float:
-        """Return 0 everywhere."""
-        return 0.0
+    def heights(self, points: ArrayLike) -> FloatArray:
+        """Return the level everywhere."""
+        return np.full(len(np.asarray(points)), self.level)
 
     def normal(self, xy: Point) -> Vector:
         """Return the vertical everywhere."""
         return (0.0, 0.0, 1.0)
-
-    def pose(self, xy: Point, yaw: float) -> Pose:
-        """Return an upright frame."""
-        return Pose.planar(*xy, 0.0, yaw)

@@ -2,11 +2,12 @@
 
 import numpy as np
 
-from bulletarm_gym.geometry import Pose, Vector
+from bulletarm_gym.footprint import Footprint
+from bulletarm_gym.geometry import Pose
 from bulletarm_gym.objects.tray import FLOOR_HEIGHT, RIM, tray_floor, tray_walls
 from bulletarm_gym.simulation import World
 from bulletarm_gym.surfaces.flat import FlatSurface
-from bulletarm_gym.surfaces.surface import Point
+from bulletarm_gym.surfaces.surface import SITE, Point
 
 SIZE = 5.0 / 6.0
 """Nominal side of the tray in sides of the workspace: 25 cm for the close-loop 30 cm."""
@@ -17,16 +18,16 @@ over the strip that rises to the walls."""
 
 
 class TraySurface(FlatSurface):
-    """A tray in the middle of the workspace; what is placed on it stands on its floor.
+    """A tray in the middle of the workspace; what is placed on it stands on its floor."""
 
-    :param workspace: [[x low, x high], [y low, y high], [z low, z high]] (m)
-    """
+    def __init__(self, workspace: list[list[float]], site: Point = SITE) -> None:
+        super().__init__(workspace, site)
+        self.size = SIZE * (workspace[0][1] - workspace[0][0])
 
-    def __init__(self, workspace: list[list[float]]) -> None:
-        super().__init__(workspace)
-        (x0, x1), (y0, y1), _ = workspace
-        self.centre = ((x0 + x1) / 2.0, (y0 + y1) / 2.0)
-        self.size = SIZE * (x1 - x0)
+    @property
+    def level(self) -> float:
+        """Height (m) of the tray's floor, also asked for its walls: nothing is placed on them."""
+        return FLOOR_HEIGHT
 
     @property
     def floor_side(self) -> float:
@@ -50,16 +51,9 @@ class TraySurface(FlatSurface):
         """Load the ground and the tray on it."""
         super().load(world)
         for spec in (tray_floor(self.size), tray_walls(self.size)):
-            world.add(spec, Pose((*self.centre, 0.0)))
+            self.bodies.append(world.add(spec, Pose((*self.centre, 0.0))))
 
-    def height(self, xy: Point) -> float:
-        """Return the height (m) of the tray's floor."""
-        return FLOOR_HEIGHT
-
-    def normal(self, xy: Point) -> Vector:
-        """Return the vertical: nothing is placed on the walls."""
-        return (0.0, 0.0, 1.0)
-
-    def pose(self, xy: Point, yaw: float) -> Pose:
-        """Return an upright frame on the floor."""
-        return Pose.planar(*xy, FLOOR_HEIGHT, yaw)
+    def fits(self, footprint: Footprint, margin: float = 0.0) -> bool:
+        """Whether a footprint is on the floor, a margin (m) away from the walls."""
+        half = self.floor_side / 2.0
+        return footprint.is_inside([[middle - half, middle + half] for middle in self.centre], margin)

@@ -7,9 +7,10 @@ from dataclasses import replace
 import numpy as np
 
 from bulletarm_gym.config import CLOSE_LOOP, EnvConfig, TaskDefaults, TrayUse
+from bulletarm_gym.footprint import PlacementError
 from bulletarm_gym.geometry import IDENTITY, FloatArray, Mesh, Pose, Quaternion, planar_distance
 from bulletarm_gym.objects.sets import object_set
-from bulletarm_gym.placement import ARRANGEMENTS, PlacementError
+from bulletarm_gym.placement import ARRANGEMENTS
 from bulletarm_gym.relations import TOUCHING
 from bulletarm_gym.scene import Item, Role, Scene
 from bulletarm_gym.simulation import BodySpec, Convex, Piece

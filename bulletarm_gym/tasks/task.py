@@ -10,6 +10,7 @@ import numpy as np
 from bulletarm_gym.config import EnvConfig, TaskDefaults
 from bulletarm_gym.geometry import Pose, Vector
 from bulletarm_gym.scene import Item, Role, Scene
+from bulletarm_gym.surfaces.surface import SITE, Point
 
 OPEN = 1.0
 HALF_OPEN = 0.5
@@ -56,6 +57,8 @@ class Task(ABC):
     defaults: ClassVar[TaskDefaults]
     controls: ClassVar[tuple[str, ...]]
     """Names of the controls the task can be solved with."""
+    site: ClassVar[Point] = SITE
+    """Width and length (m) of the base of what is built: ramps and bumps leave level ground for it."""
 
     def __init__(self, config: EnvConfig) -> None:
         self.config = config

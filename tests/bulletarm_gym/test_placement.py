@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from bulletarm_gym.env import ManipulationEnv
+from bulletarm_gym.footprint import PlacementError
 from bulletarm_gym.geometry import Pose
-from bulletarm_gym.placement import PlacementError, draw_until, is_within, roomiest, scatter
+from bulletarm_gym.placement import draw_until, is_within, roomiest, scatter
 from bulletarm_gym.scene import Scene
 
 Make = Callable[..., ManipulationEnv]
