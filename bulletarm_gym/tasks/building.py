@@ -25,8 +25,8 @@ class Tower:
         self._scene = scene
         self._crown = crown
         self._blocks = [*cubes, crown] if crown is not None else list(cubes)
-        # Of equal cubes the nearest is grasped, and built on when one is held: what to do can then be seen, and
-        # stays as the gripper comes nearer.
+        # Of equal cubes the nearest is grasped, and built on when one is held: what to do can then be seen,
+        # and stays as the gripper comes nearer.
         nearest_first = sorted(cubes, key=self._distance)
         bases = nearest_first if scene.held is not None else reversed(nearest_first)
         piles = (self._pile(cube, cubes) for cube in bases if not is_held(scene, cube))
