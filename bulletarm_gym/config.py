@@ -65,7 +65,7 @@ class EnvConfig:
 
     Values are plain JSON: arrays given by a user are kept as lists. Build one with :meth:`of`.
 
-    :param control: ``"close_loop"``; follows from the environment's id
+    :param control: ``"close_loop"`` or ``"open_loop"``; follows from the environment's id
     :param robot: the arm
     :param action_sequence: one character a number of the action, in its order
     :param workspace: [[x low, x high], [y low, y high], [z low, z high]] (m); square in x and y
@@ -75,6 +75,8 @@ class EnvConfig:
     :param obs_size: pixels a side of the heightmap
     :param fast_mode: move the arm without simulation where it can touch nothing
     :param random_orientation: objects start with random yaw
+    :param half_rotation: the open-loop gripper turns from 0 to pi, else all the way round
+    :param in_hand_size: pixels a side of the open-loop in-hand image
     :param workspace_check: ``"point"`` asks an object's centre to stay inside, ``"bounding_box"`` all of it
     :param close_loop_tray: the task stands in a tray
     :param object_set: None for the 86 objects made by code, or a folder of OBJ or URDF files
@@ -95,6 +97,8 @@ class EnvConfig:
     obs_size: int = 128
     fast_mode: bool = True
     random_orientation: bool = True
+    half_rotation: bool = True
+    in_hand_size: int = 24
     workspace_check: str = "point"
     close_loop_tray: bool = False
     object_set: str | None = None
@@ -106,27 +110,33 @@ class EnvConfig:
 
     @classmethod
     def of(
-        cls, control: str, task: TaskDefaults, robots: Sequence[str], parameters: Mapping[str, Any]
+        cls,
+        control: str,
+        task: TaskDefaults,
+        robots: Sequence[str],
+        parameters: Mapping[str, Any],
+        surface: str = "flat",
     ) -> "EnvConfig":
         """Check a user's parameters and fill in the paper's defaults.
 
         :param control: which of the paper's two tables applies
         :param task: the task's own numbers
         :param robots: names of the arms there are
+        :param surface: where; some defaults follow from it
         :raises ParameterError: an unknown parameter (the nearest is named), or a wrong type or value
         """
-        checks = _checks(task, robots)
+        checks = _checks(control, task, robots)
         for name, value in parameters.items():
             if name not in checks:
                 raise _unknown(name, value, control, checks)
-        values = _defaults(task) | {
+        values = _defaults(control, surface, task) | {
             name: _checked(name, checks[name], value) for name, value in parameters.items()
         }
         return cls(control=control, **values)
 
     def parameters(self) -> dict[str, Any]:
-        """Return the parameters by name, as JSON values."""
-        return {name: value for name, value in asdict(self).items() if name != "control"}
+        """Return the control's parameters by name, as JSON values."""
+        return {name: value for name, value in asdict(self).items() if belongs(name, self.control)}
 
     @property
     def scales(self) -> list[float]:
@@ -150,27 +160,46 @@ class EnvConfig:
 
 SCALE_STEP = 0.02
 
-_ELSEWHERE = {"half_rotation": OPEN_LOOP, "in_hand_size": OPEN_LOOP, "close_loop_tray": CLOSE_LOOP}
+_ONLY_WITH = {
+    "half_rotation": OPEN_LOOP,
+    "in_hand_size": OPEN_LOOP,
+    "close_loop_tray": CLOSE_LOOP,
+    "view": CLOSE_LOOP,
+}
+"""Parameters that one control has and the other has not."""
 
 
-def _defaults(task: TaskDefaults) -> dict[str, Any]:
+def belongs(name: str, control: str) -> bool:
+    """Whether a control has a parameter."""
+    return name != "control" and _ONLY_WITH.get(name, control) == control
+
+
+def _defaults(control: str, surface: str, task: TaskDefaults) -> dict[str, Any]:
     """Return the paper's values where a parameter has no default of its own."""
-    return {
+    shared = {
         "robot": "kuka",
-        "action_sequence": "pxyzr",
-        "workspace": [[0.3, 0.6], [-0.15, 0.15], [0.01, 0.25]],
         "object_scale_range": [task.object_scale, task.object_scale],
         "max_steps": task.max_steps,
         "num_objects": task.num_objects,
-        "close_loop_tray": task.tray.choices[0],
+    }
+    if control == CLOSE_LOOP:
+        return shared | {
+            "action_sequence": "pxyzr",
+            "workspace": [[0.3, 0.6], [-0.15, 0.15], [0.01, 0.25]],
+            "close_loop_tray": task.tray.choices[0],
+        }
+    return shared | {
+        "action_sequence": "pxyr" if surface == "flat" else "pxyzrrr",
+        "workspace": [[0.25, 0.65], [-0.2, 0.2], [0.0, 1.0]],
+        "in_hand_size": 40 if surface == "bump" else 24,
     }
 
 
-def _checks(task: TaskDefaults, robots: Sequence[str]) -> dict[str, Check]:
+def _checks(control: str, task: TaskDefaults, robots: Sequence[str]) -> dict[str, Check]:
     """Return what each parameter of a control must pass."""
-    return {
+    checks: dict[str, Check] = {
         "robot": _robot(robots),
-        "action_sequence": _close_loop_sequence,
+        "action_sequence": _sequence(control),
         "workspace": _workspace,
         "object_scale_range": _scale_range,
         "max_steps": _integer(1),
@@ -178,22 +207,25 @@ def _checks(task: TaskDefaults, robots: Sequence[str]) -> dict[str, Check]:
         "obs_size": _integer(16, 1024),
         "fast_mode": _boolean,
         "random_orientation": _boolean,
+        "half_rotation": _boolean,
+        "in_hand_size": _integer(8, 256),
         "workspace_check": _choice("point", "bounding_box"),
         "close_loop_tray": _tray(task.tray),
         "object_set": _optional(_folder) if task.takes_object_set else _no_object_set,
         "view": _choice("orthographic", "point_cloud"),
-        "observation": _choice("image", "state"),
+        "observation": _choice("image", "state") if control == CLOSE_LOOP else _images_only,
         "physics_mode": _choice("fast", "slow"),
         "reward": _optional(_import_path),
         "render_mode": _choice(None, "rgb_array", "depth_array", "human"),
     }
+    return {name: check for name, check in checks.items() if belongs(name, control)}
 
 
 def _unknown(name: str, value: object, control: str, checks: Mapping[str, Check]) -> ParameterError:
     if name == "render":
         return ParameterError(name, value, 'nothing: there is no such parameter; use render_mode="human"')
-    if name in _ELSEWHERE and _ELSEWHERE[name] != control:
-        other, own = (text.replace("_", "-") for text in (_ELSEWHERE[name], control))
+    if name in _ONLY_WITH:
+        other, own = (text.replace("_", "-") for text in (_ONLY_WITH[name], control))
         return ParameterError(
             name, value, f"nothing here: it belongs to {other} environments, this one is {own}"
         )
@@ -278,10 +310,26 @@ def _import_path(value: Any) -> str:
     return str(value)
 
 
-def _close_loop_sequence(value: Any) -> str:
-    if not isinstance(value, str) or sorted(value) not in (sorted("pxyz"), sorted("pxyzr")):
-        raise _Refused("'pxyz' or 'pxyzr', their characters in any order")
-    return value
+def _images_only(value: Any) -> str:
+    if value != "image":
+        raise _Refused("'image' here: 'state' belongs to close-loop environments")
+    return "image"
+
+
+SEQUENCES = {CLOSE_LOOP: ("pxyz", "pxyzr"), OPEN_LOOP: ("xy", "xyr", "xyzrrr", "pxy", "pxyr", "pxyzrrr")}
+"""What an action can consist of, a character a number, in any order (paper, Environment)."""
+
+
+def _sequence(control: str) -> Check:
+    def check(value: Any) -> str:
+        known = SEQUENCES[control]
+        if not isinstance(value, str) or sorted(value) not in [sorted(sequence) for sequence in known]:
+            raise _Refused(
+                f"{', '.join(map(repr, known[:-1]))} or {known[-1]!r}, their characters in any order"
+            )
+        return value
+
+    return check
 
 
 def _numbers(value: Any, shape: tuple[int, ...], takes: str) -> Any:

@@ -10,7 +10,7 @@ from gymnasium.envs.registration import EnvSpec
 from numpy.typing import ArrayLike, NDArray
 
 from bulletarm_gym.config import EnvConfig
-from bulletarm_gym.control import CloseLoop, DeltaMove
+from bulletarm_gym.control import CONTROLS, DeltaMove, PickPlace
 from bulletarm_gym.extensions import by_path, load
 from bulletarm_gym.planners import expert_action
 from bulletarm_gym.robots import ROBOTS, RobotState, find_robot
@@ -36,6 +36,7 @@ class EnvState:
     world: WorldState
     robot: RobotState
     cast: tuple[int, ...]
+    control: Any
     memory: Any
     steps: int
     episode_seed: int
@@ -51,7 +52,7 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
     scene has become invalid, and is truncated at ``max_steps``.
 
     :param task: ``"module:Class"`` of the task
-    :param control: ``"close_loop"``
+    :param control: ``"close_loop"`` or ``"open_loop"``
     :param surface: one of :data:`~bulletarm_gym.surfaces.SURFACES`
     :param parameters: of :class:`~bulletarm_gym.config.EnvConfig`, by name
     :raises ValueError: a parameter is unknown or has a value it cannot take; task and control do not fit
@@ -66,7 +67,7 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
             raise ValueError(
                 f"control: got {control!r}, {task_type.__name__} takes one of {task_type.controls}"
             )
-        self.config = EnvConfig.of(control, task_type.defaults, tuple(ROBOTS), by_path(parameters))
+        self.config = EnvConfig.of(control, task_type.defaults, tuple(ROBOTS), by_path(parameters), surface)
         self.render_mode = self.config.render_mode
         self._recipe = {"task": task, "control": control, "surface": surface}
         self.task = task_type(self.config)
@@ -79,7 +80,7 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
             ),
             self.task.bodies(self.config),
         )
-        self.control = CloseLoop(self.config, self.scene, self.task.overlays)
+        self.control = CONTROLS[control](self.config, self.scene, self.task)
         self.action_space = self.control.action_space
         # Gymnasium types a Dict space by its parts instead of its samples.
         self.observation_space = self.control.observation_space  # type: ignore[assignment]
@@ -157,11 +158,12 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         """What each number of an action is, a character each."""
         return self.config.action_sequence
 
-    def decode_action(self, action: ArrayLike) -> DeltaMove:
+    def decode_action(self, action: ArrayLike) -> DeltaMove | PickPlace:
         """Return an action in metres and radians."""
-        return self.control.decode_action(action)
+        move: DeltaMove | PickPlace = self.control.decode_action(action)
+        return move
 
-    def encode_action(self, move: DeltaMove) -> Action:
+    def encode_action(self, move: DeltaMove | PickPlace) -> Action:
         """Return the action for a move in metres and radians."""
         return self.control.encode_action(move)
 
@@ -184,6 +186,7 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
             self.scene.world.get_state(),
             self.scene.robot.get_state(),
             self.scene.get_cast(),
+            self.control.get_state(),
             self.task.memory,
             self._steps,
             self._episode_seed,
@@ -196,6 +199,7 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         self.scene.world.set_state(state.world)
         self.scene.robot.set_state(state.robot)
         self.scene.set_cast(state.cast)
+        self.control.set_state(state.control)
         self.task.memory = state.memory
         self._steps = state.steps
         self._episode_seed = state.episode_seed

@@ -80,6 +80,30 @@ def yaw_quaternion(yaw: float) -> Quaternion:
     return (0.0, 0.0, math.sin(yaw / 2.0), math.cos(yaw / 2.0))
 
 
+def euler_pose(position: Vector, angles: Vector) -> Pose:
+    """Return a pose from fixed-axis x-y-z angles (rad), URDF's and Bullet's roll, pitch and yaw."""
+    roll, pitch, yaw = (angle / 2.0 for angle in angles)
+    cr, sr, cp, sp, cy, sy = (f(a) for a in (roll, pitch, yaw) for f in (math.cos, math.sin))
+    orientation = (
+        sr * cp * cy - cr * sp * sy,
+        cr * sp * cy + sr * cp * sy,
+        cr * cp * sy - sr * sp * cy,
+        cr * cp * cy + sr * sp * sy,
+    )
+    return Pose(position, orientation)
+
+
+def euler_angles(q: Quaternion) -> Vector:
+    """Return the fixed-axis x-y-z angles (rad) of a rotation, the inverse of :func:`euler_pose`.
+
+    The second is within +-pi/2; there only the sum of the others is defined.
+    """
+    x, y, z, w = q
+    roll = math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
+    pitch = math.asin(max(-1.0, min(1.0, 2.0 * (w * y - z * x))))
+    return (roll, pitch, Pose((0.0, 0.0, 0.0), q).yaw)
+
+
 def conjugate(q: Quaternion) -> Quaternion:
     """Return the inverse of a unit quaternion."""
     return (-q[0], -q[1], -q[2], q[3])

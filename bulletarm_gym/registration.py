@@ -10,7 +10,7 @@ from bulletarm_gym.extensions import import_path
 NAMESPACE = "BulletArm"
 ENTRY_POINT = "bulletarm_gym.env:ManipulationEnv"
 VECTOR_ENTRY_POINT = "bulletarm_gym.vector:ParallelEnv"
-PREFIXES = {("close_loop", "flat"): "CloseLoop"}
+PREFIXES = {("close_loop", "flat"): "CloseLoop", ("open_loop", "flat"): "OpenLoop"}
 """What an id begins with, by control and surface."""
 
 
@@ -39,6 +39,8 @@ class Entry:
 
 
 ENTRIES = (
+    Entry("OpenLoopBlockStacking", "bulletarm_gym.tasks.stacking:OpenLoopBlockStacking", "open_loop"),
+    Entry("OpenLoopHouseBuilding1", "bulletarm_gym.tasks.house:HouseBuilding1", "open_loop"),
     Entry("CloseLoopBlockReaching", "bulletarm_gym.tasks.reaching:BlockReaching", "close_loop"),
     Entry("CloseLoopBlockPicking", "bulletarm_gym.tasks.picking:BlockPicking", "close_loop"),
     Entry("CloseLoopBlockPushing", "bulletarm_gym.tasks.pushing:BlockPushing", "close_loop"),

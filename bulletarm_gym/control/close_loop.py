@@ -1,7 +1,7 @@
 """Close-loop control: each action moves the gripper a little (paper, Close-loop Environments)."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,10 +9,11 @@ from gymnasium import spaces
 from numpy.typing import ArrayLike, NDArray
 
 from bulletarm_gym.config import EnvConfig
+from bulletarm_gym.control.control import MAX_HEIGHT, Control, holding
 from bulletarm_gym.geometry import Pose, Vector, wrap_angle
 from bulletarm_gym.scene import Scene
 from bulletarm_gym.sensors.overlays import fill_rectangles, rectangle_mask
-from bulletarm_gym.tasks import Overlay, Waypoint
+from bulletarm_gym.tasks import Task, Waypoint
 
 MAX_TRANSLATION = 0.05
 """Farthest move (m) along an axis (paper, Close-Loop 4D Benchmark)."""
@@ -22,8 +23,6 @@ VIEW_SCALE = 1.5
 """Side of the observed square in workspaces: 0.45 m for 0.3 m (paper, Benchmark Details)."""
 CAMERA_OFFSET = 0.1
 """Height (m) of the virtual camera plane above the fingertips."""
-MAX_DEPTH = 0.4
-"""Largest value (m) of a depth image."""
 START_HEIGHT = 0.2
 """Height (m) of the fingertips over the workspace's centre at reset, as in the original BulletArm release."""
 SQUARE = 0.021
@@ -48,7 +47,7 @@ class DeltaMove:
     rotation: float = 0.0
 
 
-class CloseLoop:
+class CloseLoop(Control[DeltaMove]):
     """Delta-pose control.
 
     An action is one number in [-1, 1] a character of ``action_sequence``: p the opening (-1 closed, +1 open),
@@ -56,25 +55,17 @@ class CloseLoop:
 
     :param config: the environment's parameters
     :param scene: what is acted on
-    :param overlays: what the task shows in the image besides the bodies
+    :param task: shows in the image what else there is to see
     """
 
-    name = "close_loop"
-
-    def __init__(
-        self,
-        config: EnvConfig,
-        scene: Scene,
-        overlays: Callable[[Scene], Sequence[Overlay]] = lambda scene: (),
-    ) -> None:
-        self._overlays = overlays
-        self._sequence = config.action_sequence
+    def __init__(self, config: EnvConfig, scene: Scene, task: Task) -> None:
+        super().__init__(config)
+        self._overlays = task.overlays
         self._workspace = config.workspace
         self._size = config.obs_size
         self._extent = VIEW_SCALE * config.workspace_size
         self._centre = config.centre
         self._observe = self._image if config.observation == "image" else self._state
-        self.action_space = spaces.Box(-1.0, 1.0, (len(self._sequence),), np.float32)
         self.observation_space = spaces.Dict(
             {
                 **self._own_spaces(config, scene),
@@ -84,7 +75,7 @@ class CloseLoop:
 
     def _own_spaces(self, config: EnvConfig, scene: Scene) -> dict[str, spaces.Box]:
         if config.observation == "image":
-            return {"heightmap": spaces.Box(0.0, MAX_DEPTH, (1, self._size, self._size), np.float32)}
+            return {"heightmap": spaces.Box(0.0, MAX_HEIGHT, (1, self._size, self._size), np.float32)}
         size = 6 + sum(POSE_SIZE + len(item.spec.slides) for item in scene.items)
         return {"state": spaces.Box(-np.inf, np.inf, (size,), np.float32)}
 
@@ -93,16 +84,7 @@ class CloseLoop:
 
         :raises ValueError: the action has the wrong shape or is not finite
         """
-        try:
-            array = np.asarray(action, dtype=np.float64)
-        except (TypeError, ValueError):
-            array = np.empty(0)
-        if array.shape != self.action_space.shape or not np.isfinite(array).all():
-            raise ValueError(
-                f"action: got {action!r}, takes {len(self._sequence)} finite numbers, "
-                f"one each for {self._sequence!r}"
-            )
-        value = dict(zip(self._sequence, array.clip(-1.0, 1.0).tolist(), strict=True))
+        value = dict(zip(self._sequence, self._numbers(action), strict=True))
         x, y, z = (MAX_TRANSLATION * value[axis] for axis in "xyz")
         return DeltaMove((value["p"] + 1.0) / 2.0, (x, y, z), MAX_ROTATION * value.get("r", 0.0))
 
@@ -129,6 +111,10 @@ class CloseLoop:
         scene.robot.set_opening(move.opening)
         return False
 
+    def next_move(self, scene: Scene, plan: Iterator[Waypoint]) -> DeltaMove:
+        """Return the move towards the first waypoint of a plan."""
+        return self.towards(scene, next(plan))
+
     def towards(self, scene: Scene, waypoint: Waypoint) -> DeltaMove:
         """Return the move that brings the gripper closest to a waypoint."""
         hand = scene.robot.pose
@@ -149,8 +135,7 @@ class CloseLoop:
 
     def observe(self, scene: Scene) -> dict[str, NDArray[np.float32]]:
         """Return the observation: an image or the poses, and whether the gripper holds something."""
-        holding = np.array([scene.robot.held is not None], dtype=np.float32)
-        return {**self._observe(scene), "holding": holding}
+        return {**self._observe(scene), "holding": holding(scene)}
 
     def _image(self, scene: Scene) -> dict[str, NDArray[np.float32]]:
         """Depth below a plane over the fingertips, the gripper as two squares.
@@ -163,7 +148,7 @@ class CloseLoop:
         for overlay in self._overlays(scene):
             covered = rectangle_mask(centre, self._extent, self._size, [overlay.rectangle])
             heights[covered] += np.float32(overlay.rise)
-        depth = np.clip(np.float32(hand.z + CAMERA_OFFSET) - heights, 0.0, MAX_DEPTH)
+        depth = np.clip(np.float32(hand.z + CAMERA_OFFSET) - heights, 0.0, MAX_HEIGHT)
         fill_rectangles(depth, centre, self._extent, gripper_squares(hand, scene.robot.opening), 0.0)
         return {"heightmap": depth[None]}
 

@@ -9,8 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from xml.etree.ElementTree import Element, SubElement
 
-from bulletarm_gym.geometry import Pose, Vector
-from bulletarm_gym.robots.kinematics import euler_pose
+from bulletarm_gym.geometry import Pose, Vector, euler_pose
 from bulletarm_gym.robots.urdf import (
     DARK,
     LIGHT,

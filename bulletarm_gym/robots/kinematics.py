@@ -12,7 +12,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from bulletarm_gym.compilation import compiled
-from bulletarm_gym.geometry import FloatArray, Pose, matrix, quaternion
+from bulletarm_gym.geometry import FloatArray, Pose, euler_pose, matrix, quaternion
 
 MAX_ITERATIONS = 60
 TOLERANCE = 1e-9
@@ -65,19 +65,6 @@ class Chain:
         """
         target = np.array(pose.position)
         return _inverse(self.rotations, self.translations, self.axes, matrix(pose), target, start)
-
-
-def euler_pose(position: tuple[float, float, float], angles: tuple[float, float, float]) -> Pose:
-    """Return a pose from fixed-axis x-y-z angles (rad), URDF's roll, pitch and yaw."""
-    roll, pitch, yaw = (angle / 2.0 for angle in angles)
-    cr, sr, cp, sp, cy, sy = (f(a) for a in (roll, pitch, yaw) for f in (math.cos, math.sin))
-    orientation = (
-        sr * cp * cy - cr * sp * sy,
-        cr * sp * cy + sr * cp * sy,
-        cr * cp * sy - sr * sp * cy,
-        cr * cp * cy + sr * sp * sy,
-    )
-    return Pose(position, orientation)
 
 
 def frame_of(element: ElementTree.Element) -> Pose:

@@ -3,9 +3,8 @@
 import math
 from xml.etree.ElementTree import Element
 
-from bulletarm_gym.geometry import Pose
+from bulletarm_gym.geometry import Pose, euler_pose
 from bulletarm_gym.robots.gripper import Gripper
-from bulletarm_gym.robots.kinematics import euler_pose
 from bulletarm_gym.robots.model import RobotModel
 from bulletarm_gym.robots.urdf import LIGHT, box, find_link
 from bulletarm_gym.simulation.assets import load_model

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from bulletarm_gym.geometry import Pose, conjugate, multiply, rotate
+from bulletarm_gym.geometry import Pose, conjugate, matrix, multiply, rotate
 from bulletarm_gym.robots.kinematics import POSITION_TOLERANCE
 from bulletarm_gym.robots.model import RobotModel
 from bulletarm_gym.simulation import Body, BodySpec, World
@@ -36,6 +36,8 @@ TILTING_RADIUS = 0.25
 """Lever (m) at which a tilt counts as distance: from the fingertips to the wrist of an arm."""
 CLEARANCE = 0.004
 """Gap (m) that must stay between the gripper and everything else where it is moved without simulation."""
+TRANSFER_HEIGHT = 0.4
+"""Height (m) at which things are carried across a workspace where that has to be simulated."""
 CLEAR_ABOVE = 0.01
 """A fingertip path this far (m) above a body cannot touch it: joint motions sag some mm below a line."""
 SAMPLE_DISTANCE = 0.008
@@ -147,6 +149,10 @@ class Robot:
         turns = [round((a - b) / FULL_TURN) for a, b in zip(now, goal, strict=True)]
         return tuple(b + FULL_TURN * turn for b, turn in zip(goal, turns, strict=True))
 
+    def reaches(self, pose: Pose) -> bool:
+        """Whether the fingertips can be brought to a pose."""
+        return self.model.inverse(pose)[1] <= POSITION_TOLERANCE
+
     def _solve(self, pose: Pose) -> list[float]:
         joints, error = self.model.inverse(pose)
         if error > POSITION_TOLERANCE:
@@ -185,6 +191,24 @@ class Robot:
         steps = motion_steps(distance, REFERENCE_DISTANCE, pace, LEAST_STEPS)
         follow(self._world, self._arm, goal, round(steps * self._world.physics.pace))
         self._finish()
+
+    def transfer(self, pose: Pose) -> None:
+        """Bring the fingertips and what they hold to a pose, over everything that is in between.
+
+        From where the gripper touches nothing it can go straight up, and where it will touch nothing it can
+        come straight down; so only the two ends decide whether this needs simulation.
+
+        :raises ValueError: the pose is out of reach
+        """
+        goal, start = self.inverse_kinematics(pose), self.pose
+        if not (self.fast and self._is_apart() and self._jump(goal)):
+            level = max(start.z, pose.z, TRANSFER_HEIGHT)
+            self.move_to(Pose.planar(start.x, start.y, level, start.yaw))
+            self.move_to(Pose.planar(pose.x, pose.y, level, pose.yaw))
+            self.move_to(pose)
+        # Contacts keep their normals through a turn; with those a finger would drag along what it lets go.
+        self._world.begin()
+        self.begin()
 
     def set_opening(self, ratio: float) -> None:
         """Bring the gripper to a ratio of its stroke, 0 closed to 1 open; an object in between stops it."""
@@ -245,7 +269,10 @@ class Robot:
         """Whether nothing moves and nothing can be touched on the way."""
         if self.held is not None or self._world.has_motion:
             return False
-        lowest = min(start.z, end.z) - CLEAR_ABOVE
+        lowest = min(self._reach_down(start), self._reach_down(end))
+        if lowest < CLEARANCE:
+            return False
+        lowest -= CLEAR_ABOVE
         near = [body for body in self._world.obstacles if self._world.top(body) > lowest]
         if not near:
             return True
@@ -254,6 +281,43 @@ class Robot:
         clear = all(self._is_free(self._arm.moved(self._world, sample), near) for sample in samples.tolist())
         self._world.set_joints(self.body, self._world.joints[self.body.index])
         return clear
+
+    def _reach_down(self, hand: Pose) -> float:
+        """Return the height (m) of the open gripper's lowest point: a tilted one reaches below its middle."""
+        gripper = self.model.gripper
+        along, across, _ = (float(part) for part in matrix(hand)[2])
+        wide = gripper.stroke / 2.0 + gripper.finger[0]
+        return hand.z - abs(along) * wide - abs(across) * gripper.finger[1] / 2.0
+
+    def _jump(self, goal: Sequence[float]) -> bool:
+        """Put the arm, with what it holds, at joint positions, unless it touches something else there."""
+        joints, hand, held = self._arm.positions(self._world), self.pose, self.held
+        self._place(self._arm, goal)
+        if held is not None:
+            before = self._world.poses[held.index]
+            self._world.place(held, self.pose.compose(hand.inverse().compose(before)))
+        if self._is_apart():
+            return True
+        self._place(self._arm, joints)
+        if held is not None:
+            self._world.place(held, before)
+        return False
+
+    def _is_apart(self) -> bool:
+        """Whether the arm and what it holds touch nothing else."""
+        held = self.held
+        lowest = self._reach_down(self.pose)
+        if held is not None:
+            pose = self._world.poses[held.index]
+            lowest = min(lowest, pose.z + float((held.spec.mesh.vertices @ matrix(pose)[2]).min()))
+        near = [body for body in self._world.obstacles if self._world.top(body) > lowest - CLEARANCE]
+        movers = [self.body] if held is None else [self.body, held]
+        return lowest > CLEARANCE and all(
+            math.isinf(self._world.distance(mover, body, CLEARANCE))
+            for body in near
+            if body is not held
+            for mover in movers
+        )
 
     def _can_jump(self, command: float) -> bool:
         """Whether the fingers can take a new opening without touching anything."""

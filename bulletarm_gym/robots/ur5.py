@@ -8,9 +8,8 @@ from dataclasses import dataclass, replace
 from functools import partial
 from xml.etree.ElementTree import Element
 
-from bulletarm_gym.geometry import Pose, Vector
+from bulletarm_gym.geometry import Pose, Vector, euler_pose
 from bulletarm_gym.robots.gripper import ParallelJaw
-from bulletarm_gym.robots.kinematics import euler_pose
 from bulletarm_gym.robots.model import RobotModel
 from bulletarm_gym.robots.urdf import DARK, Colour, Part, add_joint, add_link, box, cylinder
 

@@ -5,8 +5,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from xml.etree.ElementTree import Element, SubElement
 
-from bulletarm_gym.geometry import Pose, Quaternion, Vector
-from bulletarm_gym.robots.kinematics import euler_pose, frame_of
+from bulletarm_gym.geometry import Pose, Quaternion, Vector, euler_pose
+from bulletarm_gym.robots.kinematics import frame_of
 
 ORIGIN = Pose((0.0, 0.0, 0.0))
 

@@ -12,6 +12,8 @@ from bulletarm_gym.tasks.task import Waypoint
 
 CUBE_SYMMETRY = math.pi / 2.0
 CROWN_SYMMETRY = math.pi
+HAND_ROOM = 0.13
+"""Distance (m) at which no arm's hand touches a pile: half the Panda's, 10 cm, and half a cube."""
 
 
 class Tower:
@@ -30,7 +32,7 @@ class Tower:
         nearest_first = sorted(cubes, key=self._distance)
         bases = nearest_first if scene.held is not None else reversed(nearest_first)
         piles = (self._pile(cube, cubes) for cube in bases if not is_held(scene, cube))
-        self._standing = max(piles, key=len, default=[])
+        self._standing = max(piles, key=lambda pile: (len(pile), self._leaves_room(pile)), default=[])
         self._missing = [cube for cube in nearest_first if cube not in self._standing]
 
     def plan(self) -> Iterator[Waypoint]:
@@ -77,6 +79,12 @@ class Tower:
             while (above := self._above(pile[-1], cubes)) is not None:
                 pile.append(above)
         return pile
+
+    def _leaves_room(self, pile: Sequence[Item]) -> bool:
+        """Whether the crown can be grasped beside a pile, however high it grows."""
+        if self._crown is None or is_held(self._scene, self._crown):
+            return True
+        return planar_distance(pile[0].pose.position, self._crown.pose.position) > HAND_ROOM
 
     def _above(self, item: Item, pool: Sequence[Item] | None = None) -> Item | None:
         """Return the block that lies on an item."""

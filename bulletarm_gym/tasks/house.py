@@ -5,12 +5,12 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from bulletarm_gym.config import CLOSE_LOOP, EnvConfig, TaskDefaults
+from bulletarm_gym.config import CLOSE_LOOP, OPEN_LOOP, EnvConfig, TaskDefaults
 from bulletarm_gym.objects import cube, triangle
 from bulletarm_gym.relations import at_rest, is_empty, is_top, stacked, upright
 from bulletarm_gym.scene import Role, Scene, scaled
 from bulletarm_gym.tasks.building import Tower
-from bulletarm_gym.tasks.stacking import check_height, scatter_blocks
+from bulletarm_gym.tasks.stacking import OPEN_LOOP_SCALE, check_height, scatter_blocks
 from bulletarm_gym.tasks.task import Task, Waypoint
 
 YAW_SPREAD = math.pi / 2.0
@@ -59,3 +59,21 @@ class HouseBuilding(Task):
         """Put one cube after the other on the tallest stack, then the triangle."""
         roof = scene[ROOF]
         yield from Tower(scene, [item for item in scene if item is not roof], roof).plan()
+
+
+class HouseBuilding1(HouseBuilding):
+    """Stack the cubes, and put the triangle on top, by pick and place.
+
+    Description: three (one to five) 3 cm cubes and a triangle, 3 x 3 x 3 cm, stand on the ground.
+    Validity: the triangle has not fallen over; the gripper cannot right it.
+    All else is as in :class:`HouseBuilding`.
+    """
+
+    defaults = TaskDefaults(
+        num_objects=4, max_steps=10, object_scale=OPEN_LOOP_SCALE, allowed_objects=(2, 3, 4, 5, 6)
+    )
+    controls = (OPEN_LOOP,)
+
+    def is_valid(self, scene: Scene) -> bool:
+        """Whether all is inside the workspace and the triangle stands upright."""
+        return super().is_valid(scene) and upright(scene[ROOF])

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from bulletarm_gym.config import CLOSE_LOOP, EnvConfig, ParameterError, TaskDefaults
+from bulletarm_gym.config import CLOSE_LOOP, OPEN_LOOP, EnvConfig, ParameterError, TaskDefaults
 from bulletarm_gym.objects import cube
 from bulletarm_gym.objects.blocks import CUBE_SIZE
 from bulletarm_gym.placement import scatter, stand
@@ -19,6 +19,8 @@ from bulletarm_gym.tasks.task import Task, Waypoint
 GAP = 2.4
 """Least distance of the blocks' centres, in largest block sides, as in the original BulletArm release."""
 YAW_SPREAD = math.pi / 4.0
+OPEN_LOOP_SCALE = 0.6
+"""Makes cubes of 3 cm (paper, Detail Description of Environments)."""
 
 
 class BlockStacking(Task):
@@ -58,6 +60,19 @@ class BlockStacking(Task):
     def plan(self, scene: Scene, rng: np.random.Generator) -> Iterator[Waypoint]:
         """Put one cube after the other on the tallest stack."""
         yield from Tower(scene, scene.items).plan()
+
+
+class OpenLoopBlockStacking(BlockStacking):
+    """Stack all cubes, by pick and place.
+
+    Description: four (two to six) 3 cm cubes stand on the ground.
+    All else is as in :class:`BlockStacking`.
+    """
+
+    defaults = TaskDefaults(
+        num_objects=4, max_steps=10, object_scale=OPEN_LOOP_SCALE, allowed_objects=(2, 3, 4, 5, 6)
+    )
+    controls = (OPEN_LOOP,)
 
 
 def scatter_blocks(scene: Scene, rng: np.random.Generator, items: list[Item], spread: float) -> None:

@@ -9,6 +9,7 @@ import numpy as np
 
 from bulletarm_gym.config import EnvConfig, TaskDefaults
 from bulletarm_gym.geometry import Pose, Vector
+from bulletarm_gym.objects.blocks import CUBE_SIZE
 from bulletarm_gym.scene import Item, Role, Scene
 from bulletarm_gym.surfaces.surface import SITE, Point
 
@@ -20,6 +21,9 @@ CLOSED = 0.0
 @dataclass(frozen=True)
 class Waypoint:
     """A place an expert wants the fingertips at (paper, Expert Demonstrations).
+
+    Close-loop control goes from one to the next. Open-loop control finds its own way: of a plan it takes the
+    first waypoint with a ``finish``, as a pick if that closes the gripper, as a place if it opens it.
 
     :param pose: of the fingertips, in the world
     :param gripper: opening ratio on the way, 0 closed to 1 open
@@ -45,6 +49,21 @@ class Overlay:
     rise: float
 
 
+@dataclass(frozen=True)
+class Hints:
+    """What open-loop control must know of a task (paper, Open-loop Environments).
+
+    :param pick_offset: how deep (m) below the highest point around the target the fingertips close, where the
+        action does not say at which height
+    :param place_offset: gap (m) between what is held and the highest point under it when it is let go, then
+    :param opening: ratio to which the gripper opens, 1 all the way
+    """
+
+    pick_offset: float
+    place_offset: float = 0.003
+    opening: float = OPEN
+
+
 class Task(ABC):
     """A task: its bodies, how they are arranged, when it is solved, and how an expert solves it.
 
@@ -65,6 +84,11 @@ class Task(ABC):
         self.memory: Any = None
         """What the task must remember within an episode; picklable."""
 
+    @property
+    def hints(self) -> Hints:
+        """What open-loop control must know: by default grasps go half a largest cube deep."""
+        return Hints(pick_offset=CUBE_SIZE * max(self.config.scales) / 2.0)
+
     @abstractmethod
     def bodies(self, config: EnvConfig) -> list[Role]:
         """Return everything the task will ever need."""
@@ -81,7 +105,7 @@ class Task(ABC):
     def plan(self, scene: Scene, rng: np.random.Generator) -> Iterator[Waypoint]:
         """Yield the waypoints that remain from the present scene on, first the next.
 
-        It must give one in every state, also after a failure.
+        It must give one in every state, also after a failure; for open-loop control one with a ``finish``.
         """
 
     def carry_on(self, scene: Scene, rng: np.random.Generator) -> bool:

@@ -18,12 +18,52 @@ def config(**parameters: Any) -> EnvConfig:
     return EnvConfig.of("close_loop", TASK, ("kuka", "panda"), parameters)
 
 
+def open_loop(surface: str = "flat", **parameters: Any) -> EnvConfig:
+    return EnvConfig.of("open_loop", TASK, ("kuka", "panda"), parameters, surface)
+
+
 def test_defaults_are_the_papers() -> None:
     made = config()
     assert made.workspace == WORKSPACE
     assert (made.robot, made.action_sequence, made.max_steps, made.obs_size) == ("kuka", "pxyzr", 50, 128)
     assert made.object_scale_range == [0.8, 0.8] and made.num_objects == 2
     assert made.fast_mode and made.random_orientation and made.workspace_check == "point"
+
+
+@pytest.mark.parametrize(
+    ("surface", "sequence", "in_hand"),
+    [("flat", "pxyr", 24), ("ramp", "pxyzrrr", 24), ("bump", "pxyzrrr", 40)],
+)
+def test_open_loop_defaults_are_the_papers(surface: str, sequence: str, in_hand: int) -> None:
+    made = open_loop(surface)
+    assert made.workspace == [[0.25, 0.65], [-0.2, 0.2], [0.0, 1.0]]
+    assert (made.action_sequence, made.in_hand_size, made.obs_size) == (sequence, in_hand, 128)
+    assert made.half_rotation and made.fast_mode and made.random_orientation and not made.close_loop_tray
+    assert open_loop(surface, **made.parameters()) == made
+
+
+@pytest.mark.parametrize("sequence", ["yx", "xyr", "rxyp", "rrxpyzr", "pxyzrrr", "xyzrrr"])
+def test_open_loop_sequences(sequence: str) -> None:
+    assert open_loop(action_sequence=sequence).action_sequence == sequence
+
+
+OPEN_LOOP_WRONG: dict[str, list[Any]] = {
+    "action_sequence": ["pxyzr", "pxyrr", "xyz", "px", "pxyzrrrr", "", None],
+    "half_rotation": [1, "yes", None],
+    "in_hand_size": [0, 7, 300, 24.0, True],
+    "close_loop_tray": [False],
+    "view": ["orthographic"],
+    "observation": ["state"],
+}
+
+
+@pytest.mark.parametrize(
+    ("name", "value"), [(n, v) for n, vs in OPEN_LOOP_WRONG.items() for v in vs], ids=str
+)
+def test_wrong_open_loop_values_are_named(name: str, value: Any) -> None:
+    with pytest.raises(ParameterError, match=rf"^{name}: got .*, takes ") as error:
+        open_loop(**{name: value})
+    assert ("close-loop" in str(error.value)) == (name in ("close_loop_tray", "view", "observation"))
 
 
 @pytest.mark.parametrize(
@@ -87,7 +127,7 @@ def test_wrong_values_are_named(name: str, value: Any) -> None:
 
 
 def test_every_parameter_is_tested_with_wrong_values() -> None:
-    assert set(WRONG) == set(PARAMETERS)
+    assert {*WRONG, *OPEN_LOOP_WRONG} == set(PARAMETERS)
 
 
 def test_errors_come_through_make() -> None:
@@ -167,7 +207,7 @@ def test_defaults_are_not_shared() -> None:
 def test_parameters_give_the_same_configuration_back() -> None:
     made = config(workspace=np.array(WORKSPACE), object_scale_range=0.7, obs_size=64)
     assert config(**made.parameters()) == made
-    assert set(made.parameters()) == set(PARAMETERS)
+    assert set(made.parameters()) == set(PARAMETERS) - {"half_rotation", "in_hand_size"}
 
 
 def test_task_refuses_a_control_it_does_not_know() -> None:

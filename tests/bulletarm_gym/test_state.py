@@ -7,7 +7,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
-from rollouts import advance, digest, make_env, transcript
+from rollouts import advance, digest, idle, make_env, transcript
 
 import bulletarm_gym
 from bulletarm_gym.env import ManipulationEnv
@@ -18,9 +18,11 @@ PICKING = "BulletArm/CloseLoopBlockPicking-v0"
 PULLING = "BulletArm/CloseLoopBlockPulling-v0"
 SEED = 3
 MOMENTS = {
-    "Reaching": (0, 1, 2),
-    "Picking": (0, 3, 4, 5, 6),
-    "Pulling": (0, 3, 5, 6),
+    "CloseLoopBlockReaching": (0, 1, 2),
+    "CloseLoopBlockPicking": (0, 3, 4, 5, 6),
+    "CloseLoopCornerPicking": (0, 3, 4, 5, 6),
+    "CloseLoopBlockPulling": (0, 3, 5, 6),
+    "OpenLoopHouseBuilding1": (0, 1, 2, 5),
 }
 """Numbers of expert's steps after which a state is taken; mid-grasp and mid-push among them."""
 CASES = [
@@ -71,9 +73,13 @@ def test_states_are_exact_in_another_process(make: Make, in_another_process: Cal
 
 def test_the_moments_cover_grasp_and_push(make: Make) -> None:
     picking, pulling = make(PICKING), make(PULLING)
-    held = [advance(picking, SEED, moment).robot.held is not None for moment in MOMENTS["Picking"]]
+    held = [
+        advance(picking, SEED, moment).robot.held is not None for moment in MOMENTS["CloseLoopBlockPicking"]
+    ]
     assert held[0] is False and held[-1] is True
-    start, end = (advance(pulling, SEED, moment).world.poses for moment in (0, MOMENTS["Pulling"][-1]))
+    start, end = (
+        advance(pulling, SEED, moment).world.poses for moment in (0, MOMENTS["CloseLoopBlockPulling"][-1])
+    )
     assert start != end, "nothing was pushed"
 
 
@@ -125,12 +131,11 @@ def test_set_state_on_a_fresh_instance(env_id: str, make: Make) -> None:
 
 def test_state_keeps_the_time_limit(make: Make, env_id: str) -> None:
     env, other = make(env_id, max_steps=3), make(env_id, 1, max_steps=3)
-    idle = np.zeros(5, np.float32)
     env.reset(seed=0)
-    env.step(idle)
-    env.step(idle)
+    env.step(idle(env))
+    env.step(idle(env))
     other.set_state(env.get_state())
-    assert other.step(idle)[3] is True
+    assert other.step(idle(env))[3] is True
 
 
 @pytest.mark.parametrize("moment", [None, 0, 2])

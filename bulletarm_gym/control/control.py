@@ -1,0 +1,90 @@
+"""What every control does: read actions, act on a scene, look at it."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterator
+from typing import Any, Generic, TypeVar
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import ArrayLike, NDArray
+
+from bulletarm_gym.config import EnvConfig
+from bulletarm_gym.scene import Scene
+from bulletarm_gym.tasks import Waypoint
+
+MAX_HEIGHT = 0.4
+"""Largest value (m) of a heightmap or depth image."""
+
+Move = TypeVar("Move")
+
+
+class Control(ABC, Generic[Move]):
+    """How the arm is commanded, by actions of one number in [-1, 1] a character of ``action_sequence``.
+
+    :param config: the environment's parameters
+    """
+
+    observation_space: spaces.Dict
+
+    def __init__(self, config: EnvConfig) -> None:
+        self._sequence = config.action_sequence
+        self.action_space = spaces.Box(-1.0, 1.0, (len(self._sequence),), np.float32)
+
+    def _numbers(self, action: ArrayLike) -> list[float]:
+        """Return an action's numbers, clipped to [-1, 1].
+
+        :raises ValueError: the action has the wrong shape or is not finite
+        """
+        try:
+            array = np.asarray(action, dtype=np.float64)
+        except (TypeError, ValueError):
+            array = np.empty(0)
+        if array.shape != self.action_space.shape or not np.isfinite(array).all():
+            raise ValueError(
+                f"action: got {action!r}, takes {len(self._sequence)} finite numbers, "
+                f"one each for {self._sequence!r}"
+            )
+        numbers: list[float] = array.clip(-1.0, 1.0).tolist()
+        return numbers
+
+    @abstractmethod
+    def decode_action(self, action: ArrayLike) -> Move:
+        """Return what an action means; numbers outside [-1, 1] are clipped.
+
+        :raises ValueError: the action has the wrong shape or is not finite
+        """
+
+    @abstractmethod
+    def encode_action(self, move: Move) -> NDArray[np.float32]:
+        """Return the action for a move, the inverse of :meth:`decode_action`; what is too far is clipped."""
+
+    @abstractmethod
+    def start(self, scene: Scene) -> None:
+        """Put the empty, open gripper where an episode begins."""
+
+    @abstractmethod
+    def apply(self, scene: Scene, move: Move) -> bool:
+        """Carry out a move.
+
+        :return: whether the move was ignored
+        """
+
+    @abstractmethod
+    def observe(self, scene: Scene) -> dict[str, NDArray[np.float32]]:
+        """Return the observation; it changes nothing."""
+
+    @abstractmethod
+    def next_move(self, scene: Scene, plan: Iterator[Waypoint]) -> Move:
+        """Return the move that follows a plan."""
+
+    def get_state(self) -> Any:
+        """Return what the control remembers within an episode; picklable, and comparable by ``==``."""
+        return None
+
+    def set_state(self, state: Any) -> None:
+        """Return to a state."""
+
+
+def holding(scene: Scene) -> NDArray[np.float32]:
+    """Return (1,): 1 while the gripper holds something, else 0."""
+    return np.array([scene.robot.held is not None], dtype=np.float32)

@@ -1,0 +1,257 @@
+"""Open-loop control: each action is a whole pick or place (paper, Open-loop Environments)."""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import ArrayLike, NDArray
+
+from bulletarm_gym.config import EnvConfig
+from bulletarm_gym.control.control import MAX_HEIGHT, Control, holding
+from bulletarm_gym.geometry import Pose, Vector, euler_angles, euler_pose, matrix
+from bulletarm_gym.scene import Scene
+from bulletarm_gym.sensors.in_hand import Map, crop, projections
+from bulletarm_gym.sensors.overlays import rectangle_mask
+from bulletarm_gym.tasks import Task, Waypoint
+
+PICK = "pick"
+PLACE = "place"
+
+MAX_Z = 0.3
+"""Greatest height (m) of a target above the workspace's floor."""
+LEAST_Z = 0.01
+"""Least height (m) of a pick where the action gives none, as in the original BulletArm release."""
+MAX_TILT = math.pi / 4.0
+"""Greatest turn (rad) about the gripper's y and x axes."""
+APPROACH = 0.1
+"""How far (m) behind its target the gripper begins to come straight in, as in the original release."""
+HOME_HEIGHT = 0.4
+"""Height (m) of the fingertips above the workspace's floor between actions: over everything."""
+ANGLES = ("theta", "phi", "psi")
+FLIP = Pose.planar(0.0, 0.0, 0.0, math.pi)
+
+
+@dataclass(frozen=True)
+class PickPlace:
+    """An open-loop action in physical units.
+
+    :param primitive: ``"pick"`` or ``"place"``
+    :param position: of the fingertips (m) in the world
+    :param rotation: theta, phi, psi (rad): about z, then about the turned y, then about the turned x axis
+    """
+
+    primitive: str
+    position: Vector
+    rotation: Vector = (0.0, 0.0, 0.0)
+
+    @property
+    def pose(self) -> Pose:
+        """Of the fingertips in the world."""
+        theta, phi, psi = self.rotation
+        return euler_pose(self.position, (psi, phi, theta))
+
+
+class OpenLoop(Control[PickPlace]):
+    """Pick and place.
+
+    Of an action p is the primitive (below 0 a pick, else a place), x and y are the target's place in the
+    workspace, z is its height above the floor, and the r's are theta, phi and psi. Without p the gripper
+    picks when it is empty and places when it holds something; without z the height follows from the
+    heightmap; without r the gripper is not turned.
+
+    :param config: the environment's parameters
+    :param scene: what is acted on
+    :param task: its hints say how to grasp and to let go
+    """
+
+    def __init__(self, config: EnvConfig, scene: Scene, task: Task) -> None:
+        super().__init__(config)
+        self._scene = scene
+        self._hints = task.hints
+        self._config = config
+        self._floor = config.workspace[2][0]
+        self._home = Pose.planar(*config.centre, self._floor + HOME_HEIGHT)
+        self._names = _names(config.action_sequence)
+        self._ranges = _ranges(config)
+        shape = (3 if "psi" in self._names else 1, config.in_hand_size, config.in_hand_size)
+        self._in_hand = np.zeros(shape, np.float32)
+        self.observation_space = spaces.Dict(
+            {
+                "heightmap": spaces.Box(0.0, MAX_HEIGHT, (1, config.obs_size, config.obs_size), np.float32),
+                "in_hand": spaces.Box(0.0, MAX_HEIGHT, shape, np.float32),
+                "holding": spaces.Box(0.0, 1.0, (1,), np.float32),
+            }
+        )
+
+    # Actions
+
+    def decode_action(self, action: ArrayLike) -> PickPlace:
+        """Return what an action means at present; numbers outside [-1, 1] are clipped.
+
+        :raises ValueError: the action has the wrong shape or is not finite
+        """
+        value = dict(zip(self._names, self._numbers(action), strict=True))
+        at = {
+            name: low + (value[name] + 1.0) / 2.0 * (high - low) for name, (low, high) in self._ranges.items()
+        }
+        theta, phi, psi = (at.get(name, 0.0) for name in ANGLES)
+        places = value["p"] >= 0.0 if "p" in value else self._scene.robot.held is not None
+        x, y = at["x"], at["y"]
+        z = at["z"] if "z" in at else self._height(places, x, y, theta)
+        return PickPlace(PLACE if places else PICK, (x, y, z), (theta, phi, psi))
+
+    def encode_action(self, move: PickPlace) -> NDArray[np.float32]:
+        """Return the action for a move, the inverse of :meth:`decode_action`; what is too far is clipped."""
+        theta, phi, psi = move.rotation
+        low, high = self._ranges.get("theta", (-math.pi, math.pi))
+        if not low <= theta <= high:
+            turns, theta = divmod(theta - low, high - low)
+            theta += low
+            # After half a turn the gripper is the same, but its other axes point the other way.
+            phi, psi = (-phi, -psi) if self._config.half_rotation and turns % 2.0 else (phi, psi)
+        value = dict(zip(("x", "y", "z", *ANGLES), (*move.position, theta, phi, psi), strict=True))
+        share = {name: (value[name] - low) / (high - low) for name, (low, high) in self._ranges.items()}
+        share["p"] = float(move.primitive == PLACE)
+        return np.array([2.0 * share[name] - 1.0 for name in self._names], dtype=np.float32).clip(-1.0, 1.0)
+
+    def _height(self, places: bool, x: float, y: float, theta: float) -> float:
+        """Return the height (m) of a target that the action gives none for, from what the heightmap shows."""
+        held, depth = self._scene.held, self._hints.pick_offset
+        if not places or held is None:
+            top = self._highest((x, y, 2.0 * depth, 2.0 * depth, theta))
+            return max(top - depth, self._floor + LEAST_Z)
+        carried = self._scene.robot.pose.inverse().compose(held.pose)
+        vertices = held.spec.mesh.vertices @ matrix(carried).T + carried.position
+        low, high = vertices.min(axis=0).tolist(), vertices.max(axis=0).tolist()
+        middle = ((low[0] + high[0]) / 2.0, (low[1] + high[1]) / 2.0, 0.0)
+        over = Pose.planar(x, y, 0.0, theta).transform(middle)
+        top = self._highest((over[0], over[1], high[0] - low[0], high[1] - low[1], theta))
+        return float(top - low[2] + self._hints.place_offset)
+
+    def _highest(self, rectangle: tuple[float, float, float, float, float]) -> float:
+        """Return the greatest height (m) in a rectangle: x, y, length, width, yaw; at least at its middle."""
+        view = self._look()
+        covered = rectangle_mask(view.centre, view.extent, len(view.heights), [rectangle])
+        row, column = view.pixels(np.array(rectangle)).round().astype(int).clip(0, len(covered) - 1)
+        covered[row, column] = True
+        return self._floor + float(view.heights[covered].max())
+
+    # Motion
+
+    def start(self, scene: Scene) -> None:
+        """Put the open gripper over everything, with nothing in it."""
+        scene.robot.home(self._home)
+        self._in_hand = np.zeros_like(self._in_hand)
+
+    def apply(self, scene: Scene, move: PickPlace) -> bool:
+        """Carry out a pick or a place and bring the gripper home.
+
+        :return: whether the move was ignored: a pick while holding, a place while empty, or out of reach
+        """
+        robot, pose = scene.robot, move.pose
+        behind = pose.compose(Pose((0.0, 0.0, APPROACH)))
+        if (move.primitive == PICK) == (robot.held is not None) or not (
+            robot.reaches(pose) and robot.reaches(behind)
+        ):
+            return True
+        if move.primitive == PICK:
+            self._pick(scene, pose, behind)
+        else:
+            self._place(scene, pose, behind)
+        robot.transfer(self._home)
+        return False
+
+    def _pick(self, scene: Scene, pose: Pose, behind: Pose) -> None:
+        robot = scene.robot
+        show = projections if len(self._in_hand) == 3 else crop
+        above_floor = Pose((0.0, 0.0, -self._floor)).compose(pose)
+        self._in_hand = show(self._look(), above_floor, self._in_hand.shape[-1]).clip(0.0, MAX_HEIGHT)
+        robot.set_opening(self._hints.opening)
+        robot.transfer(behind)
+        robot.move_to(pose)
+        robot.close()
+        robot.move_to(behind)
+        if robot.held is None:
+            robot.set_opening(self._hints.opening)
+
+    def _place(self, scene: Scene, pose: Pose, behind: Pose) -> None:
+        robot = scene.robot
+        self._in_hand = np.zeros_like(self._in_hand)
+        robot.transfer(behind)
+        robot.move_to(pose)
+        robot.set_opening(self._hints.opening)
+        scene.settle()
+        robot.move_to(behind)
+
+    # Experts
+
+    def next_move(self, scene: Scene, plan: Iterator[Waypoint]) -> PickPlace:
+        """Return the first pick or place of a plan."""
+        return self.towards(scene, next(waypoint for waypoint in plan if waypoint.finish is not None))
+
+    def towards(self, scene: Scene, waypoint: Waypoint) -> PickPlace:
+        """Return the pick or place that a waypoint with a finish stands for."""
+        assert waypoint.finish is not None
+        pose = waypoint.pose
+        if self._config.half_rotation and "theta" in self._names and not 0.0 <= pose.yaw < math.pi:
+            pose = self._flipped(scene, pose)
+        psi, phi, theta = euler_angles(pose.orientation)
+        return PickPlace(
+            PICK if waypoint.finish < waypoint.gripper else PLACE, pose.position, (theta, phi, psi)
+        )
+
+    def _flipped(self, scene: Scene, pose: Pose) -> Pose:
+        """Return a pose with the fingers exchanged, and what is held in the same place."""
+        held = scene.held
+        if held is None:
+            return pose.compose(FLIP)
+        x, y, _ = scene.robot.pose.inverse().transform(held.pose.position)
+        return pose.compose(Pose((x, y, 0.0))).compose(FLIP).compose(Pose((-x, -y, 0.0)))
+
+    # Observation
+
+    def observe(self, scene: Scene) -> dict[str, NDArray[np.float32]]:
+        """Return the heights in the workspace, what was where the gripper closed, and whether it holds."""
+        return {
+            "heightmap": self._look().heights[None],
+            "in_hand": self._in_hand.copy(),
+            "holding": holding(scene),
+        }
+
+    def _look(self) -> Map:
+        """Return the heights (m) above the workspace's floor, without the arm and what it holds."""
+        scene, centre, extent = self._scene, self._config.centre, self._config.workspace_size
+        seen = [body for body in scene.world.obstacles if body is not scene.robot.held]
+        heights = scene.heights_of(seen, centre, extent, self._config.obs_size)
+        return Map((heights - np.float32(self._floor)).clip(0.0, MAX_HEIGHT), centre, extent)
+
+    def get_state(self) -> bytes:
+        """Return the in-hand image; the heightmap follows from the world's state."""
+        return self._in_hand.tobytes()
+
+    def set_state(self, state: bytes) -> None:
+        """Return to a state."""
+        self._in_hand = np.frombuffer(state, np.float32).reshape(self._in_hand.shape).copy()
+
+
+def _names(sequence: str) -> list[str]:
+    """Return what each number of an action is; the r's are angles in their order."""
+    angles = iter(ANGLES)
+    return [next(angles) if character == "r" else character for character in sequence]
+
+
+def _ranges(config: EnvConfig) -> dict[str, tuple[float, float]]:
+    """Return what an action's numbers range over (m or rad)."""
+    (x0, x1), (y0, y1), (floor, _) = config.workspace
+    everything = {
+        "x": (x0, x1),
+        "y": (y0, y1),
+        "z": (floor, floor + MAX_Z),
+        "theta": (0.0 if config.half_rotation else -math.pi, math.pi),
+        "phi": (-MAX_TILT, MAX_TILT),
+        "psi": (-MAX_TILT, MAX_TILT),
+    }
+    names = _names(config.action_sequence)
+    return {name: limits for name, limits in everything.items() if name in names}
