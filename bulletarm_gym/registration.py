@@ -10,7 +10,12 @@ from bulletarm_gym.extensions import import_path
 NAMESPACE = "BulletArm"
 ENTRY_POINT = "bulletarm_gym.env:ManipulationEnv"
 VECTOR_ENTRY_POINT = "bulletarm_gym.vector:ParallelEnv"
-PREFIXES = {("close_loop", "flat"): "CloseLoop", ("open_loop", "flat"): "OpenLoop"}
+PREFIXES = {
+    ("close_loop", "flat"): "CloseLoop",
+    ("open_loop", "flat"): "OpenLoop",
+    ("open_loop", "ramp"): "OpenLoopRamp",
+    ("open_loop", "bump"): "OpenLoopBump",
+}
 """What an id begins with, by control and surface."""
 
 
