@@ -209,11 +209,21 @@ def test_a_damaged_checkpoint_is_told(
     assert "damaged: model.zip" in capsys.readouterr().err
 
 
-def test_a_real_task_trains(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("baseline", "more"),
+    [
+        ("sacfd", []),
+        (
+            "ferm_sacfd",
+            ["augmentation:{'rad':{'size':48}}", "contrastive_steps:2", "--env-kwargs", "obs_size:53"],
+        ),
+    ],
+)
+def test_a_real_task_trains(baseline: str, more: list[str], tmp_path: Path) -> None:
     env_id = "BulletArm/CloseLoopBlockReaching-v0"
-    arguments = ["train", "--baseline", "sacfd", "--preset", "cpu", "--env", env_id, "-f", str(tmp_path)]
-    assert main([*arguments, *TINY, *TINY_SACFD, "--eval-episodes", "1"]) == 0
-    run_folder = tmp_path / "sacfd" / "BulletArm-CloseLoopBlockReaching-v0_1"
+    arguments = ["train", "--baseline", baseline, "--preset", "cpu", "--env", env_id, "-f", str(tmp_path)]
+    assert main([*arguments, *TINY, *TINY_SACFD, *more, "--eval-episodes", "1"]) == 0
+    [run_folder] = tmp_path.glob("*/BulletArm-CloseLoopBlockReaching-v0_1")
     assert main(["enjoy", str(run_folder), "-n", "1", "--device", "cpu"]) == 0
 
 
