@@ -9,6 +9,7 @@ from typing import Any
 ALGORITHMS = {
     "ferm": "sb3_extensions.ferm.FERM",
     "sacfd": "sb3_extensions.sacfd.SACfD",
+    "tqcfd": "sb3_extensions.tqcfd.TQCfD",
 }
 
 

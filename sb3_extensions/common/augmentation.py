@@ -43,8 +43,9 @@ class Augmentation(ABC):
         """
         From values of the augmented next observations to values for the augmented observations.
 
-        :param values: (views of the next observations, 1)
-        :return: (views of the observations, 1), the mean over the views of each next observation
+        :param values: (views of the next observations, number of values)
+        :return: (views of the observations, number of values), the mean over the views of each next
+            observation
         """
         return values
 
@@ -178,8 +179,8 @@ class DrQ(Augmentation):
         )
 
     def average_targets(self, values: th.Tensor) -> th.Tensor:
-        """:return: (M * batch, 1), the mean over K views"""
-        return repeat(values.view(self.K, -1, 1).mean(dim=0), self.M)
+        """:return: (M * batch, number of values), the mean over K views"""
+        return repeat(values.view(self.K, -1, values.shape[1]).mean(dim=0), self.M)
 
 
 AUGMENTATIONS: dict[str, type[Augmentation]] = {"rad": RAD, "drq": DrQ}

@@ -15,6 +15,7 @@ from torch.nn import functional as F
 
 from sb3_extensions.common.encoders import CnnEncoder, scale_channels
 from sb3_extensions.common.extractors import CnnExtractor, StackedImage
+from sb3_extensions.common.policies import NetArch
 from sb3_extensions.sacfd import policies as sacfd
 
 # Units of the two hidden layers of actor and critic, as in the paper's FERM baseline.
@@ -121,7 +122,7 @@ class MultiInputPolicy(sacfd.MultiInputPolicy):
         observation_space: spaces.Space[Any],
         action_space: spaces.Box,
         lr_schedule: Schedule,
-        net_arch: sacfd.NetArch | None = None,
+        net_arch: NetArch | None = None,
         features_extractor_class: type[BaseFeaturesExtractor] = ContrastiveExtractor,
         **kwargs: Any,
     ) -> None:

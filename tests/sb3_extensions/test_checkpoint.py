@@ -20,15 +20,17 @@ from sb3_extensions.common.checkpoint import (
     resume,
     save_checkpoint,
 )
+from sb3_extensions.common.from_demonstrations import FromDemonstrations
 from sb3_extensions.common.rotated_replay import PrioritizedRotatedReplayBuffer
 from sb3_extensions.sacfd import SACfD
+from sb3_extensions.tqcfd import TQCfD
 
 STEPS, MORE_STEPS = 26, 30  # the first ends in the middle of episodes
 SMALL = {"net_arch": [16], "features_extractor_kwargs": {"channels": [4, 8, 8]}}
 
 
-def make_model(env: Any, **kwargs: Any) -> SACfD:
-    return SACfD(
+def make_model(env: Any, algorithm: type[FromDemonstrations] = SACfD, **kwargs: Any) -> FromDemonstrations:
+    return algorithm(
         "MultiInputPolicy",
         env,
         expert_episodes=4,
@@ -81,6 +83,7 @@ def assert_equal_trees(first: Any, second: Any) -> None:
             "replay_buffer_kwargs": {"copies": 1},
             "n_steps": 2,
         },
+        {"algorithm": TQCfD},
         {"augmentation": "drq"},
         {"augmentation": {"rad": {"size": 12}}},
     ],

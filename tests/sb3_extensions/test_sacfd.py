@@ -11,7 +11,9 @@ from stable_baselines3.common.vec_env import VecNormalize
 from stable_baselines3.sac.policies import MultiInputPolicy as StockPolicy
 
 from sb3_extensions.common.expert import collect_episodes, make_expert_env
+from sb3_extensions.common.expert_replay import ExpertReplayBuffer
 from sb3_extensions.common.replay import FrameReplayBuffer
+from sb3_extensions.common.rotated_replay import PrioritizedRotatedReplayBuffer
 from sb3_extensions.sacfd import SACfD
 
 SMALL_STOCK = {"net_arch": [16], "features_extractor_kwargs": {"cnn_output_dim": 8}}
@@ -265,8 +267,10 @@ def test_bad_arguments(kwargs: dict[str, Any], message: str, make_toy: Any) -> N
         SACfD(**{"policy": StockPolicy, "env": make_toy(), "policy_kwargs": dict(SMALL_STOCK), **kwargs})
 
 
-def test_learns_to_reach(policy: Any, make_toy: Any) -> None:
-    kwargs = {"expert_episodes": 20, "pretrain_steps": 60, "learning_rate": 3e-3, "batch_size": 32}
+@pytest.mark.parametrize("buffer", [ExpertReplayBuffer, PrioritizedRotatedReplayBuffer])
+def test_learns_to_reach(policy: Any, buffer: Any, make_toy: Any) -> None:
+    kwargs = {"replay_buffer_class": buffer, "buffer_size": 1500}
+    kwargs |= {"expert_episodes": 20, "pretrain_steps": 60, "learning_rate": 3e-3, "batch_size": 32}
     model = make_model(make_toy(2), policy, **kwargs)
     untrained, _ = evaluate_policy(model, make_toy(seed=9), 30)
     model.learn(100)

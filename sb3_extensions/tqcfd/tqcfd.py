@@ -1,0 +1,86 @@
+"""Truncated quantile critics from demonstrations."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any, ClassVar
+
+import torch as th
+from sb3_contrib.common.utils import quantile_huber_loss
+from sb3_contrib.tqc.policies import Critic
+from sb3_contrib.tqc.tqc import TQC
+from stable_baselines3.common.policies import BasePolicy
+from stable_baselines3.common.type_aliases import GymEnv
+
+from sb3_extensions.common.from_demonstrations import FromDemonstrations
+from sb3_extensions.tqcfd.policies import EquivariantPolicy, MultiInputPolicy
+
+
+class TQCfD(FromDemonstrations, TQC):  # type: ignore[misc]  # mixed into SAC, to the type checker
+    """
+    Truncated quantile critics from demonstrations (TQCfD).
+
+    sb3-contrib's TQC as :class:`~sb3_extensions.sacfd.SACfD` is SAC. With ``bc_weight=0`` and
+    ``expert_episodes=0`` it is TQC.
+
+    TQC: https://arxiv.org/abs/2005.04269
+
+    :param policy: The policy model to use (``"MultiInputPolicy"``, ``"EquivariantPolicy"``, or a class)
+    :param env: The environment to learn from (if registered in Gym, can be str); its observations are a Dict
+    :param top_quantiles_to_drop_per_net: number of quantiles to drop per network, of its ``n_quantiles`` (in
+        ``policy_kwargs``, 25 by default)
+    :param _init_setup_model: Whether or not to build the network at the creation of the instance
+    :param kwargs: further parameters of
+        :class:`~sb3_extensions.common.from_demonstrations.FromDemonstrations`
+    :raises ValueError: if no quantiles are left
+    """
+
+    policy_aliases: ClassVar[dict[str, type[BasePolicy]]] = {
+        "MultiInputPolicy": MultiInputPolicy,
+        "EquivariantPolicy": EquivariantPolicy,
+    }
+    critic: Critic  # type: ignore[assignment]
+
+    def __init__(
+        self,
+        policy: str | type[BasePolicy],
+        env: GymEnv | str,
+        top_quantiles_to_drop_per_net: int = 2,
+        _init_setup_model: bool = True,
+        **kwargs: Any,
+    ) -> None:
+        super().__init__(policy, env, _init_setup_model=False, **kwargs)
+        self.top_quantiles_to_drop_per_net = top_quantiles_to_drop_per_net
+
+        if _init_setup_model:
+            self._setup_model()
+
+    def _setup_model(self) -> None:
+        super()._setup_model()
+        if not 0 <= self.top_quantiles_to_drop_per_net < self.critic.n_quantiles:
+            raise ValueError(
+                f"top_quantiles_to_drop_per_net must be at least 0 and less than n_quantiles="
+                f"{self.critic.n_quantiles}, got {self.top_quantiles_to_drop_per_net}"
+            )
+
+    def _target_values(self, estimates: Any) -> th.Tensor:
+        # Sort the quantiles of all critics and drop the top ones, to control overestimation
+        quantiles = estimates.flatten(1).sort(dim=1).values
+        dropped = self.top_quantiles_to_drop_per_net * self.critic.n_critics
+        kept: th.Tensor = quantiles[:, : self.critic.quantiles_total - dropped]
+        return kept
+
+    def _critic_loss(
+        self, estimates: Any, targets: th.Tensor, weights: th.Tensor
+    ) -> tuple[th.Tensor, th.Tensor]:
+        # One loss for each transition: the function wants a batch, here of one
+        losses = th.vmap(partial(quantile_huber_loss, sum_over_quantiles=False))(
+            estimates[:, None], targets[:, None, None]
+        )
+        td_errors = (estimates.detach().mean(dim=2) - targets.mean(dim=1, keepdim=True)).abs()
+        return (weights * losses[:, None]).mean(), td_errors.mean(dim=1, keepdim=True)
+
+    def _values(self, estimates: Any) -> th.Tensor:
+        # Mean over the quantiles of all critics
+        values: th.Tensor = estimates.mean(dim=2).mean(dim=1, keepdim=True)
+        return values
