@@ -22,6 +22,8 @@ from bulletarm_gym.tasks import Task
 Observation = dict[str, NDArray[np.float32]]
 Action = NDArray[np.float32]
 
+OPTIONS = {"new_scene": ((bool, True), (bool, False)), "start": ((str, "goal"),)}
+"""What a reset can be asked for: types, for 1 equals True, and values."""
 ARRANGEMENT, AFTER_ACTION, PLAN = range(3)
 """Streams of an episode's randomness: what one of them draws does not move the others."""
 
@@ -97,12 +99,14 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
 
         :param seed: the same seed gives the same episode and, from then on, the same episodes
         :param options: ``{"new_scene": True}`` arranges a new scene where a task keeps what an episode left,
-            as a seed does
-        :raises ValueError: an unknown option
+            as a seed does; ``{"start": "goal"}`` arranges the task's finished structure, to take it apart
+        :raises ValueError: an unknown option, or the task has no structure to start from
         :raises PlacementError: the workspace is too small for the task
         """
+        options = _checked_options(options, self.task)
         super().reset(seed=seed)
-        anew = seed is not None or _new_scene(options) or self._episode_seed is None
+        anew = seed is not None or any(options.values()) or self._episode_seed is None
+        arrange = self.task.arrange_goal if "start" in options else self.task.arrange
         self._episode_seed = int(self.np_random.integers(np.iinfo(np.int64).max))
         self._steps = 0
         self.task.memory = None
@@ -110,7 +114,7 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         if anew or not self.task.carry_on(self.scene, rng):
             self.scene.clear(rng)
             self.control.start(self.scene)
-            self.task.arrange(self.scene, rng)
+            arrange(self.scene, rng)
         else:
             self.control.start(self.scene)
         self.scene.begin()
@@ -250,8 +254,15 @@ def _restore(arguments: Mapping[str, Any], spec: EnvSpec | None, state: EnvState
     return env
 
 
-def _new_scene(options: Mapping[str, Any] | None) -> bool:
-    options = options or {}
-    if not options.keys() <= {"new_scene"} or not isinstance(options.get("new_scene", False), bool):
-        raise ValueError(f'options: got {options!r}, takes None or {{"new_scene": True or False}}')
-    return bool(options.get("new_scene", False))
+def _checked_options(options: Mapping[str, Any] | None, task: Task) -> dict[str, Any]:
+    """Return the options of a reset."""
+    options = dict(options or {})
+    if not all((type(value), value) in OPTIONS.get(name, ()) for name, value in options.items()):
+        takes = 'None or {"new_scene": True or False, "start": "goal"}'
+        raise ValueError(f"options: got {options!r}, takes {takes}")
+    if "start" in options and not task.has_goal_structure:
+        name = type(task).__name__
+        raise ValueError(
+            f"options: got {options!r}, but {name} builds no structure: it has no arrange_goal()"
+        )
+    return options

@@ -97,6 +97,20 @@ class Task(ABC):
     def arrange(self, scene: Scene, rng: np.random.Generator) -> None:
         """Lay out the start of an episode in an empty scene."""
 
+    def arrange_goal(self, scene: Scene, rng: np.random.Generator) -> None:
+        """Lay out the finished structure at the surface's goal site in an empty scene.
+
+        Deconstruction begins with it (paper, Expert Demonstrations). All that can move belongs to it.
+
+        :raises ValueError: the task has no such structure, as most
+        """
+        raise ValueError(f"{type(self).__name__} builds no structure: it has no arrange_goal()")
+
+    @property
+    def has_goal_structure(self) -> bool:
+        """Whether the task defines :meth:`arrange_goal`."""
+        return type(self).arrange_goal is not Task.arrange_goal
+
     @abstractmethod
     def evaluate(self, scene: Scene) -> dict[str, bool]:
         """Return named facts about the scene; ``"success"`` is the goal."""
