@@ -133,6 +133,19 @@ def rotate(q: Quaternion, v: Vector) -> Vector:
     )
 
 
+def interpolate(start: Pose, end: Pose, share: float) -> Pose:
+    """Return a pose on the way between two, 0 the first and 1 the second, turned the shorter way."""
+    if share >= 1.0:
+        return end
+    near = math.copysign(1.0, sum(a * b for a, b in zip(start.orientation, end.orientation, strict=True)))
+    x, y, z = ((1.0 - share) * a + share * b for a, b in zip(start.position, end.position, strict=True))
+    pairs = zip(start.orientation, end.orientation, strict=True)
+    mixed = [(1.0 - share) * a + share * near * b for a, b in pairs]
+    norm = math.hypot(*mixed)
+    qx, qy, qz, qw = (part / norm for part in mixed)
+    return Pose((x, y, z), (qx, qy, qz, qw))
+
+
 def matrix(pose: Pose) -> FloatArray:
     """Return the (3, 3) rotation matrix of a pose."""
     x, y, z, w = pose.orientation

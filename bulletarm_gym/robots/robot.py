@@ -1,13 +1,14 @@
 """An arm at work in a world: the whole interface that tasks, controls and planners rely on."""
 
+import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from bulletarm_gym.geometry import Pose, conjugate, matrix, multiply, rotate
+from bulletarm_gym.geometry import Pose, conjugate, interpolate, matrix, multiply, rotate
 from bulletarm_gym.robots.kinematics import POSITION_TOLERANCE
 from bulletarm_gym.robots.model import RobotModel
 from bulletarm_gym.simulation import Body, BodySpec, World
@@ -200,13 +201,16 @@ class Robot:
 
         :raises ValueError: the pose is out of reach
         """
-        goal, start = self.inverse_kinematics(pose), self.pose
-        if not (self.fast and self._is_apart() and self._jump(goal)):
-            level = max(start.z, pose.z, TRANSFER_HEIGHT)
-            self.move_to(Pose.planar(start.x, start.y, level, start.yaw))
-            self.move_to(Pose.planar(pose.x, pose.y, level, pose.yaw))
-            self.move_to(pose)
-        # Contacts keep their normals through a turn; with those a finger would drag along what it lets go.
+        goal = self.inverse_kinematics(pose)
+        if self.fast and self._is_apart() and self._jump(goal):
+            self._begin_anew()
+            return
+        for stop in _stops(self.pose, pose):
+            self.move_to(stop)
+            self._begin_anew()
+
+    def _begin_anew(self) -> None:
+        """Forget contacts, which keep their normals through a turn: a finger would drag what it lets go."""
         self._world.begin()
         self.begin()
 
@@ -335,6 +339,15 @@ class Robot:
     def _is_free(self, joints: Sequence[float], bodies: Sequence[Body]) -> bool:
         self._world.show_joints(self.body, joints)
         return all(math.isinf(self._world.distance(self.body, body, CLEARANCE)) for body in bodies)
+
+
+def _stops(start: Pose, end: Pose) -> Iterator[Pose]:
+    """Yield the poses of a way straight up and upright, across, and straight down, in short moves."""
+    level = max(start.z, end.z, TRANSFER_HEIGHT)
+    over = [Pose.planar(pose.x, pose.y, level, pose.yaw) for pose in (start, end)]
+    for before, after in itertools.pairwise([start, *over, end]):
+        count = max(1, math.ceil(_distance(before, after) / REFERENCE_DISTANCE))
+        yield from (interpolate(before, after, number / count) for number in range(1, count + 1))
 
 
 def _distance(start: Pose, end: Pose) -> float:
