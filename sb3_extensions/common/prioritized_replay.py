@@ -69,6 +69,7 @@ class PrioritizedReplayBuffer(ExpertReplayBuffer):
     The importance weights ``(size * probability) ** -beta``, divided by the greatest of the sample, are for
     the critic's loss. ``beta`` grows linearly from ``beta_start`` to 1 as :attr:`progress_remaining` falls
     from 1 to 0. Every sample takes one transition from each of ``batch_size`` equal shares of the priorities.
+    SACfD and TQCfD use the weights and hand back the errors; Stable-Baselines3's own algorithms do neither.
 
     Prioritized replay: https://arxiv.org/abs/1511.05952. The defaults are those of the paper of BulletArm,
     https://arxiv.org/abs/2205.14292, appendix "Benchmark Details".

@@ -88,6 +88,21 @@ def test_crops_are_in_the_papers_proportion(baseline: str, preset: str, obs_size
     assert hyperparams["augmentation"] == {"rad": {"size": size}}
 
 
+@pytest.mark.parametrize("preset", ["cpu", "paper"])
+def test_prioritized_replay_is_the_papers(preset: str) -> None:
+    """Exponents and bonus of the appendix "Benchmark Details"; four copies as in its authors' code."""
+    hyperparams = resolve("equi_sacfd_per_aug", preset, PICKING).hyperparams
+    expected = {
+        "exponent": 0.6,
+        "beta_start": 0.4,
+        "expert_bonus": 1.0,
+        "copies": 4,
+        "action_sequence": "pxyzr",
+    }
+    assert hyperparams["replay_buffer_kwargs"] == expected
+    assert hyperparams["bc_weight"] == 1
+
+
 def test_overrides_win_and_merge() -> None:
     overrides = {"learning_rate": 0.5, "env_kwargs": {"action_sequence": "pxyz"}}
     hyperparams = resolve("equi_sacfd", "cpu", PICKING, overrides).hyperparams

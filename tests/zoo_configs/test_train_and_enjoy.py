@@ -213,6 +213,8 @@ def test_a_damaged_checkpoint_is_told(
     ("baseline", "more"),
     [
         ("sacfd", []),
+        ("equi_sacfd_per_aug", ["buffer_size:400"]),
+        ("equi_tqcfd", []),
         (
             "ferm_sacfd",
             ["augmentation:{'rad':{'size':48}}", "contrastive_steps:2", "--env-kwargs", "obs_size:53"],
