@@ -42,7 +42,6 @@ class EnvState:
     memory: Any
     steps: int
     episode_seed: int
-    outcome: dict[str, bool]
     generator: dict[str, Any]
 
 
@@ -88,7 +87,6 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         self.observation_space = self.control.observation_space  # type: ignore[assignment]
         self._steps = 0
         self._episode_seed: int | None = None
-        self._outcome: dict[str, bool] = {}
 
     # Gymnasium
 
@@ -119,8 +117,7 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
             self.control.start(self.scene)
         self.scene.begin()
         self.scene.settle()
-        self._outcome = self._evaluate(ignored=False)
-        return self.control.observe(self.scene), dict(self._outcome)
+        return self.control.observe(self.scene), self._evaluate(ignored=False)
 
     def step(self, action: ArrayLike) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Carry out an action.
@@ -136,12 +133,12 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         self.scene.settle()
         self._steps += 1
         self.task.after_action(self.scene, self._rng(AFTER_ACTION))
-        self._outcome = self._evaluate(ignored)
-        success, valid = self._outcome["is_success"], self._outcome["is_valid"]
-        reward = float(self._reward(self.scene, self._outcome)) if valid else 0.0
+        info = self._evaluate(ignored)
+        success, valid = info["is_success"], info["is_valid"]
+        reward = float(self._reward(self.scene, info)) if valid else 0.0
         terminated = success or not valid
         truncated = not terminated and self._steps >= self.config.max_steps
-        return self.control.observe(self.scene), reward, terminated, truncated, dict(self._outcome)
+        return self.control.observe(self.scene), reward, terminated, truncated, info
 
     def render(self) -> Any:
         """Return a picture (480, 480, 3) uint8, distances (480, 480) float32 in metres, or nothing."""
@@ -194,7 +191,6 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
             self.task.memory,
             self._steps,
             self._episode_seed,
-            dict(self._outcome),
             dict(self.np_random.bit_generator.state),
         )
 
@@ -207,7 +203,6 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         self.task.memory = state.memory
         self._steps = state.steps
         self._episode_seed = state.episode_seed
-        self._outcome = dict(state.outcome)
         self.np_random.bit_generator.state = state.generator
 
     def _evaluate(self, ignored: bool) -> dict[str, bool]:

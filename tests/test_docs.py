@@ -10,7 +10,12 @@ ROOT = Path(__file__).resolve().parent.parent
 PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").rglob("*.md")])
 SNIPPET = re.compile(r"```python\n(.*?)```", re.DOTALL)
 FILE = re.compile(r"# (\w+\.py)\n")
-SHORTER = {"learn(2_000": "learn(2", "expert_episodes=100": "expert_episodes=2", "save(": "save(FOLDER + "}
+SHORTER = {
+    "learn(2_000": "learn(2",
+    "expert_episodes=100": "expert_episodes=2",
+    "save(": "save(FOLDER + ",
+    '"picking.h5"': 'FOLDER + "picking.h5"',
+}
 
 
 def _snippets(page: Path) -> list[str]:

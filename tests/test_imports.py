@@ -13,13 +13,14 @@ ROOT = Path(__file__).resolve().parent.parent
 
 # A room (module or subpackage of bulletarm_gym) may import rooms of its own layer and of those before it.
 LAYERS = (
-    {"geometry", "footprint", "config", "compilation", "extensions"},
+    {"geometry", "footprint", "config", "compilation", "extensions", "plain"},
     {"simulation"},
     {"robots", "objects", "surfaces", "sensors"},
     {"scene"},
     {"relations", "placement"},
     {"tasks", "control", "planners"},
     {"env"},
+    {"episodes"},
     {"registration"},
     {"benchmarks", "vector", "demonstrations", "__init__"},
 )

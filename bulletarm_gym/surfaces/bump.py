@@ -53,6 +53,8 @@ class BumpSurface(Surface):
     is as high as the highest pyramid can be.
     """
 
+    keeps_poses = False
+
     def __init__(self, workspace: list[list[float]], site: Point = SITE) -> None:
         super().__init__(workspace, site)
         self.pitch = (workspace[0][1] - workspace[0][0]) / 2.0

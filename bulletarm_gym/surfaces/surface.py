@@ -3,7 +3,7 @@
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
-from typing import TypeAlias
+from typing import ClassVar, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -29,6 +29,9 @@ class Surface(ABC):
     :param workspace: [[x low, x high], [y low, y high], [z low, z high]] (m)
     :param site: width and length (m) of the base of what the task builds
     """
+
+    keeps_poses: ClassVar[bool] = True
+    """Whether what is laid somewhere stays as it is laid, and need not come to rest first."""
 
     def __init__(self, workspace: list[list[float]], site: Point = SITE) -> None:
         self.workspace = workspace

@@ -206,8 +206,8 @@ def test_border_belongs_to_the_workspace(env: ManipulationEnv) -> None:
 def test_bounding_box_is_stricter_than_point(make: Make) -> None:
     for check, valid in (("point", True), ("bounding_box", False)):
         env = make(PICKING, workspace_check=check)
-        env.reset(seed=0)
-        assert env._outcome["is_valid"]
+        _, info = env.reset(seed=0)
+        assert info["is_valid"]
         env.set_state(with_pose(env, env.get_state(), "cube", Pose((0.59, 0.1, 0.025))))
         assert env.step(idle(env))[4]["is_valid"] is valid
 

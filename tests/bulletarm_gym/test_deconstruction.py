@@ -1,14 +1,22 @@
-"""Finished structures to start from."""
+"""Finished structures to start from, and to take apart."""
 
+import itertools
 from collections.abc import Callable
 
+import numpy as np
 import pytest
 from rollouts import digest
 
+from bulletarm_gym.demonstrations import collect
 from bulletarm_gym.env import ManipulationEnv
+from bulletarm_gym.placement import footprint
+from bulletarm_gym.planners.deconstruction import GAP, take_apart
+from bulletarm_gym.relations import on_ground
 
 Make = Callable[..., ManipulationEnv]
 
+STACKING = "BulletArm/OpenLoopBlockStacking-v0"
+HOUSE = "BulletArm/OpenLoopHouseBuilding1-v0"
 GOAL = {"start": "goal"}
 
 
@@ -41,6 +49,58 @@ def test_tasks_without_a_structure_refuse_and_go_on(make: Make) -> None:
 
 @pytest.mark.parametrize("options", [{"start": "gaol"}, {"start": True}, {"begin": "goal"}], ids=str)
 def test_unknown_starts_are_refused(make: Make, options: dict) -> None:
-    env = make("BulletArm/OpenLoopBlockStacking-v0")
+    env = make(STACKING)
     with pytest.raises(ValueError, match='"start": "goal"'):
         env.reset(options=options)
+
+
+# Taking apart
+
+
+def test_what_is_taken_apart_can_be_rebuilt(building: ManipulationEnv) -> None:
+    """The planner's own ids; blocks go from the top, far enough apart, and all but one are moved."""
+    if building.config.control != "open_loop" or not building.scene.surface.keeps_poses:
+        pytest.skip("nothing here is reversed")
+    demonstrations = collect(building.spec.id, 4, "deconstruction", seed=0)
+    assert demonstrations.attempts <= 5
+    steps = 2 * (building.config.num_objects - 1)
+    assert [len(episode) for episode in demonstrations] == [steps] * 4
+    holding = np.resize([0.0, 1.0], steps)
+    for episode in demonstrations:
+        np.testing.assert_array_equal(episode.observations["holding"][:-1, 0], holding)
+        assert not episode.observations["in_hand"][::2].any()
+        assert all(image.any() for image in episode.observations["in_hand"][1::2])
+
+
+@pytest.mark.parametrize("env_id", [STACKING, HOUSE])
+def test_blocks_go_from_the_top_to_free_ground(make: Make, env_id: str) -> None:
+    env = make(env_id)
+    env.reset(seed=0, options=GOAL)
+    relocations = take_apart(env.scene, np.random.default_rng(0))
+    heights = [relocation.before.position[2] for relocation in relocations]
+    assert heights == sorted(heights, reverse=True) and len(heights) == 3
+    for first, second in itertools.combinations(env.scene, 2):
+        assert footprint(first).gap(footprint(second)) >= GAP
+        assert on_ground(env.scene, first)
+    assert len({round(item.pose.yaw, 3) for item in env.scene}) == 4
+
+
+def test_without_turns_nothing_turns(make: Make) -> None:
+    env_kwargs = {"action_sequence": "pxy", "random_orientation": False}
+    demonstrations = collect(STACKING, 3, "deconstruction", seed=0, env_kwargs=env_kwargs)
+    assert demonstrations.attempts == 3
+    env = make(STACKING, **env_kwargs)
+    env.set_state(demonstrations[0].state)
+    assert [item.pose.yaw for item in env.scene] == pytest.approx([0.0] * 4)
+
+
+@pytest.mark.parametrize("robot", ["panda", "ur5", "ur5_robotiq"])
+def test_every_arm_rebuilds(robot: str) -> None:
+    demonstrations = collect(HOUSE, 3, "deconstruction", seed=0, env_kwargs={"robot": robot})
+    assert demonstrations.attempts <= 4
+
+
+def test_a_full_workspace_is_a_failed_attempt() -> None:
+    small = {"workspace": [[0.4, 0.52], [-0.06, 0.06], [0.0, 1.0]]}
+    with pytest.raises(RuntimeError, match="0 of 2 attempts"):
+        collect(STACKING, 1, "deconstruction", seed=0, max_attempts=2, env_kwargs=small)

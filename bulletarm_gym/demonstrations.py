@@ -1,0 +1,209 @@
+"""Demonstrations of the experts, collected, kept in files and handed on (paper, Expert Demonstrations)."""
+
+import itertools
+import os
+from collections.abc import Iterator, Mapping
+from contextlib import closing
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import gymnasium
+import numpy as np
+from tqdm import tqdm
+
+from bulletarm_gym import plain
+from bulletarm_gym.config import OPEN_LOOP
+from bulletarm_gym.env import Action, ManipulationEnv, Observation
+from bulletarm_gym.episodes import Demonstrations, Episode, Recorder
+from bulletarm_gym.footprint import PlacementError
+from bulletarm_gym.planners.deconstruction import take_apart
+
+if TYPE_CHECKING:
+    from minari import MinariDataset
+
+__all__ = ["Demonstrations", "Episode", "check_planner", "collect", "export_minari", "load"]
+
+WAYPOINT = "waypoint"
+DECONSTRUCTION = "deconstruction"
+ATTEMPTS_PER_EPISODE = 4
+"""An expert that fails three times in four is broken: those of the paper succeed in nine of ten."""
+TAKING_APART = 1
+"""Stream of an episode's seed that is drawn from when a structure is taken apart."""
+
+
+def collect(
+    env_id: str,
+    episodes: int,
+    planner: str = WAYPOINT,
+    *,
+    seed: int | None = None,
+    env_kwargs: Mapping[str, Any] | None = None,
+    path: str | os.PathLike[str] | None = None,
+    max_attempts: int | None = None,
+    progress: bool | None = None,
+) -> Demonstrations:
+    """Collect successful episodes of an expert.
+
+    The waypoint planner acts from the start. The deconstruction planner takes a finished structure apart; the
+    actions that put it together again are then carried out, and these episodes are what is kept.
+
+    :param env_id: of the environment
+    :param episodes: how many successful ones
+    :param planner: ``"waypoint"``, or ``"deconstruction"`` where a structure is built by pick and place
+    :param seed: the same seed gives the same episodes; without one it is drawn, and recorded
+    :param env_kwargs: parameters of the environment
+    :param path: a file to write them to as well, whole or not at all
+    :param max_attempts: episodes begun at most; by default four for each successful one
+    :param progress: show a progress bar; by default on a terminal
+    :raises ValueError: a parameter has a value it cannot take, or the planner cannot be used with this
+        environment, with the reason
+    :raises RuntimeError: too few attempts succeeded
+    """
+    if episodes < 1:
+        raise ValueError(f"episodes: got {episodes!r}, takes at least 1")
+    target = None if path is None else _writable(Path(path))
+    seed = int(np.random.SeedSequence().generate_state(1)[0]) if seed is None else seed
+    most = ATTEMPTS_PER_EPISODE * episodes if max_attempts is None else max_attempts
+    with closing(_make(env_id, env_kwargs or {})) as env:
+        check_planner(planner, env)
+        recorder = Recorder(env_id, {**env.config.parameters(), "render_mode": None})
+        silent = None if progress is None else not progress
+        with tqdm(desc=planner, total=episodes, unit="episode", disable=silent) as bar:
+            for episode in itertools.islice(_attempts(env, planner, seed), most):
+                recorder.add(episode)
+                bar.update(episode is not None)
+                if len(recorder) == episodes:
+                    break
+    if len(recorder) < episodes:
+        raise RuntimeError(
+            f"{planner} expert of {env_id}: {len(recorder)} of {most} attempts succeeded, {episodes} needed"
+        )
+    demonstrations = recorder.finish(planner=planner, seed=seed)
+    if target is not None:
+        demonstrations.save(target)
+    return demonstrations
+
+
+def load(path: str | os.PathLike[str]) -> Demonstrations:
+    """Return the demonstrations in a file.
+
+    :raises OSError: it cannot be read
+    :raises ValueError: it is of another kind
+    """
+    return Demonstrations(Path(path).read_bytes())
+
+
+def check_planner(planner: str, env: ManipulationEnv) -> None:
+    """Check that a planner can be used with an environment.
+
+    :raises ValueError: it cannot, with the reason
+    """
+    if planner not in PLANNERS:
+        raise ValueError(f"planner: got {planner!r}, takes one of {tuple(PLANNERS)}")
+    if planner == DECONSTRUCTION and (reason := _obstacle(env)) is not None:
+        raise ValueError(f"planner: got {planner!r}, but {reason}")
+
+
+def _obstacle(env: ManipulationEnv) -> str | None:
+    """Return what keeps an environment's goal from being taken apart."""
+    if env.config.control != OPEN_LOOP:
+        return "only pick and place can be reversed, and this environment is close-loop"
+    if not env.task.has_goal_structure:
+        return f"{type(env.task).__name__} builds no structure: it has no arrange_goal()"
+    if not env.scene.surface.keeps_poses:
+        return "on this ground blocks do not stay as they are laid"
+    return None
+
+
+def _attempts(env: ManipulationEnv, planner: str, seed: int) -> Iterator[Episode | None]:
+    """Yield the episode of each attempt, or None where it fails."""
+    rng = np.random.default_rng(seed)
+    while True:
+        yield PLANNERS[planner](env, int(rng.integers(2**31)))
+
+
+def _follow_plan(env: ManipulationEnv, seed: int) -> Episode | None:
+    """Let the task's expert act."""
+    observation, _ = env.reset(seed=seed)
+    return _play(env, seed, observation, (env.expert_action() for _ in itertools.count()))
+
+
+def _rebuild(env: ManipulationEnv, seed: int) -> Episode | None:
+    """Take the finished structure apart, and put it together again."""
+    _, info = env.reset(seed=seed, options={"start": "goal"})
+    try:
+        relocations = take_apart(env.scene, np.random.default_rng((seed, TAKING_APART)))
+    except PlacementError:
+        return None
+    waypoints = (waypoint for relocation in reversed(relocations) for waypoint in relocation.reversed())
+    moves = (env.control.next_move(env.scene, iter([waypoint])) for waypoint in waypoints)
+    actions = (env.encode_action(move) for move in moves)
+    return _play(env, seed, env.control.observe(env.scene), actions) if info["is_success"] else None
+
+
+PLANNERS = {WAYPOINT: _follow_plan, DECONSTRUCTION: _rebuild}
+
+
+def _play(
+    env: ManipulationEnv, seed: int, observation: Observation, actions: Iterator[Action]
+) -> Episode | None:
+    """Act until the episode ends, or the actions do; return it if it succeeds."""
+    initial_state = plain.dumps(env.get_state())
+    observations, steps, succeeds = [observation], [], False
+    for action in actions:
+        observation, reward, terminated, truncated, info = env.step(action)
+        observations.append(observation)
+        steps.append((action, reward, terminated, truncated))
+        succeeds = info["is_success"]
+        if terminated or truncated:
+            break
+    if not succeeds:
+        return None
+    chosen, rewards, terminations, truncations = map(np.array, zip(*steps, strict=True))
+    stacked = {key: np.stack([entry[key] for entry in observations]) for key in observation}
+    rewards = rewards.astype(np.float32)
+    return Episode(stacked, chosen, rewards, terminations, truncations, seed, initial_state)
+
+
+def _make(env_id: str, env_kwargs: Mapping[str, Any]) -> ManipulationEnv:
+    env = gymnasium.make(env_id, **env_kwargs).unwrapped
+    if not isinstance(env, ManipulationEnv):
+        raise ValueError(f"env_id: got {env_id!r}, takes an id of this package or of a registered task")
+    return env
+
+
+def _writable(path: Path) -> Path:
+    """Return a path that a file can be written to; asked before an hour of collecting, not after.
+
+    :raises ValueError: it is a folder
+    :raises OSError: its folder cannot be made or written to
+    """
+    if path.is_dir():
+        raise ValueError(f"path: got {path}, a folder; takes a file such as {path / 'demonstrations.h5'}")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if not os.access(path.parent, os.W_OK):
+        raise PermissionError(f"path: {path.parent} cannot be written to")
+    return path
+
+
+def export_minari(demonstrations: Demonstrations, dataset_id: str, **metadata: Any) -> "MinariDataset":
+    """Store demonstrations as a dataset of Minari, in its own folder for datasets.
+
+    :param dataset_id: such as ``"bulletarm/block-picking/expert-v0"``
+    :param metadata: more for ``minari.create_dataset_from_buffers()``, such as ``author``
+    :raises ImportError: Minari is not installed
+    """
+    try:
+        import minari
+        from minari.data_collector import EpisodeBuffer
+    except ImportError as error:
+        raise ImportError("Minari is missing: pip install 'bulletarm-gym[minari]'") from error
+    names = ("observations", "actions", "rewards", "terminations", "truncations", "seed")
+    buffers = [
+        EpisodeBuffer(id=number, **{name: getattr(episode, name) for name in names})
+        for number, episode in enumerate(demonstrations)
+    ]
+    with closing(demonstrations.make_env()) as env:
+        return minari.create_dataset_from_buffers(
+            dataset_id, buffers, env=env, **{"algorithm_name": demonstrations.about["planner"], **metadata}
+        )

@@ -1,0 +1,225 @@
+"""Episodes, and the HDF5 files they are kept in.
+
+A file holds, compressed, ``episodes/0``, ``episodes/1``, ...: each with ``observations`` (n + 1 of each key),
+``actions``, ``rewards``, ``terminations``, ``truncations``, the ``seed`` it was reset with, and as JSON the
+``initial_state`` (see :mod:`~bulletarm_gym.plain`), the ``configuration`` of its environment and the
+``versions`` of what it was recorded with. Heights are counts of 0.1 mm.
+"""
+
+import io
+import json
+import os
+import platform
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import cached_property
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from bulletarm_gym import plain
+from bulletarm_gym.env import EnvState
+
+FORMAT = 1
+"""Of the file; raised when older readers could no longer read it."""
+HEIGHT = 1e-4
+"""Metres a count of what is stored of a height: 0.1 mm."""
+HEIGHTS = ("heightmap", "in_hand")
+"""Observations in metres."""
+STEPS = ("actions", "rewards", "terminations", "truncations")
+LIBRARIES = ("bulletarm-gym", "gymnasium", "h5py", "numba", "numpy", "pybullet")
+PACKED = {"compression": "gzip", "compression_opts": 4, "shuffle": True}
+
+
+@dataclass(frozen=True)
+class Episode:
+    """An episode of n steps, its parts named as Minari names them.
+
+    :param observations: for each key (n + 1, ...) observations
+    :param actions: (n, action dimensions)
+    :param rewards: (n,)
+    :param terminations: (n,) whether it terminated
+    :param truncations: (n,) whether it was truncated
+    :param seed: of the reset it began with
+    :param initial_state: as JSON
+    """
+
+    observations: dict[str, NDArray[np.float32]]
+    actions: NDArray[np.float32]
+    rewards: NDArray[np.float32]
+    terminations: NDArray[np.bool_]
+    truncations: NDArray[np.bool_]
+    seed: int
+    initial_state: str
+
+    def __len__(self) -> int:
+        """Return the number of steps."""
+        return len(self.actions)
+
+    @cached_property
+    def state(self) -> EnvState:
+        """The state before the first action, for an environment's ``set_state()``."""
+        state: EnvState = plain.loads(self.initial_state)
+        return state
+
+
+class Demonstrations:
+    """Episodes of one environment, as they are in a file; read one at a time.
+
+    :param image: the content of the file
+    :raises ValueError: it is of another kind
+    """
+
+    def __init__(self, image: bytes) -> None:
+        self.image = image
+        try:
+            with self._file() as file:
+                self.about: dict[str, Any] = json.loads(file["about"][()])
+                self._count = len(file["episodes"])
+        except (KeyError, OSError) as error:
+            raise ValueError(f"not a file of demonstrations: {error}") from error
+        if self.about["format"] != FORMAT:
+            raise ValueError(f"format: the file has {self.about['format']}, this version reads {FORMAT}")
+
+    @property
+    def env_id(self) -> str:
+        """Id of the environment."""
+        return str(self.about["env_id"])
+
+    @property
+    def attempts(self) -> int:
+        """Number of episodes begun for those that are here."""
+        return int(self.about["attempts"])
+
+    def make_env(self, **parameters: Any) -> gymnasium.Env[Any, Any]:
+        """Make an environment like the one they were recorded in.
+
+        :param parameters: that are to differ
+        """
+        return gymnasium.make(self.env_id, **{**self.about["configuration"], **parameters})
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the file, whole or not at all; its folder is made."""
+        with whole_file(Path(path)) as partial:
+            partial.write_bytes(self.image)
+
+    def __len__(self) -> int:
+        """Return the number of episodes."""
+        return self._count
+
+    def __getitem__(self, index: int) -> Episode:
+        """Return an episode."""
+        if not -self._count <= index < self._count:
+            raise IndexError(f"there are {self._count} episodes, no number {index}")
+        with self._file() as file:
+            return _read(file["episodes"][str(index % self._count)])
+
+    def __iter__(self) -> Iterator[Episode]:
+        """Iterate over the episodes."""
+        return (self[index] for index in range(self._count))
+
+    def _file(self) -> h5py.File:
+        return h5py.File(io.BytesIO(self.image), "r")
+
+
+class Recorder:
+    """Makes the file, episode by episode, in memory: until it is whole there is none on the disk.
+
+    :param env_id: of the environment
+    :param configuration: its parameters
+    """
+
+    def __init__(self, env_id: str, configuration: Mapping[str, Any]) -> None:
+        self._about = {
+            "format": FORMAT,
+            "env_id": env_id,
+            "configuration": dict(configuration),
+            "versions": versions(),
+        }
+        self._attempts = 0
+        self._buffer = io.BytesIO()
+        self._file = h5py.File(self._buffer, "w")
+        self._episodes = self._file.create_group("episodes", track_order=True)
+        for name in ("configuration", "versions"):
+            self._file[name] = json.dumps(self._about[name])
+
+    def __len__(self) -> int:
+        """Return the number of episodes so far."""
+        return len(self._episodes)
+
+    def add(self, episode: Episode | None) -> None:
+        """Add the episode of an attempt; None counts as one that failed."""
+        self._attempts += 1
+        if episode is not None:
+            self._write(episode)
+
+    def _write(self, episode: Episode) -> None:
+        group = self._episodes.create_group(str(len(self._episodes)))
+        for key, values in episode.observations.items():
+            _write_observations(group.require_group("observations"), key, values)
+        for name in STEPS:
+            group[name] = getattr(episode, name)
+        group["seed"] = episode.seed
+        state = np.frombuffer(episode.initial_state.encode(), np.uint8)
+        group.create_dataset("initial_state", data=state, **PACKED)
+        for name in ("configuration", "versions"):
+            group[name] = self._file[name]  # a second name of the same thing, not a copy
+
+    def finish(self, **about: Any) -> Demonstrations:
+        """Return what was recorded.
+
+        :param about: what else is to be known of it; JSON values
+        """
+        self._file["about"] = json.dumps({**self._about, "attempts": self._attempts, **about})
+        self._file.close()
+        return Demonstrations(self._buffer.getvalue())
+
+
+def versions() -> dict[str, str]:
+    """Return what an episode's last digits depend on."""
+    found = {library: version(library) for library in LIBRARIES}
+    return {"python": platform.python_version(), "platform": platform.platform(), **found}
+
+
+@contextmanager
+def whole_file(path: Path) -> Iterator[Path]:
+    """Give a temporary path beside ``path``, which takes its place if the block succeeds, and else goes."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    partial = path.with_name(f".{path.name}-{os.getpid()}")
+    try:
+        yield partial
+        os.replace(partial, path)
+    finally:
+        partial.unlink(missing_ok=True)
+
+
+def _write_observations(group: h5py.Group, key: str, values: NDArray[np.float32]) -> None:
+    unit = HEIGHT if key in HEIGHTS else None
+    stored = values if unit is None else np.rint(values / unit).astype(np.uint16)
+    dataset = group.create_dataset(key, data=stored, **PACKED)
+    if unit is not None:
+        dataset.attrs["metres_per_count"] = unit
+
+
+def _read(group: h5py.Group) -> Episode:
+    return Episode(
+        {key: _read_observations(dataset) for key, dataset in group["observations"].items()},
+        group["actions"][()],
+        group["rewards"][()],
+        group["terminations"][()],
+        group["truncations"][()],
+        int(group["seed"][()]),
+        group["initial_state"][()].tobytes().decode(),
+    )
+
+
+def _read_observations(dataset: h5py.Dataset) -> NDArray[np.float32]:
+    unit = dataset.attrs.get("metres_per_count", 1.0)
+    values: NDArray[np.float32] = (dataset[()] * unit).astype(np.float32)
+    return values
