@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import importlib
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from types import ModuleType
+from typing import Any
 
 import gymnasium as gym
 
@@ -12,6 +14,7 @@ from zoo_configs.errors import CommandError, unknown_name
 # Imported by name: environments are known here only through Gymnasium's registry.
 ENV_PACKAGES = ("bulletarm_gym",)
 NAMESPACE = "BulletArm/"
+DEMONSTRATIONS = "bulletarm_gym.demonstrations"
 
 
 def register_environments(packages: Iterable[str] = ()) -> None:
@@ -50,3 +53,29 @@ def known_env_id(env_id: str) -> str:
     if name not in gym.registry:
         raise unknown_name("environment", name, gym.registry)
     return name
+
+
+def demonstrations() -> ModuleType:
+    """
+    Our environments' collection of experts' episodes.
+
+    :return: The module, with ``collect`` and ``load``
+    """
+    return importlib.import_module(DEMONSTRATIONS)
+
+
+def load_expert_data(hyperparams: Mapping[str, Any]) -> dict[str, Any]:
+    """
+    Replace the path of a file of demonstrations by what is in it.
+
+    :param hyperparams: Hyperparameters of an algorithm
+    :return: The same, with episodes for ``expert_data``
+    :raises CommandError: if there is no such file
+    """
+    path = hyperparams.get("expert_data")
+    if not isinstance(path, str):
+        return dict(hyperparams)
+    try:
+        return {**hyperparams, "expert_data": demonstrations().load(path)}
+    except (OSError, ValueError) as error:
+        raise CommandError(f"expert_data: {path} cannot be read: {error}") from error

@@ -20,6 +20,7 @@ from sb3_extensions.common.checkpoint import (
     save_checkpoint,
 )
 from zoo_configs.algorithms import class_from_path
+from zoo_configs.environments import load_expert_data
 from zoo_configs.errors import CommandError
 from zoo_configs.evaluation import PeriodicEvaluation
 from zoo_configs.files import whole_file
@@ -67,7 +68,7 @@ class ZooManager(ExperimentManager):
         for key in EVALUATED_KEYS:
             if key in hyperparams:
                 hyperparams[key] = import_classes(hyperparams[key], is_class=key.endswith("_class"))
-        processed = super()._preprocess_hyperparams(hyperparams)
+        processed = super()._preprocess_hyperparams(load_expert_data(hyperparams))
         self.eval_env_kwargs = {**self.env_kwargs, **(self._eval_env_kwargs_args or {})}
         if "info_keywords" in self.monitor_kwargs:  # YAML has lists only
             self.monitor_kwargs["info_keywords"] = tuple(self.monitor_kwargs["info_keywords"])

@@ -10,6 +10,7 @@ import gymnasium as gym
 
 from sb3_extensions.common.augmentation import make_augmentation
 from zoo_configs.algorithms import class_from_path, register_algorithms
+from zoo_configs.environments import load_expert_data
 from zoo_configs.errors import CommandError, unknown_name
 from zoo_configs.resolve import Cell
 
@@ -70,6 +71,24 @@ def check_env_kwargs(env_id: str, env_kwargs: Mapping[str, Any]) -> gym.Env[Any,
         return gym.make(env_id, **env_kwargs)
     except (TypeError, ValueError) as error:
         raise CommandError(f"{env_id} refuses its env_kwargs: {error}") from error
+
+
+def check_expert_data(hyperparams: Mapping[str, Any], env: gym.Env[Any, Any]) -> None:
+    """
+    Look whether a file of demonstrations is of an environment like the one to train on.
+
+    :param hyperparams: Hyperparameters, with or without ``expert_data``
+    :param env: The environment
+    :raises CommandError: if there is no such file, or its observations or actions are of other shapes
+    """
+    for episode in load_expert_data(hyperparams).get("expert_data") or ():
+        first = {key: values[0] for key, values in episode.observations.items()}
+        if first not in env.observation_space or episode.actions[0] not in env.action_space:
+            path, shapes = hyperparams["expert_data"], {key: values.shape for key, values in first.items()}
+            raise CommandError(
+                f"expert_data: {path} has observations {shapes} and actions {episode.actions[0].shape}, "
+                f"the environment has {env.observation_space} and {env.action_space}"
+            )
 
 
 def policy_class(algorithm: type[Any], policy: str) -> type[Any]:

@@ -7,7 +7,7 @@ import json
 import secrets
 import sys
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -208,10 +208,11 @@ def _resumed(args: argparse.Namespace, passed_on: list[str]) -> Plan:
 
 
 def _check(cell: Cell) -> None:
-    from zoo_configs.validation import check_cell, check_env_kwargs
+    from zoo_configs.validation import check_cell, check_env_kwargs, check_expert_data
 
     check_cell(cell)
-    check_env_kwargs(cell.env_id, cell.hyperparams.get("env_kwargs", {})).close()
+    with closing(check_env_kwargs(cell.env_id, cell.hyperparams.get("env_kwargs", {}))) as env:
+        check_expert_data(cell.hyperparams, env)
 
 
 def _run_rl_zoo3(plan: Plan, extra: list[str]) -> ZooManager:

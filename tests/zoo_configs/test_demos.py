@@ -1,0 +1,84 @@
+"""``bulletarm-zoo demos``, and training on what it has collected."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from zoo_configs.cli import main
+from zoo_configs.environments import demonstrations
+
+PICKING = "BulletArm/CloseLoopBlockPicking-v0"
+SMALL = ["--env-kwargs", "obs_size:48"]
+
+
+@pytest.fixture(scope="module")
+def picking(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A file of two episodes."""
+    path = tmp_path_factory.mktemp("demos") / "picking.h5"
+    assert main(["demos", "--env", PICKING, "-n", "2", "--seed", "3", "-o", str(path), *SMALL]) == 0
+    return path
+
+
+def test_a_file_is_written_and_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    arguments = ["--env", "BulletArm/OpenLoopBlockStacking-v0", "--planner", "deconstruction", "-n", "1"]
+    assert main(["demos", *arguments, "--env-kwargs", "num_objects:2"]) == 0
+    printed = capsys.readouterr().out
+    assert "1 of 1 attempts succeeded, mean_length=2.00" in printed
+    name = "OpenLoopBlockStacking-v0-deconstruction.h5"
+    assert printed.endswith(f"Written:\n  {name}\n")
+    assert [path.name for path in tmp_path.iterdir()] == [name]
+    assert len(demonstrations().load(name)[0]) == 2
+
+
+@pytest.mark.parametrize(
+    ("arguments", "reason"),
+    [
+        (["--env", PICKING, "--planner", "deconstruction"], "only pick and place can be reversed"),
+        (["--env", PICKING, "--planner", "magic"], "takes one of"),
+        (["--env", PICKING, "--env-kwargs", "obs_sise:3"], "obs_size"),
+        (["--env", PICKING, "-o", "no/folder/.h5/"], "must end in .h5"),
+        (["--env", "BulletArm/CloseLoopBlockPecking-v0"], "BlockPicking"),
+    ],
+    ids=lambda value: value[-1] if isinstance(value, list) else "",
+)
+def test_what_cannot_be_is_refused(
+    arguments: list[str], reason: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    try:
+        assert main(["demos", *arguments]) == 2
+    except SystemExit as exit:
+        assert exit.code == 2
+    assert reason in capsys.readouterr().err
+
+
+def train(folder: Path, data: object, *more: str) -> int:
+    names = ["--baseline", "sacfd", "--preset", "cpu", "--env", PICKING, "--device", "cpu", "-f", str(folder)]
+    tiny = ["-n", "4", "--eval-freq", "0", "--num-threads", "1", "--no-progress"]
+    params = ["-params", f"expert_data:{str(data)!r}", "batch_size:4", "buffer_size:100"]
+    return main(["train", *names, *tiny, *more, *params])
+
+
+def test_training_begins_with_the_file(
+    picking: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert train(tmp_path, picking, *SMALL) == 0
+    printed = capsys.readouterr()
+    assert "expert episodes" not in printed.err
+    assert (
+        str(picking) in (tmp_path / "sacfd/BulletArm-CloseLoopBlockPicking-v0_1/hyperparams.yml").read_text()
+    )
+
+
+def test_files_that_do_not_fit_are_refused_before_the_run(
+    picking: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert train(tmp_path, picking) == 2
+    assert "has observations {'heightmap': (1, 48, 48)" in capsys.readouterr().err
+    assert train(tmp_path, tmp_path / "none.h5") == 2
+    assert "none.h5 cannot be read" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())

@@ -1,0 +1,70 @@
+"""``bulletarm-zoo demos``: collects episodes of an expert."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from rl_zoo3.utils import StoreDict
+
+from zoo_configs.arguments import positive_int
+from zoo_configs.environments import demonstrations, known_env_id, register_environments
+from zoo_configs.errors import CommandError
+
+DESCRIPTION = """Collect successful episodes of an expert into one HDF5 file, written when all are there.
+Agents learn from it by: bulletarm-zoo train ... -params expert_data:"'FILE'"."""
+SUFFIXES = (".h5", ".hdf5")
+
+
+def main(argv: Sequence[str]) -> None:
+    """
+    Run the command.
+
+    :param argv: Its arguments
+    :raises CommandError: if the planner cannot be used with the environment, or fails too often
+    """
+    args = _parse(argv)
+    register_environments(args.gym_packages)
+    env_id = known_env_id(args.env)
+    path = args.output or Path(f"{env_id.rpartition('/')[2]}-{args.planner}.h5")
+    try:
+        found = demonstrations().collect(
+            env_id,
+            args.episodes,
+            args.planner,
+            seed=args.seed,
+            env_kwargs=args.env_kwargs,
+            path=path,
+            progress=args.progress,
+        )
+    except (OSError, RuntimeError, ValueError) as error:
+        raise CommandError(str(error)) from error
+    length = np.mean([len(episode) for episode in found])
+    print(f"{env_id}: {len(found)} of {found.attempts} attempts succeeded, mean_length={length:.2f}")
+    print(f"Written:\n  {path}")
+
+
+def _parse(argv: Sequence[str]) -> argparse.Namespace:
+    parser = argparse.ArgumentParser("bulletarm-zoo demos", description=DESCRIPTION)
+    add = parser.add_argument
+    add("--env", required=True, help="environment id, see bulletarm-zoo list")
+    add("-n", "--episodes", type=positive_int, default=100, help="how many successful ones (default: 100)")
+    add("--planner", default="waypoint", help="waypoint (default) or deconstruction")
+    add("--seed", type=int, default=0, help="seed of the collection (default: 0)")
+    add("--env-kwargs", nargs="+", action=StoreDict, default={}, help="parameters, KEY:VALUE")
+    add("--gym-packages", nargs="+", default=[], help="packages that register further environments")
+    add("-o", "--output", type=Path, help="file to write (default: ENV-PLANNER.h5 in this folder)")
+    add(
+        "-P",
+        "--progress",
+        action="store_true",
+        default=None,
+        help="show a progress bar (default: on a terminal)",
+    )
+    add("--no-progress", action="store_false", dest="progress", help="show no progress bar")
+    args = parser.parse_args(argv)
+    if args.output is not None and args.output.suffix not in SUFFIXES:
+        parser.error(f"--output must end in {' or '.join(SUFFIXES)}, got {args.output}")
+    return args
