@@ -102,6 +102,9 @@ class World:
         self.joint_rates: list[tuple[float, ...]] = []
         self._ground: Body | None = None
         self._snapshot: int | None = None
+        # The default broad phase reorders its trees by memory address as time goes by, and so the contacts.
+        # The simple one keeps the order of loading, and for so few bodies it is as quick.
+        self.client.resetSimulation(self.client.RESET_USE_SIMPLE_BROADPHASE)
         self.client.setGravity(0.0, 0.0, GRAVITY)
         self.client.setPhysicsEngineParameter(
             fixedTimeStep=TIME_STEP,
@@ -123,14 +126,8 @@ class World:
         return self._register(Body(len(self.bodies), body_id, spec, tuple(range(len(spec.slides)))), pose)
 
     def add_plane(self, spec: BodySpec) -> Body:
-        """Load the endless ground at z = 0, before all else; ``spec`` gives its name, friction and picture.
-
-        :raises RuntimeError: something has been loaded already: forgetting contacts takes a first pair of
-            bodies that are near each other, which the endless ground is with any
-        """
+        """Load the endless ground at z = 0; ``spec`` gives its name, friction and picture."""
         self._check_open()
-        if self.bodies:
-            raise RuntimeError("the ground is loaded before anything else")
         body_id = load_plane(self.client, spec)
         self._ground = self._register(Body(len(self.bodies), body_id, spec), Pose((0.0, 0.0, 0.0)))
         return self._ground
@@ -204,10 +201,10 @@ class World:
         self._send(body)
 
     def park(self, body: Body) -> None:
-        """Take a body out of the scene: no contacts, out of sight.
+        """Take a body out of the scene: no contacts, out of sight, asleep.
 
-        It keeps its mass and falls while the others move, until the next move begins: taking its mass would
-        change the order in which Bullet solves contacts, and with it the last digits of what happens.
+        It keeps its mass: taking it would change the order in which Bullet solves contacts, and with it the
+        last digits of what happens.
         """
         self.poses[body.index] = _parking_place(body.index)
         self.twists[body.index] = STILL
@@ -231,6 +228,10 @@ class World:
     def _set_active(self, body: Body, active: bool) -> None:
         self.active[body.index] = active
         self._set_mask(body, 1 if active and not body.spec.is_mark else 0)
+        if body.spec.mass > 0.0:
+            client = self.client
+            state = client.ACTIVATION_STATE_DISABLE_SLEEPING if active else client.ACTIVATION_STATE_SLEEP
+            client.changeDynamics(body.id, -1, activationState=state)
 
     def _send(self, body: Body) -> None:
         if body.spec.pieces:
@@ -265,19 +266,12 @@ class World:
     def _forget_contacts(self) -> None:
         """Have Bullet forget which bodies were near each other.
 
-        Pairs keep what convex shapes found out about their last contact, they are ordered by who was called
-        in when, and those that have come apart are looked for from where the last search stopped, which moves
-        the others. No snapshot holds any of this. Setting masks enters bodies into the broad phase anew, and
-        a search through a single pair stops where it began.
+        Pairs keep what convex shapes found out about their last contact, and no snapshot holds it. Setting
+        its mask enters a body into the broad phase anew, its pairs gone.
         """
-        present = [body for body in self.bodies if self.active[body.index] and not body.spec.is_mark]
-        for body in present:
-            self._set_mask(body, 0)
-        for body in present[:2]:
-            self.client.setCollisionFilterGroupMask(body.id, -1, 1, 1)
-        self.client.performCollisionDetection()
-        for body in present:
-            self._set_mask(body, 1)
+        for body in self.bodies:
+            if self.active[body.index] and not body.spec.is_mark:
+                self._set_mask(body, 1)
 
     def _set_mask(self, body: Body, mask: int) -> None:
         """Have a body collide (1) or not (0)."""
