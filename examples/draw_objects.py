@@ -1,36 +1,71 @@
-"""Draw the 86 objects of Object Grasping: ``python examples/draw_objects.py docs/images/objects.png``."""
+"""Draw a set of objects: ``python examples/draw_objects.py grasping docs/images/objects.png``."""
 
 import argparse
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import imageio.v3 as imageio
 
 from bulletarm_gym.geometry import Pose
+from bulletarm_gym.objects import BodySpec, create
+from bulletarm_gym.objects.bottles import BOTTLES
 from bulletarm_gym.objects.graspables import graspables
+from bulletarm_gym.objects.packing import SHAPES
+from bulletarm_gym.objects.polyominoes import improvise_blocks
 from bulletarm_gym.simulation import Camera, World
 from bulletarm_gym.simulation.world import PHYSICS_MODES
 from bulletarm_gym.surfaces.flat import FLOOR
 
-COLUMNS = 15
-PITCH = 0.17
-"""Distance (m) between the objects."""
+BLOCKS = ("cube", "brick", "triangle", "roof", "cylinder")
+COVID = ("swab", "tube", "used_tube", "new_tube_box", "used_tube_box", "test_area")
+STORAGE = ("palletizing_box", "pallet", "packing_bin", "bottle_tray")
+SETS: dict[str, tuple[Callable[[], Sequence[BodySpec]], int]] = {
+    "grasping": (graspables, 15),
+    "blocks": (lambda: [create(kind, kind, 0.6) for kind in BLOCKS], 5),
+    "improvise": (lambda: improvise_blocks("block", 0.6, series=0), 10),
+    "packing": (lambda: [create(f"packing_block_{n}", str(n), 0.8) for n in range(len(SHAPES))], 7),
+    "bottles": (lambda: [create(f"bottle_{n}", str(n), 0.8) for n in range(len(BOTTLES))], 8),
+    "storage": (lambda: [create(k, k, 0.8 if k == "palletizing_box" else 1.0) for k in STORAGE], 4),
+    "covid": (lambda: [create(k, k, 1.0 if k.endswith(("box", "area")) else 0.6) for k in COVID], 6),
+}
+"""Objects and how many are in a row."""
+WIDTH = 1500
 
 
 def main() -> None:
     """Lay the objects out in rows and take a picture from above."""
     parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("set", choices=SETS, help="the objects")
     parser.add_argument("output", type=Path, help="the picture to write")
-    output: Path = parser.parse_args().output
+    arguments = parser.parse_args()
+    make, columns = SETS[arguments.set]
     world = World(PHYSICS_MODES["fast"])
     world.add_plane(FLOOR)
-    for index, spec in enumerate(graspables()):
-        row, column = divmod(index, COLUMNS)
-        x, y = PITCH * (row - 2.5), PITCH * (column - (COLUMNS - 1) / 2.0)
-        world.place(world.add(spec), Pose((x, y, spec.extents[2] / 2.0)))
-    camera = Camera((0.7, 0.0, 2.5), (0.02, 0.0, 0.0), fov=25.0, width=1500, height=640)
-    imageio.imwrite(output, camera.color(world))
+    extent = lay_out(world, make(), columns)
+    imageio.imwrite(arguments.output, picture(world, *extent))
     world.close()
-    print(f"wrote {output}")
+    print(f"wrote {arguments.output}")
+
+
+def lay_out(world: World, specs: Sequence[BodySpec], columns: int) -> tuple[float, float]:
+    """Stand objects in rows; return the length (m) of the columns and of the rows."""
+    pitch = 0.03 + max(max(spec.extents[:2]) for spec in specs)
+    rows = -(-len(specs) // columns)
+    for index, spec in enumerate(specs):
+        row, column = divmod(index, columns)
+        low, high = spec.mesh.bounds
+        x, y = pitch * (row - (rows - 1) / 2.0), pitch * (column - (columns - 1) / 2.0)
+        middle = (low + high) / 2.0
+        world.place(world.add(spec), Pose((x - middle[0], y - middle[1], -float(low[2]))))
+    return pitch * rows, pitch * columns
+
+
+def picture(world: World, length: float, width: float) -> object:
+    """Return a picture of what stands about the origin, seen from the front and above."""
+    distance = 2.2 * width
+    height = int(WIDTH * min(1.0, (0.95 * length + 0.08) / width))
+    eye = (0.3 * distance, 0.0, 0.95 * distance)
+    return Camera(eye, (0.0, 0.0, 0.0), 25.0 * height / WIDTH, WIDTH, height, far=2.0 * distance).color(world)
 
 
 if __name__ == "__main__":

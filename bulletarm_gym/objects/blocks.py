@@ -3,13 +3,28 @@
 Sizes are nominal (m) and grow with the object scale; masses are those of the original BulletArm release.
 """
 
+import numpy as np
+
 from bulletarm_gym.geometry import Pose
-from bulletarm_gym.objects.solids import loft
+from bulletarm_gym.objects.solids import circle, corner_radius, extruded, loft
 from bulletarm_gym.simulation.shapes import BLUE, RED, YELLOW, BodySpec, Box, Piece
 
 CUBE_SIZE = 0.05
 """Side (m) of cubes and of a triangle's bounding box at scale 1 (paper, Environments); 3 cm at 0.6."""
 CUBE_MASS = 0.1
+
+BRICK_LENGTH = 0.2
+"""Of brick and roof at scale 1 (m): 12 cm at the default scale of 0.6 (paper, House Building 3)."""
+CYLINDER_DIAMETER = 0.0538
+CYLINDER_HEIGHT = 0.06
+"""At scale 1 (m), as in the original BulletArm release."""
+CYLINDER_SIDES = 16
+
+IMPROVISE_WIDTH = (5.0 / 6.0, 7.0 / 6.0)
+IMPROVISE_HEIGHT = (2.0 / 3.0, 7.0 / 6.0)
+"""Least and greatest size of an improvised brick, width and length alike and height by itself, as shares of
+a brick's: 0.5 to 0.7 and 0.4 to 0.7 at scale 0.6, as in the original BulletArm release."""
+IMPROVISE_SEED = 3
 
 FLAT_BLOCK_SIDE = 0.1
 """Side (m) at scale 1: 8 cm at the pulling task's default scale of 0.8 (paper, Block Pulling)."""
@@ -37,9 +52,44 @@ def flat_block(name: str, scale: float) -> BodySpec:
 
 def triangle(name: str, scale: float) -> BodySpec:
     """Return an upright prism whose ridge runs along x, its frame in the middle of its bounding box."""
-    half = CUBE_SIZE * scale / 2.0
-    rings = [[(x, -half, -half), (x, half, -half), (x, 0.0, half)] for x in (-half, half)]
+    return _wedge(name, scale, CUBE_SIZE)
+
+
+def _wedge(name: str, scale: float, length: float) -> BodySpec:
+    half, end = CUBE_SIZE * scale / 2.0, length * scale / 2.0
+    rings = [[(x, -end, -half), (x, end, -half), (x, 0.0, half)] for x in (-half, half)]
     return BodySpec(name, (Piece(loft(rings)),), CUBE_MASS, colour=YELLOW)
+
+
+def brick(name: str, scale: float) -> BodySpec:
+    """Return a cuboid four times as long, along y, as it is wide and high, its frame in its centre."""
+    return _brick(name, scale, 1.0, 1.0, 1.0)
+
+
+def improvise_bricks(name: str, scale: float, count: int) -> tuple[BodySpec, ...]:
+    """Return bricks of random sizes, always the same (Improvise House Building 3)."""
+    rng = np.random.default_rng(IMPROVISE_SEED)
+    shares = np.column_stack(
+        [rng.uniform(*IMPROVISE_WIDTH, (count, 2)), rng.uniform(*IMPROVISE_HEIGHT, count)]
+    )
+    return tuple(_brick(f"{name} {number}", scale, *row) for number, row in enumerate(shares.tolist()))
+
+
+def _brick(name: str, scale: float, width: float, length: float, height: float) -> BodySpec:
+    side = CUBE_SIZE * scale
+    extents = (width * side, length * BRICK_LENGTH * scale, height * side)
+    return BodySpec(name, (Piece(Box(extents)),), CUBE_MASS, colour=BLUE)
+
+
+def roof(name: str, scale: float) -> BodySpec:
+    """Return an upright prism as long, along y, as a brick, its ridge along x, its frame as a triangle's."""
+    return _wedge(name, scale, BRICK_LENGTH)
+
+
+def cylinder(name: str, scale: float) -> BodySpec:
+    """Return an upright cylinder whose frame is its centre."""
+    outline = circle(corner_radius(CYLINDER_DIAMETER * scale, CYLINDER_SIDES), 0.0, CYLINDER_SIDES)[:, :2]
+    return BodySpec(name, (extruded(outline, CYLINDER_HEIGHT * scale),), CUBE_MASS, colour=RED)
 
 
 def goal_area(name: str, side: float) -> BodySpec:

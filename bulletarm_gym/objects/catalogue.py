@@ -1,17 +1,42 @@
 """Objects by the name of their kind: ours and those that users register."""
 
 from collections.abc import Callable, Mapping
+from functools import partial
 
 from bulletarm_gym.extensions import OBJECT_PATHS, load
-from bulletarm_gym.objects.blocks import cube, flat_block, triangle
+from bulletarm_gym.objects import blocks, bottles, covid, packing, palletizing
 from bulletarm_gym.objects.bowl import bowl
+from bulletarm_gym.objects.polyominoes import DRAWINGS, improvise_block
 from bulletarm_gym.simulation.shapes import BodySpec
 
-KINDS: Mapping[str, Callable[[str, float], BodySpec]] = {
+Make = Callable[[str, float], BodySpec]
+
+
+def _numbered(kind: str, make: Callable[..., BodySpec], count: int) -> dict[str, Make]:
+    return {f"{kind}_{number}": partial(make, number=number) for number in range(count)}
+
+
+KINDS: Mapping[str, Make] = {
+    "bottle_tray": bottles.bottle_tray,
     "bowl": bowl,
-    "cube": cube,
-    "flat_block": flat_block,
-    "triangle": triangle,
+    "brick": blocks.brick,
+    "cube": blocks.cube,
+    "cylinder": blocks.cylinder,
+    "flat_block": blocks.flat_block,
+    "new_tube_box": covid.new_tube_box,
+    "packing_bin": packing.packing_bin,
+    "pallet": palletizing.pallet,
+    "palletizing_box": palletizing.palletizing_box,
+    "roof": blocks.roof,
+    "swab": covid.swab,
+    "test_area": covid.test_area,
+    "triangle": blocks.triangle,
+    "tube": covid.tube,
+    "used_tube": covid.used_tube,
+    "used_tube_box": covid.used_tube_box,
+    **_numbered("bottle", bottles.bottle, len(bottles.BOTTLES)),
+    **_numbered("improvise_block", improvise_block, len(DRAWINGS)),
+    **_numbered("packing_block", packing.packing_block, len(packing.SHAPES)),
 }
 """What there is besides users' objects."""
 

@@ -64,6 +64,34 @@ def extruded(outline: ArrayLike, height: float) -> Piece:
     return Piece(loft([np.insert(plane, 2, z, axis=1) for z in (-height / 2.0, height / 2.0)]))
 
 
+def beam(outline: ArrayLike, width: float) -> Piece:
+    """Return a prism along x over a convex outline of y and z, (n, 2) counter-clockwise (m)."""
+    plane = np.asarray(outline, dtype=np.float64)
+    return Piece(loft([np.insert(plane, 0, x, axis=1) for x in (-width / 2.0, width / 2.0)]))
+
+
+def corner_radius(width: float, sides: int) -> float:
+    """Return the radius (m) of a regular polygon that is ``width`` (m) across, from side to side.
+
+    With sides in multiples of four that is its bounding box, and what lies on one of them does not roll.
+    """
+    return width / 2.0 / math.cos(math.pi / sides)
+
+
+def container(extents: Vector, wall: float, floor: float) -> tuple[Piece, ...]:
+    """Return a box open to the top, its frame on the ground in its middle.
+
+    :param extents: outer side lengths (m)
+    :param wall: thickness (m) of the walls, which stand on the ground
+    :param floor: thickness (m) of the floor between them
+    """
+    x, y, z = extents
+    ends = [block((wall, y, z), (sign * (x - wall) / 2.0, 0.0, z / 2.0)) for sign in (1.0, -1.0)]
+    inside = x - 2.0 * wall
+    sides = [block((inside, wall, z), (0.0, sign * (y - wall) / 2.0, z / 2.0)) for sign in (1.0, -1.0)]
+    return (*ends, *sides, block((inside, y - 2.0 * wall, floor), (0.0, 0.0, floor / 2.0)))
+
+
 def block(extents: Vector, centre: Vector = (0.0, 0.0, 0.0)) -> Piece:
     """Return a box of full side lengths ``extents`` (m)."""
     return Piece(Box(extents), Pose(centre) if any(centre) else ORIGIN)

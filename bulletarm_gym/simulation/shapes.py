@@ -30,12 +30,21 @@ class Box:
         """The box's triangles in its frame."""
         return Mesh.box(self.extents)
 
+    def scaled(self, factor: float) -> "Box":
+        """Return a box ``factor`` times as large."""
+        x, y, z = (extent * factor for extent in self.extents)
+        return Box((x, y, z))
+
 
 @dataclass(frozen=True)
 class Convex:
     """The convex hull of a mesh's vertices; the mesh must be convex for its picture to be true."""
 
     mesh: Mesh
+
+    def scaled(self, factor: float) -> "Convex":
+        """Return a shape ``factor`` times as large."""
+        return Convex(Mesh.of(self.mesh.vertices * factor, self.mesh.faces))
 
 
 Shape: TypeAlias = Box | Convex
@@ -52,6 +61,11 @@ class Piece:
     def mesh(self) -> Mesh:
         """The piece's triangles in the body's frame."""
         return self.shape.mesh if self.pose == ORIGIN else self.shape.mesh.moved(self.pose)
+
+    def scaled(self, factor: float) -> "Piece":
+        """Return the piece as it is in a body ``factor`` times as large."""
+        x, y, z = (value * factor for value in self.pose.position)
+        return Piece(self.shape.scaled(factor), Pose((x, y, z), self.pose.orientation))
 
 
 @dataclass(frozen=True)
