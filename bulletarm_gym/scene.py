@@ -75,6 +75,12 @@ class Item:
         return self.pose.z + float(heights.min())
 
     @property
+    def bounds(self) -> FloatArray:
+        """Lowest and highest corner of the body's true bounding box in the world, (2, 3) m."""
+        vertices = self.spec.mesh.vertices @ matrix(self.pose).T + self.pose.position
+        return np.stack([vertices.min(axis=0), vertices.max(axis=0)])
+
+    @property
     def centre_of_mass(self) -> Vector:
         """Where (m) the body's centre of mass is in the world."""
         return self.pose.transform(self.spec.mass_properties[0].position)

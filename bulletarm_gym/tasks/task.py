@@ -136,25 +136,23 @@ class Task(ABC):
     def is_valid(self, scene: Scene) -> bool:
         """Whether every loose item is inside the workspace, not above its top nor below the floor."""
         held = scene.robot.held
-        return all(
-            self._is_inside(scene, item) for item in scene if item.spec.mass > 0.0 and item.body is not held
-        )
+        return all(self._is_inside(item) for item in scene if item.spec.mass > 0.0 and item.body is not held)
 
     def reward(self, scene: Scene, outcome: Mapping[str, bool]) -> float:
         """Return 1 on success, else 0 (paper, Environment)."""
         return float(outcome["success"])
 
-    def _is_inside(self, scene: Scene, item: Item) -> bool:
+    def _is_inside(self, item: Item) -> bool:
         (x0, x1), (y0, y1), (_, top) = self.config.workspace
-        low, high = self._extent(scene, item)
+        low, high = self._extent(item)
         inside = x0 <= low[0] and high[0] <= x1 and y0 <= low[1] and high[1] <= y1
         return inside and low[2] >= FLOOR and high[2] <= top
 
-    def _extent(self, scene: Scene, item: Item) -> tuple[Vector, Vector]:
+    def _extent(self, item: Item) -> tuple[Vector, Vector]:
         """Return the corners (m) that must be inside: of the bounding box, or twice the centre."""
         if self.config.workspace_check == "bounding_box":
-            low, high = scene.world.bounds(item.body)
-            return (low[0], low[1], item.pose.z), high
+            (left, near, _), (right, far, top) = item.bounds.tolist()
+            return (left, near, item.pose.z), (right, far, top)
         return item.pose.position, item.pose.position
 
 

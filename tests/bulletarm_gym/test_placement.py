@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,8 +10,11 @@ import pytest
 from bulletarm_gym.env import ManipulationEnv
 from bulletarm_gym.footprint import PlacementError
 from bulletarm_gym.geometry import Pose
-from bulletarm_gym.placement import draw_until, is_within, roomiest, scatter
-from bulletarm_gym.scene import Scene
+from bulletarm_gym.objects import create
+from bulletarm_gym.placement import draw_until, free_pose, is_within, lay_apart, roomiest, scatter
+from bulletarm_gym.robots import find_robot
+from bulletarm_gym.scene import Role, Scene
+from bulletarm_gym.surfaces import make_surface
 
 Make = Callable[..., ManipulationEnv]
 
@@ -20,6 +24,82 @@ def scene(make: Make) -> Scene:
     env = make("BulletArm/CloseLoopBlockStacking-v0", num_objects=3)
     env.reset(seed=0)
     return env.scene
+
+
+SKIN = 1e-3
+"""Bullet wraps convex hulls in a skin that thick (m)."""
+WORKSPACE = [[0.25, 0.65], [-0.2, 0.2], [0.0, 1.0]]
+HOUSE = [(f"cube_{number}", "cube", 0.6) for number in range(4)] + [
+    ("brick", "brick", 0.6),
+    ("roof", "roof", 0.6),
+]
+PACKING = [(f"packing_{number}", f"packing_block_{number % 7}", 0.8) for number in range(8)]
+
+
+def _scene(make: Make, surface: str, kinds: list[tuple[str, str, float]]) -> Scene:
+    config = replace(make("BulletArm/CloseLoopBlockStacking-v0").config, workspace=WORKSPACE)
+    roles = [Role(name, (create(kind, name, scale),)) for name, kind, scale in kinds]
+    return Scene(config, find_robot("kuka"), make_surface(surface, WORKSPACE, (0.03, 0.03)), roles)
+
+
+def _assert_apart_and_inside(scene: Scene, least: float) -> None:
+    items = list(scene)
+    for number, item in enumerate(items):
+        low, high = item.spec.mesh.moved(item.pose).bounds
+        assert (low[:2] > [0.25, -0.2]).all() and (high[:2] < [0.65, 0.2]).all()
+        for other in items[:number]:
+            assert scene.world.distance(item.body, other.body, least) > least - 2.5 * SKIN
+
+
+@pytest.mark.parametrize(
+    ("surface", "kinds", "gap", "seeds"),
+    [
+        ("flat", HOUSE, 0.03, 1000),
+        ("ramp", HOUSE, 0.03, 200),
+        ("bump", HOUSE, 0.02, 200),
+        ("flat", [("bin", "packing_bin", 1.0), *PACKING], 0.01, 100),
+    ],
+    ids=["flat", "ramp", "bump", "packing"],
+)
+def test_nothing_touches_and_nothing_is_over_the_border(
+    make: Make, surface: str, kinds: list[tuple[str, str, float]], gap: float, seeds: int
+) -> None:
+    scene = _scene(make, surface, kinds)
+    for seed in range(seeds):
+        rng = np.random.default_rng(seed)
+        scene.clear(rng)
+        lay_apart(scene, rng, scene.items, gap)
+        _assert_apart_and_inside(scene, gap)
+    scene.world.close()
+
+
+def test_one_more_is_laid_away_from_what_is_there(make: Make) -> None:
+    scene = _scene(make, "ramp", HOUSE)
+    for seed in range(50):
+        rng = np.random.default_rng(seed)
+        scene.clear(rng)
+        *others, last = scene.items
+        lay_apart(scene, rng, others, 0.03)
+        before = [item.pose for item in others]
+        last.place(free_pose(scene, rng, last, 0.03))
+        assert [item.pose for item in others] == before
+        _assert_apart_and_inside(scene, 0.03)
+    scene.world.close()
+
+
+def test_without_random_orientation_all_lie_straight(make: Make) -> None:
+    scene = _scene(make, "flat", HOUSE)
+    scene.config = replace(scene.config, random_orientation=False)
+    lay_apart(scene, np.random.default_rng(0), scene.items, 0.03)
+    assert all(item.pose.yaw == 0.0 for item in scene)
+    scene.world.close()
+
+
+def test_too_much_is_refused(make: Make) -> None:
+    scene = _scene(make, "flat", HOUSE)
+    with pytest.raises(PlacementError, match="workspace: found no room for 6 items"):
+        lay_apart(scene, np.random.default_rng(0), scene.items, 0.3)
+    scene.world.close()
 
 
 def test_points_keep_their_distances(scene: Scene) -> None:
