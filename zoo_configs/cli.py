@@ -31,6 +31,7 @@ COMMANDS = {
     "train": Command("zoo_configs.commands.train", "train an agent, or go on with an interrupted training"),
     "enjoy": Command("zoo_configs.commands.enjoy", "evaluate a trained agent"),
     "record": Command("zoo_configs.commands.record", "film a trained agent or the expert"),
+    "plot": Command("zoo_configs.commands.plot", "draw the learning curves of many runs"),
     "demos": Command("zoo_configs.commands.demos", "collect episodes of an expert"),
     "speed": Command("zoo_configs.commands.speed", "measure how fast environments step"),
     "check": Command("zoo_configs.commands.check", "check environments, a user's own above all"),

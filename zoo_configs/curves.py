@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import reduce
 from pathlib import Path
 from typing import Any
 
@@ -12,18 +14,19 @@ import numpy.typing as npt
 from zoo_configs.files import whole_file
 from zoo_configs.runs import CURVE_FILE, Run
 
-FIGURE_SIZE = (6.4, 4.0)  # inches
+PANEL_SIZE = (6.4, 4.0)  # inches
+PANELS_A_ROW = 2
 DOTS_PER_INCH = 150
 
 
 @dataclass(frozen=True)
 class LearningCurve:
     """
-    What the periodic evaluations of one run measured.
+    What the periodic evaluations of a run, or of several on the mean, measured.
 
     :param timesteps: When they took place, shape (n,)
     :param success: Mean success, in [0, 1], shape (n,); mean return where the environment reports no success
-    :param error: Standard error of that mean over the episodes, shape (n,)
+    :param error: Standard error of that mean, over the episodes of one run or over runs, shape (n,)
     :param measure: What ``success`` holds, for the axis
     """
 
@@ -49,6 +52,21 @@ def load_curve(path: Path) -> LearningCurve:
     return LearningCurve(timesteps, episodes.mean(axis=1), error, measure)
 
 
+def mean_curve(curves: Sequence[LearningCurve]) -> LearningCurve:
+    """
+    The mean of runs, where all of them were evaluated.
+
+    :param curves: One a run, at least one, of one measure
+    :return: The mean; its error is the standard error over runs, that over episodes if there is only one
+    """
+    if len(curves) == 1:
+        return curves[0]
+    timesteps = reduce(np.intersect1d, [curve.timesteps for curve in curves])
+    success = np.stack([curve.success[np.isin(curve.timesteps, timesteps)] for curve in curves])
+    error = success.std(axis=0, ddof=1) / np.sqrt(len(curves))
+    return LearningCurve(timesteps, success.mean(axis=0), error, curves[0].measure)
+
+
 def draw_run(run: Run) -> Path:
     """
     Draw the learning curve of a run into its folder.
@@ -57,22 +75,32 @@ def draw_run(run: Run) -> Path:
     :return: The picture
     """
     path = run.folder / CURVE_FILE
-    draw_curves({run.cell.label: load_curve(run.evaluations_file)}, run.cell.env_id, path)
+    draw_curves({run.cell.env_id: {run.cell.label: load_curve(run.evaluations_file)}}, path)
     return path
 
 
-def draw_curves(curves: dict[str, LearningCurve], title: str, path: Path) -> None:
+def draw_curves(panels: Mapping[str, Mapping[str, LearningCurve]], path: Path) -> None:
     """
-    Draw learning curves into one picture; shading denotes the standard error over episodes.
+    Draw learning curves into one picture, a panel an environment; shading denotes the standard error.
 
-    :param curves: The curves by their names in the legend
-    :param title: Title of the picture
+    :param panels: Of each environment the curves by their names in the legend
     :param path: The PNG to write
     """
     from matplotlib.figure import Figure  # not pyplot: needs no display and keeps no state
 
-    figure = Figure(figsize=FIGURE_SIZE, layout="constrained")
-    axes = figure.subplots()
+    columns = min(len(panels), PANELS_A_ROW)
+    rows = -(-len(panels) // columns)
+    figure = Figure(figsize=(columns * PANEL_SIZE[0], rows * PANEL_SIZE[1]), layout="constrained")
+    grid = figure.subplots(rows, columns, squeeze=False).flat
+    for axes in grid[len(panels) :]:
+        axes.set_axis_off()
+    for axes, (title, curves) in zip(grid, panels.items(), strict=False):
+        _draw_panel(axes, title, curves)
+    with whole_file(path) as partial:
+        figure.savefig(partial, dpi=DOTS_PER_INCH)
+
+
+def _draw_panel(axes: Any, title: str, curves: Mapping[str, LearningCurve]) -> None:
     for name, curve in curves.items():
         _draw(axes, name, curve)
     axes.set(title=title, xlabel="time steps", ylabel=next(iter(curves.values())).measure)
@@ -80,8 +108,6 @@ def draw_curves(curves: dict[str, LearningCurve], title: str, path: Path) -> Non
         axes.set_ylim(-0.02, 1.02)
     axes.grid(alpha=0.3)
     axes.legend(loc="lower right")
-    with whole_file(path) as partial:
-        figure.savefig(partial, dpi=DOTS_PER_INCH)
 
 
 def _draw(axes: Any, name: str, curve: LearningCurve) -> None:

@@ -146,14 +146,15 @@ def load_run(folder: Path) -> Run:
     return Run(folder, cell, tuple(about["arguments"]))
 
 
-def find_runs(log_folder: Path, env_id: str) -> list[Run]:
+def find_runs(log_folder: Path, env_id: str | None = None) -> list[Run]:
     """
-    Runs on an environment in a log folder.
+    Runs in a log folder.
 
     :param log_folder: The folder given as ``-f`` to ``train``
-    :param env_id: Id of the environment
+    :param env_id: Id of the environment, default all
     :return: The runs of all algorithms, oldest first
     """
-    files = log_folder.glob(f"*/{env_folder_name(env_id)}_*/{RESOLVED_FILE}")
+    name = "*" if env_id is None else env_folder_name(env_id)
+    files = log_folder.glob(f"*/{name}_*/{RESOLVED_FILE}")
     newest_last = sorted(files, key=lambda path: (path.stat().st_mtime_ns, path.parent.name))
     return [load_run(path.parent) for path in newest_last]

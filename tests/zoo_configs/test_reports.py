@@ -12,10 +12,12 @@ from gymnasium import spaces
 
 from zoo_configs import throughput
 from zoo_configs.cli import main
-from zoo_configs.curves import draw_curves, load_curve
+from zoo_configs.curves import LearningCurve, draw_curves, load_curve, mean_curve
 from zoo_configs.errors import CommandError
 from zoo_configs.files import whole_file
 from zoo_configs.machine import Yardstick, measure_yardstick
+from zoo_configs.resolve import Cell
+from zoo_configs.runs import Run, claim_run_folder, write_resolved
 from zoo_configs.seeds import SeedStream, stream_seed
 from zoo_configs.throughput import ReferenceRate, load_reference
 from zoo_configs.video import compose_frame, observed_images
@@ -73,7 +75,7 @@ def test_help_is_quick() -> None:
     """Neither PyTorch nor the engine is loaded to tell what a command takes."""
     code = (
         "import sys; from zoo_configs.cli import main\n"
-        "for command in ('enjoy', 'record', 'speed', 'list'):\n"
+        "for command in ('enjoy', 'record', 'plot', 'speed', 'list'):\n"
         "    try: main([command, '--help'])\n"
         "    except SystemExit: pass\n"
         "assert not {'torch', 'pybullet', 'matplotlib'} & set(sys.modules), 'heavy'"
@@ -87,8 +89,40 @@ def test_curves_read_success(tmp_path: Path) -> None:
     curve = load_curve(path)
     assert curve.success.tolist() == [0.5, 1.0]
     assert curve.error == pytest.approx([0.5 / np.sqrt(2), 0])
-    draw_curves({"agent": curve}, "title", tmp_path / "curve.png")
+    draw_curves({"title": {"agent": curve}}, tmp_path / "curve.png")
     assert (tmp_path / "curve.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_mean_curve_takes_the_steps_that_all_runs_have() -> None:
+    error = np.full(3, 0.1)
+    long = LearningCurve(np.array([5, 10, 15]), np.array([0.0, 0.5, 1.0]), error, "success")
+    short = LearningCurve(np.array([10, 15]), np.array([1.0, 1.0]), error[:2], "success")
+    mean = mean_curve([long, short])
+    assert mean.timesteps.tolist() == [10, 15]
+    assert mean.success.tolist() == [0.75, 1.0]
+    assert mean.error == pytest.approx([0.25, 0])  # of the mean of 0.5 and 1.0, of two ones
+    assert mean_curve([long]) is long
+
+
+def test_plot_draws_a_panel_an_environment(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for env_id in (REACHING, "BulletArm/CloseLoopBlockPicking-v0"):
+        for seed in range(2):
+            folder = claim_run_folder(tmp_path / "sacfd", env_id)
+            run = Run(folder, Cell("sacfd", env_id, {}, {}, "equi_sacfd", "cpu"), ())
+            write_resolved(run)
+            successes = [[False, False], [seed == 0, True]]
+            np.savez(run.evaluations_file, timesteps=[5, 10], results=successes, successes=successes)
+    assert main(["plot", "-f", str(tmp_path), "--markdown"]) == 0
+    _, _, picking, reaching, *written = capsys.readouterr().out.splitlines()
+    assert _cells(reaching) == [REACHING, "equi_sacfd", "2", "10", "0.75 ± 0.25", "0.75 ± 0.25"]
+    assert "BlockPicking" in picking
+    assert written[-1].strip() == str(tmp_path / "learning_curves.png")
+    assert (tmp_path / "learning_curves.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_plot_tells_that_there_is_nothing_to_draw(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["plot", "-f", str(tmp_path)]) == 2
+    assert "no evaluated run" in capsys.readouterr().err
 
 
 def test_a_frame_shows_picture_and_heightmap() -> None:

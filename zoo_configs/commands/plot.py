@@ -1,0 +1,82 @@
+"""``bulletarm-zoo plot``: draws the learning curves of many runs into one picture."""
+
+from __future__ import annotations
+
+import argparse
+from collections import defaultdict
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from zoo_configs.errors import CommandError
+from zoo_configs.tables import print_table
+
+if TYPE_CHECKING:
+    from zoo_configs.curves import LearningCurve
+    from zoo_configs.runs import Run
+
+DESCRIPTION = """Draw the evaluations of all runs in a log folder, as the paper does: a panel an environment,
+a line a baseline, the mean over its runs (seeds) shaded by their standard error. Prints the last and the
+best point of each line."""
+
+
+def main(argv: Sequence[str]) -> None:
+    """
+    Run the command.
+
+    :param argv: Its arguments
+    :raises CommandError: if there is no run to draw
+    """
+    args = _parse(argv)
+    from zoo_configs.curves import draw_curves, load_curve, mean_curve
+
+    runs = _chosen(args.log_folder, args.env, args.baseline)
+    groups: defaultdict[str, defaultdict[str, list[LearningCurve]]] = defaultdict(lambda: defaultdict(list))
+    for run in runs:
+        groups[run.cell.env_id][run.cell.label].append(load_curve(run.evaluations_file))
+    panels = {
+        env_id: {name: mean_curve(curves) for name, curves in sorted(lines.items())}
+        for env_id, lines in sorted(groups.items())
+    }
+    rows = [
+        [env_id, name, str(len(groups[env_id][name])), *_summary(curve)]
+        for env_id, lines in panels.items()
+        for name, curve in lines.items()
+    ]
+    print_table(["environment", "baseline", "runs", "steps", "last", "best"], rows, args.markdown)
+    output = args.output or args.log_folder / "learning_curves.png"
+    draw_curves(panels, output)
+    print(f"Written:\n  {output}")
+
+
+def _parse(argv: Sequence[str]) -> argparse.Namespace:
+    parser = argparse.ArgumentParser("bulletarm-zoo plot", description=DESCRIPTION)
+    add = parser.add_argument
+    add("--env", nargs="+", help="ids of environments (default: all)")
+    add("--baseline", nargs="+", help="baselines (default: all)")
+    add("-f", "--log-folder", type=Path, default=Path("logs"), help="folder of all runs (default: logs)")
+    add("-o", "--output", type=Path, help="PNG to write (default: learning_curves.png in the log folder)")
+    add("--markdown", action="store_true", help="print the table for a Markdown page")
+    return parser.parse_args(argv)
+
+
+def _chosen(log_folder: Path, env_ids: list[str] | None, baselines: list[str] | None) -> list[Run]:
+    from zoo_configs.runs import find_runs
+
+    runs = [
+        run
+        for run in find_runs(log_folder)
+        if (env_ids is None or run.cell.env_id in env_ids)
+        and (baselines is None or run.cell.baseline in baselines)
+        and run.evaluations_file.is_file()
+    ]
+    if not runs:
+        raise CommandError(f"no evaluated run of these environments and baselines in {log_folder}")
+    return runs
+
+
+def _summary(curve: LearningCurve) -> list[str]:
+    """Steps, last and best point of a curve."""
+    best = int(curve.success.argmax())
+    points = [f"{curve.success[n]:.2f} ± {curve.error[n]:.2f}" for n in (-1, best)]
+    return [str(curve.timesteps[-1]), *points]
