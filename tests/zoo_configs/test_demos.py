@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import re
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -9,6 +12,7 @@ import pytest
 from zoo_configs.cli import main
 from zoo_configs.environments import demonstrations
 
+ROOT = Path(__file__).resolve().parents[2]
 PICKING = "BulletArm/CloseLoopBlockPicking-v0"
 SMALL = ["--env-kwargs", "obs_size:48"]
 
@@ -81,4 +85,31 @@ def test_files_that_do_not_fit_are_refused_before_the_run(
     assert "has observations {'heightmap': (1, 48, 48)" in capsys.readouterr().err
     assert train(tmp_path, tmp_path / "none.h5") == 2
     assert "none.h5 cannot be read" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_killed_collection_leaves_nothing(tmp_path: Path) -> None:
+    command = [
+        sys.executable,
+        "-m",
+        "zoo_configs.cli",
+        "demos",
+        "--env",
+        PICKING,
+        "-n",
+        "100000",
+        "-P",
+        *SMALL,
+    ]
+    process = subprocess.Popen([*command, "-o", str(tmp_path / "a.h5")], stderr=subprocess.PIPE, cwd=ROOT)
+    try:
+        assert process.stderr is not None
+        seen = b""
+        while not re.search(rb"[1-9]\d*/100000 ", seen):
+            character = process.stderr.read(1)
+            assert character, seen
+            seen += character
+    finally:
+        process.kill()
+        process.wait()
     assert not list(tmp_path.iterdir())
