@@ -155,11 +155,11 @@ class Encoder(nn.Module):
     def forward(self, image: th.Tensor) -> th.Tensor:
         """:return: float32 features, (batch, features)"""
         image = image.contiguous(memory_format=self.memory_format)
-        with self._precision(image.device.type):
+        with self.precision(image.device.type):
             features: th.Tensor = self.layers(image)
         return features.flatten(1).float()
 
-    def _precision(self, device_type: str) -> AbstractContextManager[object]:
+    def precision(self, device_type: str) -> AbstractContextManager[object]:
         """Context in which the layers run."""
         if self.autocast is None or not has_bf16(device_type):
             return nullcontext()

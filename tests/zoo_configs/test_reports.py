@@ -45,6 +45,32 @@ def test_speed_compares_with_the_reference(
     assert summary.startswith("ratio: geometric mean")
 
 
+def test_speed_splits_an_update(capsys: pytest.CaptureFixture[str]) -> None:
+    command = [
+        "speed",
+        "--baseline",
+        "equi_sacfd",
+        "sacfd",
+        "--env",
+        REACHING,
+        "--seconds",
+        "0.5",
+        "--markdown",
+    ]
+    assert main(command) == 0
+    machine, head, _, *rows = [
+        line for line in capsys.readouterr().out.splitlines() if "|" in line or "load" in line
+    ]
+    assert REACHING in machine
+    equivariant, plain = (dict(zip(_cells(head), _cells(row), strict=True)) for row in rows)
+    assert float(equivariant["ms/update"]) > 0
+    assert float(equivariant["equivariant/plain"]) > 0
+    assert plain["equivariant/plain"] == ""
+    shares = [float(value.rstrip("%")) for value in equivariant.values() if value.endswith("%")]
+    assert sum(shares) == pytest.approx(100, abs=3)
+    assert min(shares) >= 1  # each part is found
+
+
 def _cells(line: str) -> list[str]:
     return [cell.strip() for cell in line.strip("|").split("|")]
 

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-import gymnasium as gym
+from typing import Any
+
 import numpy as np
 import pytest
 import torch as th
-from rl_zoo3.exp_manager import ExperimentManager
 
-from zoo_configs.algorithms import register_algorithms
 from zoo_configs.environments import our_env_ids, register_environments
 from zoo_configs.errors import CommandError, nearest_name
 from zoo_configs.manager import import_classes
 from zoo_configs.resolve import Cell, families, family_of, merge, resolve
+from zoo_configs.update_speed import make_model
 from zoo_configs.validation import check_cell, constructor_keys
 
 register_environments()
@@ -35,14 +35,8 @@ def test_every_cell_is_valid(cell: tuple[str, str, str]) -> None:
 @pytest.mark.parametrize("preset", ["cpu", "paper"])
 @pytest.mark.parametrize("baseline", list(family_of(PICKING).baselines))
 def test_every_network_runs(baseline: str, preset: str, toy_id: str) -> None:
-    cell = resolve(baseline, preset, toy_id)
-    hyperparams = import_classes(cell.hyperparams)
-    hyperparams = ExperimentManager._preprocess_schedules(hyperparams)
-    env = gym.make(toy_id, **hyperparams.pop("env_kwargs"))
-    for key in ("n_envs", "n_timesteps", "monitor_kwargs"):
-        del hyperparams[key]
-    hyperparams["buffer_size"] = 10  # what is tested here is the network
-    model = register_algorithms()[cell.algo](env=env, seed=0, device="cpu", **hyperparams)
+    model: Any = make_model(resolve(baseline, preset, toy_id), "cpu", buffer_size=10)  # the network is tested
+    env = model.env.envs[0]
     observation, _ = env.reset(seed=0)
     action, _ = model.predict(observation, deterministic=True)
     assert action.shape == env.action_space.shape

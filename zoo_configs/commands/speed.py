@@ -9,6 +9,7 @@ from importlib import resources
 from pathlib import Path
 from typing import NamedTuple
 
+from zoo_configs.arguments import positive_int
 from zoo_configs.environments import known_env_id, our_env_ids, register_environments
 from zoo_configs.machine import describe_machine
 from zoo_configs.throughput import (
@@ -19,7 +20,10 @@ from zoo_configs.throughput import (
 )
 
 DESCRIPTION = """Measure steps a second with the expert in one process, split into physics (the engine's
-steps), rendering (heightmaps) and the rest. The yardstick is plain PyBullet, on this machine at this hour."""
+steps), rendering (heightmaps) and the rest. The yardstick is plain PyBullet, on this machine at this hour.
+With --baseline instead: the time of one gradient update, split into its parts, and how the equivariant
+convolutions compare with plain ones of the same width, forward and backward, in turn."""
+DEFAULT_LEARNING_ENV = "BulletArm/CloseLoopBlockPicking-v0"
 SHIPPED_REFERENCE = "data/reference_rates.csv"
 COLUMNS = (
     "environment",
@@ -63,6 +67,9 @@ def main(argv: Sequence[str]) -> None:
     """
     args = _parse(argv)
     register_environments()
+    if args.baseline:
+        _measure_updates(args)
+        return
     env_ids = [known_env_id(env_id) for env_id in args.env] or our_env_ids()
     reference = load_reference(args.reference) if args.reference else {}
     print(describe_machine())
@@ -83,11 +90,37 @@ def _parse(argv: Sequence[str]) -> argparse.Namespace:
     add("--seed", type=int, default=0, help="seed of the first episode (default: 0)")
     help_text = "CSV to compare with (default where no file is named: the earlier implementation's rates)"
     add("--reference", type=Path, nargs="?", const=shipped, metavar="FILE", help=help_text)
+    add("--baseline", nargs="+", default=[], help="measure updates of these baselines, on the first --env")
+    add("--preset", default="cpu", help="... with this preset (default: cpu)")
+    add("--device", default="auto", help="... on this PyTorch device (default: auto)")
+    add("--num-threads", type=positive_int, help="... with so many threads (default: PyTorch's choice)")
     add("--markdown", action="store_true", help="print a table for a Markdown page")
     args = parser.parse_args(argv)
     if not args.seconds > 0:
         parser.error(f"--seconds must be positive, got {args.seconds}")
     return args
+
+
+def _measure_updates(args: argparse.Namespace) -> None:
+    import torch as th
+
+    from zoo_configs.resolve import resolve
+    from zoo_configs.tables import print_table
+    from zoo_configs.update_speed import PARTS, REST, measure_update
+
+    if args.num_threads:
+        th.set_num_threads(args.num_threads)
+    env_id = known_env_id(args.env[0]) if args.env else DEFAULT_LEARNING_ENV
+    cells = [resolve(baseline, args.preset, env_id) for baseline in args.baseline]
+    print(f"{describe_machine()}, {th.get_num_threads()} threads; {env_id}, preset {args.preset}")
+    rows = []
+    for cell in cells:
+        speed = measure_update(cell, args.seconds, args.device)
+        shares = [f"{share:.0%}" for share in speed.shares.values()]
+        ratio = "" if speed.convolution_ratio is None else f"{speed.convolution_ratio:.2f}"
+        rows.append([cell.label, f"{speed.update_ms:.1f}", *shares, ratio])
+    columns = ["baseline", "ms/update", *PARTS, REST, "equivariant/plain"]
+    print_table(columns, rows, args.markdown)
 
 
 def _measure(env_ids: Sequence[str], seconds: float, seed: int) -> Iterator[Throughput]:

@@ -1,0 +1,163 @@
+"""How long one gradient update of a baseline takes, and what the time goes to."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import gymnasium as gym
+import torch as th
+from rl_zoo3.exp_manager import ExperimentManager
+from stable_baselines3.common.base_class import BaseAlgorithm
+from torch import nn
+from torch.profiler import profile
+
+from sb3_extensions.common.encoders import Encoder
+from sb3_extensions.common.equivariant import EquivariantConv2d
+from zoo_configs.algorithms import register_algorithms
+from zoo_configs.manager import import_classes
+from zoo_configs.resolve import Cell
+
+# Parts of an update, by what names of PyTorch's operators contain; the first that fits counts.
+PARTS = {
+    "gradients of convolutions": ("convolution_backward",),
+    "convolutions": ("convolution",),
+    "pooling": ("max_pool", "aten::maximum"),
+}
+REST = "rest"
+EXPERT_EPISODES = 5  # enough to sample a batch from
+PROFILED_UPDATES = 5
+COMPARED_PASSES = 30
+# What belongs to the run, not to the model.
+RUN_KEYS = ("n_envs", "n_timesteps", "monitor_kwargs")
+# What comes before the first step of a run, and would only be waited for.
+BEFORE_TRAINING = {"pretrain_steps": 0, "contrastive_steps": 0}
+
+
+@dataclass(frozen=True)
+class UpdateSpeed:
+    """
+    Time of one update of a baseline, in milliseconds.
+
+    :param update_ms: The median update
+    :param shares: Share of each part in the computing time, adding up to 1
+    :param convolution_ratio: Forward and backward passes through the equivariant convolutions of the actor's
+        encoder, over those through plain ones of the same width; ``None`` without equivariant ones
+    """
+
+    update_ms: float
+    shares: dict[str, float]
+    convolution_ratio: float | None
+
+
+def make_model(cell: Cell, device: str = "auto", **changes: Any) -> BaseAlgorithm:
+    """
+    Build the model of a cell outside a run, in one environment.
+
+    :param cell: The cell
+    :param device: PyTorch device
+    :param changes: Hyperparameters that win over the cell's, those that the algorithm has
+    :return: The untrained model
+    """
+    hyperparams = ExperimentManager._preprocess_schedules(import_classes(cell.hyperparams))
+    env = gym.make(cell.env_id, **hyperparams.pop("env_kwargs"))
+    for key in RUN_KEYS:
+        hyperparams.pop(key, None)
+    hyperparams.update(changes)
+    model: BaseAlgorithm = register_algorithms()[cell.algo](env=env, seed=0, device=device, **hyperparams)
+    return model
+
+
+def measure_update(cell: Cell, seconds: float, device: str = "auto") -> UpdateSpeed:
+    """
+    Let a baseline update itself for a while.
+
+    :param cell: The cell
+    :param seconds: How long
+    :param device: PyTorch device
+    :return: What was measured
+    """
+    before = {key: value for key, value in BEFORE_TRAINING.items() if key in cell.hyperparams}
+    model: Any = make_model(cell, device, expert_episodes=EXPERT_EPISODES, **before)
+    model.learn(1)
+
+    def update() -> None:
+        model.train(1, model.batch_size)
+        if model.device.type == "cuda":
+            th.cuda.synchronize(model.device)
+
+    times = list(_times(update, seconds))
+    encoder = model.actor.features_extractor.encoder
+    model.env.close()
+    return UpdateSpeed(1e3 * _median(times), _shares(update), _compare_convolutions(encoder, model))
+
+
+def _times(function: Callable[[], None], seconds: float) -> Iterator[float]:
+    end = time.perf_counter() + seconds
+    function()  # the first takes longer
+    while (start := time.perf_counter()) < end:
+        function()
+        yield time.perf_counter() - start
+
+
+def _median(times: list[float]) -> float:
+    return float(th.tensor(times).median())
+
+
+def _shares(update: Callable[[], None]) -> dict[str, float]:
+    """Profile some updates."""
+    with profile() as profiler:
+        for _ in range(PROFILED_UPDATES):
+            update()
+    seconds = dict.fromkeys((*PARTS, REST), 0.0)
+    for event in profiler.key_averages():
+        names = (part for part, marks in PARTS.items() if any(mark in event.key for mark in marks))
+        seconds[next(names, REST)] += event.self_device_time_total or event.self_cpu_time_total
+    total = sum(seconds.values())
+    return {part: value / total for part, value in seconds.items()}
+
+
+def _compare_convolutions(encoder: Encoder, model: Any) -> float | None:
+    """Time equivariant convolutions and plain ones in turn, so that both meet the same machine."""
+    convolutions = [layer for layer in encoder.layers if isinstance(layer, EquivariantConv2d)]
+    if not convolutions:
+        return None
+    sizes: list[tuple[int, ...]] = []
+    hooks = [
+        layer.register_forward_hook(lambda _, inputs, __: sizes.append(tuple(inputs[0].shape)))
+        for layer in convolutions
+    ]
+    model.actor(model.replay_buffer.sample(model.batch_size).observations)
+    for hook in hooks:
+        hook.remove()
+    ours = theirs = 0.0
+    for layer, size in zip(convolutions, sizes, strict=True):
+        plain = nn.Conv2d(size[1], layer.out_type.size, layer.kernel_size, layer.stride, layer.padding)
+        passes = [_pass(module, size, encoder, model.device) for module in (layer, plain)]
+        times: tuple[list[float], list[float]] = ([], [])
+        for _ in range(COMPARED_PASSES):
+            for one, its_times in zip(passes, times, strict=True):
+                start = time.perf_counter()
+                one()
+                its_times.append(time.perf_counter() - start)
+        ours, theirs = ours + _median(times[0]), theirs + _median(times[1])
+    return ours / theirs
+
+
+def _pass(
+    module: nn.Module, size: tuple[int, ...], encoder: Encoder, device: th.device
+) -> Callable[[], None]:
+    """Forward and backward through a convolution, as within the encoder."""
+    module = module.to(device)
+    features = th.randn(size, device=device).to(memory_format=encoder.memory_format).requires_grad_()
+
+    def run() -> None:
+        with encoder.precision(device.type):
+            outputs = module(features)
+        outputs.float().sum().backward()
+        if device.type == "cuda":
+            th.cuda.synchronize(device)
+
+    return run
