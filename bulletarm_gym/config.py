@@ -181,12 +181,12 @@ def _defaults(control: str, surface: str, task: TaskDefaults) -> dict[str, Any]:
         "object_scale_range": [task.object_scale, task.object_scale],
         "max_steps": task.max_steps,
         "num_objects": task.num_objects,
+        "close_loop_tray": task.tray.choices[0],
     }
     if control == CLOSE_LOOP:
         return shared | {
             "action_sequence": "pxyzr",
             "workspace": [[0.3, 0.6], [-0.15, 0.15], [0.01, 0.25]],
-            "close_loop_tray": task.tray.choices[0],
         }
     return shared | {
         "action_sequence": "pxyr" if surface == "flat" else "pxyzrrr",

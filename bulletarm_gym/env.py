@@ -136,7 +136,7 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         info = self._evaluate(ignored)
         success, valid = info["is_success"], info["is_valid"]
         reward = float(self._reward(self.scene, info)) if valid else 0.0
-        terminated = success or not valid
+        terminated = success or not valid or self.task.one_decision
         truncated = not terminated and self._steps >= self.config.max_steps
         return self.control.observe(self.scene), reward, terminated, truncated, info
 

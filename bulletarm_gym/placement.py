@@ -9,6 +9,7 @@ import numpy as np
 from bulletarm_gym.footprint import Footprint, PlacementError
 from bulletarm_gym.geometry import Pose
 from bulletarm_gym.scene import Item, Scene
+from bulletarm_gym.simulation.world import FALLING, STILL
 from bulletarm_gym.surfaces.surface import Point
 
 T = TypeVar("T")
@@ -75,7 +76,12 @@ def _free_point(
 def stand(scene: Scene, item: Item, point: Point, rng: np.random.Generator, spread: float) -> None:
     """Stand an item on the ground at a point, turned by up to ``spread`` (rad) unless told not to."""
     yaw = float(rng.uniform(-spread, spread)) if scene.config.random_orientation else 0.0
-    item.place(scene.surface.lay(item.spec, point, yaw))
+    set_down(scene, item, scene.surface.lay(item.spec, point, yaw))
+
+
+def set_down(scene: Scene, item: Item, pose: Pose) -> None:
+    """Put an item on the ground; where it does not stay as it is laid, it falls until it rests."""
+    item.place(pose, STILL if scene.surface.keeps_poses else FALLING)
 
 
 def lay_apart(
@@ -107,7 +113,7 @@ def lay_apart(
             covered.append(footprint(item, pose))
         else:
             for item, pose in zip(largest_first, poses, strict=True):
-                item.place(pose)
+                set_down(scene, item, pose)
             return
     raise PlacementError(
         f"workspace: found no room for {len(items)} items {gap:.3f} m apart in {scene.config.workspace[:2]}"
@@ -203,16 +209,16 @@ def roomiest(scene: Scene, item: Item) -> Point:
     return max(points, key=lambda point: min((math.dist(point, other) for other in others), default=0.0))
 
 
-def draw_until(draw: Callable[[], T], fits: Callable[[T], bool]) -> T:
+def draw_until(draw: Callable[[], T], fits: Callable[[T], bool], attempts: int = ATTEMPTS) -> T:
     """Draw until something fits.
 
     :raises PlacementError: nothing did
     """
-    for _ in range(ATTEMPTS):
+    for _ in range(attempts):
         drawn = draw()
         if fits(drawn):
             return drawn
-    raise PlacementError(f"workspace: nothing fitted in {ATTEMPTS} attempts")
+    raise PlacementError(f"workspace: nothing fitted in {attempts} attempts")
 
 
 def is_within(scene: Scene, point: Sequence[float], margin: float) -> bool:

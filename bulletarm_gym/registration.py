@@ -46,6 +46,13 @@ class Entry:
 ENTRIES = (
     Entry("OpenLoopBlockStacking", "bulletarm_gym.tasks.stacking:OpenLoopBlockStacking", "open_loop"),
     Entry("OpenLoopHouseBuilding1", "bulletarm_gym.tasks.house:HouseBuilding1", "open_loop"),
+    Entry("OpenLoopBinPacking", "bulletarm_gym.tasks.packing:BinPacking", "open_loop"),
+    Entry("OpenLoopBottleArrangement", "bulletarm_gym.tasks.arranging:BottleArrangement", "open_loop"),
+    Entry("OpenLoopBoxPalletizing", "bulletarm_gym.tasks.palletizing:BoxPalletizing", "open_loop"),
+    Entry("OpenLoopObjectGrasping", "bulletarm_gym.tasks.clutter:OpenLoopObjectGrasping", "open_loop"),
+    Entry(
+        "OpenLoopBumpBoxPalletizing", "bulletarm_gym.tasks.palletizing:BoxPalletizing", "open_loop", "bump"
+    ),
     Entry("CloseLoopBlockReaching", "bulletarm_gym.tasks.reaching:BlockReaching", "close_loop"),
     Entry("CloseLoopBlockPicking", "bulletarm_gym.tasks.picking:BlockPicking", "close_loop"),
     Entry("CloseLoopBlockPushing", "bulletarm_gym.tasks.pushing:BlockPushing", "close_loop"),

@@ -11,18 +11,23 @@ from numpy.typing import ArrayLike, NDArray
 from bulletarm_gym.config import EnvConfig
 from bulletarm_gym.control.control import MAX_HEIGHT, Control, holding
 from bulletarm_gym.geometry import Pose, Vector, euler_angles, euler_pose, matrix
+from bulletarm_gym.robots import Robot
 from bulletarm_gym.scene import Scene
 from bulletarm_gym.sensors.in_hand import Map, crop, projections
 from bulletarm_gym.sensors.overlays import rectangle_mask
 from bulletarm_gym.tasks import Task, Waypoint
+from bulletarm_gym.tasks.task import OPEN
 
 PICK = "pick"
 PLACE = "place"
 
 MAX_Z = 0.3
 """Greatest height (m) of a target above the workspace's floor."""
-LEAST_Z = 0.01
-"""Least height (m) of a pick where the action gives none, as in the original BulletArm release."""
+LEAST_Z = 0.005
+"""Least height (m) of a pick where the action gives none: where the fingertips of the original BulletArm
+release are then."""
+RELEASE = 0.008
+"""Distance (m) that the fingers open to let go; they open all the way when they are out of the way."""
 MAX_TILT = math.pi / 4.0
 """Greatest turn (rad) about the gripper's y and x axes."""
 APPROACH = 0.1
@@ -120,7 +125,8 @@ class OpenLoop(Control[PickPlace]):
         """Return the height (m) of a target that the action gives none for, from what the heightmap shows."""
         held, depth = self._scene.held, self._hints.pick_offset
         if not places or held is None:
-            top = self._highest((x, y, 2.0 * depth, 2.0 * depth, theta))
+            area = self._hints.pick_area or (2.0 * depth, 2.0 * depth)
+            top = self._highest((x, y, *area, theta))
             return max(top - depth, self._floor + LEAST_Z)
         carried = self._scene.robot.pose.inverse().compose(held.pose)
         vertices = held.spec.mesh.vertices @ matrix(carried).T + carried.position
@@ -168,22 +174,27 @@ class OpenLoop(Control[PickPlace]):
         show = projections if len(self._in_hand) == 3 else crop
         above_floor = Pose((0.0, 0.0, -self._floor)).compose(pose)
         self._in_hand = show(self._look(), above_floor, self._in_hand.shape[-1]).clip(0.0, MAX_HEIGHT)
-        robot.set_opening(self._hints.opening)
+        self._open(robot, self._hints.opening)
         robot.transfer(behind)
         robot.move_to(pose)
         robot.close()
         robot.move_to(behind)
         if robot.held is None:
-            robot.set_opening(self._hints.opening)
+            self._open(robot, self._hints.opening)
 
     def _place(self, scene: Scene, pose: Pose, behind: Pose) -> None:
         robot = scene.robot
         self._in_hand = np.zeros_like(self._in_hand)
         robot.transfer(behind)
         robot.move_to(pose)
-        robot.set_opening(self._hints.opening)
+        self._open(robot, robot.opening + RELEASE)
         scene.settle()
         robot.move_to(behind)
+        self._open(robot, self._hints.opening)
+
+    def _open(self, robot: Robot, width: float) -> None:
+        """Open the fingers to a distance (m), as far as they can."""
+        robot.set_opening(min(width / robot.model.gripper.stroke, OPEN))
 
     # Experts
 

@@ -4,8 +4,8 @@ from bulletarm_gym.objects.solids import Profile, container, corner_radius, lath
 from bulletarm_gym.simulation.shapes import BodySpec, Colour
 
 MASS = 0.5
-FRICTION = 10.0
-"""As in the original BulletArm release: what is gripped at its neck does not turn in the gripper."""
+FRICTION = 1.0
+"""The pads hold a neck by their own friction; the original BulletArm release's 10 would make grips spring."""
 SIDES = 12
 TRAY = (0.24, 0.16, 0.05)
 """Outer side lengths (m; paper, Bottle Arrangement); the tray does not scale."""

@@ -324,14 +324,17 @@ class Robot:
         )
 
     def _can_jump(self, command: float) -> bool:
-        """Whether the fingers can take a new opening without touching anything."""
+        """Whether the fingers touch nothing, and will not on the way to a new opening.
+
+        What they touch may hang between them, two objects in a row say, though they hold neither.
+        """
         if self.held is not None or self._world.has_motion:
             return False
         tip = self.pose.z - CLEAR_ABOVE
         near = [body for body in self._world.obstacles if self._world.top(body) > tip]
         if not near:
             return True
-        samples = np.linspace(self.opening / 2.0, command / 2.0, 5)[1:]
+        samples = np.linspace(self.opening / 2.0, command / 2.0, 5)
         clear = all(self._is_free(self._fingers.moved(self._world, [s, s]), near) for s in samples.tolist())
         self._world.set_joints(self.body, self._world.joints[self.body.index])
         return clear

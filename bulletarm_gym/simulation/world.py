@@ -32,6 +32,8 @@ PARKING_PITCH = 1.0
 
 Twist = tuple[Vector, Vector]
 STILL: Twist = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+FALLING: Twist = ((0.0, 0.0, -0.02), (0.0, 0.0, 0.0))
+"""Of a body that is let go: faster than what counts as rest."""
 
 
 @dataclass(frozen=True)

@@ -77,11 +77,18 @@ class Relief:
         return min(max(int((value - self.centre[axis] + self.extent / 2.0) / self.pitch), 0), size - 1)
 
 
-def find_grasps(relief: Relief, gripper: Gripper, yaws: Sequence[float], lowest: float) -> FloatArray:
+def find_grasps(
+    relief: Relief,
+    gripper: Gripper,
+    yaws: Sequence[float],
+    lowest: float,
+    depths: Sequence[float] = DEPTHS,
+) -> FloatArray:
     """Return the grasps that have room.
 
     :param yaws: directions (rad) in which the fingers may open
     :param lowest: height (m) below which the fingertips may not go
+    :param depths: how far (m) below the highest point between the fingers their tips may go
     :return: (n, 5): x, y, z (m) and yaw (rad) of the fingertips, quality: up to 0.35, in metres of way
         that a better grasp is worth
     """
@@ -89,7 +96,7 @@ def find_grasps(relief: Relief, gripper: Gripper, yaws: Sequence[float], lowest:
     owner = np.where(objects >= relief.ground, relief.layers.argmax(axis=0), -1).astype(np.int32)
     size = np.array([gripper.stroke / 2.0, gripper.finger[0], gripper.finger[1] / 2.0, BESIDE]) / relief.pitch
     found: FloatArray = _search(
-        np.maximum(objects, relief.ground), owner, size, np.array(yaws), np.array(DEPTHS), lowest
+        np.maximum(objects, relief.ground), owner, size, np.array(yaws), np.array(depths), lowest
     )
     middle = (objects.shape[0] - 1) / 2.0
     found[:, :2] = (found[:, :2] - middle) * relief.pitch + relief.centre

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from bulletarm_gym.config import CLOSE_LOOP, EnvConfig, TaskDefaults, TrayUse
+from bulletarm_gym.config import CLOSE_LOOP, OPEN_LOOP, EnvConfig, TaskDefaults, TrayUse
 from bulletarm_gym.footprint import PlacementError
 from bulletarm_gym.geometry import IDENTITY, FloatArray, Mesh, Pose, Quaternion, planar_distance
 from bulletarm_gym.objects.sets import object_set
@@ -14,10 +14,11 @@ from bulletarm_gym.placement import ARRANGEMENTS
 from bulletarm_gym.relations import TOUCHING
 from bulletarm_gym.scene import Item, Role, Scene
 from bulletarm_gym.simulation import BodySpec, Convex, Piece
-from bulletarm_gym.tasks.antipodal import YAWS, Relief, find_grasps
+from bulletarm_gym.simulation.world import FALLING
+from bulletarm_gym.tasks.antipodal import DEPTHS, YAWS, Relief, find_grasps
 from bulletarm_gym.tasks.grasping import STEP, grasp
 from bulletarm_gym.tasks.stirring import stir
-from bulletarm_gym.tasks.task import CLOSED, Task, Waypoint
+from bulletarm_gym.tasks.task import CLOSED, OPEN, Hints, Task, Waypoint
 
 LIFTED = 0.15
 """Height (m) of the gripper above the ground that counts as lifted (paper, Object Grasping)."""
@@ -33,9 +34,8 @@ SETTLE_STEPS = 480
 """Most simulation steps (2 s) that a new clutter is given to come to rest."""
 ARM_AWAY = 0.4
 """Height (m) of the fingertips while objects are dropped."""
-FALLING = ((0.0, 0.0, -0.02), (0.0, 0.0, 0.0))
-"""Velocity (m/s) of an item that is let go: faster than what counts as rest."""
-
+NUMBERS = tuple(range(1, MOST_OBJECTS + 1))
+IN_TRAY = TrayUse((True,), "without it the objects would roll out of the workspace")
 
 CLEARANCE = 0.004
 """Least height (m) of the fingertips above the tray's floor."""
@@ -58,6 +58,15 @@ ALIKE = 0.3
 MOST_FAILURES = 6
 """Failures remembered."""
 
+PICK_DEPTH = 0.025
+"""How far (m) below the highest point between the fingers open loop grasps, where the action does not say."""
+PICK_AREA = (0.07, 0.02)
+"""Length and width (m) of what counts as between the fingers then."""
+NUDGE = 0.04
+"""Greatest distance (m), along x and along y, at which the fingers close beside an object to move it."""
+CHANCE = 0.02
+"""Standard deviation of what chance adds to a grasp's quality."""
+
 Spot = tuple[float, float, float]
 """x, y (m) and yaw (rad) of the fingertips."""
 
@@ -76,8 +85,8 @@ class ObjectGrasping(Task):
 
     defaults = TaskDefaults(
         num_objects=5,
-        allowed_objects=tuple(range(1, MOST_OBJECTS + 1)),
-        tray=TrayUse((True,), "without it the objects would roll out of the workspace"),
+        allowed_objects=NUMBERS,
+        tray=IN_TRAY,
         takes_object_set=True,
     )
     controls = (CLOSE_LOOP,)
@@ -182,23 +191,83 @@ class ObjectGrasping(Task):
         The way shrinks as fast as the gripper comes near, and for no other grasp faster: the choice stands.
         """
         hand = scene.robot.pose
-        turns = "r" in self.config.action_sequence
-        yaws = [math.pi * step / YAWS for step in range(YAWS)] if turns else [hand.yaw]
-        lowest = max(scene.surface.height((hand.x, hand.y)) + CLEARANCE, self.config.workspace[2][0])
-        grasps = find_grasps(relief, scene.robot.model.gripper, yaws, lowest)
-        (x0, x1), (y0, y1), _ = self.config.workspace
+        grasps = self._grasps(scene, relief, DEPTHS)
         x, y, _, yaw, quality = grasps.T
         value = quality.copy()
         for spot in self._failed:
             near = np.hypot(x - spot[0], y - spot[1]) < NEAR_FAILURE
             value -= FAILURE_COST * near * (1.0 + (np.abs(wrap(yaw - spot[2])) < ALIKE))
-        good = (value > 0.0) & (x > x0) & (x < x1) & (y > y0) & (y < y1)
+        good = value > 0.0
         if not good.any():
             return None
         turn = TURN_WORTH * np.abs(wrap(yaw - hand.yaw))
         way = np.maximum(np.maximum(np.abs(x - hand.x), np.abs(y - hand.y)), turn)
         best = np.where(good, value - WAY_WEIGHT * way, -np.inf).argmax()
         return Pose.planar(*grasps[best, :4].tolist())
+
+    def _grasps(self, scene: Scene, relief: Relief, depths: Sequence[float]) -> FloatArray:
+        """Return the grasps within the workspace that have room, as :func:`find_grasps` does."""
+        turns = "r" in self.config.action_sequence
+        yaws = [math.pi * step / YAWS for step in range(YAWS)] if turns else [scene.robot.pose.yaw]
+        lowest = max(scene.surface.level + CLEARANCE, self.config.workspace[2][0])
+        grasps = find_grasps(relief, scene.robot.model.gripper, yaws, lowest, depths)
+        limits = np.array(self.config.workspace[:2])
+        inside = (grasps[:, :2] > limits[:, 0]) & (grasps[:, :2] < limits[:, 1])
+        return grasps[inside.all(axis=1)]
+
+
+class OpenLoopObjectGrasping(ObjectGrasping):
+    """Grasp any object of a clutter, by one pick.
+
+    Description: a tray with up to N of the same 86 objects, by default 15.
+    Randomisation: as in :class:`ObjectGrasping`.
+    Success: the gripper holds an object when it has come back from the pick. The object is taken away when
+    the next episode begins. Every action ends the episode.
+    Expert: one of the best grasps from above; which of them is left to chance, for nothing may have changed
+    since the last one failed.
+    """
+
+    defaults = TaskDefaults(
+        num_objects=MOST_OBJECTS,
+        max_steps=1,
+        allowed_objects=NUMBERS,
+        tray=IN_TRAY,
+        takes_object_set=True,
+    )
+    controls = (OPEN_LOOP,)
+    one_decision = True
+
+    @property
+    def hints(self) -> Hints:
+        """Grasps go deep; what is beside the fingers does not matter."""
+        return Hints(pick_offset=PICK_DEPTH, pick_area=PICK_AREA)
+
+    def after_action(self, scene: Scene, rng: np.random.Generator) -> None:
+        """Remember nothing: the episode is over."""
+
+    def plan(self, scene: Scene, rng: np.random.Generator) -> Iterator[Waypoint]:
+        """Grasp what is best to grasp; where nothing can be grasped, stir up what lies highest."""
+        if scene.held is not None:
+            yield Waypoint(scene.robot.pose, CLOSED, finish=OPEN)
+            return
+        depths = DEPTHS if "z" in self.config.action_sequence else (PICK_DEPTH,)
+        grasps = self._grasps(scene, survey(scene), depths)
+        if len(grasps):
+            value = grasps[:, 4] + rng.normal(0.0, CHANCE, len(grasps))
+            yield Waypoint(Pose.planar(*grasps[value.argmax(), :4].tolist()), OPEN, finish=CLOSED)
+        else:
+            yield Waypoint(self._beside(scene, rng), OPEN, finish=CLOSED)
+
+    def _beside(self, scene: Scene, rng: np.random.Generator) -> Pose:
+        """Draw a pose low beside an object's middle, from where the closing fingers move it inwards."""
+        items = list(scene)
+        item = items[rng.integers(len(items))]
+        inward = np.subtract(self.config.centre, item.pose.position[:2])
+        towards = math.atan2(inward[1], inward[0])
+        inward *= rng.uniform(0.0, NUDGE) / max(float(np.hypot(*inward)), NUDGE)
+        x, y = (item.pose.position[:2] + inward + rng.uniform(-NUDGE / 2.0, NUDGE / 2.0, 2)).tolist()
+        yaw = towards if "r" in self.config.action_sequence else 0.0
+        return Pose.planar(x, y, scene.surface.level + CLEARANCE, yaw)
 
 
 def survey(scene: Scene) -> Relief:

@@ -1,5 +1,6 @@
 """The contract between a task and the house around it."""
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -56,12 +57,15 @@ class Hints:
     :param pick_offset: how deep (m) below the highest point around the target the fingertips close, where the
         action does not say at which height
     :param place_offset: gap (m) between what is held and the highest point under it when it is let go, then
-    :param opening: ratio to which the gripper opens, 1 all the way
+    :param pick_area: length along the opening and width (m) of the area whose highest point counts for a
+        pick; by default a square of twice ``pick_offset``
+    :param opening: distance (m) to which the fingers open at most: less than all the way where it is narrow
     """
 
     pick_offset: float
     place_offset: float = 0.003
-    opening: float = OPEN
+    pick_area: Point | None = None
+    opening: float = math.inf
 
 
 class Task(ABC):
@@ -76,6 +80,8 @@ class Task(ABC):
     defaults: ClassVar[TaskDefaults]
     controls: ClassVar[tuple[str, ...]]
     """Names of the controls the task can be solved with."""
+    one_decision: ClassVar[bool] = False
+    """Whether every action ends the episode."""
     site: ClassVar[Point] = SITE
     """Width and length (m) of the base of what is built: ramps and bumps leave level ground for it."""
 

@@ -57,7 +57,7 @@ def digest(*parts: Any) -> str:
 
 def transcript(
     env: ManipulationEnv,
-    steps: int = 50,
+    steps: int | None = None,
     *,
     seed: int | None = None,
     action_seed: int = 0,
@@ -65,11 +65,13 @@ def transcript(
 ) -> list[str]:
     """Act on an environment, experts' actions mixed with random ones, through as many episodes as it takes.
 
+    :param steps: by default fewer in open loop, where each of them is a whole pick or place
     :param seed: of a first reset; without one the rollout goes on from the present state
     :param before_step: called before every step
     :return: one digest a step (and a reset) of the action and of all that came back
     """
     rng = np.random.default_rng(action_seed)
+    steps = steps or (20 if is_open_loop(env.spec.id) else 50)
     lines = [] if seed is None else [digest(*env.reset(seed=seed))]
     for _ in range(steps):
         before_step(env)
@@ -88,11 +90,17 @@ def mixed_action(env: ManipulationEnv, rng: np.random.Generator) -> np.ndarray:
 
 
 def advance(env: ManipulationEnv, seed: int, steps: int) -> EnvState:
-    """Return the state after some of the expert's steps; the episode must not have ended."""
+    """Return the state after some of the expert's steps; the episode must not have ended.
+
+    Where each is an episode of its own, further ones have begun.
+    """
     env.reset(seed=seed)
     for _ in range(steps):
         *_, terminated, truncated, _ = env.step(env.expert_action())
-        assert not terminated and not truncated
+        if env.task.one_decision:
+            env.reset()
+        else:
+            assert not terminated and not truncated
     return env.get_state()
 
 

@@ -98,7 +98,7 @@ def test_state_taken_while_something_moves_is_exact(picking: ManipulationEnv, ma
 
 def test_setting_a_state_restores_what_can_be_seen(env: ManipulationEnv) -> None:
     env.reset(seed=1)
-    observation, reward, *_ = env.step(env.expert_action())
+    observation, *_ = env.step(env.expert_action())
     state = env.get_state()
     action = env.expert_action()
     transcript(env, 10, seed=9)
@@ -106,7 +106,6 @@ def test_setting_a_state_restores_what_can_be_seen(env: ManipulationEnv) -> None
     assert digest(env.control.observe(env.scene)) == digest(observation)
     assert np.array_equal(env.expert_action(), action)
     assert env.get_state() == state
-    assert reward == 0.0
 
 
 def test_state_is_independent_of_the_environment(env: ManipulationEnv) -> None:
@@ -131,6 +130,8 @@ def test_set_state_on_a_fresh_instance(env_id: str, make: Make) -> None:
 
 def test_state_keeps_the_time_limit(make: Make, env_id: str) -> None:
     env, other = make(env_id, max_steps=3), make(env_id, 1, max_steps=3)
+    if env.task.one_decision:
+        pytest.skip("ends before it")
     env.reset(seed=0)
     env.step(idle(env))
     env.step(idle(env))

@@ -1,0 +1,145 @@
+"""Picking blocks up and putting them down in one action each: tools that open-loop experts share.
+
+A block is seen through its *lying frame*: z up from the side it lies on, y along the longer of its level
+sides, its origin between the sides that face each other along x, else where the block's own is. The gripper
+takes it along x, and it can be put down in any of the ways that look the same.
+"""
+
+import math
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from bulletarm_gym.footprint import Footprint
+from bulletarm_gym.geometry import FloatArray, Pose, matrix, quaternion, rotate, wrap_angle
+from bulletarm_gym.placement import footprint
+from bulletarm_gym.scene import Item, Scene
+from bulletarm_gym.simulation import Box
+from bulletarm_gym.tasks.grasping import RELEASE
+from bulletarm_gym.tasks.task import CLOSED, OPEN, Waypoint
+
+SQUARE = 1.05
+"""A block whose level sides differ by less than this factor can be turned by a quarter."""
+ROOM = 0.002
+"""Gap (m) between the open fingers and what is beside them."""
+OVER = 0.0015
+"""Gap (m) between the fingertips and the ground under them."""
+SWEEP = np.concatenate([sign * np.linspace(0.3, 1.0, 12) for sign in (-1.0, 1.0)])
+"""Where the ground under the closing fingers is looked at, in their farthest reach."""
+SPARE = 0.008
+"""What the gripper opens wider (m) than a block, at least, to take it."""
+LIFTS = (0.0, 0.15, 0.3)
+"""How far above its middle, in heights, a block may be taken."""
+MOST_TILT = math.pi / 4.0
+"""Greatest tilt (rad) of the gripper that actions can tell."""
+
+
+def lying_frame(item: Item) -> Pose:
+    """Return an item's lying frame, in the world.
+
+    Boxes may lie on any side; all else keeps its own axes, turned over if it lies upside down.
+    """
+    rotation = matrix(item.pose)
+    if not is_box(item):
+        flip = np.diag([1.0, -1.0, -1.0]) if rotation[2, 2] < 0.0 else np.eye(3)
+        frame = Pose(item.pose.position, quaternion(rotation @ flip))
+        low, high = sizes(item, frame)
+        return frame.compose(Pose((float(low[0] + high[0]) / 2.0, 0.0, 0.0)))
+    up = int(abs(rotation[2]).argmax())
+    _, long = sorted({0, 1, 2} - {up}, key=lambda axis: (item.spec.extents[axis], axis))
+    z, y = math.copysign(1.0, rotation[2, up]) * rotation[:, up], rotation[:, long]
+    return Pose(item.pose.position, quaternion(np.stack([np.cross(y, z), y, z], axis=1)))
+
+
+def is_box(item: Item) -> bool:
+    """Whether an item is a cuboid."""
+    pieces = item.spec.pieces
+    return len(pieces) == 1 and isinstance(pieces[0].shape, Box)
+
+
+def sizes(item: Item, frame: Pose) -> tuple[FloatArray, FloatArray]:
+    """Return the lowest and the highest corner (m) of an item in a frame, (3,) each."""
+    inside = frame.inverse().compose(item.pose)
+    points = item.spec.mesh.vertices @ matrix(inside).T + inside.position
+    return points.min(axis=0), points.max(axis=0)
+
+
+def pick(scene: Scene, item: Item, rng: np.random.Generator) -> Waypoint:
+    """Return the pick of an item: about its middle, or higher if the fingers have room only there.
+
+    The fingers close across the shorter of its sides, or along if there they have room.
+
+    :param rng: draws one of the ways if none has room: one of them may do all the same
+    """
+    frame = lying_frame(item)
+    low, high = sizes(item, frame)
+    stroke = scene.robot.model.gripper.stroke
+    turns = [0.0, math.pi / 2.0] if is_box(item) and high[1] - low[1] + SPARE <= stroke else [0.0]
+    lifts = [share * float(high[2] - low[2]) for share in LIFTS]
+    hands = [_able(scene, frame.compose(Pose.planar(0.0, 0.0, z, turn))) for z in lifts for turn in turns]
+    best = max(hands, key=lambda hand: _rank(scene, hand, item))
+    drawn = hands[int(rng.integers(len(hands)))]
+    return Waypoint(best if has_room(scene, best, item) else drawn, OPEN, finish=CLOSED)
+
+
+def put(scene: Scene, item: Item, grounds: Sequence[Pose]) -> Waypoint:
+    """Return the place of the held item.
+
+    :param grounds: frames it may as well be put on: its lying frame just above one of them, turned as it may
+    """
+    hand, lying = scene.robot.pose, lying_frame(item)
+    in_hand = lying.inverse().compose(hand)
+    goals = (ground.compose(turned) for ground in grounds for turned in _lying(item, lying))
+    hands = (_able(scene, goal.compose(in_hand), goal, in_hand) for goal in goals)
+    best = max(
+        hands, key=lambda goal: (*_rank(scene, goal, item), -abs(wrap_angle(goal.yaw - hand.yaw, math.pi)))
+    )
+    return Waypoint(best, CLOSED, finish=OPEN)
+
+
+def _lying(item: Item, lying: Pose) -> Iterator[Pose]:
+    """Yield the lying frame over the ground, in every way that looks the same."""
+    low, high = sizes(item, lying)
+    turns = 4 if max(high[:2] - low[:2]) < SQUARE * min(high[:2] - low[:2]) else 2
+    for turn in range(turns):
+        yield Pose.planar(0.0, 0.0, RELEASE - float(low[2]), 2.0 * math.pi * turn / turns)
+
+
+def _able(scene: Scene, hand: Pose, goal: Pose | None = None, in_hand: Pose | None = None) -> Pose:
+    """Return the nearest pose that an action can tell, which keeps the middle of what is held where it is."""
+    turns = scene.config.action_sequence.count("r")
+    if turns == 3 and hand.tilt < MOST_TILT:
+        return hand
+    upright = Pose.planar(*hand.position, hand.yaw if turns else scene.robot.pose.yaw)
+    if goal is None or in_hand is None:
+        return upright
+    x, y, z = rotate(upright.orientation, in_hand.inverse().position)
+    return Pose((goal.x - x, goal.y - y, goal.z - z), upright.orientation)
+
+
+def _rank(scene: Scene, hand: Pose, item: Item) -> tuple[bool, bool]:
+    return scene.robot.reaches(hand), has_room(scene, hand, item)
+
+
+def has_room(scene: Scene, hand: Pose, item: Item) -> bool:
+    """Whether the open fingers can close, their tips at a pose, and touch nothing but an item."""
+    gripper = scene.robot.model.gripper
+    thickness, width, _ = gripper.finger
+    far = gripper.stroke / 2.0 + thickness
+    along, across = np.meshgrid(far * SWEEP, width * np.linspace(-0.5, 0.5, 5))
+    grid = np.stack([along.ravel(), across.ravel(), np.zeros(along.size)], axis=1)
+    tips = grid @ matrix(hand).T + hand.position
+    if (scene.surface.heights(tips[:, :2]) + OVER > tips[:, 2]).any():
+        return False
+    others = [
+        (footprint(other), scene.world.top(other.body))
+        for other in scene
+        if other is not item and other is not scene.held and scene.world.top(other.body) > tips[:, 2].min()
+    ]
+    for side in (1.0, -1.0):
+        aside = Pose((side * (far - thickness / 2.0), 0.0, 0.0))
+        finger = hand.compose(aside)
+        base = Footprint.rectangle((thickness, width), finger)
+        if any(base.gap(other) < ROOM and top > finger.z for other, top in others):
+            return False
+    return True
