@@ -49,6 +49,7 @@ ENTRIES = (
     Entry("OpenLoopBinPacking", "bulletarm_gym.tasks.packing:BinPacking", "open_loop"),
     Entry("OpenLoopBottleArrangement", "bulletarm_gym.tasks.arranging:BottleArrangement", "open_loop"),
     Entry("OpenLoopBoxPalletizing", "bulletarm_gym.tasks.palletizing:BoxPalletizing", "open_loop"),
+    Entry("OpenLoopCovidTest", "bulletarm_gym.tasks.covid:CovidTest", "open_loop"),
     Entry("OpenLoopObjectGrasping", "bulletarm_gym.tasks.clutter:OpenLoopObjectGrasping", "open_loop"),
     Entry(
         "OpenLoopBumpBoxPalletizing", "bulletarm_gym.tasks.palletizing:BoxPalletizing", "open_loop", "bump"

@@ -31,10 +31,11 @@ ANGULAR_DAMPING = 4.0
 SIDES = 8
 """Few, so that they lie on a side."""
 
-NEW_TUBE_BOX: Vector = (0.17, 0.21, 0.005)
+NEW_TUBE_BOX: Vector = (0.17, 0.2, 0.005)
 TEST_AREA: Vector = (0.125, 0.3, 0.01)
-USED_TUBE_BOX: Vector = (0.12, 0.08, 0.04)
-"""Outer side lengths (m), as in the original BulletArm release."""
+USED_TUBE_BOX: Vector = (0.12, 0.1, 0.04)
+"""Outer side lengths (m), as in the original BulletArm release; but the box for used tubes is 2 cm wider, and
+that for new ones 1 cm less, so that a tube of the paper's length fits in both ways."""
 WALL = 0.004
 """Thickness (m), as in the original BulletArm release."""
 FLOOR = 0.002

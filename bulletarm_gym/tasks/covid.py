@@ -1,0 +1,183 @@
+"""Supervising Covid tests."""
+
+import math
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from bulletarm_gym.config import OPEN_LOOP, EnvConfig, TaskDefaults
+from bulletarm_gym.geometry import Pose, wrap_angle
+from bulletarm_gym.objects.covid import (
+    FLOOR,
+    NEW_TUBE_BOX,
+    SCALE,
+    TEST_AREA,
+    USED_TUBE_BOX,
+    new_tube_box,
+    swab,
+    test_area,
+    tube,
+    used_tube,
+    used_tube_box,
+)
+from bulletarm_gym.relations import at_rest, is_empty
+from bulletarm_gym.scene import Item, Role, Scene, scaled
+from bulletarm_gym.simulation.world import FALLING
+from bulletarm_gym.tasks.grasping import RELEASE, place_item
+from bulletarm_gym.tasks.task import CLOSED, OPEN, Hints, Task, Waypoint
+
+ROUNDS = 3
+"""Tests an episode (paper, Covid Test)."""
+SIDE = 0.3
+"""Of the square (m) that the three places fill, as in the original BulletArm release."""
+TUBES_APART, TUBE_ROW = NEW_TUBE_BOX[0] / 3.3, NEW_TUBE_BOX[1] / 4.0
+SWABS_APART, SWAB_ROW = NEW_TUBE_BOX[0] / 3.7, -NEW_TUBE_BOX[1] / 9.0
+"""Where tubes and swabs lie in the box (m), as in that release."""
+SPREAD = math.radians(30.0)
+"""Greatest yaw of tubes and of swabs either way, as in that release."""
+USER_REACH = (0.0125, 0.1)
+"""How far (m) from the middle of the test area the user leaves a used tube, as in that release."""
+SWAB_SPOT, TUBE_SPOT = (0.0, 0.07), (0.0, -0.05)
+"""Where in the test area (m) the expert puts a swab and a tube."""
+GRASP_DEPTH = 0.008
+"""How far (m) below their tops swabs and tubes are grasped."""
+OPENING = 0.04
+"""Greatest distance (m) of the fingers: between two tubes there is not much room."""
+QUARTER = math.pi / 2.0
+PLACES = {"new box": NEW_TUBE_BOX, "test area": TEST_AREA, "used box": USED_TUBE_BOX}
+
+
+class CovidTest(Task):
+    """Present pairs of a swab and a tube to be tested, and collect the used tubes.
+
+    Description: three places side by side: a box with three new swabs, 7 x 1 x 1 cm, and three new tubes,
+    8 x 1.7 x 1.7 cm, a test area and a box for used tubes. A user stands by: as soon as a swab and a tube are
+    in the test area and the gripper is empty, they become one used tube somewhere in it.
+    Randomisation: the pose of the three places together, and whether they are mirrored; the yaws of the
+    swabs and of the tubes, within 30 degrees; where the user leaves a tube, at any yaw. With
+    ``random_orientation=False`` all lies along y.
+    Success: all used tubes are in their box; the gripper is empty and nothing moves.
+    Validity: at most one tube, used or not, and at most one swab are in the test area.
+    Expert: a swab, then a tube to the test area, the used tube to its box; and so on.
+    """
+
+    defaults = TaskDefaults(
+        num_objects=2 * ROUNDS, max_steps=30, object_scale=SCALE, allowed_objects=(2 * ROUNDS,)
+    )
+    controls = (OPEN_LOOP,)
+    site = (SIDE, SIDE)
+
+    @property
+    def hints(self) -> Hints:
+        """What is grasped is thin and lies close together."""
+        return Hints(pick_offset=GRASP_DEPTH, opening=OPENING)
+
+    def bodies(self, config: EnvConfig) -> list[Role]:
+        """Return the places, swabs, tubes, and the used tubes that they become."""
+        makers = {"new box": new_tube_box, "test area": test_area, "used box": used_tube_box}
+        places = [Role(name, (make(name),)) for name, make in makers.items()]
+        kinds = {"swab": swab, "tube": tube, "used tube": used_tube}
+        return places + [
+            scaled(config, f"{kind} {number}", make)
+            for kind, make in kinds.items()
+            for number in range(ROUNDS)
+        ]
+
+    def arrange(self, scene: Scene, rng: np.random.Generator) -> None:
+        """Lay the three places side by side, and swabs and tubes in the first."""
+        turns = self.config.random_orientation
+        site = scene.surface.goal_site(self.site, rng, math.pi if turns else 0.0)
+        mirror = float(rng.choice((-1.0, 1.0)))
+        corners = {"new box": (-1.0, 1.0), "test area": (1.0, 0.0), "used box": (-1.0, -1.0)}
+        for name, (right, up) in corners.items():
+            x, y = ((SIDE - extent) / 2.0 for extent in PLACES[name][:2])
+            scene[name].place(site.compose(Pose((mirror * right * x, up * y, 0.0))))
+        rows = (("tube", TUBES_APART, TUBE_ROW), ("swab", SWABS_APART, SWAB_ROW))
+        for kind, pitch, row in rows:
+            yaw = -QUARTER + (float(rng.uniform(-SPREAD, SPREAD)) if turns else 0.0)
+            for number in range(ROUNDS):
+                self._lay(scene, f"{kind} {number}", "new box", ((number - 1) * pitch, row), yaw)
+
+    def _lay(self, scene: Scene, name: str, place: str, point: Sequence[float], yaw: float) -> None:
+        """Lay an item on the floor of a place, at a point (m) and a yaw (rad) in its frame."""
+        height = FLOOR - float(scene[name].spec.mesh.bounds[0, 2])
+        pose = Pose.planar(point[0], point[1], height, yaw)
+        scene[name].place(scene[place].pose.compose(pose), FALLING)
+
+    def after_action(self, scene: Scene, rng: np.random.Generator) -> None:
+        """Let the user test: a swab and a tube in the test area become a used tube."""
+        swabs, tubes = (self._inside(scene, kind, "test area") for kind in ("swab", "tube"))
+        if not (len(swabs) == len(tubes) == 1 and is_empty(scene)):
+            return
+        swabs[0].park()
+        tubes[0].park()
+        number = len(self._items(scene, "used tube"))
+        point = [float(rng.uniform(-reach, reach)) for reach in USER_REACH]
+        yaw = float(rng.uniform(-math.pi, math.pi)) if self.config.random_orientation else QUARTER
+        self._lay(scene, f"used tube {number}", "test area", point, yaw)
+        scene.begin()
+        scene.settle()
+
+    def evaluate(self, scene: Scene) -> dict[str, bool]:
+        """Look whether all used tubes are collected, and whether all is done."""
+        facts = {
+            "is_collected": len(self._inside(scene, "used tube", "used box")) == ROUNDS,
+            "is_empty": is_empty(scene),
+            "is_at_rest": at_rest(scene),
+        }
+        return {"success": all(facts.values()), **facts}
+
+    def is_valid(self, scene: Scene) -> bool:
+        """Whether all is inside the workspace, and the test area holds one tube and one swab at most."""
+        swabs, tubes, used = (
+            len(self._inside(scene, kind, "test area")) for kind in ("swab", "tube", "used tube")
+        )
+        return super().is_valid(scene) and swabs <= 1 and tubes + used <= 1
+
+    def plan(self, scene: Scene, rng: np.random.Generator) -> Iterator[Waypoint]:
+        """Bring the next item where it belongs."""
+        held = scene.held
+        if held is None:
+            yield self._pick(scene, self._next(scene))
+            return
+        kind = held.role.name.rpartition(" ")[0]
+        name, spot, along = {
+            "swab": ("test area", SWAB_SPOT, QUARTER),
+            "tube": ("test area", TUBE_SPOT, QUARTER),
+            "used tube": ("used box", (0.0, 0.0), 0.0),
+        }[kind]
+        place = scene[name].pose
+        turn = wrap_angle(place.yaw + along - held.pose.yaw, math.pi)
+        point = place.transform((*spot, FLOOR))
+        top = max((scene.world.top(item.body) for item in self._inside(scene, kind, name)), default=point[2])
+        yield from place_item(scene, held, point, top + RELEASE, turn)
+
+    def _next(self, scene: Scene) -> Item:
+        """Return what to grasp: a used tube, else a swab, else a tube that is not where it belongs."""
+        has_swab = bool(self._inside(scene, "swab", "test area"))
+        wanted = [("used tube", "used box"), ("tube" if has_swab else "swab", "test area")]
+        for kind, place in wanted:
+            there = self._inside(scene, kind, place)
+            missing = [item for item in self._items(scene, kind) if item not in there]
+            if missing:
+                return missing[0]
+        return max((item for item in scene if item.spec.mass > 0.0), key=lambda item: item.pose.z)
+
+    def _pick(self, scene: Scene, item: Item) -> Waypoint:
+        """Return the pick of an item across its length."""
+        x, y, _ = item.pose.position
+        depth = max(scene.world.top(item.body) - GRASP_DEPTH, item.lowest + RELEASE)
+        return Waypoint(Pose.planar(x, y, depth, item.pose.yaw + QUARTER), OPEN, finish=CLOSED)
+
+    def _items(self, scene: Scene, kind: str) -> list[Item]:
+        return [item for item in scene if item.role.name.rpartition(" ")[0] == kind]
+
+    def _inside(self, scene: Scene, kind: str, place: str) -> list[Item]:
+        """Return the items of a kind that lie in a place, seen from above, the held one aside."""
+        frame, (length, width, _) = scene[place].pose.inverse(), PLACES[place]
+
+        def is_inside(item: Item) -> bool:
+            x, y, _ = frame.transform(item.pose.position)
+            return abs(x) < length / 2.0 and abs(y) < width / 2.0
+
+        return [item for item in self._items(scene, kind) if item is not scene.held and is_inside(item)]
