@@ -91,6 +91,7 @@ def lay_apart(
     gap: float,
     spread: float = math.pi,
     taken: Sequence[Footprint] = (),
+    allows: Callable[[Pose], bool] = lambda pose: True,
 ) -> None:
     """Lay items on the ground at random, so that their true footprints are apart and inside the border.
 
@@ -99,6 +100,7 @@ def lay_apart(
     :param gap: least distance (m) between two footprints
     :param spread: greatest yaw (rad) either way; 0 without ``random_orientation``
     :param taken: more footprints to keep the gap to
+    :param allows: whether an item may lie at a pose
     :raises PlacementError: they do not fit together
     """
     others = [*taken, *footprints(scene, without=items)]
@@ -106,7 +108,7 @@ def lay_apart(
     for _ in range(ARRANGEMENTS):
         covered, poses = list(others), []
         for item in largest_first:
-            pose = _free_pose(scene, rng, item, gap, spread, covered)
+            pose = _free_pose(scene, rng, item, gap, spread, covered, allows)
             if pose is None:
                 break
             poses.append(pose)
@@ -188,6 +190,7 @@ def _free_pose(
     gap: float,
     spread: float,
     covered: Sequence[Footprint],
+    allows: Callable[[Pose], bool] = lambda pose: True,
 ) -> Pose | None:
     (x0, x1), (y0, y1), _ = scene.config.workspace
     for _ in range(ATTEMPTS):
@@ -195,7 +198,8 @@ def _free_pose(
         yaw = float(rng.uniform(-spread, spread)) if scene.config.random_orientation else 0.0
         pose = scene.surface.lay(item.spec, point, yaw)
         base = footprint(item, pose)
-        if scene.surface.fits(base, BORDER) and all(base.gap(other) >= gap for other in covered):
+        free = scene.surface.fits(base, BORDER) and all(base.gap(other) >= gap for other in covered)
+        if free and allows(pose):
             return pose
     return None
 

@@ -6,9 +6,10 @@ from collections.abc import Iterator
 import numpy as np
 
 from bulletarm_gym.config import OPEN_LOOP, EnvConfig, TaskDefaults
+from bulletarm_gym.footprint import Footprint, PlacementError
 from bulletarm_gym.geometry import FloatArray, Pose, matrix
 from bulletarm_gym.objects.packing import BIN, BIN_WALL, SHAPES, packing_bin, packing_block
-from bulletarm_gym.placement import lay_apart
+from bulletarm_gym.placement import draw_until, footprint, lay_apart
 from bulletarm_gym.relations import at_rest, is_empty, is_top
 from bulletarm_gym.scene import Item, Role, Scene
 from bulletarm_gym.tasks.grasping import RELEASE
@@ -19,8 +20,12 @@ MOST_BLOCKS = 8
 """As many as the paper's (Bin Packing)."""
 GAP = 0.025
 """Least gap (m) between blocks at the start."""
-PICK_OFFSET = 0.0175
-"""How far (m) below its top a block of scale 1 is grasped: the fingers of every arm reach over the rim."""
+HAND = (0.21, 0.07)
+"""Length and width (m) of the widest arm's hand, the Panda's: over a block it has room beside the bin."""
+BINS = 10
+"""Positions of the bin tried before the workspace counts as too small."""
+PICK_OFFSET = 0.0125
+"""How far (m) below its top a block of scale 1 is grasped: on the bin's floor every hand is above the rim."""
 OPENING = 0.058
 """Greatest distance (m) of the fingers: half wider than a block, so that its neighbours are not touched."""
 SPARE = 0.001
@@ -30,7 +35,7 @@ LET_GO = 0.004
 BORDER = 0.003
 """How far (m) below the rim the origin of what is packed must be expected."""
 ROW_WEIGHT = 0.5
-"""A place is as close to the corner as x and this share of y say: rows along y are filled first."""
+"""A place is as good as it is towards one short wall and, by this share, towards the long walls."""
 VIEW = 0.24
 """Side (m) of the square that is looked at: the bin at any yaw."""
 PITCH = 0.001
@@ -73,11 +78,26 @@ class BinPacking(Task):
         return [Role("bin", (packing_bin("bin"),)), *blocks]
 
     def arrange(self, scene: Scene, rng: np.random.Generator) -> None:
-        """Put the bin somewhere, and the blocks beside it."""
+        """Put the bin somewhere, and the blocks beside it; if they have no room there, somewhere else.
+
+        :raises PlacementError: they have no room anywhere
+        """
         spread = math.pi if self.config.random_orientation else 0.0
-        site = scene.surface.goal_site(self.site, rng, spread)
-        scene["bin"].place(site.compose(Pose.planar(0.0, 0.0, 0.0, math.pi / 2.0)))
-        lay_apart(scene, rng, [item for item in scene.items if item is not scene["bin"]], GAP)
+        blocks = [item for item in scene.items if item is not scene["bin"]]
+
+        def leaves_room(pose: Pose) -> bool:
+            hand = Footprint.rectangle(HAND, pose)
+            return not self.config.random_orientation or hand.gap(footprint(scene["bin"])) > 0.0
+
+        def has_room(site: Pose) -> bool:
+            scene["bin"].place(site.compose(Pose.planar(0.0, 0.0, 0.0, math.pi / 2.0)))
+            try:
+                lay_apart(scene, rng, blocks, GAP, allows=leaves_room)
+            except PlacementError:
+                return False
+            return True
+
+        draw_until(lambda: scene.surface.goal_site(self.site, rng, spread), has_room, BINS)
 
     def evaluate(self, scene: Scene) -> dict[str, bool]:
         """Look whether all blocks are in the bin, and whether all is done."""
@@ -153,7 +173,7 @@ class Room:
         if not fits.any():
             return None
         steps = np.where(fits, np.round(rest / PITCH), np.inf)
-        aside = self._xs[:, None] + ROW_WEIGHT * self._ys
+        aside = self._xs[:, None] - ROW_WEIGHT * np.abs(self._ys)
         row, column = np.unravel_index(np.where(steps == steps.min(), aside, np.inf).argmin(), steps.shape)
         pose = Pose.planar(self._xs[row], self._ys[column], tips[row, column], yaw)
         return (float(steps[row, column]), yaw != self._yaws()[0]), self._bin.compose(pose)

@@ -67,7 +67,7 @@ def test_eight_bottles_of_about_5_by_5_by_14_cm() -> None:
     assert np.abs(sizes - (0.05, 0.05, 0.14)).max() < 0.008
     assert len({tuple(row) for row in sizes.round(6).tolist()}) == 8
     assert np.abs(sizes.mean(axis=0) - (0.05, 0.05, 0.14)).max() < 0.001
-    assert all(bottle.mass == 0.5 for bottle in bottles)
+    assert all(bottle.mass == 0.2 for bottle in bottles)
 
 
 def test_nineteen_blocks_of_one_layer() -> None:
