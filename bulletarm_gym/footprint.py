@@ -42,6 +42,12 @@ class Footprint:
         x, y = size[0] / 2.0, size[1] / 2.0
         return cls.of(np.array([(-x, -y, 0.0), (x, -y, 0.0), (x, y, 0.0), (-x, y, 0.0)]), pose)
 
+    def grown(self, margin: float) -> "Footprint":
+        """Return it with its corners moved outwards by ``margin`` (m), or inwards by a negative one."""
+        outwards = self.points - self.points.mean(axis=0)
+        lengths = np.linalg.norm(outwards, axis=1, keepdims=True)
+        return Footprint(self.points + outwards / np.maximum(lengths, 1e-9) * margin)
+
     @cached_property
     def reach(self) -> FloatArray:
         """How far (m) it reaches in each of the directions, from the world's origin."""

@@ -43,14 +43,29 @@ class Entry:
         return {"task": self.task, "control": self.control, "surface": self.surface}
 
 
+def _structures(surface: str) -> tuple[Entry, ...]:
+    """Return the seven tasks that build a structure of blocks, on a surface."""
+    classes = {
+        "BlockStacking": "stacking:OpenLoopBlockStacking",
+        **{f"HouseBuilding{number}": f"house:HouseBuilding{number}" for number in (1, 2, 3, 4)},
+        **{f"ImproviseHouseBuilding{n}": f"improvise:ImproviseHouseBuilding{n}" for n in (2, 3)},
+    }
+    prefix = PREFIXES["open_loop", surface]
+    return tuple(
+        Entry(prefix + name, f"bulletarm_gym.tasks.{path}", "open_loop", surface)
+        for name, path in classes.items()
+    )
+
+
 ENTRIES = (
-    Entry("OpenLoopBlockStacking", "bulletarm_gym.tasks.stacking:OpenLoopBlockStacking", "open_loop"),
-    Entry("OpenLoopHouseBuilding1", "bulletarm_gym.tasks.house:HouseBuilding1", "open_loop"),
+    *_structures("flat"),
     Entry("OpenLoopBinPacking", "bulletarm_gym.tasks.packing:BinPacking", "open_loop"),
     Entry("OpenLoopBottleArrangement", "bulletarm_gym.tasks.arranging:BottleArrangement", "open_loop"),
     Entry("OpenLoopBoxPalletizing", "bulletarm_gym.tasks.palletizing:BoxPalletizing", "open_loop"),
     Entry("OpenLoopCovidTest", "bulletarm_gym.tasks.covid:CovidTest", "open_loop"),
     Entry("OpenLoopObjectGrasping", "bulletarm_gym.tasks.clutter:OpenLoopObjectGrasping", "open_loop"),
+    *_structures("ramp"),
+    Entry("OpenLoopBumpHouseBuilding4", "bulletarm_gym.tasks.house:HouseBuilding4", "open_loop", "bump"),
     Entry(
         "OpenLoopBumpBoxPalletizing", "bulletarm_gym.tasks.palletizing:BoxPalletizing", "open_loop", "bump"
     ),

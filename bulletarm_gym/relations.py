@@ -4,13 +4,17 @@ import math
 from collections.abc import Iterable, Sequence
 
 from bulletarm_gym.footprint import Footprint
-from bulletarm_gym.geometry import planar_distance
+from bulletarm_gym.geometry import matrix, planar_distance, wrap_angle
 from bulletarm_gym.scene import Item, Scene
+from bulletarm_gym.surfaces.surface import Point
 
 TOUCHING = 2e-3
 """Gap (m) up to which two items touch: what a collision leaves between them when they come to rest."""
 UPRIGHT = math.pi / 9.0
 """Greatest tilt (rad) of what stands upright, as in the original BulletArm release."""
+
+IN_LINE = math.pi / 7.0
+"""Greatest angle (rad) between a long block and the line through what it lies on, as in that release."""
 
 
 def touching(scene: Scene, first: Item, second: Item) -> bool:
@@ -46,18 +50,22 @@ def on_ground(scene: Scene, item: Item) -> bool:
 
 
 def on_site(scene: Scene, item: Item) -> bool:
-    """Whether an item stands, all of it, on the level ground where structures are built."""
-    footprint = Footprint.of(item.spec.mesh.vertices, item.pose)
+    """Whether an item stands, all of it but a hair, on the level ground where structures are built."""
+    footprint = Footprint.of(item.spec.mesh.vertices, item.pose).grown(-TOUCHING)
     return abs(item.lowest - scene.surface.level) <= TOUCHING and scene.surface.fits_site(footprint)
+
+
+def carries(scene: Scene, bottom: Item, top: Item) -> bool:
+    """Whether an item lies on another, if only with an end: higher by half its height, and in contact."""
+    rise = top.pose.z - bottom.pose.z
+    return rise >= min(bottom.spec.extents[2], top.spec.extents[2]) / 2.0 and touching(scene, bottom, top)
 
 
 def on_top(scene: Scene, bottom: Item, top: Item) -> bool:
     """Whether an item lies on another: higher by half its height, in contact, its middle over the other."""
-    if top.pose.z - bottom.pose.z < min(bottom.spec.extents[2], top.spec.extents[2]) / 2.0:
-        return False
     reach = max(*bottom.spec.extents[:2], *top.spec.extents[:2]) / 2.0
     beside = max(abs(top.pose.x - bottom.pose.x), abs(top.pose.y - bottom.pose.y))
-    return beside <= reach and touching(scene, bottom, top)
+    return beside <= reach and carries(scene, bottom, top)
 
 
 def stacked(scene: Scene, items: Iterable[Item]) -> bool:
@@ -79,3 +87,41 @@ def is_top(item: Item, pool: Sequence[Item]) -> bool:
         for other in pool
         if other is not item
     )
+
+
+def middle(items: Sequence[Item]) -> Point:
+    """Return the mean x and y (m) of items."""
+    x, y = (sum(item.pose.position[axis] for item in items) / len(items) for axis in (0, 1))
+    return (x, y)
+
+
+def between(item: Item, others: Sequence[Item], reach: float) -> bool:
+    """Whether an item is, seen from above, less than ``reach`` (m) from the middle of others."""
+    return planar_distance(item.pose.position, middle(others)) < reach
+
+
+def heading(item: Item) -> float:
+    """Return the direction (rad) of an item's y axis, a long block's long side, seen from above."""
+    rotation = matrix(item.pose)
+    return math.atan2(rotation[1, 1], rotation[0, 1])
+
+
+def in_line(item: Item, others: Sequence[Item]) -> bool:
+    """Whether an item's y axis is along the line from the first of the others to the last."""
+    (x0, y0, _), (x1, y1, _) = others[0].pose.position, others[-1].pose.position
+    return abs(wrap_angle(heading(item) - math.atan2(y1 - y0, x1 - x0), math.pi)) < IN_LINE
+
+
+def is_level(item: Item) -> bool:
+    """Whether an item's y axis is tilted no more than what stands upright."""
+    return abs(float(matrix(item.pose)[2, 1])) < math.sin(UPRIGHT)
+
+
+def lies_flat(item: Item) -> bool:
+    """Whether one of an item's axes is upright: a block that has rolled onto another side lies flat."""
+    return float(abs(matrix(item.pose)[2]).max()) > math.cos(UPRIGHT)
+
+
+def rests_on(scene: Scene, bottom: Item, top: Item) -> bool:
+    """Whether an item touches another that it is higher than: lies on it, if only with an edge."""
+    return top.pose.z > bottom.pose.z + TOUCHING and touching(scene, bottom, top)

@@ -79,10 +79,15 @@ def hold(world: World, group: JointGroup, positions: Sequence[float]) -> None:
     )
 
 
-def follow(world: World, group: JointGroup, goal: Sequence[float], steps: int) -> None:
-    """Drive joints to a goal in a number of simulation steps; a blocked arm stops where it is."""
-    start = np.array(group.positions(world))
-    path = start + ramp(steps)[:, None] * (np.asarray(goal) - start)
+def on_the_way(stops: Sequence[Sequence[float]], shares: FloatArray) -> FloatArray:
+    """Return where joints are on a way through evenly spaced stops, (n, joints), after shares (n,) of it."""
+    knots = np.linspace(0.0, 1.0, len(stops))
+    return np.stack([np.interp(shares, knots, joint) for joint in np.asarray(stops).T], axis=1)
+
+
+def follow(world: World, group: JointGroup, stops: Sequence[Sequence[float]], steps: int) -> None:
+    """Drive joints through stops to the last in a number of simulation steps; a blocked arm stops there."""
+    path = on_the_way([group.positions(world), *stops], ramp(steps))
     for number, target in enumerate(path.tolist(), 1):
         hold(world, group, target)
         world.client.stepSimulation()

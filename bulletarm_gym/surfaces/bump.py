@@ -27,8 +27,8 @@ DEPTH = 0.01
 """How far (m) pyramids continue below the ground: hulls need a volume."""
 PEAK = 1e-6
 """Side (m) of the square that a pyramid is cut at: a loft's last ring must not be a point."""
-ROOM = 0.002
-"""Gap (m) between things put on the ground and the platform."""
+ROOM = 0.04
+"""Gap (m) between things put on the ground and the platform: an open finger comes down in it."""
 COVERED = 0.5
 """Share of the margin to the border that an item covers itself, see :data:`tray.COVERED`."""
 LIGHT = (0.86, 0.86, 0.87, 1.0)

@@ -1,17 +1,18 @@
-"""Building a house."""
+"""Building houses."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from bulletarm_gym.config import CLOSE_LOOP, OPEN_LOOP, EnvConfig, TaskDefaults
-from bulletarm_gym.objects import cube, triangle
+from bulletarm_gym.config import CLOSE_LOOP, EnvConfig, TaskDefaults
+from bulletarm_gym.objects.blocks import brick, cube, roof, triangle
 from bulletarm_gym.placement import stack_up
 from bulletarm_gym.relations import at_rest, is_empty, is_top, stacked, upright
 from bulletarm_gym.scene import Role, Scene, scaled
 from bulletarm_gym.tasks.building import Tower
-from bulletarm_gym.tasks.stacking import OPEN_LOOP_SCALE, check_height, scatter_blocks
+from bulletarm_gym.tasks.stacking import check_height, scatter_blocks
+from bulletarm_gym.tasks.structure import SCALE, Structure
 from bulletarm_gym.tasks.task import Task, Waypoint
 
 YAW_SPREAD = math.pi / 2.0
@@ -66,19 +67,55 @@ class HouseBuilding(Task):
         yield from Tower(scene, [item for item in scene if item is not roof], roof).plan()
 
 
-class HouseBuilding1(HouseBuilding):
+class HouseBuilding1(Structure):
     """Stack the cubes, and put the triangle on top, by pick and place.
 
-    Description: three (one to five) 3 cm cubes and a triangle, 3 x 3 x 3 cm, stand on the ground.
-    Validity: the triangle has not fallen over; the gripper cannot right it.
-    All else is as in :class:`HouseBuilding`.
+    Description: three (one to five) 3 cm cubes and a triangle, 3 x 3 x 3 cm, lie on the ground.
+    Success: the cubes form a stack, on top the triangle.
+    All else is as in :class:`~bulletarm_gym.tasks.structure.Structure`.
     """
 
-    defaults = TaskDefaults(
-        num_objects=4, max_steps=10, object_scale=OPEN_LOOP_SCALE, allowed_objects=(2, 3, 4, 5, 6)
-    )
-    controls = (OPEN_LOOP,)
+    defaults = TaskDefaults(num_objects=4, max_steps=10, object_scale=SCALE, allowed_objects=(2, 3, 4, 5, 6))
+    kinds = {"cube": cube, "triangle": triangle}  # noqa: RUF012
+    upright = ("triangle",)
 
-    def is_valid(self, scene: Scene) -> bool:
-        """Whether all is inside the workspace and the triangle stands upright."""
-        return super().is_valid(scene) and upright(scene[ROOF])
+    def __init__(self, config: EnvConfig) -> None:
+        check_height(config)
+        self.layers = [*[("cube",)] * (config.num_objects - 1), ("triangle",)]
+        super().__init__(config)
+
+
+class HouseBuilding2(Structure):
+    """Two cubes side by side, the roof on both.
+
+    Description: two 3 cm cubes and a roof, 12 x 3 x 3 cm, lie on the ground.
+    All else is as in :class:`~bulletarm_gym.tasks.structure.Structure`.
+    """
+
+    defaults = TaskDefaults(num_objects=3, max_steps=10, object_scale=SCALE, allowed_objects=(3,))
+    kinds = {"cube": cube, "roof": roof}  # noqa: RUF012
+    layers: Sequence[Sequence[str]] = (("cube", "cube"), ("roof",))
+    upright = ("roof",)
+
+
+class HouseBuilding3(HouseBuilding2):
+    """Two cubes side by side, the brick on both, the roof on the brick.
+
+    Description: two 3 cm cubes, a brick and a roof, 12 x 3 x 3 cm each, lie on the ground.
+    All else is as in :class:`~bulletarm_gym.tasks.structure.Structure`.
+    """
+
+    defaults = TaskDefaults(num_objects=4, max_steps=10, object_scale=SCALE, allowed_objects=(4,))
+    kinds = {**HouseBuilding2.kinds, "brick": brick}  # noqa: RUF012
+    layers: Sequence[Sequence[str]] = (("cube", "cube"), ("brick",), ("roof",))
+
+
+class HouseBuilding4(HouseBuilding3):
+    """Two cubes side by side, the brick on both, two more cubes on the brick, the roof on those.
+
+    Description: four 3 cm cubes, a brick and a roof, 12 x 3 x 3 cm each, lie on the ground.
+    All else is as in :class:`~bulletarm_gym.tasks.structure.Structure`.
+    """
+
+    defaults = TaskDefaults(num_objects=6, max_steps=20, object_scale=SCALE, allowed_objects=(6,))
+    layers = (("cube", "cube"), ("brick",), ("cube", "cube"), ("roof",))

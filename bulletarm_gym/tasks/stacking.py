@@ -5,7 +5,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from bulletarm_gym.config import CLOSE_LOOP, OPEN_LOOP, EnvConfig, ParameterError, TaskDefaults
+from bulletarm_gym.config import CLOSE_LOOP, EnvConfig, ParameterError, TaskDefaults
 from bulletarm_gym.objects import cube
 from bulletarm_gym.objects.blocks import CUBE_SIZE
 from bulletarm_gym.placement import scatter, stack_up, stand
@@ -14,13 +14,12 @@ from bulletarm_gym.scene import Item, Role, Scene, scaled
 from bulletarm_gym.tasks.building import Tower
 from bulletarm_gym.tasks.grasping import PASSING
 from bulletarm_gym.tasks.reaching import BORDER
+from bulletarm_gym.tasks.structure import SCALE, Structure
 from bulletarm_gym.tasks.task import Task, Waypoint
 
 GAP = 2.4
 """Least distance of the blocks' centres, in largest block sides, as in the original BulletArm release."""
 YAW_SPREAD = math.pi / 4.0
-OPEN_LOOP_SCALE = 0.6
-"""Makes cubes of 3 cm (paper, Detail Description of Environments)."""
 
 
 class BlockStacking(Task):
@@ -66,17 +65,21 @@ class BlockStacking(Task):
         yield from Tower(scene, scene.items).plan()
 
 
-class OpenLoopBlockStacking(BlockStacking):
+class OpenLoopBlockStacking(Structure):
     """Stack all cubes, by pick and place.
 
-    Description: four (two to six) 3 cm cubes stand on the ground.
-    All else is as in :class:`BlockStacking`.
+    Description: four (two to six) 3 cm cubes lie on the ground.
+    Success: the cubes form one stack.
+    All else is as in :class:`~bulletarm_gym.tasks.structure.Structure`.
     """
 
-    defaults = TaskDefaults(
-        num_objects=4, max_steps=10, object_scale=OPEN_LOOP_SCALE, allowed_objects=(2, 3, 4, 5, 6)
-    )
-    controls = (OPEN_LOOP,)
+    defaults = TaskDefaults(num_objects=4, max_steps=10, object_scale=SCALE, allowed_objects=(2, 3, 4, 5, 6))
+    kinds = {"cube": cube}  # noqa: RUF012
+
+    def __init__(self, config: EnvConfig) -> None:
+        check_height(config)
+        self.layers = [("cube",)] * config.num_objects
+        super().__init__(config)
 
 
 def scatter_blocks(scene: Scene, rng: np.random.Generator, items: list[Item], spread: float) -> None:

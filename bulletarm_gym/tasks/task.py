@@ -82,7 +82,7 @@ class Task(ABC):
     """Names of the controls the task can be solved with."""
     one_decision: ClassVar[bool] = False
     """Whether every action ends the episode."""
-    site: ClassVar[Point] = SITE
+    site: Point = SITE
     """Width and length (m) of the base of what is built: ramps and bumps leave level ground for it."""
 
     def __init__(self, config: EnvConfig) -> None:

@@ -24,12 +24,14 @@ EXPERT_SHARE = 0.7
 def make_env(env_id: str, **parameters: Any) -> ManipulationEnv:
     """Make an environment without wrappers.
 
-    Tests of all ids give the action sequences of close loop; open loop's are the same without z.
+    Tests of all ids give the action sequences of close loop; open loop's are the same without z, or on
+    sloping ground with all three angles.
     """
     assert env_id in bulletarm_gym.ENV_IDS
     sequence = parameters.get("action_sequence")
     if sequence and is_open_loop(env_id) and sequence.count("r") < 3:
-        parameters["action_sequence"] = sequence.replace("z", "")
+        flat = sequence.replace("z", "")
+        parameters["action_sequence"] = sequence.replace("r", "") + "rrr" if is_sloping(env_id) else flat
     env = gymnasium.make(env_id, **parameters).unwrapped
     assert isinstance(env, ManipulationEnv)
     return env
@@ -38,6 +40,11 @@ def make_env(env_id: str, **parameters: Any) -> ManipulationEnv:
 def is_open_loop(env_id: str) -> bool:
     """Whether an id's actions are whole picks and places."""
     return "/OpenLoop" in env_id
+
+
+def is_sloping(env_id: str) -> bool:
+    """Whether things lie on ramps or bumps."""
+    return "/OpenLoopRamp" in env_id or "/OpenLoopBump" in env_id
 
 
 def idle(env: ManipulationEnv) -> np.ndarray:

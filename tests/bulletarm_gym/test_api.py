@@ -248,7 +248,7 @@ def test_custom_reward(env_id: str) -> None:
 
 
 def test_actions_outside_the_box_are_clipped(env: ManipulationEnv) -> None:
-    action = np.array([3.0, -2.0, 1.5, -7.0, 1.01], np.float32)[: env.action_space.shape[0]]
+    action = np.array([3.0, -2.0, 1.5, -7.0, 1.01, 2.0, -1.5], np.float32)[: env.action_space.shape[0]]
     env.reset(seed=0)
     far = digest(*env.step(action))
     env.reset(seed=0)

@@ -152,7 +152,7 @@ def test_render_mode_changes_nothing(make: Make, env_id: str) -> None:
 
 
 def test_action_type_does_not_matter(env: ManipulationEnv) -> None:
-    action = [0.5, -0.25, 0.125, -1.0, 0.75][: env.action_space.shape[0]]
+    action = [0.5, -0.25, 0.125, -1.0, 0.75, 0.25, -0.5][: env.action_space.shape[0]]
     results = []
     for form in (action, tuple(action), np.array(action, np.float32), np.array(action, np.float64)):
         env.reset(seed=1)

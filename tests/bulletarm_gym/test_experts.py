@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from rollouts import advance, digest, is_open_loop, mixed_action
+from rollouts import advance, digest, is_open_loop, is_sloping, mixed_action
 
 from bulletarm_gym.env import ManipulationEnv
 
@@ -72,7 +72,7 @@ def test_fixed_orientation_turns_by_quarters_at_most(make: Make, env_id: str) ->
     env = make(env_id, action_sequence="pxyz", random_orientation=False)
     env.reset(seed=0)
     yaws = np.array([item.pose.yaw for item in env.scene if item.spec.mass > 0.0])
-    if "Grasping" not in env_id:
+    if "Grasping" not in env_id and not is_sloping(env_id):
         np.testing.assert_allclose(np.sin(2.0 * yaws), 0.0, atol=0.04)
 
 
