@@ -4,7 +4,7 @@ from bulletarm_gym.objects.solids import Profile, container, corner_radius, lath
 from bulletarm_gym.simulation.shapes import BodySpec, Colour
 
 MASS = 0.2
-"""Mass (kg) of an empty bottle; the half a kilogram of the original BulletArm release slips in a light grip."""
+"""Mass (kg) of an empty bottle; the original BulletArm release's 0.5 slips in a light grip."""
 FRICTION = 1.0
 """The pads hold a neck by their own friction; the original BulletArm release's 10 would make grips spring."""
 SIDES = 12
