@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import time
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -29,6 +30,7 @@ def main(argv: Sequence[str]) -> None:
     register_environments(args.gym_packages)
     env_id = known_env_id(args.env)
     path = args.output or Path(f"{env_id.rpartition('/')[2]}-{args.planner}.h5")
+    begin = time.perf_counter()
     try:
         found = demonstrations().collect(
             env_id,
@@ -41,8 +43,10 @@ def main(argv: Sequence[str]) -> None:
         )
     except (OSError, RuntimeError, ValueError) as error:
         raise CommandError(str(error)) from error
+    rate = 60.0 * len(found) / (time.perf_counter() - begin)
     length = np.mean([len(episode) for episode in found])
     print(f"{env_id}: {len(found)} of {found.attempts} attempts succeeded, mean_length={length:.2f}")
+    print(f"  {rate:.0f} episodes a minute")
     print(f"Written:\n  {path}")
 
 
