@@ -158,20 +158,6 @@ def free_site(
     return draw_until(lambda: scene.surface.goal_site(size, rng, spread), is_free)
 
 
-def stack_up(scene: Scene, rng: np.random.Generator, items: Sequence[Item]) -> None:
-    """Stand items on each other, the first on level ground, where they are the only ones.
-
-    :raises PlacementError: there is no level ground for them
-    """
-    width, length = (max(item.spec.extents[axis] for item in items) for axis in (0, 1))
-    site = free_site(scene, rng, (width, length), 0.0, without=items)
-    height = 0.0
-    for item in items:
-        low, high = item.spec.mesh.bounds[:, 2].tolist()
-        item.place(site.compose(Pose((0.0, 0.0, height - low))))
-        height += high - low
-
-
 def footprint(item: Item, pose: Pose | None = None) -> Footprint:
     """Return what an item covers of the ground, where it is or would be at a pose."""
     return Footprint.of(item.spec.mesh.vertices, pose or item.pose)

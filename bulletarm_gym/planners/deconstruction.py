@@ -3,7 +3,6 @@
 (paper, Expert Demonstrations)
 """
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -15,17 +14,13 @@ from bulletarm_gym.placement import draw_until, free_pose
 from bulletarm_gym.relations import is_top
 from bulletarm_gym.scene import Item, Scene
 from bulletarm_gym.tasks import CLOSED, OPEN, Waypoint
-from bulletarm_gym.tasks.grasping import RELEASE, grasp_item
+from bulletarm_gym.tasks.grasping import RELEASE
+from bulletarm_gym.tasks.handling import has_room, pick
 
 GAP = 0.04
 """Least distance (m) between blocks on the ground: an open finger comes down in it."""
 SAME_LEVEL = 0.5
 """Blocks count as equally high where they differ by less than this share of their height."""
-
-CLEARANCE = 0.005
-"""Least height (m) of the open fingers' tips over the ground."""
-UPRIGHT_SHARE = 0.9
-"""Share of an item's height that a side it can be grasped by has at least."""
 
 
 @dataclass(frozen=True)
@@ -73,11 +68,14 @@ def take_apart(scene: Scene, rng: np.random.Generator) -> list[Relocation]:
 def _relocate(scene: Scene, rng: np.random.Generator, item: Item) -> Relocation:
     """Put a block on the ground, where it can be grasped as in the structure."""
     before = item.pose
-    carried = _grasp(scene, item).inverse().compose(before)
-    after = draw_until(
-        lambda: free_pose(scene, rng, item, GAP),
-        lambda pose: _has_room(scene, pose.compose(carried.inverse())),
-    )
+    carried = pick(scene, item, rng).pose.inverse().compose(before)
+
+    def is_in_reach(pose: Pose) -> bool:
+        hand = pose.compose(carried.inverse())
+        behind = hand.compose(Pose((0.0, 0.0, APPROACH)))
+        return has_room(scene, hand, item) and scene.robot.reaches(hand) and scene.robot.reaches(behind)
+
+    after = draw_until(lambda: free_pose(scene, rng, item, GAP), is_in_reach)
     item.place(after)
     return Relocation(before, after, carried)
 
@@ -88,40 +86,3 @@ def _next(standing: Sequence[Item], rng: np.random.Generator) -> Item:
     highest = max(item.pose.z for item in free)
     level = [item for item in free if highest - item.pose.z < SAME_LEVEL * item.spec.extents[2]]
     return level[int(rng.integers(len(level)))]
-
-
-def _grasp(scene: Scene, item: Item) -> Pose:
-    """Return where the fingertips grasp a block."""
-    way = grasp_item(scene, item, *_grip(item, scene.robot.model.gripper.stroke))
-    return next(waypoint.pose for waypoint in way if waypoint.finish is not None)
-
-
-def _has_room(scene: Scene, hand: Pose) -> bool:
-    """Whether the gripper gets to a pose, and the ground is below its open fingers there."""
-    gripper = scene.robot.model.gripper
-    reach = gripper.stroke / 2.0 + gripper.finger[0]
-    fingers = [hand.transform((side * reach, 0.0, 0.0)) for side in (-1.0, 1.0)]
-    behind = hand.compose(Pose((0.0, 0.0, APPROACH)))
-    return (
-        all(scene.surface.height((x, y)) < z - CLEARANCE for x, y, z in fingers)
-        and scene.robot.reaches(hand)
-        and scene.robot.reaches(behind)
-    )
-
-
-def _grip(item: Item, stroke: float) -> tuple[float, float]:
-    """Return a yaw (rad) along which fingers can close on an item, and the turn to the next such yaw.
-
-    They close on upright sides that are opposite each other and near enough.
-    """
-    points = item.spec.mesh.vertices
-    low, high = points.min(axis=0), points.max(axis=0)
-
-    def is_graspable(axis: int) -> bool:
-        sides = [points[np.isclose(points[:, axis], limit[axis]), 2] for limit in (low, high)]
-        upright = all(np.ptp(side) > UPRIGHT_SHARE * (high - low)[2] for side in sides)
-        return upright and bool((high - low)[axis] < stroke)
-
-    along_x, along_y = is_graspable(0), is_graspable(1)
-    yaw = item.pose.yaw + (0.0 if along_x else math.pi / 2.0)
-    return yaw, math.pi / 2.0 if along_x and along_y else math.pi

@@ -7,7 +7,6 @@ import numpy as np
 
 from bulletarm_gym.config import CLOSE_LOOP, EnvConfig, TaskDefaults
 from bulletarm_gym.objects.blocks import brick, cube, roof, triangle
-from bulletarm_gym.placement import stack_up
 from bulletarm_gym.relations import at_rest, is_empty, is_top, stacked, upright
 from bulletarm_gym.scene import Role, Scene, scaled
 from bulletarm_gym.tasks.building import Tower
@@ -44,10 +43,6 @@ class HouseBuilding(Task):
     def arrange(self, scene: Scene, rng: np.random.Generator) -> None:
         """Put the blocks apart."""
         scatter_blocks(scene, rng, scene.items, YAW_SPREAD)
-
-    def arrange_goal(self, scene: Scene, rng: np.random.Generator) -> None:
-        """Stack the cubes, and put the triangle on top."""
-        stack_up(scene, rng, scene.items)
 
     def evaluate(self, scene: Scene) -> dict[str, bool]:
         """Look whether the blocks are stacked in their order, and whether all is done."""

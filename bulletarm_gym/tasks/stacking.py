@@ -8,7 +8,7 @@ import numpy as np
 from bulletarm_gym.config import CLOSE_LOOP, EnvConfig, ParameterError, TaskDefaults
 from bulletarm_gym.objects import cube
 from bulletarm_gym.objects.blocks import CUBE_SIZE
-from bulletarm_gym.placement import scatter, stack_up, stand
+from bulletarm_gym.placement import scatter, stand
 from bulletarm_gym.relations import at_rest, is_empty, stacked
 from bulletarm_gym.scene import Item, Role, Scene, scaled
 from bulletarm_gym.tasks.building import Tower
@@ -46,10 +46,6 @@ class BlockStacking(Task):
     def arrange(self, scene: Scene, rng: np.random.Generator) -> None:
         """Put the cubes apart."""
         scatter_blocks(scene, rng, scene.items, YAW_SPREAD)
-
-    def arrange_goal(self, scene: Scene, rng: np.random.Generator) -> None:
-        """Stack the cubes."""
-        stack_up(scene, rng, scene.items)
 
     def evaluate(self, scene: Scene) -> dict[str, bool]:
         """Look whether the cubes are stacked, and whether all is done."""
