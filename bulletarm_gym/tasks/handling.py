@@ -77,9 +77,9 @@ def pick(scene: Scene, item: Item, rng: np.random.Generator) -> Waypoint:
     turns = [0.0, math.pi / 2.0] if is_box(item) and high[1] - low[1] + SPARE <= stroke else [0.0]
     lifts = [share * float(high[2] - low[2]) for share in LIFTS]
     hands = [_able(scene, frame.compose(Pose.planar(0.0, 0.0, z, turn))) for z in lifts for turn in turns]
-    best = max(hands, key=lambda hand: _rank(scene, hand, item))
     drawn = hands[int(rng.integers(len(hands)))]
-    return Waypoint(best if has_room(scene, best, item) else drawn, OPEN, finish=CLOSED)
+    fitting = (hand for hand in hands if all(_rank(scene, hand, item)))
+    return Waypoint(next(fitting, drawn), OPEN, finish=CLOSED)
 
 
 def put(scene: Scene, item: Item, grounds: Sequence[Pose]) -> Waypoint:
