@@ -21,6 +21,8 @@ Make = Callable[..., ManipulationEnv]
 
 PICKING = "BulletArm/CloseLoopBlockPicking-v0"
 STACKING = "BulletArm/OpenLoopBlockStacking-v0"
+PACKING = "BulletArm/OpenLoopBinPacking-v0"
+BUMPS = "BulletArm/OpenLoopBumpHouseBuilding4-v0"
 HOUSE = "BulletArm/OpenLoopHouseBuilding1-v0"
 QUANTUM = 0.5e-4 + 1e-7
 """Half of what is stored of a height (m), and what float32 adds to it."""
@@ -196,6 +198,8 @@ def test_other_files_are_refused(tmp_path: Path) -> None:
         ((PICKING, 0), "episodes"),
         ((PICKING, 1, "magic"), "planner: got 'magic', takes one of"),
         ((PICKING, 1, "deconstruction"), "close-loop"),
+        ((PACKING, 1, "deconstruction"), "BinPacking builds no structure"),
+        ((BUMPS, 1, "deconstruction"), "blocks do not stay as they are laid"),
         (("CartPole-v1", 1), "env_id"),
     ],
     ids=str,
