@@ -12,6 +12,8 @@ from typing import Any
 import pytest
 
 HERE = Path(__file__).resolve().parent
+KEPT = 12
+"""Shared environments that stay open: one takes some 40 MB, and the tests ask for hundreds."""
 sys.path.insert(0, str(HERE))  # for the module of rollouts, which also runs as a script
 
 import rollouts  # noqa: E402
@@ -28,14 +30,19 @@ def env_id(request: pytest.FixtureRequest) -> str:
 
 @pytest.fixture(scope="session")
 def make() -> Iterator[Callable[..., ManipulationEnv]]:
-    """Make environments that are shared between tests; ``instance`` tells copies of the same one apart."""
+    """Make environments that are shared between tests; ``instance`` tells copies of the same one apart.
+
+    The least recently used are closed, so a test may use up to :data:`KEPT` of them at once.
+    """
     made: dict[str, ManipulationEnv] = {}
 
     def get(env_id: str, instance: int = 0, **parameters: Any) -> ManipulationEnv:
         key = json.dumps([env_id, instance, parameters], sort_keys=True)
-        if key not in made:
-            made[key] = rollouts.make_env(env_id, **parameters)
-        return made[key]
+        env = made.pop(key, None)
+        made[key] = env = env or rollouts.make_env(env_id, **parameters)
+        if len(made) > KEPT:
+            made.pop(next(iter(made))).close()
+        return env
 
     yield get
     for env in made.values():
