@@ -42,6 +42,12 @@ class Footprint:
         x, y = size[0] / 2.0, size[1] / 2.0
         return cls.of(np.array([(-x, -y, 0.0), (x, -y, 0.0), (x, y, 0.0), (-x, y, 0.0)]), pose)
 
+    @property
+    def centre(self) -> tuple[float, float]:
+        """Middle (m) of the corners' extent along x and y."""
+        x, y = ((self.points.min(axis=0) + self.points.max(axis=0)) / 2.0).tolist()
+        return (x, y)
+
     def grown(self, margin: float) -> "Footprint":
         """Return it with its corners moved outwards by ``margin`` (m), or inwards by a negative one."""
         outwards = self.points - self.points.mean(axis=0)

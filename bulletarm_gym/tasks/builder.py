@@ -29,14 +29,16 @@ SPAN = 0.45
 """Gap up to which blocks that lie side by side are built on, as a share of what is to lie on them."""
 APART = 1.8
 """Distance of blocks side by side on a long one, in cube sides, as in the original BulletArm release."""
+PREFERENCE = 1e-3
+"""Room (m) that a metre less of a gap is worth: of places with as much room the nearer one is taken."""
 DIRECTIONS = 16
 """In which a block may be put beside another."""
-MARGINS = (0.042, 0.02, 0.005)
-"""Gaps (m) kept to other blocks, if need be a smaller one."""
+MARGINS = (0.042, 0.02)
+"""Gaps (m) kept to other blocks so that fingers fit between them, if need be the smaller one."""
+CROWDED = 0.01
+"""With less room (m) than that beside what stands another site is looked for."""
 ASTRAY = 0.003
 """How far (m) a block may end up from where it was meant to be, and must still be on level ground."""
-INSIDE = 0.01
-"""Margin (m) of a structure to the workspace's border."""
 
 
 class Builder:
@@ -79,7 +81,7 @@ class Builder:
                 ground = site.compose(Pose((0.0, places[slot.place], 0.0)))
             else:
                 ground = self._ground(slot, item, standing)
-            item.place(ground.compose(Pose((0.0, 0.0, -float(item.spec.mesh.bounds[0, 2])))))
+            item.place(ground.compose(_under(item).inverse()))
             standing[slot] = item
 
     # What stands
@@ -210,13 +212,12 @@ class Builder:
 
     def _aside(self, item: Item) -> Pose:
         """Return the frame of a free place on the ground."""
-        low = Pose((0.0, 0.0, float(item.spec.mesh.bounds[0, 2])))
         for margin in MARGINS:
             try:
-                return free_pose(self._scene, self._rng, item, margin).compose(low)
+                return free_pose(self._scene, self._rng, item, margin).compose(_under(item))
             except PlacementError:
                 continue
-        return self._scene.surface.lay(item.spec, roomiest(self._scene, item), 0.0).compose(low)
+        return self._scene.surface.pose(roomiest(self._scene, item), 0.0)
 
     def _site(self, item: Item) -> Pose | None:
         """Return where an item can be put that a base begins with, with room for the others."""
@@ -245,8 +246,8 @@ class Builder:
     def _extendable(self, ways: Sequence[Standing], slot: Slot) -> Standing | None:
         """Return the base that has most room for its next block, which is remembered; None if none has."""
         found = [(*beside, way) for way in ways for beside in self._places(way, slot)]
-        best = sorted((place for place in found if place[0] >= MARGINS[-1]), key=lambda place: -place[0])
-        if not best:
+        best = sorted(found, key=lambda place: -place[0])
+        if not best or (best[0][0] < CROWDED and self._site(self._spare(slot, {})[0]) is not None):
             return None
         roomy = (place for place in best if self._has_room(place[1], self._spare(slot, place[2])[0]))
         _, self._beside, way = next(roomy, best[0])
@@ -261,8 +262,8 @@ class Builder:
         others = [footprint(other) for other in self._loose(way) if other is not item]
         covered = [footprint(other) for other in base]
         low, high = sizes(item, lying_frame(item))
-        x, y, _ = lying_frame(base[-1]).position
-        half = max(-float(low[1]), float(high[1]))
+        x, y = covered[-1].centre
+        half = float(high[1] - low[1]) / 2.0
         for direction in self._directions(base):
             along = np.array([math.cos(direction), math.sin(direction)])
             reach = float(((covered[-1].points - (x, y)) @ along).max())
@@ -275,11 +276,10 @@ class Builder:
                     direction - math.pi / 2.0,
                 )
                 base_of = Footprint.rectangle((float(high[0] - low[0]), 2.0 * half), ground)
-                inside = base_of.is_inside(self._scene.config.workspace, INSIDE)
                 on_site = self._scene.surface.fits_site(base_of.grown(ASTRAY))
-                if inside and on_site and self._carries([*covered, base_of]):
+                if on_site and self._carries([*covered, base_of]):
                     room = min((base_of.gap(other) for other in others), default=MARGINS[0])
-                    yield min(room, MARGINS[0]) - gap * 1e-3, ground
+                    yield min(room, MARGINS[0]) - PREFERENCE * gap, ground
 
     def _directions(self, base: Sequence[Item]) -> list[float]:
         if len(base) > 1:
@@ -333,6 +333,12 @@ class Builder:
             (self._blueprint.side, length), Pose.planar(x, y, 0.0, math.atan2(dy, dx) - math.pi / 2.0)
         )
         return float(surface.heights(over.points).max()) < surface.level + 0.8 * self._blueprint.side
+
+
+def _under(item: Item) -> Pose:
+    """Return the frame below the middle of an item, as it was made to stand, in the item's frame."""
+    low, high = item.spec.mesh.bounds.tolist()
+    return Pose(((low[0] + high[0]) / 2.0, (low[1] + high[1]) / 2.0, low[2]))
 
 
 def _direction(first: Item, second: Item) -> float:

@@ -1,8 +1,7 @@
 """Picking blocks up and putting them down in one action each: tools that open-loop experts share.
 
 A block is seen through its *lying frame*: z up from the side it lies on, y along the longer of its level
-sides, its origin between the sides that face each other along x, else where the block's own is. The gripper
-takes it along x, and it can be put down in any of the ways that look the same.
+sides, its origin where it is best taken, along x. It can be put down in any of the ways that look the same.
 """
 
 import math
@@ -11,7 +10,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from bulletarm_gym.footprint import Footprint
-from bulletarm_gym.geometry import FloatArray, Pose, matrix, quaternion, rotate, wrap_angle
+from bulletarm_gym.geometry import FloatArray, Pose, Vector, matrix, quaternion, rotate, wrap_angle
 from bulletarm_gym.placement import footprint
 from bulletarm_gym.scene import Item, Scene
 from bulletarm_gym.simulation import Box
@@ -22,6 +21,14 @@ SQUARE = 1.05
 """A block whose level sides differ by less than this factor can be turned by a quarter."""
 ROOM = 0.002
 """Gap (m) between the open fingers and what is beside them."""
+PAD = 0.02
+"""Width (m) of the fingers' pads, for all arms."""
+PLACES = 25
+"""Places along a block at which it may be taken."""
+FLUSH = 1e-3
+"""Faces this near (m) to the foremost one are touched, too."""
+OFF_CENTRE = 0.5
+"""A grip that far (m) from the middle is as bad as one a metre askew."""
 OVER = 0.0015
 """Gap (m) between the fingertips and the ground under them."""
 SWEEP = np.concatenate([sign * np.linspace(0.3, 1.0, 12) for sign in (-1.0, 1.0)])
@@ -42,13 +49,38 @@ def lying_frame(item: Item) -> Pose:
     rotation = matrix(item.pose)
     if not is_box(item):
         flip = np.diag([1.0, -1.0, -1.0]) if rotation[2, 2] < 0.0 else np.eye(3)
-        frame = Pose(item.pose.position, quaternion(rotation @ flip))
-        low, high = sizes(item, frame)
-        return frame.compose(Pose((float(low[0] + high[0]) / 2.0, 0.0, 0.0)))
+        return Pose(item.pose.transform(_grip_point(item)), quaternion(rotation @ flip))
     up = int(abs(rotation[2]).argmax())
     _, long = sorted({0, 1, 2} - {up}, key=lambda axis: (item.spec.extents[axis], axis))
     z, y = math.copysign(1.0, rotation[2, up]) * rotation[:, up], rotation[:, long]
     return Pose(item.pose.position, quaternion(np.stack([np.cross(y, z), y, z], axis=1)))
+
+
+def _grip_point(item: Item) -> Vector:
+    """Return where (m) in its frame fingers that close along x hold an item: square on, near its middle."""
+    low, high = (item.spec.piece_bounds[:, end, :2] for end in (0, 1))
+    end = np.abs(item.spec.mesh.bounds[:, 1]).max()
+    points = [_held_at(low, high, y) for y in np.linspace(-end, end, PLACES).tolist()]
+    _, x, y = min(points)
+    return (x, y, 0.0)
+
+
+def _held_at(low: FloatArray, high: FloatArray, y: float) -> tuple[float, float, float]:
+    """Return how badly (m) fingers hold at y, and the x and y of the middle between them.
+
+    :param low: lowest x and y of each piece, (n, 2) m
+    :param high: highest x and y of each piece
+    """
+    start, stop = np.maximum(low[:, 1], y - PAD / 2.0), np.minimum(high[:, 1], y + PAD / 2.0)
+    between = stop > start
+    if not between.any():
+        return (math.inf, 0.0, y)
+    left, right = float(low[between, 0].min()), float(high[between, 0].max())
+    touched = [between & (low[:, 0] < left + FLUSH), between & (high[:, 0] > right - FLUSH)]
+    lengths = [float((stop - start)[pieces].sum()) for pieces in touched]
+    middles = [float(((start + stop) / 2.0)[pieces].mean()) for pieces in touched]
+    badness = abs(middles[0] - middles[1]) + OFF_CENTRE * abs(y) - min(lengths)
+    return (badness, (left + right) / 2.0, y)
 
 
 def is_box(item: Item) -> bool:
@@ -85,7 +117,7 @@ def pick(scene: Scene, item: Item, rng: np.random.Generator) -> Waypoint:
 def put(scene: Scene, item: Item, grounds: Sequence[Pose]) -> Waypoint:
     """Return the place of the held item.
 
-    :param grounds: frames it may as well be put on: its lying frame just above one of them, turned as it may
+    :param grounds: frames it may as well be put on: the middle of the block just above the origin of one
     """
     hand, lying = scene.robot.pose, lying_frame(item)
     in_hand = lying.inverse().compose(hand)
@@ -101,8 +133,10 @@ def _lying(item: Item, lying: Pose) -> Iterator[Pose]:
     """Yield the lying frame over the ground, in every way that looks the same."""
     low, high = sizes(item, lying)
     turns = 4 if max(high[:2] - low[:2]) < SQUARE * min(high[:2] - low[:2]) else 2
+    x, y = ((low + high)[:2] / 2.0).tolist()
     for turn in range(turns):
-        yield Pose.planar(0.0, 0.0, RELEASE - float(low[2]), 2.0 * math.pi * turn / turns)
+        turned = Pose.planar(0.0, 0.0, RELEASE - float(low[2]), 2.0 * math.pi * turn / turns)
+        yield turned.compose(Pose((-x, -y, 0.0)))
 
 
 def _able(scene: Scene, hand: Pose, goal: Pose | None = None, in_hand: Pose | None = None) -> Pose:

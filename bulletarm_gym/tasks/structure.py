@@ -50,7 +50,7 @@ class Structure(Task):
 
     def __init__(self, config: EnvConfig) -> None:
         super().__init__(config)
-        width = self.width * max(config.scales) + 2.0 * ASTRAY
+        width = self.width * max(config.scales) + 4.0 * ASTRAY
         self.site = (width, 3.0 * width if len(self.layers[0]) > 1 else width)
 
     @cached_property

@@ -8,8 +8,17 @@ import numpy as np
 import pytest
 
 from bulletarm_gym.env import ManipulationEnv
-from bulletarm_gym.geometry import Pose, Quaternion, conjugate, multiply, wrap_angle, yaw_quaternion
+from bulletarm_gym.geometry import (
+    Pose,
+    Quaternion,
+    conjugate,
+    euler_pose,
+    multiply,
+    wrap_angle,
+    yaw_quaternion,
+)
 from bulletarm_gym.robots import ROBOTS, RobotModel
+from bulletarm_gym.simulation.motion import on_the_way
 
 Make = Callable[..., ManipulationEnv]
 
@@ -217,3 +226,17 @@ def test_gripper_stays_inside_the_workspace(picking: ManipulationEnv) -> None:
         hand = picking.scene.robot.pose.position
         for value, (low, high) in zip(hand, picking.config.workspace, strict=True):
             assert low - 3e-3 < value < high + 3e-3
+
+
+def test_tilted_gripper_keeps_to_the_line(armed: ManipulationEnv) -> None:
+    """Between neighbouring tilted poses joints may turn far; the fingertips must not swing meanwhile."""
+    robot = armed.scene.robot
+    for tilt, yaw in ((0.4, 1.6), (0.5, 3.0), (-0.4, 0.3)):
+        end = euler_pose((0.32, 0.12, 0.047), (0.0, tilt, yaw))
+        start = end.compose(Pose((0.0, 0.0, 0.1)))
+        ends = [robot.inverse_kinematics(pose) for pose in (start, end)]
+        stops = [ends[0], *robot._line(start, end), ends[1]]
+        shares = np.linspace(0.0, 1.0, 21)
+        for share, joints in zip(shares, on_the_way(stops, shares), strict=True):
+            straight = end.compose(Pose((0.0, 0.0, 0.1 * (1.0 - share)))).position
+            assert math.dist(robot.model.chain.forward(joints).position, straight) < 4e-3
