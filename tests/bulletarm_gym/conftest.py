@@ -12,6 +12,14 @@ from typing import Any
 import pytest
 
 HERE = Path(__file__).resolve().parent
+TYPICAL = (
+    "OpenLoopHouseBuilding2",
+    "OpenLoopObjectGrasping",
+    "OpenLoopRampBlockStacking",
+    "OpenLoopBumpBoxPalletizing",
+    "CloseLoopBlockPicking",
+    "CloseLoopObjectGrasping",
+)
 KEPT = 12
 """Shared environments that stay open: one takes some 40 MB, and the tests ask for hundreds."""
 sys.path.insert(0, str(HERE))  # for the module of rollouts, which also runs as a script
@@ -26,6 +34,12 @@ from bulletarm_gym.env import ManipulationEnv  # noqa: E402
 def env_id(request: pytest.FixtureRequest) -> str:
     """Every registered id in turn."""
     return str(request.param)
+
+
+@pytest.fixture(scope="session", params=TYPICAL, ids=str)
+def typical_id(request: pytest.FixtureRequest) -> str:
+    """An id of each kind, for what depends on the environment class and not on the task."""
+    return f"BulletArm/{request.param}-v0"
 
 
 @pytest.fixture(scope="session")

@@ -58,17 +58,17 @@ def test_gymnasium_finds_no_fault(env: ManipulationEnv) -> None:
 
 
 @pytest.mark.parametrize("mode", ["rgb_array", "depth_array"])
-def test_gymnasium_finds_no_fault_in_pictures(make: Make, env_id: str, mode: str) -> None:
+def test_gymnasium_finds_no_fault_in_pictures(make: Make, typical_id: str, mode: str) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        check_env(make(env_id, render_mode=mode), skip_render_check=True)
-        env_render_passive_checker(make(env_id, render_mode=mode))
+        check_env(make(typical_id, render_mode=mode), skip_render_check=True)
+        env_render_passive_checker(make(typical_id, render_mode=mode))
 
 
-def test_default_wrappers_find_no_fault(env_id: str) -> None:
+def test_default_wrappers_find_no_fault(typical_id: str) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        env = gymnasium.make(env_id)
+        env = gymnasium.make(typical_id)
         env.reset(seed=0)
         for _ in range(3):
             env.step(env.action_space.sample())
@@ -153,8 +153,8 @@ def test_success_ends_the_episode_with_reward_one(env: ManipulationEnv) -> None:
 
 
 @pytest.mark.parametrize("max_steps", [1, 4])
-def test_time_limit_truncates(make: Make, env_id: str, max_steps: int) -> None:
-    env = make(env_id, max_steps=max_steps)
+def test_time_limit_truncates(make: Make, typical_id: str, max_steps: int) -> None:
+    env = make(typical_id, max_steps=max_steps)
     for seed in range(2):
         env.reset(seed=seed)
         if env.task.one_decision:
@@ -234,14 +234,14 @@ def _towards(env: ManipulationEnv, point: tuple[float, float, float]) -> DeltaMo
     return DeltaMove(1.0, (x, y, z))
 
 
-def test_custom_reward(env_id: str) -> None:
-    env = make_env(env_id, reward="math:dist")
+def test_custom_reward(typical_id: str) -> None:
+    env = make_env(typical_id, reward="math:dist")
     env._reward = lambda scene, outcome: 0.25  # type: ignore[assignment]
     env.reset(seed=0)
     assert env.step(idle(env))[1] == 0.25
     env.close()
     with pytest.raises(ValueError, match="nowhere"):
-        make_env(env_id, reward="nowhere:nothing")
+        make_env(typical_id, reward="nowhere:nothing")
 
 
 # Actions
@@ -441,11 +441,11 @@ def test_making_leaves_the_registry_alone(env_id: str) -> None:
     assert gymnasium.spec(env_id).to_json() == before
 
 
-def test_vector_in_one_process(env_id: str, make: Make) -> None:
-    vector = gymnasium.make_vec(env_id, num_envs=2, vectorization_mode="sync")
+def test_vector_in_one_process(typical_id: str, make: Make) -> None:
+    vector = gymnasium.make_vec(typical_id, num_envs=2, vectorization_mode="sync")
     observation, _ = vector.reset(seed=[3, 4])
     for index, seed in enumerate((3, 4)):
-        alone, _ = make(env_id).reset(seed=seed)
+        alone, _ = make(typical_id).reset(seed=seed)
         assert np.array_equal(observation["heightmap"][index], alone["heightmap"])
     actions = np.stack(vector.call("expert_action"))
     assert vector.step(actions)[0] in vector.observation_space
@@ -464,11 +464,11 @@ def _solve(vec_env: Any) -> None:
     assert solved.all()
 
 
-def test_stable_baselines_dummy_vector(env_id: str) -> None:
+def test_stable_baselines_dummy_vector(typical_id: str) -> None:
     pytest.importorskip("stable_baselines3")
     from stable_baselines3.common.vec_env import DummyVecEnv
 
-    _solve(DummyVecEnv([lambda: gymnasium.make(env_id)] * 2))
+    _solve(DummyVecEnv([lambda: gymnasium.make(typical_id)] * 2))
 
 
 @pytest.mark.parametrize("method", ["fork", "forkserver", "spawn"])
