@@ -28,7 +28,9 @@ DEPTH = 0.01
 PEAK = 1e-6
 """Side (m) of the square that a pyramid is cut at: a loft's last ring must not be a point."""
 ROOM = 0.04
-"""Gap (m) between things put on the ground and the platform: an open finger comes down in it."""
+"""Gap (m) between things put on the ground and the platform: an open finger comes down in it ..."""
+LITTLE_ROOM = 0.002
+"""... which a platform wider than :data:`PLATFORM` leaves no space for."""
 COVERED = 0.5
 """Share of the margin to the border that an item covers itself, see :data:`tray.COVERED`."""
 LIGHT = (0.86, 0.86, 0.87, 1.0)
@@ -59,6 +61,7 @@ class BumpSurface(Surface):
         super().__init__(workspace, site)
         self.pitch = (workspace[0][1] - workspace[0][0]) / 2.0
         self.platform_size = (max(PLATFORM, site[0]), max(PLATFORM, site[1]))
+        self._room = ROOM if max(self.platform_size) <= PLATFORM else LITTLE_ROOM
 
     def load(self, world: World) -> None:
         """Load the ground, a pyramid of every steepness and the platform."""
@@ -166,7 +169,7 @@ class BumpSurface(Surface):
     def fits(self, footprint: Footprint, margin: float = 0.0) -> bool:
         """Whether a footprint is inside the workspace and clear of the platform."""
         platform = Footprint.rectangle(self.platform_size, self.platform)
-        return super().fits(footprint, margin) and footprint.gap(platform) >= ROOM
+        return super().fits(footprint, margin) and footprint.gap(platform) >= self._room
 
     def fits_site(self, footprint: Footprint) -> bool:
         """Whether a footprint is on the platform."""
