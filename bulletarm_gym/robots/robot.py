@@ -206,8 +206,8 @@ class Robot:
         """
         if end.tilt < LEVEL:
             return []
-        points = np.linspace(start.position, end.position, LINE_STOPS + 2)[1:-1].tolist()
-        poses = [Pose((x, y, z), end.orientation) for x, y, z in points]
+        shares = np.linspace(0.0, 1.0, LINE_STOPS + 2)[1:-1].tolist()
+        poses = [interpolate(start, end, share) for share in shares]
         return [self.inverse_kinematics(pose) for pose in poses if self.reaches(pose)]
 
     def transfer(self, pose: Pose) -> None:

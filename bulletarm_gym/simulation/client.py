@@ -34,7 +34,12 @@ class Client:
         self._release = weakref.finalize(self, _disconnect, self.id)
 
     def __getattr__(self, name: str) -> Any:
-        """Bind a function of PyBullet to this server, once; constants pass as they are."""
+        """Bind a function of PyBullet to this server, once; constants pass as they are.
+
+        :raises RuntimeError: the client is closed (PyBullet gives its number to the next one)
+        """
+        if not self._release.alive:
+            raise RuntimeError(f"{name}: the environment was closed, make another with gymnasium.make")
         value = getattr(pybullet, name)
         bound = partial(value, physicsClientId=self.id) if callable(value) else value
         setattr(self, name, bound)
@@ -43,6 +48,8 @@ class Client:
     def close(self) -> None:
         """Release the server; a second call does nothing."""
         self._release()
+        kept = {name: value for name, value in vars(self).items() if not isinstance(value, partial)}
+        self.__dict__ = kept
 
 
 def _disconnect(client_id: int) -> None:

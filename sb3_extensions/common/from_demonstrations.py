@@ -82,8 +82,8 @@ class FromDemonstrations(SoftActorCritic):
     :param device: Device (cpu, cuda, ...) on which the code should be run.
         Setting it to auto, the code will be run on the GPU if possible.
     :param _init_setup_model: Whether or not to build the network at the creation of the instance
-    :raises ValueError: if ``bc_weight``, ``expert_episodes`` or ``pretrain_steps`` is negative, or
-        ``replay_buffer_class`` is no ``ExpertReplayBuffer``
+    :raises ValueError: if ``bc_weight``, ``expert_episodes`` or ``pretrain_steps`` is negative, if there is
+        pretraining without demonstrations, or if ``replay_buffer_class`` is no ``ExpertReplayBuffer``
     """
 
     action_space: spaces.Box
@@ -152,6 +152,10 @@ class FromDemonstrations(SoftActorCritic):
         for name, value in given.items():
             if value < 0:
                 raise ValueError(f"{name} must not be negative, got {value}")
+        if pretrain_steps and expert_data is None and not expert_episodes:
+            raise ValueError(
+                f"pretrain_steps must be 0 without demonstrations (expert_episodes=0), got {pretrain_steps}"
+            )
         # The base class ignores n_steps and gamma when a buffer class is given, see GH #2274
         self.replay_buffer_kwargs = {"n_steps": n_steps, "gamma": gamma, **self.replay_buffer_kwargs}
         self.bc_weight = bc_weight

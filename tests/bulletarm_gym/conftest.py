@@ -69,7 +69,7 @@ def env(make: Callable[..., ManipulationEnv], env_id: str) -> ManipulationEnv:
     return make(env_id)
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture
 def picking(make: Callable[..., ManipulationEnv]) -> ManipulationEnv:
     """The shared instance of the picking task."""
     return make("BulletArm/CloseLoopBlockPicking-v0")

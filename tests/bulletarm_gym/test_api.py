@@ -394,6 +394,17 @@ def test_close_twice(env_id: str) -> None:
     fresh.close()
 
 
+def test_a_closed_environment_does_not_reach_the_next() -> None:
+    """PyBullet gives the number of a closed server to the next one."""
+    closed = make_env(PICKING)
+    closed.reset(seed=0)
+    closed.close()
+    fresh = make_env(PICKING)
+    with pytest.raises(RuntimeError, match="the environment was closed"):
+        closed.reset(seed=0)
+    fresh.close()
+
+
 def test_many_environments_at_once() -> None:
     envs = [make_env(env_id) for env_id in bulletarm_gym.ENV_IDS for _ in range(5)]
     first = [digest(*env.reset(seed=1)) for env in envs]
