@@ -1,0 +1,86 @@
+"""Draw all tasks at reset and solved: ``python examples/draw_tasks.py [--heightmap] [--output FILE]``."""
+
+import argparse
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import gymnasium
+import matplotlib.pyplot as plt
+import numpy as np
+
+import bulletarm_gym
+from bulletarm_gym.env import ManipulationEnv
+from bulletarm_gym.simulation import Camera
+
+TASKS_A_ROW = 4
+PIXELS = 240
+"""Of a picture's side."""
+EYE_OFFSET = (0.56, -0.4, 0.62)
+"""From the middle of the workspace's floor to the camera (m)."""
+SEEDS = range(4, 14)
+"""Tried in this order: with the first of them the drawer faces the camera."""
+
+Picture = np.ndarray
+Draw = Callable[[ManipulationEnv, dict[str, Picture]], Picture]
+
+
+def main() -> None:
+    """Solve every task with its expert and write the sheet."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--heightmap", action="store_true", help="what the agent sees, instead of the scene")
+    parser.add_argument("--env", nargs="+", default=bulletarm_gym.ENV_IDS, help="the tasks, by id")
+    parser.add_argument("--output", type=Path, help="default: docs/images/tasks.png, or heightmaps.png there")
+    arguments = parser.parse_args()
+    output = arguments.output or Path("docs/images") / (
+        "heightmaps.png" if arguments.heightmap else "tasks.png"
+    )
+    sheet(arguments.env, heightmap if arguments.heightmap else scene, output)
+    print(f"wrote {output}")
+
+
+def sheet(env_ids: Sequence[str], draw: Draw, output: Path) -> None:
+    """Write the pictures of tasks, two a task."""
+    rows = -(-len(env_ids) // TASKS_A_ROW)
+    size = (TASKS_A_ROW * 2 * PIXELS / 100.0, rows * (PIXELS + 24) / 100.0)
+    figure = plt.figure(figsize=size, layout="constrained")
+    figure.get_layout_engine().set(w_pad=0.02, h_pad=0.02, wspace=0.0, hspace=0.0)
+    panels = figure.subfigures(rows, TASKS_A_ROW, squeeze=False)
+    for panel, env_id in zip(panels.flat, env_ids, strict=False):
+        panel.suptitle(env_id.removeprefix("BulletArm/").removesuffix("-v0"), y=0.0, va="bottom", fontsize=11)
+        for axis, picture in zip(panel.subplots(1, 2), solve(env_id, draw), strict=True):
+            axis.imshow(picture, interpolation="nearest")
+            axis.axis("off")
+    figure.savefig(output, dpi=100)
+
+
+def solve(env_id: str, draw: Draw) -> tuple[Picture, Picture]:
+    """Return pictures of a task at reset and at success, of the first seed that its expert solves."""
+    env = gymnasium.make(env_id)
+    for seed in SEEDS:
+        observation, info = env.reset(seed=seed)
+        before, done = draw(env.unwrapped, observation), False
+        while not done:
+            observation, _, terminated, truncated, info = env.step(env.unwrapped.expert_action())
+            done = terminated or truncated
+        if info["is_success"]:
+            break
+    after = draw(env.unwrapped, observation)
+    env.close()
+    return before, after
+
+
+def scene(env: ManipulationEnv, _: dict[str, Picture]) -> Picture:
+    """Return a picture of the workspace from the front and above."""
+    middle = np.mean(env.config.workspace[:2], axis=1)
+    eye = (float(middle[0] + EYE_OFFSET[0]), float(middle[1] + EYE_OFFSET[1]), EYE_OFFSET[2])
+    camera = Camera(eye, (float(middle[0]), float(middle[1]), 0.03), 32.0, PIXELS, PIXELS)
+    return camera.color(env.scene.world)
+
+
+def heightmap(_: ManipulationEnv, observation: dict[str, Picture]) -> Picture:
+    """Return the heightmap that the agent sees."""
+    return observation["heightmap"][0]
+
+
+if __name__ == "__main__":
+    main()
