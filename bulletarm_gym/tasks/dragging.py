@@ -3,7 +3,7 @@
 import math
 from collections.abc import Iterator, Sequence
 
-from bulletarm_gym.geometry import Pose, planar_distance, wrap_angle
+from bulletarm_gym.geometry import Pose, planar_distance
 from bulletarm_gym.scene import Scene
 from bulletarm_gym.tasks.task import HALF_OPEN, Waypoint
 
@@ -18,6 +18,9 @@ ASTRAY = 0.035
 class Drag:
     """One block being brought to a goal by a gripper behind it.
 
+    The gripper does not turn: with the fingers apart it pushes straight enough in any direction, and where it
+    should turn by a right angle, either way would do, which an agent cannot imitate.
+
     :param block: where the block is
     :param goal: where its centre is to come (m)
     :param low: height (m) of the fingertips while they drag
@@ -31,10 +34,6 @@ class Drag:
         dx, dy = goal[0] - block.x, goal[1] - block.y
         length = math.hypot(dx, dy)
         self._line = (dx / length, dy / length)
-        across = math.atan2(dy, dx) + math.pi / 2.0
-        self._yaw = self._hand.yaw
-        if "r" in scene.config.action_sequence:
-            self._yaw += wrap_angle(across - self._hand.yaw, math.pi)
         self._start = (block.x - BEHIND * self._line[0], block.y - BEHIND * self._line[1])
         self._outside = _distance_outside(self._start, scene.config.workspace)
 
@@ -63,10 +62,10 @@ class Drag:
             if not self._is_over_start:
                 if self._hand.z < ABOVE - 0.04:
                     yield Waypoint(Pose.planar(self._hand.x, self._hand.y, ABOVE, self._hand.yaw), HALF_OPEN)
-                yield Waypoint(Pose.planar(*self._start, ABOVE, self._yaw), HALF_OPEN)
-            yield Waypoint(Pose.planar(*self._start, self._low, self._yaw), HALF_OPEN)
+                yield Waypoint(Pose.planar(*self._start, ABOVE, self._hand.yaw), HALF_OPEN)
+            yield Waypoint(Pose.planar(*self._start, self._low, self._hand.yaw), HALF_OPEN)
         yield Waypoint(
-            Pose.planar(self._goal[0], self._goal[1], self._low, self._yaw), HALF_OPEN, straight=True
+            Pose.planar(self._goal[0], self._goal[1], self._low, self._hand.yaw), HALF_OPEN, straight=True
         )
 
 
