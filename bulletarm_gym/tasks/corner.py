@@ -29,8 +29,12 @@ GAP = 2e-4
 """Gap (m) between the cube and the walls: it stands flush, but is not pressed against them."""
 PRESS = 2e-3
 """Depth (m) by which the fingertips are sent into the cube's upper side to take it along."""
-FREE = 0.055
-"""Distance (m) of the cube from the walls at which fingers fit in between, however wide the gripper opens."""
+FREE = 0.05
+"""Distance (m) of the cube from the walls at which fingers fit in between, however wide the gripper opens ..."""
+DRAWN = 0.07
+"""... and that to which the expert draws it: clearly farther, so that an agent can tell by sight when it is done."""
+OFFSET = 0.01
+"""Where it presses, towards the walls from the cube's middle (m, along both): pressed there it does not tip over."""
 SHUT = 0.1
 """Opening ratio up to which the gripper presses with both fingers."""
 BESIDE = 0.02
@@ -40,7 +44,7 @@ BESIDE = 0.02
 class CornerPicking(Task):
     """Get a cube out of a corner and lift it.
 
-    Description: a 5 cm cube stands in a corner, touching both of its walls, which are 10 cm high and fixed;
+    Description: a 5 cm cube stands in a corner, touching both of its walls, which are 8 cm high and fixed;
     the fingers do not fit between them and the cube.
     Randomisation: the corner's position and yaw, the cube with it; with a fixed orientation the walls lie
     along the axes.
@@ -86,7 +90,7 @@ class CornerPicking(Task):
         item, hand = scene["cube"], scene.robot.pose
         if not is_held(scene, item):
             x, y, _ = scene["corner"].pose.inverse().transform(item.pose.position)
-            if min(x, y) - INSIDE - item.spec.extents[0] / 2.0 < FREE - LEVEL:
+            if min(x, y) - INSIDE - item.spec.extents[0] / 2.0 < FREE:
                 yield from self._nudge(scene)
             yield from grasp_item(scene, item, side_yaw(item.pose), math.pi / 2.0)
         yield Waypoint(Pose.planar(hand.x, hand.y, max(hand.z, LIFTED) + STEP, hand.yaw), CLOSED)
@@ -94,12 +98,13 @@ class CornerPicking(Task):
     def _nudge(self, scene: Scene) -> Iterator[Waypoint]:
         """Press on the cube with the closed gripper, and draw it to the middle of the plate."""
         item, walls, hand = scene["cube"], scene["corner"], scene.robot.pose
-        x, y, _ = item.pose.position
+        inner = walls.pose.inverse().transform(item.pose.position)
+        x, y, _ = walls.pose.transform((inner[0] - OFFSET, inner[1] - OFFSET, 0.0))
         top = scene.world.top(item.body)
         yaw = hand.yaw
         if "r" in scene.config.action_sequence:
             yaw += wrap_angle(side_yaw(item.pose) - hand.yaw, math.pi / 2.0)
-        beside = planar_distance(item.pose.position, hand.position)
+        beside = planar_distance((x, y), hand.position)
         closed = scene.robot.opening_ratio < SHUT
         if not (closed and beside < BESIDE and hand.z < top + PRESS):
             if beside > ALIGNED or abs(hand.yaw - yaw) > ALIGNED_YAW or not closed:
@@ -109,6 +114,6 @@ class CornerPicking(Task):
                 yield Waypoint(Pose.planar(x, y, over, yaw), CLOSED)
             yield Waypoint(Pose.planar(x, y, top - PRESS, yaw), CLOSED)
         half = item.spec.extents[0] / 2.0
-        goal = walls.pose.transform((INSIDE + half + FREE, INSIDE + half + FREE, 0.0))
+        goal = walls.pose.transform((INSIDE + half + DRAWN - OFFSET, INSIDE + half + DRAWN - OFFSET, 0.0))
         dx, dy = hand.x - x, hand.y - y
         yield Waypoint(Pose.planar(goal[0] + dx, goal[1] + dy, top - PRESS, yaw), CLOSED, straight=True)
