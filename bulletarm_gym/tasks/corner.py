@@ -30,11 +30,11 @@ GAP = 2e-4
 PRESS = 2e-3
 """Depth (m) by which the fingertips are sent into the cube's upper side to take it along."""
 FREE = 0.05
-"""Distance (m) of the cube from the walls at which fingers fit in between, however wide the gripper opens ..."""
+"""Distance (m) of the cube from the walls at which any gripper's fingers fit in between ..."""
 DRAWN = 0.07
-"""... and that to which the expert draws it: clearly farther, so that an agent can tell by sight when it is done."""
+"""... and that to which the expert draws it: clearly farther, so that one sees when it is done."""
 OFFSET = 0.01
-"""Where it presses, towards the walls from the cube's middle (m, along both): pressed there it does not tip over."""
+"""How far (m) from the cube's middle, towards both walls, it presses: there the cube does not tip over."""
 SHUT = 0.1
 """Opening ratio up to which the gripper presses with both fingers."""
 BESIDE = 0.02
