@@ -14,6 +14,8 @@ Check = Callable[[Any], Any]
 CLOSE_LOOP = "close_loop"
 OPEN_LOOP = "open_loop"
 
+LEVEL, SLOPING = ("flat", "tray"), ("ramp", "bump")
+"""Kinds of ground."""
 SMALLEST_WORKSPACE = 0.1
 """Side (m) below which no task of the paper fits."""
 LARGEST_SCALE = 2.0
@@ -48,6 +50,7 @@ class TaskDefaults:
     :param object_scale: gives exactly the paper's sizes
     :param allowed_objects: every number the task can have
     :param tray: whether it can stand in a tray
+    :param level_ground: why it cannot stand on ramps and bumps, if so
     :param takes_object_set: whether its objects can be replaced by a user's
     """
 
@@ -56,6 +59,7 @@ class TaskDefaults:
     object_scale: float = 1.0
     allowed_objects: tuple[int, ...] = (1,)
     tray: TrayUse = TrayUse()
+    level_ground: str = ""
     takes_object_set: bool = False
 
 
@@ -123,7 +127,8 @@ class EnvConfig:
         :param task: the task's own numbers
         :param robots: names of the arms there are
         :param surface: where; some defaults follow from it
-        :raises ParameterError: an unknown parameter (the nearest is named), or a wrong type or value
+        :raises ParameterError: an unknown parameter (the nearest is named), a wrong type or value, or ground
+            that the task cannot stand on
         """
         checks = _checks(control, task, robots)
         for name, value in parameters.items():
@@ -132,6 +137,7 @@ class EnvConfig:
         values = _defaults(control, surface, task) | {
             name: _checked(name, checks[name], value) for name, value in parameters.items()
         }
+        _check_surface(surface, task, values["close_loop_tray"])
         return cls(control=control, **values)
 
     def parameters(self) -> dict[str, Any]:
@@ -189,7 +195,7 @@ def _defaults(control: str, surface: str, task: TaskDefaults) -> dict[str, Any]:
             "workspace": [[0.3, 0.6], [-0.15, 0.15], [0.01, 0.25]],
         }
     return shared | {
-        "action_sequence": "pxyr" if surface == "flat" else "pxyzrrr",
+        "action_sequence": "pxyzrrr" if surface in SLOPING else "pxyr",
         "workspace": [[0.25, 0.65], [-0.2, 0.2], [0.0, 1.0]],
         "in_hand_size": 40 if surface == "bump" else 24,
     }
@@ -219,6 +225,19 @@ def _checks(control: str, task: TaskDefaults, robots: Sequence[str]) -> dict[str
         "render_mode": _choice(None, "rgb_array", "depth_array", "human"),
     }
     return {name: check for name, check in checks.items() if belongs(name, control)}
+
+
+def _check_surface(surface: str, task: TaskDefaults, in_tray: bool) -> None:
+    """Refuse ground that a task cannot stand on.
+
+    :raises ParameterError: with the reason
+    """
+    refused = {} if True in task.tray.choices else {"tray": task.tray.reason}
+    if task.level_ground or in_tray:
+        refused |= dict.fromkeys(SLOPING, task.level_ground or "its tray stands on level ground")
+    if surface in refused:
+        others = " or ".join(repr(other) for other in (*LEVEL, *SLOPING) if other not in refused)
+        raise ParameterError("surface", surface, f"{others} with this task: {refused[surface]}")
 
 
 def _unknown(name: str, value: object, control: str, checks: Mapping[str, Check]) -> ParameterError:

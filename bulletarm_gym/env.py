@@ -1,6 +1,6 @@
 """The environment: task, control, surface, arm and sensors put together."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from bulletarm_gym.config import EnvConfig
 from bulletarm_gym.control import CONTROLS, DeltaMove, PickPlace
 from bulletarm_gym.extensions import by_path, load
+from bulletarm_gym.footprint import PlacementError
 from bulletarm_gym.planners import expert_action
 from bulletarm_gym.robots import ROBOTS, RobotState, find_robot
 from bulletarm_gym.scene import Scene
@@ -24,6 +25,8 @@ Action = NDArray[np.float32]
 
 OPTIONS = {"new_scene": ((bool, True), (bool, False)), "start": ((str, "goal"),)}
 """What a reset can be asked for: types, for 1 equals True, and values."""
+GROUNDS = 10
+"""Drawn before the workspace counts as too small for the task."""
 ARRANGEMENT, AFTER_ACTION, PLAN = range(3)
 """Streams of an episode's randomness: what one of them draws does not move the others."""
 
@@ -110,14 +113,29 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         self.task.memory = None
         rng = self._rng(ARRANGEMENT)
         if anew or not self.task.carry_on(self.scene, rng):
-            self.scene.clear(rng)
-            self.control.start(self.scene)
-            arrange(self.scene, rng)
+            self._arrange(arrange, rng)
         else:
             self.control.start(self.scene)
         self.scene.begin()
         self.scene.settle()
         return self.control.observe(self.scene), self._evaluate(ignored=False)
+
+    def _arrange(
+        self, arrange: Callable[[Scene, np.random.Generator], None], rng: np.random.Generator
+    ) -> None:
+        """Draw the ground and what lies on it; where that finds no room, other ground.
+
+        :raises PlacementError: there is no room on any
+        """
+        for attempt in range(GROUNDS):
+            self.scene.clear(rng)
+            self.control.start(self.scene)
+            try:
+                arrange(self.scene, rng)
+                return
+            except PlacementError:
+                if attempt == GROUNDS - 1:
+                    raise
 
     def step(self, action: ArrayLike) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Carry out an action.

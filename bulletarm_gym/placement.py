@@ -20,8 +20,6 @@ ARRANGEMENTS = 50
 """Arrangements tried before the workspace counts as too small."""
 
 
-BORDER = 0.005
-"""Margin (m) to the workspace's border of what is laid there: it may still move a little to come to rest."""
 GRID = 7
 """Points a side among which room is looked for."""
 
@@ -184,7 +182,9 @@ def _free_pose(
         yaw = float(rng.uniform(-spread, spread)) if scene.config.random_orientation else 0.0
         pose = scene.surface.lay(item.spec, point, yaw)
         base = footprint(item, pose)
-        free = scene.surface.fits(base, BORDER) and all(base.gap(other) >= gap for other in covered)
+        free = scene.surface.fits(base, scene.surface.slide) and all(
+            base.gap(other) >= gap for other in covered
+        )
         if free and allows(pose):
             return pose
     return None
@@ -208,7 +208,7 @@ def draw_until(draw: Callable[[], T], fits: Callable[[T], bool], attempts: int =
         drawn = draw()
         if fits(drawn):
             return drawn
-    raise PlacementError(f"workspace: nothing fitted in {attempts} attempts")
+    raise PlacementError(f"workspace: found no room for what the task needs, in {attempts} attempts")
 
 
 def is_within(scene: Scene, point: Sequence[float], margin: float) -> bool:

@@ -59,12 +59,12 @@ class CloseLoop(Control[DeltaMove]):
     """
 
     def __init__(self, config: EnvConfig, scene: Scene, task: Task) -> None:
-        super().__init__(config)
+        height = min(max(START_HEIGHT, config.workspace[2][0]), config.workspace[2][1])
+        super().__init__(config, scene, Pose.planar(*config.centre, height))
         self._overlays = task.overlays
         self._workspace = config.workspace
         self._size = config.obs_size
         self._extent = VIEW_SCALE * config.workspace_size
-        self._centre = config.centre
         self._observe = self._image if config.observation == "image" else self._state
         self.observation_space = spaces.Dict(
             {
@@ -93,11 +93,6 @@ class CloseLoop(Control[DeltaMove]):
         value = dict(zip("xyz", (part / MAX_TRANSLATION for part in move.translation), strict=True))
         value |= {"p": 2.0 * move.opening - 1.0, "r": move.rotation / MAX_ROTATION}
         return np.array([value[axis] for axis in self._sequence], dtype=np.float32).clip(-1.0, 1.0)
-
-    def start(self, scene: Scene) -> None:
-        """Put the open gripper over the middle of the workspace."""
-        top = self._workspace[2][1]
-        scene.robot.home(Pose.planar(*self._centre, min(START_HEIGHT, top)))
 
     def apply(self, scene: Scene, move: DeltaMove) -> bool:
         """Carry out a move: the arm first, then the gripper.

@@ -8,7 +8,8 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import ArrayLike, NDArray
 
-from bulletarm_gym.config import EnvConfig
+from bulletarm_gym.config import EnvConfig, ParameterError
+from bulletarm_gym.geometry import Pose
 from bulletarm_gym.scene import Scene
 from bulletarm_gym.tasks import Waypoint
 
@@ -22,12 +23,19 @@ class Control(ABC, Generic[Move]):
     """How the arm is commanded, by actions of one number in [-1, 1] a character of ``action_sequence``.
 
     :param config: the environment's parameters
+    :param scene: what is acted on
+    :param home: of the fingertips when an episode begins
+    :raises ParameterError: the arm does not reach there
     """
 
     observation_space: spaces.Dict
 
-    def __init__(self, config: EnvConfig) -> None:
+    def __init__(self, config: EnvConfig, scene: Scene, home: Pose) -> None:
+        if not scene.robot.reaches(home):
+            takes = f"one whose middle robot={config.robot!r} reaches at a height of {home.z:g} m"
+            raise ParameterError("workspace", config.workspace, takes)
         self._sequence = config.action_sequence
+        self._home = home
         self.action_space = spaces.Box(-1.0, 1.0, (len(self._sequence),), np.float32)
 
     def _numbers(self, action: ArrayLike) -> list[float]:
@@ -58,9 +66,9 @@ class Control(ABC, Generic[Move]):
     def encode_action(self, move: Move) -> NDArray[np.float32]:
         """Return the action for a move, the inverse of :meth:`decode_action`; what is too far is clipped."""
 
-    @abstractmethod
     def start(self, scene: Scene) -> None:
         """Put the empty, open gripper where an episode begins."""
+        scene.robot.home(self._home)
 
     @abstractmethod
     def apply(self, scene: Scene, move: Move) -> bool:

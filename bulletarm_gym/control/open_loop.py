@@ -72,12 +72,12 @@ class OpenLoop(Control[PickPlace]):
     """
 
     def __init__(self, config: EnvConfig, scene: Scene, task: Task) -> None:
-        super().__init__(config)
+        floor = config.workspace[2][0]
+        super().__init__(config, scene, Pose.planar(*config.centre, floor + HOME_HEIGHT))
         self._scene = scene
         self._hints = task.hints
         self._config = config
-        self._floor = config.workspace[2][0]
-        self._home = Pose.planar(*config.centre, self._floor + HOME_HEIGHT)
+        self._floor = floor
         self._names = _names(config.action_sequence)
         self._ranges = _ranges(config)
         shape = (3 if "psi" in self._names else 1, config.in_hand_size, config.in_hand_size)
@@ -148,7 +148,7 @@ class OpenLoop(Control[PickPlace]):
 
     def start(self, scene: Scene) -> None:
         """Put the open gripper over everything, with nothing in it."""
-        scene.robot.home(self._home)
+        super().start(scene)
         self._in_hand = np.zeros_like(self._in_hand)
 
     def apply(self, scene: Scene, move: PickPlace) -> bool:

@@ -32,6 +32,8 @@ class Surface(ABC):
 
     keeps_poses: ClassVar[bool] = True
     """Whether what is laid somewhere stays as it is laid, and need not come to rest first."""
+    slide: ClassVar[float] = 0.005
+    """How far (m) what is laid may move while it comes to rest: so far it keeps away from the border."""
 
     def __init__(self, workspace: list[list[float]], site: Point = SITE) -> None:
         self.workspace = workspace

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from bulletarm_gym.config import OPEN_LOOP, EnvConfig, TaskDefaults
+from bulletarm_gym.config import OPEN_LOOP, EnvConfig, TaskDefaults, TrayUse
 from bulletarm_gym.geometry import Pose, planar_distance, wrap_angle
 from bulletarm_gym.objects.bottles import BOTTLES, TRAY, TRAY_FLOOR, bottle, bottle_tray
 from bulletarm_gym.placement import lay_apart
@@ -42,6 +42,8 @@ class BottleArrangement(Task):
         max_steps=20,
         object_scale=0.8,
         allowed_objects=tuple(range(1, MOST_BOTTLES + 1)),
+        tray=TrayUse((False,), "the bottles and their own tray do not fit into the tray"),
+        level_ground="bottles fall over on a slope",
     )
     controls = (OPEN_LOOP,)
     site = TRAY[:2]

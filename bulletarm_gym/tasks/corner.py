@@ -52,7 +52,11 @@ class CornerPicking(Task):
     Expert: press the closed gripper on the cube and draw it out of the corner, up, then as in Block Picking.
     """
 
-    defaults = TaskDefaults(num_objects=1, tray=TrayUse((False,), "the corner does not fit into the tray"))
+    defaults = TaskDefaults(
+        num_objects=1,
+        tray=TrayUse((False,), "the corner does not fit into the tray"),
+        level_ground="the corner's plate lies on level ground",
+    )
     controls = (CLOSE_LOOP,)
 
     def bodies(self, config: EnvConfig) -> list[Role]:

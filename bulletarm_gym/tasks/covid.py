@@ -5,7 +5,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from bulletarm_gym.config import OPEN_LOOP, EnvConfig, TaskDefaults
+from bulletarm_gym.config import OPEN_LOOP, EnvConfig, TaskDefaults, TrayUse
 from bulletarm_gym.geometry import Pose, wrap_angle
 from bulletarm_gym.objects.covid import (
     FLOOR,
@@ -62,7 +62,12 @@ class CovidTest(Task):
     """
 
     defaults = TaskDefaults(
-        num_objects=2 * ROUNDS, max_steps=30, object_scale=SCALE, allowed_objects=(2 * ROUNDS,)
+        num_objects=2 * ROUNDS,
+        max_steps=30,
+        object_scale=SCALE,
+        allowed_objects=(2 * ROUNDS,),
+        tray=TrayUse((False,), "the three places do not fit into the tray"),
+        level_ground="the three places need 30 x 30 cm of level ground",
     )
     controls = (OPEN_LOOP,)
     site = (SIDE, SIDE)

@@ -40,7 +40,11 @@ class DrawerOpening(Task):
     Expert: over the gap behind the bar with the gripper closed, down, out.
     """
 
-    defaults = TaskDefaults(num_objects=1, tray=TrayUse((False,), "the cabinet does not fit into the tray"))
+    defaults = TaskDefaults(
+        num_objects=1,
+        tray=TrayUse((False,), "the cabinet does not fit into the tray"),
+        level_ground="the cabinet stands on level ground",
+    )
     controls = (CLOSE_LOOP,)
 
     def bodies(self, config: EnvConfig) -> list[Role]:

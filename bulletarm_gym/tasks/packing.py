@@ -5,11 +5,11 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from bulletarm_gym.config import OPEN_LOOP, EnvConfig, TaskDefaults
-from bulletarm_gym.footprint import Footprint, PlacementError
+from bulletarm_gym.config import OPEN_LOOP, EnvConfig, TaskDefaults, TrayUse
+from bulletarm_gym.footprint import Footprint
 from bulletarm_gym.geometry import FloatArray, Pose, matrix
 from bulletarm_gym.objects.packing import BIN, BIN_WALL, SHAPES, packing_bin, packing_block
-from bulletarm_gym.placement import draw_until, footprint, lay_apart
+from bulletarm_gym.placement import footprint, lay_apart
 from bulletarm_gym.relations import at_rest, is_empty, is_top
 from bulletarm_gym.scene import Item, Role, Scene
 from bulletarm_gym.tasks.grasping import RELEASE
@@ -22,8 +22,6 @@ GAP = 0.025
 """Least gap (m) between blocks at the start."""
 HAND = (0.21, 0.07)
 """Length and width (m) of the widest arm's hand, the Panda's: over a block it has room beside the bin."""
-BINS = 10
-"""Positions of the bin tried before the workspace counts as too small."""
 PICK_OFFSET = 0.0125
 """How far (m) below its top a block of scale 1 is grasped: on the bin's floor every hand is above the rim."""
 OPENING = 0.058
@@ -58,6 +56,7 @@ class BinPacking(Task):
         max_steps=20,
         object_scale=0.8,
         allowed_objects=tuple(range(1, MOST_BLOCKS + 1)),
+        tray=TrayUse((False,), "the bin and its blocks do not fit into the tray"),
     )
     controls = (OPEN_LOOP,)
     site = (BIN[1], BIN[0])
@@ -78,10 +77,7 @@ class BinPacking(Task):
         return [Role("bin", (packing_bin("bin"),)), *blocks]
 
     def arrange(self, scene: Scene, rng: np.random.Generator) -> None:
-        """Put the bin somewhere, and the blocks beside it; if they have no room there, somewhere else.
-
-        :raises PlacementError: they have no room anywhere
-        """
+        """Put the bin somewhere, and the blocks beside it."""
         spread = math.pi if self.config.random_orientation else 0.0
         blocks = [item for item in scene.items if item is not scene["bin"]]
 
@@ -89,15 +85,9 @@ class BinPacking(Task):
             hand = Footprint.rectangle(HAND, pose)
             return not self.config.random_orientation or hand.gap(footprint(scene["bin"])) > 0.0
 
-        def has_room(site: Pose) -> bool:
-            scene["bin"].place(site.compose(Pose.planar(0.0, 0.0, 0.0, math.pi / 2.0)))
-            try:
-                lay_apart(scene, rng, blocks, GAP, allows=leaves_room)
-            except PlacementError:
-                return False
-            return True
-
-        draw_until(lambda: scene.surface.goal_site(self.site, rng, spread), has_room, BINS)
+        site = scene.surface.goal_site(self.site, rng, spread)
+        scene["bin"].place(site.compose(Pose.planar(0.0, 0.0, 0.0, math.pi / 2.0)))
+        lay_apart(scene, rng, blocks, GAP, allows=leaves_room)
 
     def evaluate(self, scene: Scene) -> dict[str, bool]:
         """Look whether all blocks are in the bin, and whether all is done."""

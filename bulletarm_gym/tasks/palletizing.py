@@ -5,7 +5,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from bulletarm_gym.config import OPEN_LOOP, EnvConfig, TaskDefaults
+from bulletarm_gym.config import OPEN_LOOP, EnvConfig, TaskDefaults, TrayUse
 from bulletarm_gym.footprint import Footprint
 from bulletarm_gym.geometry import Pose, wrap_angle
 from bulletarm_gym.objects.palletizing import BOX, PALLET, pallet, palletizing_box
@@ -54,6 +54,7 @@ class BoxPalletizing(Task):
         max_steps=40,
         object_scale=0.8,
         allowed_objects=(LAYER, 2 * LAYER, 3 * LAYER),
+        tray=TrayUse((False,), "the pallet and a box beside it do not fit into the tray"),
     )
     controls = (OPEN_LOOP,)
     site = (PALLET[1], PALLET[0])
@@ -100,7 +101,7 @@ class BoxPalletizing(Task):
 
         def fits(pose: Pose) -> bool:
             shadow = footprint(box, pose)
-            yaw = pose.yaw if self.config.random_orientation else 0.0
+            yaw = pose.yaw if "r" in self.config.action_sequence else 0.0
             hand = Footprint.rectangle(HAND, Pose.planar(*pose.position, yaw))
             return scene.surface.fits(shadow, BORDER) and min(hand.gap(base), shadow.gap(base) - BORDER) > 0.0
 

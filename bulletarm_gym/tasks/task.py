@@ -101,7 +101,10 @@ class Task(ABC):
 
     @abstractmethod
     def arrange(self, scene: Scene, rng: np.random.Generator) -> None:
-        """Lay out the start of an episode in an empty scene."""
+        """Lay out the start of an episode in an empty scene.
+
+        :raises PlacementError: there is no room; it is then asked again, some times, on other ground
+        """
 
     def arrange_goal(self, scene: Scene, rng: np.random.Generator) -> None:
         """Lay out the finished structure at the surface's goal site in an empty scene.

@@ -32,7 +32,7 @@ def test_defaults_are_the_papers() -> None:
 
 @pytest.mark.parametrize(
     ("surface", "sequence", "in_hand"),
-    [("flat", "pxyr", 24), ("ramp", "pxyzrrr", 24), ("bump", "pxyzrrr", 40)],
+    [("flat", "pxyr", 24), ("tray", "pxyr", 24), ("ramp", "pxyzrrr", 24), ("bump", "pxyzrrr", 40)],
 )
 def test_open_loop_defaults_are_the_papers(surface: str, sequence: str, in_hand: int) -> None:
     made = open_loop(surface)
@@ -134,6 +134,13 @@ def test_errors_come_through_make() -> None:
     for parameters in ({"obs_sise": 64}, {"num_objects": 3}, {"workspace": 1}, {"robot": "nobody"}):
         with pytest.raises(ValueError, match=next(iter(parameters))):
             make_env(PICKING, **parameters)
+
+
+@pytest.mark.parametrize("name", ["CloseLoopBlockPicking", "OpenLoopBlockStacking"])
+def test_a_workspace_out_of_reach_is_refused(name: str) -> None:
+    far = [[1.25, 1.55], [-0.15, 0.15], [0.01, 0.25]]
+    with pytest.raises(ValueError, match=r"workspace: got \[\[1\.25.*takes one .*='kuka' reaches"):
+        make_env(f"BulletArm/{name}-v0", workspace=far)
 
 
 def test_impossible_number_of_objects() -> None:

@@ -2,7 +2,8 @@
 
 import math
 import pickle
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -239,6 +240,45 @@ def test_a_seed_gives_the_ground_whatever_was_before(make: Make) -> None:
 def test_unknown_surfaces_are_refused() -> None:
     with pytest.raises(ValueError, match=r"surface: got 'lawn', takes one of 'flat'"):
         gymnasium.make(ENV_ID, surface="lawn")
+
+
+@pytest.mark.parametrize(
+    ("name", "parameters", "takes"),
+    [
+        ("OpenLoopBottleArrangement", {"surface": "ramp"}, "'flat' with this task: bottles fall"),
+        ("OpenLoopCovidTest", {"surface": "bump"}, "'flat' with this task: .* 30 x 30 cm"),
+        ("OpenLoopBinPacking", {"surface": "tray"}, "'flat' or 'ramp' or 'bump' .* the bin"),
+        ("OpenLoopObjectGrasping", {"surface": "ramp"}, "'flat' or 'tray' .* tray stands on level"),
+        ("CloseLoopObjectGrasping", {"surface": "bump"}, "'flat' or 'tray' .* tray stands on level"),
+        ("CloseLoopBlockPicking", {"surface": "ramp", "close_loop_tray": True}, "'flat' or 'tray' .* level"),
+        ("CloseLoopCornerPicking", {"surface": "tray"}, "'flat' .* does not fit into the tray"),
+        ("CloseLoopDrawerOpening", {"surface": "ramp"}, "'flat' .* cabinet stands on level ground"),
+    ],
+)
+def test_ground_that_a_task_cannot_stand_on_is_refused(
+    name: str, parameters: dict[str, Any], takes: str
+) -> None:
+    with pytest.raises(ValueError, match=f"surface: got '{parameters['surface']}', takes {takes}"):
+        gymnasium.make(f"BulletArm/{name}-v0", **parameters)
+
+
+@pytest.mark.parametrize(
+    ("env_id", "parameters", "seeds"),
+    [
+        ("BulletArm/CloseLoopBlockInBowl-v0", {"surface": "bump"}, range(8)),
+        ("BulletArm/OpenLoopBumpBoxPalletizing-v0", {"random_orientation": False}, (295, 341, 404)),
+    ],
+)
+def test_without_room_the_ground_is_drawn_anew(
+    make: Make, env_id: str, parameters: dict[str, Any], seeds: Iterable[int]
+) -> None:
+    env = make(env_id, **parameters)
+    assert all(env.reset(seed=seed)[1]["is_valid"] for seed in seeds)
+
+
+def test_nothing_slides_over_the_border(make: Make) -> None:
+    env = make("BulletArm/OpenLoopBumpHouseBuilding4-v0", workspace_check="bounding_box")
+    assert all(env.reset(seed=seed)[1]["is_valid"] for seed in (382, 470, 483, 701))
 
 
 @pytest.mark.parametrize("robot", ["kuka", "panda", "ur5"])
