@@ -108,7 +108,12 @@ class OpenLoop(Control[PickPlace]):
         return PickPlace(PLACE if places else PICK, (x, y, z), (theta, phi, psi))
 
     def encode_action(self, move: PickPlace) -> NDArray[np.float32]:
-        """Return the action for a move, the inverse of :meth:`decode_action`; what is too far is clipped."""
+        """Return the action for a move, the inverse of :meth:`decode_action`; what is too far is clipped.
+
+        :raises ValueError: there is no such primitive
+        """
+        if move.primitive not in (PICK, PLACE):
+            raise ValueError(f"primitive: got {move.primitive!r}, takes {PICK!r} or {PLACE!r}")
         theta, phi, psi = move.rotation
         low, high = self._ranges.get("theta", (-math.pi, math.pi))
         if not low <= theta <= high:

@@ -120,6 +120,11 @@ def test_encode_clips(env: ManipulationEnv) -> None:
     assert env.encode_action(PickPlace("place", (9.0, -9.0, 0.1))).tolist() == [1.0, 1.0, -1.0, -1.0]
 
 
+def test_unknown_primitives_are_refused(env: ManipulationEnv) -> None:
+    with pytest.raises(ValueError, match="primitive: got 'push', takes 'pick' or 'place'"):
+        env.encode_action(PickPlace("push", (0.4, 0.0, 0.1)))
+
+
 @pytest.mark.parametrize("sequence", ["rxyp", "yprx"])
 def test_order_of_the_sequence_changes_names_only(make: Make, sequence: str) -> None:
     env, plain = make(STACKING, action_sequence=sequence), make(STACKING)
