@@ -4,13 +4,21 @@ import math
 from collections.abc import Iterator, Sequence
 
 from bulletarm_gym.geometry import Pose, planar_distance
-from bulletarm_gym.scene import Scene
+from bulletarm_gym.scene import Item, Scene
 from bulletarm_gym.tasks.task import HALF_OPEN, Waypoint
 
-BEHIND = 0.08
-"""Where (m) the gripper comes down behind the centre of the block, as in the original BulletArm release."""
+CLEAR = 0.06
+"""Where (m) the gripper comes down behind the block."""
 ABOVE = 0.1
 """Height (m) of the fingertips on the way to it."""
+NEAR = 0.01
+"""Distance (m) from there within which it is right to be as low as the block ..."""
+SLOPE = 1.2
+"""... and by how much higher it is to be per metre farther away, without a step that is hard to see ..."""
+UNDER = 0.03
+"""... where this much (m) lower still does no harm."""
+BAND = 0.02
+"""Height (m) above that of a drag that still counts as low."""
 ASTRAY = 0.035
 """Distance (m) from the line to the goal at which a drag is begun anew."""
 
@@ -21,20 +29,21 @@ class Drag:
     The gripper does not turn: with the fingers apart it pushes straight enough in any direction, and where it
     should turn by a right angle, either way would do, which an agent cannot imitate.
 
-    :param block: where the block is
+    :param item: the block
     :param goal: where its centre is to come (m)
     :param low: height (m) of the fingertips while they drag
     """
 
-    def __init__(self, scene: Scene, block: Pose, goal: Sequence[float], low: float) -> None:
+    def __init__(self, scene: Scene, item: Item, goal: Sequence[float], low: float) -> None:
         self._hand = scene.robot.pose
         self._goal = goal
-        self._block = block
+        self._block = block = item.pose
+        self._behind = item.spec.extents[0] / 2.0 + CLEAR
         self._low = low
         dx, dy = goal[0] - block.x, goal[1] - block.y
         length = math.hypot(dx, dy)
         self._line = (dx / length, dy / length)
-        self._start = (block.x - BEHIND * self._line[0], block.y - BEHIND * self._line[1])
+        self._start = (block.x - self._behind * self._line[0], block.y - self._behind * self._line[1])
         self._outside = _distance_outside(self._start, scene.config.workspace)
 
     @property
@@ -50,20 +59,22 @@ class Drag:
         dx, dy = self._hand.x - self._block.x, self._hand.y - self._block.y
         along = dx * self._line[0] + dy * self._line[1]
         aside = abs(dx * self._line[1] - dy * self._line[0])
-        return along < 0.0 and aside < ASTRAY and self._hand.z < self._low + 0.01 and -along < 2.0 * BEHIND
+        return (
+            along < 0.0 and aside < ASTRAY and self._hand.z < self._low + BAND and -along < 2.0 * self._behind
+        )
 
     @property
-    def _is_over_start(self) -> bool:
-        return planar_distance(self._start, self._hand.position) < 0.01 + 1.5 * self._outside
+    def _height(self) -> float:
+        """Height (m) to be at on the way: the nearer to the start, the lower."""
+        apart = planar_distance(self._start, self._hand.position) - NEAR - self._outside
+        return min(ABOVE, self._low + SLOPE * max(0.0, apart))
 
     def plan(self) -> Iterator[Waypoint]:
         """Yield what remains of: over the start, down, to the goal."""
         if not self._is_behind:
-            if not self._is_over_start:
-                if self._hand.z < ABOVE - 0.04:
-                    yield Waypoint(Pose.planar(self._hand.x, self._hand.y, ABOVE, self._hand.yaw), HALF_OPEN)
-                yield Waypoint(Pose.planar(*self._start, ABOVE, self._hand.yaw), HALF_OPEN)
-            yield Waypoint(Pose.planar(*self._start, self._low, self._hand.yaw), HALF_OPEN)
+            if self._hand.z < self._height - UNDER:
+                yield Waypoint(Pose.planar(self._hand.x, self._hand.y, ABOVE, self._hand.yaw), HALF_OPEN)
+            yield Waypoint(Pose.planar(*self._start, self._height, self._hand.yaw), HALF_OPEN)
         yield Waypoint(
             Pose.planar(self._goal[0], self._goal[1], self._low, self._hand.yaw), HALF_OPEN, straight=True
         )

@@ -58,7 +58,6 @@ class BlockPulling(Task):
         """Go behind the block that is easier to get behind, and pull it to the other."""
         first, second = (scene[name] for name in NAMES)
         pulls = [
-            Drag(scene, block.pose, goal.pose.position, LOW)
-            for block, goal in ((first, second), (second, first))
+            Drag(scene, block, goal.pose.position, LOW) for block, goal in ((first, second), (second, first))
         ]
         yield from min(pulls, key=lambda pull: pull.effort).plan()

@@ -67,4 +67,4 @@ class BlockPushing(Task):
 
     def plan(self, scene: Scene, rng: np.random.Generator) -> Iterator[Waypoint]:
         """Go behind the cube, and push."""
-        yield from Drag(scene, scene["cube"].pose, scene["goal"].pose.position, LOW).plan()
+        yield from Drag(scene, scene["cube"], scene["goal"].pose.position, LOW).plan()
