@@ -12,14 +12,6 @@ from typing import Any
 import pytest
 
 HERE = Path(__file__).resolve().parent
-TYPICAL = (
-    "OpenLoopHouseBuilding2",
-    "OpenLoopObjectGrasping",
-    "OpenLoopRampBlockStacking",
-    "OpenLoopBumpBoxPalletizing",
-    "CloseLoopBlockPicking",
-    "CloseLoopObjectGrasping",
-)
 KEPT = 12
 """Shared environments that stay open: one takes some 40 MB, and the tests ask for hundreds."""
 sys.path.insert(0, str(HERE))  # for the module of rollouts, which also runs as a script
@@ -36,10 +28,10 @@ def env_id(request: pytest.FixtureRequest) -> str:
     return str(request.param)
 
 
-@pytest.fixture(scope="session", params=TYPICAL, ids=str)
+@pytest.fixture(scope="session", params=rollouts.TYPICAL, ids=lambda env_id: env_id.split("/")[1])
 def typical_id(request: pytest.FixtureRequest) -> str:
     """An id of each kind, for what depends on the environment class and not on the task."""
-    return f"BulletArm/{request.param}-v0"
+    return str(request.param)
 
 
 @pytest.fixture(scope="session")
@@ -67,6 +59,12 @@ def make() -> Iterator[Callable[..., ManipulationEnv]]:
 def env(make: Callable[..., ManipulationEnv], env_id: str) -> ManipulationEnv:
     """The shared instance of each id with its default parameters."""
     return make(env_id)
+
+
+@pytest.fixture
+def typical_env(make: Callable[..., ManipulationEnv], typical_id: str) -> ManipulationEnv:
+    """The shared instance of an id of each kind."""
+    return make(typical_id)
 
 
 @pytest.fixture

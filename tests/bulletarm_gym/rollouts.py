@@ -19,6 +19,15 @@ from bulletarm_gym.env import EnvState, ManipulationEnv
 
 EXPERT_SHARE = 0.7
 """Share of expert actions among random ones: enough for grasps, pushes and successes to happen."""
+TYPICAL = (
+    "BulletArm/OpenLoopHouseBuilding2-v0",
+    "BulletArm/OpenLoopObjectGrasping-v0",
+    "BulletArm/OpenLoopRampBlockStacking-v0",
+    "BulletArm/OpenLoopBumpBoxPalletizing-v0",
+    "BulletArm/CloseLoopBlockPicking-v0",
+    "BulletArm/CloseLoopObjectGrasping-v0",
+)
+"""An id of each kind."""
 
 
 def make_env(env_id: str, **parameters: Any) -> ManipulationEnv:

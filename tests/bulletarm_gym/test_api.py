@@ -114,20 +114,20 @@ def test_observation_size(make: Make, obs_size: int) -> None:
     assert env.observation_space["heightmap"].shape == (1, obs_size, obs_size)
 
 
-def test_later_steps_leave_earlier_observations_alone(env: ManipulationEnv) -> None:
-    observation, info = env.reset(seed=0)
+def test_later_steps_leave_earlier_observations_alone(typical_env: ManipulationEnv) -> None:
+    observation, info = typical_env.reset(seed=0)
     before = digest(observation, info)
-    env.step(env.expert_action())
-    env.step(env.expert_action())
+    typical_env.step(typical_env.expert_action())
+    typical_env.step(typical_env.expert_action())
     assert digest(observation, info) == before
 
 
-def test_a_caller_may_write_into_what_it_got(env: ManipulationEnv) -> None:
-    expected = transcript(env, 5, seed=3)
-    observation, info = env.reset(seed=3)
+def test_a_caller_may_write_into_what_it_got(typical_env: ManipulationEnv) -> None:
+    expected = transcript(typical_env, 5, seed=3)
+    observation, info = typical_env.reset(seed=3)
     observation["heightmap"][:] = 7.0
     info.clear()
-    assert transcript(env, 5) == expected[1:]
+    assert transcript(typical_env, 5) == expected[1:]
 
 
 def test_info_keeps_its_keys(env: ManipulationEnv) -> None:
@@ -247,12 +247,14 @@ def test_custom_reward(typical_id: str) -> None:
 # Actions
 
 
-def test_actions_outside_the_box_are_clipped(env: ManipulationEnv) -> None:
-    action = np.array([3.0, -2.0, 1.5, -7.0, 1.01, 2.0, -1.5], np.float32)[: env.action_space.shape[0]]
-    env.reset(seed=0)
-    far = digest(*env.step(action))
-    env.reset(seed=0)
-    assert digest(*env.step(action.clip(-1.0, 1.0))) == far
+def test_actions_outside_the_box_are_clipped(typical_env: ManipulationEnv) -> None:
+    action = np.array([3.0, -2.0, 1.5, -7.0, 1.01, 2.0, -1.5], np.float32)[
+        : typical_env.action_space.shape[0]
+    ]
+    typical_env.reset(seed=0)
+    far = digest(*typical_env.step(action))
+    typical_env.reset(seed=0)
+    assert digest(*typical_env.step(action.clip(-1.0, 1.0))) == far
 
 
 @pytest.mark.parametrize(
@@ -269,14 +271,14 @@ def test_actions_outside_the_box_are_clipped(env: ManipulationEnv) -> None:
     ],
     ids=str,
 )
-def test_bad_actions_are_refused_and_do_nothing(env: ManipulationEnv, action: Any) -> None:
-    env.reset(seed=0)
-    state = env.get_state()
+def test_bad_actions_are_refused_and_do_nothing(typical_env: ManipulationEnv, action: Any) -> None:
+    typical_env.reset(seed=0)
+    state = typical_env.get_state()
     if isinstance(action, float):
-        action = np.where(np.arange(len(idle(env))) == 2, action, 0.0)
+        action = np.where(np.arange(len(idle(typical_env))) == 2, action, 0.0)
     with pytest.raises(ValueError, match="action"):
-        env.step(action)
-    assert env.get_state() == state
+        typical_env.step(action)
+    assert typical_env.get_state() == state
 
 
 def test_decode_gives_physical_units(picking: ManipulationEnv) -> None:
@@ -320,18 +322,18 @@ def test_order_of_the_sequence_changes_names_only(make: Make, sequence: str) -> 
     np.testing.assert_allclose(moved["heightmap"], expected["heightmap"], atol=1e-5)
 
 
-def test_nothing_works_before_reset(env_id: str) -> None:
-    env = make_env(env_id)
+def test_nothing_works_before_reset(typical_id: str) -> None:
+    env = make_env(typical_id)
     for call in (lambda: env.step(idle(env)), env.expert_action, env.get_state):
         with pytest.raises(gymnasium.error.ResetNeeded):
             call()
     env.close()
 
 
-def test_unknown_reset_option_is_refused(env: ManipulationEnv) -> None:
+def test_unknown_reset_option_is_refused(typical_env: ManipulationEnv) -> None:
     with pytest.raises(ValueError, match="scenery"):
-        env.reset(options={"scenery": "alps"})
-    env.reset(options={})
+        typical_env.reset(options={"scenery": "alps"})
+    typical_env.reset(options={})
 
 
 # Pictures
@@ -358,9 +360,9 @@ def test_pictures_show_the_scene(make: Make) -> None:
     assert (env.render() != before).any(axis=-1).sum() > 500
 
 
-def test_no_render_mode_gives_nothing(env: ManipulationEnv) -> None:
-    env.reset(seed=0)
-    assert env.render() is None
+def test_no_render_mode_gives_nothing(typical_env: ManipulationEnv) -> None:
+    typical_env.reset(seed=0)
+    assert typical_env.render() is None
 
 
 HUMAN = """
@@ -384,12 +386,12 @@ def test_window_without_a_display_is_refused_and_the_process_lives(monkeypatch: 
 # Life
 
 
-def test_close_twice(env_id: str) -> None:
-    env = make_env(env_id)
+def test_close_twice(typical_id: str) -> None:
+    env = make_env(typical_id)
     env.reset(seed=0)
     env.close()
     env.close()
-    fresh = make_env(env_id)
+    fresh = make_env(typical_id)
     fresh.close()
     fresh.close()
 
@@ -430,11 +432,15 @@ def test_make_with_module_prefix_in_a_fresh_interpreter(env_id: str) -> None:
     assert "made" in child.stdout, child.stderr
 
 
-def test_spec_round_trip(env_id: str) -> None:
+def test_spec_round_trip(typical_id: str) -> None:
     small, shifted = [[0.32, 0.6], [-0.14, 0.14], [0.01, 0.25]], [[0.26, 0.66], [-0.19, 0.21], [0.01, 0.9]]
-    workspace = np.array(shifted if is_open_loop(env_id) else small)
+    workspace = np.array(shifted if is_open_loop(typical_id) else small)
     env = gymnasium.make(
-        env_id, workspace=workspace, object_scale_range=(0.8, 0.8), max_steps=np.int64(7), fast_mode=np.True_
+        typical_id,
+        workspace=workspace,
+        object_scale_range=(0.8, 0.8),
+        max_steps=np.int64(7),
+        fast_mode=np.True_,
     )
     text = env.spec.to_json()
     assert env.unwrapped.spec.kwargs["workspace"] == workspace.tolist()

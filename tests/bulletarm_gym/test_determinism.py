@@ -5,7 +5,7 @@ from collections.abc import Callable
 import gymnasium
 import numpy as np
 import pytest
-from rollouts import digest, make_env, transcript
+from rollouts import TYPICAL, digest, make_env, transcript
 
 import bulletarm_gym
 from bulletarm_gym.env import ManipulationEnv
@@ -22,14 +22,22 @@ PARAMETERS = (
     {"object_scale_range": [0.7, 0.9]},
     {"action_sequence": "zpxy", "random_orientation": False, "obs_size": 64},
 )
+CASES = [(env_id, {}) for env_id in bulletarm_gym.ENV_IDS]
+CASES += [(env_id, parameters) for parameters in PARAMETERS[1:] for env_id in TYPICAL]
+"""Every id, and an id of each kind under every other set of parameters."""
+
+
+def name_of(case: tuple[str, dict]) -> str:
+    return f"{case[0].split('/')[1]}-{case[1]}"
 
 
 def first_heightmap(env: ManipulationEnv, seed: int | None = None) -> np.ndarray:
     return env.reset(seed=seed)[0]["heightmap"]
 
 
-@pytest.mark.parametrize("parameters", PARAMETERS, ids=str)
-def test_two_instances_agree(make: Make, env_id: str, parameters: dict) -> None:
+@pytest.mark.parametrize("case", CASES, ids=name_of)
+def test_two_instances_agree(make: Make, case: tuple[str, dict]) -> None:
+    env_id, parameters = case
     first, second = (make(env_id, instance, **parameters) for instance in range(2))
     assert transcript(first, seed=11) == transcript(second, seed=11)
 
@@ -44,9 +52,7 @@ def test_rollouts_grasp_and_succeed(picking: ManipulationEnv) -> None:
     assert sum(successes) >= 2, "no second episode began"
 
 
-@pytest.mark.parametrize("parameters", PARAMETERS[:2], ids=str)
-def test_same_instance_after_other_episodes(make: Make, env_id: str, parameters: dict) -> None:
-    env = make(env_id, **parameters)
+def test_same_instance_after_other_episodes(env: ManipulationEnv) -> None:
     before = transcript(env, seed=3)
     transcript(env, 60, seed=99, action_seed=5)
     assert transcript(env, seed=3) == before
@@ -75,11 +81,7 @@ def test_steps_do_not_move_the_resets_that_follow(env: ManipulationEnv) -> None:
 
 
 def test_another_process_agrees(make: Make, in_another_process: Callable) -> None:
-    requests = {
-        f"{env_id} {parameters}": (env_id, parameters, None)
-        for env_id in bulletarm_gym.ENV_IDS
-        for parameters in PARAMETERS
-    }
+    requests = {name_of(case): (*case, None) for case in CASES}
     answers = in_another_process(requests)
     for name, (env_id, parameters, _) in requests.items():
         assert answers[name] == transcript(make(env_id, **parameters), seed=0), name
@@ -106,8 +108,8 @@ def test_consecutive_resets_differ(env: ManipulationEnv) -> None:
     assert len(views) == 8
 
 
-def test_unseeded_instances_differ(env_id: str) -> None:
-    first, second = make_env(env_id), make_env(env_id)
+def test_unseeded_instances_differ(typical_id: str) -> None:
+    first, second = make_env(typical_id), make_env(typical_id)
     assert not np.array_equal(first_heightmap(first), first_heightmap(second))
     first.close()
     second.close()
@@ -130,9 +132,9 @@ def test_interleaved_instances_do_not_disturb_each_other(make: Make, env_id: str
 
 
 @pytest.mark.parametrize("parameters", PARAMETERS[:2], ids=str)
-def test_looking_changes_nothing(make: Make, env_id: str, parameters: dict) -> None:
-    plain = make(env_id, **parameters)
-    watched = make(env_id, 3, render_mode="rgb_array", **parameters)
+def test_looking_changes_nothing(make: Make, typical_id: str, parameters: dict) -> None:
+    plain = make(typical_id, **parameters)
+    watched = make(typical_id, 3, render_mode="rgb_array", **parameters)
     rng = np.random.default_rng(0)
 
     def look(env: ManipulationEnv) -> None:
@@ -145,31 +147,31 @@ def test_looking_changes_nothing(make: Make, env_id: str, parameters: dict) -> N
     assert transcript(watched, 30, seed=2, before_step=look) == transcript(plain, 30, seed=2)
 
 
-def test_render_mode_changes_nothing(make: Make, env_id: str) -> None:
+def test_render_mode_changes_nothing(make: Make, typical_id: str) -> None:
     for mode in ("rgb_array", "depth_array"):
-        env = make(env_id, render_mode=mode)
-        assert transcript(env, 10, seed=2) == transcript(make(env_id), 10, seed=2)
+        env = make(typical_id, render_mode=mode)
+        assert transcript(env, 10, seed=2) == transcript(make(typical_id), 10, seed=2)
 
 
-def test_action_type_does_not_matter(env: ManipulationEnv) -> None:
-    action = [0.5, -0.25, 0.125, -1.0, 0.75, 0.25, -0.5][: env.action_space.shape[0]]
+def test_action_type_does_not_matter(typical_env: ManipulationEnv) -> None:
+    action = [0.5, -0.25, 0.125, -1.0, 0.75, 0.25, -0.5][: typical_env.action_space.shape[0]]
     results = []
     for form in (action, tuple(action), np.array(action, np.float32), np.array(action, np.float64)):
-        env.reset(seed=1)
-        results.append(digest(*env.step(form)))
+        typical_env.reset(seed=1)
+        results.append(digest(*typical_env.step(form)))
     assert len(set(results)) == 1
 
 
-def test_step_leaves_the_action_alone(env: ManipulationEnv) -> None:
-    env.reset(seed=1)
-    action = np.full(env.action_space.shape, 3.0, np.float32)
-    env.step(action)
+def test_step_leaves_the_action_alone(typical_env: ManipulationEnv) -> None:
+    typical_env.reset(seed=1)
+    action = np.full(typical_env.action_space.shape, 3.0, np.float32)
+    typical_env.step(action)
     assert (action == 3.0).all()
 
 
-def test_wrapped_environment_agrees(env_id: str, make: Make) -> None:
-    wrapped = gymnasium.make(f"bulletarm_gym:{env_id}")
-    expected, _ = make(env_id).reset(seed=21)
+def test_wrapped_environment_agrees(typical_id: str, make: Make) -> None:
+    wrapped = gymnasium.make(f"bulletarm_gym:{typical_id}")
+    expected, _ = make(typical_id).reset(seed=21)
     observed, _ = wrapped.reset(seed=21)
     assert digest(observed) == digest(expected)
     wrapped.close()

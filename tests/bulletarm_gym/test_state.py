@@ -140,8 +140,8 @@ def test_state_keeps_the_time_limit(make: Make, env_id: str) -> None:
 
 
 @pytest.mark.parametrize("moment", [None, 0, 2])
-def test_environment_can_be_pickled(env_id: str, moment: int | None) -> None:
-    env = make_env(env_id, max_steps=20, obs_size=64)
+def test_environment_can_be_pickled(typical_id: str, moment: int | None) -> None:
+    env = make_env(typical_id, max_steps=20, obs_size=64)
     if moment is not None:
         advance(env, SEED, moment)
     copy = pickle.loads(pickle.dumps(env))
@@ -156,8 +156,8 @@ def test_environment_can_be_pickled(env_id: str, moment: int | None) -> None:
     copy.close()
 
 
-def test_wrapped_environment_can_be_pickled(env_id: str) -> None:
-    env = gymnasium.make(env_id)
+def test_wrapped_environment_can_be_pickled(typical_id: str) -> None:
+    env = gymnasium.make(typical_id)
     env.reset(seed=3)
     copy = pickle.loads(pickle.dumps(env))
     action = env.unwrapped.expert_action()
@@ -166,8 +166,8 @@ def test_wrapped_environment_can_be_pickled(env_id: str) -> None:
     copy.close()
 
 
-def test_copies_live_on_their_own(env_id: str) -> None:
-    env = make_env(env_id)
+def test_copies_live_on_their_own(typical_id: str) -> None:
+    env = make_env(typical_id)
     env.reset(seed=0)
     copy = pickle.loads(pickle.dumps(env))
     env.close()
@@ -175,8 +175,8 @@ def test_copies_live_on_their_own(env_id: str) -> None:
     copy.close()
 
 
-def test_state_needs_an_episode(env_id: str) -> None:
-    env = make_env(env_id)
+def test_state_needs_an_episode(typical_id: str) -> None:
+    env = make_env(typical_id)
     with pytest.raises(gymnasium.error.ResetNeeded):
         env.get_state()
     env.close()
