@@ -13,8 +13,6 @@ from bulletarm_gym.placement import draw_until, is_within
 from bulletarm_gym.relations import is_held
 from bulletarm_gym.scene import Role, Scene, scaled
 from bulletarm_gym.tasks.grasping import (
-    ALIGNED,
-    ALIGNED_YAW,
     HOVER,
     LEVEL,
     STEP,
@@ -33,12 +31,16 @@ FREE = 0.05
 """Distance (m) of the cube from the walls at which any gripper's fingers fit in between ..."""
 DRAWN = 0.07
 """... and that to which the expert draws it: clearly farther, so that one sees when it is done."""
-OFFSET = 0.01
+OFFSET = 0.008
 """How far (m) from the cube's middle, towards both walls, it presses: there the cube does not tip over."""
 SHUT = 0.1
 """Opening ratio up to which the gripper presses with both fingers."""
-BESIDE = 0.02
-"""Distance (m) from the cube's middle within which the fingertips press on it."""
+OVER = 0.012
+"""Distance (m) from there within which the gripper comes down ..."""
+SQUARE = 0.3
+"""... the angle (rad) to the walls ..."""
+BESIDE = 0.025
+"""... and the distance within which it presses on the cube."""
 
 
 class CornerPicking(Task):
@@ -111,7 +113,7 @@ class CornerPicking(Task):
         beside = planar_distance((x, y), hand.position)
         closed = scene.robot.opening_ratio < SHUT
         if not (closed and beside < BESIDE and hand.z < top + PRESS):
-            if beside > ALIGNED or abs(hand.yaw - yaw) > ALIGNED_YAW or not closed:
+            if beside > OVER or abs(hand.yaw - yaw) > SQUARE or not closed:
                 over = max(top, highest_between(scene, hand.position, item.pose.position, item)) + HOVER
                 if hand.z < over - LEVEL:
                     yield Waypoint(Pose.planar(hand.x, hand.y, over, hand.yaw), CLOSED)
