@@ -11,9 +11,9 @@ from bulletarm_gym.tasks.task import CLOSED, OPEN, Waypoint
 
 STEP = 0.05
 """Farthest (m) a close-loop action moves along an axis (paper, Close-Loop 4D Benchmark)."""
-ALIGNED = 0.008
+ALIGNED = 0.012
 """Distance (m) in the plane at which the fingers go down beside an item without touching it ..."""
-ALIGNED_YAW = 0.15
+ALIGNED_YAW = 0.25
 """... and the angle (rad)."""
 LEVEL = 5e-3
 """Height (m) that the fingertips may lack."""
