@@ -15,7 +15,7 @@ import yaml
 from zoo_configs.errors import CommandError, unknown_name
 
 FAMILY_KEYS = ("envs", "hyperparams", "presets", "baselines", "tasks")
-PRESET_KEYS = ("flags", "hyperparams", "policies")
+PRESET_KEYS = ("flags", "hyperparams", "policies", "baselines")
 BASELINE_KEYS = ("algo", "policy", "hyperparams")
 # Flags of rl_zoo3.train for which a preset may choose the default.
 PRESET_FLAGS = ("eval_freq", "eval_episodes", "n_eval_envs", "save_freq", "vec_env", "log_interval")
@@ -52,12 +52,12 @@ class Family:
     """
     One file of hyperparameters: the baselines and presets of a family of environments.
 
-    Layers, later ones win: family, preset, policy of the preset, baseline, task.
+    Layers, later ones win: family, preset, policy of the preset, baseline, baseline of the preset, task.
 
     :param name: Name of the file without its suffix
     :param envs: Shell pattern of the ids it serves
     :param hyperparams: What all cells share
-    :param presets: From preset to its flags, hyperparameters and policies
+    :param presets: From preset to its flags, its hyperparameters, and those of policies and baselines in it
     :param baselines: From baseline to its algorithm, the name of its policy and its hyperparameters
     :param tasks: From id to preset to what is special about them
     """
@@ -125,6 +125,7 @@ def resolve(baseline: str, preset: str, env_id: str, overrides: Mapping[str, Any
         size.get("hyperparams", {}),
         policy,
         row.get("hyperparams", {}),
+        size.get("baselines", {}).get(baseline, {}),
         task.get("hyperparams", {}),
         overrides or {},
     )
@@ -174,6 +175,7 @@ def _parse(name: str, text: str) -> Family:
     for preset in data["presets"].values():
         _check_keys(f"preset key of {where}", preset, PRESET_KEYS)
         _check_keys(f"flag of {where}", preset.get("flags", {}), PRESET_FLAGS)
+        _check_keys(f"baseline of a preset of {where}", preset.get("baselines", {}), data["baselines"])
     for baseline in data["baselines"].values():
         _check_keys(f"baseline key of {where}", baseline, BASELINE_KEYS)
     for task in data.get("tasks", {}).values():
