@@ -68,10 +68,19 @@ def test_the_paper_preset_is_the_papers() -> None:
     assert cell.flags["eval_episodes"] == 100
 
 
+@pytest.mark.parametrize(("preset", "weight"), [("paper", 1.0), ("cpu", 10.0)])
 @pytest.mark.parametrize("network", ["", "equi_", "rad_", "drq_", "ferm_"])
-def test_only_sacfd_imitates(network: str) -> None:
-    assert resolve(f"{network}sac", "cpu", PICKING).hyperparams["bc_weight"] == 0
-    assert resolve(f"{network}sacfd", "cpu", PICKING).hyperparams["bc_weight"] == 1
+def test_only_sacfd_imitates(network: str, preset: str, weight: float) -> None:
+    assert resolve(f"{network}sac", preset, PICKING).hyperparams["bc_weight"] == 0
+    assert resolve(f"{network}sacfd", preset, PICKING).hyperparams["bc_weight"] == weight
+
+
+def test_imitation_in_the_cpu_preset_is_alike_for_all() -> None:
+    """What is compared differs in nothing but network, augmentation and buffer."""
+    imitating = [name for name in family_of(PICKING).baselines if "fd" in name]
+    assert len(imitating) == 8
+    cells = [resolve(name, "cpu", PICKING).hyperparams for name in imitating]
+    assert {(cell["bc_weight"], cell["ent_coef"]) for cell in cells} == {(10.0, 0.005)}
 
 
 @pytest.mark.parametrize(("preset", "obs_size", "size"), [("paper", 142, 128), ("cpu", 71, 64)])
@@ -94,7 +103,6 @@ def test_prioritized_replay_is_the_papers(preset: str) -> None:
         "action_sequence": "pxyzr",
     }
     assert hyperparams["replay_buffer_kwargs"] == expected
-    assert hyperparams["bc_weight"] == 1
 
 
 def test_overrides_win_and_merge() -> None:
