@@ -121,8 +121,9 @@ def put(scene: Scene, item: Item, grounds: Sequence[Pose]) -> Waypoint:
     """
     hand, lying = scene.robot.pose, lying_frame(item)
     in_hand = lying.inverse().compose(hand)
+    middle = _middle(item, lying)
     goals = (ground.compose(turned) for ground in grounds for turned in _lying(item, lying))
-    hands = (_able(scene, goal.compose(in_hand), goal, in_hand) for goal in goals)
+    hands = (_able(scene, goal.compose(in_hand), goal.transform(middle), in_hand, middle) for goal in goals)
     best = max(
         hands, key=lambda goal: (*_rank(scene, goal, item), -abs(wrap_angle(goal.yaw - hand.yaw, math.pi)))
     )
@@ -133,22 +134,40 @@ def _lying(item: Item, lying: Pose) -> Iterator[Pose]:
     """Yield the lying frame over the ground, in every way that looks the same."""
     low, high = sizes(item, lying)
     turns = 4 if max(high[:2] - low[:2]) < SQUARE * min(high[:2] - low[:2]) else 2
-    x, y = ((low + high)[:2] / 2.0).tolist()
+    x, y, _ = _middle(item, lying)
     for turn in range(turns):
         turned = Pose.planar(0.0, 0.0, RELEASE - float(low[2]), 2.0 * math.pi * turn / turns)
         yield turned.compose(Pose((-x, -y, 0.0)))
 
 
-def _able(scene: Scene, hand: Pose, goal: Pose | None = None, in_hand: Pose | None = None) -> Pose:
-    """Return the nearest pose that an action can tell, which keeps the middle of what is held where it is."""
+def _middle(item: Item, lying: Pose) -> Vector:
+    """Return the middle (m) of an item's outline in its lying frame."""
+    low, high = sizes(item, lying)
+    x, y = ((low + high)[:2] / 2.0).tolist()
+    return (x, y, 0.0)
+
+
+def _able(
+    scene: Scene,
+    hand: Pose,
+    goal: Vector | None = None,
+    in_hand: Pose | None = None,
+    middle: Vector = (0.0, 0.0, 0.0),
+) -> Pose:
+    """Return the nearest pose that an action can tell.
+
+    :param goal: where the middle of what is held is to come all the same (m)
+    :param in_hand: the hand in the lying frame of what is held
+    :param middle: in that frame (m)
+    """
     turns = scene.config.action_sequence.count("r")
     if turns == 3 and hand.tilt < MOST_TILT:
         return hand
     upright = Pose.planar(*hand.position, hand.yaw if turns else scene.robot.pose.yaw)
     if goal is None or in_hand is None:
         return upright
-    x, y, z = rotate(upright.orientation, in_hand.inverse().position)
-    return Pose((goal.x - x, goal.y - y, goal.z - z), upright.orientation)
+    x, y, z = rotate(upright.orientation, in_hand.inverse().transform(middle))
+    return Pose((goal[0] - x, goal[1] - y, goal[2] - z), upright.orientation)
 
 
 def _rank(scene: Scene, hand: Pose, item: Item) -> tuple[bool, bool]:

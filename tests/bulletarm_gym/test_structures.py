@@ -22,6 +22,7 @@ CENTRE = 0.45
 HOUSE_2 = "BulletArm/OpenLoopHouseBuilding2-v0"
 HOUSE_3 = "BulletArm/OpenLoopHouseBuilding3-v0"
 HOUSE_4 = "BulletArm/OpenLoopHouseBuilding4-v0"
+IMPROVISE_2 = "BulletArm/OpenLoopImproviseHouseBuilding2-v0"
 IMPROVISE_3 = "BulletArm/OpenLoopImproviseHouseBuilding3-v0"
 RAMP = "BulletArm/OpenLoopRampHouseBuilding2-v0"
 BUMP = "BulletArm/OpenLoopBumpHouseBuilding4-v0"
@@ -282,3 +283,11 @@ def test_random_blocks_are_grasped_square_on(make: Make) -> None:
             across = pieces[(pieces[:, 0, 1] < inside[1] + 0.01) & (pieces[:, 1, 1] > inside[1] - 0.01)]
             middle = (across[:, 0, 0].min() + across[:, 1, 0].max()) / 2.0
             assert inside[0] == pytest.approx(middle, abs=1e-6)
+
+
+@pytest.mark.parametrize("seed", [25, 78, 111])
+def test_random_blocks_come_to_their_places_without_being_turned(make: Make, seed: int) -> None:
+    """The fingers hold these off their middles, and the line they are to stand along points backwards."""
+    env = make(IMPROVISE_2, action_sequence="pxy", random_orientation=False)
+    env.reset(seed=seed)
+    assert finish(env) == 4
