@@ -21,8 +21,8 @@ HOVER = 0.03
 """Height (m) of the fingertips over an item while they line up with it."""
 READY = 0.9
 """Opening ratio from which the gripper is ready to grasp."""
-PASSING = 0.01
-"""Gap (m) between what is carried and what it is carried over."""
+PASSING = 0.03
+"""Gap (m) between what is carried and what it is carried over: wide, as agents are not so exact."""
 RELEASE = 0.003
 """Gap (m) under an item that is let go."""
 REACH = 0.06
