@@ -183,7 +183,7 @@ class OpenLoop(Control[PickPlace]):
         robot.transfer(behind)
         robot.move_to(pose)
         robot.close()
-        robot.move_to(behind)
+        robot.move_to(behind, careful=False)
         if robot.held is None:
             self._open(robot, self._hints.opening)
 
@@ -194,7 +194,7 @@ class OpenLoop(Control[PickPlace]):
         robot.move_to(pose)
         self._open(robot, robot.opening + RELEASE)
         scene.settle()
-        robot.move_to(behind)
+        robot.move_to(behind, careful=False)
         self._open(robot, self._hints.opening)
 
     def _open(self, robot: Robot, width: float) -> None:

@@ -180,9 +180,10 @@ class Robot:
         hold(self._world, self._arm, self._arm.positions(self._world))
         send_fingers(self._world, self._fingers, self._command / 2.0, self.model.gripper.speed)
 
-    def move_to(self, pose: Pose) -> None:
+    def move_to(self, pose: Pose, careful: bool = True) -> None:
         """Bring the fingertips to a pose; a blocked arm stops on the way.
 
+        :param careful: go slowly where something may be pushed; not needed on the way back from it
         :raises ValueError: the pose is out of reach
         """
         start, goal = self.pose, self.inverse_kinematics(pose)
@@ -194,7 +195,8 @@ class Robot:
         if clear and self.fast:
             self._place(self._arm, goal)
             return
-        pace = FREE_STEPS if clear else CAREFUL_STEPS if self.held is None else CARRYING_STEPS
+        slow = careful and not clear and self.held is None
+        pace = CAREFUL_STEPS if slow else FREE_STEPS if self.held is None else CARRYING_STEPS
         steps = motion_steps(distance, REFERENCE_DISTANCE, pace, LEAST_STEPS)
         follow(self._world, self._arm, stops, round(steps * self._world.physics.pace))
         self._finish()

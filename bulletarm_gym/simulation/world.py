@@ -30,6 +30,9 @@ PARKING_HEIGHT = 10.0
 """Where (m) bodies that take no part wait, far from everything, without contacts."""
 PARKING_PITCH = 1.0
 
+MOVING, FIXED = 1, 2
+"""Collision groups: Bullet would compute contacts between fixed bodies in every step."""
+
 Twist = tuple[Vector, Vector]
 STILL: Twist = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 FALLING: Twist = ((0.0, 0.0, -0.02), (0.0, 0.0, 0.0))
@@ -229,7 +232,7 @@ class World:
 
     def _set_active(self, body: Body, active: bool) -> None:
         self.active[body.index] = active
-        self._set_mask(body, 1 if active and not body.spec.is_mark else 0)
+        self._set_colliding(body, active and not body.spec.is_mark)
         if body.spec.mass > 0.0:
             client = self.client
             state = client.ACTIVATION_STATE_DISABLE_SLEEPING if active else client.ACTIVATION_STATE_SLEEP
@@ -273,12 +276,14 @@ class World:
         """
         for body in self.bodies:
             if self.active[body.index] and not body.spec.is_mark:
-                self._set_mask(body, 1)
+                self._set_colliding(body, True)
 
-    def _set_mask(self, body: Body, mask: int) -> None:
-        """Have a body collide (1) or not (0)."""
+    def _set_colliding(self, body: Body, colliding: bool) -> None:
+        """Have a body collide or not; what stands fixed does so with what moves only."""
         for link in (-1, *body.joints):
-            self.client.setCollisionFilterGroupMask(body.id, link, mask, mask)
+            moves = link >= 0 or body.spec.mass > 0.0
+            group, mask = (MOVING, MOVING | FIXED) if moves else (FIXED, MOVING)
+            self.client.setCollisionFilterGroupMask(body.id, link, group * colliding, mask * colliding)
 
     def end(self) -> None:
         """Read the world into the state; bodies slower than :data:`REST_SPEED` are at rest."""

@@ -15,11 +15,11 @@ from bulletarm_gym.compilation import compiled
 from bulletarm_gym.geometry import FloatArray, IntArray
 from bulletarm_gym.robots.gripper import Gripper
 
-YAWS = 16
+YAWS = 12
 """Directions tried over half a turn."""
 DEPTHS = (0.04, 0.025, 0.014)
 """How far (m) below the highest point between the fingers their tips may go: deep grasps hold best."""
-SPACING = 4
+SPACING = 6
 """Pixels between the points tried."""
 BESIDE = 0.004
 """Gap (m) kept between the fingers' outline and everything they pass on the way down."""
