@@ -32,6 +32,8 @@ MAX_TILT = math.pi / 4.0
 """Greatest turn (rad) about the gripper's y and x axes."""
 APPROACH = 0.1
 """How far (m) behind its target the gripper begins to come straight in, as in the original release."""
+RETREAT = 0.05
+"""How far (m) it goes back the same way after it closed or opened, before it goes home over everything."""
 HOME_HEIGHT = 0.4
 """Height (m) of the fingertips above the workspace's floor between actions: over everything."""
 ANGLES = ("theta", "phi", "psi")
@@ -162,19 +164,19 @@ class OpenLoop(Control[PickPlace]):
         :return: whether the move was ignored: a pick while holding, a place while empty, or out of reach
         """
         robot, pose = scene.robot, move.pose
-        behind = pose.compose(Pose((0.0, 0.0, APPROACH)))
-        if (move.primitive == PICK) == (robot.held is not None) or not (
-            robot.reaches(pose) and robot.reaches(behind)
+        behind, back = (pose.compose(Pose((0.0, 0.0, way))) for way in (APPROACH, RETREAT))
+        if (move.primitive == PICK) == (robot.held is not None) or not all(
+            robot.reaches(stop) for stop in (pose, behind, back)
         ):
             return True
         if move.primitive == PICK:
-            self._pick(scene, pose, behind)
+            self._pick(scene, pose, behind, back)
         else:
-            self._place(scene, pose, behind)
+            self._place(scene, pose, behind, back)
         robot.transfer(self._home)
         return False
 
-    def _pick(self, scene: Scene, pose: Pose, behind: Pose) -> None:
+    def _pick(self, scene: Scene, pose: Pose, behind: Pose, back: Pose) -> None:
         robot = scene.robot
         show = projections if len(self._in_hand) == 3 else crop
         above_floor = Pose((0.0, 0.0, -self._floor)).compose(pose)
@@ -183,18 +185,18 @@ class OpenLoop(Control[PickPlace]):
         robot.transfer(behind)
         robot.move_to(pose)
         robot.close()
-        robot.move_to(behind, careful=False)
+        robot.move_to(back, careful=False)
         if robot.held is None:
             self._open(robot, self._hints.opening)
 
-    def _place(self, scene: Scene, pose: Pose, behind: Pose) -> None:
+    def _place(self, scene: Scene, pose: Pose, behind: Pose, back: Pose) -> None:
         robot = scene.robot
         self._in_hand = np.zeros_like(self._in_hand)
         robot.transfer(behind)
         robot.move_to(pose)
         self._open(robot, robot.opening + RELEASE)
         scene.settle()
-        robot.move_to(behind, careful=False)
+        robot.move_to(back, careful=False)
         self._open(robot, self._hints.opening)
 
     def _open(self, robot: Robot, width: float) -> None:
