@@ -21,7 +21,7 @@ MOMENTS = {
     "CloseLoopBlockReaching": (0, 1, 2),
     "CloseLoopBlockPicking": (0, 3, 4, 5, 6),
     "CloseLoopCornerPicking": (0, 3, 4, 5, 6),
-    "CloseLoopBlockPulling": (0, 3, 5, 6),
+    "CloseLoopBlockPulling": (0, 3, 4, 5),
     "OpenLoopHouseBuilding1": (0, 1, 2, 5),
 }
 """Numbers of expert's steps after which a state is taken; mid-grasp and mid-push among them."""
