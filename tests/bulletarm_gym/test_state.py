@@ -21,10 +21,13 @@ MOMENTS = {
     "CloseLoopBlockReaching": (0, 1, 2),
     "CloseLoopBlockPicking": (0, 3, 4, 5, 6),
     "CloseLoopCornerPicking": (0, 3, 4, 5, 6),
-    "CloseLoopBlockPulling": (0, 3, 4, 5),
+    "CloseLoopBlockPulling": (0, 3, 5, 4),
     "OpenLoopHouseBuilding1": (0, 1, 2, 5),
 }
-"""Numbers of expert's steps after which a state is taken; mid-grasp and mid-push among them."""
+"""Numbers of expert's steps after which a state is taken; mid-grasp and mid-push among them.
+
+The last of each is taken under other parameters, too, which may make the way shorter.
+"""
 CASES = [
     (env_id, moment, parameters)
     for env_id in bulletarm_gym.ENV_IDS
@@ -78,7 +81,7 @@ def test_the_moments_cover_grasp_and_push(make: Make) -> None:
     ]
     assert held[0] is False and held[-1] is True
     start, end = (
-        advance(pulling, SEED, moment).world.poses for moment in (0, MOMENTS["CloseLoopBlockPulling"][-1])
+        advance(pulling, SEED, moment).world.poses for moment in (0, max(MOMENTS["CloseLoopBlockPulling"]))
     )
     assert start != end, "nothing was pushed"
 
