@@ -1,7 +1,7 @@
 """Open-loop control: each action is a whole pick or place (paper, Open-loop Environments)."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -33,7 +33,7 @@ MAX_TILT = math.pi / 4.0
 APPROACH = 0.1
 """How far (m) behind its target the gripper begins to come straight in, as in the original release."""
 RETREAT = 0.05
-"""How far (m) it goes back the same way after it closed or opened, before it goes home over everything."""
+"""How far (m) it goes back the same way, unless it still touches something there, before it goes home."""
 HOME_HEIGHT = 0.4
 """Height (m) of the fingertips above the workspace's floor between actions: over everything."""
 ANGLES = ("theta", "phi", "psi")
@@ -164,40 +164,47 @@ class OpenLoop(Control[PickPlace]):
         :return: whether the move was ignored: a pick while holding, a place while empty, or out of reach
         """
         robot, pose = scene.robot, move.pose
-        behind, back = (pose.compose(Pose((0.0, 0.0, way))) for way in (APPROACH, RETREAT))
+        back, behind = (pose.compose(Pose((0.0, 0.0, way))) for way in (RETREAT, APPROACH))
         if (move.primitive == PICK) == (robot.held is not None) or not all(
-            robot.reaches(stop) for stop in (pose, behind, back)
+            robot.reaches(stop) for stop in (pose, back, behind)
         ):
             return True
         if move.primitive == PICK:
-            self._pick(scene, pose, behind, back)
+            self._pick(scene, pose, (back, behind))
         else:
-            self._place(scene, pose, behind, back)
+            self._place(scene, pose, (back, behind))
         robot.transfer(self._home)
         return False
 
-    def _pick(self, scene: Scene, pose: Pose, behind: Pose, back: Pose) -> None:
+    def _pick(self, scene: Scene, pose: Pose, stops: Sequence[Pose]) -> None:
         robot = scene.robot
         show = projections if len(self._in_hand) == 3 else crop
         above_floor = Pose((0.0, 0.0, -self._floor)).compose(pose)
         self._in_hand = show(self._look(), above_floor, self._in_hand.shape[-1]).clip(0.0, MAX_HEIGHT)
         self._open(robot, self._hints.opening)
-        robot.transfer(behind)
+        robot.transfer(stops[-1])
         robot.move_to(pose)
         robot.close()
-        robot.move_to(back, careful=False)
+        self._withdraw(robot, stops)
         if robot.held is None:
             self._open(robot, self._hints.opening)
 
-    def _place(self, scene: Scene, pose: Pose, behind: Pose, back: Pose) -> None:
+    def _place(self, scene: Scene, pose: Pose, stops: Sequence[Pose]) -> None:
         robot = scene.robot
         self._in_hand = np.zeros_like(self._in_hand)
-        robot.transfer(behind)
+        robot.transfer(stops[-1])
         robot.move_to(pose)
         self._open(robot, robot.opening + RELEASE)
         scene.settle()
-        robot.move_to(back, careful=False)
+        self._withdraw(robot, stops)
         self._open(robot, self._hints.opening)
+
+    def _withdraw(self, robot: Robot, stops: Sequence[Pose]) -> None:
+        """Go back to the first stop where nothing is touched, or to the last."""
+        for stop in stops:
+            robot.move_to(stop, careful=False)
+            if robot.is_apart():
+                return
 
     def _open(self, robot: Robot, width: float) -> None:
         """Open the fingers to a distance (m), as far as they can."""

@@ -221,7 +221,7 @@ class Robot:
         :raises ValueError: the pose is out of reach
         """
         goal = self.inverse_kinematics(pose)
-        if self.fast and self._is_apart() and self._jump(goal):
+        if self.fast and self.is_apart() and self._jump(goal):
             self._begin_anew()
             return
         for stop in _stops(self.pose, pose):
@@ -319,14 +319,14 @@ class Robot:
         if held is not None:
             before = self._world.poses[held.index]
             self._world.place(held, self.pose.compose(hand.inverse().compose(before)))
-        if self._is_apart():
+        if self.is_apart():
             return True
         self._place(self._arm, joints)
         if held is not None:
             self._world.place(held, before)
         return False
 
-    def _is_apart(self) -> bool:
+    def is_apart(self) -> bool:
         """Whether the arm and what it holds touch nothing else."""
         held = self.held
         lowest = self._reach_down(self.pose)
