@@ -44,6 +44,12 @@ def scaled(config: EnvConfig, name: str, make: Callable[[str, float], BodySpec])
     return Role(name, tuple(make(f"{name} {scale:g}", scale) for scale in config.scales))
 
 
+def shaped(config: EnvConfig, name: str, make: Callable[[str, float, int], BodySpec], shapes: int) -> Role:
+    """Return a role played by ``make(name, scale, number)`` for every scale and all of so many shapes."""
+    kinds = [(scale, kind) for scale in config.scales for kind in range(shapes)]
+    return Role(name, tuple(make(f"{name} {kind} {scale:g}", scale, kind) for scale, kind in kinds))
+
+
 class Item:
     """The body that plays a role in this episode."""
 

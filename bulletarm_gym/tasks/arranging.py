@@ -10,7 +10,7 @@ from bulletarm_gym.geometry import Pose, planar_distance, wrap_angle
 from bulletarm_gym.objects.bottles import BOTTLES, TRAY, TRAY_FLOOR, bottle, bottle_tray
 from bulletarm_gym.placement import lay_apart
 from bulletarm_gym.relations import at_rest, is_empty, touching, upright
-from bulletarm_gym.scene import Item, Role, Scene
+from bulletarm_gym.scene import Item, Role, Scene, shaped
 from bulletarm_gym.tasks.grasping import RELEASE, place_item
 from bulletarm_gym.tasks.task import CLOSED, OPEN, Hints, Task, Waypoint
 
@@ -55,12 +55,8 @@ class BottleArrangement(Task):
 
     def bodies(self, config: EnvConfig) -> list[Role]:
         """Return the tray, and for each bottle all shapes in all sizes."""
-        kinds = [(scale, kind) for scale in config.scales for kind in range(len(BOTTLES))]
         names = [f"bottle {number}" for number in range(config.num_objects)]
-        bottles = [
-            Role(name, tuple(bottle(f"{name} {kind} {scale:g}", scale, kind) for scale, kind in kinds))
-            for name in names
-        ]
+        bottles = [shaped(config, name, bottle, len(BOTTLES)) for name in names]
         return [Role("tray", (bottle_tray("tray"),)), *bottles]
 
     def arrange(self, scene: Scene, rng: np.random.Generator) -> None:

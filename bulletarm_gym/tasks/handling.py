@@ -122,8 +122,9 @@ def put(scene: Scene, item: Item, grounds: Sequence[Pose]) -> Waypoint:
     hand, lying = scene.robot.pose, lying_frame(item)
     in_hand = lying.inverse().compose(hand)
     middle = _middle(item, lying)
+    held_at = in_hand.inverse().transform(middle)
     goals = (ground.compose(turned) for ground in grounds for turned in _lying(item, lying))
-    hands = (_able(scene, goal.compose(in_hand), goal.transform(middle), in_hand, middle) for goal in goals)
+    hands = (_bring(scene, goal.compose(in_hand), held_at, goal.transform(middle)) for goal in goals)
     best = max(
         hands, key=lambda goal: (*_rank(scene, goal, item), -abs(wrap_angle(goal.yaw - hand.yaw, math.pi)))
     )
@@ -147,27 +148,25 @@ def _middle(item: Item, lying: Pose) -> Vector:
     return (x, y, 0.0)
 
 
-def _able(
-    scene: Scene,
-    hand: Pose,
-    goal: Vector | None = None,
-    in_hand: Pose | None = None,
-    middle: Vector = (0.0, 0.0, 0.0),
-) -> Pose:
-    """Return the nearest pose that an action can tell.
-
-    :param goal: where the middle of what is held is to come all the same (m)
-    :param in_hand: the hand in the lying frame of what is held
-    :param middle: in that frame (m)
-    """
+def _able(scene: Scene, hand: Pose) -> Pose:
+    """Return the nearest pose that an action can tell."""
     turns = scene.config.action_sequence.count("r")
     if turns == 3 and hand.tilt < MOST_TILT:
         return hand
-    upright = Pose.planar(*hand.position, hand.yaw if turns else scene.robot.pose.yaw)
-    if goal is None or in_hand is None:
-        return upright
-    x, y, z = rotate(upright.orientation, in_hand.inverse().transform(middle))
-    return Pose((goal[0] - x, goal[1] - y, goal[2] - z), upright.orientation)
+    return Pose.planar(*hand.position, hand.yaw if turns else scene.robot.pose.yaw)
+
+
+def _bring(scene: Scene, hand: Pose, held_at: Vector, goal: Vector) -> Pose:
+    """Return the pose nearest to a hand's that an action can tell and that brings what is held to a point.
+
+    :param held_at: the middle of what is held in the hand's frame (m)
+    :param goal: where that is to come (m)
+    """
+    able = _able(scene, hand)
+    if able is hand:
+        return hand
+    x, y, z = rotate(able.orientation, held_at)
+    return Pose((goal[0] - x, goal[1] - y, goal[2] - z), able.orientation)
 
 
 def _rank(scene: Scene, hand: Pose, item: Item) -> tuple[bool, bool]:

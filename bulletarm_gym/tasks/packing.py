@@ -11,7 +11,7 @@ from bulletarm_gym.geometry import FloatArray, Pose, matrix
 from bulletarm_gym.objects.packing import BIN, BIN_WALL, SHAPES, packing_bin, packing_block
 from bulletarm_gym.placement import footprint, lay_apart
 from bulletarm_gym.relations import at_rest, is_empty, is_top
-from bulletarm_gym.scene import Item, Role, Scene
+from bulletarm_gym.scene import Item, Role, Scene, shaped
 from bulletarm_gym.tasks.grasping import RELEASE
 from bulletarm_gym.tasks.handling import lying_frame, pick
 from bulletarm_gym.tasks.task import CLOSED, OPEN, Hints, Task, Waypoint
@@ -68,12 +68,8 @@ class BinPacking(Task):
 
     def bodies(self, config: EnvConfig) -> list[Role]:
         """Return the bin, and for each block all shapes in all sizes."""
-        kinds = [(scale, kind) for scale in config.scales for kind in range(len(SHAPES))]
         names = [f"block {number}" for number in range(config.num_objects)]
-        blocks = [
-            Role(name, tuple(packing_block(f"{name} {kind} {scale:g}", scale, kind) for scale, kind in kinds))
-            for name in names
-        ]
+        blocks = [shaped(config, name, packing_block, len(SHAPES)) for name in names]
         return [Role("bin", (packing_bin("bin"),)), *blocks]
 
     def arrange(self, scene: Scene, rng: np.random.Generator) -> None:
