@@ -43,10 +43,10 @@ PITCH = 0.003
 """Side (m) of the pixels that grasps are searched in."""
 BORDER = 0.05
 """How far (m) beyond the workspace is looked: an open gripper reaches there."""
-TURN_WORTH = STEP / (math.pi / 4.0)
-"""A turn takes as many actions as this distance (m/rad)."""
-WAY_WEIGHT = 0.5
-"""What a metre of way costs of a grasp's quality."""
+TURN_WORTH = 2.0 * STEP / (math.pi / 4.0)
+"""The way (m/rad) that a turn is worth: twice what takes as many actions, for turns are hard to learn."""
+WAY_WEIGHT = 2.0
+"""What a metre of way costs of a grasp's quality: much, so that one can see which grasp is meant."""
 SAME_PLACE = 0.02
 """A gripper still as near (m) as this to where it failed has not tried again."""
 NEAR_FAILURE = 0.02
