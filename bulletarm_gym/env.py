@@ -120,6 +120,11 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         self.scene.settle()
         return self.control.observe(self.scene), self._evaluate(ignored=False)
 
+    @property
+    def keeps_scene(self) -> bool:
+        """Whether an episode without a seed begins with what the last one left."""
+        return self.task.keeps_scene
+
     def _arrange(
         self, arrange: Callable[[Scene, np.random.Generator], None], rng: np.random.Generator
     ) -> None:

@@ -120,6 +120,11 @@ class Task(ABC):
         """Whether the task defines :meth:`arrange_goal`."""
         return type(self).arrange_goal is not Task.arrange_goal
 
+    @property
+    def keeps_scene(self) -> bool:
+        """Whether the task defines :meth:`carry_on`."""
+        return type(self).carry_on is not Task.carry_on
+
     @abstractmethod
     def evaluate(self, scene: Scene) -> dict[str, bool]:
         """Return named facts about the scene; ``"success"`` is the goal."""

@@ -55,7 +55,7 @@ class Episode:
     :param rewards: shape (n,)
     :param terminations: shape (n,)
     :param truncations: shape (n,)
-    :param seed: seed the environment was reset with
+    :param seed: seed the environment was reset with; None where it went on with the scene that it had
     """
 
     observations: dict[str, npt.NDArray[Any]]
@@ -63,7 +63,7 @@ class Episode:
     rewards: npt.NDArray[np.float32]
     terminations: npt.NDArray[np.bool_]
     truncations: npt.NDArray[np.bool_]
-    seed: int
+    seed: int | None
 
 
 def make_expert_env(vec_env: VecEnv) -> AnyEnv:
@@ -104,7 +104,9 @@ def collect_episodes(
     """
     Let the expert of an environment act; yields successful episodes only, one at a time.
 
-    An episode is successful if ``info["is_success"]`` is true at its end. Each attempt has a seed of its own.
+    An episode is successful if ``info["is_success"]`` is true at its end. Each attempt has a seed of its own;
+    but where the environment says that it ``keeps_scene``, so that training meets what earlier episodes left,
+    only the first is seeded and the others go on with the scene as well.
 
     :param env: environment with Dict observations and a method ``expert_action()`` that returns an action
     :param episodes: number of successful episodes
@@ -139,11 +141,13 @@ def _successful_episodes(
     progress_bar: bool,
 ) -> Iterator[Episode]:
     successes = 0
+    keeps_scene = env.has_wrapper_attr("keeps_scene") and env.get_wrapper_attr("keeps_scene")
     with tqdm(total=episodes, desc="expert episodes", disable=not progress_bar) as progress:
-        for _ in range(attempts):
+        for attempt in range(attempts):
             if successes == episodes:
                 return
-            episode, success = _run_episode(env, expert, int(rng.integers(2**31)))
+            seed = None if keeps_scene and attempt > 0 else int(rng.integers(2**31))
+            episode, success = _run_episode(env, expert, seed)
             if success:
                 successes += 1
                 progress.update()
@@ -154,7 +158,9 @@ def _successful_episodes(
         )
 
 
-def _run_episode(env: AnyEnv, expert: Callable[[], npt.NDArray[Any]], seed: int) -> tuple[Episode, bool]:
+def _run_episode(
+    env: AnyEnv, expert: Callable[[], npt.NDArray[Any]], seed: int | None
+) -> tuple[Episode, bool]:
     observation, info = env.reset(seed=seed)
     # Copies: some environments write every observation into the same array.
     observations, steps = [copy.deepcopy(observation)], []

@@ -80,6 +80,11 @@ def test_an_invalid_scene_makes_a_new_one(env: ManipulationEnv) -> None:
     assert _names(env) != before and len(_names(env)) == 5
 
 
+def test_the_environment_says_that_it_keeps_its_scene(env: ManipulationEnv, make: Make) -> None:
+    assert env.keeps_scene
+    assert not make("BulletArm/CloseLoopBlockPicking-v0").keeps_scene
+
+
 def test_options_force_a_new_scene(env: ManipulationEnv) -> None:
     env.reset(seed=4)
     before = _names(env)

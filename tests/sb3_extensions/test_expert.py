@@ -44,11 +44,26 @@ def test_shape_of_an_episode() -> None:
 
 
 def test_same_seed_same_episodes() -> None:
-    def seeds(seed: int) -> list[int]:
+    def seeds(seed: int) -> list[int | None]:
         return [episode.seed for episode in collect_episodes(make_env(), 4, seed, progress_bar=False)]
 
     assert seeds(1) == seeds(1) != seeds(2)
     assert len(set(seeds(1))) == 4
+
+
+def test_only_the_first_is_seeded_where_a_scene_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    def seeds() -> list[int | None]:
+        return [episode.seed for episode in collect_episodes(make_env(), 3, 0, progress_bar=False)]
+
+    drawn = seeds()
+    monkeypatch.setattr(type(make_env().unwrapped), "keeps_scene", True, raising=False)
+    assert seeds() == [drawn[0], None, None]
+    offsets = [
+        [episode.observations["heightmap"][0].argmax() for episode in collect_episodes(make_env(), 3, 0)]
+        for _ in range(2)
+    ]
+    assert offsets[0] == offsets[1]
+    assert len(set(offsets[0])) == 3
 
 
 def test_gives_up() -> None:
