@@ -15,6 +15,7 @@ from zoo_configs.files import whole_file
 from zoo_configs.runs import CURVE_FILE, Run
 
 PANEL_SIZE = (6.4, 4.0)  # inches
+CURVES_BESIDE_LEGEND = 3  # a legend of more would cover them: it stands outside
 PANELS_A_ROW = 2
 DOTS_PER_INCH = 150
 
@@ -107,7 +108,10 @@ def _draw_panel(axes: Any, title: str, curves: Mapping[str, LearningCurve]) -> N
     if all("success" in curve.measure for curve in curves.values()):
         axes.set_ylim(-0.02, 1.02)
     axes.grid(alpha=0.3)
-    axes.legend(loc="lower right")
+    if len(curves) > CURVES_BESIDE_LEGEND:
+        axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
+    else:
+        axes.legend(loc="lower right")
 
 
 def _draw(axes: Any, name: str, curve: LearningCurve) -> None:
