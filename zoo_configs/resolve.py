@@ -52,14 +52,15 @@ class Family:
     """
     One file of hyperparameters: the baselines and presets of a family of environments.
 
-    Layers, later ones win: family, preset, policy of the preset, baseline, baseline of the preset, task.
+    Layers, later ones win: family, preset, policy of the preset, baseline, baseline of the preset; then
+    hyperparameters, policy and baseline of what the task says of the preset.
 
     :param name: Name of the file without its suffix
     :param envs: Shell pattern of the ids it serves
     :param hyperparams: What all cells share
     :param presets: From preset to its flags, its hyperparameters, and those of policies and baselines in it
     :param baselines: From baseline to its algorithm, the name of its policy and its hyperparameters
-    :param tasks: From id to preset to what is special about them
+    :param tasks: From id to preset to what is special about them, laid out as a preset
     """
 
     name: str
@@ -86,7 +87,7 @@ def families() -> tuple[Family, ...]:
     texts = {
         file.name: file.read_text(encoding="utf-8") for file in folder.iterdir() if file.name.endswith(".yml")
     }
-    return tuple(_parse(name.removesuffix(".yml"), texts[name]) for name in sorted(texts))
+    return tuple(parse_family(name.removesuffix(".yml"), texts[name]) for name in sorted(texts))
 
 
 def family_of(env_id: str) -> Family:
@@ -127,6 +128,8 @@ def resolve(baseline: str, preset: str, env_id: str, overrides: Mapping[str, Any
         row.get("hyperparams", {}),
         size.get("baselines", {}).get(baseline, {}),
         task.get("hyperparams", {}),
+        task.get("policies", {}).get(row["policy"], {}),
+        task.get("baselines", {}).get(baseline, {}),
         overrides or {},
     )
     hyperparams: dict[str, Any] = {}
@@ -168,19 +171,38 @@ def _entry(kind: str, name: str, table: Mapping[str, dict[str, Any]]) -> dict[st
     return table[name]
 
 
-def _parse(name: str, text: str) -> Family:
+def parse_family(name: str, text: str) -> Family:
+    """
+    Read a file of hyperparameters.
+
+    :param name: Name of the file without its suffix
+    :param text: What it says, in YAML
+    :return: The family
+    :raises CommandError: if a key means nothing; names the nearest one that does
+    """
     data = yaml.safe_load(text)
     where = f"hyperparams/{name}.yml"
     _check_keys(f"key of {where}", data, FAMILY_KEYS)
-    for preset in data["presets"].values():
-        _check_keys(f"preset key of {where}", preset, PRESET_KEYS)
-        _check_keys(f"flag of {where}", preset.get("flags", {}), PRESET_FLAGS)
-        _check_keys(f"baseline of a preset of {where}", preset.get("baselines", {}), data["baselines"])
     for baseline in data["baselines"].values():
         _check_keys(f"baseline key of {where}", baseline, BASELINE_KEYS)
+    presets = data["presets"]
+    sections = list(presets.items())
     for task in data.get("tasks", {}).values():
-        _check_keys(f"preset of a task of {where}", task, data["presets"])
+        _check_keys(f"preset of a task of {where}", task, presets)
+        sections += task.items()
+    for name_of_preset, section in sections:
+        _check_section(where, section, data["baselines"], presets[name_of_preset]["policies"])
     return Family(name=name, **{key: data.get(key, {}) for key in FAMILY_KEYS})
+
+
+def _check_section(
+    where: str, section: Mapping[str, Any], baselines: Mapping[str, Any], policies: Mapping[str, Any]
+) -> None:
+    """Check the keys of a preset, or of what a task says of a preset."""
+    _check_keys(f"preset key of {where}", section, PRESET_KEYS)
+    _check_keys(f"flag of {where}", section.get("flags", {}), PRESET_FLAGS)
+    _check_keys(f"policy of {where}", section.get("policies", {}), policies)
+    _check_keys(f"baseline of a preset of {where}", section.get("baselines", {}), baselines)
 
 
 def _check_keys(kind: str, mapping: Mapping[str, Any], valid: Mapping[str, Any] | tuple[str, ...]) -> None:

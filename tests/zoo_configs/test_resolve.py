@@ -7,11 +7,12 @@ from typing import Any
 import numpy as np
 import pytest
 import torch as th
+import yaml
 
 from zoo_configs.environments import our_env_ids, register_environments
 from zoo_configs.errors import CommandError, nearest_name
 from zoo_configs.manager import import_classes
-from zoo_configs.resolve import Cell, families, family_of, merge, resolve
+from zoo_configs.resolve import Cell, families, family_of, merge, parse_family, resolve
 from zoo_configs.update_speed import make_model
 from zoo_configs.validation import check_cell, constructor_keys
 
@@ -81,6 +82,42 @@ def test_imitation_in_the_cpu_preset_is_alike_for_all() -> None:
     assert len(imitating) == 8
     cells = [resolve(name, "cpu", PICKING).hyperparams for name in imitating]
     assert {(cell["bc_weight"], cell["ent_coef"]) for cell in cells} == {(10.0, 0.005)}
+
+
+def test_a_task_may_say_more_of_policies_and_baselines() -> None:
+    house = "BulletArm/CloseLoopHouseBuilding-v0"
+    equivariant, plain, unguided = (
+        resolve(name, "cpu", house).hyperparams for name in ("equi_sacfd", "sacfd", "equi_sac")
+    )
+    here, there = (
+        resolve(name, "cpu", PICKING).hyperparams["policy_kwargs"]["features_extractor_kwargs"]
+        for name in ("equi_sacfd", "sacfd")
+    )
+    channels = equivariant["policy_kwargs"]["features_extractor_kwargs"].pop("channels")
+    assert channels != here.pop("channels")
+    assert equivariant["policy_kwargs"]["features_extractor_kwargs"] == here
+    assert plain["policy_kwargs"]["features_extractor_kwargs"] == there
+    assert [cell["bc_weight"] for cell in (equivariant, plain, unguided)] == [30, 30, 0]
+
+
+@pytest.mark.parametrize(
+    ("task", "message"),
+    [
+        ({"cpu": {"policies": {"equivarant": {}}}}, "policy of hyperparams/mine.yml 'equivarant'"),
+        ({"cpu": {"baselines": {"sacdf": {}}}}, "baseline of a preset of hyperparams/mine.yml 'sacdf'"),
+        ({"cpu": {"hyperparms": {}}}, "preset key of hyperparams/mine.yml 'hyperparms'"),
+        ({"gpu": {}}, "preset of a task of hyperparams/mine.yml 'gpu'"),
+    ],
+)
+def test_unknown_keys_of_a_task_are_told(task: dict[str, Any], message: str) -> None:
+    data = {
+        "envs": "*",
+        "presets": {"cpu": {"policies": {"equivariant": {}}}},
+        "baselines": {"sacfd": {"algo": "sacfd", "policy": "equivariant"}},
+        "tasks": {PICKING: task},
+    }
+    with pytest.raises(CommandError, match=message):
+        parse_family("mine", yaml.safe_dump(data))
 
 
 @pytest.mark.parametrize(("preset", "obs_size", "size"), [("paper", 142, 128), ("cpu", 71, 64)])
