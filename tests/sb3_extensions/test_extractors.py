@@ -112,6 +112,20 @@ def test_without_quantisation_heights_are_only_scaled():
     assert th.equal(StackedImage(unbounded, None)(observations)[:, :1], observations["heightmap"])
 
 
+@pytest.mark.parametrize("quantise, error", [(None, 1e-6), ("uint8", 0.2 / 255), ("uint16", 0.2 / 65535)])
+def test_standardised_heights(quantise, error):
+    observations = sample(observation_space())
+    image = StackedImage(observation_space(), quantise, standardise=(0.1, 0.01))(observations)
+    assert th.allclose(image[:, :1], (observations["heightmap"] - 0.1) / 0.01, atol=(error + 1e-6) / 0.01)
+    assert th.equal(image[:, 1:], observations["holding"][..., None, None].expand(-1, -1, SIZE, SIZE))
+
+
+def test_standardised_uint8_images_are_in_unit_range():
+    space = spaces.Box(0, 255, (3, SIZE, SIZE), np.uint8)
+    image = th.rand(2, 3, SIZE, SIZE)
+    assert th.allclose(StackedImage(space, "uint8", standardise=(0.5, 0.25))(image), (image - 0.5) / 0.25)
+
+
 @pytest.mark.parametrize("group, n", [("cyclic", 4), ("cyclic", 8), ("dihedral", 4)])
 def test_outputs_turn_or_stay(group, n):
     space = observation_space()
@@ -183,6 +197,7 @@ def test_extractors_serve_other_algorithms(algorithm, extractor_class, kwargs, t
         (observation_space(), {"group": "square"}, "group"),
         (observation_space(), {"n": 0}, "n"),
         (observation_space(), {"output": "both"}, "output"),
+        (observation_space(), {"standardise": (0.1, 0.0)}, "standardise"),
     ],
 )
 def test_extractor_names_what_does_not_fit(space, kwargs, named):
