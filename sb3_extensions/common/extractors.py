@@ -43,7 +43,7 @@ class StackedImage(nn.Module):
         become (image - mean) / standard deviation instead of [0, 1]. What differs little within the bounds,
         as heights of a few centimetres, is then learnt in far fewer updates
     :raises ValueError: if the space has no image or images of other shapes, their bounds cannot be
-        quantised, they are smaller than the crop, or the standard deviation is not positive
+        quantised, they are smaller than the crop, or ``standardise`` is something else
     """
 
     def __init__(
@@ -106,14 +106,14 @@ class _Scale:
     :param space: of the image
     :param quantise: see :class:`StackedImage`
     :param standardise: see :class:`StackedImage`
-    :raises ValueError: if the space cannot be quantised so, or the standard deviation is not positive
+    :raises ValueError: if the space cannot be quantised so, or ``standardise`` is something else
     """
 
     def __init__(
         self, key: str, space: spaces.Box, quantise: str | None, standardise: Sequence[float] | None
     ) -> None:
-        if standardise is not None and not standardise[1] > 0.0:
-            raise ValueError(f"standardise must have a positive standard deviation, got {standardise}")
+        if standardise is not None and not (len(standardise) == 2 and standardise[1] > 0.0):
+            raise ValueError(f"standardise must be (mean, standard deviation above 0), got {standardise}")
         self.standardise = standardise
         self.quantiser: Quantiser | None = None
         self.low, self.span = 0.0, 1.0

@@ -198,6 +198,7 @@ def test_extractors_serve_other_algorithms(algorithm, extractor_class, kwargs, t
         (observation_space(), {"n": 0}, "n"),
         (observation_space(), {"output": "both"}, "output"),
         (observation_space(), {"standardise": (0.1, 0.0)}, "standardise"),
+        (observation_space(), {"standardise": [0.1]}, "standardise"),
     ],
 )
 def test_extractor_names_what_does_not_fit(space, kwargs, named):
