@@ -19,6 +19,7 @@ from tqdm import tqdm
 ATTEMPTS_PER_EPISODE = 4
 
 AnyEnv = gym.Env[Any, Any]
+Expert = Callable[[], npt.NDArray[Any]]
 
 
 class EpisodeData(Protocol):
@@ -100,6 +101,7 @@ def collect_episodes(
     seed: int | None = None,
     max_attempts: int | None = None,
     progress_bar: bool = True,
+    noise: float = 0.0,
 ) -> Iterator[Episode]:
     """
     Let the expert of an environment act; yields successful episodes only, one at a time.
@@ -113,12 +115,17 @@ def collect_episodes(
     :param seed: seed from which the seeds of the attempts are drawn
     :param max_attempts: number of episodes to try at most; by default four for each successful one
     :param progress_bar: whether to show progress
+    :param noise: standard deviation of a normal disturbance of every action, in half the range of the action
+        space; episodes hold the disturbed actions, as they were carried out. They show how the expert makes
+        good what an agent will do inexactly. DART: https://arxiv.org/abs/1703.09327
     :return: the episodes
-    :raises ValueError: if the environment is not such a one, or ``episodes`` is negative
+    :raises ValueError: if the environment is not such a one, or ``episodes`` or ``noise`` is negative
     :raises RuntimeError: while iterating, if the attempts are used up
     """
     if episodes < 0:
         raise ValueError(f"episodes must not be negative, got {episodes}")
+    if noise < 0.0:
+        raise ValueError(f"noise must not be negative, got {noise}")
     if not isinstance(env.observation_space, spaces.Dict):
         raise ValueError(f"the environment must have Dict observations, got {env.observation_space}")
     try:
@@ -129,12 +136,28 @@ def collect_episodes(
             "or hand over episodes by expert_data="
         ) from error
     attempts = ATTEMPTS_PER_EPISODE * episodes if max_attempts is None else max_attempts
-    return _successful_episodes(env, expert, episodes, attempts, np.random.default_rng(seed), progress_bar)
+    rng = np.random.default_rng(seed)
+    if noise > 0.0:
+        expert = _disturbed(expert, env.action_space, noise, rng.spawn(1)[0])
+    return _successful_episodes(env, expert, episodes, attempts, rng, progress_bar)
+
+
+def _disturbed(expert: Expert, space: gym.Space[Any], noise: float, rng: np.random.Generator) -> Expert:
+    """The expert with a hand that is not steady."""
+    if not isinstance(space, spaces.Box):
+        raise ValueError(f"noise needs an action space with ranges, a Box, got {space}")
+    deviation = noise * (space.high - space.low) / 2.0
+
+    def act() -> npt.NDArray[Any]:
+        action = np.asarray(expert()) + rng.normal(scale=deviation)
+        return np.clip(action, space.low, space.high).astype(space.dtype)
+
+    return act
 
 
 def _successful_episodes(
     env: AnyEnv,
-    expert: Callable[[], npt.NDArray[Any]],
+    expert: Expert,
     episodes: int,
     attempts: int,
     rng: np.random.Generator,
@@ -158,9 +181,7 @@ def _successful_episodes(
         )
 
 
-def _run_episode(
-    env: AnyEnv, expert: Callable[[], npt.NDArray[Any]], seed: int | None
-) -> tuple[Episode, bool]:
+def _run_episode(env: AnyEnv, expert: Expert, seed: int | None) -> tuple[Episode, bool]:
     observation, info = env.reset(seed=seed)
     # Copies: some environments write every observation into the same array.
     observations, steps = [copy.deepcopy(observation)], []

@@ -67,6 +67,9 @@ class FromDemonstrations(SoftActorCritic):
     :param bc_weight: weight of the behaviour cloning term in the actor's loss
     :param expert_episodes: number of successful episodes of the expert to begin with, unless ``expert_data``
         is given
+    :param expert_noise: standard deviation of a normal disturbance of the expert's actions, in the policy's
+        units [-1, 1]: its episodes then show how to make good what an agent does inexactly, see
+        :func:`~sb3_extensions.common.expert.collect_episodes`
     :param expert_data: episodes to begin with instead, with Minari's attributes
         (see :class:`~sb3_extensions.common.expert.EpisodeData`), in the environment's units; not saved
     :param augmentation: random views of the images: None, a :class:`~sb3_extensions.common.augmentation.RAD`
@@ -82,8 +85,9 @@ class FromDemonstrations(SoftActorCritic):
     :param device: Device (cpu, cuda, ...) on which the code should be run.
         Setting it to auto, the code will be run on the GPU if possible.
     :param _init_setup_model: Whether or not to build the network at the creation of the instance
-    :raises ValueError: if ``bc_weight``, ``expert_episodes`` or ``pretrain_steps`` is negative, if there is
-        pretraining without demonstrations, or if ``replay_buffer_class`` is no ``ExpertReplayBuffer``
+    :raises ValueError: if ``bc_weight``, ``expert_episodes``, ``expert_noise`` or ``pretrain_steps`` is
+        negative, if there is pretraining without demonstrations, or if ``replay_buffer_class`` is no
+        ``ExpertReplayBuffer``
     """
 
     action_space: spaces.Box
@@ -109,6 +113,7 @@ class FromDemonstrations(SoftActorCritic):
         target_entropy: str | float = "auto",
         bc_weight: float = 1.0,
         expert_episodes: int = 100,
+        expert_noise: float = 0.0,
         expert_data: Iterable[EpisodeData] | None = None,
         augmentation: AugmentationSpec = None,
         pretrain_steps: int = 0,
@@ -148,7 +153,12 @@ class FromDemonstrations(SoftActorCritic):
             device=device,
             _init_setup_model=False,
         )
-        given = {"bc_weight": bc_weight, "expert_episodes": expert_episodes, "pretrain_steps": pretrain_steps}
+        given = {
+            "bc_weight": bc_weight,
+            "expert_episodes": expert_episodes,
+            "expert_noise": expert_noise,
+            "pretrain_steps": pretrain_steps,
+        }
         for name, value in given.items():
             if value < 0:
                 raise ValueError(f"{name} must not be negative, got {value}")
@@ -160,6 +170,7 @@ class FromDemonstrations(SoftActorCritic):
         self.replay_buffer_kwargs = {"n_steps": n_steps, "gamma": gamma, **self.replay_buffer_kwargs}
         self.bc_weight = bc_weight
         self.expert_episodes = expert_episodes
+        self.expert_noise = expert_noise
         self.expert_data = expert_data
         self.augmentation = make_augmentation(augmentation)
         self.augmentation_generator = th.Generator().manual_seed(th.initial_seed())
@@ -257,7 +268,9 @@ class FromDemonstrations(SoftActorCritic):
             assert self.env is not None, "You must set the environment before calling learn()"
             seed = None if self.seed is None else derive_seed(self.seed, SeedKey.EXPERT)
             with contextlib.closing(make_expert_env(self.env)) as expert_env:
-                self._add_episodes(collect_episodes(expert_env, self.expert_episodes, seed))
+                self._add_episodes(
+                    collect_episodes(expert_env, self.expert_episodes, seed, noise=self.expert_noise)
+                )
 
     def _add_episodes(self, episodes: Iterable[EpisodeData]) -> None:
         assert self.replay_buffer is not None

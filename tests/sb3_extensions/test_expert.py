@@ -69,6 +69,27 @@ def test_only_the_first_is_seeded_where_a_scene_is_kept(monkeypatch: pytest.Monk
     assert len(set(starts[0])) == 3
 
 
+def test_noise_disturbs_the_actions_that_are_carried_out() -> None:
+    def collect(noise: float) -> list[Any]:
+        return list(collect_episodes(make_env(), 20, 0, progress_bar=False, noise=noise))
+
+    noisy, again, steady = collect(0.05), collect(0.05), collect(0.0)
+    assert [episode.seed for episode in noisy] == [episode.seed for episode in again]
+    np.testing.assert_array_equal(noisy[0].actions, again[0].actions)
+    assert noisy[0].actions.dtype == np.float32
+    env, errors = make_env(), []
+    for episode in noisy:
+        env.reset(seed=episode.seed)
+        for action in episode.actions:
+            errors.append(action - env.unwrapped.expert_action())
+            env.step(action)
+        assert abs(episode.actions).max() <= 1.0
+    inside = [error for error in np.concatenate(errors) if error]
+    assert 0.02 < np.std(inside) < 0.06
+    assert not np.array_equal(noisy[0].actions[0], steady[0].actions[0])
+    assert noisy[0].seed == steady[0].seed
+
+
 def test_gives_up() -> None:
     episodes = collect_episodes(make_env(expert_failures=100), 2, seed=0, progress_bar=False)
     with pytest.raises(RuntimeError, match="succeeded in 0 of 8 episodes, 2 needed"):
@@ -85,6 +106,8 @@ def test_needs_an_expert_and_dict_observations() -> None:
         collect_episodes(gym.make("Pendulum-v1"), 1)
     with pytest.raises(ValueError, match="episodes"):
         collect_episodes(make_env(), -1)
+    with pytest.raises(ValueError, match="noise"):
+        collect_episodes(make_env(), 1, noise=-0.1)
 
 
 class _WithoutExpert(gym.Env[Any, Any]):

@@ -257,6 +257,7 @@ def test_expert_data_is_not_saved(make_toy: Any, tmp_path: Any) -> None:
         ({"bc_weight": -1}, "bc_weight"),
         ({"expert_episodes": -1}, "expert_episodes"),
         ({"pretrain_steps": -1}, "pretrain_steps"),
+        ({"expert_noise": -0.1}, "expert_noise"),
         ({"pretrain_steps": 5, "expert_episodes": 0}, "must be 0 without demonstrations"),
         ({"replay_buffer_class": FrameReplayBuffer}, "ExpertReplayBuffer"),
         ({"n_steps": 0}, "n_steps"),
