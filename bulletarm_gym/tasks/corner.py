@@ -6,7 +6,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from bulletarm_gym.config import CLOSE_LOOP, EnvConfig, TaskDefaults, TrayUse
-from bulletarm_gym.geometry import Pose, planar_distance, wrap_angle
+from bulletarm_gym.geometry import Pose, planar_distance
 from bulletarm_gym.objects import corner, cube
 from bulletarm_gym.objects.corner import INSIDE, PLATE, SIDE
 from bulletarm_gym.placement import draw_until, is_within
@@ -25,22 +25,21 @@ from bulletarm_gym.tasks.task import CLOSED, Task, Waypoint
 
 GAP = 2e-4
 """Gap (m) between the cube and the walls: it stands flush, but is not pressed against them."""
-PRESS = 2e-3
-"""Depth (m) by which the fingertips are sent into the cube's upper side to take it along."""
+PRESS = 5e-3
+"""Depth (m) by which the fingertips are sent into the cube's upper side; half and twice as much take it along
+too."""
 FREE = 0.05
 """Distance (m) of the cube from the walls at which any gripper's fingers fit in between ..."""
 DRAWN = 0.07
 """... and that to which the expert draws it: clearly farther, so that one sees when it is done."""
-OFFSET = 0.008
+OFFSET = 0.004
 """How far (m) from the cube's middle, towards both walls, it presses: there the cube does not tip over."""
 SHUT = 0.1
 """Opening ratio up to which the gripper presses with both fingers."""
-OVER = 0.012
+OVER = 0.02
 """Distance (m) from there within which the gripper comes down ..."""
-SQUARE = 0.3
-"""... the angle (rad) to the walls ..."""
 BESIDE = 0.025
-"""... and the distance within which it presses on the cube."""
+"""... and within which it presses on the cube."""
 
 
 class CornerPicking(Task):
@@ -107,19 +106,16 @@ class CornerPicking(Task):
         inner = walls.pose.inverse().transform(item.pose.position)
         x, y, _ = walls.pose.transform((inner[0] - OFFSET, inner[1] - OFFSET, 0.0))
         top = scene.world.top(item.body)
-        yaw = hand.yaw
-        if "r" in scene.config.action_sequence:
-            yaw += wrap_angle(side_yaw(item.pose) - hand.yaw, math.pi / 2.0)
         beside = planar_distance((x, y), hand.position)
         closed = scene.robot.opening_ratio < SHUT
-        if not (closed and beside < BESIDE and hand.z < top + PRESS):
-            if beside > OVER or abs(hand.yaw - yaw) > SQUARE or not closed:
+        if not (closed and beside < BESIDE and hand.z < top):
+            if beside > OVER or not closed:
                 over = max(top, highest_between(scene, hand.position, item.pose.position, item)) + HOVER
                 if hand.z < over - LEVEL:
                     yield Waypoint(Pose.planar(hand.x, hand.y, over, hand.yaw), CLOSED)
-                yield Waypoint(Pose.planar(x, y, over, yaw), CLOSED)
-            yield Waypoint(Pose.planar(x, y, top - PRESS, yaw), CLOSED)
+                yield Waypoint(Pose.planar(x, y, over, hand.yaw), CLOSED)
+            yield Waypoint(Pose.planar(x, y, top - PRESS, hand.yaw), CLOSED)
         half = item.spec.extents[0] / 2.0
         goal = walls.pose.transform((INSIDE + half + DRAWN - OFFSET, INSIDE + half + DRAWN - OFFSET, 0.0))
         dx, dy = hand.x - x, hand.y - y
-        yield Waypoint(Pose.planar(goal[0] + dx, goal[1] + dy, top - PRESS, yaw), CLOSED, straight=True)
+        yield Waypoint(Pose.planar(goal[0] + dx, goal[1] + dy, top - PRESS, hand.yaw), CLOSED, straight=True)
