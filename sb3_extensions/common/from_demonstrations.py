@@ -153,15 +153,12 @@ class FromDemonstrations(SoftActorCritic):
             device=device,
             _init_setup_model=False,
         )
-        given = {
-            "bc_weight": bc_weight,
-            "expert_episodes": expert_episodes,
-            "expert_noise": expert_noise,
-            "pretrain_steps": pretrain_steps,
-        }
-        for name, value in given.items():
-            if value < 0:
-                raise ValueError(f"{name} must not be negative, got {value}")
+        _check_not_negative(
+            bc_weight=bc_weight,
+            expert_episodes=expert_episodes,
+            expert_noise=expert_noise,
+            pretrain_steps=pretrain_steps,
+        )
         if pretrain_steps and expert_data is None and not expert_episodes:
             raise ValueError(
                 f"pretrain_steps must be 0 without demonstrations (expert_episodes=0), got {pretrain_steps}"
@@ -286,3 +283,9 @@ class FromDemonstrations(SoftActorCritic):
 
     def _excluded_save_params(self) -> list[str]:
         return [*super()._excluded_save_params(), "expert_data", "augmentation_generator"]
+
+
+def _check_not_negative(**given: float) -> None:
+    for name, value in given.items():
+        if value < 0:
+            raise ValueError(f"{name} must not be negative, got {value}")
