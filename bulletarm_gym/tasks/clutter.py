@@ -8,7 +8,15 @@ import numpy as np
 
 from bulletarm_gym.config import CLOSE_LOOP, OPEN_LOOP, EnvConfig, TaskDefaults, TrayUse
 from bulletarm_gym.footprint import PlacementError
-from bulletarm_gym.geometry import IDENTITY, FloatArray, Mesh, Pose, Quaternion, planar_distance
+from bulletarm_gym.geometry import (
+    IDENTITY,
+    FloatArray,
+    Mesh,
+    Pose,
+    Quaternion,
+    planar_distance,
+    wrap_angle,
+)
 from bulletarm_gym.objects.sets import object_set
 from bulletarm_gym.placement import ARRANGEMENTS
 from bulletarm_gym.relations import TOUCHING
@@ -16,7 +24,7 @@ from bulletarm_gym.scene import Item, Role, Scene
 from bulletarm_gym.simulation import BodySpec, Convex, Piece
 from bulletarm_gym.simulation.world import FALLING
 from bulletarm_gym.tasks.antipodal import DEPTHS, YAWS, Relief, find_grasps
-from bulletarm_gym.tasks.grasping import STEP, grasp
+from bulletarm_gym.tasks.grasping import ALIGNED, ALIGNED_YAW, HOVER, STEP
 from bulletarm_gym.tasks.stirring import stir
 from bulletarm_gym.tasks.task import CLOSED, OPEN, Hints, Task, Waypoint
 
@@ -43,15 +51,23 @@ PITCH = 0.003
 """Side (m) of the pixels that grasps are searched in."""
 BORDER = 0.05
 """How far (m) beyond the workspace is looked: an open gripper reaches there."""
-TURN_WORTH = 2.0 * STEP / (math.pi / 4.0)
-"""The way (m/rad) that a turn is worth: twice what takes as many actions, for turns are hard to learn."""
-WAY_WEIGHT = 2.0
-"""What a metre of way costs of a grasp's quality: much, so that one can see which grasp is meant."""
+TURN_WORTH = STEP / (math.pi / 4.0)
+"""The way (m/rad) that a turn is worth: what takes as many actions."""
+WAY_WEIGHT = 4.0
+"""What a metre of way costs of a grasp's quality: so much that the nearest is meant, which one can see."""
+FUNNEL = 0.03
+"""Distance (m) within which the gripper comes down to a grasp, lower the nearer it is."""
+FUNNEL_TURN = 0.04
+"""The distance (m/rad) that a turn is worth there."""
+DEEP = 0.012
+"""Height (m) above a grasp at which closing will do."""
+SHUT = 0.7
+"""Opening ratio below which the gripper has to open before it comes down."""
 SAME_PLACE = 0.02
 """A gripper still as near (m) as this to where it failed has not tried again."""
 NEAR_FAILURE = 0.02
 """Grasps this near (m) to one that failed ..."""
-FAILURE_COST = 0.06
+FAILURE_COST = 0.25
 """... are worth less by this, twice where they are turned alike ..."""
 ALIKE = 0.3
 """... within this angle (rad)."""
@@ -180,10 +196,10 @@ class ObjectGrasping(Task):
             target = self._target(scene, relief)
             if target is None:
                 yield from stir(scene, max(scene, key=lambda item: scene.world.top(item.body)), rng)
-                return
-            top = relief.top_between(hand.position, target.position, scene.robot.model.gripper.stroke)
-            yield from grasp(scene, target, top, math.pi)
-        yield Waypoint(Pose.planar(hand.x, hand.y, max(hand.z, LIFTED) + STEP, hand.yaw), CLOSED)
+            else:
+                yield _approach(scene, relief, target)
+        else:
+            yield Waypoint(Pose.planar(hand.x, hand.y, max(hand.z, LIFTED) + STEP, hand.yaw), CLOSED)
 
     def _target(self, scene: Scene, relief: Relief) -> Pose | None:
         """Return the grasp whose quality less the way to it is best, if any is good enough.
@@ -200,8 +216,8 @@ class ObjectGrasping(Task):
         good = value > 0.0
         if not good.any():
             return None
-        turn = TURN_WORTH * np.abs(wrap(yaw - hand.yaw))
-        way = np.maximum(np.maximum(np.abs(x - hand.x), np.abs(y - hand.y)), turn)
+        turn = TURN_WORTH * wrap(yaw - hand.yaw)
+        way = np.sqrt((x - hand.x) ** 2 + (y - hand.y) ** 2 + turn**2)
         best = np.where(good, value - WAY_WEIGHT * way, -np.inf).argmax()
         return Pose.planar(*grasps[best, :4].tolist())
 
@@ -268,6 +284,34 @@ class OpenLoopObjectGrasping(ObjectGrasping):
         x, y = (item.pose.position[:2] + inward + rng.uniform(-NUDGE / 2.0, NUDGE / 2.0, 2)).tolist()
         yaw = towards if "r" in self.config.action_sequence else 0.0
         return Pose.planar(x, y, scene.surface.level + CLEARANCE, yaw)
+
+
+def _approach(scene: Scene, relief: Relief, target: Pose) -> Waypoint:
+    """Return what to do next for a grasp by the open gripper: always towards it, down a funnel, then close.
+
+    Nowhere but at the end does a little more or less of anything change what is done: who imitates it
+    inexactly is led back.
+    """
+    hand, reach = scene.robot.pose, scene.robot.model.gripper.stroke / 2.0
+    if scene.robot.opening_ratio < SHUT:
+        top = relief.top_between(hand.position, hand.position, reach)
+        return Waypoint(Pose.planar(hand.x, hand.y, max(hand.z, top + HOVER), hand.yaw), OPEN)
+    turn = wrap_angle(target.yaw - hand.yaw, math.pi)
+    way = planar_distance(target.position, hand.position)
+    if way < ALIGNED and abs(turn) < ALIGNED_YAW and abs(target.z - hand.z) < DEEP:
+        return Waypoint(hand, CLOSED)
+    # What will be left after this step; and not all the way down within a long one.
+    dx, dy = (_beyond(goal - now, STEP) for goal, now in ((target.x, hand.x), (target.y, hand.y)))
+    left = max(math.hypot(dx, dy), FUNNEL_TURN * _beyond(turn, math.pi / 4.0))
+    apart = max(left, max(way, FUNNEL_TURN * abs(turn)) / 2.0 - ALIGNED)
+    top = max(target.z, relief.top_between(hand.position, target.position, reach) + HOVER)
+    height = target.z + (top - target.z) * min(1.0, max(0.0, apart / FUNNEL))
+    return Waypoint(Pose.planar(target.x, target.y, height, hand.yaw + turn), OPEN)
+
+
+def _beyond(distance: float, limit: float) -> float:
+    """Return by how much a distance exceeds a limit, either way."""
+    return max(0.0, abs(distance) - limit)
 
 
 def survey(scene: Scene) -> Relief:

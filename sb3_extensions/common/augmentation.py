@@ -185,7 +185,7 @@ class DrQ(Augmentation):
 
 AUGMENTATIONS: dict[str, type[Augmentation]] = {"rad": RAD, "drq": DrQ}
 # Entries of a sample that belong to its observations, besides these.
-PER_OBSERVATION = ("actions", "dones", "rewards", "discounts", "is_expert", "weights")
+PER_OBSERVATION = ("actions", "dones", "rewards", "discounts", "expert_actions", "is_expert", "weights")
 
 AugmentationSpec = Augmentation | str | Mapping[str, Mapping[str, Any]] | None
 

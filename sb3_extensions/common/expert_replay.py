@@ -64,6 +64,7 @@ class ExpertReplayBuffer(FrameReplayBuffer):
             raise ValueError(f"an episode of {n_steps} actions has another number of steps in {wrong}")
         if not self.table:
             self._allocate()
+        actions = np.asarray(actions).reshape(n_steps, self.action_dim)
         frames = self.frames.pin(observations)
         rows = self.rows.pin(n_steps)
         self._write_rows(
@@ -72,7 +73,8 @@ class ExpertReplayBuffer(FrameReplayBuffer):
             next_frame=frames[1:],
             oldest_frame=0,
             next_row=np.append(rows[1:], NO_ROW),
-            action=np.asarray(actions).reshape(n_steps, self.action_dim),
+            action=actions,
+            expert_action=actions,
             reward=rewards,
             done=terminations,
         )

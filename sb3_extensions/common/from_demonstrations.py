@@ -7,6 +7,7 @@ from collections.abc import Iterable
 from typing import Any, TypeVar
 
 import numpy as np
+import numpy.typing as npt
 import torch as th
 from gymnasium import spaces
 from stable_baselines3.common.buffers import ReplayBuffer
@@ -19,6 +20,7 @@ from tqdm import tqdm
 from sb3_extensions.common.augmentation import AugmentationSpec, make_augmentation
 from sb3_extensions.common.expert import EpisodeData, collect_episodes, make_expert_env
 from sb3_extensions.common.expert_replay import ExpertReplayBuffer
+from sb3_extensions.common.replay import EXPERT_ACTION
 from sb3_extensions.common.seeds import SeedKey, derive_seed
 from sb3_extensions.common.soft_actor_critic import SoftActorCritic
 
@@ -31,7 +33,8 @@ class FromDemonstrations(SoftActorCritic):
 
     The replay buffer begins with the episodes of an expert, and the actor is also drawn to the expert's
     actions: its loss has the additional term ``bc_weight * MSE(sampled action, expert action)``, the mean
-    over the expert transitions of the batch and all action dimensions, in the policy's units [-1, 1].
+    over the expert transitions of the batch and all action dimensions, in the policy's units [-1, 1]; with
+    ``dagger`` also over the agent's own.
 
     The demonstrations are collected at the first ``learn()`` in an environment of their own, made from the
     spec of the training environment; these steps do not count as timesteps.
@@ -72,6 +75,10 @@ class FromDemonstrations(SoftActorCritic):
         :func:`~sb3_extensions.common.expert.collect_episodes`
     :param expert_data: episodes to begin with instead, with Minari's attributes
         (see :class:`~sb3_extensions.common.expert.EpisodeData`), in the environment's units; not saved
+    :param dagger: ask the environment's expert before every step of the training as well: it does not act,
+        but what it would have done is imitated in the agent's own states too. For tasks in which an agent
+        goes astray where no demonstration has been; not part of the paper.
+        DAgger: https://arxiv.org/abs/1011.0686
     :param augmentation: random views of the images: None, a :class:`~sb3_extensions.common.augmentation.RAD`
         or :class:`~sb3_extensions.common.augmentation.DrQ`, or in YAML ``"drq"``, ``{"rad": {"size": 128}}``
     :param pretrain_steps: number of gradient steps before the first step in the environment
@@ -86,7 +93,8 @@ class FromDemonstrations(SoftActorCritic):
         Setting it to auto, the code will be run on the GPU if possible.
     :param _init_setup_model: Whether or not to build the network at the creation of the instance
     :raises ValueError: if ``bc_weight``, ``expert_episodes``, ``expert_noise`` or ``pretrain_steps`` is
-        negative, if there is pretraining without demonstrations, or if ``replay_buffer_class`` is no
+        negative, if there is pretraining without demonstrations, if ``dagger`` has no weight or
+        the environment no ``expert_action()`` for it, or if ``replay_buffer_class`` is no
         ``ExpertReplayBuffer``
     """
 
@@ -115,6 +123,7 @@ class FromDemonstrations(SoftActorCritic):
         expert_episodes: int = 100,
         expert_noise: float = 0.0,
         expert_data: Iterable[EpisodeData] | None = None,
+        dagger: bool = False,
         augmentation: AugmentationSpec = None,
         pretrain_steps: int = 0,
         stats_window_size: int = 100,
@@ -163,12 +172,17 @@ class FromDemonstrations(SoftActorCritic):
             raise ValueError(
                 f"pretrain_steps must be 0 without demonstrations (expert_episodes=0), got {pretrain_steps}"
             )
+        if dagger and bc_weight == 0:
+            raise ValueError("dagger=True needs a bc_weight greater than 0, got 0")
+        if dagger and self.env is not None and not self.env.has_attr("expert_action"):
+            raise ValueError("dagger=True needs an environment with expert_action(), this one has none")
         # The base class ignores n_steps and gamma when a buffer class is given, see GH #2274
         self.replay_buffer_kwargs = {"n_steps": n_steps, "gamma": gamma, **self.replay_buffer_kwargs}
         self.bc_weight = bc_weight
         self.expert_episodes = expert_episodes
         self.expert_noise = expert_noise
         self.expert_data = expert_data
+        self.dagger = dagger
         self.augmentation = make_augmentation(augmentation)
         self.augmentation_generator = th.Generator().manual_seed(th.initial_seed())
         self.pretrain_steps = pretrain_steps
@@ -257,6 +271,35 @@ class FromDemonstrations(SoftActorCritic):
                 self.train(1, self.batch_size)
         return total_timesteps, callback
 
+    def _sample_action(
+        self, learning_starts: int, action_noise: ActionNoise | None = None, n_envs: int = 1
+    ) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
+        if self.dagger:
+            # Before the step: the expert says what to do in the state that the environment is in
+            assert self.env is not None
+            self._expert_actions = self._as_policy_actions(np.stack(self.env.env_method("expert_action")))
+        return super()._sample_action(learning_starts, action_noise, n_envs)
+
+    def _store_transition(
+        self,
+        replay_buffer: ReplayBuffer,
+        buffer_action: npt.NDArray[Any],
+        new_obs: npt.NDArray[Any] | dict[str, npt.NDArray[Any]],
+        reward: npt.NDArray[Any],
+        dones: npt.NDArray[Any],
+        infos: list[dict[str, Any]],
+    ) -> None:
+        if self.dagger:
+            infos = [
+                {**info, EXPERT_ACTION: action}
+                for info, action in zip(infos, self._expert_actions, strict=True)
+            ]
+        super()._store_transition(replay_buffer, buffer_action, new_obs, reward, dones, infos)
+
+    def _as_policy_actions(self, actions: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        # The environments clip, so a clipped action is the one that is carried out
+        return self.policy.scale_action(np.clip(actions, self.action_space.low, self.action_space.high))
+
     def _add_demonstrations(self) -> None:
         """Fill the expert rows of the replay buffer, from ``expert_data`` or by collecting episodes."""
         if self.expert_data is not None:
@@ -272,17 +315,15 @@ class FromDemonstrations(SoftActorCritic):
     def _add_episodes(self, episodes: Iterable[EpisodeData]) -> None:
         assert self.replay_buffer is not None
         for episode in episodes:
-            # The environments clip, so a clipped action is the one that was carried out
-            actions = np.clip(episode.actions, self.action_space.low, self.action_space.high)
             self.replay_buffer.add_episode(
                 episode.observations,
-                self.policy.scale_action(actions),
+                self._as_policy_actions(episode.actions),
                 episode.rewards,
                 episode.terminations,
             )
 
     def _excluded_save_params(self) -> list[str]:
-        return [*super()._excluded_save_params(), "expert_data", "augmentation_generator"]
+        return [*super()._excluded_save_params(), "expert_data", "augmentation_generator", "_expert_actions"]
 
 
 def _check_not_negative(**given: float) -> None:

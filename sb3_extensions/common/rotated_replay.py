@@ -14,7 +14,7 @@ from sb3_extensions.common.expert_replay import ExpertReplayBuffer
 from sb3_extensions.common.frames import IMAGE_AXES
 from sb3_extensions.common.heads import ActionFields
 from sb3_extensions.common.prioritized_replay import PrioritizedReplayBuffer
-from sb3_extensions.common.replay import AnyObservations, Observations
+from sb3_extensions.common.replay import EXPERT_ACTION, AnyObservations, Observations
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -57,8 +57,8 @@ def rotate_actions(actions: npt.NDArray[Any], angles: FloatArray, action_sequenc
 class RotatedReplayBuffer(ExpertReplayBuffer):
     """
     :class:`~sb3_extensions.common.expert_replay.ExpertReplayBuffer` that also keeps rotated copies of every
-    transition, the expert's and the others: both observations' images and (dx, dy) of the action are rotated
-    by one angle, everything else is as it was.
+    transition, the expert's and the others: both observations' images and (dx, dy) of the action and of the
+    expert's action are rotated by one angle, everything else is as it was.
 
     Each copy of an episode is rotated by one angle throughout, uniform in [0, 2 pi). So a copy is an episode
     itself: its observations are kept once, and returns over several steps stay within it.
@@ -120,19 +120,24 @@ class RotatedReplayBuffer(ExpertReplayBuffer):
         :param action: actions as the policy gave them
         :param reward: rewards, shape (n_envs,)
         :param done: whether the episode ended, shape (n_envs,)
-        :param infos: ``"TimeLimit.truncated"`` says that it ended only for want of time
+        :param infos: ``"TimeLimit.truncated"`` says that it ended only for want of time; ``"expert_action"``
+            is what an expert would have done, as the policy gives it
         """
         obs, next_obs = self._as_dict(obs), self._as_dict(next_obs)
         begins = ~self._continues(obs)
         self._angles[:, begins] = self._draw_angles(int(begins.sum()))
         times = 1 + self.copies
+        expert_actions = self._copied_actions(self._expert_actions(infos), self._angles)
         super().add(
             self._copied_obs(obs, begins),
             self._copied(next_obs, self._angles),
             self._copied_actions(np.asarray(action).reshape(len(begins), -1), self._angles),
             np.tile(reward, times),
             np.tile(done, times),
-            infos * times,
+            [
+                {**info, EXPERT_ACTION: action}
+                for info, action in zip(infos * times, expert_actions, strict=True)
+            ],
         )
 
     def add_episode(

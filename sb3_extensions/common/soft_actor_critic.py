@@ -112,10 +112,10 @@ class SoftActorCritic(AnySAC):
             actor_loss = (ent_coef * log_prob - q_values_pi).mean()
             logs["actor_loss"].append(actor_loss.detach())
             if self.bc_weight > 0:
-                # Mean over the expert transitions alone; 0 if there are none in the batch
-                is_expert = replay_data.is_expert
-                squared_errors = (actions_pi - replay_data.actions).pow(2).mean(dim=1, keepdim=True)
-                bc_loss = (squared_errors * is_expert).sum() / is_expert.sum().clamp(min=1)
+                # Mean over the transitions with an expert's action; 0 if there are none in the batch
+                known = replay_data.expert_actions.isfinite()
+                errors = th.where(known, actions_pi - replay_data.expert_actions, 0.0)
+                bc_loss = errors.pow(2).sum() / known.sum().clamp(min=1)
                 actor_loss = actor_loss + self.bc_weight * bc_loss
                 logs["bc_loss"].append(bc_loss.detach())
 

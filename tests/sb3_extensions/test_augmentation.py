@@ -40,6 +40,7 @@ def samples() -> FrameReplayBufferSamples:
         dones=column(0) % 2,
         rewards=column(10),
         discounts=column(20),
+        expert_actions=th.rand(BATCH, 5),
         is_expert=column(0) > 2,
         weights=column(30),
         indices=np.arange(BATCH),
@@ -104,7 +105,7 @@ def test_drq_shifts_every_view_by_itself(k: int, m: int) -> None:
         ]
         assert len(set(offsets)) > copies * BATCH // 2
         assert th.equal(new["holding"], th.cat([old["holding"]] * copies))
-    for field in ("actions", "dones", "rewards", "discounts", "is_expert", "weights"):
+    for field in ("actions", "dones", "rewards", "discounts", "expert_actions", "is_expert", "weights"):
         assert th.equal(getattr(after, field), th.cat([getattr(before, field)] * m)), field
     assert after.indices is before.indices
 

@@ -85,6 +85,7 @@ def assert_equal_trees(first: Any, second: Any) -> None:
         },
         {"algorithm": TQCfD},
         {"augmentation": "drq"},
+        {"dagger": True},
         {"augmentation": {"rad": {"size": 12}}},
     ],
 )

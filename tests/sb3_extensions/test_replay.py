@@ -191,8 +191,24 @@ def test_expert_rows_are_never_overwritten(cls: type) -> None:
         seen = {pair for pair, flag in zip(pairs, is_expert, strict=True) if flag}
         assert seen == expert
         assert (samples.actions[samples.is_expert[:, 0]] == 0.5).all()
+        assert (samples.expert_actions[samples.is_expert[:, 0]] == 0.5).all()
+        assert samples.expert_actions[~samples.is_expert[:, 0]].isnan().all()  # nobody was asked
         assert (sampled_ids(samples.observations)[~is_expert] >= 1000).all()
     assert buffer.expert_size == 7
+
+
+def test_what_an_expert_would_have_done() -> None:
+    buffer = make_buffer(n_envs=2, size=50)
+    for k in range(60):
+        ids = np.array([k, 1000 + k])
+        infos = [{"expert_action": np.full(3, k / 100)}, {}]
+        buffer.add(observe(ids), observe(ids + 1), np.zeros((2, 3)), np.zeros(2), np.zeros(2, bool), infos)
+    samples = buffer.sample(200)
+    ids = sampled_ids(samples.observations)
+    expected = np.where(np.array(ids) < 1000, np.array(ids) / 100, np.nan).astype(np.float32)
+    for column in samples.expert_actions.numpy().T:
+        np.testing.assert_array_equal(column, expected)
+    assert not samples.is_expert.any()
 
 
 def test_expert_fraction() -> None:

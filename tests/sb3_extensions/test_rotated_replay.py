@@ -70,7 +70,9 @@ class Wanderers:
         self.count += 1
         done = np.broadcast_to(ends, self.n_envs)
         rewards = self.count + 1000 * np.arange(self.n_envs, dtype=np.float32)
-        self.buffer.add(obs, self.obs(), actions, rewards, done, [{}] * self.n_envs)
+        # The first one's expert would have gone the other way; of the others nobody was asked.
+        infos: list[dict[str, Any]] = [{"expert_action": -actions[0]}, *[{}] * (self.n_envs - 1)]
+        self.buffer.add(obs, self.obs(), actions, rewards, done, infos)
         self.places[done] = self.rng.uniform(-0.5, 0.5, (int(done.sum()), 2))
 
 
@@ -174,6 +176,9 @@ def check_copy(samples: Any, original: int, copy: int) -> float:
     expected = np.clip(turn(action[1], action[2], angle), -1, 1)
     np.testing.assert_allclose(turned_action[1:3], expected, atol=0.02)
     np.testing.assert_array_equal(turned_action[[0, 3, 4]], action[[0, 3, 4]])
+    direction = 1.0 if samples.is_expert[original] else -1.0 if samples.rewards[original] < 1000 else np.nan
+    for k in (original, copy):
+        np.testing.assert_array_equal(samples.expert_actions[k], direction * samples.actions[k])
     for name in ("rewards", "dones", "discounts", "is_expert"):
         assert getattr(samples, name)[original] == getattr(samples, name)[copy], name
     return float(angle)

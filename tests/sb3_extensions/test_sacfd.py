@@ -12,7 +12,7 @@ from stable_baselines3.sac.policies import MultiInputPolicy as StockPolicy
 
 from sb3_extensions.common.expert import collect_episodes, make_expert_env
 from sb3_extensions.common.expert_replay import ExpertReplayBuffer
-from sb3_extensions.common.replay import FrameReplayBuffer
+from sb3_extensions.common.replay import NO_ROW, FrameReplayBuffer
 from sb3_extensions.common.rotated_replay import PrioritizedRotatedReplayBuffer
 from sb3_extensions.sacfd import SACfD
 
@@ -124,14 +124,14 @@ def one_update(model: SACfD, **changes: Any) -> tuple[Any, dict[str, float]]:
 def test_losses_equal_a_slow_reference(experts: int, make_toy: Any) -> None:
     model = make_model(make_toy(), bc_weight=0.7, n_steps=2, gamma=0.9)
     model.learn(20)
-    is_expert = th.zeros(16, 1, dtype=th.bool)
-    is_expert[:experts] = True
+    expert_actions = th.full((16, 5), np.nan)
+    expert_actions[:experts] = th.rand(experts, 5)
     weights = th.linspace(0.1, 1, 16)[:, None]
     before = parameters(model)
     alpha = model.log_ent_coef.exp().item()
     actor, critic, target = (copy_of(model, name) for name in ("actor", "critic", "critic_target"))
     th.manual_seed(3)
-    sample, logged = one_update(model, is_expert=is_expert, weights=weights)
+    sample, logged = one_update(model, expert_actions=expert_actions, weights=weights)
 
     th.manual_seed(3)
     with th.no_grad():
@@ -145,8 +145,8 @@ def test_losses_equal_a_slow_reference(experts: int, make_toy: Any) -> None:
         y = sample.rewards[k].item() + sample.discounts[k].item() * (1 - sample.dones[k].item()) * value
         for head in range(2):
             critic_loss += 0.5 * weights[k].item() * (q[head, k, 0] - y) ** 2 / 16
-        if is_expert[k]:
-            squared_error += ((actions[k] - sample.actions[k].numpy()) ** 2).sum() / (5 * experts)
+        if k < experts:
+            squared_error += ((actions[k] - expert_actions[k].numpy()) ** 2).sum() / (5 * experts)
     np.testing.assert_allclose(logged["train/critic_loss"], critic_loss, rtol=1e-4)
     np.testing.assert_allclose(logged["train/bc_loss"], squared_error, rtol=1e-4, atol=1e-9)
     np.testing.assert_allclose(logged["train/ent_coef"], alpha, rtol=1e-5)
@@ -175,6 +175,31 @@ def test_imitation_moves_the_actor_only(make_toy: Any) -> None:
     first, second = (parameters(model) for model in models)
     different = {name.split(".")[0] for name in first if not np.array_equal(first[name], second[name])}
     assert different == {"actor"}
+
+
+@pytest.mark.parametrize("n_envs", [1, 2])
+def test_dagger_asks_the_expert_before_every_step(n_envs: int, make_toy: Any) -> None:
+    model = make_model(make_toy(n_envs), dagger=True, learning_starts=40, gradient_steps=0).learn(40)
+    buffer = model.replay_buffer
+    rows = np.arange(buffer.expert_size, buffer.size())
+    actions, experts = (buffer.table[name][rows] for name in ("action", "expert_action"))
+    assert len(rows) == 40 and np.isfinite(experts).all()
+    assert (experts[:, [0, 3, 4]] == 0).all()
+    # The way to the target is the expert's action where that is within the limits, and shrinks as one moves.
+    left = np.clip(experts - actions, -1, 1)[:, 1:3]
+    within = (np.abs(experts) < 1)[:, 1:3] & (buffer.table["next_row"][rows] != NO_ROW)[:, None]
+    after = experts[np.searchsorted(rows, buffer.table["next_row"][rows]) % 40, 1:3]
+    assert within.sum() > 5
+    np.testing.assert_allclose(after[within], left[within], atol=1e-5)
+
+
+def test_dagger_imitates_in_the_agents_own_states(make_toy: Any) -> None:
+    kwargs = {"expert_episodes": 1, "learning_starts": 20, "replay_buffer_kwargs": {"expert_fraction": 0.0}}
+    losses = []
+    for dagger in (False, True):
+        model = make_model(make_toy(), dagger=dagger, **kwargs).learn(25)
+        losses.append(model.logger.name_to_value["train/bc_loss"])
+    assert losses[0] == 0.0 < losses[1]
 
 
 def test_critic_parameters_get_no_gradient_from_the_actor(make_toy: Any) -> None:
@@ -261,12 +286,20 @@ def test_expert_data_is_not_saved(make_toy: Any, tmp_path: Any) -> None:
         ({"pretrain_steps": 5, "expert_episodes": 0}, "must be 0 without demonstrations"),
         ({"replay_buffer_class": FrameReplayBuffer}, "ExpertReplayBuffer"),
         ({"n_steps": 0}, "n_steps"),
+        ({"dagger": True, "bc_weight": 0}, "bc_weight"),
         ({"policy": "NoSuchPolicy"}, "NoSuchPolicy"),
     ],
 )
 def test_bad_arguments(kwargs: dict[str, Any], message: str, make_toy: Any) -> None:
     with pytest.raises(ValueError, match=message):
         SACfD(**{"policy": StockPolicy, "env": make_toy(), "policy_kwargs": dict(SMALL_STOCK), **kwargs})
+
+
+def test_dagger_needs_an_expert(make_toy: Any) -> None:
+    env = make_toy()
+    env.has_attr = lambda name: name != "expert_action"
+    with pytest.raises(ValueError, match=r"dagger=True needs an environment with expert_action\(\)"):
+        make_model(env, dagger=True)
 
 
 @pytest.mark.parametrize("buffer", [ExpertReplayBuffer, PrioritizedRotatedReplayBuffer])
