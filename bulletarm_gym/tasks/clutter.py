@@ -51,16 +51,16 @@ PITCH = 0.003
 """Side (m) of the pixels that grasps are searched in."""
 BORDER = 0.05
 """How far (m) beyond the workspace is looked: an open gripper reaches there."""
-TURN_WORTH = STEP / (math.pi / 4.0)
-"""The way (m/rad) that a turn is worth: what takes as many actions."""
-WAY_WEIGHT = 4.0
+TURN_WORTH = 1.5 * STEP / (math.pi / 4.0)
+"""The way (m/rad) that a turn is worth: more than what takes as many actions, for turns are hard to learn."""
+WAY_WEIGHT = 6.0
 """What a metre of way costs of a grasp's quality: so much that the nearest is meant, which one can see."""
 FUNNEL = 0.03
 """Distance (m) within which the gripper comes down to a grasp, lower the nearer it is."""
 FUNNEL_TURN = 0.04
 """The distance (m/rad) that a turn is worth there."""
-DEEP = 0.012
-"""Height (m) above a grasp at which closing will do."""
+DEEP = 0.025
+"""Height (m) above a grasp from which the fingers close at the end of the step, not in one of its own."""
 SHUT = 0.7
 """Opening ratio below which the gripper has to open before it comes down."""
 SAME_PLACE = 0.02
@@ -295,11 +295,11 @@ def _approach(scene: Scene, relief: Relief, target: Pose) -> Waypoint:
     hand, reach = scene.robot.pose, scene.robot.model.gripper.stroke / 2.0
     if scene.robot.opening_ratio < SHUT:
         top = relief.top_between(hand.position, hand.position, reach)
-        return Waypoint(Pose.planar(hand.x, hand.y, max(hand.z, top + HOVER), hand.yaw), OPEN)
+        return Waypoint(Pose.planar(hand.x, hand.y, max(hand.z, top) + HOVER, hand.yaw), OPEN)
     turn = wrap_angle(target.yaw - hand.yaw, math.pi)
     way = planar_distance(target.position, hand.position)
     if way < ALIGNED and abs(turn) < ALIGNED_YAW and abs(target.z - hand.z) < DEEP:
-        return Waypoint(hand, CLOSED)
+        return Waypoint(Pose.planar(target.x, target.y, target.z, hand.yaw + turn), OPEN, finish=CLOSED)
     # What will be left after this step; and not all the way down within a long one.
     dx, dy = (_beyond(goal - now, STEP) for goal, now in ((target.x, hand.x), (target.y, hand.y)))
     left = max(math.hypot(dx, dy), FUNNEL_TURN * _beyond(turn, math.pi / 4.0))
