@@ -20,6 +20,8 @@ ASTRAY = 0.012
 """A gripper this far (m) off the line of the push has left it."""
 HOVER = 0.03
 """Height (m) above an item at which the gripper crosses it."""
+ROUND = 0.8
+"""What is as wide as this share of its length, as variances go, counts as round."""
 SPREAD = 0.02
 """Spread (m) of where the push begins, so that no two tries are alike."""
 
@@ -50,12 +52,17 @@ def _end_to_push(scene: Scene, item: Item) -> tuple[tuple[float, float], tuple[f
     """Return an end of an item and the direction across its length that leads to the middle."""
     plane = (item.spec.mesh.vertices @ matrix(item.pose).T)[:, :2]
     centre = (plane.min(axis=0) + plane.max(axis=0)) / 2.0
-    _, axes = np.linalg.eigh(np.cov((plane - centre).T))
-    along = axes[:, 1]
-    half = float(np.abs((plane - centre) @ along).max())
+    spread, axes = np.linalg.eigh(np.cov((plane - centre).T))
     x, y = (np.asarray(item.pose.position[:2]) + centre).tolist()
-    across = (-float(along[1]), float(along[0]))
     inward = np.asarray(scene.config.centre) - (x, y)
+    distance = float(np.hypot(*inward))
+    if spread[0] > ROUND * spread[1] and distance > 0.0:
+        # A round thing has no length of its own: it would change with every hair's breadth.
+        along = np.array((inward[1], -inward[0])) / distance
+    else:
+        along = axes[:, 1]
+    half = float(np.abs((plane - centre) @ along).max())
+    across = (-float(along[1]), float(along[0]))
     sign = 1.0 if across[0] * inward[0] + across[1] * inward[1] >= 0.0 else -1.0
     side = 1.0 if along @ inward >= 0.0 else -1.0
     reach = END * half * side
