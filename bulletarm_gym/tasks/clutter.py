@@ -96,7 +96,8 @@ class ObjectGrasping(Task):
     for the next; when all are grasped, or the scene has become invalid, N others are drawn.
     Success: the gripper holds an object and is more than 15 cm above the ground. The object is taken away
     when the next episode begins.
-    Expert: the best of the grasps from above that a search over heightmaps finds, straight up with it.
+    Expert: the nearest of the good grasps from above that a search over heightmaps finds, straight up with
+    it.
     """
 
     defaults = TaskDefaults(

@@ -9,9 +9,11 @@ import numpy as np
 import pytest
 
 from bulletarm_gym.env import ManipulationEnv
+from bulletarm_gym.geometry import Pose
 from bulletarm_gym.objects.graspables import graspables
 from bulletarm_gym.simulation.shapes import wavefront
 from bulletarm_gym.tasks.clutter import LIFTED, ObjectGrasping
+from bulletarm_gym.tasks.stirring import _end_to_push
 
 ENV_ID = "BulletArm/CloseLoopObjectGrasping-v0"
 Make = Callable[..., ManipulationEnv]
@@ -124,6 +126,30 @@ def test_the_expert_clears_the_tray(make: Make, sequence: str) -> None:
         outcomes.append(_solve(env))
         env.reset()
     assert np.mean(outcomes) >= 0.9
+
+
+def test_the_expert_makes_good_what_is_inexact(env: ManipulationEnv) -> None:
+    rng = np.random.default_rng(0)
+    outcomes = []
+    env.reset(seed=0)
+    for _ in range(10):
+        ended = False
+        while not ended:
+            action = np.clip(env.expert_action() + rng.normal(0.0, 0.1, 5), -1.0, 1.0)
+            *_, terminated, truncated, info = env.step(action)
+            ended = terminated or truncated
+        outcomes.append(info["is_success"])
+        env.reset()
+    assert np.mean(outcomes) >= 0.9
+
+
+@pytest.mark.parametrize("yaw", [0.0, 0.4, 2.0, -1.1])
+def test_round_things_are_pushed_towards_the_middle(env: ManipulationEnv, yaw: float) -> None:
+    env.reset(seed=0)
+    bowl = next(item for item in env.scene.items if item.role.name == "bowl_3")
+    bowl.place(Pose.planar(0.40, -0.06, 0.03, yaw))
+    _, push = _end_to_push(env.scene, bowl)
+    np.testing.assert_allclose(push, np.array((0.05, 0.06)) / np.hypot(0.05, 0.06), atol=0.02)
 
 
 def test_the_tray_belongs_to_the_task() -> None:
