@@ -113,9 +113,9 @@ class SoftActorCritic(AnySAC):
             logs["actor_loss"].append(actor_loss.detach())
             if self.bc_weight > 0:
                 # Mean over the transitions with an expert's action; 0 if there are none in the batch
-                known = replay_data.expert_actions.isfinite()
-                errors = th.where(known, actions_pi - replay_data.expert_actions, 0.0)
-                bc_loss = errors.pow(2).sum() / known.sum().clamp(min=1)
+                known = replay_data.expert_actions.isfinite().all(dim=1, keepdim=True)
+                errors = actions_pi - replay_data.expert_actions.nan_to_num()
+                bc_loss = (errors.pow(2).mean(dim=1, keepdim=True) * known).sum() / known.sum().clamp(min=1)
                 actor_loss = actor_loss + self.bc_weight * bc_loss
                 logs["bc_loss"].append(bc_loss.detach())
 
