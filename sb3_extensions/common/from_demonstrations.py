@@ -99,6 +99,7 @@ class FromDemonstrations(SoftActorCritic):
     """
 
     action_space: spaces.Box
+    _expert_actions: npt.NDArray[Any]  # what the expert would do in the last observations, with dagger
 
     def __init__(
         self,
