@@ -58,6 +58,8 @@ SPINNING_FRICTION = 0.1
 """Of the pads, against turning about a contact's normal; as in the Panda's model in pybullet_data."""
 OPENING_TOLERANCE = 5e-4
 """Difference of openings (m) too small to move the fingers for, or to be a squeeze."""
+GIVING_WAY = 0.2
+"""Share of the stroke by which fingers that were pushed shut are left so, as long as the command stays."""
 
 
 @dataclass(frozen=True)
@@ -236,7 +238,9 @@ class Robot:
     def set_opening(self, ratio: float) -> None:
         """Bring the gripper to a ratio of its stroke, 0 closed to 1 open; an object in between stops it."""
         command = ratio * self.model.gripper.stroke
-        if abs(command - self._command) < OPENING_TOLERANCE:
+        # What the fingers ran into may have pushed them shut since: a little is given way to, no more.
+        pushed = command - self.opening > GIVING_WAY * self.model.gripper.stroke
+        if abs(command - self._command) < OPENING_TOLERANCE and not pushed:
             return
         self._command = command
         if self.fast and self._can_jump(command):

@@ -89,8 +89,7 @@ def find_grasps(
     :param yaws: directions (rad) in which the fingers may open
     :param lowest: height (m) below which the fingertips may not go
     :param depths: how far (m) below the highest point between the fingers their tips may go
-    :return: (n, 5): x, y, z (m) and yaw (rad) of the fingertips, quality: up to 0.35, in metres of way
-        that a better grasp is worth
+    :return: (n, 5): x, y, z (m) and yaw (rad) of the fingertips, quality: up to 0.35
     """
     objects = relief.layers.max(axis=0)
     owner = np.where(objects >= relief.ground, relief.layers.argmax(axis=0), -1).astype(np.int32)

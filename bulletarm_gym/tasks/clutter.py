@@ -60,7 +60,7 @@ FUNNEL = 0.03
 FUNNEL_TURN = 0.04
 """The distance (m/rad) that a turn is worth there."""
 DEEP = 0.025
-"""Height (m) above a grasp from which the fingers close at the end of the step, not in one of its own."""
+"""Nearer (m) above a grasp than this, the fingers close at the end of the same step."""
 SHUT = 0.7
 """Opening ratio below which the gripper has to open before it comes down."""
 SAME_PLACE = 0.02
@@ -175,7 +175,11 @@ class ObjectGrasping(Task):
         """Remember where the gripper closed and holds nothing."""
         hand, failed = scene.robot.pose, self._failed
         closed = scene.robot.get_state().opening < 0.5 * scene.robot.model.gripper.stroke
-        known = failed and planar_distance(failed[-1], hand.position) < SAME_PLACE
+        known = (
+            failed
+            and planar_distance(failed[-1], hand.position) < SAME_PLACE
+            and abs(wrap_angle(failed[-1][2] - hand.yaw, math.pi)) < ALIKE
+        )
         if closed and scene.robot.held is None and not known:
             self.memory = (*failed, (hand.x, hand.y, hand.yaw))[-MOST_FAILURES:]
 
@@ -205,7 +209,7 @@ class ObjectGrasping(Task):
     def _target(self, scene: Scene, relief: Relief) -> Pose | None:
         """Return the grasp whose quality less the way to it is best, if any is good enough.
 
-        The way shrinks as fast as the gripper comes near, and for no other grasp faster: the choice stands.
+        The way shrinks as the gripper comes near, and for hardly any other grasp faster: the choice stands.
         """
         hand = scene.robot.pose
         grasps = self._grasps(scene, relief, DEPTHS)
@@ -288,10 +292,10 @@ class OpenLoopObjectGrasping(ObjectGrasping):
 
 
 def _approach(scene: Scene, relief: Relief, target: Pose) -> Waypoint:
-    """Return what to do next for a grasp by the open gripper: always towards it, down a funnel, then close.
+    """Return what to do next for a grasp: open, always towards it, down a funnel, then close.
 
-    Nowhere but at the end does a little more or less of anything change what is done: who imitates it
-    inexactly is led back.
+    But for opening and closing, a little more or less of anything changes what is done by no more than a
+    little: who imitates it inexactly is led back.
     """
     hand, reach = scene.robot.pose, scene.robot.model.gripper.stroke / 2.0
     if scene.robot.opening_ratio < SHUT:

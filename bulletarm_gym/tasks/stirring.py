@@ -58,12 +58,12 @@ def _end_to_push(scene: Scene, item: Item) -> tuple[tuple[float, float], tuple[f
     distance = float(np.hypot(*inward))
     if spread[0] > ROUND * spread[1] and distance > 0.0:
         # A round thing has no length of its own: it would change with every hair's breadth.
-        along = np.array((inward[1], -inward[0])) / distance
+        along, side = np.array((inward[1], -inward[0])) / distance, 1.0
     else:
         along = axes[:, 1]
+        side = 1.0 if along @ inward >= 0.0 else -1.0
     half = float(np.abs((plane - centre) @ along).max())
     across = (-float(along[1]), float(along[0]))
     sign = 1.0 if across[0] * inward[0] + across[1] * inward[1] >= 0.0 else -1.0
-    side = 1.0 if along @ inward >= 0.0 else -1.0
     reach = END * half * side
     return (x + reach * float(along[0]), y + reach * float(along[1])), (sign * across[0], sign * across[1])

@@ -175,8 +175,6 @@ class FromDemonstrations(SoftActorCritic):
             )
         if dagger and bc_weight == 0:
             raise ValueError("dagger=True needs a bc_weight greater than 0, got 0")
-        if dagger and self.env is not None and not self.env.has_attr("expert_action"):
-            raise ValueError("dagger=True needs an environment with expert_action(), this one has none")
         # The base class ignores n_steps and gamma when a buffer class is given, see GH #2274
         self.replay_buffer_kwargs = {"n_steps": n_steps, "gamma": gamma, **self.replay_buffer_kwargs}
         self.bc_weight = bc_weight
@@ -184,12 +182,17 @@ class FromDemonstrations(SoftActorCritic):
         self.expert_noise = expert_noise
         self.expert_data = expert_data
         self.dagger = dagger
+        self._check_expert()
         self.augmentation = make_augmentation(augmentation)
         self.augmentation_generator = th.Generator().manual_seed(th.initial_seed())
         self.pretrain_steps = pretrain_steps
 
         if _init_setup_model:
             self._setup_model()
+
+    def _check_expert(self) -> None:
+        if self.dagger and self.env is not None and not self.env.has_attr("expert_action"):
+            raise ValueError("dagger=True needs an environment with expert_action(), this one has none")
 
     def _setup_model(self) -> None:
         if self.augmentation is not None:
@@ -262,6 +265,7 @@ class FromDemonstrations(SoftActorCritic):
         progress_bar: bool = False,
     ) -> tuple[int, BaseCallback]:
         assert self.replay_buffer is not None
+        self._check_expert()  # of an environment that was set since
         if not self.replay_buffer.size():
             self._add_demonstrations()
         total_timesteps, callback = super()._setup_learn(

@@ -24,7 +24,8 @@ FRAMES_PER_TRANSITION = 1.09
 NO_ROW = -1  # in the column of successors: the episode ends here, or its next transition has not come yet
 
 KEY = "observation"  # under which the only entry of an observation that is no Dict is stored
-EXPERT_ACTION = "expert_action"  # entry of an info: what the expert would have done, in the policy's units
+# Entry of an info: what the expert would have done in the state before the step, in the policy's units
+EXPERT_ACTION = "sb3_extensions.expert_action"
 
 Observations = dict[str, npt.NDArray[Any]]
 AnyObservations = npt.NDArray[Any] | Observations
@@ -36,9 +37,9 @@ class FrameReplayBufferSamples(NamedTuple):
 
     All tensors but the observations are of shape (batch, 1) or (batch, action dimensions). ``dones`` is 1
     only where the episode terminated: a timeout bootstraps. ``discounts`` multiplies the value of
-    ``next_observations``; it is None where the buffer was given no ``gamma``. ``expert_actions`` are what an
-    expert did or would have done, NaN where none was asked. ``is_expert`` is boolean, ``weights`` are
-    importance weights, ``indices`` (numpy, shape (batch,)) the rows of the table.
+    ``next_observations``; it is None where the buffer was given no ``gamma``. ``is_expert`` is boolean,
+    ``weights`` are importance weights, ``indices`` (numpy, shape (batch,)) the rows of the table.
+    ``expert_actions`` are what an expert did or would have done, NaN where none was asked.
     """
 
     observations: TensorDict | th.Tensor
@@ -47,10 +48,10 @@ class FrameReplayBufferSamples(NamedTuple):
     dones: th.Tensor
     rewards: th.Tensor
     discounts: th.Tensor | None
-    expert_actions: th.Tensor
     is_expert: th.Tensor
     weights: th.Tensor
     indices: Ids
+    expert_actions: th.Tensor
 
 
 class FrameReplayBuffer(ReplayBuffer):
@@ -199,8 +200,8 @@ class FrameReplayBuffer(ReplayBuffer):
         :param action: actions as the policy gave them
         :param reward: rewards, shape (n_envs,)
         :param done: whether the episode ended, shape (n_envs,)
-        :param infos: ``"TimeLimit.truncated"`` says that it ended only for want of time; ``"expert_action"``
-            is what an expert would have done, as the policy gives it
+        :param infos: ``"TimeLimit.truncated"`` says that it ended only for want of time;
+            :data:`EXPERT_ACTION` is what an expert would have done instead, as the policy gives it
         """
         if not self.table:
             self._allocate()
@@ -219,7 +220,7 @@ class FrameReplayBuffer(ReplayBuffer):
             oldest_frame=min(frames.min(), next_frames.min()),
             next_row=NO_ROW,
             action=np.asarray(action).reshape(self.n_envs, self.action_dim),
-            expert_action=self._expert_actions(infos),
+            expert_action=self._read_expert_actions(infos),
             reward=reward,
             done=done & ~(timeout & self.handle_timeout_termination),
         )
@@ -231,7 +232,7 @@ class FrameReplayBuffer(ReplayBuffer):
         self.pos = self.rows.end % self.buffer_size
         self.full = len(self.rows) == self.buffer_size
 
-    def _expert_actions(self, infos: list[dict[str, Any]]) -> npt.NDArray[Any]:
+    def _read_expert_actions(self, infos: list[dict[str, Any]]) -> npt.NDArray[Any]:
         """What an expert would have done, (n, action dimensions); NaN where none was asked."""
         unknown = np.full(self.action_dim, np.nan)
         return np.stack([np.ravel(info.get(EXPERT_ACTION, unknown)) for info in infos])
@@ -296,10 +297,10 @@ class FrameReplayBuffer(ReplayBuffer):
             dones=self._column(self.table["done"][last_slots]),
             rewards=self._column(rewards),
             discounts=None if discounts is None else self._column(discounts),
-            expert_actions=self.to_torch(self.table["expert_action"][slots], copy=False),
             is_expert=self._column(batch_inds < self.rows.pinned),
             weights=self._column(weights),
             indices=slots,
+            expert_actions=self.to_torch(self.table["expert_action"][slots], copy=False),
         )
 
     def _observations(

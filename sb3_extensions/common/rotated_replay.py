@@ -120,14 +120,14 @@ class RotatedReplayBuffer(ExpertReplayBuffer):
         :param action: actions as the policy gave them
         :param reward: rewards, shape (n_envs,)
         :param done: whether the episode ended, shape (n_envs,)
-        :param infos: ``"TimeLimit.truncated"`` says that it ended only for want of time; ``"expert_action"``
-            is what an expert would have done, as the policy gives it
+        :param infos: ``"TimeLimit.truncated"`` says that it ended only for want of time;
+            :data:`~sb3_extensions.common.replay.EXPERT_ACTION` is what an expert would have done instead
         """
         obs, next_obs = self._as_dict(obs), self._as_dict(next_obs)
         begins = ~self._continues(obs)
         self._angles[:, begins] = self._draw_angles(int(begins.sum()))
         times = 1 + self.copies
-        expert_actions = self._copied_actions(self._expert_actions(infos), self._angles)
+        expert_actions = self._copied_actions(self._read_expert_actions(infos), self._angles)
         super().add(
             self._copied_obs(obs, begins),
             self._copied(next_obs, self._angles),

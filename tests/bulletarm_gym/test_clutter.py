@@ -143,13 +143,25 @@ def test_the_expert_makes_good_what_is_inexact(env: ManipulationEnv) -> None:
     assert np.mean(outcomes) >= 0.9
 
 
+def test_fingers_that_were_pushed_shut_open_again(env: ManipulationEnv) -> None:
+    env.reset(seed=0)
+    robot = env.scene.robot
+    robot._place(robot._fingers, [0.004, 0.004])
+    assert robot.opening_ratio < 0.2
+    env.step(np.array([1.0, 0.0, 0.0, 0.0, 0.0]))
+    assert robot.opening_ratio > 0.9
+
+
 @pytest.mark.parametrize("yaw", [0.0, 0.4, 2.0, -1.1])
 def test_round_things_are_pushed_towards_the_middle(env: ManipulationEnv, yaw: float) -> None:
     env.reset(seed=0)
     bowl = next(item for item in env.scene.items if item.role.name == "bowl_3")
-    bowl.place(Pose.planar(0.40, -0.06, 0.03, yaw))
-    _, push = _end_to_push(env.scene, bowl)
+    bowl.place(Pose.planar(0.40, -0.06, 0.03, 0.0))
+    end, _ = _end_to_push(env.scene, bowl)
+    bowl.place(Pose.planar(0.40 + 1e-6, -0.06, 0.03, yaw))
+    turned_end, push = _end_to_push(env.scene, bowl)
     np.testing.assert_allclose(push, np.array((0.05, 0.06)) / np.hypot(0.05, 0.06), atol=0.02)
+    np.testing.assert_allclose(turned_end, end, atol=0.005)
 
 
 def test_the_tray_belongs_to_the_task() -> None:

@@ -86,6 +86,12 @@ def assert_equal_trees(first: Any, second: Any) -> None:
         {"algorithm": TQCfD},
         {"augmentation": "drq"},
         {"dagger": True},
+        {
+            "dagger": True,
+            "algorithm": TQCfD,
+            "replay_buffer_class": PrioritizedRotatedReplayBuffer,
+            "replay_buffer_kwargs": {"copies": 1},
+        },
         {"augmentation": {"rad": {"size": 12}}},
     ],
 )

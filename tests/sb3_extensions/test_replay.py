@@ -17,7 +17,7 @@ from stable_baselines3.common.vec_env import VecNormalize
 from sb3_extensions.common.expert_replay import ExpertReplayBuffer
 from sb3_extensions.common.frames import PinnedRing
 from sb3_extensions.common.prioritized_replay import PrioritizedReplayBuffer
-from sb3_extensions.common.replay import FrameReplayBuffer
+from sb3_extensions.common.replay import EXPERT_ACTION, FrameReplayBuffer
 
 HEIGHT = 0.4
 OBSERVATION_SPACE = spaces.Dict(
@@ -201,7 +201,7 @@ def test_what_an_expert_would_have_done() -> None:
     buffer = make_buffer(n_envs=2, size=50)
     for k in range(60):
         ids = np.array([k, 1000 + k])
-        infos = [{"expert_action": np.full(3, k / 100)}, {}]
+        infos = [{EXPERT_ACTION: np.full(3, k / 100)}, {}]
         buffer.add(observe(ids), observe(ids + 1), np.zeros((2, 3)), np.zeros(2), np.zeros(2, bool), infos)
     samples = buffer.sample(200)
     ids = sampled_ids(samples.observations)

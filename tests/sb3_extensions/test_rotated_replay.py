@@ -10,6 +10,7 @@ import torch as th
 from gymnasium import spaces
 
 from sb3_extensions.common import rotated_replay
+from sb3_extensions.common.replay import EXPERT_ACTION
 from sb3_extensions.common.rotated_replay import (
     PrioritizedRotatedReplayBuffer,
     RotatedReplayBuffer,
@@ -71,7 +72,7 @@ class Wanderers:
         done = np.broadcast_to(ends, self.n_envs)
         rewards = self.count + 1000 * np.arange(self.n_envs, dtype=np.float32)
         # The first one's expert would have gone the other way; of the others nobody was asked.
-        infos: list[dict[str, Any]] = [{"expert_action": -actions[0]}, *[{}] * (self.n_envs - 1)]
+        infos: list[dict[str, Any]] = [{EXPERT_ACTION: -actions[0]}, *[{}] * (self.n_envs - 1)]
         self.buffer.add(obs, self.obs(), actions, rewards, done, infos)
         self.places[done] = self.rng.uniform(-0.5, 0.5, (int(done.sum()), 2))
 
