@@ -239,7 +239,7 @@ class Robot:
         """Bring the gripper to a ratio of its stroke, 0 closed to 1 open; an object in between stops it."""
         command = ratio * self.model.gripper.stroke
         # What the fingers ran into may have pushed them shut since: a little is given way to, no more.
-        pushed = command - self.opening > GIVING_WAY * self.model.gripper.stroke
+        pushed = ratio - self.opening_ratio > GIVING_WAY
         if abs(command - self._command) < OPENING_TOLERANCE and not pushed:
             return
         self._command = command
