@@ -15,8 +15,8 @@ from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.evaluation import evaluate_policy
 
 import bulletarm_gym  # noqa: F401 (registers the environments)
-from sb3_extensions.common.extractors import CnnExtractor
-from sb3_extensions.common.replay import FrameReplayBuffer
+from sb3_extensions.networks.extractors import CnnExtractor
+from sb3_extensions.replay.buffer import FrameReplayBuffer
 
 ENV_ID = "BulletArm/CloseLoopBlockReaching-v0"
 

@@ -11,7 +11,7 @@ import pytest
 import torch as th
 
 from bulletarm_gym.geometry import Pose
-from sb3_extensions.common.rotated_replay import rotate_actions, rotate_images
+from sb3_extensions.replay.rotated import rotate_actions, rotate_images
 from sb3_extensions.sacfd import SACfD
 
 SYMMETRIC = [f"BulletArm/CloseLoopBlock{name}-v0" for name in ("Picking", "Pulling")]

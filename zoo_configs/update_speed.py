@@ -14,8 +14,8 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from torch import nn
 from torch.profiler import profile
 
-from sb3_extensions.common.encoders import Encoder
-from sb3_extensions.common.equivariant import EquivariantConv2d
+from sb3_extensions.networks.encoders import Encoder
+from sb3_extensions.networks.equivariant import EquivariantConv2d
 from zoo_configs.algorithms import register_algorithms
 from zoo_configs.manager import import_classes
 from zoo_configs.resolve import Cell

@@ -1,1 +1,1 @@
-"""Parts shared by the algorithms: networks, replay, augmentation, imitation losses."""
+"""What all algorithms share besides: checkpoints, seeds, augmentation, names of the numbers of an action."""

@@ -11,7 +11,7 @@ import torch as th
 from gymnasium import spaces
 from stable_baselines3.common.type_aliases import TensorDict
 
-from sb3_extensions.common.replay import FrameReplayBufferSamples
+from sb3_extensions.replay.buffer import FrameReplayBufferSamples
 
 Observations = TensorDict | th.Tensor
 IMAGE_DIMS = 4  # batch, channels, rows, columns
@@ -185,7 +185,16 @@ class DrQ(Augmentation):
 
 AUGMENTATIONS: dict[str, type[Augmentation]] = {"rad": RAD, "drq": DrQ}
 # Entries of a sample that belong to its observations, besides these.
-PER_OBSERVATION = ("actions", "dones", "rewards", "discounts", "expert_actions", "is_expert", "weights")
+PER_OBSERVATION = (
+    "actions",
+    "dones",
+    "rewards",
+    "discounts",
+    "returns",
+    "expert_actions",
+    "is_expert",
+    "weights",
+)
 
 AugmentationSpec = Augmentation | str | Mapping[str, Mapping[str, Any]] | None
 

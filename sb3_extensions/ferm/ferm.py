@@ -10,9 +10,9 @@ from stable_baselines3.common.type_aliases import GymEnv, PyTorchObs
 from stable_baselines3.common.utils import polyak_update
 from stable_baselines3.sac.policies import SACPolicy
 from torch import nn
-from tqdm import tqdm
 
 from sb3_extensions.common.augmentation import AugmentationSpec
+from sb3_extensions.demonstrations.off_policy import check_not_negative
 from sb3_extensions.ferm.policies import MultiInputPolicy
 from sb3_extensions.sacfd import SACfD
 
@@ -59,8 +59,7 @@ class FERM(SACfD):
             raise ValueError(f"policy must be FERM's MultiInputPolicy, got {self.policy_class.__name__}")
         if self.augmentation is None:
             raise ValueError("augmentation=None: FERM compares random views, give 'rad' or 'drq'")
-        if contrastive_steps < 0:
-            raise ValueError(f"contrastive_steps must not be negative, got {contrastive_steps}")
+        check_not_negative(contrastive_steps=contrastive_steps)
         if not 0 < encoder_tau <= 1:
             raise ValueError(f"encoder_tau must be greater than 0 and at most 1, got {encoder_tau}")
         self.contrastive_steps = contrastive_steps
@@ -84,23 +83,30 @@ class FERM(SACfD):
         self._update_learning_rate(self.contrast.optimizer)
         super().train(gradient_steps, batch_size)
 
-    def _add_demonstrations(self) -> None:
-        super()._add_demonstrations()
+    @property
+    def _pretraining_total(self) -> int:
+        return self.contrastive_steps + super()._pretraining_total
+
+    def _pretrain_once(self) -> None:
+        """First the encoder by the contrastive loss alone, then everything."""
         assert self.replay_buffer is not None
-        if self._n_updates or not self.replay_buffer.size():
+        if self.n_pretrained >= self.contrastive_steps:
+            super()._pretrain_once()
             return
-        for _ in tqdm(range(self.contrastive_steps), desc="contrastive pretraining"):
-            self._update_encoder(self.replay_buffer.sample(self.batch_size).observations)
-            self._update_target_encoder()
+        sample = self.replay_buffer.sample(self.batch_size)
+        for name, value in self._update_encoder(sample.observations).items():
+            self.logger.record(f"train/{name}", value.item())
+        self._update_target_encoder()
 
     def _update_encoder(self, observations: PyTorchObs) -> dict[str, th.Tensor]:
         """One step on the contrastive loss of two views of each observation."""
         assert self.augmentation is not None
         anchors = self.augmentation.view(observations, self.augmentation_generator)
         positives = self.augmentation.view(observations, self.augmentation_generator)
-        queries = self.critic.extract_features(anchors, self.critic.features_extractor)
+        # As the extractor gives them, without the critic's normalisation
+        queries = self.policy.extract_features(anchors, self.critic.features_extractor)
         with th.no_grad():
-            keys = self.critic_target.extract_features(positives, self.critic_target.features_extractor)
+            keys = self.policy.extract_features(positives, self.critic_target.features_extractor)
         loss = self.contrast(queries, keys)
         self.contrast.optimizer.zero_grad()
         loss.backward()

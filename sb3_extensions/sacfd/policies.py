@@ -2,29 +2,128 @@
 
 from __future__ import annotations
 
+from typing import Any, ClassVar
+
+from gymnasium import spaces
 from stable_baselines3.common.policies import ContinuousCritic
-from stable_baselines3.sac.policies import SACPolicy
+from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
+from stable_baselines3.common.type_aliases import Schedule
+from stable_baselines3.sac.policies import Actor, SACPolicy
 
-from sb3_extensions.common.policies import CnnNetworks, EquivariantNetworks, InvariantHeads
+from sb3_extensions.networks.extractors import CnnExtractor, EquivariantExtractor
+from sb3_extensions.networks.heads import regular_type
+from sb3_extensions.networks.policies import (
+    EquivariantActor,
+    EquivariantCritic,
+    NetArch,
+    NormalisedCritic,
+    initialise_actor,
+)
+
+# Hidden layers of the paper's close-loop CNN baseline: none in the actor, 128 units in each head of the
+# critic.
+CNN_NET_ARCH: dict[str, list[int]] = {"pi": [], "qf": [128]}
 
 
-class MultiInputPolicy(CnnNetworks, SACPolicy):
+class MultiInputPolicy(SACPolicy):
     """CNN policy of the paper: one encoder for the actor, one for all heads of the critic.
 
-    The parameters are those of :class:`~sb3_extensions.common.policies.CnnNetworks` and of
-    :class:`stable_baselines3.sac.policies.SACPolicy`.
+    :param observation_space: Dict of images and numbers, see
+        :class:`~sb3_extensions.networks.extractors.StackedImage`
+    :param action_space: Action space
+    :param lr_schedule: Learning rate schedule (could be constant)
+    :param net_arch: Hidden layers behind the encoders, the paper's if ``None``
+    :param features_extractor_class: Features extractor to use
+    :param kwargs: further parameters of :class:`stable_baselines3.sac.policies.SACPolicy`
     """
 
+    critic_class: ClassVar[type[NormalisedCritic]] = NormalisedCritic
 
-class EquivariantCritic(InvariantHeads, ContinuousCritic):
-    """Critic whose values stay when images and (x, y) of the action turn together."""
+    def __init__(
+        self,
+        observation_space: spaces.Space[Any],
+        action_space: spaces.Box,
+        lr_schedule: Schedule,
+        net_arch: NetArch | None = None,
+        features_extractor_class: type[BaseFeaturesExtractor] = CnnExtractor,
+        **kwargs: Any,
+    ) -> None:
+        super().__init__(
+            observation_space,
+            action_space,
+            lr_schedule,
+            net_arch=CNN_NET_ARCH if net_arch is None else net_arch,
+            features_extractor_class=features_extractor_class,
+            **kwargs,
+        )
+
+    def make_actor(self, features_extractor: BaseFeaturesExtractor | None = None) -> Actor:
+        """Actor that begins with means near 0."""
+        return initialise_actor(super().make_actor(features_extractor))
+
+    def make_critic(self, features_extractor: BaseFeaturesExtractor | None = None) -> ContinuousCritic:
+        """Critic that begins with values near 0."""
+        kwargs = self._update_features_extractor(self.critic_kwargs, features_extractor)
+        return self.critic_class(**kwargs).to(self.device)
+
+    def _get_constructor_parameters(self) -> dict[str, Any]:
+        data = super()._get_constructor_parameters()
+        data.update(share_features_extractor=self.share_features_extractor)
+        return data
 
 
-class EquivariantPolicy(EquivariantNetworks, SACPolicy):
+class EquivariantPolicy(SACPolicy):
     """Equivariant policy of the paper: one encoder for the actor, one for all heads of the critic.
 
-    The parameters are those of :class:`~sb3_extensions.common.policies.EquivariantNetworks` and of
-    :class:`stable_baselines3.sac.policies.SACPolicy`.
+    :param observation_space: Dict of images and numbers, see
+        :class:`~sb3_extensions.networks.extractors.StackedImage`
+    :param action_space: Action space
+    :param lr_schedule: Learning rate schedule (could be constant)
+    :param net_arch: Regular fields of the hidden layers behind the encoders; by default none in the actor and
+        as many as the encoder has in each head of the critic
+    :param features_extractor_class: Features extractor with regular features
+    :param action_sequence: One character for each number of the action: ``p`` (gripper), ``x``, ``y``, ``z``,
+        ``r`` (rotation about z), in any order
+    :param kwargs: further parameters of :class:`stable_baselines3.sac.policies.SACPolicy`
+    :raises ValueError: if features or ``action_sequence`` do not fit, or with ``use_sde``
     """
 
-    critic_class = EquivariantCritic
+    critic_class: ClassVar[type[EquivariantCritic]] = EquivariantCritic
+
+    def __init__(
+        self,
+        observation_space: spaces.Space[Any],
+        action_space: spaces.Box,
+        lr_schedule: Schedule,
+        net_arch: NetArch | None = None,
+        features_extractor_class: type[BaseFeaturesExtractor] = EquivariantExtractor,
+        action_sequence: str = "pxyzr",
+        **kwargs: Any,
+    ) -> None:
+        self.action_sequence = action_sequence
+        super().__init__(
+            observation_space,
+            action_space,
+            lr_schedule,
+            net_arch={"pi": [], "qf": []} if net_arch is None else net_arch,
+            features_extractor_class=features_extractor_class,
+            **kwargs,
+        )
+
+    def make_actor(self, features_extractor: BaseFeaturesExtractor | None = None) -> Actor:
+        """Actor that commutes with the group."""
+        kwargs = self._update_features_extractor(self.actor_kwargs, features_extractor)
+        return EquivariantActor(action_sequence=self.action_sequence, **kwargs).to(self.device)
+
+    def make_critic(self, features_extractor: BaseFeaturesExtractor | None = None) -> ContinuousCritic:
+        """Critic that is invariant under the group."""
+        kwargs = self._update_features_extractor(self.critic_kwargs, features_extractor)
+        kwargs["net_arch"] = kwargs["net_arch"] or [regular_type(kwargs["features_extractor"]).fields[0][1]]
+        return self.critic_class(action_sequence=self.action_sequence, **kwargs).to(self.device)
+
+    def _get_constructor_parameters(self) -> dict[str, Any]:
+        data = super()._get_constructor_parameters()
+        data.update(
+            share_features_extractor=self.share_features_extractor, action_sequence=self.action_sequence
+        )
+        return data

@@ -8,19 +8,19 @@ from typing import Any, ClassVar
 import torch as th
 from sb3_contrib.common.utils import quantile_huber_loss
 from sb3_contrib.tqc.policies import Critic
-from sb3_contrib.tqc.tqc import TQC
 from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.type_aliases import GymEnv
+from stable_baselines3.sac.policies import SACPolicy
 
-from sb3_extensions.common.from_demonstrations import FromDemonstrations
+from sb3_extensions.sacfd import SACfD
 from sb3_extensions.tqcfd.policies import EquivariantPolicy, MultiInputPolicy
 
 
-class TQCfD(FromDemonstrations, TQC):  # type: ignore[misc]  # mixed into SAC, to the type checker
+class TQCfD(SACfD):
     """
     Truncated quantile critics from demonstrations (TQCfD).
 
-    sb3-contrib's TQC as :class:`~sb3_extensions.sacfd.SACfD` is SAC. With ``bc_weight=0`` and
+    :class:`~sb3_extensions.sacfd.SACfD` with the critics of sb3-contrib's TQC: with ``bc_weight=0`` and
     ``expert_episodes=0`` it is TQC.
 
     TQC: https://arxiv.org/abs/2005.04269
@@ -30,8 +30,7 @@ class TQCfD(FromDemonstrations, TQC):  # type: ignore[misc]  # mixed into SAC, t
     :param top_quantiles_to_drop_per_net: number of quantiles to drop per network, of its ``n_quantiles`` (in
         ``policy_kwargs``, 25 by default)
     :param _init_setup_model: Whether or not to build the network at the creation of the instance
-    :param kwargs: further parameters of
-        :class:`~sb3_extensions.common.from_demonstrations.FromDemonstrations`
+    :param kwargs: further parameters of :class:`~sb3_extensions.sacfd.SACfD`
     :raises ValueError: if no quantiles are left
     """
 
@@ -43,7 +42,7 @@ class TQCfD(FromDemonstrations, TQC):  # type: ignore[misc]  # mixed into SAC, t
 
     def __init__(
         self,
-        policy: str | type[BasePolicy],
+        policy: str | type[SACPolicy],
         env: GymEnv | str,
         top_quantiles_to_drop_per_net: int = 2,
         _init_setup_model: bool = True,
@@ -62,6 +61,10 @@ class TQCfD(FromDemonstrations, TQC):  # type: ignore[misc]  # mixed into SAC, t
                 f"top_quantiles_to_drop_per_net must be at least 0 and less than n_quantiles="
                 f"{self.critic.n_quantiles}, got {self.top_quantiles_to_drop_per_net}"
             )
+
+    def _estimates(self, critic: Any, features: th.Tensor, actions: th.Tensor) -> Any:
+        """Quantiles of all heads, (batch, heads, quantiles)."""
+        return th.stack(super()._estimates(critic, features, actions), dim=1)
 
     def _target_values(self, estimates: Any) -> th.Tensor:
         # Sort the quantiles of all critics and drop the top ones, to control overestimation

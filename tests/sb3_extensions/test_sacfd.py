@@ -10,10 +10,10 @@ from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.vec_env import VecNormalize
 from stable_baselines3.sac.policies import MultiInputPolicy as StockPolicy
 
-from sb3_extensions.common.expert import collect_episodes, make_expert_env
-from sb3_extensions.common.expert_replay import ExpertReplayBuffer
-from sb3_extensions.common.replay import NO_ROW, FrameReplayBuffer
-from sb3_extensions.common.rotated_replay import PrioritizedRotatedReplayBuffer
+from sb3_extensions.demonstrations.collecting import collect_episodes, make_expert_env
+from sb3_extensions.replay.buffer import NO_ROW, FrameReplayBuffer
+from sb3_extensions.replay.expert import ExpertReplayBuffer
+from sb3_extensions.replay.rotated import PrioritizedRotatedReplayBuffer
 from sb3_extensions.sacfd import SACfD
 
 SMALL_STOCK = {"net_arch": [16], "features_extractor_kwargs": {"cnn_output_dim": 8}}
@@ -92,7 +92,13 @@ def test_expert_data_is_an_iterable_of_episodes(make_toy: Any) -> None:
     np.testing.assert_allclose(stored, np.concatenate([episode.actions for episode in episodes]), atol=1e-6)
 
 
+def frozen_critic(model: Any) -> Any:
+    model.critic.optimizer.step = lambda *args: None
+    return model
+
+
 def test_without_imitation_it_is_sac(make_toy: Any) -> None:
+    """But for the actor's loss, which uses the critic before its step: equal if the critic stands still."""
     kwargs: dict[str, Any] = {
         "learning_rate": 1e-3,
         "buffer_size": 500,
@@ -105,11 +111,22 @@ def test_without_imitation_it_is_sac(make_toy: Any) -> None:
         "device": "cpu",
         "seed": 0,
     }
-    ours = SACfD(StockPolicy, make_toy(2), bc_weight=0, expert_episodes=0, **kwargs).learn(80)
-    kwargs |= {"replay_buffer_class": FrameReplayBuffer, "replay_buffer_kwargs": {"seed": 0}}
-    stock = SAC(StockPolicy, make_toy(2), **kwargs).learn(80)
-    assert ours._n_updates == stock._n_updates > 30
-    assert_equal_parameters(ours, stock)
+
+    def ours() -> SACfD:
+        return SACfD(StockPolicy, make_toy(2), bc_weight=0, expert_episodes=0, **kwargs)
+
+    def stock() -> SAC:
+        buffer = {"replay_buffer_class": FrameReplayBuffer, "replay_buffer_kwargs": {"seed": 0}}
+        return SAC(StockPolicy, make_toy(2), **kwargs, **buffer)
+
+    for steps in (80, 12):
+        models = [frozen_critic(make()).learn(steps) for make in (ours, stock)]
+        assert models[0]._n_updates == models[1]._n_updates > 0
+        assert_equal_parameters(*models)
+    first_update = [parameters(make().learn(12)) for make in (ours, stock)]
+    for name, value in first_update[0].items():
+        if not name.startswith("actor."):
+            np.testing.assert_array_equal(value, first_update[1][name], err_msg=name)
 
 
 def one_update(model: SACfD, **changes: Any) -> tuple[Any, dict[str, float]]:
@@ -153,9 +170,9 @@ def test_losses_equal_a_slow_reference(experts: int, make_toy: Any) -> None:
     target_entropy = -5.0
     ent_coef_loss = -(np.log(alpha) * (log_prob + target_entropy)).mean()
     np.testing.assert_allclose(logged["train/ent_coef_loss"], ent_coef_loss, rtol=1e-4)
-    # The actor's loss uses the critic after its step.
+    # The actor's loss uses the critic before its step.
     with th.no_grad():
-        q_pi = np.stack([x.numpy() for x in model.critic(sample.observations, th.as_tensor(actions))])
+        q_pi = np.stack([x.numpy() for x in critic(sample.observations, th.as_tensor(actions))])
     expected = (alpha * log_prob - q_pi.min(axis=0)[:, 0]).mean()
     np.testing.assert_allclose(logged["train/actor_loss"], expected, rtol=1e-4)
     moved = {name for name, value in parameters(model).items() if not np.array_equal(value, before[name])}

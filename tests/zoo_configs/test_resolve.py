@@ -187,7 +187,7 @@ def test_unknown_names_are_told(names: tuple[str, str, str], message: str) -> No
         ({"policy": "no_package.Policy"}, "policy 'no_package.Policy' cannot be imported"),
         (
             {
-                "replay_buffer_class": "sb3_extensions.common.rotated_replay.RotatedReplayBuffer",
+                "replay_buffer_class": "sb3_extensions.replay.rotated.RotatedReplayBuffer",
                 "replay_buffer_kwargs": {"copys": 3},
             },
             "did you mean 'copies'?",

@@ -14,10 +14,10 @@ from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from stable_baselines3.common.type_aliases import PyTorchObs
 from torch import nn
 
-from sb3_extensions.common.encoders import CnnEncoder, EquivariantEncoder
-from sb3_extensions.common.equivariant import GroupMaxPool
-from sb3_extensions.common.groups import Group
-from sb3_extensions.common.quantisation import Quantiser
+from sb3_extensions.networks.encoders import CnnEncoder, EquivariantEncoder
+from sb3_extensions.networks.equivariant import GroupMaxPool
+from sb3_extensions.networks.groups import Group
+from sb3_extensions.replay.quantisation import Quantiser
 
 OUTPUTS = ("regular", "invariant")
 # Name of the only image where an observation is no Dict.
@@ -73,6 +73,8 @@ class StackedImage(nn.Module):
             raise ValueError(f"crop must be from 1 to the images' size, {side}, got {crop}")
         self.size = crop or side
         self.scales = {key: _Scale(key, space, quantise, standardise) for key, space in images.items()}
+        self.quantise = quantise
+        self.has_float_images = not all(is_image_space(space) for space in images.values())
         numbers = {key: space for key, space in parts.items() if key not in images}
         self.number_keys = list(numbers)
         self.channels = sum(int(shape[0]) for shape in shapes.values())
@@ -145,11 +147,11 @@ class CnnExtractor(BaseFeaturesExtractor):
     """Plain convolutional encoder of a Dict observation of images and numbers.
 
     :param observation_space: see :class:`StackedImage`
-    :param channels: output channels of each stage, see :class:`~sb3_extensions.common.encoders.CnnEncoder`
-    :param strided: halvings without pooling, see :func:`~sb3_extensions.common.encoders.plan_stages`
+    :param channels: output channels of each stage, see :class:`~sb3_extensions.networks.encoders.CnnEncoder`
+    :param strided: halvings without pooling, see :func:`~sb3_extensions.networks.encoders.plan_stages`
     :param quantise: see :class:`StackedImage`
-    :param channels_last: see :class:`~sb3_extensions.common.encoders.Encoder`
-    :param autocast: ``None`` or ``"bf16"``, see :class:`~sb3_extensions.common.encoders.Encoder`
+    :param channels_last: see :class:`~sb3_extensions.networks.encoders.Encoder`
+    :param autocast: ``None`` or ``"bf16"``, see :class:`~sb3_extensions.networks.encoders.Encoder`
     :param crop: see :class:`StackedImage`
     :param standardise: see :class:`StackedImage`
     """
@@ -188,12 +190,12 @@ class EquivariantExtractor(BaseFeaturesExtractor):
     :param group: ``"cyclic"`` (rotations) or ``"dihedral"`` (reflections too)
     :param n: number of rotations
     :param channels: regular fields after each stage, see
-        :class:`~sb3_extensions.common.encoders.EquivariantEncoder`
-    :param strided: halvings without pooling, see :func:`~sb3_extensions.common.encoders.plan_stages`
+        :class:`~sb3_extensions.networks.encoders.EquivariantEncoder`
+    :param strided: halvings without pooling, see :func:`~sb3_extensions.networks.encoders.plan_stages`
     :param output: ``"regular"`` or ``"invariant"``
     :param quantise: see :class:`StackedImage`
-    :param channels_last: see :class:`~sb3_extensions.common.encoders.Encoder`
-    :param autocast: ``None`` or ``"bf16"``, see :class:`~sb3_extensions.common.encoders.Encoder`
+    :param channels_last: see :class:`~sb3_extensions.networks.encoders.Encoder`
+    :param autocast: ``None`` or ``"bf16"``, see :class:`~sb3_extensions.networks.encoders.Encoder`
     :param crop: see :class:`StackedImage`
     :param standardise: see :class:`StackedImage`
     :raises ValueError: if ``group``, ``n`` or ``output`` is none of these, or the encoder does not fit the

@@ -6,8 +6,8 @@ from gymnasium import spaces
 from sb3_contrib import TQC, CrossQ
 from stable_baselines3 import PPO
 
-from sb3_extensions.common.extractors import CnnExtractor, EquivariantExtractor, StackedImage
-from sb3_extensions.common.quantisation import Quantiser
+from sb3_extensions.networks.extractors import CnnExtractor, EquivariantExtractor, StackedImage
+from sb3_extensions.replay.quantisation import Quantiser
 
 SIZE = 16
 CNN = (CnnExtractor, {"channels": [4, 8, 8]})

@@ -19,11 +19,18 @@ from tqdm import tqdm
 ATTEMPTS_PER_EPISODE = 4
 
 AnyEnv = gym.Env[Any, Any]
-Expert = Callable[[], npt.NDArray[Any]]
+Actions = npt.NDArray[Any]
+Hand = Callable[[Actions, np.random.Generator], Actions]
+"""From the action that the expert wants to the one that is carried out, with a source of randomness."""
 
 
 class EpisodeData(Protocol):
-    """An episode of n steps, its parts named as Minari names them: a ``minari.EpisodeData`` is one."""
+    """
+    An episode of n steps, its parts named as Minari names them: a ``minari.EpisodeData`` is one.
+
+    Where the actions that the expert wanted are not those that were carried out, it also has
+    ``expert_actions``, of the same shape.
+    """
 
     @property
     def observations(self) -> dict[str, npt.NDArray[Any]]:
@@ -52,7 +59,8 @@ class Episode:
     An episode of n steps.
 
     :param observations: for each key an array of n + 1 observations
-    :param actions: shape (n, action dimensions), in the units of the environment
+    :param actions: those that were carried out, shape (n, action dimensions), in the units of the environment
+    :param expert_actions: those that the expert wanted, of the same shape
     :param rewards: shape (n,)
     :param terminations: shape (n,)
     :param truncations: shape (n,)
@@ -60,7 +68,8 @@ class Episode:
     """
 
     observations: dict[str, npt.NDArray[Any]]
-    actions: npt.NDArray[Any]
+    actions: Actions
+    expert_actions: Actions
     rewards: npt.NDArray[np.float32]
     terminations: npt.NDArray[np.bool_]
     truncations: npt.NDArray[np.bool_]
@@ -100,8 +109,8 @@ def collect_episodes(
     episodes: int,
     seed: int | None = None,
     max_attempts: int | None = None,
-    progress_bar: bool = True,
-    noise: float = 0.0,
+    progress_bar: bool | None = None,
+    hand: Hand | None = None,
 ) -> Iterator[Episode]:
     """
     Let the expert of an environment act; yields successful episodes only, one at a time.
@@ -114,63 +123,44 @@ def collect_episodes(
     :param episodes: number of successful episodes
     :param seed: seed from which the seeds of the attempts are drawn
     :param max_attempts: number of episodes to try at most; by default four for each successful one
-    :param progress_bar: whether to show progress
-    :param noise: standard deviation of a normal disturbance of every action, in half the range of the action
-        space; episodes hold the disturbed actions, as they were carried out. They show how the expert makes
-        good what an agent will do inexactly. DART: https://arxiv.org/abs/1703.09327
+    :param progress_bar: whether to show progress; by default on a terminal
+    :param hand: what carries the expert's actions out otherwise than it wants, such as
+        :class:`~sb3_extensions.demonstrations.noise.UnsteadyHand`
     :return: the episodes
-    :raises ValueError: if the environment is not such a one, or ``episodes`` or ``noise`` is negative
+    :raises ValueError: if the environment is not such a one, or ``episodes`` is negative
     :raises RuntimeError: while iterating, if the attempts are used up
     """
     if episodes < 0:
         raise ValueError(f"episodes must not be negative, got {episodes}")
-    if noise < 0.0:
-        raise ValueError(f"noise must not be negative, got {noise}")
     if not isinstance(env.observation_space, spaces.Dict):
         raise ValueError(f"the environment must have Dict observations, got {env.observation_space}")
-    try:
-        expert = env.get_wrapper_attr("expert_action")
-    except AttributeError as error:
+    if not env.has_wrapper_attr("expert_action"):
         raise ValueError(
             f"{env} has no expert_action(): train without demonstrations by expert_episodes=0, "
             "or hand over episodes by expert_data="
-        ) from error
+        )
     attempts = ATTEMPTS_PER_EPISODE * episodes if max_attempts is None else max_attempts
-    rng = np.random.default_rng(seed)
-    if noise > 0.0:
-        expert = _disturbed(expert, env.action_space, noise, rng.spawn(1)[0])
-    return _successful_episodes(env, expert, episodes, attempts, rng, progress_bar)
-
-
-def _disturbed(expert: Expert, space: gym.Space[Any], noise: float, rng: np.random.Generator) -> Expert:
-    """The expert with a hand that is not steady."""
-    if not isinstance(space, spaces.Box):
-        raise ValueError(f"noise needs an action space with ranges, a Box, got {space}")
-    deviation = noise * (space.high - space.low) / 2.0
-
-    def act() -> npt.NDArray[Any]:
-        action = np.asarray(expert()) + rng.normal(scale=deviation)
-        return np.clip(action, space.low, space.high).astype(space.dtype)
-
-    return act
+    silent = None if progress_bar is None else not progress_bar  # None: silent but on a terminal
+    return _successful_episodes(env, hand, episodes, attempts, np.random.default_rng(seed), silent)
 
 
 def _successful_episodes(
     env: AnyEnv,
-    expert: Expert,
+    hand: Hand | None,
     episodes: int,
     attempts: int,
     rng: np.random.Generator,
-    progress_bar: bool,
+    silent: bool | None,
 ) -> Iterator[Episode]:
     successes = 0
+    hand_rng = rng.spawn(1)[0]
     keeps_scene = env.has_wrapper_attr("keeps_scene") and env.get_wrapper_attr("keeps_scene")
-    with tqdm(total=episodes, desc="expert episodes", disable=not progress_bar) as progress:
+    with tqdm(total=episodes, desc="expert episodes", disable=silent) as progress:
         for attempt in range(attempts):
             if successes == episodes:
                 return
             seed = None if keeps_scene and attempt > 0 else int(rng.integers(2**31))
-            episode, success = _run_episode(env, expert, seed)
+            episode, success = _run_episode(env, hand, hand_rng, seed)
             if success:
                 successes += 1
                 progress.update()
@@ -181,23 +171,28 @@ def _successful_episodes(
         )
 
 
-def _run_episode(env: AnyEnv, expert: Expert, seed: int | None) -> tuple[Episode, bool]:
+def _run_episode(
+    env: AnyEnv, hand: Hand | None, rng: np.random.Generator, seed: int | None
+) -> tuple[Episode, bool]:
+    expert = env.get_wrapper_attr("expert_action")
     observation, info = env.reset(seed=seed)
     # Copies: some environments write every observation into the same array.
     observations, steps = [copy.deepcopy(observation)], []
     ended = False
     while not ended:
-        action = np.array(expert())
+        wanted = np.array(expert())
+        action = wanted if hand is None else hand(wanted, rng)
         observation, reward, terminated, truncated, info = env.step(action)
         observations.append(copy.deepcopy(observation))
-        steps.append((action, reward, terminated, truncated))
+        steps.append((action, wanted, reward, terminated, truncated))
         ended = terminated or truncated
     if "is_success" not in info:
         raise ValueError(f"{env} does not say whether an episode succeeded: its info has no 'is_success'")
-    actions, rewards, terminations, truncations = map(np.array, zip(*steps, strict=True))
+    actions, expert_actions, rewards, terminations, truncations = map(np.array, zip(*steps, strict=True))
     episode = Episode(
         observations={key: np.stack([entry[key] for entry in observations]) for key in observation},
         actions=actions,
+        expert_actions=expert_actions,
         rewards=rewards.astype(np.float32),
         terminations=terminations,
         truncations=truncations,

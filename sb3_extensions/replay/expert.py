@@ -8,8 +8,8 @@ import numpy as np
 import numpy.typing as npt
 import torch as th
 
-from sb3_extensions.common.frames import Ids
-from sb3_extensions.common.replay import NO_ROW, FrameReplayBuffer, Observations
+from sb3_extensions.replay.buffer import NO_ROW, FrameReplayBuffer, Observations
+from sb3_extensions.replay.frames import Ids
 
 
 class ExpertReplayBuffer(FrameReplayBuffer):
@@ -41,6 +41,7 @@ class ExpertReplayBuffer(FrameReplayBuffer):
         actions: npt.NDArray[Any],
         rewards: npt.NDArray[Any],
         terminations: npt.NDArray[Any],
+        expert_actions: npt.NDArray[Any] | None = None,
     ) -> None:
         """
         Add an episode of the expert; only before the first online transition.
@@ -49,6 +50,7 @@ class ExpertReplayBuffer(FrameReplayBuffer):
         :param actions: n actions in the units of the policy, [-1, 1], shape (n, action dimensions)
         :param rewards: n rewards
         :param terminations: n booleans, True where the episode terminated (not where it only ran out of time)
+        :param expert_actions: the n actions that the expert wanted, where others were carried out
         :raises ValueError: if the lengths do not fit, the expert rows would fill the buffer, or there are
             online transitions already
         """
@@ -59,12 +61,15 @@ class ExpertReplayBuffer(FrameReplayBuffer):
         n_steps = len(actions)
         lengths = {f"observations[{key!r}]": len(observations[key]) - 1 for key in self.frames.keys}
         lengths |= {"rewards": len(rewards), "terminations": len(terminations)}
+        if expert_actions is not None:
+            lengths["expert_actions"] = len(expert_actions)
         wrong = {name: length for name, length in lengths.items() if length != n_steps}
         if wrong or n_steps == 0:
             raise ValueError(f"an episode of {n_steps} actions has another number of steps in {wrong}")
         if not self.table:
             self._allocate()
         actions = np.asarray(actions).reshape(n_steps, self.action_dim)
+        wanted = actions if expert_actions is None else expert_actions
         frames = self.frames.pin(observations)
         rows = self.rows.pin(n_steps)
         self._write_rows(
@@ -74,10 +79,12 @@ class ExpertReplayBuffer(FrameReplayBuffer):
             oldest_frame=0,
             next_row=np.append(rows[1:], NO_ROW),
             action=actions,
-            expert_action=actions,
+            expert_action=np.asarray(wanted).reshape(n_steps, self.action_dim),
             reward=rewards,
             done=terminations,
+            **{"return": np.nan},
         )
+        self._write_returns(rows)
 
     def update_priorities(self, slots: Ids, td_errors: th.Tensor) -> None:
         """

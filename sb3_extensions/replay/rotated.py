@@ -10,11 +10,11 @@ import torch as th
 from gymnasium import spaces
 from torch.nn import functional as F
 
-from sb3_extensions.common.expert_replay import ExpertReplayBuffer
-from sb3_extensions.common.frames import IMAGE_AXES
-from sb3_extensions.common.heads import ActionFields
-from sb3_extensions.common.prioritized_replay import PrioritizedReplayBuffer
-from sb3_extensions.common.replay import EXPERT_ACTION, AnyObservations, Observations
+from sb3_extensions.common.action_sequence import ActionSequence
+from sb3_extensions.replay.buffer import EXPERT_ACTION, AnyObservations, Observations
+from sb3_extensions.replay.expert import ExpertReplayBuffer
+from sb3_extensions.replay.frames import IMAGE_AXES
+from sb3_extensions.replay.prioritized import PrioritizedReplayBuffer
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -43,7 +43,7 @@ def rotate_actions(actions: npt.NDArray[Any], angles: FloatArray, action_sequenc
     :param actions: in the units of the policy, shape (n, action dimensions)
     :param angles: from x towards y, rad, shape (n,)
     :param action_sequence: one character for each number, see
-        :class:`~sb3_extensions.common.heads.ActionFields`
+        :class:`~sb3_extensions.common.action_sequence.ActionSequence`
     :return: actions whose other numbers are untouched, of the same shape and type
     """
     rotated = actions.copy()
@@ -56,7 +56,7 @@ def rotate_actions(actions: npt.NDArray[Any], angles: FloatArray, action_sequenc
 
 class RotatedReplayBuffer(ExpertReplayBuffer):
     """
-    :class:`~sb3_extensions.common.expert_replay.ExpertReplayBuffer` that also keeps rotated copies of every
+    :class:`~sb3_extensions.replay.expert.ExpertReplayBuffer` that also keeps rotated copies of every
     transition, the expert's and the others: both observations' images and (dx, dy) of the action and of the
     expert's action are rotated by one angle, everything else is as it was.
 
@@ -72,8 +72,8 @@ class RotatedReplayBuffer(ExpertReplayBuffer):
     :param n_envs: number of parallel environments
     :param copies: number of rotated copies of every transition
     :param action_sequence: one character for each number of the action, see
-        :class:`~sb3_extensions.common.heads.ActionFields`
-    :param kwargs: keyword arguments of :class:`~sb3_extensions.common.expert_replay.ExpertReplayBuffer`
+        :class:`~sb3_extensions.common.action_sequence.ActionSequence`
+    :param kwargs: keyword arguments of :class:`~sb3_extensions.replay.expert.ExpertReplayBuffer`
     :raises ValueError: if there is nothing to rotate, or an argument is out of its range
     """
 
@@ -93,7 +93,7 @@ class RotatedReplayBuffer(ExpertReplayBuffer):
         # A copy is one more environment to the parent.
         n_streams = n_envs * (1 + copies)
         super().__init__(buffer_size, observation_space, action_space, *args, n_envs=n_streams, **kwargs)
-        if "x" not in ActionFields(action_sequence, self.action_dim).sequence:
+        if "x" not in ActionSequence(action_sequence, self.action_dim):
             raise ValueError(f"action_sequence={action_sequence!r} has no x and y to rotate")
         self.copies = copies
         self.action_sequence = action_sequence
@@ -121,7 +121,7 @@ class RotatedReplayBuffer(ExpertReplayBuffer):
         :param reward: rewards, shape (n_envs,)
         :param done: whether the episode ended, shape (n_envs,)
         :param infos: ``"TimeLimit.truncated"`` says that it ended only for want of time;
-            :data:`~sb3_extensions.common.replay.EXPERT_ACTION` is what an expert would have done instead
+            :data:`~sb3_extensions.replay.buffer.EXPERT_ACTION` is what an expert would have done instead
         """
         obs, next_obs = self._as_dict(obs), self._as_dict(next_obs)
         begins = ~self._continues(obs)
@@ -146,6 +146,7 @@ class RotatedReplayBuffer(ExpertReplayBuffer):
         actions: npt.NDArray[Any],
         rewards: npt.NDArray[Any],
         terminations: npt.NDArray[Any],
+        expert_actions: npt.NDArray[Any] | None = None,
     ) -> None:
         """
         Add an episode of the expert, and its copies; only before the first online transition.
@@ -154,17 +155,22 @@ class RotatedReplayBuffer(ExpertReplayBuffer):
         :param actions: n actions in the units of the policy, [-1, 1], shape (n, action dimensions)
         :param rewards: n rewards
         :param terminations: n booleans, True where the episode terminated (not where it only ran out of time)
+        :param expert_actions: the n actions that the expert wanted, where others were carried out
         :raises ValueError: if the lengths do not fit, the expert rows would fill the buffer, or there are
             online transitions already
         """
-        super().add_episode(observations, actions, rewards, terminations)
+        super().add_episode(observations, actions, rewards, terminations, expert_actions)
+        wanted = actions if expert_actions is None else expert_actions
         for angle in self._draw_angles(1)[:, 0]:
             rotated = {
                 key: self._rotated(key, values, np.full(len(values), angle))
                 for key, values in observations.items()
             }
-            rotated_actions = rotate_actions(actions, np.full(len(actions), angle), self.action_sequence)
-            super().add_episode(rotated, rotated_actions, rewards, terminations)
+            done, intended = (
+                rotate_actions(given, np.full(len(actions), angle), self.action_sequence)
+                for given in (actions, wanted)
+            )
+            super().add_episode(rotated, done, rewards, terminations, intended)
 
     def _draw_angles(self, count: int) -> FloatArray:
         return self.rng.uniform(0, 2 * np.pi, size=(self.copies, count))
@@ -204,6 +210,6 @@ class RotatedReplayBuffer(ExpertReplayBuffer):
 
 class PrioritizedRotatedReplayBuffer(PrioritizedReplayBuffer, RotatedReplayBuffer):
     """
-    Both: :class:`~sb3_extensions.common.prioritized_replay.PrioritizedReplayBuffer` with the copies of
+    Both: :class:`~sb3_extensions.replay.prioritized.PrioritizedReplayBuffer` with the copies of
     :class:`RotatedReplayBuffer`, each with a priority of its own. Takes the arguments of both.
     """

@@ -9,9 +9,9 @@ import pytest
 import torch as th
 from gymnasium import spaces
 
-from sb3_extensions.common import rotated_replay
-from sb3_extensions.common.replay import EXPERT_ACTION
-from sb3_extensions.common.rotated_replay import (
+from sb3_extensions.replay import rotated as rotated_replay
+from sb3_extensions.replay.buffer import EXPERT_ACTION
+from sb3_extensions.replay.rotated import (
     PrioritizedRotatedReplayBuffer,
     RotatedReplayBuffer,
     rotate_actions,

@@ -8,8 +8,8 @@ import numpy as np
 import numpy.typing as npt
 import torch as th
 
-from sb3_extensions.common.expert_replay import ExpertReplayBuffer
-from sb3_extensions.common.frames import Ids
+from sb3_extensions.replay.expert import ExpertReplayBuffer
+from sb3_extensions.replay.frames import Ids
 
 # Added to every priority, so that no transition is forgotten for good.
 MIN_PRIORITY = 1e-6
@@ -32,6 +32,11 @@ class SumTree:
     def total(self) -> float:
         """Sum of all leaves."""
         return float(self.nodes[1])
+
+    @property
+    def greatest(self) -> float:
+        """Greatest of all leaves."""
+        return float(self.nodes[1 << self.depth :].max())
 
     def __getitem__(self, leaves: Ids) -> FloatArray:
         return self.nodes[leaves + (1 << self.depth)]
@@ -62,9 +67,9 @@ class SumTree:
 
 class PrioritizedReplayBuffer(ExpertReplayBuffer):
     """
-    :class:`~sb3_extensions.common.expert_replay.ExpertReplayBuffer` that draws transitions in proportion to
+    :class:`~sb3_extensions.replay.expert.ExpertReplayBuffer` that draws transitions in proportion to
     ``priority ** exponent``; the priority is the absolute temporal-difference error of the last update, with
-    a bonus for the expert's. New transitions get the greatest priority so far.
+    a bonus for the expert's. New transitions get the greatest priority that any has now.
 
     The importance weights ``(size * probability) ** -beta``, divided by the greatest of the sample, are for
     the critic's loss. ``beta`` grows linearly from ``beta_start`` to 1 as :attr:`progress_remaining` falls
@@ -74,11 +79,11 @@ class PrioritizedReplayBuffer(ExpertReplayBuffer):
     Prioritized replay: https://arxiv.org/abs/1511.05952. The defaults are those of the paper of BulletArm,
     https://arxiv.org/abs/2205.14292, appendix "Benchmark Details".
 
-    :param args: arguments of :class:`~sb3_extensions.common.expert_replay.ExpertReplayBuffer`
+    :param args: arguments of :class:`~sb3_extensions.replay.expert.ExpertReplayBuffer`
     :param exponent: 0 draws uniformly, 1 in proportion to the priorities
     :param beta_start: 0 leaves the bias of the sampling at first, 1 corrects it at once
     :param expert_bonus: added to the priorities of expert transitions
-    :param kwargs: keyword arguments of :class:`~sb3_extensions.common.expert_replay.ExpertReplayBuffer`
+    :param kwargs: keyword arguments of :class:`~sb3_extensions.replay.expert.ExpertReplayBuffer`
     :raises ValueError: if an argument is out of its range, or with ``expert_fraction``
     """
 
@@ -107,7 +112,6 @@ class PrioritizedReplayBuffer(ExpertReplayBuffer):
 
     def _forget_priorities(self) -> None:
         self.tree = SumTree(self.rows.capacity)  # of priority ** exponent; 0 where no row is kept
-        self.max_priority = 1.0
 
     def reset(self) -> None:
         """Forget all transitions and their priorities."""
@@ -123,12 +127,12 @@ class PrioritizedReplayBuffer(ExpertReplayBuffer):
         """
         errors = td_errors.detach().abs().cpu().numpy().ravel().astype(np.float64)
         priorities = errors + self.expert_bonus * (slots < self.rows.pinned) + MIN_PRIORITY
-        self.max_priority = max(self.max_priority, priorities.max())
         kept = self.tree[slots] > 0
         self.tree[slots[kept]] = priorities[kept] ** self.exponent
 
     def _write_rows(self, rows: Ids, **columns: Any) -> Ids:
-        self.tree[self.rows.slots(rows)] = self.max_priority**self.exponent
+        # That of the rows kept now, not of all times: the errors of an untrained critic are soon made good
+        self.tree[self.rows.slots(rows)] = self.tree.greatest or 1.0
         return super()._write_rows(rows, **columns)
 
     def _drop_rows_without_frames(self) -> None:

@@ -8,7 +8,8 @@ import pytest
 from gymnasium.wrappers import TransformObservation
 from stable_baselines3.common.vec_env import DummyVecEnv
 
-from sb3_extensions.common.expert import collect_episodes, make_expert_env
+from sb3_extensions.demonstrations.collecting import collect_episodes, make_expert_env
+from sb3_extensions.demonstrations.noise import UnsteadyHand
 
 ENV_ID = "ToyReach-v0"
 
@@ -69,9 +70,12 @@ def test_only_the_first_is_seeded_where_a_scene_is_kept(monkeypatch: pytest.Monk
     assert len(set(starts[0])) == 3
 
 
-def test_noise_disturbs_the_actions_that_are_carried_out() -> None:
+def test_noise_disturbs_what_is_carried_out_and_not_what_is_wanted() -> None:
+    """DART's label is what the expert wants in the state that its errors led to."""
+
     def collect(noise: float) -> list[Any]:
-        return list(collect_episodes(make_env(), 20, 0, progress_bar=False, noise=noise))
+        hand = UnsteadyHand(make_env().action_space, noise)
+        return list(collect_episodes(make_env(), 20, 0, progress_bar=False, hand=hand))
 
     noisy, again, steady = collect(0.05), collect(0.05), collect(0.0)
     assert [episode.seed for episode in noisy] == [episode.seed for episode in again]
@@ -80,14 +84,36 @@ def test_noise_disturbs_the_actions_that_are_carried_out() -> None:
     env, errors = make_env(), []
     for episode in noisy:
         env.reset(seed=episode.seed)
-        for action in episode.actions:
-            errors.append(action - env.unwrapped.expert_action())
+        for action, wanted in zip(episode.actions, episode.expert_actions, strict=True):
+            np.testing.assert_array_equal(wanted, env.unwrapped.expert_action())
+            errors.append(action - wanted)
             env.step(action)
         assert abs(episode.actions).max() <= 1.0
     inside = [error for error in np.concatenate(errors) if error]
     assert 0.02 < np.std(inside) < 0.06
     assert not np.array_equal(noisy[0].actions[0], steady[0].actions[0])
     assert noisy[0].seed == steady[0].seed
+    np.testing.assert_array_equal(steady[0].actions, steady[0].expert_actions)
+
+
+def test_a_hand_may_carry_out_another_action() -> None:
+    def snap(action: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+        return np.round(action * 2) / 2
+
+    for episode in collect_episodes(make_env(), 5, 0, progress_bar=False, hand=snap):
+        np.testing.assert_array_equal(episode.actions, np.round(episode.expert_actions * 2) / 2)
+        env = make_env()
+        env.reset(seed=episode.seed)
+        for k, action in enumerate(episode.actions):
+            observation, *_ = env.step(action)
+            np.testing.assert_array_equal(observation["heightmap"], episode.observations["heightmap"][k + 1])
+
+
+def test_noise_needs_ranges_and_is_not_negative() -> None:
+    with pytest.raises(ValueError, match=r"noise must not be negative, got -0\.1"):
+        UnsteadyHand(make_env().action_space, -0.1)
+    with pytest.raises(ValueError, match="noise needs an action space with ranges"):
+        UnsteadyHand(gym.spaces.Discrete(3), 0.1)
 
 
 def test_gives_up() -> None:
@@ -106,8 +132,6 @@ def test_needs_an_expert_and_dict_observations() -> None:
         collect_episodes(gym.make("Pendulum-v1"), 1)
     with pytest.raises(ValueError, match="episodes"):
         collect_episodes(make_env(), -1)
-    with pytest.raises(ValueError, match="noise"):
-        collect_episodes(make_env(), 1, noise=-0.1)
 
 
 class _WithoutExpert(gym.Env[Any, Any]):

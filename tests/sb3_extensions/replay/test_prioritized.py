@@ -7,7 +7,7 @@ import pytest
 import torch as th
 from gymnasium import spaces
 
-from sb3_extensions.common.prioritized_replay import MIN_PRIORITY, PrioritizedReplayBuffer, SumTree
+from sb3_extensions.replay.prioritized import MIN_PRIORITY, PrioritizedReplayBuffer, SumTree
 from sb3_extensions.sacfd import SACfD
 
 SPACE = spaces.Box(-1e6, 1e6, (1,), np.float32)
@@ -84,15 +84,18 @@ def test_without_exponent_it_is_uniform() -> None:
     assert (samples.weights == 1).all()
 
 
-def test_new_transitions_get_the_greatest_priority_so_far() -> None:
+def test_new_transitions_get_the_greatest_priority_of_now() -> None:
     buffer = make_buffer()
     np.testing.assert_array_equal(buffer.tree[np.arange(11)], [1.0] * 10 + [0.0])
     buffer.update_priorities(np.array([7]), th.tensor([[5.0]]))
     play(buffer, range(106, 107))
-    buffer.update_priorities(np.array([7]), th.tensor([[0.0]]))
+    buffer.update_priorities(np.array([7, 10]), th.tensor([[0.0], [3.0]]))  # a wild error is made good
     play(buffer, range(107, 108))
-    greatest = 5 + MIN_PRIORITY
-    np.testing.assert_allclose(buffer.tree[np.array([7, 10, 11])] ** (1 / 0.6), [1e-6, greatest, greatest])
+    priorities = buffer.tree[np.array([7, 10, 11])] ** (1 / 0.6)
+    np.testing.assert_allclose(priorities, [1e-6, 3 + MIN_PRIORITY, 3 + MIN_PRIORITY])
+    buffer.update_priorities(np.arange(12), th.full((12, 1), 0.2))
+    play(buffer, range(108, 109))  # the expert's four have their bonus
+    np.testing.assert_allclose(buffer.tree[np.array([12])] ** (1 / 0.6), 1.2 + MIN_PRIORITY)
 
 
 @pytest.mark.parametrize("n_steps", [1, 3])

@@ -14,7 +14,7 @@ from stable_baselines3.common.buffers import BaseBuffer, ReplayBuffer
 from stable_baselines3.common.type_aliases import TensorDict
 from stable_baselines3.common.vec_env import VecNormalize
 
-from sb3_extensions.common.frames import FrameStore, Ids, PinnedRing
+from sb3_extensions.replay.frames import FrameStore, Ids, PinnedRing
 
 logger = logging.getLogger(__name__)
 
@@ -39,7 +39,8 @@ class FrameReplayBufferSamples(NamedTuple):
     only where the episode terminated: a timeout bootstraps. ``discounts`` multiplies the value of
     ``next_observations``; it is None where the buffer was given no ``gamma``. ``is_expert`` is boolean,
     ``weights`` are importance weights, ``indices`` (numpy, shape (batch,)) the rows of the table.
-    ``expert_actions`` are what an expert did or would have done, NaN where none was asked.
+    ``expert_actions`` are what an expert wanted, or would have wanted, NaN where none was asked. ``returns``
+    are the discounted rewards to the end of the episode, NaN while it goes on or where there is no ``gamma``.
     """
 
     observations: TensorDict | th.Tensor
@@ -52,6 +53,7 @@ class FrameReplayBufferSamples(NamedTuple):
     weights: th.Tensor
     indices: Ids
     expert_actions: th.Tensor
+    returns: th.Tensor
 
 
 class FrameReplayBuffer(ReplayBuffer):
@@ -61,7 +63,7 @@ class FrameReplayBuffer(ReplayBuffer):
     A transition refers to its two observations by number, and the next observation of a step is the
     observation of the step after it; only the last observation of an episode takes a place of its own. Images
     of floating-point numbers are stored as integers over the bounds of their space (error at most half a
-    step, see :class:`~sb3_extensions.common.quantisation.Quantiser`). It takes the place of ``ReplayBuffer``
+    step, see :class:`~sb3_extensions.replay.quantisation.Quantiser`). It takes the place of ``ReplayBuffer``
     and ``DictReplayBuffer`` in SAC, TQC, CrossQ and others:
     ``SAC(..., replay_buffer_class=FrameReplayBuffer)``.
 
@@ -129,6 +131,7 @@ class FrameReplayBuffer(ReplayBuffer):
         self._latest: Observations | None = None
         self._latest_frames = np.zeros(n_envs, dtype=np.int64)
         self._latest_rows = np.full(n_envs, NO_ROW, dtype=np.int64)
+        self._first_rows = np.full(n_envs, NO_ROW, dtype=np.int64)  # of the episodes under way
         self.seed(int(np.random.randint(2**31)) if seed is None else seed)
 
     def seed(self, seed: int) -> None:
@@ -162,6 +165,7 @@ class FrameReplayBuffer(ReplayBuffer):
             "expert_action": ((self.action_dim,), np.float32),  # NaN where no expert was asked
             "reward": ((), np.float32),
             "done": ((), np.float32),
+            "return": ((), np.float32),  # to the end of the episode, NaN while it goes on
         }
 
     def _allocate(self) -> None:
@@ -223,14 +227,55 @@ class FrameReplayBuffer(ReplayBuffer):
             expert_action=self._read_expert_actions(infos),
             reward=reward,
             done=done & ~(timeout & self.handle_timeout_termination),
+            **{"return": np.nan},
         )
         self.table["next_row"][self.rows.slots(self._latest_rows[continues])] = rows[continues]
         self._latest = {key: np.array(next_obs[key]) for key in self.frames.keys}
         self._latest_frames = next_frames
         self._latest_rows = np.where(done, NO_ROW, rows)
+        self._first_rows = np.where(continues, self._first_rows, rows)
+        for env in np.flatnonzero(done):
+            self._write_returns(np.arange(self._first_rows[env], self.rows.end, self.n_envs))
         self._drop_rows_without_frames()
         self.pos = self.rows.end % self.buffer_size
         self.full = len(self.rows) == self.buffer_size
+
+    def _write_returns(self, rows: Ids) -> None:
+        """Discounted rewards to the end of an episode, for all its rows, in order, that are still kept."""
+        if self.gamma is None:
+            return
+        slots = self.rows.slots(rows[(rows >= self.rows.first) | (rows < self.rows.pinned)])
+        total, returns = 0.0, []
+        for reward in self.table["reward"][slots[::-1]].tolist():
+            total = reward + self.gamma * total
+            returns.append(total)
+        self.table["return"][slots] = returns[::-1]
+
+    def set_discount(self, gamma: float, n_steps: int) -> None:
+        """
+        Change what :meth:`sample` sums up.
+
+        :param gamma: discount factor per step
+        :param n_steps: number of rewards summed up before the bootstrap
+        :raises ValueError: if ``n_steps`` is not positive
+        """
+        if n_steps < 1:
+            raise ValueError(f"n_steps must be at least 1, got {n_steps}")
+        self.n_steps = n_steps
+        if gamma == self.gamma:
+            return
+        self.gamma = gamma
+        self._recompute_returns()
+
+    def _recompute_returns(self) -> None:
+        if not self.table or self.gamma is None:
+            return
+        successors, rewards, returns = (self.table[name] for name in ("next_row", "reward", "return"))
+        for slot in self.rows.slots(self.rows.ids(np.arange(self.size())))[::-1]:  # youngest first
+            successor = successors[slot]
+            after = 0.0 if successor == NO_ROW else returns[self.rows.slots(successor)]
+            if not np.isnan(returns[slot]):
+                returns[slot] = rewards[slot] + self.gamma * after
 
     def _read_expert_actions(self, infos: list[dict[str, Any]]) -> npt.NDArray[Any]:
         """What an expert would have done, (n, action dimensions); NaN where none was asked."""
@@ -301,6 +346,7 @@ class FrameReplayBuffer(ReplayBuffer):
             weights=self._column(weights),
             indices=slots,
             expert_actions=self.to_torch(self.table["expert_action"][slots], copy=False),
+            returns=self._column(self._normalize_reward(self.table["return"][slots], env)),
         )
 
     def _observations(

@@ -9,8 +9,8 @@ from gymnasium import spaces
 from stable_baselines3.common.evaluation import evaluate_policy
 
 from sb3_extensions.common.augmentation import RAD, DrQ, make_augmentation
-from sb3_extensions.common.extractors import CnnExtractor
-from sb3_extensions.common.replay import FrameReplayBufferSamples
+from sb3_extensions.networks.extractors import CnnExtractor
+from sb3_extensions.replay.buffer import FrameReplayBufferSamples
 from sb3_extensions.sacfd import SACfD
 
 SIDE, CROP, BATCH = 19, 16, 6
@@ -41,6 +41,7 @@ def samples() -> FrameReplayBufferSamples:
         rewards=column(10),
         discounts=column(20),
         expert_actions=th.rand(BATCH, 5),
+        returns=column(40),
         is_expert=column(0) > 2,
         weights=column(30),
         indices=np.arange(BATCH),
@@ -286,8 +287,8 @@ def test_losses_are_means_over_views(augmentation: Any, side: int, make_toy: Any
     np.testing.assert_allclose(logged["train/bc_loss"], bc_loss, rtol=1e-4)
     np.testing.assert_array_equal(priorities[0][0], sample.indices)
     np.testing.assert_allclose(priorities[0][1], errors, rtol=1e-3)
-    with th.no_grad():  # the actor's loss uses the critic after its step
-        q_pi = th.stack(model.critic(views.observations, th.as_tensor(actions))).numpy()
+    with th.no_grad():  # the actor's loss uses the critic before its step
+        q_pi = th.stack(critic(views.observations, th.as_tensor(actions))).numpy()
     expected = np.mean([alpha * log_prob[i] - q_pi[:, i, 0].min() for i in range(16 * m_views)])
     np.testing.assert_allclose(logged["train/actor_loss"], expected, rtol=1e-4)
 

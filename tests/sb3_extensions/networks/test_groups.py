@@ -3,7 +3,7 @@ import itertools
 import numpy as np
 import pytest
 
-from sb3_extensions.common.groups import FieldType, Group
+from sb3_extensions.networks.groups import FieldType, Group
 
 GROUPS = [Group("cyclic", n) for n in (1, 2, 4, 8)] + [Group("dihedral", n) for n in (1, 2, 4, 6)]
 

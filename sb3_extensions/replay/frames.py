@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
-from sb3_extensions.common.quantisation import Quantiser
+from sb3_extensions.replay.quantisation import Quantiser
 
 Ids = npt.NDArray[np.int64]
 
@@ -143,6 +143,11 @@ class FrameStore:
     def keys(self) -> set[str]:
         """Keys of the observations."""
         return set(self._layout)
+
+    @property
+    def image_dtype(self) -> str | None:
+        """Type of quantised images, None if there are none."""
+        return next((quantiser.dtype.name for quantiser in self._quantisers.values()), None)
 
     @property
     def shapes(self) -> dict[str, tuple[int, ...]]:

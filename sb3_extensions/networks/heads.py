@@ -3,68 +3,35 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import pairwise
 
 import torch as th
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from torch import nn
 
-from sb3_extensions.common.equivariant import EquivariantLinear, GroupMaxPool
-from sb3_extensions.common.groups import FieldType, Group
+from sb3_extensions.common.action_sequence import ActionSequence
+from sb3_extensions.networks.equivariant import EquivariantLinear, GroupMaxPool
+from sb3_extensions.networks.groups import FieldType, Group
 
-ACTION_SYMBOLS = "pxyzr"
-# Small at first, so that an untrained actor explores all actions: means near 0, standard deviations near 1.
-OUTPUT_GAIN = 0.1
+# Of the last layers. Small, because heights in centimetres make features large: an untrained actor then has
+# means near 0 and standard deviations near 1 and explores all actions, an untrained critic values near 0.
+OUTPUT_GAIN = 0.02
+# The order in which the numbers of an action stand in their field type: vectors, signs, invariant ones.
+FIELD_ORDER = "xyrpz"
 
 
-@dataclass(frozen=True)
-class ActionFields:
-    """Which numbers of an action turn with the scene, and how.
-
-    x and y together are a vector; r, a rotation about z, changes sign under reflections; p and z are
-    invariant.
-
-    :param sequence: one character a number: each of ``p`` (gripper), ``x``, ``y``, ``z``, ``r`` at most once,
-        in any order
-    :param action_dim: length of an action
-    :raises ValueError: if the sequence has another length, unknown or repeated characters, or only one of x
-        and y
+def action_type(action: ActionSequence, group: Group) -> FieldType:
     """
+    How the numbers of an action turn with the scene: x and y together are a vector; r, a rotation about z,
+    changes its sign under reflections; p and z are invariant.
 
-    sequence: str
-    action_dim: int
-
-    def __post_init__(self) -> None:
-        problem = None
-        if len(self.sequence) != self.action_dim:
-            problem = f"names {len(self.sequence)} numbers, but the action space has {self.action_dim}"
-        elif unknown := sorted(set(self.sequence) - set(ACTION_SYMBOLS)):
-            problem = f"contains {''.join(unknown)!r}; it may contain the characters of {ACTION_SYMBOLS!r}"
-        elif len(set(self.sequence)) < len(self.sequence):
-            problem = "repeats a character"
-        elif ("x" in self.sequence) != ("y" in self.sequence):
-            problem = "needs both x and y, or neither"
-        if problem is not None:
-            raise ValueError(f"action_sequence={self.sequence!r} {problem}")
-
-    @property
-    def order(self) -> list[int]:
-        """Places in the action of the numbers, in the order of :meth:`field_type`: x, y, r, and the rest."""
-        return [self.sequence.index(symbol) for symbol in "xyrpz" if symbol in self.sequence]
-
-    @property
-    def std_index(self) -> list[int]:
-        """For each number of the action, which standard deviation it takes: x and y share the first."""
-        shared = int("x" in self.sequence)
-        others = [symbol for symbol in self.sequence if symbol not in "xy"]
-        return [0 if symbol in "xy" else others.index(symbol) + shared for symbol in self.sequence]
-
-    def field_type(self, group: Group) -> FieldType:
-        """Type of the numbers taken in :attr:`order`."""
-        vectors, signs = int("x" in self.sequence), int("r" in self.sequence)
-        rest = self.action_dim - 2 * vectors - signs
-        return FieldType.of((group.irrep(1), vectors), (group.sign, signs), (group.trivial, rest))
+    :param action: which numbers it has
+    :param group: the symmetry
+    :return: type of the numbers taken in the order of :data:`FIELD_ORDER`
+    """
+    vectors, signs = int("x" in action), int("r" in action)
+    rest = action.action_dim - 2 * vectors - signs
+    return FieldType.of((group.irrep(1), vectors), (group.sign, signs), (group.trivial, rest))
 
 
 class EquivariantMean(nn.Module):
@@ -77,10 +44,10 @@ class EquivariantMean(nn.Module):
 
     index: th.Tensor
 
-    def __init__(self, in_type: FieldType, action: ActionFields) -> None:
+    def __init__(self, in_type: FieldType, action: ActionSequence) -> None:
         super().__init__()
-        self.linear = EquivariantLinear(in_type, action.field_type(in_type.group), gain=OUTPUT_GAIN)
-        self.register_buffer("index", th.tensor(action.order).argsort(), persistent=False)
+        self.linear = EquivariantLinear(in_type, action_type(action, in_type.group), gain=OUTPUT_GAIN)
+        self.register_buffer("index", th.tensor(action.places(FIELD_ORDER)).argsort(), persistent=False)
 
     def forward(self, features: th.Tensor) -> th.Tensor:
         """:return: means in the order of the action"""
@@ -100,11 +67,14 @@ class EquivariantLogStd(nn.Module):
 
     index: th.Tensor
 
-    def __init__(self, in_type: FieldType, action: ActionFields) -> None:
+    def __init__(self, in_type: FieldType, action: ActionSequence) -> None:
         super().__init__()
-        out_type = FieldType.of((in_type.group.trivial, max(action.std_index) + 1))
+        names = ["xy" if symbol in "xy" else symbol for symbol in action.symbols]
+        distinct = sorted(set(names))
+        out_type = FieldType.of((in_type.group.trivial, len(distinct)))
         self.linear = EquivariantLinear(in_type, out_type, gain=OUTPUT_GAIN)
-        self.register_buffer("index", th.tensor(action.std_index), persistent=False)
+        index = th.tensor([distinct.index(name) for name in names])
+        self.register_buffer("index", index, persistent=False)
 
     def forward(self, features: th.Tensor) -> th.Tensor:
         """:return: in the order of the action"""
@@ -132,7 +102,7 @@ class InvariantValue(nn.Module):
     def __init__(
         self,
         in_type: FieldType,
-        action: ActionFields,
+        action: ActionSequence,
         net_arch: Sequence[int],
         outputs: int = 1,
         activation_fn: type[nn.Module] = nn.ReLU,
@@ -140,10 +110,12 @@ class InvariantValue(nn.Module):
         super().__init__()
         if not net_arch:
             raise ValueError("net_arch of an equivariant critic (qf) needs at least one hidden layer, got []")
-        self.hidden = equivariant_mlp(in_type + action.field_type(in_type.group), net_arch, activation_fn)
+        joint_type = in_type + action_type(action, in_type.group)
+        self.hidden = equivariant_mlp(joint_type, net_arch, activation_fn, normalise=True)
         self.pool = GroupMaxPool(FieldType.of((in_type.group.regular, net_arch[-1])))
         self.value = nn.Linear(net_arch[-1], outputs)
-        places = [*range(in_type.size), *(in_type.size + place for place in action.order)]
+        scale_down(self.value)
+        places = [*range(in_type.size), *(in_type.size + place for place in action.places(FIELD_ORDER))]
         self.register_buffer("index", th.tensor(places), persistent=False)
 
     def forward(self, features_and_action: th.Tensor) -> th.Tensor:
@@ -153,24 +125,38 @@ class InvariantValue(nn.Module):
 
 
 def equivariant_mlp(
-    in_type: FieldType, net_arch: Sequence[int], activation_fn: type[nn.Module]
+    in_type: FieldType, net_arch: Sequence[int], activation_fn: type[nn.Module], normalise: bool = False
 ) -> nn.Sequential:
     """Layers to regular fields, each followed by the nonlinearity.
 
     :param in_type: input fields
     :param net_arch: regular fields of each layer; none gives the identity
     :param activation_fn: pointwise nonlinearity
+    :param normalise: normalise what each layer gives, without learned scales; the group only permutes it
     """
     types = [in_type] + [FieldType.of((in_type.group.regular, count)) for count in net_arch]
-    layers = [[EquivariantLinear(*pair), activation_fn()] for pair in pairwise(types)]
-    return nn.Sequential(*(layer for pair in layers for layer in pair))
+    layers: list[nn.Module] = []
+    for layer_in, layer_out in pairwise(types):
+        norm = [nn.LayerNorm(layer_out.size, elementwise_affine=False)] if normalise else []
+        layers += [EquivariantLinear(layer_in, layer_out), *norm, activation_fn()]
+    return nn.Sequential(*layers)
+
+
+def scale_down(layer: nn.Linear) -> None:
+    """
+    Begin an output layer near zero: Xavier uniform weights times :data:`OUTPUT_GAIN`, no bias.
+
+    :param layer: the last layer of a network
+    """
+    nn.init.xavier_uniform_(layer.weight, gain=OUTPUT_GAIN)
+    nn.init.zeros_(layer.bias)
 
 
 def regular_type(features_extractor: BaseFeaturesExtractor) -> FieldType:
     """Type of an extractor's features, for heads that need regular fields.
 
     :param features_extractor: with an ``out_type``, as
-        :class:`~sb3_extensions.common.extractors.EquivariantExtractor` has
+        :class:`~sb3_extensions.networks.extractors.EquivariantExtractor` has
     :raises ValueError: if its features are not regular fields
     """
     out_type = getattr(features_extractor, "out_type", None)

@@ -20,16 +20,15 @@ from sb3_extensions.common.checkpoint import (
     resume,
     save_checkpoint,
 )
-from sb3_extensions.common.from_demonstrations import FromDemonstrations
-from sb3_extensions.common.rotated_replay import PrioritizedRotatedReplayBuffer
+from sb3_extensions.replay.rotated import PrioritizedRotatedReplayBuffer
 from sb3_extensions.sacfd import SACfD
 from sb3_extensions.tqcfd import TQCfD
 
-STEPS, MORE_STEPS = 26, 30  # the first ends in the middle of episodes
+STEPS, MORE_STEPS = 28, 30  # the first ends in the middle of episodes
 SMALL = {"net_arch": [16], "features_extractor_kwargs": {"channels": [4, 8, 8]}}
 
 
-def make_model(env: Any, algorithm: type[FromDemonstrations] = SACfD, **kwargs: Any) -> FromDemonstrations:
+def make_model(env: Any, algorithm: type[SACfD] = SACfD, **kwargs: Any) -> SACfD:
     return algorithm(
         "MultiInputPolicy",
         env,

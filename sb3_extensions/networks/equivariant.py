@@ -23,7 +23,7 @@ import torch as th
 from torch import nn
 from torch.nn import functional as F
 
-from sb3_extensions.common.groups import FieldType, Group, Matrices, Representation, block_diagonal
+from sb3_extensions.networks.groups import FieldType, Group, Matrices, Representation, block_diagonal
 
 # Standard deviation of a ring, in pixels: neighbouring rings overlap without becoming alike.
 RING_WIDTH = 0.6

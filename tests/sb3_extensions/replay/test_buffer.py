@@ -14,10 +14,10 @@ from stable_baselines3 import SAC
 from stable_baselines3.common.torch_layers import CombinedExtractor, FlattenExtractor
 from stable_baselines3.common.vec_env import VecNormalize
 
-from sb3_extensions.common.expert_replay import ExpertReplayBuffer
-from sb3_extensions.common.frames import PinnedRing
-from sb3_extensions.common.prioritized_replay import PrioritizedReplayBuffer
-from sb3_extensions.common.replay import EXPERT_ACTION, FrameReplayBuffer
+from sb3_extensions.replay.buffer import EXPERT_ACTION, FrameReplayBuffer
+from sb3_extensions.replay.expert import ExpertReplayBuffer
+from sb3_extensions.replay.frames import PinnedRing
+from sb3_extensions.replay.prioritized import PrioritizedReplayBuffer
 
 HEIGHT = 0.4
 OBSERVATION_SPACE = spaces.Dict(

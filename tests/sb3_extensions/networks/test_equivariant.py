@@ -9,15 +9,15 @@ import torch as th
 from stable_baselines3.common.utils import polyak_update
 from torch import nn
 
-from sb3_extensions.common.encoders import CnnEncoder, EquivariantEncoder, count_halvings, plan_stages
-from sb3_extensions.common.equivariant import (
+from sb3_extensions.networks.encoders import CnnEncoder, EquivariantEncoder, count_halvings, plan_stages
+from sb3_extensions.networks.equivariant import (
     EquivariantConv2d,
     EquivariantLinear,
     GroupMaxPool,
     expanded_filters,
     harmonic_basis,
 )
-from sb3_extensions.common.groups import FieldType, Group
+from sb3_extensions.networks.groups import FieldType, Group
 
 GROUPS = [Group("cyclic", n) for n in (1, 2, 4, 8)] + [Group("dihedral", n) for n in (1, 2, 4, 8)]
 EXACT = 1e-5

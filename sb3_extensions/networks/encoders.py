@@ -16,8 +16,8 @@ import torch as th
 from torch import nn
 from torch.nn import functional as F
 
-from sb3_extensions.common.equivariant import EquivariantConv2d
-from sb3_extensions.common.groups import FieldType, Group
+from sb3_extensions.networks.equivariant import EquivariantConv2d
+from sb3_extensions.networks.groups import FieldType, Group
 
 # Sides at which halving stops: the largest that the last two stages bring to one pixel.
 LAST_SIZES = (6, 8)

@@ -3,7 +3,7 @@ import pytest
 import torch as th
 from gymnasium import spaces
 
-from sb3_extensions.common.quantisation import Quantiser
+from sb3_extensions.replay.quantisation import Quantiser
 
 BOUNDS = [(0, 0.4), (-1, 1), (0.1, 0.35), (-3, 100)]
 

@@ -1,0 +1,1 @@
+"""Demonstrations: their collection, where an algorithm gets them from, noise."""

@@ -1,0 +1,122 @@
+"""Where an algorithm gets its demonstrations from, composed into the algorithm."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import json
+import os
+from collections.abc import Callable, Iterable, Iterator
+from importlib import metadata
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from stable_baselines3.common.vec_env import VecEnv
+
+from sb3_extensions.demonstrations.cache import EpisodeCache
+from sb3_extensions.demonstrations.collecting import (
+    AnyEnv,
+    EpisodeData,
+    Hand,
+    collect_episodes,
+    make_expert_env,
+)
+from sb3_extensions.demonstrations.noise import UnsteadyHand
+from sb3_extensions.replay.expert import ExpertReplayBuffer
+
+Rescale = Callable[[npt.NDArray[Any]], npt.NDArray[Any]]
+
+
+class DemonstrationSource:
+    """
+    Episodes that were handed over, or of the expert of an environment like the one trained in.
+
+    :param episodes: number of successful episodes of the expert, unless ``data`` is given
+    :param noise: standard deviation of a normal error with which the expert's actions are carried out, see
+        :class:`~sb3_extensions.demonstrations.noise.UnsteadyHand`
+    :param data: episodes to take instead, with Minari's attributes
+        (see :class:`~sb3_extensions.demonstrations.collecting.EpisodeData`), in the environment's units
+    :param cache: folder in which the expert's episodes are kept for the next run; None keeps none
+    :raises ValueError: if ``episodes`` or ``noise`` is negative
+    """
+
+    def __init__(
+        self,
+        episodes: int = 100,
+        noise: float = 0.0,
+        data: Iterable[EpisodeData] | None = None,
+        cache: str | os.PathLike[str] | None = None,
+    ) -> None:
+        for name, value in {"expert_episodes": episodes, "expert_noise": noise}.items():
+            if value < 0:
+                raise ValueError(f"{name} must not be negative, got {value}")
+        self.episodes = episodes
+        self.noise = noise
+        self.data = data
+        self.cache = None if cache is None else EpisodeCache(cache)
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether there is nothing to show."""
+        return self.data is None and self.episodes == 0
+
+    def fill(self, buffer: ExpertReplayBuffer, env: VecEnv, seed: int | None, rescale: Rescale) -> None:
+        """
+        Add all episodes to a replay buffer.
+
+        :param buffer: buffer without online transitions
+        :param env: environment to train in
+        :param seed: seed of the episodes, None draws one
+        :param rescale: from actions in the environment's units to those of the policy
+        """
+        for episode in self.data if self.data is not None else self._expert_episodes(env, seed):
+            wanted = getattr(episode, "expert_actions", episode.actions)
+            buffer.add_episode(
+                episode.observations,
+                rescale(episode.actions),
+                episode.rewards,
+                episode.terminations,
+                expert_actions=rescale(wanted),
+            )
+
+    def _expert_episodes(self, vec_env: VecEnv, seed: int | None) -> Iterable[EpisodeData]:
+        if not self.episodes:
+            return
+        with contextlib.closing(make_expert_env(vec_env)) as env:
+            environment = _describe(env)
+            if self.cache is None or seed is None or environment is None:
+                yield from self._collect(env, seed)
+                return
+            key = {"environment": environment, "noise": self.noise, "seed": seed}
+            episodes = self.cache.load(key, self.episodes)
+            if episodes is None:
+                episodes = list(self._collect(env, seed))
+                self.cache.save(key, episodes)
+        yield from episodes
+
+    def _collect(self, env: AnyEnv, seed: int | None) -> Iterator[Any]:
+        hand: Hand | None = UnsteadyHand(env.action_space, self.noise) if self.noise else None
+        return collect_episodes(env, self.episodes, seed, hand=hand)
+
+
+def _describe(env: AnyEnv) -> dict[str, Any] | None:
+    """
+    What an environment is made of: its spec, and the versions of its package and of NumPy; None where that
+    cannot be written down.
+    """
+    assert env.spec is not None  # it was made from one
+    entry_point = env.spec.entry_point
+    if callable(entry_point):
+        entry_point = f"{entry_point.__module__}:{getattr(entry_point, '__qualname__', entry_point)}"
+    try:
+        spec = json.loads(dataclasses.replace(env.spec, entry_point=entry_point).to_json())
+    except ValueError:  # a parameter is no value of JSON
+        return None
+    package = type(env.unwrapped).__module__.partition(".")[0]
+    distributions = metadata.packages_distributions().get(package, [])
+    return {
+        "spec": spec,
+        "versions": {name: metadata.version(name) for name in distributions},
+        "numpy": np.__version__,
+    }

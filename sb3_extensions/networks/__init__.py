@@ -1,0 +1,1 @@
+"""Networks: groups, equivariant layers, encoders, features extractors, heads, actors and critics."""
