@@ -9,6 +9,7 @@ from typing import Any
 
 from rl_zoo3.callbacks import SaveVecNormalizeCallback
 from rl_zoo3.exp_manager import ExperimentManager
+from rl_zoo3.utils import ALGOS
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback, ProgressBarCallback
 from stable_baselines3.common.vec_env import VecEnv
@@ -25,8 +26,10 @@ from zoo_configs.errors import CommandError
 from zoo_configs.evaluation import PeriodicEvaluation
 from zoo_configs.files import whole_file
 from zoo_configs.plan import Plan
-from zoo_configs.runs import CHECKPOINT_FOLDER, Run, claim_run_folder, write_resolved
+from zoo_configs.runs import CHECKPOINT_FOLDER, DEMONSTRATIONS_FOLDER, Run, claim_run_folder, write_resolved
 from zoo_configs.seeds import SeedStream, stream_seed
+from zoo_configs.training_log import TrainingLog
+from zoo_configs.validation import constructor_keys
 
 # Hyperparameters that rl_zoo3 evaluates as Python code if they are strings.
 EVALUATED_KEYS = ("policy_kwargs", "replay_buffer_class", "replay_buffer_kwargs")
@@ -68,6 +71,9 @@ class ZooManager(ExperimentManager):
         for key in EVALUATED_KEYS:
             if key in hyperparams:
                 hyperparams[key] = import_classes(hyperparams[key], is_class=key.endswith("_class"))
+        if "expert_cache" in constructor_keys(ALGOS[self.algo]):
+            # Shared by the runs in the log folder: the next seed or baseline need not collect them again
+            hyperparams.setdefault("expert_cache", str(Path(self.log_path).parent / DEMONSTRATIONS_FOLDER))
         processed = super()._preprocess_hyperparams(load_expert_data(hyperparams))
         self.eval_env_kwargs = {**self.env_kwargs, **(self._eval_env_kwargs_args or {})}
         if "info_keywords" in self.monitor_kwargs:  # YAML has lists only
@@ -98,6 +104,7 @@ class ZooManager(ExperimentManager):
         if self.show_progress:
             self.callbacks.append(ProgressBarCallback())
         if self.eval_freq > 0 and not self.optimize_hyperparameters:
+            self.callbacks.append(TrainingLog(self.run.training_log, self.eval_freq))
             self.callbacks.append(self._periodic_evaluation())
         if self.save_freq > 0:
             self.callbacks.append(self._checkpoints())

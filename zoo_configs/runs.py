@@ -15,8 +15,11 @@ from zoo_configs.resolve import Cell
 
 RESOLVED_FILE = "hyperparams.yml"
 EVALUATIONS_FILE = "evaluations.npz"
+TRAINING_LOG_FILE = "training.csv"
 BEST_MODEL_FILE = "best_model.zip"
 CHECKPOINT_FOLDER = "checkpoints"
+# In the log folder, for all its runs.
+DEMONSTRATIONS_FOLDER = "demonstrations"
 CURVE_FILE = "learning_curve.png"
 # The key of the resolved file beside the environment's section; rl_zoo3 does not read it.
 RUN_KEY = "run"
@@ -66,6 +69,11 @@ class Run:
     def evaluations_file(self) -> Path:
         """Periodic evaluations, in Stable-Baselines3's format."""
         return self.folder / EVALUATIONS_FILE
+
+    @property
+    def training_log(self) -> Path:
+        """What the algorithm logged of its updates."""
+        return self.folder / TRAINING_LOG_FILE
 
     def saved_hyperparams(self) -> tuple[dict[str, Any], str | None]:
         """

@@ -12,6 +12,7 @@ class SeedStream(IntEnum):
 
     EVALUATION = 1
     TEST = 2
+    PRETRAINING = 3
 
 
 def stream_seed(seed: int, stream: SeedStream, index: int = 0) -> int:

@@ -39,7 +39,7 @@ from stable_baselines3.common.type_aliases import GymEnv
 from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper, VecFrameStack, VecMonitor, VecNormalize
 
 MANIFEST, MODEL, REPLAY_BUFFER, STATE = "manifest.json", "model.zip", "replay_buffer.pkl", "state.pkl"
-FORMAT = 2
+FORMAT = 3
 PREFIX = "checkpoint_"
 TEMPORARY_PREFIX = ".incomplete_"
 CHUNK = 1 << 20  # bytes
@@ -65,7 +65,8 @@ class DirectoryCheckpointCallback(BaseCallback):
     Saves a checkpoint directory every so many timesteps, and keeps the latest.
 
     Checkpoints are taken between two rollouts, after the gradient steps, where everything is in one
-    consistent state: the first such moment after the timesteps have passed.
+    consistent state: the first such moment after the timesteps have passed. A gradient step of pretraining
+    counts as one timestep.
 
     :param save_freq: number of timesteps (of all environments together) from one checkpoint to the next
     :param path: directory of the checkpoints, made if needed
@@ -84,12 +85,18 @@ class DirectoryCheckpointCallback(BaseCallback):
         self._last_save = 0
 
     def _on_training_start(self) -> None:
-        self._last_save = self.model.num_timesteps
+        self._last_save = self._progress
+
+    @property
+    def _progress(self) -> int:
+        """Timesteps and gradient steps of pretraining that are done."""
+        pretrained: int = getattr(self.model, "n_pretrained", 0)
+        return self.model.num_timesteps + pretrained
 
     def _on_rollout_start(self) -> None:
-        if self.model.num_timesteps - self._last_save < self.save_freq:
+        if self._progress - self._last_save < self.save_freq:
             return
-        self._last_save = self.model.num_timesteps
+        self._last_save = self._progress
         checkpoint = save_checkpoint(self.model, self.path, self.keep)
         if self.verbose >= 2:
             print(f"Saved checkpoint {checkpoint}")

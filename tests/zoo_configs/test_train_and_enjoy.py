@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from stable_baselines3.common.save_util import load_from_zip_file
 
 from zoo_configs.cli import main
 from zoo_configs.evaluation import PeriodicEvaluation
+from zoo_configs.training_log import read_training_log
 
 TINY = [
     *(
@@ -51,7 +53,7 @@ def run_folder(trained: Path) -> Path:
 def test_a_run_folder_is_complete(run_folder: Path) -> None:
     names = {path.name for path in run_folder.iterdir()}
     models = {"BulletArm-CloseLoopToy-v0.zip", "best_model.zip", "checkpoints"}
-    reports = {"hyperparams.yml", "evaluations.npz", "learning_curve.png", "0.monitor.csv"}
+    reports = {"hyperparams.yml", "evaluations.npz", "training.csv", "learning_curve.png", "0.monitor.csv"}
     assert names == {*models, *reports, "BulletArm-CloseLoopToy-v0"}
 
 
@@ -65,8 +67,42 @@ def test_the_resolved_yaml_is_plain(run_folder: Path, toy_id: str) -> None:
 
 def test_evaluations_report_success(run_folder: Path) -> None:
     with np.load(run_folder / "evaluations.npz") as evaluations:
-        assert evaluations["timesteps"].tolist() == [6, 12]
-        assert evaluations["successes"].shape == (2, 2)
+        assert evaluations["timesteps"].tolist() == [0, 6, 12]  # the first after pretraining
+        assert evaluations["successes"].shape == (3, 2)
+
+
+def test_updates_are_logged(run_folder: Path) -> None:
+    log = read_training_log(run_folder / "training.csv")
+    assert log["timesteps"].tolist() == [6, 12]
+    for name in ("value_expert", "value_own", "entropy_expert", "entropy_own", "critic_loss", "bc_loss"):
+        assert np.isfinite(log[name]).all()
+
+
+def test_demonstrations_are_collected_once_for_all_runs(trained: Path, toy_id: str, tmp_path: Path) -> None:
+    shutil.copytree(trained / "demonstrations", tmp_path / "demonstrations")
+    [kept] = (tmp_path / "demonstrations").iterdir()
+    before = kept.stat().st_mtime_ns
+    arguments = ["train", "--baseline", "sacfd", "--preset", "cpu", "--env", toy_id, "-f", str(tmp_path)]
+    assert main([*arguments, *TINY, *TINY_SACFD]) == 0
+    assert list((tmp_path / "demonstrations").iterdir()) == [kept]
+    assert kept.stat().st_mtime_ns == before
+
+
+def test_plot_draws_what_was_logged(trained: Path, tmp_path: Path) -> None:
+    picture = tmp_path / "values.png"
+    assert main(["plot", "-f", str(trained), "--training", "-o", str(picture)]) == 0
+    with Image.open(picture) as image:
+        assert image.size[0] > 2 * image.size[1] * 0.9
+
+
+def test_plot_needs_a_log(trained: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    [folder] = trained.glob("sacfd/*_1")
+    copy = tmp_path / "sacfd" / folder.name
+    copy.mkdir(parents=True)
+    for name in ("hyperparams.yml", "evaluations.npz"):
+        (copy / name).write_bytes((folder / name).read_bytes())
+    assert main(["plot", "-f", str(tmp_path), "--training"]) == 2
+    assert "has logged its updates" in capsys.readouterr().err
 
 
 def test_monitor_files_report_success(run_folder: Path) -> None:

@@ -12,6 +12,8 @@ from zoo_configs.errors import CommandError
 from zoo_configs.tables import print_table
 
 if TYPE_CHECKING:
+    import pandas as pd
+
     from zoo_configs.curves import LearningCurve
     from zoo_configs.runs import Run
 
@@ -28,9 +30,13 @@ def main(argv: Sequence[str]) -> None:
     :raises CommandError: if there is no run to draw
     """
     args = _parse(argv)
+    runs = _chosen(args.log_folder, args.env, args.baseline)
+    (_plot_training if args.training else _plot_success)(runs, args)
+
+
+def _plot_success(runs: list[Run], args: argparse.Namespace) -> None:
     from zoo_configs.curves import draw_curves, load_curve, mean_curve
 
-    runs = _chosen(args.log_folder, args.env, args.baseline)
     groups: defaultdict[str, defaultdict[str, list[LearningCurve]]] = defaultdict(lambda: defaultdict(list))
     for run in runs:
         groups[run.cell.env_id][run.cell.label].append(load_curve(run.evaluations_file))
@@ -49,6 +55,21 @@ def main(argv: Sequence[str]) -> None:
     print(f"Written:\n  {output}")
 
 
+def _plot_training(runs: list[Run], args: argparse.Namespace) -> None:
+    from zoo_configs.training_curves import draw_training
+    from zoo_configs.training_log import read_training_log
+
+    panels: defaultdict[str, defaultdict[str, list[pd.DataFrame]]] = defaultdict(lambda: defaultdict(list))
+    for run in runs:
+        if run.training_log.is_file():
+            panels[run.cell.env_id][run.cell.label].append(read_training_log(run.training_log))
+    if not panels:
+        raise CommandError(f"no run of these in {args.log_folder} has logged its updates")
+    output = args.output or args.log_folder / "training_curves.png"
+    draw_training(panels, output)
+    print(f"Written:\n  {output}")
+
+
 def _parse(argv: Sequence[str]) -> argparse.Namespace:
     parser = argparse.ArgumentParser("bulletarm-zoo plot", description=DESCRIPTION)
     add = parser.add_argument
@@ -57,6 +78,12 @@ def _parse(argv: Sequence[str]) -> argparse.Namespace:
     add("-f", "--log-folder", type=Path, default=Path("logs"), help="folder of all runs (default: logs)")
     add("-o", "--output", type=Path, help="PNG to write (default: learning_curves.png in the log folder)")
     add("--markdown", action="store_true", help="print the table for a Markdown page")
+    add(
+        "--training",
+        action="store_true",
+        help="draw the critic's values and the actor's entropy, in the expert's transitions and the agent's "
+        "own (to training_curves.png)",
+    )
     return parser.parse_args(argv)
 
 

@@ -1,0 +1,85 @@
+"""What an algorithm logs of its updates, kept in the run folder as a table."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from pathlib import Path
+
+import pandas as pd
+from stable_baselines3.common.callbacks import BaseCallback
+
+from zoo_configs.files import whole_file
+
+PREFIX = "train/"
+TIMESTEPS = "timesteps"
+
+
+class TrainingLog(BaseCallback):
+    """
+    Writes the means of all that was recorded under ``train/``, a row every so many time steps.
+
+    The rows before time step 0 are of pretraining. The file is written whole at every row; what an earlier
+    part of the run logged is carried on.
+
+    :param path: The CSV file
+    :param freq: Time steps (of all environments together) from one row to the next
+    """
+
+    def __init__(self, path: Path, freq: int) -> None:
+        super().__init__()
+        self.path, self.freq = path, freq
+        self._rows: list[dict[str, float]] = []
+        self._values: defaultdict[str, list[float]] = defaultdict(list)
+        self._last = 0
+
+    def _init_callback(self) -> None:
+        self._last = training_time(self)
+        if self.path.is_file():
+            known = read_training_log(self.path)
+            rows = known[known[TIMESTEPS] <= self._last].to_dict("records")
+            self._rows = [{str(name): value for name, value in row.items()} for row in rows]
+
+    def _on_rollout_start(self) -> None:
+        # Between two rollouts: what the updates since the last one have recorded is not dumped yet
+        for name, value in self.logger.name_to_value.items():
+            if name.startswith(PREFIX):
+                self._values[name.removeprefix(PREFIX)].append(float(value))
+        if training_time(self) - self._last >= self.freq:
+            self._write()
+
+    def _on_step(self) -> bool:
+        return True
+
+    def _on_training_end(self) -> None:
+        self._write()
+
+    def _write(self) -> None:
+        if not self._values:
+            return
+        self._last = training_time(self)
+        means = {name: sum(values) / len(values) for name, values in self._values.items()}
+        self._rows.append({TIMESTEPS: self._last, **means})
+        self._values.clear()
+        with whole_file(self.path) as partial:
+            pd.DataFrame(self._rows).to_csv(partial, index=False)
+
+
+def training_time(callback: BaseCallback) -> int:
+    """
+    Time steps done, less the gradient steps of pretraining that are still to be done.
+
+    :param callback: A callback of the training
+    :return: Below 0 while an algorithm of ours pretrains
+    """
+    left: int = getattr(callback.model, "pretraining_left", 0)
+    return callback.model.num_timesteps - left
+
+
+def read_training_log(path: Path) -> pd.DataFrame:
+    """
+    Read the table of a run.
+
+    :param path: The file
+    :return: A row every so many time steps
+    """
+    return pd.read_csv(path)
