@@ -15,7 +15,7 @@ from sb3_extensions.networks.groups import FieldType, Group
 
 # Of the last layers. Small, because heights in centimetres make features large: an untrained actor then has
 # means near 0 and standard deviations near 1 and explores all actions, an untrained critic values near 0.
-OUTPUT_GAIN = 0.02
+OUTPUT_GAIN = 0.01
 # The order in which the numbers of an action stand in their field type: vectors, signs, invariant ones.
 FIELD_ORDER = "xyrpz"
 

@@ -65,7 +65,7 @@ def draw_biases(policy):
     with th.no_grad():
         for head in (policy.actor.mu, policy.actor.log_std):
             for parameter in head.parameters():
-                parameter.mul_(5 if parameter.dim() > 1 else 1)
+                parameter.mul_(10 if parameter.dim() > 1 else 1)
     return policy
 
 

@@ -1,0 +1,188 @@
+"""What algorithms that learn from demonstrations have in common, tried with SACfD."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from stable_baselines3.common.callbacks import BaseCallback
+
+from sb3_extensions.common.checkpoint import DirectoryCheckpointCallback, resume
+from sb3_extensions.ferm import FERM
+from sb3_extensions.replay.buffer import NO_ROW
+from sb3_extensions.sacfd import SACfD
+
+SMALL = {"features_extractor_kwargs": {"channels": [4, 8, 8]}, "net_arch": [16]}
+
+
+def make_model(env: Any, algorithm: type[SACfD] = SACfD, **kwargs: Any) -> SACfD:
+    kwargs = {"expert_episodes": 5, "batch_size": 8, "buffer_size": 300, "policy_kwargs": SMALL, **kwargs}
+    return algorithm("MultiInputPolicy", env, seed=0, device="cpu", **kwargs)
+
+
+def assert_equal_parameters(first: Any, second: Any) -> None:
+    theirs = second.policy.state_dict()
+    for name, value in first.policy.state_dict().items():
+        np.testing.assert_array_equal(value.numpy(), theirs[name].numpy(), err_msg=name)
+
+
+class Watch(BaseCallback):
+    """Notes the state of the training at the beginning of every rollout."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.seen: list[tuple[int, int, int]] = []
+
+    def _on_rollout_start(self) -> None:
+        assert self.model.replay_buffer.expert_size > 0
+        self.seen.append((self.model.num_timesteps, self.model._n_updates, self.model.pretraining_left))
+
+    def _on_step(self) -> bool:
+        return True
+
+
+def test_callbacks_see_the_pretraining(make_toy: Any) -> None:
+    watch = Watch()
+    make_model(make_toy(), pretrain_steps=3).learn(2, callback=watch)
+    assert watch.seen == [(0, 0, 3), (0, 1, 2), (0, 2, 1), (0, 3, 0), (1, 4, 0)]
+
+
+def test_pretraining_is_logged_before_time_step_0(make_toy: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sb3_extensions.demonstrations.off_policy.PRETRAINING_LOG_INTERVAL", 2)
+    model = make_model(make_toy(), pretrain_steps=5)
+    model.learn(0)  # sets the logger
+    dumped: list[tuple[int, bool]] = []
+    dump = model.logger.dump
+
+    def spy(step: int = 0) -> None:
+        dumped.append((step, "train/bc_loss" in model.logger.name_to_value))
+        dump(step)
+
+    monkeypatch.setattr(model.logger, "dump", spy)
+    monkeypatch.setattr(model, "_custom_logger", True)
+    model.learn(1)
+    assert dumped[:2] == [(-3, True), (-1, True)]
+
+
+@pytest.mark.parametrize(
+    ("algorithm", "kwargs"),
+    [
+        (SACfD, {"pretrain_steps": 9}),
+        (FERM, {"pretrain_steps": 4, "contrastive_steps": 5, "augmentation": {"rad": {"size": 12}}}),
+        (FERM, {"pretrain_steps": 3, "contrastive_steps": 2, "augmentation": {"rad": {"size": 12}}}),
+    ],
+)
+def test_a_run_killed_in_pretraining_goes_on_there(
+    algorithm: type[SACfD], kwargs: dict[str, Any], make_toy: Any, tmp_path: Path
+) -> None:
+    if algorithm is FERM:
+        kwargs = {
+            **kwargs,
+            "policy_kwargs": {
+                "features_extractor_kwargs": {"channels": [4, 8, 8], "features_dim": 6},
+                "net_arch": [16],
+            },
+        }
+    whole = make_model(make_toy(), algorithm, **kwargs).learn(12)
+
+    class Kill(BaseCallback):
+        def _on_rollout_start(self) -> None:
+            if self.model.n_pretrained == 4:
+                raise KeyboardInterrupt
+
+        def _on_step(self) -> bool:
+            return True
+
+    with pytest.raises(KeyboardInterrupt):
+        saving = DirectoryCheckpointCallback(3, tmp_path)
+        make_model(make_toy(), algorithm, **kwargs).learn(12, callback=[saving, Kill()])
+    [checkpoint] = tmp_path.iterdir()
+    resumed = resume(checkpoint, make_toy(seed=5), device="cpu")
+    assert isinstance(resumed, algorithm)
+    assert (resumed.num_timesteps, resumed.n_pretrained) == (0, 3)
+    resumed.learn(12, reset_num_timesteps=False)
+    assert resumed._n_updates == whole._n_updates
+    assert_equal_parameters(whole, resumed)
+
+
+def test_pretraining_is_done_once(make_toy: Any, tmp_path: Path) -> None:
+    model = make_model(make_toy(), pretrain_steps=3).learn(2)
+    assert model.n_pretrained == 3
+    model.save(tmp_path / "model")
+    loaded = SACfD.load(tmp_path / "model", env=make_toy(), device="cpu")
+    loaded.learn(2)
+    assert loaded.n_pretrained == 3
+    assert loaded.replay_buffer is not None and loaded.replay_buffer.expert_size > 0
+
+
+def test_the_replay_buffer_follows_the_discount(make_toy: Any, tmp_path: Path) -> None:
+    model = make_model(make_toy(), gamma=0.9, n_steps=3).learn(30)
+    buffer = model.replay_buffer
+    assert buffer is not None and (buffer.gamma, buffer.n_steps, model.n_steps) == (0.9, 3, 3)
+    model.gamma, model.n_steps = 0.5, 2
+    model.learn(1, reset_num_timesteps=False)
+    assert (buffer.gamma, buffer.n_steps) == (0.5, 2)
+    model.save(tmp_path / "model")
+    loaded = SACfD.load(tmp_path / "model", env=make_toy(), device="cpu", gamma=0.7, replay_buffer_kwargs={})
+    assert loaded.replay_buffer is not None and loaded.replay_buffer.gamma == 0.7
+    assert loaded.replay_buffer.n_steps == loaded.n_steps == 2
+    loaded.learn(3)
+
+
+def slow_returns(table: dict[str, Any], size: int, gamma: float) -> list[float]:
+    """Discounted rewards to the end of each row's episode, NaN where it goes on."""
+    returns = []
+    for row in range(size):
+        total, factor, slot = 0.0, 1.0, row
+        while True:
+            total += factor * float(table["reward"][slot])
+            factor *= gamma
+            if table["next_row"][slot] == NO_ROW:
+                break
+            slot = int(table["next_row"][slot])
+        returns.append(total)
+    return returns
+
+
+def test_returns_to_the_end_of_the_episode(make_toy: Any) -> None:
+    model = make_model(make_toy(2), gamma=0.9).learn(60)
+    buffer = model.replay_buffer
+    assert buffer is not None and buffer.size() < buffer.buffer_size
+    going_on = buffer._latest_rows[buffer._latest_rows != NO_ROW]
+    for gamma in (0.9, 0.6):
+        buffer.set_discount(gamma, 1)
+        returns = buffer.table["return"][: buffer.size()]
+        known = np.isfinite(returns)
+        assert not known[going_on].any() and known[: buffer.expert_size].all()
+        expected = np.array(slow_returns(buffer.table, buffer.size(), gamma))
+        np.testing.assert_allclose(returns[known], expected[known], rtol=1e-5)
+        assert (returns[known] > 0).any() and (returns[known] == 0).any()
+    samples = buffer.sample(100)
+    np.testing.assert_array_equal(samples.returns.numpy()[:, 0], buffer.table["return"][samples.indices])
+
+
+@pytest.mark.parametrize("quantise", ["uint8", "uint16"])
+def test_the_buffer_stores_what_the_extractor_rounds_to(quantise: str, make_toy: Any) -> None:
+    policy_kwargs = {"features_extractor_kwargs": {"channels": [4, 8, 8], "quantise": quantise}}
+    model = make_model(make_toy(), policy_kwargs=policy_kwargs)
+    assert model.replay_buffer is not None
+    assert model.replay_buffer.frames.image_dtype == quantise
+
+
+@pytest.mark.parametrize(("stored", "quantise"), [("uint16", "uint8"), ("uint8", "uint16"), ("uint8", None)])
+def test_two_ways_of_rounding_are_refused(stored: str, quantise: str | None, make_toy: Any) -> None:
+    extractor = {"channels": [4, 8, 8], "quantise": quantise}
+    with pytest.raises(ValueError, match=f"image_dtype='{stored}'.*quantise={quantise!r}"):
+        make_model(
+            make_toy(),
+            replay_buffer_kwargs={"image_dtype": stored},
+            policy_kwargs={"features_extractor_kwargs": extractor},
+        )
+
+
+@pytest.mark.parametrize("name", ["gamma", "n_steps"])
+def test_the_algorithm_gives_the_discount(name: str, make_toy: Any) -> None:
+    with pytest.raises(ValueError, match=f"{name} is an argument of the algorithm"):
+        make_model(make_toy(), replay_buffer_kwargs={name: 0.9})

@@ -1,0 +1,78 @@
+"""Every network of every preset, built by what `train` runs: what it says before it has learned anything."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+import torch as th
+from stable_baselines3.common.base_class import BaseAlgorithm
+
+from zoo_configs.cli import main
+from zoo_configs.environments import register_environments
+from zoo_configs.manager import ZooManager
+from zoo_configs.resolve import family_of
+
+register_environments()
+STACKING = "BulletArm/CloseLoopBlockStacking-v0"
+CENTIMETRES = (0.1, 0.01)
+FAMILY = family_of(STACKING)
+Build = Callable[..., Any]
+
+
+@pytest.fixture
+def build(toy_id: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Build:
+    """Runs `bulletarm-zoo train` up to the first step: ``build(baseline, preset, *hyperparameters)``."""
+    built: list[BaseAlgorithm] = []
+    monkeypatch.setattr(ZooManager, "learn", lambda manager, model: built.append(model))
+
+    def run(baseline: str, preset: str, *params: str) -> BaseAlgorithm:
+        arguments = ["train", "--baseline", baseline, "--preset", preset, "--env", toy_id, "--seed", "0"]
+        arguments += ["-f", str(tmp_path), "--device", "cpu", "--vec-env", "dummy", "--no-progress"]
+        assert main([*arguments, "--eval-freq", "-1", "-params", "buffer_size:100", *params]) == 0
+        return built[-1]
+
+    return run
+
+
+@functools.cache
+def real_observations(size: int) -> dict[str, th.Tensor]:
+    """What the gripper sees while blocks are stacked, (n, ...) each."""
+    env = gym.make(STACKING, obs_size=size)
+    observations, ended = [env.reset(seed=0)[0]], False
+    while not ended:
+        observation, _, terminated, truncated, _ = env.step(env.unwrapped.expert_action())  # type: ignore[attr-defined]
+        observations.append(observation)
+        ended = terminated or truncated
+    env.close()
+    return {key: th.as_tensor(np.stack([entry[key] for entry in observations])) for key in observations[0]}
+
+
+@pytest.mark.parametrize("standardise", [None, CENTIMETRES], ids=["plain", "centimetres"])
+@pytest.mark.parametrize("preset", list(FAMILY.presets))
+@pytest.mark.parametrize("baseline", list(FAMILY.baselines))
+def test_an_untrained_agent_expects_nothing_and_tries_everything(
+    baseline: str, preset: str, standardise: tuple[float, float] | None, build: Build
+) -> None:
+    """
+    True values lie in [0, 1]: what a critic says wrongly at first, it says for long. An actor whose actions
+    are large at first explores a few of them only.
+    """
+    kwargs = {"features_extractor_kwargs": {"standardise": standardise}}
+    model = build(baseline, preset, f"policy_kwargs:{kwargs}")
+    size = model.observation_space["heightmap"].shape[-1]
+    observations = real_observations(size)
+    actions = th.rand(len(observations["holding"]), 5, generator=th.Generator().manual_seed(0)) * 2 - 1
+    with th.no_grad():
+        mean, log_std, _ = model.actor.get_action_dist_params(observations)
+        values = th.stack(tuple(model.critic(observations, actions)))
+    assert values.isfinite().all() and values.abs().max() <= 1
+    assert mean.tanh().abs().max() <= 0.3
+    assert 0.5 <= log_std.exp().min() and log_std.exp().max() <= 2
+    first = {key: value[0].numpy() for key, value in observations.items()}
+    assert model.predict(first, deterministic=True)[0].shape == model.action_space.shape
