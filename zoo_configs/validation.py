@@ -51,7 +51,7 @@ def check_cell(cell: Cell) -> None:
             raise CommandError(f"hyperparameter {key!r} is missing for {cell.env_id}")
     policy = policy_class(algorithm, cell.hyperparams["policy"])
     _check_policy_kwargs(policy, cell.hyperparams.get("policy_kwargs"))
-    _check_replay_buffer(cell.hyperparams)
+    _check_replay_buffer(algorithm, cell.hyperparams)
     try:
         make_augmentation(cell.hyperparams.get("augmentation"))
     except ValueError as error:
@@ -138,12 +138,15 @@ def _check_policy_kwargs(policy: type[Any], policy_kwargs: Any) -> None:
     _check_names(f"features_extractor_kwargs of {extractor.__name__}", given, constructor_keys(extractor))
 
 
-def _check_replay_buffer(hyperparams: Mapping[str, Any]) -> None:
-    """What a buffer is given is known only where it is named."""
+def _check_replay_buffer(algorithm: type[Any], hyperparams: Mapping[str, Any]) -> None:
+    """What a buffer is given is known where it is named, or where the algorithm has one of its own."""
     path, kwargs = hyperparams.get("replay_buffer_class"), hyperparams.get("replay_buffer_kwargs", {})
-    if isinstance(path, str) and isinstance(kwargs, Mapping):
+    buffer = getattr(algorithm, "default_replay_buffer_class", None)
+    if isinstance(path, str):
         buffer = _imported("replay buffer", path)
-        _check_names(f"replay_buffer_kwargs of {buffer.__name__}", kwargs, constructor_keys(buffer))
+    if buffer is not None and isinstance(kwargs, Mapping):
+        valid = constructor_keys(buffer) - set(getattr(algorithm, "own_buffer_arguments", ()))
+        _check_names(f"replay_buffer_kwargs of {buffer.__name__}", kwargs, valid)
 
 
 def _default(cls: type[Any], parameter: str) -> Any:

@@ -61,8 +61,9 @@ class OffPolicyFromDemonstrations(OffPolicyAlgorithm):
     n_pretrained: int = 0
     """Gradient steps of the pretraining that are done."""
 
-    # What the algorithm itself gives to its replay buffer
-    _OWN_BUFFER_ARGUMENTS: ClassVar[tuple[str, ...]] = ("gamma", "n_steps")
+    default_replay_buffer_class: ClassVar[type[ExpertReplayBuffer]] = ExpertReplayBuffer
+    own_buffer_arguments: ClassVar[tuple[str, ...]] = ("gamma", "n_steps")
+    """What the algorithm itself gives to its replay buffer."""
 
     def _check_demonstrations(self) -> None:
         source = self._demonstrations()
@@ -75,7 +76,7 @@ class OffPolicyFromDemonstrations(OffPolicyAlgorithm):
         buffer_class = self.replay_buffer_class
         if buffer_class is None or not issubclass(buffer_class, ExpertReplayBuffer):
             raise ValueError(f"replay_buffer_class must be an ExpertReplayBuffer, got {buffer_class}")
-        for name in self._OWN_BUFFER_ARGUMENTS:
+        for name in self.own_buffer_arguments:
             if name in self.replay_buffer_kwargs:
                 raise ValueError(f"{name} is an argument of the algorithm, not one of replay_buffer_kwargs")
 

@@ -22,7 +22,6 @@ from sb3_extensions.common.gradients import frozen
 from sb3_extensions.demonstrations.collecting import EpisodeData
 from sb3_extensions.demonstrations.off_policy import OffPolicyFromDemonstrations, check_not_negative
 from sb3_extensions.replay.buffer import FrameReplayBufferSamples
-from sb3_extensions.replay.expert import ExpertReplayBuffer
 from sb3_extensions.sacfd.policies import EquivariantPolicy, MultiInputPolicy
 
 
@@ -166,7 +165,7 @@ class SACfD(OffPolicyFromDemonstrations, SAC):
             train_freq=train_freq,
             gradient_steps=gradient_steps,
             action_noise=action_noise,
-            replay_buffer_class=replay_buffer_class or ExpertReplayBuffer,
+            replay_buffer_class=replay_buffer_class or self.default_replay_buffer_class,
             replay_buffer_kwargs=replay_buffer_kwargs,
             n_steps=n_steps,
             ent_coef=ent_coef,

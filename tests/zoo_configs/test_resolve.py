@@ -177,6 +177,11 @@ def test_unknown_names_are_told(names: tuple[str, str, str], message: str) -> No
             },
             "did you mean 'copies'?",
         ),
+        ({"replay_buffer_kwargs": {"expert_fracton": 0.5}}, "did you mean 'expert_fraction'?"),
+        (
+            {"replay_buffer_kwargs": {"gamma": 0.5}},
+            "unknown replay_buffer_kwargs of ExpertReplayBuffer 'gamma'",
+        ),
         (
             {"replay_buffer_class": "no_package.Buffer"},
             "replay buffer 'no_package.Buffer' cannot be imported",
