@@ -12,6 +12,7 @@ class SeedKey(IntEnum):
 
     AUGMENTATION = 0xA6
     EXPERT = 0xE9
+    EXPLORATION = 0xE8
 
 
 def derive_seed(seed: int, key: SeedKey) -> int:

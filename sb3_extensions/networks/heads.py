@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from itertools import pairwise
 
@@ -115,13 +116,39 @@ class InvariantValue(nn.Module):
         self.pool = GroupMaxPool(FieldType.of((in_type.group.regular, net_arch[-1])))
         self.value = nn.Linear(net_arch[-1], outputs)
         scale_down(self.value)
+        self.balance = Balance(in_type.size, action.action_dim)
         places = [*range(in_type.size), *(in_type.size + place for place in action.places(FIELD_ORDER))]
         self.register_buffer("index", th.tensor(places), persistent=False)
 
     def forward(self, features_and_action: th.Tensor) -> th.Tensor:
         """:return: (batch, outputs)"""
-        values: th.Tensor = self.value(self.pool(self.hidden(features_and_action[:, self.index])))
+        joint = self.balance(features_and_action)[:, self.index]
+        values: th.Tensor = self.value(self.pool(self.hidden(joint)))
         return values
+
+
+class Balance(nn.Module):
+    """Makes an action as loud as the features beside it: (batch, features_dim + action_dim), the same shape.
+
+    Five numbers beside 128 of the same size make one hundredth of a hidden unit's variance: the critic then
+    knows what a state is worth long before it tells one action from another, and what it says of actions that
+    were not carried out is the same everywhere.
+
+    :param features_dim: numbers of variance 1
+    :param action_dim: numbers in [-1, 1]
+    """
+
+    gain: th.Tensor
+
+    def __init__(self, features_dim: int, action_dim: int) -> None:
+        super().__init__()
+        gain = th.ones(features_dim + action_dim)
+        gain[features_dim:] = math.sqrt(features_dim / action_dim)
+        self.register_buffer("gain", gain, persistent=False)
+
+    def forward(self, features_and_action: th.Tensor) -> th.Tensor:
+        """:return: features and the louder action"""
+        return features_and_action * self.gain
 
 
 def equivariant_mlp(

@@ -18,6 +18,7 @@ from torch.nn import functional as F
 from sb3_extensions.common.action_sequence import ActionSequence
 from sb3_extensions.networks.groups import FieldType
 from sb3_extensions.networks.heads import (
+    Balance,
     EquivariantLogStd,
     EquivariantMean,
     InvariantValue,
@@ -110,9 +111,9 @@ class NormalisedCritic(ContinuousCritic):
         return F.layer_norm(features, features.shape[1:])
 
     def _make_head(self) -> nn.Module:
-        input_dim = self.features_dim + get_action_dim(self.action_space)
+        action_dim = get_action_dim(self.action_space)
         layers = create_mlp(
-            input_dim,
+            self.features_dim + action_dim,
             self.n_outputs,
             self.net_arch,
             self.activation_fn,
@@ -123,7 +124,7 @@ class NormalisedCritic(ContinuousCritic):
             nn.init.xavier_uniform_(hidden.weight)
             nn.init.zeros_(hidden.bias)
         scale_down(hidden_and_output[-1])
-        return nn.Sequential(*layers)
+        return nn.Sequential(Balance(self.features_dim, action_dim), *layers)
 
 
 class _FixedLayerNorm(nn.LayerNorm):

@@ -19,15 +19,31 @@ class ExpertReplayBuffer(FrameReplayBuffer):
     :param args: arguments of :class:`FrameReplayBuffer`; ``buffer_size`` counts the expert rows
     :param expert_fraction: share of expert transitions in every sample, rounded to whole transitions; all are
         taken from one side while the other is empty. None draws uniformly from all rows
+    :param success_fraction: share of the agent's transitions with a ``return`` greater than 0, of episodes
+        that succeeded, as soon as there are some; the rest is drawn from all of the agent's. None: no share
     :param kwargs: keyword arguments of :class:`FrameReplayBuffer`
     :raises ValueError: if an argument is out of its range
     """
 
-    def __init__(self, *args: Any, expert_fraction: float | None = None, **kwargs: Any) -> None:
+    def __init__(
+        self,
+        *args: Any,
+        expert_fraction: float | None = None,
+        success_fraction: float | None = None,
+        **kwargs: Any,
+    ) -> None:
         super().__init__(*args, **kwargs)
-        if expert_fraction is not None and not 0 <= expert_fraction <= 1:
-            raise ValueError(f"expert_fraction must be None or between 0 and 1, got {expert_fraction}")
+        for name, value in (("expert_fraction", expert_fraction), ("success_fraction", success_fraction)):
+            if value is not None and not 0 <= value <= 1:
+                raise ValueError(f"{name} must be None or between 0 and 1, got {value}")
+        if success_fraction is not None and (expert_fraction or 0.0) + success_fraction > 1:
+            raise ValueError(
+                f"expert_fraction={expert_fraction} and success_fraction={success_fraction} are more than 1"
+            )
+        if success_fraction is not None and expert_fraction is None:
+            raise ValueError(f"success_fraction={success_fraction} needs an expert_fraction")
         self.expert_fraction = expert_fraction
+        self.success_fraction = success_fraction
         self.progress_remaining = 1.0  # of the training, falling to 0: kept up to date by the algorithm
 
     @property
@@ -99,10 +115,21 @@ class ExpertReplayBuffer(FrameReplayBuffer):
         if self.expert_fraction is None or not online_size or not self.expert_size:
             return super()._draw(batch_size)
         n_expert = round(batch_size * self.expert_fraction)
+        won = self._draw_successes(round(batch_size * (self.success_fraction or 0.0)))
+        n_online = batch_size - n_expert - len(won)
         ranks = np.concatenate(
             [
                 self.rng.integers(self.expert_size, size=n_expert),
-                self.expert_size + self.rng.integers(online_size, size=batch_size - n_expert),
+                self.expert_size + self.rng.integers(online_size, size=n_online),
             ]
         )
-        return self.rows.ids(ranks), np.ones(batch_size, dtype=np.float32)
+        return np.append(self.rows.ids(ranks), won), np.ones(batch_size, dtype=np.float32)
+
+    def _draw_successes(self, count: int) -> Ids:
+        """Ids of so many of the agent's transitions from episodes that succeeded; none if there are none."""
+        if not count:
+            return np.empty(0, dtype=np.int64)
+        returns = self.table["return"][self.expert_size : self.rows.used_slots]
+        won = self.rows.ids_in(self.expert_size + np.flatnonzero(returns > 0))
+        won = won[won >= self.rows.first]
+        return self.rng.choice(won, size=count) if len(won) else won

@@ -103,7 +103,7 @@ class PrioritizedReplayBuffer(ExpertReplayBuffer):
             raise ValueError(f"expert_bonus must not be negative, got {expert_bonus}")
         if self.expert_fraction is not None:
             raise ValueError(
-                f"expert_fraction must be None, got {self.expert_fraction}: priorities set the share"
+                f"expert_fraction must be None, got {self.expert_fraction}: priorities set the shares"
             )
         self.exponent = exponent
         self.beta_start = beta_start

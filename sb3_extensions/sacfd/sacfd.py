@@ -7,6 +7,7 @@ from collections import defaultdict
 from collections.abc import Iterable
 from typing import Any, ClassVar
 
+import numpy.typing as npt
 import torch as th
 from gymnasium import spaces
 from stable_baselines3.common.buffers import ReplayBuffer
@@ -18,10 +19,12 @@ from stable_baselines3.sac.policies import SACPolicy
 from stable_baselines3.sac.sac import SAC
 
 from sb3_extensions.common.augmentation import AugmentationSpec, make_augmentation
+from sb3_extensions.common.exploration import disturb_one_number
 from sb3_extensions.common.gradients import frozen
+from sb3_extensions.common.seeds import SeedKey, derive_seed
 from sb3_extensions.demonstrations.collecting import EpisodeData
 from sb3_extensions.demonstrations.off_policy import OffPolicyFromDemonstrations, check_not_negative
-from sb3_extensions.replay.buffer import FrameReplayBufferSamples
+from sb3_extensions.sacfd.imitation import imitated_actions
 from sb3_extensions.sacfd.policies import EquivariantPolicy, MultiInputPolicy
 
 
@@ -32,7 +35,8 @@ class SACfD(OffPolicyFromDemonstrations, SAC):
     SAC whose replay buffer begins with the episodes of an expert, and whose actor imitates the expert: its
     loss has the additional term ``bc_weight * MSE(sampled action, expert action)``, the mean over the
     imitated transitions of the batch and all action dimensions, in the policy's units [-1, 1]. With
-    ``bc_weight=0`` and ``expert_episodes=0`` it is SAC, with an ``augmentation`` it is RAD or DrQ SACfD.
+    ``bc_weight=0``, ``expert_episodes=0``, ``exploration=0`` and ``backup_entropy=True`` it is SAC, with an
+    ``augmentation`` it is RAD or DrQ SACfD.
 
     The demonstrations are collected at the beginning of the first ``learn()``, in an environment of their own
     made from the spec of the training environment; these steps do not count as timesteps.
@@ -69,13 +73,19 @@ class SACfD(OffPolicyFromDemonstrations, SAC):
     :param target_entropy: target entropy when learning ``ent_coef`` (``ent_coef = 'auto'``);
         'auto' is minus the number of action dimensions
     :param bc_weight: weight of the behaviour cloning term in the actor's loss
-    :param self_imitation: imitate the agent's own episodes that succeeded as well, those whose rewards add up
-        to more than 0. What was won is then kept, where the critic errs too; not part of the paper.
-        Self-imitation: https://arxiv.org/abs/1806.05635
+    :param bc_limit: imitated actions are clipped to [-bc_limit, bc_limit]: towards 1 the mean of a squashed
+        Gaussian grows without end, and what has grown cannot be unlearned
+    :param self_imitation: imitate the agent's own transitions of episodes that succeeded (with a return
+        greater than 0) as well, with a weight of ``exp((value of the action - value of the actor's action) /
+        self_imitation)``. What was won is then kept where the critic errs, and what was better than what the
+        agent does is learned. None imitates the expert alone, as the paper does.
+        Self-imitation: https://arxiv.org/abs/1806.05635, the weight: https://arxiv.org/abs/2006.15134
     :param q_weight: weight of the critic's values in the actor's loss
     :param backup_entropy: whether the entropy of the next action is part of the critic's target
     :param value_range: least and greatest discounted return that there can be, to which the target critic's
         values are clipped; None clips nothing
+    :param exploration: probability with which one number of an action, any of them, is drawn at random from
+        its whole range: where an agent always does the same, its critic learns of nothing else
     :param expert_episodes: number of successful episodes of the expert to begin with, unless ``expert_data``
         is given
     :param expert_noise: standard deviation of a normal error with which the expert's actions are carried out,
@@ -129,15 +139,17 @@ class SACfD(OffPolicyFromDemonstrations, SAC):
         action_noise: ActionNoise | None = None,
         replay_buffer_class: type[ReplayBuffer] | None = None,
         replay_buffer_kwargs: dict[str, Any] | None = None,
-        n_steps: int = 1,
-        ent_coef: str | float = "auto_0.01",
+        n_steps: int = 10,
+        ent_coef: str | float = 0.005,
         target_update_interval: int = 1,
         target_entropy: str | float = "auto",
-        bc_weight: float = 1.0,
-        self_imitation: bool = False,
+        bc_weight: float = 10.0,
+        bc_limit: float = 0.95,
+        self_imitation: float | None = 0.1,
         q_weight: float = 1.0,
-        backup_entropy: bool = True,
+        backup_entropy: bool = False,
         value_range: tuple[float, float] | None = None,
+        exploration: float = 0.1,
         expert_episodes: int = 100,
         expert_noise: float = 0.0,
         expert_data: Iterable[EpisodeData] | None = None,
@@ -180,10 +192,13 @@ class SACfD(OffPolicyFromDemonstrations, SAC):
             _init_setup_model=False,
         )
         self.bc_weight = bc_weight
+        self.bc_limit = bc_limit
         self.self_imitation = self_imitation
         self.q_weight = q_weight
         self.backup_entropy = backup_entropy
         self.value_range = value_range
+        self.exploration = exploration
+        self.exploration_generator = th.Generator().manual_seed(th.initial_seed())
         self.expert_episodes = expert_episodes
         self.expert_noise = expert_noise
         self.expert_data = expert_data
@@ -200,11 +215,15 @@ class SACfD(OffPolicyFromDemonstrations, SAC):
     def _check_arguments(self) -> None:
         self._check_demonstrations()
         check_not_negative(bc_weight=self.bc_weight, q_weight=self.q_weight)
+        for name in ("bc_limit", "exploration"):
+            if not 0 <= (value := getattr(self, name)) <= 1:
+                raise ValueError(f"{name} must be between 0 and 1, got {value}")
+        if self.self_imitation is not None and self.self_imitation <= 0:
+            raise ValueError(f"self_imitation must be None or greater than 0, got {self.self_imitation}")
         if self.value_range is not None and not self.value_range[0] < self.value_range[1]:
             raise ValueError(f"value_range must be None or (least, greatest), got {self.value_range}")
-        for name in ("dagger", "self_imitation"):
-            if getattr(self, name) and self.bc_weight == 0:
-                raise ValueError(f"{name}=True needs a bc_weight greater than 0, got 0")
+        if self.dagger and self.bc_weight == 0:
+            raise ValueError("dagger=True needs a bc_weight greater than 0, got 0")
 
     def _setup_model(self) -> None:
         super()._setup_model()
@@ -268,9 +287,12 @@ class SACfD(OffPolicyFromDemonstrations, SAC):
             logs["actor_loss"].append(actor_loss.detach())
             if self.bc_weight > 0:
                 # Mean over the transitions with an action to imitate; 0 if there are none in the batch
-                imitated, shown = self._imitated_actions(replay_data)
+                advantages = self._values(estimates) - q_values_pi
+                imitated, bc_weights = imitated_actions(
+                    replay_data, advantages.detach(), self.self_imitation, self.bc_limit
+                )
                 errors = (actions_pi - imitated).pow(2).mean(dim=1, keepdim=True)
-                bc_loss = (errors * shown).sum() / shown.sum().clamp(min=1)
+                bc_loss = (errors * bc_weights).sum() / bc_weights.sum().clamp(min=1)
                 actor_loss = actor_loss + self.bc_weight * bc_loss
                 logs["bc_loss"].append(bc_loss.detach())
 
@@ -334,19 +356,6 @@ class SACfD(OffPolicyFromDemonstrations, SAC):
             next_q_values if self.augmentation is None else self.augmentation.average_targets(next_q_values)
         )
 
-    def _imitated_actions(self, replay_data: FrameReplayBufferSamples) -> tuple[th.Tensor, th.Tensor]:
-        """
-        What the actor is drawn to.
-
-        :param replay_data: sampled transitions
-        :return: actions (batch, action dimensions), and whether there is one (batch, 1)
-        """
-        known = replay_data.expert_actions.isfinite().all(dim=1, keepdim=True)
-        imitated = th.where(known, replay_data.expert_actions, replay_data.actions)
-        if not self.self_imitation:
-            return imitated, known
-        return imitated, known | (replay_data.returns > 0.0)  # not so while the episode goes on, NaN
-
     def _features(self, critic: Any, observations: PyTorchObs) -> th.Tensor:
         """Features of a critic; those that it shares with the actor learn from the actor's loss alone."""
         with th.set_grad_enabled(th.is_grad_enabled() and not self.policy.share_features_extractor):
@@ -357,6 +366,23 @@ class SACfD(OffPolicyFromDemonstrations, SAC):
         """What the heads of a critic say, one entry a head."""
         head_input = th.cat([features, actions], dim=1)
         return [head(head_input) for head in critic.q_networks]
+
+    def _sample_action(
+        self, learning_starts: int, action_noise: ActionNoise | None = None, n_envs: int = 1
+    ) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
+        action, buffer_action = super()._sample_action(learning_starts, action_noise, n_envs)
+        if self.exploration > 0:
+            buffer_action = disturb_one_number(buffer_action, self.exploration, self.exploration_generator)
+            action = self.policy.unscale_action(buffer_action)
+        return action, buffer_action
+
+    def _seed_samplers(self, seed: int | None) -> None:
+        super()._seed_samplers(seed)
+        if seed is not None:
+            self.exploration_generator.manual_seed(derive_seed(seed, SeedKey.EXPLORATION))
+
+    def _excluded_save_params(self) -> list[str]:
+        return [*super()._excluded_save_params(), "exploration_generator"]
 
     def _update_encoder(self, observations: PyTorchObs) -> dict[str, th.Tensor]:
         """Learn from sampled observations alone, here nothing; returns the losses by name."""

@@ -119,6 +119,13 @@ SMALL_EQUIVARIANT: dict[str, Any] = {"features_extractor_kwargs": {"n": 4, "chan
 
 
 @pytest.fixture
+def papers() -> dict[str, Any]:
+    """Arguments with which SACfD and TQCfD do what the paper's learners do, and nothing besides."""
+    ours_off = {"exploration": 0.0, "self_imitation": None, "bc_limit": 1.0}
+    return {"n_steps": 1, "ent_coef": "auto_0.01", "backup_entropy": True, "bc_weight": 1.0, **ours_off}
+
+
+@pytest.fixture
 def make_toy() -> MakeEnv:
     """Makes a vector environment of the toy task: ``make_toy(n_envs, seed, image_only, **env_kwargs)``."""
 

@@ -10,11 +10,13 @@ from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.vec_env import VecNormalize
 from stable_baselines3.sac.policies import MultiInputPolicy as StockPolicy
 
+from sb3_extensions.common.exploration import disturb_one_number
 from sb3_extensions.demonstrations.collecting import collect_episodes, make_expert_env
 from sb3_extensions.replay.buffer import NO_ROW, FrameReplayBuffer
 from sb3_extensions.replay.expert import ExpertReplayBuffer
 from sb3_extensions.replay.rotated import PrioritizedRotatedReplayBuffer
 from sb3_extensions.sacfd import SACfD
+from sb3_extensions.sacfd.imitation import imitated_actions
 
 SMALL_STOCK = {"net_arch": [16], "features_extractor_kwargs": {"cnn_output_dim": 8}}
 
@@ -97,7 +99,7 @@ def frozen_critic(model: Any) -> Any:
     return model
 
 
-def test_without_imitation_it_is_sac(make_toy: Any) -> None:
+def test_without_imitation_it_is_sac(make_toy: Any, papers: dict[str, Any]) -> None:
     """But for the actor's loss, which uses the critic before its step: equal if the critic stands still."""
     kwargs: dict[str, Any] = {
         "learning_rate": 1e-3,
@@ -113,7 +115,8 @@ def test_without_imitation_it_is_sac(make_toy: Any) -> None:
     }
 
     def ours() -> SACfD:
-        return SACfD(StockPolicy, make_toy(2), bc_weight=0, expert_episodes=0, **kwargs)
+        alone = {"bc_weight": 0, "expert_episodes": 0}
+        return SACfD(StockPolicy, make_toy(2), **{**papers, **kwargs, **alone})
 
     def stock() -> SAC:
         buffer = {"replay_buffer_class": FrameReplayBuffer, "replay_buffer_kwargs": {"seed": 0}}
@@ -138,8 +141,8 @@ def one_update(model: SACfD, **changes: Any) -> tuple[Any, dict[str, float]]:
 
 
 @pytest.mark.parametrize("experts", [0, 5, 16])
-def test_losses_equal_a_slow_reference(experts: int, make_toy: Any) -> None:
-    model = make_model(make_toy(), bc_weight=0.7, n_steps=2, gamma=0.9)
+def test_losses_equal_a_slow_reference(experts: int, make_toy: Any, papers: dict[str, Any]) -> None:
+    model = make_model(make_toy(), **{**papers, "bc_weight": 0.7, "n_steps": 2, "gamma": 0.9})
     model.learn(20)
     expert_actions = th.full((16, 5), np.nan)
     expert_actions[:experts] = th.rand(experts, 5)
@@ -219,6 +222,84 @@ def test_dagger_imitates_in_the_agents_own_states(make_toy: Any) -> None:
     assert losses[0] == 0.0 < losses[1]
 
 
+@pytest.mark.parametrize("backup_entropy", [True, False])
+@pytest.mark.parametrize("value_range", [None, (-0.01, 0.01)])
+def test_targets_equal_a_slow_reference(
+    backup_entropy: bool, value_range: tuple[float, float] | None, make_toy: Any
+) -> None:
+    kwargs = {"backup_entropy": backup_entropy, "value_range": value_range, "ent_coef": 0.3, "gamma": 0.9}
+    model = make_model(make_toy(), n_steps=2, **kwargs).learn(20)
+    actor, critic, target = (copy_of(model, name) for name in ("actor", "critic", "critic_target"))
+    th.manual_seed(3)
+    sample, logged = one_update(model)
+    th.manual_seed(3)
+    loss = 0.0
+    with th.no_grad():
+        actor.action_log_prob(sample.observations)
+        actions, log_prob = actor.action_log_prob(sample.next_observations)
+        next_q = th.stack(target(sample.next_observations, actions)).numpy()
+        q = th.stack(critic(sample.observations, sample.actions)).numpy()
+    for k in range(16):
+        value = next_q[:, k, 0].min()
+        if value_range is not None:
+            value = min(max(value, value_range[0]), value_range[1])
+        value -= 0.3 * log_prob[k].item() * backup_entropy
+        y = sample.rewards[k].item() + sample.discounts[k].item() * (1 - sample.dones[k].item()) * value
+        loss += 0.5 * ((q[:, k, 0] - y) ** 2).sum() / 16
+    np.testing.assert_allclose(logged["train/critic_loss"], loss, rtol=1e-4)
+
+
+def test_weights_of_imitation_equal_a_slow_reference(make_toy: Any) -> None:
+    model = make_model(make_toy(), learning_starts=60).learn(60)
+    sample = model.replay_buffer.sample(64)
+    own_returns = th.tensor([0.9, 0.0, np.nan, -0.5] * 16, dtype=th.float32)[:, None]
+    sample = sample._replace(returns=th.where(sample.is_expert, 1.0, own_returns))
+    advantages = th.linspace(-1, 1, 64)[:, None]
+    actions, weights = imitated_actions(sample, advantages, 0.2, 0.9)
+    for k in range(64):
+        if sample.is_expert[k]:
+            expected = 1.0
+        elif sample.returns[k] > 0:
+            expected = np.exp(min(advantages[k].item() / 0.2, 3.0))
+        else:  # failed, or still going on
+            expected = 0.0
+        np.testing.assert_allclose(weights[k], expected, rtol=1e-5)
+        np.testing.assert_allclose(actions[k], np.clip(sample.actions[k], -0.9, 0.9), rtol=1e-5)
+    assert len({round(weight, 3) for weight in weights[:, 0].tolist()}) > 4
+    alone = imitated_actions(sample, advantages, None, 1.0)[1]
+    np.testing.assert_array_equal(alone, sample.is_expert)
+
+
+def test_self_imitation_learns_from_what_was_won(make_toy: Any) -> None:
+    """Without an expert's word: of all that random actions do, what came near the target is repeated."""
+    kwargs = {"expert_episodes": 0, "learning_starts": 400, "gradient_steps": 1, "q_weight": 0.0}
+    losses = []
+    for self_imitation in (None, 0.1):
+        model = make_model(make_toy(), self_imitation=self_imitation, **kwargs).learn(410)
+        losses.append(model.logger.name_to_value["train/bc_loss"])
+    assert losses[0] == 0.0 < losses[1]
+
+
+def test_exploration_draws_one_number_of_an_action() -> None:
+    actions = np.full((4000, 5), 0.25, np.float32)
+    disturbed = disturb_one_number(actions, 0.3, th.Generator().manual_seed(0))
+    changed = disturbed != actions
+    assert disturbed.dtype == np.float32 and changed.sum(axis=1).max() == 1
+    np.testing.assert_allclose(changed.mean(axis=0), 0.3 / 5, atol=0.02)
+    drawn = disturbed[changed]
+    assert -1 <= drawn.min() < -0.95 and 0.95 < drawn.max() <= 1 and abs(drawn.mean()) < 0.1
+
+
+def test_explored_actions_are_those_that_are_stored(make_toy: Any) -> None:
+    steady, explored = (
+        make_model(make_toy(), exploration=share, gradient_steps=0).learn(40) for share in (0.0, 1.0)
+    )
+    rows = slice(steady.replay_buffer.expert_size, steady.replay_buffer.expert_size + 1)
+    first, other = (model.replay_buffer.table["action"][rows][0] for model in (steady, explored))
+    assert (first != other).sum() == 1
+    assert explored.predict(make_toy().reset(), deterministic=True)[0].shape == (1, 5)
+
+
 def test_critic_parameters_get_no_gradient_from_the_actor(make_toy: Any) -> None:
     model = make_model(make_toy()).learn(2)
     gradients = []
@@ -257,7 +338,8 @@ def test_predict(policy: Any, make_toy: Any) -> None:
 
 
 def test_save_and_load(policy: Any, make_toy: Any, tmp_path: Any) -> None:
-    model = make_model(make_toy(2), policy, bc_weight=0.3, n_steps=2, gamma=0.9).learn(20)
+    kwargs = {"bc_weight": 0.3, "n_steps": 2, "gamma": 0.9, "ent_coef": "auto_0.01"}
+    model = make_model(make_toy(2), policy, **kwargs).learn(20)
     model.save(tmp_path / "model")
     model.save_replay_buffer(tmp_path / "buffer")
     loaded = SACfD.load(tmp_path / "model", env=make_toy(2), device="cpu")
@@ -304,6 +386,11 @@ def test_expert_data_is_not_saved(make_toy: Any, tmp_path: Any) -> None:
         ({"replay_buffer_class": FrameReplayBuffer}, "ExpertReplayBuffer"),
         ({"n_steps": 0}, "n_steps"),
         ({"dagger": True, "bc_weight": 0}, "bc_weight"),
+        ({"q_weight": -1}, "q_weight"),
+        ({"bc_limit": 1.5}, "bc_limit must be between 0 and 1, got 1.5"),
+        ({"exploration": -0.1}, "exploration"),
+        ({"self_imitation": 0.0}, "self_imitation must be None or greater than 0, got 0.0"),
+        ({"value_range": (1.0, 0.0)}, "value_range"),
         ({"policy": "NoSuchPolicy"}, "NoSuchPolicy"),
     ],
 )

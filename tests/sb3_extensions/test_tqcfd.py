@@ -56,7 +56,7 @@ def test_deterministic_training(policy: Any, make_toy: Any) -> None:
         np.testing.assert_array_equal(value, second[name], err_msg=name)
 
 
-def test_without_imitation_it_is_tqc(make_toy: Any) -> None:
+def test_without_imitation_it_is_tqc(make_toy: Any, papers: dict[str, Any]) -> None:
     kwargs: dict[str, Any] = {
         "learning_rate": 1e-3,
         "buffer_size": 500,
@@ -76,7 +76,8 @@ def test_without_imitation_it_is_tqc(make_toy: Any) -> None:
         model.critic.optimizer.step = lambda *args: None
         return model.learn(40)
 
-    ours = trained(TQCfD(StockPolicy, make_toy(2), bc_weight=0, expert_episodes=0, **kwargs))
+    alone = {"bc_weight": 0, "expert_episodes": 0}
+    ours = trained(TQCfD(StockPolicy, make_toy(2), **{**papers, **kwargs, **alone}))
     kwargs |= {"replay_buffer_class": FrameReplayBuffer, "replay_buffer_kwargs": {"seed": 0}}
     stock = trained(TQC(StockPolicy, make_toy(2), **kwargs))
     assert ours._n_updates == stock._n_updates > 10
@@ -106,16 +107,14 @@ def reference_critic_loss(current: np.ndarray, targets: np.ndarray, weights: np.
 
 
 @pytest.mark.parametrize("dropped", [0, 2])
-def test_losses_equal_a_slow_reference(dropped: int, make_toy: Any) -> None:
+def test_losses_equal_a_slow_reference(dropped: int, make_toy: Any, papers: dict[str, Any]) -> None:
     policy_kwargs = {**SMALL_STOCK, "n_quantiles": N_QUANTILES, "n_critics": N_CRITICS}
     model = make_model(
         make_toy(),
         (StockPolicy, policy_kwargs),
         top_quantiles_to_drop_per_net=dropped,
         replay_buffer_class=PrioritizedRotatedReplayBuffer,
-        bc_weight=0.7,
-        n_steps=2,
-        gamma=0.9,
+        **{**papers, "bc_weight": 0.7, "n_steps": 2, "gamma": 0.9},
     )
     model.learn(10)
     assert model.replay_buffer is not None

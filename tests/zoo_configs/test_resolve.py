@@ -47,6 +47,13 @@ def test_the_paper_preset_is_the_papers() -> None:
         "train_freq": 1,
         "gradient_steps": 1,
         "n_timesteps": 5 * 10_000,
+        # What is ours and not the paper's is off
+        "n_steps": 1,
+        "bc_weight": 1.0,
+        "bc_limit": 1.0,
+        "self_imitation": None,
+        "exploration": 0.0,
+        "backup_entropy": True,
     }
     assert {key: cell.hyperparams[key] for key in expected} == expected
     assert cell.hyperparams["env_kwargs"]["obs_size"] == 128
@@ -54,28 +61,54 @@ def test_the_paper_preset_is_the_papers() -> None:
     assert cell.flags["eval_episodes"] == 100
 
 
-@pytest.mark.parametrize(("preset", "weight"), [("paper", 1.0), ("cpu", 10.0)])
+def test_the_cpu_preset_keeps_to_the_papers_budget_with_one_set_of_hyperparameters() -> None:
+    """At most 100 demonstrations without noise, 10,000 updates of five environment steps each, no DAgger."""
+    cells = [
+        resolve(baseline, "cpu", env_id).hyperparams
+        for env_id in our_env_ids()
+        if family_of(PICKING).serves(env_id)
+        for baseline in family_of(PICKING).baselines
+        if "fd" in baseline
+    ]
+    for cell in cells:
+        assert cell["expert_episodes"] <= 100
+        assert (cell["n_timesteps"] // cell["n_envs"]) + cell["pretrain_steps"] <= 10_000
+        assert "expert_noise" not in cell and "dagger" not in cell
+        assert cell["gamma"] == 0.99
+    one_baseline = [
+        resolve("equi_sacfd", "cpu", env_id).hyperparams
+        for env_id in our_env_ids()
+        if family_of(PICKING).serves(env_id)
+    ]
+    for cell in one_baseline:
+        cell.pop("n_timesteps")
+        assert cell == one_baseline[0]
+
+
+@pytest.mark.parametrize(("preset", "weight"), [("paper", 1.0), ("cpu", 10.0), ("quick", 10.0)])
 @pytest.mark.parametrize("network", ["", "equi_", "rad_", "drq_", "ferm_"])
 def test_only_sacfd_imitates(network: str, preset: str, weight: float) -> None:
     assert resolve(f"{network}sac", preset, PICKING).hyperparams["bc_weight"] == 0
     assert resolve(f"{network}sacfd", preset, PICKING).hyperparams["bc_weight"] == weight
 
 
-def test_imitation_in_the_cpu_preset_is_alike_for_all() -> None:
+@pytest.mark.parametrize("preset", ["cpu", "quick"])
+def test_imitation_is_alike_for_all(preset: str) -> None:
     """What is compared differs in nothing but network, augmentation and buffer."""
     imitating = [name for name in family_of(PICKING).baselines if "fd" in name]
     assert len(imitating) == 8
-    cells = [resolve(name, "cpu", PICKING).hyperparams for name in imitating]
-    assert {(cell["bc_weight"], cell["ent_coef"]) for cell in cells} == {(10.0, 0.005)}
+    cells = [resolve(name, preset, PICKING).hyperparams for name in imitating]
+    names = ("bc_weight", "ent_coef", "self_imitation", "n_steps", "gamma", "exploration")
+    assert len({tuple(cell[name] for name in names) for cell in cells}) == 1
 
 
 def test_a_task_may_say_more_of_policies_and_baselines() -> None:
     house = "BulletArm/CloseLoopHouseBuilding-v0"
     equivariant, plain, unguided = (
-        resolve(name, "cpu", house).hyperparams for name in ("equi_sacfd", "sacfd", "equi_sac")
+        resolve(name, "quick", house).hyperparams for name in ("equi_sacfd", "sacfd", "equi_sac")
     )
     here, there = (
-        resolve(name, "cpu", PICKING).hyperparams["policy_kwargs"]["features_extractor_kwargs"]
+        resolve(name, "quick", PICKING).hyperparams["policy_kwargs"]["features_extractor_kwargs"]
         for name in ("equi_sacfd", "sacfd")
     )
     channels = equivariant["policy_kwargs"]["features_extractor_kwargs"].pop("channels")
@@ -117,6 +150,8 @@ def test_crops_are_in_the_papers_proportion(baseline: str, preset: str, obs_size
 def test_prioritized_replay_is_the_papers(preset: str) -> None:
     """Exponents and bonus of the appendix "Benchmark Details"; four copies as in its authors' code."""
     hyperparams = resolve("equi_sacfd_per_aug", preset, PICKING).hyperparams
+    for name in ("expert_fraction", "success_fraction", "handle_timeout_termination"):
+        hyperparams["replay_buffer_kwargs"].pop(name, None)
     expected = {
         "exponent": 0.6,
         "beta_start": 0.4,

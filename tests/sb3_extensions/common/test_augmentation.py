@@ -246,8 +246,11 @@ def test_acting_sees_the_centre_and_training_the_same_pixels(make_toy: Any) -> N
 
 
 @pytest.mark.parametrize(("augmentation", "side"), AUGMENTATIONS)
-def test_losses_are_means_over_views(augmentation: Any, side: int, make_toy: Any) -> None:
-    model = make_model(make_toy(size=side), augmentation, bc_weight=0.7, gamma=0.9).learn(10)
+def test_losses_are_means_over_views(
+    augmentation: Any, side: int, make_toy: Any, papers: dict[str, Any]
+) -> None:
+    kwargs = {**papers, "bc_weight": 0.7, "gamma": 0.9}
+    model = make_model(make_toy(size=side), augmentation, **kwargs).learn(10)
     sample = model.replay_buffer.sample(16)._replace(weights=th.linspace(0.1, 1, 16)[:, None])
     model.replay_buffer.sample = lambda *args, **kwargs: sample  # type: ignore[method-assign]
     priorities: list[Any] = []
