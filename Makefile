@@ -5,7 +5,7 @@ PYTHON ?= $(shell command -v python3.11 || command -v python3)
 VENV ?= .venv
 BIN := $(VENV)/bin
 DEMO_LOGS ?= logs/demo
-DEMO = --baseline equi_sacfd --env BulletArm/CloseLoopBlockPicking-v0 --preset cpu -f $(DEMO_LOGS)
+DEMO = --baseline equi_sacfd --env BulletArm/CloseLoopBlockPicking-v0 --preset quick -f $(DEMO_LOGS)
 PYTEST_FLAGS ?=
 
 .PHONY: venv demo test lint format type docs clean
