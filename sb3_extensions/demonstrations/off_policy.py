@@ -254,6 +254,18 @@ class OffPolicyFromDemonstrations(OffPolicyAlgorithm):
         return [*super()._excluded_save_params(), "expert_data", "augmentation_generator", "_adviser"]
 
 
+def check_share(**given: float) -> None:
+    """
+    Check arguments.
+
+    :param given: values by their names
+    :raises ValueError: if one is not in [0, 1]
+    """
+    for name, value in given.items():
+        if not 0 <= value <= 1:
+            raise ValueError(f"{name} must be between 0 and 1, got {value}")
+
+
 def check_not_negative(**given: float) -> None:
     """
     Check arguments.

@@ -67,9 +67,9 @@ class FrameReplayBuffer(ReplayBuffer):
     and ``DictReplayBuffer`` in SAC, TQC, CrossQ and others:
     ``SAC(..., replay_buffer_class=FrameReplayBuffer)``.
 
-    The arrays are allocated, and their size is logged and compared with the free memory, at the first
-    :meth:`add`. Where episodes are so short that the frames run out before the table is full, the oldest
-    transitions are dropped early; give a larger ``frames_per_transition`` then (2 is always enough).
+    The arrays are allocated, their size logged and compared with the free memory, at the first :meth:`add`.
+    Where episodes are so short that the frames run out before the table is full, the oldest transitions are
+    dropped early; give a larger ``frames_per_transition`` then (2 is always enough).
 
     :param buffer_size: number of transitions, of all environments together
     :param observation_space: Box space, or Dict space of Box spaces
@@ -261,15 +261,12 @@ class FrameReplayBuffer(ReplayBuffer):
         """
         if n_steps < 1:
             raise ValueError(f"n_steps must be at least 1, got {n_steps}")
-        self.n_steps = n_steps
-        if gamma == self.gamma:
-            return
-        self.gamma = gamma
-        self._recompute_returns()
+        self.n_steps, before, self.gamma = n_steps, self.gamma, gamma
+        if self.table and gamma != before:
+            self._recompute_returns()
 
     def _recompute_returns(self) -> None:
-        if not self.table or self.gamma is None:
-            return
+        assert self.gamma is not None
         successors, rewards, returns = (self.table[name] for name in ("next_row", "reward", "return"))
         for slot in self.rows.slots(self.rows.ids(np.arange(self.size())))[::-1]:  # youngest first
             successor = successors[slot]

@@ -23,7 +23,11 @@ from sb3_extensions.common.exploration import disturb_one_number
 from sb3_extensions.common.gradients import frozen
 from sb3_extensions.common.seeds import SeedKey, derive_seed
 from sb3_extensions.demonstrations.collecting import EpisodeData
-from sb3_extensions.demonstrations.off_policy import OffPolicyFromDemonstrations, check_not_negative
+from sb3_extensions.demonstrations.off_policy import (
+    OffPolicyFromDemonstrations,
+    check_not_negative,
+    check_share,
+)
 from sb3_extensions.sacfd.imitation import imitated_actions
 from sb3_extensions.sacfd.policies import EquivariantPolicy, MultiInputPolicy
 
@@ -41,26 +45,23 @@ class SACfD(OffPolicyFromDemonstrations, SAC):
     The demonstrations are collected at the beginning of the first ``learn()``, in an environment of their own
     made from the spec of the training environment; these steps do not count as timesteps.
 
-    Paper: https://arxiv.org/abs/2205.14292 (BulletArm, Section "Close-Loop 4D Benchmark").
-    SAC: https://arxiv.org/abs/1801.01290
+    Paper: https://arxiv.org/abs/2205.14292, Section "Close-Loop 4D Benchmark"; SAC:
+    https://arxiv.org/abs/1801.01290
 
     :param policy: The policy model to use (one of the aliases, or a class)
     :param env: The environment to learn from (if registered in Gym, can be str); its observations are a Dict
-    :param learning_rate: learning rate for adam optimizer,
-        the same learning rate will be used for all networks (Q-Values, Actor and entropy coefficient)
-        it can be a function of the current progress remaining (from 1 to 0)
+    :param learning_rate: learning rate for adam optimizer, the same for all networks (Q-Values, Actor and
+        entropy coefficient); it can be a function of the current progress remaining (from 1 to 0)
     :param buffer_size: number of transitions in the replay buffer, demonstrations included
-    :param learning_starts: how many steps of the model to collect transitions for before learning starts;
-        they are taken at random
+    :param learning_starts: how many steps to take at random before learning starts
     :param batch_size: Minibatch size for each gradient update
     :param tau: the soft update coefficient ("Polyak update", between 0 and 1)
     :param gamma: the discount factor
     :param train_freq: Update the model every ``train_freq`` steps. Alternatively pass a tuple of frequency
         and unit like ``(5, "step")`` or ``(2, "episode")``.
-    :param gradient_steps: How many gradient steps to do after each rollout (see ``train_freq``)
-        Set to ``-1`` means to do as many gradient steps as steps done in the environment during the rollout.
-    :param action_noise: the action noise type (None by default), this can help
-        for hard exploration problem. Cf common.noise for the different action noise type.
+    :param gradient_steps: How many gradient steps to do after each rollout (see ``train_freq``); ``-1`` means
+        as many as steps done in the environment during the rollout
+    :param action_noise: the action noise type (None by default), see SB3's common.noise
     :param replay_buffer_class: Replay buffer class, ``ExpertReplayBuffer`` (the default) or a subclass
     :param replay_buffer_kwargs: Keyword arguments to pass to the replay buffer on creation; its ``n_steps``
         and ``gamma`` are the algorithm's, its ``image_dtype`` is what the features extractor rounds to
@@ -68,10 +69,8 @@ class SACfD(OffPolicyFromDemonstrations, SAC):
     :param ent_coef: Entropy regularization coefficient. (Equivalent to
         inverse of reward scale in the original SAC paper.)  Controlling exploration/exploitation trade-off.
         Set it to 'auto' to learn it automatically (and 'auto_0.1' for using 0.1 as initial value)
-    :param target_update_interval: update the target network every ``target_network_update_freq``
-        gradient steps.
-    :param target_entropy: target entropy when learning ``ent_coef`` (``ent_coef = 'auto'``);
-        'auto' is minus the number of action dimensions
+    :param target_update_interval: update the target network every so many gradient steps.
+    :param target_entropy: when learning ``ent_coef``; 'auto' is minus the number of action dimensions
     :param bc_weight: weight of the behaviour cloning term in the actor's loss
     :param bc_limit: imitated actions are clipped to [-bc_limit, bc_limit]: towards 1 the mean of a squashed
         Gaussian grows without end, and what has grown cannot be unlearned
@@ -89,11 +88,9 @@ class SACfD(OffPolicyFromDemonstrations, SAC):
     :param expert_episodes: number of successful episodes of the expert to begin with, unless ``expert_data``
         is given
     :param expert_noise: standard deviation of a normal error with which the expert's actions are carried out,
-        in the policy's units [-1, 1]: its episodes then show how to make good what an agent does inexactly,
-        see :class:`~sb3_extensions.demonstrations.noise.UnsteadyHand`
-    :param expert_data: episodes to begin with instead, with Minari's attributes
-        (see :class:`~sb3_extensions.demonstrations.collecting.EpisodeData`), in the environment's units; not
-        saved
+        in the policy's units [-1, 1], see :class:`~sb3_extensions.demonstrations.noise.UnsteadyHand`
+    :param expert_data: episodes to begin with instead, in the environment's units; not saved. See
+        :class:`~sb3_extensions.demonstrations.collecting.EpisodeData`
     :param expert_cache: folder in which the expert's episodes are kept for the next run with the same
         environment, noise and seed; None keeps none
     :param dagger: ask the environment's expert before every step of the training as well: it does not act,
@@ -102,15 +99,12 @@ class SACfD(OffPolicyFromDemonstrations, SAC):
     :param augmentation: random views of the images: None, a :class:`~sb3_extensions.common.augmentation.RAD`
         or :class:`~sb3_extensions.common.augmentation.DrQ`, or in YAML ``"drq"``, ``{"rad": {"size": 128}}``
     :param pretrain_steps: number of gradient steps before the first step in the environment
-    :param stats_window_size: Window size for the rollout logging, specifying the number of episodes to
-        average the reported success rate, mean episode length, and mean reward over
+    :param stats_window_size: number of episodes over which the rollout logging averages
     :param tensorboard_log: the log location for tensorboard (if None, no logging)
     :param policy_kwargs: additional arguments to be passed to the policy on creation
-    :param verbose: Verbosity level: 0 for no output, 1 for info messages (such as device or wrappers used),
-        2 for debug messages
+    :param verbose: Verbosity level: 0 for no output, 1 for info messages, 2 for debug messages
     :param seed: Seed for the pseudo random generators
-    :param device: Device (cpu, cuda, ...) on which the code should be run.
-        Setting it to auto, the code will be run on the GPU if possible.
+    :param device: Device (cpu, cuda, ...) on which the code should be run; auto takes a GPU if possible
     :param _init_setup_model: Whether or not to build the network at the creation of the instance
     :raises ValueError: if an argument is out of its range, if there is pretraining without demonstrations,
         if ``dagger`` has no weight or the environment no ``expert_action()`` for it, if
@@ -215,9 +209,7 @@ class SACfD(OffPolicyFromDemonstrations, SAC):
     def _check_arguments(self) -> None:
         self._check_demonstrations()
         check_not_negative(bc_weight=self.bc_weight, q_weight=self.q_weight)
-        for name in ("bc_limit", "exploration"):
-            if not 0 <= (value := getattr(self, name)) <= 1:
-                raise ValueError(f"{name} must be between 0 and 1, got {value}")
+        check_share(bc_limit=self.bc_limit, exploration=self.exploration)
         if self.self_imitation is not None and self.self_imitation <= 0:
             raise ValueError(f"self_imitation must be None or greater than 0, got {self.self_imitation}")
         if self.value_range is not None and not self.value_range[0] < self.value_range[1]:
@@ -398,14 +390,7 @@ class SACfD(OffPolicyFromDemonstrations, SAC):
     def _critic_loss(
         self, estimates: Any, targets: th.Tensor, weights: th.Tensor
     ) -> tuple[th.Tensor, th.Tensor]:
-        """
-        Loss of the critic.
-
-        :param estimates: what the critic says
-        :param targets: shape (batch, number of values or quantiles)
-        :param weights: of the transitions, shape (batch, 1)
-        :return: the loss; absolute errors without gradient, means over the critics, (batch, 1)
-        """
+        """Loss of the critic, and absolute errors without gradient, means over the heads, (batch, 1)."""
         td_errors = [q_values - targets for q_values in estimates]
         loss = 0.5 * th.stack([(weights * error.pow(2)).mean() for error in td_errors]).sum()
         return loss, th.stack(td_errors).detach().abs().mean(dim=0)
