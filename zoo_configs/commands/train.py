@@ -24,7 +24,7 @@ MAX_SEED = 2**31
 DESCRIPTION = """Train an agent. --baseline, --preset and --env name one cell of a benchmark; its
 hyperparameters are written to the run folder as one YAML. All flags of rl_zoo3.train are taken as well and
 win over the preset."""
-EPILOG = "bulletarm-zoo train --baseline equi_sacfd --env BulletArm/CloseLoopBlockPicking-v0 --preset cpu"
+EPILOG = "bulletarm-zoo train --baseline equi_sacfd --env BulletArm/CloseLoopBlockPicking-v0 --preset quick"
 
 
 def main(argv: Sequence[str]) -> None:
