@@ -13,6 +13,7 @@ FILE = re.compile(r"# (\w+\.py)\n")
 SHORTER = {
     "learn(2_000": "learn(2",
     "expert_episodes=100": "expert_episodes=2",
+    "pretrain_steps=500": "pretrain_steps=2",
     "save(": "save(FOLDER + ",
     '"picking.h5"': 'FOLDER + "picking.h5"',
 }
