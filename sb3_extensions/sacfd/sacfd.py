@@ -274,14 +274,15 @@ class SACfD(OffPolicyFromDemonstrations, SAC):
             # The critic is frozen: of its gradients only the one with respect to the actions is needed.
             # Its features of the same observations serve again
             with frozen(self.critic):
-                q_values_pi = self._values(self._estimates(self.critic, features.detach(), actions_pi))
+                estimates_pi = self._estimates(self.critic, features.detach(), actions_pi)
+            q_values_pi = self._values(estimates_pi)
             actor_loss = (ent_coef * log_prob - self.q_weight * q_values_pi).mean()
             logs["actor_loss"].append(actor_loss.detach())
             if self.bc_weight > 0:
                 # Mean over the transitions with an action to imitate; 0 if there are none in the batch
-                advantages = self._values(estimates) - q_values_pi
+                advantages = (self._means(estimates) - self._means(estimates_pi)).detach()
                 imitated, bc_weights = imitated_actions(
-                    replay_data, advantages.detach(), self.self_imitation, self.bc_limit
+                    replay_data, advantages, self.self_imitation, self.bc_limit
                 )
                 errors = (actions_pi - imitated).pow(2).mean(dim=1, keepdim=True)
                 bc_loss = (errors * bc_weights).sum() / bc_weights.sum().clamp(min=1)
@@ -394,6 +395,13 @@ class SACfD(OffPolicyFromDemonstrations, SAC):
         td_errors = [q_values - targets for q_values in estimates]
         loss = 0.5 * th.stack([(weights * error.pow(2)).mean() for error in td_errors]).sum()
         return loss, th.stack(td_errors).detach().abs().mean(dim=0)
+
+    def _means(self, estimates: Any) -> th.Tensor:
+        """
+        Values to compare actions by, of what the critic says, (batch, 1). Not the least of the heads, which
+        differ the more the farther an action is from the data.
+        """
+        return th.cat(estimates, dim=1).mean(dim=1, keepdim=True)
 
     def _values(self, estimates: Any) -> th.Tensor:
         """Values that the actor maximises, of what the critic says, (batch, 1)."""

@@ -83,6 +83,9 @@ class TQCfD(SACfD):
         td_errors = (estimates.detach().mean(dim=2) - targets.mean(dim=1, keepdim=True)).abs()
         return (weights * losses[:, None]).mean(), td_errors.mean(dim=1, keepdim=True)
 
+    def _means(self, estimates: Any) -> th.Tensor:
+        return self._values(estimates)
+
     def _values(self, estimates: Any) -> th.Tensor:
         # Mean over the quantiles of all critics
         values: th.Tensor = estimates.mean(dim=2).mean(dim=1, keepdim=True)
