@@ -40,7 +40,7 @@ TINY_SACFD = ["-params", "expert_episodes:2", "pretrain_steps:2", "batch_size:4"
 def trained(toy_id: str, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Log folder with one run of Equivariant SACfD."""
     folder = tmp_path_factory.mktemp("logs")
-    arguments = ["train", "--baseline", "equi_sacfd", "--preset", "cpu", "--env", toy_id, "-f", str(folder)]
+    arguments = ["train", "--baseline", "equi_sacfd", "--preset", "quick", "--env", toy_id, "-f", str(folder)]
     assert main([*arguments, *TINY, *TINY_SACFD]) == 0
     return folder
 
@@ -82,7 +82,7 @@ def test_demonstrations_are_collected_once_for_all_runs(trained: Path, toy_id: s
     shutil.copytree(trained / "demonstrations", tmp_path / "demonstrations")
     [kept] = (tmp_path / "demonstrations").iterdir()
     before = kept.stat().st_mtime_ns
-    arguments = ["train", "--baseline", "sacfd", "--preset", "cpu", "--env", toy_id, "-f", str(tmp_path)]
+    arguments = ["train", "--baseline", "sacfd", "--preset", "quick", "--env", toy_id, "-f", str(tmp_path)]
     assert main([*arguments, *TINY, *TINY_SACFD]) == 0
     assert list((tmp_path / "demonstrations").iterdir()) == [kept]
     assert kept.stat().st_mtime_ns == before
