@@ -37,10 +37,9 @@ class SACfD(OffPolicyFromDemonstrations, SAC):
     Soft actor-critic from demonstrations (SACfD).
 
     SAC whose replay buffer begins with the episodes of an expert, and whose actor imitates the expert: its
-    loss has the additional term ``bc_weight * MSE(sampled action, expert action)``, the mean over the
-    imitated transitions of the batch and all action dimensions, in the policy's units [-1, 1]. With
-    ``bc_weight=0``, ``expert_episodes=0``, ``exploration=0`` and ``backup_entropy=True`` it is SAC, with an
-    ``augmentation`` it is RAD or DrQ SACfD.
+    loss has the term ``bc_weight * MSE(sampled action, expert action)``, the weighted mean over the imitated
+    transitions, in the policy's units [-1, 1]. With ``bc_weight=0``, ``expert_episodes=0``, ``exploration=0``
+    and ``backup_entropy=True`` it is SAC, with an ``augmentation`` it is RAD or DrQ SACfD.
 
     The demonstrations are collected at the beginning of the first ``learn()``, in an environment of their own
     made from the spec of the training environment; these steps do not count as timesteps.
@@ -57,8 +56,7 @@ class SACfD(OffPolicyFromDemonstrations, SAC):
     :param batch_size: Minibatch size for each gradient update
     :param tau: the soft update coefficient ("Polyak update", between 0 and 1)
     :param gamma: the discount factor
-    :param train_freq: Update the model every ``train_freq`` steps. Alternatively pass a tuple of frequency
-        and unit like ``(5, "step")`` or ``(2, "episode")``.
+    :param train_freq: Update the model every so many steps, or ``(2, "episode")``
     :param gradient_steps: How many gradient steps to do after each rollout (see ``train_freq``); ``-1`` means
         as many as steps done in the environment during the rollout
     :param action_noise: the action noise type (None by default), see SB3's common.noise
@@ -66,9 +64,8 @@ class SACfD(OffPolicyFromDemonstrations, SAC):
     :param replay_buffer_kwargs: Keyword arguments to pass to the replay buffer on creation; its ``n_steps``
         and ``gamma`` are the algorithm's, its ``image_dtype`` is what the features extractor rounds to
     :param n_steps: number of rewards that are summed up before the bootstrap
-    :param ent_coef: Entropy regularization coefficient. (Equivalent to
-        inverse of reward scale in the original SAC paper.)  Controlling exploration/exploitation trade-off.
-        Set it to 'auto' to learn it automatically (and 'auto_0.1' for using 0.1 as initial value)
+    :param ent_coef: Entropy regularization coefficient, controlling exploration/exploitation trade-off. Set it
+        to 'auto' to learn it automatically (and 'auto_0.1' for using 0.1 as initial value)
     :param target_update_interval: update the target network every so many gradient steps.
     :param target_entropy: when learning ``ent_coef``; 'auto' is minus the number of action dimensions
     :param bc_weight: weight of the behaviour cloning term in the actor's loss
@@ -83,25 +80,23 @@ class SACfD(OffPolicyFromDemonstrations, SAC):
     :param backup_entropy: whether the entropy of the next action is part of the critic's target
     :param value_range: least and greatest discounted return that there can be, to which the target critic's
         values are clipped; None clips nothing
-    :param exploration: probability with which one number of an action, any of them, is drawn at random from
-        its whole range: where an agent always does the same, its critic learns of nothing else
+    :param exploration: probability with which one number of an action is drawn from its whole range: where an
+        agent always does the same, its critic learns of nothing else
     :param expert_episodes: number of successful episodes of the expert to begin with, unless ``expert_data``
         is given
     :param expert_noise: standard deviation of a normal error with which the expert's actions are carried out,
         in the policy's units [-1, 1], see :class:`~sb3_extensions.demonstrations.noise.UnsteadyHand`
     :param expert_data: episodes to begin with instead, in the environment's units; not saved. See
         :class:`~sb3_extensions.demonstrations.collecting.EpisodeData`
-    :param expert_cache: folder in which the expert's episodes are kept for the next run with the same
-        environment, noise and seed; None keeps none
-    :param dagger: ask the environment's expert before every step of the training as well: it does not act,
-        but what it would have done is imitated in the agent's own states too; not part of the paper.
-        DAgger: https://arxiv.org/abs/1011.0686
-    :param augmentation: random views of the images: None, a :class:`~sb3_extensions.common.augmentation.RAD`
-        or :class:`~sb3_extensions.common.augmentation.DrQ`, or in YAML ``"drq"``, ``{"rad": {"size": 128}}``
+    :param expert_cache: folder that keeps the expert's episodes for the next run, None keeps none
+    :param dagger: ask the environment's expert before every step as well: it does not act, but is imitated in
+        the agent's own states too; not part of the paper. DAgger: https://arxiv.org/abs/1011.0686
+    :param augmentation: random views of the images: None, :class:`~sb3_extensions.common.augmentation.RAD` or
+        :class:`~sb3_extensions.common.augmentation.DrQ`, or in YAML ``"drq"``, ``{"rad": {"size": 128}}``
     :param pretrain_steps: number of gradient steps before the first step in the environment
     :param stats_window_size: number of episodes over which the rollout logging averages
     :param tensorboard_log: the log location for tensorboard (if None, no logging)
-    :param policy_kwargs: additional arguments to be passed to the policy on creation
+    :param policy_kwargs: arguments of the policy
     :param verbose: Verbosity level: 0 for no output, 1 for info messages, 2 for debug messages
     :param seed: Seed for the pseudo random generators
     :param device: Device (cpu, cuda, ...) on which the code should be run; auto takes a GPU if possible
@@ -397,10 +392,7 @@ class SACfD(OffPolicyFromDemonstrations, SAC):
         return loss, th.stack(td_errors).detach().abs().mean(dim=0)
 
     def _means(self, estimates: Any) -> th.Tensor:
-        """
-        Values to compare actions by, of what the critic says, (batch, 1). Not the least of the heads, which
-        differ the more the farther an action is from the data.
-        """
+        """Values to compare actions by, (batch, 1): heads differ the more the farther from the data."""
         return th.cat(estimates, dim=1).mean(dim=1, keepdim=True)
 
     def _values(self, estimates: Any) -> th.Tensor:
