@@ -64,8 +64,8 @@ class SACfD(OffPolicyFromDemonstrations, SAC):
     :param replay_buffer_kwargs: Keyword arguments to pass to the replay buffer on creation; its ``n_steps``
         and ``gamma`` are the algorithm's, its ``image_dtype`` is what the features extractor rounds to
     :param n_steps: number of rewards that are summed up before the bootstrap
-    :param ent_coef: Entropy regularization coefficient, controlling exploration/exploitation trade-off. Set it
-        to 'auto' to learn it automatically (and 'auto_0.1' for using 0.1 as initial value)
+    :param ent_coef: Entropy regularization coefficient, controlling exploration/exploitation trade-off;
+        'auto' learns it ('auto_0.1' from an initial value of 0.1)
     :param target_update_interval: update the target network every so many gradient steps.
     :param target_entropy: when learning ``ent_coef``; 'auto' is minus the number of action dimensions
     :param bc_weight: weight of the behaviour cloning term in the actor's loss
@@ -78,8 +78,7 @@ class SACfD(OffPolicyFromDemonstrations, SAC):
         Self-imitation: https://arxiv.org/abs/1806.05635, the weight: https://arxiv.org/abs/2006.15134
     :param q_weight: weight of the critic's values in the actor's loss
     :param backup_entropy: whether the entropy of the next action is part of the critic's target
-    :param value_range: least and greatest discounted return that there can be, to which the target critic's
-        values are clipped; None clips nothing
+    :param value_range: least and greatest possible return: the target critic's values are clipped to it
     :param exploration: probability with which one number of an action is drawn from its whole range: where an
         agent always does the same, its critic learns of nothing else
     :param expert_episodes: number of successful episodes of the expert to begin with, unless ``expert_data``
