@@ -30,13 +30,12 @@ class TrainingLog(BaseCallback):
         self.path, self.freq = path, freq
         self._rows: list[dict[str, float]] = []
         self._values: defaultdict[str, list[float]] = defaultdict(list)
-        self._last = 0
+        self._last: int | None = None
 
     def _init_callback(self) -> None:
-        self._last = training_time(self)
         if self.path.is_file():
             known = read_training_log(self.path)
-            rows = known[known[TIMESTEPS] <= self._last].to_dict("records")
+            rows = known[known[TIMESTEPS] <= training_time(self)].to_dict("records")
             self._rows = [{str(name): value for name, value in row.items()} for row in rows]
 
     def _on_rollout_start(self) -> None:
@@ -44,7 +43,10 @@ class TrainingLog(BaseCallback):
         for name, value in self.logger.name_to_value.items():
             if name.startswith(PREFIX):
                 self._values[name.removeprefix(PREFIX)].append(float(value))
-        if training_time(self) - self._last >= self.freq:
+        now = training_time(self)
+        if self._last is None:  # only here are the demonstrations there, whose pretraining counts below 0
+            self._last = now
+        if now // self.freq > self._last // self.freq:
             self._write()
 
     def _on_step(self) -> bool:
@@ -56,9 +58,9 @@ class TrainingLog(BaseCallback):
     def _write(self) -> None:
         if not self._values:
             return
-        self._last = training_time(self)
+        now = self._last = training_time(self)
         means = {name: sum(values) / len(values) for name, values in self._values.items()}
-        self._rows.append({TIMESTEPS: self._last, **means})
+        self._rows.append({TIMESTEPS: now, **means})
         self._values.clear()
         with whole_file(self.path) as partial:
             pd.DataFrame(self._rows).to_csv(partial, index=False)

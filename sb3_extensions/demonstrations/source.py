@@ -84,8 +84,8 @@ class DemonstrationSource:
         if not self.episodes:
             return
         with contextlib.closing(make_expert_env(vec_env)) as env:
-            environment = _describe(env)
-            if self.cache is None or seed is None or environment is None:
+            environment = None if self.cache is None or seed is None else _describe(env)
+            if self.cache is None or environment is None:
                 yield from self._collect(env, seed)
                 return
             key = {"environment": environment, "noise": self.noise, "seed": seed}

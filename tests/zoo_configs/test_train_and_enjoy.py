@@ -73,9 +73,11 @@ def test_evaluations_report_success(run_folder: Path) -> None:
 
 def test_updates_are_logged(run_folder: Path) -> None:
     log = read_training_log(run_folder / "training.csv")
-    assert log["timesteps"].tolist() == [6, 12]
-    for name in ("value_expert", "value_own", "entropy_expert", "entropy_own", "critic_loss", "bc_loss"):
+    assert log["timesteps"].tolist() == [0, 6, 12]  # the first is of the pretraining
+    for name in ("value_expert", "entropy_expert", "critic_loss", "bc_loss"):
         assert np.isfinite(log[name]).all()
+    for name in ("value_own", "entropy_own"):
+        assert np.isfinite(log[name]).tolist() == [False, True, True]
 
 
 def test_demonstrations_are_collected_once_for_all_runs(trained: Path, toy_id: str, tmp_path: Path) -> None:
