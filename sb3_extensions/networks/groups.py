@@ -77,6 +77,20 @@ class Group:
         """One number for each element, permuted by the group."""
         return Representation(self, "regular")
 
+    def quotient(self, m: int) -> Representation:
+        """One number for each coset of the subgroup C_m of rotations, permuted by the group.
+
+        Number ``i < n / m`` is the coset of the rotation by ``2 pi i / n``; those of a dihedral group's
+        elements with the reflection follow in the same order. Of C_32 with ``m = 2``, number ``i`` means a
+        gripper's yaw of ``i pi / 16`` modulo pi. With ``m = 1`` it acts as the regular representation.
+
+        :param m: order of the subgroup, a divisor of n
+        :raises ValueError: if m does not divide n
+        """
+        if m < 1 or self.n % m:
+            raise ValueError(f"m, the order of the subgroup, must divide n = {self.n}, got {m}")
+        return Representation(self, "quotient", subgroup=m)
+
     def irrep(self, frequency: int) -> Representation:
         """Two numbers turned by ``frequency`` times the angle; frequency 1 is a vector (x, y).
 
@@ -92,23 +106,26 @@ class Representation:
     """An orthogonal representation of a group.
 
     :param group: the group
-    :param kind: ``"trivial"``, ``"sign"``, ``"regular"`` or ``"irrep"``
+    :param kind: ``"trivial"``, ``"sign"``, ``"regular"``, ``"quotient"`` or ``"irrep"``
     :param frequency: of an irrep
+    :param subgroup: of a quotient, order of the subgroup of rotations
     """
 
     group: Group
     kind: str
     frequency: int = 0
+    subgroup: int = 1
 
     @property
     def size(self) -> int:
         """Numbers in one field."""
-        return {"trivial": 1, "sign": 1, "irrep": 2, "regular": self.group.order}[self.kind]
+        cosets = self.group.order // self.subgroup
+        return {"trivial": 1, "sign": 1, "irrep": 2, "regular": cosets, "quotient": cosets}[self.kind]
 
     @property
     def is_permutation(self) -> bool:
         """Whether a nonlinearity may act on each number alone."""
-        return self.kind in ("regular", "trivial")
+        return self.kind in ("regular", "quotient", "trivial")
 
     @cached_property
     def matrices(self) -> Matrices:
@@ -116,15 +133,21 @@ class Representation:
         return np.stack([self._matrix(element) for element in range(self.group.order)])
 
     def _matrix(self, element: int) -> Matrices:
-        if self.kind == "regular":
-            image = [self.group.product(element, other) for other in range(self.group.order)]
-            return np.eye(self.group.order)[:, image]
+        if self.kind in ("regular", "quotient"):
+            return np.eye(self.size)[:, self._images(element)]
         mirror = -1.0 if self.group.reflects(element) else 1.0
         if self.kind == "irrep":
             angle = self.frequency * self.group.angle(element)
             cos, sin = np.cos(angle), np.sin(angle)
             return np.array([[cos, -sin * mirror], [sin, cos * mirror]])
         return np.array([[mirror if self.kind == "sign" else 1.0]])
+
+    def _images(self, element: int) -> list[int]:
+        """The coset to which an element takes each; those of a regular representation are single elements."""
+        group, turns = self.group, self.group.n // self.subgroup
+        first = [start + turn for start in range(0, group.order, group.n) for turn in range(turns)]
+        images = [group.product(element, other) for other in first]
+        return [image % group.n % turns + turns * group.reflects(image) for image in images]
 
 
 @dataclass(frozen=True)

@@ -9,8 +9,9 @@ import torch as th
 from stable_baselines3.common.utils import polyak_update
 from torch import nn
 
-from sb3_extensions.networks.encoders import CnnEncoder, EquivariantEncoder, count_halvings, plan_stages
+from sb3_extensions.networks.encoders import EquivariantEncoder, count_halvings
 from sb3_extensions.networks.equivariant import (
+    DynamicEquivariantConv2d,
     EquivariantConv2d,
     EquivariantLinear,
     GroupMaxPool,
@@ -20,6 +21,8 @@ from sb3_extensions.networks.equivariant import (
 from sb3_extensions.networks.groups import FieldType, Group
 
 GROUPS = [Group("cyclic", n) for n in (1, 2, 4, 8)] + [Group("dihedral", n) for n in (1, 2, 4, 8)]
+# Of quotient fields: group, order of the subgroup, side of the filter.
+QUOTIENTS = [("cyclic", 8, 2, 3), ("cyclic", 32, 2, 1), ("dihedral", 4, 2, 3)]
 EXACT = 1e-5
 
 
@@ -81,6 +84,86 @@ def test_linear_commutes_with_every_element(group):
     for element in range(group.order):
         error = relative_error(layer(act(features, fields, element)), act(layer(features), fields, element))
         assert error < EXACT
+
+
+@pytest.mark.parametrize("family, n, m, kernel_size", [*QUOTIENTS, ("cyclic", 8, 2, 5)])
+def test_quotient_fields_permute(family, n, m, kernel_size):
+    group = Group(family, n)
+    quotient = FieldType.of((group.quotient(m), 2))
+    layer = EquivariantConv2d(FieldType.of((group.regular, 3)), quotient, kernel_size)
+    assert layer.bias.numel() == 2
+    nn.init.normal_(layer.bias)
+    image = th.randn(2, layer.in_type.size, *(2 * [1 if kernel_size == 1 else 7]))
+    out = layer(image)
+    assert out.std() > 0.5
+    for element in range(group.order) if kernel_size == 1 else grid_elements(group):
+        turned = layer(act(image, layer.in_type, element))
+        assert relative_error(turned, act(out, quotient, element)) < EXACT
+
+
+def dynamic_layer(family, n, kernel_size, mixed):
+    """A layer with images and coefficients for it; images of one pixel turn by every angle."""
+    group = Group(family, n)
+    fields = FieldType.of((group.regular, 2), *[(group.irrep(1), 1), (group.quotient(2), 1)] * mixed)
+    layer = DynamicEquivariantConv2d(fields, fields, kernel_size, padding=kernel_size // 2)
+    image = th.randn(3, fields.size, *(2 * [1 if kernel_size == 1 else 5]))
+    return layer, image, th.randn(3, layer.num_coefficients)
+
+
+DYNAMIC = [("dihedral", 4, 3), ("dihedral", 4, 5), ("cyclic", 4, 3), ("cyclic", 32, 1)]
+
+
+@pytest.mark.parametrize("family, n, kernel_size", DYNAMIC)
+@pytest.mark.parametrize("mixed", [False, True])
+def test_dynamic_convolution_commutes_with_the_group(family, n, kernel_size, mixed):
+    layer, image, coefficients = dynamic_layer(family, n, kernel_size, mixed)
+    group = layer.in_type.group
+    out = layer(image, coefficients)
+    assert out.shape == image.shape and out.std() > 0.5
+    for element in range(group.order) if kernel_size == 1 else grid_elements(group):
+        turned = layer(act(image, layer.in_type, element), coefficients)
+        assert relative_error(turned, act(out, layer.out_type, element)) < EXACT
+
+
+@pytest.mark.parametrize("family, n, kernel_size", DYNAMIC)
+def test_dynamic_convolution_does_for_each_sample_what_a_layer_of_its_own_does(family, n, kernel_size):
+    """Coefficients are the layer's weights in units of the standard deviation that these have at first."""
+    layer, image, coefficients = dynamic_layer(family, n, kernel_size, mixed=True)
+    own = EquivariantConv2d(layer.in_type, layer.out_type, kernel_size, padding=layer.padding)
+    out = layer(image, coefficients)
+    for sample in range(len(image)):
+        sizes = [*(weight.numel() for weight in own.weights.values()), own.bias.numel()]
+        *weights, bias = coefficients[sample].split(sizes)
+        with th.no_grad():
+            own.bias.copy_(bias)
+            for (key, weight), given in zip(own.weights.items(), weights, strict=True):
+                weight.copy_(given.view_as(weight) * own.space.std(key, math.sqrt(2)))
+        assert relative_error(own(image[[sample]]), out[[sample]]) < EXACT
+
+
+def test_gradients_reach_coefficients_and_features():
+    layer, image, coefficients = dynamic_layer("dihedral", 4, 3, mixed=True)
+    layer(image.requires_grad_(), coefficients.requires_grad_()).square().sum().backward()
+    for given in (image, coefficients):
+        assert th.isfinite(given.grad).all() and (given.grad != 0).flatten(1).any(dim=1).all()
+    assert not list(layer.parameters()) and not layer.state_dict()
+
+
+@pytest.mark.parametrize("batch", [1, 3])
+def test_dynamic_convolution_takes_channels_last_and_bfloat16(batch):
+    layer, image, coefficients = dynamic_layer("cyclic", 4, 3, mixed=False)
+    image, coefficients = image[:batch], coefficients[:batch]
+    expected = layer(image, coefficients)
+    assert relative_error(layer(image.to(memory_format=th.channels_last), coefficients), expected) < EXACT
+    with th.autocast("cpu", dtype=th.bfloat16):
+        assert relative_error(layer(image, coefficients.bfloat16()).float(), expected) < 0.05
+
+
+def test_dynamic_convolution_refuses_other_coefficients():
+    layer, image, coefficients = dynamic_layer("cyclic", 4, 3, mixed=False)
+    for wrong in (coefficients[:, 1:], coefficients[0], coefficients[:2]):
+        with pytest.raises(ValueError, match=f"coefficients .* {layer.num_coefficients}"):
+            layer(image, wrong)
 
 
 @pytest.mark.parametrize("n", [8, 6])
@@ -155,13 +238,6 @@ def test_first_weights_keep_the_scale_of_a_signal(group):
     assert 0.5 < noise.square().mean() < 2
 
 
-def test_first_features_of_a_deep_encoder_neither_vanish_nor_explode():
-    encoder = EquivariantEncoder(2, 128, Group("cyclic", 8))
-    with th.no_grad():
-        features = encoder(0.5 + 0.2 * th.rand(2, 2, 128, 128))
-    assert 0.05 < features.square().mean().sqrt() < 5
-
-
 def test_gradients_reach_every_parameter():
     group = Group("dihedral", 4)
     layer = EquivariantConv2d(mixed_type(group), mixed_type(group), 3)
@@ -208,50 +284,6 @@ def test_encoder_commutes_with_the_group(group, size, strided, channels_last):
     for element in grid_elements(group):
         turned = encoder(turn_image(image, group, element))
         assert relative_error(turned, act(features, encoder.out_type, element)) < EXACT
-
-
-@pytest.mark.parametrize(
-    "size, count, sides",
-    [(128, 7, [64, 32, 16, 8, 8, 3, 1]), (64, 5, [32, 16, 8, 3, 1]), (96, 6, [48, 24, 12, 6, 3, 1])],
-)
-def test_stages_reduce_the_image_to_one_pixel(size, count, sides):
-    encoder = CnnEncoder(2, size, (4,) * count)
-    image, found = th.zeros(1, 2, size, size), []
-    for layer in encoder.layers:
-        image = layer(image)
-        found += [image.shape[-1]] if isinstance(layer, nn.ReLU) else []
-    assert found == sides
-
-
-def test_default_channels_are_the_papers():
-    """128 pixels: 16 to 256 channels, 8 to 128 regular fields; a smaller image drops the widest halvings."""
-    cnn = [layer.out_channels for layer in CnnEncoder(2, 128).layers if isinstance(layer, nn.Conv2d)]
-    assert cnn == [16, 32, 64, 128, 256, 256, 128]
-    group = Group("cyclic", 8)
-    for size, expected in ((128, [8, 16, 32, 64, 128, 64, 64]), (64, [8, 16, 32, 128, 64, 64])):
-        layers = EquivariantEncoder(2, size, group).layers
-        assert [x.out_type.size // 8 for x in layers if isinstance(x, EquivariantConv2d)] == expected
-
-
-@pytest.mark.parametrize(
-    "size, count, strided, named",
-    [
-        (100, 7, 0, "size"),
-        (7, 3, 0, "size"),
-        (4, 3, 0, "size"),
-        (128, 5, 0, "channels"),
-        (64, 5, 4, "strided"),
-        (64, 5, -1, "strided"),
-    ],
-)
-def test_plan_refuses_what_it_cannot_reduce(size, count, strided, named):
-    with pytest.raises(ValueError, match=named):
-        plan_stages(size, count, strided)
-
-
-def test_encoder_refuses_an_unknown_precision():
-    with pytest.raises(ValueError, match="autocast"):
-        encoder_of(Group("cyclic", 4), autocast="fp8")
 
 
 @pytest.mark.filterwarnings("ignore:autocast")

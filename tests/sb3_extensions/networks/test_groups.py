@@ -9,7 +9,8 @@ GROUPS = [Group("cyclic", n) for n in (1, 2, 4, 8)] + [Group("dihedral", n) for 
 
 
 def representations(group):
-    return [group.trivial, group.sign, group.regular, group.irrep(1), group.irrep(2)]
+    quotients = [group.quotient(m) for m in range(1, group.n + 1) if group.n % m == 0]
+    return [group.trivial, group.sign, group.regular, group.irrep(1), group.irrep(2), *quotients]
 
 
 @pytest.mark.parametrize("group", GROUPS, ids=str)
@@ -40,6 +41,35 @@ def test_rot90_of_an_image_turns_its_points_as_vectors():
     point = np.argwhere(image)[0] - centre
     turned = np.argwhere(np.rot90(image, k=1))[0] - centre
     np.testing.assert_allclose(turned, turn @ point, atol=1e-12)
+
+
+def test_quotient_is_a_yaw_modulo_pi():
+    group = Group("cyclic", 32)
+    rep = group.quotient(2)
+    assert (rep.size, rep.kind, rep.is_permutation) == (16, "quotient", True)
+    yaws = np.arange(16) * np.pi / 16
+    for element in range(group.order):
+        turned = (yaws + group.angle(element)) % np.pi
+        images = rep.matrices[element].argmax(axis=0)
+        np.testing.assert_allclose(np.exp(2j * yaws[images]), np.exp(2j * turned), atol=1e-12)
+
+
+@pytest.mark.parametrize("group", GROUPS, ids=str)
+def test_quotient_by_one_rotation_acts_as_the_regular_representation(group):
+    np.testing.assert_array_equal(group.quotient(1).matrices, group.regular.matrices)
+
+
+def test_cosets_with_the_reflection_stand_behind():
+    rep = Group("dihedral", 4).quotient(2)
+    assert rep.size == 4
+    turn, reflection = (rep.matrices[element].argmax(axis=0).tolist() for element in (1, 4))
+    assert turn == [1, 0, 3, 2] and reflection == [2, 3, 0, 1]
+
+
+@pytest.mark.parametrize("m", [0, -2, 3, 16])
+def test_quotient_refuses_what_is_no_subgroup(m):
+    with pytest.raises(ValueError, match=f"m, the order of the subgroup, must divide n = 8, got {m}"):
+        Group("dihedral", 8).quotient(m)
 
 
 def test_sign_of_a_cyclic_group_is_trivial():
