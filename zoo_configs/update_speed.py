@@ -14,7 +14,7 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from torch import nn
 from torch.profiler import profile
 
-from sb3_extensions.networks.encoders import Encoder
+from sb3_extensions.networks.encoders import Encoder, precision
 from sb3_extensions.networks.equivariant import EquivariantConv2d
 from zoo_configs.algorithms import register_algorithms
 from zoo_configs.manager import import_classes
@@ -154,7 +154,7 @@ def _pass(
     features = th.randn(size, device=device).to(memory_format=encoder.memory_format).requires_grad_()
 
     def run() -> None:
-        with encoder.precision(device.type):
+        with precision(encoder.autocast, device.type):
             outputs = module(features)
         outputs.float().sum().backward()
         if device.type == "cuda":

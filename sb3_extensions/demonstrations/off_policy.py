@@ -80,9 +80,9 @@ class OffPolicyFromDemonstrations(OffPolicyAlgorithm):
             if name in self.replay_buffer_kwargs:
                 raise ValueError(f"{name} is an argument of the algorithm, not one of replay_buffer_kwargs")
 
-    def _demonstrations(self) -> DemonstrationSource:
+    def _demonstrations(self, **kwargs: Any) -> DemonstrationSource:
         return DemonstrationSource(
-            self.expert_episodes, self.expert_noise, self.expert_data, self.expert_cache
+            self.expert_episodes, self.expert_noise, self.expert_data, self.expert_cache, **kwargs
         )
 
     def _setup_model(self) -> None:

@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 from stable_baselines3.common.vec_env import VecEnv
 
+from sb3_extensions.common.codec import SpatialActionCodec
 from sb3_extensions.demonstrations.cache import EpisodeCache
 from sb3_extensions.demonstrations.collecting import (
     AnyEnv,
@@ -23,6 +24,7 @@ from sb3_extensions.demonstrations.collecting import (
     make_expert_env,
 )
 from sb3_extensions.demonstrations.noise import UnsteadyHand
+from sb3_extensions.demonstrations.snapping import SnappingHand
 from sb3_extensions.replay.expert import ExpertReplayBuffer
 
 Rescale = Callable[[npt.NDArray[Any]], npt.NDArray[Any]]
@@ -38,6 +40,8 @@ class DemonstrationSource:
     :param data: episodes to take instead, with Minari's attributes
         (see :class:`~sb3_extensions.demonstrations.collecting.EpisodeData`), in the environment's units
     :param cache: folder in which the expert's episodes are kept for the next run; None keeps none
+    :param snap: grid that the expert's actions are carried out on, see
+        :class:`~sb3_extensions.demonstrations.snapping.SnappingHand`; None carries them out as they are
     :raises ValueError: if ``episodes`` or ``noise`` is negative
     """
 
@@ -47,6 +51,7 @@ class DemonstrationSource:
         noise: float = 0.0,
         data: Iterable[EpisodeData] | None = None,
         cache: str | os.PathLike[str] | None = None,
+        snap: SpatialActionCodec | None = None,
     ) -> None:
         for name, value in {"expert_episodes": episodes, "expert_noise": noise}.items():
             if value < 0:
@@ -54,6 +59,7 @@ class DemonstrationSource:
         self.episodes = episodes
         self.noise = noise
         self.data = data
+        self.snap = snap
         self.cache = None if cache is None else EpisodeCache(cache)
 
     @property
@@ -89,6 +95,7 @@ class DemonstrationSource:
                 yield from self._collect(env, seed)
                 return
             key = {"environment": environment, "noise": self.noise, "seed": seed}
+            key |= {} if self.snap is None else {"grid": self.snap.describe()}
             episodes = self.cache.load(key, self.episodes)
             if episodes is None:
                 episodes = list(self._collect(env, seed))
@@ -97,6 +104,8 @@ class DemonstrationSource:
 
     def _collect(self, env: AnyEnv, seed: int | None) -> Iterator[Any]:
         hand: Hand | None = UnsteadyHand(env.action_space, self.noise) if self.noise else None
+        if self.snap is not None:
+            hand = SnappingHand(env.action_space, self.snap, hand)
         return collect_episodes(env, self.episodes, seed, hand=hand)
 
 

@@ -107,6 +107,29 @@ def has_bf16(device_type: str) -> bool:
     return bool(available)
 
 
+def check_autocast(autocast: str | None) -> None:
+    """
+    Check an argument.
+
+    :param autocast: ``"bf16"`` or None
+    :raises ValueError: if it is something else
+    """
+    if autocast not in AUTOCAST_OPTIONS:
+        raise ValueError(f"autocast must be one of {AUTOCAST_OPTIONS}, got {autocast!r}")
+
+
+def precision(autocast: str | None, device_type: str) -> AbstractContextManager[object]:
+    """
+    Context in which layers run.
+
+    :param autocast: ``"bf16"`` computes in bfloat16 where the device can; ``None`` in float32
+    :param device_type: as in ``torch.device.type``
+    """
+    if autocast is None or not has_bf16(device_type):
+        return nullcontext()
+    return th.autocast(device_type, dtype=th.bfloat16)
+
+
 class HalvingMaxPool(nn.Module):
     """Max-pooling of 2 x 2 pixels: (batch, channels, size, size), its size even, to half the size.
 
@@ -141,8 +164,7 @@ class Encoder(nn.Module):
         autocast: str | None,
     ) -> None:
         super().__init__()
-        if autocast not in AUTOCAST_OPTIONS:
-            raise ValueError(f"autocast must be one of {AUTOCAST_OPTIONS}, got {autocast!r}")
+        check_autocast(autocast)
         self.autocast = autocast
         self.memory_format = th.channels_last if channels_last else th.contiguous_format
         modules: list[nn.Module] = []
@@ -155,15 +177,9 @@ class Encoder(nn.Module):
     def forward(self, image: th.Tensor) -> th.Tensor:
         """:return: float32 features, (batch, features)"""
         image = image.contiguous(memory_format=self.memory_format)
-        with self.precision(image.device.type):
+        with precision(self.autocast, image.device.type):
             features: th.Tensor = self.layers(image)
         return features.flatten(1).float()
-
-    def precision(self, device_type: str) -> AbstractContextManager[object]:
-        """Context in which the layers run."""
-        if self.autocast is None or not has_bf16(device_type):
-            return nullcontext()
-        return th.autocast(device_type, dtype=th.bfloat16)
 
 
 class CnnEncoder(Encoder):

@@ -169,14 +169,15 @@ def equivariant_mlp(
     return nn.Sequential(*layers)
 
 
-def scale_down(layer: nn.Linear) -> None:
+def scale_down(layer: nn.Linear | nn.Conv2d) -> None:
     """
     Begin an output layer near zero: Xavier uniform weights times :data:`OUTPUT_GAIN`, no bias.
 
     :param layer: the last layer of a network
     """
     nn.init.xavier_uniform_(layer.weight, gain=OUTPUT_GAIN)
-    nn.init.zeros_(layer.bias)
+    if layer.bias is not None:
+        nn.init.zeros_(layer.bias)
 
 
 def regular_type(features_extractor: BaseFeaturesExtractor) -> FieldType:

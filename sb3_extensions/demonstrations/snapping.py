@@ -1,0 +1,50 @@
+"""An expert on a grid: what it shows are actions that a spatial Q network has a value for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import gymnasium as gym
+import numpy as np
+from gymnasium import spaces
+
+from sb3_extensions.common.codec import SpatialActionCodec
+from sb3_extensions.demonstrations.collecting import Actions, Hand
+
+
+@dataclass(frozen=True)
+class SnappingHand:
+    """
+    Carries out the nearest actions on a grid.
+
+    The expert sees what comes of them and goes on from there; only episodes that succeed so are kept.
+
+    :param action_space: of the environment
+    :param codec: the grid
+    :param hand: what happens to the actions before, None: nothing
+    :raises ValueError: if the space is no Box
+    """
+
+    action_space: gym.Space[Actions]
+    codec: SpatialActionCodec
+    hand: Hand | None = None
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.action_space, spaces.Box):
+            raise ValueError(f"a grid needs an action space with ranges, a Box, got {self.action_space}")
+
+    def __call__(self, action: Actions, rng: np.random.Generator) -> Actions:
+        """
+        Carry an action out.
+
+        :param action: what the expert wants, in the units of the environment
+        :param rng: source of randomness of the hand before
+        :return: what is done, of the space's type
+        """
+        space = self.action_space
+        assert isinstance(space, spaces.Box)
+        wanted = np.clip(action if self.hand is None else self.hand(action, rng), space.low, space.high)
+        share = (wanted - space.low) / (space.high - space.low)
+        snapped = self.codec.snap(2.0 * share[None] - 1.0)[0]
+        done: Actions = space.low + (snapped + 1.0) / 2.0 * (space.high - space.low)
+        return done.clip(space.low, space.high).astype(space.dtype)

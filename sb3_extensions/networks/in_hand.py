@@ -1,0 +1,93 @@
+"""Encoders of patches and in-hand images, some ten to forty pixels a side (the authors' code)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from torch import nn
+
+from sb3_extensions.networks.unets import initialise_xavier
+
+# Side of the map before the linear layers: 24 pixels become 6, 40 become 5.
+LAST_SIDE = 8
+
+
+class PatchMap(nn.Sequential):
+    """
+    Three 3 x 3 convolutions without padding, the image halved before the last: 24 pixels a side become 8.
+
+    :param in_channels: channels of the image
+    :param channels: of the three convolutions
+    """
+
+    def __init__(self, in_channels: int, channels: Sequence[int]) -> None:
+        first, second, third = channels
+        super().__init__(
+            nn.Conv2d(in_channels, first, 3),
+            nn.ReLU(inplace=True),
+            nn.Conv2d(first, second, 3),
+            nn.ReLU(inplace=True),
+            nn.MaxPool2d(2),
+            nn.Conv2d(second, third, 3),
+            nn.ReLU(inplace=True),
+        )
+        self.apply(initialise_xavier)
+
+    @staticmethod
+    def side(size: int) -> int:
+        """
+        Side of the map, pixels.
+
+        :param size: side of the image, pixels
+        :raises ValueError: if nothing is left of it
+        """
+        side = (size - 4) // 2 - 2
+        if side < 1:
+            raise ValueError(f"patches must be at least 10 pixels a side, got {size}")
+        return side
+
+
+class PatchVector(nn.Sequential):
+    """
+    Convolutions that keep the size, the image halved before the last of them until it is small, and linear
+    layers: (batch, channels, size, size) to (batch, hidden[-1]), behind a ReLU.
+
+    :param in_channels: channels of the image
+    :param size: side of the image, pixels
+    :param channels: of the convolutions
+    :param hidden: units of the linear layers, one or more
+    :param last_side: side of the last map, pixels; it may stay larger, as the first convolution is never
+        halved
+    """
+
+    def __init__(
+        self,
+        in_channels: int,
+        size: int,
+        channels: Sequence[int],
+        hidden: Sequence[int],
+        last_side: int = LAST_SIDE,
+    ) -> None:
+        layers: list[nn.Module] = []
+        sides = [size]
+        while sides[-1] > last_side and len(sides) < len(channels):
+            sides.append(sides[-1] // 2)
+        first_halved = len(channels) - len(sides) + 1
+        for index, (inputs, outputs) in enumerate(zip((in_channels, *channels), channels, strict=False)):
+            layers += [nn.MaxPool2d(2)] if index >= first_halved else []
+            layers += [nn.Conv2d(inputs, outputs, 3, padding=1), nn.ReLU(inplace=True)]
+        super().__init__(*layers, nn.Flatten(), *mlp(channels[-1] * sides[-1] ** 2, hidden))
+        self.apply(initialise_xavier)
+
+
+def mlp(features: int, hidden: Sequence[int]) -> list[nn.Module]:
+    """
+    Linear layers, each with a ReLU behind it.
+
+    :param features: numbers that come in
+    :param hidden: units of each layer
+    """
+    layers: list[nn.Module] = []
+    for inputs, outputs in zip((features, *hidden), hidden, strict=False):
+        layers += [nn.Linear(inputs, outputs), nn.ReLU(inplace=True)]
+    return layers

@@ -1,0 +1,218 @@
+"""Networks that value every pixel of a heightmap as the place of a pick or a place (paper, Open-Loop 3D
+Benchmark).
+
+Each gives, of a :class:`~sb3_extensions.networks.views.View`, the values of all pixels, of one yaw or of
+several, for what the gripper does next: (batch, yaws, size, size), and an encoding of the scene for the
+levels that follow.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch as th
+from torch import nn
+from torch.nn import functional as F
+
+from sb3_extensions.networks.equivariant import (
+    DynamicEquivariantConv2d,
+    EquivariantConv2d,
+    GroupMaxPool,
+)
+from sb3_extensions.networks.groups import FieldType, Group
+from sb3_extensions.networks.heads import OUTPUT_GAIN, scale_down
+from sb3_extensions.networks.in_hand import PatchMap, PatchVector
+from sb3_extensions.networks.patches import rotate_images
+from sb3_extensions.networks.unets import equivariant_unet, plain_unet, split_padding
+from sb3_extensions.networks.views import View
+
+PRIMITIVES = 2  # pick and place
+
+
+@dataclass(frozen=True)
+class Shapes:
+    """
+    Shapes of what a network sees.
+
+    :param size: side of the heightmap, pixels
+    :param in_hand: of the in-hand image, (channels, side, side), None where there is none
+    """
+
+    size: int
+    in_hand: tuple[int, int, int] | None
+
+    def encoding(self, channels: int, levels: int) -> tuple[int, int, int]:
+        """
+        Shape of the lowest features of a U-Net.
+
+        :param channels: their number
+        :param levels: of the U-Net
+        """
+        multiple = 2 ** (levels - 1)
+        side = (self.size + sum(split_padding(self.size, multiple))) // multiple
+        return channels, side, side
+
+
+class PixelMaps(nn.Module):
+    """
+    What they have in common.
+
+    :param rotations: number of yaws
+    :param encoding_shape: of the encoding, (channels, side, side)
+    """
+
+    def __init__(self, rotations: int, encoding_shape: tuple[int, int, int]) -> None:
+        super().__init__()
+        self.rotations, self.encoding_shape = rotations, encoding_shape
+
+    def forward(self, view: View) -> tuple[th.Tensor, th.Tensor]:
+        """
+        :param view: what is seen
+        :return: values (batch, yaws, size, size), encoding
+        """
+        raise NotImplementedError
+
+
+class PlainPixelMaps(PixelMaps):
+    """
+    A U-Net that sees the in-hand image beside its lowest features.
+
+    :param shapes: of the images
+    :param channels: of each level, see :func:`~sb3_extensions.networks.unets.plain_unet`
+    :param in_hand_channels: of the three convolutions on the in-hand image
+    :param rotations: number of yaws
+    """
+
+    def __init__(
+        self, shapes: Shapes, channels: Sequence[int], in_hand_channels: Sequence[int], rotations: int = 1
+    ) -> None:
+        super().__init__(rotations, shapes.encoding(channels[-1], len(channels)))
+        self.in_hand = None if shapes.in_hand is None else PatchMap(shapes.in_hand[0], in_hand_channels)
+        self.unet = plain_unet(1, channels, 0 if self.in_hand is None else in_hand_channels[-1])
+        self.head = nn.Conv2d(channels[0], PRIMITIVES * rotations, 1)
+        scale_down(self.head)
+
+    def forward(self, view: View) -> tuple[th.Tensor, th.Tensor]:
+        """:return: values (batch, yaws, size, size), encoding"""
+        in_hand = None if self.in_hand is None else self.in_hand(view.in_hand)
+        features, encoding = self.unet(view.image, in_hand)
+        values = self.head(features).unflatten(1, (PRIMITIVES, self.rotations))
+        return of_primitive(values, view.places), encoding
+
+
+class RotatedPixelMaps(PixelMaps):
+    """
+    One network on the heightmap turned back by each yaw, its maps turned forth again (Rot FCN,
+    https://arxiv.org/abs/1803.09956).
+
+    :param shapes: of the images
+    :param channels: see :class:`PlainPixelMaps`
+    :param in_hand_channels: see :class:`PlainPixelMaps`
+    :param rotations: number of yaws, over half a turn
+    """
+
+    def __init__(
+        self, shapes: Shapes, channels: Sequence[int], in_hand_channels: Sequence[int], rotations: int
+    ) -> None:
+        multiple = 2 ** (len(channels) - 1)
+        canvas = math.ceil(shapes.size * math.sqrt(2.0) / multiple) * multiple
+        network = PlainPixelMaps(Shapes(canvas, shapes.in_hand), channels, in_hand_channels)
+        super().__init__(rotations, network.encoding_shape)
+        self.network, self.canvas = network, canvas
+        angles = th.arange(rotations) * (math.pi / rotations)
+        self.register_buffer("angles", angles, persistent=False)
+        self.angles: th.Tensor
+
+    def forward(self, view: View) -> tuple[th.Tensor, th.Tensor]:
+        """:return: values (batch, yaws, size, size), encoding of the first yaw's image"""
+        batch, size = len(view.image), view.image.shape[-1]
+        samples = th.arange(batch, device=view.image.device).repeat_interleave(self.rotations)
+        angles = self.angles.repeat(batch)
+        turned = view.of(samples)._replace(image=rotate_images(view.image[samples], -angles, self.canvas))
+        maps, encoding = self.network(turned)
+        values = rotate_images(maps.float(), angles, size)
+        return values.view(batch, self.rotations, size, size), encoding[:: self.rotations]
+
+
+class EquivariantPixelMaps(PixelMaps):
+    """
+    An equivariant U-Net; where something is to be placed, an encoder of the in-hand image gives the
+    coefficients of one more filter.
+
+    With one yaw its maps turn with the heightmap. With several, of C_2n for n yaws, they turn and are
+    permuted: a gripper turned by half a turn is the same.
+
+    :param shapes: of the images
+    :param group: the symmetry
+    :param fields: regular fields of each level, see :func:`~sb3_extensions.networks.unets.equivariant_unet`
+    :param in_hand_channels: of the convolutions on the in-hand image
+    :param hidden: units of the linear layer behind them
+    :param rotations: number of yaws: 1, or half of the group's rotations
+    :raises ValueError: if the yaws do not fit the group
+    """
+
+    def __init__(
+        self,
+        shapes: Shapes,
+        group: Group,
+        fields: Sequence[int],
+        in_hand_channels: Sequence[int],
+        hidden: int,
+        rotations: int = 1,
+    ) -> None:
+        if rotations != 1 and (group.family, group.n) != ("cyclic", 2 * rotations):
+            raise ValueError(
+                f"{rotations} yaws need the cyclic group of {2 * rotations} rotations, got {group}"
+            )
+        super().__init__(rotations, shapes.encoding(fields[-1], len(fields)))
+        regular, lowest = (FieldType.of((group.regular, fields[level])) for level in (0, -1))
+        self.unet = equivariant_unet(1, group, fields)
+        self.pool = GroupMaxPool(lowest)
+        self.dynamic: DynamicEquivariantConv2d | None = None
+        if shapes.in_hand is not None:
+            self.dynamic = DynamicEquivariantConv2d(regular, regular, 3, padding=1)
+            encoder = PatchVector(shapes.in_hand[0], shapes.in_hand[1], in_hand_channels, [hidden])
+            self.coefficients = nn.Sequential(encoder, nn.Linear(hidden, self.dynamic.num_coefficients))
+        self.heads = nn.ModuleList(_head(regular, rotations) for _ in range(PRIMITIVES))
+
+    def forward(self, view: View) -> tuple[th.Tensor, th.Tensor]:
+        """:return: values (batch, yaws, size, size), encoding"""
+        features, lowest = self.unet(view.image)
+        values = features.new_zeros(len(features), self.rotations, *features.shape[2:], dtype=th.float32)
+        for head, samples in zip(self.heads, (~view.places, view.places), strict=True):
+            if not samples.any():
+                continue
+            chosen = features[samples]
+            if head is self.heads[1] and self.dynamic is not None:
+                assert view.in_hand is not None
+                chosen = F.relu(self.dynamic(chosen, self.coefficients(view.in_hand[samples])))
+            values[samples] = head(chosen).float()
+        return values, self.pool(lowest)
+
+
+def _head(regular: FieldType, rotations: int) -> nn.Sequential:
+    """From regular fields to the values of one yaw, or of all of them."""
+    group = regular.group
+    if rotations > 1:
+        yaws = FieldType.of((group.quotient(2), 1))
+        return nn.Sequential(EquivariantConv2d(regular, yaws, 1, gain=OUTPUT_GAIN))
+    hidden, value = (FieldType.of((group.trivial, count)) for count in (regular.fields[0][1], 1))
+    return nn.Sequential(
+        EquivariantConv2d(regular, hidden, 3, padding=1),
+        nn.ReLU(inplace=True),
+        EquivariantConv2d(hidden, value, 1, gain=OUTPUT_GAIN),
+    )
+
+
+def of_primitive(values: th.Tensor, places: th.Tensor) -> th.Tensor:
+    """
+    Values of what the gripper does next.
+
+    :param values: (batch, pick and place, ...)
+    :param places: bool (batch,)
+    :return: (batch, ...), float32
+    """
+    samples = th.arange(len(values), device=values.device)
+    return values[samples, places.long()].float()

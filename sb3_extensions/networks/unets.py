@@ -1,0 +1,204 @@
+"""U-Nets from an image to a feature map of the same size: the paper's plain one and its equivariant one.
+
+Both halve the image by max-pooling, once a level, and double it again by bilinear interpolation, beside the
+features of the same size on the way down. Every step keeps the image's centre: rotations by 90 degrees stay
+exact.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+
+import torch as th
+from torch import nn
+from torch.nn import functional as F
+
+from sb3_extensions.networks.encoders import HalvingMaxPool
+from sb3_extensions.networks.equivariant import EquivariantConv2d
+from sb3_extensions.networks.groups import FieldType, Group
+
+
+class UNet(nn.Module):
+    """
+    Blocks on the way down and on the way up: (batch, channels, size, size) to a map of the same size.
+
+    :param downs: from the image to the features of each level; each level's image has half the side of the
+        one before
+    :param ups: from the features of a level, beside the doubled ones of the level below, to those that go on;
+        one less than ``downs``, the lowest first
+    :param fuse: from the lowest features, beside those of a second image, to the lowest features
+    """
+
+    def __init__(
+        self, downs: Sequence[nn.Module], ups: Sequence[nn.Module], fuse: nn.Module | None = None
+    ) -> None:
+        super().__init__()
+        self.downs, self.ups = nn.ModuleList(downs), nn.ModuleList(ups)
+        self.pool = HalvingMaxPool()
+        self.fuse = fuse
+
+    @property
+    def multiple(self) -> int:
+        """What the sides of images are padded to a multiple of."""
+        return int(2 ** (len(self.downs) - 1))
+
+    def forward(self, image: th.Tensor, other: th.Tensor | None = None) -> tuple[th.Tensor, th.Tensor]:
+        """
+        :param image: (batch, channels, size, size)
+        :param other: features of a second image, (batch, channels, side, side), resized to the lowest level's
+        :return: map of the image's size, (batch, channels, size, size), and the lowest features
+        """
+        size = image.shape[-1]
+        before, after = split_padding(size, self.multiple)
+        features = F.pad(image, (before, after, before, after))
+        levels = []
+        for index, down in enumerate(self.downs):
+            features = down(self.pool(features) if index else features)
+            features = features.contiguous(memory_format=th.channels_last)
+            levels.append(features)
+        features = levels.pop()
+        if self.fuse is not None:
+            assert other is not None
+            features = self.fuse(th.cat([features, resize(other, features.shape[-1])], dim=1))
+        lowest = features
+        for up in self.ups:
+            doubled = F.interpolate(features, scale_factor=2.0, mode="bilinear", align_corners=False)
+            features = up(th.cat([levels.pop(), doubled], dim=1))
+        return features[..., before : before + size, before : before + size], lowest
+
+
+def split_padding(size: int, multiple: int) -> tuple[int, int]:
+    """
+    Pixels to add before and behind, so that a side becomes a multiple.
+
+    :param size: side, pixels
+    :param multiple: the multiple
+    """
+    missing = -size % multiple
+    return missing // 2, missing - missing // 2
+
+
+def resize(features: th.Tensor, side: int) -> th.Tensor:
+    """
+    Features of another side, interpolated bilinearly where it differs.
+
+    :param features: (batch, channels, side before, side before)
+    :param side: pixels
+    """
+    if features.shape[-1] == side:
+        return features
+    return F.interpolate(features, size=(side, side), mode="bilinear", align_corners=False)
+
+
+class ResidualBlock(nn.Module):
+    """Two 3 x 3 convolutions beside an identity, or a 1 x 1 convolution where the channels change; no biases.
+
+    :param in_channels: channels of the input
+    :param out_channels: channels of the output
+    """
+
+    def __init__(self, in_channels: int, out_channels: int) -> None:
+        super().__init__()
+        self.first = nn.Conv2d(in_channels, out_channels, 3, padding=1, bias=False)
+        self.second = nn.Conv2d(out_channels, out_channels, 3, padding=1, bias=False)
+        same = in_channels == out_channels
+        self.skip = nn.Identity() if same else nn.Conv2d(in_channels, out_channels, 1, bias=False)
+
+    def forward(self, features: th.Tensor) -> th.Tensor:
+        """:return: (batch, out_channels, height, width)"""
+        beside: th.Tensor = self.skip(features)
+        return F.relu(self.second(F.relu(self.first(features))) + beside)
+
+
+class EquivariantResidualBlock(nn.Module):
+    """Two 3 x 3 equivariant convolutions beside an identity, or a third one where the fields change.
+
+    :param in_type: fields of the input
+    :param out_type: regular fields of the output
+    """
+
+    def __init__(self, in_type: FieldType, out_type: FieldType) -> None:
+        super().__init__()
+        self.first = EquivariantConv2d(in_type, out_type, 3, padding=1, bias=False)
+        self.second = EquivariantConv2d(out_type, out_type, 3, padding=1, bias=False, gain=1.0)
+        same = in_type == out_type
+        self.skip = (
+            nn.Identity()
+            if same
+            else EquivariantConv2d(in_type, out_type, 3, padding=1, bias=False, gain=1.0)
+        )
+
+    def forward(self, features: th.Tensor) -> th.Tensor:
+        """:return: (batch, out channels, height, width)"""
+        beside: th.Tensor = self.skip(features)
+        return F.relu(self.second(F.relu(self.first(features))) + beside)
+
+
+def plain_unet(in_channels: int, channels: Sequence[int], other_channels: int) -> UNet:
+    """
+    The U-Net of the paper's plain networks (the authors' code); weights Xavier normal.
+
+    Its lowest blocks work on twice the channels.
+
+    :param in_channels: channels of the image
+    :param channels: of each level, from the image down; two or more
+    :param other_channels: channels of the second image's features, 0 where there is none
+    """
+    stem = nn.Sequential(nn.Conv2d(in_channels, channels[0], 3, padding=1), nn.ReLU(inplace=True))
+    downs: list[nn.Module] = [nn.Sequential(stem, ResidualBlock(channels[0], channels[0]))]
+    downs += [ResidualBlock(above, below) for above, below in pairwise(channels[:-1])]
+    downs.append(_narrowed(channels[-2], 2 * channels[-1], channels[-1]))
+    ups: list[nn.Module] = [
+        _narrowed(side + below, side, above) for side, below, above in _way_up(channels)[:-1]
+    ]
+    ups.append(ResidualBlock(sum(_way_up(channels)[-1][:2]), channels[0]))
+    fuse = ResidualBlock(channels[-1] + other_channels, channels[-1]) if other_channels else None
+    net = UNet(downs, ups, fuse)
+    net.apply(initialise_xavier)
+    return net
+
+
+def _way_up(channels: Sequence[int]) -> list[tuple[int, int, int]]:
+    """For each level but the lowest, from below: channels of its own, from below, and to go on with."""
+    leaving = [*channels[-3::-1], channels[0]]
+    return list(zip(channels[-2::-1], [channels[-1], *leaving[:-1]], leaving, strict=True))
+
+
+def _narrowed(in_channels: int, channels: int, out_channels: int) -> nn.Sequential:
+    return nn.Sequential(ResidualBlock(in_channels, channels), nn.Conv2d(channels, out_channels, 1))
+
+
+def equivariant_unet(in_channels: int, group: Group, fields: Sequence[int]) -> UNet:
+    """
+    The equivariant U-Net (the authors' code): regular fields, 3 x 3 filters.
+
+    :param in_channels: channels of the image, all scalar (trivial fields)
+    :param group: the symmetry
+    :param fields: regular fields of each level, from the image down; two or more
+    """
+
+    def regular(count: int) -> FieldType:
+        return FieldType.of((group.regular, count))
+
+    types, image = [regular(count) for count in fields], FieldType.of((group.trivial, in_channels))
+    stem = nn.Sequential(EquivariantConv2d(image, types[0], 3, padding=1), nn.ReLU(inplace=True))
+    downs: list[nn.Module] = [nn.Sequential(stem, EquivariantResidualBlock(types[0], types[0]))]
+    downs += [EquivariantResidualBlock(above, below) for above, below in pairwise(types)]
+    ups = [
+        EquivariantResidualBlock(regular(side + below), regular(above))
+        for side, below, above in _way_up(fields)
+    ]
+    return UNet(downs, ups)
+
+
+def initialise_xavier(module: nn.Module) -> None:
+    """
+    Xavier normal weights and zero biases for convolutions and linear layers.
+
+    :param module: any module; others are left alone
+    """
+    if isinstance(module, nn.Conv2d | nn.Linear):
+        nn.init.xavier_normal_(module.weight)
+        if module.bias is not None:
+            nn.init.zeros_(module.bias)

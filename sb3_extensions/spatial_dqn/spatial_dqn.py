@@ -1,0 +1,387 @@
+"""Deep Q-learning over spatial action maps, from demonstrations."""
+
+from __future__ import annotations
+
+import os
+from collections import defaultdict
+from collections.abc import Iterable
+from typing import Any, ClassVar
+
+import numpy.typing as npt
+import torch as th
+from gymnasium import spaces
+from stable_baselines3.common.buffers import ReplayBuffer
+from stable_baselines3.common.noise import ActionNoise
+from stable_baselines3.common.policies import BasePolicy
+from stable_baselines3.common.type_aliases import GymEnv, Schedule
+from stable_baselines3.common.utils import LinearSchedule, polyak_update
+from torch.nn import functional as F
+
+from sb3_extensions.common.exploration import explore_on_grid
+from sb3_extensions.common.seeds import SeedKey, derive_seed
+from sb3_extensions.demonstrations.collecting import EpisodeData
+from sb3_extensions.demonstrations.off_policy import (
+    OffPolicyFromDemonstrations,
+    check_not_negative,
+    check_share,
+)
+from sb3_extensions.demonstrations.source import DemonstrationSource
+from sb3_extensions.spatial_dqn.augmentation import RigidMotion
+from sb3_extensions.spatial_dqn.losses import ImitationLoss, LargeMargin, StrictMargin, cross_entropy
+from sb3_extensions.spatial_dqn.policies import (
+    ASRPolicy,
+    EquivariantASRPolicy,
+    EquivariantFCNPolicy,
+    FCNPolicy,
+    RotFCNPolicy,
+    SpatialPolicy,
+)
+
+EXPERT_FRACTION = 0.5  # of each batch (paper, appendix "Benchmark Details")
+
+
+class SpatialDQN(OffPolicyFromDemonstrations):
+    """
+    Deep Q-learning (DQN) whose actions are places in a heightmap: pixel, and yaw, height and tilts of a
+    gripper.
+
+    The environment's actions stay a Box; a :class:`~sb3_extensions.common.codec.SpatialActionCodec` grids
+    them, and everything the algorithm does lives on that grid: its greedy actions, its exploration, and its
+    demonstrations, whose actions are carried out snapped to it. A network values all actions at once, or in
+    levels that choose one number after the other; every level learns the same target.
+
+    Half of each batch are demonstrations, as soon as there is half a batch of demonstrations and of own
+    transitions; until then it is drawn from all. This class does not imitate them; :class:`ADET`,
+    :class:`DQfD` and :class:`SDQfD` do.
+
+    Paper: https://arxiv.org/abs/2205.14292, Section "Open-Loop 3D Benchmark", and
+    https://arxiv.org/abs/2010.02798
+
+    :param policy: The policy model to use (one of the aliases, or a class)
+    :param env: The environment to learn from (if registered in Gym, can be str); its observations are a Dict
+        with a heightmap, its actions a Box
+    :param learning_rate: The learning rate, it can be a function of the current progress remaining (from 1 to
+        0)
+    :param buffer_size: number of transitions in the replay buffer, demonstrations included
+    :param learning_starts: how many steps to take at random, on the grid, before learning starts
+    :param batch_size: Minibatch size for each gradient update
+    :param tau: the soft update coefficient ("Polyak update", between 0 and 1) default 1 for hard update
+    :param gamma: the discount factor
+    :param train_freq: Update the model every so many steps, or ``(2, "episode")``
+    :param gradient_steps: How many gradient steps to do after each rollout (see ``train_freq``); ``-1`` means
+        as many as steps done in the environment during the rollout
+    :param replay_buffer_class: Replay buffer class, ``ExpertReplayBuffer`` (the default) or a subclass
+    :param replay_buffer_kwargs: Keyword arguments to pass to the replay buffer on creation; its ``n_steps``
+        and ``gamma`` are the algorithm's, its ``image_dtype`` is what the policy rounds to
+    :param n_steps: number of rewards that are summed up before the bootstrap
+    :param target_update_interval: update the target network every so many gradient steps
+    :param imitation_weight: weight of the imitation term, see the subclasses; without effect in this class
+    :param margin: of the imitation terms that have one
+    :param exploration_fraction: fraction of entire training period over which the exploration rate is reduced
+    :param exploration_initial_eps: initial value of random action probability
+    :param exploration_final_eps: final value of random action probability
+    :param max_grad_value: each number of the gradient is clipped to so much
+    :param expert_episodes: number of successful episodes of the expert to begin with, unless ``expert_data``
+        is given
+    :param expert_data: episodes to begin with instead, in the environment's units; not saved. See
+        :class:`~sb3_extensions.demonstrations.collecting.EpisodeData`
+    :param expert_cache: folder that keeps the expert's episodes for the next run, None keeps none
+    :param rigid_augmentation: turn and shift the heightmaps of each sample, and its actions with them, see
+        :class:`~sb3_extensions.spatial_dqn.augmentation.RigidMotion`
+    :param pretrain_steps: number of gradient steps before the first step in the environment
+    :param stats_window_size: number of episodes over which the rollout logging averages
+    :param tensorboard_log: the log location for tensorboard (if None, no logging)
+    :param policy_kwargs: arguments of the policy
+    :param verbose: Verbosity level: 0 for no output, 1 for info messages, 2 for debug messages
+    :param seed: Seed for the pseudo random generators
+    :param device: Device (cpu, cuda, ...) on which the code should be run; auto takes a GPU if possible
+    :param _init_setup_model: Whether or not to build the network at the creation of the instance
+    :raises ValueError: if an argument is out of its range, if there is pretraining without demonstrations, or
+        if ``replay_buffer_class`` is no ``ExpertReplayBuffer``
+    """
+
+    policy_aliases: ClassVar[dict[str, type[BasePolicy]]] = {
+        "FCNPolicy": FCNPolicy,
+        "RotFCNPolicy": RotFCNPolicy,
+        "EquivariantFCNPolicy": EquivariantFCNPolicy,
+        "ASRPolicy": ASRPolicy,
+        "EquivariantASRPolicy": EquivariantASRPolicy,
+    }
+    exploration_schedule: Schedule
+    policy: SpatialPolicy
+    # Noise in the hand and an expert asked at every step are not on the grid
+    expert_noise = 0.0
+    dagger = False
+    augmentation = None
+
+    def __init__(
+        self,
+        policy: str | type[SpatialPolicy],
+        env: GymEnv | str,
+        learning_rate: float | Schedule = 1e-4,
+        buffer_size: int = 100_000,
+        learning_starts: int = 0,
+        batch_size: int = 16,
+        tau: float = 1.0,
+        gamma: float = 0.95,
+        train_freq: int | tuple[int, str] = 1,
+        gradient_steps: int = 1,
+        replay_buffer_class: type[ReplayBuffer] | None = None,
+        replay_buffer_kwargs: dict[str, Any] | None = None,
+        n_steps: int = 1,
+        target_update_interval: int = 100,
+        imitation_weight: float = 0.1,
+        margin: float = 0.1,
+        exploration_fraction: float = 0.1,
+        exploration_initial_eps: float = 0.0,
+        exploration_final_eps: float = 0.0,
+        max_grad_value: float = 1.0,
+        expert_episodes: int = 200,
+        expert_data: Iterable[EpisodeData] | None = None,
+        expert_cache: str | os.PathLike[str] | None = None,
+        rigid_augmentation: bool = False,
+        pretrain_steps: int = 0,
+        stats_window_size: int = 100,
+        tensorboard_log: str | None = None,
+        policy_kwargs: dict[str, Any] | None = None,
+        verbose: int = 0,
+        seed: int | None = None,
+        device: th.device | str = "auto",
+        _init_setup_model: bool = True,
+    ) -> None:
+        super().__init__(
+            policy,
+            env,
+            learning_rate=learning_rate,
+            buffer_size=buffer_size,
+            learning_starts=learning_starts,
+            batch_size=batch_size,
+            tau=tau,
+            gamma=gamma,
+            train_freq=train_freq,
+            gradient_steps=gradient_steps,
+            replay_buffer_class=replay_buffer_class or self.default_replay_buffer_class,
+            replay_buffer_kwargs=replay_buffer_kwargs,
+            n_steps=n_steps,
+            policy_kwargs=policy_kwargs,
+            stats_window_size=stats_window_size,
+            tensorboard_log=tensorboard_log,
+            verbose=verbose,
+            device=device,
+            seed=seed,
+            support_multi_env=True,
+            sde_support=False,
+            supported_action_spaces=(spaces.Box,),
+        )
+        self.target_update_interval = target_update_interval
+        self.imitation_weight, self.margin = imitation_weight, margin
+        self.exploration_fraction = exploration_fraction
+        self.exploration_initial_eps = exploration_initial_eps
+        self.exploration_final_eps = exploration_final_eps
+        self.exploration_rate = 0.0  # "epsilon" for the epsilon-greedy exploration
+        self.exploration_generator = th.Generator().manual_seed(th.initial_seed())
+        self.max_grad_value = max_grad_value
+        self.expert_episodes = expert_episodes
+        self.expert_data = expert_data
+        self.expert_cache = expert_cache
+        self.rigid_augmentation = rigid_augmentation
+        self.augmentation_generator = th.Generator().manual_seed(th.initial_seed())
+        self.pretrain_steps = pretrain_steps
+        self._check_arguments()
+
+        if _init_setup_model:
+            self._setup_model()
+
+    def _check_arguments(self) -> None:
+        self._check_demonstrations()
+        check_not_negative(imitation_weight=self.imitation_weight, margin=self.margin)
+        check_share(
+            exploration_fraction=self.exploration_fraction,
+            exploration_initial_eps=self.exploration_initial_eps,
+            exploration_final_eps=self.exploration_final_eps,
+        )
+        for name in ("target_update_interval", "max_grad_value"):
+            if getattr(self, name) <= 0:
+                raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
+
+    def _setup_model(self) -> None:
+        shares = {"expert_fraction": EXPERT_FRACTION, "balanced_from": self.batch_size // 2}
+        self.replay_buffer_kwargs = shares | self.replay_buffer_kwargs
+        super()._setup_model()
+        self._create_aliases()
+        self.exploration_schedule = LinearSchedule(
+            self.exploration_initial_eps, self.exploration_final_eps, self.exploration_fraction
+        )
+
+    def _create_aliases(self) -> None:
+        self.q_net = self.policy.q_net
+        self.q_net_target = self.policy.q_net_target
+        self.codec = self.policy.codec
+        self._imitation_loss = self._make_imitation_loss()
+        self._rigid_motion = RigidMotion(self.codec, self.policy.keys["image_key"])
+
+    def _make_imitation_loss(self) -> ImitationLoss | None:
+        """The imitation term of one level; None imitates nothing."""
+        return None
+
+    def train(self, gradient_steps: int, batch_size: int = 16) -> None:
+        """
+        Sample the replay buffer and do the updates
+        (gradient descent and update target networks)
+
+        :param gradient_steps: number of updates
+        :param batch_size: number of transitions for each
+        """
+        # Switch to train mode (this affects batch norm / dropout)
+        self.policy.set_training_mode(True)
+        # Update learning rate according to schedule
+        self._update_learning_rate(self.policy.optimizer)
+
+        assert self.replay_buffer is not None
+        logs: defaultdict[str, list[th.Tensor]] = defaultdict(list)
+
+        for _ in range(gradient_steps):
+            replay_data = self.replay_buffer.sample(batch_size, env=self._vec_normalize_env)
+            actions = self.codec.encode(replay_data.actions.cpu().numpy())
+            indices = th.as_tensor(actions, device=self.device)
+            if self.rigid_augmentation:
+                replay_data, indices = self._rigid_motion(replay_data, indices, self.augmentation_generator)
+            observations, next_observations = replay_data.observations, replay_data.next_observations
+            assert isinstance(observations, dict) and isinstance(next_observations, dict)
+
+            with th.no_grad():
+                # The value that the last level of the target network gives to its own best action
+                _, next_q_values = self.q_net_target.greedy(next_observations)
+                assert replay_data.discounts is not None
+                bootstrap = (1 - replay_data.dones) * replay_data.discounts * next_q_values[:, None]
+                target_q_values = replay_data.rewards + bootstrap
+
+            # Current estimates at every level, each given the choices made before it
+            estimates = self.q_net.values(observations, indices)
+            choices = self.q_net.choices(indices)
+            is_expert = replay_data.is_expert[:, 0]
+            loss = th.zeros((), device=self.device)
+            for level, (values, chosen) in enumerate(zip(estimates, choices, strict=True)):
+                current_q_values = values.gather(1, chosen[:, None])
+                # Compute Huber loss (less sensitive to outliers)
+                td_errors = F.smooth_l1_loss(current_q_values, target_q_values, reduction="none")
+                td_loss = (replay_data.weights * td_errors).mean()
+                loss = loss + td_loss
+                logs[f"td_loss_{level}"].append(td_loss.detach())
+                if self._imitation_loss is not None:
+                    imitation_loss = self._imitation_loss(values, chosen, is_expert, level)
+                    loss = loss + self.imitation_weight * imitation_loss
+                    logs[f"imitation_loss_{level}"].append(imitation_loss.detach())
+            # Of the last level, whose values are the targets
+            errors = (current_q_values - target_q_values).detach().abs()
+            self.replay_buffer.update_priorities(replay_data.indices, errors)
+
+            # Optimize the policy
+            self.policy.optimizer.zero_grad()
+            loss.backward()
+            th.nn.utils.clip_grad_value_(self.q_net.parameters(), self.max_grad_value)
+            self.policy.optimizer.step()
+
+            # Update target networks
+            self._n_updates += 1
+            if self._n_updates % self.target_update_interval == 0:
+                polyak_update(self.q_net.parameters(), self.q_net_target.parameters(), self.tau)
+
+            logs["loss"].append(loss.detach())
+            # What is expected where the expert was, and where the agent was
+            logs["value_expert"].append(current_q_values.detach()[replay_data.is_expert])
+            logs["value_own"].append(current_q_values.detach()[~replay_data.is_expert])
+
+        self.logger.record("train/n_updates", self._n_updates, exclude="tensorboard")
+        for name, losses in logs.items():
+            if len(numbers := th.cat([entry.reshape(-1) for entry in losses])):
+                self.logger.record(f"train/{name}", numbers.mean().item())
+
+    def _on_step(self) -> None:
+        """
+        Update the exploration rate.
+        This method is called in ``collect_rollouts()`` after each step in the environment.
+        """
+        self.exploration_rate = self.exploration_schedule(self._current_progress_remaining)
+        self.logger.record("rollout/exploration_rate", self.exploration_rate)
+
+    def _sample_action(
+        self, learning_starts: int, action_noise: ActionNoise | None = None, n_envs: int = 1
+    ) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
+        assert isinstance(self._last_obs, dict)
+        greedy, _ = self.predict(self._last_obs)
+        scaled = self.policy.scale_action(greedy)
+        probability = 1.0 if self.num_timesteps < learning_starts else self.exploration_rate
+        if probability > 0:
+            scaled = self._explore(scaled, self._last_obs, probability)
+        return self.policy.unscale_action(scaled), scaled
+
+    def _explore(
+        self, actions: npt.NDArray[Any], observations: dict[str, npt.NDArray[Any]], probability: float
+    ) -> npt.NDArray[Any]:
+        """Replace some actions by random ones of the same primitive."""
+        indices = explore_on_grid(
+            self.codec.encode(actions),
+            observations[self.policy.keys["image_key"]][:, 0],
+            probability,
+            self.codec.shape,
+            self.exploration_generator,
+        )
+        return self.codec.decode(indices, self.codec.places(actions))
+
+    def _demonstrations(self, **kwargs: Any) -> DemonstrationSource:
+        return super()._demonstrations(snap=getattr(self, "codec", None), **kwargs)
+
+    def _as_policy_actions(self, actions: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        return self.codec.snap(super()._as_policy_actions(actions))
+
+    def _seed_samplers(self, seed: int | None) -> None:
+        super()._seed_samplers(seed)
+        if seed is not None:
+            self.exploration_generator.manual_seed(derive_seed(seed, SeedKey.EXPLORATION))
+
+    def _excluded_save_params(self) -> list[str]:
+        own = ["q_net", "q_net_target", "codec", "exploration_generator", "_imitation_loss", "_rigid_motion"]
+        return [*super()._excluded_save_params(), *own]
+
+    def _get_torch_save_params(self) -> tuple[list[str], list[str]]:
+        return ["policy", "policy.optimizer"], []
+
+
+class SDQfD(SpatialDQN):
+    """
+    Strict deep Q-learning from demonstrations: all choices that are valued higher than the expert's, less a
+    margin, are pushed below it, see :class:`~sb3_extensions.spatial_dqn.losses.StrictMargin`.
+
+    Paper: https://arxiv.org/abs/2010.02798. All arguments see :class:`SpatialDQN`.
+    """
+
+    def _make_imitation_loss(self) -> ImitationLoss:
+        return StrictMargin(self.margin)
+
+
+class DQfD(SpatialDQN):
+    """
+    Deep Q-learning from demonstrations: the best other choice is pushed below the expert's, less a margin,
+    see
+    :class:`~sb3_extensions.spatial_dqn.losses.LargeMargin`.
+
+    Paper: https://arxiv.org/abs/1704.03732. All arguments see :class:`SpatialDQN`.
+    """
+
+    def _make_imitation_loss(self) -> ImitationLoss:
+        return LargeMargin(self.margin)
+
+
+class ADET(SpatialDQN):
+    """
+    Accelerated DQN with expert trajectories: values are the logits of a classifier of the expert's choices,
+    see
+    :func:`~sb3_extensions.spatial_dqn.losses.cross_entropy`.
+
+    Lakshminarayanan, Ozair and Bengio, "Reinforcement Learning with Few Expert Demonstrations", 2016. All
+    arguments see :class:`SpatialDQN`; ``imitation_weight`` is 0.01 in the paper.
+    """
+
+    def _make_imitation_loss(self) -> ImitationLoss:
+        return cross_entropy
