@@ -11,17 +11,18 @@ import torch as th
 from gymnasium import spaces
 from stable_baselines3.common.type_aliases import TensorDict
 
+from sb3_extensions.common.images import scene_images
 from sb3_extensions.replay.buffer import FrameReplayBufferSamples
 
 Observations = TensorDict | th.Tensor
-IMAGE_DIMS = 4  # batch, channels, rows, columns
 
 
 class Augmentation(ABC):
     """Random views of image observations, and which of them an update takes.
 
-    A view is a window on an image whose edge pixels are repeated ``pad`` times outwards. All images of an
-    observation are cut alike; everything else in it stays as it is.
+    A view is a window on an image whose edge pixels are repeated ``pad`` times outwards. All images of the
+    largest size, which show the scene, are cut alike; everything else in an observation stays as it is, also
+    smaller images, such as what was where the gripper closed.
     """
 
     pad: int = 0
@@ -54,10 +55,11 @@ class Augmentation(ABC):
         Check that there are images to cut.
 
         :param space: of the observations
-        :raises ValueError: if it has no images, or too small ones
+        :raises ValueError: if it has no images, or its largest ones are too small
         """
-        parts = space.spaces.values() if isinstance(space, spaces.Dict) else [space]
-        sides = [part.shape[-1] for part in parts if part.shape and len(part.shape) == IMAGE_DIMS - 1]
+        parts = space.spaces if isinstance(space, spaces.Dict) else {"image": space}
+        shapes = {key: part.shape or () for key, part in parts.items()}
+        sides = [shapes[key][-1] for key in scene_images(shapes)]
         if not sides or (self.size is not None and min(sides) <= self.size):
             larger = "" if self.size is None else f" larger than {self.size} x {self.size} pixels"
             raise ValueError(f"augmentation={self} needs images{larger}, got observations {space}")
@@ -87,7 +89,7 @@ class Augmentation(ABC):
 
     def _draw(self, observations: Observations, generator: th.Generator, copies: int = 1) -> th.Tensor:
         """Places of the windows in the padded images (row, column), uniform, (copies * batch, 2)."""
-        image = _images(observations)[0]
+        image = _scene(observations)[0]
         places = image.shape[-1] + 2 * self.pad - (self.size or image.shape[-1]) + 1
         offsets = th.randint(places, (copies * len(image), 2), generator=generator)
         return offsets.to(image.device)
@@ -97,8 +99,9 @@ class Augmentation(ABC):
         if isinstance(observations, th.Tensor):
             return self._cut_image(observations, offsets)
         copies = len(offsets) // len(next(iter(observations.values())))
+        cut = scene_images(_shapes(observations))
         return {
-            key: self._cut_image(part, offsets) if part.dim() == IMAGE_DIMS else repeat(part, copies)
+            key: self._cut_image(part, offsets) if key in cut else repeat(part, copies)
             for key, part in observations.items()
         }
 
@@ -234,9 +237,15 @@ def repeat(values: th.Tensor, copies: int) -> th.Tensor:
     return values if copies == 1 else values.repeat(copies, *[1] * (values.dim() - 1))
 
 
-def _images(observations: Observations) -> list[th.Tensor]:
-    parts = [observations] if isinstance(observations, th.Tensor) else list(observations.values())
-    return [part for part in parts if part.dim() == IMAGE_DIMS]
+def _scene(observations: Observations) -> list[th.Tensor]:
+    """The images that are cut."""
+    if isinstance(observations, th.Tensor):
+        return [observations]
+    return [observations[key] for key in scene_images(_shapes(observations))]
+
+
+def _shapes(observations: TensorDict) -> dict[str, th.Size]:
+    return {key: part.shape[1:] for key, part in observations.items()}
 
 
 def _check_positive(**values: Any) -> None:

@@ -48,7 +48,7 @@ class ContrastiveExtractor(CnnExtractor):
         size = StackedImage(observation_space, quantise, crop).size
         channels = channels or scale_channels(size, CnnEncoder.HALVING, self.LAST)
         super().__init__(observation_space, channels, quantise=quantise, crop=crop, **kwargs)
-        linear = nn.Linear(self.encoder.features_dim, features_dim)
+        linear = nn.Linear(self.features_dim, features_dim)
         nn.init.xavier_uniform_(linear.weight)
         nn.init.zeros_(linear.bias)
         self.projection = nn.Sequential(linear, nn.LayerNorm(features_dim))
@@ -61,7 +61,8 @@ class ContrastiveExtractor(CnnExtractor):
 
         :param owner: the other one
         """
-        self.encoder, self.trains_encoder = owner.encoder, False
+        self.encoder, self.small_images = owner.encoder, owner.small_images
+        self.trains_encoder = False
 
     def forward(self, observations: PyTorchObs) -> th.Tensor:
         """:return: (batch, features_dim)"""
@@ -145,8 +146,8 @@ class MultiInputPolicy(sacfd.MultiInputPolicy):
         super()._build(lr_schedule)
         borrower, owner = self.actor.features_extractor, self.critic.features_extractor
         assert isinstance(borrower, ContrastiveExtractor) and isinstance(owner, ContrastiveExtractor)
-        borrowed = set(owner.encoder.parameters())
         borrower.borrow_encoder(owner)
+        borrowed = set(owner.parameters()) & set(borrower.parameters())
         self.contrast = BilinearContrast(owner.features_dim)
         for module, parameters in (
             (self.actor, [p for p in self.actor.parameters() if p not in borrowed]),

@@ -1,15 +1,17 @@
-"""Convolutional encoders of a square image to a vector: the paper's close-loop CNN and its equivariant one.
+"""Convolutional encoders of a square image to a vector: the paper's close-loop CNN and its equivariant one,
+and a plain one of small images.
 
-Both halve the image until 6 or 8 pixels a side remain, and end in one pixel. Every step maps a grid to one
-with the same centre, so that rotations by 90 degrees stay exact.
+The first two halve the image until 6 or 8 pixels a side remain, and end in one pixel. Every step maps a grid
+to one with the same centre, so that rotations by 90 degrees stay exact.
 """
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from functools import cache
+from itertools import pairwise
 from typing import NamedTuple
 
 import torch as th
@@ -217,6 +219,51 @@ class CnnEncoder(Encoder):
             nn.init.xavier_normal_(convolution.weight)
             nn.init.constant_(convolution.get_parameter("bias"), 0.0)
         self.features_dim = channels[-1]
+
+
+class SmallImageEncoder(Encoder):
+    """Plain convolutional encoder of an image of few pixels, of any size, as of what is in the gripper;
+    biases zero.
+
+    Convolutions with stride 2 halve it, the half rounded up, until at most four pixels a side remain; a
+    filter as large as these ends it.
+
+    :param in_channels: channels of the image
+    :param size: side of the image, pixels
+    :param features_dim: number of features
+    :param initialise: draws the weights of a layer
+    :param channels_last: see :class:`Encoder`
+    :param autocast: see :class:`Encoder`
+    """
+
+    HALVING = (16, 32, 64)  # channels of the halving stages, the last for all further ones
+    LAST_SIZE = 4  # largest side at which halving stops, pixels
+
+    def __init__(
+        self,
+        in_channels: int,
+        size: int,
+        features_dim: int,
+        initialise: Callable[[th.Tensor], th.Tensor] = nn.init.xavier_normal_,
+        channels_last: bool = True,
+        autocast: str | None = None,
+    ) -> None:
+        stages = []
+        while size > self.LAST_SIZE:
+            stages.append(Stage(stride=2))
+            size = (size + 1) // 2
+        stages.append(Stage(kernel_size=size, padding=0))
+        halving = [self.HALVING[min(i, len(self.HALVING) - 1)] for i in range(len(stages) - 1)]
+        channels = [in_channels, *halving, features_dim]
+        convolutions = [
+            nn.Conv2d(inputs, outputs, stage.kernel_size, stage.stride, stage.padding)
+            for (inputs, outputs), stage in zip(pairwise(channels), stages, strict=True)
+        ]
+        super().__init__(convolutions, stages, channels_last, autocast)
+        for convolution in convolutions:
+            initialise(convolution.weight)
+            nn.init.constant_(convolution.get_parameter("bias"), 0.0)
+        self.features_dim = features_dim
 
 
 class EquivariantEncoder(Encoder):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import gymnasium as gym
@@ -14,27 +14,31 @@ from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from stable_baselines3.common.type_aliases import PyTorchObs
 from torch import nn
 
-from sb3_extensions.networks.encoders import CnnEncoder, EquivariantEncoder
+from sb3_extensions.common.images import IMAGE_AXES, scene_images
+from sb3_extensions.networks.encoders import CnnEncoder, EquivariantEncoder, SmallImageEncoder
 from sb3_extensions.networks.equivariant import GroupMaxPool
-from sb3_extensions.networks.groups import Group
+from sb3_extensions.networks.groups import FieldType, Group
 from sb3_extensions.replay.quantisation import Quantiser
 
 OUTPUTS = ("regular", "invariant")
 # Name of the only image where an observation is no Dict.
 IMAGE_KEY = "image"
+# A quarter of those of the largest images behind the paper's CNN.
+SMALL_IMAGE_FEATURES = 32
 
 
 class StackedImage(nn.Module):
     """One image of a Dict observation: the images' channels, and a constant channel for each other number.
 
-    An observation that is an image already is taken as the only one.
+    An observation that is an image already is taken as the only one. Of images of several sizes the largest
+    are taken; :class:`SmallImages` are the others.
 
     Float images (such as heights in metres) are mapped from the bounds of their space to [0, 1], rounded to
     the levels that the replay buffer stores; ``uint8`` images arrive so from Stable-Baselines3 (its
     ``normalize_images`` must stay on). Numbers, and unrounded images without finite bounds, are taken as they
     are.
 
-    :param observation_space: with at least one image, (channels, size, size), all of one size
+    :param observation_space: with at least one image, (channels, size, size)
     :param quantise: ``"uint8"`` or ``"uint16"``: what the replay buffer stores float images as; ``None`` if
         it stores floats
     :param crop: side, in pixels, of the part that is taken from the centre of larger images; images of this
@@ -43,7 +47,7 @@ class StackedImage(nn.Module):
         become (image - mean) / standard deviation instead of [0, 1]. What differs little within the bounds,
         as heights of a few centimetres, is then learnt in far fewer updates
     :raises ValueError: if the space has no image or images of other shapes, their bounds cannot be
-        quantised, they are smaller than the crop, or ``standardise`` is something else
+        quantised, the largest are smaller than the crop, or ``standardise`` is something else
     """
 
     def __init__(
@@ -57,27 +61,18 @@ class StackedImage(nn.Module):
         parts = {IMAGE_KEY: observation_space}
         if isinstance(observation_space, spaces.Dict):
             parts = observation_space.spaces
-        images = {
-            key: space
-            for key, space in parts.items()
-            if isinstance(space, spaces.Box) and len(space.shape) == 3
-        }
-        shapes = {key: space.shape for key, space in images.items()}
-        sides = {side for shape in shapes.values() for side in shape[1:]}
-        if len(sides) != 1:
-            raise ValueError(
-                f"observation_space needs images (channels, size, size), of one size, got {shapes}"
-            )
-        side = int(sides.pop())
+        all_images = square_images(parts)
+        images = largest_images(all_images)
+        side = int(next(iter(images.values())).shape[1])
         if crop is not None and not 1 <= crop <= side:
             raise ValueError(f"crop must be from 1 to the images' size, {side}, got {crop}")
         self.size = crop or side
         self.scales = {key: _Scale(key, space, quantise, standardise) for key, space in images.items()}
         self.quantise = quantise
         self.has_float_images = not all(is_image_space(space) for space in images.values())
-        numbers = {key: space for key, space in parts.items() if key not in images}
+        numbers = {key: space for key, space in parts.items() if key not in all_images}
         self.number_keys = list(numbers)
-        self.channels = sum(int(shape[0]) for shape in shapes.values())
+        self.channels = sum(int(space.shape[0]) for space in images.values())
         self.channels += sum(get_flattened_obs_dim(space) for space in numbers.values())
 
     def forward(self, observations: PyTorchObs) -> th.Tensor:
@@ -87,6 +82,30 @@ class StackedImage(nn.Module):
         images = [scale(crop_centre(observations[key], self.size)) for key, scale in self.scales.items()]
         numbers = [observations[key].flatten(1)[..., None, None] for key in self.number_keys]
         return th.cat(images + [number.expand(-1, -1, self.size, self.size) for number in numbers], dim=1)
+
+
+def square_images(parts: Mapping[str, gym.Space[Any]]) -> dict[str, spaces.Box]:
+    """
+    Spaces of the images of an observation.
+
+    :param parts: space of each part of it
+    :return: the images', in the order of the parts
+    :raises ValueError: if there is none, or one that is not (channels, size, size)
+    """
+    images = {
+        key: space
+        for key, space in parts.items()
+        if isinstance(space, spaces.Box) and len(space.shape) == IMAGE_AXES
+    }
+    if not images or any(space.shape[1] != space.shape[2] for space in images.values()):
+        shapes = {key: space.shape for key, space in images.items()}
+        raise ValueError(f"observation_space needs images, all (channels, size, size), got {shapes}")
+    return images
+
+
+def largest_images(images: Mapping[str, spaces.Box]) -> dict[str, spaces.Box]:
+    """Spaces of the images of the largest size, of some images, in their order."""
+    return {key: images[key] for key in scene_images({key: space.shape for key, space in images.items()})}
 
 
 def crop_centre(images: th.Tensor, size: int) -> th.Tensor:
@@ -143,8 +162,76 @@ class _Scale:
         return (image - self.low) / self.span
 
 
+class SmallImages(nn.Module):
+    """Features of the images that are smaller than the largest, appended to those of the largest.
+
+    Images of one size are stacked, see :class:`StackedImage`, and encoded, see
+    :class:`~sb3_extensions.networks.encoders.SmallImageEncoder`; there may be none.
+
+    :param observation_space: see :class:`StackedImage`
+    :param features: number of features of the images of one size
+    :param initialise: draws the weights of a layer, as those of the encoder of the largest images are drawn:
+        what comes from either is then about as large
+    :param quantise: see :class:`StackedImage`
+    :param standardise: see :class:`StackedImage`
+    :param channels_last: see :class:`~sb3_extensions.networks.encoders.Encoder`
+    :param autocast: see :class:`~sb3_extensions.networks.encoders.Encoder`
+    :raises ValueError: if ``features`` is not positive, or the images cannot be stacked
+    """
+
+    def __init__(
+        self,
+        observation_space: gym.Space[Any],
+        features: int,
+        initialise: Callable[[th.Tensor], th.Tensor],
+        quantise: str | None = "uint8",
+        standardise: Sequence[float] | None = None,
+        channels_last: bool = True,
+        autocast: str | None = None,
+    ) -> None:
+        super().__init__()
+        if features < 1:
+            raise ValueError(f"small_image_features must be at least 1, got {features}")
+        self.stacks, self.encoders = nn.ModuleList(), nn.ModuleList()
+        for images in _small_images_by_size(observation_space):
+            stack = StackedImage(spaces.Dict({**images}), quantise, standardise=standardise)
+            self.stacks.append(stack)
+            self.encoders.append(
+                SmallImageEncoder(stack.channels, stack.size, features, initialise, channels_last, autocast)
+            )
+        self.features_dim = features * len(self.stacks)
+
+    def forward(self, features: th.Tensor, observations: PyTorchObs) -> th.Tensor:
+        """
+        Append features.
+
+        :param features: of the largest images, (batch, number of them)
+        :param observations: batch
+        :return: with those of the smaller images behind them, (batch, number of them + features_dim)
+        """
+        if not len(self.stacks):
+            return features
+        pairs = zip(self.encoders, self.stacks, strict=True)
+        return th.cat([features, *(encoder(stack(observations)) for encoder, stack in pairs)], dim=1)
+
+
+def _small_images_by_size(observation_space: gym.Space[Any]) -> list[dict[str, spaces.Box]]:
+    """Spaces of all images but the largest, those of one size together, the larger ones first."""
+    if not isinstance(observation_space, spaces.Dict):
+        return []
+    left: Mapping[str, spaces.Box] = square_images(observation_space.spaces)
+    by_size: list[dict[str, spaces.Box]] = []
+    while left:
+        by_size.append(largest_images(left))
+        left = {key: space for key, space in left.items() if key not in by_size[-1]}
+    return by_size[1:]
+
+
 class CnnExtractor(BaseFeaturesExtractor):
     """Plain convolutional encoder of a Dict observation of images and numbers.
+
+    Images smaller than the largest, such as what is in the gripper, have small encoders of their own, whose
+    features stand behind the others.
 
     :param observation_space: see :class:`StackedImage`
     :param channels: output channels of each stage, see :class:`~sb3_extensions.networks.encoders.CnnEncoder`
@@ -154,6 +241,7 @@ class CnnExtractor(BaseFeaturesExtractor):
     :param autocast: ``None`` or ``"bf16"``, see :class:`~sb3_extensions.networks.encoders.Encoder`
     :param crop: see :class:`StackedImage`
     :param standardise: see :class:`StackedImage`
+    :param small_image_features: number of features of the smaller images of one size
     """
 
     def __init__(
@@ -166,25 +254,42 @@ class CnnExtractor(BaseFeaturesExtractor):
         autocast: str | None = None,
         crop: int | None = None,
         standardise: Sequence[float] | None = None,
+        small_image_features: int = SMALL_IMAGE_FEATURES,
     ) -> None:
         stack = StackedImage(observation_space, quantise, crop, standardise)
         encoder = CnnEncoder(stack.channels, stack.size, channels, strided, channels_last, autocast)
-        super().__init__(observation_space, encoder.features_dim)
-        self.stack, self.encoder = stack, encoder
+        # After the other encoder, whose weights are then the same whether there are small images or not
+        small_images = SmallImages(
+            observation_space,
+            small_image_features,
+            nn.init.xavier_normal_,
+            quantise,
+            standardise,
+            channels_last,
+            autocast,
+        )
+        super().__init__(observation_space, encoder.features_dim + small_images.features_dim)
+        self.stack, self.encoder, self.small_images = stack, encoder, small_images
 
     def forward(self, observations: PyTorchObs) -> th.Tensor:
         """:return: (batch, features_dim)"""
-        features: th.Tensor = self.encoder(self.stack(observations))
+        features: th.Tensor = self.small_images(self.encoder(self.stack(observations)), observations)
         return features
 
 
 class EquivariantExtractor(BaseFeaturesExtractor):
-    """Equivariant encoder of a Dict observation: images turn with the scene, numbers do not.
+    """Equivariant encoder of a Dict observation: the largest images turn with the scene, smaller images and
+    numbers do not.
 
     With ``output="regular"`` the features are regular fields, permuted when the images turn: for equivariant
     heads; behind an ordinary head (PPO's, TQC's) symmetry is lost there. With ``output="invariant"`` each
     field is reduced to its largest number: any head is then invariant, right for values, too poor for the
     direction of a motion.
+
+    Images smaller than the largest have small plain encoders, whose features stand behind the others, as
+    trivial fields, with either ``output``. That is right for what turns with the gripper, as what is in it:
+    it stays as it is when the scene and the gripper's yaw turn together. A reflection mirrors it, which a
+    plain encoder does not know: with ``"dihedral"`` the features keep the rotations' symmetry alone then.
 
     :param observation_space: see :class:`StackedImage`
     :param group: ``"cyclic"`` (rotations) or ``"dihedral"`` (reflections too)
@@ -198,6 +303,7 @@ class EquivariantExtractor(BaseFeaturesExtractor):
     :param autocast: ``None`` or ``"bf16"``, see :class:`~sb3_extensions.networks.encoders.Encoder`
     :param crop: see :class:`StackedImage`
     :param standardise: see :class:`StackedImage`
+    :param small_image_features: number of features of the smaller images of one size
     :raises ValueError: if ``group``, ``n`` or ``output`` is none of these, or the encoder does not fit the
         images
     """
@@ -215,6 +321,7 @@ class EquivariantExtractor(BaseFeaturesExtractor):
         autocast: str | None = None,
         crop: int | None = None,
         standardise: Sequence[float] | None = None,
+        small_image_features: int = SMALL_IMAGE_FEATURES,
     ) -> None:
         if output not in OUTPUTS:
             raise ValueError(f"output must be one of {OUTPUTS}, got {output!r}")
@@ -223,12 +330,25 @@ class EquivariantExtractor(BaseFeaturesExtractor):
         encoder = EquivariantEncoder(
             stack.channels, stack.size, symmetry, channels, strided, channels_last, autocast
         )
+        small_images = SmallImages(
+            observation_space,
+            small_image_features,
+            nn.init.kaiming_normal_,
+            quantise,
+            standardise,
+            channels_last,
+            autocast,
+        )
         pool = GroupMaxPool(encoder.out_type) if output == "invariant" else None
-        out_type = encoder.out_type if pool is None else pool.out_type
+        scene_type = encoder.out_type if pool is None else pool.out_type
+        out_type = FieldType((*scene_type.fields, (symmetry.trivial, small_images.features_dim)))
         super().__init__(observation_space, out_type.size)
         self.stack, self.encoder, self.pool, self.out_type = stack, encoder, pool, out_type
+        self.small_images = small_images
 
     def forward(self, observations: PyTorchObs) -> th.Tensor:
         """:return: (batch, features_dim)"""
         features: th.Tensor = self.encoder(self.stack(observations))
-        return features if self.pool is None else self.pool(features)
+        features = features if self.pool is None else self.pool(features)
+        features = self.small_images(features, observations)
+        return features

@@ -39,7 +39,7 @@ class EquivariantMean(nn.Module):
     """Mean of an action, turning with the features: (batch, in channels) to (batch, action_dim), not
     squashed.
 
-    :param in_type: regular fields
+    :param in_type: regular fields, and trivial ones if need be
     :param action: which numbers turn
     """
 
@@ -62,7 +62,7 @@ class EquivariantLogStd(nn.Module):
     x and y share one: a Gaussian with two would not turn into one of the same kind, and by 90 degrees they
     would swap.
 
-    :param in_type: regular fields
+    :param in_type: regular fields, and trivial ones if need be
     :param action: which numbers share
     """
 
@@ -90,7 +90,7 @@ class InvariantValue(nn.Module):
     Equivariant layers of the features and the action's fields, the largest number of each field, one linear
     map.
 
-    :param in_type: regular fields of the features
+    :param in_type: of the features: regular fields, and trivial ones if need be
     :param action: which numbers turn
     :param net_arch: regular fields of each hidden layer, at least one
     :param outputs: 1 for a Q-value, more for quantiles
@@ -180,17 +180,19 @@ def scale_down(layer: nn.Linear | nn.Conv2d) -> None:
         nn.init.zeros_(layer.bias)
 
 
-def regular_type(features_extractor: BaseFeaturesExtractor) -> FieldType:
-    """Type of an extractor's features, for heads that need regular fields.
+def features_type(features_extractor: BaseFeaturesExtractor) -> FieldType:
+    """Type of an extractor's features, for heads that need regular fields; trivial ones may follow them.
 
     :param features_extractor: with an ``out_type``, as
         :class:`~sb3_extensions.networks.extractors.EquivariantExtractor` has
-    :raises ValueError: if its features are not regular fields
+    :raises ValueError: if its features do not begin with regular fields, or have others than these two kinds
     """
     out_type = getattr(features_extractor, "out_type", None)
-    if not isinstance(out_type, FieldType) or any(rep.kind != "regular" for rep, _ in out_type.fields):
+    kinds = [rep.kind for rep, _ in out_type.fields] if isinstance(out_type, FieldType) else []
+    if kinds not in (["regular"], ["regular", "trivial"]):
         raise ValueError(
             "an equivariant policy needs features of regular fields, as EquivariantExtractor's with "
             f"output='regular'; features_extractor_class {type(features_extractor).__name__} has {out_type}"
         )
+    assert isinstance(out_type, FieldType)
     return out_type

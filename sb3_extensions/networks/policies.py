@@ -23,7 +23,7 @@ from sb3_extensions.networks.heads import (
     EquivariantMean,
     InvariantValue,
     equivariant_mlp,
-    regular_type,
+    features_type,
     scale_down,
 )
 
@@ -143,7 +143,7 @@ class EquivariantActor(Actor):
     :param observation_space: Observation space
     :param action_space: Action space
     :param net_arch: regular fields of each hidden layer behind the encoder
-    :param features_extractor: with regular features
+    :param features_extractor: with regular features, trivial ones may follow them
     :param features_dim: Number of features
     :param action_sequence: one character for each number of the action, see
         :class:`~sb3_extensions.common.action_sequence.ActionSequence`
@@ -188,7 +188,7 @@ class EquivariantActor(Actor):
         self.action_sequence = action_sequence
         action_dim = get_action_dim(action_space)
         action = ActionSequence(action_sequence, action_dim)
-        hidden_type = in_type = regular_type(features_extractor)
+        hidden_type = in_type = features_type(features_extractor)
         if net_arch:
             hidden_type = FieldType.of((in_type.group.regular, net_arch[-1]))
         self.latent_pi = equivariant_mlp(in_type, net_arch, activation_fn)
@@ -218,6 +218,6 @@ class EquivariantCritic(NormalisedCritic):
         super().__init__(*args, **kwargs)
 
     def _make_head(self) -> nn.Module:
-        in_type = regular_type(self.features_extractor)
+        in_type = features_type(self.features_extractor)
         action = ActionSequence(self.action_sequence, get_action_dim(self.action_space))
         return InvariantValue(in_type, action, self.net_arch, self.n_outputs, self.activation_fn)

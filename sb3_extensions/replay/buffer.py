@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import logging
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-import psutil
 import torch as th
 from gymnasium import spaces
 from stable_baselines3.common.buffers import BaseBuffer, ReplayBuffer
@@ -15,11 +13,11 @@ from stable_baselines3.common.type_aliases import TensorDict
 from stable_baselines3.common.vec_env import VecNormalize
 
 from sb3_extensions.replay.frames import FrameStore, Ids, PinnedRing
-
-logger = logging.getLogger(__name__)
+from sb3_extensions.replay.memory import announce_size, warn_of_short_episodes
 
 # An episode of n steps has n + 1 frames: this is room for a last frame every eleven transitions, and 100,000
-# transitions at 128 x 128 pixels of one byte stay below 1.8 GB.
+# transitions at 128 x 128 pixels of one byte stay below 1.8 GB. How long episodes will be is not known when
+# the memory is taken, and to take more later would copy gigabytes in the middle of a training.
 FRAMES_PER_TRANSITION = 1.09
 NO_ROW = -1  # in the column of successors: the episode ends here, or its next transition has not come yet
 
@@ -69,7 +67,9 @@ class FrameReplayBuffer(ReplayBuffer):
 
     The arrays are allocated, their size logged and compared with the free memory, at the first :meth:`add`.
     Where episodes are so short that the frames run out before the table is full, the oldest transitions are
-    dropped early; give a larger ``frames_per_transition`` then (2 is always enough).
+    dropped early, and a warning says so once; give a larger ``frames_per_transition`` then. Episodes of n
+    steps need (n + 1) / n: 2, always enough, where they are one decision each, as in open-loop object
+    grasping; with the default such a buffer holds little more than half of ``buffer_size``.
 
     :param buffer_size: number of transitions, of all environments together
     :param observation_space: Box space, or Dict space of Box spaces
@@ -81,7 +81,8 @@ class FrameReplayBuffer(ReplayBuffer):
     :param n_steps: number of rewards summed up before the bootstrap, fewer where an episode or the data end
     :param gamma: discount factor per step; needed where ``n_steps > 1``. None leaves it to the algorithm
     :param image_dtype: ``"uint8"`` or ``"uint16"``, for the quantised images
-    :param frames_per_transition: number of frames to make room for, per transition
+    :param frames_per_transition: number of frames to make room for, per transition; the default is for
+        episodes of at least twelve steps
     :param seed: seed of the sampling. None takes one from NumPy's global generator, which the ``seed`` of a
         Stable-Baselines3 algorithm sets before it makes its buffer
     :raises ValueError: if an argument is out of its range
@@ -132,6 +133,7 @@ class FrameReplayBuffer(ReplayBuffer):
         self._latest_frames = np.zeros(n_envs, dtype=np.int64)
         self._latest_rows = np.full(n_envs, NO_ROW, dtype=np.int64)
         self._first_rows = np.full(n_envs, NO_ROW, dtype=np.int64)  # of the episodes under way
+        self._has_warned = False
         self.seed(int(np.random.randint(2**31)) if seed is None else seed)
 
     def seed(self, seed: int) -> None:
@@ -172,17 +174,8 @@ class FrameReplayBuffer(ReplayBuffer):
         """Allocate everything, once; announce the size."""
         columns = self._columns()
         row_bytes = sum(int(np.prod(shape)) * np.dtype(dtype).itemsize for shape, dtype in columns.values())
-        gigabytes = (self.frames.nbytes + row_bytes * self.rows.capacity) / 1e9
-        available = psutil.virtual_memory().available / 1e9
-        logger.info(
-            "Replay buffer: %d transitions over %d frames, %.2f GB (%.2f GB available)",
-            self.rows.capacity,
-            self.frames.ring.capacity,
-            gigabytes,
-            available,
-        )
-        if gigabytes > available:
-            logger.warning("The full replay buffer will not fit: %.2f GB > %.2f GB", gigabytes, available)
+        n_bytes = self.frames.nbytes + row_bytes * self.rows.capacity
+        announce_size(self.rows.capacity, self.frames.ring.capacity, n_bytes)
         self.frames.allocate()
         for name, (shape, dtype) in columns.items():
             self.table[name] = np.zeros((self.rows.capacity, *shape), dtype=dtype)
@@ -298,9 +291,12 @@ class FrameReplayBuffer(ReplayBuffer):
         return rows
 
     def _drop_rows_without_frames(self) -> None:
-        rows, oldest_frame = self.rows, self.table["oldest_frame"]
+        rows, oldest_frame, first = self.rows, self.table["oldest_frame"], self.rows.first
         while oldest_frame[rows.slots(np.asarray(rows.first))] < self.frames.ring.first:
             rows.first += 1
+        if rows.first > first and not self._has_warned:
+            self._has_warned = True
+            warn_of_short_episodes(len(rows), rows.capacity, self.frames.ring.end / rows.end)
 
     def sample(  # type: ignore[override]
         self, batch_size: int, env: VecNormalize | None = None

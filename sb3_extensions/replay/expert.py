@@ -17,8 +17,11 @@ class ExpertReplayBuffer(FrameReplayBuffer):
     :class:`FrameReplayBuffer` whose first rows are those of an expert: flagged, and never overwritten.
 
     :param args: arguments of :class:`FrameReplayBuffer`; ``buffer_size`` counts the expert rows
-    :param expert_fraction: share of expert transitions in every sample, rounded to whole transitions; all are
-        taken from one side while the other is empty. None draws uniformly from all rows
+    :param expert_fraction: share of expert transitions in every sample, rounded to whole transitions, as soon
+        as there are ``balanced_from`` on either side. None draws uniformly from all rows
+    :param balanced_from: number of transitions that the expert and the agent must have each before samples
+        are divided by ``expert_fraction``; until then all rows are drawn alike. With 1 the agent's first
+        transition fills its share alone; with half a batch it does not come up again and again
     :param success_fraction: share of the agent's transitions with a ``return`` greater than 0, of episodes
         that succeeded, as soon as there are some; the rest is drawn from all of the agent's. None: no share
     :param kwargs: keyword arguments of :class:`FrameReplayBuffer`
@@ -30,6 +33,7 @@ class ExpertReplayBuffer(FrameReplayBuffer):
         *args: Any,
         expert_fraction: float | None = None,
         success_fraction: float | None = None,
+        balanced_from: int = 1,
         **kwargs: Any,
     ) -> None:
         super().__init__(*args, **kwargs)
@@ -42,8 +46,13 @@ class ExpertReplayBuffer(FrameReplayBuffer):
             )
         if success_fraction is not None and expert_fraction is None:
             raise ValueError(f"success_fraction={success_fraction} needs an expert_fraction")
+        if balanced_from < 1:
+            raise ValueError(f"balanced_from must be at least 1, got {balanced_from}")
+        if balanced_from > 1 and expert_fraction is None:
+            raise ValueError(f"balanced_from={balanced_from} needs an expert_fraction")
         self.expert_fraction = expert_fraction
         self.success_fraction = success_fraction
+        self.balanced_from = balanced_from
         self.progress_remaining = 1.0  # of the training, falling to 0: kept up to date by the algorithm
 
     @property
@@ -112,7 +121,7 @@ class ExpertReplayBuffer(FrameReplayBuffer):
 
     def _draw(self, batch_size: int) -> tuple[Ids, npt.NDArray[np.float32]]:
         online_size = self.size() - self.expert_size
-        if self.expert_fraction is None or not online_size or not self.expert_size:
+        if self.expert_fraction is None or min(online_size, self.expert_size) < self.balanced_from:
             return super()._draw(batch_size)
         n_expert = round(batch_size * self.expert_fraction)
         won = self._draw_successes(round(batch_size * (self.success_fraction or 0.0)))

@@ -8,11 +8,10 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
+from sb3_extensions.common.images import IMAGE_AXES
 from sb3_extensions.replay.quantisation import Quantiser
 
 Ids = npt.NDArray[np.int64]
-
-IMAGE_AXES = 3  # channels, rows, columns
 
 
 class PinnedRing:

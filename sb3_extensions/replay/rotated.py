@@ -11,9 +11,9 @@ from gymnasium import spaces
 from torch.nn import functional as F
 
 from sb3_extensions.common.action_sequence import ActionSequence
+from sb3_extensions.common.images import scene_images
 from sb3_extensions.replay.buffer import EXPERT_ACTION, AnyObservations, Observations
 from sb3_extensions.replay.expert import ExpertReplayBuffer
-from sb3_extensions.replay.frames import IMAGE_AXES
 from sb3_extensions.replay.prioritized import PrioritizedReplayBuffer
 
 FloatArray = npt.NDArray[np.float64]
@@ -58,7 +58,9 @@ class RotatedReplayBuffer(ExpertReplayBuffer):
     """
     :class:`~sb3_extensions.replay.expert.ExpertReplayBuffer` that also keeps rotated copies of every
     transition, the expert's and the others: both observations' images and (dx, dy) of the action and of the
-    expert's action are rotated by one angle, everything else is as it was.
+    expert's action are rotated by one angle, everything else is as it was, also images smaller than the
+    largest: what turns with the gripper is the same when scene and gripper turn together. An r of the action
+    must be a turn by some angle, as in close loop, not one to turn to.
 
     Each copy of an episode is rotated by one angle throughout, uniform in [0, 2 pi). So a copy is an episode
     itself: its observations are kept once, and returns over several steps stay within it.
@@ -97,7 +99,7 @@ class RotatedReplayBuffer(ExpertReplayBuffer):
             raise ValueError(f"action_sequence={action_sequence!r} has no x and y to rotate")
         self.copies = copies
         self.action_sequence = action_sequence
-        self._image_keys = {key for key, shape in self.frames.shapes.items() if len(shape) == IMAGE_AXES}
+        self._image_keys = set(scene_images(self.frames.shapes))
         shapes = {key: self.frames.shapes[key] for key in self._image_keys}
         if not shapes or any(height != width for _, height, width in shapes.values()):
             raise ValueError(f"observation_space must have images (channels, size, size), got {shapes}")

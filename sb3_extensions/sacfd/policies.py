@@ -11,7 +11,7 @@ from stable_baselines3.common.type_aliases import Schedule
 from stable_baselines3.sac.policies import Actor, SACPolicy
 
 from sb3_extensions.networks.extractors import CnnExtractor, EquivariantExtractor
-from sb3_extensions.networks.heads import regular_type
+from sb3_extensions.networks.heads import features_type
 from sb3_extensions.networks.policies import (
     EquivariantActor,
     EquivariantCritic,
@@ -81,7 +81,7 @@ class EquivariantPolicy(SACPolicy):
     :param lr_schedule: Learning rate schedule (could be constant)
     :param net_arch: Regular fields of the hidden layers behind the encoders; by default none in the actor and
         as many as the encoder has in each head of the critic
-    :param features_extractor_class: Features extractor with regular features
+    :param features_extractor_class: Features extractor with regular features, trivial ones may follow them
     :param action_sequence: One character for each number of the action: ``p`` (gripper), ``x``, ``y``, ``z``,
         ``r`` (rotation about z), in any order
     :param kwargs: further parameters of :class:`stable_baselines3.sac.policies.SACPolicy`
@@ -118,7 +118,7 @@ class EquivariantPolicy(SACPolicy):
     def make_critic(self, features_extractor: BaseFeaturesExtractor | None = None) -> ContinuousCritic:
         """Critic that is invariant under the group."""
         kwargs = self._update_features_extractor(self.critic_kwargs, features_extractor)
-        kwargs["net_arch"] = kwargs["net_arch"] or [regular_type(kwargs["features_extractor"]).fields[0][1]]
+        kwargs["net_arch"] = kwargs["net_arch"] or [features_type(kwargs["features_extractor"]).fields[0][1]]
         return self.critic_class(action_sequence=self.action_sequence, **kwargs).to(self.device)
 
     def _get_constructor_parameters(self) -> dict[str, Any]:

@@ -25,6 +25,7 @@ class ToyReach(gym.Env[dict[str, np.ndarray], np.ndarray]):
     :param size: pixels a side of the heightmap
     :param render_mode: not used
     :param expert_failures: in how many of the first episodes the expert stands still
+    :param in_hand_size: pixels a side of a smaller image, of what is at the point; 0: there is none
     """
 
     metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"]}
@@ -36,15 +37,18 @@ class ToyReach(gym.Env[dict[str, np.ndarray], np.ndarray]):
         expert_failures: int = 0,
         render_mode: str | None = None,
         size: int = SIZE,
+        in_hand_size: int = 0,
     ) -> None:
         self.render_mode = render_mode
         self.size = size
-        self.observation_space = spaces.Dict(
-            {
-                "heightmap": spaces.Box(0.0, MAX_HEIGHT, (1, size, size), np.float32),
-                "holding": spaces.Box(0.0, 1.0, (1,), np.float32),
-            }
-        )
+        self.in_hand_size = in_hand_size
+        parts = {
+            "heightmap": spaces.Box(0.0, MAX_HEIGHT, (1, size, size), np.float32),
+            "holding": spaces.Box(0.0, 1.0, (1,), np.float32),
+        }
+        if in_hand_size:
+            parts["in_hand"] = spaces.Box(0.0, MAX_HEIGHT, (1, in_hand_size, in_hand_size), np.float32)
+        self.observation_space = spaces.Dict(parts)
         self.max_steps = max_steps
         self.expert_failures = expert_failures
         self.episodes = 0
@@ -72,11 +76,12 @@ class ToyReach(gym.Env[dict[str, np.ndarray], np.ndarray]):
         grid = np.linspace(-1, 1, self.size)
         x, y = np.meshgrid(grid, grid, indexing="ij")
         squared_distance = (x - self.offset[0]) ** 2 + (y - self.offset[1]) ** 2
-        heightmap = MAX_HEIGHT * np.exp(-squared_distance / 0.1)
-        return {
-            "heightmap": heightmap[None].astype(np.float32),
-            "holding": np.array([self.steps % 2], dtype=np.float32),
-        }
+        heightmap = MAX_HEIGHT * np.exp(-squared_distance / 0.1)[None].astype(np.float32)
+        observation = {"heightmap": heightmap, "holding": np.array([self.steps % 2], dtype=np.float32)}
+        if self.in_hand_size:
+            middle = slice((self.size - self.in_hand_size) // 2, (self.size + self.in_hand_size) // 2)
+            observation["in_hand"] = heightmap[:, middle, middle]
+        return observation
 
     def expert_action(self) -> np.ndarray:
         action = np.zeros(5, dtype=np.float32)

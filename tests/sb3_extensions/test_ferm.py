@@ -77,11 +77,14 @@ def test_actor_and_critic_share_convolutions_alone(make_toy: Any) -> None:
         np.testing.assert_array_equal(a, b)
 
 
-def test_which_loss_trains_what(make_toy: Any) -> None:
-    model = make_model(make_toy(size=SIDE)).learn(2)
+@pytest.mark.parametrize("in_hand_size", [0, 8])
+def test_which_loss_trains_what(in_hand_size: int, make_toy: Any) -> None:
+    model = make_model(make_toy(size=SIDE, in_hand_size=in_hand_size)).learn(2)
     sample = model.replay_buffer.sample(16)
     actions, log_prob = model.actor.action_log_prob(sample.observations)
-    encoder = set(model.critic.features_extractor.encoder.parameters())
+    parts = ("encoder", "small_images") if in_hand_size else ("encoder",)
+    extractor = model.critic.features_extractor
+    encoder = {parameter for part in parts for parameter in getattr(extractor, part).parameters()}
     losses = {
         "actor": (actions.square().sum() + log_prob.sum(), set(model.actor.parameters()) - encoder),
         "critic": (
@@ -97,7 +100,7 @@ def test_which_loss_trains_what(make_toy: Any) -> None:
         assert {p for group in optimizer.param_groups for p in group["params"]} == expected, name
     before = state(model)
     model._update_encoder(sample.observations)
-    shared = {"actor.features_extractor.encoder", "critic.features_extractor.encoder"}
+    shared = {f"{network}.features_extractor.{part}" for network in ("actor", "critic") for part in parts}
     assert changed(before, state(model)) == {*shared, "critic.features_extractor.projection", "contrast"}
 
 

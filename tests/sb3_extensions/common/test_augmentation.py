@@ -111,6 +111,36 @@ def test_drq_shifts_every_view_by_itself(k: int, m: int) -> None:
     assert after.indices is before.indices
 
 
+@pytest.mark.parametrize("augmentation", [RAD(CROP), RAD(5), DrQ(K=3, M=2)])
+@pytest.mark.parametrize("first", [True, False])
+def test_smaller_images_stay_as_they_are(augmentation: Any, first: bool) -> None:
+    """The views of the scene are cut as if the smaller images were not there, whichever comes first."""
+    before, in_hand = samples(), {"in_hand": th.rand(BATCH, 3, 8, 8)}
+    joined = before._replace(
+        **{
+            field: {**in_hand, **getattr(before, field)} if first else {**getattr(before, field), **in_hand}
+            for field in OBSERVATIONS
+        }
+    )
+    after, without = augmentation(joined, generator()), augmentation(before, generator())
+    for field in OBSERVATIONS:
+        seen, expected = getattr(after, field), getattr(without, field)
+        assert th.equal(seen["heightmap"], expected["heightmap"])
+        copies = len(expected["holding"]) // BATCH
+        assert th.equal(seen["in_hand"], th.cat([in_hand["in_hand"]] * copies))
+
+
+def test_only_the_largest_images_must_be_larger_than_the_crop() -> None:
+    in_hand = spaces.Box(0.0, 0.4, (1, 8, 8), np.float32)
+    space = spaces.Dict({**SPACE, "in_hand": in_hand})
+    for augmentation in (RAD(18), RAD(8), RAD(5), DrQ()):
+        augmentation.check(space)
+    with pytest.raises(ValueError, match="larger than 19 x 19"):
+        RAD(19).check(space)
+    with pytest.raises(ValueError, match="needs images"):
+        DrQ().check(SPACE["holding"])
+
+
 def test_targets_are_means_over_the_views_of_a_next_observation() -> None:
     values = th.tensor([1.0, 2.0, 3.0, 5.0, 7.0, 9.0])[:, None]
     expected = [[(1 + 5) / 2], [(2 + 7) / 2], [(3 + 9) / 2]]
@@ -218,11 +248,12 @@ def make_model(
     return SACfD(name, env, policy_kwargs=policy_kwargs, augmentation=augmentation, device="cpu", **kwargs)
 
 
+@pytest.mark.parametrize("in_hand_size", [0, 8])
 @pytest.mark.parametrize(("augmentation", "side"), AUGMENTATIONS)
 def test_run_with_every_policy(
-    augmentation: Any, side: int, policy: Any, make_toy: Any, tmp_path: Any
+    augmentation: Any, side: int, in_hand_size: int, policy: Any, make_toy: Any, tmp_path: Any
 ) -> None:
-    env = make_toy(2, size=side)
+    env = make_toy(2, size=side, in_hand_size=in_hand_size)
     model = make_model(env, augmentation, policy, n_steps=2).learn(8)
     assert model._n_updates == 4
     assert "crop" not in policy[1]["features_extractor_kwargs"]  # the user's mapping stays as it is

@@ -4,9 +4,12 @@ import pytest
 import torch as th
 from gymnasium import spaces
 from sb3_contrib import TQC, CrossQ
-from stable_baselines3 import PPO
+from stable_baselines3 import PPO, SAC
 
+from sb3_extensions.networks.encoders import CnnEncoder, EquivariantEncoder, SmallImageEncoder
 from sb3_extensions.networks.extractors import CnnExtractor, EquivariantExtractor, StackedImage
+from sb3_extensions.networks.groups import Group
+from sb3_extensions.replay.buffer import FrameReplayBuffer
 from sb3_extensions.replay.quantisation import Quantiser
 
 SIZE = 16
@@ -24,6 +27,17 @@ def sample(space, batch=3, seed=0):
     space.seed(seed)
     observations = [space.sample() for _ in range(batch)]
     return {key: th.from_numpy(np.stack([each[key] for each in observations])).float() for key in space}
+
+
+def with_small_images(size=SIZE, **others):
+    """As in open loop: what is in the gripper; and two images of a third size, one of them of bytes."""
+    return observation_space(
+        size,
+        in_hand=spaces.Box(0, 0.4, (3, 10, 10), np.float32),
+        touch=spaces.Box(0, 1, (1, 8, 8), np.float32),
+        colour=spaces.Box(0, 255, (3, 8, 8), np.uint8),
+        **others,
+    )
 
 
 class NoiseEnv(gym.Env):
@@ -146,6 +160,140 @@ def test_outputs_turn_or_stay(group, n):
         assert th.allclose(invariant(turned), invariant(observations), atol=1e-5)
 
 
+@pytest.mark.parametrize("output", ["regular", "invariant"])
+@pytest.mark.parametrize(
+    "space", [observation_space(), ImageNoiseEnv.observation_space], ids=["dict", "image"]
+)
+def test_images_of_one_size_give_the_networks_of_their_encoder(space, output):
+    """Weights, features and all later random draws are those of the encoder alone."""
+    channels = StackedImage(space, "uint8").channels
+    for make_encoder, make_extractor in (
+        (
+            lambda: CnnEncoder(channels, SIZE, [4, 8, 8]),
+            lambda: CnnExtractor(space, [4, 8, 8]),
+        ),
+        (
+            lambda: EquivariantEncoder(channels, SIZE, Group("cyclic", 4), [2, 4, 4]),
+            lambda: EquivariantExtractor(space, n=4, channels=[2, 4, 4], output=output),
+        ),
+    ):
+        th.manual_seed(3)
+        encoder, drawn = make_encoder(), th.rand(3)
+        th.manual_seed(3)
+        extractor = make_extractor()
+        assert th.equal(th.rand(3), drawn)
+        weights = {f"encoder.{key}": value for key, value in encoder.state_dict().items()}
+        assert extractor.state_dict().keys() == weights.keys()
+        assert all(th.equal(value, weights[key]) for key, value in extractor.state_dict().items())
+        is_dict = isinstance(space, spaces.Dict)
+        observations = sample(space) if is_dict else th.rand(3, 2, SIZE, SIZE) * 0.4
+        features = encoder(extractor.stack(observations))
+        if getattr(extractor, "pool", None) is not None:
+            features = extractor.pool(features)
+        assert th.equal(extractor(observations), features)
+
+
+@pytest.mark.parametrize("size", range(1, 65))
+def test_small_images_of_any_size_are_seen_whole(size):
+    """Every pixel reaches the features."""
+    encoder = SmallImageEncoder(2, size, 16)
+    for parameter in encoder.parameters():
+        th.nn.init.constant_(parameter, 0.01)  # so that no ReLU stops a gradient
+    image = th.rand(1, 2, size, size, requires_grad=True)
+    features = encoder(image)
+    assert features.shape == (1, 16) == (1, encoder.features_dim)
+    features.sum().backward()
+    assert (image.grad != 0).all()
+
+
+@pytest.mark.parametrize(
+    "extractor_class, kwargs", [CNN, REGULAR, INVARIANT], ids=["cnn", "regular", "invariant"]
+)
+def test_small_images_are_features_behind_the_others(extractor_class, kwargs):
+    space = with_small_images()
+    plain = extractor_class(observation_space(), **kwargs)
+    extractor = extractor_class(space, small_image_features=5, **kwargs)
+    extractor.load_state_dict(plain.state_dict(), strict=False)
+    assert extractor.features_dim == plain.features_dim + 2 * 5  # two sizes
+    assert [stack.channels for stack in extractor.small_images.stacks] == [3, 1 + 3]
+    observations = sample(space)
+    observations["colour"] /= 255
+    features = extractor(observations)
+    assert features.shape == (3, extractor.features_dim)
+    scene = {key: observations[key] for key in observation_space()}
+    assert th.equal(features[:, :-10], plain(scene))
+    for key, places in (("in_hand", slice(-10, -5)), ("touch", slice(-5, None)), ("colour", slice(-5, None))):
+        other = extractor({**observations, key: observations[key].flip(-1)})
+        changed = ~th.isclose(other, features, atol=1e-7).all(dim=0)
+        assert changed[places].any()
+        changed[places] = False
+        assert not changed.any()
+
+
+def test_small_images_are_rounded_standardised_and_never_cropped():
+    space = with_small_images()
+    extractor = CnnExtractor(space, [4, 8, 8, 8], quantise="uint16", standardise=(0.1, 0.05), crop=12)
+    stack = extractor.small_images.stacks[0]
+    observations = sample(space)
+    rounded = Quantiser(space["in_hand"], "uint16").round_trip(observations["in_hand"])
+    assert extractor.stack.size == 12 and stack.size == 10
+    assert th.allclose(stack(observations), (rounded - 0.1) / 0.05, atol=1e-6)
+    assert not th.equal(rounded, observations["in_hand"])
+
+
+@pytest.mark.parametrize("output", ["regular", "invariant"])
+def test_scenes_turn_and_small_images_stay(output):
+    space = with_small_images()
+    extractor = EquivariantExtractor(space, n=4, channels=[4, 4, 4], output=output, small_image_features=6)
+    fields = extractor.out_type.fields
+    kinds = [(rep.kind, count) for rep, count in fields]
+    assert kinds == ([("regular", 4), ("trivial", 12)] if output == "regular" else [("trivial", 4 + 12)])
+    observations = sample(space)
+    features = extractor(observations)
+    assert features[:, -12:].std() > 0 and features[:, :-12].std() > 0
+    for turns in range(1, 4):
+        turned = {**observations, "heightmap": th.rot90(observations["heightmap"], turns, (-2, -1))}
+        matrix = th.tensor(extractor.out_type.matrix(turns)).float()
+        assert th.allclose(extractor(turned), features @ matrix.T, atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    "extractor_class, kwargs",
+    [(CnnExtractor, {"channels": [4, 8, 8, 8, 8, 8]}), (EquivariantExtractor, {"n": 4, "channels": [2] * 6})],
+    ids=["cnn", "equivariant"],
+)
+@pytest.mark.parametrize("algorithm", [PPO, SAC])
+def test_open_loop_observations(algorithm, extractor_class, kwargs):
+    settings = {"n_steps": 4, "n_epochs": 1}
+    if algorithm is SAC:
+        settings = {"learning_starts": 4, "buffer_size": 16, "replay_buffer_class": FrameReplayBuffer}
+    model = algorithm(
+        "MultiInputPolicy",
+        "bulletarm_gym:BulletArm/OpenLoopBlockStacking-v0",
+        policy_kwargs={
+            "features_extractor_class": extractor_class,
+            "features_extractor_kwargs": kwargs,
+            "net_arch": [8],
+        },
+        batch_size=4,
+        seed=0,
+        device="cpu",
+        **settings,
+    )
+    before = model.policy.parameters_to_vector()
+    model.learn(6)
+    after = model.policy.parameters_to_vector()
+    assert np.isfinite(after).all() and not np.array_equal(after, before)
+    vec_env = model.get_env()
+    vec_env.reset()
+    observation, *_ = vec_env.step(np.stack(vec_env.env_method("expert_action")))
+    extractor = next(module for module in model.policy.modules() if isinstance(module, extractor_class))
+    seen = {key: th.from_numpy(value) for key, value in observation.items()}
+    features = extractor(seen) - extractor({**seen, "in_hand": 0 * seen["in_hand"]})
+    assert (features[:, :-32] == 0).all() and (features[:, -32:] != 0).any()
+    vec_env.close()
+
+
 @pytest.mark.parametrize(
     "extractor_class, kwargs", [CNN, REGULAR, INVARIANT], ids=["cnn", "regular", "invariant"]
 )
@@ -184,10 +332,12 @@ def test_extractors_serve_other_algorithms(algorithm, extractor_class, kwargs, t
     "space, kwargs, named",
     [
         (spaces.Box(0, 0.4, (16, 16), np.float32), {}, "needs images"),
-        (spaces.Box(0, 0.4, (1, 16, 18), np.float32), {}, "one size"),
+        (spaces.Box(0, 0.4, (1, 16, 18), np.float32), {}, "needs images"),
         (spaces.Dict({"holding": spaces.Box(0, 1, (1,), np.float32)}), {}, "needs images"),
-        (observation_space(in_hand=spaces.Box(0, 0.4, (1, 24, 24), np.float32)), {}, "one size"),
-        (observation_space(heightmap=spaces.Box(0, 0.4, (1, 16, 24), np.float32)), {}, "one size"),
+        (observation_space(in_hand=spaces.Box(0, 0.4, (1, 8, 10), np.float32)), {}, "needs images"),
+        (observation_space(heightmap=spaces.Box(0, 0.4, (1, 16, 24), np.float32)), {}, "needs images"),
+        (observation_space(in_hand=spaces.Box(0, np.inf, (1, 8, 8), np.float32)), {}, "'in_hand'"),
+        (observation_space(), {"small_image_features": 0}, "small_image_features"),
         (observation_space(heightmap=spaces.Box(0, np.inf, (1, 16, 16), np.float32)), {}, "'heightmap'"),
         (observation_space(), {"quantise": "int4"}, "quantise='int4'"),
         (observation_space(20), {}, "size"),

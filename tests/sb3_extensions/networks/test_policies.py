@@ -24,6 +24,7 @@ OBSERVATION_SPACE = spaces.Dict(
         "holding": spaces.Box(0, 1, (1,), np.float32),
     }
 )
+IN_HAND_SPACE = spaces.Dict({**OBSERVATION_SPACE, "in_hand": spaces.Box(0, 0.4, (1, 8, 8), np.float32)})
 
 
 class NoiseEnv(gym.Env):
@@ -50,10 +51,12 @@ def _seed():
     th.manual_seed(0)
 
 
-def make_policy(action_dim=5, policy_class=EquivariantPolicy, extractor=SMALL, **kwargs):
+def make_policy(
+    action_dim=5, policy_class=EquivariantPolicy, extractor=SMALL, space=OBSERVATION_SPACE, **kwargs
+):
     action_space = spaces.Box(-1, 1, (action_dim,), np.float32)
     return policy_class(
-        OBSERVATION_SPACE, action_space, lambda _: 1e-3, features_extractor_kwargs=dict(extractor), **kwargs
+        space, action_space, lambda _: 1e-3, features_extractor_kwargs=dict(extractor), **kwargs
     )
 
 
@@ -69,10 +72,10 @@ def draw_biases(policy):
     return policy
 
 
-def sample(batch=4):
-    OBSERVATION_SPACE.seed(0)
-    observations = [OBSERVATION_SPACE.sample() for _ in range(batch)]
-    return {key: th.from_numpy(np.stack([each[key] for each in observations])) for key in OBSERVATION_SPACE}
+def sample(batch=4, space=OBSERVATION_SPACE):
+    space.seed(0)
+    observations = [space.sample() for _ in range(batch)]
+    return {key: th.from_numpy(np.stack([each[key] for each in observations])) for key in space}
 
 
 def grid_elements(group):
@@ -100,12 +103,15 @@ def turn_actions(actions, sequence, turns, mirror):
 @pytest.mark.parametrize("group, n", GROUPS)
 @pytest.mark.parametrize("sequence", ["pxyzr", "pxyz", "ryzxp"])
 @pytest.mark.parametrize("hidden", [[], [8]])
-def test_actor_turns_with_the_scene(group, n, sequence, hidden):
+@pytest.mark.parametrize("space", [OBSERVATION_SPACE, IN_HAND_SPACE], ids=["scene", "in_hand"])
+def test_actor_turns_with_the_scene(group, n, sequence, hidden, space):
     net_arch = {"pi": hidden, "qf": [4]}
     extractor = {**SMALL, "group": group, "n": n}
-    policy = make_policy(len(sequence), extractor=extractor, action_sequence=sequence, net_arch=net_arch)
+    policy = make_policy(
+        len(sequence), extractor=extractor, action_sequence=sequence, net_arch=net_arch, space=space
+    )
     draw_biases(policy)
-    observations = sample()
+    observations = sample(space=space)
     with th.no_grad():
         mean, log_std, _ = policy.actor.get_action_dist_params(observations)
         action = policy.actor(observations, deterministic=True)
@@ -125,10 +131,12 @@ def test_actor_turns_with_the_scene(group, n, sequence, hidden):
 
 @pytest.mark.parametrize("group, n", GROUPS)
 @pytest.mark.parametrize("sequence", ["pxyzr", "zyxp"])
-def test_critic_stays_when_scene_and_action_turn(group, n, sequence):
-    policy = make_policy(len(sequence), extractor={**SMALL, "group": group, "n": n}, action_sequence=sequence)
+@pytest.mark.parametrize("space", [OBSERVATION_SPACE, IN_HAND_SPACE], ids=["scene", "in_hand"])
+def test_critic_stays_when_scene_and_action_turn(group, n, sequence, space):
+    extractor = {**SMALL, "group": group, "n": n}
+    policy = make_policy(len(sequence), extractor=extractor, action_sequence=sequence, space=space)
     draw_biases(policy)
-    observations, actions = sample(), th.rand(4, len(sequence)) * 2 - 1
+    observations, actions = sample(space=space), th.rand(4, len(sequence)) * 2 - 1
     with th.no_grad():
         values = th.cat(policy.critic(observations, actions), dim=1)
         assert values.shape == (4, 2) and values.std() > 1e-3
@@ -173,13 +181,15 @@ def test_cnn_policy_is_the_papers():
 
 
 @pytest.mark.parametrize("policy_class", [MultiInputPolicy, EquivariantPolicy])
-def test_heads_of_the_critic_share_an_encoder_of_their_own(policy_class):
-    policy = draw_biases(make_policy(policy_class=policy_class, extractor={"channels": [4, 4, 4]}))
+@pytest.mark.parametrize("space", [OBSERVATION_SPACE, IN_HAND_SPACE], ids=["scene", "in_hand"])
+def test_heads_of_the_critic_share_an_encoder_of_their_own(policy_class, space):
+    extractor = {"channels": [4, 4, 4]}
+    policy = draw_biases(make_policy(policy_class=policy_class, extractor=extractor, space=space))
     assert policy.actor.features_extractor is not policy.critic.features_extractor
-    th.cat(policy.critic(sample(), th.rand(4, 5)), dim=1).sum().backward()
+    th.cat(policy.critic(sample(space=space), th.rand(4, 5)), dim=1).sum().backward()
     for name, parameter in policy.critic.named_parameters():
         assert parameter.grad is not None and parameter.grad.abs().sum() > 0, name
-    action, log_prob = policy.actor.action_log_prob(sample())
+    action, log_prob = policy.actor.action_log_prob(sample(space=space))
     (action.square().sum() + log_prob.sum()).backward()
     for name, parameter in policy.actor.named_parameters():
         assert parameter.grad is not None and parameter.grad.abs().sum() > 0, name

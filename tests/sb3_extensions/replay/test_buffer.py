@@ -1,6 +1,5 @@
 """The replay buffer: what it stores and what it samples, against slow references."""
 
-import logging
 import pickle
 from typing import Any
 
@@ -263,26 +262,6 @@ def test_timeouts_bootstrap_unless_told_otherwise() -> None:
         buffer = make_buffer(handle_timeout_termination=handle)
         Player(buffer).step(p_terminate=0, p_truncate=1)
         assert buffer.sample(1).dones.item() == expected
-
-
-def test_memory_of_the_paper_preset(caplog: pytest.LogCaptureFixture) -> None:
-    space = spaces.Dict(
-        {
-            "heightmap": spaces.Box(0.0, HEIGHT, (1, 128, 128), np.float32),
-            "holding": spaces.Box(0.0, 1.0, (1,), np.float32),
-        }
-    )
-    buffer = ExpertReplayBuffer(100_000, space, spaces.Box(-1, 1, (5,), np.float32), device="cpu", n_envs=5)
-    assert not buffer.table and not buffer.frames.data  # nothing before the first add
-    obs = {key: np.zeros((5, *value.shape), np.float32) for key, value in space.items()}
-    with caplog.at_level(logging.INFO):
-        for _ in range(3):
-            buffer.add(obs, obs, np.zeros((5, 5)), np.zeros(5), np.zeros(5, bool), [{}] * 5)
-    size = sum(array.nbytes for array in (*buffer.table.values(), *buffer.frames.data.values()))
-    assert size < 1.8e9
-    messages = [record.message for record in caplog.records if "Replay buffer" in record.message]
-    assert len(messages) == 1
-    assert f"{size / 1e9:.2f} GB" in messages[0]
 
 
 @both_buffers

@@ -179,6 +179,8 @@ def test_sacfd_hands_back_its_errors(n_steps: int, make_toy: Any) -> None:
         ({"beta_start": -0.1}, "beta_start"),
         ({"expert_bonus": -1.0}, "expert_bonus"),
         ({"expert_fraction": 0.5}, "expert_fraction"),
+        ({"expert_fraction": 0.5, "balanced_from": 8}, "expert_fraction must be None"),
+        ({"balanced_from": 8}, "balanced_from"),
     ],
 )
 def test_bad_arguments(kwargs: dict[str, Any], message: str) -> None:

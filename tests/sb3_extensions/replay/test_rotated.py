@@ -25,6 +25,7 @@ SPACE = spaces.Dict(
     {
         "heightmap": spaces.Box(0.0, 0.4, (1, SIZE, SIZE), np.float32),
         "rgb": spaces.Box(0, 255, (3, SIZE, SIZE), np.uint8),
+        "in_hand": spaces.Box(0.0, 0.4, (1, 8, 8), np.float32),
         "holding": spaces.Box(0.0, 1.0, (1,), np.float32),
     }
 )
@@ -37,7 +38,13 @@ def draw(x: float, y: float, number: float) -> dict[str, np.ndarray]:
     rows, columns = np.meshgrid(*[np.linspace(-1, 1, SIZE)] * 2, indexing="ij")
     image = 0.3 * np.exp(-((rows - x) ** 2 + (columns - y) ** 2) / 0.2)[None].astype(np.float32)
     rgb = np.repeat(np.rint(image * 600), 3, axis=0).astype(np.uint8)
-    return {"heightmap": image, "rgb": rgb, "holding": np.array([number], np.float32)}
+    in_hand = image[:, 2:10, 2:10]  # a corner, so that turned it would differ
+    return {
+        "heightmap": image,
+        "rgb": rgb,
+        "in_hand": in_hand,
+        "holding": np.array([number], np.float32),
+    }
 
 
 def stack(observations: list[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
@@ -173,6 +180,7 @@ def check_copy(samples: Any, original: int, copy: int) -> float:
         again = rotate_images(rgb[original][None], np.array([angle]))[0].astype(float)
         assert np.abs(rgb[copy] - again).max() < 8
         assert tensors[name]["holding"][original] == tensors[name]["holding"][copy]
+        assert th.equal(tensors[name]["in_hand"][original], tensors[name]["in_hand"][copy])
     action, turned_action = samples.actions[[original, copy]].numpy()
     expected = np.clip(turn(action[1], action[2], angle), -1, 1)
     np.testing.assert_allclose(turned_action[1:3], expected, atol=0.02)
