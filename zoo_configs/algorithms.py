@@ -7,8 +7,12 @@ from typing import Any
 
 # Named by path, so that listing them does not load PyTorch.
 ALGORITHMS = {
+    "adet": "sb3_extensions.spatial_dqn.ADET",
+    "dqfd": "sb3_extensions.spatial_dqn.DQfD",
     "ferm": "sb3_extensions.ferm.FERM",
     "sacfd": "sb3_extensions.sacfd.SACfD",
+    "sdqfd": "sb3_extensions.spatial_dqn.SDQfD",
+    "spatial_dqn": "sb3_extensions.spatial_dqn.SpatialDQN",
     "tqcfd": "sb3_extensions.tqcfd.TQCfD",
 }
 

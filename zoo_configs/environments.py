@@ -11,10 +11,8 @@ import gymnasium as gym
 
 from zoo_configs.errors import CommandError, unknown_name
 
-# Imported by name: environments are known here only through Gymnasium's registry.
 ENV_PACKAGES = ("bulletarm_gym",)
 NAMESPACE = "BulletArm/"
-DEMONSTRATIONS = "bulletarm_gym.demonstrations"
 
 
 def register_environments(packages: Iterable[str] = ()) -> None:
@@ -61,7 +59,9 @@ def demonstrations() -> ModuleType:
 
     :return: The module, with ``collect`` and ``load``
     """
-    return importlib.import_module(DEMONSTRATIONS)
+    import bulletarm_gym.demonstrations
+
+    return bulletarm_gym.demonstrations
 
 
 def load_expert_data(hyperparams: Mapping[str, Any]) -> dict[str, Any]:

@@ -12,11 +12,13 @@ from typing import Any
 
 import yaml
 
+from zoo_configs.benchmarks import choose_benchmark, task_parameters
 from zoo_configs.errors import CommandError, unknown_name
 
-FAMILY_KEYS = ("envs", "hyperparams", "presets", "baselines", "tasks")
+FAMILY_KEYS = ("envs", "benchmarks", "hyperparams", "presets", "learners", "baselines", "tasks")
 PRESET_KEYS = ("flags", "hyperparams", "policies", "baselines")
 BASELINE_KEYS = ("algo", "policy", "hyperparams")
+LEARNER_KEYS = ("algo", "hyperparams")
 # Flags of rl_zoo3.train for which a preset may choose the default.
 PRESET_FLAGS = ("eval_freq", "eval_episodes", "n_eval_envs", "save_freq", "vec_env", "log_interval")
 
@@ -32,6 +34,7 @@ class Cell:
     :param flags: Defaults for flags of ``rl_zoo3.train``, named as in its namespace
     :param baseline: The row of the benchmark, None for hyperparameters from elsewhere
     :param preset: The size of the run, None for hyperparameters from elsewhere
+    :param benchmark: The benchmark whose parameters the task has, None for a task of none
     """
 
     algo: str
@@ -40,6 +43,7 @@ class Cell:
     flags: dict[str, Any] = field(default_factory=dict)
     baseline: str | None = None
     preset: str | None = None
+    benchmark: str | None = None
 
     @property
     def label(self) -> str:
@@ -52,11 +56,13 @@ class Family:
     """
     One file of hyperparameters: the baselines and presets of a family of environments.
 
-    Layers, later ones win: family, preset, policy of the preset, baseline, baseline of the preset; then
-    hyperparameters, policy and baseline of what the task says of the preset.
+    Layers, later ones win: family, benchmark, preset, policy of the preset, baseline, baseline of the preset;
+    then hyperparameters, policy and baseline of what the task says of the preset.
 
     :param name: Name of the file without its suffix
     :param envs: Shell pattern of the ids it serves
+    :param benchmarks: From benchmark to the policies that serve it; a task is trained as in the first that
+        has it and the policy, unless another is named
     :param hyperparams: What all cells share
     :param presets: From preset to its flags, its hyperparameters, and those of policies and baselines in it
     :param baselines: From baseline to its algorithm, the name of its policy and its hyperparameters
@@ -65,6 +71,7 @@ class Family:
 
     name: str
     envs: str
+    benchmarks: dict[str, list[str]]
     hyperparams: dict[str, Any]
     presets: dict[str, dict[str, Any]]
     baselines: dict[str, dict[str, Any]]
@@ -105,7 +112,13 @@ def family_of(env_id: str) -> Family:
     raise CommandError(f"no baselines for {env_id!r}, only for {served}; use --algo and --conf-file")
 
 
-def resolve(baseline: str, preset: str, env_id: str, overrides: Mapping[str, Any] | None = None) -> Cell:
+def resolve(
+    baseline: str,
+    preset: str,
+    env_id: str,
+    overrides: Mapping[str, Any] | None = None,
+    benchmark: str | None = None,
+) -> Cell:
     """
     Look up the hyperparameters of one cell.
 
@@ -113,16 +126,20 @@ def resolve(baseline: str, preset: str, env_id: str, overrides: Mapping[str, Any
     :param preset: ``"cpu"`` or ``"paper"``
     :param env_id: Id of the environment
     :param overrides: Hyperparameters that win over all layers; mappings are merged, other values replaced
+    :param benchmark: Benchmark whose parameters the task has; None takes the first that fits
     :return: The cell, its hyperparameters not shared with any other
-    :raises CommandError: for an unknown name; names the nearest valid one
+    :raises CommandError: for an unknown name, naming the nearest valid one, or a benchmark that does not have
+        the task or the network
     """
     family = family_of(env_id)
     row = _entry("baseline", baseline, family.baselines)
     size = _entry("preset", preset, family.presets)
     policy = _entry(f"policy of preset {preset}", row["policy"], size["policies"])
     task = family.tasks.get(env_id, {}).get(preset, {})
+    chosen = choose_benchmark(family.benchmarks, env_id, row["policy"], benchmark)
     layers = (
         family.hyperparams,
+        {} if chosen is None else task_parameters(chosen, env_id),
         size.get("hyperparams", {}),
         policy,
         row.get("hyperparams", {}),
@@ -137,7 +154,7 @@ def resolve(baseline: str, preset: str, env_id: str, overrides: Mapping[str, Any
         hyperparams = merge(hyperparams, layer)
     _share_action_sequence(hyperparams)
     flags = merge(size.get("flags", {}), task.get("flags", {}))
-    return Cell(row["algo"], env_id, hyperparams, flags, baseline, preset)
+    return Cell(row["algo"], env_id, hyperparams, flags, baseline, preset, chosen)
 
 
 def merge(base: Mapping[str, Any], update: Mapping[str, Any]) -> dict[str, Any]:
@@ -183,6 +200,9 @@ def parse_family(name: str, text: str) -> Family:
     data = yaml.safe_load(text)
     where = f"hyperparams/{name}.yml"
     _check_keys(f"key of {where}", data, FAMILY_KEYS)
+    for learner in data.get("learners", {}).values():
+        _check_keys(f"learner key of {where}", learner, LEARNER_KEYS)
+    data["baselines"] = {**_products(data), **data.get("baselines", {})}
     for baseline in data["baselines"].values():
         _check_keys(f"baseline key of {where}", baseline, BASELINE_KEYS)
     presets = data["presets"]
@@ -192,7 +212,18 @@ def parse_family(name: str, text: str) -> Family:
         sections += task.items()
     for name_of_preset, section in sections:
         _check_section(where, section, data["baselines"], presets[name_of_preset]["policies"])
-    return Family(name=name, **{key: data.get(key, {}) for key in FAMILY_KEYS})
+    keys = (key for key in FAMILY_KEYS if key != "learners")  # they are in the baselines
+    return Family(name=name, **{key: data.get(key, {}) for key in keys})
+
+
+def _products(data: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+    """A baseline of every learner on every network."""
+    networks = dict.fromkeys(name for preset in data["presets"].values() for name in preset["policies"])
+    return {
+        f"{name}_{network}": {**learner, "policy": network}
+        for name, learner in data.get("learners", {}).items()
+        for network in networks
+    }
 
 
 def _check_section(

@@ -62,6 +62,7 @@ def build_parser() -> argparse.ArgumentParser:
     add("-h", "--help", action="store_true", help="show this help and that of rl_zoo3.train")
     add("--baseline", help="row of a benchmark, see bulletarm-zoo list --baselines")
     add("--preset", help="cpu or paper (default: paper with a GPU, else cpu)")
+    add("--benchmark", help="benchmark whose parameters the task has, for one that is in several")
     add("--resume", type=Path, metavar="RUN_FOLDER", help="go on from the last checkpoint of an earlier run")
     add("--algo", help="algorithm, for a baseline of the same name or with --conf-file")
     add("--env", help="environment id, see bulletarm-zoo list")
@@ -114,7 +115,8 @@ def _find_cell(args: argparse.Namespace, env_id: str) -> Cell:
         baseline = args.algo
     if baseline is None:
         return _cell_from_rl_zoo3(_required_algo(args), env_id)
-    cell = resolve(baseline, args.preset or _default_preset(args.device), env_id)
+    preset = args.preset or _default_preset(args.device)
+    cell = resolve(baseline, preset, env_id, benchmark=args.benchmark)
     if args.algo not in (None, baseline, cell.algo):
         raise CommandError(f"baseline {baseline!r} is trained by --algo {cell.algo}, not {args.algo}")
     return cell
@@ -125,6 +127,8 @@ def _required_algo(args: argparse.Namespace) -> str:
         raise CommandError("name a baseline with --baseline, or an algorithm with --algo")
     if args.preset is not None:
         raise CommandError("--preset belongs to --baseline")
+    if args.benchmark is not None:
+        raise CommandError("--benchmark belongs to --baseline")
     return str(args.algo)
 
 
@@ -173,7 +177,7 @@ def _override(cell: Cell, args: argparse.Namespace) -> Cell:
     if env_kwargs:
         overrides["env_kwargs"] = merge(overrides.get("env_kwargs", {}), env_kwargs)
     if cell.baseline is not None and cell.preset is not None:
-        return resolve(cell.baseline, cell.preset, cell.env_id, overrides)
+        return resolve(cell.baseline, cell.preset, cell.env_id, overrides, cell.benchmark)
     return replace(cell, hyperparams=merge(cell.hyperparams, overrides))
 
 
