@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import imageio.v3 as iio
 import numpy as np
@@ -24,10 +25,34 @@ BACKGROUND = (24, 26, 30)
 FOREGROUND = (235, 235, 235)
 SUCCESS_COLOUR = (110, 200, 120)
 COLOUR_MAP = "magma_r"
+VALUE_COLOURS = "viridis"
+SMALLEST_SPAN = 1e-6  # of values, so that equal ones can be drawn
+MARK = (255, 90, 60)
+RING = 7  # pixels
+NEAREST = Image.Resampling.NEAREST
+
+
+class ValueMap(NamedTuple):
+    """
+    What an agent thinks of the places that it sees.
+
+    :param values: Of every pixel, shape (size, size)
+    :param pixel: Row and column of the one that it chooses
+    :param yaw: Of the gripper there, rad; None where it has none
+    """
+
+    values: npt.NDArray[np.float32]
+    pixel: tuple[int, int]
+    yaw: float | None
 
 
 def compose_frame(
-    picture: Frame, observation: Any, space: spaces.Space[Any], caption: str, success: bool = False
+    picture: Frame,
+    observation: Any,
+    space: spaces.Space[Any],
+    caption: str,
+    success: bool = False,
+    value_map: ValueMap | None = None,
 ) -> Frame:
     """
     Put a rendered picture, the images of an observation and a caption side by side.
@@ -37,12 +62,13 @@ def compose_frame(
     :param space: Space of the observation; colours span its bounds
     :param caption: Text below the panels
     :param success: Whether to write the caption in the colour of success
+    :param value_map: What the agent thinks of it, one more panel
     :return: The frame, shape (height, width, 3)
     """
     panels = [_resize(Image.fromarray(picture), Image.Resampling.LANCZOS)]
-    panels += [
-        _resize(_colour(image), Image.Resampling.NEAREST) for image in observed_images(observation, space)
-    ]
+    panels += [_resize(_colour(image, COLOUR_MAP), NEAREST) for image in observed_images(observation, space)]
+    if value_map is not None:
+        panels.append(draw_value_map(value_map))
     frame = Image.new("RGB", (PANEL_SIZE * len(panels), PANEL_SIZE + CAPTION_HEIGHT), BACKGROUND)
     for column, panel in enumerate(panels):
         frame.paste(panel, (column * PANEL_SIZE, 0))
@@ -51,6 +77,27 @@ def compose_frame(
     position = (10, PANEL_SIZE + CAPTION_HEIGHT // 2)
     draw.text(position, caption, fill=colour, font=ImageFont.load_default(FONT_SIZE), anchor="lm")
     return np.asarray(frame)
+
+
+def draw_value_map(value_map: ValueMap) -> Image.Image:
+    """
+    Draw the values of all pixels, bright where high, and a ring around the chosen one with a line through it
+    along the way that the fingers close.
+
+    :param value_map: The values
+    :return: A panel
+    """
+    values, (row, column), yaw = value_map
+    low, high = float(values.min()), float(values.max())
+    panel = _resize(_colour((values - low) / max(high - low, SMALLEST_SPAN), VALUE_COLOURS), NEAREST)
+    draw = ImageDraw.Draw(panel)
+    scale = PANEL_SIZE / len(values)
+    x, y = (column + 0.5) * scale, (row + 0.5) * scale
+    draw.ellipse((x - RING, y - RING, x + RING, y + RING), outline=MARK, width=2)
+    if yaw is not None:
+        down, right = 2 * RING * math.cos(yaw), 2 * RING * math.sin(yaw)
+        draw.line((x - right, y - down, x + right, y + down), fill=MARK, width=2)
+    return panel
 
 
 def observed_images(observation: Any, space: spaces.Space[Any]) -> list[npt.NDArray[np.float64]]:
@@ -100,5 +147,5 @@ def _resize(image: Image.Image, resampling: Image.Resampling) -> Image.Image:
     return image.convert("RGB").resize((PANEL_SIZE, PANEL_SIZE), resampling)
 
 
-def _colour(image: npt.NDArray[np.float64]) -> Image.Image:
-    return Image.fromarray((colormaps[COLOUR_MAP](image)[..., :3] * 255).astype(np.uint8))
+def _colour(image: npt.NDArray[np.floating], colour_map: str) -> Image.Image:
+    return Image.fromarray((colormaps[colour_map](image)[..., :3] * 255).astype(np.uint8))

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
+import numpy.typing as npt
 import torch as th
 from gymnasium import spaces
 from stable_baselines3.common.policies import BasePolicy
@@ -156,6 +158,22 @@ class SpatialPolicy(BasePolicy):
         places = self.q_net.scene_view(observation).places
         actions = self.codec.decode(indices.cpu().numpy(), places.cpu().numpy())
         return th.as_tensor(actions, device=self.device)
+
+    def value_map(
+        self, observation: dict[str, npt.NDArray[Any]]
+    ) -> tuple[npt.NDArray[np.float32], tuple[int, ...]]:
+        """
+        What the agent thinks of the places in one observation, for a picture.
+
+        :param observation: of the environment, not a batch
+        :return: value of every pixel with its best yaw, (size, size), and the indices of the greedy action
+        """
+        batch, _ = self.obs_to_tensor(observation)
+        assert isinstance(batch, dict)
+        with th.no_grad():
+            values = self.q_net.maps(batch)[0].amax(dim=0)
+            indices, _ = self.q_net.greedy(batch)
+        return values.cpu().numpy(), tuple(indices[0].tolist())
 
     def set_training_mode(self, mode: bool) -> None:
         """

@@ -15,10 +15,10 @@ from zoo_configs.errors import CommandError
 from zoo_configs.seeds import SeedStream, stream_seed
 
 if TYPE_CHECKING:
-    from zoo_configs.video import Frame
+    from zoo_configs.video import Frame, ValueMap
 
 DESCRIPTION = """Film episodes of a trained agent, or with --expert of the expert of --env: the rendered scene
-beside the heightmap that the agent sees."""
+beside the images that the agent sees and, where it values every pixel, those values with its choice."""
 FORMATS = ("gif", "mp4")
 FRAMES_PER_SECOND = 5.0
 FINAL_HOLD = 1.0  # s that the last frame of an episode stays
@@ -32,12 +32,14 @@ class Actor(NamedTuple):
     :param env: The environment, rendering to arrays
     :param act: From an observation to an action
     :param folder: Where the film goes by default
+    :param judge: What it thinks of the places in an observation; None for who does not
     """
 
     name: str
     env: gym.Env[Any, Any]
     act: Callable[[Any], Any]
     folder: Path
+    judge: Callable[[Any], ValueMap] | None = None
 
 
 def main(argv: Sequence[str]) -> None:
@@ -118,7 +120,29 @@ def _agent(args: argparse.Namespace) -> Actor:
     env = gym.make(run.cell.env_id, **{**hyperparams.get("env_kwargs", {}), "render_mode": "rgb_array"})
     wrap = get_wrapper_class(hyperparams)
     env = wrap(env) if wrap is not None else env
-    return Actor(run.cell.label, env, lambda seen: model.predict(seen, deterministic=True)[0], run.folder)
+    return Actor(
+        run.cell.label,
+        env,
+        lambda seen: model.predict(seen, deterministic=True)[0],
+        run.folder,
+        _judge(model.policy),
+    )
+
+
+def _judge(policy: Any) -> Callable[[Any], ValueMap] | None:
+    """What a policy over the places of a heightmap thinks of them."""
+    from sb3_extensions.spatial_dqn.policies import SpatialPolicy
+    from zoo_configs.video import ValueMap
+
+    if not isinstance(policy, SpatialPolicy):
+        return None
+    yaws = policy.codec.grids.get("theta")
+
+    def judge(seen: Any) -> ValueMap:
+        values, (row, column, *others) = policy.value_map(seen)
+        return ValueMap(values, (row, column), None if yaws is None else float(yaws[others[0]]))
+
+    return judge
 
 
 def _film(actor: Actor, episodes: int, seed: int, fps: float) -> Iterator[Frame]:
@@ -144,8 +168,8 @@ def _film_episode(actor: Actor, seed: int, title: str) -> Iterator[tuple[Frame, 
         success = bool(info.get("is_success", False))
         outcome = "success" if success else "failure" if over else f"step {step}"
         picture: Any = actor.env.render()
-        space = actor.env.observation_space
-        yield compose_frame(picture, seen, space, f"{name}: {outcome}", success), success
+        space, value_map = actor.env.observation_space, actor.judge(seen) if actor.judge else None
+        yield compose_frame(picture, seen, space, f"{name}: {outcome}", success, value_map), success
         if over:
             return
         seen, _, terminated, truncated, info = actor.env.step(actor.act(seen))
