@@ -128,6 +128,7 @@ def write_resolved(run: Run) -> Path:
         "algo": run.cell.algo,
         "baseline": run.cell.baseline,
         "preset": run.cell.preset,
+        "benchmark": run.cell.benchmark,
         "arguments": list(run.arguments),
     }
     path = run.resolved_file
@@ -150,7 +151,8 @@ def load_run(folder: Path) -> Run:
     content = yaml.safe_load(path.read_text(encoding="utf-8"))
     about = content.pop(RUN_KEY)
     ((env_id, hyperparams),) = content.items()
-    cell = Cell(about["algo"], env_id, hyperparams, {}, about["baseline"], about["preset"])
+    named = {key: about.get(key) for key in ("baseline", "preset", "benchmark")}
+    cell = Cell(about["algo"], env_id, hyperparams, {}, **named)
     return Run(folder, cell, tuple(about["arguments"]))
 
 

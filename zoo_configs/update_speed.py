@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import resource
+import sys
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -14,8 +16,9 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from torch import nn
 from torch.profiler import profile
 
-from sb3_extensions.networks.encoders import Encoder, precision
+from sb3_extensions.networks.encoders import precision
 from sb3_extensions.networks.equivariant import EquivariantConv2d
+from sb3_extensions.spatial_dqn import SpatialDQN
 from zoo_configs.algorithms import register_algorithms
 from zoo_configs.manager import import_classes
 from zoo_configs.resolve import Cell
@@ -44,12 +47,40 @@ class UpdateSpeed:
     :param update_ms: The median update
     :param shares: Share of each part in the computing time, adding up to 1
     :param convolution_ratio: Forward and backward passes through the equivariant convolutions of the actor's
-        encoder, over those through plain ones of the same width; ``None`` without equivariant ones
+        encoder or of the Q network, over those through plain ones of the same width; ``None`` without
+        equivariant ones
+    :param peak_gigabytes: Greatest memory of the process until then, on a GPU of the GPU
     """
 
     update_ms: float
     shares: dict[str, float]
     convolution_ratio: float | None
+    peak_gigabytes: float
+
+
+@dataclass(frozen=True)
+class Network:
+    """
+    What of a model has convolutions, and how it is run.
+
+    :param module: The convolutions' parent
+    :param forward: A pass through it
+    :param autocast: Its precision, see :func:`~sb3_extensions.networks.encoders.precision`
+    """
+
+    module: nn.Module
+    forward: Callable[[], object]
+    autocast: str | None
+
+    @classmethod
+    def of(cls, model: Any) -> Network:
+        """The Q network of a spatial Q algorithm, the encoder of an actor."""
+        observations = model.replay_buffer.sample(model.batch_size).observations
+        if isinstance(model, SpatialDQN):
+            indices, _ = model.q_net.greedy(observations)
+            return cls(model.q_net, lambda: model.q_net.values(observations, indices), model.q_net.autocast)
+        encoder = model.actor.features_extractor.encoder
+        return cls(encoder, lambda: model.actor(observations), encoder.autocast)
 
 
 def make_model(cell: Cell, device: str = "auto", **changes: Any) -> BaseAlgorithm:
@@ -89,9 +120,16 @@ def measure_update(cell: Cell, seconds: float, device: str = "auto") -> UpdateSp
             th.cuda.synchronize(model.device)
 
     times = list(_times(update, seconds))
-    encoder = model.actor.features_extractor.encoder
+    peak = _peak_gigabytes(model.device)
     model.env.close()
-    return UpdateSpeed(1e3 * _median(times), _shares(update), _compare_convolutions(encoder, model))
+    return UpdateSpeed(1e3 * _median(times), _shares(update), _compare_convolutions(model), peak)
+
+
+def _peak_gigabytes(device: th.device) -> float:
+    if device.type == "cuda":
+        return th.cuda.max_memory_allocated(device) / 1e9
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak / (1e9 if sys.platform == "darwin" else 1e6)  # macOS counts bytes, Linux kilobytes
 
 
 def _times(function: Callable[[], None], seconds: float) -> Iterator[float]:
@@ -119,23 +157,27 @@ def _shares(update: Callable[[], None]) -> dict[str, float]:
     return {part: value / total for part, value in seconds.items()}
 
 
-def _compare_convolutions(encoder: Encoder, model: Any) -> float | None:
+def _compare_convolutions(model: Any) -> float | None:
     """Time equivariant convolutions and plain ones in turn, so that both meet the same machine."""
-    convolutions = [layer for layer in encoder.layers if isinstance(layer, EquivariantConv2d)]
+    network = Network.of(model)
+    convolutions = [layer for layer in network.module.modules() if isinstance(layer, EquivariantConv2d)]
     if not convolutions:
         return None
-    sizes: list[tuple[int, ...]] = []
-    hooks = [
-        layer.register_forward_hook(lambda _, inputs, __: sizes.append(tuple(inputs[0].shape)))
-        for layer in convolutions
-    ]
-    model.actor(model.replay_buffer.sample(model.batch_size).observations)
+    inputs: dict[nn.Module, th.Tensor] = {}
+
+    def note(layer: nn.Module, given: tuple[th.Tensor, ...], _: th.Tensor) -> None:
+        inputs.setdefault(layer, given[0].detach())
+
+    hooks = [layer.register_forward_hook(note) for layer in convolutions]
+    network.forward()
     for hook in hooks:
         hook.remove()
     ours = theirs = 0.0
-    for layer, size in zip(convolutions, sizes, strict=True):
-        plain = nn.Conv2d(size[1], layer.out_type.size, layer.kernel_size, layer.stride, layer.padding)
-        passes = [_pass(module, size, encoder, model.device) for module in (layer, plain)]
+    for layer in convolutions:
+        features = inputs[layer]
+        channels = (features.shape[1], layer.out_type.size)
+        plain = nn.Conv2d(*channels, layer.kernel_size, layer.stride, layer.padding)
+        passes = [_pass(module, features, network.autocast) for module in (layer, plain)]
         times: tuple[list[float], list[float]] = ([], [])
         for _ in range(COMPARED_PASSES):
             for one, its_times in zip(passes, times, strict=True):
@@ -146,15 +188,13 @@ def _compare_convolutions(encoder: Encoder, model: Any) -> float | None:
     return ours / theirs
 
 
-def _pass(
-    module: nn.Module, size: tuple[int, ...], encoder: Encoder, device: th.device
-) -> Callable[[], None]:
-    """Forward and backward through a convolution, as within the encoder."""
-    module = module.to(device)
-    features = th.randn(size, device=device).to(memory_format=encoder.memory_format).requires_grad_()
+def _pass(module: nn.Module, features: th.Tensor, autocast: str | None) -> Callable[[], None]:
+    """Forward and backward through a convolution, as within its network."""
+    device = features.device
+    module, features = module.to(device), features.float().requires_grad_()
 
     def run() -> None:
-        with precision(encoder.autocast, device.type):
+        with precision(autocast, device.type):
             outputs = module(features)
         outputs.float().sum().backward()
         if device.type == "cuda":

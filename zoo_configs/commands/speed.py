@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import argparse
 import math
+import multiprocessing
 from collections.abc import Iterator, Sequence
 from importlib import resources
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from zoo_configs.arguments import positive_int
 from zoo_configs.environments import known_env_id, our_env_ids, register_environments
@@ -19,10 +20,15 @@ from zoo_configs.throughput import (
     measure_env,
 )
 
+if TYPE_CHECKING:
+    from zoo_configs.resolve import Cell
+    from zoo_configs.update_speed import UpdateSpeed
+
 DESCRIPTION = """Measure steps a second with the expert in one process, split into physics (the engine's
 steps), rendering (heightmaps) and the rest. The yardstick is plain PyBullet, on this machine at this hour.
-With --baseline instead: the time of one gradient update, split into its parts, and how the equivariant
-convolutions compare with plain ones of the same width, forward and backward, in turn."""
+With --baseline instead: the time of one gradient update, split into its parts, the greatest memory of its
+process, and how the equivariant convolutions compare with plain ones of the same width, forward and backward,
+in turn."""
 DEFAULT_LEARNING_ENV = "BulletArm/CloseLoopBlockPicking-v0"
 SHIPPED_REFERENCE = "data/reference_rates.csv"
 COLUMNS = (
@@ -106,7 +112,7 @@ def _measure_updates(args: argparse.Namespace) -> None:
 
     from zoo_configs.resolve import resolve
     from zoo_configs.tables import print_table
-    from zoo_configs.update_speed import PARTS, REST, measure_update
+    from zoo_configs.update_speed import PARTS, REST
 
     if args.num_threads:
         th.set_num_threads(args.num_threads)
@@ -115,12 +121,30 @@ def _measure_updates(args: argparse.Namespace) -> None:
     print(f"{describe_machine()}, {th.get_num_threads()} threads; {env_id}, preset {args.preset}")
     rows = []
     for cell in cells:
-        speed = measure_update(cell, args.seconds, args.device)
+        speed = _measure_alone(cell, args)
         shares = [f"{share:.0%}" for share in speed.shares.values()]
         ratio = "" if speed.convolution_ratio is None else f"{speed.convolution_ratio:.2f}"
-        rows.append([cell.label, f"{speed.update_ms:.1f}", *shares, ratio])
-    columns = ["baseline", "ms/update", *PARTS, REST, "equivariant/plain"]
+        rows.append([cell.label, f"{speed.update_ms:.1f}", f"{speed.peak_gigabytes:.1f}", *shares, ratio])
+    columns = ["baseline", "ms/update", "peak GB", *PARTS, REST, "equivariant/plain"]
     print_table(columns, rows, args.markdown)
+
+
+def _measure_alone(cell: Cell, args: argparse.Namespace) -> UpdateSpeed:
+    """In a process of its own: a process remembers its greatest memory."""
+    context = multiprocessing.get_context("spawn")
+    with context.Pool(1) as pool:
+        return pool.apply(_measure_in_process, (cell, args.seconds, args.device, args.num_threads))
+
+
+def _measure_in_process(cell: Cell, seconds: float, device: str, num_threads: int | None) -> UpdateSpeed:
+    import torch as th
+
+    from zoo_configs.update_speed import measure_update
+
+    register_environments()
+    if num_threads:
+        th.set_num_threads(num_threads)
+    return measure_update(cell, seconds, device)
 
 
 def _measure(env_ids: Sequence[str], seconds: float, seed: int) -> Iterator[Throughput]:
