@@ -12,6 +12,7 @@ import numpy.typing as npt
 Actions = npt.NDArray[np.float32]
 Indices = npt.NDArray[np.int64]
 
+DEFAULT_SEQUENCE = "pxyr"
 PIXEL = ("row", "column")
 ANGLES = ("theta", "phi", "psi")
 NAMES = ("x", "y", "theta", "z", "phi", "psi")
@@ -50,7 +51,7 @@ class SpatialActionCodec:
     def __init__(
         self,
         size: int,
-        action_sequence: str = "pxyr",
+        action_sequence: str = DEFAULT_SEQUENCE,
         num_rotations: int = NUM_ROTATIONS,
         num_heights: int = NUM_HEIGHTS,
         heights: tuple[float, float] = HEIGHTS,

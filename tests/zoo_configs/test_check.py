@@ -29,6 +29,22 @@ def test_environment_of_ours_passes(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert (tmp_path / "CloseLoopBlockReaching-v0.png").stat().st_size > 10_000
 
 
+def test_the_expert_can_act_on_a_grid(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Four cubes of 3 cm do not stand on each other with pixels of 2.5 cm."""
+    stacking, arguments = "BulletArm/OpenLoopBlockStacking-v0", ["-n", "2", "-f", str(tmp_path), "--snap"]
+    fine = ["--env-kwargs", "obs_size:64"]
+    assert main(["check", stacking, *arguments, *fine]) == 0
+    assert "success_rate=1.000" in capsys.readouterr().out
+    coarse = ["--env-kwargs", "obs_size:16", "in_hand_size:12"]
+    assert main(["check", stacking, *arguments, *coarse]) == 2
+    assert "success_rate=0.000" in capsys.readouterr().out
+
+
+def test_close_loop_has_no_grid(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["check", "BulletArm/CloseLoopBlockReaching-v0", "--snap"]) == 2
+    assert "only open-loop actions are places on a grid" in capsys.readouterr().err
+
+
 def test_least_success_rate_decides(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     arguments = ["-n", "1", "-f", str(tmp_path), "--env-kwargs", "max_steps:1"]
     assert main(["check", "BulletArm/CloseLoopBlockReaching-v0", *arguments]) == 2

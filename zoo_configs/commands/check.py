@@ -6,7 +6,7 @@ import argparse
 import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import gymnasium as gym
 import numpy as np
@@ -19,10 +19,15 @@ from tqdm import trange
 from zoo_configs.arguments import positive_int
 from zoo_configs.environments import known_env_id, our_env_ids, register_environments
 from zoo_configs.errors import CommandError
+from zoo_configs.resolve import family_of
 from zoo_configs.video import compose_frame, write_picture
+
+if TYPE_CHECKING:
+    from sb3_extensions.demonstrations.collecting import Hand
 
 DESCRIPTION = """Check environments: Gymnasium's and Stable-Baselines3's own checks, equal episodes from equal
 seeds, and how often the expert succeeds. Draws the start and the end of the expert's first episode."""
+GRIDDED = "open_loop"  # family of the tasks with a grid
 ROLLOUT = 25  # steps compared between two environments
 
 
@@ -50,6 +55,8 @@ def main(argv: Sequence[str]) -> None:
     args = _parse(argv)
     register_environments(args.gym_packages)
     ids = [known_env_id(env_id) for env_id in args.env] or our_env_ids()
+    if args.snap and (others := [env_id for env_id in ids if family_of(env_id).name != GRIDDED]):
+        raise CommandError(f"--snap: only open-loop actions are places on a grid, not those of {others[0]}")
     failed = [env_id for env_id in ids if not _passes(env_id, args)]
     if failed:
         raise CommandError(f"failed: {', '.join(failed)}")
@@ -63,6 +70,7 @@ def _parse(argv: Sequence[str]) -> argparse.Namespace:
     add("--seed", type=int, default=0, help="seed of the first episode (default: 0)")
     add("--min-success", type=float, default=0.95, help="least success rate of the expert (default: 0.95)")
     add("--env-kwargs", nargs="+", action=StoreDict, default={}, help="parameters, KEY:VALUE")
+    add("--snap", action="store_true", help="let the expert act on the grid of spatial Q-learning")
     add("--gym-packages", nargs="+", default=[], help="packages that register further environments")
     add("-f", "--log-folder", type=Path, default=Path("logs/check"), help="where pictures go")
     return parser.parse_args(argv)
@@ -81,7 +89,7 @@ def _passes(env_id: str, args: argparse.Namespace) -> bool:
         "equal episodes from equal seeds": lambda: _check_determinism(make(), make(), args.seed),
     }
     passed = all([_report(name, check) for name, check in checks.items()])
-    experience = _watch_expert(make(), args.episodes, args.seed)
+    experience = _watch_expert(make(), args.episodes, args.seed, args.snap)
     rate = experience.successes / args.episodes
     length = float(np.mean(experience.lengths)) if experience.lengths else float("nan")
     print(f"  expert: success_rate={rate:.3f} episodes={args.episodes} mean_length={length:.2f}")
@@ -122,7 +130,8 @@ def _check_determinism(first: gym.Env[Any, Any], second: gym.Env[Any, Any], seed
                 break
 
 
-def _watch_expert(env: gym.Env[Any, Any], episodes: int, seed: int) -> Experience:
+def _watch_expert(env: gym.Env[Any, Any], episodes: int, seed: int, snap: bool) -> Experience:
+    hand, rng = _snapping_hand(env) if snap else lambda action, _: action, np.random.default_rng(seed)
     successes, lengths, frames = 0, [], []
     for episode in trange(episodes, unit="episode", disable=None):
         observation, info = env.reset(seed=seed + episode)
@@ -130,7 +139,7 @@ def _watch_expert(env: gym.Env[Any, Any], episodes: int, seed: int) -> Experienc
             frames.append(_frame(env, observation, "start"))
         steps, over = 0, False
         while not over:
-            observation, _, terminated, truncated, info = env.step(_expert(env)())
+            observation, _, terminated, truncated, info = env.step(hand(_expert(env)(), rng))
             steps, over = steps + 1, terminated or truncated
         if info["is_success"]:
             successes += 1
@@ -139,6 +148,21 @@ def _watch_expert(env: gym.Env[Any, Any], episodes: int, seed: int) -> Experienc
             frames.append(_frame(env, observation, "success" if info["is_success"] else "failure"))
     env.close()
     return Experience(successes, lengths, frames)
+
+
+def _snapping_hand(env: gym.Env[Any, Any]) -> Hand:
+    """What carries the expert's actions out on the grid, over the heightmap that the environment shows."""
+    from sb3_extensions.common.codec import DEFAULT_SEQUENCE, SpatialActionCodec
+    from sb3_extensions.demonstrations.snapping import SnappingHand
+    from sb3_extensions.networks.views import SceneView
+
+    config: Any = getattr(env.unwrapped, "config", None)
+    sequence = getattr(config, "action_sequence", DEFAULT_SEQUENCE)
+    try:
+        size = SceneView(env.observation_space).size
+        return SnappingHand(env.action_space, SpatialActionCodec(size, sequence))
+    except ValueError as error:
+        raise CommandError(f"--snap: {error}") from error
 
 
 def _expert(env: gym.Env[Any, Any]) -> Callable[[], Any]:
