@@ -6,10 +6,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-import gymnasium as gym
 from stable_baselines3.common.base_class import BaseAlgorithm
-from stable_baselines3.common.utils import check_for_correct_spaces
-from stable_baselines3.common.vec_env import VecEnv
 
 from zoo_configs.algorithms import ALGORITHMS, register_algorithms
 from zoo_configs.environments import known_env_id, register_environments
@@ -81,15 +78,3 @@ def load_agent(run: Run, best: bool, device: str) -> tuple[BaseAlgorithm, Path]:
     with refused(f"{path} is damaged, or of another version"):
         model: BaseAlgorithm = algorithm.load(path, device=device, custom_objects=UNUSED_OBJECTS, **buffer)
     return model, path
-
-
-def check_fits(model: BaseAlgorithm, env: gym.Env[Any, Any] | VecEnv) -> None:
-    """
-    Look whether an agent can act in an environment.
-
-    :param model: The agent
-    :param env: The environment
-    :raises CommandError: if its observations or actions are of other shapes than in training
-    """
-    with refused("the agent cannot act here", ValueError):
-        check_for_correct_spaces(env, model.observation_space, model.action_space)

@@ -61,7 +61,7 @@ def _key_value(flag: str, pair: str) -> tuple[str, Any]:
         store: argparse.Action = StoreDict([flag], "values")  # type: ignore[no-untyped-call]
         store(argparse.ArgumentParser(), namespace, [pair])
         return key, json.loads(json.dumps(namespace.values[key]))
-    except Exception as error:  # a value may be any expression
+    except (Exception, SystemExit) as error:  # a value may be any expression
         raise CommandError(
             f"{flag} takes key:value with a Python value (text in quotes: robot:\"'panda'\"), "
             f"got {pair!r}: {reason(error)}"

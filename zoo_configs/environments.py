@@ -5,19 +5,21 @@ from __future__ import annotations
 import importlib
 import re
 from collections.abc import Iterable, Mapping
+from contextlib import closing
 from types import ModuleType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import gymnasium as gym
 
 from zoo_configs.errors import CommandError, refused, unknown_name
 
+if TYPE_CHECKING:
+    from stable_baselines3.common.vec_env import VecEnv
+
 ENV_PACKAGES = ("bulletarm_gym",)
 NAMESPACE = "BulletArm/"
 # An id, and in it what tells ours apart.
 ENV_ID = re.compile(r"(?:.*/)?(?:(?:close|open)loop)?(.*?)(?:-v\d+)?", re.IGNORECASE)
-# What an environment may raise at parameters that it does not take.
-REFUSALS = (AssertionError, ImportError, RuntimeError, TypeError, ValueError, gym.error.Error)
 
 
 def register_environments(packages: Iterable[str] = ()) -> None:
@@ -86,8 +88,38 @@ def make_env(env_id: str, env_kwargs: Mapping[str, Any], render_mode: str | None
     rendering = {} if render_mode is None else {"render_mode": render_mode}
     if (wanted := env_kwargs.get("render_mode", render_mode)) != render_mode and rendering:
         raise CommandError(f"render_mode is {render_mode!r} here, got {wanted!r}")
-    with refused(f"{env_id} cannot be made", REFUSALS):
+    with refused(f"{env_id} cannot be made"):
         return gym.make(env_id, **{**env_kwargs, **rendering})
+
+
+def try_env(env_id: str, env_kwargs: Mapping[str, Any], render_mode: str | None = None) -> None:
+    """
+    Make an environment and begin an episode, so that what it refuses is told before the work begins.
+
+    :param env_id: Its id
+    :param env_kwargs: Its parameters
+    :param render_mode: How it is to render; None leaves it to the parameters
+    :raises CommandError: if it refuses its parameters, or cannot begin with them
+    """
+    with closing(make_env(env_id, env_kwargs, render_mode)) as env, refused(f"{env_id} cannot begin"):
+        env.reset()
+        if render_mode is not None:
+            env.render()
+
+
+def check_alike(env: gym.Env[Any, Any] | VecEnv, like: Any, what: str) -> None:
+    """
+    Look whether an environment shows and takes the same as another, or as an agent knows it.
+
+    :param env: The environment
+    :param like: The other, or the agent: it has an ``observation_space`` and an ``action_space``
+    :param what: What cannot be done if not
+    :raises CommandError: if its observations or actions are of other shapes or bounds
+    """
+    from stable_baselines3.common.utils import check_for_correct_spaces
+
+    with refused(what, ValueError):
+        check_for_correct_spaces(env, like.observation_space, like.action_space)
 
 
 def demonstrations() -> ModuleType:

@@ -155,6 +155,9 @@ class ZooManager(ExperimentManager):
     def _load_pretrained_agent(self, hyperparams: dict[str, Any], env: VecEnv) -> BaseAlgorithm:
         if self.checkpoint is None:
             self._check_trained_agent(hyperparams["policy"])
+            # What the hyperparameters do not name would be the model's, and the buffer's arguments are theirs
+            if (default := getattr(ALGOS[self.algo], "default_replay_buffer_class", None)) is not None:
+                hyperparams.setdefault("replay_buffer_class", default)
             return super()._load_pretrained_agent(hyperparams, env)
         model = resume(self.checkpoint, env, self.device)
         if model.num_timesteps >= self.n_timesteps and self.run.last_model.is_file():

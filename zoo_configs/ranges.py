@@ -43,19 +43,29 @@ def _whole(least: int) -> Range:
     return Range(f"a whole number of at least {least}", holds)
 
 
+def _is_period(value: Any) -> bool:
+    number, unit = value if isinstance(value, list | tuple) and len(value) == 2 else (value, "step")
+    return COUNT.holds(number) and unit in ("step", "episode")
+
+
 COUNT = _whole(1)
 TIMESTEPS = Range("a number of at least 1", lambda value: _is_number(value) and value >= 1)
 SHARE = Range("a number from 0 to 1", lambda value: _is_number(value) and 0 <= value <= 1)
 RATE = Range(f"a number of at least 0, or {SCHEDULE}NUMBER", _is_rate)
+UPDATES = _whole(-1)
+PERIOD = Range("a whole number of at least 1, or [number, 'step' or 'episode']", _is_period)
+NO_NOISE = Range("None: what noise there is say noise_type and noise_std", lambda value: value is None)
 ARGUMENTS = Range("a mapping of arguments", lambda value: isinstance(value, Mapping | str | None))
 NAME = Range("a name", lambda value: isinstance(value, str))
 
 RANGES = {
+    "action_noise": NO_NOISE,
     "batch_size": COUNT,
     "buffer_size": COUNT,
     "env_kwargs": Range("a mapping of parameters", lambda value: isinstance(value, Mapping)),
     "frame_stack": COUNT,
     "gamma": SHARE,
+    "gradient_steps": UPDATES,
     "learning_rate": RATE,
     "learning_starts": _whole(0),
     "monitor_kwargs": ARGUMENTS,
@@ -68,6 +78,7 @@ RANGES = {
     "replay_buffer_kwargs": ARGUMENTS,
     "target_update_interval": COUNT,
     "tau": SHARE,
+    "train_freq": PERIOD,
 }
 
 

@@ -100,7 +100,8 @@ class Run:
         """
         if not (self.params_folder / CONFIG_FILE).is_file():
             raise CommandError(f"{self.folder} is not whole: {self.params_folder / CONFIG_FILE} is missing")
-        hyperparams, stats_path = get_saved_hyperparams(str(self.params_folder), test_mode=True)
+        with refused(f"{self.params_folder / CONFIG_FILE} cannot be read"):
+            hyperparams, stats_path = get_saved_hyperparams(str(self.params_folder), test_mode=True)
         return dict(hyperparams), stats_path
 
 

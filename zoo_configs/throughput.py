@@ -204,7 +204,7 @@ def load_reference(path: Path) -> dict[str, ReferenceRate]:
     try:
         with path.open(encoding="utf-8", newline="") as file:
             return {row["env_id"]: _reference_rate(row) for row in csv.DictReader(file)}
-    except (OSError, KeyError, TypeError, ValueError) as error:
+    except (OSError, KeyError, TypeError, ValueError, csv.Error) as error:
         columns = ",".join(REFERENCE_FIELDS)
         raise CommandError(
             f"--reference takes a CSV with the columns {columns}; {path}: {error!r}"

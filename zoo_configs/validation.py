@@ -140,6 +140,10 @@ def _check_policy_kwargs(policy: type[Any], policy_kwargs: Any) -> None:
     if isinstance(extractor, str):
         extractor = _imported("features extractor", extractor)
     given = policy_kwargs.get("features_extractor_kwargs", {})
+    if not isinstance(extractor, type):
+        raise CommandError(f"features_extractor_class takes the dotted path of a class, got {extractor!r}")
+    if not isinstance(given, Mapping):
+        raise CommandError(f"features_extractor_kwargs takes a mapping of arguments, got {given!r}")
     _check_names(f"features_extractor_kwargs of {extractor.__name__}", given, constructor_keys(extractor))
 
 

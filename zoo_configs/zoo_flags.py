@@ -28,7 +28,8 @@ TUNING = (
     "study_name",
     "trial_id",
 )
-COUNTS = ("eval_episodes", "n_eval_envs", "n_timesteps")
+COUNTS = ("eval_episodes", "n_eval_envs", "n_timesteps", "num_threads")
+DEFAULT_THREADS = ("num_threads", -1)  # which rl_zoo3 documents
 # Packages that rl_zoo3 does not require, by the flag that does.
 PACKAGES = {"tensorboard_log": ("tensorboard",), "track": ("wandb", "tensorboard")}
 NOT_GIVEN = object()
@@ -85,18 +86,19 @@ def parser_of_rl_zoo3(prog: str) -> argparse.ArgumentParser:
     raise AssertionError("rl_zoo3.train parses no arguments")
 
 
-def check_flags(arguments: Sequence[str]) -> None:
+def check_flags(arguments: Sequence[str]) -> dict[str, Any]:
     """
     Check the flags for ``rl_zoo3.train``, those that are given and not their defaults.
 
     :param arguments: The words that it will be given
+    :return: Those that are given
     :raises CommandError: if one is unknown, has a value that it cannot take, or needs what is not there
     """
     given = given_flags(arguments)
     if tuning := [_flag(name) for name in TUNING if name in given]:
         raise CommandError(f"train does not tune: {', '.join(tuning)}")
     for name in COUNTS:
-        if given.get(name, 1) < 1:
+        if given.get(name, 1) < 1 and (name, given[name]) != DEFAULT_THREADS:
             raise CommandError(f"{_flag(name)} takes a whole number of at least 1, got {given[name]}")
     for name, packages in PACKAGES.items():
         missing = [package for package in packages if given.get(name) and find_spec(package) is None]
@@ -108,6 +110,7 @@ def check_flags(arguments: Sequence[str]) -> None:
         device(given.get("device", "auto"))
     except argparse.ArgumentTypeError as error:
         raise CommandError(f"--device: {error}") from error
+    return given
 
 
 def check_trained_agent(path: Path) -> None:

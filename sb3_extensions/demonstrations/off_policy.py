@@ -17,7 +17,7 @@ from stable_baselines3.common.type_aliases import MaybeCallback, RolloutReturn, 
 from stable_baselines3.common.vec_env import VecEnv
 from tqdm import tqdm
 
-from sb3_extensions.common.augmentation import Augmentation
+from sb3_extensions.common.augmentation import Augmentation, make_augmentation
 from sb3_extensions.common.rounding import check_rounding, follow_extractor
 from sb3_extensions.common.seeds import SeedKey, derive_seed
 from sb3_extensions.demonstrations.collecting import EpisodeData
@@ -89,6 +89,7 @@ class OffPolicyFromDemonstrations(OffPolicyAlgorithm):
     def _setup_model(self) -> None:
         if self.dagger:
             Adviser.check(self.env)
+        self.augmentation = make_augmentation(self.augmentation)  # load() sets it as it is given
         if self.augmentation is not None:
             self.augmentation.check(self.observation_space)
             self.policy_kwargs = self.augmentation.with_crop(self.policy_kwargs)

@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from zoo_configs import video, zoo_flags
+from zoo_configs import ranges, video, zoo_flags
 from zoo_configs.cli import main
 from zoo_configs.errors import CommandError
 
@@ -50,6 +50,8 @@ NO_FOLDER = "/dev/null/folder"  # /dev/null is none
         ([*TRAIN, "-n", "-5"], "at least 1, got -5"),
         ([*TRAIN, "-n", "many"], "invalid int value: 'many'"),
         ([*TRAIN, "--eval-episodes", "0"], "--eval-episodes takes"),
+        ([*TRAIN, "--num-threads", "0"], "--num-threads takes"),
+        ([*TRAIN, "--eval-env-kwargs", "obs_size:50"], "--eval-env-kwargs: Observation spaces do not match"),
         ([*TRAIN, "--seed", "1e9"], "--seed: must be a whole number"),
         ([*TRAIN, "--device", "gpu0"], "'gpu0' is no device of this machine"),
         ([*TRAIN, "--device", "cuda:99"], "'cuda:99' is no device of this machine"),
@@ -68,6 +70,12 @@ NO_FOLDER = "/dev/null/folder"  # /dev/null is none
         ([*TRAIN, "-params", "policy_kwargs:3"], "policy_kwargs takes a mapping of arguments, got 3"),
         ([*TRAIN, "-params", "policy_kwargs:{'net_arch': 'x'}"], "net_arch"),
         ([*TRAIN, "-params", "replay_buffer_kwargs:{'expert_fraction': 2.0}"], "expert_fraction must be"),
+        ([*TRAIN, "-params", "policy_kwargs:{'features_extractor_class': 3}"], "dotted path of a class"),
+        ([*TRAIN, "-params", "policy_kwargs:{'features_extractor_kwargs': 3}"], "takes a mapping"),
+        ([*TRAIN, "-params", "gradient_steps:'x'"], "gradient_steps takes a whole number"),
+        ([*TRAIN, "-params", "train_freq:[1, 'week']"], "train_freq takes"),
+        ([*TRAIN, "-params", "action_noise:True"], "noise_type"),
+        ([*TRAIN, "-params", "gamma:exit(3)"], "got 'gamma:exit(3)': SystemExit: 3"),
         ([*TRAIN, "-params", "expert_episodes:-1"], "expert_episodes must not be negative"),
         ([*TRAIN, "-params", "expert_data:'none.h5'"], "none.h5"),
         (["demos", "--env", REACHING, "--env-kwargs", "obs_size=64"], "got 'obs_size=64'"),
@@ -86,6 +94,7 @@ NO_FOLDER = "/dev/null/folder"  # /dev/null is none
             "is 'rgb_array' here",
         ),
         (["record", "--expert", "--env", "TOY", "-o", f"{NO_FOLDER}/a.gif"], "cannot be written"),
+        (["record", "--expert", "--env", "TOY", "--fps", "nan"], "--fps must be positive"),
         (["record", "--expert", "--env", "TOY", "-o", "a.avi"], "must end in .gif or .mp4"),
         (["speed", "--env", "TOY", "--env-kwargs", "obs_size:8"], "at least 48, got 8"),
         (["speed", "--env", "Pendulum-v1", "--seconds", "0"], "--seconds must be positive"),
@@ -134,8 +143,9 @@ def test_a_learner_that_cannot_learn_leaves_nothing(
 ) -> None:
     """What turns out in the first update only, in the place where all runs are kept."""
     (tmp_path / "logs").mkdir()
-    more = ["expert_episodes:0", "pretrain_steps:0", "gradient_steps:'x'"]
-    assert "sacfd cannot" in refuse(*TRAIN, "-n", "20", "--eval-freq", "0", "-params", *more)
+    more = ["expert_episodes:0", "pretrain_steps:0", "n_envs:1", "learning_starts:0", "tau:'x'"]
+    monkeypatch.setattr(ranges, "RANGES", {})
+    assert "sacfd cannot train on" in refuse(*TRAIN, "-n", "20", "--eval-freq", "0", "-params", *more)
 
 
 def test_a_full_disk_is_told(refuse: Refuse, monkeypatch: pytest.MonkeyPatch) -> None:

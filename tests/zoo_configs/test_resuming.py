@@ -9,11 +9,13 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import gymnasium as gym
 import numpy as np
 import pytest
 from stable_baselines3.common.save_util import load_from_zip_file
 
 from sb3_extensions.common import checkpoint
+from sb3_extensions.replay.expert import ExpertReplayBuffer
 from sb3_extensions.sacfd import SACfD
 from zoo_configs.cli import main
 from zoo_configs.evaluation import PeriodicEvaluation
@@ -154,6 +156,29 @@ def test_training_goes_on_from_a_model(train_tiny: Train, run_folder: Path, tmp_
     trained = SACfD.load(tmp_path / "sacfd" / RUN_NAME / "best_model.zip", device="cpu")
     assert (trained.gamma, trained.n_steps, trained.n_pretrained) == (0.9, 2, 2)
     assert trained.replay_buffer_kwargs["expert_fraction"] == 0.25
+
+
+def test_a_model_with_an_augmentation_and_a_buffer_of_its_own_goes_on(
+    train_tiny: Train, tmp_path: Path
+) -> None:
+    names = ["--baseline", "rad_sacfd", "--env-kwargs", "obs_size:53", "--eval-freq", "0"]
+    crops = ["augmentation:{'rad': {'size': 48}}", *names]
+    assert train_tiny(tmp_path / "a", *crops) == 0
+    model = tmp_path / "a" / "sacfd" / RUN_NAME / "BulletArm-CloseLoopToy-v0.zip"
+    assert train_tiny(tmp_path / "b", *crops, "-i", str(model)) == 0
+    rotated = ["buffer_size:400", "--baseline", "equi_sacfd_per_aug", "--eval-freq", "0"]
+    assert train_tiny(tmp_path / "c", *rotated) == 0
+    model = tmp_path / "c" / "sacfd" / RUN_NAME / "BulletArm-CloseLoopToy-v0.zip"
+    assert train_tiny(tmp_path / "d", "-i", str(model)) == 0
+
+
+def test_a_loaded_model_learns_with_another_buffer(run_folder: Path, toy_id: str) -> None:
+    env, other = gym.make(toy_id, obs_size=48), {"expert_fraction": 0.25}
+    file = run_folder / "best_model.zip"
+    model = SACfD.load(file, env=env, device="cpu", replay_buffer_kwargs=other, gamma=0.5)
+    model.learn(4)
+    assert isinstance(model.replay_buffer, ExpertReplayBuffer)
+    assert (model.replay_buffer.expert_fraction, model.replay_buffer.gamma) == (0.25, 0.5)
 
 
 def test_a_model_of_another_policy_is_refused(

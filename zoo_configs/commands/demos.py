@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from zoo_configs.arguments import Parser, add_env_kwargs, add_packages, add_progress, positive_int, seed
-from zoo_configs.environments import demonstrations, known_env_id, make_env, register_environments
+from zoo_configs.environments import demonstrations, known_env_id, register_environments, try_env
 from zoo_configs.errors import refused
 from zoo_configs.files import check_writable
 
@@ -31,7 +31,7 @@ def main(argv: Sequence[str]) -> None:
     env_id = known_env_id(args.env)
     path = args.output or Path(f"{env_id.rpartition('/')[2]}-{args.planner}.h5")
     check_writable(path, "--output")
-    make_env(env_id, args.env_kwargs).close()
+    try_env(env_id, args.env_kwargs)
     begin = time.perf_counter()
     with refused(f"{env_id}: no demonstrations", (RuntimeError, ValueError)):
         found = demonstrations().collect(

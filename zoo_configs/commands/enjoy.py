@@ -31,17 +31,15 @@ def main(argv: Sequence[str]) -> None:
     :raises CommandError: if there is no such agent
     """
     args = _parse(argv)
-    from gymnasium.error import Error
-
-    from zoo_configs.agents import check_fits, load_agent, run_from_arguments
-    from zoo_configs.environments import register_environments
+    from zoo_configs.agents import load_agent, run_from_arguments
+    from zoo_configs.environments import check_alike, register_environments
 
     register_environments(args.gym_packages)
     run = run_from_arguments(args)
     model, path = load_agent(run, args.load_best, args.device)
     env = build_test_env(run, args)
-    with closing(env), refused(f"{run.cell.env_id} cannot be shown", Error):
-        check_fits(model, env)
+    with closing(env):
+        check_alike(env, model, "the agent cannot act here")
         print(f"{run.cell.label} on {run.cell.env_id}, model {path}")
         rate, episodes = evaluate(model, env, args)
     _name_files(run)
@@ -73,22 +71,23 @@ def build_test_env(run: Run, args: argparse.Namespace) -> VecEnv:
     """
     from rl_zoo3.utils import create_test_env
 
-    from zoo_configs.environments import make_env
+    from zoo_configs.environments import try_env
 
     hyperparams, stats_path = run.saved_hyperparams()
     trained_with = dict(run.cell.hyperparams.get("env_kwargs", {}))
     trained_with.pop("render_mode", None)
     env_kwargs = {**trained_with, **args.env_kwargs}
-    make_env(run.cell.env_id, env_kwargs, "human" if args.render else None).close()
-    return create_test_env(
-        run.cell.env_id,
-        n_envs=args.n_envs,
-        stats_path=stats_path,
-        seed=stream_seed(args.seed, SeedStream.TEST),
-        should_render=args.render,
-        hyperparams=hyperparams,
-        env_kwargs=env_kwargs,
-    )
+    try_env(run.cell.env_id, env_kwargs, "human" if args.render else None)
+    with refused(f"{run.cell.env_id} cannot be made as in {run.folder}"):
+        return create_test_env(
+            run.cell.env_id,
+            n_envs=args.n_envs,
+            stats_path=stats_path,
+            seed=stream_seed(args.seed, SeedStream.TEST),
+            should_render=args.render,
+            hyperparams=hyperparams,
+            env_kwargs=env_kwargs,
+        )
 
 
 def evaluate(model: BaseAlgorithm, env: VecEnv, args: argparse.Namespace) -> tuple[float, int]:

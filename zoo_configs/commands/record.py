@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -10,7 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import gymnasium as gym
 
 from zoo_configs.arguments import Parser, add_progress, add_run_arguments, hides_progress, positive_int, seed
-from zoo_configs.environments import known_env_id, make_env, register_environments
+from zoo_configs.environments import check_alike, known_env_id, make_env, register_environments, try_env
 from zoo_configs.errors import CommandError
 from zoo_configs.files import check_writable
 from zoo_configs.seeds import SeedStream, stream_seed
@@ -94,7 +95,7 @@ def _parse(argv: Sequence[str]) -> argparse.Namespace:
         parser.error(f"--output must end in .gif or .mp4, got {args.output}")
     if args.output is not None and args.format not in (None, args.output.suffix[1:]):
         parser.error(f"--output {args.output} is no {args.format}")
-    if args.fps <= 0:
+    if not 0 < args.fps < math.inf:
         parser.error(f"--fps must be positive, got {args.fps}")
     args.format = args.format or "gif"
     return args
@@ -103,9 +104,11 @@ def _parse(argv: Sequence[str]) -> argparse.Namespace:
 def _expert(args: argparse.Namespace) -> Actor:
     if args.env is None:
         raise CommandError("--expert needs --env")
-    env = make_env(known_env_id(args.env), args.env_kwargs, RENDER_MODE)
+    env_id = known_env_id(args.env)
+    env = make_env(env_id, args.env_kwargs, RENDER_MODE)
     if not hasattr(env.unwrapped, "expert_action"):
         raise CommandError(f"{args.env} has no expert")
+    try_env(env_id, args.env_kwargs, RENDER_MODE)
     expert = env.unwrapped.expert_action
     return Actor("expert", env, lambda _: expert(), Path())
 
@@ -113,7 +116,7 @@ def _expert(args: argparse.Namespace) -> Actor:
 def _agent(args: argparse.Namespace) -> Actor:
     from rl_zoo3.utils import get_wrapper_class
 
-    from zoo_configs.agents import check_fits, load_agent, run_from_arguments
+    from zoo_configs.agents import load_agent, run_from_arguments
 
     run = run_from_arguments(args)
     hyperparams = run.cell.hyperparams
@@ -121,10 +124,12 @@ def _agent(args: argparse.Namespace) -> Actor:
         raise CommandError(f"{run.folder} acts on normalised or stacked observations, which cannot be filmed")
     model, path = load_agent(run, args.load_best, args.device)
     trained_with = {**hyperparams.get("env_kwargs", {}), "render_mode": RENDER_MODE}
-    env = make_env(run.cell.env_id, {**trained_with, **args.env_kwargs}, RENDER_MODE)
+    env_kwargs = {**trained_with, **args.env_kwargs}
+    try_env(run.cell.env_id, env_kwargs, RENDER_MODE)
+    env = make_env(run.cell.env_id, env_kwargs, RENDER_MODE)
     wrap = get_wrapper_class(hyperparams)
     env = wrap(env) if wrap is not None else env
-    check_fits(model, env)
+    check_alike(env, model, "the agent cannot act here")
     print(f"{run.cell.label} on {run.cell.env_id}, model {path}")
     return Actor(
         run.cell.label,

@@ -20,7 +20,7 @@ from zoo_configs.arguments import (
     positive_int,
     seed,
 )
-from zoo_configs.environments import known_env_id, make_env, our_env_ids, register_environments
+from zoo_configs.environments import known_env_id, our_env_ids, register_environments, try_env
 from zoo_configs.machine import describe_machine
 from zoo_configs.throughput import (
     ReferenceRate,
@@ -87,7 +87,7 @@ def main(argv: Sequence[str]) -> None:
         return
     env_ids = [known_env_id(env_id) for env_id in args.env] or our_env_ids()
     for env_id in env_ids:
-        make_env(env_id, args.env_kwargs).close()
+        try_env(env_id, args.env_kwargs)
     reference = load_reference(args.reference) if args.reference else {}
     print(describe_machine())
     rows: list[Row] = []
@@ -116,7 +116,7 @@ def _parse(argv: Sequence[str]) -> argparse.Namespace:
     add_packages(parser)
     add_progress(parser)
     args = parser.parse_args(argv)
-    if not args.seconds > 0:
+    if not 0 < args.seconds < math.inf:
         parser.error(f"--seconds must be positive, got {args.seconds}")
     return args
 
@@ -134,7 +134,7 @@ def _measure_updates(args: argparse.Namespace) -> None:
     overrides = {"env_kwargs": args.env_kwargs}
     cells = [resolve(baseline, args.preset, env_id, overrides) for baseline in args.baseline]
     for cell in cells:
-        make_env(env_id, cell.hyperparams["env_kwargs"]).close()
+        try_env(env_id, cell.hyperparams["env_kwargs"])
     print(f"{describe_machine()}, {th.get_num_threads()} threads; {env_id}, preset {args.preset}")
     rows = []
     for cell in cells:

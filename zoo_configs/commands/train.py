@@ -20,7 +20,14 @@ from zoo_configs.arguments import (
     add_progress,
     whole_number,
 )
-from zoo_configs.environments import known_env_id, make_env, package_of, register_environments
+from zoo_configs.environments import (
+    check_alike,
+    known_env_id,
+    make_env,
+    package_of,
+    register_environments,
+    try_env,
+)
 from zoo_configs.errors import CommandError, unknown_name
 from zoo_configs.plan import Plan
 from zoo_configs.ranges import check_values
@@ -92,7 +99,7 @@ def build_parser() -> argparse.ArgumentParser:
     add("--env", help="environment id, see bulletarm-zoo list")
     add("--seed", type=whole_number(-1, MAX_SEED), help="seed of the run (default, and -1: drawn)")
     add("--device", help="PyTorch device (default: auto; that of the run with --resume)")
-    add("-f", "--log-folder", help="folder for run folders (default: logs)")
+    add("-f", "--log-folder", type=Path, help="folder for run folders (default: logs)")
     add("-conf", "--conf-file", type=Path, help="YAML with hyperparameters by environment id, as in rl_zoo3")
     add_key_values(parser, "-params", "--hyperparams", help="hyperparameters that win over the preset")
     add_env_kwargs(parser)
@@ -132,7 +139,7 @@ def _find_cell(args: argparse.Namespace, env_id: str) -> Cell:
         baseline = args.algo
     if baseline is None:
         return _cell_from_rl_zoo3(_required_algo(args), env_id)
-    preset = args.preset or _default_preset(args.device or "auto")
+    preset = _default_preset(args.device or "auto") if args.preset is None else args.preset
     cell = resolve(baseline, preset, env_id, benchmark=args.benchmark)
     if args.algo not in (None, baseline, cell.algo):
         raise CommandError(f"baseline {baseline!r} is trained by --algo {cell.algo}, not {args.algo}")
@@ -232,8 +239,13 @@ def _check(plan: Plan, any_demonstrations: bool) -> None:
     from zoo_configs.validation import check_cell, check_expert_data
 
     check_cell(plan.cell)
-    check_flags(plan.arguments)
-    with closing(make_env(plan.cell.env_id, plan.cell.hyperparams.get("env_kwargs", {}))) as env:
+    given, env_id = check_flags(plan.arguments), plan.cell.env_id
+    env_kwargs = plan.cell.hyperparams.get("env_kwargs", {})
+    try_env(env_id, env_kwargs)
+    with closing(make_env(env_id, env_kwargs)) as env:
+        if "eval_env_kwargs" in given:
+            with closing(make_env(env_id, {**env_kwargs, **given["eval_env_kwargs"]})) as eval_env:
+                check_alike(eval_env, env, "--eval-env-kwargs")
         if plan.run is None:  # a resumed one has them in its replay buffer
             check_expert_data(plan.cell, env, any_demonstrations)
 
