@@ -59,7 +59,8 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
     :param control: ``"close_loop"`` or ``"open_loop"``
     :param surface: one of :data:`~bulletarm_gym.surfaces.SURFACES`
     :param parameters: of :class:`~bulletarm_gym.config.EnvConfig`, by name
-    :raises ValueError: a parameter is unknown or has a value it cannot take; task and control do not fit
+    :raises ValueError: a parameter has a value it cannot take, or is unknown (a ``TypeError``, too); task and
+        control do not fit
     :raises RuntimeError: ``render_mode="human"`` without a display
     """
 

@@ -33,7 +33,7 @@ class Control(ABC, Generic[Move]):
     def __init__(self, config: EnvConfig, scene: Scene, home: Pose) -> None:
         if not scene.robot.reaches(home):
             takes = f"one whose middle robot={config.robot!r} reaches at a height of {home.z:g} m"
-            raise ParameterError("workspace", config.workspace, takes)
+            raise ParameterError.of("workspace", config.workspace, takes)
         self._sequence = config.action_sequence
         self._home = home
         self.action_space = spaces.Box(-1.0, 1.0, (len(self._sequence),), np.float32)

@@ -95,4 +95,4 @@ def check_height(config: EnvConfig) -> None:
     most = int((top - PASSING) / side + 0.5)
     if config.num_objects > most:
         takes = f"at most {most} blocks of {side:.3f} m in a workspace {top:.3f} m high"
-        raise ParameterError("num_objects", config.num_objects, takes)
+        raise ParameterError.of("num_objects", config.num_objects, takes)

@@ -1,7 +1,9 @@
 """Parameters are checked at the door, and errors name what to do."""
 
+import pickle
 from typing import Any
 
+import gymnasium
 import numpy as np
 import pytest
 from rollouts import make_env
@@ -10,6 +12,7 @@ from bulletarm_gym.config import PARAMETERS, EnvConfig, ParameterError, TaskDefa
 
 PICKING = "BulletArm/CloseLoopBlockPicking-v0"
 PULLING = "BulletArm/CloseLoopBlockPulling-v0"
+STACKING = "BulletArm/OpenLoopBlockStacking-v0"
 TASK = TaskDefaults(num_objects=2, max_steps=50, object_scale=0.8, allowed_objects=(2, 3))
 WORKSPACE = [[0.3, 0.6], [-0.15, 0.15], [0.01, 0.25]]
 
@@ -82,6 +85,25 @@ def test_unknown_parameters(name: str, hint: str) -> None:
     with pytest.raises(ParameterError, match=f"^{name}: ") as error:
         config(**{name: 1})
     assert hint in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("env_id", "name"), [(PICKING, "frameskip"), (PICKING, "half_rotation"), (STACKING, "view")]
+)
+def test_an_unknown_parameter_is_a_type_error_too(env_id: str, name: str) -> None:
+    """Libraries try out parameters so, and say which environment it was in an error of the same type."""
+    for make in (gymnasium.make, make_env):
+        with pytest.raises(TypeError, match=f"unexpected keyword argument '{name}'") as error:
+            make(env_id, **{name: 1})
+        assert isinstance(error.value, ValueError) and env_id in str(error.value)
+
+
+@pytest.mark.parametrize("parameters", [{"frameskip": 4}, {"obs_size": 3}], ids=str)
+def test_errors_can_be_sent_to_another_process(parameters: dict[str, Any]) -> None:
+    with pytest.raises(ParameterError) as error:
+        config(**parameters)
+    copy = pickle.loads(pickle.dumps(error.value))
+    assert type(copy) is type(error.value) and str(copy) == str(error.value)
 
 
 WRONG: dict[str, list[Any]] = {
