@@ -9,7 +9,6 @@ from bulletarm_gym.extensions import import_path
 
 NAMESPACE = "BulletArm"
 ENTRY_POINT = "bulletarm_gym.env:ManipulationEnv"
-VECTOR_ENTRY_POINT = "bulletarm_gym.vector:ParallelEnv"
 PREFIXES = {
     ("close_loop", "flat"): "CloseLoop",
     ("open_loop", "flat"): "OpenLoop",
@@ -118,9 +117,4 @@ def register_task(name: str, task: Any, control: str = "close_loop", surface: st
 
 
 def _register(entry: Entry) -> None:
-    gymnasium.register(
-        entry.env_id,
-        entry_point=ENTRY_POINT,
-        vector_entry_point=VECTOR_ENTRY_POINT,
-        kwargs=entry.kwargs,
-    )
+    gymnasium.register(entry.env_id, entry_point=ENTRY_POINT, kwargs=entry.kwargs)
