@@ -1,7 +1,7 @@
 """The environment: task, control, surface, arm and sensors put together."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import gymnasium
@@ -247,17 +247,26 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
 
     @property
     def spec(self) -> EnvSpec | None:
-        """The spec the environment was made from, its parameters as JSON values."""
+        """The spec the environment was made from, its parameters as JSON values.
+
+        Its ``max_episode_steps`` is what the environment truncates at.
+        """
         return self._spec
 
     @spec.setter
     def spec(self, spec: EnvSpec | None) -> None:
         if spec is not None:
             known = self.config.parameters()
-            spec.kwargs = {name: known.get(name, value) for name, value in spec.kwargs.items()}
+            kwargs = {name: known.get(name, value) for name, value in spec.kwargs.items()}
+            spec = replace(spec, kwargs=kwargs, max_episode_steps=self.config.max_steps)
         self._spec = spec
 
     _spec: EnvSpec | None = None
+
+    def limit_steps(self, max_steps: int) -> None:
+        """Truncate episodes after other than the ``max_steps`` that the environment was made with."""
+        self.config = replace(self.config, max_steps=max_steps)
+        self.task.config = self.scene.config = self.config
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle the parameters and, within an episode, the state."""

@@ -5,6 +5,7 @@ from typing import Any
 
 import gymnasium
 
+from bulletarm_gym import time_limit
 from bulletarm_gym.extensions import import_path
 
 NAMESPACE = "BulletArm"
@@ -117,4 +118,9 @@ def register_task(name: str, task: Any, control: str = "close_loop", surface: st
 
 
 def _register(entry: Entry) -> None:
-    gymnasium.register(entry.env_id, entry_point=ENTRY_POINT, kwargs=entry.kwargs)
+    gymnasium.register(
+        entry.env_id,
+        entry_point=ENTRY_POINT,
+        kwargs=entry.kwargs,
+        additional_wrappers=(time_limit.wrapper_spec(),),
+    )

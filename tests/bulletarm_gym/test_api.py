@@ -3,6 +3,7 @@
 import dataclasses
 import itertools
 import math
+import pickle
 import subprocess
 import sys
 import warnings
@@ -15,6 +16,7 @@ import pytest
 from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils.env_checker import check_env
 from gymnasium.utils.passive_env_checker import env_render_passive_checker
+from gymnasium.wrappers import TimeAwareObservation
 from rollouts import advance, digest, idle, is_open_loop, make_env, mixed_action, transcript
 
 import bulletarm_gym
@@ -164,13 +166,16 @@ def test_time_limit_truncates(make: Make, typical_id: str, max_steps: int) -> No
         assert ends == [(0.0, False, False)] * (max_steps - 1) + [(0.0, False, True)]
 
 
-def test_success_at_the_time_limit_terminates(make: Make) -> None:
+@pytest.mark.parametrize("name", ["max_steps", "max_episode_steps"])
+def test_success_at_the_time_limit_terminates(make: Make, name: str) -> None:
     length = _expert_length(make(REACHING), 0)
-    env = make(REACHING, max_steps=length)
-    env.reset(seed=0)
-    for _ in range(length):
-        result = env.step(env.expert_action())
-    assert result[1:4] == (1.0, True, False)
+    limited = gymnasium.make(REACHING, **{name: length})
+    for env in (limited, gymnasium.make(EnvSpec.from_json(limited.spec.to_json()))):
+        env.reset(seed=0)
+        for _ in range(length):
+            result = env.step(env.unwrapped.expert_action())
+        assert result[1:4] == (1.0, True, False)
+        env.close()
 
 
 def _expert_length(env: ManipulationEnv, seed: int) -> int:
@@ -452,9 +457,50 @@ def test_spec_round_trip(typical_id: str) -> None:
     again.close()
 
 
+@pytest.mark.parametrize(
+    ("first", "then", "steps"),
+    [
+        ({}, {}, 50),
+        ({"max_steps": 7}, {}, 7),
+        ({"max_episode_steps": 60}, {}, 60),
+        ({"max_episode_steps": 5}, {}, 5),
+        ({"max_episode_steps": -1}, {}, 50),
+        ({"max_steps": 7, "max_episode_steps": 60}, {}, 60),
+        ({}, {"max_steps": 60}, 60),
+        ({}, {"max_episode_steps": 60}, 60),
+        ({"max_steps": 60}, {"max_episode_steps": 7}, 7),
+        ({"max_episode_steps": 60}, {"max_steps": 7}, 7),
+    ],
+    ids=str,
+)
+def test_the_spec_says_where_episodes_are_truncated(
+    first: dict[str, int], then: dict[str, int], steps: int
+) -> None:
+    """Made with some parameters, and again from its spec with others."""
+    made = gymnasium.make(PICKING, obs_size=16, **first)
+    again = gymnasium.make(EnvSpec.from_json(made.spec.to_json()), **then)
+    if not then:
+        assert again.spec == made.spec and again.unwrapped.config == made.unwrapped.config
+    for env in (again, pickle.loads(pickle.dumps(again))):
+        limits = {env.spec.max_episode_steps, env.unwrapped.spec.max_episode_steps}
+        assert limits == {TimeAwareObservation(env).max_timesteps} == {steps}
+        env.reset(seed=0)
+        ends = [env.step(idle(env.unwrapped))[2:4] for _ in range(steps)]
+        assert ends == [(False, False)] * (steps - 1) + [(False, True)]
+        env.close()
+    made.close()
+
+
+def test_vectors_take_the_time_limit() -> None:
+    vector = gymnasium.make_vec(PICKING, num_envs=1, max_episode_steps=60, obs_size=16)
+    assert [spec.max_episode_steps for spec in vector.get_attr("spec")] == [60]
+    vector.close()
+
+
 def test_making_leaves_the_registry_alone(env_id: str) -> None:
     before = gymnasium.spec(env_id).to_json()
     gymnasium.make(env_id, max_steps=3).close()
+    gymnasium.make(env_id, max_episode_steps=3).close()
     assert gymnasium.spec(env_id).to_json() == before
 
 
