@@ -16,7 +16,7 @@ from bulletarm_gym.footprint import PlacementError
 from bulletarm_gym.planners import expert_action
 from bulletarm_gym.robots import ROBOTS, RobotState, find_robot
 from bulletarm_gym.scene import Scene
-from bulletarm_gym.simulation import Camera, WorldState
+from bulletarm_gym.simulation import Camera, WorldState, has_display
 from bulletarm_gym.surfaces import make_surface
 from bulletarm_gym.tasks import Task
 
@@ -65,6 +65,7 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
     """
 
     metadata = {"render_modes": ["rgb_array", "depth_array", "human"], "render_fps": 5}  # noqa: RUF012
+    """Of the class all there is, as ``gymnasium.make`` asks it; of an instance what can be had here."""
 
     def __init__(self, task: str, control: str, surface: str = "flat", **parameters: Any) -> None:
         task_type: type[Task] = load(task)
@@ -74,6 +75,8 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
             )
         self.config = EnvConfig.of(control, task_type.defaults, tuple(ROBOTS), by_path(parameters), surface)
         self.render_mode = self.config.render_mode
+        if not has_display():
+            self.metadata = {**self.metadata, "render_modes": ["rgb_array", "depth_array"]}
         self._recipe = {"task": task, "control": control, "surface": surface}
         self.task = task_type(self.config)
         self._reward = self.task.reward if self.config.reward is None else load(self.config.reward)
