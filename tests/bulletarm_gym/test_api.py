@@ -2,6 +2,7 @@
 
 import dataclasses
 import itertools
+import json
 import math
 import pickle
 import subprocess
@@ -151,6 +152,7 @@ def test_info_keeps_its_keys(env: ManipulationEnv) -> None:
     *_, at_step = env.step(env.expert_action())
     assert at_reset.keys() == at_step.keys() >= {"is_success", "is_valid", "ignored", "success"}
     assert {type(value) for info in (at_reset, at_step) for value in info.values()} == {bool}
+    assert json.loads(json.dumps(at_step)) == at_step
 
 
 # Reward and end
