@@ -1,7 +1,9 @@
 """The environment: task, control, surface, arm and sensors put together."""
 
+import zlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import gymnasium
@@ -25,6 +27,8 @@ Action = NDArray[np.float32]
 
 OPTIONS = {"new_scene": ((bool, True), (bool, False)), "start": ((str, "goal"),)}
 """What a reset can be asked for: types, for 1 equals True, and values."""
+SCENE_PARAMETERS = ("robot", "workspace", "object_scale_range", "num_objects", "close_loop_tray")
+"""What the bodies of a scene, and where they can be, follow from."""
 GROUNDS = 10
 """Drawn before the workspace counts as too small for the task."""
 ARRANGEMENT, AFTER_ACTION, PLAN = range(3)
@@ -36,6 +40,7 @@ class EnvState:
     """Everything an environment needs to go on from a moment; picklable.
 
     :param generator: state of the generator that later episodes are seeded from
+    :param made_of: what decides whether an environment can take it: task, arm, sizes; None in old files
     """
 
     world: WorldState
@@ -46,6 +51,7 @@ class EnvState:
     steps: int
     episode_seed: int
     generator: dict[str, Any]
+    made_of: dict[str, Any] | None = None
 
 
 class ManipulationEnv(gymnasium.Env[Observation, Action]):
@@ -219,10 +225,17 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
             self._steps,
             self._episode_seed,
             dict(self.np_random.bit_generator.state),
+            dict(self._made_of),
         )
 
     def set_state(self, state: EnvState) -> None:
-        """Return to a moment of this environment or of another with the same parameters, exactly."""
+        """Return to a moment of this environment or of another with the same parameters, exactly.
+
+        What only observes, judges or ends an episode (``obs_size``, ``reward``, ``max_steps``) may differ.
+
+        :raises ValueError: it is of another task, arm, workspace or other objects; nothing has changed then
+        """
+        self._check_fits(state)
         self.scene.world.set_state(state.world)
         self.scene.robot.set_state(state.robot)
         self.scene.set_cast(state.cast)
@@ -231,6 +244,29 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         self._steps = state.steps
         self._episode_seed = state.episode_seed
         self.np_random.bit_generator.state = state.generator
+
+    @cached_property
+    def _made_of(self) -> dict[str, Any]:
+        """What a state must have in common with the environment: names and JSON values."""
+        names = [body.spec.name for body in self.scene.world.bodies]
+        in_hand = self.observation_space.spaces.get("in_hand")  # type: ignore[attr-defined]
+        return {
+            **self._recipe,
+            **{name: getattr(self.config, name) for name in SCENE_PARAMETERS},
+            "in_hand": in_hand and list(in_hand.shape),
+            "bodies": f"{len(names)}, crc {zlib.crc32(repr(names).encode()):08x}",
+        }
+
+    def _check_fits(self, state: EnvState) -> None:
+        if not isinstance(state, EnvState):
+            raise ValueError(f"state: got a {type(state).__name__}, takes what get_state() has returned")
+        poses, own = len(state.world.poses), len(self.scene.world.poses)
+        theirs = {"bodies": f"{poses}"} if state.made_of is None else state.made_of
+        ours = {"bodies": f"{own}"} if state.made_of is None else self._made_of
+        other = [name for name, value in ours.items() if theirs.get(name) != value]
+        if other:
+            got, takes = (", ".join(f"{n}={made.get(n)!r}" for n in other) for made in (theirs, ours))
+            raise ValueError(f"state: got one of an environment with {got}, this one has {takes}")
 
     def _evaluate(self, ignored: bool) -> dict[str, bool]:
         facts = {name: bool(value) for name, value in self.task.evaluate(self.scene).items()}
