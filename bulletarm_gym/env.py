@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from bulletarm_gym.config import EnvConfig
 from bulletarm_gym.control import CONTROLS, DeltaMove, PickPlace
 from bulletarm_gym.extensions import by_path, load
+from bulletarm_gym.feasibility import check_heights
 from bulletarm_gym.footprint import PlacementError
 from bulletarm_gym.planners import expert_action
 from bulletarm_gym.robots import ROBOTS, RobotState, find_robot
@@ -85,6 +86,7 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
             self.metadata = {**self.metadata, "render_modes": ["rgb_array", "depth_array"]}
         self._recipe = {"task": task, "control": control, "surface": surface}
         self.task = task_type(self.config)
+        check_heights(self.config, self.task)
         self._reward = self.task.reward if self.config.reward is None else load(self.config.reward)
         self.scene = Scene(
             self.config,

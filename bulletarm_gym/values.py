@@ -12,6 +12,8 @@ Check = Callable[[Any], Any]
 
 SMALLEST_WORKSPACE = 0.1
 """Side (m) below which no task of the paper fits."""
+ROUNDING = 1e-9
+"""What differences of decimal fractions may be off by (m)."""
 LARGEST_SCALE = 2.0
 """A cube twice the nominal size (10 cm) no longer fits any gripper."""
 
@@ -122,11 +124,12 @@ def workspace(value: Any) -> list[list[float]]:
     """Ask for limits along x, y and z."""
     takes = (
         "[[x low, x high], [y low, y high], [z low, z high]] in metres, square in x and y with sides "
-        f"of at least {SMALLEST_WORKSPACE}, z low not below 0"
+        f"of at least {SMALLEST_WORKSPACE:g}, z low not below 0"
     )
     limits: list[list[float]] = _numbers(value, (3, 2), takes)
     x, y, z = (high - low for low, high in limits)
-    if not (x >= SMALLEST_WORKSPACE and math.isclose(x, y, abs_tol=1e-9) and z > 0.0 and limits[2][0] >= 0.0):
+    square = math.isclose(x, y, abs_tol=ROUNDING)
+    if not (x >= SMALLEST_WORKSPACE - ROUNDING and square and z > 0.0 and limits[2][0] >= 0.0):
         raise Refused(takes)
     return limits
 

@@ -18,7 +18,7 @@ LAYERS = (
     {"robots", "objects", "surfaces", "sensors"},
     {"scene"},
     {"relations", "placement"},
-    {"tasks", "control", "planners"},
+    {"tasks", "control", "planners", "feasibility"},
     {"env"},
     {"episodes"},
     {"registration"},

@@ -5,7 +5,7 @@ from bulletarm_gym.robots.gripper import Gripper, ParallelJaw
 from bulletarm_gym.robots.kuka import KUKA
 from bulletarm_gym.robots.model import RobotModel
 from bulletarm_gym.robots.panda import PANDA
-from bulletarm_gym.robots.robot import Robot, RobotState
+from bulletarm_gym.robots.robot import OutOfReachError, Robot, RobotState
 from bulletarm_gym.robots.ur5 import UR5, UR5_ROBOTIQ
 
 ROBOTS = {model.name: model for model in (KUKA, PANDA, UR5, UR5_ROBOTIQ)}
@@ -29,6 +29,7 @@ __all__ = [
     "UR5",
     "UR5_ROBOTIQ",
     "Gripper",
+    "OutOfReachError",
     "ParallelJaw",
     "Robot",
     "RobotModel",

@@ -60,6 +60,12 @@ class BoxPalletizing(Task):
     site = (PALLET[1], PALLET[0])
 
     @property
+    def height(self) -> float:
+        """Up to the middle of a box of the uppermost layer."""
+        layers = self.config.num_objects // LAYER
+        return PALLET[2] + (layers - 0.5) * BOX[2] * max(self.config.scales)
+
+    @property
     def hints(self) -> Hints:
         """The fingers close a little above a box's middle."""
         return Hints(pick_offset=PICK_OFFSET * max(self.config.scales))

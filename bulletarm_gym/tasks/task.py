@@ -95,6 +95,11 @@ class Task(ABC):
         """What open-loop control must know: by default grasps go half a largest cube deep."""
         return Hints(pick_offset=CUBE_SIZE * max(self.config.scales) / 2.0)
 
+    @property
+    def height(self) -> float:
+        """Height (m) above which the workspace must reach for the task to be solved: of a largest cube."""
+        return CUBE_SIZE * max(self.config.scales)
+
     @abstractmethod
     def bodies(self, config: EnvConfig) -> list[Role]:
         """Return everything the task will ever need."""

@@ -302,6 +302,31 @@ def test_bad_actions_are_refused_and_do_nothing(typical_env: ManipulationEnv, ac
     assert typical_env.get_state() == state
 
 
+def test_a_move_out_of_reach_is_ignored() -> None:
+    env = make_env(PICKING, obs_size=16)
+    env.control._workspace = [[0.0, 2.0], [-1.0, 1.0], [0.01, 0.25]]  # wider than could be made
+    env.reset(seed=0)
+    outcomes = [env.step(env.encode_action(DeltaMove(1.0, (0.05, 0.0, 0.0))))[4] for _ in range(12)]
+    assert not outcomes[0]["ignored"] and outcomes[-1]["ignored"]
+    assert 0.7 < env.scene.robot.pose.x < 1.0
+    env.close()
+
+
+def test_no_pick_or_place_at_the_limits_raises() -> None:
+    """Simulated all the way, over the corners of a workspace that is as far away as it may be."""
+    workspace = [[0.3, 0.7], [-0.2, 0.2], [0.0, 1.0]]
+    env = make_env("BulletArm/OpenLoopBlockStacking-v0", obs_size=16, workspace=workspace, fast_mode=False)
+    rng = np.random.default_rng(0)
+    env.reset(seed=0)
+    for number in range(12):
+        *_, terminated, truncated, _ = env.step(
+            rng.choice([-1.0, 1.0], 4) if number % 2 else env.expert_action()
+        )
+        if terminated or truncated:
+            env.reset()
+    env.close()
+
+
 def test_decode_gives_physical_units(picking: ManipulationEnv) -> None:
     move = picking.decode_action([-1.0, 1.0, -1.0, 0.5, 1.0])
     assert move.opening == 0.0

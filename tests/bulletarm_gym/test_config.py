@@ -15,6 +15,7 @@ PULLING = "BulletArm/CloseLoopBlockPulling-v0"
 STACKING = "BulletArm/OpenLoopBlockStacking-v0"
 TASK = TaskDefaults(num_objects=2, max_steps=50, object_scale=0.8, allowed_objects=(2, 3))
 WORKSPACE = [[0.3, 0.6], [-0.15, 0.15], [0.01, 0.25]]
+OPEN_WORKSPACE = [[0.25, 0.65], [-0.2, 0.2], [0.0, 1.0]]
 
 
 def config(**parameters: Any) -> EnvConfig:
@@ -163,6 +164,59 @@ def test_a_workspace_out_of_reach_is_refused(name: str) -> None:
     far = [[1.25, 1.55], [-0.15, 0.15], [0.01, 0.25]]
     with pytest.raises(ValueError, match=r"workspace: got \[\[1\.25.*takes one .*='kuka' reaches"):
         make_env(f"BulletArm/{name}-v0", workspace=far)
+
+
+LOW = [[0.01, 0.02], [0.0, 0.0155]]
+
+
+@pytest.mark.parametrize("z", LOW, ids=str)
+def test_a_workspace_too_low_to_lift_in_is_refused(env_id: str, z: list[float]) -> None:
+    workspace = [*(WORKSPACE if "CloseLoop" in env_id else OPEN_WORKSPACE)[:2], z]
+    with pytest.raises(ParameterError, match=r"^workspace: got .*high"):
+        make_env(env_id, workspace=workspace)
+
+
+@pytest.mark.parametrize(
+    ("z", "reason"),
+    [([0.01, 0.15], "above 0.15"), ([0.05, 0.25], "below 0.05"), ([0.01, 0.16], None), ([0.04, 0.25], None)],
+    ids=str,
+)
+def test_the_gripper_must_come_down_and_up(z: list[float], reason: str | None) -> None:
+    workspace = [*WORKSPACE[:2], z]
+    if reason is None:
+        make_env(PICKING, workspace=workspace).close()
+        return
+    with pytest.raises(ParameterError, match=f"^workspace: got .* {reason}"):
+        make_env(PICKING, workspace=workspace)
+
+
+def test_the_smallest_workspace_is_taken_as_it_is_written() -> None:
+    for x in ([0.4, 0.5], [0.3, 0.4], [0.6, 0.7]):
+        assert config(workspace=[x, [-0.05, 0.05], [0.01, 0.25]]).workspace[0] == x
+
+
+PARTLY = [[0.5, 0.9], [-0.2, 0.2], [0.01, 0.25]]
+
+
+@pytest.mark.parametrize(
+    "name", ["CloseLoopBlockReaching", "OpenLoopBlockStacking", "OpenLoopObjectGrasping"]
+)
+def test_a_workspace_partly_out_of_reach_is_refused(name: str) -> None:
+    with pytest.raises(ParameterError, match=r"^workspace: got \[\[0\.5.* reaches, but not \(0\.\d+, -?0"):
+        make_env(f"BulletArm/{name}-v0", workspace=PARTLY)
+
+
+def test_the_reach_of_a_tilted_gripper_counts_where_actions_tilt_it() -> None:
+    far = [[0.32, 0.72], [-0.2, 0.2], [0.0, 1.0]]
+    make_env(STACKING, workspace=far).close()
+    with pytest.raises(ParameterError, match=r"^workspace: got .* tilted by 15 degrees"):
+        make_env(STACKING, workspace=far, action_sequence="pxyzrrr")
+
+
+@pytest.mark.parametrize("robot", ["kuka", "panda", "ur5", "ur5_robotiq"])
+def test_every_arm_reaches_the_default_workspaces(env_id: str, robot: str) -> None:
+    if "ObjectGrasping" not in env_id:  # their hundreds of bodies take long to load, and reach is the same
+        make_env(env_id, robot=robot, obs_size=16).close()
 
 
 def test_impossible_number_of_objects() -> None:
