@@ -85,7 +85,8 @@ class EnvConfig:
     :param robot: the arm
     :param action_sequence: one character a number of the action, in its order
     :param workspace: [[x low, x high], [y low, y high], [z low, z high]] (m); square in x and y
-    :param object_scale_range: [low, high] factors on nominal sizes; a grid of 0.02 is drawn from
+    :param object_scale_range: [low, high] factors on nominal sizes, not on a task's own: where its objects
+        have 0.8 times the nominal size, 1.0 asks for larger ones; a grid of 0.02 is drawn from
     :param max_steps: actions an episode
     :param num_objects: objects in the scene
     :param obs_size: pixels a side of the heightmap

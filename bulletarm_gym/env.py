@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from bulletarm_gym.config import EnvConfig
 from bulletarm_gym.control import CONTROLS, DeltaMove, PickPlace
 from bulletarm_gym.extensions import by_path, load
-from bulletarm_gym.feasibility import check_heights
+from bulletarm_gym.feasibility import check_heights, check_room
 from bulletarm_gym.footprint import PlacementError
 from bulletarm_gym.planners import expert_action
 from bulletarm_gym.robots import ROBOTS, RobotState, find_robot
@@ -30,7 +30,7 @@ OPTIONS = {"new_scene": ((bool, True), (bool, False)), "start": ((str, "goal"),)
 """What a reset can be asked for: types, for 1 equals True, and values."""
 SCENE_PARAMETERS = ("robot", "workspace", "object_scale_range", "num_objects", "close_loop_tray")
 """What the bodies of a scene, and where they can be, follow from."""
-GROUNDS = 10
+GROUNDS = 30
 """Drawn before the workspace counts as too small for the task."""
 ARRANGEMENT, AFTER_ACTION, PLAN = range(3)
 """Streams of an episode's randomness: what one of them draws does not move the others."""
@@ -97,6 +97,7 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
             self.task.bodies(self.config),
         )
         self.control = CONTROLS[control](self.config, self.scene, self.task)
+        check_room(self.config, surface, self.scene, self.task, self.control)
         self.action_space = self.control.action_space
         # Gymnasium types a Dict space by its parts instead of its samples.
         self.observation_space = self.control.observation_space  # type: ignore[assignment]

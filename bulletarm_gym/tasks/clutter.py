@@ -108,6 +108,7 @@ class ObjectGrasping(Task):
         takes_object_set=True,
     )
     controls = (CLOSE_LOOP,)
+    rehearsals = 1  # each drops all objects, up to as many times as a reset does
 
     @property
     def height(self) -> float:

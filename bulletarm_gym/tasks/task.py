@@ -82,6 +82,8 @@ class Task(ABC):
     """Names of the controls the task can be solved with."""
     one_decision: ClassVar[bool] = False
     """Whether every action ends the episode."""
+    rehearsals: ClassVar[int] = 8
+    """Starts arranged at most to see whether there is room, where objects or workspace are not its own."""
     site: Point = SITE
     """Width and length (m) of the base of what is built: ramps and bumps leave level ground for it."""
 

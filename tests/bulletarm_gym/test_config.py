@@ -6,7 +6,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
-from rollouts import make_env
+from rollouts import make_env, transcript
 
 from bulletarm_gym.config import PARAMETERS, EnvConfig, ParameterError, TaskDefaults
 
@@ -217,6 +217,51 @@ def test_the_reach_of_a_tilted_gripper_counts_where_actions_tilt_it() -> None:
 def test_every_arm_reaches_the_default_workspaces(env_id: str, robot: str) -> None:
     if "ObjectGrasping" not in env_id:  # their hundreds of bodies take long to load, and reach is the same
         make_env(env_id, robot=robot, obs_size=16).close()
+
+
+NARROW = [[0.36, 0.6], [-0.09, 0.15], [0.01, 0.25]]
+ROOM: list[tuple[str, dict[str, Any], str | None]] = [
+    ("CloseLoopBlockPulling", {"object_scale_range": [0.8, 0.96]}, None),
+    ("CloseLoopBlockPulling", {"object_scale_range": [0.8, 1.2]}, "object_scale_range"),
+    ("CloseLoopBlockPulling", {"workspace": NARROW}, None),
+    ("CloseLoopBlockStacking", {"num_objects": 4, "object_scale_range": [0.8, 1.1]}, None),
+    ("CloseLoopBlockStacking", {"num_objects": 4, "object_scale_range": [0.8, 1.2]}, "object_scale_range"),
+    ("CloseLoopHouseBuilding", {"num_objects": 4, "object_scale_range": 1.2}, "object_scale_range"),
+    ("CloseLoopHouseBuilding", {"num_objects": 3, "object_scale_range": 1.2}, None),
+    ("CloseLoopBlockInBowl", {"object_scale_range": 1.2}, None),
+    ("CloseLoopBlockInBowl", {"workspace": NARROW}, "workspace"),
+    ("OpenLoopCovidTest", {"workspace": [[0.35, 0.6], [-0.1, 0.15], [0.0, 1.0]]}, "workspace"),
+    (
+        "OpenLoopObjectGrasping",
+        {"num_objects": 4, "workspace": [[0.4, 0.5], [-0.05, 0.05], [0, 1]]},
+        "num_objects",
+    ),
+    ("OpenLoopRampBlockStacking", {"object_scale_range": [0.6, 1.0]}, None),
+]
+
+
+@pytest.mark.parametrize(("name", "parameters", "refused"), ROOM, ids=str)
+def test_there_is_room_or_the_parameter_is_refused(
+    name: str, parameters: dict[str, Any], refused: str | None
+) -> None:
+    env_id = f"BulletArm/{name}-v0"
+    if refused is not None:
+        with pytest.raises(ParameterError, match=rf"^{refused}: got .* room: num_objects=.* in workspace="):
+            make_env(env_id, **parameters)
+        return
+    env = make_env(env_id, obs_size=16, **parameters)
+    for seed in range(30):
+        env.reset(seed=seed)
+    env.close()
+
+
+def test_looking_for_room_leaves_no_trace() -> None:
+    env = make_env(PICKING, obs_size=16, workspace=[[0.3, 0.6], [-0.15, 0.15], [0.01, 0.24]])
+    assert not list(env.scene)
+    first = transcript(env, 5, seed=3)
+    transcript(env, 5, seed=4)
+    assert transcript(env, 5, seed=3) == first
+    env.close()
 
 
 def test_impossible_number_of_objects() -> None:
