@@ -64,6 +64,7 @@ def _rehearse(scene: Scene, task: Task, control: Control[Any], rng: np.random.Ge
         if rest == 0:  # the shapes in the largest size are the last
             item.variant = shapes * (sizes - 1) + item.variant % shapes
     control.start(scene)
+    task.memory = None
     try:
         task.arrange(scene, rng)
     except (PlacementError, ValueError) as error:
