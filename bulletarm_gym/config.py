@@ -82,7 +82,7 @@ class EnvConfig:
     Values are plain JSON: arrays given by a user are kept as lists. Build one with :meth:`of`.
 
     :param control: ``"close_loop"`` or ``"open_loop"``; follows from the environment's id
-    :param robot: the arm
+    :param robot: the arm, by its name or import path
     :param action_sequence: one character a number of the action, in its order
     :param workspace: [[x low, x high], [y low, y high], [z low, z high]] (m); square in x and y
     :param object_scale_range: [low, high] factors on nominal sizes, not on a task's own: where its objects

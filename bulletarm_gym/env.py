@@ -1,5 +1,6 @@
 """The environment: task, control, surface, arm and sensors put together."""
 
+import math
 import zlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -11,13 +12,13 @@ import numpy as np
 from gymnasium.envs.registration import EnvSpec
 from numpy.typing import ArrayLike, NDArray
 
-from bulletarm_gym.config import EnvConfig
+from bulletarm_gym.config import EnvConfig, ParameterError
 from bulletarm_gym.control import CONTROLS, DeltaMove, PickPlace
-from bulletarm_gym.extensions import by_path, load
+from bulletarm_gym.extensions import OBJECTS, by_path, load
 from bulletarm_gym.feasibility import check_heights, check_room
 from bulletarm_gym.footprint import PlacementError
 from bulletarm_gym.planners import expert_action
-from bulletarm_gym.robots import ROBOTS, RobotState, find_robot
+from bulletarm_gym.robots import ROBOTS, RobotModel, RobotState, find_robot
 from bulletarm_gym.scene import Scene
 from bulletarm_gym.simulation import Camera, WorldState, has_display
 from bulletarm_gym.surfaces import make_surface
@@ -25,10 +26,11 @@ from bulletarm_gym.tasks import Task
 
 Observation = dict[str, NDArray[np.float32]]
 Action = NDArray[np.float32]
+Reward = Callable[[Scene, Mapping[str, bool]], float]
 
 OPTIONS = {"new_scene": ((bool, True), (bool, False)), "start": ((str, "goal"),)}
 """What a reset can be asked for: types, for 1 equals True, and values."""
-SCENE_PARAMETERS = ("robot", "workspace", "object_scale_range", "num_objects", "close_loop_tray")
+SCENE_PARAMETERS = ("workspace", "object_scale_range", "num_objects", "close_loop_tray")
 """What the bodies of a scene, and where they can be, follow from."""
 GROUNDS = 30
 """Drawn before the workspace counts as too small for the task."""
@@ -80,17 +82,24 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
             raise ValueError(
                 f"control: got {control!r}, {task_type.__name__} takes one of {task_type.controls}"
             )
-        self.config = EnvConfig.of(control, task_type.defaults, tuple(ROBOTS), by_path(parameters), surface)
+        parameters = by_path(parameters)
+        # Objects of the user's that have no import path, by the name of the parameter.
+        self.objects = {name: parameters.pop(name) for name in OBJECTS if _is_object(parameters.get(name))}
+        robots = dict(ROBOTS)
+        if "robot" in self.objects:
+            model = find_robot(self.objects["robot"])
+            robots[model.name], parameters["robot"] = model, model.name
+        self.config = EnvConfig.of(control, task_type.defaults, tuple(robots), parameters, surface)
         self.render_mode = self.config.render_mode
         if not has_display():
             self.metadata = {**self.metadata, "render_modes": ["rgb_array", "depth_array"]}
         self._recipe = {"task": task, "control": control, "surface": surface}
         self.task = task_type(self.config)
         check_heights(self.config, self.task)
-        self._reward = self.task.reward if self.config.reward is None else load(self.config.reward)
+        self._reward = self.objects.get("reward") or _function(self.config.reward) or self.task.reward
         self.scene = Scene(
             self.config,
-            find_robot(self.config.robot),
+            robots.get(self.config.robot) or find_robot(self.config.robot),
             make_surface(
                 "tray" if self.config.close_loop_tray else surface, self.config.workspace, self.task.site
             ),
@@ -159,7 +168,7 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         """Carry out an action.
 
         :param action: (n,) numbers, clipped to [-1, 1]
-        :raises ValueError: the action has the wrong shape or is not finite
+        :raises ValueError: the action has the wrong shape or is not finite, or the user's reward is no number
         :raises gymnasium.error.ResetNeeded: no episode has begun
         """
         self._check_running()
@@ -171,7 +180,7 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         self.task.after_action(self.scene, self._rng(AFTER_ACTION))
         info = self._evaluate(ignored)
         success, valid = info["is_success"], info["is_valid"]
-        reward = float(self._reward(self.scene, info)) if valid else 0.0
+        reward = _finite(self._reward(self.scene, info), self._reward) if valid else 0.0
         terminated = success or not valid or self.task.one_decision
         truncated = not terminated and self._steps >= self.config.max_steps
         return self.control.observe(self.scene), reward, terminated, truncated, info
@@ -256,6 +265,7 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         return {
             **self._recipe,
             **{name: getattr(self.config, name) for name in SCENE_PARAMETERS},
+            "robot": self.scene.robot.model.name,
             "in_hand": in_hand and list(in_hand.shape),
             "bodies": f"{len(names)}, crc {zlib.crc32(repr(names).encode()):08x}",
         }
@@ -298,7 +308,7 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
     @spec.setter
     def spec(self, spec: EnvSpec | None) -> None:
         if spec is not None:
-            known = self.config.parameters()
+            known = self._parameters
             kwargs = {name: known.get(name, value) for name, value in spec.kwargs.items()}
             spec = replace(spec, kwargs=kwargs, max_episode_steps=self.config.max_steps)
         self._spec = spec
@@ -313,7 +323,12 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle the parameters and, within an episode, the state."""
         state = None if self._episode_seed is None else self.get_state()
-        return _restore, ({**self._recipe, **self.config.parameters()}, self._spec, state)
+        return _restore, ({**self._recipe, **self._parameters}, self._spec, state)
+
+    @property
+    def _parameters(self) -> dict[str, Any]:
+        """What the environment can be made from again: JSON values, and objects that have no import path."""
+        return {**self.config.parameters(), **self.objects}
 
 
 def _restore(arguments: Mapping[str, Any], spec: EnvSpec | None, state: EnvState | None) -> ManipulationEnv:
@@ -322,6 +337,33 @@ def _restore(arguments: Mapping[str, Any], spec: EnvSpec | None, state: EnvState
     if state is not None:
         env.set_state(state)
     return env
+
+
+def _is_object(value: Any) -> bool:
+    return callable(value) or isinstance(value, RobotModel)
+
+
+def _function(path: str | None) -> Reward | None:
+    """Import a user's reward function, if there is one."""
+    found: Reward | None = None if path is None else load(path)
+    if not (found is None or callable(found)):
+        raise ParameterError.of("reward", path, f"a function; this is a {type(found).__name__}")
+    return found
+
+
+def _finite(value: Any, reward: Reward) -> float:
+    """Return a reward as a number.
+
+    :raises ValueError: it is none that can be learnt from
+    """
+    try:
+        number = float(value)
+    except (TypeError, ValueError):
+        number = math.nan
+    if not math.isfinite(number):
+        name = f"{reward.__module__}:{getattr(reward, '__qualname__', type(reward).__name__)}"
+        raise ValueError(f"reward: {name} returned {value!r}, takes one that returns finite numbers")
+    return number
 
 
 def _checked_options(options: Mapping[str, Any] | None, task: Task) -> dict[str, Any]:

@@ -1,6 +1,7 @@
 """The environments as Gymnasium, Stable-Baselines3 and their users meet them."""
 
 import dataclasses
+import functools
 import itertools
 import json
 import math
@@ -8,7 +9,7 @@ import pickle
 import subprocess
 import sys
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import gymnasium
@@ -23,6 +24,8 @@ import bulletarm_gym
 from bulletarm_gym.control import DeltaMove
 from bulletarm_gym.env import EnvState, ManipulationEnv
 from bulletarm_gym.geometry import Pose
+from bulletarm_gym.robots import KUKA, RobotModel
+from bulletarm_gym.scene import Scene
 
 Make = Callable[..., ManipulationEnv]
 
@@ -263,6 +266,66 @@ def test_custom_reward(typical_id: str) -> None:
     env.close()
     with pytest.raises(ValueError, match="nowhere"):
         make_env(typical_id, reward="nowhere:nothing")
+
+
+def paid(scene: Scene, outcome: Mapping[str, bool]) -> float:
+    return 0.25
+
+
+@pytest.mark.parametrize("given", ["path", "function", "lambda", "object"])
+def test_a_reward_may_be_a_function(given: str) -> None:
+    path = f"{paid.__module__}:paid"
+    bonus = functools.partial(paid)
+    kinds = {"path": path, "function": paid, "lambda": lambda scene, outcome: 0.25, "object": bonus}
+    env = gymnasium.make(PICKING, obs_size=16, reward=kinds[given])
+    env.reset(seed=0)
+    assert env.step(idle(env.unwrapped))[1] == 0.25
+    again = gymnasium.make(env.spec)
+    again.reset(seed=0)
+    assert again.step(idle(env.unwrapped))[1] == 0.25
+    if given in ("path", "function"):
+        assert env.unwrapped.config.reward == path and path in env.spec.to_json()
+    if given != "lambda":
+        assert pickle.loads(pickle.dumps(env)).step(idle(env.unwrapped))[1] == 0.25
+
+
+@pytest.mark.parametrize("value", [None, math.nan, math.inf, "much"], ids=str)
+def test_a_reward_that_is_no_number_is_named_at_once(value: Any) -> None:
+    def mine(scene: Scene, outcome: Mapping[str, bool]) -> Any:
+        return value
+
+    env = make_env(PICKING, obs_size=16, reward=mine)
+    env.reset(seed=0)
+    with pytest.raises(ValueError, match=rf"^reward: .*:.*mine returned {value!r}"):
+        env.step(idle(env))
+    env.close()
+    with pytest.raises(ValueError, match="reward: got 'math:pi', takes a function"):
+        make_env(PICKING, reward="math:pi")
+
+
+def wide_kuka() -> RobotModel:
+    return dataclasses.replace(KUKA, name="wide_kuka", gripper=dataclasses.replace(KUKA.gripper, stroke=0.1))
+
+
+@pytest.mark.parametrize("given", ["path", "function", "lambda", "model", "known model"])
+def test_a_robot_may_be_a_model_or_a_function(given: str) -> None:
+    path = f"{wide_kuka.__module__}:wide_kuka"
+    model = wide_kuka()
+    kinds: dict[str, Any] = {"path": path, "function": wide_kuka, "lambda": lambda: model, "model": model}
+    env = make_env(PICKING, obs_size=16, robot=kinds.get(given, KUKA))
+    expected = "kuka" if given == "known model" else "wide_kuka"
+    assert env.scene.robot.model.name == expected
+    state = advance(env, 0, 4)
+    if given != "lambda":
+        copy = pickle.loads(pickle.dumps(env))
+        assert copy.scene.robot.model.gripper == env.scene.robot.model.gripper
+        assert transcript(copy, 3) == transcript(env, 3)
+    other = make_env(PICKING, obs_size=16, robot="kuka" if given == "known model" else wide_kuka)
+    other.set_state(state)
+    env.close()
+    other.close()
+    with pytest.raises(ValueError, match="not a RobotModel"):
+        make_env(PICKING, robot=dict)
 
 
 # Actions

@@ -49,6 +49,11 @@ def replayed(basket: Demonstrations, make: Make, episode: Episode) -> list[tuple
     return [env.step(action) for action in episode.actions]
 
 
+def test_a_function_that_no_file_can_name_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"reward=<function .* has no import path"):
+        collect("BulletArm/CloseLoopBlockPicking-v0", 1, env_kwargs={"reward": lambda scene, outcome: 0.0})
+
+
 def test_episodes_are_what_the_environment_does(basket: Demonstrations, make: Make) -> None:
     assert len(basket) == 2 and basket.attempts >= 2
     for episode in basket:
