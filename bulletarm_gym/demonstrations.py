@@ -88,10 +88,10 @@ def collect(
 def load(path: str | os.PathLike[str]) -> Demonstrations:
     """Return the demonstrations in a file.
 
-    :raises OSError: it cannot be read
-    :raises ValueError: it is of another kind
+    :raises OSError: it cannot be opened
+    :raises ValueError: it is of another kind, or damaged; so it may turn out when an episode is read
     """
-    return Demonstrations(Path(path).read_bytes())
+    return Demonstrations(Path(path).read_bytes(), os.fspath(path))
 
 
 def check_planner(planner: str, env: ManipulationEnv) -> None:

@@ -10,6 +10,7 @@ import io
 import json
 import os
 import platform
+import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -32,8 +33,23 @@ HEIGHT = 1e-4
 """Metres a count of what is stored of a height: 0.1 mm."""
 HEIGHTS = ("heightmap", "in_hand")
 """Observations in metres."""
+UNIT = "metres_per_count"
+"""Attribute of heights."""
+CHECKSUM = "crc32"
+"""Attribute of an episode; files of version 0.1.0 have none."""
 STEPS = ("actions", "rewards", "terminations", "truncations")
 LIBRARIES = ("bulletarm-gym", "gymnasium", "h5py", "numba", "numpy", "pybullet")
+DAMAGES = (
+    ArithmeticError,
+    AttributeError,
+    LookupError,
+    MemoryError,
+    OSError,
+    RuntimeError,
+    TypeError,
+    ValueError,
+)
+"""What reading raises where bits have changed: names, types, sizes and checksums are no longer right."""
 PACKED = {"compression": "gzip", "compression_opts": 4, "shuffle": True}
 
 
@@ -73,19 +89,19 @@ class Demonstrations:
     """Episodes of one environment, as they are in a file; read one at a time.
 
     :param image: the content of the file
-    :raises ValueError: it is of another kind
+    :param name: of the file, for errors
+    :raises ValueError: it is of another kind, or damaged
     """
 
-    def __init__(self, image: bytes) -> None:
+    def __init__(self, image: bytes, name: str = "demonstrations") -> None:
         self.image = image
-        try:
-            with self._file() as file:
-                self.about: dict[str, Any] = json.loads(file["about"][()])
-                self._count = len(file["episodes"])
-        except (KeyError, OSError) as error:
-            raise ValueError(f"not a file of demonstrations: {error}") from error
-        if self.about["format"] != FORMAT:
-            raise ValueError(f"format: the file has {self.about['format']}, this version reads {FORMAT}")
+        self._name = name
+        with self._file() as file:
+            self.about: dict[str, Any] = json.loads(file["about"][()])
+            self._count = len(file["episodes"])
+            version = self.about["format"]
+        if version != FORMAT:
+            raise ValueError(f"{name}: its format is {version}, this version reads {FORMAT}")
 
     @property
     def env_id(self) -> str:
@@ -114,7 +130,10 @@ class Demonstrations:
         return self._count
 
     def __getitem__(self, index: int) -> Episode:
-        """Return an episode."""
+        """Return an episode.
+
+        :raises ValueError: it is damaged
+        """
         if not -self._count <= index < self._count:
             raise IndexError(f"there are {self._count} episodes, no number {index}")
         with self._file() as file:
@@ -124,8 +143,19 @@ class Demonstrations:
         """Iterate over the episodes."""
         return (self[index] for index in range(self._count))
 
-    def _file(self) -> h5py.File:
-        return h5py.File(io.BytesIO(self.image), "r")
+    @contextmanager
+    def _file(self) -> Iterator[h5py.File]:
+        """Open the file.
+
+        :raises ValueError: it cannot be read, be it no such file or one in which a bit has changed
+        """
+        try:
+            with h5py.File(io.BytesIO(self.image), "r") as file:
+                yield file
+        except DAMAGES as error:
+            raise ValueError(
+                f"{self._name}: not a file of demonstrations, or a damaged one: {error}"
+            ) from error
 
 
 class Recorder:
@@ -170,6 +200,7 @@ class Recorder:
         group.create_dataset("initial_state", data=state, **PACKED)
         for name in ("configuration", "versions"):
             group[name] = self._file[name]  # a second name of the same thing, not a copy
+        group.attrs[CHECKSUM] = _checksum(_stored(group))
 
     def finish(self, **about: Any) -> Demonstrations:
         """Return what was recorded.
@@ -204,22 +235,40 @@ def _write_observations(group: h5py.Group, key: str, values: NDArray[np.float32]
     stored = values if unit is None else np.rint(values / unit).astype(np.uint16)
     dataset = group.create_dataset(key, data=stored, **PACKED)
     if unit is not None:
-        dataset.attrs["metres_per_count"] = unit
+        dataset.attrs[UNIT] = unit
 
 
 def _read(group: h5py.Group) -> Episode:
+    stored = _stored(group)
+    if group.attrs.get(CHECKSUM, _checksum(stored)) != _checksum(stored):
+        raise ValueError(f"the checksum of {group.name} is wrong")
+    observations = {
+        key: (stored[f"observations/{key}"] * stored[f"{key} unit"]).astype(np.float32)
+        for key in group["observations"]
+    }
     return Episode(
-        {key: _read_observations(dataset) for key, dataset in group["observations"].items()},
-        group["actions"][()],
-        group["rewards"][()],
-        group["terminations"][()],
-        group["truncations"][()],
-        int(group["seed"][()]),
-        group["initial_state"][()].tobytes().decode(),
+        observations,
+        stored["actions"],
+        stored["rewards"],
+        stored["terminations"],
+        stored["truncations"],
+        int(stored["seed"]),
+        stored["initial_state"].tobytes().decode(),
     )
 
 
-def _read_observations(dataset: h5py.Dataset) -> NDArray[np.float32]:
-    unit = dataset.attrs.get("metres_per_count", 1.0)
-    values: NDArray[np.float32] = (dataset[()] * unit).astype(np.float32)
-    return values
+def _stored(group: h5py.Group) -> dict[str, NDArray[Any]]:
+    """Return an episode's numbers by name, as they are in the file."""
+    observations = group["observations"]
+    names = [*(f"observations/{key}" for key in observations), *STEPS, "seed", "initial_state"]
+    units = {f"{key} unit": np.asarray(data.attrs.get(UNIT, 1.0)) for key, data in observations.items()}
+    return {name: np.asarray(group[name][()]) for name in names} | units
+
+
+def _checksum(stored: Mapping[str, NDArray[Any]]) -> int:
+    """Return a number that nearly any change of an episode changes."""
+    checksum = 0
+    for name, values in stored.items():
+        head = f"{name} {values.dtype.str} {values.shape} ".encode()
+        checksum = zlib.crc32(head + values.tobytes(), checksum)
+    return checksum

@@ -194,6 +194,37 @@ def test_other_files_are_refused(tmp_path: Path) -> None:
         load(path)
 
 
+def test_a_flipped_bit_is_noticed(tmp_path: Path) -> None:
+    """Wherever it is, nothing else is read than was written, or the error names the file."""
+    whole = collect("BulletArm/CloseLoopBlockReaching-v0", 1, seed=0, env_kwargs={"obs_size": 16}).image
+    expected = _content(Demonstrations(whole)[0])
+    path, refused = tmp_path / "damaged.h5", 0
+    rng = np.random.default_rng(0)
+    for position in rng.integers(len(whole), size=300).tolist():
+        damaged = bytearray(whole)
+        damaged[position] ^= 1 << int(rng.integers(8))
+        path.write_bytes(damaged)
+        try:
+            assert _content(load(path)[0]) == expected
+        except ValueError as error:
+            refused += 1
+            assert str(error).startswith(f"{path}: not a file of demonstrations, or a damaged one")
+    assert refused > 10
+
+
+def _content(episode: Episode) -> list[Any]:
+    arrays = [*episode.observations.values(), episode.actions, episode.rewards, episode.terminations]
+    return [episode.seed, episode.initial_state, *(array.tobytes() for array in arrays)]
+
+
+def test_files_without_a_checksum_are_read(basket: Demonstrations) -> None:
+    copy = io.BytesIO(basket.image)
+    with h5py.File(copy, "r+") as file:
+        for group in file["episodes"].values():
+            del group.attrs["crc32"]
+    assert [_content(episode) for episode in Demonstrations(copy.getvalue())] == list(map(_content, basket))
+
+
 # Refusals
 
 
