@@ -3,7 +3,8 @@
 A file holds, compressed, ``episodes/0``, ``episodes/1``, ...: each with ``observations`` (n + 1 of each key),
 ``actions``, ``rewards``, ``terminations``, ``truncations``, the ``seed`` it was reset with, and as JSON the
 ``initial_state`` (see :mod:`~bulletarm_gym.plain`), the ``configuration`` of its environment and the
-``versions`` of what it was recorded with. Heights are counts of 0.1 mm.
+``versions`` of what it was recorded with. Heights are counts of 0.1 mm. Before it, in HDF5's user block, is a
+checksum of all that.
 """
 
 import io
@@ -33,23 +34,11 @@ HEIGHT = 1e-4
 """Metres a count of what is stored of a height: 0.1 mm."""
 HEIGHTS = ("heightmap", "in_hand")
 """Observations in metres."""
-UNIT = "metres_per_count"
-"""Attribute of heights."""
-CHECKSUM = "crc32"
-"""Attribute of an episode; files of version 0.1.0 have none."""
 STEPS = ("actions", "rewards", "terminations", "truncations")
 LIBRARIES = ("bulletarm-gym", "gymnasium", "h5py", "numba", "numpy", "pybullet")
-DAMAGES = (
-    ArithmeticError,
-    AttributeError,
-    LookupError,
-    MemoryError,
-    OSError,
-    RuntimeError,
-    TypeError,
-    ValueError,
-)
-"""What reading raises where bits have changed: names, types, sizes and checksums are no longer right."""
+USER_BLOCK = 512
+"""Bytes before the HDF5 content proper: HDF5's smallest block for other things than its own."""
+MAGIC = b"bulletarm-gym demonstrations"
 PACKED = {"compression": "gzip", "compression_opts": 4, "shuffle": True}
 
 
@@ -96,6 +85,8 @@ class Demonstrations:
     def __init__(self, image: bytes, name: str = "demonstrations") -> None:
         self.image = image
         self._name = name
+        if image.startswith(MAGIC) and image[:USER_BLOCK] != _user_block(image[USER_BLOCK:]):
+            raise ValueError(f"{name}: a file of demonstrations, but damaged: its checksum is wrong")
         with self._file() as file:
             self.about: dict[str, Any] = json.loads(file["about"][()])
             self._count = len(file["episodes"])
@@ -132,7 +123,7 @@ class Demonstrations:
     def __getitem__(self, index: int) -> Episode:
         """Return an episode.
 
-        :raises ValueError: it is damaged
+        :raises ValueError: the file lacks a part of it
         """
         if not -self._count <= index < self._count:
             raise IndexError(f"there are {self._count} episodes, no number {index}")
@@ -147,15 +138,13 @@ class Demonstrations:
     def _file(self) -> Iterator[h5py.File]:
         """Open the file.
 
-        :raises ValueError: it cannot be read, be it no such file or one in which a bit has changed
+        :raises ValueError: there is not in it what should be
         """
         try:
             with h5py.File(io.BytesIO(self.image), "r") as file:
                 yield file
-        except DAMAGES as error:
-            raise ValueError(
-                f"{self._name}: not a file of demonstrations, or a damaged one: {error}"
-            ) from error
+        except (AttributeError, LookupError, OSError, RuntimeError, TypeError, ValueError) as error:
+            raise ValueError(f"{self._name}: not a file of demonstrations, or damaged: {error}") from error
 
 
 class Recorder:
@@ -174,7 +163,7 @@ class Recorder:
         }
         self._attempts = 0
         self._buffer = io.BytesIO()
-        self._file = h5py.File(self._buffer, "w")
+        self._file = h5py.File(self._buffer, "w", userblock_size=USER_BLOCK)
         self._episodes = self._file.create_group("episodes", track_order=True)
         for name in ("configuration", "versions"):
             self._file[name] = json.dumps(self._about[name])
@@ -200,7 +189,6 @@ class Recorder:
         group.create_dataset("initial_state", data=state, **PACKED)
         for name in ("configuration", "versions"):
             group[name] = self._file[name]  # a second name of the same thing, not a copy
-        group.attrs[CHECKSUM] = _checksum(_stored(group))
 
     def finish(self, **about: Any) -> Demonstrations:
         """Return what was recorded.
@@ -209,13 +197,19 @@ class Recorder:
         """
         self._file["about"] = json.dumps({**self._about, "attempts": self._attempts, **about})
         self._file.close()
-        return Demonstrations(self._buffer.getvalue())
+        content = self._buffer.getvalue()[USER_BLOCK:]
+        return Demonstrations(_user_block(content) + content)
 
 
 def versions() -> dict[str, str]:
     """Return what an episode's last digits depend on."""
     found = {library: version(library) for library in LIBRARIES}
     return {"python": platform.python_version(), "platform": platform.platform(), **found}
+
+
+def _user_block(content: bytes) -> bytes:
+    """Return what comes before the content: its checksum, for HDF5 itself meets damages late or never."""
+    return (MAGIC + f" crc32 {zlib.crc32(content):08x}\n".encode()).ljust(USER_BLOCK, b"\0")
 
 
 @contextmanager
@@ -235,40 +229,22 @@ def _write_observations(group: h5py.Group, key: str, values: NDArray[np.float32]
     stored = values if unit is None else np.rint(values / unit).astype(np.uint16)
     dataset = group.create_dataset(key, data=stored, **PACKED)
     if unit is not None:
-        dataset.attrs[UNIT] = unit
+        dataset.attrs["metres_per_count"] = unit
 
 
 def _read(group: h5py.Group) -> Episode:
-    stored = _stored(group)
-    if group.attrs.get(CHECKSUM, _checksum(stored)) != _checksum(stored):
-        raise ValueError(f"the checksum of {group.name} is wrong")
-    observations = {
-        key: (stored[f"observations/{key}"] * stored[f"{key} unit"]).astype(np.float32)
-        for key in group["observations"]
-    }
     return Episode(
-        observations,
-        stored["actions"],
-        stored["rewards"],
-        stored["terminations"],
-        stored["truncations"],
-        int(stored["seed"]),
-        stored["initial_state"].tobytes().decode(),
+        {key: _read_observations(dataset) for key, dataset in group["observations"].items()},
+        group["actions"][()],
+        group["rewards"][()],
+        group["terminations"][()],
+        group["truncations"][()],
+        int(group["seed"][()]),
+        group["initial_state"][()].tobytes().decode(),
     )
 
 
-def _stored(group: h5py.Group) -> dict[str, NDArray[Any]]:
-    """Return an episode's numbers by name, as they are in the file."""
-    observations = group["observations"]
-    names = [*(f"observations/{key}" for key in observations), *STEPS, "seed", "initial_state"]
-    units = {f"{key} unit": np.asarray(data.attrs.get(UNIT, 1.0)) for key, data in observations.items()}
-    return {name: np.asarray(group[name][()]) for name in names} | units
-
-
-def _checksum(stored: Mapping[str, NDArray[Any]]) -> int:
-    """Return a number that nearly any change of an episode changes."""
-    checksum = 0
-    for name, values in stored.items():
-        head = f"{name} {values.dtype.str} {values.shape} ".encode()
-        checksum = zlib.crc32(head + values.tobytes(), checksum)
-    return checksum
+def _read_observations(dataset: h5py.Dataset) -> NDArray[np.float32]:
+    unit = dataset.attrs.get("metres_per_count", 1.0)
+    values: NDArray[np.float32] = (dataset[()] * unit).astype(np.float32)
+    return values
