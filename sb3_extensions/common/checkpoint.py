@@ -39,7 +39,7 @@ from stable_baselines3.common.type_aliases import GymEnv
 from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper, VecFrameStack, VecMonitor, VecNormalize
 
 MANIFEST, MODEL, REPLAY_BUFFER, STATE = "manifest.json", "model.zip", "replay_buffer.pkl", "state.pkl"
-FORMAT = 3
+FORMAT = 4
 PREFIX = "checkpoint_"
 TEMPORARY_PREFIX = ".incomplete_"
 CHUNK = 1 << 20  # bytes

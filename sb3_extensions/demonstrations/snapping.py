@@ -22,7 +22,7 @@ class SnappingHand:
     :param action_space: of the environment
     :param codec: the grid
     :param hand: what happens to the actions before, None: nothing
-    :raises ValueError: if the space is no Box
+    :raises ValueError: if the space is no Box, or has no bounds
     """
 
     action_space: gym.Space[Actions]
@@ -30,7 +30,7 @@ class SnappingHand:
     hand: Hand | None = None
 
     def __post_init__(self) -> None:
-        if not isinstance(self.action_space, spaces.Box):
+        if not isinstance(self.action_space, spaces.Box) or not self.action_space.is_bounded():
             raise ValueError(f"a grid needs an action space with ranges, a Box, got {self.action_space}")
 
     def __call__(self, action: Actions, rng: np.random.Generator) -> Actions:
