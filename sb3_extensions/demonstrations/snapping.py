@@ -43,8 +43,9 @@ class SnappingHand:
         """
         space = self.action_space
         assert isinstance(space, spaces.Box)
-        wanted = np.clip(action if self.hand is None else self.hand(action, rng), space.low, space.high)
-        share = (wanted - space.low) / (space.high - space.low)
-        snapped = self.codec.snap(2.0 * share[None] - 1.0)[0]
-        done: Actions = space.low + (snapped + 1.0) / 2.0 * (space.high - space.low)
-        return done.clip(space.low, space.high).astype(space.dtype)
+        # In double precision, so that in a space from -1 to 1 it is the grid's number itself
+        low, high = space.low.astype(np.float64), space.high.astype(np.float64)
+        wanted = np.clip(action if self.hand is None else self.hand(action, rng), low, high)
+        snapped = self.codec.snap(2.0 * ((wanted - low) / (high - low))[None] - 1.0)[0]
+        done: Actions = low + (snapped.astype(np.float64) + 1.0) / 2.0 * (high - low)
+        return done.clip(low, high).astype(space.dtype)

@@ -171,6 +171,7 @@ class SpatialPolicy(BasePolicy):
 
     def _get_constructor_parameters(self) -> dict[str, Any]:
         data = super()._get_constructor_parameters()
+        del data["normalize_images"]  # what is seen are heights
         data.update(
             lr_schedule=self._dummy_schedule,  # dummy lr schedule, not needed for loading policy alone
             action_sequence=self.action_sequence,

@@ -313,7 +313,7 @@ class SpatialDQN(OffPolicyFromDemonstrations):
     ) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
         assert isinstance(self._last_obs, dict)
         greedy, _ = self.predict(self._last_obs)
-        scaled = self.policy.scale_action(greedy)
+        scaled = self._as_policy_actions(greedy)
         probability = 1.0 if self.num_timesteps < learning_starts else self.exploration_rate
         if probability > 0:
             scaled = self._explore(scaled, self._last_obs, probability)

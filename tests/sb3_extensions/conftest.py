@@ -1,4 +1,6 @@
-"""Two tasks of a few pixels, with experts and exact states, for the learners' tests: one close loop, one open."""
+"""Two tasks of a few pixels, with experts and exact states, for the learners' tests: reaching, close loop;
+picking and placing, open loop.
+"""
 
 import math
 from collections.abc import Callable

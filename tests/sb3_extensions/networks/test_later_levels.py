@@ -1,5 +1,6 @@
 """Networks that choose what follows a pixel."""
 
+import itertools
 from typing import Any
 
 import numpy as np
@@ -137,7 +138,7 @@ def test_yaws_shift_when_the_patch_turns(side: int) -> None:
             values.append(level(view, encoding, indices))
     spread = values[0].std(dim=1).mean()
     assert spread > 1e-6
-    for before, after in zip(values, values[1:], strict=False):
+    for before, after in itertools.pairwise(values):
         assert (after - before.roll(YAWS // 2, dims=1)).abs().max() < EXACT * spread
     assert (values[1] - values[0]).abs().max() > spread
 

@@ -19,7 +19,9 @@ CHANNELS, FIELDS = (4, 6, 8), (4, 4, 6)
 PATCH_MAP, IN_HAND, HIDDEN = (4, 4, 6), (4, 4, 6, 6), 16
 EXACT = 1e-4  # of the spread of what is compared
 Turn = Callable[[th.Tensor], th.Tensor]
-QUARTERS: dict[str, Turn] = {f"{k} quarters": lambda image, k=k: th.rot90(image, k, (-2, -1)) for k in range(1, 4)}
+QUARTERS: dict[str, Turn] = {
+    f"{k} quarters": lambda image, k=k: th.rot90(image, k, (-2, -1)) for k in range(1, 4)
+}
 FLIPS: dict[str, Turn] = {
     "flipped": lambda image: image.flip(-1),
     "turned and flipped": lambda image: th.rot90(image, 1, (-2, -1)).flip(-1),
@@ -208,7 +210,10 @@ def test_widths_are_the_authors() -> None:
     [
         (lambda: plain_unet(1, [8], 0), r"channels must name two levels or more, got \[8\]"),
         (lambda: equivariant_unet(1, Group("cyclic", 4), [2]), "fields must name two levels or more"),
-        (lambda: PlainPixelMaps(Shapes(32, (1, 9, 9)), CHANNELS, PATCH_MAP), "at least 10 pixels a side, got 9"),
+        (
+            lambda: PlainPixelMaps(Shapes(32, (1, 9, 9)), CHANNELS, PATCH_MAP),
+            "at least 10 pixels a side, got 9",
+        ),
         (lambda: PlainPixelMaps(Shapes(32, (1, 12, 12)), CHANNELS, [4, 4]), "3 in_hand_channels are needed"),
         (
             lambda: EquivariantPixelMaps(Shapes(32, None), Group("cyclic", 4), FIELDS, IN_HAND, HIDDEN, 4),

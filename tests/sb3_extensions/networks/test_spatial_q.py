@@ -194,7 +194,9 @@ def test_later_levels_teach_the_first_its_encoding(kind: str) -> None:
         name: parameter.grad is not None and bool(parameter.grad.any())
         for name, parameter in network.pixel_maps.named_parameters()
     }
-    assert all(found for name, found in gradients.items() if name.startswith("unet.downs") and "bias" not in name)
+    assert all(
+        found for name, found in gradients.items() if name.startswith("unet.downs") and "bias" not in name
+    )
     assert not any(found for name, found in gradients.items() if name.startswith(("unet.ups", "head")))
 
 
@@ -303,7 +305,11 @@ def test_levels_that_do_not_fit(kind: str, sequence: str, chosen: str, needed: s
 @pytest.mark.parametrize(
     ("space", "kwargs", "message"),
     [
-        (make_space()["heightmap"], {}, r"a Dict with a heightmap \(1, size, size\) under 'heightmap', got Box"),
+        (
+            make_space()["heightmap"],
+            {},
+            r"a Dict with a heightmap \(1, size, size\) under 'heightmap', got Box",
+        ),
         (make_space(), {"image_key": "depth"}, "under 'depth'"),
         (make_space(heightmap=(3, SIZE, SIZE)), {}, r"a heightmap \(1, size, size\)"),
         (make_space(heightmap=(SIZE, SIZE)), {}, r"a heightmap \(1, size, size\)"),

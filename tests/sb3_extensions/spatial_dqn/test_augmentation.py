@@ -94,7 +94,9 @@ def test_grippers_turn_with_the_scene(turns: int) -> None:
         for rows in (indices, moved)
     )
     angle = turns * math.pi / YAWS
-    world = np.array([[math.cos(angle), -math.sin(angle), 0], [math.sin(angle), math.cos(angle), 0], [0, 0, 1]])
+    world = np.array(
+        [[math.cos(angle), -math.sin(angle), 0], [math.sin(angle), math.cos(angle), 0], [0, 0, 1]]
+    )
     same, flipped = (np.abs(world @ before @ np.diag(end) - after).max(axis=(1, 2)) < 1e-6 for end in HANDS)
     assert (same ^ flipped).all()
     np.testing.assert_array_equal(flipped, (indices[:, 2] + turns) // YAWS % 2 == 1)
@@ -181,7 +183,7 @@ def test_motions_are_of_all_kinds() -> None:
     motion, count = make_motion(), 2000
     indices = th.zeros(count, 6, dtype=th.int64)
     indices[:, :2] = SIZE // 2
-    moved, moved_indices = move(motion, make_samples(th.zeros(count, 1, SIZE, SIZE)), indices)
+    _, moved_indices = move(motion, make_samples(th.zeros(count, 1, SIZE, SIZE)), indices)
     yaws = np.bincount(moved_indices[:, 2], minlength=YAWS)
     assert yaws.min() > 0.7 * count / YAWS
     shifts = (moved_indices[:, :2] - (SIZE - 1) / 2).numpy()

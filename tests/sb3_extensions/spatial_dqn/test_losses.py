@@ -16,7 +16,9 @@ BATCH, CHOICES = 12, 7
 def slow_strict_margin(values: Any, choices: Any, is_expert: Any, level: int) -> float:
     total = 0.0
     for row, chosen, expert in zip(values, choices, is_expert, strict=True):
-        above = [q - row[chosen] + MARGIN for a, q in enumerate(row) if a != chosen and q > row[chosen] - MARGIN]
+        above = [
+            q - row[chosen] + MARGIN for a, q in enumerate(row) if a != chosen and q > row[chosen] - MARGIN
+        ]
         total += np.mean(above) if expert and above else 0.0
     return total / len(values)
 
