@@ -21,6 +21,7 @@ from sb3_extensions.networks.later_levels import (
     Widths,
 )
 from sb3_extensions.networks.pixel_maps import Shapes
+from sb3_extensions.networks.projections import orthographic_projections, rotation_matrices
 from sb3_extensions.networks.views import SceneView, View
 
 SIZE, SIDE, YAWS = 24, 12, 4
@@ -197,6 +198,16 @@ def test_plain_levels_see_patches_turned_by_the_yaw_or_projections() -> None:
             th.testing.assert_close(seen, level.patch(view, indices, angle))
             unturned = th.equal(seen, level.patch(view, indices))
             assert unturned == (name == "theta")
+            continue
+        at = {
+            other: th.as_tensor(codec.grids[other][indices[:, 2 + k]]) for k, other in enumerate(codec.grids)
+        }
+        at = {other: value if ORDER.index(other) < known else 0 * value for other, value in at.items()}
+        rotations = rotation_matrices(*(at[other].float()[:, None] for other in ("theta", "phi", "psi")))
+        pose = (indices[:, 0], indices[:, 1], at["z"][:, None], rotations)
+        expected = orthographic_projections(view.heights, *pose, SIDE, 0.4 / SIZE)[:, 0]
+        th.testing.assert_close(seen[:, :3], (expected - STANDARDISE[0]) / STANDARDISE[1])
+        assert name == "phi" or (at["phi"] != 0).any()
 
 
 def test_patches_where_there_is_no_in_hand_image() -> None:
