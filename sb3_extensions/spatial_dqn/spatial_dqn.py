@@ -72,7 +72,8 @@ class SpatialDQN(OffPolicyFromDemonstrations):
         as many as steps done in the environment during the rollout
     :param replay_buffer_class: Replay buffer class, ``ExpertReplayBuffer`` (the default) or a subclass
     :param replay_buffer_kwargs: Keyword arguments to pass to the replay buffer on creation; its ``n_steps``
-        and ``gamma`` are the algorithm's, its ``image_dtype`` is what the policy rounds to
+        and ``gamma`` are the algorithm's, its ``image_dtype`` is what the policy rounds to. With
+        ``expert_fraction=None``, which prioritized replay needs, batches are not divided
     :param n_steps: number of rewards that are summed up before the bootstrap
     :param target_update_interval: update the target network every so many gradient steps
     :param imitation_weight: weight of the imitation term, see the subclasses; without effect in this class
@@ -205,8 +206,10 @@ class SpatialDQN(OffPolicyFromDemonstrations):
                 raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
 
     def _setup_model(self) -> None:
-        shares = {"expert_fraction": EXPERT_FRACTION, "balanced_from": self.batch_size // 2}
-        self.replay_buffer_kwargs = shares | self.replay_buffer_kwargs
+        shares: dict[str, Any] = {"expert_fraction": EXPERT_FRACTION, **self.replay_buffer_kwargs}
+        if shares["expert_fraction"] is not None:
+            shares.setdefault("balanced_from", max(1, self.batch_size // 2))
+        self.replay_buffer_kwargs = shares
         super()._setup_model()
         self._create_aliases()
         self.exploration_schedule = LinearSchedule(
@@ -310,7 +313,7 @@ class SpatialDQN(OffPolicyFromDemonstrations):
     ) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
         assert isinstance(self._last_obs, dict)
         greedy, _ = self.predict(self._last_obs)
-        scaled = self.policy.scale_action(greedy)
+        scaled = self._as_policy_actions(greedy)
         probability = 1.0 if self.num_timesteps < learning_starts else self.exploration_rate
         if probability > 0:
             scaled = self._explore(scaled, self._last_obs, probability)
