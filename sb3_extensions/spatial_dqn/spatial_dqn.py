@@ -76,7 +76,8 @@ class SpatialDQN(OffPolicyFromDemonstrations):
         ``expert_fraction=None``, which prioritized replay needs, batches are not divided
     :param n_steps: number of rewards that are summed up before the bootstrap
     :param target_update_interval: update the target network every so many gradient steps
-    :param imitation_weight: weight of the imitation term, see the subclasses; without effect in this class
+    :param imitation_weight: weight of the imitation term, see the subclasses; without effect in this class.
+        None takes the paper's: 0.01 for :class:`ADET`, else 0.1
     :param margin: of the imitation terms that have one
     :param exploration_fraction: fraction of entire training period over which the exploration rate is reduced
     :param exploration_initial_eps: initial value of random action probability
@@ -108,6 +109,7 @@ class SpatialDQN(OffPolicyFromDemonstrations):
         "ASRPolicy": ASRPolicy,
         "EquivariantASRPolicy": EquivariantASRPolicy,
     }
+    default_imitation_weight: ClassVar[float] = 0.1
     exploration_schedule: Schedule
     policy: SpatialPolicy
     # Noise in the hand and an expert asked at every step are not on the grid
@@ -131,7 +133,7 @@ class SpatialDQN(OffPolicyFromDemonstrations):
         replay_buffer_kwargs: dict[str, Any] | None = None,
         n_steps: int = 1,
         target_update_interval: int = 100,
-        imitation_weight: float = 0.1,
+        imitation_weight: float | None = None,
         margin: float = 0.1,
         exploration_fraction: float = 0.1,
         exploration_initial_eps: float = 0.0,
@@ -175,7 +177,9 @@ class SpatialDQN(OffPolicyFromDemonstrations):
             supported_action_spaces=(spaces.Box,),
         )
         self.target_update_interval = target_update_interval
-        self.imitation_weight, self.margin = imitation_weight, margin
+        default = self.default_imitation_weight
+        self.imitation_weight = default if imitation_weight is None else imitation_weight
+        self.margin = margin
         self.exploration_fraction = exploration_fraction
         self.exploration_initial_eps = exploration_initial_eps
         self.exploration_final_eps = exploration_final_eps
@@ -383,8 +387,10 @@ class ADET(SpatialDQN):
     :func:`~sb3_extensions.spatial_dqn.losses.cross_entropy`.
 
     Lakshminarayanan, Ozair and Bengio, "Reinforcement Learning with Few Expert Demonstrations", 2016. All
-    arguments see :class:`SpatialDQN`; ``imitation_weight`` is 0.01 in the paper.
+    arguments see :class:`SpatialDQN`.
     """
+
+    default_imitation_weight: ClassVar[float] = 0.01
 
     def _make_imitation_loss(self) -> ImitationLoss:
         return cross_entropy

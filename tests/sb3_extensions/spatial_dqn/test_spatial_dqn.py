@@ -177,7 +177,7 @@ def test_losses_equal_a_slow_reference(algorithm: Any, which: Any, make_model: A
             np.testing.assert_allclose(
                 logged[f"train/imitation_loss_{place}"], expected, rtol=1e-4, atol=1e-9
             )
-            total += 0.1 * expected
+            total += model.imitation_weight * expected
     np.testing.assert_allclose(logged["train/loss"], total, rtol=1e-4)
     last = levels[-1].gather(1, network.choices(indices)[-1][:, None])
     np.testing.assert_allclose(logged["train/value_expert"], last[is_expert].mean(), rtol=1e-3, atol=1e-6)
@@ -285,3 +285,8 @@ def test_it_learns_to_pick_and_place(make_picking: Any, make_model: Any) -> None
     trained, _ = evaluate_policy(model, make_picking(10, seed=9, size=24), 40)
     assert untrained < 0.1
     assert trained >= 0.85
+
+
+@pytest.mark.parametrize(("algorithm", "weight"), [(ADET, 0.01), (DQfD, 0.1), (SDQfD, 0.1)])
+def test_each_learner_imitates_with_the_papers_weight(algorithm: Any, weight: float, make_model: Any) -> None:
+    assert make_model(algorithm=algorithm).imitation_weight == weight
