@@ -6,11 +6,14 @@ import argparse
 from pathlib import Path
 from typing import Any
 
+import gymnasium as gym
 from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.utils import check_for_correct_spaces
+from stable_baselines3.common.vec_env import VecEnv
 
 from zoo_configs.algorithms import ALGORITHMS, register_algorithms
-from zoo_configs.environments import known_env_id
-from zoo_configs.errors import CommandError
+from zoo_configs.environments import known_env_id, register_environments
+from zoo_configs.errors import CommandError, refused
 from zoo_configs.runs import Run, find_runs, load_run
 from zoo_configs.validation import constructor_keys
 
@@ -24,20 +27,30 @@ UNUSED_OBJECTS: dict[str, Any] = {
 
 def run_from_arguments(args: argparse.Namespace) -> Run:
     """
-    Find the run that the flags of :func:`zoo_configs.arguments.add_run_arguments` name.
+    Find the run that the flags of :func:`zoo_configs.arguments.add_run_arguments` name, and register what it
+    was trained on.
 
     :param args: The parsed flags
     :return: The run
     :raises CommandError: if there is none
     """
-    if args.run is not None:
-        return load_run(args.run)
+    run = load_run(args.run) if args.run is not None else _newest_run(args)
+    register_environments(run.gym_packages)
+    known_env_id(run.cell.env_id)
+    return run
+
+
+def _newest_run(args: argparse.Namespace) -> Run:
+    """The newest one that has a model, among those that are named."""
     if args.env is None or (args.baseline is None and args.algo is None):
         raise CommandError("name a run folder, or --env with --baseline or --algo")
-    env_id = known_env_id(args.env)
+    env_id = args.env.rpartition(":")[2]
+    of_env = find_runs(args.log_folder, env_id)
+    if not of_env:
+        known_env_id(args.env)  # a name that does not exist is the nearer reason
     runs = [
         run
-        for run in find_runs(args.log_folder, env_id)
+        for run in of_env
         if args.algo in (None, run.cell.algo)
         and args.baseline in (None, run.cell.baseline)
         and args.preset in (None, run.cell.preset)
@@ -45,7 +58,7 @@ def run_from_arguments(args: argparse.Namespace) -> Run:
     ]
     if not runs:
         raise CommandError(f"{args.log_folder} has no such run of {args.baseline or args.algo} on {env_id}")
-    return runs[-1]
+    return next((run for run in reversed(runs) if run.has_model), runs[-1])
 
 
 def load_agent(run: Run, best: bool, device: str) -> tuple[BaseAlgorithm, Path]:
@@ -56,7 +69,7 @@ def load_agent(run: Run, best: bool, device: str) -> tuple[BaseAlgorithm, Path]:
     :param best: Whether to prefer the model that did best in a periodic evaluation
     :param device: PyTorch device
     :return: The model, and the file it comes from
-    :raises CommandError: if the run has saved no model yet
+    :raises CommandError: if the run has saved no model yet, or the file is damaged
     """
     path = run.best_model if best and run.best_model.is_file() else run.last_model
     if not path.is_file():
@@ -65,5 +78,18 @@ def load_agent(run: Run, best: bool, device: str) -> tuple[BaseAlgorithm, Path]:
     # An agent that only acts needs no memory; our buffers allocate none before their first transition.
     takes_buffer = run.cell.algo not in ALGORITHMS and "buffer_size" in constructor_keys(algorithm)
     buffer = {"buffer_size": 1} if takes_buffer else {}
-    model: BaseAlgorithm = algorithm.load(path, device=device, custom_objects=UNUSED_OBJECTS, **buffer)
+    with refused(f"{path} is damaged, or of another version"):
+        model: BaseAlgorithm = algorithm.load(path, device=device, custom_objects=UNUSED_OBJECTS, **buffer)
     return model, path
+
+
+def check_fits(model: BaseAlgorithm, env: gym.Env[Any, Any] | VecEnv) -> None:
+    """
+    Look whether an agent can act in an environment.
+
+    :param model: The agent
+    :param env: The environment
+    :raises CommandError: if its observations or actions are of other shapes than in training
+    """
+    with refused("the agent cannot act here", ValueError):
+        check_for_correct_spaces(env, model.observation_space, model.action_space)

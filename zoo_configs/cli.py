@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 import importlib
+import os
+import select
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from typing import NamedTuple
 
-from zoo_configs.errors import CommandError, unknown_name
+from zoo_configs.errors import CommandError, reason, unknown_name
 
 PROGRAM = "bulletarm-zoo"
+TRACEBACK = "--traceback"
 EXIT_OK = 0
 EXIT_USAGE = 2
 EXIT_INTERRUPTED = 130  # 128 + SIGINT, the shell's convention
+EXIT_UNREAD = 141  # 128 + SIGPIPE
 
 
 class Command(NamedTuple):
@@ -44,23 +49,76 @@ def main(argv: Sequence[str] | None = None) -> int:
     Run a command.
 
     :param argv: Name of the command and its arguments, default ``sys.argv[1:]``
-    :return: Exit code: 0, 2 for wrong usage, 130 after Ctrl-C
+    :return: Exit code: 0, 2 for what cannot be done, 130 after Ctrl-C, 141 if nobody reads what is printed
     """
-    name, *arguments = (sys.argv[1:] if argv is None else argv) or ["--help"]
-    if name in ("-h", "--help"):
-        print(usage())
-        return EXIT_OK
+    words = list(sys.argv[1:] if argv is None else argv)
+    raises = words[:1] == [TRACEBACK]
+    name, *arguments = (words[1:] if raises else words) or ["--help"]
     try:
-        if name not in COMMANDS:
-            raise unknown_name("command", name, COMMANDS)
-        importlib.import_module(COMMANDS[name].module).main(arguments)
-    except CommandError as error:
-        print(f"{PROGRAM} {name}: error: {error}", file=sys.stderr)
-        return EXIT_USAGE
+        with _working_directory_on_path():
+            _run(name, arguments)
+        sys.stdout.flush()
+    except (CommandError, OSError) as error:
+        if raises or not _is_told(error):
+            raise
+        return _tell(name, error)
     except KeyboardInterrupt:
         print(f"\n{PROGRAM} {name}: interrupted", file=sys.stderr)
         return EXIT_INTERRUPTED
     return EXIT_OK
+
+
+def _run(name: str, arguments: Sequence[str]) -> None:
+    if name in ("-h", "--help"):
+        print(usage())
+    elif name == "--version":
+        from bulletarm_gym import __version__
+
+        print(f"{PROGRAM} {__version__}")
+    elif name in COMMANDS:
+        importlib.import_module(COMMANDS[name].module).main(arguments)
+    else:
+        raise unknown_name("command", name, COMMANDS)
+
+
+@contextmanager
+def _working_directory_on_path() -> Iterator[None]:
+    """As with ``python -m``: a user's tasks beside which the command is called can be imported."""
+    here = os.getcwd()
+    if here in sys.path or getattr(sys.flags, "safe_path", False):  # the flag is of Python 3.11
+        yield
+        return
+    sys.path.insert(0, here)
+    try:
+        yield
+    finally:
+        sys.path.remove(here)
+
+
+def _is_told(error: Exception) -> bool:
+    """Whether a line says enough of an error: a full disk, but not trouble between our own processes."""
+    if isinstance(error, BrokenPipeError):
+        return _is_unread()
+    of_system = isinstance(error, OSError) and error.errno is not None
+    return isinstance(error, CommandError) or (of_system and not isinstance(error, ConnectionError))
+
+
+def _is_unread() -> bool:
+    """Whether who read the output, such as ``head``, has gone."""
+    poll = select.poll()
+    try:
+        poll.register(sys.stdout, select.POLLOUT)
+    except OSError:  # it is no file
+        return False
+    return any(event & select.POLLERR for _, event in poll.poll(0))
+
+
+def _tell(name: str, error: Exception) -> int:
+    if isinstance(error, BrokenPipeError):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # for what is still to be printed
+        return EXIT_UNREAD
+    print(f"{PROGRAM} {name}: error: {reason(error)}", file=sys.stderr)
+    return EXIT_USAGE
 
 
 def usage() -> str:
@@ -69,9 +127,10 @@ def usage() -> str:
 
     :return: Its text
     """
-    lines = [f"usage: {PROGRAM} COMMAND [ARGUMENTS]", "", "commands:"]
+    lines = [f"usage: {PROGRAM} [--version] [{TRACEBACK}] COMMAND [ARGUMENTS]", "", "commands:"]
     lines += [f"  {name:<8} {command.summary}" for name, command in COMMANDS.items()]
     lines += ["", f"{PROGRAM} COMMAND --help tells the arguments of a command."]
+    lines += [f"{TRACEBACK} shows where an error arose, for those who extend the program."]
     return "\n".join(lines)
 
 

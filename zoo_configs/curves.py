@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from zoo_configs.errors import refused
 from zoo_configs.files import whole_file
 from zoo_configs.runs import CURVE_FILE, Run
 
@@ -43,8 +44,9 @@ def load_curve(path: Path) -> LearningCurve:
 
     :param path: Its ``evaluations.npz``, as Stable-Baselines3 writes it
     :return: The curve
+    :raises CommandError: if it cannot be read
     """
-    with np.load(path) as saved:
+    with refused(f"{path} is damaged"), np.load(path) as saved:
         has_success = "successes" in saved
         episodes = np.asarray(saved["successes" if has_success else "results"], dtype=np.float64)
         timesteps = saved["timesteps"]
@@ -59,10 +61,13 @@ def mean_curve(curves: Sequence[LearningCurve]) -> LearningCurve:
 
     :param curves: One a run, at least one, of one measure
     :return: The mean; its error is the standard error over runs, that over episodes if there is only one
+    :raises ValueError: if there is no time step at which all were evaluated
     """
     if len(curves) == 1:
         return curves[0]
     timesteps = reduce(np.intersect1d, [curve.timesteps for curve in curves])
+    if not len(timesteps):
+        raise ValueError(f"its {len(curves)} runs were never evaluated at the same time step")
     success = np.stack([curve.success[np.isin(curve.timesteps, timesteps)] for curve in curves])
     error = success.std(axis=0, ddof=1) / np.sqrt(len(curves))
     return LearningCurve(timesteps, success.mean(axis=0), error, curves[0].measure)

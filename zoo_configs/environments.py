@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 import importlib
+import re
 from collections.abc import Iterable, Mapping
 from types import ModuleType
 from typing import Any
 
 import gymnasium as gym
 
-from zoo_configs.errors import CommandError, unknown_name
+from zoo_configs.errors import CommandError, refused, unknown_name
 
 ENV_PACKAGES = ("bulletarm_gym",)
 NAMESPACE = "BulletArm/"
+# An id, and in it what tells ours apart.
+ENV_ID = re.compile(r"(?:.*/)?(?:(?:close|open)loop)?(.*?)(?:-v\d+)?", re.IGNORECASE)
+# What an environment may raise at parameters that it does not take.
+REFUSALS = (AssertionError, ImportError, RuntimeError, TypeError, ValueError, gym.error.Error)
 
 
 def register_environments(packages: Iterable[str] = ()) -> None:
@@ -20,13 +25,11 @@ def register_environments(packages: Iterable[str] = ()) -> None:
     Import the packages that register environments.
 
     :param packages: Packages besides our own, as in rl_zoo3's ``--gym-packages``
-    :raises CommandError: if one of them cannot be found
+    :raises CommandError: if one of them cannot be imported
     """
     for package in (*ENV_PACKAGES, *packages):
-        try:
+        with refused(f"package {package!r} cannot be imported"):
             importlib.import_module(package)
-        except ModuleNotFoundError as error:
-            raise CommandError(f"package {package!r} cannot be imported: {error}") from error
 
 
 def our_env_ids() -> list[str]:
@@ -46,11 +49,45 @@ def known_env_id(env_id: str) -> str:
     :return: The id as Gymnasium's registry knows it
     :raises CommandError: if it is not registered; names the nearest id
     """
-    package, _, name = env_id.rpartition(":")
-    register_environments([package] if package else [])
+    register_environments(package_of(env_id))
+    name = env_id.rpartition(":")[2]
     if name not in gym.registry:
-        raise unknown_name("environment", name, gym.registry)
+        raise unknown_name("environment", name, gym.registry, _core, "see bulletarm-zoo list")
     return name
+
+
+def package_of(env_id: str) -> list[str]:
+    """
+    The package that registers an environment, as far as its id says it.
+
+    :param env_id: ``"BulletArm/CloseLoopBlockPicking-v0"``, also with a ``"package:"`` in front
+    :return: That package, or nothing
+    """
+    package = env_id.rpartition(":")[0]
+    return [package] if package else []
+
+
+def _core(env_id: str) -> str:
+    """``blockpicking`` for ``BulletArm/CloseLoopBlockPicking-v0``."""
+    core = ENV_ID.fullmatch(env_id)
+    return core[1].lower() if core else env_id
+
+
+def make_env(env_id: str, env_kwargs: Mapping[str, Any], render_mode: str | None = None) -> gym.Env[Any, Any]:
+    """
+    Make an environment with a user's parameters.
+
+    :param env_id: Its id
+    :param env_kwargs: Its parameters
+    :param render_mode: How it is to render; None leaves it to the parameters
+    :return: The environment
+    :raises CommandError: if it refuses its parameters, with the reason that it gives
+    """
+    rendering = {} if render_mode is None else {"render_mode": render_mode}
+    if (wanted := env_kwargs.get("render_mode", render_mode)) != render_mode and rendering:
+        raise CommandError(f"render_mode is {render_mode!r} here, got {wanted!r}")
+    with refused(f"{env_id} cannot be made", REFUSALS):
+        return gym.make(env_id, **{**env_kwargs, **rendering})
 
 
 def demonstrations() -> ModuleType:

@@ -12,28 +12,32 @@ from rl_zoo3.exp_manager import ExperimentManager
 from rl_zoo3.utils import ALGOS
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback, ProgressBarCallback
+from stable_baselines3.common.save_util import load_from_zip_file
 from stable_baselines3.common.vec_env import VecEnv
 
-from sb3_extensions.common.checkpoint import (
-    CheckpointError,
-    DirectoryCheckpointCallback,
-    resume,
-    save_checkpoint,
-)
+from sb3_extensions.common.checkpoint import DirectoryCheckpointCallback, resume, save_checkpoint
 from zoo_configs.algorithms import class_from_path
 from zoo_configs.environments import load_expert_data
-from zoo_configs.errors import CommandError
+from zoo_configs.errors import CommandError, reason, refused
 from zoo_configs.evaluation import PeriodicEvaluation
-from zoo_configs.files import whole_file
+from zoo_configs.files import missing_folders, whole_file
 from zoo_configs.plan import Plan
-from zoo_configs.runs import CHECKPOINT_FOLDER, DEMONSTRATIONS_FOLDER, Run, claim_run_folder, write_resolved
+from zoo_configs.runs import (
+    DEMONSTRATIONS_FOLDER,
+    Run,
+    claim_run_folder,
+    discard_if_fruitless,
+    write_resolved,
+)
 from zoo_configs.seeds import SeedStream, stream_seed
 from zoo_configs.training_log import TrainingLog
-from zoo_configs.validation import constructor_keys
+from zoo_configs.validation import constructor_keys, policy_class
 
 # Hyperparameters that rl_zoo3 evaluates as Python code if they are strings.
 EVALUATED_KEYS = ("policy_kwargs", "replay_buffer_class", "replay_buffer_kwargs")
 DOTTED_PATH = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)+")
+# What algorithms raise at arguments, or an environment, that they cannot learn with.
+UNFIT = (AssertionError, MemoryError, RuntimeError, TypeError, ValueError)
 
 
 class ZooManager(ExperimentManager):
@@ -53,6 +57,7 @@ class ZooManager(ExperimentManager):
 
     def __init__(self, plan: Plan, *args: Any, uuid_str: str = "", **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
+        self._made = missing_folders(Path(self.log_path))
         self.run = run = plan.run or self._new_run(plan, uuid_str)
         self.checkpoint = plan.checkpoint
         self.interrupted = False
@@ -63,9 +68,27 @@ class ZooManager(ExperimentManager):
 
     def _new_run(self, plan: Plan, suffix: str) -> Run:
         folder = claim_run_folder(Path(self.log_path), plan.cell.env_id, suffix)
-        run = Run(folder, plan.cell, plan.arguments)
-        write_resolved(run)
+        run = Run(folder, plan.cell, plan.arguments, plan.gym_packages)
+        try:
+            write_resolved(run)
+        except OSError:
+            discard_if_fruitless(run, self._made)
+            raise
         return run
+
+    def discard_if_fruitless(self) -> None:
+        """Leave nothing of a run that failed before it had a model or a checkpoint."""
+        discard_if_fruitless(self.run, self._made)
+
+    def setup_experiment(self) -> tuple[BaseAlgorithm, dict[str, Any]] | None:
+        """
+        Build environments and model.
+
+        :return: The model, and the hyperparameters as they are saved
+        :raises CommandError: if they refuse what they are given
+        """
+        with refused(f"{self.algo} cannot be built for {self.env_name.gym_id}"):
+            return super().setup_experiment()
 
     def _preprocess_hyperparams(self, hyperparams: dict[str, Any]) -> Any:
         for key in EVALUATED_KEYS:
@@ -74,7 +97,9 @@ class ZooManager(ExperimentManager):
         if "expert_cache" in constructor_keys(ALGOS[self.algo]):
             # Shared by the runs in the log folder: the next seed or baseline need not collect them again
             hyperparams.setdefault("expert_cache", str(Path(self.log_path).parent / DEMONSTRATIONS_FOLDER))
-        processed = super()._preprocess_hyperparams(load_expert_data(hyperparams))
+        if self.checkpoint is None:  # what is resumed has them in its replay buffer
+            hyperparams = load_expert_data(hyperparams)
+        processed = super()._preprocess_hyperparams(hyperparams)
         self.eval_env_kwargs = {**self.env_kwargs, **(self._eval_env_kwargs_args or {})}
         if "info_keywords" in self.monitor_kwargs:  # YAML has lists only
             self.monitor_kwargs["info_keywords"] = tuple(self.monitor_kwargs["info_keywords"])
@@ -121,8 +146,7 @@ class ZooManager(ExperimentManager):
         )
 
     def _checkpoints(self) -> BaseCallback:
-        folder = self.run.folder / CHECKPOINT_FOLDER
-        return DirectoryCheckpointCallback(self.save_freq, folder)
+        return DirectoryCheckpointCallback(self.save_freq, self.run.checkpoint_folder)
 
     def _calls(self, timesteps: int) -> int:
         """How many steps of the vector environment make that many time steps."""
@@ -130,31 +154,51 @@ class ZooManager(ExperimentManager):
 
     def _load_pretrained_agent(self, hyperparams: dict[str, Any], env: VecEnv) -> BaseAlgorithm:
         if self.checkpoint is None:
+            self._check_trained_agent(hyperparams["policy"])
             return super()._load_pretrained_agent(hyperparams, env)
-        try:
-            return resume(self.checkpoint, env, self.device)
-        except CheckpointError as error:
-            raise CommandError(str(error)) from error
+        model = resume(self.checkpoint, env, self.device)
+        if model.num_timesteps >= self.n_timesteps and self.run.last_model.is_file():
+            done = f"{self.run.folder} has done {model.num_timesteps} time steps of {self.n_timesteps}"
+            raise CommandError(f"{done}; to go on, give more by -n")
+        return model
+
+    def _check_trained_agent(self, policy: str | type[Any]) -> None:
+        """The model keeps its policy, whatever the hyperparameters say."""
+        data, _, _ = load_from_zip_file(self.trained_agent, device="cpu")
+        wanted = policy_class(ALGOS[self.algo], policy) if isinstance(policy, str) else policy
+        found = (data or {}).get("policy_class", type(None))
+        if found is not wanted:
+            names = [f"{cls.__module__}.{cls.__qualname__}" for cls in (found, wanted)]
+            raise CommandError(f"the policy in {self.trained_agent} is {names[0]}, this run's {names[1]}")
 
     def learn(self, model: BaseAlgorithm) -> None:
         """
         Train; an interruption by Ctrl-C ends training early and without an error.
 
         :param model: The model, new or from a checkpoint
+        :raises CommandError: if it turns out before the first update that it cannot learn
         """
-        interval = {} if self.log_interval == -1 else {"log_interval": max(self.log_interval, 0) or None}
+        updates = getattr(model, "_n_updates", 0)
+        options: dict[str, Any] = {} if self.show_progress else {"progress_bar": False}
+        if self.log_interval != -1:
+            options["log_interval"] = max(self.log_interval, 0) or None
         try:
             model.learn(
                 self.n_timesteps - (model.num_timesteps if self.checkpoint else 0),
                 callback=self.callbacks,
                 reset_num_timesteps=self.checkpoint is None,
-                **interval,  # type: ignore[arg-type]
+                **options,
             )
             if self.save_freq > 0:
-                save_checkpoint(model, self.run.folder / CHECKPOINT_FOLDER)
+                save_checkpoint(model, self.run.checkpoint_folder)
         except KeyboardInterrupt:
             self.interrupted = True
             self._close_progress_bars()
+        except UNFIT as error:
+            if getattr(model, "_n_updates", 0) > updates:
+                raise
+            where = f"{self.algo} cannot train on {self.env_name.gym_id}"
+            raise CommandError(f"{where}: {reason(error)}") from error
         finally:
             self._close_envs(model)
 

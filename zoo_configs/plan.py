@@ -21,9 +21,11 @@ class Plan:
     :param arguments: Arguments for ``rl_zoo3.train``
     :param run: The run to go on with, None for a new one
     :param checkpoint: The checkpoint to go on from, None for a new run
+    :param gym_packages: Packages that register the environment, besides our own
     """
 
     cell: Cell
     arguments: tuple[str, ...]
     run: Run | None = None
     checkpoint: Path | None = None
+    gym_packages: tuple[str, ...] = ()

@@ -178,7 +178,7 @@ def _share_action_sequence(hyperparams: dict[str, Any]) -> None:
     sequence = hyperparams.get("env_kwargs", {}).get("action_sequence")
     for key in ("policy_kwargs", "replay_buffer_kwargs"):
         kwargs = hyperparams.get(key, {})
-        if "action_sequence" in kwargs and sequence is not None:
+        if isinstance(kwargs, dict) and "action_sequence" in kwargs and sequence is not None:
             kwargs["action_sequence"] = sequence
 
 

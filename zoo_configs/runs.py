@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import shutil
+import sys
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -9,11 +12,12 @@ from typing import Any
 import yaml
 from rl_zoo3.utils import get_latest_run_id, get_saved_hyperparams
 
-from zoo_configs.errors import CommandError
-from zoo_configs.files import whole_file
+from zoo_configs.errors import CommandError, reason, refused
+from zoo_configs.files import remove_empty, whole_file
 from zoo_configs.resolve import Cell
 
 RESOLVED_FILE = "hyperparams.yml"
+CONFIG_FILE = "config.yml"  # rl_zoo3's
 EVALUATIONS_FILE = "evaluations.npz"
 TRAINING_LOG_FILE = "training.csv"
 BEST_MODEL_FILE = "best_model.zip"
@@ -33,11 +37,13 @@ class Run:
     :param folder: Its folder
     :param cell: What was trained
     :param arguments: The arguments given to ``rl_zoo3.train``
+    :param gym_packages: Packages that register the environment, besides our own
     """
 
     folder: Path
     cell: Cell
     arguments: tuple[str, ...]
+    gym_packages: tuple[str, ...] = ()
 
     @property
     def number(self) -> int:
@@ -66,6 +72,16 @@ class Run:
         return self.folder / BEST_MODEL_FILE
 
     @property
+    def has_model(self) -> bool:
+        """Whether there is something to act with."""
+        return self.best_model.is_file() or self.last_model.is_file()
+
+    @property
+    def checkpoint_folder(self) -> Path:
+        """Folder of what training goes on from."""
+        return self.folder / CHECKPOINT_FOLDER
+
+    @property
     def evaluations_file(self) -> Path:
         """Periodic evaluations, in Stable-Baselines3's format."""
         return self.folder / EVALUATIONS_FILE
@@ -80,7 +96,10 @@ class Run:
         Hyperparameters as trained with, prepared by rl_zoo3 for rebuilding the environment.
 
         :return: The hyperparameters and the folder of normalisation statistics
+        :raises CommandError: if they are missing
         """
+        if not (self.params_folder / CONFIG_FILE).is_file():
+            raise CommandError(f"{self.folder} is not whole: {self.params_folder / CONFIG_FILE} is missing")
         hyperparams, stats_path = get_saved_hyperparams(str(self.params_folder), test_mode=True)
         return dict(hyperparams), stats_path
 
@@ -130,6 +149,7 @@ def write_resolved(run: Run) -> Path:
         "preset": run.cell.preset,
         "benchmark": run.cell.benchmark,
         "arguments": list(run.arguments),
+        "gym_packages": list(run.gym_packages),
     }
     path = run.resolved_file
     with whole_file(path) as partial, partial.open("w", encoding="utf-8") as file:
@@ -148,17 +168,18 @@ def load_run(folder: Path) -> Run:
     path = folder / RESOLVED_FILE
     if not path.is_file():
         raise CommandError(f"{folder} is no run folder: it has no {RESOLVED_FILE}")
-    content = yaml.safe_load(path.read_text(encoding="utf-8"))
-    about = content.pop(RUN_KEY)
-    ((env_id, hyperparams),) = content.items()
-    named = {key: about.get(key) for key in ("baseline", "preset", "benchmark")}
-    cell = Cell(about["algo"], env_id, hyperparams, {}, **named)
-    return Run(folder, cell, tuple(about["arguments"]))
+    with refused(f"{path} cannot be read"):
+        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+        about = content.pop(RUN_KEY)
+        ((env_id, hyperparams),) = content.items()
+        named = {key: about.get(key) for key in ("baseline", "preset", "benchmark")}
+        cell = Cell(about["algo"], env_id, dict(hyperparams), {}, **named)
+        return Run(folder, cell, tuple(about["arguments"]), tuple(about.get("gym_packages", ())))
 
 
 def find_runs(log_folder: Path, env_id: str | None = None) -> list[Run]:
     """
-    Runs in a log folder.
+    Runs in a log folder; one that cannot be read is told and left out.
 
     :param log_folder: The folder given as ``-f`` to ``train``
     :param env_id: Id of the environment, default all
@@ -167,4 +188,25 @@ def find_runs(log_folder: Path, env_id: str | None = None) -> list[Run]:
     name = "*" if env_id is None else env_folder_name(env_id)
     files = log_folder.glob(f"*/{name}_*/{RESOLVED_FILE}")
     newest_last = sorted(files, key=lambda path: (path.stat().st_mtime_ns, path.parent.name))
-    return [load_run(path.parent) for path in newest_last]
+    runs = []
+    for path in newest_last:
+        try:
+            runs.append(load_run(path.parent))
+        except CommandError as error:
+            print(f"left out: {reason(error)}", file=sys.stderr)
+    return runs
+
+
+def discard_if_fruitless(run: Run, made: Iterable[Path]) -> None:
+    """
+    Remove the folder of a run that failed before it had a model or a checkpoint.
+
+    :param run: The run
+    :param made: Folders above it that were made for it, innermost first; those that are empty go too
+    """
+    from sb3_extensions.common.checkpoint import latest_checkpoint  # loads PyTorch
+
+    if run.has_model or latest_checkpoint(run.checkpoint_folder) is not None:
+        return
+    shutil.rmtree(run.folder, ignore_errors=True)
+    remove_empty(made)

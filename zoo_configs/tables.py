@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Literal
 
 UNLIMITED = 1000  # characters, wider than any table of numbers
 
@@ -27,7 +28,8 @@ def print_table(
 
     table = Table(box=None, pad_edge=False)
     for index, column in enumerate(columns):
-        table.add_column(column, justify="left" if wrap or index == 0 else "right", no_wrap=index == 0)
+        side: Literal["left", "right"] = "left" if wrap or index == 0 else "right"
+        table.add_column(column, justify=side, no_wrap=index == 0, overflow="fold")
     for cells in rows:
         table.add_row(*cells)
     Console(width=None if wrap else UNLIMITED).print(table)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import importlib
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +13,7 @@ from typing import Any
 
 import gymnasium as gym
 
+from zoo_configs.environments import make_env
 from zoo_configs.errors import CommandError
 from zoo_configs.machine import Yardstick, measure_yardstick
 
@@ -60,20 +61,27 @@ class Throughput:
         return self.step_ms - self.physics_ms - self.rendering_ms
 
 
-def measure_env(env_id: str, seconds: float, seed: int, on_episode: Callable[[float], Any]) -> Throughput:
+def measure_env(
+    env_id: str,
+    seconds: float,
+    seed: int,
+    on_episode: Callable[[float], Any],
+    env_kwargs: Mapping[str, Any],
+) -> Throughput:
     """
     Let the expert act for a while.
 
-    :param env_id: Id of the environment, with its default parameters
+    :param env_id: Id of the environment
     :param seconds: How long; whole episodes are played until it is over
     :param seed: Seed of the first episode; each has the next
     :param on_episode: Called after each episode with the seconds it took
+    :param env_kwargs: Parameters of the environment
     :return: What was measured
     :raises CommandError: if the environment has no expert
     """
     yardstick = measure_yardstick()
     with _timed(*PHYSICS) as physics, _timed(*RENDERING) as rendering:
-        env = gym.make(env_id)
+        env = make_env(env_id, env_kwargs)
         try:
             if not hasattr(env.unwrapped, "expert_action"):
                 raise CommandError(f"{env_id} has no expert")

@@ -8,6 +8,7 @@ from pathlib import Path
 import pandas as pd
 from stable_baselines3.common.callbacks import BaseCallback
 
+from zoo_configs.errors import refused
 from zoo_configs.files import whole_file
 
 PREFIX = "train/"
@@ -83,5 +84,7 @@ def read_training_log(path: Path) -> pd.DataFrame:
 
     :param path: The file
     :return: A row every so many time steps
+    :raises CommandError: if it cannot be read
     """
-    return pd.read_csv(path)
+    with refused(f"{path} is damaged"):
+        return pd.read_csv(path)

@@ -11,7 +11,8 @@ import gymnasium as gym
 from sb3_extensions.common.augmentation import make_augmentation
 from zoo_configs.algorithms import class_from_path, register_algorithms
 from zoo_configs.environments import load_expert_data
-from zoo_configs.errors import CommandError, unknown_name
+from zoo_configs.errors import CommandError, refused, unknown_name
+from zoo_configs.ranges import check_values
 from zoo_configs.resolve import Cell
 
 # Keys that rl_zoo3's manager takes for itself; every other key goes to the algorithm.
@@ -43,6 +44,7 @@ def check_cell(cell: Cell) -> None:
     algorithms = register_algorithms()
     if cell.algo not in algorithms:
         raise unknown_name("algorithm", cell.algo, algorithms)
+    check_values(cell.hyperparams)
     algorithm = algorithms[cell.algo]
     valid = {*MANAGER_KEYS, *constructor_keys(algorithm)} - set(RESERVED_KEYS)
     _check_names(f"hyperparameter of {cell.algo}", cell.hyperparams, valid)
@@ -52,43 +54,46 @@ def check_cell(cell: Cell) -> None:
     policy = policy_class(algorithm, cell.hyperparams["policy"])
     _check_policy_kwargs(policy, cell.hyperparams.get("policy_kwargs"))
     _check_replay_buffer(algorithm, cell.hyperparams)
-    try:
+    with refused("augmentation"):
         make_augmentation(cell.hyperparams.get("augmentation"))
-    except ValueError as error:
-        raise CommandError(str(error)) from error
 
 
-def check_env_kwargs(env_id: str, env_kwargs: Mapping[str, Any]) -> gym.Env[Any, Any]:
-    """
-    Build the environment once, so that a wrong parameter is told before the run begins.
-
-    :param env_id: Id of the environment
-    :param env_kwargs: Its parameters
-    :return: The environment, to be closed by the caller
-    :raises CommandError: if the environment refuses its parameters
-    """
-    try:
-        return gym.make(env_id, **env_kwargs)
-    except (TypeError, ValueError) as error:
-        raise CommandError(f"{env_id} refuses its env_kwargs: {error}") from error
-
-
-def check_expert_data(hyperparams: Mapping[str, Any], env: gym.Env[Any, Any]) -> None:
+def check_expert_data(cell: Cell, env: gym.Env[Any, Any], any_demonstrations: bool = False) -> None:
     """
     Look whether a file of demonstrations is of an environment like the one to train on.
 
-    :param hyperparams: Hyperparameters, with or without ``expert_data``
+    :param cell: Its hyperparameters may name a file as ``expert_data``
     :param env: The environment
-    :raises CommandError: if there is no such file, or its observations or actions are of other shapes
+    :param any_demonstrations: Whether it may be another task or have other parameters
+    :raises CommandError: if there is no such file, or it is of another environment
     """
-    for episode in load_expert_data(hyperparams).get("expert_data") or ():
+    path = cell.hyperparams.get("expert_data")
+    episodes = load_expert_data(cell.hyperparams).get("expert_data")
+    if not isinstance(path, str) or episodes is None:
+        return
+    for episode in episodes:
         first = {key: values[0] for key, values in episode.observations.items()}
         if first not in env.observation_space or episode.actions[0] not in env.action_space:
-            path, shapes = hyperparams["expert_data"], {key: values.shape for key, values in first.items()}
+            shapes = {key: values.shape for key, values in first.items()}
             raise CommandError(
                 f"expert_data: {path} has observations {shapes} and actions {episode.actions[0].shape}, "
                 f"the environment has {env.observation_space} and {env.action_space}"
             )
+    if not any_demonstrations:
+        _check_origin(path, episodes.about, cell.env_id, env)
+
+
+def _check_origin(path: str, about: Mapping[str, Any], env_id: str, env: gym.Env[Any, Any]) -> None:
+    """Compare the task, its action sequence and its parameters with those of the demonstrations."""
+    config: Any = getattr(env.unwrapped, "config", None)
+    wanted = {} if config is None else {"env": env_id, **config.parameters()}
+    shown = {"env": about["env_id"], **about["configuration"]}
+    other = [name for name, value in wanted.items() if name != "render_mode" and shown.get(name) != value]
+    if config is None or not other:
+        return
+    theirs, ours = ({name: values.get(name) for name in other} for values in (shown, wanted))
+    advice = "to take it nevertheless: --any-demonstrations"
+    raise CommandError(f"expert_data: {path} is of {theirs}, this run of {ours}; {advice}")
 
 
 def policy_class(algorithm: type[Any], policy: str) -> type[Any]:

@@ -14,6 +14,7 @@ from gymnasium import spaces
 from matplotlib import colormaps
 from PIL import Image, ImageDraw, ImageFont
 
+from zoo_configs.errors import CommandError, reason
 from zoo_configs.files import whole_file
 
 Frame = npt.NDArray[np.uint8]
@@ -124,12 +125,8 @@ def write_video(frames: Sequence[Frame], path: Path, frames_per_second: float) -
     :param path: The file; its suffix, ``.gif`` or ``.mp4``, is the format
     :param frames_per_second: Speed
     """
-    with whole_file(path) as partial:
-        if path.suffix == ".gif":
-            duration = 1000 / frames_per_second  # ms
-            iio.imwrite(partial, np.stack(frames), duration=duration, loop=0)
-        else:
-            iio.imwrite(partial, np.stack(frames), fps=frames_per_second)
+    gif = {"duration": 1000 / frames_per_second, "loop": 0}  # ms
+    _write(np.stack(frames), path, **(gif if path.suffix == ".gif" else {"fps": frames_per_second}))
 
 
 def write_picture(frame: Frame, path: Path) -> None:
@@ -139,8 +136,17 @@ def write_picture(frame: Frame, path: Path) -> None:
     :param frame: Shape (height, width, 3)
     :param path: The file
     """
+    _write(frame, path)
+
+
+def _write(images: Frame, path: Path, **options: Any) -> None:
+    """Encode first: where the disk is full imageio complains when it is collected as garbage."""
+    try:
+        content: bytes = iio.imwrite("<bytes>", images, extension=path.suffix, **options)
+    except OSError as error:  # ffmpeg's own words
+        raise CommandError(f"{path} cannot be encoded: {reason(error)}") from error
     with whole_file(path) as partial:
-        iio.imwrite(partial, frame)
+        partial.write_bytes(content)
 
 
 def _resize(image: Image.Image, resampling: Image.Resampling) -> Image.Image:

@@ -124,7 +124,11 @@ def save_checkpoint(model: BaseAlgorithm, path: str | os.PathLike[str], keep: in
     final = _free_name(path, model.num_timesteps)
     temporary = path / f"{TEMPORARY_PREFIX}{final.name}"
     temporary.mkdir()
-    _write_files(model, temporary)
+    try:
+        _write_files(model, temporary)
+    except BaseException:  # on a full disk its first half would fill what is left
+        shutil.rmtree(temporary, ignore_errors=True)
+        raise
     os.rename(temporary, final)
     _sync(path)
     for old in _checkpoints(path)[:-keep]:
@@ -143,13 +147,31 @@ def latest_checkpoint(path: str | os.PathLike[str]) -> Path | None:
     return checkpoints[-1] if checkpoints else None
 
 
+def latest_whole_checkpoint(path: str | os.PathLike[str]) -> tuple[Path, list[CheckpointError]]:
+    """
+    Find the latest checkpoint whose files are what was written.
+
+    :param path: directory of checkpoints
+    :return: that checkpoint, and what is wrong with each later one
+    :raises CheckpointError: if there is none; says what is wrong with the latest
+    """
+    damaged: list[CheckpointError] = []
+    for checkpoint in reversed(_checkpoints(Path(path))):
+        try:
+            _read_manifest(checkpoint)
+            return checkpoint, damaged
+        except CheckpointError as error:
+            damaged.append(error)
+    raise damaged[0] if damaged else CheckpointError(f"{path} holds no checkpoint to go on from")
+
+
 def resume(path: str | os.PathLike[str], env: GymEnv, device: th.device | str = "auto") -> BaseAlgorithm:
     """
     Load an algorithm from a checkpoint, to go on by ``learn(..., reset_num_timesteps=False)``.
 
     Sets the global generators of Python, NumPy and PyTorch. As with every pickle: only open files you trust.
 
-    :param path: a checkpoint, or a directory of checkpoints, of which the latest is taken
+    :param path: a checkpoint, or a directory of checkpoints, of which the latest whole one is taken
     :param env: environment made like the one of the interrupted run, with as many copies
     :param device: device on which the algorithm should run
     :return: the algorithm
@@ -158,10 +180,9 @@ def resume(path: str | os.PathLike[str], env: GymEnv, device: th.device | str = 
     """
     checkpoint = Path(path)
     if not (checkpoint / MANIFEST).is_file():
-        latest = latest_checkpoint(path)
-        if latest is None:
-            raise CheckpointError(f"{path} is no checkpoint and no directory of checkpoints")
-        checkpoint = latest
+        checkpoint, damaged = latest_whole_checkpoint(path)
+        for error in damaged:
+            warnings.warn(f"{error}; going on from {checkpoint}", stacklevel=2)
     manifest = _read_manifest(checkpoint)
     algorithm = _import_algorithm(checkpoint, manifest["algorithm"])
     try:

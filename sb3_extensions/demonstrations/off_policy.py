@@ -58,6 +58,7 @@ class OffPolicyFromDemonstrations(OffPolicyAlgorithm):
     pretrain_steps: int
     augmentation: Augmentation | None
     augmentation_generator: th.Generator
+    _progress_bar: bool | None = None  # that of the latest learn()
     n_pretrained: int = 0
     """Gradient steps of the pretraining that are done."""
 
@@ -136,7 +137,7 @@ class OffPolicyFromDemonstrations(OffPolicyAlgorithm):
         log_interval: int = 4,
         tb_log_name: str | None = None,
         reset_num_timesteps: bool = True,
-        progress_bar: bool = False,
+        progress_bar: bool | None = None,
     ) -> SelfOffPolicy:
         """
         Return a trained model; the first call begins with demonstrations and pretraining.
@@ -146,16 +147,18 @@ class OffPolicyFromDemonstrations(OffPolicyAlgorithm):
         :param log_interval: the number of episodes before logging
         :param tb_log_name: the name of the run for TensorBoard logging; that of the class if ``None``
         :param reset_num_timesteps: whether or not to reset the current timestep number (used in logging)
-        :param progress_bar: Display a progress bar using tqdm and rich.
+        :param progress_bar: Display a progress bar using tqdm and rich, and one each for demonstrations and
+            pretraining; None displays these two only, and only on a terminal.
         :return: the trained model
         """
+        self._progress_bar = progress_bar
         return super().learn(
             total_timesteps=total_timesteps,
             callback=callback,
             log_interval=log_interval,
             tb_log_name=tb_log_name or type(self).__name__,
             reset_num_timesteps=reset_num_timesteps,
-            progress_bar=progress_bar,
+            progress_bar=bool(progress_bar),
         )
 
     def _setup_learn(self, *args: Any, **kwargs: Any) -> tuple[int, BaseCallback]:
@@ -191,7 +194,8 @@ class OffPolicyFromDemonstrations(OffPolicyAlgorithm):
         assert isinstance(replay_buffer, ExpertReplayBuffer)
         if not replay_buffer.size():
             seed = None if self.seed is None else derive_seed(self.seed, SeedKey.EXPERT)
-            self._demonstrations().fill(replay_buffer, env, seed, self._as_policy_actions)
+            source = self._demonstrations(progress_bar=self._progress_bar)
+            source.fill(replay_buffer, env, seed, self._as_policy_actions)
         if self.pretraining_left:
             self._pretrain(callback)
         return super().collect_rollouts(
@@ -200,7 +204,8 @@ class OffPolicyFromDemonstrations(OffPolicyAlgorithm):
 
     def _pretrain(self, callback: BaseCallback) -> None:
         total = self._pretraining_total
-        with tqdm(total=total, initial=self.n_pretrained, desc="pretraining", disable=None) as progress:
+        silent = None if self._progress_bar is None else not self._progress_bar  # None: but on a terminal
+        with tqdm(total=total, initial=self.n_pretrained, desc="pretraining", disable=silent) as progress:
             while self.pretraining_left:
                 callback.on_rollout_start()
                 self._pretrain_once()
@@ -251,7 +256,8 @@ class OffPolicyFromDemonstrations(OffPolicyAlgorithm):
         return self.policy.scale_action(np.clip(actions, space.low, space.high))  # type: ignore[attr-defined]
 
     def _excluded_save_params(self) -> list[str]:
-        return [*super()._excluded_save_params(), "expert_data", "augmentation_generator", "_adviser"]
+        own = ["expert_data", "augmentation_generator", "_adviser", "_progress_bar"]
+        return [*super()._excluded_save_params(), *own]
 
 
 def check_share(**given: float) -> None:

@@ -42,6 +42,7 @@ class DemonstrationSource:
     :param cache: folder in which the expert's episodes are kept for the next run; None keeps none
     :param snap: grid that the expert's actions are carried out on, see
         :class:`~sb3_extensions.demonstrations.snapping.SnappingHand`; None carries them out as they are
+    :param progress_bar: whether to show progress; None shows it on a terminal
     :raises ValueError: if ``episodes`` or ``noise`` is negative
     """
 
@@ -52,6 +53,7 @@ class DemonstrationSource:
         data: Iterable[EpisodeData] | None = None,
         cache: str | os.PathLike[str] | None = None,
         snap: SpatialActionCodec | None = None,
+        progress_bar: bool | None = None,
     ) -> None:
         for name, value in {"expert_episodes": episodes, "expert_noise": noise}.items():
             if value < 0:
@@ -60,6 +62,7 @@ class DemonstrationSource:
         self.noise = noise
         self.data = data
         self.snap = snap
+        self.progress_bar = progress_bar
         self.cache = None if cache is None else EpisodeCache(cache)
 
     @property
@@ -106,7 +109,7 @@ class DemonstrationSource:
         hand: Hand | None = UnsteadyHand(env.action_space, self.noise) if self.noise else None
         if self.snap is not None:
             hand = SnappingHand(env.action_space, self.snap, hand)
-        return collect_episodes(env, self.episodes, seed, hand=hand)
+        return collect_episodes(env, self.episodes, seed, progress_bar=self.progress_bar, hand=hand)
 
 
 def _describe(env: AnyEnv) -> dict[str, Any] | None:

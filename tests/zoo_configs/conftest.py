@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
@@ -10,10 +11,25 @@ import numpy as np
 import pytest
 from gymnasium import spaces
 
+from zoo_configs.cli import main
+
 TOY_ID = "BulletArm/CloseLoopToy-v0"
 STEP = 0.05  # m an action of 1 moves
 REACH = 0.06  # m at which the block is reached
 MAX_STEPS = 6
+
+
+RUN_NAME = "BulletArm-CloseLoopToy-v0_1"
+# A run of two seconds; -params stands last, so that more of them can follow.
+TINY = (
+    *("-n", "12", "--eval-freq", "6", "--eval-episodes", "2", "--save-freq", "6"),
+    *("--seed", "0", "--device", "cpu", "--num-threads", "1", "--no-progress"),
+    *("--env-kwargs", "obs_size:48"),
+    *("-params", "expert_episodes:2", "pretrain_steps:2", "batch_size:4", "buffer_size:100"),
+)
+
+Train = Callable[..., int]
+Refuse = Callable[..., str]
 
 
 class ToyEnv(gym.Env[dict[str, Any], np.ndarray]):
@@ -88,3 +104,50 @@ def toy_envs() -> list[ToyEnv]:
     """Environments made since the test began, in order."""
     ToyEnv.made.clear()
     return ToyEnv.made
+
+
+@pytest.fixture(scope="session")
+def train_tiny(toy_id: str) -> Train:
+    """Trains Equivariant SACfD for a few steps: ``train_tiny(folder, *more)`` returns the exit code."""
+
+    def train(folder: Path, *more: str) -> int:
+        names = ["--baseline", "equi_sacfd", "--preset", "cpu", "--env", toy_id, "-f", str(folder)]
+        return main(["train", *names, *TINY, *more])
+
+    return train
+
+
+@pytest.fixture(scope="session")
+def trained(train_tiny: Train, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Log folder with one run, not to be changed."""
+    folder = tmp_path_factory.mktemp("logs")
+    assert train_tiny(folder, "n_envs:1", "--preset", "quick") == 0
+    return folder
+
+
+@pytest.fixture(scope="session")
+def run_folder(trained: Path) -> Path:
+    """That run, not to be changed."""
+    return trained / "sacfd" / RUN_NAME
+
+
+@pytest.fixture
+def refuse(
+    toy_id: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> Refuse:
+    """
+    Runs a command line that cannot be followed, with ``TOY`` for the toy's id, in an empty folder: checks
+    exit code and that nothing is left behind, and returns the one line that it says.
+    """
+
+    def run(*words: str) -> str:
+        monkeypatch.chdir(tmp_path)
+        before = set(tmp_path.rglob("*"))
+        capsys.readouterr()
+        assert main([toy_id if word == "TOY" else word for word in words]) == 2
+        [line] = capsys.readouterr().err.splitlines()
+        assert line.startswith(f"bulletarm-zoo {words[0]}: error: ")
+        assert set(tmp_path.rglob("*")) == before
+        return line
+
+    return run

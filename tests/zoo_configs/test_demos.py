@@ -14,6 +14,7 @@ from zoo_configs.environments import demonstrations
 
 ROOT = Path(__file__).resolve().parents[2]
 PICKING = "BulletArm/CloseLoopBlockPicking-v0"
+REACHING = "BulletArm/CloseLoopBlockReaching-v0"
 SMALL = ["--env-kwargs", "obs_size:48"]
 
 
@@ -53,10 +54,7 @@ def test_a_file_is_written_and_named(
 def test_what_cannot_be_is_refused(
     arguments: list[str], reason: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    try:
-        assert main(["demos", *arguments]) == 2
-    except SystemExit as exit:
-        assert exit.code == 2
+    assert main(["demos", *arguments]) == 2
     assert reason in capsys.readouterr().err
 
 
@@ -86,6 +84,43 @@ def test_files_that_do_not_fit_are_refused_before_the_run(
     assert train(tmp_path, tmp_path / "none.h5") == 2
     assert "none.h5 cannot be read" in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
+
+
+def test_demonstrations_of_another_task_or_other_parameters_are_refused(
+    picking: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for more, theirs, ours in (
+        (["--env", REACHING], f"'env': '{PICKING}'", f"'env': '{REACHING}'"),
+        (["--env-kwargs", "max_steps:9"], "{'max_steps': 50}", "{'max_steps': 9}"),
+        (["--env-kwargs", "action_sequence:'xyzrp'"], "'pxyzr'", "'xyzrp'"),
+    ):
+        assert train(tmp_path, picking, *SMALL, *more) == 2
+        message = capsys.readouterr().err
+        assert theirs in message and ours in message and "--any-demonstrations" in message
+    assert not list(tmp_path.iterdir())
+    assert train(tmp_path, picking, *SMALL, "--env", REACHING, "--any-demonstrations") == 0
+
+
+@pytest.mark.parametrize("damage", ["cut", "empty", "foreign"])
+def test_a_damaged_file_is_told(
+    damage: str, picking: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    content = picking.read_bytes()
+    damaged = {"cut": content[: len(content) // 2], "empty": b"", "foreign": b"no HDF5"}
+    file = tmp_path / "damaged.h5"
+    file.write_bytes(damaged[damage])
+    assert train(tmp_path, file, *SMALL) == 2
+    [line] = capsys.readouterr().err.splitlines()
+    assert f"{file} cannot be read" in line
+
+
+def test_a_resumed_run_does_not_need_the_file(picking: Path, tmp_path: Path) -> None:
+    file = tmp_path / "picking.h5"
+    file.write_bytes(picking.read_bytes())
+    assert train(tmp_path, file, *SMALL, "--save-freq", "4") == 0
+    file.unlink()
+    [run] = tmp_path.glob("sacfd/*")
+    assert main(["train", "--resume", str(run), "-n", "6", "--no-progress"]) == 0
 
 
 def test_a_killed_collection_leaves_nothing(tmp_path: Path) -> None:

@@ -97,6 +97,17 @@ def test_list_names_ids_parameters_and_baselines(capsys: pytest.CaptureFixture[s
         assert expected in capsys.readouterr().out
 
 
+@pytest.mark.parametrize("arguments", [[], ["--env", REACHING], ["--baselines"]], ids=" ".join)
+def test_lists_fit_80_columns(
+    arguments: list[str], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    assert main(["list", *arguments]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert max(map(len, lines)) <= 80
+    assert "…" not in "".join(lines)
+
+
 def test_help_is_quick() -> None:
     """Neither PyTorch nor the engine is loaded to tell what a command takes."""
     code = (
@@ -144,6 +155,39 @@ def test_plot_draws_a_panel_an_environment(tmp_path: Path, capsys: pytest.Captur
     assert "BlockPicking" in picking
     assert written[-1].strip() == str(tmp_path / "learning_curves.png")
     assert (tmp_path / "learning_curves.png").read_bytes().startswith(b"\x89PNG")
+
+
+def evaluated_run(log_folder: Path, env_id: str, timesteps: list[int]) -> None:
+    folder = claim_run_folder(log_folder / "sacfd", env_id)
+    run = Run(folder, Cell("sacfd", env_id, {}, {}, "sacfd", "cpu"), ())
+    write_resolved(run)
+    results = np.zeros((len(timesteps), 2))
+    np.savez(run.evaluations_file, timesteps=timesteps, results=results, successes=results)
+
+
+def test_plot_leaves_out_what_has_no_mean(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for timesteps in ([5, 10], [6, 12]):
+        evaluated_run(tmp_path, REACHING, timesteps)
+    assert main(["plot", "-f", str(tmp_path)]) == 2
+    left_out, error = capsys.readouterr().err.splitlines()
+    assert left_out == f"left out: sacfd on {REACHING}: its 2 runs were never evaluated at the same time step"
+    assert "nothing to draw" in error
+    assert not (tmp_path / "learning_curves.png").exists()
+    evaluated_run(tmp_path, "BulletArm/CloseLoopBlockPicking-v0", [5, 10])
+    assert main(["plot", "-f", str(tmp_path), "-o", str(tmp_path / "curves.svg")]) == 0
+    assert REACHING not in capsys.readouterr().out
+    assert "<svg" in (tmp_path / "curves.svg").read_text()
+
+
+def test_plot_tells_what_it_cannot_read_or_write(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    evaluated_run(tmp_path, REACHING, [5, 10])
+    for output, message in (("curves", "must end in .png"), ("/dev/null/a.png", "cannot be written")):
+        assert main(["plot", "-f", str(tmp_path), "-o", output]) == 2
+        assert message in capsys.readouterr().err
+    [evaluations] = tmp_path.glob("sacfd/*/evaluations.npz")
+    evaluations.write_bytes(evaluations.read_bytes()[:100])
+    assert main(["plot", "-f", str(tmp_path)]) == 2
+    assert f"{evaluations} is damaged" in capsys.readouterr().err
 
 
 def test_plot_tells_that_there_is_nothing_to_draw(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

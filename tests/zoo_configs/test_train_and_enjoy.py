@@ -2,52 +2,22 @@
 
 from __future__ import annotations
 
+import io
 import shutil
+import sys
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 import yaml
 from PIL import Image
-from stable_baselines3.common.save_util import load_from_zip_file
 
 from zoo_configs.cli import main
-from zoo_configs.evaluation import PeriodicEvaluation
 from zoo_configs.training_log import read_training_log
 
-TINY = [
-    *(
-        "-n",
-        "12",
-        "--eval-freq",
-        "6",
-        "--eval-episodes",
-        "2",
-        "--save-freq",
-        "6",
-        "--seed",
-        "0",
-        "--device",
-        "cpu",
-    ),
-    *("--num-threads", "1", "--env-kwargs", "obs_size:48", "--no-progress"),
-]
-TINY_SACFD = ["-params", "expert_episodes:2", "pretrain_steps:2", "batch_size:4", "buffer_size:100"]
-
-
-@pytest.fixture(scope="module")
-def trained(toy_id: str, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Log folder with one run of Equivariant SACfD."""
-    folder = tmp_path_factory.mktemp("logs")
-    arguments = ["train", "--baseline", "equi_sacfd", "--preset", "quick", "--env", toy_id, "-f", str(folder)]
-    assert main([*arguments, *TINY, *TINY_SACFD]) == 0
-    return folder
-
-
-@pytest.fixture(scope="module")
-def run_folder(trained: Path) -> Path:
-    return trained / "sacfd" / "BulletArm-CloseLoopToy-v0_1"
+Train = Callable[..., int]
+TOY_ID = "BulletArm/CloseLoopToy-v0"
 
 
 def test_a_run_folder_is_complete(run_folder: Path) -> None:
@@ -80,12 +50,13 @@ def test_updates_are_logged(run_folder: Path) -> None:
         assert np.isfinite(log[name]).tolist() == [False, True, True]
 
 
-def test_demonstrations_are_collected_once_for_all_runs(trained: Path, toy_id: str, tmp_path: Path) -> None:
+def test_demonstrations_are_collected_once_for_all_runs(
+    trained: Path, train_tiny: Train, tmp_path: Path
+) -> None:
     shutil.copytree(trained / "demonstrations", tmp_path / "demonstrations")
     [kept] = (tmp_path / "demonstrations").iterdir()
     before = kept.stat().st_mtime_ns
-    arguments = ["train", "--baseline", "sacfd", "--preset", "quick", "--env", toy_id, "-f", str(tmp_path)]
-    assert main([*arguments, *TINY, *TINY_SACFD]) == 0
+    assert train_tiny(tmp_path, "--baseline", "sacfd", "--preset", "quick") == 0
     assert list((tmp_path / "demonstrations").iterdir()) == [kept]
     assert kept.stat().st_mtime_ns == before
 
@@ -111,9 +82,10 @@ def test_monitor_files_report_success(run_folder: Path) -> None:
     assert "is_success" in (run_folder / "0.monitor.csv").read_text().splitlines()[1]
 
 
-def test_success_rates_are_logged(toy_id: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    arguments = ["train", "--baseline", "sacfd", "--preset", "cpu", "--env", toy_id, "-f", str(tmp_path)]
-    assert main([*arguments, *TINY, *TINY_SACFD, "--log-interval", "1"]) == 0
+def test_success_rates_are_logged(
+    train_tiny: Train, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert train_tiny(tmp_path, "--baseline", "sacfd", "--log-interval", "1") == 0
     printed = capsys.readouterr().out
     rollout, evaluation = printed.partition("rollout/")[2], printed.partition("eval/")[2]
     assert "success_rate" in rollout.partition("time/")[0]
@@ -121,11 +93,9 @@ def test_success_rates_are_logged(toy_id: str, tmp_path: Path, capsys: pytest.Ca
 
 
 def test_evaluation_has_the_parameters_but_not_the_scenes_of_training(
-    toy_id: str, tmp_path: Path, toy_envs: list[object]
+    train_tiny: Train, tmp_path: Path, toy_envs: list[object]
 ) -> None:
-    arguments = ["train", "--baseline", "sac", "--preset", "cpu", "--env", toy_id, "-f", str(tmp_path)]
-    alone = ["-params", "expert_episodes:0", "pretrain_steps:0", "batch_size:4", "buffer_size:100"]
-    assert main([*arguments, *TINY, *alone]) == 0
+    assert train_tiny(tmp_path, "expert_episodes:0", "pretrain_steps:0", "--baseline", "sac") == 0
     _, *evaluation, training = sorted(toy_envs, key=lambda env: 0 in env.seeds)  # type: ignore[attr-defined]
     assert {env.obs_size for env in toy_envs} == {48}  # type: ignore[attr-defined]
     seeds = [seed for env in evaluation for seed in env.seeds if seed is not None]  # type: ignore[attr-defined]
@@ -134,11 +104,11 @@ def test_evaluation_has_the_parameters_but_not_the_scenes_of_training(
     assert 0 not in seeds
 
 
-def test_two_runs_never_share_a_folder(trained: Path, toy_id: str) -> None:
+def test_two_runs_never_share_a_folder(tmp_path: Path, toy_id: str) -> None:
     from zoo_configs.runs import claim_run_folder
 
-    first = claim_run_folder(trained / "other", toy_id)
-    second = claim_run_folder(trained / "other", toy_id)
+    first = claim_run_folder(tmp_path / "other", toy_id)
+    second = claim_run_folder(tmp_path / "other", toy_id)
     assert [first.name, second.name] == ["BulletArm-CloseLoopToy-v0_1", "BulletArm-CloseLoopToy-v0_2"]
 
 
@@ -191,63 +161,6 @@ def test_record_films_the_expert(toy_id: str, tmp_path: Path) -> None:
     assert film.stat().st_size > 0
 
 
-def _train(toy_id: str, folder: Path, *more: str) -> int:
-    arguments = ["train", "--baseline", "equi_sacfd", "--preset", "cpu", "--env", toy_id, "-f", str(folder)]
-    return main([*arguments, *TINY, *TINY_SACFD, *more])
-
-
-def _same_run(first: Path, second: Path) -> bool:
-    """Whether two runs were evaluated alike and ended in the same model."""
-    with np.load(first / "evaluations.npz") as left, np.load(second / "evaluations.npz") as right:
-        if any(not np.array_equal(left[key], right[key]) for key in ("timesteps", "results", "successes")):
-            return False
-    name = "BulletArm-CloseLoopToy-v0.zip"
-    models = [load_from_zip_file(folder / name, device="cpu")[1]["policy"] for folder in (first, second)]
-    return all(bool((models[0][key] == models[1][key]).all()) for key in models[0])
-
-
-def test_an_extended_run_equals_a_longer_one(toy_id: str, tmp_path: Path) -> None:
-    """At a constant learning rate; one that falls with the share of the run that is left knows its end."""
-    extended, longer = (tmp_path / name / "sacfd" / "BulletArm-CloseLoopToy-v0_1" for name in ("a", "b"))
-    constant = "learning_rate:0.001"  # one more of the -params
-    assert _train(toy_id, tmp_path / "a", constant) == 0
-    assert main(["train", "--resume", str(extended), "-n", "18", "--no-progress"]) == 0
-    assert _train(toy_id, tmp_path / "b", constant, "-n", "18") == 0
-    assert _same_run(extended, longer)
-    assert len(list(extended.parent.iterdir())) == 1
-
-
-def test_an_interrupted_run_goes_on(
-    toy_id: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    interrupted, whole = (tmp_path / name / "sacfd" / "BulletArm-CloseLoopToy-v0_1" for name in ("a", "b"))
-
-    def press_ctrl_c(callback: PeriodicEvaluation, on_step: Any = PeriodicEvaluation._on_step) -> bool:
-        if callback.num_timesteps == 10:  # four steps after the only checkpoint
-            raise KeyboardInterrupt
-        return bool(on_step(callback))
-
-    with monkeypatch.context() as patch:
-        patch.setattr(PeriodicEvaluation, "_on_step", press_ctrl_c)
-        assert _train(toy_id, tmp_path / "a") == 130
-    assert f"bulletarm-zoo train --resume {interrupted}" in capsys.readouterr().out
-    assert (interrupted / "BulletArm-CloseLoopToy-v0.zip").is_file()
-    assert main(["train", "--resume", str(interrupted), "--no-progress"]) == 0
-    assert _train(toy_id, tmp_path / "b") == 0
-    assert _same_run(interrupted, whole)
-
-
-def test_a_damaged_checkpoint_is_told(
-    toy_id: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert _train(toy_id, tmp_path) == 0
-    folder = tmp_path / "sacfd" / "BulletArm-CloseLoopToy-v0_1"
-    for model in folder.glob("checkpoints/*/model.zip"):
-        model.write_bytes(b"")
-    assert main(["train", "--resume", str(folder)]) == 2
-    assert "damaged: model.zip" in capsys.readouterr().err
-
-
 @pytest.mark.parametrize(
     ("baseline", "more"),
     [
@@ -260,10 +173,9 @@ def test_a_damaged_checkpoint_is_told(
         ),
     ],
 )
-def test_a_real_task_trains(baseline: str, more: list[str], tmp_path: Path) -> None:
+def test_a_real_task_trains(baseline: str, more: list[str], train_tiny: Train, tmp_path: Path) -> None:
     env_id = "BulletArm/CloseLoopBlockReaching-v0"
-    arguments = ["train", "--baseline", baseline, "--preset", "cpu", "--env", env_id, "-f", str(tmp_path)]
-    assert main([*arguments, *TINY, *TINY_SACFD, *more, "--eval-episodes", "1"]) == 0
+    assert train_tiny(tmp_path, *more, "--baseline", baseline, "--env", env_id, "--eval-episodes", "1") == 0
     [run_folder] = tmp_path.glob("*/BulletArm-CloseLoopBlockReaching-v0_1")
     assert main(["enjoy", str(run_folder), "-n", "1", "--device", "cpu"]) == 0
 
@@ -275,44 +187,27 @@ def test_a_stock_algorithm_trains(tmp_path: Path) -> None:
     assert content["Pendulum-v1"]["env_kwargs"] == {"g": 9.0}
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["tarin"], "unknown command 'tarin', did you mean 'train'?"),
-        (["train", "--baseline", "sacfd", "--env", "BulletArm/CloseLopToy-v0"], "CloseLoopToy-v0'?"),
-        (["train", "--baseline", "safcd"], "name an environment"),
-        (["train", "--baseline", "safcd", "--env", "TOY"], "unknown baseline 'safcd', did you mean 'sacfd'?"),
-        (
-            ["train", "--baseline", "sacfd", "--algo", "ppo", "--env", "TOY"],
-            "trained by --algo sacfd, not ppo",
-        ),
-        (["train", "--baseline", "sacfd", "--preset", "cpuu", "--env", "TOY"], "did you mean 'cpu'?"),
-        (["train", "--algo", "pp0", "--env", "TOY"], "unknown algorithm 'pp0', did you mean 'ppo'?"),
-        (["train", "--algo", "sacfd", "--env", "TOY", "-params", "gama:1"], "did you mean 'gamma'?"),
-        (["train", "--algo", "sacfd", "--env", "TOY", "-params", "gamma:x"], "-params takes key:value"),
-        (["train", "--algo", "sacfd", "--env", "TOY", "--env-kwargs", "obs_size:8"], "at least 48, got 8"),
-        (["train", "--algo", "ppo", "--conf-file", "none.yml", "--env", "TOY"], "takes a YAML file"),
-        (["train", "--resume", "nowhere"], "nowhere is no run folder"),
-        (["enjoy"], "name a run folder"),
-        (["record", "--expert"], "--expert needs --env"),
-        (["record", "--expert", "--env", "Pendulum-v1"], "has no expert"),
-    ],
-)
-def test_errors_are_one_clear_line(
-    arguments: list[str],
-    message: str,
-    toy_id: str,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
+class Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+def test_progress_bars_are_for_terminals(
+    train_tiny: Train, run_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.chdir(tmp_path)
-    assert main([toy_id if word == "TOY" else word for word in arguments]) == 2
-    printed = capsys.readouterr()
-    assert message in printed.err
-    assert printed.err.startswith(f"bulletarm-zoo {arguments[0]}: error: ")
-    assert len(printed.err.splitlines()) == 1
-    assert not list(tmp_path.iterdir())  # no run folder left behind
+    """`train_tiny` says --no-progress, the others nothing."""
+    train = ["train", "--baseline", "sacfd", "--preset", "cpu", "--env", TOY_ID, "-f", str(tmp_path / "b")]
+    train += ["-n", "2", "--eval-freq", "0", "--device", "cpu", "--env-kwargs", "obs_size:48"]
+    train += ["-params", "expert_episodes:2", "pretrain_steps:2", "batch_size:4", "buffer_size:100"]
+    enjoy = ["enjoy", str(run_folder), "-n", "1", "--device", "cpu"]
+    for file, shown in (Terminal(), True), (io.StringIO(), False):
+        monkeypatch.setattr(sys, "stderr", file)
+        assert main(train) == main(enjoy) == 0
+        bars = ("expert episodes", "pretraining", "1/1")
+        assert [bar in file.getvalue() for bar in bars] == [shown] * 3
+    monkeypatch.setattr(sys, "stderr", silent := Terminal())
+    assert train_tiny(tmp_path / "a") == main([*enjoy, "--no-progress"]) == 0
+    assert silent.getvalue() == ""
 
 
 def test_help_names_every_command(capsys: pytest.CaptureFixture[str]) -> None:

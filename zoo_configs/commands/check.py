@@ -12,13 +12,21 @@ import gymnasium as gym
 import numpy as np
 from gymnasium.utils.env_checker import check_env as check_gymnasium
 from gymnasium.utils.env_checker import data_equivalence
-from rl_zoo3.utils import StoreDict
 from stable_baselines3.common.env_checker import check_env as check_sb3
 from tqdm import trange
 
-from zoo_configs.arguments import positive_int
-from zoo_configs.environments import known_env_id, our_env_ids, register_environments
+from zoo_configs.arguments import (
+    Parser,
+    add_env_kwargs,
+    add_packages,
+    add_progress,
+    hides_progress,
+    positive_int,
+    seed,
+)
+from zoo_configs.environments import known_env_id, make_env, our_env_ids, register_environments
 from zoo_configs.errors import CommandError
+from zoo_configs.files import check_writable
 from zoo_configs.resolve import family_of
 from zoo_configs.video import compose_frame, write_picture
 
@@ -28,6 +36,7 @@ if TYPE_CHECKING:
 DESCRIPTION = """Check environments: Gymnasium's and Stable-Baselines3's own checks, equal episodes from equal
 seeds, and how often the expert succeeds. Draws the start and the end of the expert's first episode."""
 GRIDDED = "open_loop"  # family of the tasks with a grid
+RENDER_MODE = "rgb_array"
 ROLLOUT = 25  # steps compared between two environments
 
 
@@ -57,28 +66,36 @@ def main(argv: Sequence[str]) -> None:
     ids = [known_env_id(env_id) for env_id in args.env] or our_env_ids()
     if args.snap and (others := [env_id for env_id in ids if family_of(env_id).name != GRIDDED]):
         raise CommandError(f"--snap: only open-loop actions are places on a grid, not those of {others[0]}")
+    for env_id in ids:
+        make_env(env_id, args.env_kwargs, RENDER_MODE).close()
+        check_writable(_picture(env_id, args.log_folder), "--log-folder")
     failed = [env_id for env_id in ids if not _passes(env_id, args)]
     if failed:
         raise CommandError(f"failed: {', '.join(failed)}")
 
 
 def _parse(argv: Sequence[str]) -> argparse.Namespace:
-    parser = argparse.ArgumentParser("bulletarm-zoo check", description=DESCRIPTION)
+    parser = Parser("bulletarm-zoo check", description=DESCRIPTION)
     add = parser.add_argument
     add("env", nargs="*", metavar="ENV", help="environment ids (default: all of ours)")
     add("-n", "--episodes", type=positive_int, default=20, help="episodes of the expert (default: 20)")
-    add("--seed", type=int, default=0, help="seed of the first episode (default: 0)")
+    add("--seed", type=seed, default=0, help="seed of the first episode (default: 0)")
     add("--min-success", type=float, default=0.95, help="least success rate of the expert (default: 0.95)")
-    add("--env-kwargs", nargs="+", action=StoreDict, default={}, help="parameters, KEY:VALUE")
+    add_env_kwargs(parser)
     add("--snap", action="store_true", help="let the expert act on the grid of spatial Q-learning")
-    add("--gym-packages", nargs="+", default=[], help="packages that register further environments")
+    add_packages(parser)
     add("-f", "--log-folder", type=Path, default=Path("logs/check"), help="where pictures go")
+    add_progress(parser)
     return parser.parse_args(argv)
+
+
+def _picture(env_id: str, log_folder: Path) -> Path:
+    return log_folder / f"{env_id.rpartition('/')[2]}.png"
 
 
 def _passes(env_id: str, args: argparse.Namespace) -> bool:
     def make() -> gym.Env[Any, Any]:
-        return gym.make(env_id, **{**args.env_kwargs, "render_mode": "rgb_array"})
+        return make_env(env_id, args.env_kwargs, RENDER_MODE)
 
     print(env_id)
     checks = {
@@ -89,12 +106,12 @@ def _passes(env_id: str, args: argparse.Namespace) -> bool:
         "equal episodes from equal seeds": lambda: _check_determinism(make(), make(), args.seed),
     }
     passed = all([_report(name, check) for name, check in checks.items()])
-    experience = _watch_expert(make(), args.episodes, args.seed, args.snap)
+    experience = _watch_expert(make(), args)
     rate = experience.successes / args.episodes
     length = float(np.mean(experience.lengths)) if experience.lengths else float("nan")
     print(f"  expert: success_rate={rate:.3f} episodes={args.episodes} mean_length={length:.2f}")
     # What is drawn shows that rendering works; Gymnasium would ask for a window, too.
-    path = args.log_folder / f"{env_id.rpartition('/')[2]}.png"
+    path = _picture(env_id, args.log_folder)
     write_picture(np.concatenate(experience.frames), path)
     print(f"Written:\n  {path}")
     return passed and rate >= args.min_success
@@ -130,11 +147,12 @@ def _check_determinism(first: gym.Env[Any, Any], second: gym.Env[Any, Any], seed
                 break
 
 
-def _watch_expert(env: gym.Env[Any, Any], episodes: int, seed: int, snap: bool) -> Experience:
-    hand, rng = _snapping_hand(env) if snap else lambda action, _: action, np.random.default_rng(seed)
+def _watch_expert(env: gym.Env[Any, Any], args: argparse.Namespace) -> Experience:
+    hand = _snapping_hand(env) if args.snap else lambda action, _: action
+    rng = np.random.default_rng(args.seed)
     successes, lengths, frames = 0, [], []
-    for episode in trange(episodes, unit="episode", disable=None):
-        observation, info = env.reset(seed=seed + episode)
+    for episode in trange(args.episodes, unit="episode", disable=hides_progress(args.progress)):
+        observation, info = env.reset(seed=args.seed + episode)
         if episode == 0:
             frames.append(_frame(env, observation, "start"))
         steps, over = 0, False

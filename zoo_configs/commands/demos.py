@@ -8,11 +8,11 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from rl_zoo3.utils import StoreDict
 
-from zoo_configs.arguments import positive_int
-from zoo_configs.environments import demonstrations, known_env_id, register_environments
-from zoo_configs.errors import CommandError
+from zoo_configs.arguments import Parser, add_env_kwargs, add_packages, add_progress, positive_int, seed
+from zoo_configs.environments import demonstrations, known_env_id, make_env, register_environments
+from zoo_configs.errors import refused
+from zoo_configs.files import check_writable
 
 DESCRIPTION = """Collect successful episodes of an expert into one HDF5 file, written when all are there.
 Agents learn from it by: bulletarm-zoo train ... -params expert_data:"'FILE'"."""
@@ -30,8 +30,10 @@ def main(argv: Sequence[str]) -> None:
     register_environments(args.gym_packages)
     env_id = known_env_id(args.env)
     path = args.output or Path(f"{env_id.rpartition('/')[2]}-{args.planner}.h5")
+    check_writable(path, "--output")
+    make_env(env_id, args.env_kwargs).close()
     begin = time.perf_counter()
-    try:
+    with refused(f"{env_id}: no demonstrations", (RuntimeError, ValueError)):
         found = demonstrations().collect(
             env_id,
             args.episodes,
@@ -41,8 +43,6 @@ def main(argv: Sequence[str]) -> None:
             path=path,
             progress=args.progress,
         )
-    except (OSError, RuntimeError, ValueError) as error:
-        raise CommandError(str(error)) from error
     rate = 60.0 * len(found) / (time.perf_counter() - begin)
     length = np.mean([len(episode) for episode in found])
     print(f"{env_id}: {len(found)} of {found.attempts} attempts succeeded, mean_length={length:.2f}")
@@ -51,23 +51,16 @@ def main(argv: Sequence[str]) -> None:
 
 
 def _parse(argv: Sequence[str]) -> argparse.Namespace:
-    parser = argparse.ArgumentParser("bulletarm-zoo demos", description=DESCRIPTION)
+    parser = Parser("bulletarm-zoo demos", description=DESCRIPTION)
     add = parser.add_argument
     add("--env", required=True, help="environment id, see bulletarm-zoo list")
     add("-n", "--episodes", type=positive_int, default=100, help="how many successful ones (default: 100)")
     add("--planner", default="waypoint", help="waypoint (default) or deconstruction")
-    add("--seed", type=int, default=0, help="seed of the collection (default: 0)")
-    add("--env-kwargs", nargs="+", action=StoreDict, default={}, help="parameters, KEY:VALUE")
-    add("--gym-packages", nargs="+", default=[], help="packages that register further environments")
+    add("--seed", type=seed, default=0, help="seed of the collection (default: 0)")
+    add_env_kwargs(parser)
+    add_packages(parser)
     add("-o", "--output", type=Path, help="file to write (default: ENV-PLANNER.h5 in this folder)")
-    add(
-        "-P",
-        "--progress",
-        action="store_true",
-        default=None,
-        help="show a progress bar (default: on a terminal)",
-    )
-    add("--no-progress", action="store_false", dest="progress", help="show no progress bar")
+    add_progress(parser)
     args = parser.parse_args(argv)
     if args.output is not None and args.output.suffix not in SUFFIXES:
         parser.error(f"--output must end in {' or '.join(SUFFIXES)}, got {args.output}")

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import sys
 from collections.abc import Sequence
+from contextlib import closing
 from typing import TYPE_CHECKING, Any
 
-from zoo_configs.arguments import add_run_arguments, positive_int
+from zoo_configs.arguments import Parser, add_progress, add_run_arguments, hides_progress, positive_int, seed
+from zoo_configs.errors import CommandError, reason, refused
 from zoo_configs.seeds import SeedStream, stream_seed
 
 if TYPE_CHECKING:
@@ -28,73 +31,82 @@ def main(argv: Sequence[str]) -> None:
     :raises CommandError: if there is no such agent
     """
     args = _parse(argv)
-    from zoo_configs.agents import load_agent, run_from_arguments
+    from gymnasium.error import Error
+
+    from zoo_configs.agents import check_fits, load_agent, run_from_arguments
     from zoo_configs.environments import register_environments
 
     register_environments(args.gym_packages)
     run = run_from_arguments(args)
     model, path = load_agent(run, args.load_best, args.device)
-    print(f"{run.cell.label} on {run.cell.env_id}, model {path}")
-    env = build_test_env(run, args.n_envs, args.seed, args.render)
-    try:
-        rate, episodes = evaluate(model, env, args.episodes, not args.stochastic)
-    finally:
-        env.close()
+    env = build_test_env(run, args)
+    with closing(env), refused(f"{run.cell.env_id} cannot be shown", Error):
+        check_fits(model, env)
+        print(f"{run.cell.label} on {run.cell.env_id}, model {path}")
+        rate, episodes = evaluate(model, env, args)
     _name_files(run)
     print(f"success_rate={rate:.2f} episodes={episodes}")
 
 
 def _parse(argv: Sequence[str]) -> argparse.Namespace:
-    parser = argparse.ArgumentParser("bulletarm-zoo enjoy", description=DESCRIPTION)
+    parser = Parser("bulletarm-zoo enjoy", description=DESCRIPTION)
     add_run_arguments(parser)
     add = parser.add_argument
     add("-n", "--episodes", type=positive_int, default=50, help="how many episodes (default: 50)")
-    add("--seed", type=int, default=0, help="seed of the test scenes (default: 0)")
+    add("--seed", type=seed, default=0, help="seed of the test scenes (default: 0)")
     add("--n-envs", type=positive_int, default=1, help="environments in parallel processes (default: 1)")
     add("--stochastic", action="store_true", help="sample actions instead of taking the policy's mean")
     add("--render", action="store_true", help="open a window")
+    add_progress(parser)
     return parser.parse_args(argv)
 
 
-def build_test_env(run: Run, n_envs: int, seed: int, render: bool) -> VecEnv:
+def build_test_env(run: Run, args: argparse.Namespace) -> VecEnv:
     """
     Rebuild the environment of a run, with the parameters it was trained with.
 
     :param run: The run
-    :param n_envs: How many copies, in processes of their own if more than one
-    :param seed: Seed of the test scenes
-    :param render: Whether to open a window
+    :param args: Flags: how many copies, in processes of their own if more than one, seed of the test scenes,
+        parameters that are to differ, whether to open a window
     :return: The wrapped environments
+    :raises CommandError: if it refuses its parameters, or there is no screen
     """
     from rl_zoo3.utils import create_test_env
 
+    from zoo_configs.environments import make_env
+
     hyperparams, stats_path = run.saved_hyperparams()
+    trained_with = dict(run.cell.hyperparams.get("env_kwargs", {}))
+    trained_with.pop("render_mode", None)
+    env_kwargs = {**trained_with, **args.env_kwargs}
+    make_env(run.cell.env_id, env_kwargs, "human" if args.render else None).close()
     return create_test_env(
         run.cell.env_id,
-        n_envs=n_envs,
+        n_envs=args.n_envs,
         stats_path=stats_path,
-        seed=stream_seed(seed, SeedStream.TEST),
-        should_render=render,
+        seed=stream_seed(args.seed, SeedStream.TEST),
+        should_render=args.render,
         hyperparams=hyperparams,
-        env_kwargs=hyperparams.get("env_kwargs"),
+        env_kwargs=env_kwargs,
     )
 
 
-def evaluate(model: BaseAlgorithm, env: VecEnv, episodes: int, deterministic: bool) -> tuple[float, int]:
+def evaluate(model: BaseAlgorithm, env: VecEnv, args: argparse.Namespace) -> tuple[float, int]:
     """
     Let an agent act under a progress bar; Ctrl-C ends the evaluation with the episodes so far.
 
     :param model: The agent
     :param env: The environments; their info reports ``is_success`` at the end of an episode
-    :param episodes: How many episodes, spread evenly over the environments
-    :param deterministic: Whether to take the policy's mean
+    :param args: Flags: how many episodes, spread evenly over the environments, whether to sample actions
+        instead of taking the policy's mean, whether to show the bar
     :return: Share of successful episodes, in [0, 1] (0 without any), and the number of episodes
     """
     from stable_baselines3.common.evaluation import evaluate_policy
     from tqdm import tqdm
 
+    episodes, deterministic = args.episodes, not args.stochastic
     successes: list[bool] = []
-    with tqdm(total=episodes, unit="episode", disable=None) as bar:
+    with tqdm(total=episodes, unit="episode", disable=hides_progress(args.progress)) as bar:
 
         def note(local: dict[str, Any], _: dict[str, Any]) -> None:
             if local["done"]:
@@ -111,4 +123,7 @@ def _name_files(run: Run) -> None:
     from zoo_configs.curves import draw_run
 
     if run.evaluations_file.is_file():
-        print(f"Written:\n  {draw_run(run)}")
+        try:
+            print(f"Written:\n  {draw_run(run)}")
+        except (CommandError, OSError) as error:  # another user's run
+            print(f"learning curve not drawn: {reason(error)}", file=sys.stderr)

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import argparse
+from collections import defaultdict
 from collections.abc import Sequence
 from typing import Any
 
 import gymnasium as gym
 from gymnasium import spaces
 
-from zoo_configs.environments import known_env_id, our_env_ids, register_environments
+from zoo_configs.arguments import Parser, add_packages
+from zoo_configs.environments import known_env_id, make_env, our_env_ids, register_environments
 from zoo_configs.tables import print_table
 
 DESCRIPTION = """List environments with their spaces; with --env the parameters of one; with --baselines the
@@ -24,7 +26,7 @@ def main(argv: Sequence[str]) -> None:
     :raises CommandError: for an unknown id
     """
     args = _parse(argv)
-    register_environments()
+    register_environments(args.gym_packages)
     if args.baselines:
         _list_baselines(args.markdown)
     elif args.env is not None:
@@ -34,28 +36,35 @@ def main(argv: Sequence[str]) -> None:
 
 
 def _parse(argv: Sequence[str]) -> argparse.Namespace:
-    parser = argparse.ArgumentParser("bulletarm-zoo list", description=DESCRIPTION)
+    parser = Parser("bulletarm-zoo list", description=DESCRIPTION)
     add = parser.add_argument
     add("--env", help="id of an environment: list its parameters and their defaults")
     add("--baselines", action="store_true", help="list baselines and presets")
     add("--markdown", action="store_true", help="print tables for a Markdown page")
+    add_packages(parser)
     return parser.parse_args(argv)
 
 
 def _list_environments(markdown: bool) -> None:
-    rows = []
+    """A table for each kind of observation: an id and its observation are too wide for one line."""
+    tables: defaultdict[str, list[list[str]]] = defaultdict(list)
     for env_id in our_env_ids():
-        env = gym.make(env_id)
+        env = make_env(env_id, {})
         parameters = _parameters(env)
         limits = [str(parameters.get(name, "")) for name in ("num_objects", "max_steps")]
-        shapes = [_describe(space, bounds=False) for space in (env.observation_space, env.action_space)]
-        rows.append([env_id, *shapes, *limits])
+        observation, action = (
+            _describe(space, bounds=False) for space in (env.observation_space, env.action_space)
+        )
+        tables[observation].append([env_id, action, *limits])
         env.close()
-    print_table(["environment", "observation", "action", "objects", "max steps"], rows, markdown, wrap=True)
+    for observation, rows in tables.items():
+        print(f"observation: {observation}\n")
+        print_table(["environment", "action", "objects", "max steps"], rows, markdown)
+        print()
 
 
 def _list_parameters(env_id: str, markdown: bool) -> None:
-    env = gym.make(env_id)
+    env = make_env(env_id, {})
     print(
         f"{env_id}\nobservation: {_describe(env.observation_space)}\naction: {_describe(env.action_space)}\n"
     )

@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import gymnasium as gym
 
-from zoo_configs.arguments import add_run_arguments, positive_int
-from zoo_configs.environments import known_env_id, register_environments
+from zoo_configs.arguments import Parser, add_progress, add_run_arguments, hides_progress, positive_int, seed
+from zoo_configs.environments import known_env_id, make_env, register_environments
 from zoo_configs.errors import CommandError
+from zoo_configs.files import check_writable
 from zoo_configs.seeds import SeedStream, stream_seed
 
 if TYPE_CHECKING:
@@ -21,6 +22,7 @@ DESCRIPTION = """Film episodes of a trained agent, or with --expert of the exper
 beside the images that the agent sees and, where it values every pixel, those values with its choice."""
 FORMATS = ("gif", "mp4")
 FRAMES_PER_SECOND = 5.0
+RENDER_MODE = "rgb_array"
 FINAL_HOLD = 1.0  # s that the last frame of an episode stays
 
 
@@ -53,9 +55,10 @@ def main(argv: Sequence[str]) -> None:
     register_environments(args.gym_packages)
     actor = _expert(args) if args.expert else _agent(args)
     path = args.output or actor.folder / f"{_task(actor.env)}-{actor.name}.{args.format}"
+    check_writable(path, "--output")
     frames: list[Frame] = []
     try:
-        for frame in _film(actor, args.episodes, stream_seed(args.seed, SeedStream.TEST), args.fps):
+        for frame in _film(actor, args):
             frames.append(frame)
     finally:  # after Ctrl-C, too, with what there is
         actor.env.close()
@@ -71,12 +74,12 @@ def _write(frames: list[Frame], path: Path, fps: float) -> None:
 
 
 def _parse(argv: Sequence[str]) -> argparse.Namespace:
-    parser = argparse.ArgumentParser("bulletarm-zoo record", description=DESCRIPTION)
+    parser = Parser("bulletarm-zoo record", description=DESCRIPTION)
     add_run_arguments(parser)
     add = parser.add_argument
     add("--expert", action="store_true", help="film the expert of --env")
     add("-n", "--episodes", type=positive_int, default=5, help="how many episodes (default: 5)")
-    add("--seed", type=int, default=0, help="seed of the scenes (default: 0, the first of enjoy)")
+    add("--seed", type=seed, default=0, help="seed of the scenes (default: 0, the first of enjoy)")
     add("--format", choices=FORMATS, help="kind of film (default: gif, or what --output says)")
     add("-o", "--output", type=Path, help="file to write (default: in the run folder)")
     add(
@@ -85,6 +88,7 @@ def _parse(argv: Sequence[str]) -> argparse.Namespace:
         default=FRAMES_PER_SECOND,
         help=f"steps per second (default {FRAMES_PER_SECOND:g})",
     )
+    add_progress(parser)
     args = parser.parse_args(argv)
     if args.output is not None and args.output.suffix[1:] not in FORMATS:
         parser.error(f"--output must end in .gif or .mp4, got {args.output}")
@@ -99,7 +103,7 @@ def _parse(argv: Sequence[str]) -> argparse.Namespace:
 def _expert(args: argparse.Namespace) -> Actor:
     if args.env is None:
         raise CommandError("--expert needs --env")
-    env = gym.make(known_env_id(args.env), render_mode="rgb_array")
+    env = make_env(known_env_id(args.env), args.env_kwargs, RENDER_MODE)
     if not hasattr(env.unwrapped, "expert_action"):
         raise CommandError(f"{args.env} has no expert")
     expert = env.unwrapped.expert_action
@@ -109,17 +113,19 @@ def _expert(args: argparse.Namespace) -> Actor:
 def _agent(args: argparse.Namespace) -> Actor:
     from rl_zoo3.utils import get_wrapper_class
 
-    from zoo_configs.agents import load_agent, run_from_arguments
+    from zoo_configs.agents import check_fits, load_agent, run_from_arguments
 
     run = run_from_arguments(args)
     hyperparams = run.cell.hyperparams
     if any(hyperparams.get(key) for key in ("normalize", "frame_stack", "vec_env_wrapper")):
         raise CommandError(f"{run.folder} acts on normalised or stacked observations, which cannot be filmed")
     model, path = load_agent(run, args.load_best, args.device)
-    print(f"{run.cell.label} on {run.cell.env_id}, model {path}")
-    env = gym.make(run.cell.env_id, **{**hyperparams.get("env_kwargs", {}), "render_mode": "rgb_array"})
+    trained_with = {**hyperparams.get("env_kwargs", {}), "render_mode": RENDER_MODE}
+    env = make_env(run.cell.env_id, {**trained_with, **args.env_kwargs}, RENDER_MODE)
     wrap = get_wrapper_class(hyperparams)
     env = wrap(env) if wrap is not None else env
+    check_fits(model, env)
+    print(f"{run.cell.label} on {run.cell.env_id}, model {path}")
     return Actor(
         run.cell.label,
         env,
@@ -145,14 +151,14 @@ def _judge(policy: Any) -> Callable[[Any], ValueMap] | None:
     return judge
 
 
-def _film(actor: Actor, episodes: int, seed: int, fps: float) -> Iterator[Frame]:
+def _film(actor: Actor, args: argparse.Namespace) -> Iterator[Frame]:
     from tqdm import trange
 
-    successes = 0
-    for episode in trange(episodes, unit="episode", disable=None):
-        *frames, last = _film_episode(actor, seed + episode, f"episode {episode + 1} of {episodes}")
+    first_seed, episodes, successes = stream_seed(args.seed, SeedStream.TEST), args.episodes, 0
+    for episode in trange(episodes, unit="episode", disable=hides_progress(args.progress)):
+        *frames, last = _film_episode(actor, first_seed + episode, f"episode {episode + 1} of {episodes}")
         yield from (frame for frame, _ in frames)
-        yield from [last[0]] * max(1, round(FINAL_HOLD * fps))
+        yield from [last[0]] * max(1, round(FINAL_HOLD * args.fps))
         successes += last[1]
     print(f"{successes} of {episodes} episodes succeeded")
 

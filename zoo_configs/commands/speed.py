@@ -10,8 +10,17 @@ from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from zoo_configs.arguments import positive_int
-from zoo_configs.environments import known_env_id, our_env_ids, register_environments
+from zoo_configs.arguments import (
+    Parser,
+    add_env_kwargs,
+    add_packages,
+    add_progress,
+    device,
+    hides_progress,
+    positive_int,
+    seed,
+)
+from zoo_configs.environments import known_env_id, make_env, our_env_ids, register_environments
 from zoo_configs.machine import describe_machine
 from zoo_configs.throughput import (
     ReferenceRate,
@@ -72,16 +81,18 @@ def main(argv: Sequence[str]) -> None:
     :raises CommandError: for an unknown id, or a file that is no reference
     """
     args = _parse(argv)
-    register_environments()
+    register_environments(args.gym_packages)
     if args.baseline:
         _measure_updates(args)
         return
     env_ids = [known_env_id(env_id) for env_id in args.env] or our_env_ids()
+    for env_id in env_ids:
+        make_env(env_id, args.env_kwargs).close()
     reference = load_reference(args.reference) if args.reference else {}
     print(describe_machine())
     rows: list[Row] = []
     try:
-        for ours in _measure(env_ids, args.seconds, args.seed):
+        for ours in _measure(env_ids, args):
             rows.append(Row(ours, reference.get(ours.env_id)))
     finally:  # after Ctrl-C, too, with what there is
         _print(rows, args.markdown)
@@ -89,18 +100,21 @@ def main(argv: Sequence[str]) -> None:
 
 def _parse(argv: Sequence[str]) -> argparse.Namespace:
     shipped = Path(str(resources.files("zoo_configs") / SHIPPED_REFERENCE))
-    parser = argparse.ArgumentParser("bulletarm-zoo speed", description=DESCRIPTION)
+    parser = Parser("bulletarm-zoo speed", description=DESCRIPTION)
     add = parser.add_argument
-    add("--env", nargs="+", default=[], help="environment ids (default: all)")
+    add("--env", nargs="+", default=[], help="environment ids (default: all of ours)")
     add("--seconds", type=float, default=5.0, help="how long to measure each (default: 5)")
-    add("--seed", type=int, default=0, help="seed of the first episode (default: 0)")
+    add("--seed", type=seed, default=0, help="seed of the first episode (default: 0)")
     help_text = "CSV to compare with (default where no file is named: the earlier implementation's rates)"
     add("--reference", type=Path, nargs="?", const=shipped, metavar="FILE", help=help_text)
     add("--baseline", nargs="+", default=[], help="measure updates of these baselines, on the first --env")
     add("--preset", default="cpu", help="... with this preset (default: cpu)")
-    add("--device", default="auto", help="... on this PyTorch device (default: auto)")
+    add("--device", type=device, default="auto", help="... on this PyTorch device (default: auto)")
     add("--num-threads", type=positive_int, help="... with so many threads (default: PyTorch's choice)")
     add("--markdown", action="store_true", help="print a table for a Markdown page")
+    add_env_kwargs(parser)
+    add_packages(parser)
+    add_progress(parser)
     args = parser.parse_args(argv)
     if not args.seconds > 0:
         parser.error(f"--seconds must be positive, got {args.seconds}")
@@ -117,7 +131,10 @@ def _measure_updates(args: argparse.Namespace) -> None:
     if args.num_threads:
         th.set_num_threads(args.num_threads)
     env_id = known_env_id(args.env[0]) if args.env else DEFAULT_LEARNING_ENV
-    cells = [resolve(baseline, args.preset, env_id) for baseline in args.baseline]
+    overrides = {"env_kwargs": args.env_kwargs}
+    cells = [resolve(baseline, args.preset, env_id, overrides) for baseline in args.baseline]
+    for cell in cells:
+        make_env(env_id, cell.hyperparams["env_kwargs"]).close()
     print(f"{describe_machine()}, {th.get_num_threads()} threads; {env_id}, preset {args.preset}")
     rows = []
     for cell in cells:
@@ -150,15 +167,14 @@ def _measure_in_process(cell: Cell, seconds: float, device: str, num_threads: in
     return measure_update(cell, seconds, device)
 
 
-def _measure(env_ids: Sequence[str], seconds: float, seed: int) -> Iterator[Throughput]:
+def _measure(env_ids: Sequence[str], args: argparse.Namespace) -> Iterator[Throughput]:
     from tqdm import tqdm
 
-    with tqdm(
-        total=seconds * len(env_ids), disable=None, bar_format="{desc}: {percentage:.0f}%|{bar}|"
-    ) as bar:
+    total, hidden = args.seconds * len(env_ids), hides_progress(args.progress)
+    with tqdm(total=total, disable=hidden, bar_format="{desc}: {percentage:.0f}%|{bar}|") as bar:
         for env_id in env_ids:
             bar.set_description(env_id)
-            yield measure_env(env_id, seconds, seed, bar.update)
+            yield measure_env(env_id, args.seconds, args.seed, bar.update, args.env_kwargs)
 
 
 def _print(rows: Sequence[Row], markdown: bool) -> None:

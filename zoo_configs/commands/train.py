@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import secrets
 import sys
 from collections.abc import Iterator, Sequence
@@ -12,15 +11,42 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from zoo_configs.environments import known_env_id, register_environments
+from zoo_configs.arguments import (
+    MAX_SEED,
+    Parser,
+    add_env_kwargs,
+    add_key_values,
+    add_packages,
+    add_progress,
+    whole_number,
+)
+from zoo_configs.environments import known_env_id, make_env, package_of, register_environments
 from zoo_configs.errors import CommandError, unknown_name
 from zoo_configs.plan import Plan
+from zoo_configs.ranges import check_values
 from zoo_configs.resolve import Cell, families, merge, resolve
+from zoo_configs.zoo_flags import check_flags, given_flags, parser_of_rl_zoo3, train_module
 
 if TYPE_CHECKING:
     from zoo_configs.manager import ZooManager
+    from zoo_configs.runs import Run
 
-MAX_SEED = 2**31
+PROG = "bulletarm-zoo train"
+# What a resumed run was begun with and keeps: of these flags, and of those of rl_zoo3.train.
+FIXED = {
+    "--baseline": "baseline",
+    "--preset": "preset",
+    "--benchmark": "benchmark",
+    "--algo": "algo",
+    "--env": "env",
+    "--env-kwargs": "env_kwargs",
+    "-params": "hyperparams",
+    "--conf-file": "conf_file",
+    "--seed": "seed",
+    "--log-folder": "log_folder",
+    "--any-demonstrations": "any_demonstrations",
+    "--trained-agent": "trained_agent",
+}
 DESCRIPTION = """Train an agent. --baseline, --preset and --env name one cell of a benchmark; its
 hyperparameters are written to the run folder as one YAML. All flags of rl_zoo3.train are taken as well and
 win over the preset."""
@@ -41,7 +67,7 @@ def main(argv: Sequence[str]) -> None:
         return
     register_environments(args.gym_packages)
     plan = _resumed(args, passed_on) if args.resume else _new(args, passed_on)
-    _check(plan.cell)
+    _check(plan, args.any_demonstrations)
     progress = args.progress if args.progress is not None else sys.stderr.isatty()
     manager = _run_rl_zoo3(plan, ["--progress"] if progress else [])
     _report(manager)
@@ -55,9 +81,7 @@ def build_parser() -> argparse.ArgumentParser:
 
     :return: The parser; what it does not know is for ``rl_zoo3.train``
     """
-    parser = argparse.ArgumentParser(
-        "bulletarm-zoo train", description=DESCRIPTION, epilog=EPILOG, add_help=False, allow_abbrev=False
-    )
+    parser = Parser(PROG, description=DESCRIPTION, epilog=EPILOG, add_help=False, allow_abbrev=False)
     add = parser.add_argument
     add("-h", "--help", action="store_true", help="show this help and that of rl_zoo3.train")
     add("--baseline", help="row of a benchmark, see bulletarm-zoo list --baselines")
@@ -66,30 +90,22 @@ def build_parser() -> argparse.ArgumentParser:
     add("--resume", type=Path, metavar="RUN_FOLDER", help="go on from the last checkpoint of an earlier run")
     add("--algo", help="algorithm, for a baseline of the same name or with --conf-file")
     add("--env", help="environment id, see bulletarm-zoo list")
-    add("--seed", type=int, help="seed of the run (default: drawn)")
-    add("--device", default="auto", help="PyTorch device (default: auto)")
-    add("-f", "--log-folder", default="logs", help="folder for run folders (default: logs)")
+    add("--seed", type=whole_number(-1, MAX_SEED), help="seed of the run (default, and -1: drawn)")
+    add("--device", help="PyTorch device (default: auto; that of the run with --resume)")
+    add("-f", "--log-folder", help="folder for run folders (default: logs)")
     add("-conf", "--conf-file", type=Path, help="YAML with hyperparameters by environment id, as in rl_zoo3")
-    pairs: dict[str, Any] = {"nargs": "+", "default": [], "metavar": "KEY:VALUE"}
-    add("-params", "--hyperparams", help="hyperparameters that win over the preset", **pairs)
-    add("--env-kwargs", help="parameters of the environment that win over the preset", **pairs)
-    add("--gym-packages", nargs="+", default=[], help="packages that register further environments")
-    add(
-        "-P",
-        "--progress",
-        action="store_true",
-        default=None,
-        help="show a progress bar (default: if a terminal)",
-    )
-    add("--no-progress", action="store_false", dest="progress", help="show no progress bar")
+    add_key_values(parser, "-params", "--hyperparams", help="hyperparameters that win over the preset")
+    add_env_kwargs(parser)
+    add("--any-demonstrations", action="store_true", help="take an expert_data file of other parameters, too")
+    add_packages(parser)
+    add_progress(parser)
     return parser
 
 
 def _print_help() -> None:
     print(build_parser().format_help())
     print("Flags of rl_zoo3.train:\n")
-    with _arguments_of_rl_zoo3(["--help"]) as train:
-        train.train()
+    parser_of_rl_zoo3(PROG).print_help()
 
 
 def _new(args: argparse.Namespace, passed_on: list[str]) -> Plan:
@@ -97,11 +113,12 @@ def _new(args: argparse.Namespace, passed_on: list[str]) -> Plan:
         raise CommandError("name an environment with --env, see bulletarm-zoo list")
     env_id = known_env_id(args.env)
     cell = _override(_find_cell(args, env_id), args)
-    seed = secrets.randbelow(MAX_SEED) if args.seed is None or args.seed < 0 else args.seed
-    where = {"device": args.device, "log_folder": args.log_folder}
+    seed = secrets.randbelow(MAX_SEED + 1) if args.seed in (None, -1) else args.seed
+    where = {"device": args.device or "auto", "log_folder": args.log_folder or "logs"}
     named = {"algo": cell.algo, "env": env_id, "seed": seed, **where}
     arguments = [*_as_flags(cell.flags), *passed_on, *_as_flags(named)]
-    return Plan(cell, tuple(arguments))
+    packages = dict.fromkeys([*args.gym_packages, *package_of(args.env)])
+    return Plan(cell, tuple(arguments), gym_packages=tuple(packages))
 
 
 def _find_cell(args: argparse.Namespace, env_id: str) -> Cell:
@@ -115,7 +132,7 @@ def _find_cell(args: argparse.Namespace, env_id: str) -> Cell:
         baseline = args.algo
     if baseline is None:
         return _cell_from_rl_zoo3(_required_algo(args), env_id)
-    preset = args.preset or _default_preset(args.device)
+    preset = args.preset or _default_preset(args.device or "auto")
     cell = resolve(baseline, preset, env_id, benchmark=args.benchmark)
     if args.algo not in (None, baseline, cell.algo):
         raise CommandError(f"baseline {baseline!r} is trained by --algo {cell.algo}, not {args.algo}")
@@ -172,28 +189,13 @@ def _cell_from_file(path: Path, algo: str, env_id: str) -> Cell:
 
 
 def _override(cell: Cell, args: argparse.Namespace) -> Cell:
-    overrides = _key_values("-params", args.hyperparams)
-    env_kwargs = _key_values("--env-kwargs", args.env_kwargs)
-    if env_kwargs:
-        overrides["env_kwargs"] = merge(overrides.get("env_kwargs", {}), env_kwargs)
+    check_values(args.hyperparams)
+    overrides = dict(args.hyperparams)
+    if args.env_kwargs:
+        overrides["env_kwargs"] = merge(overrides.get("env_kwargs", {}), args.env_kwargs)
     if cell.baseline is not None and cell.preset is not None:
         return resolve(cell.baseline, cell.preset, cell.env_id, overrides, cell.benchmark)
     return replace(cell, hyperparams=merge(cell.hyperparams, overrides))
-
-
-def _key_values(flag: str, pairs: list[str]) -> dict[str, Any]:
-    """``key:value`` with a Python expression as value, read by rl_zoo3's own action."""
-    from rl_zoo3.utils import StoreDict
-
-    namespace = argparse.Namespace(values={})
-    try:
-        if pairs:
-            action: argparse.Action = StoreDict([flag], "values", nargs="+")  # type: ignore[no-untyped-call]
-            action(argparse.ArgumentParser(), namespace, pairs)
-        values: dict[str, Any] = json.loads(json.dumps(namespace.values))  # what YAML can hold
-    except (NameError, SyntaxError, TypeError, ValueError) as error:
-        raise CommandError(f"{flag} takes key:value with a Python value (strings quoted): {error}") from error
-    return values
 
 
 def _as_flags(values: dict[str, Any]) -> list[str]:
@@ -201,22 +203,39 @@ def _as_flags(values: dict[str, Any]) -> list[str]:
 
 
 def _resumed(args: argparse.Namespace, passed_on: list[str]) -> Plan:
-    from sb3_extensions.common.checkpoint import latest_checkpoint
-    from zoo_configs.runs import CHECKPOINT_FOLDER, load_run
+    from zoo_configs.runs import load_run
 
+    given, default = {**vars(args), **given_flags(passed_on)}, build_parser().get_default
+    if others := [flag for flag, name in FIXED.items() if given.get(name) != default(name)]:
+        raise CommandError(f"--resume goes on with what the run has: leave out {', '.join(others)}")
     run = load_run(args.resume)
-    checkpoint = latest_checkpoint(args.resume / CHECKPOINT_FOLDER)
-    if checkpoint is None:
-        raise CommandError(f"{args.resume} has no whole checkpoint to go on from")
-    return Plan(run.cell, (*run.arguments, *passed_on), run, checkpoint)
+    register_environments(run.gym_packages)
+    known_env_id(run.cell.env_id)
+    device = [] if args.device is None else ["--device", args.device]
+    return Plan(run.cell, (*run.arguments, *passed_on, *device), run, _last_checkpoint(run))
 
 
-def _check(cell: Cell) -> None:
-    from zoo_configs.validation import check_cell, check_env_kwargs, check_expert_data
+def _last_checkpoint(run: Run) -> Path:
+    """The newest checkpoint that is whole."""
+    from sb3_extensions.common.checkpoint import CheckpointError, latest_whole_checkpoint
 
-    check_cell(cell)
-    with closing(check_env_kwargs(cell.env_id, cell.hyperparams.get("env_kwargs", {}))) as env:
-        check_expert_data(cell.hyperparams, env)
+    try:
+        checkpoint, damaged = latest_whole_checkpoint(run.checkpoint_folder)
+    except CheckpointError as error:
+        raise CommandError(str(error)) from error
+    for damage in damaged:
+        print(f"{damage}; going on from {checkpoint}", file=sys.stderr)
+    return checkpoint
+
+
+def _check(plan: Plan, any_demonstrations: bool) -> None:
+    from zoo_configs.validation import check_cell, check_expert_data
+
+    check_cell(plan.cell)
+    check_flags(plan.arguments)
+    with closing(make_env(plan.cell.env_id, plan.cell.hyperparams.get("env_kwargs", {}))) as env:
+        if plan.run is None:  # a resumed one has them in its replay buffer
+            check_expert_data(plan.cell, env, any_demonstrations)
 
 
 def _run_rl_zoo3(plan: Plan, extra: list[str]) -> ZooManager:
@@ -228,26 +247,23 @@ def _run_rl_zoo3(plan: Plan, extra: list[str]) -> ZooManager:
         created.append(ZooManager(plan, *args, **kwargs))
         return created[0]
 
-    with _arguments_of_rl_zoo3([*plan.arguments, *extra]) as train:
-        stock, train.ExperimentManager = train.ExperimentManager, make_manager
+    with train_module() as train, _arguments([*plan.arguments, *extra]):
+        train.ExperimentManager = make_manager
         try:
             train.train()
-        finally:
-            train.ExperimentManager = stock
+        except BaseException:
+            if created and plan.run is None:
+                created[0].discard_if_fruitless()
+            raise
     return created[0]
 
 
 @contextmanager
-def _arguments_of_rl_zoo3(arguments: list[str]) -> Iterator[Any]:
-    """rl_zoo3.train reads ``sys.argv`` and its own module's table of algorithms."""
-    import rl_zoo3.train
-
-    from zoo_configs.algorithms import register_algorithms
-
-    register_algorithms()
-    given, sys.argv = sys.argv, ["bulletarm-zoo train", *arguments]
+def _arguments(arguments: list[str]) -> Iterator[None]:
+    """rl_zoo3.train reads ``sys.argv``."""
+    given, sys.argv = sys.argv, [PROG, *arguments]
     try:
-        yield rl_zoo3.train
+        yield
     finally:
         sys.argv = given
 

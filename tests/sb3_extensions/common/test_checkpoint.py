@@ -1,5 +1,6 @@
 """Checkpoints: whole or absent, and training that goes on from them as if it had never stopped."""
 
+import errno
 import json
 import shutil
 from pathlib import Path
@@ -17,6 +18,7 @@ from sb3_extensions.common.checkpoint import (
     CheckpointError,
     DirectoryCheckpointCallback,
     latest_checkpoint,
+    latest_whole_checkpoint,
     resume,
     save_checkpoint,
 )
@@ -276,6 +278,32 @@ def test_damaged_or_foreign_directories(make_toy: Any, tmp_path: Path) -> None:
     (checkpoint / "manifest.json").write_text("[]")
     with pytest.raises(CheckpointError, match="manifest"):
         resume(checkpoint, env)
+
+
+def test_a_damaged_checkpoint_gives_way_to_the_one_before(make_toy: Any, tmp_path: Path) -> None:
+    model = make_model(make_toy()).learn(5)
+    first = save_checkpoint(model, tmp_path)
+    newest = save_checkpoint(model.learn(5, reset_num_timesteps=False), tmp_path)
+    assert latest_whole_checkpoint(tmp_path) == (newest, [])
+    (newest / "model.zip").write_bytes(b"")
+    checkpoint, [damage] = latest_whole_checkpoint(tmp_path)
+    assert checkpoint == first and f"{newest} is damaged: model.zip" in str(damage)
+    with pytest.warns(UserWarning, match=f"model.zip .* going on from {first}"):
+        assert resume(tmp_path, make_toy(), device="cpu").num_timesteps == 5
+    (first / "state.pkl").unlink()
+    with pytest.raises(CheckpointError, match=f"{newest} is damaged"):
+        latest_whole_checkpoint(tmp_path)
+
+
+def test_a_full_disk_leaves_no_half(make_toy: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fill(*_: Any) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    model = make_model(make_toy()).learn(5)
+    monkeypatch.setattr(model, "save_replay_buffer", fill)
+    with pytest.raises(OSError, match="No space"):
+        save_checkpoint(model, tmp_path)
+    assert not list(tmp_path.iterdir())
 
 
 def test_other_number_of_envs(make_toy: Any, tmp_path: Path) -> None:
