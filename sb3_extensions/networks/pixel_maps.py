@@ -29,6 +29,7 @@ from sb3_extensions.networks.unets import equivariant_unet, plain_unet, split_pa
 from sb3_extensions.networks.views import View
 
 PRIMITIVES = 2  # pick and place
+HEAD_CHANNELS = 16  # of the authors' heads for one yaw: with a few, all their ReLUs may be silent for ever
 
 
 @dataclass(frozen=True)
@@ -203,7 +204,7 @@ def _head(regular: FieldType, rotations: int) -> nn.Sequential:
     if rotations > 1:
         yaws = FieldType.of((group.quotient(2), 1))
         return nn.Sequential(EquivariantConv2d(regular, yaws, 1, gain=OUTPUT_GAIN))
-    hidden, value = (FieldType.of((group.trivial, count)) for count in (regular.fields[0][1], 1))
+    hidden, value = (FieldType.of((group.trivial, count)) for count in (HEAD_CHANNELS, 1))
     return nn.Sequential(
         EquivariantConv2d(regular, hidden, 3, padding=1),
         nn.ReLU(inplace=True),
