@@ -2,31 +2,43 @@
 
 import difflib
 import math
-import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from typing import Any
 
-import numpy as np
-
-Check = Callable[[Any], Any]
+from bulletarm_gym import values
+from bulletarm_gym.values import Check, Refused
 
 CLOSE_LOOP = "close_loop"
 OPEN_LOOP = "open_loop"
 
 LEVEL, SLOPING = ("flat", "tray"), ("ramp", "bump")
 """Kinds of ground."""
-SMALLEST_WORKSPACE = 0.1
-"""Side (m) below which no task of the paper fits."""
-LARGEST_SCALE = 2.0
-"""A cube twice the nominal size (10 cm) no longer fits any gripper."""
 
 
 class ParameterError(ValueError):
-    """A parameter is unknown or has a value it cannot take."""
+    """A parameter is unknown or has a value it cannot take.
 
-    def __init__(self, name: str, got: object, takes: str) -> None:
-        super().__init__(f"{name}: got {got!r}, takes {takes}")
+    Made from its whole text, so that it can be pickled and made anew by those who add to the text.
+    """
+
+    @classmethod
+    def of(cls, name: str, got: object, takes: str) -> "ParameterError":
+        """Return the error that says what a parameter got and what it takes."""
+        return cls(f"{name}: got {got!r}, takes {takes}")
+
+
+class UnknownParameterError(ParameterError, TypeError):
+    """There is no such parameter.
+
+    Python's own error for it is a ``TypeError``: libraries that try out which parameters an environment has
+    (TorchRL's ``GymEnv`` does) catch that, and look for its words.
+    """
+
+    @classmethod
+    def of(cls, name: str, got: object, takes: str) -> "UnknownParameterError":
+        """Return the error for a parameter by its name, with its value and what would be right."""
+        return cls(f"{name}: got an unexpected keyword argument {name!r} ({got!r}), takes {takes}")
 
 
 @dataclass(frozen=True)
@@ -70,10 +82,11 @@ class EnvConfig:
     Values are plain JSON: arrays given by a user are kept as lists. Build one with :meth:`of`.
 
     :param control: ``"close_loop"`` or ``"open_loop"``; follows from the environment's id
-    :param robot: the arm
+    :param robot: the arm, by its name or import path
     :param action_sequence: one character a number of the action, in its order
     :param workspace: [[x low, x high], [y low, y high], [z low, z high]] (m); square in x and y
-    :param object_scale_range: [low, high] factors on nominal sizes; a grid of 0.02 is drawn from
+    :param object_scale_range: [low, high] factors on nominal sizes, not on a task's own: where its objects
+        have 0.8 times the nominal size, 1.0 asks for larger ones; a grid of 0.02 is drawn from
     :param max_steps: actions an episode
     :param num_objects: objects in the scene
     :param obs_size: pixels a side of the heightmap
@@ -127,18 +140,18 @@ class EnvConfig:
         :param task: the task's own numbers
         :param robots: names of the arms there are
         :param surface: where; some defaults follow from it
-        :raises ParameterError: an unknown parameter (the nearest is named), a wrong type or value, or ground
-            that the task cannot stand on
+        :raises UnknownParameterError: there is no such parameter; the nearest is named
+        :raises ParameterError: a wrong type or value, or ground that the task cannot stand on
         """
         checks = _checks(control, task, robots)
         for name, value in parameters.items():
             if name not in checks:
                 raise _unknown(name, value, control, checks)
-        values = _defaults(control, surface, task) | {
+        chosen = _defaults(control, surface, task) | {
             name: _checked(name, checks[name], value) for name, value in parameters.items()
         }
-        _check_surface(surface, task, values["close_loop_tray"])
-        return cls(control=control, **values)
+        _check_surface(surface, task, chosen["close_loop_tray"])
+        return cls(control=control, **chosen)
 
     def parameters(self) -> dict[str, Any]:
         """Return the control's parameters by name, as JSON values."""
@@ -204,25 +217,25 @@ def _defaults(control: str, surface: str, task: TaskDefaults) -> dict[str, Any]:
 def _checks(control: str, task: TaskDefaults, robots: Sequence[str]) -> dict[str, Check]:
     """Return what each parameter of a control must pass."""
     checks: dict[str, Check] = {
-        "robot": _robot(robots),
-        "action_sequence": _sequence(control),
-        "workspace": _workspace,
-        "object_scale_range": _scale_range,
-        "max_steps": _integer(1),
-        "num_objects": _choice(*task.allowed_objects),
-        "obs_size": _integer(16, 1024),
-        "fast_mode": _boolean,
-        "random_orientation": _boolean,
-        "half_rotation": _boolean,
-        "in_hand_size": _integer(8, 256),
-        "workspace_check": _choice("point", "bounding_box"),
+        "robot": values.robot(robots),
+        "action_sequence": values.sequence(SEQUENCES[control]),
+        "workspace": values.workspace,
+        "object_scale_range": values.scale_range,
+        "max_steps": values.integer(1),
+        "num_objects": values.choice(*task.allowed_objects),
+        "obs_size": values.integer(16, 1024),
+        "fast_mode": values.boolean,
+        "random_orientation": values.boolean,
+        "half_rotation": values.boolean,
+        "in_hand_size": values.integer(8, 256),
+        "workspace_check": values.choice("point", "bounding_box"),
         "close_loop_tray": _tray(task.tray),
-        "object_set": _optional(_folder) if task.takes_object_set else _no_object_set,
-        "view": _choice("orthographic", "point_cloud"),
-        "observation": _choice("image", "state") if control == CLOSE_LOOP else _images_only,
-        "physics_mode": _choice("fast", "slow"),
-        "reward": _optional(_import_path),
-        "render_mode": _choice(None, "rgb_array", "depth_array", "human"),
+        "object_set": values.optional(values.folder) if task.takes_object_set else values.no_object_set,
+        "view": values.choice("orthographic", "point_cloud"),
+        "observation": values.choice("image", "state") if control == CLOSE_LOOP else values.images_only,
+        "physics_mode": values.choice("fast", "slow"),
+        "reward": values.optional(values.import_path),
+        "render_mode": values.choice(None, "rgb_array", "depth_array", "human"),
     }
     return {name: check for name, check in checks.items() if belongs(name, control)}
 
@@ -237,150 +250,39 @@ def _check_surface(surface: str, task: TaskDefaults, in_tray: bool) -> None:
         refused |= dict.fromkeys(SLOPING, task.level_ground or "its tray stands on level ground")
     if surface in refused:
         others = " or ".join(repr(other) for other in (*LEVEL, *SLOPING) if other not in refused)
-        raise ParameterError("surface", surface, f"{others} with this task: {refused[surface]}")
+        raise ParameterError.of("surface", surface, f"{others} with this task: {refused[surface]}")
 
 
-def _unknown(name: str, value: object, control: str, checks: Mapping[str, Check]) -> ParameterError:
+def _unknown(name: str, value: object, control: str, checks: Mapping[str, Check]) -> UnknownParameterError:
     if name == "render":
-        return ParameterError(name, value, 'nothing: there is no such parameter; use render_mode="human"')
-    if name in _ONLY_WITH:
+        takes = 'nothing: there is no such parameter; use render_mode="human"'
+    elif name in _ONLY_WITH:
         other, own = (text.replace("_", "-") for text in (_ONLY_WITH[name], control))
-        return ParameterError(
-            name, value, f"nothing here: it belongs to {other} environments, this one is {own}"
-        )
-    near = difflib.get_close_matches(name, checks, n=1, cutoff=0.0)[0]
-    return ParameterError(name, value, f"nothing: there is no such parameter; the nearest is {near!r}")
-
-
-class _Refused(Exception):
-    """Carries what a parameter takes to where its name is known."""
+        takes = f"nothing here: it belongs to {other} environments, this one is {own}"
+    else:
+        near = difflib.get_close_matches(name, checks, n=1, cutoff=0.0)[0]
+        takes = f"nothing: there is no such parameter; the nearest is {near!r}"
+    return UnknownParameterError.of(name, value, takes)
 
 
 def _checked(name: str, check: Check, value: Any) -> Any:
     try:
         return check(value)
-    except _Refused as refused:
-        raise ParameterError(name, value, str(refused)) from None
-
-
-def _choice(*choices: Any) -> Check:
-    def check(value: Any) -> Any:
-        plain = value.item() if isinstance(value, np.generic) else value
-        if not any(type(plain) is type(choice) and plain == choice for choice in choices):
-            raise _Refused("one of " + ", ".join(repr(choice) for choice in choices))
-        return plain
-
-    return check
-
-
-def _robot(names: Sequence[str]) -> Check:
-    def check(value: Any) -> str:
-        if value in names or (isinstance(value, str) and ":" in value):
-            return str(value)
-        raise _Refused("one of " + ", ".join(repr(name) for name in names) + ", or 'module:name' of your own")
-
-    return check
-
-
-def _integer(low: int, high: int | None = None) -> Check:
-    def check(value: Any) -> int:
-        whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
-        if not whole or value < low or (high is not None and value > high):
-            raise _Refused(f"an integer of at least {low}" + (f" and at most {high}" if high else ""))
-        return int(value)
-
-    return check
-
-
-def _optional(inner: Check) -> Check:
-    return lambda value: None if value is None else inner(value)
-
-
-def _boolean(value: Any) -> bool:
-    if not isinstance(value, bool | np.bool_):
-        raise _Refused("True or False")
-    return bool(value)
+    except Refused as refused:
+        raise ParameterError.of(name, value, str(refused)) from None
 
 
 def _tray(use: TrayUse) -> Check:
     def check(value: Any) -> bool:
-        if _boolean(value) not in use.choices:
-            raise _Refused(f"{use.choices[0]} with this task: {use.reason}")
+        if values.boolean(value) not in use.choices:
+            raise Refused(f"{use.choices[0]} with this task: {use.reason}")
         return bool(value)
 
     return check
 
 
-def _folder(value: Any) -> str:
-    if not isinstance(value, str | os.PathLike) or not os.path.isdir(value):
-        raise _Refused("None or a folder of OBJ or URDF files")
-    return os.fspath(value)
-
-
-def _no_object_set(value: Any) -> None:
-    if value is not None:
-        raise _Refused("None with this task: its objects are its own")
-
-
-def _import_path(value: Any) -> str:
-    module, _, name = value.partition(":") if isinstance(value, str) else ("", "", "")
-    if not all(part.isidentifier() for part in (*module.split("."), name)):
-        raise _Refused('None or "module:function"')
-    return str(value)
-
-
-def _images_only(value: Any) -> str:
-    if value != "image":
-        raise _Refused("'image' here: 'state' belongs to close-loop environments")
-    return "image"
-
-
 SEQUENCES = {CLOSE_LOOP: ("pxyz", "pxyzr"), OPEN_LOOP: ("xy", "xyr", "xyzrrr", "pxy", "pxyr", "pxyzrrr")}
 """What an action can consist of, a character a number, in any order (paper, Environment)."""
-
-
-def _sequence(control: str) -> Check:
-    def check(value: Any) -> str:
-        known = SEQUENCES[control]
-        if not isinstance(value, str) or sorted(value) not in [sorted(sequence) for sequence in known]:
-            raise _Refused(
-                f"{', '.join(map(repr, known[:-1]))} or {known[-1]!r}, their characters in any order"
-            )
-        return value
-
-    return check
-
-
-def _numbers(value: Any, shape: tuple[int, ...], takes: str) -> Any:
-    try:
-        array = np.array(value, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise _Refused(takes) from None
-    if array.shape != shape or not np.isfinite(array).all():
-        raise _Refused(takes)
-    return array.tolist()
-
-
-def _workspace(value: Any) -> list[list[float]]:
-    takes = (
-        "[[x low, x high], [y low, y high], [z low, z high]] in metres, square in x and y with sides "
-        f"of at least {SMALLEST_WORKSPACE}, z low not below 0"
-    )
-    limits: list[list[float]] = _numbers(value, (3, 2), takes)
-    x, y, z = (high - low for low, high in limits)
-    if not (x >= SMALLEST_WORKSPACE and math.isclose(x, y, abs_tol=1e-9) and z > 0.0 and limits[2][0] >= 0.0):
-        raise _Refused(takes)
-    return limits
-
-
-def _scale_range(value: Any) -> list[float]:
-    takes = f"a positive number or [low, high], at most {LARGEST_SCALE}"
-    is_number = isinstance(value, int | float | np.number) and not isinstance(value, bool)
-    pair = [value, value] if is_number else value
-    limits: list[float] = _numbers(pair, (2,), takes)
-    if not 0.0 < limits[0] <= limits[1] <= LARGEST_SCALE:
-        raise _Refused(takes)
-    return limits
 
 
 PARAMETERS = tuple(entry.name for entry in fields(EnvConfig) if entry.name != "control")

@@ -66,6 +66,7 @@ def collect(
     most = ATTEMPTS_PER_EPISODE * episodes if max_attempts is None else max_attempts
     with closing(_make(env_id, env_kwargs or {})) as env:
         check_planner(planner, env)
+        _check_nameable(env)
         recorder = Recorder(env_id, {**env.config.parameters(), "render_mode": None})
         silent = None if progress is None else not progress
         with tqdm(desc=planner, total=episodes, unit="episode", disable=silent) as bar:
@@ -87,10 +88,10 @@ def collect(
 def load(path: str | os.PathLike[str]) -> Demonstrations:
     """Return the demonstrations in a file.
 
-    :raises OSError: it cannot be read
-    :raises ValueError: it is of another kind
+    :raises OSError: it cannot be opened
+    :raises ValueError: it is of another kind, or damaged; so it may turn out when an episode is read
     """
-    return Demonstrations(Path(path).read_bytes())
+    return Demonstrations(Path(path).read_bytes(), os.fspath(path))
 
 
 def check_planner(planner: str, env: ManipulationEnv) -> None:
@@ -163,6 +164,17 @@ def _play(
     stacked = {key: np.stack([entry[key] for entry in observations]) for key in observation}
     rewards = rewards.astype(np.float32)
     return Episode(stacked, chosen, rewards, terminations, truncations, seed, initial_state)
+
+
+def _check_nameable(env: ManipulationEnv) -> None:
+    """Check that a file can tell what the environment was.
+
+    :raises ValueError: it cannot, with the reason
+    """
+    for name, thing in env.objects.items():
+        raise ValueError(
+            f"env_kwargs: {name}={thing!r} has no import path 'module:name' to be kept in a file"
+        )
 
 
 def _make(env_id: str, env_kwargs: Mapping[str, Any]) -> ManipulationEnv:

@@ -1,7 +1,10 @@
 """The environment: task, control, surface, arm and sensors put together."""
 
+import math
+import zlib
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import gymnasium
@@ -9,23 +12,27 @@ import numpy as np
 from gymnasium.envs.registration import EnvSpec
 from numpy.typing import ArrayLike, NDArray
 
-from bulletarm_gym.config import EnvConfig
+from bulletarm_gym.config import EnvConfig, ParameterError
 from bulletarm_gym.control import CONTROLS, DeltaMove, PickPlace
-from bulletarm_gym.extensions import by_path, load
+from bulletarm_gym.extensions import OBJECTS, by_path, load
+from bulletarm_gym.feasibility import check_heights, check_room
 from bulletarm_gym.footprint import PlacementError
 from bulletarm_gym.planners import expert_action
-from bulletarm_gym.robots import ROBOTS, RobotState, find_robot
+from bulletarm_gym.robots import ROBOTS, RobotModel, RobotState, find_robot
 from bulletarm_gym.scene import Scene
-from bulletarm_gym.simulation import Camera, WorldState
+from bulletarm_gym.simulation import Camera, WorldState, has_display
 from bulletarm_gym.surfaces import make_surface
 from bulletarm_gym.tasks import Task
 
 Observation = dict[str, NDArray[np.float32]]
 Action = NDArray[np.float32]
+Reward = Callable[[Scene, Mapping[str, bool]], float]
 
 OPTIONS = {"new_scene": ((bool, True), (bool, False)), "start": ((str, "goal"),)}
 """What a reset can be asked for: types, for 1 equals True, and values."""
-GROUNDS = 10
+SCENE_PARAMETERS = ("workspace", "object_scale_range", "num_objects", "close_loop_tray")
+"""What the bodies of a scene, and where they can be, follow from."""
+GROUNDS = 30
 """Drawn before the workspace counts as too small for the task."""
 ARRANGEMENT, AFTER_ACTION, PLAN = range(3)
 """Streams of an episode's randomness: what one of them draws does not move the others."""
@@ -36,6 +43,7 @@ class EnvState:
     """Everything an environment needs to go on from a moment; picklable.
 
     :param generator: state of the generator that later episodes are seeded from
+    :param made_of: what decides whether an environment can take it: task, arm, sizes; None in old files
     """
 
     world: WorldState
@@ -46,6 +54,7 @@ class EnvState:
     steps: int
     episode_seed: int
     generator: dict[str, Any]
+    made_of: dict[str, Any] | None = None
 
 
 class ManipulationEnv(gymnasium.Env[Observation, Action]):
@@ -59,11 +68,13 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
     :param control: ``"close_loop"`` or ``"open_loop"``
     :param surface: one of :data:`~bulletarm_gym.surfaces.SURFACES`
     :param parameters: of :class:`~bulletarm_gym.config.EnvConfig`, by name
-    :raises ValueError: a parameter is unknown or has a value it cannot take; task and control do not fit
+    :raises ValueError: a parameter has a value it cannot take, or is unknown (a ``TypeError``, too); task and
+        control do not fit
     :raises RuntimeError: ``render_mode="human"`` without a display
     """
 
     metadata = {"render_modes": ["rgb_array", "depth_array", "human"], "render_fps": 5}  # noqa: RUF012
+    """Of the class all there is, as ``gymnasium.make`` asks it; of an instance what can be had here."""
 
     def __init__(self, task: str, control: str, surface: str = "flat", **parameters: Any) -> None:
         task_type: type[Task] = load(task)
@@ -71,20 +82,31 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
             raise ValueError(
                 f"control: got {control!r}, {task_type.__name__} takes one of {task_type.controls}"
             )
-        self.config = EnvConfig.of(control, task_type.defaults, tuple(ROBOTS), by_path(parameters), surface)
+        parameters = by_path(parameters)
+        # Objects of the user's that have no import path, by the name of the parameter.
+        self.objects = {name: parameters.pop(name) for name in OBJECTS if _is_object(parameters.get(name))}
+        robots = dict(ROBOTS)
+        if "robot" in self.objects:
+            model = find_robot(self.objects["robot"])
+            robots[model.name], parameters["robot"] = model, model.name
+        self.config = EnvConfig.of(control, task_type.defaults, tuple(robots), parameters, surface)
         self.render_mode = self.config.render_mode
+        if not has_display():
+            self.metadata = {**self.metadata, "render_modes": ["rgb_array", "depth_array"]}
         self._recipe = {"task": task, "control": control, "surface": surface}
         self.task = task_type(self.config)
-        self._reward = self.task.reward if self.config.reward is None else load(self.config.reward)
+        check_heights(self.config, self.task)
+        self._reward = self.objects.get("reward") or _function(self.config.reward) or self.task.reward
         self.scene = Scene(
             self.config,
-            find_robot(self.config.robot),
+            robots.get(self.config.robot) or find_robot(self.config.robot),
             make_surface(
                 "tray" if self.config.close_loop_tray else surface, self.config.workspace, self.task.site
             ),
             self.task.bodies(self.config),
         )
         self.control = CONTROLS[control](self.config, self.scene, self.task)
+        check_room(self.config, surface, self.scene, self.task, self.control)
         self.action_space = self.control.action_space
         # Gymnasium types a Dict space by its parts instead of its samples.
         self.observation_space = self.control.observation_space  # type: ignore[assignment]
@@ -146,7 +168,7 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         """Carry out an action.
 
         :param action: (n,) numbers, clipped to [-1, 1]
-        :raises ValueError: the action has the wrong shape or is not finite
+        :raises ValueError: the action has the wrong shape or is not finite, or the user's reward is no number
         :raises gymnasium.error.ResetNeeded: no episode has begun
         """
         self._check_running()
@@ -158,7 +180,7 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         self.task.after_action(self.scene, self._rng(AFTER_ACTION))
         info = self._evaluate(ignored)
         success, valid = info["is_success"], info["is_valid"]
-        reward = float(self._reward(self.scene, info)) if valid else 0.0
+        reward = _finite(self._reward(self.scene, info), self._reward) if valid else 0.0
         terminated = success or not valid or self.task.one_decision
         truncated = not terminated and self._steps >= self.config.max_steps
         return self.control.observe(self.scene), reward, terminated, truncated, info
@@ -215,10 +237,17 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
             self._steps,
             self._episode_seed,
             dict(self.np_random.bit_generator.state),
+            dict(self._made_of),
         )
 
     def set_state(self, state: EnvState) -> None:
-        """Return to a moment of this environment or of another with the same parameters, exactly."""
+        """Return to a moment of this environment or of another with the same parameters, exactly.
+
+        What only observes, judges or ends an episode (``obs_size``, ``reward``, ``max_steps``) may differ.
+
+        :raises ValueError: it is of another task, arm, workspace or other objects; nothing has changed then
+        """
+        self._check_fits(state)
         self.scene.world.set_state(state.world)
         self.scene.robot.set_state(state.robot)
         self.scene.set_cast(state.cast)
@@ -227,6 +256,30 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         self._steps = state.steps
         self._episode_seed = state.episode_seed
         self.np_random.bit_generator.state = state.generator
+
+    @cached_property
+    def _made_of(self) -> dict[str, Any]:
+        """What a state must have in common with the environment: names and JSON values."""
+        names = [body.spec.name for body in self.scene.world.bodies]
+        in_hand = self.observation_space.spaces.get("in_hand")  # type: ignore[attr-defined]
+        return {
+            **self._recipe,
+            **{name: getattr(self.config, name) for name in SCENE_PARAMETERS},
+            "robot": self.scene.robot.model.name,
+            "in_hand": in_hand and list(in_hand.shape),
+            "bodies": f"{len(names)}, crc {zlib.crc32(repr(names).encode()):08x}",
+        }
+
+    def _check_fits(self, state: EnvState) -> None:
+        if not isinstance(state, EnvState):
+            raise ValueError(f"state: got a {type(state).__name__}, takes what get_state() has returned")
+        poses, own = len(state.world.poses), len(self.scene.world.poses)
+        theirs = {"bodies": f"{poses}"} if state.made_of is None else state.made_of
+        ours = {"bodies": f"{own}"} if state.made_of is None else self._made_of
+        other = [name for name, value in ours.items() if theirs.get(name) != value]
+        if other:
+            got, takes = (", ".join(f"{n}={made.get(n)!r}" for n in other) for made in (theirs, ours))
+            raise ValueError(f"state: got one of an environment with {got}, this one has {takes}")
 
     def _evaluate(self, ignored: bool) -> dict[str, bool]:
         facts = {name: bool(value) for name, value in self.task.evaluate(self.scene).items()}
@@ -246,22 +299,36 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
 
     @property
     def spec(self) -> EnvSpec | None:
-        """The spec the environment was made from, its parameters as JSON values."""
+        """The spec the environment was made from, its parameters as JSON values.
+
+        Its ``max_episode_steps`` is what the environment truncates at.
+        """
         return self._spec
 
     @spec.setter
     def spec(self, spec: EnvSpec | None) -> None:
         if spec is not None:
-            known = self.config.parameters()
-            spec.kwargs = {name: known.get(name, value) for name, value in spec.kwargs.items()}
+            known = self._parameters
+            kwargs = {name: known.get(name, value) for name, value in spec.kwargs.items()}
+            spec = replace(spec, kwargs=kwargs, max_episode_steps=self.config.max_steps)
         self._spec = spec
 
     _spec: EnvSpec | None = None
 
+    def limit_steps(self, max_steps: int) -> None:
+        """Truncate episodes after other than the ``max_steps`` that the environment was made with."""
+        self.config = replace(self.config, max_steps=max_steps)
+        self.task.config = self.scene.config = self.config
+
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle the parameters and, within an episode, the state."""
         state = None if self._episode_seed is None else self.get_state()
-        return _restore, ({**self._recipe, **self.config.parameters()}, self._spec, state)
+        return _restore, ({**self._recipe, **self._parameters}, self._spec, state)
+
+    @property
+    def _parameters(self) -> dict[str, Any]:
+        """What the environment can be made from again: JSON values, and objects that have no import path."""
+        return {**self.config.parameters(), **self.objects}
 
 
 def _restore(arguments: Mapping[str, Any], spec: EnvSpec | None, state: EnvState | None) -> ManipulationEnv:
@@ -270,6 +337,33 @@ def _restore(arguments: Mapping[str, Any], spec: EnvSpec | None, state: EnvState
     if state is not None:
         env.set_state(state)
     return env
+
+
+def _is_object(value: Any) -> bool:
+    return callable(value) or isinstance(value, RobotModel)
+
+
+def _function(path: str | None) -> Reward | None:
+    """Import a user's reward function, if there is one."""
+    found: Reward | None = None if path is None else load(path)
+    if not (found is None or callable(found)):
+        raise ParameterError.of("reward", path, f"a function; this is a {type(found).__name__}")
+    return found
+
+
+def _finite(value: Any, reward: Reward) -> float:
+    """Return a reward as a number.
+
+    :raises ValueError: it is none that can be learnt from
+    """
+    try:
+        number = float(value)
+    except (TypeError, ValueError):
+        number = math.nan
+    if not math.isfinite(number):
+        name = f"{reward.__module__}:{getattr(reward, '__qualname__', type(reward).__name__)}"
+        raise ValueError(f"reward: {name} returned {value!r}, takes one that returns finite numbers")
+    return number
 
 
 def _checked_options(options: Mapping[str, Any] | None, task: Task) -> dict[str, Any]:

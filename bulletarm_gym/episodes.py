@@ -3,13 +3,15 @@
 A file holds, compressed, ``episodes/0``, ``episodes/1``, ...: each with ``observations`` (n + 1 of each key),
 ``actions``, ``rewards``, ``terminations``, ``truncations``, the ``seed`` it was reset with, and as JSON the
 ``initial_state`` (see :mod:`~bulletarm_gym.plain`), the ``configuration`` of its environment and the
-``versions`` of what it was recorded with. Heights are counts of 0.1 mm.
+``versions`` of what it was recorded with. Heights are counts of 0.1 mm. Before it, in HDF5's user block, is a
+checksum of all that.
 """
 
 import io
 import json
 import os
 import platform
+import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -34,6 +36,9 @@ HEIGHTS = ("heightmap", "in_hand")
 """Observations in metres."""
 STEPS = ("actions", "rewards", "terminations", "truncations")
 LIBRARIES = ("bulletarm-gym", "gymnasium", "h5py", "numba", "numpy", "pybullet")
+USER_BLOCK = 512
+"""Bytes before the HDF5 content proper: HDF5's smallest block for other things than its own."""
+MAGIC = b"bulletarm-gym demonstrations"
 PACKED = {"compression": "gzip", "compression_opts": 4, "shuffle": True}
 
 
@@ -73,19 +78,21 @@ class Demonstrations:
     """Episodes of one environment, as they are in a file; read one at a time.
 
     :param image: the content of the file
-    :raises ValueError: it is of another kind
+    :param name: of the file, for errors
+    :raises ValueError: it is of another kind, or damaged
     """
 
-    def __init__(self, image: bytes) -> None:
+    def __init__(self, image: bytes, name: str = "demonstrations") -> None:
         self.image = image
-        try:
-            with self._file() as file:
-                self.about: dict[str, Any] = json.loads(file["about"][()])
-                self._count = len(file["episodes"])
-        except (KeyError, OSError) as error:
-            raise ValueError(f"not a file of demonstrations: {error}") from error
-        if self.about["format"] != FORMAT:
-            raise ValueError(f"format: the file has {self.about['format']}, this version reads {FORMAT}")
+        self._name = name
+        if image.startswith(MAGIC) and image[:USER_BLOCK] != _user_block(image[USER_BLOCK:]):
+            raise ValueError(f"{name}: a file of demonstrations, but damaged: its checksum is wrong")
+        with self._file() as file:
+            self.about: dict[str, Any] = json.loads(file["about"][()])
+            self._count = len(file["episodes"])
+            version = self.about["format"]
+        if version != FORMAT:
+            raise ValueError(f"{name}: its format is {version}, this version reads {FORMAT}")
 
     @property
     def env_id(self) -> str:
@@ -114,7 +121,10 @@ class Demonstrations:
         return self._count
 
     def __getitem__(self, index: int) -> Episode:
-        """Return an episode."""
+        """Return an episode.
+
+        :raises ValueError: the file lacks a part of it
+        """
         if not -self._count <= index < self._count:
             raise IndexError(f"there are {self._count} episodes, no number {index}")
         with self._file() as file:
@@ -124,8 +134,17 @@ class Demonstrations:
         """Iterate over the episodes."""
         return (self[index] for index in range(self._count))
 
-    def _file(self) -> h5py.File:
-        return h5py.File(io.BytesIO(self.image), "r")
+    @contextmanager
+    def _file(self) -> Iterator[h5py.File]:
+        """Open the file.
+
+        :raises ValueError: there is not in it what should be
+        """
+        try:
+            with h5py.File(io.BytesIO(self.image), "r") as file:
+                yield file
+        except (AttributeError, LookupError, OSError, RuntimeError, TypeError, ValueError) as error:
+            raise ValueError(f"{self._name}: not a file of demonstrations, or damaged: {error}") from error
 
 
 class Recorder:
@@ -144,7 +163,7 @@ class Recorder:
         }
         self._attempts = 0
         self._buffer = io.BytesIO()
-        self._file = h5py.File(self._buffer, "w")
+        self._file = h5py.File(self._buffer, "w", userblock_size=USER_BLOCK)
         self._episodes = self._file.create_group("episodes", track_order=True)
         for name in ("configuration", "versions"):
             self._file[name] = json.dumps(self._about[name])
@@ -178,13 +197,19 @@ class Recorder:
         """
         self._file["about"] = json.dumps({**self._about, "attempts": self._attempts, **about})
         self._file.close()
-        return Demonstrations(self._buffer.getvalue())
+        content = self._buffer.getvalue()[USER_BLOCK:]
+        return Demonstrations(_user_block(content) + content)
 
 
 def versions() -> dict[str, str]:
     """Return what an episode's last digits depend on."""
     found = {library: version(library) for library in LIBRARIES}
     return {"python": platform.python_version(), "platform": platform.platform(), **found}
+
+
+def _user_block(content: bytes) -> bytes:
+    """Return what comes before the content: its checksum, for HDF5 itself meets damages late or never."""
+    return (MAGIC + f" crc32 {zlib.crc32(content):08x}\n".encode()).ljust(USER_BLOCK, b"\0")
 
 
 @contextmanager

@@ -7,8 +7,11 @@ the user's module. What has no such path (a lambda, something local or of ``__ma
 import importlib
 import sys
 from collections.abc import Mapping
+from contextlib import suppress
 from typing import Any
 
+OBJECTS = ("robot", "reward")
+"""Parameters that may be objects of the user's."""
 ROBOT_PATHS: dict[str, str] = {}
 """Import paths of the users' arms, by name."""
 OBJECT_PATHS: dict[str, str] = {}
@@ -80,22 +83,34 @@ def load(path: str) -> Any:
     return found
 
 
-def produce(path: str, kind: type[Any]) -> Any:
-    """Import a thing of a kind, or the function that makes it.
+def produce(source: Any, kind: type[Any]) -> Any:
+    """Return a thing of a kind.
 
-    :raises ValueError: what is found there is neither
+    :param source: the thing, the function that makes it, or the import path of either
+    :raises ValueError: it is neither
     """
-    found = load(path)
+    found = load(source) if isinstance(source, str) else source
     made = found() if callable(found) and not isinstance(found, kind) else found
     if not isinstance(made, kind):
-        raise ValueError(f"{path!r} is a {type(made).__name__}, not a {kind.__name__}")
+        raise ValueError(f"{source!r} is a {type(made).__name__}, not a {kind.__name__}")
     return made
 
 
 def by_path(parameters: Mapping[str, Any]) -> dict[str, Any]:
-    """Return an environment's parameters with names of users' arms replaced by their import paths."""
-    robot = parameters.get("robot")
-    return {**parameters, "robot": ROBOT_PATHS[robot]} if robot in ROBOT_PATHS else dict(parameters)
+    """Return an environment's parameters with import paths in place of what can be imported.
+
+    That is names of users' arms, and functions that make an arm or tell the reward; those that have no path
+    (a lambda, one of a notebook) stay as they are.
+    """
+    found = dict(parameters)
+    for name in OBJECTS:
+        if callable(found.get(name)):
+            with suppress(ValueError):
+                found[name] = import_path(found[name], name)
+    robot = found.get("robot")
+    if isinstance(robot, str):
+        found["robot"] = ROBOT_PATHS.get(robot, robot)
+    return found
 
 
 def _store(table: dict[str, str], what: str, name: str, thing: Any) -> None:

@@ -5,11 +5,11 @@ from typing import Any
 
 import gymnasium
 
+from bulletarm_gym import time_limit
 from bulletarm_gym.extensions import import_path
 
 NAMESPACE = "BulletArm"
 ENTRY_POINT = "bulletarm_gym.env:ManipulationEnv"
-VECTOR_ENTRY_POINT = "bulletarm_gym.vector:ParallelEnv"
 PREFIXES = {
     ("close_loop", "flat"): "CloseLoop",
     ("open_loop", "flat"): "OpenLoop",
@@ -121,6 +121,6 @@ def _register(entry: Entry) -> None:
     gymnasium.register(
         entry.env_id,
         entry_point=ENTRY_POINT,
-        vector_entry_point=VECTOR_ENTRY_POINT,
         kwargs=entry.kwargs,
+        additional_wrappers=(time_limit.wrapper_spec(),),
     )

@@ -1,15 +1,17 @@
-"""Environments in parallel processes: what ``gymnasium.make_vec(id, num_envs=n)`` gives."""
+"""Environments in parallel processes, whose failures are told apart.
 
-from collections.abc import Iterable
-from functools import partial
+``gymnasium.make_vec(id, num_envs=n, vectorization_mode="async")`` steps environments in processes, too: when
+one of them is killed, it raises whatever its pipe gives (``EOFError``, ``ConnectionResetError``), and the
+other workers go on until the program ends.
+"""
+
+from collections.abc import Callable, Iterable, Sequence
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from typing import Any, NoReturn
 
-from gymnasium.vector import AsyncVectorEnv, AutoresetMode
-
-from bulletarm_gym.env import ManipulationEnv
-from bulletarm_gym.extensions import by_path
+import gymnasium
+from gymnasium.vector import AsyncVectorEnv
 
 
 class WorkerError(RuntimeError):
@@ -19,26 +21,20 @@ class WorkerError(RuntimeError):
 class ParallelEnv(AsyncVectorEnv):
     """Gymnasium's ``AsyncVectorEnv`` that neither hangs nor leaves workers behind when one of them fails.
 
-    Observations come through shared memory; autoreset modes are Gymnasium's.
+    A worker's error arrives with its traceback, a killed worker is named, and either ends all of them::
 
-    :param num_envs: worker processes
-    :param autoreset_mode: when a finished environment is reset
-    :param context: how processes start: ``"fork"``, ``"forkserver"``, ``"spawn"``; None for the default
-    :param parameters: of the environments, see :class:`~bulletarm_gym.env.ManipulationEnv`
-    :raises ValueError: ``num_envs`` is not positive, or a parameter is wrong
+        make = partial(gymnasium.make, "bulletarm_gym:BulletArm/CloseLoopBlockPicking-v0", obs_size=64)
+        environments = ParallelEnv([make] * 4)
+
+    :param env_fns: make an environment each, in a process of its own
+    :param options: of ``AsyncVectorEnv``, such as ``context="spawn"`` or ``autoreset_mode="SameStep"``
+    :raises ValueError: there is no environment to make, or a parameter of one is wrong
     """
 
-    def __init__(
-        self,
-        num_envs: int,
-        autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
-        context: str | None = None,
-        **parameters: Any,
-    ) -> None:
-        if num_envs < 1:
-            raise ValueError(f"num_envs: got {num_envs}, takes at least 1")
-        make = partial(ManipulationEnv, **by_path(parameters))
-        super().__init__([make] * num_envs, context=context, autoreset_mode=autoreset_mode)
+    def __init__(self, env_fns: Sequence[Callable[[], gymnasium.Env[Any, Any]]], **options: Any) -> None:
+        if not env_fns:
+            raise ValueError("env_fns: got none, takes at least one")
+        super().__init__(env_fns, **options)
 
     def _check_spaces(self) -> None:
         """Begin to watch the workers, before the first word from them."""

@@ -13,12 +13,12 @@ ROOT = Path(__file__).resolve().parent.parent
 
 # A room (module or subpackage of bulletarm_gym) may import rooms of its own layer and of those before it.
 LAYERS = (
-    {"geometry", "footprint", "config", "compilation", "extensions", "plain"},
+    {"geometry", "footprint", "config", "compilation", "extensions", "plain", "time_limit", "values"},
     {"simulation"},
     {"robots", "objects", "surfaces", "sensors"},
     {"scene"},
     {"relations", "placement"},
-    {"tasks", "control", "planners"},
+    {"tasks", "control", "planners", "feasibility"},
     {"env"},
     {"episodes"},
     {"registration"},

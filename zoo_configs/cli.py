@@ -8,11 +8,13 @@ import select
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from importlib import metadata
 from typing import NamedTuple
 
 from zoo_configs.errors import CommandError, reason, unknown_name
 
 PROGRAM = "bulletarm-zoo"
+DISTRIBUTION = "bulletarm-gym"
 TRACEBACK = "--traceback"
 EXIT_OK = 0
 EXIT_USAGE = 2
@@ -72,9 +74,7 @@ def _run(name: str, arguments: Sequence[str]) -> None:
     if name in ("-h", "--help"):
         print(usage())
     elif name == "--version":
-        from bulletarm_gym import __version__
-
-        print(f"{PROGRAM} {__version__}")
+        print(f"{PROGRAM} {metadata.version(DISTRIBUTION)}")
     elif name in COMMANDS:
         importlib.import_module(COMMANDS[name].module).main(arguments)
     else:

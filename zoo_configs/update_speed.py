@@ -135,9 +135,12 @@ def _peak_gigabytes(device: th.device) -> float:
 def _times(function: Callable[[], None], seconds: float) -> Iterator[float]:
     end = time.perf_counter() + seconds
     function()  # the first takes longer
-    while (start := time.perf_counter()) < end:
+    while True:
+        start = time.perf_counter()
         function()
         yield time.perf_counter() - start
+        if time.perf_counter() > end:
+            return
 
 
 def _median(times: list[float]) -> float:

@@ -9,8 +9,9 @@ from gymnasium import spaces
 from numpy.typing import ArrayLike, NDArray
 
 from bulletarm_gym.config import EnvConfig
-from bulletarm_gym.control.control import MAX_HEIGHT, Control, holding
+from bulletarm_gym.control.control import MAX_HEIGHT, POINTS, Control, holding, over
 from bulletarm_gym.geometry import Pose, Vector, wrap_angle
+from bulletarm_gym.robots import OutOfReachError
 from bulletarm_gym.scene import Scene
 from bulletarm_gym.sensors.overlays import fill_rectangles, rectangle_mask
 from bulletarm_gym.tasks import Task, Waypoint
@@ -60,7 +61,8 @@ class CloseLoop(Control[DeltaMove]):
 
     def __init__(self, config: EnvConfig, scene: Scene, task: Task) -> None:
         height = min(max(START_HEIGHT, config.workspace[2][0]), config.workspace[2][1])
-        super().__init__(config, scene, Pose.planar(*config.centre, height))
+        extremes = (Pose.planar(*position) for position in over(config, config.workspace[2], POINTS))
+        super().__init__(config, scene, Pose.planar(*config.centre, height), extremes)
         self._overlays = task.overlays
         self._workspace = config.workspace
         self._size = config.obs_size
@@ -97,12 +99,15 @@ class CloseLoop(Control[DeltaMove]):
     def apply(self, scene: Scene, move: DeltaMove) -> bool:
         """Carry out a move: the arm first, then the gripper.
 
-        :return: whether the move was ignored; a close-loop move never is
+        :return: whether the move was ignored, being out of reach: in a workspace that was checked hardly ever
         """
         hand = scene.robot.pose
         limits = zip(hand.position, move.translation, self._workspace, strict=True)
         x, y, z = (min(max(now + delta, low), high) for now, delta, (low, high) in limits)
-        scene.robot.move_to(Pose.planar(x, y, z, hand.yaw + move.rotation))
+        try:
+            scene.robot.move_to(Pose.planar(x, y, z, hand.yaw + move.rotation))
+        except OutOfReachError:
+            return True
         scene.robot.set_opening(move.opening)
         return False
 

@@ -1,7 +1,9 @@
 """What every control does: read actions, act on a scene, look at it."""
 
+import itertools
+import math
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import Any, Generic, TypeVar
 
 import numpy as np
@@ -9,12 +11,16 @@ from gymnasium import spaces
 from numpy.typing import ArrayLike, NDArray
 
 from bulletarm_gym.config import EnvConfig, ParameterError
-from bulletarm_gym.geometry import Pose
+from bulletarm_gym.geometry import Pose, Vector
+from bulletarm_gym.robots.robot import LEVEL
 from bulletarm_gym.scene import Scene
 from bulletarm_gym.tasks import Waypoint
 
 MAX_HEIGHT = 0.4
 """Largest value (m) of a heightmap or depth image."""
+
+POINTS = 5
+"""Positions a side of the workspace at which the arm's reach is checked."""
 
 Move = TypeVar("Move")
 
@@ -25,15 +31,22 @@ class Control(ABC, Generic[Move]):
     :param config: the environment's parameters
     :param scene: what is acted on
     :param home: of the fingertips when an episode begins
+    :param extremes: where actions may ask them to go
     :raises ParameterError: the arm does not reach there
     """
 
     observation_space: spaces.Dict
 
-    def __init__(self, config: EnvConfig, scene: Scene, home: Pose) -> None:
+    def __init__(self, config: EnvConfig, scene: Scene, home: Pose, extremes: Iterable[Pose]) -> None:
         if not scene.robot.reaches(home):
             takes = f"one whose middle robot={config.robot!r} reaches at a height of {home.z:g} m"
-            raise ParameterError("workspace", config.workspace, takes)
+            raise ParameterError.of("workspace", config.workspace, takes)
+        far = next((pose for pose in extremes if not scene.robot.reaches(pose)), None)
+        if far is not None:
+            point = ", ".join(f"{value:g}" for value in far.position)
+            tilt = f" tilted by {math.degrees(far.tilt):.0f} degrees" if far.tilt > LEVEL else ""
+            takes = f"one all of which robot={config.robot!r} reaches, but not ({point}){tilt}"
+            raise ParameterError.of("workspace", config.workspace, takes)
         self._sequence = config.action_sequence
         self._home = home
         self.action_space = spaces.Box(-1.0, 1.0, (len(self._sequence),), np.float32)
@@ -91,6 +104,12 @@ class Control(ABC, Generic[Move]):
 
     def set_state(self, state: Any) -> None:
         """Return to a state."""
+
+
+def over(config: EnvConfig, heights: Iterable[float], points: int) -> Iterator[Vector]:
+    """Yield positions (m) all over the workspace, ``points`` a side, the border included, at some heights."""
+    xs, ys = (np.linspace(low, high, points).tolist() for low, high in config.workspace[:2])
+    return itertools.product(xs, ys, heights)
 
 
 def holding(scene: Scene) -> NDArray[np.float32]:

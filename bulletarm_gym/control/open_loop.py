@@ -1,5 +1,6 @@
 """Open-loop control: each action is a whole pick or place (paper, Open-loop Environments)."""
 
+import itertools
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -9,7 +10,7 @@ from gymnasium import spaces
 from numpy.typing import ArrayLike, NDArray
 
 from bulletarm_gym.config import EnvConfig
-from bulletarm_gym.control.control import MAX_HEIGHT, Control, holding
+from bulletarm_gym.control.control import MAX_HEIGHT, POINTS, Control, holding, over
 from bulletarm_gym.geometry import Pose, Vector, euler_angles, euler_pose, matrix
 from bulletarm_gym.robots import Robot
 from bulletarm_gym.scene import Scene
@@ -30,6 +31,10 @@ RELEASE = 0.008
 """Distance (m) that the fingers open to let go; they open all the way when they are out of the way."""
 MAX_TILT = math.pi / 4.0
 """Greatest turn (rad) about the gripper's y and x axes."""
+TILT = math.pi / 12.0
+"""The mean slope of ramps (rad), by which ..."""
+TILTED_Z = (0.02, 0.2)
+"""... the gripper must be able to tilt over the whole workspace, at these heights (m) above its floor."""
 APPROACH = 0.1
 """How far (m) behind its target the gripper begins to come straight in, as in the original release."""
 RETREAT = 0.05
@@ -75,7 +80,9 @@ class OpenLoop(Control[PickPlace]):
 
     def __init__(self, config: EnvConfig, scene: Scene, task: Task) -> None:
         floor = config.workspace[2][0]
-        super().__init__(config, scene, Pose.planar(*config.centre, floor + HOME_HEIGHT))
+        super().__init__(
+            config, scene, Pose.planar(*config.centre, floor + HOME_HEIGHT), _extremes(config, floor)
+        )
         self._scene = scene
         self._hints = task.hints
         self._config = config
@@ -259,6 +266,20 @@ class OpenLoop(Control[PickPlace]):
     def set_state(self, state: bytes) -> None:
         """Return to a state."""
         self._in_hand = np.frombuffer(state, np.float32).reshape(self._in_hand.shape).copy()
+
+
+def _extremes(config: EnvConfig, floor: float) -> Iterator[Pose]:
+    """Yield poses that must be in reach: upright at all heights of actions, and tilted where they tilt.
+
+    Steeper ones may be out of reach at the border; such an action is ignored.
+    """
+    for position in over(config, (floor, floor + MAX_Z, floor + MAX_Z + APPROACH), POINTS):
+        yield Pose.planar(*position)
+    if config.action_sequence.count("r") == len(ANGLES):
+        for position in over(config, (floor + TILTED_Z[0], floor + TILTED_Z[1]), 3):
+            for theta, tilt in itertools.product((0.0, math.pi / 2.0), (-TILT, TILT)):
+                yield euler_pose(position, (tilt, 0.0, theta))
+                yield euler_pose(position, (0.0, tilt, theta))
 
 
 def _names(sequence: str) -> list[str]:

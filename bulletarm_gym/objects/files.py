@@ -4,6 +4,8 @@ As in Bullet, each named part of an OBJ file becomes one convex hull. A URDF giv
 colour of one rigid link; its placeholder inertia is not used, a body has that of its shape.
 """
 
+import os
+import warnings
 from collections.abc import Iterator
 from pathlib import Path
 from xml.etree import ElementTree
@@ -24,21 +26,40 @@ GREY: Colour = (0.7, 0.7, 0.7, 1.0)
 def load_folder(folder: str) -> tuple[BodySpec, ...]:
     """Return the objects of all files in a folder and the folders within it, sorted by path.
 
-    Where a folder has URDF files, OBJ files in it are taken to be their parts.
+    Where a folder has URDF files, OBJ files in it are taken to be their parts. Symbolic links are followed.
+    Files that cannot be loaded are left out, with one warning that names them and the reasons.
 
-    :raises ValueError: there is no such file, or one cannot be loaded; the message names file and reason
+    :raises ValueError: there is no such file, or none can be loaded; the message names files and reasons
     """
     paths = sorted(_object_files(Path(folder)))
     if not paths:
         raise ValueError(f"object_set: {folder!r} holds no .obj and no .urdf file")
-    return tuple(load_object(path, str(path.relative_to(folder))) for path in paths)
+    specs, faults = [], []
+    for path in paths:
+        try:
+            specs.append(load_object(path, str(path.relative_to(folder))))
+        except ValueError as error:
+            faults.append(str(error))
+    if not specs:
+        raise ValueError("; ".join(faults))
+    if faults:
+        warnings.warn(f"{len(faults)} of {len(paths)} files are left out: {'; '.join(faults)}", stacklevel=2)
+    return tuple(specs)
 
 
 def _object_files(folder: Path) -> Iterator[Path]:
-    urdfs = list(folder.rglob("*.urdf"))
-    described = {path.parent for path in urdfs}
-    yield from urdfs
-    yield from (path for path in folder.rglob("*.obj") if path.parent not in described)
+    for parent, names in _walk(folder):
+        described = [name for name in names if name.endswith(".urdf")]
+        yield from (parent / name for name in described or names if name.endswith((".urdf", ".obj")))
+
+
+def _walk(folder: Path) -> Iterator[tuple[Path, list[str]]]:
+    """Yield each folder with the names of its files; one that links lead back to comes once."""
+    known: set[str] = set()
+    for parent, folders, files in os.walk(folder, followlinks=True):
+        known.add(os.path.realpath(parent))
+        folders[:] = [name for name in sorted(folders) if os.path.realpath(Path(parent, name)) not in known]
+        yield Path(parent), files
 
 
 def load_object(path: Path, name: str) -> BodySpec:

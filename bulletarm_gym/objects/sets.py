@@ -9,6 +9,6 @@ def object_set(folder: str | None) -> tuple[BodySpec, ...]:
     """Return the objects of a set, always in the same order.
 
     :param folder: None for the 86, or where OBJ or URDF files are
-    :raises ValueError: the folder has no such file, or one that cannot be loaded
+    :raises ValueError: the folder has no such file that can be loaded
     """
     return graspables() if folder is None else load_folder(folder)

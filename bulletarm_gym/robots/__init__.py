@@ -1,23 +1,28 @@
 """Who acts: arms with their grippers."""
 
+from collections.abc import Callable
+
 from bulletarm_gym.extensions import produce
 from bulletarm_gym.robots.gripper import Gripper, ParallelJaw
 from bulletarm_gym.robots.kuka import KUKA
 from bulletarm_gym.robots.model import RobotModel
 from bulletarm_gym.robots.panda import PANDA
-from bulletarm_gym.robots.robot import Robot, RobotState
+from bulletarm_gym.robots.robot import OutOfReachError, Robot, RobotState
 from bulletarm_gym.robots.ur5 import UR5, UR5_ROBOTIQ
 
 ROBOTS = {model.name: model for model in (KUKA, PANDA, UR5, UR5_ROBOTIQ)}
 """The arms that the parameter ``robot`` takes."""
 
 
-def find_robot(name: str) -> RobotModel:
-    """Return one of :data:`ROBOTS`, or a user's arm by its import path ``"module:name"``.
+def find_robot(source: str | RobotModel | Callable[[], RobotModel]) -> RobotModel:
+    """Return an arm.
 
+    :param source: the name of one of :data:`ROBOTS`, a user's model, the function that makes it, or the
+        import path ``"module:name"`` of either
     :raises ValueError: nothing is found there, or something else
     """
-    model = ROBOTS[name] if name in ROBOTS else produce(name, RobotModel)
+    known = ROBOTS.get(source) if isinstance(source, str) else None
+    model = known or produce(source, RobotModel)
     assert isinstance(model, RobotModel)
     return model
 
@@ -29,6 +34,7 @@ __all__ = [
     "UR5",
     "UR5_ROBOTIQ",
     "Gripper",
+    "OutOfReachError",
     "ParallelJaw",
     "Robot",
     "RobotModel",

@@ -62,6 +62,10 @@ GIVING_WAY = 0.2
 """Share of the stroke by which fingers that were pushed shut are left so, as long as the command stays."""
 
 
+class OutOfReachError(ValueError):
+    """The fingertips cannot be brought to a pose."""
+
+
 @dataclass(frozen=True)
 class RobotState:
     """What the arm remembers besides its joints.
@@ -149,7 +153,7 @@ class Robot:
     def inverse_kinematics(self, pose: Pose) -> tuple[float, ...]:
         """Return joint positions (rad) for a pose of the fingertips, each joint turned the nearest way.
 
-        :raises ValueError: the pose is out of reach
+        :raises OutOfReachError: the fingertips cannot be brought there
         """
         now = self._arm.positions(self._world)
         goal = self._solve(pose)
@@ -164,7 +168,9 @@ class Robot:
     def _solve(self, pose: Pose) -> list[float]:
         joints, error = self.model.inverse(pose)
         if error > POSITION_TOLERANCE:
-            raise ValueError(f"robot {self.model.name!r} cannot reach {pose}: {error:.4f} m or rad remain")
+            raise OutOfReachError(
+                f"robot {self.model.name!r} cannot reach {pose}: {error:.4f} m or rad remain"
+            )
         solution: list[float] = joints.tolist()
         return solution
 
@@ -186,7 +192,7 @@ class Robot:
         """Bring the fingertips to a pose; a blocked arm stops on the way.
 
         :param careful: go slowly where something may be pushed; not needed on the way back from it
-        :raises ValueError: the pose is out of reach
+        :raises OutOfReachError: the fingertips cannot be brought there
         """
         start, goal = self.pose, self.inverse_kinematics(pose)
         distance = _distance(start, pose)
@@ -218,15 +224,16 @@ class Robot:
         """Bring the fingertips and what they hold to a pose, over everything that is in between.
 
         From where the gripper touches nothing it can go straight up, and where it will touch nothing it can
-        come straight down; so only the two ends decide whether this needs simulation.
+        come straight down; so only the two ends decide whether this needs simulation. Where the arm does not
+        reach over everything, it goes from one place that it reaches on the way to the next.
 
-        :raises ValueError: the pose is out of reach
+        :raises OutOfReachError: the fingertips cannot be brought there
         """
         goal = self.inverse_kinematics(pose)
         if self.fast and self.is_apart() and self._jump(goal):
             self._begin_anew()
             return
-        for stop in _stops(self.pose, pose):
+        for stop in filter(self.reaches, _stops(self.pose, pose)):
             self.move_to(stop)
             self._begin_anew()
 

@@ -1,7 +1,7 @@
 """The only room that talks to PyBullet: connection, bodies, motion, snapshot, camera."""
 
 from bulletarm_gym.simulation.camera import Camera
-from bulletarm_gym.simulation.client import Client
+from bulletarm_gym.simulation.client import Client, has_display
 from bulletarm_gym.simulation.shapes import BodySpec, Box, Colour, Convex, Piece
 from bulletarm_gym.simulation.world import Body, Physics, World, WorldState
 
@@ -17,4 +17,5 @@ __all__ = [
     "Piece",
     "World",
     "WorldState",
+    "has_display",
 ]

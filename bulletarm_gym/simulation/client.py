@@ -20,7 +20,7 @@ class Client:
     """
 
     def __init__(self, gui: bool = False) -> None:
-        if gui and not _has_display():
+        if gui and not has_display():
             raise RuntimeError(
                 'render_mode="human" opens a window, but no display was found '
                 "(DISPLAY and WAYLAND_DISPLAY are not set); "
@@ -57,6 +57,7 @@ def _disconnect(client_id: int) -> None:
         pybullet.disconnect(client_id)
 
 
-def _has_display() -> bool:
+def has_display() -> bool:
+    """Whether a window can be opened."""
     needs_server = sys.platform.startswith("linux")
     return not needs_server or any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY"))

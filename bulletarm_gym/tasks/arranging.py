@@ -7,7 +7,7 @@ import numpy as np
 
 from bulletarm_gym.config import OPEN_LOOP, EnvConfig, TaskDefaults, TrayUse
 from bulletarm_gym.geometry import Pose, planar_distance, wrap_angle
-from bulletarm_gym.objects.bottles import BOTTLES, TRAY, TRAY_FLOOR, bottle, bottle_tray
+from bulletarm_gym.objects.bottles import BOTTLES, HEIGHT, TRAY, TRAY_FLOOR, bottle, bottle_tray
 from bulletarm_gym.placement import lay_apart
 from bulletarm_gym.relations import at_rest, is_empty, touching, upright
 from bulletarm_gym.scene import Item, Role, Scene, shaped
@@ -47,6 +47,11 @@ class BottleArrangement(Task):
     )
     controls = (OPEN_LOOP,)
     site = TRAY[:2]
+
+    @property
+    def height(self) -> float:
+        """Up to the middle of a bottle in the tray."""
+        return TRAY_FLOOR + HEIGHT * max(self.config.scales) / 2.0
 
     @property
     def hints(self) -> Hints:

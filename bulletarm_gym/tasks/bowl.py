@@ -8,6 +8,8 @@ import numpy as np
 from bulletarm_gym.config import CLOSE_LOOP, EnvConfig, TaskDefaults
 from bulletarm_gym.geometry import planar_distance
 from bulletarm_gym.objects import bowl, cube
+from bulletarm_gym.objects.blocks import CUBE_SIZE
+from bulletarm_gym.objects.bowl import HEIGHT
 from bulletarm_gym.placement import scatter, stand
 from bulletarm_gym.relations import at_rest, is_empty, is_held, touching, upright
 from bulletarm_gym.scene import Role, Scene, scaled
@@ -38,6 +40,11 @@ class BlockInBowl(Task):
 
     defaults = TaskDefaults(num_objects=2, allowed_objects=(2,))
     controls = (CLOSE_LOOP,)
+
+    @property
+    def height(self) -> float:
+        """The gripper must get over the rim with half a cube below it."""
+        return (HEIGHT + CUBE_SIZE / 2.0) * max(self.config.scales)
 
     def bodies(self, config: EnvConfig) -> list[Role]:
         """Return cube and bowl."""

@@ -17,6 +17,7 @@ from bulletarm_gym.geometry import (
     planar_distance,
     wrap_angle,
 )
+from bulletarm_gym.objects.blocks import CUBE_SIZE
 from bulletarm_gym.objects.sets import object_set
 from bulletarm_gym.placement import ARRANGEMENTS
 from bulletarm_gym.relations import TOUCHING
@@ -107,6 +108,12 @@ class ObjectGrasping(Task):
         takes_object_set=True,
     )
     controls = (CLOSE_LOOP,)
+    rehearsals = 1  # each drops all objects, up to as many times as a reset does
+
+    @property
+    def height(self) -> float:
+        """Up to where the gripper must lift."""
+        return LIFTED
 
     def bodies(self, config: EnvConfig) -> list[Role]:
         """Return all objects of the set, each in one size.
@@ -257,6 +264,11 @@ class OpenLoopObjectGrasping(ObjectGrasping):
     )
     controls = (OPEN_LOOP,)
     one_decision = True
+
+    @property
+    def height(self) -> float:
+        """Above what lies in the tray; nothing need be lifted."""
+        return CUBE_SIZE * max(self.config.scales)
 
     @property
     def hints(self) -> Hints:

@@ -60,6 +60,11 @@ class CornerPicking(Task):
     )
     controls = (CLOSE_LOOP,)
 
+    @property
+    def height(self) -> float:
+        """Up to where the gripper must lift."""
+        return LIFTED
+
     def bodies(self, config: EnvConfig) -> list[Role]:
         """Return the cube and the corner."""
         return [scaled(config, "cube", cube), Role("corner", (corner("corner"),))]

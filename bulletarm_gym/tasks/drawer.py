@@ -47,6 +47,11 @@ class DrawerOpening(Task):
     )
     controls = (CLOSE_LOOP,)
 
+    @property
+    def height(self) -> float:
+        """The gripper must get over the handle."""
+        return HANDLE[2] + HANDLE_RADIUS
+
     def bodies(self, config: EnvConfig) -> list[Role]:
         """Return the cabinet with its drawer."""
         return [Role("drawer", (drawer("drawer"),))]

@@ -62,6 +62,11 @@ class BinPacking(Task):
     site = (BIN[1], BIN[0])
 
     @property
+    def height(self) -> float:
+        """Blocks may be as high as the rim."""
+        return BIN[2]
+
+    @property
     def hints(self) -> Hints:
         """Blocks are grasped near their tops."""
         return Hints(pick_offset=PICK_OFFSET * max(self.config.scales), opening=OPENING)

@@ -2,11 +2,12 @@
 
 import math
 from collections.abc import Iterator
+from contextlib import suppress
 
 import numpy as np
 
 from bulletarm_gym.config import OPEN_LOOP, EnvConfig, TaskDefaults, TrayUse
-from bulletarm_gym.footprint import Footprint
+from bulletarm_gym.footprint import Footprint, PlacementError
 from bulletarm_gym.geometry import Pose, wrap_angle
 from bulletarm_gym.objects.palletizing import BOX, PALLET, pallet, palletizing_box
 from bulletarm_gym.placement import draw_until, footprint, free_pose, set_down
@@ -60,6 +61,12 @@ class BoxPalletizing(Task):
     site = (PALLET[1], PALLET[0])
 
     @property
+    def height(self) -> float:
+        """Up to the middle of a box of the uppermost layer."""
+        layers = self.config.num_objects // LAYER
+        return PALLET[2] + (layers - 0.5) * BOX[2] * max(self.config.scales)
+
+    @property
     def hints(self) -> Hints:
         """The fingers close a little above a box's middle."""
         return Hints(pick_offset=PICK_OFFSET * max(self.config.scales))
@@ -77,13 +84,14 @@ class BoxPalletizing(Task):
         self._appear(scene, rng)
 
     def after_action(self, scene: Scene, rng: np.random.Generator) -> None:
-        """Have the next box appear when all others stand in their places."""
+        """Have the next box appear when all others stand in their places; if there is no room, later."""
         boxes = self._boxes(scene)
         done = len(boxes) < self.config.num_objects and len(self._right(scene)) == len(boxes)
         if done and is_empty(scene) and at_rest(scene):
-            self._appear(scene, rng)
-            scene.begin()
-            scene.settle()
+            with suppress(PlacementError):
+                self._appear(scene, rng)
+                scene.begin()
+                scene.settle()
 
     def _appear(self, scene: Scene, rng: np.random.Generator) -> None:
         """Put the next box on the ground, where the hand over it has room beside the pallet.

@@ -31,6 +31,11 @@ class BlockPicking(Task):
     defaults = TaskDefaults(num_objects=1)
     controls = (CLOSE_LOOP,)
 
+    @property
+    def height(self) -> float:
+        """Up to where the gripper must lift."""
+        return LIFTED
+
     def bodies(self, config: EnvConfig) -> list[Role]:
         """Return the cube."""
         return [scaled(config, "cube", cube)]

@@ -20,6 +20,7 @@ from bulletarm_gym.tasks.task import Task, Waypoint
 GAP = 2.4
 """Least distance of the blocks' centres, in largest block sides, as in the original BulletArm release."""
 YAW_SPREAD = math.pi / 4.0
+LEAST_BLOCKS = 2
 
 
 class BlockStacking(Task):
@@ -93,6 +94,9 @@ def check_height(config: EnvConfig) -> None:
     """
     side, top = CUBE_SIZE * max(config.scales), config.workspace[2][1]
     most = int((top - PASSING) / side + 0.5)
+    if most < LEAST_BLOCKS:
+        takes = f"one high enough to put one block of {side:.3f} m on another"
+        raise ParameterError.of("workspace", config.workspace, takes)
     if config.num_objects > most:
         takes = f"at most {most} blocks of {side:.3f} m in a workspace {top:.3f} m high"
-        raise ParameterError("num_objects", config.num_objects, takes)
+        raise ParameterError.of("num_objects", config.num_objects, takes)

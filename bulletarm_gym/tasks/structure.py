@@ -53,6 +53,11 @@ class Structure(Task):
         width = self.width * max(config.scales) + 4.0 * ASTRAY
         self.site = (width, 3.0 * width if len(self.layers[0]) > 1 else width)
 
+    @property
+    def height(self) -> float:
+        """Up to the middle of the uppermost block."""
+        return (len(self.layers) - 0.5) * CUBE_SIZE * max(self.config.scales)
+
     @cached_property
     def blueprint(self) -> Blueprint:
         """The structure."""

@@ -82,6 +82,8 @@ class Task(ABC):
     """Names of the controls the task can be solved with."""
     one_decision: ClassVar[bool] = False
     """Whether every action ends the episode."""
+    rehearsals: ClassVar[int] = 8
+    """Starts arranged at most to see whether there is room, where objects or workspace are not its own."""
     site: Point = SITE
     """Width and length (m) of the base of what is built: ramps and bumps leave level ground for it."""
 
@@ -94,6 +96,11 @@ class Task(ABC):
     def hints(self) -> Hints:
         """What open-loop control must know: by default grasps go half a largest cube deep."""
         return Hints(pick_offset=CUBE_SIZE * max(self.config.scales) / 2.0)
+
+    @property
+    def height(self) -> float:
+        """Height (m) above which the workspace must reach for the task to be solved: of a largest cube."""
+        return CUBE_SIZE * max(self.config.scales)
 
     @abstractmethod
     def bodies(self, config: EnvConfig) -> list[Role]:

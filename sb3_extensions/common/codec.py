@@ -97,6 +97,14 @@ class SpatialActionCodec:
         }
         bounds = {"z": z_bounds, "theta": theta_bounds, "phi": (-tilt_bound, tilt_bound)}
         self._bounds = {**bounds, "psi": bounds["phi"]}
+        # Of each yaw: by how many half turns an action's differs from it, to be within the bounds
+        low, high = theta_bounds
+        outside = (grids["theta"] < low) | (grids["theta"] > high)
+        self._half_turns = np.where(outside, np.ceil((low - grids["theta"]) / math.pi), 0.0)
+        if (grids["theta"] + self._half_turns * math.pi > high).any():
+            raise ValueError(
+                f"theta_bounds must span the {num_rotations} yaws of half a turn, got {theta_bounds}"
+            )
         self.grids = {name: grids[name] for name in NAMES if name in self.numbers and name in grids}
         """Values of each index behind the pixel's, m or rad, in order."""
 
@@ -145,14 +153,20 @@ class SpatialActionCodec:
         :return: in [-1, 1], (n, numbers of an action)
         """
         row, column, *others = np.asarray(indices).T
+        flipped = np.zeros(len(row), dtype=bool)
         values = {
             "p": np.where(places, 1.0, -1.0),
             "x": (2 * row + 1) / self.size - 1.0,
             "y": (2 * column + 1) / self.size - 1.0,
         }
         for (name, grid), index in zip(self.grids.items(), others, strict=True):
-            low, high = self._bounds[name]
-            values[name] = 2.0 * (self._within(name, grid[index]) - low) / (high - low) - 1.0
+            (low, high), value = self._bounds[name], grid[index]
+            if name == "theta":
+                value = value + self._half_turns[index] * math.pi
+                flipped = self._half_turns[index] % 2 != 0
+            elif name in ANGLES:
+                value = np.where(flipped, -value, value)
+            values[name] = 2.0 * (value - low) / (high - low) - 1.0
         return np.stack([values[name] for name in self.numbers], axis=1).astype(np.float32)
 
     def snap(self, actions: npt.NDArray[np.floating]) -> Actions:
@@ -179,11 +193,6 @@ class SpatialActionCodec:
     def _physical(self, name: str, values: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         low, high = self._bounds[name]
         return low + (values + 1.0) / 2.0 * (high - low)
-
-    def _within(self, name: str, values: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        """A yaw's equal within its bounds, half turns away."""
-        low, high = self._bounds[name]
-        return low + (values - low) % math.pi if name == "theta" and high - low <= math.pi else values
 
 
 def _numbers(sequence: str) -> tuple[str, ...]:

@@ -8,18 +8,21 @@ from typing import Any
 from stable_baselines3.common.policies import BasePolicy
 
 from sb3_extensions.networks.extractors import StackedImage
+from sb3_extensions.networks.views import SceneView
 from sb3_extensions.replay.buffer import FrameReplayBuffer
 
 
 def follow_extractor(buffer_kwargs: Mapping[str, Any], policy_kwargs: Mapping[str, Any]) -> dict[str, Any]:
     """
-    Let the buffer store images as the features extractor rounds them, where it is not told otherwise.
+    Let the buffer store images as the policy or its features extractor rounds them, where it is not told
+    otherwise.
 
     :param buffer_kwargs: arguments of a replay buffer
     :param policy_kwargs: arguments of a policy
     :return: arguments of the replay buffer
     """
-    quantise = policy_kwargs.get("features_extractor_kwargs", {}).get("quantise")
+    extractor_kwargs = policy_kwargs.get("features_extractor_kwargs", {})
+    quantise = policy_kwargs.get("quantise", extractor_kwargs.get("quantise"))
     return {"image_dtype": quantise, **buffer_kwargs} if quantise else dict(buffer_kwargs)
 
 
@@ -28,17 +31,17 @@ def check_rounding(buffer: FrameReplayBuffer, policy: BasePolicy) -> None:
     Check that an agent sees images as it is trained on them.
 
     :param buffer: what stores them
-    :param policy: what sees them; features extractors other than ours are left to their user
+    :param policy: what sees them; networks other than ours are left to their user
     :raises ValueError: if they are rounded in two ways
     """
     stored = buffer.frames.image_dtype
     for stack in _stacks(policy):
         if stored is not None and stack.has_float_images and stack.quantise != stored:
             raise ValueError(
-                f"the replay buffer stores images with image_dtype={stored!r}, but the features extractor "
+                f"the replay buffer stores images with image_dtype={stored!r}, but the policy "
                 f"rounds them with quantise={stack.quantise!r}: give both the same"
             )
 
 
-def _stacks(policy: BasePolicy) -> Iterator[StackedImage]:
-    return (module for module in policy.modules() if isinstance(module, StackedImage))
+def _stacks(policy: BasePolicy) -> Iterator[StackedImage | SceneView]:
+    return (module for module in policy.modules() if isinstance(module, StackedImage | SceneView))

@@ -22,7 +22,7 @@ class SnappingHand:
     :param action_space: of the environment
     :param codec: the grid
     :param hand: what happens to the actions before, None: nothing
-    :raises ValueError: if the space is no Box
+    :raises ValueError: if the space is no Box, or has no bounds
     """
 
     action_space: gym.Space[Actions]
@@ -30,7 +30,7 @@ class SnappingHand:
     hand: Hand | None = None
 
     def __post_init__(self) -> None:
-        if not isinstance(self.action_space, spaces.Box):
+        if not isinstance(self.action_space, spaces.Box) or not self.action_space.is_bounded():
             raise ValueError(f"a grid needs an action space with ranges, a Box, got {self.action_space}")
 
     def __call__(self, action: Actions, rng: np.random.Generator) -> Actions:
@@ -43,8 +43,9 @@ class SnappingHand:
         """
         space = self.action_space
         assert isinstance(space, spaces.Box)
-        wanted = np.clip(action if self.hand is None else self.hand(action, rng), space.low, space.high)
-        share = (wanted - space.low) / (space.high - space.low)
-        snapped = self.codec.snap(2.0 * share[None] - 1.0)[0]
-        done: Actions = space.low + (snapped + 1.0) / 2.0 * (space.high - space.low)
-        return done.clip(space.low, space.high).astype(space.dtype)
+        # In double precision, so that in a space from -1 to 1 it is the grid's number itself
+        low, high = space.low.astype(np.float64), space.high.astype(np.float64)
+        wanted = np.clip(action if self.hand is None else self.hand(action, rng), low, high)
+        snapped = self.codec.snap(2.0 * ((wanted - low) / (high - low))[None] - 1.0)[0]
+        done: Actions = low + (snapped.astype(np.float64) + 1.0) / 2.0 * (high - low)
+        return done.clip(low, high).astype(space.dtype)

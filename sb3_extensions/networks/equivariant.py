@@ -184,6 +184,11 @@ class DynamicEquivariantConv2d(nn.Module):
         """
         return sum(self._sizes)
 
+    @property
+    def num_biases(self) -> int:
+        """How many of the coefficients, the last, are biases."""
+        return self.space.num_biases
+
     def filters(self, coefficients: th.Tensor) -> tuple[th.Tensor, th.Tensor]:
         """Filters, (batch, out channels, in channels, side, side), and biases, (batch, out channels).
 

@@ -10,6 +10,7 @@ from sb3_extensions.networks.unets import initialise_xavier
 
 # Side of the map before the linear layers: 24 pixels become 6, 40 become 5.
 LAST_SIDE = 8
+CONVOLUTIONS = 3  # of the plain networks' encoder
 
 
 class PatchMap(nn.Sequential):
@@ -18,9 +19,12 @@ class PatchMap(nn.Sequential):
 
     :param in_channels: channels of the image
     :param channels: of the three convolutions
+    :raises ValueError: if they are not three
     """
 
     def __init__(self, in_channels: int, channels: Sequence[int]) -> None:
+        if len(channels) != CONVOLUTIONS:
+            raise ValueError(f"{CONVOLUTIONS} in_hand_channels are needed, one a convolution, got {channels}")
         first, second, third = channels
         super().__init__(
             nn.Conv2d(in_channels, first, 3),

@@ -22,7 +22,7 @@ from sb3_extensions.networks.groups import FieldType, Group
 from sb3_extensions.networks.heads import OUTPUT_GAIN, scale_down
 from sb3_extensions.networks.in_hand import PatchMap, PatchVector, mlp
 from sb3_extensions.networks.patches import crop_patches
-from sb3_extensions.networks.pixel_maps import PRIMITIVES, Shapes, of_primitive
+from sb3_extensions.networks.pixel_maps import PRIMITIVES, Shapes, coefficients_of, of_primitive
 from sb3_extensions.networks.projections import orthographic_projections, rotation_matrices
 from sb3_extensions.networks.unets import initialise_xavier
 from sb3_extensions.networks.views import SceneView, View
@@ -183,7 +183,7 @@ class EquivariantRotations(Level):
         if shapes.in_hand is not None:
             self.in_hand = PatchVector(shapes.in_hand[0], shapes.in_hand[1], in_hand_channels, hidden)
         features = hidden[-1] * (1 if self.in_hand is None else 2)
-        self.coefficients = nn.Linear(features, self.dynamic.num_coefficients)
+        self.coefficients = coefficients_of(self.dynamic, features)
         yaws = FieldType.of((group.quotient(2), PRIMITIVES))
         self.head = EquivariantConv2d(types[-1], yaws, 1, gain=OUTPUT_GAIN)
 

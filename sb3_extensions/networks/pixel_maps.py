@@ -29,6 +29,7 @@ from sb3_extensions.networks.unets import equivariant_unet, plain_unet, split_pa
 from sb3_extensions.networks.views import View
 
 PRIMITIVES = 2  # pick and place
+HEAD_CHANNELS = 16  # of the authors' heads for one yaw: with a few, all their ReLUs may be silent for ever
 
 
 @dataclass(frozen=True)
@@ -83,13 +84,18 @@ class PlainPixelMaps(PixelMaps):
     :param channels: of each level, see :func:`~sb3_extensions.networks.unets.plain_unet`
     :param in_hand_channels: of the three convolutions on the in-hand image
     :param rotations: number of yaws
+    :raises ValueError: if the in-hand image is too small, or the convolutions are not three
     """
 
     def __init__(
         self, shapes: Shapes, channels: Sequence[int], in_hand_channels: Sequence[int], rotations: int = 1
     ) -> None:
         super().__init__(rotations, shapes.encoding(channels[-1], len(channels)))
-        self.in_hand = None if shapes.in_hand is None else PatchMap(shapes.in_hand[0], in_hand_channels)
+        self.in_hand: PatchMap | None = None
+        if shapes.in_hand is not None:
+            channels_in_hand, side, _ = shapes.in_hand
+            PatchMap.side(side)  # raises where nothing would be left of it
+            self.in_hand = PatchMap(channels_in_hand, in_hand_channels)
         self.unet = plain_unet(1, channels, 0 if self.in_hand is None else in_hand_channels[-1])
         self.head = nn.Conv2d(channels[0], PRIMITIVES * rotations, 1)
         scale_down(self.head)
@@ -174,7 +180,7 @@ class EquivariantPixelMaps(PixelMaps):
         if shapes.in_hand is not None:
             self.dynamic = DynamicEquivariantConv2d(regular, regular, 3, padding=1)
             encoder = PatchVector(shapes.in_hand[0], shapes.in_hand[1], in_hand_channels, [hidden])
-            self.coefficients = nn.Sequential(encoder, nn.Linear(hidden, self.dynamic.num_coefficients))
+            self.coefficients = nn.Sequential(encoder, coefficients_of(self.dynamic, hidden))
         self.heads = nn.ModuleList(_head(regular, rotations) for _ in range(PRIMITIVES))
 
     def forward(self, view: View) -> tuple[th.Tensor, th.Tensor]:
@@ -198,12 +204,28 @@ def _head(regular: FieldType, rotations: int) -> nn.Sequential:
     if rotations > 1:
         yaws = FieldType.of((group.quotient(2), 1))
         return nn.Sequential(EquivariantConv2d(regular, yaws, 1, gain=OUTPUT_GAIN))
-    hidden, value = (FieldType.of((group.trivial, count)) for count in (regular.fields[0][1], 1))
+    hidden, value = (FieldType.of((group.trivial, count)) for count in (HEAD_CHANNELS, 1))
     return nn.Sequential(
         EquivariantConv2d(regular, hidden, 3, padding=1),
         nn.ReLU(inplace=True),
         EquivariantConv2d(hidden, value, 1, gain=OUTPUT_GAIN),
     )
+
+
+def coefficients_of(dynamic: DynamicEquivariantConv2d, features: int) -> nn.Linear:
+    """
+    A layer that makes the coefficients of a dynamic filter. It begins with a random filter, of the size that
+    others begin with, which what is seen changes a little: a layer that began near zero would silence all
+    that passes the filter, and hardly learn.
+
+    :param dynamic: the convolution with that filter
+    :param features: numbers that come in
+    """
+    layer = nn.Linear(features, dynamic.num_coefficients)
+    nn.init.normal_(layer.bias)
+    with th.no_grad():
+        layer.bias[-dynamic.num_biases :] = 0.0
+    return layer
 
 
 def of_primitive(values: th.Tensor, places: th.Tensor) -> th.Tensor:

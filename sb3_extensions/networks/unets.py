@@ -1,8 +1,8 @@
 """U-Nets from an image to a feature map of the same size: the paper's plain one and its equivariant one.
 
 Both halve the image by max-pooling, once a level, and double it again by bilinear interpolation, beside the
-features of the same size on the way down. Every step keeps the image's centre: rotations by 90 degrees stay
-exact.
+features of the same size on the way down. Every step keeps the centre of an image of an even side: rotations
+by 90 degrees stay exact.
 """
 
 from __future__ import annotations
@@ -144,7 +144,9 @@ def plain_unet(in_channels: int, channels: Sequence[int], other_channels: int) -
     :param in_channels: channels of the image
     :param channels: of each level, from the image down; two or more
     :param other_channels: channels of the second image's features, 0 where there is none
+    :raises ValueError: if there are fewer than two levels
     """
+    check_levels("channels", channels)
     stem = nn.Sequential(nn.Conv2d(in_channels, channels[0], 3, padding=1), nn.ReLU(inplace=True))
     downs: list[nn.Module] = [nn.Sequential(stem, ResidualBlock(channels[0], channels[0]))]
     downs += [ResidualBlock(above, below) for above, below in pairwise(channels[:-1])]
@@ -176,7 +178,9 @@ def equivariant_unet(in_channels: int, group: Group, fields: Sequence[int]) -> U
     :param in_channels: channels of the image, all scalar (trivial fields)
     :param group: the symmetry
     :param fields: regular fields of each level, from the image down; two or more
+    :raises ValueError: if there are fewer
     """
+    check_levels("fields", fields)
 
     def regular(count: int) -> FieldType:
         return FieldType.of((group.regular, count))
@@ -190,6 +194,18 @@ def equivariant_unet(in_channels: int, group: Group, fields: Sequence[int]) -> U
         for side, below, above in _way_up(fields)
     ]
     return UNet(downs, ups)
+
+
+def check_levels(name: str, widths: Sequence[int]) -> None:
+    """
+    Check an argument.
+
+    :param name: of the argument
+    :param widths: of each level
+    :raises ValueError: if there are fewer than two
+    """
+    if len(widths) < 2:
+        raise ValueError(f"{name} must name two levels or more, got {widths}")
 
 
 def initialise_xavier(module: nn.Module) -> None:

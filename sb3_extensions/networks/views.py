@@ -81,8 +81,8 @@ class SceneView(nn.Module):
         in_hand = parts.get(in_hand_key)
         images = {image_key: image} | ({in_hand_key: in_hand} if isinstance(in_hand, spaces.Box) else {})
         for key, space in images.items():
-            if space.shape[1] != space.shape[2]:
-                raise ValueError(f"images must be square, {key!r} is of shape {space.shape}")
+            if len(space.shape) != IMAGE_DIMS or space.shape[1] != space.shape[2]:
+                raise ValueError(f"images must be square, (channels, side, side), {key!r} is {space.shape}")
         mean, deviation = standardise
         if deviation <= 0:
             raise ValueError(f"standardise must have a positive standard deviation, got {tuple(standardise)}")

@@ -17,6 +17,7 @@ SHIFT = 1 / 20
 # Motions drawn for a sample, of which the first that keeps everything in view is taken; none if there is
 # none.
 TRIES = 20
+ROUNDING = 1e-3  # pixels: a turn by a right angle keeps what reaches the border in view
 
 
 class RigidMotion:
@@ -73,7 +74,7 @@ class RigidMotion:
             [_corners(before[self.image_key]), _corners(after[self.image_key]), indices[:, None, :2]], 1
         )
         moved = self._turned(points[:, None].expand(-1, TRIES, -1, -1), turns[..., None]) + shifts[:, :, None]
-        fits = ((moved >= 0) & (moved <= size - 1)).all(dim=3).all(dim=2)
+        fits = ((moved > -ROUNDING) & (moved < size - 1 + ROUNDING)).all(dim=3).all(dim=2)
         first, rows = fits.int().argmax(dim=1), th.arange(count, device=device)
         possible = fits.any(dim=1)
         return turns[rows, first] * possible, shifts[rows, first] * possible[:, None]
@@ -91,21 +92,16 @@ class RigidMotion:
 
     def _moved(self, observations: TensorDict, turns: th.Tensor, shifts: th.Tensor) -> TensorDict:
         """Heightmaps as they would be after the motion, the nearest pixel's height; 0 beyond the border."""
-        image = observations[self.image_key]
-        angle, (down, right) = self._angle(turns), (2.0 * shifts / self.codec.size).unbind(-1)
+        image, size = observations[self.image_key], self.codec.size
+        line = th.arange(size, device=image.device) - (size - 1) / 2.0
+        angle = self._angle(turns)[:, None, None]
         cos, sin = angle.cos(), angle.sin()
-        # Where a pixel was, column before row as grid_sample has them: turned back, after shifting back
-        inverse = th.stack(
-            [
-                th.stack([cos, -sin, -(cos * right - sin * down)], dim=-1),
-                th.stack([sin, cos, -(sin * right + cos * down)], dim=-1),
-            ],
-            dim=1,
-        )
-        grid = F.affine_grid(inverse, list(image.shape), align_corners=False)
+        # Where each pixel was, from the middle: turned back, after shifting back
+        row, column = line[:, None] - shifts[:, 0, None, None], line - shifts[:, 1, None, None]
+        before = th.stack([cos * column - sin * row, cos * row + sin * column], dim=-1) * (2.0 / size)
         return {
             **observations,
-            self.image_key: F.grid_sample(image, grid, mode="nearest", align_corners=False),
+            self.image_key: F.grid_sample(image, before, mode="nearest", align_corners=False),
         }
 
     def _moved_indices(self, indices: th.Tensor, turns: th.Tensor, shifts: th.Tensor) -> th.Tensor:

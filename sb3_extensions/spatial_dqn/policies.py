@@ -63,7 +63,8 @@ class SpatialPolicy(BasePolicy):
     :param holding_key: of whether the gripper holds something
     :param optimizer_class: The optimizer to use, ``th.optim.Adam`` by default
     :param optimizer_kwargs: Additional keyword arguments, excluding the learning rate
-    :raises ValueError: if the action space is not of the sequence, or the networks do not fit the images
+    :raises ValueError: if the action space is not of the sequence or has no ranges, or the networks do not
+        fit the images or the sequence
     """
 
     def __init__(
@@ -96,6 +97,8 @@ class SpatialPolicy(BasePolicy):
                 f"action_sequence={action_sequence!r} names {len(action_sequence)} numbers, "
                 f"the action space is {action_space}"
             )
+        if not action_space.is_bounded():
+            raise ValueError(f"a grid needs an action space with finite ranges, got {action_space}")
         self.action_sequence = action_sequence
         self.codec_kwargs, self.network_kwargs = codec_kwargs or {}, network_kwargs or {}
         self.quantise, self.standardise = quantise, standardise
@@ -186,6 +189,7 @@ class SpatialPolicy(BasePolicy):
 
     def _get_constructor_parameters(self) -> dict[str, Any]:
         data = super()._get_constructor_parameters()
+        del data["normalize_images"]  # what is seen are heights
         data.update(
             lr_schedule=self._dummy_schedule,  # dummy lr schedule, not needed for loading policy alone
             action_sequence=self.action_sequence,
@@ -324,20 +328,11 @@ class EquivariantASRPolicy(SpatialPolicy):
         """:return: the level of the pixel, and those that follow"""
         pixels = EquivariantPixelMaps(shapes, Group(group, n), fields, in_hand_channels, hidden[0])
         widths = Widths(tuple(patch_channels), tuple(patch_hidden))
-        levels: list[Level] = [
-            EquivariantRotations(
-                self.codec,
-                shapes,
-                pixels.encoding_shape,
-                patch_fields,
-                in_hand_channels,
-                hidden,
-                pool_encoding,
-            )
-        ]
-        levels += [
-            DeicticLevel(self.codec, name, shapes, widths, view)
-            for name in self.codec.grids
-            if name != "theta"
-        ]
-        return pixels, levels
+
+        def make_level(name: str) -> Level:
+            if name != "theta":
+                return DeicticLevel(self.codec, name, shapes, widths, view)
+            encoding, conditioned = pixels.encoding_shape, (in_hand_channels, hidden, pool_encoding)
+            return EquivariantRotations(self.codec, shapes, encoding, patch_fields, *conditioned)
+
+        return pixels, [make_level(name) for name in self.codec.grids]

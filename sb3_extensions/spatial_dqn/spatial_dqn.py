@@ -72,10 +72,12 @@ class SpatialDQN(OffPolicyFromDemonstrations):
         as many as steps done in the environment during the rollout
     :param replay_buffer_class: Replay buffer class, ``ExpertReplayBuffer`` (the default) or a subclass
     :param replay_buffer_kwargs: Keyword arguments to pass to the replay buffer on creation; its ``n_steps``
-        and ``gamma`` are the algorithm's, its ``image_dtype`` is what the policy rounds to
+        and ``gamma`` are the algorithm's, its ``image_dtype`` is what the policy rounds to. With
+        ``expert_fraction=None``, which prioritized replay needs, batches are not divided
     :param n_steps: number of rewards that are summed up before the bootstrap
     :param target_update_interval: update the target network every so many gradient steps
-    :param imitation_weight: weight of the imitation term, see the subclasses; without effect in this class
+    :param imitation_weight: weight of the imitation term, see the subclasses; without effect in this class.
+        None takes the paper's: 0.01 for :class:`ADET`, else 0.1
     :param margin: of the imitation terms that have one
     :param exploration_fraction: fraction of entire training period over which the exploration rate is reduced
     :param exploration_initial_eps: initial value of random action probability
@@ -107,6 +109,7 @@ class SpatialDQN(OffPolicyFromDemonstrations):
         "ASRPolicy": ASRPolicy,
         "EquivariantASRPolicy": EquivariantASRPolicy,
     }
+    default_imitation_weight: ClassVar[float] = 0.1
     exploration_schedule: Schedule
     policy: SpatialPolicy
     # Noise in the hand and an expert asked at every step are not on the grid
@@ -130,7 +133,7 @@ class SpatialDQN(OffPolicyFromDemonstrations):
         replay_buffer_kwargs: dict[str, Any] | None = None,
         n_steps: int = 1,
         target_update_interval: int = 100,
-        imitation_weight: float = 0.1,
+        imitation_weight: float | None = None,
         margin: float = 0.1,
         exploration_fraction: float = 0.1,
         exploration_initial_eps: float = 0.0,
@@ -174,7 +177,9 @@ class SpatialDQN(OffPolicyFromDemonstrations):
             supported_action_spaces=(spaces.Box,),
         )
         self.target_update_interval = target_update_interval
-        self.imitation_weight, self.margin = imitation_weight, margin
+        default = self.default_imitation_weight
+        self.imitation_weight = default if imitation_weight is None else imitation_weight
+        self.margin = margin
         self.exploration_fraction = exploration_fraction
         self.exploration_initial_eps = exploration_initial_eps
         self.exploration_final_eps = exploration_final_eps
@@ -205,8 +210,10 @@ class SpatialDQN(OffPolicyFromDemonstrations):
                 raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
 
     def _setup_model(self) -> None:
-        shares = {"expert_fraction": EXPERT_FRACTION, "balanced_from": self.batch_size // 2}
-        self.replay_buffer_kwargs = shares | self.replay_buffer_kwargs
+        shares: dict[str, Any] = {"expert_fraction": EXPERT_FRACTION, **self.replay_buffer_kwargs}
+        if shares["expert_fraction"] is not None:
+            shares.setdefault("balanced_from", max(1, self.batch_size // 2))
+        self.replay_buffer_kwargs = shares
         super()._setup_model()
         self._create_aliases()
         self.exploration_schedule = LinearSchedule(
@@ -310,7 +317,7 @@ class SpatialDQN(OffPolicyFromDemonstrations):
     ) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
         assert isinstance(self._last_obs, dict)
         greedy, _ = self.predict(self._last_obs)
-        scaled = self.policy.scale_action(greedy)
+        scaled = self._as_policy_actions(greedy)
         probability = 1.0 if self.num_timesteps < learning_starts else self.exploration_rate
         if probability > 0:
             scaled = self._explore(scaled, self._last_obs, probability)
@@ -380,8 +387,10 @@ class ADET(SpatialDQN):
     :func:`~sb3_extensions.spatial_dqn.losses.cross_entropy`.
 
     Lakshminarayanan, Ozair and Bengio, "Reinforcement Learning with Few Expert Demonstrations", 2016. All
-    arguments see :class:`SpatialDQN`; ``imitation_weight`` is 0.01 in the paper.
+    arguments see :class:`SpatialDQN`.
     """
+
+    default_imitation_weight: ClassVar[float] = 0.01
 
     def _make_imitation_loss(self) -> ImitationLoss:
         return cross_entropy

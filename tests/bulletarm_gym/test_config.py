@@ -1,17 +1,21 @@
 """Parameters are checked at the door, and errors name what to do."""
 
+import pickle
 from typing import Any
 
+import gymnasium
 import numpy as np
 import pytest
-from rollouts import make_env
+from rollouts import make_env, transcript
 
 from bulletarm_gym.config import PARAMETERS, EnvConfig, ParameterError, TaskDefaults
 
 PICKING = "BulletArm/CloseLoopBlockPicking-v0"
 PULLING = "BulletArm/CloseLoopBlockPulling-v0"
+STACKING = "BulletArm/OpenLoopBlockStacking-v0"
 TASK = TaskDefaults(num_objects=2, max_steps=50, object_scale=0.8, allowed_objects=(2, 3))
 WORKSPACE = [[0.3, 0.6], [-0.15, 0.15], [0.01, 0.25]]
+OPEN_WORKSPACE = [[0.25, 0.65], [-0.2, 0.2], [0.0, 1.0]]
 
 
 def config(**parameters: Any) -> EnvConfig:
@@ -84,6 +88,25 @@ def test_unknown_parameters(name: str, hint: str) -> None:
     assert hint in str(error.value)
 
 
+@pytest.mark.parametrize(
+    ("env_id", "name"), [(PICKING, "frameskip"), (PICKING, "half_rotation"), (STACKING, "view")]
+)
+def test_an_unknown_parameter_is_a_type_error_too(env_id: str, name: str) -> None:
+    """Libraries try out parameters so, and say which environment it was in an error of the same type."""
+    for make in (gymnasium.make, make_env):
+        with pytest.raises(TypeError, match=f"unexpected keyword argument '{name}'") as error:
+            make(env_id, **{name: 1})
+        assert isinstance(error.value, ValueError) and env_id in str(error.value)
+
+
+@pytest.mark.parametrize("parameters", [{"frameskip": 4}, {"obs_size": 3}], ids=str)
+def test_errors_can_be_sent_to_another_process(parameters: dict[str, Any]) -> None:
+    with pytest.raises(ParameterError) as error:
+        config(**parameters)
+    copy = pickle.loads(pickle.dumps(error.value))
+    assert type(copy) is type(error.value) and str(copy) == str(error.value)
+
+
 WRONG: dict[str, list[Any]] = {
     "robot": ["kuka2", 1, None],
     "action_sequence": ["pxy", "pxyzrr", "", "PXYZR", 5, None, ["p", "x", "y", "z", "r"]],
@@ -141,6 +164,104 @@ def test_a_workspace_out_of_reach_is_refused(name: str) -> None:
     far = [[1.25, 1.55], [-0.15, 0.15], [0.01, 0.25]]
     with pytest.raises(ValueError, match=r"workspace: got \[\[1\.25.*takes one .*='kuka' reaches"):
         make_env(f"BulletArm/{name}-v0", workspace=far)
+
+
+LOW = [[0.01, 0.02], [0.0, 0.0155]]
+
+
+@pytest.mark.parametrize("z", LOW, ids=str)
+def test_a_workspace_too_low_to_lift_in_is_refused(env_id: str, z: list[float]) -> None:
+    workspace = [*(WORKSPACE if "CloseLoop" in env_id else OPEN_WORKSPACE)[:2], z]
+    with pytest.raises(ParameterError, match=r"^workspace: got .*high"):
+        make_env(env_id, workspace=workspace)
+
+
+@pytest.mark.parametrize(
+    ("z", "reason"),
+    [([0.01, 0.15], "above 0.15"), ([0.05, 0.25], "below 0.05"), ([0.01, 0.16], None), ([0.04, 0.25], None)],
+    ids=str,
+)
+def test_the_gripper_must_come_down_and_up(z: list[float], reason: str | None) -> None:
+    workspace = [*WORKSPACE[:2], z]
+    if reason is None:
+        make_env(PICKING, workspace=workspace).close()
+        return
+    with pytest.raises(ParameterError, match=f"^workspace: got .* {reason}"):
+        make_env(PICKING, workspace=workspace)
+
+
+def test_the_smallest_workspace_is_taken_as_it_is_written() -> None:
+    for x in ([0.4, 0.5], [0.3, 0.4], [0.6, 0.7]):
+        assert config(workspace=[x, [-0.05, 0.05], [0.01, 0.25]]).workspace[0] == x
+
+
+PARTLY = [[0.5, 0.9], [-0.2, 0.2], [0.01, 0.25]]
+
+
+@pytest.mark.parametrize(
+    "name", ["CloseLoopBlockReaching", "OpenLoopBlockStacking", "OpenLoopObjectGrasping"]
+)
+def test_a_workspace_partly_out_of_reach_is_refused(name: str) -> None:
+    with pytest.raises(ParameterError, match=r"^workspace: got \[\[0\.5.* reaches, but not \(0\.\d+, -?0"):
+        make_env(f"BulletArm/{name}-v0", workspace=PARTLY)
+
+
+def test_the_reach_of_a_tilted_gripper_counts_where_actions_tilt_it() -> None:
+    far = [[0.32, 0.72], [-0.2, 0.2], [0.0, 1.0]]
+    make_env(STACKING, workspace=far).close()
+    with pytest.raises(ParameterError, match=r"^workspace: got .* tilted by 15 degrees"):
+        make_env(STACKING, workspace=far, action_sequence="pxyzrrr")
+
+
+@pytest.mark.parametrize("robot", ["kuka", "panda", "ur5", "ur5_robotiq"])
+def test_every_arm_reaches_the_default_workspaces(env_id: str, robot: str) -> None:
+    if "ObjectGrasping" not in env_id:  # their hundreds of bodies take long to load, and reach is the same
+        make_env(env_id, robot=robot, obs_size=16).close()
+
+
+NARROW = [[0.36, 0.6], [-0.09, 0.15], [0.01, 0.25]]
+ROOM: list[tuple[str, dict[str, Any], str | None]] = [
+    ("CloseLoopBlockPulling", {"object_scale_range": [0.8, 0.96]}, None),
+    ("CloseLoopBlockPulling", {"object_scale_range": [0.8, 1.2]}, "object_scale_range"),
+    ("CloseLoopBlockPulling", {"workspace": NARROW}, None),
+    ("CloseLoopBlockStacking", {"num_objects": 4, "object_scale_range": [0.8, 1.1]}, None),
+    ("CloseLoopBlockStacking", {"num_objects": 4, "object_scale_range": [0.8, 1.2]}, "object_scale_range"),
+    ("CloseLoopHouseBuilding", {"num_objects": 4, "object_scale_range": 1.2}, "object_scale_range"),
+    ("CloseLoopHouseBuilding", {"num_objects": 3, "object_scale_range": 1.2}, None),
+    ("CloseLoopBlockInBowl", {"object_scale_range": 1.2}, None),
+    ("CloseLoopBlockInBowl", {"workspace": NARROW}, "workspace"),
+    ("OpenLoopCovidTest", {"workspace": [[0.35, 0.6], [-0.1, 0.15], [0.0, 1.0]]}, "workspace"),
+    (
+        "OpenLoopObjectGrasping",
+        {"num_objects": 4, "workspace": [[0.4, 0.5], [-0.05, 0.05], [0, 1]]},
+        "num_objects",
+    ),
+    ("OpenLoopRampBlockStacking", {"object_scale_range": [0.6, 1.0]}, None),
+]
+
+
+@pytest.mark.parametrize(("name", "parameters", "refused"), ROOM, ids=str)
+def test_there_is_room_or_the_parameter_is_refused(
+    name: str, parameters: dict[str, Any], refused: str | None
+) -> None:
+    env_id = f"BulletArm/{name}-v0"
+    if refused is not None:
+        with pytest.raises(ParameterError, match=rf"^{refused}: got .* room: num_objects=.* in workspace="):
+            make_env(env_id, **parameters)
+        return
+    env = make_env(env_id, obs_size=16, **parameters)
+    for seed in range(30):
+        env.reset(seed=seed)
+    env.close()
+
+
+def test_looking_for_room_leaves_no_trace() -> None:
+    env = make_env(PICKING, obs_size=16, workspace=[[0.3, 0.6], [-0.15, 0.15], [0.01, 0.24]])
+    assert not list(env.scene)
+    first = transcript(env, 5, seed=3)
+    transcript(env, 5, seed=4)
+    assert transcript(env, 5, seed=3) == first
+    env.close()
 
 
 def test_impossible_number_of_objects() -> None:

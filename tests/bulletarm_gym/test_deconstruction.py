@@ -2,13 +2,16 @@
 
 import itertools
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
 from rollouts import digest
 
+from bulletarm_gym.config import ParameterError
 from bulletarm_gym.demonstrations import collect
 from bulletarm_gym.env import ManipulationEnv
+from bulletarm_gym.footprint import PlacementError
 from bulletarm_gym.placement import footprint
 from bulletarm_gym.planners.deconstruction import GAP, take_apart
 from bulletarm_gym.relations import on_ground
@@ -100,7 +103,16 @@ def test_every_arm_rebuilds(robot: str) -> None:
     assert demonstrations.attempts <= 4
 
 
-def test_a_full_workspace_is_a_failed_attempt() -> None:
-    small = {"workspace": [[0.4, 0.52], [-0.06, 0.06], [0.0, 1.0]]}
+def test_no_room_to_lay_a_block_is_a_failed_attempt(monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: Any) -> None:
+        raise PlacementError("workspace: found no room for cube 3")
+
+    monkeypatch.setattr("bulletarm_gym.demonstrations.take_apart", full)
     with pytest.raises(RuntimeError, match="0 of 2 attempts"):
-        collect(STACKING, 1, "deconstruction", seed=0, max_attempts=2, env_kwargs=small)
+        collect(STACKING, 1, "deconstruction", seed=0, max_attempts=2)
+
+
+def test_a_workspace_too_small_is_refused() -> None:
+    small = {"workspace": [[0.4, 0.52], [-0.06, 0.06], [0.0, 1.0]]}
+    with pytest.raises(ParameterError, match=r"^workspace: .* room"):
+        collect(STACKING, 1, "deconstruction", seed=0, env_kwargs=small)

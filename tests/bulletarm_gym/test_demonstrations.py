@@ -49,6 +49,11 @@ def replayed(basket: Demonstrations, make: Make, episode: Episode) -> list[tuple
     return [env.step(action) for action in episode.actions]
 
 
+def test_a_function_that_no_file_can_name_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"reward=<function .* has no import path"):
+        collect("BulletArm/CloseLoopBlockPicking-v0", 1, env_kwargs={"reward": lambda scene, outcome: 0.0})
+
+
 def test_episodes_are_what_the_environment_does(basket: Demonstrations, make: Make) -> None:
     assert len(basket) == 2 and basket.attempts >= 2
     for episode in basket:
@@ -187,6 +192,41 @@ def test_other_files_are_refused(tmp_path: Path) -> None:
         file["something"] = 1
     with pytest.raises(ValueError, match="not a file of demonstrations"):
         load(path)
+
+
+def test_a_flipped_bit_is_noticed(tmp_path: Path) -> None:
+    """Wherever it is, nothing else is read than was written, or the error names the file."""
+    whole = collect("BulletArm/CloseLoopBlockReaching-v0", 1, seed=0, env_kwargs={"obs_size": 16}).image
+    expected = _content(Demonstrations(whole)[0])
+    path, refused = tmp_path / "damaged.h5", 0
+    rng = np.random.default_rng(0)
+    for position in rng.integers(len(whole), size=300).tolist():
+        damaged = bytearray(whole)
+        damaged[position] ^= 1 << int(rng.integers(8))
+        path.write_bytes(damaged)
+        try:
+            assert _content(load(path)[0]) == expected
+        except ValueError as error:
+            refused += 1
+            assert str(error).startswith(f"{path}: a file of demonstrations, but damaged")
+    assert refused > 280
+
+
+def _content(episode: Episode) -> list[Any]:
+    arrays = [*episode.observations.values(), episode.actions, episode.rewards, episode.terminations]
+    return [episode.seed, episode.initial_state, *(array.tobytes() for array in arrays)]
+
+
+def test_files_without_a_checksum_are_read(basket: Demonstrations) -> None:
+    older = bytes(512) + basket.image[512:]
+    assert [_content(episode) for episode in Demonstrations(older)] == list(map(_content, basket))
+    copy = io.BytesIO(older)
+    with h5py.File(copy, "r+") as file:
+        del file["episodes/1/actions"]
+    damaged = Demonstrations(copy.getvalue(), "older.h5")
+    assert len(damaged[0]) > 0
+    with pytest.raises(ValueError, match=r"^older\.h5: not a file of demonstrations, or damaged: .*actions"):
+        damaged[1]
 
 
 # Refusals

@@ -106,8 +106,23 @@ def test_random_urdfs_of_pybullet(tmp_path: Path) -> None:
         shutil.copytree(source / name, tmp_path / name)
     assert [spec.name for spec in load_folder(str(tmp_path))] == ["000/000.urdf", "001/001.urdf"]
     shutil.copytree(source / "168", tmp_path / "168")
+    with pytest.warns(UserWarning, match=r"^1 of 3 .*168\.urdf cannot be loaded: a vertex is not finite"):
+        specs = load_folder(str(tmp_path))
+    assert [spec.name for spec in specs] == ["000/000.urdf", "001/001.urdf"]
     with pytest.raises(ValueError, match=r"168\.urdf cannot be loaded: a vertex is not finite"):
-        load_folder(str(tmp_path))
+        load_folder(str(tmp_path / "168"))
+
+
+def test_symbolic_links_are_followed_once(tmp_path: Path) -> None:
+    kept, linked = tmp_path / "kept", tmp_path / "linked"
+    (kept / "cups").mkdir(parents=True)
+    linked.mkdir()
+    (cup,) = (spec for spec in graspables() if spec.name == "cup_0")
+    (kept / "cups" / "cup.obj").write_text(wavefront(cup.pieces))
+    (linked / "cups").symlink_to(kept / "cups")
+    (linked / "one.obj").symlink_to(kept / "cups" / "cup.obj")
+    (kept / "cups" / "again").symlink_to(kept / "cups")
+    assert [spec.name for spec in load_folder(str(linked))] == ["cups/cup.obj", "one.obj"]
 
 
 @pytest.mark.parametrize(

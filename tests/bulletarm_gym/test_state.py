@@ -1,5 +1,6 @@
 """States are exact: what follows from one is the same in any instance, process and after any pickle."""
 
+import dataclasses
 import pickle
 from collections.abc import Callable
 from typing import Any
@@ -183,3 +184,48 @@ def test_state_needs_an_episode(typical_id: str) -> None:
     with pytest.raises(gymnasium.error.ResetNeeded):
         env.get_state()
     env.close()
+
+
+STACKING = "BulletArm/OpenLoopBlockStacking-v0"
+OTHERS: list[tuple[str, str, dict[str, Any]]] = [
+    ("robot", PICKING, {"robot": "panda"}),
+    ("workspace", PICKING, {"workspace": [[0.32, 0.6], [-0.14, 0.14], [0.01, 0.25]]}),
+    ("object_scale_range", PICKING, {"object_scale_range": 0.8}),
+    ("task", "BulletArm/CloseLoopBlockReaching-v0", {}),
+    ("surface", PICKING, {"surface": "ramp"}),
+    ("close_loop_tray", PICKING, {"close_loop_tray": True}),
+    ("num_objects", STACKING, {"num_objects": 3}),
+    ("in_hand", STACKING, {"action_sequence": "pxyzrrr"}),
+]
+
+
+@pytest.mark.parametrize(("name", "env_id", "parameters"), OTHERS, ids=lambda value: str(value))
+def test_state_of_another_environment_is_refused(
+    make: Make, name: str, env_id: str, parameters: dict[str, Any]
+) -> None:
+    own_id = PICKING if "CloseLoop" in env_id else env_id
+    env, other = make(own_id, obs_size=32), make_env(env_id, obs_size=32, **parameters)
+    advance(env, SEED, 1)
+    before = env.get_state()
+    state = advance(other, SEED, 1)
+    with pytest.raises(ValueError, match=rf"^state: got one .*\b{name}=.* this one has .*\b{name}="):
+        env.set_state(state)
+    assert env.get_state() == before
+    other.close()
+
+
+def test_what_is_no_state_is_refused(picking: ManipulationEnv, make: Make) -> None:
+    picking.reset(seed=0)
+    with pytest.raises(ValueError, match="state: got a dict"):
+        picking.set_state({})  # type: ignore[arg-type]
+    old = dataclasses.replace(picking.get_state(), made_of=None)
+    picking.set_state(old)
+    with pytest.raises(ValueError, match=r"state: got one .* bodies="):
+        make(STACKING).set_state(old)
+
+
+def test_state_of_an_environment_that_looks_otherwise_is_taken(picking: ManipulationEnv, make: Make) -> None:
+    other = make(PICKING, obs_size=32, max_steps=9, action_sequence="pxyz", random_orientation=False)
+    picking.reset(seed=0)
+    other.set_state(picking.get_state())
+    assert other.scene.world.poses == picking.scene.world.poses

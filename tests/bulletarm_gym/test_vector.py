@@ -3,11 +3,14 @@
 import multiprocessing
 import os
 import signal
+from functools import partial
+from typing import Any
 
 import gymnasium
 import numpy as np
 import pytest
-from gymnasium.vector import AutoresetMode
+from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv
+from gymnasium.wrappers import FlattenObservation
 
 import bulletarm_gym
 from bulletarm_gym.vector import ParallelEnv, WorkerError
@@ -16,10 +19,15 @@ ENV_ID = "BulletArm/CloseLoopBlockPicking-v0"
 ACTION = np.zeros((2, 5), np.float32)
 
 
+def parallel(num_envs: int = 2, **options: Any) -> ParallelEnv:
+    parameters = {name: options.pop(name) for name in ("max_steps",) if name in options}
+    make = partial(gymnasium.make, f"bulletarm_gym:{ENV_ID}", obs_size=32, **parameters)
+    return ParallelEnv([make] * num_envs, **options)
+
+
 @pytest.mark.parametrize("context", ["fork", "forkserver", "spawn"])
 def test_equals_single_environments(context: str) -> None:
-    vector = gymnasium.make_vec(ENV_ID, num_envs=2, obs_size=32, context=context)
-    assert isinstance(vector, ParallelEnv)
+    vector = parallel(context=context)
     singles = [gymnasium.make(ENV_ID, obs_size=32) for _ in range(2)]
     observations, _ = vector.reset(seed=[3, 4])
     for number, env in enumerate(singles):
@@ -43,8 +51,26 @@ def test_make_vec_of_every_id(env_id: str) -> None:
     vector.close()
 
 
+@pytest.mark.parametrize(
+    ("mode", "kind"), [(None, SyncVectorEnv), ("sync", SyncVectorEnv), ("async", AsyncVectorEnv)]
+)
+def test_make_vec_takes_what_gymnasium_says(mode: str | None, kind: type) -> None:
+    vector = gymnasium.make_vec(
+        ENV_ID,
+        num_envs=2,
+        vectorization_mode=mode,
+        vector_kwargs={"autoreset_mode": "SameStep"},
+        wrappers=[FlattenObservation],
+        obs_size=16,
+    )
+    assert type(vector) is kind and vector.metadata["autoreset_mode"] is AutoresetMode.SAME_STEP
+    observations, _ = vector.reset(seed=0)
+    assert observations.shape == (2, 16 * 16 + 1)
+    vector.close()
+
+
 def test_autoreset_mode() -> None:
-    vector = gymnasium.make_vec(ENV_ID, num_envs=1, obs_size=32, max_steps=1, autoreset_mode="SameStep")
+    vector = parallel(1, max_steps=1, autoreset_mode="SameStep")
     assert vector.metadata["autoreset_mode"] == AutoresetMode.SAME_STEP
     vector.reset(seed=0)
     *_, truncations, infos = vector.step(ACTION[:1])
@@ -54,8 +80,7 @@ def test_autoreset_mode() -> None:
 
 
 def test_error_of_a_worker_arrives_with_its_traceback() -> None:
-    vector = gymnasium.make_vec(ENV_ID, num_envs=2, obs_size=32)
-    assert isinstance(vector, ParallelEnv)
+    vector = parallel()
     vector.reset(seed=0)
     with pytest.raises(WorkerError, match=r"worker 1 failed: .*finite") as caught:
         vector.step(ACTION + np.array([[0.0], [np.nan]], np.float32))
@@ -65,8 +90,7 @@ def test_error_of_a_worker_arrives_with_its_traceback() -> None:
 
 @pytest.mark.parametrize("context", ["fork", "spawn"])
 def test_killed_worker_is_named(context: str) -> None:
-    vector = gymnasium.make_vec(ENV_ID, num_envs=2, obs_size=32, context=context)
-    assert isinstance(vector, ParallelEnv)
+    vector = parallel(context=context)
     vector.reset(seed=0)
     pid = vector.processes[1].pid
     assert pid is not None
@@ -80,6 +104,6 @@ def test_killed_worker_is_named(context: str) -> None:
 
 def test_bad_parameter_is_named_before_any_process_starts() -> None:
     with pytest.raises(ValueError, match="obs_size"):
-        gymnasium.make_vec(ENV_ID, num_envs=2, obs_size=-1)
-    with pytest.raises(ValueError, match="num_envs"):
-        gymnasium.make_vec(ENV_ID, num_envs=0)
+        ParallelEnv([partial(gymnasium.make, ENV_ID, obs_size=-1)])
+    with pytest.raises(ValueError, match="env_fns"):
+        ParallelEnv([])

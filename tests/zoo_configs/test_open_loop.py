@@ -8,12 +8,14 @@ from typing import Any
 import imageio.v3 as iio
 import numpy as np
 import pytest
+import torch as th
 import yaml
 
 from bulletarm_gym.benchmarks import BENCHMARKS
 from zoo_configs.cli import main
 from zoo_configs.environments import register_environments
 from zoo_configs.errors import CommandError
+from zoo_configs.manager import ZooManager
 from zoo_configs.resolve import family_of, resolve
 from zoo_configs.video import PANEL_SIZE
 
@@ -66,7 +68,11 @@ def test_the_paper_preset_is_the_papers(learner: str, own: dict[str, float]) -> 
         "train_freq": 1,
         "gradient_steps": 1,
         "target_update_interval": 100,
-        "replay_buffer_kwargs": {"expert_fraction": 0.5},
+        "replay_buffer_kwargs": {
+            "expert_fraction": 0.5,
+            "frames_per_transition": 1.25,
+            "handle_timeout_termination": False,
+        },
         **own,
     }
     assert {key: cell.hyperparams[key] for key in expected} == expected
@@ -116,6 +122,45 @@ def test_a_task_of_several_benchmarks_is_3d_unless_one_is_named() -> None:
 def test_what_does_not_fit_is_refused(network: str, benchmark: str | None, message: str) -> None:
     with pytest.raises(CommandError, match=message):
         resolve(f"sdqfd_{network}", "cpu", STACKING, benchmark=benchmark)
+
+
+RAMP, BUMP = "BulletArm/OpenLoopRampBlockStacking-v0", "BulletArm/OpenLoopBumpHouseBuilding4-v0"
+NETWORKS = [
+    ("fcn", STACKING, "open_loop_3d"),
+    ("fcn", STACKING, "open_loop_2d"),
+    ("equi_fcn", STACKING, "open_loop_3d"),
+    ("equi_fcn", STACKING, "open_loop_2d"),
+    ("rot_fcn", STACKING, "open_loop_3d"),
+    ("cnn_asr", STACKING, "open_loop_3d"),
+    ("equi_asr", STACKING, "open_loop_3d"),
+    ("cnn_asr_6d", RAMP, "open_loop_6d"),
+    ("cnn_asr_6d", BUMP, "open_loop_6d"),
+    ("equi_deictic_asr", RAMP, "open_loop_6d"),
+    ("equi_deictic_asr", BUMP, "open_loop_6d"),
+]
+
+
+@pytest.mark.parametrize("preset", ["cpu", "paper"])
+@pytest.mark.parametrize(("network", "env_id", "benchmark"), NETWORKS)
+def test_every_network_is_built_and_expects_nothing(
+    network: str, env_id: str, benchmark: str, preset: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """True values lie in [0, 1]; the paper's networks, which take a GPU, are built and not run."""
+    built: list[Any] = []
+    monkeypatch.setattr(ZooManager, "learn", lambda manager, model: built.append(model))
+    arguments = ["train", "--baseline", f"sdqfd_{network}", "--preset", preset, "--env", env_id]
+    arguments += ["--benchmark", benchmark, "--seed", "0", "-f", str(tmp_path), "--device", "cpu"]
+    arguments += ["--vec-env", "dummy", "--no-progress", "--eval-freq", "-1"]
+    assert main([*arguments, "-params", "n_envs:1"]) == 0
+    [model] = built
+    assert model.policy.action_sequence == BENCHMARKS[benchmark].action_sequence
+    if preset == "paper":
+        return
+    observations, _ = model.policy.obs_to_tensor(model.get_env().reset())
+    indices, _ = model.q_net.greedy(observations)
+    with th.no_grad():
+        values = model.q_net.values(observations, indices)
+    assert all(level.isfinite().all() and level.abs().max() <= 1 for level in values)
 
 
 def train(folder: Path, baseline: str, env_id: str, *more: str) -> Path:

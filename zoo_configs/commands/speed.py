@@ -150,7 +150,10 @@ def _measure_alone(cell: Cell, args: argparse.Namespace) -> UpdateSpeed:
     """In a process of its own: a process remembers its greatest memory."""
     context = multiprocessing.get_context("spawn")
     with context.Pool(1) as pool:
-        return pool.apply(_measure_in_process, (cell, args.seconds, args.device, args.num_threads))
+        speed = pool.apply(_measure_in_process, (cell, args.seconds, args.device, args.num_threads))
+        pool.close()  # and not killed while it tidies up
+        pool.join()
+    return speed
 
 
 def _measure_in_process(cell: Cell, seconds: float, device: str, num_threads: int | None) -> UpdateSpeed:

@@ -22,8 +22,10 @@ from sb3_extensions.common.checkpoint import (
     resume,
     save_checkpoint,
 )
+from sb3_extensions.replay.prioritized import PrioritizedReplayBuffer
 from sb3_extensions.replay.rotated import PrioritizedRotatedReplayBuffer
 from sb3_extensions.sacfd import SACfD
+from sb3_extensions.spatial_dqn import ADET, SDQfD
 from sb3_extensions.tqcfd import TQCfD
 
 STEPS, MORE_STEPS = 28, 30  # the first ends in the middle of episodes
@@ -114,6 +116,53 @@ def test_resumed_run_equals_uninterrupted_run(
     assert env.get_attr("steps") != [0] * n_envs  # mid-episode
     resumed.learn(MORE_STEPS, reset_num_timesteps=False)
     assert_same(whole, resumed)
+    ours, theirs = whole.replay_buffer.sample(50), resumed.replay_buffer.sample(50)
+    assert_equal_trees(ours._asdict(), theirs._asdict())
+
+
+@pytest.mark.parametrize(
+    "kwargs",
+    [
+        {"exploration_initial_eps": 0.5, "exploration_final_eps": 0.2, "rigid_augmentation": True},
+        {"learning_starts": 10, "algorithm": ADET, "sequence": "pxyzrrr"},
+        {
+            "replay_buffer_class": PrioritizedReplayBuffer,
+            "replay_buffer_kwargs": {"expert_fraction": None},
+            "n_steps": 2,
+        },
+    ],
+)
+def test_resumed_spatial_run_equals_uninterrupted_run(
+    kwargs: dict[str, Any], make_picking: Any, tmp_path: Path
+) -> None:
+    kwargs = {"algorithm": SDQfD, "sequence": "pxyr", **kwargs}
+    algorithm, sequence = kwargs.pop("algorithm"), kwargs.pop("sequence")
+    networks = {"channels": [4, 4], "in_hand_channels": [4, 4, 4], "hidden": 8}
+    networks |= {"patch_channels": [4, 4, 4], "patch_hidden": [8]}
+    policy_kwargs = {
+        "action_sequence": sequence,
+        "network_kwargs": networks,
+        "codec_kwargs": {"num_rotations": 4, "num_heights": 3, "num_tilts": 3},
+    }
+
+    def make_env(seed: int) -> Any:
+        return make_picking(2, seed, size=16, action_sequence=sequence)
+
+    def learn(callback: Any = None) -> Any:
+        settings = {"expert_episodes": 2, "batch_size": 4, "target_update_interval": 3, "buffer_size": 60}
+        model = algorithm(
+            "ASRPolicy", make_env(0), policy_kwargs=policy_kwargs, seed=0, device="cpu", **settings, **kwargs
+        )
+        return model.learn(26, callback=callback)
+
+    whole, watched = learn(), learn(DirectoryCheckpointCallback(14, tmp_path))
+    assert_same(whole, watched)
+    env = make_env(123)
+    resumed = resume(tmp_path / "checkpoint_000000000014_000", env, device="cpu")
+    assert env.get_attr("steps") != [0, 0]  # mid-episode
+    resumed.learn(12, reset_num_timesteps=False)
+    assert_same(whole, resumed)
+    assert whole.exploration_rate == resumed.exploration_rate
     ours, theirs = whole.replay_buffer.sample(50), resumed.replay_buffer.sample(50)
     assert_equal_trees(ours._asdict(), theirs._asdict())
 

@@ -1,0 +1,77 @@
+"""What parameters ask for together, and cannot have: looked at when an environment is made."""
+
+from typing import Any
+
+import numpy as np
+
+from bulletarm_gym.config import CLOSE_LOOP, EnvConfig, ParameterError
+from bulletarm_gym.control import Control
+from bulletarm_gym.footprint import PlacementError
+from bulletarm_gym.objects.blocks import CUBE_SIZE
+from bulletarm_gym.scene import Scene
+from bulletarm_gym.tasks import Task
+
+ROOM_PARAMETERS = ("object_scale_range", "num_objects", "workspace", "object_set", "close_loop_tray")
+"""On what it depends whether there is room; the first that is not the task's own is named."""
+
+
+def check_heights(config: EnvConfig, task: Task) -> None:
+    """Check that the workspace lets the gripper come down to things, and up with them.
+
+    :raises ParameterError: it does not
+    """
+    low, high = config.workspace[2]
+    if high <= task.height:
+        takes = f"one with z high above {task.height:.4g} with this task: up to there things must be lifted"
+        raise ParameterError.of("workspace", config.workspace, takes)
+    smallest = CUBE_SIZE * min(config.scales)
+    if config.control == CLOSE_LOOP and low >= smallest:
+        takes = f"one with z low below {smallest:.4g}: the gripper must come down to what lies on the ground"
+        raise ParameterError.of("workspace", config.workspace, takes)
+
+
+def check_room(config: EnvConfig, surface: str, scene: Scene, task: Task, control: Control[Any]) -> None:
+    """Check that the task finds room for its objects in their largest sizes, where they are not its own.
+
+    It is asked to arrange them some times. If it succeeds every other time, a reset, which asks far more
+    often before it gives up, does not fail.
+
+    :param surface: name of the ground
+    :raises ParameterError: it does not
+    """
+    own = EnvConfig.of(config.control, task.defaults, (config.robot,), {"robot": config.robot}, surface)
+    changed = [name for name in ROOM_PARAMETERS if getattr(config, name) != getattr(own, name)]
+    if not changed:
+        return
+    failures = 0
+    for number in range(task.rehearsals):
+        reason = _rehearse(scene, task, control, np.random.default_rng(number))
+        failures += reason is not None
+        if 2 * failures > task.rehearsals:
+            takes = f"one that leaves room: {_wish(config)} has none; {reason}"
+            raise ParameterError.of(changed[0], getattr(config, changed[0]), takes)
+        if 2 * (number + 1 - failures) >= task.rehearsals:
+            break
+    scene.clear(np.random.default_rng(0))
+
+
+def _rehearse(scene: Scene, task: Task, control: Control[Any], rng: np.random.Generator) -> str | None:
+    """Arrange a start in the largest sizes; return why there is no room, or None."""
+    scene.clear(rng)
+    sizes = len(scene.config.scales)
+    for item in scene.items:
+        shapes, rest = divmod(len(item.role.variants), sizes)
+        if rest == 0:  # the shapes in the largest size are the last
+            item.variant = shapes * (sizes - 1) + item.variant % shapes
+    control.start(scene)
+    task.memory = None
+    try:
+        task.arrange(scene, rng)
+    except (PlacementError, ValueError) as error:
+        return str(error)
+    return None
+
+
+def _wish(config: EnvConfig) -> str:
+    objects = f"num_objects={config.num_objects} with object_scale_range up to {max(config.scales):g}"
+    return f"{objects} in workspace={config.workspace}"

@@ -1,0 +1,145 @@
+"""What a value must be, for a parameter to take it."""
+
+import math
+import os
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+Check = Callable[[Any], Any]
+"""Returns a value as it is kept, or raises :class:`Refused`."""
+
+SMALLEST_WORKSPACE = 0.1
+"""Side (m) below which no task of the paper fits."""
+ROUNDING = 1e-9
+"""What differences of decimal fractions may be off by (m)."""
+LARGEST_SCALE = 2.0
+"""A cube twice the nominal size (10 cm) no longer fits any gripper."""
+
+
+class Refused(Exception):
+    """Carries what a parameter takes to where its name is known."""
+
+
+def choice(*choices: Any) -> Check:
+    """Ask for one of some values, of just that type."""
+
+    def check(value: Any) -> Any:
+        plain = value.item() if isinstance(value, np.generic) else value
+        if not any(type(plain) is type(known) and plain == known for known in choices):
+            raise Refused("one of " + ", ".join(map(repr, choices)))
+        return plain
+
+    return check
+
+
+def robot(names: Sequence[str]) -> Check:
+    """Ask for the name of an arm, or the import path of one."""
+
+    def check(value: Any) -> str:
+        if value in names or (isinstance(value, str) and ":" in value):
+            return str(value)
+        raise Refused("one of " + ", ".join(repr(name) for name in names) + ", or 'module:name' of your own")
+
+    return check
+
+
+def integer(low: int, high: int | None = None) -> Check:
+    """Ask for an integer within limits, both included."""
+
+    def check(value: Any) -> int:
+        whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
+        if not whole or value < low or (high is not None and value > high):
+            raise Refused(f"an integer of at least {low}" + (f" and at most {high}" if high else ""))
+        return int(value)
+
+    return check
+
+
+def optional(inner: Check) -> Check:
+    """Allow None besides what a check asks for."""
+    return lambda value: None if value is None else inner(value)
+
+
+def boolean(value: Any) -> bool:
+    """Ask for True or False."""
+    if not isinstance(value, bool | np.bool_):
+        raise Refused("True or False")
+    return bool(value)
+
+
+def folder(value: Any) -> str:
+    """Ask for a folder that exists."""
+    if not isinstance(value, str | os.PathLike) or not os.path.isdir(value):
+        raise Refused("None or a folder of OBJ or URDF files")
+    return os.fspath(value)
+
+
+def no_object_set(value: Any) -> None:
+    """Refuse a folder of objects."""
+    if value is not None:
+        raise Refused("None with this task: its objects are its own")
+
+
+def import_path(value: Any) -> str:
+    """Ask for an import path."""
+    module, _, name = value.partition(":") if isinstance(value, str) else ("", "", "")
+    if not all(part.isidentifier() for part in (*module.split("."), name)):
+        raise Refused('None or "module:function"')
+    return str(value)
+
+
+def images_only(value: Any) -> str:
+    """Ask for images, as open-loop environments do."""
+    if value != "image":
+        raise Refused("'image' here: 'state' belongs to close-loop environments")
+    return "image"
+
+
+def sequence(known: Sequence[str]) -> Check:
+    """Ask for one of some words, its characters in any order."""
+
+    def check(value: Any) -> str:
+        if not isinstance(value, str) or sorted(value) not in [sorted(word) for word in known]:
+            raise Refused(
+                f"{', '.join(map(repr, known[:-1]))} or {known[-1]!r}, their characters in any order"
+            )
+        return value
+
+    return check
+
+
+def _numbers(value: Any, shape: tuple[int, ...], takes: str) -> Any:
+    try:
+        array = np.array(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise Refused(takes) from None
+    if array.shape != shape or not np.isfinite(array).all():
+        raise Refused(takes)
+    return array.tolist()
+
+
+def workspace(value: Any) -> list[list[float]]:
+    """Ask for limits along x, y and z."""
+    takes = (
+        "[[x low, x high], [y low, y high], [z low, z high]] in metres, square in x and y with sides "
+        f"of at least {SMALLEST_WORKSPACE:g}, z low not below 0"
+    )
+    limits: list[list[float]] = _numbers(value, (3, 2), takes)
+    x, y, z = (high - low for low, high in limits)
+    square = math.isclose(x, y, abs_tol=ROUNDING)
+    if not (x >= SMALLEST_WORKSPACE - ROUNDING and square and z > 0.0 and limits[2][0] >= 0.0):
+        raise Refused(takes)
+    return limits
+
+
+def scale_range(value: Any) -> list[float]:
+    """Ask for a factor or a range of them."""
+    takes = f"a positive number or [low, high], at most {LARGEST_SCALE}"
+    is_number = isinstance(value, int | float | np.number) and not isinstance(value, bool)
+    pair = [value, value] if is_number else value
+    limits: list[float] = _numbers(pair, (2,), takes)
+    if not 0.0 < limits[0] <= limits[1] <= LARGEST_SCALE:
+        raise Refused(takes)
+    return limits

@@ -1,0 +1,68 @@
+"""Spatial Q algorithms small enough for tests."""
+
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+from stable_baselines3.common.vec_env import VecEnv
+
+from sb3_extensions.spatial_dqn import SDQfD, SpatialDQN
+
+PLAIN: dict[str, Any] = {"channels": [4, 8, 8], "in_hand_channels": [4, 4, 8]}
+EQUIVARIANT: dict[str, Any] = {"fields": [4, 4, 6], "in_hand_channels": [4, 4, 8, 8]}
+PATCHES: dict[str, Any] = {"patch_channels": [4, 4, 8, 8], "patch_hidden": [16, 8]}
+NETWORKS: dict[str, dict[str, Any]] = {
+    "FCNPolicy": PLAIN,
+    "RotFCNPolicy": PLAIN,
+    "EquivariantFCNPolicy": {**EQUIVARIANT, "hidden": 16},
+    "ASRPolicy": {**PLAIN, **PATCHES, "hidden": 16},
+    "EquivariantASRPolicy": {**EQUIVARIANT, **PATCHES, "hidden": [16, 16], "patch_fields": [4, 4, 8, 4]},
+}
+# The paper's networks for its three action spaces
+CASES = [
+    *[(name, "pxyr") for name in NETWORKS],
+    *[(name, "pxy") for name in ("FCNPolicy", "EquivariantFCNPolicy")],
+    *[(name, "pxyzrrr") for name in ("ASRPolicy", "EquivariantASRPolicy")],
+]
+Case = tuple[str, str]
+MakeModel = Callable[..., SpatialDQN]
+MakeKwargs = Callable[..., dict[str, Any]]
+
+
+@pytest.fixture(params=CASES, ids="-".join)
+def case(request: pytest.FixtureRequest) -> Case:
+    """A policy and an action sequence that fits."""
+    assert isinstance(request.param, tuple)
+    return request.param
+
+
+@pytest.fixture
+def make_policy_kwargs() -> MakeKwargs:
+    """Arguments of a small policy, by its name and the action sequence: ``make_policy_kwargs(*case)``."""
+
+    def make(policy: str, sequence: str = "pxyr", **kwargs: Any) -> dict[str, Any]:
+        grid = {"num_rotations": 4, "num_heights": 4, "num_tilts": 3}
+        own = {"action_sequence": sequence, "codec_kwargs": grid, "network_kwargs": NETWORKS[policy]}
+        return {**own, "standardise": (0.0, 0.03), **kwargs}
+
+    return make
+
+
+@pytest.fixture
+def make_model(make_picking: Callable[..., VecEnv], make_policy_kwargs: MakeKwargs) -> MakeModel:
+    """Makes an algorithm: ``make_model(case, algorithm, env, policy_kwargs, **kwargs)``."""
+
+    def make(
+        case: Case = ("ASRPolicy", "pxyr"),
+        algorithm: type[SpatialDQN] = SDQfD,
+        env: VecEnv | None = None,
+        policy_kwargs: dict[str, Any] | None = None,
+        **kwargs: Any,
+    ) -> SpatialDQN:
+        policy, sequence = case
+        kwargs = {"expert_episodes": 3, "batch_size": 4, "buffer_size": 200, "seed": 0, **kwargs}
+        env = make_picking(action_sequence=sequence, size=24) if env is None else env
+        kwargs["policy_kwargs"] = make_policy_kwargs(policy, sequence, **(policy_kwargs or {}))
+        return algorithm(policy, env, device="cpu", **kwargs)
+
+    return make

@@ -1,0 +1,217 @@
+"""Samples that are moved: they show what the moved scene would show, and what would be done there."""
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+import torch as th
+
+from sb3_extensions.common.codec import SpatialActionCodec
+from sb3_extensions.networks.projections import rotation_matrices
+from sb3_extensions.replay.buffer import FrameReplayBufferSamples
+from sb3_extensions.spatial_dqn.augmentation import SHIFT, RigidMotion
+
+SIZE, YAWS = 20, 6
+BATCH = 64
+
+
+def make_motion(sequence: str = "pxyzrrr", **kwargs: Any) -> RigidMotion:
+    kwargs = {"num_rotations": YAWS, "num_heights": 4, "num_tilts": 5, **kwargs}
+    return RigidMotion(SpatialActionCodec(SIZE, sequence, **kwargs), "heightmap")
+
+
+def random_indices(motion: RigidMotion, low: int = 0, high: int = SIZE, count: int = BATCH) -> th.Tensor:
+    """Of pixels from ``low`` to ``high``, and anything else."""
+    generator = th.Generator().manual_seed(1)
+    shape = [th.randint(n, (count,), generator=generator) for n in motion.codec.shape]
+    pixels = [th.randint(low, high, (count,), generator=generator) for _ in range(2)]
+    return th.stack([*pixels, *shape[2:]], dim=1)
+
+
+def make_samples(heightmaps: th.Tensor, after: th.Tensor | None = None) -> FrameReplayBufferSamples:
+    count, generator = len(heightmaps), th.Generator().manual_seed(2)
+    numbers = [th.rand(count, 1, generator=generator) for _ in range(9)]
+    first, second = (
+        {
+            "heightmap": images,
+            "in_hand": th.rand(count, 1, 6, 6, generator=generator),
+            "holding": th.rand(count, 1, generator=generator).round(),
+        }
+        for images in (heightmaps, heightmaps if after is None else after)
+    )
+    return FrameReplayBufferSamples(first, numbers[0], second, *numbers[1:])  # type: ignore[arg-type]
+
+
+def move(motion: RigidMotion, samples: Any, indices: th.Tensor, seed: int = 0) -> tuple[Any, th.Tensor]:
+    moved, moved_indices = motion(samples, indices, th.Generator().manual_seed(seed))
+    return moved, moved_indices
+
+
+def always(motion: RigidMotion, turns: int, shift: tuple[int, int]) -> RigidMotion:
+    """Whatever would be drawn."""
+
+    def draw(before: Any, after: Any, indices: th.Tensor, generator: th.Generator) -> Any:
+        count = len(indices)
+        return th.full((count,), turns), th.tensor([shift], dtype=th.float32).expand(count, 2)
+
+    motion._draw = draw  # type: ignore[method-assign]
+    return motion
+
+
+def images_around_the_middle() -> th.Tensor:
+    images = th.zeros(BATCH, 1, SIZE, SIZE)
+    images[:, :, 6:14, 6:14] = 0.02 + 0.1 * th.rand(BATCH, 1, 8, 8, generator=th.Generator().manual_seed(0))
+    return images
+
+
+@pytest.mark.parametrize("shift", [(0, 0), (3, -2), (-6, 5)])
+@pytest.mark.parametrize("quarters", [0, 1, 2, 3])
+def test_quarter_turns_and_shifts_are_exact(quarters: int, shift: tuple[int, int]) -> None:
+    motion = always(make_motion(), quarters * YAWS // 2, shift)
+    images, indices = images_around_the_middle(), random_indices(make_motion(), 6, 14)
+    samples = make_samples(images, images.flip(0))
+    moved, moved_indices = move(motion, samples, indices)
+    for name, before in (("observations", images), ("next_observations", images.flip(0))):
+        expected = np.roll(np.rot90(before.numpy(), quarters, axes=(2, 3)), shift, axis=(2, 3))
+        np.testing.assert_array_equal(getattr(moved, name)["heightmap"], expected)
+    rows = np.arange(BATCH)
+    found = moved.observations["heightmap"][rows, 0, moved_indices[:, 0], moved_indices[:, 1]]
+    np.testing.assert_array_equal(found, images[rows, 0, indices[:, 0], indices[:, 1]])
+    np.testing.assert_array_equal(moved_indices[:, 2], (indices[:, 2] + quarters * YAWS // 2) % YAWS)
+    np.testing.assert_array_equal(moved_indices[:, 3], indices[:, 3])
+
+
+@pytest.mark.parametrize("turns", range(2 * YAWS))
+def test_grippers_turn_with_the_scene(turns: int) -> None:
+    """Up to half a turn about their own axis."""
+    motion = make_motion()
+    indices = random_indices(motion)
+    _, moved = move(always(motion, turns, (0, 0)), make_samples(images_around_the_middle()), indices)
+    grids = motion.codec.grids
+    before, after = (
+        rotation_matrices(*(th.as_tensor(grids[name][rows[:, k]]) for k, name in ANGLES)).numpy()
+        for rows in (indices, moved)
+    )
+    angle = turns * math.pi / YAWS
+    world = np.array(
+        [[math.cos(angle), -math.sin(angle), 0], [math.sin(angle), math.cos(angle), 0], [0, 0, 1]]
+    )
+    same, flipped = (np.abs(world @ before @ np.diag(end) - after).max(axis=(1, 2)) < 1e-6 for end in HANDS)
+    assert (same ^ flipped).all()
+    np.testing.assert_array_equal(flipped, (indices[:, 2] + turns) // YAWS % 2 == 1)
+
+
+ANGLES = [(2, "theta"), (4, "phi"), (5, "psi")]
+HANDS = [[1, 1, 1], [-1, -1, 1]]
+
+
+@pytest.mark.parametrize("turns", [1, 4, 11])
+def test_objects_are_where_their_pixel_went(turns: int) -> None:
+    motion = make_motion()
+    indices = random_indices(motion, 5, 15)
+    row, column = np.ogrid[:SIZE, :SIZE]
+    away = np.hypot(row - indices[:, 0, None, None].numpy(), column - indices[:, 1, None, None].numpy())
+    images = th.as_tensor(0.1 * np.exp(-away / 4), dtype=th.float32)[:, None]
+    moved, moved_indices = move(always(motion, turns, (1, 2)), make_samples(images), indices)
+    highest = moved.observations["heightmap"].flatten(1).argmax(dim=1)
+    found = np.stack([highest // SIZE, highest % SIZE], axis=1)
+    assert np.abs(found - moved_indices[:, :2].numpy()).max() <= 1
+
+
+def test_only_heightmaps_and_indices_move() -> None:
+    motion, images = make_motion(), images_around_the_middle()
+    samples, indices = make_samples(images, images), random_indices(make_motion(), 6, 14)
+    copies = images.clone(), indices.clone()
+    moved, moved_indices = move(motion, samples, indices)
+    for name, value in samples._asdict().items():
+        if not isinstance(value, dict):
+            assert getattr(moved, name) is value
+    for before, after in (
+        (samples.observations, moved.observations),
+        (samples.next_observations, moved.next_observations),
+    ):
+        assert after["in_hand"] is before["in_hand"] and after["holding"] is before["holding"]
+        assert (after["heightmap"] != before["heightmap"]).flatten(1).any(dim=1).float().mean() > 0.9
+    assert th.equal(moved.observations["heightmap"], moved.next_observations["heightmap"])
+    assert th.equal(images, copies[0]) and th.equal(indices, copies[1])
+    assert not th.equal(moved_indices, indices)
+
+
+def test_what_stands_stays_in_view() -> None:
+    """Of a block of 3 x 3 pixels before, another after, and the gripper's pixel, wherever they are."""
+    motion, generator = make_motion(), np.random.default_rng(0)
+    count = 400
+    images = th.zeros(2, count, 1, SIZE, SIZE)
+    for image in images.flatten(0, 2):
+        row, column = generator.integers(0, SIZE - 2, size=2)
+        image[row : row + 3, column : column + 3] = 0.05
+    indices = random_indices(motion, count=count)
+    indices[::10, :2] = images[0, ::10, 0].flatten(1).argmax(dim=1)[:, None] // th.tensor([SIZE, 1]) % SIZE
+    moved, moved_indices = move(motion, make_samples(*images), indices)
+    for observations in (moved.observations, moved.next_observations):
+        areas = (observations["heightmap"] > 0).flatten(1).sum(dim=1)
+        assert areas.min() >= 7 and areas.max() <= 12
+    turned = (moved_indices[:, :2] != indices[:, :2]).any(dim=1)
+    assert turned.float().mean() > 0.8
+    # Where the pixel itself is in the block, it still is
+    inside = images[0][np.arange(count), 0, indices[:, 0], indices[:, 1]] > 0
+    assert inside.any()
+    heights = moved.observations["heightmap"][:, 0]
+    around = th.nn.functional.max_pool2d(heights[:, None], 3, 1, 1)[:, 0]
+    assert (around[np.arange(count), moved_indices[:, 0], moved_indices[:, 1]][inside] > 0).all()
+
+
+def test_where_things_fill_the_view_only_right_angles_fit() -> None:
+    images = 0.05 + 0.1 * th.rand(BATCH, 1, SIZE, SIZE, generator=th.Generator().manual_seed(0))
+    indices = random_indices(make_motion())
+    moved, moved_indices = move(make_motion(), make_samples(images), indices)
+    quarters = (moved_indices[:, 2] - indices[:, 2]) % YAWS * 2 // YAWS  # or two more
+    seen = []
+    for before, after, odd in zip(images, moved.observations["heightmap"], quarters.tolist(), strict=True):
+        turned = [k for k in range(4) if np.array_equal(np.rot90(before, k, axes=(1, 2)), after)]
+        assert len(turned) == 1 and turned[0] % 2 == odd
+        seen += turned
+    assert 0.2 < np.mean(np.array(seen) > 0) < 1.0 and set(seen) == {0, 1, 2, 3}
+    rows = np.arange(BATCH)
+    heights = moved.observations["heightmap"][rows, 0, moved_indices[:, 0], moved_indices[:, 1]]
+    assert th.equal(heights, images[rows, 0, indices[:, 0], indices[:, 1]])
+
+
+def test_motions_are_of_all_kinds() -> None:
+    """Nothing stands: only the pixel, in the middle, is to stay in view."""
+    motion, count = make_motion(), 2000
+    indices = th.zeros(count, 6, dtype=th.int64)
+    indices[:, :2] = SIZE // 2
+    _, moved_indices = move(motion, make_samples(th.zeros(count, 1, SIZE, SIZE)), indices)
+    yaws = np.bincount(moved_indices[:, 2], minlength=YAWS)
+    assert yaws.min() > 0.7 * count / YAWS
+    shifts = (moved_indices[:, :2] - (SIZE - 1) / 2).numpy()
+    np.testing.assert_allclose(shifts.mean(axis=0), 0.0, atol=0.15)
+    np.testing.assert_allclose(shifts.std(axis=0), math.hypot(SHIFT * SIZE, 0.5), rtol=0.15)
+
+
+def test_without_yaws_heightmaps_only_shift() -> None:
+    images = images_around_the_middle()
+    motion = make_motion("pxy")
+    indices = random_indices(motion, 6, 14)
+    moved, moved_indices = move(motion, make_samples(images), indices)
+    for image, after, shift in zip(
+        images, moved.observations["heightmap"], moved_indices - indices, strict=True
+    ):
+        np.testing.assert_array_equal(np.roll(image, shift, axis=(1, 2)), after)
+
+
+def test_randomness_comes_from_the_generator_alone() -> None:
+    motion, images = make_motion(), images_around_the_middle()
+    samples, indices = make_samples(images), random_indices(make_motion(), 6, 14)
+    results = []
+    for seed in (0, 1, 0):
+        th.manual_seed(len(results))
+        state = th.get_rng_state()
+        results.append(move(motion, samples, indices, seed))
+        assert th.equal(state, th.get_rng_state())
+    for first, second, same in ((0, 2, True), (0, 1, False)):
+        assert th.equal(results[first][1], results[second][1]) == same
+        views = [results[k][0].observations["heightmap"] for k in (first, second)]
+        assert th.equal(*views) == same

@@ -1,0 +1,134 @@
+"""What a spatial Q algorithm does and what it is shown lie on its grid."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch as th
+
+from sb3_extensions.common.exploration import EXPLORED_HEIGHT, explore_on_grid
+from sb3_extensions.demonstrations.collecting import collect_episodes, make_expert_env
+from sb3_extensions.spatial_dqn import SpatialDQN
+
+
+def is_on_grid(model: SpatialDQN, actions: np.ndarray) -> bool:
+    return np.array_equal(model.codec.snap(actions), actions)
+
+
+def test_half_of_each_batch_are_demonstrations(make_model: Any) -> None:
+    model = make_model(batch_size=8, learning_starts=100, expert_episodes=3)
+    for steps, divided in ((3, False), (1, True), (5, True)):
+        model.learn(steps, reset_num_timesteps=False)
+        shares = [model.replay_buffer.sample(8).is_expert.float().mean().item() for _ in range(20)]
+        assert (set(shares) == {0.5}) == divided
+    assert model.replay_buffer.expert_size >= 4
+
+
+def test_demonstrations_too_few_to_divide(make_model: Any) -> None:
+    model = make_model(batch_size=32, learning_starts=100, expert_episodes=1).learn(40)
+    assert 2 <= model.replay_buffer.expert_size < 16
+    assert model.replay_buffer.sample(400).is_expert.float().mean() < 0.4
+
+
+@pytest.mark.parametrize("units", [(-1.0, 1.0), (2.0, 5.0)])
+def test_exploration_stays_on_the_grid(
+    units: tuple[float, float], make_picking: Any, make_model: Any
+) -> None:
+    low, high = units
+    kwargs = {"expert_episodes": 0, "learning_starts": 40, "exploration_initial_eps": 0.5}
+    env = make_picking(2, size=24, low=low, high=high)
+    model = make_model(env=env, exploration_final_eps=0.5, gradient_steps=0, **kwargs).learn(80)
+    actions = model.replay_buffer.table["action"][:80]
+    assert is_on_grid(model, actions)
+    sample = model.replay_buffer.sample(300)
+    observations = {key: value.numpy() for key, value in sample.observations.items()}
+    stored = sample.actions.numpy()
+    np.testing.assert_array_equal(model.codec.places(stored), observations["holding"][:, 0] > 0.5)
+    scaled = 2 * (model.predict(observations)[0] - low) / (high - low) - 1
+    is_greedy = np.isclose(scaled, stored, atol=1e-5).all(axis=1)
+    warming_up = sample.indices < 40
+    assert is_greedy[warming_up].mean() < 0.1
+    assert 0.25 < is_greedy[~warming_up].mean() < 0.75
+    assert set(model.codec.encode(actions)[:40, 2]) == {0, 1, 2, 3}
+
+
+def test_exploration_takes_no_global_randomness(make_model: Any) -> None:
+    kwargs = {"expert_episodes": 0, "exploration_initial_eps": 1.0, "exploration_final_eps": 1.0}
+    taken = []
+    for seed in (0, 0, 1):
+        model = make_model(gradient_steps=0, **kwargs)
+        model.exploration_generator.manual_seed(seed)
+        th.manual_seed(len(taken))
+        np.random.seed(len(taken))
+        model.action_space.seed(len(taken))
+        states = th.get_rng_state(), np.random.get_state()[1].copy()
+        model.learn(10)
+        assert th.equal(states[0], th.get_rng_state())
+        np.testing.assert_array_equal(states[1], np.random.get_state()[1])
+        taken.append(model.replay_buffer.table["action"][:10])
+    assert np.array_equal(taken[0], taken[1]) and not np.array_equal(taken[0], taken[2])
+
+
+def test_random_actions_are_where_something_stands() -> None:
+    heights = np.zeros((600, 8, 8), np.float32)
+    heights[:300, 2, 3:5] = 2 * EXPLORED_HEIGHT
+    heights[:300, 6, 6] = 0.5 * EXPLORED_HEIGHT
+    greedy = np.full((600, 4), 7)
+    shape, generator = (8, 8, 3, 5), th.Generator().manual_seed(0)
+    explored = explore_on_grid(greedy, heights, 0.5, shape, generator)
+    assert explored.dtype == np.int64 and isinstance(explored, np.ndarray)
+    changed = (explored[:, 2] != 7) | (explored[:, 3] != 7)
+    np.testing.assert_allclose(changed.mean(), 0.5, atol=0.06)
+    assert (explored[~changed] == 7).all()
+    found = explored[:300][changed[:300]]
+    assert {tuple(pixel) for pixel in found[:, :2].tolist()} == {(2, 3), (2, 4)}
+    assert len(np.unique(explored[300:][changed[300:], :2], axis=0)) > 50  # nothing stands: anywhere
+    for place, count in ((2, 3), (3, 5)):
+        assert set(explored[changed, place]) == set(range(count))
+    np.testing.assert_array_equal(explore_on_grid(greedy, heights, 0.0, shape, generator), greedy)
+
+
+def test_exploration_rate_falls(make_model: Any) -> None:
+    rates = []
+    model = make_model(
+        exploration_initial_eps=1.0, exploration_final_eps=0.2, exploration_fraction=0.5, gradient_steps=0
+    )
+    model.learn(10, callback=lambda *args: rates.append(model.exploration_rate) or True)
+    np.testing.assert_allclose(rates, [0.0, 0.84, 0.68, 0.52, 0.36, *[0.2] * 5], atol=1e-9)
+
+
+def test_demonstrations_are_carried_out_on_the_grid(make_picking: Any, make_model: Any) -> None:
+    """Where they fail so, they are not kept: two yaws are too few for some bars."""
+    env = make_picking(size=24, max_steps=2)
+    few = {"codec_kwargs": {"num_rotations": 2, "num_heights": 4, "num_tilts": 3}}
+    model = make_model(env=env, policy_kwargs=few, expert_episodes=6, gradient_steps=0).learn(1)
+    rows = slice(model.replay_buffer.expert_size)
+    assert model.replay_buffer.expert_size == 12
+    table = model.replay_buffer.table
+    assert is_on_grid(model, table["action"][rows])
+    assert table["reward"][rows].tolist() == [0.0, 1.0] * 6
+    np.testing.assert_array_equal(table["done"][rows], table["reward"][rows])
+
+
+@pytest.mark.parametrize("units", [(-1.0, 1.0), (2.0, 5.0)])
+def test_episodes_handed_over_are_snapped(
+    units: tuple[float, float], make_picking: Any, make_model: Any
+) -> None:
+    low, high = units
+    env = make_picking(size=24, low=low, high=high)
+    episodes = list(collect_episodes(make_expert_env(env), 3, seed=0, progress_bar=False))
+    model = make_model(env=env, expert_data=iter(episodes), gradient_steps=0).learn(1)
+    stored = model.replay_buffer.table["action"][: model.replay_buffer.expert_size]
+    given = 2 * (np.concatenate([episode.actions for episode in episodes]) - low) / (high - low) - 1
+    assert is_on_grid(model, stored) and not is_on_grid(model, given)
+    np.testing.assert_allclose(stored, model.codec.snap(given), atol=1e-6)
+    np.testing.assert_array_equal(model.codec.encode(stored), model.codec.encode(given))
+
+
+def test_demonstrations_are_kept_by_their_grid(make_model: Any, tmp_path: Path) -> None:
+    for count in (4, 4, 8):
+        grid = {"codec_kwargs": {"num_rotations": count}}
+        model = make_model(policy_kwargs=grid, expert_cache=tmp_path, gradient_steps=0).learn(1)
+        assert is_on_grid(model, model.replay_buffer.table["action"][: model.replay_buffer.expert_size])
+    assert len(list(tmp_path.iterdir())) == 2
