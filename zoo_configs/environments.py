@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import gymnasium as gym
 
-from zoo_configs.errors import CommandError, refused, unknown_name
+from zoo_configs.errors import CommandError, reason, refused, unknown_name
 
 if TYPE_CHECKING:
     from stable_baselines3.common.vec_env import VecEnv
@@ -146,5 +146,5 @@ def load_expert_data(hyperparams: Mapping[str, Any]) -> dict[str, Any]:
         return dict(hyperparams)
     try:
         return {**hyperparams, "expert_data": demonstrations().load(path)}
-    except (OSError, ValueError) as error:
-        raise CommandError(f"expert_data: {path} cannot be read: {error}") from error
+    except Exception as error:  # whatever a file of unknown content raises
+        raise CommandError(f"expert_data: {path} cannot be read: {reason(error)}") from error

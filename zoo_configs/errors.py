@@ -27,9 +27,11 @@ def refused(what: str, kinds: type[Exception] | tuple[type[Exception], ...] = Ex
     """
     try:
         yield
-    except (CommandError, OSError):  # the one has been told, the other is not the arguments' fault
+    except CommandError:
         raise
     except kinds as error:
+        if isinstance(error, OSError) and error.errno is not None:  # the system's: not the arguments' fault
+            raise
         raise CommandError(f"{what}: {reason(error)}") from error
 
 

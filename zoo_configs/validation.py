@@ -71,23 +71,28 @@ def check_expert_data(cell: Cell, env: gym.Env[Any, Any], any_demonstrations: bo
     episodes = load_expert_data(cell.hyperparams).get("expert_data")
     if not isinstance(path, str) or episodes is None:
         return
-    for episode in episodes:
-        first = {key: values[0] for key, values in episode.observations.items()}
-        if first not in env.observation_space or episode.actions[0] not in env.action_space:
-            shapes = {key: values.shape for key, values in first.items()}
-            raise CommandError(
-                f"expert_data: {path} has observations {shapes} and actions {episode.actions[0].shape}, "
-                f"the environment has {env.observation_space} and {env.action_space}"
-            )
+    with refused(f"expert_data: {path} cannot be read"):
+        for episode in episodes:
+            _check_shapes(path, episode, env)
     if not any_demonstrations:
         _check_origin(path, episodes.about, cell.env_id, env)
+
+
+def _check_shapes(path: str, episode: Any, env: gym.Env[Any, Any]) -> None:
+    first = {key: values[0] for key, values in episode.observations.items()}
+    if first not in env.observation_space or episode.actions[0] not in env.action_space:
+        shapes = {key: values.shape for key, values in first.items()}
+        raise CommandError(
+            f"expert_data: {path} has observations {shapes} and actions {episode.actions[0].shape}, "
+            f"the environment has {env.observation_space} and {env.action_space}"
+        )
 
 
 def _check_origin(path: str, about: Mapping[str, Any], env_id: str, env: gym.Env[Any, Any]) -> None:
     """Compare the task, its action sequence and its parameters with those of the demonstrations."""
     config: Any = getattr(env.unwrapped, "config", None)
     wanted = {} if config is None else {"env": env_id, **config.parameters()}
-    shown = {"env": about["env_id"], **about["configuration"]}
+    shown = {"env": about.get("env_id"), **about.get("configuration", {})}
     other = [name for name, value in wanted.items() if name != "render_mode" and shown.get(name) != value]
     if config is None or not other:
         return

@@ -7,6 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import h5py
 import pytest
 
 from zoo_configs.cli import main
@@ -101,14 +102,22 @@ def test_demonstrations_of_another_task_or_other_parameters_are_refused(
     assert train(tmp_path, picking, *SMALL, "--env", REACHING, "--any-demonstrations") == 0
 
 
-@pytest.mark.parametrize("damage", ["cut", "empty", "foreign"])
+@pytest.mark.parametrize("damage", ["cut", "empty", "foreign", "flipped", "hollow"])
 def test_a_damaged_file_is_told(
     damage: str, picking: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     content = picking.read_bytes()
     damaged = {"cut": content[: len(content) // 2], "empty": b"", "foreign": b"no HDF5"}
     file = tmp_path / "damaged.h5"
-    file.write_bytes(damaged[damage])
+    file.write_bytes(damaged.get(damage, content))
+    if damage == "flipped":
+        with h5py.File(file) as opened:
+            start = opened["episodes/0/observations/heightmap"].id.get_chunk_info(0).byte_offset
+        file.write_bytes(content[:start] + bytes(100) + content[start + 100 :])
+    if damage == "hollow":
+        with h5py.File(file, "a") as opened:
+            del opened["about"], opened["episodes/0/actions"]
+            opened["about"] = "{}"
     assert train(tmp_path, file, *SMALL) == 2
     [line] = capsys.readouterr().err.splitlines()
     assert f"{file} cannot be read" in line
