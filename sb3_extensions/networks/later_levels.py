@@ -27,6 +27,7 @@ from sb3_extensions.networks.projections import orthographic_projections, rotati
 from sb3_extensions.networks.unets import initialise_xavier
 from sb3_extensions.networks.views import SceneView, View
 
+PROJECTIONS = 3  # along the gripper's axes
 PATCH_SIZE = 24  # of the authors' code, pixels, where there is no in-hand image to say it
 SMALL_PATCH_SIDE = 3  # of the last map of the 6D networks
 
@@ -211,6 +212,15 @@ class Widths(NamedTuple):
     channels: tuple[int, ...] = (32, 64, 128, 128)
     hidden: tuple[int, ...] = (1024, 512)
 
+    def encoder(self, in_channels: int, size: int) -> PatchVector:
+        """
+        Make the network on a patch.
+
+        :param in_channels: of the patch
+        :param size: its side, pixels
+        """
+        return PatchVector(in_channels, size, self.channels, self.hidden, SMALL_PATCH_SIDE)
+
 
 class PlainLevel(Level):
     """
@@ -239,9 +249,7 @@ class PlainLevel(Level):
         self.projects = name in ("phi", "psi")
         self._standardised = scene_view.standardised
         in_channels = (PROJECTIONS if self.projects else 1) + self.in_hand_channels
-        self.encoder = PatchVector(
-            in_channels, self.patch_size, widths.channels, widths.hidden, SMALL_PATCH_SIDE
-        )
+        self.encoder = widths.encoder(in_channels, self.patch_size)
         channels, side, _ = encoding_shape
         narrow = max(1, channels // 2)
         self.scene = nn.Sequential(
@@ -292,9 +300,7 @@ class DeicticLevel(Level):
         super().__init__(codec, name, shapes)
         self._standardised = scene_view.standardised
         in_channels = PROJECTIONS + self.in_hand_channels
-        self.encoder = PatchVector(
-            in_channels, self.patch_size, widths.channels, widths.hidden, SMALL_PATCH_SIDE
-        )
+        self.encoder = widths.encoder(in_channels, self.patch_size)
         self.head = nn.Linear(widths.hidden[-1], PRIMITIVES)
         scale_down(self.head)
 
@@ -311,9 +317,6 @@ class DeicticLevel(Level):
             seen = th.cat([seen, in_hand], dim=2)
         values = self.head(self.encoder(seen.flatten(0, 1))).unflatten(0, (-1, self.choices))
         return of_primitive(values.transpose(1, 2), view.places)
-
-
-PROJECTIONS = 3  # along the gripper's axes
 
 
 def project_around(

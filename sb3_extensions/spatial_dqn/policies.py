@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
@@ -12,7 +12,7 @@ from gymnasium import spaces
 from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.type_aliases import PyTorchObs, Schedule
 
-from sb3_extensions.common.codec import SpatialActionCodec
+from sb3_extensions.common.codec import DEFAULT_SEQUENCE, SpatialActionCodec
 from sb3_extensions.networks.groups import Group
 from sb3_extensions.networks.later_levels import (
     DeicticLevel,
@@ -72,7 +72,7 @@ class SpatialPolicy(BasePolicy):
         observation_space: spaces.Space[Any],
         action_space: spaces.Box,
         lr_schedule: Schedule,
-        action_sequence: str = "pxyr",
+        action_sequence: str = DEFAULT_SEQUENCE,
         codec_kwargs: dict[str, Any] | None = None,
         network_kwargs: dict[str, Any] | None = None,
         quantise: str | None = "uint8",
@@ -214,6 +214,8 @@ class FCNPolicy(SpatialPolicy):
     in-hand image. All other arguments see :class:`SpatialPolicy`.
     """
 
+    maps_class: ClassVar[type[PlainPixelMaps | RotatedPixelMaps]] = PlainPixelMaps
+
     def make_levels(  # type: ignore[override]
         self,
         view: SceneView,
@@ -222,25 +224,17 @@ class FCNPolicy(SpatialPolicy):
         in_hand_channels: Sequence[int] = PATCH_MAP_CHANNELS,
     ) -> tuple[PixelMaps, list[Level]]:
         """:return: the only level"""
-        return PlainPixelMaps(shapes, channels, in_hand_channels, self.rotations), []
+        return self.maps_class(shapes, channels, in_hand_channels, self.rotations), []
 
 
-class RotFCNPolicy(SpatialPolicy):
+class RotFCNPolicy(FCNPolicy):
     """
     One plain U-Net that values every pixel, on the heightmap turned by each yaw (Rot FCN).
 
     ``network_kwargs`` as those of :class:`FCNPolicy`.
     """
 
-    def make_levels(  # type: ignore[override]
-        self,
-        view: SceneView,
-        shapes: Shapes,
-        channels: Sequence[int] = CHANNELS,
-        in_hand_channels: Sequence[int] = PATCH_MAP_CHANNELS,
-    ) -> tuple[PixelMaps, list[Level]]:
-        """:return: the only level"""
-        return RotatedPixelMaps(shapes, channels, in_hand_channels, self.rotations), []
+    maps_class: ClassVar[type[PlainPixelMaps | RotatedPixelMaps]] = RotatedPixelMaps
 
 
 class EquivariantFCNPolicy(SpatialPolicy):

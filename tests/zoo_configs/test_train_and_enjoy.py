@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import shutil
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -50,10 +49,8 @@ def test_updates_are_logged(run_folder: Path) -> None:
         assert np.isfinite(log[name]).tolist() == [False, True, True]
 
 
-def test_demonstrations_are_collected_once_for_all_runs(
-    trained: Path, train_tiny: Train, tmp_path: Path
-) -> None:
-    shutil.copytree(trained / "demonstrations", tmp_path / "demonstrations")
+def test_demonstrations_are_collected_once_for_all_runs(train_tiny: Train, tmp_path: Path) -> None:
+    assert train_tiny(tmp_path, "--baseline", "equi_sacfd") == 0
     [kept] = (tmp_path / "demonstrations").iterdir()
     before = kept.stat().st_mtime_ns
     assert train_tiny(tmp_path, "--baseline", "sacfd", "--preset", "quick") == 0
