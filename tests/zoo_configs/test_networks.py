@@ -13,10 +13,10 @@ import pytest
 import torch as th
 from stable_baselines3.common.base_class import BaseAlgorithm
 
+from zoo_configs.cells.rules import family_of
 from zoo_configs.cli import main
 from zoo_configs.environments import register_environments
-from zoo_configs.manager import ZooManager
-from zoo_configs.resolve import family_of
+from zoo_configs.training.manager import ZooManager
 
 register_environments()
 STACKING = "BulletArm/CloseLoopBlockStacking-v0"

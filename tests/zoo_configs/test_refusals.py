@@ -12,9 +12,11 @@ from typing import Any
 
 import pytest
 
-from zoo_configs import ranges, video, zoo_flags
+from zoo_configs.cells import ranges
 from zoo_configs.cli import main
+from zoo_configs.drawing import video
 from zoo_configs.errors import CommandError
+from zoo_configs.training import zoo_flags
 
 Refuse = Callable[..., str]
 REACHING = "BulletArm/CloseLoopBlockReaching-v0"

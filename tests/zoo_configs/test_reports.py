@@ -10,17 +10,17 @@ import numpy as np
 import pytest
 from gymnasium import spaces
 
-from zoo_configs import throughput
+from zoo_configs.cells.cell import Cell
 from zoo_configs.cli import main
-from zoo_configs.curves import LearningCurve, draw_curves, load_curve, mean_curve
+from zoo_configs.drawing.curves import LearningCurve, draw_curves, load_curve, mean_curve
+from zoo_configs.drawing.video import compose_frame, observed_images
 from zoo_configs.errors import CommandError
 from zoo_configs.files import whole_file
-from zoo_configs.machine import Yardstick, measure_yardstick
-from zoo_configs.resolve import Cell
-from zoo_configs.runs import Run, claim_run_folder, write_resolved
-from zoo_configs.seeds import SeedStream, stream_seed
-from zoo_configs.throughput import ReferenceRate, load_reference
-from zoo_configs.video import compose_frame, observed_images
+from zoo_configs.measuring import throughput
+from zoo_configs.measuring.machine import Yardstick, measure_yardstick
+from zoo_configs.measuring.throughput import ReferenceRate, load_reference
+from zoo_configs.training.runs import Run, claim_run_folder, write_resolved
+from zoo_configs.training.seeds import SeedStream, stream_seed
 
 REACHING = "BulletArm/CloseLoopBlockReaching-v0"
 

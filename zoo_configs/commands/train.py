@@ -20,6 +20,9 @@ from zoo_configs.arguments import (
     add_progress,
     whole_number,
 )
+from zoo_configs.cells.cell import Cell, merge, resolve
+from zoo_configs.cells.ranges import check_values
+from zoo_configs.cells.rules import families
 from zoo_configs.environments import (
     check_alike,
     known_env_id,
@@ -29,14 +32,12 @@ from zoo_configs.environments import (
     try_env,
 )
 from zoo_configs.errors import CommandError, unknown_name
-from zoo_configs.plan import Plan
-from zoo_configs.ranges import check_values
-from zoo_configs.resolve import Cell, families, merge, resolve
-from zoo_configs.zoo_flags import check_flags, given_flags, parser_of_rl_zoo3, train_module
+from zoo_configs.training.plan import Plan
+from zoo_configs.training.zoo_flags import check_flags, given_flags, parser_of_rl_zoo3, train_module
 
 if TYPE_CHECKING:
-    from zoo_configs.manager import ZooManager
-    from zoo_configs.runs import Run
+    from zoo_configs.training.manager import ZooManager
+    from zoo_configs.training.runs import Run
 
 PROG = "bulletarm-zoo train"
 # What a resumed run was begun with and keeps: of these flags, and of those of rl_zoo3.train.
@@ -210,7 +211,7 @@ def _as_flags(values: dict[str, Any]) -> list[str]:
 
 
 def _resumed(args: argparse.Namespace, passed_on: list[str]) -> Plan:
-    from zoo_configs.runs import load_run
+    from zoo_configs.training.runs import load_run
 
     given, default = {**vars(args), **given_flags(passed_on)}, build_parser().get_default
     if others := [flag for flag, name in FIXED.items() if given.get(name) != default(name)]:
@@ -236,7 +237,7 @@ def _last_checkpoint(run: Run) -> Path:
 
 
 def _check(plan: Plan, any_demonstrations: bool) -> None:
-    from zoo_configs.validation import check_cell, check_expert_data
+    from zoo_configs.cells.validation import check_cell, check_expert_data
 
     check_cell(plan.cell)
     given, env_id = check_flags(plan.arguments), plan.cell.env_id
@@ -251,7 +252,7 @@ def _check(plan: Plan, any_demonstrations: bool) -> None:
 
 
 def _run_rl_zoo3(plan: Plan, extra: list[str]) -> ZooManager:
-    from zoo_configs.manager import ZooManager
+    from zoo_configs.training.manager import ZooManager
 
     created: list[ZooManager] = []
 
@@ -281,7 +282,7 @@ def _arguments(arguments: list[str]) -> Iterator[None]:
 
 
 def _report(manager: ZooManager) -> None:
-    from zoo_configs.curves import draw_run
+    from zoo_configs.drawing.curves import draw_run
 
     run = manager.run
     files = [run.last_model, run.best_model, run.resolved_file]

@@ -17,21 +17,21 @@ from stable_baselines3.common.vec_env import VecEnv
 
 from sb3_extensions.common.checkpoint import DirectoryCheckpointCallback, resume, save_checkpoint
 from zoo_configs.algorithms import class_from_path
+from zoo_configs.cells.validation import constructor_keys, policy_class
 from zoo_configs.environments import load_expert_data
 from zoo_configs.errors import CommandError, reason, refused
-from zoo_configs.evaluation import PeriodicEvaluation
 from zoo_configs.files import missing_folders, whole_file
-from zoo_configs.plan import Plan
-from zoo_configs.runs import (
+from zoo_configs.training.evaluation import PeriodicEvaluation
+from zoo_configs.training.plan import Plan
+from zoo_configs.training.runs import (
     DEMONSTRATIONS_FOLDER,
     Run,
     claim_run_folder,
     discard_if_fruitless,
     write_resolved,
 )
-from zoo_configs.seeds import SeedStream, stream_seed
-from zoo_configs.training_log import TrainingLog
-from zoo_configs.validation import constructor_keys, policy_class
+from zoo_configs.training.seeds import SeedStream, stream_seed
+from zoo_configs.training.training_log import TrainingLog
 
 # Hyperparameters that rl_zoo3 evaluates as Python code if they are strings.
 EVALUATED_KEYS = ("policy_kwargs", "replay_buffer_class", "replay_buffer_kwargs")

@@ -12,9 +12,9 @@ from typing import Any
 import yaml
 from rl_zoo3.utils import get_latest_run_id, get_saved_hyperparams
 
+from zoo_configs.cells.cell import Cell
 from zoo_configs.errors import CommandError, reason, refused
 from zoo_configs.files import remove_empty, whole_file
-from zoo_configs.resolve import Cell
 
 RESOLVED_FILE = "hyperparams.yml"
 CONFIG_FILE = "config.yml"  # rl_zoo3's

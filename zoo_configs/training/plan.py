@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from zoo_configs.resolve import Cell
+from zoo_configs.cells.cell import Cell
 
 if TYPE_CHECKING:
-    from zoo_configs.runs import Run
+    from zoo_configs.training.runs import Run
 
 
 @dataclass(frozen=True)
