@@ -23,7 +23,7 @@ def test_a_run_folder_is_complete(run_folder: Path) -> None:
     names = {path.name for path in run_folder.iterdir()}
     models = {"BulletArm-CloseLoopToy-v0.zip", "best_model.zip", "checkpoints"}
     reports = {"hyperparams.yml", "evaluations.npz", "training.csv", "learning_curve.png", "0.monitor.csv"}
-    assert names == {*models, *reports, "BulletArm-CloseLoopToy-v0"}
+    assert names == {*models, *reports, "BulletArm-CloseLoopToy-v0", "state.yml", ".lock"}
 
 
 def test_the_resolved_yaml_is_plain(run_folder: Path, toy_id: str) -> None:
