@@ -36,6 +36,7 @@ class Command(NamedTuple):
 
 COMMANDS = {
     "train": Command("zoo_configs.commands.train", "train an agent, or go on with an interrupted training"),
+    "tune": Command("zoo_configs.commands.tune", "search hyperparameters with Optuna"),
     "enjoy": Command("zoo_configs.commands.enjoy", "evaluate a trained agent"),
     "record": Command("zoo_configs.commands.record", "film a trained agent or the expert"),
     "plot": Command("zoo_configs.commands.plot", "draw the learning curves of many runs"),

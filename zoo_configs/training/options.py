@@ -148,12 +148,13 @@ def check_trained_agent(path: Path) -> None:
         raise CommandError(f"--trained-agent takes the .zip file of a model, got {path}")
 
 
-def add_options(parser: argparse.ArgumentParser) -> None:
+def add_options(parser: argparse.ArgumentParser, tuning: bool = True) -> None:
     """
     Add the flags of ``rl_zoo3.train``. Those that are not given leave no trace in what is parsed; those of
     its search for hyperparameters are refused.
 
     :param parser: Parser of a command
+    :param tuning: Whether to add those that are refused
     """
     group = parser.add_argument_group("flags of rl_zoo3.train", argument_default=argparse.SUPPRESS)
     add, number = group.add_argument, whole_number
@@ -183,7 +184,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add("-tags", "--wandb-tags", nargs="+", help="its tags")
     add("-uuid", "--uuid", action="store_true", help="an identifier of its own in the run folder's name")
     add("--verbose", type=number(0), help="0 prints nothing, 1 what is done (default)")
-    for flag in TUNING:
+    for flag in TUNING if tuning else ():
         add(flag, nargs="*", dest="tuning", action=_Refuse, help=argparse.SUPPRESS)
 
 

@@ -13,6 +13,7 @@ class SeedStream(IntEnum):
     EVALUATION = 1
     TEST = 2
     PRETRAINING = 3
+    SAMPLER = 4  # of a study
 
 
 def stream_seed(seed: int, stream: SeedStream, index: int = 0) -> int:

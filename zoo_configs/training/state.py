@@ -85,11 +85,34 @@ def is_held(folder: Path) -> bool:
     :param folder: Run folder
     :return: Whether its lock is taken
     """
-    path = folder / LOCK_FILE
+    return is_locked(folder / LOCK_FILE)
+
+
+def is_locked(path: Path) -> bool:
+    """
+    Whether a process holds a lock.
+
+    :param path: File of the lock
+    :return: Whether it is taken
+    """
     if not path.is_file():
         return False
     with path.open("a") as file:
-        return not _lock(file)
+        return not lock(file)
+
+
+def lock(file: IO[str]) -> bool:
+    """
+    Take a lock that goes with the process, if it is free.
+
+    :param file: Open file of the lock, which is free again when it is closed
+    :return: Whether it is ours now
+    """
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    return True
 
 
 @contextmanager
@@ -126,18 +149,9 @@ def _ended(begun: Standing, state: State, error: str = "") -> Standing:
     return begun._replace(state=state, seconds=begun.seconds + time.time() - begun.since, error=error)
 
 
-def _lock(file: IO[str]) -> bool:
-    """Take a lock that goes with the process, if it is free."""
-    try:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return False
-    return True
-
-
 def _lock_soon(file: IO[str]) -> bool:
     for _ in range(LOOKS):
-        if _lock(file):
+        if lock(file):
             return True
         time.sleep(LOOK)
     return False

@@ -20,7 +20,7 @@ def tracked(run: Run) -> Iterator[Run]:
     :param run: The run
     :return: Context manager of the run, which logs to TensorBoard, from where the package takes it
     """
-    import wandb  # type: ignore[import-not-found]
+    import wandb
 
     options = run.options
     name = f"{run.cell.env_id}__{run.cell.label}__{run.seed}__{int(time.time())}"

@@ -1,0 +1,136 @@
+"""``bulletarm-zoo tune``: searches hyperparameters with Optuna, in as many processes as start it."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from zoo_configs.arguments import MAX_SEED, Parser, add_packages, positive_int, whole_number
+from zoo_configs.cells.flags import add_cell_flags, find_cell
+from zoo_configs.cells.rules import task_name
+from zoo_configs.environments import known_env_id, package_of, register_environments
+from zoo_configs.errors import CommandError
+from zoo_configs.training.options import TrainingOptions, add_options, given_options
+
+if TYPE_CHECKING:
+    from zoo_configs.tuning.study import Search
+
+STUDIES_FOLDER = "studies"
+SAMPLERS = ("tpe", "random", "gp")
+PRUNERS = ("median", "halving", "none")
+N_TRIALS, N_STARTUP_TRIALS, N_EVALUATIONS = 100, 10, 8
+DESCRIPTION = """Search hyperparameters. The cell is named as for train; its values are the first trial. As
+many processes as start the same command, on machines that share the log folder, work on one study; a
+trial whose process dies is taken up by another. Start it again to go on."""
+EPILOG = "bulletarm-zoo tune --baseline sacfd --env BulletArm/CloseLoopBlockReaching-v0 --n-trials 20"
+
+
+def main(argv: Sequence[str]) -> None:
+    """
+    Run the command.
+
+    :param argv: Its arguments
+    :raises CommandError: for arguments that cannot be followed
+    """
+    args = build_parser().parse_args(argv)
+    register_environments(args.gym_packages)
+    search = _search(args)
+
+    import optuna
+
+    from zoo_configs.tuning.report import summary, write_report
+    from zoo_configs.tuning.study import open_study, work
+
+    optuna.logging.set_verbosity(optuna.logging.WARNING)
+    study = open_study(search)
+    try:
+        work(search, study)
+    finally:
+        print(f"study {search.name}: {summary(study)}")
+        files = write_report(search, study, plots=not args.no_optim_plots)
+        print(
+            "\n".join(["Written:", *(f"  {path}" for path in files)])
+            if files
+            else "No trial is complete yet."
+        )
+    print(f"To train with the best: {_train_command(search)}")
+    print(f"To look at the study: optuna-dashboard {search.storage_name}")
+
+
+def build_parser() -> argparse.ArgumentParser:
+    """
+    Parser of the command's flags.
+
+    :return: The parser
+    """
+    parser = Parser("bulletarm-zoo tune", description=DESCRIPTION, epilog=EPILOG, allow_abbrev=False)
+    add_cell_flags(parser)
+    add = parser.add_argument
+    add(
+        "--seed", type=whole_number(0, MAX_SEED), default=0, help="of all trials and the sampler (default: 0)"
+    )
+    add("--device", default="auto", help="PyTorch device (default: auto)")
+    add(
+        "-f",
+        "--log-folder",
+        type=Path,
+        default=Path("logs"),
+        help="the study stands in its studies/ (default: logs)",
+    )
+    add("--space", type=Path, help="YAML with the search space (default: that of the algorithm)")
+    add("--n-trials", type=positive_int, default=N_TRIALS, help=f"over all processes (default: {N_TRIALS})")
+    add(
+        "--n-startup-trials",
+        type=whole_number(0),
+        default=N_STARTUP_TRIALS,
+        help="drawn at random (default: 10)",
+    )
+    add("--n-evaluations", type=positive_int, default=N_EVALUATIONS, help="of a trial (default: 8)")
+    add("--sampler", choices=SAMPLERS, default="tpe", help="default: tpe")
+    add("--pruner", choices=PRUNERS, default="median", help="default: median")
+    add("--storage", help="URL of a database, or a journal file (default: a journal in the study's folder)")
+    add("--study-name", help="default: the baseline and the task")
+    add("--no-optim-plots", action="store_true", help="draw no pictures")
+    add_packages(parser)
+    add_options(parser, tuning=False)
+    return parser
+
+
+def _search(args: argparse.Namespace) -> Search:
+    from zoo_configs.cells.validation import check_cell
+    from zoo_configs.tuning.space import load_space
+    from zoo_configs.tuning.study import Search
+
+    if args.env is None:
+        raise CommandError("name an environment with --env, see bulletarm-zoo list")
+    cell = find_cell(args, known_env_id(args.env))
+    check_cell(cell)
+    name = args.study_name or f"{cell.label}_{task_name(cell.env_id)}"
+    given = {"verbose": 0, "save_freq": 0, **given_options(args)}
+    n_timesteps = given.get("n_timesteps", cell.hyperparams["n_timesteps"])
+    spacing = {"n_timesteps": n_timesteps, "eval_freq": max(n_timesteps // args.n_evaluations, 1)}
+    given = {**given, **spacing, "save_freq": given["save_freq"] or spacing["eval_freq"]}
+    return Search(
+        name,
+        args.log_folder / STUDIES_FOLDER / name,
+        cell,
+        load_space(cell.algo, args.space),
+        args.seed,
+        TrainingOptions.of(cell, given),
+        args.n_trials,
+        args.sampler,
+        args.pruner,
+        args.n_startup_trials,
+        args.storage,
+        args.device,
+        tuple(dict.fromkeys([*args.gym_packages, *package_of(args.env)])),
+    )
+
+
+def _train_command(search: Search) -> str:
+    from zoo_configs.tuning.report import BEST_FILE
+
+    named = f"--algo {search.cell.algo} --env {search.cell.env_id} --conf-file {search.folder / BEST_FILE}"
+    return f"bulletarm-zoo train {named} --seed {search.seed + 1}"

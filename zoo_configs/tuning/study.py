@@ -1,0 +1,282 @@
+"""A study: trials in a storage that any number of processes share."""
+
+from __future__ import annotations
+
+import fcntl
+import json
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import IO, Any
+from uuid import uuid4
+
+import optuna
+from optuna.pruners import BasePruner, MedianPruner, NopPruner, SuccessiveHalvingPruner
+from optuna.samplers import BaseSampler, GPSampler, RandomSampler, TPESampler
+from optuna.storages import BaseStorage, JournalStorage, RDBStorage
+from optuna.storages.journal import JournalFileBackend
+from optuna.trial import FrozenTrial, TrialState
+
+from zoo_configs.algorithms import register_algorithms
+from zoo_configs.cells.cell import Cell
+from zoo_configs.errors import CommandError, reason, refused
+from zoo_configs.files import whole_file
+from zoo_configs.training.cell import train_cell
+from zoo_configs.training.options import TrainingOptions
+from zoo_configs.training.seeds import SeedStream, stream_seed
+from zoo_configs.training.state import is_locked, lock
+from zoo_configs.tuning.space import Parameter, check_space, first_values, moved
+from zoo_configs.tuning.trial import PRUNED, ReportToTrial, score
+
+JOURNAL = "journal.log"
+STUDY, FOLDER = "study", "folder"  # attributes of a study: what it is about, and where
+# Attributes of a trial: why it failed, and the numbers of those that it takes up, the oldest first.
+ERROR, REPEATS = "error", "repeats"
+WARMUP = 2  # evaluations before a trial is pruned: the first come before the agent acts
+
+
+@dataclass(frozen=True)
+class Search:
+    """
+    What a study searches, and how.
+
+    :param name: Name of the study
+    :param folder: Its folder, shared by all who work on it: trials, demonstrations, by default the storage
+    :param cell: The baseline; its values are the first trial
+    :param space: What of it is searched
+    :param seed: Of models, environments and sampler
+    :param options: How a trial is trained
+    :param n_trials: How many trials, over all processes
+    :param sampler: ``"tpe"``, ``"random"`` or ``"gp"``
+    :param pruner: ``"median"``, ``"halving"`` or ``"none"``
+    :param n_startup_trials: Trials drawn at random, and not pruned, before the sampler and the pruner begin
+    :param storage: URL of a database, None keeps a journal in the folder
+    :param device: PyTorch device
+    :param gym_packages: Packages that register the environment, besides our own
+    """
+
+    name: str
+    folder: Path
+    cell: Cell
+    space: tuple[Parameter, ...]
+    seed: int
+    options: TrainingOptions
+    n_trials: int
+    sampler: str = "tpe"
+    pruner: str = "median"
+    n_startup_trials: int = 10
+    storage: str | None = None
+    device: str = "auto"
+    gym_packages: tuple[str, ...] = field(default=())
+
+    @property
+    def storage_name(self) -> str:
+        """What ``optuna-dashboard`` opens."""
+        return self.storage or str(self.folder / JOURNAL)
+
+    def about(self) -> str:
+        """All on which the meaning of a trial depends."""
+        content = {
+            "env": self.cell.env_id,
+            "algo": self.cell.algo,
+            "baseline": self.cell.baseline,
+            "preset": self.cell.preset,
+            "benchmark": self.cell.benchmark,
+            "hyperparams": self.cell.hyperparams,
+            "space": [list(parameter) for parameter in self.space],
+            "seed": self.seed,
+            "options": self.options.plain(),
+        }
+        return json.dumps(content, sort_keys=True)
+
+
+def open_study(search: Search) -> optuna.Study:
+    """
+    Begin a study, or join it.
+
+    :param search: What is searched
+    :return: The study
+    :raises CommandError: if the storage cannot be opened, has a study of that name about something else, or
+        one that was begun in another folder
+    """
+    algorithm = register_algorithms()[search.cell.algo]
+    check_space(search.space, algorithm)
+    search.folder.mkdir(parents=True, exist_ok=True)
+    with _alone(search.folder):
+        with refused(f"--storage: {search.storage_name} cannot be opened"):
+            study = optuna.create_study(
+                storage=_storage(search),
+                study_name=search.name,
+                direction="maximize",
+                pruner=_pruner(search),
+                load_if_exists=True,
+            )
+        if STUDY not in study.user_attrs:
+            study.set_user_attr(FOLDER, _identify(search.folder))
+            study.enqueue_trial(first_values(search.space, search.cell, algorithm))
+            study.set_user_attr(STUDY, search.about())
+    if others := _differences(study.user_attrs[STUDY], search.about()):
+        advice = "take another --study-name, or the same arguments"
+        raise CommandError(f"study {search.name} exists with other {', '.join(others)}: {advice}")
+    if study.user_attrs[FOLDER] != _identify(search.folder):
+        raise CommandError(
+            f"study {search.name} was begun in another folder than {search.folder}: share that one"
+        )
+    return study
+
+
+def work(search: Search, study: optuna.Study) -> None:
+    """
+    Train trials until the study has as many as it is to have; others may do so as well.
+
+    :param search: What is searched
+    :param study: The study
+    """
+    while (trial := _next_trial(search, study)) is not None:
+        number, claim = trial
+        with claim:
+            _run(search, study, number)
+
+
+def retried(trials: Iterable[FrozenTrial]) -> set[int]:
+    """
+    Numbers of the trials that another has taken up.
+
+    :param trials: All trials of a study
+    :return: Those that do not count
+    """
+    return {number for trial in trials for number in trial.user_attrs.get(REPEATS, ())}
+
+
+def trial_folder(search: Search, trial: FrozenTrial) -> Path:
+    """
+    Run folder of a trial; one that is taken up goes on in its folder.
+
+    :param search: What is searched
+    :param trial: The trial
+    :return: The folder
+    """
+    first = [*trial.user_attrs.get(REPEATS, ()), trial.number][0]
+    return search.folder / f"trial_{first:04d}"
+
+
+def _next_trial(search: Search, study: optuna.Study) -> tuple[optuna.Trial, IO[str]] | None:
+    """The next trial, and the open file by which others see that it is in work; None if there are enough."""
+    with _alone(search.folder):
+        _retry_stale(search, study)
+        trials = study.get_trials(deepcopy=False)
+        begun = [trial for trial in trials if trial.state is not TrialState.WAITING]
+        again = len(retried(trials))
+        if len(begun) - again >= search.n_trials:
+            return None
+        study.sampler = _sampler(search, len(trials) - again)
+        trial = study.ask()
+        claim = _claim_file(search, study.get_trials(deepcopy=False)[trial.number]).open("a")
+        lock(claim)
+        return trial, claim
+
+
+def _retry_stale(search: Search, study: optuna.Study) -> None:
+    """Queue the trials again that nobody works on, though they are called running: their process has died."""
+    for trial in study.get_trials(deepcopy=False, states=(TrialState.RUNNING,)):
+        if not is_locked(_claim_file(search, trial)):
+            study.tell(trial.number, state=TrialState.FAIL)
+            repeats = [*trial.user_attrs.get(REPEATS, ()), trial.number]
+            again = optuna.trial.create_trial(
+                state=TrialState.WAITING,
+                params=trial.params,
+                distributions=trial.distributions,
+                user_attrs={**trial.user_attrs, REPEATS: repeats},
+            )
+            study.add_trial(again)
+
+
+def _claim_file(search: Search, trial: FrozenTrial) -> Path:
+    return trial_folder(search, trial).with_suffix(".lock")
+
+
+def _run(search: Search, study: optuna.Study, trial: optuna.Trial) -> None:
+    folder = trial_folder(search, study.get_trials(deepcopy=False)[trial.number])
+    try:
+        cell = replace(search.cell, hyperparams=moved(search.cell, search.space, trial))
+        run = train_cell(
+            cell,
+            search.seed,
+            search.device,
+            search.folder,
+            options=search.options,
+            at=folder,
+            gym_packages=search.gym_packages,
+            callbacks=[ReportToTrial(trial, folder)],
+        )
+        if trial.user_attrs.get(PRUNED):
+            study.tell(trial, state=TrialState.PRUNED)
+        else:
+            study.tell(trial, score(run))
+    except Exception as error:  # whatever a drawn value makes an algorithm raise
+        trial.set_user_attr(ERROR, reason(error))
+        study.tell(trial, state=TrialState.FAIL)
+    print(describe(study.get_trials(deepcopy=False)[trial.number]), flush=True)
+
+
+def describe(trial: FrozenTrial) -> str:
+    """
+    A trial in a line.
+
+    :param trial: The trial
+    :return: Its number, how it ended, and its values
+    """
+    ended = f"{trial.value:.3f}" if trial.value is not None else trial.user_attrs.get(ERROR, "")
+    values = ", ".join(f"{name} {_short(value)}" for name, value in trial.params.items())
+    return f"trial {trial.number}: {trial.state.name.lower()} {ended} ({values})"
+
+
+def _short(value: Any) -> str:
+    return f"{value:.3g}" if isinstance(value, float) else str(value)
+
+
+def _storage(search: Search) -> BaseStorage:
+    if search.storage is None or search.storage.endswith(".log"):
+        return JournalStorage(JournalFileBackend(search.storage_name))
+    return RDBStorage(search.storage)
+
+
+def _sampler(search: Search, number: int) -> BaseSampler:
+    """Of a seed of its own for each trial: who draws the trial does not matter."""
+    seed = stream_seed(search.seed, SeedStream.SAMPLER, number)
+    if search.sampler == "random" or number < search.n_startup_trials:
+        return RandomSampler(seed=seed)
+    if search.sampler == "gp":
+        return GPSampler(seed=seed, n_startup_trials=search.n_startup_trials)
+    return TPESampler(seed=seed, n_startup_trials=search.n_startup_trials, constant_liar=True)
+
+
+def _pruner(search: Search) -> BasePruner:
+    if search.pruner == "none":
+        return NopPruner()
+    if search.pruner == "halving":
+        return SuccessiveHalvingPruner()
+    return MedianPruner(n_startup_trials=search.n_startup_trials, n_warmup_steps=WARMUP)
+
+
+def _differences(begun: str, wanted: str) -> list[str]:
+    left, right = json.loads(begun), json.loads(wanted)
+    return [name for name in left if left[name] != right.get(name)]
+
+
+def _identify(folder: Path) -> str:
+    """What tells a folder from others of the same path on other machines."""
+    path = folder / ".identity"
+    if not path.is_file():
+        with whole_file(path) as partial:
+            partial.write_text(uuid4().hex)
+    return path.read_text()
+
+
+@contextmanager
+def _alone(folder: Path) -> Iterator[None]:
+    """Keep others that work on the study waiting for a moment."""
+    with (folder / ".lock").open("a") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        yield
