@@ -16,7 +16,7 @@ from zoo_configs.curves import LearningCurve, draw_curves, load_curve, mean_curv
 from zoo_configs.errors import CommandError
 from zoo_configs.files import whole_file
 from zoo_configs.machine import Yardstick, measure_yardstick
-from zoo_configs.resolve import Cell
+from zoo_configs.resolve import Cell, family_of
 from zoo_configs.runs import Run, claim_run_folder, write_resolved
 from zoo_configs.seeds import SeedStream, stream_seed
 from zoo_configs.throughput import ReferenceRate, load_reference
@@ -96,6 +96,24 @@ def test_list_names_ids_parameters_and_baselines(capsys: pytest.CaptureFixture[s
     ):
         assert main(["list", *arguments]) == 0
         assert expected in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("env_id", "surface"), [(REACHING, "flat"), ("BulletArm/OpenLoopBumpHouseBuilding4-v0", "bump")]
+)
+def test_list_tells_the_surface(env_id: str, surface: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["list", "--env", env_id, "--markdown"]) == 0
+    assert f"| surface | '{surface}' |" in capsys.readouterr().out
+
+
+def test_list_breaks_no_names(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Within 80 columns lines end between settings or their parts."""
+    monkeypatch.setenv("COLUMNS", "80")
+    assert main(["list", "--baselines"]) == 0
+    words = capsys.readouterr().out.replace(",", " ").split()
+    row = family_of(REACHING).baselines["equi_sacfd_per_aug"]["hyperparams"]
+    names = {f"{name}:" for name in row} | {row["replay_buffer_class"].rpartition(".")[2]}
+    assert names <= set(words)
 
 
 @pytest.mark.parametrize("arguments", [[], ["--env", REACHING], ["--baselines"]], ids=" ".join)

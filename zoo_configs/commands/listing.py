@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import gymnasium as gym
@@ -76,8 +76,10 @@ def _list_parameters(env_id: str, markdown: bool) -> None:
 def _list_baselines(markdown: bool) -> None:
     from zoo_configs.resolve import families
 
-    for family in families():
-        print(f"{family.envs}, presets {' and '.join(family.presets)}\n")
+    for number, family in enumerate(families()):
+        if number:
+            print()
+        print(f"{family.envs}, presets {', '.join(family.presets)}\n")
         rows = [
             [name, row["algo"], row["policy"], _settings(row.get("hyperparams", {}))]
             for name, row in family.baselines.items()
@@ -88,13 +90,21 @@ def _list_baselines(markdown: bool) -> None:
 
 
 def _parameters(env: gym.Env[Any, Any]) -> dict[str, Any]:
-    """Parameters of one of our environments, with the values it has."""
+    """Parameters of one of our environments, with the values it has; its id says which surface."""
     config: Any = getattr(env.unwrapped, "config", None)
-    return dict(config.parameters()) if config is not None else {}
+    surface = env.spec.kwargs.get("surface") if env.spec is not None else None
+    return {"surface": surface, **config.parameters()} if config is not None else {}
 
 
-def _settings(hyperparams: dict[str, Any]) -> str:
-    return ", ".join(f"{name}={value}" for name, value in hyperparams.items())
+def _settings(hyperparams: Mapping[str, Any]) -> str:
+    """Settings nearly as ``-params`` takes them: with spaces, where lines can break, and names of classes."""
+    return ", ".join(f"{name}: {_setting(name, value)}" for name, value in hyperparams.items())
+
+
+def _setting(name: str, value: Any) -> str:
+    if isinstance(value, Mapping):
+        return f"({_settings(value)})"
+    return str(value).rpartition(".")[2] if name.endswith("_class") else str(value)
 
 
 def _describe(space: spaces.Space[Any], bounds: bool = True) -> str:
