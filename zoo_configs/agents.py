@@ -9,10 +9,10 @@ from typing import Any
 from stable_baselines3.common.base_class import BaseAlgorithm
 
 from zoo_configs.algorithms import ALGORITHMS, register_algorithms
+from zoo_configs.cells.validation import constructor_keys
 from zoo_configs.environments import known_env_id, register_environments
 from zoo_configs.errors import CommandError, refused
-from zoo_configs.runs import Run, find_runs, load_run
-from zoo_configs.validation import constructor_keys
+from zoo_configs.training.runs import Run, find_runs, load_run
 
 # Schedules are of no use to a model that is not trained, and need not be loadable.
 UNUSED_OBJECTS: dict[str, Any] = {

@@ -47,7 +47,7 @@ class KeyValues(argparse.Action):
         :raises CommandError: if one is no such pair
         """
         pairs = dict(_key_value(str(option_string), pair) for pair in values)
-        setattr(namespace, self.dest, {**getattr(namespace, self.dest), **pairs})
+        setattr(namespace, self.dest, {**getattr(namespace, self.dest, {}), **pairs})
 
 
 def _key_value(flag: str, pair: str) -> tuple[str, Any]:
@@ -85,6 +85,19 @@ def device(text: str) -> str:
     except (RuntimeError, AssertionError) as error:  # AssertionError: PyTorch was built without it
         raise argparse.ArgumentTypeError(f"{text!r} is no device of this machine: {reason(error)}") from error
     return text
+
+
+def check_device(text: str) -> None:
+    """
+    Check a PyTorch device.
+
+    :param text: What was given
+    :raises CommandError: if there is no such device
+    """
+    try:
+        device(text)
+    except argparse.ArgumentTypeError as error:
+        raise CommandError(f"--device: {error}") from error
 
 
 def whole_number(least: int, most: int | None = None) -> Callable[[str], int]:

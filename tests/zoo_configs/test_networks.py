@@ -13,17 +13,18 @@ import pytest
 import torch as th
 from stable_baselines3.common.base_class import BaseAlgorithm
 
+from zoo_configs.cells.cell import resolve
+from zoo_configs.cells.rules import family_of
 from zoo_configs.cli import main
 from zoo_configs.environments import register_environments
-from zoo_configs.manager import ZooManager
-from zoo_configs.resolve import family_of, resolve
-from zoo_configs.update_speed import make_model
+from zoo_configs.measuring.update_speed import make_model
+from zoo_configs.training.manager import ZooManager
 
 register_environments()
 STACKING = "BulletArm/CloseLoopBlockStacking-v0"
 CENTIMETRES = (0.1, 0.01)
 FAMILY = family_of(STACKING)
-SEEING = [name for name, row in FAMILY.baselines.items() if row["policy"] != "state"]
+SEEING = [name for name, row in FAMILY.baselines.items() if row.network != "state"]
 Build = Callable[..., Any]
 
 

@@ -12,12 +12,13 @@ import torch as th
 import yaml
 
 from bulletarm_gym.benchmarks import BENCHMARKS
+from zoo_configs.cells.cell import resolve
+from zoo_configs.cells.rules import family_of
 from zoo_configs.cli import main
+from zoo_configs.drawing.video import PANEL_SIZE
 from zoo_configs.environments import register_environments
 from zoo_configs.errors import CommandError
-from zoo_configs.manager import ZooManager
-from zoo_configs.resolve import family_of, resolve
-from zoo_configs.video import PANEL_SIZE
+from zoo_configs.training.manager import ZooManager
 
 register_environments()
 STACKING = "BulletArm/OpenLoopBlockStacking-v0"

@@ -12,9 +12,11 @@ from typing import Any
 
 import pytest
 
-from zoo_configs import ranges, video, zoo_flags
+from zoo_configs.cells import ranges
 from zoo_configs.cli import main
+from zoo_configs.drawing import video
 from zoo_configs.errors import CommandError
+from zoo_configs.training import options
 
 Refuse = Callable[..., str]
 REACHING = "BulletArm/CloseLoopBlockReaching-v0"
@@ -41,15 +43,15 @@ NO_FOLDER = "/dev/null/folder"  # /dev/null is none
         (["train", "--algo", "ppo", "--conf-file", "none.yml", "--env", "TOY"], "takes a YAML file"),
         (["train", "--algo", "dqn", "--env", "Pendulum-v1"], "only supports"),
         (["train", "--resume", "nowhere"], "nowhere is no run folder"),
-        ([*TRAIN, "frobnicate"], "unknown argument 'frobnicate'"),
-        ([*TRAIN, "--frobnicate"], "unknown argument '--frobnicate'"),
+        ([*TRAIN, "frobnicate"], "unrecognized arguments: frobnicate"),
+        ([*TRAIN, "--frobnicate"], "unrecognized arguments: --frobnicate"),
         ([*TRAIN, "--vec-env", "frobnicate"], "invalid choice: 'frobnicate'"),
-        ([*TRAIN, "-optimize"], "train does not tune: --optimize-hyperparameters"),
-        ([*TRAIN, "--n-trials", "500", "--sampler", "tpe"], "train does not tune: --n-trials, --sampler"),
-        ([*TRAIN, "-n", "0"], "--n-timesteps takes a whole number of at least 1, got 0"),
-        ([*TRAIN, "-n", "-5"], "at least 1, got -5"),
-        ([*TRAIN, "-n", "many"], "invalid int value: 'many'"),
-        ([*TRAIN, "--eval-episodes", "0"], "--eval-episodes takes"),
+        ([*TRAIN, "-optimize"], "train does not tune: -optimize belongs to bulletarm-zoo tune"),
+        ([*TRAIN, "--n-trials", "500", "--sampler", "tpe"], "train does not tune: --n-trials belongs"),
+        ([*TRAIN, "-n", "0"], "at least 1, got '0'"),
+        ([*TRAIN, "-n", "-5"], "at least 1, got '-5'"),
+        ([*TRAIN, "-n", "many"], "at least 1, got 'many'"),
+        ([*TRAIN, "--eval-episodes", "0"], "--eval-episodes: must be a whole number of at least 1"),
         ([*TRAIN, "--num-threads", "0"], "--num-threads takes"),
         ([*TRAIN, "--eval-env-kwargs", "obs_size:50"], "--eval-env-kwargs: Observation spaces do not match"),
         ([*TRAIN, "--seed", "1e9"], "--seed: must be a whole number"),
@@ -119,7 +121,7 @@ def test_errors_are_one_clear_line(arguments: list[str], message: str, refuse: R
 def test_packages_that_are_not_installed_are_named(
     flag: str, refuse: Refuse, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(zoo_flags, "find_spec", lambda name: None)
+    monkeypatch.setattr(options, "find_spec", lambda name: None)
     line = refuse(*TRAIN, flag, *(["logs"] if flag == "-tb" else []))
     assert "pip install" in line and "tensorboard" in line
 

@@ -9,11 +9,12 @@ import pytest
 import yaml
 
 from bulletarm_gym.benchmarks import BENCHMARKS
+from zoo_configs.cells.cell import Cell, explain, merge, resolve
+from zoo_configs.cells.rules import families, family_of, parse_family, task_name
+from zoo_configs.cells.validation import check_cell, constructor_keys
 from zoo_configs.environments import our_env_ids, register_environments
 from zoo_configs.errors import CommandError, nearest_name
-from zoo_configs.manager import import_classes
-from zoo_configs.resolve import Cell, families, family_of, merge, parse_family, resolve
-from zoo_configs.validation import check_cell, constructor_keys
+from zoo_configs.training.manager import import_classes
 
 register_environments()
 CELLS = [
@@ -24,7 +25,7 @@ CELLS = [
     for baseline, row in family.baselines.items()
     for preset in family.presets
     if any(
-        row["policy"] in networks and env_id in {row.env_id for row in BENCHMARKS[benchmark].environments}
+        row.network in networks and env_id in {row.env_id for row in BENCHMARKS[benchmark].environments}
         for benchmark, networks in family.benchmarks.items()
     )
 ]
@@ -119,24 +120,68 @@ def test_a_task_may_say_more_of_policies_and_baselines() -> None:
     assert [cell["bc_weight"] for cell in (equivariant, plain, unguided)] == [30, 30, 0]
 
 
+RULES = {
+    "envs": "*",
+    "baselines": {"sacfd": ["sacfd", "cnn"], "rad_sac": ["sac", "cnn", "rad"]},
+    "rules": [{"when": {"preset": "cpu"}, "set": {"gamma": 0.9}}],
+}
+
+
 @pytest.mark.parametrize(
-    ("task", "message"),
+    ("rule", "message"),
     [
-        ({"cpu": {"policies": {"equivarant": {}}}}, "policy of hyperparams/mine.yml 'equivarant'"),
-        ({"cpu": {"baselines": {"sacdf": {}}}}, "baseline of a preset of hyperparams/mine.yml 'sacdf'"),
-        ({"cpu": {"hyperparms": {}}}, "preset key of hyperparams/mine.yml 'hyperparms'"),
-        ({"gpu": {}}, "preset of a task of hyperparams/mine.yml 'gpu'"),
+        ({"when": {"network": "ccn"}}, "unknown network of mine.yml, rule 2 'ccn', did you mean 'cnn'"),
+        ({"when": {"learner": ["sac", "sacdf"]}}, "learner of mine.yml, rule 2 'sacdf', .*'sacfd'"),
+        ({"when": {"addition": "drq"}}, "addition of mine.yml, rule 2 'drq'"),
+        ({"when": {"benchmark": "open_loop"}}, "benchmark of mine.yml, rule 2 'open_loop'"),
+        ({"when": {"pre": "cpu"}}, "axis of mine.yml, rule 2 'pre'"),
+        ({"sets": {}}, "key of mine.yml, rule 2 'sets', did you mean 'set'"),
+        ({"flags": {"eval_frq": 3}}, "flag of mine.yml, rule 2 'eval_frq', did you mean 'eval_freq'"),
     ],
 )
-def test_unknown_keys_of_a_task_are_told(task: dict[str, Any], message: str) -> None:
-    data = {
-        "envs": "*",
-        "presets": {"cpu": {"policies": {"equivariant": {}}}},
-        "baselines": {"sacfd": {"algo": "sacfd", "policy": "equivariant"}},
-        "tasks": {PICKING: task},
-    }
+def test_what_a_rule_misspells_is_told(rule: dict[str, Any], message: str) -> None:
     with pytest.raises(CommandError, match=message):
-        parse_family("mine", yaml.safe_dump(data))
+        parse_family("mine", yaml.safe_dump({**RULES, "rules": [*RULES["rules"], rule]}))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"tasks": {}}, "key of mine.yml 'tasks'"),
+        ({"baselines": {"sac": ["sac"]}}, "'sac' of mine.yml takes .learner, network, additions."),
+    ],
+)
+def test_what_a_file_of_rules_misspells_is_told(change: dict[str, Any], message: str) -> None:
+    with pytest.raises(CommandError, match=message):
+        parse_family("mine", yaml.safe_dump({**RULES, **change}))
+
+
+def test_rules_are_applied_in_order_where_they_hold() -> None:
+    family = parse_family("mine", yaml.safe_dump(RULES))
+    assert family.presets == ("cpu",)
+    assert family.baselines["rad_sac"].additions == ("rad",)
+    first = families()[0].rules[0]
+    assert not first.when and str(first) == "close_loop.yml, rule 1"
+
+
+@pytest.mark.parametrize("preset", ["cpu", "paper"])
+@pytest.mark.parametrize("baseline", ["equi_sacfd_per_aug", "ferm_sac"])
+def test_every_value_is_explained(baseline: str, preset: str) -> None:
+    explained = explain(baseline, preset, PICKING, {"gamma": 0.5})
+    hyperparams = resolve(baseline, preset, PICKING, {"gamma": 0.5}).hyperparams
+    by = {name: rule for rule, values in explained for name in values}
+    values = {name: value for _, values in explained for name, value in values.items()}
+    assert values["gamma"] == 0.5 and str(by["gamma"]) == "overrides"
+    assert values["env_kwargs.obs_size"] == hyperparams["env_kwargs"]["obs_size"]
+    assert by["expert_episodes"].where == "bulletarm_gym.benchmarks: close_loop_4d"
+    assert by["flags.eval_freq"].when == {"preset": (preset,)}
+    assert {name.partition(".")[0] for name in values} == {"algo", "flags", *hyperparams}
+    assert len(values) == sum(len(values) for _, values in explained)  # each is set by one rule
+
+
+def test_the_name_of_a_task() -> None:
+    assert task_name(PICKING) == "CloseLoopBlockPicking"
+    assert task_name("Pendulum-v1") == "Pendulum"
 
 
 @pytest.mark.parametrize(("preset", "obs_size", "size"), [("paper", 142, 128), ("cpu", 71, 64)])

@@ -18,7 +18,7 @@ from sb3_extensions.common import checkpoint
 from sb3_extensions.replay.expert import ExpertReplayBuffer
 from sb3_extensions.sacfd import SACfD
 from zoo_configs.cli import main
-from zoo_configs.evaluation import PeriodicEvaluation
+from zoo_configs.training.evaluation import PeriodicEvaluation
 
 RUN_NAME = "BulletArm-CloseLoopToy-v0_1"
 Train = Callable[..., int]

@@ -13,7 +13,7 @@ import yaml
 from PIL import Image
 
 from zoo_configs.cli import main
-from zoo_configs.training_log import read_training_log
+from zoo_configs.training.training_log import read_training_log
 
 Train = Callable[..., int]
 TOY_ID = "BulletArm/CloseLoopToy-v0"
@@ -23,7 +23,7 @@ def test_a_run_folder_is_complete(run_folder: Path) -> None:
     names = {path.name for path in run_folder.iterdir()}
     models = {"BulletArm-CloseLoopToy-v0.zip", "best_model.zip", "checkpoints"}
     reports = {"hyperparams.yml", "evaluations.npz", "training.csv", "learning_curve.png", "0.monitor.csv"}
-    assert names == {*models, *reports, "BulletArm-CloseLoopToy-v0"}
+    assert names == {*models, *reports, "BulletArm-CloseLoopToy-v0", "state.yml", ".lock"}
 
 
 def test_the_resolved_yaml_is_plain(run_folder: Path, toy_id: str) -> None:
@@ -102,7 +102,7 @@ def test_evaluation_has_the_parameters_but_not_the_scenes_of_training(
 
 
 def test_two_runs_never_share_a_folder(tmp_path: Path, toy_id: str) -> None:
-    from zoo_configs.runs import claim_run_folder
+    from zoo_configs.training.runs import claim_run_folder
 
     first = claim_run_folder(tmp_path / "other", toy_id)
     second = claim_run_folder(tmp_path / "other", toy_id)
@@ -111,7 +111,7 @@ def test_two_runs_never_share_a_folder(tmp_path: Path, toy_id: str) -> None:
 
 def test_claiming_survives_a_race(tmp_path: Path, toy_id: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Another process takes the number between the look and the claim."""
-    from zoo_configs import runs
+    from zoo_configs.training import runs
 
     (tmp_path / "BulletArm-CloseLoopToy-v0_1").mkdir()
     monkeypatch.setattr(runs, "get_latest_run_id", lambda *_: 0)

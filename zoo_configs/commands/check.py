@@ -24,11 +24,11 @@ from zoo_configs.arguments import (
     positive_int,
     seed,
 )
+from zoo_configs.cells.rules import family_of
+from zoo_configs.drawing.video import compose_frame, write_picture
 from zoo_configs.environments import known_env_id, make_env, our_env_ids, register_environments
 from zoo_configs.errors import CommandError
 from zoo_configs.files import check_writable
-from zoo_configs.resolve import family_of
-from zoo_configs.video import compose_frame, write_picture
 
 if TYPE_CHECKING:
     from sb3_extensions.demonstrations.collecting import Hand

@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING, Any
 
 from zoo_configs.arguments import Parser, add_progress, add_run_arguments, hides_progress, positive_int, seed
 from zoo_configs.errors import CommandError, reason, refused
-from zoo_configs.seeds import SeedStream, stream_seed
+from zoo_configs.training.seeds import SeedStream, stream_seed
 
 if TYPE_CHECKING:
     from stable_baselines3.common.base_class import BaseAlgorithm
     from stable_baselines3.common.vec_env import VecEnv
 
-    from zoo_configs.runs import Run
+    from zoo_configs.training.runs import Run
 
 DESCRIPTION = """Evaluate a trained agent with its deterministic policy, and draw its learning curve.
 The last line reads like "success_rate=0.98 episodes=50"."""
@@ -119,7 +119,7 @@ def evaluate(model: BaseAlgorithm, env: VecEnv, args: argparse.Namespace) -> tup
 
 
 def _name_files(run: Run) -> None:
-    from zoo_configs.curves import draw_run
+    from zoo_configs.drawing.curves import draw_run
 
     if run.evaluations_file.is_file():
         try:

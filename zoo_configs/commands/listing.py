@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import argparse
+import textwrap
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import gymnasium as gym
 from gymnasium import spaces
 
 from zoo_configs.arguments import Parser, add_packages
+from zoo_configs.drawing.tables import print_table
 from zoo_configs.environments import known_env_id, make_env, our_env_ids, register_environments
-from zoo_configs.tables import print_table
+from zoo_configs.errors import CommandError
 
+WIDTH = 74  # characters of text, beside its indent
 DESCRIPTION = """List environments with their spaces; with --env the parameters of one; with --baselines the
 baselines and presets that train takes."""
 
@@ -27,7 +30,9 @@ def main(argv: Sequence[str]) -> None:
     """
     args = _parse(argv)
     register_environments(args.gym_packages)
-    if args.baselines:
+    if args.explain:
+        _explain(args)
+    elif args.baselines:
         _list_baselines(args.markdown)
     elif args.env is not None:
         _list_parameters(known_env_id(args.env), args.markdown)
@@ -40,6 +45,10 @@ def _parse(argv: Sequence[str]) -> argparse.Namespace:
     add = parser.add_argument
     add("--env", help="id of an environment: list its parameters and their defaults")
     add("--baselines", action="store_true", help="list baselines and presets")
+    add("--explain", action="store_true", help="list every value of a cell and the rule that set it")
+    add("--baseline", help="with --explain: row of a benchmark")
+    add("--preset", default="cpu", help="with --explain: size of the run (default: cpu)")
+    add("--benchmark", help="with --explain: benchmark whose parameters the task has")
     add("--markdown", action="store_true", help="print tables for a Markdown page")
     add_packages(parser)
     return parser.parse_args(argv)
@@ -74,19 +83,29 @@ def _list_parameters(env_id: str, markdown: bool) -> None:
 
 
 def _list_baselines(markdown: bool) -> None:
-    from zoo_configs.resolve import families
+    from zoo_configs.cells.rules import families
 
-    for number, family in enumerate(families()):
-        if number:
-            print()
+    for family in families():
         print(f"{family.envs}, presets {', '.join(family.presets)}\n")
         rows = [
-            [name, row["algo"], row["policy"], _settings(row.get("hyperparams", {}))]
+            [name, row.learner, row.network, ", ".join(row.additions)]
             for name, row in family.baselines.items()
         ]
-        print_table(
-            ["baseline", "--algo", "network", "hyperparameters of its own"], rows, markdown, wrap=True
-        )
+        print_table(["baseline", "learner", "network", "additions"], rows, markdown, wrap=True)
+        print()
+
+
+def _explain(args: argparse.Namespace) -> None:
+    """Rule by rule, in their order: its reason, and what it set and no later one changed."""
+    from zoo_configs.cells.cell import explain
+
+    if args.env is None or args.baseline is None:
+        raise CommandError("--explain takes a cell: name it with --env and --baseline")
+    for rule, values in explain(args.baseline, args.preset, known_env_id(args.env), benchmark=args.benchmark):
+        print(rule)
+        if rule.why:
+            print(textwrap.indent(textwrap.fill(rule.why, width=WIDTH), "    # "))
+        print("".join(f"    {name}: {value}\n" for name, value in values.items()))
 
 
 def _parameters(env: gym.Env[Any, Any]) -> dict[str, Any]:
@@ -94,17 +113,6 @@ def _parameters(env: gym.Env[Any, Any]) -> dict[str, Any]:
     config: Any = getattr(env.unwrapped, "config", None)
     surface = env.spec.kwargs.get("surface") if env.spec is not None else None
     return {"surface": surface, **config.parameters()} if config is not None else {}
-
-
-def _settings(hyperparams: Mapping[str, Any]) -> str:
-    """Settings nearly as ``-params`` takes them: with spaces, where lines can break, and names of classes."""
-    return ", ".join(f"{name}: {_setting(name, value)}" for name, value in hyperparams.items())
-
-
-def _setting(name: str, value: Any) -> str:
-    if isinstance(value, Mapping):
-        return f"({_settings(value)})"
-    return str(value).rpartition(".")[2] if name.endswith("_class") else str(value)
 
 
 def _describe(space: spaces.Space[Any], bounds: bool = True) -> str:

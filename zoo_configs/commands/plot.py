@@ -10,15 +10,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from zoo_configs.arguments import Parser
+from zoo_configs.drawing.tables import print_table
 from zoo_configs.errors import CommandError
 from zoo_configs.files import check_writable
-from zoo_configs.tables import print_table
 
 if TYPE_CHECKING:
     import pandas as pd
 
-    from zoo_configs.curves import LearningCurve
-    from zoo_configs.runs import Run
+    from zoo_configs.drawing.curves import LearningCurve
+    from zoo_configs.training.runs import Run
 
 DESCRIPTION = """Draw the evaluations of all runs in a log folder, as the paper does: a panel an environment,
 a line a baseline, the mean over its runs (seeds) shaded by their standard error. Prints the last and the
@@ -43,7 +43,7 @@ def main(argv: Sequence[str]) -> None:
 
 
 def _plot_success(runs: list[Run], args: argparse.Namespace, output: Path) -> None:
-    from zoo_configs.curves import draw_curves, load_curve
+    from zoo_configs.drawing.curves import draw_curves, load_curve
 
     groups: defaultdict[str, defaultdict[str, list[LearningCurve]]] = defaultdict(lambda: defaultdict(list))
     for run in runs:
@@ -63,7 +63,7 @@ def _plot_success(runs: list[Run], args: argparse.Namespace, output: Path) -> No
 
 def _means(env_id: str, lines: Mapping[str, Sequence[LearningCurve]]) -> dict[str, LearningCurve]:
     """The lines of a panel; one whose runs cannot be averaged is told and left out."""
-    from zoo_configs.curves import mean_curve
+    from zoo_configs.drawing.curves import mean_curve
 
     means = {}
     for name, curves in sorted(lines.items()):
@@ -75,8 +75,8 @@ def _means(env_id: str, lines: Mapping[str, Sequence[LearningCurve]]) -> dict[st
 
 
 def _plot_training(runs: list[Run], args: argparse.Namespace, output: Path) -> None:
-    from zoo_configs.training_curves import draw_training
-    from zoo_configs.training_log import read_training_log
+    from zoo_configs.drawing.training_curves import draw_training
+    from zoo_configs.training.training_log import read_training_log
 
     panels: defaultdict[str, defaultdict[str, list[pd.DataFrame]]] = defaultdict(lambda: defaultdict(list))
     for run in runs:
@@ -109,7 +109,7 @@ def _parse(argv: Sequence[str]) -> argparse.Namespace:
 
 
 def _chosen(log_folder: Path, env_ids: list[str] | None, baselines: list[str] | None) -> list[Run]:
-    from zoo_configs.runs import find_runs
+    from zoo_configs.training.runs import find_runs
 
     runs = [
         run

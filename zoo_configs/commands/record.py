@@ -14,10 +14,10 @@ from zoo_configs.arguments import Parser, add_progress, add_run_arguments, hides
 from zoo_configs.environments import check_alike, known_env_id, make_env, register_environments, try_env
 from zoo_configs.errors import CommandError
 from zoo_configs.files import check_writable
-from zoo_configs.seeds import SeedStream, stream_seed
+from zoo_configs.training.seeds import SeedStream, stream_seed
 
 if TYPE_CHECKING:
-    from zoo_configs.video import Frame, ValueMap
+    from zoo_configs.drawing.video import Frame, ValueMap
 
 DESCRIPTION = """Film episodes of a trained agent, or with --expert of the expert of --env: the rendered scene
 beside the images that the agent sees and, where it values every pixel, those values with its choice."""
@@ -67,7 +67,7 @@ def main(argv: Sequence[str]) -> None:
 
 
 def _write(frames: list[Frame], path: Path, fps: float) -> None:
-    from zoo_configs.video import write_video
+    from zoo_configs.drawing.video import write_video
 
     if frames:
         write_video(frames, path, fps)
@@ -143,7 +143,7 @@ def _agent(args: argparse.Namespace) -> Actor:
 def _judge(policy: Any) -> Callable[[Any], ValueMap] | None:
     """What a policy over the places of a heightmap thinks of them."""
     from sb3_extensions.spatial_dqn.policies import SpatialPolicy
-    from zoo_configs.video import ValueMap
+    from zoo_configs.drawing.video import ValueMap
 
     if not isinstance(policy, SpatialPolicy):
         return None
@@ -170,7 +170,7 @@ def _film(actor: Actor, args: argparse.Namespace) -> Iterator[Frame]:
 
 def _film_episode(actor: Actor, seed: int, title: str) -> Iterator[tuple[Frame, bool]]:
     """Frames of an episode, each with whether the task is solved in it."""
-    from zoo_configs.video import compose_frame
+    from zoo_configs.drawing.video import compose_frame
 
     name = f"{_task(actor.env)}, {actor.name}, {title}"
     seen, info = actor.env.reset(seed=seed)

@@ -21,8 +21,8 @@ from zoo_configs.arguments import (
     seed,
 )
 from zoo_configs.environments import known_env_id, our_env_ids, register_environments, try_env
-from zoo_configs.machine import describe_machine
-from zoo_configs.throughput import (
+from zoo_configs.measuring.machine import describe_machine
+from zoo_configs.measuring.throughput import (
     ReferenceRate,
     Throughput,
     load_reference,
@@ -30,8 +30,8 @@ from zoo_configs.throughput import (
 )
 
 if TYPE_CHECKING:
-    from zoo_configs.resolve import Cell
-    from zoo_configs.update_speed import UpdateSpeed
+    from zoo_configs.cells.cell import Cell
+    from zoo_configs.measuring.update_speed import UpdateSpeed
 
 DESCRIPTION = """Measure steps a second with the expert in one process, split into physics (the engine's
 steps), rendering (heightmaps) and the rest. The yardstick is plain PyBullet, on this machine at this hour.
@@ -124,9 +124,9 @@ def _parse(argv: Sequence[str]) -> argparse.Namespace:
 def _measure_updates(args: argparse.Namespace) -> None:
     import torch as th
 
-    from zoo_configs.resolve import resolve
-    from zoo_configs.tables import print_table
-    from zoo_configs.update_speed import PARTS, REST
+    from zoo_configs.cells.cell import resolve
+    from zoo_configs.drawing.tables import print_table
+    from zoo_configs.measuring.update_speed import PARTS, REST
 
     if args.num_threads:
         th.set_num_threads(args.num_threads)
@@ -159,7 +159,7 @@ def _measure_alone(cell: Cell, args: argparse.Namespace) -> UpdateSpeed:
 def _measure_in_process(cell: Cell, seconds: float, device: str, num_threads: int | None) -> UpdateSpeed:
     import torch as th
 
-    from zoo_configs.update_speed import measure_update
+    from zoo_configs.measuring.update_speed import measure_update
 
     register_environments()
     if num_threads:
@@ -178,7 +178,7 @@ def _measure(env_ids: Sequence[str], args: argparse.Namespace) -> Iterator[Throu
 
 
 def _print(rows: Sequence[Row], markdown: bool) -> None:
-    from zoo_configs.tables import print_table
+    from zoo_configs.drawing.tables import print_table
 
     if not rows:
         return

@@ -1,15 +1,14 @@
-"""``bulletarm-zoo train``: resolves a baseline to one YAML and hands it to rl_zoo3."""
+"""``bulletarm-zoo train``: finds the cell that the flags name, and trains it."""
 
 from __future__ import annotations
 
 import argparse
 import secrets
 import sys
-from collections.abc import Iterator, Sequence
-from contextlib import closing, contextmanager
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from zoo_configs.arguments import (
     MAX_SEED,
@@ -20,26 +19,18 @@ from zoo_configs.arguments import (
     add_progress,
     whole_number,
 )
-from zoo_configs.environments import (
-    check_alike,
-    known_env_id,
-    make_env,
-    package_of,
-    register_environments,
-    try_env,
-)
+from zoo_configs.cells.cell import Cell, merge, resolve
+from zoo_configs.cells.ranges import check_values
+from zoo_configs.cells.rules import families
+from zoo_configs.environments import known_env_id, package_of, register_environments
 from zoo_configs.errors import CommandError, unknown_name
-from zoo_configs.plan import Plan
-from zoo_configs.ranges import check_values
-from zoo_configs.resolve import Cell, families, merge, resolve
-from zoo_configs.zoo_flags import check_flags, given_flags, parser_of_rl_zoo3, train_module
+from zoo_configs.training.options import TrainingOptions, add_options, given_options
 
 if TYPE_CHECKING:
-    from zoo_configs.manager import ZooManager
-    from zoo_configs.runs import Run
+    from zoo_configs.training.runs import Run
 
 PROG = "bulletarm-zoo train"
-# What a resumed run was begun with and keeps: of these flags, and of those of rl_zoo3.train.
+# What a resumed run was begun with and keeps.
 FIXED = {
     "--baseline": "baseline",
     "--preset": "preset",
@@ -55,8 +46,7 @@ FIXED = {
     "--trained-agent": "trained_agent",
 }
 DESCRIPTION = """Train an agent. --baseline, --preset and --env name one cell of a benchmark; its
-hyperparameters are written to the run folder as one YAML. All flags of rl_zoo3.train are taken as well and
-win over the preset."""
+hyperparameters are written to the run folder as one YAML. The flags of rl_zoo3.train win over the preset."""
 EPILOG = "bulletarm-zoo train --baseline equi_sacfd --env BulletArm/CloseLoopBlockPicking-v0 --preset quick"
 
 
@@ -68,31 +58,29 @@ def main(argv: Sequence[str]) -> None:
     :raises CommandError: for arguments that cannot be followed
     :raises KeyboardInterrupt: after Ctrl-C, once the model is saved
     """
-    args, passed_on = build_parser().parse_known_args(argv)
-    if args.help:
-        _print_help()
-        return
+    args = build_parser().parse_args(argv)
     register_environments(args.gym_packages)
-    plan = _resumed(args, passed_on) if args.resume else _new(args, passed_on)
-    _check(plan, args.any_demonstrations)
     progress = args.progress if args.progress is not None else sys.stderr.isatty()
-    manager = _run_rl_zoo3(plan, ["--progress"] if progress else [])
-    _report(manager)
-    if manager.interrupted:
-        raise KeyboardInterrupt
+    from zoo_configs.training.cell import TrainingInterrupted
+
+    try:
+        _report(_resume(args, progress) if args.resume else _begin(args, progress))
+    except TrainingInterrupted as stop:
+        print(f"Stopped early; to go on: bulletarm-zoo train --resume {stop.run.folder}")
+        _report(stop.run)
+        raise
 
 
 def build_parser() -> argparse.ArgumentParser:
     """
-    Parser of the command's own flags, and of those of rl_zoo3 that it has to know.
+    Parser of the command's own flags and of those of rl_zoo3.
 
-    :return: The parser; what it does not know is for ``rl_zoo3.train``
+    :return: The parser
     """
-    parser = Parser(PROG, description=DESCRIPTION, epilog=EPILOG, add_help=False, allow_abbrev=False)
+    parser = Parser(PROG, description=DESCRIPTION, epilog=EPILOG, allow_abbrev=False)
     add = parser.add_argument
-    add("-h", "--help", action="store_true", help="show this help and that of rl_zoo3.train")
     add("--baseline", help="row of a benchmark, see bulletarm-zoo list --baselines")
-    add("--preset", help="cpu or paper (default: paper with a GPU, else cpu)")
+    add("--preset", help="cpu, quick or paper (default: paper with a GPU, else cpu)")
     add("--benchmark", help="benchmark whose parameters the task has, for one that is in several")
     add("--resume", type=Path, metavar="RUN_FOLDER", help="go on from the last checkpoint of an earlier run")
     add("--algo", help="algorithm, for a baseline of the same name or with --conf-file")
@@ -106,30 +94,56 @@ def build_parser() -> argparse.ArgumentParser:
     add("--any-demonstrations", action="store_true", help="take an expert_data file of other parameters, too")
     add_packages(parser)
     add_progress(parser)
+    add_options(parser)
     return parser
 
 
-def _print_help() -> None:
-    print(build_parser().format_help())
-    print("Flags of rl_zoo3.train:\n")
-    parser_of_rl_zoo3(PROG).print_help()
+def _begin(args: argparse.Namespace, progress: bool) -> Run:
+    from zoo_configs.training.cell import train_cell
 
-
-def _new(args: argparse.Namespace, passed_on: list[str]) -> Plan:
     if args.env is None:
         raise CommandError("name an environment with --env, see bulletarm-zoo list")
-    env_id = known_env_id(args.env)
-    cell = _override(_find_cell(args, env_id), args)
+    cell = find_cell(args, known_env_id(args.env))
     seed = secrets.randbelow(MAX_SEED + 1) if args.seed in (None, -1) else args.seed
-    where = {"device": args.device or "auto", "log_folder": args.log_folder or "logs"}
-    named = {"algo": cell.algo, "env": env_id, "seed": seed, **where}
-    arguments = [*_as_flags(cell.flags), *passed_on, *_as_flags(named)]
-    packages = dict.fromkeys([*args.gym_packages, *package_of(args.env)])
-    return Plan(cell, tuple(arguments), gym_packages=tuple(packages))
+    print(f"{cell.env_id}, seed {seed}")
+    return train_cell(
+        cell,
+        seed,
+        args.device or "auto",
+        args.log_folder or Path("logs"),
+        options=TrainingOptions.of(cell, given_options(args)),
+        gym_packages=tuple(dict.fromkeys([*args.gym_packages, *package_of(args.env)])),
+        any_demonstrations=args.any_demonstrations,
+        progress=progress,
+    )
+
+
+def _resume(args: argparse.Namespace, progress: bool) -> Run:
+    from zoo_configs.training.cell import resume_run
+    from zoo_configs.training.runs import load_run
+
+    unset = build_parser().parse_args([])
+    changed = {name for name in FIXED.values() if getattr(args, name, None) != getattr(unset, name, None)}
+    if others := [flag for flag, name in FIXED.items() if name in changed]:
+        raise CommandError(f"--resume goes on with what the run has: leave out {', '.join(others)}")
+    run = load_run(args.resume)
+    options = replace(run.options, **given_options(args))
+    return resume_run(replace(run, options=options, device=args.device or run.device), progress=progress)
+
+
+def find_cell(args: argparse.Namespace, env_id: str) -> Cell:
+    """
+    The cell that the flags name: from ``--conf-file``, else from the baseline, else what rl_zoo3 ships.
+
+    :param args: The parsed flags
+    :param env_id: Id of the environment
+    :return: The cell, with the hyperparameters of the command line in it
+    :raises CommandError: if there is none
+    """
+    return _override(_find_cell(args, env_id), args)
 
 
 def _find_cell(args: argparse.Namespace, env_id: str) -> Cell:
-    """Hyperparameters from ``--conf-file``, else from the baseline, else those that rl_zoo3 ships."""
     if args.conf_file is not None:
         if args.baseline is not None:
             raise CommandError("give --baseline or --conf-file, not both")
@@ -205,88 +219,10 @@ def _override(cell: Cell, args: argparse.Namespace) -> Cell:
     return replace(cell, hyperparams=merge(cell.hyperparams, overrides))
 
 
-def _as_flags(values: dict[str, Any]) -> list[str]:
-    return [word for key, value in values.items() for word in (f"--{key.replace('_', '-')}", str(value))]
+def _report(run: Run) -> None:
+    from zoo_configs.drawing.curves import draw_run
 
-
-def _resumed(args: argparse.Namespace, passed_on: list[str]) -> Plan:
-    from zoo_configs.runs import load_run
-
-    given, default = {**vars(args), **given_flags(passed_on)}, build_parser().get_default
-    if others := [flag for flag, name in FIXED.items() if given.get(name) != default(name)]:
-        raise CommandError(f"--resume goes on with what the run has: leave out {', '.join(others)}")
-    run = load_run(args.resume)
-    register_environments(run.gym_packages)
-    known_env_id(run.cell.env_id)
-    device = [] if args.device is None else ["--device", args.device]
-    return Plan(run.cell, (*run.arguments, *passed_on, *device), run, _last_checkpoint(run))
-
-
-def _last_checkpoint(run: Run) -> Path:
-    """The newest checkpoint that is whole."""
-    from sb3_extensions.common.checkpoint import CheckpointError, latest_whole_checkpoint
-
-    try:
-        checkpoint, damaged = latest_whole_checkpoint(run.checkpoint_folder)
-    except CheckpointError as error:
-        raise CommandError(str(error)) from error
-    for damage in damaged:
-        print(f"{damage}; going on from {checkpoint}", file=sys.stderr)
-    return checkpoint
-
-
-def _check(plan: Plan, any_demonstrations: bool) -> None:
-    from zoo_configs.validation import check_cell, check_expert_data
-
-    check_cell(plan.cell)
-    given, env_id = check_flags(plan.arguments), plan.cell.env_id
-    env_kwargs = plan.cell.hyperparams.get("env_kwargs", {})
-    try_env(env_id, env_kwargs)
-    with closing(make_env(env_id, env_kwargs)) as env:
-        if "eval_env_kwargs" in given:
-            with closing(make_env(env_id, {**env_kwargs, **given["eval_env_kwargs"]})) as eval_env:
-                check_alike(eval_env, env, "--eval-env-kwargs")
-        if plan.run is None:  # a resumed one has them in its replay buffer
-            check_expert_data(plan.cell, env, any_demonstrations)
-
-
-def _run_rl_zoo3(plan: Plan, extra: list[str]) -> ZooManager:
-    from zoo_configs.manager import ZooManager
-
-    created: list[ZooManager] = []
-
-    def make_manager(*args: Any, **kwargs: Any) -> ZooManager:
-        created.append(ZooManager(plan, *args, **kwargs))
-        return created[0]
-
-    with train_module() as train, _arguments([*plan.arguments, *extra]):
-        train.ExperimentManager = make_manager
-        try:
-            train.train()
-        except BaseException:
-            if created and plan.run is None:
-                created[0].discard_if_fruitless()
-            raise
-    return created[0]
-
-
-@contextmanager
-def _arguments(arguments: list[str]) -> Iterator[None]:
-    """rl_zoo3.train reads ``sys.argv``."""
-    given, sys.argv = sys.argv, [PROG, *arguments]
-    try:
-        yield
-    finally:
-        sys.argv = given
-
-
-def _report(manager: ZooManager) -> None:
-    from zoo_configs.curves import draw_run
-
-    run = manager.run
     files = [run.last_model, run.best_model, run.resolved_file]
     if run.evaluations_file.is_file():
         files.append(draw_run(run))
-    if manager.interrupted:
-        print(f"Stopped early; to go on: bulletarm-zoo train --resume {run.folder}")
     print("\n".join(["Written:", *(f"  {path}" for path in files if path.exists())]))

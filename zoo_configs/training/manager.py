@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import argparse
 import contextlib
 import re
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,22 +19,16 @@ from stable_baselines3.common.vec_env import VecEnv
 
 from sb3_extensions.common.checkpoint import DirectoryCheckpointCallback, resume, save_checkpoint
 from zoo_configs.algorithms import class_from_path
+from zoo_configs.cells.validation import constructor_keys, policy_class
 from zoo_configs.environments import load_expert_data
 from zoo_configs.errors import CommandError, reason, refused
-from zoo_configs.evaluation import PeriodicEvaluation
-from zoo_configs.files import missing_folders, whole_file
-from zoo_configs.plan import Plan
-from zoo_configs.progress import TrainingBar
-from zoo_configs.runs import (
-    DEMONSTRATIONS_FOLDER,
-    Run,
-    claim_run_folder,
-    discard_if_fruitless,
-    write_resolved,
-)
-from zoo_configs.seeds import SeedStream, stream_seed
-from zoo_configs.training_log import TrainingLog
-from zoo_configs.validation import constructor_keys, policy_class
+from zoo_configs.files import whole_file
+from zoo_configs.training.evaluation import PeriodicEvaluation
+from zoo_configs.training.progress import TrainingBar
+from zoo_configs.training.runs import Run
+from zoo_configs.training.seeds import SeedStream, stream_seed
+from zoo_configs.training.state import NothingToDo
+from zoo_configs.training.training_log import TrainingLog
 
 # Hyperparameters that rl_zoo3 evaluates as Python code if they are strings.
 EVALUATED_KEYS = ("policy_kwargs", "replay_buffer_class", "replay_buffer_kwargs")
@@ -43,43 +39,61 @@ UNFIT = (AssertionError, MemoryError, RuntimeError, TypeError, ValueError)
 
 class ZooManager(ExperimentManager):
     """
-    Runs one cell in a folder of its own.
+    Trains one run in its folder.
 
-    What differs from rl_zoo3: the run folder is claimed atomically; the environment's parameters reach the
-    evaluation environments, which get seeds of their own; classes in the YAML are named by dotted paths,
-    without evaluation of code; checkpoints are whole directories with replay buffer, from which a run can go
-    on; files are written whole or not at all.
+    What differs from rl_zoo3: the folder is given; the environment's parameters reach the evaluation
+    environments, which get seeds of their own; classes in the YAML are named by dotted paths, without
+    evaluation of code; checkpoints are whole directories with replay buffer, from which a run can go on;
+    files are written whole or not at all.
 
-    :param plan: What to train
-    :param args: Positional arguments of rl_zoo3's ``ExperimentManager``
-    :param uuid_str: What follows the number of a new run folder
-    :param kwargs: Keyword arguments of rl_zoo3's ``ExperimentManager``
+    :param run: The run; its folder holds its resolved hyperparameters
+    :param checkpoint: The checkpoint to go on from, None for a new run
+    :param demonstrations: Folder of the demonstrations that runs share
+    :param callbacks: At work beside those of the options
+    :param progress: Whether to show a progress bar
     """
 
-    def __init__(self, plan: Plan, *args: Any, uuid_str: str = "", **kwargs: Any) -> None:
-        super().__init__(*args, **kwargs)
-        self._made = missing_folders(Path(self.log_path))
-        self.run = run = plan.run or self._new_run(plan, uuid_str)
-        self.checkpoint = plan.checkpoint
+    def __init__(
+        self,
+        run: Run,
+        checkpoint: Path | None,
+        demonstrations: Path,
+        callbacks: Sequence[BaseCallback] = (),
+        progress: bool = False,
+    ) -> None:
+        options = run.options
+        super().__init__(
+            _as_arguments(run),
+            run.cell.algo,
+            run.cell.env_id,
+            str(run.folder.parent),
+            options.tensorboard_log,
+            options.n_timesteps,
+            options.eval_freq,
+            options.eval_episodes,
+            options.save_freq,
+            eval_env_kwargs=dict(options.eval_env_kwargs) or None,
+            trained_agent=options.trained_agent,
+            truncate_last_trajectory=options.truncate_last_trajectory,
+            seed=run.seed,
+            log_interval=options.log_interval,
+            save_replay_buffer=options.save_replay_buffer,
+            verbose=options.verbose,
+            vec_env_type=options.vec_env,
+            n_eval_envs=options.n_eval_envs,
+            device=run.device,
+            config=str(run.resolved_file),
+            show_progress=progress,
+        )
+        self.run = run
+        self.checkpoint = checkpoint
+        self.demonstrations = demonstrations
+        self.more_callbacks = callbacks
         self.interrupted = False
-        self.continue_training = self.continue_training or plan.checkpoint is not None
-        self.config = self.args.conf_file = str(run.resolved_file)
+        self.continue_training = self.continue_training or checkpoint is not None
+        self.log_path = str(run.folder.parent)
         self.save_path = str(run.folder)
         self.params_path = str(run.params_folder)
-
-    def _new_run(self, plan: Plan, suffix: str) -> Run:
-        folder = claim_run_folder(Path(self.log_path), plan.cell.env_id, suffix)
-        run = Run(folder, plan.cell, plan.arguments, plan.gym_packages)
-        try:
-            write_resolved(run)
-        except OSError:
-            discard_if_fruitless(run, self._made)
-            raise
-        return run
-
-    def discard_if_fruitless(self) -> None:
-        """Leave nothing of a run that failed before it had a model or a checkpoint."""
-        discard_if_fruitless(self.run, self._made)
 
     def setup_experiment(self) -> tuple[BaseAlgorithm, dict[str, Any]] | None:
         """
@@ -97,7 +111,7 @@ class ZooManager(ExperimentManager):
                 hyperparams[key] = import_classes(hyperparams[key], is_class=key.endswith("_class"))
         if "expert_cache" in constructor_keys(ALGOS[self.algo]):
             # Shared by the runs in the log folder: the next seed or baseline need not collect them again
-            hyperparams.setdefault("expert_cache", str(Path(self.log_path).parent / DEMONSTRATIONS_FOLDER))
+            hyperparams.setdefault("expert_cache", str(self.demonstrations))
         if self.checkpoint is None:  # what is resumed has them in its replay buffer
             hyperparams = load_expert_data(hyperparams)
         processed = super()._preprocess_hyperparams(hyperparams)
@@ -117,13 +131,10 @@ class ZooManager(ExperimentManager):
         :param no_log: Whether to write no monitor files
         :return: The wrapped environments
         """
-        training_seed = self.seed
+        env = super().create_envs(n_envs, eval_env, no_log)
         if eval_env:
-            self.seed = stream_seed(training_seed, SeedStream.EVALUATION)
-        try:
-            return super().create_envs(n_envs, eval_env, no_log)
-        finally:
-            self.seed = training_seed
+            env.seed(stream_seed(self.seed, SeedStream.EVALUATION))
+        return env
 
     def create_callbacks(self) -> None:
         """Progress bar, checkpoints and periodic evaluation, as far as they are asked for."""
@@ -134,6 +145,7 @@ class ZooManager(ExperimentManager):
             self.callbacks.append(self._periodic_evaluation())
         if self.save_freq > 0:
             self.callbacks.append(self._checkpoints())
+        self.callbacks.extend(self.more_callbacks)
 
     def _periodic_evaluation(self) -> BaseCallback:
         return PeriodicEvaluation(
@@ -163,7 +175,7 @@ class ZooManager(ExperimentManager):
         model = resume(self.checkpoint, env, self.device)
         if model.num_timesteps >= self.n_timesteps and self.run.last_model.is_file():
             done = f"{self.run.folder} has done {model.num_timesteps} time steps of {self.n_timesteps}"
-            raise CommandError(f"{done}; to go on, give more by -n")
+            raise NothingToDo(f"{done}; to go on, give more by -n")
         return model
 
     def _check_trained_agent(self, policy: str | type[Any]) -> None:
@@ -232,6 +244,13 @@ class ZooManager(ExperimentManager):
         statistics = model.get_vec_normalize_env()
         if statistics is not None:
             statistics.save(str(self.run.params_folder / "vecnormalize.pkl"))
+
+
+def _as_arguments(run: Run) -> argparse.Namespace:
+    """The command line that rl_zoo3 keeps beside a run."""
+    where = {"algo": run.cell.algo, "env": run.cell.env_id, "seed": run.seed, "device": run.device}
+    options = run.options.plain()
+    return argparse.Namespace(**where, log_folder=str(run.folder.parent), env_kwargs=None, **options)
 
 
 def import_classes(value: Any, is_class: bool = False) -> Any:

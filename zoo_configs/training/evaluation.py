@@ -11,9 +11,9 @@ from stable_baselines3.common.callbacks import EvalCallback
 from stable_baselines3.common.vec_env import VecEnv
 
 from sb3_extensions.networks.equivariant import expanded_filters
-from zoo_configs.runs import BEST_MODEL_FILE, EVALUATIONS_FILE
-from zoo_configs.seeds import SeedStream, stream_seed
-from zoo_configs.training_log import training_time
+from zoo_configs.training.runs import BEST_MODEL_FILE, EVALUATIONS_FILE
+from zoo_configs.training.seeds import SeedStream, stream_seed
+from zoo_configs.training.training_log import training_time
 
 # Files are written here first, then moved into the run folder.
 SCRATCH_FOLDER = ".evaluation"

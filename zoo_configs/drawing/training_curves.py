@@ -8,9 +8,9 @@ from typing import Any
 
 import pandas as pd
 
-from zoo_configs.curves import DOTS_PER_INCH, PANEL_SIZE
+from zoo_configs.drawing.curves import DOTS_PER_INCH, PANEL_SIZE
 from zoo_configs.files import whole_file
-from zoo_configs.training_log import TIMESTEPS
+from zoo_configs.training.training_log import TIMESTEPS
 
 QUANTITIES = {"value": "critic's value", "entropy": "actor's entropy (nats)"}
 SIDES = {"expert": "-", "own": "--"}  # where the expert was, where the agent was

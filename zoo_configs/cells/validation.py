@@ -10,10 +10,10 @@ import gymnasium as gym
 
 from sb3_extensions.common.augmentation import make_augmentation
 from zoo_configs.algorithms import class_from_path, register_algorithms
+from zoo_configs.cells.cell import Cell
+from zoo_configs.cells.ranges import check_values
 from zoo_configs.environments import load_expert_data
 from zoo_configs.errors import CommandError, refused, unknown_name
-from zoo_configs.ranges import check_values
-from zoo_configs.resolve import Cell
 
 # Keys that rl_zoo3's manager takes for itself; every other key goes to the algorithm.
 MANAGER_KEYS = (

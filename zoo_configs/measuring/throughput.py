@@ -15,7 +15,7 @@ import gymnasium as gym
 
 from zoo_configs.environments import make_env
 from zoo_configs.errors import CommandError
-from zoo_configs.machine import Yardstick, measure_yardstick
+from zoo_configs.measuring.machine import Yardstick, measure_yardstick
 
 # What is timed inside a step: module, class (None: the module itself), function.
 PHYSICS = ("pybullet", None, "stepSimulation")

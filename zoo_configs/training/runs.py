@@ -5,16 +5,19 @@ from __future__ import annotations
 import shutil
 import sys
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import yaml
 from rl_zoo3.utils import get_latest_run_id, get_saved_hyperparams
 
+from zoo_configs.cells.cell import Cell
 from zoo_configs.errors import CommandError, reason, refused
 from zoo_configs.files import remove_empty, whole_file
-from zoo_configs.resolve import Cell
+from zoo_configs.measuring.machine import describe_processor, versions
+from zoo_configs.training.options import TrainingOptions
+from zoo_configs.training.state import Standing, standing
 
 RESOLVED_FILE = "hyperparams.yml"
 CONFIG_FILE = "config.yml"  # rl_zoo3's
@@ -36,13 +39,17 @@ class Run:
 
     :param folder: Its folder
     :param cell: What was trained
-    :param arguments: The arguments given to ``rl_zoo3.train``
+    :param seed: Of model and environments
+    :param device: PyTorch device
+    :param options: How it was trained
     :param gym_packages: Packages that register the environment, besides our own
     """
 
     folder: Path
     cell: Cell
-    arguments: tuple[str, ...]
+    seed: int = 0
+    device: str = "auto"
+    options: TrainingOptions = field(default_factory=TrainingOptions)
     gym_packages: tuple[str, ...] = ()
 
     @property
@@ -90,6 +97,11 @@ class Run:
     def training_log(self) -> Path:
         """What the algorithm logged of its updates."""
         return self.folder / TRAINING_LOG_FILE
+
+    @property
+    def standing(self) -> Standing | None:
+        """How it stands: running, done, failed or killed; None if no training has begun."""
+        return standing(self.folder)
 
     def saved_hyperparams(self) -> tuple[dict[str, Any], str | None]:
         """
@@ -149,8 +161,12 @@ def write_resolved(run: Run) -> Path:
         "baseline": run.cell.baseline,
         "preset": run.cell.preset,
         "benchmark": run.cell.benchmark,
-        "arguments": list(run.arguments),
+        "seed": run.seed,
+        "device": run.device,
+        "options": run.options.plain(),
         "gym_packages": list(run.gym_packages),
+        "versions": versions(),
+        "machine": describe_processor(),
     }
     path = run.resolved_file
     with whole_file(path) as partial, partial.open("w", encoding="utf-8") as file:
@@ -175,7 +191,9 @@ def load_run(folder: Path) -> Run:
         ((env_id, hyperparams),) = content.items()
         named = {key: about.get(key) for key in ("baseline", "preset", "benchmark")}
         cell = Cell(about["algo"], env_id, dict(hyperparams), {}, **named)
-        return Run(folder, cell, tuple(about["arguments"]), tuple(about.get("gym_packages", ())))
+        options = TrainingOptions.from_plain(about["options"])
+        packages = tuple(about.get("gym_packages", ()))
+        return Run(folder, cell, about["seed"], about["device"], options, packages)
 
 
 def find_runs(log_folder: Path, env_id: str | None = None) -> list[Run]:

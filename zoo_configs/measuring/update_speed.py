@@ -20,8 +20,8 @@ from sb3_extensions.networks.encoders import precision
 from sb3_extensions.networks.equivariant import EquivariantConv2d
 from sb3_extensions.spatial_dqn import SpatialDQN
 from zoo_configs.algorithms import register_algorithms
-from zoo_configs.manager import import_classes
-from zoo_configs.resolve import Cell
+from zoo_configs.cells.cell import Cell
+from zoo_configs.training.manager import import_classes
 
 # Parts of an update, by what names of PyTorch's operators contain; the first that fits counts.
 PARTS = {

@@ -8,9 +8,12 @@ import platform
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from importlib import metadata
 from pathlib import Path
 from statistics import median
 from typing import Any
+
+PACKAGES = ("bulletarm-gym", "torch", "stable-baselines3", "gymnasium", "pybullet", "numpy")
 
 
 @dataclass(frozen=True)
@@ -77,7 +80,25 @@ def describe_machine() -> str:
 
     :return: Model and cores of the processor, and the load average over one minute
     """
-    return f"{_processor()}, {os.cpu_count()} cores, load average {os.getloadavg()[0]:.2f}"
+    return f"{describe_processor()}, load average {os.getloadavg()[0]:.2f}"
+
+
+def describe_processor() -> str:
+    """
+    Describe the machine alone.
+
+    :return: Model and cores of the processor
+    """
+    return f"{_processor()}, {os.cpu_count()} cores"
+
+
+def versions() -> dict[str, str]:
+    """
+    What a result depends on besides the machine.
+
+    :return: From package to its version; that of Python, too
+    """
+    return {"python": platform.python_version(), **{name: metadata.version(name) for name in PACKAGES}}
 
 
 def _processor() -> str:

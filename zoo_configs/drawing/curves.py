@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from zoo_configs.errors import refused
 from zoo_configs.files import whole_file
-from zoo_configs.runs import CURVE_FILE, Run
+from zoo_configs.training.runs import CURVE_FILE, Run
 
 PANEL_SIZE = (6.4, 4.0)  # inches
 CURVES_BESIDE_LEGEND = 3  # a legend of more would cover them: it stands outside

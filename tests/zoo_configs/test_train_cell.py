@@ -1,0 +1,207 @@
+"""``train_cell``: what a notebook, a study and a benchmark call."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import subprocess
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, NoReturn
+
+import numpy as np
+import pytest
+import torch as th
+import yaml
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.save_util import load_from_zip_file
+
+from zoo_configs.cells.cell import Cell, resolve
+from zoo_configs.errors import CommandError
+from zoo_configs.training.cell import train_cell
+from zoo_configs.training.options import TUNING, TrainingOptions, parser_of_options
+from zoo_configs.training.runs import Run, load_run
+from zoo_configs.training.state import LOCK_FILE, NothingToDo, State, held, standing
+
+TINY = {"expert_episodes": 2, "pretrain_steps": 2, "batch_size": 4, "buffer_size": 100, "n_envs": 1}
+SHORT = {"n_timesteps": 12, "eval_freq": 6, "eval_episodes": 2, "save_freq": 6, "verbose": 0}
+
+
+@pytest.fixture
+def cell(toy_id: str) -> Cell:
+    return resolve("sacfd", "quick", toy_id, {**TINY, "env_kwargs": {"obs_size": 48}})
+
+
+@pytest.fixture
+def options(cell: Cell) -> TrainingOptions:
+    return TrainingOptions.of(cell, SHORT)
+
+
+def weights(run: Run) -> dict[str, th.Tensor]:
+    return dict(load_from_zip_file(run.last_model, device="cpu")[1]["policy"])
+
+
+def same(first: Run, second: Run) -> bool:
+    left, right = weights(first), weights(second)
+    return all(bool((left[key] == right[key]).all()) for key in left)
+
+
+class Stop(BaseCallback):
+    """Ends the training by an error."""
+
+    def __init__(self, at: int, error: BaseException) -> None:
+        super().__init__()
+        self.at, self.error = at, error
+
+    def _on_step(self) -> bool:
+        if self.num_timesteps == self.at:
+            raise self.error
+        return True
+
+
+def test_two_trainings_in_a_process_do_not_disturb_each_other(
+    cell: Cell, options: TrainingOptions, tmp_path: Path
+) -> None:
+    threads = th.get_num_threads()
+    alone = train_cell(cell, 0, "cpu", tmp_path, options=options)
+    other = train_cell(cell, 1, "cpu", tmp_path, options=options)
+    again = train_cell(cell, 0, "cpu", tmp_path, options=options)
+    assert same(alone, again) and not same(alone, other)
+    assert {run.folder.name[-1] for run in (alone, other, again)} == {"1", "2", "3"}
+    assert th.get_num_threads() == threads
+
+
+def test_a_run_says_all_about_itself(cell: Cell, options: TrainingOptions, tmp_path: Path) -> None:
+    run = train_cell(cell, 3, "cpu", tmp_path, options=options, at=tmp_path / "here")
+    about = yaml.safe_load(run.resolved_file.read_text())["run"]
+    assert (about["seed"], about["baseline"], about["preset"]) == (3, "sacfd", "quick")
+    assert about["versions"]["torch"] == th.__version__
+    assert about["options"]["n_timesteps"] == 12
+    assert "cores" in about["machine"]
+    loaded = load_run(run.folder)
+    assert (loaded.seed, loaded.options, loaded.cell.hyperparams) == (3, options, cell.hyperparams)
+    how = loaded.standing
+    assert how is not None and how.state is State.DONE and how.pid == os.getpid() and how.seconds > 0
+
+
+def test_a_chosen_folder_goes_on_from_its_checkpoint(
+    cell: Cell, options: TrainingOptions, tmp_path: Path
+) -> None:
+    there = tmp_path / "there"
+
+    def train(*callbacks: BaseCallback) -> Run:
+        return train_cell(cell, 0, "cpu", tmp_path, options=options, at=there, callbacks=callbacks)
+
+    with pytest.raises(RuntimeError, match="pulled"):
+        train(Stop(10, RuntimeError("the plug was pulled")))
+    how = standing(there)
+    assert how is not None and how.state is State.FAILED and how.error == "the plug was pulled"
+    run = train()
+    assert same(run, train_cell(cell, 0, "cpu", tmp_path, options=options))
+    before = run.last_model.stat().st_mtime_ns
+    assert train(Stop(1, RuntimeError("not reached"))).last_model.stat().st_mtime_ns == before
+
+
+def test_a_chosen_folder_is_of_one_run(cell: Cell, options: TrainingOptions, tmp_path: Path) -> None:
+    train_cell(cell, 0, "cpu", tmp_path, options=options, at=tmp_path / "a")
+    with pytest.raises(CommandError, match="holds a run with seed 0, not 1"):
+        train_cell(cell, 1, "cpu", tmp_path, options=options, at=tmp_path / "a")
+    cell.hyperparams["gamma"] = 0.5
+    with pytest.raises(CommandError, match="holds a run with other hyperparams"):
+        train_cell(cell, 0, "cpu", tmp_path, options=options, at=tmp_path / "a")
+
+
+def test_what_fails_at_once_leaves_no_folder(cell: Cell, tmp_path: Path) -> None:
+    options = TrainingOptions.of(cell, {**SHORT, "eval_freq": 0, "save_freq": 0})
+    with pytest.raises(RuntimeError):
+        train_cell(cell, 0, "cpu", tmp_path, options=options, callbacks=[Stop(1, RuntimeError("early"))])
+    assert not (tmp_path / "sacfd").exists()
+
+
+def test_options_that_do_not_exist_are_told(cell: Cell) -> None:
+    with pytest.raises(CommandError, match="'eval_frq', did you mean 'eval_freq'"):
+        TrainingOptions.of(cell, {"eval_frq": 3})
+    with pytest.raises(CommandError, match="--eval-episodes takes a whole number of at least 1, got 0"):
+        TrainingOptions.of(cell, {"eval_episodes": 0})
+
+
+def test_the_flags_are_those_of_rl_zoo3(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Compared with the parser that exists in its main function only."""
+    import rl_zoo3.train
+
+    found: list[argparse.ArgumentParser] = []
+
+    class Theirs(argparse.ArgumentParser):
+        def parse_args(self, *args: Any, **kwargs: Any) -> NoReturn:
+            found.append(self)
+            raise StopIteration
+
+    monkeypatch.setattr(rl_zoo3.train, "argparse", SimpleNamespace(ArgumentParser=Theirs))
+    with pytest.raises(StopIteration):
+        rl_zoo3.train.train()
+    [theirs] = found
+    ours = parser_of_options("ours")
+    elsewhere = {
+        "--algo",
+        "--env",
+        "-f",
+        "--log-folder",
+        "--seed",
+        "--device",
+        "--gym-packages",
+        "-h",
+        "--help",
+    }
+    elsewhere |= {"--env-kwargs", "-params", "--hyperparams", "-conf", "--conf-file", "-P", "--progress"}
+    flags = {flag for action in theirs._actions for flag in action.option_strings}
+    assert {flag for action in ours._actions for flag in action.option_strings} == flags - elsewhere
+    defaults = TrainingOptions()
+    for action in theirs._actions:
+        if hasattr(defaults, action.dest) and action.dest not in ("wandb_tags",):
+            assert getattr(defaults, action.dest) == (action.default or getattr(defaults, action.dest))
+    assert set(TUNING) <= flags
+
+
+def test_who_trains_a_run_keeps_others_out(tmp_path: Path) -> None:
+    with held(tmp_path):
+        how = standing(tmp_path)
+        assert how is not None and how.state is State.RUNNING
+        with pytest.raises(CommandError, match="is being trained by another process"), held(tmp_path):
+            pass
+    assert standing(tmp_path)._replace(seconds=0, since=0).state is State.DONE  # type: ignore[union-attr]
+
+
+def test_what_is_done_stays_done(tmp_path: Path) -> None:
+    with held(tmp_path):
+        pass
+    with pytest.raises(NothingToDo), held(tmp_path):
+        raise NothingToDo("it is")
+    how = standing(tmp_path)
+    assert how is not None and how.state is State.DONE
+
+
+def test_who_is_killed_leaves_a_killed_run(tmp_path: Path) -> None:
+    code = f"""
+import os, signal
+from pathlib import Path
+from zoo_configs.training.state import held
+with held(Path({str(tmp_path)!r})):
+    os.kill(os.getpid(), signal.SIGKILL)
+"""
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == -9
+    assert (tmp_path / LOCK_FILE).is_file()
+    how = standing(tmp_path)
+    assert how is not None and how.state is State.KILLED
+    (tmp_path / "state.yml").write_text("state: dancing")
+    with pytest.raises(CommandError, match="cannot be read"):
+        standing(tmp_path)
+
+
+def test_ctrl_c_counts_as_killed(cell: Cell, options: TrainingOptions, tmp_path: Path) -> None:
+    with pytest.raises(KeyboardInterrupt) as stop:
+        train_cell(cell, 0, "cpu", tmp_path, options=options, callbacks=[Stop(8, KeyboardInterrupt())])
+    run = stop.value.run  # type: ignore[attr-defined]
+    how = standing(run.folder)
+    assert how is not None and how.state is State.KILLED
+    assert run.last_model.is_file() and np.any([weights(run)])

@@ -1,0 +1,1 @@
+"""Hyperparameters: axes, rules, and the cells that they make."""

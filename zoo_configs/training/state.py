@@ -1,0 +1,149 @@
+"""What becomes of a run: who trains it, and whether it is running, done, failed or killed."""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import os
+import socket
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from enum import Enum
+from pathlib import Path
+from typing import IO, NamedTuple
+
+import yaml
+
+from zoo_configs.errors import CommandError, reason
+from zoo_configs.files import whole_file
+
+STATE_FILE = "state.yml"
+LOCK_FILE = ".lock"
+# Who asks whether a run is held takes its lock for a moment: look several times, with seconds between.
+LOOKS, LOOK = 10, 0.05
+
+
+class NothingToDo(CommandError):
+    """A run is done already: how it stands does not change."""
+
+
+class State(str, Enum):
+    """What a run is doing."""
+
+    RUNNING = "running"
+    DONE = "done"
+    FAILED = "failed"
+    KILLED = "killed"
+
+
+class Standing(NamedTuple):
+    """
+    How a run stands.
+
+    :param state: What it is doing
+    :param host: The machine that trains it, or did
+    :param pid: The process
+    :param since: When that began, seconds since 1970
+    :param seconds: How long it has been trained before, by all processes together
+    :param error: Why it failed
+    """
+
+    state: State
+    host: str = ""
+    pid: int = 0
+    since: float = 0.0
+    seconds: float = 0.0
+    error: str = ""
+
+
+def standing(folder: Path) -> Standing | None:
+    """
+    Read how a run stands. One that is called running, but that no process holds, was killed.
+
+    :param folder: Run folder
+    :return: How it stands, None if no training has begun
+    :raises CommandError: if the folder says something else
+    """
+    path = folder / STATE_FILE
+    if not path.is_file():
+        return None
+    try:
+        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+        found = Standing(**{**content, "state": State(content["state"])})
+    except (KeyError, TypeError, ValueError, yaml.YAMLError) as error:
+        raise CommandError(f"{path} cannot be read: {reason(error)}") from error
+    if found.state is State.RUNNING and not is_held(folder):
+        return found._replace(state=State.KILLED)
+    return found
+
+
+def is_held(folder: Path) -> bool:
+    """
+    Whether a process is training a run; on shared storage on any machine.
+
+    :param folder: Run folder
+    :return: Whether its lock is taken
+    """
+    path = folder / LOCK_FILE
+    if not path.is_file():
+        return False
+    with path.open("a") as file:
+        return not _lock(file)
+
+
+@contextmanager
+def held(folder: Path) -> Iterator[None]:
+    """
+    Train a run: nobody else may meanwhile, and the folder says how it stands, whatever happens. What ends by
+    Ctrl-C counts as killed.
+
+    :param folder: Run folder
+    :return: Context manager
+    :raises CommandError: if another process is training it
+    """
+    with (folder / LOCK_FILE).open("a") as file:
+        if not _lock_soon(file):
+            raise CommandError(f"{folder} is being trained by another process")
+        before = standing(folder)
+        begun = Standing(State.RUNNING, socket.gethostname(), os.getpid(), time.time())
+        begun = begun._replace(seconds=before.seconds if before else 0.0)
+        _write(folder, begun)
+        try:
+            yield
+        except NothingToDo:
+            _write(folder, before or _ended(begun, State.DONE))
+            raise
+        except BaseException as error:
+            state = State.KILLED if isinstance(error, KeyboardInterrupt) else State.FAILED
+            with contextlib.suppress(OSError):  # a full disk may be the reason
+                _write(folder, _ended(begun, state, reason(error)))
+            raise
+        _write(folder, _ended(begun, State.DONE))
+
+
+def _ended(begun: Standing, state: State, error: str = "") -> Standing:
+    return begun._replace(state=state, seconds=begun.seconds + time.time() - begun.since, error=error)
+
+
+def _lock(file: IO[str]) -> bool:
+    """Take a lock that goes with the process, if it is free."""
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    return True
+
+
+def _lock_soon(file: IO[str]) -> bool:
+    for _ in range(LOOKS):
+        if _lock(file):
+            return True
+        time.sleep(LOOK)
+    return False
+
+
+def _write(folder: Path, how: Standing) -> None:
+    content = {**how._asdict(), "state": how.state.value}
+    with whole_file(folder / STATE_FILE) as partial, partial.open("w", encoding="utf-8") as file:
+        yaml.safe_dump(content, file, sort_keys=False)
