@@ -140,7 +140,8 @@ class EnvConfig:
         :param task: the task's own numbers
         :param robots: names of the arms there are
         :param surface: where; some defaults follow from it
-        :raises UnknownParameterError: there is no such parameter; the nearest is named
+        :raises UnknownParameterError: there is no such parameter; one of a similar name is offered, else
+            all are listed
         :raises ParameterError: a wrong type or value, or ground that the task cannot stand on
         """
         checks = _checks(control, task, robots)
@@ -260,8 +261,10 @@ def _unknown(name: str, value: object, control: str, checks: Mapping[str, Check]
         other, own = (text.replace("_", "-") for text in (_ONLY_WITH[name], control))
         takes = f"nothing here: it belongs to {other} environments, this one is {own}"
     else:
-        near = difflib.get_close_matches(name, checks, n=1, cutoff=0.0)[0]
-        takes = f"nothing: there is no such parameter; the nearest is {near!r}"
+        known = [*checks, "surface"]
+        near = difflib.get_close_matches(name, known, n=1)
+        hint = f"did you mean {near[0]!r}?" if near else f"choose from {', '.join(known)}"
+        takes = f"nothing: there is no such parameter, {hint}"
     return UnknownParameterError.of(name, value, takes)
 
 

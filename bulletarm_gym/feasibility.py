@@ -61,8 +61,9 @@ def _rehearse(scene: Scene, task: Task, control: Control[Any], rng: np.random.Ge
     sizes = len(scene.config.scales)
     for item in scene.items:
         shapes, rest = divmod(len(item.role.variants), sizes)
-        if rest == 0:  # the shapes in the largest size are the last
-            item.variant = shapes * (sizes - 1) + item.variant % shapes
+        if rest == 0:  # the larger, the later
+            shape = item.choices[item.variant] % shapes
+            item.variant = max(n for n, place in enumerate(item.choices) if place % shapes == shape)
     control.start(scene)
     task.memory = None
     try:

@@ -1,5 +1,7 @@
 """What tasks, controls and planners share: the bodies by role, the arm, the surface and the workspace."""
 
+import math
+import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -26,13 +28,19 @@ SIDE_PIXELS = 512
 """... and their resolution."""
 SETTLE_LIMIT = 240
 """Most simulation steps (1 s) that loose bodies are given to come to rest."""
+MOST_VARIANTS = 120
+"""Bodies that are loaded to play all roles where sizes are drawn: Bullet looks at every pair of them in every
+step, parked or not. Twice as many as any task has without."""
+GOLDEN = (math.sqrt(5.0) - 1.0) / 2.0
+"""Steps of this share go round a circle most evenly, however many are made."""
 
 
 @dataclass(frozen=True)
 class Role:
     """A part that a body plays in a task, and the bodies that may play it.
 
-    :param variants: of different sizes or shapes; one is drawn each episode
+    :param variants: of different sizes or shapes; one is drawn each episode. Of several sizes the smallest
+        comes first, each in all shapes, in the same order
     """
 
     name: str
@@ -50,13 +58,46 @@ def shaped(config: EnvConfig, name: str, make: Callable[[str, float, int], BodyS
     return Role(name, tuple(make(f"{name} {kind} {scale:g}", scale, kind) for scale, kind in kinds))
 
 
-class Item:
-    """The body that plays a role in this episode."""
+def spread(roles: Sequence[Role], most: int) -> list[list[int]]:
+    """Choose variants of roles so that all together are at most so many, but one a role at least.
 
-    def __init__(self, role: Role, bodies: Sequence[Body], world: World) -> None:
+    Roles of few variants keep all; the others keep as many as each other, spread evenly over shapes and
+    sizes: one role goes on where the one before it ended, so that together they have as many different ones
+    as can be.
+
+    :param most: variants
+    :return: for each role the places of its chosen variants, in their order
+    """
+    counts = [len(role.variants) for role in roles]
+    most_of_one = max(counts, default=1)
+    while most_of_one > 1 and sum(min(count, most_of_one) for count in counts) > most:
+        most_of_one -= 1
+    chosen, first = [], 0
+    for count in counts:
+        if count <= most_of_one:
+            chosen.append(list(range(count)))
+            continue
+        # What has no divisor in common with the number of variants has none with that of the shapes, so that
+        # these come in turn, too.
+        step = next(s for s in range(round(GOLDEN * count), count) if math.gcd(s, count) == 1)
+        chosen.append(sorted((first + number) * step % count for number in range(most_of_one)))
+        first += most_of_one
+    return chosen
+
+
+class Item:
+    """The body that plays a role in this episode.
+
+    :param role: which
+    :param choices: places of the role's variants that can be drawn
+    :param world: where their bodies are loaded
+    """
+
+    def __init__(self, role: Role, choices: Sequence[int], world: World) -> None:
         self.role = role
+        self.choices = choices
         self.variant = 0
-        self._bodies = bodies
+        self._bodies = [world.add(role.variants[place]) for place in choices]
         self._world = world
 
     @property
@@ -122,7 +163,7 @@ class Scene:
     :param config: the environment's parameters
     :param model: the arm
     :param surface: the ground
-    :param roles: every body the task will ever need
+    :param roles: every body the task will ever need; where sizes are drawn, at most :data:`MOST_VARIANTS`
     """
 
     def __init__(self, config: EnvConfig, model: RobotModel, surface: Surface, roles: Sequence[Role]) -> None:
@@ -131,9 +172,9 @@ class Scene:
         self.world = World(PHYSICS_MODES[config.physics_mode], gui=config.render_mode == "human")
         surface.load(self.world)
         self.robot = Robot(model, self.world, config.fast_mode)
+        choices = spread(roles, MOST_VARIANTS) if len(config.scales) > 1 else spread(roles, sys.maxsize)
         self._items = {
-            role.name: Item(role, [self.world.add(spec) for spec in role.variants], self.world)
-            for role in roles
+            role.name: Item(role, places, self.world) for role, places in zip(roles, choices, strict=True)
         }
         self.world.seal()
 
@@ -160,7 +201,7 @@ class Scene:
         self.surface.arrange(rng)
         for item in self._items.values():
             item.park()
-            item.variant = int(rng.integers(len(item.role.variants)))
+            item.variant = int(rng.integers(len(item.choices)))
 
     def begin(self) -> None:
         """Start a move from the canonical world."""
@@ -175,7 +216,7 @@ class Scene:
             self.world.end()
 
     def get_cast(self) -> tuple[int, ...]:
-        """Return which variant plays each role."""
+        """Return which of an item's choices plays each role."""
         return tuple(item.variant for item in self._items.values())
 
     def set_cast(self, variants: Sequence[int]) -> None:

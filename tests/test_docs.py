@@ -1,14 +1,19 @@
-"""Every Python snippet of the documentation runs, in order, page by page."""
+"""Every Python snippet of the documentation runs, in order, page by page; what it names exists."""
 
+import importlib
+import inspect
 import re
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").rglob("*.md")])
 SNIPPET = re.compile(r"```python\n(.*?)```", re.DOTALL)
+NAME = re.compile(r"`((?:bulletarm_gym|sb3_extensions|zoo_configs)(?:\.\w+)+)`")
+SIGNATURE = re.compile(r"^\| `([\w.]+)\(([^`]*)\)` \|", re.MULTILINE)
 FILE = re.compile(r"# (\w+\.py)\n")
 SHORTER = {
     "learn(2_000": "learn(2",
@@ -21,6 +26,34 @@ SHORTER = {
 
 def _snippets(page: Path) -> list[str]:
     return SNIPPET.findall(page.read_text(encoding="utf-8"))
+
+
+def _find(path: str) -> Any:
+    """Import a module, or what is in one."""
+    module, _, name = path.rpartition(".")
+    try:
+        return importlib.import_module(path)
+    except ModuleNotFoundError:
+        return getattr(_find(module), name)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_names_exist(page: Path) -> None:
+    for name in NAME.findall(page.read_text(encoding="utf-8")):
+        _find(name)
+
+
+def test_signatures_of_the_task_guide_are_the_codes() -> None:
+    """Arguments in their order, and which of them have defaults."""
+    found = SIGNATURE.findall((ROOT / "docs" / "guides" / "task.md").read_text(encoding="utf-8"))
+    assert len(found) > 10
+    for name, arguments in found:
+        told = re.findall(r"(\w+)(=[^,]*(?:,\))?)?(?:, |$)", arguments)
+        parameters = inspect.signature(_find(f"bulletarm_gym.{name}")).parameters
+        assert [argument for argument, _ in told] == list(parameters), name
+        for argument, default in told:
+            is_optional = parameters[argument].default is not inspect.Parameter.empty
+            assert bool(default) == is_optional, f"{name}: {argument}"
 
 
 @pytest.mark.usefixtures("own_registrations")

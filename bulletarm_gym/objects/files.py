@@ -15,6 +15,7 @@ import numpy as np
 from bulletarm_gym.geometry import FloatArray, Pose, multiply, yaw_quaternion
 from bulletarm_gym.objects.graspables import graspable
 from bulletarm_gym.objects.hull import convex_hull
+from bulletarm_gym.simulation.assets import mesh_path
 from bulletarm_gym.simulation.shapes import BodySpec, Box, Colour, Convex, Piece
 
 SMALLEST = 0.005
@@ -129,7 +130,7 @@ def _collision_pieces(collision: ElementTree.Element, folder: Path) -> list[Piec
         return [Piece(Box((x, y, z)), pose)]
     if mesh is None:
         raise ValueError("its collision geometry is neither a mesh nor a box")
-    file = folder / mesh.get("filename", "").removeprefix("package://")
+    file = mesh_path(mesh.get("filename", ""), folder.absolute())
     if file.suffix.lower() != ".obj":
         raise ValueError(f"its mesh {file.name!r} is not an OBJ file")
     return [Piece(piece.shape, pose) for piece in _from_obj(file, tuple(_floats(mesh.get("scale", "1 1 1"))))]

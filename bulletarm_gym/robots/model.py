@@ -17,6 +17,8 @@ from bulletarm_gym.robots.urdf import DARK, add_parts, cylinder, merge_fixed
 
 PLINTH_RADIUS = 0.09
 """Of the stand (m) under an arm whose base is above the ground; it stays clear of the workspaces."""
+TRAVEL_TOLERANCE = 1e-4
+"""What a stroke and the joints' limits may differ by (m)."""
 
 
 @dataclass(frozen=True)
@@ -24,13 +26,16 @@ class RobotModel:
     """An arm and its gripper.
 
     :param name: the value of the parameter ``robot``
-    :param load: reads or makes the URDF of the arm with its gripper
+    :param load: reads or makes the URDF of the arm with its gripper, see
+        :func:`~bulletarm_gym.robots.read_urdf`
     :param joints: names of the revolute joints, from the base to the gripper
-    :param tool: the gripper's tool frame, between the fingertips, in the link that the last joint moves
+    :param tool: the gripper's tool frame, between the fingertips, in the link that the last joint moves: z
+        back towards the arm, x along which the fingers open
     :param gripper: the fingers in that model
     :param base: of the arm, in the world; chosen so that every pose of the default workspaces can be reached
     :param posture: joint positions (rad) near which poses are sought: gripper down, elbow up, before the base
-    :param force: greatest torque (N m) of each joint
+    :param force: greatest torque (N m) of each joint; what the pace of the simulation takes is more than most
+        real arms have
     """
 
     name: str
@@ -48,13 +53,15 @@ class RobotModel:
 
         The original release ignores the limits too; with them an arm on the floor cannot reach the whole
         workspace at every tilt, and its wrist could not turn on and on.
+
+        :raises ValueError: a joint is missing, or a finger's ends before the gripper's stroke does
         """
         root = self.load()
         merge_fixed(root)
+        for name in self.gripper.joints:
+            self._check_travel(self._joint(root, name))
         for name in self.joints:
-            joint = root.find(f"joint[@name='{name}']")
-            if joint is None:
-                raise ValueError(f"robot {self.name!r}: the model has no joint {name!r}")
+            joint = self._joint(root, name)
             joint.set("type", "continuous")
             for limit in joint.findall("limit"):
                 joint.remove(limit)
@@ -62,6 +69,22 @@ class RobotModel:
             plinth = cylinder(PLINTH_RADIUS, self.base.z, (0.0, 0.0, -self.base.z / 2.0), DARK)
             add_parts(root.findall("link")[0], [plinth])
         return root
+
+    def _joint(self, root: ElementTree.Element, name: str) -> ElementTree.Element:
+        joint = root.find(f"joint[@name='{name}']")
+        if joint is None:
+            raise ValueError(f"robot {self.name!r}: the model has no joint {name!r}")
+        return joint
+
+    def _check_travel(self, finger: ElementTree.Element) -> None:
+        """Compare what the gripper says with what the model lets a finger do."""
+        limit = finger.find("limit")
+        upper = math.inf if limit is None else float(limit.get("upper", "0"))
+        if upper < self.gripper.travel - TRAVEL_TOLERANCE:
+            raise ValueError(
+                f"robot {self.name!r}: the gripper's stroke of {self.gripper.stroke:g} m takes each finger "
+                f"{self.gripper.travel:g} m, but {finger.get('name')!r} ends at {upper:g} m in the model"
+            )
 
     @cached_property
     def chain(self) -> Chain:

@@ -21,8 +21,6 @@ ROOT = box((0.0208, 0.0236, 0.019), (0.0, 0.0145, 0.0095), LIGHT)
 
 def _load() -> Element:
     root = load_model("franka_panda/panda.urdf")
-    for mesh in root.iter("mesh"):  # paths that only ROS resolves
-        mesh.set("filename", mesh.get("filename", "").replace("package:/", ""))
     for name, yaw in zip(FINGERS, (0.0, math.pi), strict=True):
         _square(find_link(root, name), Pose.planar(0.0, 0.0, 0.0, yaw))
     return root

@@ -6,7 +6,7 @@ import weakref
 from functools import partial
 from typing import Any
 
-import pybullet
+from bulletarm_gym.simulation.engine import pybullet
 
 
 class Client:

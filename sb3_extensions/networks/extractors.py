@@ -99,7 +99,8 @@ def square_images(parts: Mapping[str, gym.Space[Any]]) -> dict[str, spaces.Box]:
     }
     if not images or any(space.shape[1] != space.shape[2] for space in images.values()):
         shapes = {key: space.shape for key, space in images.items()}
-        raise ValueError(f"observation_space needs images, all (channels, size, size), got {shapes}")
+        advice = "" if images else "; numbers alone are for a StatePolicy or the MlpExtractor"
+        raise ValueError(f"observation_space needs images, all (channels, size, size), got {shapes}{advice}")
     return images
 
 

@@ -1,4 +1,6 @@
-"""Policies of SACfD for images and numbers: the paper's CNN and its equivariant network."""
+"""Policies of SACfD for images and numbers, the paper's CNN and its equivariant network, and for numbers
+alone.
+"""
 
 from __future__ import annotations
 
@@ -12,6 +14,7 @@ from stable_baselines3.sac.policies import Actor, SACPolicy
 
 from sb3_extensions.networks.extractors import CnnExtractor, EquivariantExtractor
 from sb3_extensions.networks.heads import features_type
+from sb3_extensions.networks.numbers import MlpExtractor
 from sb3_extensions.networks.policies import (
     EquivariantActor,
     EquivariantCritic,
@@ -23,6 +26,7 @@ from sb3_extensions.networks.policies import (
 # Hidden layers of the paper's close-loop CNN baseline: none in the actor, 128 units in each head of the
 # critic.
 CNN_NET_ARCH: dict[str, list[int]] = {"pi": [], "qf": [128]}
+STATE_NET_ARCH: dict[str, list[int]] = {"pi": [], "qf": [256]}
 
 
 class MultiInputPolicy(SACPolicy):
@@ -70,6 +74,37 @@ class MultiInputPolicy(SACPolicy):
         data = super()._get_constructor_parameters()
         data.update(share_features_extractor=self.share_features_extractor)
         return data
+
+
+class StatePolicy(MultiInputPolicy):
+    """Fully connected policy for observations of numbers alone, such as an environment's poses.
+
+    :param observation_space: see :class:`~sb3_extensions.networks.numbers.MlpExtractor`
+    :param action_space: Action space
+    :param lr_schedule: Learning rate schedule (could be constant)
+    :param net_arch: Hidden layers behind the encoders; by default none in the actor, 256 units in each head
+        of the critic
+    :param features_extractor_class: Features extractor to use
+    :param kwargs: further parameters of :class:`MultiInputPolicy`
+    """
+
+    def __init__(
+        self,
+        observation_space: spaces.Space[Any],
+        action_space: spaces.Box,
+        lr_schedule: Schedule,
+        net_arch: NetArch | None = None,
+        features_extractor_class: type[BaseFeaturesExtractor] = MlpExtractor,
+        **kwargs: Any,
+    ) -> None:
+        super().__init__(
+            observation_space,
+            action_space,
+            lr_schedule,
+            net_arch=STATE_NET_ARCH if net_arch is None else net_arch,
+            features_extractor_class=features_extractor_class,
+            **kwargs,
+        )
 
 
 class EquivariantPolicy(SACPolicy):

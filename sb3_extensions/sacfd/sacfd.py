@@ -29,7 +29,7 @@ from sb3_extensions.demonstrations.off_policy import (
     check_share,
 )
 from sb3_extensions.sacfd.imitation import imitated_actions
-from sb3_extensions.sacfd.policies import EquivariantPolicy, MultiInputPolicy
+from sb3_extensions.sacfd.policies import EquivariantPolicy, MultiInputPolicy, StatePolicy
 
 
 class SACfD(OffPolicyFromDemonstrations, SAC):
@@ -102,13 +102,13 @@ class SACfD(OffPolicyFromDemonstrations, SAC):
     :param _init_setup_model: Whether or not to build the network at the creation of the instance
     :raises ValueError: if an argument is out of its range, if there is pretraining without demonstrations,
         if ``dagger`` has no weight or the environment no ``expert_action()`` for it, if
-        ``replay_buffer_class`` is no ``ExpertReplayBuffer``, or rounds images otherwise than the features
-        extractor
+        ``replay_buffer_class`` is no ``ExpertReplayBuffer``, or rounds images otherwise than the policy
     """
 
     policy_aliases: ClassVar[dict[str, type[BasePolicy]]] = {
         "MultiInputPolicy": MultiInputPolicy,
         "EquivariantPolicy": EquivariantPolicy,
+        "StatePolicy": StatePolicy,
     }
     action_space: spaces.Box
 

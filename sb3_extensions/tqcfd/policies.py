@@ -1,4 +1,4 @@
-"""Policies of TQCfD for images and numbers: the paper's CNN and its equivariant network, with quantiles."""
+"""Policies of SACfD with critics of quantiles, for TQCfD."""
 
 from __future__ import annotations
 
@@ -66,6 +66,16 @@ class MultiInputPolicy(QuantilePolicy, sacfd.MultiInputPolicy):
 
     The parameters are those of :class:`QuantilePolicy` and of
     :class:`sb3_extensions.sacfd.policies.MultiInputPolicy`.
+    """
+
+    critic_class: ClassVar[type[NormalisedCritic]] = QuantileCritic
+
+
+class StatePolicy(QuantilePolicy, sacfd.StatePolicy):
+    """Fully connected policy for numbers alone, with a critic of quantiles.
+
+    The parameters are those of :class:`QuantilePolicy` and of
+    :class:`sb3_extensions.sacfd.policies.StatePolicy`.
     """
 
     critic_class: ClassVar[type[NormalisedCritic]] = QuantileCritic

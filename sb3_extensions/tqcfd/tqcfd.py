@@ -13,7 +13,7 @@ from stable_baselines3.common.type_aliases import GymEnv
 from stable_baselines3.sac.policies import SACPolicy
 
 from sb3_extensions.sacfd import SACfD
-from sb3_extensions.tqcfd.policies import EquivariantPolicy, MultiInputPolicy
+from sb3_extensions.tqcfd.policies import EquivariantPolicy, MultiInputPolicy, StatePolicy
 
 
 class TQCfD(SACfD):
@@ -25,7 +25,7 @@ class TQCfD(SACfD):
 
     TQC: https://arxiv.org/abs/2005.04269
 
-    :param policy: The policy model to use (``"MultiInputPolicy"``, ``"EquivariantPolicy"``, or a class)
+    :param policy: The policy model to use (one of the aliases, or a class)
     :param env: The environment to learn from (if registered in Gym, can be str); its observations are a Dict
     :param top_quantiles_to_drop_per_net: number of quantiles to drop per network, of its ``n_quantiles`` (in
         ``policy_kwargs``, 25 by default)
@@ -37,6 +37,7 @@ class TQCfD(SACfD):
     policy_aliases: ClassVar[dict[str, type[BasePolicy]]] = {
         "MultiInputPolicy": MultiInputPolicy,
         "EquivariantPolicy": EquivariantPolicy,
+        "StatePolicy": StatePolicy,
     }
     critic: Critic  # type: ignore[assignment]
 

@@ -3,6 +3,8 @@
 import itertools
 import math
 from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
@@ -12,7 +14,7 @@ from rollouts import make_env, transcript
 
 from bulletarm_gym.env import ManipulationEnv
 from bulletarm_gym.geometry import Pose, Quaternion, multiply, wrap_angle, yaw_quaternion
-from bulletarm_gym.robots import ROBOTS, Robot, RobotModel
+from bulletarm_gym.robots import KUKA, PANDA, ROBOTS, Robot, RobotModel, read_urdf
 from bulletarm_gym.robots.urdf import box, cylinder, merge_fixed
 
 PICKING = "BulletArm/CloseLoopBlockPicking-v0"
@@ -296,3 +298,59 @@ def test_a_gripper_needs_a_link_to_sit_on() -> None:
 
     with pytest.raises(ValueError, match="no link 'hand'"):
         JAW.fitted(arm, "hand", FLANGE)
+
+
+# Models of users
+
+
+def write_arm(folder: Path, mesh: str) -> Path:
+    """Write a model of one link with a mesh, as a ROS package has it."""
+    package = folder / "my_arm"
+    (package / "urdf").mkdir(parents=True)
+    (package / "meshes").mkdir()
+    (package / "meshes" / "base.obj").write_text("v 0 0 0\n")
+    visual = f'<visual><geometry><mesh filename="{mesh}"/></geometry></visual>'
+    path = package / "urdf" / "arm.urdf"
+    path.write_text(f'<robot name="arm"><link name="base">{visual}</link></robot>')
+    return path
+
+
+@pytest.mark.parametrize(
+    "mesh", ["package://my_arm/meshes/base.obj", "package://meshes/base.obj", "../meshes/base.obj"]
+)
+def test_meshes_of_a_model_are_found(mesh: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = write_arm(tmp_path, mesh)
+    monkeypatch.chdir(tmp_path)
+    for source in (path, str(path.relative_to(tmp_path))):
+        (found,) = (Path(element.get("filename", "")) for element in read_urdf(source).iter("mesh"))
+        assert found.is_absolute() and found.samefile(tmp_path / "my_arm" / "meshes" / "base.obj")
+
+
+def test_a_file_url_is_a_path(tmp_path: Path) -> None:
+    path = write_arm(tmp_path, f"file://{tmp_path}/my_arm/meshes/base.obj")
+    (mesh,) = read_urdf(path).iter("mesh")
+    assert mesh.get("filename") == f"{tmp_path}/my_arm/meshes/base.obj"
+
+
+@pytest.mark.parametrize("mesh", ["package://other_arm/meshes/base.obj", "meshes/base.obj"])
+def test_a_mesh_that_is_missing_is_named(mesh: str, tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=f"the mesh {mesh!r} .*my_arm/urdf is not there"):
+        read_urdf(write_arm(tmp_path, mesh))
+
+
+def test_what_is_no_urdf_is_named(tmp_path: Path) -> None:
+    (tmp_path / "arm.urdf").write_text("<robot")
+    with pytest.raises(ValueError, match=r"arm\.urdf is no URDF"):
+        read_urdf(tmp_path / "arm.urdf")
+
+
+@pytest.mark.parametrize("source", [KUKA, PANDA], ids=["jaw", "own hand"])
+def test_fingers_that_end_before_the_stroke_are_refused(source: RobotModel) -> None:
+    wider = replace(source.gripper, stroke=0.1)
+    with pytest.raises(ValueError, match=r"stroke of 0.1 m takes each finger 0.05 m, but .* ends at 0.04"):
+        make_env(PICKING, robot=replace(source, name="wide", gripper=wider))
+
+
+def test_joints_that_are_missing_are_named() -> None:
+    with pytest.raises(ValueError, match="has no joint 'lbr_iiwa_joint_9'"):
+        make_env(PICKING, robot=replace(KUKA, joints=("lbr_iiwa_joint_9",)))

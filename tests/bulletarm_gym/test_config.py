@@ -73,10 +73,12 @@ def test_wrong_open_loop_values_are_named(name: str, value: Any) -> None:
 @pytest.mark.parametrize(
     ("name", "hint"),
     [
-        ("obs_sise", "'obs_size'"),
-        ("workspaces", "'workspace'"),
-        ("max_step", "'max_steps'"),
-        ("physics", "'physics_mode'"),
+        ("obs_sise", "did you mean 'obs_size'?"),
+        ("workspaces", "did you mean 'workspace'?"),
+        ("max_step", "did you mean 'max_steps'?"),
+        ("physics", "did you mean 'physics_mode'?"),
+        ("surfaces", "did you mean 'surface'?"),
+        ("frameskip", "choose from robot, action_sequence, "),
         ("render", 'render_mode="human"'),
         ("half_rotation", "open-loop"),
         ("in_hand_size", "open-loop"),

@@ -29,6 +29,7 @@ class ToyReach(gym.Env[dict[str, np.ndarray], np.ndarray]):
     :param render_mode: not used
     :param expert_failures: in how many of the first episodes the expert stands still
     :param in_hand_size: pixels a side of a smaller image, of what is at the point; 0: there is none
+    :param observation: "image", or "state": two numbers, where the target is
     """
 
     metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"]}
@@ -41,16 +42,20 @@ class ToyReach(gym.Env[dict[str, np.ndarray], np.ndarray]):
         render_mode: str | None = None,
         size: int = SIZE,
         in_hand_size: int = 0,
+        observation: str = "image",
     ) -> None:
         self.render_mode = render_mode
         self.size = size
         self.in_hand_size = in_hand_size
+        self.observation = observation
         parts = {
             "heightmap": spaces.Box(0.0, MAX_HEIGHT, (1, size, size), np.float32),
             "holding": spaces.Box(0.0, 1.0, (1,), np.float32),
         }
         if in_hand_size:
             parts["in_hand"] = spaces.Box(0.0, MAX_HEIGHT, (1, in_hand_size, in_hand_size), np.float32)
+        if observation == "state":
+            parts = {"state": spaces.Box(-1.0, 1.0, (2,), np.float32)}
         self.observation_space = spaces.Dict(parts)
         self.max_steps = max_steps
         self.expert_failures = expert_failures
@@ -76,6 +81,8 @@ class ToyReach(gym.Env[dict[str, np.ndarray], np.ndarray]):
         return {"is_success": bool(np.abs(self.offset).max() < REACH)}
 
     def _observation(self) -> dict[str, np.ndarray]:
+        if self.observation == "state":
+            return {"state": self.offset.astype(np.float32)}
         grid = np.linspace(-1, 1, self.size)
         x, y = np.meshgrid(grid, grid, indexing="ij")
         squared_distance = (x - self.offset[0]) ** 2 + (y - self.offset[1]) ** 2

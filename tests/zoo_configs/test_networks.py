@@ -13,15 +13,18 @@ import pytest
 import torch as th
 from stable_baselines3.common.base_class import BaseAlgorithm
 
+from zoo_configs.cells.cell import resolve
 from zoo_configs.cells.rules import family_of
 from zoo_configs.cli import main
 from zoo_configs.environments import register_environments
+from zoo_configs.measuring.update_speed import make_model
 from zoo_configs.training.manager import ZooManager
 
 register_environments()
 STACKING = "BulletArm/CloseLoopBlockStacking-v0"
 CENTIMETRES = (0.1, 0.01)
 FAMILY = family_of(STACKING)
+SEEING = [name for name, row in FAMILY.baselines.items() if row.network != "state"]
 Build = Callable[..., Any]
 
 
@@ -41,9 +44,9 @@ def build(toy_id: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Build
 
 
 @functools.cache
-def real_observations(size: int) -> dict[str, th.Tensor]:
-    """What the gripper sees while blocks are stacked, (n, ...) each."""
-    env = gym.make(STACKING, obs_size=size)
+def real_observations(**env_kwargs: Any) -> dict[str, th.Tensor]:
+    """What is observed while blocks are stacked, (n, ...) each."""
+    env = gym.make(STACKING, **env_kwargs)
     observations, ended = [env.reset(seed=0)[0]], False
     while not ended:
         observation, _, terminated, truncated, _ = env.step(env.unwrapped.expert_action())  # type: ignore[attr-defined]
@@ -55,7 +58,7 @@ def real_observations(size: int) -> dict[str, th.Tensor]:
 
 @pytest.mark.parametrize("standardise", [None, CENTIMETRES], ids=["plain", "centimetres"])
 @pytest.mark.parametrize("preset", list(FAMILY.presets))
-@pytest.mark.parametrize("baseline", list(FAMILY.baselines))
+@pytest.mark.parametrize("baseline", SEEING)
 def test_an_untrained_agent_expects_nothing_and_tries_everything(
     baseline: str, preset: str, standardise: tuple[float, float] | None, build: Build
 ) -> None:
@@ -65,8 +68,18 @@ def test_an_untrained_agent_expects_nothing_and_tries_everything(
     """
     kwargs = {"features_extractor_kwargs": {"standardise": standardise}}
     model = build(baseline, preset, f"policy_kwargs:{kwargs}")
-    size = model.observation_space["heightmap"].shape[-1]
-    observations = real_observations(size)
+    assert_expects_nothing(model, real_observations(obs_size=model.observation_space["heightmap"].shape[-1]))
+
+
+@pytest.mark.parametrize("preset", list(FAMILY.presets))
+def test_an_untrained_agent_of_states_expects_nothing_and_tries_everything(preset: str) -> None:
+    model = make_model(resolve("sacfd_state", preset, STACKING), "cpu", expert_episodes=0, pretrain_steps=0)
+    assert set(model.observation_space.spaces) == {"state", "holding"}
+    assert_expects_nothing(model, real_observations(observation="state"))
+    model.env.close()
+
+
+def assert_expects_nothing(model: Any, observations: dict[str, th.Tensor]) -> None:
     actions = th.rand(len(observations["holding"]), 5, generator=th.Generator().manual_seed(0)) * 2 - 1
     with th.no_grad():
         mean, log_std, _ = model.actor.get_action_dist_params(observations)

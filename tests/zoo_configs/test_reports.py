@@ -51,6 +51,7 @@ def test_speed_splits_an_update(capsys: pytest.CaptureFixture[str]) -> None:
         "--baseline",
         "equi_sacfd",
         "sacfd",
+        "sacfd_state",
         "--env",
         REACHING,
         "--seconds",
@@ -62,10 +63,10 @@ def test_speed_splits_an_update(capsys: pytest.CaptureFixture[str]) -> None:
         line for line in capsys.readouterr().out.splitlines() if "|" in line or "load" in line
     ]
     assert REACHING in machine
-    equivariant, plain = (dict(zip(_cells(head), _cells(row), strict=True)) for row in rows)
+    equivariant, plain, state = (dict(zip(_cells(head), _cells(row), strict=True)) for row in rows)
     assert float(equivariant["ms/update"]) > 0
     assert float(equivariant["equivariant/plain"]) > 0
-    assert plain["equivariant/plain"] == ""
+    assert plain["equivariant/plain"] == state["equivariant/plain"] == ""
     shares = [float(value.rstrip("%")) for value in equivariant.values() if value.endswith("%")]
     assert sum(shares) == pytest.approx(100, abs=3)
     assert len(shares) == 4 and min(shares) >= 0  # each part is named
@@ -95,6 +96,14 @@ def test_list_names_ids_parameters_and_baselines(capsys: pytest.CaptureFixture[s
     ):
         assert main(["list", *arguments]) == 0
         assert expected in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("env_id", "surface"), [(REACHING, "flat"), ("BulletArm/OpenLoopBumpHouseBuilding4-v0", "bump")]
+)
+def test_list_tells_the_surface(env_id: str, surface: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["list", "--env", env_id, "--markdown"]) == 0
+    assert f"| surface | '{surface}' |" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("arguments", [[], ["--env", REACHING], ["--baselines"]], ids=" ".join)

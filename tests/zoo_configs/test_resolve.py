@@ -98,7 +98,7 @@ def test_only_sacfd_imitates(network: str, preset: str, weight: float) -> None:
 def test_imitation_is_alike_for_all(preset: str) -> None:
     """What is compared differs in nothing but network, augmentation and buffer."""
     imitating = [name for name in family_of(PICKING).baselines if "fd" in name]
-    assert len(imitating) == 8
+    assert len(imitating) == 9
     cells = [resolve(name, preset, PICKING).hyperparams for name in imitating]
     names = ("bc_weight", "ent_coef", "self_imitation", "n_steps", "gamma", "exploration")
     assert len({tuple(cell[name] for name in names) for cell in cells}) == 1

@@ -164,6 +164,7 @@ def test_record_films_the_expert(toy_id: str, tmp_path: Path) -> None:
         ("sacfd", []),
         ("equi_sacfd_per_aug", ["buffer_size:400"]),
         ("equi_tqcfd", []),
+        ("sacfd_state", []),
         (
             "ferm_sacfd",
             ["augmentation:{'rad':{'size':48}}", "contrastive_steps:2", "--env-kwargs", "obs_size:53"],
@@ -184,15 +185,22 @@ def test_a_stock_algorithm_trains(tmp_path: Path) -> None:
     assert content["Pendulum-v1"]["env_kwargs"] == {"g": 9.0}
 
 
+TRAINING_BAR = "━"
+
+
 class Terminal(io.StringIO):
     def isatty(self) -> bool:
         return True
 
 
 def test_progress_bars_are_for_terminals(
-    train_tiny: Train, run_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    train_tiny: Train,
+    run_folder: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """`train_tiny` says --no-progress, the others nothing."""
+    """`train_tiny` says --no-progress, the others nothing. The output is a file here."""
     train = ["train", "--baseline", "sacfd", "--preset", "cpu", "--env", TOY_ID, "-f", str(tmp_path / "b")]
     train += ["-n", "2", "--eval-freq", "0", "--device", "cpu", "--env-kwargs", "obs_size:48"]
     train += ["-params", "expert_episodes:2", "pretrain_steps:2", "batch_size:4", "buffer_size:100"]
@@ -200,8 +208,9 @@ def test_progress_bars_are_for_terminals(
     for file, shown in (Terminal(), True), (io.StringIO(), False):
         monkeypatch.setattr(sys, "stderr", file)
         assert main(train) == main(enjoy) == 0
-        bars = ("expert episodes", "pretraining", "1/1")
-        assert [bar in file.getvalue() for bar in bars] == [shown] * 3
+        bars = ("expert episodes", "pretraining", TRAINING_BAR, "1/1")
+        assert [bar in file.getvalue() for bar in bars] == [shown] * 4
+    assert TRAINING_BAR not in capsys.readouterr().out
     monkeypatch.setattr(sys, "stderr", silent := Terminal())
     assert train_tiny(tmp_path / "a") == main([*enjoy, "--no-progress"]) == 0
     assert silent.getvalue() == ""

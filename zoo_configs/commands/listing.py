@@ -86,7 +86,7 @@ def _list_baselines(markdown: bool) -> None:
     from zoo_configs.cells.rules import families
 
     for family in families():
-        print(f"{family.envs}, presets {' and '.join(family.presets)}\n")
+        print(f"{family.envs}, presets {', '.join(family.presets)}\n")
         rows = [
             [name, row.learner, row.network, ", ".join(row.additions)]
             for name, row in family.baselines.items()
@@ -109,9 +109,10 @@ def _explain(args: argparse.Namespace) -> None:
 
 
 def _parameters(env: gym.Env[Any, Any]) -> dict[str, Any]:
-    """Parameters of one of our environments, with the values it has."""
+    """Parameters of one of our environments, with the values it has; its id says which surface."""
     config: Any = getattr(env.unwrapped, "config", None)
-    return dict(config.parameters()) if config is not None else {}
+    surface = env.spec.kwargs.get("surface") if env.spec is not None else None
+    return {"surface": surface, **config.parameters()} if config is not None else {}
 
 
 def _describe(space: spaces.Space[Any], bounds: bool = True) -> str:

@@ -80,7 +80,7 @@ class Network:
             indices, _ = model.q_net.greedy(observations)
             return cls(model.q_net, lambda: model.q_net.values(observations, indices), model.q_net.autocast)
         encoder = model.actor.features_extractor.encoder
-        return cls(encoder, lambda: model.actor(observations), encoder.autocast)
+        return cls(encoder, lambda: model.actor(observations), getattr(encoder, "autocast", None))
 
 
 def make_model(cell: Cell, device: str = "auto", **changes: Any) -> BaseAlgorithm:

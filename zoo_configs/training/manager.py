@@ -13,7 +13,7 @@ from rl_zoo3.callbacks import SaveVecNormalizeCallback
 from rl_zoo3.exp_manager import ExperimentManager
 from rl_zoo3.utils import ALGOS
 from stable_baselines3.common.base_class import BaseAlgorithm
-from stable_baselines3.common.callbacks import BaseCallback, ProgressBarCallback
+from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.save_util import load_from_zip_file
 from stable_baselines3.common.vec_env import VecEnv
 
@@ -24,6 +24,7 @@ from zoo_configs.environments import load_expert_data
 from zoo_configs.errors import CommandError, reason, refused
 from zoo_configs.files import whole_file
 from zoo_configs.training.evaluation import PeriodicEvaluation
+from zoo_configs.training.progress import TrainingBar
 from zoo_configs.training.runs import Run
 from zoo_configs.training.seeds import SeedStream, stream_seed
 from zoo_configs.training.state import NothingToDo
@@ -138,7 +139,7 @@ class ZooManager(ExperimentManager):
     def create_callbacks(self) -> None:
         """Progress bar, checkpoints and periodic evaluation, as far as they are asked for."""
         if self.show_progress:
-            self.callbacks.append(ProgressBarCallback())
+            self.callbacks.append(TrainingBar())
         if self.eval_freq > 0 and not self.optimize_hyperparameters:
             self.callbacks.append(TrainingLog(self.run.training_log, self.eval_freq))
             self.callbacks.append(self._periodic_evaluation())
@@ -219,7 +220,7 @@ class ZooManager(ExperimentManager):
 
     def _close_progress_bars(self) -> None:
         for callback in self.callbacks:
-            if isinstance(callback, ProgressBarCallback) and hasattr(callback, "pbar"):
+            if isinstance(callback, TrainingBar) and hasattr(callback, "pbar"):
                 callback.pbar.close()
 
     def _close_envs(self, model: BaseAlgorithm) -> None:

@@ -1,0 +1,83 @@
+"""How many bodies a scene loads where sizes are drawn, and that they are all kinds there are."""
+
+from collections.abc import Callable
+
+import pytest
+from rollouts import advance, transcript
+
+from bulletarm_gym.env import ManipulationEnv
+from bulletarm_gym.objects.packing import SHAPES
+from bulletarm_gym.scene import MOST_VARIANTS, Role, spread
+from bulletarm_gym.simulation import BodySpec
+
+Make = Callable[..., ManipulationEnv]
+PACKING = "BulletArm/OpenLoopBinPacking-v0"
+RANGE = {"object_scale_range": [0.7, 0.9]}
+
+
+def role(count: int) -> Role:
+    return Role(f"role {count}", tuple(BodySpec(f"{number}", (), 1.0) for number in range(count)))
+
+
+def variants(env: ManipulationEnv) -> dict[str, list[BodySpec]]:
+    return {item.role.name: [item.role.variants[place] for place in item.choices] for item in env.scene.items}
+
+
+def test_without_a_range_all_variants_are_loaded(make: Make) -> None:
+    env = make(PACKING)
+    assert len(env.scene.world.bodies) == 3 + 8 * len(SHAPES)  # the ground, the arm and the bin, the blocks
+    assert all(len(item.choices) == len(item.role.variants) for item in env.scene.items)
+
+
+@pytest.mark.parametrize(
+    "name", ["BinPacking", "BottleArrangement", "BoxPalletizing", "ImproviseHouseBuilding3"]
+)
+def test_a_range_does_not_multiply_the_bodies(make: Make, name: str) -> None:
+    env = make(f"BulletArm/OpenLoop{name}-v0", **RANGE)
+    assert sum(len(item.choices) for item in env.scene.items) <= MOST_VARIANTS
+    assert len(env.scene.world.bodies) <= MOST_VARIANTS + 2
+
+
+def test_a_range_keeps_all_sizes_and_shapes(make: Make) -> None:
+    env = make(PACKING, **RANGE)
+    blocks = {name: specs for name, specs in variants(env).items() if name != "bin"}
+    kinds = {name: [spec.name.split()[-2:] for spec in specs] for name, specs in blocks.items()}
+    for name, pairs in kinds.items():
+        assert {shape for shape, _ in pairs} == {str(shape) for shape in range(len(SHAPES))}, name
+        assert len({scale for _, scale in pairs}) >= 7, name
+    together = {tuple(pair) for pairs in kinds.values() for pair in pairs}
+    assert len(together) == len(SHAPES) * len(env.config.scales)
+
+
+def test_a_narrow_range_keeps_its_grid(make: Make) -> None:
+    env = make("BulletArm/CloseLoopBlockPicking-v0", **RANGE)
+    (specs,) = variants(env).values()
+    assert [spec.name for spec in specs] == [f"cube {scale:g}" for scale in env.config.scales]
+
+
+def test_states_are_exact_among_many_sizes(make: Make) -> None:
+    env, other = (make(PACKING, instance, **RANGE) for instance in range(2))
+    state = advance(env, 3, 3)
+    expected = transcript(env, 6)
+    transcript(other, 3, seed=5)
+    other.set_state(state)
+    assert transcript(other, 6) == expected
+
+
+@pytest.mark.parametrize("most", [1, 8, 29, 120])
+def test_variants_are_spread(most: int) -> None:
+    roles = [role(count) for count in (1, 4, 77, 77, 38)]
+    chosen = spread(roles, most)
+    for places, one in zip(chosen, roles, strict=True):
+        assert places == sorted(set(places)) and 1 <= len(places) <= len(one.variants)
+        assert all(0 <= place < len(one.variants) for place in places)
+    lengths = [len(places) for places in chosen]
+    assert sum(lengths) <= max(most, len(roles))
+    assert lengths == [min(len(one.variants), max(lengths)) for one in roles]
+    if max(lengths) < 38:
+        assert not set(chosen[2]) & set(chosen[3])  # the second goes on where the first ended
+
+
+def test_everything_is_kept_where_there_is_room() -> None:
+    assert spread([role(3), role(2)], 5) == [[0, 1, 2], [0, 1]]
+    assert spread([], 5) == []
