@@ -27,6 +27,7 @@ from zoo_configs.training.runs import (
     DEMONSTRATIONS_FOLDER,
     Run,
     claim_run_folder,
+    clear,
     discard_if_fruitless,
     load_run,
     write_resolved,
@@ -145,9 +146,11 @@ def _train_at(run: Run, folder: Path, callbacks: Sequence[BaseCallback], progres
     if standing is not None and standing.state is State.DONE:
         return run
     run.folder.mkdir(parents=True, exist_ok=True)
+    if latest_checkpoint(run.checkpoint_folder) is not None:
+        return _train(run, _newest_checkpoint(run), folder, callbacks, progress)
+    clear(run)
     write_resolved(run)
-    has_checkpoint = latest_checkpoint(run.checkpoint_folder) is not None
-    return _train(run, _newest_checkpoint(run) if has_checkpoint else None, folder, callbacks, progress)
+    return _train(run, None, folder, callbacks, progress)
 
 
 def _check_same(found: Run, wanted: Run) -> None:

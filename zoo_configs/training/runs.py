@@ -216,6 +216,18 @@ def find_runs(log_folder: Path, env_id: str | None = None) -> list[Run]:
     return runs
 
 
+def clear(run: Run) -> None:
+    """
+    Remove what a run has left that was killed before its first checkpoint, and begins anew.
+
+    :param run: The run
+    """
+    reports = [run.evaluations_file, run.training_log, run.folder / CURVE_FILE]
+    monitors = run.folder.glob("*.monitor.csv")
+    for path in (*reports, *monitors, run.best_model, run.last_model):
+        path.unlink(missing_ok=True)
+
+
 def discard_if_fruitless(run: Run, made: Iterable[Path]) -> None:
     """
     Remove the folder of a run that failed before it had a model or a checkpoint.
