@@ -236,3 +236,12 @@ def test_seed_streams_are_apart() -> None:
     }
     assert len(seeds) == 4 * len(SeedStream) * 9
     assert stream_seed(1, SeedStream.TEST) == stream_seed(1, SeedStream.TEST)
+
+
+def test_speed_tells_what_train_adds(toy_id: str, capsys: pytest.CaptureFixture[str]) -> None:
+    command = ["speed", "--baseline", "sacfd", "--env", toy_id, "--preset", "quick", "--device", "cpu"]
+    assert main([*command, "--env-kwargs", "obs_size:48", "--overhead", "2", "--markdown"]) == 0
+    *_, head, _, row = capsys.readouterr().out.splitlines()
+    measured = dict(zip(_cells(head), _cells(row), strict=True))
+    assert measured["time steps"] == "2" and measured["overhead"].endswith("%")
+    assert float(measured["model.learn() CPU s"]) > 0 and float(measured["train CPU s"]) > 0

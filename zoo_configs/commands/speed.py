@@ -6,6 +6,7 @@ import argparse
 import math
 import multiprocessing
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
@@ -37,7 +38,7 @@ DESCRIPTION = """Measure steps a second with the expert in one process, split in
 steps), rendering (heightmaps) and the rest. The yardstick is plain PyBullet, on this machine at this hour.
 With --baseline instead: the time of one gradient update, split into its parts, the greatest memory of its
 process, and how the equivariant convolutions compare with plain ones of the same width, forward and backward,
-in turn."""
+in turn. With --overhead besides: what train adds to a bare model.learn()."""
 DEFAULT_LEARNING_ENV = "BulletArm/CloseLoopBlockPicking-v0"
 SHIPPED_REFERENCE = "data/reference_rates.csv"
 COLUMNS = (
@@ -109,6 +110,12 @@ def _parse(argv: Sequence[str]) -> argparse.Namespace:
     add("--reference", type=Path, nargs="?", const=shipped, metavar="FILE", help=help_text)
     add("--baseline", nargs="+", default=[], help="measure updates of these baselines, on the first --env")
     add("--preset", default="cpu", help="... with this preset (default: cpu)")
+    add(
+        "--overhead",
+        type=positive_int,
+        metavar="N",
+        help="... or what train adds to trainings of N time steps",
+    )
     add("--device", type=device, default="auto", help="... on this PyTorch device (default: auto)")
     add("--num-threads", type=positive_int, help="... with so many threads (default: PyTorch's choice)")
     add("--markdown", action="store_true", help="print a table for a Markdown page")
@@ -136,6 +143,9 @@ def _measure_updates(args: argparse.Namespace) -> None:
     for cell in cells:
         try_env(env_id, cell.hyperparams["env_kwargs"])
     print(f"{describe_machine()}, {th.get_num_threads()} threads; {env_id}, preset {args.preset}")
+    if args.overhead:
+        _measure_overheads(cells, args)
+        return
     rows = []
     for cell in cells:
         speed = _measure_alone(cell, args)
@@ -143,6 +153,20 @@ def _measure_updates(args: argparse.Namespace) -> None:
         ratio = "" if speed.convolution_ratio is None else f"{speed.convolution_ratio:.2f}"
         rows.append([cell.label, f"{speed.update_ms:.1f}", f"{speed.peak_gigabytes:.1f}", *shares, ratio])
     columns = ["baseline", "ms/update", "peak GB", *PARTS, REST, "equivariant/plain"]
+    print_table(columns, rows, args.markdown)
+
+
+def _measure_overheads(cells: Sequence[Cell], args: argparse.Namespace) -> None:
+    from zoo_configs.drawing.tables import print_table
+    from zoo_configs.measuring.overhead import measure_overhead
+
+    rows = []
+    for cell in cells:
+        one = replace(cell, hyperparams={**cell.hyperparams, "n_envs": 1})
+        measured = measure_overhead(one, args.overhead, args.device)
+        seconds = [f"{value:.1f}" for value in measured]
+        rows.append([cell.label, str(args.overhead), *seconds, f"{measured.share:.1%}"])
+    columns = ["baseline", "time steps", "model.learn() CPU s", "train CPU s", "overhead"]
     print_table(columns, rows, args.markdown)
 
 
