@@ -18,6 +18,7 @@ from zoo_configs.tuning.study import Search, describe, retried, trial_folder
 
 BEST_FILE = "best.yml"
 DOTS_PER_INCH = 120
+PICTURE_SIZE = (9.0, 5.0)  # inches
 LEAST_TRIALS = 2  # that make a picture
 
 
@@ -81,6 +82,7 @@ def _save(path: Path, draw: Callable[[optuna.Study], Any], study: optuna.Study) 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ExperimentalWarning)
         axes = draw(study)
+    axes.figure.set_size_inches(PICTURE_SIZE)
     with whole_file(path) as partial:
         axes.figure.savefig(partial, dpi=DOTS_PER_INCH, bbox_inches="tight")
     plt.close(axes.figure)
