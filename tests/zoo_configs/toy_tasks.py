@@ -41,7 +41,13 @@ class SlowToy(ToyEnv):
         return super().step(action)
 
 
-TOYS = {"Toy": ToyEnv, "ToyFailing": FailingToy, "ToyCrashing": CrashingToy, "ToyFull": FullToy, "ToySlow": SlowToy}
+TOYS = {
+    "Toy": ToyEnv,
+    "ToyFailing": FailingToy,
+    "ToyCrashing": CrashingToy,
+    "ToyFull": FullToy,
+    "ToySlow": SlowToy,
+}
 for name, toy in TOYS.items():
     if (env_id := TOY_ID.replace("Toy", name)) not in gym.registry:
         gym.register(env_id, entry_point=toy)

@@ -28,7 +28,7 @@ PATIENCE, LOOK = 180.0, 0.2  # seconds
 STORAGE_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.ESTALE)
 LEAST_FREE = 1 << 20  # bytes
 # What the server that processes are forked from imports once.
-PRELOADED = ("zoo_configs.training.cell", "zoo_configs.environments")
+PRELOADED = ("zoo_configs.training.cell", "zoo_configs.environments", "sb3_extensions.sacfd", "torch._dynamo")
 
 
 class Ending(IntEnum):

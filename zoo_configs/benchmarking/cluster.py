@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import socket
 import time
@@ -16,9 +17,13 @@ from typing import Any
 from zoo_configs.benchmarking.child import Ending, RunProcess, Task
 from zoo_configs.benchmarking.local import GRACE, POLL, check_storage, stop
 from zoo_configs.errors import CommandError, reason
+from zoo_configs.training.runs import CHECKPOINT_FOLDER
+from zoo_configs.training.state import State, note
 
 GIGABYTE = 1e9
 TOKEN = ".benchmark-"  # begins the names of the files by which machines find out whether they share a folder
+BEGINNINGS_FILE = ".beginnings"
+MOST_LOST = 10  # beginnings of a run from one checkpoint
 SETTLING = 10.0  # seconds until what one machine has written is seen by others (NFS caches folders for some)
 # What must be of one version on all machines: a run may begin on one and go on on another.
 ALIKE = ("bulletarm-gym", "torch", "stable-baselines3", "gymnasium", "pybullet", "numpy")
@@ -70,7 +75,7 @@ def connected(address: str | None) -> Iterator[None]:
     except ImportError as error:
         raise CommandError("--ray needs Ray: pip install 'bulletarm-gym[cluster]'") from error
     try:
-        ray.init(address=address or "auto", log_to_driver=False, logging_level="error")
+        ray.init(address=address or "auto", log_to_driver=False, logging_level=logging.ERROR)
     except (ConnectionError, RuntimeError, ValueError) as error:
         where = f"at {address}" if address else "on this machine"
         raise CommandError(
@@ -90,22 +95,22 @@ def machines() -> list[dict[str, Any]]:
     """
     import ray
 
-    return [node for node in ray.nodes() if node["Alive"] and node["Resources"].get("CPU", 0) > 0]
+    found: list[dict[str, Any]] = ray.nodes()  # type: ignore[no-untyped-call]
+    return [node for node in found if node["Alive"] and node["Resources"].get("CPU", 0) > 0]
 
 
-def check_shares(tasks: Sequence[Task], shares: Sequence[Share]) -> None:
+def check_shares(shares: Mapping[str, Share]) -> None:
     """
     Look whether every run finds a machine; one that does not would wait for ever.
 
-    :param tasks: The runs
-    :param shares: What each takes
+    :param shares: What each run takes, by its name
     :raises CommandError: if there is none that is large enough
     """
     resources = [node["Resources"] for node in machines()]
-    for task, share in zip(tasks, shares, strict=True):
+    for name, share in shares.items():
         if not any(share.fits(of_node) for of_node in resources):
             raise CommandError(
-                f"no machine of the cluster has what {task.member.name} takes: {share.cpus:g} CPU, "
+                f"no machine of the cluster has what {name} takes: {share.cpus:g} CPU, "
                 f"{share.gpus:g} GPU, {share.memory:.1f} GB (--cpus, --gpus, --memory)"
             )
 
@@ -209,6 +214,9 @@ def train(task: Task, token: str) -> int:
         raise NotShared(
             f"{socket.gethostname()} does not see {task.folder}: all machines must have it mounted there"
         )
+    if not _gets_on(task, token):
+        note(task.place, State.FAILED, f"lost {MOST_LOST} times at the same place: does it need more memory?")
+        return int(Ending.FAILED)
     visible = {name: os.environ[name] for name in ("CUDA_VISIBLE_DEVICES",) if name in os.environ}
     process = RunProcess(replace(task, environ=visible))
     try:
@@ -219,13 +227,27 @@ def train(task: Task, token: str) -> int:
     return int(process.ending())
 
 
+def _gets_on(task: Task, token: str) -> bool:
+    """
+    Count how often a run has begun at the same checkpoint in one benchmark. Ray repeats for ever what is lost
+    for ever, such as a run that takes more memory than there is.
+    """
+    checkpoints = task.place / CHECKPOINT_FOLDER
+    newest = " ".join(sorted(path.name for path in checkpoints.glob("[!.]*")))
+    task.place.mkdir(parents=True, exist_ok=True)
+    with (task.place / BEGINNINGS_FILE).open("a+", encoding="utf-8") as file:
+        file.write(f"{token} {newest}\n")
+        file.seek(0)
+        return file.read().splitlines().count(f"{token} {newest}") <= MOST_LOST
+
+
 def run_on_ray(tasks: Sequence[Task], shares: Sequence[Share], token: str, look: Callable[[], None]) -> None:
     """
     Train runs on the cluster that is connected. One whose worker or machine is lost begins again elsewhere,
     from its last checkpoint; one that fails for itself does not stop the others.
 
     :param tasks: The runs, in the order in which they are begun
-    :param shares: What each takes
+    :param shares: What each takes, by its name
     :param token: From :func:`shared_folder`
     :param look: Called now and then
     :raises CommandError: if the storage is full, or a machine does not see it; the runs can go on
@@ -234,10 +256,10 @@ def run_on_ray(tasks: Sequence[Task], shares: Sequence[Share], token: str, look:
     import ray
 
     remote = ray.remote(max_retries=-1, retry_exceptions=False)(train)
-    running = {
-        remote.options(**share.as_options(), name=task.member.name).remote(task, token): task
-        for task, share in zip(tasks, shares, strict=True)
-    }
+    running = {}
+    for task in tasks:
+        name = task.member.name
+        running[remote.options(**shares[name].as_options(), name=name).remote(task, token)] = task
     try:
         while running:
             ended, _ = ray.wait(list(running), num_returns=1, timeout=POLL)

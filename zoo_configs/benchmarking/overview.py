@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from enum import Enum
 from pathlib import Path
@@ -19,6 +19,7 @@ from zoo_configs.training.state import Standing, State, standing
 if TYPE_CHECKING:
     from rich.table import Table
 
+BENCHMARK_FILE = "benchmark.yml"  # what the folder is of
 LOOK = 2.0  # seconds from one look into the folders to the next
 MOST_ROWS = 30  # of an overview on a terminal
 
@@ -166,27 +167,31 @@ def _print_changes(overview: Overview) -> None:
 
 @contextmanager
 def _table(overview: Overview) -> Iterator[Callable[[], None]]:
+    from rich.console import Group
     from rich.live import Live
 
-    with Live(make_table(overview), auto_refresh=False, transient=True) as live:
+    def render() -> Group:
+        return Group(overview.counts(), make_table(overview))
+
+    with Live(render(), auto_refresh=False, transient=True) as live:
 
         def look() -> None:
             overview.look()
-            live.update(make_table(overview), refresh=True)
+            live.update(render(), refresh=True)
 
         yield _now_and_then(look)
 
 
 def make_table(overview: Overview) -> Table:
     """
-    The overview of a terminal: what is running, what has failed and why, the rest by its number.
+    What is running, and what has failed and why.
 
     :param overview: The overview
     :return: The table
     """
     from rich.table import Table
 
-    table = Table("run", "steps", "success", "", title=overview.counts(), box=None, title_justify="left")
+    table = Table("run", "steps", "success", "", box=None)
     told = [*overview.of(Status.RUNNING), *overview.of(Status.FAILED)]
     for entry in told[:MOST_ROWS]:
         success = "" if entry.success is None else f"{entry.success:.2f}"
@@ -195,18 +200,3 @@ def make_table(overview: Overview) -> Table:
     if len(told) > MOST_ROWS:
         table.add_row(f"... and {len(told) - MOST_ROWS} more", "", "", "")
     return table
-
-
-def mean_by_cell(entries: Mapping[str, Entry]) -> dict[str, list[float]]:
-    """
-    The last successes of runs by task and baseline.
-
-    :param entries: By name
-    :return: From ``"task/baseline"`` to those of its seeds that have been evaluated
-    """
-    found: dict[str, list[float]] = {}
-    for name, entry in entries.items():
-        values = found.setdefault(name.rpartition("/")[0], [])
-        if entry.success is not None:
-            values.append(entry.success)
-    return found

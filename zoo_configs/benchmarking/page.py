@@ -9,14 +9,12 @@ from typing import Any
 
 import yaml
 
-from zoo_configs.benchmarking.overview import Status, read_entry
+from zoo_configs.benchmarking.overview import BENCHMARK_FILE, Status, read_entry
 from zoo_configs.benchmarking.results import baseline_table, cell_table, run_table
 from zoo_configs.benchmarking.tables import markdown
 from zoo_configs.errors import refused
 from zoo_configs.files import whole_file
 from zoo_configs.training.runs import RUN_KEY, Run
-
-BENCHMARK_FILE = "benchmark.yml"
 
 
 def write_page(folder: Path, runs: Sequence[Run], picture: Path, path: Path) -> None:

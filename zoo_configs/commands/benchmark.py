@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import shlex
 import sys
-from collections.abc import Callable, Sequence
-from contextlib import nullcontext
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from zoo_configs.arguments import (
     MAX_SEED,
@@ -24,12 +23,13 @@ from zoo_configs.arguments import (
 )
 from zoo_configs.drawing.tables import print_table
 from zoo_configs.errors import CommandError
-from zoo_configs.files import check_writable, whole_file
+from zoo_configs.files import missing_folders, remove_empty
 
 if TYPE_CHECKING:
     from zoo_configs.benchmarking.cluster import Share
     from zoo_configs.benchmarking.cost import Cost
     from zoo_configs.benchmarking.overview import Overview
+    from zoo_configs.benchmarking.run import Runner
     from zoo_configs.benchmarking.sweep import Member, Plan, Sweep
 
 DESCRIPTION = """Train all cells of a benchmark with all seeds, in processes of this machine or on a Ray
@@ -49,20 +49,30 @@ def main(argv: Sequence[str]) -> None:
     :raises KeyboardInterrupt: after Ctrl-C, once all runs have stopped; they can go on
     """
     args = _parse(argv)
+    from zoo_configs.benchmarking.run import check_cells, check_folder, run_sweep
     from zoo_configs.benchmarking.sweep import build_sweep, read_plan
 
     plan = _narrowed(read_plan(args.name), args)
     sweep = build_sweep(Path(args.name).stem, plan, args.gym_packages, args.device, max(1, int(args.cpus)))
     if args.ray is None:
         check_device(args.device)
-    _check_cells(sweep)
+    check_cells(sweep)
     costs = _costs(sweep, args)
     if args.dry_run:
         _print_costs(sweep, costs, args)
         return
     folder = args.log_folder or Path("benchmarks") / sweep.name
-    _check_folder(sweep, folder)
-    _run(sweep, costs, folder, args, shlex.join(["bulletarm-zoo", "benchmark", *argv]))
+    check_folder(sweep, folder)
+    made = missing_folders(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        with _runner(sweep, costs, folder, args) as runner:
+            live = args.progress if args.progress is not None else sys.stderr.isatty()
+            command = shlex.join(["bulletarm-zoo", "benchmark", *argv])
+            overview = run_sweep(sweep, folder, runner, command, args.retry_failed, live)
+    finally:
+        remove_empty(made)
+    _tell_end(overview)
 
 
 def _parse(argv: Sequence[str]) -> argparse.Namespace:
@@ -143,21 +153,6 @@ def _narrowed(plan: Plan, args: argparse.Namespace) -> Plan:
     return replace(plan, **{name: value for name, value in given.items() if value is not None})
 
 
-def _check_cells(sweep: Sweep) -> None:
-    """Each cell's names and values, each environment once."""
-    from zoo_configs.cells.validation import check_cell
-    from zoo_configs.environments import try_env
-
-    tried = set()
-    for cell in sweep.cells:
-        check_cell(cell)
-        env_kwargs = cell.hyperparams.get("env_kwargs", {})
-        key = (cell.env_id, json.dumps(env_kwargs, sort_keys=True, default=str))
-        if key not in tried:
-            try_env(cell.env_id, env_kwargs)
-            tried.add(key)
-
-
 def _costs(sweep: Sweep, args: argparse.Namespace) -> dict[str, Cost]:
     """What a run of each cell takes, by task and baseline."""
     from zoo_configs.benchmarking.cost import estimate
@@ -198,92 +193,23 @@ def _jobs(args: argparse.Namespace) -> int:
     return int(args.jobs or max(1, (os.cpu_count() or 1) // max(1, int(args.cpus))))
 
 
-def _check_folder(sweep: Sweep, folder: Path) -> None:
-    """Whether runs can be put there, and those that are there belong to this benchmark."""
-    from zoo_configs.training.cell import check_same
-    from zoo_configs.training.runs import RESOLVED_FILE, Run, load_run
-
-    if folder.exists() and not folder.is_dir():
-        raise CommandError(f"--log-folder: {folder} is a file, it takes a folder")
-    check_writable(folder / ".benchmark", "--log-folder")
-    for member in sweep.members:
-        place = folder / member.name
-        if (place / RESOLVED_FILE).is_file():
-            check_same(load_run(place), Run(place, member.cell, member.seed))
-
-
-def _run(sweep: Sweep, costs: dict[str, Cost], folder: Path, args: argparse.Namespace, command: str) -> None:
-    from zoo_configs.benchmarking.overview import Overview, shown
-    from zoo_configs.training.state import held
-
-    with _cluster(args):
-        folder.mkdir(parents=True, exist_ok=True)
-        overview = Overview(sweep.members, folder)
-        with held(folder):
-            _write_about(sweep, folder, command)
-            waiting = _waiting(sweep, overview, args.retry_failed)
-            print(f"{folder}: {overview.counts()}", file=sys.stderr)
-            live = args.progress if args.progress is not None else sys.stderr.isatty()
-            with shown(overview, live) as look:
-                _train(sweep, waiting, costs, folder, args, look)
-            overview.look()
-            _tell_end(overview, folder)
-
-
-def _cluster(args: argparse.Namespace) -> Any:
-    if args.ray is None:
-        return nullcontext()
-    from zoo_configs.benchmarking.cluster import connected
-
-    return connected(args.ray or None)
-
-
-def _write_about(sweep: Sweep, folder: Path, command: str) -> None:
-    """What the page of the results begins with."""
-    import yaml
-
-    from zoo_configs.benchmarking.page import BENCHMARK_FILE
-
-    about = {"name": sweep.name, "command": command, "runs": [member.name for member in sweep.members]}
-    with whole_file(folder / BENCHMARK_FILE) as partial, partial.open("w", encoding="utf-8") as file:
-        yaml.safe_dump(about, file, sort_keys=False)
-
-
-def _waiting(sweep: Sweep, overview: Overview, retry_failed: bool) -> list[Member]:
-    """The runs that are to be trained; those that have failed only if that is wanted."""
-    from zoo_configs.benchmarking.overview import Status
-    from zoo_configs.training.state import State, note
-
-    overview.look()
-    if retry_failed:
-        for entry in overview.of(Status.FAILED):
-            note(overview.folder / entry.name, State.KILLED)
-        overview.look()
-    left = (Status.DONE, Status.FAILED)
-    return [member for member in sweep.members if overview.entries[member.name].status not in left]
-
-
-def _train(
-    sweep: Sweep,
-    waiting: list[Member],
-    costs: dict[str, Cost],
-    folder: Path,
-    args: argparse.Namespace,
-    look: Callable[[], None],
-) -> None:
-    from zoo_configs.benchmarking.child import Task
+@contextmanager
+def _runner(
+    sweep: Sweep, costs: Mapping[str, Cost], folder: Path, args: argparse.Namespace
+) -> Iterator[Runner]:
+    """What trains the runs, once all that it needs is there."""
     from zoo_configs.benchmarking.local import run_here
 
-    tasks = [Task(member, folder.absolute(), sweep.gym_packages, sweep.device) for member in waiting]
     if args.ray is None:
-        run_here(tasks, _jobs(args), look)
+        yield lambda tasks, look: run_here(tasks, _jobs(args), look)
         return
-    from zoo_configs.benchmarking.cluster import check_shares, run_on_ray, shared_folder
+    from zoo_configs.benchmarking.cluster import check_shares, connected, run_on_ray, shared_folder
 
-    shares = [_share(args, costs[_cell_name(member)]) for member in waiting]
-    check_shares(tasks, shares)
-    with shared_folder(folder.absolute(), sweep.gym_packages) as token:
-        run_on_ray(tasks, shares, token, look)
+    with connected(args.ray or None):
+        shares = {member.name: _share(args, costs[_cell_name(member)]) for member in sweep.members}
+        check_shares(shares)
+        with shared_folder(folder.absolute(), sweep.gym_packages) as token:
+            yield lambda tasks, look: run_on_ray(tasks, shares, token, look)
 
 
 def _share(args: argparse.Namespace, cost: Cost) -> Share:
@@ -294,16 +220,15 @@ def _share(args: argparse.Namespace, cost: Cost) -> Share:
     return Share(args.cpus, default if args.gpus is None else args.gpus, args.memory or cost.memory)
 
 
-def _tell_end(overview: Overview, folder: Path) -> None:
+def _tell_end(overview: Overview) -> None:
     """Say how it ended."""
     from zoo_configs.benchmarking.overview import Status
 
-    print(f"{overview.counts()}\nWritten:\n  {folder}")
-    failed, done = overview.of(Status.FAILED), overview.of(Status.DONE)
+    print(f"{overview.counts()}\nWritten:\n  {overview.folder}")
+    failed, number = overview.of(Status.FAILED), len(overview.entries)
     if failed:
+        again = "to begin them again: --retry-failed"
         first = f"{failed[0].name}: {failed[0].error}"
-        raise CommandError(
-            f"{len(failed)} of {len(overview.entries)} runs failed, to be repeated by --retry-failed; {first}"
-        )
-    if len(done) < len(overview.entries):
-        raise CommandError(f"{len(overview.entries) - len(done)} runs are being trained by other processes")
+        raise CommandError(f"{len(failed)} of {number} runs failed, {again}; {first}")
+    if left := number - len(overview.of(Status.DONE)):
+        raise CommandError(f"{left} of {number} runs are being trained by other processes")
