@@ -2,89 +2,31 @@
 
 from __future__ import annotations
 
-import os
 import random
 import signal
-import subprocess
-import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 import pytest
-import torch as th
 import yaml
-from stable_baselines3.common.save_util import load_from_zip_file
+from sweeps import FLAGS, TINY, is_running, same, start, sweep_of, wait_for
 
 from sb3_extensions.replay.expert import ExpertReplayBuffer
 from zoo_configs.benchmarking.child import Ending, RunProcess, Task
 from zoo_configs.benchmarking.cost import estimate
 from zoo_configs.benchmarking.overview import Overview, Status, make_table, shown
-from zoo_configs.benchmarking.sweep import Plan, Sweep, build_sweep, parse_plan, read_plan
+from zoo_configs.benchmarking.sweep import Plan, build_sweep, read_plan
 from zoo_configs.cli import main
 from zoo_configs.training.runs import find_runs
 from zoo_configs.training.state import State, held, note, standing
 
-HERE = Path(__file__).parent
-ROOT = HERE.parent.parent
-PICKING, REACHING = "BulletArm/CloseLoopBlockPicking-v0", "BulletArm/CloseLoopBlockReaching-v0"
-TINY: dict[str, Any] = {
-    "tasks": ["CloseLoopToy"],
-    "baselines": ["sacfd"],
-    "preset": "quick",
-    "seeds": 2,
-    "options": {"n_timesteps": 12, "eval_freq": 6, "eval_episodes": 2, "save_freq": 6, "verbose": 0},
-    "hyperparams": {
-        **{"expert_episodes": 2, "pretrain_steps": 2, "batch_size": 4, "buffer_size": 100, "n_envs": 1},
-        "env_kwargs": {"obs_size": 48},
-    },
-}
-FLAGS = ("--gym-packages", "toy_tasks", "--device", "cpu", "--no-progress")
-
+PICKING = "BulletArm/CloseLoopBlockPicking-v0"
 Bench = Callable[..., int]
-
-
-@pytest.fixture(autouse=True)
-def toys(toy_id: str, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """Processes find the toys as a package of a user's."""
-    monkeypatch.syspath_prepend(str(HERE))
-    yield
-    for env_id in list(gym.registry):
-        if env_id.startswith("BulletArm/CloseLoopToy") and env_id != toy_id:
-            del gym.registry[env_id]
-    sys.modules.pop("toy_tasks", None)
-
-
-@pytest.fixture
-def bench(tmp_path: Path) -> Bench:
-    """Runs a benchmark like TINY but for some keys: ``bench(*flags, key=value)`` returns the exit code."""
-
-    def run(*flags: str, **keys: Any) -> int:
-        (tmp_path / "tiny.yml").write_text(yaml.safe_dump({**TINY, **keys}))
-        return main(["benchmark", str(tmp_path / "tiny.yml"), "-f", str(tmp_path / "out"), *FLAGS, *flags])
-
-    return run
-
-
-def sweep_of(**keys: Any) -> Sweep:
-    return build_sweep("tiny", parse_plan("tiny.yml", {**TINY, **keys}), ["toy_tasks"], "cpu")
-
-
-def weights(folder: Path) -> dict[str, th.Tensor]:
-    [model] = folder.glob("BulletArm-*.zip")
-    return dict(load_from_zip_file(model, device="cpu")[1]["policy"])
-
-
-def same(left: Path, right: Path) -> bool:
-    ours, theirs = weights(left), weights(right)
-    with np.load(left / "evaluations.npz") as first, np.load(right / "evaluations.npz") as second:
-        evaluated = all(np.array_equal(first[key], second[key]) for key in first)
-    return evaluated and all(bool((ours[key] == theirs[key]).all()) for key in ours)
-
-
+pytestmark = pytest.mark.usefixtures("toys")
 # ---- Cells
 
 
@@ -313,26 +255,6 @@ def test_an_interrupted_run_goes_on(tmp_path: Path) -> None:
     assert standing(task.place).state is State.KILLED  # type: ignore[union-attr]
 
 
-def wait_for(condition: Callable[[], bool], seconds: float = 120) -> None:
-    last = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < last, "it does not happen"
-        time.sleep(0.05)
-
-
-def start(folder: Path, plan: dict[str, Any], *flags: str) -> subprocess.Popen[bytes]:
-    """The command line in a process of its own."""
-    (folder / "tiny.yml").write_text(yaml.safe_dump(plan))
-    words = [sys.executable, "-m", "zoo_configs.cli", "benchmark", str(folder / "tiny.yml")]
-    path = os.pathsep.join([str(ROOT), str(HERE), os.environ.get("PYTHONPATH", "")])
-    return subprocess.Popen(
-        [*words, "-f", str(folder / "out"), *FLAGS, *flags],
-        env={**os.environ, "PYTHONPATH": path},
-        stderr=subprocess.DEVNULL,
-        stdout=subprocess.DEVNULL,
-    )
-
-
 def kill_at_random(bench: Bench, tmp_path: Path, plan: dict[str, Any], kills: int, seed: int) -> None:
     """Kill a benchmark again and again, let it end, and compare it with an uninterrupted one."""
     rng = random.Random(seed)
@@ -354,11 +276,6 @@ def kill_at_random(bench: Bench, tmp_path: Path, plan: dict[str, Any], kills: in
     for run in runs:
         assert run.standing.state is State.DONE  # type: ignore[union-attr]
         assert same(run.folder, tmp_path / "whole" / run.folder.relative_to(out))
-
-
-def is_running(folder: Path) -> bool:
-    how = standing(folder)
-    return how is not None and how.state is State.RUNNING
 
 
 KILLED = {"tasks": ["CloseLoopToySlow"], "seeds": 2, "options": {**TINY["options"], "n_timesteps": 24}}
