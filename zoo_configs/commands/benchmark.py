@@ -176,15 +176,15 @@ def _print_costs(sweep: Sweep, costs: dict[str, Cost], args: argparse.Namespace)
     rows, total, disk, unknown = [], 0.0, 0.0, 0
     for name, cost in sorted(costs.items()):
         seeds = [member.seed for member in sweep.members if _cell_name(member) == name]
-        hours = "?" if cost.hours is None else f"{cost.hours:.1f}"
-        rows.append([name, " ".join(map(str, seeds)), hours, f"{cost.memory:.1f}", f"{cost.disk:.1f}"])
+        hours = "?" if cost.hours is None else f"{cost.hours:.2f}"
+        rows.append([name, " ".join(map(str, seeds)), hours, f"{cost.memory:.1f}", f"{cost.disk:.2f}"])
         total += (cost.hours or 0.0) * len(seeds)
         disk += cost.disk * len(seeds)
         unknown += cost.hours is None
     print_table(["cell", "seeds", "hours a run", "GB of memory", "GB of disk"], rows)
-    print(f"{len(costs)} cells, {len(sweep.members)} runs, {disk:.1f} GB of disk")
-    known = f"{total:.1f} hours of runs in all"
-    at_once = f", {total / _jobs(args):.1f} with {_jobs(args)} at once" if args.ray is None else ""
+    print(f"{len(costs)} cells, {len(sweep.members)} runs, {disk:.2f} GB of disk")
+    known = f"{total:.2f} hours of runs in all"
+    at_once = f", {total / _jobs(args):.2f} with {_jobs(args)} at once" if args.ray is None else ""
     print(known + at_once + (f"; {unknown} cells have not been measured on such a device" if unknown else ""))
     print("Hours are of idle cores like those of docs/speed.md, by network and preset.")
 

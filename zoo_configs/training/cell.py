@@ -182,6 +182,8 @@ def _train(
     register_algorithms()
     logging = tracked(run) if run.options.track else nullcontext(run)
     with held(run.folder) as done, _threads(run.options.num_threads), logging as logged:
+        if checkpoint is None:
+            _clear(run)
         set_random_seed(run.seed)
         manager = ZooManager(logged, checkpoint, folder / DEMONSTRATIONS_FOLDER, callbacks, progress, done)
         built = manager.setup_experiment()
@@ -191,6 +193,12 @@ def _train(
         if manager.interrupted:
             raise TrainingInterrupted(run)
     return run
+
+
+def _clear(run: Run) -> None:
+    """What a run that was killed before its first checkpoint has written, it will write again."""
+    for path in (run.evaluations_file, run.training_log, run.best_model):
+        path.unlink(missing_ok=True)
 
 
 @contextmanager
