@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import socket
 import threading
 from collections.abc import Callable, Iterator
@@ -14,7 +15,7 @@ from typing import Any
 import pytest
 import sweeps
 import yaml
-from sweeps import FLAGS, TINY, same, sweep_of, wait_for
+from sweeps import FLAGS, TINY, is_running, same, start, sweep_of, wait_for
 
 from zoo_configs.benchmarking import cluster
 from zoo_configs.benchmarking.child import Ending, Task
@@ -153,21 +154,32 @@ def test_a_node_killed_in_the_middle_loses_nothing(
 
 
 @pytest.mark.slow
-def test_two_hundred_runs_while_nodes_come_and_go(ray_cluster: Any, bench: Bench, tmp_path: Path) -> None:
-    keys = {"seeds": 50, "tasks": ["CloseLoopToy", "CloseLoopToyFailing"], "baselines": ["sacfd", "sac"]}
-    done, over = (lambda: len(list(tmp_path.glob("out/*/*/*/BulletArm-*.zip")))), threading.Event()
+def test_who_calls_may_be_interrupted_or_killed(ray_cluster: Any, bench: Bench, tmp_path: Path) -> None:
+    out, plan = tmp_path / "out", {**TINY, "tasks": ["CloseLoopToySlow"], "baselines": ["sacfd", "sac"]}
+    for how, code in ((signal.SIGINT, 130), (signal.SIGKILL, -9)):
+        caller = start(tmp_path, plan, "--ray", ray_cluster.address)
+        wait_for(lambda: any(is_running(folder) for folder in out.glob("*/*/seed_*")))
+        caller.send_signal(how)
+        assert caller.wait(120) == code
+        wait_for(lambda: not any(is_running(folder) for folder in out.glob("*/*/seed_*")))
+    assert bench("--ray", ray_cluster.address, **plan) == 0
 
-    def come_and_go() -> None:
-        for number in range(20, 100, 20):
-            node = ray_cluster.add_node(**NODE)
-            wait_for(lambda number=number: done() >= number or over.is_set(), 3600)  # type: ignore[misc]
+
+@pytest.mark.slow
+def test_two_hundred_runs_while_nodes_are_lost(ray_cluster: Any, bench: Bench, tmp_path: Path) -> None:
+    keys = {"seeds": 50, "tasks": ["CloseLoopToy", "CloseLoopToyFailing"], "baselines": ["sacfd", "sac"]}
+    nodes = [ray_cluster.add_node(**NODE) for _ in range(3)]
+
+    def lose() -> None:
+        for number, node in enumerate(nodes, start=1):
+            at = 20 * number
+            wait_for(lambda at=at: len(list(tmp_path.glob("out/*/*/*/BulletArm-*.zip"))) >= at, 3600)
             ray_cluster.remove_node(node, allow_graceful=False)
 
-    nodes = threading.Thread(target=come_and_go)
-    nodes.start()
+    loser = threading.Thread(target=lose)
+    loser.start()
     assert bench("--ray", ray_cluster.address, **keys) == 2  # half of them fail
-    over.set()
-    nodes.join()
+    loser.join()
     overview = Overview(sweep_of(**keys).members, tmp_path / "out")
     overview.look()
     assert overview.counts() == "100 done, 0 running, 0 waiting, 100 failed"
