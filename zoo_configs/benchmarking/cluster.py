@@ -241,7 +241,9 @@ def _gets_on(task: Task, token: str) -> bool:
         return file.read().splitlines().count(f"{token} {newest}") <= MOST_LOST
 
 
-def run_on_ray(tasks: Sequence[Task], shares: Sequence[Share], token: str, look: Callable[[], None]) -> None:
+def run_on_ray(
+    tasks: Sequence[Task], shares: Mapping[str, Share], token: str, look: Callable[[], None]
+) -> None:
     """
     Train runs on the cluster that is connected. One whose worker or machine is lost begins again elsewhere,
     from its last checkpoint; one that fails for itself does not stop the others.

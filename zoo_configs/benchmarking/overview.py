@@ -167,13 +167,14 @@ def _print_changes(overview: Overview) -> None:
 
 @contextmanager
 def _table(overview: Overview) -> Iterator[Callable[[], None]]:
-    from rich.console import Group
+    from rich.console import Console, Group
     from rich.live import Live
+    from rich.text import Text
 
     def render() -> Group:
-        return Group(overview.counts(), make_table(overview))
+        return Group(Text(overview.counts()), make_table(overview))
 
-    with Live(render(), auto_refresh=False, transient=True) as live:
+    with Live(render(), console=Console(stderr=True), auto_refresh=False, transient=True) as live:
 
         def look() -> None:
             overview.look()
