@@ -16,7 +16,7 @@ from zoo_configs.files import whole_file
 from zoo_configs.training.runs import CURVE_FILE, Run
 
 PANEL_SIZE = (6.4, 4.0)  # inches
-CURVES_BESIDE_LEGEND = 3  # a legend of more would cover them: it stands outside
+CURVES_BESIDE_LEGEND = 1  # a legend of more would cover them: it stands outside
 PANELS_A_ROW = 2
 DOTS_PER_INCH = 150
 COLORS, STYLES = 10, ("-", "--", ":", "-.")  # matplotlib's colours, then the next style of line
