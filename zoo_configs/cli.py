@@ -39,6 +39,10 @@ COMMANDS = {
     "tune": Command("zoo_configs.commands.tune", "search hyperparameters with Optuna"),
     "enjoy": Command("zoo_configs.commands.enjoy", "evaluate a trained agent"),
     "record": Command("zoo_configs.commands.record", "film a trained agent or the expert"),
+    "benchmark": Command(
+        "zoo_configs.commands.benchmark", "train all cells of a benchmark, also on a cluster"
+    ),
+    "report": Command("zoo_configs.commands.report", "put the results of a benchmark on one page"),
     "plot": Command("zoo_configs.commands.plot", "draw the learning curves of many runs"),
     "demos": Command("zoo_configs.commands.demos", "collect episodes of an expert"),
     "speed": Command("zoo_configs.commands.speed", "measure how fast environments step"),
@@ -129,7 +133,7 @@ def usage() -> str:
     :return: Its text
     """
     lines = [f"usage: {PROGRAM} [--version] [{TRACEBACK}] COMMAND [ARGUMENTS]", "", "commands:"]
-    lines += [f"  {name:<8} {command.summary}" for name, command in COMMANDS.items()]
+    lines += [f"  {name:<9} {command.summary}" for name, command in COMMANDS.items()]
     lines += ["", f"{PROGRAM} COMMAND --help tells the arguments of a command."]
     lines += [f"{TRACEBACK} shows where an error arose, for those who extend the program."]
     return "\n".join(lines)

@@ -170,14 +170,18 @@ class FrameReplayBuffer(ReplayBuffer):
             "return": ((), np.float32),  # to the end of the episode, NaN while it goes on
         }
 
+    @property
+    def nbytes(self) -> int:
+        """Size of the full buffer in bytes, allocated or not."""
+        columns = self._columns().values()
+        row = sum(int(np.prod(shape)) * np.dtype(dtype).itemsize for shape, dtype in columns)
+        return self.frames.nbytes + row * self.rows.capacity
+
     def _allocate(self) -> None:
         """Allocate everything, once; announce the size."""
-        columns = self._columns()
-        row_bytes = sum(int(np.prod(shape)) * np.dtype(dtype).itemsize for shape, dtype in columns.values())
-        n_bytes = self.frames.nbytes + row_bytes * self.rows.capacity
-        announce_size(self.rows.capacity, self.frames.ring.capacity, n_bytes)
+        announce_size(self.rows.capacity, self.frames.ring.capacity, self.nbytes)
         self.frames.allocate()
-        for name, (shape, dtype) in columns.items():
+        for name, (shape, dtype) in self._columns().items():
             self.table[name] = np.zeros((self.rows.capacity, *shape), dtype=dtype)
 
     def add(

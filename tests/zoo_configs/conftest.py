@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -9,6 +10,8 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
+import sweeps
+import yaml
 from gymnasium import spaces
 
 from zoo_configs.cli import main
@@ -30,6 +33,7 @@ TINY = (
 
 Train = Callable[..., int]
 Refuse = Callable[..., str]
+Bench = Callable[..., int]
 
 
 class ToyEnv(gym.Env[dict[str, Any], np.ndarray]):
@@ -149,5 +153,27 @@ def refuse(
         assert line.startswith(f"bulletarm-zoo {words[0]}: error: ")
         assert set(tmp_path.rglob("*")) == before
         return line
+
+    return run
+
+
+@pytest.fixture
+def toys(toy_id: str) -> Iterator[None]:
+    """Toys of ``--gym-packages toy_tasks`` are known during a test alone."""
+    yield
+    for env_id in list(gym.registry):
+        if env_id.startswith("BulletArm/CloseLoopToy") and env_id != toy_id:
+            del gym.registry[env_id]
+    sys.modules.pop("toy_tasks", None)
+
+
+@pytest.fixture
+def bench(toys: None, tmp_path: Path) -> Bench:
+    """Runs a benchmark like TINY but for some keys: ``bench(*flags, key=value)`` returns the exit code."""
+
+    def run(*flags: str, **keys: Any) -> int:
+        (tmp_path / "tiny.yml").write_text(yaml.safe_dump({**sweeps.TINY, **keys}))
+        where = ["-f", str(tmp_path / "out"), *sweeps.FLAGS]
+        return main(["benchmark", str(tmp_path / "tiny.yml"), *where, *flags])
 
     return run

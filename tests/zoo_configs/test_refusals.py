@@ -28,7 +28,7 @@ NO_FOLDER = "/dev/null/folder"  # /dev/null is none
     ("arguments", "message"),
     [
         (["tarin"], "unknown command 'tarin', did you mean 'train'?"),
-        (["frobnicate"], "unknown command 'frobnicate', choose from check, demos"),
+        (["frobnicate"], "unknown command 'frobnicate', choose from benchmark, check"),
         (["train", "--baseline", "sacfd", "--env", "BulletArm/CloseLopToy-v0"], "CloseLoopToy-v0'?"),
         (["train", "--baseline", "sacfd", "--env", "CloseLoopFrobnication"], "see bulletarm-zoo list"),
         (["train", "--baseline", "safcd"], "name an environment"),

@@ -11,6 +11,7 @@ from types import SimpleNamespace
 from typing import Any, NoReturn
 
 import numpy as np
+import pandas as pd
 import pytest
 import torch as th
 import yaml
@@ -101,6 +102,36 @@ def test_a_chosen_folder_goes_on_from_its_checkpoint(
     assert same(run, train_cell(cell, 0, "cpu", tmp_path, options=options))
     before = run.last_model.stat().st_mtime_ns
     assert train(Stop(1, RuntimeError("not reached"))).last_model.stat().st_mtime_ns == before
+
+
+def test_what_was_done_before_the_first_checkpoint_is_not_counted_twice(cell: Cell, tmp_path: Path) -> None:
+    options = TrainingOptions.of(cell, {**SHORT, "save_freq": 100})
+    there = tmp_path / "there"
+    with pytest.raises(RuntimeError, match="pulled"):
+        plug = Stop(8, RuntimeError("the plug was pulled"))
+        train_cell(cell, 0, "cpu", tmp_path, options=options, at=there, callbacks=[plug])
+    runs = [
+        train_cell(cell, 0, "cpu", tmp_path, options=options, at=tmp_path / at) for at in ("there", "here")
+    ]
+    assert same(*runs)
+    ours, theirs = (np.load(run.evaluations_file) for run in runs)
+    assert all(np.array_equal(ours[key], theirs[key]) for key in theirs)
+    ours, theirs = (pd.read_csv(run.training_log) for run in runs)
+    assert ours.equals(theirs)
+
+
+def test_a_run_that_was_killed_at_its_very_end_is_done(
+    cell: Cell, options: TrainingOptions, tmp_path: Path
+) -> None:
+    """Its model and its last checkpoint are there, but the folder does not say that it is done."""
+    run = train_cell(cell, 0, "cpu", tmp_path, options=options, at=tmp_path / "a")
+    before, state = weights(run), run.folder / "state.yml"
+    state.write_text(state.read_text().replace("state: done", "state: running"))
+    assert run.standing is not None and run.standing.state is State.KILLED
+    run.last_model.write_bytes(b"of an earlier interruption")
+    again = train_cell(cell, 0, "cpu", tmp_path, options=options, at=tmp_path / "a")
+    assert again.standing is not None and again.standing.state is State.DONE
+    assert all(bool((weights(again)[key] == before[key]).all()) for key in before)
 
 
 def test_a_chosen_folder_is_of_one_run(cell: Cell, options: TrainingOptions, tmp_path: Path) -> None:

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -20,9 +19,10 @@ if TYPE_CHECKING:
     from zoo_configs.drawing.curves import LearningCurve
     from zoo_configs.training.runs import Run
 
-DESCRIPTION = """Draw the evaluations of all runs in a log folder, as the paper does: a panel an environment,
-a line a baseline, the mean over its runs (seeds) shaded by their standard error. Prints the last and the
-best point of each line."""
+DESCRIPTION = """Draw the evaluations of all runs in a log folder, or in that of a benchmark, as the paper
+does: a panel an environment, a line a baseline, the mean over its runs (seeds) shaded by their standard
+error. Prints tables of the cells and of the baselines over all tasks, and writes them beside the picture
+(Markdown, CSV)."""
 PICTURE, TRAINING_PICTURE = "learning_curves.png", "training_curves.png"
 FORMATS = (".png", ".pdf", ".svg")
 
@@ -35,46 +35,51 @@ def main(argv: Sequence[str]) -> None:
     :raises CommandError: if there is no run to draw
     """
     args = _parse(argv)
-    runs = _chosen(args.log_folder, args.env, args.baseline)
+    runs = evaluated_runs(args.log_folder, args.env, args.baseline)
     output = args.output or args.log_folder / (TRAINING_PICTURE if args.training else PICTURE)
     check_writable(output, "--output")
-    (_plot_training if args.training else _plot_success)(runs, args, output)
-    print(f"Written:\n  {output}")
+    written = (_plot_training if args.training else _plot_success)(runs, args, output)
+    print("\n".join(["Written:", *(f"  {path}" for path in written)]))
 
 
-def _plot_success(runs: list[Run], args: argparse.Namespace, output: Path) -> None:
-    from zoo_configs.drawing.curves import draw_curves, load_curve
+def _plot_success(runs: list[Run], args: argparse.Namespace, output: Path) -> list[Path]:
+    from zoo_configs.benchmarking.results import baseline_table, cell_table, run_table
+    from zoo_configs.benchmarking.tables import (
+        BASELINE_HEADS,
+        CELL_HEADS,
+        baseline_rows,
+        cell_rows,
+        write_tables,
+    )
+
+    table = run_table(runs)
+    cells, baselines = cell_table(table), baseline_table(table)
+    print_table(CELL_HEADS, cell_rows(cells), args.markdown)
+    print_table(BASELINE_HEADS, baseline_rows(baselines), args.markdown)
+    draw_panels(runs, output)
+    return [output, *write_tables(cells, baselines, output)]
+
+
+def draw_panels(runs: Sequence[Run], output: Path) -> None:
+    """
+    Draw runs as the paper does.
+
+    :param runs: The runs; they have been evaluated
+    :param output: The picture
+    """
+    from zoo_configs.drawing.curves import draw_curves, load_curve, mean_curve
 
     groups: defaultdict[str, defaultdict[str, list[LearningCurve]]] = defaultdict(lambda: defaultdict(list))
     for run in runs:
         groups[run.cell.env_id][run.cell.label].append(load_curve(run.evaluations_file))
-    panels = {env_id: _means(env_id, lines) for env_id, lines in sorted(groups.items())}
-    panels = {env_id: lines for env_id, lines in panels.items() if lines}
-    if not panels:
-        raise CommandError("there is nothing to draw")
-    rows = [
-        [env_id, name, str(len(groups[env_id][name])), *_summary(curve)]
-        for env_id, lines in panels.items()
-        for name, curve in lines.items()
-    ]
-    print_table(["environment", "baseline", "runs", "steps", "last", "best"], rows, args.markdown)
+    panels = {
+        env_id: {name: mean_curve(curves) for name, curves in sorted(lines.items())}
+        for env_id, lines in sorted(groups.items())
+    }
     draw_curves(panels, output)
 
 
-def _means(env_id: str, lines: Mapping[str, Sequence[LearningCurve]]) -> dict[str, LearningCurve]:
-    """The lines of a panel; one whose runs cannot be averaged is told and left out."""
-    from zoo_configs.drawing.curves import mean_curve
-
-    means = {}
-    for name, curves in sorted(lines.items()):
-        try:
-            means[name] = mean_curve(curves)
-        except ValueError as error:
-            print(f"left out: {name} on {env_id}: {error}", file=sys.stderr)
-    return means
-
-
-def _plot_training(runs: list[Run], args: argparse.Namespace, output: Path) -> None:
+def _plot_training(runs: list[Run], args: argparse.Namespace, output: Path) -> list[Path]:
     from zoo_configs.drawing.training_curves import draw_training
     from zoo_configs.training.training_log import read_training_log
 
@@ -85,6 +90,7 @@ def _plot_training(runs: list[Run], args: argparse.Namespace, output: Path) -> N
     if not panels:
         raise CommandError(f"no run of these in {args.log_folder} has logged its updates")
     draw_training(panels, output)
+    return [output]
 
 
 def _parse(argv: Sequence[str]) -> argparse.Namespace:
@@ -108,7 +114,18 @@ def _parse(argv: Sequence[str]) -> argparse.Namespace:
     return args
 
 
-def _chosen(log_folder: Path, env_ids: list[str] | None, baselines: list[str] | None) -> list[Run]:
+def evaluated_runs(
+    log_folder: Path, env_ids: Sequence[str] | None = None, baselines: Sequence[str] | None = None
+) -> list[Run]:
+    """
+    Runs that can be drawn.
+
+    :param log_folder: Folder of all runs, or of a benchmark
+    :param env_ids: Ids of environments, None for all
+    :param baselines: Baselines, None for all
+    :return: The runs
+    :raises CommandError: if there is none
+    """
     from zoo_configs.training.runs import find_runs
 
     runs = [
@@ -121,10 +138,3 @@ def _chosen(log_folder: Path, env_ids: list[str] | None, baselines: list[str] | 
     if not runs:
         raise CommandError(f"no evaluated run of these environments and baselines in {log_folder}")
     return runs
-
-
-def _summary(curve: LearningCurve) -> list[str]:
-    """Steps, last and best point of a curve."""
-    best = int(curve.success.argmax())
-    points = [f"{curve.success[n]:.2f} ± {curve.error[n]:.2f}" for n in (-1, best)]
-    return [str(curve.timesteps[-1]), *points]

@@ -4,21 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import reduce
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import pandas as pd
 
 from zoo_configs.errors import refused
 from zoo_configs.files import whole_file
 from zoo_configs.training.runs import CURVE_FILE, Run
 
 PANEL_SIZE = (6.4, 4.0)  # inches
-CURVES_BESIDE_LEGEND = 3  # a legend of more would cover them: it stands outside
+CURVES_BESIDE_LEGEND = 1  # a legend of more would cover them: it stands outside
 PANELS_A_ROW = 2
 DOTS_PER_INCH = 150
+COLORS, STYLES = 10, ("-", "--", ":", "-.")  # matplotlib's colours, then the next style of line
+SUCCESS, RETURN = "evaluation success rate", "evaluation return"
 
 
 @dataclass(frozen=True)
@@ -28,14 +30,19 @@ class LearningCurve:
 
     :param timesteps: When they took place, shape (n,)
     :param success: Mean success, in [0, 1], shape (n,); mean return where the environment reports no success
-    :param error: Standard error of that mean, over the episodes of one run or over runs, shape (n,)
+    :param error: Standard error of that mean, over the episodes of one run or over runs, shape (n,); NaN
+        where only one of several runs has been evaluated
     :param measure: What ``success`` holds, for the axis
+    :param runs: How many runs were evaluated then, shape (n,)
+    :param episodes: Of an evaluation of one run
     """
 
     timesteps: npt.NDArray[np.int64]
     success: npt.NDArray[np.float64]
     error: npt.NDArray[np.float64]
     measure: str
+    runs: npt.NDArray[np.int64]
+    episodes: int = 0
 
 
 def load_curve(path: Path) -> LearningCurve:
@@ -50,27 +57,25 @@ def load_curve(path: Path) -> LearningCurve:
         has_success = "successes" in saved
         episodes = np.asarray(saved["successes" if has_success else "results"], dtype=np.float64)
         timesteps = saved["timesteps"]
-    error = episodes.std(axis=1) / np.sqrt(episodes.shape[1])
-    measure = "evaluation success rate" if has_success else "evaluation return"
-    return LearningCurve(timesteps, episodes.mean(axis=1), error, measure)
+        error = episodes.std(axis=1) / np.sqrt(episodes.shape[1])
+    measure = SUCCESS if has_success else RETURN
+    ones = np.ones(len(timesteps), dtype=np.int64)
+    return LearningCurve(timesteps, episodes.mean(axis=1), error, measure, ones, episodes.shape[1])
 
 
 def mean_curve(curves: Sequence[LearningCurve]) -> LearningCurve:
     """
-    The mean of runs, where all of them were evaluated.
+    The mean of runs, at each evaluation of those that have it: one that is not finished shortens no curve.
 
     :param curves: One a run, at least one, of one measure
     :return: The mean; its error is the standard error over runs, that over episodes if there is only one
-    :raises ValueError: if there is no time step at which all were evaluated
     """
     if len(curves) == 1:
         return curves[0]
-    timesteps = reduce(np.intersect1d, [curve.timesteps for curve in curves])
-    if not len(timesteps):
-        raise ValueError(f"its {len(curves)} runs were never evaluated at the same time step")
-    success = np.stack([curve.success[np.isin(curve.timesteps, timesteps)] for curve in curves])
-    error = success.std(axis=0, ddof=1) / np.sqrt(len(curves))
-    return LearningCurve(timesteps, success.mean(axis=0), error, curves[0].measure)
+    points = [pd.Series(curve.success, curve.timesteps) for curve in curves]
+    table = pd.concat(points).groupby(level=0).agg(["mean", "sem", "count"])
+    mean, error, runs = (table[name].to_numpy() for name in ("mean", "sem", "count"))
+    return LearningCurve(table.index.to_numpy(), mean, error, curves[0].measure, runs, curves[0].episodes)
 
 
 def draw_run(run: Run) -> Path:
@@ -100,26 +105,28 @@ def draw_curves(panels: Mapping[str, Mapping[str, LearningCurve]], path: Path) -
     grid = figure.subplots(rows, columns, squeeze=False).flat
     for axes in grid[len(panels) :]:
         axes.set_axis_off()
+    names = list(dict.fromkeys(name for curves in panels.values() for name in curves))
     for axes, (title, curves) in zip(grid, panels.items(), strict=False):
-        _draw_panel(axes, title, curves)
+        _draw_panel(axes, title, curves, names)
     with whole_file(path) as partial:
         figure.savefig(partial, dpi=DOTS_PER_INCH)
 
 
-def _draw_panel(axes: Any, title: str, curves: Mapping[str, LearningCurve]) -> None:
+def _draw_panel(axes: Any, title: str, curves: Mapping[str, LearningCurve], names: Sequence[str]) -> None:
     for name, curve in curves.items():
-        _draw(axes, name, curve)
+        _draw(axes, name, curve, names.index(name))  # looks the same in all panels
     axes.set(title=title, xlabel="time steps", ylabel=next(iter(curves.values())).measure)
-    if all("success" in curve.measure for curve in curves.values()):
+    if all(curve.measure == SUCCESS for curve in curves.values()):
         axes.set_ylim(-0.02, 1.02)
     axes.grid(alpha=0.3)
     if len(curves) > CURVES_BESIDE_LEGEND:
         axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
     else:
-        axes.legend(loc="lower right")
+        axes.legend(loc="best")
 
 
-def _draw(axes: Any, name: str, curve: LearningCurve) -> None:
-    (line,) = axes.plot(curve.timesteps, curve.success, marker="o", markersize=3, label=name)
+def _draw(axes: Any, name: str, curve: LearningCurve, number: int) -> None:
+    color, style = f"C{number % COLORS}", STYLES[number // COLORS % len(STYLES)]
+    axes.plot(curve.timesteps, curve.success, style, marker="o", markersize=3, label=name, color=color)
     low, high = curve.success - curve.error, curve.success + curve.error
-    axes.fill_between(curve.timesteps, low, high, color=line.get_color(), alpha=0.2, linewidth=0)
+    axes.fill_between(curve.timesteps, low, high, color=color, alpha=0.2, linewidth=0)

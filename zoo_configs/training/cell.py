@@ -141,20 +141,25 @@ def check_run(run: Run, any_demonstrations: bool = False, resumed: bool = False)
 def _train_at(run: Run, folder: Path, callbacks: Sequence[BaseCallback], progress: bool) -> Run:
     """Begin, go on, or return what is done."""
     if run.resolved_file.is_file():
-        _check_same(load_run(run.folder), run)
+        check_same(load_run(run.folder), run)
     standing = run.standing
     if standing is not None and standing.state is State.DONE:
         return run
     run.folder.mkdir(parents=True, exist_ok=True)
     if latest_checkpoint(run.checkpoint_folder) is not None:
         return _train(run, _newest_checkpoint(run), folder, callbacks, progress)
-    clear(run)
     write_resolved(run)
     return _train(run, None, folder, callbacks, progress)
 
 
-def _check_same(found: Run, wanted: Run) -> None:
-    """What is in a folder is a part of the same run."""
+def check_same(found: Run, wanted: Run) -> None:
+    """
+    Look whether what is in a folder is a part of the run that is to be trained there.
+
+    :param found: What is there
+    :param wanted: What is to be trained
+    :raises CommandError: if its cell or its seed is another
+    """
     for name in ("algo", "env_id", "hyperparams", "benchmark"):
         if getattr(found.cell, name) != getattr(wanted.cell, name):
             raise CommandError(f"{found.folder} holds a run with other {name}: take another folder")
@@ -178,9 +183,11 @@ def _train(
 ) -> Run:
     register_algorithms()
     logging = tracked(run) if run.options.track else nullcontext(run)
-    with held(run.folder), _threads(run.options.num_threads), logging as logged:
+    with held(run.folder) as done, _threads(run.options.num_threads), logging as logged:
+        if checkpoint is None:
+            clear(run)
         set_random_seed(run.seed)
-        manager = ZooManager(logged, checkpoint, folder / DEMONSTRATIONS_FOLDER, callbacks, progress)
+        manager = ZooManager(logged, checkpoint, folder / DEMONSTRATIONS_FOLDER, callbacks, progress, done)
         built = manager.setup_experiment()
         assert built is not None  # it is only where rl_zoo3 searches for hyperparameters
         manager.learn(built[0])

@@ -51,6 +51,8 @@ class ZooManager(ExperimentManager):
     :param demonstrations: Folder of the demonstrations that runs share
     :param callbacks: At work beside those of the options
     :param progress: Whether to show a progress bar
+    :param done: Whether the run was done before: there is nothing to do then but for more time steps. One
+        that was killed at its very end is saved again
     """
 
     def __init__(
@@ -60,6 +62,7 @@ class ZooManager(ExperimentManager):
         demonstrations: Path,
         callbacks: Sequence[BaseCallback] = (),
         progress: bool = False,
+        done: bool = False,
     ) -> None:
         options = run.options
         super().__init__(
@@ -89,6 +92,7 @@ class ZooManager(ExperimentManager):
         self.checkpoint = checkpoint
         self.demonstrations = demonstrations
         self.more_callbacks = callbacks
+        self.done = done
         self.interrupted = False
         self.continue_training = self.continue_training or checkpoint is not None
         self.log_path = str(run.folder.parent)
@@ -173,7 +177,7 @@ class ZooManager(ExperimentManager):
                 hyperparams.setdefault("replay_buffer_class", default)
             return super()._load_pretrained_agent(hyperparams, env)
         model = resume(self.checkpoint, env, self.device)
-        if model.num_timesteps >= self.n_timesteps and self.run.last_model.is_file():
+        if self.done and model.num_timesteps >= self.n_timesteps:
             done = f"{self.run.folder} has done {model.num_timesteps} time steps of {self.n_timesteps}"
             raise NothingToDo(f"{done}; to go on, give more by -n")
         return model

@@ -27,6 +27,8 @@ BEST_MODEL_FILE = "best_model.zip"
 CHECKPOINT_FOLDER = "checkpoints"
 # In the log folder, for all its runs.
 DEMONSTRATIONS_FOLDER = "demonstrations"
+# Of a benchmark's run folders, <folder>/<task>/<baseline>/seed_<n>.
+SEED_PREFIX = "seed_"
 CURVE_FILE = "learning_curve.png"
 # The key of the resolved file beside the environment's section; rl_zoo3 does not read it.
 RUN_KEY = "run"
@@ -200,12 +202,13 @@ def find_runs(log_folder: Path, env_id: str | None = None) -> list[Run]:
     """
     Runs in a log folder; one that cannot be read is told and left out.
 
-    :param log_folder: The folder given as ``-f`` to ``train``
+    :param log_folder: The folder given as ``-f`` to ``train`` or ``benchmark``
     :param env_id: Id of the environment, default all
     :return: The runs of all algorithms, oldest first
     """
     name = "*" if env_id is None else env_folder_name(env_id)
-    files = log_folder.glob(f"*/{name}_*/{RESOLVED_FILE}")
+    patterns = (f"*/{name}_*/{RESOLVED_FILE}", f"*/*/{SEED_PREFIX}*/{RESOLVED_FILE}")
+    files = [path for pattern in patterns for path in log_folder.glob(pattern)]
     newest_last = sorted(files, key=lambda path: (path.stat().st_mtime_ns, path.parent.name))
     runs = []
     for path in newest_last:
@@ -213,7 +216,7 @@ def find_runs(log_folder: Path, env_id: str | None = None) -> list[Run]:
             runs.append(load_run(path.parent))
         except CommandError as error:
             print(f"left out: {reason(error)}", file=sys.stderr)
-    return runs
+    return [run for run in runs if env_id in (None, run.cell.env_id)]
 
 
 def clear(run: Run) -> None:

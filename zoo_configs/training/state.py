@@ -65,17 +65,22 @@ def standing(folder: Path) -> Standing | None:
     :return: How it stands, None if no training has begun
     :raises CommandError: if the folder says something else
     """
+    found = _read(folder)
+    if found is not None and found.state is State.RUNNING and not is_held(folder):
+        return found._replace(state=State.KILLED)
+    return found
+
+
+def _read(folder: Path) -> Standing | None:
+    """What a folder says of itself."""
     path = folder / STATE_FILE
     if not path.is_file():
         return None
     try:
         content = yaml.safe_load(path.read_text(encoding="utf-8"))
-        found = Standing(**{**content, "state": State(content["state"])})
+        return Standing(**{**content, "state": State(content["state"])})
     except (KeyError, TypeError, ValueError, yaml.YAMLError) as error:
         raise CommandError(f"{path} cannot be read: {reason(error)}") from error
-    if found.state is State.RUNNING and not is_held(folder):
-        return found._replace(state=State.KILLED)
-    return found
 
 
 def is_held(folder: Path) -> bool:
@@ -115,25 +120,41 @@ def lock(file: IO[str]) -> bool:
     return True
 
 
+def note(folder: Path, state: State, error: str = "") -> None:
+    """
+    Say from outside how a run stands, for one that could not say it itself. What a process is training, or
+    is done, stays as it is.
+
+    :param folder: Run folder, made if needed
+    :param state: How it stands
+    :param error: Why it failed
+    """
+    if is_held(folder):
+        return
+    found = _read(folder) or Standing(State.KILLED, socket.gethostname(), os.getpid(), time.time())
+    if found.state is not State.DONE:
+        _write(folder, found._replace(state=state, error=error))
+
+
 @contextmanager
-def held(folder: Path) -> Iterator[None]:
+def held(folder: Path) -> Iterator[bool]:
     """
     Train a run: nobody else may meanwhile, and the folder says how it stands, whatever happens. What ends by
     Ctrl-C counts as killed.
 
     :param folder: Run folder
-    :return: Context manager
+    :return: Context manager: whether the run was done before
     :raises CommandError: if another process is training it
     """
     with (folder / LOCK_FILE).open("a") as file:
         if not _lock_soon(file):
             raise CommandError(f"{folder} is being trained by another process")
-        before = standing(folder)
+        before = _read(folder)
         begun = Standing(State.RUNNING, socket.gethostname(), os.getpid(), time.time())
         begun = begun._replace(seconds=before.seconds if before else 0.0)
         _write(folder, begun)
         try:
-            yield
+            yield before is not None and before.state is State.DONE
         except NothingToDo:
             _write(folder, before or _ended(begun, State.DONE))
             raise

@@ -1,0 +1,78 @@
+"""What the tests of benchmarks share: a tiny benchmark, and how its runs are compared."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch as th
+import yaml
+from stable_baselines3.common.save_util import load_from_zip_file
+
+from zoo_configs.benchmarking.sweep import Sweep, build_sweep, parse_plan
+from zoo_configs.training.state import State, standing
+
+HERE = Path(__file__).parent
+ROOT = HERE.parent.parent
+# Where processes find the toys as a package of a user's.
+PATH = os.pathsep.join([str(ROOT), str(HERE), os.environ.get("PYTHONPATH", "")])
+TINY: dict[str, Any] = {
+    "tasks": ["CloseLoopToy"],
+    "baselines": ["sacfd"],
+    "preset": "quick",
+    "seeds": 2,
+    "options": {"n_timesteps": 12, "eval_freq": 6, "eval_episodes": 2, "save_freq": 6, "verbose": 0},
+    "hyperparams": {
+        **{"expert_episodes": 2, "pretrain_steps": 2, "batch_size": 4, "buffer_size": 100, "n_envs": 1},
+        "env_kwargs": {"obs_size": 48},
+    },
+}
+FLAGS = ("--gym-packages", "toy_tasks", "--device", "cpu", "--no-progress")
+
+Bench = Callable[..., int]
+
+
+def sweep_of(**keys: Any) -> Sweep:
+    return build_sweep("tiny", parse_plan("tiny.yml", {**TINY, **keys}), ["toy_tasks"], "cpu")
+
+
+def weights(folder: Path) -> dict[str, th.Tensor]:
+    [model] = folder.glob("BulletArm-*.zip")
+    return dict(load_from_zip_file(model, device="cpu")[1]["policy"])
+
+
+def same(left: Path, right: Path) -> bool:
+    ours, theirs = weights(left), weights(right)
+    with np.load(left / "evaluations.npz") as first, np.load(right / "evaluations.npz") as second:
+        evaluated = all(np.array_equal(first[key], second[key]) for key in first)
+    return evaluated and all(bool((ours[key] == theirs[key]).all()) for key in ours)
+
+
+def wait_for(condition: Callable[[], bool], seconds: float = 120) -> None:
+    last = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < last, "it does not happen"
+        time.sleep(0.05)
+
+
+def start(folder: Path, plan: dict[str, Any], *flags: str) -> subprocess.Popen[bytes]:
+    """The command line in a process of its own."""
+    (folder / "tiny.yml").write_text(yaml.safe_dump(plan))
+    words = [sys.executable, "-m", "zoo_configs.cli", "benchmark", str(folder / "tiny.yml")]
+    return subprocess.Popen(
+        [*words, "-f", str(folder / "out"), *FLAGS, *flags],
+        env={**os.environ, "PYTHONPATH": PATH},
+        stderr=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+    )
+
+
+def is_running(folder: Path) -> bool:
+    how = standing(folder)
+    return how is not None and how.state is State.RUNNING

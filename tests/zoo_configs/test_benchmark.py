@@ -1,0 +1,312 @@
+"""``benchmark``: what its cells are and cost, what it refuses, and runs in processes of this machine."""
+
+from __future__ import annotations
+
+import random
+import signal
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+import yaml
+from sweeps import FLAGS, TINY, is_running, same, start, sweep_of, wait_for
+
+from sb3_extensions.replay.expert import ExpertReplayBuffer
+from zoo_configs.benchmarking.child import Ending, RunProcess, Task
+from zoo_configs.benchmarking.cost import estimate
+from zoo_configs.benchmarking.overview import Overview, Status, make_table, shown
+from zoo_configs.benchmarking.sweep import Plan, build_sweep, read_plan
+from zoo_configs.cli import main
+from zoo_configs.training.runs import find_runs
+from zoo_configs.training.state import State, held, note, standing
+
+PICKING = "BulletArm/CloseLoopBlockPicking-v0"
+Bench = Callable[..., int]
+pytestmark = pytest.mark.usefixtures("toys")
+# ---- Cells
+
+
+def test_the_papers_benchmarks_have_its_rows() -> None:
+    plan = read_plan("close_loop_4d")
+    assert len(plan.tasks) == 10 and plan.seeds == 4
+    assert len(plan.baselines) == 11 and "equi_tqc" not in plan.baselines
+    sweep = build_sweep("close_loop_4d", plan)
+    assert len(sweep.members) == 10 * 11 * 4
+    assert {member.cell.benchmark for member in sweep.members} == {"close_loop_4d"}
+    assert sweep.members[0].name == "CloseLoopBlockReaching/sac/seed_0"
+    six = read_plan("open_loop_6d")
+    assert len(six.tasks) == 9 and len(six.baselines) == 8
+
+
+def test_a_yaml_names_tasks_by_id_name_or_pattern() -> None:
+    plan = Plan([PICKING, "CloseLoopBlockReaching", "CloseLoop*Pu[ls]*"], ["*equi_sacfd", "sac"], seeds=[3])
+    sweep = build_sweep("own", plan)
+    tasks = {member.cell.env_id.removeprefix("BulletArm/CloseLoop") for member in sweep.members}
+    assert tasks == {"BlockPicking-v0", "BlockReaching-v0", "BlockPushing-v0", "BlockPulling-v0"}
+    assert {member.cell.label for member in sweep.members} == {"equi_sacfd", "sac"}
+    assert {member.seed for member in sweep.members} == {3}
+
+
+def test_a_pattern_takes_the_baselines_that_fit_the_task() -> None:
+    plan = Plan(["OpenLoopBlockStacking", "OpenLoopRampBlockStacking"], ["sdqfd_*cnn_asr*"])
+    rows = {(member.cell.env_id[10:], member.cell.label) for member in build_sweep("own", plan).members}
+    assert rows == {
+        ("OpenLoopBlockStacking-v0", "sdqfd_cnn_asr"),
+        ("OpenLoopRampBlockStacking-v0", "sdqfd_cnn_asr_6d"),
+    }
+
+
+def test_runs_that_begin_together_do_not_share_demonstrations() -> None:
+    members = sweep_of(baselines=["sacfd", "sac"], tasks=["CloseLoopToy", "CloseLoopToySlow"]).members
+    keys = [(member.cell.env_id, member.seed) for member in members]
+    assert len(set(keys[:4])) == len(set(keys[4:])) == 4
+
+
+def test_hours_and_gigabytes_follow_from_measurements_and_the_buffer() -> None:
+    plan = Plan(["CloseLoopBlockPulling"], ["sacfd"], options={"eval_freq": 0})
+    [member] = build_sweep("own", plan, num_threads=1).members[:1]
+    cost = estimate(member.cell, member.options, "cpu")
+    # 10,000 updates of 45.1 ms, 47,500 time steps of 1.45 ms (docs/speed.md)
+    assert cost.hours == pytest.approx((10_000 * 45.1 + 47_500 * 1.45) / 3.6e6, rel=1e-6)
+    assert 0.45 < cost.memory - 1.0 < 0.47  # 100,000 heightmaps of 64 x 64 bytes, nine more for every hundred
+    assert estimate(member.cell, member.options, "cuda").hours is None
+
+
+def test_a_buffer_tells_its_size_before_it_takes_it() -> None:
+    space = gym.spaces.Box(0, 1, (1, 8, 8), np.float32)
+    buffer = ExpertReplayBuffer(100, space, gym.spaces.Box(-1, 1, (2,)), "cpu", seed=0)
+    announced = buffer.nbytes
+    image, action, one = np.zeros((1, 1, 8, 8), np.float32), np.zeros((1, 2), np.float32), np.zeros(1)
+    buffer.add(image, image, action, one, one, [{}])
+    held_bytes = sum(array.nbytes for array in (*buffer.table.values(), *buffer.frames.data.values()))
+    assert held_bytes == announced
+
+
+# ---- Refusals
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ({"task": ["a"]}, "unknown key of bench.yml 'task', did you mean 'tasks'?"),
+        ({**TINY, "tasks": []}, "tasks of bench.yml takes a list of names, got []"),
+        ({**TINY, "tasks": "CloseLoopToy"}, "tasks of bench.yml takes a list of names"),
+        ({**TINY, "tasks": ["CloseLoopBlockPickin"]}, "did you mean 'BulletArm/CloseLoopBlockPicking-v0'?"),
+        ({**TINY, "tasks": ["CloseLoopNothing*"]}, "no task is called 'CloseLoopNothing*'"),
+        ({**TINY, "baselines": ["sacdf"]}, "unknown baseline 'sacdf', did you mean 'sacfd'?"),
+        ({**TINY, "baselines": ["x*"]}, "no baseline of BulletArm/CloseLoopToy-v0 is called x*"),
+        ({**TINY, "preset": "cpuu"}, "unknown preset 'cpuu', did you mean 'cpu'?"),
+        ({**TINY, "benchmark": "close_loop_4D"}, "did you mean 'close_loop_4d'?"),
+        ({**TINY, "seeds": 0}, "seeds takes a number of seeds, at least 1"),
+        ({**TINY, "seeds": [-1]}, "seeds takes a number of seeds"),
+        ({**TINY, "options": {"eval_frq": 1}}, "did you mean 'eval_freq'?"),
+        ({**TINY, "options": 3}, "options of bench.yml takes a mapping, got 3"),
+        ({**TINY, "hyperparams": {"gama": 1}}, "did you mean 'gamma'?"),
+        ({**TINY, "hyperparams": {"gamma": 2}}, "gamma takes a number from 0 to 1, got 2"),
+        ({**TINY, "hyperparams": {"env_kwargs": {"obs_size": 8}}}, "obs_size must be at least 48, got 8"),
+        (["CloseLoopToy"], "bench.yml takes a mapping of keys"),
+        ("tasks: [", "bench.yml is not valid YAML"),
+    ],
+    ids=range(18),
+)
+def test_a_plan_that_cannot_be_followed(
+    content: Any, message: str, refuse: Callable[..., str], tmp_path: Path
+) -> None:
+    text = content if content == "tasks: [" else yaml.safe_dump(content)
+    (tmp_path / "bench.yml").write_text(text)
+    assert message in refuse("benchmark", "bench.yml", "--device", "cpu")
+
+
+@pytest.mark.parametrize(
+    ("flags", "message"),
+    [
+        (["close_loop_4", "--dry-run"], "unknown benchmark 'close_loop_4', did you mean 'close_loop_4d'?"),
+        (["none.yml"], "there is no file none.yml"),
+        (["tiny.yml", "-f", "tiny.yml"], "tiny.yml is a file, it takes a folder"),
+        (["tiny.yml", "-f", "/dev/null/folder"], "/dev/null/folder/benchmark.yml cannot be written"),
+        (["tiny.yml", "-f", "/proc/folder"], "cannot be written"),
+        (["tiny.yml", "--cpus", "0"], "must be a number greater than 0"),
+        (["tiny.yml", "--gpus", "1"], "--gpus and --memory belong to --ray"),
+        (["tiny.yml", "--ray", "-j", "2"], "-j is for this machine"),
+        (["tiny.yml", "--gym-packages", "frobnicate"], "package 'frobnicate' cannot be imported"),
+        (["tiny.yml", "--device", "gpu0"], "no device of this machine"),
+        (["tiny.yml", "--baseline", "safcd"], "did you mean 'sacfd'?"),
+    ],
+    ids=range(11),
+)
+def test_flags_that_cannot_be_followed(
+    flags: list[str], message: str, refuse: Callable[..., str], tmp_path: Path
+) -> None:
+    (tmp_path / "tiny.yml").write_text(yaml.safe_dump(TINY))
+    assert message in refuse("benchmark", *flags)
+
+
+def test_a_folder_with_other_runs_is_refused(bench: Bench, tmp_path: Path, capsys: Any) -> None:
+    from zoo_configs.training.runs import Run, write_resolved
+
+    [member] = sweep_of(seeds=1).members
+    write_resolved(Run(tmp_path / "out" / member.name, member.cell, 0))
+    assert bench(hyperparams={**TINY["hyperparams"], "gamma": 0.5}) == 2
+    assert "holds a run with other hyperparams" in capsys.readouterr().err
+    assert not (tmp_path / "out" / "benchmark.yml").exists()
+
+
+def test_one_benchmark_at_a_time_works_in_a_folder(bench: Bench, tmp_path: Path, capsys: Any) -> None:
+    (tmp_path / "out").mkdir()
+    with held(tmp_path / "out"):
+        assert bench() == 2
+    assert "is being trained by another process" in capsys.readouterr().err
+
+
+def test_a_dry_run_writes_nothing(bench: Bench, tmp_path: Path, capsys: Any) -> None:
+    assert bench("--dry-run", baselines=["sacfd", "sac"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[1].split()[:3] == ["CloseLoopToy/sac", "0", "1"]
+    assert lines[2].split()[3] == "?"  # nobody has measured the toy
+    assert lines[3].startswith("2 cells, 4 runs")
+    assert not (tmp_path / "out").exists()
+
+
+# ---- Overview
+
+
+def test_the_overview_is_read_from_the_folders(tmp_path: Path, capsys: Any) -> None:
+    sweep = sweep_of(seeds=4)
+    overview = Overview(sweep.members, tmp_path)
+    first, second, third, _ = (tmp_path / member.name for member in sweep.members)
+    note(second, State.FAILED, "the block is lost")
+    third.mkdir()
+    with held(third):
+        pass
+    first.mkdir()
+    with held(first), shown(overview, live=False) as look:
+        results = [[0.0, 1.0]]
+        np.savez(first / "evaluations.npz", timesteps=[6], results=results, successes=results)
+        look()
+        told = capsys.readouterr().err
+        assert overview.counts() == "1 done, 1 running, 1 waiting, 1 failed"
+        table = make_table(overview)
+        assert table.row_count == 2
+    assert "running CloseLoopToy/sacfd/seed_0, success 0.50 at 6" in told
+    assert "failed CloseLoopToy/sacfd/seed_1: the block is lost" in told
+    note(third, State.FAILED, "what is done stays done")
+    assert [entry.name for entry in Overview(sweep.members, tmp_path).of(Status.DONE)] == []
+    overview.look()
+    assert [entry.name for entry in overview.of(Status.DONE)] == [
+        m.name for m in sweep.members if m.seed in (0, 2)
+    ]
+
+
+def test_a_terminal_shows_a_table(tmp_path: Path, capsys: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("FORCE_COLOR", "1")  # rich writes no changing table where there is no terminal
+    overview = Overview(sweep_of().members, tmp_path)
+    with shown(overview, live=True) as look:
+        look()
+    assert "2 waiting" in capsys.readouterr().err
+
+
+# ---- Runs
+
+
+def test_runs_that_fail_do_not_stop_the_others(bench: Bench, tmp_path: Path, capsys: Any) -> None:
+    tasks = ["CloseLoopToyFailing", "CloseLoopToyCrashing", "CloseLoopToy"]
+    assert bench("-j", "2", tasks=tasks, seeds=1) == 2
+    out, err = capsys.readouterr()
+    assert out.splitlines()[0] == "1 done, 0 running, 0 waiting, 2 failed"
+    assert (
+        "2 of 3 runs failed, to begin them again: --retry-failed; CloseLoopToyFailing/"
+        in err.splitlines()[-1]
+    )
+    failing, crashing, good = (tmp_path / "out" / task / "sacfd" / "seed_0" for task in tasks)
+    assert "the block is lost" in standing(failing).error  # type: ignore[union-attr]
+    assert standing(crashing).error == "its process was ended by SIGSEGV, see log.txt"  # type: ignore[union-attr]
+    assert "RuntimeError: the block is lost" in (failing / "log.txt").read_text()
+    # A second start leaves both what is done and what has failed
+    before = {path: path.stat().st_mtime_ns for path in (good / "state.yml", failing / "state.yml")}
+    assert bench("-j", "2", tasks=tasks, seeds=1) == 2
+    assert {path: path.stat().st_mtime_ns for path in before} == before
+    # ... unless it is wanted
+    assert bench("--retry-failed", "--env", "CloseLoopToyFailing", tasks=tasks, seeds=1) == 2
+    assert (failing / "state.yml").stat().st_mtime_ns != before[failing / "state.yml"]
+    assert (good / "state.yml").stat().st_mtime_ns == before[good / "state.yml"]
+
+
+def test_a_full_disk_ends_the_benchmark_and_no_run(bench: Bench, tmp_path: Path, capsys: Any) -> None:
+    assert bench("-j", "1", tasks=["CloseLoopToyFull"]) == 2
+    [line] = [line for line in capsys.readouterr().err.splitlines() if "error" in line]
+    assert f"{tmp_path / 'out'} is full or cannot be written any more: make room and start again" in line
+    entries = Overview(sweep_of(tasks=["CloseLoopToyFull"]).members, tmp_path / "out")
+    entries.look()
+    assert entries.counts() == "0 done, 0 running, 2 waiting, 0 failed"
+
+
+def test_an_interrupted_run_goes_on(tmp_path: Path) -> None:
+    options = {**TINY["options"], "n_timesteps": 60, "save_freq": 6}
+    [member] = sweep_of(tasks=["CloseLoopToySlow"], seeds=1, options=options).members
+    task = Task(member, tmp_path, ("toy_tasks",), "cpu")
+    process = RunProcess(task)
+    wait_for(lambda: any(task.place.glob("checkpoints/checkpoint_*")))
+    process.interrupt()
+    assert process.wait(60) and process.ending() is Ending.INTERRUPTED
+    assert standing(task.place).state is State.KILLED  # type: ignore[union-attr]
+
+
+def kill_at_random(bench: Bench, tmp_path: Path, plan: dict[str, Any], kills: int, seed: int) -> None:
+    """Kill a benchmark again and again, let it end, and compare it with an uninterrupted one."""
+    rng = random.Random(seed)
+    out = tmp_path / "out"
+    for _ in range(kills):
+        process = start(tmp_path, plan, "-j", "2")
+        wait_for(lambda: any(out.glob("*/*/*/log.txt")))
+        time.sleep(rng.uniform(0.0, 4.0))
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+        wait_for(lambda: not any(is_running(folder) for folder in out.glob("*/*/seed_*")))
+    assert bench("-j", "2", **plan) == 0
+    sweep = sweep_of(**plan)
+    runs = find_runs(out)
+    assert sorted(str(run.folder.relative_to(out)) for run in runs) == sorted(m.name for m in sweep.members)
+    (tmp_path / "whole").mkdir()
+    whole = main(["benchmark", str(tmp_path / "tiny.yml"), "-f", str(tmp_path / "whole"), *FLAGS, "-j", "2"])
+    assert whole == 0
+    for run in runs:
+        assert run.standing.state is State.DONE  # type: ignore[union-attr]
+        assert same(run.folder, tmp_path / "whole" / run.folder.relative_to(out))
+
+
+KILLED = {"tasks": ["CloseLoopToySlow"], "seeds": 2, "options": {**TINY["options"], "n_timesteps": 24}}
+
+
+def test_a_killed_benchmark_goes_on_as_if_nothing_had_happened(bench: Bench, tmp_path: Path) -> None:
+    kill_at_random(bench, tmp_path, {**TINY, **KILLED}, kills=2, seed=0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(1, 6))
+def test_a_benchmark_killed_often(seed: int, bench: Bench, tmp_path: Path) -> None:
+    plan = {**TINY, **KILLED, "baselines": ["sacfd", "equi_sacfd"]}
+    kill_at_random(bench, tmp_path, plan, kills=5, seed=seed)
+
+
+@pytest.mark.slow
+def test_ctrl_c_and_a_second_start_lose_nothing(bench: Bench, tmp_path: Path) -> None:
+    plan = {**TINY, **KILLED}
+    process = start(tmp_path, plan, "-j", "2")
+    wait_for(lambda: any((tmp_path / "out").rglob("checkpoint_*")))
+    process.send_signal(signal.SIGINT)
+    assert process.wait(90) == 130
+    assert not any(is_running(folder) for folder in (tmp_path / "out").glob("*/*/seed_*"))
+    assert bench("-j", "2", **plan) == 0
+
+
+@pytest.mark.slow
+def test_two_hundred_runs(bench: Bench, tmp_path: Path) -> None:
+    keys = {"seeds": 50, "tasks": ["CloseLoopToy", "CloseLoopToyFailing"], "baselines": ["sacfd", "sac"]}
+    assert bench("-j", "2", **keys) == 2  # half of them fail
+    overview = Overview(sweep_of(**keys).members, tmp_path / "out")
+    overview.look()
+    assert overview.counts() == "100 done, 0 running, 0 waiting, 100 failed"

@@ -1,0 +1,1 @@
+"""Benchmarks: many cells with many seeds, on this machine or on a cluster, and what came of them."""
