@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from bulletarm_gym.config import EnvConfig, ParameterError
 from bulletarm_gym.control import CONTROLS, DeltaMove, PickPlace
 from bulletarm_gym.extensions import OBJECTS, by_path, load
-from bulletarm_gym.feasibility import check_heights, check_room
+from bulletarm_gym.feasibility import check_heights, check_room, check_spans
 from bulletarm_gym.footprint import PlacementError
 from bulletarm_gym.planners import expert_action
 from bulletarm_gym.robots import ROBOTS, RobotModel, RobotState, find_robot
@@ -105,6 +105,7 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
             ),
             self.task.bodies(self.config),
         )
+        check_spans(self.config, self.scene, self.task)
         self.control = CONTROLS[control](self.config, self.scene, self.task)
         check_room(self.config, surface, self.scene, self.task, self.control)
         self.action_space = self.control.action_space

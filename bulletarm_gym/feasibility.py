@@ -6,13 +6,17 @@ import numpy as np
 
 from bulletarm_gym.config import CLOSE_LOOP, EnvConfig, ParameterError
 from bulletarm_gym.control import Control
-from bulletarm_gym.footprint import PlacementError
+from bulletarm_gym.footprint import Footprint, PlacementError
+from bulletarm_gym.geometry import Pose
 from bulletarm_gym.objects.blocks import CUBE_SIZE
 from bulletarm_gym.scene import Scene
+from bulletarm_gym.simulation import BodySpec
 from bulletarm_gym.tasks import Task
 
 ROOM_PARAMETERS = ("object_scale_range", "num_objects", "workspace", "object_set", "close_loop_tray")
 """On what it depends whether there is room; the first that is not the task's own is named."""
+SPARE = 0.001
+"""Play (m) that open fingers need about what they grasp."""
 
 
 def check_heights(config: EnvConfig, task: Task) -> None:
@@ -28,6 +32,31 @@ def check_heights(config: EnvConfig, task: Task) -> None:
     if config.control == CLOSE_LOOP and low >= smallest:
         takes = f"one with z low below {smallest:.4g}: the gripper must come down to what lies on the ground"
         raise ParameterError.of("workspace", config.workspace, takes)
+
+
+def check_spans(config: EnvConfig, scene: Scene, task: Task) -> None:
+    """Check that the gripper spans what must be grasped in its largest size, where sizes are not the task's.
+
+    An object of several pieces can be grasped by the narrowest of them.
+
+    :raises ParameterError: it does not
+    """
+    if config.object_scale_range == [task.defaults.object_scale] * 2:
+        return
+    stroke = scene.robot.model.gripper.stroke
+    for item in task.grasped(scene):
+        width = max(_narrowest(spec) for spec in item.role.variants)
+        if width + SPARE > stroke:
+            takes = (
+                f"one that the gripper of robot={config.robot!r} spans: it opens to {stroke:.4g} m, "
+                f"{item.role.name!r} gets {width:.4g} m wide"
+            )
+            raise ParameterError.of("object_scale_range", config.object_scale_range, takes)
+
+
+def _narrowest(spec: BodySpec) -> float:
+    """Return the width (m) of the narrowest piece of a body that stands as it was made to stand."""
+    return min(Footprint.of(piece.mesh.vertices, Pose((0.0, 0.0, 0.0))).width for piece in spec.pieces)
 
 
 def check_room(config: EnvConfig, surface: str, scene: Scene, task: Task, control: Control[Any]) -> None:

@@ -60,6 +60,15 @@ class Footprint:
         reach: FloatArray = (self.points @ _COMPASS).max(axis=0)
         return reach
 
+    @property
+    def width(self) -> float:
+        """How far apart (m) two parallel fingers must be to go down on both sides of it, turned as they may.
+
+        It exceeds the least such distance by half a percent of its size at most; of a rectangle that lies
+        along x and y it is exact.
+        """
+        return float((self.reach + self.reach[_OPPOSITE]).min())
+
     def gap(self, other: "Footprint") -> float:
         """Return a distance (m) that two footprints keep at least; negative where they may overlap.
 

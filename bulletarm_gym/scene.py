@@ -214,6 +214,7 @@ class Scene:
         if any(self.world.is_moving(body) for body in loose):
             self.world.settle(loose, SETTLE_LIMIT)
             self.world.end()
+        self.robot.give_way()
 
     def get_cast(self) -> tuple[int, ...]:
         """Return which of an item's choices plays each role."""

@@ -207,9 +207,13 @@ class OpenLoop(Control[PickPlace]):
         self._open(robot, self._hints.opening)
 
     def _withdraw(self, robot: Robot, stops: Sequence[Pose]) -> None:
-        """Go back to the first stop where nothing is touched, or to the last."""
+        """Go back to the first stop where nothing is touched, or to the last.
+
+        A gripper that was blocked on the way in may not have come as far as a stop.
+        """
         for stop in stops:
-            robot.move_to(stop, careful=False)
+            if robot.pose.inverse().compose(stop).z > 0.0:
+                robot.move_to(stop, careful=False)
             if robot.is_apart():
                 return
 

@@ -1,16 +1,17 @@
 """An arm at work in a world: the whole interface that tasks, controls and planners rely on."""
 
-import itertools
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from bulletarm_gym.geometry import Pose, conjugate, interpolate, matrix, multiply, rotate
+from bulletarm_gym.geometry import Pose, interpolate, matrix, rotate
 from bulletarm_gym.robots.kinematics import POSITION_TOLERANCE
 from bulletarm_gym.robots.model import RobotModel
+from bulletarm_gym.robots.overlap import way_into, way_out
+from bulletarm_gym.robots.way import REFERENCE_DISTANCE, distance, stops_over
 from bulletarm_gym.simulation import Body, BodySpec, World
 from bulletarm_gym.simulation.motion import (
     JointGroup,
@@ -22,28 +23,20 @@ from bulletarm_gym.simulation.motion import (
     send_fingers,
 )
 
-REFERENCE_DISTANCE = 0.05
-"""The close-loop step (m; paper, Close-Loop 4D Benchmark) ..."""
 FREE_STEPS = 24
-"""... the simulation steps it takes where nothing is in the way ..."""
+"""Simulation steps of a move by the reference distance where nothing is in the way ..."""
 CARRYING_STEPS = 16
 """... with something in the gripper ..."""
 CAREFUL_STEPS = 48
 """... and where something may be pushed: braking at 3 m/s^2 at most, friction keeps blocks at the gripper."""
 LEAST_STEPS = 6
 FULL_TURN = 2.0 * math.pi
-TURNING_RADIUS = 0.06
-"""Lever (m) at which a turn about the tool counts as distance: half an open gripper and its fingers."""
-TILTING_RADIUS = 0.25
-"""Lever (m) at which a tilt counts as distance: from the fingertips to the wrist of an arm."""
 LEVEL = 0.03
 """Tilt (rad) up to which the gripper counts as looking down: what is grasped is never quite even."""
 LINE_STOPS = 4
 """Points between two poses that a tilted gripper is led through."""
 CLEARANCE = 0.004
 """Gap (m) that must stay between the gripper and everything else where it is moved without simulation."""
-TRANSFER_HEIGHT = 0.4
-"""Height (m) at which things are carried across a workspace where that has to be simulated."""
 CLEAR_ABOVE = 0.01
 """A fingertip path this far (m) above a body cannot touch it: joint motions sag some mm below a line."""
 SAMPLE_DISTANCE = 0.008
@@ -60,6 +53,8 @@ OPENING_TOLERANCE = 5e-4
 """Difference of openings (m) too small to move the fingers for, or to be a squeeze."""
 GIVING_WAY = 0.2
 """Share of the stroke by which fingers that were pushed shut are left so, as long as the command stays."""
+YIELDS = 4
+"""Most moves out of what the arm is too deep in: the way out of one thing may lead into another."""
 
 
 class OutOfReachError(ValueError):
@@ -195,18 +190,18 @@ class Robot:
         :raises OutOfReachError: the fingertips cannot be brought there
         """
         start, goal = self.pose, self.inverse_kinematics(pose)
-        distance = _distance(start, pose)
-        if distance < POSITION_TOLERANCE:
+        length = distance(start, pose)
+        if length < POSITION_TOLERANCE:
             return
         stops = [*self._line(start, pose), goal]
-        clear = self._is_clear(start, pose, stops, distance)
+        clear = self._is_clear(start, pose, stops, length)
         if clear and self.fast:
             self._place(self._arm, goal)
             return
         slow = careful and not clear and self.held is None
         pace = CAREFUL_STEPS if slow else FREE_STEPS if self.held is None else CARRYING_STEPS
-        steps = motion_steps(distance, REFERENCE_DISTANCE, pace, LEAST_STEPS)
-        follow(self._world, self._arm, stops, round(steps * self._world.physics.pace))
+        steps = motion_steps(length, REFERENCE_DISTANCE, pace, LEAST_STEPS)
+        follow(self._world, self._arm, stops, round(steps * self._world.physics.pace), self.held)
         self._finish()
 
     def _line(self, start: Pose, end: Pose) -> list[tuple[float, ...]]:
@@ -233,7 +228,7 @@ class Robot:
         if self.fast and self.is_apart() and self._jump(goal):
             self._begin_anew()
             return
-        for stop in filter(self.reaches, _stops(self.pose, pose)):
+        for stop in filter(self.reaches, stops_over(self.pose, pose)):
             self.move_to(stop)
             self._begin_anew()
 
@@ -276,6 +271,36 @@ class Robot:
         self.held = next((body for body in bodies if self._grips(body)), None)
         if self.held is not None:
             self._world.rest(self.held)
+        self._draw_out()
+
+    def give_way(self) -> None:
+        """Take the resting arm out of what it is too deep in, and what it holds out of a finger."""
+        self._draw_out()
+        if self.held is not None and (way := way_into(self._world, self.held, self.body)) is not None:
+            self._world.place(self.held, Pose(way).compose(self._world.poses[self.held.index]))
+
+    def _draw_out(self) -> None:
+        """Move the resting arm out of what it is too deep in, but for what it holds.
+
+        What was pressed into the ground or tilted comes up again under fingers that stopped in time. Empty
+        fingers stop, too: pressed on a block they would go on dragging it under themselves.
+        """
+        for _ in range(YIELDS):
+            way = way_out(self._world, self.body, self.held)
+            goal = None if way is None else Pose(way).compose(self.pose)
+            if goal is None or not self.reaches(goal):
+                return
+            if self.held is None:
+                self._command = self.opening
+            self._carry(self.inverse_kinematics(goal))
+
+    def _carry(self, goal: Sequence[float]) -> None:
+        """Put the arm at joint positions, what it holds with it."""
+        hand = self.pose
+        self._place(self._arm, goal)
+        if self.held is not None:
+            before = self._world.poses[self.held.index]
+            self._world.place(self.held, self.pose.compose(hand.inverse().compose(before)))
 
     @property
     def _is_squeezing(self) -> bool:
@@ -299,7 +324,7 @@ class Robot:
 
     # Free space
 
-    def _is_clear(self, start: Pose, end: Pose, stops: Sequence[Sequence[float]], distance: float) -> bool:
+    def _is_clear(self, start: Pose, end: Pose, stops: Sequence[Sequence[float]], length: float) -> bool:
         """Whether nothing moves and nothing can be touched on the way."""
         if self.held is not None or self._world.has_motion:
             return False
@@ -310,7 +335,7 @@ class Robot:
         near = [body for body in self._world.obstacles if self._world.top(body) > lowest]
         if not near:
             return True
-        shares = np.linspace(0.0, 1.0, math.ceil(distance / SAMPLE_DISTANCE) + 1)[1:]
+        shares = np.linspace(0.0, 1.0, math.ceil(length / SAMPLE_DISTANCE) + 1)[1:]
         samples = on_the_way([self._arm.positions(self._world), *stops], shares)
         clear = all(self._is_free(self._arm.moved(self._world, sample), near) for sample in samples.tolist())
         self._world.set_joints(self.body, self._world.joints[self.body.index])
@@ -325,15 +350,13 @@ class Robot:
 
     def _jump(self, goal: Sequence[float]) -> bool:
         """Put the arm, with what it holds, at joint positions, unless it touches something else there."""
-        joints, hand, held = self._arm.positions(self._world), self.pose, self.held
-        self._place(self._arm, goal)
-        if held is not None:
-            before = self._world.poses[held.index]
-            self._world.place(held, self.pose.compose(hand.inverse().compose(before)))
+        joints, held = self._arm.positions(self._world), self.held
+        before = None if held is None else self._world.poses[held.index]
+        self._carry(goal)
         if self.is_apart():
             return True
         self._place(self._arm, joints)
-        if held is not None:
+        if held is not None and before is not None:
             self._world.place(held, before)
         return False
 
@@ -360,7 +383,7 @@ class Robot:
         """
         if self.held is not None or self._world.has_motion:
             return False
-        tip = self.pose.z - CLEAR_ABOVE
+        tip = self._reach_down(self.pose) - CLEAR_ABOVE
         near = [body for body in self._world.obstacles if self._world.top(body) > tip]
         if not near:
             return True
@@ -372,20 +395,3 @@ class Robot:
     def _is_free(self, joints: Sequence[float], bodies: Sequence[Body]) -> bool:
         self._world.show_joints(self.body, joints)
         return all(math.isinf(self._world.distance(self.body, body, CLEARANCE)) for body in bodies)
-
-
-def _stops(start: Pose, end: Pose) -> Iterator[Pose]:
-    """Yield the poses of a way straight up and upright, across, and straight down, in short moves."""
-    level = max(start.z, end.z, TRANSFER_HEIGHT)
-    over = [Pose.planar(pose.x, pose.y, level, pose.yaw) for pose in (start, end)]
-    for before, after in itertools.pairwise([start, *over, end]):
-        count = max(1, math.ceil(_distance(before, after) / REFERENCE_DISTANCE))
-        yield from (interpolate(before, after, number / count) for number in range(1, count + 1))
-
-
-def _distance(start: Pose, end: Pose) -> float:
-    """Return how far (m) the fingertips, the fingers about them or the wrist go, whichever is farthest."""
-    x, y, z, w = multiply(conjugate(start.orientation), end.orientation)
-    turn = 2.0 * math.atan2(abs(z), abs(w))
-    tilt = 2.0 * math.atan2(math.hypot(x, y), math.hypot(z, w))
-    return max(math.dist(start.position, end.position), TURNING_RADIUS * turn, TILTING_RADIUS * tilt)

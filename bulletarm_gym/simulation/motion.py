@@ -15,6 +15,16 @@ MAX_LAG = 0.03
 """A joint (rad) this far behind its trajectory is blocked: a centimetre or two at the fingertips."""
 LAG_CHECK = 4
 """Simulation steps between two looks at the lag."""
+MAX_PRESS = 100.0
+"""An arm that presses this hard (N) and still goes deeper is blocked: pushing blocks takes 60 N at most."""
+MAX_DEPTH = 2e-3
+"""Also one that is this deep (m) in something: Bullet's solver gives way before it comes to that force."""
+RESTING_PRESS = 20.0
+"""A blocked arm goes back the way it came until it presses less than this (N) ..."""
+CALM_STEPS = 10
+"""... for so many simulation steps: what it pressed into the ground comes up again."""
+GIVE_WAY_LIMIT = 60
+"""Most simulation steps it goes back."""
 STALL_PROGRESS = 1e-4
 """A finger that comes less than this (m) closer to its goal in one step (24 mm/s) is stopped by something."""
 FINGER_TOLERANCE = 2e-4
@@ -85,16 +95,53 @@ def on_the_way(stops: Sequence[Sequence[float]], shares: FloatArray) -> FloatArr
     return np.stack([np.interp(shares, knots, joint) for joint in np.asarray(stops).T], axis=1)
 
 
-def follow(world: World, group: JointGroup, stops: Sequence[Sequence[float]], steps: int) -> None:
-    """Drive joints through stops to the last in a number of simulation steps; a blocked arm stops there."""
-    path = on_the_way([group.positions(world), *stops], ramp(steps))
-    for number, target in enumerate(path.tolist(), 1):
-        hold(world, group, target)
+def follow(
+    world: World, group: JointGroup, stops: Sequence[Sequence[float]], steps: int, held: Body | None
+) -> None:
+    """Drive joints through stops to the last in a number of simulation steps; a blocked arm stops there.
+
+    :param held: a body in the gripper, which does not block it
+    """
+    path = [group.positions(world), *on_the_way([group.positions(world), *stops], ramp(steps)).tolist()]
+    depth = math.inf
+    for number in range(1, steps + 1):
+        hold(world, group, path[number])
         world.client.stepSimulation()
-        if number % LAG_CHECK == 0 and _lag(world, group, target) > MAX_LAG:
-            hold(world, group, [s[0] for s in world.client.getJointStates(group.body.id, group.joints)])
-            world.client.stepSimulation()
+        before, (force, depth) = depth, press(world, group.body, held)
+        if depth > before and (force > MAX_PRESS or depth > MAX_DEPTH):
+            _give_way(world, group, path[:number], held)
             return
+        if number % LAG_CHECK == 0 and _lag(world, group, path[number]) > MAX_LAG:
+            _stop(world, group)
+            return
+
+
+def press(world: World, body: Body, held: Body | None) -> tuple[float, float]:
+    """Return how hard (N) and how deep (m) a body presses on others than the one it holds."""
+    points = world.client.getContactPoints(body.id)
+    others = [(point[9], -point[8]) for point in points if held is None or point[2] != held.id]
+    if not others:
+        return 0.0, 0.0
+    return sum(force for force, _ in others), max(depth for _, depth in others)
+
+
+def _give_way(world: World, group: JointGroup, path: Sequence[Sequence[float]], held: Body | None) -> None:
+    """Go back on a path until nothing presses hard any more, and stop there."""
+    back, calm = len(path) - 1, 0
+    for _ in range(GIVE_WAY_LIMIT):
+        hold(world, group, path[back])
+        world.client.stepSimulation()
+        force, depth = press(world, group.body, held)
+        calm = calm + 1 if force < RESTING_PRESS and depth < MAX_DEPTH / 2.0 else 0
+        if calm == CALM_STEPS:
+            break
+        back = max(back - (calm == 0), 0)
+    _stop(world, group)
+
+
+def _stop(world: World, group: JointGroup) -> None:
+    hold(world, group, [state[0] for state in world.client.getJointStates(group.body.id, group.joints)])
+    world.client.stepSimulation()
 
 
 def _lag(world: World, group: JointGroup, target: Sequence[float]) -> float:

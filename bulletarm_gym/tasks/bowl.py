@@ -12,7 +12,7 @@ from bulletarm_gym.objects.blocks import CUBE_SIZE
 from bulletarm_gym.objects.bowl import HEIGHT
 from bulletarm_gym.placement import scatter, stand
 from bulletarm_gym.relations import at_rest, is_empty, is_held, touching, upright
-from bulletarm_gym.scene import Role, Scene, scaled
+from bulletarm_gym.scene import Item, Role, Scene, scaled
 from bulletarm_gym.tasks.grasping import grasp_item, place_item, side_yaw
 from bulletarm_gym.tasks.reaching import BORDER
 from bulletarm_gym.tasks.task import Task, Waypoint
@@ -49,6 +49,10 @@ class BlockInBowl(Task):
     def bodies(self, config: EnvConfig) -> list[Role]:
         """Return cube and bowl."""
         return [scaled(config, "cube", cube), scaled(config, "bowl", bowl)]
+
+    def grasped(self, scene: Scene) -> list[Item]:
+        """Return the cube: the bowl stays where it is."""
+        return [scene["cube"]]
 
     def arrange(self, scene: Scene, rng: np.random.Generator) -> None:
         """Put cube and bowl apart."""

@@ -127,6 +127,10 @@ class ObjectGrasping(Task):
             )
         return [Role(spec.name, (resized(spec, scales[n % len(scales)]),)) for n, spec in enumerate(specs)]
 
+    def grasped(self, scene: Scene) -> list[Item]:
+        """Return nothing: what is too large for the gripper is left where it is."""
+        return []
+
     def arrange(self, scene: Scene, rng: np.random.Generator) -> None:
         """Drop objects into the tray.
 

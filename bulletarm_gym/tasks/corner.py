@@ -25,9 +25,9 @@ from bulletarm_gym.tasks.task import CLOSED, Task, Waypoint
 
 GAP = 2e-4
 """Gap (m) between the cube and the walls: it stands flush, but is not pressed against them."""
-PRESS = 5e-3
+PRESS = 1e-3
 """Depth (m) by which the fingertips are sent into the cube's upper side; half and twice as much take it along
-too."""
+too, but from twice as much on the arm may be blocked."""
 FREE = 0.05
 """Distance (m) of the cube from the walls at which any gripper's fingers fit in between ..."""
 DRAWN = 0.07

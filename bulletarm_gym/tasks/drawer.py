@@ -23,7 +23,11 @@ DISTANCE = (0.15, 0.2)
 ASIDE = 0.1
 """... and aside of it at most (m)."""
 HOOK = (HANDLE_DISTANCE + HANDLE_RADIUS) / 2.0
-"""Where (m) the gripper goes down behind the bar: in the middle between bar and drawer."""
+"""Where (m) the gripper goes down behind the bar: in the middle between bar and drawer ..."""
+GAP = 2e-3
+"""... or this far (m) from the bar, where with short fingers the palm comes down before the cabinet ..."""
+ALIGNED_BEFORE, ALIGNED_YAW_BEFORE = 2e-3, 0.02
+"""... within this distance (m) and angle (rad), or it would come down on the cabinet."""
 BELOW = 0.02
 """How far (m) the fingertips reach below the bar."""
 BORDER = 5e-3
@@ -91,8 +95,8 @@ class DrawerOpening(Task):
         low = HANDLE[2] - BELOW
         behind = x + opened - HANDLE[0]
         if not (0.0 < behind < HANDLE_DISTANCE and abs(y) < STRUT_SPACING / 2.0 and z < HANDLE[2]):
-            yield from self._hook(scene, cabinet.transform((_START - opened, 0.0, low)), yaw)
-            x, y = _START - opened, 0.0
+            x, y = _start(scene) - opened, 0.0
+            yield from self._hook(scene, cabinet.transform((x, y, low)), yaw)
         # No faster along the workspace's diagonals than along its sides.
         goal = cabinet.transform((max(_end(scene), x - STEP), y, low))
         yield Waypoint(Pose.planar(*goal, yaw), CLOSED, straight=True)
@@ -101,7 +105,8 @@ class DrawerOpening(Task):
         """Yield the way of the closed gripper over the cabinet's edge down behind the bar."""
         hand = scene.robot.pose
         over = CABINET[2] + HOVER
-        if planar_distance(hook, hand.position) > ALIGNED or abs(hand.yaw - yaw) > ALIGNED_YAW:
+        near, turned = (ALIGNED, ALIGNED_YAW) if _is_long(scene) else (ALIGNED_BEFORE, ALIGNED_YAW_BEFORE)
+        if planar_distance(hook, hand.position) > near or abs(hand.yaw - yaw) > turned:
             if hand.z < over - LEVEL:
                 yield Waypoint(Pose.planar(hand.x, hand.y, over, hand.yaw), CLOSED)
             yield Waypoint(Pose.planar(hook[0], hook[1], over, yaw), CLOSED)
@@ -109,7 +114,18 @@ class DrawerOpening(Task):
 
 
 _START = HANDLE[0] + HOOK
-"""Where (m) along the cabinet's x the gripper goes down when the drawer is shut."""
+"""Where (m) along the cabinet's x the gripper goes down when the drawer is shut, its fingers being long."""
+
+
+def _is_long(scene: Scene) -> bool:
+    """Whether the palm stays above the cabinet when the fingertips are below the bar."""
+    return HANDLE[2] - BELOW + scene.robot.model.gripper.finger[2] > CABINET[2]
+
+
+def _start(scene: Scene) -> float:
+    """Return where (m) along the cabinet's x the gripper goes down when the drawer is shut."""
+    finger = scene.robot.model.gripper.finger[1] / 2.0
+    return _START if _is_long(scene) else min(_START, HANDLE[0] + HANDLE_RADIUS + finger + GAP)
 
 
 def _end(scene: Scene) -> float:

@@ -9,7 +9,7 @@ from bulletarm_gym.config import CLOSE_LOOP, EnvConfig, TaskDefaults
 from bulletarm_gym.objects import flat_block
 from bulletarm_gym.placement import scatter, stand
 from bulletarm_gym.relations import touching
-from bulletarm_gym.scene import Role, Scene, scaled
+from bulletarm_gym.scene import Item, Role, Scene, scaled
 from bulletarm_gym.tasks.dragging import Drag
 from bulletarm_gym.tasks.task import Task, Waypoint
 
@@ -39,6 +39,10 @@ class BlockPulling(Task):
     def bodies(self, config: EnvConfig) -> list[Role]:
         """Return the two blocks."""
         return [scaled(config, name, flat_block) for name in NAMES]
+
+    def grasped(self, scene: Scene) -> list[Item]:
+        """Return nothing: the blocks are pulled from behind."""
+        return []
 
     def arrange(self, scene: Scene, rng: np.random.Generator) -> None:
         """Put the blocks apart."""

@@ -9,7 +9,7 @@ from bulletarm_gym.config import CLOSE_LOOP, EnvConfig, TaskDefaults
 from bulletarm_gym.geometry import planar_distance
 from bulletarm_gym.objects import cube, goal_area
 from bulletarm_gym.placement import scatter, stand
-from bulletarm_gym.scene import Role, Scene, scaled
+from bulletarm_gym.scene import Item, Role, Scene, scaled
 from bulletarm_gym.tasks.dragging import Drag
 from bulletarm_gym.tasks.reaching import BORDER
 from bulletarm_gym.tasks.task import Overlay, Task, Waypoint
@@ -46,6 +46,10 @@ class BlockPushing(Task):
     def bodies(self, config: EnvConfig) -> list[Role]:
         """Return the cube and the mark of the goal area."""
         return [scaled(config, "cube", cube), Role("goal", (goal_area("goal", GOAL_SIDE),))]
+
+    def grasped(self, scene: Scene) -> list[Item]:
+        """Return nothing: the cube is pushed."""
+        return []
 
     def arrange(self, scene: Scene, rng: np.random.Generator) -> None:
         """Put cube and goal apart."""

@@ -106,6 +106,10 @@ class Task(ABC):
     def bodies(self, config: EnvConfig) -> list[Role]:
         """Return everything the task will ever need."""
 
+    def grasped(self, scene: Scene) -> list[Item]:
+        """Return the items that the gripper must be able to span: by default all that are loose."""
+        return [item for item in scene.items if item.spec.mass > 0.0]
+
     @abstractmethod
     def arrange(self, scene: Scene, rng: np.random.Generator) -> None:
         """Lay out the start of an episode in an empty scene.

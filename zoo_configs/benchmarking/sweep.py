@@ -22,8 +22,8 @@ from zoo_configs.training.runs import SEED_PREFIX
 SEEDS = 4  # paper, the captions of its learning curves: averaged over four runs
 PATTERN = "*?["  # what makes a shell pattern of a name
 SUFFIXES = (".yml", ".yaml")
-# Learners that are not in the paper: in its benchmarks only where they are named.
-OTHER_LEARNERS = ("tqc", "tqcfd")
+# Learners and networks that are not in the paper: in its benchmarks only where they are named.
+OTHERS = {"tqc", "tqcfd", "state"}
 
 
 @dataclass(frozen=True)
@@ -113,7 +113,7 @@ def read_plan(name: str) -> Plan:
     baselines = [
         row
         for row, baseline in rows
-        if baseline.network in family.benchmarks[name] and baseline.learner not in OTHER_LEARNERS
+        if baseline.network in family.benchmarks[name] and OTHERS.isdisjoint(baseline[:2])
     ]
     return Plan(tasks, baselines, benchmark=name)
 

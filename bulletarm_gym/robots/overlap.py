@@ -1,0 +1,45 @@
+"""How deep an arm is in what it touches, and the way out: rigid bodies overlap in Bullet where they press."""
+
+from typing import Any
+
+from bulletarm_gym.geometry import Vector
+from bulletarm_gym.simulation import Body, World
+from bulletarm_gym.simulation.motion import MAX_DEPTH
+
+REMAINING = 1e-3
+"""Depth (m) that is left, so that what pressed goes on touching."""
+
+
+def way_out(world: World, arm: Body, held: Body | None) -> Vector | None:
+    """Return the shift (m) that takes an arm out of the deepest of its overlaps; None where none is too deep.
+
+    :param held: what is in its gripper, which does not count
+    """
+    # Contacts are those of the step before: they tell which bodies to look at.
+    touched = {p[2] for p in world.client.getContactPoints(arm.id) if p[8] < -REMAINING}
+    others = sorted(touched - {-1 if held is None else held.id})
+    point = _deepest([p for other in others for p in world.client.getClosestPoints(arm.id, other, 0.0)])
+    return None if point is None else _along(point, -point[8] - REMAINING)
+
+
+def way_into(world: World, held: Body, arm: Body) -> Vector | None:
+    """Return the shift (m) that takes what is squeezed out of the finger that it is too deep in, or None.
+
+    No farther than must be: there is another finger behind it.
+    """
+    if not any(p[8] < -MAX_DEPTH for p in world.client.getContactPoints(arm.id, held.id)):
+        return None
+    point = _deepest(world.client.getClosestPoints(arm.id, held.id, 0.0))
+    return None if point is None else _along(point, MAX_DEPTH + point[8])
+
+
+def _deepest(points: Any) -> Any:
+    """Return the deepest of Bullet's points of contact if it is too deep."""
+    deepest = min(points, key=lambda point: float(point[8]), default=None)
+    return None if deepest is None or -deepest[8] <= MAX_DEPTH else deepest
+
+
+def _along(point: Any, shift: float) -> Vector:
+    """Return a shift (m) along a point's normal, which leads out of the other body into the arm."""
+    x, y, z = point[7]
+    return (x * shift, y * shift, z * shift)
