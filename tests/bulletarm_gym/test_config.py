@@ -257,7 +257,7 @@ def test_there_is_room_or_the_parameter_is_refused(
     env.close()
 
 
-SPANS: list[tuple[str, float, set[str]]] = [
+SPANS: list[tuple[str, float, list[str]]] = [
     ("CloseLoopBlockPicking", 2.0, ["kuka", "panda", "ur5", "ur5_robotiq"]),
     ("CloseLoopBlockPicking", 1.66, ["panda", "ur5"]),
     ("CloseLoopBlockPicking", 1.54, ["ur5"]),
