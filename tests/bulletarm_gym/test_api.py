@@ -303,24 +303,27 @@ def test_a_reward_that_is_no_number_is_named_at_once(value: Any) -> None:
         make_env(PICKING, reward="math:pi")
 
 
-def wide_kuka() -> RobotModel:
-    return dataclasses.replace(KUKA, name="wide_kuka", gripper=dataclasses.replace(KUKA.gripper, stroke=0.1))
+def narrow_kuka() -> RobotModel:
+    gripper = dataclasses.replace(KUKA.gripper, stroke=0.08)
+    return dataclasses.replace(
+        KUKA, name="narrow_kuka", gripper=dataclasses.replace(KUKA.gripper, stroke=0.08)
+    )
 
 
 @pytest.mark.parametrize("given", ["path", "function", "lambda", "model", "known model"])
 def test_a_robot_may_be_a_model_or_a_function(given: str) -> None:
-    path = f"{wide_kuka.__module__}:wide_kuka"
-    model = wide_kuka()
-    kinds: dict[str, Any] = {"path": path, "function": wide_kuka, "lambda": lambda: model, "model": model}
+    path = f"{narrow_kuka.__module__}:narrow_kuka"
+    model = narrow_kuka()
+    kinds: dict[str, Any] = {"path": path, "function": narrow_kuka, "lambda": lambda: model, "model": model}
     env = make_env(PICKING, obs_size=16, robot=kinds.get(given, KUKA))
-    expected = "kuka" if given == "known model" else "wide_kuka"
+    expected = "kuka" if given == "known model" else "narrow_kuka"
     assert env.scene.robot.model.name == expected
     state = advance(env, 0, 4)
     if given != "lambda":
         copy = pickle.loads(pickle.dumps(env))
         assert copy.scene.robot.model.gripper == env.scene.robot.model.gripper
         assert transcript(copy, 3) == transcript(env, 3)
-    other = make_env(PICKING, obs_size=16, robot="kuka" if given == "known model" else wide_kuka)
+    other = make_env(PICKING, obs_size=16, robot="kuka" if given == "known model" else narrow_kuka)
     other.set_state(state)
     env.close()
     other.close()

@@ -202,7 +202,7 @@ def test_closes_on_and_holds_a_cube(arm_env: ManipulationEnv, robot: Robot) -> N
         move(arm_env, Pose.planar(x, y, z, hand.yaw + rng.uniform(-1.0, 1.0) * math.pi / 4.0))
         assert robot.held is cube.body
     after = robot.pose.inverse().compose(cube.pose)
-    assert math.dist(before.position, after.position) < 3e-3
+    assert math.dist(before.position, after.position) < 5e-3
     move(arm_env, Pose((0.45, 0.0, 0.15), tilted(robot.pose.yaw, TILT, 1.0)))
     assert robot.held is cube.body
     arm_env.scene.begin()

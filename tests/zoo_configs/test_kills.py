@@ -25,7 +25,7 @@ from zoo_configs.training.state import State, standing
 DYING = f"""
 import os, signal, sys
 sys.path.insert(0, {str(Path(__file__).parent)!r})
-import conftest, gymnasium
+import gymnasium, toy_env
 
 events, last, replace = 0, int(os.environ["DIES_AT"]), os.replace
 
@@ -40,13 +40,13 @@ def replace_and_count(*args, **kwargs):
     replace(*args, **kwargs)
     count()
 
-class Dying(conftest.ToyEnv):
+class Dying(toy_env.ToyEnv):
     def step(self, action):
         count()
         return super().step(action)
 
 os.replace = replace_and_count
-gymnasium.register(conftest.TOY_ID, Dying)
+gymnasium.register(toy_env.TOY_ID, Dying)
 """
 OVERRIDES = {
     **{"expert_episodes": 2, "pretrain_steps": 2, "batch_size": 4, "buffer_size": 100, "n_envs": 1},

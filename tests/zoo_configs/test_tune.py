@@ -35,15 +35,15 @@ HANGING = f"""
 import sys, time
 from pathlib import Path
 sys.path.insert(0, {str(Path(__file__).parent)!r})
-import conftest, gymnasium
+import gymnasium, toy_env
 
-class Hanging(conftest.ToyEnv):
+class Hanging(toy_env.ToyEnv):
     def step(self, action):
         while any(Path().glob("studies/*/*/checkpoints/*/model.zip")):
             time.sleep(1)
         return super().step(action)
 
-gymnasium.register(conftest.TOY_ID, Hanging)
+gymnasium.register(toy_env.TOY_ID, Hanging)
 """
 
 

@@ -9,7 +9,7 @@ import time
 from typing import Any
 
 import gymnasium as gym
-from conftest import TOY_ID, ToyEnv
+from toy_env import TOY_ID, ToyEnv
 
 
 class FailingToy(ToyEnv):

@@ -1,0 +1,73 @@
+"""A quick environment with the interface of the close-loop ids: a finger that must come near a block."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from gymnasium import spaces
+
+TOY_ID = "BulletArm/CloseLoopToy-v0"
+STEP = 0.05  # m an action of 1 moves
+REACH = 0.06  # m at which the block is reached
+MAX_STEPS = 6
+
+
+class ToyEnv(gym.Env[dict[str, Any], np.ndarray]):
+    """The block lies at ``self.offset`` from the finger; the heightmap, 0.45 m wide, shows it."""
+
+    metadata = {"render_modes": ["rgb_array"], "render_fps": 5}  # noqa: RUF012
+    made: list[ToyEnv] = []  # noqa: RUF012
+
+    def __init__(
+        self, obs_size: int = 128, action_sequence: str = "pxyzr", render_mode: str | None = None
+    ) -> None:
+        if obs_size < 48:
+            raise ValueError(f"obs_size must be at least 48, got {obs_size}")
+        self.obs_size, self.action_sequence, self.render_mode = obs_size, action_sequence, render_mode
+        image = spaces.Box(0, 0.4, (1, obs_size, obs_size), np.float32)
+        self.observation_space = spaces.Dict(
+            {"heightmap": image, "holding": spaces.Box(0, 1, (1,), np.float32)}
+        )
+        self.action_space = spaces.Box(-1, 1, (len(action_sequence),), np.float32)
+        self.seeds: list[int | None] = []
+        ToyEnv.made.append(self)
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> Any:
+        super().reset(seed=seed)
+        self.seeds.append(seed)
+        self.offset = self.np_random.uniform(-0.15, 0.15, 2)
+        self.steps = 0
+        return self._observe(), self._info()
+
+    def step(self, action: np.ndarray) -> Any:
+        x = self.action_sequence.index("x")
+        self.offset = self.offset - STEP * np.asarray(action)[x : x + 2]
+        self.steps += 1
+        success = self._info()["is_success"]
+        return self._observe(), float(success), success, self.steps >= MAX_STEPS, self._info()
+
+    def expert_action(self) -> np.ndarray:
+        action = np.zeros(len(self.action_sequence), np.float32)
+        x = self.action_sequence.index("x")
+        action[x : x + 2] = np.clip(self.offset / STEP, -1, 1)
+        return action
+
+    def get_state(self) -> Any:
+        return self.offset, self.steps, self.np_random.bit_generator.state
+
+    def set_state(self, state: Any) -> None:
+        self.offset, self.steps, self.np_random.bit_generator.state = state
+
+    def render(self) -> Any:
+        return np.full((60, 80, 3), 90, np.uint8)
+
+    def _info(self) -> dict[str, Any]:
+        return {"is_success": bool(np.linalg.norm(self.offset) < REACH)}
+
+    def _observe(self) -> dict[str, Any]:
+        image = np.full((1, self.obs_size, self.obs_size), 0.2, np.float32)
+        row, column = ((self.offset / 0.45 + 0.5) * self.obs_size).astype(int).clip(2, self.obs_size - 3)
+        image[0, row - 2 : row + 3, column - 2 : column + 3] = 0.1
+        return {"heightmap": image, "holding": np.zeros(1, np.float32)}
