@@ -22,6 +22,8 @@ HOVER = 0.03
 """Height (m) above an item at which the gripper crosses it."""
 ROUND = 0.8
 """What is as wide as this share of its length, as variances go, counts as round."""
+TOUCH = 0.001
+"""Distance (m) at which the gripper counts as touching."""
 SPREAD = 0.02
 """Spread (m) of where the push begins, so that no two tries are alike."""
 
@@ -38,6 +40,10 @@ def stir(scene: Scene, item: Item, rng: np.random.Generator) -> Iterator[Waypoin
     if hand.z < low + LOW and aside < SPREAD + ASTRAY and RUN_UP - STROKE < ahead < 2.0 * RUN_UP:
         beyond = Pose.planar(hand.x + STROKE * push[0], hand.y + STROKE * push[1], low, hand.yaw)
         yield Waypoint(beyond, CLOSED, straight=True)
+    if hand.z > low + LOW and _stands_on_something(scene):
+        # What stops the gripper on its way down it rubs along instead
+        across = Pose.planar(hand.x + STROKE * push[0], hand.y + STROKE * push[1], hand.z, hand.yaw)
+        yield Waypoint(across, CLOSED, straight=True)
     shift = float(rng.uniform(-SPREAD, SPREAD))
     start = (end[0] - RUN_UP * push[0] - shift * push[1], end[1] - RUN_UP * push[1] + shift * push[0])
     hover = scene.world.top(item.body) + HOVER
@@ -46,6 +52,13 @@ def stir(scene: Scene, item: Item, rng: np.random.Generator) -> Iterator[Waypoin
             yield Waypoint(Pose.planar(hand.x, hand.y, hover, hand.yaw), CLOSED)
         yield Waypoint(Pose.planar(*start, hover, hand.yaw), CLOSED)
     yield Waypoint(Pose.planar(hand.x, hand.y, low, hand.yaw), CLOSED)
+
+
+def _stands_on_something(scene: Scene) -> bool:
+    """Whether the gripper touches an object, or a wall."""
+    arm, world = scene.robot.body, scene.world
+    solids = (body for body in world.obstacles if body is not arm)
+    return any(world.distance(arm, body, TOUCH) < TOUCH for body in solids)
 
 
 def _end_to_push(scene: Scene, item: Item) -> tuple[tuple[float, float], tuple[float, float]]:

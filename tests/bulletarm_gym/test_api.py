@@ -305,9 +305,7 @@ def test_a_reward_that_is_no_number_is_named_at_once(value: Any) -> None:
 
 def narrow_kuka() -> RobotModel:
     gripper = dataclasses.replace(KUKA.gripper, stroke=0.08)
-    return dataclasses.replace(
-        KUKA, name="narrow_kuka", gripper=dataclasses.replace(KUKA.gripper, stroke=0.08)
-    )
+    return dataclasses.replace(KUKA, name="narrow_kuka", gripper=gripper)
 
 
 @pytest.mark.parametrize("given", ["path", "function", "lambda", "model", "known model"])
