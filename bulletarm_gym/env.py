@@ -17,7 +17,6 @@ from bulletarm_gym.control import CONTROLS, DeltaMove, PickPlace
 from bulletarm_gym.extensions import OBJECTS, by_path, load
 from bulletarm_gym.feasibility import check_heights, check_room, check_spans
 from bulletarm_gym.footprint import PlacementError
-from bulletarm_gym.planners import expert_action
 from bulletarm_gym.robots import ROBOTS, RobotModel, RobotState, find_robot
 from bulletarm_gym.scene import Scene
 from bulletarm_gym.simulation import Camera, WorldState, has_display
@@ -217,10 +216,14 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
     def expert_action(self) -> Action:
         """Return what the task's expert would do now; it depends on the state alone and changes nothing.
 
+        The plan is made anew from the present scene each time, so the expert recovers from what happened
+        before (paper, Expert Demonstrations: the waypoint planner).
+
         :raises gymnasium.error.ResetNeeded: no episode has begun
         """
         self._check_running()
-        return expert_action(self.task, self.control, self.scene, self._rng(PLAN))
+        plan = iter(self.task.plan(self.scene, self._rng(PLAN)))
+        return self.control.encode_action(self.control.next_move(self.scene, plan))
 
     def get_state(self) -> EnvState:
         """Return the present moment; it can be pickled, and set in any environment with the same parameters.

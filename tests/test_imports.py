@@ -13,16 +13,18 @@ ROOT = Path(__file__).resolve().parent.parent
 
 # A room (module or subpackage of bulletarm_gym) may import rooms of its own layer and of those before it.
 LAYERS = (
-    {"geometry", "footprint", "config", "compilation", "extensions", "plain", "time_limit", "values"},
+    {"geometry", "footprint", "config", "compilation", "extensions", "time_limit", "values"},
     {"simulation"},
     {"robots", "objects", "surfaces", "sensors"},
     {"scene"},
     {"relations", "placement"},
-    {"tasks", "control", "planners", "feasibility"},
+    {"experts"},
+    {"tasks"},
+    {"control"},
+    {"feasibility"},
     {"env"},
-    {"episodes"},
-    {"registration"},
-    {"benchmarks", "vector", "demonstrations", "__init__"},
+    {"demonstrations", "registration"},
+    {"benchmarks", "vector", "__init__"},
 )
 LEVEL = {room: level for level, layer in enumerate(LAYERS) for room in layer}
 

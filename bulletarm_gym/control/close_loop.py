@@ -10,11 +10,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from bulletarm_gym.config import EnvConfig
 from bulletarm_gym.control.control import MAX_HEIGHT, POINTS, Control, holding, over
+from bulletarm_gym.experts.waypoints import Waypoint
 from bulletarm_gym.geometry import Pose, Vector, wrap_angle
 from bulletarm_gym.robots import OutOfReachError
 from bulletarm_gym.scene import Scene
 from bulletarm_gym.sensors.overlays import fill_rectangles, rectangle_mask
-from bulletarm_gym.tasks import Task, Waypoint
+from bulletarm_gym.tasks import Task
 
 MAX_TRANSLATION = 0.05
 """Farthest move (m) along an axis (paper, Close-Loop 4D Benchmark)."""

@@ -11,10 +11,10 @@ from gymnasium import spaces
 from numpy.typing import ArrayLike, NDArray
 
 from bulletarm_gym.config import EnvConfig, ParameterError
+from bulletarm_gym.experts.waypoints import Waypoint
 from bulletarm_gym.geometry import Pose, Vector
 from bulletarm_gym.robots.robot import LEVEL
 from bulletarm_gym.scene import Scene
-from bulletarm_gym.tasks import Waypoint
 
 MAX_HEIGHT = 0.4
 """Largest value (m) of a heightmap or depth image."""

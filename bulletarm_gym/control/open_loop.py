@@ -11,13 +11,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from bulletarm_gym.config import EnvConfig
 from bulletarm_gym.control.control import MAX_HEIGHT, POINTS, Control, holding, over
+from bulletarm_gym.experts.waypoints import APPROACH, OPEN, Waypoint
 from bulletarm_gym.geometry import Pose, Vector, euler_angles, euler_pose, matrix
 from bulletarm_gym.robots import Robot
 from bulletarm_gym.scene import Scene
 from bulletarm_gym.sensors.in_hand import Map, crop, projections
 from bulletarm_gym.sensors.overlays import rectangle_mask
-from bulletarm_gym.tasks import Task, Waypoint
-from bulletarm_gym.tasks.task import OPEN
+from bulletarm_gym.tasks import Task
 
 PICK = "pick"
 PLACE = "place"
@@ -35,8 +35,6 @@ TILT = math.pi / 12.0
 """The mean slope of ramps (rad), by which ..."""
 TILTED_Z = (0.02, 0.2)
 """... the gripper must be able to tilt over the whole workspace, at these heights (m) above its floor."""
-APPROACH = 0.1
-"""How far (m) behind its target the gripper begins to come straight in, as in the original release."""
 RETREAT = 0.05
 """How far (m) it goes back the same way, unless it still touches something there, before it goes home."""
 HOME_HEIGHT = 0.4

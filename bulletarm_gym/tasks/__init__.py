@@ -1,5 +1,6 @@
 """What is to be done: one file a family of tasks."""
 
-from bulletarm_gym.tasks.task import CLOSED, HALF_OPEN, OPEN, Hints, Overlay, Task, Waypoint
+from bulletarm_gym.experts import CLOSED, HALF_OPEN, OPEN, Waypoint
+from bulletarm_gym.tasks.task import Hints, Overlay, Task
 
 __all__ = ["CLOSED", "HALF_OPEN", "OPEN", "Hints", "Overlay", "Task", "Waypoint"]

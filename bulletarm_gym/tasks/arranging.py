@@ -6,13 +6,14 @@ from collections.abc import Iterator
 import numpy as np
 
 from bulletarm_gym.config import OPEN_LOOP, EnvConfig, TaskDefaults, TrayUse
+from bulletarm_gym.experts.approach import RELEASE, place_item
+from bulletarm_gym.experts.waypoints import CLOSED, OPEN, Waypoint
 from bulletarm_gym.geometry import Pose, planar_distance, wrap_angle
 from bulletarm_gym.objects.bottles import BOTTLES, HEIGHT, TRAY, TRAY_FLOOR, bottle, bottle_tray
 from bulletarm_gym.placement import lay_apart
 from bulletarm_gym.relations import at_rest, is_empty, touching, upright
 from bulletarm_gym.scene import Item, Role, Scene, shaped
-from bulletarm_gym.tasks.grasping import RELEASE, place_item
-from bulletarm_gym.tasks.task import CLOSED, OPEN, Hints, Task, Waypoint
+from bulletarm_gym.tasks.task import Hints, Task
 
 MOST_BOTTLES = 6
 """As many as the paper's (Bottle Arrangement), and places in the tray."""

@@ -6,6 +6,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from bulletarm_gym.config import CLOSE_LOOP, EnvConfig, TaskDefaults
+from bulletarm_gym.experts.approach import grasp_item, place_item, side_yaw
+from bulletarm_gym.experts.waypoints import Waypoint
 from bulletarm_gym.geometry import planar_distance
 from bulletarm_gym.objects import bowl, cube
 from bulletarm_gym.objects.blocks import CUBE_SIZE
@@ -13,9 +15,8 @@ from bulletarm_gym.objects.bowl import HEIGHT
 from bulletarm_gym.placement import scatter, stand
 from bulletarm_gym.relations import at_rest, is_empty, is_held, touching, upright
 from bulletarm_gym.scene import Item, Role, Scene, scaled
-from bulletarm_gym.tasks.grasping import grasp_item, place_item, side_yaw
 from bulletarm_gym.tasks.reaching import BORDER
-from bulletarm_gym.tasks.task import Task, Waypoint
+from bulletarm_gym.tasks.task import Task
 
 CENTRED = 0.03
 """Distance (m) of the cube's centre to the bowl's axis, as in the original BulletArm release."""

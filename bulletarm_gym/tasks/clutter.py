@@ -7,6 +7,10 @@ from dataclasses import replace
 import numpy as np
 
 from bulletarm_gym.config import CLOSE_LOOP, OPEN_LOOP, EnvConfig, TaskDefaults, TrayUse
+from bulletarm_gym.experts.approach import ALIGNED, ALIGNED_YAW, HOVER, STEP
+from bulletarm_gym.experts.grasps import DEPTHS, YAWS, Relief, find_grasps
+from bulletarm_gym.experts.stirring import stir
+from bulletarm_gym.experts.waypoints import CLOSED, OPEN, Waypoint
 from bulletarm_gym.footprint import PlacementError
 from bulletarm_gym.geometry import (
     IDENTITY,
@@ -24,10 +28,7 @@ from bulletarm_gym.relations import TOUCHING
 from bulletarm_gym.scene import Item, Role, Scene
 from bulletarm_gym.simulation import BodySpec, Convex, Piece
 from bulletarm_gym.simulation.world import FALLING
-from bulletarm_gym.tasks.antipodal import DEPTHS, YAWS, Relief, find_grasps
-from bulletarm_gym.tasks.grasping import ALIGNED, ALIGNED_YAW, HOVER, STEP
-from bulletarm_gym.tasks.stirring import stir
-from bulletarm_gym.tasks.task import CLOSED, OPEN, Hints, Task, Waypoint
+from bulletarm_gym.tasks.task import Hints, Task
 
 LIFTED = 0.15
 """Height (m) of the gripper above the ground that counts as lifted (paper, Object Grasping)."""

@@ -6,13 +6,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from bulletarm_gym.config import CLOSE_LOOP, EnvConfig, TaskDefaults, TrayUse
-from bulletarm_gym.geometry import Pose, planar_distance
-from bulletarm_gym.objects import corner, cube
-from bulletarm_gym.objects.corner import INSIDE, PLATE, SIDE
-from bulletarm_gym.placement import draw_until, is_within
-from bulletarm_gym.relations import is_held
-from bulletarm_gym.scene import Role, Scene, scaled
-from bulletarm_gym.tasks.grasping import (
+from bulletarm_gym.experts.approach import (
     HOVER,
     LEVEL,
     STEP,
@@ -20,8 +14,15 @@ from bulletarm_gym.tasks.grasping import (
     highest_between,
     side_yaw,
 )
+from bulletarm_gym.experts.waypoints import CLOSED, Waypoint
+from bulletarm_gym.geometry import Pose, planar_distance
+from bulletarm_gym.objects import corner, cube
+from bulletarm_gym.objects.corner import INSIDE, PLATE, SIDE
+from bulletarm_gym.placement import draw_until, is_within
+from bulletarm_gym.relations import is_held
+from bulletarm_gym.scene import Role, Scene, scaled
 from bulletarm_gym.tasks.picking import LIFTED
-from bulletarm_gym.tasks.task import CLOSED, Task, Waypoint
+from bulletarm_gym.tasks.task import Task
 
 GAP = 2e-4
 """Gap (m) between the cube and the walls: it stands flush, but is not pressed against them."""

@@ -6,6 +6,8 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from bulletarm_gym.config import OPEN_LOOP, EnvConfig, TaskDefaults, TrayUse
+from bulletarm_gym.experts.approach import RELEASE, place_item
+from bulletarm_gym.experts.waypoints import CLOSED, OPEN, Waypoint
 from bulletarm_gym.geometry import Pose, wrap_angle
 from bulletarm_gym.objects.covid import (
     FLOOR,
@@ -23,8 +25,7 @@ from bulletarm_gym.objects.covid import (
 from bulletarm_gym.relations import at_rest, is_empty
 from bulletarm_gym.scene import Item, Role, Scene, scaled
 from bulletarm_gym.simulation.world import FALLING
-from bulletarm_gym.tasks.grasping import RELEASE, place_item
-from bulletarm_gym.tasks.task import CLOSED, OPEN, Hints, Task, Waypoint
+from bulletarm_gym.tasks.task import Hints, Task
 
 ROUNDS = 3
 """Tests an episode (paper, Covid Test)."""

@@ -6,13 +6,14 @@ from collections.abc import Iterator
 import numpy as np
 
 from bulletarm_gym.config import CLOSE_LOOP, EnvConfig, TaskDefaults, TrayUse
+from bulletarm_gym.experts.approach import ALIGNED, ALIGNED_YAW, HOVER, LEVEL, STEP
+from bulletarm_gym.experts.waypoints import CLOSED, Waypoint
 from bulletarm_gym.geometry import Pose, planar_distance, wrap_angle
 from bulletarm_gym.objects import drawer
 from bulletarm_gym.objects.drawer import CABINET, HANDLE, HANDLE_DISTANCE, HANDLE_RADIUS, STRUT_SPACING
 from bulletarm_gym.placement import draw_until, is_within
 from bulletarm_gym.scene import Role, Scene
-from bulletarm_gym.tasks.grasping import ALIGNED, ALIGNED_YAW, HOVER, LEVEL, STEP
-from bulletarm_gym.tasks.task import CLOSED, Task, Waypoint
+from bulletarm_gym.tasks.task import Task
 
 OPENED = 0.15
 """Displacement (m) of the drawer that counts as open, as in the original BulletArm release."""

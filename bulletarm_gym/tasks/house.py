@@ -6,13 +6,14 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from bulletarm_gym.config import CLOSE_LOOP, EnvConfig, TaskDefaults
+from bulletarm_gym.experts.towers import Tower
+from bulletarm_gym.experts.waypoints import Waypoint
 from bulletarm_gym.objects.blocks import brick, cube, roof, triangle
 from bulletarm_gym.relations import at_rest, is_empty, is_top, stacked, upright
 from bulletarm_gym.scene import Role, Scene, scaled
-from bulletarm_gym.tasks.building import Tower
 from bulletarm_gym.tasks.stacking import check_height, scatter_blocks
 from bulletarm_gym.tasks.structure import SCALE, Structure
-from bulletarm_gym.tasks.task import Task, Waypoint
+from bulletarm_gym.tasks.task import Task
 
 YAW_SPREAD = math.pi / 2.0
 ROOF = "triangle"

@@ -6,15 +6,16 @@ from collections.abc import Iterator
 import numpy as np
 
 from bulletarm_gym.config import OPEN_LOOP, EnvConfig, TaskDefaults, TrayUse
+from bulletarm_gym.experts.approach import RELEASE
+from bulletarm_gym.experts.pick_place import lying_frame, pick
+from bulletarm_gym.experts.waypoints import CLOSED, OPEN, Waypoint
 from bulletarm_gym.footprint import Footprint
 from bulletarm_gym.geometry import FloatArray, Pose, matrix
 from bulletarm_gym.objects.packing import BIN, BIN_WALL, SHAPES, packing_bin, packing_block
 from bulletarm_gym.placement import footprint, lay_apart
 from bulletarm_gym.relations import at_rest, is_empty, is_top
 from bulletarm_gym.scene import Item, Role, Scene, shaped
-from bulletarm_gym.tasks.grasping import RELEASE
-from bulletarm_gym.tasks.handling import lying_frame, pick
-from bulletarm_gym.tasks.task import CLOSED, OPEN, Hints, Task, Waypoint
+from bulletarm_gym.tasks.task import Hints, Task
 
 MOST_BLOCKS = 8
 """As many as the paper's (Bin Packing)."""

@@ -7,14 +7,15 @@ from contextlib import suppress
 import numpy as np
 
 from bulletarm_gym.config import OPEN_LOOP, EnvConfig, TaskDefaults, TrayUse
+from bulletarm_gym.experts.pick_place import lying_frame, pick, put
+from bulletarm_gym.experts.waypoints import Waypoint
 from bulletarm_gym.footprint import Footprint, PlacementError
 from bulletarm_gym.geometry import Pose, wrap_angle
 from bulletarm_gym.objects.palletizing import BOX, PALLET, pallet, palletizing_box
 from bulletarm_gym.placement import draw_until, footprint, free_pose, set_down
 from bulletarm_gym.relations import UPRIGHT, at_rest, is_empty, is_top
 from bulletarm_gym.scene import Item, Role, Scene, scaled
-from bulletarm_gym.tasks.handling import lying_frame, pick, put
-from bulletarm_gym.tasks.task import Hints, Task, Waypoint
+from bulletarm_gym.tasks.task import Hints, Task
 
 LAYER = 6
 """Boxes a layer (paper, Box Palletizing: 6, 12 or 18)."""

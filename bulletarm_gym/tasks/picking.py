@@ -6,13 +6,14 @@ from collections.abc import Iterator
 import numpy as np
 
 from bulletarm_gym.config import CLOSE_LOOP, EnvConfig, TaskDefaults
+from bulletarm_gym.experts.approach import STEP, grasp
+from bulletarm_gym.experts.waypoints import CLOSED, Waypoint
 from bulletarm_gym.geometry import Pose
 from bulletarm_gym.objects import cube
 from bulletarm_gym.relations import is_held
 from bulletarm_gym.scene import Role, Scene, scaled
-from bulletarm_gym.tasks.grasping import STEP, grasp
 from bulletarm_gym.tasks.reaching import place_cube
-from bulletarm_gym.tasks.task import CLOSED, Task, Waypoint
+from bulletarm_gym.tasks.task import Task
 
 LIFTED = 0.15
 """Height (m) of the gripper above the ground that counts as lifted (paper, Block Picking)."""

@@ -6,12 +6,13 @@ from collections.abc import Iterator
 import numpy as np
 
 from bulletarm_gym.config import CLOSE_LOOP, EnvConfig, TaskDefaults
+from bulletarm_gym.experts.pushing import Drag
+from bulletarm_gym.experts.waypoints import Waypoint
 from bulletarm_gym.objects import flat_block
 from bulletarm_gym.placement import scatter, stand
 from bulletarm_gym.relations import touching
 from bulletarm_gym.scene import Item, Role, Scene, scaled
-from bulletarm_gym.tasks.dragging import Drag
-from bulletarm_gym.tasks.task import Task, Waypoint
+from bulletarm_gym.tasks.task import Task
 
 YAW_SPREAD = math.pi / 2.0
 BORDER = 0.85

@@ -6,13 +6,14 @@ from collections.abc import Iterator
 import numpy as np
 
 from bulletarm_gym.config import CLOSE_LOOP, EnvConfig, TaskDefaults
+from bulletarm_gym.experts.pushing import Drag
+from bulletarm_gym.experts.waypoints import Waypoint
 from bulletarm_gym.geometry import planar_distance
 from bulletarm_gym.objects import cube, goal_area
 from bulletarm_gym.placement import scatter, stand
 from bulletarm_gym.scene import Item, Role, Scene, scaled
-from bulletarm_gym.tasks.dragging import Drag
 from bulletarm_gym.tasks.reaching import BORDER
-from bulletarm_gym.tasks.task import Overlay, Task, Waypoint
+from bulletarm_gym.tasks.task import Overlay, Task
 
 GOAL_SIDE = 0.09
 """Side (m) of the goal area (paper, Block Pushing)."""

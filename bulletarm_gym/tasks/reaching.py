@@ -6,11 +6,12 @@ from collections.abc import Iterator
 import numpy as np
 
 from bulletarm_gym.config import CLOSE_LOOP, EnvConfig, TaskDefaults
+from bulletarm_gym.experts.waypoints import OPEN, Waypoint
 from bulletarm_gym.geometry import Pose, wrap_angle
 from bulletarm_gym.objects import cube
 from bulletarm_gym.placement import scatter, stand
 from bulletarm_gym.scene import Role, Scene, scaled
-from bulletarm_gym.tasks.task import OPEN, Task, Waypoint
+from bulletarm_gym.tasks.task import Task
 
 REACH = 0.03
 """Distance (m) that counts as reached (paper, Block Reaching)."""

@@ -6,16 +6,17 @@ from collections.abc import Iterator
 import numpy as np
 
 from bulletarm_gym.config import CLOSE_LOOP, EnvConfig, ParameterError, TaskDefaults
+from bulletarm_gym.experts.approach import PASSING
+from bulletarm_gym.experts.towers import Tower
+from bulletarm_gym.experts.waypoints import Waypoint
 from bulletarm_gym.objects import cube
 from bulletarm_gym.objects.blocks import CUBE_SIZE
 from bulletarm_gym.placement import scatter, stand
 from bulletarm_gym.relations import at_rest, is_empty, stacked
 from bulletarm_gym.scene import Item, Role, Scene, scaled
-from bulletarm_gym.tasks.building import Tower
-from bulletarm_gym.tasks.grasping import PASSING
 from bulletarm_gym.tasks.reaching import BORDER
 from bulletarm_gym.tasks.structure import SCALE, Structure
-from bulletarm_gym.tasks.task import Task, Waypoint
+from bulletarm_gym.tasks.task import Task
 
 GAP = 2.4
 """Least distance of the blocks' centres, in largest block sides, as in the original BulletArm release."""

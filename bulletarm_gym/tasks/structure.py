@@ -7,14 +7,15 @@ from typing import ClassVar
 import numpy as np
 
 from bulletarm_gym.config import OPEN_LOOP, EnvConfig
+from bulletarm_gym.experts.blueprint import Blocks, Blueprint
+from bulletarm_gym.experts.structures import ASTRAY, Builder
+from bulletarm_gym.experts.waypoints import Waypoint
 from bulletarm_gym.objects.blocks import CUBE_SIZE
 from bulletarm_gym.placement import draw_until, lay_apart
 from bulletarm_gym.relations import UPRIGHT, at_rest, is_empty, upright
 from bulletarm_gym.scene import Item, Role, Scene, scaled
 from bulletarm_gym.simulation import BodySpec
-from bulletarm_gym.tasks.blueprint import Blocks, Blueprint
-from bulletarm_gym.tasks.builder import ASTRAY, Builder
-from bulletarm_gym.tasks.task import Task, Waypoint
+from bulletarm_gym.tasks.task import Task
 
 SCALE = 0.6
 """Makes cubes of 3 cm (paper, Detail Description of Environments)."""

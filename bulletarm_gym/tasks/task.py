@@ -9,33 +9,11 @@ from typing import Any, ClassVar
 import numpy as np
 
 from bulletarm_gym.config import EnvConfig, TaskDefaults
-from bulletarm_gym.geometry import Pose, Vector
+from bulletarm_gym.experts.waypoints import Waypoint
+from bulletarm_gym.geometry import Vector
 from bulletarm_gym.objects.blocks import CUBE_SIZE
 from bulletarm_gym.scene import Item, Role, Scene
 from bulletarm_gym.surfaces.surface import SITE, Point
-
-OPEN = 1.0
-HALF_OPEN = 0.5
-CLOSED = 0.0
-
-
-@dataclass(frozen=True)
-class Waypoint:
-    """A place an expert wants the fingertips at (paper, Expert Demonstrations).
-
-    Close-loop control goes from one to the next. Open-loop control finds its own way: of a plan it takes the
-    first waypoint with a ``finish``, as a pick if that closes the gripper, as a place if it opens it.
-
-    :param pose: of the fingertips, in the world
-    :param gripper: opening ratio on the way, 0 closed to 1 open
-    :param finish: opening ratio on arrival; None keeps that of the way
-    :param straight: come in a straight line, for moves in contact; else each axis runs at its own limit
-    """
-
-    pose: Pose
-    gripper: float
-    finish: float | None = None
-    straight: bool = False
 
 
 @dataclass(frozen=True)

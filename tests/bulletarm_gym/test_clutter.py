@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from bulletarm_gym.env import ManipulationEnv
+from bulletarm_gym.experts.stirring import _end_to_push
 from bulletarm_gym.geometry import Pose
 from bulletarm_gym.objects.graspables import graspables
 from bulletarm_gym.simulation.shapes import wavefront
 from bulletarm_gym.tasks.clutter import LIFTED, ObjectGrasping
-from bulletarm_gym.tasks.stirring import _end_to_push
 
 ENV_ID = "BulletArm/CloseLoopObjectGrasping-v0"
 Make = Callable[..., ManipulationEnv]

@@ -11,9 +11,9 @@ from rollouts import digest
 from bulletarm_gym.config import ParameterError
 from bulletarm_gym.demonstrations import collect
 from bulletarm_gym.env import ManipulationEnv
+from bulletarm_gym.experts.deconstruction import GAP, take_apart
 from bulletarm_gym.footprint import PlacementError
 from bulletarm_gym.placement import footprint
-from bulletarm_gym.planners.deconstruction import GAP, take_apart
 from bulletarm_gym.relations import on_ground
 
 Make = Callable[..., ManipulationEnv]
@@ -107,7 +107,7 @@ def test_no_room_to_lay_a_block_is_a_failed_attempt(monkeypatch: pytest.MonkeyPa
     def full(*_: Any) -> None:
         raise PlacementError("workspace: found no room for cube 3")
 
-    monkeypatch.setattr("bulletarm_gym.demonstrations.take_apart", full)
+    monkeypatch.setattr("bulletarm_gym.demonstrations.collecting.take_apart", full)
     with pytest.raises(RuntimeError, match="0 of 2 attempts"):
         collect(STACKING, 1, "deconstruction", seed=0, max_attempts=2)
 

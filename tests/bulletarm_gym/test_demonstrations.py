@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 from rollouts import idle
 
-from bulletarm_gym import episodes as files
 from bulletarm_gym.demonstrations import Demonstrations, Episode, collect, export_minari, load
+from bulletarm_gym.demonstrations import episodes as files
 from bulletarm_gym.env import ManipulationEnv
 
 Make = Callable[..., ManipulationEnv]

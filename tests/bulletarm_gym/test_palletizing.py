@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from bulletarm_gym.env import ManipulationEnv
+from bulletarm_gym.experts.waypoints import CLOSED, OPEN, Waypoint
 from bulletarm_gym.footprint import Footprint
 from bulletarm_gym.geometry import Pose
 from bulletarm_gym.objects.palletizing import PALLET
 from bulletarm_gym.placement import footprint
 from bulletarm_gym.tasks.palletizing import BoxPalletizing, layer_yaw, places
-from bulletarm_gym.tasks.task import CLOSED, OPEN, Waypoint
 
 Make = Callable[..., ManipulationEnv]
 

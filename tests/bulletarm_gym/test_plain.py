@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from rollouts import advance, transcript
 
-from bulletarm_gym import plain
+from bulletarm_gym.demonstrations import plain
 from bulletarm_gym.env import ManipulationEnv
 from bulletarm_gym.geometry import Pose
 

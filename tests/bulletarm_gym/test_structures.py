@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from bulletarm_gym.env import ManipulationEnv
+from bulletarm_gym.experts.blueprint import Blueprint
+from bulletarm_gym.experts.pick_place import has_room, lying_frame, pick
 from bulletarm_gym.geometry import Pose, euler_pose
 from bulletarm_gym.placement import footprint
 from bulletarm_gym.relations import between, carries, heading, in_line, is_level, lies_flat, on_top, rests_on
 from bulletarm_gym.scene import Item, Scene
-from bulletarm_gym.tasks.blueprint import Blueprint
-from bulletarm_gym.tasks.handling import has_room, lying_frame, pick
 from bulletarm_gym.tasks.structure import GAP, Structure
 
 Make = Callable[..., ManipulationEnv]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import math
 import multiprocessing
+import statistics
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from importlib import resources
@@ -38,7 +39,7 @@ DESCRIPTION = """Measure steps a second with the expert in one process, split in
 steps), rendering (heightmaps) and the rest. The yardstick is plain PyBullet, on this machine at this hour.
 With --baseline instead: the time of one gradient update, split into its parts, the greatest memory of its
 process, and how the equivariant convolutions compare with plain ones of the same width, forward and backward,
-in turn. With --overhead besides: what train adds to a bare model.learn()."""
+in turn. With --overhead besides: what train adds to a bare model.learn(), of five pairs in turn."""
 DEFAULT_LEARNING_ENV = "BulletArm/CloseLoopBlockPicking-v0"
 SHIPPED_REFERENCE = "data/reference_rates.csv"
 COLUMNS = (
@@ -164,9 +165,18 @@ def _measure_overheads(cells: Sequence[Cell], args: argparse.Namespace) -> None:
     for cell in cells:
         one = replace(cell, hyperparams={**cell.hyperparams, "n_envs": 1})
         measured = measure_overhead(one, args.overhead, args.device)
-        seconds = [f"{value:.1f}" for value in measured]
-        rows.append([cell.label, str(args.overhead), *seconds, f"{measured.share:.1%}"])
-    columns = ["baseline", "time steps", "model.learn() CPU s", "train CPU s", "overhead"]
+        seconds = [f"{statistics.median(values):.1f}" for values in measured]
+        shares = measured.shares
+        span = f"{shares[0]:.1%} to {shares[-1]:.1%}"
+        rows.append([cell.label, str(args.overhead), *seconds, f"{statistics.median(shares):.1%}", span])
+    columns = [
+        "baseline",
+        "time steps",
+        "model.learn() CPU s",
+        "train CPU s",
+        "overhead",
+        "least to greatest",
+    ]
     print_table(columns, rows, args.markdown)
 
 

@@ -14,31 +14,36 @@ from zoo_configs.measuring.update_speed import make_model
 from zoo_configs.training.cell import train_cell
 from zoo_configs.training.options import TrainingOptions
 
+PAIRS = 5
+
 
 class Overhead(NamedTuple):
     """
-    The same training in two ways, in CPU seconds of the process.
+    The same training in two ways, in CPU seconds of the process, in pairs that follow each other.
 
-    :param bare: Environment, model and ``model.learn()``
+    :param bare: Environment, model and ``model.learn()``, of each pair
     :param workbench: ``train_cell``: with its checks, run folder, logs, monitor and checkpoints
     """
 
-    bare: float
-    workbench: float
+    bare: tuple[float, ...]
+    workbench: tuple[float, ...]
 
     @property
-    def share(self) -> float:
-        """What the workbench adds, as a share of the bare training."""
-        return self.workbench / self.bare - 1
+    def shares(self) -> list[float]:
+        """What the workbench adds, as a share of the bare training: of each pair, the least first."""
+        return sorted(ours / bare - 1 for ours, bare in zip(self.workbench, self.bare, strict=True))
 
 
-def measure_overhead(cell: Cell, n_timesteps: int, device: str = "auto") -> Overhead:
+def measure_overhead(cell: Cell, n_timesteps: int, device: str = "auto", pairs: int = PAIRS) -> Overhead:
     """
     Train a cell bare and by the workbench, without evaluations, which take as long as they are asked to.
+
+    The two take turns to be first: a machine that grows faster or slower favours neither.
 
     :param cell: The cell, in one environment
     :param n_timesteps: Time steps of either training
     :param device: PyTorch device
+    :param pairs: How often both are trained
     :return: The CPU seconds of both
     """
     options = TrainingOptions.of(cell, {"n_timesteps": n_timesteps, "eval_freq": 0, "verbose": 0})
@@ -53,8 +58,12 @@ def measure_overhead(cell: Cell, n_timesteps: int, device: str = "auto") -> Over
         with tempfile.TemporaryDirectory() as folder, contextlib.redirect_stdout(io.StringIO()):
             train_cell(cell, 0, device, folder, options=options)
 
-    make_model(cell, device).learn(1)  # compiles, fills caches
-    return Overhead(_seconds(bare), _seconds(workbench))
+    workbench()  # compiles, fills caches
+    seconds: dict[Callable[[], None], list[float]] = {bare: [], workbench: []}
+    for pair in range(pairs):
+        for train in (bare, workbench) if pair % 2 == 0 else (workbench, bare):
+            seconds[train].append(_seconds(train))
+    return Overhead(tuple(seconds[bare]), tuple(seconds[workbench]))
 
 
 def _seconds(function: Callable[[], None]) -> float:

@@ -8,14 +8,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bulletarm_gym.control.open_loop import APPROACH
+from bulletarm_gym.experts.approach import RELEASE
+from bulletarm_gym.experts.pick_place import has_room, pick
+from bulletarm_gym.experts.waypoints import APPROACH, CLOSED, OPEN, Waypoint
 from bulletarm_gym.geometry import Pose
 from bulletarm_gym.placement import draw_until, free_pose
 from bulletarm_gym.relations import is_top
 from bulletarm_gym.scene import Item, Scene
-from bulletarm_gym.tasks import CLOSED, OPEN, Waypoint
-from bulletarm_gym.tasks.grasping import RELEASE
-from bulletarm_gym.tasks.handling import has_room, pick
 
 GAP = 0.04
 """Least distance (m) between blocks on the ground: an open finger comes down in it."""

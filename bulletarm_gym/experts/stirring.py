@@ -4,9 +4,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from bulletarm_gym.experts.waypoints import CLOSED, Waypoint
 from bulletarm_gym.geometry import Pose, matrix, planar_distance
 from bulletarm_gym.scene import Item, Scene
-from bulletarm_gym.tasks.task import CLOSED, Waypoint
 
 RUN_UP = 0.045
 """Distance (m) beside an item from which one of its ends is pushed."""

@@ -5,9 +5,9 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from bulletarm_gym.experts.waypoints import CLOSED, OPEN, Waypoint
 from bulletarm_gym.geometry import Pose, matrix, planar_distance, rotate, wrap_angle
 from bulletarm_gym.scene import Item, Scene
-from bulletarm_gym.tasks.task import CLOSED, OPEN, Waypoint
 
 STEP = 0.05
 """Farthest (m) a close-loop action moves along an axis (paper, Close-Loop 4D Benchmark)."""

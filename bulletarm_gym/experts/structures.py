@@ -6,16 +6,16 @@ from functools import cached_property
 
 import numpy as np
 
+from bulletarm_gym.experts.approach import RELEASE, side_yaw
+from bulletarm_gym.experts.blueprint import Blocks, Blueprint, Slot, Standing, is_long
+from bulletarm_gym.experts.pick_place import has_room, is_box, lying_frame, pick, put, sizes
+from bulletarm_gym.experts.waypoints import Waypoint
 from bulletarm_gym.footprint import Footprint, PlacementError
 from bulletarm_gym.geometry import Pose, planar_distance, wrap_angle
 from bulletarm_gym.placement import footprint, free_pose, free_site, roomiest
 from bulletarm_gym.relations import IN_LINE, heading, is_held, middle, rests_on
 from bulletarm_gym.scene import Item, Scene
 from bulletarm_gym.surfaces.surface import Point
-from bulletarm_gym.tasks.blueprint import Blocks, Blueprint, Slot, Standing, is_long
-from bulletarm_gym.tasks.grasping import RELEASE, side_yaw
-from bulletarm_gym.tasks.handling import has_room, is_box, lying_frame, pick, put, sizes
-from bulletarm_gym.tasks.task import Waypoint
 
 GAP = 0.75
 """Gap between blocks side by side, in cube sides, as in the original BulletArm release ..."""

@@ -3,9 +3,9 @@
 import math
 from collections.abc import Iterator, Sequence
 
+from bulletarm_gym.experts.waypoints import HALF_OPEN, Waypoint
 from bulletarm_gym.geometry import Pose, planar_distance
 from bulletarm_gym.scene import Item, Scene
-from bulletarm_gym.tasks.task import HALF_OPEN, Waypoint
 
 CLEAR = 0.06
 """Where (m) the gripper comes down behind the block."""

@@ -25,7 +25,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from bulletarm_gym import plain
+from bulletarm_gym.demonstrations import plain
 from bulletarm_gym.env import EnvState
 
 FORMAT = 1
@@ -248,3 +248,12 @@ def _read_observations(dataset: h5py.Dataset) -> NDArray[np.float32]:
     unit = dataset.attrs.get("metres_per_count", 1.0)
     values: NDArray[np.float32] = (dataset[()] * unit).astype(np.float32)
     return values
+
+
+def load(path: str | os.PathLike[str]) -> Demonstrations:
+    """Return the demonstrations in a file.
+
+    :raises OSError: it cannot be opened
+    :raises ValueError: it is of another kind, or damaged; so it may turn out when an episode is read
+    """
+    return Demonstrations(Path(path).read_bytes(), os.fspath(path))

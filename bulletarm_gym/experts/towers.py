@@ -3,12 +3,12 @@
 import math
 from collections.abc import Iterator, Sequence
 
+from bulletarm_gym.experts.approach import RELEASE, grasp_item, place_item, side_yaw
+from bulletarm_gym.experts.waypoints import Waypoint
 from bulletarm_gym.geometry import planar_distance, wrap_angle
 from bulletarm_gym.placement import roomiest
 from bulletarm_gym.relations import is_held, on_ground, on_top
 from bulletarm_gym.scene import Item, Scene
-from bulletarm_gym.tasks.grasping import RELEASE, grasp_item, place_item, side_yaw
-from bulletarm_gym.tasks.task import Waypoint
 
 CUBE_SYMMETRY = math.pi / 2.0
 CROWN_SYMMETRY = math.pi

@@ -9,13 +9,13 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from bulletarm_gym.experts.approach import RELEASE
+from bulletarm_gym.experts.waypoints import CLOSED, OPEN, Waypoint
 from bulletarm_gym.footprint import Footprint
 from bulletarm_gym.geometry import FloatArray, Pose, Vector, matrix, quaternion, rotate, wrap_angle
 from bulletarm_gym.placement import footprint
 from bulletarm_gym.scene import Item, Scene
 from bulletarm_gym.simulation import Box
-from bulletarm_gym.tasks.grasping import RELEASE
-from bulletarm_gym.tasks.task import CLOSED, OPEN, Waypoint
 
 SQUARE = 1.05
 """A block whose level sides differ by less than this factor can be turned by a quarter."""

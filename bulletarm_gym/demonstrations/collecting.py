@@ -1,27 +1,22 @@
-"""Demonstrations of the experts, collected, kept in files and handed on (paper, Expert Demonstrations)."""
+"""Collecting episodes of the experts (paper, Expert Demonstrations)."""
 
 import itertools
 import os
 from collections.abc import Iterator, Mapping
 from contextlib import closing
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import gymnasium
 import numpy as np
 from tqdm import tqdm
 
-from bulletarm_gym import plain
 from bulletarm_gym.config import OPEN_LOOP
+from bulletarm_gym.demonstrations import plain
+from bulletarm_gym.demonstrations.episodes import Demonstrations, Episode, Recorder
 from bulletarm_gym.env import Action, ManipulationEnv, Observation
-from bulletarm_gym.episodes import Demonstrations, Episode, Recorder
+from bulletarm_gym.experts.deconstruction import take_apart
 from bulletarm_gym.footprint import PlacementError
-from bulletarm_gym.planners.deconstruction import take_apart
-
-if TYPE_CHECKING:
-    from minari import MinariDataset
-
-__all__ = ["Demonstrations", "Episode", "check_planner", "collect", "export_minari", "load"]
 
 WAYPOINT = "waypoint"
 DECONSTRUCTION = "deconstruction"
@@ -83,15 +78,6 @@ def collect(
     if target is not None:
         demonstrations.save(target)
     return demonstrations
-
-
-def load(path: str | os.PathLike[str]) -> Demonstrations:
-    """Return the demonstrations in a file.
-
-    :raises OSError: it cannot be opened
-    :raises ValueError: it is of another kind, or damaged; so it may turn out when an episode is read
-    """
-    return Demonstrations(Path(path).read_bytes(), os.fspath(path))
 
 
 def check_planner(planner: str, env: ManipulationEnv) -> None:
@@ -196,26 +182,3 @@ def _writable(path: Path) -> Path:
     if not os.access(path.parent, os.W_OK):
         raise PermissionError(f"path: {path.parent} cannot be written to")
     return path
-
-
-def export_minari(demonstrations: Demonstrations, dataset_id: str, **metadata: Any) -> "MinariDataset":
-    """Store demonstrations as a dataset of Minari, in its own folder for datasets.
-
-    :param dataset_id: such as ``"bulletarm/block-picking/expert-v0"``
-    :param metadata: more for ``minari.create_dataset_from_buffers()``, such as ``author``
-    :raises ImportError: Minari is not installed
-    """
-    try:
-        import minari
-        from minari.data_collector import EpisodeBuffer
-    except ImportError as error:
-        raise ImportError("Minari is missing: pip install 'bulletarm-gym[minari]'") from error
-    names = ("observations", "actions", "rewards", "terminations", "truncations", "seed")
-    buffers = [
-        EpisodeBuffer(id=number, **{name: getattr(episode, name) for name in names})
-        for number, episode in enumerate(demonstrations)
-    ]
-    with closing(demonstrations.make_env()) as env:
-        return minari.create_dataset_from_buffers(
-            dataset_id, buffers, env=env, **{"algorithm_name": demonstrations.about["planner"], **metadata}
-        )
