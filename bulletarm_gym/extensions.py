@@ -10,12 +10,16 @@ from collections.abc import Mapping
 from contextlib import suppress
 from typing import Any
 
+from bulletarm_gym.config import SENSORS
+
 OBJECTS = ("robot", "reward")
 """Parameters that may be objects of the user's."""
 ROBOT_PATHS: dict[str, str] = {}
 """Import paths of the users' arms, by name."""
 OBJECT_PATHS: dict[str, str] = {}
 """Import paths of the users' objects, by name."""
+SENSOR_PATHS: dict[str, str] = {}
+"""Import paths of the users' sensors, by name."""
 
 
 def register_robot(name: str, model: Any) -> None:
@@ -38,6 +42,19 @@ def register_object(name: str, make: Any) -> None:
     :raises ValueError: the name is taken or no identifier, or the function has no import path
     """
     _store(OBJECT_PATHS, "object", name, make)
+
+
+def register_sensor(name: str, sensor: Any) -> None:
+    """Make a sensor available in the lists that ``observation`` takes.
+
+    :param name: a new one
+    :param sensor: a subclass of :class:`~bulletarm_gym.sensors.Sensor` that can be imported from a module, or
+        its path ``"module:name"``
+    :raises ValueError: the name is taken or no identifier, or the class has no import path
+    """
+    if name in SENSORS:
+        raise ValueError(f"sensor: the name {name!r} is taken by the package's own")
+    _store(SENSOR_PATHS, "sensor", name, sensor)
 
 
 def import_path(thing: Any, what: str) -> str:
@@ -99,8 +116,8 @@ def produce(source: Any, kind: type[Any]) -> Any:
 def by_path(parameters: Mapping[str, Any]) -> dict[str, Any]:
     """Return an environment's parameters with import paths in place of what can be imported.
 
-    That is names of users' arms, and functions that make an arm or tell the reward; those that have no path
-    (a lambda, one of a notebook) stay as they are.
+    That is names of users' arms and sensors, and functions that make an arm or tell the reward; those that
+    have no path (a lambda, one of a notebook) stay as they are.
     """
     found = dict(parameters)
     for name in OBJECTS:
@@ -110,7 +127,19 @@ def by_path(parameters: Mapping[str, Any]) -> dict[str, Any]:
     robot = found.get("robot")
     if isinstance(robot, str):
         found["robot"] = ROBOT_PATHS.get(robot, robot)
+    if isinstance(found.get("observation"), list | tuple):
+        found["observation"] = [_sensor_by_path(entry) for entry in found["observation"]]
     return found
+
+
+def _sensor_by_path(entry: Any) -> Any:
+    """Return an entry of a list of sensors with the import path of a user's."""
+    described = {"name": entry} if isinstance(entry, str) else entry
+    if not isinstance(described, Mapping):
+        return entry
+    source = described.get("sensor", described.get("name"))
+    path = SENSOR_PATHS.get(source) if isinstance(source, str) else None
+    return entry if path is None else {**described, "sensor": path}
 
 
 def _store(table: dict[str, str], what: str, name: str, thing: Any) -> None:

@@ -5,7 +5,7 @@ from typing import Any
 
 from bulletarm_gym.config import CLOSE_LOOP, OPEN_LOOP, EnvConfig
 from bulletarm_gym.control.close_loop import CloseLoop, DeltaMove
-from bulletarm_gym.control.control import Control
+from bulletarm_gym.control.control import Control, Outcome
 from bulletarm_gym.control.open_loop import OpenLoop, PickPlace
 from bulletarm_gym.scene import Scene
 from bulletarm_gym.tasks import Task
@@ -15,4 +15,4 @@ CONTROLS: dict[str, Callable[[EnvConfig, Scene, Task], Control[Any]]] = {
     OPEN_LOOP: OpenLoop,
 }
 
-__all__ = ["CONTROLS", "CloseLoop", "Control", "DeltaMove", "OpenLoop", "PickPlace"]
+__all__ = ["CONTROLS", "CloseLoop", "Control", "DeltaMove", "OpenLoop", "Outcome", "PickPlace"]

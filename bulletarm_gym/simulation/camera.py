@@ -1,5 +1,6 @@
 """Perspective cameras, headless: pictures of the whole scene, and what a depth camera would measure."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -40,11 +41,12 @@ class Camera:
         """Return distances (m) along the optical axis, (height, width)."""
         return self._distances(self._shoot(world)).astype(np.float32)
 
-    def points(self, world: World, without: Body) -> FloatArray:
-        """Return the points (n, 3) of the world (m) that the camera sees, less those on one body."""
+    def points(self, world: World, without: Sequence[Body]) -> FloatArray:
+        """Return the points (n, 3) of the world (m) that the camera sees, less those on some bodies."""
         image = self._shoot(world)
         distances = self._distances(image)
-        seen = (np.asarray(image[4]).reshape(distances.shape) != without.id) & (distances < self.far * 0.99)
+        shown = np.asarray(image[4]).reshape(distances.shape)
+        seen = ~np.isin(shown, [body.id for body in without]) & (distances < self.far * 0.99)
         rows, columns = np.nonzero(seen)
         along = distances[rows, columns]
         right, up, forward = self._axes()

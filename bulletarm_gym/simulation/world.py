@@ -167,8 +167,12 @@ class World:
     @property
     def solids(self) -> list[Body]:
         """All bodies, parked ones too, but the endless ground, marks on it and what moves itself."""
-        others = (body for body in self.bodies if body is not self._ground)
-        return [body for body in others if body.spec.pieces and not body.spec.is_mark]
+        return [body for body in self.visible if not body.spec.is_mark]
+
+    @property
+    def visible(self) -> list[Body]:
+        """The solids and the marks on the ground."""
+        return [body for body in self.bodies if body.spec.pieces and body is not self._ground]
 
     @property
     def obstacles(self) -> list[Body]:
