@@ -12,6 +12,9 @@ from bulletarm_gym.values import Check, Refused
 CLOSE_LOOP = "close_loop"
 OPEN_LOOP = "open_loop"
 
+ORTHOGRAPHIC = "orthographic"
+"""The view that looks straight down on meshes."""
+
 LEVEL, SLOPING = ("flat", "tray"), ("ramp", "bump")
 """Kinds of ground."""
 
@@ -120,7 +123,7 @@ class EnvConfig:
     workspace_check: str = "point"
     close_loop_tray: bool = False
     object_set: str | None = None
-    view: str = "orthographic"
+    view: str = ORTHOGRAPHIC
     observation: str | list[Any] = "image"
     physics_mode: str = "fast"
     reward: str | None = None
@@ -190,7 +193,7 @@ class EnvConfig:
 
 SCALE_STEP = 0.02
 
-SENSORS = ("heightmap", "in_hand", "holding", "state")
+SENSORS = ("heightmap", "in_hand", "holding", "state", "color", "segmentation", "rgb", "point_cloud")
 """What can be observed, by name; users register more."""
 PRESETS: dict[str, dict[str, tuple[str, ...]]] = {
     CLOSE_LOOP: {"image": ("heightmap", "holding"), "state": ("state", "holding")},
@@ -250,7 +253,7 @@ def _checks(control: str, task: TaskDefaults, robots: Sequence[str]) -> dict[str
         "workspace_check": values.choice("point", "bounding_box"),
         "close_loop_tray": _tray(task.tray),
         "object_set": values.optional(values.folder) if task.takes_object_set else values.no_object_set,
-        "view": values.choice("orthographic", "point_cloud"),
+        "view": values.choice(ORTHOGRAPHIC, "point_cloud"),
         "observation": values.observation(list(PRESETS[control]), SENSORS, _presets_elsewhere(control)),
         "physics_mode": values.choice("fast", "slow"),
         "reward": values.optional(values.import_path),

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from bulletarm_gym.config import EnvConfig
+from bulletarm_gym.config import ORTHOGRAPHIC, EnvConfig
 from bulletarm_gym.geometry import FloatArray, Pose, Vector, matrix
 from bulletarm_gym.rendering.point_cloud import project
 from bulletarm_gym.rendering.rasterizer import Labels
@@ -245,7 +245,7 @@ class Scene:
         :param without: a body that is not drawn
         :return: (size, size); rows grow with world x, columns with y
         """
-        if self.config.view == "orthographic":
+        if self.config.view == ORTHOGRAPHIC:
             positions, orientations, present = self._mesh_poses()
             seen = self._without(present & ~self._marks, without)
             return self._z_buffer.heights(positions, orientations, seen, centre, extent, size)

@@ -128,6 +128,8 @@ def _sensor(entry: Any, known: Sequence[str]) -> str | dict[str, Any]:
         near = difflib.get_close_matches(source, known, n=1)
         hint = f"did you mean {near[0]!r}?" if near else f"choose from {', '.join(known)}"
         raise Refused(f"sensors that there are: no {source!r}, {hint}")
+    if name in known and source != name:
+        raise Refused(f"names of your own for other sensors: {name!r} is not {source!r}")
     if not name.isidentifier():
         raise Refused(f"names that are identifiers, not {name!r}")
     if isinstance(entry, str):

@@ -7,11 +7,12 @@ from typing import Any
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from bulletarm_gym.config import EnvConfig, ParameterError
+from bulletarm_gym.config import ORTHOGRAPHIC, EnvConfig, ParameterError
 from bulletarm_gym.extensions import load
 from bulletarm_gym.geometry import Pose
 from bulletarm_gym.scene import Scene
-from bulletarm_gym.sensors.images import Heightmap
+from bulletarm_gym.sensors.cameras import PointCloud, Rgb
+from bulletarm_gym.sensors.images import Color, Heightmap, Segmentation
 from bulletarm_gym.sensors.in_hand import InHand
 from bulletarm_gym.sensors.numbers import Holding, State
 from bulletarm_gym.sensors.sensor import Sensor
@@ -22,6 +23,10 @@ SENSORS: dict[str, type[Sensor]] = {
     "in_hand": InHand,
     "holding": Holding,
     "state": State,
+    "color": Color,
+    "segmentation": Segmentation,
+    "rgb": Rgb,
+    "point_cloud": PointCloud,
 }
 """The sensors there are, by name; see :data:`~bulletarm_gym.config.SENSORS`."""
 
@@ -78,6 +83,11 @@ def _made(config: EnvConfig, name: str, source: str, parameters: Mapping[str, An
     if config.control not in kind.controls:
         belongs = " or ".join(control.replace("_", "-") for control in kind.controls)
         takes = f"what can be seen here: {name!r} belongs to {belongs} environments"
+        raise ParameterError.of("observation", config.observation, takes)
+    if kind.asks_for_labels and config.view != ORTHOGRAPHIC:
+        takes = (
+            f"sensors that view={config.view!r} has, not {name!r}: only {ORTHOGRAPHIC!r} tells bodies apart"
+        )
         raise ParameterError.of("observation", config.observation, takes)
     _check_parameters(config, name, kind, parameters)
     try:

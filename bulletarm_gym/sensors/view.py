@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bulletarm_gym.geometry import FloatArray, Pose
-from bulletarm_gym.rendering.overlays import Overlay
+from bulletarm_gym.rendering.overlays import Overlay, rectangle_mask
 from bulletarm_gym.rendering.rasterizer import Labels
 from bulletarm_gym.scene import Scene
 from bulletarm_gym.simulation import Body
@@ -123,6 +123,13 @@ class View:
     def _both(self) -> tuple[Heights, Labels]:
         frame = self.frame
         return self.scene.labelled(frame.centre, frame.extent, self.size, frame.without)
+
+    @cached_property
+    def fingers(self) -> NDArray[np.bool_]:
+        """Which pixels, (size, size), the squares that stand for the fingers cover."""
+        frame = self.frame
+        squares = np.empty((0, 5)) if frame.fingers is None else frame.fingers
+        return rectangle_mask(frame.centre, frame.extent, self.size, squares)
 
     @cached_property
     def map(self) -> Map:

@@ -1,5 +1,6 @@
 """Perspective cameras, headless: pictures of the whole scene, and what a depth camera would measure."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -11,6 +12,8 @@ from bulletarm_gym.geometry import FloatArray, Vector
 from bulletarm_gym.simulation.world import Body, World
 
 LIGHT = (0.6, -0.9, 1.6)
+VERTICAL = 1e-3
+"""Slope from the vertical (m a metre) below which a camera looks straight down or up."""
 
 
 @dataclass(frozen=True)
@@ -57,10 +60,16 @@ class Camera:
         points: FloatArray = np.asarray(self.eye) + along[:, None] * rays
         return points
 
+    @property
+    def _up(self) -> Vector:
+        """What is upwards in the image; straight down, rows grow with world x and columns with y."""
+        across = math.hypot(self.eye[0] - self.target[0], self.eye[1] - self.target[1])
+        return (0.0, 0.0, 1.0) if across > VERTICAL * abs(self.eye[2] - self.target[2]) else (-1.0, 0.0, 0.0)
+
     def _axes(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         forward = np.subtract(self.target, self.eye)
         forward /= np.linalg.norm(forward)
-        right = np.cross(forward, (0.0, 0.0, 1.0))
+        right = np.cross(forward, self._up)
         right /= np.linalg.norm(right)
         return right, np.cross(right, forward), forward
 
@@ -71,7 +80,7 @@ class Camera:
 
     def _shoot(self, world: World, shadow: bool = False) -> tuple[Any, ...]:
         client = world.client
-        view = client.computeViewMatrix(self.eye, self.target, (0.0, 0.0, 1.0))
+        view = client.computeViewMatrix(self.eye, self.target, self._up)
         projection = client.computeProjectionMatrixFOV(
             self.fov, self.width / self.height, self.near, self.far
         )

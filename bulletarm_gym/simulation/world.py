@@ -155,6 +155,12 @@ class World:
         self._snapshot = self.client.saveState()
 
     @property
+    def ground(self) -> Body:
+        """The endless ground, once it is loaded."""
+        assert self._ground is not None, "add_plane() loads it"
+        return self._ground
+
+    @property
     def free_bodies(self) -> list[Body]:
         """Bodies that take part and can move, joints aside."""
         return [body for body in self.bodies if body.spec.mass > 0.0 and self.active[body.index]]
