@@ -133,6 +133,7 @@ class EnvConfig:
         robots: Sequence[str],
         parameters: Mapping[str, Any],
         surface: str = "flat",
+        sloping: bool | None = None,
     ) -> "EnvConfig":
         """Check a user's parameters and fill in the paper's defaults.
 
@@ -140,18 +141,20 @@ class EnvConfig:
         :param task: the task's own numbers
         :param robots: names of the arms there are
         :param surface: where; some defaults follow from it
+        :param sloping: whether things may lie there at an angle; None for a surface of ours
         :raises UnknownParameterError: there is no such parameter; one of a similar name is offered, else
             all are listed
         :raises ParameterError: a wrong type or value, or ground that the task cannot stand on
         """
+        sloping = surface in SLOPING if sloping is None else sloping
         checks = _checks(control, task, robots)
         for name, value in parameters.items():
             if name not in checks:
                 raise _unknown(name, value, control, checks)
-        chosen = _defaults(control, surface, task) | {
+        chosen = _defaults(control, surface, sloping, task) | {
             name: _checked(name, checks[name], value) for name, value in parameters.items()
         }
-        _check_surface(surface, task, chosen["close_loop_tray"])
+        _check_surface(surface, sloping, task, chosen["close_loop_tray"])
         return cls(control=control, **chosen)
 
     def parameters(self) -> dict[str, Any]:
@@ -194,7 +197,7 @@ def belongs(name: str, control: str) -> bool:
     return name != "control" and _ONLY_WITH.get(name, control) == control
 
 
-def _defaults(control: str, surface: str, task: TaskDefaults) -> dict[str, Any]:
+def _defaults(control: str, surface: str, sloping: bool, task: TaskDefaults) -> dict[str, Any]:
     """Return the paper's values where a parameter has no default of its own."""
     shared = {
         "robot": "kuka",
@@ -209,7 +212,7 @@ def _defaults(control: str, surface: str, task: TaskDefaults) -> dict[str, Any]:
             "workspace": [[0.3, 0.6], [-0.15, 0.15], [0.01, 0.25]],
         }
     return shared | {
-        "action_sequence": "pxyzrrr" if surface in SLOPING else "pxyr",
+        "action_sequence": "pxyzrrr" if sloping else "pxyr",
         "workspace": [[0.25, 0.65], [-0.2, 0.2], [0.0, 1.0]],
         "in_hand_size": 40 if surface == "bump" else 24,
     }
@@ -241,14 +244,15 @@ def _checks(control: str, task: TaskDefaults, robots: Sequence[str]) -> dict[str
     return {name: check for name, check in checks.items() if belongs(name, control)}
 
 
-def _check_surface(surface: str, task: TaskDefaults, in_tray: bool) -> None:
+def _check_surface(surface: str, sloping: bool, task: TaskDefaults, in_tray: bool) -> None:
     """Refuse ground that a task cannot stand on.
 
     :raises ParameterError: with the reason
     """
     refused = {} if True in task.tray.choices else {"tray": task.tray.reason}
     if task.level_ground or in_tray:
-        refused |= dict.fromkeys(SLOPING, task.level_ground or "its tray stands on level ground")
+        refusing = (*SLOPING, surface) if sloping else SLOPING
+        refused |= dict.fromkeys(refusing, task.level_ground or "its tray stands on level ground")
     if surface in refused:
         others = " or ".join(repr(other) for other in (*LEVEL, *SLOPING) if other not in refused)
         raise ParameterError.of("surface", surface, f"{others} with this task: {refused[surface]}")

@@ -20,7 +20,7 @@ from bulletarm_gym.footprint import PlacementError
 from bulletarm_gym.robots import ROBOTS, RobotModel, RobotState, find_robot
 from bulletarm_gym.scene import Scene
 from bulletarm_gym.simulation import Camera, WorldState, has_display
-from bulletarm_gym.surfaces import make_surface
+from bulletarm_gym.surfaces import find_surface, make_surface
 from bulletarm_gym.tasks import Task
 
 Observation = dict[str, NDArray[np.float32]]
@@ -65,7 +65,7 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
 
     :param task: ``"module:Class"`` of the task
     :param control: ``"close_loop"`` or ``"open_loop"``
-    :param surface: one of :data:`~bulletarm_gym.surfaces.SURFACES`
+    :param surface: one of :data:`~bulletarm_gym.surfaces.SURFACES`, or a user's by name or path
     :param parameters: of :class:`~bulletarm_gym.config.EnvConfig`, by name
     :raises ValueError: a parameter has a value it cannot take, or is unknown (a ``TypeError``, too); task and
         control do not fit
@@ -81,14 +81,16 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
             raise ValueError(
                 f"control: got {control!r}, {task_type.__name__} takes one of {task_type.controls}"
             )
-        parameters = by_path(parameters)
+        parameters = by_path({**parameters, "surface": surface})
+        surface = parameters.pop("surface")
+        sloping = find_surface(surface).sloping
         # Objects of the user's that have no import path, by the name of the parameter.
         self.objects = {name: parameters.pop(name) for name in OBJECTS if _is_object(parameters.get(name))}
         robots = dict(ROBOTS)
         if "robot" in self.objects:
             model = find_robot(self.objects["robot"])
             robots[model.name], parameters["robot"] = model, model.name
-        self.config = EnvConfig.of(control, task_type.defaults, tuple(robots), parameters, surface)
+        self.config = EnvConfig.of(control, task_type.defaults, tuple(robots), parameters, surface, sloping)
         self.render_mode = self.config.render_mode
         if not has_display():
             self.metadata = {**self.metadata, "render_modes": ["rgb_array", "depth_array"]}
@@ -312,7 +314,7 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
     @spec.setter
     def spec(self, spec: EnvSpec | None) -> None:
         if spec is not None:
-            known = self._parameters
+            known = {**self._recipe, **self._parameters}
             kwargs = {name: known.get(name, value) for name, value in spec.kwargs.items()}
             spec = replace(spec, kwargs=kwargs, max_episode_steps=self.config.max_steps)
         self._spec = spec

@@ -1,0 +1,115 @@
+"""Users' parts: registered by name, kept by path, refused with the reason."""
+
+import pickle
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import gymnasium
+import pytest
+from rollouts import make_env, transcript
+
+import bulletarm_gym
+from bulletarm_gym import extensions
+from bulletarm_gym.env import ManipulationEnv
+from bulletarm_gym.surfaces import FlatSurface
+
+PICKING = "BulletArm/CloseLoopBlockPicking-v0"
+TASK = "bulletarm_gym.tasks.picking:BlockPicking"
+SURFACES = """
+import numpy as np
+from bulletarm_gym.surfaces import FlatSurface
+
+class Raised(FlatSurface):
+    slide = 0.0
+
+class Hilly(FlatSurface):
+    sloping = True
+
+NOTHING = 3
+"""
+
+
+@pytest.fixture(autouse=True)
+def tables(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Forget what a test registers."""
+    for name in ("SURFACE_PATHS", "ROBOT_PATHS", "OBJECT_PATHS"):
+        table = getattr(extensions, name)
+        for key in list(table):
+            monkeypatch.delitem(table, key)
+
+
+@pytest.fixture
+def my_surfaces(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    (tmp_path / "my_surfaces.py").write_text(SURFACES)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    yield
+    sys.modules.pop("my_surfaces", None)
+    for table in (extensions.SURFACE_PATHS,):
+        table.clear()
+
+
+@pytest.mark.usefixtures("my_surfaces", "own_registrations")
+def test_a_registered_surface_is_kept_by_its_path() -> None:
+    bulletarm_gym.register_surface("raised", "my_surfaces:Raised")
+    env = gymnasium.make(PICKING, surface="raised", obs_size=16)
+    assert env.spec is not None and env.spec.kwargs["surface"] == "my_surfaces:Raised"
+    unwrapped = env.unwrapped
+    assert isinstance(unwrapped, ManipulationEnv) and unwrapped.scene.surface.slide == 0.0
+    extensions.SURFACE_PATHS.clear()  # as in a process that has not imported the user's file
+    copy = pickle.loads(pickle.dumps(unwrapped))
+    assert transcript(copy, 2, seed=1) == transcript(unwrapped, 2, seed=1)
+    for other in (env, copy):
+        other.close()
+
+
+@pytest.mark.usefixtures("my_surfaces", "own_registrations")
+@pytest.mark.parametrize(("control", "prefix"), [("close_loop", "CloseLoop"), ("open_loop", "OpenLoop")])
+def test_ids_name_control_and_surface(control: str, prefix: str) -> None:
+    bulletarm_gym.register_surface("high_ground", "my_surfaces:Raised")
+    for surface, word in (("high_ground", "HighGround"), ("ramp", "Ramp"), ("tray", "Tray"), ("flat", "")):
+        env_id = bulletarm_gym.register_task("Mine", TASK, control, surface)
+        assert env_id == f"BulletArm/{prefix}{word}Mine-v0"
+        expected = "my_surfaces:Raised" if surface == "high_ground" else surface
+        assert gymnasium.spec(env_id).kwargs["surface"] == expected
+        del gymnasium.registry[env_id]
+
+
+@pytest.mark.usefixtures("my_surfaces")
+def test_ground_that_slopes_says_so() -> None:
+    path = "my_surfaces:Hilly"
+    env = make_env("BulletArm/OpenLoopBlockStacking-v0", surface=path, obs_size=16)
+    assert env.config.action_sequence == "pxyzrrr"
+    env.close()
+    with pytest.raises(ValueError, match=r"^surface: got 'my_surfaces:Hilly', takes .*level ground"):
+        make_env("BulletArm/CloseLoopDrawerOpening-v0", surface=path)
+
+
+def test_what_is_no_surface_is_refused(my_surfaces: None) -> None:
+    for wrong, reason in (
+        ("step", "takes one of 'flat', 'tray', 'ramp', 'bump', or 'module:Class' of your own"),
+        (3, "takes one of"),
+        ("my_surfaces:NOTHING", "no subclass of Surface"),
+        ("my_surfaces:Absent", "cannot be imported"),
+        ("builtins:dict", "no subclass of Surface"),
+    ):
+        with pytest.raises(ValueError, match=reason):
+            make_env(PICKING, surface=wrong)
+
+
+def test_what_cannot_be_registered() -> None:
+    class Local(FlatSurface):
+        pass
+
+    with pytest.raises(ValueError, match=r"surface 'mine': .*local to a function"):
+        bulletarm_gym.register_surface("mine", Local)
+    with pytest.raises(ValueError, match="'ramp' is one of ours"):
+        bulletarm_gym.register_surface("ramp", FlatSurface)
+    with pytest.raises(ValueError, match="no identifier"):
+        bulletarm_gym.register_surface("two levels", FlatSurface)
+    bulletarm_gym.register_surface("mine", FlatSurface)
+    with pytest.raises(ValueError, match="is taken by"):
+        bulletarm_gym.register_surface("mine", "bulletarm_gym.surfaces:RampSurface")
+    for wrong in ({"surface": "moon"}, {"control": "remote"}):
+        with pytest.raises(ValueError, match=f"^{next(iter(wrong))}: got .*, takes one of "):
+            bulletarm_gym.register_task("Mine", TASK, **wrong)
