@@ -81,7 +81,7 @@ class EnvConfig:
 
     Values are plain JSON: arrays given by a user are kept as lists. Build one with :meth:`of`.
 
-    :param control: ``"close_loop"`` or ``"open_loop"``; follows from the environment's id
+    :param control: ``"close_loop"`` or ``"open_loop"``, of a user's control its kind; follows from the id
     :param robot: the arm, by its name or import path
     :param action_sequence: one character a number of the action, in its order
     :param workspace: [[x low, x high], [y low, y high], [z low, z high]] (m); square in x and y
@@ -134,6 +134,7 @@ class EnvConfig:
         parameters: Mapping[str, Any],
         surface: str = "flat",
         sloping: bool | None = None,
+        sequences: Sequence[str] = (),
     ) -> "EnvConfig":
         """Check a user's parameters and fill in the paper's defaults.
 
@@ -142,18 +143,21 @@ class EnvConfig:
         :param robots: names of the arms there are
         :param surface: where; some defaults follow from it
         :param sloping: whether things may lie there at an angle; None for a surface of ours
+        :param sequences: what an action can consist of, the default first; none for a control of ours
         :raises UnknownParameterError: there is no such parameter; one of a similar name is offered, else
             all are listed
         :raises ParameterError: a wrong type or value, or ground that the task cannot stand on
         """
         sloping = surface in SLOPING if sloping is None else sloping
         checks = _checks(control, task, robots)
+        defaults = _defaults(control, surface, sloping, task)
+        if sequences:
+            checks["action_sequence"] = values.sequence(sequences)
+            defaults["action_sequence"] = sequences[0]
         for name, value in parameters.items():
             if name not in checks:
                 raise _unknown(name, value, control, checks)
-        chosen = _defaults(control, surface, sloping, task) | {
-            name: _checked(name, checks[name], value) for name, value in parameters.items()
-        }
+        chosen = defaults | {name: _checked(name, checks[name], value) for name, value in parameters.items()}
         _check_surface(surface, sloping, task, chosen["close_loop_tray"])
         return cls(control=control, **chosen)
 

@@ -1,4 +1,4 @@
-"""What users add: robots, objects and surfaces by name, and everything of theirs by import path.
+"""What users add: robots, objects, surfaces and controls by name, and everything of theirs by import path.
 
 A thing is stored as ``"module:name"``, so that a worker process, however it is started, finds it by importing
 the user's module. What has no such path (a lambda, something local or of ``__main__``) is refused.
@@ -10,7 +10,7 @@ from collections.abc import Collection, Mapping
 from contextlib import suppress
 from typing import Any, TypeVar
 
-from bulletarm_gym.config import LEVEL, SLOPING
+from bulletarm_gym.config import CLOSE_LOOP, LEVEL, OPEN_LOOP, SLOPING
 
 OBJECTS = ("robot", "reward")
 """Parameters that may be objects of the user's."""
@@ -20,7 +20,9 @@ OBJECT_PATHS: dict[str, str] = {}
 """Import paths of the users' objects, by name."""
 SURFACE_PATHS: dict[str, str] = {}
 """Import paths of the users' surfaces, by name."""
-TABLES = {"robot": ROBOT_PATHS, "surface": SURFACE_PATHS}
+CONTROL_PATHS: dict[str, str] = {}
+"""Import paths of the users' controls, by name."""
+TABLES = {"robot": ROBOT_PATHS, "surface": SURFACE_PATHS, "control": CONTROL_PATHS}
 """What stands in a recipe or among the parameters by its name."""
 
 Kind = TypeVar("Kind")
@@ -57,6 +59,17 @@ def register_surface(name: str, surface: Any) -> None:
     :raises ValueError: the name is taken or no identifier, or the class has no import path
     """
     _store(SURFACE_PATHS, "surface", name, surface, (*LEVEL, *SLOPING))
+
+
+def register_control(name: str, control: Any) -> None:
+    """Make a way to command the arm available as ``control=name`` and to :func:`bulletarm_gym.register_task`.
+
+    :param name: a new one
+    :param control: a subclass of :class:`~bulletarm_gym.control.Control` that can be imported from a module,
+        or its path ``"module:Class"``
+    :raises ValueError: the name is taken or no identifier, or the class has no import path
+    """
+    _store(CONTROL_PATHS, "control", name, control, (CLOSE_LOOP, OPEN_LOOP))
 
 
 def import_path(thing: Any, what: str) -> str:
@@ -138,8 +151,8 @@ def find_class(
 def by_path(parameters: Mapping[str, Any]) -> dict[str, Any]:
     """Return an environment's parameters with import paths in place of what can be imported.
 
-    That is names of users' arms and surfaces, and functions that make an arm or tell the reward; those that
-    have no path (a lambda, one of a notebook) stay as they are.
+    That is names of users' arms, surfaces and controls, and functions that make an arm or tell the reward;
+    those that have no path (a lambda, one of a notebook) stay as they are.
     """
     found = dict(parameters)
     for name in OBJECTS:

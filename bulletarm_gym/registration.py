@@ -7,12 +7,11 @@ from typing import Any
 import gymnasium
 
 from bulletarm_gym import time_limit
-from bulletarm_gym.config import LEVEL, SLOPING
-from bulletarm_gym.extensions import SURFACE_PATHS, by_path, import_path
+from bulletarm_gym.config import CLOSE_LOOP, LEVEL, OPEN_LOOP, SLOPING
+from bulletarm_gym.extensions import CONTROL_PATHS, SURFACE_PATHS, by_path, import_path
 
 NAMESPACE = "BulletArm"
 ENTRY_POINT = "bulletarm_gym.env:ManipulationEnv"
-CONTROLS = ("close_loop", "open_loop")
 
 
 @dataclass(frozen=True)
@@ -99,7 +98,7 @@ def register_task(name: str, task: Any, control: str = "close_loop", surface: st
     :param name: in the id, like ``"BlockShaking"``
     :param task: a subclass of :class:`~bulletarm_gym.tasks.Task` that can be imported from a module, or its
         path ``"module:Class"``
-    :param control: how it is acted in: ``"close_loop"`` or ``"open_loop"``
+    :param control: how it is acted in: ``"close_loop"``, ``"open_loop"``, or one that was registered
     :param surface: where: ``"flat"``, ``"tray"``, ``"ramp"``, ``"bump"``, or one that was registered
     :return: the id, like ``"BulletArm/CloseLoopBlockShaking-v0"``
     :raises ValueError: the name is no identifier or taken, control or surface is unknown, or the class has no
@@ -107,7 +106,7 @@ def register_task(name: str, task: Any, control: str = "close_loop", surface: st
     """
     if not name.isidentifier():
         raise ValueError(f"name: got {name!r}, takes an identifier such as 'BlockShaking'")
-    _check_known("control", control, CONTROLS)
+    _check_known("control", control, (CLOSE_LOOP, OPEN_LOOP, *CONTROL_PATHS))
     _check_known("surface", surface, (*LEVEL, *SLOPING, *SURFACE_PATHS))
     recipe = by_path({"control": control, "surface": surface})
     entry = Entry(_prefix(control, surface) + name, import_path(task, f"task {name!r}"), **recipe)

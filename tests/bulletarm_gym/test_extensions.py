@@ -33,7 +33,7 @@ NOTHING = 3
 @pytest.fixture(autouse=True)
 def tables(monkeypatch: pytest.MonkeyPatch) -> None:
     """Forget what a test registers."""
-    for name in ("SURFACE_PATHS", "ROBOT_PATHS", "OBJECT_PATHS"):
+    for name in ("CONTROL_PATHS", "SURFACE_PATHS", "ROBOT_PATHS", "OBJECT_PATHS"):
         table = getattr(extensions, name)
         for key in list(table):
             monkeypatch.delitem(table, key)
@@ -113,3 +113,59 @@ def test_what_cannot_be_registered() -> None:
     for wrong in ({"surface": "moon"}, {"control": "remote"}):
         with pytest.raises(ValueError, match=f"^{next(iter(wrong))}: got .*, takes one of "):
             bulletarm_gym.register_task("Mine", TASK, **wrong)
+
+
+CONTROLS = """
+from bulletarm_gym.control import CloseLoop
+
+class Backwards(CloseLoop):
+    sequences = ("pzyx", "pzyxr")
+
+class Kindless(CloseLoop):
+    kind = "both"
+"""
+
+
+@pytest.fixture
+def my_controls(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    (tmp_path / "my_controls.py").write_text(CONTROLS)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    yield
+    sys.modules.pop("my_controls", None)
+
+
+@pytest.mark.usefixtures("my_controls", "own_registrations")
+def test_a_registered_control_is_kept_by_its_path() -> None:
+    bulletarm_gym.register_control("back_wards", "my_controls:Backwards")
+    env_id = bulletarm_gym.register_task("Mine", TASK, "back_wards")
+    assert env_id == "BulletArm/BackWardsMine-v0"
+    del gymnasium.registry[env_id]
+    env = gymnasium.make(PICKING, control="back_wards", obs_size=16)
+    assert env.spec is not None and env.spec.kwargs["control"] == "my_controls:Backwards"
+    unwrapped = env.unwrapped
+    assert isinstance(unwrapped, ManipulationEnv)
+    assert (unwrapped.config.control, unwrapped.action_sequence) == ("close_loop", "pzyx")
+    extensions.CONTROL_PATHS.clear()  # as in a process that has not imported the user's file
+    copy = pickle.loads(pickle.dumps(unwrapped))
+    assert transcript(copy, 2, seed=1) == transcript(unwrapped, 2, seed=1)
+    for other in (env, copy):
+        other.close()
+
+
+@pytest.mark.usefixtures("my_controls")
+def test_what_is_no_control_is_refused() -> None:
+    path = "my_controls:Backwards"
+    for wrong, reason in (
+        ("remote", "^control: got 'remote', takes one of 'close_loop', 'open_loop', or 'module:Class'"),
+        ("my_controls:Kindless", "^control: .* has kind='both', takes one of"),
+        ("builtins:dict", "no subclass of Control"),
+        ("open_loop", "^control: got 'open_loop', BlockPicking takes one of"),
+    ):
+        with pytest.raises(ValueError, match=reason):
+            make_env(PICKING, control=wrong)
+    with pytest.raises(ValueError, match=f"^control: got '{path}', HouseBuilding2 takes one of"):
+        make_env("BulletArm/OpenLoopHouseBuilding2-v0", control=path)
+    with pytest.raises(ValueError, match=r"^action_sequence: got 'pxy', takes 'pzyx' or 'pzyxr'"):
+        make_env(PICKING, control=path, action_sequence="pxy")
+    with pytest.raises(ValueError, match="'open_loop' is one of ours"):
+        bulletarm_gym.register_control("open_loop", path)
