@@ -96,7 +96,7 @@ class EnvConfig:
     :param in_hand_size: pixels a side of the open-loop in-hand image
     :param workspace_check: ``"point"`` asks an object's centre to stay inside, ``"bounding_box"`` all of it
     :param close_loop_tray: the task stands in a tray
-    :param object_set: None for the 86 objects made by code, or a folder of OBJ or URDF files
+    :param object_set: None for the 86 objects made by code, a folder of OBJ or URDF files, or a list of kinds
     :param view: ``"orthographic"``, looking straight down, or ``"point_cloud"``, the paper's two side cameras
     :param observation: ``"image"``, or ``"state"``: the poses of gripper and objects
     :param physics_mode: ``"fast"`` (50 solver iterations) or ``"slow"`` (200, and slower motions)
@@ -118,7 +118,7 @@ class EnvConfig:
     in_hand_size: int = 24
     workspace_check: str = "point"
     close_loop_tray: bool = False
-    object_set: str | None = None
+    object_set: str | list[str] | None = None
     view: str = "orthographic"
     observation: str = "image"
     physics_mode: str = "fast"
@@ -238,7 +238,7 @@ def _checks(control: str, task: TaskDefaults, robots: Sequence[str]) -> dict[str
         "in_hand_size": values.integer(8, 256),
         "workspace_check": values.choice("point", "bounding_box"),
         "close_loop_tray": _tray(task.tray),
-        "object_set": values.optional(values.folder) if task.takes_object_set else values.no_object_set,
+        "object_set": values.optional(values.object_set) if task.takes_object_set else values.no_object_set,
         "view": values.choice("orthographic", "point_cloud"),
         "observation": values.choice("image", "state") if control == CLOSE_LOOP else values.images_only,
         "physics_mode": values.choice("fast", "slow"),

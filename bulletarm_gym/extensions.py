@@ -151,8 +151,8 @@ def find_class(
 def by_path(parameters: Mapping[str, Any]) -> dict[str, Any]:
     """Return an environment's parameters with import paths in place of what can be imported.
 
-    That is names of users' arms, surfaces and controls, and functions that make an arm or tell the reward;
-    those that have no path (a lambda, one of a notebook) stay as they are.
+    That is names of users' arms, surfaces, controls and objects, and functions that make an arm or tell the
+    reward; those that have no path (a lambda, one of a notebook) stay as they are.
     """
     found = dict(parameters)
     for name in OBJECTS:
@@ -162,6 +162,8 @@ def by_path(parameters: Mapping[str, Any]) -> dict[str, Any]:
     for name, table in TABLES.items():
         if isinstance(found.get(name), str):
             found[name] = table.get(found[name], found[name])
+    if isinstance(found.get("object_set"), list | tuple):
+        found["object_set"] = [OBJECT_PATHS.get(kind, kind) for kind in found["object_set"]]
     return found
 
 

@@ -15,6 +15,7 @@ from bulletarm_gym.env import ManipulationEnv
 from bulletarm_gym.surfaces import FlatSurface
 
 PICKING = "BulletArm/CloseLoopBlockPicking-v0"
+GRASPING = "BulletArm/CloseLoopObjectGrasping-v0"
 TASK = "bulletarm_gym.tasks.picking:BlockPicking"
 SURFACES = """
 import numpy as np
@@ -113,6 +114,57 @@ def test_what_cannot_be_registered() -> None:
     for wrong in ({"surface": "moon"}, {"control": "remote"}):
         with pytest.raises(ValueError, match=f"^{next(iter(wrong))}: got .*, takes one of "):
             bulletarm_gym.register_task("Mine", TASK, **wrong)
+
+
+OBJECTS = """
+from bulletarm_gym.objects import BodySpec, Box, Piece
+
+def brick(name, scale):
+    return BodySpec(name, (Piece(Box((0.08 * scale, 0.03 * scale, 0.04 * scale))),), mass=0.3)
+
+def nothing(name, scale):
+    return None
+"""
+
+
+@pytest.fixture
+def my_objects(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    (tmp_path / "my_objects.py").write_text(OBJECTS)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    yield
+    sys.modules.pop("my_objects", None)
+
+
+@pytest.mark.usefixtures("my_objects")
+def test_registered_objects_reach_a_task_of_ours() -> None:
+    bulletarm_gym.register_object("block", "my_objects:brick")
+    kinds = ["block", "cube", "block"]
+    env = make_env(GRASPING, object_set=kinds, num_objects=2, obs_size=16, object_scale_range=0.5)
+    path = "my_objects:brick"
+    assert env.config.object_set == [path, "cube", path]
+    assert [item.role.name for item in env.scene.items] == [f"{path} 0", "cube 0", f"{path} 1"]
+    spec = env.scene.items[0].spec
+    assert spec.mass == 0.3 and spec.extents == pytest.approx((0.02, 0.04, 0.015))  # lying
+    extensions.OBJECT_PATHS.clear()
+    copy = pickle.loads(pickle.dumps(env))
+    assert transcript(copy, 2, seed=1) == transcript(env, 2, seed=1)
+    for other in (env, copy):
+        other.close()
+
+
+@pytest.mark.usefixtures("my_objects")
+@pytest.mark.parametrize(
+    ("kinds", "reason"),
+    [
+        (["hammer"], "^object_set: kind: got 'hammer', takes one of 'bottle_tray', "),
+        (["my_objects:nothing"], "^object_set: .* returned a NoneType, not a BodySpec"),
+        (["pallet"], "^object_set: 'pallet' stands fixed"),
+        (["cube"], "takes at most 1 with this object_set"),
+    ],
+)
+def test_sets_of_kinds_that_cannot_be(kinds: list[str], reason: str) -> None:
+    with pytest.raises(ValueError, match=reason):
+        make_env(GRASPING, object_set=kinds, num_objects=2)
 
 
 CONTROLS = """
