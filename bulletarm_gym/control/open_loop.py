@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from bulletarm_gym.config import EnvConfig
+from bulletarm_gym.config import OPEN_LOOP, EnvConfig
 from bulletarm_gym.control.control import POINTS, Control, Outcome, over
 from bulletarm_gym.experts.waypoints import APPROACH, OPEN, Waypoint
 from bulletarm_gym.geometry import Pose, Vector, euler_angles, euler_pose, matrix
@@ -75,6 +75,8 @@ class OpenLoop(Control[PickPlace]):
     :param task: its hints say how to grasp and to let go
     """
 
+    kind = OPEN_LOOP
+
     def __init__(self, config: EnvConfig, scene: Scene, task: Task) -> None:
         floor = config.workspace[2][0]
         super().__init__(
@@ -95,7 +97,7 @@ class OpenLoop(Control[PickPlace]):
 
         :raises ValueError: the action has the wrong shape or is not finite
         """
-        value = dict(zip(self._names, self._numbers(action), strict=True))
+        value = dict(zip(self._names, self.numbers(action), strict=True))
         at = {
             name: low + (value[name] + 1.0) / 2.0 * (high - low) for name, (low, high) in self._ranges.items()
         }

@@ -116,7 +116,7 @@ def test_demonstrations_keep_what_it_read(env: ManipulationEnv) -> None:
 @pytest.mark.parametrize(
     ("name", "sensor", "words"),
     [
-        ("color", "my_counting:Count", "taken by the package's own"),
+        ("color", "my_counting:Count", "is one of ours"),
         ("count", "my_counting:Unfinished", "is taken by my_counting:Count"),
         ("two words", "my_counting:Count", "no identifier"),
         ("other", lambda scene: None, "lambda"),
