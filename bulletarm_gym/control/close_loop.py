@@ -81,7 +81,7 @@ class CloseLoop(Control[DeltaMove]):
     def _own_spaces(self, config: EnvConfig, scene: Scene) -> dict[str, spaces.Box]:
         if config.observation == "image":
             return {"heightmap": spaces.Box(0.0, MAX_HEIGHT, (1, self._size, self._size), np.float32)}
-        size = 6 + sum(POSE_SIZE + len(item.spec.slides) for item in scene.items)
+        size = 6 + sum(POSE_SIZE + len(item.spec.parts) for item in scene.items)
         return {"state": spaces.Box(-np.inf, np.inf, (size,), np.float32)}
 
     def decode_action(self, action: ArrayLike) -> DeltaMove:
@@ -168,14 +168,14 @@ class CloseLoop(Control[DeltaMove]):
         """Gripper: opening ratio, position (m), cosine and sine of the yaw.
 
         Then for each item 1 if it is present, its position (m) and its quaternion; zeros if it is not; and
-        the displacement (m) of each of its sliding parts.
+        the position (m or rad) of each of its parts that slide or turn.
         """
         hand = scene.robot.pose
         numbers = [scene.robot.opening_ratio, *hand.position, math.cos(hand.yaw), math.sin(hand.yaw)]
         for item in scene.items:
             pose = item.pose
             numbers += [1.0, *pose.position, *pose.orientation] if item.is_present else [0.0] * POSE_SIZE
-            numbers += item.joints if item.spec.slides else ()
+            numbers += item.joints if item.spec.parts else ()
         return {"state": np.array(numbers, dtype=np.float32)}
 
 
