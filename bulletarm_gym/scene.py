@@ -205,7 +205,6 @@ class Scene:
 
     def begin(self) -> None:
         """Start a move from the canonical world."""
-        self.world.begin()
         self.robot.begin()
 
     def settle(self) -> None:
