@@ -145,7 +145,7 @@ class BodySpec:
     :param angular_damping: share of its turning it loses in a second, besides what the physics mode takes
     :param slides: parts that slide in it
     :param hinges: parts that turn in it; its joints are those of the slides, then those of the hinges
-    :param is_mark: a mark on the ground: drawn in pictures, no obstacle and not seen by the sensor
+    :param is_mark: a mark on the ground: drawn in pictures, no obstacle and without a height
     """
 
     name: str
@@ -174,6 +174,11 @@ class BodySpec:
     def part_meshes(self) -> list[Mesh]:
         """The body's mesh and those of its parts."""
         return [self.mesh, *(part.mesh for part in self.parts)]
+
+    @property
+    def part_colours(self) -> list[Colour]:
+        """The body's colour and those of its parts."""
+        return [self.colour, *(part.colour for part in self.parts)]
 
     @cached_property
     def piece_bounds(self) -> FloatArray:
