@@ -24,7 +24,7 @@ LAYERS = (
     {"feasibility"},
     {"env"},
     {"demonstrations", "registration"},
-    {"benchmarks", "vector", "__init__"},
+    {"benchmarks", "vector", "wrappers", "__init__"},
 )
 LEVEL = {room: level for level, layer in enumerate(LAYERS) for room in layer}
 
