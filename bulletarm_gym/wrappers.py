@@ -20,7 +20,7 @@ IMAGE_AXES = 3
 class ImageObservation(
     gymnasium.ObservationWrapper[Picture, Any, dict[str, NDArray[Any]]], RecordConstructorArgs
 ):
-    """Everything observed as one image of bytes, channels first: what libraries for Atari games take.
+    """Everything observed as one image of bytes: what libraries for Atari games take.
 
     Each channel of each image becomes a channel, in the order of the observation space; then each number,
     such as ``holding``, one that has the number in every pixel. A channel spans the bounds of its space:
@@ -31,19 +31,27 @@ class ImageObservation(
     :param env: environment with a ``Dict`` of images (channels, rows, columns) and vectors of numbers, all of
         them with finite bounds
     :param size: side of the image in pixels; default: of the largest image
+    :param channels_last: (size, size, channels), as RLlib takes images, instead of (channels, size, size)
     :raises ValueError: ``env`` observes something that is no part of an image, such as
         ``observation="state"``; ``size`` is not positive
     """
 
-    def __init__(self, env: gymnasium.Env[dict[str, NDArray[Any]], Any], size: int | None = None) -> None:
-        RecordConstructorArgs.__init__(self, size=size)
+    def __init__(
+        self,
+        env: gymnasium.Env[dict[str, NDArray[Any]], Any],
+        size: int | None = None,
+        channels_last: bool = False,
+    ) -> None:
+        RecordConstructorArgs.__init__(self, size=size, channels_last=channels_last)
         gymnasium.ObservationWrapper.__init__(self, env)
         self._parts = _parts(env.observation_space)
         sides = [side for box in self._parts.values() for side in box.shape[1:]]
         if size is not None and size < 1:
             raise ValueError(f"size: got {size!r}, takes a number of pixels, at least 1")
         self.size = max(sides) if size is None else size
-        self._shape = (len(self.channels), self.size, self.size)
+        count = len(self.channels)
+        self._axis = -1 if channels_last else 0
+        self._shape = (self.size, self.size, count) if channels_last else (count, self.size, self.size)
         self.observation_space = spaces.Box(0, WHITE, self._shape, np.uint8)
 
     @property
@@ -55,12 +63,20 @@ class ImageObservation(
         )
 
     def observation(self, observation: dict[str, NDArray[Any]]) -> Picture:
-        """Return the image, (channels, size, size)."""
+        """Return the image, (channels, size, size) or, where asked for, (size, size, channels)."""
         image = np.empty(self._shape, np.uint8)
         values = (layer for name, box in self._parts.items() for layer in _shares(observation[name], box))
-        for channel, layer in zip(image, values, strict=True):
+        for channel, layer in zip(np.moveaxis(image, self._axis, 0), values, strict=True):
             channel[:] = np.rint(WHITE * self._to_size(layer))
         return image
+
+    def images(self, observations: dict[str, NDArray[Any]]) -> Picture:
+        """Return the images of n observations, such as a demonstrated episode's.
+
+        :param observations: for each key (n, ...)
+        """
+        rows = zip(*observations.values(), strict=True)
+        return np.stack([self.observation(dict(zip(observations, row, strict=True))) for row in rows])
 
     def _to_size(self, layer: NDArray[np.float32]) -> NDArray[np.float32]:
         """Bring a channel to the size of the image; a number fits as it is."""

@@ -46,6 +46,21 @@ def test_every_image_and_number_is_a_channel() -> None:
     np.testing.assert_array_equal(image[3:], np.broadcast_to([[[191]], [[255]], [[64]]], (3, 8, 8)))
 
 
+def test_channels_last() -> None:
+    first, last = ImageObservation(Sensors()), ImageObservation(Sensors(), channels_last=True)
+    image, _ = last.reset()
+    assert image in last.observation_space
+    np.testing.assert_array_equal(image, first.reset()[0].transpose(1, 2, 0))
+
+
+def test_images_of_an_episode() -> None:
+    env = ImageObservation(Sensors())
+    seen = Sensors().reset()[0]
+    images = env.images({key: np.stack([value, 0 * value]) for key, value in seen.items()})
+    np.testing.assert_array_equal(images[0], env.observation(seen))
+    np.testing.assert_array_equal(images[1][:, 0, 0], [0, 0, 0, 128, 0, 128])
+
+
 @pytest.mark.parametrize("env_id", bulletarm_gym.ENV_IDS)
 def test_every_id_as_an_image(env_id: str) -> None:
     env = ImageObservation(gymnasium.make(env_id, obs_size=64))
