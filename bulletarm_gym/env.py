@@ -22,6 +22,7 @@ from bulletarm_gym.scene import Scene
 from bulletarm_gym.simulation import Camera, WorldState, has_display
 from bulletarm_gym.surfaces import make_surface
 from bulletarm_gym.tasks import Task
+from bulletarm_gym.viewer import Viewer
 
 Observation = dict[str, NDArray[np.float32]]
 Action = NDArray[np.float32]
@@ -203,6 +204,11 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
     def action_sequence(self) -> str:
         """What each number of an action is, a character each."""
         return self.config.action_sequence
+
+    @cached_property
+    def viewer(self) -> Viewer:
+        """Close-up pictures, the window's keys and a mark in it, for people who look and play."""
+        return Viewer(self.scene)
 
     def decode_action(self, action: ArrayLike) -> DeltaMove | PickPlace:
         """Return an action in metres and radians."""

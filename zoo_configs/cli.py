@@ -39,6 +39,8 @@ COMMANDS = {
     "tune": Command("zoo_configs.commands.tune", "search hyperparameters with Optuna"),
     "enjoy": Command("zoo_configs.commands.enjoy", "evaluate a trained agent"),
     "record": Command("zoo_configs.commands.record", "film a trained agent or the expert"),
+    "gallery": Command("zoo_configs.commands.gallery", "draw tasks, as they begin and solved"),
+    "play": Command("zoo_configs.commands.play", "move the gripper yourself, by keys, and record it"),
     "benchmark": Command(
         "zoo_configs.commands.benchmark", "train all cells of a benchmark, also on a cluster"
     ),
