@@ -49,6 +49,7 @@ COMMANDS = {
     "demos": Command("zoo_configs.commands.demos", "collect episodes of an expert"),
     "speed": Command("zoo_configs.commands.speed", "measure how fast environments step"),
     "check": Command("zoo_configs.commands.check", "check environments, a user's own above all"),
+    "doctor": Command("zoo_configs.commands.doctor", "look whether all is well on this machine"),
     "list": Command("zoo_configs.commands.listing", "list environments, or baselines and presets"),
 }
 
