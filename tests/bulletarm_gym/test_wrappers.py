@@ -67,7 +67,7 @@ def test_every_id_as_an_image(env_id: str) -> None:
     image, _ = env.reset(seed=0)
     assert image in env.observation_space and image.shape[1:] == (64, 64)
     inner: Any = env.unwrapped
-    heightmap = inner.control.observe(inner.scene)["heightmap"][0]
+    heightmap = inner.observe()["heightmap"][0]
     assert np.abs(image[env.channels.index("heightmap")] / 255 - heightmap / 0.4).max() < 1.01 * HALF_A_COUNT
     env.close()
 
