@@ -67,6 +67,7 @@ class TaskDefaults:
     :param tray: whether it can stand in a tray
     :param level_ground: why it cannot stand on ramps and bumps, if so
     :param takes_object_set: whether its objects can be replaced by a user's
+    :param sensors: what must be seen besides the default images
     """
 
     num_objects: int
@@ -76,6 +77,7 @@ class TaskDefaults:
     tray: TrayUse = TrayUse()
     level_ground: str = ""
     takes_object_set: bool = False
+    sensors: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -230,6 +232,7 @@ def _defaults(control: str, surface: str, sloping: bool, task: TaskDefaults) -> 
         "max_steps": task.max_steps,
         "num_objects": task.num_objects,
         "close_loop_tray": task.tray.choices[0],
+        "observation": [*PRESETS[control]["image"], *task.sensors] if task.sensors else "image",
     }
     if control == CLOSE_LOOP:
         return shared | {

@@ -104,6 +104,16 @@ def euler_angles(q: Quaternion) -> Vector:
     return (roll, pitch, Pose((0.0, 0.0, 0.0), q).yaw)
 
 
+def rpy(q: Quaternion) -> Vector:
+    """Return fixed-axis x-y-z angles (rad) of a rotation, as in URDF; at a pitch of +-pi/2 the yaw is 0."""
+    x, y, z, w = q
+    sine = max(-1.0, min(1.0, 2.0 * (w * y - z * x)))
+    if abs(sine) > 1.0 - 1e-12:  # x and z turn about the same axis: give it all to x
+        return (2.0 * math.atan2(x, w), math.copysign(math.pi / 2.0, sine), 0.0)
+    roll = math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
+    return (roll, math.asin(sine), math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)))
+
+
 def conjugate(q: Quaternion) -> Quaternion:
     """Return the inverse of a unit quaternion."""
     return (-q[0], -q[1], -q[2], q[3])

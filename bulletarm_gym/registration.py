@@ -80,6 +80,9 @@ ENTRIES = (
     Entry("CloseLoopCornerPicking", "bulletarm_gym.tasks.corner:CornerPicking", "close_loop"),
     Entry("CloseLoopDrawerOpening", "bulletarm_gym.tasks.drawer:DrawerOpening", "close_loop"),
     Entry("CloseLoopObjectGrasping", "bulletarm_gym.tasks.clutter:ObjectGrasping", "close_loop"),
+    # Beyond the paper.
+    Entry("OpenLoopBlockSorting", "bulletarm_gym.tasks.sorting:OpenLoopBlockSorting", "open_loop"),
+    Entry("CloseLoopBlockSorting", "bulletarm_gym.tasks.sorting:BlockSorting", "close_loop"),
 )
 
 ENV_IDS: tuple[str, ...] = tuple(entry.env_id for entry in ENTRIES)

@@ -150,11 +150,11 @@ class Item:
 
     @property
     def joints(self) -> tuple[float, ...]:
-        """Displacements (m) of the body's sliding parts."""
+        """Positions (m or rad) of the body's parts that slide or turn."""
         return self._world.joints[self.body.index]
 
     def set_joints(self, positions: Sequence[float]) -> None:
-        """Put the body's sliding parts somewhere, at rest."""
+        """Put the body's parts somewhere (m or rad), at rest."""
         self._world.set_joints(self.body, positions)
 
     def park(self) -> None:
@@ -212,7 +212,6 @@ class Scene:
 
     def begin(self) -> None:
         """Start a move from the canonical world."""
-        self.world.begin()
         self.robot.begin()
 
     def settle(self) -> None:

@@ -30,6 +30,6 @@ def _of_kind(kind: str, number: int) -> BodySpec:
         spec = create(kind, f"{kind} {number}")
     except ValueError as error:
         raise ValueError(f"object_set: {error}") from error
-    if spec.mass == 0.0 or spec.slides or spec.is_mark:
+    if spec.mass == 0.0 or spec.parts or spec.is_mark:
         raise ValueError(f"object_set: {kind!r} stands fixed; it takes kinds of loose objects")
     return replace(spec, pieces=settled(spec.pieces))

@@ -179,7 +179,15 @@ class Robot:
         self._place(self._fingers, [self.model.gripper.travel] * 2)
 
     def begin(self) -> None:
-        """Send the motor targets again, which no snapshot holds."""
+        """Start a move from the canonical world.
+
+        Contacts are forgotten, which keep their normals through a turn: a finger would drag what it lets go.
+        Motor targets, which no snapshot holds, are sent again.
+        """
+        self._world.begin()
+        self._send_targets()
+
+    def _send_targets(self) -> None:
         hold(self._world, self._arm, self._arm.positions(self._world))
         send_fingers(self._world, self._fingers, self._command / 2.0, self.model.gripper.speed)
 
@@ -226,16 +234,11 @@ class Robot:
         """
         goal = self.inverse_kinematics(pose)
         if self.fast and self.is_apart() and self._jump(goal):
-            self._begin_anew()
+            self.begin()
             return
         for stop in filter(self.reaches, stops_over(self.pose, pose)):
             self.move_to(stop)
-            self._begin_anew()
-
-    def _begin_anew(self) -> None:
-        """Forget contacts, which keep their normals through a turn: a finger would drag what it lets go."""
-        self._world.begin()
-        self.begin()
+            self.begin()
 
     def set_opening(self, ratio: float) -> None:
         """Bring the gripper to a ratio of its stroke, 0 closed to 1 open; an object in between stops it."""
@@ -261,7 +264,7 @@ class Robot:
 
     def _place(self, group: JointGroup, positions: Sequence[float]) -> None:
         self._world.set_joints(self.body, group.moved(self._world, positions))
-        self.begin()
+        self._send_targets()
 
     def _finish(self) -> None:
         """Read the world and what the fingers hold; the arm, and what it holds, stand still between moves."""

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from xml.etree.ElementTree import Element, SubElement
 
-from bulletarm_gym.geometry import Pose, Quaternion, Vector, euler_pose
+from bulletarm_gym.geometry import Pose, Vector, euler_pose, rpy
 from bulletarm_gym.robots.kinematics import frame_of
 
 ORIGIN = Pose((0.0, 0.0, 0.0))
@@ -165,17 +165,7 @@ def _add_mass(link: Element, other: Element, mount: Pose) -> None:
 
 
 def _origin(pose: Pose) -> dict[str, str]:
-    return {"xyz": _text(pose.position), "rpy": _text(_angles(pose.orientation))}
-
-
-def _angles(q: Quaternion) -> Vector:
-    """Return fixed-axis x-y-z angles (rad)."""
-    x, y, z, w = q
-    sine = max(-1.0, min(1.0, 2.0 * (w * y - z * x)))
-    if abs(sine) > 1.0 - 1e-12:  # x and z turn about the same axis: give it all to x
-        return (2.0 * math.atan2(x, w), math.copysign(math.pi / 2.0, sine), 0.0)
-    roll = math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
-    return (roll, math.asin(sine), math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)))
+    return {"xyz": _text(pose.position), "rpy": _text(rpy(pose.orientation))}
 
 
 def _inertia(mass: float, extents: Vector) -> dict[str, str]:

@@ -53,7 +53,7 @@ class Color(Sensor):
 
     def read(self, view: View) -> NDArray[np.uint8]:
         """Return the colour of the body under each pixel's centre, or of the ground."""
-        image = self._palette[:, view.labels]
+        image: NDArray[np.uint8] = np.take(self._palette, view.labels, axis=1)
         image[:, view.fingers] = np.array(FINGERS, np.uint8)[:, None]
         return image
 

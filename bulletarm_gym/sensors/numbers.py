@@ -37,14 +37,14 @@ class State(Sensor):
     @property
     def space(self) -> spaces.Box:
         """Metres and quaternions, without limits."""
-        size = HAND_SIZE + sum(POSE_SIZE + len(item.spec.slides) for item in self.scene.items)
+        size = HAND_SIZE + sum(POSE_SIZE + len(item.spec.parts) for item in self.scene.items)
         return spaces.Box(-np.inf, np.inf, (size,), np.float32)
 
     def read(self, view: View) -> NDArray[np.float32]:
         """Return of the gripper opening ratio, position (m), cosine and sine of the yaw.
 
         Then for each item 1 if it is present, its position (m) and its quaternion; zeros if it is not; and
-        the displacement (m) of each of its sliding parts.
+        the position (m or rad) of each of its parts that slide or turn.
         """
         robot = view.scene.robot
         hand = robot.pose
@@ -52,5 +52,5 @@ class State(Sensor):
         for item in view.scene.items:
             pose = item.pose
             numbers += [1.0, *pose.position, *pose.orientation] if item.is_present else [0.0] * POSE_SIZE
-            numbers += item.joints if item.spec.slides else ()
+            numbers += item.joints if item.spec.parts else ()
         return np.array(numbers, dtype=np.float32)

@@ -2,7 +2,7 @@
 
 from bulletarm_gym.simulation.camera import Camera
 from bulletarm_gym.simulation.client import Client, has_display
-from bulletarm_gym.simulation.shapes import BodySpec, Box, Colour, Convex, Piece
+from bulletarm_gym.simulation.shapes import BodySpec, Box, Colour, Convex, Hinge, Piece, Slide
 from bulletarm_gym.simulation.world import Body, Physics, World, WorldState
 
 __all__ = [
@@ -13,8 +13,10 @@ __all__ = [
     "Client",
     "Colour",
     "Convex",
+    "Hinge",
     "Physics",
     "Piece",
+    "Slide",
     "World",
     "WorldState",
     "has_display",

@@ -29,18 +29,21 @@ def load_rigid(client: Client, spec: BodySpec, damping: float) -> int:
 
 
 def load_jointed(client: Client, spec: BodySpec, damping: float) -> int:
-    """Load a body fixed to the world, with parts that slide.
+    """Load a body with parts that slide or turn; without a mass it is fixed to the world.
 
     :param damping: linear and angular
-    :return: its id in Bullet; its joints are numbered like ``spec.slides``
+    :return: its id in Bullet; its joints are numbered like ``spec.parts``
     """
+    free = spec.mass > 0.0
+    flags = client.URDF_USE_INERTIA_FROM_FILE if free else 0
     with tempfile.TemporaryDirectory(prefix="bulletarm_") as folder:
-        body_id = client.loadURDF(str(write_urdf(spec, Path(folder))), useFixedBase=True)
+        path = str(write_urdf(spec, Path(folder)))
+        body_id = client.loadURDF(path, useFixedBase=not free, flags=flags)
     _set_surface(client, body_id, spec, damping)
-    for joint, slide in enumerate(spec.slides):
-        client.changeDynamics(body_id, joint, lateralFriction=slide.friction, jointDamping=0.0)
+    for joint, part in enumerate(spec.parts):
+        client.changeDynamics(body_id, joint, lateralFriction=part.friction, jointDamping=0.0)
         client.setJointMotorControl2(
-            body_id, joint, client.VELOCITY_CONTROL, targetVelocity=0.0, force=slide.resistance
+            body_id, joint, client.VELOCITY_CONTROL, targetVelocity=0.0, force=part.resistance
         )
     return int(body_id)
 

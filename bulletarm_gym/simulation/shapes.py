@@ -1,5 +1,6 @@
 """What bodies are made of: convex pieces with a mass, a friction and a colour."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -92,6 +93,44 @@ class Slide:
         """The triangles of all pieces in the body's frame, the joint at 0."""
         return join([piece.mesh for piece in self.pieces])
 
+    def moved(self, distance: float) -> Pose:
+        """Return the pose (m) in the body's frame of what lies at its origin when the joint is at 0."""
+        return Pose((self.axis[0] * distance, self.axis[1] * distance, self.axis[2] * distance))
+
+
+@dataclass(frozen=True)
+class Hinge:
+    """A part of a body that turns about an axis of the body's frame, where it lies when the joint is at 0.
+
+    :param name: unique in its body
+    :param pivot: a point (m) on the axis, in the body's frame
+    :param axis: unit vector; a positive angle turns counter-clockwise about it
+    :param limits: least and greatest angle (rad)
+    :param friction: lateral friction coefficient of its surface
+    :param resistance: torque (N m) that brakes the hinge
+    """
+
+    name: str
+    pieces: tuple[Piece, ...]
+    mass: float
+    pivot: Vector
+    axis: Vector
+    limits: tuple[float, float]
+    friction: float = 1.0
+    resistance: float = 0.0
+    colour: Colour = RED
+
+    @property
+    def mesh(self) -> Mesh:
+        """The triangles of all pieces in the body's frame, the joint at 0."""
+        return join([piece.mesh for piece in self.pieces])
+
+    def moved(self, angle: float) -> Pose:
+        """Return the pose (m) in the body's frame of what lies at its origin when the joint is at 0."""
+        x, y, z = (part * math.sin(angle / 2.0) for part in self.axis)
+        turn = Pose(self.pivot, (x, y, z, math.cos(angle / 2.0)))
+        return turn.compose(Pose(self.pivot).inverse())
+
 
 @dataclass(frozen=True)
 class BodySpec:
@@ -104,7 +143,8 @@ class BodySpec:
     :param rolling_friction: coefficient against rolling (m)
     :param spinning_friction: coefficient against spinning in place (m)
     :param angular_damping: share of its turning it loses in a second, besides what the physics mode takes
-    :param slides: parts that slide in a body fixed to the world
+    :param slides: parts that slide in it
+    :param hinges: parts that turn in it; its joints are those of the slides, then those of the hinges
     :param is_mark: a mark on the ground: drawn in pictures, no obstacle and without a height
     """
 
@@ -117,6 +157,7 @@ class BodySpec:
     angular_damping: float = 0.0
     colour: Colour = RED
     slides: tuple[Slide, ...] = ()
+    hinges: tuple[Hinge, ...] = ()
     is_mark: bool = False
 
     @cached_property
@@ -125,14 +166,19 @@ class BodySpec:
         return join([piece.mesh for piece in self.pieces])
 
     @property
+    def parts(self) -> tuple[Slide | Hinge, ...]:
+        """The parts that move in it, in the order of its joints."""
+        return (*self.slides, *self.hinges)
+
+    @property
     def part_meshes(self) -> list[Mesh]:
-        """The body's mesh and those of its slides."""
-        return [self.mesh, *(slide.mesh for slide in self.slides)]
+        """The body's mesh and those of its parts."""
+        return [self.mesh, *(part.mesh for part in self.parts)]
 
     @property
     def part_colours(self) -> list[Colour]:
-        """The body's colour and those of its slides."""
-        return [self.colour, *(slide.colour for slide in self.slides)]
+        """The body's colour and those of its parts."""
+        return [self.colour, *(part.colour for part in self.parts)]
 
     @cached_property
     def piece_bounds(self) -> FloatArray:

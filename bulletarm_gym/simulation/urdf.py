@@ -1,39 +1,35 @@
-"""Bodies with sliding parts as URDF, the only form in which Bullet takes joints with limits."""
+"""Bodies with parts that slide or turn as URDF, the only form in which Bullet takes joints with limits."""
 
 from collections.abc import Sequence
 from pathlib import Path
 from xml.etree import ElementTree
 
-from bulletarm_gym.geometry import Pose, Vector, matrix
-from bulletarm_gym.simulation.shapes import BodySpec, Box, Colour, Piece, Slide, wavefront
+from bulletarm_gym.geometry import Pose, Vector, matrix, rpy
+from bulletarm_gym.simulation.shapes import BodySpec, Box, Colour, Hinge, Piece, Slide, wavefront
 
 BASE = "base"
 
 
 def write_urdf(spec: BodySpec, folder: Path) -> Path:
-    """Write a body and its slides as ``body.urdf`` in a folder.
+    """Write a body and its parts as ``body.urdf`` in a folder.
 
     :return: the path of the file
     """
     root = ElementTree.Element("robot", name=spec.name)
-    root.append(_link(BASE, spec.pieces, 0.0, spec.colour, folder))
-    for slide in spec.slides:
-        root.append(_link(slide.name, slide.pieces, slide.mass, slide.colour, folder))
-        root.append(_joint(slide))
+    root.append(_link(BASE, spec.pieces, spec.mass, spec.colour, folder, spec.mass > 0.0))
+    for part in spec.parts:
+        root.append(_link(part.name, _in_link(part), part.mass, part.colour, folder, spec.mass > 0.0))
+        root.append(_joint(part))
     path = folder / "body.urdf"
     ElementTree.ElementTree(root).write(path)
     return path
 
 
 def _link(
-    name: str, pieces: Sequence[Piece], mass: float, colour: Colour, folder: Path
+    name: str, pieces: Sequence[Piece], mass: float, colour: Colour, folder: Path, free: bool
 ) -> ElementTree.Element:
     link = ElementTree.Element("link", name=name)
-    frame, moments = BodySpec(name, tuple(pieces), mass).mass_properties
-    inertial = ElementTree.SubElement(link, "inertial")
-    ElementTree.SubElement(inertial, "origin", xyz=_text(frame.position))
-    ElementTree.SubElement(inertial, "mass", value=repr(mass))
-    ElementTree.SubElement(inertial, "inertia", _tensor(frame, moments))
+    link.append(_inertial(*BodySpec(name, tuple(pieces), mass).mass_properties, mass, free))
     for number, piece in enumerate(pieces):
         path = folder / f"{name}_{number}.obj"
         path.write_text(wavefront([piece]))
@@ -50,21 +46,43 @@ def _link(
     return link
 
 
+def _inertial(frame: Pose, moments: Vector, mass: float, free: bool) -> ElementTree.Element:
+    """Return a link's mass and inertia: of a free body in its principal axes, in which its pose is read."""
+    inertial = ElementTree.Element("inertial")
+    turn = {"rpy": _text(rpy(frame.orientation))} if free else {}
+    ElementTree.SubElement(inertial, "origin", {"xyz": _text(frame.position), **turn})
+    ElementTree.SubElement(inertial, "mass", value=repr(mass))
+    axes = Pose((0.0, 0.0, 0.0)) if free else frame
+    ElementTree.SubElement(inertial, "inertia", _tensor(axes, moments))
+    return inertial
+
+
+def _in_link(part: Slide | Hinge) -> Sequence[Piece]:
+    """Return a part's pieces in the frame of its link: a hinge's has its origin on the axis."""
+    if isinstance(part, Slide):
+        return part.pieces
+    back = Pose(part.pivot).inverse()
+    return [Piece(piece.shape, back.compose(piece.pose)) for piece in part.pieces]
+
+
 def _add_box(element: ElementTree.Element, piece: Piece, shape: Box) -> None:
-    """Boxes collide as boxes; only their yaw is written, which is all that furniture needs."""
+    """Boxes collide as boxes."""
     ElementTree.SubElement(
-        element, "origin", xyz=_text(piece.pose.position), rpy=_text((0.0, 0.0, piece.pose.yaw))
+        element, "origin", xyz=_text(piece.pose.position), rpy=_text(rpy(piece.pose.orientation))
     )
     geometry = ElementTree.SubElement(element, "geometry")
     ElementTree.SubElement(geometry, "box", size=_text(shape.extents))
 
 
-def _joint(slide: Slide) -> ElementTree.Element:
-    joint = ElementTree.Element("joint", name=slide.name, type="prismatic")
+def _joint(part: Slide | Hinge) -> ElementTree.Element:
+    kind = "revolute" if isinstance(part, Hinge) else "prismatic"
+    joint = ElementTree.Element("joint", name=part.name, type=kind)
     ElementTree.SubElement(joint, "parent", link=BASE)
-    ElementTree.SubElement(joint, "child", link=slide.name)
-    ElementTree.SubElement(joint, "axis", xyz=_text(slide.axis))
-    low, high = slide.limits
+    ElementTree.SubElement(joint, "child", link=part.name)
+    if isinstance(part, Hinge):
+        ElementTree.SubElement(joint, "origin", xyz=_text(part.pivot))
+    ElementTree.SubElement(joint, "axis", xyz=_text(part.axis))
+    low, high = part.limits
     limits = {"lower": repr(low), "upper": repr(high), "effort": "100", "velocity": "10"}
     ElementTree.SubElement(joint, "limit", limits)
     return joint

@@ -126,9 +126,9 @@ class World:
         :raises RuntimeError: the world has been sealed
         """
         self._check_open()
-        load = load_jointed if spec.slides else load_rigid
+        load = load_jointed if spec.parts else load_rigid
         body_id = load(self.client, spec, self.physics.damping)
-        return self._register(Body(len(self.bodies), body_id, spec, tuple(range(len(spec.slides)))), pose)
+        return self._register(Body(len(self.bodies), body_id, spec, tuple(range(len(spec.parts)))), pose)
 
     def add_plane(self, spec: BodySpec) -> Body:
         """Load the endless ground at z = 0; ``spec`` gives its name, friction and picture."""
@@ -167,8 +167,8 @@ class World:
 
     @property
     def loose_bodies(self) -> list[Body]:
-        """Bodies that take part and move, or slide, by themselves."""
-        return [body for body in self.obstacles if body.spec.mass > 0.0 or body.spec.slides]
+        """Bodies that take part and move, or have parts that do, by themselves."""
+        return [body for body in self.obstacles if body.spec.mass > 0.0 or body.spec.parts]
 
     @property
     def solids(self) -> list[Body]:
@@ -227,8 +227,9 @@ class World:
         self._send(body)
 
     def rest(self, body: Body) -> None:
-        """Take a body's speed from it."""
+        """Take a body's speed from it, and that of its parts."""
         self.twists[body.index] = STILL
+        self.joint_rates[body.index] = (0.0,) * len(body.joints)
 
     def set_joints(self, body: Body, positions: Sequence[float]) -> None:
         """Put a body's movable joints somewhere, at rest."""
@@ -300,7 +301,7 @@ class World:
         for body in self.bodies:
             if body.joints:
                 self._read_joints(body)
-            elif self.active[body.index] and body.spec.mass > 0.0:
+            if self.active[body.index] and body.spec.mass > 0.0:
                 self._read(body)
 
     def _read(self, body: Body) -> None:
@@ -354,17 +355,18 @@ class World:
 
     def is_moving(self, body: Body) -> bool:
         """Whether a body moves in the simulation right now."""
-        if body.joints:
-            return any(abs(s[1]) >= REST_SPEED for s in self.client.getJointStates(body.id, body.joints))
-        return _speed(*self.client.getBaseVelocity(body.id)) >= REST_SPEED
+        states = self.client.getJointStates(body.id, body.joints) if body.joints else ()
+        if any(abs(state[1]) >= REST_SPEED for state in states):
+            return True
+        return body.spec.mass > 0.0 and _speed(*self.client.getBaseVelocity(body.id)) >= REST_SPEED
 
     # Queries
 
     def part_poses(self, body: Body) -> list[Pose]:
-        """Return the poses of a body and of each of its sliding parts."""
+        """Return the poses of a body and of each of its parts, in whose frames their meshes are."""
         pose = self.poses[body.index]
-        slides = zip(body.spec.slides, self.joints[body.index], strict=True) if body.spec.slides else ()
-        return [pose, *(Pose(pose.transform(_along(s.axis, d)), pose.orientation) for s, d in slides)]
+        parts = zip(body.spec.parts, self.joints[body.index], strict=True) if body.spec.parts else ()
+        return [pose, *(pose.compose(part.moved(position)) for part, position in parts)]
 
     def distance(self, first: Body, second: Body, limit: float) -> float:
         """Return the gap (m) between two bodies, negative where they overlap, infinite beyond ``limit``."""
@@ -391,7 +393,3 @@ def _parking_place(index: int) -> Pose:
 
 def _speed(linear: Vector, angular: Vector) -> float:
     return math.hypot(*linear) + REST_RIM * math.hypot(*angular)
-
-
-def _along(axis: Vector, distance: float) -> Vector:
-    return (axis[0] * distance, axis[1] * distance, axis[2] * distance)

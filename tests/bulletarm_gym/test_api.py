@@ -104,8 +104,10 @@ def test_stable_baselines_warns_of_images_only(make: Make, env_id: str, obs_size
     texts = [str(warning.message) for warning in caught]
     others = [text for text in texts if not any(known in text for known in SB3_IMAGE_WARNINGS)]
     assert not others
-    shapes = [space.shape for space in make(env_id, obs_size=obs_size).observation_space.values()]
-    assert len(texts) == sum(3 if shape[-1] < 36 else 2 for shape in shapes if len(shape) == 3)
+    images = [
+        space for space in make(env_id, obs_size=obs_size).observation_space.values() if len(space.shape) == 3
+    ]
+    assert len(texts) == sum(2 * (space.dtype != np.uint8) + (space.shape[-1] < 36) for space in images)
 
 
 # Observations and information
@@ -120,7 +122,8 @@ def test_observations_are_sound(env: ManipulationEnv) -> None:
         observation, _, terminated, truncated, _ = env.step(action)
         assert env.observation_space.contains(observation)
         for key, array in observation.items():
-            assert array.dtype == np.float32 and np.isfinite(array).all() and array.flags.c_contiguous
+            assert array.dtype == (np.uint8 if key == "color" else np.float32)
+            assert np.isfinite(array).all() and array.flags.c_contiguous
             assert array.flags.writeable and not np.may_share_memory(array, previous[key])
         if terminated or truncated:
             observation, _ = env.reset()

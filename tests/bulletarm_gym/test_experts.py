@@ -77,7 +77,7 @@ def test_fixed_orientation_turns_by_quarters_at_most(make: Make, env_id: str) ->
 
 
 def test_expert_recovers_from_random_actions(make: Make, env_id: str) -> None:
-    env = make(env_id, max_steps=60)
+    env = make(env_id, max_steps=10 + max(50, make(env_id).config.max_steps))
     if env.task.one_decision:
         pytest.skip("nothing to recover from")
     solved = []

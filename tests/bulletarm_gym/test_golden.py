@@ -1,7 +1,7 @@
 """Recorded rollouts: what moves them is a change of the environments, and asks for a new version of the ids.
 
 Bits depend on the machine and on library versions, so they are compared only where they were recorded.
-Renew with ``python tests/bulletarm_gym/test_golden.py``.
+Record new environments with ``python tests/bulletarm_gym/test_golden.py``; what is recorded stays.
 """
 
 import json
@@ -58,11 +58,15 @@ def test_rollouts_are_those_recorded(env_id: str) -> None:
 
 
 def renew() -> None:
-    """Record the rollouts of every environment, whole or not at all."""
-    content = {
-        "recorded_on": here(),
-        "rollouts": {env_id: rollouts_of(env_id) for env_id in bulletarm_gym.ENV_IDS},
-    }
+    """Record the rollouts of environments that have none yet, whole or not at all.
+
+    On another machine, or with other versions, all of them.
+    """
+    content = json.loads(GOLDEN.read_text()) if GOLDEN.exists() else {}
+    if content.get("recorded_on") != here():
+        content = {"recorded_on": here(), "rollouts": {}}
+    known = content["rollouts"]
+    known |= {env_id: rollouts_of(env_id) for env_id in bulletarm_gym.ENV_IDS if env_id not in known}
     temporary = GOLDEN.with_suffix(".part")
     temporary.write_text(json.dumps(content, indent=1) + "\n")
     os.replace(temporary, GOLDEN)

@@ -44,6 +44,7 @@ def test_spaces_are_what_image_networks_take(make: Make, typical_id: str) -> Non
     observation, _ = env.reset(seed=0)
     assert observation["color"].shape == (3, 128, 128) and observation["segmentation"].shape == (1, 128, 128)
     assert observation["rgb"].shape == (3, 32, 32) and observation["point_cloud"].shape == (200, 3)
+    assert all(values.flags.c_contiguous for values in observation.values())
     assert {observation[name].dtype.name for name in ("color", "segmentation", "rgb")} == {"uint8"}
 
 

@@ -34,7 +34,7 @@ def penetration(env: ManipulationEnv) -> float:
 def rough_action(env: ManipulationEnv, rng: np.random.Generator) -> np.ndarray:
     """Return any action, or more often one that sends the gripper into an object."""
     anything = rng.uniform(-1.0, 1.0, env.action_space.shape)
-    things = [item for item in env.scene if item.spec.mass > 0.0 or item.spec.slides]
+    things = [item for item in env.scene if item.spec.mass > 0.0 or item.spec.parts]
     if not things or rng.random() < 0.2:
         return anything
     at = np.array(things[int(rng.integers(len(things)))].pose.position) + rng.uniform(-NEAR, NEAR, 3)
