@@ -1,6 +1,5 @@
 """The environment: task, control, surface, arm and sensors put together."""
 
-import math
 import zlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -15,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from bulletarm_gym.config import EnvConfig, ParameterError
 from bulletarm_gym.control import Control, find_control
 from bulletarm_gym.extensions import OBJECTS, by_path, load
-from bulletarm_gym.feasibility import check_heights, check_room, check_spans, checked_options
+from bulletarm_gym.feasibility import check_heights, check_room, check_spans, checked_options, finite_reward
 from bulletarm_gym.footprint import PlacementError
 from bulletarm_gym.robots import ROBOTS, RobotModel, RobotState, find_robot
 from bulletarm_gym.scene import Scene
@@ -23,6 +22,7 @@ from bulletarm_gym.sensors import Observer, View
 from bulletarm_gym.simulation import Camera, WorldState, has_display
 from bulletarm_gym.surfaces import find_surface, make_surface
 from bulletarm_gym.tasks import Task
+from bulletarm_gym.viewer import Viewer
 
 Observation = dict[str, NDArray[Any]]
 Action = NDArray[np.float32]
@@ -199,7 +199,7 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         self.task.after_action(self.scene, self._rng(AFTER_ACTION))
         info = self._evaluate(outcome.ignored)
         success, valid = info["is_success"], info["is_valid"]
-        reward = _finite(self._reward(self.scene, info), self._reward) if valid else 0.0
+        reward = finite_reward(self._reward(self.scene, info), self._reward) if valid else 0.0
         terminated = success or not valid or self.task.one_decision
         truncated = not terminated and self._steps >= self.config.max_steps
         return self.observe(), reward, terminated, truncated, info
@@ -222,6 +222,11 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
     def action_sequence(self) -> str:
         """What each number of an action is, a character each."""
         return self.config.action_sequence
+
+    @cached_property
+    def viewer(self) -> Viewer:
+        """Close-up pictures, the window's keys and a mark in it, for people who look and play."""
+        return Viewer(self.scene)
 
     def observe(self) -> Observation:
         """Return the observation of the present moment; it changes nothing."""
@@ -382,18 +387,3 @@ def _function(path: str | None) -> Reward | None:
     if not (found is None or callable(found)):
         raise ParameterError.of("reward", path, f"a function; this is a {type(found).__name__}")
     return found
-
-
-def _finite(value: Any, reward: Reward) -> float:
-    """Return a reward as a number.
-
-    :raises ValueError: it is none that can be learnt from
-    """
-    try:
-        number = float(value)
-    except (TypeError, ValueError):
-        number = math.nan
-    if not math.isfinite(number):
-        name = f"{reward.__module__}:{getattr(reward, '__qualname__', type(reward).__name__)}"
-        raise ValueError(f"reward: {name} returned {value!r}, takes one that returns finite numbers")
-    return number

@@ -1,6 +1,7 @@
-"""What parameters, or the options of a reset, ask for and cannot have."""
+"""What parameters, the options of a reset, or a reward ask for and cannot have."""
 
-from collections.abc import Mapping
+import math
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -125,3 +126,18 @@ def checked_options(options: Mapping[str, Any] | None, task: Task) -> dict[str, 
             f"options: got {options!r}, but {name} builds no structure: it has no arrange_goal()"
         )
     return options
+
+
+def finite_reward(value: Any, reward: Callable[..., Any]) -> float:
+    """Return a reward as a number.
+
+    :raises ValueError: it is none that can be learnt from
+    """
+    try:
+        number = float(value)
+    except (TypeError, ValueError):
+        number = math.nan
+    if not math.isfinite(number):
+        name = f"{reward.__module__}:{getattr(reward, '__qualname__', type(reward).__name__)}"
+        raise ValueError(f"reward: {name} returned {value!r}, takes one that returns finite numbers")
+    return number

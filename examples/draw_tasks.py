@@ -10,13 +10,10 @@ import numpy as np
 
 import bulletarm_gym
 from bulletarm_gym.env import ManipulationEnv
-from bulletarm_gym.simulation import Camera
 
 TASKS_A_ROW = 4
 PIXELS = 240
 """Of a picture's side."""
-EYE_OFFSET = (0.56, -0.4, 0.62)
-"""From the middle of the workspace's floor to the camera (m)."""
 SEEDS = range(4, 14)
 """Tried in this order: with the first of them the drawer faces the camera."""
 
@@ -71,10 +68,7 @@ def solve(env_id: str, draw: Draw) -> tuple[Picture, Picture]:
 
 def scene(env: ManipulationEnv, _: dict[str, Picture]) -> Picture:
     """Return a picture of the workspace from the front and above."""
-    middle = np.mean(env.config.workspace[:2], axis=1)
-    eye = (float(middle[0] + EYE_OFFSET[0]), float(middle[1] + EYE_OFFSET[1]), EYE_OFFSET[2])
-    camera = Camera(eye, (float(middle[0]), float(middle[1]), 0.03), 32.0, PIXELS, PIXELS)
-    return camera.color(env.scene.world)
+    return env.viewer.close_up(PIXELS)
 
 
 def heightmap(_: ManipulationEnv, observation: dict[str, Picture]) -> Picture:

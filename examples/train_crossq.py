@@ -1,51 +1,19 @@
 """Train sb3-contrib's CrossQ on images: python examples/train_crossq.py [--steps N].
 
-CrossQ takes no Dict observations; a wrapper makes one image of them.
+CrossQ takes no Dict observations; ``ImageObservation`` makes one image of them.
 """
 
 import argparse
-from typing import Any
 
-import gymnasium
-import numpy as np
-import numpy.typing as npt
-from gymnasium import spaces
 from sb3_contrib import CrossQ
 from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.evaluation import evaluate_policy
 
-import bulletarm_gym  # noqa: F401 (registers the environments)
+from bulletarm_gym.wrappers import ImageObservation
 from sb3_extensions.networks.extractors import CnnExtractor
 from sb3_extensions.replay.buffer import FrameReplayBuffer
 
 ENV_ID = "BulletArm/CloseLoopBlockReaching-v0"
-
-Image = npt.NDArray[np.float32]
-
-
-class OneImage(gymnasium.ObservationWrapper[Image, Any, dict[str, Image]]):
-    """
-    Close-loop observations as one image of two channels: the heightmap, and whether the gripper holds
-    something, the same number in every pixel.
-
-    :param env: environment whose observations are ``heightmap``, (1, size, size), and ``holding``, (1,)
-    """
-
-    def __init__(self, env: gymnasium.Env[dict[str, Image], Any]) -> None:
-        super().__init__(env)
-        assert isinstance(env.observation_space, spaces.Dict)
-        heightmap, holding = env.observation_space["heightmap"], env.observation_space["holding"]
-        assert isinstance(heightmap, spaces.Box) and isinstance(holding, spaces.Box)
-        low, high = (
-            self.observation({"heightmap": image, "holding": number})
-            for image, number in ((heightmap.low, holding.low), (heightmap.high, holding.high))
-        )
-        self.observation_space = spaces.Box(low, high)
-
-    def observation(self, observation: dict[str, Image]) -> Image:
-        """:return: shape (2, size, size)"""
-        heightmap = observation["heightmap"]
-        return np.concatenate([heightmap, np.broadcast_to(observation["holding"], heightmap.shape)])
 
 
 def main() -> None:
@@ -54,7 +22,7 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=20_000, help="time steps over all environments")
     parser.add_argument("--episodes", type=int, default=50, help="episodes of the evaluation")
     args = parser.parse_args()
-    env = make_vec_env(ENV_ID, 1, seed=0, env_kwargs={"obs_size": 64}, wrapper_class=OneImage)
+    env = make_vec_env(ENV_ID, 1, seed=0, env_kwargs={"obs_size": 64}, wrapper_class=ImageObservation)
     model = CrossQ(
         "MlpPolicy",
         env,

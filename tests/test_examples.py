@@ -1,7 +1,9 @@
 """The examples that train run as their users run them, for some steps."""
 
+import os
 import re
 import runpy
+import subprocess
 import sys
 from pathlib import Path
 from typing import Any
@@ -41,3 +43,37 @@ def test_training_examples(
     runpy.run_path(str(EXAMPLES / script), run_name="__main__")
     assert len(trained) >= updates
     assert re.search(r"^success rate [01]\.\d\d$", capsys.readouterr().out, re.MULTILINE)
+
+
+@pytest.mark.parametrize(
+    ("command", "output"),
+    [
+        ("env_and_expert.py", r"'is_success': True.*\nequal after set_state\(\): True"),
+        ("train.py 4", r"success rate [01]\.\d\d in 4 episodes"),
+        ("own_task.py", r"passes Gymnasium's check_env\n5 of 5 attempts"),
+        ("own_robot.py", r"(\w+: picked the block in \d+ steps\n){5}"),
+        ("offline_imitation.py 4", r"4 episodes, \d+ steps\n(.*\n)*success rate [01]\.\d\d in 4 episodes"),
+    ],
+    ids=lambda value: value.split(".")[0] if ".py" in value else "",
+)
+def test_tutorials(command: str, output: str, tmp_path: Path) -> None:
+    """In a process and an empty folder of their own, as they register and write."""
+    script, *arguments = command.split()
+    result = subprocess.run(
+        [sys.executable, EXAMPLES / "tutorials" / script, *arguments],
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": str(EXAMPLES.parent)},
+        capture_output=True,
+        text=True,
+    )
+    assert result.returncode == 0, result.stderr
+    assert re.search(output, result.stdout), result.stdout
+
+
+@pytest.mark.parametrize(("page", "module"), [("task", "my_tasks"), ("robot", "my_robots")])
+def test_tutorials_modules_are_those_of_the_guides(page: str, module: str) -> None:
+    guide = (EXAMPLES.parent / "docs" / "guides" / f"{page}.md").read_text(encoding="utf-8")
+    code = (EXAMPLES / "tutorials" / f"{module}.py").read_text(encoding="utf-8").partition('"""\n\n')[2]
+    shown = guide.partition(f"# {module}.py\n")[2].partition("```")[0]
+    # The guide has its imports in an order of its own.
+    assert sorted(filter(None, code.split("\n"))) == sorted(filter(None, shown.split("\n")))

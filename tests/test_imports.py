@@ -21,10 +21,10 @@ LAYERS = (
     {"experts"},
     {"tasks"},
     {"control"},
-    {"feasibility"},
+    {"feasibility", "viewer"},
     {"env"},
     {"demonstrations", "registration"},
-    {"benchmarks", "vector", "__init__"},
+    {"benchmarks", "vector", "wrappers", "__init__"},
 )
 LEVEL = {room: level for level, layer in enumerate(LAYERS) for room in layer}
 

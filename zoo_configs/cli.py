@@ -39,6 +39,8 @@ COMMANDS = {
     "tune": Command("zoo_configs.commands.tune", "search hyperparameters with Optuna"),
     "enjoy": Command("zoo_configs.commands.enjoy", "evaluate a trained agent"),
     "record": Command("zoo_configs.commands.record", "film a trained agent or the expert"),
+    "gallery": Command("zoo_configs.commands.gallery", "draw tasks, as they begin and solved"),
+    "play": Command("zoo_configs.commands.play", "move the gripper yourself, by keys, and record it"),
     "benchmark": Command(
         "zoo_configs.commands.benchmark", "train all cells of a benchmark, also on a cluster"
     ),
@@ -47,6 +49,7 @@ COMMANDS = {
     "demos": Command("zoo_configs.commands.demos", "collect episodes of an expert"),
     "speed": Command("zoo_configs.commands.speed", "measure how fast environments step"),
     "check": Command("zoo_configs.commands.check", "check environments, a user's own above all"),
+    "doctor": Command("zoo_configs.commands.doctor", "look whether all is well on this machine"),
     "list": Command("zoo_configs.commands.listing", "list environments, or baselines and presets"),
 }
 

@@ -13,7 +13,7 @@ from tqdm import tqdm
 
 from bulletarm_gym.config import OPEN_LOOP
 from bulletarm_gym.demonstrations import plain
-from bulletarm_gym.demonstrations.episodes import Demonstrations, Episode, Recorder
+from bulletarm_gym.demonstrations.episodes import Demonstrations, Episode, Recorder, assemble
 from bulletarm_gym.env import Action, ManipulationEnv, Observation
 from bulletarm_gym.experts.deconstruction import take_apart
 from bulletarm_gym.footprint import PlacementError
@@ -61,8 +61,7 @@ def collect(
     most = ATTEMPTS_PER_EPISODE * episodes if max_attempts is None else max_attempts
     with closing(_make(env_id, env_kwargs or {})) as env:
         check_planner(planner, env)
-        _check_nameable(env)
-        recorder = Recorder(env_id, {**env.config.parameters(), "render_mode": None})
+        recorder = Recorder(env_id, recordable(env))
         silent = None if progress is None else not progress
         with tqdm(desc=planner, total=episodes, unit="episode", disable=silent) as bar:
             for episode in itertools.islice(_attempts(env, planner, seed), most):
@@ -146,21 +145,19 @@ def _play(
             break
     if not succeeds:
         return None
-    chosen, rewards, terminations, truncations = map(np.array, zip(*steps, strict=True))
-    stacked = {key: np.stack([entry[key] for entry in observations]) for key in observation}
-    rewards = rewards.astype(np.float32)
-    return Episode(stacked, chosen, rewards, terminations, truncations, seed, initial_state)
+    return assemble(observations, steps, seed, initial_state)
 
 
-def _check_nameable(env: ManipulationEnv) -> None:
-    """Check that a file can tell what the environment was.
+def recordable(env: ManipulationEnv) -> dict[str, Any]:
+    """Return the parameters that a file tells of an environment.
 
-    :raises ValueError: it cannot, with the reason
+    :raises ValueError: it cannot tell what the environment was, with the reason
     """
     for name, thing in env.objects.items():
         raise ValueError(
             f"env_kwargs: {name}={thing!r} has no import path 'module:name' to be kept in a file"
         )
+    return {**env.config.parameters(), "render_mode": None}
 
 
 def _make(env_id: str, env_kwargs: Mapping[str, Any]) -> ManipulationEnv:

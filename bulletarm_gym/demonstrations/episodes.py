@@ -12,7 +12,7 @@ import json
 import os
 import platform
 import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
@@ -72,6 +72,23 @@ class Episode:
         """The state before the first action, for an environment's ``set_state()``."""
         state: EnvState = plain.loads(self.initial_state)
         return state
+
+
+Step = tuple[NDArray[np.float32], float, bool, bool]
+"""Action, reward, whether it terminated, whether it was truncated."""
+
+
+def assemble(
+    observations: Sequence[Mapping[str, NDArray[np.float32]]],
+    steps: Sequence[Step],
+    seed: int,
+    initial_state: str,
+) -> Episode:
+    """Put an episode together from what was observed, n + 1 times, and done, n times."""
+    stacked = {key: np.stack([entry[key] for entry in observations]) for key in observations[0]}
+    actions, rewards, terminations, truncations = map(np.array, zip(*steps, strict=True))
+    rewards = rewards.astype(np.float32)
+    return Episode(stacked, actions, rewards, terminations, truncations, seed, initial_state)
 
 
 class Demonstrations:

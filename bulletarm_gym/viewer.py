@@ -1,0 +1,67 @@
+"""What people need to look at a scene and to play in it."""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bulletarm_gym.geometry import Vector
+from bulletarm_gym.scene import Scene
+from bulletarm_gym.simulation import Camera
+from bulletarm_gym.simulation.window import draw_segments, pressed_keys, take_keyboard
+
+EYE_OFFSET = (0.56, -0.4, 0.62)
+"""From the middle of the workspace's floor to the camera of close-ups (m) ..."""
+TARGET_HEIGHT = 0.03
+"""... which looks at a point this high (m) over it ..."""
+FIELD_OF_VIEW = 32.0
+"""... with this field of view (degrees)."""
+MARK_HEIGHT = 0.3
+"""Length (m) of the line that stands on a target."""
+MARK_REACH = 0.04
+"""Length (m) of the lines to where the fingers come down."""
+
+
+class Viewer:
+    """A person's eyes and hands on an environment.
+
+    :param scene: what is looked at
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        self._scene = scene
+        self._mark: list[int] = []
+        self._has_keyboard = False
+
+    def close_up(self, pixels: int = 240) -> NDArray[np.uint8]:
+        """Return a picture of the workspace from the front and above, (pixels, pixels, 3)."""
+        x, y = self._scene.config.centre
+        floor = self._scene.config.workspace[2][0]
+        eye = (x + EYE_OFFSET[0], y + EYE_OFFSET[1], floor + EYE_OFFSET[2])
+        target = (x, y, floor + TARGET_HEIGHT)
+        return Camera(eye, target, FIELD_OF_VIEW, pixels, pixels).color(self._scene.world)
+
+    def pressed_keys(self) -> list[str]:
+        """Return the characters whose keys went down in the window since the last call.
+
+        :raises RuntimeError: there is no window: the environment's ``render_mode`` is not ``"human"``
+        """
+        if self._scene.config.render_mode != "human":
+            raise RuntimeError('pressed_keys: keys are pressed in a window; use render_mode="human"')
+        if not self._has_keyboard:
+            take_keyboard(self._scene.world.client)
+            self._has_keyboard = True
+        return pressed_keys(self._scene.world.client)
+
+    def mark(self, position: Vector, yaw: float = 0.0) -> None:
+        """Show in the window where the gripper would go.
+
+        :param position: of the fingertips (m, world)
+        :param yaw: of the gripper (rad): the fingers come down along this direction
+        """
+        x, y, z = position
+        right, ahead = MARK_REACH * math.cos(yaw), MARK_REACH * math.sin(yaw)
+        across = ((x - right, y - ahead, z), (x + right, y + ahead, z))
+        self._mark = draw_segments(
+            self._scene.world.client, [(position, (x, y, z + MARK_HEIGHT)), across], self._mark
+        )

@@ -1,0 +1,40 @@
+"""Tutorial 3: a task of one's own, in a module of its own."""
+
+import math
+
+import bulletarm_gym
+from bulletarm_gym.config import TaskDefaults
+from bulletarm_gym.experts.approach import grasp
+from bulletarm_gym.geometry import Pose, planar_distance
+from bulletarm_gym.objects import cube
+from bulletarm_gym.placement import scatter, stand
+from bulletarm_gym.relations import is_held
+from bulletarm_gym.scene import scaled
+from bulletarm_gym.tasks import CLOSED, Task, Waypoint
+
+
+class BlockCentring(Task):
+    """Carry a cube over the middle of the workspace."""
+
+    defaults = TaskDefaults(num_objects=1)
+    controls = ("close_loop",)
+
+    def bodies(self, config):
+        return [scaled(config, "cube", cube)]
+
+    def arrange(self, scene, rng):
+        (point,) = scatter(scene, rng, [0.06], 0.0)
+        stand(scene, scene["cube"], point, rng, math.pi / 4)
+
+    def evaluate(self, scene):
+        near = planar_distance(scene["cube"].pose.position, self.config.centre) < 0.02
+        return {"success": near and is_held(scene, scene["cube"]), "is_near": near}
+
+    def plan(self, scene, rng):
+        item = scene["cube"]
+        if not is_held(scene, item):
+            yield from grasp(scene, item.pose, scene.world.top(item.body), math.pi / 2)
+        yield Waypoint(Pose.planar(*self.config.centre, 0.1, scene.robot.pose.yaw), CLOSED)
+
+
+bulletarm_gym.register_task("BlockCentring", BlockCentring)

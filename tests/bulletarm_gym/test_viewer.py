@@ -1,0 +1,87 @@
+"""What people look at and press, without a display."""
+
+from types import SimpleNamespace
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+
+import bulletarm_gym  # noqa: F401
+from bulletarm_gym.simulation import window
+from bulletarm_gym.viewer import Viewer
+
+ENV_ID = "BulletArm/CloseLoopBlockPicking-v0"
+
+
+class Window:
+    """Stands for a physics server with a window."""
+
+    KEY_IS_DOWN, KEY_WAS_TRIGGERED, KEY_WAS_RELEASED = 1, 2, 4
+    COV_ENABLE_KEYBOARD_SHORTCUTS, COV_ENABLE_GUI = 9, 1
+
+    def __init__(self) -> None:
+        self.events: dict[int, int] = {}
+        self.options: list[tuple[int, int]] = []
+        self.lines: list[dict[str, Any]] = []
+
+    def getKeyboardEvents(self) -> dict[int, int]:
+        return self.events
+
+    def configureDebugVisualizer(self, option: int, value: int) -> None:
+        self.options.append((option, value))
+
+    def addUserDebugLine(self, *line: Any, **options: Any) -> int:
+        self.lines.append({"line": line, **options})
+        return len(self.lines)
+
+
+def test_close_up_shows_the_workspace() -> None:
+    env: Any = gymnasium.make(ENV_ID).unwrapped
+    env.reset(seed=0)
+    picture = env.viewer.close_up(64)
+    assert picture.shape == (64, 64, 3) and picture.dtype == np.uint8
+    red = (picture[..., 0] > 120) & (picture[..., 1] < 60)
+    assert 10 < red.sum() < 400
+    env.close()
+
+
+def test_looking_changes_nothing() -> None:
+    looked, other = (gymnasium.make(ENV_ID) for _ in range(2))
+    for env in (looked, other):
+        env.reset(seed=0)
+    for _ in range(4):
+        viewer = looked.get_wrapper_attr("viewer")
+        viewer.close_up(16)
+        viewer.mark((0.4, 0.0, 0.1), 0.3)
+        action = looked.get_wrapper_attr("expert_action")()
+        first, second = looked.step(action)[0], other.step(action)[0]
+        np.testing.assert_array_equal(first["heightmap"], second["heightmap"])
+
+
+def test_keys_need_a_window() -> None:
+    env: Any = gymnasium.make(ENV_ID).unwrapped
+    with pytest.raises(RuntimeError, match='render_mode="human"'):
+        env.viewer.pressed_keys()
+
+
+def test_keys_that_went_down() -> None:
+    client: Any = Window()
+    scene: Any = SimpleNamespace(
+        config=SimpleNamespace(render_mode="human"), world=SimpleNamespace(client=client)
+    )
+    viewer = Viewer(scene)
+    shift, released, held = 65306, 4, 1
+    client.events = {ord("w"): 3, ord("a"): released, ord("d"): held, shift: 3, ord("."): 2}
+    assert viewer.pressed_keys() == [".", "w"]
+    assert client.options == [(client.COV_ENABLE_KEYBOARD_SHORTCUTS, 0), (client.COV_ENABLE_GUI, 0)]
+    viewer.pressed_keys()
+    assert len(client.options) == 2
+
+
+def test_a_mark_replaces_the_last_one() -> None:
+    client: Any = Window()
+    segments = [((0.0, 0.0, 0.0), (0.0, 0.0, 1.0)), ((0.0, 0.0, 0.0), (1.0, 0.0, 0.0))]
+    first = window.draw_segments(client, segments)
+    window.draw_segments(client, segments, first)
+    assert [line.get("replaceItemUniqueId") for line in client.lines] == [None, None, 1, 2]

@@ -1,0 +1,118 @@
+"""The scripts of docs/guides/libraries.md run: beside ours, or in an environment of their own."""
+
+import os
+import re
+import runpy
+import subprocess
+import sys
+import venv
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+SCRIPTS = ROOT / "examples" / "libraries"
+PAGE = ROOT / "docs" / "guides" / "libraries.md"
+ENVIRONMENTS = ("numpy", "gymnasium", "pybullet", "numba", "h5py", "pillow", "tqdm", "scipy")
+"""What the environments need; what our learners need besides clashes with some of the libraries."""
+
+
+@dataclass(frozen=True)
+class Library:
+    """What a script needs.
+
+    :param module: that it imports; of RLlib one that Ray alone comes without
+    :param output: pattern of what it prints
+    :param packages: to install for it
+    :param bare: to install without what they depend on
+    :param unpinned: packages of which they take other versions than ours
+    """
+
+    module: str
+    output: str
+    packages: tuple[str, ...] = ()
+    bare: tuple[str, ...] = ()
+    unpinned: tuple[str, ...] = ()
+
+
+LIBRARIES = {
+    "sb3_sac": Library("stable_baselines3", r"mean reward [01]\.\d"),
+    "sb3_ppo_open_loop": Library("stable_baselines3", r"64 steps of Box\(0, 255, \(3, 64, 64\), uint8\)"),
+    "contrib_tqc_crossq": Library("sb3_contrib", r"TQC 110 steps\nCrossQ 110 steps"),
+    "cleanrl_ppo": Library("torch", r"iteration 1: \d+ episodes, mean return [01]\.\d\d"),
+    "torchrl_sac": Library("torchrl", r"128 transitions, critic's loss \d", ("torchrl",)),
+    "tianshou_sac": Library(
+        "tianshou",
+        r"128 transitions",
+        ("tianshou==2.0.1",),
+        unpinned=("filelock", "pandas", "python-discovery", "virtualenv"),
+    ),
+    "rllib_ppo_sac": Library(
+        "tree", r"PPO 128.0 steps\n(.*\n)*SAC 100.0 steps", ("ray[rllib]",), unpinned=("gymnasium",)
+    ),
+    "minari_dataset": Library(
+        "minari",
+        r"3 episodes, \(\d+, 1, 64, 64\) \(\d+, 5\)\n(.*\n)*\d+ steps recorded",
+        ("minari[hdf5,create]",),
+    ),
+    "d3rlpy_offline": Library("d3rlpy", r"10 episodes; mean return [01]\.\d", ("d3rlpy==2.8.0",)),
+    "imitation_bc": Library(
+        "imitation",
+        r"action at the start \[.*\]",
+        ("stable-baselines3", "datasets", "huggingface_sb3", "rich", "scikit-learn"),
+        bare=("imitation==1.0.1",),
+    ),
+}
+OF_THEIR_OWN = [script for script, library in LIBRARIES.items() if library.packages]
+REQUIRED = [script for script in LIBRARIES if script not in OF_THEIR_OWN]
+
+
+def test_page_shows_every_script() -> None:
+    """As it stands, without the line that says what it is."""
+    page = PAGE.read_text(encoding="utf-8")
+    assert {path.stem for path in SCRIPTS.glob("*.py")} == LIBRARIES.keys()
+    for script in LIBRARIES:
+        code = (SCRIPTS / f"{script}.py").read_text(encoding="utf-8").partition('"""\n\n')[2]
+        assert f"```py\n{code}```" in page, f"docs/guides/libraries.md does not show {script}.py"
+
+
+@pytest.mark.parametrize("script", REQUIRED)
+def test_script_with_what_is_required(script: str, capsys: pytest.CaptureFixture[str]) -> None:
+    runpy.run_path(str(SCRIPTS / f"{script}.py"), run_name="__main__")
+    assert re.search(LIBRARIES[script].output, capsys.readouterr().out)
+
+
+@pytest.mark.parametrize("script", OF_THEIR_OWN)
+def test_script_beside_ours(script: str, tmp_path: Path) -> None:
+    pytest.importorskip(LIBRARIES[script].module)
+    _run(script, sys.executable, tmp_path)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("script", OF_THEIR_OWN)
+def test_script_in_an_environment_of_its_own(script: str, tmp_path: Path) -> None:
+    library = LIBRARIES[script]
+    venv.create(tmp_path / "venv", with_pip=True)
+    python = tmp_path / "venv" / "bin" / "python"
+    pins = (ROOT / "constraints.txt").read_text(encoding="utf-8").splitlines()
+    constraints = tmp_path / "constraints.txt"
+    kept = [pin for pin in pins if pin.partition("==")[0] not in library.unpinned]
+    constraints.write_text("\n".join(kept), encoding="utf-8")
+    pip = [python, "-m", "pip", "install", "--quiet"]
+    subprocess.run([*pip, "-c", constraints, "torch", *ENVIRONMENTS, *library.packages], check=True)
+    subprocess.run([*pip, "--no-deps", *library.bare, ROOT], check=True)
+    _run(script, str(python), tmp_path)
+
+
+def _run(script: str, python: str, folder: Path) -> None:
+    """Run a script in an empty folder, and look at what it says."""
+    result = subprocess.run(
+        [python, SCRIPTS / f"{script}.py"],
+        cwd=folder,
+        env={**os.environ, "PYTHONPATH": str(ROOT), "MINARI_DATASETS_PATH": str(folder)},
+        capture_output=True,
+        text=True,
+    )
+    assert result.returncode == 0, result.stderr
+    assert re.search(LIBRARIES[script].output, result.stdout), result.stdout
