@@ -20,6 +20,7 @@ from bulletarm_gym.footprint import PlacementError
 from bulletarm_gym.robots import ROBOTS, RobotModel, RobotState, find_robot
 from bulletarm_gym.scene import Scene
 from bulletarm_gym.simulation import Camera, WorldState, has_display
+from bulletarm_gym.stopwatch import Stopwatch
 from bulletarm_gym.surfaces import make_surface
 from bulletarm_gym.tasks import Task
 
@@ -224,6 +225,13 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         self._check_running()
         plan = iter(self.task.plan(self.scene, self._rng(PLAN)))
         return self.control.encode_action(self.control.next_move(self.scene, plan))
+
+    def measure(self) -> Stopwatch:
+        """Return a stopwatch that adds up the seconds of the engine's steps and of heightmaps from now on.
+
+        Who does not ask for one pays nothing for it.
+        """
+        return self.scene.measure()
 
     def get_state(self) -> EnvState:
         """Return the present moment; it can be pickled, and set in any environment with the same parameters.

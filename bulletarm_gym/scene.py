@@ -4,7 +4,7 @@ import math
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,7 @@ from bulletarm_gym.sensors.heightmap import HeightmapSensor
 from bulletarm_gym.sensors.point_cloud import project
 from bulletarm_gym.simulation import Body, BodySpec, Camera, World
 from bulletarm_gym.simulation.world import PHYSICS_MODES, STILL, Twist
+from bulletarm_gym.stopwatch import PHYSICS, RENDERING, Stopwatch
 from bulletarm_gym.surfaces import Surface
 
 SIDE_DISTANCE = 0.5
@@ -216,6 +217,13 @@ class Scene:
             self.world.end()
         self.robot.give_way()
 
+    def measure(self) -> Stopwatch:
+        """Return a stopwatch to which the engine's steps and heightmaps report from now on."""
+        stopwatch = Stopwatch()
+        self.world.client.replace("stepSimulation", partial(stopwatch.timed, PHYSICS))
+        self._draw = stopwatch.timed(RENDERING, self._draw)
+        return stopwatch
+
     def get_cast(self) -> tuple[int, ...]:
         """Return which of an item's choices plays each role."""
         return tuple(item.variant for item in self._items.values())
@@ -236,7 +244,7 @@ class Scene:
         :return: (size, size); rows grow with world x, columns with y
         """
         if self.config.view == "orthographic":
-            return self._sensor.heights(*self._mesh_poses(), centre, extent, size)
+            return self._draw(*self._mesh_poses(), centre, extent, size)
         clouds = [camera.points(self.world, without=self.robot.body) for camera in self._cameras]
         return project(np.concatenate(clouds), centre, extent, size, self.config.workspace[2][1])
 
@@ -250,11 +258,12 @@ class Scene:
         wanted = {body.index for body in bodies}
         positions, orientations, present = self._mesh_poses()
         chosen = [body.index in wanted for body in self.world.solids for _ in body.spec.part_meshes]
-        return self._sensor.heights(positions, orientations, present & chosen, centre, extent, size)
+        return self._draw(positions, orientations, present & chosen, centre, extent, size)
 
     @cached_property
-    def _sensor(self) -> HeightmapSensor:
-        return HeightmapSensor([mesh for body in self.world.solids for mesh in body.spec.part_meshes])
+    def _draw(self) -> Callable[..., NDArray[np.float32]]:
+        meshes = [mesh for body in self.world.solids for mesh in body.spec.part_meshes]
+        return HeightmapSensor(meshes).heights
 
     @cached_property
     def _cameras(self) -> tuple[Camera, Camera]:
