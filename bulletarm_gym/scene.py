@@ -5,6 +5,7 @@ import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,8 @@ from bulletarm_gym.simulation import Body, BodySpec, Camera, World
 from bulletarm_gym.simulation.world import PHYSICS_MODES, STILL, Twist
 from bulletarm_gym.stopwatch import PHYSICS, RENDERING, Stopwatch
 from bulletarm_gym.surfaces import Surface
+
+T = TypeVar("T")
 
 SIDE_DISTANCE = 0.5
 """Where the side cameras stand beside the workspace's centre (m), as in the original release; ..."""
@@ -100,6 +103,8 @@ class Item:
         self.variant = 0
         self._bodies = [world.add(role.variants[place]) for place in choices]
         self._world = world
+        self._of_shapes: list[dict[Any, Any]] = [{} for _ in choices]
+        self._of_pose: tuple[int, Pose, dict[Any, Any]] = (-1, Pose((0.0, 0.0, 0.0)), {})
 
     @property
     def body(self) -> Body:
@@ -119,8 +124,7 @@ class Item:
     @property
     def lowest(self) -> float:
         """Height (m) of the body's lowest point."""
-        heights = self.spec.mesh.vertices @ matrix(self.pose)[2]
-        return self.pose.z + float(heights.min())
+        return self.once_a_pose(_lowest)
 
     @property
     def bounds(self) -> FloatArray:
@@ -132,6 +136,26 @@ class Item:
     def centre_of_mass(self) -> Vector:
         """Where (m) the body's centre of mass is in the world."""
         return self.pose.transform(self.spec.mass_properties[0].position)
+
+    def once_a_shape(self, compute: Callable[["Item"], T]) -> T:
+        """Return what a function tells from the body's shape alone, computed once."""
+        known = self._of_shapes[self.variant]
+        if compute not in known:
+            known[compute] = compute(self)
+        found: T = known[compute]
+        return found
+
+    def once_a_pose(self, compute: Callable[["Item"], T]) -> T:
+        """Return what a function tells from the body's shape and pose alone, computed once for each pose."""
+        pose = self.pose
+        variant, before, known = self._of_pose
+        if variant != self.variant or pose != before:
+            known = {}
+            self._of_pose = (self.variant, pose, known)
+        if compute not in known:
+            known[compute] = compute(self)
+        found: T = known[compute]
+        return found
 
     @property
     def is_present(self) -> bool:
@@ -156,6 +180,52 @@ class Item:
         for body in self._bodies:
             if self._world.active[body.index]:
                 self._world.park(body)
+
+
+def _lowest(item: Item) -> float:
+    heights = item.spec.mesh.vertices @ matrix(item.pose)[2]
+    return item.pose.z + float(heights.min())
+
+
+class MeshPoses:
+    """Where the meshes of a world's solids are, one a body link; what has not moved is not written anew.
+
+    :param world: sealed
+    """
+
+    def __init__(self, world: World) -> None:
+        self._world = world
+        self._owners = np.array(
+            [body.index for body in world.solids for _ in body.spec.part_meshes], np.int64
+        )
+        rows = np.searchsorted(self._owners, [body.index for body in world.solids]).tolist()
+        self._solids = list(zip(world.solids, rows, strict=True))
+        self._seen: list[Pose | None] = [None] * len(self._solids)
+        self.positions = np.zeros((len(self._owners), 3))
+        self.orientations = np.zeros((len(self._owners), 4))
+
+    def refresh(self) -> None:
+        """Bring positions (n, 3) and orientations (n, 4) up to date with the world's state."""
+        poses = self._world.poses
+        for number, (body, row) in enumerate(self._solids):
+            pose = poses[body.index]
+            if pose is self._seen[number] and not body.joints:
+                continue
+            self._seen[number] = pose
+            for place, part in enumerate(self._world.part_poses(body), row):
+                self.positions[place], self.orientations[place] = part.position, part.orientation
+
+    @property
+    def present(self) -> NDArray[np.bool_]:
+        """Which of the meshes, (n,), take part."""
+        return np.array(self._world.active, np.bool_)[self._owners]
+
+    def of(self, bodies: Sequence[Body]) -> NDArray[np.bool_]:
+        """Return which of the meshes, (n,), are those of some bodies."""
+        wanted = np.zeros(len(self._world.bodies), np.bool_)
+        for body in bodies:
+            wanted[body.index] = True
+        return wanted[self._owners]
 
 
 class Scene:
@@ -244,7 +314,7 @@ class Scene:
         :return: (size, size); rows grow with world x, columns with y
         """
         if self.config.view == "orthographic":
-            return self._draw(*self._mesh_poses(), centre, extent, size)
+            return self._look(self._meshes.present, centre, extent, size)
         clouds = [camera.points(self.world, without=self.robot.body) for camera in self._cameras]
         return project(np.concatenate(clouds), centre, extent, size, self.config.workspace[2][1])
 
@@ -255,10 +325,18 @@ class Scene:
 
         The parameters are those of :meth:`heights`; where there is none of them the height is 0.
         """
-        wanted = {body.index for body in bodies}
-        positions, orientations, present = self._mesh_poses()
-        chosen = [body.index in wanted for body in self.world.solids for _ in body.spec.part_meshes]
-        return self._draw(positions, orientations, present & chosen, centre, extent, size)
+        return self._look(self._meshes.present & self._meshes.of(bodies), centre, extent, size)
+
+    def _look(
+        self, visible: NDArray[np.bool_], centre: tuple[float, float], extent: float, size: int
+    ) -> NDArray[np.float32]:
+        meshes = self._meshes
+        meshes.refresh()
+        return self._draw(meshes.positions, meshes.orientations, visible, centre, extent, size)
+
+    @cached_property
+    def _meshes(self) -> MeshPoses:
+        return MeshPoses(self.world)
 
     @cached_property
     def _draw(self) -> Callable[..., NDArray[np.float32]]:
@@ -276,17 +354,3 @@ class Scene:
             for side in (-SIDE_DISTANCE, SIDE_DISTANCE)
         )
         return left, right
-
-    def _mesh_poses(self) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
-        """Return positions (n, 3), orientations (n, 4) and presence (n,) of the sensor's meshes."""
-        positions, orientations, present = [], [], []
-        for body in self.world.solids:
-            for pose in self.world.part_poses(body):
-                positions.append(pose.position)
-                orientations.append(pose.orientation)
-                present.append(self.world.active[body.index])
-        return (
-            np.array(positions, dtype=np.float64).reshape(-1, 3),
-            np.array(orientations, dtype=np.float64).reshape(-1, 4),
-            np.array(present, dtype=np.bool_),
-        )

@@ -124,7 +124,7 @@ class BodySpec:
         """The triangles of all pieces in the body's frame."""
         return join([piece.mesh for piece in self.pieces])
 
-    @property
+    @cached_property
     def part_meshes(self) -> list[Mesh]:
         """The body's mesh and those of its slides."""
         return [self.mesh, *(slide.mesh for slide in self.slides)]
@@ -145,6 +145,11 @@ class BodySpec:
     def footprint(self) -> float:
         """Radius (m) of the circle about the frame's z axis that holds the body at any yaw."""
         return float(np.linalg.norm(self.mesh.vertices[:, :2], axis=1).max())
+
+    @cached_property
+    def radius(self) -> float:
+        """Radius (m) of the sphere about the frame's origin that holds the body, its slides aside."""
+        return float(np.linalg.norm(self.mesh.vertices, axis=1).max()) if self.pieces else 0.0
 
     @cached_property
     def mass_properties(self) -> tuple[Pose, Vector]:
