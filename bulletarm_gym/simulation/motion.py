@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -49,10 +50,16 @@ class JointGroup:
     slots: tuple[int, ...]
     force: float
 
-    @property
+    @cached_property
     def joints(self) -> list[int]:
         """Their indices in Bullet."""
         return [self.body.joints[slot] for slot in self.slots]
+
+    @cached_property
+    def strength(self) -> dict[str, list[float]]:
+        """What Bullet takes to drive them to a target: forces and gains, one a joint."""
+        gains = [1.0] * len(self.slots)
+        return {"forces": [self.force] * len(self.slots), "positionGains": gains, "velocityGains": gains}
 
     def positions(self, world: World) -> tuple[float, ...]:
         """Return their positions in the world's state."""
@@ -77,15 +84,12 @@ def ramp(steps: int) -> FloatArray:
 
 def hold(world: World, group: JointGroup, positions: Sequence[float]) -> None:
     """Send motor targets that keep joints where they should be."""
-    count = len(group.slots)
     world.client.setJointMotorControlArray(
         group.body.id,
         group.joints,
         world.client.POSITION_CONTROL,
         targetPositions=positions,
-        forces=[group.force] * count,
-        positionGains=[1.0] * count,
-        velocityGains=[1.0] * count,
+        **group.strength,
     )
 
 
@@ -119,10 +123,11 @@ def follow(
 def press(world: World, body: Body, held: Body | None) -> tuple[float, float]:
     """Return how hard (N) and how deep (m) a body presses on others than the one it holds."""
     points = world.client.getContactPoints(body.id)
-    others = [(point[9], -point[8]) for point in points if held is None or point[2] != held.id]
-    if not others:
+    if held is not None:
+        points = [point for point in points if point[2] != held.id]
+    if not points:
         return 0.0, 0.0
-    return sum(force for force, _ in others), max(depth for _, depth in others)
+    return sum([point[9] for point in points]), -min([point[8] for point in points])
 
 
 def _give_way(world: World, group: JointGroup, path: Sequence[Sequence[float]], held: Body | None) -> None:

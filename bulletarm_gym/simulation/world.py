@@ -288,10 +288,11 @@ class World:
 
     def _set_colliding(self, body: Body, colliding: bool) -> None:
         """Have a body collide or not; what stands fixed does so with what moves only."""
+        set_mask = self.client.setCollisionFilterGroupMask
         for link in (-1, *body.joints):
             moves = link >= 0 or body.spec.mass > 0.0
             group, mask = (MOVING, MOVING | FIXED) if moves else (FIXED, MOVING)
-            self.client.setCollisionFilterGroupMask(body.id, link, group * colliding, mask * colliding)
+            set_mask(body.id, link, group * colliding, mask * colliding)
 
     def end(self) -> None:
         """Read the world into the state; bodies slower than :data:`REST_SPEED` are at rest."""
