@@ -4,6 +4,8 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from operator import itemgetter
+from typing import Any
 
 import numpy as np
 
@@ -63,8 +65,12 @@ class JointGroup:
 
     def positions(self, world: World) -> tuple[float, ...]:
         """Return their positions in the world's state."""
-        joints = world.joints[self.body.index]
-        return tuple(joints[slot] for slot in self.slots)
+        positions: tuple[float, ...] = self._among(world.joints[self.body.index])
+        return positions
+
+    @cached_property
+    def _among(self) -> "itemgetter[Any]":
+        return itemgetter(*self.slots)
 
     def moved(self, world: World, positions: Sequence[float]) -> list[float]:
         """Return all joint positions of the body with these joints elsewhere."""
