@@ -95,6 +95,8 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
             self.metadata = {**self.metadata, "render_modes": ["rgb_array", "depth_array"]}
         self._recipe = {"task": task, "control": control, "surface": surface}
         self.task = task_type(self.config)
+        # A generator takes as long to make as an image: most tasks need none after an action.
+        self._acts_after = task_type.after_action is not Task.after_action
         check_heights(self.config, self.task)
         self._reward = self.objects.get("reward") or _function(self.config.reward) or self.task.reward
         self.scene = Scene(
@@ -178,7 +180,8 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         ignored = self.control.apply(self.scene, move)
         self.scene.settle()
         self._steps += 1
-        self.task.after_action(self.scene, self._rng(AFTER_ACTION))
+        if self._acts_after:
+            self.task.after_action(self.scene, self._rng(AFTER_ACTION))
         info = self._evaluate(ignored)
         success, valid = info["is_success"], info["is_valid"]
         reward = _finite(self._reward(self.scene, info), self._reward) if valid else 0.0
