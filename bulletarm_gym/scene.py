@@ -265,7 +265,8 @@ class Scene:
     @property
     def held(self) -> Item | None:
         """The item in the gripper."""
-        return next((item for item in self if item.body is self.robot.held), None)
+        held = self.robot.held
+        return None if held is None else next((item for item in self if item.body is held), None)
 
     def clear(self, rng: np.random.Generator) -> None:
         """Empty the scene, draw its ground and who plays each role."""

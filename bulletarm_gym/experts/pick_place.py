@@ -59,7 +59,9 @@ def _lying_frame(item: Item) -> Pose:
     up = int(abs(rotation[2]).argmax())
     _, long = sorted({0, 1, 2} - {up}, key=lambda axis: (item.spec.extents[axis], axis))
     z, y = math.copysign(1.0, rotation[2, up]) * rotation[:, up], rotation[:, long]
-    return Pose(item.pose.position, quaternion(np.stack([np.cross(y, z), y, z], axis=1)))
+    (y0, y1, y2), (z0, z1, z2) = y, z
+    x = (y1 * z2 - y2 * z1, y2 * z0 - y0 * z2, y0 * z1 - y1 * z0)
+    return Pose(item.pose.position, quaternion(np.array([x, y, z]).T))
 
 
 def _grip_point(item: Item) -> Vector:
