@@ -12,6 +12,9 @@ from bulletarm_gym.values import Check, Refused
 CLOSE_LOOP = "close_loop"
 OPEN_LOOP = "open_loop"
 
+ORTHOGRAPHIC = "orthographic"
+"""The view that looks straight down on meshes."""
+
 LEVEL, SLOPING = ("flat", "tray"), ("ramp", "bump")
 """Kinds of ground."""
 
@@ -81,7 +84,7 @@ class EnvConfig:
 
     Values are plain JSON: arrays given by a user are kept as lists. Build one with :meth:`of`.
 
-    :param control: ``"close_loop"`` or ``"open_loop"``; follows from the environment's id
+    :param control: ``"close_loop"`` or ``"open_loop"``, of a user's control its kind; follows from the id
     :param robot: the arm, by its name or import path
     :param action_sequence: one character a number of the action, in its order
     :param workspace: [[x low, x high], [y low, y high], [z low, z high]] (m); square in x and y
@@ -96,9 +99,10 @@ class EnvConfig:
     :param in_hand_size: pixels a side of the open-loop in-hand image
     :param workspace_check: ``"point"`` asks an object's centre to stay inside, ``"bounding_box"`` all of it
     :param close_loop_tray: the task stands in a tray
-    :param object_set: None for the 86 objects made by code, or a folder of OBJ or URDF files
+    :param object_set: None for the 86 objects made by code, a folder of OBJ or URDF files, or a list of kinds
     :param view: ``"orthographic"``, looking straight down, or ``"point_cloud"``, the paper's two side cameras
-    :param observation: ``"image"``, or ``"state"``: the poses of gripper and objects
+    :param observation: ``"image"``, ``"state"`` (the poses of gripper and objects), or a list of
+        :data:`SENSORS`: each by its name, or ``{"name": ..., parameter: value, ...}``
     :param physics_mode: ``"fast"`` (50 solver iterations) or ``"slow"`` (200, and slower motions)
     :param reward: None for the task's own, or ``"module:function"`` called as ``function(scene, outcome)``
     :param render_mode: None, ``"rgb_array"``, ``"depth_array"`` or ``"human"``
@@ -118,9 +122,9 @@ class EnvConfig:
     in_hand_size: int = 24
     workspace_check: str = "point"
     close_loop_tray: bool = False
-    object_set: str | None = None
-    view: str = "orthographic"
-    observation: str = "image"
+    object_set: str | list[str] | None = None
+    view: str = ORTHOGRAPHIC
+    observation: str | list[Any] = "image"
     physics_mode: str = "fast"
     reward: str | None = None
     render_mode: str | None = None
@@ -133,6 +137,8 @@ class EnvConfig:
         robots: Sequence[str],
         parameters: Mapping[str, Any],
         surface: str = "flat",
+        sloping: bool | None = None,
+        sequences: Sequence[str] = (),
     ) -> "EnvConfig":
         """Check a user's parameters and fill in the paper's defaults.
 
@@ -140,23 +146,37 @@ class EnvConfig:
         :param task: the task's own numbers
         :param robots: names of the arms there are
         :param surface: where; some defaults follow from it
+        :param sloping: whether things may lie there at an angle; None for a surface of ours
+        :param sequences: what an action can consist of, the default first; none for a control of ours
         :raises UnknownParameterError: there is no such parameter; one of a similar name is offered, else
             all are listed
         :raises ParameterError: a wrong type or value, or ground that the task cannot stand on
         """
+        sloping = surface in SLOPING if sloping is None else sloping
         checks = _checks(control, task, robots)
+        defaults = _defaults(control, surface, sloping, task)
+        if sequences:
+            checks["action_sequence"] = values.sequence(sequences)
+            defaults["action_sequence"] = sequences[0]
         for name, value in parameters.items():
             if name not in checks:
                 raise _unknown(name, value, control, checks)
-        chosen = _defaults(control, surface, task) | {
-            name: _checked(name, checks[name], value) for name, value in parameters.items()
-        }
-        _check_surface(surface, task, chosen["close_loop_tray"])
+        chosen = defaults | {name: _checked(name, checks[name], value) for name, value in parameters.items()}
+        _check_surface(surface, sloping, task, chosen["close_loop_tray"])
         return cls(control=control, **chosen)
 
     def parameters(self) -> dict[str, Any]:
         """Return the control's parameters by name, as JSON values."""
         return {name: value for name, value in asdict(self).items() if belongs(name, self.control)}
+
+    @property
+    def sensors(self) -> list[tuple[str, str, dict[str, Any]]]:
+        """What is observed: names, the sensor behind each (its name or import path), its parameters."""
+        chosen: Any = self.observation
+        entries = PRESETS[self.control][chosen] if isinstance(chosen, str) else chosen
+        described = [{"name": entry} if isinstance(entry, str) else dict(entry) for entry in entries]
+        named = [(entry.pop("name"), entry) for entry in described]
+        return [(name, entry.pop("sensor", name), entry) for name, entry in named]
 
     @property
     def scales(self) -> list[float]:
@@ -180,6 +200,14 @@ class EnvConfig:
 
 SCALE_STEP = 0.02
 
+SENSORS = ("heightmap", "in_hand", "holding", "state", "color", "segmentation", "rgb", "point_cloud")
+"""What can be observed, by name; users register more."""
+PRESETS: dict[str, dict[str, tuple[str, ...]]] = {
+    CLOSE_LOOP: {"image": ("heightmap", "holding"), "state": ("state", "holding")},
+    OPEN_LOOP: {"image": ("heightmap", "in_hand", "holding")},
+}
+"""What ``observation`` may be besides a list: names for lists of sensors, by control."""
+
 _ONLY_WITH = {
     "half_rotation": OPEN_LOOP,
     "in_hand_size": OPEN_LOOP,
@@ -194,7 +222,7 @@ def belongs(name: str, control: str) -> bool:
     return name != "control" and _ONLY_WITH.get(name, control) == control
 
 
-def _defaults(control: str, surface: str, task: TaskDefaults) -> dict[str, Any]:
+def _defaults(control: str, surface: str, sloping: bool, task: TaskDefaults) -> dict[str, Any]:
     """Return the paper's values where a parameter has no default of its own."""
     shared = {
         "robot": "kuka",
@@ -209,7 +237,7 @@ def _defaults(control: str, surface: str, task: TaskDefaults) -> dict[str, Any]:
             "workspace": [[0.3, 0.6], [-0.15, 0.15], [0.01, 0.25]],
         }
     return shared | {
-        "action_sequence": "pxyzrrr" if surface in SLOPING else "pxyr",
+        "action_sequence": "pxyzrrr" if sloping else "pxyr",
         "workspace": [[0.25, 0.65], [-0.2, 0.2], [0.0, 1.0]],
         "in_hand_size": 40 if surface == "bump" else 24,
     }
@@ -231,9 +259,9 @@ def _checks(control: str, task: TaskDefaults, robots: Sequence[str]) -> dict[str
         "in_hand_size": values.integer(8, 256),
         "workspace_check": values.choice("point", "bounding_box"),
         "close_loop_tray": _tray(task.tray),
-        "object_set": values.optional(values.folder) if task.takes_object_set else values.no_object_set,
-        "view": values.choice("orthographic", "point_cloud"),
-        "observation": values.choice("image", "state") if control == CLOSE_LOOP else values.images_only,
+        "object_set": values.optional(values.object_set) if task.takes_object_set else values.no_object_set,
+        "view": values.choice(ORTHOGRAPHIC, "point_cloud"),
+        "observation": values.observation(list(PRESETS[control]), SENSORS, _presets_elsewhere(control)),
         "physics_mode": values.choice("fast", "slow"),
         "reward": values.optional(values.import_path),
         "render_mode": values.choice(None, "rgb_array", "depth_array", "human"),
@@ -241,14 +269,26 @@ def _checks(control: str, task: TaskDefaults, robots: Sequence[str]) -> dict[str
     return {name: check for name, check in checks.items() if belongs(name, control)}
 
 
-def _check_surface(surface: str, task: TaskDefaults, in_tray: bool) -> None:
+def _presets_elsewhere(control: str) -> dict[str, str]:
+    """Return why presets of the other control cannot be had."""
+    own = " or ".join(map(repr, PRESETS[control]))
+    return {
+        preset: f"{own} or a list of sensors: {preset!r} belongs to {other.replace('_', '-')} environments"
+        for other, presets in PRESETS.items()
+        for preset in presets
+        if preset not in PRESETS[control]
+    }
+
+
+def _check_surface(surface: str, sloping: bool, task: TaskDefaults, in_tray: bool) -> None:
     """Refuse ground that a task cannot stand on.
 
     :raises ParameterError: with the reason
     """
     refused = {} if True in task.tray.choices else {"tray": task.tray.reason}
     if task.level_ground or in_tray:
-        refused |= dict.fromkeys(SLOPING, task.level_ground or "its tray stands on level ground")
+        refusing = (*SLOPING, surface) if sloping else SLOPING
+        refused |= dict.fromkeys(refusing, task.level_ground or "its tray stands on level ground")
     if surface in refused:
         others = " or ".join(repr(other) for other in (*LEVEL, *SLOPING) if other not in refused)
         raise ParameterError.of("surface", surface, f"{others} with this task: {refused[surface]}")

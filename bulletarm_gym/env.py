@@ -13,23 +13,22 @@ from gymnasium.envs.registration import EnvSpec
 from numpy.typing import ArrayLike, NDArray
 
 from bulletarm_gym.config import EnvConfig, ParameterError
-from bulletarm_gym.control import CONTROLS, DeltaMove, PickPlace
+from bulletarm_gym.control import Control, find_control
 from bulletarm_gym.extensions import OBJECTS, by_path, load
-from bulletarm_gym.feasibility import check_heights, check_room, check_spans
+from bulletarm_gym.feasibility import check_heights, check_room, check_spans, checked_options
 from bulletarm_gym.footprint import PlacementError
 from bulletarm_gym.robots import ROBOTS, RobotModel, RobotState, find_robot
 from bulletarm_gym.scene import Scene
+from bulletarm_gym.sensors import Observer, View
 from bulletarm_gym.simulation import Camera, WorldState, has_display
 from bulletarm_gym.stopwatch import Stopwatch
-from bulletarm_gym.surfaces import make_surface
+from bulletarm_gym.surfaces import find_surface, make_surface
 from bulletarm_gym.tasks import Task
 
-Observation = dict[str, NDArray[np.float32]]
+Observation = dict[str, NDArray[Any]]
 Action = NDArray[np.float32]
 Reward = Callable[[Scene, Mapping[str, bool]], float]
 
-OPTIONS = {"new_scene": ((bool, True), (bool, False)), "start": ((str, "goal"),)}
-"""What a reset can be asked for: types, for 1 equals True, and values."""
 SCENE_PARAMETERS = ("workspace", "object_scale_range", "num_objects", "close_loop_tray")
 """What the bodies of a scene, and where they can be, follow from."""
 GROUNDS = 30
@@ -42,6 +41,7 @@ ARRANGEMENT, AFTER_ACTION, PLAN = range(3)
 class EnvState:
     """Everything an environment needs to go on from a moment; picklable.
 
+    :param sensors: what they remember, by name
     :param generator: state of the generator that later episodes are seeded from
     :param made_of: what decides whether an environment can take it: task, arm, sizes; None in old files
     """
@@ -49,7 +49,7 @@ class EnvState:
     world: WorldState
     robot: RobotState
     cast: tuple[int, ...]
-    control: Any
+    sensors: Any
     memory: Any
     steps: int
     episode_seed: int
@@ -65,8 +65,8 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
     scene has become invalid, and is truncated at ``max_steps``.
 
     :param task: ``"module:Class"`` of the task
-    :param control: ``"close_loop"`` or ``"open_loop"``
-    :param surface: one of :data:`~bulletarm_gym.surfaces.SURFACES`
+    :param control: ``"close_loop"``, ``"open_loop"``, or a user's by name or path
+    :param surface: one of :data:`~bulletarm_gym.surfaces.SURFACES`, or a user's by name or path
     :param parameters: of :class:`~bulletarm_gym.config.EnvConfig`, by name
     :raises ValueError: a parameter has a value it cannot take, or is unknown (a ``TypeError``, too); task and
         control do not fit
@@ -78,18 +78,29 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
 
     def __init__(self, task: str, control: str, surface: str = "flat", **parameters: Any) -> None:
         task_type: type[Task] = load(task)
-        if control not in task_type.controls:
+        parameters = by_path({**parameters, "control": control, "surface": surface})
+        control, surface = parameters.pop("control"), parameters.pop("surface")
+        control_type = find_control(control)
+        if control_type.kind not in task_type.controls:
             raise ValueError(
                 f"control: got {control!r}, {task_type.__name__} takes one of {task_type.controls}"
             )
-        parameters = by_path(parameters)
+        sloping = find_surface(surface).sloping
         # Objects of the user's that have no import path, by the name of the parameter.
         self.objects = {name: parameters.pop(name) for name in OBJECTS if _is_object(parameters.get(name))}
         robots = dict(ROBOTS)
         if "robot" in self.objects:
             model = find_robot(self.objects["robot"])
             robots[model.name], parameters["robot"] = model, model.name
-        self.config = EnvConfig.of(control, task_type.defaults, tuple(robots), parameters, surface)
+        self.config = EnvConfig.of(
+            control_type.kind,
+            task_type.defaults,
+            tuple(robots),
+            parameters,
+            surface,
+            sloping,
+            control_type.sequences,
+        )
         self.render_mode = self.config.render_mode
         if not has_display():
             self.metadata = {**self.metadata, "render_modes": ["rgb_array", "depth_array"]}
@@ -108,11 +119,13 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
             self.task.bodies(self.config),
         )
         check_spans(self.config, self.scene, self.task)
-        self.control = CONTROLS[control](self.config, self.scene, self.task)
+        self.control: Control[Any] = control_type(self.config, self.scene, self.task)
         check_room(self.config, surface, self.scene, self.task, self.control)
         self.action_space = self.control.action_space
+        self._observer = Observer(self.config, self.scene)
+        self._view: View | None = None
         # Gymnasium types a Dict space by its parts instead of its samples.
-        self.observation_space = self.control.observation_space  # type: ignore[assignment]
+        self.observation_space = self._observer.space  # type: ignore[assignment]
         self._steps = 0
         self._episode_seed: int | None = None
 
@@ -129,7 +142,7 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         :raises ValueError: an unknown option, or the task has no structure to start from
         :raises PlacementError: the workspace is too small for the task
         """
-        options = _checked_options(options, self.task)
+        options = checked_options(options, self.task)
         super().reset(seed=seed)
         anew = seed is not None or any(options.values()) or self._episode_seed is None
         arrange = self.task.arrange_goal if "start" in options else self.task.arrange
@@ -141,9 +154,10 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
             self._arrange(arrange, rng)
         else:
             self.control.start(self.scene)
+        self._observer.set_memory({})
         self.scene.begin()
         self.scene.settle()
-        return self.control.observe(self.scene), self._evaluate(ignored=False)
+        return self.observe(), self._evaluate(ignored=False)
 
     @property
     def keeps_scene(self) -> bool:
@@ -175,19 +189,24 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         :raises gymnasium.error.ResetNeeded: no episode has begun
         """
         self._check_running()
-        move = self.control.decode_action(action)
+        view = self._view if self._view is not None and self._view.is_current else self.look()
+        move = self.control.decode_action(action, view)
+        if self._observer.follows:
+            _ = view.heights  # drawn while they are what was seen before the move
         self.scene.begin()
-        ignored = self.control.apply(self.scene, move)
+        outcome = self.control.apply(self.scene, move)
         self.scene.settle()
+        if not outcome.ignored:
+            self._observer.follow(view, outcome.pick)
         self._steps += 1
         if self._acts_after:
             self.task.after_action(self.scene, self._rng(AFTER_ACTION))
-        info = self._evaluate(ignored)
+        info = self._evaluate(outcome.ignored)
         success, valid = info["is_success"], info["is_valid"]
         reward = _finite(self._reward(self.scene, info), self._reward) if valid else 0.0
         terminated = success or not valid or self.task.one_decision
         truncated = not terminated and self._steps >= self.config.max_steps
-        return self.control.observe(self.scene), reward, terminated, truncated, info
+        return self.observe(), reward, terminated, truncated, info
 
     def render(self) -> Any:
         """Return a picture (480, 480, 3) uint8, distances (480, 480) float32 in metres, or nothing."""
@@ -208,12 +227,21 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         """What each number of an action is, a character each."""
         return self.config.action_sequence
 
-    def decode_action(self, action: ArrayLike) -> DeltaMove | PickPlace:
-        """Return an action in metres and radians."""
-        move: DeltaMove | PickPlace = self.control.decode_action(action)
-        return move
+    def observe(self) -> Observation:
+        """Return the observation of the present moment; it changes nothing."""
+        self._view = self.look()
+        return self._observer.read(self._view)
 
-    def encode_action(self, move: DeltaMove | PickPlace) -> Action:
+    def look(self) -> View:
+        """Return what is seen from above at present."""
+        frame = self.control.frame(self.scene)
+        return View(self.scene, frame, self.task.overlays, self._observer.asks_for_labels)
+
+    def decode_action(self, action: ArrayLike) -> Any:
+        """Return an action in metres and radians: a ``DeltaMove``, a ``PickPlace``, or the control's own."""
+        return self.control.decode_action(action, self.look())
+
+    def encode_action(self, move: Any) -> Action:
         """Return the action for a move in metres and radians."""
         return self.control.encode_action(move)
 
@@ -247,7 +275,7 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
             self.scene.world.get_state(),
             self.scene.robot.get_state(),
             self.scene.get_cast(),
-            self.control.get_state(),
+            self._observer.get_memory(),
             self.task.memory,
             self._steps,
             self._episode_seed,
@@ -266,7 +294,9 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         self.scene.world.set_state(state.world)
         self.scene.robot.set_state(state.robot)
         self.scene.set_cast(state.cast)
-        self.control.set_state(state.control)
+        # Files recorded before there were sensors by name hold the in-hand image alone.
+        known = isinstance(state.sensors, dict)
+        self._observer.set_memory(state.sensors if known else {"in_hand": state.sensors})
         self.task.memory = state.memory
         self._steps = state.steps
         self._episode_seed = state.episode_seed
@@ -276,12 +306,11 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
     def _made_of(self) -> dict[str, Any]:
         """What a state must have in common with the environment: names and JSON values."""
         names = [body.spec.name for body in self.scene.world.bodies]
-        in_hand = self.observation_space.spaces.get("in_hand")  # type: ignore[attr-defined]
         return {
             **self._recipe,
             **{name: getattr(self.config, name) for name in SCENE_PARAMETERS},
             "robot": self.scene.robot.model.name,
-            "in_hand": in_hand and list(in_hand.shape),
+            **self._observer.shapes(["in_hand"]),
             "bodies": f"{len(names)}, crc {zlib.crc32(repr(names).encode()):08x}",
         }
 
@@ -323,7 +352,7 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
     @spec.setter
     def spec(self, spec: EnvSpec | None) -> None:
         if spec is not None:
-            known = self._parameters
+            known = {**self._recipe, **self._parameters}
             kwargs = {name: known.get(name, value) for name, value in spec.kwargs.items()}
             spec = replace(spec, kwargs=kwargs, max_episode_steps=self.config.max_steps)
         self._spec = spec
@@ -379,17 +408,3 @@ def _finite(value: Any, reward: Reward) -> float:
         name = f"{reward.__module__}:{getattr(reward, '__qualname__', type(reward).__name__)}"
         raise ValueError(f"reward: {name} returned {value!r}, takes one that returns finite numbers")
     return number
-
-
-def _checked_options(options: Mapping[str, Any] | None, task: Task) -> dict[str, Any]:
-    """Return the options of a reset."""
-    options = dict(options or {})
-    if not all((type(value), value) in OPTIONS.get(name, ()) for name, value in options.items()):
-        takes = 'None or {"new_scene": True or False, "start": "goal"}'
-        raise ValueError(f"options: got {options!r}, takes {takes}")
-    if "start" in options and not task.has_goal_structure:
-        name = type(task).__name__
-        raise ValueError(
-            f"options: got {options!r}, but {name} builds no structure: it has no arrange_goal()"
-        )
-    return options

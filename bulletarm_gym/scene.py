@@ -10,12 +10,14 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from bulletarm_gym.config import EnvConfig
+from bulletarm_gym.config import ORTHOGRAPHIC, EnvConfig
 from bulletarm_gym.geometry import FloatArray, Pose, Vector, matrix
+from bulletarm_gym.rendering.point_cloud import project
+from bulletarm_gym.rendering.rasterizer import Labels
+from bulletarm_gym.rendering.z_buffer import ZBuffer
 from bulletarm_gym.robots import Robot, RobotModel
-from bulletarm_gym.sensors.heightmap import HeightmapSensor
-from bulletarm_gym.sensors.point_cloud import project
 from bulletarm_gym.simulation import Body, BodySpec, Camera, World
+from bulletarm_gym.simulation.shapes import Colour
 from bulletarm_gym.simulation.world import PHYSICS_MODES, STILL, Twist
 from bulletarm_gym.stopwatch import PHYSICS, RENDERING, Stopwatch
 from bulletarm_gym.surfaces import Surface
@@ -112,6 +114,11 @@ class Item:
         return self._bodies[self.variant]
 
     @property
+    def bodies(self) -> list[Body]:
+        """All bodies that may play the role."""
+        return list(self._bodies)
+
+    @property
     def spec(self) -> BodySpec:
         """What the body is made of."""
         return self.body.spec
@@ -188,7 +195,7 @@ def _lowest(item: Item) -> float:
 
 
 class MeshPoses:
-    """Where the meshes of a world's solids are, one a body link; what has not moved is not written anew.
+    """Where the meshes that are seen from above are, one a body link; what has not moved is not written anew.
 
     :param world: sealed
     """
@@ -196,24 +203,25 @@ class MeshPoses:
     def __init__(self, world: World) -> None:
         self._world = world
         self._owners = np.array(
-            [body.index for body in world.solids for _ in body.spec.part_meshes], np.int64
+            [body.index for body in world.visible for _ in body.spec.part_meshes], np.int64
         )
-        rows = np.searchsorted(self._owners, [body.index for body in world.solids]).tolist()
-        self._solids = list(zip(world.solids, rows, strict=True))
-        self._seen: list[Pose | None] = [None] * len(self._solids)
-        self.positions = np.zeros((len(self._owners), 3))
-        self.orientations = np.zeros((len(self._owners), 4))
+        rows = np.searchsorted(self._owners, [body.index for body in world.visible]).tolist()
+        self._bodies = list(zip(world.visible, rows, strict=True))
+        self._seen: list[Pose | None] = [None] * len(self._bodies)
+        self._positions = np.zeros((len(self._owners), 3))
+        self._orientations = np.zeros((len(self._owners), 4))
 
-    def refresh(self) -> None:
-        """Bring positions (n, 3) and orientations (n, 4) up to date with the world's state."""
+    def poses(self) -> tuple[FloatArray, FloatArray]:
+        """Return positions (n, 3) and orientations (n, 4); the next call may change them."""
         poses = self._world.poses
-        for number, (body, row) in enumerate(self._solids):
+        for number, (body, row) in enumerate(self._bodies):
             pose = poses[body.index]
             if pose is self._seen[number] and not body.joints:
                 continue
             self._seen[number] = pose
             for place, part in enumerate(self._world.part_poses(body), row):
-                self.positions[place], self.orientations[place] = part.position, part.orientation
+                self._positions[place], self._orientations[place] = part.position, part.orientation
+        return self._positions, self._orientations
 
     @property
     def present(self) -> NDArray[np.bool_]:
@@ -293,6 +301,7 @@ class Scene:
         stopwatch = Stopwatch()
         self.world.client.replace("stepSimulation", partial(stopwatch.timed, PHYSICS))
         self._draw = stopwatch.timed(RENDERING, self._draw)
+        self._label = stopwatch.timed(RENDERING, self._label)
         return stopwatch
 
     def get_cast(self) -> tuple[int, ...]:
@@ -306,18 +315,35 @@ class Scene:
 
     # What is seen of it
 
-    def heights(self, centre: tuple[float, float], extent: float, size: int) -> NDArray[np.float32]:
+    def heights(
+        self, centre: tuple[float, float], extent: float, size: int, without: Body | None = None
+    ) -> NDArray[np.float32]:
         """Return the height (m) of the highest surface over each pixel of a square; the arm is not seen.
 
         :param centre: world x and y of the middle of the square (m)
         :param extent: its side (m)
         :param size: pixels a side
+        :param without: a body that is not drawn
         :return: (size, size); rows grow with world x, columns with y
         """
-        if self.config.view == "orthographic":
-            return self._look(self._meshes.present, centre, extent, size)
-        clouds = [camera.points(self.world, without=self.robot.body) for camera in self._cameras]
+        if self.config.view == ORTHOGRAPHIC:
+            seen = self._without(self._meshes.present & ~self._marks, without)
+            return self._draw(*self._meshes.poses(), seen, centre, extent, size)
+        clouds = [camera.points(self.world, [self.robot.body]) for camera in self.side_cameras(SIDE_PIXELS)]
         return project(np.concatenate(clouds), centre, extent, size, self.config.workspace[2][1])
+
+    def labelled(
+        self, centre: tuple[float, float], extent: float, size: int, without: Body | None = None
+    ) -> tuple[NDArray[np.float32], Labels]:
+        """Return the heights, as :meth:`heights` looking straight down, and which part is seen at each pixel.
+
+        The parameters are those of :meth:`heights`.
+
+        :return: (size, size) float32, m; (size, size) int16, 0 where the endless ground is seen, else 1 and
+            the place in :attr:`parts`. Marks on the ground have no height, but are seen
+        """
+        seen = self._without(self._meshes.present, without)
+        return self._label(*self._meshes.poses(), seen, self._marks, centre, extent, size)
 
     def heights_of(
         self, bodies: Sequence[Body], centre: tuple[float, float], extent: float, size: int
@@ -326,32 +352,45 @@ class Scene:
 
         The parameters are those of :meth:`heights`; where there is none of them the height is 0.
         """
-        return self._look(self._meshes.present & self._meshes.of(bodies), centre, extent, size)
-
-    def _look(
-        self, visible: NDArray[np.bool_], centre: tuple[float, float], extent: float, size: int
-    ) -> NDArray[np.float32]:
-        meshes = self._meshes
-        meshes.refresh()
-        return self._draw(meshes.positions, meshes.orientations, visible, centre, extent, size)
+        seen = self._meshes.present & self._meshes.of(bodies)
+        return self._draw(*self._meshes.poses(), seen, centre, extent, size)
 
     @cached_property
     def _meshes(self) -> MeshPoses:
         return MeshPoses(self.world)
 
     @cached_property
-    def _draw(self) -> Callable[..., NDArray[np.float32]]:
-        meshes = [mesh for body in self.world.solids for mesh in body.spec.part_meshes]
-        return HeightmapSensor(meshes).heights
+    def parts(self) -> list[tuple[Body, Colour]]:
+        """What is seen from above: each body and each of its sliding parts, with its colour."""
+        return [(body, colour) for body in self.world.visible for colour in body.spec.part_colours]
 
     @cached_property
-    def _cameras(self) -> tuple[Camera, Camera]:
-        """The two cameras at the workspace's sides (paper, Close-loop Environments)."""
+    def _z_buffer(self) -> ZBuffer:
+        return ZBuffer([mesh for body in self.world.visible for mesh in body.spec.part_meshes])
+
+    @cached_property
+    def _draw(self) -> Callable[..., NDArray[np.float32]]:
+        return self._z_buffer.heights
+
+    @cached_property
+    def _label(self) -> Callable[..., tuple[NDArray[np.float32], Labels]]:
+        return self._z_buffer.labelled
+
+    @cached_property
+    def _marks(self) -> NDArray[np.bool_]:
+        return np.array([body.spec.is_mark for body, _ in self.parts], np.bool_)
+
+    def _without(self, seen: NDArray[np.bool_], body: Body | None) -> NDArray[np.bool_]:
+        return seen if body is None else seen & [other is not body for other, _ in self.parts]
+
+    def side_cameras(self, pixels: int) -> tuple[Camera, Camera]:
+        """Return the two cameras at the workspace's sides (paper, Close-loop Environments).
+
+        :param pixels: a side of their images
+        """
         x, y = self.config.centre
         left, right = (
-            Camera(
-                (x, y + side, SIDE_HEIGHT), (x, y, 0.0), SIDE_FOV, SIDE_PIXELS, SIDE_PIXELS, near=0.1, far=3.0
-            )
+            Camera((x, y + side, SIDE_HEIGHT), (x, y, 0.0), SIDE_FOV, pixels, pixels, near=0.1, far=3.0)
             for side in (-SIDE_DISTANCE, SIDE_DISTANCE)
         )
         return left, right

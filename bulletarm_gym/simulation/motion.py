@@ -23,6 +23,8 @@ MAX_PRESS = 100.0
 """An arm that presses this hard (N) and still goes deeper is blocked: pushing blocks takes 60 N at most."""
 MAX_DEPTH = 2e-3
 """Also one that is this deep (m) in something: Bullet's solver gives way before it comes to that force."""
+MAX_SQUEEZE = 0.01
+"""What is held and is pressed this deep (m) into a finger blocks, too: it stands on something."""
 RESTING_PRESS = 20.0
 """A blocked arm goes back the way it came until it presses less than this (N) ..."""
 CALM_STEPS = 10
@@ -150,10 +152,10 @@ def follow(
 
 
 def press(world: World, body: Body, held: Body | None) -> tuple[float, float]:
-    """Return how hard (N) and how deep (m) a body presses on others than the one it holds."""
+    """Return how hard (N) and how deep (m) a body presses on others than what it holds gently."""
     points = world.client.getContactPoints(body.id)
     if held is not None:
-        points = [point for point in points if point[2] != held.id]
+        points = [point for point in points if point[2] != held.id or -point[8] > MAX_SQUEEZE]
     if not points:
         return 0.0, 0.0
     return sum([point[9] for point in points]), -min([point[8] for point in points])
