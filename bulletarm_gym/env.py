@@ -20,6 +20,7 @@ from bulletarm_gym.robots import ROBOTS, RobotModel, RobotState, find_robot
 from bulletarm_gym.scene import Scene
 from bulletarm_gym.sensors import Observer, View
 from bulletarm_gym.simulation import Camera, WorldState, has_display
+from bulletarm_gym.stopwatch import Stopwatch
 from bulletarm_gym.surfaces import find_surface, make_surface
 from bulletarm_gym.tasks import Task
 from bulletarm_gym.viewer import Viewer
@@ -105,6 +106,8 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
             self.metadata = {**self.metadata, "render_modes": ["rgb_array", "depth_array"]}
         self._recipe = {"task": task, "control": control, "surface": surface}
         self.task = task_type(self.config)
+        # A generator takes as long to make as an image: most tasks need none after an action.
+        self._acts_after = task_type.after_action is not Task.after_action
         check_heights(self.config, self.task)
         self._reward = self.objects.get("reward") or _function(self.config.reward) or self.task.reward
         self.scene = Scene(
@@ -196,7 +199,8 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         if not outcome.ignored:
             self._observer.follow(view, outcome.pick)
         self._steps += 1
-        self.task.after_action(self.scene, self._rng(AFTER_ACTION))
+        if self._acts_after:
+            self.task.after_action(self.scene, self._rng(AFTER_ACTION))
         info = self._evaluate(outcome.ignored)
         success, valid = info["is_success"], info["is_valid"]
         reward = finite_reward(self._reward(self.scene, info), self._reward) if valid else 0.0
@@ -257,6 +261,13 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         self._check_running()
         plan = iter(self.task.plan(self.scene, self._rng(PLAN)))
         return self.control.encode_action(self.control.next_move(self.scene, plan))
+
+    def measure(self) -> Stopwatch:
+        """Return a stopwatch that adds up the seconds of the engine's steps and of heightmaps from now on.
+
+        Who does not ask for one pays nothing for it.
+        """
+        return self.scene.measure()
 
     def get_state(self) -> EnvState:
         """Return the present moment; it can be pickled, and set in any environment with the same parameters.

@@ -158,7 +158,11 @@ def free_site(
 
 def footprint(item: Item, pose: Pose | None = None) -> Footprint:
     """Return what an item covers of the ground, where it is or would be at a pose."""
-    return Footprint.of(item.spec.mesh.vertices, pose or item.pose)
+    return Footprint.of(item.spec.mesh.vertices, pose) if pose else item.once_a_pose(_shadow)
+
+
+def _shadow(item: Item) -> Footprint:
+    return Footprint.of(item.spec.mesh.vertices, item.pose)
 
 
 def footprints(scene: Scene, without: Sequence[Item] = ()) -> list[Footprint]:

@@ -4,7 +4,7 @@ import math
 from collections.abc import Iterable, Sequence
 
 from bulletarm_gym.footprint import Footprint
-from bulletarm_gym.geometry import matrix, planar_distance, wrap_angle
+from bulletarm_gym.geometry import FloatArray, matrix, planar_distance, wrap_angle
 from bulletarm_gym.scene import Item, Scene
 from bulletarm_gym.surfaces.surface import Point
 
@@ -19,7 +19,7 @@ IN_LINE = math.pi / 7.0
 
 def touching(scene: Scene, first: Item, second: Item) -> bool:
     """Whether two items are in contact."""
-    return scene.world.distance(first.body, second.body, TOUCHING) <= TOUCHING
+    return scene.world.are_near(first.body, second.body, TOUCHING)
 
 
 def is_held(scene: Scene, item: Item) -> bool:
@@ -46,13 +46,21 @@ def on_ground(scene: Scene, item: Item) -> bool:
     """Whether an item touches the ground, level or not."""
     world = scene.world
     standing = (body for body in scene.surface.bodies if world.active[body.index])
-    return any(world.distance(item.body, body, TOUCHING) <= TOUCHING for body in standing)
+    return any(world.are_near(item.body, body, TOUCHING) for body in standing)
 
 
 def on_site(scene: Scene, item: Item) -> bool:
     """Whether an item stands, all of it but a hair, on the level ground where structures are built."""
-    footprint = Footprint.of(item.spec.mesh.vertices, item.pose).grown(-TOUCHING)
-    return abs(item.lowest - scene.surface.level) <= TOUCHING and scene.surface.fits_site(footprint)
+    level = abs(item.lowest - scene.surface.level) <= TOUCHING
+    return level and scene.surface.fits_site(item.once_a_pose(_all_but_a_hair))
+
+
+def _all_but_a_hair(item: Item) -> Footprint:
+    return Footprint.of(item.spec.mesh.vertices, item.pose).grown(-TOUCHING)
+
+
+def _rotation(item: Item) -> FloatArray:
+    return matrix(item.pose)
 
 
 def carries(scene: Scene, bottom: Item, top: Item) -> bool:
@@ -102,7 +110,7 @@ def between(item: Item, others: Sequence[Item], reach: float) -> bool:
 
 def heading(item: Item) -> float:
     """Return the direction (rad) of an item's y axis, a long block's long side, seen from above."""
-    rotation = matrix(item.pose)
+    rotation = item.once_a_pose(_rotation)
     return math.atan2(rotation[1, 1], rotation[0, 1])
 
 
@@ -114,12 +122,17 @@ def in_line(item: Item, others: Sequence[Item]) -> bool:
 
 def is_level(item: Item) -> bool:
     """Whether an item's y axis is tilted no more than what stands upright."""
-    return abs(float(matrix(item.pose)[2, 1])) < math.sin(UPRIGHT)
+    return abs(float(item.once_a_pose(_rotation)[2, 1])) < math.sin(UPRIGHT)
 
 
 def lies_flat(item: Item) -> bool:
     """Whether one of an item's axes is upright: a block that has rolled onto another side lies flat."""
-    return float(abs(matrix(item.pose)[2]).max()) > math.cos(UPRIGHT)
+    return item.once_a_pose(_steepest) > math.cos(UPRIGHT)
+
+
+def _steepest(item: Item) -> float:
+    """Return the greatest cosine of an axis of an item with the vertical."""
+    return float(abs(item.once_a_pose(_rotation)[2]).max())
 
 
 def rests_on(scene: Scene, bottom: Item, top: Item) -> bool:

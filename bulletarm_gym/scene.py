@@ -4,7 +4,8 @@ import math
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +19,10 @@ from bulletarm_gym.robots import Robot, RobotModel
 from bulletarm_gym.simulation import Body, BodySpec, Camera, World
 from bulletarm_gym.simulation.shapes import Colour
 from bulletarm_gym.simulation.world import PHYSICS_MODES, STILL, Twist
+from bulletarm_gym.stopwatch import PHYSICS, RENDERING, Stopwatch
 from bulletarm_gym.surfaces import Surface
+
+T = TypeVar("T")
 
 SIDE_DISTANCE = 0.5
 """Where the side cameras stand beside the workspace's centre (m), as in the original release; ..."""
@@ -101,6 +105,8 @@ class Item:
         self.variant = 0
         self._bodies = [world.add(role.variants[place]) for place in choices]
         self._world = world
+        self._of_shapes: list[dict[Any, Any]] = [{} for _ in choices]
+        self._of_pose: tuple[int, Pose, dict[Any, Any]] = (-1, Pose((0.0, 0.0, 0.0)), {})
 
     @property
     def body(self) -> Body:
@@ -125,8 +131,7 @@ class Item:
     @property
     def lowest(self) -> float:
         """Height (m) of the body's lowest point."""
-        heights = self.spec.mesh.vertices @ matrix(self.pose)[2]
-        return self.pose.z + float(heights.min())
+        return self.once_a_pose(_lowest)
 
     @property
     def bounds(self) -> FloatArray:
@@ -138,6 +143,26 @@ class Item:
     def centre_of_mass(self) -> Vector:
         """Where (m) the body's centre of mass is in the world."""
         return self.pose.transform(self.spec.mass_properties[0].position)
+
+    def once_a_shape(self, compute: Callable[["Item"], T]) -> T:
+        """Return what a function tells from the body's shape alone, computed once."""
+        known = self._of_shapes[self.variant]
+        if compute not in known:
+            known[compute] = compute(self)
+        found: T = known[compute]
+        return found
+
+    def once_a_pose(self, compute: Callable[["Item"], T]) -> T:
+        """Return what a function tells from the body's shape and pose alone, computed once for each pose."""
+        pose = self.pose
+        variant, before, known = self._of_pose
+        if variant != self.variant or pose != before:
+            known = {}
+            self._of_pose = (self.variant, pose, known)
+        if compute not in known:
+            known[compute] = compute(self)
+        found: T = known[compute]
+        return found
 
     @property
     def is_present(self) -> bool:
@@ -162,6 +187,53 @@ class Item:
         for body in self._bodies:
             if self._world.active[body.index]:
                 self._world.park(body)
+
+
+def _lowest(item: Item) -> float:
+    heights = item.spec.mesh.vertices @ matrix(item.pose)[2]
+    return item.pose.z + float(heights.min())
+
+
+class MeshPoses:
+    """Where the meshes that are seen from above are, one a body link; what has not moved is not written anew.
+
+    :param world: sealed
+    """
+
+    def __init__(self, world: World) -> None:
+        self._world = world
+        self._owners = np.array(
+            [body.index for body in world.visible for _ in body.spec.part_meshes], np.int64
+        )
+        rows = np.searchsorted(self._owners, [body.index for body in world.visible]).tolist()
+        self._bodies = list(zip(world.visible, rows, strict=True))
+        self._seen: list[Pose | None] = [None] * len(self._bodies)
+        self._positions = np.zeros((len(self._owners), 3))
+        self._orientations = np.zeros((len(self._owners), 4))
+
+    def poses(self) -> tuple[FloatArray, FloatArray]:
+        """Return positions (n, 3) and orientations (n, 4); the next call may change them."""
+        poses = self._world.poses
+        for number, (body, row) in enumerate(self._bodies):
+            pose = poses[body.index]
+            if pose is self._seen[number] and not body.joints:
+                continue
+            self._seen[number] = pose
+            for place, part in enumerate(self._world.part_poses(body), row):
+                self._positions[place], self._orientations[place] = part.position, part.orientation
+        return self._positions, self._orientations
+
+    @property
+    def present(self) -> NDArray[np.bool_]:
+        """Which of the meshes, (n,), take part."""
+        return np.array(self._world.active, np.bool_)[self._owners]
+
+    def of(self, bodies: Sequence[Body]) -> NDArray[np.bool_]:
+        """Return which of the meshes, (n,), are those of some bodies."""
+        wanted = np.zeros(len(self._world.bodies), np.bool_)
+        for body in bodies:
+            wanted[body.index] = True
+        return wanted[self._owners]
 
 
 class Scene:
@@ -201,7 +273,8 @@ class Scene:
     @property
     def held(self) -> Item | None:
         """The item in the gripper."""
-        return next((item for item in self if item.body is self.robot.held), None)
+        held = self.robot.held
+        return None if held is None else next((item for item in self if item.body is held), None)
 
     def clear(self, rng: np.random.Generator) -> None:
         """Empty the scene, draw its ground and who plays each role."""
@@ -221,6 +294,14 @@ class Scene:
             self.world.settle(loose, SETTLE_LIMIT)
             self.world.end()
         self.robot.give_way()
+
+    def measure(self) -> Stopwatch:
+        """Return a stopwatch to which the engine's steps and heightmaps report from now on."""
+        stopwatch = Stopwatch()
+        self.world.client.replace("stepSimulation", partial(stopwatch.timed, PHYSICS))
+        self._draw = stopwatch.timed(RENDERING, self._draw)
+        self._label = stopwatch.timed(RENDERING, self._label)
+        return stopwatch
 
     def get_cast(self) -> tuple[int, ...]:
         """Return which of an item's choices plays each role."""
@@ -245,9 +326,8 @@ class Scene:
         :return: (size, size); rows grow with world x, columns with y
         """
         if self.config.view == ORTHOGRAPHIC:
-            positions, orientations, present = self._mesh_poses()
-            seen = self._without(present & ~self._marks, without)
-            return self._z_buffer.heights(positions, orientations, seen, centre, extent, size)
+            seen = self._without(self._meshes.present & ~self._marks, without)
+            return self._draw(*self._meshes.poses(), seen, centre, extent, size)
         clouds = [camera.points(self.world, [self.robot.body]) for camera in self.side_cameras(SIDE_PIXELS)]
         return project(np.concatenate(clouds), centre, extent, size, self.config.workspace[2][1])
 
@@ -261,9 +341,8 @@ class Scene:
         :return: (size, size) float32, m; (size, size) int16, 0 where the endless ground is seen, else 1 and
             the place in :attr:`parts`. Marks on the ground have no height, but are seen
         """
-        positions, orientations, present = self._mesh_poses()
-        seen = self._without(present, without)
-        return self._z_buffer.labelled(positions, orientations, seen, self._marks, centre, extent, size)
+        seen = self._without(self._meshes.present, without)
+        return self._label(*self._meshes.poses(), seen, self._marks, centre, extent, size)
 
     def heights_of(
         self, bodies: Sequence[Body], centre: tuple[float, float], extent: float, size: int
@@ -272,10 +351,12 @@ class Scene:
 
         The parameters are those of :meth:`heights`; where there is none of them the height is 0.
         """
-        wanted = {body.index for body in bodies}
-        positions, orientations, present = self._mesh_poses()
-        chosen = [body.index in wanted for body, _ in self.parts]
-        return self._z_buffer.heights(positions, orientations, present & chosen, centre, extent, size)
+        seen = self._meshes.present & self._meshes.of(bodies)
+        return self._draw(*self._meshes.poses(), seen, centre, extent, size)
+
+    @cached_property
+    def _meshes(self) -> MeshPoses:
+        return MeshPoses(self.world)
 
     @cached_property
     def parts(self) -> list[tuple[Body, Colour]]:
@@ -285,6 +366,14 @@ class Scene:
     @cached_property
     def _z_buffer(self) -> ZBuffer:
         return ZBuffer([mesh for body in self.world.visible for mesh in body.spec.part_meshes])
+
+    @cached_property
+    def _draw(self) -> Callable[..., NDArray[np.float32]]:
+        return self._z_buffer.heights
+
+    @cached_property
+    def _label(self) -> Callable[..., tuple[NDArray[np.float32], Labels]]:
+        return self._z_buffer.labelled
 
     @cached_property
     def _marks(self) -> NDArray[np.bool_]:
@@ -304,17 +393,3 @@ class Scene:
             for side in (-SIDE_DISTANCE, SIDE_DISTANCE)
         )
         return left, right
-
-    def _mesh_poses(self) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
-        """Return positions (n, 3), orientations (n, 4) and presence (n,) of what is seen from above."""
-        positions, orientations, present = [], [], []
-        for body in self.world.visible:
-            for pose in self.world.part_poses(body):
-                positions.append(pose.position)
-                orientations.append(pose.orientation)
-                present.append(self.world.active[body.index])
-        return (
-            np.array(positions, dtype=np.float64).reshape(-1, 3),
-            np.array(orientations, dtype=np.float64).reshape(-1, 4),
-            np.array(present, dtype=np.bool_),
-        )

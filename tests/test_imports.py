@@ -13,7 +13,7 @@ ROOT = Path(__file__).resolve().parent.parent
 
 # A room (module or subpackage of bulletarm_gym) may import rooms of its own layer and of those before it.
 LAYERS = (
-    {"geometry", "footprint", "config", "compilation", "extensions", "time_limit", "values"},
+    {"geometry", "footprint", "config", "compilation", "extensions", "stopwatch", "time_limit", "values"},
     {"simulation"},
     {"robots", "objects", "surfaces", "rendering"},
     {"scene"},

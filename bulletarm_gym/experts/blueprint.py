@@ -21,9 +21,9 @@ LONG = 1.5
 """A block whose side along y is this many times as long as that along x is long: it is laid along a line."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Slot:
-    """A place in a structure.
+    """A place in a structure; each is equal to itself alone.
 
     :param kind: of the block that belongs there
     :param layer: 0 on the ground

@@ -91,8 +91,7 @@ def find_grasps(
     :param depths: how far (m) below the highest point between the fingers their tips may go
     :return: (n, 5): x, y, z (m) and yaw (rad) of the fingertips, quality: up to 0.35
     """
-    objects = relief.layers.max(axis=0)
-    owner = np.where(objects >= relief.ground, relief.layers.argmax(axis=0), -1).astype(np.int32)
+    objects, owner = _uppermost(relief.layers, relief.ground)
     size = np.array([gripper.stroke / 2.0, gripper.finger[0], gripper.finger[1] / 2.0, BESIDE]) / relief.pitch
     found: FloatArray = _search(
         np.maximum(objects, relief.ground), owner, size, np.array(yaws), np.array(depths), lowest
@@ -103,8 +102,22 @@ def find_grasps(
 
 
 Heights = NDArray[np.float32]
+Layers = NDArray[np.float32]
 Frame = tuple[float, float, float, float]
 """Row and column (pixels) of a gripper's middle, cosine and sine of its yaw."""
+
+
+@compiled
+def _uppermost(layers: Layers, ground: Heights) -> tuple[Heights, IntArray]:
+    """Return the greatest height (m) of an item at each pixel, and the number of the item, -1 for none."""
+    objects, owner = layers[0].copy(), np.zeros(ground.shape, np.int32)
+    for number in range(1, len(layers)):
+        for row in range(ground.shape[0]):
+            for column in range(ground.shape[1]):
+                height, higher = layers[number, row, column], objects[row, column]
+                owner[row, column] = number if height > higher else owner[row, column]
+                objects[row, column] = height if height > higher else higher
+    return objects, np.where(objects >= ground, owner, np.int32(-1))
 
 
 @compiled
@@ -116,16 +129,21 @@ def _search(
     :param size: half stroke, thickness and half width of a finger, gap beside it
     """
     rows = [(0.0, 0.0, 0.0, 0.0, 0.0)]
+    between = np.empty((2 * (int(size[2]) + 1) + 1, 2 * int(size[0]) + 1), np.float32)
+    whose = np.empty(between.shape, np.int32)
     for i in range(SPACING // 2, heights.shape[0], SPACING):
         for j in range(SPACING // 2, heights.shape[1], SPACING):
             if owner[i, j] < 0:
                 continue
             for yaw in yaws:
                 frame = (float(i), float(j), math.cos(yaw), math.sin(yaw))
-                top = _highest(heights, owner, owner[i, j], frame, size)
+                _gather(heights, owner, frame, between, whose)
+                top, others = _tops(between, whose, owner[i, j], lowest + OVERLAP)
                 for depth in depths:
                     tip = max(lowest, top - depth)
-                    middle, quality = _judge(heights, owner, owner[i, j], frame, size, tip)
+                    if others > tip + OVERLAP:
+                        continue
+                    middle, quality = _judge(heights, between, frame, size, tip)
                     if quality > 0.0:
                         rows.append((i + middle * frame[2], j + middle * frame[3], tip, yaw, quality))
     return np.array(rows)[1:]
@@ -141,53 +159,85 @@ def _pixel(heights: Heights, frame: Frame, along: float, across: float) -> tuple
 
 
 @compiled
-def _highest(heights: Heights, owner: IntArray, target: int, frame: Frame, size: FloatArray) -> float:
-    """Return the height (m) of the target's highest point between the open fingers."""
-    reach, lines, top = int(size[0]), int(size[2]) + 1, 0.0
-    for across in range(-lines, lines + 1):
-        for along in range(-reach, reach + 1):
-            row, column = _pixel(heights, frame, along, across)
-            if row >= 0 and owner[row, column] == target:
-                top = max(top, heights[row, column])
-    return top
+def _gather(heights: Heights, owner: IntArray, frame: Frame, between: Heights, whose: IntArray) -> None:
+    """Write heights (m) and owners between the open fingers, line by line; outside the image 0 and -1.
+
+    :param between: (lines, places), of the fingers' width and of their opening
+    :param whose: of the same shape
+    """
+    lines, reach = between.shape[0] // 2, between.shape[1] // 2
+    margin, far = lines + reach + 1, min(heights.shape) - 1
+    inside = margin <= min(frame[0], frame[1]) and max(frame[0], frame[1]) <= far - margin
+    for line in range(between.shape[0]):
+        across = line - lines
+        down, right = across * frame[3], across * frame[2]
+        for place in range(between.shape[1]):
+            along = place - reach
+            row = int(np.rint(frame[0] + along * frame[2] - down))
+            column = int(np.rint(frame[1] + along * frame[3] + right))
+            if inside or (0 <= row < heights.shape[0] and 0 <= column < heights.shape[1]):
+                between[line, place], whose[line, place] = heights[row, column], owner[row, column]
+            else:
+                between[line, place], whose[line, place] = 0.0, -1
+
+
+@compiled
+def _tops(between: Heights, whose: IntArray, target: int, least: float) -> tuple[float, float]:
+    """Return the greatest height (m) of a target and of all else, ``least`` where none is above it."""
+    top, others = least, least
+    for line in range(between.shape[0]):
+        for place in range(between.shape[1]):
+            height = between[line, place]
+            if height > least:
+                if whose[line, place] == target:
+                    top = max(top, height)
+                else:
+                    others = max(others, height)
+    return top, others
 
 
 @compiled
 def _judge(
-    heights: Heights, owner: IntArray, target: int, frame: Frame, size: FloatArray, tip: float
+    heights: Heights, between: Heights, frame: Frame, size: FloatArray, tip: float
 ) -> tuple[float, float]:
-    """Return where along the opening the target's middle is, and the quality of a grasp there, 0 for none."""
-    reach, lines = int(size[0]), int(size[2]) + 1
-    sides = np.empty((2 * lines + 1, 4))  # first and last pixel of each line, heights there above the tips
-    filled = 0
-    for across in range(-lines, lines + 1):
-        found = False
-        for along in range(-reach, reach + 1):
-            row, column = _pixel(heights, frame, along, across)
-            if row < 0 or heights[row, column] <= tip + OVERLAP:
-                continue
-            if owner[row, column] != target:
-                return 0.0, 0.0
-            height = heights[row, column] - tip
-            if not found:
-                sides[filled, 0], sides[filled, 2] = along, height
-                found = True
-            sides[filled, 1], sides[filled, 3] = along, height
-        filled += found
-    if filled < FRAGMENT * (2 * lines + 1):
+    """Return where along the opening the target's middle is, and the quality of a grasp there, 0 for none.
+
+    :param between: heights between the open fingers, where above the tips there is the target alone
+    """
+    count, reach, filled = between.shape[0], between.shape[1] // 2, 0
+    low, high, inmost_low, inmost_high = reach + 1, -reach - 1, -reach - 1, reach + 1
+    left, right = 0.0, 0.0  # heights above the tips where the lines begin and end, added up
+    for line in range(count):
+        first, last = _ends(between[line], tip + OVERLAP)
+        if first < 0:
+            continue
+        filled += 1
+        low, inmost_low = min(low, first - reach), max(inmost_low, first - reach)
+        high, inmost_high = max(high, last - reach), min(inmost_high, last - reach)
+        left += between[line, first] - tip
+        right += between[line, last] - tip
+    if filled < FRAGMENT * count:
         return 0.0, 0.0
-    sides = sides[:filled]
-    low, high = sides[:, 0].min(), sides[:, 1].max()
-    skew = (sides[:, 0].max() - low + high - sides[:, 1].min()) / (2.0 * filled)
-    edge = min(sides[:, 2].mean(), sides[:, 3].mean())
-    middle = 0.5 * (low + high)
+    skew = (inmost_low - low + high - inmost_high) / (2.0 * filled)
+    edge, middle = min(left / filled, right / filled), 0.5 * (low + high)
     if high - low + 1.0 + 2.0 * size[3] > 2.0 * size[0] or skew > SKEW or edge < EDGE:
         return 0.0, 0.0
     if not _has_room(heights, frame, middle, size, tip - BELOW):
         return 0.0, 0.0
-    return middle, WORTH - WORTH_SKEW * skew + WORTH_EDGE * min(edge, TALL) + WORTH_WIDTH * filled / (
-        2 * lines + 1
-    )
+    return middle, WORTH - WORTH_SKEW * skew + WORTH_EDGE * min(edge, TALL) + WORTH_WIDTH * filled / count
+
+
+@compiled
+def _ends(line: Heights, least: float) -> tuple[int, int]:
+    """Return the first and the last place of a line above a height (m), (-1, -1) where there is none."""
+    first, last = 0, len(line) - 1
+    while first <= last and line[first] <= least:
+        first += 1
+    if first > last:
+        return -1, -1
+    while line[last] <= least:
+        last -= 1
+    return first, last
 
 
 @compiled

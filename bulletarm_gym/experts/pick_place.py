@@ -6,6 +6,8 @@ sides, its origin where it is best taken, along x. It can be put down in any of 
 
 import math
 from collections.abc import Iterator, Sequence
+from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 
@@ -46,14 +48,20 @@ def lying_frame(item: Item) -> Pose:
 
     Boxes may lie on any side; all else keeps its own axes, turned over if it lies upside down.
     """
+    return item.once_a_pose(_lying_frame)
+
+
+def _lying_frame(item: Item) -> Pose:
     rotation = matrix(item.pose)
     if not is_box(item):
         flip = np.diag([1.0, -1.0, -1.0]) if rotation[2, 2] < 0.0 else np.eye(3)
-        return Pose(item.pose.transform(_grip_point(item)), quaternion(rotation @ flip))
+        return Pose(item.pose.transform(item.once_a_shape(_grip_point)), quaternion(rotation @ flip))
     up = int(abs(rotation[2]).argmax())
     _, long = sorted({0, 1, 2} - {up}, key=lambda axis: (item.spec.extents[axis], axis))
     z, y = math.copysign(1.0, rotation[2, up]) * rotation[:, up], rotation[:, long]
-    return Pose(item.pose.position, quaternion(np.stack([np.cross(y, z), y, z], axis=1)))
+    (y0, y1, y2), (z0, z1, z2) = y, z
+    x = (y1 * z2 - y2 * z1, y2 * z0 - y0 * z2, y0 * z1 - y1 * z0)
+    return Pose(item.pose.position, quaternion(np.array([x, y, z]).T))
 
 
 def _grip_point(item: Item) -> Vector:
@@ -89,11 +97,38 @@ def is_box(item: Item) -> bool:
     return len(pieces) == 1 and isinstance(pieces[0].shape, Box)
 
 
-def sizes(item: Item, frame: Pose) -> tuple[FloatArray, FloatArray]:
-    """Return the lowest and the highest corner (m) of an item in a frame, (3,) each."""
-    inside = frame.inverse().compose(item.pose)
+class Corners(NamedTuple):
+    """The box along a frame's axes that an item fills.
+
+    :param low: lowest x, y and z (m)
+    :param high: highest
+    """
+
+    low: Vector
+    high: Vector
+
+    @property
+    def sides(self) -> Vector:
+        """Full side lengths (m)."""
+        (x0, y0, z0), (x1, y1, z1) = self
+        return (x1 - x0, y1 - y0, z1 - z0)
+
+    @property
+    def middle(self) -> Vector:
+        """Its middle (m), on the plane z = 0."""
+        return ((self.low[0] + self.high[0]) / 2.0, (self.low[1] + self.high[1]) / 2.0, 0.0)
+
+
+def lying_corners(item: Item) -> Corners:
+    """Return the corners of an item in its lying frame."""
+    return item.once_a_pose(_lying_corners)
+
+
+def _lying_corners(item: Item) -> Corners:
+    inside = lying_frame(item).inverse().compose(item.pose)
     points = item.spec.mesh.vertices @ matrix(inside).T + inside.position
-    return points.min(axis=0), points.max(axis=0)
+    (x0, y0, z0), (x1, y1, z1) = points.min(axis=0).tolist(), points.max(axis=0).tolist()
+    return Corners((x0, y0, z0), (x1, y1, z1))
 
 
 def pick(scene: Scene, item: Item, rng: np.random.Generator) -> Waypoint:
@@ -104,10 +139,10 @@ def pick(scene: Scene, item: Item, rng: np.random.Generator) -> Waypoint:
     :param rng: draws one of the ways if none has room: one of them may do all the same
     """
     frame = lying_frame(item)
-    low, high = sizes(item, frame)
+    _, length, height = lying_corners(item).sides
     stroke = scene.robot.model.gripper.stroke
-    turns = [0.0, math.pi / 2.0] if is_box(item) and high[1] - low[1] + SPARE <= stroke else [0.0]
-    lifts = [share * float(high[2] - low[2]) for share in LIFTS]
+    turns = [0.0, math.pi / 2.0] if is_box(item) and length + SPARE <= stroke else [0.0]
+    lifts = [share * height for share in LIFTS]
     hands = [_able(scene, frame.compose(Pose.planar(0.0, 0.0, z, turn))) for z in lifts for turn in turns]
     drawn = hands[int(rng.integers(len(hands)))]
     fitting = (hand for hand in hands if all(_rank(scene, hand, item)))
@@ -121,9 +156,9 @@ def put(scene: Scene, item: Item, grounds: Sequence[Pose]) -> Waypoint:
     """
     hand, lying = scene.robot.pose, lying_frame(item)
     in_hand = lying.inverse().compose(hand)
-    middle = _middle(item, lying)
+    middle = lying_corners(item).middle
     held_at = in_hand.inverse().transform(middle)
-    goals = (ground.compose(turned) for ground in grounds for turned in _lying(item, lying))
+    goals = (ground.compose(turned) for ground in grounds for turned in _lying(item))
     hands = (_bring(scene, goal.compose(in_hand), held_at, goal.transform(middle)) for goal in goals)
     best = max(
         hands, key=lambda goal: (*_rank(scene, goal, item), -abs(wrap_angle(goal.yaw - hand.yaw, math.pi)))
@@ -131,21 +166,15 @@ def put(scene: Scene, item: Item, grounds: Sequence[Pose]) -> Waypoint:
     return Waypoint(best, CLOSED, finish=OPEN)
 
 
-def _lying(item: Item, lying: Pose) -> Iterator[Pose]:
+def _lying(item: Item) -> Iterator[Pose]:
     """Yield the lying frame over the ground, in every way that looks the same."""
-    low, high = sizes(item, lying)
-    turns = 4 if max(high[:2] - low[:2]) < SQUARE * min(high[:2] - low[:2]) else 2
-    x, y, _ = _middle(item, lying)
+    corners = lying_corners(item)
+    level = corners.sides[:2]
+    turns = 4 if max(level) < SQUARE * min(level) else 2
+    x, y, _ = corners.middle
     for turn in range(turns):
-        turned = Pose.planar(0.0, 0.0, RELEASE - float(low[2]), 2.0 * math.pi * turn / turns)
+        turned = Pose.planar(0.0, 0.0, RELEASE - corners.low[2], 2.0 * math.pi * turn / turns)
         yield turned.compose(Pose((-x, -y, 0.0)))
-
-
-def _middle(item: Item, lying: Pose) -> Vector:
-    """Return the middle (m) of an item's outline in its lying frame."""
-    low, high = sizes(item, lying)
-    x, y = ((low + high)[:2] / 2.0).tolist()
-    return (x, y, 0.0)
 
 
 def _able(scene: Scene, hand: Pose) -> Pose:
@@ -178,20 +207,27 @@ def has_room(scene: Scene, hand: Pose, item: Item) -> bool:
     gripper = scene.robot.model.gripper
     thickness, width, _ = gripper.finger
     far = gripper.stroke / 2.0 + thickness
-    along, across = np.meshgrid(far * SWEEP, width * np.linspace(-0.5, 0.5, 5))
-    grid = np.stack([along.ravel(), across.ravel(), np.zeros(along.size)], axis=1)
-    tips = grid @ matrix(hand).T + hand.position
+    tips = _swept(far, width) @ matrix(hand).T + hand.position
     if (scene.surface.heights(tips[:, :2]) + OVER > tips[:, 2]).any():
         return False
-    others = [
-        (footprint(other), scene.world.top(other.body))
-        for other in scene
-        if other is not item and other is not scene.held and scene.world.top(other.body) > tips[:, 2].min()
-    ]
-    for side in (1.0, -1.0):
-        aside = Pose((side * (far - thickness / 2.0), 0.0, 0.0))
-        finger = hand.compose(aside)
-        base = Footprint.rectangle((thickness, width), finger)
-        if any(base.gap(other) < ROOM and top > finger.z for other, top in others):
+    fingers = [hand.compose(Pose((side * (far - thickness / 2.0), 0.0, 0.0))) for side in (1.0, -1.0)]
+    bases = [(Footprint.rectangle((thickness, width), finger), finger.z) for finger in fingers]
+    lowest, held = float(tips[:, 2].min()), scene.held
+    for other in scene:
+        if other is item or other is held or (top := scene.world.top(other.body)) <= lowest:
+            continue
+        shadow = footprint(other)
+        if any(base.gap(shadow) < ROOM and top > z for base, z in bases):
             return False
     return True
+
+
+@lru_cache(maxsize=16)
+def _swept(far: float, width: float) -> FloatArray:
+    """Return where the ground under the closing fingers is looked at, (n, 3) m in the hand's frame.
+
+    :param far: the open fingers' outer sides (m)
+    :param width: of a finger (m)
+    """
+    along, across = np.meshgrid(far * SWEEP, width * np.linspace(-0.5, 0.5, 5))
+    return np.stack([along.ravel(), across.ravel(), np.zeros(along.size)], axis=1)

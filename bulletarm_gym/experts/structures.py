@@ -8,7 +8,7 @@ import numpy as np
 
 from bulletarm_gym.experts.approach import RELEASE, side_yaw
 from bulletarm_gym.experts.blueprint import Blocks, Blueprint, Slot, Standing, is_long
-from bulletarm_gym.experts.pick_place import has_room, is_box, lying_frame, pick, put, sizes
+from bulletarm_gym.experts.pick_place import SQUARE, has_room, is_box, lying_corners, pick, put
 from bulletarm_gym.experts.waypoints import Waypoint
 from bulletarm_gym.footprint import Footprint, PlacementError
 from bulletarm_gym.geometry import Pose, planar_distance, wrap_angle
@@ -123,7 +123,7 @@ class Builder:
         return (
             gap < SPAN * self._length_above(slot)
             and self._is_straight([*before, item])
-            and self._carries([footprint(other) for other in (*before, item)])
+            and self._carries(footprint(before[0]), footprint(item))
         )
 
     def _is_straight(self, items: Sequence[Item]) -> bool:
@@ -261,9 +261,9 @@ class Builder:
             return
         others = [footprint(other) for other in self._loose(way) if other is not item]
         covered = [footprint(other) for other in base]
-        low, high = sizes(item, lying_frame(item))
+        width, length, _ = lying_corners(item).sides
         x, y = covered[-1].centre
-        half = float(high[1] - low[1]) / 2.0
+        half = length / 2.0
         for direction in self._directions(base):
             along = np.array([math.cos(direction), math.sin(direction)])
             reach = float(((covered[-1].points - (x, y)) @ along).max())
@@ -275,9 +275,9 @@ class Builder:
                     self._scene.surface.level,
                     direction - math.pi / 2.0,
                 )
-                base_of = Footprint.rectangle((float(high[0] - low[0]), 2.0 * half), ground)
+                base_of = Footprint.rectangle((width, 2.0 * half), ground)
                 on_site = self._scene.surface.fits_site(base_of.grown(ASTRAY))
-                if on_site and self._carries([*covered, base_of]):
+                if on_site and self._carries(covered[0], base_of):
                     room = min((base_of.gap(other) for other in others), default=MARGINS[0])
                     yield min(room, MARGINS[0]) - PREFERENCE * gap, ground
 
@@ -297,11 +297,10 @@ class Builder:
 
     def _has_room(self, ground: Pose, item: Item) -> bool:
         """Whether the fingers have room to put an item on a frame."""
-        low, high = sizes(item, lying_frame(item))
-        hand = ground.compose(Pose((0.0, 0.0, RELEASE - float(low[2]))))
-        turns = (
-            (0.0, math.pi / 2.0) if is_box(item) and high[1] - low[1] < 1.05 * (high[0] - low[0]) else (0.0,)
-        )
+        corners = lying_corners(item)
+        width, length, _ = corners.sides
+        hand = ground.compose(Pose((0.0, 0.0, RELEASE - corners.low[2])))
+        turns = (0.0, math.pi / 2.0) if is_box(item) and length < SQUARE * width else (0.0,)
         if "r" not in self._scene.config.action_sequence:
             turns = (0.0,)
         return any(
@@ -322,15 +321,17 @@ class Builder:
         kind = next((other.kind for other in above), None)
         return self._blocks[kind][0].spec.extents[1] if kind else 3.0 * self._blueprint.side
 
-    def _carries(self, base: Sequence[Footprint]) -> bool:
-        """Whether what is to lie on a base would not touch the ground beside it."""
+    def _carries(self, first: Footprint, last: Footprint) -> bool:
+        """Whether what is to lie on a base would not touch the ground beside it.
+
+        :param first: what the first block of the base covers
+        :param last: what the last one does
+        """
         surface = self._scene.surface
-        first, last = base[0].points.mean(axis=0), base[-1].points.mean(axis=0)
-        length = self._length_above(self._blueprint.layers[0][-1])
-        dx, dy = (last - first).tolist()
-        x, y = ((first + last) / 2.0).tolist()
+        (x0, y0), (x1, y1) = first.mean, last.mean
         over = Footprint.rectangle(
-            (self._blueprint.side, length), Pose.planar(x, y, 0.0, math.atan2(dy, dx) - math.pi / 2.0)
+            (self._blueprint.side, self._length_above(self._blueprint.layers[0][-1])),
+            Pose.planar((x0 + x1) / 2.0, (y0 + y1) / 2.0, 0.0, math.atan2(y1 - y0, x1 - x0) - math.pi / 2.0),
         )
         return float(surface.heights(over.points).max()) < surface.level + 0.8 * self._blueprint.side
 

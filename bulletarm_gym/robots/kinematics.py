@@ -90,96 +90,147 @@ def _floats(element: ElementTree.Element | None, key: str, default: str) -> tupl
     return (x, y, z)
 
 
-@compiled
-def _axis_rotation(axis: FloatArray, angle: float) -> FloatArray:
-    c, s = math.cos(angle), math.sin(angle)
-    x, y, z = axis
-    t = 1.0 - c
-    return np.array(
-        [
-            [t * x * x + c, t * x * y - s * z, t * x * z + s * y],
-            [t * x * y + s * z, t * y * y + c, t * y * z - s * x],
-            [t * x * z - s * y, t * y * z + s * x, t * z * z + c],
-        ]
-    )
+# The compiled code allocates nothing within its loops: a solution takes ten iterations.
 
 
 @compiled
-def _apply(m: FloatArray, v: FloatArray) -> FloatArray:
-    out = np.empty(3)
+def _apply(m: FloatArray, v: FloatArray, out: FloatArray) -> None:
+    """Write ``m @ v``."""
     for i in range(3):
         out[i] = m[i, 0] * v[0] + m[i, 1] * v[1] + m[i, 2] * v[2]
-    return out
 
 
 @compiled
-def _product(a: FloatArray, b: FloatArray) -> FloatArray:
-    out = np.empty((3, 3))
+def _product(a: FloatArray, b: FloatArray, out: FloatArray) -> None:
+    """Write ``a @ b``, which is neither of them."""
     for i in range(3):
         for j in range(3):
             out[i, j] = a[i, 0] * b[0, j] + a[i, 1] * b[1, j] + a[i, 2] * b[2, j]
-    return out
+
+
+@compiled
+def _axis_rotation(axis: FloatArray, angle: float, out: FloatArray) -> None:
+    """Write the rotation by an angle (rad) about a unit axis."""
+    c, s = math.cos(angle), math.sin(angle)
+    x, y, z = axis
+    t = 1.0 - c
+    out[0, 0], out[0, 1], out[0, 2] = t * x * x + c, t * x * y - s * z, t * x * z + s * y
+    out[1, 0], out[1, 1], out[1, 2] = t * x * y + s * z, t * y * y + c, t * y * z - s * x
+    out[2, 0], out[2, 1], out[2, 2] = t * x * z - s * y, t * y * z + s * x, t * z * z + c
+
+
+@compiled
+def _advance(
+    rotation: FloatArray,
+    position: FloatArray,
+    fixed: FloatArray,
+    offset: FloatArray,
+    axis: FloatArray,
+    angle: float,
+    spare: FloatArray,
+) -> None:
+    """Go from one joint's frame to the next one's, in place.
+
+    :param fixed: rotation (3, 3) before the joint
+    :param offset: offset (m) before it
+    :param spare: room for two rotations, (2, 3, 3)
+    """
+    _apply(rotation, offset, spare[0, 0])
+    position += spare[0, 0]
+    _product(rotation, fixed, spare[0])
+    _axis_rotation(axis, angle, spare[1])
+    _product(spare[0], spare[1], rotation)
 
 
 @compiled
 def _forward(
     rotations: FloatArray, translations: FloatArray, axes: FloatArray, joints: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    rotation, position = np.eye(3), np.zeros(3)
+    rotation, position, spare = np.eye(3), np.zeros(3), np.empty((2, 3, 3))
     for j in range(len(joints)):
-        position = position + _apply(rotation, translations[j])
-        rotation = _product(_product(rotation, rotations[j]), _axis_rotation(axes[j], joints[j]))
-    position = position + _apply(rotation, translations[-1])
-    return _product(rotation, rotations[-1]), position
+        _advance(rotation, position, rotations[j], translations[j], axes[j], joints[j], spare)
+    _apply(rotation, translations[-1], spare[0, 0])
+    _product(rotation, rotations[-1], spare[1])
+    return spare[1].copy(), position + spare[0, 0]
 
 
 @compiled
 def _jacobian(
-    rotations: FloatArray, translations: FloatArray, axes: FloatArray, joints: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Tool rotation and position, and the (6, n) Jacobian of position and turning in the world."""
-    n = len(joints)
-    origins, world_axes = np.empty((n, 3)), np.empty((n, 3))
-    rotation, position = np.eye(3), np.zeros(3)
-    for j in range(n):
-        position = position + _apply(rotation, translations[j])
-        rotation = _product(_product(rotation, rotations[j]), _axis_rotation(axes[j], joints[j]))
-        origins[j], world_axes[j] = position, _apply(rotation, axes[j])
-    position = position + _apply(rotation, translations[-1])
-    jacobian = np.empty((6, n))
-    for j in range(n):
-        arm, axis = position - origins[j], world_axes[j]
-        jacobian[0, j] = axis[1] * arm[2] - axis[2] * arm[1]
-        jacobian[1, j] = axis[2] * arm[0] - axis[0] * arm[2]
-        jacobian[2, j] = axis[0] * arm[1] - axis[1] * arm[0]
+    rotations: FloatArray,
+    translations: FloatArray,
+    axes: FloatArray,
+    joints: FloatArray,
+    tool: FloatArray,
+    position: FloatArray,
+    jacobian: FloatArray,
+    spare: FloatArray,
+) -> None:
+    """Write the tool's rotation and position, and the (6, n) Jacobian of position and turning (world)."""
+    rotation, origins = spare[2], spare[3:]
+    rotation[:] = 0.0
+    position[:] = 0.0
+    for i in range(3):
+        rotation[i, i] = 1.0
+    for j in range(len(joints)):
+        _advance(rotation, position, rotations[j], translations[j], axes[j], joints[j], spare)
+        origins[j, 0] = position
+        _apply(rotation, axes[j], origins[j, 1])
+    _apply(rotation, translations[-1], spare[0, 0])
+    position += spare[0, 0]
+    _product(rotation, rotations[-1], tool)
+    for j in range(len(joints)):
+        axis = origins[j, 1]
+        x, y, z = (
+            position[0] - origins[j, 0, 0],
+            position[1] - origins[j, 0, 1],
+            position[2] - origins[j, 0, 2],
+        )
+        jacobian[0, j] = axis[1] * z - axis[2] * y
+        jacobian[1, j] = axis[2] * x - axis[0] * z
+        jacobian[2, j] = axis[0] * y - axis[1] * x
         jacobian[3:, j] = axis
-    return _product(rotation, rotations[-1]), position, jacobian
 
 
 @compiled
-def _turn(goal: FloatArray, now: FloatArray) -> FloatArray:
-    """Rotation vector (rad, world) that carries ``now`` to ``goal``."""
-    r = _product(goal, now.T)
-    vector = np.array([r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]]) / 2.0
-    sine = math.sqrt((vector**2).sum())
+def _turn(goal: FloatArray, now: FloatArray, out: FloatArray, spare: FloatArray) -> None:
+    """Write the rotation vector (rad, world) that carries ``now`` to ``goal``."""
+    _product(goal, now.T, spare)
+    r = spare
+    out[0], out[1], out[2] = (
+        (r[2, 1] - r[1, 2]) / 2.0,
+        (r[0, 2] - r[2, 0]) / 2.0,
+        (r[1, 0] - r[0, 1]) / 2.0,
+    )
+    sine = math.sqrt(_dot(out, out))
     angle = math.atan2(sine, (r[0, 0] + r[1, 1] + r[2, 2] - 1.0) / 2.0)
-    return vector * (angle / sine) if sine > 1e-12 else vector
+    if sine > 1e-12:
+        out *= angle / sine
 
 
 @compiled
-def _solve(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Solve a symmetric positive definite system by Cholesky decomposition."""
-    n = len(b)
-    low, x = np.zeros((n, n)), b.copy()
+def _dot(a: FloatArray, b: FloatArray) -> float:
+    """Return the sum of products, the first one first."""
+    total = 0.0
+    for i in range(len(a)):
+        total += a[i] * b[i]
+    return total
+
+
+@compiled
+def _solve(a: FloatArray, x: FloatArray, low: FloatArray) -> None:
+    """Solve a symmetric positive definite system by Cholesky decomposition; ``x`` begins as its right side.
+
+    :param low: room for the decomposition
+    """
+    n = len(x)
     for i in range(n):
         for j in range(i + 1):
-            s = a[i, j] - (low[i, :j] * low[j, :j]).sum()
+            s = a[i, j] - _dot(low[i, :j], low[j, :j])
             low[i, j] = math.sqrt(s) if i == j else s / low[j, j]
     for i in range(n):
-        x[i] = (x[i] - (low[i, :i] * x[:i]).sum()) / low[i, i]
+        x[i] = (x[i] - _dot(low[i, :i], x[:i])) / low[i, i]
     for i in range(n - 1, -1, -1):
-        x[i] = (x[i] - (low[i + 1 :, i] * x[i + 1 :]).sum()) / low[i, i]
-    return x
+        x[i] = (x[i] - _dot(low[i + 1 :, i], x[i + 1 :])) / low[i, i]
 
 
 @compiled
@@ -191,22 +242,27 @@ def _inverse(
     goal_position: FloatArray,
     start: FloatArray,
 ) -> tuple[FloatArray, float]:
-    joints = start.copy()
-    error = np.empty(6)
+    n = len(start)
+    joints, change, error, weights = start.copy(), np.empty(n), np.empty(6), np.empty(6)
+    position, rotation, jacobian = np.empty(3), np.empty((3, 3)), np.empty((6, n))
+    square, low, spare = np.empty((6, 6)), np.zeros((6, 6)), np.empty((n + 3, 3, 3))
     for iteration in range(MAX_ITERATIONS + 1):
-        rotation, position, jacobian = _jacobian(rotations, translations, axes, joints)
+        _jacobian(rotations, translations, axes, joints, rotation, position, jacobian, spare)
         error[:3] = goal_position - position
-        error[3:] = _turn(goal_rotation, rotation)
-        if (error**2).sum() < TOLERANCE**2 or iteration == MAX_ITERATIONS:
+        _turn(goal_rotation, rotation, error[3:], spare[0])
+        if _dot(error, error) < TOLERANCE**2 or iteration == MAX_ITERATIONS:
             break
-        square = np.empty((6, 6))
         for i in range(6):
-            for j in range(6):
-                square[i, j] = (jacobian[i] * jacobian[j]).sum()
+            for j in range(i + 1):
+                square[i, j] = _dot(jacobian[i], jacobian[j])
             square[i, i] += DAMPING
-        weights = _solve(square, error)
-        change = np.zeros(len(joints))
+        weights[:] = error
+        _solve(square, weights, low)
+        change[:] = 0.0
         for i in range(6):
-            change += jacobian[i] * weights[i]
-        joints += change * min(1.0, MAX_JOINT_STEP / max(np.abs(change).max(), 1e-12))
+            for j in range(n):
+                change[j] += jacobian[i, j] * weights[i]
+        share = min(1.0, MAX_JOINT_STEP / max(np.abs(change).max(), 1e-12))
+        for j in range(n):
+            joints[j] += change[j] * share
     return joints, np.abs(error).max()

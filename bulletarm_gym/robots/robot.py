@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -53,6 +54,8 @@ OPENING_TOLERANCE = 5e-4
 """Difference of openings (m) too small to move the fingers for, or to be a squeeze."""
 GIVING_WAY = 0.2
 """Share of the stroke by which fingers that were pushed shut are left so, as long as the command stays."""
+REMEMBERED = 64
+"""Poses of which the solutions are remembered."""
 YIELDS = 4
 """Most moves out of what the arm is too deep in: the way out of one thing may lead into another."""
 
@@ -97,6 +100,9 @@ class Robot:
         self._couple_fingers()
         self.held: Body | None = None
         self._command = model.gripper.stroke
+        # An action asks for the same few poses again and again.
+        self._inverse = lru_cache(maxsize=REMEMBERED)(model.inverse)
+        self._posed: tuple[tuple[float, ...], Pose] = ((), Pose((0.0, 0.0, 0.0)))
 
     def _couple_fingers(self) -> None:
         """Make the fingers mirror each other, as the spindle of a real gripper does, and their pads stick.
@@ -124,7 +130,10 @@ class Robot:
     @property
     def pose(self) -> Pose:
         """Pose of the fingertips in the world."""
-        return self.model.chain.forward(np.array(self._arm.positions(self._world)))
+        joints = self._arm.positions(self._world)
+        if joints != self._posed[0]:
+            self._posed = (joints, self.model.chain.forward(np.array(joints)))
+        return self._posed[1]
 
     @property
     def opening(self) -> float:
@@ -158,10 +167,10 @@ class Robot:
 
     def reaches(self, pose: Pose) -> bool:
         """Whether the fingertips can be brought to a pose."""
-        return self.model.inverse(pose)[1] <= POSITION_TOLERANCE
+        return self._inverse(pose)[1] <= POSITION_TOLERANCE
 
     def _solve(self, pose: Pose) -> list[float]:
-        joints, error = self.model.inverse(pose)
+        joints, error = self._inverse(pose)
         if error > POSITION_TOLERANCE:
             raise OutOfReachError(
                 f"robot {self.model.name!r} cannot reach {pose}: {error:.4f} m or rad remain"

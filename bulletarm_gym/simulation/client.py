@@ -3,6 +3,7 @@
 import os
 import sys
 import weakref
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -44,6 +45,10 @@ class Client:
         bound = partial(value, physicsClientId=self.id) if callable(value) else value
         setattr(self, name, bound)
         return bound
+
+    def replace(self, name: str, wrap: Callable[["partial[Any]"], "partial[Any]"]) -> None:
+        """Put a function of this server's into another one, through which it is called from now on."""
+        setattr(self, name, wrap(getattr(self, name)))
 
     def close(self) -> None:
         """Release the server; a second call does nothing."""

@@ -3,9 +3,13 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from operator import itemgetter
+from typing import Any
 
 import numpy as np
 
+from bulletarm_gym.compilation import compiled
 from bulletarm_gym.geometry import FloatArray
 from bulletarm_gym.simulation.world import Body, World
 
@@ -51,15 +55,25 @@ class JointGroup:
     slots: tuple[int, ...]
     force: float
 
-    @property
+    @cached_property
     def joints(self) -> list[int]:
         """Their indices in Bullet."""
         return [self.body.joints[slot] for slot in self.slots]
 
+    @cached_property
+    def strength(self) -> dict[str, list[float]]:
+        """What Bullet takes to drive them to a target: forces and gains, one a joint."""
+        gains = [1.0] * len(self.slots)
+        return {"forces": [self.force] * len(self.slots), "positionGains": gains, "velocityGains": gains}
+
     def positions(self, world: World) -> tuple[float, ...]:
         """Return their positions in the world's state."""
-        joints = world.joints[self.body.index]
-        return tuple(joints[slot] for slot in self.slots)
+        positions: tuple[float, ...] = self._among(world.joints[self.body.index])
+        return positions
+
+    @cached_property
+    def _among(self) -> "itemgetter[Any]":
+        return itemgetter(*self.slots)
 
     def moved(self, world: World, positions: Sequence[float]) -> list[float]:
         """Return all joint positions of the body with these joints elsewhere."""
@@ -69,6 +83,7 @@ class JointGroup:
         return joints
 
 
+@lru_cache(maxsize=256)
 def ramp(steps: int) -> FloatArray:
     """Return the share of the way done after each step: quickly up to speed, slowly to rest."""
     time = np.arange(1, steps + 1) / steps
@@ -79,22 +94,39 @@ def ramp(steps: int) -> FloatArray:
 
 def hold(world: World, group: JointGroup, positions: Sequence[float]) -> None:
     """Send motor targets that keep joints where they should be."""
-    count = len(group.slots)
     world.client.setJointMotorControlArray(
         group.body.id,
         group.joints,
         world.client.POSITION_CONTROL,
         targetPositions=positions,
-        forces=[group.force] * count,
-        positionGains=[1.0] * count,
-        velocityGains=[1.0] * count,
+        **group.strength,
     )
 
 
 def on_the_way(stops: Sequence[Sequence[float]], shares: FloatArray) -> FloatArray:
     """Return where joints are on a way through evenly spaced stops, (n, joints), after shares (n,) of it."""
-    knots = np.linspace(0.0, 1.0, len(stops))
-    return np.stack([np.interp(shares, knots, joint) for joint in np.asarray(stops).T], axis=1)
+    return _interpolate(np.array(stops, dtype=np.float64), np.asarray(shares, dtype=np.float64))
+
+
+@compiled
+def _interpolate(stops: FloatArray, shares: FloatArray) -> FloatArray:
+    """Return what ``np.interp`` would for each joint, the stops evenly spaced from 0 to 1."""
+    pieces = len(stops) - 1
+    width = 1.0 / pieces
+    way = np.empty((len(shares), stops.shape[1]))
+    for row in range(len(shares)):
+        piece = min(int(shares[row] * pieces), pieces - 1)
+        if shares[row] < piece * width:
+            piece -= 1
+        elif piece + 1 < pieces and shares[row] >= (piece + 1) * width:
+            piece += 1
+        start = piece * width
+        end = 1.0 if piece + 1 == pieces else (piece + 1) * width
+        for joint in range(stops.shape[1]):
+            first, last = stops[piece, joint], stops[piece + 1, joint]
+            slope = (last - first) / (end - start)
+            way[row, joint] = last if shares[row] >= 1.0 else slope * (shares[row] - start) + first
+    return way
 
 
 def follow(
@@ -104,7 +136,8 @@ def follow(
 
     :param held: a body in the gripper, which does not block it
     """
-    path = [group.positions(world), *on_the_way([group.positions(world), *stops], ramp(steps)).tolist()]
+    start = group.positions(world)
+    path = [start, *on_the_way([start, *stops], ramp(steps)).tolist()]
     depth = math.inf
     for number in range(1, steps + 1):
         hold(world, group, path[number])
@@ -121,11 +154,11 @@ def follow(
 def press(world: World, body: Body, held: Body | None) -> tuple[float, float]:
     """Return how hard (N) and how deep (m) a body presses on others than what it holds gently."""
     points = world.client.getContactPoints(body.id)
-    gripped = None if held is None else held.id
-    others = [(point[9], -point[8]) for point in points if point[2] != gripped or -point[8] > MAX_SQUEEZE]
-    if not others:
+    if held is not None:
+        points = [point for point in points if point[2] != held.id or -point[8] > MAX_SQUEEZE]
+    if not points:
         return 0.0, 0.0
-    return sum(force for force, _ in others), max(depth for _, depth in others)
+    return sum([point[9] for point in points]), -min([point[8] for point in points])
 
 
 def _give_way(world: World, group: JointGroup, path: Sequence[Sequence[float]], held: Body | None) -> None:

@@ -170,7 +170,7 @@ class BodySpec:
         """The parts that move in it, in the order of its joints."""
         return (*self.slides, *self.hinges)
 
-    @property
+    @cached_property
     def part_meshes(self) -> list[Mesh]:
         """The body's mesh and those of its parts."""
         return [self.mesh, *(part.mesh for part in self.parts)]
@@ -196,6 +196,11 @@ class BodySpec:
     def footprint(self) -> float:
         """Radius (m) of the circle about the frame's z axis that holds the body at any yaw."""
         return float(np.linalg.norm(self.mesh.vertices[:, :2], axis=1).max())
+
+    @cached_property
+    def radius(self) -> float:
+        """Radius (m) of the sphere about the frame's origin that holds the body, its slides aside."""
+        return float(np.linalg.norm(self.mesh.vertices, axis=1).max()) if self.pieces else 0.0
 
     @cached_property
     def mass_properties(self) -> tuple[Pose, Vector]:

@@ -10,6 +10,7 @@ the same way.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from bulletarm_gym.geometry import Pose, Vector
 from bulletarm_gym.simulation.client import Client
@@ -26,6 +27,8 @@ REST_SPEED = 0.01
 """A body slower than this (m/s at its rim) rests: in one step gravity alone adds four times as much."""
 REST_RIM = 0.05
 """Lever (m) at which a body's turning counts as speed."""
+SPARE = 0.01
+"""Gap (m) between two spheres that is enough for what they hold to be apart: the engine adds margins."""
 PARKING_HEIGHT = 10.0
 """Where (m) bodies that take no part wait, far from everything, without contacts."""
 PARKING_PITCH = 1.0
@@ -106,6 +109,8 @@ class World:
         self.joints: list[tuple[float, ...]] = []
         self.joint_rates: list[tuple[float, ...]] = []
         self._ground: Body | None = None
+        self._near: dict[tuple[int, int, float], tuple[Any, bool]] = {}
+        self._solids: list[Body] = []
         self._snapshot: int | None = None
         # The default broad phase reorders its trees by memory address as time goes by, and so the contacts.
         # The simple one keeps the order of loading, and for so few bodies it is as quick.
@@ -152,6 +157,7 @@ class World:
     def seal(self) -> None:
         """Take the snapshot every later move begins from; nothing can be loaded after it."""
         self._check_open()
+        self._solids = self.solids
         self._snapshot = self.client.saveState()
 
     @property
@@ -173,7 +179,7 @@ class World:
     @property
     def solids(self) -> list[Body]:
         """All bodies, parked ones too, but the endless ground, marks on it and what moves itself."""
-        return [body for body in self.visible if not body.spec.is_mark]
+        return self._solids or [body for body in self.visible if not body.spec.is_mark]
 
     @property
     def visible(self) -> list[Body]:
@@ -291,10 +297,11 @@ class World:
 
     def _set_colliding(self, body: Body, colliding: bool) -> None:
         """Have a body collide or not; what stands fixed does so with what moves only."""
+        set_mask = self.client.setCollisionFilterGroupMask
         for link in (-1, *body.joints):
             moves = link >= 0 or body.spec.mass > 0.0
             group, mask = (MOVING, MOVING | FIXED) if moves else (FIXED, MOVING)
-            self.client.setCollisionFilterGroupMask(body.id, link, group * colliding, mask * colliding)
+            set_mask(body.id, link, group * colliding, mask * colliding)
 
     def end(self) -> None:
         """Read the world into the state; bodies slower than :data:`REST_SPEED` are at rest."""
@@ -372,6 +379,26 @@ class World:
         """Return the gap (m) between two bodies, negative where they overlap, infinite beyond ``limit``."""
         points = self.client.getClosestPoints(first.id, second.id, limit)
         return min((point[8] for point in points), default=math.inf)
+
+    def are_near(self, first: Body, second: Body, limit: float) -> bool:
+        """Whether the gap between two bodies that are where the state says is at most ``limit`` (m).
+
+        The answer is kept until one of them moves.
+        """
+        one, two = first.index, second.index
+        now = (self.poses[one], self.poses[two], self.joints[one], self.joints[two])
+        known = self._near.get((one, two, limit))
+        if known is None or known[0] != now:
+            near = self._may_be_near(first, second, limit) and self.distance(first, second, limit) <= limit
+            known = self._near[one, two, limit] = (now, near)
+        return known[1]
+
+    def _may_be_near(self, first: Body, second: Body, limit: float) -> bool:
+        """Whether the spheres that hold two bodies are as near as that, without asking the engine."""
+        if not (first.spec.pieces and second.spec.pieces) or first.joints or second.joints:
+            return True
+        apart = math.dist(self.poses[first.index].position, self.poses[second.index].position)
+        return apart <= first.spec.radius + second.spec.radius + limit + SPARE
 
     def bounds(self, body: Body) -> tuple[Vector, Vector]:
         """Return the lowest and the highest corner (m) of a body's bounding box."""

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -83,6 +84,10 @@ class Ramp:
         return beyond
 
 
+_ramp = lru_cache(maxsize=16)(Ramp.of)
+"""They lie as they lie for a whole episode."""
+
+
 class RampSurface(Surface):
     """Two plates with parallel edges; between them a level strip where structures stand.
 
@@ -131,7 +136,7 @@ class RampSurface(Surface):
         """Both ramps as they lie."""
         world = self._world
         first, second = (
-            Ramp.of(next(world.poses[body.index] for body in plates if world.active[body.index]))
+            _ramp(next(world.poses[body.index] for body in plates if world.active[body.index]))
             for plates in self._plates
         )
         return first, second

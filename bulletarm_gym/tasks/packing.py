@@ -4,6 +4,7 @@ import math
 from collections.abc import Iterator
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bulletarm_gym.config import OPEN_LOOP, EnvConfig, TaskDefaults, TrayUse
 from bulletarm_gym.experts.approach import RELEASE
@@ -214,9 +215,18 @@ class Room:
         for axis in (0, 1):
             first, last = math.floor(low[axis] / PITCH), math.ceil(high[axis] / PITCH)
             margin = max(-first, last, 0)
-            pads = [(margin, margin) if axis == other else (0, 0) for other in (0, 1)]
-            padded = np.pad(found, pads, constant_values=outside)
-            windows = np.lib.stride_tricks.sliding_window_view(padded, last - first + 1, axis).max(axis=-1)
-            begin = margin + first
-            found = windows.take(range(begin, begin + self._heights.shape[axis]), axis)
+            # Height by height along the first axis; turned over after each, both axes come first once.
+            sides = np.full((margin, found.shape[1]), outside, found.dtype)
+            windows = _greatest(np.concatenate([sides, found, sides]), last - first + 1)
+            found = np.ascontiguousarray(windows[margin + first :][: len(found)].T)
         return found
+
+
+def _greatest(rows: NDArray[np.float32], count: int) -> NDArray[np.float32]:
+    """Return the greatest of each ``count`` rows that follow each other, of twice as many in each turn."""
+    taken = 1
+    while 2 * taken <= count:
+        rows = np.maximum(rows[:-taken], rows[taken:])
+        taken *= 2
+    left = count - taken
+    return np.maximum(rows[:-left], rows[left:]) if left else rows

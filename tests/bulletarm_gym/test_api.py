@@ -655,3 +655,19 @@ def test_expert_action_is_legal_after_the_end(env: ManipulationEnv) -> None:
     for _ in range(8):
         assert env.expert_action() in env.action_space
         env.step(env.expert_action())
+
+
+def test_a_stopwatch_runs_with_the_environment(picking: ManipulationEnv) -> None:
+    env = make_env(picking.spec.id)
+    env.reset(seed=0)
+    stopwatch = env.measure()
+    assert set(stopwatch.seconds.values()) == {0.0}
+    env.step(env.expert_action())
+    first = dict(stopwatch.seconds)
+    assert first["rendering"] > 0.0
+    while not env.step(env.expert_action())[2]:
+        pass
+    assert all(stopwatch.seconds[part] > first[part] for part in first)
+    env.close()
+    with pytest.raises(RuntimeError, match="closed"):
+        env.scene.world.step()

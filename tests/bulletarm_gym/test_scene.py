@@ -1,12 +1,17 @@
-"""How many bodies a scene loads where sizes are drawn, and that they are all kinds there are."""
+"""How many bodies a scene loads where sizes are drawn, and that what is remembered of them stays true."""
 
+import itertools
 from collections.abc import Callable
 
+import numpy as np
 import pytest
 from rollouts import advance, transcript
 
 from bulletarm_gym.env import ManipulationEnv
+from bulletarm_gym.geometry import Pose
 from bulletarm_gym.objects.packing import SHAPES
+from bulletarm_gym.placement import footprint
+from bulletarm_gym.relations import touching
 from bulletarm_gym.scene import MOST_VARIANTS, Role, spread
 from bulletarm_gym.simulation import BodySpec
 
@@ -81,3 +86,49 @@ def test_variants_are_spread(most: int) -> None:
 def test_everything_is_kept_where_there_is_room() -> None:
     assert spread([role(3), role(2)], 5) == [[0, 1, 2], [0, 1]]
     assert spread([], 5) == []
+
+
+def test_what_is_remembered_follows_the_pose(make: Make) -> None:
+    env = make("BulletArm/OpenLoopBlockStacking-v0")
+    env.reset(seed=0)
+    first, second = list(env.scene)[:2]
+    before = footprint(first)
+    assert footprint(first) is before  # not computed anew
+    env.expert_action()
+    assert not touching(env.scene, first, second)
+    x, y, z = second.pose.position
+    first.place(Pose((x, y, z + second.spec.extents[2])))
+    assert touching(env.scene, first, second)
+    assert first.lowest == pytest.approx(second.bounds[1, 2], abs=1e-6)
+    assert footprint(first).centre == pytest.approx((x, y))
+    state = env.get_state()
+    first.place(Pose((x + 0.1, y, z)))
+    assert not touching(env.scene, first, second)
+    env.set_state(state)
+    assert touching(env.scene, first, second)
+
+
+def test_spheres_leave_nothing_out_that_is_near(make: Make) -> None:
+    env = make("BulletArm/OpenLoopImproviseHouseBuilding3-v0")
+    world = env.scene.world
+    for seed in range(3):
+        env.reset(seed=seed)
+        bodies = [item.body for item in env.scene]
+        for first, second in itertools.combinations(bodies, 2):
+            for limit in (0.002, 0.05, 0.1):
+                near = world.distance(first, second, limit) <= limit
+                assert world.are_near(first, second, limit) == near
+
+
+def test_heightmaps_follow_what_moves(make: Make) -> None:
+    env = make("BulletArm/OpenLoopHouseBuilding2-v0")
+    env.reset(seed=0)
+    scene, view = env.scene, (env.config.centre, env.config.workspace_size, 64)
+    first, second = list(scene)[:2]
+    alone = scene.heights_of([first.body], *view)
+    assert alone.max() > 0.0
+    second.place(Pose.planar(*env.config.centre, 0.1))
+    np.testing.assert_array_equal(scene.heights_of([first.body], *view), alone)
+    first.park()
+    assert scene.heights_of([first.body], *view).max() == 0.0
+    assert scene.heights(*view).max() == pytest.approx(0.1 + second.spec.extents[2] / 2.0, abs=1e-3)

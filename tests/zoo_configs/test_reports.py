@@ -41,6 +41,7 @@ def test_speed_compares_with_the_reference(
     assert cells["environment"] == REACHING
     parts = sum(float(cells[part]) for part in ("physics", "rendering", "rest"))
     assert parts == pytest.approx(float(cells["ms/step"]), abs=0.02)
+    assert 0 < float(cells["without expert"]) <= float(cells["ms/step"])
     assert float(cells["ratio"]) > 0
     assert summary.startswith("ratio: geometric mean")
 

@@ -36,10 +36,11 @@ if TYPE_CHECKING:
     from zoo_configs.measuring.update_speed import UpdateSpeed
 
 DESCRIPTION = """Measure steps a second with the expert in one process, split into physics (the engine's
-steps), rendering (heightmaps) and the rest. The yardstick is plain PyBullet, on this machine at this hour.
-With --baseline instead: the time of one gradient update, split into its parts, the greatest memory of its
-process, and how the equivariant convolutions compare with plain ones of the same width, forward and backward,
-in turn. With --overhead besides: what train adds to a bare model.learn(), of five pairs in turn."""
+steps), rendering (heightmaps) and the rest, and once without the expert. The yardstick is plain PyBullet, on
+this machine at this hour. With --baseline instead: the time of one gradient update, split into its parts, the
+greatest memory of its process, and how the equivariant convolutions compare with plain ones of the same
+width, forward and backward, in turn. With --overhead besides: what train adds to a bare model.learn(), of
+five pairs in turn."""
 DEFAULT_LEARNING_ENV = "BulletArm/CloseLoopBlockPicking-v0"
 SHIPPED_REFERENCE = "data/reference_rates.csv"
 COLUMNS = (
@@ -50,6 +51,7 @@ COLUMNS = (
     "physics",
     "rendering",
     "rest",
+    "without expert",
     "reset ms",
     "expert",
 )
@@ -229,7 +231,7 @@ def _print(rows: Sequence[Row], markdown: bool) -> None:
 
 
 def _cells(ours: Throughput) -> list[str]:
-    times = (ours.step_ms, ours.physics_ms, ours.rendering_ms, ours.rest_ms)
+    times = (ours.step_ms, ours.physics_ms, ours.rendering_ms, ours.rest_ms, ours.without_expert_ms)
     return [
         ours.env_id,
         f"{ours.yardstick.step_us:.1f}",

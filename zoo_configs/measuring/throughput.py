@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import csv
-import importlib
 import time
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,10 +14,6 @@ import gymnasium as gym
 from zoo_configs.environments import make_env
 from zoo_configs.errors import CommandError
 from zoo_configs.measuring.machine import Yardstick, measure_yardstick
-
-# What is timed inside a step: module, class (None: the module itself), function.
-PHYSICS = ("pybullet", None, "stepSimulation")
-RENDERING = ("bulletarm_gym.rendering.z_buffer", "ZBuffer", "heights")
 
 REFERENCE_FIELDS = ("env_id", "yardstick_step_us", "yardstick_render_ms", "steps_per_second", "reset_ms")
 
@@ -35,8 +29,9 @@ class Throughput:
     :param episodes: Episodes measured
     :param success_rate: Share of them that the expert solved
     :param step_ms: A step with the expert's choice of action
-    :param physics_ms: Of that, simulation steps of the engine
-    :param rendering_ms: Of that, drawing heightmaps
+    :param expert_ms: Of that, the choice of the action, with the heightmaps it looks at
+    :param physics_ms: Of a step, simulation steps of the engine
+    :param rendering_ms: Of a step, drawing heightmaps
     :param reset_ms: A reset
     """
 
@@ -46,6 +41,7 @@ class Throughput:
     episodes: int
     success_rate: float
     step_ms: float
+    expert_ms: float
     physics_ms: float
     rendering_ms: float
     reset_ms: float
@@ -54,6 +50,11 @@ class Throughput:
     def steps_per_second(self) -> float:
         """Steps a second, resets not counted."""
         return 1e3 / self.step_ms
+
+    @property
+    def without_expert_ms(self) -> float:
+        """A step without the choice of its action."""
+        return self.step_ms - self.expert_ms
 
     @property
     def rest_ms(self) -> float:
@@ -80,34 +81,28 @@ def measure_env(
     :raises CommandError: if the environment has no expert
     """
     yardstick = measure_yardstick()
-    with _timed(*PHYSICS) as physics, _timed(*RENDERING) as rendering:
-        env = make_env(env_id, env_kwargs)
-        try:
-            if not hasattr(env.unwrapped, "expert_action"):
-                raise CommandError(f"{env_id} has no expert")
-            _Meter(env, physics, rendering).play(seed)  # fills caches, compiles
-            meter = _Meter(env, physics, rendering)
-            while (before := meter.seconds) < seconds:
-                meter.play(seed + 1 + meter.episodes)
-                on_episode(meter.seconds - before)
-        finally:
-            env.close()
+    env = make_env(env_id, env_kwargs)
+    try:
+        if not hasattr(env.unwrapped, "expert_action"):
+            raise CommandError(f"{env_id} has no expert")
+        _Meter(env).play(seed)  # fills caches, compiles
+        meter = _Meter(env)
+        while (before := meter.seconds) < seconds:
+            meter.play(seed + 1 + meter.episodes)
+            on_episode(meter.seconds - before)
+    finally:
+        env.close()
     return meter.result(env_id, yardstick)
 
 
-class _Timer:
-    """Seconds spent in a function so far."""
-
-    def __init__(self) -> None:
-        self.seconds = 0.0
-
-
 class _Meter:
-    """Plays episodes and adds up what they take."""
+    """Plays episodes and adds up what they take, in seconds."""
 
-    def __init__(self, env: gym.Env[Any, Any], physics: _Timer, rendering: _Timer) -> None:
-        self.env, self.physics, self.rendering = env, physics, rendering
-        self.stepping = self.resetting = self.step_physics = self.step_rendering = 0.0  # s
+    def __init__(self, env: gym.Env[Any, Any]) -> None:
+        self.env = env
+        self.own: Any = env.unwrapped
+        self.parts: Mapping[str, float] = self.own.measure().seconds if hasattr(self.own, "measure") else {}
+        self.stepping = self.resetting = self.expert = self.physics = self.rendering = 0.0
         self.steps = self.episodes = self.successes = 0
 
     @property
@@ -118,19 +113,24 @@ class _Meter:
         start = time.perf_counter()
         self.env.reset(seed=seed)
         begin = time.perf_counter()
-        physics, rendering = self.physics.seconds, self.rendering.seconds
-        expert: Any = self.env.unwrapped
+        before = dict(self.parts)
         over = False
         while not over:
-            _, _, terminated, truncated, info = self.env.step(expert.expert_action())
+            _, _, terminated, truncated, info = self.env.step(self._action())
             over = terminated or truncated
             self.steps += 1
         self.stepping += time.perf_counter() - begin
         self.resetting += begin - start
-        self.step_physics += self.physics.seconds - physics
-        self.step_rendering += self.rendering.seconds - rendering
+        self.physics += self.parts.get("physics", 0.0) - before.get("physics", 0.0)
+        self.rendering += self.parts.get("rendering", 0.0) - before.get("rendering", 0.0)
         self.episodes += 1
         self.successes += bool(info["is_success"])
+
+    def _action(self) -> Any:
+        begin = time.perf_counter()
+        action = self.own.expert_action()
+        self.expert += time.perf_counter() - begin
+        return action
 
     def result(self, env_id: str, yardstick: Yardstick) -> Throughput:
         per_step = 1e3 / self.steps  # ms
@@ -141,32 +141,11 @@ class _Meter:
             episodes=self.episodes,
             success_rate=self.successes / self.episodes,
             step_ms=self.stepping * per_step,
-            physics_ms=self.step_physics * per_step,
-            rendering_ms=self.step_rendering * per_step,
+            expert_ms=self.expert * per_step,
+            physics_ms=self.physics * per_step,
+            rendering_ms=self.rendering * per_step,
             reset_ms=self.resetting * 1e3 / self.episodes,
         )
-
-
-@contextmanager
-def _timed(module: str, owner: str | None, function: str) -> Iterator[_Timer]:
-    """Put a timer around a function; environments made in the block call it through the timer."""
-    holder: Any = importlib.import_module(module)
-    holder = holder if owner is None else getattr(holder, owner)
-    plain = getattr(holder, function)
-    timer = _Timer()
-
-    def timed(*args: Any, **kwargs: Any) -> Any:
-        start = time.perf_counter()
-        try:
-            return plain(*args, **kwargs)
-        finally:
-            timer.seconds += time.perf_counter() - start
-
-    setattr(holder, function, timed)
-    try:
-        yield timer
-    finally:
-        setattr(holder, function, plain)
 
 
 @dataclass(frozen=True)
