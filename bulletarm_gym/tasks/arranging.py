@@ -11,7 +11,7 @@ from bulletarm_gym.experts.waypoints import CLOSED, OPEN, Waypoint
 from bulletarm_gym.geometry import Pose, planar_distance, wrap_angle
 from bulletarm_gym.objects.bottles import BOTTLES, HEIGHT, TRAY, TRAY_FLOOR, bottle, bottle_tray
 from bulletarm_gym.placement import lay_apart
-from bulletarm_gym.relations import at_rest, is_empty, touching, upright
+from bulletarm_gym.relations import at_rest, inside, is_empty, touching, upright
 from bulletarm_gym.scene import Item, Role, Scene, shaped
 from bulletarm_gym.tasks.task import Hints, Task
 
@@ -105,9 +105,8 @@ class BottleArrangement(Task):
 
     def _is_in_tray(self, scene: Scene, item: Item) -> bool:
         tray = scene["tray"]
-        x, y, _ = tray.pose.inverse().transform(item.pose.position)
-        inside = abs(x) < TRAY[0] / 2.0 and abs(y) < TRAY[1] / 2.0
-        return inside and upright(item) and item is not scene.held and touching(scene, tray, item)
+        lies = inside(item, tray) and upright(item)
+        return lies and item is not scene.held and touching(scene, tray, item)
 
     def _emptiest(self, scene: Scene, held: Item) -> Pose:
         """Return the place farthest from all bottles but the held one, in the world, on the tray's floor."""

@@ -1,13 +1,15 @@
 """Supervising Covid tests."""
 
+import itertools
 import math
 from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from bulletarm_gym.config import OPEN_LOOP, EnvConfig, TaskDefaults, TrayUse
+from bulletarm_gym.config import OPEN_LOOP, EnvConfig, ParameterError, TaskDefaults, TrayUse
 from bulletarm_gym.experts.approach import RELEASE, place_item
 from bulletarm_gym.experts.waypoints import CLOSED, OPEN, Waypoint
+from bulletarm_gym.footprint import Footprint
 from bulletarm_gym.geometry import Pose, wrap_angle
 from bulletarm_gym.objects.covid import (
     FLOOR,
@@ -22,9 +24,11 @@ from bulletarm_gym.objects.covid import (
     used_tube,
     used_tube_box,
 )
-from bulletarm_gym.relations import at_rest, is_empty
+from bulletarm_gym.relations import at_rest, inside, is_empty
 from bulletarm_gym.scene import Item, Role, Scene, scaled
+from bulletarm_gym.simulation import BodySpec
 from bulletarm_gym.simulation.world import FALLING
+from bulletarm_gym.surfaces.surface import Point
 from bulletarm_gym.tasks.task import Hints, Task
 
 ROUNDS = 3
@@ -79,7 +83,11 @@ class CovidTest(Task):
         return Hints(pick_offset=GRASP_DEPTH, opening=OPENING)
 
     def bodies(self, config: EnvConfig) -> list[Role]:
-        """Return the places, swabs, tubes, and the used tubes that they become."""
+        """Return the places, swabs, tubes, and the used tubes that they become.
+
+        :raises ParameterError: swabs and tubes are too large to lie beside each other in their box
+        """
+        check_gaps(config)
         makers = {"new box": new_tube_box, "test area": test_area, "used box": used_tube_box}
         places = [Role(name, (make(name),)) for name, make in makers.items()]
         kinds = {"swab": swab, "tube": tube, "used tube": used_tube}
@@ -101,8 +109,8 @@ class CovidTest(Task):
         rows = (("tube", TUBES_APART, TUBE_ROW), ("swab", SWABS_APART, SWAB_ROW))
         for kind, pitch, row in rows:
             yaw = -QUARTER + (float(rng.uniform(-SPREAD, SPREAD)) if turns else 0.0)
-            for number in range(ROUNDS):
-                self._lay(scene, f"{kind} {number}", "new box", ((number - 1) * pitch, row), yaw)
+            for number, point in enumerate(row_points(pitch, row)):
+                self._lay(scene, f"{kind} {number}", "new box", point, yaw)
 
     def _lay(self, scene: Scene, name: str, place: str, point: Sequence[float], yaw: float) -> None:
         """Lay an item on the floor of a place, at a point (m) and a yaw (rad) in its frame."""
@@ -180,10 +188,30 @@ class CovidTest(Task):
 
     def _inside(self, scene: Scene, kind: str, place: str) -> list[Item]:
         """Return the items of a kind that lie in a place, seen from above, the held one aside."""
-        frame, (length, width, _) = scene[place].pose.inverse(), PLACES[place]
+        items = (item for item in self._items(scene, kind) if item is not scene.held)
+        return [item for item in items if inside(item, scene[place])]
 
-        def is_inside(item: Item) -> bool:
-            x, y, _ = frame.transform(item.pose.position)
-            return abs(x) < length / 2.0 and abs(y) < width / 2.0
 
-        return [item for item in self._items(scene, kind) if item is not scene.held and is_inside(item)]
+def row_points(pitch: float, row: float) -> list[Point]:
+    """Return where (m) the items of a kind lie in the box of new ones, in its frame."""
+    return [((number - (ROUNDS - 1) / 2.0) * pitch, row) for number in range(ROUNDS)]
+
+
+def check_gaps(config: EnvConfig) -> None:
+    """Check that no swab touches a tube in the box, and none its neighbour, however both are turned.
+
+    :raises ParameterError: they are too large
+    """
+    scale, spread = max(config.scales), SPREAD if config.random_orientation else 0.0
+    yaws = [-QUARTER + share * spread for share in (-1.0, 0.0, 1.0)]
+
+    def rows(body: BodySpec, points: Sequence[Point]) -> list[list[Footprint]]:
+        vertices = body.mesh.vertices
+        return [[Footprint.of(vertices, Pose.planar(*point, 0.0, yaw)) for point in points] for yaw in yaws]
+
+    swabs = rows(swab("swab", scale), row_points(SWABS_APART, SWAB_ROW))
+    tubes = rows(tube("tube", scale), row_points(TUBES_APART, TUBE_ROW))
+    for some, others in itertools.product(swabs, tubes):
+        if any(first.gap(second) <= 0.0 for first, second in itertools.combinations([*some, *others], 2)):
+            takes = "smaller ones: in their box swabs and tubes would overlap"
+            raise ParameterError.of("object_scale_range", config.object_scale_range, takes)

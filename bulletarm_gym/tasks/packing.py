@@ -13,7 +13,7 @@ from bulletarm_gym.footprint import Footprint
 from bulletarm_gym.geometry import FloatArray, Pose, matrix
 from bulletarm_gym.objects.packing import BIN, BIN_WALL, SHAPES, packing_bin, packing_block
 from bulletarm_gym.placement import footprint, lay_apart
-from bulletarm_gym.relations import at_rest, is_empty, is_top
+from bulletarm_gym.relations import at_rest, inside, is_empty, is_top
 from bulletarm_gym.scene import Item, Role, Scene, shaped
 from bulletarm_gym.tasks.task import Hints, Task
 
@@ -114,9 +114,8 @@ class BinPacking(Task):
         return [item for item in scene if item is not scene["bin"]]
 
     def _is_in_bin(self, scene: Scene, item: Item) -> bool:
-        x, y, z = scene["bin"].pose.inverse().transform(item.pose.position)
-        inside = abs(x) < BIN[0] / 2.0 and abs(y) < BIN[1] / 2.0
-        return inside and z < BIN[2] and item is not scene.held
+        rise = item.pose.z - scene["bin"].pose.z
+        return inside(item, scene["bin"]) and rise < BIN[2] and item is not scene.held
 
 
 def _volume(item: Item) -> float:
