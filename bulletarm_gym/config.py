@@ -3,7 +3,7 @@
 import difflib
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, field, fields
 from typing import Any
 
 from bulletarm_gym import values
@@ -64,6 +64,7 @@ class TaskDefaults:
     :param tray: whether it can stand in a tray
     :param level_ground: why it cannot stand on ramps and bumps, if so
     :param takes_object_set: whether its objects can be replaced by a user's
+    :param close_loop: parameters with other defaults in close loop, of a task for both controls
     """
 
     num_objects: int
@@ -73,6 +74,7 @@ class TaskDefaults:
     tray: TrayUse = TrayUse()
     level_ground: str = ""
     takes_object_set: bool = False
+    close_loop: Mapping[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -133,6 +135,7 @@ class EnvConfig:
         robots: Sequence[str],
         parameters: Mapping[str, Any],
         surface: str = "flat",
+        defaults: Mapping[str, Any] | None = None,
     ) -> "EnvConfig":
         """Check a user's parameters and fill in the paper's defaults.
 
@@ -140,16 +143,18 @@ class EnvConfig:
         :param task: the task's own numbers
         :param robots: names of the arms there are
         :param surface: where; some defaults follow from it
+        :param defaults: of an environment's id, in place of the task's
         :raises UnknownParameterError: there is no such parameter; one of a similar name is offered, else
             all are listed
         :raises ParameterError: a wrong type or value, or ground that the task cannot stand on
         """
         checks = _checks(control, task, robots)
-        for name, value in parameters.items():
+        given = {**(defaults or {}), **parameters}
+        for name, value in given.items():
             if name not in checks:
                 raise _unknown(name, value, control, checks)
         chosen = _defaults(control, surface, task) | {
-            name: _checked(name, checks[name], value) for name, value in parameters.items()
+            name: _checked(name, checks[name], value) for name, value in given.items()
         }
         _check_surface(surface, task, chosen["close_loop_tray"])
         return cls(control=control, **chosen)
@@ -204,9 +209,11 @@ def _defaults(control: str, surface: str, task: TaskDefaults) -> dict[str, Any]:
         "close_loop_tray": task.tray.choices[0],
     }
     if control == CLOSE_LOOP:
-        return shared | {
+        return {
+            **shared,
             "action_sequence": "pxyzr",
             "workspace": [[0.3, 0.6], [-0.15, 0.15], [0.01, 0.25]],
+            **task.close_loop,
         }
     return shared | {
         "action_sequence": "pxyzrrr" if surface in SLOPING else "pxyr",

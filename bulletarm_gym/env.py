@@ -66,6 +66,7 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
     :param task: ``"module:Class"`` of the task
     :param control: ``"close_loop"`` or ``"open_loop"``
     :param surface: one of :data:`~bulletarm_gym.surfaces.SURFACES`
+    :param defaults: of parameters, in place of the task's; an id's own
     :param parameters: of :class:`~bulletarm_gym.config.EnvConfig`, by name
     :raises ValueError: a parameter has a value it cannot take, or is unknown (a ``TypeError``, too); task and
         control do not fit
@@ -75,7 +76,14 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
     metadata = {"render_modes": ["rgb_array", "depth_array", "human"], "render_fps": 5}  # noqa: RUF012
     """Of the class all there is, as ``gymnasium.make`` asks it; of an instance what can be had here."""
 
-    def __init__(self, task: str, control: str, surface: str = "flat", **parameters: Any) -> None:
+    def __init__(
+        self,
+        task: str,
+        control: str,
+        surface: str = "flat",
+        defaults: Mapping[str, Any] | None = None,
+        **parameters: Any,
+    ) -> None:
         task_type: type[Task] = load(task)
         if control not in task_type.controls:
             raise ValueError(
@@ -88,11 +96,15 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         if "robot" in self.objects:
             model = find_robot(self.objects["robot"])
             robots[model.name], parameters["robot"] = model, model.name
-        self.config = EnvConfig.of(control, task_type.defaults, tuple(robots), parameters, surface)
+        self.config, own = (
+            EnvConfig.of(control, task_type.defaults, tuple(robots), given, surface, defaults)
+            for given in (parameters, {"robot": parameters.get("robot", "kuka")})
+        )
         self.render_mode = self.config.render_mode
         if not has_display():
             self.metadata = {**self.metadata, "render_modes": ["rgb_array", "depth_array"]}
-        self._recipe = {"task": task, "control": control, "surface": surface}
+        recipe: dict[str, Any] = {"task": task, "control": control, "surface": surface}
+        self._recipe = recipe | ({"defaults": dict(defaults)} if defaults else {})
         self.task = task_type(self.config)
         check_heights(self.config, self.task)
         self._reward = self.objects.get("reward") or _function(self.config.reward) or self.task.reward
@@ -104,9 +116,9 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
             ),
             self.task.bodies(self.config),
         )
-        check_spans(self.config, self.scene, self.task)
+        check_spans(self.config, own, self.scene, self.task)
         self.control = CONTROLS[control](self.config, self.scene, self.task)
-        check_room(self.config, surface, self.scene, self.task, self.control)
+        check_room(self.config, own, self.scene, self.task, self.control)
         self.action_space = self.control.action_space
         # Gymnasium types a Dict space by its parts instead of its samples.
         self.observation_space = self.control.observation_space  # type: ignore[assignment]

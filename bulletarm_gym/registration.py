@@ -1,6 +1,7 @@
 """The table of environments: what each id is made of. Strings only, so that registering loads no engine."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Any
 
 import gymnasium
@@ -18,6 +19,9 @@ PREFIXES = {
 }
 """What an id begins with, by control and surface."""
 
+PAIR = {"num_objects": 2, "object_scale_range": 1.0, "max_steps": 50}
+"""The paper's close-loop Block Stacking and House Building: two blocks of 5 cm instead of four of 3 cm."""
+
 
 @dataclass(frozen=True)
 class Entry:
@@ -25,12 +29,14 @@ class Entry:
 
     :param name: in the id
     :param task: ``"module:Class"``
+    :param defaults: of parameters, in place of the task's: JSON values
     """
 
     name: str
     task: str
     control: str
     surface: str = "flat"
+    defaults: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def env_id(self) -> str:
@@ -38,15 +44,16 @@ class Entry:
         return f"{NAMESPACE}/{self.name}-v0"
 
     @property
-    def kwargs(self) -> dict[str, str]:
+    def kwargs(self) -> dict[str, Any]:
         """What the environment is constructed with."""
-        return {"task": self.task, "control": self.control, "surface": self.surface}
+        defaults = {"defaults": dict(self.defaults)} if self.defaults else {}
+        return {"task": self.task, "control": self.control, "surface": self.surface, **defaults}
 
 
 def _structures(surface: str) -> tuple[Entry, ...]:
     """Return the seven tasks that build a structure of blocks, on a surface."""
     classes = {
-        "BlockStacking": "stacking:OpenLoopBlockStacking",
+        "BlockStacking": "stacking:BlockStacking",
         **{f"HouseBuilding{number}": f"house:HouseBuilding{number}" for number in (1, 2, 3, 4)},
         **{f"ImproviseHouseBuilding{n}": f"improvise:ImproviseHouseBuilding{n}" for n in (2, 3)},
     }
@@ -74,8 +81,18 @@ ENTRIES = (
     Entry("CloseLoopBlockPushing", "bulletarm_gym.tasks.pushing:BlockPushing", "close_loop"),
     Entry("CloseLoopBlockPulling", "bulletarm_gym.tasks.pulling:BlockPulling", "close_loop"),
     Entry("CloseLoopBlockInBowl", "bulletarm_gym.tasks.bowl:BlockInBowl", "close_loop"),
-    Entry("CloseLoopBlockStacking", "bulletarm_gym.tasks.stacking:BlockStacking", "close_loop"),
-    Entry("CloseLoopHouseBuilding", "bulletarm_gym.tasks.house:HouseBuilding", "close_loop"),
+    Entry(
+        "CloseLoopBlockStacking",
+        "bulletarm_gym.tasks.stacking:BlockStacking",
+        "close_loop",
+        defaults=PAIR,
+    ),
+    Entry(
+        "CloseLoopHouseBuilding",
+        "bulletarm_gym.tasks.house:HouseBuilding1",
+        "close_loop",
+        defaults=PAIR,
+    ),
     Entry("CloseLoopCornerPicking", "bulletarm_gym.tasks.corner:CornerPicking", "close_loop"),
     Entry("CloseLoopDrawerOpening", "bulletarm_gym.tasks.drawer:DrawerOpening", "close_loop"),
     Entry("CloseLoopObjectGrasping", "bulletarm_gym.tasks.clutter:ObjectGrasping", "close_loop"),
