@@ -4,9 +4,9 @@ Importing the package registers their ids and loads neither the physics engine n
 """
 
 from bulletarm_gym.extensions import register_object, register_robot
-from bulletarm_gym.registration import ENV_IDS, register_all, register_task
+from bulletarm_gym.registration import ENV_IDS, PAPER_IDS, register_all, register_task
 
 __version__ = "0.1.0"
-__all__ = ["ENV_IDS", "__version__", "register_object", "register_robot", "register_task"]
+__all__ = ["ENV_IDS", "PAPER_IDS", "__version__", "register_object", "register_robot", "register_task"]
 
 register_all()

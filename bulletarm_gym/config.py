@@ -53,6 +53,10 @@ class TrayUse:
     reason: str = ""
 
 
+WIDE = [[0.25, 0.65], [-0.2, 0.2], [0.0, 0.3]]
+"""Close-loop workspace (m) of tasks that need the room of an open-loop one."""
+
+
 @dataclass(frozen=True)
 class TaskDefaults:
     """What a task prescribes for its own parameters.

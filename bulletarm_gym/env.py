@@ -12,7 +12,7 @@ import numpy as np
 from gymnasium.envs.registration import EnvSpec
 from numpy.typing import ArrayLike, NDArray
 
-from bulletarm_gym.config import EnvConfig, ParameterError
+from bulletarm_gym.config import CLOSE_LOOP, EnvConfig, ParameterError
 from bulletarm_gym.control import CONTROLS, DeltaMove, PickPlace
 from bulletarm_gym.extensions import OBJECTS, by_path, load
 from bulletarm_gym.feasibility import check_heights, check_room, check_spans
@@ -33,6 +33,8 @@ SCENE_PARAMETERS = ("workspace", "object_scale_range", "num_objects", "close_loo
 """What the bodies of a scene, and where they can be, follow from."""
 GROUNDS = 30
 """Drawn before the workspace counts as too small for the task."""
+MOVE_STEPS = 10
+"""Close-loop steps for which a plan of picks and places draws the same, so that it stays what it is."""
 ARRANGEMENT, AFTER_ACTION, PLAN = range(3)
 """Streams of an episode's randomness: what one of them draws does not move the others."""
 
@@ -234,7 +236,8 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         :raises gymnasium.error.ResetNeeded: no episode has begun
         """
         self._check_running()
-        plan = iter(self.task.plan(self.scene, self._rng(PLAN)))
+        lasts = MOVE_STEPS if self.task.plans_moves and self.config.control == CLOSE_LOOP else 1
+        plan = iter(self.task.plan(self.scene, self._rng(PLAN, self._steps // lasts)))
         return self.control.encode_action(self.control.next_move(self.scene, plan))
 
     def get_state(self) -> EnvState:
@@ -302,10 +305,11 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         valid = bool(self.task.is_valid(self.scene))
         return {"is_success": facts["success"] and valid, "is_valid": valid, "ignored": ignored, **facts}
 
-    def _rng(self, stream: int) -> np.random.Generator:
-        """Return the generator of a stream at this step of this episode."""
+    def _rng(self, stream: int, time: int | None = None) -> np.random.Generator:
+        """Return the generator of a stream at a time of this episode, by default this step."""
         assert self._episode_seed is not None
-        return np.random.default_rng((self._episode_seed, self._steps, stream))
+        time = self._steps if time is None else time
+        return np.random.default_rng((self._episode_seed, time, stream))
 
     def _check_running(self) -> None:
         if self._episode_seed is None:

@@ -10,7 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from bulletarm_gym.config import EnvConfig
 from bulletarm_gym.control.control import MAX_HEIGHT, POINTS, Control, holding, over
-from bulletarm_gym.experts.waypoints import Waypoint
+from bulletarm_gym.experts.approach import route
+from bulletarm_gym.experts.waypoints import OPEN, Waypoint
 from bulletarm_gym.geometry import Pose, Vector, wrap_angle
 from bulletarm_gym.robots import OutOfReachError
 from bulletarm_gym.scene import Scene
@@ -65,6 +66,8 @@ class CloseLoop(Control[DeltaMove]):
         extremes = (Pose.planar(*position) for position in over(config, config.workspace[2], POINTS))
         super().__init__(config, scene, Pose.planar(*config.centre, height), extremes)
         self._overlays = task.overlays
+        self._finds_way = task.plans_moves
+        self._opening = min(task.hints.opening / scene.robot.model.gripper.stroke, OPEN)
         self._workspace = config.workspace
         self._size = config.obs_size
         self._extent = VIEW_SCALE * config.workspace_size
@@ -113,8 +116,11 @@ class CloseLoop(Control[DeltaMove]):
         return False
 
     def next_move(self, scene: Scene, plan: Iterator[Waypoint]) -> DeltaMove:
-        """Return the move towards the first waypoint of a plan."""
-        return self.towards(scene, next(plan))
+        """Return the move towards the first waypoint of a plan, or on the way to its pick or place."""
+        first = next(plan)
+        if self._finds_way and first.finish is not None and not first.clear:
+            first = next(route(scene, first, self._opening))
+        return self.towards(scene, first)
 
     def towards(self, scene: Scene, waypoint: Waypoint) -> DeltaMove:
         """Return the move that brings the gripper closest to a waypoint."""

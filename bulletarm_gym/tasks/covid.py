@@ -6,8 +6,8 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from bulletarm_gym.config import OPEN_LOOP, EnvConfig, ParameterError, TaskDefaults, TrayUse
-from bulletarm_gym.experts.approach import RELEASE, place_item
+from bulletarm_gym.config import CLOSE_LOOP, OPEN_LOOP, WIDE, EnvConfig, ParameterError, TaskDefaults, TrayUse
+from bulletarm_gym.experts.approach import RELEASE, place_pose
 from bulletarm_gym.experts.waypoints import CLOSED, OPEN, Waypoint
 from bulletarm_gym.footprint import Footprint
 from bulletarm_gym.geometry import Pose, wrap_angle
@@ -46,6 +46,8 @@ SWAB_SPOT, TUBE_SPOT = (0.0, 0.07), (0.0, -0.05)
 """Where in the test area (m) the expert puts a swab and a tube."""
 GRASP_DEPTH = 0.008
 """How far (m) below their tops swabs and tubes are grasped."""
+AWAY = 0.05
+"""Height (m) of the fingertips over the test area from which the user has room."""
 OPENING = 0.04
 """Greatest distance (m) of the fingers: between two tubes there is not much room."""
 QUARTER = math.pi / 2.0
@@ -57,7 +59,7 @@ class CovidTest(Task):
 
     Description: three places side by side: a box with three new swabs, 7 x 1 x 1 cm, and three new tubes,
     8 x 1.7 x 1.7 cm, a test area and a box for used tubes. A user stands by: as soon as a swab and a tube are
-    in the test area and the gripper is empty, they become one used tube somewhere in it.
+    in the test area and the gripper is empty and 5 cm above, they become one used tube somewhere in it.
     Randomisation: the pose of the three places together, and whether they are mirrored; the yaws of the
     swabs and of the tubes, within 30 degrees; where the user leaves a tube, at any yaw. With
     ``random_orientation=False`` all lies along y.
@@ -73,8 +75,9 @@ class CovidTest(Task):
         allowed_objects=(2 * ROUNDS,),
         tray=TrayUse((False,), "the three places do not fit into the tray"),
         level_ground="the three places need 30 x 30 cm of level ground",
+        close_loop={"max_steps": 300, "workspace": WIDE},
     )
-    controls = (OPEN_LOOP,)
+    controls = (OPEN_LOOP, CLOSE_LOOP)
     site = (SIDE, SIDE)
 
     @property
@@ -121,7 +124,8 @@ class CovidTest(Task):
     def after_action(self, scene: Scene, rng: np.random.Generator) -> None:
         """Let the user test: a swab and a tube in the test area become a used tube."""
         swabs, tubes = (self._inside(scene, kind, "test area") for kind in ("swab", "tube"))
-        if not (len(swabs) == len(tubes) == 1 and is_empty(scene)):
+        away = scene.robot.pose.z > scene["test area"].pose.z + AWAY
+        if not (len(swabs) == len(tubes) == 1 and is_empty(scene) and away):
             return
         swabs[0].park()
         tubes[0].park()
@@ -164,7 +168,7 @@ class CovidTest(Task):
         turn = wrap_angle(place.yaw + along - held.pose.yaw, math.pi)
         point = place.transform((*spot, FLOOR))
         top = max((scene.world.top(item.body) for item in self._inside(scene, kind, name)), default=point[2])
-        yield from place_item(scene, held, point, top + RELEASE, turn)
+        yield Waypoint(place_pose(scene, held, point, top + RELEASE, turn), CLOSED, finish=OPEN)
 
     def _next(self, scene: Scene) -> Item:
         """Return what to grasp: a used tube, else a swab, else a tube that is not where it belongs."""
@@ -180,7 +184,7 @@ class CovidTest(Task):
     def _pick(self, scene: Scene, item: Item) -> Waypoint:
         """Return the pick of an item across its length."""
         x, y, _ = item.pose.position
-        depth = max(scene.world.top(item.body) - GRASP_DEPTH, item.lowest + RELEASE)
+        depth = max(float(item.bounds[1, 2]) - GRASP_DEPTH, item.lowest + RELEASE)
         return Waypoint(Pose.planar(x, y, depth, item.pose.yaw + QUARTER), OPEN, finish=CLOSED)
 
     def _items(self, scene: Scene, kind: str) -> list[Item]:

@@ -39,7 +39,9 @@ class HouseBuilding2(Structure):
     All else is as in :class:`~bulletarm_gym.tasks.structure.Structure`.
     """
 
-    defaults = TaskDefaults(num_objects=3, max_steps=10, object_scale=SCALE, allowed_objects=(3,))
+    defaults = TaskDefaults(
+        num_objects=3, max_steps=10, object_scale=SCALE, allowed_objects=(3,), close_loop={"max_steps": 100}
+    )
     kinds = {"cube": cube, "roof": roof}  # noqa: RUF012
     layers: Sequence[Sequence[str]] = (("cube", "cube"), ("roof",))
     upright = ("roof",)
@@ -52,7 +54,9 @@ class HouseBuilding3(HouseBuilding2):
     All else is as in :class:`~bulletarm_gym.tasks.structure.Structure`.
     """
 
-    defaults = TaskDefaults(num_objects=4, max_steps=10, object_scale=SCALE, allowed_objects=(4,))
+    defaults = TaskDefaults(
+        num_objects=4, max_steps=10, object_scale=SCALE, allowed_objects=(4,), close_loop={"max_steps": 100}
+    )
     kinds = {**HouseBuilding2.kinds, "brick": brick}  # noqa: RUF012
     layers: Sequence[Sequence[str]] = (("cube", "cube"), ("brick",), ("roof",))
 
@@ -64,5 +68,7 @@ class HouseBuilding4(HouseBuilding3):
     All else is as in :class:`~bulletarm_gym.tasks.structure.Structure`.
     """
 
-    defaults = TaskDefaults(num_objects=6, max_steps=20, object_scale=SCALE, allowed_objects=(6,))
+    defaults = TaskDefaults(
+        num_objects=6, max_steps=20, object_scale=SCALE, allowed_objects=(6,), close_loop={"max_steps": 200}
+    )
     layers = (("cube", "cube"), ("brick",), ("cube", "cube"), ("roof",))

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from bulletarm_gym.config import OPEN_LOOP, EnvConfig, TaskDefaults, TrayUse
+from bulletarm_gym.config import CLOSE_LOOP, OPEN_LOOP, WIDE, EnvConfig, TaskDefaults, TrayUse
 from bulletarm_gym.experts.approach import RELEASE
 from bulletarm_gym.experts.pick_place import lying_frame, pick
 from bulletarm_gym.experts.waypoints import CLOSED, OPEN, Waypoint
@@ -58,8 +58,9 @@ class BinPacking(Task):
         object_scale=0.8,
         allowed_objects=tuple(range(1, MOST_BLOCKS + 1)),
         tray=TrayUse((False,), "the bin and its blocks do not fit into the tray"),
+        close_loop={"max_steps": 200, "workspace": WIDE},
     )
-    controls = (OPEN_LOOP,)
+    controls = (OPEN_LOOP, CLOSE_LOOP)
     site = (BIN[1], BIN[0])
 
     @property

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from bulletarm_gym.config import OPEN_LOOP, EnvConfig, TaskDefaults, TrayUse
+from bulletarm_gym.config import CLOSE_LOOP, OPEN_LOOP, WIDE, EnvConfig, TaskDefaults, TrayUse
 from bulletarm_gym.experts.pick_place import lying_frame, pick, put
 from bulletarm_gym.experts.waypoints import Waypoint
 from bulletarm_gym.footprint import Footprint, PlacementError
@@ -59,8 +59,9 @@ class BoxPalletizing(Task):
         object_scale=0.8,
         allowed_objects=(LAYER, 2 * LAYER, 3 * LAYER),
         tray=TrayUse((False,), "the pallet and a box beside it do not fit into the tray"),
+        close_loop={"max_steps": 400, "workspace": WIDE},
     )
-    controls = (OPEN_LOOP,)
+    controls = (OPEN_LOOP, CLOSE_LOOP)
     site = (PALLET[1], PALLET[0])
 
     @property
