@@ -3,10 +3,19 @@
 Importing the package registers their ids and loads neither the physics engine nor a compiler.
 """
 
-from bulletarm_gym.extensions import register_object, register_robot
+from bulletarm_gym.extensions import register_control, register_object, register_robot, register_surface
 from bulletarm_gym.registration import ENV_IDS, PAPER_IDS, register_all, register_task
 
 __version__ = "0.1.0"
-__all__ = ["ENV_IDS", "PAPER_IDS", "__version__", "register_object", "register_robot", "register_task"]
+__all__ = [
+    "ENV_IDS",
+    "PAPER_IDS",
+    "__version__",
+    "register_control",
+    "register_object",
+    "register_robot",
+    "register_surface",
+    "register_task",
+]
 
 register_all()

@@ -87,7 +87,7 @@ class EnvConfig:
 
     Values are plain JSON: arrays given by a user are kept as lists. Build one with :meth:`of`.
 
-    :param control: ``"close_loop"`` or ``"open_loop"``; follows from the environment's id
+    :param control: ``"close_loop"`` or ``"open_loop"``, of a user's control its kind; follows from the id
     :param robot: the arm, by its name or import path
     :param action_sequence: one character a number of the action, in its order
     :param workspace: [[x low, x high], [y low, y high], [z low, z high]] (m); square in x and y
@@ -102,7 +102,7 @@ class EnvConfig:
     :param in_hand_size: pixels a side of the open-loop in-hand image
     :param workspace_check: ``"point"`` asks an object's centre to stay inside, ``"bounding_box"`` all of it
     :param close_loop_tray: the task stands in a tray
-    :param object_set: None for the 86 objects made by code, or a folder of OBJ or URDF files
+    :param object_set: None for the 86 objects made by code, a folder of OBJ or URDF files, or a list of kinds
     :param view: ``"orthographic"``, looking straight down, or ``"point_cloud"``, the paper's two side cameras
     :param observation: ``"image"``, or ``"state"``: the poses of gripper and objects
     :param physics_mode: ``"fast"`` (50 solver iterations) or ``"slow"`` (200, and slower motions)
@@ -124,7 +124,7 @@ class EnvConfig:
     in_hand_size: int = 24
     workspace_check: str = "point"
     close_loop_tray: bool = False
-    object_set: str | None = None
+    object_set: str | list[str] | None = None
     view: str = "orthographic"
     observation: str = "image"
     physics_mode: str = "fast"
@@ -139,6 +139,8 @@ class EnvConfig:
         robots: Sequence[str],
         parameters: Mapping[str, Any],
         surface: str = "flat",
+        sloping: bool | None = None,
+        sequences: Sequence[str] = (),
         defaults: Mapping[str, Any] | None = None,
     ) -> "EnvConfig":
         """Check a user's parameters and fill in the paper's defaults.
@@ -147,20 +149,25 @@ class EnvConfig:
         :param task: the task's own numbers
         :param robots: names of the arms there are
         :param surface: where; some defaults follow from it
+        :param sloping: whether things may lie there at an angle; None for a surface of ours
+        :param sequences: what an action can consist of, the default first; none for a control of ours
         :param defaults: of an environment's id, in place of the task's
         :raises UnknownParameterError: there is no such parameter; one of a similar name is offered, else
             all are listed
         :raises ParameterError: a wrong type or value, or ground that the task cannot stand on
         """
+        sloping = surface in SLOPING if sloping is None else sloping
         checks = _checks(control, task, robots)
+        chosen = _defaults(control, surface, sloping, task)
+        if sequences:
+            checks["action_sequence"] = values.sequence(sequences)
+            chosen["action_sequence"] = sequences[0]
         given = {**(defaults or {}), **parameters}
         for name, value in given.items():
             if name not in checks:
                 raise _unknown(name, value, control, checks)
-        chosen = _defaults(control, surface, task) | {
-            name: _checked(name, checks[name], value) for name, value in given.items()
-        }
-        _check_surface(surface, task, chosen["close_loop_tray"])
+        chosen |= {name: _checked(name, checks[name], value) for name, value in given.items()}
+        _check_surface(surface, sloping, task, chosen["close_loop_tray"])
         return cls(control=control, **chosen)
 
     def parameters(self) -> dict[str, Any]:
@@ -203,7 +210,7 @@ def belongs(name: str, control: str) -> bool:
     return name != "control" and _ONLY_WITH.get(name, control) == control
 
 
-def _defaults(control: str, surface: str, task: TaskDefaults) -> dict[str, Any]:
+def _defaults(control: str, surface: str, sloping: bool, task: TaskDefaults) -> dict[str, Any]:
     """Return the paper's values where a parameter has no default of its own."""
     shared = {
         "robot": "kuka",
@@ -220,7 +227,7 @@ def _defaults(control: str, surface: str, task: TaskDefaults) -> dict[str, Any]:
             **task.close_loop,
         }
     return shared | {
-        "action_sequence": "pxyzrrr" if surface in SLOPING else "pxyr",
+        "action_sequence": "pxyzrrr" if sloping else "pxyr",
         "workspace": [[0.25, 0.65], [-0.2, 0.2], [0.0, 1.0]],
         "in_hand_size": 40 if surface == "bump" else 24,
     }
@@ -242,7 +249,7 @@ def _checks(control: str, task: TaskDefaults, robots: Sequence[str]) -> dict[str
         "in_hand_size": values.integer(8, 256),
         "workspace_check": values.choice("point", "bounding_box"),
         "close_loop_tray": _tray(task.tray),
-        "object_set": values.optional(values.folder) if task.takes_object_set else values.no_object_set,
+        "object_set": values.optional(values.object_set) if task.takes_object_set else values.no_object_set,
         "view": values.choice("orthographic", "point_cloud"),
         "observation": values.choice("image", "state") if control == CLOSE_LOOP else values.images_only,
         "physics_mode": values.choice("fast", "slow"),
@@ -252,14 +259,15 @@ def _checks(control: str, task: TaskDefaults, robots: Sequence[str]) -> dict[str
     return {name: check for name, check in checks.items() if belongs(name, control)}
 
 
-def _check_surface(surface: str, task: TaskDefaults, in_tray: bool) -> None:
+def _check_surface(surface: str, sloping: bool, task: TaskDefaults, in_tray: bool) -> None:
     """Refuse ground that a task cannot stand on.
 
     :raises ParameterError: with the reason
     """
     refused = {} if True in task.tray.choices else {"tray": task.tray.reason}
     if task.level_ground or in_tray:
-        refused |= dict.fromkeys(SLOPING, task.level_ground or "its tray stands on level ground")
+        refusing = (*SLOPING, surface) if sloping else SLOPING
+        refused |= dict.fromkeys(refusing, task.level_ground or "its tray stands on level ground")
     if surface in refused:
         others = " or ".join(repr(other) for other in (*LEVEL, *SLOPING) if other not in refused)
         raise ParameterError.of("surface", surface, f"{others} with this task: {refused[surface]}")

@@ -13,14 +13,14 @@ from gymnasium.envs.registration import EnvSpec
 from numpy.typing import ArrayLike, NDArray
 
 from bulletarm_gym.config import CLOSE_LOOP, EnvConfig, ParameterError
-from bulletarm_gym.control import CONTROLS, DeltaMove, PickPlace
+from bulletarm_gym.control import Control, find_control
 from bulletarm_gym.extensions import OBJECTS, by_path, load
 from bulletarm_gym.feasibility import check_heights, check_room, check_spans
 from bulletarm_gym.footprint import PlacementError
 from bulletarm_gym.robots import ROBOTS, RobotModel, RobotState, find_robot
 from bulletarm_gym.scene import Scene
 from bulletarm_gym.simulation import Camera, WorldState, has_display
-from bulletarm_gym.surfaces import make_surface
+from bulletarm_gym.surfaces import find_surface, make_surface
 from bulletarm_gym.tasks import Task
 
 Observation = dict[str, NDArray[np.float32]]
@@ -66,8 +66,8 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
     scene has become invalid, and is truncated at ``max_steps``.
 
     :param task: ``"module:Class"`` of the task
-    :param control: ``"close_loop"`` or ``"open_loop"``
-    :param surface: one of :data:`~bulletarm_gym.surfaces.SURFACES`
+    :param control: ``"close_loop"``, ``"open_loop"``, or a user's by name or path
+    :param surface: one of :data:`~bulletarm_gym.surfaces.SURFACES`, or a user's by name or path
     :param defaults: of parameters, in place of the task's; an id's own
     :param parameters: of :class:`~bulletarm_gym.config.EnvConfig`, by name
     :raises ValueError: a parameter has a value it cannot take, or is unknown (a ``TypeError``, too); task and
@@ -87,11 +87,14 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         **parameters: Any,
     ) -> None:
         task_type: type[Task] = load(task)
-        if control not in task_type.controls:
+        parameters = by_path({**parameters, "control": control, "surface": surface})
+        control, surface = parameters.pop("control"), parameters.pop("surface")
+        control_type = find_control(control)
+        if control_type.kind not in task_type.controls:
             raise ValueError(
                 f"control: got {control!r}, {task_type.__name__} takes one of {task_type.controls}"
             )
-        parameters = by_path(parameters)
+        sloping = find_surface(surface).sloping
         # Objects of the user's that have no import path, by the name of the parameter.
         self.objects = {name: parameters.pop(name) for name in OBJECTS if _is_object(parameters.get(name))}
         robots = dict(ROBOTS)
@@ -99,8 +102,17 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
             model = find_robot(self.objects["robot"])
             robots[model.name], parameters["robot"] = model, model.name
         self.config, own = (
-            EnvConfig.of(control, task_type.defaults, tuple(robots), given, surface, defaults)
-            for given in (parameters, {"robot": parameters.get("robot", "kuka")})
+            EnvConfig.of(
+                control_type.kind,
+                task_type.defaults,
+                tuple(robots),
+                given,
+                surface,
+                sloping,
+                control_type.sequences,
+                defaults,
+            )
+            for given in (parameters, {})
         )
         self.render_mode = self.config.render_mode
         if not has_display():
@@ -119,11 +131,10 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
             self.task.bodies(self.config),
         )
         check_spans(self.config, own, self.scene, self.task)
-        self.control = CONTROLS[control](self.config, self.scene, self.task)
+        self.control: Control[Any] = control_type(self.config, self.scene, self.task)
         check_room(self.config, own, self.scene, self.task, self.control)
         self.action_space = self.control.action_space
-        # Gymnasium types a Dict space by its parts instead of its samples.
-        self.observation_space = self.control.observation_space  # type: ignore[assignment]
+        self.observation_space = self.control.observation_space
         self._steps = 0
         self._episode_seed: int | None = None
 
@@ -218,12 +229,11 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         """What each number of an action is, a character each."""
         return self.config.action_sequence
 
-    def decode_action(self, action: ArrayLike) -> DeltaMove | PickPlace:
-        """Return an action in metres and radians."""
-        move: DeltaMove | PickPlace = self.control.decode_action(action)
-        return move
+    def decode_action(self, action: ArrayLike) -> Any:
+        """Return an action in metres and radians: a ``DeltaMove``, a ``PickPlace``, or the control's own."""
+        return self.control.decode_action(action)
 
-    def encode_action(self, move: DeltaMove | PickPlace) -> Action:
+    def encode_action(self, move: Any) -> Action:
         """Return the action for a move in metres and radians."""
         return self.control.encode_action(move)
 
@@ -328,7 +338,7 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
     @spec.setter
     def spec(self, spec: EnvSpec | None) -> None:
         if spec is not None:
-            known = self._parameters
+            known = {**self._recipe, **self._parameters}
             kwargs = {name: known.get(name, value) for name, value in spec.kwargs.items()}
             spec = replace(spec, kwargs=kwargs, max_episode_steps=self.config.max_steps)
         self._spec = spec

@@ -1,4 +1,4 @@
-"""What users add: robots and objects by name, and everything of theirs by import path.
+"""What users add: robots, objects, surfaces and controls by name, and everything of theirs by import path.
 
 A thing is stored as ``"module:name"``, so that a worker process, however it is started, finds it by importing
 the user's module. What has no such path (a lambda, something local or of ``__main__``) is refused.
@@ -6,9 +6,11 @@ the user's module. What has no such path (a lambda, something local or of ``__ma
 
 import importlib
 import sys
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from contextlib import suppress
-from typing import Any
+from typing import Any, TypeVar
+
+from bulletarm_gym.config import CLOSE_LOOP, LEVEL, OPEN_LOOP, SLOPING
 
 OBJECTS = ("robot", "reward")
 """Parameters that may be objects of the user's."""
@@ -16,6 +18,14 @@ ROBOT_PATHS: dict[str, str] = {}
 """Import paths of the users' arms, by name."""
 OBJECT_PATHS: dict[str, str] = {}
 """Import paths of the users' objects, by name."""
+SURFACE_PATHS: dict[str, str] = {}
+"""Import paths of the users' surfaces, by name."""
+CONTROL_PATHS: dict[str, str] = {}
+"""Import paths of the users' controls, by name."""
+TABLES = {"robot": ROBOT_PATHS, "surface": SURFACE_PATHS, "control": CONTROL_PATHS}
+"""What stands in a recipe or among the parameters by its name."""
+
+Kind = TypeVar("Kind")
 
 
 def register_robot(name: str, model: Any) -> None:
@@ -38,6 +48,28 @@ def register_object(name: str, make: Any) -> None:
     :raises ValueError: the name is taken or no identifier, or the function has no import path
     """
     _store(OBJECT_PATHS, "object", name, make)
+
+
+def register_surface(name: str, surface: Any) -> None:
+    """Make ground available as ``surface=name``, and to :func:`bulletarm_gym.register_task`.
+
+    :param name: a new one
+    :param surface: a subclass of :class:`~bulletarm_gym.surfaces.Surface` that can be imported from a module,
+        or its path ``"module:Class"``
+    :raises ValueError: the name is taken or no identifier, or the class has no import path
+    """
+    _store(SURFACE_PATHS, "surface", name, surface, (*LEVEL, *SLOPING))
+
+
+def register_control(name: str, control: Any) -> None:
+    """Make a way to command the arm available as ``control=name`` and to :func:`bulletarm_gym.register_task`.
+
+    :param name: a new one
+    :param control: a subclass of :class:`~bulletarm_gym.control.Control` that can be imported from a module,
+        or its path ``"module:Class"``
+    :raises ValueError: the name is taken or no identifier, or the class has no import path
+    """
+    _store(CONTROL_PATHS, "control", name, control, (CLOSE_LOOP, OPEN_LOOP))
 
 
 def import_path(thing: Any, what: str) -> str:
@@ -96,26 +128,50 @@ def produce(source: Any, kind: type[Any]) -> Any:
     return made
 
 
+def find_class(
+    what: str, name: Any, ours: Mapping[str, type[Kind]], paths: Mapping[str, str], kind: type[Any]
+) -> type[Kind]:
+    """Return a class by its name, ours or a user's, or by its import path.
+
+    :param what: what it is, for the error
+    :raises ValueError: there is no such class, or it is none of this kind
+    """
+    if name in ours:
+        return ours[name]
+    path = paths.get(name, name)
+    if not isinstance(path, str) or ":" not in path:
+        known = ", ".join(repr(other) for other in (*ours, *paths))
+        raise ValueError(f"{what}: got {name!r}, takes one of {known}, or 'module:Class' of your own")
+    found: type[Kind] = load(path)
+    if not (isinstance(found, type) and issubclass(found, kind)):
+        raise ValueError(f"{what}: {path} is no subclass of {kind.__name__}")
+    return found
+
+
 def by_path(parameters: Mapping[str, Any]) -> dict[str, Any]:
     """Return an environment's parameters with import paths in place of what can be imported.
 
-    That is names of users' arms, and functions that make an arm or tell the reward; those that have no path
-    (a lambda, one of a notebook) stay as they are.
+    That is names of users' arms, surfaces, controls and objects, and functions that make an arm or tell the
+    reward; those that have no path (a lambda, one of a notebook) stay as they are.
     """
     found = dict(parameters)
     for name in OBJECTS:
         if callable(found.get(name)):
             with suppress(ValueError):
                 found[name] = import_path(found[name], name)
-    robot = found.get("robot")
-    if isinstance(robot, str):
-        found["robot"] = ROBOT_PATHS.get(robot, robot)
+    for name, table in TABLES.items():
+        if isinstance(found.get(name), str):
+            found[name] = table.get(found[name], found[name])
+    if isinstance(found.get("object_set"), list | tuple):
+        found["object_set"] = [OBJECT_PATHS.get(kind, kind) for kind in found["object_set"]]
     return found
 
 
-def _store(table: dict[str, str], what: str, name: str, thing: Any) -> None:
+def _store(table: dict[str, str], what: str, name: str, thing: Any, ours: Collection[str] = ()) -> None:
     if not name.isidentifier():
         raise ValueError(f"{what}: the name {name!r} is no identifier")
+    if name in ours:
+        raise ValueError(f"{what}: the name {name!r} is one of ours")
     path = import_path(thing, f"{what} {name!r}")
     if table.setdefault(name, path) != path:
         raise ValueError(f"{what}: the name {name!r} is taken by {table[name]}")

@@ -1,25 +1,17 @@
 """The table of environments: what each id is made of. Strings only, so that registering loads no engine."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import gymnasium
 
 from bulletarm_gym import time_limit
-from bulletarm_gym.extensions import import_path
+from bulletarm_gym.config import CLOSE_LOOP, LEVEL, OPEN_LOOP, SLOPING
+from bulletarm_gym.extensions import CONTROL_PATHS, SURFACE_PATHS, by_path, import_path
 
 NAMESPACE = "BulletArm"
 ENTRY_POINT = "bulletarm_gym.env:ManipulationEnv"
-PREFIXES = {
-    ("close_loop", "flat"): "CloseLoop",
-    ("close_loop", "ramp"): "CloseLoopRamp",
-    ("close_loop", "bump"): "CloseLoopBump",
-    ("open_loop", "flat"): "OpenLoop",
-    ("open_loop", "ramp"): "OpenLoopRamp",
-    ("open_loop", "bump"): "OpenLoopBump",
-}
-"""What an id begins with, by control and surface."""
 
 PAIR = {"num_objects": 2, "object_scale_range": 1.0, "max_steps": 50}
 """The paper's close-loop Block Stacking and House Building: two blocks of 5 cm instead of four of 3 cm."""
@@ -52,6 +44,12 @@ class Entry:
         return {"task": self.task, "control": self.control, "surface": self.surface, **defaults}
 
 
+def _prefix(control: str, surface: str) -> str:
+    """Return what an id begins with, such as ``"OpenLoopRamp"``; the flat floor is not named."""
+    words = f"{control}_{'' if surface == 'flat' else surface}".split("_")
+    return "".join(word[:1].upper() + word[1:] for word in words)
+
+
 STRUCTURES = {
     "BlockStacking": "stacking:BlockStacking",
     **{f"HouseBuilding{number}": f"house:HouseBuilding{number}" for number in (1, 2, 3, 4)},
@@ -68,7 +66,7 @@ PACKAGING = {
 
 def _entries(tasks: Mapping[str, str], control: str, surface: str = "flat") -> tuple[Entry, ...]:
     """Return the entries of tasks, by name the module and class, under a control on a surface."""
-    prefix = PREFIXES[control, surface]
+    prefix = _prefix(control, surface)
     return tuple(
         Entry(prefix + name, f"bulletarm_gym.tasks.{path}", control, surface) for name, path in tasks.items()
     )
@@ -134,24 +132,29 @@ def register_task(name: str, task: Any, control: str = "close_loop", surface: st
     :param name: in the id, like ``"BlockShaking"``
     :param task: a subclass of :class:`~bulletarm_gym.tasks.Task` that can be imported from a module, or its
         path ``"module:Class"``
-    :param control: how it is acted in
-    :param surface: where
+    :param control: how it is acted in: ``"close_loop"``, ``"open_loop"``, or one that was registered
+    :param surface: where: ``"flat"``, ``"tray"``, ``"ramp"``, ``"bump"``, or one that was registered
     :return: the id, like ``"BulletArm/CloseLoopBlockShaking-v0"``
     :raises ValueError: the name is no identifier or taken, control or surface is unknown, or the class has no
         import path
     """
     if not name.isidentifier():
         raise ValueError(f"name: got {name!r}, takes an identifier such as 'BlockShaking'")
-    if (control, surface) not in PREFIXES:
-        known = ", ".join(f"{c!r} on {s!r}" for c, s in PREFIXES)
-        raise ValueError(f"control, surface: got {control!r} on {surface!r}, takes {known}")
-    entry = Entry(PREFIXES[control, surface] + name, import_path(task, f"task {name!r}"), control, surface)
+    _check_known("control", control, (CLOSE_LOOP, OPEN_LOOP, *CONTROL_PATHS))
+    _check_known("surface", surface, (*LEVEL, *SLOPING, *SURFACE_PATHS))
+    recipe = by_path({"control": control, "surface": surface})
+    entry = Entry(_prefix(control, surface) + name, import_path(task, f"task {name!r}"), **recipe)
     known_spec = gymnasium.registry.get(entry.env_id)
     if known_spec is None:
         _register(entry)
     elif known_spec.kwargs != entry.kwargs:
         raise ValueError(f"name: {entry.env_id} is taken by {known_spec.kwargs.get('task')}")
     return entry.env_id
+
+
+def _check_known(what: str, name: str, known: Sequence[str]) -> None:
+    if name not in known:
+        raise ValueError(f"{what}: got {name!r}, takes one of {', '.join(map(repr, known))}")
 
 
 def _register(entry: Entry) -> None:

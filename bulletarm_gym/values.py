@@ -69,15 +69,17 @@ def boolean(value: Any) -> bool:
     return bool(value)
 
 
-def folder(value: Any) -> str:
-    """Ask for a folder that exists."""
+def object_set(value: Any) -> str | list[str]:
+    """Ask for a folder that exists, or the names of kinds."""
+    if isinstance(value, list | tuple) and value and all(isinstance(kind, str) for kind in value):
+        return [str(kind) for kind in value]
     if not isinstance(value, str | os.PathLike) or not os.path.isdir(value):
-        raise Refused("None or a folder of OBJ or URDF files")
+        raise Refused("None, a folder of OBJ or URDF files, or a list of kinds of objects")
     return os.fspath(value)
 
 
 def no_object_set(value: Any) -> None:
-    """Refuse a folder of objects."""
+    """Refuse other objects."""
     if value is not None:
         raise Refused("None with this task: its objects are its own")
 

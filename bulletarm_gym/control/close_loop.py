@@ -1,14 +1,14 @@
 """Close-loop control: each action moves the gripper a little (paper, Close-loop Environments)."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import ArrayLike, NDArray
 
-from bulletarm_gym.config import EnvConfig
+from bulletarm_gym.config import CLOSE_LOOP, EnvConfig
 from bulletarm_gym.control.control import MAX_HEIGHT, POINTS, Control, holding, over
 from bulletarm_gym.experts.approach import route
 from bulletarm_gym.experts.waypoints import OPEN, Waypoint
@@ -61,6 +61,8 @@ class CloseLoop(Control[DeltaMove]):
     :param task: shows in the image what else there is to see
     """
 
+    kind = CLOSE_LOOP
+
     def __init__(self, config: EnvConfig, scene: Scene, task: Task) -> None:
         height = min(max(START_HEIGHT, config.workspace[2][0]), config.workspace[2][1])
         extremes = (Pose.planar(*position) for position in over(config, config.workspace[2], POINTS))
@@ -90,7 +92,7 @@ class CloseLoop(Control[DeltaMove]):
 
         :raises ValueError: the action has the wrong shape or is not finite
         """
-        value = dict(zip(self._sequence, self._numbers(action), strict=True))
+        value = dict(zip(self.sequence, self.numbers(action), strict=True))
         x, y, z = (MAX_TRANSLATION * value[axis] for axis in "xyz")
         return DeltaMove((value["p"] + 1.0) / 2.0, (x, y, z), MAX_ROTATION * value.get("r", 0.0))
 
@@ -98,7 +100,7 @@ class CloseLoop(Control[DeltaMove]):
         """Return the action for a move, the inverse of :meth:`decode_action`; what is too far is clipped."""
         value = dict(zip("xyz", (part / MAX_TRANSLATION for part in move.translation), strict=True))
         value |= {"p": 2.0 * move.opening - 1.0, "r": move.rotation / MAX_ROTATION}
-        return np.array([value[axis] for axis in self._sequence], dtype=np.float32).clip(-1.0, 1.0)
+        return np.array([value[axis] for axis in self.sequence], dtype=np.float32).clip(-1.0, 1.0)
 
     def apply(self, scene: Scene, move: DeltaMove) -> bool:
         """Carry out a move: the arm first, then the gripper.
@@ -106,13 +108,25 @@ class CloseLoop(Control[DeltaMove]):
         :return: whether the move was ignored, being out of reach: in a workspace that was checked hardly ever
         """
         hand = scene.robot.pose
-        limits = zip(hand.position, move.translation, self._workspace, strict=True)
-        x, y, z = (min(max(now + delta, low), high) for now, delta, (low, high) in limits)
+        x, y, z = self.within(map(sum, zip(hand.position, move.translation, strict=True)))
+        return self.go(scene, Pose.planar(x, y, z, hand.yaw + move.rotation), move.opening)
+
+    def within(self, position: Iterable[float]) -> Vector:
+        """Return the point (m) of the workspace that is nearest to a position."""
+        limits = zip(position, self._workspace, strict=True)
+        x, y, z = (min(max(value, low), high) for value, (low, high) in limits)
+        return (x, y, z)
+
+    def go(self, scene: Scene, pose: Pose, opening: float) -> bool:
+        """Bring the fingertips to a pose, then the gripper to an opening ratio.
+
+        :return: whether the pose is out of reach, and nothing was done
+        """
         try:
-            scene.robot.move_to(Pose.planar(x, y, z, hand.yaw + move.rotation))
+            scene.robot.move_to(pose)
         except OutOfReachError:
             return True
-        scene.robot.set_opening(move.opening)
+        scene.robot.set_opening(opening)
         return False
 
     def next_move(self, scene: Scene, plan: Iterator[Waypoint]) -> DeltaMove:
@@ -125,17 +139,14 @@ class CloseLoop(Control[DeltaMove]):
     def towards(self, scene: Scene, waypoint: Waypoint) -> DeltaMove:
         """Return the move that brings the gripper closest to a waypoint."""
         hand = scene.robot.pose
-        target = [
-            min(max(value, low), high)
-            for value, (low, high) in zip(waypoint.pose.position, self._workspace, strict=True)
-        ]
+        target = self.within(waypoint.pose.position)
         way = [goal - now for goal, now in zip(target, hand.position, strict=True)]
         turn = wrap_angle(waypoint.pose.yaw - hand.yaw)
         excess = max(*(abs(part) / MAX_TRANSLATION for part in way), abs(turn) / MAX_ROTATION)
         scale = 1.0 / excess if waypoint.straight and excess > 1.0 else 1.0
         x, y, z = (min(max(part * scale, -MAX_TRANSLATION), MAX_TRANSLATION) for part in way)
         arrives = excess * ARRIVED <= 1.0 or (
-            "r" not in self._sequence and max(map(abs, way)) <= MAX_TRANSLATION
+            "r" not in self.sequence and max(map(abs, way)) <= MAX_TRANSLATION
         )
         opening = waypoint.finish if arrives and waypoint.finish is not None else waypoint.gripper
         return DeltaMove(opening, (x, y, z), min(max(turn, -MAX_ROTATION), MAX_ROTATION))

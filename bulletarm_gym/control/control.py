@@ -4,7 +4,7 @@ import itertools
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator
-from typing import Any, Generic, TypeVar
+from typing import Any, ClassVar, Generic, TypeVar
 
 import numpy as np
 from gymnasium import spaces
@@ -28,6 +28,8 @@ Move = TypeVar("Move")
 class Control(ABC, Generic[Move]):
     """How the arm is commanded, by actions of one number in [-1, 1] a character of ``action_sequence``.
 
+    A class that can be used is made from ``(config, scene, task)``.
+
     :param config: the environment's parameters
     :param scene: what is acted on
     :param home: of the fingertips when an episode begins
@@ -35,6 +37,11 @@ class Control(ABC, Generic[Move]):
     :raises ParameterError: the arm does not reach there
     """
 
+    kind: ClassVar[str]
+    """``"close_loop"`` or ``"open_loop"``: whose tasks and parameters it takes."""
+    sequences: ClassVar[tuple[str, ...]] = ()
+    """What an action can consist of, a character a number, in any order, the default first; that of its kind,
+    if empty."""
     observation_space: spaces.Dict
 
     def __init__(self, config: EnvConfig, scene: Scene, home: Pose, extremes: Iterable[Pose]) -> None:
@@ -47,11 +54,11 @@ class Control(ABC, Generic[Move]):
             tilt = f" tilted by {math.degrees(far.tilt):.0f} degrees" if far.tilt > LEVEL else ""
             takes = f"one all of which robot={config.robot!r} reaches, but not ({point}){tilt}"
             raise ParameterError.of("workspace", config.workspace, takes)
-        self._sequence = config.action_sequence
+        self.sequence = config.action_sequence
         self._home = home
-        self.action_space = spaces.Box(-1.0, 1.0, (len(self._sequence),), np.float32)
+        self.action_space = spaces.Box(-1.0, 1.0, (len(self.sequence),), np.float32)
 
-    def _numbers(self, action: ArrayLike) -> list[float]:
+    def numbers(self, action: ArrayLike) -> list[float]:
         """Return an action's numbers, clipped to [-1, 1].
 
         :raises ValueError: the action has the wrong shape or is not finite
@@ -62,8 +69,8 @@ class Control(ABC, Generic[Move]):
             array = np.empty(0)
         if array.shape != self.action_space.shape or not np.isfinite(array).all():
             raise ValueError(
-                f"action: got {action!r}, takes {len(self._sequence)} finite numbers, "
-                f"one each for {self._sequence!r}"
+                f"action: got {action!r}, takes {len(self.sequence)} finite numbers, "
+                f"one each for {self.sequence!r}"
             )
         numbers: list[float] = array.clip(-1.0, 1.0).tolist()
         return numbers

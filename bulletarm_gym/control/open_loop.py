@@ -9,7 +9,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import ArrayLike, NDArray
 
-from bulletarm_gym.config import EnvConfig
+from bulletarm_gym.config import OPEN_LOOP, EnvConfig
 from bulletarm_gym.control.control import MAX_HEIGHT, POINTS, Control, holding, over
 from bulletarm_gym.experts.approach import LET_GO
 from bulletarm_gym.experts.waypoints import APPROACH, OPEN, Waypoint
@@ -75,6 +75,8 @@ class OpenLoop(Control[PickPlace]):
     :param task: its hints say how to grasp and to let go
     """
 
+    kind = OPEN_LOOP
+
     def __init__(self, config: EnvConfig, scene: Scene, task: Task) -> None:
         floor = config.workspace[2][0]
         super().__init__(
@@ -103,7 +105,7 @@ class OpenLoop(Control[PickPlace]):
 
         :raises ValueError: the action has the wrong shape or is not finite
         """
-        value = dict(zip(self._names, self._numbers(action), strict=True))
+        value = dict(zip(self._names, self.numbers(action), strict=True))
         at = {
             name: low + (value[name] + 1.0) / 2.0 * (high - low) for name, (low, high) in self._ranges.items()
         }

@@ -96,7 +96,7 @@ class Drag:
         """Return where the drag goes next: to the goal, over sloping ground step by step."""
         goal, hand = self._goal, self._hand
         share = min(1.0, STEP / max(planar_distance(goal, hand.position), 1e-9))
-        near = [now + share * (then - now) for now, then in zip(hand.position[:2], goal[:2], strict=True)]
+        near = (hand.x + share * (goal[0] - hand.x), hand.y + share * (goal[1] - hand.y))
         here, there, end = (self._above_ground(point) for point in (hand.position, near, goal))
         if here == there == end:
             return Pose.planar(goal[0], goal[1], end, hand.yaw)

@@ -44,17 +44,18 @@ KINDS: Mapping[str, Make] = {
 def create(kind: str, name: str, scale: float = 1.0) -> BodySpec:
     """Return an object of a kind.
 
-    :param kind: one of :data:`KINDS`, or a name given to :func:`bulletarm_gym.register_object`
+    :param kind: one of :data:`KINDS`, a name given to :func:`bulletarm_gym.register_object`, or the path
+        ``"module:function"`` of what could be given to it
     :param name: of the object, unique in its scene
     :param scale: times its nominal size
     :raises ValueError: there is no such kind, or it makes something else
     """
-    if kind not in KINDS and kind not in OBJECT_PATHS:
+    path = OBJECT_PATHS.get(kind, kind)
+    if kind not in KINDS and ":" not in path:
         known = ", ".join(repr(other) for other in (*KINDS, *OBJECT_PATHS))
-        raise ValueError(f"kind: got {kind!r}, takes one of {known}")
-    made = (KINDS[kind] if kind in KINDS else load(OBJECT_PATHS[kind]))(name, scale)
+        raise ValueError(f"kind: got {kind!r}, takes one of {known}, or 'module:function' of your own")
+    make = KINDS[kind] if kind in KINDS else load(path)
+    made = make(name, scale)
     if not isinstance(made, BodySpec):
-        raise ValueError(
-            f"object {kind!r}: {OBJECT_PATHS[kind]} returned a {type(made).__name__}, not a BodySpec"
-        )
+        raise ValueError(f"object {kind!r}: {path} returned a {type(made).__name__}, not a BodySpec")
     return made

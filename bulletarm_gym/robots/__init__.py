@@ -5,6 +5,7 @@ from collections.abc import Callable
 from bulletarm_gym.extensions import produce
 from bulletarm_gym.robots.gripper import Gripper, ParallelJaw
 from bulletarm_gym.robots.kuka import KUKA
+from bulletarm_gym.robots.linkage import on_slides
 from bulletarm_gym.robots.model import RobotModel
 from bulletarm_gym.robots.panda import PANDA
 from bulletarm_gym.robots.robot import OutOfReachError, Robot, RobotState
@@ -41,5 +42,6 @@ __all__ = [
     "RobotModel",
     "RobotState",
     "find_robot",
+    "on_slides",
     "read_urdf",
 ]

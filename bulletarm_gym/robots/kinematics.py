@@ -42,7 +42,7 @@ class Chain:
         """Read the chain of named joints; ``tool`` is given in the frame of the last link."""
         frames, axes = [base], []
         for name in joints:
-            element = _find_joint(root, name)
+            element = find_joint(root, name)
             frames[-1] = frames[-1].compose(frame_of(element))
             axes.append(_floats(element.find("axis"), "xyz", "1 0 0"))
             frames.append(Pose((0.0, 0.0, 0.0)))
@@ -73,7 +73,11 @@ def frame_of(element: ElementTree.Element) -> Pose:
     return euler_pose(_floats(origin, "xyz", "0 0 0"), _floats(origin, "rpy", "0 0 0"))
 
 
-def _find_joint(root: ElementTree.Element, name: str) -> ElementTree.Element:
+def find_joint(root: ElementTree.Element, name: str) -> ElementTree.Element:
+    """Return a joint.
+
+    :raises ValueError: the model has none of that name
+    """
     joint = root.find(f"joint[@name='{name}']")
     if joint is None:
         raise ValueError(f"the model has no joint {name!r}")

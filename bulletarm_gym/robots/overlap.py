@@ -6,6 +6,8 @@ from bulletarm_gym.geometry import Vector
 from bulletarm_gym.simulation import Body, World
 from bulletarm_gym.simulation.motion import MAX_DEPTH
 
+TOO_DEEP = 3e-3
+"""Depth (m) of what is held in a finger from which it is taken out, though nothing pressed it in any more."""
 REMAINING = 1e-3
 """Depth (m) that is left, so that what pressed goes on touching."""
 
@@ -25,12 +27,13 @@ def way_out(world: World, arm: Body, held: Body | None) -> Vector | None:
 def way_into(world: World, held: Body, arm: Body) -> Vector | None:
     """Return the shift (m) that takes what is squeezed out of the finger that it is too deep in, or None.
 
-    No farther than must be: there is another finger behind it.
+    No farther than must be, and no more than half the way: there is another finger behind it.
     """
-    if not any(p[8] < -MAX_DEPTH for p in world.client.getContactPoints(arm.id, held.id)):
-        return None
     point = _deepest(world.client.getClosestPoints(arm.id, held.id, 0.0))
-    return None if point is None else _along(point, MAX_DEPTH + point[8])
+    pressed = any(p[8] < -MAX_DEPTH for p in world.client.getContactPoints(arm.id, held.id))
+    if point is None or not (pressed or -point[8] > TOO_DEEP):
+        return None
+    return _along(point, max(MAX_DEPTH + point[8], point[8] / 2.0))
 
 
 def _deepest(points: Any) -> Any:

@@ -276,7 +276,9 @@ class Robot:
     def give_way(self) -> None:
         """Take the resting arm out of what it is too deep in, and what it holds out of a finger."""
         self._draw_out()
-        if self.held is not None and (way := way_into(self._world, self.held, self.body)) is not None:
+        for _ in range(YIELDS):
+            if self.held is None or (way := way_into(self._world, self.held, self.body)) is None:
+                return
             self._world.place(self.held, Pose(way).compose(self._world.poses[self.held.index]))
 
     def _draw_out(self) -> None:

@@ -118,21 +118,21 @@ def find_link(root: Element, name: str) -> Element:
 def merge_fixed(root: Element) -> None:
     """Make links on fixed joints part of their parents: each costs as much to simulate as one that moves."""
     for joint in root.findall("joint[@type='fixed']"):
-        parent, child = (find_link(root, _end(joint, end)) for end in ("parent", "child"))
+        parent, child = (find_link(root, end_of(joint, end)) for end in ("parent", "child"))
         mount = frame_of(joint)
         _add_mass(parent, child, mount)
         for element in [*child.findall("visual"), *child.findall("collision")]:
             _move(element, mount)
             parent.append(element)
         for other in root.findall("joint"):
-            if _end(other, "parent") == child.get("name"):
+            if end_of(other, "parent") == child.get("name"):
                 _move(other, mount)
-                other.findall("parent")[0].set("link", _end(joint, "parent"))
+                other.findall("parent")[0].set("link", end_of(joint, "parent"))
         root.remove(joint)
         root.remove(child)
 
 
-def _end(joint: Element, end: str) -> str:
+def end_of(joint: Element, end: str) -> str:
     """Return the name of a joint's ``"parent"`` or ``"child"``."""
     return joint.findall(end)[0].get("link", "")
 

@@ -19,6 +19,8 @@ MAX_PRESS = 100.0
 """An arm that presses this hard (N) and still goes deeper is blocked: pushing blocks takes 60 N at most."""
 MAX_DEPTH = 2e-3
 """Also one that is this deep (m) in something: Bullet's solver gives way before it comes to that force."""
+MAX_SQUEEZE = 0.01
+"""What is held and is pressed this deep (m) into a finger blocks, too: it stands on something."""
 RESTING_PRESS = 20.0
 """A blocked arm goes back the way it came until it presses less than this (N) ..."""
 CALM_STEPS = 10
@@ -117,9 +119,10 @@ def follow(
 
 
 def press(world: World, body: Body, held: Body | None) -> tuple[float, float]:
-    """Return how hard (N) and how deep (m) a body presses on others than the one it holds."""
+    """Return how hard (N) and how deep (m) a body presses on others than what it holds gently."""
     points = world.client.getContactPoints(body.id)
-    others = [(point[9], -point[8]) for point in points if held is None or point[2] != held.id]
+    gripped = None if held is None else held.id
+    others = [(point[9], -point[8]) for point in points if point[2] != gripped or -point[8] > MAX_SQUEEZE]
     if not others:
         return 0.0, 0.0
     return sum(force for force, _ in others), max(depth for _, depth in others)

@@ -1,5 +1,6 @@
 """Where things stand."""
 
+from bulletarm_gym.extensions import SURFACE_PATHS, find_class
 from bulletarm_gym.surfaces.bump import BumpSurface
 from bulletarm_gym.surfaces.flat import FlatSurface
 from bulletarm_gym.surfaces.ramp import RampSurface
@@ -13,7 +14,25 @@ SURFACES: dict[str, type[Surface]] = {
     "bump": BumpSurface,
 }
 
-__all__ = ["SURFACES", "BumpSurface", "FlatSurface", "RampSurface", "Surface", "TraySurface", "make_surface"]
+__all__ = [
+    "SURFACES",
+    "BumpSurface",
+    "FlatSurface",
+    "Point",
+    "RampSurface",
+    "Surface",
+    "TraySurface",
+    "find_surface",
+    "make_surface",
+]
+
+
+def find_surface(name: str) -> type[Surface]:
+    """Return the class of a surface by its name, ours or registered, or by its path ``"module:Class"``.
+
+    :raises ValueError: there is no such surface
+    """
+    return find_class("surface", name, SURFACES, SURFACE_PATHS, Surface)
 
 
 def make_surface(name: str, workspace: list[list[float]], site: Point) -> Surface:
@@ -22,7 +41,4 @@ def make_surface(name: str, workspace: list[list[float]], site: Point) -> Surfac
     :param site: width and length (m) of the base of what the task builds
     :raises ValueError: there is no surface of that name
     """
-    if name not in SURFACES:
-        known = ", ".join(repr(other) for other in SURFACES)
-        raise ValueError(f"surface: got {name!r}, takes one of {known}")
-    return SURFACES[name](workspace, site)
+    return find_surface(name)(workspace, site)

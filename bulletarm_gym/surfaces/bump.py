@@ -56,6 +56,7 @@ class BumpSurface(Surface):
     """
 
     keeps_poses = False
+    sloping = True
     slide = 0.01
 
     def __init__(self, workspace: list[list[float]], site: Point = SITE) -> None:

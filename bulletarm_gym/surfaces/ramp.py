@@ -90,6 +90,8 @@ class RampSurface(Surface):
     slope and the height of its edge. The strip is at least as wide as what the task builds.
     """
 
+    sloping = True
+
     def load(self, world: World) -> None:
         """Load the ground and the plates, which cover the workspace wherever they are put."""
         self._world = world

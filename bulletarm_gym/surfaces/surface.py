@@ -32,6 +32,9 @@ class Surface(ABC):
 
     keeps_poses: ClassVar[bool] = True
     """Whether what is laid somewhere stays as it is laid, and need not come to rest first."""
+    sloping: ClassVar[bool] = False
+    """Whether things may lie on it at an angle: then open-loop actions turn the gripper about all axes by
+    default, and tasks that need level ground refuse it."""
     slide: ClassVar[float] = 0.005
     """How far (m) what is laid may move while it comes to rest: so far it keeps away from the border."""
 

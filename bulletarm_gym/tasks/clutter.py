@@ -119,7 +119,7 @@ class ObjectGrasping(Task):
     def bodies(self, config: EnvConfig) -> list[Role]:
         """Return all objects of the set, each in one size.
 
-        :raises ValueError: the set has fewer than ``num_objects``
+        :raises ValueError: the set has fewer than ``num_objects``, or is of kinds that there are not
         """
         specs, scales = object_set(config.object_set), config.scales
         if len(specs) < config.num_objects:

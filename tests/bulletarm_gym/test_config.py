@@ -134,7 +134,7 @@ WRONG: dict[str, list[Any]] = {
     "random_orientation": [1, "no", None],
     "workspace_check": ["box", None, 3],
     "close_loop_tray": [1, "yes", None],
-    "object_set": [3, "no/such/folder"],
+    "object_set": [3, "no/such/folder", [], ["cube", 3]],
     "view": ["side", None],
     "observation": ["vec", None],
     "physics_mode": ["quick", None, 1],

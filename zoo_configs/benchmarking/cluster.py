@@ -78,9 +78,8 @@ def connected(address: str | None) -> Iterator[None]:
         ray.init(address=address or "auto", log_to_driver=False, logging_level=logging.ERROR)
     except (ConnectionError, RuntimeError, ValueError) as error:
         where = f"at {address}" if address else "on this machine"
-        raise CommandError(
-            f"--ray: no Ray cluster {where} ({reason(error)}); ray start --head begins one"
-        ) from error
+        advice = "ray start --head begins one; where it asks for a token, set RAY_AUTH_MODE=token"
+        raise CommandError(f"--ray: no Ray cluster {where} ({reason(error)}); {advice}") from error
     try:
         yield
     finally:

@@ -77,65 +77,49 @@ def main(argv: Sequence[str]) -> None:
 
 def _parse(argv: Sequence[str]) -> argparse.Namespace:
     parser = Parser("bulletarm-zoo benchmark", description=DESCRIPTION, epilog=EPILOG)
+    names = "open_loop_2d, open_loop_3d, open_loop_6d, close_loop_3d, close_loop_4d or a YAML"
+    folder = "folder of all runs (default: benchmarks/NAME)"
     add = parser.add_argument
-    add(
-        "name",
-        metavar="NAME",
-        help="open_loop_2d, open_loop_3d, open_loop_6d, close_loop_3d, close_loop_4d or a YAML",
-    )
-    add(
-        "-f",
-        "--log-folder",
-        type=Path,
-        metavar="FOLDER",
-        help="folder of all runs (default: benchmarks/NAME)",
-    )
+    add("name", metavar="NAME", help=names)
+    add("-f", "--log-folder", type=Path, metavar="FOLDER", help=folder)
     add("--dry-run", action="store_true", help="list cells, hours and gigabytes, and train nothing")
     add("--retry-failed", action="store_true", help="begin runs again that have failed")
-    add("--env", nargs="+", help="tasks, or shell patterns, instead of the benchmark's")
-    add("--baseline", nargs="+", help="baselines, or shell patterns, instead of the benchmark's")
-    add("--preset", help="cpu, quick or paper (default: cpu)")
-    add(
-        "--seeds",
-        nargs="+",
-        type=whole_number(0, MAX_SEED),
-        help="seeds (default: 0 1 2 3, as many as in the paper)",
-    )
-    add("--device", default="auto", help="PyTorch device (default: auto)")
-    share = parser.add_argument_group("what runs take")
-    add = share.add_argument
-    add(
-        "-j",
-        "--jobs",
-        type=positive_int,
-        help="runs at once on this machine (default: its cores over --cpus)",
-    )
-    add("--cpus", type=_positive, default=1.0, help="cores, and threads, of a run (default: 1)")
-    add(
-        "--gpus",
-        type=_positive,
-        help=f"with --ray: GPUs of a run (default: {GPU_SHARE} where the cluster has some)",
-    )
-    add("--memory", type=_positive, help="with --ray: gigabytes of a run (default: as --dry-run tells)")
-    add(
-        "--ray",
-        nargs="?",
-        const=THIS_CLUSTER,
-        metavar="ADDRESS",
-        help="train on a Ray cluster (default: this machine's)",
-    )
+    _add_cells(parser)
+    _add_shares(parser)
     add_packages(parser)
     add_progress(parser)
     args = parser.parse_args(argv)
     if args.ray is None and (args.gpus is not None or args.memory is not None):
-        parser.error(
-            "--gpus and --memory belong to --ray: on this machine -j says how many runs there are at once"
-        )
+        advice = "on this machine -j says how many runs there are at once"
+        parser.error(f"--gpus and --memory belong to --ray: {advice}")
     if args.ray is not None and args.jobs is not None:
-        parser.error(
-            "-j is for this machine: with --ray the shares of a run (--cpus, --gpus, --memory) decide"
-        )
+        advice = "with --ray the shares of a run (--cpus, --gpus, --memory) decide"
+        parser.error(f"-j is for this machine: {advice}")
     return args
+
+
+def _add_cells(parser: Parser) -> None:
+    group = parser.add_argument_group("cells")
+    add, a_seed = group.add_argument, whole_number(0, MAX_SEED)
+    add("--env", nargs="+", help="tasks, or shell patterns, instead of the benchmark's")
+    add("--baseline", nargs="+", help="baselines, or shell patterns, instead of the benchmark's")
+    add("--preset", help="cpu, quick or paper (default: cpu)")
+    add("--seeds", nargs="+", type=a_seed, help="seeds (default: 0 1 2 3, as many as in the paper)")
+    add("--device", default="auto", help="PyTorch device (default: auto)")
+
+
+def _add_shares(parser: Parser) -> None:
+    group = parser.add_argument_group("what runs take")
+    add = group.add_argument
+    jobs = "runs at once on this machine (default: its cores over --cpus)"
+    gpus = f"with --ray: GPUs of a run (default: {GPU_SHARE} where the cluster has some)"
+    memory = "with --ray: gigabytes of a run (default: as --dry-run tells)"
+    cluster = "train on a Ray cluster (default: this machine's)"
+    add("-j", "--jobs", type=positive_int, help=jobs)
+    add("--cpus", type=_positive, default=1.0, help="cores, and threads, of a run (default: 1)")
+    add("--gpus", type=_positive, help=gpus)
+    add("--memory", type=_positive, help=memory)
+    add("--ray", nargs="?", const=THIS_CLUSTER, metavar="ADDRESS", help=cluster)
 
 
 def _positive(text: str) -> float:

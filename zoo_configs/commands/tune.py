@@ -50,11 +50,8 @@ def main(argv: Sequence[str]) -> None:
     finally:
         print(f"study {search.name}: {summary(study)}")
         files = write_report(search, study, plots=not args.no_optim_plots)
-        print(
-            "\n".join(["Written:", *(f"  {path}" for path in files)])
-            if files
-            else "No trial is complete yet."
-        )
+        written = "\n".join(["Written:", *(f"  {path}" for path in files)])
+        print(written if files else "No trial is complete yet.")
     print(f"To train with the best: {_train_command(search)}")
     print(f"To look at the study: optuna-dashboard {search.storage_name}")
 
@@ -67,26 +64,15 @@ def build_parser() -> argparse.ArgumentParser:
     """
     parser = Parser("bulletarm-zoo tune", description=DESCRIPTION, epilog=EPILOG, allow_abbrev=False)
     add_cell_flags(parser)
-    add = parser.add_argument
-    add(
-        "--seed", type=whole_number(0, MAX_SEED), default=0, help="of all trials and the sampler (default: 0)"
-    )
+    add, a_seed = parser.add_argument, whole_number(0, MAX_SEED)
+    folder = "the study stands in its studies/ (default: logs)"
+    startup = f"drawn at random (default: {N_STARTUP_TRIALS})"
+    add("--seed", type=a_seed, default=0, help="of all trials and the sampler (default: 0)")
     add("--device", default="auto", help="PyTorch device (default: auto)")
-    add(
-        "-f",
-        "--log-folder",
-        type=Path,
-        default=Path("logs"),
-        help="the study stands in its studies/ (default: logs)",
-    )
+    add("-f", "--log-folder", type=Path, default=Path("logs"), help=folder)
     add("--space", type=Path, help="YAML with the search space (default: that of the algorithm)")
     add("--n-trials", type=positive_int, default=N_TRIALS, help=f"over all processes (default: {N_TRIALS})")
-    add(
-        "--n-startup-trials",
-        type=whole_number(0),
-        default=N_STARTUP_TRIALS,
-        help="drawn at random (default: 10)",
-    )
+    add("--n-startup-trials", type=whole_number(0), default=N_STARTUP_TRIALS, help=startup)
     add("--n-evaluations", type=positive_int, default=N_EVALUATIONS, help="of a trial (default: 8)")
     add("--sampler", choices=SAMPLERS, default="tpe", help="default: tpe")
     add("--pruner", choices=PRUNERS, default="median", help="default: median")

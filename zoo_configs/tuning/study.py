@@ -133,10 +133,10 @@ def work(search: Search, study: optuna.Study) -> None:
     :param search: What is searched
     :param study: The study
     """
-    while (trial := _next_trial(search, study)) is not None:
-        number, claim = trial
+    while (claimed := _next_trial(search, study)) is not None:
+        trial, claim = claimed
         with claim:
-            _run(search, study, number)
+            _run(search, study, trial)
 
 
 def retried(trials: Iterable[FrozenTrial]) -> set[int]:

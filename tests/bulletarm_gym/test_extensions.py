@@ -1,0 +1,223 @@
+"""Users' parts: registered by name, kept by path, refused with the reason."""
+
+import pickle
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import gymnasium
+import pytest
+from rollouts import make_env, transcript
+
+import bulletarm_gym
+from bulletarm_gym import extensions
+from bulletarm_gym.env import ManipulationEnv
+from bulletarm_gym.surfaces import FlatSurface
+
+PICKING = "BulletArm/CloseLoopBlockPicking-v0"
+GRASPING = "BulletArm/CloseLoopObjectGrasping-v0"
+TASK = "bulletarm_gym.tasks.picking:BlockPicking"
+SURFACES = """
+import numpy as np
+from bulletarm_gym.surfaces import FlatSurface
+
+class Raised(FlatSurface):
+    slide = 0.0
+
+class Hilly(FlatSurface):
+    sloping = True
+
+NOTHING = 3
+"""
+
+
+@pytest.fixture(autouse=True)
+def tables(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Forget what a test registers."""
+    for name in ("CONTROL_PATHS", "SURFACE_PATHS", "ROBOT_PATHS", "OBJECT_PATHS"):
+        table = getattr(extensions, name)
+        for key in list(table):
+            monkeypatch.delitem(table, key)
+
+
+@pytest.fixture
+def my_surfaces(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    (tmp_path / "my_surfaces.py").write_text(SURFACES)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    yield
+    sys.modules.pop("my_surfaces", None)
+    for table in (extensions.SURFACE_PATHS,):
+        table.clear()
+
+
+@pytest.mark.usefixtures("my_surfaces", "own_registrations")
+def test_a_registered_surface_is_kept_by_its_path() -> None:
+    bulletarm_gym.register_surface("raised", "my_surfaces:Raised")
+    env = gymnasium.make(PICKING, surface="raised", obs_size=16)
+    assert env.spec is not None and env.spec.kwargs["surface"] == "my_surfaces:Raised"
+    unwrapped = env.unwrapped
+    assert isinstance(unwrapped, ManipulationEnv) and unwrapped.scene.surface.slide == 0.0
+    extensions.SURFACE_PATHS.clear()  # as in a process that has not imported the user's file
+    copy = pickle.loads(pickle.dumps(unwrapped))
+    assert transcript(copy, 2, seed=1) == transcript(unwrapped, 2, seed=1)
+    for other in (env, copy):
+        other.close()
+
+
+@pytest.mark.usefixtures("my_surfaces", "own_registrations")
+@pytest.mark.parametrize(("control", "prefix"), [("close_loop", "CloseLoop"), ("open_loop", "OpenLoop")])
+def test_ids_name_control_and_surface(control: str, prefix: str) -> None:
+    bulletarm_gym.register_surface("high_ground", "my_surfaces:Raised")
+    for surface, word in (("high_ground", "HighGround"), ("ramp", "Ramp"), ("tray", "Tray"), ("flat", "")):
+        env_id = bulletarm_gym.register_task("Mine", TASK, control, surface)
+        assert env_id == f"BulletArm/{prefix}{word}Mine-v0"
+        expected = "my_surfaces:Raised" if surface == "high_ground" else surface
+        assert gymnasium.spec(env_id).kwargs["surface"] == expected
+        del gymnasium.registry[env_id]
+
+
+@pytest.mark.usefixtures("my_surfaces")
+def test_ground_that_slopes_says_so() -> None:
+    path = "my_surfaces:Hilly"
+    env = make_env("BulletArm/OpenLoopBlockStacking-v0", surface=path, obs_size=16)
+    assert env.config.action_sequence == "pxyzrrr"
+    env.close()
+    with pytest.raises(ValueError, match=r"^surface: got 'my_surfaces:Hilly', takes .*level ground"):
+        make_env("BulletArm/CloseLoopDrawerOpening-v0", surface=path)
+
+
+def test_what_is_no_surface_is_refused(my_surfaces: None) -> None:
+    for wrong, reason in (
+        ("step", "takes one of 'flat', 'tray', 'ramp', 'bump', or 'module:Class' of your own"),
+        (3, "takes one of"),
+        ("my_surfaces:NOTHING", "no subclass of Surface"),
+        ("my_surfaces:Absent", "cannot be imported"),
+        ("builtins:dict", "no subclass of Surface"),
+    ):
+        with pytest.raises(ValueError, match=reason):
+            make_env(PICKING, surface=wrong)
+
+
+def test_what_cannot_be_registered() -> None:
+    class Local(FlatSurface):
+        pass
+
+    with pytest.raises(ValueError, match=r"surface 'mine': .*local to a function"):
+        bulletarm_gym.register_surface("mine", Local)
+    with pytest.raises(ValueError, match="'ramp' is one of ours"):
+        bulletarm_gym.register_surface("ramp", FlatSurface)
+    with pytest.raises(ValueError, match="no identifier"):
+        bulletarm_gym.register_surface("two levels", FlatSurface)
+    bulletarm_gym.register_surface("mine", FlatSurface)
+    with pytest.raises(ValueError, match="is taken by"):
+        bulletarm_gym.register_surface("mine", "bulletarm_gym.surfaces:RampSurface")
+    for wrong in ({"surface": "moon"}, {"control": "remote"}):
+        with pytest.raises(ValueError, match=f"^{next(iter(wrong))}: got .*, takes one of "):
+            bulletarm_gym.register_task("Mine", TASK, **wrong)
+
+
+OBJECTS = """
+from bulletarm_gym.objects import BodySpec, Box, Piece
+
+def brick(name, scale):
+    return BodySpec(name, (Piece(Box((0.08 * scale, 0.03 * scale, 0.04 * scale))),), mass=0.3)
+
+def nothing(name, scale):
+    return None
+"""
+
+
+@pytest.fixture
+def my_objects(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    (tmp_path / "my_objects.py").write_text(OBJECTS)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    yield
+    sys.modules.pop("my_objects", None)
+
+
+@pytest.mark.usefixtures("my_objects")
+def test_registered_objects_reach_a_task_of_ours() -> None:
+    bulletarm_gym.register_object("block", "my_objects:brick")
+    kinds = ["block", "cube", "block"]
+    env = make_env(GRASPING, object_set=kinds, num_objects=2, obs_size=16, object_scale_range=0.5)
+    path = "my_objects:brick"
+    assert env.config.object_set == [path, "cube", path]
+    assert [item.role.name for item in env.scene.items] == [f"{path} 0", "cube 0", f"{path} 1"]
+    spec = env.scene.items[0].spec
+    assert spec.mass == 0.3 and spec.extents == pytest.approx((0.02, 0.04, 0.015))  # lying
+    extensions.OBJECT_PATHS.clear()
+    copy = pickle.loads(pickle.dumps(env))
+    assert transcript(copy, 2, seed=1) == transcript(env, 2, seed=1)
+    for other in (env, copy):
+        other.close()
+
+
+@pytest.mark.usefixtures("my_objects")
+@pytest.mark.parametrize(
+    ("kinds", "reason"),
+    [
+        (["hammer"], "^object_set: kind: got 'hammer', takes one of 'bottle_tray', "),
+        (["my_objects:nothing"], "^object_set: .* returned a NoneType, not a BodySpec"),
+        (["pallet"], "^object_set: 'pallet' stands fixed"),
+        (["cube"], "takes at most 1 with this object_set"),
+    ],
+)
+def test_sets_of_kinds_that_cannot_be(kinds: list[str], reason: str) -> None:
+    with pytest.raises(ValueError, match=reason):
+        make_env(GRASPING, object_set=kinds, num_objects=2)
+
+
+CONTROLS = """
+from bulletarm_gym.control import CloseLoop
+
+class Backwards(CloseLoop):
+    sequences = ("pzyx", "pzyxr")
+
+class Kindless(CloseLoop):
+    kind = "both"
+"""
+
+
+@pytest.fixture
+def my_controls(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    (tmp_path / "my_controls.py").write_text(CONTROLS)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    yield
+    sys.modules.pop("my_controls", None)
+
+
+@pytest.mark.usefixtures("my_controls", "own_registrations")
+def test_a_registered_control_is_kept_by_its_path() -> None:
+    bulletarm_gym.register_control("back_wards", "my_controls:Backwards")
+    env_id = bulletarm_gym.register_task("Mine", TASK, "back_wards")
+    assert env_id == "BulletArm/BackWardsMine-v0"
+    del gymnasium.registry[env_id]
+    env = gymnasium.make(PICKING, control="back_wards", obs_size=16)
+    assert env.spec is not None and env.spec.kwargs["control"] == "my_controls:Backwards"
+    unwrapped = env.unwrapped
+    assert isinstance(unwrapped, ManipulationEnv)
+    assert (unwrapped.config.control, unwrapped.action_sequence) == ("close_loop", "pzyx")
+    extensions.CONTROL_PATHS.clear()  # as in a process that has not imported the user's file
+    copy = pickle.loads(pickle.dumps(unwrapped))
+    assert transcript(copy, 2, seed=1) == transcript(unwrapped, 2, seed=1)
+    for other in (env, copy):
+        other.close()
+
+
+@pytest.mark.usefixtures("my_controls")
+def test_what_is_no_control_is_refused() -> None:
+    path = "my_controls:Backwards"
+    for wrong, reason in (
+        ("remote", "^control: got 'remote', takes one of 'close_loop', 'open_loop', or 'module:Class'"),
+        ("my_controls:Kindless", "^control: .* has kind='both', takes one of"),
+        ("builtins:dict", "no subclass of Control"),
+        ("open_loop", "^control: got 'open_loop', BlockPicking takes one of"),
+    ):
+        with pytest.raises(ValueError, match=reason):
+            make_env(PICKING, control=wrong)
+    with pytest.raises(ValueError, match=f"^control: got '{path}', HouseBuilding2 takes one of"):
+        make_env("BulletArm/OpenLoopHouseBuilding2-v0", control=path)
+    with pytest.raises(ValueError, match=r"^action_sequence: got 'pxy', takes 'pzyx' or 'pzyxr'"):
+        make_env(PICKING, control=path, action_sequence="pxy")
+    with pytest.raises(ValueError, match="'open_loop' is one of ours"):
+        bulletarm_gym.register_control("open_loop", path)
