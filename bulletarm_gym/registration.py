@@ -105,9 +105,7 @@ PAPER = (
 COMPOSED = (
     *_entries({name: path for name, path in STRUCTURES.items() if name != "BlockStacking"}, "close_loop"),
     *_entries(PACKAGING, "close_loop"),
-    *_entries(
-        {"BlockPicking": "picking:BlockPicking", "BlockPushing": "pushing:BlockPushing"}, "close_loop", "ramp"
-    ),
+    *_entries({"BlockPicking": "picking:BlockPicking"}, "close_loop", "ramp"),
     *_entries(
         {"BlockPicking": "picking:BlockPicking", "BlockInBowl": "bowl:BlockInBowl"}, "close_loop", "bump"
     ),
