@@ -3,7 +3,13 @@
 Importing the package registers their ids and loads neither the physics engine nor a compiler.
 """
 
-from bulletarm_gym.extensions import register_control, register_object, register_robot, register_surface
+from bulletarm_gym.extensions import (
+    register_control,
+    register_object,
+    register_robot,
+    register_sensor,
+    register_surface,
+)
 from bulletarm_gym.registration import ENV_IDS, PAPER_IDS, register_all, register_task
 
 __version__ = "0.1.0"
@@ -14,6 +20,7 @@ __all__ = [
     "register_control",
     "register_object",
     "register_robot",
+    "register_sensor",
     "register_surface",
     "register_task",
 ]

@@ -12,6 +12,9 @@ from bulletarm_gym.values import Check, Refused
 CLOSE_LOOP = "close_loop"
 OPEN_LOOP = "open_loop"
 
+ORTHOGRAPHIC = "orthographic"
+"""The view that looks straight down on meshes."""
+
 LEVEL, SLOPING = ("flat", "tray"), ("ramp", "bump")
 """Kinds of ground."""
 
@@ -104,7 +107,8 @@ class EnvConfig:
     :param close_loop_tray: the task stands in a tray
     :param object_set: None for the 86 objects made by code, a folder of OBJ or URDF files, or a list of kinds
     :param view: ``"orthographic"``, looking straight down, or ``"point_cloud"``, the paper's two side cameras
-    :param observation: ``"image"``, or ``"state"``: the poses of gripper and objects
+    :param observation: ``"image"``, ``"state"`` (the poses of gripper and objects), or a list of
+        :data:`SENSORS`: each by its name, or ``{"name": ..., parameter: value, ...}``
     :param physics_mode: ``"fast"`` (50 solver iterations) or ``"slow"`` (200, and slower motions)
     :param reward: None for the task's own, or ``"module:function"`` called as ``function(scene, outcome)``
     :param render_mode: None, ``"rgb_array"``, ``"depth_array"`` or ``"human"``
@@ -125,8 +129,8 @@ class EnvConfig:
     workspace_check: str = "point"
     close_loop_tray: bool = False
     object_set: str | list[str] | None = None
-    view: str = "orthographic"
-    observation: str = "image"
+    view: str = ORTHOGRAPHIC
+    observation: str | list[Any] = "image"
     physics_mode: str = "fast"
     reward: str | None = None
     render_mode: str | None = None
@@ -175,6 +179,15 @@ class EnvConfig:
         return {name: value for name, value in asdict(self).items() if belongs(name, self.control)}
 
     @property
+    def sensors(self) -> list[tuple[str, str, dict[str, Any]]]:
+        """What is observed: names, the sensor behind each (its name or import path), its parameters."""
+        chosen: Any = self.observation
+        entries = PRESETS[self.control][chosen] if isinstance(chosen, str) else chosen
+        described = [{"name": entry} if isinstance(entry, str) else dict(entry) for entry in entries]
+        named = [(entry.pop("name"), entry) for entry in described]
+        return [(name, entry.pop("sensor", name), entry) for name, entry in named]
+
+    @property
     def scales(self) -> list[float]:
         """The sizes that objects are drawn from: a grid of 0.02 over the range, both ends included."""
         low, high = self.object_scale_range
@@ -195,6 +208,14 @@ class EnvConfig:
 
 
 SCALE_STEP = 0.02
+
+SENSORS = ("heightmap", "in_hand", "holding", "state", "color", "segmentation", "rgb", "point_cloud")
+"""What can be observed, by name; users register more."""
+PRESETS: dict[str, dict[str, tuple[str, ...]]] = {
+    CLOSE_LOOP: {"image": ("heightmap", "holding"), "state": ("state", "holding")},
+    OPEN_LOOP: {"image": ("heightmap", "in_hand", "holding")},
+}
+"""What ``observation`` may be besides a list: names for lists of sensors, by control."""
 
 _ONLY_WITH = {
     "half_rotation": OPEN_LOOP,
@@ -250,13 +271,24 @@ def _checks(control: str, task: TaskDefaults, robots: Sequence[str]) -> dict[str
         "workspace_check": values.choice("point", "bounding_box"),
         "close_loop_tray": _tray(task.tray),
         "object_set": values.optional(values.object_set) if task.takes_object_set else values.no_object_set,
-        "view": values.choice("orthographic", "point_cloud"),
-        "observation": values.choice("image", "state") if control == CLOSE_LOOP else values.images_only,
+        "view": values.choice(ORTHOGRAPHIC, "point_cloud"),
+        "observation": values.observation(list(PRESETS[control]), SENSORS, _presets_elsewhere(control)),
         "physics_mode": values.choice("fast", "slow"),
         "reward": values.optional(values.import_path),
         "render_mode": values.choice(None, "rgb_array", "depth_array", "human"),
     }
     return {name: check for name, check in checks.items() if belongs(name, control)}
+
+
+def _presets_elsewhere(control: str) -> dict[str, str]:
+    """Return why presets of the other control cannot be had."""
+    own = " or ".join(map(repr, PRESETS[control]))
+    return {
+        preset: f"{own} or a list of sensors: {preset!r} belongs to {other.replace('_', '-')} environments"
+        for other, presets in PRESETS.items()
+        for preset in presets
+        if preset not in PRESETS[control]
+    }
 
 
 def _check_surface(surface: str, sloping: bool, task: TaskDefaults, in_tray: bool) -> None:

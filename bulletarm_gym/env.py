@@ -15,20 +15,19 @@ from numpy.typing import ArrayLike, NDArray
 from bulletarm_gym.config import CLOSE_LOOP, EnvConfig, ParameterError
 from bulletarm_gym.control import Control, find_control
 from bulletarm_gym.extensions import OBJECTS, by_path, load
-from bulletarm_gym.feasibility import check_heights, check_room, check_spans
+from bulletarm_gym.feasibility import check_heights, check_room, check_spans, checked_options
 from bulletarm_gym.footprint import PlacementError
 from bulletarm_gym.robots import ROBOTS, RobotModel, RobotState, find_robot
 from bulletarm_gym.scene import Scene
+from bulletarm_gym.sensors import Observer, View
 from bulletarm_gym.simulation import Camera, WorldState, has_display
 from bulletarm_gym.surfaces import find_surface, make_surface
 from bulletarm_gym.tasks import Task
 
-Observation = dict[str, NDArray[np.float32]]
+Observation = dict[str, NDArray[Any]]
 Action = NDArray[np.float32]
 Reward = Callable[[Scene, Mapping[str, bool]], float]
 
-OPTIONS = {"new_scene": ((bool, True), (bool, False)), "start": ((str, "goal"),)}
-"""What a reset can be asked for: types, for 1 equals True, and values."""
 SCENE_PARAMETERS = ("workspace", "object_scale_range", "num_objects", "close_loop_tray")
 """What the bodies of a scene, and where they can be, follow from."""
 GROUNDS = 30
@@ -43,6 +42,7 @@ ARRANGEMENT, AFTER_ACTION, PLAN = range(3)
 class EnvState:
     """Everything an environment needs to go on from a moment; picklable.
 
+    :param sensors: what they remember, by name
     :param generator: state of the generator that later episodes are seeded from
     :param made_of: what decides whether an environment can take it: task, arm, sizes; None in old files
     """
@@ -50,7 +50,7 @@ class EnvState:
     world: WorldState
     robot: RobotState
     cast: tuple[int, ...]
-    control: Any
+    sensors: Any
     memory: Any
     steps: int
     episode_seed: int
@@ -134,7 +134,10 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         self.control: Control[Any] = control_type(self.config, self.scene, self.task)
         check_room(self.config, own, self.scene, self.task, self.control)
         self.action_space = self.control.action_space
-        self.observation_space = self.control.observation_space
+        self._observer = Observer(self.config, self.scene)
+        self._view: View | None = None
+        # Gymnasium types a Dict space by its parts instead of its samples.
+        self.observation_space = self._observer.space  # type: ignore[assignment]
         self._steps = 0
         self._episode_seed: int | None = None
 
@@ -151,7 +154,7 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         :raises ValueError: an unknown option, or the task has no structure to start from
         :raises PlacementError: the workspace is too small for the task
         """
-        options = _checked_options(options, self.task)
+        options = checked_options(options, self.task)
         super().reset(seed=seed)
         anew = seed is not None or any(options.values()) or self._episode_seed is None
         arrange = self.task.arrange_goal if "start" in options else self.task.arrange
@@ -163,9 +166,10 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
             self._arrange(arrange, rng)
         else:
             self.control.start(self.scene)
+        self._observer.set_memory({})
         self.scene.begin()
         self.scene.settle()
-        return self.control.observe(self.scene), self._evaluate(ignored=False)
+        return self.observe(), self._evaluate(ignored=False)
 
     @property
     def keeps_scene(self) -> bool:
@@ -197,18 +201,23 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         :raises gymnasium.error.ResetNeeded: no episode has begun
         """
         self._check_running()
-        move = self.control.decode_action(action)
+        view = self._view if self._view is not None and self._view.is_current else self.look()
+        move = self.control.decode_action(action, view)
+        if self._observer.follows:
+            _ = view.heights  # drawn while they are what was seen before the move
         self.scene.begin()
-        ignored = self.control.apply(self.scene, move)
+        outcome = self.control.apply(self.scene, move)
         self.scene.settle()
+        if not outcome.ignored:
+            self._observer.follow(view, outcome.pick)
         self._steps += 1
         self.task.after_action(self.scene, self._rng(AFTER_ACTION))
-        info = self._evaluate(ignored)
+        info = self._evaluate(outcome.ignored)
         success, valid = info["is_success"], info["is_valid"]
         reward = _finite(self._reward(self.scene, info), self._reward) if valid else 0.0
         terminated = success or not valid or self.task.one_decision
         truncated = not terminated and self._steps >= self.config.max_steps
-        return self.control.observe(self.scene), reward, terminated, truncated, info
+        return self.observe(), reward, terminated, truncated, info
 
     def render(self) -> Any:
         """Return a picture (480, 480, 3) uint8, distances (480, 480) float32 in metres, or nothing."""
@@ -229,9 +238,19 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         """What each number of an action is, a character each."""
         return self.config.action_sequence
 
+    def observe(self) -> Observation:
+        """Return the observation of the present moment; it changes nothing."""
+        self._view = self.look()
+        return self._observer.read(self._view)
+
+    def look(self) -> View:
+        """Return what is seen from above at present."""
+        frame = self.control.frame(self.scene)
+        return View(self.scene, frame, self.task.overlays, self._observer.asks_for_labels)
+
     def decode_action(self, action: ArrayLike) -> Any:
         """Return an action in metres and radians: a ``DeltaMove``, a ``PickPlace``, or the control's own."""
-        return self.control.decode_action(action)
+        return self.control.decode_action(action, self.look())
 
     def encode_action(self, move: Any) -> Action:
         """Return the action for a move in metres and radians."""
@@ -261,7 +280,7 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
             self.scene.world.get_state(),
             self.scene.robot.get_state(),
             self.scene.get_cast(),
-            self.control.get_state(),
+            self._observer.get_memory(),
             self.task.memory,
             self._steps,
             self._episode_seed,
@@ -280,7 +299,9 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         self.scene.world.set_state(state.world)
         self.scene.robot.set_state(state.robot)
         self.scene.set_cast(state.cast)
-        self.control.set_state(state.control)
+        # Files recorded before there were sensors by name hold the in-hand image alone.
+        known = isinstance(state.sensors, dict)
+        self._observer.set_memory(state.sensors if known else {"in_hand": state.sensors})
         self.task.memory = state.memory
         self._steps = state.steps
         self._episode_seed = state.episode_seed
@@ -290,12 +311,11 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
     def _made_of(self) -> dict[str, Any]:
         """What a state must have in common with the environment: names and JSON values."""
         names = [body.spec.name for body in self.scene.world.bodies]
-        in_hand = self.observation_space.spaces.get("in_hand")  # type: ignore[attr-defined]
         return {
             **self._recipe,
             **{name: getattr(self.config, name) for name in SCENE_PARAMETERS},
             "robot": self.scene.robot.model.name,
-            "in_hand": in_hand and list(in_hand.shape),
+            **self._observer.shapes(["in_hand"]),
             "bodies": f"{len(names)}, crc {zlib.crc32(repr(names).encode()):08x}",
         }
 
@@ -394,17 +414,3 @@ def _finite(value: Any, reward: Reward) -> float:
         name = f"{reward.__module__}:{getattr(reward, '__qualname__', type(reward).__name__)}"
         raise ValueError(f"reward: {name} returned {value!r}, takes one that returns finite numbers")
     return number
-
-
-def _checked_options(options: Mapping[str, Any] | None, task: Task) -> dict[str, Any]:
-    """Return the options of a reset."""
-    options = dict(options or {})
-    if not all((type(value), value) in OPTIONS.get(name, ()) for name, value in options.items()):
-        takes = 'None or {"new_scene": True or False, "start": "goal"}'
-        raise ValueError(f"options: got {options!r}, takes {takes}")
-    if "start" in options and not task.has_goal_structure:
-        name = type(task).__name__
-        raise ValueError(
-            f"options: got {options!r}, but {name} builds no structure: it has no arrange_goal()"
-        )
-    return options

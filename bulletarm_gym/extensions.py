@@ -1,4 +1,4 @@
-"""What users add: robots, objects, surfaces and controls by name, and everything of theirs by import path.
+"""What users add: robots, objects, surfaces, sensors and controls by name, and all of theirs by import path.
 
 A thing is stored as ``"module:name"``, so that a worker process, however it is started, finds it by importing
 the user's module. What has no such path (a lambda, something local or of ``__main__``) is refused.
@@ -10,7 +10,7 @@ from collections.abc import Collection, Mapping
 from contextlib import suppress
 from typing import Any, TypeVar
 
-from bulletarm_gym.config import CLOSE_LOOP, LEVEL, OPEN_LOOP, SLOPING
+from bulletarm_gym.config import CLOSE_LOOP, LEVEL, OPEN_LOOP, SENSORS, SLOPING
 
 OBJECTS = ("robot", "reward")
 """Parameters that may be objects of the user's."""
@@ -18,6 +18,8 @@ ROBOT_PATHS: dict[str, str] = {}
 """Import paths of the users' arms, by name."""
 OBJECT_PATHS: dict[str, str] = {}
 """Import paths of the users' objects, by name."""
+SENSOR_PATHS: dict[str, str] = {}
+"""Import paths of the users' sensors, by name."""
 SURFACE_PATHS: dict[str, str] = {}
 """Import paths of the users' surfaces, by name."""
 CONTROL_PATHS: dict[str, str] = {}
@@ -59,6 +61,17 @@ def register_surface(name: str, surface: Any) -> None:
     :raises ValueError: the name is taken or no identifier, or the class has no import path
     """
     _store(SURFACE_PATHS, "surface", name, surface, (*LEVEL, *SLOPING))
+
+
+def register_sensor(name: str, sensor: Any) -> None:
+    """Make a sensor available in the lists that ``observation`` takes.
+
+    :param name: a new one
+    :param sensor: a subclass of :class:`~bulletarm_gym.sensors.Sensor` that can be imported from a module, or
+        its path ``"module:Class"``
+    :raises ValueError: the name is taken or no identifier, or the class has no import path
+    """
+    _store(SENSOR_PATHS, "sensor", name, sensor, SENSORS)
 
 
 def register_control(name: str, control: Any) -> None:
@@ -151,8 +164,8 @@ def find_class(
 def by_path(parameters: Mapping[str, Any]) -> dict[str, Any]:
     """Return an environment's parameters with import paths in place of what can be imported.
 
-    That is names of users' arms, surfaces, controls and objects, and functions that make an arm or tell the
-    reward; those that have no path (a lambda, one of a notebook) stay as they are.
+    That is names of users' arms, surfaces, controls, sensors and objects, and functions that make an arm or
+    tell the reward; those that have no path (a lambda, one of a notebook) stay as they are.
     """
     found = dict(parameters)
     for name in OBJECTS:
@@ -164,7 +177,19 @@ def by_path(parameters: Mapping[str, Any]) -> dict[str, Any]:
             found[name] = table.get(found[name], found[name])
     if isinstance(found.get("object_set"), list | tuple):
         found["object_set"] = [OBJECT_PATHS.get(kind, kind) for kind in found["object_set"]]
+    if isinstance(found.get("observation"), list | tuple):
+        found["observation"] = [_sensor_by_path(entry) for entry in found["observation"]]
     return found
+
+
+def _sensor_by_path(entry: Any) -> Any:
+    """Return an entry of a list of sensors with the import path of a user's."""
+    described = {"name": entry} if isinstance(entry, str) else entry
+    if not isinstance(described, Mapping):
+        return entry
+    source = described.get("sensor", described.get("name"))
+    path = SENSOR_PATHS.get(source) if isinstance(source, str) else None
+    return entry if path is None else {**described, "sensor": path}
 
 
 def _store(table: dict[str, str], what: str, name: str, thing: Any, ours: Collection[str] = ()) -> None:

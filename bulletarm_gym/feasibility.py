@@ -1,5 +1,6 @@
-"""What parameters ask for together, and cannot have: looked at when an environment is made."""
+"""What parameters, or the options of a reset, ask for and cannot have."""
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,8 @@ from bulletarm_gym.tasks import Task
 
 ROOM_PARAMETERS = ("object_scale_range", "num_objects", "workspace", "object_set", "close_loop_tray")
 """On what it depends whether there is room; the first that is not the task's own is named."""
+OPTIONS = {"new_scene": ((bool, True), (bool, False)), "start": ((str, "goal"),)}
+"""What a reset can be asked for: types, for 1 equals True, and values."""
 SPARE = 0.001
 """Play (m) that open fingers need about what they grasp."""
 
@@ -105,3 +108,20 @@ def _rehearse(scene: Scene, task: Task, control: Control[Any], rng: np.random.Ge
 def _wish(config: EnvConfig) -> str:
     objects = f"num_objects={config.num_objects} with object_scale_range up to {max(config.scales):g}"
     return f"{objects} in workspace={config.workspace}"
+
+
+def checked_options(options: Mapping[str, Any] | None, task: Task) -> dict[str, Any]:
+    """Return the options of a reset.
+
+    :raises ValueError: an unknown option, or the task has no structure to start from
+    """
+    options = dict(options or {})
+    if not all((type(value), value) in OPTIONS.get(name, ()) for name, value in options.items()):
+        takes = 'None or {"new_scene": True or False, "start": "goal"}'
+        raise ValueError(f"options: got {options!r}, takes {takes}")
+    if "start" in options and not task.has_goal_structure:
+        name = type(task).__name__
+        raise ValueError(
+            f"options: got {options!r}, but {name} builds no structure: it has no arrange_goal()"
+        )
+    return options

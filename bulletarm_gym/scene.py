@@ -9,12 +9,14 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from bulletarm_gym.config import EnvConfig
+from bulletarm_gym.config import ORTHOGRAPHIC, EnvConfig
 from bulletarm_gym.geometry import FloatArray, Pose, Vector, matrix
+from bulletarm_gym.rendering.point_cloud import project
+from bulletarm_gym.rendering.rasterizer import Labels
+from bulletarm_gym.rendering.z_buffer import ZBuffer
 from bulletarm_gym.robots import Robot, RobotModel
-from bulletarm_gym.sensors.heightmap import HeightmapSensor
-from bulletarm_gym.sensors.point_cloud import project
 from bulletarm_gym.simulation import Body, BodySpec, Camera, World
+from bulletarm_gym.simulation.shapes import Colour
 from bulletarm_gym.simulation.world import PHYSICS_MODES, STILL, Twist
 from bulletarm_gym.surfaces import Surface
 
@@ -104,6 +106,11 @@ class Item:
     def body(self) -> Body:
         """The body in the world."""
         return self._bodies[self.variant]
+
+    @property
+    def bodies(self) -> list[Body]:
+        """All bodies that may play the role."""
+        return list(self._bodies)
 
     @property
     def spec(self) -> BodySpec:
@@ -227,18 +234,37 @@ class Scene:
 
     # What is seen of it
 
-    def heights(self, centre: tuple[float, float], extent: float, size: int) -> NDArray[np.float32]:
+    def heights(
+        self, centre: tuple[float, float], extent: float, size: int, without: Body | None = None
+    ) -> NDArray[np.float32]:
         """Return the height (m) of the highest surface over each pixel of a square; the arm is not seen.
 
         :param centre: world x and y of the middle of the square (m)
         :param extent: its side (m)
         :param size: pixels a side
+        :param without: a body that is not drawn
         :return: (size, size); rows grow with world x, columns with y
         """
-        if self.config.view == "orthographic":
-            return self._sensor.heights(*self._mesh_poses(), centre, extent, size)
-        clouds = [camera.points(self.world, without=self.robot.body) for camera in self._cameras]
+        if self.config.view == ORTHOGRAPHIC:
+            positions, orientations, present = self._mesh_poses()
+            seen = self._without(present & ~self._marks, without)
+            return self._z_buffer.heights(positions, orientations, seen, centre, extent, size)
+        clouds = [camera.points(self.world, [self.robot.body]) for camera in self.side_cameras(SIDE_PIXELS)]
         return project(np.concatenate(clouds), centre, extent, size, self.config.workspace[2][1])
+
+    def labelled(
+        self, centre: tuple[float, float], extent: float, size: int, without: Body | None = None
+    ) -> tuple[NDArray[np.float32], Labels]:
+        """Return the heights, as :meth:`heights` looking straight down, and which part is seen at each pixel.
+
+        The parameters are those of :meth:`heights`.
+
+        :return: (size, size) float32, m; (size, size) int16, 0 where the endless ground is seen, else 1 and
+            the place in :attr:`parts`. Marks on the ground have no height, but are seen
+        """
+        positions, orientations, present = self._mesh_poses()
+        seen = self._without(present, without)
+        return self._z_buffer.labelled(positions, orientations, seen, self._marks, centre, extent, size)
 
     def heights_of(
         self, bodies: Sequence[Body], centre: tuple[float, float], extent: float, size: int
@@ -249,29 +275,41 @@ class Scene:
         """
         wanted = {body.index for body in bodies}
         positions, orientations, present = self._mesh_poses()
-        chosen = [body.index in wanted for body in self.world.solids for _ in body.spec.part_meshes]
-        return self._sensor.heights(positions, orientations, present & chosen, centre, extent, size)
+        chosen = [body.index in wanted for body, _ in self.parts]
+        return self._z_buffer.heights(positions, orientations, present & chosen, centre, extent, size)
 
     @cached_property
-    def _sensor(self) -> HeightmapSensor:
-        return HeightmapSensor([mesh for body in self.world.solids for mesh in body.spec.part_meshes])
+    def parts(self) -> list[tuple[Body, Colour]]:
+        """What is seen from above: each body and each of its sliding parts, with its colour."""
+        return [(body, colour) for body in self.world.visible for colour in body.spec.part_colours]
 
     @cached_property
-    def _cameras(self) -> tuple[Camera, Camera]:
-        """The two cameras at the workspace's sides (paper, Close-loop Environments)."""
+    def _z_buffer(self) -> ZBuffer:
+        return ZBuffer([mesh for body in self.world.visible for mesh in body.spec.part_meshes])
+
+    @cached_property
+    def _marks(self) -> NDArray[np.bool_]:
+        return np.array([body.spec.is_mark for body, _ in self.parts], np.bool_)
+
+    def _without(self, seen: NDArray[np.bool_], body: Body | None) -> NDArray[np.bool_]:
+        return seen if body is None else seen & [other is not body for other, _ in self.parts]
+
+    def side_cameras(self, pixels: int) -> tuple[Camera, Camera]:
+        """Return the two cameras at the workspace's sides (paper, Close-loop Environments).
+
+        :param pixels: a side of their images
+        """
         x, y = self.config.centre
         left, right = (
-            Camera(
-                (x, y + side, SIDE_HEIGHT), (x, y, 0.0), SIDE_FOV, SIDE_PIXELS, SIDE_PIXELS, near=0.1, far=3.0
-            )
+            Camera((x, y + side, SIDE_HEIGHT), (x, y, 0.0), SIDE_FOV, pixels, pixels, near=0.1, far=3.0)
             for side in (-SIDE_DISTANCE, SIDE_DISTANCE)
         )
         return left, right
 
     def _mesh_poses(self) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
-        """Return positions (n, 3), orientations (n, 4) and presence (n,) of the sensor's meshes."""
+        """Return positions (n, 3), orientations (n, 4) and presence (n,) of what is seen from above."""
         positions, orientations, present = [], [], []
-        for body in self.world.solids:
+        for body in self.world.visible:
             for pose in self.world.part_poses(body):
                 positions.append(pose.position)
                 orientations.append(pose.orientation)

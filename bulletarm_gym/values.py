@@ -1,8 +1,10 @@
 """What a value must be, for a parameter to take it."""
 
+import difflib
+import json
 import math
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -92,11 +94,60 @@ def import_path(value: Any) -> str:
     return str(value)
 
 
-def images_only(value: Any) -> str:
-    """Ask for images, as open-loop environments do."""
-    if value != "image":
-        raise Refused("'image' here: 'state' belongs to close-loop environments")
-    return "image"
+def observation(presets: Sequence[str], known: Sequence[str], reasons: Mapping[str, str]) -> Check:
+    """Ask for the name of a preset or a list of sensors, each a name or an object with one.
+
+    :param presets: names that stand for lists
+    :param known: names of sensors
+    :param reasons: why some presets cannot be had
+    """
+
+    def check(value: Any) -> str | list[Any]:
+        if isinstance(value, str) and value in reasons:
+            raise Refused(reasons[value])
+        if isinstance(value, str) and value in presets:
+            return value
+        if not isinstance(value, list | tuple) or not value:
+            raise Refused(f"{' or '.join(map(repr, presets))}, or a list of some of {', '.join(known)}")
+        entries = [_sensor(entry, known) for entry in value]
+        names = [entry if isinstance(entry, str) else entry["name"] for entry in entries]
+        twice = sorted({name for name in names if names.count(name) > 1})
+        if twice:
+            raise Refused(f"each name once, not {', '.join(twice)} more often")
+        return entries
+
+    return check
+
+
+def _sensor(entry: Any, known: Sequence[str]) -> str | dict[str, Any]:
+    """Ask for a sensor by its name, or an object with its name and parameters; a user's has its path."""
+    described = {"name": entry} if isinstance(entry, str) else entry
+    name = described.get("name") if isinstance(described, Mapping) else None
+    source = described.get("sensor", name) if isinstance(described, Mapping) else None
+    if not (isinstance(name, str) and isinstance(source, str)):
+        raise Refused(f'sensors by name, or {{"name": ..., its parameters}}, not {entry!r}')
+    if source not in known and (":" not in source or source == name):
+        near = difflib.get_close_matches(source, known, n=1)
+        hint = f"did you mean {near[0]!r}?" if near else f"choose from {', '.join(known)}"
+        raise Refused(f"sensors that there are: no {source!r}, {hint}")
+    if name in known and source != name:
+        raise Refused(f"names of your own for other sensors: {name!r} is not {source!r}")
+    if not name.isidentifier():
+        raise Refused(f"names that are identifiers, not {name!r}")
+    if isinstance(entry, str):
+        return entry
+    try:
+        plain: dict[str, Any] = json.loads(json.dumps(dict(entry), default=_listed))
+    except (TypeError, ValueError):
+        raise Refused(f"parameters that are JSON values, not {entry!r}") from None
+    return plain
+
+
+def _listed(value: Any) -> Any:
+    """Return NumPy's arrays and numbers as Python's."""
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    raise TypeError(f"{type(value).__name__} is no JSON value")
 
 
 def sequence(known: Sequence[str]) -> Check:

@@ -15,9 +15,9 @@ ROOT = Path(__file__).resolve().parent.parent
 LAYERS = (
     {"geometry", "footprint", "config", "compilation", "extensions", "time_limit", "values"},
     {"simulation"},
-    {"robots", "objects", "surfaces", "sensors"},
+    {"robots", "objects", "surfaces", "rendering"},
     {"scene"},
-    {"relations", "placement"},
+    {"relations", "placement", "sensors"},
     {"experts"},
     {"tasks"},
     {"control"},

@@ -72,10 +72,10 @@ def moved(pose: Pose, middle: tuple[float, float], angle: float, mirror: bool) -
 def look_twice(env: Any, angle: float, mirror: bool = False) -> tuple[Observation, Observation]:
     """What is seen of a scene, and of the moved one: once by an empty gripper, once by one that holds."""
     env.reset(seed=5)
-    seen = [env.control.observe(env.scene)["heightmap"]]
+    seen = [env.observe()["heightmap"]]
     for item in list(env.scene):
         item.place(moved(item.pose, env.config.centre, angle, mirror))
-    seen.append(env.control.observe(env.scene)["heightmap"])
+    seen.append(env.observe()["heightmap"])
     hand = 0.05 * th.rand(1, 3, SIDE, SIDE, generator=th.Generator().manual_seed(0)).expand(2, 3, SIDE, SIDE)
     before, after = (
         {

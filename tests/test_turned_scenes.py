@@ -54,11 +54,11 @@ def look_twice(env: Any, move: Any) -> tuple[Observation, Observation]:
     env.reset(seed=5)
     hand = Pose.planar(*env.scene.robot.pose.position[:3], 0.4)
     env.scene.robot.home(hand)
-    before = env.control.observe(env.scene)
+    before = env.observe()
     for item in list(env.scene):
         item.place(move(item.pose, hand))
     env.scene.robot.home(move(hand, hand))
-    return before, env.control.observe(env.scene)
+    return before, env.observe()
 
 
 def outputs(model: SACfD, observation: Observation, action: Any) -> tuple[Any, Any]:

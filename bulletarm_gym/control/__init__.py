@@ -4,13 +4,22 @@ from typing import Any
 
 from bulletarm_gym.config import CLOSE_LOOP, OPEN_LOOP
 from bulletarm_gym.control.close_loop import CloseLoop, DeltaMove
-from bulletarm_gym.control.control import Control
+from bulletarm_gym.control.control import Control, Outcome
 from bulletarm_gym.control.open_loop import OpenLoop, PickPlace
 from bulletarm_gym.extensions import CONTROL_PATHS, find_class
 
 CONTROLS: dict[str, type[Any]] = {CLOSE_LOOP: CloseLoop, OPEN_LOOP: OpenLoop}
 
-__all__ = ["CONTROLS", "CloseLoop", "Control", "DeltaMove", "OpenLoop", "PickPlace", "find_control"]
+__all__ = [
+    "CONTROLS",
+    "CloseLoop",
+    "Control",
+    "DeltaMove",
+    "OpenLoop",
+    "Outcome",
+    "PickPlace",
+    "find_control",
+]
 
 
 def find_control(name: str) -> type[Any]:

@@ -1,10 +1,11 @@
-"""What every control does: read actions, act on a scene, look at it."""
+"""What every control does: read actions, act on a scene, say what is seen of it."""
 
 import itertools
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator
-from typing import Any, ClassVar, Generic, TypeVar
+from dataclasses import dataclass
+from typing import ClassVar, Generic, TypeVar
 
 import numpy as np
 from gymnasium import spaces
@@ -15,14 +16,24 @@ from bulletarm_gym.experts.waypoints import Waypoint
 from bulletarm_gym.geometry import Pose, Vector
 from bulletarm_gym.robots.robot import LEVEL
 from bulletarm_gym.scene import Scene
-
-MAX_HEIGHT = 0.4
-"""Largest value (m) of a heightmap or depth image."""
+from bulletarm_gym.sensors import Frame, View
 
 POINTS = 5
 """Positions a side of the workspace at which the arm's reach is checked."""
 
 Move = TypeVar("Move")
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of a move.
+
+    :param ignored: it changed nothing
+    :param pick: where the fingertips closed, if it was a pick
+    """
+
+    ignored: bool
+    pick: Pose | None = None
 
 
 class Control(ABC, Generic[Move]):
@@ -42,7 +53,6 @@ class Control(ABC, Generic[Move]):
     sequences: ClassVar[tuple[str, ...]] = ()
     """What an action can consist of, a character a number, in any order, the default first; that of its kind,
     if empty."""
-    observation_space: spaces.Dict
 
     def __init__(self, config: EnvConfig, scene: Scene, home: Pose, extremes: Iterable[Pose]) -> None:
         if not scene.robot.reaches(home):
@@ -76,9 +86,10 @@ class Control(ABC, Generic[Move]):
         return numbers
 
     @abstractmethod
-    def decode_action(self, action: ArrayLike) -> Move:
+    def decode_action(self, action: ArrayLike, view: View) -> Move:
         """Return what an action means; numbers outside [-1, 1] are clipped.
 
+        :param view: what was seen last: where the action does not say at which height, it follows from there
         :raises ValueError: the action has the wrong shape or is not finite
         """
 
@@ -91,34 +102,19 @@ class Control(ABC, Generic[Move]):
         scene.robot.home(self._home)
 
     @abstractmethod
-    def apply(self, scene: Scene, move: Move) -> bool:
-        """Carry out a move.
-
-        :return: whether the move was ignored
-        """
+    def apply(self, scene: Scene, move: Move) -> Outcome:
+        """Carry out a move."""
 
     @abstractmethod
-    def observe(self, scene: Scene) -> dict[str, NDArray[np.float32]]:
-        """Return the observation; it changes nothing."""
+    def frame(self, scene: Scene) -> Frame:
+        """Return the part of the scene that is seen from above at present."""
 
     @abstractmethod
     def next_move(self, scene: Scene, plan: Iterator[Waypoint]) -> Move:
         """Return the move that follows a plan."""
-
-    def get_state(self) -> Any:
-        """Return what the control remembers within an episode; picklable, and comparable by ``==``."""
-        return None
-
-    def set_state(self, state: Any) -> None:
-        """Return to a state."""
 
 
 def over(config: EnvConfig, heights: Iterable[float], points: int) -> Iterator[Vector]:
     """Yield positions (m) all over the workspace, ``points`` a side, the border included, at some heights."""
     xs, ys = (np.linspace(low, high, points).tolist() for low, high in config.workspace[:2])
     return itertools.product(xs, ys, heights)
-
-
-def holding(scene: Scene) -> NDArray[np.float32]:
-    """Return (1,): 1 while the gripper holds something, else 0."""
-    return np.array([scene.robot.held is not None], dtype=np.float32)

@@ -6,18 +6,17 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from gymnasium import spaces
 from numpy.typing import ArrayLike, NDArray
 
 from bulletarm_gym.config import OPEN_LOOP, EnvConfig
-from bulletarm_gym.control.control import MAX_HEIGHT, POINTS, Control, holding, over
+from bulletarm_gym.control.control import POINTS, Control, Outcome, over
 from bulletarm_gym.experts.approach import LET_GO
 from bulletarm_gym.experts.waypoints import APPROACH, OPEN, Waypoint
 from bulletarm_gym.geometry import Pose, Vector, euler_angles, euler_pose, matrix
+from bulletarm_gym.rendering.overlays import rectangle_mask
 from bulletarm_gym.robots import Robot
 from bulletarm_gym.scene import Scene
-from bulletarm_gym.sensors.in_hand import Map, crop, projections
-from bulletarm_gym.sensors.overlays import rectangle_mask
+from bulletarm_gym.sensors import Frame, Map, View
 from bulletarm_gym.tasks import Task
 
 PICK = "pick"
@@ -82,26 +81,18 @@ class OpenLoop(Control[PickPlace]):
         super().__init__(
             config, scene, Pose.planar(*config.centre, floor + HOME_HEIGHT), _extremes(config, floor)
         )
-        self._scene = scene
         self._hints = task.hints
         self._config = config
         self._floor = floor
         self._names = _names(config.action_sequence)
         self._ranges = _ranges(config)
-        shape = (3 if "psi" in self._names else 1, config.in_hand_size, config.in_hand_size)
-        self._in_hand = np.zeros(shape, np.float32)
-        self.observation_space = spaces.Dict(
-            {
-                "heightmap": spaces.Box(0.0, MAX_HEIGHT, (1, config.obs_size, config.obs_size), np.float32),
-                "in_hand": spaces.Box(0.0, MAX_HEIGHT, shape, np.float32),
-                "holding": spaces.Box(0.0, 1.0, (1,), np.float32),
-            }
-        )
 
     # Actions
 
-    def decode_action(self, action: ArrayLike) -> PickPlace:
+    def decode_action(self, action: ArrayLike, view: View) -> PickPlace:
         """Return what an action means at present; numbers outside [-1, 1] are clipped.
+
+        :param view: what was seen last
 
         :raises ValueError: the action has the wrong shape or is not finite
         """
@@ -110,9 +101,9 @@ class OpenLoop(Control[PickPlace]):
             name: low + (value[name] + 1.0) / 2.0 * (high - low) for name, (low, high) in self._ranges.items()
         }
         theta, phi, psi = (at.get(name, 0.0) for name in ANGLES)
-        places = value["p"] >= 0.0 if "p" in value else self._scene.robot.held is not None
+        places = value["p"] >= 0.0 if "p" in value else view.scene.robot.held is not None
         x, y = at["x"], at["y"]
-        z = at["z"] if "z" in at else self._height(places, x, y, theta)
+        z = at["z"] if "z" in at else self._height(view, places, x, y, theta)
         return PickPlace(PLACE if places else PICK, (x, y, z), (theta, phi, psi))
 
     def encode_action(self, move: PickPlace) -> NDArray[np.float32]:
@@ -134,24 +125,24 @@ class OpenLoop(Control[PickPlace]):
         share["p"] = float(move.primitive == PLACE)
         return np.array([2.0 * share[name] - 1.0 for name in self._names], dtype=np.float32).clip(-1.0, 1.0)
 
-    def _height(self, places: bool, x: float, y: float, theta: float) -> float:
+    def _height(self, view: View, places: bool, x: float, y: float, theta: float) -> float:
         """Return the height (m) of a target that the action gives none for, from what the heightmap shows."""
-        held, depth = self._scene.held, self._hints.pick_offset
+        held, depth = view.scene.held, self._hints.pick_offset
         if not places or held is None:
             area = self._hints.pick_area or (2.0 * depth, 2.0 * depth)
-            top = self._highest((x, y, *area, theta))
+            top = self._highest(view.map, (x, y, *area, theta))
             return max(top - depth, self._floor + LEAST_Z)
-        carried = self._scene.robot.pose.inverse().compose(held.pose)
+        carried = view.scene.robot.pose.inverse().compose(held.pose)
         vertices = held.spec.mesh.vertices @ matrix(carried).T + carried.position
         low, high = vertices.min(axis=0).tolist(), vertices.max(axis=0).tolist()
         middle = ((low[0] + high[0]) / 2.0, (low[1] + high[1]) / 2.0, 0.0)
         over = Pose.planar(x, y, 0.0, theta).transform(middle)
-        top = self._highest((over[0], over[1], high[0] - low[0], high[1] - low[1], theta))
+        area = (high[0] - low[0], high[1] - low[1])
+        top = self._highest(view.map, (over[0], over[1], *area, theta))
         return float(top - low[2] + self._hints.place_offset)
 
-    def _highest(self, rectangle: tuple[float, float, float, float, float]) -> float:
+    def _highest(self, view: Map, rectangle: tuple[float, float, float, float, float]) -> float:
         """Return the greatest height (m) in a rectangle: x, y, length, width, yaw; at least at its middle."""
-        view = self._look()
         covered = rectangle_mask(view.centre, view.extent, len(view.heights), [rectangle])
         row, column = view.pixels(np.array(rectangle)).round().astype(int).clip(0, len(covered) - 1)
         covered[row, column] = True
@@ -159,34 +150,24 @@ class OpenLoop(Control[PickPlace]):
 
     # Motion
 
-    def start(self, scene: Scene) -> None:
-        """Put the open gripper over everything, with nothing in it."""
-        super().start(scene)
-        self._in_hand = np.zeros_like(self._in_hand)
-
-    def apply(self, scene: Scene, move: PickPlace) -> bool:
+    def apply(self, scene: Scene, move: PickPlace) -> Outcome:
         """Carry out a pick or a place and bring the gripper home.
 
-        :return: whether the move was ignored: a pick while holding, a place while empty, or out of reach
+        A pick while holding, a place while empty and what is out of reach are ignored.
         """
         robot, pose = scene.robot, move.pose
         back, behind = (pose.compose(Pose((0.0, 0.0, way))) for way in (RETREAT, APPROACH))
         if (move.primitive == PICK) == (robot.held is not None) or not all(
             robot.reaches(stop) for stop in (pose, back, behind)
         ):
-            return True
-        if move.primitive == PICK:
-            self._pick(scene, pose, (back, behind))
-        else:
-            self._place(scene, pose, (back, behind))
+            return Outcome(ignored=True)
+        act = self._pick if move.primitive == PICK else self._place
+        act(scene, pose, (back, behind))
         robot.transfer(self._home)
-        return False
+        return Outcome(ignored=False, pick=pose if move.primitive == PICK else None)
 
     def _pick(self, scene: Scene, pose: Pose, stops: Sequence[Pose]) -> None:
         robot = scene.robot
-        show = projections if len(self._in_hand) == 3 else crop
-        above_floor = Pose((0.0, 0.0, -self._floor)).compose(pose)
-        self._in_hand = show(self._look(), above_floor, self._in_hand.shape[-1]).clip(0.0, MAX_HEIGHT)
         self._open(robot, self._hints.opening)
         robot.transfer(stops[-1])
         robot.move_to(pose)
@@ -197,7 +178,6 @@ class OpenLoop(Control[PickPlace]):
 
     def _place(self, scene: Scene, pose: Pose, stops: Sequence[Pose]) -> None:
         robot = scene.robot
-        self._in_hand = np.zeros_like(self._in_hand)
         robot.transfer(stops[-1])
         robot.move_to(pose)
         self._open(robot, robot.opening + LET_GO)
@@ -247,28 +227,10 @@ class OpenLoop(Control[PickPlace]):
 
     # Observation
 
-    def observe(self, scene: Scene) -> dict[str, NDArray[np.float32]]:
-        """Return the heights in the workspace, what was where the gripper closed, and whether it holds."""
-        return {
-            "heightmap": self._look().heights[None],
-            "in_hand": self._in_hand.copy(),
-            "holding": holding(scene),
-        }
-
-    def _look(self) -> Map:
-        """Return the heights (m) above the workspace's floor, without the arm and what it holds."""
-        scene, centre, extent = self._scene, self._config.centre, self._config.workspace_size
-        seen = [body for body in scene.world.obstacles if body is not scene.robot.held]
-        heights = scene.heights_of(seen, centre, extent, self._config.obs_size)
-        return Map((heights - np.float32(self._floor)).clip(0.0, MAX_HEIGHT), centre, extent)
-
-    def get_state(self) -> bytes:
-        """Return the in-hand image; the heightmap follows from the world's state."""
-        return self._in_hand.tobytes()
-
-    def set_state(self, state: bytes) -> None:
-        """Return to a state."""
-        self._in_hand = np.frombuffer(state, np.float32).reshape(self._in_hand.shape).copy()
+    def frame(self, scene: Scene) -> Frame:
+        """Return the workspace, from its floor up, without the arm and what it holds."""
+        origin = Pose((*self._config.centre, self._floor))
+        return Frame(origin, self._config.workspace_size, without=scene.robot.held)
 
 
 def _extremes(config: EnvConfig, floor: float) -> Iterator[Pose]:

@@ -55,7 +55,7 @@ class Episode:
     :param initial_state: as JSON
     """
 
-    observations: dict[str, NDArray[np.float32]]
+    observations: dict[str, NDArray[Any]]
     actions: NDArray[np.float32]
     rewards: NDArray[np.float32]
     terminations: NDArray[np.bool_]
@@ -224,7 +224,7 @@ def whole_file(path: Path) -> Iterator[Path]:
         partial.unlink(missing_ok=True)
 
 
-def _write_observations(group: h5py.Group, key: str, values: NDArray[np.float32]) -> None:
+def _write_observations(group: h5py.Group, key: str, values: NDArray[Any]) -> None:
     unit = HEIGHT if key in HEIGHTS else None
     stored = values if unit is None else np.rint(values / unit).astype(np.uint16)
     dataset = group.create_dataset(key, data=stored, **PACKED)
@@ -244,10 +244,10 @@ def _read(group: h5py.Group) -> Episode:
     )
 
 
-def _read_observations(dataset: h5py.Dataset) -> NDArray[np.float32]:
-    unit = dataset.attrs.get("metres_per_count", 1.0)
-    values: NDArray[np.float32] = (dataset[()] * unit).astype(np.float32)
-    return values
+def _read_observations(dataset: h5py.Dataset) -> NDArray[Any]:
+    stored: NDArray[Any] = dataset[()]
+    unit = dataset.attrs.get("metres_per_count")
+    return stored if unit is None else (stored * unit).astype(np.float32)
 
 
 def load(path: str | os.PathLike[str]) -> Demonstrations:

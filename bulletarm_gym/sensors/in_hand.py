@@ -1,37 +1,49 @@
 """The in-hand image: what the heightmap showed where the gripper closed (paper, Open-loop Environments)."""
 
-from dataclasses import dataclass
-
 import numpy as np
+from gymnasium import spaces
 from numpy.typing import NDArray
 
+from bulletarm_gym.config import OPEN_LOOP
 from bulletarm_gym.geometry import FloatArray, Pose, matrix
+from bulletarm_gym.sensors.sensor import Sensor
+from bulletarm_gym.sensors.view import MAX_HEIGHT, Heights, Map, View
 
-Heights = NDArray[np.float32]
+TILTING = 3
+"""Numbers r in the actions of a gripper that tilts."""
 
 
-@dataclass(frozen=True)
-class Map:
-    """Heights over a square of the world.
+class InHand(Sensor):
+    """What the heightmap before a pick showed where the gripper closed; zeros after a place."""
 
-    :param heights: (n, n) m; rows grow with world x, columns with y
-    :param centre: world x and y (m) of its middle
-    :param extent: its side (m)
-    """
-
-    heights: Heights
-    centre: tuple[float, float]
-    extent: float
+    controls = (OPEN_LOOP,)
 
     @property
-    def resolution(self) -> float:
-        """Side (m) of a pixel."""
-        return self.extent / len(self.heights)
+    def space(self) -> spaces.Box:
+        """Metres, (1, s, s), or (3, s, s) where the gripper tilts."""
+        return spaces.Box(0.0, MAX_HEIGHT, self._shape, np.float32)
 
-    def pixels(self, points: FloatArray) -> FloatArray:
-        """Return where points (..., 2 or more; m) are in rows and columns; pixel 0 has its middle at 0."""
-        corner = np.array(self.centre) - self.extent / 2.0
-        return (points[..., :2] - corner) / self.resolution - 0.5
+    @property
+    def _shape(self) -> tuple[int, int, int]:
+        config = self.scene.config
+        tilts = config.action_sequence.count("r") == TILTING
+        return (3 if tilts else 1, config.in_hand_size, config.in_hand_size)
+
+    def read(self, view: View) -> NDArray[np.float32]:
+        """Return the image of the last pick, whether or not it held, until a place."""
+        if self.memory is None:
+            return np.zeros(self._shape, np.float32)
+        return np.frombuffer(self.memory, np.float32).reshape(self._shape).copy()
+
+    def follow(self, before: View, pick: Pose | None) -> None:
+        """Keep the image of a pick, or forget it."""
+        self.memory = None if pick is None else self._image(before, pick).tobytes()
+
+    def _image(self, before: View, pick: Pose) -> Heights:
+        channels, size, _ = self._shape
+        show = projections if channels == 3 else crop
+        above_floor = Pose((0.0, 0.0, -before.frame.origin.z)).compose(pick)
+        return show(before.map, above_floor, size).clip(0.0, MAX_HEIGHT)
 
 
 def crop(view: Map, hand: Pose, size: int) -> Heights:

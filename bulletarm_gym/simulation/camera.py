@@ -1,5 +1,7 @@
 """Perspective cameras, headless: pictures of the whole scene, and what a depth camera would measure."""
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,6 +12,8 @@ from bulletarm_gym.geometry import FloatArray, Vector
 from bulletarm_gym.simulation.world import Body, World
 
 LIGHT = (0.6, -0.9, 1.6)
+VERTICAL = 1e-3
+"""Slope from the vertical (m a metre) below which a camera looks straight down or up."""
 
 
 @dataclass(frozen=True)
@@ -40,11 +44,12 @@ class Camera:
         """Return distances (m) along the optical axis, (height, width)."""
         return self._distances(self._shoot(world)).astype(np.float32)
 
-    def points(self, world: World, without: Body) -> FloatArray:
-        """Return the points (n, 3) of the world (m) that the camera sees, less those on one body."""
+    def points(self, world: World, without: Sequence[Body]) -> FloatArray:
+        """Return the points (n, 3) of the world (m) that the camera sees, less those on some bodies."""
         image = self._shoot(world)
         distances = self._distances(image)
-        seen = (np.asarray(image[4]).reshape(distances.shape) != without.id) & (distances < self.far * 0.99)
+        shown = np.asarray(image[4]).reshape(distances.shape)
+        seen = ~np.isin(shown, [body.id for body in without]) & (distances < self.far * 0.99)
         rows, columns = np.nonzero(seen)
         along = distances[rows, columns]
         right, up, forward = self._axes()
@@ -55,10 +60,16 @@ class Camera:
         points: FloatArray = np.asarray(self.eye) + along[:, None] * rays
         return points
 
+    @property
+    def _up(self) -> Vector:
+        """What is upwards in the image; straight down, rows grow with world x and columns with y."""
+        across = math.hypot(self.eye[0] - self.target[0], self.eye[1] - self.target[1])
+        return (0.0, 0.0, 1.0) if across > VERTICAL * abs(self.eye[2] - self.target[2]) else (-1.0, 0.0, 0.0)
+
     def _axes(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         forward = np.subtract(self.target, self.eye)
         forward /= np.linalg.norm(forward)
-        right = np.cross(forward, (0.0, 0.0, 1.0))
+        right = np.cross(forward, self._up)
         right /= np.linalg.norm(right)
         return right, np.cross(right, forward), forward
 
@@ -69,7 +80,7 @@ class Camera:
 
     def _shoot(self, world: World, shadow: bool = False) -> tuple[Any, ...]:
         client = world.client
-        view = client.computeViewMatrix(self.eye, self.target, (0.0, 0.0, 1.0))
+        view = client.computeViewMatrix(self.eye, self.target, self._up)
         projection = client.computeProjectionMatrixFOV(
             self.fov, self.width / self.height, self.near, self.far
         )

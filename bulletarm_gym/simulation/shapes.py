@@ -105,7 +105,7 @@ class BodySpec:
     :param spinning_friction: coefficient against spinning in place (m)
     :param angular_damping: share of its turning it loses in a second, besides what the physics mode takes
     :param slides: parts that slide in a body fixed to the world
-    :param is_mark: a mark on the ground: drawn in pictures, no obstacle and not seen by the sensor
+    :param is_mark: a mark on the ground: drawn in pictures, no obstacle and without a height
     """
 
     name: str
@@ -128,6 +128,11 @@ class BodySpec:
     def part_meshes(self) -> list[Mesh]:
         """The body's mesh and those of its slides."""
         return [self.mesh, *(slide.mesh for slide in self.slides)]
+
+    @property
+    def part_colours(self) -> list[Colour]:
+        """The body's colour and those of its slides."""
+        return [self.colour, *(slide.colour for slide in self.slides)]
 
     @cached_property
     def piece_bounds(self) -> FloatArray:

@@ -155,6 +155,12 @@ class World:
         self._snapshot = self.client.saveState()
 
     @property
+    def ground(self) -> Body:
+        """The endless ground, once it is loaded."""
+        assert self._ground is not None, "add_plane() loads it"
+        return self._ground
+
+    @property
     def free_bodies(self) -> list[Body]:
         """Bodies that take part and can move, joints aside."""
         return [body for body in self.bodies if body.spec.mass > 0.0 and self.active[body.index]]
@@ -167,8 +173,12 @@ class World:
     @property
     def solids(self) -> list[Body]:
         """All bodies, parked ones too, but the endless ground, marks on it and what moves itself."""
-        others = (body for body in self.bodies if body is not self._ground)
-        return [body for body in others if body.spec.pieces and not body.spec.is_mark]
+        return [body for body in self.visible if not body.spec.is_mark]
+
+    @property
+    def visible(self) -> list[Body]:
+        """The solids and the marks on the ground."""
+        return [body for body in self.bodies if body.spec.pieces and body is not self._ground]
 
     @property
     def obstacles(self) -> list[Body]:

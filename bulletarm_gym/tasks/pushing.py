@@ -11,9 +11,10 @@ from bulletarm_gym.experts.waypoints import Waypoint
 from bulletarm_gym.geometry import planar_distance
 from bulletarm_gym.objects import cube, goal_area
 from bulletarm_gym.placement import scatter, stand
+from bulletarm_gym.rendering.overlays import Overlay
 from bulletarm_gym.scene import Item, Role, Scene, scaled
 from bulletarm_gym.tasks.reaching import BORDER
-from bulletarm_gym.tasks.task import Overlay, Task
+from bulletarm_gym.tasks.task import Task
 
 GOAL_SIDE = 0.09
 """Side (m) of the goal area (paper, Block Pushing)."""

@@ -12,20 +12,9 @@ from bulletarm_gym.config import OPEN_LOOP, EnvConfig, TaskDefaults
 from bulletarm_gym.experts.waypoints import Waypoint
 from bulletarm_gym.geometry import Vector
 from bulletarm_gym.objects.blocks import CUBE_SIZE
+from bulletarm_gym.rendering.overlays import Overlay
 from bulletarm_gym.scene import Item, Role, Scene
 from bulletarm_gym.surfaces.surface import SITE, Point
-
-
-@dataclass(frozen=True)
-class Overlay:
-    """A rectangle that the heightmap shows nearer the camera than what is there.
-
-    :param rectangle: world x and y of its centre, length and width (m), yaw (rad)
-    :param rise: by how much it is nearer (m)
-    """
-
-    rectangle: tuple[float, float, float, float, float]
-    rise: float
 
 
 @dataclass(frozen=True)

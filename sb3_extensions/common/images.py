@@ -1,10 +1,18 @@
-"""Which images of an observation show the scene."""
+"""Which parts of an observation show the scene, by their shapes."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
 IMAGE_AXES = 3  # channels, rows, columns
+
+POINT_AXES = (2, 3)  # an array of points, each with x, y and z
+
+
+def is_point_cloud(shape: Sequence[int]) -> bool:
+    """Whether a part of an observation of this shape is points (n, 3)."""
+    axes, coordinates = POINT_AXES
+    return len(shape) == axes and shape[-1] == coordinates
 
 
 def scene_images(shapes: Mapping[str, Sequence[int]]) -> list[str]:

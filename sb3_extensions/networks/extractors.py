@@ -18,6 +18,7 @@ from sb3_extensions.common.images import IMAGE_AXES, scene_images
 from sb3_extensions.networks.encoders import CnnEncoder, EquivariantEncoder, SmallImageEncoder
 from sb3_extensions.networks.equivariant import GroupMaxPool
 from sb3_extensions.networks.groups import FieldType, Group
+from sb3_extensions.networks.points import PointClouds, point_clouds
 from sb3_extensions.replay.quantisation import Quantiser
 
 OUTPUTS = ("regular", "invariant")
@@ -31,7 +32,7 @@ class StackedImage(nn.Module):
     """One image of a Dict observation: the images' channels, and a constant channel for each other number.
 
     An observation that is an image already is taken as the only one. Of images of several sizes the largest
-    are taken; :class:`SmallImages` are the others.
+    are taken; :class:`SmallImages` are the others, and point clouds, (n, 3).
 
     Float images (such as heights in metres) are mapped from the bounds of their space to [0, 1], rounded to
     the levels that the replay buffer stores; ``uint8`` images arrive so from Stable-Baselines3 (its
@@ -45,7 +46,8 @@ class StackedImage(nn.Module):
         size, as cut out at random in training, are taken whole. ``None`` takes all images whole
     :param standardise: (mean, standard deviation) in the images' units (of ``uint8`` images: [0, 1]): they
         become (image - mean) / standard deviation instead of [0, 1]. What differs little within the bounds,
-        as heights of a few centimetres, is then learnt in far fewer updates
+        as heights of a few centimetres, is then learnt in far fewer updates. ``uint8`` images beside float
+        ones, as colours beside heights, stay in [0, 1]
     :raises ValueError: if the space has no image or images of other shapes, their bounds cannot be
         quantised, the largest are smaller than the crop, or ``standardise`` is something else
     """
@@ -67,10 +69,16 @@ class StackedImage(nn.Module):
         if crop is not None and not 1 <= crop <= side:
             raise ValueError(f"crop must be from 1 to the images' size, {side}, got {crop}")
         self.size = crop or side
-        self.scales = {key: _Scale(key, space, quantise, standardise) for key, space in images.items()}
         self.quantise = quantise
         self.has_float_images = not all(is_image_space(space) for space in images.values())
-        numbers = {key: space for key, space in parts.items() if key not in all_images}
+        self.scales = {
+            key: _Scale(
+                key, space, quantise, None if self.has_float_images and is_image_space(space) else standardise
+            )
+            for key, space in images.items()
+        }
+        others = all_images.keys() | point_clouds(parts).keys()
+        numbers = {key: space for key, space in parts.items() if key not in others}
         self.number_keys = list(numbers)
         self.channels = sum(int(space.shape[0]) for space in images.values())
         self.channels += sum(get_flattened_obs_dim(space) for space in numbers.values())
@@ -164,7 +172,8 @@ class _Scale:
 
 
 class SmallImages(nn.Module):
-    """Features of the images that are smaller than the largest, appended to those of the largest.
+    """Features of the images that are smaller than the largest, and of point clouds, appended to those of the
+    largest.
 
     Images of one size are stacked, see :class:`StackedImage`, and encoded, see
     :class:`~sb3_extensions.networks.encoders.SmallImageEncoder`; there may be none.
@@ -177,6 +186,7 @@ class SmallImages(nn.Module):
     :param standardise: see :class:`StackedImage`
     :param channels_last: see :class:`~sb3_extensions.networks.encoders.Encoder`
     :param autocast: see :class:`~sb3_extensions.networks.encoders.Encoder`
+    :param invariant: see :class:`~sb3_extensions.networks.points.PointEncoder`
     :raises ValueError: if ``features`` is not positive, or the images cannot be stacked
     """
 
@@ -189,6 +199,7 @@ class SmallImages(nn.Module):
         standardise: Sequence[float] | None = None,
         channels_last: bool = True,
         autocast: str | None = None,
+        invariant: bool = False,
     ) -> None:
         super().__init__()
         if features < 1:
@@ -200,7 +211,8 @@ class SmallImages(nn.Module):
             self.encoders.append(
                 SmallImageEncoder(stack.channels, stack.size, features, initialise, channels_last, autocast)
             )
-        self.features_dim = features * len(self.stacks)
+        self.clouds = PointClouds(observation_space, features, invariant)
+        self.features_dim = features * len(self.stacks) + self.clouds.features_dim
 
     def forward(self, features: th.Tensor, observations: PyTorchObs) -> th.Tensor:
         """
@@ -208,12 +220,14 @@ class SmallImages(nn.Module):
 
         :param features: of the largest images, (batch, number of them)
         :param observations: batch
-        :return: with those of the smaller images behind them, (batch, number of them + features_dim)
+        :return: with those of the smaller images and the point clouds behind them, (batch, number of them +
+            features_dim)
         """
-        if not len(self.stacks):
+        if not self.features_dim or isinstance(observations, th.Tensor):
             return features
         pairs = zip(self.encoders, self.stacks, strict=True)
-        return th.cat([features, *(encoder(stack(observations)) for encoder, stack in pairs)], dim=1)
+        small = [encoder(stack(observations)) for encoder, stack in pairs]
+        return th.cat([features, *small, *self.clouds(observations)], dim=1)
 
 
 def _small_images_by_size(observation_space: gym.Space[Any]) -> list[dict[str, spaces.Box]]:
@@ -231,8 +245,8 @@ def _small_images_by_size(observation_space: gym.Space[Any]) -> list[dict[str, s
 class CnnExtractor(BaseFeaturesExtractor):
     """Plain convolutional encoder of a Dict observation of images and numbers.
 
-    Images smaller than the largest, such as what is in the gripper, have small encoders of their own, whose
-    features stand behind the others.
+    Images smaller than the largest, such as what is in the gripper, and point clouds, (n, 3), have small
+    encoders of their own, whose features stand behind the others.
 
     :param observation_space: see :class:`StackedImage`
     :param channels: output channels of each stage, see :class:`~sb3_extensions.networks.encoders.CnnEncoder`
@@ -242,7 +256,7 @@ class CnnExtractor(BaseFeaturesExtractor):
     :param autocast: ``None`` or ``"bf16"``, see :class:`~sb3_extensions.networks.encoders.Encoder`
     :param crop: see :class:`StackedImage`
     :param standardise: see :class:`StackedImage`
-    :param small_image_features: number of features of the smaller images of one size
+    :param small_image_features: number of features of the smaller images of one size, and of a point cloud
     """
 
     def __init__(
@@ -291,6 +305,7 @@ class EquivariantExtractor(BaseFeaturesExtractor):
     trivial fields, with either ``output``. That is right for what turns with the gripper, as what is in it:
     it stays as it is when the scene and the gripper's yaw turn together. A reflection mirrors it, which a
     plain encoder does not know: with ``"dihedral"`` the features keep the rotations' symmetry alone then.
+    Features of point clouds stand there, too; they do not change when the points turn about the z axis.
 
     :param observation_space: see :class:`StackedImage`
     :param group: ``"cyclic"`` (rotations) or ``"dihedral"`` (reflections too)
@@ -304,7 +319,7 @@ class EquivariantExtractor(BaseFeaturesExtractor):
     :param autocast: ``None`` or ``"bf16"``, see :class:`~sb3_extensions.networks.encoders.Encoder`
     :param crop: see :class:`StackedImage`
     :param standardise: see :class:`StackedImage`
-    :param small_image_features: number of features of the smaller images of one size
+    :param small_image_features: number of features of the smaller images of one size, and of a point cloud
     :raises ValueError: if ``group``, ``n`` or ``output`` is none of these, or the encoder does not fit the
         images
     """
@@ -339,6 +354,7 @@ class EquivariantExtractor(BaseFeaturesExtractor):
             standardise,
             channels_last,
             autocast,
+            invariant=True,
         )
         pool = GroupMaxPool(encoder.out_type) if output == "invariant" else None
         scene_type = encoder.out_type if pool is None else pool.out_type

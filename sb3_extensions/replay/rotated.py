@@ -11,7 +11,7 @@ from gymnasium import spaces
 from torch.nn import functional as F
 
 from sb3_extensions.common.action_sequence import ActionSequence
-from sb3_extensions.common.images import scene_images
+from sb3_extensions.common.images import is_point_cloud, scene_images
 from sb3_extensions.replay.buffer import EXPERT_ACTION, AnyObservations, Observations
 from sb3_extensions.replay.expert import ExpertReplayBuffer
 from sb3_extensions.replay.prioritized import PrioritizedReplayBuffer
@@ -22,6 +22,7 @@ FloatArray = npt.NDArray[np.float64]
 def rotate_images(images: npt.NDArray[Any], angles: FloatArray) -> npt.NDArray[Any]:
     """
     Rotate images about their centres, bilinearly; what comes from outside is the nearest pixel of the border.
+    Of integer images of one channel, whose numbers may be names, each pixel is the nearest one.
 
     :param images: shape (n, channels, size, size), rows along x and columns along y
     :param angles: from x towards y, rad, shape (n,); pi / 2 is ``numpy.rot90(image, k=1)``
@@ -32,8 +33,23 @@ def rotate_images(images: npt.NDArray[Any], angles: FloatArray) -> npt.NDArray[A
     inverse = np.stack([cos, -sin, zero, sin, cos, zero], axis=1).reshape(-1, 2, 3)
     grid = F.affine_grid(th.as_tensor(inverse, dtype=th.float32), list(images.shape), align_corners=False)
     pixels = th.as_tensor(images, dtype=th.float32)
-    rotated = F.grid_sample(pixels, grid, padding_mode="border", align_corners=False).numpy()
-    return (rotated if np.issubdtype(images.dtype, np.floating) else np.rint(rotated)).astype(images.dtype)
+    is_float = np.issubdtype(images.dtype, np.floating)
+    mode = "bilinear" if is_float or images.shape[1] > 1 else "nearest"
+    rotated = F.grid_sample(pixels, grid, mode, padding_mode="border", align_corners=False).numpy()
+    return (rotated if is_float else np.rint(rotated)).astype(images.dtype)
+
+
+def rotate_points(points: npt.NDArray[Any], angles: FloatArray) -> npt.NDArray[Any]:
+    """
+    Rotate points about the z axis.
+
+    :param points: shape (n, points, 3)
+    :param angles: from x towards y, rad, shape (n,)
+    :return: rotated points, of the same shape and type
+    """
+    cos, sin = np.cos(angles)[:, None], np.sin(angles)[:, None]
+    x, y, z = np.moveaxis(points, -1, 0)
+    return np.stack([cos * x - sin * y, sin * x + cos * y, z], axis=-1).astype(points.dtype)
 
 
 def rotate_actions(actions: npt.NDArray[Any], angles: FloatArray, action_sequence: str) -> npt.NDArray[Any]:
@@ -57,10 +73,10 @@ def rotate_actions(actions: npt.NDArray[Any], angles: FloatArray, action_sequenc
 class RotatedReplayBuffer(ExpertReplayBuffer):
     """
     :class:`~sb3_extensions.replay.expert.ExpertReplayBuffer` that also keeps rotated copies of every
-    transition, the expert's and the others: both observations' images and (dx, dy) of the action and of the
-    expert's action are rotated by one angle, everything else is as it was, also images smaller than the
-    largest: what turns with the gripper is the same when scene and gripper turn together. An r of the action
-    must be a turn by some angle, as in close loop, not one to turn to.
+    transition, the expert's and the others: both observations' images and point clouds and (dx, dy) of the
+    action and of the expert's action are rotated by one angle, everything else is as it was, also images
+    smaller than the largest: what turns with the gripper is the same when scene and gripper turn together.
+    An r of the action must be a turn by some angle, as in close loop, not one to turn to.
 
     Each copy of an episode is rotated by one angle throughout, uniform in [0, 2 pi). So a copy is an episode
     itself: its observations are kept once, and returns over several steps stay within it.
@@ -203,7 +219,9 @@ class RotatedReplayBuffer(ExpertReplayBuffer):
         return {key: np.concatenate([obs[key], values]) for key, values in rotated.items()}
 
     def _rotated(self, key: str, values: npt.NDArray[Any], angles: FloatArray) -> npt.NDArray[Any]:
-        return rotate_images(values, angles) if key in self._image_keys else values
+        if key in self._image_keys:
+            return rotate_images(values, angles)
+        return rotate_points(values, angles) if is_point_cloud(values.shape[1:]) else values
 
     def _copied_actions(self, actions: npt.NDArray[Any], angles: FloatArray) -> npt.NDArray[Any]:
         repeated = np.concatenate([actions] * self.copies)

@@ -138,7 +138,7 @@ def test_looking_changes_nothing(make: Make, typical_id: str, parameters: dict) 
     rng = np.random.default_rng(0)
 
     def look(env: ManipulationEnv) -> None:
-        looks = (env.get_state, env.expert_action, lambda: env.control.observe(env.scene))
+        looks = (env.get_state, env.expert_action, lambda: env.observe())
         for number in rng.integers(len(looks), size=3):
             looks[number]()
         if rng.random() < 0.2:

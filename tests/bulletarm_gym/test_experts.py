@@ -103,11 +103,11 @@ def test_expert_action_is_pure(env: ManipulationEnv) -> None:
     rng = np.random.default_rng(0)
     env.reset(seed=1)
     for _ in range(12):
-        state, observation = env.get_state(), digest(env.control.observe(env.scene))
+        state, observation = env.get_state(), digest(env.observe())
         first, second = env.expert_action(), env.expert_action()
         assert first.dtype == np.float32 and first in env.action_space
         np.testing.assert_array_equal(first, second)
-        assert env.get_state() == state and digest(env.control.observe(env.scene)) == observation
+        assert env.get_state() == state and digest(env.observe()) == observation
         *_, terminated, truncated, _ = env.step(mixed_action(env, rng))
         if terminated or truncated:
             env.reset()

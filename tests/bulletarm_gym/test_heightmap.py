@@ -8,7 +8,7 @@ import pytest
 
 from bulletarm_gym.compilation import compiled
 from bulletarm_gym.geometry import Mesh, join
-from bulletarm_gym.sensors.heightmap import HeightmapSensor
+from bulletarm_gym.rendering.z_buffer import ZBuffer
 
 EXTENT, SIZE = 0.45, 128
 RESOLUTION = EXTENT / SIZE
@@ -27,7 +27,7 @@ def draw(
     quaternions = np.tile(UPRIGHT, (count, 1)) if quaternions is None else np.asarray(quaternions, float)
     visible = np.ones(count, bool) if visible is None else np.asarray(visible)
     positions = np.asarray(positions, float).reshape(count, 3)
-    sensor = HeightmapSensor(meshes)
+    sensor = ZBuffer(meshes)
     return sensor.heights(positions, quaternions.reshape(count, 4), visible, centre, extent, size, floor)
 
 
@@ -272,7 +272,7 @@ def test_same_input_gives_the_same_new_image() -> None:
     rng = np.random.default_rng(5)
     meshes = [bowl(), wedge(0.06, 0.12, 0.03), Mesh.box((0.05, 0.05, 0.05))]
     positions, quaternions = random_poses(rng, len(meshes))
-    sensor, flags = HeightmapSensor(meshes), np.ones(len(meshes), bool)
+    sensor, flags = ZBuffer(meshes), np.ones(len(meshes), bool)
     first = sensor.heights(positions, quaternions, flags, CENTRE, EXTENT, SIZE)
     kept = first.copy()
     sensor.heights(positions + 0.01, quaternions, flags, CENTRE, EXTENT, SIZE)
@@ -285,10 +285,10 @@ def test_same_input_gives_the_same_new_image() -> None:
 def test_bad_input_is_refused() -> None:
     box = Mesh.box((0.1, 0.1, 0.1))
     with pytest.raises(ValueError, match="Mesh 1 has a face that names none of its 8 vertices"):
-        HeightmapSensor([box, Mesh.of(box.vertices, [(0, 1, 8)])])
+        ZBuffer([box, Mesh.of(box.vertices, [(0, 1, 8)])])
     with pytest.raises(ValueError, match="Mesh 0 has a vertex that is not finite"):
-        HeightmapSensor([Mesh.of([(0, 0, math.nan)], [(0, 0, 0)])])
-    sensor = HeightmapSensor([box])
+        ZBuffer([Mesh.of([(0, 0, math.nan)], [(0, 0, 0)])])
+    sensor = ZBuffer([box])
     with pytest.raises(ValueError, match="For 1 meshes"):
         sensor.heights(np.zeros((2, 3)), np.zeros((2, 4)), np.ones(2, bool), CENTRE, EXTENT, SIZE)
     for extent, size in ((0.0, SIZE), (math.nan, SIZE), (EXTENT, 0)):

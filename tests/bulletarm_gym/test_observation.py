@@ -21,7 +21,7 @@ def look(env: ManipulationEnv, hand: Pose, cube: Pose) -> np.ndarray:
     """The heightmap (SIZE, SIZE) with the open gripper and the cube put somewhere."""
     env.scene.robot.home(hand)
     env.scene["cube"].place(cube)
-    return env.control.observe(env.scene)["heightmap"][0]
+    return env.observe()["heightmap"][0]
 
 
 def centroid(mask: np.ndarray) -> np.ndarray:
@@ -69,7 +69,7 @@ def test_gripper_is_two_squares(scene: ManipulationEnv, yaw: float, ratio: float
     scene.scene.robot.home(Pose.planar(0.45, 0.0, 0.2, yaw))
     scene.scene["cube"].place(Pose.planar(0.32, 0.12, 0.025))
     scene.scene.robot.set_opening(ratio)
-    squares = scene.control.observe(scene.scene)["heightmap"][0] == 0.0
+    squares = scene.observe()["heightmap"][0] == 0.0
     axis = np.array([math.cos(yaw), math.sin(yaw)])
     along = (np.argwhere(squares) - (SIZE - 1) / 2) @ axis
     sides = [np.zeros_like(squares) for _ in range(2)]
@@ -147,11 +147,11 @@ def test_turning_the_scene_turns_image_and_expert(env: ManipulationEnv, steps: i
         advance(env, seed, steps)
         hand = env.scene.robot.pose
         env.scene.robot.home(hand)
-        before, action = env.control.observe(env.scene), env.expert_action()
+        before, action = env.observe(), env.expert_action()
         for item in list(env.scene):
             item.place(quarter_turn(item.pose, hand))
         env.scene.robot.home(quarter_turn(hand, hand))
-        after, turned = env.control.observe(env.scene), env.expert_action()
+        after, turned = env.observe(), env.expert_action()
         error = np.abs(np.rot90(before["heightmap"], 1, axes=(1, 2)) - after["heightmap"])
         assert (error > 1e-5).mean() < 1e-3, "all but pixels on an edge, whose corners are rounded"
         if steps == 0:

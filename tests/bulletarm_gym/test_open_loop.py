@@ -62,28 +62,28 @@ def test_encode_inverts_decode(make: Make, sequence: str, half: bool) -> None:
     config = type(env.config).of(
         "open_loop", env.task.defaults, ("kuka",), {"action_sequence": sequence, "half_rotation": half}
     )
-    control = type(env.control)(config, env.scene, env.task)
+    control, view = type(env.control)(config, env.scene, env.task), env.look()
     rng = np.random.default_rng(0)
     corners = [np.full(len(sequence), sign) for sign in (-1.0, 0.0, 1.0)]
     for action in [*corners, *rng.uniform(-1.0, 1.0, (3, len(sequence)))]:
-        move = control.decode_action(action)
+        move = control.decode_action(action, view)
         again = control.encode_action(move)
         is_p = np.array([name == "p" for name in sequence])
         expected = np.where(is_p, np.where(action < 0.0, -1.0, 1.0), action)
         np.testing.assert_allclose(again, expected, atol=1e-6)
-        assert again.dtype == np.float32 and control.decode_action(again).primitive == move.primitive
+        assert again.dtype == np.float32 and control.decode_action(again, view).primitive == move.primitive
 
 
 def test_decode_gives_physical_units(make: Make) -> None:
-    control = make(STACKING, action_sequence="pxyzrrr", half_rotation=False).control
-    low, middle, high = (control.decode_action(np.full(7, value)) for value in (-1.0, 0.0, 1.0))
+    env = make(STACKING, action_sequence="pxyzrrr", half_rotation=False)
+    low, middle, high = (env.decode_action(np.full(7, value)) for value in (-1.0, 0.0, 1.0))
     assert (low.primitive, middle.primitive, high.primitive) == ("pick", "place", "place")
     assert low.position == pytest.approx((0.25, -0.2, 0.0)) and high.position == pytest.approx(
         (0.65, 0.2, 0.3)
     )
     assert low.rotation == pytest.approx((-math.pi, -math.pi / 4, -math.pi / 4))
     assert high.rotation == pytest.approx((math.pi, math.pi / 4, math.pi / 4))
-    half = make(STACKING).control
+    half = make(STACKING)
     assert half.decode_action([0.0, 0.0, 0.0, -1.0]).rotation == (0.0, 0.0, 0.0)
     assert half.decode_action([0.0, 0.0, 0.0, 0.5]).rotation[0] == pytest.approx(0.75 * math.pi)
 
@@ -92,7 +92,7 @@ def test_z_counts_from_the_floor_of_the_workspace(make: Make) -> None:
     env = make(STACKING, action_sequence="xyzrrr", workspace=[[0.25, 0.65], [-0.2, 0.2], [0.05, 1.0]])
     env.reset(seed=0)
     assert env.decode_action(np.full(6, -1.0)).position[2] == pytest.approx(0.05)
-    assert env.control.observe(env.scene)["heightmap"].max() == 0.0, "the cubes are below the floor"
+    assert env.observe()["heightmap"].max() == 0.0, "the cubes are below the floor"
 
 
 def test_rotations_are_about_z_then_the_turned_y_then_the_turned_x() -> None:
@@ -108,9 +108,9 @@ def test_rotations_are_about_z_then_the_turned_y_then_the_turned_x() -> None:
 @pytest.mark.parametrize("turns", [-2, -1, 1, 2])
 def test_encode_brings_angles_into_range(make: Make, turns: int) -> None:
     """By half a turn about its own axis the gripper is the same, its fingers exchanged."""
-    control = make(STACKING, action_sequence="xyzrrr").control
+    env = make(STACKING, action_sequence="xyzrrr")
     move = PickPlace("pick", (0.4, 0.0, 0.1), (0.7 + turns * math.pi, 0.2, -0.3))
-    same = control.decode_action(control.encode_action(move))
+    same = env.decode_action(env.encode_action(move))
     assert 0.0 <= same.rotation[0] <= math.pi
     flip = Pose.planar(0.0, 0.0, 0.0, turns * math.pi)
     np.testing.assert_allclose(matrix(same.pose), matrix(move.pose.compose(flip)), atol=1e-6)
@@ -150,13 +150,13 @@ def test_without_p_picks_when_empty_and_places_when_holding(make: Make) -> None:
 
 
 def test_pick_while_holding_and_place_while_empty_change_nothing(env: ManipulationEnv) -> None:
-    before = env.control.observe(env.scene)
+    before = env.observe()
     observation, reward, terminated, truncated, info = pick_place(env, "place", (0.45, 0.0, 0.0))
     assert info["ignored"] and (reward, terminated, truncated) == (0.0, False, False)
     assert digest(observation) == digest(before)
     *_, info = env.step(env.expert_action())
     assert not info["ignored"] and env.scene.held is not None
-    held, world, picture = env.scene.held, env.scene.world.get_state(), digest(env.control.observe(env.scene))
+    held, world, picture = env.scene.held, env.scene.world.get_state(), digest(env.observe())
     observation, *_, info = pick_place(env, "pick", (0.3, 0.1, 0.0))
     assert info["ignored"] and env.scene.held is held
     assert env.scene.world.get_state() == world and digest(observation) == picture
@@ -289,7 +289,7 @@ def test_pick_goes_half_a_cube_below_what_is_between_the_fingers(env: Manipulati
         Pose.planar(0.4, -0.1, 1.5 * CUBE),
     )
     heights = {
-        point: env.control.decode_action([-1.0, (point[0] - 0.45) / 0.2, point[1] / 0.2, -1.0]).position[2]
+        point: env.decode_action([-1.0, (point[0] - 0.45) / 0.2, point[1] / 0.2, -1.0]).position[2]
         for point in ((0.5, 0.1), (0.4, -0.1), (0.5, -0.1), (0.65, 0.2))
     }
     assert heights[0.5, 0.1] == pytest.approx(CUBE / 2, abs=1e-3)
@@ -308,7 +308,7 @@ def test_place_goes_as_high_as_what_is_held_needs(make: Make) -> None:
     assert env.scene.held is roof
     hang = env.scene.robot.pose.z - roof.lowest
     heights = [
-        env.control.decode_action([1.0, (x - 0.45) / 0.2, y / 0.2, -1.0]).position[2]
+        env.decode_action([1.0, (x - 0.45) / 0.2, y / 0.2, -1.0]).position[2]
         for x, y in ((0.5, 0.0), (0.3, 0.1), (0.3 + CUBE / 2 + 0.01, 0.1), (0.3 + CUBE + 0.006, 0.1))
     ]
     gap = env.task.hints.place_offset
@@ -329,7 +329,7 @@ def test_height_does_not_depend_on_the_size_of_the_in_hand_image(make: Make, siz
 
 def test_heightmap_is_metric_and_shows_the_whole_workspace(env: ManipulationEnv) -> None:
     lay_out(env, Pose.planar(0.55, 0.1, CUBE / 2, 0.3))
-    image = env.control.observe(env.scene)["heightmap"]
+    image = env.observe()["heightmap"]
     assert image.shape == (1, 128, 128)
     mask = np.zeros((128, 128), bool)
     mask[64:, 64:] = image[0, 64:, 64:] > 0.001
@@ -446,7 +446,7 @@ def test_state_keeps_the_in_hand_image(make: Make) -> None:
     state = env.get_state()
     other.reset(seed=9)
     other.set_state(state)
-    assert digest(other.control.observe(other.scene)) == digest(observation)
+    assert digest(other.observe()) == digest(observation)
     assert observation["in_hand"].any()
     assert transcript(other, 6) == transcript(env, 6)
 

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from bulletarm_gym.sensors.overlays import fill_rectangles, rectangle_mask
+from bulletarm_gym.rendering.overlays import fill_rectangles, rectangle_mask
 
 EXTENT, SIZE = 0.45, 128
 RESOLUTION = EXTENT / SIZE

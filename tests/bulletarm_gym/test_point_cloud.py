@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bulletarm_gym.env import ManipulationEnv
-from bulletarm_gym.sensors.point_cloud import project
+from bulletarm_gym.rendering.point_cloud import project
 
 TASKS = ["Picking", "Pulling", "Pushing", "Stacking"]
 VIEWS = ("orthographic", "point_cloud")
@@ -52,6 +52,6 @@ def test_cloud_shows_no_arm(make: Callable[..., ManipulationEnv]) -> None:
     env = make("BulletArm/CloseLoopBlockPicking-v0", view="point_cloud")
     env.reset(seed=0)
     env.scene["cube"].park()
-    image = env.control.observe(env.scene)["heightmap"]
+    image = env.observe()["heightmap"]
     floor = env.scene.robot.pose.z + 0.1
     assert (image[image > 0.0] > floor - 2e-3).all()

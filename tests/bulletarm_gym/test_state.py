@@ -107,7 +107,7 @@ def test_setting_a_state_restores_what_can_be_seen(env: ManipulationEnv) -> None
     action = env.expert_action()
     transcript(env, 10, seed=9)
     env.set_state(state)
-    assert digest(env.control.observe(env.scene)) == digest(observation)
+    assert digest(env.observe()) == digest(observation)
     assert np.array_equal(env.expert_action(), action)
     assert env.get_state() == state
 

@@ -134,9 +134,9 @@ def test_moving_only_the_goal_changes_the_image(make: Make) -> None:
         scene = env.scene
         scene["cube"].place(Pose.planar(0.4, 0.1, 0.025))
         scene["goal"].place(Pose.planar(0.5, -0.08, 0.0))
-        first = env.control.observe(scene)["heightmap"][0]
+        first = env.observe()["heightmap"][0]
         scene["goal"].place(Pose.planar(0.4, -0.08, 0.0))
-        second = env.control.observe(scene)["heightmap"][0]
+        second = env.observe()["heightmap"][0]
         side = 0.45 / env.config.obs_size
         for change in (first < second - 0.015, second < first - 0.015):
             assert change.sum() * side**2 == pytest.approx(0.09**2, rel=0.06)
@@ -311,4 +311,4 @@ def test_state_observation_tells_how_far_the_drawer_is_open(make: Make) -> None:
     env = make(task_id("DrawerOpening"), observation="state")
     env.reset(seed=0)
     env.scene["drawer"].set_joints((0.1,))
-    assert env.control.observe(env.scene)["state"][-1] == np.float32(0.1)
+    assert env.observe()["state"][-1] == np.float32(0.1)

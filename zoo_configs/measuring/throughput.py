@@ -19,7 +19,7 @@ from zoo_configs.measuring.machine import Yardstick, measure_yardstick
 
 # What is timed inside a step: module, class (None: the module itself), function.
 PHYSICS = ("pybullet", None, "stepSimulation")
-RENDERING = ("bulletarm_gym.sensors.heightmap", "HeightmapSensor", "heights")
+RENDERING = ("bulletarm_gym.rendering.z_buffer", "ZBuffer", "heights")
 
 REFERENCE_FIELDS = ("env_id", "yardstick_step_us", "yardstick_render_ms", "steps_per_second", "reset_ms")
 

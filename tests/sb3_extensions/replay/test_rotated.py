@@ -16,6 +16,7 @@ from sb3_extensions.replay.rotated import (
     RotatedReplayBuffer,
     rotate_actions,
     rotate_images,
+    rotate_points,
 )
 from sb3_extensions.sacfd import SACfD
 
@@ -295,3 +296,43 @@ def test_bad_arguments(kwargs: dict[str, Any], message: str) -> None:
 def test_without_motion_in_the_plane_there_is_nothing_to_turn() -> None:
     with pytest.raises(ValueError, match="no x and y"):
         RotatedReplayBuffer(50, SPACE, spaces.Box(-1, 1, (2,)), action_sequence="pz")
+
+
+def test_names_in_images_of_one_channel_stay_names() -> None:
+    labels = np.zeros((1, 1, 33, 33), np.uint8)
+    labels[0, 0, 8:20, 5:25] = 200
+    turned = rotate_images(labels, np.array([0.7]))
+    assert set(np.unique(turned)) == {0, 200}
+    assert (turned > 0).sum() == pytest.approx((labels > 0).sum(), rel=0.05)
+
+
+def test_colours_turn_with_heights_and_points() -> None:
+    """A quarter turn from x towards y: (x, y) becomes (-y, x), an image ``rot90`` of itself."""
+    colours = np.arange(3 * 9 * 9, dtype=np.uint8).reshape(1, 3, 9, 9)
+    np.testing.assert_array_equal(
+        rotate_images(colours, np.array([np.pi / 2])), np.rot90(colours, axes=(2, 3))
+    )
+    points = np.array([[[1.0, 2.0, 3.0]], [[0.5, 0.0, -1.0]]], np.float32)
+    turned = rotate_points(points, np.array([np.pi / 2, np.pi]))
+    np.testing.assert_allclose(turned, [[[-2.0, 1.0, 3.0]], [[-0.5, 0.0, -1.0]]], atol=1e-6)
+    assert turned.dtype == np.float32
+
+
+def test_copies_of_points_turn() -> None:
+    space = spaces.Dict(
+        {
+            "image": spaces.Box(0.0, 1.0, (1, 8, 8), np.float32),
+            "points": spaces.Box(-np.inf, np.inf, (4, 3), np.float32),
+        }
+    )
+    buffer = RotatedReplayBuffer(
+        100, space, spaces.Box(-1.0, 1.0, (2,), np.float32), copies=2, action_sequence="xy", seed=0
+    )
+    points = np.random.default_rng(0).normal(size=(3, 4, 3)).astype(np.float32)
+    observations = {"image": np.zeros((3, 1, 8, 8), np.float32), "points": points}
+    buffer.add_episode(observations, np.array([[1.0, 0.0], [0.6, 0.0]]), np.zeros(2), np.array([False, True]))
+    batch = buffer._get_samples(np.arange(6))
+    for first, action in zip(range(0, 6, 2), batch.actions[::2].numpy(), strict=True):
+        angle = np.arctan2(action[1], action[0])
+        seen = batch.observations["points"][first : first + 2].numpy()
+        np.testing.assert_allclose(seen, rotate_points(points[:2], np.full(2, angle)), atol=1e-5)

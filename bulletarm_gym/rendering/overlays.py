@@ -5,13 +5,26 @@ width (m), its yaw (rad). It covers the pixels whose centre lies in it, edges in
 itself, what is drawn turns with a scene turned by 90 degrees, bit for bit.
 """
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from bulletarm_gym.geometry import FloatArray
-from bulletarm_gym.sensors.rasterizer import draw_rectangles
+from bulletarm_gym.rendering.rasterizer import draw_rectangles
+
+
+@dataclass(frozen=True)
+class Overlay:
+    """A rectangle that the heightmap shows nearer the camera than what is there.
+
+    :param rectangle: world x and y of its centre, length and width (m), yaw (rad)
+    :param rise: by how much it is nearer (m)
+    """
+
+    rectangle: tuple[float, float, float, float, float]
+    rise: float
 
 
 def fill_rectangles(

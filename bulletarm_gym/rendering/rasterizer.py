@@ -25,6 +25,9 @@ SUBPIXELS = 65536.0
 HEIGHT_STEPS = float(2**30)
 """Grid steps a metre of height (1 nm): the rounding of poses does not reach the image."""
 
+Labels = NDArray[np.int16]
+"""Which part each pixel shows: 0 none, else its number from 1 on."""
+
 Window = tuple[float, float, float]
 """Centre x, centre y and side of the square that an image shows (m)."""
 
@@ -57,8 +60,19 @@ def _pixels(low: float, high: float, size: int) -> tuple[int, int]:
 
 
 @compiled
-def _draw_triangle(image: NDArray[np.float32], corners: FloatArray, ia: int, ib: int, ic: int) -> None:
-    """Raise the pixels whose centre a triangle of corners (u, v, height) covers, if it faces up."""
+def _draw_triangle(
+    image: NDArray[np.float32],
+    labels: Labels | None,
+    label: int,
+    corners: FloatArray,
+    ia: int,
+    ib: int,
+    ic: int,
+) -> None:
+    """Raise the pixels whose centre a triangle of corners (u, v, height) covers, if it faces up.
+
+    With ``labels`` what is raised is labelled; without, the compiler leaves that branch out.
+    """
     au, av, ah = corners[ia, 0], corners[ia, 1], corners[ia, 2]
     bu, bv, bh = corners[ib, 0] - au, corners[ib, 1] - av, corners[ib, 2] - ah
     cu, cv, ch = corners[ic, 0] - au, corners[ic, 1] - av, corners[ic, 2] - ah
@@ -79,6 +93,9 @@ def _draw_triangle(image: NDArray[np.float32], corners: FloatArray, ia: int, ib:
             inside = (weight_b >= 0.0) & (weight_c >= 0.0) & (weight_b + weight_c <= area)
             # Summed in this order the height does not depend on which of the axes is u.
             height = np.float32(ah + (slope_u * u + slope_v * v))
+            if labels is not None:
+                marks = labels[row, left:right]
+                marks[column] = np.int16(label) if inside & (height > line[column]) else marks[column]
             line[column] = height if inside & (height > line[column]) else line[column]
 
 
@@ -111,6 +128,7 @@ def _project(
 
 @compiled
 def draw_parts(
+    labels: Labels | None,
     vertices: FloatArray,
     faces: IntArray,
     ranges: NDArray[np.int64],
@@ -124,6 +142,7 @@ def draw_parts(
 ) -> NDArray[np.float32]:
     """Draw posed meshes into a new heightmap.
 
+    :param labels: (size, size), or None; where a part is seen it becomes the part's number, from 1 on
     :param vertices: (V, 3) vertices of all parts in their own frames (m)
     :param faces: (F, 3) vertex indices, counted from the first vertex of the part
     :param ranges: (n, 4) of a part: first vertex, end of vertices, first face, end of faces
@@ -149,7 +168,7 @@ def draw_parts(
         start, end, first_face, end_face = ranges[part]
         _project(vertices[start:end], matrix, origin, size / window[2], corners)
         for face in range(first_face, end_face):
-            _draw_triangle(image, corners, faces[face, 0], faces[face, 1], faces[face, 2])
+            _draw_triangle(image, labels, part + 1, corners, faces[face, 0], faces[face, 1], faces[face, 2])
     return image
 
 

@@ -1,4 +1,4 @@
-"""Orthographic heightmaps of the scene's meshes."""
+"""Orthographic heightmaps of the scene's meshes, and which mesh each pixel shows."""
 
 from collections.abc import Sequence
 
@@ -6,10 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bulletarm_gym.geometry import FloatArray, Mesh
-from bulletarm_gym.sensors.rasterizer import draw_parts
+from bulletarm_gym.rendering.rasterizer import Labels, draw_parts
 
 
-class HeightmapSensor:
+class ZBuffer:
     """A z-buffer that looks straight down on a fixed list of meshes, one a body link.
 
     Heights are those under pixel centres, not averages over pixels. With ``resolution = extent / size``,
@@ -59,6 +59,43 @@ class HeightmapSensor:
         :return: (size, size) float32, height above world z = 0 (m); rows grow with world x, columns with y
         :raises ValueError: if there is not one pose and one flag a mesh, or the window is empty
         """
+        return self._draw(None, positions, quaternions, visible, (*centre, extent), size, floor)
+
+    def labelled(
+        self,
+        positions: FloatArray,
+        quaternions: FloatArray,
+        visible: NDArray[np.bool_],
+        marks: NDArray[np.bool_],
+        centre: tuple[float, float],
+        extent: float,
+        size: int,
+        floor: float = 0.0,
+    ) -> tuple[NDArray[np.float32], Labels]:
+        """Return the heights, the same as :meth:`heights`, and which mesh is seen under every pixel's centre.
+
+        :param marks: (n,) bool, which meshes are marks on the floor: seen where nothing lies on them, without
+            a height of their own
+        :return: (size, size) float32, m; (size, size) int16, 0 where no mesh is seen, else 1 and its place in
+            the list
+        :raises ValueError: as :meth:`heights`
+        """
+        window = (*centre, extent)
+        labels = np.zeros((size, size), np.int16)
+        if (visible & marks).any():
+            self._draw(labels, positions, quaternions, visible & marks, window, size, floor)
+        return self._draw(labels, positions, quaternions, visible & ~marks, window, size, floor), labels
+
+    def _draw(
+        self,
+        labels: Labels | None,
+        positions: FloatArray,
+        quaternions: FloatArray,
+        visible: NDArray[np.bool_],
+        window: tuple[float, float, float],
+        size: int,
+        floor: float,
+    ) -> NDArray[np.float32]:
         count = len(self._ranges)
         if not (
             positions.shape == (count, 3) and quaternions.shape == (count, 4) and visible.shape == (count,)
@@ -67,9 +104,11 @@ class HeightmapSensor:
                 f"For {count} meshes positions, quaternions and visible have shapes ({count}, 3), "
                 f"({count}, 4) and ({count},), not {positions.shape}, {quaternions.shape} and {visible.shape}"
             )
+        x, y, extent = window
         if not (extent > 0.0 and size > 0):
             raise ValueError(f"extent and size must be positive, not {extent} and {size}")
         return draw_parts(
+            labels,
             self._vertices,
             self._faces,
             self._ranges,
@@ -78,7 +117,7 @@ class HeightmapSensor:
             np.ascontiguousarray(positions, dtype=np.float64),
             np.ascontiguousarray(quaternions, dtype=np.float64),
             np.ascontiguousarray(visible, dtype=np.bool_),
-            (float(centre[0]), float(centre[1]), float(extent)),
+            (float(x), float(y), float(extent)),
             size,
             float(floor),
         )

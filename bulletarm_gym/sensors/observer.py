@@ -1,0 +1,113 @@
+"""The sensors of an environment, by the names that the user gave."""
+
+import inspect
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from bulletarm_gym.config import ORTHOGRAPHIC, EnvConfig, ParameterError
+from bulletarm_gym.extensions import load
+from bulletarm_gym.geometry import Pose
+from bulletarm_gym.scene import Scene
+from bulletarm_gym.sensors.cameras import PointCloud, Rgb
+from bulletarm_gym.sensors.images import Color, Heightmap, Segmentation
+from bulletarm_gym.sensors.in_hand import InHand
+from bulletarm_gym.sensors.numbers import Holding, State
+from bulletarm_gym.sensors.sensor import Sensor
+from bulletarm_gym.sensors.view import View
+
+SENSORS: dict[str, type[Sensor]] = {
+    "heightmap": Heightmap,
+    "in_hand": InHand,
+    "holding": Holding,
+    "state": State,
+    "color": Color,
+    "segmentation": Segmentation,
+    "rgb": Rgb,
+    "point_cloud": PointCloud,
+}
+"""The sensors there are, by name; see :data:`~bulletarm_gym.config.SENSORS`."""
+
+
+class Observer:
+    """Makes observations: a Dict of what each sensor reads.
+
+    :param config: its ``observation`` says which
+    :param scene: what they look at
+    :raises ParameterError: a sensor does not fit the control or the other parameters, its parameters are
+        wrong, or it is none
+    """
+
+    def __init__(self, config: EnvConfig, scene: Scene) -> None:
+        self._sensors = {
+            name: _made(config, name, source, parameters, scene)
+            for name, source, parameters in config.sensors
+        }
+        self.asks_for_labels = any(sensor.asks_for_labels for sensor in self._sensors.values())
+        self.follows = any(sensor.follows for sensor in self._sensors.values())
+        self.space = spaces.Dict({name: sensor.space for name, sensor in self._sensors.items()})
+
+    def read(self, view: View) -> dict[str, NDArray[Any]]:
+        """Return the observation; it changes nothing."""
+        return {name: sensor.read(view) for name, sensor in self._sensors.items()}
+
+    def follow(self, before: View, pick: Pose | None) -> None:
+        """Tell the sensors that an action was carried out."""
+        for sensor in self._sensors.values():
+            sensor.follow(before, pick)
+
+    def get_memory(self) -> dict[str, Any]:
+        """Return what sensors remember, by name; picklable."""
+        return {name: s.memory for name, s in self._sensors.items() if s.memory is not None}
+
+    def set_memory(self, memory: Mapping[str, Any]) -> None:
+        """Have the sensors remember what others of their names did; the rest forgets."""
+        for name, sensor in self._sensors.items():
+            sensor.memory = memory.get(name)
+
+    def shapes(self, names: Iterable[str]) -> dict[str, list[int]]:
+        """Return the shapes of some of the sensors, of those that there are."""
+        return {name: list(self._sensors[name].space.shape) for name in names if name in self._sensors}
+
+
+def _made(config: EnvConfig, name: str, source: str, parameters: Mapping[str, Any], scene: Scene) -> Sensor:
+    """Make a sensor.
+
+    :raises ParameterError: it cannot be had so
+    """
+    kind = SENSORS.get(source) or _loaded(name, source)
+    if not (isinstance(kind, type) and issubclass(kind, Sensor)) or inspect.isabstract(kind):
+        raise ParameterError.of("observation", config.observation, f"sensors; {source!r} is none")
+    if config.control not in kind.controls:
+        belongs = " or ".join(control.replace("_", "-") for control in kind.controls)
+        takes = f"what can be seen here: {name!r} belongs to {belongs} environments"
+        raise ParameterError.of("observation", config.observation, takes)
+    if kind.asks_for_labels and config.view != ORTHOGRAPHIC:
+        takes = (
+            f"sensors that view={config.view!r} has, not {name!r}: only {ORTHOGRAPHIC!r} tells bodies apart"
+        )
+        raise ParameterError.of("observation", config.observation, takes)
+    _check_parameters(config, name, kind, parameters)
+    try:
+        return kind(scene, **parameters)
+    except ValueError as error:
+        raise ParameterError(f"observation: {name}: {error}") from error
+
+
+def _loaded(name: str, path: str) -> Any:
+    try:
+        return load(path)
+    except ValueError as error:
+        raise ParameterError(f"observation: {name}: {error}") from error
+
+
+def _check_parameters(
+    config: EnvConfig, name: str, kind: type[Sensor], parameters: Mapping[str, Any]
+) -> None:
+    known = list(inspect.signature(kind).parameters)[1:]
+    unknown = [parameter for parameter in parameters if parameter not in known]
+    if unknown:
+        takes = f"for {name!r} {', '.join(known) or 'no parameters'}, not {', '.join(unknown)}"
+        raise ParameterError.of("observation", config.observation, takes)
