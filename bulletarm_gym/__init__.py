@@ -10,11 +10,12 @@ from bulletarm_gym.extensions import (
     register_sensor,
     register_surface,
 )
-from bulletarm_gym.registration import ENV_IDS, register_all, register_task
+from bulletarm_gym.registration import ENV_IDS, PAPER_IDS, register_all, register_task
 
 __version__ = "0.1.0"
 __all__ = [
     "ENV_IDS",
+    "PAPER_IDS",
     "__version__",
     "register_control",
     "register_object",

@@ -3,7 +3,7 @@
 import difflib
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, field, fields
 from typing import Any
 
 from bulletarm_gym import values
@@ -56,6 +56,10 @@ class TrayUse:
     reason: str = ""
 
 
+WIDE = [[0.25, 0.65], [-0.2, 0.2], [0.0, 0.3]]
+"""Close-loop workspace (m) of tasks that need the room of an open-loop one."""
+
+
 @dataclass(frozen=True)
 class TaskDefaults:
     """What a task prescribes for its own parameters.
@@ -68,6 +72,7 @@ class TaskDefaults:
     :param level_ground: why it cannot stand on ramps and bumps, if so
     :param takes_object_set: whether its objects can be replaced by a user's
     :param sensors: what must be seen besides the default images
+    :param close_loop: parameters with other defaults in close loop, of a task for both controls
     """
 
     num_objects: int
@@ -78,6 +83,7 @@ class TaskDefaults:
     level_ground: str = ""
     takes_object_set: bool = False
     sensors: tuple[str, ...] = ()
+    close_loop: Mapping[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -141,6 +147,7 @@ class EnvConfig:
         surface: str = "flat",
         sloping: bool | None = None,
         sequences: Sequence[str] = (),
+        defaults: Mapping[str, Any] | None = None,
     ) -> "EnvConfig":
         """Check a user's parameters and fill in the paper's defaults.
 
@@ -150,20 +157,22 @@ class EnvConfig:
         :param surface: where; some defaults follow from it
         :param sloping: whether things may lie there at an angle; None for a surface of ours
         :param sequences: what an action can consist of, the default first; none for a control of ours
+        :param defaults: of an environment's id, in place of the task's
         :raises UnknownParameterError: there is no such parameter; one of a similar name is offered, else
             all are listed
         :raises ParameterError: a wrong type or value, or ground that the task cannot stand on
         """
         sloping = surface in SLOPING if sloping is None else sloping
         checks = _checks(control, task, robots)
-        defaults = _defaults(control, surface, sloping, task)
+        chosen = _defaults(control, surface, sloping, task)
         if sequences:
             checks["action_sequence"] = values.sequence(sequences)
-            defaults["action_sequence"] = sequences[0]
-        for name, value in parameters.items():
+            chosen["action_sequence"] = sequences[0]
+        given = {**(defaults or {}), **parameters}
+        for name, value in given.items():
             if name not in checks:
                 raise _unknown(name, value, control, checks)
-        chosen = defaults | {name: _checked(name, checks[name], value) for name, value in parameters.items()}
+        chosen |= {name: _checked(name, checks[name], value) for name, value in given.items()}
         _check_surface(surface, sloping, task, chosen["close_loop_tray"])
         return cls(control=control, **chosen)
 
@@ -235,9 +244,11 @@ def _defaults(control: str, surface: str, sloping: bool, task: TaskDefaults) -> 
         "observation": [*PRESETS[control]["image"], *task.sensors] if task.sensors else "image",
     }
     if control == CLOSE_LOOP:
-        return shared | {
+        return {
+            **shared,
             "action_sequence": "pxyzr",
             "workspace": [[0.3, 0.6], [-0.15, 0.15], [0.01, 0.25]],
+            **task.close_loop,
         }
     return shared | {
         "action_sequence": "pxyzrrr" if sloping else "pxyr",

@@ -11,7 +11,7 @@ import numpy as np
 from gymnasium.envs.registration import EnvSpec
 from numpy.typing import ArrayLike, NDArray
 
-from bulletarm_gym.config import EnvConfig, ParameterError
+from bulletarm_gym.config import CLOSE_LOOP, EnvConfig, ParameterError
 from bulletarm_gym.control import Control, find_control
 from bulletarm_gym.extensions import OBJECTS, by_path, load
 from bulletarm_gym.feasibility import check_heights, check_room, check_spans, checked_options, finite_reward
@@ -33,6 +33,8 @@ SCENE_PARAMETERS = ("workspace", "object_scale_range", "num_objects", "close_loo
 """What the bodies of a scene, and where they can be, follow from."""
 GROUNDS = 30
 """Drawn before the workspace counts as too small for the task."""
+MOVE_STEPS = 10
+"""Close-loop steps for which a plan of picks and places draws the same, so that it stays what it is."""
 ARRANGEMENT, AFTER_ACTION, PLAN = range(3)
 """Streams of an episode's randomness: what one of them draws does not move the others."""
 
@@ -67,6 +69,7 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
     :param task: ``"module:Class"`` of the task
     :param control: ``"close_loop"``, ``"open_loop"``, or a user's by name or path
     :param surface: one of :data:`~bulletarm_gym.surfaces.SURFACES`, or a user's by name or path
+    :param defaults: of parameters, in place of the task's; an id's own
     :param parameters: of :class:`~bulletarm_gym.config.EnvConfig`, by name
     :raises ValueError: a parameter has a value it cannot take, or is unknown (a ``TypeError``, too); task and
         control do not fit
@@ -76,7 +79,14 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
     metadata = {"render_modes": ["rgb_array", "depth_array", "human"], "render_fps": 5}  # noqa: RUF012
     """Of the class all there is, as ``gymnasium.make`` asks it; of an instance what can be had here."""
 
-    def __init__(self, task: str, control: str, surface: str = "flat", **parameters: Any) -> None:
+    def __init__(
+        self,
+        task: str,
+        control: str,
+        surface: str = "flat",
+        defaults: Mapping[str, Any] | None = None,
+        **parameters: Any,
+    ) -> None:
         task_type: type[Task] = load(task)
         parameters = by_path({**parameters, "control": control, "surface": surface})
         control, surface = parameters.pop("control"), parameters.pop("surface")
@@ -92,19 +102,24 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         if "robot" in self.objects:
             model = find_robot(self.objects["robot"])
             robots[model.name], parameters["robot"] = model, model.name
-        self.config = EnvConfig.of(
-            control_type.kind,
-            task_type.defaults,
-            tuple(robots),
-            parameters,
-            surface,
-            sloping,
-            control_type.sequences,
+        self.config, own = (
+            EnvConfig.of(
+                control_type.kind,
+                task_type.defaults,
+                tuple(robots),
+                given,
+                surface,
+                sloping,
+                control_type.sequences,
+                defaults,
+            )
+            for given in (parameters, {})
         )
         self.render_mode = self.config.render_mode
         if not has_display():
             self.metadata = {**self.metadata, "render_modes": ["rgb_array", "depth_array"]}
-        self._recipe = {"task": task, "control": control, "surface": surface}
+        recipe: dict[str, Any] = {"task": task, "control": control, "surface": surface}
+        self._recipe = recipe | ({"defaults": dict(defaults)} if defaults else {})
         self.task = task_type(self.config)
         # A generator takes as long to make as an image: most tasks need none after an action.
         self._acts_after = task_type.after_action is not Task.after_action
@@ -118,9 +133,9 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
             ),
             self.task.bodies(self.config),
         )
-        check_spans(self.config, self.scene, self.task)
+        check_spans(self.config, own, self.scene, self.task)
         self.control: Control[Any] = control_type(self.config, self.scene, self.task)
-        check_room(self.config, surface, self.scene, self.task, self.control)
+        check_room(self.config, own, self.scene, self.task, self.control)
         self.action_space = self.control.action_space
         self._observer = Observer(self.config, self.scene)
         self._view: View | None = None
@@ -259,7 +274,8 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         :raises gymnasium.error.ResetNeeded: no episode has begun
         """
         self._check_running()
-        plan = iter(self.task.plan(self.scene, self._rng(PLAN)))
+        lasts = MOVE_STEPS if self.task.plans_moves and self.config.control == CLOSE_LOOP else 1
+        plan = iter(self.task.plan(self.scene, self._rng(PLAN, self._steps // lasts)))
         return self.control.encode_action(self.control.next_move(self.scene, plan))
 
     def measure(self) -> Stopwatch:
@@ -335,10 +351,11 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         valid = bool(self.task.is_valid(self.scene))
         return {"is_success": facts["success"] and valid, "is_valid": valid, "ignored": ignored, **facts}
 
-    def _rng(self, stream: int) -> np.random.Generator:
-        """Return the generator of a stream at this step of this episode."""
+    def _rng(self, stream: int, time: int | None = None) -> np.random.Generator:
+        """Return the generator of a stream at a time of this episode, by default this step."""
         assert self._episode_seed is not None
-        return np.random.default_rng((self._episode_seed, self._steps, stream))
+        time = self._steps if time is None else time
+        return np.random.default_rng((self._episode_seed, time, stream))
 
     def _check_running(self) -> None:
         if self._episode_seed is None:

@@ -38,14 +38,15 @@ def check_heights(config: EnvConfig, task: Task) -> None:
         raise ParameterError.of("workspace", config.workspace, takes)
 
 
-def check_spans(config: EnvConfig, scene: Scene, task: Task) -> None:
+def check_spans(config: EnvConfig, own: EnvConfig, scene: Scene, task: Task) -> None:
     """Check that the gripper spans what must be grasped in its largest size, where sizes are not the task's.
 
     An object of several pieces can be grasped by the narrowest of them.
 
+    :param own: the environment's own parameters
     :raises ParameterError: it does not
     """
-    if config.object_scale_range == [task.defaults.object_scale] * 2:
+    if config.object_scale_range == own.object_scale_range:
         return
     stroke = scene.robot.model.gripper.stroke
     for item in task.grasped(scene):
@@ -63,16 +64,15 @@ def _narrowest(spec: BodySpec) -> float:
     return min(Footprint.of(piece.mesh.vertices, Pose((0.0, 0.0, 0.0))).width for piece in spec.pieces)
 
 
-def check_room(config: EnvConfig, surface: str, scene: Scene, task: Task, control: Control[Any]) -> None:
+def check_room(config: EnvConfig, own: EnvConfig, scene: Scene, task: Task, control: Control[Any]) -> None:
     """Check that the task finds room for its objects in their largest sizes, where they are not its own.
 
     It is asked to arrange them some times. If it succeeds every other time, a reset, which asks far more
     often before it gives up, does not fail.
 
-    :param surface: name of the ground
+    :param own: the environment's own parameters
     :raises ParameterError: it does not
     """
-    own = EnvConfig.of(config.control, task.defaults, (config.robot,), {"robot": config.robot}, surface)
     changed = [name for name in ROOM_PARAMETERS if getattr(config, name) != getattr(own, name)]
     if not changed:
         return

@@ -1,7 +1,7 @@
 """The table of environments: what each id is made of. Strings only, so that registering loads no engine."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 import gymnasium
@@ -13,6 +13,9 @@ from bulletarm_gym.extensions import CONTROL_PATHS, SURFACE_PATHS, by_path, impo
 NAMESPACE = "BulletArm"
 ENTRY_POINT = "bulletarm_gym.env:ManipulationEnv"
 
+PAIR = {"num_objects": 2, "object_scale_range": 1.0, "max_steps": 50}
+"""The paper's close-loop Block Stacking and House Building: two blocks of 5 cm instead of four of 3 cm."""
+
 
 @dataclass(frozen=True)
 class Entry:
@@ -20,12 +23,14 @@ class Entry:
 
     :param name: in the id
     :param task: ``"module:Class"``
+    :param defaults: of parameters, in place of the task's: JSON values
     """
 
     name: str
     task: str
     control: str
     surface: str = "flat"
+    defaults: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def env_id(self) -> str:
@@ -33,9 +38,10 @@ class Entry:
         return f"{NAMESPACE}/{self.name}-v0"
 
     @property
-    def kwargs(self) -> dict[str, str]:
+    def kwargs(self) -> dict[str, Any]:
         """What the environment is constructed with."""
-        return {"task": self.task, "control": self.control, "surface": self.surface}
+        defaults = {"defaults": dict(self.defaults)} if self.defaults else {}
+        return {"task": self.task, "control": self.control, "surface": self.surface, **defaults}
 
 
 def _prefix(control: str, surface: str) -> str:
@@ -44,47 +50,75 @@ def _prefix(control: str, surface: str) -> str:
     return "".join(word[:1].upper() + word[1:] for word in words)
 
 
-def _structures(surface: str) -> tuple[Entry, ...]:
-    """Return the seven tasks that build a structure of blocks, on a surface."""
-    classes = {
-        "BlockStacking": "stacking:OpenLoopBlockStacking",
-        **{f"HouseBuilding{number}": f"house:HouseBuilding{number}" for number in (1, 2, 3, 4)},
-        **{f"ImproviseHouseBuilding{n}": f"improvise:ImproviseHouseBuilding{n}" for n in (2, 3)},
-    }
-    prefix = _prefix("open_loop", surface)
+STRUCTURES = {
+    "BlockStacking": "stacking:BlockStacking",
+    **{f"HouseBuilding{number}": f"house:HouseBuilding{number}" for number in (1, 2, 3, 4)},
+    **{f"ImproviseHouseBuilding{n}": f"improvise:ImproviseHouseBuilding{n}" for n in (2, 3)},
+}
+"""The seven tasks that build a structure of blocks."""
+PACKAGING = {
+    "BinPacking": "packing:BinPacking",
+    "BottleArrangement": "arranging:BottleArrangement",
+    "BoxPalletizing": "palletizing:BoxPalletizing",
+    "CovidTest": "covid:CovidTest",
+}
+
+
+def _entries(tasks: Mapping[str, str], control: str, surface: str = "flat") -> tuple[Entry, ...]:
+    """Return the entries of tasks, by name the module and class, under a control on a surface."""
+    prefix = _prefix(control, surface)
     return tuple(
-        Entry(prefix + name, f"bulletarm_gym.tasks.{path}", "open_loop", surface)
-        for name, path in classes.items()
+        Entry(prefix + name, f"bulletarm_gym.tasks.{path}", control, surface) for name, path in tasks.items()
     )
 
 
-ENTRIES = (
-    *_structures("flat"),
-    Entry("OpenLoopBinPacking", "bulletarm_gym.tasks.packing:BinPacking", "open_loop"),
-    Entry("OpenLoopBottleArrangement", "bulletarm_gym.tasks.arranging:BottleArrangement", "open_loop"),
-    Entry("OpenLoopBoxPalletizing", "bulletarm_gym.tasks.palletizing:BoxPalletizing", "open_loop"),
-    Entry("OpenLoopCovidTest", "bulletarm_gym.tasks.covid:CovidTest", "open_loop"),
-    Entry("OpenLoopObjectGrasping", "bulletarm_gym.tasks.clutter:OpenLoopObjectGrasping", "open_loop"),
-    *_structures("ramp"),
-    Entry("OpenLoopBumpHouseBuilding4", "bulletarm_gym.tasks.house:HouseBuilding4", "open_loop", "bump"),
-    Entry(
-        "OpenLoopBumpBoxPalletizing", "bulletarm_gym.tasks.palletizing:BoxPalletizing", "open_loop", "bump"
+PAPER = (
+    *_entries({**STRUCTURES, **PACKAGING, "ObjectGrasping": "clutter:OpenLoopObjectGrasping"}, "open_loop"),
+    *_entries(STRUCTURES, "open_loop", "ramp"),
+    *_entries(
+        {"HouseBuilding4": "house:HouseBuilding4", "BoxPalletizing": "palletizing:BoxPalletizing"},
+        "open_loop",
+        "bump",
     ),
-    Entry("CloseLoopBlockReaching", "bulletarm_gym.tasks.reaching:BlockReaching", "close_loop"),
-    Entry("CloseLoopBlockPicking", "bulletarm_gym.tasks.picking:BlockPicking", "close_loop"),
-    Entry("CloseLoopBlockPushing", "bulletarm_gym.tasks.pushing:BlockPushing", "close_loop"),
-    Entry("CloseLoopBlockPulling", "bulletarm_gym.tasks.pulling:BlockPulling", "close_loop"),
-    Entry("CloseLoopBlockInBowl", "bulletarm_gym.tasks.bowl:BlockInBowl", "close_loop"),
-    Entry("CloseLoopBlockStacking", "bulletarm_gym.tasks.stacking:BlockStacking", "close_loop"),
-    Entry("CloseLoopHouseBuilding", "bulletarm_gym.tasks.house:HouseBuilding", "close_loop"),
-    Entry("CloseLoopCornerPicking", "bulletarm_gym.tasks.corner:CornerPicking", "close_loop"),
-    Entry("CloseLoopDrawerOpening", "bulletarm_gym.tasks.drawer:DrawerOpening", "close_loop"),
-    Entry("CloseLoopObjectGrasping", "bulletarm_gym.tasks.clutter:ObjectGrasping", "close_loop"),
-    # Beyond the paper.
+    *_entries(
+        {
+            f"Block{task}": f"{task.lower()}:Block{task}"
+            for task in ("Reaching", "Picking", "Pushing", "Pulling")
+        },
+        "close_loop",
+    ),
+    *_entries({"BlockInBowl": "bowl:BlockInBowl"}, "close_loop"),
+    Entry(
+        "CloseLoopBlockStacking", "bulletarm_gym.tasks.stacking:BlockStacking", "close_loop", defaults=PAIR
+    ),
+    Entry("CloseLoopHouseBuilding", "bulletarm_gym.tasks.house:HouseBuilding1", "close_loop", defaults=PAIR),
+    *_entries(
+        {
+            "CornerPicking": "corner:CornerPicking",
+            "DrawerOpening": "drawer:DrawerOpening",
+            "ObjectGrasping": "clutter:ObjectGrasping",
+        },
+        "close_loop",
+    ),
+)
+"""The environments of the paper."""
+COMPOSED = (
+    *_entries({name: path for name, path in STRUCTURES.items() if name != "BlockStacking"}, "close_loop"),
+    *_entries(PACKAGING, "close_loop"),
+    *_entries({"BlockPicking": "picking:BlockPicking"}, "close_loop", "ramp"),
+    *_entries(
+        {"BlockPicking": "picking:BlockPicking", "BlockInBowl": "bowl:BlockInBowl"}, "close_loop", "bump"
+    ),
+)
+"""More of their tasks under close-loop control: those whose expert succeeds in 95 % of episodes or more."""
+OWN = (
     Entry("OpenLoopBlockSorting", "bulletarm_gym.tasks.sorting:OpenLoopBlockSorting", "open_loop"),
     Entry("CloseLoopBlockSorting", "bulletarm_gym.tasks.sorting:BlockSorting", "close_loop"),
 )
+"""Tasks of our own."""
+ENTRIES = (*PAPER, *COMPOSED, *OWN)
 
+PAPER_IDS: tuple[str, ...] = tuple(entry.env_id for entry in PAPER)
 ENV_IDS: tuple[str, ...] = tuple(entry.env_id for entry in ENTRIES)
 
 

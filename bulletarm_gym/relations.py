@@ -87,6 +87,13 @@ def stacked(scene: Scene, items: Iterable[Item]) -> bool:
     )
 
 
+def inside(item: Item, container: Item) -> bool:
+    """Whether an item's origin is, seen from above, within the outer sides of a container."""
+    place = container.pose.inverse().transform(item.pose.position)
+    low, high = container.spec.mesh.bounds.tolist()
+    return all(low[axis] < place[axis] < high[axis] for axis in (0, 1))
+
+
 def is_top(item: Item, pool: Sequence[Item]) -> bool:
     """Whether none of the items in the pool is above an item."""
     return not any(

@@ -25,7 +25,7 @@ def main() -> None:
     """Solve every task with its expert and write the sheet."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--heightmap", action="store_true", help="what the agent sees, instead of the scene")
-    parser.add_argument("--env", nargs="+", default=bulletarm_gym.ENV_IDS, help="the tasks, by id")
+    parser.add_argument("--env", nargs="+", default=bulletarm_gym.PAPER_IDS, help="the tasks, by id")
     parser.add_argument("--output", type=Path, help="default: docs/images/tasks.png, or heightmaps.png there")
     arguments = parser.parse_args()
     output = arguments.output or Path("docs/images") / (

@@ -9,7 +9,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from bulletarm_gym.config import CLOSE_LOOP, EnvConfig
 from bulletarm_gym.control.control import POINTS, Control, Outcome, over
-from bulletarm_gym.experts.waypoints import Waypoint
+from bulletarm_gym.experts.approach import route
+from bulletarm_gym.experts.waypoints import OPEN, Waypoint
 from bulletarm_gym.geometry import Pose, Vector, wrap_angle
 from bulletarm_gym.robots import OutOfReachError
 from bulletarm_gym.scene import Scene
@@ -63,6 +64,8 @@ class CloseLoop(Control[DeltaMove]):
         height = min(max(START_HEIGHT, config.workspace[2][0]), config.workspace[2][1])
         extremes = (Pose.planar(*position) for position in over(config, config.workspace[2], POINTS))
         super().__init__(config, scene, Pose.planar(*config.centre, height), extremes)
+        self._finds_way = task.plans_moves
+        self._opening = min(task.hints.opening / scene.robot.model.gripper.stroke, OPEN)
         self._workspace = config.workspace
         self._extent = VIEW_SCALE * config.workspace_size
 
@@ -109,8 +112,11 @@ class CloseLoop(Control[DeltaMove]):
         return Outcome(ignored=False)
 
     def next_move(self, scene: Scene, plan: Iterator[Waypoint]) -> DeltaMove:
-        """Return the move towards the first waypoint of a plan."""
-        return self.towards(scene, next(plan))
+        """Return the move towards the first waypoint of a plan, or on the way to its pick or place."""
+        first = next(plan)
+        if self._finds_way and first.finish is not None and not first.clear:
+            first = next(route(scene, first, self._opening))
+        return self.towards(scene, first)
 
     def towards(self, scene: Scene, waypoint: Waypoint) -> DeltaMove:
         """Return the move that brings the gripper closest to a waypoint."""

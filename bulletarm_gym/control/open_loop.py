@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from bulletarm_gym.config import OPEN_LOOP, EnvConfig
 from bulletarm_gym.control.control import POINTS, Control, Outcome, over
+from bulletarm_gym.experts.approach import LET_GO
 from bulletarm_gym.experts.waypoints import APPROACH, OPEN, Waypoint
 from bulletarm_gym.geometry import Pose, Vector, euler_angles, euler_pose, matrix
 from bulletarm_gym.rendering.overlays import rectangle_mask
@@ -26,8 +27,6 @@ MAX_Z = 0.3
 LEAST_Z = 0.005
 """Least height (m) of a pick where the action gives none: where the fingertips of the original BulletArm
 release are then."""
-RELEASE = 0.008
-"""Distance (m) that the fingers open to let go; they open all the way when they are out of the way."""
 MAX_TILT = math.pi / 4.0
 """Greatest turn (rad) about the gripper's y and x axes."""
 TILT = math.pi / 12.0
@@ -181,7 +180,7 @@ class OpenLoop(Control[PickPlace]):
         robot = scene.robot
         robot.transfer(stops[-1])
         robot.move_to(pose)
-        self._open(robot, robot.opening + RELEASE)
+        self._open(robot, robot.opening + LET_GO)
         scene.settle()
         self._withdraw(robot, stops)
         self._open(robot, self._hints.opening)

@@ -19,17 +19,44 @@ LEVEL = 5e-3
 """Height (m) that the fingertips may lack."""
 HOVER = 0.03
 """Height (m) of the fingertips over an item while they line up with it."""
+NEAR = 0.003
+"""Distance (m) from which close-loop control goes down to a pick or place: it may be narrow there."""
 READY = 0.9
 """Opening ratio from which the gripper is ready to grasp."""
 PASSING = 0.03
 """Gap (m) between what is carried and what it is carried over: wide, as agents are not so exact."""
+SLANTED = math.radians(8.0)
+"""Slope (rad) from which fingers that come straight down slip off a side."""
 RELEASE = 0.003
 """Gap (m) under an item that is let go."""
+LET_GO = 0.008
+"""Distance (m) that the fingers open to let go; all the way when they are out of the way."""
 REACH = 0.06
 """Half the width (m) of an open gripper with its fingers: what lies this near its way is in its way."""
 
 
-def grasp(scene: Scene, target: Pose, top: float, symmetry: float) -> Iterator[Waypoint]:
+def route(scene: Scene, move: Waypoint, opening: float) -> Iterator[Waypoint]:
+    """Yield the way of close-loop control to a pick or place: up, over what is in between, straight down.
+
+    :param move: with a finish: a pick if that closes the gripper, else a place
+    :param opening: greatest opening ratio that leaves what is beside the fingers alone
+    """
+    assert move.finish is not None
+    hand, held, goal = scene.robot.pose, scene.held, move.pose
+    if "r" not in scene.config.action_sequence:
+        goal = Pose.planar(*goal.position, hand.yaw)
+    if held is None or move.finish < move.gripper:
+        top = max(goal.z, highest_between(scene, hand.position, goal.position, held))
+        yield from grasp(scene, goal, top, math.pi, opening, NEAR)
+    else:
+        height = goal.z - hand.z + held.lowest
+        apart = scene.robot.opening_ratio + LET_GO / scene.robot.model.gripper.stroke
+        yield from _carry(scene, held, goal, height, min(apart, opening), NEAR)
+
+
+def grasp(
+    scene: Scene, target: Pose, top: float, symmetry: float, opening: float = OPEN, near: float = ALIGNED
+) -> Iterator[Waypoint]:
     """Yield the way to a grasp from wherever the empty gripper is.
 
     Straight in where the fingers are above the item for as long as they are not aligned with it, else up,
@@ -38,21 +65,29 @@ def grasp(scene: Scene, target: Pose, top: float, symmetry: float) -> Iterator[W
     :param target: of the fingertips when they close
     :param top: height (m) of the highest point of the item, or of what is on the way to it
     :param symmetry: turning the gripper by this angle (rad) gives as good a grasp
+    :param opening: ratio to come in with
+    :param near: distance (m) in the plane at which the fingers may go down
     """
     hand = scene.robot.pose
     turn = wrap_angle(target.yaw - hand.yaw, symmetry)
     goal = Pose.planar(*target.position, hand.yaw + turn)
     apart = max(abs(goal.x - hand.x), abs(goal.y - hand.y))
-    aligned = planar_distance(goal.position, hand.position) < ALIGNED and abs(turn) < ALIGNED_YAW
-    ready = scene.robot.opening_ratio > READY
+    aligned = _is_aligned(goal, hand, turn, near)
+    ready = scene.robot.opening_ratio > READY * opening
     hover = top + HOVER
     if hand.z < hover - LEVEL and not ((aligned and ready) or _stays_above(hand.z, apart, turn, top)):
-        yield Waypoint(
-            Pose.planar(hand.x, hand.y, hover, hand.yaw), OPEN if hand.z > top else scene.robot.opening_ratio
-        )
-    if not (aligned or _stays_above(hand.z, apart, turn, top)):
-        yield Waypoint(Pose.planar(goal.x, goal.y, hover, goal.yaw), OPEN)
-    yield Waypoint(goal, OPEN, finish=CLOSED)
+        width = opening if hand.z > top else scene.robot.opening_ratio
+        yield Waypoint(Pose.planar(hand.x, hand.y, hover, hand.yaw), width)
+    closes_at_once = not ready and hand.z - goal.z < STEP
+    if closes_at_once or not (aligned or _stays_above(hand.z, apart, turn, top)):
+        yield Waypoint(Pose.planar(goal.x, goal.y, hover, goal.yaw), opening)
+    yield Waypoint(goal, opening, finish=CLOSED, clear=True)
+
+
+def _is_aligned(goal: Pose, hand: Pose, turn: float, near: float) -> bool:
+    """Whether the fingers may go straight to a goal, from within a distance (m) in the plane."""
+    apart = planar_distance(goal.position, hand.position)
+    return apart <= near and abs(turn) <= ALIGNED_YAW * near / ALIGNED
 
 
 def _stays_above(height: float, apart: float, turn: float, top: float) -> bool:
@@ -82,6 +117,15 @@ def place_item(
 ) -> Iterator[Waypoint]:
     """Yield the way of the held item to a spot, over whatever is in between, and let go of it there.
 
+    The parameters are those of :func:`place_pose`.
+    """
+    goal = place_pose(scene, item, spot, height, turn)
+    yield from _carry(scene, item, goal, height, OPEN, ALIGNED)
+
+
+def place_pose(scene: Scene, item: Item, spot: Sequence[float], height: float, turn: float = 0.0) -> Pose:
+    """Return where the fingertips let go of the held item.
+
     :param spot: x and y (m) of the item's middle
     :param height: of the item's lowest point (m) when it is let go
     :param turn: by which it is turned on the way (rad); ignored where the gripper cannot turn
@@ -89,21 +133,33 @@ def place_item(
     hand = scene.robot.pose
     turn = turn if "r" in scene.config.action_sequence else 0.0
     dx, dy, _ = rotate(Pose.planar(0.0, 0.0, 0.0, turn).orientation, _way(hand, item.pose))
-    goal = Pose.planar(spot[0] - dx, spot[1] - dy, height + hand.z - item.lowest, hand.yaw + turn)
-    if planar_distance(goal.position, hand.position) > ALIGNED or abs(turn) > ALIGNED_YAW:
+    return Pose.planar(spot[0] - dx, spot[1] - dy, height + hand.z - item.lowest, hand.yaw + turn)
+
+
+def _carry(
+    scene: Scene, item: Item, goal: Pose, height: float, opening: float, near: float
+) -> Iterator[Waypoint]:
+    """Yield the way to where the held item is let go.
+
+    :param height: of the item's lowest point (m) there
+    :param opening: ratio to let go with
+    :param near: distance (m) in the plane at which the item may go down
+    """
+    hand = scene.robot.pose
+    if not _is_aligned(goal, hand, wrap_angle(goal.yaw - hand.yaw), near):
         over = max(height, highest_between(scene, hand.position, goal.position, item))
-        level = over + PASSING + hand.z - item.lowest
+        level = min(over + PASSING + hand.z - item.lowest, scene.config.workspace[2][1])
         if hand.z < level - LEVEL:
             yield Waypoint(Pose.planar(hand.x, hand.y, level, hand.yaw), CLOSED)
         yield Waypoint(Pose.planar(goal.x, goal.y, level, goal.yaw), CLOSED)
-    yield Waypoint(goal, CLOSED, finish=OPEN)
+    yield Waypoint(goal, CLOSED, finish=opening, clear=True)
 
 
 def _way(start: Pose, end: Pose) -> tuple[float, float, float]:
     return (end.x - start.x, end.y - start.y, 0.0)
 
 
-def highest_between(scene: Scene, start: Sequence[float], end: Sequence[float], but: Item) -> float:
+def highest_between(scene: Scene, start: Sequence[float], end: Sequence[float], but: Item | None) -> float:
     """Return the height (m) of the highest item but one near a line, or of the ground."""
     tops = [
         scene.world.top(item.body)
@@ -147,3 +203,12 @@ def side_yaw(pose: Pose) -> float:
     rotation = matrix(pose)
     flattest = int(abs(rotation[2]).argmin())
     return math.atan2(rotation[1, flattest], rotation[0, flattest])
+
+
+def side_symmetry(pose: Pose) -> float:
+    """Return the angle (rad) by which a gripper along :func:`side_yaw` can be turned and hold a cube as well.
+
+    On a slope the fingers are square to the flattest side alone.
+    """
+    second = sorted(abs(matrix(pose)[2]).tolist())[1]
+    return math.pi / 2.0 if second < math.sin(SLANTED) else math.pi

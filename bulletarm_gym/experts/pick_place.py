@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from bulletarm_gym.config import OPEN_LOOP
 from bulletarm_gym.experts.approach import RELEASE
 from bulletarm_gym.experts.waypoints import CLOSED, OPEN, Waypoint
 from bulletarm_gym.footprint import Footprint
@@ -160,8 +161,10 @@ def put(scene: Scene, item: Item, grounds: Sequence[Pose]) -> Waypoint:
     held_at = in_hand.inverse().transform(middle)
     goals = (ground.compose(turned) for ground in grounds for turned in _lying(item))
     hands = (_bring(scene, goal.compose(in_hand), held_at, goal.transform(middle)) for goal in goals)
+    # In open loop half a turn is none, see half_rotation; in close loop it has to be made.
+    turn = math.pi if scene.config.control == OPEN_LOOP else 2.0 * math.pi
     best = max(
-        hands, key=lambda goal: (*_rank(scene, goal, item), -abs(wrap_angle(goal.yaw - hand.yaw, math.pi)))
+        hands, key=lambda goal: (*_rank(scene, goal, item), -abs(wrap_angle(goal.yaw - hand.yaw, turn)))
     )
     return Waypoint(best, CLOSED, finish=OPEN)
 

@@ -15,6 +15,10 @@ NEAR = 0.01
 """Distance (m) from there within which it is right to be as low as the block ..."""
 SLOPE = 1.2
 """... and by how much higher it is to be per metre farther away, without a step that is hard to see ..."""
+STEP = 0.04
+"""How far (m) a drag over sloping ground looks ahead."""
+FINGERS = 0.035
+"""Half the width (m) of the half-open gripper."""
 UNDER = 0.03
 """... where this much (m) lower still does no harm."""
 BAND = 0.02
@@ -40,6 +44,7 @@ class Drag:
         self._block = block = item.pose
         self._behind = item.spec.extents[0] / 2.0 + CLEAR
         self._low = low
+        self._surface = scene.surface
         dx, dy = goal[0] - block.x, goal[1] - block.y
         length = math.hypot(dx, dy)
         self._line = (dx / length, dy / length)
@@ -60,14 +65,24 @@ class Drag:
         along = dx * self._line[0] + dy * self._line[1]
         aside = abs(dx * self._line[1] - dy * self._line[0])
         return (
-            along < 0.0 and aside < ASTRAY and self._hand.z < self._low + BAND and -along < 2.0 * self._behind
+            along < 0.0
+            and aside < ASTRAY
+            and self._hand.z < self._above_ground(self._hand.position) + BAND
+            and -along < 2.0 * self._behind
         )
 
     @property
     def _height(self) -> float:
         """Height (m) to be at on the way: the nearer to the start, the lower."""
         apart = planar_distance(self._start, self._hand.position) - NEAR - self._outside
-        return min(ABOVE, self._low + SLOPE * max(0.0, apart))
+        low = self._above_ground(self._start)
+        return min(ABOVE + low - self._low, low + SLOPE * max(0.0, apart))
+
+    def _above_ground(self, point: Sequence[float]) -> float:
+        """Return the height (m) at which the open fingers drag there."""
+        aside = FINGERS * math.cos(self._hand.yaw), FINGERS * math.sin(self._hand.yaw)
+        under = [(point[0] + share * aside[0], point[1] + share * aside[1]) for share in (-1.0, 0.0, 1.0)]
+        return self._low + float(self._surface.heights(under).max())
 
     def plan(self) -> Iterator[Waypoint]:
         """Yield what remains of: over the start, down, to the goal."""
@@ -75,9 +90,17 @@ class Drag:
             if self._hand.z < self._height - UNDER:
                 yield Waypoint(Pose.planar(self._hand.x, self._hand.y, ABOVE, self._hand.yaw), HALF_OPEN)
             yield Waypoint(Pose.planar(*self._start, self._height, self._hand.yaw), HALF_OPEN)
-        yield Waypoint(
-            Pose.planar(self._goal[0], self._goal[1], self._low, self._hand.yaw), HALF_OPEN, straight=True
-        )
+        yield Waypoint(self._next(), HALF_OPEN, straight=True)
+
+    def _next(self) -> Pose:
+        """Return where the drag goes next: to the goal, over sloping ground step by step."""
+        goal, hand = self._goal, self._hand
+        share = min(1.0, STEP / max(planar_distance(goal, hand.position), 1e-9))
+        near = (hand.x + share * (goal[0] - hand.x), hand.y + share * (goal[1] - hand.y))
+        here, there, end = (self._above_ground(point) for point in (hand.position, near, goal))
+        if here == there == end:
+            return Pose.planar(goal[0], goal[1], end, hand.yaw)
+        return Pose.planar(*near, there, hand.yaw)
 
 
 def _distance_outside(point: tuple[float, float], workspace: list[list[float]]) -> float:

@@ -5,13 +5,13 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from bulletarm_gym.config import OPEN_LOOP, EnvConfig, TaskDefaults, TrayUse
-from bulletarm_gym.experts.approach import RELEASE, place_item
+from bulletarm_gym.config import CLOSE_LOOP, OPEN_LOOP, WIDE, EnvConfig, TaskDefaults, TrayUse
+from bulletarm_gym.experts.approach import RELEASE, place_pose
 from bulletarm_gym.experts.waypoints import CLOSED, OPEN, Waypoint
 from bulletarm_gym.geometry import Pose, planar_distance, wrap_angle
 from bulletarm_gym.objects.bottles import BOTTLES, HEIGHT, TRAY, TRAY_FLOOR, bottle, bottle_tray
 from bulletarm_gym.placement import lay_apart
-from bulletarm_gym.relations import at_rest, is_empty, touching, upright
+from bulletarm_gym.relations import at_rest, inside, is_empty, touching, upright
 from bulletarm_gym.scene import Item, Role, Scene, shaped
 from bulletarm_gym.tasks.task import Hints, Task
 
@@ -45,8 +45,9 @@ class BottleArrangement(Task):
         allowed_objects=tuple(range(1, MOST_BOTTLES + 1)),
         tray=TrayUse((False,), "the bottles and their own tray do not fit into the tray"),
         level_ground="bottles fall over on a slope",
+        close_loop={"max_steps": 240, "workspace": WIDE},
     )
-    controls = (OPEN_LOOP,)
+    controls = (OPEN_LOOP, CLOSE_LOOP)
     site = TRAY[:2]
 
     @property
@@ -92,7 +93,8 @@ class BottleArrangement(Task):
         if held is not None:
             turn = wrap_angle(yaw - scene.robot.pose.yaw, QUARTER)
             spot = self._emptiest(scene, held)
-            yield from place_item(scene, held, spot.position, spot.z + RELEASE, turn)
+            goal = place_pose(scene, held, spot.position, spot.z + RELEASE, turn)
+            yield Waypoint(goal, CLOSED, finish=OPEN)
             return
         bottles = self._bottles(scene)
         item = next((item for item in bottles if not self._is_in_tray(scene, item)), bottles[0])
@@ -105,9 +107,8 @@ class BottleArrangement(Task):
 
     def _is_in_tray(self, scene: Scene, item: Item) -> bool:
         tray = scene["tray"]
-        x, y, _ = tray.pose.inverse().transform(item.pose.position)
-        inside = abs(x) < TRAY[0] / 2.0 and abs(y) < TRAY[1] / 2.0
-        return inside and upright(item) and item is not scene.held and touching(scene, tray, item)
+        lies = inside(item, tray) and upright(item)
+        return lies and item is not scene.held and touching(scene, tray, item)
 
     def _emptiest(self, scene: Scene, held: Item) -> Pose:
         """Return the place farthest from all bottles but the held one, in the world, on the tray's floor."""

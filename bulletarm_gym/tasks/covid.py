@@ -1,13 +1,15 @@
 """Supervising Covid tests."""
 
+import itertools
 import math
 from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from bulletarm_gym.config import OPEN_LOOP, EnvConfig, TaskDefaults, TrayUse
-from bulletarm_gym.experts.approach import RELEASE, place_item
+from bulletarm_gym.config import CLOSE_LOOP, OPEN_LOOP, WIDE, EnvConfig, ParameterError, TaskDefaults, TrayUse
+from bulletarm_gym.experts.approach import RELEASE, place_pose
 from bulletarm_gym.experts.waypoints import CLOSED, OPEN, Waypoint
+from bulletarm_gym.footprint import Footprint
 from bulletarm_gym.geometry import Pose, wrap_angle
 from bulletarm_gym.objects.covid import (
     FLOOR,
@@ -22,9 +24,11 @@ from bulletarm_gym.objects.covid import (
     used_tube,
     used_tube_box,
 )
-from bulletarm_gym.relations import at_rest, is_empty
+from bulletarm_gym.relations import at_rest, inside, is_empty
 from bulletarm_gym.scene import Item, Role, Scene, scaled
+from bulletarm_gym.simulation import BodySpec
 from bulletarm_gym.simulation.world import FALLING
+from bulletarm_gym.surfaces.surface import Point
 from bulletarm_gym.tasks.task import Hints, Task
 
 ROUNDS = 3
@@ -42,6 +46,8 @@ SWAB_SPOT, TUBE_SPOT = (0.0, 0.07), (0.0, -0.05)
 """Where in the test area (m) the expert puts a swab and a tube."""
 GRASP_DEPTH = 0.008
 """How far (m) below their tops swabs and tubes are grasped."""
+AWAY = 0.05
+"""Height (m) of the fingertips over the test area from which the user has room."""
 OPENING = 0.04
 """Greatest distance (m) of the fingers: between two tubes there is not much room."""
 QUARTER = math.pi / 2.0
@@ -53,7 +59,7 @@ class CovidTest(Task):
 
     Description: three places side by side: a box with three new swabs, 7 x 1 x 1 cm, and three new tubes,
     8 x 1.7 x 1.7 cm, a test area and a box for used tubes. A user stands by: as soon as a swab and a tube are
-    in the test area and the gripper is empty, they become one used tube somewhere in it.
+    in the test area and the gripper is empty and 5 cm above, they become one used tube somewhere in it.
     Randomisation: the pose of the three places together, and whether they are mirrored; the yaws of the
     swabs and of the tubes, within 30 degrees; where the user leaves a tube, at any yaw. With
     ``random_orientation=False`` all lies along y.
@@ -69,8 +75,9 @@ class CovidTest(Task):
         allowed_objects=(2 * ROUNDS,),
         tray=TrayUse((False,), "the three places do not fit into the tray"),
         level_ground="the three places need 30 x 30 cm of level ground",
+        close_loop={"max_steps": 300, "workspace": WIDE},
     )
-    controls = (OPEN_LOOP,)
+    controls = (OPEN_LOOP, CLOSE_LOOP)
     site = (SIDE, SIDE)
 
     @property
@@ -79,7 +86,11 @@ class CovidTest(Task):
         return Hints(pick_offset=GRASP_DEPTH, opening=OPENING)
 
     def bodies(self, config: EnvConfig) -> list[Role]:
-        """Return the places, swabs, tubes, and the used tubes that they become."""
+        """Return the places, swabs, tubes, and the used tubes that they become.
+
+        :raises ParameterError: swabs and tubes are too large to lie beside each other in their box
+        """
+        check_gaps(config)
         makers = {"new box": new_tube_box, "test area": test_area, "used box": used_tube_box}
         places = [Role(name, (make(name),)) for name, make in makers.items()]
         kinds = {"swab": swab, "tube": tube, "used tube": used_tube}
@@ -101,8 +112,8 @@ class CovidTest(Task):
         rows = (("tube", TUBES_APART, TUBE_ROW), ("swab", SWABS_APART, SWAB_ROW))
         for kind, pitch, row in rows:
             yaw = -QUARTER + (float(rng.uniform(-SPREAD, SPREAD)) if turns else 0.0)
-            for number in range(ROUNDS):
-                self._lay(scene, f"{kind} {number}", "new box", ((number - 1) * pitch, row), yaw)
+            for number, point in enumerate(row_points(pitch, row)):
+                self._lay(scene, f"{kind} {number}", "new box", point, yaw)
 
     def _lay(self, scene: Scene, name: str, place: str, point: Sequence[float], yaw: float) -> None:
         """Lay an item on the floor of a place, at a point (m) and a yaw (rad) in its frame."""
@@ -113,7 +124,8 @@ class CovidTest(Task):
     def after_action(self, scene: Scene, rng: np.random.Generator) -> None:
         """Let the user test: a swab and a tube in the test area become a used tube."""
         swabs, tubes = (self._inside(scene, kind, "test area") for kind in ("swab", "tube"))
-        if not (len(swabs) == len(tubes) == 1 and is_empty(scene)):
+        away = scene.robot.pose.z > scene["test area"].pose.z + AWAY
+        if not (len(swabs) == len(tubes) == 1 and is_empty(scene) and away):
             return
         swabs[0].park()
         tubes[0].park()
@@ -156,7 +168,7 @@ class CovidTest(Task):
         turn = wrap_angle(place.yaw + along - held.pose.yaw, math.pi)
         point = place.transform((*spot, FLOOR))
         top = max((scene.world.top(item.body) for item in self._inside(scene, kind, name)), default=point[2])
-        yield from place_item(scene, held, point, top + RELEASE, turn)
+        yield Waypoint(place_pose(scene, held, point, top + RELEASE, turn), CLOSED, finish=OPEN)
 
     def _next(self, scene: Scene) -> Item:
         """Return what to grasp: a used tube, else a swab, else a tube that is not where it belongs."""
@@ -172,7 +184,7 @@ class CovidTest(Task):
     def _pick(self, scene: Scene, item: Item) -> Waypoint:
         """Return the pick of an item across its length."""
         x, y, _ = item.pose.position
-        depth = max(scene.world.top(item.body) - GRASP_DEPTH, item.lowest + RELEASE)
+        depth = max(float(item.bounds[1, 2]) - GRASP_DEPTH, item.lowest + RELEASE)
         return Waypoint(Pose.planar(x, y, depth, item.pose.yaw + QUARTER), OPEN, finish=CLOSED)
 
     def _items(self, scene: Scene, kind: str) -> list[Item]:
@@ -180,10 +192,30 @@ class CovidTest(Task):
 
     def _inside(self, scene: Scene, kind: str, place: str) -> list[Item]:
         """Return the items of a kind that lie in a place, seen from above, the held one aside."""
-        frame, (length, width, _) = scene[place].pose.inverse(), PLACES[place]
+        items = (item for item in self._items(scene, kind) if item is not scene.held)
+        return [item for item in items if inside(item, scene[place])]
 
-        def is_inside(item: Item) -> bool:
-            x, y, _ = frame.transform(item.pose.position)
-            return abs(x) < length / 2.0 and abs(y) < width / 2.0
 
-        return [item for item in self._items(scene, kind) if item is not scene.held and is_inside(item)]
+def row_points(pitch: float, row: float) -> list[Point]:
+    """Return where (m) the items of a kind lie in the box of new ones, in its frame."""
+    return [((number - (ROUNDS - 1) / 2.0) * pitch, row) for number in range(ROUNDS)]
+
+
+def check_gaps(config: EnvConfig) -> None:
+    """Check that no swab touches a tube in the box, and none its neighbour, however both are turned.
+
+    :raises ParameterError: they are too large
+    """
+    scale, spread = max(config.scales), SPREAD if config.random_orientation else 0.0
+    yaws = [-QUARTER + share * spread for share in (-1.0, 0.0, 1.0)]
+
+    def rows(body: BodySpec, points: Sequence[Point]) -> list[list[Footprint]]:
+        vertices = body.mesh.vertices
+        return [[Footprint.of(vertices, Pose.planar(*point, 0.0, yaw)) for point in points] for yaw in yaws]
+
+    swabs = rows(swab("swab", scale), row_points(SWABS_APART, SWAB_ROW))
+    tubes = rows(tube("tube", scale), row_points(TUBES_APART, TUBE_ROW))
+    for some, others in itertools.product(swabs, tubes):
+        if any(first.gap(second) <= 0.0 for first, second in itertools.combinations([*some, *others], 2)):
+            takes = "smaller ones: in their box swabs and tubes would overlap"
+            raise ParameterError.of("object_scale_range", config.object_scale_range, takes)

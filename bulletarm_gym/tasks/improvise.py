@@ -21,7 +21,9 @@ class ImproviseHouseBuilding2(Structure):
     All else is as in :class:`~bulletarm_gym.tasks.structure.Structure`.
     """
 
-    defaults = TaskDefaults(num_objects=3, max_steps=10, object_scale=SCALE, allowed_objects=(3,))
+    defaults = TaskDefaults(
+        num_objects=3, max_steps=10, object_scale=SCALE, allowed_objects=(3,), close_loop={"max_steps": 100}
+    )
     kinds = {"roof": roof}  # noqa: RUF012
     layers: Sequence[Sequence[str]] = (("block", "block"), ("roof",))
     upright = ("roof",)
@@ -43,7 +45,9 @@ class ImproviseHouseBuilding3(ImproviseHouseBuilding2):
     All else is as in :class:`ImproviseHouseBuilding2`.
     """
 
-    defaults = TaskDefaults(num_objects=4, max_steps=10, object_scale=SCALE, allowed_objects=(4,))
+    defaults = TaskDefaults(
+        num_objects=4, max_steps=10, object_scale=SCALE, allowed_objects=(4,), close_loop={"max_steps": 100}
+    )
     layers = (("block", "block"), ("brick",), ("roof",))
 
     def block(self, config: EnvConfig, kind: str, name: str) -> Role:

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from bulletarm_gym.config import OPEN_LOOP, EnvConfig, TaskDefaults, TrayUse
+from bulletarm_gym.config import CLOSE_LOOP, OPEN_LOOP, WIDE, EnvConfig, TaskDefaults, TrayUse
 from bulletarm_gym.experts.approach import RELEASE
 from bulletarm_gym.experts.pick_place import lying_frame, pick
 from bulletarm_gym.experts.waypoints import CLOSED, OPEN, Waypoint
@@ -14,7 +14,7 @@ from bulletarm_gym.footprint import Footprint
 from bulletarm_gym.geometry import FloatArray, Pose, matrix
 from bulletarm_gym.objects.packing import BIN, BIN_WALL, SHAPES, packing_bin, packing_block
 from bulletarm_gym.placement import footprint, lay_apart
-from bulletarm_gym.relations import at_rest, is_empty, is_top
+from bulletarm_gym.relations import at_rest, inside, is_empty, is_top
 from bulletarm_gym.scene import Item, Role, Scene, shaped
 from bulletarm_gym.tasks.task import Hints, Task
 
@@ -59,8 +59,9 @@ class BinPacking(Task):
         object_scale=0.8,
         allowed_objects=tuple(range(1, MOST_BLOCKS + 1)),
         tray=TrayUse((False,), "the bin and its blocks do not fit into the tray"),
+        close_loop={"max_steps": 200, "workspace": WIDE},
     )
-    controls = (OPEN_LOOP,)
+    controls = (OPEN_LOOP, CLOSE_LOOP)
     site = (BIN[1], BIN[0])
 
     @property
@@ -115,9 +116,8 @@ class BinPacking(Task):
         return [item for item in scene if item is not scene["bin"]]
 
     def _is_in_bin(self, scene: Scene, item: Item) -> bool:
-        x, y, z = scene["bin"].pose.inverse().transform(item.pose.position)
-        inside = abs(x) < BIN[0] / 2.0 and abs(y) < BIN[1] / 2.0
-        return inside and z < BIN[2] and item is not scene.held
+        rise = item.pose.z - scene["bin"].pose.z
+        return inside(item, scene["bin"]) and rise < BIN[2] and item is not scene.held
 
 
 def _volume(item: Item) -> float:

@@ -2,18 +2,17 @@
 
 import math
 from collections.abc import Iterator
-from contextlib import suppress
 
 import numpy as np
 
-from bulletarm_gym.config import OPEN_LOOP, EnvConfig, TaskDefaults, TrayUse
+from bulletarm_gym.config import CLOSE_LOOP, OPEN_LOOP, WIDE, EnvConfig, TaskDefaults, TrayUse
 from bulletarm_gym.experts.pick_place import lying_frame, pick, put
 from bulletarm_gym.experts.waypoints import Waypoint
 from bulletarm_gym.footprint import Footprint, PlacementError
 from bulletarm_gym.geometry import Pose, wrap_angle
 from bulletarm_gym.objects.palletizing import BOX, PALLET, pallet, palletizing_box
-from bulletarm_gym.placement import draw_until, footprint, free_pose, set_down
-from bulletarm_gym.relations import UPRIGHT, at_rest, is_empty, is_top
+from bulletarm_gym.placement import draw_until, footprint, free_pose, roomiest, set_down
+from bulletarm_gym.relations import UPRIGHT, at_rest, inside, is_empty, is_top
 from bulletarm_gym.scene import Item, Role, Scene, scaled
 from bulletarm_gym.tasks.task import Hints, Task
 
@@ -35,6 +34,8 @@ ASIDE = 0.03
 """Gap (m) kept around a box that is put aside."""
 ATTEMPTS = 4000
 """Places tried for a new box: where the hand has room is a small part of the workspace."""
+NO_ROOM = "no room"
+"""What is remembered when the next box found none."""
 
 
 class BoxPalletizing(Task):
@@ -48,6 +49,7 @@ class BoxPalletizing(Task):
     Success: all N stand in right places: six each in the first, second and third layer, from the bottom up,
     upright, their yaws within 22.5 degrees of their layer's: along the pallet's long side in the first and
     third, across it in the second. The gripper is empty and nothing moves.
+    Validity: there is room for the next box when it is due.
     Expert: grasp the box, put it in the next free place of the lowest layer that is not full.
     """
 
@@ -57,8 +59,9 @@ class BoxPalletizing(Task):
         object_scale=0.8,
         allowed_objects=(LAYER, 2 * LAYER, 3 * LAYER),
         tray=TrayUse((False,), "the pallet and a box beside it do not fit into the tray"),
+        close_loop={"max_steps": 400, "workspace": WIDE},
     )
-    controls = (OPEN_LOOP,)
+    controls = (OPEN_LOOP, CLOSE_LOOP)
     site = (PALLET[1], PALLET[0])
 
     @property
@@ -85,14 +88,21 @@ class BoxPalletizing(Task):
         self._appear(scene, rng)
 
     def after_action(self, scene: Scene, rng: np.random.Generator) -> None:
-        """Have the next box appear when all others stand in their places; if there is no room, later."""
+        """Have the next box appear when all others stand in their places; no room for it ends the episode."""
         boxes = self._boxes(scene)
         done = len(boxes) < self.config.num_objects and len(self._right(scene)) == len(boxes)
         if done and is_empty(scene) and at_rest(scene):
-            with suppress(PlacementError):
+            try:
                 self._appear(scene, rng)
-                scene.begin()
-                scene.settle()
+            except PlacementError:
+                self.memory = NO_ROOM
+                return
+            scene.begin()
+            scene.settle()
+
+    def is_valid(self, scene: Scene) -> bool:
+        """Whether all is inside the workspace and the next box, when it was due, found room."""
+        return super().is_valid(scene) and self.memory != NO_ROOM
 
     def _appear(self, scene: Scene, rng: np.random.Generator) -> None:
         """Put the next box on the ground, where the hand over it has room beside the pallet.
@@ -133,9 +143,16 @@ class BoxPalletizing(Task):
             return
         free = self._free(scene, held)
         if not free:
-            aside = free_pose(scene, rng, held, ASIDE)
-            free = [scene.surface.pose((aside.x, aside.y), aside.yaw)]
+            free = [self._aside(scene, rng, held)]
         yield put(scene, held, free[:1])
+
+    def _aside(self, scene: Scene, rng: np.random.Generator, held: Item) -> Pose:
+        """Return the frame of a free place on the ground, or of the freest."""
+        try:
+            aside = free_pose(scene, rng, held, ASIDE)
+        except PlacementError:
+            return scene.surface.pose(roomiest(scene, held), 0.0)
+        return scene.surface.pose((aside.x, aside.y), aside.yaw)
 
     def _next(self, scene: Scene) -> Item:
         """Return a box that is not in its place, or the highest if all are."""
@@ -168,9 +185,8 @@ class BoxPalletizing(Task):
         level = (frame.z - PALLET[2]) / (BOX[2] * max(self.config.scales)) - 0.5
         layer = round(level)
         stands = layer >= 0 and abs(level - layer) < LEVEL and frame.tilt < UPRIGHT
-        over = abs(frame.x) < PALLET[0] / 2.0 and abs(frame.y) < PALLET[1] / 2.0
         turned = abs(wrap_angle(frame.yaw - layer_yaw(layer), math.pi))
-        return layer if stands and over and turned < YAW_TOLERANCE else None
+        return layer if stands and inside(box, scene["pallet"]) and turned < YAW_TOLERANCE else None
 
     def _free(self, scene: Scene, held: Item) -> list[Pose]:
         """Return the free places of the lowest layer that is not full, in the world, at its ground."""

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from bulletarm_gym.config import CLOSE_LOOP, EnvConfig, TaskDefaults
-from bulletarm_gym.experts.approach import STEP, grasp
+from bulletarm_gym.experts.approach import STEP, grasp, side_symmetry, side_yaw
 from bulletarm_gym.experts.waypoints import CLOSED, Waypoint
 from bulletarm_gym.geometry import Pose
 from bulletarm_gym.objects import cube
@@ -54,5 +54,8 @@ class BlockPicking(Task):
         """Grasp, then lift."""
         item, hand = scene["cube"], scene.robot.pose
         if not is_held(scene, item):
-            yield from grasp(scene, item.pose, scene.world.top(item.body), math.pi / 2.0)
+            symmetry = side_symmetry(item.pose)
+            yaw = item.pose.yaw if symmetry < math.pi else side_yaw(item.pose)
+            target = Pose.planar(*item.pose.position, yaw)
+            yield from grasp(scene, target, scene.world.top(item.body), symmetry)
         yield Waypoint(Pose.planar(hand.x, hand.y, max(hand.z, LIFTED) + STEP, hand.yaw), CLOSED)

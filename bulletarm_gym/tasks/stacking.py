@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterator
+from typing import ClassVar
 
 import numpy as np
 
@@ -12,72 +13,96 @@ from bulletarm_gym.experts.waypoints import Waypoint
 from bulletarm_gym.objects import cube
 from bulletarm_gym.objects.blocks import CUBE_SIZE
 from bulletarm_gym.placement import scatter, stand
-from bulletarm_gym.relations import at_rest, is_empty, stacked
-from bulletarm_gym.scene import Item, Role, Scene, scaled
+from bulletarm_gym.relations import at_rest, is_empty, is_top, stacked, upright
+from bulletarm_gym.scene import Item, Scene
 from bulletarm_gym.tasks.reaching import BORDER
 from bulletarm_gym.tasks.structure import SCALE, Structure
 from bulletarm_gym.tasks.task import Task
 
 GAP = 2.4
 """Least distance of the blocks' centres, in largest block sides, as in the original BulletArm release."""
-YAW_SPREAD = math.pi / 4.0
 LEAST_BLOCKS = 2
 
 
-class BlockStacking(Task):
-    """Stack all cubes.
+class Stack(Structure):
+    """A structure one block wide: cubes, and maybe a crown.
 
-    Description: two (up to four) 5 cm cubes stand on the floor.
-    Randomisation: the cubes' positions in the workspace, at least 2.4 sides apart, their yaws in +-45
-    degrees.
-    Success: the cubes form one stack; the gripper is empty and nothing moves.
-    Expert: grasp a cube, up, over the tallest stack there is, down, open; and so on.
+    In open loop all is as in :class:`~bulletarm_gym.tasks.structure.Structure`. In close loop, as in the
+    original BulletArm release:
+
+    Randomisation: the blocks' positions in the workspace, at least 2.4 sides apart, their yaws.
+    Success: the blocks form one stack, the crown, if there is one, on top and upright; the gripper is empty
+    and nothing moves.
+    Expert: grasp a block, the crown last, up, over the tallest stack there is, down, open; and so on.
     """
 
-    defaults = TaskDefaults(num_objects=2, allowed_objects=(2, 3, 4))
-    controls = (CLOSE_LOOP,)
-
-    def bodies(self, config: EnvConfig) -> list[Role]:
-        """Return the cubes.
-
-        :raises ParameterError: the stack is too high for the workspace
-        """
-        check_height(config)
-        return [scaled(config, f"cube {number}", cube) for number in range(config.num_objects)]
-
-    def arrange(self, scene: Scene, rng: np.random.Generator) -> None:
-        """Put the cubes apart."""
-        scatter_blocks(scene, rng, scene.items, YAW_SPREAD)
-
-    def evaluate(self, scene: Scene) -> dict[str, bool]:
-        """Look whether the cubes are stacked, and whether all is done."""
-        facts = {
-            "is_stacked": stacked(scene, scene),
-            "is_empty": is_empty(scene),
-            "is_at_rest": at_rest(scene),
-        }
-        return {"success": all(facts.values()), **facts}
-
-    def plan(self, scene: Scene, rng: np.random.Generator) -> Iterator[Waypoint]:
-        """Put one cube after the other on the tallest stack."""
-        yield from Tower(scene, scene.items).plan()
-
-
-class OpenLoopBlockStacking(Structure):
-    """Stack all cubes, by pick and place.
-
-    Description: four (two to six) 3 cm cubes lie on the ground.
-    Success: the cubes form one stack.
-    All else is as in :class:`~bulletarm_gym.tasks.structure.Structure`.
-    """
-
-    defaults = TaskDefaults(num_objects=4, max_steps=10, object_scale=SCALE, allowed_objects=(2, 3, 4, 5, 6))
-    kinds = {"cube": cube}  # noqa: RUF012
+    spread: ClassVar[float]
+    """Greatest yaw (rad) of a block either way at the start, in close loop."""
+    crown: ClassVar[str | None] = None
+    """Kind of the uppermost block, if it is another."""
 
     def __init__(self, config: EnvConfig) -> None:
         check_height(config)
-        self.layers = [("cube",)] * config.num_objects
+        cubes = config.num_objects - (self.crown is not None)
+        self.layers = [("cube",)] * cubes + ([] if self.crown is None else [(self.crown,)])
         super().__init__(config)
+
+    @property
+    def _is_close_loop(self) -> bool:
+        return self.config.control == CLOSE_LOOP
+
+    def arrange(self, scene: Scene, rng: np.random.Generator) -> None:
+        """Put the blocks apart."""
+        if self._is_close_loop:
+            scatter_blocks(scene, rng, scene.items, self.spread)
+        else:
+            super().arrange(scene, rng)
+
+    def evaluate(self, scene: Scene) -> dict[str, bool]:
+        """Look whether the blocks are stacked in their order, and whether all is done."""
+        if not self._is_close_loop:
+            return super().evaluate(scene)
+        facts = {"is_stacked": stacked(scene, scene)}
+        if (crown := self._crown(scene)) is not None:
+            facts["is_roof_upright"] = upright(crown)
+            facts["is_roof_on_top"] = is_top(crown, scene.items)
+        facts |= {"is_empty": is_empty(scene), "is_at_rest": at_rest(scene)}
+        return {"success": all(facts.values()), **facts}
+
+    def is_valid(self, scene: Scene) -> bool:
+        """Whether all is inside the workspace and, in open loop, nothing has fallen over."""
+        return Task.is_valid(self, scene) if self._is_close_loop else super().is_valid(scene)
+
+    def plan(self, scene: Scene, rng: np.random.Generator) -> Iterator[Waypoint]:
+        """Put one cube after the other on the tallest stack, then the crown."""
+        if self._is_close_loop:
+            crown = self._crown(scene)
+            yield from Tower(scene, [item for item in scene if item is not crown], crown).plan()
+        else:
+            yield from super().plan(scene, rng)
+
+    def _crown(self, scene: Scene) -> Item | None:
+        return None if self.crown is None else self.blocks(scene)[self.crown][0]
+
+
+class BlockStacking(Stack):
+    """Stack all cubes.
+
+    Description: four (two to six) 3 cm cubes lie on the ground; in the paper's close-loop task two of 5 cm.
+    Randomisation: in close loop yaws are within 45 degrees either way.
+    Success: the cubes form one stack.
+    All else is as in :class:`Stack`.
+    """
+
+    defaults = TaskDefaults(
+        num_objects=4,
+        max_steps=10,
+        object_scale=SCALE,
+        allowed_objects=(2, 3, 4, 5, 6),
+        close_loop={"max_steps": 100},
+    )
+    kinds = {"cube": cube}  # noqa: RUF012
+    spread = math.pi / 4.0
 
 
 def scatter_blocks(scene: Scene, rng: np.random.Generator, items: list[Item], spread: float) -> None:

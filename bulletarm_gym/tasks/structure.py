@@ -6,7 +6,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from bulletarm_gym.config import OPEN_LOOP, EnvConfig
+from bulletarm_gym.config import CLOSE_LOOP, OPEN_LOOP, EnvConfig
 from bulletarm_gym.experts.blueprint import Blocks, Blueprint
 from bulletarm_gym.experts.structures import ASTRAY, Builder
 from bulletarm_gym.experts.waypoints import Waypoint
@@ -38,7 +38,7 @@ class Structure(Task):
     :param config: the environment's parameters
     """
 
-    controls = (OPEN_LOOP,)
+    controls = (OPEN_LOOP, CLOSE_LOOP)
     kinds: ClassVar[Mapping[str, Callable[[str, float], BodySpec]]]
     """How each kind of block is made, from a name and a scale."""
     upright: ClassVar[Sequence[str]] = ()

@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from bulletarm_gym.config import EnvConfig, TaskDefaults
+from bulletarm_gym.config import OPEN_LOOP, EnvConfig, TaskDefaults
 from bulletarm_gym.experts.waypoints import Waypoint
 from bulletarm_gym.geometry import Vector
 from bulletarm_gym.objects.blocks import CUBE_SIZE
@@ -19,7 +19,7 @@ from bulletarm_gym.surfaces.surface import SITE, Point
 
 @dataclass(frozen=True)
 class Hints:
-    """What open-loop control must know of a task (paper, Open-loop Environments).
+    """What control must know of a task's picks and places (paper, Open-loop Environments).
 
     :param pick_offset: how deep (m) below the highest point around the target the fingertips close, where the
         action does not say at which height
@@ -68,6 +68,11 @@ class Task(ABC):
     def height(self) -> float:
         """Height (m) above which the workspace must reach for the task to be solved: of a largest cube."""
         return CUBE_SIZE * max(self.config.scales)
+
+    @property
+    def plans_moves(self) -> bool:
+        """Whether its plan says only where to pick and to place, and close loop has to find the way."""
+        return OPEN_LOOP in self.controls
 
     @abstractmethod
     def bodies(self, config: EnvConfig) -> list[Role]:

@@ -28,6 +28,12 @@ def env_id(request: pytest.FixtureRequest) -> str:
     return str(request.param)
 
 
+@pytest.fixture(scope="session", params=bulletarm_gym.PAPER_IDS, ids=lambda env_id: env_id.split("/")[1])
+def paper_id(request: pytest.FixtureRequest) -> str:
+    """Every id of the paper, for what takes long and depends on the task, not on how it is composed."""
+    return str(request.param)
+
+
 @pytest.fixture(scope="session", params=rollouts.TYPICAL, ids=lambda env_id: env_id.split("/")[1])
 def typical_id(request: pytest.FixtureRequest) -> str:
     """An id of each kind, for what depends on the environment class and not on the task."""

@@ -53,7 +53,7 @@ def is_open_loop(env_id: str) -> bool:
 
 def is_sloping(env_id: str) -> bool:
     """Whether things lie on ramps or bumps."""
-    return "/OpenLoopRamp" in env_id or "/OpenLoopBump" in env_id
+    return "LoopRamp" in env_id or "LoopBump" in env_id
 
 
 def idle(env: ManipulationEnv) -> np.ndarray:

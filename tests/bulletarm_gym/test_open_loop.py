@@ -19,7 +19,7 @@ from bulletarm_gym.sensors.in_hand import Map, crop, projections
 
 Make = Callable[..., ManipulationEnv]
 
-TASK = "bulletarm_gym.tasks.stacking:OpenLoopBlockStacking"
+TASK = "bulletarm_gym.tasks.stacking:BlockStacking"
 STACKING = "BulletArm/OpenLoopBlockStacking-v0"
 HOUSE = "BulletArm/OpenLoopHouseBuilding1-v0"
 CUBE = 0.03

@@ -9,7 +9,7 @@ import pytest
 
 from bulletarm_gym.env import ManipulationEnv
 from bulletarm_gym.experts.waypoints import CLOSED, OPEN, Waypoint
-from bulletarm_gym.footprint import Footprint
+from bulletarm_gym.footprint import Footprint, PlacementError
 from bulletarm_gym.geometry import Pose
 from bulletarm_gym.objects.palletizing import PALLET
 from bulletarm_gym.placement import footprint
@@ -131,6 +131,26 @@ def test_boxes_appear_inside_and_apart(make: Make, env_id: str, layer: int) -> N
             if parameters and env_id == FLAT:
                 turn = box.pose.yaw - env.scene["pallet"].pose.yaw - layer_yaw(layer)
                 assert math.sin(turn) == pytest.approx(0.0, abs=1e-6)
+
+
+def test_the_episode_ends_where_the_next_box_finds_no_room(
+    make: Make, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    env = make(FLAT)
+    env.reset(seed=0)
+    stack(env, 1)
+
+    def full(*_: Any) -> None:
+        raise PlacementError("workspace: found no room")
+
+    monkeypatch.setattr("bulletarm_gym.tasks.palletizing.draw_until", full)
+    _, reward, terminated, truncated, info = env.step(np.ones(env.action_space.shape, np.float32))
+    assert (reward, terminated, truncated, info["is_valid"]) == (0.0, True, False, False)
+    monkeypatch.undo()
+    state = env.get_state()
+    assert env.reset(seed=0)[1]["is_valid"]
+    env.set_state(state)
+    assert not env.task.is_valid(env.scene)
 
 
 @pytest.mark.parametrize("env_id", [FLAT, BUMP])

@@ -7,7 +7,7 @@ import pytest
 
 from bulletarm_gym.env import ManipulationEnv
 from bulletarm_gym.geometry import Pose
-from bulletarm_gym.relations import at_rest, is_top, on_ground, on_top, stacked, touching, upright
+from bulletarm_gym.relations import at_rest, inside, is_top, on_ground, on_top, stacked, touching, upright
 from bulletarm_gym.scene import Item, Scene
 
 Make = Callable[..., ManipulationEnv]
@@ -90,6 +90,15 @@ def test_on_ground(scene: Scene) -> None:
 def test_is_top(scene: Scene) -> None:
     low, high, aside = lay(scene, (0.45, 0.0, 0.025), (0.45, 0.0, 0.075), (0.55, 0.1, 0.075))
     assert is_top(high, scene.items) and is_top(aside, scene.items) and not is_top(low, scene.items)
+
+
+def test_inside_seen_from_above(make: Make) -> None:
+    env = make("BulletArm/OpenLoopBinPacking-v0")
+    env.reset(seed=0)
+    container, item = env.scene["bin"], env.scene["block 0"]
+    for x, y, expected in ((0.087, 0.071, True), (0.089, 0.0, False), (0.0, -0.073, False)):
+        item.place(container.pose.compose(Pose((x, y, 0.3))))
+        assert inside(item, container) is expected
 
 
 def test_what_falls_is_not_at_rest(scene: Scene) -> None:

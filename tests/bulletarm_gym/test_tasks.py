@@ -222,7 +222,7 @@ def test_roof_below_does_not_count(make: Make) -> None:
     env = make(task_id("HouseBuilding"))
     env.reset(seed=0)
     env.scene["triangle"].place(Pose.planar(0.45, 0.0, 0.025))
-    env.scene["cube 0"].place(Pose.planar(0.45, 0.0, 0.0755))
+    env.scene["cube"].place(Pose.planar(0.45, 0.0, 0.0755))
     info = env._evaluate(ignored=False)
     assert info["is_stacked"] and not info["is_roof_on_top"] and not info["is_success"]
 
@@ -230,7 +230,7 @@ def test_roof_below_does_not_count(make: Make) -> None:
 def test_house_upside_right_counts(make: Make) -> None:
     env = make(task_id("HouseBuilding"))
     env.reset(seed=0)
-    env.scene["cube 0"].place(Pose.planar(0.45, 0.0, 0.025))
+    env.scene["cube"].place(Pose.planar(0.45, 0.0, 0.025))
     env.scene["triangle"].place(Pose.planar(0.45, 0.0, 0.0755))
     assert env._evaluate(ignored=False)["is_success"]
 
