@@ -2,7 +2,7 @@
 
 import zlib
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 from typing import Any
 
@@ -11,15 +11,23 @@ import numpy as np
 from gymnasium.envs.registration import EnvSpec
 from numpy.typing import ArrayLike, NDArray
 
-from bulletarm_gym.config import CLOSE_LOOP, EnvConfig, ParameterError
+from bulletarm_gym.config import CLOSE_LOOP, EnvConfig
 from bulletarm_gym.control import Control, find_control
 from bulletarm_gym.extensions import OBJECTS, by_path, load
-from bulletarm_gym.feasibility import check_heights, check_room, check_spans, checked_options, finite_reward
+from bulletarm_gym.feasibility import (
+    check_heights,
+    check_room,
+    check_spans,
+    checked_options,
+    finite_reward,
+    reward_function,
+)
 from bulletarm_gym.footprint import PlacementError
-from bulletarm_gym.robots import ROBOTS, RobotModel, RobotState, find_robot
+from bulletarm_gym.robots import ROBOTS, RobotModel, find_robot
 from bulletarm_gym.scene import Scene
 from bulletarm_gym.sensors import Observer, View
-from bulletarm_gym.simulation import Camera, WorldState, has_display
+from bulletarm_gym.simulation import Camera, has_display
+from bulletarm_gym.state import EnvState
 from bulletarm_gym.stopwatch import Stopwatch
 from bulletarm_gym.surfaces import find_surface, make_surface
 from bulletarm_gym.tasks import Task
@@ -27,7 +35,6 @@ from bulletarm_gym.viewer import Viewer
 
 Observation = dict[str, NDArray[Any]]
 Action = NDArray[np.float32]
-Reward = Callable[[Scene, Mapping[str, bool]], float]
 
 SCENE_PARAMETERS = ("workspace", "object_scale_range", "num_objects", "close_loop_tray")
 """What the bodies of a scene, and where they can be, follow from."""
@@ -37,26 +44,6 @@ MOVE_STEPS = 10
 """Close-loop steps for which a plan of picks and places draws the same, so that it stays what it is."""
 ARRANGEMENT, AFTER_ACTION, PLAN = range(3)
 """Streams of an episode's randomness: what one of them draws does not move the others."""
-
-
-@dataclass(frozen=True)
-class EnvState:
-    """Everything an environment needs to go on from a moment; picklable.
-
-    :param sensors: what they remember, by name
-    :param generator: state of the generator that later episodes are seeded from
-    :param made_of: what decides whether an environment can take it: task, arm, sizes; None in old files
-    """
-
-    world: WorldState
-    robot: RobotState
-    cast: tuple[int, ...]
-    sensors: Any
-    memory: Any
-    steps: int
-    episode_seed: int
-    generator: dict[str, Any]
-    made_of: dict[str, Any] | None = None
 
 
 class ManipulationEnv(gymnasium.Env[Observation, Action]):
@@ -124,7 +111,7 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         # A generator takes as long to make as an image: most tasks need none after an action.
         self._acts_after = task_type.after_action is not Task.after_action
         check_heights(self.config, self.task)
-        self._reward = self.objects.get("reward") or _function(self.config.reward) or self.task.reward
+        self._reward = self.objects.get("reward") or reward_function(self.config.reward) or self.task.reward
         self.scene = Scene(
             self.config,
             robots.get(self.config.robot) or find_robot(self.config.robot),
@@ -407,11 +394,3 @@ def _restore(arguments: Mapping[str, Any], spec: EnvSpec | None, state: EnvState
 
 def _is_object(value: Any) -> bool:
     return callable(value) or isinstance(value, RobotModel)
-
-
-def _function(path: str | None) -> Reward | None:
-    """Import a user's reward function, if there is one."""
-    found: Reward | None = None if path is None else load(path)
-    if not (found is None or callable(found)):
-        raise ParameterError.of("reward", path, f"a function; this is a {type(found).__name__}")
-    return found

@@ -8,12 +8,15 @@ import numpy as np
 
 from bulletarm_gym.config import CLOSE_LOOP, EnvConfig, ParameterError
 from bulletarm_gym.control import Control
+from bulletarm_gym.extensions import load
 from bulletarm_gym.footprint import Footprint, PlacementError
 from bulletarm_gym.geometry import Pose
 from bulletarm_gym.objects.blocks import CUBE_SIZE
 from bulletarm_gym.scene import Scene
 from bulletarm_gym.simulation import BodySpec
 from bulletarm_gym.tasks import Task
+
+Reward = Callable[[Scene, Mapping[str, bool]], float]
 
 ROOM_PARAMETERS = ("object_scale_range", "num_objects", "workspace", "object_set", "close_loop_tray")
 """On what it depends whether there is room; the first that is not the task's own is named."""
@@ -126,6 +129,17 @@ def checked_options(options: Mapping[str, Any] | None, task: Task) -> dict[str, 
             f"options: got {options!r}, but {name} builds no structure: it has no arrange_goal()"
         )
     return options
+
+
+def reward_function(path: str | None) -> Reward | None:
+    """Import a user's reward function, if there is one.
+
+    :raises ParameterError: it is no function
+    """
+    found: Reward | None = None if path is None else load(path)
+    if not (found is None or callable(found)):
+        raise ParameterError.of("reward", path, f"a function; this is a {type(found).__name__}")
+    return found
 
 
 def finite_reward(value: Any, reward: Callable[..., Any]) -> float:

@@ -17,8 +17,9 @@ from bulletarm_gym.rendering.rasterizer import Labels
 from bulletarm_gym.rendering.z_buffer import ZBuffer
 from bulletarm_gym.robots import Robot, RobotModel
 from bulletarm_gym.simulation import Body, BodySpec, Camera, World
+from bulletarm_gym.simulation.physics import PHYSICS_MODES
 from bulletarm_gym.simulation.shapes import Colour
-from bulletarm_gym.simulation.world import PHYSICS_MODES, STILL, Twist
+from bulletarm_gym.simulation.world import STILL, Twist
 from bulletarm_gym.stopwatch import PHYSICS, RENDERING, Stopwatch
 from bulletarm_gym.surfaces import Surface
 

@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bulletarm_gym.demonstrations import plain
-from bulletarm_gym.env import EnvState
+from bulletarm_gym.state import EnvState
 
 FORMAT = 1
 """Of the file; raised when older readers could no longer read it."""

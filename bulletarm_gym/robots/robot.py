@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from bulletarm_gym.geometry import Pose, interpolate, matrix, rotate
+from bulletarm_gym.robots.fingers import couple_fingers
 from bulletarm_gym.robots.kinematics import POSITION_TOLERANCE
 from bulletarm_gym.robots.model import RobotModel
 from bulletarm_gym.robots.overlap import way_into, way_out
@@ -46,10 +47,6 @@ GRIP_ALIGNMENT = 0.7
 """Least cosine between a contact's normal and the fingers' direction for the contact to be a grip."""
 GRIP_DISTANCE = 2e-3
 """Gap (m) up to which a finger touches."""
-GEAR_FORCE = 200.0
-"""Force (N) that keeps the fingers' motions equal; well above the grip."""
-SPINNING_FRICTION = 0.1
-"""Of the pads, against turning about a contact's normal; as in the Panda's model in pybullet_data."""
 OPENING_TOLERANCE = 5e-4
 """Difference of openings (m) too small to move the fingers for, or to be a squeeze."""
 GIVING_WAY = 0.2
@@ -97,33 +94,12 @@ class Robot:
         self._arm = JointGroup(self.body, tuple(names.index(name) for name in model.joints), model.force)
         fingers = tuple(names.index(name) for name in model.gripper.joints)
         self._fingers = JointGroup(self.body, fingers, model.gripper.force)
-        self._couple_fingers()
+        couple_fingers(world, self.body, self._fingers.joints, model.gripper.friction)
         self.held: Body | None = None
         self._command = model.gripper.stroke
         # An action asks for the same few poses again and again.
         self._inverse = lru_cache(maxsize=REMEMBERED)(model.inverse)
         self._posed: tuple[tuple[float, ...], Pose] = ((), Pose((0.0, 0.0, 0.0)))
-
-    def _couple_fingers(self) -> None:
-        """Make the fingers mirror each other, as the spindle of a real gripper does, and their pads stick.
-
-        Friction alone matches velocities only: on a curved path what is held falls behind by some hundredths
-        of a millimetre a step. Friction anchors bring the points of contact back together, and spinning
-        friction keeps what is held from pivoting about the line between the pads.
-        """
-        client, (left, right) = self._world.client, self._fingers.joints
-        for joint in (left, right):
-            client.changeDynamics(
-                self.body.id,
-                joint,
-                lateralFriction=self.model.gripper.friction,
-                spinningFriction=SPINNING_FRICTION,
-                frictionAnchor=1,
-            )
-        gear = client.createConstraint(
-            self.body.id, left, self.body.id, right, client.JOINT_GEAR, (1, 0, 0), (0, 0, 0), (0, 0, 0)
-        )
-        client.changeConstraint(gear, gearRatio=-1, erp=0.2, maxForce=GEAR_FORCE)
 
     # State
 

@@ -15,6 +15,7 @@ from typing import Any
 from bulletarm_gym.geometry import Pose, Vector
 from bulletarm_gym.simulation.client import Client
 from bulletarm_gym.simulation.loading import load_jointed, load_plane, load_rigid
+from bulletarm_gym.simulation.physics import Physics, surface_speed
 from bulletarm_gym.simulation.shapes import ORIGIN, BodySpec
 
 TIME_STEP = 1.0 / 240.0
@@ -25,8 +26,6 @@ RESIDUAL_THRESHOLD = 1e-5
 """Squared change of the impulses at which the solver stops before its last iteration."""
 REST_SPEED = 0.01
 """A body slower than this (m/s at its rim) rests: in one step gravity alone adds four times as much."""
-REST_RIM = 0.05
-"""Lever (m) at which a body's turning counts as speed."""
 SPARE = 0.01
 """Gap (m) between two spheres that is enough for what they hold to be apart: the engine adds margins."""
 PARKING_HEIGHT = 10.0
@@ -40,24 +39,6 @@ Twist = tuple[Vector, Vector]
 STILL: Twist = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 FALLING: Twist = ((0.0, 0.0, -0.02), (0.0, 0.0, 0.0))
 """Of a body that is let go: faster than what counts as rest."""
-
-
-@dataclass(frozen=True)
-class Physics:
-    """How exactly contacts are solved.
-
-    :param solver_iterations: of Bullet's constraint solver, each step
-    :param damping: linear and angular damping of free bodies
-    :param pace: how many times longer than the quickest an arm's motion takes
-    """
-
-    solver_iterations: int
-    damping: float
-    pace: float
-
-
-PHYSICS_MODES = {"fast": Physics(50, 0.0, 1.0), "slow": Physics(200, 0.04, 2.0)}
-"""The paper's two physics modes; iterations and damping as in the original BulletArm release."""
 
 
 @dataclass(frozen=True)
@@ -95,7 +76,7 @@ class WorldState:
 class World:
     """Bodies under gravity.
 
-    :param physics: one of :data:`PHYSICS_MODES`
+    :param physics: one of :data:`~bulletarm_gym.simulation.physics.PHYSICS_MODES`
     :param gui: show PyBullet's window
     """
 
@@ -316,7 +297,7 @@ class World:
         pose, principal = Pose(position, orientation), body.spec.mass_properties[0]
         self.poses[body.index] = pose if principal is ORIGIN else pose.compose(principal.inverse())
         linear, angular = self.client.getBaseVelocity(body.id)
-        at_rest = _speed(linear, angular) < REST_SPEED
+        at_rest = surface_speed(linear, angular) < REST_SPEED
         self.twists[body.index] = STILL if at_rest else (linear, angular)
 
     def _read_joints(self, body: Body) -> None:
@@ -365,7 +346,7 @@ class World:
         states = self.client.getJointStates(body.id, body.joints) if body.joints else ()
         if any(abs(state[1]) >= REST_SPEED for state in states):
             return True
-        return body.spec.mass > 0.0 and _speed(*self.client.getBaseVelocity(body.id)) >= REST_SPEED
+        return body.spec.mass > 0.0 and surface_speed(*self.client.getBaseVelocity(body.id)) >= REST_SPEED
 
     # Queries
 
@@ -416,7 +397,3 @@ class World:
 
 def _parking_place(index: int) -> Pose:
     return Pose((PARKING_PITCH * index, 0.0, PARKING_HEIGHT))
-
-
-def _speed(linear: Vector, angular: Vector) -> float:
-    return math.hypot(*linear) + REST_RIM * math.hypot(*angular)

@@ -15,7 +15,8 @@ import gymnasium
 import numpy as np
 
 import bulletarm_gym
-from bulletarm_gym.env import EnvState, ManipulationEnv
+from bulletarm_gym.env import ManipulationEnv
+from bulletarm_gym.state import EnvState
 
 EXPERT_SHARE = 0.7
 """Share of expert actions among random ones: enough for grasps, pushes and successes to happen."""

@@ -22,10 +22,11 @@ from rollouts import advance, digest, idle, is_open_loop, make_env, mixed_action
 
 import bulletarm_gym
 from bulletarm_gym.control import DeltaMove
-from bulletarm_gym.env import EnvState, ManipulationEnv
+from bulletarm_gym.env import ManipulationEnv
 from bulletarm_gym.geometry import Pose
 from bulletarm_gym.robots import KUKA, RobotModel
 from bulletarm_gym.scene import Scene
+from bulletarm_gym.state import EnvState
 
 Make = Callable[..., ManipulationEnv]
 

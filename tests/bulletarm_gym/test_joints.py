@@ -16,7 +16,7 @@ from bulletarm_gym.env import ManipulationEnv
 from bulletarm_gym.geometry import Pose, euler_pose, rpy
 from bulletarm_gym.objects.solids import block
 from bulletarm_gym.simulation import Body, BodySpec, Box, Hinge, Piece, Slide, World
-from bulletarm_gym.simulation.world import PHYSICS_MODES
+from bulletarm_gym.simulation.physics import PHYSICS_MODES
 from bulletarm_gym.surfaces.flat import FLOOR
 
 ROOT = Path(__file__).resolve().parents[2]

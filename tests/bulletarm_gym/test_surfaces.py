@@ -16,7 +16,7 @@ from bulletarm_gym.geometry import Pose, rotate
 from bulletarm_gym.placement import footprint, free_site, lay_apart
 from bulletarm_gym.relations import on_ground, on_site
 from bulletarm_gym.simulation import World
-from bulletarm_gym.simulation.world import PHYSICS_MODES
+from bulletarm_gym.simulation.physics import PHYSICS_MODES
 from bulletarm_gym.surfaces import BumpSurface, RampSurface, make_surface
 
 ENV_ID = "BulletArm/CloseLoopBlockStacking-v0"
