@@ -20,5 +20,5 @@ def own_registrations() -> Iterator[None]:
     """Take the environments of a test's own modules (``my_...``) from Gymnasium's registry again."""
     yield
     for env_id, spec in list(gymnasium.registry.items()):
-        if str(spec.kwargs.get("task", "")).startswith("my_"):
+        if any(str(spec.kwargs.get(part, "")).startswith("my_") for part in ("task", "control", "surface")):
             del gymnasium.registry[env_id]

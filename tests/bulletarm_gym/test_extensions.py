@@ -215,8 +215,8 @@ def test_what_is_no_control_is_refused() -> None:
     ):
         with pytest.raises(ValueError, match=reason):
             make_env(PICKING, control=wrong)
-    with pytest.raises(ValueError, match=f"^control: got '{path}', HouseBuilding2 takes one of"):
-        make_env("BulletArm/OpenLoopHouseBuilding2-v0", control=path)
+    with pytest.raises(ValueError, match=f"^control: got '{path}', OpenLoopObjectGrasping takes one of"):
+        make_env("BulletArm/OpenLoopObjectGrasping-v0", control=path)
     with pytest.raises(ValueError, match=r"^action_sequence: got 'pxy', takes 'pzyx' or 'pzyxr'"):
         make_env(PICKING, control=path, action_sequence="pxy")
     with pytest.raises(ValueError, match="'open_loop' is one of ours"):

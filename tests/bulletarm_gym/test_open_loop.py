@@ -520,4 +520,4 @@ def test_task_of_ones_own() -> None:
     finally:
         del gymnasium.registry[env_id]
     with pytest.raises(ValueError, match="control"):
-        ManipulationEnv(task=TASK, control="close_loop")
+        ManipulationEnv(task="bulletarm_gym.tasks.picking:BlockPicking", control="open_loop")

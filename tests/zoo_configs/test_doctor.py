@@ -50,7 +50,7 @@ def test_a_busy_machine_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.parametrize(("step_ms", "is_slow"), [(0.01, False), (1000.0, True)])
 def test_speed_is_beside_the_yardstick(step_ms: float, is_slow: bool) -> None:
-    times = {"physics_ms": 0.0, "rendering_ms": 0.0, "reset_ms": 1.0}
+    times = {"expert_ms": 0.0, "physics_ms": 0.0, "rendering_ms": 0.0, "reset_ms": 1.0}
     measured = Throughput(health.CLOSE_LOOP, Yardstick(50.0, 1.0), 10, 1, 1.0, step_ms, **times)
     assert bool(health.speed(measured).advice) == is_slow
 
