@@ -70,7 +70,24 @@ class Piece:
 
 
 @dataclass(frozen=True)
-class Slide:
+class Part:
+    """A part of a body that moves in it.
+
+    :param name: unique in its body
+    """
+
+    name: str
+    pieces: tuple[Piece, ...]
+    mass: float
+
+    @property
+    def mesh(self) -> Mesh:
+        """The triangles of all pieces in the body's frame, the joint at 0."""
+        return join([piece.mesh for piece in self.pieces])
+
+
+@dataclass(frozen=True)
+class Slide(Part):
     """A part of a body that slides along an axis of the body's frame, where it lies when the joint is at 0.
 
     :param name: unique in its body
@@ -79,19 +96,11 @@ class Slide:
     :param resistance: force (N) that brakes the slide
     """
 
-    name: str
-    pieces: tuple[Piece, ...]
-    mass: float
     axis: Vector
     limits: tuple[float, float]
     friction: float = 1.0
     resistance: float = 0.0
     colour: Colour = RED
-
-    @property
-    def mesh(self) -> Mesh:
-        """The triangles of all pieces in the body's frame, the joint at 0."""
-        return join([piece.mesh for piece in self.pieces])
 
     def moved(self, distance: float) -> Pose:
         """Return the pose (m) in the body's frame of what lies at its origin when the joint is at 0."""
@@ -99,7 +108,7 @@ class Slide:
 
 
 @dataclass(frozen=True)
-class Hinge:
+class Hinge(Part):
     """A part of a body that turns about an axis of the body's frame, where it lies when the joint is at 0.
 
     :param name: unique in its body
@@ -110,20 +119,12 @@ class Hinge:
     :param resistance: torque (N m) that brakes the hinge
     """
 
-    name: str
-    pieces: tuple[Piece, ...]
-    mass: float
     pivot: Vector
     axis: Vector
     limits: tuple[float, float]
     friction: float = 1.0
     resistance: float = 0.0
     colour: Colour = RED
-
-    @property
-    def mesh(self) -> Mesh:
-        """The triangles of all pieces in the body's frame, the joint at 0."""
-        return join([piece.mesh for piece in self.pieces])
 
     def moved(self, angle: float) -> Pose:
         """Return the pose (m) in the body's frame of what lies at its origin when the joint is at 0."""

@@ -19,13 +19,6 @@ class HouseBuilding1(Stack):
     All else is as in :class:`~bulletarm_gym.tasks.stacking.Stack`.
     """
 
-    defaults = TaskDefaults(
-        num_objects=4,
-        max_steps=10,
-        object_scale=SCALE,
-        allowed_objects=(2, 3, 4, 5, 6),
-        close_loop={"max_steps": 100},
-    )
     kinds = {"cube": cube, "triangle": triangle}  # noqa: RUF012
     upright = ("triangle",)
     crown = "triangle"

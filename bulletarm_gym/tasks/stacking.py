@@ -36,6 +36,13 @@ class Stack(Structure):
     Expert: grasp a block, the crown last, up, over the tallest stack there is, down, open; and so on.
     """
 
+    defaults = TaskDefaults(
+        num_objects=4,
+        max_steps=10,
+        object_scale=SCALE,
+        allowed_objects=(2, 3, 4, 5, 6),
+        close_loop={"max_steps": 100},
+    )
     spread: ClassVar[float]
     """Greatest yaw (rad) of a block either way at the start, in close loop."""
     crown: ClassVar[str | None] = None
@@ -94,13 +101,6 @@ class BlockStacking(Stack):
     All else is as in :class:`Stack`.
     """
 
-    defaults = TaskDefaults(
-        num_objects=4,
-        max_steps=10,
-        object_scale=SCALE,
-        allowed_objects=(2, 3, 4, 5, 6),
-        close_loop={"max_steps": 100},
-    )
     kinds = {"cube": cube}  # noqa: RUF012
     spread = math.pi / 4.0
 
