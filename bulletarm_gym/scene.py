@@ -48,15 +48,17 @@ class Role:
 
     :param variants: of different sizes or shapes; one is drawn each episode. Of several sizes the smallest
         comes first, each in all shapes, in the same order
+    :param kind: what it has in common with other roles of the task: its kind of block, its colour
     """
 
     name: str
     variants: tuple[BodySpec, ...]
+    kind: str = ""
 
 
-def scaled(config: EnvConfig, name: str, make: Callable[[str, float], BodySpec]) -> Role:
+def scaled(config: EnvConfig, name: str, make: Callable[[str, float], BodySpec], kind: str = "") -> Role:
     """Return a role played by one body a size: ``make(name, scale)`` for every scale of the configuration."""
-    return Role(name, tuple(make(f"{name} {scale:g}", scale) for scale in config.scales))
+    return Role(name, tuple(make(f"{name} {scale:g}", scale) for scale in config.scales), kind)
 
 
 def shaped(config: EnvConfig, name: str, make: Callable[[str, float, int], BodySpec], shapes: int) -> Role:

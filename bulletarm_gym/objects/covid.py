@@ -38,7 +38,7 @@ USED_TUBE_BOX: Vector = (0.12, 0.1, 0.04)
 that for new ones 1 cm less, so that a tube of the paper's length fits in both ways."""
 WALL = 0.004
 """Thickness (m), as in the original BulletArm release."""
-FLOOR = 0.002
+BOX_FLOOR = 0.002
 PURPLE: Colour = (0.70, 0.62, 0.85, 1.0)
 GREY: Colour = (0.72, 0.72, 0.74, 1.0)
 YELLOW: Colour = (0.90, 0.82, 0.25, 1.0)
@@ -104,5 +104,5 @@ def used_tube_box(name: str, scale: float = 1.0) -> BodySpec:
 
 
 def _place(name: str, extents: Vector, scale: float, colour: Colour) -> BodySpec:
-    pieces = tuple(piece.scaled(scale) for piece in container(extents, WALL, FLOOR))
+    pieces = tuple(piece.scaled(scale) for piece in container(extents, WALL, BOX_FLOOR))
     return BodySpec(name, pieces, 0.0, colour=colour)

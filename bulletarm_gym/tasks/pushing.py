@@ -8,12 +8,12 @@ import numpy as np
 from bulletarm_gym.config import CLOSE_LOOP, EnvConfig, TaskDefaults
 from bulletarm_gym.experts.pushing import Drag
 from bulletarm_gym.experts.waypoints import Waypoint
-from bulletarm_gym.geometry import planar_distance
+from bulletarm_gym.geometry import Rectangle, planar_distance
 from bulletarm_gym.objects import cube, goal_area
 from bulletarm_gym.placement import scatter, stand
 from bulletarm_gym.rendering.overlays import Overlay
 from bulletarm_gym.scene import Item, Role, Scene, scaled
-from bulletarm_gym.tasks.reaching import BORDER
+from bulletarm_gym.tasks.reaching import BORDER_MARGIN
 from bulletarm_gym.tasks.task import Task
 
 GOAL_SIDE = 0.09
@@ -26,7 +26,7 @@ APART = 0.09
 """Least distance (m) of cube and goal at the start, as in the original BulletArm release."""
 REACHED = 0.05
 """Distance (m) of the cube's centre to the goal's that counts as reached (paper, Block Pushing)."""
-LOW = 0.015
+PUSH_HEIGHT = 0.015
 """Height (m) of the fingertips while they push: below the middle of the cube, which would fall over else."""
 YAW_SPREAD = math.pi / 2.0
 
@@ -56,7 +56,7 @@ class BlockPushing(Task):
     def arrange(self, scene: Scene, rng: np.random.Generator) -> None:
         """Put cube and goal apart."""
         item, goal = scene["cube"], scene["goal"]
-        margins = [GOAL_BORDER, BORDER * item.spec.extents[0]]
+        margins = [GOAL_BORDER, BORDER_MARGIN * item.spec.extents[0]]
         goal_point, point = scatter(scene, rng, margins, APART, aligned=not self.config.random_orientation)
         goal.place(scene.surface.pose(goal_point, 0.0))
         stand(scene, item, point, rng, YAW_SPREAD)
@@ -64,7 +64,7 @@ class BlockPushing(Task):
     def overlays(self, scene: Scene) -> tuple[Overlay, ...]:
         """Return the goal area."""
         pose = scene["goal"].pose
-        return (Overlay((pose.x, pose.y, GOAL_SIDE, GOAL_SIDE, pose.yaw), GOAL_RISE),)
+        return (Overlay(Rectangle(pose.x, pose.y, GOAL_SIDE, GOAL_SIDE, pose.yaw), GOAL_RISE),)
 
     def evaluate(self, scene: Scene) -> dict[str, bool]:
         """Compare the cube's place with the goal's."""
@@ -73,4 +73,4 @@ class BlockPushing(Task):
 
     def plan(self, scene: Scene, rng: np.random.Generator) -> Iterator[Waypoint]:
         """Go behind the cube, and push."""
-        yield from Drag(scene, scene["cube"], scene["goal"].pose.position, LOW).plan()
+        yield from Drag(scene, scene["cube"], scene["goal"].pose.position, PUSH_HEIGHT).plan()

@@ -15,11 +15,11 @@ from bulletarm_gym.objects.blocks import CUBE_SIZE
 from bulletarm_gym.placement import scatter, stand
 from bulletarm_gym.relations import at_rest, is_empty, is_top, stacked, upright
 from bulletarm_gym.scene import Item, Scene
-from bulletarm_gym.tasks.reaching import BORDER
+from bulletarm_gym.tasks.reaching import BORDER_MARGIN
 from bulletarm_gym.tasks.structure import SCALE, Structure
 from bulletarm_gym.tasks.task import Task
 
-GAP = 2.4
+CENTRE_SPACING = 2.4
 """Least distance of the blocks' centres, in largest block sides, as in the original BulletArm release."""
 LEAST_BLOCKS = 2
 
@@ -108,7 +108,7 @@ class BlockStacking(Stack):
 def scatter_blocks(scene: Scene, rng: np.random.Generator, items: list[Item], spread: float) -> None:
     """Stand blocks apart, with room for the gripper between them, their yaws in +-``spread`` (rad)."""
     side = max(item.spec.extents[0] for item in items)
-    points = scatter(scene, rng, [BORDER * side] * len(items), GAP * side)
+    points = scatter(scene, rng, [BORDER_MARGIN * side] * len(items), CENTRE_SPACING * side)
     for item, point in zip(items, points, strict=True):
         stand(scene, item, point, rng, spread)
 

@@ -31,7 +31,7 @@ DESCRIPTION = """Draw each task twice, at reset and solved by its expert, from t
 picture a task, and index.html, a page that shows them all in as many columns as there is room for."""
 PAGE = "index.html"
 ATTEMPTS = 10  # episodes until the expert solves one
-GAP = 4  # pixels between the two pictures
+PICTURE_GAP = 4  # pixels between the two pictures
 FIRST_SEED = 4  # with which the drawer faces the camera
 HEAD = """<!doctype html>
 <html lang="en">
@@ -108,7 +108,7 @@ def _draw(env_id: str, args: argparse.Namespace) -> Drawn:
                 raise CommandError(f"{env_id} has no {name}: only our tasks and registered ones can be drawn")
         pictures, steps = _solve(env, env_id, args)
     path = args.output / f"{env_id.rpartition('/')[2]}.png"
-    gap = np.full((args.pixels, GAP, 3), np.iinfo(np.uint8).max, np.uint8)
+    gap = np.full((args.pixels, PICTURE_GAP, 3), np.iinfo(np.uint8).max, np.uint8)
     write_picture(np.concatenate([pictures[0], gap, pictures[1]], axis=1), path)
     return Drawn(env_id, path, steps)
 
