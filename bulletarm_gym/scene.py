@@ -26,7 +26,7 @@ from bulletarm_gym.surfaces import Surface
 T = TypeVar("T")
 
 SIDE_DISTANCE = 0.5
-"""Where the side cameras stand beside the workspace's centre (m), as in the original release; ..."""
+"""Where the side cameras stand beside the workspace's centre (m) ..."""
 SIDE_HEIGHT = 1.0
 """... how high (m) ..."""
 SIDE_FOV = 35.6

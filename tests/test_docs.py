@@ -2,6 +2,7 @@
 
 import importlib
 import inspect
+import math
 import re
 import sys
 from pathlib import Path
@@ -14,6 +15,7 @@ PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").rglob("*.md")])
 SNIPPET = re.compile(r"```python\n(.*?)```", re.DOTALL)
 NAME = re.compile(r"`((?:bulletarm_gym|sb3_extensions|zoo_configs)(?:\.\w+)+)`")
 SIGNATURE = re.compile(r"^\| `([\w.]+)\(([^`]*)\)` \|", re.MULTILINE)
+NUMBER = re.compile(r"\| `([\w.]+)` \| `([^`]+)` \| (?:paper|release)")
 FILE = re.compile(r"# (\w+\.py)\n")
 SHORTER = {
     "learn(2_000": "learn(2",
@@ -54,6 +56,13 @@ def test_signatures_of_the_task_guide_are_the_codes() -> None:
         for argument, default in told:
             is_optional = parameters[argument].default is not inspect.Parameter.empty
             assert bool(default) == is_optional, f"{name}: {argument}"
+
+
+def test_provenance_tells_the_numbers_of_the_code() -> None:
+    found = NUMBER.findall((ROOT / "docs" / "provenance.md").read_text(encoding="utf-8"))
+    assert len(found) > 60
+    for name, value in found:
+        assert _find(name) == pytest.approx(eval(value, {"pi": math.pi})), name
 
 
 @pytest.mark.usefixtures("own_registrations")

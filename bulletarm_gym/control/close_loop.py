@@ -26,7 +26,7 @@ VIEW_SCALE = 1.5
 CAMERA_OFFSET = 0.1
 """Height (m) of the virtual camera plane above the fingertips."""
 START_HEIGHT = 0.2
-"""Height (m) of the fingertips over the workspace's centre at reset, as in the original BulletArm release."""
+"""Height (m) of the fingertips over the workspace's centre at reset."""
 FINGER_SQUARE = 0.021
 """Side (m) of the squares that stand for the fingers: 6 of 128 pixels over 0.45 m."""
 ARRIVED = 0.999

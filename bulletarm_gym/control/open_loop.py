@@ -25,8 +25,7 @@ PLACE = "place"
 MAX_Z = 0.3
 """Greatest height (m) of a target above the workspace's floor."""
 LEAST_Z = 0.005
-"""Least height (m) of a pick where the action gives none: where the fingertips of the original BulletArm
-release are then."""
+"""Least height (m) of a pick where the action gives none."""
 MAX_TILT = math.pi / 4.0
 """Greatest turn (rad) about the gripper's y and x axes."""
 TILT = math.pi / 12.0

@@ -18,7 +18,7 @@ from bulletarm_gym.scene import Item, Scene
 from bulletarm_gym.surfaces.surface import Point
 
 BASE_GAP = 0.75
-"""Gap between blocks side by side, in cube sides, as in the original BulletArm release ..."""
+"""Gap between blocks side by side, in cube sides ..."""
 WIDE_BASE_GAP = 1.5
 """... or, where the fingers need room between them ..."""
 MOST_COVERED = 0.9
@@ -28,7 +28,7 @@ TIGHT = 0.005
 SPAN = 0.45
 """Gap up to which blocks that lie side by side are built on, as a share of what is to lie on them."""
 APART = 1.8
-"""Distance of blocks side by side on a long one, in cube sides, as in the original BulletArm release."""
+"""Distance of blocks side by side on a long one, in cube sides."""
 PREFERENCE = 1e-3
 """Room (m) that a metre less of a gap is worth: of places with as much room the nearer one is taken."""
 BESIDE_DIRECTIONS = 16

@@ -51,8 +51,8 @@ class RobotModel:
     def urdf(self) -> ElementTree.Element:
         """The model on its plinth, its first link being the root, its arm joints without limits.
 
-        The original release ignores the limits too; with them an arm on the floor cannot reach the whole
-        workspace at every tilt, and its wrist could not turn on and on.
+        With limits an arm on the floor cannot reach the whole workspace at every tilt, and its wrist could
+        not turn on and on.
 
         :raises ValueError: a joint is missing, or a finger's ends before the gripper's stroke does
         """

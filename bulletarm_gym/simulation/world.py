@@ -19,9 +19,9 @@ from bulletarm_gym.simulation.physics import Physics, surface_speed
 from bulletarm_gym.simulation.shapes import ORIGIN, BodySpec
 
 TIME_STEP = 1.0 / 240.0
-"""Seconds a simulation step, as in the original BulletArm release."""
+"""Seconds a simulation step."""
 GRAVITY = -10.0
-"""Acceleration (m/s^2) along z, as in the original BulletArm release."""
+"""Acceleration (m/s^2) along z."""
 RESIDUAL_THRESHOLD = 1e-5
 """Squared change of the impulses at which the solver stops before its last iteration."""
 REST_SPEED = 0.01

@@ -20,9 +20,9 @@ SIDE = 3
 SLOPES = 30
 """Steepnesses there are, evenly spaced up to :data:`SLOPE`, one pyramid of each: nine of them are drawn."""
 PLATFORM = 0.13
-"""Least side (m) of the platform, as in the original BulletArm release."""
+"""Least side (m) of the platform."""
 FRICTION = 100.0
-"""So that nothing slides into the valleys, as in the original BulletArm release."""
+"""So that nothing slides into the valleys."""
 DEPTH = 0.01
 """How far (m) pyramids continue below the ground: hulls need a volume."""
 PEAK = 1e-6

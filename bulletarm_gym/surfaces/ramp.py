@@ -25,7 +25,7 @@ NEAREST_EDGE = STRIP_WIDTHS[0] / 2.0
 FARTHEST_EDGE = STRIP_WIDTHS[1] / 2.0
 """Least and greatest distance (m) of an edge from the workspace's middle: the strip crosses the middle."""
 THICKNESS = 0.01
-"""Of a plate (m), as in the original BulletArm release."""
+"""Of a plate (m)."""
 PLATE_OVERHANG = 0.005
 """What plates are longer (m) than the workspace needs."""
 WIDTHS = 4

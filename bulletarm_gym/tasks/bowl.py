@@ -19,9 +19,9 @@ from bulletarm_gym.tasks.reaching import BORDER_MARGIN
 from bulletarm_gym.tasks.task import Task
 
 CENTRED = 0.03
-"""Distance (m) of the cube's centre to the bowl's axis, as in the original BulletArm release."""
+"""Distance (m) of the cube's centre to the bowl's axis."""
 BOWL_BORDER = 0.53
-"""Distance of the bowl's axis to the border, in its diameters: 8.5 cm, as in the original release."""
+"""Distance of the bowl's axis to the border, in its diameters: 8.5 cm."""
 RIM_CLEARANCE = 0.06
 """Room (m) between the cube's centre and the bowl's rim, for the gripper's fingers."""
 RELEASE_HEIGHT = 0.35

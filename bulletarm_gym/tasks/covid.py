@@ -34,14 +34,14 @@ from bulletarm_gym.tasks.task import Hints, Task
 ROUNDS = 3
 """Tests an episode (paper, Covid Test)."""
 SIDE = 0.3
-"""Of the square (m) that the three places fill, as in the original BulletArm release."""
+"""Of the square (m) that the three places fill."""
 TUBES_APART, TUBE_ROW = NEW_TUBE_BOX[0] / 3.3, NEW_TUBE_BOX[1] / 4.0
 SWABS_APART, SWAB_ROW = NEW_TUBE_BOX[0] / 3.7, -NEW_TUBE_BOX[1] / 9.0
-"""Where tubes and swabs lie in the box (m), as in that release."""
+"""Where tubes and swabs lie in the box (m)."""
 SPREAD = math.radians(30.0)
-"""Greatest yaw of tubes and of swabs either way, as in that release."""
+"""Greatest yaw of tubes and of swabs either way."""
 USER_REACH = (0.0125, 0.1)
-"""How far (m) from the middle of the test area the user leaves a used tube, as in that release."""
+"""How far (m) from the middle of the test area the user leaves a used tube."""
 SWAB_SPOT, TUBE_SPOT = (0.0, 0.07), (0.0, -0.05)
 """Where in the test area (m) the expert puts a swab and a tube."""
 GRASP_DEPTH = 0.008

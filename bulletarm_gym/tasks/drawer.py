@@ -16,11 +16,11 @@ from bulletarm_gym.scene import Role, Scene
 from bulletarm_gym.tasks.task import Task
 
 OPENED = 0.15
-"""Displacement (m) of the drawer that counts as open, as in the original BulletArm release."""
+"""Displacement (m) of the drawer that counts as open."""
 FARTHER = 0.015
 """By how much (m) more than that the expert pulls."""
 CABINET_DISTANCE = (0.15, 0.2)
-"""How far (m) the cabinet is behind the workspace's centre, as in the original BulletArm release ..."""
+"""How far (m) the cabinet is behind the workspace's centre ..."""
 CABINET_ASIDE = 0.1
 """... and aside of it at most (m)."""
 HOOK = (HANDLE_DISTANCE + HANDLE_RADIUS) / 2.0

@@ -22,11 +22,11 @@ LAYER = 6
 BOX_SPACING = 0.02
 """Between the boxes of a layer (m): a finger fits in and lets go."""
 YAW_TOLERANCE = math.pi / 8.0
-"""Greatest yaw (rad) of a box against its layer's, as in the original BulletArm release."""
+"""Greatest yaw (rad) of a box against its layer's."""
 LAYER_TOLERANCE = 0.25
 """Greatest height, in boxes, by which a box may be above or below its layer."""
 PICK_OFFSET = 0.02
-"""At scale 1 (m), as in the original BulletArm release."""
+"""At scale 1 (m)."""
 BOX_MARGIN = 0.01
 """Margin (m) of a new box to the workspace's border and the pallet: on bumps it slides until it rests."""
 ASIDE_CLEARANCE = 0.03

@@ -16,9 +16,9 @@ from bulletarm_gym.tasks.task import Task
 
 YAW_SPREAD = math.pi / 2.0
 BORDER_MARGIN = 0.85
-"""Distance of a block's centre to the border, in block sides, as in the original BulletArm release."""
+"""Distance of a block's centre to the border, in block sides."""
 CENTRE_SPACING = 1.7
-"""Least distance of the blocks' centres, in block sides, as in the original BulletArm release."""
+"""Least distance of the blocks' centres, in block sides."""
 PULL_HEIGHT = 0.03
 """Height (m) of the fingertips while they pull."""
 NAMES = ("near block", "far block")

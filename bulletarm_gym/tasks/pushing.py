@@ -19,12 +19,12 @@ from bulletarm_gym.tasks.task import Task
 GOAL_SIDE = 0.09
 """Side (m) of the goal area (paper, Block Pushing)."""
 GOAL_RISE = 0.02
-"""By how much (m) the heightmap shows the goal nearer the camera, as in the original BulletArm release."""
+"""By how much (m) the heightmap shows the goal nearer the camera."""
 GOAL_BORDER = 0.065
-"""Distance (m) of the goal's centre to the border, as in the original BulletArm release."""
+"""Distance (m) of the goal's centre to the border."""
 APART = 0.09
-"""Least distance (m) of cube and goal at the start, as in the original BulletArm release."""
-REACHED = 0.05
+"""Least distance (m) of cube and goal at the start."""
+GOAL_REACHED = 0.05
 """Distance (m) of the cube's centre to the goal's that counts as reached (paper, Block Pushing)."""
 PUSH_HEIGHT = 0.015
 """Height (m) of the fingertips while they push: below the middle of the cube, which would fall over else."""
@@ -69,7 +69,7 @@ class BlockPushing(Task):
     def evaluate(self, scene: Scene) -> dict[str, bool]:
         """Compare the cube's place with the goal's."""
         apart = planar_distance(scene["cube"].pose.position, scene["goal"].pose.position)
-        return {"success": apart < REACHED}
+        return {"success": apart < GOAL_REACHED}
 
     def plan(self, scene: Scene, rng: np.random.Generator) -> Iterator[Waypoint]:
         """Go behind the cube, and push."""

@@ -17,7 +17,7 @@ REACHED = 0.03
 """Distance (m) that counts as reached (paper, Block Reaching)."""
 YAW_SPREAD = math.pi / 2.0
 BORDER_MARGIN = 1.2
-"""Distance of a cube's centre to the border, in largest cube sides, as in the original BulletArm release."""
+"""Distance of a cube's centre to the border, in largest cube sides."""
 
 
 class BlockReaching(Task):

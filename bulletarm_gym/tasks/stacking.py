@@ -20,15 +20,14 @@ from bulletarm_gym.tasks.structure import SCALE, Structure
 from bulletarm_gym.tasks.task import Task
 
 CENTRE_SPACING = 2.4
-"""Least distance of the blocks' centres, in largest block sides, as in the original BulletArm release."""
+"""Least distance of the blocks' centres, in largest block sides."""
 LEAST_BLOCKS = 2
 
 
 class Stack(Structure):
     """A structure one block wide: cubes, and maybe a crown.
 
-    In open loop all is as in :class:`~bulletarm_gym.tasks.structure.Structure`. In close loop, as in the
-    original BulletArm release:
+    In open loop all is as in :class:`~bulletarm_gym.tasks.structure.Structure`. In close loop:
 
     Randomisation: the blocks' positions in the workspace, at least 2.4 sides apart, their yaws.
     Success: the blocks form one stack, the crown, if there is one, on top and upright; the gripper is empty

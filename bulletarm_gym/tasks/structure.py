@@ -21,8 +21,8 @@ from bulletarm_gym.tasks.task import Task
 SCALE = 0.6
 """Makes cubes of 3 cm (paper, Detail Description of Environments)."""
 BLOCK_SPACING = 0.042
-"""Least distance (m) of blocks at the start: 2.4 cube sides between two cubes' centres, as in the original
-BulletArm release, so that open fingers fit between them."""
+"""Least distance (m) of blocks at the start: 2.4 cube sides between two cubes' centres, so that open fingers
+fit between them."""
 
 
 @dataclass(frozen=True)
