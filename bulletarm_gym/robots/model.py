@@ -66,8 +66,7 @@ class RobotModel:
             for limit in joint.findall("limit"):
                 joint.remove(limit)
         if self.base.z > 0.0:
-            # Only seen: ramps reach under the arm, and what touches something cannot be moved at once.
-            plinth = cylinder(PLINTH_RADIUS, self.base.z, (0.0, 0.0, -self.base.z / 2.0), DARK, solid=False)
+            plinth = cylinder(PLINTH_RADIUS, self.base.z, (0.0, 0.0, -self.base.z / 2.0), DARK)
             add_parts(root.findall("link")[0], [plinth])
         return root
 
