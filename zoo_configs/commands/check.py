@@ -31,7 +31,7 @@ from zoo_configs.environments import known_env_id, make_env, our_env_ids, regist
 from zoo_configs.errors import CommandError
 from zoo_configs.files import check_writable
 from zoo_configs.measuring.data_files import EXPERTS, DataFile, number
-from zoo_configs.measuring.provenance import key_values, provenance
+from zoo_configs.measuring.provenance import env_kwargs_words, key_values, provenance
 
 if TYPE_CHECKING:
     from sb3_extensions.demonstrations.collecting import Hand
@@ -135,12 +135,12 @@ def _passes(env_id: str, args: argparse.Namespace) -> bool:
 def _record(env_id: str, experience: Experience, args: argparse.Namespace) -> dict[str, str]:
     """What is kept of the expert's episodes."""
     words = ["bulletarm-zoo", "check", env_id, "-n", str(args.episodes), "--seed", str(args.seed)]
-    kwargs = key_values(args.env_kwargs)
-    words += [*(["--env-kwargs", *kwargs] if kwargs else []), *(["--snap"] if args.snap else [])]
+    words += [*env_kwargs_words(args.env_kwargs), *(["--snap"] if args.snap else [])]
+    others = {name: value for name, value in args.env_kwargs.items() if name != "robot"}
     return {
         "env": task_name(env_id),
         "robot": _robot(env_id, args.env_kwargs),
-        "env_kwargs": " ".join(word for word in kwargs if not word.startswith("robot:")),
+        "env_kwargs": " ".join(key_values(others)),
         "snap": "yes" if args.snap else "",
         "episodes": str(args.episodes),
         "first_seed": str(args.seed),

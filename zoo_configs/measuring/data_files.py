@@ -35,6 +35,27 @@ class Layout(NamedTuple):
 
 # Success is a share of the episodes, steps the mean length of the solved ones; the seeds follow the first.
 EXPERTS = Layout(("env", "robot", "env_kwargs", "snap"), ("episodes", "first_seed", "success", "mean_steps"))
+SPEED = Layout(
+    ("env", "env_kwargs"),
+    (
+        *("yardstick_us", "steps_per_second", "step_ms", "physics_ms", "rendering_ms", "rest_ms"),
+        *("without_expert_ms", "reset_ms", "success", "episodes"),
+        *("reference_steps_per_second", "times_reference", "load"),
+    ),
+)
+# Parts of an update are shares of it; load is the mean of a minute before the measurement.
+UPDATES = Layout(
+    ("baseline", "preset", "env", "env_kwargs", "device"),
+    (
+        *("network", "threads", "update_ms", "peak_gigabytes", "gradients_of_convolutions", "convolutions"),
+        *("pooling", "rest", "equivariant_over_plain", "load"),
+    ),
+)
+# CPU seconds are medians; the overhead is a share of the bare training: median, least, greatest.
+OVERHEAD = Layout(
+    ("baseline", "preset", "env", "env_kwargs", "timesteps"),
+    ("bare_seconds", "train_seconds", "overhead", "least", "greatest"),
+)
 
 
 @dataclass(frozen=True)

@@ -70,3 +70,13 @@ def key_values(values: Mapping[str, Any]) -> list[str]:
     :return: A word each, ``name:value``
     """
     return [f"{name}:{value!r}" for name, value in values.items()]
+
+
+def env_kwargs_words(env_kwargs: Mapping[str, Any]) -> list[str]:
+    """
+    Write an environment's parameters as a flag.
+
+    :param env_kwargs: The parameters
+    :return: ``--env-kwargs`` and a word each; nothing where there are none
+    """
+    return ["--env-kwargs", *key_values(env_kwargs)] if env_kwargs else []
