@@ -56,6 +56,11 @@ OVERHEAD = Layout(
     ("baseline", "preset", "env", "env_kwargs", "timesteps"),
     ("bare_seconds", "train_seconds", "overhead", "least", "greatest"),
 )
+# Bodies are lines from the first statement behind the docstring to the last.
+CODE = Layout(
+    ("stand", "package"),
+    ("files", "lines", "functions", "median_body", "p90_body", "longest_body", "longest_file"),
+)
 
 
 @dataclass(frozen=True)
