@@ -9,6 +9,9 @@ from typing import Any
 
 import pytest
 
+from zoo_configs.pages.figures import FIGURES
+from zoo_configs.pages.markers import filled
+
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").rglob("*.md")])
 SNIPPET = re.compile(r"```python\n(.*?)```", re.DOTALL)
@@ -54,6 +57,20 @@ def test_signatures_of_the_task_guide_are_the_codes() -> None:
         for argument, default in told:
             is_optional = parameters[argument].default is not inspect.Parameter.empty
             assert bool(default) == is_optional, f"{name}: {argument}"
+
+
+@pytest.mark.parametrize(
+    "page", [*PAGES, ROOT / "CONTRIBUTING.md"], ids=lambda page: str(page.relative_to(ROOT))
+)
+def test_figures_are_those_of_the_data(page: Path) -> None:
+    """``make tables`` fills the pages."""
+    assert filled(page, ROOT / "docs" / "data", FIGURES) == page.read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("name", ["speed.csv", "updates.csv"])
+def test_the_package_has_the_data_of_the_pages(name: str) -> None:
+    shipped = ROOT / "zoo_configs" / "data" / name
+    assert shipped.read_bytes() == (ROOT / "docs" / "data" / name).read_bytes()
 
 
 @pytest.mark.usefixtures("own_registrations")

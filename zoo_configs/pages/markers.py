@@ -13,8 +13,9 @@ from zoo_configs.files import whole_file
 from zoo_configs.measuring.data_files import DataFile, Layout, Record
 
 PAGES = "*.md"
-BEGINNING = re.compile(r"(?<!`)<!-- data: ")  # what is told of in backticks is none
-PLACE = re.compile(r"(<!-- data: (?P<name>[^>]*?) -->).*?(<!-- end of data -->)", re.DOTALL)
+BEGINS = r"(?<!`)<!-- data: "  # what is told of in backticks is none
+BEGINNING = re.compile(BEGINS)
+PLACE = re.compile(rf"({BEGINS}(?P<name>[^>]*?) -->).*?(<!-- end of data -->)", re.DOTALL)
 
 
 @dataclass(frozen=True)

@@ -48,9 +48,12 @@ def ratio_sentence(source: Source) -> str:
     :return: A sentence for a page about speed
     """
     told = []
-    for control, tasks in (("CloseLoop", "close-loop tasks"), ("OpenLoop", "open-loop tasks")):
+    for control, tasks in (
+        ("CloseLoop", "the {} close-loop tasks of the paper"),
+        ("OpenLoop", "its {} open-loop tasks"),
+    ):
         ratios = _ratios(source, control)
-        told.append(f"{_mean(ratios):.1f} for {len(ratios)} {tasks} (the least {min(ratios):.1f})")
+        told.append(f"{_mean(ratios):.1f} for {tasks.format(len(ratios))} (the least {min(ratios):.1f})")
     return f"The geometric mean of the ratios is {' and '.join(told)}."
 
 
