@@ -67,9 +67,9 @@ def key_values(values: Mapping[str, Any]) -> list[str]:
     Write parameters as the command line takes them.
 
     :param values: From name to value
-    :return: A word each, ``name:value``
+    :return: A word each, ``name:value``, sorted: however they were given, they read the same
     """
-    return [f"{name}:{value!r}" for name, value in values.items()]
+    return [f"{name}:{value!r}" for name, value in sorted(values.items())]
 
 
 def env_kwargs_words(env_kwargs: Mapping[str, Any]) -> list[str]:

@@ -13,6 +13,7 @@ from zoo_configs.measuring.data_files import EXPERTS, Record
 from zoo_configs.pages.markers import Source
 
 DATA = "experts"
+ID = "id `BulletArm/...-v0`"
 OPEN_LOOP = "OpenLoop"
 UNEVEN = ("OpenLoopRamp", "OpenLoopBump")
 MANY = 100  # episodes, of which a third digit says something
@@ -69,10 +70,26 @@ def expert_table(source: Source, belongs: Callable[[str], bool]) -> str:
         for name in task_names()
         if belongs(name)
     ]
-    table = markdown_table(["id `BulletArm/...-v0`", *(column.title for column in columns)], lines)
+    table = markdown_table([ID, *(column.title for column in columns)], lines)
     told = [f"- {column.title}: {_origins(list(found.values()))}" for column, found in columns.items()]
     legend = f"Success rate, mean number of steps of the solved episodes; all of {source.link(DATA)}:"
     return "\n\n".join([table, legend, "\n".join(told)])
+
+
+def elsewhere_table(source: Source) -> str:
+    """
+    Tell how experts do with parameters that have no column in the other tables.
+
+    :param source: The data
+    :return: Markdown
+    """
+    rows = [row for row in source.read(DATA, EXPERTS) if not row["snap"]]
+    rows = [row for row in rows if not any(column.has(row) for column in COLUMNS)]
+    lines = [
+        [f"`{row['env']}`", row["robot"], f"`{row['env_kwargs']}`", _cell(row), _origin(row)] for row in rows
+    ]
+    heads = [ID, "arm", "parameters", "success, steps", f"of {source.link(DATA)}"]
+    return markdown_table(heads, lines, "---")
 
 
 def grid_table(source: Source) -> str:
@@ -83,10 +100,25 @@ def grid_table(source: Source) -> str:
     :return: Markdown
     """
     rows = [row for row in source.read(DATA, EXPERTS) if row["snap"]]
-    lines = [[f"`{row['env']}`", _success(row)] for row in rows]
-    return "\n\n".join(
-        [markdown_table(["task", "success"], lines), f"{_origins(rows)} ({source.link(DATA)})."]
+    found = {(row["env"], row["env_kwargs"]): row for row in rows}
+    names, columns = (
+        dict.fromkeys(row["env"] for row in rows),
+        dict.fromkeys(row["env_kwargs"] for row in rows),
     )
+    lines = [
+        [
+            f"`{name}`",
+            *(_success(found[name, kwargs]) if (name, kwargs) in found else "" for kwargs in columns),
+        ]
+        for name in task_names()
+        if name in names
+    ]
+    table = markdown_table(["task", *(f"`{kwargs}`" for kwargs in columns)], lines)
+    told = [
+        f"- `{kwargs}`: {_origins([row for row in rows if row['env_kwargs'] == kwargs])}"
+        for kwargs in columns
+    ]
+    return "\n\n".join([table, f"Success rate; all of {source.link(DATA)}:", "\n".join(told)])
 
 
 def is_open_loop(name: str) -> bool:

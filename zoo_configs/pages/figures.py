@@ -12,6 +12,7 @@ FIGURES: dict[str, Figure] = {
     "experts, open loop, ramps and bumps": partial(experts.expert_table, belongs=experts.is_uneven),
     "experts, close loop": partial(experts.expert_table, belongs=experts.is_papers_close_loop),
     "experts, composed": partial(experts.expert_table, belongs=experts.is_composed),
+    "experts, elsewhere": experts.elsewhere_table,
     "experts on the grid": experts.grid_table,
     "speed": speeds.speed_table,
     "speed, means": speeds.ratio_sentence,
