@@ -10,6 +10,9 @@ from typing import Any
 
 import pytest
 
+from zoo_configs.pages.figures import FIGURES
+from zoo_configs.pages.markers import filled
+
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").rglob("*.md")])
 SNIPPET = re.compile(r"```python\n(.*?)```", re.DOTALL)
@@ -63,6 +66,20 @@ def test_provenance_tells_the_numbers_of_the_code() -> None:
     assert len(found) > 60
     for name, value in found:
         assert _find(name) == pytest.approx(eval(value, {"pi": math.pi})), name
+
+
+@pytest.mark.parametrize(
+    "page", [*PAGES, ROOT / "CONTRIBUTING.md"], ids=lambda page: str(page.relative_to(ROOT))
+)
+def test_figures_are_those_of_the_data(page: Path) -> None:
+    """``make tables`` fills the pages."""
+    assert filled(page, ROOT / "docs" / "data", FIGURES) == page.read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("name", ["speed.csv", "updates.csv"])
+def test_the_package_has_the_data_of_the_pages(name: str) -> None:
+    shipped = ROOT / "zoo_configs" / "data" / name
+    assert shipped.read_bytes() == (ROOT / "docs" / "data" / name).read_bytes()
 
 
 @pytest.mark.usefixtures("own_registrations")

@@ -80,7 +80,16 @@ def describe_machine() -> str:
 
     :return: Model and cores of the processor, and the load average over one minute
     """
-    return f"{describe_processor()}, load average {os.getloadavg()[0]:.2f}"
+    return f"{describe_processor()}, load average {load():.2f}"
+
+
+def load() -> float:
+    """
+    Tell how busy the machine is.
+
+    :return: The load average over one minute
+    """
+    return os.getloadavg()[0]
 
 
 def describe_processor() -> str:

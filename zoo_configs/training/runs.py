@@ -16,6 +16,7 @@ from zoo_configs.cells.cell import Cell
 from zoo_configs.errors import CommandError, reason, refused
 from zoo_configs.files import remove_empty, whole_file
 from zoo_configs.measuring.machine import describe_processor, versions
+from zoo_configs.measuring.provenance import commit
 from zoo_configs.training.options import TrainingOptions
 from zoo_configs.training.state import Standing, standing
 
@@ -169,6 +170,7 @@ def write_resolved(run: Run) -> Path:
         "gym_packages": list(run.gym_packages),
         "versions": versions(),
         "machine": describe_processor(),
+        "commit": commit(),
     }
     path = run.resolved_file
     with whole_file(path) as partial, partial.open("w", encoding="utf-8") as file:
