@@ -34,7 +34,7 @@ LAYERS = (
     {"feasibility", "state", "viewer"},
     {"env"},
     {"demonstrations", "registration"},
-    {"benchmarks", "vector", "wrappers", "__init__"},
+    {"benchmarks", "real_arm", "vector", "wrappers", "__init__"},
     {"selfcheck"},
 )
 LEVEL = {room: level for level, layer in enumerate(LAYERS) for room in layer}
