@@ -39,6 +39,9 @@ COMMANDS = {
     "tune": Command("zoo_configs.commands.tune", "search hyperparameters with Optuna"),
     "enjoy": Command("zoo_configs.commands.enjoy", "evaluate a trained agent"),
     "record": Command("zoo_configs.commands.record", "film a trained agent or the expert"),
+    "push": Command(
+        "zoo_configs.commands.push", "put a trained agent on the Hugging Face hub, or into a folder"
+    ),
     "gallery": Command("zoo_configs.commands.gallery", "draw tasks, as they begin and solved"),
     "play": Command("zoo_configs.commands.play", "move the gripper yourself, by keys, and record it"),
     "benchmark": Command(
