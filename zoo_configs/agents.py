@@ -81,8 +81,20 @@ def agent_from_arguments(args: argparse.Namespace) -> Agent:
     """
     if getattr(args, "published", None) is not None:
         return _published_agent(args)
-    run = run_from_arguments(args)
-    model, path = load_agent(run, args.load_best, args.device)
+    return agent_of(run_from_arguments(args), args.load_best, args.device)
+
+
+def agent_of(run: Run, best: bool, device: str) -> Agent:
+    """
+    Load the agent of a run.
+
+    :param run: The run
+    :param best: Whether to prefer the model that did best in a periodic evaluation
+    :param device: PyTorch device
+    :return: The agent
+    :raises CommandError: if the run has saved no model yet, or the file is damaged
+    """
+    model, path = load_agent(run, best, device)
     env_kwargs = dict(run.cell.hyperparams.get("env_kwargs", {}))
     env_kwargs.pop("render_mode", None)
     return Agent(model, path, run.cell.label, run.cell.env_id, env_kwargs, run)

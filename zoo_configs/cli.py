@@ -47,6 +47,7 @@ COMMANDS = {
     "benchmark": Command(
         "zoo_configs.commands.benchmark", "train all cells of a benchmark, also on a cluster"
     ),
+    "results": Command("zoo_configs.commands.results", "evaluate runs and keep a table of what they reached"),
     "report": Command("zoo_configs.commands.report", "put the results of a benchmark on one page"),
     "plot": Command("zoo_configs.commands.plot", "draw the learning curves of many runs"),
     "demos": Command("zoo_configs.commands.demos", "collect episodes of an expert"),

@@ -89,8 +89,8 @@ def markdown(cells: pd.DataFrame, baselines: pd.DataFrame) -> str:
     :return: Markdown
     """
     parts = [
-        _markdown_table(CELL_HEADS, cell_rows(cells)),
-        _markdown_table(BASELINE_HEADS, baseline_rows(baselines)),
+        markdown_table(CELL_HEADS, cell_rows(cells)),
+        markdown_table(BASELINE_HEADS, baseline_rows(baselines)),
         EXPLANATION,
         "Each cell again, with its first seed:",
         "\n".join(f"    {command}" for command in cells["command"]),
@@ -98,8 +98,16 @@ def markdown(cells: pd.DataFrame, baselines: pd.DataFrame) -> str:
     return "\n\n".join(parts) + "\n"
 
 
-def _markdown_table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    rules = ["---", *["---:"] * (len(heads) - 1)]
+def markdown_table(heads: Sequence[str], rows: Sequence[Sequence[str]], text_columns: int = 1) -> str:
+    """
+    A table in Markdown.
+
+    :param heads: Heads of the columns
+    :param rows: One cell a column
+    :param text_columns: How many columns from the left are text, the others being numbers
+    :return: Its lines
+    """
+    rules = ["---"] * text_columns + ["---:"] * (len(heads) - text_columns)
     return "\n".join(f"| {' | '.join(cells)} |" for cells in (heads, rules, *rows))
 
 

@@ -7,26 +7,25 @@ import time
 from collections.abc import Mapping
 from contextlib import closing
 from dataclasses import replace
-from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
 from zoo_configs.agents import Agent, load_published
-from zoo_configs.benchmarking.results import SECONDS_A_MINUTE, repeating_command, wilson_interval
+from zoo_configs.benchmarking.results import wilson_interval
 from zoo_configs.drawing.curves import SUCCESS, load_curve
 from zoo_configs.environments import check_alike
-from zoo_configs.errors import CommandError, refused
+from zoo_configs.errors import CommandError
 from zoo_configs.evaluating import Outcome, build_test_env, evaluate
 from zoo_configs.files import whole_file
 from zoo_configs.measuring.machine import commit, describe_processor, versions
 from zoo_configs.publishing.card import FAILED, SUCCEEDED, Card
 from zoo_configs.publishing.compact import save_compact
+from zoo_configs.publishing.origin import day, origin_of
 from zoo_configs.publishing.published import Published
 from zoo_configs.publishing.readme import README_FILE, render_readme
-from zoo_configs.training.runs import RUN_KEY, Run, env_folder_name
+from zoo_configs.training.runs import Run, env_folder_name
 
 WRAPPING = ("normalize", "frame_stack", "vec_env_wrapper", "env_wrapper")
 
@@ -64,7 +63,7 @@ def pack(agent: Agent, folder: Path, args: argparse.Namespace, repo_id: str | No
     card = _describe(agent, agent.run, path.name, args)
     weights = save_compact(agent.model, path, half=not args.full_precision)
     outcome = _evaluate_file(agent, Published(folder, card), args)
-    if not args.full_precision and outcome.rate < _lowest(_evaluate(agent, args)):
+    if not args.full_precision and outcome.rate < _lowest(evaluate_agent(agent, args)):
         print("float16 changes what it does: the weights stay float32")
         weights = save_compact(agent.model, path, half=False)
         outcome = _evaluate_file(agent, Published(folder, card), args)
@@ -80,10 +79,19 @@ def _lowest(outcome: Outcome) -> float:
 
 
 def _evaluate_file(agent: Agent, written: Published, args: argparse.Namespace) -> Outcome:
-    return _evaluate(replace(agent, model=load_published(written, args.device)), args)
+    return evaluate_agent(replace(agent, model=load_published(written, args.device)), args)
 
 
-def _evaluate(agent: Agent, args: argparse.Namespace) -> Outcome:
+def evaluate_agent(agent: Agent, args: argparse.Namespace) -> Outcome:
+    """
+    Evaluate an agent, all episodes or none.
+
+    :param agent: The agent
+    :param args: Flags, see :func:`pack`
+    :return: What came of it
+    :raises CommandError: if its environment cannot be made
+    :raises KeyboardInterrupt: after Ctrl-C
+    """
     with closing(build_test_env(agent, args)) as env:
         check_alike(env, agent.model, "the agent cannot act here")
         outcome = evaluate(agent.model, env, args)
@@ -94,10 +102,6 @@ def _evaluate(agent: Agent, args: argparse.Namespace) -> Outcome:
 
 def _describe(agent: Agent, run: Run, file: str, args: argparse.Namespace) -> Card:
     """The card as far as the run says it."""
-    with refused(f"{run.resolved_file} cannot be read"):
-        about: dict[str, Any] = yaml.safe_load(run.resolved_file.read_text(encoding="utf-8"))[RUN_KEY]
-    how = run.standing
-    ended = time.time() if how is None else how.since + how.seconds
     return Card(
         env=agent.env_id,
         env_kwargs={**agent.env_kwargs, **args.env_kwargs},
@@ -118,14 +122,9 @@ def _describe(agent: Agent, run: Run, file: str, args: argparse.Namespace) -> Ca
         test_seed=args.seed,
         outcomes="",
         evaluations=_evaluations(run),
-        minutes=None if how is None else round(how.seconds / SECONDS_A_MINUTE, 1),
-        command=repeating_command(run),
-        commit=args.commit or about.get("commit", ""),
-        date=day(ended),
-        machine=about.get("machine", ""),
-        versions=about.get("versions", {}),
         measured={},
         hyperparams=run.cell.hyperparams,
+        **origin_of(run, args.commit)._asdict(),
     )
 
 
@@ -152,13 +151,3 @@ def _measured(outcome: Outcome) -> dict[str, Any]:
         "outcomes": "".join(SUCCEEDED if success else FAILED for success in outcome.successes),
         "measured": {"date": day(time.time()), **here},
     }
-
-
-def day(seconds: float) -> str:
-    """
-    A date.
-
-    :param seconds: Since 1970
-    :return: Year, month and day, in UTC
-    """
-    return datetime.fromtimestamp(seconds, timezone.utc).date().isoformat()

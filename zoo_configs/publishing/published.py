@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from zoo_configs.cells.rules import task_name
-from zoo_configs.errors import CommandError, unknown_name
+from zoo_configs.errors import CommandError
 from zoo_configs.publishing.card import CARD_FILE, Card, read_card
 
 PUBLISHED_FOLDER = Path(__file__).resolve().parents[1] / "published"
@@ -63,9 +63,8 @@ def find_published(name: str, baseline: str | None = None) -> Published:
     env_id = names.get(name, name.rpartition(":")[2])
     of_env = [agent for agent in agents if agent.card.env == env_id]
     if not of_env:
-        raise unknown_name(
-            "published agent", name, names, see=f"there are {', '.join(sorted(names)) or 'none'}"
-        )
+        there = ", ".join(sorted(names)) or "none"
+        raise CommandError(f"no published agent on {name!r}, there are: {there}")
     return _of_baseline(of_env, name, baseline)
 
 
