@@ -23,7 +23,7 @@ def describe_processor() -> str:
 
 
 def load_average() -> float:
-    """Return how many programs wanted a core over the last minute; not a number where the system does not tell."""
+    """Return how many programs wanted a core over the last minute; NaN where the system does not tell."""
     return os.getloadavg()[0] if hasattr(os, "getloadavg") else math.nan
 
 

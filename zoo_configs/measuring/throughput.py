@@ -11,6 +11,7 @@ from typing import Any
 
 import gymnasium as gym
 
+from bulletarm_gym.machine import load_average
 from bulletarm_gym.selfcheck import Yardstick, measure_yardstick
 from zoo_configs.environments import make_env
 from zoo_configs.errors import CommandError

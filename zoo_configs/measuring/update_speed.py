@@ -16,6 +16,7 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from torch import nn
 from torch.profiler import profile
 
+from bulletarm_gym.machine import load_average
 from sb3_extensions.networks.encoders import precision
 from sb3_extensions.networks.equivariant import EquivariantConv2d
 from sb3_extensions.spatial_dqn import SpatialDQN

@@ -169,9 +169,9 @@ def write_resolved(run: Run) -> Path:
         "device": run.device,
         "options": run.options.plain(),
         "gym_packages": list(run.gym_packages),
+        "commit": commit(),
         "versions": versions(),
         "machine": describe_processor(),
-        "commit": commit(),
     }
     path = run.resolved_file
     with whole_file(path) as partial, partial.open("w", encoding="utf-8") as file:
