@@ -31,4 +31,4 @@ def _table(patterns: list[str]) -> str:
         if any(fnmatchcase(card["baseline"], pattern) for pattern in patterns)
     ]
     head = ["task", "baseline", "preset", "success:", "interval:", "episodes:"]
-    return table(head, rows) if rows else ""
+    return "Agents to load:\n\n" + table(head, rows) if rows else ""

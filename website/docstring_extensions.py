@@ -1,4 +1,4 @@
-"""Makes links of the roles in docstrings, ``:class:`Name```, which Markdown does not know."""
+"""What Griffe, which reads the code for the API pages, has to be told of our docstrings."""
 
 import re
 from typing import Any
@@ -8,8 +8,28 @@ import griffe
 ROLE = re.compile(r":(?:attr|class|data|exc|func|meth|mod):`(~?)([\w.]+)`")
 
 
+class NamedTuples(griffe.Extension):
+    """Gives named tuples the constructor that their docstrings tell the parameters of."""
+
+    def on_class(self, *, cls: griffe.Class, **_: Any) -> None:
+        """Add the constructor."""
+        if not any(str(base).endswith("NamedTuple") for base in cls.bases):
+            return
+        kind = griffe.ParameterKind.positional_or_keyword
+        told = [griffe.Parameter("self", kind=kind)]
+        told += [
+            griffe.Parameter(name, kind=kind, annotation=item.annotation, default=item.value)
+            for name, item in cls.attributes.items()
+            if item.annotation is not None and "property" not in item.labels
+        ]
+        cls.set_member("__init__", griffe.Function("__init__", parameters=griffe.Parameters(*told), parent=cls))
+
+
 class Roles(griffe.Extension):
-    """Rewrites the docstrings of a package once it is loaded: what is public becomes a link, the rest code."""
+    """Makes links of the roles in a package's docstrings, ``:class:`Name```, which Markdown does not know.
+
+    What has a heading of its own becomes a link, the rest code.
+    """
 
     def on_package(self, *, pkg: griffe.Module, **_: Any) -> None:
         """Rewrite the docstrings of a package."""
