@@ -74,7 +74,9 @@ class Shown:
         """Where the task comes from."""
         if self.entry in OWN:
             return "not in the paper"
-        return "a task of the paper under another control or on other ground" if self.entry in COMPOSED else "the paper"
+        if self.entry in COMPOSED:
+            return "a task of the paper under another control or on other ground"
+        return "the paper"
 
     @property
     def summary(self) -> str:
@@ -104,10 +106,8 @@ def grouped() -> dict[str, list[Shown]]:
 
 
 def relatives(one: Shown) -> Sequence[Shown]:
-    """Return the environments of the same task under another control, on other ground or with other defaults."""
-    return [
-        other for other in SHOWN if other != one and (other.stem == one.stem or other.task is one.task)
-    ]
+    """Return the environments of the same task: another control, other ground or other defaults."""
+    return [other for other in SHOWN if other != one and (other.stem == one.stem or other.task is one.task)]
 
 
 def _order(one: Shown) -> tuple[int, int]:
@@ -117,7 +117,7 @@ def _order(one: Shown) -> tuple[int, int]:
 
 
 def _docstring(task: type[Any]) -> tuple[str, ...]:
-    """Return the docstring of a class, split at its labels: what precedes them, then label and text in turn."""
+    """Return the docstring of a class, split at its labels: what precedes them, label, text, label ..."""
     return tuple(LABEL.split(inspect.cleandoc(task.__doc__ or "")))
 
 

@@ -22,7 +22,9 @@ class NamedTuples(griffe.Extension):
             for name, item in cls.attributes.items()
             if item.annotation is not None and "property" not in item.labels
         ]
-        cls.set_member("__init__", griffe.Function("__init__", parameters=griffe.Parameters(*told), parent=cls))
+        cls.set_member(
+            "__init__", griffe.Function("__init__", parameters=griffe.Parameters(*told), parent=cls)
+        )
 
 
 class Roles(griffe.Extension):

@@ -8,12 +8,6 @@ FIELD = re.compile(r"^:param (\w+): (.*?)(?=^:|\Z)", re.MULTILINE | re.DOTALL)
 ROLE = re.compile(r":\w+:`~?([\w.]+)`")
 
 
-def sentence(item: Any) -> str:
-    """Return the first sentence of a docstring, with a full stop."""
-    text = inspect.cleandoc(item.__doc__ or "").partition("\n\n")[0]
-    return one_line(text)
-
-
 def parameters(item: Any) -> dict[str, str]:
     """Return what a docstring says of each parameter."""
     return {name: one_line(text) for name, text in FIELD.findall(inspect.cleandoc(item.__doc__ or ""))}

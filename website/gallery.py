@@ -20,7 +20,9 @@ def page() -> str:
 
 
 def _group(heading: str, members: list[Shown]) -> str:
-    return f'## {heading}\n\n<div class="gallery" markdown>\n\n' + "\n".join(map(_card, members)) + "\n</div>\n"
+    return (
+        f'## {heading}\n\n<div class="gallery" markdown>\n\n' + "\n".join(map(_card, members)) + "\n</div>\n"
+    )
 
 
 def _card(one: Shown) -> str:

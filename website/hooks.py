@@ -3,10 +3,10 @@
 import re
 import subprocess
 import sys
-import tomllib
 from pathlib import Path
 from typing import Any
 
+import tomllib
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 
@@ -56,7 +56,7 @@ def navigation() -> list[Any]:
 
 
 def repository(project: dict[str, Any]) -> str | None:
-    """Return the address of the repository: the project's, else that from which it was cloned, if it is public.
+    """Return the address of the repository: the project's, else what it was cloned from, if that is public.
 
     :param project: of pyproject.toml
     """

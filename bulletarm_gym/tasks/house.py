@@ -17,6 +17,8 @@ class HouseBuilding1(Stack):
     Randomisation: the blocks' positions and yaws, in open loop at least 4.2 cm between any two, in close loop
     at least 2.4 sides apart and yaws within 90 degrees either way.
     Success: the cubes form a stack, on top the triangle, upright; the gripper is empty and nothing moves.
+    Expert: in open loop pick a cube, the triangle last, and place it on the tallest stack there is, in close
+    loop grasp it, up, over the stack, down, open; and so on.
     All else is as in :class:`~bulletarm_gym.tasks.stacking.Stack`.
     """
 

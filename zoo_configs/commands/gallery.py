@@ -143,7 +143,7 @@ def _side_by_side(pictures: Sequence[Picture]) -> Picture:
 def _heightmaps(env_id: str, looks: Sequence[Look], pixels: int) -> list[Picture]:
     """Pictures whose colours span what there is in both of them."""
     if any(HEIGHTMAP not in look.observation for look in looks):
-        raise CommandError(f"--heightmap: {env_id} shows none; its observation has {list(looks[0].observation)}")
+        raise CommandError(f"--heightmap: {env_id} shows {', '.join(looks[0].observation)}")
     images = [look.observation[HEIGHTMAP][0] for look in looks]
     low, high = min(map(np.min, images)), max(map(np.max, images))
     return [draw_image(image, (low, high), pixels) for image in images]
