@@ -138,9 +138,12 @@ class CloseLoop(Control[DeltaMove]):
 
         It keeps the world's axes.
         """
-        hand = scene.robot.pose
-        squares = gripper_squares(hand, scene.robot.opening)
-        return Frame(hand, self._extent, hand.z + CAMERA_OFFSET, squares)
+        return hand_frame(scene.robot.pose, scene.robot.opening, self._extent)
+
+
+def hand_frame(hand: Pose, opening: float, extent: float) -> Frame:
+    """Return a square of a side ``extent`` (m) about the fingertips, which are ``opening`` (m) apart."""
+    return Frame(hand, extent, hand.z + CAMERA_OFFSET, gripper_squares(hand, opening))
 
 
 def gripper_squares(hand: Pose, opening: float) -> tuple[Rectangle, Rectangle]:

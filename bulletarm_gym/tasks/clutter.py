@@ -254,7 +254,6 @@ class OpenLoopObjectGrasping(ObjectGrasping):
     """Grasp any object of a clutter, by one pick.
 
     Description: a tray with up to N of the same 86 objects, by default 15.
-    Randomisation: as in :class:`ObjectGrasping`.
     Success: the gripper holds an object when it has come back from the pick. The object is taken away when
     the next episode begins. Every action ends the episode.
     Expert: one of the best grasps from above; which of them is left to chance, for nothing may have changed

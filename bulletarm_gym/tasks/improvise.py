@@ -17,7 +17,7 @@ class ImproviseHouseBuilding2(Structure):
 
     Description: two of 19 blocks of one layer, 3.6 to 9 cm wide and long, and a roof, 12 x 3 x 3 cm, lie on
     the ground.
-    Randomisation: as in the other structures; and which blocks, of which sizes.
+    Randomisation: which blocks, of which sizes; their positions and yaws, at least 4.2 cm between any two.
     All else is as in :class:`~bulletarm_gym.tasks.structure.Structure`.
     """
 
@@ -40,7 +40,8 @@ class ImproviseHouseBuilding2(Structure):
 class ImproviseHouseBuilding3(ImproviseHouseBuilding2):
     """Two blocks of random shapes side by side, a brick of random size on both, the roof on the brick.
 
-    Description: besides, a brick 2.5 to 3.5 cm wide, 10 to 14 cm long and 2 to 3.5 cm high.
+    Description: two of 19 blocks of one layer, 3.6 to 9 cm wide and long, a brick 2.5 to 3.5 cm wide, 10 to
+    14 cm long and 2 to 3.5 cm high, and a roof, 12 x 3 x 3 cm, lie on the ground.
     All else is as in :class:`ImproviseHouseBuilding2`.
     """
 

@@ -140,7 +140,10 @@ class BlockSorting(Task):
 
 
 class OpenLoopBlockSorting(BlockSorting):
-    """The same by pick and place."""
+    """Put the cubes of each of two colours into the bowl of their colour, by pick and place.
+
+    All else is as in :class:`BlockSorting`.
+    """
 
     defaults = replace(BlockSorting.defaults, max_steps=20)
 

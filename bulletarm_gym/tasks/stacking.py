@@ -95,8 +95,11 @@ class BlockStacking(Stack):
     """Stack all cubes.
 
     Description: four (two to six) 3 cm cubes lie on the ground; in the paper's close-loop task two of 5 cm.
-    Randomisation: in close loop yaws are within 45 degrees either way.
-    Success: the cubes form one stack.
+    Randomisation: the cubes' positions and yaws, in open loop at least 4.2 cm between any two, in close loop
+    at least 2.4 sides apart and yaws within 45 degrees either way.
+    Success: the cubes form one stack; the gripper is empty and nothing moves.
+    Expert: in open loop pick a cube and place it on the tallest stack there is, in close loop grasp it, up,
+    over the stack, down, open; and so on.
     All else is as in :class:`Stack`.
     """
 

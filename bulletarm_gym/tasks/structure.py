@@ -47,7 +47,7 @@ class Structure(Task):
     Success: every block lies on those below it (see :mod:`~bulletarm_gym.relations`), the lowest on level
     ground; one over two or more is less than a cube's side from their middle, a long one besides within pi/7
     of their line, tilted by less than 20 degrees; the gripper is empty and nothing moves.
-    Validity: no block of :attr:`upright` has fallen over; the gripper cannot right it.
+    Validity: no triangle and no roof (:attr:`upright`) has fallen over; the gripper cannot right it.
     Expert: add the next block, from the ground up; what lies in the way is put aside first.
 
     :param config: the environment's parameters
