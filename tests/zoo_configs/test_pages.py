@@ -72,6 +72,9 @@ def test_experts_stand_side_by_side(tmp_path: Path) -> None:
         {"robot": "panda", "episodes": "50", "success": "0", "mean_steps": ""},
         {"env": "CloseLoopBlockPicking", "episodes": "35", "commit": "def5678"},
     )
+    source = Source(tmp_path, tmp_path / "docs" / "page.md")
+    assert f"| `{REACHING}` | kuka | `obs_size:32` | 0.000, 3.0 |" in elsewhere_table(source)
+    assert "Picking" not in elsewhere_table(source)
     table = expert_table(source, lambda name: name.startswith("CloseLoopBlock"))
     lines = table.splitlines()
     assert lines[0] == "| id `BulletArm/...-v0` | KUKA | KUKA, fixed orientation | Panda |"
