@@ -9,11 +9,11 @@ from pathlib import Path
 
 import pytest
 
+from bulletarm_gym.machine import describe_processor
 from zoo_configs.cli import main
 from zoo_configs.errors import CommandError
 from zoo_configs.measuring import provenance
 from zoo_configs.measuring.data_files import EXPERTS, DataFile, number
-from zoo_configs.measuring.machine import describe_processor
 
 REACHING = "BulletArm/CloseLoopBlockReaching-v0"
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from gymnasium import spaces
 
+from bulletarm_gym.selfcheck import Yardstick
 from zoo_configs.cells.cell import Cell
 from zoo_configs.cli import main
 from zoo_configs.drawing.curves import LearningCurve, draw_curves, load_curve, mean_curve
@@ -18,17 +19,11 @@ from zoo_configs.errors import CommandError
 from zoo_configs.files import whole_file
 from zoo_configs.measuring import throughput
 from zoo_configs.measuring.data_files import OVERHEAD, SPEED, UPDATES, DataFile, number
-from zoo_configs.measuring.machine import Yardstick, measure_yardstick
 from zoo_configs.measuring.throughput import ReferenceRate, load_reference
 from zoo_configs.training.runs import Run, claim_run_folder, write_resolved
 from zoo_configs.training.seeds import SeedStream, stream_seed
 
 REACHING = "BulletArm/CloseLoopBlockReaching-v0"
-
-
-def test_the_yardstick_measures_steps_and_pictures() -> None:
-    yardstick = measure_yardstick(steps=20, pictures=1)
-    assert 1 < yardstick.step_us < 1000 * yardstick.render_ms
 
 
 def test_speed_compares_with_the_reference(

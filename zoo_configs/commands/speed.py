@@ -12,6 +12,7 @@ from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
+from bulletarm_gym.machine import describe_machine
 from zoo_configs.arguments import (
     Parser,
     add_env_kwargs,
@@ -24,7 +25,6 @@ from zoo_configs.arguments import (
 )
 from zoo_configs.environments import known_env_id, our_env_ids, register_environments, try_env
 from zoo_configs.measuring.data_files import OVERHEAD, SPEED, UPDATES, DataFile
-from zoo_configs.measuring.machine import describe_machine
 from zoo_configs.measuring.speed_records import overhead_record, throughput_record, update_record
 from zoo_configs.measuring.throughput import (
     ReferenceRate,

@@ -34,14 +34,17 @@ def print_table(
     Console(width=None if wrap else UNLIMITED).print(table)
 
 
-def markdown_table(columns: Sequence[str], rows: Sequence[Sequence[str]], rule: str = "---:") -> str:
+def markdown_table(
+    columns: Sequence[str], rows: Sequence[Sequence[str]], rule: str = "---:", text_columns: int = 1
+) -> str:
     """
     Write a table for a Markdown page.
 
     :param columns: Heads of the columns
     :param rows: One cell a column
-    :param rule: What aligns all columns but the first: by default to the right, as numbers
+    :param rule: What aligns the other columns: by default to the right, as numbers
+    :param text_columns: How many columns from the left are text
     :return: Its lines
     """
-    rules = ["---", *[rule] * (len(columns) - 1)]
+    rules = ["---"] * text_columns + [rule] * (len(columns) - text_columns)
     return "\n".join(f"| {' | '.join(cells)} |" for cells in (columns, rules, *rows))

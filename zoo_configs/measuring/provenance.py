@@ -11,7 +11,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from zoo_configs.measuring.machine import describe_processor
+from bulletarm_gym.machine import describe_processor
 
 PROVENANCE = ("machine", "date", "commit", "command")
 DISTRIBUTION = "bulletarm-gym"

@@ -11,9 +11,10 @@ from typing import Any
 
 import gymnasium as gym
 
+from bulletarm_gym.machine import load_average
+from bulletarm_gym.selfcheck import Yardstick, measure_yardstick
 from zoo_configs.environments import make_env
 from zoo_configs.errors import CommandError
-from zoo_configs.measuring.machine import Yardstick, load, measure_yardstick
 
 REFERENCE_FIELDS = ("env_id", "yardstick_step_us", "yardstick_render_ms", "steps_per_second", "reset_ms")
 
@@ -82,7 +83,7 @@ def measure_env(
     :return: What was measured
     :raises CommandError: if the environment has no expert
     """
-    busy, yardstick = load(), measure_yardstick()
+    busy, yardstick = load_average(), measure_yardstick()
     env = make_env(env_id, env_kwargs)
     try:
         if not hasattr(env.unwrapped, "expert_action"):

@@ -16,12 +16,12 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from torch import nn
 from torch.profiler import profile
 
+from bulletarm_gym.machine import load_average
 from sb3_extensions.networks.encoders import precision
 from sb3_extensions.networks.equivariant import EquivariantConv2d
 from sb3_extensions.spatial_dqn import SpatialDQN
 from zoo_configs.algorithms import register_algorithms
 from zoo_configs.cells.cell import Cell
-from zoo_configs.measuring.machine import load
 from zoo_configs.training.manager import import_classes
 
 # Parts of an update, by what names of PyTorch's operators contain; the first that fits counts.
@@ -117,7 +117,7 @@ def measure_update(cell: Cell, seconds: float, device: str = "auto") -> UpdateSp
     :param device: PyTorch device
     :return: What was measured
     """
-    busy = load()
+    busy = load_average()
     before = {key: value for key, value in BEFORE_TRAINING.items() if key in cell.hyperparams}
     model: Any = make_model(cell, device, expert_episodes=EXPERT_EPISODES, **before)
     model.learn(1)
