@@ -9,13 +9,13 @@ from pathlib import Path
 
 import numpy as np
 
+from bulletarm_gym.machine import load_average
 from zoo_configs.arguments import Parser, add_env_kwargs, add_packages, add_progress, positive_int, seed
 from zoo_configs.cells.rules import task_name
 from zoo_configs.environments import demonstrations, known_env_id, register_environments, try_env
 from zoo_configs.errors import refused
 from zoo_configs.files import check_writable
 from zoo_configs.measuring.data_files import COLLECTING, DataFile, number
-from zoo_configs.measuring.machine import load
 from zoo_configs.measuring.provenance import env_kwargs_words, key_values, provenance
 
 DESCRIPTION = """Collect successful episodes of an expert into one HDF5 file, written when all are there.
@@ -39,7 +39,7 @@ def main(argv: Sequence[str]) -> None:
     if data is not None:
         data.check("--data")
     try_env(env_id, args.env_kwargs)
-    busy, begin = load(), time.perf_counter()
+    busy, begin = load_average(), time.perf_counter()
     with refused(f"{env_id}: no demonstrations", (RuntimeError, ValueError)):
         found = demonstrations().collect(
             env_id,
