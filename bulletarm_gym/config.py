@@ -288,6 +288,25 @@ def _checks(control: str, task: TaskDefaults, robots: Sequence[str]) -> dict[str
     return {name: check for name, check in checks.items() if belongs(name, control)}
 
 
+def accepted(control: str, task: TaskDefaults, robots: Sequence[str]) -> dict[str, str]:
+    """Return what each parameter takes, by name, in the words of its errors.
+
+    :param control: which parameters there are
+    :param task: the task's own numbers
+    :param robots: names of the arms there are
+    """
+    return {name: _takes(check) for name, check in _checks(control, task, robots).items()}
+
+
+def _takes(check: Check) -> str:
+    """Return what is told to those who give nothing that a parameter could be."""
+    try:
+        check(object())
+    except Refused as refused:
+        return str(refused)
+    raise AssertionError(f"{check} refuses nothing")
+
+
 def _presets_elsewhere(control: str) -> dict[str, str]:
     """Return why presets of the other control cannot be had."""
     own = " or ".join(map(repr, PRESETS[control]))
@@ -336,9 +355,9 @@ def _checked(name: str, check: Check, value: Any) -> Any:
 
 def _tray(use: TrayUse) -> Check:
     def check(value: Any) -> bool:
-        if values.boolean(value) not in use.choices:
+        if len(use.choices) == 1 and value not in use.choices:
             raise Refused(f"{use.choices[0]} with this task: {use.reason}")
-        return bool(value)
+        return values.boolean(value)
 
     return check
 

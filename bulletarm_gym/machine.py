@@ -1,5 +1,6 @@
 """The machine: what it is, how busy, and with which versions of what."""
 
+import math
 import os
 import platform
 from collections.abc import Iterable
@@ -13,7 +14,7 @@ PACKAGES = ("bulletarm-gym", "gymnasium", "pybullet", "numpy", "numba")
 def describe_machine() -> str:
     """Return model and cores of the processor, and the load average over one minute, where there is one."""
     load = load_average()
-    return describe_processor() + ("" if load is None else f", load average {load:.2f}")
+    return describe_processor() + ("" if math.isnan(load) else f", load average {load:.2f}")
 
 
 def describe_processor() -> str:
@@ -21,9 +22,9 @@ def describe_processor() -> str:
     return f"{_processor()}, {os.cpu_count()} cores"
 
 
-def load_average() -> float | None:
-    """Return how many programs wanted a core over the last minute; None where the system does not tell."""
-    return os.getloadavg()[0] if hasattr(os, "getloadavg") else None
+def load_average() -> float:
+    """Return how many programs wanted a core over the last minute; NaN where the system does not tell."""
+    return os.getloadavg()[0] if hasattr(os, "getloadavg") else math.nan
 
 
 def versions(packages: Iterable[str] = PACKAGES) -> dict[str, str]:

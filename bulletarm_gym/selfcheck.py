@@ -68,7 +68,7 @@ def look_at(seconds: float) -> Iterator[Finding]:
 
 def processor() -> Finding:
     """Look at the processor, and whether something else keeps it busy."""
-    busy = (load_average() or 0.0) > (os.cpu_count() or 1)
+    busy = load_average() > (os.cpu_count() or 1)
     advice = "other programs want more cores than there are: trainings will be slow, and so is what follows"
     return Finding("processor", describe_machine(), advice if busy else "")
 

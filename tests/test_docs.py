@@ -2,6 +2,7 @@
 
 import importlib
 import inspect
+import math
 import re
 import sys
 from pathlib import Path
@@ -10,12 +11,15 @@ from typing import Any
 import pytest
 
 import bulletarm_gym
+from zoo_configs.pages.figures import FIGURES
+from zoo_configs.pages.markers import filled
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").rglob("*.md")])
 SNIPPET = re.compile(r"```python\n(.*?)```", re.DOTALL)
 NAME = re.compile(r"`((?:bulletarm_gym|sb3_extensions|zoo_configs)(?:\.\w+)+)`")
 SIGNATURE = re.compile(r"^\| `([\w.]+)\(([^`]*)\)` \|", re.MULTILINE)
+NUMBER = re.compile(r"\| `([\w.]+)` \| `([^`]+)` \| (?:paper|release)")
 FILE = re.compile(r"# (\w+\.py)\n")
 # The paper's appendix "List of Configurable Environment Parameters".
 PAPER_PARAMETERS = (
@@ -61,6 +65,27 @@ def test_signatures_of_the_task_guide_are_the_codes() -> None:
         for argument, default in told:
             is_optional = parameters[argument].default is not inspect.Parameter.empty
             assert bool(default) == is_optional, f"{name}: {argument}"
+
+
+def test_provenance_tells_the_numbers_of_the_code() -> None:
+    found = NUMBER.findall((ROOT / "docs" / "provenance.md").read_text(encoding="utf-8"))
+    assert len(found) > 60
+    for name, value in found:
+        assert _find(name) == pytest.approx(eval(value, {"pi": math.pi})), name
+
+
+@pytest.mark.parametrize(
+    "page", [*PAGES, ROOT / "CONTRIBUTING.md"], ids=lambda page: str(page.relative_to(ROOT))
+)
+def test_figures_are_those_of_the_data(page: Path) -> None:
+    """``make tables`` fills the pages."""
+    assert filled(page, ROOT / "docs" / "data", FIGURES) == page.read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("name", ["speed.csv", "updates.csv"])
+def test_the_package_has_the_data_of_the_pages(name: str) -> None:
+    shipped = ROOT / "zoo_configs" / "data" / name
+    assert shipped.read_bytes() == (ROOT / "docs" / "data" / name).read_bytes()
 
 
 def test_the_migration_guide_has_every_environment_and_parameter_of_the_paper() -> None:

@@ -10,7 +10,7 @@ from bulletarm_gym.rendering.overlays import fill_rectangles, rectangle_mask
 from bulletarm_gym.sensors.sensor import Sensor
 from bulletarm_gym.sensors.view import MAX_HEIGHT, Frame, Heights, View
 
-FINGERS = (40, 40, 40)
+FINGER_COLOUR = (40, 40, 40)
 """Colour of the squares that stand for the fingers."""
 GRIPPER = 255
 """Their number in the segmentation; nothing else has it."""
@@ -44,7 +44,7 @@ def heightmap(heights: Heights, frame: Frame) -> Heights:
         image = (heights - np.float32(frame.origin.z)).clip(0.0, MAX_HEIGHT)
     else:
         image = np.clip(np.float32(frame.plane) - heights, 0.0, MAX_HEIGHT)
-    if frame.fingers is not None:
+    if frame.fingers:
         fill_rectangles(image, frame.centre, frame.extent, frame.fingers, 0.0)
     return image[None]
 
@@ -63,7 +63,7 @@ class Color(Sensor):
     def read(self, view: View) -> NDArray[np.uint8]:
         """Return the colour of the body under each pixel's centre, or of the ground."""
         image: NDArray[np.uint8] = np.take(self._palette, view.labels, axis=1)
-        image[:, view.fingers] = np.array(FINGERS, np.uint8)[:, None]
+        image[:, view.fingers] = np.array(FINGER_COLOUR, np.uint8)[:, None]
         return image
 
     @cached_property

@@ -17,6 +17,7 @@ from zoo_configs.cells.cell import Cell
 from zoo_configs.errors import CommandError, reason, refused
 from zoo_configs.files import remove_empty, whole_file
 from zoo_configs.measuring.machine import versions
+from zoo_configs.measuring.provenance import commit
 from zoo_configs.training.options import TrainingOptions
 from zoo_configs.training.state import Standing, standing
 
@@ -168,6 +169,7 @@ def write_resolved(run: Run) -> Path:
         "device": run.device,
         "options": run.options.plain(),
         "gym_packages": list(run.gym_packages),
+        "commit": commit(),
         "versions": versions(),
         "machine": describe_processor(),
     }
