@@ -10,6 +10,7 @@ from website.measured import Row
 ARMS = {"kuka": "KUKA", "panda": "Panda", "ur5": "UR5, jaw", "ur5_robotiq": "UR5, 2F-85"}
 """Names of the arms, in the order of the tables."""
 EXPERT = "Success and mean length of the expert, which knows the scene (`env.unwrapped.expert_action()`)."
+HEAD = ["arm", "parameters", "success:", "steps:", "episodes:"]
 HOW = '??? info "How this was measured"'
 MEDIA = ((".gif", "film"), ("-curve.png", "curve"))
 """Endings of an agent's pictures, and what they show."""
@@ -20,12 +21,12 @@ def expert(name: str) -> Sequence[str]:
 
     :param name: of the environment, without namespace and version
     """
-    by_arm = {row["robot"]: row for row in measured.rows("experts", name)}
-    found = [by_arm[arm] for arm in ARMS if arm in by_arm]
+    rows = [row for row in measured.rows("experts", name) if not row.get("snap")]
+    found = sorted(rows, key=lambda row: list(ARMS).index(row["robot"]))
     if not found:
         return []
-    rows = [_on_arm(row) for row in found]
-    return [EXPERT, table(["arm", "success:", "steps:", "episodes:"], rows), *_measurements(found)]
+    cells = [_on_arm(row) for row in found]
+    return [EXPERT, table(HEAD, cells), *_measurements(found)]
 
 
 def speed(name: str) -> Sequence[str]:
@@ -40,8 +41,10 @@ def agents(name: str) -> Sequence[str]:
 
 
 def _on_arm(row: Row) -> list[str]:
+    """Return arm, parameters that were not the default, success, steps, episodes."""
     steps = f"{float(row['mean_steps']):.1f}"
-    return [ARMS[row["robot"]], measured.percent(row["success"]), steps, row["episodes"]]
+    changed = f"`{row['env_kwargs']}`" if row.get("env_kwargs") else ""
+    return [ARMS[row["robot"]], changed, measured.percent(row["success"]), steps, row["episodes"]]
 
 
 def _rate(row: Row) -> str:
