@@ -48,7 +48,7 @@ def _on_arm(row: Row) -> list[str]:
 
 
 def _rate(row: Row) -> str:
-    rate = f"**{float(row['steps_per_second']):,.0f} steps a second** in one process"
+    rate = f"**{float(row['steps_per_second']):,.0f} steps a second** in one process, the expert acting"
     times = row["times_reference"]
     return rate + (f", {float(times):.1f} times the original release's." if times else ".")
 

@@ -113,7 +113,7 @@ def test_expert_and_speed_are_read_from_their_tables(data: Path) -> None:
     assert text.index("| KUKA |  | 100.0 % | 7.0 | 200 |") < text.index("| Panda |  | 98.0 % | 7.0 | 50 |")
     assert "| KUKA | `obs_size:64` | 90.0 % | 7.0 | 10 |" in text
     assert "40.0 %" not in text and "50.0 %" not in text and text.count("commit 0123456") == 1
-    assert "**1,234 steps a second** in one process, 29.3 times" in "\n".join(figures.speed(PICKING))
+    assert "**1,234 steps a second** in one process, the expert acting, 29.3 times" in "\n".join(figures.speed(PICKING))
 
 
 def test_agents_are_read_from_their_cards(data: Path) -> None:
