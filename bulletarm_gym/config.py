@@ -56,6 +56,11 @@ class TrayUse:
     reason: str = ""
 
 
+WORKSPACES = {
+    "close_loop": [[0.3, 0.6], [-0.15, 0.15], [0.01, 0.25]],
+    "open_loop": [[0.25, 0.65], [-0.2, 0.2], [0.0, 1.0]],
+}
+"""The default workspace (m) of each control (paper, Benchmark Details)."""
 WIDE = [[0.25, 0.65], [-0.2, 0.2], [0.0, 0.3]]
 """Close-loop workspace (m) of tasks that need the room of an open-loop one."""
 
@@ -247,12 +252,12 @@ def _defaults(control: str, surface: str, sloping: bool, task: TaskDefaults) -> 
         return {
             **shared,
             "action_sequence": "pxyzr",
-            "workspace": [[0.3, 0.6], [-0.15, 0.15], [0.01, 0.25]],
+            "workspace": [list(limits) for limits in WORKSPACES[control]],
             **task.close_loop,
         }
     return shared | {
         "action_sequence": "pxyzrrr" if sloping else "pxyr",
-        "workspace": [[0.25, 0.65], [-0.2, 0.2], [0.0, 1.0]],
+        "workspace": [list(limits) for limits in WORKSPACES[control]],
         "in_hand_size": 40 if surface == "bump" else 24,
     }
 

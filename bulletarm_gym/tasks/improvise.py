@@ -6,7 +6,7 @@ from bulletarm_gym.config import EnvConfig, TaskDefaults
 from bulletarm_gym.objects.blocks import improvise_bricks, roof
 from bulletarm_gym.objects.polyominoes import CELL, WIDEST, improvise_blocks
 from bulletarm_gym.scene import Role
-from bulletarm_gym.tasks.structure import SCALE, Structure
+from bulletarm_gym.tasks.structure import SCALE, Part, Structure
 
 BRICKS = 19
 """Sizes of bricks to be drawn from: as many as there are shapes of blocks."""
@@ -29,13 +29,12 @@ class ImproviseHouseBuilding2(Structure):
     upright = ("roof",)
     width = CELL * WIDEST
 
-    def block(self, config: EnvConfig, kind: str, name: str) -> Role:
+    def block(self, config: EnvConfig, part: Part) -> Role:
         """Return a role that each of the 19 shapes may play."""
-        if kind != "block":
-            return super().block(config, kind, name)
-        series = int(name.removeprefix(kind))
-        shapes = [spec for scale in config.scales for spec in improvise_blocks(name, scale, series)]
-        return Role(name, tuple(shapes))
+        if part.kind != "block":
+            return super().block(config, part)
+        shapes = [spec for scale in config.scales for spec in improvise_blocks(part.name, scale, part.number)]
+        return Role(part.name, tuple(shapes))
 
 
 class ImproviseHouseBuilding3(ImproviseHouseBuilding2):
@@ -51,9 +50,9 @@ class ImproviseHouseBuilding3(ImproviseHouseBuilding2):
     )
     layers = (("block", "block"), ("brick",), ("roof",))
 
-    def block(self, config: EnvConfig, kind: str, name: str) -> Role:
+    def block(self, config: EnvConfig, part: Part) -> Role:
         """Return a role that bricks of several sizes may play, or one of the other blocks."""
-        if kind != "brick":
-            return super().block(config, kind, name)
-        sizes = [spec for scale in config.scales for spec in improvise_bricks(name, scale, BRICKS)]
-        return Role(name, tuple(sizes))
+        if part.kind != "brick":
+            return super().block(config, part)
+        sizes = [spec for scale in config.scales for spec in improvise_bricks(part.name, scale, BRICKS)]
+        return Role(part.name, tuple(sizes))

@@ -33,7 +33,7 @@ PAGE = "index.html"
 FORMATS = ("png", "webp")
 HEIGHTMAP = "heightmap"  # name of the image in an observation, and of its picture
 ATTEMPTS = 10  # episodes until the expert solves one
-GAP = 4  # pixels between the two pictures
+PICTURE_GAP = 4  # pixels between the two pictures
 FIRST_SEED = 4  # with which the drawer faces the camera
 HEAD = """<!doctype html>
 <html lang="en">
@@ -136,7 +136,7 @@ def _draw(env_id: str, args: argparse.Namespace) -> Drawn:
 
 def _side_by_side(pictures: Sequence[Picture]) -> Picture:
     before, after = pictures
-    gap = np.full((len(before), GAP, 3), np.iinfo(np.uint8).max, np.uint8)
+    gap = np.full((len(before), PICTURE_GAP, 3), np.iinfo(np.uint8).max, np.uint8)
     return np.concatenate([before, gap, after], axis=1)
 
 
