@@ -10,7 +10,7 @@ from website.measured import Row
 ARMS = {"kuka": "KUKA", "panda": "Panda", "ur5": "UR5, jaw", "ur5_robotiq": "UR5, 2F-85"}
 """Names of the arms, in the order of the tables."""
 EXPERT = "Success and mean length of the expert, which knows the scene (`env.unwrapped.expert_action()`)."
-HEAD = ["arm", "parameters", "success:", "steps:", "episodes:"]
+HEAD = ["arm", "parameters", "success", "steps", "episodes"]
 HOW = '??? info "How this was measured"'
 MEDIA = ((".gif", "film"), ("-curve.png", "curve"))
 """Endings of an agent's pictures, and what they show."""
@@ -26,7 +26,7 @@ def expert(name: str) -> Sequence[str]:
     if not found:
         return []
     cells = [_on_arm(row) for row in found]
-    return [EXPERT, table(HEAD, cells), *_measurements(found)]
+    return [EXPERT, table(HEAD, cells, numbers=3), *_measurements(found)]
 
 
 def speed(name: str) -> Sequence[str]:
@@ -42,9 +42,10 @@ def agents(name: str) -> Sequence[str]:
 
 def _on_arm(row: Row) -> list[str]:
     """Return arm, parameters that were not the default, success, steps, episodes."""
-    steps = f"{float(row['mean_steps']):.1f}"
+    steps = f"{float(row['mean_steps']):.1f}" if row["mean_steps"] else ""
     changed = f"`{row['env_kwargs']}`" if row.get("env_kwargs") else ""
-    return [ARMS[row["robot"]], changed, measured.percent(row["success"]), steps, row["episodes"]]
+    success = measured.share(row["success"], row["episodes"])
+    return [ARMS[row["robot"]], changed, success, steps, row["episodes"]]
 
 
 def _rate(row: Row) -> str:
@@ -54,10 +55,12 @@ def _rate(row: Row) -> str:
 
 
 def _agent(card: dict[str, Any]) -> str:
-    low, high = map(measured.percent, card["interval"])
+    success, low, high = (
+        measured.share(value, card["episodes"]) for value in (card["success"], *card["interval"])
+    )
     baseline, name = card["baseline"], measured.bare(card["env"])
     told = (
-        f"Preset `{card['preset']}`, seed {card['seed']}: success **{measured.percent(card['success'])}** "
+        f"Preset `{card['preset']}`, seed {card['seed']}: success **{success}** "
         f"over {card['episodes']} episodes ({low} to {high})."
     )
     enjoy = f"    bulletarm-zoo enjoy --published {card['env']} --baseline {baseline}"
