@@ -8,7 +8,7 @@ import pytest
 
 import bulletarm_gym
 from website import hooks
-from website.docstring_extensions import NamedTuples, Roles
+from website.docstring_extensions import Markup, NamedTuples
 
 MODULE = '''"""A module."""
 
@@ -31,7 +31,12 @@ class Shape(NamedTuple):
 
 
 class _Pen:
-    """A pen."""
+    """A pen.
+
+    Description: it is
+    blue.
+    Success: it draws.
+    """
 
 
 def draw() -> None:
@@ -42,7 +47,7 @@ def draw() -> None:
 @pytest.fixture
 def shapes(tmp_path: Path) -> griffe.Object:
     (tmp_path / "shapes.py").write_text(MODULE)
-    extensions = griffe.load_extensions(NamedTuples(), Roles())
+    extensions = griffe.load_extensions(NamedTuples(), Markup())
     module = griffe.load("shapes", search_paths=[tmp_path], extensions=extensions)
     assert isinstance(module, griffe.Object)
     return module
@@ -52,6 +57,11 @@ def test_roles_become_links_where_there_is_a_heading(shapes: griffe.Object) -> N
     told = shapes["Shape"].docstring.value
     assert told.startswith("A shape, as [`draw`][shapes.draw] draws it, by `_Pen` and `ndarray`.")
     assert "of a [`Shape`][shapes.Shape]." in shapes["Shape.area"].docstring.value
+
+
+def test_what_a_task_tells_stands_in_paragraphs(shapes: griffe.Object) -> None:
+    told = shapes["_Pen"].docstring.value
+    assert told == "A pen.\n\n\n**Description:** it is\nblue.\n\n**Success:** it draws."
 
 
 def test_named_tuples_have_a_constructor(shapes: griffe.Object) -> None:

@@ -10,7 +10,8 @@ import pytest
 import bulletarm_gym
 from bulletarm_gym.config import PARAMETERS
 from website import agents, figures, gallery, measured, task_page
-from website.catalogue import LABELS, SHOWN, grouped, relatives
+from website.catalogue import SHOWN, grouped, relatives
+from website.docstrings import LABELS
 from website.markdown import table
 
 BY_NAME = {one.name: one for one in SHOWN}
