@@ -106,7 +106,7 @@ def _row(run: Run, args: argparse.Namespace, best: str, last: str) -> Row:
     from zoo_configs.publishing.measured import Row
     from zoo_configs.publishing.origin import origin_of
 
-    origin, hyperparams = origin_of(run, args.commit), run.cell.hyperparams
+    origin, hyperparams, options = origin_of(run, args.commit), run.cell.hyperparams, run.options
     command = shlex.split(origin.command)
     success = load_curve(run.evaluations_file).success if run.evaluations_file.is_file() else ()
     half = success[len(success) // 2 :]
@@ -120,7 +120,7 @@ def _row(run: Run, args: argparse.Namespace, best: str, last: str) -> Row:
         noise=str(hyperparams.get("expert_noise", "")),
         dagger="yes" if hyperparams.get("dagger") else "",
         updates=str(hyperparams.get("pretrain_steps", 0)),
-        steps=str(int(hyperparams["n_timesteps"])),
+        steps=str(int(options.n_timesteps if options.n_timesteps > 0 else hyperparams["n_timesteps"])),
         best=best,
         last=last,
         episodes=str(args.episodes),
