@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
 from zoo_configs.cells.rules import task_name
+from zoo_configs.drawing.tables import markdown_table
 from zoo_configs.files import whole_file
 
 CELL_HEADS = (
@@ -96,19 +96,6 @@ def markdown(cells: pd.DataFrame, baselines: pd.DataFrame) -> str:
         "\n".join(f"    {command}" for command in cells["command"]),
     ]
     return "\n\n".join(parts) + "\n"
-
-
-def markdown_table(heads: Sequence[str], rows: Sequence[Sequence[str]], text_columns: int = 1) -> str:
-    """
-    A table in Markdown.
-
-    :param heads: Heads of the columns
-    :param rows: One cell a column
-    :param text_columns: How many columns from the left are text, the others being numbers
-    :return: Its lines
-    """
-    rules = ["---"] * text_columns + ["---:"] * (len(heads) - text_columns)
-    return "\n".join(f"| {' | '.join(cells)} |" for cells in (heads, rules, *rows))
 
 
 def write_tables(cells: pd.DataFrame, baselines: pd.DataFrame, picture: Path) -> list[Path]:

@@ -102,6 +102,20 @@ def draw_value_map(value_map: ValueMap) -> Image.Image:
     return panel
 
 
+def draw_image(image: npt.NDArray[np.floating], limits: tuple[float, float], pixels: int) -> Frame:
+    """
+    Draw an image of one channel, bright where its values are high.
+
+    :param image: Shape (height, width)
+    :param limits: What the colours span
+    :param pixels: Side of the picture
+    :return: Shape (pixels, pixels, 3)
+    """
+    low, high = limits
+    picture = _colour((image - low) / max(high - low, SMALLEST_SPAN), VALUE_COLOURS)
+    return np.asarray(picture.resize((pixels, pixels), NEAREST))
+
+
 def observed_images(observation: Any, space: spaces.Space[Any]) -> list[npt.NDArray[np.float64]]:
     """
     Single-channel images in an observation.
@@ -149,10 +163,10 @@ def _write_gif(frames: Sequence[Frame], path: Path, duration: int) -> None:
 
 def write_picture(frame: Frame, path: Path) -> None:
     """
-    Write one frame as PNG, whole or not at all.
+    Write one frame, whole or not at all.
 
     :param frame: Shape (height, width, 3)
-    :param path: The file
+    :param path: The file; its suffix, ``.png`` or ``.webp``, is the format
     """
     _write(frame, path)
 

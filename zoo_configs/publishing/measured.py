@@ -9,8 +9,8 @@ from dataclasses import asdict, dataclass, fields
 from fnmatch import fnmatchcase
 from pathlib import Path
 
-from zoo_configs.benchmarking.tables import markdown_table
 from zoo_configs.cells.rules import task_name
+from zoo_configs.drawing.tables import markdown_table
 from zoo_configs.errors import CommandError, refused
 from zoo_configs.files import whole_file
 

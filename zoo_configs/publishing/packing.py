@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from bulletarm_gym.machine import describe_processor
 from zoo_configs.agents import Agent, load_published
 from zoo_configs.benchmarking.results import wilson_interval
 from zoo_configs.drawing.curves import SUCCESS, load_curve
@@ -19,7 +20,8 @@ from zoo_configs.environments import check_alike
 from zoo_configs.errors import CommandError
 from zoo_configs.evaluating import Outcome, build_test_env, evaluate
 from zoo_configs.files import whole_file
-from zoo_configs.measuring.machine import commit, describe_arithmetic, describe_processor, versions
+from zoo_configs.measuring.machine import describe_arithmetic, versions
+from zoo_configs.measuring.provenance import commit
 from zoo_configs.publishing.card import FAILED, SUCCEEDED, Card
 from zoo_configs.publishing.compact import save_compact
 from zoo_configs.publishing.origin import day, origin_of
