@@ -68,6 +68,18 @@ CODE = Layout(
 )
 
 
+# Best and last are success of these models over the episodes, least and greatest of the run's own
+# evaluations in its second half; options are what the preset does not say; earlier is yes for other
+# environments or learners.
+RESULTS = Layout(
+    ("env", "options", "baseline", "preset", "seed"),
+    (
+        *("demonstrations", "noise", "dagger", "updates", "steps", "best", "last", "episodes"),
+        *("least", "greatest", "minutes", "earlier"),
+    ),
+)
+
+
 @dataclass(frozen=True)
 class DataFile:
     """
