@@ -1,5 +1,6 @@
 # Everything runs in .venv, which the first target that needs it creates.
 #   make demo    train, evaluate and film an agent that picks blocks
+#   make tables  fill the documentation's tables from docs/data
 #   make test    what continuous integration runs: lint, types, tests
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
 VENV ?= .venv
@@ -8,7 +9,7 @@ DEMO_LOGS ?= logs/demo
 DEMO = --baseline equi_sacfd --env BulletArm/CloseLoopBlockPicking-v0 --preset quick -f $(DEMO_LOGS)
 PYTEST_FLAGS ?=
 
-.PHONY: venv demo test lint format type docs clean
+.PHONY: venv demo tables test lint format type docs clean
 .DEFAULT_GOAL := venv
 
 venv: $(VENV)/installed-dev
@@ -23,6 +24,11 @@ demo: venv
 	$(BIN)/bulletarm-zoo train $(DEMO) --seed 0 --progress
 	$(BIN)/bulletarm-zoo record $(DEMO) --load-last -n 4 -o $(DEMO_LOGS)/demo.gif
 	$(BIN)/bulletarm-zoo enjoy $(DEMO) --load-last -n 50
+
+# Estimates of a benchmark's hours read copies of two of the files.
+tables: venv
+	$(BIN)/bulletarm-zoo report --docs docs README.md CONTRIBUTING.md
+	cp docs/data/speed.csv docs/data/updates.csv zoo_configs/data/
 
 # The last line printed is pytest's own summary.
 test: lint type

@@ -77,3 +77,14 @@ def test_tutorials_modules_are_those_of_the_guides(page: str, module: str) -> No
     shown = guide.partition(f"# {module}.py\n")[2].partition("```")[0]
     # The guide has its imports in an order of its own.
     assert sorted(filter(None, code.split("\n"))) == sorted(filter(None, shown.split("\n")))
+
+
+def test_the_size_of_code_is_measured() -> None:
+    measured = runpy.run_path(str(EXAMPLES / "measure_code.py"))
+    one = 'def one():\n    """Docs\n    """\n    # why\n    a = 1\n\n    return a\n'
+    text = one + '\ndef none():\n    """Docs"""\n'
+    assert sorted(measured["body_lengths"](text)) == [0, 3]
+    sources = [measured["Source"]("a.py", text), measured["Source"]("b.py", "def f():\n    pass\n")]
+    figures = measured["measure"](sources)
+    assert (figures["files"], figures["lines"], figures["functions"]) == ("2", "12", "3")
+    assert (figures["median_body"], figures["p90_body"], figures["longest_file"]) == ("1", "3", "10")

@@ -20,23 +20,23 @@ from bulletarm_gym.placement import footprint
 from bulletarm_gym.scene import Item, Scene
 from bulletarm_gym.simulation import Box
 
-SQUARE = 1.05
+SQUARENESS = 1.05
 """A block whose level sides differ by less than this factor can be turned by a quarter."""
-ROOM = 0.002
+FINGER_CLEARANCE = 0.002
 """Gap (m) between the open fingers and what is beside them."""
 PAD = 0.02
 """Width (m) of the fingers' pads, for all arms."""
-PLACES = 25
+GRIP_PLACES = 25
 """Places along a block at which it may be taken."""
 FLUSH = 1e-3
 """Faces this near (m) to the foremost one are touched, too."""
 OFF_CENTRE = 0.5
 """A grip that far (m) from the middle is as bad as one a metre askew."""
-OVER = 0.0015
+TIP_CLEARANCE = 0.0015
 """Gap (m) between the fingertips and the ground under them."""
 SWEEP = np.concatenate([sign * np.linspace(0.3, 1.0, 12) for sign in (-1.0, 1.0)])
 """Where the ground under the closing fingers is looked at, in their farthest reach."""
-SPARE = 0.008
+OPENING_PLAY = 0.008
 """What the gripper opens wider (m) than a block, at least, to take it."""
 LIFTS = (0.0, 0.15, 0.3)
 """How far above its middle, in heights, a block may be taken."""
@@ -69,13 +69,26 @@ def _grip_point(item: Item) -> Vector:
     """Return where (m) in its frame fingers that close along x hold an item: square on, near its middle."""
     low, high = (item.spec.piece_bounds[:, end, :2] for end in (0, 1))
     end = np.abs(item.spec.mesh.bounds[:, 1]).max()
-    points = [_held_at(low, high, y) for y in np.linspace(-end, end, PLACES).tolist()]
-    _, x, y = min(points)
-    return (x, y, 0.0)
+    points = [_held_at(low, high, y) for y in np.linspace(-end, end, GRIP_PLACES).tolist()]
+    grip = min(points)
+    return (grip.x, grip.y, 0.0)
 
 
-def _held_at(low: FloatArray, high: FloatArray, y: float) -> tuple[float, float, float]:
-    """Return how badly (m) fingers hold at y, and the x and y of the middle between them.
+class Grip(NamedTuple):
+    """Where fingers that close along x may hold an item, in its frame; of two the lesser is the better.
+
+    :param badness: how far (m) the fingers are from square on, wide and near the middle
+    :param x: of the middle between the fingers (m)
+    :param y: of the fingers (m)
+    """
+
+    badness: float
+    x: float
+    y: float
+
+
+def _held_at(low: FloatArray, high: FloatArray, y: float) -> Grip:
+    """Return how fingers hold an item at y.
 
     :param low: lowest x and y of each piece, (n, 2) m
     :param high: highest x and y of each piece
@@ -83,13 +96,13 @@ def _held_at(low: FloatArray, high: FloatArray, y: float) -> tuple[float, float,
     start, stop = np.maximum(low[:, 1], y - PAD / 2.0), np.minimum(high[:, 1], y + PAD / 2.0)
     between = stop > start
     if not between.any():
-        return (math.inf, 0.0, y)
+        return Grip(math.inf, 0.0, y)
     left, right = float(low[between, 0].min()), float(high[between, 0].max())
     touched = [between & (low[:, 0] < left + FLUSH), between & (high[:, 0] > right - FLUSH)]
     lengths = [float((stop - start)[pieces].sum()) for pieces in touched]
     middles = [float(((start + stop) / 2.0)[pieces].mean()) for pieces in touched]
     badness = abs(middles[0] - middles[1]) + OFF_CENTRE * abs(y) - min(lengths)
-    return (badness, (left + right) / 2.0, y)
+    return Grip(badness, (left + right) / 2.0, y)
 
 
 def is_box(item: Item) -> bool:
@@ -142,7 +155,7 @@ def pick(scene: Scene, item: Item, rng: np.random.Generator) -> Waypoint:
     frame = lying_frame(item)
     _, length, height = lying_corners(item).sides
     stroke = scene.robot.model.gripper.stroke
-    turns = [0.0, math.pi / 2.0] if is_box(item) and length + SPARE <= stroke else [0.0]
+    turns = [0.0, math.pi / 2.0] if is_box(item) and length + OPENING_PLAY <= stroke else [0.0]
     lifts = [share * height for share in LIFTS]
     hands = [_able(scene, frame.compose(Pose.planar(0.0, 0.0, z, turn))) for z in lifts for turn in turns]
     drawn = hands[int(rng.integers(len(hands)))]
@@ -173,7 +186,7 @@ def _lying(item: Item) -> Iterator[Pose]:
     """Yield the lying frame over the ground, in every way that looks the same."""
     corners = lying_corners(item)
     level = corners.sides[:2]
-    turns = 4 if max(level) < SQUARE * min(level) else 2
+    turns = 4 if max(level) < SQUARENESS * min(level) else 2
     x, y, _ = corners.middle
     for turn in range(turns):
         turned = Pose.planar(0.0, 0.0, RELEASE - corners.low[2], 2.0 * math.pi * turn / turns)
@@ -202,16 +215,16 @@ def _bring(scene: Scene, hand: Pose, held_at: Vector, goal: Vector) -> Pose:
 
 
 def _rank(scene: Scene, hand: Pose, item: Item) -> tuple[bool, bool]:
-    return scene.robot.reaches(hand), has_room(scene, hand, item)
+    return scene.robot.reaches(hand), fingers_fit(scene, hand, item)
 
 
-def has_room(scene: Scene, hand: Pose, item: Item) -> bool:
+def fingers_fit(scene: Scene, hand: Pose, item: Item) -> bool:
     """Whether the open fingers can close, their tips at a pose, and touch nothing but an item."""
     gripper = scene.robot.model.gripper
     thickness, width, _ = gripper.finger
     far = gripper.stroke / 2.0 + thickness
     tips = _swept(far, width) @ matrix(hand).T + hand.position
-    if (scene.surface.heights(tips[:, :2]) + OVER > tips[:, 2]).any():
+    if (scene.surface.heights(tips[:, :2]) + TIP_CLEARANCE > tips[:, 2]).any():
         return False
     fingers = [hand.compose(Pose((side * (far - thickness / 2.0), 0.0, 0.0))) for side in (1.0, -1.0)]
     bases = [(Footprint.rectangle((thickness, width), finger), finger.z) for finger in fingers]
@@ -220,7 +233,7 @@ def has_room(scene: Scene, hand: Pose, item: Item) -> bool:
         if other is item or other is held or (top := scene.world.top(other.body)) <= lowest:
             continue
         shadow = footprint(other)
-        if any(base.gap(shadow) < ROOM and top > z for base, z in bases):
+        if any(base.gap(shadow) < FINGER_CLEARANCE and top > z for base, z in bases):
             return False
     return True
 

@@ -23,6 +23,8 @@ from bulletarm_gym.robots.urdf import (
 )
 
 FINGER_MASS = 0.05
+WIDEST_HAND = (0.21, 0.07)
+"""Length and width (m) of the widest arm's hand, the Panda's: tasks lay things where every arm has room."""
 
 
 @dataclass(frozen=True, kw_only=True)

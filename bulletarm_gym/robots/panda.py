@@ -49,4 +49,3 @@ PANDA = RobotModel(
     posture=(0.0, 0.0, 0.0, -2.2, 0.0, 2.2, -math.pi / 4.0),
     force=240.0,
 )
-"""Greatest torque as in the original BulletArm release."""
