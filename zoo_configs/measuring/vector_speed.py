@@ -19,7 +19,11 @@ from sb3_extensions.vec_env import SplitVecEnv
 from zoo_configs.environments import make_env, register_environments
 from zoo_configs.errors import CommandError
 
-KINDS: dict[str, Callable[[list[Any]], VecEnv]] = {"dummy": DummyVecEnv, "subproc": SubprocVecEnv, "split": SplitVecEnv}
+KINDS: dict[str, Callable[[list[Any]], VecEnv]] = {
+    "dummy": DummyVecEnv,
+    "subproc": SubprocVecEnv,
+    "split": SplitVecEnv,
+}
 ONE_PROCESS = "dummy"
 ROUNDS = 5
 LEAST_STEPS = 20
