@@ -21,7 +21,7 @@ LAYERS = (
     {"experts"},
     {"tasks"},
     {"control"},
-    {"feasibility", "state", "viewer"},
+    {"assembly", "feasibility", "state", "viewer"},
     {"env"},
     {"demonstrations", "registration"},
     {"benchmarks", "vector", "wrappers", "__init__"},
