@@ -6,6 +6,8 @@ from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Sequence
 from typing import NamedTuple
 
+import gymnasium as gym
+
 from zoo_configs.cells.rules import task_name
 from zoo_configs.drawing.tables import markdown_table
 from zoo_configs.environments import our_env_ids, register_environments
@@ -14,6 +16,7 @@ from zoo_configs.pages.markers import Source
 
 DATA = "experts"
 ID = "id `BulletArm/...-v0`"
+PACKAGE = "bulletarm_gym."  # others may register in the namespace, too
 OPEN_LOOP = "OpenLoop"
 UNEVEN = ("OpenLoopRamp", "OpenLoopBump")
 MANY = 100  # episodes, of which a third digit says something
@@ -148,7 +151,8 @@ def task_names() -> list[str]:
     :return: Names in the order of their registration
     """
     register_environments()
-    return [task_name(env_id) for env_id in our_env_ids()]
+    ours = [env_id for env_id in our_env_ids() if str(gym.spec(env_id).entry_point).startswith(PACKAGE)]
+    return [task_name(env_id) for env_id in ours]
 
 
 def _paper() -> set[str]:
