@@ -9,7 +9,7 @@ DEMO_LOGS ?= logs/demo
 DEMO = --baseline equi_sacfd --env BulletArm/CloseLoopBlockPicking-v0 --preset quick -f $(DEMO_LOGS)
 PYTEST_FLAGS ?=
 
-.PHONY: venv demo tables test lint format type docs clean
+.PHONY: venv demo tables pictures test lint format type docs clean
 .DEFAULT_GOAL := venv
 
 venv: $(VENV)/installed-dev
@@ -47,6 +47,11 @@ type: venv
 
 docs: $(VENV)/installed-docs
 	$(BIN)/mkdocs build --strict
+
+# The documentation's pictures of all tasks, as they are in docs/images/tasks.
+pictures: venv
+	$(BIN)/bulletarm-zoo gallery -o docs/images/tasks --heightmap --format webp --pixels 480
+	rm docs/images/tasks/index.html
 
 clean:
 	rm -rf $(VENV) build dist *.egg-info .mypy_cache .pytest_cache .ruff_cache site

@@ -2,10 +2,12 @@
 
 import re
 from fnmatch import fnmatchcase
+from typing import Any
 
 from website import measured
 from website.markdown import table
 
+HEAD = ["task", "baseline", "preset", "success", "interval", "episodes"]
 MARK = re.compile(r"<!-- agents: ([\w*, ]+) -->")
 
 
@@ -19,16 +21,15 @@ def filled(markdown: str) -> str:
 
 def _table(patterns: list[str]) -> str:
     rows = [
-        [
-            f"[{measured.bare(card['env'])}](../tasks/{measured.bare(card['env'])}.md#trained-agents)",
-            f"`{card['baseline']}`",
-            f"`{card['preset']}`",
-            measured.percent(card["success"]),
-            " to ".join(map(measured.percent, card["interval"])),
-            str(card["episodes"]),
-        ]
+        _row(card)
         for card in measured.cards()
         if any(fnmatchcase(card["baseline"], pattern) for pattern in patterns)
     ]
-    head = ["task", "baseline", "preset", "success:", "interval:", "episodes:"]
-    return "Agents to load:\n\n" + table(head, rows) if rows else ""
+    return "Agents to load:\n\n" + table(HEAD, rows, numbers=3) if rows else ""
+
+
+def _row(card: dict[str, Any]) -> list[str]:
+    name, episodes = measured.bare(card["env"]), card["episodes"]
+    success, low, high = (measured.share(value, episodes) for value in (card["success"], *card["interval"]))
+    page = f"[{name}](../tasks/{name}.md#trained-agents)"
+    return [page, f"`{card['baseline']}`", f"`{card['preset']}`", success, f"{low} to {high}", str(episodes)]

@@ -10,6 +10,7 @@ from typing import Any
 from bulletarm_gym.extensions import load
 from bulletarm_gym.registration import COMPOSED, ENTRIES, OWN, Entry
 from bulletarm_gym.tasks import Task
+from website.docstrings import LABEL, LABELS
 
 GROUPS = {
     "Reach, pick, push, open": ("reaching", "picking", "pushing", "pulling", "bowl", "corner", "drawer"),
@@ -18,7 +19,6 @@ GROUPS = {
     "Clutter": ("clutter",),
 }
 """Headings of the gallery and the modules of their tasks."""
-LABEL = re.compile(r"^(Description|Randomisation|Success|Validity|Expert): ", re.MULTILINE)
 PREFIX = re.compile(r"^(OpenLoop|CloseLoop)(Ramp|Bump)?")
 WORD = re.compile(r"(?<=[a-z])(?=[A-Z0-9])")
 
@@ -92,7 +92,6 @@ class Shown:
         return {label: found[label] for label in LABELS if label in found}
 
 
-LABELS = ("Description", "Randomisation", "Success", "Validity", "Expert")
 SHOWN = tuple(map(Shown, ENTRIES))
 """All environments, in the order of their table."""
 

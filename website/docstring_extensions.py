@@ -5,6 +5,8 @@ from typing import Any
 
 import griffe
 
+from website.docstrings import LABEL
+
 ROLE = re.compile(r":(?:attr|class|data|exc|func|meth|mod):`(~?)([\w.]+)`")
 
 
@@ -27,10 +29,11 @@ class NamedTuples(griffe.Extension):
         )
 
 
-class Roles(griffe.Extension):
+class Markup(griffe.Extension):
     """Makes links of the roles in a package's docstrings, ``:class:`Name```, which Markdown does not know.
 
-    What has a heading of its own becomes a link, the rest code.
+    What has a heading of its own becomes a link, the rest code. What a task tells under a label becomes a
+    paragraph.
     """
 
     def on_package(self, *, pkg: griffe.Module, **_: Any) -> None:
@@ -39,7 +42,8 @@ class Roles(griffe.Extension):
 
     def _rewrite(self, item: griffe.Object) -> None:
         if item.docstring is not None:
-            item.docstring.value = ROLE.sub(lambda match: _link(item, *match.groups()), item.docstring.value)
+            told = LABEL.sub(r"\n**\1:** ", item.docstring.value)
+            item.docstring.value = ROLE.sub(lambda match: _link(item, *match.groups()), told)
         for member in item.members.values():
             if isinstance(member, griffe.Object):  # what is imported is rewritten where it stands
                 self._rewrite(member)

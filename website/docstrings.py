@@ -4,6 +4,9 @@ import inspect
 import re
 from typing import Any
 
+LABELS = ("Description", "Randomisation", "Success", "Validity", "Expert")
+"""What the docstring of a task tells, in this order."""
+LABEL = re.compile(rf"^({'|'.join(LABELS)}): ", re.MULTILINE)
 FIELD = re.compile(r"^:param (\w+): (.*?)(?=^:|\Z)", re.MULTILINE | re.DOTALL)
 ROLE = re.compile(r":\w+:`~?([\w.]+)`")
 

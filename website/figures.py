@@ -10,6 +10,7 @@ from website.measured import Row
 ARMS = {"kuka": "KUKA", "panda": "Panda", "ur5": "UR5, jaw", "ur5_robotiq": "UR5, 2F-85"}
 """Names of the arms, in the order of the tables."""
 EXPERT = "Success and mean length of the expert, which knows the scene (`env.unwrapped.expert_action()`)."
+HEAD = ["arm", "parameters", "success", "steps", "episodes"]
 HOW = '??? info "How this was measured"'
 MEDIA = ((".gif", "film"), ("-curve.png", "curve"))
 """Endings of an agent's pictures, and what they show."""
@@ -20,12 +21,12 @@ def expert(name: str) -> Sequence[str]:
 
     :param name: of the environment, without namespace and version
     """
-    by_arm = {row["robot"]: row for row in measured.rows("experts", name)}
-    found = [by_arm[arm] for arm in ARMS if arm in by_arm]
+    rows = [row for row in measured.rows("experts", name) if not row.get("snap")]
+    found = sorted(rows, key=lambda row: list(ARMS).index(row["robot"]))
     if not found:
         return []
-    rows = [_on_arm(row) for row in found]
-    return [EXPERT, table(["arm", "success:", "steps:", "episodes:"], rows), *_measurements(found)]
+    cells = [_on_arm(row) for row in found]
+    return [EXPERT, table(HEAD, cells, numbers=3), *_measurements(found)]
 
 
 def speed(name: str) -> Sequence[str]:
@@ -40,21 +41,26 @@ def agents(name: str) -> Sequence[str]:
 
 
 def _on_arm(row: Row) -> list[str]:
-    steps = f"{float(row['mean_steps']):.1f}"
-    return [ARMS[row["robot"]], measured.percent(row["success"]), steps, row["episodes"]]
+    """Return arm, parameters that were not the default, success, steps, episodes."""
+    steps = f"{float(row['mean_steps']):.1f}" if row["mean_steps"] else ""
+    changed = f"`{row['env_kwargs']}`" if row.get("env_kwargs") else ""
+    success = measured.share(row["success"], row["episodes"])
+    return [ARMS[row["robot"]], changed, success, steps, row["episodes"]]
 
 
 def _rate(row: Row) -> str:
-    rate = f"**{float(row['steps_per_second']):,.0f} steps a second** in one process"
+    rate = f"**{float(row['steps_per_second']):,.0f} steps a second** in one process, the expert acting"
     times = row["times_reference"]
     return rate + (f", {float(times):.1f} times the original release's." if times else ".")
 
 
 def _agent(card: dict[str, Any]) -> str:
-    low, high = map(measured.percent, card["interval"])
+    success, low, high = (
+        measured.share(value, card["episodes"]) for value in (card["success"], *card["interval"])
+    )
     baseline, name = card["baseline"], measured.bare(card["env"])
     told = (
-        f"Preset `{card['preset']}`, seed {card['seed']}: success **{measured.percent(card['success'])}** "
+        f"Preset `{card['preset']}`, seed {card['seed']}: success **{success}** "
         f"over {card['episodes']} episodes ({low} to {high})."
     )
     enjoy = f"    bulletarm-zoo enjoy --published {card['env']} --baseline {baseline}"

@@ -2,12 +2,16 @@
 
 from collections.abc import Iterable, Sequence
 
+from zoo_configs.drawing.tables import markdown_table
 
-def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """Return a table; a head that ends in a colon aligns its column to the right."""
-    rule = ["---:" if name.endswith(":") else "---" for name in head]
-    lines = [[name.rstrip(":") for name in head], rule, *rows]
-    return "\n".join("| " + " | ".join(_cell(cell) for cell in line) + " |" for line in lines) + "\n"
+
+def table(head: Sequence[str], rows: Iterable[Sequence[str]], numbers: int = 0) -> str:
+    """Return a table.
+
+    :param numbers: how many columns from the right hold numbers
+    """
+    cells = [[_cell(cell) for cell in row] for row in rows]
+    return markdown_table(head, cells, text_columns=len(head) - numbers) + "\n"
 
 
 def section(title: str, *parts: str) -> str:

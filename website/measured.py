@@ -9,6 +9,8 @@ from typing import Any
 ROOT = Path(__file__).resolve().parent.parent
 DATA = ROOT / "docs" / "data"
 AGENTS = ROOT / "zoo_configs" / "published"
+MANY = 100
+"""Episodes beyond which a third digit says something."""
 Row = dict[str, str]
 
 
@@ -34,9 +36,9 @@ def bare(env_id: str) -> str:
     return env_id.rpartition("/")[2].removesuffix("-v0")
 
 
-def percent(rate: float | str) -> str:
-    """Return a rate as it stands in a table."""
-    return f"{100.0 * float(rate):.1f} %"
+def share(value: float | str, episodes: int | str) -> str:
+    """Return a success rate, with as many digits as its episodes are worth."""
+    return f"{float(value):.{3 if int(episodes) > MANY else 2}f}"
 
 
 def _table(path: Path) -> list[Row]:

@@ -56,6 +56,11 @@ OVERHEAD = Layout(
     ("baseline", "preset", "env", "env_kwargs", "timesteps"),
     ("bare_seconds", "train_seconds", "overhead", "least", "greatest"),
 )
+# Attempts are those that the episodes took, the rate counts start-up.
+COLLECTING = Layout(
+    ("env", "env_kwargs", "planner"),
+    ("episodes", "seed", "attempts", "mean_steps", "episodes_per_minute", "load"),
+)
 # Bodies are lines from the first statement behind the docstring to the last.
 CODE = Layout(
     ("stand", "package"),
