@@ -216,6 +216,8 @@ class EnvConfig:
 
 SCALE_STEP = 0.02
 
+ROBOTS = ("kuka", "panda", "ur5", "ur5_robotiq")
+"""Our arms by name; users register more."""
 SENSORS = ("heightmap", "in_hand", "holding", "state", "color", "segmentation", "rgb", "point_cloud")
 """What can be observed, by name; users register more."""
 PRESETS: dict[str, dict[str, tuple[str, ...]]] = {

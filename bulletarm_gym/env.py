@@ -3,7 +3,7 @@
 import zlib
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import gymnasium
@@ -11,9 +11,10 @@ import numpy as np
 from gymnasium.envs.registration import EnvSpec
 from numpy.typing import ArrayLike, NDArray
 
-from bulletarm_gym.config import CLOSE_LOOP, EnvConfig
-from bulletarm_gym.control import Control, find_control
-from bulletarm_gym.extensions import OBJECTS, by_path, load
+from bulletarm_gym.assembly import find_types, make_config, make_scene, take_objects
+from bulletarm_gym.config import CLOSE_LOOP
+from bulletarm_gym.control import Control
+from bulletarm_gym.extensions import by_path
 from bulletarm_gym.feasibility import (
     check_heights,
     check_room,
@@ -23,13 +24,11 @@ from bulletarm_gym.feasibility import (
     reward_function,
 )
 from bulletarm_gym.footprint import PlacementError
-from bulletarm_gym.robots import ROBOTS, RobotModel, find_robot
 from bulletarm_gym.scene import Scene
 from bulletarm_gym.sensors import Observer, View
 from bulletarm_gym.simulation import Camera, has_display
 from bulletarm_gym.state import EnvState
 from bulletarm_gym.stopwatch import Stopwatch
-from bulletarm_gym.surfaces import find_surface, make_surface
 from bulletarm_gym.tasks import Task
 from bulletarm_gym.viewer import Viewer
 
@@ -74,52 +73,23 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         defaults: Mapping[str, Any] | None = None,
         **parameters: Any,
     ) -> None:
-        task_type: type[Task] = load(task)
         parameters = by_path({**parameters, "control": control, "surface": surface})
         control, surface = parameters.pop("control"), parameters.pop("surface")
-        control_type = find_control(control)
-        if control_type.kind not in task_type.controls:
-            raise ValueError(
-                f"control: got {control!r}, {task_type.__name__} takes one of {task_type.controls}"
-            )
-        sloping = find_surface(surface).sloping
-        # Objects of the user's that have no import path, by the name of the parameter.
-        self.objects = {name: parameters.pop(name) for name in OBJECTS if _is_object(parameters.get(name))}
-        robots = dict(ROBOTS)
-        if "robot" in self.objects:
-            model = find_robot(self.objects["robot"])
-            robots[model.name], parameters["robot"] = model, model.name
-        self.config, own = (
-            EnvConfig.of(
-                control_type.kind,
-                task_type.defaults,
-                tuple(robots),
-                given,
-                surface,
-                sloping,
-                control_type.sequences,
-                defaults,
-            )
-            for given in (parameters, {})
-        )
+        task_type, control_type = find_types(task, control)
+        self.objects, robots = take_objects(parameters)
+        config_of = partial(make_config, task_type, control_type, tuple(robots), surface, defaults)
+        self.config, own = config_of(parameters), config_of({})
+        recipe: dict[str, Any] = {"task": task, "control": control, "surface": surface}
+        self._recipe = recipe | ({"defaults": dict(defaults)} if defaults else {})
         self.render_mode = self.config.render_mode
         if not has_display():
             self.metadata = {**self.metadata, "render_modes": ["rgb_array", "depth_array"]}
-        recipe: dict[str, Any] = {"task": task, "control": control, "surface": surface}
-        self._recipe = recipe | ({"defaults": dict(defaults)} if defaults else {})
         self.task = task_type(self.config)
         # A generator takes as long to make as an image: most tasks need none after an action.
         self._acts_after = task_type.after_action is not Task.after_action
         check_heights(self.config, self.task)
         self._reward = self.objects.get("reward") or reward_function(self.config.reward) or self.task.reward
-        self.scene = Scene(
-            self.config,
-            robots.get(self.config.robot) or find_robot(self.config.robot),
-            make_surface(
-                "tray" if self.config.close_loop_tray else surface, self.config.workspace, self.task.site
-            ),
-            self.task.bodies(self.config),
-        )
+        self.scene = make_scene(self.config, robots, surface, self.task)
         check_spans(self.config, own, self.scene, self.task)
         self.control: Control[Any] = control_type(self.config, self.scene, self.task)
         check_room(self.config, own, self.scene, self.task, self.control)
@@ -130,6 +100,8 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         self.observation_space = self._observer.space  # type: ignore[assignment]
         self._steps = 0
         self._episode_seed: int | None = None
+        if self.render_mode == "human":
+            self.viewer.face_workspace()
 
     # Gymnasium
 
@@ -360,6 +332,7 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
 
     @spec.setter
     def spec(self, spec: EnvSpec | None) -> None:
+        """Keep a spec, its parameters as this environment keeps them."""
         if spec is not None:
             known = {**self._recipe, **self._parameters}
             kwargs = {name: known.get(name, value) for name, value in spec.kwargs.items()}
@@ -390,7 +363,3 @@ def _restore(arguments: Mapping[str, Any], spec: EnvSpec | None, state: EnvState
     if state is not None:
         env.set_state(state)
     return env
-
-
-def _is_object(value: Any) -> bool:
-    return callable(value) or isinstance(value, RobotModel)

@@ -10,7 +10,7 @@ from collections.abc import Collection, Mapping
 from contextlib import suppress
 from typing import Any, TypeVar
 
-from bulletarm_gym.config import CLOSE_LOOP, LEVEL, OPEN_LOOP, SENSORS, SLOPING
+from bulletarm_gym.config import CLOSE_LOOP, LEVEL, OPEN_LOOP, ROBOTS, SENSORS, SLOPING
 
 OBJECTS = ("robot", "reward")
 """Parameters that may be objects of the user's."""
@@ -38,7 +38,7 @@ def register_robot(name: str, model: Any) -> None:
         the path ``"module:name"`` of such a function or of a model
     :raises ValueError: the name is taken or no identifier, or the model has no import path
     """
-    _store(ROBOT_PATHS, "robot", name, model)
+    _store(ROBOT_PATHS, "robot", name, model, ROBOTS)
 
 
 def register_object(name: str, make: Any) -> None:

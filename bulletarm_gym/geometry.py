@@ -97,6 +97,25 @@ def yaw_quaternion(yaw: float) -> Quaternion:
     return (0.0, 0.0, math.sin(yaw / 2.0), math.cos(yaw / 2.0))
 
 
+def turn(vector: Sequence[float]) -> Quaternion:
+    """Return the quaternion of a rotation about an axis, by as many rad as the axis is long.
+
+    Turned about z, such vectors turn as arrows do, which fixed-axis angles do not.
+    """
+    x, y, z = vector
+    angle = math.hypot(x, y, z)
+    part = math.sin(angle / 2.0) / angle if angle > 0.0 else 0.5
+    return (part * x, part * y, part * z, math.cos(angle / 2.0))
+
+
+def turn_vector(q: Quaternion) -> Vector:
+    """Return the vector of a rotation (rad), at most pi long, the inverse of :func:`turn`."""
+    x, y, z, w = q if q[3] >= 0.0 else (-q[0], -q[1], -q[2], -q[3])
+    sine = math.hypot(x, y, z)
+    part = 2.0 * math.atan2(sine, w) / sine if sine > 0.0 else 2.0
+    return (part * x, part * y, part * z)
+
+
 def euler_pose(position: Vector, angles: Vector) -> Pose:
     """Return a pose from fixed-axis x-y-z angles (rad), URDF's and Bullet's roll, pitch and yaw."""
     roll, pitch, yaw = (angle / 2.0 for angle in angles)

@@ -31,7 +31,7 @@ LAYERS = (
     {"experts"},
     {"tasks"},
     {"control"},
-    {"feasibility", "state", "viewer"},
+    {"assembly", "feasibility", "state", "viewer"},
     {"env"},
     {"demonstrations", "registration"},
     {"benchmarks", "real_arm", "vector", "wrappers", "__init__"},

@@ -4,6 +4,7 @@ A block is seen through its *lying frame*: z up from the side it lies on, y alon
 sides, its origin where it is best taken, along x. It can be put down in any of the ways that look the same.
 """
 
+import itertools
 import math
 from collections.abc import Iterator, Sequence
 from functools import lru_cache
@@ -15,7 +16,16 @@ from bulletarm_gym.config import OPEN_LOOP
 from bulletarm_gym.experts.approach import RELEASE
 from bulletarm_gym.experts.waypoints import CLOSED, OPEN, Waypoint
 from bulletarm_gym.footprint import Footprint
-from bulletarm_gym.geometry import FloatArray, Pose, Vector, matrix, quaternion, rotate, wrap_angle
+from bulletarm_gym.geometry import (
+    FloatArray,
+    Pose,
+    Vector,
+    euler_pose,
+    matrix,
+    quaternion,
+    rotate,
+    wrap_angle,
+)
 from bulletarm_gym.placement import footprint
 from bulletarm_gym.scene import Item, Scene
 from bulletarm_gym.simulation import Box
@@ -40,6 +50,19 @@ OPENING_PLAY = 0.008
 """What the gripper opens wider (m) than a block, at least, to take it."""
 LIFTS = (0.0, 0.15, 0.3)
 """How far above its middle, in heights, a block may be taken."""
+OVERHANG = 0.02
+"""What reaches less (m) beyond the open fingers than this needs no room of its own."""
+PALM_CLEARANCE = 0.004
+"""Gap (m) between a palm and what is beside or under it."""
+LEANS = (0.0, -0.15, 0.15, -0.3, 0.3, -0.45, 0.45)
+"""Tilts (rad) of a hand whose palm has no room when it comes in straight."""
+ASIDES = (0.0, -0.25, 0.25)
+"""How far from its middle, in lengths, an item is taken then."""
+LEANING_LIFTS = (-0.2, 0.0, 0.15)
+"""How far above its middle, in heights: low, where a roof is wide."""
+TRIES = 4
+"""Of so many such grasps one is drawn: what has slipped once is not taken in the same way again."""
+HERE = Pose((0.0, 0.0, 0.0))
 MOST_TILT = math.pi / 4.0
 """Greatest tilt (rad) of the gripper that actions can tell."""
 
@@ -159,8 +182,31 @@ def pick(scene: Scene, item: Item, rng: np.random.Generator) -> Waypoint:
     lifts = [share * height for share in LIFTS]
     hands = [_able(scene, frame.compose(Pose.planar(0.0, 0.0, z, turn))) for z in lifts for turn in turns]
     drawn = hands[int(rng.integers(len(hands)))]
-    fitting = (hand for hand in hands if all(_rank(scene, hand, item)))
-    return Waypoint(next(fitting, drawn), OPEN, finish=CLOSED)
+    best = next((hand for hand in hands if all(_rank(scene, hand, item))), None)
+    if best is None and scene.robot.model.gripper.overhang > OVERHANG:
+        leaning = (hand for hand in _leaning(scene, item, turns) if _fits(scene, hand, item))
+        some = list(itertools.islice(leaning, TRIES))
+        best = some[int(rng.integers(len(some)))] if some else None
+    return Waypoint(best or drawn, OPEN, finish=CLOSED)
+
+
+def _leaning(scene: Scene, item: Item, turns: Sequence[float]) -> list[Pose]:
+    """Return grasps by which a wide palm may get past what is beside an item, the least tilted ones first.
+
+    The hand leans along the fingers' sides or to where they open; it takes a long item nearer to an end.
+    """
+    leans = LEANS if scene.config.action_sequence.count("r") == 3 else LEANS[:1]
+    width, length, height = lying_corners(item).sides
+    asides = [share * length for share in ASIDES] if is_box(item) or length > 2.0 * width else [0.0]
+    tilts = sorted(itertools.product(leans, leans), key=lambda tilt: math.hypot(*tilt))
+    frame = lying_frame(item)
+    return [
+        _able(scene, frame.compose(euler_pose((0.0, aside, lift * height), (along, across, turn))))
+        for along, across in tilts
+        for aside in asides
+        for lift in LEANING_LIFTS
+        for turn in turns
+    ]
 
 
 def put(scene: Scene, item: Item, grounds: Sequence[Pose]) -> Waypoint:
@@ -214,8 +260,49 @@ def _bring(scene: Scene, hand: Pose, held_at: Vector, goal: Vector) -> Pose:
     return Pose((goal[0] - x, goal[1] - y, goal[2] - z), able.orientation)
 
 
-def _rank(scene: Scene, hand: Pose, item: Item) -> tuple[bool, bool]:
-    return scene.robot.reaches(hand), fingers_fit(scene, hand, item)
+def _rank(scene: Scene, hand: Pose, item: Item) -> tuple[bool, bool, bool]:
+    return scene.robot.reaches(hand), fingers_fit(scene, hand, item), palm_fits(scene, hand, item)
+
+
+def _fits(scene: Scene, hand: Pose, item: Item) -> bool:
+    """Whether a grasp is in reach and has room, what is soonest known first."""
+    return palm_fits(scene, hand, item) and fingers_fit(scene, hand, item) and scene.robot.reaches(hand)
+
+
+def palm_fits(scene: Scene, hand: Pose, item: Item) -> bool:
+    """Whether a palm that reaches out beyond the fingers touches nothing but an item on its way in to a pose.
+
+    Other palms touch nothing that the fingers would not touch.
+    """
+    gripper = scene.robot.model.gripper
+    if gripper.overhang <= OVERHANG:
+        return True
+    length, width, _ = gripper.palm
+    root = gripper.finger[2]
+    under = _lattice(length, width, root) @ matrix(hand).T + hand.position
+    if (scene.surface.heights(under[:, :2]) + PALM_CLEARANCE > under[:, 2]).any():
+        return False
+    outline, lowest = Footprint.rectangle((length, width), HERE), float(under[:, 2].min())
+    others = (other for other in scene if other is not item and other is not scene.held)
+    high = (other for other in others if scene.world.top(other.body) > lowest)
+    return all(outline.gap(_beyond(other, hand, root)) > PALM_CLEARANCE for other in high)
+
+
+def _beyond(item: Item, hand: Pose, height: float) -> Footprint:
+    """Return what an item covers at a height (m) of a hand's frame and above, seen along its z axis."""
+    world = item.spec.mesh.vertices @ matrix(item.pose).T + item.pose.position
+    points = (world - hand.position) @ matrix(hand)
+    above, below = points[points[:, 2] > height], points[points[:, 2] <= height]
+    start, end = (np.repeat(below, len(above), axis=0), np.tile(above, (len(below), 1)))
+    share = (height - start[:, 2:]) / (end[:, 2:] - start[:, 2:])
+    return Footprint(np.concatenate([above, start + share * (end - start)])[:, :2])
+
+
+@lru_cache(maxsize=4)
+def _lattice(length: float, width: float, height: float) -> FloatArray:
+    """Return where the ground under a palm is looked at, (n, 3) m in the hand's frame."""
+    along, across = np.meshgrid(length * np.linspace(-0.5, 0.5, 11), width * np.linspace(-0.5, 0.5, 5))
+    return np.stack([along.ravel(), across.ravel(), np.full(along.size, height)], axis=1)
 
 
 def fingers_fit(scene: Scene, hand: Pose, item: Item) -> bool:

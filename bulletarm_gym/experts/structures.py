@@ -8,7 +8,15 @@ import numpy as np
 
 from bulletarm_gym.experts.approach import RELEASE, side_yaw
 from bulletarm_gym.experts.blueprint import Blocks, Blueprint, Slot, Standing, is_long
-from bulletarm_gym.experts.pick_place import SQUARENESS, fingers_fit, is_box, lying_corners, pick, put
+from bulletarm_gym.experts.pick_place import (
+    SQUARENESS,
+    fingers_fit,
+    is_box,
+    lying_corners,
+    palm_fits,
+    pick,
+    put,
+)
 from bulletarm_gym.experts.waypoints import Waypoint
 from bulletarm_gym.footprint import Footprint, PlacementError
 from bulletarm_gym.geometry import Pose, planar_distance, wrap_angle
@@ -301,9 +309,8 @@ class Builder:
         turns = (0.0, math.pi / 2.0) if is_box(item) and length < SQUARENESS * width else (0.0,)
         if "r" not in self._scene.config.action_sequence:
             turns = (0.0,)
-        return any(
-            fingers_fit(self._scene, hand.compose(Pose.planar(0.0, 0.0, 0.0, turn)), item) for turn in turns
-        )
+        ways = [hand.compose(Pose.planar(0.0, 0.0, 0.0, turn)) for turn in turns]
+        return any(fingers_fit(self._scene, way, item) and palm_fits(self._scene, way, item) for way in ways)
 
     def _gaps(self, slot: Slot, length: float) -> list[float]:
         """Return the gaps (m) to try beside a slot's block, the best one first.

@@ -110,6 +110,7 @@ class RobotModel:
     def write_urdf(self, folder: Path) -> Path:
         """Write the model for the simulator to load."""
         path = folder / f"{self.name}.urdf"
+        ElementTree.indent(self.urdf)  # Bullet breaks lines of more than 1,023 characters, wherever that is
         ElementTree.ElementTree(self.urdf).write(path)
         return path
 

@@ -17,22 +17,29 @@ from sb3_extensions.networks.groups import FieldType, Group
 # Of the last layers. Small, because heights in centimetres make features large: an untrained actor then has
 # means near 0 and standard deviations near 1 and explores all actions, an untrained critic values near 0.
 OUTPUT_GAIN = 0.01
-# The order in which the numbers of an action stand in their field type: vectors, signs, invariant ones.
-FIELD_ORDER = "xyrpz"
+# The order in which the numbers of an action stand in their field type: vectors, signs, invariant ones. The
+# turns u and v about x and y become a vector as (v, -u), the direction in which what points up leans.
+FIELD_ORDER = "xyvurpz"
+NEGATED = "u"
 
 
 def action_type(action: ActionSequence, group: Group) -> FieldType:
     """
-    How the numbers of an action turn with the scene: x and y together are a vector; r, a rotation about z,
-    changes its sign under reflections; p and z are invariant.
+    How the numbers of an action turn with the scene: x and y together are a vector, and so are the turns v
+    and -u about y and x; r, a rotation about z, changes its sign under reflections; p and z are invariant.
 
     :param action: which numbers it has
     :param group: the symmetry
     :return: type of the numbers taken in the order of :data:`FIELD_ORDER`
     """
-    vectors, signs = int("x" in action), int("r" in action)
+    vectors, signs = ("x" in action) + ("u" in action), int("r" in action)
     rest = action.action_dim - 2 * vectors - signs
     return FieldType.of((group.irrep(1), vectors), (group.sign, signs), (group.trivial, rest))
+
+
+def _signs(action: ActionSequence) -> th.Tensor:
+    """What the numbers of an action are multiplied by to stand in their field type."""
+    return th.tensor([-1.0 if name in NEGATED else 1.0 for name in action.names])
 
 
 class EquivariantMean(nn.Module):
@@ -44,23 +51,25 @@ class EquivariantMean(nn.Module):
     """
 
     index: th.Tensor
+    signs: th.Tensor
 
     def __init__(self, in_type: FieldType, action: ActionSequence) -> None:
         super().__init__()
         self.linear = EquivariantLinear(in_type, action_type(action, in_type.group), gain=OUTPUT_GAIN)
         self.register_buffer("index", th.tensor(action.places(FIELD_ORDER)).argsort(), persistent=False)
+        self.register_buffer("signs", _signs(action), persistent=False)
 
     def forward(self, features: th.Tensor) -> th.Tensor:
         """:return: means in the order of the action"""
         fields: th.Tensor = self.linear(features)
-        return fields[:, self.index]
+        return fields[:, self.index] * self.signs
 
 
 class EquivariantLogStd(nn.Module):
     """Logarithm of an action's standard deviations, invariant: (batch, in channels) to (batch, action_dim).
 
     x and y share one: a Gaussian with two would not turn into one of the same kind, and by 90 degrees they
-    would swap.
+    would swap. So do turns about x and y.
 
     :param in_type: regular fields, and trivial ones if need be
     :param action: which numbers share
@@ -70,7 +79,7 @@ class EquivariantLogStd(nn.Module):
 
     def __init__(self, in_type: FieldType, action: ActionSequence) -> None:
         super().__init__()
-        names = ["xy" if symbol in "xy" else symbol for symbol in action.symbols]
+        names = [next((pair for pair in ("xy", "uv") if name in pair), name) for name in action.names]
         distinct = sorted(set(names))
         out_type = FieldType.of((in_type.group.trivial, len(distinct)))
         self.linear = EquivariantLinear(in_type, out_type, gain=OUTPUT_GAIN)
@@ -99,6 +108,7 @@ class InvariantValue(nn.Module):
     """
 
     index: th.Tensor
+    signs: th.Tensor
 
     def __init__(
         self,
@@ -119,10 +129,12 @@ class InvariantValue(nn.Module):
         self.balance = Balance(in_type.size, action.action_dim)
         places = [*range(in_type.size), *(in_type.size + place for place in action.places(FIELD_ORDER))]
         self.register_buffer("index", th.tensor(places), persistent=False)
+        signs = th.cat([th.ones(in_type.size), _signs(action)])
+        self.register_buffer("signs", signs, persistent=False)
 
     def forward(self, features_and_action: th.Tensor) -> th.Tensor:
         """:return: (batch, outputs)"""
-        joint = self.balance(features_and_action)[:, self.index]
+        joint = (self.balance(features_and_action) * self.signs)[:, self.index]
         values: th.Tensor = self.value(self.pool(self.hidden(joint)))
         return values
 

@@ -54,7 +54,8 @@ def rotate_points(points: npt.NDArray[Any], angles: FloatArray) -> npt.NDArray[A
 
 def rotate_actions(actions: npt.NDArray[Any], angles: FloatArray, action_sequence: str) -> npt.NDArray[Any]:
     """
-    Rotate (dx, dy) of actions, and clip them to the bounds of the policy's actions, [-1, 1].
+    Rotate (dx, dy) of actions and, of three r's, the turns about x and y, and clip them to the bounds of the
+    policy's actions, [-1, 1].
 
     :param actions: in the units of the policy, shape (n, action dimensions)
     :param angles: from x towards y, rad, shape (n,)
@@ -63,10 +64,12 @@ def rotate_actions(actions: npt.NDArray[Any], angles: FloatArray, action_sequenc
     :return: actions whose other numbers are untouched, of the same shape and type
     """
     rotated = actions.copy()
-    columns = [action_sequence.index(symbol) for symbol in "xy"]
-    x, y = actions[:, columns].T
-    turned = np.cos(angles) * x - np.sin(angles) * y, np.sin(angles) * x + np.cos(angles) * y
-    rotated[:, columns] = np.clip(np.stack(turned, axis=1), -1, 1)
+    action = ActionSequence(action_sequence, actions.shape[1])
+    for pair in ("xy", "uv"):
+        if columns := action.places(pair):
+            x, y = actions[:, columns].T
+            turned = np.cos(angles) * x - np.sin(angles) * y, np.sin(angles) * x + np.cos(angles) * y
+            rotated[:, columns] = np.clip(np.stack(turned, axis=1), -1, 1)
     return rotated
 
 
@@ -74,8 +77,9 @@ class RotatedReplayBuffer(ExpertReplayBuffer):
     """
     :class:`~sb3_extensions.replay.expert.ExpertReplayBuffer` that also keeps rotated copies of every
     transition, the expert's and the others: both observations' images and point clouds and (dx, dy) of the
-    action and of the expert's action are rotated by one angle, everything else is as it was, also images
-    smaller than the largest: what turns with the gripper is the same when scene and gripper turn together.
+    action and of the expert's action (with three r's the turns about x and y, too) are rotated by one angle,
+    everything else is as it was, also images smaller than the largest: what turns with the gripper is the
+    same when scene and gripper turn together.
     An r of the action must be a turn by some angle, as in close loop, not one to turn to.
 
     Each copy of an episode is rotated by one angle throughout, uniform in [0, 2 pi). So a copy is an episode

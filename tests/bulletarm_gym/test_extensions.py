@@ -12,6 +12,7 @@ from rollouts import make_env, transcript
 import bulletarm_gym
 from bulletarm_gym import extensions
 from bulletarm_gym.env import ManipulationEnv
+from bulletarm_gym.robots import ROBOTS
 from bulletarm_gym.surfaces import FlatSurface
 
 PICKING = "BulletArm/CloseLoopBlockPicking-v0"
@@ -106,6 +107,9 @@ def test_what_cannot_be_registered() -> None:
         bulletarm_gym.register_surface("mine", Local)
     with pytest.raises(ValueError, match="'ramp' is one of ours"):
         bulletarm_gym.register_surface("ramp", FlatSurface)
+    for robot in ROBOTS:
+        with pytest.raises(ValueError, match=f"^robot: the name '{robot}' is one of ours"):
+            bulletarm_gym.register_robot(robot, "bulletarm_gym.robots:KUKA")
     with pytest.raises(ValueError, match="no identifier"):
         bulletarm_gym.register_surface("two levels", FlatSurface)
     bulletarm_gym.register_surface("mine", FlatSurface)

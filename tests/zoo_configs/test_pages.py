@@ -9,7 +9,7 @@ import pytest
 from zoo_configs.cli import main
 from zoo_configs.errors import CommandError
 from zoo_configs.measuring.data_files import EXPERTS, SPEED, DataFile
-from zoo_configs.pages.experts import expert_table
+from zoo_configs.pages.experts import elsewhere_table, expert_table
 from zoo_configs.pages.markers import Source, fill_pages, filled, pages_of
 from zoo_configs.pages.speeds import ratio_sentence, ratio_summary
 
@@ -72,9 +72,10 @@ def test_experts_stand_side_by_side(tmp_path: Path) -> None:
         {"robot": "panda", "episodes": "50", "success": "0", "mean_steps": ""},
         {"env": "CloseLoopBlockPicking", "episodes": "35", "commit": "def5678"},
     )
-    table = expert_table(
-        Source(tmp_path, tmp_path / "docs" / "page.md"), lambda name: name.startswith("CloseLoopBlock")
-    )
+    source = Source(tmp_path, tmp_path / "docs" / "page.md")
+    assert f"| `{REACHING}` | kuka | `obs_size:32` | 0.000, 3.0 |" in elsewhere_table(source)
+    assert "Picking" not in elsewhere_table(source)
+    table = expert_table(source, lambda name: name.startswith("CloseLoopBlock"))
     lines = table.splitlines()
     assert lines[0] == "| id `BulletArm/...-v0` | KUKA | KUKA, fixed orientation | Panda |"
     assert lines[2:4] == [

@@ -34,15 +34,16 @@ def main(argv: Sequence[str]) -> None:
     :raises CommandError: if there is no such agent, no token, no network, or it cannot be published
     """
     args = _parse(argv)
-    from zoo_configs.agents import agent_from_arguments, run_from_arguments
+    from zoo_configs.agents import agent_of, run_from_arguments
     from zoo_configs.environments import register_environments
     from zoo_configs.publishing.packing import check_publishable
 
     register_environments(args.gym_packages)
     if args.folder is not None:
         _check_replaceable(args.folder)
-    check_publishable(run_from_arguments(args))
-    agent = agent_from_arguments(args)
+    run = run_from_arguments(args)
+    check_publishable(run)
+    agent = agent_of(run, args.load_best, args.device)
     if args.folder is None:
         _to_hub(agent, args)
     else:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import math
 from collections.abc import Sequence
 from pathlib import Path
@@ -142,23 +143,25 @@ def write_video(frames: Sequence[Frame], path: Path, frames_per_second: float) -
     """
     if path.suffix == ".gif":
         with whole_file(path) as partial:
-            _write_gif(frames, partial, round(1000 / frames_per_second))
+            partial.write_bytes(_gif(frames, round(1000 / frames_per_second)))
     else:
         _write(np.stack(frames), path, fps=frames_per_second)
 
 
-def _write_gif(frames: Sequence[Frame], path: Path, duration: int) -> None:
+def _gif(frames: Sequence[Frame], duration: int) -> bytes:
     """
-    Write with one palette for all frames and no dithering: what stays as it is costs nothing.
+    Encode with one palette for all frames and no dithering: what stays as it is costs nothing.
 
     :param frames: Frames of one shape
-    :param path: The file
     :param duration: Of a frame, ms
+    :return: What is to stand in the file
     """
     palette = Image.fromarray(np.concatenate([frames[0], frames[-1]])).quantize(GIF_COLOURS)
     images = [Image.fromarray(frame).quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames]
     first, *others = images
-    first.save(path, save_all=True, append_images=others, duration=duration, loop=0, optimize=True)
+    file = io.BytesIO()
+    first.save(file, "GIF", save_all=True, append_images=others, duration=duration, loop=0, optimize=True)
+    return file.getvalue()
 
 
 def write_picture(frame: Frame, path: Path) -> None:

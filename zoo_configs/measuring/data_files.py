@@ -56,10 +56,27 @@ OVERHEAD = Layout(
     ("baseline", "preset", "env", "env_kwargs", "timesteps"),
     ("bare_seconds", "train_seconds", "overhead", "least", "greatest"),
 )
+# Attempts are those that the episodes took, the rate counts start-up.
+COLLECTING = Layout(
+    ("env", "env_kwargs", "planner"),
+    ("episodes", "seed", "attempts", "mean_steps", "episodes_per_minute", "load"),
+)
 # Bodies are lines from the first statement behind the docstring to the last.
 CODE = Layout(
     ("stand", "package"),
     ("files", "lines", "functions", "median_body", "p90_body", "longest_body", "longest_file"),
+)
+
+
+# Best and last are success of these models over the episodes, least and greatest of the run's own
+# evaluations in its second half; options are what the preset does not say; earlier is yes for other
+# environments or learners.
+RESULTS = Layout(
+    ("env", "options", "baseline", "preset", "seed"),
+    (
+        *("demonstrations", "noise", "dagger", "updates", "steps", "best", "last", "episodes"),
+        *("least", "greatest", "minutes", "earlier"),
+    ),
 )
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from functools import partial
 
-from zoo_configs.pages import code, experts, speeds
+from zoo_configs.pages import code, collecting, experts, results, speeds
 from zoo_configs.pages.markers import Figure
 
 FIGURES: dict[str, Figure] = {
@@ -20,5 +20,8 @@ FIGURES: dict[str, Figure] = {
     "updates, close loop": partial(speeds.update_table, belongs=lambda name: name.startswith("CloseLoop")),
     "updates, open loop": partial(speeds.update_table, belongs=lambda name: name.startswith("OpenLoop")),
     "overhead": speeds.overhead_table,
+    "deconstruction": collecting.deconstruction_table,
     "code": code.code_table,
+    "results, open loop": partial(results.results_table, preset="cpu", tasks="OpenLoop*"),
+    "results, many demonstrations": partial(results.results_table, preset="quick", tasks="CloseLoop*"),
 }

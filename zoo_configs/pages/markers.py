@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -122,3 +122,15 @@ def fill_pages(pages: Iterable[Path], folder: Path, figures: Mapping[str, Figure
         with whole_file(page) as partial:
             partial.write_text(texts[page], encoding="utf-8")
     return changed
+
+
+def origins(rows: Sequence[Record]) -> str:
+    """
+    Tell where rows come from.
+
+    :param rows: Of a file
+    :return: Machines, dates and commits, each once
+    """
+    return "; ".join(
+        dict.fromkeys(f"{row['machine']}, {row['date']}, commit {row['commit']}" for row in rows)
+    )

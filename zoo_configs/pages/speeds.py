@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 
 from zoo_configs.drawing.tables import markdown_table
 from zoo_configs.measuring.data_files import OVERHEAD, SPEED, UPDATES, Record
-from zoo_configs.pages.markers import Source
+from zoo_configs.pages.markers import Source, origins
 
 HEADS = {
     "yardstick_us": "yardstick us",
@@ -37,7 +37,7 @@ def speed_table(source: Source) -> str:
     heads = ["environment", *HEADS.values(), "expert"]
     lines = [[f"`{row['env']}`", *(_figure(row, column) for column in HEADS), _expert(row)] for row in rows]
     load = f"load average when a row began at most {max(float(row['load']) for row in rows):.1f}"
-    return "\n\n".join([markdown_table(heads, lines), f"{_origins(rows)}, {load} ({source.link('speed')})."])
+    return "\n\n".join([markdown_table(heads, lines), f"{origins(rows)}, {load} ({source.link('speed')})."])
 
 
 def ratio_sentence(source: Source) -> str:
@@ -90,7 +90,7 @@ def update_table(source: Source, belongs: Callable[[str], bool]) -> str:
         ]
         for row in rows
     ]
-    return "\n\n".join([markdown_table(heads, lines), f"{_origins(rows)} ({source.link('updates')})."])
+    return "\n\n".join([markdown_table(heads, lines), f"{origins(rows)} ({source.link('updates')})."])
 
 
 def overhead_table(source: Source) -> str:
@@ -109,7 +109,7 @@ def overhead_table(source: Source) -> str:
         ]
         for row in rows
     ]
-    return "\n\n".join([markdown_table(heads, lines), f"{_origins(rows)} ({source.link('overhead')})."])
+    return "\n\n".join([markdown_table(heads, lines), f"{origins(rows)} ({source.link('overhead')})."])
 
 
 def _default(source: Source) -> list[Record]:
@@ -137,10 +137,3 @@ def _mean(ratios: Sequence[float]) -> float:
 
 def _percent(share: str, digits: int = 0) -> str:
     return f"{float(share) * 100:.{digits}f} %" if share else ""
-
-
-def _origins(rows: Sequence[Record]) -> str:
-    """Machines, dates and commits, each once."""
-    return "; ".join(
-        dict.fromkeys(f"{row['machine']}, {row['date']}, commit {row['commit']}" for row in rows)
-    )

@@ -47,7 +47,8 @@ class Card:
     :param date: Of the end of the training
     :param machine: It was trained on
     :param versions: It was trained with
-    :param measured: ``date``, ``commit``, ``machine`` and ``versions`` of the evaluation
+    :param measured: ``date``, ``commit``, ``machine``, ``arithmetic`` and ``versions`` of the evaluation;
+        with the last two the same, the outcomes are the same
     :param hyperparams: As resolved
     """
 

@@ -20,7 +20,7 @@ from zoo_configs.environments import check_alike
 from zoo_configs.errors import CommandError
 from zoo_configs.evaluating import Outcome, build_test_env, evaluate
 from zoo_configs.files import whole_file
-from zoo_configs.measuring.machine import versions
+from zoo_configs.measuring.machine import describe_arithmetic, versions
 from zoo_configs.measuring.provenance import commit
 from zoo_configs.publishing.card import FAILED, SUCCEEDED, Card
 from zoo_configs.publishing.compact import save_compact
@@ -141,8 +141,17 @@ def _evaluations(run: Run) -> Mapping[str, Any]:
     }
 
 
+def arithmetic() -> dict[str, Any]:
+    """
+    Where an evaluation repeats bit for bit.
+
+    :return: ``arithmetic`` and ``versions`` of this machine, as cards have them
+    """
+    return {"arithmetic": describe_arithmetic(), "versions": versions()}
+
+
 def _measured(outcome: Outcome) -> dict[str, Any]:
-    here = {"commit": commit(), "machine": describe_processor(), "versions": versions()}
+    here = {"commit": commit(), "machine": describe_processor(), **arithmetic()}
     low, high = wilson_interval(sum(outcome.successes), outcome.episodes)
     return {
         "success": round(outcome.rate, 4),

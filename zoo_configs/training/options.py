@@ -32,7 +32,7 @@ TUNING = (
     "--study-name",
     "--trial-id",
 )
-VEC_ENVS = ("dummy", "subproc")
+VEC_ENVS = ("dummy", "subproc", "split")
 # Packages that rl_zoo3 does not require, by the option that does.
 PACKAGES = {"tensorboard_log": ("tensorboard",), "track": ("wandb", "tensorboard")}
 
@@ -48,7 +48,8 @@ class TrainingOptions:
     :param n_eval_envs: Environments of an evaluation
     :param save_freq: Time steps between two checkpoints; 0 or less for none
     :param save_replay_buffer: Whether to save the replay buffer beside the last model
-    :param vec_env: ``"dummy"`` steps the environments in turn, ``"subproc"`` each in a process of its own
+    :param vec_env: ``"dummy"`` steps the environments in turn, ``"subproc"`` each in a process of its own,
+        ``"split"`` divides them among this process and one for each further core
     :param num_threads: Threads of PyTorch, -1 leaves them as they are
     :param log_interval: Episodes between two logs, -1 takes the algorithm's, -2 for none
     :param trained_agent: A model file from which to begin
@@ -164,7 +165,9 @@ def add_options(parser: argparse.ArgumentParser, tuning: bool = True) -> None:
     add("--n-eval-envs", type=number(1), help="environments of an evaluation")
     add("--save-freq", type=int, help="time steps between two checkpoints, none if not positive")
     add("--save-replay-buffer", action="store_true", help="save the replay buffer beside the last model")
-    add("--vec-env", choices=VEC_ENVS, help="environments in one process or in one each")
+    add(
+        "--vec-env", choices=VEC_ENVS, help="environments in one process, in one each, or divided among cores"
+    )
     add("--num-threads", type=number(-1), help="threads of PyTorch (default, and -1: as it chooses)")
     add("--log-interval", type=int, help="episodes between two logs (-2: none)")
     add("-i", "--trained-agent", help="model file from which to begin")

@@ -10,6 +10,7 @@ from stable_baselines3 import SAC
 from stable_baselines3.common.utils import polyak_update
 from torch import nn
 
+from sb3_extensions.common.action_sequence import ActionSequence
 from sb3_extensions.networks.extractors import CnnExtractor
 from sb3_extensions.networks.heads import OUTPUT_GAIN
 from sb3_extensions.sacfd.policies import EquivariantPolicy, MultiInputPolicy
@@ -89,19 +90,25 @@ def turn_observations(observations, turns, mirror):
 
 
 def turn_actions(actions, sequence, turns, mirror):
-    """A quarter turn takes (x, y) to (-y, x); the reflection, which comes first, to (x, -y), and r to -r."""
-    numbers = dict(zip(sequence, actions.unbind(1), strict=True))
+    """A quarter turn takes (x, y) to (-y, x); the reflection, which comes first, to (x, -y), and r to -r.
+
+    Of three r's, the turns (u, v) about x and y go to (-v, u) by the turn, to (-u, v) by the reflection.
+    """
+    names = ActionSequence(sequence, len(sequence)).names
+    numbers = dict(zip(names, actions.unbind(1), strict=True))
     if mirror:
-        numbers["y"] = -numbers["y"]
-        if "r" in numbers:
-            numbers["r"] = -numbers["r"]
+        for name in "yur":
+            if name in numbers:
+                numbers[name] = -numbers[name]
     for _ in range(turns):
         numbers["x"], numbers["y"] = -numbers["y"], numbers["x"]
-    return th.stack([numbers[symbol] for symbol in sequence], dim=1)
+        if "u" in numbers:
+            numbers["u"], numbers["v"] = -numbers["v"], numbers["u"]
+    return th.stack([numbers[name] for name in names], dim=1)
 
 
 @pytest.mark.parametrize("group, n", GROUPS)
-@pytest.mark.parametrize("sequence", ["pxyzr", "pxyz", "ryzxp"])
+@pytest.mark.parametrize("sequence", ["pxyzr", "pxyz", "ryzxp", "rpxryzr"])
 @pytest.mark.parametrize("hidden", [[], [8]])
 @pytest.mark.parametrize("space", [OBSERVATION_SPACE, IN_HAND_SPACE], ids=["scene", "in_hand"])
 def test_actor_turns_with_the_scene(group, n, sequence, hidden, space):
@@ -123,14 +130,16 @@ def test_actor_turns_with_the_scene(group, n, sequence, hidden, space):
             assert th.allclose(turned_log_std, log_std, atol=EXACT)
             squashed = policy.actor(turned, deterministic=True)
             assert th.allclose(squashed, turn_actions(action, sequence, turns, mirror), atol=EXACT)
-    x, y = sequence.index("x"), sequence.index("y")
-    assert th.equal(log_std[:, x], log_std[:, y])
-    others = [log_std[:, i] for i in range(len(sequence)) if i != y]
+    names = ActionSequence(sequence, len(sequence)).names
+    shared = {second: first for first, second in ("xy", "uv") if second in names}
+    for second, first in shared.items():
+        assert th.equal(log_std[:, names.index(first)], log_std[:, names.index(second)])
+    others = [log_std[:, i] for i, name in enumerate(names) if name not in shared]
     assert all(not th.equal(a, b) for i, a in enumerate(others) for b in others[:i])
 
 
 @pytest.mark.parametrize("group, n", GROUPS)
-@pytest.mark.parametrize("sequence", ["pxyzr", "zyxp"])
+@pytest.mark.parametrize("sequence", ["pxyzr", "zyxp", "pxyzrrr"])
 @pytest.mark.parametrize("space", [OBSERVATION_SPACE, IN_HAND_SPACE], ids=["scene", "in_hand"])
 def test_critic_stays_when_scene_and_action_turn(group, n, sequence, space):
     extractor = {**SMALL, "group": group, "n": n}
@@ -281,6 +290,7 @@ def test_predict_takes_one_observation_or_a_batch():
         (4, "pxyzr", "names 5 numbers, but the action space has 4"),
         (5, "pxyzq", "contains 'q'"),
         (5, "pxxyz", "repeats"),
+        (6, "pxyzrr", "one r or three"),
         (4, "pxzr", "both x and y"),
     ],
 )

@@ -139,6 +139,13 @@ def test_only_x_and_y_of_actions_turn(sequence: str) -> None:
     np.testing.assert_allclose((clipped[0, x], clipped[0, y]), (0, 1), atol=1e-6)
 
 
+def test_turns_about_x_and_y_are_turned() -> None:
+    """As the rotation that they are a vector of: by a quarter, about x becomes about y."""
+    action = np.array([[0.5, 1, 0, 0.1, 0.3, 0.2, 0.4]], np.float32)
+    rotated = rotate_actions(action, np.array([math.pi / 2]), "pxyzrrr")
+    np.testing.assert_allclose(rotated, [[0.5, 0, 1, 0.1, -0.2, 0.3, 0.4]], atol=1e-6)
+
+
 @both_buffers
 @pytest.mark.parametrize("n_steps", [1, 3])
 def test_copies_are_the_transitions_turned(cls: type, n_steps: int) -> None:
