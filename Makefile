@@ -1,5 +1,6 @@
 # Everything runs in .venv, which the first target that needs it creates.
 #   make demo    train, evaluate and film an agent that picks blocks
+#   make tables  fill the documentation's tables from docs/data
 #   make test    what continuous integration runs: lint, types, tests
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
 VENV ?= .venv
@@ -8,7 +9,7 @@ DEMO_LOGS ?= logs/demo
 DEMO = --baseline equi_sacfd --env BulletArm/CloseLoopBlockPicking-v0 --preset quick -f $(DEMO_LOGS)
 PYTEST_FLAGS ?=
 
-.PHONY: venv demo test lint format type docs clean
+.PHONY: venv demo tables pictures test lint format type docs clean
 .DEFAULT_GOAL := venv
 
 venv: $(VENV)/installed-dev
@@ -23,6 +24,11 @@ demo: venv
 	$(BIN)/bulletarm-zoo train $(DEMO) --seed 0 --progress
 	$(BIN)/bulletarm-zoo record $(DEMO) --load-last -n 4 -o $(DEMO_LOGS)/demo.gif
 	$(BIN)/bulletarm-zoo enjoy $(DEMO) --load-last -n 50
+
+# Estimates of a benchmark's hours read copies of two of the files.
+tables: venv
+	$(BIN)/bulletarm-zoo report --docs docs README.md CONTRIBUTING.md
+	cp docs/data/speed.csv docs/data/updates.csv zoo_configs/data/
 
 # The last line printed is pytest's own summary.
 test: lint type
@@ -41,6 +47,11 @@ type: venv
 
 docs: $(VENV)/installed-docs
 	$(BIN)/mkdocs build --strict
+
+# The documentation's pictures of all tasks, as they are in docs/images/tasks.
+pictures: venv
+	$(BIN)/bulletarm-zoo gallery -o docs/images/tasks --heightmap --format webp --pixels 480
+	rm docs/images/tasks/index.html
 
 clean:
 	rm -rf $(VENV) build dist *.egg-info .mypy_cache .pytest_cache .ruff_cache site

@@ -56,6 +56,11 @@ class TrayUse:
     reason: str = ""
 
 
+WORKSPACES = {
+    "close_loop": [[0.3, 0.6], [-0.15, 0.15], [0.01, 0.25]],
+    "open_loop": [[0.25, 0.65], [-0.2, 0.2], [0.0, 1.0]],
+}
+"""The default workspace (m) of each control (paper, Benchmark Details)."""
 WIDE = [[0.25, 0.65], [-0.2, 0.2], [0.0, 0.3]]
 """Close-loop workspace (m) of tasks that need the room of an open-loop one."""
 
@@ -249,12 +254,12 @@ def _defaults(control: str, surface: str, sloping: bool, task: TaskDefaults) -> 
         return {
             **shared,
             "action_sequence": "pxyzr",
-            "workspace": [[0.3, 0.6], [-0.15, 0.15], [0.01, 0.25]],
+            "workspace": [list(limits) for limits in WORKSPACES[control]],
             **task.close_loop,
         }
     return shared | {
         "action_sequence": "pxyzrrr" if sloping else "pxyr",
-        "workspace": [[0.25, 0.65], [-0.2, 0.2], [0.0, 1.0]],
+        "workspace": [list(limits) for limits in WORKSPACES[control]],
         "in_hand_size": 40 if surface == "bump" else 24,
     }
 
@@ -283,6 +288,25 @@ def _checks(control: str, task: TaskDefaults, robots: Sequence[str]) -> dict[str
         "render_mode": values.choice(None, "rgb_array", "depth_array", "human"),
     }
     return {name: check for name, check in checks.items() if belongs(name, control)}
+
+
+def accepted(control: str, task: TaskDefaults, robots: Sequence[str]) -> dict[str, str]:
+    """Return what each parameter takes, by name, in the words of its errors.
+
+    :param control: which parameters there are
+    :param task: the task's own numbers
+    :param robots: names of the arms there are
+    """
+    return {name: _takes(check) for name, check in _checks(control, task, robots).items()}
+
+
+def _takes(check: Check) -> str:
+    """Return what is told to those who give nothing that a parameter could be."""
+    try:
+        check(object())
+    except Refused as refused:
+        return str(refused)
+    raise AssertionError(f"{check} refuses nothing")
 
 
 def _presets_elsewhere(control: str) -> dict[str, str]:
@@ -333,9 +357,9 @@ def _checked(name: str, check: Check, value: Any) -> Any:
 
 def _tray(use: TrayUse) -> Check:
     def check(value: Any) -> bool:
-        if values.boolean(value) not in use.choices:
+        if len(use.choices) == 1 and value not in use.choices:
             raise Refused(f"{use.choices[0]} with this task: {use.reason}")
-        return bool(value)
+        return values.boolean(value)
 
     return check
 

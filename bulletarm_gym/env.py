@@ -100,6 +100,8 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         self.observation_space = self._observer.space  # type: ignore[assignment]
         self._steps = 0
         self._episode_seed: int | None = None
+        if self.render_mode == "human":
+            self.viewer.face_workspace()
 
     # Gymnasium
 

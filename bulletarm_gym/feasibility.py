@@ -22,7 +22,7 @@ ROOM_PARAMETERS = ("object_scale_range", "num_objects", "workspace", "object_set
 """On what it depends whether there is room; the first that is not the task's own is named."""
 OPTIONS = {"new_scene": ((bool, True), (bool, False)), "start": ((str, "goal"),)}
 """What a reset can be asked for: types, for 1 equals True, and values."""
-SPARE = 0.001
+GRASP_PLAY = 0.001
 """Play (m) that open fingers need about what they grasp."""
 
 
@@ -54,7 +54,7 @@ def check_spans(config: EnvConfig, own: EnvConfig, scene: Scene, task: Task) -> 
     stroke = scene.robot.model.gripper.stroke
     for item in task.grasped(scene):
         width = max(_narrowest(spec) for spec in item.role.variants)
-        if width + SPARE > stroke:
+        if width + GRASP_PLAY > stroke:
             takes = (
                 f"one that the gripper of robot={config.robot!r} spans: it opens to {stroke:.4g} m, "
                 f"{item.role.name!r} gets {width:.4g} m wide"

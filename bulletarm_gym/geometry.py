@@ -75,6 +75,23 @@ class Pose(NamedTuple):
         return Pose((-x, -y, -z), back)
 
 
+class Rectangle(NamedTuple):
+    """A level rectangle in the world, seen from above.
+
+    :param x: of its middle (m)
+    :param y: of its middle (m)
+    :param length: along its own x axis (m)
+    :param width: along its own y axis (m)
+    :param yaw: of its own axes (rad)
+    """
+
+    x: float
+    y: float
+    length: float
+    width: float
+    yaw: float
+
+
 def yaw_quaternion(yaw: float) -> Quaternion:
     """Return the quaternion of a rotation by ``yaw`` (rad) about z."""
     return (0.0, 0.0, math.sin(yaw / 2.0), math.cos(yaw / 2.0))

@@ -102,7 +102,7 @@ def lay_apart(
     :raises PlacementError: they do not fit together
     """
     others = [*taken, *footprints(scene, without=items)]
-    largest_first = sorted(items, key=lambda item: -item.spec.footprint)
+    largest_first = sorted(items, key=lambda item: -item.spec.planar_radius)
     for _ in range(ARRANGEMENTS):
         covered, poses = list(others), []
         for item in largest_first:
@@ -196,7 +196,7 @@ def _free_pose(
 
 def roomiest(scene: Scene, item: Item) -> Point:
     """Return the point of the workspace that is farthest from all other items and not near the border."""
-    margin = item.spec.footprint
+    margin = item.spec.planar_radius
     xs, ys = (np.linspace(low + margin, high - margin, GRID) for low, high in scene.config.workspace[:2])
     others = [other.pose.position[:2] for other in scene if other is not item]
     points = [(x, y) for x in xs.tolist() for y in ys.tolist()]

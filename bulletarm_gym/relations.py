@@ -11,10 +11,10 @@ from bulletarm_gym.surfaces.surface import Point
 TOUCHING = 2e-3
 """Gap (m) up to which two items touch: what a collision leaves between them when they come to rest."""
 UPRIGHT = math.pi / 9.0
-"""Greatest tilt (rad) of what stands upright, as in the original BulletArm release."""
+"""Greatest tilt (rad) of what stands upright."""
 
 IN_LINE = math.pi / 7.0
-"""Greatest angle (rad) between a long block and the line through what it lies on, as in that release."""
+"""Greatest angle (rad) between a long block and the line through what it lies on."""
 
 
 def touching(scene: Scene, first: Item, second: Item) -> bool:

@@ -26,7 +26,7 @@ from bulletarm_gym.surfaces import Surface
 T = TypeVar("T")
 
 SIDE_DISTANCE = 0.5
-"""Where the side cameras stand beside the workspace's centre (m), as in the original release; ..."""
+"""Where the side cameras stand beside the workspace's centre (m) ..."""
 SIDE_HEIGHT = 1.0
 """... how high (m) ..."""
 SIDE_FOV = 35.6
@@ -48,15 +48,17 @@ class Role:
 
     :param variants: of different sizes or shapes; one is drawn each episode. Of several sizes the smallest
         comes first, each in all shapes, in the same order
+    :param kind: what it has in common with other roles of the task: its kind of block, its colour
     """
 
     name: str
     variants: tuple[BodySpec, ...]
+    kind: str = ""
 
 
-def scaled(config: EnvConfig, name: str, make: Callable[[str, float], BodySpec]) -> Role:
+def scaled(config: EnvConfig, name: str, make: Callable[[str, float], BodySpec], kind: str = "") -> Role:
     """Return a role played by one body a size: ``make(name, scale)`` for every scale of the configuration."""
-    return Role(name, tuple(make(f"{name} {scale:g}", scale) for scale in config.scales))
+    return Role(name, tuple(make(f"{name} {scale:g}", scale) for scale in config.scales), kind)
 
 
 def shaped(config: EnvConfig, name: str, make: Callable[[str, float, int], BodySpec], shapes: int) -> Role:

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from bulletarm_gym.geometry import Vector
 from bulletarm_gym.scene import Scene
 from bulletarm_gym.simulation import Camera
-from bulletarm_gym.simulation.window import draw_segments, pressed_keys, take_keyboard
+from bulletarm_gym.simulation.window import Keyboard, draw_segments, look
 
 EYE_OFFSET = (0.56, -0.4, 0.62)
 """From the middle of the workspace's floor to the camera of close-ups (m) ..."""
@@ -31,15 +31,23 @@ class Viewer:
     def __init__(self, scene: Scene) -> None:
         self._scene = scene
         self._mark: list[int] = []
-        self._has_keyboard = False
+        self._keyboard: Keyboard | None = None
 
     def close_up(self, pixels: int = 240) -> NDArray[np.uint8]:
         """Return a picture of the workspace from the front and above, (pixels, pixels, 3)."""
+        return Camera(*self._sight, FIELD_OF_VIEW, pixels, pixels).color(self._scene.world)
+
+    def face_workspace(self) -> None:
+        """Show the workspace in the window, from where close-ups are taken."""
+        look(self._scene.world.client, *self._sight)
+
+    @property
+    def _sight(self) -> tuple[Vector, Vector]:
+        """Where the camera stands and what it looks at."""
         x, y = self._scene.config.centre
         floor = self._scene.config.workspace[2][0]
         eye = (x + EYE_OFFSET[0], y + EYE_OFFSET[1], floor + EYE_OFFSET[2])
-        target = (x, y, floor + TARGET_HEIGHT)
-        return Camera(eye, target, FIELD_OF_VIEW, pixels, pixels).color(self._scene.world)
+        return eye, (x, y, floor + TARGET_HEIGHT)
 
     def pressed_keys(self) -> list[str]:
         """Return the characters whose keys went down in the window since the last call.
@@ -48,10 +56,9 @@ class Viewer:
         """
         if self._scene.config.render_mode != "human":
             raise RuntimeError('pressed_keys: keys are pressed in a window; use render_mode="human"')
-        if not self._has_keyboard:
-            take_keyboard(self._scene.world.client)
-            self._has_keyboard = True
-        return pressed_keys(self._scene.world.client)
+        if self._keyboard is None:
+            self._keyboard = Keyboard(self._scene.world.client)
+        return self._keyboard.pressed()
 
     def mark(self, position: Vector, yaw: float = 0.0) -> None:
         """Show in the window where the gripper would go.

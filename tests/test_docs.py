@@ -2,6 +2,7 @@
 
 import importlib
 import inspect
+import math
 import re
 import sys
 from pathlib import Path
@@ -9,12 +10,22 @@ from typing import Any
 
 import pytest
 
+import bulletarm_gym
+from zoo_configs.pages.figures import FIGURES
+from zoo_configs.pages.markers import filled
+
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").rglob("*.md")])
 SNIPPET = re.compile(r"```python\n(.*?)```", re.DOTALL)
 NAME = re.compile(r"`((?:bulletarm_gym|sb3_extensions|zoo_configs)(?:\.\w+)+)`")
 SIGNATURE = re.compile(r"^\| `([\w.]+)\(([^`]*)\)` \|", re.MULTILINE)
+NUMBER = re.compile(r"\| `([\w.]+)` \| `([^`]+)` \| (?:paper|release)")
 FILE = re.compile(r"# (\w+\.py)\n")
+# The paper's appendix "List of Configurable Environment Parameters".
+PAPER_PARAMETERS = (
+    "robot action_sequence workspace object_scale_range max_steps num_objects obs_size in_hand_size "
+    "fast_mode render random_orientation half_rotation workspace_check close_loop_tray"
+).split()
 SHORTER = {
     "learn(2_000": "learn(2",
     "expert_episodes=100": "expert_episodes=2",
@@ -54,6 +65,35 @@ def test_signatures_of_the_task_guide_are_the_codes() -> None:
         for argument, default in told:
             is_optional = parameters[argument].default is not inspect.Parameter.empty
             assert bool(default) == is_optional, f"{name}: {argument}"
+
+
+def test_provenance_tells_the_numbers_of_the_code() -> None:
+    found = NUMBER.findall((ROOT / "docs" / "provenance.md").read_text(encoding="utf-8"))
+    assert len(found) > 60
+    for name, value in found:
+        assert _find(name) == pytest.approx(eval(value, {"pi": math.pi})), name
+
+
+@pytest.mark.parametrize(
+    "page", [*PAGES, ROOT / "CONTRIBUTING.md"], ids=lambda page: str(page.relative_to(ROOT))
+)
+def test_figures_are_those_of_the_data(page: Path) -> None:
+    """``make tables`` fills the pages."""
+    assert filled(page, ROOT / "docs" / "data", FIGURES) == page.read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("name", ["speed.csv", "updates.csv"])
+def test_the_package_has_the_data_of_the_pages(name: str) -> None:
+    shipped = ROOT / "zoo_configs" / "data" / name
+    assert shipped.read_bytes() == (ROOT / "docs" / "data" / name).read_bytes()
+
+
+def test_the_migration_guide_has_every_environment_and_parameter_of_the_paper() -> None:
+    page = (ROOT / "docs" / "guides" / "migration.md").read_text(encoding="utf-8")
+    ids = re.findall(r"^\| `[a-z_0-9]+` \| `((?:Open|Close)Loop\w+)`", page, re.MULTILINE)
+    assert sorted(f"BulletArm/{name}-v0" for name in ids) == sorted(bulletarm_gym.PAPER_IDS)
+    told = set(re.findall(r"^\| `([a-z_]+)` \|", page.partition("## Parameters")[2], re.MULTILINE))
+    assert told >= {*PAPER_PARAMETERS}
 
 
 @pytest.mark.usefixtures("own_registrations")

@@ -1,5 +1,6 @@
 """The examples that train run as their users run them, for some steps."""
 
+import ast
 import os
 import re
 import runpy
@@ -52,6 +53,8 @@ def test_training_examples(
         ("train.py 4", r"success rate [01]\.\d\d in 4 episodes"),
         ("own_task.py", r"passes Gymnasium's check_env\n5 of 5 attempts"),
         ("own_robot.py", r"(\w+: picked the block in \d+ steps\n){5}"),
+        ("own_object_and_sensor.py", r"11\.4 cm long\n(.*\n)+step 0: (.*\n)+lifted something in \d+ steps"),
+        ("tune_and_benchmark.py 4 1", r"reaching: 4 complete\n(.*\n)+found: (.*\n)+\s*benchmarks/found"),
         ("offline_imitation.py 4", r"4 episodes, \d+ steps\n(.*\n)*success rate [01]\.\d\d in 4 episodes"),
     ],
     ids=lambda value: value.split(".")[0] if ".py" in value else "",
@@ -70,10 +73,32 @@ def test_tutorials(command: str, output: str, tmp_path: Path) -> None:
     assert re.search(output, result.stdout), result.stdout
 
 
-@pytest.mark.parametrize(("page", "module"), [("task", "my_tasks"), ("robot", "my_robots")])
-def test_tutorials_modules_are_those_of_the_guides(page: str, module: str) -> None:
+@pytest.mark.parametrize("page", ["task", "robot", "object", "sensor"])
+def test_tutorials_modules_are_those_of_the_guides(page: str) -> None:
     guide = (EXAMPLES.parent / "docs" / "guides" / f"{page}.md").read_text(encoding="utf-8")
-    code = (EXAMPLES / "tutorials" / f"{module}.py").read_text(encoding="utf-8").partition('"""\n\n')[2]
-    shown = guide.partition(f"# {module}.py\n")[2].partition("```")[0]
-    # The guide has its imports in an order of its own.
-    assert sorted(filter(None, code.split("\n"))) == sorted(filter(None, shown.split("\n")))
+    code = (EXAMPLES / "tutorials" / f"my_{page}s.py").read_text(encoding="utf-8").partition('"""\n\n')[2]
+    shown = guide.partition(f"# my_{page}s.py\n")[2].partition("```")[0]
+    assert _without_types(code) == _without_types(shown)
+
+
+def _without_types(code: str) -> list[str]:
+    """Statements without annotations and imports: what a reader of a guide need not see."""
+    tree = ast.parse(code)
+    for node in ast.walk(tree):
+        if isinstance(node, ast.FunctionDef):
+            node.returns = None
+        elif isinstance(node, ast.arg):
+            node.annotation = None
+    statements = [node for node in tree.body if not isinstance(node, ast.Import | ast.ImportFrom)]
+    return [ast.unparse(node) for node in statements]
+
+
+def test_the_size_of_code_is_measured() -> None:
+    measured = runpy.run_path(str(EXAMPLES / "measure_code.py"))
+    one = 'def one():\n    """Docs\n    """\n    # why\n    a = 1\n\n    return a\n'
+    text = one + '\ndef none():\n    """Docs"""\n'
+    assert sorted(measured["body_lengths"](text)) == [0, 3]
+    sources = [measured["Source"]("a.py", text), measured["Source"]("b.py", "def f():\n    pass\n")]
+    figures = measured["measure"](sources)
+    assert (figures["files"], figures["lines"], figures["functions"]) == ("2", "12", "3")
+    assert (figures["median_body"], figures["p90_body"], figures["longest_file"]) == ("1", "3", "10")

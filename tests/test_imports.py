@@ -13,7 +13,17 @@ ROOT = Path(__file__).resolve().parent.parent
 
 # A room (module or subpackage of bulletarm_gym) may import rooms of its own layer and of those before it.
 LAYERS = (
-    {"geometry", "footprint", "config", "compilation", "extensions", "stopwatch", "time_limit", "values"},
+    {
+        "geometry",
+        "footprint",
+        "config",
+        "compilation",
+        "extensions",
+        "machine",
+        "stopwatch",
+        "time_limit",
+        "values",
+    },
     {"simulation"},
     {"robots", "objects", "surfaces", "rendering"},
     {"scene"},
@@ -24,7 +34,8 @@ LAYERS = (
     {"assembly", "feasibility", "state", "viewer"},
     {"env"},
     {"demonstrations", "registration"},
-    {"benchmarks", "vector", "wrappers", "__init__"},
+    {"benchmarks", "real_arm", "vector", "wrappers", "__init__"},
+    {"selfcheck"},
 )
 LEVEL = {room: level for level, layer in enumerate(LAYERS) for room in layer}
 
@@ -40,9 +51,15 @@ FORBIDDEN = {
     "sb3_extensions": {"bulletarm_gym", "zoo_configs", "pybullet", "rl_zoo3"},
     "zoo_configs": {"bulletarm_gym", "pybullet"},
 }
-# What the command line may know of the environments: data of the paper, and files of episodes.
+# What the command line may know of the environments: data of the paper, files of episodes, how machine and
+# environments are.
 DOORS: dict[str, tuple[str, ...]] = {
-    "zoo_configs": ("bulletarm_gym.benchmarks", "bulletarm_gym.demonstrations")
+    "zoo_configs": (
+        "bulletarm_gym.benchmarks",
+        "bulletarm_gym.demonstrations",
+        "bulletarm_gym.machine",
+        "bulletarm_gym.selfcheck",
+    )
 }
 ENGINE = {"pybullet", "pybullet_utils"}
 

@@ -17,6 +17,14 @@ PAGE = ROOT / "docs" / "guides" / "libraries.md"
 ENVIRONMENTS = ("numpy", "gymnasium", "pybullet", "numba", "h5py", "pillow", "tqdm", "scipy")
 """What the environments need; what our learners need besides clashes with some of the libraries."""
 
+OFFLINE = {"HF_HUB_OFFLINE": "1", "HF_DATASETS_OFFLINE": "1"}
+OPERATORS = """import torch
+
+library = torch.library.Library("torchvision", "DEF")
+for name in ("nms", "qnms"):
+    library.define(f"{name}(Tensor dets, Tensor scores, float iou_threshold) -> Tensor")
+"""
+
 
 @dataclass(frozen=True)
 class Library:
@@ -57,6 +65,21 @@ LIBRARIES = {
         ("minari[hdf5,create]",),
     ),
     "d3rlpy_offline": Library("d3rlpy", r"10 episodes; mean return [01]\.\d", ("d3rlpy==2.8.0",)),
+    "lerobot_dataset": Library(
+        "lerobot",
+        r"3 episodes, kuka .*\n(.*\n)*observation.heightmap 1 64 64\n",
+        (
+            "accelerate<2",
+            "av<16",
+            "datasets<5",
+            "huggingface-hub<0.36",
+            "jsonlines",
+            "numpy<2.4",
+            "termcolor",
+        ),
+        bare=("lerobot==0.4.4", "torchvision==0.28.0"),  # that pin an older PyTorch
+        unpinned=("huggingface_hub", "filelock", "fsspec", "numpy", "packaging"),
+    ),
     "imitation_bc": Library(
         "imitation",
         r"action at the start \[.*\]",
@@ -102,7 +125,19 @@ def test_script_in_an_environment_of_its_own(script: str, tmp_path: Path) -> Non
     pip = [python, "-m", "pip", "install", "--quiet"]
     subprocess.run([*pip, "-c", constraints, "torch", *ENVIRONMENTS, *library.packages], check=True)
     subprocess.run([*pip, "--no-deps", *library.bare, ROOT], check=True)
+    if any(name.startswith("torchvision") for name in library.bare):
+        _declare_operators(python)
     _run(script, str(python), tmp_path)
+
+
+def _declare_operators(python: Path) -> None:
+    """Let torchvision be imported: PyPI's is built for CUDA, and misses its own operators beside PyTorch for
+    CPUs alone. Datasets need none of them.
+    """
+    if subprocess.run([python, "-c", "import torchvision"], capture_output=True).returncode:
+        where = [python, "-c", "import sysconfig; print(sysconfig.get_path('purelib'))"]
+        folder = subprocess.run(where, check=True, capture_output=True, text=True).stdout.strip()
+        (Path(folder) / "sitecustomize.py").write_text(OPERATORS, encoding="utf-8")
 
 
 def _run(script: str, python: str, folder: Path) -> None:
@@ -110,9 +145,10 @@ def _run(script: str, python: str, folder: Path) -> None:
     result = subprocess.run(
         [python, SCRIPTS / f"{script}.py"],
         cwd=folder,
-        env={**os.environ, "PYTHONPATH": str(ROOT), "MINARI_DATASETS_PATH": str(folder)},
+        env={**os.environ, "PYTHONPATH": str(ROOT), "MINARI_DATASETS_PATH": str(folder), **OFFLINE},
         capture_output=True,
         text=True,
     )
+    print(result.stdout)  # what the page shows; pytest -rP tells it
     assert result.returncode == 0, result.stderr
     assert re.search(LIBRARIES[script].output, result.stdout), result.stdout

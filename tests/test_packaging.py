@@ -53,7 +53,7 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_wheel_holds_every_file(wheel: Path) -> None:
     held = set(zipfile.ZipFile(wheel).namelist())
-    suffixes = {".py", ".typed", ".yml", ".urdf", ".obj"}
+    suffixes = {".py", ".typed", ".yml", ".csv", ".urdf", ".obj", ".zip", ".json", ".md"}
     wanted = {
         path.relative_to(ROOT).as_posix()
         for package in PACKAGES
@@ -69,8 +69,10 @@ def test_wheel_holds_nothing_else(wheel: Path) -> None:
     assert roots - set(PACKAGES) == {root for root in roots if root.endswith(".dist-info")}
 
 
-def test_installed_wheel_runs_an_environment(wheel: Path, tmp_path: Path) -> None:
-    target = tmp_path / "installed"
+@pytest.fixture(scope="module")
+def installed(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The wheel unpacked away from the checkout."""
+    target = tmp_path_factory.mktemp("installed")
     install = [
         sys.executable,
         "-m",
@@ -83,7 +85,24 @@ def test_installed_wheel_runs_an_environment(wheel: Path, tmp_path: Path) -> Non
         str(wheel),
     ]
     subprocess.run(install, check=True, capture_output=True)
-    environment = {**os.environ, "PYTHONPATH": str(target)}
-    child = [sys.executable, "-c", RUN_AN_ENVIRONMENT, str(target)]
-    result = subprocess.run(child, cwd=tmp_path, env=environment, capture_output=True, text=True)
-    assert result.stdout.strip() == "ran", result.stderr
+    return target
+
+
+def _run(installed: Path, folder: Path, *words: str) -> str:
+    environment = {**os.environ, "PYTHONPATH": str(installed)}
+    child = [sys.executable, *words]
+    result = subprocess.run(child, cwd=folder, env=environment, capture_output=True, text=True)
+    assert result.returncode == 0, result.stderr
+    return result.stdout.strip()
+
+
+def test_installed_wheel_runs_an_environment(installed: Path, tmp_path: Path) -> None:
+    assert _run(installed, tmp_path, "-c", RUN_AN_ENVIRONMENT, str(installed)) == "ran"
+
+
+def test_installed_wheel_runs_a_published_agent(installed: Path, tmp_path: Path) -> None:
+    command = ["-m", "zoo_configs.cli", "enjoy", "--published", "CloseLoopBlockReaching", "-n", "1"]
+    printed = _run(installed, tmp_path, *command)
+    assert str(installed) in printed  # that agent, not the checkout's
+    assert printed.endswith("success_rate=1.00 episodes=1")
+    assert not list(tmp_path.iterdir())

@@ -198,3 +198,13 @@ def add_run_arguments(parser: argparse.ArgumentParser) -> None:
     model = parser.add_mutually_exclusive_group()
     model.add_argument("--load-best", action="store_true", default=True, help="take the best model (default)")
     model.add_argument("--load-last", action="store_false", dest="load_best", help="take the last model")
+
+
+def add_published(parser: argparse.ArgumentParser) -> None:
+    """
+    Add the flag that names an agent which comes with the package.
+
+    :param parser: Parser of the command, with the flags of :func:`add_run_arguments`
+    """
+    what = "instead of a run: the agent that comes with the package for this task, or a folder of push's"
+    parser.add_argument("--published", metavar="ENV", help=what)

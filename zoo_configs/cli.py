@@ -39,11 +39,15 @@ COMMANDS = {
     "tune": Command("zoo_configs.commands.tune", "search hyperparameters with Optuna"),
     "enjoy": Command("zoo_configs.commands.enjoy", "evaluate a trained agent"),
     "record": Command("zoo_configs.commands.record", "film a trained agent or the expert"),
+    "push": Command(
+        "zoo_configs.commands.push", "put a trained agent on the Hugging Face hub, or into a folder"
+    ),
     "gallery": Command("zoo_configs.commands.gallery", "draw tasks, as they begin and solved"),
     "play": Command("zoo_configs.commands.play", "move the gripper yourself, by keys, and record it"),
     "benchmark": Command(
         "zoo_configs.commands.benchmark", "train all cells of a benchmark, also on a cluster"
     ),
+    "results": Command("zoo_configs.commands.results", "evaluate runs and keep a table of what they reached"),
     "report": Command("zoo_configs.commands.report", "put the results of a benchmark on one page"),
     "plot": Command("zoo_configs.commands.plot", "draw the learning curves of many runs"),
     "demos": Command("zoo_configs.commands.demos", "collect episodes of an expert"),

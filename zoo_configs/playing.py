@@ -74,6 +74,13 @@ class Pilot(ABC):
         :param action: Their action
         """
 
+    def show(self, observation: dict[str, Any]) -> None:  # noqa: B027 (in close loop the gripper shows it)
+        """
+        Show in the window where the gripper would go.
+
+        :param observation: What is seen
+        """
+
     def index(self, key: str) -> int | None:
         """
         Which number of an action a key changes.
@@ -139,15 +146,14 @@ class OpenLoopPilot(Pilot):
             turns = MOVES[key][0] == "r"
             moved = self.target[index] + (OPEN_LOOP_TURN if turns else self.stride) * MOVES[key][2]
             self.target[index] = np.clip(moved, -1.0, 1.0)
-        self._show(observation)
         return None
 
     def follow(self, action: Action) -> None:
         """Stay where their target was."""
         self.target = np.array(action, np.float32)
 
-    def _show(self, observation: dict[str, Any]) -> None:
-        """Mark the target where there is a window."""
+    def show(self, observation: dict[str, Any]) -> None:
+        """Mark the target in the window."""
         action = self._set_primitive(self.target.copy(), 1.0 if observation["holding"][0] else -1.0)
         move = self.env.get_wrapper_attr("decode_action")(action)
         self.env.get_wrapper_attr("viewer").mark(move.position, move.rotation[0])

@@ -11,7 +11,7 @@ from bulletarm_gym.config import CLOSE_LOOP, EnvConfig
 from bulletarm_gym.control.control import POINTS, Control, Outcome, over
 from bulletarm_gym.experts.approach import route
 from bulletarm_gym.experts.waypoints import OPEN, Waypoint
-from bulletarm_gym.geometry import Pose, Vector, wrap_angle
+from bulletarm_gym.geometry import Pose, Rectangle, Vector, wrap_angle
 from bulletarm_gym.robots import OutOfReachError
 from bulletarm_gym.scene import Scene
 from bulletarm_gym.sensors import Frame, View
@@ -26,8 +26,8 @@ VIEW_SCALE = 1.5
 CAMERA_OFFSET = 0.1
 """Height (m) of the virtual camera plane above the fingertips."""
 START_HEIGHT = 0.2
-"""Height (m) of the fingertips over the workspace's centre at reset, as in the original BulletArm release."""
-SQUARE = 0.021
+"""Height (m) of the fingertips over the workspace's centre at reset."""
+FINGER_SQUARE = 0.021
 """Side (m) of the squares that stand for the fingers: 6 of 128 pixels over 0.45 m."""
 ARRIVED = 0.999
 """Share of the way to a waypoint that counts as all of it."""
@@ -138,15 +138,20 @@ class CloseLoop(Control[DeltaMove]):
 
         It keeps the world's axes.
         """
-        hand = scene.robot.pose
-        squares = gripper_squares(hand, scene.robot.opening)
-        return Frame(hand, self._extent, hand.z + CAMERA_OFFSET, squares)
+        return hand_frame(scene.robot.pose, scene.robot.opening, self._extent)
 
 
-def gripper_squares(hand: Pose, opening: float) -> NDArray[np.float64]:
-    """Return the rectangles (2, 5) that stand for the fingers, inner sides ``opening`` (m) apart, turned."""
-    offset = (opening + SQUARE) / 2.0
+def hand_frame(hand: Pose, opening: float, extent: float) -> Frame:
+    """Return a square of a side ``extent`` (m) about the fingertips, which are ``opening`` (m) apart."""
+    return Frame(hand, extent, hand.z + CAMERA_OFFSET, gripper_squares(hand, opening))
+
+
+def gripper_squares(hand: Pose, opening: float) -> tuple[Rectangle, Rectangle]:
+    """Return the squares that stand for the fingers, inner sides ``opening`` (m) apart, turned."""
+    offset = (opening + FINGER_SQUARE) / 2.0
     x, y = offset * math.cos(hand.yaw), offset * math.sin(hand.yaw)
-    return np.array(
-        [[hand.x + sign * x, hand.y + sign * y, SQUARE, SQUARE, hand.yaw] for sign in (1.0, -1.0)]
+    first, second = (
+        Rectangle(hand.x + sign * x, hand.y + sign * y, FINGER_SQUARE, FINGER_SQUARE, hand.yaw)
+        for sign in (1.0, -1.0)
     )
+    return first, second

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from bulletarm_gym.config import EnvConfig, ParameterError
 from bulletarm_gym.experts.waypoints import Waypoint
 from bulletarm_gym.geometry import Pose, Vector
-from bulletarm_gym.robots.robot import LEVEL
+from bulletarm_gym.robots.robot import LEVEL_TILT
 from bulletarm_gym.scene import Scene
 from bulletarm_gym.sensors import Frame, View
 
@@ -61,7 +61,7 @@ class Control(ABC, Generic[Move]):
         far = next((pose for pose in extremes if not scene.robot.reaches(pose)), None)
         if far is not None:
             point = ", ".join(f"{value:g}" for value in far.position)
-            tilt = f" tilted by {math.degrees(far.tilt):.0f} degrees" if far.tilt > LEVEL else ""
+            tilt = f" tilted by {math.degrees(far.tilt):.0f} degrees" if far.tilt > LEVEL_TILT else ""
             takes = f"one all of which robot={config.robot!r} reaches, but not ({point}){tilt}"
             raise ParameterError.of("workspace", config.workspace, takes)
         self.sequence = config.action_sequence

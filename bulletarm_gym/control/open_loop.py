@@ -12,7 +12,7 @@ from bulletarm_gym.config import OPEN_LOOP, EnvConfig
 from bulletarm_gym.control.control import POINTS, Control, Outcome, over
 from bulletarm_gym.experts.approach import LET_GO
 from bulletarm_gym.experts.waypoints import APPROACH, OPEN, Waypoint
-from bulletarm_gym.geometry import Pose, Vector, euler_angles, euler_pose, matrix
+from bulletarm_gym.geometry import Pose, Rectangle, Vector, euler_angles, euler_pose, matrix
 from bulletarm_gym.rendering.overlays import rectangle_mask
 from bulletarm_gym.robots import Robot
 from bulletarm_gym.scene import Scene
@@ -25,8 +25,7 @@ PLACE = "place"
 MAX_Z = 0.3
 """Greatest height (m) of a target above the workspace's floor."""
 LEAST_Z = 0.005
-"""Least height (m) of a pick where the action gives none: where the fingertips of the original BulletArm
-release are then."""
+"""Least height (m) of a pick where the action gives none."""
 MAX_TILT = math.pi / 4.0
 """Greatest turn (rad) about the gripper's y and x axes."""
 TILT = math.pi / 12.0
@@ -130,7 +129,7 @@ class OpenLoop(Control[PickPlace]):
         held, depth = view.scene.held, self._hints.pick_offset
         if not places or held is None:
             area = self._hints.pick_area or (2.0 * depth, 2.0 * depth)
-            top = self._highest(view.map, (x, y, *area, theta))
+            top = self._highest(view.map, Rectangle(x, y, *area, theta))
             return max(top - depth, self._floor + LEAST_Z)
         carried = view.scene.robot.pose.inverse().compose(held.pose)
         vertices = held.spec.mesh.vertices @ matrix(carried).T + carried.position
@@ -138,13 +137,15 @@ class OpenLoop(Control[PickPlace]):
         middle = ((low[0] + high[0]) / 2.0, (low[1] + high[1]) / 2.0, 0.0)
         over = Pose.planar(x, y, 0.0, theta).transform(middle)
         area = (high[0] - low[0], high[1] - low[1])
-        top = self._highest(view.map, (over[0], over[1], *area, theta))
+        top = self._highest(view.map, Rectangle(over[0], over[1], *area, theta))
         return float(top - low[2] + self._hints.place_offset)
 
-    def _highest(self, view: Map, rectangle: tuple[float, float, float, float, float]) -> float:
-        """Return the greatest height (m) in a rectangle: x, y, length, width, yaw; at least at its middle."""
+    def _highest(self, view: Map, rectangle: Rectangle) -> float:
+        """Return the greatest height (m) in a rectangle, at least at its middle."""
         covered = rectangle_mask(view.centre, view.extent, len(view.heights), [rectangle])
-        row, column = view.pixels(np.array(rectangle)).round().astype(int).clip(0, len(covered) - 1)
+        row, column = (
+            view.pixels(np.array((rectangle.x, rectangle.y))).round().astype(int).clip(0, len(covered) - 1)
+        )
         covered[row, column] = True
         return self._floor + float(view.heights[covered].max())
 

@@ -15,11 +15,11 @@ ALIGNED = 0.012
 """Distance (m) in the plane at which the fingers go down beside an item without touching it ..."""
 ALIGNED_YAW = 0.25
 """... and the angle (rad)."""
-LEVEL = 5e-3
+HEIGHT_TOLERANCE = 5e-3
 """Height (m) that the fingertips may lack."""
 HOVER = 0.03
 """Height (m) of the fingertips over an item while they line up with it."""
-NEAR = 0.003
+PRECISE = 0.003
 """Distance (m) from which close-loop control goes down to a pick or place: it may be narrow there."""
 READY = 0.9
 """Opening ratio from which the gripper is ready to grasp."""
@@ -31,7 +31,7 @@ RELEASE = 0.003
 """Gap (m) under an item that is let go."""
 LET_GO = 0.008
 """Distance (m) that the fingers open to let go; all the way when they are out of the way."""
-REACH = 0.06
+HAND_REACH = 0.06
 """Half the width (m) of an open gripper with its fingers: what lies this near its way is in its way."""
 
 
@@ -47,11 +47,11 @@ def route(scene: Scene, move: Waypoint, opening: float) -> Iterator[Waypoint]:
         goal = Pose.planar(*goal.position, hand.yaw)
     if held is None or move.finish < move.gripper:
         top = max(goal.z, highest_between(scene, hand.position, goal.position, held))
-        yield from grasp(scene, goal, top, math.pi, opening, NEAR)
+        yield from grasp(scene, goal, top, math.pi, opening, PRECISE)
     else:
         height = goal.z - hand.z + held.lowest
         apart = scene.robot.opening_ratio + LET_GO / scene.robot.model.gripper.stroke
-        yield from _carry(scene, held, goal, height, min(apart, opening), NEAR)
+        yield from _carry(scene, held, goal, height, min(apart, opening), PRECISE)
 
 
 def grasp(
@@ -75,7 +75,9 @@ def grasp(
     aligned = _is_aligned(goal, hand, turn, near)
     ready = scene.robot.opening_ratio > READY * opening
     hover = top + HOVER
-    if hand.z < hover - LEVEL and not ((aligned and ready) or _stays_above(hand.z, apart, turn, top)):
+    if hand.z < hover - HEIGHT_TOLERANCE and not (
+        (aligned and ready) or _stays_above(hand.z, apart, turn, top)
+    ):
         width = opening if hand.z > top else scene.robot.opening_ratio
         yield Waypoint(Pose.planar(hand.x, hand.y, hover, hand.yaw), width)
     closes_at_once = not ready and hand.z - goal.z < STEP
@@ -105,7 +107,7 @@ def grasp_item(scene: Scene, item: Item, yaw: float, symmetry: float) -> Iterato
     hand, centre = scene.robot.pose, item.centre_of_mass
     top = max(scene.world.top(item.body), highest_between(scene, hand.position, centre, item))
     nearest = hand.yaw + wrap_angle(yaw - hand.yaw, symmetry)
-    if _has_room(scene, item, nearest) or "r" not in scene.config.action_sequence:
+    if _is_clear(scene, item, nearest) or "r" not in scene.config.action_sequence:
         yield from grasp(scene, Pose.planar(*centre, nearest), top, symmetry)
     else:
         other = nearest - math.copysign(symmetry, wrap_angle(nearest - hand.yaw))
@@ -149,7 +151,7 @@ def _carry(
     if not _is_aligned(goal, hand, wrap_angle(goal.yaw - hand.yaw), near):
         over = max(height, highest_between(scene, hand.position, goal.position, item))
         level = min(over + PASSING + hand.z - item.lowest, scene.config.workspace[2][1])
-        if hand.z < level - LEVEL:
+        if hand.z < level - HEIGHT_TOLERANCE:
             yield Waypoint(Pose.planar(hand.x, hand.y, level, hand.yaw), CLOSED)
         yield Waypoint(Pose.planar(goal.x, goal.y, level, goal.yaw), CLOSED)
     yield Waypoint(goal, CLOSED, finish=opening, clear=True)
@@ -166,7 +168,7 @@ def highest_between(scene: Scene, start: Sequence[float], end: Sequence[float], 
         for item in scene
         if item is not but
         and not item.spec.is_mark
-        and _distance_to_line(item.pose.position, start, end) < item.spec.footprint + REACH
+        and _distance_to_line(item.pose.position, start, end) < item.spec.planar_radius + HAND_REACH
     ]
     return max(tops, default=scene.surface.height((end[0], end[1])))
 
@@ -180,7 +182,7 @@ def _distance_to_line(point: Sequence[float], start: Sequence[float], end: Seque
     return math.hypot(point[0] - start[0] - share * dx, point[1] - start[1] - share * dy)
 
 
-def _has_room(scene: Scene, item: Item, yaw: float) -> bool:
+def _is_clear(scene: Scene, item: Item, yaw: float) -> bool:
     """Whether no other item is where the open fingers come down."""
     gripper = scene.robot.model.gripper
     reach = (gripper.stroke + gripper.finger[0]) / 2.0

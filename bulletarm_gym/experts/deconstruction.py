@@ -9,14 +9,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from bulletarm_gym.experts.approach import RELEASE
-from bulletarm_gym.experts.pick_place import has_room, pick
+from bulletarm_gym.experts.pick_place import fingers_fit, pick
 from bulletarm_gym.experts.waypoints import APPROACH, CLOSED, OPEN, Waypoint
 from bulletarm_gym.geometry import Pose
 from bulletarm_gym.placement import draw_until, free_pose
 from bulletarm_gym.relations import is_top
 from bulletarm_gym.scene import Item, Scene
 
-GAP = 0.04
+GRASP_CLEARANCE = 0.04
 """Least distance (m) between blocks on the ground: an open finger comes down in it."""
 SAME_LEVEL = 0.5
 """Blocks count as equally high where they differ by less than this share of their height."""
@@ -72,9 +72,9 @@ def _relocate(scene: Scene, rng: np.random.Generator, item: Item) -> Relocation:
     def is_in_reach(pose: Pose) -> bool:
         hand = pose.compose(carried.inverse())
         behind = hand.compose(Pose((0.0, 0.0, APPROACH)))
-        return has_room(scene, hand, item) and scene.robot.reaches(hand) and scene.robot.reaches(behind)
+        return fingers_fit(scene, hand, item) and scene.robot.reaches(hand) and scene.robot.reaches(behind)
 
-    after = draw_until(lambda: free_pose(scene, rng, item, GAP), is_in_reach)
+    after = draw_until(lambda: free_pose(scene, rng, item, GRASP_CLEARANCE), is_in_reach)
     item.place(after)
     return Relocation(before, after, carried)
 

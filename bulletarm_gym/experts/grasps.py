@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bulletarm_gym.compilation import compiled
-from bulletarm_gym.geometry import FloatArray, IntArray
+from bulletarm_gym.geometry import FloatArray, IntArray, Pose
 from bulletarm_gym.robots.gripper import Gripper
 
 YAWS = 12
@@ -21,7 +21,7 @@ DEPTHS = (0.04, 0.025, 0.014)
 """How far (m) below the highest point between the fingers their tips may go: deep grasps hold best."""
 SPACING = 6
 """Pixels between the points tried."""
-BESIDE = 0.004
+DESCENT_CLEARANCE = 0.004
 """Gap (m) kept between the fingers' outline and everything they pass on the way down."""
 BELOW = 0.002
 """Least gap (m) between the fingertips and what is under them."""
@@ -77,28 +77,63 @@ class Relief:
         return min(max(int((value - self.centre[axis] + self.extent / 2.0) / self.pitch), 0), size - 1)
 
 
+@dataclass(frozen=True)
+class Grasps:
+    """Poses of an upright gripper, its fingertips where they close; all arrays (n,).
+
+    :param x: m
+    :param y: m
+    :param z: m
+    :param yaw: along which the fingers open (rad)
+    :param quality: up to 0.35
+    """
+
+    x: FloatArray
+    y: FloatArray
+    z: FloatArray
+    yaw: FloatArray
+    quality: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.quality)
+
+    def at(self, number: int) -> Pose:
+        """Return one of the poses."""
+        x, y, z, yaw = (float(values[number]) for values in (self.x, self.y, self.z, self.yaw))
+        return Pose.planar(x, y, z, yaw)
+
+    def within(self, limits: Sequence[Sequence[float]]) -> "Grasps":
+        """Return those inside [[x low, x high], [y low, y high]] (m)."""
+        (x0, x1), (y0, y1) = limits
+        inside = (self.x > x0) & (self.x < x1) & (self.y > y0) & (self.y < y1)
+        columns = (self.x, self.y, self.z, self.yaw, self.quality)
+        return Grasps(*(column[inside] for column in columns))
+
+
 def find_grasps(
     relief: Relief,
     gripper: Gripper,
     yaws: Sequence[float],
     lowest: float,
     depths: Sequence[float] = DEPTHS,
-) -> FloatArray:
+) -> Grasps:
     """Return the grasps that have room.
 
     :param yaws: directions (rad) in which the fingers may open
     :param lowest: height (m) below which the fingertips may not go
     :param depths: how far (m) below the highest point between the fingers their tips may go
-    :return: (n, 5): x, y, z (m) and yaw (rad) of the fingertips, quality: up to 0.35
     """
     objects, owner = _uppermost(relief.layers, relief.ground)
-    size = np.array([gripper.stroke / 2.0, gripper.finger[0], gripper.finger[1] / 2.0, BESIDE]) / relief.pitch
+    size = (
+        np.array([gripper.stroke / 2.0, gripper.finger[0], gripper.finger[1] / 2.0, DESCENT_CLEARANCE])
+        / relief.pitch
+    )
     found: FloatArray = _search(
         np.maximum(objects, relief.ground), owner, size, np.array(yaws), np.array(depths), lowest
     )
     middle = (objects.shape[0] - 1) / 2.0
     found[:, :2] = (found[:, :2] - middle) * relief.pitch + relief.centre
-    return found
+    return Grasps(*found.T)
 
 
 Heights = NDArray[np.float32]
@@ -124,7 +159,7 @@ def _uppermost(layers: Layers, ground: Heights) -> tuple[Heights, IntArray]:
 def _search(
     heights: Heights, owner: IntArray, size: FloatArray, yaws: FloatArray, depths: FloatArray, lowest: float
 ) -> FloatArray:
-    """Try every SPACING-th pixel of every item at every yaw and depth; :func:`find_grasps` in pixels.
+    """Try every SPACING-th pixel of every item at every yaw and depth; :class:`Grasps` in pixels, (n, 5).
 
     :param size: half stroke, thickness and half width of a finger, gap beside it
     """
@@ -222,7 +257,7 @@ def _judge(
     edge, middle = min(left / filled, right / filled), 0.5 * (low + high)
     if high - low + 1.0 + 2.0 * size[3] > 2.0 * size[0] or skew > SKEW or edge < EDGE:
         return 0.0, 0.0
-    if not _has_room(heights, frame, middle, size, tip - BELOW):
+    if not _fingers_pass(heights, frame, middle, size, tip - BELOW):
         return 0.0, 0.0
     return middle, WORTH - WORTH_SKEW * skew + WORTH_EDGE * min(edge, TALL) + WORTH_WIDTH * filled / count
 
@@ -241,7 +276,7 @@ def _ends(line: Heights, least: float) -> tuple[int, int]:
 
 
 @compiled
-def _has_room(heights: Heights, frame: Frame, middle: float, size: FloatArray, room: float) -> bool:
+def _fingers_pass(heights: Heights, frame: Frame, middle: float, size: FloatArray, room: float) -> bool:
     """Whether nothing reaches above a height where the fingers come down on both sides of a middle."""
     lines = int(size[2]) + 2
     for step in range(int(np.ceil(size[1] + 2.0 * size[3])) + 1):

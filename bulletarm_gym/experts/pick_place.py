@@ -4,6 +4,7 @@ A block is seen through its *lying frame*: z up from the side it lies on, y alon
 sides, its origin where it is best taken, along x. It can be put down in any of the ways that look the same.
 """
 
+import itertools
 import math
 from collections.abc import Iterator, Sequence
 from functools import lru_cache
@@ -15,31 +16,53 @@ from bulletarm_gym.config import OPEN_LOOP
 from bulletarm_gym.experts.approach import RELEASE
 from bulletarm_gym.experts.waypoints import CLOSED, OPEN, Waypoint
 from bulletarm_gym.footprint import Footprint
-from bulletarm_gym.geometry import FloatArray, Pose, Vector, matrix, quaternion, rotate, wrap_angle
+from bulletarm_gym.geometry import (
+    FloatArray,
+    Pose,
+    Vector,
+    euler_pose,
+    matrix,
+    quaternion,
+    rotate,
+    wrap_angle,
+)
 from bulletarm_gym.placement import footprint
 from bulletarm_gym.scene import Item, Scene
 from bulletarm_gym.simulation import Box
 
-SQUARE = 1.05
+SQUARENESS = 1.05
 """A block whose level sides differ by less than this factor can be turned by a quarter."""
-ROOM = 0.002
+FINGER_CLEARANCE = 0.002
 """Gap (m) between the open fingers and what is beside them."""
 PAD = 0.02
 """Width (m) of the fingers' pads, for all arms."""
-PLACES = 25
+GRIP_PLACES = 25
 """Places along a block at which it may be taken."""
 FLUSH = 1e-3
 """Faces this near (m) to the foremost one are touched, too."""
 OFF_CENTRE = 0.5
 """A grip that far (m) from the middle is as bad as one a metre askew."""
-OVER = 0.0015
+TIP_CLEARANCE = 0.0015
 """Gap (m) between the fingertips and the ground under them."""
 SWEEP = np.concatenate([sign * np.linspace(0.3, 1.0, 12) for sign in (-1.0, 1.0)])
 """Where the ground under the closing fingers is looked at, in their farthest reach."""
-SPARE = 0.008
+OPENING_PLAY = 0.008
 """What the gripper opens wider (m) than a block, at least, to take it."""
 LIFTS = (0.0, 0.15, 0.3)
 """How far above its middle, in heights, a block may be taken."""
+OVERHANG = 0.02
+"""What reaches less (m) beyond the open fingers than this needs no room of its own."""
+PALM_CLEARANCE = 0.004
+"""Gap (m) between a palm and what is beside or under it."""
+LEANS = (0.0, -0.15, 0.15, -0.3, 0.3, -0.45, 0.45)
+"""Tilts (rad) of a hand whose palm has no room when it comes in straight."""
+ASIDES = (0.0, -0.25, 0.25)
+"""How far from its middle, in lengths, an item is taken then."""
+LEANING_LIFTS = (-0.2, 0.0, 0.15)
+"""How far above its middle, in heights: low, where a roof is wide."""
+TRIES = 4
+"""Of so many such grasps one is drawn: what has slipped once is not taken in the same way again."""
+HERE = Pose((0.0, 0.0, 0.0))
 MOST_TILT = math.pi / 4.0
 """Greatest tilt (rad) of the gripper that actions can tell."""
 
@@ -69,13 +92,26 @@ def _grip_point(item: Item) -> Vector:
     """Return where (m) in its frame fingers that close along x hold an item: square on, near its middle."""
     low, high = (item.spec.piece_bounds[:, end, :2] for end in (0, 1))
     end = np.abs(item.spec.mesh.bounds[:, 1]).max()
-    points = [_held_at(low, high, y) for y in np.linspace(-end, end, PLACES).tolist()]
-    _, x, y = min(points)
-    return (x, y, 0.0)
+    points = [_held_at(low, high, y) for y in np.linspace(-end, end, GRIP_PLACES).tolist()]
+    grip = min(points)
+    return (grip.x, grip.y, 0.0)
 
 
-def _held_at(low: FloatArray, high: FloatArray, y: float) -> tuple[float, float, float]:
-    """Return how badly (m) fingers hold at y, and the x and y of the middle between them.
+class Grip(NamedTuple):
+    """Where fingers that close along x may hold an item, in its frame; of two the lesser is the better.
+
+    :param badness: how far (m) the fingers are from square on, wide and near the middle
+    :param x: of the middle between the fingers (m)
+    :param y: of the fingers (m)
+    """
+
+    badness: float
+    x: float
+    y: float
+
+
+def _held_at(low: FloatArray, high: FloatArray, y: float) -> Grip:
+    """Return how fingers hold an item at y.
 
     :param low: lowest x and y of each piece, (n, 2) m
     :param high: highest x and y of each piece
@@ -83,13 +119,13 @@ def _held_at(low: FloatArray, high: FloatArray, y: float) -> tuple[float, float,
     start, stop = np.maximum(low[:, 1], y - PAD / 2.0), np.minimum(high[:, 1], y + PAD / 2.0)
     between = stop > start
     if not between.any():
-        return (math.inf, 0.0, y)
+        return Grip(math.inf, 0.0, y)
     left, right = float(low[between, 0].min()), float(high[between, 0].max())
     touched = [between & (low[:, 0] < left + FLUSH), between & (high[:, 0] > right - FLUSH)]
     lengths = [float((stop - start)[pieces].sum()) for pieces in touched]
     middles = [float(((start + stop) / 2.0)[pieces].mean()) for pieces in touched]
     badness = abs(middles[0] - middles[1]) + OFF_CENTRE * abs(y) - min(lengths)
-    return (badness, (left + right) / 2.0, y)
+    return Grip(badness, (left + right) / 2.0, y)
 
 
 def is_box(item: Item) -> bool:
@@ -142,12 +178,35 @@ def pick(scene: Scene, item: Item, rng: np.random.Generator) -> Waypoint:
     frame = lying_frame(item)
     _, length, height = lying_corners(item).sides
     stroke = scene.robot.model.gripper.stroke
-    turns = [0.0, math.pi / 2.0] if is_box(item) and length + SPARE <= stroke else [0.0]
+    turns = [0.0, math.pi / 2.0] if is_box(item) and length + OPENING_PLAY <= stroke else [0.0]
     lifts = [share * height for share in LIFTS]
     hands = [_able(scene, frame.compose(Pose.planar(0.0, 0.0, z, turn))) for z in lifts for turn in turns]
     drawn = hands[int(rng.integers(len(hands)))]
-    fitting = (hand for hand in hands if all(_rank(scene, hand, item)))
-    return Waypoint(next(fitting, drawn), OPEN, finish=CLOSED)
+    best = next((hand for hand in hands if all(_rank(scene, hand, item))), None)
+    if best is None and scene.robot.model.gripper.overhang > OVERHANG:
+        leaning = (hand for hand in _leaning(scene, item, turns) if _fits(scene, hand, item))
+        some = list(itertools.islice(leaning, TRIES))
+        best = some[int(rng.integers(len(some)))] if some else None
+    return Waypoint(best or drawn, OPEN, finish=CLOSED)
+
+
+def _leaning(scene: Scene, item: Item, turns: Sequence[float]) -> list[Pose]:
+    """Return grasps by which a wide palm may get past what is beside an item, the least tilted ones first.
+
+    The hand leans along the fingers' sides or to where they open; it takes a long item nearer to an end.
+    """
+    leans = LEANS if scene.config.action_sequence.count("r") == 3 else LEANS[:1]
+    width, length, height = lying_corners(item).sides
+    asides = [share * length for share in ASIDES] if is_box(item) or length > 2.0 * width else [0.0]
+    tilts = sorted(itertools.product(leans, leans), key=lambda tilt: math.hypot(*tilt))
+    frame = lying_frame(item)
+    return [
+        _able(scene, frame.compose(euler_pose((0.0, aside, lift * height), (along, across, turn))))
+        for along, across in tilts
+        for aside in asides
+        for lift in LEANING_LIFTS
+        for turn in turns
+    ]
 
 
 def put(scene: Scene, item: Item, grounds: Sequence[Pose]) -> Waypoint:
@@ -173,7 +232,7 @@ def _lying(item: Item) -> Iterator[Pose]:
     """Yield the lying frame over the ground, in every way that looks the same."""
     corners = lying_corners(item)
     level = corners.sides[:2]
-    turns = 4 if max(level) < SQUARE * min(level) else 2
+    turns = 4 if max(level) < SQUARENESS * min(level) else 2
     x, y, _ = corners.middle
     for turn in range(turns):
         turned = Pose.planar(0.0, 0.0, RELEASE - corners.low[2], 2.0 * math.pi * turn / turns)
@@ -201,17 +260,58 @@ def _bring(scene: Scene, hand: Pose, held_at: Vector, goal: Vector) -> Pose:
     return Pose((goal[0] - x, goal[1] - y, goal[2] - z), able.orientation)
 
 
-def _rank(scene: Scene, hand: Pose, item: Item) -> tuple[bool, bool]:
-    return scene.robot.reaches(hand), has_room(scene, hand, item)
+def _rank(scene: Scene, hand: Pose, item: Item) -> tuple[bool, bool, bool]:
+    return scene.robot.reaches(hand), fingers_fit(scene, hand, item), palm_fits(scene, hand, item)
 
 
-def has_room(scene: Scene, hand: Pose, item: Item) -> bool:
+def _fits(scene: Scene, hand: Pose, item: Item) -> bool:
+    """Whether a grasp is in reach and has room, what is soonest known first."""
+    return palm_fits(scene, hand, item) and fingers_fit(scene, hand, item) and scene.robot.reaches(hand)
+
+
+def palm_fits(scene: Scene, hand: Pose, item: Item) -> bool:
+    """Whether a palm that reaches out beyond the fingers touches nothing but an item on its way in to a pose.
+
+    Other palms touch nothing that the fingers would not touch.
+    """
+    gripper = scene.robot.model.gripper
+    if gripper.overhang <= OVERHANG:
+        return True
+    length, width, _ = gripper.palm
+    root = gripper.finger[2]
+    under = _lattice(length, width, root) @ matrix(hand).T + hand.position
+    if (scene.surface.heights(under[:, :2]) + PALM_CLEARANCE > under[:, 2]).any():
+        return False
+    outline, lowest = Footprint.rectangle((length, width), HERE), float(under[:, 2].min())
+    others = (other for other in scene if other is not item and other is not scene.held)
+    high = (other for other in others if scene.world.top(other.body) > lowest)
+    return all(outline.gap(_beyond(other, hand, root)) > PALM_CLEARANCE for other in high)
+
+
+def _beyond(item: Item, hand: Pose, height: float) -> Footprint:
+    """Return what an item covers at a height (m) of a hand's frame and above, seen along its z axis."""
+    world = item.spec.mesh.vertices @ matrix(item.pose).T + item.pose.position
+    points = (world - hand.position) @ matrix(hand)
+    above, below = points[points[:, 2] > height], points[points[:, 2] <= height]
+    start, end = (np.repeat(below, len(above), axis=0), np.tile(above, (len(below), 1)))
+    share = (height - start[:, 2:]) / (end[:, 2:] - start[:, 2:])
+    return Footprint(np.concatenate([above, start + share * (end - start)])[:, :2])
+
+
+@lru_cache(maxsize=4)
+def _lattice(length: float, width: float, height: float) -> FloatArray:
+    """Return where the ground under a palm is looked at, (n, 3) m in the hand's frame."""
+    along, across = np.meshgrid(length * np.linspace(-0.5, 0.5, 11), width * np.linspace(-0.5, 0.5, 5))
+    return np.stack([along.ravel(), across.ravel(), np.full(along.size, height)], axis=1)
+
+
+def fingers_fit(scene: Scene, hand: Pose, item: Item) -> bool:
     """Whether the open fingers can close, their tips at a pose, and touch nothing but an item."""
     gripper = scene.robot.model.gripper
     thickness, width, _ = gripper.finger
     far = gripper.stroke / 2.0 + thickness
     tips = _swept(far, width) @ matrix(hand).T + hand.position
-    if (scene.surface.heights(tips[:, :2]) + OVER > tips[:, 2]).any():
+    if (scene.surface.heights(tips[:, :2]) + TIP_CLEARANCE > tips[:, 2]).any():
         return False
     fingers = [hand.compose(Pose((side * (far - thickness / 2.0), 0.0, 0.0))) for side in (1.0, -1.0)]
     bases = [(Footprint.rectangle((thickness, width), finger), finger.z) for finger in fingers]
@@ -220,7 +320,7 @@ def has_room(scene: Scene, hand: Pose, item: Item) -> bool:
         if other is item or other is held or (top := scene.world.top(other.body)) <= lowest:
             continue
         shadow = footprint(other)
-        if any(base.gap(shadow) < ROOM and top > z for base, z in bases):
+        if any(base.gap(shadow) < FINGER_CLEARANCE and top > z for base, z in bases):
             return False
     return True
 

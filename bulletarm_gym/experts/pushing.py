@@ -11,19 +11,19 @@ CLEAR = 0.06
 """Where (m) the gripper comes down behind the block."""
 ABOVE = 0.1
 """Height (m) of the fingertips on the way to it."""
-NEAR = 0.01
+AT_START = 0.01
 """Distance (m) from there within which it is right to be as low as the block ..."""
 SLOPE = 1.2
 """... and by how much higher it is to be per metre farther away, without a step that is hard to see ..."""
-STEP = 0.04
+LOOK_AHEAD = 0.04
 """How far (m) a drag over sloping ground looks ahead."""
-FINGERS = 0.035
+HALF_OPEN_REACH = 0.035
 """Half the width (m) of the half-open gripper."""
 UNDER = 0.03
 """... where this much (m) lower still does no harm."""
 BAND = 0.02
 """Height (m) above that of a drag that still counts as low."""
-ASTRAY = 0.035
+OFF_LINE = 0.035
 """Distance (m) from the line to the goal at which a drag is begun anew."""
 
 
@@ -66,7 +66,7 @@ class Drag:
         aside = abs(dx * self._line[1] - dy * self._line[0])
         return (
             along < 0.0
-            and aside < ASTRAY
+            and aside < OFF_LINE
             and self._hand.z < self._above_ground(self._hand.position) + BAND
             and -along < 2.0 * self._behind
         )
@@ -74,13 +74,13 @@ class Drag:
     @property
     def _height(self) -> float:
         """Height (m) to be at on the way: the nearer to the start, the lower."""
-        apart = planar_distance(self._start, self._hand.position) - NEAR - self._outside
+        apart = planar_distance(self._start, self._hand.position) - AT_START - self._outside
         low = self._above_ground(self._start)
         return min(ABOVE + low - self._low, low + SLOPE * max(0.0, apart))
 
     def _above_ground(self, point: Sequence[float]) -> float:
         """Return the height (m) at which the open fingers drag there."""
-        aside = FINGERS * math.cos(self._hand.yaw), FINGERS * math.sin(self._hand.yaw)
+        aside = HALF_OPEN_REACH * math.cos(self._hand.yaw), HALF_OPEN_REACH * math.sin(self._hand.yaw)
         under = [(point[0] + share * aside[0], point[1] + share * aside[1]) for share in (-1.0, 0.0, 1.0)]
         return self._low + float(self._surface.heights(under).max())
 
@@ -95,7 +95,7 @@ class Drag:
     def _next(self) -> Pose:
         """Return where the drag goes next: to the goal, over sloping ground step by step."""
         goal, hand = self._goal, self._hand
-        share = min(1.0, STEP / max(planar_distance(goal, hand.position), 1e-9))
+        share = min(1.0, LOOK_AHEAD / max(planar_distance(goal, hand.position), 1e-9))
         near = (hand.x + share * (goal[0] - hand.x), hand.y + share * (goal[1] - hand.y))
         here, there, end = (self._above_ground(point) for point in (hand.position, near, goal))
         if here == there == end:

@@ -4,6 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from bulletarm_gym.experts.approach import HOVER
 from bulletarm_gym.experts.waypoints import CLOSED, Waypoint
 from bulletarm_gym.geometry import Pose, matrix, planar_distance
 from bulletarm_gym.scene import Item, Scene
@@ -12,14 +13,12 @@ RUN_UP = 0.045
 """Distance (m) beside an item from which one of its ends is pushed."""
 END = 0.75
 """Share of an item's half length at which it is pushed."""
-LOW = 0.012
+PUSH_HEIGHT = 0.012
 """Height (m) of the fingertips above the ground while they push."""
 STROKE = 0.09
 """How far (m) an end is pushed."""
-ASTRAY = 0.012
+OFF_PUSH = 0.012
 """A gripper this far (m) off the line of the push has left it."""
-HOVER = 0.03
-"""Height (m) above an item at which the gripper crosses it."""
 ROUND = 0.8
 """What is as wide as this share of its length, as variances go, counts as round."""
 TOUCH = 0.001
@@ -33,22 +32,22 @@ def stir(scene: Scene, item: Item, rng: np.random.Generator) -> Iterator[Waypoin
 
     :param rng: moves the start of the push
     """
-    hand, low = scene.robot.pose, scene.surface.height(item.pose.position[:2]) + LOW
+    hand, low = scene.robot.pose, scene.surface.height(item.pose.position[:2]) + PUSH_HEIGHT
     end, push = _end_to_push(scene, item)
     ahead = (end[0] - hand.x) * push[0] + (end[1] - hand.y) * push[1]
     aside = abs((end[0] - hand.x) * push[1] - (end[1] - hand.y) * push[0])
-    if hand.z < low + LOW and aside < SPREAD + ASTRAY and RUN_UP - STROKE < ahead < 2.0 * RUN_UP:
+    if hand.z < low + PUSH_HEIGHT and aside < SPREAD + OFF_PUSH and RUN_UP - STROKE < ahead < 2.0 * RUN_UP:
         beyond = Pose.planar(hand.x + STROKE * push[0], hand.y + STROKE * push[1], low, hand.yaw)
         yield Waypoint(beyond, CLOSED, straight=True)
-    if hand.z > low + LOW and _stands_on_something(scene):
+    if hand.z > low + PUSH_HEIGHT and _stands_on_something(scene):
         # What stops the gripper on its way down it rubs along instead
         across = Pose.planar(hand.x + STROKE * push[0], hand.y + STROKE * push[1], hand.z, hand.yaw)
         yield Waypoint(across, CLOSED, straight=True)
     shift = float(rng.uniform(-SPREAD, SPREAD))
     start = (end[0] - RUN_UP * push[0] - shift * push[1], end[1] - RUN_UP * push[1] + shift * push[0])
     hover = scene.world.top(item.body) + HOVER
-    if planar_distance(start, hand.position) > SPREAD + ASTRAY:
-        if hand.z < hover - ASTRAY:
+    if planar_distance(start, hand.position) > SPREAD + OFF_PUSH:
+        if hand.z < hover - OFF_PUSH:
             yield Waypoint(Pose.planar(hand.x, hand.y, hover, hand.yaw), CLOSED)
         yield Waypoint(Pose.planar(*start, hover, hand.yaw), CLOSED)
     yield Waypoint(Pose.planar(hand.x, hand.y, low, hand.yaw), CLOSED)

@@ -8,7 +8,15 @@ import numpy as np
 
 from bulletarm_gym.experts.approach import RELEASE, side_yaw
 from bulletarm_gym.experts.blueprint import Blocks, Blueprint, Slot, Standing, is_long
-from bulletarm_gym.experts.pick_place import SQUARE, has_room, is_box, lying_corners, pick, put
+from bulletarm_gym.experts.pick_place import (
+    SQUARENESS,
+    fingers_fit,
+    is_box,
+    lying_corners,
+    palm_fits,
+    pick,
+    put,
+)
 from bulletarm_gym.experts.waypoints import Waypoint
 from bulletarm_gym.footprint import Footprint, PlacementError
 from bulletarm_gym.geometry import Pose, planar_distance, wrap_angle
@@ -17,27 +25,27 @@ from bulletarm_gym.relations import IN_LINE, heading, is_held, middle, rests_on
 from bulletarm_gym.scene import Item, Scene
 from bulletarm_gym.surfaces.surface import Point
 
-GAP = 0.75
-"""Gap between blocks side by side, in cube sides, as in the original BulletArm release ..."""
-WIDE = 1.5
+BASE_GAP = 0.75
+"""Gap between blocks side by side, in cube sides ..."""
+WIDE_BASE_GAP = 1.5
 """... or, where the fingers need room between them ..."""
-COVERED = 0.9
+MOST_COVERED = 0.9
 """... but the middles of both are under this share of what will lie on them ..."""
 TIGHT = 0.005
 """... unless the gap would be less (m)."""
 SPAN = 0.45
 """Gap up to which blocks that lie side by side are built on, as a share of what is to lie on them."""
 APART = 1.8
-"""Distance of blocks side by side on a long one, in cube sides, as in the original BulletArm release."""
+"""Distance of blocks side by side on a long one, in cube sides."""
 PREFERENCE = 1e-3
 """Room (m) that a metre less of a gap is worth: of places with as much room the nearer one is taken."""
-DIRECTIONS = 16
+BESIDE_DIRECTIONS = 16
 """In which a block may be put beside another."""
 MARGINS = (0.042, 0.02)
 """Gaps (m) kept to other blocks so that fingers fit between them, if need be the smaller one."""
 CROWDED = 0.01
 """With less room (m) than that beside what stands another site is looked for."""
-ASTRAY = 0.003
+BUILD_TOLERANCE = 0.003
 """How far (m) a block may end up from where it was meant to be, and must still be on level ground."""
 
 
@@ -55,7 +63,6 @@ class Builder:
         self._blueprint = blueprint
         self._blocks = blocks
         self._rng = rng
-        self._kinds = {item.role.name: kind for kind, items in blocks.items() for item in items}
         self._beside: Pose | None = None
 
     def plan(self) -> Iterator[Waypoint]:
@@ -160,7 +167,7 @@ class Builder:
         """Return the blocks that may go to a slot, the one to take first."""
         standing = self._standing if standing is None else standing
         there = list(standing.values())
-        if self._scene.held is not None and self._kinds[self._scene.held.role.name] == slot.kind:
+        if self._scene.held is not None and self._scene.held.role.kind == slot.kind:
             return [self._scene.held]
         at = middle(there) if there else self._scene.config.centre
         loose = [item for item in self._blocks[slot.kind] if item not in there]
@@ -180,12 +187,11 @@ class Builder:
 
     def _open_slot(self, item: Item) -> Slot | None:
         """Return the slot a held item can be put into now."""
-        kind = self._kinds[item.role.name]
         if not self._is_free(self._standing):
             return None
         missing = (slot for slot in self._blueprint.slots if slot not in self._standing)
         open_slots = (slot for slot in missing if self._is_open(slot))
-        return next((slot for slot in open_slots if slot.kind == kind), None)
+        return next((slot for slot in open_slots if slot.kind == item.role.kind), None)
 
     def _is_open(self, slot: Slot) -> bool:
         if slot.layer == 0:
@@ -239,7 +245,7 @@ class Builder:
         ends = np.cumsum([length + gap for length in lengths]) - gap
         places = ends - np.array(lengths) / 2.0 - total / 2.0
         width = max(item.spec.extents[0] for item in items)
-        return (width + 2.0 * ASTRAY, total + 2.0 * ASTRAY), places.tolist()
+        return (width + 2.0 * BUILD_TOLERANCE, total + 2.0 * BUILD_TOLERANCE), places.tolist()
 
     # Beside what stands
 
@@ -249,7 +255,7 @@ class Builder:
         best = sorted(found, key=lambda place: -place[0])
         if not best or (best[0][0] < CROWDED and self._site(self._spare(slot, {})[0]) is not None):
             return None
-        roomy = (place for place in best if self._has_room(place[1], self._spare(slot, place[2])[0]))
+        roomy = (place for place in best if self._can_be_put(place[1], self._spare(slot, place[2])[0]))
         _, self._beside, way = next(roomy, best[0])
         return way
 
@@ -276,7 +282,7 @@ class Builder:
                     direction - math.pi / 2.0,
                 )
                 base_of = Footprint.rectangle((width, 2.0 * half), ground)
-                on_site = self._scene.surface.fits_site(base_of.grown(ASTRAY))
+                on_site = self._scene.surface.fits_site(base_of.grown(BUILD_TOLERANCE))
                 if on_site and self._carries(covered[0], base_of):
                     room = min((base_of.gap(other) for other in others), default=MARGINS[0])
                     yield min(room, MARGINS[0]) - PREFERENCE * gap, ground
@@ -290,30 +296,29 @@ class Builder:
             first = self._scene.surface.goal_site(self._blueprint_site(), self._rng).yaw + math.pi / 2.0
         except PlacementError:
             first = 0.0
-        return [first + 2.0 * math.pi * number / DIRECTIONS for number in range(DIRECTIONS)]
+        return [first + 2.0 * math.pi * number / BESIDE_DIRECTIONS for number in range(BESIDE_DIRECTIONS)]
 
     def _blueprint_site(self) -> tuple[float, float]:
         return (self._blueprint.side, self._blueprint.side)
 
-    def _has_room(self, ground: Pose, item: Item) -> bool:
+    def _can_be_put(self, ground: Pose, item: Item) -> bool:
         """Whether the fingers have room to put an item on a frame."""
         corners = lying_corners(item)
         width, length, _ = corners.sides
         hand = ground.compose(Pose((0.0, 0.0, RELEASE - corners.low[2])))
-        turns = (0.0, math.pi / 2.0) if is_box(item) and length < SQUARE * width else (0.0,)
+        turns = (0.0, math.pi / 2.0) if is_box(item) and length < SQUARENESS * width else (0.0,)
         if "r" not in self._scene.config.action_sequence:
             turns = (0.0,)
-        return any(
-            has_room(self._scene, hand.compose(Pose.planar(0.0, 0.0, 0.0, turn)), item) for turn in turns
-        )
+        ways = [hand.compose(Pose.planar(0.0, 0.0, 0.0, turn)) for turn in turns]
+        return any(fingers_fit(self._scene, way, item) and palm_fits(self._scene, way, item) for way in ways)
 
     def _gaps(self, slot: Slot, length: float) -> list[float]:
         """Return the gaps (m) to try beside a slot's block, the best one first.
 
         :param length: of both blocks together (m)
         """
-        most = COVERED * self._length_above(slot) - length / 2.0
-        return [max(TIGHT, min(gap * self._blueprint.side, most)) for gap in (GAP, WIDE)]
+        most = MOST_COVERED * self._length_above(slot) - length / 2.0
+        return [max(TIGHT, min(gap * self._blueprint.side, most)) for gap in (BASE_GAP, WIDE_BASE_GAP)]
 
     def _length_above(self, slot: Slot) -> float:
         """Return the length (m) of what is to lie on a slot's block and its neighbour."""

@@ -1,6 +1,6 @@
 """The paper's blocks.
 
-Sizes are nominal (m) and grow with the object scale; masses are those of the original BulletArm release.
+Sizes are nominal (m) and grow with the object scale.
 """
 
 import numpy as np
@@ -17,13 +17,13 @@ BRICK_LENGTH = 0.2
 """Of brick and roof at scale 1 (m): 12 cm at the default scale of 0.6 (paper, House Building 3)."""
 CYLINDER_DIAMETER = 0.0538
 CYLINDER_HEIGHT = 0.06
-"""At scale 1 (m), as in the original BulletArm release."""
+"""At scale 1 (m)."""
 CYLINDER_SIDES = 16
 
 IMPROVISE_WIDTH = (5.0 / 6.0, 7.0 / 6.0)
 IMPROVISE_HEIGHT = (2.0 / 3.0, 7.0 / 6.0)
 """Least and greatest size of an improvised brick, width and length alike and height by itself, as shares of
-a brick's: 0.5 to 0.7 and 0.4 to 0.7 at scale 0.6, as in the original BulletArm release."""
+a brick's: 0.5 to 0.7 and 0.4 to 0.7 at scale 0.6."""
 IMPROVISE_SEED = 3
 
 FLAT_BLOCK_SIDE = 0.1

@@ -4,14 +4,13 @@ from bulletarm_gym.objects.solids import Profile, container, corner_radius, lath
 from bulletarm_gym.simulation.shapes import BodySpec, Colour
 
 MASS = 0.2
-"""Mass (kg) of an empty bottle; the original BulletArm release's 0.5 slips in a light grip."""
+"""Mass (kg) of an empty bottle: a heavier one slips in a light grip."""
 FRICTION = 1.0
-"""The pads hold a neck by their own friction; the original BulletArm release's 10 would make grips spring."""
+"""The pads hold a neck by their own friction; more would make grips spring."""
 SIDES = 12
 TRAY = (0.24, 0.16, 0.05)
 """Outer side lengths (m; paper, Bottle Arrangement); the tray does not scale."""
 TRAY_WALL = 0.01
-"""Thickness (m), as in the original BulletArm release."""
 TRAY_FLOOR = 0.005
 GREY: Colour = (0.80, 0.80, 0.82, 1.0)
 

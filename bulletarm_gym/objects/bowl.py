@@ -17,7 +17,6 @@ BASE = 0.006
 SECTORS = 12
 """A multiple of 4: the bounding box is then as wide as the circle."""
 MASS = 0.1
-"""Mass (kg), as in the original BulletArm release."""
 
 
 def bowl(name: str, scale: float) -> BodySpec:

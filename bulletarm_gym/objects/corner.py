@@ -4,17 +4,17 @@ from bulletarm_gym.geometry import Pose, Vector
 from bulletarm_gym.simulation.shapes import BodySpec, Box, Piece
 
 SIDE = 0.2
-"""Of the plate and the walls (m), as in the original BulletArm release."""
+"""Of the plate and the walls (m)."""
 PLATE = 0.01
-"""Thickness (m) of the plate. Through the original's 2 mm a finger that presses harder than needed would push
-a block down to the ground, which holds it."""
+"""Thickness (m) of the plate. Through a thinner one a finger that presses harder than needed would push a
+block down to the ground, which holds it."""
 WALL_HEIGHT = 0.09
-"""Metres above the ground; over the original's 10 cm the Panda's wide hand cannot reach the cube."""
+"""Metres above the ground; over a wall of 10 cm the Panda's wide hand cannot reach the cube."""
 WALL = 0.03
-"""Thickness (m) of the walls, outwards. Round the original's 2 cm a finger slips and the cube is gripped with
+"""Thickness (m) of the walls, outwards. Round one of 2 cm a finger slips and the cube is gripped with
 its wall."""
 INSIDE = -0.09
-"""Where (m) along x and y the walls' inner faces are, in the corner's frame, as in the original release."""
+"""Where (m) along x and y the walls' inner faces are, in the corner's frame."""
 FRICTION = 0.2
 """Low, so that a finger pressed on a block takes it along."""
 COLOUR = (0.78, 0.78, 0.80, 1.0)

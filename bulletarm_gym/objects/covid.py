@@ -17,16 +17,15 @@ TUBE: Vector = (0.08 / SCALE, 0.017 / SCALE, 0.017 / SCALE)
 TIP = 0.28
 """Share of a swab's length that is its thick tip ..."""
 ROD = 0.38
-"""... and the rod's thickness in shares of the tip's, both as in the original BulletArm release."""
+"""... and the rod's thickness in shares of the tip's."""
 CAP = 0.22
 """Share of a tube's length that is its cap ..."""
 GLASS = 0.72
-"""... and the tube's thickness in shares of the cap's, both as in the original BulletArm release."""
+"""... and the tube's thickness in shares of the cap's."""
 SWAB_MASS = 0.011
 TUBE_MASS = 0.11
 SWAB_FRICTION = 2.0
-"""Masses (kg) and friction as in the original BulletArm release. Its rolling friction is left out; angular
-damping stops what rolls."""
+"""Masses (kg) and friction. There is no rolling friction; angular damping stops what rolls."""
 ANGULAR_DAMPING = 4.0
 SIDES = 8
 """Few, so that they lie on a side."""
@@ -34,11 +33,9 @@ SIDES = 8
 NEW_TUBE_BOX: Vector = (0.17, 0.2, 0.005)
 TEST_AREA: Vector = (0.125, 0.3, 0.01)
 USED_TUBE_BOX: Vector = (0.12, 0.1, 0.04)
-"""Outer side lengths (m), as in the original BulletArm release; but the box for used tubes is 2 cm wider, and
-that for new ones 1 cm less, so that a tube of the paper's length fits in both ways."""
+"""Outer side lengths (m): a tube of the paper's length fits in both ways."""
 WALL = 0.004
-"""Thickness (m), as in the original BulletArm release."""
-FLOOR = 0.002
+BOX_FLOOR = 0.002
 PURPLE: Colour = (0.70, 0.62, 0.85, 1.0)
 GREY: Colour = (0.72, 0.72, 0.74, 1.0)
 YELLOW: Colour = (0.90, 0.82, 0.25, 1.0)
@@ -104,5 +101,5 @@ def used_tube_box(name: str, scale: float = 1.0) -> BodySpec:
 
 
 def _place(name: str, extents: Vector, scale: float, colour: Colour) -> BodySpec:
-    pieces = tuple(piece.scaled(scale) for piece in container(extents, WALL, FLOOR))
+    pieces = tuple(piece.scaled(scale) for piece in container(extents, WALL, BOX_FLOOR))
     return BodySpec(name, pieces, 0.0, colour=colour)

@@ -1,7 +1,4 @@
-"""A cabinet with a drawer to be opened by its handle.
-
-Sizes are those of the original BulletArm release; the cabinet's is scaled by 0.3 there, the handle's is not.
-"""
+"""A cabinet with a drawer to be opened by its handle."""
 
 import math
 

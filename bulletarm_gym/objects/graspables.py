@@ -26,13 +26,9 @@ from bulletarm_gym.simulation.shapes import BodySpec, Colour, Piece
 
 SEED = 86
 MASS = 0.15
-"""Mass (kg), as in the original BulletArm release."""
 FRICTION = 0.6
-"""Friction coefficient, as in the original BulletArm release.
-
-Its rolling and spinning friction (0.005) are left out: they triple the cost of a contact. Damping brings what
-rolls to rest instead, at no cost.
-"""
+"""There is no rolling and spinning friction, which would triple the cost of a contact. Damping brings what
+rolls to rest instead, at no cost."""
 ANGULAR_DAMPING = 4.0
 
 Shaper = Callable[[np.random.Generator], list[Piece]]

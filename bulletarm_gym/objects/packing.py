@@ -14,7 +14,6 @@ SIDE = 0.05
 8 x 4 x 4 cm at the default scale of 0.8 (paper, Bin Packing)."""
 MASS = 0.1
 FRICTION = 0.5
-"""As in the original BulletArm release."""
 ARCH_SEGMENTS = 4
 DISC_SIDES = 16
 CUT = 0.25
@@ -23,7 +22,7 @@ CUT = 0.25
 BIN = (0.176, 0.144, 0.08)
 """Outer side lengths (m; paper, Bin Packing); the bin does not scale."""
 BIN_WALL = 0.004
-"""Thickness (m) of walls and floor, as in the original BulletArm release."""
+"""Thickness (m) of walls and floor."""
 GREY: Colour = (0.78, 0.78, 0.80, 1.0)
 
 

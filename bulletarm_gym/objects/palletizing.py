@@ -7,7 +7,6 @@ from bulletarm_gym.simulation.shapes import BodySpec, Colour, Piece
 BOX: Vector = (0.05625, 0.09, 0.05625)
 """Side lengths (m) at scale 1: 7.2 x 4.5 x 4.5 cm at the default scale of 0.8 (paper, Box Palletizing)."""
 BOX_MASS = 0.1
-"""Mass (kg), as in the original BulletArm release."""
 BROWN: Colour = (0.58, 0.40, 0.26, 1.0)
 
 PALLET: Vector = (0.232, 0.192, 0.03)

@@ -14,13 +14,13 @@ from bulletarm_gym.objects.solids import block
 from bulletarm_gym.simulation.shapes import BodySpec, Colour
 
 CELL = 0.02
-"""Side (m) of a cell at scale 1 and stretch 1, as in the original BulletArm release."""
+"""Side (m) of a cell at scale 1 and stretch 1."""
 LAYER = 0.022
-"""Height (m) of the layer at scale 1 and rise 1, as in the original BulletArm release."""
+"""Height (m) of the layer at scale 1 and rise 1."""
 STRETCH = (1.0, 1.5)
 RISE = (2.0, 2.2)
 """Ranges that a block's sizes in the plane and its height are drawn from: 0.6 to 0.9 and 1.2 to 1.32 at scale
-0.6, as in the original BulletArm release."""
+0.6."""
 WIDEST = 5.2
 """Greatest product of stretch and cells along x: at scale 0.6 that is 62 mm, which every gripper takes."""
 MASS = 0.1

@@ -5,16 +5,16 @@ from bulletarm_gym.objects.solids import loft
 from bulletarm_gym.simulation.shapes import BodySpec, Box, Piece
 
 FLOOR_HEIGHT = 0.002
-"""Height (m) of the floor's upper side, as in the original BulletArm release."""
+"""Height (m) of the floor's upper side."""
 FLOOR_FRICTION = 0.5
 RIM = 0.03
-"""The floor is narrower by this (m) than the nominal size, as in the original BulletArm release."""
+"""The floor is narrower by this (m) than the nominal size."""
 FOOT = 0.015
 """Where (m beyond the floor's edge) the walls would meet the ground."""
 WALL_HEIGHT = 0.1
-"""Height (m) that the walls reach at 45 degrees, as in the original BulletArm release."""
+"""Height (m) that the walls reach at 45 degrees."""
 FILLET_SLOPE = 0.364
-"""Slope (20 degrees) of the strip between floor and walls, as in the original BulletArm release."""
+"""Slope (20 degrees) of the strip between floor and walls."""
 THICKNESS = 0.008
 COLOUR = (0.78, 0.78, 0.80, 1.0)
 

@@ -1,17 +1,17 @@
 """Shapes drawn over a heightmap: the gripper's two squares, a pushing goal.
 
-A rectangle is a row of five numbers: world x and y of its centre, its length along its own x axis and its
-width (m), its yaw (rad). It covers the pixels whose centre lies in it, edges included. Like the heightmap
-itself, what is drawn turns with a scene turned by 90 degrees, bit for bit.
+A rectangle covers the pixels whose centre lies in it, edges included. Like the heightmap itself, what is
+drawn turns with a scene turned by 90 degrees, bit for bit.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from bulletarm_gym.geometry import FloatArray
+from bulletarm_gym.geometry import Rectangle
 from bulletarm_gym.rendering.rasterizer import draw_rectangles
 
 
@@ -19,11 +19,11 @@ from bulletarm_gym.rendering.rasterizer import draw_rectangles
 class Overlay:
     """A rectangle that the heightmap shows nearer the camera than what is there.
 
-    :param rectangle: world x and y of its centre, length and width (m), yaw (rad)
+    :param rectangle: where
     :param rise: by how much it is nearer (m)
     """
 
-    rectangle: tuple[float, float, float, float, float]
+    rectangle: Rectangle
     rise: float
 
 
@@ -31,7 +31,7 @@ def fill_rectangles(
     image: NDArray[np.float32],
     centre: tuple[float, float],
     extent: float,
-    rectangles: ArrayLike,
+    rectangles: Sequence[Rectangle],
     value: float,
 ) -> None:
     """Set in place the pixels that any of the rectangles covers.
@@ -39,24 +39,22 @@ def fill_rectangles(
     :param image: (size, size) float32
     :param centre: world x and y of the middle of the image (m)
     :param extent: side of the square seen (m)
-    :param rectangles: (k, 5) x, y, length, width (m), yaw (rad)
+    :param rectangles: what is filled
     :param value: the value to set
-    :raises ValueError: if ``rectangles`` is not of shape (k, 5)
     """
     _draw(image, centre, extent, rectangles, np.float32(value))
 
 
 def rectangle_mask(
-    centre: tuple[float, float], extent: float, size: int, rectangles: ArrayLike
+    centre: tuple[float, float], extent: float, size: int, rectangles: Sequence[Rectangle]
 ) -> NDArray[np.bool_]:
     """Return which pixels any of the rectangles covers.
 
     :param centre: world x and y of the middle of the image (m)
     :param extent: side of the square seen (m)
     :param size: pixels a side
-    :param rectangles: (k, 5) x, y, length, width (m), yaw (rad)
+    :param rectangles: which may cover each other
     :return: (size, size) bool
-    :raises ValueError: if ``rectangles`` is not of shape (k, 5)
     """
     mask = np.zeros((size, size), np.bool_)
     _draw(mask, centre, extent, rectangles, True)
@@ -64,11 +62,11 @@ def rectangle_mask(
 
 
 def _draw(
-    image: NDArray[Any], centre: tuple[float, float], extent: float, rectangles: ArrayLike, value: Any
+    image: NDArray[Any],
+    centre: tuple[float, float],
+    extent: float,
+    rectangles: Sequence[Rectangle],
+    value: Any,
 ) -> None:
-    rows: FloatArray = np.ascontiguousarray(rectangles, dtype=np.float64)
-    if rows.ndim != 2 or rows.shape[1] != 5:
-        raise ValueError(
-            f"Rectangles are rows of x, y, length, width and yaw, not an array of shape {rows.shape}"
-        )
+    rows = np.array(rectangles, dtype=np.float64).reshape(len(rectangles), len(Rectangle._fields))
     draw_rectangles(image, rows, (float(centre[0]), float(centre[1]), float(extent)), value)

@@ -6,7 +6,7 @@ is the direction in which the fingers open, as the tasks expect of every arm.
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from xml.etree.ElementTree import Element, SubElement
 
 from bulletarm_gym.geometry import Pose, Vector, euler_pose
@@ -23,6 +23,8 @@ from bulletarm_gym.robots.urdf import (
 )
 
 FINGER_MASS = 0.05
+WIDEST_HAND = (0.21, 0.07)
+"""Length and width (m) of the widest arm's hand, the Panda's: tasks lay things where every arm has room."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,10 +37,13 @@ class Gripper:
     :param force: with which each finger closes (N)
     :param speed: of each finger (m/s)
     :param friction: of the pads; with a block's own friction of 1 it is the coefficient of the contact
+    :param palm: side lengths (m) of the box that carries the fingers: along the opening, across it, upwards
+        from their roots; experts keep a wide one out of what stands beside an item. 0 where it is narrow
     """
 
     stroke: float
     finger: Vector
+    palm: Vector = (0.0, 0.0, 0.0)
     joints: tuple[str, str] = ("left_finger_joint", "right_finger_joint")
     force: float = 30.0
     speed: float = 0.4
@@ -49,18 +54,23 @@ class Gripper:
         """Greatest displacement (m) of one finger."""
         return self.stroke / 2.0
 
+    @property
+    def overhang(self) -> float:
+        """How far (m) the palm reaches out beyond the open fingers; negative where it is narrower."""
+        return self.palm[0] / 2.0 - self.stroke / 2.0 - self.finger[0]
+
 
 @dataclass(frozen=True, kw_only=True)
 class ParallelJaw(Gripper):
     """A gripper of primitives for any arm's flange, whose z axis points along the approach.
 
-    :param palm: side lengths (m) of the box that carries the fingers
+    :param palm: of the box that carries the fingers; it is part of the model
     :param colour: of the fingers
     :param housing: what else is seen of the palm, in the flange's frame
     :param trim: what else is seen of a finger: x outwards from its pad, z along it from the palm
     """
 
-    palm: Vector
+    palm: Vector = field()
     colour: Colour = LIGHT
     housing: tuple[Part, ...] = ()
     trim: tuple[Part, ...] = ()

@@ -51,8 +51,8 @@ class RobotModel:
     def urdf(self) -> ElementTree.Element:
         """The model on its plinth, its first link being the root, its arm joints without limits.
 
-        The original release ignores the limits too; with them an arm on the floor cannot reach the whole
-        workspace at every tilt, and its wrist could not turn on and on.
+        With limits an arm on the floor cannot reach the whole workspace at every tilt, and its wrist could
+        not turn on and on.
 
         :raises ValueError: a joint is missing, or a finger's ends before the gripper's stroke does
         """
@@ -66,7 +66,8 @@ class RobotModel:
             for limit in joint.findall("limit"):
                 joint.remove(limit)
         if self.base.z > 0.0:
-            plinth = cylinder(PLINTH_RADIUS, self.base.z, (0.0, 0.0, -self.base.z / 2.0), DARK)
+            # Only seen: ramps reach under the arm, and what touches something cannot be moved at once.
+            plinth = cylinder(PLINTH_RADIUS, self.base.z, (0.0, 0.0, -self.base.z / 2.0), DARK, solid=False)
             add_parts(root.findall("link")[0], [plinth])
         return root
 
@@ -109,6 +110,7 @@ class RobotModel:
     def write_urdf(self, folder: Path) -> Path:
         """Write the model for the simulator to load."""
         path = folder / f"{self.name}.urdf"
+        ElementTree.indent(self.urdf)  # Bullet breaks lines of more than 1,023 characters, wherever that is
         ElementTree.ElementTree(self.urdf).write(path)
         return path
 

@@ -15,6 +15,8 @@ HAND_YAW = -math.pi / 4.0
 """Of the hand about the flange."""
 FINGERS = ("panda_leftfinger", "panda_rightfinger")
 PAD = box((0.0175, 0.0143, 0.0358), (0.0, 0.00715, 0.0359), LIGHT)
+PALM = (0.204, 0.063, 0.092)
+"""Side lengths (m) of the hull of the hand's mesh; it ends 46.2 mm above the fingertips."""
 ROOT = box((0.0208, 0.0236, 0.019), (0.0, 0.0145, 0.0095), LIGHT)
 """The two boxes that the mesh of the left finger fills; y points outwards, z to the tip."""
 
@@ -43,10 +45,12 @@ PANDA = RobotModel(
     # The fingers open along the hand's y axis.
     tool=euler_pose((0.0, 0.0, FINGERTIPS), (math.pi, 0.0, HAND_YAW + math.pi / 2.0)),
     gripper=Gripper(
-        joints=("panda_finger_joint1", "panda_finger_joint2"), stroke=0.08, finger=(0.014, 0.0175, 0.0538)
+        joints=("panda_finger_joint1", "panda_finger_joint2"),
+        stroke=0.08,
+        finger=(0.014, 0.0175, 0.0462),
+        palm=PALM,
     ),
     base=Pose((0.08, 0.0, 0.25)),
     posture=(0.0, 0.0, 0.0, -2.2, 0.0, 2.2, -math.pi / 4.0),
     force=240.0,
 )
-"""Greatest torque as in the original BulletArm release."""

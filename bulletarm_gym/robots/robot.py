@@ -33,11 +33,11 @@ CAREFUL_STEPS = 48
 """... and where something may be pushed: braking at 3 m/s^2 at most, friction keeps blocks at the gripper."""
 LEAST_STEPS = 6
 FULL_TURN = 2.0 * math.pi
-LEVEL = 0.03
+LEVEL_TILT = 0.03
 """Tilt (rad) up to which the gripper counts as looking down: what is grasped is never quite even."""
 LINE_STOPS = 4
 """Points between two poses that a tilted gripper is led through."""
-CLEARANCE = 0.004
+FREE_CLEARANCE = 0.004
 """Gap (m) that must stay between the gripper and everything else where it is moved without simulation."""
 CLEAR_ABOVE = 0.01
 """A fingertip path this far (m) above a body cannot touch it: joint motions sag some mm below a line."""
@@ -202,7 +202,7 @@ class Robot:
 
         While it looks down joint motions sag some millimetres; tilted, they swing by centimetres.
         """
-        if end.tilt < LEVEL:
+        if end.tilt < LEVEL_TILT:
             return []
         shares = np.linspace(0.0, 1.0, LINE_STOPS + 2)[1:-1].tolist()
         poses = [interpolate(start, end, share) for share in shares]
@@ -319,7 +319,7 @@ class Robot:
         if self.held is not None or self._world.has_motion:
             return False
         lowest = min(self._reach_down(start), self._reach_down(end))
-        if lowest < CLEARANCE:
+        if lowest < FREE_CLEARANCE:
             return False
         lowest -= CLEAR_ABOVE
         near = [body for body in self._world.obstacles if self._world.top(body) > lowest]
@@ -357,10 +357,10 @@ class Robot:
         if held is not None:
             pose = self._world.poses[held.index]
             lowest = min(lowest, pose.z + float((held.spec.mesh.vertices @ matrix(pose)[2]).min()))
-        near = [body for body in self._world.obstacles if self._world.top(body) > lowest - CLEARANCE]
+        near = [body for body in self._world.obstacles if self._world.top(body) > lowest - FREE_CLEARANCE]
         movers = [self.body] if held is None else [self.body, held]
-        return lowest > CLEARANCE and all(
-            math.isinf(self._world.distance(mover, body, CLEARANCE))
+        return lowest > FREE_CLEARANCE and all(
+            math.isinf(self._world.distance(mover, body, FREE_CLEARANCE))
             for body in near
             if body is not held
             for mover in movers
@@ -384,4 +384,4 @@ class Robot:
 
     def _is_free(self, joints: Sequence[float], bodies: Sequence[Body]) -> bool:
         self._world.show_joints(self.body, joints)
-        return all(math.isinf(self._world.distance(self.body, body, CLEARANCE)) for body in bodies)
+        return all(math.isinf(self._world.distance(self.body, body, FREE_CLEARANCE)) for body in bodies)

@@ -131,7 +131,6 @@ def arm() -> Element:
 FLANGE = euler_pose((0.0, 0.0823, 0.0), (-QUARTER, 0.0, 0.0))
 """In the last link, whose y axis is the approach."""
 JAW = ParallelJaw(stroke=0.075, palm=(0.11, 0.05, 0.055), finger=(0.005, 0.025, 0.06))
-"""Finger sizes and stroke as in the original BulletArm release."""
 ROBOTIQ_2F85 = ParallelJaw(
     stroke=0.085,
     palm=(0.07, 0.05, 0.08),

@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 
 from bulletarm_gym.rendering.overlays import fill_rectangles, rectangle_mask
 from bulletarm_gym.sensors.sensor import Sensor
-from bulletarm_gym.sensors.view import MAX_HEIGHT, View
+from bulletarm_gym.sensors.view import MAX_HEIGHT, Frame, Heights, View
 
-FINGERS = (40, 40, 40)
+FINGER_COLOUR = (40, 40, 40)
 """Colour of the squares that stand for the fingers."""
 GRIPPER = 255
 """Their number in the segmentation; nothing else has it."""
@@ -31,13 +31,22 @@ class Heightmap(Sensor):
         for overlay in view.overlays:
             covered = rectangle_mask(frame.centre, frame.extent, view.size, [overlay.rectangle])
             heights[covered] += np.float32(overlay.rise)
-        if frame.plane is None:
-            image = (heights - np.float32(frame.origin.z)).clip(0.0, MAX_HEIGHT)
-        else:
-            image = np.clip(np.float32(frame.plane) - heights, 0.0, MAX_HEIGHT)
-        if frame.fingers is not None:
-            fill_rectangles(image, frame.centre, frame.extent, frame.fingers, 0.0)
-        return image[None]
+        return heightmap(heights, frame)
+
+
+def heightmap(heights: Heights, frame: Frame) -> Heights:
+    """Return what a frame shows of heights: above its origin or below its plane, with its fingers at 0.
+
+    :param heights: (size, size) m above the world's z = 0 over the frame's square
+    :return: (1, size, size) m, within [0, 0.4]
+    """
+    if frame.plane is None:
+        image = (heights - np.float32(frame.origin.z)).clip(0.0, MAX_HEIGHT)
+    else:
+        image = np.clip(np.float32(frame.plane) - heights, 0.0, MAX_HEIGHT)
+    if frame.fingers:
+        fill_rectangles(image, frame.centre, frame.extent, frame.fingers, 0.0)
+    return image[None]
 
 
 class Color(Sensor):
@@ -54,7 +63,7 @@ class Color(Sensor):
     def read(self, view: View) -> NDArray[np.uint8]:
         """Return the colour of the body under each pixel's centre, or of the ground."""
         image: NDArray[np.uint8] = np.take(self._palette, view.labels, axis=1)
-        image[:, view.fingers] = np.array(FINGERS, np.uint8)[:, None]
+        image[:, view.fingers] = np.array(FINGER_COLOUR, np.uint8)[:, None]
         return image
 
     @cached_property

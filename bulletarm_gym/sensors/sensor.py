@@ -18,9 +18,10 @@ class Sensor(ABC):
     A sensor looks and changes nothing. What it returns follows from the scene and from :attr:`memory`, so
     that states can be saved and restored.
 
+    A subclass may take parameters of its own, by name: JSON values, as the user writes them into the list of
+    sensors.
+
     :param scene: what it looks at, its bodies loaded, nothing arranged yet
-    :param parameters: a subclass may take some of its own, by name: JSON values, as the user writes them into
-        the list of sensors
     """
 
     controls: ClassVar[tuple[str, ...]] = (CLOSE_LOOP, OPEN_LOOP)

@@ -7,7 +7,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from bulletarm_gym.geometry import FloatArray, Pose
+from bulletarm_gym.geometry import FloatArray, Pose, Rectangle
 from bulletarm_gym.rendering.overlays import Overlay, rectangle_mask
 from bulletarm_gym.rendering.rasterizer import Labels
 from bulletarm_gym.scene import Scene
@@ -51,14 +51,14 @@ class Frame:
     :param extent: its side (m)
     :param plane: height (m) of the plane that depths are measured from, downwards; None shows heights above
         the origin
-    :param fingers: rectangles (k, 5) that stand for the fingers, see :mod:`~bulletarm_gym.rendering.overlays`
+    :param fingers: what stands for the fingers
     :param without: a body that is not drawn
     """
 
     origin: Pose
     extent: float
     plane: float | None = None
-    fingers: FloatArray | None = None
+    fingers: tuple[Rectangle, ...] = ()
     without: Body | None = None
 
     @property
@@ -128,8 +128,7 @@ class View:
     def fingers(self) -> NDArray[np.bool_]:
         """Which pixels, (size, size), the squares that stand for the fingers cover."""
         frame = self.frame
-        squares = np.empty((0, 5)) if frame.fingers is None else frame.fingers
-        return rectangle_mask(frame.centre, frame.extent, self.size, squares)
+        return rectangle_mask(frame.centre, frame.extent, self.size, frame.fingers)
 
     @cached_property
     def map(self) -> Map:

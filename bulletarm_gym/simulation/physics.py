@@ -24,7 +24,7 @@ class Physics:
 
 
 PHYSICS_MODES = {"fast": Physics(50, 0.0, 1.0), "slow": Physics(200, 0.04, 2.0)}
-"""The paper's two physics modes; iterations and damping as in the original BulletArm release."""
+"""The paper's two physics modes."""
 
 
 def surface_speed(linear: Vector, angular: Vector) -> float:

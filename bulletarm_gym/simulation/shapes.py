@@ -194,7 +194,7 @@ class BodySpec:
         return (x, y, z)
 
     @cached_property
-    def footprint(self) -> float:
+    def planar_radius(self) -> float:
         """Radius (m) of the circle about the frame's z axis that holds the body at any yaw."""
         return float(np.linalg.norm(self.mesh.vertices[:, :2], axis=1).max())
 

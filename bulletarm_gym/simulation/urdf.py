@@ -21,6 +21,7 @@ def write_urdf(spec: BodySpec, folder: Path) -> Path:
         root.append(_link(part.name, _in_link(part), part.mass, part.colour, folder, spec.mass > 0.0))
         root.append(_joint(part))
     path = folder / "body.urdf"
+    ElementTree.indent(root)  # Bullet breaks lines of more than 1,023 characters, wherever that is
     ElementTree.ElementTree(root).write(path)
     return path
 

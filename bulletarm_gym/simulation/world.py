@@ -19,14 +19,14 @@ from bulletarm_gym.simulation.physics import Physics, surface_speed
 from bulletarm_gym.simulation.shapes import ORIGIN, BodySpec
 
 TIME_STEP = 1.0 / 240.0
-"""Seconds a simulation step, as in the original BulletArm release."""
+"""Seconds a simulation step."""
 GRAVITY = -10.0
-"""Acceleration (m/s^2) along z, as in the original BulletArm release."""
+"""Acceleration (m/s^2) along z."""
 RESIDUAL_THRESHOLD = 1e-5
 """Squared change of the impulses at which the solver stops before its last iteration."""
 REST_SPEED = 0.01
 """A body slower than this (m/s at its rim) rests: in one step gravity alone adds four times as much."""
-SPARE = 0.01
+SPHERE_GAP = 0.01
 """Gap (m) between two spheres that is enough for what they hold to be apart: the engine adds margins."""
 PARKING_HEIGHT = 10.0
 """Where (m) bodies that take no part wait, far from everything, without contacts."""
@@ -379,7 +379,7 @@ class World:
         if not (first.spec.pieces and second.spec.pieces) or first.joints or second.joints:
             return True
         apart = math.dist(self.poses[first.index].position, self.poses[second.index].position)
-        return apart <= first.spec.radius + second.spec.radius + limit + SPARE
+        return apart <= first.spec.radius + second.spec.radius + limit + SPHERE_GAP
 
     def bounds(self, body: Body) -> tuple[Vector, Vector]:
         """Return the lowest and the highest corner (m) of a body's bounding box."""

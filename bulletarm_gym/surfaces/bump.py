@@ -11,7 +11,7 @@ from bulletarm_gym.geometry import FloatArray, Pose, Vector, matrix
 from bulletarm_gym.objects.solids import loft
 from bulletarm_gym.simulation import BodySpec, Box, Piece, World
 from bulletarm_gym.surfaces.flat import FLOOR
-from bulletarm_gym.surfaces.surface import ATTEMPTS, SITE, Point, Surface
+from bulletarm_gym.surfaces.surface import ATTEMPTS, COVERED_SHARE, SITE, Point, Surface
 
 SLOPE = math.pi / 12.0
 """Greatest slope (rad) of a pyramid's sides (paper, Open-Loop 6DoF Environments)."""
@@ -20,19 +20,17 @@ SIDE = 3
 SLOPES = 30
 """Steepnesses there are, evenly spaced up to :data:`SLOPE`, one pyramid of each: nine of them are drawn."""
 PLATFORM = 0.13
-"""Least side (m) of the platform, as in the original BulletArm release."""
+"""Least side (m) of the platform."""
 FRICTION = 100.0
-"""So that nothing slides into the valleys, as in the original BulletArm release."""
+"""So that nothing slides into the valleys."""
 DEPTH = 0.01
 """How far (m) pyramids continue below the ground: hulls need a volume."""
 PEAK = 1e-6
 """Side (m) of the square that a pyramid is cut at: a loft's last ring must not be a point."""
-ROOM = 0.04
+PLATFORM_CLEARANCE = 0.04
 """Gap (m) between things put on the ground and the platform: an open finger comes down in it ..."""
-LITTLE_ROOM = 0.002
+LEAST_PLATFORM_CLEARANCE = 0.002
 """... which a platform wider than :data:`PLATFORM` leaves no space for."""
-COVERED = 0.5
-"""Share of the margin to the border that an item covers itself, see :data:`tray.COVERED`."""
 LIGHT = (0.86, 0.86, 0.87, 1.0)
 GREY = (0.74, 0.74, 0.76, 1.0)
 
@@ -63,7 +61,7 @@ class BumpSurface(Surface):
         super().__init__(workspace, site)
         self.pitch = (workspace[0][1] - workspace[0][0]) / 2.0
         self.platform_size = (max(PLATFORM, site[0]), max(PLATFORM, site[1]))
-        self._room = ROOM if max(self.platform_size) <= PLATFORM else LITTLE_ROOM
+        self._room = PLATFORM_CLEARANCE if max(self.platform_size) <= PLATFORM else LEAST_PLATFORM_CLEARANCE
 
     def load(self, world: World) -> None:
         """Load the ground, a pyramid of every steepness and the platform."""
@@ -192,6 +190,6 @@ class BumpSurface(Surface):
         """
         for _ in range(ATTEMPTS):
             point = super().sample_position(rng, margin)
-            if self._on_platform([point])[0] <= -COVERED * margin:
+            if self._on_platform([point])[0] <= -COVERED_SHARE * margin:
                 return point
         raise PlacementError(f"workspace: the platform leaves no room for a margin of {margin:.3f} m")

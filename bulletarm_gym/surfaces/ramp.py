@@ -13,20 +13,20 @@ from bulletarm_gym.geometry import FloatArray, Pose, Vector, matrix
 from bulletarm_gym.objects.solids import block
 from bulletarm_gym.simulation import BodySpec, World
 from bulletarm_gym.surfaces.flat import FLOOR
-from bulletarm_gym.surfaces.surface import ATTEMPTS, Point, Surface
+from bulletarm_gym.surfaces.surface import ATTEMPTS, COVERED_SHARE, Point, Surface
 
-GAP = (0.04, 0.2)
+STRIP_WIDTHS = (0.04, 0.2)
 """Between the ramps (m; paper, Open-Loop 6DoF Environments)."""
 SLOPE = math.pi / 6.0
 """Greatest slope of a ramp (rad; paper, Open-Loop 6DoF Environments)."""
 EDGE_HEIGHT = 0.01
 """Greatest height (m) of a ramp's lower edge above the ground (paper, Open-Loop 6DoF Environments)."""
-NEAR = GAP[0] / 2.0
-FAR = GAP[1] / 2.0
+NEAREST_EDGE = STRIP_WIDTHS[0] / 2.0
+FARTHEST_EDGE = STRIP_WIDTHS[1] / 2.0
 """Least and greatest distance (m) of an edge from the workspace's middle: the strip crosses the middle."""
 THICKNESS = 0.01
-"""Of a plate (m), as in the original BulletArm release."""
-SPARE = 0.005
+"""Of a plate (m)."""
+PLATE_OVERHANG = 0.005
 """What plates are longer (m) than the workspace needs."""
 WIDTHS = 4
 """Plates there are of different widths: the narrowest that covers the workspace keeps clear of the arm."""
@@ -34,8 +34,6 @@ CUT = 2.0 - math.sqrt(2.0)
 """What a square's corners have outside its inscribed circle along its sides, in halves of a side."""
 STEPS = 4
 """In which a plate becomes shorter."""
-COVERED = 0.5
-"""Share of the margin to the border that an item covers itself, see :data:`tray.COVERED`."""
 COLOUR = (0.82, 0.68, 0.47, 1.0)
 
 
@@ -101,9 +99,9 @@ class RampSurface(Surface):
         """Load the ground and the plates, which cover the workspace wherever they are put."""
         self._world = world
         self.bodies.append(world.add_plane(FLOOR))
-        widest = (self._half_diagonal - NEAR) / math.cos(SLOPE) + SPARE
-        self._widths = np.linspace(self._half_diagonal - FAR, widest, WIDTHS + 1)[1:]
-        length = 2.0 * (self._half_diagonal + SPARE)
+        widest = (self._half_diagonal - NEAREST_EDGE) / math.cos(SLOPE) + PLATE_OVERHANG
+        self._widths = np.linspace(self._half_diagonal - FARTHEST_EDGE, widest, WIDTHS + 1)[1:]
+        length = 2.0 * (self._half_diagonal + PLATE_OVERHANG)
         self._plates = [
             [world.add(plate(f"{name} ramp {width:.3f}", length, width)) for width in self._widths.tolist()]
             for name in ("first", "second")
@@ -113,8 +111,8 @@ class RampSurface(Surface):
     def arrange(self, rng: np.random.Generator) -> None:
         """Draw the strip and both plates."""
         turn = rng.uniform(0.0, 2.0 * math.pi)
-        gap = rng.uniform(min(max(GAP[0], self.site[0]), GAP[1]), GAP[1])
-        nearest = max(NEAR, gap - FAR)
+        gap = rng.uniform(min(max(STRIP_WIDTHS[0], self.site[0]), STRIP_WIDTHS[1]), STRIP_WIDTHS[1])
+        nearest = max(NEAREST_EDGE, gap - FARTHEST_EDGE)
         first = rng.uniform(nearest, gap - nearest)
         sides = ((first, turn), (gap - first, turn + math.pi))
         for plates, (distance, yaw) in zip(self._plates, sides, strict=True):
@@ -192,6 +190,6 @@ class RampSurface(Surface):
         """
         for _ in range(ATTEMPTS):
             point = super().sample_position(rng, margin)
-            if all(abs(ramp.distances([point])[0]) >= COVERED * margin for ramp in self.ramps):
+            if all(abs(ramp.distances([point])[0]) >= COVERED_SHARE * margin for ramp in self.ramps):
                 return point
         raise PlacementError(f"workspace: the ramps leave no room for a margin of {margin:.3f} m")

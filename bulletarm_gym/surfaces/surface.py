@@ -16,6 +16,10 @@ Point: TypeAlias = tuple[float, float]
 
 SITE: Point = (0.03, 0.03)
 """Footprint (m) of what is built where a task says nothing: one of the paper's open-loop cubes."""
+COVERED_SHARE = 0.5
+"""Share of the margin to the workspace's border that an item itself covers: tasks keep 1.2 sides of a cube,
+whose half diagonal is 0.71 sides. On a tray's floor it needs little more than half of that: corners may reach
+over the strip that rises to the walls."""
 ATTEMPTS = 200
 """Places tried before the ground counts as too small."""
 

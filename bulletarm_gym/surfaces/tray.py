@@ -7,14 +7,10 @@ from bulletarm_gym.geometry import Pose
 from bulletarm_gym.objects.tray import FLOOR_HEIGHT, RIM, tray_floor, tray_walls
 from bulletarm_gym.simulation import World
 from bulletarm_gym.surfaces.flat import FlatSurface
-from bulletarm_gym.surfaces.surface import SITE, Point
+from bulletarm_gym.surfaces.surface import COVERED_SHARE, SITE, Point
 
 SIZE = 5.0 / 6.0
 """Nominal side of the tray in sides of the workspace: 25 cm for the close-loop 30 cm."""
-COVERED = 0.5
-"""Share of the margin to the workspace's border that an item itself covers: tasks keep 1.2 sides of a cube,
-whose half diagonal is 0.71 sides. On the floor it needs little more than half of that: corners may reach
-over the strip that rises to the walls."""
 
 
 class TraySurface(FlatSurface):
@@ -39,7 +35,7 @@ class TraySurface(FlatSurface):
 
         :raises ValueError: the floor is too small for the item
         """
-        reach = self.floor_side / 2.0 - COVERED * margin
+        reach = self.floor_side / 2.0 - COVERED_SHARE * margin
         if reach < 0.0:
             raise ValueError(
                 f"workspace: its tray of {self.floor_side:.3f} m has no room for a margin of {margin:.3f} m"

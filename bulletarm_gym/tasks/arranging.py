@@ -18,7 +18,7 @@ from bulletarm_gym.tasks.task import Hints, Task
 MOST_BOTTLES = 6
 """As many as the paper's (Bottle Arrangement), and places in the tray."""
 ROWS, COLUMNS = 2, 3
-GAP = 0.024
+BOTTLE_SPACING = 0.024
 """Least gap (m) around a bottle at the start: the fingers have room at its neck."""
 PICK_OFFSET = 0.025
 """How far (m) below its top a bottle of scale 1 is grasped: at its neck."""
@@ -70,7 +70,7 @@ class BottleArrangement(Task):
         """Put the tray somewhere, and the bottles beside it."""
         spread = math.pi if self.config.random_orientation else 0.0
         scene["tray"].place(scene.surface.goal_site(self.site, rng, spread))
-        lay_apart(scene, rng, self._bottles(scene, absent=True), GAP)
+        lay_apart(scene, rng, self._bottles(scene, absent=True), BOTTLE_SPACING)
 
     def evaluate(self, scene: Scene) -> dict[str, bool]:
         """Look whether all bottles are in the tray, and whether all is done."""

@@ -15,16 +15,16 @@ from bulletarm_gym.objects.bowl import HEIGHT
 from bulletarm_gym.placement import scatter, stand
 from bulletarm_gym.relations import at_rest, is_empty, is_held, touching, upright
 from bulletarm_gym.scene import Item, Role, Scene, scaled
-from bulletarm_gym.tasks.reaching import BORDER
+from bulletarm_gym.tasks.reaching import BORDER_MARGIN
 from bulletarm_gym.tasks.task import Task
 
 CENTRED = 0.03
-"""Distance (m) of the cube's centre to the bowl's axis, as in the original BulletArm release."""
+"""Distance (m) of the cube's centre to the bowl's axis."""
 BOWL_BORDER = 0.53
-"""Distance of the bowl's axis to the border, in its diameters: 8.5 cm, as in the original release."""
-ROOM = 0.06
+"""Distance of the bowl's axis to the border, in its diameters: 8.5 cm."""
+RIM_CLEARANCE = 0.06
 """Room (m) between the cube's centre and the bowl's rim, for the gripper's fingers."""
-DROP = 0.35
+RELEASE_HEIGHT = 0.35
 """Height at which the cube is let go, in bowl heights: there the open fingers still fit in."""
 YAW_SPREAD = math.pi / 2.0
 
@@ -58,8 +58,8 @@ class BlockInBowl(Task):
     def arrange(self, scene: Scene, rng: np.random.Generator) -> None:
         """Put cube and bowl apart."""
         item, vessel = scene["cube"], scene["bowl"]
-        margins = [BOWL_BORDER * vessel.spec.extents[0], BORDER * item.spec.extents[0]]
-        vessel_point, point = scatter(scene, rng, margins, vessel.spec.footprint + ROOM)
+        margins = [BOWL_BORDER * vessel.spec.extents[0], BORDER_MARGIN * item.spec.extents[0]]
+        vessel_point, point = scatter(scene, rng, margins, vessel.spec.planar_radius + RIM_CLEARANCE)
         stand(scene, vessel, vessel_point, rng, YAW_SPREAD)
         stand(scene, item, point, rng, YAW_SPREAD)
 
@@ -79,7 +79,7 @@ class BlockInBowl(Task):
         """Grasp the cube, carry it over the bowl, let go inside."""
         item, vessel = scene["cube"], scene["bowl"]
         if is_held(scene, item):
-            height = vessel.lowest + DROP * vessel.spec.extents[2]
+            height = vessel.lowest + RELEASE_HEIGHT * vessel.spec.extents[2]
             yield from place_item(scene, item, vessel.pose.position, height)
         else:
             yield from grasp_item(scene, item, side_yaw(item.pose), math.pi / 2.0)

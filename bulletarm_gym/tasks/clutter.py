@@ -3,12 +3,13 @@
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
 from bulletarm_gym.config import CLOSE_LOOP, OPEN_LOOP, EnvConfig, TaskDefaults, TrayUse
 from bulletarm_gym.experts.approach import ALIGNED, ALIGNED_YAW, HOVER, STEP
-from bulletarm_gym.experts.grasps import DEPTHS, YAWS, Relief, find_grasps
+from bulletarm_gym.experts.grasps import DEPTHS, YAWS, Grasps, Relief, find_grasps
 from bulletarm_gym.experts.stirring import stir
 from bulletarm_gym.experts.waypoints import CLOSED, OPEN, Waypoint
 from bulletarm_gym.footprint import PlacementError
@@ -28,10 +29,9 @@ from bulletarm_gym.relations import TOUCHING
 from bulletarm_gym.scene import Item, Role, Scene
 from bulletarm_gym.simulation import BodySpec, Convex, Piece
 from bulletarm_gym.simulation.world import FALLING
+from bulletarm_gym.tasks.picking import LIFTED
 from bulletarm_gym.tasks.task import Hints, Task
 
-LIFTED = 0.15
-"""Height (m) of the gripper above the ground that counts as lifted (paper, Object Grasping)."""
 MOST_OBJECTS = 15
 """As many as the paper's open-loop clutter."""
 DROP_HEIGHT = 0.12
@@ -47,11 +47,11 @@ ARM_AWAY = 0.4
 NUMBERS = tuple(range(1, MOST_OBJECTS + 1))
 IN_TRAY = TrayUse((True,), "without it the objects would roll out of the workspace")
 
-CLEARANCE = 0.004
+FLOOR_CLEARANCE = 0.004
 """Least height (m) of the fingertips above the tray's floor."""
 PITCH = 0.003
 """Side (m) of the pixels that grasps are searched in."""
-BORDER = 0.05
+SURROUNDINGS = 0.05
 """How far (m) beyond the workspace is looked: an open gripper reaches there."""
 TURN_WORTH = 1.5 * STEP / (math.pi / 4.0)
 """The way (m/rad) that a turn is worth: more than what takes as many actions, for turns are hard to learn."""
@@ -85,8 +85,13 @@ NUDGE = 0.04
 CHANCE = 0.02
 """Standard deviation of what chance adds to a grasp's quality."""
 
-Spot = tuple[float, float, float]
-"""x, y (m) and yaw (rad) of the fingertips."""
+
+class Spot(NamedTuple):
+    """Where the fingertips were: x, y (m) and yaw (rad)."""
+
+    x: float
+    y: float
+    yaw: float
 
 
 class ObjectGrasping(Task):
@@ -190,10 +195,10 @@ class ObjectGrasping(Task):
         known = (
             failed
             and planar_distance(failed[-1], hand.position) < SAME_PLACE
-            and abs(wrap_angle(failed[-1][2] - hand.yaw, math.pi)) < ALIKE
+            and abs(wrap_angle(failed[-1].yaw - hand.yaw, math.pi)) < ALIKE
         )
         if closed and scene.robot.held is None and not known:
-            self.memory = (*failed, (hand.x, hand.y, hand.yaw))[-MOST_FAILURES:]
+            self.memory = (*failed, Spot(hand.x, hand.y, hand.yaw))[-MOST_FAILURES:]
 
     @property
     def _failed(self) -> tuple[Spot, ...]:
@@ -225,35 +230,30 @@ class ObjectGrasping(Task):
         """
         hand = scene.robot.pose
         grasps = self._grasps(scene, relief, DEPTHS)
-        x, y, _, yaw, quality = grasps.T
-        value = quality.copy()
+        value = grasps.quality.copy()
         for spot in self._failed:
-            near = np.hypot(x - spot[0], y - spot[1]) < NEAR_FAILURE
-            value -= FAILURE_COST * near * (1.0 + (np.abs(wrap(yaw - spot[2])) < ALIKE))
+            near = np.hypot(grasps.x - spot.x, grasps.y - spot.y) < NEAR_FAILURE
+            value -= FAILURE_COST * near * (1.0 + (np.abs(wrap(grasps.yaw - spot.yaw)) < ALIKE))
         good = value > 0.0
         if not good.any():
             return None
-        turn = TURN_WORTH * wrap(yaw - hand.yaw)
-        way = np.sqrt((x - hand.x) ** 2 + (y - hand.y) ** 2 + turn**2)
-        best = np.where(good, value - WAY_WEIGHT * way, -np.inf).argmax()
-        return Pose.planar(*grasps[best, :4].tolist())
+        turn = TURN_WORTH * wrap(grasps.yaw - hand.yaw)
+        way = np.sqrt((grasps.x - hand.x) ** 2 + (grasps.y - hand.y) ** 2 + turn**2)
+        return grasps.at(int(np.where(good, value - WAY_WEIGHT * way, -np.inf).argmax()))
 
-    def _grasps(self, scene: Scene, relief: Relief, depths: Sequence[float]) -> FloatArray:
+    def _grasps(self, scene: Scene, relief: Relief, depths: Sequence[float]) -> Grasps:
         """Return the grasps within the workspace that have room, as :func:`find_grasps` does."""
         turns = "r" in self.config.action_sequence
         yaws = [math.pi * step / YAWS for step in range(YAWS)] if turns else [scene.robot.pose.yaw]
-        lowest = max(scene.surface.level + CLEARANCE, self.config.workspace[2][0])
+        lowest = max(scene.surface.level + FLOOR_CLEARANCE, self.config.workspace[2][0])
         grasps = find_grasps(relief, scene.robot.model.gripper, yaws, lowest, depths)
-        limits = np.array(self.config.workspace[:2])
-        inside = (grasps[:, :2] > limits[:, 0]) & (grasps[:, :2] < limits[:, 1])
-        return grasps[inside.all(axis=1)]
+        return grasps.within(self.config.workspace[:2])
 
 
 class OpenLoopObjectGrasping(ObjectGrasping):
     """Grasp any object of a clutter, by one pick.
 
     Description: a tray with up to N of the same 86 objects, by default 15.
-    Randomisation: as in :class:`ObjectGrasping`.
     Success: the gripper holds an object when it has come back from the pick. The object is taken away when
     the next episode begins. Every action ends the episode.
     Expert: one of the best grasps from above; which of them is left to chance, for nothing may have changed
@@ -291,8 +291,8 @@ class OpenLoopObjectGrasping(ObjectGrasping):
         depths = DEPTHS if "z" in self.config.action_sequence else (PICK_DEPTH,)
         grasps = self._grasps(scene, survey(scene), depths)
         if len(grasps):
-            value = grasps[:, 4] + rng.normal(0.0, CHANCE, len(grasps))
-            yield Waypoint(Pose.planar(*grasps[value.argmax(), :4].tolist()), OPEN, finish=CLOSED)
+            value = grasps.quality + rng.normal(0.0, CHANCE, len(grasps))
+            yield Waypoint(grasps.at(int(value.argmax())), OPEN, finish=CLOSED)
         else:
             yield Waypoint(self._beside(scene, rng), OPEN, finish=CLOSED)
 
@@ -305,7 +305,7 @@ class OpenLoopObjectGrasping(ObjectGrasping):
         inward *= rng.uniform(0.0, NUDGE) / max(float(np.hypot(*inward)), NUDGE)
         x, y = (item.pose.position[:2] + inward + rng.uniform(-NUDGE / 2.0, NUDGE / 2.0, 2)).tolist()
         yaw = towards if "r" in self.config.action_sequence else 0.0
-        return Pose.planar(x, y, scene.surface.level + CLEARANCE, yaw)
+        return Pose.planar(x, y, scene.surface.level + FLOOR_CLEARANCE, yaw)
 
 
 def _approach(scene: Scene, relief: Relief, target: Pose) -> Waypoint:
@@ -338,7 +338,7 @@ def _beyond(distance: float, limit: float) -> float:
 
 def survey(scene: Scene) -> Relief:
     """Return the relief of the workspace."""
-    centre, extent = scene.config.centre, scene.config.workspace_size + 2.0 * BORDER
+    centre, extent = scene.config.centre, scene.config.workspace_size + 2.0 * SURROUNDINGS
     size = round(extent / PITCH)
     items = list(scene)
     layers = [scene.heights_of([item.body], centre, extent, size) for item in items]

@@ -7,8 +7,8 @@ import numpy as np
 
 from bulletarm_gym.config import CLOSE_LOOP, EnvConfig, TaskDefaults, TrayUse
 from bulletarm_gym.experts.approach import (
+    HEIGHT_TOLERANCE,
     HOVER,
-    LEVEL,
     STEP,
     grasp_item,
     highest_between,
@@ -24,7 +24,7 @@ from bulletarm_gym.scene import Role, Scene, scaled
 from bulletarm_gym.tasks.picking import LIFTED
 from bulletarm_gym.tasks.task import Task
 
-GAP = 2e-4
+WALL_CLEARANCE = 2e-4
 """Gap (m) between the cube and the walls: it stands flush, but is not pressed against them."""
 PRESS = 1e-3
 """Depth (m) by which the fingertips are sent into the cube's upper side; half and twice as much take it along
@@ -37,9 +37,9 @@ OFFSET = 0.004
 """How far (m) from the cube's middle, towards both walls, it presses: there the cube does not tip over."""
 SHUT = 0.1
 """Opening ratio up to which the gripper presses with both fingers."""
-OVER = 0.02
+DESCENT_RADIUS = 0.02
 """Distance (m) from there within which the gripper comes down ..."""
-BESIDE = 0.025
+PRESSING_RADIUS = 0.025
 """... and within which it presses on the cube."""
 
 
@@ -74,14 +74,14 @@ class CornerPicking(Task):
         """Put the corner where the cube in it is inside the workspace."""
         item, walls = scene["cube"], scene["corner"]
         half = item.spec.extents[0] / 2.0
-        inset = INSIDE + half + GAP
+        inset = INSIDE + half + WALL_CLEARANCE
         place = Pose((inset, inset, PLATE + item.spec.extents[2] / 2.0))
 
         def draw() -> Pose:
             return scene.surface.pose(scene.surface.sample_position(rng, SIDE / 2.0), self._yaw(rng))
 
         pose = draw_until(
-            draw, lambda frame: is_within(scene, frame.transform(place.position), item.spec.footprint)
+            draw, lambda frame: is_within(scene, frame.transform(place.position), item.spec.planar_radius)
         )
         walls.place(pose)
         item.place(pose.compose(place))
@@ -114,10 +114,10 @@ class CornerPicking(Task):
         top = scene.world.top(item.body)
         beside = planar_distance((x, y), hand.position)
         closed = scene.robot.opening_ratio < SHUT
-        if not (closed and beside < BESIDE and hand.z < top):
-            if beside > OVER or not closed:
+        if not (closed and beside < PRESSING_RADIUS and hand.z < top):
+            if beside > DESCENT_RADIUS or not closed:
                 over = max(top, highest_between(scene, hand.position, item.pose.position, item)) + HOVER
-                if hand.z < over - LEVEL:
+                if hand.z < over - HEIGHT_TOLERANCE:
                     yield Waypoint(Pose.planar(hand.x, hand.y, over, hand.yaw), CLOSED)
                 yield Waypoint(Pose.planar(x, y, over, hand.yaw), CLOSED)
             yield Waypoint(Pose.planar(x, y, top - PRESS, hand.yaw), CLOSED)

@@ -12,7 +12,7 @@ from bulletarm_gym.experts.waypoints import CLOSED, OPEN, Waypoint
 from bulletarm_gym.footprint import Footprint
 from bulletarm_gym.geometry import Pose, wrap_angle
 from bulletarm_gym.objects.covid import (
-    FLOOR,
+    BOX_FLOOR,
     NEW_TUBE_BOX,
     SCALE,
     TEST_AREA,
@@ -34,14 +34,14 @@ from bulletarm_gym.tasks.task import Hints, Task
 ROUNDS = 3
 """Tests an episode (paper, Covid Test)."""
 SIDE = 0.3
-"""Of the square (m) that the three places fill, as in the original BulletArm release."""
+"""Of the square (m) that the three places fill."""
 TUBES_APART, TUBE_ROW = NEW_TUBE_BOX[0] / 3.3, NEW_TUBE_BOX[1] / 4.0
 SWABS_APART, SWAB_ROW = NEW_TUBE_BOX[0] / 3.7, -NEW_TUBE_BOX[1] / 9.0
-"""Where tubes and swabs lie in the box (m), as in that release."""
+"""Where tubes and swabs lie in the box (m)."""
 SPREAD = math.radians(30.0)
-"""Greatest yaw of tubes and of swabs either way, as in that release."""
+"""Greatest yaw of tubes and of swabs either way."""
 USER_REACH = (0.0125, 0.1)
-"""How far (m) from the middle of the test area the user leaves a used tube, as in that release."""
+"""How far (m) from the middle of the test area the user leaves a used tube."""
 SWAB_SPOT, TUBE_SPOT = (0.0, 0.07), (0.0, -0.05)
 """Where in the test area (m) the expert puts a swab and a tube."""
 GRASP_DEPTH = 0.008
@@ -51,7 +51,7 @@ AWAY = 0.05
 OPENING = 0.04
 """Greatest distance (m) of the fingers: between two tubes there is not much room."""
 QUARTER = math.pi / 2.0
-PLACES = {"new box": NEW_TUBE_BOX, "test area": TEST_AREA, "used box": USED_TUBE_BOX}
+PLACE_SIZES = {"new box": NEW_TUBE_BOX, "test area": TEST_AREA, "used box": USED_TUBE_BOX}
 
 
 class CovidTest(Task):
@@ -95,7 +95,7 @@ class CovidTest(Task):
         places = [Role(name, (make(name),)) for name, make in makers.items()]
         kinds = {"swab": swab, "tube": tube, "used tube": used_tube}
         return places + [
-            scaled(config, f"{kind} {number}", make)
+            scaled(config, f"{kind} {number}", make, kind)
             for kind, make in kinds.items()
             for number in range(ROUNDS)
         ]
@@ -107,7 +107,7 @@ class CovidTest(Task):
         mirror = float(rng.choice((-1.0, 1.0)))
         corners = {"new box": (-1.0, 1.0), "test area": (1.0, 0.0), "used box": (-1.0, -1.0)}
         for name, (right, up) in corners.items():
-            x, y = ((SIDE - extent) / 2.0 for extent in PLACES[name][:2])
+            x, y = ((SIDE - extent) / 2.0 for extent in PLACE_SIZES[name][:2])
             scene[name].place(site.compose(Pose((mirror * right * x, up * y, 0.0))))
         rows = (("tube", TUBES_APART, TUBE_ROW), ("swab", SWABS_APART, SWAB_ROW))
         for kind, pitch, row in rows:
@@ -117,7 +117,7 @@ class CovidTest(Task):
 
     def _lay(self, scene: Scene, name: str, place: str, point: Sequence[float], yaw: float) -> None:
         """Lay an item on the floor of a place, at a point (m) and a yaw (rad) in its frame."""
-        height = FLOOR - float(scene[name].spec.mesh.bounds[0, 2])
+        height = BOX_FLOOR - float(scene[name].spec.mesh.bounds[0, 2])
         pose = Pose.planar(point[0], point[1], height, yaw)
         scene[name].place(scene[place].pose.compose(pose), FALLING)
 
@@ -158,7 +158,7 @@ class CovidTest(Task):
         if held is None:
             yield self._pick(scene, self._next(scene))
             return
-        kind = held.role.name.rpartition(" ")[0]
+        kind = held.role.kind
         name, spot, along = {
             "swab": ("test area", SWAB_SPOT, QUARTER),
             "tube": ("test area", TUBE_SPOT, QUARTER),
@@ -166,7 +166,7 @@ class CovidTest(Task):
         }[kind]
         place = scene[name].pose
         turn = wrap_angle(place.yaw + along - held.pose.yaw, math.pi)
-        point = place.transform((*spot, FLOOR))
+        point = place.transform((*spot, BOX_FLOOR))
         top = max((scene.world.top(item.body) for item in self._inside(scene, kind, name)), default=point[2])
         yield Waypoint(place_pose(scene, held, point, top + RELEASE, turn), CLOSED, finish=OPEN)
 
@@ -188,7 +188,7 @@ class CovidTest(Task):
         return Waypoint(Pose.planar(x, y, depth, item.pose.yaw + QUARTER), OPEN, finish=CLOSED)
 
     def _items(self, scene: Scene, kind: str) -> list[Item]:
-        return [item for item in scene if item.role.name.rpartition(" ")[0] == kind]
+        return [item for item in scene if item.role.kind == kind]
 
     def _inside(self, scene: Scene, kind: str, place: str) -> list[Item]:
         """Return the items of a kind that lie in a place, seen from above, the held one aside."""

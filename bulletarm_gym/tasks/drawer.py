@@ -6,7 +6,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from bulletarm_gym.config import CLOSE_LOOP, EnvConfig, TaskDefaults, TrayUse
-from bulletarm_gym.experts.approach import ALIGNED, ALIGNED_YAW, HOVER, LEVEL, STEP
+from bulletarm_gym.experts.approach import ALIGNED, ALIGNED_YAW, HEIGHT_TOLERANCE, HOVER, STEP
 from bulletarm_gym.experts.waypoints import CLOSED, Waypoint
 from bulletarm_gym.geometry import Pose, planar_distance, wrap_angle
 from bulletarm_gym.objects import drawer
@@ -16,22 +16,22 @@ from bulletarm_gym.scene import Role, Scene
 from bulletarm_gym.tasks.task import Task
 
 OPENED = 0.15
-"""Displacement (m) of the drawer that counts as open, as in the original BulletArm release."""
+"""Displacement (m) of the drawer that counts as open."""
 FARTHER = 0.015
 """By how much (m) more than that the expert pulls."""
-DISTANCE = (0.15, 0.2)
-"""How far (m) the cabinet is behind the workspace's centre, as in the original BulletArm release ..."""
-ASIDE = 0.1
+CABINET_DISTANCE = (0.15, 0.2)
+"""How far (m) the cabinet is behind the workspace's centre ..."""
+CABINET_ASIDE = 0.1
 """... and aside of it at most (m)."""
 HOOK = (HANDLE_DISTANCE + HANDLE_RADIUS) / 2.0
 """Where (m) the gripper goes down behind the bar: in the middle between bar and drawer ..."""
-GAP = 2e-3
+BAR_CLEARANCE = 2e-3
 """... or this far (m) from the bar, where with short fingers the palm comes down before the cabinet ..."""
 ALIGNED_BEFORE, ALIGNED_YAW_BEFORE = 2e-3, 0.02
 """... within this distance (m) and angle (rad), or it would come down on the cabinet."""
 BELOW = 0.02
 """How far (m) the fingertips reach below the bar."""
-BORDER = 5e-3
+BORDER_CLEARANCE = 5e-3
 """Distance (m) of the gripper's way to the border."""
 
 
@@ -65,13 +65,20 @@ class DrawerOpening(Task):
         """Put the cabinet where the gripper can hook the handle and open the drawer."""
 
         def draw() -> Pose:
-            offset = (float(rng.uniform(*DISTANCE)), float(rng.uniform(-ASIDE, ASIDE)), 0.0)
+            offset = (
+                float(rng.uniform(*CABINET_DISTANCE)),
+                float(rng.uniform(-CABINET_ASIDE, CABINET_ASIDE)),
+                0.0,
+            )
             yaw = self._yaw(rng)
             x, y, _ = Pose.planar(*scene.config.centre, 0.0, yaw).transform(offset)
             return scene.surface.pose((x, y), yaw)
 
         def fits(pose: Pose) -> bool:
-            return all(is_within(scene, pose.transform((x, 0.0, 0.0)), BORDER) for x in (_START, _end(scene)))
+            return all(
+                is_within(scene, pose.transform((x, 0.0, 0.0)), BORDER_CLEARANCE)
+                for x in (_START, _end(scene))
+            )
 
         scene["drawer"].place(draw_until(draw, fits))
         scene["drawer"].set_joints((0.0,))
@@ -108,7 +115,7 @@ class DrawerOpening(Task):
         over = CABINET[2] + HOVER
         near, turned = (ALIGNED, ALIGNED_YAW) if _is_long(scene) else (ALIGNED_BEFORE, ALIGNED_YAW_BEFORE)
         if planar_distance(hook, hand.position) > near or abs(hand.yaw - yaw) > turned:
-            if hand.z < over - LEVEL:
+            if hand.z < over - HEIGHT_TOLERANCE:
                 yield Waypoint(Pose.planar(hand.x, hand.y, over, hand.yaw), CLOSED)
             yield Waypoint(Pose.planar(hook[0], hook[1], over, yaw), CLOSED)
         yield Waypoint(Pose.planar(*hook, yaw), CLOSED)
@@ -126,7 +133,7 @@ def _is_long(scene: Scene) -> bool:
 def _start(scene: Scene) -> float:
     """Return where (m) along the cabinet's x the gripper goes down when the drawer is shut."""
     finger = scene.robot.model.gripper.finger[1] / 2.0
-    return _START if _is_long(scene) else min(_START, HANDLE[0] + HANDLE_RADIUS + finger + GAP)
+    return _START if _is_long(scene) else min(_START, HANDLE[0] + HANDLE_RADIUS + finger + BAR_CLEARANCE)
 
 
 def _end(scene: Scene) -> float:

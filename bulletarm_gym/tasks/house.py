@@ -14,8 +14,11 @@ class HouseBuilding1(Stack):
 
     Description: three (one to five) 3 cm cubes and a triangle, 3 x 3 x 3 cm, lie on the ground; in
     the paper's close-loop House Building a cube of 5 cm and a triangle as large.
-    Randomisation: in close loop yaws are within 90 degrees either way.
-    Success: the cubes form a stack, on top the triangle.
+    Randomisation: the blocks' positions and yaws, in open loop at least 4.2 cm between any two, in close loop
+    at least 2.4 sides apart and yaws within 90 degrees either way.
+    Success: the cubes form a stack, on top the triangle, upright; the gripper is empty and nothing moves.
+    Expert: in open loop pick a cube, the triangle last, and place it on the tallest stack there is, in close
+    loop grasp it, up, over the stack, down, open; and so on.
     All else is as in :class:`~bulletarm_gym.tasks.stacking.Stack`.
     """
 

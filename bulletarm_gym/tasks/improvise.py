@@ -6,7 +6,7 @@ from bulletarm_gym.config import EnvConfig, TaskDefaults
 from bulletarm_gym.objects.blocks import improvise_bricks, roof
 from bulletarm_gym.objects.polyominoes import CELL, WIDEST, improvise_blocks
 from bulletarm_gym.scene import Role
-from bulletarm_gym.tasks.structure import SCALE, Structure
+from bulletarm_gym.tasks.structure import SCALE, Part, Structure
 
 BRICKS = 19
 """Sizes of bricks to be drawn from: as many as there are shapes of blocks."""
@@ -17,7 +17,7 @@ class ImproviseHouseBuilding2(Structure):
 
     Description: two of 19 blocks of one layer, 3.6 to 9 cm wide and long, and a roof, 12 x 3 x 3 cm, lie on
     the ground.
-    Randomisation: as in the other structures; and which blocks, of which sizes.
+    Randomisation: which blocks, of which sizes; their positions and yaws, at least 4.2 cm between any two.
     All else is as in :class:`~bulletarm_gym.tasks.structure.Structure`.
     """
 
@@ -29,19 +29,19 @@ class ImproviseHouseBuilding2(Structure):
     upright = ("roof",)
     width = CELL * WIDEST
 
-    def block(self, config: EnvConfig, kind: str, name: str) -> Role:
+    def block(self, config: EnvConfig, part: Part) -> Role:
         """Return a role that each of the 19 shapes may play."""
-        if kind != "block":
-            return super().block(config, kind, name)
-        series = int(name.removeprefix(kind))
-        shapes = [spec for scale in config.scales for spec in improvise_blocks(name, scale, series)]
-        return Role(name, tuple(shapes))
+        if part.kind != "block":
+            return super().block(config, part)
+        shapes = [spec for scale in config.scales for spec in improvise_blocks(part.name, scale, part.number)]
+        return Role(part.name, tuple(shapes))
 
 
 class ImproviseHouseBuilding3(ImproviseHouseBuilding2):
     """Two blocks of random shapes side by side, a brick of random size on both, the roof on the brick.
 
-    Description: besides, a brick 2.5 to 3.5 cm wide, 10 to 14 cm long and 2 to 3.5 cm high.
+    Description: two of 19 blocks of one layer, 3.6 to 9 cm wide and long, a brick 2.5 to 3.5 cm wide, 10 to
+    14 cm long and 2 to 3.5 cm high, and a roof, 12 x 3 x 3 cm, lie on the ground.
     All else is as in :class:`ImproviseHouseBuilding2`.
     """
 
@@ -50,9 +50,9 @@ class ImproviseHouseBuilding3(ImproviseHouseBuilding2):
     )
     layers = (("block", "block"), ("brick",), ("roof",))
 
-    def block(self, config: EnvConfig, kind: str, name: str) -> Role:
+    def block(self, config: EnvConfig, part: Part) -> Role:
         """Return a role that bricks of several sizes may play, or one of the other blocks."""
-        if kind != "brick":
-            return super().block(config, kind, name)
-        sizes = [spec for scale in config.scales for spec in improvise_bricks(name, scale, BRICKS)]
-        return Role(name, tuple(sizes))
+        if part.kind != "brick":
+            return super().block(config, part)
+        sizes = [spec for scale in config.scales for spec in improvise_bricks(part.name, scale, BRICKS)]
+        return Role(part.name, tuple(sizes))

@@ -15,24 +15,23 @@ from bulletarm_gym.geometry import FloatArray, Pose, matrix
 from bulletarm_gym.objects.packing import BIN, BIN_WALL, SHAPES, packing_bin, packing_block
 from bulletarm_gym.placement import footprint, lay_apart
 from bulletarm_gym.relations import at_rest, inside, is_empty, is_top
+from bulletarm_gym.robots.gripper import WIDEST_HAND
 from bulletarm_gym.scene import Item, Role, Scene, shaped
 from bulletarm_gym.tasks.task import Hints, Task
 
 MOST_BLOCKS = 8
 """As many as the paper's (Bin Packing)."""
-GAP = 0.025
+BLOCK_SPACING = 0.025
 """Least gap (m) between blocks at the start."""
-HAND = (0.21, 0.07)
-"""Length and width (m) of the widest arm's hand, the Panda's: over a block it has room beside the bin."""
 PICK_OFFSET = 0.0125
 """How far (m) below its top a block of scale 1 is grasped: on the bin's floor every hand is above the rim."""
 OPENING = 0.058
 """Greatest distance (m) of the fingers: half wider than a block, so that its neighbours are not touched."""
-SPARE = 0.001
+PACKING_CLEARANCE = 0.001
 """Gap (m) kept to what is beside a block and its fingers."""
-LET_GO = 0.004
+FINGER_RELEASE = 0.004
 """How far (m) a finger moves out to let go."""
-BORDER = 0.003
+BELOW_RIM = 0.003
 """How far (m) below the rim the origin of what is packed must be expected."""
 ROW_WEIGHT = 0.5
 """A place is as good as it is towards one short wall and, by this share, towards the long walls."""
@@ -86,12 +85,12 @@ class BinPacking(Task):
         blocks = [item for item in scene.items if item is not scene["bin"]]
 
         def leaves_room(pose: Pose) -> bool:
-            hand = Footprint.rectangle(HAND, pose)
+            hand = Footprint.rectangle(WIDEST_HAND, pose)
             return not self.config.random_orientation or hand.gap(footprint(scene["bin"])) > 0.0
 
         site = scene.surface.goal_site(self.site, rng, spread)
         scene["bin"].place(site.compose(Pose.planar(0.0, 0.0, 0.0, math.pi / 2.0)))
-        lay_apart(scene, rng, blocks, GAP, allows=leaves_room)
+        lay_apart(scene, rng, blocks, BLOCK_SPACING, allows=leaves_room)
 
     def evaluate(self, scene: Scene) -> dict[str, bool]:
         """Look whether all blocks are in the bin, and whether all is done."""
@@ -159,10 +158,10 @@ class Room:
         low, high = self._outline(yaw)
         rest = self._highest(low, high, math.inf)
         tips = rest + RELEASE - low[2]
-        fits = rest - low[2] + self._origin() < BIN[2] - BORDER
+        fits = rest - low[2] + self._origin() < BIN[2] - BELOW_RIM
         if needs_fingers:
             for finger in self._fingers(yaw):
-                fits &= self._highest(*finger, 0.0) < tips - SPARE
+                fits &= self._highest(*finger, 0.0) < tips - PACKING_CLEARANCE
         if not fits.any():
             return None
         steps = np.where(fits, np.round(rest / PITCH), np.inf)
@@ -181,7 +180,7 @@ class Room:
         points = held.spec.mesh.vertices @ matrix(held.pose).T + held.pose.position - np.array(hand.position)
         turned = points @ matrix(Pose.planar(0.0, 0.0, 0.0, yaw + self._bin.yaw - hand.yaw)).T
         seen = turned @ matrix(self._bin)
-        return seen.min(axis=0) - SPARE, seen.max(axis=0) + SPARE
+        return seen.min(axis=0) - PACKING_CLEARANCE, seen.max(axis=0) + PACKING_CLEARANCE
 
     def _fingers(self, yaw: float) -> Iterator[tuple[FloatArray, FloatArray]]:
         """Yield the outlines of the fingers when they have let go, like :meth:`_outline`."""
@@ -190,7 +189,7 @@ class Room:
         for side in (1.0, -1.0):
             corners = [
                 Pose.planar(0.0, 0.0, 0.0, yaw).transform((side * x, y, 0.0))
-                for x in (inner, inner + LET_GO + thickness)
+                for x in (inner, inner + FINGER_RELEASE + thickness)
                 for y in (-width / 2.0, width / 2.0)
             ]
             yield np.min(corners, axis=0), np.max(corners, axis=0)

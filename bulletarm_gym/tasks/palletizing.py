@@ -13,24 +13,23 @@ from bulletarm_gym.geometry import Pose, wrap_angle
 from bulletarm_gym.objects.palletizing import BOX, PALLET, pallet, palletizing_box
 from bulletarm_gym.placement import draw_until, footprint, free_pose, roomiest, set_down
 from bulletarm_gym.relations import UPRIGHT, at_rest, inside, is_empty, is_top
+from bulletarm_gym.robots.gripper import WIDEST_HAND
 from bulletarm_gym.scene import Item, Role, Scene, scaled
 from bulletarm_gym.tasks.task import Hints, Task
 
 LAYER = 6
 """Boxes a layer (paper, Box Palletizing: 6, 12 or 18)."""
-GAP = 0.02
+BOX_SPACING = 0.02
 """Between the boxes of a layer (m): a finger fits in and lets go."""
 YAW_TOLERANCE = math.pi / 8.0
-"""Greatest yaw (rad) of a box against its layer's, as in the original BulletArm release."""
-LEVEL = 0.25
+"""Greatest yaw (rad) of a box against its layer's."""
+LAYER_TOLERANCE = 0.25
 """Greatest height, in boxes, by which a box may be above or below its layer."""
 PICK_OFFSET = 0.02
-"""At scale 1 (m), as in the original BulletArm release."""
-HAND = (0.21, 0.07)
-"""Length and width (m) of the widest arm's hand, the Panda's: over a new box it has room."""
-BORDER = 0.01
+"""At scale 1 (m)."""
+BOX_MARGIN = 0.01
 """Margin (m) of a new box to the workspace's border and the pallet: on bumps it slides until it rests."""
-ASIDE = 0.03
+ASIDE_CLEARANCE = 0.03
 """Gap (m) kept around a box that is put aside."""
 ATTEMPTS = 4000
 """Places tried for a new box: where the hand has room is a small part of the workspace."""
@@ -121,8 +120,11 @@ class BoxPalletizing(Task):
         def fits(pose: Pose) -> bool:
             shadow = footprint(box, pose)
             yaw = pose.yaw if "r" in self.config.action_sequence else 0.0
-            hand = Footprint.rectangle(HAND, Pose.planar(*pose.position, yaw))
-            return scene.surface.fits(shadow, BORDER) and min(hand.gap(base), shadow.gap(base) - BORDER) > 0.0
+            hand = Footprint.rectangle(WIDEST_HAND, Pose.planar(*pose.position, yaw))
+            return (
+                scene.surface.fits(shadow, BOX_MARGIN)
+                and min(hand.gap(base), shadow.gap(base) - BOX_MARGIN) > 0.0
+            )
 
         set_down(scene, box, draw_until(draw, fits, ATTEMPTS))
 
@@ -149,7 +151,7 @@ class BoxPalletizing(Task):
     def _aside(self, scene: Scene, rng: np.random.Generator, held: Item) -> Pose:
         """Return the frame of a free place on the ground, or of the freest."""
         try:
-            aside = free_pose(scene, rng, held, ASIDE)
+            aside = free_pose(scene, rng, held, ASIDE_CLEARANCE)
         except PlacementError:
             return scene.surface.pose(roomiest(scene, held), 0.0)
         return scene.surface.pose((aside.x, aside.y), aside.yaw)
@@ -184,7 +186,7 @@ class BoxPalletizing(Task):
         frame = scene["pallet"].pose.inverse().compose(lying_frame(box))
         level = (frame.z - PALLET[2]) / (BOX[2] * max(self.config.scales)) - 0.5
         layer = round(level)
-        stands = layer >= 0 and abs(level - layer) < LEVEL and frame.tilt < UPRIGHT
+        stands = layer >= 0 and abs(level - layer) < LAYER_TOLERANCE and frame.tilt < UPRIGHT
         turned = abs(wrap_angle(frame.yaw - layer_yaw(layer), math.pi))
         return layer if stands and inside(box, scene["pallet"]) and turned < YAW_TOLERANCE else None
 
@@ -214,7 +216,7 @@ def places(layer: int, width: float, length: float) -> list[Pose]:
     :param width: of a box (m)
     :param length: of a box (m)
     """
-    columns = [side * (length + GAP) / 2.0 for side in (-1.0, 1.0)]
-    rows = [side * (width + GAP) for side in (-1.0, 0.0, 1.0)]
+    columns = [side * (length + BOX_SPACING) / 2.0 for side in (-1.0, 1.0)]
+    rows = [side * (width + BOX_SPACING) for side in (-1.0, 0.0, 1.0)]
     grid = [(row, column) if layer % 2 else (column, row) for column in columns for row in rows]
     return [Pose.planar(*point, 0.0, layer_yaw(layer)) for point in grid]

@@ -16,7 +16,8 @@ from bulletarm_gym.tasks.reaching import place_cube
 from bulletarm_gym.tasks.task import Task
 
 LIFTED = 0.15
-"""Height (m) of the gripper above the ground that counts as lifted (paper, Block Picking)."""
+"""Height (m) of the gripper above the ground that counts as lifted (paper, Block Picking, Object
+Grasping)."""
 YAW_SPREAD = math.pi / 4.0
 
 

@@ -15,11 +15,11 @@ from bulletarm_gym.scene import Item, Role, Scene, scaled
 from bulletarm_gym.tasks.task import Task
 
 YAW_SPREAD = math.pi / 2.0
-BORDER = 0.85
-"""Distance of a block's centre to the border, in block sides, as in the original BulletArm release."""
-GAP = 1.7
-"""Least distance of the blocks' centres, in block sides, as in the original BulletArm release."""
-LOW = 0.03
+BORDER_MARGIN = 0.85
+"""Distance of a block's centre to the border, in block sides."""
+CENTRE_SPACING = 1.7
+"""Least distance of the blocks' centres, in block sides."""
+PULL_HEIGHT = 0.03
 """Height (m) of the fingertips while they pull."""
 NAMES = ("near block", "far block")
 
@@ -50,7 +50,11 @@ class BlockPulling(Task):
         items = [scene[name] for name in NAMES]
         side = max(item.spec.extents[0] for item in items)
         points = scatter(
-            scene, rng, [BORDER * side] * 2, GAP * side, aligned=not self.config.random_orientation
+            scene,
+            rng,
+            [BORDER_MARGIN * side] * 2,
+            CENTRE_SPACING * side,
+            aligned=not self.config.random_orientation,
         )
         for item, point in zip(items, points, strict=True):
             stand(scene, item, point, rng, YAW_SPREAD)
@@ -63,6 +67,7 @@ class BlockPulling(Task):
         """Go behind the block that is easier to get behind, and pull it to the other."""
         first, second = (scene[name] for name in NAMES)
         pulls = [
-            Drag(scene, block, goal.pose.position, LOW) for block, goal in ((first, second), (second, first))
+            Drag(scene, block, goal.pose.position, PULL_HEIGHT)
+            for block, goal in ((first, second), (second, first))
         ]
         yield from min(pulls, key=lambda pull: pull.effort).plan()

@@ -8,25 +8,25 @@ import numpy as np
 from bulletarm_gym.config import CLOSE_LOOP, EnvConfig, TaskDefaults
 from bulletarm_gym.experts.pushing import Drag
 from bulletarm_gym.experts.waypoints import Waypoint
-from bulletarm_gym.geometry import planar_distance
+from bulletarm_gym.geometry import Rectangle, planar_distance
 from bulletarm_gym.objects import cube, goal_area
 from bulletarm_gym.placement import scatter, stand
 from bulletarm_gym.rendering.overlays import Overlay
 from bulletarm_gym.scene import Item, Role, Scene, scaled
-from bulletarm_gym.tasks.reaching import BORDER
+from bulletarm_gym.tasks.reaching import BORDER_MARGIN
 from bulletarm_gym.tasks.task import Task
 
 GOAL_SIDE = 0.09
 """Side (m) of the goal area (paper, Block Pushing)."""
 GOAL_RISE = 0.02
-"""By how much (m) the heightmap shows the goal nearer the camera, as in the original BulletArm release."""
+"""By how much (m) the heightmap shows the goal nearer the camera."""
 GOAL_BORDER = 0.065
-"""Distance (m) of the goal's centre to the border, as in the original BulletArm release."""
+"""Distance (m) of the goal's centre to the border."""
 APART = 0.09
-"""Least distance (m) of cube and goal at the start, as in the original BulletArm release."""
-REACHED = 0.05
+"""Least distance (m) of cube and goal at the start."""
+GOAL_REACHED = 0.05
 """Distance (m) of the cube's centre to the goal's that counts as reached (paper, Block Pushing)."""
-LOW = 0.015
+PUSH_HEIGHT = 0.015
 """Height (m) of the fingertips while they push: below the middle of the cube, which would fall over else."""
 YAW_SPREAD = math.pi / 2.0
 
@@ -56,7 +56,7 @@ class BlockPushing(Task):
     def arrange(self, scene: Scene, rng: np.random.Generator) -> None:
         """Put cube and goal apart."""
         item, goal = scene["cube"], scene["goal"]
-        margins = [GOAL_BORDER, BORDER * item.spec.extents[0]]
+        margins = [GOAL_BORDER, BORDER_MARGIN * item.spec.extents[0]]
         goal_point, point = scatter(scene, rng, margins, APART, aligned=not self.config.random_orientation)
         goal.place(scene.surface.pose(goal_point, 0.0))
         stand(scene, item, point, rng, YAW_SPREAD)
@@ -64,13 +64,13 @@ class BlockPushing(Task):
     def overlays(self, scene: Scene) -> tuple[Overlay, ...]:
         """Return the goal area."""
         pose = scene["goal"].pose
-        return (Overlay((pose.x, pose.y, GOAL_SIDE, GOAL_SIDE, pose.yaw), GOAL_RISE),)
+        return (Overlay(Rectangle(pose.x, pose.y, GOAL_SIDE, GOAL_SIDE, pose.yaw), GOAL_RISE),)
 
     def evaluate(self, scene: Scene) -> dict[str, bool]:
         """Compare the cube's place with the goal's."""
         apart = planar_distance(scene["cube"].pose.position, scene["goal"].pose.position)
-        return {"success": apart < REACHED}
+        return {"success": apart < GOAL_REACHED}
 
     def plan(self, scene: Scene, rng: np.random.Generator) -> Iterator[Waypoint]:
         """Go behind the cube, and push."""
-        yield from Drag(scene, scene["cube"], scene["goal"].pose.position, LOW).plan()
+        yield from Drag(scene, scene["cube"], scene["goal"].pose.position, PUSH_HEIGHT).plan()

@@ -13,11 +13,11 @@ from bulletarm_gym.placement import scatter, stand
 from bulletarm_gym.scene import Role, Scene, scaled
 from bulletarm_gym.tasks.task import Task
 
-REACH = 0.03
+REACHED = 0.03
 """Distance (m) that counts as reached (paper, Block Reaching)."""
 YAW_SPREAD = math.pi / 2.0
-BORDER = 1.2
-"""Distance of a cube's centre to the border, in largest cube sides, as in the original BulletArm release."""
+BORDER_MARGIN = 1.2
+"""Distance of a cube's centre to the border, in largest cube sides."""
 
 
 class BlockReaching(Task):
@@ -42,7 +42,7 @@ class BlockReaching(Task):
 
     def evaluate(self, scene: Scene) -> dict[str, bool]:
         """Compare the fingertips with the cube's centre."""
-        reached = math.dist(scene.robot.pose.position, scene["cube"].pose.position) < REACH
+        reached = math.dist(scene.robot.pose.position, scene["cube"].pose.position) < REACHED
         return {"success": reached}
 
     def plan(self, scene: Scene, rng: np.random.Generator) -> Iterator[Waypoint]:
@@ -55,5 +55,5 @@ class BlockReaching(Task):
 def place_cube(scene: Scene, rng: np.random.Generator, spread: float) -> None:
     """Put the scene's one cube anywhere in the workspace, with a yaw in +-``spread`` (rad)."""
     item = scene["cube"]
-    (point,) = scatter(scene, rng, [BORDER * item.spec.extents[0]], 0.0)
+    (point,) = scatter(scene, rng, [BORDER_MARGIN * item.spec.extents[0]], 0.0)
     stand(scene, item, point, rng, spread)

@@ -8,7 +8,7 @@ import numpy as np
 
 from bulletarm_gym.config import CLOSE_LOOP, OPEN_LOOP, EnvConfig, TaskDefaults, TrayUse
 from bulletarm_gym.experts.approach import ALIGNED, grasp, highest_between, place_item, side_yaw
-from bulletarm_gym.experts.pick_place import has_room
+from bulletarm_gym.experts.pick_place import fingers_fit
 from bulletarm_gym.experts.waypoints import HALF_OPEN, Waypoint
 from bulletarm_gym.geometry import Pose, Vector, planar_distance, wrap_angle
 from bulletarm_gym.objects import BodySpec, Colour, bowl, cube
@@ -24,11 +24,11 @@ SCALE = 0.6
 """Cubes of 3 cm, as in the paper's open-loop tasks."""
 BOWL_SCALE = 4.0 / 3.0
 """Of a bowl to a cube: two cubes lie side by side on its floor."""
-GAP = 0.02
+ITEM_SPACING = 0.02
 """Least gap (m) between two things at the start."""
-ASIDE = 0.32
+FROM_AXIS = 0.32
 """Distance of a cube from the bowl's axis when it is let go, in its sides: the other one has room."""
-DROP = 0.6
+RELEASE_HEIGHT = 0.6
 """Height of a cube's lowest point when it is let go, in bowl heights: the open fingers are near the rim."""
 HALF_TURN = math.pi
 
@@ -69,7 +69,7 @@ class BlockSorting(Task):
         pairs = range((config.num_objects - len(COLOURS)) // len(COLOURS))
         bowls = [scaled(config, f"{name} bowl", _coloured(_bowl, colour)) for name, colour in COLOURS.items()]
         return bowls + [
-            scaled(config, f"{name} cube {number}", _coloured(cube, colour))
+            scaled(config, f"{name} cube {number}", _coloured(cube, colour), name)
             for number in pairs
             for name, colour in COLOURS.items()
         ]
@@ -81,7 +81,7 @@ class BlockSorting(Task):
     def arrange(self, scene: Scene, rng: np.random.Generator) -> None:
         """Put everything apart, with room for the gripper about each cube."""
         draw_until(
-            lambda: lay_apart(scene, rng, scene.items, GAP),
+            lambda: lay_apart(scene, rng, scene.items, ITEM_SPACING),
             lambda _: all(_yaws(scene, item)[1] for item in self._cubes(scene)),
         )
 
@@ -114,10 +114,10 @@ class BlockSorting(Task):
         line = scene.robot.pose.yaw + math.pi / 2.0
         if others and planar_distance(others[0].pose.position, vessel.pose.position) > 0.0:
             line = math.atan2(y - others[0].pose.y, x - others[0].pose.x)
-        aside = ASIDE * held.spec.extents[0]
+        aside = FROM_AXIS * held.spec.extents[0]
         spot = (x + aside * math.cos(line), y + aside * math.sin(line))
         turn = wrap_angle(line + math.pi / 2.0 - scene.robot.pose.yaw, HALF_TURN)
-        height = vessel.lowest + DROP * vessel.spec.extents[2]
+        height = vessel.lowest + RELEASE_HEIGHT * vessel.spec.extents[2]
         for waypoint in place_item(scene, held, spot, height, turn):
             # Opened all the way the fingers would jam in the bowl.
             yield waypoint if waypoint.finish is None else replace(waypoint, finish=HALF_OPEN)
@@ -136,11 +136,14 @@ class BlockSorting(Task):
         return scene.items[len(COLOURS) :]
 
     def _bowl_of(self, scene: Scene, item: Item) -> Item:
-        return scene[f"{item.role.name.split()[0]} bowl"]
+        return scene[f"{item.role.kind} bowl"]
 
 
 class OpenLoopBlockSorting(BlockSorting):
-    """The same by pick and place."""
+    """Put the cubes of each of two colours into the bowl of their colour, by pick and place.
+
+    All else is as in :class:`BlockSorting`.
+    """
 
     defaults = replace(BlockSorting.defaults, max_steps=20)
 
@@ -170,7 +173,7 @@ def _fits(scene: Scene, item: Item, yaw: float) -> bool:
     """Whether open fingers have room about a cube, also a little beside it, as on their way down."""
     target = Pose.planar(*item.centre_of_mass, yaw)
     places = (target.compose(Pose((aside, 0.0, 0.0))) for aside in (0.0, -ALIGNED, ALIGNED))
-    return all(has_room(scene, place, item) for place in places)
+    return all(fingers_fit(scene, place, item) for place in places)
 
 
 def _is_in(vessel: Item, item: Item) -> bool:

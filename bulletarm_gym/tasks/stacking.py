@@ -15,20 +15,19 @@ from bulletarm_gym.objects.blocks import CUBE_SIZE
 from bulletarm_gym.placement import scatter, stand
 from bulletarm_gym.relations import at_rest, is_empty, is_top, stacked, upright
 from bulletarm_gym.scene import Item, Scene
-from bulletarm_gym.tasks.reaching import BORDER
+from bulletarm_gym.tasks.reaching import BORDER_MARGIN
 from bulletarm_gym.tasks.structure import SCALE, Structure
 from bulletarm_gym.tasks.task import Task
 
-GAP = 2.4
-"""Least distance of the blocks' centres, in largest block sides, as in the original BulletArm release."""
+CENTRE_SPACING = 2.4
+"""Least distance of the blocks' centres, in largest block sides."""
 LEAST_BLOCKS = 2
 
 
 class Stack(Structure):
     """A structure one block wide: cubes, and maybe a crown.
 
-    In open loop all is as in :class:`~bulletarm_gym.tasks.structure.Structure`. In close loop, as in the
-    original BulletArm release:
+    In open loop all is as in :class:`~bulletarm_gym.tasks.structure.Structure`. In close loop:
 
     Randomisation: the blocks' positions in the workspace, at least 2.4 sides apart, their yaws.
     Success: the blocks form one stack, the crown, if there is one, on top and upright; the gripper is empty
@@ -96,8 +95,11 @@ class BlockStacking(Stack):
     """Stack all cubes.
 
     Description: four (two to six) 3 cm cubes lie on the ground; in the paper's close-loop task two of 5 cm.
-    Randomisation: in close loop yaws are within 45 degrees either way.
-    Success: the cubes form one stack.
+    Randomisation: the cubes' positions and yaws, in open loop at least 4.2 cm between any two, in close loop
+    at least 2.4 sides apart and yaws within 45 degrees either way.
+    Success: the cubes form one stack; the gripper is empty and nothing moves.
+    Expert: in open loop pick a cube and place it on the tallest stack there is, in close loop grasp it, up,
+    over the stack, down, open; and so on.
     All else is as in :class:`Stack`.
     """
 
@@ -108,7 +110,7 @@ class BlockStacking(Stack):
 def scatter_blocks(scene: Scene, rng: np.random.Generator, items: list[Item], spread: float) -> None:
     """Stand blocks apart, with room for the gripper between them, their yaws in +-``spread`` (rad)."""
     side = max(item.spec.extents[0] for item in items)
-    points = scatter(scene, rng, [BORDER * side] * len(items), GAP * side)
+    points = scatter(scene, rng, [BORDER_MARGIN * side] * len(items), CENTRE_SPACING * side)
     for item, point in zip(items, points, strict=True):
         stand(scene, item, point, rng, spread)
 

@@ -1,6 +1,7 @@
 """Tasks that ask for a structure of blocks: its layers say all, or nearly so."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import ClassVar
 
@@ -8,7 +9,7 @@ import numpy as np
 
 from bulletarm_gym.config import CLOSE_LOOP, OPEN_LOOP, EnvConfig
 from bulletarm_gym.experts.blueprint import Blocks, Blueprint
-from bulletarm_gym.experts.structures import ASTRAY, Builder
+from bulletarm_gym.experts.structures import BUILD_TOLERANCE, Builder
 from bulletarm_gym.experts.waypoints import Waypoint
 from bulletarm_gym.objects.blocks import CUBE_SIZE
 from bulletarm_gym.placement import draw_until, lay_apart
@@ -19,9 +20,23 @@ from bulletarm_gym.tasks.task import Task
 
 SCALE = 0.6
 """Makes cubes of 3 cm (paper, Detail Description of Environments)."""
-GAP = 0.042
-"""Least distance (m) of blocks at the start: 2.4 cube sides between two cubes' centres, as in the original
-BulletArm release, so that open fingers fit between them."""
+BLOCK_SPACING = 0.042
+"""Least distance (m) of blocks at the start: 2.4 cube sides between two cubes' centres, so that open fingers
+fit between them."""
+
+
+@dataclass(frozen=True)
+class Part:
+    """One of a structure's blocks.
+
+    :param kind: of block
+    :param number: among those of its kind, from 0
+    :param name: of its role
+    """
+
+    kind: str
+    number: int
+    name: str
 
 
 class Structure(Task):
@@ -32,7 +47,7 @@ class Structure(Task):
     Success: every block lies on those below it (see :mod:`~bulletarm_gym.relations`), the lowest on level
     ground; one over two or more is less than a cube's side from their middle, a long one besides within pi/7
     of their line, tilted by less than 20 degrees; the gripper is empty and nothing moves.
-    Validity: no block of :attr:`upright` has fallen over; the gripper cannot right it.
+    Validity: no triangle and no roof (:attr:`upright`) has fallen over; the gripper cannot right it.
     Expert: add the next block, from the ground up; what lies in the way is put aside first.
 
     :param config: the environment's parameters
@@ -51,7 +66,7 @@ class Structure(Task):
 
     def __init__(self, config: EnvConfig) -> None:
         super().__init__(config)
-        width = self.width * max(config.scales) + 4.0 * ASTRAY
+        width = self.width * max(config.scales) + 4.0 * BUILD_TOLERANCE
         self.site = (width, 3.0 * width if len(self.layers[0]) > 1 else width)
 
     @property
@@ -66,17 +81,17 @@ class Structure(Task):
 
     def bodies(self, config: EnvConfig) -> list[Role]:
         """Return the blocks of all layers."""
-        return [self.block(config, kind, name) for kind, name in self._names]
+        return [replace(self.block(config, part), kind=part.kind) for part in self._parts]
 
-    def block(self, config: EnvConfig, kind: str, name: str) -> Role:
-        """Return the role of one of a kind's blocks."""
-        return scaled(config, name, self.kinds[kind])
+    def block(self, config: EnvConfig, part: Part) -> Role:
+        """Return the role of one of the blocks."""
+        return scaled(config, part.name, self.kinds[part.kind])
 
     def arrange(self, scene: Scene, rng: np.random.Generator) -> None:
         """Lay the blocks apart, no two as if to be built on, and leave room to build."""
 
         def lay() -> Builder:
-            lay_apart(scene, rng, scene.items, GAP)
+            lay_apart(scene, rng, scene.items, BLOCK_SPACING)
             return self._builder(scene, rng)
 
         draw_until(lay, lambda builder: builder.is_fresh)
@@ -109,17 +124,17 @@ class Structure(Task):
     def blocks(self, scene: Scene) -> Blocks:
         """Return the blocks by kind."""
         found: dict[str, list[Item]] = {}
-        for (kind, _), item in zip(self._names, scene.items, strict=True):
-            found.setdefault(kind, []).append(item)
+        for item in scene.items:
+            found.setdefault(item.role.kind, []).append(item)
         return found
 
     @cached_property
-    def _names(self) -> list[tuple[str, str]]:
-        """Kind and name of every block; those of a kind are numbered if there are several."""
+    def _parts(self) -> list[Part]:
+        """Every block; names of those of a kind are numbered if there are several."""
         kinds = [kind for layer in self.layers for kind in layer]
         numbers = [kinds[:place].count(kind) for place, kind in enumerate(kinds)]
         return [
-            (kind, f"{kind} {number}" if kinds.count(kind) > 1 else kind)
+            Part(kind, number, f"{kind} {number}" if kinds.count(kind) > 1 else kind)
             for kind, number in zip(kinds, numbers, strict=True)
         ]
 

@@ -143,7 +143,7 @@ class Task(ABC):
         (x0, x1), (y0, y1), (_, top) = self.config.workspace
         low, high = self._extent(item)
         inside = x0 <= low[0] and high[0] <= x1 and y0 <= low[1] and high[1] <= y1
-        return inside and low[2] >= FLOOR and high[2] <= top
+        return inside and low[2] >= FALLEN and high[2] <= top
 
     def _extent(self, item: Item) -> tuple[Vector, Vector]:
         """Return the corners (m) that must be inside: of the bounding box, or twice the centre."""
@@ -153,5 +153,5 @@ class Task(ABC):
         return item.pose.position, item.pose.position
 
 
-FLOOR = 0.0
+FALLEN = 0.0
 """An item whose centre is below this height (m) has fallen through the ground."""

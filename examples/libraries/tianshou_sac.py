@@ -1,6 +1,9 @@
 """Tianshou: SAC on four environments in processes of their own."""
 
+from typing import Any
+
 import gymnasium
+import numpy as np
 import torch
 from tianshou.algorithm import SAC
 from tianshou.algorithm.modelfree.sac import SACPolicy
@@ -18,7 +21,7 @@ ENV_ID = "bulletarm_gym:BulletArm/CloseLoopBlockReaching-v0"
 FEATURES = 256
 
 
-def make_env() -> gymnasium.Env:
+def make_env() -> gymnasium.Env[np.ndarray, np.ndarray]:
     """Make one environment."""
     return ImageObservation(gymnasium.make(ENV_ID, obs_size=64))
 
@@ -33,7 +36,9 @@ class Encoder(ModuleWithVectorOutput):
             nn.Conv2d(64, 64, 3, 1), nn.ReLU(), nn.Flatten(), nn.Linear(1024, FEATURES), nn.ReLU(),
         )  # fmt: skip
 
-    def forward(self, obs, state=None, info=None):
+    def forward(
+        self, obs: np.ndarray | torch.Tensor, state: Any = None, info: Any = None
+    ) -> tuple[torch.Tensor, Any]:
         """Return the features and the state."""
         return self.layers(torch.as_tensor(obs).float() / 255.0), state
 
@@ -45,7 +50,9 @@ class Critic(nn.Module):
         super().__init__()
         self.encoder, self.value = Encoder(channels), nn.Linear(FEATURES + actions, 1)
 
-    def forward(self, obs, act, info=None):
+    def forward(
+        self, obs: np.ndarray | torch.Tensor, act: np.ndarray | torch.Tensor, info: Any = None
+    ) -> torch.Tensor:
         """Return (batch, 1)."""
         return self.value(torch.cat([self.encoder(obs)[0], torch.as_tensor(act)], dim=1))
 

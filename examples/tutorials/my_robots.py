@@ -14,7 +14,7 @@ FLANGE = Pose((0.0, 0.0, 0.0))  # in link6, whose z axis is the approach
 JAW = ParallelJaw(stroke=0.10, palm=(0.12, 0.06, 0.06), finger=(0.012, 0.02, 0.07))
 
 
-def xarm6():
+def xarm6() -> RobotModel:
     """An xArm 6 with a jaw that opens by 10 cm."""
     return RobotModel(
         name="xarm6",

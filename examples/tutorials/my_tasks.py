@@ -1,15 +1,18 @@
 """Tutorial 3: a task of one's own, in a module of its own."""
 
 import math
+from collections.abc import Iterator
+
+import numpy as np
 
 import bulletarm_gym
-from bulletarm_gym.config import TaskDefaults
+from bulletarm_gym.config import EnvConfig, TaskDefaults
 from bulletarm_gym.experts.approach import grasp
 from bulletarm_gym.geometry import Pose, planar_distance
 from bulletarm_gym.objects import cube
 from bulletarm_gym.placement import scatter, stand
 from bulletarm_gym.relations import is_held
-from bulletarm_gym.scene import scaled
+from bulletarm_gym.scene import Role, Scene, scaled
 from bulletarm_gym.tasks import CLOSED, Task, Waypoint
 
 
@@ -19,18 +22,18 @@ class BlockCentring(Task):
     defaults = TaskDefaults(num_objects=1)
     controls = ("close_loop",)
 
-    def bodies(self, config):
+    def bodies(self, config: EnvConfig) -> list[Role]:
         return [scaled(config, "cube", cube)]
 
-    def arrange(self, scene, rng):
+    def arrange(self, scene: Scene, rng: np.random.Generator) -> None:
         (point,) = scatter(scene, rng, [0.06], 0.0)
         stand(scene, scene["cube"], point, rng, math.pi / 4)
 
-    def evaluate(self, scene):
+    def evaluate(self, scene: Scene) -> dict[str, bool]:
         near = planar_distance(scene["cube"].pose.position, self.config.centre) < 0.02
         return {"success": near and is_held(scene, scene["cube"]), "is_near": near}
 
-    def plan(self, scene, rng):
+    def plan(self, scene: Scene, rng: np.random.Generator) -> Iterator[Waypoint]:
         item = scene["cube"]
         if not is_held(scene, item):
             yield from grasp(scene, item.pose, scene.world.top(item.body), math.pi / 2)

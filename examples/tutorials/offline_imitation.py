@@ -1,4 +1,4 @@
-"""Tutorial 5: collect demonstrations, and imitate them with nothing but PyTorch."""
+"""Tutorial 6: collect demonstrations, and imitate them with nothing but PyTorch."""
 
 import sys
 

@@ -11,7 +11,7 @@ from rollouts import digest
 from bulletarm_gym.config import ParameterError
 from bulletarm_gym.demonstrations import collect
 from bulletarm_gym.env import ManipulationEnv
-from bulletarm_gym.experts.deconstruction import GAP, take_apart
+from bulletarm_gym.experts.deconstruction import GRASP_CLEARANCE, take_apart
 from bulletarm_gym.footprint import PlacementError
 from bulletarm_gym.placement import footprint
 from bulletarm_gym.relations import on_ground
@@ -83,7 +83,7 @@ def test_blocks_go_from_the_top_to_free_ground(make: Make, env_id: str) -> None:
     heights = [relocation.before.position[2] for relocation in relocations]
     assert heights == sorted(heights, reverse=True) and len(heights) == 3
     for first, second in itertools.combinations(env.scene, 2):
-        assert footprint(first).gap(footprint(second)) >= GAP
+        assert footprint(first).gap(footprint(second)) >= GRASP_CLEARANCE
         assert on_ground(env.scene, first)
     assert len({round(item.pose.yaw, 3) for item in env.scene}) == 4
 

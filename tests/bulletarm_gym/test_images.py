@@ -11,7 +11,7 @@ from rollouts import advance, digest, make_env, transcript
 from bulletarm_gym.config import ParameterError
 from bulletarm_gym.env import ManipulationEnv
 from bulletarm_gym.geometry import Pose
-from bulletarm_gym.sensors.images import FINGERS, GRIPPER
+from bulletarm_gym.sensors.images import FINGER_COLOUR, GRIPPER
 from bulletarm_gym.simulation.shapes import BLUE, RED
 from bulletarm_gym.surfaces.flat import FLOOR
 
@@ -61,7 +61,7 @@ def test_a_cube_is_where_it_is_in_its_colour(make: Make) -> None:
     env.scene.robot.home(Pose.planar(0.45, 0.0, 0.2, 0.4))
     env.scene["cube"].place(Pose.planar(0.52, 0.06, 0.025, 0.3))
     seen = env.observe()
-    fingers = show(seen["color"], tuple(part / 255 for part in FINGERS))
+    fingers = show(seen["color"], tuple(part / 255 for part in FINGER_COLOUR))
     assert np.array_equal(fingers, seen["heightmap"][0] == 0.0)
     assert np.array_equal(fingers, seen["segmentation"][0] == GRIPPER)
     cube = show(seen["color"], RED)

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 
+from bulletarm_gym.geometry import Rectangle
 from bulletarm_gym.rendering.overlays import fill_rectangles, rectangle_mask
 
 EXTENT, SIZE = 0.45, 128
@@ -23,7 +24,7 @@ def inside(rectangle, centre=CENTRE, size=SIZE):
 def random_rectangles(rng, count):
     columns = [rng.uniform(0.25, 0.65, count), rng.uniform(-0.2, 0.2, count)]
     columns += [rng.uniform(0.005, 0.2, count), rng.uniform(0.005, 0.2, count), rng.uniform(-4, 4, count)]
-    return np.stack(columns, axis=1)
+    return [Rectangle(*row) for row in np.stack(columns, axis=1)]
 
 
 @pytest.mark.parametrize("size", [15, 64, 128])
@@ -49,7 +50,7 @@ def test_edges_through_pixel_centres_belong_to_the_rectangle() -> None:
     side = 5 * RESOLUTION
     corner = (CENTRE[0] + RESOLUTION / 2, CENTRE[1] + RESOLUTION / 2)
     for quarter in range(4):
-        rectangle = (*corner, side - RESOLUTION, side + RESOLUTION, quarter * math.pi / 2)
+        rectangle = Rectangle(*corner, side - RESOLUTION, side + RESOLUTION, quarter * math.pi / 2)
         rows, columns = np.nonzero(rectangle_mask(CENTRE, EXTENT, SIZE, [rectangle]))
         assert sorted([np.ptp(rows) + 1, np.ptp(columns) + 1]) == [5, 7]
 
@@ -58,11 +59,10 @@ def test_edges_through_pixel_centres_belong_to_the_rectangle() -> None:
 def test_quarter_turn_of_the_world_is_rot90(size: int) -> None:
     rng = np.random.default_rng(2)
     rectangles = random_rectangles(rng, 20)
-    rectangles[:5] = [(0.45 + k * RESOLUTION, 0.0, 6 * RESOLUTION, 6 * RESOLUTION, 0.0) for k in range(5)]
-    turned = np.column_stack(
-        [-rectangles[:, 1], rectangles[:, 0], rectangles[:, 2:4], rectangles[:, 4] + math.pi / 2]
-    )
-    for before, after in zip(rectangles, turned, strict=True):
+    side = 6 * RESOLUTION
+    rectangles[:5] = [Rectangle(0.45 + k * RESOLUTION, 0.0, side, side, 0.0) for k in range(5)]
+    for before in rectangles:
+        after = before._replace(x=-before.y, y=before.x, yaw=before.yaw + math.pi / 2)
         mask = rectangle_mask(CENTRE, EXTENT, size, [before])
         again = rectangle_mask((-CENTRE[1], CENTRE[0]), EXTENT, size, [after])
         np.testing.assert_array_equal(again, np.rot90(mask, k=1))
@@ -70,16 +70,11 @@ def test_quarter_turn_of_the_world_is_rot90(size: int) -> None:
 
 def test_what_lies_outside_or_covers_nothing_is_not_drawn() -> None:
     nothing = [
-        (9, 9, 0.1, 0.1, 0),
-        (0.45, 0, 0, 0.1, 0),
-        (math.nan, 0, 0.1, 0.1, 0),
-        (0.45, 0, 0.1, 0.1, math.nan),
+        Rectangle(9, 9, 0.1, 0.1, 0),
+        Rectangle(0.45, 0, 0, 0.1, 0),
+        Rectangle(math.nan, 0, 0.1, 0.1, 0),
+        Rectangle(0.45, 0, 0.1, 0.1, math.nan),
     ]
     assert not rectangle_mask(CENTRE, EXTENT, SIZE, nothing).any()
-    assert not rectangle_mask(CENTRE, EXTENT, SIZE, np.empty((0, 5))).any()
-    assert rectangle_mask(CENTRE, EXTENT, SIZE, [(0.45, 0, 5, 5, 0.3)]).all()
-
-
-def test_wrong_shape_is_refused() -> None:
-    with pytest.raises(ValueError, match=r"not an array of shape \(5,\)"):
-        rectangle_mask(CENTRE, EXTENT, SIZE, (0.45, 0, 0.1, 0.1, 0))
+    assert not rectangle_mask(CENTRE, EXTENT, SIZE, ()).any()
+    assert rectangle_mask(CENTRE, EXTENT, SIZE, [Rectangle(0.45, 0, 5, 5, 0.3)]).all()

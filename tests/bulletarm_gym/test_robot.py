@@ -3,6 +3,7 @@
 import itertools
 import math
 from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -38,6 +39,10 @@ def armed(make: Make, model: RobotModel) -> ManipulationEnv:
     env.reset(seed=0)
     env.scene["cube"].place(Pose((0.33, -0.12, 0.025)))
     return env
+
+
+def test_models_are_written_in_lines_that_bullet_reads_whole(model: RobotModel, tmp_path: Path) -> None:
+    assert max(map(len, model.write_urdf(tmp_path).read_text().splitlines())) < 1024
 
 
 def grid(heights: tuple[float, ...]) -> Iterator[tuple[float, float, float]]:

@@ -9,12 +9,12 @@ import pytest
 from bulletarm_gym.config import CLOSE_LOOP
 from bulletarm_gym.env import ManipulationEnv
 from bulletarm_gym.experts.blueprint import Blueprint
-from bulletarm_gym.experts.pick_place import has_room, lying_frame, pick
+from bulletarm_gym.experts.pick_place import fingers_fit, lying_frame, palm_fits, pick
 from bulletarm_gym.geometry import Pose, euler_pose
 from bulletarm_gym.placement import footprint
 from bulletarm_gym.relations import between, carries, heading, in_line, is_level, lies_flat, on_top, rests_on
 from bulletarm_gym.scene import Item, Scene
-from bulletarm_gym.tasks.structure import GAP, Structure
+from bulletarm_gym.tasks.structure import BLOCK_SPACING, Structure
 
 Make = Callable[..., ManipulationEnv]
 
@@ -202,7 +202,9 @@ def test_layers_that_cannot_lie_on_each_other_are_refused() -> None:
 def test_starts_leave_all_to_do(env: ManipulationEnv) -> None:
     if not isinstance(env.task, Structure):
         pytest.skip("builds nothing of blocks")
-    gap = GAP if env.scene.surface.keeps_poses else GAP / 4.0  # on bumps blocks tilt until they rest
+    gap = (
+        BLOCK_SPACING if env.scene.surface.keeps_poses else BLOCK_SPACING / 4.0
+    )  # on bumps blocks tilt until they rest
     if env.config.control == CLOSE_LOOP:
         gap *= 0.6  # of small blocks, whose middles are scattered 2.4 sides apart
     for seed in range(5):
@@ -265,8 +267,25 @@ def test_fingers_find_room(make: Make) -> None:
     lay(env, cube_0=(0.0, 0.0), brick=(0.0, 0.0, CENTRE + 0.045), roof=(0.0, 0.0, CENTRE - 0.045))
     cube = env.scene["cube 0"]
     hand = pick(env.scene, cube, np.random.default_rng(0)).pose
-    assert abs(math.cos(hand.yaw)) < 0.01 and has_room(env.scene, hand, cube)
-    assert not has_room(env.scene, cube.pose, cube)
+    assert abs(math.cos(hand.yaw)) < 0.01 and fingers_fit(env.scene, hand, cube)
+    assert not fingers_fit(env.scene, cube.pose, cube)
+
+
+@pytest.mark.parametrize(("robot", "fits"), [("panda", False), ("kuka", True)])
+def test_a_wide_palm_needs_room_over_what_is_beside(make: Make, robot: str, fits: bool) -> None:
+    """The fingers come down beside a cube, but the Panda's palm would strike what stands 9 cm away."""
+    env = make(HOUSE_3, robot=robot)
+    env.reset(seed=0)
+    cube, brick = env.scene["cube 0"], env.scene["brick"]
+    cube.place(Pose((0.45, 0.0, 0.015)))
+    for other in env.scene:
+        if other is not cube:
+            other.place(Pose((0.6, 0.15, 0.015)))
+    brick.place(Pose((0.54, 0.0, 0.06)))
+    straight = Pose.planar(0.45, 0.0, 0.015)
+    assert fingers_fit(env.scene, straight, cube)
+    assert palm_fits(env.scene, straight, cube) == fits
+    assert palm_fits(env.scene, Pose.planar(0.45, 0.0, 0.015, math.pi / 2.0), cube)
 
 
 def blocks_of(scene: Scene) -> list[Item]:

@@ -31,6 +31,9 @@ class Window:
     def configureDebugVisualizer(self, option: int, value: int) -> None:
         self.options.append((option, value))
 
+    def resetDebugVisualizerCamera(self, *camera: Any) -> None:
+        self.camera = camera
+
     def addUserDebugLine(self, *line: Any, **options: Any) -> int:
         self.lines.append({"line": line, **options})
         return len(self.lines)
@@ -71,12 +74,26 @@ def test_keys_that_went_down() -> None:
         config=SimpleNamespace(render_mode="human"), world=SimpleNamespace(client=client)
     )
     viewer = Viewer(scene)
-    shift, released, held = 65306, 4, 1
-    client.events = {ord("w"): 3, ord("a"): released, ord("d"): held, shift: 3, ord("."): 2}
-    assert viewer.pressed_keys() == [".", "w"]
-    assert client.options == [(client.COV_ENABLE_KEYBOARD_SHORTCUTS, 0), (client.COV_ENABLE_GUI, 0)]
-    viewer.pressed_keys()
-    assert len(client.options) == 2
+    shift, tapped, held = 65306, 4, 1
+    client.events = {ord("w"): 3, ord("a"): tapped, shift: 3, ord("."): 2, ord("q"): 6}
+    assert viewer.pressed_keys() == [".", "a", "q", "w"]
+    assert client.options == [(client.COV_ENABLE_KEYBOARD_SHORTCUTS, 0)]
+    client.events = {ord("w"): held}
+    assert viewer.pressed_keys() == []
+    client.events = {ord("w"): 4, ord("q"): tapped}
+    assert viewer.pressed_keys() == ["q"]
+    client.events = {ord("w"): tapped}
+    assert viewer.pressed_keys() == ["w"]
+    assert len(client.options) == 1
+
+
+def test_the_window_looks_where_close_ups_do() -> None:
+    client: Any = Window()
+    eye, target = (1.0, -1.0, 2.0**0.5 + 0.1), (0.0, 0.0, 0.1)
+    window.look(client, eye, target)
+    assert client.options == [(client.COV_ENABLE_GUI, 0)]
+    distance, yaw, pitch, seen = client.camera
+    assert (distance, yaw, pitch) == pytest.approx((2.0, 45.0, -45.0)) and seen == target
 
 
 def test_a_mark_replaces_the_last_one() -> None:

@@ -70,8 +70,8 @@ def test_hours_and_gigabytes_follow_from_measurements_and_the_buffer() -> None:
     plan = Plan(["CloseLoopBlockPulling"], ["sacfd"], options={"eval_freq": 0})
     [member] = build_sweep("own", plan, num_threads=1).members[:1]
     cost = estimate(member.cell, member.options, "cpu")
-    # 10,000 updates of 45.1 ms, 47,500 time steps of 1.45 ms (docs/speed.md)
-    assert cost.hours == pytest.approx((10_000 * 45.1 + 47_500 * 1.45) / 3.6e6, rel=1e-6)
+    # 10,000 updates of 45.1 ms, 47,500 time steps of 1.5 ms (docs/data)
+    assert cost.hours == pytest.approx((10_000 * 45.1 + 47_500 * 1.5) / 3.6e6, rel=1e-6)
     assert 0.45 < cost.memory - 1.0 < 0.47  # 100,000 heightmaps of 64 x 64 bytes, nine more for every hundred
     assert estimate(member.cell, member.options, "cuda").hours is None
 

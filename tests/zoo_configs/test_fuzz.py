@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from bulletarm_gym.selfcheck import Yardstick
 from zoo_configs.cli import main
 from zoo_configs.measuring import throughput
-from zoo_configs.measuring.machine import Yardstick
 
 REACHING = "BulletArm/CloseLoopBlockReaching-v0"
 JUNK = "|0|-1|1.5|x|'|a:1|a:|{|☃|nowhere|/dev/null/x|nan|TOY|None".split("|")
@@ -118,6 +118,7 @@ FLAGS: dict[str, Choices] = {
         "-f": ["here", "FILE"],
         "--env-kwargs": ENV_KWARGS,
         "--snap": None,
+        "--data": ["experts.csv", "here/experts.csv", "FILE", "EMPTY"],
         **PACKAGES,
         **PROGRESS,
     },
@@ -128,6 +129,7 @@ FLAGS: dict[str, Choices] = {
         "--preset": ["cpu"],
         "--device": ["cpu", "gpu0"],
         "--num-threads": ["1"],
+        "--data": ["speed.csv", "FILE", "EMPTY"],
         "--markdown": None,
         **PROGRESS,
     },

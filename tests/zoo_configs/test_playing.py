@@ -126,6 +126,20 @@ def test_gallery_draws_tasks_and_a_page(type_in: Path, capsys: pytest.CaptureFix
     assert capsys.readouterr().out.endswith("  gallery/index.html\n")
 
 
+def test_gallery_draws_heightmaps(type_in: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    kwargs = ["--pixels", "32", "--env-kwargs", "obs_size:32"]
+    assert main(["gallery", STACKING, *kwargs, "--heightmap", "--format", "webp"]) == 0
+    names = ["OpenLoopBlockStacking-v0-heightmap.webp", "OpenLoopBlockStacking-v0.webp", "index.html"]
+    assert sorted(path.name for path in Path("gallery").iterdir()) == names
+    before, after = np.split(
+        iio.imread(Path("gallery") / names[0])[:, [*range(32), *range(36, 68)]], 2, axis=1
+    )
+    # Colours span both: the stack is brighter than a cube.
+    assert after.astype(int).sum(axis=2).max() > before.astype(int).sum(axis=2).max() + 100
+    assert main(["gallery", PICKING, "--heightmap", "--env-kwargs", "observation:'state'"]) == 2
+    assert "--heightmap: BulletArm/CloseLoopBlockPicking-v0 shows " in capsys.readouterr().err
+
+
 def test_gallery_says_where_an_expert_fails(type_in: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["gallery", PICKING, "--env-kwargs", "max_steps:1"]) == 2
     assert "solved none of 10 episodes" in capsys.readouterr().err

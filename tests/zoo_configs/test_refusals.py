@@ -105,6 +105,13 @@ NO_FOLDER = "/dev/null/folder"  # /dev/null is none
             "at least 48, got 8",
         ),
         (["speed", "--baseline", "sacfd", "--device", "gpu0"], "is no device"),
+        (["speed", "--env", "TOY", "--data", f"{NO_FOLDER}/a.csv"], "cannot be written"),
+        (["check", "TOY", "--data", f"{NO_FOLDER}/a.csv"], "cannot be written"),
+        (["report"], "takes either the folder of a benchmark or pages, behind --docs"),
+        (
+            ["report", "--docs", "nowhere.md"],
+            "--docs takes Markdown files and folders of them, got nowhere.md",
+        ),
         (["enjoy"], "name a run folder"),
         (["enjoy", "nowhere"], "nowhere is no run folder"),
         (["enjoy", "--env", "TOY", "--baseline", "sacfd"], "logs has no such run of sacfd"),

@@ -15,6 +15,7 @@ import pytest
 from gymnasium import spaces
 from stable_baselines3.common.vec_env import SubprocVecEnv
 
+from bulletarm_gym.selfcheck import Yardstick
 from sb3_extensions.vec_env import SplitVecEnv
 from zoo_configs.cells.cell import Cell
 from zoo_configs.cli import main
@@ -23,7 +24,7 @@ from zoo_configs.drawing.video import compose_frame, observed_images
 from zoo_configs.errors import CommandError
 from zoo_configs.files import whole_file
 from zoo_configs.measuring import throughput, vector_speed
-from zoo_configs.measuring.machine import Yardstick, measure_yardstick
+from zoo_configs.measuring.data_files import OVERHEAD, SPEED, UPDATES, DataFile, number
 from zoo_configs.measuring.throughput import ReferenceRate, load_reference
 from zoo_configs.training.runs import Run, claim_run_folder, write_resolved
 from zoo_configs.training.seeds import SeedStream, stream_seed
@@ -31,16 +32,13 @@ from zoo_configs.training.seeds import SeedStream, stream_seed
 REACHING = "BulletArm/CloseLoopBlockReaching-v0"
 
 
-def test_the_yardstick_measures_steps_and_pictures() -> None:
-    yardstick = measure_yardstick(steps=20, pictures=1)
-    assert 1 < yardstick.step_us < 1000 * yardstick.render_ms
-
-
 def test_speed_compares_with_the_reference(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(throughput, "measure_yardstick", lambda: Yardstick(step_us=48, render_ms=4.2))
-    assert main(["speed", "--env", REACHING, "--seconds", "0.1", "--reference", "--markdown"]) == 0
+    data = DataFile(tmp_path / "speed.csv", SPEED)
+    kept = ["--data", str(data.path), "--markdown"]
+    assert main(["speed", "--env", REACHING, "--seconds", "0.1", "--reference", *kept]) == 0
     machine, head, _, row, summary = capsys.readouterr().out.splitlines()
     assert "load average" in machine
     cells = dict(zip(_cells(head), _cells(row), strict=True))
@@ -50,6 +48,14 @@ def test_speed_compares_with_the_reference(
     assert 0 < float(cells["without expert"]) <= float(cells["ms/step"])
     assert float(cells["ratio"]) > 0
     assert summary.startswith("ratio: geometric mean")
+    [row] = data.read()
+    assert row["env"] == "CloseLoopBlockReaching" and row["times_reference"] == number(
+        float(cells["ratio"]), 1
+    )
+    assert row["step_ms"] == number(float(cells["ms/step"]), 2)
+    assert row["command"].endswith(f"--env {REACHING} --seconds 0.1 --seed 0 --reference")
+    assert main(["speed", "--baseline", "sacfd", "--env", REACHING, *kept]) == 2
+    assert "speed.csv is no such file of measurements" in capsys.readouterr().err
 
 
 def test_speed_of_several_environments(
@@ -68,7 +74,8 @@ def test_speed_of_several_environments(
     assert not multiprocessing.active_children()
 
 
-def test_speed_splits_an_update(capsys: pytest.CaptureFixture[str]) -> None:
+def test_speed_splits_an_update(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    data = DataFile(tmp_path / "updates.csv", UPDATES)
     command = [
         "speed",
         "--baseline",
@@ -79,6 +86,8 @@ def test_speed_splits_an_update(capsys: pytest.CaptureFixture[str]) -> None:
         REACHING,
         "--seconds",
         "0.5",
+        "--data",
+        str(data.path),
         "--markdown",
     ]
     assert main(command) == 0
@@ -93,6 +102,12 @@ def test_speed_splits_an_update(capsys: pytest.CaptureFixture[str]) -> None:
     shares = [float(value.rstrip("%")) for value in equivariant.values() if value.endswith("%")]
     assert sum(shares) == pytest.approx(100, abs=3)
     assert len(shares) == 4 and min(shares) >= 0  # each part is named
+    first, second, third = data.read()
+    assert [row["network"] for row in (first, second, third)] == ["equivariant", "cnn", "state"]
+    assert first["update_ms"] == number(float(equivariant["ms/update"]), 1)
+    kept = [first[part] for part in ("gradients_of_convolutions", "convolutions", "pooling", "rest")]
+    assert [float(share) * 100 for share in kept] == pytest.approx(shares, abs=0.6)
+    assert second["equivariant_over_plain"] == "" and second["device"] in ("cpu", "cuda")
 
 
 def _cells(line: str) -> list[str]:
@@ -256,10 +271,15 @@ def test_seed_streams_are_apart() -> None:
     assert stream_seed(1, SeedStream.TEST) == stream_seed(1, SeedStream.TEST)
 
 
-def test_speed_tells_what_train_adds(toy_id: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_speed_tells_what_train_adds(toy_id: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    data = DataFile(tmp_path / "overhead.csv", OVERHEAD)
     command = ["speed", "--baseline", "sacfd", "--env", toy_id, "--preset", "quick", "--device", "cpu"]
-    assert main([*command, "--env-kwargs", "obs_size:48", "--overhead", "2", "--markdown"]) == 0
+    command += ["--env-kwargs", "obs_size:48", "--overhead", "2", "--data", str(data.path), "--markdown"]
+    assert main(command) == 0
     *_, head, _, row = capsys.readouterr().out.splitlines()
     measured = dict(zip(_cells(head), _cells(row), strict=True))
     assert measured["time steps"] == "2" and measured["overhead"].endswith("%")
     assert float(measured["model.learn() CPU s"]) > 0 and float(measured["train CPU s"]) > 0
+    [row] = data.read()
+    assert row["timesteps"] == "2" and row["env_kwargs"] == "obs_size:48"
+    assert float(row["least"]) <= float(row["overhead"]) <= float(row["greatest"])

@@ -20,7 +20,15 @@ from zoo_configs.cells.cell import resolve
 from zoo_configs.cli import main
 from zoo_configs.errors import CommandError
 from zoo_configs.tuning import trial as trial_module
-from zoo_configs.tuning.space import Parameter, check_space, first_values, load_space, moved, parse_space
+from zoo_configs.tuning.space import (
+    Parameter,
+    check_space,
+    first_values,
+    fit_space,
+    load_space,
+    moved,
+    parse_space,
+)
 from zoo_configs.tuning.study import ERROR, retried
 
 PICKING = "BulletArm/CloseLoopBlockPicking-v0"
@@ -196,6 +204,37 @@ def test_the_first_trial_is_the_baseline(baseline: str) -> None:
     same = moved(cell, known, FixedTrial(values))  # type: ignore[arg-type]
     assert float(same.pop("learning_rate").removeprefix("lin_")) == 1e-3
     assert all(same[key] == value for key, value in cell.hyperparams.items() if key != "learning_rate")
+
+
+def test_what_is_given_is_not_searched() -> None:
+    given = {"pretrain_steps": 4, "n_steps": 2}
+    cell = resolve("sacfd", "quick", PICKING, given)
+    space = fit_space(load_space("sacfd"), cell, given, is_own=False)
+    assert {"pretrain_steps", "n_steps"}.isdisjoint(parameter.name for parameter in space)
+    first = first_values(space, cell, register_algorithms()["sacfd"])
+    assert first.keys() == {parameter.name for parameter in space}
+    same = moved(cell, space, FixedTrial(first))  # type: ignore[arg-type]
+    assert {name for name in same if same[name] != cell.hyperparams.get(name)} == {"learning_rate"}
+    assert (same["learning_rate"], same["pretrain_steps"]) == ("lin_0.001", 4)
+    everything = dict.fromkeys((parameter.name for parameter in space), 0.5) | given
+    with pytest.raises(CommandError, match="nothing is left"):
+        fit_space(load_space("sacfd"), cell, everything, is_own=False)
+
+
+def test_a_space_of_ones_own_begins_with_what_is_given() -> None:
+    space = parse_space("own", {"pretrain_steps": {"choices": [0, 4]}})
+    cell = resolve("sacfd", "quick", PICKING, {"pretrain_steps": 4})
+    assert fit_space(space, cell, {"pretrain_steps": 4}, is_own=True) == space
+    with pytest.raises(CommandError, match="pretrain_steps is 3, which the search space"):
+        fit_space(space, cell, {"pretrain_steps": 3}, is_own=True)
+
+
+def test_choices_hold_the_baselines_value() -> None:
+    stacking = resolve("sacfd", "quick", "BulletArm/CloseLoopBlockStacking-v0")
+    space = fit_space(load_space("sacfd"), stacking, {}, is_own=False)
+    steps = next(parameter for parameter in space if parameter.name == "pretrain_steps")
+    assert steps.choices == (4000, 0, 500, 1000, 2000)
+    assert "pretrain_steps" in first_values(space, stacking, register_algorithms()["sacfd"])
 
 
 def test_what_is_moved_keeps_the_rest() -> None:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import csv
-from collections.abc import Iterator
+import functools
+import statistics
 from contextlib import closing
 from importlib import resources
 from typing import Any, NamedTuple
@@ -13,12 +13,14 @@ from zoo_configs.cells.cell import Cell
 from zoo_configs.cells.rules import family_of, task_name
 from zoo_configs.environments import make_env
 from zoo_configs.errors import refused
+from zoo_configs.measuring.data_files import SPEED, UPDATES, DataFile, Layout, Record
 from zoo_configs.training.options import TrainingOptions
 
 GIGABYTE = 1e9
-# Of a process besides its replay buffer (docs/speed.md, "peak GB" of the open-loop learners: 0.6 to 1.1 with
-# small buffers, of the plain interpreter with PyTorch about a third).
+# Of a process besides its replay buffer (data/updates.csv, peak_gigabytes of the open-loop learners: 0.6 to
+# 1.1 with small buffers, of the plain interpreter with PyTorch about a third).
 PROCESS_GB = 1.0
+SIZED_AS = {"quick": "cpu"}  # presets with networks and batches of another
 CHECKPOINTS_KEPT = 3  # two, and the one that is being written
 MS_AN_HOUR = 3.6e6
 
@@ -78,17 +80,13 @@ def _buffer_bytes(cell: Cell, steps: int) -> tuple[float, float]:
 def _hours(cell: Cell, options: TrainingOptions, steps: int, device: str) -> float | None:
     family = family_of(cell.env_id)
     network = family.baselines[cell.baseline].network if cell.baseline else None
-    updates = {(row["preset"], row["network"], row["device"]): row["ms"] for row in _table("update_ms.csv")}
-    environments = {row["task"]: row["ms"] for row in _table("step_ms.csv")}
-    update, step = (
-        updates.get((str(cell.preset), str(network), device)),
-        environments.get(task_name(cell.env_id)),
-    )
+    update = _update_ms(SIZED_AS.get(str(cell.preset), str(cell.preset)), str(network), device)
+    step = _step_ms(task_name(cell.env_id))
     if update is None or step is None:
         return None
     evaluations = steps // options.eval_freq if options.eval_freq > 0 else 0
     evaluated = evaluations * options.eval_episodes * _longest_episode(cell)
-    return (_updates(cell, steps) * float(update) + (steps + evaluated) * float(step)) / MS_AN_HOUR
+    return (_updates(cell, steps) * update + (steps + evaluated) * step) / MS_AN_HOUR
 
 
 def _updates(cell: Cell, steps: int) -> float:
@@ -109,7 +107,26 @@ def _longest_episode(cell: Cell) -> int:
     return int(getattr(config, "max_steps", 0))
 
 
-def _table(name: str) -> Iterator[dict[str, str]]:
-    """A file of measurements; lines that begin with # tell their source."""
-    text = (resources.files("zoo_configs") / "benchmarking" / name).read_text(encoding="utf-8")
-    yield from csv.DictReader(line for line in text.splitlines() if not line.startswith("#"))
+def _update_ms(preset: str, network: str, device: str) -> float | None:
+    """The mean over measured baselines with this network."""
+    wanted = (preset, network, device)
+    rows = _measured("updates.csv", UPDATES)
+    found = [
+        float(row["update_ms"])
+        for row in rows
+        if (row["preset"], row["network"], row["device"]) == wanted and not row["env_kwargs"]
+    ]
+    return statistics.fmean(found) if found else None
+
+
+def _step_ms(task: str) -> float | None:
+    """A time step with the expert."""
+    rows = _measured("speed.csv", SPEED)
+    return next((float(row["step_ms"]) for row in rows if row["env"] == task and not row["env_kwargs"]), None)
+
+
+@functools.cache
+def _measured(name: str, layout: Layout) -> list[Record]:
+    """A file of measurements that comes with the package."""
+    with resources.as_file(resources.files("zoo_configs") / "data" / name) as path:
+        return DataFile(path, layout).read()

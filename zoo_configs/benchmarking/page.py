@@ -66,7 +66,8 @@ def _machines(runs: Sequence[Run]) -> str:
         about = _read(run.resolved_file).get(RUN_KEY, {})
         how = run.standing
         versions = ", ".join(f"{name} {version}" for name, version in about.get("versions", {}).items())
+        code = f", commit {about['commit']}" if "commit" in about else ""
         found[
-            f"{how.host if how else 'unknown'}: {about.get('machine')}, device {run.device}; {versions}"
+            f"{how.host if how else 'unknown'}: {about.get('machine')}, device {run.device}; {versions}{code}"
         ] += 1
     return "\n".join(f"- {count} runs on {machine}" for machine, count in found.most_common())

@@ -72,7 +72,7 @@ def _cell(group: pd.DataFrame) -> dict[str, Any]:
     low, high = np.nan, np.nan
     if (group["measure"] == SUCCESS).all():
         successes = round(float((group["success"] * group["episodes"]).sum()))
-        low, high = stats.binomtest(successes, episodes).proportion_ci(CONFIDENCE, "wilson")
+        low, high = wilson_interval(successes, episodes)
     return {
         **{name: first[name] for name in CELL},
         "success": group["success"].mean(),
@@ -86,6 +86,18 @@ def _cell(group: pd.DataFrame) -> dict[str, Any]:
         "minutes": group["minutes"].mean(),
         "command": first["command"],
     }
+
+
+def wilson_interval(successes: int, episodes: int) -> tuple[float, float]:
+    """
+    Wilson's 95 % interval of a success rate.
+
+    :param successes: How many episodes succeeded
+    :param episodes: Of how many
+    :return: Its ends
+    """
+    interval = stats.binomtest(successes, episodes).proportion_ci(CONFIDENCE, "wilson")
+    return float(interval.low), float(interval.high)
 
 
 def baseline_table(runs: pd.DataFrame) -> pd.DataFrame:

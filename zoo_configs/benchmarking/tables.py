@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
 from zoo_configs.cells.rules import task_name
+from zoo_configs.drawing.tables import markdown_table
 from zoo_configs.files import whole_file
 
 CELL_HEADS = (
@@ -89,18 +89,13 @@ def markdown(cells: pd.DataFrame, baselines: pd.DataFrame) -> str:
     :return: Markdown
     """
     parts = [
-        _markdown_table(CELL_HEADS, cell_rows(cells)),
-        _markdown_table(BASELINE_HEADS, baseline_rows(baselines)),
+        markdown_table(CELL_HEADS, cell_rows(cells)),
+        markdown_table(BASELINE_HEADS, baseline_rows(baselines)),
         EXPLANATION,
         "Each cell again, with its first seed:",
         "\n".join(f"    {command}" for command in cells["command"]),
     ]
     return "\n\n".join(parts) + "\n"
-
-
-def _markdown_table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    rules = ["---", *["---:"] * (len(heads) - 1)]
-    return "\n".join(f"| {' | '.join(cells)} |" for cells in (heads, rules, *rows))
 
 
 def write_tables(cells: pd.DataFrame, baselines: pd.DataFrame, picture: Path) -> list[Path]:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import argparse
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -24,11 +25,13 @@ from zoo_configs.arguments import (
     positive_int,
     seed,
 )
-from zoo_configs.cells.rules import family_of
+from zoo_configs.cells.rules import family_of, task_name
 from zoo_configs.drawing.video import compose_frame, write_picture
 from zoo_configs.environments import known_env_id, make_env, our_env_ids, register_environments
 from zoo_configs.errors import CommandError
 from zoo_configs.files import check_writable
+from zoo_configs.measuring.data_files import EXPERTS, DataFile, number
+from zoo_configs.measuring.provenance import env_kwargs_words, key_values, provenance
 
 if TYPE_CHECKING:
     from sb3_extensions.demonstrations.collecting import Hand
@@ -37,6 +40,7 @@ DESCRIPTION = """Check environments: Gymnasium's and Stable-Baselines3's own che
 seeds, and how often the expert succeeds. Draws the start and the end of the expert's first episode."""
 GRIDDED = "open_loop"  # family of the tasks with a grid
 RENDER_MODE = "rgb_array"
+SUCCESS_DIGITS, STEPS_DIGITS = 4, 3
 ROLLOUT = 25  # steps compared between two environments
 
 
@@ -52,6 +56,11 @@ class Experience(NamedTuple):
     successes: int
     lengths: list[int]
     frames: list[np.ndarray[Any, np.dtype[np.uint8]]]
+
+    @property
+    def mean_length(self) -> float:
+        """Steps of a solved episode, NaN where there is none."""
+        return float(np.mean(self.lengths)) if self.lengths else float("nan")
 
 
 def main(argv: Sequence[str]) -> None:
@@ -69,6 +78,8 @@ def main(argv: Sequence[str]) -> None:
     for env_id in ids:
         make_env(env_id, args.env_kwargs, RENDER_MODE).close()
         check_writable(_picture(env_id, args.log_folder), "--log-folder")
+    if args.data is not None:
+        DataFile(args.data, EXPERTS).check("--data")
     failed = [env_id for env_id in ids if not _passes(env_id, args)]
     if failed:
         raise CommandError(f"failed: {', '.join(failed)}")
@@ -84,6 +95,9 @@ def _parse(argv: Sequence[str]) -> argparse.Namespace:
     add_env_kwargs(parser)
     add("--snap", action="store_true", help="let the expert act on the grid of spatial Q-learning")
     add_packages(parser)
+    add(
+        "--data", type=Path, metavar="FILE", help="CSV to put the expert's figures into, a row an environment"
+    )
     add("-f", "--log-folder", type=Path, default=Path("logs/check"), help="where pictures go")
     add_progress(parser)
     return parser.parse_args(argv)
@@ -107,14 +121,39 @@ def _passes(env_id: str, args: argparse.Namespace) -> bool:
     }
     passed = all([_report(name, check) for name, check in checks.items()])
     experience = _watch_expert(make(), args)
-    rate = experience.successes / args.episodes
-    length = float(np.mean(experience.lengths)) if experience.lengths else float("nan")
+    rate, length = experience.successes / args.episodes, experience.mean_length
     print(f"  expert: success_rate={rate:.3f} episodes={args.episodes} mean_length={length:.2f}")
+    if args.data is not None:
+        DataFile(args.data, EXPERTS).add(_record(env_id, experience, args))
     # What is drawn shows that rendering works; Gymnasium would ask for a window, too.
     path = _picture(env_id, args.log_folder)
     write_picture(np.concatenate(experience.frames), path)
     print(f"Written:\n  {path}")
     return passed and rate >= args.min_success
+
+
+def _record(env_id: str, experience: Experience, args: argparse.Namespace) -> dict[str, str]:
+    """What is kept of the expert's episodes."""
+    words = ["bulletarm-zoo", "check", env_id, "-n", str(args.episodes), "--seed", str(args.seed)]
+    words += [*env_kwargs_words(args.env_kwargs), *(["--snap"] if args.snap else [])]
+    others = {name: value for name, value in args.env_kwargs.items() if name != "robot"}
+    return {
+        "env": task_name(env_id),
+        "robot": _robot(env_id, args.env_kwargs),
+        "env_kwargs": " ".join(key_values(others)),
+        "snap": "yes" if args.snap else "",
+        "episodes": str(args.episodes),
+        "first_seed": str(args.seed),
+        "success": number(experience.successes / args.episodes, SUCCESS_DIGITS),
+        "mean_steps": number(experience.mean_length, STEPS_DIGITS),
+        **provenance(words),
+    }
+
+
+def _robot(env_id: str, env_kwargs: Mapping[str, Any]) -> str:
+    """Name of the arm, nothing where an environment says none."""
+    with closing(make_env(env_id, env_kwargs)) as env:
+        return str(getattr(getattr(env.unwrapped, "config", None), "robot", ""))
 
 
 def _report(name: str, check: Callable[[], None]) -> bool:

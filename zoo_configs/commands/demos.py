@@ -9,10 +9,14 @@ from pathlib import Path
 
 import numpy as np
 
+from bulletarm_gym.machine import load_average
 from zoo_configs.arguments import Parser, add_env_kwargs, add_packages, add_progress, positive_int, seed
+from zoo_configs.cells.rules import task_name
 from zoo_configs.environments import demonstrations, known_env_id, register_environments, try_env
 from zoo_configs.errors import refused
 from zoo_configs.files import check_writable
+from zoo_configs.measuring.data_files import COLLECTING, DataFile, number
+from zoo_configs.measuring.provenance import env_kwargs_words, key_values, provenance
 
 DESCRIPTION = """Collect successful episodes of an expert into one HDF5 file, written when all are there.
 Agents learn from it by: bulletarm-zoo train ... -params expert_data:"'FILE'"."""
@@ -31,8 +35,11 @@ def main(argv: Sequence[str]) -> None:
     env_id = known_env_id(args.env)
     path = args.output or Path(f"{env_id.rpartition('/')[2]}-{args.planner}.h5")
     check_writable(path, "--output")
+    data = None if args.data is None else DataFile(args.data, COLLECTING)
+    if data is not None:
+        data.check("--data")
     try_env(env_id, args.env_kwargs)
-    begin = time.perf_counter()
+    busy, begin = load_average(), time.perf_counter()
     with refused(f"{env_id}: no demonstrations", (RuntimeError, ValueError)):
         found = demonstrations().collect(
             env_id,
@@ -44,10 +51,31 @@ def main(argv: Sequence[str]) -> None:
             progress=args.progress,
         )
     rate = 60.0 * len(found) / (time.perf_counter() - begin)
-    length = np.mean([len(episode) for episode in found])
+    length = float(np.mean([len(episode) for episode in found]))
+    if data is not None:
+        data.add(_record(env_id, found.attempts, length, rate, busy, args))
     print(f"{env_id}: {len(found)} of {found.attempts} attempts succeeded, mean_length={length:.2f}")
     print(f"  {rate:.0f} episodes a minute")
     print(f"Written:\n  {path}")
+
+
+def _record(
+    env_id: str, attempts: int, length: float, rate: float, busy: float, args: argparse.Namespace
+) -> dict[str, str]:
+    """What is kept of the collection itself."""
+    words = ["bulletarm-zoo", "demos", "--env", env_id, "-n", str(args.episodes), "--planner", args.planner]
+    return {
+        "env": task_name(env_id),
+        "env_kwargs": " ".join(key_values(args.env_kwargs)),
+        "planner": args.planner,
+        "episodes": str(args.episodes),
+        "seed": str(args.seed),
+        "attempts": str(attempts),
+        "mean_steps": number(length, 3),
+        "episodes_per_minute": number(rate, 0),
+        "load": number(busy, 1),
+        **provenance([*words, "--seed", str(args.seed), *env_kwargs_words(args.env_kwargs)]),
+    }
 
 
 def _parse(argv: Sequence[str]) -> argparse.Namespace:
@@ -60,6 +88,7 @@ def _parse(argv: Sequence[str]) -> argparse.Namespace:
     add_env_kwargs(parser)
     add_packages(parser)
     add("-o", "--output", type=Path, help="file to write (default: ENV-PLANNER.h5 in this folder)")
+    add("--data", type=Path, metavar="FILE", help="CSV to put attempts, steps and rate into as a row")
     add_progress(parser)
     args = parser.parse_args(argv)
     if args.output is not None and args.output.suffix not in SUFFIXES:

@@ -28,14 +28,8 @@ def main(argv: Sequence[str]) -> None:
     if not 0 < args.seconds < math.inf:
         parser.error(f"--seconds must be positive, got {args.seconds}")
     register_environments()
-    from zoo_configs.measuring.health import look_at
+    from bulletarm_gym.selfcheck import report
+    from zoo_configs.measuring import health
 
-    failed = []
-    for finding in look_at(args.seconds):
-        mark = "FAILED" if finding.fails else "note" if finding.advice else "ok"
-        print(f"{mark:<6}  {finding.what}: {finding.value}", flush=True)
-        if finding.advice:
-            print(f"        -> {finding.advice}")
-        failed += [finding.what] * finding.fails
-    if failed:
+    if failed := report(health.look_at(args.seconds)):
         raise CommandError(f"does not work here: {', '.join(failed)}")

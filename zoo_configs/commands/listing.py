@@ -18,7 +18,7 @@ from zoo_configs.errors import CommandError
 
 WIDTH = 74  # characters of text, beside its indent
 DESCRIPTION = """List environments with their spaces; with --env the parameters of one; with --baselines the
-baselines and presets that train takes."""
+baselines and presets that train takes; with --published the trained agents that come with the package."""
 
 
 def main(argv: Sequence[str]) -> None:
@@ -32,6 +32,8 @@ def main(argv: Sequence[str]) -> None:
     register_environments(args.gym_packages)
     if args.explain:
         _explain(args)
+    elif args.published:
+        _list_published(args.markdown)
     elif args.baselines:
         _list_baselines(args.markdown)
     elif args.env is not None:
@@ -45,6 +47,7 @@ def _parse(argv: Sequence[str]) -> argparse.Namespace:
     add = parser.add_argument
     add("--env", help="id of an environment: list its parameters and their defaults")
     add("--baselines", action="store_true", help="list baselines and presets")
+    add("--published", action="store_true", help="list the trained agents that come with the package")
     add("--explain", action="store_true", help="list every value of a cell and the rule that set it")
     add("--baseline", help="with --explain: row of a benchmark")
     add("--preset", default="cpu", help="with --explain: size of the run (default: cpu)")
@@ -93,6 +96,26 @@ def _list_baselines(markdown: bool) -> None:
         ]
         print_table(["baseline", "learner", "network", "additions"], rows, markdown, wrap=True)
         print()
+
+
+def _list_published(markdown: bool) -> None:
+    """Trained agents, with the success that their cards tell."""
+    from zoo_configs.publishing.published import published_agents
+
+    rows = [
+        [
+            card.env,
+            card.label,
+            card.preset or "",
+            f"{card.success:.2f}",
+            f"{card.interval[0]:.2f} to {card.interval[1]:.2f}",
+            str(card.episodes),
+            ", ".join(f"{name}={value!r}" for name, value in card.env_kwargs.items()),
+        ]
+        for _, card in published_agents()
+    ]
+    heads = ["environment", "baseline", "preset", "success", "95 % interval", "episodes", "parameters"]
+    print_table(heads, rows, markdown)
 
 
 def _explain(args: argparse.Namespace) -> None:

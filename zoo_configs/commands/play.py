@@ -164,6 +164,7 @@ class Game:
         """Say how it stands and, without a window, save a picture."""
         said = f"episode {self.episode}, step {self.step}" + f": {what}" * bool(what)
         if self.env.render_mode == WINDOW:
+            self.pilot.show(self.seen)
             print(said, flush=True)
             return
         path = self.folder / f"episode_{self.episode:02d}" / f"{self.pictures:03d}.png"

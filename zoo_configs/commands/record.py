@@ -4,23 +4,33 @@ from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import gymnasium as gym
 
-from zoo_configs.arguments import Parser, add_progress, add_run_arguments, hides_progress, positive_int, seed
+from zoo_configs.arguments import (
+    Parser,
+    add_progress,
+    add_published,
+    add_run_arguments,
+    hides_progress,
+    positive_int,
+    seed,
+)
 from zoo_configs.environments import check_alike, known_env_id, make_env, register_environments, try_env
 from zoo_configs.errors import CommandError
 from zoo_configs.files import check_writable
 from zoo_configs.training.seeds import SeedStream, stream_seed
 
 if TYPE_CHECKING:
+    from zoo_configs.agents import Agent
     from zoo_configs.drawing.video import Frame, ValueMap
 
-DESCRIPTION = """Film episodes of a trained agent, or with --expert of the expert of --env: the rendered scene
-beside the images that the agent sees and, where it values every pixel, those values with its choice."""
+DESCRIPTION = """Film episodes of a trained agent, with --published of one that comes with the package, or
+with --expert of the expert of --env: the rendered scene beside the images that the agent sees and, where it
+values every pixel, those values with its choice."""
 FORMATS = ("gif", "mp4")
 FRAMES_PER_SECOND = 5.0
 RENDER_MODE = "rgb_array"
@@ -59,7 +69,7 @@ def main(argv: Sequence[str]) -> None:
     check_writable(path, "--output")
     frames: list[Frame] = []
     try:
-        for frame in _film(actor, args):
+        for frame in film(actor, args.episodes, args.seed, args.fps, args.progress):
             frames.append(frame)
     finally:  # after Ctrl-C, too, with what there is
         actor.env.close()
@@ -77,6 +87,7 @@ def _write(frames: list[Frame], path: Path, fps: float) -> None:
 def _parse(argv: Sequence[str]) -> argparse.Namespace:
     parser = Parser("bulletarm-zoo record", description=DESCRIPTION)
     add_run_arguments(parser)
+    add_published(parser)
     add = parser.add_argument
     add("--expert", action="store_true", help="film the expert of --env")
     add("-n", "--episodes", type=positive_int, default=5, help="how many episodes (default: 5)")
@@ -114,28 +125,38 @@ def _expert(args: argparse.Namespace) -> Actor:
 
 
 def _agent(args: argparse.Namespace) -> Actor:
+    from zoo_configs.agents import agent_from_arguments
+
+    agent = agent_from_arguments(args)
+    actor = acting(agent, args.env_kwargs)
+    print(f"{agent.label} on {agent.env_id}, model {agent.path}")
+    return actor
+
+
+def acting(agent: Agent, env_kwargs: Mapping[str, Any] | None = None) -> Actor:
+    """
+    An agent in its environment.
+
+    :param agent: The agent
+    :param env_kwargs: Parameters that are to differ from those it was trained with
+    :return: Who is filmed
+    :raises CommandError: if the environment cannot be made so, or the agent cannot act there
+    """
     from rl_zoo3.utils import get_wrapper_class
 
-    from zoo_configs.agents import load_agent, run_from_arguments
-
-    run = run_from_arguments(args)
-    hyperparams = run.cell.hyperparams
-    if any(hyperparams.get(key) for key in ("normalize", "frame_stack", "vec_env_wrapper")):
-        raise CommandError(f"{run.folder} acts on normalised or stacked observations, which cannot be filmed")
-    model, path = load_agent(run, args.load_best, args.device)
-    trained_with = {**hyperparams.get("env_kwargs", {}), "render_mode": RENDER_MODE}
-    env_kwargs = {**trained_with, **args.env_kwargs}
-    try_env(run.cell.env_id, env_kwargs, RENDER_MODE)
-    env = make_env(run.cell.env_id, env_kwargs, RENDER_MODE)
-    wrap = get_wrapper_class(hyperparams)
+    agent.check_plain("which cannot be filmed")
+    kwargs = {**agent.env_kwargs, "render_mode": RENDER_MODE, **(env_kwargs or {})}
+    try_env(agent.env_id, kwargs, RENDER_MODE)
+    env = make_env(agent.env_id, kwargs, RENDER_MODE)
+    wrap = get_wrapper_class({} if agent.run is None else agent.run.cell.hyperparams)
     env = wrap(env) if wrap is not None else env
-    check_alike(env, model, "the agent cannot act here")
-    print(f"{run.cell.label} on {run.cell.env_id}, model {path}")
+    check_alike(env, agent.model, "the agent cannot act here")
+    model = agent.model
     return Actor(
-        run.cell.label,
+        agent.label,
         env,
         lambda seen: model.predict(seen, deterministic=True)[0],
-        run.folder,
+        agent.folder,
         _judge(model.policy),
     )
 
@@ -156,14 +177,26 @@ def _judge(policy: Any) -> Callable[[Any], ValueMap] | None:
     return judge
 
 
-def _film(actor: Actor, args: argparse.Namespace) -> Iterator[Frame]:
+def film(
+    actor: Actor, episodes: int, seed: int, fps: float = FRAMES_PER_SECOND, progress: bool | None = None
+) -> Iterator[Frame]:
+    """
+    Film episodes under a progress bar.
+
+    :param actor: Who acts; the environment stays open
+    :param episodes: How many
+    :param seed: Of the scenes, as ``--seed``
+    :param fps: Steps per second
+    :param progress: As from :func:`zoo_configs.arguments.add_progress`
+    :return: The frames
+    """
     from tqdm import trange
 
-    first_seed, episodes, successes = stream_seed(args.seed, SeedStream.TEST), args.episodes, 0
-    for episode in trange(episodes, unit="episode", disable=hides_progress(args.progress)):
+    first_seed, successes = stream_seed(seed, SeedStream.TEST), 0
+    for episode in trange(episodes, unit="episode", disable=hides_progress(progress)):
         *frames, last = _film_episode(actor, first_seed + episode, f"episode {episode + 1} of {episodes}")
         yield from (frame for frame, _ in frames)
-        yield from [last[0]] * max(1, round(FINAL_HOLD * args.fps))
+        yield from [last[0]] * max(1, round(FINAL_HOLD * fps))
         successes += last[1]
     print(f"{successes} of {episodes} episodes succeeded")
 

@@ -12,6 +12,7 @@ from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
+from bulletarm_gym.machine import describe_machine
 from zoo_configs.arguments import (
     Parser,
     add_env_kwargs,
@@ -23,7 +24,8 @@ from zoo_configs.arguments import (
     seed,
 )
 from zoo_configs.environments import known_env_id, our_env_ids, register_environments, try_env
-from zoo_configs.measuring.machine import describe_machine
+from zoo_configs.measuring.data_files import OVERHEAD, SPEED, UPDATES, DataFile
+from zoo_configs.measuring.speed_records import overhead_record, throughput_record, update_record
 from zoo_configs.measuring.throughput import (
     ReferenceRate,
     Throughput,
@@ -87,8 +89,11 @@ def main(argv: Sequence[str]) -> None:
     """
     args = _parse(argv)
     register_environments(args.gym_packages)
+    data = _data_file(args)
+    if data is not None:
+        data.check("--data")
     if args.baseline:
-        _measure_updates(args)
+        _measure_updates(args, data)
         return
     env_ids = [known_env_id(env_id) for env_id in args.env] or our_env_ids()
     for env_id in env_ids:
@@ -102,19 +107,20 @@ def main(argv: Sequence[str]) -> None:
     try:
         for ours in _measure(env_ids, args):
             rows.append(Row(ours, reference.get(ours.env_id)))
+            if data is not None:
+                data.add(throughput_record(*rows[-1], args.env_kwargs, _throughput_flags(args)))
     finally:  # after Ctrl-C, too, with what there is
         _print(rows, args.markdown)
 
 
 def _parse(argv: Sequence[str]) -> argparse.Namespace:
-    shipped = Path(str(resources.files("zoo_configs") / SHIPPED_REFERENCE))
     parser = Parser("bulletarm-zoo speed", description=DESCRIPTION)
     add = parser.add_argument
     add("--env", nargs="+", default=[], help="environment ids (default: all of ours)")
     add("--seconds", type=float, default=5.0, help="how long to measure each (default: 5)")
     add("--seed", type=seed, default=0, help="seed of the first episode (default: 0)")
     help_text = "CSV to compare with (default where no file is named: the earlier implementation's rates)"
-    add("--reference", type=Path, nargs="?", const=shipped, metavar="FILE", help=help_text)
+    add("--reference", type=Path, nargs="?", const=_shipped_reference(), metavar="FILE", help=help_text)
     help_text = "measure so many environments at once under each --vec-env of train"
     add("--vector", type=positive_int, metavar="N", help=help_text)
     add("--baseline", nargs="+", default=[], help="measure updates of these baselines, on the first --env")
@@ -127,6 +133,12 @@ def _parse(argv: Sequence[str]) -> argparse.Namespace:
     )
     add("--device", type=device, default="auto", help="... on this PyTorch device (default: auto)")
     add("--num-threads", type=positive_int, help="... with so many threads (default: PyTorch's choice)")
+    add(
+        "--data",
+        type=Path,
+        metavar="FILE",
+        help="CSV to put the figures into, a row an environment or baseline",
+    )
     add("--markdown", action="store_true", help="print a table for a Markdown page")
     add_env_kwargs(parser)
     add_packages(parser)
@@ -137,7 +149,30 @@ def _parse(argv: Sequence[str]) -> argparse.Namespace:
     return args
 
 
-def _measure_updates(args: argparse.Namespace) -> None:
+def _data_file(args: argparse.Namespace) -> DataFile | None:
+    if args.data is None:
+        return None
+    layout = SPEED if not args.baseline else OVERHEAD if args.overhead else UPDATES
+    return DataFile(args.data, layout)
+
+
+def _throughput_flags(args: argparse.Namespace) -> list[str]:
+    """What repeats a measurement besides its environment."""
+    file = [] if args.reference in (None, _shipped_reference()) else [args.reference.name]
+    reference = ["--reference", *file] if args.reference else []
+    return ["--seconds", f"{args.seconds:g}", "--seed", str(args.seed), *reference]
+
+
+def _device_flags(args: argparse.Namespace) -> list[str]:
+    threads = ["--num-threads", str(args.num_threads)] if args.num_threads else []
+    return ["--device", args.device, *threads]
+
+
+def _shipped_reference() -> Path:
+    return Path(str(resources.files("zoo_configs") / SHIPPED_REFERENCE))
+
+
+def _measure_updates(args: argparse.Namespace, data: DataFile | None) -> None:
     import torch as th
 
     from zoo_configs.cells.cell import resolve
@@ -153,11 +188,14 @@ def _measure_updates(args: argparse.Namespace) -> None:
         try_env(env_id, cell.hyperparams["env_kwargs"])
     print(f"{describe_machine()}, {th.get_num_threads()} threads; {env_id}, preset {args.preset}")
     if args.overhead:
-        _measure_overheads(cells, args)
+        _measure_overheads(cells, args, data)
         return
     rows = []
     for cell in cells:
         speed = _measure_alone(cell, args)
+        if data is not None:
+            flags = ["--seconds", f"{args.seconds:g}", *_device_flags(args)]
+            data.add(update_record(cell, speed, args.env_kwargs, flags))
         shares = [f"{share:.0%}" for share in speed.shares.values()]
         ratio = "" if speed.convolution_ratio is None else f"{speed.convolution_ratio:.2f}"
         rows.append([cell.label, f"{speed.update_ms:.1f}", f"{speed.peak_gigabytes:.1f}", *shares, ratio])
@@ -165,7 +203,7 @@ def _measure_updates(args: argparse.Namespace) -> None:
     print_table(columns, rows, args.markdown)
 
 
-def _measure_overheads(cells: Sequence[Cell], args: argparse.Namespace) -> None:
+def _measure_overheads(cells: Sequence[Cell], args: argparse.Namespace, data: DataFile | None) -> None:
     from zoo_configs.drawing.tables import print_table
     from zoo_configs.measuring.overhead import measure_overhead
 
@@ -173,6 +211,8 @@ def _measure_overheads(cells: Sequence[Cell], args: argparse.Namespace) -> None:
     for cell in cells:
         one = replace(cell, hyperparams={**cell.hyperparams, "n_envs": 1})
         measured = measure_overhead(one, args.overhead, args.device)
+        if data is not None:
+            data.add(overhead_record(cell, args.overhead, measured, args.env_kwargs, _device_flags(args)))
         seconds = [f"{statistics.median(values):.1f}" for values in measured]
         shares = measured.shares
         span = f"{shares[0]:.1%} to {shares[-1]:.1%}"

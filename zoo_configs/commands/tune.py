@@ -86,7 +86,7 @@ def build_parser() -> argparse.ArgumentParser:
 
 def _search(args: argparse.Namespace) -> Search:
     from zoo_configs.cells.validation import check_cell
-    from zoo_configs.tuning.space import load_space
+    from zoo_configs.tuning.space import fit_space, load_space
     from zoo_configs.tuning.study import Search
 
     if args.env is None:
@@ -102,7 +102,7 @@ def _search(args: argparse.Namespace) -> Search:
         name,
         args.log_folder / STUDIES_FOLDER / name,
         cell,
-        load_space(cell.algo, args.space),
+        fit_space(load_space(cell.algo, args.space), cell, args.hyperparams, args.space is not None),
         args.seed,
         TrainingOptions.of(cell, given),
         args.n_trials,

@@ -20,8 +20,7 @@ def print_table(
     :param wrap: Whether cells are text, aligned left and wrapped to the terminal's width, not numbers
     """
     if markdown:
-        rules = ["---", *["---" if wrap else "---:"] * (len(columns) - 1)]
-        print("\n".join(f"| {' | '.join(cells)} |" for cells in (columns, rules, *rows)))
+        print(markdown_table(columns, rows, "---" if wrap else "---:"))
         return
     from rich.console import Console
     from rich.table import Table
@@ -33,3 +32,19 @@ def print_table(
     for cells in rows:
         table.add_row(*cells)
     Console(width=None if wrap else UNLIMITED).print(table)
+
+
+def markdown_table(
+    columns: Sequence[str], rows: Sequence[Sequence[str]], rule: str = "---:", text_columns: int = 1
+) -> str:
+    """
+    Write a table for a Markdown page.
+
+    :param columns: Heads of the columns
+    :param rows: One cell a column
+    :param rule: What aligns the other columns: by default to the right, as numbers
+    :param text_columns: How many columns from the left are text
+    :return: Its lines
+    """
+    rules = ["---"] * text_columns + [rule] * (len(columns) - text_columns)
+    return "\n".join(f"| {' | '.join(cells)} |" for cells in (columns, rules, *rows))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import math
 from collections.abc import Sequence
 from pathlib import Path
@@ -26,6 +27,7 @@ BACKGROUND = (24, 26, 30)
 FOREGROUND = (235, 235, 235)
 SUCCESS_COLOUR = (110, 200, 120)
 COLOUR_MAP = "magma_r"
+GIF_COLOURS = 160
 VALUE_COLOURS = "viridis"
 SMALLEST_SPAN = 1e-6  # of values, so that equal ones can be drawn
 MARK = (255, 90, 60)
@@ -101,6 +103,20 @@ def draw_value_map(value_map: ValueMap) -> Image.Image:
     return panel
 
 
+def draw_image(image: npt.NDArray[np.floating], limits: tuple[float, float], pixels: int) -> Frame:
+    """
+    Draw an image of one channel, bright where its values are high.
+
+    :param image: Shape (height, width)
+    :param limits: What the colours span
+    :param pixels: Side of the picture
+    :return: Shape (pixels, pixels, 3)
+    """
+    low, high = limits
+    picture = _colour((image - low) / max(high - low, SMALLEST_SPAN), VALUE_COLOURS)
+    return np.asarray(picture.resize((pixels, pixels), NEAREST))
+
+
 def observed_images(observation: Any, space: spaces.Space[Any]) -> list[npt.NDArray[np.float64]]:
     """
     Single-channel images in an observation.
@@ -125,16 +141,35 @@ def write_video(frames: Sequence[Frame], path: Path, frames_per_second: float) -
     :param path: The file; its suffix, ``.gif`` or ``.mp4``, is the format
     :param frames_per_second: Speed
     """
-    gif = {"duration": 1000 / frames_per_second, "loop": 0}  # ms
-    _write(np.stack(frames), path, **(gif if path.suffix == ".gif" else {"fps": frames_per_second}))
+    if path.suffix == ".gif":
+        with whole_file(path) as partial:
+            partial.write_bytes(_gif(frames, round(1000 / frames_per_second)))
+    else:
+        _write(np.stack(frames), path, fps=frames_per_second)
+
+
+def _gif(frames: Sequence[Frame], duration: int) -> bytes:
+    """
+    Encode with one palette for all frames and no dithering: what stays as it is costs nothing.
+
+    :param frames: Frames of one shape
+    :param duration: Of a frame, ms
+    :return: What is to stand in the file
+    """
+    palette = Image.fromarray(np.concatenate([frames[0], frames[-1]])).quantize(GIF_COLOURS)
+    images = [Image.fromarray(frame).quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames]
+    first, *others = images
+    file = io.BytesIO()
+    first.save(file, "GIF", save_all=True, append_images=others, duration=duration, loop=0, optimize=True)
+    return file.getvalue()
 
 
 def write_picture(frame: Frame, path: Path) -> None:
     """
-    Write one frame as PNG, whole or not at all.
+    Write one frame, whole or not at all.
 
     :param frame: Shape (height, width, 3)
-    :param path: The file
+    :param path: The file; its suffix, ``.png`` or ``.webp``, is the format
     """
     _write(frame, path)
 

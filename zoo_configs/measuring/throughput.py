@@ -11,9 +11,10 @@ from typing import Any
 
 import gymnasium as gym
 
+from bulletarm_gym.machine import load_average
+from bulletarm_gym.selfcheck import Yardstick, measure_yardstick
 from zoo_configs.environments import make_env
 from zoo_configs.errors import CommandError
-from zoo_configs.measuring.machine import Yardstick, measure_yardstick
 
 REFERENCE_FIELDS = ("env_id", "yardstick_step_us", "yardstick_render_ms", "steps_per_second", "reset_ms")
 
@@ -33,6 +34,7 @@ class Throughput:
     :param physics_ms: Of a step, simulation steps of the engine
     :param rendering_ms: Of a step, drawing heightmaps
     :param reset_ms: A reset
+    :param load: Load average of the machine when it began
     """
 
     env_id: str
@@ -45,6 +47,7 @@ class Throughput:
     physics_ms: float
     rendering_ms: float
     reset_ms: float
+    load: float = 0.0
 
     @property
     def steps_per_second(self) -> float:
@@ -80,7 +83,7 @@ def measure_env(
     :return: What was measured
     :raises CommandError: if the environment has no expert
     """
-    yardstick = measure_yardstick()
+    busy, yardstick = load_average(), measure_yardstick()
     env = make_env(env_id, env_kwargs)
     try:
         if not hasattr(env.unwrapped, "expert_action"):
@@ -92,7 +95,7 @@ def measure_env(
             on_episode(meter.seconds - before)
     finally:
         env.close()
-    return meter.result(env_id, yardstick)
+    return meter.result(env_id, yardstick, busy)
 
 
 class _Meter:
@@ -132,7 +135,7 @@ class _Meter:
         self.expert += time.perf_counter() - begin
         return action
 
-    def result(self, env_id: str, yardstick: Yardstick) -> Throughput:
+    def result(self, env_id: str, yardstick: Yardstick, busy: float) -> Throughput:
         per_step = 1e3 / self.steps  # ms
         return Throughput(
             env_id=env_id,
@@ -145,6 +148,7 @@ class _Meter:
             physics_ms=self.physics * per_step,
             rendering_ms=self.rendering * per_step,
             reset_ms=self.resetting * 1e3 / self.episodes,
+            load=busy,
         )
 
 

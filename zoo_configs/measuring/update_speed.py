@@ -16,6 +16,7 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from torch import nn
 from torch.profiler import profile
 
+from bulletarm_gym.machine import load_average
 from sb3_extensions.networks.encoders import precision
 from sb3_extensions.networks.equivariant import EquivariantConv2d
 from sb3_extensions.spatial_dqn import SpatialDQN
@@ -50,12 +51,18 @@ class UpdateSpeed:
         encoder or of the Q network, over those through plain ones of the same width; ``None`` without
         equivariant ones
     :param peak_gigabytes: Greatest memory of the process until then, on a GPU of the GPU
+    :param device: Type of the PyTorch device
+    :param threads: Of PyTorch
+    :param load: Load average of the machine when it began
     """
 
     update_ms: float
     shares: dict[str, float]
     convolution_ratio: float | None
     peak_gigabytes: float
+    device: str
+    threads: int
+    load: float
 
 
 @dataclass(frozen=True)
@@ -110,6 +117,7 @@ def measure_update(cell: Cell, seconds: float, device: str = "auto") -> UpdateSp
     :param device: PyTorch device
     :return: What was measured
     """
+    busy = load_average()
     before = {key: value for key, value in BEFORE_TRAINING.items() if key in cell.hyperparams}
     model: Any = make_model(cell, device, expert_episodes=EXPERT_EPISODES, **before)
     model.learn(1)
@@ -122,7 +130,15 @@ def measure_update(cell: Cell, seconds: float, device: str = "auto") -> UpdateSp
     times = list(_times(update, seconds))
     peak = _peak_gigabytes(model.device)
     model.env.close()
-    return UpdateSpeed(1e3 * _median(times), _shares(update), _compare_convolutions(model), peak)
+    return UpdateSpeed(
+        update_ms=1e3 * _median(times),
+        shares=_shares(update),
+        convolution_ratio=_compare_convolutions(model),
+        peak_gigabytes=peak,
+        device=model.device.type,
+        threads=th.get_num_threads(),
+        load=busy,
+    )
 
 
 def _peak_gigabytes(device: th.device) -> float:

@@ -137,6 +137,42 @@ def check_space(space: tuple[Parameter, ...], algorithm: type[Any]) -> None:
             raise unknown_name(f"hyperparameter of {algorithm.__name__} in the search space", name, valid)
 
 
+def fit_space(
+    space: tuple[Parameter, ...], cell: Cell, given: Mapping[str, Any], is_own: bool
+) -> tuple[Parameter, ...]:
+    """
+    Bring a space into line with the values that the user has given for a cell.
+
+    A shipped space leaves alone what was given; what it offers as choices, it offers besides the cell's own
+    value. A user's own space searches all that it names, beginning with what was given.
+
+    :param space: The space
+    :param cell: The cell, with what was given in it
+    :param given: Hyperparameters by name, as the user gave them
+    :param is_own: Whether the space is the user's own
+    :return: The space to search
+    :raises CommandError: if a user's own space does not have a value that was given, or nothing is left
+    """
+    if is_own:
+        for parameter in space:
+            value = _number(_look_up(given, parameter.name, None))
+            if value is not None and not parameter.holds(value):
+                raise CommandError(f"{parameter.name} is {value!r}, which the search space does not have")
+        return space
+    left = tuple(_with_own(p, cell) for p in space if p.name.partition(".")[0] not in given)
+    if not left:
+        raise CommandError("nothing is left to search: all that the space of the algorithm has is given")
+    return left
+
+
+def _with_own(parameter: Parameter, cell: Cell) -> Parameter:
+    """Choices with the cell's value among them, so that the first trial is the cell."""
+    value = _look_up(cell.hyperparams, parameter.name, None)
+    if not parameter.choices or value is None or value in parameter.choices:
+        return parameter
+    return parameter._replace(choices=(value, *parameter.choices))
+
+
 def first_values(space: tuple[Parameter, ...], cell: Cell, algorithm: type[Any]) -> dict[str, Any]:
     """
     The baseline's values, as far as the space has them: the first trial.

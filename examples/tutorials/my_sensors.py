@@ -1,0 +1,37 @@
+"""Tutorial 5: a sensor of one's own, in a module of its own."""
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+import bulletarm_gym
+from bulletarm_gym.scene import Scene
+from bulletarm_gym.sensors import Sensor, View
+
+SKIN = 1e-3  # beams begin this far (m) below the fingertips
+
+
+class Rangefinder(Sensor):
+    """Distance (m) from each fingertip to what is below it, along the fingers."""
+
+    def __init__(self, scene: Scene, reach: float = 0.3) -> None:
+        super().__init__(scene)
+        if not 0.0 < reach <= 2.0:
+            raise ValueError(f"reach: got {reach!r}, takes metres up to 2")
+        self.reach = reach
+
+    @property
+    def space(self) -> spaces.Box:
+        return spaces.Box(0.0, self.reach, (2,), np.float32)
+
+    def read(self, view: View) -> NDArray[np.float32]:
+        robot, client = view.scene.robot, view.scene.world.client
+        side = (robot.opening + robot.model.gripper.finger[0]) / 2.0
+        starts, ends = (
+            [robot.pose.transform((x, 0.0, z)) for x in (side, -side)] for z in (-SKIN, -self.reach)
+        )
+        shares = [hit[2] for hit in client.rayTestBatch(starts, ends)]
+        return np.array([SKIN + share * (self.reach - SKIN) for share in shares], np.float32)
+
+
+bulletarm_gym.register_sensor("rangefinder", Rangefinder)

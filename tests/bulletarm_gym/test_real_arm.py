@@ -1,0 +1,86 @@
+"""From a point cloud to what the environments observe."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from bulletarm_gym.env import ManipulationEnv
+from bulletarm_gym.geometry import FloatArray, Pose, euler_pose
+from bulletarm_gym.real_arm import close_loop_heightmap, in_hand_image, open_loop_heightmap
+from bulletarm_gym.scene import SIDE_PIXELS
+
+STACKING = "BulletArm/CloseLoopBlockStacking-v0"
+MILLIMETRE = 1e-3
+
+
+def cloud(env: ManipulationEnv, held: bool) -> FloatArray:
+    """Points as two depth cameras beside the workspace see them, without the arm."""
+    scene = env.scene
+    absent = [scene.robot.body, *([] if held or scene.robot.held is None else [scene.robot.held])]
+    cameras = scene.side_cameras(SIDE_PIXELS)
+    return np.concatenate([camera.points(scene.world, absent) for camera in cameras])
+
+
+@pytest.mark.parametrize(
+    "env_kwargs", [{}, {"obs_size": 64, "workspace": [[0.32, 0.6], [-0.1, 0.18], [0.02, 0.2]]}]
+)
+def test_close_loop_is_the_point_cloud_view_exactly(
+    env_kwargs: dict[str, object], make: Callable[..., ManipulationEnv]
+) -> None:
+    """On the way to a block, and with the block in the hand."""
+    env = make(STACKING, view="point_cloud", **env_kwargs)
+    observation, _ = env.reset(seed=1)
+    for _ in range(6):
+        robot, config = env.scene.robot, env.config
+        mine = close_loop_heightmap(
+            cloud(env, held=True), robot.pose, robot.opening, config.workspace, config.obs_size
+        )
+        assert (mine == observation["heightmap"]).all()
+        assert mine.dtype == np.float32
+        observation, *_ = env.step(env.expert_action())
+    assert env.scene.held is not None
+
+
+def test_open_loop_is_the_orthographic_view_but_at_edges(make: Callable[..., ManipulationEnv]) -> None:
+    env = make("BulletArm/OpenLoopBlockStacking-v0")
+    env.reset(seed=0)
+    for _ in range(3):
+        observation, *_ = env.step(env.expert_action())
+        difference = np.abs(open_loop_heightmap(cloud(env, held=False)) - observation["heightmap"])
+        assert np.median(difference) < MILLIMETRE
+        assert (difference > MILLIMETRE).mean() < 0.03
+
+
+@pytest.mark.parametrize(
+    ("env_id", "tilts"),
+    [("BulletArm/OpenLoopBlockStacking-v0", False), ("BulletArm/OpenLoopRampBlockStacking-v0", True)],
+)
+def test_the_in_hand_image_is_the_environments(
+    env_id: str, tilts: bool, make: Callable[..., ManipulationEnv]
+) -> None:
+    env = make(env_id)
+    before, _ = env.reset(seed=0)
+    action = env.expert_action()
+    move = env.decode_action(action)
+    theta, phi, psi = move.rotation
+    after, *_ = env.step(action)
+    assert after["in_hand"].any()
+    pick = euler_pose(move.position, (psi, phi, theta))
+    assert (in_hand_image(before["heightmap"], pick, tilts=tilts) == after["in_hand"]).all()
+
+
+def test_what_no_point_cloud_of_the_cell_is_is_refused() -> None:
+    hand = Pose((0.45, 0.0, 0.2))
+    with pytest.raises(ValueError, match=r"points: got an array of shape \(3,\), takes \(n, 3\)"):
+        close_loop_heightmap([0.4, 0.0, 0.0], hand, 0.05)
+    with pytest.raises(ValueError, match=r"points: got 1, none in the square of 0\.45 m"):
+        close_loop_heightmap([[450.0, 0.0, 0.0]], hand, 0.05)
+    with pytest.raises(ValueError, match=r"points: got 0, none in the square of 0\.4 m"):
+        open_loop_heightmap([[np.nan, 0.0, 0.0]])
+
+
+def test_points_that_a_camera_does_not_know_are_left_out() -> None:
+    known = [[0.45, 0.0, 0.03], [0.5, 0.1, 0.0]]
+    unknown = [[np.nan] * 3, [0.45, 0.0, np.inf]]
+    assert (open_loop_heightmap(known + unknown) == open_loop_heightmap(known)).all()

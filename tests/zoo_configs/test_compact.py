@@ -1,0 +1,122 @@
+"""Small files of agents: what acts is kept, the rest left out; the algorithm's own load reads them."""
+
+from __future__ import annotations
+
+import json
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+import torch as th
+from stable_baselines3 import PPO, SAC
+from stable_baselines3.common.base_class import BaseAlgorithm
+from torch import nn
+
+from sb3_extensions.sacfd import SACfD
+from zoo_configs.publishing.compact import acting_weights, save_compact
+
+SMALL = {"features_extractor_kwargs": {"n": 4, "channels": [1, 2, 2, 2, 2]}}
+
+
+class Bf16(nn.Module):
+    """Computes its plain layers in bfloat16."""
+
+    autocast = "bf16"
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.layer = nn.Linear(3, 2)
+
+
+class Policy(nn.Module):
+    """An actor that shares its encoder with the critic."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        encoder = Bf16()
+        self.actor = nn.ModuleDict({"encoder": encoder, "mean": nn.Linear(2, 2)})
+        self.critic = nn.ModuleDict({"encoder": encoder, "value": nn.Linear(2, 1)})
+
+
+def test_weights_are_rounded_as_the_network_rounds_them() -> None:
+    policy = Policy()
+    weights = acting_weights(policy, half=True)
+    assert set(weights) == set(policy.state_dict())
+    encoder = policy.actor["encoder"].layer.weight  # type: ignore[union-attr, index]
+    assert th.equal(weights["actor.encoder.layer.weight"], encoder.bfloat16())
+    assert weights["actor.mean.weight"].dtype == th.float16
+    assert weights["actor.mean.bias"].dtype == th.float32
+
+
+def test_what_does_not_act_is_left_out_and_what_is_shared_stays() -> None:
+    weights = acting_weights(Policy(), half=True)
+    assert weights["critic.value.weight"].isnan().all()
+    assert weights["critic.value.weight"].untyped_storage().nbytes() == 4
+    assert weights["critic.encoder.layer.weight"] is weights["actor.encoder.layer.weight"]
+
+
+def test_weights_too_large_for_float16_stay() -> None:
+    policy = Policy()
+    with th.no_grad():
+        policy.actor["mean"].weight[0, 0] = 1e6  # type: ignore[index, operator, union-attr]
+    assert acting_weights(policy, half=True)["actor.mean.weight"].dtype == th.float32
+
+
+def make_model(name: str, toy_id: str) -> BaseAlgorithm:
+    if name == "sac":
+        return SAC("MlpPolicy", "Pendulum-v1", seed=0)
+    if name == "ppo":
+        return PPO("MlpPolicy", "Pendulum-v1", seed=0)
+    kwargs: dict[str, Any] = {**SMALL, "share_features_extractor": name == "shared"}
+    return SACfD("EquivariantPolicy", gym.make(toy_id, obs_size=48), policy_kwargs=kwargs, seed=0)
+
+
+@pytest.mark.parametrize("name", ["sac", "ppo", "sacfd", "shared"])
+@pytest.mark.parametrize("half", [False, True])
+def test_what_is_loaded_acts_alike(name: str, half: bool, toy_id: str, tmp_path: Path) -> None:
+    model = make_model(name, toy_id)
+    stored = save_compact(model, tmp_path / "agent.zip", half)
+    loaded = type(model).load(tmp_path / "agent.zip")
+    assert stored == ("float16" if half else "float32")
+    space = model.observation_space
+    space.seed(0)
+    for _ in range(5):
+        seen = space.sample()
+        expected, _ = model.predict(seen, deterministic=True)
+        action, _ = loaded.predict(seen, deterministic=True)
+        np.testing.assert_allclose(action, expected, atol=0.01 if half else 0.0)
+
+
+def test_a_file_is_small_and_says_nothing_of_the_machine(toy_id: str, tmp_path: Path) -> None:
+    model = SACfD(
+        "EquivariantPolicy",
+        gym.make(toy_id, obs_size=48),
+        policy_kwargs=SMALL,
+        expert_episodes=2,
+        expert_cache=str(tmp_path / "secret"),
+        learning_starts=0,
+        pretrain_steps=1,
+        batch_size=4,
+        seed=0,
+    )
+    model.learn(2)
+    model.save(tmp_path / "whole.zip")
+    save_compact(model, tmp_path / "small.zip")
+    assert (tmp_path / "small.zip").stat().st_size < (tmp_path / "whole.zip").stat().st_size / 5
+    with zipfile.ZipFile(tmp_path / "small.zip") as archive:
+        data = archive.read("data").decode()
+    assert "secret" not in data
+    assert json.loads(data)["_last_obs"] is None
+    loaded = SACfD.load(tmp_path / "small.zip")
+    assert not loaded.actor.optimizer.state_dict()["state"]
+    assert all(weight.isnan().all() for weight in loaded.critic.parameters())
+
+
+def test_the_same_agent_gives_the_same_bytes(toy_id: str, tmp_path: Path) -> None:
+    model = make_model("sacfd", toy_id)
+    for name in ("a.zip", "b.zip"):
+        save_compact(model, tmp_path / name)
+    assert (tmp_path / "a.zip").read_bytes() == (tmp_path / "b.zip").read_bytes()

@@ -1,0 +1,78 @@
+"""Measured results: rows of runs, replaced when measured anew, and the table that shows them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from zoo_configs.cells.rules import task_name
+from zoo_configs.cli import main
+from zoo_configs.measuring.data_files import RESULTS, DataFile
+from zoo_configs.pages.markers import Source
+from zoo_configs.pages.results import results_table
+from zoo_configs.publishing.published import published_agents
+
+Refuse = Callable[..., str]
+DATA = Path(__file__).resolve().parents[2] / "docs" / "data" / "results.csv"
+EMPTY = dict.fromkeys(RESULTS.columns, "")
+ROW = {
+    **EMPTY,
+    **dict(env="CloseLoopToy", baseline="sacfd", preset="quick", seed="0", demonstrations="300", noise="0.1"),
+    **dict(updates="500", steps="1500", best="1", last="0.95", minutes="3.4", commit="abc1234"),
+}
+
+
+def test_published_agents_are_in_the_table() -> None:
+    rows = DataFile(DATA, RESULTS).read()
+    measured = {tuple(row[name] for name in ("env", "baseline", "preset", "seed", "commit")) for row in rows}
+    for _, card in published_agents():
+        assert (task_name(card.env), card.baseline, card.preset, str(card.seed), card.commit) in measured
+
+
+def test_a_run_gets_a_row(run_folder: Path, tmp_path: Path) -> None:
+    data = DataFile(tmp_path / "results.csv", RESULTS)
+    data.add(other := {**ROW, "env": "CloseLoopOther"})
+    words = [str(run_folder), "--data", str(data.path), "-n", "2", "--device", "cpu", "--commit", "abc1234"]
+    for _ in range(2):  # the second time it is replaced
+        assert main(["results", *words]) == 0
+        first, row = data.read()
+    assert first == other
+    assert [row[name] for name in ("env", "baseline", "preset", "seed")] == [
+        *("CloseLoopToy", "equi_sacfd", "quick", "0")
+    ]
+    assert {row["best"], row["last"]} <= {"0", "0.5", "1"}
+    assert row["least"] <= row["greatest"]
+    numbers = ["2", "2", "12", "abc1234"]
+    assert [row[name] for name in ("episodes", "updates", "steps", "commit")] == numbers
+    assert "batch_size:4" in row["options"]
+
+
+def test_rows_become_cells(tmp_path: Path) -> None:
+    data = DataFile(tmp_path / "results.csv", RESULTS)
+    for row in ROW, {**ROW, "preset": "cpu"}, {**ROW, "env": "OpenLoopToy"}:
+        data.add(row)
+    table = results_table(Source(tmp_path, tmp_path / "page.md"), "quick", "CloseLoop*")
+    _, _, line = table.splitlines()
+    assert line == "| Toy | `sacfd` | 300 with noise, 500, 1,500 | 1.00 | 0.95 |  | 3 | abc1234 |"
+
+
+def test_what_was_measured_earlier_is_marked(tmp_path: Path) -> None:
+    DataFile(tmp_path / "results.csv", RESULTS).add({**ROW, "earlier": "yes", "options": "gamma:0.9"})
+    table = results_table(Source(tmp_path, tmp_path / "page.md"), "quick", "*")
+    assert "| Toy (`gamma:0.9`) |" in table
+    assert "| abc1234, earlier |" in table
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ([], "the following arguments are required: RUN_FOLDER"),
+        (["nowhere"], "nowhere is no run folder"),
+        (["nowhere", "--data", "/dev/null/a.csv"], "cannot be written"),
+        (["nowhere", "--data", str(DATA.with_name("speed.csv"))], "is no such file of measurements"),
+    ],
+)
+def test_what_cannot_be_tabled(words: list[str], message: str, refuse: Refuse) -> None:
+    assert message in refuse("results", *words)

@@ -1,0 +1,75 @@
+"""What MkDocs calls when it builds the site: pages of the tasks, version, and the repository's address."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import tomllib
+from mkdocs.config.defaults import MkDocsConfig
+from mkdocs.structure.files import File, Files
+
+ROOT = Path(__file__).resolve().parent.parent
+sys.path.insert(0, str(ROOT))
+
+from website import agents, gallery, task_page  # noqa: E402
+from website.catalogue import SHOWN, grouped  # noqa: E402
+
+FOLDER = "tasks"
+SSH = re.compile(r"^(?:ssh://)?git@([\w.-]+)[:/](.+)$")
+
+
+def on_config(config: MkDocsConfig) -> MkDocsConfig:
+    """Add the version, the repository and the navigation of the tasks."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    config.extra["version_name"] = project["version"]
+    config.copyright = f"BulletArm Gym {project['version']}, MIT licence"
+    config.repo_url = config.repo_url or repository(project)
+    config.repo_name = config.repo_name or ("Repository" if config.repo_url else None)
+    for item in config.nav or []:
+        if "Tasks" in item:
+            item["Tasks"] = navigation()
+    return config
+
+
+def on_files(files: Files, *, config: MkDocsConfig) -> Files:
+    """Add the pages that are made from the environments."""
+    pages = {"index": gallery.page(), **{one.name: task_page.page(one) for one in SHOWN}}
+    for name, content in pages.items():
+        files.append(File.generated(config, f"{FOLDER}/{name}.md", content=content))
+    return files
+
+
+def on_page_markdown(markdown: str, **_: Any) -> str:
+    """Fill in the tables of trained agents that pages ask for."""
+    return agents.filled(markdown)
+
+
+def navigation() -> list[Any]:
+    """Return the gallery and, group by group, the tasks."""
+    groups = {
+        heading: [{f"{one.title}, {one.setting}": f"{FOLDER}/{one.name}.md"} for one in members]
+        for heading, members in grouped().items()
+    }
+    return [f"{FOLDER}/index.md", *({heading: members} for heading, members in groups.items())]
+
+
+def repository(project: dict[str, Any]) -> str | None:
+    """Return the address of the repository: the project's, else what it was cloned from, if that is public.
+
+    :param project: of pyproject.toml
+    """
+    urls: dict[str, str] = project.get("urls", {})
+    named = next((urls[name] for name in urls if name.lower() in ("repository", "source")), None)
+    return named or _origin()
+
+
+def _origin() -> str | None:
+    ask = ["git", "-C", str(ROOT), "remote", "get-url", "origin"]
+    try:
+        url = subprocess.run(ask, capture_output=True, text=True, check=True).stdout.strip()
+    except (OSError, subprocess.CalledProcessError):
+        return None
+    url = SSH.sub(r"https://\1/\2", url).removesuffix(".git")
+    return url if url.startswith("https://") and "@" not in url else None

@@ -1,0 +1,1 @@
+"""Tables and sentences of the documentation that files of measurements fill."""

@@ -1,0 +1,147 @@
+"""Small files of trained agents, which their algorithm's own ``load`` reads."""
+
+from __future__ import annotations
+
+import copy
+import io
+import zipfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import torch as th
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.save_util import save_to_zip_file
+from torch import nn
+
+from zoo_configs.algorithms import ALGORITHMS
+from zoo_configs.files import whole_file
+
+POLICY = "policy"
+SMALLER = {th.float16: "float16", th.bfloat16: "bfloat16"}
+# What an agent that only acts has no use for, and paths of the machine that trained it.
+BLANKS: dict[str, Any] = {
+    "_last_obs": None,
+    "_last_original_obs": None,
+    "_last_episode_starts": None,
+    "ep_info_buffer": None,
+    "ep_success_buffer": None,
+    "action_noise": None,
+    "tensorboard_log": None,
+    "expert_cache": None,
+    "expert_data": None,
+    "start_time": 0,
+    "verbose": 0,
+    "learning_rate": 0.0,
+    "clip_range": 0.0,
+    "clip_range_vf": None,
+}
+SCHEDULES = ("lr_schedule", "exploration_schedule")  # made anew by who loads
+
+
+def save_compact(model: BaseAlgorithm, path: Path, half: bool = True) -> str:
+    """
+    Write the part of an agent that acts: no optimizer's state, and neither critic nor target network unless
+    actions come from them. Parameters that are left out are NaN in who loads the file.
+
+    :param model: The agent
+    :param path: The file, ``.zip``
+    :param half: Whether to halve the weights: bfloat16 where the network computes in it anyway, else float16
+    :return: What the weights are stored as
+    """
+    params = {name: _without_state(state) for name, state in model.get_parameters().items()}
+    weights = acting_weights(model.policy, half)
+    params[POLICY] = weights
+    names, variables = model._get_torch_save_params()
+    left_out = (*model._excluded_save_params(), *names, *variables, *SCHEDULES)
+    data = {name: value for name, value in vars(model).items() if name not in _roots(left_out)}
+    data.update({name: value for name, value in BLANKS.items() if name in data})
+    data.update({name: _unseeded(data[name]) for name in ("observation_space", "action_space")})
+    if type(model).__module__.split(".")[0] not in _our_packages() and "buffer_size" in data:
+        data["buffer_size"] = 1  # ours allocate nothing before their first transition
+    file = io.BytesIO()
+    save_to_zip_file(file, data, params, {name: getattr(model, name) for name in variables})
+    _pack(file, path)
+    return ", ".join(sorted({SMALLER[t.dtype] for t in weights.values() if t.dtype in SMALLER})) or "float32"
+
+
+def acting_weights(policy: nn.Module, half: bool) -> dict[str, th.Tensor]:
+    """
+    Parameters and buffers of a policy under all their names.
+
+    :param policy: The policy
+    :param half: Whether to halve those of two and more dimensions
+    :return: What acts; the others NaN, without a storage of their own size
+    """
+    actor = _actor(policy)
+    kept = {id(tensor) for tensor in actor.state_dict(keep_vars=True).values()}
+    computed_in_bf16 = {id(weight) for weight in _bf16_weights(actor)}
+    known: dict[int, th.Tensor] = {}  # shared parameters stay shared
+    for tensor in policy.state_dict(keep_vars=True).values():
+        key = id(tensor)
+        dtype = th.bfloat16 if key in computed_in_bf16 else th.float16
+        if key not in known:
+            known[key] = _shrunk(tensor.detach(), dtype, half) if key in kept else _absent(tensor)
+    return {name: known[id(tensor)] for name, tensor in policy.state_dict(keep_vars=True).items()}
+
+
+def _actor(policy: nn.Module) -> nn.Module:
+    """The part of a policy that actions come from."""
+    for name in ("actor", "q_net"):
+        if isinstance(part := getattr(policy, name, None), nn.Module):
+            return part
+    return policy
+
+
+def _bf16_weights(actor: nn.Module) -> Iterator[th.Tensor]:
+    """Weights that are rounded to bfloat16 whenever they are used: to store them so changes nothing."""
+    for part in actor.modules():
+        if getattr(part, "autocast", None) == "bf16":
+            yield from (m.weight for m in part.modules() if isinstance(m, nn.Linear | nn.Conv2d))
+
+
+def _shrunk(tensor: th.Tensor, dtype: th.dtype, half: bool) -> th.Tensor:
+    """Halved, unless it is small or does not fit."""
+    if not half or not tensor.is_floating_point() or tensor.ndim < 2:
+        return tensor
+    smaller = tensor.to(dtype)
+    return smaller if smaller.isfinite().all() else tensor
+
+
+def _absent(tensor: th.Tensor) -> th.Tensor:
+    """A tensor of the same shape, of one number."""
+    value = th.nan if tensor.is_floating_point() else 0
+    return th.full((), value, dtype=tensor.dtype).expand(tensor.shape)
+
+
+def _without_state(state: dict[str, Any]) -> dict[str, Any]:
+    """An optimizer's, as before its first step; others as they are."""
+    return {**state, "state": {}} if set(state) == {"state", "param_groups"} else state
+
+
+def _unseeded(space: Any) -> Any:
+    """A copy without a generator's state, which other versions of NumPy may not read."""
+    fresh = copy.deepcopy(space)
+    fresh._np_random = None
+    for part in getattr(fresh, "spaces", {}).values():
+        part._np_random = None
+    return fresh
+
+
+def _roots(names: tuple[str, ...]) -> set[str]:
+    return {name.split(".")[0] for name in names}
+
+
+def _our_packages() -> set[str]:
+    return _roots(tuple(ALGORITHMS.values()))
+
+
+def _pack(stored: io.BytesIO, path: Path) -> None:
+    """Compress what Stable-Baselines3 stores as it is; the same agent gives the same bytes."""
+    with (
+        zipfile.ZipFile(stored) as source,
+        whole_file(path) as partial,
+        zipfile.ZipFile(partial, "w") as target,
+    ):
+        for name in source.namelist():
+            target.writestr(zipfile.ZipInfo(name), source.read(name), zipfile.ZIP_BZIP2, compresslevel=9)
