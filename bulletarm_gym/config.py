@@ -218,6 +218,24 @@ SCALE_STEP = 0.02
 
 ROBOTS = ("kuka", "panda", "ur5", "ur5_robotiq")
 """Our arms by name; users register more."""
+OBJECT_KINDS = (
+    *(
+        "bottle_tray",
+        "bowl",
+        "brick",
+        "cube",
+        "cylinder",
+        "flat_block",
+        "new_tube_box",
+        "packing_bin",
+        "pallet",
+    ),
+    *("palletizing_box", "roof", "swab", "test_area", "triangle", "tube", "used_tube", "used_tube_box"),
+    *(f"bottle_{number}" for number in range(8)),
+    *(f"improvise_block_{number}" for number in range(19)),
+    *(f"packing_block_{number}" for number in range(7)),
+)
+"""Our objects by name; users register more."""
 SENSORS = ("heightmap", "in_hand", "holding", "state", "color", "segmentation", "rgb", "point_cloud")
 """What can be observed, by name; users register more."""
 PRESETS: dict[str, dict[str, tuple[str, ...]]] = {

@@ -10,7 +10,7 @@ from collections.abc import Collection, Mapping
 from contextlib import suppress
 from typing import Any, TypeVar
 
-from bulletarm_gym.config import CLOSE_LOOP, LEVEL, OPEN_LOOP, ROBOTS, SENSORS, SLOPING
+from bulletarm_gym.config import CLOSE_LOOP, LEVEL, OBJECT_KINDS, OPEN_LOOP, ROBOTS, SENSORS, SLOPING
 
 OBJECTS = ("robot", "reward")
 """Parameters that may be objects of the user's."""
@@ -49,7 +49,7 @@ def register_object(name: str, make: Any) -> None:
         path ``"module:name"`` of one
     :raises ValueError: the name is taken or no identifier, or the function has no import path
     """
-    _store(OBJECT_PATHS, "object", name, make)
+    _store(OBJECT_PATHS, "object", name, make, OBJECT_KINDS)
 
 
 def register_surface(name: str, surface: Any) -> None:

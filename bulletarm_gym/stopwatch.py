@@ -14,7 +14,7 @@ RENDERING = "rendering"
 class Stopwatch:
     """Adds up the seconds that parts of an environment take.
 
-    :meth:`ManipulationEnv.measure() <bulletarm_gym.env.ManipulationEnv.measure>` returns one that runs.
+    :meth:`~bulletarm_gym.env.ManipulationEnv.measure` returns one that runs.
     """
 
     def __init__(self) -> None:

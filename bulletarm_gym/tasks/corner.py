@@ -5,11 +5,10 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from bulletarm_gym.config import CLOSE_LOOP, EnvConfig, TaskDefaults, TrayUse
+from bulletarm_gym.config import EnvConfig, TaskDefaults, TrayUse
 from bulletarm_gym.experts.approach import (
     HEIGHT_TOLERANCE,
     HOVER,
-    STEP,
     grasp_item,
     highest_between,
     side_yaw,
@@ -19,10 +18,8 @@ from bulletarm_gym.geometry import Pose, planar_distance
 from bulletarm_gym.objects import corner, cube
 from bulletarm_gym.objects.corner import INSIDE, PLATE, SIDE
 from bulletarm_gym.placement import draw_until, is_within
-from bulletarm_gym.relations import is_held
 from bulletarm_gym.scene import Role, Scene, scaled
-from bulletarm_gym.tasks.picking import LIFTED
-from bulletarm_gym.tasks.task import Task
+from bulletarm_gym.tasks.picking import Lift
 
 WALL_CLEARANCE = 2e-4
 """Gap (m) between the cube and the walls: it stands flush, but is not pressed against them."""
@@ -43,7 +40,7 @@ PRESSING_RADIUS = 0.025
 """... and within which it presses on the cube."""
 
 
-class CornerPicking(Task):
+class CornerPicking(Lift):
     """Get a cube out of a corner and lift it.
 
     Description: a 5 cm cube stands in a corner, touching both of its walls, which are 8 cm high and fixed;
@@ -59,12 +56,6 @@ class CornerPicking(Task):
         tray=TrayUse((False,), "the corner does not fit into the tray"),
         level_ground="the corner's plate lies on level ground",
     )
-    controls = (CLOSE_LOOP,)
-
-    @property
-    def height(self) -> float:
-        """Up to where the gripper must lift."""
-        return LIFTED
 
     def bodies(self, config: EnvConfig) -> list[Role]:
         """Return the cube and the corner."""
@@ -91,20 +82,13 @@ class CornerPicking(Task):
             return float(rng.uniform(-math.pi, math.pi))
         return int(rng.integers(4)) * math.pi / 2.0
 
-    def evaluate(self, scene: Scene) -> dict[str, bool]:
-        """Look whether the cube is held, and how high."""
-        held = is_held(scene, scene["cube"])
-        return {"success": held and scene.robot.pose.z > LIFTED, "is_held": held}
-
-    def plan(self, scene: Scene, rng: np.random.Generator) -> Iterator[Waypoint]:
-        """Nudge the cube out of the corner, grasp it, lift it."""
-        item, hand = scene["cube"], scene.robot.pose
-        if not is_held(scene, item):
-            x, y, _ = scene["corner"].pose.inverse().transform(item.pose.position)
-            if min(x, y) - INSIDE - item.spec.extents[0] / 2.0 < FREE:
-                yield from self._nudge(scene)
-            yield from grasp_item(scene, item, side_yaw(item.pose), math.pi / 2.0)
-        yield Waypoint(Pose.planar(hand.x, hand.y, max(hand.z, LIFTED) + STEP, hand.yaw), CLOSED)
+    def _grasp(self, scene: Scene) -> Iterator[Waypoint]:
+        """Nudge the cube out of the corner first, where it still stands in it."""
+        item = scene["cube"]
+        x, y, _ = scene["corner"].pose.inverse().transform(item.pose.position)
+        if min(x, y) - INSIDE - item.spec.extents[0] / 2.0 < FREE:
+            yield from self._nudge(scene)
+        yield from grasp_item(scene, item, side_yaw(item.pose), math.pi / 2.0)
 
     def _nudge(self, scene: Scene) -> Iterator[Waypoint]:
         """Press on the cube with the closed gripper, and draw it to the middle of the plate."""

@@ -1,6 +1,7 @@
 """Picking up a block."""
 
 import math
+from abc import abstractmethod
 from collections.abc import Iterator
 
 import numpy as np
@@ -21,7 +22,37 @@ Grasping)."""
 YAW_SPREAD = math.pi / 4.0
 
 
-class BlockPicking(Task):
+class Lift(Task):
+    """The base of tasks that are solved once a cube is held in the air.
+
+    Success: the gripper holds the cube and is more than 15 cm above the ground.
+    """
+
+    controls = (CLOSE_LOOP,)
+
+    @property
+    def height(self) -> float:
+        """Up to where the gripper must lift."""
+        return LIFTED
+
+    def evaluate(self, scene: Scene) -> dict[str, bool]:
+        """Look whether the cube is held, and how high."""
+        held = is_held(scene, scene["cube"])
+        return {"success": held and scene.robot.pose.z > LIFTED, "is_held": held}
+
+    def plan(self, scene: Scene, rng: np.random.Generator) -> Iterator[Waypoint]:
+        """Grasp the cube, then lift."""
+        hand = scene.robot.pose
+        if not is_held(scene, scene["cube"]):
+            yield from self._grasp(scene)
+        yield Waypoint(Pose.planar(hand.x, hand.y, max(hand.z, LIFTED) + STEP, hand.yaw), CLOSED)
+
+    @abstractmethod
+    def _grasp(self, scene: Scene) -> Iterator[Waypoint]:
+        """Get the cube between the fingers."""
+
+
+class BlockPicking(Lift):
     """Grasp a cube and lift it.
 
     Description: one 5 cm cube stands on the floor.
@@ -31,12 +62,6 @@ class BlockPicking(Task):
     """
 
     defaults = TaskDefaults(num_objects=1)
-    controls = (CLOSE_LOOP,)
-
-    @property
-    def height(self) -> float:
-        """Up to where the gripper must lift."""
-        return LIFTED
 
     def bodies(self, config: EnvConfig) -> list[Role]:
         """Return the cube."""
@@ -46,17 +71,9 @@ class BlockPicking(Task):
         """Put the cube anywhere."""
         place_cube(scene, rng, YAW_SPREAD)
 
-    def evaluate(self, scene: Scene) -> dict[str, bool]:
-        """Look whether the cube is held, and how high."""
-        held = is_held(scene, scene["cube"])
-        return {"success": held and scene.robot.pose.z > LIFTED, "is_held": held}
-
-    def plan(self, scene: Scene, rng: np.random.Generator) -> Iterator[Waypoint]:
-        """Grasp, then lift."""
-        item, hand = scene["cube"], scene.robot.pose
-        if not is_held(scene, item):
-            symmetry = side_symmetry(item.pose)
-            yaw = item.pose.yaw if symmetry < math.pi else side_yaw(item.pose)
-            target = Pose.planar(*item.pose.position, yaw)
-            yield from grasp(scene, target, scene.world.top(item.body), symmetry)
-        yield Waypoint(Pose.planar(hand.x, hand.y, max(hand.z, LIFTED) + STEP, hand.yaw), CLOSED)
+    def _grasp(self, scene: Scene) -> Iterator[Waypoint]:
+        item = scene["cube"]
+        symmetry = side_symmetry(item.pose)
+        yaw = item.pose.yaw if symmetry < math.pi else side_yaw(item.pose)
+        target = Pose.planar(*item.pose.position, yaw)
+        yield from grasp(scene, target, scene.world.top(item.body), symmetry)

@@ -10,8 +10,9 @@ import tomllib
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 
-ROOT = Path(__file__).resolve().parent.parent
-sys.path.insert(0, str(ROOT))
+HERE = Path(__file__).resolve().parent
+ROOT = HERE.parent.parent
+sys.path.insert(0, str(HERE.parent))
 
 from website import agents, gallery, task_page  # noqa: E402
 from website.catalogue import SHOWN, grouped  # noqa: E402
