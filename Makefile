@@ -32,7 +32,7 @@ tables: venv
 
 # The last line printed is pytest's own summary.
 test: lint type
-	$(BIN)/python -m pytest -n 2 -q $(PYTEST_FLAGS)
+	$(BIN)/python -m pytest -n 2 --dist worksteal -q $(PYTEST_FLAGS)
 
 lint: venv
 	$(BIN)/ruff check .

@@ -27,13 +27,11 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import gymnasium as gym
 import numpy as np
 import stable_baselines3 as sb3
 import torch as th
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
-from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.type_aliases import GymEnv
 from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper, VecFrameStack, VecMonitor, VecNormalize
@@ -44,11 +42,9 @@ PREFIX = "checkpoint_"
 TEMPORARY_PREFIX = ".incomplete_"
 CHUNK = 1 << 20  # bytes
 
-# What changes from step to step in wrappers, by wrapper.
-WRAPPER_STATE: dict[type[gym.Wrapper[Any, Any, Any, Any]], str] = {
-    Monitor: "rewards",
-    gym.wrappers.TimeLimit: "_elapsed_steps",
-}
+# What changes from step to step in Monitor and TimeLimit. By name: rl_zoo3 puts a class of its own in place
+# of TimeLimit, and worker processes do not take one that is no longer found where it says it is.
+WRAPPER_STATE = ("rewards", "_elapsed_steps")
 VEC_WRAPPER_STATE: dict[type[VecEnvWrapper], tuple[str, ...]] = {
     VecMonitor: ("episode_returns", "episode_lengths", "episode_count"),
     VecNormalize: ("obs_rms", "ret_rms", "returns", "old_obs", "old_reward"),
@@ -283,11 +279,7 @@ def _env_state(model: BaseAlgorithm) -> dict[str, Any]:
     assert env is not None, "You must set the environment before saving a checkpoint"
     return {
         "envs": env.env_method("get_state") if env.has_attr("get_state") else None,
-        "wrappers": {
-            name: env.get_attr(name)
-            for wrapper, name in WRAPPER_STATE.items()
-            if all(env.env_is_wrapped(wrapper))
-        },
+        "wrappers": {name: env.get_attr(name) for name in WRAPPER_STATE if env.has_attr(name)},
         "vec_wrappers": [
             {name: getattr(wrapper, name) for name in _vec_wrapper_state(wrapper) if hasattr(wrapper, name)}
             for wrapper in _vec_wrappers(env)

@@ -23,7 +23,7 @@ from zoo_configs.drawing.curves import LearningCurve, draw_curves, load_curve, m
 from zoo_configs.drawing.video import compose_frame, observed_images
 from zoo_configs.errors import CommandError
 from zoo_configs.files import whole_file
-from zoo_configs.measuring import throughput, vector_speed
+from zoo_configs.measuring import overhead, throughput, vector_speed
 from zoo_configs.measuring.data_files import OVERHEAD, SPEED, UPDATES, DataFile, number
 from zoo_configs.measuring.throughput import ReferenceRate, load_reference
 from zoo_configs.training.runs import Run, claim_run_folder, write_resolved
@@ -271,15 +271,19 @@ def test_seed_streams_are_apart() -> None:
     assert stream_seed(1, SeedStream.TEST) == stream_seed(1, SeedStream.TEST)
 
 
-def test_speed_tells_what_train_adds(toy_id: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_speed_tells_what_train_adds(
+    toy_id: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(overhead, "measure_overhead", partial(overhead.measure_overhead, pairs=2))
     data = DataFile(tmp_path / "overhead.csv", OVERHEAD)
-    command = ["speed", "--baseline", "sacfd", "--env", toy_id, "--preset", "quick", "--device", "cpu"]
-    command += ["--env-kwargs", "obs_size:48", "--overhead", "2", "--data", str(data.path), "--markdown"]
+    # The paper's preset has no updates before the first step.
+    command = ["speed", "--baseline", "sacfd", "--env", toy_id, "--preset", "paper", "--device", "cpu"]
+    command += ["--env-kwargs", "obs_size:128", "--overhead", "2", "--data", str(data.path), "--markdown"]
     assert main(command) == 0
     *_, head, _, row = capsys.readouterr().out.splitlines()
     measured = dict(zip(_cells(head), _cells(row), strict=True))
     assert measured["time steps"] == "2" and measured["overhead"].endswith("%")
     assert float(measured["model.learn() CPU s"]) > 0 and float(measured["train CPU s"]) > 0
     [row] = data.read()
-    assert row["timesteps"] == "2" and row["env_kwargs"] == "obs_size:48"
+    assert row["timesteps"] == "2" and row["env_kwargs"] == "obs_size:128"
     assert float(row["least"]) <= float(row["overhead"]) <= float(row["greatest"])
