@@ -50,7 +50,7 @@ OPENING_PLAY = 0.008
 """What the gripper opens wider (m) than a block, at least, to take it."""
 LIFTS = (0.0, 0.15, 0.3)
 """How far above its middle, in heights, a block may be taken."""
-OVERHANG = 0.02
+OVERHANG = 0.005
 """What reaches less (m) beyond the open fingers than this needs no room of its own."""
 PALM_CLEARANCE = 0.004
 """Gap (m) between a palm and what is beside or under it."""
