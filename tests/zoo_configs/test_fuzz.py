@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from bulletarm_gym import selfcheck
 from bulletarm_gym.selfcheck import Yardstick
 from zoo_configs.cli import main
-from zoo_configs.measuring import throughput
 
 REACHING = "BulletArm/CloseLoopBlockReaching-v0"
 JUNK = "|0|-1|1.5|x|'|a:1|a:|{|☃|nowhere|/dev/null/x|nan|TOY|None".split("|")
@@ -173,7 +173,7 @@ def follow(
     toy_id: str, trained: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: Any
 ) -> Follow:
     """Runs a command line in a folder of its own and looks at what it did."""
-    monkeypatch.setattr(throughput, "measure_yardstick", lambda: Yardstick(step_us=48, render_ms=4.2))
+    monkeypatch.setattr(selfcheck, "measure_yardstick", lambda: Yardstick(step_us=48, render_ms=4.2))
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
     [run] = trained.glob("sacfd/*_1")

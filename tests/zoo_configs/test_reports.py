@@ -15,6 +15,7 @@ import pytest
 from gymnasium import spaces
 from stable_baselines3.common.vec_env import SubprocVecEnv
 
+from bulletarm_gym import selfcheck
 from bulletarm_gym.selfcheck import Yardstick
 from sb3_extensions.vec_env import SplitVecEnv
 from zoo_configs.cells.cell import Cell
@@ -23,7 +24,7 @@ from zoo_configs.drawing.curves import LearningCurve, draw_curves, load_curve, m
 from zoo_configs.drawing.video import compose_frame, observed_images
 from zoo_configs.errors import CommandError
 from zoo_configs.files import whole_file
-from zoo_configs.measuring import overhead, throughput, vector_speed
+from zoo_configs.measuring import overhead, vector_speed
 from zoo_configs.measuring.data_files import OVERHEAD, SPEED, UPDATES, DataFile, number
 from zoo_configs.measuring.throughput import ReferenceRate, load_reference
 from zoo_configs.training.runs import Run, claim_run_folder, write_resolved
@@ -35,7 +36,7 @@ REACHING = "BulletArm/CloseLoopBlockReaching-v0"
 def test_speed_compares_with_the_reference(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(throughput, "measure_yardstick", lambda: Yardstick(step_us=48, render_ms=4.2))
+    monkeypatch.setattr(selfcheck, "measure_yardstick", lambda: Yardstick(step_us=48, render_ms=4.2))
     data = DataFile(tmp_path / "speed.csv", SPEED)
     kept = ["--data", str(data.path), "--markdown"]
     assert main(["speed", "--env", REACHING, "--seconds", "0.1", "--reference", *kept]) == 0
