@@ -12,7 +12,7 @@ import json
 import os
 import platform
 import zlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
@@ -229,16 +229,23 @@ def _user_block(content: bytes) -> bytes:
     return (MAGIC + f" crc32 {zlib.crc32(content):08x}\n".encode()).ljust(USER_BLOCK, b"\0")
 
 
+def _remove(path: Path) -> None:
+    path.unlink(missing_ok=True)
+
+
 @contextmanager
-def whole_file(path: Path) -> Iterator[Path]:
-    """Give a temporary path beside ``path``, which takes its place if the block succeeds, and else goes."""
+def whole_file(path: Path, discard: Callable[[Path], None] = _remove) -> Iterator[Path]:
+    """Give a temporary path beside ``path``, which takes its place if the block succeeds, and else goes.
+
+    :param discard: removes what stands at the temporary path, if anything does
+    """
     path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_name(f".{path.name}-{os.getpid()}")
+    temporary = path.with_name(f".{path.name}-{os.getpid()}")
     try:
-        yield partial
-        os.replace(partial, path)
+        yield temporary
+        os.replace(temporary, path)
     finally:
-        partial.unlink(missing_ok=True)
+        discard(temporary)
 
 
 def _write_observations(group: h5py.Group, key: str, values: NDArray[Any]) -> None:

@@ -4,6 +4,7 @@ import os
 import shutil
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing, contextmanager
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -11,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from bulletarm_gym.demonstrations.episodes import Demonstrations, Episode
+from bulletarm_gym.demonstrations.episodes import Demonstrations, Episode, whole_file
 from bulletarm_gym.demonstrations.replaying import replay
 from bulletarm_gym.env import ManipulationEnv
 from bulletarm_gym.sensors import Holding, Rgb, Sensor, State, View
@@ -101,13 +102,13 @@ def export_lerobot(
     except ImportError as error:
         raise ImportError(f"LeRobot is missing ({error}): pip install 'bulletarm-gym[lerobot]'") from error
     target = Path(HF_LEROBOT_HOME) / repo_id if root is None else Path(root)
-    with closing(inner(demonstrations)) as env, whole_folder(target) as partial, _without_bars():
+    with closing(inner(demonstrations)) as env, whole_folder(target) as temporary, _without_bars():
         features = make_features(env, demonstrations[0], cameras)
         dataset = LeRobotDataset.create(
             repo_id,
             fps=env.metadata["render_fps"] if fps is None else fps,
             features={name: _described(feature) for name, feature in features.items()},
-            root=partial,
+            root=temporary,
             robot_type=env.config.robot,
             use_videos=False,
         )
@@ -253,13 +254,8 @@ def whole_folder(path: Path) -> Iterator[Path]:
     """
     if path.exists():
         raise FileExistsError(f"root: {path} is there already")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_name(f".{path.name}-{os.getpid()}")
-    try:
-        yield partial
-        os.replace(partial, path)
-    finally:
-        shutil.rmtree(partial, ignore_errors=True)
+    with whole_file(path, discard=partial(shutil.rmtree, ignore_errors=True)) as temporary:
+        yield temporary
 
 
 @contextmanager
