@@ -18,6 +18,7 @@ BLUE: Colour = (0.36, 0.62, 0.82)
 BLACK: Colour = (0.16, 0.16, 0.17)
 GREY: Colour = (0.45, 0.46, 0.48)
 QUARTER = math.pi / 2.0
+Y_AXIS, Z_AXIS = (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
 ALONG_X = (0.0, QUARTER, 0.0)
 """Turns z onto x: the upper arm and the forearm lie along z of their links, level when all joints are 0."""
 
@@ -46,72 +47,70 @@ def _joint_housing(radius: float, length: float, height: float, cap: float) -> t
     )
 
 
-def _segments() -> tuple[Segment, ...]:
-    y, z = (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
-    return (
-        Segment(
-            "shoulder",
-            Pose((0.0, 0.0, 0.0892)),
-            z,
-            3.7,
-            (
-                cylinder(0.06, 0.13, (0.0, 0.0, 0.0), SILVER),
-                cylinder(0.058, 0.08, (0.0, 0.04, 0.0), SILVER, "y", solid=False),
-                cylinder(0.056, 0.012, (0.0, 0.0, 0.068), BLUE, solid=False),
-            ),
+SEGMENTS = (
+    Segment(
+        "shoulder",
+        Pose((0.0, 0.0, 0.0892)),
+        Z_AXIS,
+        3.7,
+        (
+            cylinder(0.06, 0.13, (0.0, 0.0, 0.0), SILVER),
+            cylinder(0.058, 0.08, (0.0, 0.04, 0.0), SILVER, "y", solid=False),
+            cylinder(0.056, 0.012, (0.0, 0.0, 0.068), BLUE, solid=False),
         ),
-        Segment(
-            "upper_arm",
-            euler_pose((0.0, 0.1359, 0.0), ALONG_X),
-            y,
-            8.393,
-            (
-                cylinder(0.047, 0.425, (0.0, 0.0, 0.2125), SILVER),
-                *_joint_housing(0.06, 0.12, 0.0, 0.064),
-                *_joint_housing(0.056, 0.115, 0.425, 0.061),
-            ),
+    ),
+    Segment(
+        "upper_arm",
+        euler_pose((0.0, 0.1359, 0.0), ALONG_X),
+        Y_AXIS,
+        8.393,
+        (
+            cylinder(0.047, 0.425, (0.0, 0.0, 0.2125), SILVER),
+            *_joint_housing(0.06, 0.12, 0.0, 0.064),
+            *_joint_housing(0.056, 0.115, 0.425, 0.061),
         ),
-        Segment(
-            "forearm",
-            Pose((0.0, -0.1197, 0.425)),
-            y,
-            2.33,
-            (
-                cylinder(0.038, 0.3923, (0.0, 0.0, 0.19615), SILVER),
-                *_joint_housing(0.05, 0.115, 0.0, -0.061),
-                *_joint_housing(0.04, 0.085, 0.3923, -0.046),
-            ),
+    ),
+    Segment(
+        "forearm",
+        Pose((0.0, -0.1197, 0.425)),
+        Y_AXIS,
+        2.33,
+        (
+            cylinder(0.038, 0.3923, (0.0, 0.0, 0.19615), SILVER),
+            *_joint_housing(0.05, 0.115, 0.0, -0.061),
+            *_joint_housing(0.04, 0.085, 0.3923, -0.046),
         ),
-        Segment(
-            "wrist_1",
-            euler_pose((0.0, 0.0, 0.3923), ALONG_X),
-            y,
-            1.219,
-            (
-                cylinder(0.0375, 0.09, (0.0, 0.09, 0.0), SILVER),
-                cylinder(0.0375, 0.06, (0.0, 0.062, 0.0), SILVER, "y", solid=False),
-                cylinder(0.035, 0.01, (0.0, 0.09, -0.05), BLUE, solid=False),
-            ),
+    ),
+    Segment(
+        "wrist_1",
+        euler_pose((0.0, 0.0, 0.3923), ALONG_X),
+        Y_AXIS,
+        1.219,
+        (
+            cylinder(0.0375, 0.09, (0.0, 0.09, 0.0), SILVER),
+            cylinder(0.0375, 0.06, (0.0, 0.062, 0.0), SILVER, "y", solid=False),
+            cylinder(0.035, 0.01, (0.0, 0.09, -0.05), BLUE, solid=False),
         ),
-        Segment(
-            "wrist_2",
-            Pose((0.0, 0.093, 0.0)),
-            z,
-            1.219,
-            (
-                cylinder(0.0375, 0.09, (0.0, 0.0, 0.0947), SILVER, "y"),
-                cylinder(0.0375, 0.04, (0.0, 0.0, 0.062), SILVER, solid=False),
-                cylinder(0.035, 0.01, (0.0, -0.05, 0.0947), BLUE, "y", solid=False),
-            ),
+    ),
+    Segment(
+        "wrist_2",
+        Pose((0.0, 0.093, 0.0)),
+        Z_AXIS,
+        1.219,
+        (
+            cylinder(0.0375, 0.09, (0.0, 0.0, 0.0947), SILVER, "y"),
+            cylinder(0.0375, 0.04, (0.0, 0.0, 0.062), SILVER, solid=False),
+            cylinder(0.035, 0.01, (0.0, -0.05, 0.0947), BLUE, "y", solid=False),
         ),
-        Segment(
-            "wrist_3",
-            Pose((0.0, 0.0, 0.0947)),
-            y,
-            0.1879,
-            (cylinder(0.0375, 0.034, (0.0, 0.0653, 0.0), DARK, "y"),),
-        ),
-    )
+    ),
+    Segment(
+        "wrist_3",
+        Pose((0.0, 0.0, 0.0947)),
+        Y_AXIS,
+        0.1879,
+        (cylinder(0.0375, 0.034, (0.0, 0.0653, 0.0), DARK, "y"),),
+    ),
+)
 
 
 def arm() -> Element:
@@ -120,7 +119,7 @@ def arm() -> Element:
     foot = cylinder(0.075, 0.03, (0.0, 0.0, 0.015), BLACK)
     add_link(root, "base", 4.0, (foot,))
     parent = "base"
-    for segment in _segments():
+    for segment in SEGMENTS:
         add_link(root, segment.name, segment.mass, segment.parts)
         links = (parent, segment.name)
         add_joint(root, "continuous", f"{segment.name}_joint", links, segment.origin, segment.axis)
@@ -156,7 +155,7 @@ LIFT, ELBOW = -1.3, 1.9
 UR5 = RobotModel(
     name="ur5",
     load=partial(JAW.fitted, arm, "wrist_3", FLANGE),
-    joints=tuple(f"{segment.name}_joint" for segment in _segments()),
+    joints=tuple(f"{segment.name}_joint" for segment in SEGMENTS),
     tool=JAW.tool(FLANGE),
     gripper=JAW,
     base=Pose((-0.08, 0.0, 0.2)),

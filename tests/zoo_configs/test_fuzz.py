@@ -168,6 +168,32 @@ def draw(rng: np.random.Generator) -> list[str]:
     return line
 
 
+def check_outcome(line: list[str], status: int, errors: str, here: Path) -> None:
+    """No traceback, a refusal in one line, and no folder of a run without an agent or a checkpoint."""
+    assert status in (0, 2), line
+    assert "Traceback" not in errors, line
+    if status == 2:
+        assert errors.splitlines()[-1].startswith(f"bulletarm-zoo {line[0]}: error: "), line
+    for folder in here.rglob("*_[0-9]*/"):
+        if folder.is_dir() and (folder / "hyperparams.yml").is_file():
+            assert list(folder.glob("*.zip")) or list(folder.glob("checkpoints/*")), line
+
+
+def damaged_files(run: Path, given: Path) -> dict[str, Path]:
+    """What a word of a command line stands for: files and folders that are no runs."""
+    (given / "empty").mkdir(parents=True)
+    (given / "garbled").mkdir()
+    (given / "garbled" / "hyperparams.yml").write_text("run: 3")
+    (given / "file").write_text("x")
+    (given / "damaged.zip").write_bytes((run / "best_model.zip").read_bytes()[:5000])
+    return {
+        "EMPTY": given / "empty",
+        "GARBLED": given / "garbled",
+        "FILE": given / "file",
+        "DAMAGED": given / "damaged.zip",
+    }
+
+
 @pytest.fixture
 def follow(
     toy_id: str, trained: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: Any
@@ -177,40 +203,20 @@ def follow(
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
     [run] = trained.glob("sacfd/*_1")
-    given = tmp_path / "given"
-    (given / "empty").mkdir(parents=True)
-    (given / "garbled").mkdir()
-    (given / "garbled" / "hyperparams.yml").write_text("run: 3")
-    (given / "file").write_text("x")
-    (given / "damaged.zip").write_bytes((run / "best_model.zip").read_bytes()[:5000])
+    logs, here = tmp_path / "logs", tmp_path / "here"
+    meanings = damaged_files(run, tmp_path / "given")
+    meanings |= {"RUN": logs / "sacfd" / run.name, "LOGS": logs, "TOY": Path(toy_id)}
 
     def go(line: list[str]) -> None:
-        shutil.rmtree(tmp_path / "logs", ignore_errors=True)
-        shutil.copytree(trained, tmp_path / "logs")
-        here = tmp_path / "here"
+        shutil.rmtree(logs, ignore_errors=True)
+        shutil.copytree(trained, logs)
         here.mkdir()
         monkeypatch.chdir(here)
-        own = {
-            "RUN": tmp_path / "logs" / "sacfd" / run.name,
-            "LOGS": tmp_path / "logs",
-            "EMPTY": given / "empty",
-            "GARBLED": given / "garbled",
-            "FILE": given / "file",
-            "DAMAGED": given / "damaged.zip",
-            "TOY": toy_id,
-        }
         words = line
-        for name, meant in own.items():
+        for name, meant in meanings.items():
             words = [word.replace(name, str(meant)) for word in words]
         status = main(words)
-        printed = capsys.readouterr()
-        assert status in (0, 2), line
-        assert "Traceback" not in printed.err, line
-        if status == 2:
-            assert printed.err.splitlines()[-1].startswith(f"bulletarm-zoo {line[0]}: error: "), line
-        for folder in here.rglob("*_[0-9]*/"):
-            if folder.is_dir() and (folder / "hyperparams.yml").is_file():
-                assert list(folder.glob("*.zip")) or list(folder.glob("checkpoints/*")), line
+        check_outcome(line, status, capsys.readouterr().err, here)
         shutil.rmtree(here)
 
     return go
