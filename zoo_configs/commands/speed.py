@@ -24,8 +24,13 @@ from zoo_configs.arguments import (
     seed,
 )
 from zoo_configs.environments import known_env_id, our_env_ids, register_environments, try_env
-from zoo_configs.measuring.data_files import OVERHEAD, SPEED, UPDATES, DataFile
-from zoo_configs.measuring.speed_records import overhead_record, throughput_record, update_record
+from zoo_configs.measuring.data_files import OVERHEAD, SPEED, UPDATES, VECTORS, DataFile, Layout
+from zoo_configs.measuring.speed_records import (
+    overhead_record,
+    throughput_record,
+    update_record,
+    vector_records,
+)
 from zoo_configs.measuring.throughput import (
     ReferenceRate,
     Throughput,
@@ -99,7 +104,7 @@ def main(argv: Sequence[str]) -> None:
     for env_id in env_ids:
         try_env(env_id, args.env_kwargs)
     if args.vector:
-        _measure_vectors(env_ids, args)
+        _measure_vectors(env_ids, args, data)
         return
     reference = load_reference(args.reference) if args.reference else {}
     print(describe_machine())
@@ -150,10 +155,13 @@ def _parse(argv: Sequence[str]) -> argparse.Namespace:
 
 
 def _data_file(args: argparse.Namespace) -> DataFile | None:
-    if args.data is None:
-        return None
-    layout = SPEED if not args.baseline else OVERHEAD if args.overhead else UPDATES
-    return DataFile(args.data, layout)
+    return None if args.data is None else DataFile(args.data, _layout(args))
+
+
+def _layout(args: argparse.Namespace) -> Layout:
+    if args.baseline:
+        return OVERHEAD if args.overhead else UPDATES
+    return VECTORS if args.vector else SPEED
 
 
 def _throughput_flags(args: argparse.Namespace) -> list[str]:
@@ -259,7 +267,7 @@ def _measure(env_ids: Sequence[str], args: argparse.Namespace) -> Iterator[Throu
             yield measure_env(env_id, args.seconds, args.seed, bar.update, args.env_kwargs)
 
 
-def _measure_vectors(env_ids: Sequence[str], args: argparse.Namespace) -> None:
+def _measure_vectors(env_ids: Sequence[str], args: argparse.Namespace, data: DataFile | None) -> None:
     from tqdm import tqdm
 
     from zoo_configs.drawing.tables import print_table
@@ -277,6 +285,10 @@ def _measure_vectors(env_ids: Sequence[str], args: argparse.Namespace) -> None:
                     env_id, args.vector, args.seconds, args.seed, args.env_kwargs, bar.update
                 )
                 cells.append(measured.cells())
+                if data is not None:
+                    flags = ["--seconds", f"{args.seconds:g}", "--seed", str(args.seed)]
+                    for record in vector_records(measured, args.vector, args.env_kwargs, flags):
+                        data.add(record)
     finally:  # after Ctrl-C, too, with what there is
         if cells:
             print_table(VECTOR_COLUMNS, cells, args.markdown)

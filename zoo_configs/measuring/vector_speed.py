@@ -15,6 +15,7 @@ import numpy.typing as npt
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv
 
+from bulletarm_gym.machine import load_average
 from sb3_extensions.vec_env import SplitVecEnv
 from zoo_configs.environments import make_env, register_environments
 from zoo_configs.errors import CommandError
@@ -37,10 +38,12 @@ class VectorSpeed(NamedTuple):
 
     :param env_id: Id of the environments
     :param rates: Steps a second over all environments, of each round, by kind of vector environment
+    :param load: Load average of the machine when it began
     """
 
     env_id: str
     rates: Mapping[str, tuple[float, ...]]
+    load: float
 
     def ratios(self, kind: str) -> list[float]:
         """
@@ -90,6 +93,7 @@ def measure_vector(
     :return: What was measured
     :raises CommandError: if the environments have no expert
     """
+    busy = load_average()
     makers: list[Callable[[], gym.Env[Any, Any]]] = [partial(_make, env_id, dict(env_kwargs))] * n_envs
     rates: dict[str, list[float]] = {kind: [] for kind in KINDS}
     with ExitStack() as stack:
@@ -102,7 +106,7 @@ def measure_vector(
             for kind in kinds:
                 rates[kind].append(_rate(envs[kind], actions, seed))
                 on_turn(1 / ROUNDS / len(KINDS))
-    return VectorSpeed(env_id, {kind: tuple(values) for kind, values in rates.items()})
+    return VectorSpeed(env_id, {kind: tuple(values) for kind, values in rates.items()}, busy)
 
 
 def _make(env_id: str, env_kwargs: Mapping[str, Any]) -> gym.Env[Any, Any]:
