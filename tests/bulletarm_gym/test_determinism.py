@@ -54,7 +54,7 @@ def test_rollouts_grasp_and_succeed(picking: ManipulationEnv) -> None:
 
 def test_same_instance_after_other_episodes(env: ManipulationEnv) -> None:
     before = transcript(env, seed=3)
-    transcript(env, 60, seed=99, action_seed=5)
+    transcript(env, 30, seed=99, action_seed=5)
     assert transcript(env, seed=3) == before
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import closing
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,7 @@ from bulletarm_gym.benchmarks import BENCHMARKS
 from zoo_configs.cells.cell import Cell, explain, merge, resolve
 from zoo_configs.cells.rules import families, family_of, parse_family, task_name
 from zoo_configs.cells.validation import check_cell, constructor_keys
-from zoo_configs.environments import our_env_ids, register_environments
+from zoo_configs.environments import make_env, our_env_ids, register_environments
 from zoo_configs.errors import CommandError, nearest_name
 from zoo_configs.training.manager import import_classes
 
@@ -36,6 +37,18 @@ CLOSE_LOOP = [row.env_id for row in BENCHMARKS["close_loop_4d"].environments]
 @pytest.mark.parametrize("cell", CELLS, ids="-".join)
 def test_every_cell_is_valid(cell: tuple[str, str, str]) -> None:
     check_cell(resolve(*cell))
+
+
+@pytest.mark.parametrize("env_id", our_env_ids())
+def test_buffers_hold_all_demonstrations(env_id: str) -> None:
+    """Be each as long as the time limit: they stay, and what the agent does needs room beside them."""
+    with closing(make_env(env_id, {})) as env:
+        limit = env.unwrapped.config.max_steps  # type: ignore[attr-defined]
+    for baseline, preset, _ in (cell for cell in CELLS if cell[2] == env_id):
+        hyperparams = resolve(baseline, preset, env_id).hyperparams
+        rows = 1 + hyperparams.get("replay_buffer_kwargs", {}).get("copies", 0)
+        needed = hyperparams.get("expert_episodes", 0) * limit * rows
+        assert hyperparams["buffer_size"] >= needed + 10 * rows, (baseline, preset)
 
 
 def test_the_paper_preset_is_the_papers() -> None:

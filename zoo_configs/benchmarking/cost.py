@@ -51,13 +51,13 @@ def estimate(cell: Cell, options: TrainingOptions, device: str) -> Cost:
     :raises CommandError: if the environment or the buffer refuses its parameters
     """
     steps = options.n_timesteps if options.n_timesteps > 0 else int(cell.hyperparams["n_timesteps"])
-    buffer, filled = _buffer_bytes(cell, steps)
-    disk = CHECKPOINTS_KEPT * filled if options.save_freq > 0 else 0.0
+    buffer = _buffer_bytes(cell, steps)
+    disk = CHECKPOINTS_KEPT * buffer if options.save_freq > 0 else 0.0
     return Cost(_hours(cell, options, steps, device), PROCESS_GB + buffer / GIGABYTE, disk / GIGABYTE)
 
 
-def _buffer_bytes(cell: Cell, steps: int) -> tuple[float, float]:
-    """Size of the full replay buffer, and of what a run of so many time steps fills of it."""
+def _buffer_bytes(cell: Cell, steps: int) -> float:
+    """What a run of so many time steps fills of its replay buffer; the rest takes no memory."""
     from sb3_extensions.replay.buffer import FrameReplayBuffer
     from zoo_configs.training.manager import import_classes
 
@@ -66,7 +66,7 @@ def _buffer_bytes(cell: Cell, steps: int) -> tuple[float, float]:
     wanted = hyperparams.get("replay_buffer_class")
     cls = class_from_path(wanted) if wanted else getattr(algorithm, "default_replay_buffer_class", None)
     if cls is None or not issubclass(cls, FrameReplayBuffer):
-        return 0.0, 0.0
+        return 0.0
     kwargs: dict[str, Any] = dict(import_classes(hyperparams.get("replay_buffer_kwargs", {})))
     capacity, n_envs = int(hyperparams["buffer_size"]), int(hyperparams.get("n_envs", 1))
     with closing(make_env(cell.env_id, hyperparams.get("env_kwargs", {}))) as env, refused("replay buffer"):
@@ -74,7 +74,8 @@ def _buffer_bytes(cell: Cell, steps: int) -> tuple[float, float]:
         buffer = cls(
             capacity, env.observation_space, env.action_space, "cpu", n_envs, gamma=0.99, seed=0, **kwargs
         )
-    return buffer.nbytes, buffer.nbytes * min(1.0, steps / capacity)
+    shown = int(hyperparams.get("expert_episodes", 0)) * _longest_episode(cell)
+    return float(buffer.nbytes) * min(1.0, (steps + shown) * (1 + int(kwargs.get("copies", 0))) / capacity)
 
 
 def _hours(cell: Cell, options: TrainingOptions, steps: int, device: str) -> float | None:
