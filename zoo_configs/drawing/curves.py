@@ -122,7 +122,7 @@ def _draw_panel(axes: Any, title: str, curves: Mapping[str, LearningCurve], name
     if len(curves) > CURVES_BESIDE_LEGEND:
         axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
     else:
-        axes.legend(loc="best")
+        axes.legend(loc="lower right")  # where a training ends high; "best" may lie on it
 
 
 def _draw(axes: Any, name: str, curve: LearningCurve, number: int) -> None:
