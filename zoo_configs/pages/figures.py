@@ -23,6 +23,7 @@ FIGURES: dict[str, Figure] = {
     "overhead": speeds.overhead_table,
     "deconstruction": collecting.deconstruction_table,
     "code": code.code_table,
+    "results, close loop": partial(results.results_table, preset="cpu", tasks="CloseLoop*"),
     "results, open loop": partial(results.results_table, preset="cpu", tasks="OpenLoop*"),
     "results, many demonstrations": partial(results.results_table, preset="quick", tasks="CloseLoop*"),
 }
