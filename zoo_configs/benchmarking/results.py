@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
@@ -14,6 +13,7 @@ from scipy import stats
 from zoo_configs.cells.cell import Cell, resolve
 from zoo_configs.drawing.curves import SUCCESS, load_curve
 from zoo_configs.errors import CommandError
+from zoo_configs.measuring.provenance import command_line, env_kwargs_words, key_values
 from zoo_configs.training.options import TrainingOptions
 from zoo_configs.training.runs import Run
 from zoo_configs.training.state import State
@@ -163,8 +163,9 @@ def repeating_command(run: Run) -> str:
     words += ["--gym-packages", *run.gym_packages] if run.gym_packages else []
     words += _flags(TrainingOptions.of(base) if base else TrainingOptions(), options)
     changed = _difference(base.hyperparams, cell.hyperparams) if base else {}
-    words += ["-params", *(f"{key}:{value!r}" for key, value in changed.items())] if changed else []
-    return shlex.join(words)
+    words += env_kwargs_words(changed.pop("env_kwargs", {}))
+    words += ["-params", *key_values(changed)] if changed else []
+    return command_line(words)
 
 
 def _base(cell: Cell) -> Cell | None:

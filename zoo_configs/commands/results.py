@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import itertools
 import math
 import shlex
 from collections.abc import Sequence
@@ -19,6 +20,7 @@ DESCRIPTION = """Evaluate the best and the last model of runs on scenes unseen i
 each run into a file of measurements: what it reached, how it was trained, machine, date, commit and command.
 A row of the same training is replaced. `report --docs` shows them on pages."""
 DATA = Path("results.csv")
+OVERRIDES = ("--env-kwargs", "-params")  # the last words of a training's command
 DIGITS = 4
 
 
@@ -91,7 +93,7 @@ def _row(run: Run, args: argparse.Namespace, best: str, last: str) -> Record:
     half = success[len(success) // 2 :]
     return {
         "env": task_name(run.cell.env_id),
-        "options": " ".join(command[command.index("-params") + 1 :]) if "-params" in command else "",
+        "options": " ".join(itertools.dropwhile(lambda word: word not in OVERRIDES, command)),
         "baseline": run.cell.label,
         "preset": run.cell.preset or "",
         "seed": str(run.seed),

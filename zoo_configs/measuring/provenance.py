@@ -28,9 +28,7 @@ def provenance(command: Sequence[str]) -> dict[str, str]:
     :return: A value for each of ``PROVENANCE``
     """
     today = datetime.date.today().isoformat()
-    return dict(
-        zip(PROVENANCE, (describe_processor(), today, commit(), " ".join(map(_quoted, command))), strict=True)
-    )
+    return dict(zip(PROVENANCE, (describe_processor(), today, commit(), command_line(command)), strict=True))
 
 
 @functools.cache
@@ -57,8 +55,17 @@ def _git(*words: str) -> str | None:
     return done.stdout.strip()
 
 
+def command_line(words: Sequence[str]) -> str:
+    """
+    Join words for a shell, as a person would type them: text within double quotes, as in ``"robot:'panda'"``.
+
+    :param words: The words
+    :return: What to type
+    """
+    return " ".join(map(_quoted, words))
+
+
 def _quoted(word: str) -> str:
-    """A word as a person would type it: text within double quotes, as in ``"robot:'panda'"``."""
     return f'"{word}"' if "'" in word and not set(word) & set('"$`\\!') else shlex.quote(word)
 
 
