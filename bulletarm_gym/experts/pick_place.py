@@ -182,12 +182,17 @@ def pick(scene: Scene, item: Item, rng: np.random.Generator) -> Waypoint:
     lifts = [share * height for share in LIFTS]
     hands = [_able(scene, frame.compose(Pose.planar(0.0, 0.0, z, turn))) for z in lifts for turn in turns]
     drawn = hands[int(rng.integers(len(hands)))]
-    best = next((hand for hand in hands if all(_rank(scene, hand, item))), None)
+    fitting = [hand for hand in hands if all(_rank(scene, hand, item))]
+    best = next((hand for hand in fitting if wrist_fits(scene, hand, item)), None)
     if best is None and scene.robot.model.gripper.overhang > OVERHANG:
-        leaning = (hand for hand in _leaning(scene, item, turns) if _fits(scene, hand, item))
+        leaning = (
+            hand
+            for hand in _leaning(scene, item, turns)
+            if _fits(scene, hand, item) and wrist_fits(scene, hand, item)
+        )
         some = list(itertools.islice(leaning, TRIES))
         best = some[int(rng.integers(len(some)))] if some else None
-    return Waypoint(best or drawn, OPEN, finish=CLOSED)
+    return Waypoint(best or next(iter(fitting), drawn), OPEN, finish=CLOSED)
 
 
 def _leaning(scene: Scene, item: Item, turns: Sequence[float]) -> list[Pose]:
@@ -286,6 +291,14 @@ def palm_fits(scene: Scene, hand: Pose, item: Item) -> bool:
     others = (other for other in scene if other is not item and other is not scene.held)
     high = (other for other in others if scene.world.top(other.body) > lowest)
     return all(outline.gap(_beyond(other, hand, root)) > PALM_CLEARANCE for other in high)
+
+
+def wrist_fits(scene: Scene, hand: Pose, item: Item) -> bool:
+    """Whether the arm, its palm and wrist too, touches nothing that stands higher than the fingers reach."""
+    root = hand.z + scene.robot.model.gripper.finger[2]
+    others = (other.body for other in scene if other is not item and other is not scene.held)
+    high = [body for body in others if scene.world.top(body) > root]
+    return not high or scene.robot.is_free_at(hand, high)
 
 
 def _beyond(item: Item, hand: Pose, height: float) -> Footprint:

@@ -145,6 +145,12 @@ class Robot:
         """Whether the fingertips can be brought to a pose."""
         return self._inverse(pose)[1] <= POSITION_TOLERANCE
 
+    def is_free_at(self, pose: Pose, bodies: Sequence[Body]) -> bool:
+        """Whether the arm would touch none of some bodies with its fingertips at a pose in reach."""
+        free = self._is_free(self._arm.moved(self._world, self._solve(pose)), bodies)
+        self._world.set_joints(self.body, self._world.joints[self.body.index])
+        return free
+
     def _solve(self, pose: Pose) -> list[float]:
         joints, error = self._inverse(pose)
         if error > POSITION_TOLERANCE:
