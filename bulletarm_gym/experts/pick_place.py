@@ -182,17 +182,14 @@ def pick(scene: Scene, item: Item, rng: np.random.Generator) -> Waypoint:
     lifts = [share * height for share in LIFTS]
     hands = [_able(scene, frame.compose(Pose.planar(0.0, 0.0, z, turn))) for z in lifts for turn in turns]
     drawn = hands[int(rng.integers(len(hands)))]
-    fitting = [hand for hand in hands if all(_rank(scene, hand, item))]
-    best = next((hand for hand in fitting if wrist_fits(scene, hand, item)), None)
+    best = next((hand for hand in hands if _fits(scene, hand, item)), None)
     if best is None and scene.robot.model.gripper.overhang > OVERHANG:
-        leaning = (
-            hand
-            for hand in _leaning(scene, item, turns)
-            if _fits(scene, hand, item) and wrist_fits(scene, hand, item)
-        )
+        leaning = (hand for hand in _leaning(scene, item, turns) if _fits(scene, hand, item))
         some = list(itertools.islice(leaning, TRIES))
         best = some[int(rng.integers(len(some)))] if some else None
-    return Waypoint(best or next(iter(fitting), drawn), OPEN, finish=CLOSED)
+    if best is None:  # no grasp has room for the wrist, one may for the fingers
+        best = next((hand for hand in hands if all(_rank(scene, hand, item))), drawn)
+    return Waypoint(best, OPEN, finish=CLOSED)
 
 
 def _leaning(scene: Scene, item: Item, turns: Sequence[float]) -> list[Pose]:
@@ -271,7 +268,12 @@ def _rank(scene: Scene, hand: Pose, item: Item) -> tuple[bool, bool, bool]:
 
 def _fits(scene: Scene, hand: Pose, item: Item) -> bool:
     """Whether a grasp is in reach and has room, what is soonest known first."""
-    return palm_fits(scene, hand, item) and fingers_fit(scene, hand, item) and scene.robot.reaches(hand)
+    return (
+        palm_fits(scene, hand, item)
+        and fingers_fit(scene, hand, item)
+        and scene.robot.reaches(hand)
+        and _wrist_fits(scene, hand, item)
+    )
 
 
 def palm_fits(scene: Scene, hand: Pose, item: Item) -> bool:
@@ -293,7 +295,7 @@ def palm_fits(scene: Scene, hand: Pose, item: Item) -> bool:
     return all(outline.gap(_beyond(other, hand, root)) > PALM_CLEARANCE for other in high)
 
 
-def wrist_fits(scene: Scene, hand: Pose, item: Item) -> bool:
+def _wrist_fits(scene: Scene, hand: Pose, item: Item) -> bool:
     """Whether the arm, its palm and wrist too, touches nothing that stands higher than the fingers reach."""
     root = hand.z + scene.robot.model.gripper.finger[2]
     others = (other.body for other in scene if other is not item and other is not scene.held)
