@@ -156,7 +156,9 @@ class EquivariantPixelMaps(PixelMaps):
     :param in_hand_channels: of the convolutions on the in-hand image
     :param hidden: units of the linear layer behind them
     :param rotations: number of yaws: 1, or half of the group's rotations
-    :raises ValueError: if the yaws do not fit the group
+    :param dynamic_fields: regular fields behind the filter that these make, as many as before it (the
+        authors' code) if None. Of one or two a ReLU may be silent everywhere, for ever
+    :raises ValueError: if the yaws do not fit the group, or ``dynamic_fields`` is less than 1
     """
 
     def __init__(
@@ -167,21 +169,26 @@ class EquivariantPixelMaps(PixelMaps):
         in_hand_channels: Sequence[int],
         hidden: int,
         rotations: int = 1,
+        dynamic_fields: int | None = None,
     ) -> None:
         if rotations != 1 and (group.family, group.n) != ("cyclic", 2 * rotations):
             raise ValueError(
                 f"{rotations} yaws need the cyclic group of {2 * rotations} rotations, got {group}"
             )
+        if dynamic_fields is not None and dynamic_fields < 1:
+            raise ValueError(f"dynamic_fields must be at least 1, got {dynamic_fields}")
         super().__init__(rotations, shapes.encoding(fields[-1], len(fields)))
         regular, lowest = (FieldType.of((group.regular, fields[level])) for level in (0, -1))
         self.unet = equivariant_unet(1, group, fields)
         self.pool = GroupMaxPool(lowest)
         self.dynamic: DynamicEquivariantConv2d | None = None
+        placed = regular
         if shapes.in_hand is not None:
-            self.dynamic = DynamicEquivariantConv2d(regular, regular, 3, padding=1)
+            placed = FieldType.of((group.regular, dynamic_fields or fields[0]))
+            self.dynamic = DynamicEquivariantConv2d(regular, placed, 3, padding=1)
             encoder = PatchVector(shapes.in_hand[0], shapes.in_hand[1], in_hand_channels, [hidden])
             self.coefficients = nn.Sequential(encoder, coefficients_of(self.dynamic, hidden))
-        self.heads = nn.ModuleList(_head(regular, rotations) for _ in range(PRIMITIVES))
+        self.heads = nn.ModuleList(_head(in_type, rotations) for in_type in (regular, placed))
 
     def forward(self, view: View) -> tuple[th.Tensor, th.Tensor]:
         """:return: values (batch, yaws, size, size), encoding"""

@@ -243,7 +243,8 @@ class EquivariantFCNPolicy(SpatialPolicy):
     rotations where actions have no yaw, of the cyclic group of twice as many rotations as there are yaws.
 
     ``network_kwargs``: regular ``fields`` of its levels, ``in_hand_channels`` of the convolutions on the
-    in-hand image, ``hidden`` units of the linear layer behind them.
+    in-hand image, ``hidden`` units of the linear layer behind them, ``dynamic_fields`` see
+    :class:`~sb3_extensions.networks.pixel_maps.EquivariantPixelMaps`.
     """
 
     def make_levels(  # type: ignore[override]
@@ -253,11 +254,14 @@ class EquivariantFCNPolicy(SpatialPolicy):
         fields: Sequence[int] = FIELDS,
         in_hand_channels: Sequence[int] = IN_HAND_CHANNELS,
         hidden: int = HIDDEN[0],
+        dynamic_fields: int | None = None,
     ) -> tuple[PixelMaps, list[Level]]:
         """:return: the only level"""
         rotations = self.rotations
         group = Group("dihedral", 4) if rotations == 1 else Group("cyclic", 2 * rotations)
-        return EquivariantPixelMaps(shapes, group, fields, in_hand_channels, hidden, rotations), []
+        return EquivariantPixelMaps(
+            shapes, group, fields, in_hand_channels, hidden, rotations, dynamic_fields
+        ), []
 
 
 class ASRPolicy(SpatialPolicy):
@@ -300,7 +304,8 @@ class EquivariantASRPolicy(SpatialPolicy):
 
     ``network_kwargs``: the symmetry of the first level (``group``, ``n``), ``fields`` of the U-Net's levels,
     ``patch_fields`` of the convolutions on the patch around the pixel, ``in_hand_channels`` of those on the
-    in-hand image, ``hidden`` units of the two linear layers behind them, ``pool_encoding`` see
+    in-hand image, ``hidden`` units of the two linear layers behind them, ``dynamic_fields`` see
+    :class:`~sb3_extensions.networks.pixel_maps.EquivariantPixelMaps`, ``pool_encoding`` see
     :class:`~sb3_extensions.networks.later_levels.EquivariantRotations`; in 6D ``patch_channels`` and
     ``patch_hidden`` of the levels behind the yaw.
     """
@@ -315,12 +320,15 @@ class EquivariantASRPolicy(SpatialPolicy):
         patch_fields: Sequence[int] = PATCH_FIELDS,
         in_hand_channels: Sequence[int] = IN_HAND_CHANNELS,
         hidden: Sequence[int] = HIDDEN,
+        dynamic_fields: int | None = None,
         pool_encoding: bool = False,
         patch_channels: Sequence[int] = Widths().channels,
         patch_hidden: Sequence[int] = Widths().hidden,
     ) -> tuple[PixelMaps, list[Level]]:
         """:return: the level of the pixel, and those that follow"""
-        pixels = EquivariantPixelMaps(shapes, Group(group, n), fields, in_hand_channels, hidden[0])
+        pixels = EquivariantPixelMaps(
+            shapes, Group(group, n), fields, in_hand_channels, hidden[0], dynamic_fields=dynamic_fields
+        )
         widths = Widths(tuple(patch_channels), tuple(patch_hidden))
 
         def make_level(name: str) -> Level:

@@ -78,6 +78,23 @@ def test_maps_turn_with_the_image(turn: str, size: int, gradient: bool) -> None:
     assert_same(turned_encoding, apply(encoding))
 
 
+@pytest.mark.parametrize(("rotations", "dynamic_fields"), [(1, 4), (16, 2)])
+def test_small_networks_value_places_from_the_first(rotations: int, dynamic_fields: int) -> None:
+    """Of one field behind a ReLU all numbers may be 0 everywhere: then nothing is ever learned of places."""
+    group = Group("dihedral", 4) if rotations == 1 else Group("cyclic", 2 * rotations)
+    view = make_view(32)
+    for seed in range(10):
+        th.manual_seed(seed)
+        network = EquivariantPixelMaps(
+            Shapes(32, (1, SIDE, SIDE)), group, (1, 2, 4, 4), IN_HAND, HIDDEN, rotations, dynamic_fields
+        )
+        assert network.dynamic is not None
+        assert network.dynamic.out_type.size == dynamic_fields * group.order
+        with th.no_grad():
+            maps, _ = network(view)
+        assert (maps[view.places].flatten(1).std(dim=1) > 0).all(), seed
+
+
 @pytest.mark.parametrize("rotations", [2, 4, 6])
 @pytest.mark.parametrize("quarters", [1, 2, 3])
 def test_maps_turn_and_yaws_shift(quarters: int, rotations: int) -> None:
@@ -218,6 +235,12 @@ def test_widths_are_the_authors() -> None:
         (
             lambda: EquivariantPixelMaps(Shapes(32, None), Group("cyclic", 4), FIELDS, IN_HAND, HIDDEN, 4),
             "4 yaws need the cyclic group of 8 rotations, got Group",
+        ),
+        (
+            lambda: EquivariantPixelMaps(
+                Shapes(32, None), Group("cyclic", 4), FIELDS, IN_HAND, HIDDEN, dynamic_fields=0
+            ),
+            "dynamic_fields must be at least 1, got 0",
         ),
     ],
 )
