@@ -24,10 +24,19 @@ from zoo_configs.cli import main
 from zoo_configs.training.runs import find_runs
 from zoo_configs.training.state import State, held, note, standing
 
+EXAMPLES = Path(__file__).parents[2] / "examples" / "benchmarks"
 PICKING = "BulletArm/CloseLoopBlockPicking-v0"
 Bench = Callable[..., int]
 pytestmark = pytest.mark.usefixtures("toys")
 # ---- Cells
+
+
+@pytest.mark.parametrize("path", sorted(EXAMPLES.glob("*.yml")), ids=lambda path: path.stem)
+def test_files_of_the_examples_can_be_followed(path: Path) -> None:
+    plan = read_plan(str(path))
+    sweep = build_sweep(path.stem, plan)
+    assert {member.cell.label for member in sweep.members} == set(plan.baselines)
+    assert {f"BulletArm/{task}-v0" for task in plan.tasks} == {member.cell.env_id for member in sweep.members}
 
 
 def test_the_papers_benchmarks_have_its_rows() -> None:
