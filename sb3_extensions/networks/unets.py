@@ -63,9 +63,23 @@ class UNet(nn.Module):
             features = self.fuse(th.cat([features, resize(other, features.shape[-1])], dim=1))
         lowest = features
         for up in self.ups:
-            doubled = F.interpolate(features, scale_factor=2.0, mode="bilinear", align_corners=False)
-            features = up(th.cat([levels.pop(), doubled], dim=1))
+            features = up(th.cat([levels.pop(), double(features)], dim=1))
         return features[..., before : before + size, before : before + size], lowest
+
+
+def double(features: th.Tensor) -> th.Tensor:
+    """
+    Features of twice the side, interpolated bilinearly.
+
+    :param features: (batch, channels, side, side)
+    :return: (batch, channels, 2 side, 2 side)
+    """
+    doubled = F.interpolate(features, scale_factor=2.0, mode="bilinear", align_corners=False)
+    if doubled.requires_grad:
+        # Behind a concatenation the gradient is a part of another's channels, which costs PyTorch ten times
+        # as long as the same numbers kept together.
+        doubled.register_hook(lambda gradient: gradient.contiguous(memory_format=th.channels_last))
+    return doubled
 
 
 def split_padding(size: int, multiple: int) -> tuple[int, int]:
