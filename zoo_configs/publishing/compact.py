@@ -144,4 +144,4 @@ def _pack(stored: io.BytesIO, path: Path) -> None:
         zipfile.ZipFile(partial, "w") as target,
     ):
         for name in source.namelist():
-            target.writestr(zipfile.ZipInfo(name), source.read(name), zipfile.ZIP_BZIP2, compresslevel=9)
+            target.writestr(zipfile.ZipInfo(name), source.read(name), zipfile.ZIP_LZMA)
