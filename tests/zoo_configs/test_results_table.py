@@ -7,8 +7,10 @@ from pathlib import Path
 
 import pytest
 
+from zoo_configs.cells.cell import resolve
 from zoo_configs.cells.rules import task_name
 from zoo_configs.cli import main
+from zoo_configs.commands.results import _options
 from zoo_configs.measuring.data_files import RESULTS, DataFile
 from zoo_configs.pages.markers import Source
 from zoo_configs.pages.results import results_table
@@ -47,6 +49,17 @@ def test_a_run_gets_a_row(run_folder: Path, tmp_path: Path) -> None:
     numbers = ["2", "2", "12", "abc1234"]
     assert [row[name] for name in ("episodes", "updates", "steps", "commit")] == numbers
     assert "batch_size:4" in row["options"]
+
+
+@pytest.mark.parametrize(
+    ("benchmark", "shown"), [(None, ""), ("open_loop_3d", ""), ("open_loop_2d", "--benchmark open_loop_2d")]
+)
+def test_a_row_names_the_benchmark_that_is_not_the_first_of_its_task(
+    benchmark: str | None, shown: str
+) -> None:
+    cell = resolve("sdqfd_equi_fcn", "cpu", "BulletArm/OpenLoopBlockStacking-v0", benchmark=benchmark)
+    command = ["bulletarm-zoo", "train", "--benchmark", str(cell.benchmark), "-params", "gamma:0.9"]
+    assert _options(cell, command) == f"{shown} -params gamma:0.9".strip()
 
 
 def test_rows_become_cells(tmp_path: Path) -> None:

@@ -14,6 +14,7 @@ from zoo_configs.arguments import Parser, add_packages, add_progress, device, po
 from zoo_configs.measuring.data_files import RESULTS, DataFile, Record, number
 
 if TYPE_CHECKING:
+    from zoo_configs.cells.cell import Cell
     from zoo_configs.training.runs import Run
 
 DESCRIPTION = """Evaluate the best and the last model of runs on scenes unseen in training, and put a row for
@@ -88,12 +89,11 @@ def _row(run: Run, args: argparse.Namespace, best: str, last: str) -> Record:
     from zoo_configs.publishing.origin import origin_of
 
     origin, hyperparams, options = origin_of(run, args.commit), run.cell.hyperparams, run.options
-    command = shlex.split(origin.command)
     success = load_curve(run.evaluations_file).success if run.evaluations_file.is_file() else ()
     half = success[len(success) // 2 :]
     return {
         "env": task_name(run.cell.env_id),
-        "options": " ".join(itertools.dropwhile(lambda word: word not in OVERRIDES, command)),
+        "options": _options(run.cell, shlex.split(origin.command)),
         "baseline": run.cell.label,
         "preset": run.cell.preset or "",
         "seed": str(run.seed),
@@ -114,3 +114,20 @@ def _row(run: Run, args: argparse.Namespace, best: str, last: str) -> Record:
         "commit": origin.commit,
         "command": origin.command,
     }
+
+
+def _options(cell: Cell, command: Sequence[str]) -> str:
+    """What sets a training apart from the others of its baseline and preset on its task, of its command."""
+    words = [*itertools.dropwhile(lambda word: word not in OVERRIDES, command)]
+    if cell.benchmark is not None and cell.benchmark != _first_benchmark(cell):
+        words = ["--benchmark", cell.benchmark, *words]
+    return " ".join(words)
+
+
+def _first_benchmark(cell: Cell) -> str | None:
+    """The benchmark that a training is of where its command names none."""
+    from zoo_configs.cells.cell import resolve
+
+    if cell.baseline is None or cell.preset is None:
+        return None
+    return resolve(cell.baseline, cell.preset, cell.env_id).benchmark
