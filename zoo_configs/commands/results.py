@@ -119,7 +119,7 @@ def _row(run: Run, args: argparse.Namespace, best: str, last: str) -> Record:
 def _options(cell: Cell, command: Sequence[str]) -> str:
     """What sets a training apart from the others of its baseline and preset on its task, of its command."""
     words = [*itertools.dropwhile(lambda word: word not in OVERRIDES, command)]
-    # A run of another version, whose baseline may be unknown by now, is repeated from its file and names none.
+    # A run of another version, whose baseline may be gone, is repeated from its file: none is named.
     if cell.benchmark and "--benchmark" in command and cell.benchmark != _first_benchmark(cell):
         words = ["--benchmark", cell.benchmark, *words]
     return " ".join(words)
