@@ -19,6 +19,7 @@ import json
 import os
 import pickle
 import random
+import re
 import shutil
 import warnings
 import zipfile
@@ -37,8 +38,9 @@ from stable_baselines3.common.type_aliases import GymEnv
 from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper, VecFrameStack, VecMonitor, VecNormalize
 
 MANIFEST, MODEL, REPLAY_BUFFER, STATE = "manifest.json", "model.zip", "replay_buffer.pkl", "state.pkl"
-FORMAT = 4
+FORMAT = 5
 PREFIX = "checkpoint_"
+NAME = re.compile(rf"{PREFIX}(?P<timesteps>\d+)_(?P<number>\d+)")
 TEMPORARY_PREFIX = ".incomplete_"
 CHUNK = 1 << 20  # bytes
 
@@ -117,7 +119,7 @@ def save_checkpoint(model: BaseAlgorithm, path: str | os.PathLike[str], keep: in
     path.mkdir(parents=True, exist_ok=True)
     for leftover in path.glob(f"{TEMPORARY_PREFIX}*"):
         shutil.rmtree(leftover)
-    final = _free_name(path, model.num_timesteps)
+    final = path / f"{PREFIX}{model.num_timesteps:012d}_{_next_number(path):03d}"
     temporary = path / f"{TEMPORARY_PREFIX}{final.name}"
     temporary.mkdir()
     try:
@@ -137,7 +139,7 @@ def latest_checkpoint(path: str | os.PathLike[str]) -> Path | None:
     Find the latest checkpoint.
 
     :param path: directory of checkpoints
-    :return: the checkpoint of the most timesteps, None if there is none
+    :return: the checkpoint written last, None if there is none
     """
     checkpoints = _checkpoints(Path(path))
     return checkpoints[-1] if checkpoints else None
@@ -278,28 +280,36 @@ def _env_state(model: BaseAlgorithm) -> dict[str, Any]:
     env = model.get_env()
     assert env is not None, "You must set the environment before saving a checkpoint"
     return {
+        "num_envs": env.num_envs,
         "envs": env.env_method("get_state") if env.has_attr("get_state") else None,
         "wrappers": {name: env.get_attr(name) for name in WRAPPER_STATE if env.has_attr(name)},
         "vec_wrappers": [
             {name: getattr(wrapper, name) for name in _vec_wrapper_state(wrapper) if hasattr(wrapper, name)}
             for wrapper in _vec_wrappers(env)
         ],
+        "vec_wrapper_names": _vec_wrapper_names(env),
     }
+
+
+def _check_env(env: VecEnv, state: dict[str, Any]) -> None:
+    if state["num_envs"] != env.num_envs:
+        raise ValueError(f"env must have {state['num_envs']} environments, got {env.num_envs}")
+    if state["vec_wrapper_names"] != (given := _vec_wrapper_names(env)):
+        raise ValueError(f"env must be wrapped in {state['vec_wrapper_names']}, got {given}")
 
 
 def _set_env_state(model: BaseAlgorithm, state: dict[str, Any]) -> None:
     env = model.get_env()
     assert env is not None
+    _check_env(env, state)
     if state["envs"] is None:
         _start_new_episodes(model, env)
-        return
-    if len(state["envs"]) != env.num_envs:
-        raise ValueError(f"env must have {len(state['envs'])} environments, got {env.num_envs}")
-    env.reset()  # wrappers want it before the first step
-    for index, env_state in enumerate(state["envs"]):
-        env.env_method("set_state", env_state, indices=index)
-        for name, values in state["wrappers"].items():
-            env.env_method("set_wrapper_attr", name, values[index], indices=index)
+    else:
+        env.reset()  # wrappers want it before the first step
+        for index, env_state in enumerate(state["envs"]):
+            env.env_method("set_state", env_state, indices=index)
+            for name, values in state["wrappers"].items():
+                env.env_method("set_wrapper_attr", name, values[index], indices=index)
     for wrapper, attributes in zip(_vec_wrappers(env), state["vec_wrappers"], strict=True):
         for name, value in attributes.items():
             setattr(wrapper, name, value)
@@ -319,21 +329,31 @@ def _vec_wrappers(env: VecEnv) -> Iterator[VecEnvWrapper]:
         env = env.venv
 
 
+def _vec_wrapper_names(env: VecEnv) -> list[str]:
+    """Names of the wrappers around all environments, from the outside in."""
+    return [type(wrapper).__name__ for wrapper in _vec_wrappers(env)]
+
+
 def _vec_wrapper_state(wrapper: VecEnvWrapper) -> tuple[str, ...]:
     return next((names for kind, names in VEC_WRAPPER_STATE.items() if isinstance(wrapper, kind)), ())
 
 
-def _free_name(path: Path, num_timesteps: int) -> Path:
-    """Name of a new checkpoint, that sorts behind those of fewer or as many timesteps."""
-    stem, copy = path / f"{PREFIX}{num_timesteps:012d}", 0
-    while (name := stem.with_name(f"{stem.name}_{copy:03d}")).exists():
-        copy += 1
-    return name
+def _next_number(path: Path) -> int:
+    """How many checkpoints were written before; timesteps do not tell, they stand still in pretraining."""
+    checkpoints = _checkpoints(path)
+    return _number(checkpoints[-1]) + 1 if checkpoints else 0
+
+
+def _number(checkpoint: Path) -> int:
+    match = NAME.fullmatch(checkpoint.name)
+    assert match is not None
+    return int(match["number"])
 
 
 def _checkpoints(path: Path) -> list[Path]:
-    """Checkpoints in a directory, oldest first."""
-    return sorted(entry for entry in path.glob(f"{PREFIX}*") if (entry / MANIFEST).is_file())
+    """Checkpoints in a directory, in the order in which they were written."""
+    named = (entry for entry in path.glob(f"{PREFIX}*") if NAME.fullmatch(entry.name))
+    return sorted((entry for entry in named if (entry / MANIFEST).is_file()), key=_number)
 
 
 def _remove(checkpoint: Path) -> None:

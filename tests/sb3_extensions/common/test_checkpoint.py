@@ -212,7 +212,7 @@ def test_stock_algorithms(algorithm: Any, make_toy: Any, tmp_path: Path) -> None
 def test_callback_saves_and_keeps(make_toy: Any, tmp_path: Path) -> None:
     make_model(make_toy(2)).learn(50, callback=DirectoryCheckpointCallback(10, tmp_path / "new", keep=2))
     names = sorted(entry.name for entry in (tmp_path / "new").iterdir())
-    assert names == ["checkpoint_000000000030_000", "checkpoint_000000000040_000"]
+    assert names == ["checkpoint_000000000030_002", "checkpoint_000000000040_003"]
     assert latest_checkpoint(tmp_path / "new") == tmp_path / "new" / names[-1]
     for bad in ({"save_freq": 0}, {"save_freq": 1, "keep": 0}):
         with pytest.raises(ValueError, match="at least 1"):
@@ -224,6 +224,27 @@ def test_saving_twice_at_the_same_step(make_toy: Any, tmp_path: Path) -> None:
     first, second = save_checkpoint(model, tmp_path), save_checkpoint(model, tmp_path)
     assert first != second and first.exists()
     assert latest_checkpoint(tmp_path) == second
+
+
+def test_what_is_written_last_is_kept(make_toy: Any, tmp_path: Path) -> None:
+    model = make_model(make_toy(), pretrain_steps=70)
+    model.learn(1, callback=DirectoryCheckpointCallback(10, tmp_path))
+    newest = resume(tmp_path, make_toy(), device="cpu")
+    assert (newest.n_pretrained, newest.num_timesteps) == (70, 0)
+    model.learn(40, callback=DirectoryCheckpointCallback(10, tmp_path))
+    model.learn(20, callback=DirectoryCheckpointCallback(10, tmp_path))  # counts timesteps anew
+    assert resume(tmp_path, make_toy(), device="cpu").num_timesteps == 10
+
+
+def test_a_damaged_checkpoint_does_not_outlive_a_newer_one(make_toy: Any, tmp_path: Path) -> None:
+    model = make_model(make_toy()).learn(5)
+    save_checkpoint(model, tmp_path)
+    damaged = save_checkpoint(model.learn(10, reset_num_timesteps=False), tmp_path)
+    (damaged / "model.zip").write_bytes(b"")
+    with pytest.warns(UserWarning, match="damaged"):
+        resumed = resume(tmp_path, make_toy(), device="cpu")
+    newest = save_checkpoint(resumed.learn(5, reset_num_timesteps=False), tmp_path, keep=1)
+    assert list(tmp_path.iterdir()) == [newest] and resumed.num_timesteps == 10
 
 
 def test_kill_while_writing_leaves_the_last_one(
@@ -308,15 +329,17 @@ def test_a_full_disk_leaves_no_half(make_toy: Any, tmp_path: Path, monkeypatch: 
 
 def test_other_number_of_envs(make_toy: Any, tmp_path: Path) -> None:
     save_checkpoint(make_model(make_toy(2)).learn(4), tmp_path)
-    with pytest.raises(ValueError, match="2 environments"):
+    with pytest.raises(ValueError, match="2 environments, got 1"):
         resume(tmp_path, make_toy(1))
+    with pytest.raises(ValueError, match=r"wrapped in \[\], got \['VecMonitor'\]"):
+        resume(tmp_path, VecMonitor(make_toy(2)))
 
 
 def test_envs_without_state_start_a_new_episode(tmp_path: Path) -> None:
-    def make_env() -> gym.Env[Any, Any]:
+    def make_env(n_envs: int = 1) -> VecNormalize:
         env = gym.make("Pendulum-v1")
         assert not hasattr(env.unwrapped, "get_state")
-        return env
+        return VecNormalize(DummyVecEnv([lambda: gym.make("Pendulum-v1")] * n_envs))
 
     kwargs: dict[str, Any] = {"buffer_size": 100, "policy_kwargs": {"net_arch": [8]}, "seed": 0}
     model = SAC("MlpPolicy", make_env(), learning_starts=5, device="cpu", **kwargs)
@@ -325,5 +348,10 @@ def test_envs_without_state_start_a_new_episode(tmp_path: Path) -> None:
     with pytest.warns(UserWarning, match="start anew"):
         resumed = resume(tmp_path, make_env(), device="cpu")
     assert resumed._last_obs is None
+    normalised, before = resumed.get_env(), model.get_env()
+    assert normalised.obs_rms.count == before.obs_rms.count > 10
+    np.testing.assert_array_equal(normalised.ret_rms.var, before.ret_rms.var)
     resumed.learn(5, reset_num_timesteps=False)
     assert resumed.num_timesteps == 15
+    with pytest.raises(ValueError, match="1 environments, got 2"):
+        resume(tmp_path, make_env(2))
