@@ -73,7 +73,7 @@ class Augmentation(ABC):
         """
         if self.size is None:
             return policy_kwargs
-        extractor_kwargs = {**policy_kwargs.get("features_extractor_kwargs", {}), "crop": self.size}
+        extractor_kwargs = {**(policy_kwargs.get("features_extractor_kwargs") or {}), "crop": self.size}
         return {**policy_kwargs, "features_extractor_kwargs": extractor_kwargs}
 
     def view(self, observations: Observations, generator: th.Generator, copies: int = 1) -> Observations:

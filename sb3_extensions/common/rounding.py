@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from stable_baselines3.common.policies import BasePolicy
+from stable_baselines3.common.vec_env import VecNormalize
 
 from sb3_extensions.networks.extractors import StackedImage
 from sb3_extensions.networks.views import SceneView
@@ -21,7 +22,7 @@ def follow_extractor(buffer_kwargs: Mapping[str, Any], policy_kwargs: Mapping[st
     :param policy_kwargs: arguments of a policy
     :return: arguments of the replay buffer
     """
-    extractor_kwargs = policy_kwargs.get("features_extractor_kwargs", {})
+    extractor_kwargs = policy_kwargs.get("features_extractor_kwargs") or {}
     quantise = policy_kwargs.get("quantise", extractor_kwargs.get("quantise"))
     return {"image_dtype": quantise, **buffer_kwargs} if quantise else dict(buffer_kwargs)
 
@@ -40,6 +41,25 @@ def check_rounding(buffer: FrameReplayBuffer, policy: BasePolicy) -> None:
             raise ValueError(
                 f"the replay buffer stores images with image_dtype={stored!r}, but the policy "
                 f"rounds them with quantise={stack.quantise!r}: give both the same"
+            )
+
+
+def check_normalisation(env: VecNormalize | None, policy: BasePolicy) -> None:
+    """
+    Check that images reach an agent within the bounds that it rounds them in.
+
+    :param env: what normalises observations, if anything
+    :param policy: what sees them; networks other than ours are left to their user
+    :raises ValueError: if it normalises images
+    """
+    if env is None or not env.norm_obs:
+        return
+    for stack in _stacks(policy):
+        images = stack.image_keys if env.norm_obs_keys is None else stack.image_keys & {*env.norm_obs_keys}
+        if images and stack.quantise:
+            raise ValueError(
+                f"VecNormalize must not normalise the images {sorted(images)}, which the policy rounds: give "
+                "it norm_obs_keys without them, or norm_obs=False"
             )
 
 

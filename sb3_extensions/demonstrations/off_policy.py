@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 from collections.abc import Iterable
 from typing import Any, ClassVar, TypeVar
@@ -18,12 +19,12 @@ from stable_baselines3.common.vec_env import VecEnv
 from tqdm import tqdm
 
 from sb3_extensions.common.augmentation import Augmentation, make_augmentation
-from sb3_extensions.common.rounding import check_rounding, follow_extractor
+from sb3_extensions.common.rounding import check_normalisation, check_rounding, follow_extractor
 from sb3_extensions.common.seeds import SeedKey, derive_seed
 from sb3_extensions.demonstrations.collecting import EpisodeData
 from sb3_extensions.demonstrations.dagger import Adviser
 from sb3_extensions.demonstrations.source import DemonstrationSource
-from sb3_extensions.replay.expert import ExpertReplayBuffer
+from sb3_extensions.replay.expert import ExpertReplayBuffer, check_alike
 
 # Gradient steps of the pretraining between two lines of the log.
 PRETRAINING_LOG_INTERVAL = 100
@@ -61,6 +62,7 @@ class OffPolicyFromDemonstrations(OffPolicyAlgorithm):
     _progress_bar: bool | None = None  # that of the latest learn()
     n_pretrained: int = 0
     """Gradient steps of the pretraining that are done."""
+    _had_expert_data: bool = False  # also where it was not saved
 
     default_replay_buffer_class: ClassVar[type[ExpertReplayBuffer]] = ExpertReplayBuffer
     own_buffer_arguments: ClassVar[tuple[str, ...]] = ("gamma", "n_steps")
@@ -102,6 +104,7 @@ class OffPolicyFromDemonstrations(OffPolicyAlgorithm):
         assert self.replay_buffer is not None
         check_rounding(self.replay_buffer, self.policy)
         self._adviser = Adviser(self._as_policy_actions)
+        self._had_expert_data |= self.expert_data is not None
         # The base class seeds before it makes the buffer
         self._seed_samplers(self.seed)
 
@@ -151,6 +154,7 @@ class OffPolicyFromDemonstrations(OffPolicyAlgorithm):
         :param progress_bar: Display a progress bar using tqdm and rich, and one each for demonstrations and
             pretraining; None displays these two only, and only on a terminal.
         :return: the trained model
+        :raises ValueError: if a loaded model's ``expert_data`` is missing, or images are normalised
         """
         self._progress_bar = progress_bar
         return super().learn(
@@ -167,6 +171,13 @@ class OffPolicyFromDemonstrations(OffPolicyAlgorithm):
         if self.dagger:
             Adviser.check(self.env)
         self._follow_discount()
+        assert self.replay_buffer is not None
+        if self._had_expert_data and self.expert_data is None and not self.replay_buffer.size():
+            raise ValueError(
+                "expert_data must be set anew, or the replay buffer loaded: the model was made with "
+                "demonstrations, which are not saved with it"
+            )
+        check_normalisation(self.get_vec_normalize_env(), self.policy)
         return super()._setup_learn(*args, **kwargs)
 
     def collect_rollouts(
@@ -194,14 +205,21 @@ class OffPolicyFromDemonstrations(OffPolicyAlgorithm):
         """
         assert isinstance(replay_buffer, ExpertReplayBuffer)
         if not replay_buffer.size():
-            seed = None if self.seed is None else derive_seed(self.seed, SeedKey.EXPERT)
-            source = self._demonstrations(progress_bar=self._progress_bar)
-            source.fill(replay_buffer, env, seed, self._as_policy_actions)
+            self._collect_demonstrations(replay_buffer, env)
         if self.pretraining_left:
             self._pretrain(callback)
         return super().collect_rollouts(
             env, callback, train_freq, replay_buffer, action_noise, learning_starts, log_interval
         )
+
+    def _collect_demonstrations(self, replay_buffer: ExpertReplayBuffer, env: VecEnv) -> None:
+        seed = None if self.seed is None else derive_seed(self.seed, SeedKey.EXPERT)
+        source = self._demonstrations(progress_bar=self._progress_bar)
+        try:
+            source.fill(replay_buffer, env, seed, self._as_policy_actions)
+        except BaseException:  # some of them would be taken for all by the next learn()
+            replay_buffer.reset()
+            raise
 
     def _pretrain(self, callback: BaseCallback) -> None:
         total = self._pretraining_total
@@ -229,6 +247,25 @@ class OffPolicyFromDemonstrations(OffPolicyAlgorithm):
         assert self.replay_buffer is not None
         has_only_demonstrations = 0 < self.replay_buffer.size() == self.replay_buffer.expert_size
         return self._pretraining_total - self.n_pretrained if has_only_demonstrations else 0
+
+    def load_replay_buffer(
+        self, path: str | os.PathLike[str] | io.BufferedIOBase, truncate_last_traj: bool = True
+    ) -> None:
+        """
+        Load a replay buffer from a pickle file.
+
+        :param path: Path to the pickled replay buffer
+        :param truncate_last_traj: without effect, see Stable-Baselines3's ``HerReplayBuffer``
+        :raises ValueError: if it is not one that the algorithm would have made; its own stays then
+        """
+        own = self.replay_buffer
+        assert own is not None
+        super().load_replay_buffer(path, truncate_last_traj)  # type: ignore[arg-type]
+        try:
+            check_rounding(check_alike(self.replay_buffer, own), self.policy)
+        except ValueError:
+            self.replay_buffer = own
+            raise
 
     def _sample_action(
         self, learning_starts: int, action_noise: ActionNoise | None = None, n_envs: int = 1

@@ -93,7 +93,7 @@ class FERM(SACfD):
         if self.n_pretrained >= self.contrastive_steps:
             super()._pretrain_once()
             return
-        sample = self.replay_buffer.sample(self.batch_size)
+        sample = self.replay_buffer.sample(self.batch_size, env=self._vec_normalize_env)
         for name, value in self._update_encoder(sample.observations).items():
             self.logger.record(f"train/{name}", value.item())
         self._update_target_encoder()

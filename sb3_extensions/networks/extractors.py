@@ -83,6 +83,11 @@ class StackedImage(nn.Module):
         self.channels = sum(int(space.shape[0]) for space in images.values())
         self.channels += sum(get_flattened_obs_dim(space) for space in numbers.values())
 
+    @property
+    def image_keys(self) -> set[str]:
+        """Keys of the images."""
+        return set(self.scales)
+
     def forward(self, observations: PyTorchObs) -> th.Tensor:
         """:return: (batch, channels, size, size)"""
         if isinstance(observations, th.Tensor):

@@ -98,6 +98,11 @@ class SceneView(nn.Module):
 
     has_float_images = True
 
+    @property
+    def image_keys(self) -> set[str]:
+        """Keys of the images."""
+        return {self.image_key} if self.in_hand_shape is None else {self.image_key, self.in_hand_key}
+
     def forward(self, observations: TensorDict) -> View:
         """
         :param observations: a batch

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import torch as th
+from stable_baselines3.common.buffers import ReplayBuffer
 
 from sb3_extensions.replay.buffer import NO_ROW, FrameReplayBuffer, Observations
 from sb3_extensions.replay.frames import Ids
@@ -91,6 +92,7 @@ class ExpertReplayBuffer(FrameReplayBuffer):
         wrong = {name: length for name, length in lengths.items() if length != n_steps}
         if wrong or n_steps == 0:
             raise ValueError(f"an episode of {n_steps} actions has another number of steps in {wrong}")
+        self._check_room(n_steps)
         if not self.table:
             self._allocate()
         actions = np.asarray(actions).reshape(n_steps, self.action_dim)
@@ -110,6 +112,20 @@ class ExpertReplayBuffer(FrameReplayBuffer):
             **{"return": np.nan},
         )
         self._write_returns(rows)
+
+    def _check_room(self, n_steps: int) -> None:
+        """Frames and rows of an episode are pinned both or not at all."""
+        rings = {
+            "a larger buffer_size": (self.rows, n_steps),
+            "more frames_per_transition, or a larger buffer_size": (self.frames.ring, n_steps + 1),
+        }
+        for cure, (ring, count) in rings.items():
+            if not ring.has_room(count):
+                raise ValueError(
+                    "the demonstrations do not fit into the replay buffer: it has room for "
+                    f"buffer_size={self.buffer_size} transitions, own ones among them, there are "
+                    f"{self.expert_size + n_steps} of the expert, and more may come: give it {cure}"
+                )
 
     def update_priorities(self, slots: Ids, td_errors: th.Tensor) -> None:
         """
@@ -142,3 +158,22 @@ class ExpertReplayBuffer(FrameReplayBuffer):
         won = self.rows.ids_in(self.expert_size + np.flatnonzero(returns > 0))
         won = won[won >= self.rows.first]
         return self.rng.choice(won, size=count) if len(won) else won
+
+
+def check_alike(given: ReplayBuffer | None, own: ExpertReplayBuffer) -> ExpertReplayBuffer:
+    """
+    Check that a buffer can take the place of another.
+
+    :param given: the buffer
+    :param own: what it is to replace
+    :return: the buffer
+    :raises ValueError: if it stores other things
+    """
+    if not isinstance(given, ExpertReplayBuffer):
+        raise ValueError(f"the replay buffer must be an ExpertReplayBuffer, got {type(given).__name__}")
+    for name in ("observation_space", "action_space", "n_envs"):
+        if getattr(given, name) != getattr(own, name):
+            raise ValueError(
+                f"the replay buffer's {name} must be {getattr(own, name)}, got {getattr(given, name)}"
+            )
+    return given

@@ -39,6 +39,15 @@ class PinnedRing:
         """Number of slots that have ever been filled; they are the first ones."""
         return min(self.end, self.capacity)
 
+    def has_room(self, count: int) -> bool:
+        """
+        Ask whether items can be pinned.
+
+        :param count: number of items
+        :return: whether enough slots are left to others
+        """
+        return self.pinned + count <= self.capacity - self.min_ring
+
     def pin(self, count: int) -> Ids:
         """
         Take slots for items that are never overwritten.
@@ -49,7 +58,7 @@ class PinnedRing:
         """
         if self.end > self.pinned:
             raise ValueError("items can be pinned only before the first other one arrives")
-        if self.pinned + count > self.capacity - self.min_ring:
+        if not self.has_room(count):
             raise ValueError(
                 f"{self.pinned + count} pinned items do not fit into {self.capacity} slots, "
                 f"of which {self.min_ring} must be left for others"

@@ -26,6 +26,7 @@ from sb3_extensions.demonstrations.off_policy import (
     check_share,
 )
 from sb3_extensions.demonstrations.source import DemonstrationSource
+from sb3_extensions.replay.rotated import RotatedReplayBuffer
 from sb3_extensions.spatial_dqn.augmentation import RigidMotion
 from sb3_extensions.spatial_dqn.losses import ImitationLoss, LargeMargin, StrictMargin, cross_entropy
 from sb3_extensions.spatial_dqn.policies import (
@@ -199,6 +200,8 @@ class SpatialDQN(OffPolicyFromDemonstrations):
 
     def _check_arguments(self) -> None:
         self._check_demonstrations()
+        if issubclass(self.replay_buffer_class or ReplayBuffer, RotatedReplayBuffer):
+            raise ValueError("replay_buffer_class must not rotate, yaws stay: give rigid_augmentation=True")
         check_not_negative(imitation_weight=self.imitation_weight, margin=self.margin)
         check_share(
             exploration_fraction=self.exploration_fraction,

@@ -10,8 +10,9 @@ import pytest
 import yaml
 
 from bulletarm_gym.benchmarks import BENCHMARKS
+from sb3_extensions.common.codec import SpatialActionCodec
 from zoo_configs.cells.cell import Cell, explain, merge, resolve
-from zoo_configs.cells.rules import families, family_of, parse_family, task_name
+from zoo_configs.cells.rules import Family, families, family_of, parse_family, task_name
 from zoo_configs.cells.validation import check_cell, constructor_keys
 from zoo_configs.environments import make_env, our_env_ids, register_environments
 from zoo_configs.errors import CommandError, nearest_name
@@ -31,6 +32,7 @@ CELLS = [
     )
 ]
 PICKING = "BulletArm/CloseLoopBlockPicking-v0"
+STACKING = "BulletArm/OpenLoopBlockStacking-v0"
 CLOSE_LOOP = [row.env_id for row in BENCHMARKS["close_loop_4d"].environments]
 
 
@@ -190,6 +192,34 @@ def test_every_value_is_explained(baseline: str, preset: str) -> None:
     assert by["flags.eval_freq"].when == {"preset": (preset,)}
     assert {name.partition(".")[0] for name in values} == {"algo", "flags", *hyperparams}
     assert len(values) == sum(len(values) for _, values in explained)  # each is set by one rule
+
+
+@pytest.mark.parametrize("family", families(), ids=lambda family: family.name)
+def test_cells_of_all_baselines_are_explained(family: Family) -> None:
+    env_id = PICKING if family.serves(PICKING) else STACKING
+    for baseline, row in family.baselines.items():
+        if row.network.endswith(("6d", "deictic_asr")):
+            continue
+        overrides = {"env_kwargs": {"half_rotation": False}} if env_id == STACKING else {}
+        explained = explain(baseline, "cpu", env_id, overrides)
+        values = {name: value for _, values in explained for name, value in values.items()}
+        assert values["algo"] == resolve(baseline, "cpu", env_id, overrides).algo
+
+
+def test_a_grid_of_actions_lies_over_what_the_environments_range_over() -> None:
+    workspace = [[0.3, 0.6], [-0.15, 0.15], [0.01, 0.25]]
+    env_kwargs = {"half_rotation": False, "workspace": workspace, "random_orientation": True}
+    hyperparams = resolve("sdqfd_equi_asr", "cpu", STACKING, {"env_kwargs": env_kwargs}).hyperparams
+    codec = SpatialActionCodec(64, "pxyr", **hyperparams["policy_kwargs"]["codec_kwargs"])
+    assert codec.workspace_size == pytest.approx(0.3)
+    pick = codec.decode(np.array([[32, 32, 8]]), np.array([False]))[0]
+    # Where half a turn is none, -1 and 1 are half a turn to either side (docs/environments.md)
+    assert pick[3] * np.pi == pytest.approx(8 * np.pi / codec.shape[2])
+    given = {"env_kwargs": env_kwargs, "policy_kwargs": {"codec_kwargs": {"theta_bounds": [-4.0, 4.0]}}}
+    hyperparams = resolve("sdqfd_equi_asr", "cpu", STACKING, given).hyperparams
+    assert hyperparams["policy_kwargs"]["codec_kwargs"]["theta_bounds"] == [-4.0, 4.0]
+    plain = resolve("sdqfd_equi_asr", "cpu", STACKING).hyperparams
+    assert plain["policy_kwargs"]["codec_kwargs"] == {}
 
 
 def test_the_name_of_a_task() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -14,6 +15,10 @@ from zoo_configs.errors import unknown_name
 OVERRIDES = "overrides"
 # Have an action sequence that follows the environment's.
 FOLLOWING = ("policy_kwargs", "replay_buffer_kwargs")
+GRID = "policy_kwargs.codec_kwargs"
+# Arguments of a codec, and the environment's parameter that each follows.
+GRID_FOLLOWS = {"theta_bounds": "half_rotation", "workspace_size": "workspace"}
+WHOLE_TURN = (-math.pi, math.pi)  # rad, what -1 and 1 stand for without half_rotation
 
 
 @dataclass(frozen=True)
@@ -69,7 +74,8 @@ def resolve(
     for rule in rules:
         hyperparams, flags = merge(hyperparams, rule.hyperparams), merge(flags, rule.flags)
     _share_action_sequence(hyperparams)
-    algo = next((rule.algo for rule in reversed(rules) if rule.algo is not None), case.baseline.learner)
+    _share_bounds(hyperparams)
+    algo = next(rule.algo for rule in reversed(rules) if rule.algo is not None)
     return Cell(algo, env_id, hyperparams, flags, baseline, preset, case.benchmark)
 
 
@@ -100,6 +106,9 @@ def explain(
     for follower in (f"{key}.action_sequence" for key in FOLLOWING):
         if follower in sources:
             sources[follower] = sources.get("env_kwargs.action_sequence", sources[follower])
+    for argument, parameter in GRID_FOLLOWS.items():
+        if f"env_kwargs.{parameter}" in sources:
+            sources.setdefault(f"{GRID}.{argument}", sources[f"env_kwargs.{parameter}"])
     said = dict(_leaves(_said(cell.algo, cell.hyperparams, cell.flags)))
     kept = [(rule, {name: said[name] for name in said if sources[name] is rule}) for rule in rules]
     return [(rule, values) for rule, values in kept if values]
@@ -128,6 +137,7 @@ def _applied(
     if case.benchmark is not None:
         where = f"bulletarm_gym.benchmarks: {case.benchmark}"
         rules.insert(0, Rule(where, hyperparams=task_parameters(case.benchmark, env_id)))
+    rules.insert(0, Rule("name of the baseline", algo=case.baseline.learner))
     return case, [*rules, Rule(OVERRIDES, hyperparams=overrides or {})]
 
 
@@ -173,3 +183,16 @@ def _share_action_sequence(hyperparams: dict[str, Any]) -> None:
         kwargs = hyperparams.get(key, {})
         if isinstance(kwargs, dict) and "action_sequence" in kwargs and sequence is not None:
             kwargs["action_sequence"] = sequence
+
+
+def _share_bounds(hyperparams: dict[str, Any]) -> None:
+    """A grid of actions lies over what the environment's range over, unless it is told otherwise."""
+    codec_kwargs = hyperparams.get("policy_kwargs", {}).get("codec_kwargs")
+    if not isinstance(codec_kwargs, dict):
+        return
+    env_kwargs = hyperparams.get("env_kwargs", {})
+    if env_kwargs.get("half_rotation") is False:
+        codec_kwargs.setdefault("theta_bounds", list(WHOLE_TURN))
+    match env_kwargs.get("workspace"):
+        case [[int() | float() as low, int() | float() as high], *_]:
+            codec_kwargs.setdefault("workspace_size", high - low)

@@ -7,9 +7,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from stable_baselines3 import SAC
 from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.vec_env import VecNormalize
 
 from sb3_extensions.common.checkpoint import DirectoryCheckpointCallback, resume
+from sb3_extensions.demonstrations.collecting import collect_episodes, make_expert_env
 from sb3_extensions.ferm import FERM
 from sb3_extensions.replay.buffer import NO_ROW
 from sb3_extensions.sacfd import SACfD
@@ -186,3 +189,87 @@ def test_two_ways_of_rounding_are_refused(stored: str, quantise: str | None, mak
 def test_the_algorithm_gives_the_discount(name: str, make_toy: Any) -> None:
     with pytest.raises(ValueError, match=f"{name} is an argument of the algorithm"):
         make_model(make_toy(), replay_buffer_kwargs={name: 0.9})
+
+
+def test_interrupted_demonstrations_are_not_taken_for_all(
+    make_toy: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = make_model(make_toy()).learn(3)
+    model = make_model(make_toy())
+    add, added = model.replay_buffer.add_episode, []
+
+    def interrupted(*args: Any, **kwargs: Any) -> None:
+        add(*args, **kwargs)
+        added.append(args)
+        if len(added) == 3:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(model.replay_buffer, "add_episode", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        model.learn(3)
+    assert model.replay_buffer.size() == 0
+    model.learn(3)
+    assert model.replay_buffer.expert_size == whole.replay_buffer.expert_size
+
+
+def test_demonstrations_handed_over_are_asked_for_again(make_toy: Any, tmp_path: Path) -> None:
+    data = list(collect_episodes(make_expert_env(make_toy()), 2, seed=0))
+    model = make_model(make_toy(), expert_data=data).learn(2)
+    model.save(tmp_path / "model")
+    model.save_replay_buffer(tmp_path / "buffer")
+    loaded = SACfD.load(tmp_path / "model", env=make_toy(), device="cpu")
+    with pytest.raises(ValueError, match="expert_data must be set anew, or the replay buffer loaded"):
+        loaded.learn(2)
+    loaded.expert_data = data
+    loaded.learn(2)
+    loaded = SACfD.load(tmp_path / "model", env=make_toy(), device="cpu")
+    loaded.load_replay_buffer(tmp_path / "buffer")
+    assert loaded.learn(2).replay_buffer.expert_size == model.replay_buffer.expert_size
+
+
+@pytest.mark.parametrize(
+    ("other", "message"),
+    [
+        ({"n_envs": 2}, "n_envs must be 1, got 2"),
+        ({"replay_buffer_kwargs": {"image_dtype": "uint16"}, "quantise": "uint16"}, "image_dtype='uint16'"),
+        ({"stock": True}, "must be an ExpertReplayBuffer, got DictReplayBuffer"),
+    ],
+)
+def test_a_replay_buffer_of_another_kind_is_refused(
+    other: dict[str, Any], message: str, make_toy: Any, tmp_path: Path
+) -> None:
+    env = make_toy(other.pop("n_envs", 1))
+    if other.pop("stock", False):
+        model: Any = SAC("MultiInputPolicy", env, buffer_size=50, policy_kwargs={"net_arch": [4]})
+    else:
+        quantise = other.pop("quantise", "uint8")
+        extractor = {"channels": [4, 8, 8], "quantise": quantise}
+        model = make_model(env, policy_kwargs={"features_extractor_kwargs": extractor}, **other)
+    model.save_replay_buffer(tmp_path / "buffer")
+    ours = make_model(make_toy())
+    own = ours.replay_buffer
+    with pytest.raises(ValueError, match=message):
+        ours.load_replay_buffer(tmp_path / "buffer")
+    assert ours.replay_buffer is own
+
+
+def test_normalised_images_are_refused(make_toy: Any) -> None:
+    with pytest.raises(ValueError, match=r"must not normalise the images \['heightmap'\]"):
+        make_model(VecNormalize(make_toy())).learn(1)
+    for kwargs in ({"norm_obs": False}, {"norm_obs_keys": ["holding"]}):
+        make_model(VecNormalize(make_toy(), **kwargs)).learn(1)
+
+
+@pytest.mark.parametrize(
+    ("kwargs", "cure"),
+    [
+        ({"frames_per_transition": 2.0}, "a larger buffer_size"),
+        ({"frames_per_transition": 1.0}, "more frames_per_transition"),
+    ],
+)
+def test_too_many_demonstrations_are_told(kwargs: dict[str, Any], cure: str, make_toy: Any) -> None:
+    settings = {"buffer_size": 20, "expert_episodes": 20, "replay_buffer_kwargs": kwargs}
+    model = make_model(make_toy(), **settings)
+    with pytest.raises(ValueError, match=f"buffer_size={model.buffer_size} transitions.*give it {cure}"):
+        model.learn(1)
+    assert model.replay_buffer.frames.ring.pinned == model.replay_buffer.expert_size == 0
