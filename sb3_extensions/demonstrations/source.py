@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import hashlib
 import json
 import os
+import re
+import sys
 from collections.abc import Callable, Iterable, Iterator
 from importlib import metadata
+from pathlib import Path
 from typing import Any
 
-import numpy as np
 import numpy.typing as npt
 from stable_baselines3.common.vec_env import VecEnv
 
@@ -114,8 +117,8 @@ class DemonstrationSource:
 
 def _describe(env: AnyEnv) -> dict[str, Any] | None:
     """
-    What an environment is made of: its spec, and the versions of its package and of NumPy; None where that
-    cannot be written down.
+    What an environment is made of: its spec, the source of its package, and the versions of that and of what
+    it needs; None where that cannot be written down.
     """
     assert env.spec is not None  # it was made from one
     entry_point = env.spec.entry_point
@@ -126,9 +129,34 @@ def _describe(env: AnyEnv) -> dict[str, Any] | None:
     except ValueError:  # a parameter is no value of JSON
         return None
     package = type(env.unwrapped).__module__.partition(".")[0]
+    source = _digest(package)
+    if source is None:
+        return None
+    return {"spec": spec, "source": source, "versions": _versions(package)}
+
+
+def _digest(package: str) -> str | None:
+    """Of the source of a package, or of a module of its own; None where there is none, as in a notebook."""
+    module = sys.modules.get(package)
+    folders = getattr(module, "__path__", None)
+    if folders is not None:
+        files = sorted(file for folder in folders for file in Path(folder).rglob("*.py"))
+    else:
+        files = [Path(file)] if (file := getattr(module, "__file__", None)) else []
+    digest = hashlib.sha256()
+    for file in files:
+        digest.update(file.read_bytes())
+    return digest.hexdigest() if files else None
+
+
+def _versions(package: str) -> dict[str, str]:
+    """Of the distributions of a package, of what they need, and of Gymnasium and NumPy, where installed."""
     distributions = metadata.packages_distributions().get(package, [])
-    return {
-        "spec": spec,
-        "versions": {name: metadata.version(name) for name in distributions},
-        "numpy": np.__version__,
-    }
+    requirements = (line for name in distributions for line in metadata.requires(name) or [])
+    needed = (line for line in requirements if "extra ==" not in line)
+    names = {re.split(r"[^\w.-]", name, maxsplit=1)[0].lower() for name in needed}
+    versions = {}
+    for name in sorted({*distributions, *names, "gymnasium", "numpy"}):
+        with contextlib.suppress(metadata.PackageNotFoundError):
+            versions[name] = metadata.version(name)
+    return versions

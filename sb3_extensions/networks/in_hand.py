@@ -8,8 +8,10 @@ from torch import nn
 
 from sb3_extensions.networks.unets import initialise_xavier
 
-# Side of the map before the linear layers: 24 pixels become 6, 40 become 5.
+# Side of the map before the linear layers, at most: 24 pixels become 6, 40 become 5, in the level of all
+# pixels 10.
 LAST_SIDE = 8
+LAST_SIDE_OF_PIXELS = 10
 CONVOLUTIONS = 3  # of the plain networks' encoder
 
 

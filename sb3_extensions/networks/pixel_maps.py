@@ -23,7 +23,7 @@ from sb3_extensions.networks.equivariant import (
 )
 from sb3_extensions.networks.groups import FieldType, Group
 from sb3_extensions.networks.heads import OUTPUT_GAIN, scale_down
-from sb3_extensions.networks.in_hand import PatchMap, PatchVector
+from sb3_extensions.networks.in_hand import LAST_SIDE_OF_PIXELS, PatchMap, PatchVector
 from sb3_extensions.networks.patches import rotate_images
 from sb3_extensions.networks.unets import equivariant_unet, plain_unet, split_padding
 from sb3_extensions.networks.views import View
@@ -186,7 +186,8 @@ class EquivariantPixelMaps(PixelMaps):
         if shapes.in_hand is not None:
             placed = FieldType.of((group.regular, dynamic_fields or fields[0]))
             self.dynamic = DynamicEquivariantConv2d(regular, placed, 3, padding=1)
-            encoder = PatchVector(shapes.in_hand[0], shapes.in_hand[1], in_hand_channels, [hidden])
+            channels, side, _ = shapes.in_hand
+            encoder = PatchVector(channels, side, in_hand_channels, [hidden], LAST_SIDE_OF_PIXELS)
             self.coefficients = nn.Sequential(encoder, coefficients_of(self.dynamic, hidden))
         self.heads = nn.ModuleList(_head(in_type, rotations) for in_type in (regular, placed))
 

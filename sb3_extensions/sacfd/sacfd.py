@@ -38,8 +38,9 @@ class SACfD(OffPolicyFromDemonstrations, SAC):
 
     SAC whose replay buffer begins with the episodes of an expert, and whose actor imitates the expert: its
     loss has the term ``bc_weight * MSE(sampled action, expert action)``, the weighted mean over the imitated
-    transitions, in the policy's units [-1, 1]. With ``bc_weight=0``, ``expert_episodes=0``, ``exploration=0``
-    and ``backup_entropy=True`` it is SAC, with an ``augmentation`` it is RAD or DrQ SACfD.
+    transitions, in the policy's units [-1, 1]. With ``bc_weight=0``, ``expert_episodes=0``,
+    ``exploration=0``, ``n_steps=1`` and ``backup_entropy=True`` it is SAC, with an ``augmentation`` it is RAD
+    or DrQ SACfD.
 
     The demonstrations are collected at the beginning of the first ``learn()``, in an environment of their own
     made from the spec of the training environment; these steps do not count as timesteps.
@@ -292,7 +293,7 @@ class SACfD(OffPolicyFromDemonstrations, SAC):
             self.actor.optimizer.step()
 
             # Update target networks
-            if gradient_step % self.target_update_interval == 0:
+            if (self._n_updates + gradient_step) % self.target_update_interval == 0:
                 self._update_target_critic()
                 # Copy running stats, see GH issue #996
                 polyak_update(self.batch_norm_stats, self.batch_norm_stats_target, 1.0)

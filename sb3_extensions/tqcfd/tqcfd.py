@@ -20,8 +20,8 @@ class TQCfD(SACfD):
     """
     Truncated quantile critics from demonstrations (TQCfD).
 
-    :class:`~sb3_extensions.sacfd.SACfD` with the critics of sb3-contrib's TQC: with ``bc_weight=0`` and
-    ``expert_episodes=0`` it is TQC.
+    :class:`~sb3_extensions.sacfd.SACfD` with the critics of sb3-contrib's TQC: what makes
+    that SAC makes this TQC.
 
     TQC: https://arxiv.org/abs/2005.04269
 

@@ -7,7 +7,7 @@ import os
 import pickle
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from copy import deepcopy
 from typing import Any
 
@@ -271,13 +271,16 @@ class SplitVecEnv(VecEnv):
 
     @contextmanager
     def _closed_by_errors(self) -> Iterator[None]:
-        """End the workers where something goes wrong: nobody could tell what they have done."""
+        """Close everything where something goes wrong: nobody could tell what they have done."""
         try:
             yield
         except BaseException:
             self.closed = True
             for worker in self._workers:
                 worker.end()
+            for env in self._envs.values():
+                with suppress(Exception):  # the first error is the one to tell
+                    env.close()
             raise
 
     @contextmanager

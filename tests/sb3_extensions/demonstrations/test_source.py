@@ -2,19 +2,47 @@
 
 from __future__ import annotations
 
+import importlib
 import logging
+import sys
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import gymnasium as gym
 import numpy as np
 import pytest
+from stable_baselines3.common.env_util import make_vec_env
 
 from sb3_extensions.demonstrations import source
 from sb3_extensions.demonstrations.cache import EpisodeCache
 from sb3_extensions.demonstrations.collecting import collect_episodes, make_expert_env
 from sb3_extensions.demonstrations.source import DemonstrationSource
 from sb3_extensions.replay.expert import ExpertReplayBuffer
+
+OWN_TASK = """
+import gymnasium as gym
+import numpy as np
+
+
+class OwnTask(gym.Env):
+    metadata = {{"render_modes": ["rgb_array"]}}
+    observation_space = gym.spaces.Dict({{"state": gym.spaces.Box(-1.0, 1.0, (1,), np.float32)}})
+    action_space = gym.spaces.Box(-1.0, 1.0, (1,), np.float32)
+
+    def __init__(self, render_mode=None):
+        self.render_mode = render_mode
+
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        return {{"state": np.zeros(1, np.float32)}}, {{}}
+
+    def step(self, action):
+        return {{"state": np.zeros(1, np.float32)}}, 1.0, True, False, {{"is_success": True}}
+
+    def expert_action(self):
+        return np.full(1, {speed}, np.float32)
+"""
 
 
 def fill(env: Any, seed: int | None = 0, **kwargs: Any) -> ExpertReplayBuffer:
@@ -92,6 +120,29 @@ def test_a_damaged_file_is_collected_again(
     caplog.clear()
     assert_equal_rows(fill(make_toy(), episodes=3, cache=tmp_path), expected)
     assert not caplog.text
+
+
+def test_a_change_of_the_environments_source_collects_anew(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    module = tmp_path / "own_task.py"
+    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)
+    gym.register("OwnTask-v0", entry_point="own_task:OwnTask")
+    speeds = []
+    try:
+        for speed in (0.5, 0.5, 0.25):
+            module.write_text(OWN_TASK.format(speed=speed))
+            sys.modules.pop("own_task", None)
+            importlib.invalidate_caches()
+            env = make_vec_env("OwnTask-v0", 1, seed=0)
+            buffer = fill(env, episodes=1, cache=tmp_path / "cache")
+            speeds.append(np.abs(buffer.table["action"][0]).max())
+    finally:
+        gym.registry.pop("OwnTask-v0")
+        sys.modules.pop("own_task", None)
+    np.testing.assert_allclose(speeds, [0.5, 0.5, 0.25])
+    assert len(list((tmp_path / "cache").iterdir())) == 2
 
 
 def test_a_failed_save_leaves_nothing(make_toy: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
