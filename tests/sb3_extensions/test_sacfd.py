@@ -28,7 +28,8 @@ def make_model(env: Any, policy: tuple[Any, Any] = (StockPolicy, SMALL_STOCK), *
 
 
 def parameters(model: Any) -> dict[str, np.ndarray]:
-    return {name: value.numpy().copy() for name, value in model.policy.state_dict().items()}
+    module = getattr(model, "policy", model)
+    return {name: value.numpy().copy() for name, value in module.state_dict().items()}
 
 
 def assert_equal_parameters(first: Any, second: Any) -> None:
@@ -180,6 +181,19 @@ def test_losses_equal_a_slow_reference(experts: int, make_toy: Any, papers: dict
     np.testing.assert_allclose(logged["train/actor_loss"], expected, rtol=1e-4)
     moved = {name for name, value in parameters(model).items() if not np.array_equal(value, before[name])}
     assert {name.split(".")[0] for name in moved} == {"actor", "critic", "critic_target"}
+
+
+@pytest.mark.parametrize("gradient_steps", [1, 2])
+def test_the_target_follows_after_so_many_updates(gradient_steps: int, make_toy: Any) -> None:
+    settings: dict[str, Any] = {"gradient_steps": gradient_steps, "target_update_interval": 4, "tau": 1.0}
+    model = make_model(make_toy(), batch_size=4, **settings).learn(1)
+    moves = []
+    for _ in range(8 // gradient_steps):
+        before = parameters(model.critic_target)
+        model.train(gradient_steps, 4)
+        after = parameters(model.critic_target)
+        moves.append(any(not np.array_equal(after[name], before[name]) for name in before))
+    assert sum(moves) == 2
 
 
 def copy_of(model: SACfD, name: str) -> Any:

@@ -10,6 +10,7 @@ from torch.nn import functional as F
 
 from bulletarm_gym.geometry import Pose
 from bulletarm_gym.sensors.in_hand import Map, crop
+from sb3_extensions.networks.in_hand import LAST_SIDE, LAST_SIDE_OF_PIXELS, PatchVector
 from sb3_extensions.networks.patches import crop_patches, gather_windows, rotate_images
 
 SIDE = 20
@@ -18,6 +19,17 @@ SIZES = (1, 2, 7, 8, 24)
 ROWS = th.tensor([9, 10, 1, 19, 0, 19, 18, -2])
 COLUMNS = th.tensor([11, 0, 17, 7, 0, 19, 1, 5])
 ANGLES = th.tensor([0.0, math.pi / 2, 0.3, -2.0, 1.1, 3.0, -0.7, 6.0], dtype=th.float64)
+
+
+@pytest.mark.parametrize(("size", "side", "side_of_pixels"), [(16, 8, 8), (24, 6, 6), (40, 5, 10)])
+def test_maps_before_linear_layers_are_as_large_as_the_authors(
+    size: int, side: int, side_of_pixels: int
+) -> None:
+    for last_side, expected in ((LAST_SIDE, side), (LAST_SIDE_OF_PIXELS, side_of_pixels)):
+        network = PatchVector(1, size, [2, 2, 2, 2], [3], last_side)
+        linear = next(layer for layer in network if isinstance(layer, th.nn.Linear))
+        assert linear.in_features == 2 * expected**2
+        assert network(th.zeros(1, 1, size, size)).shape == (1, 3)
 
 
 @pytest.fixture

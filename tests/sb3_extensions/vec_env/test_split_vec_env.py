@@ -191,8 +191,10 @@ def test_learns_as_in_one_process() -> None:
 
 
 @pytest.mark.parametrize("bad", [0, 2])
-def test_error_of_an_environment(bad: int) -> None:
+def test_error_of_an_environment(bad: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """In this process as it is, in a worker with its traceback; nothing is left running."""
+    closed: list[Any] = []
+    monkeypatch.setattr(Monitor, "close", lambda env: closed.append(env))
     env = split(4)
     env.reset()
     actions = np.zeros((4, 5), np.float32)
@@ -202,6 +204,7 @@ def test_error_of_an_environment(bad: int) -> None:
     if bad:
         assert "SplitVecEnv worker 1 failed: ValueError" in str(caught.value)
         assert "decode_action" in str(caught.value.__cause__)
+    assert len(closed) == 2  # those of this process
     assert not multiprocessing.active_children()
     env.close()
 
