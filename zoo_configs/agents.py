@@ -105,6 +105,7 @@ def _published_agent(args: argparse.Namespace) -> Agent:
         raise CommandError("--published names an agent by itself: give neither a run folder nor --env")
     register_environments(args.gym_packages)
     found = find_published(args.published, args.baseline)
+    register_environments(found.card.gym_packages)
     known_env_id(found.card.env)
     model = load_published(found, args.device)
     return Agent(model, found.model_file, found.card.label, found.card.env, dict(found.card.env_kwargs))

@@ -6,6 +6,7 @@ import importlib
 import os
 import select
 import sys
+import traceback
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from importlib import metadata
@@ -76,6 +77,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         if raises or not _is_told(error):
             raise
         return _tell(name, error)
+    except Exception as error:  # of a user's task or policy, most likely
+        if raises:
+            raise
+        return _tell_where(name, error)
     except KeyboardInterrupt:
         print(f"\n{PROGRAM} {name}: interrupted", file=sys.stderr)
         return EXIT_INTERRUPTED
@@ -130,6 +135,15 @@ def _tell(name: str, error: Exception) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # for what is still to be printed
         return EXIT_UNREAD
     print(f"{PROGRAM} {name}: error: {reason(error)}", file=sys.stderr)
+    return EXIT_USAGE
+
+
+def _tell_where(name: str, error: Exception) -> int:
+    """In one line what went wrong, in which line of which file, and how to see all that led there."""
+    *_, last = traceback.extract_tb(error.__traceback__)
+    said = " ".join(f"{type(error).__name__}: {error}".split())
+    asks = f"{PROGRAM} {TRACEBACK} {name} ... shows how it came about"
+    print(f"{PROGRAM} {name}: error: {said} ({last.filename}, line {last.lineno}; {asks})", file=sys.stderr)
     return EXIT_USAGE
 
 

@@ -101,6 +101,17 @@ class Pilot(ABC):
         """
         return key == GRIP or (key in MOVES and self.index(key) is not None)
 
+    def holds(self, observation: dict[str, Any]) -> bool:
+        """
+        Whether the gripper holds something.
+
+        :param observation: What is seen; where it does not say it, the scene does
+        :return: Whether it does
+        """
+        if "holding" in observation:
+            return bool(observation["holding"][0])
+        return self.env.get_wrapper_attr("scene").held is not None
+
     def _set_primitive(self, action: Action, value: float) -> Action:
         if "p" in self.sequence:
             action[self.sequence.index("p")] = value
@@ -140,7 +151,7 @@ class OpenLoopPilot(Pilot):
     def press(self, key: str, observation: dict[str, Any]) -> Action | None:
         """Move the target by the stride, or pick or place there."""
         if key == GRIP:
-            return self._set_primitive(self.target.copy(), 1.0 if observation["holding"][0] else -1.0)
+            return self._set_primitive(self.target.copy(), 1.0 if self.holds(observation) else -1.0)
         index = self.index(key)
         if index is not None:
             turns = MOVES[key][0] == "r"
@@ -154,7 +165,7 @@ class OpenLoopPilot(Pilot):
 
     def show(self, observation: dict[str, Any]) -> None:
         """Mark the target in the window."""
-        action = self._set_primitive(self.target.copy(), 1.0 if observation["holding"][0] else -1.0)
+        action = self._set_primitive(self.target.copy(), 1.0 if self.holds(observation) else -1.0)
         move = self.env.get_wrapper_attr("decode_action")(action)
         self.env.get_wrapper_attr("viewer").mark(move.position, move.rotation[0])
 

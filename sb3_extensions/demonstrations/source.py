@@ -46,7 +46,7 @@ class DemonstrationSource:
     :param snap: grid that the expert's actions are carried out on, see
         :class:`~sb3_extensions.demonstrations.snapping.SnappingHand`; None carries them out as they are
     :param progress_bar: whether to show progress; None shows it on a terminal
-    :raises ValueError: if ``episodes`` or ``noise`` is negative
+    :raises ValueError: if ``episodes`` or ``noise`` is negative, or ``data`` are no episodes
     """
 
     def __init__(
@@ -58,6 +58,10 @@ class DemonstrationSource:
         snap: SpatialActionCodec | None = None,
         progress_bar: bool | None = None,
     ) -> None:
+        if isinstance(data, str | os.PathLike) or not isinstance(data, Iterable | None):
+            raise ValueError(
+                f"expert_data must be episodes, read from a file where they are in one, got {data!r}"
+            )
         for name, value in {"expert_episodes": episodes, "expert_noise": noise}.items():
             if value < 0:
                 raise ValueError(f"{name} must not be negative, got {value}")

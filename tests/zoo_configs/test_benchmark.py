@@ -6,6 +6,7 @@ import random
 import signal
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ import pytest
 import yaml
 from sweeps import FLAGS, TINY, is_running, same, start, sweep_of, wait_for
 
+from bulletarm_gym.benchmarks import BENCHMARKS
 from sb3_extensions.replay.expert import ExpertReplayBuffer
 from zoo_configs.benchmarking.child import Ending, RunProcess, Task
 from zoo_configs.benchmarking.cost import estimate
@@ -83,6 +85,20 @@ def test_hours_and_gigabytes_follow_from_measurements_and_the_buffer() -> None:
     assert cost.hours == pytest.approx((10_000 * 32.4 + 47_500 * 1.5) / 3.6e6, rel=1e-6)
     assert 0.23 < cost.memory - 1.0 < 0.25  # 52,500 heightmaps of 64 x 64 bytes, nine more for every hundred
     assert estimate(member.cell, member.options, "cuda").hours is None
+
+
+@pytest.mark.parametrize("benchmark", BENCHMARKS)
+def test_all_baselines_of_a_benchmark_have_a_cost(benchmark: str) -> None:
+    plan = read_plan(benchmark)
+    for member in build_sweep(benchmark, replace(plan, tasks=plan.tasks[:1], seeds=1)).members:
+        assert estimate(member.cell, member.options, "cpu").memory > 1.0
+
+
+def test_a_pattern_takes_the_tasks_of_the_benchmark() -> None:
+    plan = replace(read_plan("close_loop_4d"), tasks=["CloseLoopBlock*"], baselines=["sacfd"], seeds=1)
+    tasks = {member.cell.env_id for member in build_sweep("close_loop_4d", plan).members}
+    known = {row.env_id for row in BENCHMARKS["close_loop_4d"].environments}
+    assert tasks == {env_id for env_id in known if "CloseLoopBlock" in env_id} != known
 
 
 def test_a_buffer_tells_its_size_before_it_takes_it() -> None:

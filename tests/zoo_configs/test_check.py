@@ -51,6 +51,15 @@ def test_least_success_rate_decides(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert "failed: BulletArm/CloseLoopBlockReaching-v0" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("observation", ["state", "point_cloud"])
+def test_observations_without_bounds_pass(
+    observation: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arguments = ["-n", "1", "-f", str(tmp_path), "--env-kwargs", f"observation:['{observation}']"]
+    assert main(["check", "BulletArm/CloseLoopBlockReaching-v0", *arguments]) == 0
+    assert "FAILED" not in capsys.readouterr().out
+
+
 @pytest.mark.usefixtures("own_registrations")
 def test_fault_of_a_users_task_is_reported(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
@@ -58,6 +67,11 @@ def test_fault_of_a_users_task_is_reported(
     (tmp_path / "my_slow_tasks.py").write_text(textwrap.dedent(TASK))
     monkeypatch.syspath_prepend(str(tmp_path))
     arguments = ["--gym-packages", "my_slow_tasks", "-n", "1", "-f", str(tmp_path)]
-    with pytest.raises(RuntimeError, match="no plan"):
-        main(["check", "BulletArm/CloseLoopSlowReaching-v0", *arguments])
-    assert "equal episodes from equal seeds: FAILED, RuntimeError: no plan" in capsys.readouterr().out
+    ids = ["BulletArm/CloseLoopSlowReaching-v0", "BulletArm/CloseLoopBlockReaching-v0"]
+    assert main(["check", *ids, *arguments]) == 2
+    out, err = capsys.readouterr()
+    place = f"RuntimeError: no plan ({tmp_path / 'my_slow_tasks.py'}, line "
+    assert f"equal episodes from equal seeds: FAILED, {place}" in out and f"expert: FAILED, {place}" in out
+    assert "success_rate=1.000" in out and err.splitlines() == [
+        f"bulletarm-zoo check: error: failed: {ids[0]}"
+    ]

@@ -56,6 +56,10 @@ def test_a_run_remembers_where_its_task_comes_from(
     [run] = (folder / "logs" / "sacfd").iterdir()
     assert yaml.safe_load((run / "hyperparams.yml").read_text())["run"]["gym_packages"] == [MODULE]
     acting = ["-n", "1", "--device", "cpu"]
+    assert main(["push", str(run), "--folder", "agent", "-n", "1"]) == 0
+    assert f"import {MODULE}" in (folder / "agent" / "README.md").read_text()
+    forget()
+    assert main(["enjoy", "--published", "agent", *acting]) == 0
     for command in (
         ["enjoy", str(run), *acting],
         ["enjoy", "--env", ENV_ID, "--baseline", "sacfd", *acting, "--n-envs", "1" if by_id else "2"],

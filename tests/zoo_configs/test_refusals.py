@@ -181,6 +181,20 @@ def test_errors_between_processes_are_not_hidden(monkeypatch: pytest.MonkeyPatch
         main(["plot"])
 
 
+def test_errors_of_a_users_code_are_told_with_their_place(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def fail(*_: Any) -> None:
+        raise KeyError("no item of that name")
+
+    monkeypatch.setattr("zoo_configs.commands.plot.main", fail)
+    assert main(["plot"]) == 2
+    [line] = capsys.readouterr().err.splitlines()
+    assert f"KeyError: 'no item of that name' ({__file__}, line " in line and "--traceback plot" in line
+    with pytest.raises(KeyError):
+        main(["--traceback", "plot"])
+
+
 def test_who_stops_reading_gets_no_traceback() -> None:
     command = [sys.executable, "-m", "zoo_configs.cli", "--help"]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE)

@@ -72,7 +72,14 @@ def _buffer_bytes(cell: Cell, steps: int) -> float:
     with closing(make_env(cell.env_id, hyperparams.get("env_kwargs", {}))) as env, refused("replay buffer"):
         # Nothing is allocated before the first transition.
         buffer = cls(
-            capacity, env.observation_space, env.action_space, "cpu", n_envs, gamma=0.99, seed=0, **kwargs
+            capacity,
+            env.observation_space,
+            env.action_space,
+            "cpu",
+            n_envs=n_envs,
+            gamma=0.99,
+            seed=0,
+            **kwargs,
         )
     shown = int(hyperparams.get("expert_episodes", 0)) * _longest_episode(cell)
     return float(buffer.nbytes) * min(1.0, (steps + shown) * (1 + int(kwargs.get("copies", 0))) / capacity)

@@ -168,7 +168,7 @@ def build_sweep(
     :raises CommandError: for a task, baseline, preset, option or seed that does not exist; names the nearest
     """
     register_environments(gym_packages)
-    tasks = [env_id for wanted in plan.tasks for env_id in _tasks(wanted)]
+    tasks = [env_id for wanted in plan.tasks for env_id in _tasks(wanted, plan.benchmark)]
     rows = [(row, task) for task in dict.fromkeys(tasks) for row in _baselines(plan, task)]
     cells = [resolve(row, plan.preset, task, plan.hyperparams, plan.benchmark) for row, task in rows]
     given = {"num_threads": num_threads, **plan.options}
@@ -183,8 +183,10 @@ def build_sweep(
     return Sweep(name, tuple(members), tuple(gym_packages), device)
 
 
-def _tasks(wanted: str) -> list[str]:
-    """The ids that a name or a pattern means."""
+def _tasks(wanted: str, benchmark: str | None) -> list[str]:
+    """The ids that a name means, or a pattern, of those in a benchmark."""
+    from bulletarm_gym.benchmarks import BENCHMARKS
+
     named = {task_name(env_id): env_id for env_id in our_env_ids()}
     if wanted in named:
         return [named[wanted]]
@@ -193,6 +195,9 @@ def _tasks(wanted: str) -> list[str]:
     found = [
         env_id for name, env_id in named.items() if fnmatchcase(name, wanted) or fnmatchcase(env_id, wanted)
     ]
+    if benchmark is not None and benchmark in BENCHMARKS:
+        tasks = {row.env_id for row in BENCHMARKS[benchmark].environments}
+        found = [env_id for env_id in found if env_id in tasks]
     if not found:
         raise CommandError(f"no task is called {wanted!r}, see bulletarm-zoo list")
     return found

@@ -150,7 +150,9 @@ class Game:
         self.seen, _, terminated, truncated, self.info = self.env.step(action)
         self.step += 1
         if not (terminated or truncated):
-            self._tell("holding something" if self.seen["holding"][0] else "ignored" * self.info["ignored"])
+            self._tell(
+                "holding something" if self.pilot.holds(self.seen) else "ignored" * self.info["ignored"]
+            )
             return
         self._tell("success" if self.info["is_success"] else "failure")
         self._begin()

@@ -50,6 +50,7 @@ class Card:
     :param measured: ``date``, ``commit``, ``machine``, ``arithmetic`` and ``versions`` of the evaluation;
         with the last two the same, the outcomes are the same
     :param hyperparams: As resolved
+    :param gym_packages: Packages that register the environment, besides our own
     """
 
     env: str
@@ -79,6 +80,7 @@ class Card:
     versions: Mapping[str, str]
     measured: Mapping[str, Any]
     hyperparams: Mapping[str, Any]
+    gym_packages: tuple[str, ...] = ()
 
     @property
     def label(self) -> str:
@@ -108,4 +110,5 @@ def read_card(folder: Path) -> Card:
         raise CommandError(f"{folder} is no folder of an agent: it has no {CARD_FILE}")
     with refused(f"{path} cannot be read"):
         content = json.loads(path.read_text(encoding="utf-8"))
+        content["gym_packages"] = tuple(content.get("gym_packages", ()))
         return Card(**{**content, "interval": tuple(content["interval"])})

@@ -126,6 +126,7 @@ def _describe(agent: Agent, run: Run, file: str, args: argparse.Namespace) -> Ca
         evaluations=_evaluations(run),
         measured={},
         hyperparams=run.cell.hyperparams,
+        gym_packages=run.gym_packages,
         **origin_of(run, args.commit)._asdict(),
     )
 

@@ -127,7 +127,8 @@ def _snippet(card: Card, name: str, repo_id: str | None) -> str:
     module = ALGORITHMS[card.algo].rpartition(".")[0] if card.algo in ALGORITHMS else _package(card.algo)
     kwargs = ", ".join(f"{json.dumps(key)}: {_literal(value)}" for key, value in card.env_kwargs.items())
     path = json.dumps(card.file)
-    lines = ["import bulletarm_gym", "import gymnasium"]
+    own = [f"import {package}" for package in card.gym_packages]
+    lines = ["import bulletarm_gym", "import gymnasium", *own]
     if repo_id:
         lines.append("from huggingface_sb3 import load_from_hub")
         path = f"load_from_hub({json.dumps(repo_id)}, {path})"

@@ -145,6 +145,14 @@ def test_a_change_of_the_environments_source_collects_anew(
     assert len(list((tmp_path / "cache").iterdir())) == 2
 
 
+@pytest.mark.parametrize("data", ["own.h5", Path("own.h5"), 3])
+def test_what_is_no_episodes_is_refused(data: Any) -> None:
+    with pytest.raises(
+        ValueError, match="expert_data must be episodes, read from a file where they are in one"
+    ):
+        DemonstrationSource(data=data)
+
+
 def test_a_failed_save_leaves_nothing(make_toy: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def fail(*args: Any, **kwargs: Any) -> None:
         raise OSError("no space left on device")
