@@ -186,6 +186,7 @@ def resume(path: str | os.PathLike[str], env: GymEnv, device: th.device | str = 
     try:
         state = pickle.loads((checkpoint / STATE).read_bytes())
         model = algorithm.load(checkpoint / MODEL, env=env, device=device, force_reset=False)
+        _check_env(model, state["envs"])  # a misfit would show in the replay buffer, too
         if isinstance(model, OffPolicyAlgorithm) and REPLAY_BUFFER in manifest["files"]:
             model.load_replay_buffer(checkpoint / REPLAY_BUFFER, truncate_last_traj=False)
     except (pickle.UnpicklingError, EOFError, zipfile.BadZipFile) as error:
@@ -291,7 +292,9 @@ def _env_state(model: BaseAlgorithm) -> dict[str, Any]:
     }
 
 
-def _check_env(env: VecEnv, state: dict[str, Any]) -> None:
+def _check_env(model: BaseAlgorithm, state: dict[str, Any]) -> None:
+    env = model.get_env()
+    assert env is not None
     if state["num_envs"] != env.num_envs:
         raise ValueError(f"env must have {state['num_envs']} environments, got {env.num_envs}")
     if state["vec_wrapper_names"] != (given := _vec_wrapper_names(env)):
@@ -301,7 +304,6 @@ def _check_env(env: VecEnv, state: dict[str, Any]) -> None:
 def _set_env_state(model: BaseAlgorithm, state: dict[str, Any]) -> None:
     env = model.get_env()
     assert env is not None
-    _check_env(env, state)
     if state["envs"] is None:
         _start_new_episodes(model, env)
     else:
