@@ -6,13 +6,12 @@ import importlib
 import os
 import select
 import sys
-import traceback
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from importlib import metadata
 from typing import NamedTuple
 
-from zoo_configs.errors import CommandError, reason, unknown_name
+from zoo_configs.errors import CommandError, reason, reason_and_place, unknown_name
 
 PROGRAM = "bulletarm-zoo"
 DISTRIBUTION = "bulletarm-gym"
@@ -140,10 +139,8 @@ def _tell(name: str, error: Exception) -> int:
 
 def _tell_where(name: str, error: Exception) -> int:
     """In one line what went wrong, in which line of which file, and how to see all that led there."""
-    *_, last = traceback.extract_tb(error.__traceback__)
-    said = " ".join(f"{type(error).__name__}: {error}".split())
     asks = f"{PROGRAM} {TRACEBACK} {name} ... shows how it came about"
-    print(f"{PROGRAM} {name}: error: {said} ({last.filename}, line {last.lineno}; {asks})", file=sys.stderr)
+    print(f"{PROGRAM} {name}: error: {reason_and_place(error)}; {asks}", file=sys.stderr)
     return EXIT_USAGE
 
 

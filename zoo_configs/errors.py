@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import difflib
+import re
+import traceback
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 
 # Share of letters that two names must have in common to be taken for one another: of what tells them from
 # others, or of the whole.
 NEAR, NEARLY_EQUAL = 0.6, 0.95
+COLOURS = re.compile(r"\x1b\[\d+m")
 
 
 class CommandError(Exception):
@@ -47,6 +50,18 @@ def reason(error: BaseException) -> str:
     said = " ".join(str(error).split())
     explains = isinstance(error, AssertionError | CommandError | RuntimeError | ValueError) and said
     return said if explains else f"{type(error).__name__}: {said}".removesuffix(": ")
+
+
+def reason_and_place(error: BaseException) -> str:
+    """
+    What an error says, and where in the code it arose: for those whose task or policy raised it.
+
+    :param error: The error, as it was caught
+    :return: One line, without the colours of Gymnasium's warnings
+    """
+    *_, last = traceback.extract_tb(error.__traceback__)
+    said = " ".join(COLOURS.sub("", f"{type(error).__name__}: {error}").split())
+    return f"{said} ({last.filename}, line {last.lineno})"
 
 
 def unknown_name(

@@ -40,7 +40,7 @@ from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper, VecFrameStac
 MANIFEST, MODEL, REPLAY_BUFFER, STATE = "manifest.json", "model.zip", "replay_buffer.pkl", "state.pkl"
 FORMAT = 5
 PREFIX = "checkpoint_"
-NAME = re.compile(rf"{PREFIX}(?P<timesteps>\d+)_(?P<number>\d+)")
+NAME = re.compile(rf"{PREFIX}\d+_(?P<number>\d+)")
 TEMPORARY_PREFIX = ".incomplete_"
 CHUNK = 1 << 20  # bytes
 

@@ -38,9 +38,8 @@ class SACfD(OffPolicyFromDemonstrations, SAC):
 
     SAC whose replay buffer begins with the episodes of an expert, and whose actor imitates the expert: its
     loss has the term ``bc_weight * MSE(sampled action, expert action)``, the weighted mean over the imitated
-    transitions, in the policy's units [-1, 1]. With ``bc_weight=0``, ``expert_episodes=0``,
-    ``exploration=0``, ``n_steps=1`` and ``backup_entropy=True`` it is SAC, with an ``augmentation`` it is RAD
-    or DrQ SACfD.
+    transitions, in the policy's units [-1, 1]. With ``bc_weight``, ``expert_episodes`` and ``exploration`` 0,
+    ``n_steps=1`` and ``backup_entropy=True`` it is SAC, with an ``augmentation`` it is RAD or DrQ SACfD.
 
     The demonstrations are collected at the beginning of the first ``learn()``, in an environment of their own
     made from the spec of the training environment; these steps do not count as timesteps.
@@ -340,9 +339,9 @@ class SACfD(OffPolicyFromDemonstrations, SAC):
         if self.backup_entropy:
             # add entropy term
             next_q_values = next_q_values - ent_coef * next_log_prob.reshape(-1, 1)
-        return (
-            next_q_values if self.augmentation is None else self.augmentation.average_targets(next_q_values)
-        )
+        if self.augmentation is not None:
+            next_q_values = self.augmentation.average_targets(next_q_values)
+        return next_q_values
 
     def _features(self, critic: Any, observations: PyTorchObs) -> th.Tensor:
         """Features of a critic; those that it shares with the actor learn from the actor's loss alone."""

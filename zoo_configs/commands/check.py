@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import re
-import traceback
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
@@ -30,7 +28,7 @@ from zoo_configs.arguments import (
 from zoo_configs.cells.rules import family_of, task_name
 from zoo_configs.drawing.video import compose_frame, write_picture
 from zoo_configs.environments import known_env_id, make_env, our_env_ids, register_environments
-from zoo_configs.errors import CommandError
+from zoo_configs.errors import CommandError, reason_and_place
 from zoo_configs.files import check_writable
 from zoo_configs.measuring.data_files import EXPERTS, DataFile, number
 from zoo_configs.measuring.provenance import env_kwargs_words, key_values, provenance
@@ -43,7 +41,6 @@ seeds, and how often the expert succeeds. Draws the start and the end of the exp
 GRIDDED = "open_loop"  # family of the tasks with a grid
 RENDER_MODE = "rgb_array"
 SUCCESS_DIGITS, STEPS_DIGITS = 4, 3
-COLOURS = re.compile(r"\x1b\[\d+m")
 UNBOUNDED = r".*A Box observation space m(in|ax)imum value is -?infinity"
 ROLLOUT = 25  # steps compared between two environments
 
@@ -127,7 +124,7 @@ def _passes(env_id: str, args: argparse.Namespace) -> bool:
     try:
         experience = _watch_expert(make(), args)
     except Exception as error:  # as above
-        print(f"  expert: FAILED, {_plain(error)}")
+        print(f"  expert: FAILED, {reason_and_place(error)}")
         return False
     rate, length = experience.successes / args.episodes, experience.mean_length
     print(f"  expert: success_rate={rate:.3f} episodes={args.episodes} mean_length={length:.2f}")
@@ -168,17 +165,10 @@ def _report(name: str, check: Callable[[], None]) -> bool:
     try:
         check()
     except Exception as error:  # whatever a user's code raises is what the check found
-        print(f"  {name}: FAILED, {_plain(error)}")
+        print(f"  {name}: FAILED, {reason_and_place(error)}")
         return False
     print(f"  {name}: passed")
     return True
-
-
-def _plain(error: Exception) -> str:
-    """What an error says and where it arose, in one line without the colours of Gymnasium's warnings."""
-    *_, last = traceback.extract_tb(error.__traceback__)
-    said = " ".join(COLOURS.sub("", f"{type(error).__name__}: {error}").split())
-    return f"{said} ({last.filename}, line {last.lineno})"
 
 
 def _without_warnings(check: Callable[[], None]) -> None:

@@ -102,6 +102,7 @@ def _metadata(card: Card, name: str) -> ModelCardData:
     from huggingface_hub import EvalResult, ModelCardData
 
     def result(metric: str, value: Any, configuration: str) -> EvalResult:
+        """One number of the evaluation."""
         return EvalResult(
             task_type=REINFORCEMENT_LEARNING,
             task_name=REINFORCEMENT_LEARNING,
