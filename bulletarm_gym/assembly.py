@@ -5,7 +5,7 @@ from typing import Any
 
 from bulletarm_gym.config import EnvConfig
 from bulletarm_gym.control import find_control
-from bulletarm_gym.extensions import OBJECTS, load
+from bulletarm_gym.extensions import OBJECTS, find_class
 from bulletarm_gym.robots import ROBOTS, RobotModel, find_robot
 from bulletarm_gym.scene import Scene
 from bulletarm_gym.surfaces import find_surface, make_surface
@@ -19,7 +19,7 @@ def find_types(task: str, control: str) -> tuple[type[Task], type[Any]]:
     :param control: its name or path
     :raises ValueError: there is no such control, or it does not fit the task
     """
-    task_type: type[Task] = load(task)
+    task_type: type[Task] = find_class("task", task, {}, {}, Task)
     control_type = find_control(control)
     if control_type.kind not in task_type.controls:
         raise ValueError(f"control: got {control!r}, {task_type.__name__} takes one of {task_type.controls}")

@@ -134,9 +134,12 @@ def checked_options(options: Mapping[str, Any] | None, task: Task) -> dict[str, 
 def reward_function(path: str | None) -> Reward | None:
     """Import a user's reward function, if there is one.
 
-    :raises ParameterError: it is no function
+    :raises ParameterError: there is none, or it is no function
     """
-    found: Reward | None = None if path is None else load(path)
+    try:
+        found: Reward | None = None if path is None else load(path)
+    except ValueError as error:
+        raise ParameterError.of("reward", path, f"None or 'module:function': {error}") from error
     if not (found is None or callable(found)):
         raise ParameterError.of("reward", path, f"a function; this is a {type(found).__name__}")
     return found

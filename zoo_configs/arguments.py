@@ -122,6 +122,23 @@ def whole_number(least: int, most: int | None = None) -> Callable[[str], int]:
     return number
 
 
+def fraction(text: str) -> float:
+    """
+    Argument type for a number from 0 to 1.
+
+    :param text: What was given
+    :return: The number
+    :raises argparse.ArgumentTypeError: if it is none
+    """
+    try:
+        value = float(text)
+    except ValueError:
+        value = -1.0
+    if not 0.0 <= value <= 1.0:
+        raise argparse.ArgumentTypeError(f"must be a number from 0 to 1, got {text!r}")
+    return value
+
+
 positive_int = whole_number(1)
 seed = whole_number(0, MAX_SEED)
 

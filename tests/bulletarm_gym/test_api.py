@@ -306,6 +306,8 @@ def test_a_reward_that_is_no_number_is_named_at_once(value: Any) -> None:
     with pytest.raises(ValueError, match=rf"^reward: .*:.*mine returned {value!r}"):
         env.step(idle(env))
     env.close()
+    with pytest.raises(ValueError, match=r"^reward: got 'no:where', takes .*'module:function': .*No module"):
+        gymnasium.make(PICKING, reward="no:where")
     with pytest.raises(ValueError, match="reward: got 'math:pi', takes a function"):
         make_env(PICKING, reward="math:pi")
 

@@ -196,6 +196,14 @@ def my_controls(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Non
     sys.modules.pop("my_controls", None)
 
 
+@pytest.mark.usefixtures("own_registrations")
+def test_a_class_that_is_no_task_is_told() -> None:
+    env_id = bulletarm_gym.register_task("NoTask", FlatSurface)
+    with pytest.raises(ValueError, match=r"^task: .*:FlatSurface is no subclass of Task"):
+        gymnasium.make(env_id)
+    del gymnasium.registry[env_id]
+
+
 @pytest.mark.usefixtures("my_controls", "own_registrations")
 def test_a_registered_control_is_kept_by_its_path() -> None:
     bulletarm_gym.register_control("back_wards", "my_controls:Backwards")

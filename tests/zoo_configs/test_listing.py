@@ -37,3 +37,9 @@ def test_baselines_are_listed_by_their_parts(capsys: pytest.CaptureFixture[str])
     lines = [line.split() for line in capsys.readouterr().out.splitlines()]
     assert ["equi_sacfd_per_aug", "sacfd", "equivariant", "per_aug"] in lines
     assert ["sdqfd_equi_asr", "sdqfd", "equi_asr"] in lines
+
+
+def test_the_parameters_of_an_environment_begin_with_its_parts(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["list", *CELL[:2]]) == 0
+    lines = [line.split() for line in capsys.readouterr().out.splitlines()]
+    assert ["control", "'close_loop'"] in lines and ["surface", "'flat'"] in lines

@@ -61,6 +61,13 @@ class Stop(BaseCallback):
         return True
 
 
+def test_a_quiet_training_prints_nothing(
+    cell: Cell, options: TrainingOptions, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    train_cell(cell, 0, "cpu", tmp_path, options=options)
+    assert capsys.readouterr().out == ""
+
+
 def test_two_trainings_in_a_process_do_not_disturb_each_other(
     cell: Cell, options: TrainingOptions, tmp_path: Path
 ) -> None:

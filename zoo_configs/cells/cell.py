@@ -9,8 +9,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from zoo_configs.cells.benchmarks import choose_benchmark, task_parameters
-from zoo_configs.cells.rules import Case, Family, Rule, family_of
-from zoo_configs.errors import unknown_name
+from zoo_configs.cells.rules import Case, Family, Rule, families, family_of
+from zoo_configs.errors import CommandError, unknown_name
 
 OVERRIDES = "overrides"
 # Have an action sequence that follows the environment's.
@@ -143,6 +143,8 @@ def _applied(
 
 def _case(family: Family, baseline: str, preset: str, env_id: str, benchmark: str | None) -> Case:
     if baseline not in family.baselines:
+        if others := [other.envs for other in families() if baseline in other.baselines]:
+            raise CommandError(f"baseline {baseline!r} is for {' or '.join(others)}, not for {env_id}")
         raise unknown_name("baseline", baseline, family.baselines)
     if preset not in family.presets:
         raise unknown_name("preset", preset, family.presets)

@@ -21,6 +21,7 @@ from zoo_configs.arguments import (
     add_env_kwargs,
     add_packages,
     add_progress,
+    fraction,
     hides_progress,
     positive_int,
     seed,
@@ -92,7 +93,7 @@ def _parse(argv: Sequence[str]) -> argparse.Namespace:
     add("env", nargs="*", metavar="ENV", help="environment ids (default: all of ours)")
     add("-n", "--episodes", type=positive_int, default=20, help="episodes of the expert (default: 20)")
     add("--seed", type=seed, default=0, help="seed of the first episode (default: 0)")
-    add("--min-success", type=float, default=0.95, help="least success rate of the expert (default: 0.95)")
+    add("--min-success", type=fraction, default=0.95, help="least success rate of the expert (default: 0.95)")
     add_env_kwargs(parser)
     add("--snap", action="store_true", help="let the expert act on the grid of spatial Q-learning")
     add_packages(parser)

@@ -54,7 +54,11 @@ def _parse(argv: Sequence[str]) -> argparse.Namespace:
     add("--benchmark", help="with --explain: benchmark whose parameters the task has")
     add("--markdown", action="store_true", help="print tables for a Markdown page")
     add_packages(parser)
-    return parser.parse_args(argv)
+    args = parser.parse_args(argv)
+    for name in ("baseline", "benchmark"):
+        if getattr(args, name) is not None and not args.explain:
+            parser.error(f"--{name} goes with --explain; --baselines lists all baselines")
+    return args
 
 
 def _list_environments(markdown: bool) -> None:
@@ -132,10 +136,11 @@ def _explain(args: argparse.Namespace) -> None:
 
 
 def _parameters(env: gym.Env[Any, Any]) -> dict[str, Any]:
-    """Parameters of one of our environments, with the values it has; its id says which surface."""
+    """Parameters of one of our environments, with their values; its id says which control and surface."""
     config: Any = getattr(env.unwrapped, "config", None)
-    surface = env.spec.kwargs.get("surface") if env.spec is not None else None
-    return {"surface": surface, **config.parameters()} if config is not None else {}
+    spec = env.spec.kwargs if env.spec is not None else {}
+    recipe = {name: spec.get(name) for name in ("control", "surface")}
+    return {**recipe, **config.parameters()} if config is not None else {}
 
 
 def _describe(space: spaces.Space[Any], bounds: bool = True) -> str:

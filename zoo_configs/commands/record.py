@@ -115,6 +115,8 @@ def _parse(argv: Sequence[str]) -> argparse.Namespace:
 def _expert(args: argparse.Namespace) -> Actor:
     if args.env is None:
         raise CommandError("--expert needs --env")
+    if args.run is not None or args.published is not None:
+        raise CommandError("--expert films the expert, not an agent: leave RUN_FOLDER and --published out")
     env_id = known_env_id(args.env)
     env = make_env(env_id, args.env_kwargs, RENDER_MODE)
     if not hasattr(env.unwrapped, "expert_action"):

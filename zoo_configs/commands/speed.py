@@ -151,6 +151,10 @@ def _parse(argv: Sequence[str]) -> argparse.Namespace:
     args = parser.parse_args(argv)
     if not 0 < args.seconds < math.inf:
         parser.error(f"--seconds must be positive, got {args.seconds}")
+    if args.overhead and not args.baseline:
+        parser.error("--overhead goes with --baseline, which names what is trained")
+    if args.vector and args.baseline:
+        parser.error("--vector measures environments, --baseline updates: take one")
     return args
 
 

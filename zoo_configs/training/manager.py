@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import io
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -109,7 +110,8 @@ class ZooManager(ExperimentManager):
         :return: The model, and the hyperparameters as they are saved
         :raises CommandError: if they refuse what they are given
         """
-        with refused(f"{self.algo} cannot be built for {self.env_name.gym_id}"):
+        printed = contextlib.nullcontext() if self.verbose else contextlib.redirect_stdout(io.StringIO())
+        with printed, refused(f"{self.algo} cannot be built for {self.env_name.gym_id}"):
             return super().setup_experiment()
 
     def _preprocess_hyperparams(self, hyperparams: dict[str, Any]) -> Any:
@@ -163,6 +165,7 @@ class ZooManager(ExperimentManager):
             n_eval_episodes=self.n_eval_episodes,
             eval_freq=self._calls(self.eval_freq),
             deterministic=self.deterministic_eval,
+            verbose=self.verbose,
         )
 
     def _checkpoints(self) -> BaseCallback:

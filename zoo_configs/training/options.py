@@ -62,7 +62,7 @@ class TrainingOptions:
     :param wandb_group: Its group
     :param wandb_tags: Its tags
     :param uuid: Whether the run folder's name ends in an identifier of its own
-    :param verbose: 0 prints nothing, 1 what is done
+    :param verbose: 0 prints nothing of what is built and logged, 1 does
     :raises CommandError: for a value that an option does not take, or a package that it needs
     """
 
@@ -186,7 +186,11 @@ def add_options(parser: argparse.ArgumentParser, tuning: bool = True) -> None:
     add("--wandb-group", help="its group")
     add("-tags", "--wandb-tags", nargs="+", help="its tags")
     add("-uuid", "--uuid", action="store_true", help="an identifier of its own in the run folder's name")
-    add("--verbose", type=number(0), help="0 prints nothing, 1 what is done (default)")
+    add(
+        "--verbose",
+        type=number(0),
+        help="0 names the run folder only, 1 tells what is done (default)",
+    )
     for flag in TUNING if tuning else ():
         add(flag, nargs="*", dest="tuning", action=_Refuse, help=argparse.SUPPRESS)
 
