@@ -87,7 +87,7 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         self.task = task_type(self.config)
         # A generator takes as long to make as an image: most tasks need none after an action.
         self._acts_after = task_type.after_action is not Task.after_action
-        check_heights(self.config, self.task)
+        check_heights(self.config, own, self.task)
         self._reward = self.objects.get("reward") or reward_function(self.config.reward) or self.task.reward
         self.scene = make_scene(self.config, robots, surface, self.task)
         check_spans(self.config, own, self.scene, self.task)
@@ -200,6 +200,13 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
     def action_sequence(self) -> str:
         """What each number of an action is, a character each."""
         return self.config.action_sequence
+
+    @property
+    def action_ranges(self) -> dict[str, tuple[float, float]]:
+        """What -1 and 1 of an action's numbers stand for (m, rad), by name, without p: x, y, z and r in close
+        loop, or theta, phi, psi in open loop. Empty for a control of a user's that does not tell.
+        """
+        return dict(self.control.ranges)
 
     @cached_property
     def viewer(self) -> Viewer:

@@ -11,18 +11,19 @@ from contextlib import suppress
 from typing import Any, TypeVar
 
 from bulletarm_gym.config import CLOSE_LOOP, LEVEL, OBJECT_KINDS, OPEN_LOOP, ROBOTS, SENSORS, SLOPING
+from bulletarm_gym.inheritance import announce, announced
 
 OBJECTS = ("robot", "reward")
 """Parameters that may be objects of the user's."""
-ROBOT_PATHS: dict[str, str] = {}
+ROBOT_PATHS: dict[str, str] = announced("robot")
 """Import paths of the users' arms, by name."""
-OBJECT_PATHS: dict[str, str] = {}
+OBJECT_PATHS: dict[str, str] = announced("object")
 """Import paths of the users' objects, by name."""
-SENSOR_PATHS: dict[str, str] = {}
+SENSOR_PATHS: dict[str, str] = announced("sensor")
 """Import paths of the users' sensors, by name."""
-SURFACE_PATHS: dict[str, str] = {}
+SURFACE_PATHS: dict[str, str] = announced("surface")
 """Import paths of the users' surfaces, by name."""
-CONTROL_PATHS: dict[str, str] = {}
+CONTROL_PATHS: dict[str, str] = announced("control")
 """Import paths of the users' controls, by name."""
 TABLES = {"robot": ROBOT_PATHS, "surface": SURFACE_PATHS, "control": CONTROL_PATHS}
 """What stands in a recipe or among the parameters by its name."""
@@ -155,7 +156,10 @@ def find_class(
     if not isinstance(path, str) or ":" not in path:
         known = ", ".join(repr(other) for other in (*ours, *paths))
         raise ValueError(f"{what}: got {name!r}, takes one of {known}, or 'module:Class' of your own")
-    found: type[Kind] = load(path)
+    try:
+        found: type[Kind] = load(path)
+    except ValueError as error:
+        raise ValueError(f"{what}: {error}") from error
     if not (isinstance(found, type) and issubclass(found, kind)):
         raise ValueError(f"{what}: {path} is no subclass of {kind.__name__}")
     return found
@@ -193,10 +197,11 @@ def _sensor_by_path(entry: Any) -> Any:
 
 
 def _store(table: dict[str, str], what: str, name: str, thing: Any, ours: Collection[str] = ()) -> None:
-    if not name.isidentifier():
+    if not (isinstance(name, str) and name.isidentifier()):
         raise ValueError(f"{what}: the name {name!r} is no identifier")
     if name in ours:
         raise ValueError(f"{what}: the name {name!r} is one of ours")
     path = import_path(thing, f"{what} {name!r}")
     if table.setdefault(name, path) != path:
         raise ValueError(f"{what}: the name {name!r} is taken by {table[name]}")
+    announce(what, name, path)

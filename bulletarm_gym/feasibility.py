@@ -26,9 +26,10 @@ GRASP_PLAY = 0.001
 """Play (m) that open fingers need about what they grasp."""
 
 
-def check_heights(config: EnvConfig, task: Task) -> None:
+def check_heights(config: EnvConfig, own: EnvConfig, task: Task) -> None:
     """Check that the workspace lets the gripper come down to things, and up with them.
 
+    :param own: the environment's own parameters
     :raises ParameterError: it does not
     """
     low, high = config.workspace[2]
@@ -37,6 +38,9 @@ def check_heights(config: EnvConfig, task: Task) -> None:
         raise ParameterError.of("workspace", config.workspace, takes)
     smallest = CUBE_SIZE * min(config.scales)
     if config.control == CLOSE_LOOP and low >= smallest:
+        if config.scales != own.scales and low < CUBE_SIZE * min(own.scales):
+            takes = f"sizes above {low / CUBE_SIZE:.4g}: the gripper comes down to {low:g} m"
+            raise ParameterError.of("object_scale_range", config.object_scale_range, takes)
         takes = f"one with z low below {smallest:.4g}: the gripper must come down to what lies on the ground"
         raise ParameterError.of("workspace", config.workspace, takes)
 

@@ -9,9 +9,12 @@ import gymnasium
 from bulletarm_gym import time_limit
 from bulletarm_gym.config import CLOSE_LOOP, LEVEL, OPEN_LOOP, SLOPING
 from bulletarm_gym.extensions import CONTROL_PATHS, SURFACE_PATHS, by_path, import_path
+from bulletarm_gym.inheritance import announce, announced
 
 NAMESPACE = "BulletArm"
 ENTRY_POINT = "bulletarm_gym.env:ManipulationEnv"
+TASK = "task"
+"""What users' tasks are announced as to other processes."""
 
 PAIR = {"num_objects": 2, "object_scale_range": 1.0, "max_steps": 50}
 """The paper's close-loop Block Stacking and House Building: two blocks of 5 cm instead of four of 3 cm."""
@@ -123,8 +126,8 @@ ENV_IDS: tuple[str, ...] = tuple(entry.env_id for entry in ENTRIES)
 
 
 def register_all() -> None:
-    """Register every entry with Gymnasium, once."""
-    for entry in ENTRIES:
+    """Register every entry with Gymnasium, once, and those of the process that started this one."""
+    for entry in (*ENTRIES, *(Entry(**recipe) for recipe in announced(TASK).values())):
         if entry.env_id not in gymnasium.registry:
             _register(entry)
 
@@ -141,7 +144,7 @@ def register_task(name: str, task: Any, control: str = "close_loop", surface: st
     :raises ValueError: the name is no identifier or taken, control or surface is unknown, or the class has no
         import path
     """
-    if not name.isidentifier():
+    if not (isinstance(name, str) and name.isidentifier()):
         raise ValueError(f"name: got {name!r}, takes an identifier such as 'BlockShaking'")
     _check_known("control", control, (CLOSE_LOOP, OPEN_LOOP, *CONTROL_PATHS))
     _check_known("surface", surface, (*LEVEL, *SLOPING, *SURFACE_PATHS))
@@ -152,6 +155,7 @@ def register_task(name: str, task: Any, control: str = "close_loop", surface: st
         _register(entry)
     elif known_spec.kwargs != entry.kwargs:
         raise ValueError(f"name: {entry.env_id} is taken by {known_spec.kwargs.get('task')}")
+    announce(TASK, entry.env_id, {"name": entry.name, "task": entry.task, **recipe})
     return entry.env_id
 
 

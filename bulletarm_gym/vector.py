@@ -5,6 +5,7 @@ one of them is killed, it raises whatever its pipe gives (``EOFError``, ``Connec
 other workers go on until the program ends.
 """
 
+import traceback
 from collections.abc import Callable, Iterable, Sequence
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
@@ -12,6 +13,7 @@ from typing import Any, NoReturn
 
 import gymnasium
 from gymnasium.vector import AsyncVectorEnv
+from gymnasium.vector.async_vector_env import _async_worker
 
 
 class WorkerError(RuntimeError):
@@ -34,7 +36,7 @@ class ParallelEnv(AsyncVectorEnv):
     def __init__(self, env_fns: Sequence[Callable[[], gymnasium.Env[Any, Any]]], **options: Any) -> None:
         if not env_fns:
             raise ValueError("env_fns: got none, takes at least one")
-        super().__init__(env_fns, **options)
+        super().__init__(env_fns, **{"worker": _work, **options})
 
     def _check_spaces(self) -> None:
         """Begin to watch the workers, before the first word from them."""
@@ -62,6 +64,26 @@ class ParallelEnv(AsyncVectorEnv):
         for pipe in self.parent_pipes:
             pipe.close()
         self.closed = True
+
+
+def _work(
+    index: int,
+    env_fn: Callable[[], gymnasium.Env[Any, Any]],
+    pipe: Connection,
+    parent_pipe: Connection,
+    shared_memory: Any,
+    error_queue: Any,
+    *more: Any,
+) -> None:
+    """Work as Gymnasium's workers do, but tell why an environment could not be made."""
+    try:
+        env = env_fn()
+    except Exception as error:  # whatever an environment raises
+        pipe.recv()  # the first word, which is answered
+        error_queue.put((index, type(error), str(error), traceback.format_exc()))
+        pipe.send((None, False))
+        return
+    _async_worker(index, lambda: env, pipe, parent_pipe, shared_memory, error_queue, *more)
 
 
 class _RemoteTraceback(Exception):

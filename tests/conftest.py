@@ -14,6 +14,14 @@ from collections.abc import Iterator  # noqa: E402
 import gymnasium  # noqa: E402
 import pytest  # noqa: E402
 
+from bulletarm_gym.inheritance import VARIABLE  # noqa: E402
+
+
+@pytest.fixture(autouse=True)
+def announcements(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Tell later processes nothing of what a test registers."""
+    monkeypatch.setenv(VARIABLE, "{}")
+
 
 @pytest.fixture
 def own_registrations() -> Iterator[None]:

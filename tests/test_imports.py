@@ -16,6 +16,7 @@ LAYERS = (
     {
         "geometry",
         "footprint",
+        "inheritance",
         "config",
         "compilation",
         "extensions",

@@ -9,8 +9,8 @@ from typing import Any
 
 from stable_baselines3.common.base_class import BaseAlgorithm
 
+from sb3_extensions.common.following import constructor_keys
 from zoo_configs.algorithms import ALGORITHMS, register_algorithms
-from zoo_configs.cells.validation import constructor_keys
 from zoo_configs.environments import known_env_id, register_environments
 from zoo_configs.errors import CommandError, refused
 from zoo_configs.publishing.published import Published, find_published

@@ -68,6 +68,8 @@ class CloseLoop(Control[DeltaMove]):
         self._opening = min(task.hints.opening / scene.robot.model.gripper.stroke, OPEN)
         self._workspace = config.workspace
         self._extent = VIEW_SCALE * config.workspace_size
+        farthest = {**dict.fromkeys("xyz", MAX_TRANSLATION), "r": MAX_ROTATION}
+        self.ranges = {name: (-most, most) for name, most in farthest.items() if name in self.sequence}
 
     def decode_action(self, action: ArrayLike, view: View) -> DeltaMove:
         """Return what an action means; numbers outside [-1, 1] are clipped.

@@ -3,8 +3,9 @@
 import itertools
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import ClassVar, Generic, TypeVar
 
 import numpy as np
@@ -53,6 +54,9 @@ class Control(ABC, Generic[Move]):
     sequences: ClassVar[tuple[str, ...]] = ()
     """What an action can consist of, a character a number, in any order, the default first; that of its kind,
     if empty."""
+
+    ranges: Mapping[str, tuple[float, float]] = MappingProxyType({})
+    """What -1 and 1 of an action's numbers stand for (m, rad), by name."""
 
     def __init__(self, config: EnvConfig, scene: Scene, home: Pose, extremes: Iterable[Pose]) -> None:
         if not scene.robot.reaches(home):

@@ -84,7 +84,7 @@ class OpenLoop(Control[PickPlace]):
         self._config = config
         self._floor = floor
         self._names = _names(config.action_sequence)
-        self._ranges = _ranges(config)
+        self.ranges = _ranges(config)
 
     # Actions
 
@@ -97,7 +97,7 @@ class OpenLoop(Control[PickPlace]):
         """
         value = dict(zip(self._names, self.numbers(action), strict=True))
         at = {
-            name: low + (value[name] + 1.0) / 2.0 * (high - low) for name, (low, high) in self._ranges.items()
+            name: low + (value[name] + 1.0) / 2.0 * (high - low) for name, (low, high) in self.ranges.items()
         }
         theta, phi, psi = (at.get(name, 0.0) for name in ANGLES)
         places = value["p"] >= 0.0 if "p" in value else view.scene.robot.held is not None
@@ -113,14 +113,14 @@ class OpenLoop(Control[PickPlace]):
         if move.primitive not in (PICK, PLACE):
             raise ValueError(f"primitive: got {move.primitive!r}, takes {PICK!r} or {PLACE!r}")
         theta, phi, psi = move.rotation
-        low, high = self._ranges.get("theta", (-math.pi, math.pi))
+        low, high = self.ranges.get("theta", (-math.pi, math.pi))
         if not low <= theta <= high:
             turns, theta = divmod(theta - low, high - low)
             theta += low
             # After half a turn the gripper is the same, but its other axes point the other way.
             phi, psi = (-phi, -psi) if self._config.half_rotation and turns % 2.0 else (phi, psi)
         value = dict(zip(("x", "y", "z", *ANGLES), (*move.position, theta, phi, psi), strict=True))
-        share = {name: (value[name] - low) / (high - low) for name, (low, high) in self._ranges.items()}
+        share = {name: (value[name] - low) / (high - low) for name, (low, high) in self.ranges.items()}
         share["p"] = float(move.primitive == PLACE)
         return np.array([2.0 * share[name] - 1.0 for name in self._names], dtype=np.float32).clip(-1.0, 1.0)
 

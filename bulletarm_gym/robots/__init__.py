@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 
+from bulletarm_gym.config import ParameterError
 from bulletarm_gym.extensions import produce
 from bulletarm_gym.robots.gripper import Gripper, ParallelJaw
 from bulletarm_gym.robots.kuka import KUKA
@@ -21,10 +22,14 @@ def find_robot(source: str | RobotModel | Callable[[], RobotModel]) -> RobotMode
 
     :param source: the name of one of :data:`ROBOTS`, a user's model, the function that makes it, or the
         import path ``"module:name"`` of either
-    :raises ValueError: nothing is found there, or something else
+    :raises ParameterError: nothing is found there, or something else
     """
     known = ROBOTS.get(source) if isinstance(source, str) else None
-    model = known or produce(source, RobotModel)
+    try:
+        model = known or produce(source, RobotModel)
+    except (TypeError, ValueError) as error:  # TypeError: a function that takes arguments
+        takes = f"one of {', '.join(map(repr, ROBOTS))}, a model of your own or 'module:name': {error}"
+        raise ParameterError.of("robot", source, takes) from error
     assert isinstance(model, RobotModel)
     return model
 

@@ -19,6 +19,7 @@ from stable_baselines3.common.vec_env import VecEnv
 from tqdm import tqdm
 
 from sb3_extensions.common.augmentation import Augmentation, make_augmentation
+from sb3_extensions.common.following import follow_ranges, follow_sequence
 from sb3_extensions.common.rounding import check_normalisation, check_rounding, follow_extractor
 from sb3_extensions.common.seeds import SeedKey, derive_seed
 from sb3_extensions.demonstrations.collecting import EpisodeData
@@ -96,6 +97,7 @@ class OffPolicyFromDemonstrations(OffPolicyAlgorithm):
             self.augmentation.check(self.observation_space)
             self.policy_kwargs = self.augmentation.with_crop(self.policy_kwargs)
         self.replay_buffer_kwargs = follow_extractor(self.replay_buffer_kwargs, self.policy_kwargs)
+        self._follow_env()
         # The base class does not pass n_steps and gamma on to a given class, and warns, see GH #2274
         n_steps, self.n_steps = self.n_steps, 1
         super()._setup_model()
@@ -107,6 +109,15 @@ class OffPolicyFromDemonstrations(OffPolicyAlgorithm):
         self._had_expert_data |= self.expert_data is not None
         # The base class seeds before it makes the buffer
         self._seed_samplers(self.seed)
+
+    def _follow_env(self) -> None:
+        """Policy and replay buffer take from the environment what its numbers are, unless they are told."""
+        assert self.replay_buffer_class is not None
+        env, space = self.env, self.action_space
+        policy_kwargs = follow_sequence(self.policy_class, self.policy_kwargs, env, space)
+        self.policy_kwargs = follow_ranges(self.policy_class, policy_kwargs, env)
+        buffer_class, buffer_kwargs = self.replay_buffer_class, self.replay_buffer_kwargs
+        self.replay_buffer_kwargs = follow_sequence(buffer_class, buffer_kwargs, env, space)
 
     def _follow_discount(self) -> None:
         """The replay buffer sums up what the algorithm says, also where that was changed or loaded."""

@@ -4,6 +4,7 @@ import pickle
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import gymnasium
 import pytest
@@ -239,3 +240,19 @@ def test_what_is_no_control_is_refused() -> None:
         make_env(PICKING, control=path, action_sequence="pxy")
     with pytest.raises(ValueError, match="'open_loop' is one of ours"):
         bulletarm_gym.register_control("open_loop", path)
+
+
+@pytest.mark.parametrize(
+    ("parameters", "reason"),
+    [
+        ({"robot": "nowhere:x"}, "robot: got 'nowhere:x', takes one of 'kuka', .*'module:name': .*No module"),
+        ({"robot": "math:pi"}, "robot: got 'math:pi', takes .*: 'math:pi' is a float"),
+        ({"robot": "math:sin"}, "robot: got 'math:sin', takes .* argument"),
+        ({"surface": "nowhere:X"}, "surface: 'nowhere:X' cannot be imported"),
+        ({"control": "nowhere:X"}, "control: 'nowhere:X' cannot be imported"),
+        ({"object_scale_range": 0.05}, r"object_scale_range: got \[0\.05.*, takes sizes above 0\.2"),
+    ],
+)
+def test_what_cannot_be_is_told_by_its_name(parameters: dict[str, Any], reason: str) -> None:
+    with pytest.raises(ValueError, match=f"^{reason}"):
+        gymnasium.make(PICKING, **parameters)

@@ -88,6 +88,19 @@ def test_error_of_a_worker_arrives_with_its_traceback() -> None:
     assert not any(process.is_alive() for process in vector.processes)
 
 
+def make_here(pid: int) -> gymnasium.Env[Any, Any]:
+    if os.getpid() != pid:
+        raise OSError("no licence in a worker")
+    return gymnasium.make(ENV_ID, obs_size=32)
+
+
+def test_error_while_a_worker_makes_its_environment_arrives_too() -> None:
+    with pytest.raises(WorkerError, match=r"worker [01] failed: no licence in a worker") as caught:
+        ParallelEnv([partial(make_here, os.getpid())] * 2)
+    assert "make_here" in str(caught.value.__cause__)
+    assert not multiprocessing.active_children()
+
+
 @pytest.mark.parametrize("context", ["fork", "spawn"])
 def test_killed_worker_is_named(context: str) -> None:
     vector = parallel(context=context)

@@ -11,9 +11,10 @@ import yaml
 
 from bulletarm_gym.benchmarks import BENCHMARKS
 from sb3_extensions.common.codec import SpatialActionCodec
+from sb3_extensions.common.following import constructor_keys
 from zoo_configs.cells.cell import Cell, explain, merge, resolve
 from zoo_configs.cells.rules import Family, families, family_of, parse_family, task_name
-from zoo_configs.cells.validation import check_cell, constructor_keys
+from zoo_configs.cells.validation import check_cell
 from zoo_configs.environments import make_env, our_env_ids, register_environments
 from zoo_configs.errors import CommandError, nearest_name
 from zoo_configs.training.manager import import_classes

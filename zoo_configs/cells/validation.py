@@ -9,6 +9,7 @@ from typing import Any
 import gymnasium as gym
 
 from sb3_extensions.common.augmentation import make_augmentation
+from sb3_extensions.common.following import constructor_keys
 from zoo_configs.algorithms import class_from_path, register_algorithms
 from zoo_configs.cells.cell import Cell
 from zoo_configs.cells.ranges import check_values
@@ -116,24 +117,6 @@ def policy_class(algorithm: type[Any], policy: str) -> type[Any]:
     if "." not in policy:
         raise unknown_name(f"policy of {algorithm.__name__}", policy, aliases)
     return _imported("policy", policy)
-
-
-def constructor_keys(cls: type[Any]) -> set[str]:
-    """
-    Names that a constructor takes, up through its parents as long as it passes ``**kwargs`` on.
-
-    :param cls: The class
-    :return: Names of its keyword arguments
-    """
-    keys: set[str] = set()
-    for parent in cls.__mro__:
-        if "__init__" not in vars(parent):
-            continue
-        parameters = list(inspect.signature(vars(parent)["__init__"]).parameters.values())[1:]
-        keys |= {p.name for p in parameters if p.kind in (p.POSITIONAL_OR_KEYWORD, p.KEYWORD_ONLY)}
-        if all(p.kind is not p.VAR_KEYWORD for p in parameters):
-            break
-    return keys
 
 
 def _check_policy_kwargs(policy: type[Any], policy_kwargs: Any) -> None:

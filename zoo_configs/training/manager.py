@@ -19,9 +19,10 @@ from stable_baselines3.common.save_util import load_from_zip_file
 from stable_baselines3.common.vec_env import VecEnv
 
 from sb3_extensions.common.checkpoint import DirectoryCheckpointCallback, resume, save_checkpoint
+from sb3_extensions.common.following import constructor_keys
 from sb3_extensions.vec_env import SplitVecEnv
 from zoo_configs.algorithms import class_from_path
-from zoo_configs.cells.validation import constructor_keys, policy_class
+from zoo_configs.cells.validation import policy_class
 from zoo_configs.environments import load_expert_data
 from zoo_configs.errors import CommandError, reason, refused
 from zoo_configs.files import whole_file
