@@ -20,6 +20,7 @@ from zoo_configs.training import options
 
 Refuse = Callable[..., str]
 REACHING = "BulletArm/CloseLoopBlockReaching-v0"
+STACKING = "BulletArm/OpenLoopBlockStacking-v0"
 TRAIN = ["train", "--baseline", "sacfd", "--preset", "cpu", "--env", "TOY", "--device", "cpu"]
 NO_FOLDER = "/dev/null/folder"  # /dev/null is none
 
@@ -42,6 +43,11 @@ NO_FOLDER = "/dev/null/folder"  # /dev/null is none
         (["train", "--algo", "ppo", "--env", "TOY"], "You must use `MultiInputPolicy`"),
         (["train", "--algo", "ppo", "--conf-file", "none.yml", "--env", "TOY"], "takes a YAML file"),
         (["train", "--algo", "dqn", "--env", "Pendulum-v1"], "only supports"),
+        (
+            ["train", "--algo", "dqfd", "--env", STACKING, "--benchmark", "open_loop_6d"],
+            "is not in the benchmark open_loop_6d",
+        ),
+        (["train", "--algo", "ferm", "--env", STACKING], "no hyperparameters for ferm"),
         (["train", "--resume", "nowhere"], "nowhere is no run folder"),
         ([*TRAIN, "frobnicate"], "unrecognized arguments: frobnicate"),
         ([*TRAIN, "--frobnicate"], "unrecognized arguments: --frobnicate"),
