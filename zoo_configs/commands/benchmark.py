@@ -104,7 +104,8 @@ def _add_cells(parser: Parser) -> None:
     add("--env", nargs="+", help="tasks, or shell patterns, instead of the benchmark's")
     add("--baseline", nargs="+", help="baselines, or shell patterns, instead of the benchmark's")
     add("--preset", help="cpu, quick or paper (default: cpu)")
-    add("--seeds", nargs="+", type=a_seed, help="seeds (default: 0 1 2 3, as many as in the paper)")
+    seeds = "seeds (default: 0 1 2 3, as many as in the paper)"
+    add("--seeds", "--seed", nargs="+", type=a_seed, help=seeds)
     add("--device", default="auto", help="PyTorch device (default: auto)")
 
 
