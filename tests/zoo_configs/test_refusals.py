@@ -93,6 +93,10 @@ NO_FOLDER = "/dev/null/folder"  # /dev/null is none
         (["demos", "--env", REACHING, "-n", "0"], "at least 1, got '0'"),
         (["check", REACHING, "--env-kwargs", "obs_size:2"], "obs_size: got 2"),
         (["check", REACHING, "-f", NO_FOLDER], "cannot be written"),
+        (
+            ["train", "--baseline", "sdqfd_fcn", "--env", STACKING, "--preset", "quick"],
+            f"preset 'quick' is for BulletArm/CloseLoop*, not for {STACKING}: choose from cpu, paper",
+        ),
         (["record"], "name a run folder"),
         (["train", "--baseline", "sdqfd_fcn", "--env", REACHING], "is for BulletArm/OpenLoop*, not for"),
         (["check", REACHING, "--min-success", "2"], "--min-success: must be a number from 0 to 1, got '2'"),

@@ -13,6 +13,8 @@ from zoo_configs.cells.ranges import check_values
 from zoo_configs.cells.rules import Family, families
 from zoo_configs.errors import CommandError, unknown_name
 
+PRESETS = "cpu, paper, or in close loop quick"
+
 
 def add_cell_flags(parser: argparse.ArgumentParser) -> None:
     """
@@ -22,7 +24,7 @@ def add_cell_flags(parser: argparse.ArgumentParser) -> None:
     """
     add = parser.add_argument
     add("--baseline", help="row of a benchmark, see bulletarm-zoo list --baselines")
-    add("--preset", help="cpu, quick or paper (default: paper with a GPU, else cpu)")
+    add("--preset", help=f"{PRESETS} (default: paper with a GPU, else cpu)")
     add("--benchmark", help="benchmark whose parameters the task has, for one that is in several")
     add("--algo", help="algorithm: its baseline, or with --conf-file")
     add("--env", help="environment id, see bulletarm-zoo list")
