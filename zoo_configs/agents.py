@@ -151,7 +151,7 @@ def _newest_run(args: argparse.Namespace) -> Run:
     runs = [
         run
         for run in of_env
-        if args.algo in (None, run.cell.algo)
+        if args.algo in (None, run.cell.algo, run.cell.baseline)
         and args.baseline in (None, run.cell.baseline)
         and args.preset in (None, run.cell.preset)
         and args.exp_id in (0, run.number)

@@ -205,7 +205,7 @@ def add_run_arguments(parser: argparse.ArgumentParser) -> None:
     add("run", nargs="?", type=Path, metavar="RUN_FOLDER", help="a run folder, as train names it at its end")
     add("--env", help="instead of a folder: newest run on this environment")
     add("--baseline", help="... of this baseline")
-    add("--algo", help="... of this algorithm")
+    add("--algo", help="... of this algorithm, or of the baseline of its name")
     add("--preset", help="... of this preset")
     add("--exp-id", type=whole_number(0), default=0, help="... with this number (default: 0, the newest)")
     add("-f", "--log-folder", type=Path, default=Path("logs"), help="folder of all runs (default: logs)")

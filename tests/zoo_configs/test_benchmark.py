@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+import re
 import signal
 import time
 from collections.abc import Callable
@@ -109,6 +110,16 @@ def test_a_buffer_tells_its_size_before_it_takes_it() -> None:
     buffer.add(image, image, action, one, one, [{}])
     held_bytes = sum(array.nbytes for array in (*buffer.table.values(), *buffer.frames.data.values()))
     assert held_bytes == announced
+
+
+@pytest.mark.parametrize("flag", ["--seeds", "--seed"])
+def test_seeds_are_given_by_either_name(flag: str, bench: Bench, capsys: pytest.CaptureFixture[str]) -> None:
+    assert bench("--dry-run", flag, "7") == 0
+    printed = capsys.readouterr().out
+    assert re.search(r"CloseLoopToy/sacfd +7 ", printed) and "1 cells, 1 runs" in printed
+    with pytest.raises(SystemExit):
+        main(["benchmark", "--help"])
+    assert re.search(rf"{flag}\b", capsys.readouterr().out)
 
 
 # ---- Refusals

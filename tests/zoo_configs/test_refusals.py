@@ -20,6 +20,7 @@ from zoo_configs.training import options
 
 Refuse = Callable[..., str]
 REACHING = "BulletArm/CloseLoopBlockReaching-v0"
+STACKING = "BulletArm/OpenLoopBlockStacking-v0"
 TRAIN = ["train", "--baseline", "sacfd", "--preset", "cpu", "--env", "TOY", "--device", "cpu"]
 NO_FOLDER = "/dev/null/folder"  # /dev/null is none
 
@@ -42,6 +43,11 @@ NO_FOLDER = "/dev/null/folder"  # /dev/null is none
         (["train", "--algo", "ppo", "--env", "TOY"], "You must use `MultiInputPolicy`"),
         (["train", "--algo", "ppo", "--conf-file", "none.yml", "--env", "TOY"], "takes a YAML file"),
         (["train", "--algo", "dqn", "--env", "Pendulum-v1"], "only supports"),
+        (
+            ["train", "--algo", "dqfd", "--env", STACKING, "--benchmark", "open_loop_6d"],
+            "is not in the benchmark open_loop_6d",
+        ),
+        (["train", "--algo", "ferm", "--env", STACKING], "no hyperparameters for ferm"),
         (["train", "--resume", "nowhere"], "nowhere is no run folder"),
         ([*TRAIN, "frobnicate"], "unrecognized arguments: frobnicate"),
         ([*TRAIN, "--frobnicate"], "unrecognized arguments: --frobnicate"),
@@ -87,6 +93,10 @@ NO_FOLDER = "/dev/null/folder"  # /dev/null is none
         (["demos", "--env", REACHING, "-n", "0"], "at least 1, got '0'"),
         (["check", REACHING, "--env-kwargs", "obs_size:2"], "obs_size: got 2"),
         (["check", REACHING, "-f", NO_FOLDER], "cannot be written"),
+        (
+            ["train", "--baseline", "sdqfd_fcn", "--env", STACKING, "--preset", "quick"],
+            f"preset 'quick' is for BulletArm/CloseLoop*, not for {STACKING}: choose from cpu, paper",
+        ),
         (["record"], "name a run folder"),
         (["train", "--baseline", "sdqfd_fcn", "--env", REACHING], "is for BulletArm/OpenLoop*, not for"),
         (["check", REACHING, "--min-success", "2"], "--min-success: must be a number from 0 to 1, got '2'"),

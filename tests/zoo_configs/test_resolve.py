@@ -13,8 +13,10 @@ from bulletarm_gym.benchmarks import BENCHMARKS
 from sb3_extensions.common.codec import SpatialActionCodec
 from sb3_extensions.common.following import constructor_keys
 from zoo_configs.cells.cell import Cell, explain, merge, resolve
+from zoo_configs.cells.flags import find_cell
 from zoo_configs.cells.rules import Family, families, family_of, parse_family, task_name
 from zoo_configs.cells.validation import check_cell
+from zoo_configs.commands.train import build_parser
 from zoo_configs.environments import make_env, our_env_ids, register_environments
 from zoo_configs.errors import CommandError, nearest_name
 from zoo_configs.training.manager import import_classes
@@ -35,6 +37,12 @@ CELLS = [
 PICKING = "BulletArm/CloseLoopBlockPicking-v0"
 STACKING = "BulletArm/OpenLoopBlockStacking-v0"
 CLOSE_LOOP = [row.env_id for row in BENCHMARKS["close_loop_4d"].environments]
+
+
+def cell_of(*words: str) -> Cell:
+    """The cell that the flags of ``train`` name."""
+    args = build_parser().parse_args(words)
+    return find_cell(args, args.env)
 
 
 @pytest.mark.parametrize("cell", CELLS, ids="-".join)
@@ -164,6 +172,8 @@ def test_what_a_rule_misspells_is_told(rule: dict[str, Any], message: str) -> No
     ("change", "message"),
     [
         ({"tasks": {}}, "key of mine.yml 'tasks'"),
+        ({"algorithms": {"frem": "sacfd"}}, "algorithm of mine.yml 'frem', did you mean 'ferm'"),
+        ({"algorithms": {"ferm": ["sacdf"]}}, "baseline of mine.yml, algorithm ferm 'sacdf', .*'sacfd'"),
         ({"baselines": {"sac": ["sac"]}}, "'sac' of mine.yml takes .learner, network, additions."),
     ],
 )
@@ -221,6 +231,34 @@ def test_a_grid_of_actions_lies_over_what_the_environments_range_over() -> None:
     assert hyperparams["policy_kwargs"]["codec_kwargs"]["theta_bounds"] == [-4.0, 4.0]
     plain = resolve("sdqfd_equi_asr", "cpu", STACKING).hyperparams
     assert plain["policy_kwargs"]["codec_kwargs"] == {}
+
+
+@pytest.mark.parametrize("family", families(), ids=lambda family: family.name)
+def test_an_algorithm_alone_stands_for_a_baseline_of_its_own(family: Family) -> None:
+    assert family.algorithms
+    for algo in family.algorithms:
+        for env_id in filter(family.serves, our_env_ids()):
+            cell = cell_of("--algo", algo, "--env", env_id)
+            assert cell.algo == algo and cell.baseline in family.algorithms[algo]
+
+
+@pytest.mark.parametrize(
+    ("words", "baseline"),
+    [
+        (["ferm", "--env", PICKING], "ferm_sacfd"),
+        (["tqcfd", "--env", PICKING], "tqcfd"),
+        (["sac", "--env", PICKING], "sac"),
+        (["spatial_dqn", "--env", STACKING], "dqn_equi_asr"),
+        (["sdqfd", "--env", STACKING], "sdqfd_equi_asr"),
+        (["adet", "--env", STACKING, "--benchmark", "open_loop_2d"], "adet_equi_fcn"),
+        (["dqfd", "--env", "BulletArm/OpenLoopBlockSorting-v0"], "dqfd_equi_asr"),
+        (["dqfd", "--env", "BulletArm/OpenLoopRampBlockStacking-v0"], "dqfd_equi_deictic_asr"),
+        (["spatial_dqn", "--env", "BulletArm/OpenLoopBumpBoxPalletizing-v0"], "dqn_equi_deictic_asr"),
+    ],
+    ids=lambda value: " ".join(value) if isinstance(value, list) else "",
+)
+def test_the_baseline_of_an_algorithm_serves_the_task(words: list[str], baseline: str) -> None:
+    assert cell_of("--algo", *words).baseline == baseline
 
 
 def test_the_name_of_a_task() -> None:

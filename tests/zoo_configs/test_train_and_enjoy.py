@@ -143,6 +143,22 @@ def test_enjoy_finds_no_run_of_another_baseline(
     assert "no such run of sacfd" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("algo", ["sac", "tqc"])
+def test_enjoy_finds_what_train_trained_by_the_name_of_an_algorithm(
+    algo: str, toy_id: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    named = ["--algo", algo, "--env", toy_id, "-f", str(tmp_path), "--device", "cpu", "--no-progress"]
+    size = ["-n", "2", "--eval-freq", "-1", "--preset", "cpu", "--env-kwargs", "obs_size:48"]
+    params = ["expert_episodes:2", "pretrain_steps:0", "batch_size:4", "buffer_size:100", "n_envs:1"]
+    assert main(["train", *named, *size, "--seed", "0", "-params", *params]) == 0
+    assert f"{toy_id}, seed 0, baseline {algo} of --algo {algo}\n" in capsys.readouterr().out
+    assert list(tmp_path.glob(f"{algo}fd/*_1"))
+    assert main(["enjoy", *named, "-n", "1"]) == 0
+    assert "success_rate=" in capsys.readouterr().out
+    assert main(["enjoy", *named, "--algo", "ppo"]) == 2
+    assert "no such run of ppo" in capsys.readouterr().err
+
+
 def test_record_films_the_agent(run_folder: Path, tmp_path: Path) -> None:
     film = tmp_path / "agent.gif"
     assert main(["record", str(run_folder), "-n", "2", "--device", "cpu", "-o", str(film)]) == 0

@@ -92,6 +92,23 @@ def test_a_study_begins_with_the_baseline_and_ends_with_the_best(
     assert main([*command, "-f", str(tmp_path / "logs"), "--no-progress", "--eval-freq", "0"]) == 0
 
 
+def test_a_bar_counts_the_trials_of_the_study(
+    tune: Tune, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Also those of other processes, and of an earlier start; on terminals, unless flags say."""
+    assert tune("--n-trials", "1") == 0
+    assert "trial" not in capsys.readouterr().err
+    assert tune("--n-trials", "2", "-P") == 0
+    printed = capsys.readouterr()
+    assert "1/2" in printed.err and "2/2" in printed.err and "0/2" not in printed.err
+    assert "trial 1: " in printed.out
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    assert tune("--n-trials", "3", "--no-progress") == 0
+    assert "trial" not in capsys.readouterr().err
+    assert tune("--n-trials", "3") == 0
+    assert "3/3" in capsys.readouterr().err
+
+
 def test_a_study_of_a_seed_is_one_study(tune: Tune, tmp_path: Path) -> None:
     """Also where it is stopped on the way; and a study that has its trials does nothing."""
     assert tune("--study-name", "whole", "--n-trials", "4") == 0

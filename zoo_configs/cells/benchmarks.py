@@ -25,7 +25,7 @@ def choose_benchmark(
     """
     from bulletarm_gym.benchmarks import BENCHMARKS
 
-    having = [name for name in served if env_id in _ids(BENCHMARKS[name])]
+    having = _having(served, env_id)
     if wanted is not None and wanted not in BENCHMARKS:
         raise unknown_name("benchmark", wanted, BENCHMARKS)
     if wanted is not None and wanted not in having:
@@ -37,6 +37,20 @@ def choose_benchmark(
             f"network {network!r} does not fit {env_id}; those that do, by benchmark: {networks}"
         )
     return fitting[0] if fitting else None
+
+
+def serves(served: Mapping[str, Sequence[str]], env_id: str, network: str, wanted: str | None) -> bool:
+    """
+    Whether a network serves a task; every one serves a task of no benchmark.
+
+    :param served: As for :func:`choose_benchmark`
+    :param env_id: Id of the environment
+    :param network: The network
+    :param wanted: Name of a benchmark, None for any
+    :return: Whether it does
+    """
+    having = _having(served, env_id)
+    return not having or any(network in served[name] for name in having if wanted in (None, name))
 
 
 def task_parameters(benchmark: str, env_id: str) -> dict[str, Any]:
@@ -52,6 +66,13 @@ def task_parameters(benchmark: str, env_id: str) -> dict[str, Any]:
     table = BENCHMARKS[benchmark]
     [row] = (environment for environment in table.environments if environment.env_id == env_id)
     return {"env_kwargs": table.make_kwargs(row), "expert_episodes": row.expert_episodes}
+
+
+def _having(served: Mapping[str, Sequence[str]], env_id: str) -> list[str]:
+    """The benchmarks that have a task."""
+    from bulletarm_gym.benchmarks import BENCHMARKS
+
+    return [name for name in served if env_id in _ids(BENCHMARKS[name])]
 
 
 def _ids(benchmark: Any) -> set[str]:

@@ -146,11 +146,20 @@ def _case(family: Family, baseline: str, preset: str, env_id: str, benchmark: st
         if others := [other.envs for other in families() if baseline in other.baselines]:
             raise CommandError(f"baseline {baseline!r} is for {' or '.join(others)}, not for {env_id}")
         raise unknown_name("baseline", baseline, family.baselines)
-    if preset not in family.presets:
-        raise unknown_name("preset", preset, family.presets)
+    _check_preset(family, preset, env_id)
     row = family.baselines[baseline]
     chosen = choose_benchmark(family.benchmarks, env_id, row.network, benchmark)
     return Case(preset, env_id, chosen, row)
+
+
+def _check_preset(family: Family, preset: str, env_id: str) -> None:
+    if preset in family.presets:
+        return
+    if others := [other.envs for other in families() if preset in other.presets]:
+        valid = ", ".join(sorted(family.presets))
+        whose = " or ".join(others)
+        raise CommandError(f"preset {preset!r} is for {whose}, not for {env_id}: choose from {valid}")
+    raise unknown_name("preset", preset, family.presets)
 
 
 def _leaves(mapping: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:

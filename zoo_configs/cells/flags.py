@@ -7,10 +7,13 @@ from dataclasses import replace
 from pathlib import Path
 
 from zoo_configs.arguments import add_env_kwargs, add_key_values
+from zoo_configs.cells.benchmarks import serves
 from zoo_configs.cells.cell import Cell, merge, resolve
 from zoo_configs.cells.ranges import check_values
-from zoo_configs.cells.rules import families
+from zoo_configs.cells.rules import Family, families
 from zoo_configs.errors import CommandError, unknown_name
+
+PRESETS = "cpu, paper, or in close loop quick"
 
 
 def add_cell_flags(parser: argparse.ArgumentParser) -> None:
@@ -21,9 +24,9 @@ def add_cell_flags(parser: argparse.ArgumentParser) -> None:
     """
     add = parser.add_argument
     add("--baseline", help="row of a benchmark, see bulletarm-zoo list --baselines")
-    add("--preset", help="cpu, quick or paper (default: paper with a GPU, else cpu)")
+    add("--preset", help=f"{PRESETS} (default: paper with a GPU, else cpu)")
     add("--benchmark", help="benchmark whose parameters the task has, for one that is in several")
-    add("--algo", help="algorithm, for a baseline of the same name or with --conf-file")
+    add("--algo", help="algorithm: its baseline, or with --conf-file")
     add("--env", help="environment id, see bulletarm-zoo list")
     add("-conf", "--conf-file", type=Path, help="YAML with hyperparameters by environment id, as in rl_zoo3")
     add_key_values(parser, "-params", "--hyperparams", help="hyperparameters that win over the preset")
@@ -47,9 +50,7 @@ def _find_cell(args: argparse.Namespace, env_id: str) -> Cell:
         if args.baseline is not None:
             raise CommandError("give --baseline or --conf-file, not both")
         return _cell_from_file(args.conf_file, _required_algo(args), env_id)
-    baseline = args.baseline
-    if baseline is None and _has_baseline(args.algo, env_id):
-        baseline = args.algo
+    baseline = _baseline_of(args, env_id)
     if baseline is None:
         return _cell_from_rl_zoo3(_required_algo(args), env_id)
     preset = _default_preset(args.device or "auto") if args.preset is None else args.preset
@@ -69,8 +70,23 @@ def _required_algo(args: argparse.Namespace) -> str:
     return str(args.algo)
 
 
-def _has_baseline(name: str | None, env_id: str) -> bool:
-    return any(family.serves(env_id) and name in family.baselines for family in families())
+def _baseline_of(args: argparse.Namespace, env_id: str) -> str | None:
+    """What --algo alone stands for: the baseline of its name, or else one of the algorithm's own."""
+    if args.baseline is not None or args.algo is None:
+        return args.baseline  # type: ignore[no-any-return]
+    for family in families():
+        if family.serves(env_id):
+            own = _default_baseline(family, args.algo, env_id, args.benchmark)
+            return args.algo if args.algo in family.baselines else own
+    return None
+
+
+def _default_baseline(family: Family, algo: str, env_id: str, benchmark: str | None) -> str | None:
+    """The first that serves the task; where none does, the first, of which it is then told why."""
+    names = family.algorithms.get(algo, ())
+    networks = {name: family.baselines[name].network for name in names}
+    fitting = (name for name in names if serves(family.benchmarks, env_id, networks[name], benchmark))
+    return next(fitting, names[0] if names else None)
 
 
 def _default_preset(device: str) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import itertools
-from collections.abc import Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 from importlib import resources
@@ -12,9 +12,10 @@ from typing import Any, NamedTuple
 
 import yaml
 
+from zoo_configs.algorithms import ALGORITHMS
 from zoo_configs.errors import CommandError, refused, unknown_name
 
-FAMILY_KEYS = ("envs", "benchmarks", "baselines", "product", "rules")
+FAMILY_KEYS = ("envs", "benchmarks", "baselines", "product", "algorithms", "rules")
 AXES = ("preset", "task", "benchmark", "learner", "network", "addition")
 RULE_KEYS = ("when", "why", "algo", "set", "flags")
 # Flags of rl_zoo3.train for which a rule may choose the default.
@@ -113,6 +114,8 @@ class Family:
     :param benchmarks: From benchmark to the networks that serve it; a task is trained as in the first that
         has it and the network, unless another is named
     :param baselines: From name to learner, network and additions
+    :param algorithms: From algorithm to the baselines that it alone stands for; the first that serves the
+        task is taken
     :param rules: In the order in which they are applied; later ones win
     """
 
@@ -120,6 +123,7 @@ class Family:
     envs: str
     benchmarks: Mapping[str, tuple[str, ...]]
     baselines: Mapping[str, Baseline]
+    algorithms: Mapping[str, tuple[str, ...]]
     rules: tuple[Rule, ...]
 
     @property
@@ -191,7 +195,8 @@ def parse_family(name: str, text: str) -> Family:
         parse_rule(f"{where}, rule {number}", rule) for number, rule in enumerate(data["rules"], start=1)
     )
     benchmarks = {key: tuple(networks) for key, networks in data.get("benchmarks", {}).items()}
-    family = Family(name, data["envs"], benchmarks, baselines, rules)
+    algorithms = _algorithms(where, data.get("algorithms", {}), baselines)
+    family = Family(name, data["envs"], benchmarks, baselines, algorithms, rules)
     _check_axes(family)
     return family
 
@@ -208,10 +213,7 @@ def parse_rule(where: str, data: Mapping[str, Any]) -> Rule:
     _check_names(f"key of {where}", data, RULE_KEYS)
     _check_names(f"axis of {where}", data.get("when", {}), AXES)
     _check_names(f"flag of {where}", data.get("flags", {}), RULE_FLAGS)
-    when = {
-        axis: (names,) if isinstance(names, str) else tuple(names)
-        for axis, names in data.get("when", {}).items()
-    }
+    when = _lists(data.get("when", {}))
     why = " ".join(data.get("why", "").split())
     return Rule(where, when, why, data.get("algo"), data.get("set", {}), data.get("flags", {}))
 
@@ -232,6 +234,21 @@ def _rows(where: str, rows: Mapping[str, Any]) -> dict[str, Baseline]:
     return baselines
 
 
+def _algorithms(
+    where: str, given: Mapping[str, Any], baselines: Mapping[str, Baseline]
+) -> dict[str, tuple[str, ...]]:
+    _check_names(f"algorithm of {where}", given, ALGORITHMS)
+    algorithms = _lists(given)
+    for algo, names in algorithms.items():
+        _check_names(f"baseline of {where}, algorithm {algo}", names, baselines)
+    return algorithms
+
+
+def _lists(given: Mapping[str, Any]) -> dict[str, tuple[str, ...]]:
+    """A name stands for a list of one."""
+    return {key: (names,) if isinstance(names, str) else tuple(names) for key, names in given.items()}
+
+
 def _check_axes(family: Family) -> None:
     """A name in a rule that no baseline has would never hold: a misspelling."""
     rows = family.baselines.values()
@@ -248,7 +265,7 @@ def _check_axes(family: Family) -> None:
                     raise unknown_name(f"{axis} of {rule.where}", pattern, valid)
 
 
-def _check_names(kind: str, given: Mapping[str, Any], valid: tuple[str, ...]) -> None:
+def _check_names(kind: str, given: Iterable[str], valid: Collection[str]) -> None:
     for name in given:
         if name not in valid:
             raise unknown_name(kind, name, valid)

@@ -21,6 +21,7 @@ from zoo_configs.arguments import (
     positive_int,
     whole_number,
 )
+from zoo_configs.cells.flags import PRESETS
 from zoo_configs.drawing.tables import print_table
 from zoo_configs.errors import CommandError
 from zoo_configs.files import missing_folders, remove_empty
@@ -103,8 +104,9 @@ def _add_cells(parser: Parser) -> None:
     add, a_seed = group.add_argument, whole_number(0, MAX_SEED)
     add("--env", nargs="+", help="tasks, or shell patterns, instead of the benchmark's")
     add("--baseline", nargs="+", help="baselines, or shell patterns, instead of the benchmark's")
-    add("--preset", help="cpu, quick or paper (default: cpu)")
-    add("--seeds", nargs="+", type=a_seed, help="seeds (default: 0 1 2 3, as many as in the paper)")
+    add("--preset", help=f"{PRESETS} (default: cpu)")
+    seeds = "seeds (default: 0 1 2 3, as many as in the paper)"
+    add("--seeds", "--seed", nargs="+", type=a_seed, help=seeds)
     add("--device", default="auto", help="PyTorch device (default: auto)")
 
 

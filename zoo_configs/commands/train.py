@@ -94,7 +94,8 @@ def _begin(args: argparse.Namespace, progress: bool) -> Run:
         raise CommandError("name an environment with --env, see bulletarm-zoo list")
     cell = find_cell(args, known_env_id(args.env))
     seed = secrets.randbelow(MAX_SEED + 1) if args.seed in (None, -1) else args.seed
-    print(f"{cell.env_id}, seed {seed}")
+    taken = f", baseline {cell.baseline} of --algo {args.algo}" if cell.baseline != args.baseline else ""
+    print(f"{cell.env_id}, seed {seed}{taken}")
     return train_cell(
         cell,
         seed,

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from zoo_configs.arguments import MAX_SEED, Parser, add_packages, positive_int, whole_number
+from zoo_configs.arguments import MAX_SEED, Parser, add_packages, add_progress, positive_int, whole_number
 from zoo_configs.cells.flags import add_cell_flags, find_cell
 from zoo_configs.cells.rules import task_name
 from zoo_configs.environments import known_env_id, package_of, register_environments
@@ -46,7 +46,7 @@ def main(argv: Sequence[str]) -> None:
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     study = open_study(search)
     try:
-        work(search, study)
+        work(search, study, args.progress)
     finally:
         print(f"study {search.name}: {summary(study)}")
         files = write_report(search, study, plots=not args.no_optim_plots)
@@ -80,6 +80,7 @@ def build_parser() -> argparse.ArgumentParser:
     add("--study-name", help="default: the baseline and the task")
     add("--no-optim-plots", action="store_true", help="draw no pictures")
     add_packages(parser)
+    add_progress(parser)
     add_options(parser, tuning=False)
     return parser
 

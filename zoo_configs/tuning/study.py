@@ -17,8 +17,10 @@ from optuna.samplers import BaseSampler, GPSampler, RandomSampler, TPESampler
 from optuna.storages import BaseStorage, JournalStorage, RDBStorage
 from optuna.storages.journal import JournalFileBackend
 from optuna.trial import FrozenTrial, TrialState
+from tqdm import tqdm
 
 from zoo_configs.algorithms import register_algorithms
+from zoo_configs.arguments import hides_progress
 from zoo_configs.cells.cell import Cell
 from zoo_configs.errors import CommandError, reason, refused
 from zoo_configs.files import whole_file
@@ -126,17 +128,21 @@ def open_study(search: Search) -> optuna.Study:
     return study
 
 
-def work(search: Search, study: optuna.Study) -> None:
+def work(search: Search, study: optuna.Study, progress: bool | None = False) -> None:
     """
     Train trials until the study has as many as it is to have; others may do so as well.
 
     :param search: What is searched
     :param study: The study
+    :param progress: Whether to show a bar of the study's finished trials, None shows it on a terminal
     """
-    while (claimed := _next_trial(search, study)) is not None:
-        trial, claim = claimed
-        with claim:
-            _run(search, study, trial)
+    number, hidden, done = search.n_trials, hides_progress(progress), _count_finished(study)
+    with tqdm(total=number, initial=done, unit="trial", disable=hidden) as bar:
+        while (claimed := _next_trial(search, study)) is not None:
+            trial, claim = claimed
+            with claim:
+                _run(search, study, trial)
+            bar.update(_count_finished(study) - bar.n)
 
 
 def retried(trials: Iterable[FrozenTrial]) -> set[int]:
@@ -147,6 +153,12 @@ def retried(trials: Iterable[FrozenTrial]) -> set[int]:
     :return: Those that do not count
     """
     return {number for trial in trials for number in trial.user_attrs.get(REPEATS, ())}
+
+
+def _count_finished(study: optuna.Study) -> int:
+    """Trials that count and have ended, of all processes."""
+    trials = study.get_trials(deepcopy=False)
+    return len({trial.number for trial in trials if trial.state.is_finished()} - retried(trials))
 
 
 def trial_folder(search: Search, trial: FrozenTrial) -> Path:
@@ -217,7 +229,8 @@ def _run(search: Search, study: optuna.Study, trial: optuna.Trial) -> None:
     except Exception as error:  # whatever a drawn value makes an algorithm raise
         trial.set_user_attr(ERROR, reason(error))
         study.tell(trial, state=TrialState.FAIL)
-    print(describe(study.get_trials(deepcopy=False)[trial.number]), flush=True)
+    with tqdm.external_write_mode():  # above the bar
+        print(describe(study.get_trials(deepcopy=False)[trial.number]), flush=True)
 
 
 def describe(trial: FrozenTrial) -> str:
