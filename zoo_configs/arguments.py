@@ -110,6 +110,7 @@ def whole_number(least: int, most: int | None = None) -> Callable[[str], int]:
     """
 
     def number(text: str) -> int:
+        """Read a number that is within the limits."""
         try:
             value = int(text)
         except ValueError:

@@ -76,8 +76,9 @@ def _baseline_of(args: argparse.Namespace, env_id: str) -> str | None:
         return args.baseline  # type: ignore[no-any-return]
     for family in families():
         if family.serves(env_id):
-            own = _default_baseline(family, args.algo, env_id, args.benchmark)
-            return args.algo if args.algo in family.baselines else own
+            if args.algo in family.baselines:
+                return str(args.algo)
+            return _default_baseline(family, args.algo, env_id, args.benchmark)
     return None
 
 
