@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import os
+from collections.abc import Iterable
 from typing import Any, ClassVar
 
 import torch as th
+from stable_baselines3.common.buffers import ReplayBuffer
+from stable_baselines3.common.noise import ActionNoise
 from stable_baselines3.common.policies import BasePolicy
-from stable_baselines3.common.type_aliases import GymEnv, PyTorchObs
+from stable_baselines3.common.type_aliases import GymEnv, PyTorchObs, Schedule
 from stable_baselines3.common.utils import polyak_update
 from stable_baselines3.sac.policies import SACPolicy
 from torch import nn
 
 from sb3_extensions.common.augmentation import AugmentationSpec
+from sb3_extensions.demonstrations.collecting import EpisodeData
 from sb3_extensions.demonstrations.off_policy import check_not_negative
 from sb3_extensions.ferm.policies import MultiInputPolicy
 from sb3_extensions.sacfd import SACfD
@@ -29,6 +34,8 @@ class FERM(SACfD):
     Paper: https://arxiv.org/abs/2012.07975; the defaults are those of BulletArm,
     https://arxiv.org/abs/2205.14292, appendix "Benchmark Details", and its authors' code.
 
+    All parameters that are not listed are those of :class:`~sb3_extensions.sacfd.SACfD`.
+
     :param policy: The policy model to use (``"MultiInputPolicy"`` or a subclass of it)
     :param env: The environment to learn from (if registered in Gym, can be str); its observations are a Dict
     :param augmentation: random views of the images, as in :class:`~sb3_extensions.sacfd.SACfD`; not None
@@ -37,7 +44,6 @@ class FERM(SACfD):
     :param encoder_tau: the soft update coefficient of the target critic's features extractor; ``tau`` is that
         of its heads
     :param _init_setup_model: Whether or not to build the network at the creation of the instance
-    :param kwargs: further parameters of :class:`~sb3_extensions.sacfd.SACfD`
     :raises ValueError: if an argument is out of its range, ``augmentation`` is None, or ``policy`` another
     """
 
@@ -48,13 +54,85 @@ class FERM(SACfD):
         self,
         policy: str | type[SACPolicy],
         env: GymEnv | str,
+        learning_rate: float | Schedule = 1e-3,
+        buffer_size: int = 100_000,
+        learning_starts: int = 0,
+        batch_size: int = 64,
+        tau: float = 0.01,
+        gamma: float = 0.99,
+        train_freq: int | tuple[int, str] = 1,
+        gradient_steps: int = 1,
+        action_noise: ActionNoise | None = None,
+        replay_buffer_class: type[ReplayBuffer] | None = None,
+        replay_buffer_kwargs: dict[str, Any] | None = None,
+        n_steps: int = 10,
+        ent_coef: str | float = 0.005,
+        target_update_interval: int = 1,
+        target_entropy: str | float = "auto",
+        bc_weight: float = 10.0,
+        bc_limit: float = 0.95,
+        self_imitation: float | None = 0.1,
+        q_weight: float = 1.0,
+        backup_entropy: bool = False,
+        value_range: tuple[float, float] | None = None,
+        exploration: float = 0.1,
+        expert_episodes: int = 100,
+        expert_noise: float = 0.0,
+        expert_data: Iterable[EpisodeData] | None = None,
+        expert_cache: str | os.PathLike[str] | None = None,
+        dagger: bool = False,
         augmentation: AugmentationSpec = "rad",
         contrastive_steps: int = 1600,
         encoder_tau: float = 0.05,
+        pretrain_steps: int = 0,
+        stats_window_size: int = 100,
+        tensorboard_log: str | None = None,
+        policy_kwargs: dict[str, Any] | None = None,
+        verbose: int = 0,
+        seed: int | None = None,
+        device: th.device | str = "auto",
         _init_setup_model: bool = True,
-        **kwargs: Any,
     ) -> None:
-        super().__init__(policy, env, augmentation=augmentation, _init_setup_model=False, **kwargs)
+        super().__init__(
+            policy,
+            env,
+            learning_rate=learning_rate,
+            buffer_size=buffer_size,
+            learning_starts=learning_starts,
+            batch_size=batch_size,
+            tau=tau,
+            gamma=gamma,
+            train_freq=train_freq,
+            gradient_steps=gradient_steps,
+            action_noise=action_noise,
+            replay_buffer_class=replay_buffer_class,
+            replay_buffer_kwargs=replay_buffer_kwargs,
+            n_steps=n_steps,
+            ent_coef=ent_coef,
+            target_update_interval=target_update_interval,
+            target_entropy=target_entropy,
+            bc_weight=bc_weight,
+            bc_limit=bc_limit,
+            self_imitation=self_imitation,
+            q_weight=q_weight,
+            backup_entropy=backup_entropy,
+            value_range=value_range,
+            exploration=exploration,
+            expert_episodes=expert_episodes,
+            expert_noise=expert_noise,
+            expert_data=expert_data,
+            expert_cache=expert_cache,
+            dagger=dagger,
+            augmentation=augmentation,
+            pretrain_steps=pretrain_steps,
+            stats_window_size=stats_window_size,
+            tensorboard_log=tensorboard_log,
+            policy_kwargs=policy_kwargs,
+            verbose=verbose,
+            seed=seed,
+            device=device,
+            _init_setup_model=False,
+        )
         if not issubclass(self.policy_class, MultiInputPolicy):
             raise ValueError(f"policy must be FERM's MultiInputPolicy, got {self.policy_class.__name__}")
         if self.augmentation is None:
