@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -122,7 +122,12 @@ def _draw_panel(axes: Any, title: str, curves: Mapping[str, LearningCurve], name
     if len(curves) > CURVES_BESIDE_LEGEND:
         axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
     else:
-        axes.legend(loc="lower right")  # where a training ends high; "best" may lie on it
+        # "best" may lie on the curves
+        axes.legend(loc="upper right" if _all_end_low(curves.values()) else "lower right")
+
+
+def _all_end_low(curves: Iterable[LearningCurve]) -> bool:
+    return all(curve.measure == SUCCESS and curve.success[-1] < 0.5 for curve in curves)
 
 
 def _draw(axes: Any, name: str, curve: LearningCurve, number: int) -> None:
