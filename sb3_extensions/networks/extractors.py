@@ -94,9 +94,7 @@ class StackedImage(nn.Module):
             observations = {IMAGE_KEY: observations}
         images = [scale(crop_centre(observations[key], self.size)) for key, scale in self.scales.items()]
         numbers = [observations[key].flatten(1)[..., None, None] for key in self.number_keys]
-        channels = images + [number.expand(-1, -1, self.size, self.size) for number in numbers]
-        # Channels last in memory from the start, as the encoders want them: to order them later takes longer
-        return th.cat([channel.movedim(1, -1) for channel in channels], dim=-1).movedim(-1, 1)
+        return th.cat(images + [number.expand(-1, -1, self.size, self.size) for number in numbers], dim=1)
 
 
 def square_images(parts: Mapping[str, gym.Space[Any]]) -> dict[str, spaces.Box]:
