@@ -2,193 +2,40 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import gymnasium as gym
 import torch as th
 from gymnasium import spaces
-from stable_baselines3.common.preprocessing import get_flattened_obs_dim, is_image_space
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from stable_baselines3.common.type_aliases import PyTorchObs
 from torch import nn
 
-from sb3_extensions.common.images import IMAGE_AXES, scene_images
 from sb3_extensions.networks.encoders import CnnEncoder, EquivariantEncoder, SmallImageEncoder
 from sb3_extensions.networks.equivariant import GroupMaxPool
 from sb3_extensions.networks.groups import FieldType, Group
-from sb3_extensions.networks.points import PointClouds, point_clouds
-from sb3_extensions.replay.quantisation import Quantiser
+from sb3_extensions.networks.points import PointClouds
+from sb3_extensions.networks.stacked_image import StackedImage, largest_images, square_images
 
 OUTPUTS = ("regular", "invariant")
-# Name of the only image where an observation is no Dict.
-IMAGE_KEY = "image"
 # A quarter of those of the largest images behind the paper's CNN.
 SMALL_IMAGE_FEATURES = 32
-
-
-class StackedImage(nn.Module):
-    """One image of a Dict observation: the images' channels, and a constant channel for each other number.
-
-    An observation that is an image already is taken as the only one. Of images of several sizes the largest
-    are taken; :class:`SmallImages` are the others, and point clouds, (n, 3).
-
-    Float images (such as heights in metres) are mapped from the bounds of their space to [0, 1], rounded to
-    the levels that the replay buffer stores; ``uint8`` images arrive so from Stable-Baselines3 (its
-    ``normalize_images`` must stay on). Numbers, and unrounded images without finite bounds, are taken as they
-    are.
-
-    :param observation_space: with at least one image, (channels, size, size)
-    :param quantise: ``"uint8"`` or ``"uint16"``: what the replay buffer stores float images as; ``None`` if
-        it stores floats
-    :param crop: side, in pixels, of the part that is taken from the centre of larger images; images of this
-        size, as cut out at random in training, are taken whole. ``None`` takes all images whole
-    :param standardise: (mean, standard deviation) in the images' units (of ``uint8`` images: [0, 1]): they
-        become (image - mean) / standard deviation instead of [0, 1]. What differs little within the bounds,
-        as heights of a few centimetres, is then learnt in far fewer updates. ``uint8`` images beside float
-        ones, as colours beside heights, stay in [0, 1]
-    :raises ValueError: if the space has no image or images of other shapes, their bounds cannot be
-        quantised, the largest are smaller than the crop, or ``standardise`` is something else
-    """
-
-    def __init__(
-        self,
-        observation_space: gym.Space[Any],
-        quantise: str | None,
-        crop: int | None = None,
-        standardise: Sequence[float] | None = None,
-    ) -> None:
-        super().__init__()
-        parts = {IMAGE_KEY: observation_space}
-        if isinstance(observation_space, spaces.Dict):
-            parts = observation_space.spaces
-        all_images = square_images(parts)
-        images = largest_images(all_images)
-        side = int(next(iter(images.values())).shape[1])
-        if crop is not None and not 1 <= crop <= side:
-            raise ValueError(f"crop must be from 1 to the images' size, {side}, got {crop}")
-        self.size = crop or side
-        self.quantise = quantise
-        self.has_float_images = not all(is_image_space(space) for space in images.values())
-        self.scales = {
-            key: _Scale(
-                key, space, quantise, None if self.has_float_images and is_image_space(space) else standardise
-            )
-            for key, space in images.items()
-        }
-        others = all_images.keys() | point_clouds(parts).keys()
-        numbers = {key: space for key, space in parts.items() if key not in others}
-        self.number_keys = list(numbers)
-        self.channels = sum(int(space.shape[0]) for space in images.values())
-        self.channels += sum(get_flattened_obs_dim(space) for space in numbers.values())
-
-    @property
-    def image_keys(self) -> set[str]:
-        """Keys of the images."""
-        return set(self.scales)
-
-    def forward(self, observations: PyTorchObs) -> th.Tensor:
-        """:return: (batch, channels, size, size)"""
-        if isinstance(observations, th.Tensor):
-            observations = {IMAGE_KEY: observations}
-        images = [scale(crop_centre(observations[key], self.size)) for key, scale in self.scales.items()]
-        numbers = [observations[key].flatten(1)[..., None, None] for key in self.number_keys]
-        return th.cat(images + [number.expand(-1, -1, self.size, self.size) for number in numbers], dim=1)
-
-
-def square_images(parts: Mapping[str, gym.Space[Any]]) -> dict[str, spaces.Box]:
-    """
-    Spaces of the images of an observation.
-
-    :param parts: space of each part of it
-    :return: the images', in the order of the parts
-    :raises ValueError: if there is none, or one that is not (channels, size, size)
-    """
-    images = {
-        key: space
-        for key, space in parts.items()
-        if isinstance(space, spaces.Box) and len(space.shape) == IMAGE_AXES
-    }
-    if not images or any(space.shape[1] != space.shape[2] for space in images.values()):
-        shapes = {key: space.shape for key, space in images.items()}
-        advice = "" if images else "; numbers alone are for a StatePolicy or the MlpExtractor"
-        raise ValueError(f"observation_space needs images, all (channels, size, size), got {shapes}{advice}")
-    return images
-
-
-def largest_images(images: Mapping[str, spaces.Box]) -> dict[str, spaces.Box]:
-    """Spaces of the images of the largest size, of some images, in their order."""
-    return {key: images[key] for key in scene_images({key: space.shape for key, space in images.items()})}
-
-
-def crop_centre(images: th.Tensor, size: int) -> th.Tensor:
-    """
-    The middle of images; where it cannot be exact, half a pixel up and to the left.
-
-    :param images: last axes (side, side)
-    :param size: side of the middle, pixels
-    :return: last axes (size, size); the images themselves if they have this size
-    """
-    start = (images.shape[-1] - size) // 2
-    return images[..., start : start + size, start : start + size]
-
-
-class _Scale:
-    """Maps an image to [0, 1], or standardises it.
-
-    :param key: of the observation, for the error
-    :param space: of the image
-    :param quantise: see :class:`StackedImage`
-    :param standardise: see :class:`StackedImage`
-    :raises ValueError: if the space cannot be quantised so, or ``standardise`` is something else
-    """
-
-    def __init__(
-        self, key: str, space: spaces.Box, quantise: str | None, standardise: Sequence[float] | None
-    ) -> None:
-        if standardise is not None and not (len(standardise) == 2 and standardise[1] > 0.0):
-            raise ValueError(f"standardise must be (mean, standard deviation above 0), got {standardise}")
-        self.standardise = standardise
-        self.quantiser: Quantiser | None = None
-        self.low, self.span = 0.0, 1.0
-        if is_image_space(space):
-            return
-        if quantise is not None:
-            try:
-                self.quantiser = Quantiser(space, quantise)
-            except ValueError as error:
-                raise ValueError(
-                    f"quantise={quantise!r} does not fit observation {key!r}: {error}"
-                ) from error
-            return
-        low, high = float(space.low.min()), float(space.high.max())
-        if math.isfinite(high - low) and high > low:
-            self.low, self.span = low, high - low
-
-    def __call__(self, image: th.Tensor) -> th.Tensor:
-        if self.standardise is not None:
-            mean, std = self.standardise
-            rounded = image if self.quantiser is None else self.quantiser.round_trip(image)
-            return (rounded - mean) / std
-        if self.quantiser is not None:
-            return self.quantiser.normalise(image)
-        return (image - self.low) / self.span
 
 
 class SmallImages(nn.Module):
     """Features of the images that are smaller than the largest, and of point clouds, appended to those of the
     largest.
 
-    Images of one size are stacked, see :class:`StackedImage`, and encoded, see
-    :class:`~sb3_extensions.networks.encoders.SmallImageEncoder`; there may be none.
+    Images of one size are stacked, see :class:`~sb3_extensions.networks.stacked_image.StackedImage`, and
+    encoded, see :class:`~sb3_extensions.networks.encoders.SmallImageEncoder`; there may be none.
 
-    :param observation_space: see :class:`StackedImage`
+    :param observation_space: see :class:`~sb3_extensions.networks.stacked_image.StackedImage`
     :param features: number of features of the images of one size
     :param initialise: draws the weights of a layer, as those of the encoder of the largest images are drawn:
         what comes from either is then about as large
-    :param quantise: see :class:`StackedImage`
-    :param standardise: see :class:`StackedImage`
+    :param quantise: see :class:`~sb3_extensions.networks.stacked_image.StackedImage`
+    :param standardise: see :class:`~sb3_extensions.networks.stacked_image.StackedImage`
     :param channels_last: see :class:`~sb3_extensions.networks.encoders.Encoder`
     :param autocast: see :class:`~sb3_extensions.networks.encoders.Encoder`
     :param invariant: see :class:`~sb3_extensions.networks.points.PointEncoder`
@@ -253,14 +100,15 @@ class CnnExtractor(BaseFeaturesExtractor):
     Images smaller than the largest, such as what is in the gripper, and point clouds, (n, 3), have small
     encoders of their own, whose features stand behind the others.
 
-    :param observation_space: see :class:`StackedImage`
+    :param observation_space: see :class:`~sb3_extensions.networks.stacked_image.StackedImage`
     :param channels: output channels of each stage, see :class:`~sb3_extensions.networks.encoders.CnnEncoder`
     :param strided: halvings without pooling, see :func:`~sb3_extensions.networks.encoders.plan_stages`
-    :param quantise: see :class:`StackedImage`
+    :param quantise: see :class:`~sb3_extensions.networks.stacked_image.StackedImage`
     :param channels_last: see :class:`~sb3_extensions.networks.encoders.Encoder`
     :param autocast: ``None`` or ``"bf16"``, see :class:`~sb3_extensions.networks.encoders.Encoder`
-    :param crop: see :class:`StackedImage`
-    :param standardise: see :class:`StackedImage`
+    :param crop: see :class:`~sb3_extensions.networks.stacked_image.StackedImage`
+    :param standardise: see :class:`~sb3_extensions.networks.stacked_image.StackedImage`
+    :param above_ground: see :class:`~sb3_extensions.networks.stacked_image.StackedImage`
     :param small_image_features: number of features of the smaller images of one size, and of a point cloud
     """
 
@@ -274,9 +122,10 @@ class CnnExtractor(BaseFeaturesExtractor):
         autocast: str | None = None,
         crop: int | None = None,
         standardise: Sequence[float] | None = None,
+        above_ground: Sequence[float] | None = None,
         small_image_features: int = SMALL_IMAGE_FEATURES,
     ) -> None:
-        stack = StackedImage(observation_space, quantise, crop, standardise)
+        stack = StackedImage(observation_space, quantise, crop, standardise, above_ground)
         encoder = CnnEncoder(stack.channels, stack.size, channels, strided, channels_last, autocast)
         # After the other encoder, whose weights are then the same whether there are small images or not
         small_images = SmallImages(
@@ -312,18 +161,19 @@ class EquivariantExtractor(BaseFeaturesExtractor):
     plain encoder does not know: with ``"dihedral"`` the features keep the rotations' symmetry alone then.
     Features of point clouds stand there, too; they do not change when the points turn about the z axis.
 
-    :param observation_space: see :class:`StackedImage`
+    :param observation_space: see :class:`~sb3_extensions.networks.stacked_image.StackedImage`
     :param group: ``"cyclic"`` (rotations) or ``"dihedral"`` (reflections too)
     :param n: number of rotations
     :param channels: regular fields after each stage, see
         :class:`~sb3_extensions.networks.encoders.EquivariantEncoder`
     :param strided: halvings without pooling, see :func:`~sb3_extensions.networks.encoders.plan_stages`
     :param output: ``"regular"`` or ``"invariant"``
-    :param quantise: see :class:`StackedImage`
+    :param quantise: see :class:`~sb3_extensions.networks.stacked_image.StackedImage`
     :param channels_last: see :class:`~sb3_extensions.networks.encoders.Encoder`
     :param autocast: ``None`` or ``"bf16"``, see :class:`~sb3_extensions.networks.encoders.Encoder`
-    :param crop: see :class:`StackedImage`
-    :param standardise: see :class:`StackedImage`
+    :param crop: see :class:`~sb3_extensions.networks.stacked_image.StackedImage`
+    :param standardise: see :class:`~sb3_extensions.networks.stacked_image.StackedImage`
+    :param above_ground: see :class:`~sb3_extensions.networks.stacked_image.StackedImage`
     :param small_image_features: number of features of the smaller images of one size, and of a point cloud
     :raises ValueError: if ``group``, ``n`` or ``output`` is none of these, or the encoder does not fit the
         images
@@ -342,11 +192,12 @@ class EquivariantExtractor(BaseFeaturesExtractor):
         autocast: str | None = None,
         crop: int | None = None,
         standardise: Sequence[float] | None = None,
+        above_ground: Sequence[float] | None = None,
         small_image_features: int = SMALL_IMAGE_FEATURES,
     ) -> None:
         if output not in OUTPUTS:
             raise ValueError(f"output must be one of {OUTPUTS}, got {output!r}")
-        stack = StackedImage(observation_space, quantise, crop, standardise)
+        stack = StackedImage(observation_space, quantise, crop, standardise, above_ground)
         symmetry = Group(group, n)
         encoder = EquivariantEncoder(
             stack.channels, stack.size, symmetry, channels, strided, channels_last, autocast

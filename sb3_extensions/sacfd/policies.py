@@ -33,7 +33,7 @@ class MultiInputPolicy(SACPolicy):
     """CNN policy of the paper: one encoder for the actor, one for all heads of the critic.
 
     :param observation_space: Dict of images and numbers, see
-        :class:`~sb3_extensions.networks.extractors.StackedImage`
+        :class:`~sb3_extensions.networks.stacked_image.StackedImage`
     :param action_space: Action space
     :param lr_schedule: Learning rate schedule (could be constant)
     :param net_arch: Hidden layers behind the encoders, the paper's if ``None``
@@ -111,7 +111,7 @@ class EquivariantPolicy(SACPolicy):
     """Equivariant policy of the paper: one encoder for the actor, one for all heads of the critic.
 
     :param observation_space: Dict of images and numbers, see
-        :class:`~sb3_extensions.networks.extractors.StackedImage`
+        :class:`~sb3_extensions.networks.stacked_image.StackedImage`
     :param action_space: Action space
     :param lr_schedule: Learning rate schedule (could be constant)
     :param net_arch: Regular fields of the hidden layers behind the encoders; by default none in the actor and

@@ -22,7 +22,11 @@ from zoo_configs.training.manager import ZooManager
 
 register_environments()
 STACKING = "BulletArm/CloseLoopBlockStacking-v0"
-CENTIMETRES = (0.1, 0.01)
+SCALES = {
+    "plain": {"standardise": None, "above_ground": None},
+    "centimetres": {"standardise": (0.1, 0.01), "above_ground": None},
+    "heights": {"standardise": (0.0, 0.1), "above_ground": (0.2, 0.1)},
+}
 FAMILY = family_of(STACKING)
 SEEING = [name for name, row in FAMILY.baselines.items() if row.network != "state"]
 Build = Callable[..., Any]
@@ -56,17 +60,17 @@ def real_observations(**env_kwargs: Any) -> dict[str, th.Tensor]:
     return {key: th.as_tensor(np.stack([entry[key] for entry in observations])) for key in observations[0]}
 
 
-@pytest.mark.parametrize("standardise", [None, CENTIMETRES], ids=["plain", "centimetres"])
+@pytest.mark.parametrize("scale", list(SCALES))
 @pytest.mark.parametrize("preset", list(FAMILY.presets))
 @pytest.mark.parametrize("baseline", SEEING)
 def test_an_untrained_agent_expects_nothing_and_tries_everything(
-    baseline: str, preset: str, standardise: tuple[float, float] | None, build: Build
+    baseline: str, preset: str, scale: str, build: Build
 ) -> None:
     """
     True values lie in [0, 1]: what a critic says wrongly at first, it says for long. An actor whose actions
     are large at first explores a few of them only.
     """
-    kwargs = {"features_extractor_kwargs": {"standardise": standardise}}
+    kwargs = {"features_extractor_kwargs": SCALES[scale]}
     model = build(baseline, preset, f"policy_kwargs:{kwargs}")
     assert_expects_nothing(model, real_observations(obs_size=model.observation_space["heightmap"].shape[-1]))
 

@@ -7,8 +7,9 @@ from sb3_contrib import TQC, CrossQ
 from stable_baselines3 import PPO, SAC
 
 from sb3_extensions.networks.encoders import CnnEncoder, EquivariantEncoder, SmallImageEncoder
-from sb3_extensions.networks.extractors import CnnExtractor, EquivariantExtractor, StackedImage
+from sb3_extensions.networks.extractors import CnnExtractor, EquivariantExtractor
 from sb3_extensions.networks.groups import Group
+from sb3_extensions.networks.stacked_image import StackedImage
 from sb3_extensions.replay.buffer import FrameReplayBuffer
 from sb3_extensions.replay.quantisation import Quantiser
 
@@ -138,6 +139,31 @@ def test_standardised_uint8_images_are_in_unit_range():
     space = spaces.Box(0, 255, (3, SIZE, SIZE), np.uint8)
     image = th.rand(2, 3, SIZE, SIZE)
     assert th.allclose(StackedImage(space, "uint8", standardise=(0.5, 0.25))(image), (image - 0.5) / 0.25)
+
+
+@pytest.mark.parametrize("quantise, error", [(None, 1e-6), ("uint8", 0.4 / 255), ("uint16", 0.4 / 65535)])
+def test_heights_above_the_ground(quantise, error):
+    observations = sample(observation_space())
+    stack = StackedImage(observation_space(), quantise, standardise=(0.01, 0.03), above_ground=(0.2, 0.1))
+    image = stack(observations)
+    farthest = observations["heightmap"].amax(dim=(1, 2, 3), keepdim=True)
+    heights = farthest - observations["heightmap"]
+    assert image.shape[1] == stack.channels == 3
+    assert th.allclose(image[:, :1], (heights - 0.01) / 0.03, atol=(error + 1e-6) / 0.03)
+    distances = ((farthest - 0.2) / 0.1).expand_as(heights)
+    assert th.allclose(image[:, 1:2], distances, atol=(error + 1e-6) / 0.1)
+    assert th.equal(image[:, 2:], observations["holding"][..., None, None].expand(-1, -1, SIZE, SIZE))
+
+
+def test_heights_above_the_ground_are_the_same_from_everywhere():
+    stack = StackedImage(observation_space(), None, crop=SIZE - 4, above_ground=(0.0, 1.0))
+    near = {"heightmap": th.rand(3, 1, SIZE, SIZE) * 0.2, "holding": th.zeros(3, 1)}
+    near["heightmap"][:, :, 0, 0] = 0.3  # cut off: not the ground of what is seen
+    far = {**near, "heightmap": near["heightmap"] + 0.1}
+    seen = stack(near), stack(far)
+    th.testing.assert_close(seen[0][:, 0], seen[1][:, 0])
+    th.testing.assert_close(seen[0][:, 1] + 0.1, seen[1][:, 1])
+    assert seen[0][:, 0].min() == 0.0 and 0.4 < seen[0][:, 0].max() < 0.5  # of a range of 0.4 m
 
 
 @pytest.mark.parametrize("group, n", [("cyclic", 4), ("cyclic", 8), ("dihedral", 4)])
@@ -349,6 +375,9 @@ def test_extractors_serve_other_algorithms(algorithm, extractor_class, kwargs, t
         (observation_space(), {"output": "both"}, "output"),
         (observation_space(), {"standardise": (0.1, 0.0)}, "standardise"),
         (observation_space(), {"standardise": [0.1]}, "standardise"),
+        (observation_space(), {"above_ground": [0.1]}, "above_ground"),
+        (observation_space(), {"above_ground": (0.1, 0.0)}, "above_ground"),
+        (spaces.Box(0, 255, (3, 16, 16), np.uint8), {"above_ground": (0.1, 0.1)}, "above_ground"),
     ],
 )
 def test_extractor_names_what_does_not_fit(space, kwargs, named):
