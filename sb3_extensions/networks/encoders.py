@@ -67,7 +67,8 @@ def plan_stages(size: int, count: int, strided: int = 0) -> list[Stage]:
 
     :param size: side of the image, pixels
     :param count: number of stages
-    :param strided: halvings, from the first, by a convolution with stride 2 instead of by pooling
+    :param strided: halvings, from the first, by a convolution with stride 2 instead of by pooling; the step
+        from 6 or 8 pixels to 3 is the last one
     :raises ValueError: if the size cannot be reduced, or in so few stages, or with so many strided
     """
     halvings = count_halvings(size)
@@ -76,10 +77,10 @@ def plan_stages(size: int, count: int, strided: int = 0) -> list[Stage]:
         raise ValueError(
             f"channels needs {halvings + 2} entries or more for images of size {size}, got {count}"
         )
-    if not 0 <= strided <= halvings:
-        raise ValueError(f"strided must be from 0 to {halvings} for images of size {size}, got {strided}")
-    shrink = Stage(padding=0 if size >> halvings == max(LAST_SIZES) else 1, pools=True)
-    halve = [STRIDED_HALVING] * strided + [POOLED_HALVING] * (halvings - strided)
+    if not 0 <= strided <= halvings + 1:
+        raise ValueError(f"strided must be from 0 to {halvings + 1} for images of size {size}, got {strided}")
+    halve = [STRIDED_HALVING] * strided + [POOLED_HALVING] * (halvings + 1 - strided)
+    shrink = halve.pop()._replace(padding=0 if size >> halvings == max(LAST_SIZES) else 1)
     return [*halve, *[Stage()] * kept, shrink, Stage(padding=0)]
 
 

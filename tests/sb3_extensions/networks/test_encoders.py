@@ -42,7 +42,7 @@ def test_default_channels_are_the_papers():
         (7, 3, 0, "size"),
         (4, 3, 0, "size"),
         (128, 5, 0, "channels"),
-        (64, 5, 4, "strided"),
+        (64, 5, 5, "strided"),
         (64, 5, -1, "strided"),
     ],
 )

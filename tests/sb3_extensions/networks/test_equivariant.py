@@ -274,7 +274,9 @@ def encoder_of(group, size=16, channels=(4, 4, 4), **kwargs):
 
 @pytest.mark.parametrize("group", [Group("cyclic", 4), Group("cyclic", 8), Group("dihedral", 4)], ids=str)
 @pytest.mark.parametrize("channels_last", [True, False])
-@pytest.mark.parametrize("size, strided", [(16, 0), (16, 1), (24, 0), (32, 1), (32, 2), (8, 0)])
+@pytest.mark.parametrize(
+    "size, strided", [(16, 0), (16, 1), (16, 2), (24, 0), (24, 3), (32, 1), (32, 2), (8, 0), (8, 1)]
+)
 def test_encoder_commutes_with_the_group(group, size, strided, channels_last):
     channels = (4,) * (count_halvings(size) + 3)
     encoder = encoder_of(group, size, channels, strided=strided, channels_last=channels_last)

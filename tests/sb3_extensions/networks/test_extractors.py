@@ -368,7 +368,7 @@ def test_extractors_serve_other_algorithms(algorithm, extractor_class, kwargs, t
         (observation_space(), {"quantise": "int4"}, "quantise='int4'"),
         (observation_space(20), {}, "size"),
         (observation_space(), {"channels": [4]}, "channels"),
-        (observation_space(), {"strided": 2}, "strided"),
+        (observation_space(), {"strided": 3}, "strided"),
         (observation_space(), {"autocast": "fp16"}, "autocast"),
         (observation_space(), {"group": "square"}, "group"),
         (observation_space(), {"n": 0}, "n"),
