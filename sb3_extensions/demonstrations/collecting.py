@@ -117,7 +117,8 @@ def collect_episodes(
 
     An episode is successful if ``info["is_success"]`` is true at its end. Each attempt has a seed of its own;
     but where the environment says that it ``keeps_scene``, so that training meets what earlier episodes left,
-    only the first is seeded and the others go on with the scene as well.
+    those after a success go on with the scene as well. After a failure the scene is a new one: what the
+    expert cannot do it would meet again and again.
 
     :param env: environment with Dict observations and a method ``expert_action()`` that returns an action
     :param episodes: number of successful episodes
@@ -152,15 +153,16 @@ def _successful_episodes(
     rng: np.random.Generator,
     silent: bool | None,
 ) -> Iterator[Episode]:
-    successes = 0
+    successes, goes_on = 0, False
     hand_rng = rng.spawn(1)[0]
     keeps_scene = env.has_wrapper_attr("keeps_scene") and env.get_wrapper_attr("keeps_scene")
     with tqdm(total=episodes, desc="expert episodes", disable=silent) as progress:
-        for attempt in range(attempts):
+        for _ in range(attempts):
             if successes == episodes:
                 return
-            seed = None if keeps_scene and attempt > 0 else int(rng.integers(2**31))
+            seed = None if goes_on else int(rng.integers(2**31))
             episode, success = _run_episode(env, hand, hand_rng, seed)
+            goes_on = keeps_scene and success
             if success:
                 successes += 1
                 progress.update()

@@ -70,6 +70,30 @@ def test_only_the_first_is_seeded_where_a_scene_is_kept(monkeypatch: pytest.Monk
     assert len(set(starts[0])) == 3
 
 
+def test_a_scene_in_which_the_expert_failed_is_left(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Unlucky(gym.Wrapper[Any, Any, Any, Any]):
+        """Whose second episode is never a success."""
+
+        def __init__(self) -> None:
+            super().__init__(make_env())
+            self.seeds: list[int | None] = []
+
+        def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> Any:
+            self.seeds.append(seed)
+            return super().reset(seed=seed, options=options)
+
+        def step(self, action: Any) -> Any:
+            *outcome, info = super().step(action)
+            return *outcome, {**info, "is_success": info["is_success"] and len(self.seeds) != 2}
+
+    monkeypatch.setattr(type(make_env().unwrapped), "keeps_scene", True, raising=False)
+    env = Unlucky()
+    episodes = list(collect_episodes(env, 3, 0, progress_bar=False))
+    first, second, third, fourth = env.seeds
+    assert second is None and fourth is None and third is not None and third != first
+    assert [episode.seed for episode in episodes] == [first, third, None]
+
+
 def test_noise_disturbs_what_is_carried_out_and_not_what_is_wanted() -> None:
     """DART's label is what the expert wants in the state that its errors led to."""
 
