@@ -24,7 +24,8 @@ class ExpertReplayBuffer(FrameReplayBuffer):
         are divided by ``expert_fraction``; until then all rows are drawn alike. With 1 the agent's first
         transition fills its share alone; with half a batch it does not come up again and again
     :param success_fraction: share of the agent's transitions with a ``return`` greater than 0, of episodes
-        that succeeded, as soon as there are some; the rest is drawn from all of the agent's. None: no share
+        that succeeded; the rest is drawn from all of the agent's. While there are few, so many only that one
+        comes up as often as one of the expert's: the first successes are lucky ones. None: no share
     :param kwargs: keyword arguments of :class:`FrameReplayBuffer`
     :raises ValueError: if an argument is out of its range
     """
@@ -140,7 +141,7 @@ class ExpertReplayBuffer(FrameReplayBuffer):
         if self.expert_fraction is None or min(online_size, self.expert_size) < self.balanced_from:
             return super()._draw(batch_size)
         n_expert = round(batch_size * self.expert_fraction)
-        won = self._draw_successes(round(batch_size * (self.success_fraction or 0.0)))
+        won = self._draw_successes(round(batch_size * (self.success_fraction or 0.0)), n_expert)
         n_online = batch_size - n_expert - len(won)
         ranks = np.concatenate(
             [
@@ -150,14 +151,17 @@ class ExpertReplayBuffer(FrameReplayBuffer):
         )
         return np.append(self.rows.ids(ranks), won), np.ones(batch_size, dtype=np.float32)
 
-    def _draw_successes(self, count: int) -> Ids:
-        """Ids of so many of the agent's transitions from episodes that succeeded; none if there are none."""
-        if not count:
+    def _draw_successes(self, most: int, n_expert: int) -> Ids:
+        """Ids of the agent's transitions from episodes that succeeded, beside so many of the expert's."""
+        if not most:
             return np.empty(0, dtype=np.int64)
         returns = self.table["return"][self.expert_size : self.rows.used_slots]
         won = self.rows.ids_in(self.expert_size + np.flatnonzero(returns > 0))
         won = won[won >= self.rows.first]
-        return self.rng.choice(won, size=count) if len(won) else won
+        alike = n_expert * len(won) / self.expert_size
+        # Rounded up or down by chance: on the mean neither more nor less
+        count = min(most, int(alike + self.rng.random()))
+        return self.rng.choice(won, size=count) if count else won[:0]
 
 
 def check_alike(given: ReplayBuffer | None, own: ExpertReplayBuffer) -> ExpertReplayBuffer:

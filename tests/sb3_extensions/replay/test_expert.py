@@ -43,6 +43,31 @@ def test_samples_are_divided_once_both_sides_have_enough() -> None:
         play(alike)
 
 
+@pytest.mark.parametrize("wins, share", [(0, 0.0), (2, 0.05), (8, 0.2), (20, 0.4), (40, 0.4)])
+def test_a_success_comes_up_as_often_as_an_expert_transition_at_most(wins: int, share: float) -> None:
+    """Of 20 of the expert's, which are half of each batch."""
+    buffer = make_buffer(20, expert_fraction=0.5, success_fraction=0.4, gamma=0.99)
+    obs = np.ones((1, 1), np.float32)
+    for own in range(80):
+        won = own < wins
+        buffer.add(obs, obs, np.zeros((1, 1)), np.full(1, float(won)), np.ones(1, bool), [{}])
+    samples = buffer.sample(20_000)
+    own_share = (1.0 - 0.5 - share) * wins / 80  # those that come up among all of the agent's
+    assert samples.is_expert.float().mean().item() == 0.5
+    succeeded = ((samples.returns > 0) & ~samples.is_expert).float().mean().item()
+    assert succeeded == pytest.approx(share + own_share, abs=0.01)
+
+
+def test_shares_of_successes_are_right_on_the_mean_of_small_batches() -> None:
+    buffer = make_buffer(20, expert_fraction=0.5, success_fraction=0.4, gamma=0.99)
+    obs = np.ones((1, 1), np.float32)
+    buffer.add(obs, obs, np.zeros((1, 1)), np.ones(1), np.ones(1, bool), [{}])
+    for _ in range(99):
+        buffer.add(obs, obs, np.zeros((1, 1)), np.zeros(1), np.ones(1, bool), [{}])
+    won = [((s.returns > 0) & ~s.is_expert).sum().item() for s in (buffer.sample(8) for _ in range(4000))]
+    assert np.mean(won) == pytest.approx(8 * 0.5 / 20 + 3.8 / 100, abs=0.03)  # and among all of the agent's
+
+
 def test_until_the_expert_has_enough_rows_all_are_drawn_alike() -> None:
     buffer = make_buffer(7, expert_fraction=0.5, balanced_from=8)
     play(buffer, 63)
