@@ -258,7 +258,7 @@ def test_what_is_moved_keeps_the_rest() -> None:
     cell = resolve("equi_sacfd", "cpu", PICKING)
     space = (Parameter("policy_kwargs.net_arch.qf", choices=([32], [64, 64])), Parameter("tau", 0.001, 0.1))
     hyperparams = moved(cell, space, FixedTrial({"policy_kwargs.net_arch.qf": "[64, 64]", "tau": 0.02}))  # type: ignore[arg-type]
-    assert hyperparams["policy_kwargs"]["net_arch"] == {"pi": [], "qf": [64, 64]}
+    assert hyperparams["policy_kwargs"]["net_arch"] == {"pi": [32], "qf": [64, 64]}
     assert hyperparams["policy_kwargs"]["features_extractor_kwargs"]["n"] == 4
     assert cell.hyperparams["tau"] == 0.01
 
