@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+import argparse
+import dataclasses
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
+from zoo_configs.agents import Agent
 from zoo_configs.cells.cell import resolve
 from zoo_configs.cells.rules import task_name
 from zoo_configs.cli import main
 from zoo_configs.commands.results import _options
+from zoo_configs.evaluating import Outcome
 from zoo_configs.measuring.data_files import RESULTS, DataFile
 from zoo_configs.pages.markers import Source
 from zoo_configs.pages.results import results_table
 from zoo_configs.publishing.published import published_agents
+from zoo_configs.training.runs import load_run
 
 Refuse = Callable[..., str]
 DATA = Path(__file__).resolve().parents[2] / "docs" / "data" / "results.csv"
@@ -49,6 +54,25 @@ def test_a_run_gets_a_row(run_folder: Path, tmp_path: Path) -> None:
     numbers = ["2", "2", "12", "abc1234"]
     assert [row[name] for name in ("episodes", "updates", "steps", "commit")] == numbers
     assert "batch_size:4" in row["options"]
+
+
+def test_runs_are_evaluated_in_as_many_environments_as_in_training(
+    run_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run, counts = load_run(run_folder), []
+
+    def evaluate(agent: Agent, args: argparse.Namespace) -> Outcome:
+        counts.append(args.n_envs)
+        return Outcome([True], [1.0])
+
+    monkeypatch.setattr("zoo_configs.publishing.packing.evaluate_agent", evaluate)
+    data = tmp_path / "results.csv"
+    for n_eval_envs in 1, 5:
+        options = dataclasses.replace(run.options, n_eval_envs=n_eval_envs)
+        changed = dataclasses.replace(run, options=options)
+        monkeypatch.setattr("zoo_configs.training.runs.load_run", lambda _, run=changed: run)
+        assert main(["results", str(run_folder), "--data", str(data), "--device", "cpu"]) == 0
+    assert counts == [1, 1, 5, 5]
 
 
 @pytest.mark.parametrize(

@@ -19,7 +19,8 @@ if TYPE_CHECKING:
 
 DESCRIPTION = """Evaluate the best and the last model of runs on scenes unseen in training, and put a row for
 each run into a file of measurements: what it reached, how it was trained, machine, date, commit and command.
-A row of the same training is replaced. `report --docs` shows them on pages."""
+Agents act in as many environments as in the evaluations of their training. A row of the same training is
+replaced. `report --docs` shows them on pages."""
 DATA = Path("results.csv")
 OVERRIDES = ("--env-kwargs", "-params")  # the last words of a training's command
 DIGITS = 4
@@ -56,12 +57,7 @@ def _parse(argv: Sequence[str]) -> argparse.Namespace:
     add_packages(parser)
     add_progress(parser)
     args = parser.parse_args(argv)
-    args.n_envs, args.render, args.stochastic, args.env_kwargs = (
-        1,
-        False,
-        False,
-        {},
-    )  # as evaluations take them
+    args.render, args.stochastic, args.env_kwargs = False, False, {}  # as evaluations take them
     return args
 
 
@@ -73,6 +69,8 @@ def _measure(run: Run, args: argparse.Namespace) -> Record:
     register_environments(run.gym_packages)
     known_env_id(run.cell.env_id)
     check_publishable(run)
+    # Where an environment keeps its scene, as Object Grasping, what is reached depends on how many there are
+    args.n_envs = run.options.n_eval_envs
     reached = {}
     for name in ("best", "last"):
         agent = agent_of(run, name == "best", args.device)
