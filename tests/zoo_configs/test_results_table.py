@@ -92,7 +92,20 @@ def test_rows_become_cells(tmp_path: Path) -> None:
         data.add(row)
     table = results_table(Source(tmp_path, tmp_path / "page.md"), "quick", "CloseLoop*")
     _, _, line = table.splitlines()
-    assert line == "| Toy | `sacfd` | 300 with noise, 500, 1,500 | 1.00 | 0.95 |  | 3 | abc1234 |"
+    assert line == "| Toy | `sacfd` | 300 with noise, 500, 1,500 | 0 | 1.00 | 0.95 |  | 3 | abc1234 |"
+
+
+def test_seeds_share_a_row(tmp_path: Path) -> None:
+    data = DataFile(tmp_path / "results.csv", RESULTS)
+    second = dict(seed="2", best="0.5", last="0.85", minutes="4.6", least="0.8", greatest="0.9")
+    shorter = dict(seed="1", steps="9")
+    for more in second, shorter, dict(least="0.75", greatest="1"):
+        data.add({**ROW, **more})
+    table = results_table(Source(tmp_path, tmp_path / "page.md"), "quick", "*")
+    _, _, line, other = table.splitlines()
+    assert "| 0, 2 | 0.75 (1.00, 0.50) | 0.90 (0.95, 0.85) |" in line
+    assert line.endswith("| 0.75 to 1.00; 0.80 to 0.90 | 4 | abc1234 |")
+    assert "300 with noise, 500, 9 | 1 | 1.00 | 0.95 |" in other
 
 
 def test_what_was_measured_earlier_is_marked(tmp_path: Path) -> None:
