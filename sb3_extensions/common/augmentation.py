@@ -12,7 +12,7 @@ from gymnasium import spaces
 from stable_baselines3.common.type_aliases import TensorDict
 
 from sb3_extensions.common.images import scene_images
-from sb3_extensions.replay.buffer import FrameReplayBufferSamples
+from sb3_extensions.replay.samples import FrameReplayBufferSamples
 
 Observations = TensorDict | th.Tensor
 

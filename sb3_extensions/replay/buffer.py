@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -14,6 +14,7 @@ from stable_baselines3.common.vec_env import VecNormalize
 
 from sb3_extensions.replay.frames import FrameStore, Ids, PinnedRing
 from sb3_extensions.replay.memory import announce_size, warn_of_short_episodes
+from sb3_extensions.replay.samples import FrameReplayBufferSamples
 
 # An episode of n steps has n + 1 frames: this is room for a last frame every eleven transitions, and 100,000
 # transitions at 128 x 128 pixels of one byte stay below 1.8 GB. How long episodes will be is not known when
@@ -24,34 +25,11 @@ NO_ROW = -1  # in the column of successors: the episode ends here, or its next t
 KEY = "observation"  # under which the only entry of an observation that is no Dict is stored
 # Entry of an info: what the expert would have done in the state before the step, in the policy's units
 EXPERT_ACTION = "sb3_extensions.expert_action"
+# Entry of an info: whether the step's action was an exploratory one, no choice of the policy
+EXPLORED = "sb3_extensions.explored"
 
 Observations = dict[str, npt.NDArray[Any]]
 AnyObservations = npt.NDArray[Any] | Observations
-
-
-class FrameReplayBufferSamples(NamedTuple):
-    """
-    Stable-Baselines3's ``(Dict)ReplayBufferSamples``, and what demonstrations and prioritized replay add.
-
-    All tensors but the observations are of shape (batch, 1) or (batch, action dimensions). ``dones`` is 1
-    only where the episode terminated: a timeout bootstraps. ``discounts`` multiplies the value of
-    ``next_observations``; it is None where the buffer was given no ``gamma``. ``is_expert`` is boolean,
-    ``weights`` are importance weights, ``indices`` (numpy, shape (batch,)) the rows of the table.
-    ``expert_actions`` are what an expert wanted, or would have wanted, NaN where none was asked. ``returns``
-    are the discounted rewards to the end of the episode, NaN while it goes on or where there is no ``gamma``.
-    """
-
-    observations: TensorDict | th.Tensor
-    actions: th.Tensor
-    next_observations: TensorDict | th.Tensor
-    dones: th.Tensor
-    rewards: th.Tensor
-    discounts: th.Tensor | None
-    is_expert: th.Tensor
-    weights: th.Tensor
-    indices: Ids
-    expert_actions: th.Tensor
-    returns: th.Tensor
 
 
 class FrameReplayBuffer(ReplayBuffer):
@@ -78,7 +56,8 @@ class FrameReplayBuffer(ReplayBuffer):
     :param n_envs: number of parallel environments
     :param optimize_memory_usage: must be False: frames are always shared
     :param handle_timeout_termination: bootstrap from the last observation of an episode that ran out of time
-    :param n_steps: number of rewards summed up before the bootstrap, fewer where an episode or the data end
+    :param n_steps: number of rewards summed up before the bootstrap, fewer where an episode or the data end,
+        or an exploratory action follows: its luck is no merit of the actions before it
     :param gamma: discount factor per step; needed where ``n_steps > 1``. None leaves it to the algorithm
     :param image_dtype: ``"uint8"`` or ``"uint16"``, for the quantised images
     :param frames_per_transition: number of frames to make room for, per transition; the default is for
@@ -165,6 +144,7 @@ class FrameReplayBuffer(ReplayBuffer):
             "next_row": ((), np.int64),  # id of the next transition of the episode, or NO_ROW
             "action": ((self.action_dim,), np.dtype(self._maybe_cast_dtype(self.action_space.dtype))),
             "expert_action": ((self.action_dim,), np.float32),  # NaN where no expert was asked
+            "explored": ((), np.bool_),
             "reward": ((), np.float32),
             "done": ((), np.float32),
             "return": ((), np.float32),  # to the end of the episode, NaN while it goes on
@@ -202,7 +182,8 @@ class FrameReplayBuffer(ReplayBuffer):
         :param reward: rewards, shape (n_envs,)
         :param done: whether the episode ended, shape (n_envs,)
         :param infos: ``"TimeLimit.truncated"`` says that it ended only for want of time;
-            :data:`EXPERT_ACTION` is what an expert would have done instead, as the policy gives it
+            :data:`EXPERT_ACTION` is what an expert would have done instead, as the policy gives it,
+            :data:`EXPLORED` whether the action was an exploratory one
         """
         if not self.table:
             self._allocate()
@@ -222,6 +203,7 @@ class FrameReplayBuffer(ReplayBuffer):
             next_row=NO_ROW,
             action=np.asarray(action).reshape(self.n_envs, self.action_dim),
             expert_action=self._read_expert_actions(infos),
+            explored=[info.get(EXPLORED, False) for info in infos],
             reward=reward,
             done=done & ~(timeout & self.handle_timeout_termination),
             **{"return": np.nan},
@@ -366,7 +348,8 @@ class FrameReplayBuffer(ReplayBuffer):
         self, rows: Ids, env: VecNormalize | None
     ) -> tuple[Ids, npt.NDArray[np.float32], npt.NDArray[np.float32] | None]:
         """
-        Sums of discounted rewards over up to ``n_steps`` transitions of the same episode.
+        Sums of discounted rewards over up to ``n_steps`` transitions of the same episode, none but the first
+        of an exploratory action (as Watkins's Q(lambda) cuts its traces).
 
         :param rows: ids of the first transitions, shape (batch,)
         :param env: normalization to apply to the rewards
@@ -379,8 +362,9 @@ class FrameReplayBuffer(ReplayBuffer):
         discounts = np.full(len(rows), self.gamma, dtype=np.float32)
         for _ in range(self.n_steps - 1):
             next_rows = self.table["next_row"][slots]
-            goes_on = next_rows != NO_ROW
-            slots = np.where(goes_on, self.rows.slots(next_rows), slots)
+            next_slots = self.rows.slots(next_rows)
+            goes_on = (next_rows != NO_ROW) & ~self.table["explored"][next_slots]
+            slots = np.where(goes_on, next_slots, slots)
             reward = self._normalize_reward(self.table["reward"][slots], env)
             rewards = rewards + np.where(goes_on, discounts * reward, np.float32(0))
             discounts = np.where(goes_on, discounts * np.float32(self.gamma), discounts)
@@ -395,6 +379,7 @@ class FrameReplayBuffer(ReplayBuffer):
     def __setstate__(self, state: dict[str, Any]) -> None:
         used = state.pop("table")
         self.__dict__.update(state, table={})
-        for name, column in used.items():
-            self.table[name] = np.zeros((self.rows.capacity, *column.shape[1:]), dtype=column.dtype)
-            self.table[name][: len(column)] = column
+        for name, (shape, dtype) in self._columns().items() if used else ():
+            self.table[name] = np.zeros((self.rows.capacity, *shape), dtype=dtype)
+            if name in used:  # not in the pickle of an earlier version
+                self.table[name][: len(used[name])] = used[name]

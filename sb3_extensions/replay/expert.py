@@ -108,6 +108,7 @@ class ExpertReplayBuffer(FrameReplayBuffer):
             next_row=np.append(rows[1:], NO_ROW),
             action=actions,
             expert_action=np.asarray(wanted).reshape(n_steps, self.action_dim),
+            explored=False,
             reward=rewards,
             done=terminations,
             **{"return": np.nan},

@@ -143,7 +143,8 @@ class RotatedReplayBuffer(ExpertReplayBuffer):
         :param reward: rewards, shape (n_envs,)
         :param done: whether the episode ended, shape (n_envs,)
         :param infos: ``"TimeLimit.truncated"`` says that it ended only for want of time;
-            :data:`~sb3_extensions.replay.buffer.EXPERT_ACTION` is what an expert would have done instead
+            :data:`~sb3_extensions.replay.buffer.EXPERT_ACTION` is what an expert would have done instead,
+            :data:`~sb3_extensions.replay.buffer.EXPLORED` whether the action was an exploratory one
         """
         obs, next_obs = self._as_dict(obs), self._as_dict(next_obs)
         begins = ~self._continues(obs)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import torch as th
 
-from sb3_extensions.replay.buffer import FrameReplayBufferSamples
+from sb3_extensions.replay.samples import FrameReplayBufferSamples
 
 # Of a transition's weight in self-imitation: one that is much better counts 20 times at most.
 MAX_EXPONENT = 3.0

@@ -7,7 +7,6 @@ from collections import defaultdict
 from collections.abc import Iterable
 from typing import Any, ClassVar
 
-import numpy.typing as npt
 import torch as th
 from gymnasium import spaces
 from stable_baselines3.common.buffers import ReplayBuffer
@@ -19,7 +18,7 @@ from stable_baselines3.sac.policies import SACPolicy
 from stable_baselines3.sac.sac import SAC
 
 from sb3_extensions.common.augmentation import AugmentationSpec, make_augmentation
-from sb3_extensions.common.exploration import disturb_one_number
+from sb3_extensions.common.exploration import OneNumberExploration
 from sb3_extensions.common.gradients import frozen
 from sb3_extensions.common.seeds import SeedKey, derive_seed
 from sb3_extensions.demonstrations.collecting import EpisodeData
@@ -32,7 +31,7 @@ from sb3_extensions.sacfd.imitation import imitated_actions
 from sb3_extensions.sacfd.policies import EquivariantPolicy, MultiInputPolicy, StatePolicy
 
 
-class SACfD(OffPolicyFromDemonstrations, SAC):
+class SACfD(OneNumberExploration, OffPolicyFromDemonstrations, SAC):
     """
     Soft actor-critic from demonstrations (SACfD).
 
@@ -63,7 +62,8 @@ class SACfD(OffPolicyFromDemonstrations, SAC):
     :param replay_buffer_class: Replay buffer class, ``ExpertReplayBuffer`` (the default) or a subclass
     :param replay_buffer_kwargs: Keyword arguments to pass to the replay buffer on creation; its ``n_steps``
         and ``gamma`` are the algorithm's, its ``image_dtype`` is what the features extractor rounds to
-    :param n_steps: number of rewards that are summed up before the bootstrap
+    :param n_steps: number of rewards that are summed up before the bootstrap, fewer where an exploratory
+        action follows
     :param ent_coef: Entropy regularization coefficient, controlling exploration/exploitation trade-off;
         'auto' learns it ('auto_0.1' from an initial value of 0.1)
     :param target_update_interval: update the target network every so many gradient steps.
@@ -354,22 +354,10 @@ class SACfD(OffPolicyFromDemonstrations, SAC):
         head_input = th.cat([features, actions], dim=1)
         return [head(head_input) for head in critic.q_networks]
 
-    def _sample_action(
-        self, learning_starts: int, action_noise: ActionNoise | None = None, n_envs: int = 1
-    ) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
-        action, buffer_action = super()._sample_action(learning_starts, action_noise, n_envs)
-        if self.exploration > 0:
-            buffer_action = disturb_one_number(buffer_action, self.exploration, self.exploration_generator)
-            action = self.policy.unscale_action(buffer_action)
-        return action, buffer_action
-
     def _seed_samplers(self, seed: int | None) -> None:
         super()._seed_samplers(seed)
         if seed is not None:
             self.exploration_generator.manual_seed(derive_seed(seed, SeedKey.EXPLORATION))
-
-    def _excluded_save_params(self) -> list[str]:
-        return [*super()._excluded_save_params(), "exploration_generator"]
 
     def _update_encoder(self, observations: PyTorchObs) -> dict[str, th.Tensor]:
         """Learn from sampled observations alone, here nothing; returns the losses by name."""

@@ -10,7 +10,7 @@ from torch.nn import functional as F
 
 from sb3_extensions.common.codec import PIXEL, SpatialActionCodec
 from sb3_extensions.common.exploration import EXPLORED_HEIGHT
-from sb3_extensions.replay.buffer import FrameReplayBufferSamples
+from sb3_extensions.replay.samples import FrameReplayBufferSamples
 
 # Standard deviation of a shift, in sides of the image (the authors' code).
 SHIFT = 1 / 20

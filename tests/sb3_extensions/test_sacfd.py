@@ -311,6 +311,9 @@ def test_explored_actions_are_those_that_are_stored(make_toy: Any) -> None:
     rows = slice(steady.replay_buffer.expert_size, steady.replay_buffer.expert_size + 1)
     first, other = (model.replay_buffer.table["action"][rows][0] for model in (steady, explored))
     assert (first != other).sum() == 1
+    for model, share in (steady, 0), (explored, 1):
+        own = model.replay_buffer.table["explored"][model.replay_buffer.expert_size :][:40]
+        assert own.mean() == share
     assert explored.predict(make_toy().reset(), deterministic=True)[0].shape == (1, 5)
 
 

@@ -10,7 +10,7 @@ from stable_baselines3.common.evaluation import evaluate_policy
 
 from sb3_extensions.common.augmentation import RAD, DrQ, make_augmentation
 from sb3_extensions.networks.extractors import CnnExtractor
-from sb3_extensions.replay.buffer import FrameReplayBufferSamples
+from sb3_extensions.replay.samples import FrameReplayBufferSamples
 from sb3_extensions.sacfd import SACfD
 
 SIDE, CROP, BATCH = 19, 16, 6

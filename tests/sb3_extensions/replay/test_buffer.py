@@ -13,7 +13,7 @@ from stable_baselines3 import SAC
 from stable_baselines3.common.torch_layers import CombinedExtractor, FlattenExtractor
 from stable_baselines3.common.vec_env import VecNormalize
 
-from sb3_extensions.replay.buffer import EXPERT_ACTION, FrameReplayBuffer
+from sb3_extensions.replay.buffer import EXPERT_ACTION, EXPLORED, FrameReplayBuffer
 from sb3_extensions.replay.expert import ExpertReplayBuffer
 from sb3_extensions.replay.frames import PinnedRing
 from sb3_extensions.replay.prioritized import PrioritizedReplayBuffer
@@ -54,7 +54,7 @@ class Player:
         self.transitions: list[dict[str, Any]] = []
         self.latest: list[dict[str, Any] | None] = [None] * self.n_envs
 
-    def step(self, p_terminate: float = 0.1, p_truncate: float = 0.1) -> None:
+    def step(self, p_terminate: float = 0.1, p_truncate: float = 0.1, p_explore: float = 0.0) -> None:
         terminated = self.rng.random(self.n_envs) < p_terminate
         truncated = (self.rng.random(self.n_envs) < p_truncate) & ~terminated
         done = terminated | truncated
@@ -62,7 +62,10 @@ class Player:
         next_obs = self.next_id.copy()
         action = self.rng.uniform(-1, 1, (self.n_envs, 3)).astype(np.float32)
         reward = self.rng.random(self.n_envs).astype(np.float32)
-        infos = [{"TimeLimit.truncated": bool(t)} for t in truncated]
+        explored = self.rng.random(self.n_envs) < p_explore
+        infos: list[dict[str, Any]] = [{"TimeLimit.truncated": bool(t)} for t in truncated]
+        for info in (info for info, flag in zip(infos, explored, strict=True) if flag):
+            info[EXPLORED] = True
         self.buffer.add(observe(self.obs), observe(next_obs), action, reward, done, infos)
         for i in range(self.n_envs):
             transition = {
@@ -72,6 +75,7 @@ class Player:
                 "action": action[i],
                 "terminated": terminated[i],
                 "done": done[i],
+                "explored": explored[i],
                 "successor": None,
             }
             if (latest := self.latest[i]) is not None:
@@ -110,13 +114,14 @@ def test_pinned_ring_keeps_pinned_and_latest() -> None:
 @both_buffers
 @pytest.mark.parametrize("n_envs", [1, 3])
 @pytest.mark.parametrize("n_steps", [1, 3])
-def test_samples_equal_a_slow_reference(cls: type, n_envs: int, n_steps: int) -> None:
+@pytest.mark.parametrize("p_explore", [0.0, 0.3])
+def test_samples_equal_a_slow_reference(cls: type, n_envs: int, n_steps: int, p_explore: float) -> None:
     size = 40 * n_envs + 1
     kwargs = {"n_steps": n_steps, "gamma": GAMMA, "frames_per_transition": 2}
     buffer = make_buffer(cls, size, n_envs, **kwargs)
     player = Player(buffer)
     for _ in range(200):  # several times around
-        player.step()
+        player.step(p_explore=p_explore)
     assert buffer.size() == size
     reference = {t["obs"]: t for t in player.transitions[-buffer.size() :]}
     samples = buffer.sample(2000)
@@ -126,6 +131,8 @@ def test_samples_equal_a_slow_reference(cls: type, n_envs: int, n_steps: int) ->
         first = last = reference[obs]
         reward, discount = first["reward"], GAMMA
         while last["successor"] is not None and discount > GAMMA**n_steps * 1.001:
+            if last["successor"]["explored"]:  # what luck brought is no merit of what was chosen before
+                break
             last = last["successor"]
             reward, discount = reward + discount * last["reward"], discount * GAMMA
         assert sampled_ids(samples.next_observations)[k] == last["next"]
@@ -281,6 +288,22 @@ def test_same_seed_same_samples_and_pickle(cls: type) -> None:
             ):
                 np.testing.assert_array_equal(a, b)
     assert copy.frames.data["image"].shape == buffers[0].frames.data["image"].shape
+
+
+def test_a_pickle_of_an_earlier_version_tells_nothing_of_exploration() -> None:
+    buffer = make_buffer(n_steps=3, gamma=GAMMA)
+    player = Player(buffer)
+    for _ in range(30):
+        player.step()
+    state = buffer.__getstate__()
+    del state["table"]["explored"]
+    earlier = object.__new__(ExpertReplayBuffer)
+    earlier.__setstate__(pickle.loads(pickle.dumps(state)))
+    samples = [each.sample(50) for each in (buffer, earlier)]
+    np.testing.assert_array_equal(*(each.rewards for each in samples))
+    player.buffer = earlier
+    player.step(p_explore=1.0)
+    assert earlier.table["explored"].sum() == 1
 
 
 def test_pickle_holds_only_what_is_used() -> None:

@@ -9,7 +9,7 @@ import torch as th
 
 from sb3_extensions.common.codec import SpatialActionCodec
 from sb3_extensions.networks.projections import rotation_matrices
-from sb3_extensions.replay.buffer import FrameReplayBufferSamples
+from sb3_extensions.replay.samples import FrameReplayBufferSamples
 from sb3_extensions.spatial_dqn.augmentation import SHIFT, RigidMotion
 
 SIZE, YAWS = 20, 6
