@@ -5,9 +5,12 @@ import shutil
 import subprocess
 import sys
 import zipfile
+from importlib import metadata
 from pathlib import Path
 
 import pytest
+from packaging.requirements import Requirement
+from packaging.specifiers import SpecifierSet
 
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGES = ("bulletarm_gym", "sb3_extensions", "zoo_configs")
@@ -106,3 +109,13 @@ def test_installed_wheel_runs_a_published_agent(installed: Path, tmp_path: Path)
     assert str(installed) in printed  # that agent, not the checkout's
     assert printed.endswith("success_rate=1.00 episodes=1")
     assert not list(tmp_path.iterdir())
+
+
+def test_tested_versions_take_every_python_3_11() -> None:
+    """A version that asks for a later patch than a distribution's (Debian 12: 3.11.2) breaks `make test`."""
+    lines = (ROOT / "constraints.txt").read_text().splitlines()
+    names = [Requirement(line).name for line in lines if line and not line.startswith("#")]
+    known = {distribution.name.lower(): distribution.metadata for distribution in metadata.distributions()}
+    needed = {name: known[name.lower()].get("Requires-Python") for name in names if name.lower() in known}
+    assert len(needed) > len(names) / 2
+    assert {name for name, python in needed.items() if "3.11.0" not in SpecifierSet(python or "")} == set()
