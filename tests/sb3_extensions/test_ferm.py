@@ -231,13 +231,17 @@ def test_bad_arguments(kwargs: dict[str, Any], message: str, make_toy: Any) -> N
 
 def test_learns_to_reach(make_toy: Any) -> None:
     policy_kwargs = {"features_extractor_kwargs": {"channels": [8, 16, 32]}, "net_arch": [32]}
-    kwargs = {"expert_episodes": 20, "contrastive_steps": 50, "pretrain_steps": 80, "learning_rate": 3e-3}
-    model = make_model(make_toy(2, size=SIDE), policy_kwargs=policy_kwargs, batch_size=32, seed=1, **kwargs)
-    untrained, _ = evaluate_policy(model, make_toy(seed=9, size=SIDE), 30)
-    model.learn(120)
-    trained, _ = evaluate_policy(model, make_toy(seed=9, size=SIDE), 30)
-    assert untrained < 0.6
-    assert trained >= 0.9
+    kwargs: dict[str, Any] = {"policy_kwargs": policy_kwargs, "batch_size": 32, "learning_rate": 3e-3}
+    kwargs |= {"expert_episodes": 20, "contrastive_steps": 50, "pretrain_steps": 80}
+    reached = []
+    for seed in range(3):  # so short a training differs from seed to seed
+        model = make_model(make_toy(2, size=SIDE), seed=seed, **kwargs)
+        untrained, _ = evaluate_policy(model, make_toy(seed=9, size=SIDE), 30)
+        assert untrained < 0.6
+        model.learn(80)
+        trained, _ = evaluate_policy(model, make_toy(seed=9, size=SIDE), 30)
+        reached.append(trained)
+    assert np.mean(reached) >= 0.9
 
 
 @pytest.mark.parametrize("algorithm", [SACfD, FERM])
