@@ -8,54 +8,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import torch as th
-from stable_baselines3.common.buffers import ReplayBuffer
-from stable_baselines3.common.noise import ActionNoise
-from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
-
-from sb3_extensions.replay.buffer import EXPLORED
 
 # Lower pixels, m, show nothing that a gripper could take (the authors' code).
 EXPLORED_HEIGHT = 0.01
-
-
-class OneNumberExploration(OffPolicyAlgorithm):
-    """
-    Replaces one number of some actions, see :func:`disturb_one_number`, and tells the replay buffer which.
-
-    A subclass stands before an algorithm of Stable-Baselines3, whose constructor sets the attributes.
-
-    - ``exploration``: probability with which an action is disturbed
-    - ``exploration_generator``: source of the randomness, on the CPU
-    """
-
-    exploration: float
-    exploration_generator: th.Generator
-
-    def _sample_action(
-        self, learning_starts: int, action_noise: ActionNoise | None = None, n_envs: int = 1
-    ) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
-        action, chosen = super()._sample_action(learning_starts, action_noise, n_envs)
-        if self.exploration == 0:
-            self._explored = np.zeros(n_envs, dtype=bool)
-            return action, chosen
-        buffer_action = disturb_one_number(chosen, self.exploration, self.exploration_generator)
-        self._explored = (buffer_action != chosen).any(axis=1)
-        return self.policy.unscale_action(buffer_action), buffer_action
-
-    def _store_transition(
-        self,
-        replay_buffer: ReplayBuffer,
-        buffer_action: npt.NDArray[Any],
-        new_obs: npt.NDArray[Any] | dict[str, npt.NDArray[Any]],
-        reward: npt.NDArray[Any],
-        dones: npt.NDArray[Any],
-        infos: list[dict[str, Any]],
-    ) -> None:
-        told = [{**info, EXPLORED: flag} for info, flag in zip(infos, self._explored.tolist(), strict=True)]
-        super()._store_transition(replay_buffer, buffer_action, new_obs, reward, dones, told)
-
-    def _excluded_save_params(self) -> list[str]:
-        return [*super()._excluded_save_params(), "exploration_generator", "_explored"]
 
 
 def disturb_one_number(

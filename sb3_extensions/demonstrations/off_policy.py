@@ -295,9 +295,12 @@ class OffPolicyFromDemonstrations(OffPolicyAlgorithm):
         dones: npt.NDArray[Any],
         infos: list[dict[str, Any]],
     ) -> None:
-        if self.dagger:
-            infos = self._adviser.advise(infos)
-        super()._store_transition(replay_buffer, buffer_action, new_obs, reward, dones, infos)
+        told = self._annotated(infos)
+        super()._store_transition(replay_buffer, buffer_action, new_obs, reward, dones, told)
+
+    def _annotated(self, infos: list[dict[str, Any]]) -> list[dict[str, Any]]:
+        """What the replay buffer is told of a step besides what the environments say."""
+        return self._adviser.advise(infos) if self.dagger else infos
 
     def _as_policy_actions(self, actions: npt.NDArray[Any]) -> npt.NDArray[Any]:
         # The environments clip, so a clipped action is the one that is carried out

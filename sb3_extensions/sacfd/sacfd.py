@@ -18,20 +18,16 @@ from stable_baselines3.sac.policies import SACPolicy
 from stable_baselines3.sac.sac import SAC
 
 from sb3_extensions.common.augmentation import AugmentationSpec, make_augmentation
-from sb3_extensions.common.exploration import OneNumberExploration
 from sb3_extensions.common.gradients import frozen
 from sb3_extensions.common.seeds import SeedKey, derive_seed
 from sb3_extensions.demonstrations.collecting import EpisodeData
-from sb3_extensions.demonstrations.off_policy import (
-    OffPolicyFromDemonstrations,
-    check_not_negative,
-    check_share,
-)
+from sb3_extensions.demonstrations.off_policy import check_not_negative, check_share
+from sb3_extensions.sacfd.exploration import OneNumberExploration
 from sb3_extensions.sacfd.imitation import imitated_actions
 from sb3_extensions.sacfd.policies import EquivariantPolicy, MultiInputPolicy, StatePolicy
 
 
-class SACfD(OneNumberExploration, OffPolicyFromDemonstrations, SAC):
+class SACfD(OneNumberExploration, SAC):
     """
     Soft actor-critic from demonstrations (SACfD).
 
