@@ -23,7 +23,7 @@ HEADS = (
 )
 TEXT_COLUMNS = 4
 # What trainings have in common that differ in nothing but their seed.
-TRAINING = ("env", "options", "baseline", "demonstrations", "noise", "dagger", "updates", "steps")
+TRAINING = ("env", "options", "baseline", "demonstrations", "noise", "dagger", "updates", "steps", "earlier")
 
 
 def results_table(source: Source, preset: str, tasks: str) -> str:
