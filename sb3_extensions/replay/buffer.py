@@ -147,7 +147,7 @@ class FrameReplayBuffer(ReplayBuffer):
             "explored": ((), np.bool_),
             "reward": ((), np.float32),
             "done": ((), np.float32),
-            "return": ((), np.float32),  # to the end of the episode, NaN while it goes on
+            "return": ((), np.float32),  # see FrameReplayBufferSamples, NaN while the episode goes on
         }
 
     @property
@@ -220,15 +220,16 @@ class FrameReplayBuffer(ReplayBuffer):
         self.full = len(self.rows) == self.buffer_size
 
     def _write_returns(self, rows: Ids) -> None:
-        """Discounted rewards to the end of an episode, for all its rows, in order, that are still kept."""
+        """Discounted rewards to an episode's end or next exploratory action, for its rows that are kept."""
         if self.gamma is None:
             return
-        slots = self.rows.slots(rows[(rows >= self.rows.first) | (rows < self.rows.pinned)])
-        total, returns = 0.0, []
-        for reward in self.table["reward"][slots[::-1]].tolist():
-            total = reward + self.gamma * total
-            returns.append(total)
-        self.table["return"][slots] = returns[::-1]
+        slots = self.rows.slots(rows[(rows >= self.rows.first) | (rows < self.rows.pinned)])[::-1]
+        rewards, explored = self.table["reward"][slots], self.table["explored"][slots]
+        after, returns = 0.0, []
+        for reward, was_explored in zip(rewards.tolist(), explored.tolist(), strict=True):
+            returns.append(reward + self.gamma * after)
+            after = 0.0 if was_explored else returns[-1]
+        self.table["return"][slots] = returns
 
     def set_discount(self, gamma: float, n_steps: int) -> None:
         """
@@ -246,12 +247,14 @@ class FrameReplayBuffer(ReplayBuffer):
 
     def _recompute_returns(self) -> None:
         assert self.gamma is not None
-        successors, rewards, returns = (self.table[name] for name in ("next_row", "reward", "return"))
+        successors, rewards, explored, returns = (
+            self.table[name] for name in ("next_row", "reward", "explored", "return")
+        )
         for slot in self.rows.slots(self.rows.ids(np.arange(self.size())))[::-1]:  # youngest first
-            successor = successors[slot]
-            after = 0.0 if successor == NO_ROW else returns[self.rows.slots(successor)]
+            next_slot = self.rows.slots(successors[slot])
+            ends = successors[slot] == NO_ROW or explored[next_slot]
             if not np.isnan(returns[slot]):
-                returns[slot] = rewards[slot] + self.gamma * after
+                returns[slot] = rewards[slot] + self.gamma * (0.0 if ends else returns[next_slot])
 
     def _read_expert_actions(self, infos: list[dict[str, Any]]) -> npt.NDArray[Any]:
         """What an expert would have done, (n, action dimensions); NaN where none was asked."""

@@ -23,9 +23,10 @@ class ExpertReplayBuffer(FrameReplayBuffer):
     :param balanced_from: number of transitions that the expert and the agent must have each before samples
         are divided by ``expert_fraction``; until then all rows are drawn alike. With 1 the agent's first
         transition fills its share alone; with half a batch it does not come up again and again
-    :param success_fraction: share of the agent's transitions with a ``return`` greater than 0, of episodes
-        that succeeded; the rest is drawn from all of the agent's. While there are few, so many only that one
-        comes up as often as one of the expert's: the first successes are lucky ones. None: no share
+    :param success_fraction: share of the agent's transitions with a ``return`` greater than 0, from which it
+        succeeded without another exploratory action; the rest is drawn from all of the agent's. While there
+        are few, so many only that one comes up as often as one of the expert's: the first successes are lucky
+        ones. None: no share
     :param kwargs: keyword arguments of :class:`FrameReplayBuffer`
     :raises ValueError: if an argument is out of its range
     """
@@ -153,7 +154,7 @@ class ExpertReplayBuffer(FrameReplayBuffer):
         return np.append(self.rows.ids(ranks), won), np.ones(batch_size, dtype=np.float32)
 
     def _draw_successes(self, most: int, n_expert: int) -> Ids:
-        """Ids of the agent's transitions from episodes that succeeded, beside so many of the expert's."""
+        """Ids of the agent's transitions with a return, beside so many of the expert's."""
         if not most:
             return np.empty(0, dtype=np.int64)
         returns = self.table["return"][self.expert_size : self.rows.used_slots]

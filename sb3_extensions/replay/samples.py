@@ -19,7 +19,8 @@ class FrameReplayBufferSamples(NamedTuple):
     ``next_observations``; it is None where the buffer was given no ``gamma``. ``is_expert`` is boolean,
     ``weights`` are importance weights, ``indices`` (numpy, shape (batch,)) the rows of the table.
     ``expert_actions`` are what an expert wanted, or would have wanted, NaN where none was asked. ``returns``
-    are the discounted rewards to the end of the episode, NaN while it goes on or where there is no ``gamma``.
+    are the discounted rewards to the end of the episode or up to the next exploratory action, NaN while the
+    episode goes on or where there is no ``gamma``.
     """
 
     observations: TensorDict | th.Tensor

@@ -67,10 +67,10 @@ class SACfD(OneNumberExploration, SAC):
     :param bc_weight: weight of the behaviour cloning term in the actor's loss
     :param bc_limit: imitated actions are clipped to [-bc_limit, bc_limit]: towards 1 the mean of a squashed
         Gaussian grows without end, and what has grown cannot be unlearned
-    :param self_imitation: imitate the agent's own transitions of episodes that succeeded (with a return
-        greater than 0) as well, with a weight of ``exp((value of the action - value of the actor's action) /
-        self_imitation)``. What was won is then kept where the critic errs, and what was better than what the
-        agent does is learned. None imitates the expert alone, as the paper does.
+    :param self_imitation: imitate the agent's own transitions as well from which it succeeded without another
+        exploratory action (with a return greater than 0), with a weight of ``exp((value of the action - value
+        of the actor's action) / self_imitation)``. What was won is then kept where the critic errs, and what
+        was better than what the agent does is learned. None imitates the expert alone, as the paper does.
         Self-imitation: https://arxiv.org/abs/1806.05635, the weight: https://arxiv.org/abs/2006.15134
     :param q_weight: weight of the critic's values in the actor's loss
     :param backup_entropy: whether the entropy of the next action is part of the critic's target

@@ -135,24 +135,27 @@ def test_the_replay_buffer_follows_the_discount(make_toy: Any, tmp_path: Path) -
 
 
 def slow_returns(table: dict[str, Any], size: int, gamma: float) -> list[float]:
-    """Discounted rewards to the end of each row's episode, NaN where it goes on."""
+    """Discounted rewards to the end of each row's episode, or up to the next exploratory action."""
     returns = []
     for row in range(size):
         total, factor, slot = 0.0, 1.0, row
         while True:
             total += factor * float(table["reward"][slot])
             factor *= gamma
-            if table["next_row"][slot] == NO_ROW:
+            successor = int(table["next_row"][slot])
+            if successor == NO_ROW or table["explored"][successor]:
                 break
-            slot = int(table["next_row"][slot])
+            slot = successor
         returns.append(total)
     return returns
 
 
-def test_returns_to_the_end_of_the_episode(make_toy: Any) -> None:
-    model = make_model(make_toy(2), gamma=0.9).learn(60)
+@pytest.mark.parametrize("exploration", [0.0, 0.3])
+def test_returns_to_the_end_of_the_episode(exploration: float, make_toy: Any) -> None:
+    model = make_model(make_toy(2), gamma=0.9, exploration=exploration).learn(60)
     buffer = model.replay_buffer
     assert buffer is not None and buffer.size() < buffer.buffer_size
+    assert buffer.table["explored"].any() == (exploration > 0)
     going_on = buffer._latest_rows[buffer._latest_rows != NO_ROW]
     for gamma in (0.9, 0.6):
         buffer.set_discount(gamma, 1)
