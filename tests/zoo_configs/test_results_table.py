@@ -119,7 +119,7 @@ def test_what_was_measured_earlier_stays_beside_the_same_training_of_now(tmp_pat
     data = DataFile(tmp_path / "results.csv", RESULTS)
     for more in {"earlier": "yes", "commit": "0123456"}, {"best": "0.5"}, {"best": "0.75"}:
         data.add({**ROW, **more})
-    _, _, before, now = results_table(Source(tmp_path, tmp_path / "page.md"), "quick", "*").splitlines()
+    _, _, now, before = results_table(Source(tmp_path, tmp_path / "page.md"), "quick", "*").splitlines()
     assert "| 0 | 1.00 | 0.95 |" in before and before.endswith("| 0123456, earlier |")
     assert "| 0 | 0.75 | 0.95 |" in now and now.endswith("| abc1234 |")
 

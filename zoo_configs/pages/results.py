@@ -28,7 +28,7 @@ TRAINING = ("env", "options", "baseline", "demonstrations", "noise", "dagger", "
 
 def results_table(source: Source, preset: str, tasks: str) -> str:
     """
-    Tell what runs reached, a row for those that differ in nothing but their seed.
+    Tell what runs reached, a row for those that differ in nothing but their seed, earlier ones last.
 
     :param source: The data
     :param preset: Of the runs
@@ -39,7 +39,8 @@ def results_table(source: Source, preset: str, tasks: str) -> str:
     for run in source.read("results", RESULTS):
         if run["preset"] == preset and fnmatchcase(run["env"], tasks):
             trainings.setdefault(tuple(run[name] for name in TRAINING), []).append(run)
-    rows = [_cells(sorted(runs, key=lambda run: int(run["seed"]))) for runs in trainings.values()]
+    in_order = sorted(trainings.values(), key=lambda runs: (runs[0]["earlier"], runs[0]["env"]))
+    rows = [_cells(sorted(runs, key=lambda run: int(run["seed"]))) for runs in in_order]
     return markdown_table(HEADS, rows, text_columns=TEXT_COLUMNS)
 
 
