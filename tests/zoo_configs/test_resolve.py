@@ -111,6 +111,14 @@ def test_the_cpu_preset_keeps_to_the_papers_budget_with_one_set_of_hyperparamete
         assert cell == one_baseline[0]
 
 
+@pytest.mark.parametrize("baseline", [name for name in family_of(PICKING).baselines if "equi" in name])
+def test_the_cpu_preset_shows_equivariant_networks_the_angles_between_quarter_turns(baseline: str) -> None:
+    hyperparams = resolve(baseline, "cpu", PICKING).hyperparams
+    assert hyperparams["policy_kwargs"]["features_extractor_kwargs"]["n"] == 4
+    assert hyperparams["replay_buffer_class"].endswith("RotatedReplayBuffer")
+    assert hyperparams["replay_buffer_kwargs"]["copies"] == 4
+
+
 @pytest.mark.parametrize(("preset", "weight"), [("paper", 1.0), ("cpu", 10.0), ("quick", 10.0)])
 @pytest.mark.parametrize("network", ["", "equi_", "rad_", "drq_", "ferm_"])
 def test_only_sacfd_imitates(network: str, preset: str, weight: float) -> None:
@@ -343,7 +351,7 @@ def test_unknown_names_are_told(names: tuple[str, str, str], message: str) -> No
         ({"replay_buffer_kwargs": {"expert_fracton": 0.5}}, "did you mean 'expert_fraction'?"),
         (
             {"replay_buffer_kwargs": {"gamma": 0.5}},
-            "unknown replay_buffer_kwargs of ExpertReplayBuffer 'gamma'",
+            "unknown replay_buffer_kwargs of RotatedReplayBuffer 'gamma'",
         ),
         (
             {"replay_buffer_class": "no_package.Buffer"},
