@@ -18,6 +18,7 @@ import torch as th
 from torch import nn
 from torch.nn import functional as F
 
+from sb3_extensions.networks.convolution import PlainConv2d
 from sb3_extensions.networks.equivariant import EquivariantConv2d
 from sb3_extensions.networks.groups import FieldType, Group
 
@@ -212,7 +213,7 @@ class CnnEncoder(Encoder):
         channels = channels or scale_channels(size, self.HALVING, self.LAST)
         stages = plan_stages(size, len(channels), strided)
         convolutions = [
-            nn.Conv2d(inputs, outputs, stage.kernel_size, stage.stride, stage.padding)
+            PlainConv2d(inputs, outputs, stage.kernel_size, stage.stride, stage.padding)
             for inputs, outputs, stage in zip((in_channels, *channels), channels, stages, strict=False)
         ]
         super().__init__(convolutions, stages, channels_last, autocast)
@@ -257,7 +258,7 @@ class SmallImageEncoder(Encoder):
         halving = [self.HALVING[min(i, len(self.HALVING) - 1)] for i in range(len(stages) - 1)]
         channels = [in_channels, *halving, features_dim]
         convolutions = [
-            nn.Conv2d(inputs, outputs, stage.kernel_size, stage.stride, stage.padding)
+            PlainConv2d(inputs, outputs, stage.kernel_size, stage.stride, stage.padding)
             for (inputs, outputs), stage in zip(pairwise(channels), stages, strict=True)
         ]
         super().__init__(convolutions, stages, channels_last, autocast)

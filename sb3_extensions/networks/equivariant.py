@@ -20,6 +20,7 @@ import torch as th
 from torch import nn
 from torch.nn import functional as F
 
+from sb3_extensions.networks.convolution import convolve
 from sb3_extensions.networks.groups import FieldType
 from sb3_extensions.networks.steerable import FilterSpace, harmonic_basis, steerable_basis
 
@@ -137,7 +138,7 @@ class EquivariantConv2d(SteerableMap):
     def forward(self, features: th.Tensor) -> th.Tensor:
         """:return: (batch, out channels, height, width)"""
         weight, bias = self.filters()
-        return F.conv2d(features, weight, bias, stride=self.stride, padding=self.padding)
+        return convolve(features, weight, bias, self.stride, self.padding)
 
 
 class EquivariantLinear(SteerableMap):

@@ -17,6 +17,7 @@ from torch import nn
 from torch.profiler import profile
 
 from bulletarm_gym.machine import load_average
+from sb3_extensions.networks.convolution import PlainConv2d
 from sb3_extensions.networks.encoders import precision
 from sb3_extensions.networks.equivariant import EquivariantConv2d
 from sb3_extensions.spatial_dqn import SpatialDQN
@@ -195,7 +196,7 @@ def _compare_convolutions(model: Any) -> float | None:
     for layer in convolutions:
         features = inputs[layer]
         channels = (features.shape[1], layer.out_type.size)
-        plain = nn.Conv2d(*channels, layer.kernel_size, layer.stride, layer.padding)
+        plain = PlainConv2d(*channels, layer.kernel_size, layer.stride, layer.padding)
         passes = [_pass(module, features, network.autocast) for module in (layer, plain)]
         times: tuple[list[float], list[float]] = ([], [])
         for _ in range(COMPARED_PASSES):
