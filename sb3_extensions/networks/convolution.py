@@ -12,7 +12,7 @@ def convolve(
 ) -> th.Tensor:
     """
     Convolution of feature maps. Where the filter covers the whole image it is computed as the matrix product
-    that it is, which takes a CPU a quarter of the time.
+    that it is, which takes a CPU a quarter to a half of the time.
 
     :param features: (batch, in channels, height, width)
     :param weight: (out channels, in channels, height of the filter, its width)
