@@ -324,13 +324,13 @@ def check_share(**given: float) -> None:
             raise ValueError(f"{name} must be between 0 and 1, got {value}")
 
 
-def check_not_negative(**given: float) -> None:
+def check_not_negative(**given: float | None) -> None:
     """
     Check arguments.
 
-    :param given: values by their names
+    :param given: values by their names, None where there is none
     :raises ValueError: if one is negative
     """
     for name, value in given.items():
-        if value < 0:
+        if value is not None and value < 0:
             raise ValueError(f"{name} must not be negative, got {value}")

@@ -73,6 +73,8 @@ class SACfD(OneNumberExploration, SAC):
         was better than what the agent does is learned. None imitates the expert alone, as the paper does.
         Self-imitation: https://arxiv.org/abs/1806.05635, the weight: https://arxiv.org/abs/2006.15134
     :param q_weight: weight of the critic's values in the actor's loss
+    :param expert_q_weight: that in the expert's transitions, None as ``q_weight``. With 0 the actor imitates
+        there and follows its critic in its own states only, so that the pretraining is plain imitation
     :param backup_entropy: whether the entropy of the next action is part of the critic's target
     :param value_range: least and greatest possible return: the target critic's values are clipped to it
     :param exploration: probability with which one number of an action is drawn from its whole range: where an
@@ -131,6 +133,7 @@ class SACfD(OneNumberExploration, SAC):
         bc_limit: float = 0.95,
         self_imitation: float | None = 0.1,
         q_weight: float = 1.0,
+        expert_q_weight: float | None = None,
         backup_entropy: bool = False,
         value_range: tuple[float, float] | None = None,
         exploration: float = 0.1,
@@ -179,6 +182,7 @@ class SACfD(OneNumberExploration, SAC):
         self.bc_limit = bc_limit
         self.self_imitation = self_imitation
         self.q_weight = q_weight
+        self.expert_q_weight = expert_q_weight
         self.backup_entropy = backup_entropy
         self.value_range = value_range
         self.exploration = exploration
@@ -198,7 +202,9 @@ class SACfD(OneNumberExploration, SAC):
 
     def _check_arguments(self) -> None:
         self._check_demonstrations()
-        check_not_negative(bc_weight=self.bc_weight, q_weight=self.q_weight)
+        check_not_negative(
+            bc_weight=self.bc_weight, q_weight=self.q_weight, expert_q_weight=self.expert_q_weight
+        )
         check_share(bc_limit=self.bc_limit, exploration=self.exploration)
         if self.self_imitation is not None and self.self_imitation <= 0:
             raise ValueError(f"self_imitation must be None or greater than 0, got {self.self_imitation}")
@@ -266,7 +272,8 @@ class SACfD(OneNumberExploration, SAC):
             with frozen(self.critic):
                 estimates_pi = self._estimates(self.critic, features.detach(), actions_pi)
             q_values_pi = self._values(estimates_pi)
-            actor_loss = (ent_coef * log_prob - self.q_weight * q_values_pi).mean()
+            q_weights = self._q_weights(replay_data.is_expert)
+            actor_loss = (ent_coef * log_prob - q_weights * q_values_pi).mean()
             logs["actor_loss"].append(actor_loss.detach())
             if self.bc_weight > 0:
                 # Mean over the transitions with an action to imitate; 0 if there are none in the batch
@@ -323,6 +330,12 @@ class SACfD(OneNumberExploration, SAC):
         self.ent_coef_optimizer.step()
         logs["ent_coef_loss"].append(ent_coef_loss.detach())
         return ent_coef
+
+    def _q_weights(self, is_expert: th.Tensor) -> th.Tensor | float:
+        """Weights of the critic's values in the actor's loss, (batch, 1) where they differ."""
+        if self.expert_q_weight is None:
+            return self.q_weight
+        return th.where(is_expert.reshape(-1, 1), self.expert_q_weight, self.q_weight)
 
     def _next_values(self, next_observations: PyTorchObs, ent_coef: th.Tensor) -> th.Tensor:
         """Values of the actor's actions in the next states, by the target critic."""

@@ -294,6 +294,28 @@ def test_self_imitation_learns_from_what_was_won(make_toy: Any) -> None:
     assert losses[0] == 0.0 < losses[1]
 
 
+def test_values_draw_the_actor_in_its_own_states_only(make_toy: Any) -> None:
+    """So that updates on the demonstrations are plain imitation, whatever the critic says."""
+
+    def pretrained(**weights: float) -> dict[str, np.ndarray]:
+        model = make_model(make_toy(), pretrain_steps=20, learning_starts=9, ent_coef=0.0, **weights).learn(1)
+        return parameters(model.actor)
+
+    imitated, imitated_too = pretrained(q_weight=0.0), pretrained(q_weight=3.0, expert_q_weight=0.0)
+    for name, value in imitated.items():
+        np.testing.assert_array_equal(value, imitated_too[name], err_msg=name)
+    led = pretrained(q_weight=3.0)
+    assert any((value != led[name]).any() for name, value in imitated.items())
+
+
+def test_weights_of_values_by_who_acted(make_toy: Any) -> None:
+    is_expert = th.tensor([True, False])
+    model = make_model(make_toy(), q_weight=3.0)
+    assert model._q_weights(is_expert) == 3.0
+    model.expert_q_weight = 0.5
+    np.testing.assert_array_equal(model._q_weights(is_expert), [[0.5], [3.0]])
+
+
 def test_exploration_draws_one_number_of_an_action() -> None:
     actions = np.full((4000, 5), 0.25, np.float32)
     disturbed = disturb_one_number(actions, 0.3, th.Generator().manual_seed(0))
@@ -404,6 +426,7 @@ def test_expert_data_is_not_saved(make_toy: Any, tmp_path: Any) -> None:
         ({"n_steps": 0}, "n_steps"),
         ({"dagger": True, "bc_weight": 0}, "bc_weight"),
         ({"q_weight": -1}, "q_weight"),
+        ({"expert_q_weight": -1}, "expert_q_weight must not be negative, got -1"),
         ({"bc_limit": 1.5}, "bc_limit must be between 0 and 1, got 1.5"),
         ({"exploration": -0.1}, "exploration"),
         ({"self_imitation": 0.0}, "self_imitation must be None or greater than 0, got 0.0"),
