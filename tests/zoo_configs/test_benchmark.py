@@ -82,9 +82,9 @@ def test_hours_and_gigabytes_follow_from_measurements_and_the_buffer() -> None:
     plan = Plan(["CloseLoopBlockPulling"], ["sacfd"], options={"eval_freq": 0})
     [member] = build_sweep("own", plan, num_threads=1).members[:1]
     cost = estimate(member.cell, member.options, "cpu")
-    # 9,000 updates of 32.4 ms, 20,000 time steps of 1.5 ms (docs/data)
-    assert cost.hours == pytest.approx((9_000 * 32.4 + 20_000 * 1.5) / 3.6e6, rel=1e-6)
-    assert 0.11 < cost.memory - 1.0 < 0.12  # 25,000 heightmaps of 64 x 64 bytes, nine more for every hundred
+    # 10,000 updates of 32.4 ms, 25,000 time steps of 1.5 ms (docs/data)
+    assert cost.hours == pytest.approx((10_000 * 32.4 + 25_000 * 1.5) / 3.6e6, rel=1e-6)
+    assert 0.13 < cost.memory - 1.0 < 0.14  # 30,000 heightmaps of 64 x 64 bytes, nine more for every hundred
     assert estimate(member.cell, member.options, "cuda").hours is None
 
 
