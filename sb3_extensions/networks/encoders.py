@@ -180,9 +180,12 @@ class Encoder(nn.Module):
 
     def forward(self, image: th.Tensor) -> th.Tensor:
         """:return: float32 features, (batch, features)"""
-        image = image.contiguous(memory_format=self.memory_format)
-        with precision(self.autocast, image.device.type):
-            features: th.Tensor = self.layers(image)
+        device_type = image.device.type
+        with precision(self.autocast, device_type):
+            if th.is_autocast_enabled(device_type):
+                # Before its layout changes: there is half as much to move
+                image = image.to(th.get_autocast_dtype(device_type))
+            features: th.Tensor = self.layers(image.contiguous(memory_format=self.memory_format))
         return features.flatten(1).float()
 
 

@@ -96,9 +96,13 @@ class StackedImage(nn.Module):
         """:return: (batch, channels, size, size)"""
         if isinstance(observations, th.Tensor):
             observations = {IMAGE_KEY: observations}
-        images = [scale(crop_centre(observations[key], self.size)) for key, scale in self.scales.items()]
-        numbers = [observations[key].flatten(1)[..., None, None] for key in self.number_keys]
-        return th.cat(images + [number.expand(-1, -1, self.size, self.size) for number in numbers], dim=1)
+        parts = [
+            part
+            for key, scale in self.scales.items()
+            for part in scale(crop_centre(observations[key], self.size))
+        ]
+        parts += [observations[key].flatten(1)[..., None, None] for key in self.number_keys]
+        return th.cat([part.expand(-1, -1, self.size, self.size) for part in parts], dim=1)
 
 
 def square_images(parts: Mapping[str, gym.Space[Any]]) -> dict[str, spaces.Box]:
@@ -178,22 +182,22 @@ class _Scale:
         if math.isfinite(high - low) and high > low:
             self.low, self.span = low, high - low
 
-    def __call__(self, image: th.Tensor) -> th.Tensor:
+    def __call__(self, image: th.Tensor) -> tuple[th.Tensor, ...]:
+        """:return: (batch, channels, size, size), of constant channels (batch, channels, 1, 1)"""
         if self.above_ground is not None:
             return self._heights(self._rounded(image), *self.above_ground)
         if self.standardise is not None:
             mean, std = self.standardise
-            return (self._rounded(image) - mean) / std
+            return ((self._rounded(image) - mean) / std,)
         if self.quantiser is not None:
-            return self.quantiser.normalise(image)
-        return (image - self.low) / self.span
+            return (self.quantiser.normalise(image),)
+        return ((image - self.low) / self.span,)
 
-    def _heights(self, distances: th.Tensor, mean: float, std: float) -> th.Tensor:
-        """Heights above the farthest point of each image, then how far it is; twice as many channels."""
+    def _heights(self, distances: th.Tensor, mean: float, std: float) -> tuple[th.Tensor, th.Tensor]:
+        """Heights above the farthest point of each image, then how far it is."""
         farthest = distances.amax(dim=(-2, -1), keepdim=True)
         lowest, unit = self.standardise or (0.0, self.span)
-        heights = (farthest - distances - lowest) / unit
-        return th.cat([heights, ((farthest - mean) / std).expand_as(heights)], dim=1)
+        return (farthest - distances - lowest) / unit, (farthest - mean) / std
 
     def _rounded(self, image: th.Tensor) -> th.Tensor:
         return image if self.quantiser is None else self.quantiser.round_trip(image)
