@@ -1,4 +1,4 @@
-"""What an actor imitates: the expert, and what it did itself and won."""
+"""What an actor imitates: the expert, and what it did itself and won; and where it heeds its critic."""
 
 from __future__ import annotations
 
@@ -29,3 +29,17 @@ def imitated_actions(
     succeeded = replay_data.returns > 0.0  # not so while the episode goes on, NaN
     weights = (advantages / temperature).clamp(max=MAX_EXPONENT).exp() * succeeded
     return actions, th.where(known, th.ones_like(weights), weights)
+
+
+def value_weights(is_expert: th.Tensor, q_weight: float, expert_q_weight: float | None) -> th.Tensor | float:
+    """
+    Weights of the critic's values in an actor's loss.
+
+    :param is_expert: whether transitions are the expert's, (batch, 1)
+    :param q_weight: in the agent's own transitions
+    :param expert_q_weight: in the expert's, None as in the agent's own
+    :return: (batch, 1) where they differ
+    """
+    if expert_q_weight is None:
+        return q_weight
+    return th.where(is_expert.reshape(-1, 1), expert_q_weight, q_weight)

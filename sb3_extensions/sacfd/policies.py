@@ -10,7 +10,7 @@ from gymnasium import spaces
 from stable_baselines3.common.policies import ContinuousCritic
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from stable_baselines3.common.type_aliases import Schedule
-from stable_baselines3.sac.policies import Actor, SACPolicy
+from stable_baselines3.sac.policies import Actor
 
 from sb3_extensions.networks.extractors import CnnExtractor, EquivariantExtractor
 from sb3_extensions.networks.heads import features_type
@@ -22,6 +22,7 @@ from sb3_extensions.networks.policies import (
     NormalisedCritic,
     initialise_actor,
 )
+from sb3_extensions.sacfd.averaging import AveragedActorPolicy
 
 # Hidden layers of the paper's close-loop CNN baseline: none in the actor, 128 units in each head of the
 # critic.
@@ -29,7 +30,7 @@ CNN_NET_ARCH: dict[str, list[int]] = {"pi": [], "qf": [128]}
 STATE_NET_ARCH: dict[str, list[int]] = {"pi": [], "qf": [256]}
 
 
-class MultiInputPolicy(SACPolicy):
+class MultiInputPolicy(AveragedActorPolicy):
     """CNN policy of the paper: one encoder for the actor, one for all heads of the critic.
 
     :param observation_space: Dict of images and numbers, see
@@ -38,7 +39,7 @@ class MultiInputPolicy(SACPolicy):
     :param lr_schedule: Learning rate schedule (could be constant)
     :param net_arch: Hidden layers behind the encoders, the paper's if ``None``
     :param features_extractor_class: Features extractor to use
-    :param kwargs: further parameters of :class:`stable_baselines3.sac.policies.SACPolicy`
+    :param kwargs: further parameters of :class:`~sb3_extensions.sacfd.averaging.AveragedActorPolicy`
     """
 
     critic_class: ClassVar[type[NormalisedCritic]] = NormalisedCritic
@@ -69,11 +70,6 @@ class MultiInputPolicy(SACPolicy):
         """Critic that begins with values near 0."""
         kwargs = self._update_features_extractor(self.critic_kwargs, features_extractor)
         return self.critic_class(**kwargs).to(self.device)
-
-    def _get_constructor_parameters(self) -> dict[str, Any]:
-        data = super()._get_constructor_parameters()
-        data.update(share_features_extractor=self.share_features_extractor)
-        return data
 
 
 class StatePolicy(MultiInputPolicy):
@@ -107,7 +103,7 @@ class StatePolicy(MultiInputPolicy):
         )
 
 
-class EquivariantPolicy(SACPolicy):
+class EquivariantPolicy(AveragedActorPolicy):
     """Equivariant policy of the paper: one encoder for the actor, one for all heads of the critic.
 
     :param observation_space: Dict of images and numbers, see
@@ -119,7 +115,7 @@ class EquivariantPolicy(SACPolicy):
     :param features_extractor_class: Features extractor with regular features, trivial ones may follow them
     :param action_sequence: One character for each number of the action: ``p`` (gripper), ``x``, ``y``, ``z``,
         ``r`` (rotation about z), in any order
-    :param kwargs: further parameters of :class:`stable_baselines3.sac.policies.SACPolicy`
+    :param kwargs: further parameters of :class:`~sb3_extensions.sacfd.averaging.AveragedActorPolicy`
     :raises ValueError: if features or ``action_sequence`` do not fit, or with ``use_sde``
     """
 
@@ -158,7 +154,5 @@ class EquivariantPolicy(SACPolicy):
 
     def _get_constructor_parameters(self) -> dict[str, Any]:
         data = super()._get_constructor_parameters()
-        data.update(
-            share_features_extractor=self.share_features_extractor, action_sequence=self.action_sequence
-        )
+        data.update(action_sequence=self.action_sequence)
         return data

@@ -19,15 +19,15 @@ from stable_baselines3.sac.sac import SAC
 
 from sb3_extensions.common.augmentation import AugmentationSpec, make_augmentation
 from sb3_extensions.common.gradients import frozen
-from sb3_extensions.common.seeds import SeedKey, derive_seed
 from sb3_extensions.demonstrations.collecting import EpisodeData
 from sb3_extensions.demonstrations.off_policy import check_not_negative, check_share
-from sb3_extensions.sacfd.exploration import OneNumberExploration
-from sb3_extensions.sacfd.imitation import imitated_actions
+from sb3_extensions.sacfd.averaging import AveragedActorPolicy, with_average
+from sb3_extensions.sacfd.exploration import Exploration
+from sb3_extensions.sacfd.imitation import imitated_actions, value_weights
 from sb3_extensions.sacfd.policies import EquivariantPolicy, MultiInputPolicy, StatePolicy
 
 
-class SACfD(OneNumberExploration, SAC):
+class SACfD(Exploration, SAC):
     """
     Soft actor-critic from demonstrations (SACfD).
 
@@ -39,8 +39,7 @@ class SACfD(OneNumberExploration, SAC):
     The demonstrations are collected at the beginning of the first ``learn()``, in an environment of their own
     made from the spec of the training environment; these steps do not count as timesteps.
 
-    Paper: https://arxiv.org/abs/2205.14292, Section "Close-Loop 4D Benchmark"; SAC:
-    https://arxiv.org/abs/1801.01290
+    Paper: https://arxiv.org/abs/2205.14292 (close-loop 4D benchmark); SAC: https://arxiv.org/abs/1801.01290
 
     :param policy: The policy model to use (one of the aliases, or a class)
     :param env: The environment to learn from (if registered in Gym, can be str); its observations are a Dict
@@ -52,14 +51,12 @@ class SACfD(OneNumberExploration, SAC):
     :param tau: the soft update coefficient ("Polyak update", between 0 and 1)
     :param gamma: the discount factor
     :param train_freq: Update the model every so many steps, or ``(2, "episode")``
-    :param gradient_steps: How many gradient steps to do after each rollout (see ``train_freq``); ``-1`` means
-        as many as steps done in the environment during the rollout
+    :param gradient_steps: How many gradient steps to do after each rollout; ``-1`` as many as it has steps
     :param action_noise: the action noise type (None by default), see SB3's common.noise
     :param replay_buffer_class: Replay buffer class, ``ExpertReplayBuffer`` (the default) or a subclass
     :param replay_buffer_kwargs: Keyword arguments to pass to the replay buffer on creation; its ``n_steps``
         and ``gamma`` are the algorithm's, its ``image_dtype`` is what the features extractor rounds to
-    :param n_steps: number of rewards that are summed up before the bootstrap, fewer where an exploratory
-        action follows
+    :param n_steps: number of rewards summed up before the bootstrap, fewer before an exploratory action
     :param ent_coef: Entropy regularization coefficient, controlling exploration/exploitation trade-off;
         'auto' learns it ('auto_0.1' from an initial value of 0.1)
     :param target_update_interval: update the target network every so many gradient steps.
@@ -77,10 +74,12 @@ class SACfD(OneNumberExploration, SAC):
         there and follows its critic in its own states only, so that the pretraining is plain imitation
     :param backup_entropy: whether the entropy of the next action is part of the critic's target
     :param value_range: least and greatest possible return: the target critic's values are clipped to it
+    :param actor_tau: soft update coefficient of the average of the actor's weights that acts where actions
+        are not sampled, see :class:`~sb3_extensions.sacfd.averaging.AveragedActorPolicy`; None keeps none
     :param exploration: probability with which one number of an action is drawn from its whole range: where an
         agent always does the same, its critic learns of nothing else
-    :param expert_episodes: number of successful episodes of the expert to begin with, unless ``expert_data``
-        is given
+    :param greedy_fraction: fraction of episodes of deterministic actions: what holds these, samples escape
+    :param expert_episodes: number of successful episodes of the expert to begin with, if no ``expert_data``
     :param expert_noise: standard deviation of a normal error with which the expert's actions are carried out,
         in the policy's units [-1, 1], see :class:`~sb3_extensions.demonstrations.noise.UnsteadyHand`
     :param expert_data: episodes to begin with instead, in the environment's units; not saved. See
@@ -136,7 +135,9 @@ class SACfD(OneNumberExploration, SAC):
         expert_q_weight: float | None = None,
         backup_entropy: bool = False,
         value_range: tuple[float, float] | None = None,
+        actor_tau: float | None = None,
         exploration: float = 0.1,
+        greedy_fraction: float = 0.0,
         expert_episodes: int = 100,
         expert_noise: float = 0.0,
         expert_data: Iterable[EpisodeData] | None = None,
@@ -185,7 +186,9 @@ class SACfD(OneNumberExploration, SAC):
         self.expert_q_weight = expert_q_weight
         self.backup_entropy = backup_entropy
         self.value_range = value_range
+        self.actor_tau = actor_tau
         self.exploration = exploration
+        self.greedy_fraction = greedy_fraction
         self.exploration_generator = th.Generator().manual_seed(th.initial_seed())
         self.expert_episodes = expert_episodes
         self.expert_noise = expert_noise
@@ -205,15 +208,20 @@ class SACfD(OneNumberExploration, SAC):
         check_not_negative(
             bc_weight=self.bc_weight, q_weight=self.q_weight, expert_q_weight=self.expert_q_weight
         )
-        check_share(bc_limit=self.bc_limit, exploration=self.exploration)
+        check_share(
+            bc_limit=self.bc_limit, exploration=self.exploration, greedy_fraction=self.greedy_fraction
+        )
         if self.self_imitation is not None and self.self_imitation <= 0:
             raise ValueError(f"self_imitation must be None or greater than 0, got {self.self_imitation}")
         if self.value_range is not None and not self.value_range[0] < self.value_range[1]:
             raise ValueError(f"value_range must be None or (least, greatest), got {self.value_range}")
+        if self.actor_tau is not None and not 0 < self.actor_tau <= 1:
+            raise ValueError(f"actor_tau must be None or greater than 0 and at most 1, got {self.actor_tau}")
         if self.dagger and self.bc_weight == 0:
             raise ValueError("dagger=True needs a bc_weight greater than 0, got 0")
 
     def _setup_model(self) -> None:
+        self.policy_kwargs = with_average(self.policy_class, self.policy_kwargs, self.actor_tau)
         super()._setup_model()
         # Nothing learns through the target, and its encoder would keep everything for a backward pass
         self.critic_target.requires_grad_(False)
@@ -272,7 +280,7 @@ class SACfD(OneNumberExploration, SAC):
             with frozen(self.critic):
                 estimates_pi = self._estimates(self.critic, features.detach(), actions_pi)
             q_values_pi = self._values(estimates_pi)
-            q_weights = self._q_weights(replay_data.is_expert)
+            q_weights = value_weights(replay_data.is_expert, self.q_weight, self.expert_q_weight)
             actor_loss = (ent_coef * log_prob - q_weights * q_values_pi).mean()
             logs["actor_loss"].append(actor_loss.detach())
             if self.bc_weight > 0:
@@ -294,11 +302,7 @@ class SACfD(OneNumberExploration, SAC):
             self.critic.optimizer.step()
             self.actor.optimizer.step()
 
-            # Update target networks
-            if (self._n_updates + gradient_step) % self.target_update_interval == 0:
-                self._update_target_critic()
-                # Copy running stats, see GH issue #996
-                polyak_update(self.batch_norm_stats, self.batch_norm_stats_target, 1.0)
+            self._update_targets(self._n_updates + gradient_step)
 
             logs["ent_coef"].append(ent_coef.detach())
             logs["critic_loss"].append(critic_loss.detach())
@@ -331,12 +335,6 @@ class SACfD(OneNumberExploration, SAC):
         logs["ent_coef_loss"].append(ent_coef_loss.detach())
         return ent_coef
 
-    def _q_weights(self, is_expert: th.Tensor) -> th.Tensor | float:
-        """Weights of the critic's values in the actor's loss, (batch, 1) where they differ."""
-        if self.expert_q_weight is None:
-            return self.q_weight
-        return th.where(is_expert.reshape(-1, 1), self.expert_q_weight, self.q_weight)
-
     def _next_values(self, next_observations: PyTorchObs, ent_coef: th.Tensor) -> th.Tensor:
         """Values of the actor's actions in the next states, by the target critic."""
         # Select action according to policy
@@ -363,14 +361,19 @@ class SACfD(OneNumberExploration, SAC):
         head_input = th.cat([features, actions], dim=1)
         return [head(head_input) for head in critic.q_networks]
 
-    def _seed_samplers(self, seed: int | None) -> None:
-        super()._seed_samplers(seed)
-        if seed is not None:
-            self.exploration_generator.manual_seed(derive_seed(seed, SeedKey.EXPLORATION))
-
     def _update_encoder(self, observations: PyTorchObs) -> dict[str, th.Tensor]:
         """Learn from sampled observations alone, here nothing; returns the losses by name."""
         return {}
+
+    def _update_targets(self, n_updates: int) -> None:
+        """Update target networks, and the actor's average."""
+        if n_updates % self.target_update_interval == 0:
+            self._update_target_critic()
+            # Copy running stats, see GH issue #996
+            polyak_update(self.batch_norm_stats, self.batch_norm_stats_target, 1.0)
+        if self.actor_tau is not None:
+            assert isinstance(self.policy, AveragedActorPolicy)
+            self.policy.update_average(self.actor_tau, n_updates)
 
     def _update_target_critic(self) -> None:
         polyak_update(self.critic.parameters(), self.critic_target.parameters(), self.tau)

@@ -16,7 +16,7 @@ from sb3_extensions.replay.buffer import NO_ROW, FrameReplayBuffer
 from sb3_extensions.replay.expert import ExpertReplayBuffer
 from sb3_extensions.replay.rotated import PrioritizedRotatedReplayBuffer
 from sb3_extensions.sacfd import SACfD
-from sb3_extensions.sacfd.imitation import imitated_actions
+from sb3_extensions.sacfd.imitation import imitated_actions, value_weights
 
 SMALL_STOCK = {"net_arch": [16], "features_extractor_kwargs": {"cnn_output_dim": 8}}
 
@@ -308,12 +308,10 @@ def test_values_draw_the_actor_in_its_own_states_only(make_toy: Any) -> None:
     assert any((value != led[name]).any() for name, value in imitated.items())
 
 
-def test_weights_of_values_by_who_acted(make_toy: Any) -> None:
-    is_expert = th.tensor([True, False])
-    model = make_model(make_toy(), q_weight=3.0)
-    assert model._q_weights(is_expert) == 3.0
-    model.expert_q_weight = 0.5
-    np.testing.assert_array_equal(model._q_weights(is_expert), [[0.5], [3.0]])
+def test_weights_of_values_by_who_acted() -> None:
+    is_expert = th.tensor([[True], [False]])
+    assert value_weights(is_expert, 3.0, None) == 3.0
+    np.testing.assert_array_equal(value_weights(is_expert, 3.0, 0.5), [[0.5], [3.0]])
 
 
 def test_exploration_draws_one_number_of_an_action() -> None:
@@ -337,6 +335,21 @@ def test_explored_actions_are_those_that_are_stored(make_toy: Any) -> None:
         own = model.replay_buffer.table["explored"][model.replay_buffer.expert_size :][:40]
         assert own.mean() == share
     assert explored.predict(make_toy().reset(), deterministic=True)[0].shape == (1, 5)
+
+
+def test_some_episodes_are_of_deterministic_actions(make_toy: Any) -> None:
+    model = make_model(make_toy(3), exploration=1.0, greedy_fraction=0.5, gradient_steps=0).learn(300)
+    own = slice(model.replay_buffer.expert_size, model.replay_buffer.expert_size + 300)
+    table, ids = model.replay_buffer.table, model.replay_buffer.rows.ids(np.arange(own.start, own.stop))
+    observations, _ = model.replay_buffer._observations(table["frame"][own], None, 300)
+    with th.no_grad():
+        actions = model.actor(observations, deterministic=True).numpy()
+    greedy = np.isclose(table["action"][own], actions, atol=0.02).all(axis=1)
+    assert 0.2 < greedy.mean() < 0.8
+    np.testing.assert_array_equal(table["explored"][own], ~greedy)
+    for row, successor in enumerate(table["next_row"][own]):  # the same to the end of an episode
+        if successor != NO_ROW:
+            assert greedy[row] == greedy[np.flatnonzero(ids == successor)[0]]
 
 
 def test_critic_parameters_get_no_gradient_from_the_actor(make_toy: Any) -> None:
@@ -429,6 +442,9 @@ def test_expert_data_is_not_saved(make_toy: Any, tmp_path: Any) -> None:
         ({"expert_q_weight": -1}, "expert_q_weight must not be negative, got -1"),
         ({"bc_limit": 1.5}, "bc_limit must be between 0 and 1, got 1.5"),
         ({"exploration": -0.1}, "exploration"),
+        ({"greedy_fraction": 1.1}, "greedy_fraction must be between 0 and 1, got 1.1"),
+        ({"actor_tau": 0.0}, "actor_tau must be None or greater than 0 and at most 1, got 0.0"),
+        ({"actor_tau": 0.1}, "actor_tau needs an AveragedActorPolicy, got MultiInputPolicy"),
         ({"self_imitation": 0.0}, "self_imitation must be None or greater than 0, got 0.0"),
         ({"value_range": (1.0, 0.0)}, "value_range"),
         ({"policy": "NoSuchPolicy"}, "NoSuchPolicy"),
