@@ -6,9 +6,6 @@ import torch as th
 
 from sb3_extensions.replay.samples import FrameReplayBufferSamples
 
-# Of a transition's weight in self-imitation: one that is much better counts 20 times at most.
-MAX_EXPONENT = 3.0
-
 
 def imitated_actions(
     replay_data: FrameReplayBufferSamples, advantages: th.Tensor, temperature: float | None, limit: float
@@ -27,7 +24,8 @@ def imitated_actions(
     if temperature is None:
         return actions, known.float()
     succeeded = replay_data.returns > 0.0  # not so while the episode goes on, NaN
-    weights = (advantages / temperature).clamp(max=MAX_EXPONENT).exp() * succeeded
+    # None counts more than one of the expert's: what a critic thinks better is so by chance as often as not
+    weights = (advantages / temperature).clamp(max=0.0).exp() * succeeded
     return actions, th.where(known, th.ones_like(weights), weights)
 
 

@@ -66,8 +66,8 @@ class SACfD(Exploration, SAC):
         Gaussian grows without end, and what has grown cannot be unlearned
     :param self_imitation: imitate the agent's own transitions as well from which it succeeded without another
         exploratory action (with a return greater than 0), with a weight of ``exp((value of the action - value
-        of the actor's action) / self_imitation)``. What was won is then kept where the critic errs, and what
-        was better than what the agent does is learned. None imitates the expert alone, as the paper does.
+        of the actor's action) / self_imitation)``, at most that of the expert's, 1. What was won is then kept
+        where the critic errs. None imitates the expert alone, as the paper does.
         Self-imitation: https://arxiv.org/abs/1806.05635, the weight: https://arxiv.org/abs/2006.15134
     :param q_weight: weight of the critic's values in the actor's loss
     :param expert_q_weight: that in the expert's transitions, None as ``q_weight``. With 0 the actor imitates

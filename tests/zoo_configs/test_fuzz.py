@@ -31,7 +31,7 @@ NAMES = """
     expert_episodes expert_noise expert_data expert_cache pretrain_steps env_wrapper callback
     normalize frame_stack monitor_kwargs noise_type augmentation bc_weight bc_limit self_imitation
     value_range dagger exploration n_timesteps stats_window_size use_sde action_noise
-    target_update_interval env_kwargs buffer_size
+    target_update_interval env_kwargs buffer_size actor_tau greedy_fraction q_weight expert_q_weight
 """.split()
 CHEAP = ["-n", "2", "--eval-freq", "0", "--device", "cpu", "--num-threads", "1", "--no-progress"]
 CHEAP_ENV = ["--env-kwargs", "obs_size:48"]
