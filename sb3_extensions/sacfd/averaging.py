@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import torch as th
@@ -9,6 +10,9 @@ from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.type_aliases import PyTorchObs, Schedule
 from stable_baselines3.common.utils import get_parameters_by_name, polyak_update
 from stable_baselines3.sac.policies import Actor, SACPolicy
+
+# How the names of parameters begin.
+ACTOR, AVERAGE = "actor.", "actor_average."
 
 
 class AveragedActorPolicy(SACPolicy):
@@ -58,6 +62,23 @@ class AveragedActorPolicy(SACPolicy):
         # Copy running stats, see GH issue #996
         stats, average_stats = (get_parameters_by_name(module, ["running_"]) for module in (actor, average))
         polyak_update(stats, average_stats, 1.0)
+
+    def load_state_dict(self, state_dict: Mapping[str, Any], *args: Any, **kwargs: Any) -> Any:
+        """
+        Load what a policy with or without an average had: one that was not there begins with the actor's
+        weights, one that is not wanted is left out.
+
+        :param state_dict: parameters and buffers by their names
+        :param args: further arguments of :meth:`torch.nn.Module.load_state_dict`
+        :param kwargs: its keyword arguments
+        :return: names that are missing or not expected
+        """
+        average = {name: value for name, value in state_dict.items() if name.startswith(AVERAGE)}
+        state = {name: value for name, value in state_dict.items() if name not in average}
+        if self.actor_average is not None:
+            own = {name: value for name, value in state.items() if name.startswith(ACTOR)}
+            state |= average or {AVERAGE + name.removeprefix(ACTOR): value for name, value in own.items()}
+        return super().load_state_dict(state, *args, **kwargs)
 
     def _predict(self, observation: PyTorchObs, deterministic: bool = False) -> th.Tensor:
         if deterministic and self.actor_average is not None:

@@ -147,3 +147,17 @@ def test_learning_is_the_same_with_it(make_toy: Any) -> None:
         model.learn(10)
     np.testing.assert_array_equal(weights(averaged.actor), weights(plain.actor))
     np.testing.assert_array_equal(weights(averaged.critic), weights(plain.critic))
+
+
+@pytest.mark.parametrize(("before", "after"), [(None, 0.1), (0.1, None)])
+def test_training_goes_on_with_or_without_it(
+    before: float | None, after: float | None, make_toy: Any, tmp_path: Any
+) -> None:
+    env = make_toy()
+    model = make_model(env, actor_tau=before).learn(5)
+    model.save(tmp_path / "model")
+    loaded = SACfD.load(tmp_path / "model", env=env, device="cpu", actor_tau=after)
+    np.testing.assert_array_equal(weights(loaded.actor), weights(model.actor))
+    if after is not None:
+        np.testing.assert_array_equal(weights(average(loaded)), weights(model.actor))
+    loaded.learn(5)

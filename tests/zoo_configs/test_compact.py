@@ -15,6 +15,7 @@ from stable_baselines3 import PPO, SAC
 from stable_baselines3.common.base_class import BaseAlgorithm
 from torch import nn
 
+from sb3_extensions.ferm import FERM
 from sb3_extensions.sacfd import SACfD
 from zoo_configs.publishing.compact import acting_weights, save_compact
 
@@ -71,13 +72,28 @@ def make_model(name: str, toy_id: str) -> BaseAlgorithm:
     if name == "ppo":
         return PPO("MlpPolicy", "Pendulum-v1", seed=0)
     kwargs: dict[str, Any] = {**SMALL, "share_features_extractor": name == "shared"}
-    return SACfD("EquivariantPolicy", gym.make(toy_id, obs_size=48), policy_kwargs=kwargs, seed=0)
+    env = gym.make(toy_id, obs_size=48)
+    if name == "ferm":
+        kwargs = {"features_extractor_kwargs": {"channels": [4, 8, 8, 8, 8], "features_dim": 6}}
+        more: dict[str, Any] = {"augmentation": "drq", "actor_tau": 0.1, "policy_kwargs": kwargs}
+        return FERM("MultiInputPolicy", env, seed=0, **more)
+    tau = 0.1 if name == "average" else None
+    return SACfD("EquivariantPolicy", env, policy_kwargs=kwargs, actor_tau=tau, seed=0)
 
 
-@pytest.mark.parametrize("name", ["sac", "ppo", "sacfd", "shared"])
+def wander(model: BaseAlgorithm) -> None:
+    """Another average than the actor's weights, as training brings about."""
+    if getattr(model.policy, "actor_average", None) is not None:
+        with th.no_grad():
+            for parameter in model.policy.get_submodule("actor").parameters():
+                parameter.mul_(1.5)
+
+
+@pytest.mark.parametrize("name", ["sac", "ppo", "sacfd", "shared", "average", "ferm"])
 @pytest.mark.parametrize("half", [False, True])
 def test_what_is_loaded_acts_alike(name: str, half: bool, toy_id: str, tmp_path: Path) -> None:
     model = make_model(name, toy_id)
+    wander(model)
     stored = save_compact(model, tmp_path / "agent.zip", half)
     loaded = type(model).load(tmp_path / "agent.zip")
     assert stored == ("float16" if half else "float32")
@@ -88,6 +104,7 @@ def test_what_is_loaded_acts_alike(name: str, half: bool, toy_id: str, tmp_path:
         expected, _ = model.predict(seen, deterministic=True)
         action, _ = loaded.predict(seen, deterministic=True)
         np.testing.assert_allclose(action, expected, atol=0.01 if half else 0.0)
+        assert np.isfinite(loaded.predict(seen)[0]).all()  # sampled
 
 
 def test_a_file_is_small_and_says_nothing_of_the_machine(toy_id: str, tmp_path: Path) -> None:

@@ -82,7 +82,7 @@ def test_monitor_files_report_success(run_folder: Path) -> None:
 def test_success_rates_are_logged(
     train_tiny: Train, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert train_tiny(tmp_path, "--baseline", "sacfd", "--log-interval", "1") == 0
+    assert train_tiny(tmp_path, "--baseline", "sacfd", "--log-interval", "1", "-n", "100") == 0
     printed = capsys.readouterr().out
     rollout, evaluation = printed.partition("rollout/")[2], printed.partition("eval/")[2]
     assert "success_rate" in rollout.partition("time/")[0]

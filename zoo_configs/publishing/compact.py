@@ -18,6 +18,7 @@ from zoo_configs.algorithms import ALGORITHMS
 from zoo_configs.files import whole_file
 
 POLICY = "policy"
+ACTOR, AVERAGE = "actor", "actor_average"  # of an AveragedActorPolicy
 SMALLER = {th.float16: "float16", th.bfloat16: "bfloat16"}
 # What an agent that only acts has no use for, and paths of the machine that trained it.
 BLANKS: dict[str, Any] = {
@@ -74,23 +75,36 @@ def acting_weights(policy: nn.Module, half: bool) -> dict[str, th.Tensor]:
     :return: What acts; the others NaN, without a storage of their own size
     """
     actor = _actor(policy)
+    state = _with_average(policy)
     kept = {id(tensor) for tensor in actor.state_dict(keep_vars=True).values()}
     computed_in_bf16 = {id(weight) for weight in _bf16_weights(actor)}
     known: dict[int, th.Tensor] = {}  # shared parameters stay shared
-    for tensor in policy.state_dict(keep_vars=True).values():
+    for tensor in state.values():
         key = id(tensor)
         dtype = th.bfloat16 if key in computed_in_bf16 else th.float16
         if key not in known:
             known[key] = _shrunk(tensor.detach(), dtype, half) if key in kept else _absent(tensor)
-    return {name: known[id(tensor)] for name, tensor in policy.state_dict(keep_vars=True).items()}
+    return {name: known[id(tensor)] for name, tensor in state.items()}
 
 
 def _actor(policy: nn.Module) -> nn.Module:
     """The part of a policy that actions come from."""
-    for name in ("actor", "q_net"):
+    for name in (AVERAGE, ACTOR, "q_net"):
         if isinstance(part := getattr(policy, name, None), nn.Module):
             return part
     return policy
+
+
+def _with_average(policy: nn.Module) -> dict[str, th.Tensor]:
+    """Parameters and buffers of a policy, those of the actor as the average by which it acts, if it does."""
+    state: dict[str, th.Tensor] = policy.state_dict(keep_vars=True)
+    if getattr(policy, AVERAGE, None) is None:
+        return state
+    own, averaged = (
+        policy.get_submodule(name).state_dict(keep_vars=True).values() for name in (ACTOR, AVERAGE)
+    )
+    in_its_place = {id(tensor): other for tensor, other in zip(own, averaged, strict=True)}
+    return {name: in_its_place.get(id(tensor), tensor) for name, tensor in state.items()}
 
 
 def _bf16_weights(actor: nn.Module) -> Iterator[th.Tensor]:
