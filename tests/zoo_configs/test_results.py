@@ -12,11 +12,11 @@ import pandas as pd
 import pytest
 from scipy import stats
 
+from zoo_configs.benchmarking.evaluated import EvaluatedRun
 from zoo_configs.benchmarking.results import (
     baseline_table,
     bootstrap_interval,
     cell_table,
-    repeating_command,
     run_table,
 )
 from zoo_configs.benchmarking.tables import markdown
@@ -25,6 +25,7 @@ from zoo_configs.cli import main
 from zoo_configs.commands.train import build_parser, find_cell
 from zoo_configs.drawing.curves import mean_curve
 from zoo_configs.training.options import TrainingOptions, given_options
+from zoo_configs.training.repeating import repeating_command
 from zoo_configs.training.runs import Run, find_runs, write_resolved
 from zoo_configs.training.state import State, held, note
 
@@ -74,7 +75,7 @@ def test_a_run_that_is_not_finished_shortens_no_curve(folder: Path) -> None:
 
 
 def test_cells_have_wilsons_interval_over_all_episodes(folder: Path) -> None:
-    cells = cell_table(run_table(find_runs(folder))).set_index(["task", "baseline"])
+    cells = cell_table(run_table(map(EvaluatedRun.of, find_runs(folder)))).set_index(["task", "baseline"])
     cell = cells.loc[(PICKING, "equi_sacfd")]
     assert (cell["success"], cell["seeds"], cell["done"], cell["episodes"]) == (0.875, "0 1", 2, 8)
     assert cell["error"] == pytest.approx(0.125)
@@ -127,6 +128,44 @@ def test_plot_writes_picture_and_tables(folder: Path, capsys: Any) -> None:
     assert page.count("    bulletarm-zoo train --env") == 4
 
 
+def test_curves_kept_in_a_file_are_drawn_without_their_runs(folder: Path, tmp_path: Path) -> None:
+    data, picture = tmp_path / "kept" / "curves.csv", tmp_path / "kept" / "curves.png"
+    data.parent.mkdir()
+    table = picture.with_suffix(".csv").with_stem("tables")
+    for found in (["-f", str(folder / "CloseLoopBlockPicking")], ["-f", str(folder)], []):
+        assert main(["plot", *found, "--data", str(data), "-o", str(table.with_suffix(".png"))]) == 0
+    drawn = pd.read_csv(table)
+    assert main(["plot", "-f", str(folder), "-o", str(picture.with_stem("folder"))]) == 0
+    pd.testing.assert_frame_equal(drawn, pd.read_csv(picture.with_name("folder.csv")))
+    assert table.with_suffix(".png").read_bytes() == picture.with_stem("folder").read_bytes()
+    rows = pd.read_csv(data)
+    assert len(rows) == 8 and rows["evaluations"][0] == "10:0 20:0.75 30:1"
+    assert rows["command"].str.startswith("bulletarm-zoo train --env").all()
+
+
+def test_a_file_of_curves_keeps_what_a_run_measured(folder: Path) -> None:
+    run = EvaluatedRun.of(find_runs(folder)[0])
+    again = EvaluatedRun.of_record(run.record())
+    assert again.record() == run.record()
+    assert again.curve.error == pytest.approx(run.curve.error)
+    returns = EvaluatedRun.of_record({**run.record(), "measure": "evaluation return"})
+    assert np.isnan(returns.curve.error).all()
+
+
+def test_files_of_curves_that_cannot_be_drawn(
+    folder: Path, tmp_path: Path, refuse: Callable[..., str]
+) -> None:
+    data = tmp_path / "curves.csv"
+    assert "no run of these" in refuse("plot", "--data", str(data))
+    assert main(["plot", "-f", str(folder), "--data", str(data)]) == 0
+    assert "no run of these" in refuse("plot", "--data", str(data), "--baseline", "sac")
+    assert "--training draws" in refuse("plot", "--data", str(data), "--training")
+    data.write_text(data.read_text().replace("10:0 20", "10:0:20"))
+    assert f"{data} is damaged" in refuse("plot", "--data", str(data))
+    data.write_text("env\n")
+    assert "no such file of measurements" in refuse("plot", "--data", str(data))
+
+
 def test_a_report_puts_all_on_one_page(folder: Path, capsys: Any) -> None:
     note(folder / "CloseLoopBlockPicking/sac/seed_0", State.FAILED, "the block is lost")
     about = "name: small\ncommand: bulletarm-zoo benchmark small.yml\nruns:\n"
@@ -150,7 +189,7 @@ def test_reports_that_cannot_be_made(folder: Path, refuse: Callable[..., str]) -
 
 
 def test_returns_have_no_share_of_successes(folder: Path) -> None:
-    table = run_table(find_runs(folder)).assign(measure="evaluation return")
+    table = run_table(map(EvaluatedRun.of, find_runs(folder))).assign(measure="evaluation return")
     cells = cell_table(table)
     assert cells["low"].isna().all()
     assert "| CloseLoopBlockPicking | sacfd | 0.25 | 0.00 |  | 0 1 |" in markdown(

@@ -9,6 +9,7 @@ from typing import Any
 
 import yaml
 
+from zoo_configs.benchmarking.evaluated import EvaluatedRun
 from zoo_configs.benchmarking.overview import BENCHMARK_FILE, Status, read_entry
 from zoo_configs.benchmarking.results import baseline_table, cell_table, run_table
 from zoo_configs.benchmarking.tables import markdown
@@ -28,7 +29,7 @@ def write_page(folder: Path, runs: Sequence[Run], picture: Path, path: Path) -> 
     :raises CommandError: if a file of the benchmark cannot be read
     """
     about = _read(folder / BENCHMARK_FILE)
-    table = run_table(runs)
+    table = run_table(map(EvaluatedRun.of, runs))
     link = picture.relative_to(path.parent) if picture.is_relative_to(path.parent) else picture
     parts = [
         f"# {about.get('name', folder.name)}",

@@ -1,8 +1,8 @@
-"""What came of many runs: tables by cell and by baseline, from their folders."""
+"""What came of many runs: tables by cell and by baseline."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -10,47 +10,41 @@ import numpy.typing as npt
 import pandas as pd
 from scipy import stats
 
-from zoo_configs.cells.cell import Cell, resolve
-from zoo_configs.drawing.curves import SUCCESS, load_curve
-from zoo_configs.errors import CommandError
-from zoo_configs.measuring.provenance import command_line, env_kwargs_words, key_values
-from zoo_configs.training.options import TrainingOptions
-from zoo_configs.training.runs import Run
+from zoo_configs.benchmarking.evaluated import EvaluatedRun
+from zoo_configs.drawing.curves import SUCCESS
 from zoo_configs.training.state import State
 
 CONFIDENCE = 0.95
 RESAMPLES = 9999  # scipy's own default
 BOOTSTRAP_SEED = 0
 TRIMMED = 0.25  # at either end: what is left is the interquartile mean (Agarwal et al. 2021)
-SECONDS_A_MINUTE = 60.0
 CELL = ["task", "baseline"]
 
 
-def run_table(runs: Sequence[Run]) -> pd.DataFrame:
+def run_table(runs: Iterable[EvaluatedRun]) -> pd.DataFrame:
     """
     How runs ended.
 
-    :param runs: The runs, those that have been evaluated
+    :param runs: The runs
     :return: A row a run: task, baseline, seed, measure, timesteps and success of its last evaluation (mean
-        over its episodes), episodes, state, minutes of training (NaN where the folder does not say), command
-    :raises CommandError: if an evaluation cannot be read
+        over its episodes), episodes, state, minutes of training (NaN where it does not say), command
     """
     return pd.DataFrame([_row(run) for run in runs])
 
 
-def _row(run: Run) -> dict[str, Any]:
-    curve, how = load_curve(run.evaluations_file), run.standing
+def _row(run: EvaluatedRun) -> dict[str, Any]:
+    curve, minutes = run.curve, run.origin.minutes
     return {
-        "task": run.cell.env_id,
-        "baseline": run.cell.label,
+        "task": run.env_id,
+        "baseline": run.baseline,
         "seed": run.seed,
         "measure": curve.measure,
         "timesteps": int(curve.timesteps[-1]),
         "success": float(curve.success[-1]),
         "episodes": curve.episodes,
-        "state": "" if how is None else how.state.value,
-        "minutes": np.nan if how is None else how.seconds / SECONDS_A_MINUTE,
-        "command": repeating_command(run),
+        "state": run.state,
+        "minutes": np.nan if minutes is None else minutes,
+        "command": run.origin.command,
     }
 
 
@@ -142,68 +136,3 @@ def bootstrap_interval(samples: Sequence[npt.NDArray[np.float64]]) -> tuple[floa
         rng=np.random.default_rng(BOOTSTRAP_SEED),
     )
     return float(found.confidence_interval.low), float(found.confidence_interval.high)
-
-
-def repeating_command(run: Run) -> str:
-    """
-    The command line that trains a run again.
-
-    :param run: The run
-    :return: What to type
-    """
-    cell, options = run.cell, run.options
-    words = ["bulletarm-zoo", "train", "--env", cell.env_id, "--seed", str(run.seed)]
-    base = _base(cell)
-    if base is None:
-        words += ["--conf-file", str(run.resolved_file), "--algo", cell.algo]
-    else:
-        words += ["--baseline", str(cell.baseline), "--preset", str(cell.preset)]
-        words += ["--benchmark", cell.benchmark] if cell.benchmark else []
-    words += [] if run.device == "auto" else ["--device", run.device]
-    words += ["--gym-packages", *run.gym_packages] if run.gym_packages else []
-    words += _flags(TrainingOptions.of(base) if base else TrainingOptions(), options)
-    changed = _difference(base.hyperparams, cell.hyperparams) if base else {}
-    words += env_kwargs_words(changed.pop("env_kwargs", {}))
-    words += ["-params", *key_values(changed)] if changed else []
-    return command_line(words)
-
-
-def _base(cell: Cell) -> Cell | None:
-    """The cell without overrides; None if there is none, or a command line cannot say them."""
-    if cell.baseline is None or cell.preset is None:
-        return None
-    try:
-        base = resolve(cell.baseline, cell.preset, cell.env_id, benchmark=cell.benchmark)
-        changed = _difference(base.hyperparams, cell.hyperparams)
-        again = resolve(cell.baseline, cell.preset, cell.env_id, changed, cell.benchmark)
-    except CommandError:  # of another version, which had other names
-        return None
-    return base if again.hyperparams == cell.hyperparams else None
-
-
-def _difference(base: Mapping[str, Any], wanted: Mapping[str, Any]) -> dict[str, Any]:
-    """What must be merged into a mapping to get another."""
-    changed: dict[str, Any] = {}
-    for key, value in wanted.items():
-        below = base.get(key)
-        if isinstance(value, Mapping) and isinstance(below, Mapping):
-            if inner := _difference(below, value):
-                changed[key] = inner
-        elif key not in base or below != value:
-            changed[key] = value
-    return changed
-
-
-def _flags(base: TrainingOptions, wanted: TrainingOptions) -> Iterator[str]:
-    """Options that differ from a cell's own."""
-    plain = base.plain()
-    for name, value in wanted.plain().items():
-        if value == plain[name] or value is None:
-            continue
-        yield f"--{name.replace('_', '-')}"
-        if isinstance(value, Mapping):
-            yield from (f"{key}:{item!r}" for key, item in value.items())
-        elif isinstance(value, list):
-            yield from value
-        elif value is not True or name == "truncate_last_trajectory":
-            yield str(value)

@@ -40,9 +40,10 @@ def _report(args: argparse.Namespace) -> None:
     page = args.output or args.folder / PAGE
     check_writable(page, "--output")
     picture = page.with_suffix(".png")
+    from zoo_configs.benchmarking.evaluated import EvaluatedRun
     from zoo_configs.benchmarking.page import write_page
 
-    draw_panels(runs, picture)
+    draw_panels(map(EvaluatedRun.of, runs), picture)
     write_page(args.folder, runs, picture, page)
     print(f"Written:\n  {page}\n  {picture}")
 

@@ -84,7 +84,7 @@ def _measure(run: Run, args: argparse.Namespace) -> Record:
 def _row(run: Run, args: argparse.Namespace, best: str, last: str) -> Record:
     from zoo_configs.cells.rules import task_name
     from zoo_configs.drawing.curves import load_curve
-    from zoo_configs.publishing.origin import origin_of
+    from zoo_configs.training.origin import origin_of
 
     origin, hyperparams, options = origin_of(run, args.commit), run.cell.hyperparams, run.options
     success = load_curve(run.evaluations_file).success if run.evaluations_file.is_file() else ()

@@ -84,6 +84,9 @@ RESULTS = Layout(
         *("least", "greatest", "minutes"),
     ),
 )
+# What a figure of learning curves is drawn from, a row a run: evaluations are pairs step:success (return,
+# where the measure is that), episodes those of one evaluation.
+CURVES = Layout(("env", "baseline", "seed"), ("measure", "episodes", "evaluations", "state", "minutes"))
 
 
 @dataclass(frozen=True)

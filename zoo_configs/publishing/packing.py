@@ -24,9 +24,9 @@ from zoo_configs.measuring.machine import describe_arithmetic, versions
 from zoo_configs.measuring.provenance import commit
 from zoo_configs.publishing.card import FAILED, SUCCEEDED, Card
 from zoo_configs.publishing.compact import save_compact
-from zoo_configs.publishing.origin import day, origin_of
 from zoo_configs.publishing.published import Published
 from zoo_configs.publishing.readme import README_FILE, render_readme
+from zoo_configs.training.origin import day, origin_of
 from zoo_configs.training.runs import Run, env_folder_name
 
 WRAPPING = ("normalize", "frame_stack", "vec_env_wrapper", "env_wrapper")

@@ -9,9 +9,11 @@ from typing import Any, NamedTuple
 
 import yaml
 
-from zoo_configs.benchmarking.results import SECONDS_A_MINUTE, repeating_command
 from zoo_configs.errors import refused
+from zoo_configs.training.repeating import repeating_command
 from zoo_configs.training.runs import RUN_KEY, Run
+
+SECONDS_A_MINUTE = 60.0
 
 
 class Origin(NamedTuple):
