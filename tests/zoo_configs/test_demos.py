@@ -68,7 +68,7 @@ def test_what_cannot_be_is_refused(
 def train(folder: Path, data: object, *more: str) -> int:
     names = ["--baseline", "sacfd", "--preset", "cpu", "--env", PICKING, "--device", "cpu", "-f", str(folder)]
     tiny = ["-n", "4", "--eval-freq", "0", "--num-threads", "1", "--no-progress"]
-    params = ["-params", f"expert_data:{str(data)!r}", "batch_size:4", "buffer_size:100"]
+    params = ["-params", f"expert_data:{str(data)!r}", "pretrain_steps:2", "batch_size:4", "buffer_size:100"]
     return main(["train", *names, *tiny, *more, *params])
 
 
