@@ -1,7 +1,11 @@
 """Making bodies in Bullet from what they are specified to be."""
 
 import tempfile
+from functools import cache
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from bulletarm_gym.simulation.client import Client
 from bulletarm_gym.simulation.shapes import BodySpec, Box, flat_normals, wavefront
@@ -101,12 +105,17 @@ def _box_compound(client: Client, spec: BodySpec) -> int:
 
 def _visual_shape(client: Client, spec: BodySpec) -> int:
     mesh = spec.mesh
-    return int(
-        client.createVisualShape(
-            client.GEOM_MESH,
-            vertices=mesh.vertices[mesh.faces.ravel()].tolist(),
-            indices=list(range(mesh.faces.size)),
-            normals=flat_normals(mesh.vertices[mesh.faces]),
-            rgbaColor=spec.colour,
-        )
-    )
+    arrays = _mesh_arguments(mesh.vertices[mesh.faces].tobytes())
+    return int(client.createVisualShape(client.GEOM_MESH, rgbaColor=spec.colour, **arrays))
+
+
+@cache
+def _mesh_arguments(triangles: bytes) -> dict[str, list[Any]]:
+    """Return what PyBullet takes for float64 triangles (m), the same lists whenever it is asked for them.
+
+    PyBullet never lets go of the lists that it is given (``extractVertices`` and ``extractIndices`` of its
+    ``pybullet.c``): those of every body would stay in memory after their environment is closed.
+    """
+    corners = np.frombuffer(triangles).reshape(-1, 3)
+    normals = flat_normals(corners.reshape(-1, 3, 3))
+    return {"vertices": corners.tolist(), "indices": list(range(len(corners))), "normals": normals}

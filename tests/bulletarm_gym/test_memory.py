@@ -60,6 +60,16 @@ def test_thirty_environments_in_turn() -> None:
     assert servers() == before
 
 
+def test_what_is_closed_leaves_nothing_for_the_collector(paper_id: str) -> None:
+    make_env(paper_id).close()
+    gc.collect()
+    before = len(gc.get_objects())
+    for _ in range(3):
+        make_env(paper_id).close()
+    gc.collect()
+    assert len(gc.get_objects()) - before < 100
+
+
 def test_forgotten_environment_releases_its_server() -> None:
     gc.collect()
     before = servers()
