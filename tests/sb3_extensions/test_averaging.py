@@ -24,7 +24,9 @@ LEARNERS = [
         SACfD, "EquivariantPolicy", {**EQUIVARIANT, "share_features_extractor": True}, {}, id="shared"
     ),
     pytest.param(TQCfD, "EquivariantPolicy", EQUIVARIANT, {}, id="tqcfd"),
-    pytest.param(FERM, "MultiInputPolicy", CONTRASTIVE, {"augmentation": "drq"}, id="ferm"),
+    pytest.param(
+        FERM, "MultiInputPolicy", CONTRASTIVE, {"augmentation": "drq", "contrastive_steps": 2}, id="ferm"
+    ),
 ]
 
 
