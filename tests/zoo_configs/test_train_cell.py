@@ -207,7 +207,7 @@ def test_who_trains_a_run_keeps_others_out(tmp_path: Path) -> None:
         assert how is not None and how.state is State.RUNNING
         with pytest.raises(CommandError, match="is being trained by another process"), held(tmp_path):
             pass
-    assert standing(tmp_path)._replace(seconds=0, since=0).state is State.DONE  # type: ignore[union-attr]
+    assert standing(tmp_path).state is State.DONE  # type: ignore[union-attr]
 
 
 def test_what_is_done_stays_done(tmp_path: Path) -> None:
@@ -234,6 +234,22 @@ with held(Path({str(tmp_path)!r})):
     (tmp_path / "state.yml").write_text("state: dancing")
     with pytest.raises(CommandError, match="cannot be read"):
         standing(tmp_path)
+
+
+@pytest.mark.parametrize("killed", [True, False])
+def test_the_time_of_who_was_killed_counts_up_to_the_checkpoint(killed: bool, tmp_path: Path) -> None:
+    with held(tmp_path):
+        (checkpoint := tmp_path / "checkpoint").mkdir()
+    how = standing(tmp_path)
+    assert how is not None and how.until == how.since + how.seconds
+    if killed:
+        how = how._replace(state=State.RUNNING, until=0.0, seconds=5.0)
+        os.utime(checkpoint, (how.since + 100.0, how.since + 100.0))
+        (tmp_path / "state.yml").write_text(yaml.safe_dump({**how._asdict(), "state": how.state.value}))
+    with held(tmp_path, checkpoint):
+        again = standing(tmp_path)
+    assert again is not None
+    assert again.seconds == pytest.approx(105.0 if killed else how.seconds)
 
 
 def test_ctrl_c_counts_as_killed(cell: Cell, options: TrainingOptions, tmp_path: Path) -> None:

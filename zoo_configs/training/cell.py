@@ -183,7 +183,7 @@ def _train(
 ) -> Run:
     register_algorithms()
     logging = tracked(run) if run.options.track else nullcontext(run)
-    with held(run.folder) as done, _threads(run.options.num_threads), logging as logged:
+    with held(run.folder, checkpoint) as done, _threads(run.options.num_threads), logging as logged:
         if checkpoint is None:
             clear(run)
         set_random_seed(run.seed)

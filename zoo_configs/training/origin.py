@@ -52,7 +52,7 @@ def origin_of(run: Run, commit: str = "") -> Origin:
         minutes=None if how is None else round(how.seconds / SECONDS_A_MINUTE, 1),
         command=repeating_command(run),
         commit=commit or about.get("commit", ""),
-        date=day(time.time() if how is None else how.since + how.seconds),
+        date=day(time.time() if how is None else how.until or how.since + how.seconds),
         machine=about.get("machine", ""),
         versions=about.get("versions", {}),
     )

@@ -47,6 +47,7 @@ class Standing(NamedTuple):
     :param since: When that began, seconds since 1970
     :param seconds: How long it has been trained before, by all processes together
     :param error: Why it failed
+    :param until: When that ended, seconds since 1970; 0 while it goes on, and where the process was killed
     """
 
     state: State
@@ -55,6 +56,7 @@ class Standing(NamedTuple):
     since: float = 0.0
     seconds: float = 0.0
     error: str = ""
+    until: float = 0.0
 
 
 def standing(folder: Path) -> Standing | None:
@@ -137,12 +139,13 @@ def note(folder: Path, state: State, error: str = "") -> None:
 
 
 @contextmanager
-def held(folder: Path) -> Iterator[bool]:
+def held(folder: Path, checkpoint: Path | None = None) -> Iterator[bool]:
     """
     Train a run: nobody else may meanwhile, and the folder says how it stands, whatever happens. What ends by
     Ctrl-C counts as killed.
 
     :param folder: Run folder
+    :param checkpoint: What it goes on from, None if it begins
     :return: Context manager: whether the run was done before
     :raises CommandError: if another process is training it
     """
@@ -151,7 +154,7 @@ def held(folder: Path) -> Iterator[bool]:
             raise CommandError(f"{folder} is being trained by another process")
         before = _read(folder)
         begun = Standing(State.RUNNING, socket.gethostname(), os.getpid(), time.time())
-        begun = begun._replace(seconds=before.seconds if before else 0.0)
+        begun = begun._replace(seconds=_spent(before, checkpoint))
         _write(folder, begun)
         try:
             yield before is not None and before.state is State.DONE
@@ -166,8 +169,18 @@ def held(folder: Path) -> Iterator[bool]:
         _write(folder, _ended(begun, State.DONE))
 
 
+def _spent(before: Standing | None, checkpoint: Path | None) -> float:
+    """How long a run has been trained; who was killed could not say, and got as far as the checkpoint."""
+    if before is None:
+        return 0.0
+    if before.until or before.state is State.DONE or checkpoint is None:
+        return before.seconds
+    return before.seconds + max(0.0, checkpoint.stat().st_mtime - before.since)
+
+
 def _ended(begun: Standing, state: State, error: str = "") -> Standing:
-    return begun._replace(state=state, seconds=begun.seconds + time.time() - begun.since, error=error)
+    now = time.time()
+    return begun._replace(state=state, seconds=begun.seconds + now - begun.since, error=error, until=now)
 
 
 def _lock_soon(file: IO[str]) -> bool:
