@@ -113,8 +113,8 @@ def _visual_shape(client: Client, spec: BodySpec) -> int:
 def _mesh_arguments(triangles: bytes) -> dict[str, list[Any]]:
     """Return what PyBullet takes for float64 triangles (m), the same lists whenever it is asked for them.
 
-    PyBullet never lets go of the lists that it is given (``extractVertices`` and ``extractIndices`` of its
-    ``pybullet.c``): those of every body would stay in memory after their environment is closed.
+    PyBullet never lets go of the lists that it is given (their reference counts stay raised): those of every
+    body would stay in memory after their environment is closed.
     """
     corners = np.frombuffer(triangles).reshape(-1, 3)
     normals = flat_normals(corners.reshape(-1, 3, 3))
