@@ -21,7 +21,7 @@ $(VENV)/installed-%: pyproject.toml constraints.txt
 	@touch $@
 
 demo: venv
-	$(BIN)/bulletarm-zoo train $(DEMO) --seed 0 --progress
+	$(BIN)/bulletarm-zoo train $(DEMO) --seed 0 -n 250 --eval-freq 25 --progress
 	$(BIN)/bulletarm-zoo record $(DEMO) --load-last -n 4 -o $(DEMO_LOGS)/demo.gif
 	$(BIN)/bulletarm-zoo enjoy $(DEMO) --load-last -n 50
 
