@@ -24,10 +24,12 @@ from zoo_configs.benchmarking.cost import estimate
 from zoo_configs.benchmarking.overview import Overview, Status, make_table, shown
 from zoo_configs.benchmarking.sweep import Plan, build_sweep, read_plan
 from zoo_configs.cli import main
+from zoo_configs.measuring.data_files import SPEED, UPDATES, DataFile, Layout
 from zoo_configs.training.runs import find_runs
 from zoo_configs.training.state import State, held, note, standing
 
-EXAMPLES = Path(__file__).parents[2] / "examples" / "benchmarks"
+ROOT = Path(__file__).parents[2]
+EXAMPLES = ROOT / "examples" / "benchmarks"
 PICKING = "BulletArm/CloseLoopBlockPicking-v0"
 Bench = Callable[..., int]
 pytestmark = pytest.mark.usefixtures("toys")
@@ -78,12 +80,20 @@ def test_runs_that_begin_together_do_not_share_demonstrations() -> None:
     assert len(set(keys[:4])) == len(set(keys[4:])) == 4
 
 
+def measured(layout: Layout, name: str, column: str, **wanted: str) -> float:
+    """The figure of the one row of docs/data that fits."""
+    rows = DataFile(ROOT / "docs" / "data" / name, layout).read()
+    [row] = [row for row in rows if wanted.items() <= row.items()]
+    return float(row[column])
+
+
 def test_hours_and_gigabytes_follow_from_measurements_and_the_buffer() -> None:
     plan = Plan(["CloseLoopBlockPulling"], ["sacfd"], options={"eval_freq": 0})
     [member] = build_sweep("own", plan, num_threads=1).members[:1]
     cost = estimate(member.cell, member.options, "cpu")
-    # 10,000 updates of 32.4 ms, 25,000 time steps of 1.5 ms (docs/data)
-    assert cost.hours == pytest.approx((10_000 * 32.4 + 25_000 * 1.5) / 3.6e6, rel=1e-6)
+    update = measured(UPDATES, "updates.csv", "update_ms", baseline="sacfd", preset="cpu")
+    step = measured(SPEED, "speed.csv", "step_ms", env="CloseLoopBlockPulling")
+    assert cost.hours == pytest.approx((10_000 * update + 25_000 * step) / 3.6e6, rel=1e-6)
     assert 0.13 < cost.memory - 1.0 < 0.14  # 30,000 heightmaps of 64 x 64 bytes, nine more for every hundred
     assert estimate(member.cell, member.options, "cuda").hours is None
 
