@@ -118,7 +118,7 @@ def test_unseeded_instances_differ(typical_id: str) -> None:
 def test_interleaved_instances_do_not_disturb_each_other(make: Make, env_id: str) -> None:
     first, second = make(env_id), make(env_id, 1)
     other = make(PICKING, 2)
-    alone = transcript(first, 25, seed=6)
+    alone = transcript(first, 15, seed=6)
     second.reset(seed=50)
     other.reset(seed=51)
 
@@ -128,7 +128,7 @@ def test_interleaved_instances_do_not_disturb_each_other(make: Make, env_id: str
             if terminated or truncated:
                 neighbour.reset()
 
-    assert transcript(first, 25, seed=6, before_step=disturb) == alone
+    assert transcript(first, 15, seed=6, before_step=disturb) == alone
 
 
 @pytest.mark.parametrize("parameters", PARAMETERS[:2], ids=str)

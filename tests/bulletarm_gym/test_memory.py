@@ -29,10 +29,10 @@ def play(env: ManipulationEnv, episodes: int) -> None:
 
 
 def test_resets_do_not_grow(env: ManipulationEnv) -> None:
-    play(env, 20)
+    play(env, 15)
     before = used()
-    play(env, 60)
-    assert used() - before < 5 * MEGABYTE
+    play(env, 30)
+    assert used() - before < 2.5 * MEGABYTE
 
 
 def test_states_do_not_grow(picking: ManipulationEnv) -> None:
