@@ -545,8 +545,8 @@ def test_ids_are_registered_without_a_time_limit(env_id: str) -> None:
     assert json.loads(json.dumps(spec.kwargs)) == spec.kwargs
 
 
-def test_make_with_module_prefix_in_a_fresh_interpreter(typical_id: str) -> None:
-    code = f"import gymnasium; gymnasium.make('bulletarm_gym:{typical_id}').reset(seed=0); print('made')"
+def test_make_with_module_prefix_in_a_fresh_interpreter(paper_id: str) -> None:
+    code = f"import gymnasium; gymnasium.make('bulletarm_gym:{paper_id}').reset(seed=0); print('made')"
     child = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert "made" in child.stdout, child.stderr
 
