@@ -1,11 +1,9 @@
 """What an arm is, as data."""
 
 import math
-import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
@@ -107,15 +105,8 @@ class RobotModel:
         start[-1] -= pose.yaw - azimuth
         return self.chain.inverse(pose, start)
 
-    def write_urdf(self, folder: Path) -> Path:
-        """Write the model for the simulator to load."""
-        path = folder / f"{self.name}.urdf"
+    @cached_property
+    def xml(self) -> str:
+        """The model as the simulator loads it."""
         ElementTree.indent(self.urdf)  # Bullet breaks lines of more than 1,023 characters, wherever that is
-        ElementTree.ElementTree(self.urdf).write(path)
-        return path
-
-    def temporary_urdf(self) -> tempfile.TemporaryDirectory[str]:
-        """Return a folder that holds the model until it is left."""
-        folder = tempfile.TemporaryDirectory(prefix="bulletarm_")
-        self.write_urdf(Path(folder.name))
-        return folder
+        return ElementTree.tostring(self.urdf, encoding="unicode")

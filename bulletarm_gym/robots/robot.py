@@ -4,7 +4,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from pathlib import Path
 
 import numpy as np
 
@@ -87,9 +86,7 @@ class Robot:
         self.model = model
         self.fast = fast
         self._world = world
-        with model.temporary_urdf() as folder:
-            path = str(Path(folder) / f"{model.name}.urdf")
-            self.body = world.add_urdf(BodySpec(model.name, (), 0.0), path, model.base)
+        self.body = world.add_urdf(BodySpec(model.name, (), 0.0), model.xml, model.base)
         names = [world.client.getJointInfo(self.body.id, joint)[1].decode() for joint in self.body.joints]
         self._arm = JointGroup(self.body, tuple(names.index(name) for name in model.joints), model.force)
         fingers = tuple(names.index(name) for name in model.gripper.joints)

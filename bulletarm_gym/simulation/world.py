@@ -14,7 +14,7 @@ from typing import Any
 
 from bulletarm_gym.geometry import Pose, Vector
 from bulletarm_gym.simulation.client import Client
-from bulletarm_gym.simulation.loading import load_jointed, load_plane, load_rigid
+from bulletarm_gym.simulation.loading import load_jointed, load_plane, load_rigid, temporary_file
 from bulletarm_gym.simulation.physics import Physics, surface_speed
 from bulletarm_gym.simulation.shapes import ORIGIN, BodySpec
 
@@ -123,10 +123,14 @@ class World:
         self._ground = self._register(Body(len(self.bodies), body_id, spec), Pose((0.0, 0.0, 0.0)))
         return self._ground
 
-    def add_urdf(self, spec: BodySpec, path: str, pose: Pose) -> Body:
-        """Load a jointed body fixed to the world, its joints free of Bullet's default brakes."""
+    def add_urdf(self, spec: BodySpec, xml: str, pose: Pose) -> Body:
+        """Load a jointed body fixed to the world, its joints free of Bullet's default brakes.
+
+        :param xml: the body as URDF
+        """
         self._check_open()
-        body_id = self.client.loadURDF(path, pose.position, pose.orientation, useFixedBase=True)
+        with temporary_file(xml, ".urdf") as path:
+            body_id = self.client.loadURDF(path, pose.position, pose.orientation, useFixedBase=True)
         count = self.client.getNumJoints(body_id)
         fixed = self.client.JOINT_FIXED
         joints = tuple(j for j in range(count) if self.client.getJointInfo(body_id, j)[2] != fixed)
