@@ -91,10 +91,17 @@ def test_hours_and_gigabytes_follow_from_measurements_and_the_buffer() -> None:
     plan = Plan(["CloseLoopBlockPulling"], ["sacfd"], options={"eval_freq": 0})
     [member] = build_sweep("own", plan, num_threads=1).members[:1]
     cost = estimate(member.cell, member.options, "cpu")
-    update = measured(UPDATES, "updates.csv", "update_ms", baseline="sacfd", preset="cpu")
+    update = measured(UPDATES, "updates.csv", "update_ms", baseline="sacfd", preset="cpu", device="cpu")
     step = measured(SPEED, "speed.csv", "step_ms", env="CloseLoopBlockPulling")
     assert cost.hours == pytest.approx((10_000 * update + 25_000 * step) / 3.6e6, rel=1e-6)
     assert 0.13 < cost.memory - 1.0 < 0.14  # 30,000 heightmaps of 64 x 64 bytes, nine more for every hundred
+    assert cost.hours > estimate(member.cell, member.options, "cuda").hours > 0.0
+
+
+def test_hours_of_what_was_never_measured_are_not_guessed() -> None:
+    plan = Plan(["OpenLoopBlockStacking"], ["sdqfd_cnn_asr"], options={"eval_freq": 0})
+    [member] = build_sweep("own", plan, num_threads=1).members[:1]
+    assert estimate(member.cell, member.options, "cpu").hours > 0.0
     assert estimate(member.cell, member.options, "cuda").hours is None
 
 

@@ -8,6 +8,7 @@ import subprocess
 from pathlib import Path
 
 import pytest
+import torch
 
 from bulletarm_gym.machine import describe_processor
 from zoo_configs.cli import main
@@ -50,6 +51,14 @@ def test_a_foreign_file_is_refused_and_left_alone(content: str, tmp_path: Path) 
 def test_numbers_have_no_idle_digits() -> None:
     assert [number(value, 3) for value in (1.0, 0.5, 0.0, 0.1236, 100.0)] == ["1", "0.5", "0", "0.124", "100"]
     assert number(100.0, 0) == "100" and number(float("nan"), 2) == ""
+
+
+def test_a_gpu_is_named_with_what_it_computes(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
+    monkeypatch.setattr(torch.cuda, "get_device_name", lambda device: f"GPU {device.index or 0}")
+    processor = describe_processor()
+    machines = [provenance.provenance([], device)["machine"] for device in ("cpu", "cuda", "cuda:1")]
+    assert machines == [processor, f"{processor}, GPU 0", f"{processor}, GPU 1"]
 
 
 def test_check_keeps_what_the_expert_did(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

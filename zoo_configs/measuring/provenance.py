@@ -11,7 +11,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from bulletarm_gym.machine import describe_processor
+from zoo_configs.measuring.machine import describe_hardware
 
 PROVENANCE = ("machine", "date", "commit", "command")
 DISTRIBUTION = "bulletarm-gym"
@@ -20,15 +20,17 @@ HERE = Path(__file__).resolve()
 GIT_SECONDS = 10.0
 
 
-def provenance(command: Sequence[str]) -> dict[str, str]:
+def provenance(command: Sequence[str], device: str = "cpu") -> dict[str, str]:
     """
     Tell where a measurement comes from that is made now.
 
     :param command: Words of the command that repeats it
+    :param device: PyTorch device that it is made on
     :return: A value for each of ``PROVENANCE``
     """
     today = datetime.date.today().isoformat()
-    return dict(zip(PROVENANCE, (describe_processor(), today, commit(), command_line(command)), strict=True))
+    values = (describe_hardware(device), today, commit(), command_line(command))
+    return dict(zip(PROVENANCE, values, strict=True))
 
 
 @functools.cache

@@ -81,7 +81,7 @@ def update_record(
         **shares,
         "equivariant_over_plain": number(ratio, 2),
         "load": number(speed.load, LOAD_DIGITS),
-        **provenance(command),
+        **provenance(command, speed.device),
     }
 
 

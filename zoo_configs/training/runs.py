@@ -12,11 +12,10 @@ from typing import Any
 import yaml
 from rl_zoo3.utils import get_latest_run_id, get_saved_hyperparams
 
-from bulletarm_gym.machine import describe_processor
 from zoo_configs.cells.cell import Cell
 from zoo_configs.errors import CommandError, reason, refused
 from zoo_configs.files import remove_empty, whole_file
-from zoo_configs.measuring.machine import versions
+from zoo_configs.measuring.machine import describe_hardware, versions
 from zoo_configs.measuring.provenance import commit
 from zoo_configs.training.options import TrainingOptions
 from zoo_configs.training.state import Standing, standing
@@ -171,7 +170,7 @@ def write_resolved(run: Run) -> Path:
         "gym_packages": list(run.gym_packages),
         "commit": commit(),
         "versions": versions(),
-        "machine": describe_processor(),
+        "machine": describe_hardware(run.device),
     }
     path = run.resolved_file
     with whole_file(path) as partial, partial.open("w", encoding="utf-8") as file:
