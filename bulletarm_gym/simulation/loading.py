@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from bulletarm_gym.geometry import Pose
 from bulletarm_gym.simulation.client import Client
 from bulletarm_gym.simulation.shapes import BodySpec, Box, flat_normals, wavefront
 from bulletarm_gym.simulation.urdf import write_urdf
@@ -54,8 +55,22 @@ def load_jointed(client: Client, spec: BodySpec, damping: float) -> int:
     return int(body_id)
 
 
+def load_urdf(client: Client, xml: str, pose: Pose) -> int:
+    """Load a body that is fixed to the world from its URDF."""
+    with _temporary_file(xml, ".urdf") as path:
+        return int(client.loadURDF(path, pose.position, pose.orientation, useFixedBase=True))
+
+
+def load_plane(client: Client, spec: BodySpec) -> int:
+    """Load the endless plane z = 0; ``spec`` gives its friction and picture."""
+    shape = client.createCollisionShape(client.GEOM_PLANE)
+    body_id = client.createMultiBody(0, shape, _visual_shape(client, spec))
+    client.changeDynamics(body_id, -1, lateralFriction=spec.friction)
+    return int(body_id)
+
+
 @contextmanager
-def temporary_file(text: str, suffix: str) -> Iterator[str]:
+def _temporary_file(text: str, suffix: str) -> Iterator[str]:
     """Hold a text in a file, as Bullet reads meshes and models. (Removing a folder, too, takes milliseconds.)
 
     :param suffix: of the file's name, which Bullet tells the format by
@@ -65,14 +80,6 @@ def temporary_file(text: str, suffix: str) -> Iterator[str]:
         file.write(text)
         file.flush()
         yield file.name
-
-
-def load_plane(client: Client, spec: BodySpec) -> int:
-    """Load the endless plane z = 0; ``spec`` gives its friction and picture."""
-    shape = client.createCollisionShape(client.GEOM_PLANE)
-    body_id = client.createMultiBody(0, shape, _visual_shape(client, spec))
-    client.changeDynamics(body_id, -1, lateralFriction=spec.friction)
-    return int(body_id)
 
 
 def _set_surface(client: Client, body_id: int, spec: BodySpec, damping: float) -> None:
@@ -100,7 +107,7 @@ def _collision_shape(client: Client, spec: BodySpec) -> int:
         )
     if all(isinstance(piece.shape, Box) for piece in spec.pieces):
         return int(_box_compound(client, spec))
-    with temporary_file(wavefront(spec.pieces), ".obj") as path:
+    with _temporary_file(wavefront(spec.pieces), ".obj") as path:
         return int(client.createCollisionShape(client.GEOM_MESH, fileName=path))
 
 

@@ -14,7 +14,7 @@ from typing import Any
 
 from bulletarm_gym.geometry import Pose, Vector
 from bulletarm_gym.simulation.client import Client
-from bulletarm_gym.simulation.loading import load_jointed, load_plane, load_rigid, temporary_file
+from bulletarm_gym.simulation.loading import load_jointed, load_plane, load_rigid, load_urdf
 from bulletarm_gym.simulation.physics import Physics, surface_speed
 from bulletarm_gym.simulation.shapes import ORIGIN, BodySpec
 
@@ -124,13 +124,9 @@ class World:
         return self._ground
 
     def add_urdf(self, spec: BodySpec, xml: str, pose: Pose) -> Body:
-        """Load a jointed body fixed to the world, its joints free of Bullet's default brakes.
-
-        :param xml: the body as URDF
-        """
+        """Load a jointed body from its URDF, fixed to the world, its joints free of Bullet's own brakes."""
         self._check_open()
-        with temporary_file(xml, ".urdf") as path:
-            body_id = self.client.loadURDF(path, pose.position, pose.orientation, useFixedBase=True)
+        body_id = load_urdf(self.client, xml, pose)
         count = self.client.getNumJoints(body_id)
         fixed = self.client.JOINT_FIXED
         joints = tuple(j for j in range(count) if self.client.getJointInfo(body_id, j)[2] != fixed)

@@ -218,6 +218,7 @@ def _pass(module: nn.Module, features: th.Tensor, autocast: str | None) -> Calla
     module, features = module.to(device), features.float().requires_grad_()
 
     def run() -> None:
+        """Pass once; a GPU is waited for."""
         with precision(autocast, device.type):
             outputs = module(features)
         outputs.float().sum().backward()
