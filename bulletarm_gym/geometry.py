@@ -8,6 +8,7 @@ arithmetic.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
@@ -259,7 +260,7 @@ class Mesh:
         points = [pose.transform((v[0], v[1], v[2])) for v in self.vertices.tolist()]
         return Mesh.of(points, self.faces)
 
-    @property
+    @cached_property
     def bounds(self) -> FloatArray:
         """Lowest and highest corner, (2, 3) metres."""
         return np.stack([self.vertices.min(axis=0), self.vertices.max(axis=0)])

@@ -29,3 +29,7 @@ class FlatSurface(Surface):
     def normal(self, xy: Point) -> Vector:
         """Return the vertical everywhere."""
         return (0.0, 0.0, 1.0)
+
+    def pose(self, xy: Point, yaw: float) -> Pose:
+        """Return the level frame of something that lies there."""
+        return Pose.planar(*xy, self.level, yaw)

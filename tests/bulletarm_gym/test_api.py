@@ -545,10 +545,12 @@ def test_ids_are_registered_without_a_time_limit(env_id: str) -> None:
     assert json.loads(json.dumps(spec.kwargs)) == spec.kwargs
 
 
-def test_make_with_module_prefix_in_a_fresh_interpreter(paper_id: str) -> None:
-    code = f"import gymnasium; gymnasium.make('bulletarm_gym:{paper_id}').reset(seed=0); print('made')"
-    child = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-    assert "made" in child.stdout, child.stderr
+def test_make_with_module_prefix_in_a_fresh_interpreter() -> None:
+    make = "gymnasium.make(f'bulletarm_gym:{name}').close(); print(name)"
+    code = f"import gymnasium, sys\nfor name in sys.argv[1:]: {make}"
+    command = [sys.executable, "-c", code, *bulletarm_gym.ENV_IDS]
+    child = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert child.stdout.split() == list(bulletarm_gym.ENV_IDS), child.stderr
 
 
 def test_spec_round_trip(typical_id: str) -> None:

@@ -1,5 +1,7 @@
 """The same seed gives the same episode, bit for bit, wherever and after whatever it is run."""
 
+import functools
+import json
 from collections.abc import Callable
 
 import gymnasium
@@ -11,6 +13,7 @@ import bulletarm_gym
 from bulletarm_gym.env import ManipulationEnv
 
 Make = Callable[..., ManipulationEnv]
+Expected = Callable[..., list[str]]
 
 PICKING = "BulletArm/CloseLoopBlockPicking-v0"
 KEEPS_ITS_SCENE = "ObjectGrasping"
@@ -31,31 +34,47 @@ def name_of(case: tuple[str, dict]) -> str:
     return f"{case[0].split('/')[1]}-{case[1]}"
 
 
+@pytest.fixture(scope="session")
+def expected(make: Make) -> Expected:
+    """Make the rollouts of seed 0, each once, that several tests compare others with."""
+
+    @functools.cache
+    def rollout(case: str) -> list[str]:
+        env_id, parameters = json.loads(case)
+        return transcript(make(env_id, **parameters), seed=0)
+
+    return lambda env_id, **parameters: rollout(json.dumps([env_id, parameters]))
+
+
+def begins(whole: list[str], part: list[str]) -> None:
+    """Assert that a rollout is how a longer one begins."""
+    assert len(part) > 1 and part == whole[: len(part)]
+
+
 def first_heightmap(env: ManipulationEnv, seed: int | None = None) -> np.ndarray:
     return env.reset(seed=seed)[0]["heightmap"]
 
 
 @pytest.mark.parametrize("case", CASES, ids=name_of)
-def test_two_instances_agree(make: Make, case: tuple[str, dict]) -> None:
+def test_two_instances_agree(make: Make, expected: Expected, case: tuple[str, dict]) -> None:
     env_id, parameters = case
-    first, second = (make(env_id, instance, **parameters) for instance in range(2))
-    assert transcript(first, seed=11) == transcript(second, seed=11)
+    assert transcript(make(env_id, 1, **parameters), seed=0) == expected(env_id, **parameters)
 
 
 def test_rollouts_grasp_and_succeed(picking: ManipulationEnv) -> None:
     """The rollouts compared here are worth it: the mixture of actions brings grasps and successes about."""
     seen = []
-    transcript(picking, seed=11, before_step=lambda env: seen.append(env.scene.held is not None))
+    transcript(picking, seed=0, before_step=lambda env: seen.append(env.scene.held is not None))
     assert any(seen) and not all(seen)
     successes = []
-    transcript(picking, seed=11, before_step=lambda env: successes.append(env.get_state().steps == 0))
+    transcript(picking, seed=0, before_step=lambda env: successes.append(env.get_state().steps == 0))
     assert sum(successes) >= 2, "no second episode began"
 
 
-def test_same_instance_after_other_episodes(env: ManipulationEnv) -> None:
-    before = transcript(env, seed=3)
+def test_same_instance_after_other_episodes(env: ManipulationEnv, expected: Expected) -> None:
+    before = expected(env.spec.id)
     transcript(env, 30, seed=99, action_seed=5)
-    assert transcript(env, seed=3) == before
+    assert transcript(env, seed=0) == before
 
 
 def test_unseeded_resets_follow_from_the_seed(make: Make, env_id: str) -> None:
@@ -80,19 +99,18 @@ def test_steps_do_not_move_the_resets_that_follow(env: ManipulationEnv) -> None:
     assert digest(*env.reset(options=options)) == without
 
 
-def test_another_process_agrees(make: Make, in_another_process: Callable) -> None:
+def test_another_process_agrees(expected: Expected, in_another_process: Callable) -> None:
     requests = {name_of(case): (*case, None) for case in CASES}
     answers = in_another_process(requests)
     for name, (env_id, parameters, _) in requests.items():
-        assert answers[name] == transcript(make(env_id, **parameters), seed=0), name
+        assert answers[name] == expected(env_id, **parameters), name
 
 
-def test_global_randomness_is_neither_read_nor_moved(env: ManipulationEnv) -> None:
-    np.random.seed(1)
-    expected = transcript(env, 20, seed=4)
+def test_global_randomness_is_neither_read_nor_moved(env: ManipulationEnv, expected: Expected) -> None:
+    elsewhere = expected(env.spec.id)
     np.random.seed(2)
     before = np.random.get_state()
-    assert transcript(env, 20, seed=4) == expected
+    begins(elsewhere, transcript(env, 20, seed=0))
     after = np.random.get_state()
     assert all(np.array_equal(one, other) for one, other in zip(before, after, strict=True))
 
@@ -115,10 +133,10 @@ def test_unseeded_instances_differ(typical_id: str) -> None:
     second.close()
 
 
-def test_interleaved_instances_do_not_disturb_each_other(make: Make, env_id: str) -> None:
+def test_interleaved_instances_do_not_disturb_each_other(make: Make, expected: Expected, env_id: str) -> None:
     first, second = make(env_id), make(env_id, 1)
     other = make(PICKING, 2)
-    alone = transcript(first, 15, seed=6)
+    alone = expected(env_id)
     second.reset(seed=50)
     other.reset(seed=51)
 
@@ -128,7 +146,7 @@ def test_interleaved_instances_do_not_disturb_each_other(make: Make, env_id: str
             if terminated or truncated:
                 neighbour.reset()
 
-    assert transcript(first, 15, seed=6, before_step=disturb) == alone
+    begins(alone, transcript(first, 15, seed=0, before_step=disturb))
 
 
 @pytest.mark.parametrize("parameters", PARAMETERS[:2], ids=str)
