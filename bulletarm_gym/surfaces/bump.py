@@ -11,7 +11,7 @@ from bulletarm_gym.geometry import FloatArray, Pose, Vector, matrix
 from bulletarm_gym.objects.solids import loft
 from bulletarm_gym.simulation import BodySpec, Box, Piece, World
 from bulletarm_gym.surfaces.flat import FLOOR
-from bulletarm_gym.surfaces.surface import ATTEMPTS, COVERED_SHARE, SITE, Point, Surface
+from bulletarm_gym.surfaces.surface import ATTEMPTS, COVERED_SHARE, SITE, UP, Point, Surface
 
 SLOPE = math.pi / 12.0
 """Greatest slope (rad) of a pyramid's sides (paper, Open-Loop 6DoF Environments)."""
@@ -143,7 +143,7 @@ class BumpSurface(Surface):
         bumps = self._bumps(np.abs(local).max(axis=1)[:, None])[:, 0]
         number = int(bumps.argmax())
         if bumps[number] == 0.0 or self._on_platform([xy])[0] >= 0.0:
-            return (0.0, 0.0, 1.0)
+            return UP
         axis = int(np.abs(local[number]).argmax())
         gradient = np.zeros(2)
         gradient[axis] = math.copysign(float(self._slopes[self._standing[number]]), local[number, axis])

@@ -5,7 +5,7 @@ from numpy.typing import ArrayLike
 
 from bulletarm_gym.geometry import FloatArray, Pose, Vector
 from bulletarm_gym.simulation import BodySpec, Box, Piece, World
-from bulletarm_gym.surfaces.surface import Point, Surface
+from bulletarm_gym.surfaces.surface import UP, Point, Surface
 
 FLOOR = BodySpec(
     "floor",
@@ -28,8 +28,4 @@ class FlatSurface(Surface):
 
     def normal(self, xy: Point) -> Vector:
         """Return the vertical everywhere."""
-        return (0.0, 0.0, 1.0)
-
-    def pose(self, xy: Point, yaw: float) -> Pose:
-        """Return the level frame of something that lies there."""
-        return Pose.planar(*xy, self.level, yaw)
+        return UP

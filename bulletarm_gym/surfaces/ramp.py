@@ -13,7 +13,7 @@ from bulletarm_gym.geometry import FloatArray, Pose, Vector, matrix
 from bulletarm_gym.objects.solids import block
 from bulletarm_gym.simulation import BodySpec, World
 from bulletarm_gym.surfaces.flat import FLOOR
-from bulletarm_gym.surfaces.surface import ATTEMPTS, COVERED_SHARE, Point, Surface
+from bulletarm_gym.surfaces.surface import ATTEMPTS, COVERED_SHARE, UP, Point, Surface
 
 STRIP_WIDTHS = (0.04, 0.2)
 """Between the ramps (m; paper, Open-Loop 6DoF Environments)."""
@@ -156,7 +156,7 @@ class RampSurface(Surface):
     def normal(self, xy: Point) -> Vector:
         """Return the normal of the plate there, or the vertical between the plates."""
         under = (ramp.normal for ramp in self.ramps if ramp.distances([xy])[0] >= 0.0)
-        return next(under, (0.0, 0.0, 1.0))
+        return next(under, UP)
 
     def fits(self, footprint: Footprint, margin: float = 0.0) -> bool:
         """Whether a footprint is inside the workspace and crosses no edge."""

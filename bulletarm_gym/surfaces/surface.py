@@ -20,6 +20,8 @@ COVERED_SHARE = 0.5
 """Share of the margin to the workspace's border that an item itself covers: tasks keep 1.2 sides of a cube,
 whose half diagonal is 0.71 sides. On a tray's floor it needs little more than half of that: corners may reach
 over the strip that rises to the walls."""
+UP: Vector = (0.0, 0.0, 1.0)
+"""Normal of level ground."""
 ATTEMPTS = 200
 """Places tried before the ground counts as too small."""
 
@@ -82,7 +84,10 @@ class Surface(ABC):
     def pose(self, xy: Point, yaw: float) -> Pose:
         """Return the frame of something that lies on the ground at a point, turned by ``yaw`` (rad)."""
         upright = Pose.planar(*xy, self.height(xy), yaw)
-        return Pose(upright.position, _tilted(self.normal(xy), upright).orientation)
+        normal = self.normal(xy)
+        return (
+            upright if tuple(normal) == UP else Pose(upright.position, _tilted(normal, upright).orientation)
+        )
 
     def lay(self, body: BodySpec, xy: Point, yaw: float) -> Pose:
         """Return the pose of a body that is put on the ground at a point, turned by ``yaw`` (rad)."""
