@@ -9,7 +9,7 @@ DEMO_LOGS ?= logs/demo
 DEMO = --baseline equi_sacfd --env BulletArm/CloseLoopBlockPicking-v0 --preset quick -f $(DEMO_LOGS)
 PYTEST_FLAGS ?=
 
-.PHONY: venv demo tables pictures test lint format type docs clean
+.PHONY: venv demo tables pictures test lint format type selfcheck docs clean
 .DEFAULT_GOAL := venv
 
 venv: $(VENV)/installed-dev
@@ -30,8 +30,10 @@ tables: venv
 	$(BIN)/bulletarm-zoo report --docs docs README.md CONTRIBUTING.md
 	cp docs/data/speed.csv docs/data/updates.csv zoo_configs/data/
 
-# The last line printed is pytest's own summary.
-test: lint type
+# The self-check compiles the numeric code once, beside the type checker; both of pytest's workers would. The last
+# line printed is pytest's own summary.
+test: venv
+	@$(MAKE) --no-print-directory -j 2 lint type selfcheck
 	$(BIN)/python -m pytest -n 2 --dist worksteal -q $(PYTEST_FLAGS)
 
 lint: venv
@@ -44,6 +46,9 @@ format: venv
 
 type: venv
 	$(BIN)/mypy
+
+selfcheck: venv
+	$(BIN)/python -m bulletarm_gym.selfcheck --seconds 0.1
 
 docs: $(VENV)/installed-docs
 	$(BIN)/mkdocs build --strict

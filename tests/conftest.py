@@ -9,12 +9,20 @@ for _variable in ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", 
     os.environ[_variable] = "1"  # PyTorch, too, takes its thread count from OMP_NUM_THREADS
 os.environ["MPLBACKEND"] = "Agg"
 
+import gc  # noqa: E402
 from collections.abc import Iterator  # noqa: E402
 
 import gymnasium  # noqa: E402
 import pytest  # noqa: E402
 
 from bulletarm_gym.inheritance import VARIABLE  # noqa: E402
+
+
+@pytest.fixture(scope="session", autouse=True)
+def quick_collections() -> None:
+    """Leave what was imported to collect tests out of the garbage collector's rounds, half a second each."""
+    gc.collect()
+    gc.freeze()
 
 
 @pytest.fixture(autouse=True)

@@ -73,7 +73,7 @@ def test_rollouts_grasp_and_succeed(picking: ManipulationEnv) -> None:
 
 def test_same_instance_after_other_episodes(env: ManipulationEnv, expected: Expected) -> None:
     before = expected(env.spec.id)
-    transcript(env, 30, seed=99, action_seed=5)
+    transcript(env, 12, seed=99, action_seed=5)
     assert transcript(env, seed=0) == before
 
 
@@ -162,7 +162,7 @@ def test_looking_changes_nothing(make: Make, typical_id: str, parameters: dict) 
         if rng.random() < 0.2:
             env.render()
 
-    assert transcript(watched, 30, seed=2, before_step=look) == transcript(plain, 30, seed=2)
+    assert transcript(watched, 12, seed=2, before_step=look) == transcript(plain, 12, seed=2)
 
 
 def test_render_mode_changes_nothing(make: Make, typical_id: str) -> None:

@@ -155,7 +155,7 @@ def test_environment_can_be_pickled(typical_id: str, moment: int | None) -> None
         with pytest.raises(gymnasium.error.ResetNeeded):
             copy.expert_action()
     seed = 5 if moment is None else None
-    assert transcript(copy, 30, seed=seed) == transcript(env, 30, seed=seed)
+    assert transcript(copy, 15, seed=seed) == transcript(env, 15, seed=seed)
     env.close()
     copy.close()
 

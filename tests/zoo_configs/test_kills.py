@@ -143,12 +143,12 @@ def counted(folder: Path) -> list[tuple[Any, Any, str]]:
     return sorted(kept, key=str)
 
 
-@pytest.mark.parametrize("moment", MOMENTS.integers(1, TRAINING_EVENTS, 3).tolist())
+@pytest.mark.parametrize("moment", MOMENTS.integers(1, TRAINING_EVENTS, 2).tolist())
 def test_a_killed_training_loses_nothing(moment: int, toy_id: str, tmp_path: Path) -> None:
     check_killed_training(toy_id, tmp_path, moment)
 
 
-@pytest.mark.parametrize("moment", MOMENTS.integers(1, STUDY_EVENTS, 2).tolist())
+@pytest.mark.parametrize("moment", MOMENTS.integers(1, STUDY_EVENTS, 1).tolist())
 def test_a_killed_study_loses_nothing(moment: int, toy_id: str, tmp_path: Path) -> None:
     check_killed_study(toy_id, tmp_path, moment)
 
