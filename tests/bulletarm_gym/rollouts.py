@@ -88,7 +88,7 @@ def transcript(
     :return: one digest a step (and a reset) of the action and of all that came back
     """
     rng = np.random.default_rng(action_seed)
-    steps = steps or (20 if is_open_loop(env.spec.id) else 50)
+    steps = steps or (12 if is_open_loop(env.spec.id) else 50)
     lines = [] if seed is None else [digest(*env.reset(seed=seed))]
     for _ in range(steps):
         before_step(env)

@@ -83,7 +83,7 @@ def test_unseeded_resets_follow_from_the_seed(make: Make, env_id: str) -> None:
 
     first, second = make(env_id), make(env_id, 1)
     expected = sequence(first)
-    transcript(second, 20, seed=8)
+    transcript(second, 8, seed=8)
     assert sequence(second) == expected
     if KEEPS_ITS_SCENE not in env_id:
         assert len(set(expected)) == len(expected)
@@ -110,7 +110,7 @@ def test_global_randomness_is_neither_read_nor_moved(env: ManipulationEnv, expec
     elsewhere = expected(env.spec.id)
     np.random.seed(2)
     before = np.random.get_state()
-    begins(elsewhere, transcript(env, 20, seed=0))
+    begins(elsewhere, transcript(env, 12, seed=0))
     after = np.random.get_state()
     assert all(np.array_equal(one, other) for one, other in zip(before, after, strict=True))
 
@@ -146,7 +146,7 @@ def test_interleaved_instances_do_not_disturb_each_other(make: Make, expected: E
             if terminated or truncated:
                 neighbour.reset()
 
-    begins(alone, transcript(first, 15, seed=0, before_step=disturb))
+    begins(alone, transcript(first, 12, seed=0, before_step=disturb))
 
 
 @pytest.mark.parametrize("parameters", PARAMETERS[:2], ids=str)

@@ -125,10 +125,10 @@ def test_state_is_independent_of_the_environment(env: ManipulationEnv) -> None:
 
 def test_set_state_on_a_fresh_instance(env_id: str, make: Make) -> None:
     state = advance(make(env_id), SEED, 2)
-    expected = transcript(make(env_id), 20)
+    expected = transcript(make(env_id), 12)
     fresh = make_env(env_id)
     fresh.set_state(state)
-    assert transcript(fresh, 20) == expected
+    assert transcript(fresh, 12) == expected
     fresh.close()
 
 
