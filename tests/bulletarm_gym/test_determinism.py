@@ -108,7 +108,7 @@ def test_another_process_agrees(expected: Expected, in_another_process: Callable
 
 def test_global_randomness_is_neither_read_nor_moved(env: ManipulationEnv, expected: Expected) -> None:
     elsewhere = expected(env.spec.id)
-    np.random.seed(2)
+    np.random.seed(1 + bulletarm_gym.ENV_IDS.index(env.spec.id))  # a state that no other test leaves
     before = np.random.get_state()
     begins(elsewhere, transcript(env, 12, seed=0))
     after = np.random.get_state()

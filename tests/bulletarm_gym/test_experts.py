@@ -13,8 +13,6 @@ Make = Callable[..., ManipulationEnv]
 
 PICKING = "BulletArm/CloseLoopBlockPicking-v0"
 SEEDS = range(5)
-BOXES = 6
-"""A layer of boxes, where all three would take twice the time of a test that is repeated."""
 LENGTHS = {"CloseLoopBlockReaching": 3.0, "CloseLoopBlockPicking": 7.0, "CloseLoopBlockPulling": 7.0}
 """Mean number of an expert's steps, for tasks whose plan leaves little to chance."""
 
@@ -71,8 +69,7 @@ def test_expert_solves_every_seed(env: ManipulationEnv) -> None:
     ids=str,
 )
 def test_expert_solves_under_other_parameters(make: Make, paper_id: str, parameters: dict[str, Any]) -> None:
-    fewer = {"num_objects": BOXES} if "Palletizing" in paper_id else {}
-    env = make(paper_id, **parameters, **fewer)
+    env = make(paper_id, **parameters)
     solve_seeds(env, 1)
 
 

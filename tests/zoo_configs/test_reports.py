@@ -90,6 +90,7 @@ def test_speed_splits_an_update(tmp_path: Path, capsys: pytest.CaptureFixture[st
         "speed",
         "--baseline",
         "equi_sacfd",
+        "sacfd",
         "sacfd_state",
         "--env",
         REACHING,
@@ -104,15 +105,15 @@ def test_speed_splits_an_update(tmp_path: Path, capsys: pytest.CaptureFixture[st
         line for line in capsys.readouterr().out.splitlines() if "|" in line or "load" in line
     ]
     assert REACHING in machine
-    equivariant, state = (dict(zip(_cells(head), _cells(row), strict=True)) for row in rows)
+    equivariant, plain, state = (dict(zip(_cells(head), _cells(row), strict=True)) for row in rows)
     assert float(equivariant["ms/update"]) > 0
     assert float(equivariant["equivariant/plain"]) > 0
-    assert state["equivariant/plain"] == ""
+    assert plain["equivariant/plain"] == state["equivariant/plain"] == ""
     shares = [float(value.rstrip("%")) for value in equivariant.values() if value.endswith("%")]
     assert sum(shares) == pytest.approx(100, abs=3)
     assert len(shares) == 4 and min(shares) >= 0  # each part is named
-    first, second = data.read()
-    assert [row["network"] for row in (first, second)] == ["equivariant", "state"]
+    first, second, third = data.read()
+    assert [row["network"] for row in (first, second, third)] == ["equivariant", "cnn", "state"]
     assert first["update_ms"] == number(float(equivariant["ms/update"]), 1)
     kept = [first[part] for part in ("gradients_of_convolutions", "convolutions", "pooling", "rest")]
     assert [float(share) * 100 for share in kept] == pytest.approx(shares, abs=0.6)
@@ -283,7 +284,7 @@ def test_seed_streams_are_apart() -> None:
 def test_speed_tells_what_train_adds(
     toy_id: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(overhead, "measure_overhead", partial(overhead.measure_overhead, pairs=1))
+    monkeypatch.setattr(overhead, "measure_overhead", partial(overhead.measure_overhead, pairs=2))
     data = DataFile(tmp_path / "overhead.csv", OVERHEAD)
     # The paper's preset has no updates before the first step.
     command = ["speed", "--baseline", "sacfd", "--env", toy_id, "--preset", "paper", "--device", "cpu"]
