@@ -9,10 +9,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from bulletarm_gym.config import CLOSE_LOOP, EnvConfig
 from bulletarm_gym.control.control import POINTS, Control, Outcome, over
-from bulletarm_gym.experts.approach import route
+from bulletarm_gym.experts.approach import avoid_limits, route
 from bulletarm_gym.experts.waypoints import OPEN, Waypoint
 from bulletarm_gym.geometry import Pose, Rectangle, Vector, wrap_angle
-from bulletarm_gym.robots import OutOfReachError
 from bulletarm_gym.scene import Scene
 from bulletarm_gym.sensors import Frame, View
 from bulletarm_gym.tasks import Task
@@ -29,6 +28,8 @@ START_HEIGHT = 0.2
 """Height (m) of the fingertips over the workspace's centre at reset."""
 FINGER_SQUARE = 0.021
 """Side (m) of the squares that stand for the fingers: 6 of 128 pixels over 0.45 m."""
+YAW_OFFSETS = tuple(sign * step * MAX_ROTATION / 16.0 for step in range(33) for sign in (1.0, -1.0))
+"""Offsets (rad) from the commanded yaw, nearest first, that are tried to stay inside the joint limits."""
 ARRIVED = 0.999
 """Share of the way to a waypoint that counts as all of it."""
 
@@ -89,11 +90,14 @@ class CloseLoop(Control[DeltaMove]):
     def apply(self, scene: Scene, move: DeltaMove) -> Outcome:
         """Carry out a move: the arm first, then the gripper.
 
-        It is ignored if it is out of reach: in a workspace that was checked hardly ever.
+        At a joint limit the gripper takes the nearest yaw inside the limits. A move whose position is out of
+        reach is ignored.
         """
         hand = scene.robot.pose
         x, y, z = self.within(map(sum, zip(hand.position, move.translation, strict=True)))
-        return self.go(scene, Pose.planar(x, y, z, hand.yaw + move.rotation), move.opening)
+        poses = (Pose.planar(x, y, z, hand.yaw + move.rotation + offset) for offset in YAW_OFFSETS)
+        pose = next(filter(scene.robot.follows, poses), None)
+        return Outcome(ignored=True) if pose is None else self.go(scene, pose, move.opening)
 
     def within(self, position: Iterable[float]) -> Vector:
         """Return the point (m) of the workspace that is nearest to a position."""
@@ -106,10 +110,9 @@ class CloseLoop(Control[DeltaMove]):
 
         It is ignored, and nothing is done, if the pose is out of reach.
         """
-        try:
-            scene.robot.move_to(pose)
-        except OutOfReachError:
+        if not scene.robot.follows(pose):
             return Outcome(ignored=True)
+        scene.robot.move_to(pose)
         scene.robot.set_opening(opening)
         return Outcome(ignored=False)
 
@@ -122,10 +125,10 @@ class CloseLoop(Control[DeltaMove]):
 
     def towards(self, scene: Scene, waypoint: Waypoint) -> DeltaMove:
         """Return the move that brings the gripper closest to a waypoint."""
-        hand = scene.robot.pose
-        target = self.within(waypoint.pose.position)
-        way = [goal - now for goal, now in zip(target, hand.position, strict=True)]
-        turn = wrap_angle(waypoint.pose.yaw - hand.yaw)
+        hand, goal = scene.robot.pose, avoid_limits(scene, waypoint.pose)
+        target = self.within(goal.position)
+        way = [end - now for end, now in zip(target, hand.position, strict=True)]
+        turn = self._turn(scene, hand, goal.yaw)
         excess = max(*(abs(part) / MAX_TRANSLATION for part in way), abs(turn) / MAX_ROTATION)
         scale = 1.0 / excess if waypoint.straight and excess > 1.0 else 1.0
         x, y, z = (min(max(part * scale, -MAX_TRANSLATION), MAX_TRANSLATION) for part in way)
@@ -134,6 +137,14 @@ class CloseLoop(Control[DeltaMove]):
         )
         opening = waypoint.finish if arrives and waypoint.finish is not None else waypoint.gripper
         return DeltaMove(opening, (x, y, z), min(max(turn, -MAX_ROTATION), MAX_ROTATION))
+
+    def _turn(self, scene: Scene, hand: Pose, yaw: float) -> float:
+        """Return the rotation (rad) to a yaw, the long way round where a joint limit blocks the short one."""
+        turn = wrap_angle(yaw - hand.yaw)
+        step = min(max(turn, -MAX_ROTATION), MAX_ROTATION)
+        if step == turn or scene.robot.follows(Pose.planar(*hand.position, hand.yaw + step)):
+            return turn
+        return turn - math.copysign(2.0 * math.pi, turn)
 
     def frame(self, scene: Scene) -> Frame:
         """Return the square about the fingertips, seen from a plane over them, the gripper as two squares.

@@ -1,7 +1,6 @@
 """What every control does: read actions, act on a scene, say what is seen of it."""
 
 import itertools
-import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
@@ -20,7 +19,11 @@ from bulletarm_gym.scene import Scene
 from bulletarm_gym.sensors import Frame, View
 
 POINTS = 5
-"""Positions a side of the workspace at which the arm's reach is checked."""
+"""Number of positions along each side of the workspace at which the arm's reach is checked."""
+MIN_REACH = 0.7
+"""Minimum share of these positions that must be in reach with an upright gripper."""
+MIN_TILTED_REACH = 0.5
+"""Minimum share that must be in reach with a tilted gripper, if actions tilt it."""
 
 Move = TypeVar("Move")
 
@@ -45,8 +48,8 @@ class Control(ABC, Generic[Move]):
     :param config: the environment's parameters
     :param scene: what is acted on
     :param home: of the fingertips when an episode begins
-    :param extremes: where actions may ask them to go
-    :raises ParameterError: the arm does not reach there
+    :param poses: fingertip poses all over the workspace, of which a minimum share must be in reach
+    :raises ParameterError: ``home`` or too many of ``poses`` are out of reach
     """
 
     kind: ClassVar[str]
@@ -58,16 +61,16 @@ class Control(ABC, Generic[Move]):
     ranges: Mapping[str, tuple[float, float]] = MappingProxyType({})
     """What -1 and 1 of an action's numbers stand for (m, rad), by name."""
 
-    def __init__(self, config: EnvConfig, scene: Scene, home: Pose, extremes: Iterable[Pose]) -> None:
+    def __init__(self, config: EnvConfig, scene: Scene, home: Pose, poses: Iterable[Pose]) -> None:
         if not scene.robot.reaches(home):
             takes = f"one whose middle robot={config.robot!r} reaches at a height of {home.z:g} m"
             raise ParameterError.of("workspace", config.workspace, takes)
-        far = next((pose for pose in extremes if not scene.robot.reaches(pose)), None)
-        if far is not None:
-            point = ", ".join(f"{value:g}" for value in far.position)
-            tilt = f" tilted by {math.degrees(far.tilt):.0f} degrees" if far.tilt > LEVEL_TILT else ""
-            takes = f"one all of which robot={config.robot!r} reaches, but not ({point}){tilt}"
-            raise ParameterError.of("workspace", config.workspace, takes)
+        upright: list[Pose] = []
+        tilted: list[Pose] = []
+        for pose in poses:
+            (tilted if pose.tilt > LEVEL_TILT else upright).append(pose)
+        _check_reach(config, scene, upright, MIN_REACH, "an upright")
+        _check_reach(config, scene, tilted, MIN_TILTED_REACH, "a tilted")
         self.sequence = config.action_sequence
         self._home = home
         self.action_space = spaces.Box(-1.0, 1.0, (len(self.sequence),), np.float32)
@@ -116,6 +119,21 @@ class Control(ABC, Generic[Move]):
     @abstractmethod
     def next_move(self, scene: Scene, plan: Iterator[Waypoint]) -> Move:
         """Return the move that follows a plan."""
+
+
+def _check_reach(config: EnvConfig, scene: Scene, poses: list[Pose], least: float, gripper: str) -> None:
+    """Check that a minimum share of poses is in reach.
+
+    :raises ParameterError: it is not
+    """
+    far = [pose for pose in poses if not scene.robot.reaches(pose)]
+    if len(far) > (1.0 - least) * len(poses):
+        x, y, z = far[0].position
+        takes = (
+            f"one of which robot={config.robot!r} reaches at least {least:.0%} with {gripper} gripper; "
+            f"it reaches {1.0 - len(far) / len(poses):.0%}, for example not ({x:g}, {y:g}, {z:g})"
+        )
+        raise ParameterError.of("workspace", config.workspace, takes)
 
 
 def over(config: EnvConfig, heights: Iterable[float], points: int) -> Iterator[Vector]:

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from bulletarm_gym.config import OPEN_LOOP, EnvConfig
 from bulletarm_gym.control.control import POINTS, Control, Outcome, over
-from bulletarm_gym.experts.approach import LET_GO
+from bulletarm_gym.experts.approach import HALF_TURN, LET_GO, exchange_fingers
 from bulletarm_gym.experts.waypoints import APPROACH, OPEN, Waypoint
 from bulletarm_gym.geometry import Pose, Rectangle, Vector, euler_angles, euler_pose, matrix
 from bulletarm_gym.rendering.overlays import rectangle_mask
@@ -32,12 +32,14 @@ TILT = math.pi / 12.0
 """The mean slope of ramps (rad), by which ..."""
 TILTED_Z = (0.02, 0.2)
 """... the gripper must be able to tilt over the whole workspace, at these heights (m) above its floor."""
-RETREAT = 0.05
-"""How far (m) it goes back the same way, unless it still touches something there, before it goes home."""
+STOPS = ((0.05, APPROACH), (0.05,), (0.025,))
+"""Distances (m) behind the target at which the gripper stops; the first that are in reach are used.
+
+An approach begins at the last. A retreat ends at the first where the gripper touches nothing.
+"""
 HOME_HEIGHT = 0.4
 """Height (m) of the fingertips above the workspace's floor between actions: over everything."""
 ANGLES = ("theta", "phi", "psi")
-FLIP = Pose.planar(0.0, 0.0, 0.0, math.pi)
 
 
 @dataclass(frozen=True)
@@ -156,16 +158,36 @@ class OpenLoop(Control[PickPlace]):
 
         A pick while holding, a place while empty and what is out of reach are ignored.
         """
-        robot, pose = scene.robot, move.pose
-        back, behind = (pose.compose(Pose((0.0, 0.0, way))) for way in (RETREAT, APPROACH))
-        if (move.primitive == PICK) == (robot.held is not None) or not all(
-            robot.reaches(stop) for stop in (pose, back, behind)
-        ):
+        robot, pose = scene.robot, self._executed(move)
+        stops = self._stops(robot, pose)
+        if (move.primitive == PICK) == (robot.held is not None) or not stops:
             return Outcome(ignored=True)
         act = self._pick if move.primitive == PICK else self._place
-        act(scene, pose, (back, behind))
+        act(scene, pose, stops)
         robot.transfer(self._home)
-        return Outcome(ignored=False, pick=pose if move.primitive == PICK else None)
+        return Outcome(ignored=False, pick=move.pose if move.primitive == PICK else None)
+
+    def _stops(self, robot: Robot, pose: Pose) -> list[Pose]:
+        """Return the poses behind a target at which the gripper stops, the nearest first.
+
+        They are nearer to the target where the arm does not reach as far. The list is empty if the target is
+        out of reach.
+        """
+        if not robot.reaches(pose):
+            return []
+        for distances in STOPS:
+            stops = [pose.compose(Pose((0.0, 0.0, distance))) for distance in distances]
+            if all(map(robot.reaches, stops)):
+                return stops
+        return []
+
+    def _executed(self, move: PickPlace) -> Pose:
+        """Return the tool pose of a move, within a quarter turn of the home pose under ``half_rotation``.
+
+        The gripper is symmetric, and the wrist has room to either side.
+        """
+        is_far = self._config.half_rotation and move.rotation[0] >= math.pi / 2.0
+        return move.pose.compose(HALF_TURN) if is_far else move.pose
 
     def _pick(self, scene: Scene, pose: Pose, stops: Sequence[Pose]) -> None:
         robot = scene.robot
@@ -211,20 +233,17 @@ class OpenLoop(Control[PickPlace]):
         """Return the pick or place that a waypoint with a finish stands for."""
         assert waypoint.finish is not None
         pose = waypoint.pose
-        if self._config.half_rotation and "theta" in self._names and not 0.0 <= pose.yaw < math.pi:
-            pose = self._flipped(scene, pose)
+        if self._config.half_rotation and "theta" in self._names:
+            if not -math.pi / 2.0 <= pose.yaw < math.pi / 2.0:
+                pose = exchange_fingers(scene, pose)
+            if pose.yaw < 0.0:
+                pose = pose.compose(HALF_TURN)  # executed without it
+        elif not scene.robot.reaches(pose):
+            pose = exchange_fingers(scene, pose)
         psi, phi, theta = euler_angles(pose.orientation)
         return PickPlace(
             PICK if waypoint.finish < waypoint.gripper else PLACE, pose.position, (theta, phi, psi)
         )
-
-    def _flipped(self, scene: Scene, pose: Pose) -> Pose:
-        """Return a pose with the fingers exchanged, and what is held in the same place."""
-        held = scene.held
-        if held is None:
-            return pose.compose(FLIP)
-        x, y, _ = scene.robot.pose.inverse().transform(held.pose.position)
-        return pose.compose(Pose((x, y, 0.0))).compose(FLIP).compose(Pose((-x, -y, 0.0)))
 
     # Observation
 
@@ -235,11 +254,11 @@ class OpenLoop(Control[PickPlace]):
 
 
 def _extremes(config: EnvConfig, floor: float) -> Iterator[Pose]:
-    """Yield poses that must be in reach: upright at all heights of actions, and tilted where they tilt.
+    """Yield the poses at which the arm's reach is checked: upright, and tilted if the action sequence tilts.
 
-    Steeper ones may be out of reach at the border; such an action is ignored.
+    An action whose pose is out of reach is ignored.
     """
-    for position in over(config, (floor, floor + MAX_Z, floor + MAX_Z + APPROACH), POINTS):
+    for position in over(config, (floor, floor + APPROACH, floor + MAX_Z), POINTS):
         yield Pose.planar(*position)
     if config.action_sequence.count("r") == len(ANGLES):
         for position in over(config, (floor + TILTED_Z[0], floor + TILTED_Z[1]), 3):

@@ -31,6 +31,7 @@ RELEASE = 0.003
 """Gap (m) under an item that is let go."""
 LET_GO = 0.008
 """Distance (m) that the fingers open to let go; all the way when they are out of the way."""
+HALF_TURN = Pose.planar(0.0, 0.0, 0.0, math.pi)
 HAND_REACH = 0.06
 """Half the width (m) of an open gripper with its fingers: what lies this near its way is in its way."""
 
@@ -54,6 +55,25 @@ def route(scene: Scene, move: Waypoint, opening: float) -> Iterator[Waypoint]:
         yield from _carry(scene, held, goal, height, min(apart, opening), PRECISE)
 
 
+def exchange_fingers(scene: Scene, pose: Pose) -> Pose:
+    """Return a tool pose turned by half about the gripper's axis, with the grasped object's middle in place.
+
+    A parallel gripper is symmetric, and so is every object that experts place.
+    """
+    if scene.held is None:
+        return pose.compose(HALF_TURN)
+    x, y, _ = scene.robot.pose.inverse().transform(scene.held.pose.position)
+    return pose.compose(Pose((x, y, 0.0))).compose(HALF_TURN).compose(Pose((-x, -y, 0.0)))
+
+
+def avoid_limits(scene: Scene, pose: Pose) -> Pose:
+    """Return a tool pose, or the symmetric one if only that can be reached without passing a joint limit."""
+    if scene.robot.follows(pose):
+        return pose
+    other = exchange_fingers(scene, pose)
+    return other if scene.robot.follows(other) else pose
+
+
 def grasp(
     scene: Scene, target: Pose, top: float, symmetry: float, opening: float = OPEN, near: float = ALIGNED
 ) -> Iterator[Waypoint]:
@@ -70,7 +90,8 @@ def grasp(
     """
     hand = scene.robot.pose
     turn = wrap_angle(target.yaw - hand.yaw, symmetry)
-    goal = Pose.planar(*target.position, hand.yaw + turn)
+    goal = avoid_limits(scene, Pose.planar(*target.position, hand.yaw + turn))
+    turn = wrap_angle(goal.yaw - hand.yaw)
     apart = max(abs(goal.x - hand.x), abs(goal.y - hand.y))
     aligned = _is_aligned(goal, hand, turn, near)
     ready = scene.robot.opening_ratio > READY * opening
@@ -147,7 +168,7 @@ def _carry(
     :param opening: ratio to let go with
     :param near: distance (m) in the plane at which the item may go down
     """
-    hand = scene.robot.pose
+    hand, goal = scene.robot.pose, avoid_limits(scene, goal)
     if not _is_aligned(goal, hand, wrap_angle(goal.yaw - hand.yaw), near):
         over = max(height, highest_between(scene, hand.position, goal.position, item))
         level = min(over + PASSING + hand.z - item.lowest, scene.config.workspace[2][1])

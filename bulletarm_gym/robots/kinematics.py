@@ -1,12 +1,15 @@
-"""Forward and inverse kinematics of a serial arm.
+"""Forward and inverse kinematics of a serial arm with joint limits.
 
-PyBullet's own inverse kinematics needs 200 iterations and 0.3 to 0.5 ms for 0.1 mm, and its answer depends on
-where the arm was before. Here a damped Newton iteration starts from one fixed posture, so a pose always has
-the same joints, in some 20 microseconds.
+PyBullet's own inverse kinematics needs 200 iterations and 0.3 to 0.5 ms for 0.1 mm, and its result depends
+on the current joint positions. Here a damped Newton iteration starts from one fixed posture, takes some 20
+microseconds, and always gives the same joint positions for a pose. The null space of a redundant arm keeps
+the joints inside their limits.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from xml.etree import ElementTree
 
 import numpy as np
@@ -14,14 +17,21 @@ import numpy as np
 from bulletarm_gym.compilation import compiled
 from bulletarm_gym.geometry import FloatArray, Pose, euler_pose, matrix, quaternion
 
-MAX_ITERATIONS = 60
+MAX_ITERATIONS = 80
 TOLERANCE = 1e-9
-"""Squared error (m^2 and rad^2) at which a solution is exact."""
+"""Error (m and rad) at which the iteration stops."""
 DAMPING = 1e-8
+"""Damping of the least-squares steps (m^2 and rad^2)."""
 MAX_JOINT_STEP = 0.4
-"""Largest change (rad) of a joint in one iteration: keeps the iteration on the branch of its start."""
+"""Largest change (rad) of a joint in one iteration, which keeps the solution on the branch of its start."""
+MAX_NULL_STEP = 0.3
+"""Largest change (rad) of a joint in one iteration towards the joint limits."""
 POSITION_TOLERANCE = 1e-4
-"""Error (m or rad) above which a pose counts as out of reach."""
+"""Error (m or rad) above which a pose is out of reach."""
+LIMIT_MARGIN = 0.02
+"""Distance (rad) that solutions keep from the joint limits, so that contacts do not push a joint beyond."""
+HALF_TURN_SINE = 1e-6
+"""Sine of a rotation angle below which the rotation axis is read from the symmetric part of the matrix."""
 
 
 @dataclass(frozen=True)
@@ -31,24 +41,28 @@ class Chain:
     :param rotations: (n + 1, 3, 3) fixed rotation before each joint, and last before the tool
     :param translations: (n + 1, 3) fixed offset (m) before each joint, and last before the tool
     :param axes: (n, 3) unit axis of each joint in its own frame
+    :param limits: (n, 2) lower and upper limit (rad) of each joint, infinite for a continuous joint
     """
 
     rotations: FloatArray
     translations: FloatArray
     axes: FloatArray
+    limits: FloatArray
 
     @classmethod
-    def from_urdf(cls, root: ElementTree.Element, joints: list[str], base: Pose, tool: Pose) -> "Chain":
-        """Read the chain of named joints; ``tool`` is given in the frame of the last link."""
-        frames, axes = [base], []
-        for name in joints:
-            element = find_joint(root, name)
-            frames[-1] = frames[-1].compose(frame_of(element))
-            axes.append(_floats(element.find("axis"), "xyz", "1 0 0"))
-            frames.append(Pose((0.0, 0.0, 0.0)))
-        frames[-1] = tool
+    def from_urdf(cls, root: ElementTree.Element, joints: Sequence[str], base: Pose, tool: Pose) -> "Chain":
+        """Read the chain of named joints; ``tool`` is given in the frame of the last link.
+
+        :raises ValueError: the model has no joint of a name
+        """
+        elements = [find_joint(root, name) for name in joints]
+        frames = [frame_of(element) for element in elements]
+        frames = [base.compose(frames[0]), *frames[1:], tool]
+        axes = [np.array(_floats(element.find("axis"), "xyz", "1 0 0")) for element in elements]
         rotations = np.stack([matrix(frame) for frame in frames])
-        return cls(rotations, np.array([f.position for f in frames]), np.array(axes))
+        axes = [axis / np.linalg.norm(axis) for axis in axes]
+        limits = np.array([limits_of(element) for element in elements])
+        return cls(rotations, np.array([f.position for f in frames]), np.array(axes), limits)
 
     def forward(self, joints: FloatArray) -> Pose:
         """Return the tool's pose in the world at joint positions (n,) rad."""
@@ -58,19 +72,46 @@ class Chain:
         x, y, z = position.tolist()
         return Pose((x, y, z), quaternion(rotation))
 
-    def inverse(self, pose: Pose, start: FloatArray) -> tuple[FloatArray, float]:
-        """Solve for a pose from a starting posture.
+    def jacobian(self, joints: FloatArray) -> FloatArray:
+        """Return the derivative (6, n) of the tool's position (m) and rotation (rad, world) by the joints."""
+        count = len(joints)
+        jacobian, spare = np.empty((6, count)), np.empty((count + 3, 3, 3))
+        chain = (self.rotations, self.translations, self.axes)
+        _jacobian(*chain, np.asarray(joints, np.float64), np.empty((3, 3)), np.empty(3), jacobian, spare)
+        return jacobian
 
-        :return: the joints (n,) rad and the error that remains (the larger of m and rad)
+    def inverse(self, pose: Pose, start: FloatArray) -> tuple[FloatArray, float]:
+        """Solve for a pose from starting joint positions.
+
+        :param pose: of the tool in the world
+        :param start: (n,) rad
+        :return: joint positions (n,) rad and the largest remaining error: of the position (m), of the
+            rotation (rad) or beyond a joint limit (rad)
         """
         target = np.array(pose.position)
-        return _inverse(self.rotations, self.translations, self.axes, matrix(pose), target, start)
+        limits = self.solution_limits
+        return _inverse(self.rotations, self.translations, self.axes, limits, matrix(pose), target, start)
+
+    @cached_property
+    def solution_limits(self) -> FloatArray:
+        """Limits (n, 2) rad that solutions keep: the joint limits less :data:`LIMIT_MARGIN`."""
+        lower, upper = self.limits.T
+        margin = np.minimum(LIMIT_MARGIN, (upper - lower) / 2.0)
+        return np.stack([lower + margin, upper - margin], axis=1)
 
 
 def frame_of(element: ElementTree.Element) -> Pose:
     """Return the ``origin`` of a URDF element in the frame it is given in."""
     origin = element.find("origin")
     return euler_pose(_floats(origin, "xyz", "0 0 0"), _floats(origin, "rpy", "0 0 0"))
+
+
+def limits_of(joint: ElementTree.Element) -> tuple[float, float]:
+    """Return the lower and upper limit (rad) of a URDF joint, infinite for a continuous joint."""
+    limit = joint.find("limit")
+    if joint.get("type") == "continuous" or limit is None:
+        return (-math.inf, math.inf)
+    return (float(limit.get("lower", "0")), float(limit.get("upper", "0")))
 
 
 def find_joint(root: ElementTree.Element, name: str) -> ElementTree.Element:
@@ -192,8 +233,12 @@ def _jacobian(
 
 
 @compiled
-def _turn(goal: FloatArray, now: FloatArray, out: FloatArray, spare: FloatArray) -> None:
-    """Write the rotation vector (rad, world) that carries ``now`` to ``goal``."""
+def _rotation_vector(goal: FloatArray, now: FloatArray, out: FloatArray, spare: FloatArray) -> None:
+    """Write the rotation vector (rad, world) from ``now`` to ``goal``.
+
+    The antisymmetric part of the rotation matrix vanishes at half a turn. There the symmetric part gives the
+    axis.
+    """
     _product(goal, now.T, spare)
     r = spare
     out[0], out[1], out[2] = (
@@ -201,10 +246,18 @@ def _turn(goal: FloatArray, now: FloatArray, out: FloatArray, spare: FloatArray)
         (r[0, 2] - r[2, 0]) / 2.0,
         (r[1, 0] - r[0, 1]) / 2.0,
     )
-    sine = math.sqrt(_dot(out, out))
-    angle = math.atan2(sine, (r[0, 0] + r[1, 1] + r[2, 2] - 1.0) / 2.0)
-    if sine > 1e-12:
+    sine, cosine = math.sqrt(_dot(out, out)), (r[0, 0] + r[1, 1] + r[2, 2] - 1.0) / 2.0
+    angle = math.atan2(sine, cosine)
+    if sine > HALF_TURN_SINE:
         out *= angle / sine
+    elif cosine < 0.0:
+        column = 0
+        for i in range(1, 3):
+            if r[i, i] > r[column, column]:
+                column = i
+        norm = math.sqrt(2.0 * (r[column, column] + 1.0))
+        for i in range(3):
+            out[i] = (r[i, column] + (1.0 if i == column else 0.0)) * angle / norm
 
 
 @compiled
@@ -234,35 +287,104 @@ def _solve(a: FloatArray, x: FloatArray, low: FloatArray) -> None:
 
 
 @compiled
+def _normal_matrix(jacobian: FloatArray, square: FloatArray) -> None:
+    """Write the lower triangle of the damped product (6, 6) of a Jacobian (6, n) and its transpose."""
+    for i in range(6):
+        for j in range(i + 1):
+            square[i, j] = _dot(jacobian[i], jacobian[j])
+        square[i, i] += DAMPING
+
+
+@compiled
+def _add_product(jacobian: FloatArray, weights: FloatArray, factor: float, out: FloatArray) -> None:
+    """Add ``factor * jacobian.T @ weights``, (n,)."""
+    for i in range(6):
+        for j in range(len(out)):
+            out[j] += factor * jacobian[i, j] * weights[i]
+
+
+@compiled
+def _beyond(joints: FloatArray, limits: FloatArray, out: FloatArray) -> float:
+    """Write the change (n,) rad that brings each joint to its limits and return the largest."""
+    largest = 0.0
+    for j in range(len(joints)):
+        out[j] = min(max(joints[j], limits[j, 0]), limits[j, 1]) - joints[j]
+        largest = max(largest, abs(out[j]))
+    return largest
+
+
+@compiled
+def _null_step(
+    jacobian: FloatArray, square: FloatArray, beyond: FloatArray, weights: FloatArray, low: FloatArray
+) -> FloatArray:
+    """Return the step (n,) in the null space that brings joints nearest to their limits.
+
+    :param beyond: change (n,) rad that brings each joint to its limits, 0 for a joint inside
+    :param weights: memory for 6 numbers
+    :param low: memory for the decomposition of ``square``
+    """
+    for i in range(6):
+        weights[i] = _dot(jacobian[i], beyond)
+    _solve(square, weights, low)
+    step = beyond.copy()
+    _add_product(jacobian, weights, -1.0, step)
+    wanted = norm = largest = 0.0
+    for j in range(len(step)):
+        largest = max(largest, abs(step[j]))
+        if beyond[j] != 0.0:
+            wanted += beyond[j] * step[j]
+            norm += step[j] * step[j]
+    if norm < 1e-12:
+        return np.zeros(len(step))
+    return step * min(wanted / norm, MAX_NULL_STEP / largest)
+
+
+@compiled
+def _unwind(joints: FloatArray, limits: FloatArray) -> None:
+    """Add whole turns to joints beyond their limits where that brings them inside."""
+    for j in range(len(joints)):
+        turns = 0.0
+        if joints[j] > limits[j, 1]:
+            turns = -math.ceil((joints[j] - limits[j, 1]) / (2.0 * math.pi))
+        elif joints[j] < limits[j, 0]:
+            turns = math.ceil((limits[j, 0] - joints[j]) / (2.0 * math.pi))
+        turned = joints[j] + 2.0 * math.pi * turns
+        if limits[j, 0] <= turned <= limits[j, 1]:
+            joints[j] = turned
+
+
+@compiled
 def _inverse(
     rotations: FloatArray,
     translations: FloatArray,
     axes: FloatArray,
+    limits: FloatArray,
     goal_rotation: FloatArray,
     goal_position: FloatArray,
     start: FloatArray,
 ) -> tuple[FloatArray, float]:
     n = len(start)
     joints, change, error, weights = start.copy(), np.empty(n), np.empty(6), np.empty(6)
-    position, rotation, jacobian = np.empty(3), np.empty((3, 3)), np.empty((6, n))
+    position, rotation, jacobian, beyond = np.empty(3), np.empty((3, 3)), np.empty((6, n)), np.empty(n)
     square, low, spare = np.empty((6, 6)), np.zeros((6, 6)), np.empty((n + 3, 3, 3))
     for iteration in range(MAX_ITERATIONS + 1):
         _jacobian(rotations, translations, axes, joints, rotation, position, jacobian, spare)
         error[:3] = goal_position - position
-        _turn(goal_rotation, rotation, error[3:], spare[0])
-        if _dot(error, error) < TOLERANCE**2 or iteration == MAX_ITERATIONS:
+        _rotation_vector(goal_rotation, rotation, error[3:], spare[0])
+        if _dot(error, error) < TOLERANCE**2:
+            _unwind(joints, limits)
+        outside = _beyond(joints, limits, beyond)
+        is_solved = _dot(error, error) < TOLERANCE**2 and (outside < TOLERANCE or n <= 6)
+        if is_solved or iteration == MAX_ITERATIONS:
             break
-        for i in range(6):
-            for j in range(i + 1):
-                square[i, j] = _dot(jacobian[i], jacobian[j])
-            square[i, i] += DAMPING
+        _normal_matrix(jacobian, square)
         weights[:] = error
         _solve(square, weights, low)
         change[:] = 0.0
-        for i in range(6):
-            for j in range(n):
-                change[j] += jacobian[i, j] * weights[i]
+        _add_product(jacobian, weights, 1.0, change)
+        if outside > 0.0 and n > 6:
+            change += _null_step(jacobian, square, beyond, weights, low)
         share = min(1.0, MAX_JOINT_STEP / max(np.abs(change).max(), 1e-12))
         for j in range(n):
             joints[j] += change[j] * share
-    return joints, np.abs(error).max()
+    return joints, max(np.abs(error).max(), outside)

@@ -1,4 +1,4 @@
-"""KUKA LBR iiwa with a parallel gripper."""
+"""KUKA LBR iiwa 14 R820 with a parallel gripper."""
 
 import math
 from functools import partial
@@ -16,10 +16,10 @@ KUKA = RobotModel(
     name="kuka",
     load=partial(JAW.fitted, partial(load_model, "kuka_iiwa/model.urdf"), "lbr_iiwa_link_7", FLANGE),
     joints=tuple(f"lbr_iiwa_joint_{number}" for number in range(1, 8)),
-    tool=JAW.tool(FLANGE),
+    tool=JAW.tool(FLANGE).compose(Pose.planar(0.0, 0.0, 0.0, math.pi)),
     gripper=JAW,
-    base=Pose((0.0, 0.0, 0.0)),
-    posture=(0.0, 0.6, 0.0, -1.8, 0.0, math.pi - 2.4, math.pi),
-    force=300.0,
+    base=Pose((-0.15, 0.0, 0.16)),
+    posture=(0.0, 0.6, 0.0, -1.8, 0.0, math.pi - 2.4, 0.0),
+    force=(320.0, 320.0, 176.0, 176.0, 110.0, 40.0, 40.0),
 )
-"""Greatest torque as in the model of pybullet_data."""
+"""Joint limits and torques of the data sheet. The jaw is mounted so that joint 7 is at 0 at the home pose."""

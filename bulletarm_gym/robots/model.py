@@ -16,7 +16,9 @@ from bulletarm_gym.robots.urdf import DARK, add_parts, cylinder, merge_fixed
 PLINTH_RADIUS = 0.09
 """Of the stand (m) under an arm whose base is above the ground; it stays clear of the workspaces."""
 TRAVEL_TOLERANCE = 1e-4
-"""What a stroke and the joints' limits may differ by (m)."""
+"""Tolerance (m) of the comparison between the gripper's stroke and the fingers' joint limits."""
+VERTICAL = 0.9
+"""Minimum cosine between the vertical and the axis of a joint that rotates the gripper about the vertical."""
 
 
 @dataclass(frozen=True)
@@ -30,10 +32,11 @@ class RobotModel:
     :param tool: the gripper's tool frame, between the fingertips, in the link that the last joint moves: z
         back towards the arm, x along which the fingers open
     :param gripper: the fingers in that model
-    :param base: of the arm, in the world; chosen so that every pose of the default workspaces can be reached
-    :param posture: joint positions (rad) near which poses are sought: gripper down, elbow up, before the base
-    :param force: greatest torque (N m) of each joint; what the pace of the simulation takes is more than most
-        real arms have
+    :param base: pose of the arm's base in the world; ``tools/reach.py`` compares bases by the share of both
+        default workspaces that is in reach
+    :param posture: joint positions (rad) from which inverse kinematics starts: gripper down, elbow up, in
+        front of the base
+    :param force: maximum torque (N m) of each joint, one value for each or one for all
     """
 
     name: str
@@ -43,26 +46,20 @@ class RobotModel:
     gripper: Gripper
     base: Pose
     posture: tuple[float, ...]
-    force: float
+    force: float | tuple[float, ...]
 
     @cached_property
     def urdf(self) -> ElementTree.Element:
-        """The model on its plinth, its first link being the root, its arm joints without limits.
+        """The model on its plinth, its first link being the root.
 
-        With limits an arm on the floor cannot reach the whole workspace at every tilt, and its wrist could
-        not turn on and on.
-
-        :raises ValueError: a joint is missing, or a finger's ends before the gripper's stroke does
+        :raises ValueError: a joint is missing, or a finger's joint limit is below the gripper's stroke
         """
         root = self.load()
         merge_fixed(root)
         for name in self.gripper.joints:
             self._check_travel(self._joint(root, name))
         for name in self.joints:
-            joint = self._joint(root, name)
-            joint.set("type", "continuous")
-            for limit in joint.findall("limit"):
-                joint.remove(limit)
+            self._joint(root, name)
         if self.base.z > 0.0:
             # Only seen: ramps reach under the arm, and what touches something cannot be moved at once.
             plinth = cylinder(PLINTH_RADIUS, self.base.z, (0.0, 0.0, -self.base.z / 2.0), DARK, solid=False)
@@ -87,23 +84,56 @@ class RobotModel:
 
     @cached_property
     def chain(self) -> Chain:
-        """Kinematics from the world to the fingertips."""
-        return Chain.from_urdf(self.urdf, list(self.joints), self.base, self.tool)
+        """Kinematics from the world to the fingertips.
+
+        :raises ValueError: ``posture`` or ``force`` does not have one value for each joint, or a joint of
+            ``posture`` is beyond its limits
+        """
+        chain = Chain.from_urdf(self.urdf, self.joints, self.base, self.tool)
+        self._check_count("posture", self.posture)
+        self._check_count("force", self.torques)
+        for name, position, (lower, upper) in zip(self.joints, self.posture, chain.limits, strict=True):
+            if not lower <= position <= upper:
+                raise ValueError(
+                    f"robot {self.name!r}: posture must be inside the joint limits, got {position:g} rad "
+                    f"for {name!r} with the limits {lower:g} and {upper:g} rad"
+                )
+        return chain
+
+    def _check_count(self, parameter: str, values: tuple[float, ...]) -> None:
+        if len(values) != len(self.joints):
+            raise ValueError(
+                f"robot {self.name!r}: {parameter} must have {len(self.joints)} values, one for each joint, "
+                f"got {len(values)}"
+            )
+
+    @property
+    def torques(self) -> tuple[float, ...]:
+        """Maximum torque (N m) of each joint."""
+        return self.force if isinstance(self.force, tuple) else (self.force,) * len(self.joints)
 
     def inverse(self, pose: Pose) -> tuple[FloatArray, float]:
-        """Return joint positions (n,) rad for a fingertip pose, and the error that remains (m or rad).
+        """Return joint positions (n,) rad for a fingertip pose, and the remaining error (m or rad).
 
-        The search first goes from the model's posture to the same place with the gripper upright and turned
-        with the arm, then to the pose itself, so neighbours end near each other. The answer depends on the
-        pose alone.
+        The search starts from the posture, goes to the same distance and height in front of the base with an
+        upright gripper, and from there to the pose. Neighbouring poses have neighbouring solutions, and the
+        result depends on the pose alone.
         """
         x, y = pose.x - self.base.x, pose.y - self.base.y
         azimuth = math.atan2(y, x)
         upright = Pose.planar(self.base.x + math.hypot(x, y), self.base.y, pose.z)
         start, _ = self.chain.inverse(upright, np.array(self.posture))
-        start[0] += azimuth
-        start[-1] -= pose.yaw - azimuth
+        first, last = self._directions
+        start[0] += first * azimuth
+        start[-1] += last * (pose.yaw - azimuth)
         return self.chain.inverse(pose, start)
+
+    @cached_property
+    def _directions(self) -> tuple[float, float]:
+        """Sense in which the first and the last joint rotate the gripper about the vertical, 1, -1 or 0."""
+        vertical = self.chain.jacobian(np.array(self.posture))[5]
+        first, last = np.where(np.abs(vertical) > VERTICAL, np.sign(vertical), 0.0)[[0, -1]].tolist()
+        return first, last
 
     @cached_property
     def xml(self) -> str:

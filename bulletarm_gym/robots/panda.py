@@ -5,6 +5,7 @@ from xml.etree.ElementTree import Element
 
 from bulletarm_gym.geometry import Pose, euler_pose
 from bulletarm_gym.robots.gripper import Gripper
+from bulletarm_gym.robots.kinematics import find_joint
 from bulletarm_gym.robots.model import RobotModel
 from bulletarm_gym.robots.urdf import LIGHT, box, find_link
 from bulletarm_gym.simulation.assets import load_model
@@ -21,8 +22,25 @@ ROOT = box((0.0208, 0.0236, 0.019), (0.0, 0.0145, 0.0095), LIGHT)
 """The two boxes that the mesh of the left finger fills; y points outwards, z to the tip."""
 
 
+JOINTS = tuple(f"panda_joint{number}" for number in range(1, 8))
+LIMITS = (
+    (-2.8973, 2.8973),
+    (-1.7628, 1.7628),
+    (-2.8973, 2.8973),
+    (-3.0718, -0.0698),
+    (-2.8973, 2.8973),
+    (-0.0175, 3.7525),
+    (-2.8973, 2.8973),
+)
+"""Joint limits (rad; Franka Control Interface documentation); those of pybullet_data's model are wider."""
+
+
 def _load() -> Element:
     root = load_model("franka_panda/panda.urdf")
+    for name, (lower, upper) in zip(JOINTS, LIMITS, strict=True):
+        limit = find_joint(root, name).findall("limit")[0]
+        limit.set("lower", repr(lower))
+        limit.set("upper", repr(upper))
     for name, yaw in zip(FINGERS, (0.0, math.pi), strict=True):
         _square(find_link(root, name), Pose.planar(0.0, 0.0, 0.0, yaw))
     return root
@@ -41,7 +59,7 @@ def _square(finger: Element, frame: Pose) -> None:
 PANDA = RobotModel(
     name="panda",
     load=_load,
-    joints=tuple(f"panda_joint{number}" for number in range(1, 8)),
+    joints=JOINTS,
     # The fingers open along the hand's y axis.
     tool=euler_pose((0.0, 0.0, FINGERTIPS), (math.pi, 0.0, HAND_YAW + math.pi / 2.0)),
     gripper=Gripper(
@@ -50,7 +68,8 @@ PANDA = RobotModel(
         finger=(0.014, 0.0175, 0.0462),
         palm=PALM,
     ),
-    base=Pose((0.08, 0.0, 0.25)),
+    base=Pose((-0.06, 0.0, 0.0)),
     posture=(0.0, 0.0, 0.0, -2.2, 0.0, 2.2, -math.pi / 4.0),
-    force=240.0,
+    force=(87.0, 87.0, 87.0, 87.0, 12.0, 12.0, 12.0),
 )
+"""Torques of the data sheet."""

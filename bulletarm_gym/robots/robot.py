@@ -3,11 +3,11 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 
-from bulletarm_gym.geometry import Pose, interpolate, matrix, rotate
+from bulletarm_gym.geometry import FloatArray, Pose, interpolate, matrix, rotate
 from bulletarm_gym.robots.fingers import couple_fingers
 from bulletarm_gym.robots.kinematics import POSITION_TOLERANCE
 from bulletarm_gym.robots.model import RobotModel
@@ -22,7 +22,9 @@ from bulletarm_gym.simulation.motion import (
     motion_steps,
     on_the_way,
     send_fingers,
+    steps_within_torques,
 )
+from bulletarm_gym.simulation.world import GRAVITY
 
 FREE_STEPS = 24
 """Simulation steps of a move by the reference distance where nothing is in the way ..."""
@@ -32,6 +34,8 @@ CAREFUL_STEPS = 48
 """... and where something may be pushed: braking at 3 m/s^2 at most, friction keeps blocks at the gripper."""
 LEAST_STEPS = 6
 FULL_TURN = 2.0 * math.pi
+MAX_TURN = math.pi
+"""Change of a joint (rad) from which a move goes the long way round, because a joint limit is in between."""
 LEVEL_TILT = 0.03
 """Tilt (rad) up to which the gripper counts as looking down: what is grasped is never quite even."""
 LINE_STOPS = 4
@@ -88,9 +92,9 @@ class Robot:
         self._world = world
         self.body = world.add_urdf(BodySpec(model.name, (), 0.0), model.xml, model.base)
         names = [world.client.getJointInfo(self.body.id, joint)[1].decode() for joint in self.body.joints]
-        self._arm = JointGroup(self.body, tuple(names.index(name) for name in model.joints), model.force)
+        self._arm = JointGroup(self.body, tuple(names.index(name) for name in model.joints), model.torques)
         fingers = tuple(names.index(name) for name in model.gripper.joints)
-        self._fingers = JointGroup(self.body, fingers, model.gripper.force)
+        self._fingers = JointGroup(self.body, fingers, (model.gripper.force,) * 2)
         couple_fingers(world, self.body, self._fingers.joints, model.gripper.friction)
         self.held: Body | None = None
         self._command = model.gripper.stroke
@@ -128,19 +132,39 @@ class Robot:
         self._command = state.opening
 
     def inverse_kinematics(self, pose: Pose) -> tuple[float, ...]:
-        """Return joint positions (rad) for a pose of the fingertips, each joint turned the nearest way.
+        """Return joint positions (rad) inside the limits for a pose of the fingertips.
 
-        :raises OutOfReachError: the fingertips cannot be brought there
+        Whole turns are added to each joint to bring it nearest to its present position.
+
+        :raises OutOfReachError: no solution is inside the joint limits
         """
-        now = self._arm.positions(self._world)
-        goal = self._solve(pose)
         # Whole turns are added, so that the digits depend on the pose alone.
-        turns = [round((a - b) / FULL_TURN) for a, b in zip(now, goal, strict=True)]
-        return tuple(b + FULL_TURN * turn for b, turn in zip(goal, turns, strict=True))
+        solution: list[float] = self._solve(pose)
+        if self._turns:
+            now = self._arm.positions(self._world)
+            for joint, (low, high) in self._turns:
+                turns = round((now[joint] - solution[joint]) / FULL_TURN)
+                least = math.ceil((low - solution[joint]) / FULL_TURN)
+                most = math.floor((high - solution[joint]) / FULL_TURN)
+                solution[joint] += FULL_TURN * min(max(turns, least), most)
+        return tuple(solution)
+
+    @cached_property
+    def _turns(self) -> list[tuple[int, tuple[float, float]]]:
+        """Joints whose limits (rad) leave room for a whole turn."""
+        limits = self.model.chain.solution_limits.tolist()
+        return [(joint, (low, high)) for joint, (low, high) in enumerate(limits) if high - low >= FULL_TURN]
 
     def reaches(self, pose: Pose) -> bool:
         """Whether the fingertips can be brought to a pose."""
         return self._inverse(pose)[1] <= POSITION_TOLERANCE
+
+    def follows(self, pose: Pose) -> bool:
+        """Return True if a pose is in reach without a joint that turns by :data:`MAX_TURN` or more."""
+        if not self.reaches(pose):
+            return False
+        now, goal = self._arm.positions(self._world), self.inverse_kinematics(pose)
+        return max(abs(after - before) for before, after in zip(now, goal, strict=True)) < MAX_TURN
 
     def is_free_at(self, pose: Pose, bodies: Sequence[Body]) -> bool:
         """Whether the arm would touch none of some bodies with its fingertips at a pose in reach."""
@@ -197,8 +221,23 @@ class Robot:
         slow = careful and not clear and self.held is None
         pace = CAREFUL_STEPS if slow else FREE_STEPS if self.held is None else CARRYING_STEPS
         steps = motion_steps(length, REFERENCE_DISTANCE, pace, LEAST_STEPS)
-        follow(self._world, self._arm, stops, round(steps * self._world.physics.pace), self.held)
+        steps = max(round(steps * self._world.physics.pace), self._least_steps(stops))
+        follow(self._world, self._arm, stops, steps, self.held)
         self._finish()
+
+    def _least_steps(self, stops: Sequence[Sequence[float]]) -> int:
+        """Return the number of simulation steps that the joint torques need for a motion through stops."""
+        path = [self._arm.positions(self._world), *stops]
+        return steps_within_torques(self._world, self._arm, path, self._load_torques)
+
+    def _load_torques(self, joints: FloatArray, accelerations: FloatArray) -> FloatArray:
+        """Return the torques (N m) for the grasped object, a point mass at the fingertips."""
+        if self.held is None:
+            return np.zeros(len(joints))
+        linear = self.model.chain.jacobian(joints)[:3]
+        force = self.held.spec.mass * (linear @ accelerations - np.array((0.0, 0.0, GRAVITY)))
+        torques: FloatArray = linear.T @ force
+        return torques
 
     def _line(self, start: Pose, end: Pose) -> list[tuple[float, ...]]:
         """Return joint positions (rad) between two poses that keep a tilted gripper on the line.

@@ -6,7 +6,7 @@ Joint frames and masses are those Universal Robots publishes (DH parameters of t
 import math
 from dataclasses import dataclass, replace
 from functools import partial
-from xml.etree.ElementTree import Element
+from xml.etree.ElementTree import Element, SubElement
 
 from bulletarm_gym.geometry import Pose, Vector, euler_pose
 from bulletarm_gym.robots.gripper import ParallelJaw
@@ -18,6 +18,12 @@ BLUE: Colour = (0.36, 0.62, 0.82)
 BLACK: Colour = (0.16, 0.16, 0.17)
 GREY: Colour = (0.45, 0.46, 0.48)
 QUARTER = math.pi / 2.0
+LIMIT = 2.0 * math.pi
+"""Joint limit (rad) in both directions (UR5 data sheet)."""
+MAX_SPEED = math.pi
+"""Maximum joint speed (rad/s; UR5 data sheet)."""
+TORQUES = (150.0, 150.0, 150.0, 28.0, 28.0, 28.0)
+"""Maximum torque (N m) of each joint (Universal Robots, "Max. joint torques")."""
 Y_AXIS, Z_AXIS = (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
 ALONG_X = (0.0, QUARTER, 0.0)
 """Turns z onto x: the upper arm and the forearm lie along z of their links, level when all joints are 0."""
@@ -119,10 +125,12 @@ def arm() -> Element:
     foot = cylinder(0.075, 0.03, (0.0, 0.0, 0.015), BLACK)
     add_link(root, "base", 4.0, (foot,))
     parent = "base"
-    for segment in SEGMENTS:
+    for segment, torque in zip(SEGMENTS, TORQUES, strict=True):
         add_link(root, segment.name, segment.mass, segment.parts)
         links = (parent, segment.name)
-        add_joint(root, "continuous", f"{segment.name}_joint", links, segment.origin, segment.axis)
+        joint = add_joint(root, "revolute", f"{segment.name}_joint", links, segment.origin, segment.axis)
+        limits = {"lower": -LIMIT, "upper": LIMIT, "effort": torque, "velocity": MAX_SPEED}
+        SubElement(joint, "limit", {key: repr(value) for key, value in limits.items()})
         parent = segment.name
     return root
 
@@ -160,9 +168,8 @@ UR5 = RobotModel(
     gripper=JAW,
     base=Pose((-0.08, 0.0, 0.2)),
     posture=(-OFFSET, LIFT, ELBOW, -QUARTER - LIFT - ELBOW, -QUARTER, -QUARTER - OFFSET),
-    force=600.0,
+    force=TORQUES,
 )
-"""The torque is what the pace of the simulation takes; a real UR5 has 150 N m and is slower."""
 
 UR5_ROBOTIQ = replace(
     UR5,

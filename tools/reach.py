@@ -1,0 +1,98 @@
+"""Share of the default workspaces that each arm reaches inside its joint limits.
+
+python tools/reach.py                 a table of the built-in arms, at their bases and at the former ones
+python tools/reach.py --search kuka   compare bases over x, z and mounting yaw
+"""
+
+import argparse
+import itertools
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from bulletarm_gym.config import CLOSE_LOOP, OPEN_LOOP, WORKSPACES
+from bulletarm_gym.geometry import Pose, multiply, yaw_quaternion
+from bulletarm_gym.robots import ROBOTS, RobotModel
+from bulletarm_gym.robots.kinematics import POSITION_TOLERANCE
+
+FORMER = {
+    "kuka": Pose((0.0, 0.0, 0.0)),
+    "panda": Pose((0.08, 0.0, 0.25)),
+    "ur5": Pose((-0.08, 0.0, 0.2)),
+    "ur5_robotiq": Pose((-0.08, 0.0, 0.2)),
+}
+"""Bases before joint limits were part of the models."""
+POINTS = 9
+"""Number of positions along each side of a workspace."""
+HEIGHTS = {CLOSE_LOOP: (0.01, 0.07, 0.13, 0.19, 0.25), OPEN_LOOP: (0.02, 0.1, 0.2, 0.35)}
+"""Heights (m) of the fingertips."""
+TILT = math.radians(30.0)
+"""Largest tilt (rad) of the paper's 6D tasks."""
+YAWS = (-math.pi / 2.0, 0.0, math.pi / 2.0)
+DIRECTIONS = tuple(np.linspace(-math.pi, math.pi, 8, endpoint=False).tolist())
+
+
+def poses(control: str, tilt: float) -> Iterator[Pose]:
+    """Yield tool poses all over the default workspace of a control, upright or tilted (rad)."""
+    xs, ys = (np.linspace(low, high, POINTS).tolist() for low, high in WORKSPACES[control][:2])
+    heights = HEIGHTS[control] if tilt == 0.0 else (0.02, 0.1, 0.2)
+    directions = (0.0,) if tilt == 0.0 else DIRECTIONS
+    for x, y, z, yaw, direction in itertools.product(xs, ys, heights, YAWS, directions):
+        sine = math.sin(tilt / 2.0)
+        lean = (sine * math.cos(direction), sine * math.sin(direction), 0.0, math.cos(tilt / 2.0))
+        yield Pose((x, y, z), multiply(lean, yaw_quaternion(yaw)))
+
+
+def share(model: RobotModel, control: str, tilt: float = 0.0) -> float:
+    """Return the share of the poses of a workspace that an arm reaches inside its joint limits."""
+    reached = [model.inverse(pose)[1] <= POSITION_TOLERANCE for pose in poses(control, tilt)]
+    return sum(reached) / len(reached)
+
+
+def shares(model: RobotModel) -> tuple[float, ...]:
+    """Return the shares of the closed-loop and the open-loop workspace, upright and tilted by 30 degrees."""
+    return tuple(share(model, control, tilt) for control in (CLOSE_LOOP, OPEN_LOOP) for tilt in (0.0, TILT))
+
+
+def table() -> None:
+    """Print the shares of all arms, at their bases and at the former ones."""
+    print("| arm | base (m) | closed loop | tilted 30 degrees | open loop | tilted 30 degrees |")
+    print("|---|---|---:|---:|---:|---:|")
+    for name, model in ROBOTS.items():
+        for base in dict.fromkeys((FORMER[name], model.base)):
+            print_row(replace(model, base=base))
+
+
+def print_row(model: RobotModel) -> None:
+    """Print a row of the table."""
+    position = ", ".join(f"{value:g}" for value in model.base.position)
+    print(f"| {model.name} | ({position}) | " + " | ".join(f"{value:.1%}" for value in shares(model)) + " |")
+
+
+def search(name: str, xs: Sequence[float], zs: Sequence[float], yaws: Sequence[float]) -> None:
+    """Print the ten bases with the largest sums of shares."""
+    model = ROBOTS[name]
+    rows = []
+    for x, z, yaw in itertools.product(xs, zs, yaws):
+        found = shares(replace(model, base=Pose.planar(x, 0.0, z, yaw)))
+        rows.append((sum(found), x, z, yaw, found))
+    for _, x, z, yaw, found in sorted(rows, reverse=True)[:10]:
+        print(f"x {x:g} z {z:g} yaw {yaw:.2f}: " + " ".join(f"{value:.1%}" for value in found))
+
+
+def main() -> None:
+    """Run the command."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("--search", choices=ROBOTS, metavar="ARM", help=f"one of {', '.join(ROBOTS)}")
+    args = parser.parse_args()
+    if args.search is None:
+        table()
+    else:
+        grid = np.arange(-0.25, 0.11, 0.05).round(2).tolist(), np.arange(0.0, 0.31, 0.05).round(2).tolist()
+        search(args.search, *grid, (0.0, math.pi / 4.0))
+
+
+if __name__ == "__main__":
+    main()
