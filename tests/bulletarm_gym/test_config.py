@@ -204,15 +204,8 @@ PARTLY = [[0.5, 0.9], [-0.2, 0.2], [0.01, 0.25]]
     "name", ["CloseLoopBlockReaching", "OpenLoopBlockStacking", "OpenLoopObjectGrasping"]
 )
 def test_a_workspace_partly_out_of_reach_is_refused(name: str) -> None:
-    with pytest.raises(ParameterError, match=r"^workspace: got \[\[0\.5.* reaches, but not \(0\.\d+, -?0"):
+    with pytest.raises(ParameterError, match=r"^workspace: got \[\[0\.5.* reaches"):
         make_env(f"BulletArm/{name}-v0", workspace=PARTLY)
-
-
-def test_the_reach_of_a_tilted_gripper_counts_where_actions_tilt_it() -> None:
-    far = [[0.32, 0.72], [-0.2, 0.2], [0.0, 1.0]]
-    make_env(STACKING, workspace=far).close()
-    with pytest.raises(ParameterError, match=r"^workspace: got .* tilted by 15 degrees"):
-        make_env(STACKING, workspace=far, action_sequence="pxyzrrr")
 
 
 @pytest.mark.parametrize("robot", ["kuka", "panda", "ur5", "ur5_robotiq"])
