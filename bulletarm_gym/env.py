@@ -281,9 +281,7 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         self.scene.world.set_state(state.world)
         self.scene.robot.set_state(state.robot)
         self.scene.set_cast(state.cast)
-        # Files recorded before there were sensors by name hold the in-hand image alone.
-        known = isinstance(state.sensors, dict)
-        self._observer.set_memory(state.sensors if known else {"in_hand": state.sensors})
+        self._observer.set_memory(state.sensors)
         self.task.memory = state.memory
         self._steps = state.steps
         self._episode_seed = state.episode_seed
@@ -303,14 +301,12 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
 
     def _check_fits(self, state: EnvState) -> None:
         if not isinstance(state, EnvState):
-            raise ValueError(f"state: got a {type(state).__name__}, takes what get_state() has returned")
-        poses, own = len(state.world.poses), len(self.scene.world.poses)
-        theirs = {"bodies": f"{poses}"} if state.made_of is None else state.made_of
-        ours = {"bodies": f"{own}"} if state.made_of is None else self._made_of
+            raise ValueError(f"state must be an EnvState from get_state(), got a {type(state).__name__}")
+        theirs, ours = state.made_of, self._made_of
         other = [name for name, value in ours.items() if theirs.get(name) != value]
         if other:
-            got, takes = (", ".join(f"{n}={made.get(n)!r}" for n in other) for made in (theirs, ours))
-            raise ValueError(f"state: got one of an environment with {got}, this one has {takes}")
+            needed, got = (", ".join(f"{n}={made.get(n)!r}" for n in other) for made in (ours, theirs))
+            raise ValueError(f"state must be of an environment with {needed}, got one with {got}")
 
     def _evaluate(self, ignored: bool) -> dict[str, bool]:
         facts = {name: bool(value) for name, value in self.task.evaluate(self.scene).items()}
