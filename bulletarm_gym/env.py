@@ -19,6 +19,7 @@ from bulletarm_gym.feasibility import (
     check_heights,
     check_room,
     check_spans,
+    checked_facts,
     checked_options,
     finite_reward,
     reward_function,
@@ -309,9 +310,11 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
             raise ValueError(f"state must be of an environment with {needed}, got one with {got}")
 
     def _evaluate(self, ignored: bool) -> dict[str, bool]:
-        facts = {name: bool(value) for name, value in self.task.evaluate(self.scene).items()}
+        """Return the info; ``is_success`` is the task's goal in a valid scene."""
+        facts = checked_facts(self.task.evaluate(self.scene), self.task)
         valid = bool(self.task.is_valid(self.scene))
-        return {"is_success": facts["success"] and valid, "is_valid": valid, "ignored": ignored, **facts}
+        success = facts.pop("success") and valid
+        return {"is_success": success, "is_valid": valid, "ignored": ignored, **facts}
 
     def _rng(self, stream: int, time: int | None = None) -> np.random.Generator:
         """Return the generator of a stream at a time of this episode, by default this step."""

@@ -121,7 +121,10 @@ class Task(ABC):
 
     @abstractmethod
     def evaluate(self, scene: Scene) -> dict[str, bool]:
-        """Return named facts about the scene; ``"success"`` is the goal."""
+        """Return named facts about the scene; ``"success"`` is the goal.
+
+        ``info`` has the other facts, and ``is_success``: the goal is reached in a valid scene.
+        """
 
     @abstractmethod
     def plan(self, scene: Scene, rng: np.random.Generator) -> Iterator[Waypoint]:
@@ -147,8 +150,11 @@ class Task(ABC):
         return all(self._is_inside(item) for item in scene if item.spec.mass > 0.0 and item.body is not held)
 
     def reward(self, scene: Scene, outcome: Mapping[str, bool]) -> float:
-        """Return 1 on success, else 0 (paper, Environment)."""
-        return float(outcome["success"])
+        """Return 1 on success, else 0 (paper, Environment).
+
+        :param outcome: the step's ``info``
+        """
+        return float(outcome["is_success"])
 
     def _is_inside(self, item: Item) -> bool:
         (x0, x1), (y0, y1), (_, top) = self.config.workspace

@@ -157,9 +157,38 @@ def test_a_caller_may_write_into_what_it_got(typical_env: ManipulationEnv) -> No
 def test_info_keeps_its_keys(env: ManipulationEnv) -> None:
     _, at_reset = env.reset(seed=0)
     *_, at_step = env.step(env.expert_action())
-    assert at_reset.keys() == at_step.keys() >= {"is_success", "is_valid", "ignored", "success"}
+    assert at_reset.keys() == at_step.keys() >= {"is_success", "is_valid", "ignored"}
+    assert "success" not in at_step
     assert {type(value) for info in (at_reset, at_step) for value in info.values()} == {bool}
     assert json.loads(json.dumps(at_step)) == at_step
+
+
+@pytest.mark.parametrize(
+    "facts", [None, {}, {"is_success": True}, {"success": True, "ignored": False}], ids=str
+)
+def test_facts_of_a_task_are_checked(facts: Any) -> None:
+    env = make_env(PICKING, obs_size=16)
+    env.task.evaluate = lambda scene: facts  # type: ignore[method-assign]
+    with pytest.raises(
+        ValueError, match=r"^evaluate\(\) of BlockPicking must return a dict with 'success' and"
+    ):
+        env.reset(seed=0)
+    env.close()
+
+
+def succeeded(scene: Scene, outcome: Mapping[str, bool]) -> float:
+    assert outcome.keys() >= {"is_success", "is_valid", "ignored"} and "success" not in outcome
+    return 2.0 * outcome["is_success"]
+
+
+def test_rewards_get_the_info() -> None:
+    env = make_env(REACHING, obs_size=16, reward=succeeded)
+    env.reset(seed=0)
+    rewards = [0.0]
+    while not rewards[-1]:
+        rewards.append(env.step(env.expert_action())[1])
+    assert rewards[-1] == 2.0
+    env.close()
 
 
 # Reward and end
@@ -255,7 +284,7 @@ def test_success_counts_only_in_a_valid_scene(make: Make, x: float, valid: bool)
         env.step(env.encode_action(_towards(env, (0.6, 0.0, 0.04))))
     env.set_state(with_pose(env, env.get_state(), "cube", Pose((x, 0.0, 0.025))))
     _, reward, terminated, truncated, info = env.step([1.0, 0.0, 0.0, 0.0, 0.0])
-    assert info["success"] and terminated and not truncated
+    assert env.task.evaluate(env.scene)["success"] and terminated and not truncated
     assert (reward, info["is_success"], info["is_valid"]) == (float(valid), valid, valid)
 
 
