@@ -123,18 +123,18 @@ def _wish(config: EnvConfig) -> str:
 def checked_options(options: Mapping[str, Any] | None, task: Task) -> dict[str, Any]:
     """Return the options of a reset.
 
-    :raises ValueError: an unknown option, or the task has no structure to start from
+    :raises ValueError: not a mapping, an unknown option, or the task has no structure to start from
     """
-    options = dict(options or {})
-    if not all((type(value), value) in OPTIONS.get(name, ()) for name, value in options.items()):
-        takes = 'None or {"new_scene": True or False, "start": "goal"}'
-        raise ValueError(f"options: got {options!r}, takes {takes}")
-    if "start" in options and not task.has_goal_structure:
-        name = type(task).__name__
-        raise ValueError(
-            f"options: got {options!r}, but {name} builds no structure: it has no arrange_goal()"
-        )
-    return options
+    given = {} if options is None else options
+    if not isinstance(given, Mapping) or not all(
+        (type(value), value) in OPTIONS.get(name, ()) for name, value in given.items()
+    ):
+        must = 'None or a dict with "new_scene": True or False and "start": "goal"'
+        raise ValueError(f"options must be {must}, got {options!r}")
+    if "start" in given and not task.has_goal_structure:
+        must = f"without a start: {type(task).__name__} builds no structure, it has no arrange_goal()"
+        raise ValueError(f"options must be {must}, got {options!r}")
+    return dict(given)
 
 
 def checked_facts(facts: Mapping[str, Any], task: Task) -> dict[str, bool]:

@@ -15,6 +15,7 @@ class EnvState:
     :param sensors: memories of the sensors, by name
     :param memory: the task's memory
     :param steps: number of steps since the reset
+    :param ended: whether the episode has terminated or been truncated
     :param generator: state of the generator that seeds later episodes
     :param made_of: task, arm, sizes and whatever else an environment must have in common with the state
     """
@@ -25,6 +26,7 @@ class EnvState:
     sensors: dict[str, Any]
     memory: Any
     steps: int
+    ended: bool
     episode_seed: int
     generator: dict[str, Any]
     made_of: dict[str, Any]

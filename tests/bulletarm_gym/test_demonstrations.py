@@ -235,7 +235,8 @@ def test_loading_a_file_imports_nothing(basket: Demonstrations, tmp_path: Path) 
 @pytest.mark.parametrize(
     ("arguments", "reason"),
     [
-        ((PICKING, 0), "episodes"),
+        ((PICKING, 0), "^episodes must be an integer of at least 1, got 0"),
+        ((PICKING, "3"), "^episodes must be an integer of at least 1, got '3'"),
         ((PICKING, 1, "magic"), "planner: got 'magic', takes one of"),
         ((PICKING, 1, "deconstruction"), "close-loop"),
         ((PACKING, 1, "deconstruction"), "BinPacking builds no structure"),
@@ -247,6 +248,20 @@ def test_loading_a_file_imports_nothing(basket: Demonstrations, tmp_path: Path) 
 def test_wrong_arguments_are_refused(arguments: tuple[Any, ...], reason: str) -> None:
     with pytest.raises(ValueError, match=reason):
         collect(*arguments)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "must"),
+    [
+        ("seed", -1, "an integer of at least 0"),
+        ("seed", "a", "an integer of at least 0"),
+        ("max_attempts", 0, "an integer of at least 1"),
+        ("env_kwargs", "obs_size", "a dict"),
+    ],
+)
+def test_collect_names_the_wrong_argument(name: str, value: Any, must: str) -> None:
+    with pytest.raises(ValueError, match=rf"^{name} must be {must}, got {value!r}"):
+        collect(PICKING, 1, **{name: value})
 
 
 def test_folders_are_no_files(tmp_path: Path) -> None:
