@@ -10,6 +10,7 @@ from bulletarm_gym.robots import ROBOTS, RobotModel, find_robot
 from bulletarm_gym.scene import Scene
 from bulletarm_gym.surfaces import find_surface, make_surface
 from bulletarm_gym.tasks import Task
+from bulletarm_gym.values import check_argument, mapping, optional
 
 
 def find_types(task: str, control: str) -> tuple[type[Task], type[Any]]:
@@ -58,6 +59,7 @@ def make_config(
     :param given: values by name
     :raises ValueError: a parameter has a value it cannot take, or is unknown (a ``TypeError``, too)
     """
+    check_argument("defaults", defaults, optional(mapping))
     sloping = find_surface(surface).sloping
     kind, sequences = control.kind, control.sequences
     return EnvConfig.of(kind, task.defaults, robots, given, surface, sloping, sequences, defaults)

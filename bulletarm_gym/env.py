@@ -19,6 +19,7 @@ from bulletarm_gym.feasibility import (
     check_heights,
     check_room,
     check_spans,
+    checked_facts,
     checked_options,
     finite_reward,
     reward_function,
@@ -99,6 +100,7 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         # Gymnasium types a Dict space by its parts instead of its samples.
         self.observation_space = self._observer.space  # type: ignore[assignment]
         self._steps = 0
+        self._ended = False
         self._episode_seed: int | None = None
         if self.render_mode == "human":
             self.viewer.face_workspace()
@@ -115,13 +117,15 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
             as a seed does; ``{"start": "goal"}`` arranges the task's finished structure, to take it apart
         :raises ValueError: an unknown option, or the task has no structure to start from
         :raises PlacementError: the workspace is too small for the task
+        :raises gymnasium.error.ClosedEnvironmentError: the environment is closed
         """
+        self.scene.world.client.check_open()
         options = checked_options(options, self.task)
         super().reset(seed=seed)
         anew = seed is not None or any(options.values()) or self._episode_seed is None
         arrange = self.task.arrange_goal if "start" in options else self.task.arrange
         self._episode_seed = int(self.np_random.integers(np.iinfo(np.int64).max))
-        self._steps = 0
+        self._steps, self._ended = 0, False
         self.task.memory = None
         rng = self._rng(ARRANGEMENT)
         if anew or not self.task.carry_on(self.scene, rng):
@@ -160,9 +164,12 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
 
         :param action: (n,) numbers, clipped to [-1, 1]
         :raises ValueError: the action has the wrong shape or is not finite, or the user's reward is no number
-        :raises gymnasium.error.ResetNeeded: no episode has begun
+        :raises gymnasium.error.ResetNeeded: no episode has begun, or it has ended
+        :raises gymnasium.error.ClosedEnvironmentError: the environment is closed
         """
         self._check_running()
+        if self._ended:
+            raise gymnasium.error.ResetNeeded("the episode has ended. Call reset() before the next step().")
         view = self._view if self._view is not None and self._view.is_current else self.look()
         move = self.control.decode_action(action, view)
         if self._observer.follows:
@@ -180,10 +187,15 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         reward = finite_reward(self._reward(self.scene, info), self._reward) if valid else 0.0
         terminated = success or not valid or self.task.one_decision
         truncated = not terminated and self._steps >= self.config.max_steps
+        self._ended = terminated or truncated
         return self.observe(), reward, terminated, truncated, info
 
     def render(self) -> Any:
-        """Return a picture (480, 480, 3) uint8, distances (480, 480) float32 in metres, or nothing."""
+        """Return a picture (480, 480, 3) uint8, distances (480, 480) float32 in metres, or nothing.
+
+        :raises gymnasium.error.ClosedEnvironmentError: the environment is closed
+        """
+        self.scene.world.client.check_open()
         if self.render_mode == "rgb_array":
             return Camera().color(self.scene.world)
         if self.render_mode == "depth_array":
@@ -219,7 +231,11 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         return self._observer.read(self._view)
 
     def look(self) -> View:
-        """Return what is seen from above at present."""
+        """Return what is seen from above at present.
+
+        :raises gymnasium.error.ClosedEnvironmentError: the environment is closed
+        """
+        self.scene.world.client.check_open()
         frame = self.control.frame(self.scene)
         return View(self.scene, frame, self.task.overlays, self._observer.asks_for_labels)
 
@@ -265,6 +281,7 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
             self._observer.get_memory(),
             self.task.memory,
             self._steps,
+            self._ended,
             self._episode_seed,
             dict(self.np_random.bit_generator.state),
             dict(self._made_of),
@@ -274,18 +291,19 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         """Return to a moment of this environment or of another with the same parameters, exactly.
 
         What only observes, judges or ends an episode (``obs_size``, ``reward``, ``max_steps``) may differ.
+        A state after the end keeps :meth:`step` from acting until the next reset.
 
         :raises ValueError: it is of another task, arm, workspace or other objects; nothing has changed then
+        :raises gymnasium.error.ClosedEnvironmentError: the environment is closed
         """
+        self.scene.world.client.check_open()
         self._check_fits(state)
         self.scene.world.set_state(state.world)
         self.scene.robot.set_state(state.robot)
         self.scene.set_cast(state.cast)
-        # Files recorded before there were sensors by name hold the in-hand image alone.
-        known = isinstance(state.sensors, dict)
-        self._observer.set_memory(state.sensors if known else {"in_hand": state.sensors})
+        self._observer.set_memory(state.sensors)
         self.task.memory = state.memory
-        self._steps = state.steps
+        self._steps, self._ended = state.steps, state.ended
         self._episode_seed = state.episode_seed
         self.np_random.bit_generator.state = state.generator
 
@@ -303,19 +321,19 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
 
     def _check_fits(self, state: EnvState) -> None:
         if not isinstance(state, EnvState):
-            raise ValueError(f"state: got a {type(state).__name__}, takes what get_state() has returned")
-        poses, own = len(state.world.poses), len(self.scene.world.poses)
-        theirs = {"bodies": f"{poses}"} if state.made_of is None else state.made_of
-        ours = {"bodies": f"{own}"} if state.made_of is None else self._made_of
+            raise ValueError(f"state must be an EnvState from get_state(), got a {type(state).__name__}")
+        theirs, ours = state.made_of, self._made_of
         other = [name for name, value in ours.items() if theirs.get(name) != value]
         if other:
-            got, takes = (", ".join(f"{n}={made.get(n)!r}" for n in other) for made in (theirs, ours))
-            raise ValueError(f"state: got one of an environment with {got}, this one has {takes}")
+            needed, got = (", ".join(f"{n}={made.get(n)!r}" for n in other) for made in (ours, theirs))
+            raise ValueError(f"state must be of an environment with {needed}, got one with {got}")
 
     def _evaluate(self, ignored: bool) -> dict[str, bool]:
-        facts = {name: bool(value) for name, value in self.task.evaluate(self.scene).items()}
+        """Return the info; ``is_success`` is the task's goal in a valid scene."""
+        facts = checked_facts(self.task.evaluate(self.scene), self.task)
         valid = bool(self.task.is_valid(self.scene))
-        return {"is_success": facts["success"] and valid, "is_valid": valid, "ignored": ignored, **facts}
+        success = facts.pop("success") and valid
+        return {"is_success": success, "is_valid": valid, "ignored": ignored, **facts}
 
     def _rng(self, stream: int, time: int | None = None) -> np.random.Generator:
         """Return the generator of a stream at a time of this episode, by default this step."""
@@ -324,8 +342,9 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         return np.random.default_rng((self._episode_seed, time, stream))
 
     def _check_running(self) -> None:
+        self.scene.world.client.check_open()
         if self._episode_seed is None:
-            raise gymnasium.error.ResetNeeded("call reset() before anything that needs an episode")
+            raise gymnasium.error.ResetNeeded("no episode has begun. Call reset() first.")
 
     # Copies
 

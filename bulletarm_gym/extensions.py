@@ -155,7 +155,8 @@ def find_class(
     path = paths.get(name, name)
     if not isinstance(path, str) or ":" not in path:
         known = ", ".join(repr(other) for other in (*ours, *paths))
-        raise ValueError(f"{what}: got {name!r}, takes one of {known}, or 'module:Class' of your own")
+        names = f"one of {known}, or " if known else ""
+        raise ValueError(f"{what}: got {name!r}, takes {names}'module:Class' of your own")
     try:
         found: type[Kind] = load(path)
     except ValueError as error:

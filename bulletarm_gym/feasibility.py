@@ -22,6 +22,8 @@ ROOM_PARAMETERS = ("object_scale_range", "num_objects", "workspace", "object_set
 """On what it depends whether there is room; the first that is not the task's own is named."""
 OPTIONS = {"new_scene": ((bool, True), (bool, False)), "start": ((str, "goal"),)}
 """What a reset can be asked for: types, for 1 equals True, and values."""
+INFO = frozenset({"is_success", "is_valid", "ignored"})
+"""Keys of ``info`` that the environment itself sets."""
 GRASP_PLAY = 0.001
 """Play (m) that open fingers need about what they grasp."""
 
@@ -121,18 +123,32 @@ def _wish(config: EnvConfig) -> str:
 def checked_options(options: Mapping[str, Any] | None, task: Task) -> dict[str, Any]:
     """Return the options of a reset.
 
-    :raises ValueError: an unknown option, or the task has no structure to start from
+    :raises ValueError: not a mapping, an unknown option, or the task has no structure to start from
     """
-    options = dict(options or {})
-    if not all((type(value), value) in OPTIONS.get(name, ()) for name, value in options.items()):
-        takes = 'None or {"new_scene": True or False, "start": "goal"}'
-        raise ValueError(f"options: got {options!r}, takes {takes}")
-    if "start" in options and not task.has_goal_structure:
-        name = type(task).__name__
+    given = {} if options is None else options
+    if not isinstance(given, Mapping) or not all(
+        (type(value), value) in OPTIONS.get(name, ()) for name, value in given.items()
+    ):
+        must = 'None or a dict with "new_scene": True or False and "start": "goal"'
+        raise ValueError(f"options must be {must}, got {options!r}")
+    if "start" in given and not task.has_goal_structure:
+        must = f"without a start: {type(task).__name__} builds no structure, it has no arrange_goal()"
+        raise ValueError(f"options must be {must}, got {options!r}")
+    return dict(given)
+
+
+def checked_facts(facts: Mapping[str, Any], task: Task) -> dict[str, bool]:
+    """Return the facts of a task's ``evaluate()`` as bools.
+
+    :raises ValueError: the goal is missing, or a name is one of the environment's own
+    """
+    if not isinstance(facts, Mapping) or "success" not in facts or not INFO.isdisjoint(facts):
+        got = list(facts) if isinstance(facts, Mapping) else facts
         raise ValueError(
-            f"options: got {options!r}, but {name} builds no structure: it has no arrange_goal()"
+            f"evaluate() of {type(task).__name__} must return a dict with 'success' and without "
+            f"{', '.join(map(repr, sorted(INFO)))}, got {got!r}"
         )
-    return options
+    return {name: bool(value) for name, value in facts.items()}
 
 
 def reward_function(path: str | None) -> Reward | None:

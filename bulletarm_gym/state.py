@@ -1,27 +1,74 @@
-"""A moment of an environment."""
+"""State of an environment, and the types of the values in it."""
 
-from dataclasses import dataclass
+import dataclasses
 from typing import Any
 
+from bulletarm_gym.geometry import Pose
 from bulletarm_gym.robots import RobotState
 from bulletarm_gym.simulation import WorldState
 
 
-@dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True)
 class EnvState:
-    """Everything an environment needs to go on from a moment; picklable.
+    """State of an environment, from which it continues exactly; picklable.
 
-    :param sensors: what they remember, by name
-    :param generator: state of the generator that later episodes are seeded from
-    :param made_of: what decides whether an environment can take it: task, arm, sizes; None in old files
+    :param sensors: memories of the sensors, by name
+    :param memory: the task's memory
+    :param steps: number of steps since the reset
+    :param ended: whether the episode has terminated or been truncated
+    :param generator: state of the generator that seeds later episodes
+    :param made_of: task, arm, sizes and whatever else an environment must have in common with the state
     """
 
     world: WorldState
     robot: RobotState
     cast: tuple[int, ...]
-    sensors: Any
+    sensors: dict[str, Any]
     memory: Any
     steps: int
+    ended: bool
     episode_seed: int
     generator: dict[str, Any]
-    made_of: dict[str, Any] | None = None
+    made_of: dict[str, Any]
+
+
+STATE_TYPES: dict[str, type] = {
+    kind.__name__: kind for kind in (bytes, list, dict, Pose, WorldState, RobotState, EnvState)
+}
+"""Types that files of states name, by name: the fixed ones and those that imported tasks declare."""
+
+
+def declare_state_types(kinds: tuple[type, ...]) -> None:
+    """Add the types of a task's memory to :data:`STATE_TYPES`.
+
+    :param kinds: dataclasses and named tuples, made from their fields alone
+    :raises ValueError: an entry is something else, or another type has its name
+    """
+    if not (isinstance(kinds, tuple) and all(map(_is_record, kinds))):
+        raise ValueError(f"memory_types must be a tuple of dataclasses and named tuples, got {kinds!r}")
+    for kind in kinds:
+        known = STATE_TYPES.setdefault(kind.__name__, kind)
+        if _path(known) != _path(kind):
+            raise ValueError(
+                f"memory_types must have names of their own, got {_path(kind)} next to {_path(known)}. "
+                "Rename one of them."
+            )
+        STATE_TYPES[kind.__name__] = kind  # a module that is reloaded replaces its types
+
+
+def field_names(kind: type) -> tuple[str, ...]:
+    """Return the names of a dataclass's or named tuple's fields, in the order of the constructor."""
+    if dataclasses.is_dataclass(kind):
+        return tuple(field.name for field in dataclasses.fields(kind))
+    names: tuple[str, ...] = getattr(kind, "_fields", ())
+    return names
+
+
+def _is_record(kind: Any) -> bool:
+    if isinstance(kind, type) and dataclasses.is_dataclass(kind):
+        return all(field.init for field in dataclasses.fields(kind))
+    return isinstance(kind, type) and issubclass(kind, tuple) and hasattr(kind, "_fields")
+
+
+def _path(kind: type) -> str:
+    return f"{kind.__module__}:{kind.__qualname__}"

@@ -24,6 +24,24 @@ class Refused(Exception):
     """Carries what a parameter takes to where its name is known."""
 
 
+def check_argument(name: str, value: Any, check: Check) -> Any:
+    """Return an argument of a function as a check keeps it.
+
+    :raises ValueError: the check refuses it
+    """
+    try:
+        return check(value)
+    except Refused as refused:
+        raise ValueError(f"{name} must be {refused}, got {value!r}") from None
+
+
+def mapping(value: Any) -> Mapping[str, Any]:
+    """Ask for a mapping of names to values."""
+    if not isinstance(value, Mapping):
+        raise Refused("a dict")
+    return value
+
+
 def choice(*choices: Any) -> Check:
     """Ask for one of some values, of just that type."""
 

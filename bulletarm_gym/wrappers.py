@@ -9,6 +9,8 @@ from gymnasium.utils import RecordConstructorArgs
 from numpy.typing import NDArray
 from PIL import Image
 
+from bulletarm_gym.values import check_argument, integer, optional
+
 Picture = NDArray[np.uint8]
 
 WHITE = 255
@@ -46,8 +48,7 @@ class ImageObservation(
         gymnasium.ObservationWrapper.__init__(self, env)
         self._parts = _parts(env.observation_space)
         sides = [side for box in self._parts.values() for side in box.shape[1:]]
-        if size is not None and size < 1:
-            raise ValueError(f"size: got {size!r}, takes a number of pixels, at least 1")
+        check_argument("size", size, optional(integer(1)))
         self.size = max(sides) if size is None else size
         count = len(self.channels)
         self._axis = -1 if channels_last else 0

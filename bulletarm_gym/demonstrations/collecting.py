@@ -17,6 +17,7 @@ from bulletarm_gym.demonstrations.episodes import Demonstrations, Episode, Recor
 from bulletarm_gym.env import Action, ManipulationEnv, Observation
 from bulletarm_gym.experts.deconstruction import take_apart
 from bulletarm_gym.footprint import PlacementError
+from bulletarm_gym.values import check_argument, integer, mapping, optional
 
 WAYPOINT = "waypoint"
 DECONSTRUCTION = "deconstruction"
@@ -54,8 +55,10 @@ def collect(
         environment, with the reason
     :raises RuntimeError: too few attempts succeeded
     """
-    if episodes < 1:
-        raise ValueError(f"episodes: got {episodes!r}, takes at least 1")
+    check_argument("episodes", episodes, integer(1))
+    check_argument("seed", seed, optional(integer(0)))
+    check_argument("max_attempts", max_attempts, optional(integer(1)))
+    check_argument("env_kwargs", env_kwargs, optional(mapping))
     target = None if path is None else _writable(Path(path))
     seed = int(np.random.SeedSequence().generate_state(1)[0]) if seed is None else seed
     most = ATTEMPTS_PER_EPISODE * episodes if max_attempts is None else max_attempts

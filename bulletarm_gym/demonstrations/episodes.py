@@ -102,7 +102,9 @@ class Demonstrations:
     def __init__(self, image: bytes, name: str = "demonstrations") -> None:
         self.image = image
         self._name = name
-        if image.startswith(MAGIC) and image[:USER_BLOCK] != _user_block(image[USER_BLOCK:]):
+        if not image.startswith(MAGIC):
+            raise ValueError(f"{name}: not a file of demonstrations")
+        if image[:USER_BLOCK] != _user_block(image[USER_BLOCK:]):
             raise ValueError(f"{name}: a file of demonstrations, but damaged: its checksum is wrong")
         with self._file() as file:
             self.about: dict[str, Any] = json.loads(file["about"][()])

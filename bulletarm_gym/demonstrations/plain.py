@@ -1,25 +1,25 @@
-"""States as plain JSON: read by any program, and run by none, unlike a pickle.
+"""States as plain JSON: any program can read them, and loading one imports and runs nothing.
 
 An array of JSON is a tuple, and each other thing an object with one key: ``{"list": [...]}``,
-``{"dict": [[key, value], ...]}``, ``{"bytes": "base64"}``, or for a dataclass or named tuple the path of its
-class and its values, ``{"bulletarm_gym.geometry:Pose": [[x, y, z], [x, y, z, w]]}``.
+``{"dict": [[key, value], ...]}``, ``{"bytes": "base64"}``, or for a dataclass or named tuple the name of its
+type and its values, ``{"Pose": [[x, y, z], [x, y, z, w]]}``. The names are those of
+:data:`~bulletarm_gym.state.STATE_TYPES`.
 """
 
 import base64
-import dataclasses
 import json
 from typing import Any
 
 import numpy as np
 
-from bulletarm_gym.extensions import import_path, load
+from bulletarm_gym.state import STATE_TYPES, field_names
 
 
 def dumps(value: Any) -> str:
     """Return a value as JSON.
 
-    :raises ValueError: something in it is neither a number, text, bytes or None nor a tuple, list, dict,
-        named tuple or dataclass of such things
+    :raises ValueError: something in it is neither a number, text, bytes or None nor a tuple, list, dict or
+        declared type of such things
     """
     return json.dumps(_encoded(value), separators=(",", ":"))
 
@@ -27,9 +27,12 @@ def dumps(value: Any) -> str:
 def loads(text: str | bytes) -> Any:
     """Return the value that :func:`dumps` has written, exactly.
 
-    :raises ValueError: it has written no such text
+    :raises ValueError: the text is not from :func:`dumps`, or has a type that no imported task declares
     """
-    return _decoded(json.loads(text))
+    try:
+        return _decoded(json.loads(text))
+    except TypeError as error:
+        raise ValueError(f"text must come from dumps(): {error}") from error
 
 
 def _encoded(value: Any) -> Any:
@@ -37,19 +40,25 @@ def _encoded(value: Any) -> Any:
         value = value.item()
     if value is None or isinstance(value, bool | int | float | str):
         return value
+    kind = type(value)
+    if kind is tuple:
+        return [_encoded(entry) for entry in value]
+    if STATE_TYPES.get(kind.__name__) is not kind:
+        raise ValueError(
+            f"state must consist of plain values and declared types, got a {kind.__name__}: {value!r}. "
+            "Add dataclasses and named tuples to the task's memory_types."
+        )
+    return {kind.__name__: _content(value)}
+
+
+def _content(value: Any) -> Any:
     if isinstance(value, bytes):
-        return {"bytes": base64.b64encode(value).decode()}
+        return base64.b64encode(value).decode()
     if isinstance(value, dict):
-        return {"dict": [[_encoded(key), _encoded(entry)] for key, entry in value.items()]}
+        return [[_encoded(key), _encoded(entry)] for key, entry in value.items()]
     if isinstance(value, list):
-        return {"list": [_encoded(entry) for entry in value]}
-    if dataclasses.is_dataclass(value):
-        names = [field.name for field in dataclasses.fields(value)]
-        return {import_path(type(value), "state"): [_encoded(getattr(value, name)) for name in names]}
-    if isinstance(value, tuple):
-        values = [_encoded(entry) for entry in value]
-        return {import_path(type(value), "state"): values} if hasattr(value, "_fields") else values
-    raise ValueError(f"state: {value!r} is a {type(value).__name__}, which is neither plain nor a dataclass")
+        return [_encoded(entry) for entry in value]
+    return [_encoded(getattr(value, name)) for name in field_names(type(value))]
 
 
 def _decoded(value: Any) -> Any:
@@ -57,13 +66,16 @@ def _decoded(value: Any) -> Any:
         return tuple(_decoded(entry) for entry in value)
     if not isinstance(value, dict):
         return value
-    ((kind, content),) = value.items()
-    if kind == "bytes":
+    ((name, content),) = value.items()
+    kind = STATE_TYPES.get(name)
+    if kind is None:
+        raise ValueError(
+            f"state type must be one of {', '.join(STATE_TYPES)}, got {name!r}. "
+            "Import the module of the task that declares it."
+        )
+    if kind is bytes:
         return base64.b64decode(content)
     values = _decoded(content)
-    if kind in ("list", "dict"):
-        return {"list": list, "dict": dict}[kind](values)
-    made = load(kind)
-    if not (isinstance(made, type) and (dataclasses.is_dataclass(made) or hasattr(made, "_fields"))):
-        raise ValueError(f"state: {kind} is neither a dataclass nor a named tuple")
-    return made(*values)
+    if kind in (list, dict):
+        return kind(values)
+    return kind(**dict(zip(field_names(kind), values, strict=True)))

@@ -7,6 +7,8 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
+from gymnasium.error import ClosedEnvironmentError
+
 from bulletarm_gym.simulation.engine import pybullet
 
 
@@ -37,14 +39,21 @@ class Client:
     def __getattr__(self, name: str) -> Any:
         """Bind a function of PyBullet to this server, once; constants pass as they are.
 
-        :raises RuntimeError: the client is closed (PyBullet gives its number to the next one)
+        :raises ClosedEnvironmentError: the client is closed (PyBullet gives its number to the next one)
         """
-        if not self._release.alive:
-            raise RuntimeError(f"{name}: the environment was closed, make another with gymnasium.make")
+        self.check_open()
         value = getattr(pybullet, name)
         bound = partial(value, physicsClientId=self.id) if callable(value) else value
         setattr(self, name, bound)
         return bound
+
+    def check_open(self) -> None:
+        """Check that the server has not been released.
+
+        :raises ClosedEnvironmentError: it has
+        """
+        if not self._release.alive:
+            raise ClosedEnvironmentError("the environment is closed. Make a new one with gymnasium.make().")
 
     def replace(self, name: str, wrap: Callable[["partial[Any]"], "partial[Any]"]) -> None:
         """Put a function of this server's into another one, through which it is called from now on."""

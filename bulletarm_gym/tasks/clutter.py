@@ -3,7 +3,6 @@
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 
@@ -84,14 +83,6 @@ NUDGE = 0.04
 """Greatest distance (m), along x and along y, at which the fingers close beside an object to move it."""
 CHANCE = 0.02
 """Standard deviation of what chance adds to a grasp's quality."""
-
-
-class Spot(NamedTuple):
-    """Where the fingertips were: x, y (m) and yaw (rad)."""
-
-    x: float
-    y: float
-    yaw: float
 
 
 class ObjectGrasping(Task):
@@ -194,15 +185,15 @@ class ObjectGrasping(Task):
         closed = scene.robot.get_state().opening < 0.5 * scene.robot.model.gripper.stroke
         known = (
             failed
-            and planar_distance(failed[-1], hand.position) < SAME_PLACE
+            and planar_distance(failed[-1].position, hand.position) < SAME_PLACE
             and abs(wrap_angle(failed[-1].yaw - hand.yaw, math.pi)) < ALIKE
         )
         if closed and scene.robot.held is None and not known:
-            self.memory = (*failed, Spot(hand.x, hand.y, hand.yaw))[-MOST_FAILURES:]
+            self.memory = (*failed, hand)[-MOST_FAILURES:]
 
     @property
-    def _failed(self) -> tuple[Spot, ...]:
-        """Where grasps of this episode failed."""
+    def _failed(self) -> tuple[Pose, ...]:
+        """Tool poses of this episode's failed grasps."""
         return self.memory or ()
 
     def evaluate(self, scene: Scene) -> dict[str, bool]:
@@ -231,9 +222,9 @@ class ObjectGrasping(Task):
         hand = scene.robot.pose
         grasps = self._grasps(scene, relief, DEPTHS)
         value = grasps.quality.copy()
-        for spot in self._failed:
-            near = np.hypot(grasps.x - spot.x, grasps.y - spot.y) < NEAR_FAILURE
-            value -= FAILURE_COST * near * (1.0 + (np.abs(wrap(grasps.yaw - spot.yaw)) < ALIKE))
+        for failed in self._failed:
+            near = np.hypot(grasps.x - failed.x, grasps.y - failed.y) < NEAR_FAILURE
+            value -= FAILURE_COST * near * (1.0 + (np.abs(wrap(grasps.yaw - failed.yaw)) < ALIKE))
         good = value > 0.0
         if not good.any():
             return None

@@ -14,6 +14,7 @@ from bulletarm_gym.geometry import Vector
 from bulletarm_gym.objects.blocks import CUBE_SIZE
 from bulletarm_gym.rendering.overlays import Overlay
 from bulletarm_gym.scene import Item, Role, Scene
+from bulletarm_gym.state import declare_state_types
 from bulletarm_gym.surfaces.surface import SITE, Point
 
 
@@ -51,13 +52,23 @@ class Task(ABC):
     """Whether every action ends the episode."""
     rehearsals: ClassVar[int] = 8
     """Starts arranged at most to see whether there is room, where objects or workspace are not its own."""
+    memory_types: ClassVar[tuple[type, ...]] = ()
+    """Dataclasses and named tuples in :attr:`memory`, for files of states; plain values need none."""
     site: Point = SITE
     """Width and length (m) of the base of what is built: ramps and bumps leave level ground for it."""
 
     def __init__(self, config: EnvConfig) -> None:
         self.config = config
         self.memory: Any = None
-        """What the task must remember within an episode; picklable."""
+        """What the task must remember within an episode: plain values and :attr:`memory_types`."""
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        """Declare the types of the memory.
+
+        :raises ValueError: ``memory_types`` has a type that cannot be stored, or whose name is in use
+        """
+        super().__init_subclass__(**options)
+        declare_state_types(cls.memory_types)
 
     @property
     def hints(self) -> Hints:
@@ -110,7 +121,10 @@ class Task(ABC):
 
     @abstractmethod
     def evaluate(self, scene: Scene) -> dict[str, bool]:
-        """Return named facts about the scene; ``"success"`` is the goal."""
+        """Return named facts about the scene; ``"success"`` is the goal.
+
+        ``info`` has the other facts, and ``is_success``: the goal is reached in a valid scene.
+        """
 
     @abstractmethod
     def plan(self, scene: Scene, rng: np.random.Generator) -> Iterator[Waypoint]:
@@ -136,8 +150,11 @@ class Task(ABC):
         return all(self._is_inside(item) for item in scene if item.spec.mass > 0.0 and item.body is not held)
 
     def reward(self, scene: Scene, outcome: Mapping[str, bool]) -> float:
-        """Return 1 on success, else 0 (paper, Environment)."""
-        return float(outcome["success"])
+        """Return 1 on success, else 0 (paper, Environment).
+
+        :param outcome: the step's ``info``
+        """
+        return float(outcome["is_success"])
 
     def _is_inside(self, item: Item) -> bool:
         (x0, x1), (y0, y1), (_, top) = self.config.workspace

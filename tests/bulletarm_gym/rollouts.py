@@ -4,6 +4,7 @@ As a script it reads pickled requests, ``{name: (env_id, parameters, state or No
 prints the digests of the rollouts that follow, as JSON: how the tests look into another process.
 """
 
+import dataclasses
 import hashlib
 import json
 import pickle
@@ -119,6 +120,12 @@ def advance(env: ManipulationEnv, seed: int, steps: int) -> EnvState:
         else:
             assert not terminated and not truncated
     return env.get_state()
+
+
+def step_on(env: ManipulationEnv, action: Any) -> Any:
+    """Step, also after the end of the episode."""
+    env.set_state(dataclasses.replace(env.get_state(), steps=0, ended=False))
+    return env.step(action)
 
 
 def answer(requests: dict[str, tuple[str, dict[str, Any], EnvState | None]]) -> dict[str, list[str]]:

@@ -217,16 +217,16 @@ def _content(episode: Episode) -> list[Any]:
     return [episode.seed, episode.initial_state, *(array.tobytes() for array in arrays)]
 
 
-def test_files_without_a_checksum_are_read(basket: Demonstrations) -> None:
-    older = bytes(512) + basket.image[512:]
-    assert [_content(episode) for episode in Demonstrations(older)] == list(map(_content, basket))
-    copy = io.BytesIO(older)
-    with h5py.File(copy, "r+") as file:
-        del file["episodes/1/actions"]
-    damaged = Demonstrations(copy.getvalue(), "older.h5")
-    assert len(damaged[0]) > 0
-    with pytest.raises(ValueError, match=r"^older\.h5: not a file of demonstrations, or damaged: .*actions"):
-        damaged[1]
+def test_load_rejects_files_without_a_checksum(basket: Demonstrations) -> None:
+    with pytest.raises(ValueError, match=r"^other\.h5: not a file of demonstrations$"):
+        Demonstrations(bytes(512) + basket.image[512:], "other.h5")
+
+
+def test_loading_a_file_imports_nothing(basket: Demonstrations, tmp_path: Path) -> None:
+    basket.save(tmp_path / "a.h5")
+    before = set(sys.modules)
+    assert all(episode.state.made_of for episode in load(tmp_path / "a.h5"))
+    assert set(sys.modules) == before
 
 
 # Refusals
@@ -235,7 +235,8 @@ def test_files_without_a_checksum_are_read(basket: Demonstrations) -> None:
 @pytest.mark.parametrize(
     ("arguments", "reason"),
     [
-        ((PICKING, 0), "episodes"),
+        ((PICKING, 0), "^episodes must be an integer of at least 1, got 0"),
+        ((PICKING, "3"), "^episodes must be an integer of at least 1, got '3'"),
         ((PICKING, 1, "magic"), "planner: got 'magic', takes one of"),
         ((PICKING, 1, "deconstruction"), "close-loop"),
         ((PACKING, 1, "deconstruction"), "BinPacking builds no structure"),
@@ -247,6 +248,20 @@ def test_files_without_a_checksum_are_read(basket: Demonstrations) -> None:
 def test_wrong_arguments_are_refused(arguments: tuple[Any, ...], reason: str) -> None:
     with pytest.raises(ValueError, match=reason):
         collect(*arguments)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "must"),
+    [
+        ("seed", -1, "an integer of at least 0"),
+        ("seed", "a", "an integer of at least 0"),
+        ("max_attempts", 0, "an integer of at least 1"),
+        ("env_kwargs", "obs_size", "a dict"),
+    ],
+)
+def test_collect_names_the_wrong_argument(name: str, value: Any, must: str) -> None:
+    with pytest.raises(ValueError, match=rf"^{name} must be {must}, got {value!r}"):
+        collect(PICKING, 1, **{name: value})
 
 
 def test_folders_are_no_files(tmp_path: Path) -> None:

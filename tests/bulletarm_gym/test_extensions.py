@@ -256,3 +256,15 @@ def test_what_is_no_control_is_refused() -> None:
 def test_what_cannot_be_is_told_by_its_name(parameters: dict[str, Any], reason: str) -> None:
     with pytest.raises(ValueError, match=f"^{reason}"):
         gymnasium.make(PICKING, **parameters)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"defaults": "max_steps"}, "^defaults must be a dict, got 'max_steps'"),
+        ({"task": 3}, "^task: got 3, takes 'module:Class' of your own"),
+    ],
+)
+def test_wrong_parts_are_named(arguments: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        gymnasium.make("BulletArm/CloseLoopBlockPicking-v0", **arguments)

@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from rollouts import step_on
 
 from bulletarm_gym.env import ManipulationEnv
 from bulletarm_gym.geometry import (
@@ -143,7 +144,7 @@ def test_holds_a_cube_through_random_moves(make: Make, model: RobotModel) -> Non
         action = rng.uniform(-1, 1, 5)
         action[0] = -1.0
         action[3] = max(action[3], (0.1 - env.scene.robot.pose.z) / 0.05)  # stay off the floor
-        observation, *_ = env.step(action)
+        observation, *_ = step_on(env, action)
         assert env.scene.held is not None and observation["holding"] == [1.0]
     end = in_hand(env)
     assert math.dist(start.position, end.position) < 5e-3

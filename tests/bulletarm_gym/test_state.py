@@ -1,6 +1,5 @@
 """States are exact: what follows from one is the same in any instance, process and after any pickle."""
 
-import dataclasses
 import pickle
 from collections.abc import Callable
 from typing import Any
@@ -208,20 +207,16 @@ def test_state_of_another_environment_is_refused(
     advance(env, SEED, 1)
     before = env.get_state()
     state = advance(other, SEED, 1)
-    with pytest.raises(ValueError, match=rf"^state: got one .*\b{name}=.* this one has .*\b{name}="):
+    with pytest.raises(ValueError, match=rf"^state must be .*\b{name}=.*, got one with .*\b{name}="):
         env.set_state(state)
     assert env.get_state() == before
     other.close()
 
 
-def test_what_is_no_state_is_refused(picking: ManipulationEnv, make: Make) -> None:
+def test_set_state_rejects_other_values(picking: ManipulationEnv) -> None:
     picking.reset(seed=0)
-    with pytest.raises(ValueError, match="state: got a dict"):
+    with pytest.raises(ValueError, match=r"^state must be an EnvState from get_state\(\), got a dict"):
         picking.set_state({})  # type: ignore[arg-type]
-    old = dataclasses.replace(picking.get_state(), made_of=None)
-    picking.set_state(old)
-    with pytest.raises(ValueError, match=r"state: got one .* bodies="):
-        make(STACKING).set_state(old)
 
 
 def test_state_of_an_environment_that_looks_otherwise_is_taken(picking: ManipulationEnv, make: Make) -> None:

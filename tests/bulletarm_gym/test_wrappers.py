@@ -103,10 +103,11 @@ def test_spec_makes_it_again() -> None:
     ("parameters", "size", "message"),
     [
         ({"observation": "state"}, None, "env: got one that observes .*'state'"),
-        ({}, 0, "size: got 0, takes a number of pixels"),
+        ({}, 0, "^size must be an integer of at least 1, got 0"),
+        ({}, "large", "^size must be an integer of at least 1, got 'large'"),
     ],
 )
-def test_what_is_no_image_is_refused(parameters: dict[str, Any], size: int | None, message: str) -> None:
+def test_what_is_no_image_is_refused(parameters: dict[str, Any], size: Any, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         ImageObservation(gymnasium.make(CLOSE, **parameters), size)
 
