@@ -15,6 +15,11 @@ OPEN_LOOP = "open_loop"
 ORTHOGRAPHIC = "orthographic"
 """The view that looks straight down on meshes."""
 
+MAX_TRANSLATION = 0.05
+"""Largest translation (m) of a close-loop action along an axis (paper, Close-Loop 4D Benchmark)."""
+MAX_ROTATION = math.pi / 4.0
+"""Largest rotation (rad) of a close-loop action about z (paper, Close-Loop 4D Benchmark)."""
+
 LEVEL, SLOPING = ("flat", "tray"), ("ramp", "bump")
 """Kinds of ground."""
 

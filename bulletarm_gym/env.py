@@ -13,7 +13,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from bulletarm_gym.assembly import find_types, make_config, make_scene, take_objects
 from bulletarm_gym.config import CLOSE_LOOP
-from bulletarm_gym.control import Control
+from bulletarm_gym.control import Control, RobotInterface
+from bulletarm_gym.experts.tracking import Tracker
 from bulletarm_gym.extensions import by_path
 from bulletarm_gym.feasibility import (
     check_heights,
@@ -91,7 +92,11 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         self._reward = self.objects.get("reward") or reward_function(self.config.reward) or self.task.reward
         self.scene = make_scene(self.config, robots, surface, self.task)
         check_spans(self.config, own, self.scene, self.task)
-        self.control: Control[Any] = control_type(self.config, self.scene, self.task)
+        robot = RobotInterface(self.scene.robot, self.scene.settle)
+        self.control: Control[Any] = control_type(self.config, robot, self.task.hints)
+        self.tracker = Tracker(
+            self.control, self.scene, self.task.hints.opening if self.task.plans_moves else None
+        )
         check_room(self.config, own, self.scene, self.task, self.control)
         self.action_space = self.control.action_space
         self._observer = Observer(self.config, self.scene)
@@ -122,12 +127,12 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         arrange = self.task.arrange_goal if "start" in options else self.task.arrange
         self._episode_seed = int(self.np_random.integers(np.iinfo(np.int64).max))
         self._steps = 0
-        self.task.memory = None
+        self.task.memory = self.control.memory = None
         rng = self._rng(ARRANGEMENT)
         if anew or not self.task.carry_on(self.scene, rng):
             self._arrange(arrange, rng)
         else:
-            self.control.start(self.scene)
+            self.control.start()
         self._observer.set_memory({})
         self.scene.begin()
         self.scene.settle()
@@ -147,7 +152,7 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         """
         for attempt in range(GROUNDS):
             self.scene.clear(rng)
-            self.control.start(self.scene)
+            self.control.start()
             try:
                 arrange(self.scene, rng)
                 return
@@ -165,10 +170,10 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         self._check_running()
         view = self._view if self._view is not None and self._view.is_current else self.look()
         move = self.control.decode_action(action, view)
-        if self._observer.follows:
+        if self._observer.follows or self.control.follows:
             _ = view.heights  # drawn while they are what was seen before the move
         self.scene.begin()
-        outcome = self.control.apply(self.scene, move)
+        outcome = self.control.apply(move)
         self.scene.settle()
         if not outcome.ignored:
             self._observer.follow(view, outcome.pick)
@@ -180,7 +185,10 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         reward = finite_reward(self._reward(self.scene, info), self._reward) if valid else 0.0
         terminated = success or not valid or self.task.one_decision
         truncated = not terminated and self._steps >= self.config.max_steps
-        return self.observe(), reward, terminated, truncated, info
+        self._view = self.look()
+        if not outcome.ignored:
+            self.control.follow(view, self._view, outcome)
+        return self._observer.read(self._view), reward, terminated, truncated, info
 
     def render(self) -> Any:
         """Return a picture (480, 480, 3) uint8, distances (480, 480) float32 in metres, or nothing."""
@@ -220,8 +228,7 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
 
     def look(self) -> View:
         """Return what is seen from above at present."""
-        frame = self.control.frame(self.scene)
-        return View(self.scene, frame, self.task.overlays, self._observer.asks_for_labels)
+        return View(self.scene, self.control.frame(), self.task.overlays, self._observer.asks_for_labels)
 
     def decode_action(self, action: ArrayLike) -> Any:
         """Return an action in metres and radians: a ``DeltaMove``, a ``PickPlace``, or the control's own."""
@@ -242,7 +249,7 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         self._check_running()
         lasts = MOVE_STEPS if self.task.plans_moves and self.config.control == CLOSE_LOOP else 1
         plan = iter(self.task.plan(self.scene, self._rng(PLAN, self._steps // lasts)))
-        return self.control.encode_action(self.control.next_move(self.scene, plan))
+        return self.control.encode_action(self.tracker.next_move(plan))
 
     def measure(self) -> Stopwatch:
         """Return a stopwatch that adds up the seconds of the engine's steps and of heightmaps from now on.
@@ -264,6 +271,7 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
             self.scene.get_cast(),
             self._observer.get_memory(),
             self.task.memory,
+            self.control.memory,
             self._steps,
             self._episode_seed,
             dict(self.np_random.bit_generator.state),
@@ -285,6 +293,7 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         known = isinstance(state.sensors, dict)
         self._observer.set_memory(state.sensors if known else {"in_hand": state.sensors})
         self.task.memory = state.memory
+        self.control.memory = state.control
         self._steps = state.steps
         self._episode_seed = state.episode_seed
         self.np_random.bit_generator.state = state.generator

@@ -104,7 +104,7 @@ def _rehearse(scene: Scene, task: Task, control: Control[Any], rng: np.random.Ge
         if rest == 0:  # the larger, the later
             shape = item.choices[item.variant] % shapes
             item.variant = max(n for n, place in enumerate(item.choices) if place % shapes == shape)
-    control.start(scene)
+    control.start()
     task.memory = None
     try:
         task.arrange(scene, rng)

@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from bulletarm_gym.config import ORTHOGRAPHIC, EnvConfig
+from bulletarm_gym.config import MAX_ROTATION, MAX_TRANSLATION, ORTHOGRAPHIC, EnvConfig
 from bulletarm_gym.geometry import FloatArray, Pose, Vector, matrix
 from bulletarm_gym.rendering.point_cloud import project
 from bulletarm_gym.rendering.rasterizer import Labels
@@ -251,6 +251,10 @@ class Scene:
     def __init__(self, config: EnvConfig, model: RobotModel, surface: Surface, roles: Sequence[Role]) -> None:
         self.config = config
         self.surface = surface
+        self.max_translation = MAX_TRANSLATION
+        """Largest translation (m) of a close-loop action along an axis, set by the expert's tracker."""
+        self.max_rotation = MAX_ROTATION
+        """Largest rotation (rad) of a close-loop action, set by the expert's tracker."""
         self.world = World(PHYSICS_MODES[config.physics_mode], gui=config.render_mode == "human")
         surface.load(self.world)
         self.robot = Robot(model, self.world, config.fast_mode)

@@ -11,7 +11,9 @@ from bulletarm_gym.simulation import WorldState
 class EnvState:
     """Everything an environment needs to go on from a moment; picklable.
 
-    :param sensors: what they remember, by name
+    :param sensors: memory of the sensors, by name
+    :param memory: memory of the task
+    :param control: memory of the control
     :param generator: state of the generator that later episodes are seeded from
     :param made_of: what decides whether an environment can take it: task, arm, sizes; None in old files
     """
@@ -21,6 +23,7 @@ class EnvState:
     cast: tuple[int, ...]
     sensors: Any
     memory: Any
+    control: Any
     steps: int
     episode_seed: int
     generator: dict[str, Any]

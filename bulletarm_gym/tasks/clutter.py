@@ -7,8 +7,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bulletarm_gym.config import CLOSE_LOOP, OPEN_LOOP, EnvConfig, TaskDefaults, TrayUse
-from bulletarm_gym.experts.approach import ALIGNED, ALIGNED_YAW, HOVER, STEP
+from bulletarm_gym.config import (
+    CLOSE_LOOP,
+    MAX_ROTATION,
+    MAX_TRANSLATION,
+    OPEN_LOOP,
+    EnvConfig,
+    TaskDefaults,
+    TrayUse,
+)
+from bulletarm_gym.control import Hints
+from bulletarm_gym.experts.approach import ALIGNED, ALIGNED_YAW, HOVER
 from bulletarm_gym.experts.grasps import DEPTHS, YAWS, Grasps, Relief, find_grasps
 from bulletarm_gym.experts.stirring import stir
 from bulletarm_gym.experts.waypoints import CLOSED, OPEN, Waypoint
@@ -30,7 +39,7 @@ from bulletarm_gym.scene import Item, Role, Scene
 from bulletarm_gym.simulation import BodySpec, Convex, Piece
 from bulletarm_gym.simulation.world import FALLING
 from bulletarm_gym.tasks.picking import LIFTED
-from bulletarm_gym.tasks.task import Hints, Task
+from bulletarm_gym.tasks.task import Task
 
 MOST_OBJECTS = 15
 """As many as the paper's open-loop clutter."""
@@ -53,7 +62,7 @@ PITCH = 0.003
 """Side (m) of the pixels that grasps are searched in."""
 SURROUNDINGS = 0.05
 """How far (m) beyond the workspace is looked: an open gripper reaches there."""
-TURN_WORTH = 1.5 * STEP / (math.pi / 4.0)
+TURN_WORTH = 1.5 * MAX_TRANSLATION / MAX_ROTATION
 """The way (m/rad) that a turn is worth: more than what takes as many actions, for turns are hard to learn."""
 WAY_WEIGHT = 6.0
 """What a metre of way costs of a grasp's quality: so much that the nearest is meant, which one can see."""
@@ -221,7 +230,8 @@ class ObjectGrasping(Task):
             else:
                 yield _approach(scene, relief, target)
         else:
-            yield Waypoint(Pose.planar(hand.x, hand.y, max(hand.z, LIFTED) + STEP, hand.yaw), CLOSED)
+            height = max(hand.z, LIFTED) + scene.max_translation
+            yield Waypoint(Pose.planar(hand.x, hand.y, height, hand.yaw), CLOSED)
 
     def _target(self, scene: Scene, relief: Relief) -> Pose | None:
         """Return the grasp whose quality less the way to it is best, if any is good enough.
@@ -323,8 +333,10 @@ def _approach(scene: Scene, relief: Relief, target: Pose) -> Waypoint:
     if way < ALIGNED and abs(turn) < ALIGNED_YAW and abs(target.z - hand.z) < DEEP:
         return Waypoint(Pose.planar(target.x, target.y, target.z, hand.yaw + turn), OPEN, finish=CLOSED)
     # What will be left after this step; and not all the way down within a long one.
-    dx, dy = (_beyond(goal - now, STEP) for goal, now in ((target.x, hand.x), (target.y, hand.y)))
-    left = max(math.hypot(dx, dy), FUNNEL_TURN * _beyond(turn, math.pi / 4.0))
+    dx, dy = (
+        _beyond(goal - now, scene.max_translation) for goal, now in ((target.x, hand.x), (target.y, hand.y))
+    )
+    left = max(math.hypot(dx, dy), FUNNEL_TURN * _beyond(turn, scene.max_rotation))
     apart = max(left, max(way, FUNNEL_TURN * abs(turn)) / 2.0 - ALIGNED)
     top = max(target.z, relief.top_between(hand.position, target.position, reach) + HOVER)
     height = target.z + (top - target.z) * min(1.0, max(0.0, apart / FUNNEL))

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from bulletarm_gym.config import CLOSE_LOOP, EnvConfig, TaskDefaults
-from bulletarm_gym.experts.approach import STEP, grasp, side_symmetry, side_yaw
+from bulletarm_gym.experts.approach import grasp, side_symmetry, side_yaw
 from bulletarm_gym.experts.waypoints import CLOSED, Waypoint
 from bulletarm_gym.geometry import Pose
 from bulletarm_gym.objects import cube
@@ -45,7 +45,8 @@ class Lift(Task):
         hand = scene.robot.pose
         if not is_held(scene, scene["cube"]):
             yield from self._grasp(scene)
-        yield Waypoint(Pose.planar(hand.x, hand.y, max(hand.z, LIFTED) + STEP, hand.yaw), CLOSED)
+        height = max(hand.z, LIFTED) + scene.max_translation
+        yield Waypoint(Pose.planar(hand.x, hand.y, height, hand.yaw), CLOSED)
 
     @abstractmethod
     def _grasp(self, scene: Scene) -> Iterator[Waypoint]:

@@ -62,7 +62,7 @@ def test_encode_inverts_decode(make: Make, sequence: str, half: bool) -> None:
     config = type(env.config).of(
         "open_loop", env.task.defaults, ("kuka",), {"action_sequence": sequence, "half_rotation": half}
     )
-    control, view = type(env.control)(config, env.scene, env.task), env.look()
+    control, view = type(env.control)(config, env.control.robot, env.task.hints), env.look()
     rng = np.random.default_rng(0)
     corners = [np.full(len(sequence), sign) for sign in (-1.0, 0.0, 1.0)]
     for action in [*corners, *rng.uniform(-1.0, 1.0, (3, len(sequence)))]:
@@ -121,7 +121,7 @@ def test_encode_clips(env: ManipulationEnv) -> None:
 
 
 def test_unknown_primitives_are_refused(env: ManipulationEnv) -> None:
-    with pytest.raises(ValueError, match="primitive: got 'push', takes 'pick' or 'place'"):
+    with pytest.raises(ValueError, match="primitive must be 'pick' or 'place', got 'push'"):
         env.encode_action(PickPlace("push", (0.4, 0.0, 0.1)))
 
 
@@ -485,7 +485,7 @@ def test_waypoints_become_actions(make: Make, half: bool) -> None:
         Waypoint(target, OPEN, finish=CLOSED),
         Waypoint(target, CLOSED),
     ]
-    move = env.control.next_move(env.scene, iter(plan))
+    move = env.tracker.next_move(iter(plan))
     assert move.primitive == "pick" and move.position == pytest.approx(target.position)
     assert move.rotation[0] == pytest.approx(-0.2 + math.pi * half)
     env.step(env.encode_action(PickPlace("pick", (0.5, 0.11, 0.0))))
@@ -493,7 +493,7 @@ def test_waypoints_become_actions(make: Make, half: bool) -> None:
     assert cube is not None and abs(cube.pose.y - hand.y) > 5e-3, "it hangs at one side"
     spot = Pose.planar(0.4, 0.0, 0.1, -0.3)
     carried = hand.inverse().compose(cube.pose)
-    pick_place_move = env.control.towards(env.scene, Waypoint(spot, CLOSED, finish=OPEN))
+    pick_place_move = env.tracker.towards(Waypoint(spot, CLOSED, finish=OPEN))
     assert pick_place_move.primitive == "place"
     goal, wanted = pick_place_move.pose.compose(carried), spot.compose(carried)
     assert goal.position == pytest.approx(wanted.position)
