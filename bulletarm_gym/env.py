@@ -18,6 +18,7 @@ from bulletarm_gym.experts.tracking import Tracker
 from bulletarm_gym.extensions import by_path
 from bulletarm_gym.feasibility import (
     check_heights,
+    check_home,
     check_room,
     check_spans,
     checked_options,
@@ -91,6 +92,7 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         check_heights(self.config, own, self.task)
         self._reward = self.objects.get("reward") or reward_function(self.config.reward) or self.task.reward
         self.scene = make_scene(self.config, robots, surface, self.task)
+        check_home(self.config, self.scene)
         check_spans(self.config, own, self.scene, self.task)
         robot = RobotInterface(self.scene.robot, self.scene.settle)
         self.control: Control[Any] = control_type(self.config, robot, self.task.hints)

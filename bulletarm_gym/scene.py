@@ -251,10 +251,8 @@ class Scene:
     def __init__(self, config: EnvConfig, model: RobotModel, surface: Surface, roles: Sequence[Role]) -> None:
         self.config = config
         self.surface = surface
-        self.max_translation = MAX_TRANSLATION
-        """Largest translation (m) of a close-loop action along an axis, set by the expert's tracker."""
-        self.max_rotation = MAX_ROTATION
-        """Largest rotation (rad) of a close-loop action, set by the expert's tracker."""
+        # Limits of a close-loop action (m, rad): those of the control, once the experts' tracker exists.
+        self.max_translation, self.max_rotation = MAX_TRANSLATION, MAX_ROTATION
         self.world = World(PHYSICS_MODES[config.physics_mode], gui=config.render_mode == "human")
         surface.load(self.world)
         self.robot = Robot(model, self.world, config.fast_mode)

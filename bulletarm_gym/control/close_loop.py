@@ -19,8 +19,6 @@ VIEW_SCALE = 1.5
 """Side of the observed square in workspaces: 0.45 m for 0.3 m (paper, Benchmark Details)."""
 CAMERA_OFFSET = 0.1
 """Height (m) of the virtual camera plane above the fingertips."""
-START_HEIGHT = 0.2
-"""Height (m) of the fingertips over the workspace's centre at reset."""
 FINGER_SQUARE = 0.021
 """Side (m) of the squares that stand for the fingers: 6 of 128 pixels over 0.45 m."""
 
@@ -57,9 +55,8 @@ class CloseLoop(Control[DeltaMove]):
     """Largest rotation (rad) of an action."""
 
     def __init__(self, config: EnvConfig, robot: RobotInterface, hints: Hints) -> None:
-        height = min(max(START_HEIGHT, config.workspace[2][0]), config.workspace[2][1])
         extremes = (Pose.planar(*position) for position in over(config, config.workspace[2], POINTS))
-        super().__init__(config, robot, Pose.planar(*config.centre, height), extremes)
+        super().__init__(config, robot, extremes)
         self._workspace = config.workspace
         self._extent = VIEW_SCALE * config.workspace_size
         farthest = {**dict.fromkeys("xyz", self.max_translation), "r": self.max_rotation}

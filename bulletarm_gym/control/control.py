@@ -12,7 +12,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import ArrayLike, NDArray
 
-from bulletarm_gym.config import EnvConfig, ParameterError
+from bulletarm_gym.config import EnvConfig, ParameterError, default_home_height
 from bulletarm_gym.control.interface import RobotInterface
 from bulletarm_gym.geometry import Pose, Vector
 from bulletarm_gym.robots.robot import LEVEL_TILT
@@ -66,7 +66,6 @@ class Control(ABC, Generic[Move]):
 
     :param config: the environment's parameters
     :param robot: the robot that carries out the moves
-    :param home: pose of the fingertips at the start of an episode
     :param extremes: poses that the robot must reach
     :raises ParameterError: the robot does not reach one of these poses
     """
@@ -80,10 +79,12 @@ class Control(ABC, Generic[Move]):
     ranges: Mapping[str, tuple[float, float]] = MappingProxyType({})
     """Physical values (m, rad) of the numbers -1 and 1, by the name of the number."""
 
-    def __init__(
-        self, config: EnvConfig, robot: RobotInterface, home: Pose, extremes: Iterable[Pose]
-    ) -> None:
+    def __init__(self, config: EnvConfig, robot: RobotInterface, extremes: Iterable[Pose]) -> None:
+        home = Pose.planar(*config.centre, config.home_height)
         if not robot.reaches(home):
+            if home.z != default_home_height(config.control, config.workspace):
+                takes = f"a height that robot={config.robot!r} reaches in the middle of the workspace"
+                raise ParameterError.of("home_height", home.z, takes)
             takes = f"one whose middle robot={config.robot!r} reaches at a height of {home.z:g} m"
             raise ParameterError.of("workspace", config.workspace, takes)
         far = next((pose for pose in extremes if not robot.reaches(pose)), None)

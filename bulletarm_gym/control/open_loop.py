@@ -26,8 +26,6 @@ TILT = math.pi / 12.0
 """Tilt (rad) that the robot must reach all over the workspace: the mean slope of ramps."""
 TILTED_Z = (0.02, 0.2)
 """Heights (m) above the workspace's floor at which the robot must reach that tilt."""
-HOME_HEIGHT = 0.4
-"""Height (m) of the fingertips above the workspace's floor between actions: over everything."""
 ANGLES = ("theta", "phi", "psi")
 
 
@@ -85,8 +83,7 @@ class OpenLoop(Control[PickPlace]):
 
     def __init__(self, config: EnvConfig, robot: RobotInterface, hints: Hints) -> None:
         floor = config.workspace[2][0]
-        home = Pose.planar(*config.centre, floor + HOME_HEIGHT)
-        super().__init__(config, robot, home, _extremes(config, floor))
+        super().__init__(config, robot, _extremes(config, floor))
         self._hints = hints
         self._config = config
         self._floor = floor
@@ -206,14 +203,18 @@ class OpenLoop(Control[PickPlace]):
 
 
 def _extremes(config: EnvConfig, floor: float) -> Iterator[Pose]:
-    """Yield poses that must be in reach: upright at all heights of actions, and tilted where they tilt.
+    """Yield poses that must be in reach, at most as high as home: upright, and tilted with three r's.
 
     Steeper ones may be out of reach at the border; such an action is ignored.
     """
-    for position in over(config, (floor, floor + MAX_Z, floor + MAX_Z + MOTION.approach), POINTS):
+
+    def below_home(*heights: float) -> list[float]:
+        return [min(floor + height, config.home_height) for height in heights]
+
+    for position in over(config, below_home(0.0, MAX_Z, MAX_Z + MOTION.approach), POINTS):
         yield Pose.planar(*position)
     if config.action_sequence.count("r") == len(ANGLES):
-        for position in over(config, (floor + TILTED_Z[0], floor + TILTED_Z[1]), 3):
+        for position in over(config, below_home(*TILTED_Z), 3):
             for theta, tilt in itertools.product((0.0, math.pi / 2.0), (-TILT, TILT)):
                 yield euler_pose(position, (tilt, 0.0, theta))
                 yield euler_pose(position, (0.0, tilt, theta))

@@ -38,7 +38,6 @@ from bulletarm_gym.relations import TOUCHING
 from bulletarm_gym.scene import Item, Role, Scene
 from bulletarm_gym.simulation import BodySpec, Convex, Piece
 from bulletarm_gym.simulation.world import FALLING
-from bulletarm_gym.tasks.picking import LIFTED
 from bulletarm_gym.tasks.task import Task
 
 MOST_OBJECTS = 15
@@ -52,7 +51,7 @@ DROP_MARGIN = 0.055
 SETTLE_STEPS = 480
 """Most simulation steps (2 s) that a new clutter is given to come to rest."""
 ARM_AWAY = 0.4
-"""Height (m) of the fingertips while objects are dropped."""
+"""Height (m) of the fingertips while objects are dropped, if the robot reaches it."""
 NUMBERS = tuple(range(1, MOST_OBJECTS + 1))
 IN_TRAY = TrayUse((True,), "without it the objects would roll out of the workspace")
 
@@ -110,7 +109,7 @@ class ObjectGrasping(Task):
     Randomisation: at the start N objects of the set are dropped into the tray one by one, each in a random
     pose; with ``random_orientation=False`` each lies flat along y. What an episode leaves in the tray stays
     for the next; when all are grasped, or the scene has become invalid, N others are drawn.
-    Success: the gripper holds an object and is more than 15 cm above the ground. The object is taken away
+    Success: the gripper holds an object and is higher than ``lift_height``, 15 cm. The object is taken away
     when the next episode begins.
     Expert: the nearest of the good grasps from above that a search over heightmaps finds, straight up with
     it.
@@ -121,6 +120,7 @@ class ObjectGrasping(Task):
         allowed_objects=NUMBERS,
         tray=IN_TRAY,
         takes_object_set=True,
+        lifts=True,
     )
     controls = (CLOSE_LOOP,)
     rehearsals = 1  # each drops all objects, up to as many times as a reset does
@@ -128,7 +128,7 @@ class ObjectGrasping(Task):
     @property
     def height(self) -> float:
         """Up to where the gripper must lift."""
-        return LIFTED
+        return self.config.lift_height
 
     def bodies(self, config: EnvConfig) -> list[Role]:
         """Return all objects of the set, each in one size.
@@ -162,7 +162,8 @@ class ObjectGrasping(Task):
     def drop(self, scene: Scene, items: Sequence[Item], rng: np.random.Generator) -> None:
         """Drop items into the tray one by one and let them come to rest, the arm out of their way."""
         start = scene.robot.pose
-        scene.robot.home(Pose.planar(start.x, start.y, ARM_AWAY))
+        away = Pose.planar(start.x, start.y, ARM_AWAY)
+        scene.robot.home(away if scene.robot.reaches(away) else start)
         for item in items:
             item.place(self._drop_pose(scene, rng), FALLING)
             scene.begin()
@@ -184,7 +185,7 @@ class ObjectGrasping(Task):
         held = scene.held
         if held is not None:
             self._let_go(scene, held)
-            if scene.robot.pose.z > LIFTED:
+            if scene.robot.pose.z > self.config.lift_height:
                 held.park()
         return any(True for _ in scene) and self.is_valid(scene)
 
@@ -217,7 +218,7 @@ class ObjectGrasping(Task):
     def evaluate(self, scene: Scene) -> dict[str, bool]:
         """Look whether anything is held, and how high."""
         held = scene.held is not None
-        return {"success": held and scene.robot.pose.z > LIFTED, "is_held": held}
+        return {"success": held and scene.robot.pose.z > self.config.lift_height, "is_held": held}
 
     def plan(self, scene: Scene, rng: np.random.Generator) -> Iterator[Waypoint]:
         """Grasp what is best to grasp, then lift; where nothing can be grasped, turn something."""
@@ -230,7 +231,7 @@ class ObjectGrasping(Task):
             else:
                 yield _approach(scene, relief, target)
         else:
-            height = max(hand.z, LIFTED) + scene.max_translation
+            height = max(hand.z, self.config.lift_height) + scene.max_translation
             yield Waypoint(Pose.planar(hand.x, hand.y, height, hand.yaw), CLOSED)
 
     def _target(self, scene: Scene, relief: Relief) -> Pose | None:

@@ -115,7 +115,7 @@ def test_tracker_rejects_a_control_without_towards(picking: ManipulationEnv) -> 
         kind = "close_loop"
 
     Other.__abstractmethods__ = frozenset()
-    other = Other(picking.config, picking.control.robot, Pose.planar(0.45, 0.0, 0.2), ())  # type: ignore[abstract]
+    other = Other(picking.config, picking.control.robot, ())  # type: ignore[abstract]
     with pytest.raises(TypeError, match=r"define towards\(waypoint\), got .*Other"):
         Tracker(other, picking.scene, None).towards(Waypoint(Pose.planar(0.45, 0.0, 0.2), CLOSED))
 
