@@ -15,6 +15,16 @@ OPEN_LOOP = "open_loop"
 ORTHOGRAPHIC = "orthographic"
 """The view that looks straight down on meshes."""
 
+MAX_TRANSLATION = 0.05
+"""Largest translation (m) of a close-loop action along an axis (paper, Close-Loop 4D Benchmark)."""
+MAX_ROTATION = math.pi / 4.0
+"""Largest rotation (rad) of a close-loop action about z (paper, Close-Loop 4D Benchmark)."""
+
+HOME_HEIGHTS = {CLOSE_LOOP: 0.2, OPEN_LOOP: 0.4}
+"""Default heights (m) of the fingertips at reset, see :func:`default_home_height`."""
+LIFT_HEIGHT = 0.15
+"""Height (m) of the fingertips above z = 0 that counts as lifted (paper, Block Picking, Object Grasping)."""
+
 LEVEL, SLOPING = ("flat", "tray"), ("ramp", "bump")
 """Kinds of ground."""
 
@@ -76,6 +86,7 @@ class TaskDefaults:
     :param tray: whether it can stand in a tray
     :param level_ground: why it cannot stand on ramps and bumps, if so
     :param takes_object_set: whether its objects can be replaced by a user's
+    :param lifts: whether its goal is to lift an object to ``lift_height``
     :param sensors: what must be seen besides the default images
     :param close_loop: parameters with other defaults in close loop, of a task for both controls
     """
@@ -87,6 +98,7 @@ class TaskDefaults:
     tray: TrayUse = TrayUse()
     level_ground: str = ""
     takes_object_set: bool = False
+    lifts: bool = False
     sensors: tuple[str, ...] = ()
     close_loop: Mapping[str, Any] = field(default_factory=dict)
 
@@ -119,6 +131,8 @@ class EnvConfig:
     :param physics_mode: ``"fast"`` (50 solver iterations) or ``"slow"`` (200, and slower motions)
     :param reward: None for the task's own, or ``"module:function"`` called as ``function(scene, outcome)``
     :param render_mode: None, ``"rgb_array"``, ``"depth_array"`` or ``"human"``
+    :param home_height: height (m) of the fingertips above z = 0 at reset and, in open loop, between actions
+    :param lift_height: height (m) above z = 0 to which the fingertips must lift an object
     """
 
     control: str
@@ -128,6 +142,7 @@ class EnvConfig:
     object_scale_range: list[float]
     max_steps: int
     num_objects: int
+    home_height: float
     obs_size: int = 128
     fast_mode: bool = True
     random_orientation: bool = True
@@ -141,6 +156,7 @@ class EnvConfig:
     physics_mode: str = "fast"
     reward: str | None = None
     render_mode: str | None = None
+    lift_height: float = LIFT_HEIGHT
 
     @classmethod
     def of(
@@ -178,6 +194,7 @@ class EnvConfig:
             if name not in checks:
                 raise _unknown(name, value, control, checks)
         chosen |= {name: _checked(name, checks[name], value) for name, value in given.items()}
+        chosen.setdefault("home_height", default_home_height(control, chosen["workspace"]))
         _check_surface(surface, sloping, task, chosen["close_loop_tray"])
         return cls(control=control, **chosen)
 
@@ -218,24 +235,6 @@ SCALE_STEP = 0.02
 
 ROBOTS = ("kuka", "panda", "ur5", "ur5_robotiq")
 """Our arms by name; users register more."""
-OBJECT_KINDS = (
-    *(
-        "bottle_tray",
-        "bowl",
-        "brick",
-        "cube",
-        "cylinder",
-        "flat_block",
-        "new_tube_box",
-        "packing_bin",
-        "pallet",
-    ),
-    *("palletizing_box", "roof", "swab", "test_area", "triangle", "tube", "used_tube", "used_tube_box"),
-    *(f"bottle_{number}" for number in range(8)),
-    *(f"improvise_block_{number}" for number in range(19)),
-    *(f"packing_block_{number}" for number in range(7)),
-)
-"""Our objects by name; users register more."""
 SENSORS = ("heightmap", "in_hand", "holding", "state", "color", "segmentation", "rgb", "point_cloud")
 """What can be observed, by name; users register more."""
 PRESETS: dict[str, dict[str, tuple[str, ...]]] = {
@@ -249,6 +248,7 @@ _ONLY_WITH = {
     "in_hand_size": OPEN_LOOP,
     "close_loop_tray": CLOSE_LOOP,
     "view": CLOSE_LOOP,
+    "lift_height": CLOSE_LOOP,
 }
 """Parameters that one control has and the other has not."""
 
@@ -282,6 +282,13 @@ def _defaults(control: str, surface: str, sloping: bool, task: TaskDefaults) -> 
     }
 
 
+def default_home_height(control: str, workspace: list[list[float]]) -> float:
+    """Return the default of ``home_height`` (m): in open loop above the floor, else within the workspace."""
+    low, high = workspace[2]
+    height = HOME_HEIGHTS[control]
+    return low + height if control == OPEN_LOOP else min(max(height, low), high)
+
+
 def _checks(control: str, task: TaskDefaults, robots: Sequence[str]) -> dict[str, Check]:
     """Return what each parameter of a control must pass."""
     checks: dict[str, Check] = {
@@ -291,13 +298,15 @@ def _checks(control: str, task: TaskDefaults, robots: Sequence[str]) -> dict[str
         "object_scale_range": values.scale_range,
         "max_steps": values.integer(1),
         "num_objects": values.choice(*task.allowed_objects),
+        "home_height": values.positive,
+        "lift_height": values.positive if task.lifts else values.no_lift_height(LIFT_HEIGHT),
         "obs_size": values.integer(16, 1024),
         "fast_mode": values.boolean,
         "random_orientation": values.boolean,
         "half_rotation": values.boolean,
         "in_hand_size": values.integer(8, 256),
         "workspace_check": values.choice("point", "bounding_box"),
-        "close_loop_tray": _tray(task.tray),
+        "close_loop_tray": values.tray(task.tray.choices, task.tray.reason),
         "object_set": values.optional(values.object_set) if task.takes_object_set else values.no_object_set,
         "view": values.choice(ORTHOGRAPHIC, "point_cloud"),
         "observation": values.observation(list(PRESETS[control]), SENSORS, _presets_elsewhere(control)),
@@ -371,15 +380,6 @@ def _checked(name: str, check: Check, value: Any) -> Any:
         return check(value)
     except Refused as refused:
         raise ParameterError.of(name, value, str(refused)) from None
-
-
-def _tray(use: TrayUse) -> Check:
-    def check(value: Any) -> bool:
-        if len(use.choices) == 1 and value not in use.choices:
-            raise Refused(f"{use.choices[0]} with this task: {use.reason}")
-        return values.boolean(value)
-
-    return check
 
 
 SEQUENCES = {CLOSE_LOOP: ("pxyz", "pxyzr"), OPEN_LOOP: ("xy", "xyr", "xyzrrr", "pxy", "pxyr", "pxyzrrr")}

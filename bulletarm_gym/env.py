@@ -13,10 +13,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from bulletarm_gym.assembly import find_types, make_config, make_scene, take_objects
 from bulletarm_gym.config import CLOSE_LOOP
-from bulletarm_gym.control import Control
+from bulletarm_gym.control import Control, RobotInterface
+from bulletarm_gym.experts.tracking import Tracker
 from bulletarm_gym.extensions import by_path
 from bulletarm_gym.feasibility import (
     check_heights,
+    check_home,
     check_room,
     check_spans,
     checked_facts,
@@ -91,8 +93,13 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         check_heights(self.config, own, self.task)
         self._reward = self.objects.get("reward") or reward_function(self.config.reward) or self.task.reward
         self.scene = make_scene(self.config, robots, surface, self.task)
+        check_home(self.config, self.scene)
         check_spans(self.config, own, self.scene, self.task)
-        self.control: Control[Any] = control_type(self.config, self.scene, self.task)
+        robot = RobotInterface(self.scene.robot, self.scene.settle)
+        self.control: Control[Any] = control_type(self.config, robot, self.task.hints)
+        self.tracker = Tracker(
+            self.control, self.scene, self.task.hints.opening if self.task.plans_moves else None
+        )
         check_room(self.config, own, self.scene, self.task, self.control)
         self.action_space = self.control.action_space
         self._observer = Observer(self.config, self.scene)
@@ -126,12 +133,12 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         arrange = self.task.arrange_goal if "start" in options else self.task.arrange
         self._episode_seed = int(self.np_random.integers(np.iinfo(np.int64).max))
         self._steps, self._ended = 0, False
-        self.task.memory = None
+        self.task.memory = self.control.memory = None
         rng = self._rng(ARRANGEMENT)
         if anew or not self.task.carry_on(self.scene, rng):
             self._arrange(arrange, rng)
         else:
-            self.control.start(self.scene)
+            self.control.start()
         self._observer.set_memory({})
         self.scene.begin()
         self.scene.settle()
@@ -151,7 +158,7 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         """
         for attempt in range(GROUNDS):
             self.scene.clear(rng)
-            self.control.start(self.scene)
+            self.control.start()
             try:
                 arrange(self.scene, rng)
                 return
@@ -172,10 +179,10 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
             raise gymnasium.error.ResetNeeded("the episode has ended. Call reset() before the next step().")
         view = self._view if self._view is not None and self._view.is_current else self.look()
         move = self.control.decode_action(action, view)
-        if self._observer.follows:
+        if self._observer.follows or self.control.follows:
             _ = view.heights  # drawn while they are what was seen before the move
         self.scene.begin()
-        outcome = self.control.apply(self.scene, move)
+        outcome = self.control.apply(move)
         self.scene.settle()
         if not outcome.ignored:
             self._observer.follow(view, outcome.pick)
@@ -188,7 +195,10 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         terminated = success or not valid or self.task.one_decision
         truncated = not terminated and self._steps >= self.config.max_steps
         self._ended = terminated or truncated
-        return self.observe(), reward, terminated, truncated, info
+        self._view = self.look()
+        if not outcome.ignored:
+            self.control.follow(view, self._view, outcome)
+        return self._observer.read(self._view), reward, terminated, truncated, info
 
     def render(self) -> Any:
         """Return a picture (480, 480, 3) uint8, distances (480, 480) float32 in metres, or nothing.
@@ -236,8 +246,7 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         :raises gymnasium.error.ClosedEnvironmentError: the environment is closed
         """
         self.scene.world.client.check_open()
-        frame = self.control.frame(self.scene)
-        return View(self.scene, frame, self.task.overlays, self._observer.asks_for_labels)
+        return View(self.scene, self.control.frame(), self.task.overlays, self._observer.asks_for_labels)
 
     def decode_action(self, action: ArrayLike) -> Any:
         """Return an action in metres and radians: a ``DeltaMove``, a ``PickPlace``, or the control's own."""
@@ -258,7 +267,7 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         self._check_running()
         lasts = MOVE_STEPS if self.task.plans_moves and self.config.control == CLOSE_LOOP else 1
         plan = iter(self.task.plan(self.scene, self._rng(PLAN, self._steps // lasts)))
-        return self.control.encode_action(self.control.next_move(self.scene, plan))
+        return self.control.encode_action(self.tracker.next_move(plan))
 
     def measure(self) -> Stopwatch:
         """Return a stopwatch that adds up the seconds of the engine's steps and of heightmaps from now on.
@@ -280,6 +289,7 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
             self.scene.get_cast(),
             self._observer.get_memory(),
             self.task.memory,
+            self.control.memory,
             self._steps,
             self._ended,
             self._episode_seed,
@@ -303,6 +313,7 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         self.scene.set_cast(state.cast)
         self._observer.set_memory(state.sensors)
         self.task.memory = state.memory
+        self.control.memory = state.control
         self._steps, self._ended = state.steps, state.ended
         self._episode_seed = state.episode_seed
         self.np_random.bit_generator.state = state.generator

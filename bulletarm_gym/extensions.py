@@ -10,11 +10,29 @@ from collections.abc import Collection, Mapping
 from contextlib import suppress
 from typing import Any, TypeVar
 
-from bulletarm_gym.config import CLOSE_LOOP, LEVEL, OBJECT_KINDS, OPEN_LOOP, ROBOTS, SENSORS, SLOPING
+from bulletarm_gym.config import CLOSE_LOOP, LEVEL, OPEN_LOOP, ROBOTS, SENSORS, SLOPING
 from bulletarm_gym.inheritance import announce, announced
 
 OBJECTS = ("robot", "reward")
 """Parameters that may be objects of the user's."""
+OBJECT_KINDS = (
+    *(
+        "bottle_tray",
+        "bowl",
+        "brick",
+        "cube",
+        "cylinder",
+        "flat_block",
+        "new_tube_box",
+        "packing_bin",
+        "pallet",
+    ),
+    *("palletizing_box", "roof", "swab", "test_area", "triangle", "tube", "used_tube", "used_tube_box"),
+    *(f"bottle_{number}" for number in range(8)),
+    *(f"improvise_block_{number}" for number in range(19)),
+    *(f"packing_block_{number}" for number in range(7)),
+)
+"""Our objects by name; users register more."""
 ROBOT_PATHS: dict[str, str] = announced("robot")
 """Import paths of the users' arms, by name."""
 OBJECT_PATHS: dict[str, str] = announced("object")

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from bulletarm_gym.config import CLOSE_LOOP, EnvConfig, ParameterError
+from bulletarm_gym.config import CLOSE_LOOP, EnvConfig, ParameterError, default_home_height
 from bulletarm_gym.control import Control
 from bulletarm_gym.extensions import load
 from bulletarm_gym.footprint import Footprint, PlacementError
@@ -35,6 +35,9 @@ def check_heights(config: EnvConfig, own: EnvConfig, task: Task) -> None:
     :raises ParameterError: it does not
     """
     low, high = config.workspace[2]
+    if config.lift_height != own.lift_height and high <= task.height == config.lift_height:
+        takes = f"a height below {high:g}, the top of the workspace"
+        raise ParameterError.of("lift_height", config.lift_height, takes)
     if high <= task.height:
         takes = f"one with z high above {task.height:.4g} with this task: up to there things must be lifted"
         raise ParameterError.of("workspace", config.workspace, takes)
@@ -45,6 +48,21 @@ def check_heights(config: EnvConfig, own: EnvConfig, task: Task) -> None:
             raise ParameterError.of("object_scale_range", config.object_scale_range, takes)
         takes = f"one with z low below {smallest:.4g}: the gripper must come down to what lies on the ground"
         raise ParameterError.of("workspace", config.workspace, takes)
+
+
+def check_home(config: EnvConfig, scene: Scene) -> None:
+    """Check that a user's ``home_height`` is within the workspace and above the objects.
+
+    :raises ParameterError: it is not
+    """
+    low, high = config.workspace[2]
+    if not low <= config.home_height <= (high if config.control == CLOSE_LOOP else math.inf):
+        takes = f"a height within the workspace, from {low:g} to {high:g}"
+        raise ParameterError.of("home_height", config.home_height, takes)
+    tallest = max((body.spec.extents[2] for item in scene.items for body in item.bodies), default=0.0)
+    if default_home_height(config.control, config.workspace) != config.home_height <= tallest:
+        takes = f"a height above {tallest:.4g} with this task: so high are its objects"
+        raise ParameterError.of("home_height", config.home_height, takes)
 
 
 def check_spans(config: EnvConfig, own: EnvConfig, scene: Scene, task: Task) -> None:
@@ -106,7 +124,7 @@ def _rehearse(scene: Scene, task: Task, control: Control[Any], rng: np.random.Ge
         if rest == 0:  # the larger, the later
             shape = item.choices[item.variant] % shapes
             item.variant = max(n for n, place in enumerate(item.choices) if place % shapes == shape)
-    control.start(scene)
+    control.start()
     task.memory = None
     try:
         task.arrange(scene, rng)

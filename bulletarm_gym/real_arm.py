@@ -1,7 +1,7 @@
-"""What the environments observe, from the point cloud of a real cell.
+"""Observations and heights of picks and places for a real robot, from the point cloud of its cameras.
 
-Frames and units are the environments': metres, the world's z axis upwards from the table's top at z = 0, its
-x axis from the arm over the workspace. The same code makes the observations of ``view="point_cloud"``.
+Frames and units are those of the environments: metres, the world's z axis upwards from the table's top at
+z = 0, its x axis from the arm over the workspace. The environments use the same code.
 """
 
 from collections.abc import Sequence
@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from bulletarm_gym.config import CLOSE_LOOP, OPEN_LOOP, WORKSPACES
+from bulletarm_gym.control import Grasp, heights
 from bulletarm_gym.control.close_loop import VIEW_SCALE, hand_frame
-from bulletarm_gym.geometry import FloatArray, Pose
+from bulletarm_gym.geometry import FloatArray, Pose, Rectangle
 from bulletarm_gym.rendering.point_cloud import project
 from bulletarm_gym.sensors import MAX_HEIGHT, Frame, Map
 from bulletarm_gym.sensors.images import heightmap
@@ -78,10 +79,72 @@ def in_hand_image(
     :param tilts: whether actions have three r's, and the image three channels
     :return: (1, size, size) or (3, size, size) m, within [0, 0.4]
     """
-    frame = _workspace_frame(workspace)
-    above_floor = Pose((0.0, 0.0, -frame.origin.z)).compose(pick)
     show = projections if tilts else crop
-    return show(Map(heightmap[0], frame.centre, frame.extent), above_floor, size).clip(0.0, MAX_HEIGHT)
+    return show(_map(heightmap, workspace), _above_floor(pick, workspace), size).clip(0.0, MAX_HEIGHT)
+
+
+def pick_height(
+    heightmap: Heights,
+    target: Pose,
+    depth: float,
+    area: tuple[float, float] | None = None,
+    workspace: Limits = WORKSPACES[OPEN_LOOP],
+) -> float:
+    """Return the height (m) of the fingertips at a pick whose action has no z.
+
+    :param heightmap: (1, n, n), the last one
+    :param target: pose of the fingertips in the world, of any z
+    :param depth: depth (m) of the fingertips below the highest point of the area, the task's
+        ``hints.pick_offset``
+    :param area: length along the opening and width (m) of the area, the task's ``hints.pick_area``; by
+        default a square of twice the depth
+    :param workspace: the environment's
+    :return: z of the target in the world
+    """
+    between = Rectangle(target.x, target.y, *(area or (2.0 * depth, 2.0 * depth)), target.yaw)
+    return workspace[2][0] + heights.pick_height(_map(heightmap, workspace), between, depth)
+
+
+def measure_grasp(
+    before: Heights, after: Heights, closed_at: Pose, workspace: Limits = WORKSPACES[OPEN_LOOP]
+) -> Grasp | None:
+    """Return the measurements of a grasped object, or None if the heightmaps do not show its absence.
+
+    :param before: (1, n, n), heightmap before the pick
+    :param after: (1, n, n), heightmap after the pick, without the grasped object
+    :param closed_at: measured pose of the fingertips in the world when they closed
+    :param workspace: the environment's
+    """
+    tips = _above_floor(closed_at, workspace)
+    return heights.measure_grasp(_map(before, workspace), _map(after, workspace), tips)
+
+
+def place_height(
+    heightmap: Heights,
+    target: Pose,
+    grasp: Grasp,
+    gap: float,
+    workspace: Limits = WORKSPACES[OPEN_LOOP],
+) -> float:
+    """Return the height (m) of the fingertips at a place whose action has no z.
+
+    :param heightmap: (1, n, n), the last one, without the grasped object
+    :param target: pose of the fingertips in the world, of any z
+    :param grasp: measurements at the pick, see :func:`measure_grasp`
+    :param gap: gap (m) between the object and the highest point under it, the task's ``hints.place_offset``
+    :param workspace: the environment's
+    :return: z of the target in the world
+    """
+    return workspace[2][0] + heights.place_height(_map(heightmap, workspace), target, grasp, gap)
+
+
+def _map(heightmap: Heights, workspace: Limits) -> Map:
+    frame = _workspace_frame(workspace)
+    return Map(heightmap[0], frame.centre, frame.extent)
+
+
+def _above_floor(pose: Pose, workspace: Limits) -> Pose:
+    return Pose((0.0, 0.0, -workspace[2][0])).compose(pose)
 
 
 def _workspace_frame(workspace: Limits) -> Frame:

@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from bulletarm_gym.config import ORTHOGRAPHIC, EnvConfig
+from bulletarm_gym.config import MAX_ROTATION, MAX_TRANSLATION, ORTHOGRAPHIC, EnvConfig
 from bulletarm_gym.geometry import FloatArray, Pose, Vector, matrix
 from bulletarm_gym.rendering.point_cloud import project
 from bulletarm_gym.rendering.rasterizer import Labels
@@ -251,6 +251,8 @@ class Scene:
     def __init__(self, config: EnvConfig, model: RobotModel, surface: Surface, roles: Sequence[Role]) -> None:
         self.config = config
         self.surface = surface
+        # Limits of a close-loop action (m, rad): those of the control, once the experts' tracker exists.
+        self.max_translation, self.max_rotation = MAX_TRANSLATION, MAX_ROTATION
         self.world = World(PHYSICS_MODES[config.physics_mode], gui=config.render_mode == "human")
         surface.load(self.world)
         self.robot = Robot(model, self.world, config.fast_mode)

@@ -14,6 +14,7 @@ class EnvState:
 
     :param sensors: memories of the sensors, by name
     :param memory: the task's memory
+    :param control: the control's memory
     :param steps: number of steps since the reset
     :param ended: whether the episode has terminated or been truncated
     :param generator: state of the generator that seeds later episodes
@@ -25,6 +26,7 @@ class EnvState:
     cast: tuple[int, ...]
     sensors: dict[str, Any]
     memory: Any
+    control: Any
     steps: int
     ended: bool
     episode_seed: int

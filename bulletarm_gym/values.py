@@ -12,8 +12,8 @@ import numpy as np
 Check = Callable[[Any], Any]
 """Returns a value as it is kept, or raises :class:`Refused`."""
 
-SMALLEST_WORKSPACE = 0.1
-"""Side (m) below which no task of the paper fits."""
+SMALLEST_WORKSPACE = 0.04
+"""Smallest side (m) of a workspace: room for a cube of 1.5 cm."""
 ROUNDING = 1e-9
 """What differences of decimal fractions may be off by (m)."""
 LARGEST_SCALE = 2.0
@@ -73,6 +73,39 @@ def integer(low: int, high: int | None = None) -> Check:
         if not whole or value < low or (high is not None and value > high):
             raise Refused(f"an integer of at least {low}" + (f" and at most {high}" if high else ""))
         return int(value)
+
+    return check
+
+
+def positive(value: Any) -> float:
+    """Require a positive, finite number."""
+    is_number = isinstance(value, int | float | np.number) and not isinstance(value, bool)
+    if not is_number or not 0.0 < float(value) < math.inf:
+        raise Refused("a positive number of metres")
+    return float(value)
+
+
+def no_lift_height(default: float) -> Check:
+    """Require the default of a parameter that the task does not use."""
+
+    def check(value: Any) -> float:
+        if positive(value) != default:
+            raise Refused(f"{default:g} with this task: its goal is not to lift an object")
+        return default
+
+    return check
+
+
+def tray(choices: Sequence[bool], reason: str) -> Check:
+    """Require one of the values of ``close_loop_tray`` that a task has.
+
+    :param reason: why the task has one value only
+    """
+
+    def check(value: Any) -> bool:
+        if len(choices) == 1 and value not in choices:
+            raise Refused(f"{choices[0]} with this task: {reason}")
+        return boolean(value)
 
     return check
 

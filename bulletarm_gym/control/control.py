@@ -1,21 +1,21 @@
-"""What every control does: read actions, act on a scene, say what is seen of it."""
+"""The contract of a control: what actions mean, how the robot carries them out, what the heightmap shows."""
 
 import itertools
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import ClassVar, Generic, TypeVar
+from typing import Any, ClassVar, Generic, TypeVar
 
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import ArrayLike, NDArray
 
-from bulletarm_gym.config import EnvConfig, ParameterError
-from bulletarm_gym.experts.waypoints import Waypoint
+from bulletarm_gym.config import EnvConfig, ParameterError, default_home_height
+from bulletarm_gym.control.interface import RobotInterface
 from bulletarm_gym.geometry import Pose, Vector
 from bulletarm_gym.robots.robot import LEVEL_TILT
-from bulletarm_gym.scene import Scene
 from bulletarm_gym.sensors import Frame, View
 
 POINTS = 5
@@ -29,49 +29,78 @@ Move = TypeVar("Move")
 
 
 @dataclass(frozen=True)
-class Outcome:
-    """What became of a move.
+class Hints:
+    """Grasp parameters of a task (paper, Open-loop Environments).
 
-    :param ignored: it changed nothing
-    :param pick: where the fingertips closed, if it was a pick
+    :param pick_offset: depth (m) of the fingertips below the highest point around the target of a pick, if
+        actions have no z
+    :param place_offset: gap (m) between the grasped object and the highest point under it at the release, if
+        actions have no z
+    :param pick_area: length along the opening and width (m) of the area whose highest point counts for a
+        pick; by default a square of twice ``pick_offset``
+    :param opening: largest distance (m) between the open fingers, for tasks with narrow gaps
+    """
+
+    pick_offset: float
+    place_offset: float = 0.003
+    pick_area: tuple[float, float] | None = None
+    opening: float = math.inf
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Result of a move.
+
+    :param ignored: the move changed nothing
+    :param pick: target pose of the fingertips, if the move was a pick
+    :param closed_at: measured pose of the fingertips when they closed, if the move was a pick
     """
 
     ignored: bool
     pick: Pose | None = None
+    closed_at: Pose | None = None
 
 
 class Control(ABC, Generic[Move]):
-    """How the arm is commanded, by actions of one number in [-1, 1] a character of ``action_sequence``.
+    """Maps actions to motions of the robot; an action has one number in [-1, 1] per character of
+    ``action_sequence``.
 
-    A class that can be used is made from ``(config, scene, task)``.
+    It uses only what a real robot knows: the action, the last observation, the measurements of its own joints
+    and gripper. The environment constructs a subclass with ``(config, robot, hints)``.
 
     :param config: the environment's parameters
-    :param scene: what is acted on
-    :param home: of the fingertips when an episode begins
+    :param robot: the robot that carries out the moves
     :param poses: fingertip poses all over the workspace, of which a minimum share must be in reach
-    :raises ParameterError: ``home`` or too many of ``poses`` are out of reach
+    :raises ParameterError: the home pose or too many of ``poses`` are out of reach
     """
 
     kind: ClassVar[str]
-    """``"close_loop"`` or ``"open_loop"``: whose tasks and parameters it takes."""
+    """Kind of control, ``"close_loop"`` or ``"open_loop"``, whose tasks and parameters apply."""
     sequences: ClassVar[tuple[str, ...]] = ()
-    """What an action can consist of, a character a number, in any order, the default first; that of its kind,
-    if empty."""
+    """Values of ``action_sequence``, in any order of their characters, the default first; empty for those of
+    the kind."""
 
     ranges: Mapping[str, tuple[float, float]] = MappingProxyType({})
-    """What -1 and 1 of an action's numbers stand for (m, rad), by name."""
+    """Physical values (m, rad) of the numbers -1 and 1, by the name of the number."""
 
-    def __init__(self, config: EnvConfig, scene: Scene, home: Pose, poses: Iterable[Pose]) -> None:
-        if not scene.robot.reaches(home):
+    def __init__(self, config: EnvConfig, robot: RobotInterface, poses: Iterable[Pose]) -> None:
+        home = Pose.planar(*config.centre, config.home_height)
+        if not robot.reaches(home):
+            if home.z != default_home_height(config.control, config.workspace):
+                takes = f"a height that robot={config.robot!r} reaches in the middle of the workspace"
+                raise ParameterError.of("home_height", home.z, takes)
             takes = f"one whose middle robot={config.robot!r} reaches at a height of {home.z:g} m"
             raise ParameterError.of("workspace", config.workspace, takes)
         upright: list[Pose] = []
         tilted: list[Pose] = []
         for pose in poses:
             (tilted if pose.tilt > LEVEL_TILT else upright).append(pose)
-        _check_reach(config, scene, upright, MIN_REACH, "an upright")
-        _check_reach(config, scene, tilted, MIN_TILTED_REACH, "a tilted")
+        _check_reach(config, robot, upright, MIN_REACH, "an upright")
+        _check_reach(config, robot, tilted, MIN_TILTED_REACH, "a tilted")
+        self.robot = robot
         self.sequence = config.action_sequence
+        self.memory: Any = None
+        """Memory within an episode, part of the environment's state: plain values; None at the start."""
         self._home = home
         self.action_space = spaces.Box(-1.0, 1.0, (len(self.sequence),), np.float32)
 
@@ -94,39 +123,50 @@ class Control(ABC, Generic[Move]):
 
     @abstractmethod
     def decode_action(self, action: ArrayLike, view: View) -> Move:
-        """Return what an action means; numbers outside [-1, 1] are clipped.
+        """Return the move of an action in physical units; numbers outside [-1, 1] are clipped.
 
-        :param view: what was seen last: where the action does not say at which height, it follows from there
+        :param view: last view of the scene, for heights that the action leaves open
         :raises ValueError: the action has the wrong shape or is not finite
         """
 
     @abstractmethod
     def encode_action(self, move: Move) -> NDArray[np.float32]:
-        """Return the action for a move, the inverse of :meth:`decode_action`; what is too far is clipped."""
+        """Return the action of a move, clipped to [-1, 1]; the inverse of :meth:`decode_action`."""
 
-    def start(self, scene: Scene) -> None:
-        """Put the empty, open gripper where an episode begins."""
-        scene.robot.home(self._home)
+    def start(self) -> None:
+        """Set the empty, open gripper to the pose at the start of an episode."""
+        self.robot.reset(self._home)
 
     @abstractmethod
-    def apply(self, scene: Scene, move: Move) -> Outcome:
+    def apply(self, move: Move) -> Outcome:
         """Carry out a move."""
 
-    @abstractmethod
-    def frame(self, scene: Scene) -> Frame:
-        """Return the part of the scene that is seen from above at present."""
+    def follow(self, before: View, after: View, outcome: Outcome) -> None:
+        """Update :attr:`memory` after a move that was not ignored.
+
+        :param before: view before the move
+        :param after: view after the move
+        :param outcome: result of the move
+        """
+
+    @property
+    def follows(self) -> bool:
+        """Whether the control defines :meth:`follow`."""
+        return type(self).follow is not Control.follow
 
     @abstractmethod
-    def next_move(self, scene: Scene, plan: Iterator[Waypoint]) -> Move:
-        """Return the move that follows a plan."""
+    def frame(self) -> Frame:
+        """Return the part of the scene that the heightmap shows."""
 
 
-def _check_reach(config: EnvConfig, scene: Scene, poses: list[Pose], least: float, gripper: str) -> None:
+def _check_reach(
+    config: EnvConfig, robot: RobotInterface, poses: list[Pose], least: float, gripper: str
+) -> None:
     """Check that a minimum share of poses is in reach.
 
     :raises ParameterError: it is not
     """
-    far = [pose for pose in poses if not scene.robot.reaches(pose)]
+    far = [pose for pose in poses if not robot.reaches(pose)]
     if len(far) > (1.0 - least) * len(poses):
         x, y, z = far[0].position
         takes = (

@@ -3,43 +3,54 @@
 import itertools
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from bulletarm_gym.config import OPEN_LOOP, EnvConfig
-from bulletarm_gym.control.control import POINTS, Control, Outcome, over
-from bulletarm_gym.experts.approach import HALF_TURN, LET_GO, exchange_fingers
-from bulletarm_gym.experts.waypoints import APPROACH, OPEN, Waypoint
-from bulletarm_gym.geometry import Pose, Rectangle, Vector, euler_angles, euler_pose, matrix
-from bulletarm_gym.rendering.overlays import rectangle_mask
-from bulletarm_gym.robots import Robot
-from bulletarm_gym.scene import Scene
-from bulletarm_gym.sensors import Frame, Map, View
-from bulletarm_gym.tasks import Task
+from bulletarm_gym.control.control import POINTS, Control, Hints, Outcome, over
+from bulletarm_gym.control.heights import Grasp, measure_grasp, pick_height, place_height
+from bulletarm_gym.control.interface import RobotInterface
+from bulletarm_gym.geometry import Pose, Rectangle, Vector, euler_pose
+from bulletarm_gym.sensors import Frame, View
 
 PICK = "pick"
 PLACE = "place"
 
 MAX_Z = 0.3
-"""Greatest height (m) of a target above the workspace's floor."""
-LEAST_Z = 0.005
-"""Least height (m) of a pick where the action gives none."""
+"""Largest height (m) of a target above the workspace's floor."""
 MAX_TILT = math.pi / 4.0
-"""Greatest turn (rad) about the gripper's y and x axes."""
+"""Largest rotation (rad) about the gripper's y and x axes."""
 TILT = math.pi / 12.0
-"""The mean slope of ramps (rad), by which ..."""
+"""Tilt (rad) that the robot must reach all over the workspace: the mean slope of ramps."""
 TILTED_Z = (0.02, 0.2)
-"""... the gripper must be able to tilt over the whole workspace, at these heights (m) above its floor."""
-STOPS = ((0.05, APPROACH), (0.05,), (0.025,))
-"""Distances (m) behind the target at which the gripper stops; the first that are in reach are used.
-
-An approach begins at the last. A retreat ends at the first where the gripper touches nothing.
-"""
-HOME_HEIGHT = 0.4
-"""Height (m) of the fingertips above the workspace's floor between actions: over everything."""
+"""Heights (m) above the workspace's floor at which the robot must reach that tilt."""
 ANGLES = ("theta", "phi", "psi")
+
+
+@dataclass(frozen=True)
+class PickPlaceMotion:
+    """Distances (m) of the motion of a pick or place.
+
+    :param stops: from the target to the poses at which the gripper stops; the first entry that is in reach
+        counts. An approach begins at the last stop. A retreat ends at the first one where the gripper touches
+        nothing
+    :param release: by which the fingers open first, so that they do not push what is next to the object
+    """
+
+    stops: tuple[tuple[float, ...], ...] = ((0.05, 0.1), (0.05,), (0.025,))
+    release: float = 0.008
+
+    @property
+    def approach(self) -> float:
+        """Distance (m) from the target to the beginning of an approach with enough reach."""
+        return self.stops[0][-1]
+
+
+MOTION = PickPlaceMotion()
+HALF_TURN = Pose.planar(0.0, 0.0, 0.0, math.pi)
+"""Rotation of the gripper that exchanges its fingers."""
 
 
 @dataclass(frozen=True)
@@ -65,24 +76,22 @@ class PickPlace:
 class OpenLoop(Control[PickPlace]):
     """Pick and place.
 
-    Of an action p is the primitive (below 0 a pick, else a place), x and y are the target's place in the
+    Of an action p is the primitive (below 0 a pick, else a place), x and y are the target's position in the
     workspace, z is its height above the floor, and the r's are theta, phi and psi. Without p the gripper
-    picks when it is empty and places when it holds something; without z the height follows from the
-    heightmap; without r the gripper is not turned.
+    picks if it is empty and places if it holds an object. Without z the height follows from heightmaps.
+    Without r the gripper does not rotate.
 
     :param config: the environment's parameters
-    :param scene: what is acted on
-    :param task: its hints say how to grasp and to let go
+    :param robot: the robot that carries out the moves
+    :param hints: grasp parameters of the task
     """
 
     kind = OPEN_LOOP
 
-    def __init__(self, config: EnvConfig, scene: Scene, task: Task) -> None:
+    def __init__(self, config: EnvConfig, robot: RobotInterface, hints: Hints) -> None:
         floor = config.workspace[2][0]
-        super().__init__(
-            config, scene, Pose.planar(*config.centre, floor + HOME_HEIGHT), _extremes(config, floor)
-        )
-        self._hints = task.hints
+        super().__init__(config, robot, _poses(config, floor))
+        self._hints = hints
         self._config = config
         self._floor = floor
         self._names = _names(config.action_sequence)
@@ -91,10 +100,9 @@ class OpenLoop(Control[PickPlace]):
     # Actions
 
     def decode_action(self, action: ArrayLike, view: View) -> PickPlace:
-        """Return what an action means at present; numbers outside [-1, 1] are clipped.
+        """Return the pick or place of an action; numbers outside [-1, 1] are clipped.
 
-        :param view: what was seen last
-
+        :param view: last view of the scene, for the height of an action without z
         :raises ValueError: the action has the wrong shape or is not finite
         """
         value = dict(zip(self._names, self.numbers(action), strict=True))
@@ -102,18 +110,20 @@ class OpenLoop(Control[PickPlace]):
             name: low + (value[name] + 1.0) / 2.0 * (high - low) for name, (low, high) in self.ranges.items()
         }
         theta, phi, psi = (at.get(name, 0.0) for name in ANGLES)
-        places = value["p"] >= 0.0 if "p" in value else view.scene.robot.held is not None
+        places = value["p"] >= 0.0 if "p" in value else view.is_holding
         x, y = at["x"], at["y"]
-        z = at["z"] if "z" in at else self._height(view, places, x, y, theta)
-        return PickPlace(PLACE if places else PICK, (x, y, z), (theta, phi, psi))
+        move = PickPlace(PLACE if places else PICK, (x, y, at.get("z", 0.0)), (theta, phi, psi))
+        if "z" in at:
+            return move
+        return replace(move, position=(x, y, self._height(view, places, self.executed(move))))
 
     def encode_action(self, move: PickPlace) -> NDArray[np.float32]:
-        """Return the action for a move, the inverse of :meth:`decode_action`; what is too far is clipped.
+        """Return the action of a move, clipped to [-1, 1]; the inverse of :meth:`decode_action`.
 
-        :raises ValueError: there is no such primitive
+        :raises ValueError: the primitive is unknown
         """
         if move.primitive not in (PICK, PLACE):
-            raise ValueError(f"primitive: got {move.primitive!r}, takes {PICK!r} or {PLACE!r}")
+            raise ValueError(f"primitive must be {PICK!r} or {PLACE!r}, got {move.primitive!r}")
         theta, phi, psi = move.rotation
         low, high = self.ranges.get("theta", (-math.pi, math.pi))
         if not low <= theta <= high:
@@ -126,62 +136,61 @@ class OpenLoop(Control[PickPlace]):
         share["p"] = float(move.primitive == PLACE)
         return np.array([2.0 * share[name] - 1.0 for name in self._names], dtype=np.float32).clip(-1.0, 1.0)
 
-    def _height(self, view: View, places: bool, x: float, y: float, theta: float) -> float:
-        """Return the height (m) of a target that the action gives none for, from what the heightmap shows."""
-        held, depth = view.scene.held, self._hints.pick_offset
-        if not places or held is None:
-            area = self._hints.pick_area or (2.0 * depth, 2.0 * depth)
-            top = self._highest(view.map, Rectangle(x, y, *area, theta))
-            return max(top - depth, self._floor + LEAST_Z)
-        carried = view.scene.robot.pose.inverse().compose(held.pose)
-        vertices = held.spec.mesh.vertices @ matrix(carried).T + carried.position
-        low, high = vertices.min(axis=0).tolist(), vertices.max(axis=0).tolist()
-        middle = ((low[0] + high[0]) / 2.0, (low[1] + high[1]) / 2.0, 0.0)
-        over = Pose.planar(x, y, 0.0, theta).transform(middle)
-        area = (high[0] - low[0], high[1] - low[1])
-        top = self._highest(view.map, Rectangle(over[0], over[1], *area, theta))
-        return float(top - low[2] + self._hints.place_offset)
+    def _height(self, view: View, places: bool, target: Pose) -> float:
+        """Return the height (m) of a target whose action has no z."""
+        hints, heights = self._hints, view.map
+        depth = hints.pick_offset
+        if places and view.is_holding:
+            # Without measurements, as in a task that starts with a grasped object, it counts as a cube.
+            grasp = Grasp(*(self.memory or (depth, 0.0, 0.0, 2.0 * depth, 2.0 * depth)))
+            return self._floor + place_height(heights, target, grasp, hints.place_offset)
+        area = hints.pick_area or (2.0 * depth, 2.0 * depth)
+        return self._floor + pick_height(heights, Rectangle(target.x, target.y, *area, target.yaw), depth)
 
-    def _highest(self, view: Map, rectangle: Rectangle) -> float:
-        """Return the greatest height (m) in a rectangle, at least at its middle."""
-        covered = rectangle_mask(view.centre, view.extent, len(view.heights), [rectangle])
-        row, column = (
-            view.pixels(np.array((rectangle.x, rectangle.y))).round().astype(int).clip(0, len(covered) - 1)
-        )
-        covered[row, column] = True
-        return self._floor + float(view.heights[covered].max())
+    def follow(self, before: View, after: View, outcome: Outcome) -> None:
+        """Remember the measurements of the grasped object until the gripper is empty."""
+        if not self.robot.is_holding:
+            self.memory = None
+        elif outcome.closed_at is not None and "z" not in self.ranges:
+            closed_at = Pose((0.0, 0.0, -self._floor)).compose(outcome.closed_at)
+            grasp = measure_grasp(before.map, after.map, closed_at)
+            self.memory = None if grasp is None else tuple(grasp)
 
     # Motion
 
-    def apply(self, scene: Scene, move: PickPlace) -> Outcome:
-        """Carry out a pick or a place and bring the gripper home.
+    def apply(self, move: PickPlace) -> Outcome:
+        """Carry out a pick or a place and move to the home pose.
 
-        A pick while holding, a place while empty and what is out of reach are ignored.
+        A pick while holding, a place while empty and a target out of reach are ignored.
         """
-        robot, pose = scene.robot, self._executed(move)
-        stops = self._stops(robot, pose)
-        if (move.primitive == PICK) == (robot.held is not None) or not stops:
+        robot, pose, picks = self.robot, self.executed(move), move.primitive == PICK
+        stops = self._stops(pose)
+        if picks == robot.is_holding or not stops:
             return Outcome(ignored=True)
-        act = self._pick if move.primitive == PICK else self._place
-        act(scene, pose, stops)
+        if picks:
+            self._open(self._hints.opening)
+        robot.transfer(stops[-1])
+        robot.move_to(pose)
+        closed_at = robot.pose if picks else None
+        (self._grasp if picks else self._release)(stops)
         robot.transfer(self._home)
-        return Outcome(ignored=False, pick=move.pose if move.primitive == PICK else None)
+        return Outcome(ignored=False, pick=move.pose if picks else None, closed_at=closed_at)
 
-    def _stops(self, robot: Robot, pose: Pose) -> list[Pose]:
+    def _stops(self, pose: Pose) -> list[Pose]:
         """Return the poses behind a target at which the gripper stops, the nearest first.
 
         They are nearer to the target where the arm does not reach as far. The list is empty if the target is
         out of reach.
         """
-        if not robot.reaches(pose):
+        if not self.robot.reaches(pose):
             return []
-        for distances in STOPS:
+        for distances in MOTION.stops:
             stops = [pose.compose(Pose((0.0, 0.0, distance))) for distance in distances]
-            if all(map(robot.reaches, stops)):
+            if all(map(self.robot.reaches, stops)):
                 return stops
         return []
 
-    def _executed(self, move: PickPlace) -> Pose:
+    def executed(self, move: PickPlace) -> Pose:
         """Return the tool pose of a move, within a quarter turn of the home pose under ``half_rotation``.
 
         The gripper is symmetric, and the wrist has room to either side.
@@ -189,79 +198,54 @@ class OpenLoop(Control[PickPlace]):
         is_far = self._config.half_rotation and move.rotation[0] >= math.pi / 2.0
         return move.pose.compose(HALF_TURN) if is_far else move.pose
 
-    def _pick(self, scene: Scene, pose: Pose, stops: Sequence[Pose]) -> None:
-        robot = scene.robot
-        self._open(robot, self._hints.opening)
-        robot.transfer(stops[-1])
-        robot.move_to(pose)
-        robot.close()
-        self._withdraw(robot, stops)
-        if robot.held is None:
-            self._open(robot, self._hints.opening)
+    def _grasp(self, stops: Sequence[Pose]) -> None:
+        self.robot.set_opening(0.0)
+        self._withdraw(stops)
+        if not self.robot.is_holding:
+            self._open(self._hints.opening)
 
-    def _place(self, scene: Scene, pose: Pose, stops: Sequence[Pose]) -> None:
-        robot = scene.robot
-        robot.transfer(stops[-1])
-        robot.move_to(pose)
-        self._open(robot, robot.opening + LET_GO)
-        scene.settle()
-        self._withdraw(robot, stops)
-        self._open(robot, self._hints.opening)
+    def _release(self, stops: Sequence[Pose]) -> None:
+        self._open(self.robot.opening + MOTION.release)
+        self.robot.wait_until_still()
+        self._withdraw(stops)
+        self._open(self._hints.opening)
 
-    def _withdraw(self, robot: Robot, stops: Sequence[Pose]) -> None:
-        """Go back to the first stop where nothing is touched, or to the last.
+    def _withdraw(self, stops: Sequence[Pose]) -> None:
+        """Move back to the first stop at which the gripper touches nothing, or to the last.
 
-        A gripper that was blocked on the way in may not have come as far as a stop.
+        A gripper that was blocked on the way to its target may be behind a stop already.
         """
         for stop in stops:
-            if robot.pose.inverse().compose(stop).z > 0.0:
-                robot.move_to(stop, careful=False)
-            if robot.is_apart():
+            if self.robot.pose.inverse().compose(stop).z > 0.0:
+                self.robot.move_to(stop, careful=False)
+            if self.robot.is_apart():
                 return
 
-    def _open(self, robot: Robot, width: float) -> None:
-        """Open the fingers to a distance (m), as far as they can."""
-        robot.set_opening(min(width / robot.model.gripper.stroke, OPEN))
-
-    # Experts
-
-    def next_move(self, scene: Scene, plan: Iterator[Waypoint]) -> PickPlace:
-        """Return the first pick or place of a plan."""
-        return self.towards(scene, next(waypoint for waypoint in plan if waypoint.finish is not None))
-
-    def towards(self, scene: Scene, waypoint: Waypoint) -> PickPlace:
-        """Return the pick or place that a waypoint with a finish stands for."""
-        assert waypoint.finish is not None
-        pose = waypoint.pose
-        if self._config.half_rotation and "theta" in self._names:
-            if not -math.pi / 2.0 <= pose.yaw < math.pi / 2.0:
-                pose = exchange_fingers(scene, pose)
-            if pose.yaw < 0.0:
-                pose = pose.compose(HALF_TURN)  # executed without it
-        elif not scene.robot.reaches(pose):
-            pose = exchange_fingers(scene, pose)
-        psi, phi, theta = euler_angles(pose.orientation)
-        return PickPlace(
-            PICK if waypoint.finish < waypoint.gripper else PLACE, pose.position, (theta, phi, psi)
-        )
+    def _open(self, width: float) -> None:
+        """Open the fingers to a distance (m), or as far as they open."""
+        self.robot.set_opening(min(width / self.robot.stroke, 1.0))
 
     # Observation
 
-    def frame(self, scene: Scene) -> Frame:
-        """Return the workspace, from its floor up, without the arm and what it holds."""
+    def frame(self) -> Frame:
+        """Return the workspace, from its floor up, without the arm and the grasped object."""
         origin = Pose((*self._config.centre, self._floor))
-        return Frame(origin, self._config.workspace_size, without=scene.robot.held)
+        return Frame(origin, self._config.workspace_size, hides_grasped=True)
 
 
-def _extremes(config: EnvConfig, floor: float) -> Iterator[Pose]:
-    """Yield the poses at which the arm's reach is checked: upright, and tilted if the action sequence tilts.
+def _poses(config: EnvConfig, floor: float) -> Iterator[Pose]:
+    """Yield the poses at which the reach is checked, at most as high as home: upright, tilted with three r's.
 
     An action whose pose is out of reach is ignored.
     """
-    for position in over(config, (floor, floor + APPROACH, floor + MAX_Z), POINTS):
+
+    def below_home(*heights: float) -> list[float]:
+        return [min(floor + height, config.home_height) for height in heights]
+
+    for position in over(config, below_home(0.0, MOTION.approach, MAX_Z), POINTS):
         yield Pose.planar(*position)
     if config.action_sequence.count("r") == len(ANGLES):
-        for position in over(config, (floor + TILTED_Z[0], floor + TILTED_Z[1]), 3):
+        for position in over(config, below_home(*TILTED_Z), 3):
             for theta, tilt in itertools.product((0.0, math.pi / 2.0), (-TILT, TILT)):
                 yield euler_pose(position, (tilt, 0.0, theta))
                 yield euler_pose(position, (0.0, tilt, theta))

@@ -125,7 +125,7 @@ def _rebuild(env: ManipulationEnv, seed: int) -> Episode | None:
     except PlacementError:
         return None
     waypoints = (waypoint for relocation in reversed(relocations) for waypoint in relocation.reversed())
-    moves = (env.control.next_move(env.scene, iter([waypoint])) for waypoint in waypoints)
+    moves = (env.tracker.next_move(iter([waypoint])) for waypoint in waypoints)
     actions = (env.encode_action(move) for move in moves)
     return _play(env, seed, env.observe(), actions) if info["is_success"] else None
 

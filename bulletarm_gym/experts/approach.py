@@ -5,12 +5,11 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from bulletarm_gym.control.open_loop import HALF_TURN, MOTION
 from bulletarm_gym.experts.waypoints import CLOSED, OPEN, Waypoint
 from bulletarm_gym.geometry import Pose, matrix, planar_distance, rotate, wrap_angle
 from bulletarm_gym.scene import Item, Scene
 
-STEP = 0.05
-"""Farthest (m) a close-loop action moves along an axis (paper, Close-Loop 4D Benchmark)."""
 ALIGNED = 0.012
 """Distance (m) in the plane at which the fingers go down beside an item without touching it ..."""
 ALIGNED_YAW = 0.25
@@ -29,9 +28,6 @@ SLANTED = math.radians(8.0)
 """Slope (rad) from which fingers that come straight down slip off a side."""
 RELEASE = 0.003
 """Gap (m) under an item that is let go."""
-LET_GO = 0.008
-"""Distance (m) that the fingers open to let go; all the way when they are out of the way."""
-HALF_TURN = Pose.planar(0.0, 0.0, 0.0, math.pi)
 HAND_REACH = 0.06
 """Half the width (m) of an open gripper with its fingers: what lies this near its way is in its way."""
 
@@ -51,7 +47,7 @@ def route(scene: Scene, move: Waypoint, opening: float) -> Iterator[Waypoint]:
         yield from grasp(scene, goal, top, math.pi, opening, PRECISE)
     else:
         height = goal.z - hand.z + held.lowest
-        apart = scene.robot.opening_ratio + LET_GO / scene.robot.model.gripper.stroke
+        apart = scene.robot.opening_ratio + MOTION.release / scene.robot.model.gripper.stroke
         yield from _carry(scene, held, goal, height, min(apart, opening), PRECISE)
 
 
@@ -97,12 +93,12 @@ def grasp(
     ready = scene.robot.opening_ratio > READY * opening
     hover = top + HOVER
     if hand.z < hover - HEIGHT_TOLERANCE and not (
-        (aligned and ready) or _stays_above(hand.z, apart, turn, top)
+        (aligned and ready) or _stays_above(scene, apart, turn, top)
     ):
         width = opening if hand.z > top else scene.robot.opening_ratio
         yield Waypoint(Pose.planar(hand.x, hand.y, hover, hand.yaw), width)
-    closes_at_once = not ready and hand.z - goal.z < STEP
-    if closes_at_once or not (aligned or _stays_above(hand.z, apart, turn, top)):
+    closes_at_once = not ready and hand.z - goal.z < scene.max_translation
+    if closes_at_once or not (aligned or _stays_above(scene, apart, turn, top)):
         yield Waypoint(Pose.planar(goal.x, goal.y, hover, goal.yaw), opening)
     yield Waypoint(goal, opening, finish=CLOSED, clear=True)
 
@@ -113,10 +109,11 @@ def _is_aligned(goal: Pose, hand: Pose, turn: float, near: float) -> bool:
     return apart <= near and abs(turn) <= ALIGNED_YAW * near / ALIGNED
 
 
-def _stays_above(height: float, apart: float, turn: float, top: float) -> bool:
-    """Whether going down at full speed the fingers are over the item until they are aligned."""
-    moves = max(math.ceil(apart / STEP - 1e-6), math.ceil(abs(turn) / (math.pi / 4.0) - 1e-6))
-    return height - STEP * moves >= top - 1e-3
+def _stays_above(scene: Scene, apart: float, turn: float, top: float) -> bool:
+    """Return True if moves down of full length leave the fingers above the item until they are aligned."""
+    step = scene.max_translation
+    moves = max(math.ceil(apart / step - 1e-6), math.ceil(abs(turn) / scene.max_rotation - 1e-6))
+    return scene.robot.pose.z - step * moves >= top - 1e-3
 
 
 def grasp_item(scene: Scene, item: Item, yaw: float, symmetry: float) -> Iterator[Waypoint]:

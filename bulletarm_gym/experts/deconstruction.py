@@ -8,9 +8,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from bulletarm_gym.control.open_loop import MOTION
 from bulletarm_gym.experts.approach import RELEASE
 from bulletarm_gym.experts.pick_place import fingers_fit, pick
-from bulletarm_gym.experts.waypoints import APPROACH, CLOSED, OPEN, Waypoint
+from bulletarm_gym.experts.waypoints import CLOSED, OPEN, Waypoint
 from bulletarm_gym.geometry import Pose
 from bulletarm_gym.placement import draw_until, free_pose
 from bulletarm_gym.relations import is_top
@@ -71,7 +72,7 @@ def _relocate(scene: Scene, rng: np.random.Generator, item: Item) -> Relocation:
 
     def is_in_reach(pose: Pose) -> bool:
         hand = pose.compose(carried.inverse())
-        behind = hand.compose(Pose((0.0, 0.0, APPROACH)))
+        behind = hand.compose(Pose((0.0, 0.0, MOTION.approach)))
         return fingers_fit(scene, hand, item) and scene.robot.reaches(hand) and scene.robot.reaches(behind)
 
     after = draw_until(lambda: free_pose(scene, rng, item, GRASP_CLEARANCE), is_in_reach)

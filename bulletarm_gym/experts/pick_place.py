@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from bulletarm_gym.config import OPEN_LOOP
+from bulletarm_gym.control.open_loop import MAX_TILT
 from bulletarm_gym.experts.approach import RELEASE
 from bulletarm_gym.experts.waypoints import CLOSED, OPEN, Waypoint
 from bulletarm_gym.footprint import Footprint
@@ -63,8 +64,6 @@ LEANING_LIFTS = (-0.2, 0.0, 0.15)
 TRIES = 4
 """Of so many such grasps one is drawn: what has slipped once is not taken in the same way again."""
 HERE = Pose((0.0, 0.0, 0.0))
-MOST_TILT = math.pi / 4.0
-"""Greatest tilt (rad) of the gripper that actions can tell."""
 
 
 def lying_frame(item: Item) -> Pose:
@@ -244,7 +243,7 @@ def _lying(item: Item) -> Iterator[Pose]:
 def _able(scene: Scene, hand: Pose) -> Pose:
     """Return the nearest pose that an action can tell."""
     turns = scene.config.action_sequence.count("r")
-    if turns == 3 and hand.tilt < MOST_TILT:
+    if turns == 3 and hand.tilt < MAX_TILT:
         return hand
     return Pose.planar(*hand.position, hand.yaw if turns else scene.robot.pose.yaw)
 

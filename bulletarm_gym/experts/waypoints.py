@@ -7,8 +7,6 @@ from bulletarm_gym.geometry import Pose
 OPEN = 1.0
 HALF_OPEN = 0.5
 CLOSED = 0.0
-APPROACH = 0.1
-"""How far (m) behind its target the gripper of a pick or place begins to come straight in."""
 
 
 @dataclass(frozen=True)

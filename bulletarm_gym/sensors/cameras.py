@@ -61,7 +61,7 @@ class Rgb(Sensor):
 
     def read(self, view: View) -> NDArray[np.uint8]:
         """Return the picture."""
-        return np.ascontiguousarray(self._camera.color(view.scene.world).transpose(2, 0, 1))
+        return np.ascontiguousarray(self._camera.color(self.scene.world).transpose(2, 0, 1))
 
 
 class PointCloud(Sensor):
@@ -96,8 +96,9 @@ class PointCloud(Sensor):
         return found[np.linspace(0, len(found) - 1, self._count).round().astype(np.int64)].astype(np.float32)
 
     def _seen(self, view: View) -> FloatArray:
-        world, frame = view.scene.world, view.frame
-        absent = [view.scene.robot.body, world.ground, *([frame.without] if frame.without else [])]
+        world, robot, frame = self.scene.world, self.scene.robot, view.frame
+        grasped = [robot.held] if frame.hides_grasped and robot.held is not None else []
+        absent = [robot.body, world.ground, *grasped]
         points = np.concatenate([camera.points(world, absent) for camera in self._cameras])
         points = points - frame.origin.position
         inside: FloatArray = points[(np.abs(points[:, :2]) <= frame.extent / 2.0).all(axis=1)]

@@ -26,7 +26,7 @@ class Holding(Sensor):
 
     def read(self, view: View) -> NDArray[np.float32]:
         """Return 1 while the gripper holds something, else 0."""
-        return np.array([view.scene.robot.held is not None], dtype=np.float32)
+        return np.array([view.is_holding], dtype=np.float32)
 
 
 class State(Sensor):
@@ -46,10 +46,10 @@ class State(Sensor):
         Then for each item 1 if it is present, its position (m) and its quaternion; zeros if it is not; and
         the position (m or rad) of each of its parts that slide or turn.
         """
-        robot = view.scene.robot
+        robot = self.scene.robot
         hand = robot.pose
         numbers = [robot.opening_ratio, *hand.position, math.cos(hand.yaw), math.sin(hand.yaw)]
-        for item in view.scene.items:
+        for item in self.scene.items:
             pose = item.pose
             numbers += [1.0, *pose.position, *pose.orientation] if item.is_present else [0.0] * POSE_SIZE
             numbers += item.joints if item.spec.parts else ()

@@ -43,7 +43,7 @@ class Sensor(ABC):
     def read(self, view: View) -> NDArray[Any]:
         """Return what there is to be seen, a new array.
 
-        :param view: the scene (``view.scene``) and its heights from above, drawn once for all sensors
+        :param view: the heights of the scene from above, drawn once for all sensors
         """
 
     def follow(self, before: View, pick: Pose | None) -> None:  # noqa: B027 (most have no memory)

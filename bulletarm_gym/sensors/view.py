@@ -42,6 +42,12 @@ class Map:
         corner = np.array(self.centre) - self.extent / 2.0
         return (points[..., :2] - corner) / self.resolution - 0.5
 
+    def points(self, pixels: NDArray[np.int64]) -> FloatArray:
+        """Return world x and y (m) of the middles of pixels, (..., 2); the inverse of :meth:`pixels`."""
+        corner = np.array(self.centre) - self.extent / 2.0
+        found: FloatArray = (pixels + 0.5) * self.resolution + corner
+        return found
+
 
 @dataclass(frozen=True)
 class Frame:
@@ -52,14 +58,14 @@ class Frame:
     :param plane: height (m) of the plane that depths are measured from, downwards; None shows heights above
         the origin
     :param fingers: what stands for the fingers
-    :param without: a body that is not drawn
+    :param hides_grasped: whether the grasped object is not drawn
     """
 
     origin: Pose
     extent: float
     plane: float | None = None
     fingers: tuple[Rectangle, ...] = ()
-    without: Body | None = None
+    hides_grasped: bool = False
 
     @property
     def centre(self) -> tuple[float, float]:
@@ -85,7 +91,7 @@ class View:
         overlays: Callable[[Scene], tuple[Overlay, ...]],
         labelled: bool = False,
     ) -> None:
-        self.scene = scene
+        self._scene = scene
         self.frame = frame
         self.size = scene.config.obs_size
         self._overlays = overlays
@@ -98,13 +104,22 @@ class View:
         return self._present() == self._moment
 
     def _present(self) -> tuple[object, ...]:
-        world = self.scene.world
-        return (tuple(world.poses), tuple(world.joints), tuple(world.active), self.scene.robot.held)
+        world = self._scene.world
+        return (tuple(world.poses), tuple(world.joints), tuple(world.active), self._scene.robot.held)
+
+    @property
+    def is_holding(self) -> bool:
+        """Whether the gripper holds an object."""
+        return self._scene.robot.held is not None
+
+    @property
+    def _hidden(self) -> Body | None:
+        return self._scene.robot.held if self.frame.hides_grasped else None
 
     @property
     def overlays(self) -> tuple[Overlay, ...]:
         """What the heightmap shows besides bodies: a pushing goal."""
-        return self._overlays(self.scene)
+        return self._overlays(self._scene)
 
     @cached_property
     def heights(self) -> Heights:
@@ -112,7 +127,7 @@ class View:
         if self._labelled:
             return self._both[0]
         frame = self.frame
-        return self.scene.heights(frame.centre, frame.extent, self.size, frame.without)
+        return self._scene.heights(frame.centre, frame.extent, self.size, self._hidden)
 
     @property
     def labels(self) -> Labels:
@@ -122,7 +137,7 @@ class View:
     @cached_property
     def _both(self) -> tuple[Heights, Labels]:
         frame = self.frame
-        return self.scene.labelled(frame.centre, frame.extent, self.size, frame.without)
+        return self._scene.labelled(frame.centre, frame.extent, self.size, self._hidden)
 
     @cached_property
     def fingers(self) -> NDArray[np.bool_]:

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from bulletarm_gym.config import CLOSE_LOOP, OPEN_LOOP, WIDE, EnvConfig, TaskDefaults, TrayUse
+from bulletarm_gym.control import Hints
 from bulletarm_gym.experts.approach import RELEASE, place_pose
 from bulletarm_gym.experts.waypoints import CLOSED, OPEN, Waypoint
 from bulletarm_gym.geometry import Pose, planar_distance, wrap_angle
@@ -13,7 +14,7 @@ from bulletarm_gym.objects.bottles import BOTTLES, HEIGHT, TRAY, TRAY_FLOOR, bot
 from bulletarm_gym.placement import lay_apart
 from bulletarm_gym.relations import at_rest, inside, is_empty, touching, upright
 from bulletarm_gym.scene import Item, Role, Scene, shaped
-from bulletarm_gym.tasks.task import Hints, Task
+from bulletarm_gym.tasks.task import Task
 
 MOST_BOTTLES = 6
 """As many as the paper's (Bottle Arrangement), and places in the tray."""
@@ -22,6 +23,8 @@ BOTTLE_SPACING = 0.024
 """Least gap (m) around a bottle at the start: the fingers have room at its neck."""
 PICK_OFFSET = 0.025
 """How far (m) below its top a bottle of scale 1 is grasped: at its neck."""
+PLACE_OFFSET = 0.002
+"""Gap (m) between a bottle and the tray's floor at the release."""
 OPENING = 0.05
 """Greatest distance (m) of the fingers: wider than any neck, and no neighbour is touched."""
 QUARTER = math.pi / 2.0
@@ -57,8 +60,9 @@ class BottleArrangement(Task):
 
     @property
     def hints(self) -> Hints:
-        """Bottles are grasped at their necks."""
-        return Hints(pick_offset=PICK_OFFSET * max(self.config.scales), opening=OPENING)
+        """Bottles are grasped at their necks and released close to the tray, because they tip over."""
+        depth = PICK_OFFSET * max(self.config.scales)
+        return Hints(pick_offset=depth, place_offset=PLACE_OFFSET, opening=OPENING)
 
     def bodies(self, config: EnvConfig) -> list[Role]:
         """Return the tray, and for each bottle all shapes in all sizes."""

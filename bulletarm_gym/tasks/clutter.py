@@ -6,8 +6,17 @@ from dataclasses import replace
 
 import numpy as np
 
-from bulletarm_gym.config import CLOSE_LOOP, OPEN_LOOP, EnvConfig, TaskDefaults, TrayUse
-from bulletarm_gym.experts.approach import ALIGNED, ALIGNED_YAW, HOVER, STEP
+from bulletarm_gym.config import (
+    CLOSE_LOOP,
+    MAX_ROTATION,
+    MAX_TRANSLATION,
+    OPEN_LOOP,
+    EnvConfig,
+    TaskDefaults,
+    TrayUse,
+)
+from bulletarm_gym.control import Hints
+from bulletarm_gym.experts.approach import ALIGNED, ALIGNED_YAW, HOVER
 from bulletarm_gym.experts.grasps import DEPTHS, YAWS, Grasps, Relief, find_grasps
 from bulletarm_gym.experts.stirring import stir
 from bulletarm_gym.experts.waypoints import CLOSED, OPEN, Waypoint
@@ -28,8 +37,7 @@ from bulletarm_gym.relations import TOUCHING
 from bulletarm_gym.scene import Item, Role, Scene
 from bulletarm_gym.simulation import BodySpec, Convex, Piece
 from bulletarm_gym.simulation.world import FALLING
-from bulletarm_gym.tasks.picking import LIFTED
-from bulletarm_gym.tasks.task import Hints, Task
+from bulletarm_gym.tasks.task import Task
 
 MOST_OBJECTS = 15
 """As many as the paper's open-loop clutter."""
@@ -42,7 +50,7 @@ DROP_MARGIN = 0.055
 SETTLE_STEPS = 480
 """Most simulation steps (2 s) that a new clutter is given to come to rest."""
 ARM_AWAY = 0.4
-"""Height (m) of the fingertips while objects are dropped."""
+"""Height (m) of the fingertips while objects are dropped, if the robot reaches it."""
 NUMBERS = tuple(range(1, MOST_OBJECTS + 1))
 IN_TRAY = TrayUse((True,), "without it the objects would roll out of the workspace")
 
@@ -52,7 +60,7 @@ PITCH = 0.003
 """Side (m) of the pixels that grasps are searched in."""
 SURROUNDINGS = 0.05
 """How far (m) beyond the workspace is looked: an open gripper reaches there."""
-TURN_WORTH = 1.5 * STEP / (math.pi / 4.0)
+TURN_WORTH = 1.5 * MAX_TRANSLATION / MAX_ROTATION
 """The way (m/rad) that a turn is worth: more than what takes as many actions, for turns are hard to learn."""
 WAY_WEIGHT = 6.0
 """What a metre of way costs of a grasp's quality: so much that the nearest is meant, which one can see."""
@@ -92,7 +100,7 @@ class ObjectGrasping(Task):
     Randomisation: at the start N objects of the set are dropped into the tray one by one, each in a random
     pose; with ``random_orientation=False`` each lies flat along y. What an episode leaves in the tray stays
     for the next; when all are grasped, or the scene has become invalid, N others are drawn.
-    Success: the gripper holds an object and is more than 15 cm above the ground. The object is taken away
+    Success: the gripper holds an object and is higher than ``lift_height``, 15 cm. The object is taken away
     when the next episode begins.
     Expert: the nearest of the good grasps from above that a search over heightmaps finds, straight up with
     it.
@@ -103,6 +111,7 @@ class ObjectGrasping(Task):
         allowed_objects=NUMBERS,
         tray=IN_TRAY,
         takes_object_set=True,
+        lifts=True,
     )
     controls = (CLOSE_LOOP,)
     rehearsals = 1  # each drops all objects, up to as many times as a reset does
@@ -110,7 +119,7 @@ class ObjectGrasping(Task):
     @property
     def height(self) -> float:
         """Up to where the gripper must lift."""
-        return LIFTED
+        return self.config.lift_height
 
     def bodies(self, config: EnvConfig) -> list[Role]:
         """Return all objects of the set, each in one size.
@@ -144,7 +153,8 @@ class ObjectGrasping(Task):
     def drop(self, scene: Scene, items: Sequence[Item], rng: np.random.Generator) -> None:
         """Drop items into the tray one by one and let them come to rest, the arm out of their way."""
         start = scene.robot.pose
-        scene.robot.home(Pose.planar(start.x, start.y, ARM_AWAY))
+        away = Pose.planar(start.x, start.y, ARM_AWAY)
+        scene.robot.home(away if scene.robot.reaches(away) else start)
         for item in items:
             item.place(self._drop_pose(scene, rng), FALLING)
             scene.begin()
@@ -166,7 +176,7 @@ class ObjectGrasping(Task):
         held = scene.held
         if held is not None:
             self._let_go(scene, held)
-            if scene.robot.pose.z > LIFTED:
+            if scene.robot.pose.z > self.config.lift_height:
                 held.park()
         return any(True for _ in scene) and self.is_valid(scene)
 
@@ -199,7 +209,7 @@ class ObjectGrasping(Task):
     def evaluate(self, scene: Scene) -> dict[str, bool]:
         """Look whether anything is held, and how high."""
         held = scene.held is not None
-        return {"success": held and scene.robot.pose.z > LIFTED, "is_held": held}
+        return {"success": held and scene.robot.pose.z > self.config.lift_height, "is_held": held}
 
     def plan(self, scene: Scene, rng: np.random.Generator) -> Iterator[Waypoint]:
         """Grasp what is best to grasp, then lift; where nothing can be grasped, turn something."""
@@ -212,7 +222,8 @@ class ObjectGrasping(Task):
             else:
                 yield _approach(scene, relief, target)
         else:
-            yield Waypoint(Pose.planar(hand.x, hand.y, max(hand.z, LIFTED) + STEP, hand.yaw), CLOSED)
+            height = max(hand.z, self.config.lift_height) + scene.max_translation
+            yield Waypoint(Pose.planar(hand.x, hand.y, height, hand.yaw), CLOSED)
 
     def _target(self, scene: Scene, relief: Relief) -> Pose | None:
         """Return the grasp whose quality less the way to it is best, if any is good enough.
@@ -314,8 +325,10 @@ def _approach(scene: Scene, relief: Relief, target: Pose) -> Waypoint:
     if way < ALIGNED and abs(turn) < ALIGNED_YAW and abs(target.z - hand.z) < DEEP:
         return Waypoint(Pose.planar(target.x, target.y, target.z, hand.yaw + turn), OPEN, finish=CLOSED)
     # What will be left after this step; and not all the way down within a long one.
-    dx, dy = (_beyond(goal - now, STEP) for goal, now in ((target.x, hand.x), (target.y, hand.y)))
-    left = max(math.hypot(dx, dy), FUNNEL_TURN * _beyond(turn, math.pi / 4.0))
+    dx, dy = (
+        _beyond(goal - now, scene.max_translation) for goal, now in ((target.x, hand.x), (target.y, hand.y))
+    )
+    left = max(math.hypot(dx, dy), FUNNEL_TURN * _beyond(turn, scene.max_rotation))
     apart = max(left, max(way, FUNNEL_TURN * abs(turn)) / 2.0 - ALIGNED)
     top = max(target.z, relief.top_between(hand.position, target.position, reach) + HOVER)
     height = target.z + (top - target.z) * min(1.0, max(0.0, apart / FUNNEL))

@@ -47,12 +47,13 @@ class CornerPicking(Lift):
     the fingers do not fit between them and the cube.
     Randomisation: the corner's position and yaw, the cube with it; with a fixed orientation the walls lie
     along the axes.
-    Success: the gripper holds the cube and is more than 15 cm above the ground.
+    Success: the gripper holds the cube and is higher than ``lift_height``, 15 cm.
     Expert: press the closed gripper on the cube and draw it out of the corner, up, then as in Block Picking.
     """
 
     defaults = TaskDefaults(
         num_objects=1,
+        lifts=True,
         tray=TrayUse((False,), "the corner does not fit into the tray"),
         level_ground="the corner's plate lies on level ground",
     )

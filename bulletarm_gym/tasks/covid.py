@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from bulletarm_gym.config import CLOSE_LOOP, OPEN_LOOP, WIDE, EnvConfig, ParameterError, TaskDefaults, TrayUse
+from bulletarm_gym.control import Hints
 from bulletarm_gym.experts.approach import RELEASE, place_pose
 from bulletarm_gym.experts.waypoints import CLOSED, OPEN, Waypoint
 from bulletarm_gym.footprint import Footprint
@@ -29,7 +30,7 @@ from bulletarm_gym.scene import Item, Role, Scene, scaled
 from bulletarm_gym.simulation import BodySpec
 from bulletarm_gym.simulation.world import FALLING
 from bulletarm_gym.surfaces.surface import Point
-from bulletarm_gym.tasks.task import Hints, Task
+from bulletarm_gym.tasks.task import Task
 
 ROUNDS = 3
 """Tests an episode (paper, Covid Test)."""

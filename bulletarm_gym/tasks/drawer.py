@@ -6,7 +6,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from bulletarm_gym.config import CLOSE_LOOP, EnvConfig, TaskDefaults, TrayUse
-from bulletarm_gym.experts.approach import ALIGNED, ALIGNED_YAW, HEIGHT_TOLERANCE, HOVER, STEP
+from bulletarm_gym.experts.approach import ALIGNED, ALIGNED_YAW, HEIGHT_TOLERANCE, HOVER
 from bulletarm_gym.experts.waypoints import CLOSED, Waypoint
 from bulletarm_gym.geometry import Pose, planar_distance, wrap_angle
 from bulletarm_gym.objects import drawer
@@ -106,7 +106,7 @@ class DrawerOpening(Task):
             x, y = _start(scene) - opened, 0.0
             yield from self._hook(scene, cabinet.transform((x, y, low)), yaw)
         # No faster along the workspace's diagonals than along its sides.
-        goal = cabinet.transform((max(_end(scene), x - STEP), y, low))
+        goal = cabinet.transform((max(_end(scene), x - scene.max_translation), y, low))
         yield Waypoint(Pose.planar(*goal, yaw), CLOSED, straight=True)
 
     def _hook(self, scene: Scene, hook: tuple[float, float, float], yaw: float) -> Iterator[Waypoint]:

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bulletarm_gym.config import CLOSE_LOOP, OPEN_LOOP, WIDE, EnvConfig, TaskDefaults, TrayUse
+from bulletarm_gym.control import Hints
 from bulletarm_gym.experts.approach import RELEASE
 from bulletarm_gym.experts.pick_place import lying_frame, pick
 from bulletarm_gym.experts.waypoints import CLOSED, OPEN, Waypoint
@@ -17,7 +18,7 @@ from bulletarm_gym.placement import footprint, lay_apart
 from bulletarm_gym.relations import at_rest, inside, is_empty, is_top
 from bulletarm_gym.robots.gripper import WIDEST_HAND
 from bulletarm_gym.scene import Item, Role, Scene, shaped
-from bulletarm_gym.tasks.task import Hints, Task
+from bulletarm_gym.tasks.task import Task
 
 MOST_BLOCKS = 8
 """As many as the paper's (Bin Packing)."""

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from bulletarm_gym.config import CLOSE_LOOP, OPEN_LOOP, WIDE, EnvConfig, TaskDefaults, TrayUse
+from bulletarm_gym.control import Hints
 from bulletarm_gym.experts.pick_place import lying_frame, pick, put
 from bulletarm_gym.experts.waypoints import Waypoint
 from bulletarm_gym.footprint import Footprint, PlacementError
@@ -15,7 +16,7 @@ from bulletarm_gym.placement import draw_until, footprint, free_pose, roomiest, 
 from bulletarm_gym.relations import UPRIGHT, at_rest, inside, is_empty, is_top
 from bulletarm_gym.robots.gripper import WIDEST_HAND
 from bulletarm_gym.scene import Item, Role, Scene, scaled
-from bulletarm_gym.tasks.task import Hints, Task
+from bulletarm_gym.tasks.task import Task
 
 LAYER = 6
 """Boxes a layer (paper, Box Palletizing: 6, 12 or 18)."""

@@ -1,14 +1,13 @@
 """The contract between a task and the house around it."""
 
-import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
 
 from bulletarm_gym.config import OPEN_LOOP, EnvConfig, TaskDefaults
+from bulletarm_gym.control import Hints
 from bulletarm_gym.experts.waypoints import Waypoint
 from bulletarm_gym.geometry import Vector
 from bulletarm_gym.objects.blocks import CUBE_SIZE
@@ -16,24 +15,6 @@ from bulletarm_gym.rendering.overlays import Overlay
 from bulletarm_gym.scene import Item, Role, Scene
 from bulletarm_gym.state import declare_state_types
 from bulletarm_gym.surfaces.surface import SITE, Point
-
-
-@dataclass(frozen=True)
-class Hints:
-    """What control must know of a task's picks and places (paper, Open-loop Environments).
-
-    :param pick_offset: how deep (m) below the highest point around the target the fingertips close, where the
-        action does not say at which height
-    :param place_offset: gap (m) between what is held and the highest point under it when it is let go, then
-    :param pick_area: length along the opening and width (m) of the area whose highest point counts for a
-        pick; by default a square of twice ``pick_offset``
-    :param opening: distance (m) to which the fingers open at most: less than all the way where it is narrow
-    """
-
-    pick_offset: float
-    place_offset: float = 0.003
-    pick_area: Point | None = None
-    opening: float = math.inf
 
 
 class Task(ABC):
@@ -72,7 +53,7 @@ class Task(ABC):
 
     @property
     def hints(self) -> Hints:
-        """What open-loop control must know: by default grasps go half a largest cube deep."""
+        """Grasp parameters; by default, the fingertips close half a largest cube deep."""
         return Hints(pick_offset=CUBE_SIZE * max(self.config.scales) / 2.0)
 
     @property

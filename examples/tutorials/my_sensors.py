@@ -25,7 +25,7 @@ class Rangefinder(Sensor):
         return spaces.Box(0.0, self.reach, (2,), np.float32)
 
     def read(self, view: View) -> NDArray[np.float32]:
-        robot, client = view.scene.robot, view.scene.world.client
+        robot, client = self.scene.robot, self.scene.world.client
         side = (robot.opening + robot.model.gripper.finger[0]) / 2.0
         starts, ends = (
             [robot.pose.transform((x, 0.0, z)) for x in (side, -side)] for z in (-SKIN, -self.reach)

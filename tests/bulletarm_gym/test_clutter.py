@@ -8,12 +8,13 @@ import gymnasium
 import numpy as np
 import pytest
 
+from bulletarm_gym.config import LIFT_HEIGHT
 from bulletarm_gym.env import ManipulationEnv
 from bulletarm_gym.experts.stirring import _end_to_push
 from bulletarm_gym.geometry import Pose
 from bulletarm_gym.objects.graspables import graspables
 from bulletarm_gym.simulation.shapes import wavefront
-from bulletarm_gym.tasks.clutter import LIFTED, ObjectGrasping
+from bulletarm_gym.tasks.clutter import ObjectGrasping
 
 ENV_ID = "BulletArm/CloseLoopObjectGrasping-v0"
 Make = Callable[..., ManipulationEnv]
@@ -48,7 +49,7 @@ def test_the_grasped_object_is_gone_and_the_others_stay(env: ManipulationEnv) ->
     before = set(_names(env))
     assert _solve(env)
     held = env.scene.held
-    assert held is not None and env.scene.robot.pose.z > LIFTED  # still there to be seen
+    assert held is not None and env.scene.robot.pose.z > LIFT_HEIGHT  # still there to be seen
     env.reset()
     assert set(_names(env)) == before - {held.role.name}
     assert env.scene.robot.held is None and env.scene.robot.opening_ratio == 1.0

@@ -118,7 +118,7 @@ WRONG: dict[str, list[Any]] = {
         WORKSPACE[:2],
         [[0.3, 0.6], [-0.15, 0.2], [0.01, 0.25]],
         [[0.6, 0.3], [0.15, -0.15], [0.01, 0.25]],
-        [[0.3, 0.35], [-0.02, 0.03], [0.01, 0.25]],
+        [[0.3, 0.33], [-0.01, 0.02], [0.01, 0.25]],
         [[0.3, 0.6], [-0.15, 0.15], [0.25, 0.01]],
         [[0.3, 0.6], [-0.15, 0.15], [-0.1, 0.25]],
         [[0.3, float("nan")], [-0.15, 0.15], [0.01, 0.25]],
@@ -129,6 +129,8 @@ WRONG: dict[str, list[Any]] = {
     "object_scale_range": [0, -1.0, [1.0, 0.5], [1.0], [0.5, 3.0], "big", None, True, [float("nan"), 1.0]],
     "max_steps": [0, -1, 2.5, "50", None, True],
     "num_objects": [1, 4, 2.0, "2", None, True],
+    "home_height": [0, -0.1, "high", None, True, [0.2], float("nan"), float("inf")],
+    "lift_height": [0, -0.1, "high", None, True, 0.1, float("nan"), float("inf")],
     "obs_size": [0, 15, 1025, 64.0, "64", (64, 64), True],
     "fast_mode": [1, 0, "yes", None],
     "random_orientation": [1, "no", None],
@@ -193,8 +195,8 @@ def test_the_gripper_must_come_down_and_up(z: list[float], reason: str | None) -
 
 
 def test_the_smallest_workspace_is_taken_as_it_is_written() -> None:
-    for x in ([0.4, 0.5], [0.3, 0.4], [0.6, 0.7]):
-        assert config(workspace=[x, [-0.05, 0.05], [0.01, 0.25]]).workspace[0] == x
+    for x in ([0.4, 0.44], [0.3, 0.34], [0.6, 0.64]):
+        assert config(workspace=[x, [-0.02, 0.02], [0.01, 0.25]]).workspace[0] == x
 
 
 PARTLY = [[0.5, 0.9], [-0.2, 0.2], [0.01, 0.25]]

@@ -12,7 +12,6 @@ from rollouts import make_env, transcript
 
 import bulletarm_gym
 from bulletarm_gym import extensions
-from bulletarm_gym.config import OBJECT_KINDS
 from bulletarm_gym.env import ManipulationEnv
 from bulletarm_gym.objects.catalogue import KINDS
 from bulletarm_gym.robots import ROBOTS
@@ -110,8 +109,8 @@ def test_what_cannot_be_registered() -> None:
         bulletarm_gym.register_surface("mine", Local)
     with pytest.raises(ValueError, match="'ramp' is one of ours"):
         bulletarm_gym.register_surface("ramp", FlatSurface)
-    assert sorted(OBJECT_KINDS) == sorted(KINDS)
-    for kind in OBJECT_KINDS:
+    assert sorted(extensions.OBJECT_KINDS) == sorted(KINDS)
+    for kind in extensions.OBJECT_KINDS:
         with pytest.raises(ValueError, match=f"^object: the name '{kind}' is one of ours"):
             bulletarm_gym.register_object(kind, "my_objects:cup")
     for robot in ROBOTS:

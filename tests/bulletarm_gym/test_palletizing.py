@@ -188,7 +188,7 @@ def test_expert_mends_what_lies_wrong(make: Make) -> None:
     hand = env.scene.robot.pose
     askew = env.scene["pallet"].pose.compose(Pose.planar(0.0, 0.0, 0.0, 0.8))
     waypoint = Waypoint(Pose.planar(askew.x, askew.y, hand.z, askew.yaw), CLOSED, OPEN)
-    env.step(env.encode_action(env.control.towards(env.scene, waypoint)))
+    env.step(env.encode_action(env.tracker.towards(waypoint)))
     assert right(env) == 2 and present(env) == 3
     for _ in range(10):
         *_, terminated, _, info = env.step(env.expert_action())

@@ -137,6 +137,6 @@ def test_a_blocked_pick_draws_back_the_way_it_came(make: Make, monkeypatch: pyte
     monkeypatch.setattr(robot, "move_to", watched)
     finger = (robot.model.gripper.stroke + robot.model.gripper.finger[0]) / 2.0
     env.scene.begin()
-    env.control.apply(env.scene, PickPlace("pick", (0.45 - finger, 0.0, 0.02)))
+    env.control.apply(PickPlace("pick", (0.45 - finger, 0.0, 0.02)))
     assert heights[0] > 3 * side - DEEPEST
     assert heights == sorted(heights)

@@ -7,7 +7,14 @@ import pytest
 
 from bulletarm_gym.env import ManipulationEnv
 from bulletarm_gym.geometry import FloatArray, Pose, euler_pose
-from bulletarm_gym.real_arm import close_loop_heightmap, in_hand_image, open_loop_heightmap
+from bulletarm_gym.real_arm import (
+    close_loop_heightmap,
+    in_hand_image,
+    measure_grasp,
+    open_loop_heightmap,
+    pick_height,
+    place_height,
+)
 from bulletarm_gym.scene import SIDE_PIXELS
 
 STACKING = "BulletArm/CloseLoopBlockStacking-v0"
@@ -68,6 +75,29 @@ def test_the_in_hand_image_is_the_environments(
     assert after["in_hand"].any()
     pick = euler_pose(move.position, (psi, phi, theta))
     assert (in_hand_image(before["heightmap"], pick, tilts=tilts) == after["in_hand"]).all()
+
+
+@pytest.mark.parametrize("floor", [0.0, 0.01])
+def test_heights_of_picks_and_places_are_the_environments(
+    floor: float, make: Callable[..., ManipulationEnv]
+) -> None:
+    workspace = [[0.25, 0.65], [-0.2, 0.2], [floor, 1.0]]
+    env = make("BulletArm/OpenLoopHouseBuilding1-v0", workspace=workspace)
+    before, _ = env.reset(seed=0)
+    for _ in range(3):
+        action = env.expert_action()
+        hand = env.decode_action(action).pose
+        assert pick_height(
+            before["heightmap"], hand, env.task.hints.pick_offset, workspace=workspace
+        ) == pytest.approx(hand.z)
+        after, *_ = env.step(action)
+        grasp = measure_grasp(before["heightmap"], after["heightmap"], hand, workspace)
+        assert grasp is not None and tuple(grasp) == pytest.approx(env.control.memory, abs=1e-4)
+        action = env.expert_action()
+        hand = env.decode_action(action).pose
+        height = place_height(after["heightmap"], hand, grasp, env.task.hints.place_offset, workspace)
+        assert height == pytest.approx(hand.z, abs=1e-4)
+        before, *_ = env.step(action)
 
 
 def test_what_no_point_cloud_of_the_cell_is_is_refused() -> None:

@@ -49,7 +49,7 @@ def solve(env: ManipulationEnv) -> int:
 def follow(env: ManipulationEnv, waypoint: Waypoint, steps: int) -> dict[str, bool]:
     """Move towards a waypoint; return the last info."""
     for _ in range(steps):
-        *_, info = env.step(env.control.encode_action(env.control.towards(env.scene, waypoint)))
+        *_, info = env.step(env.control.encode_action(env.tracker.towards(waypoint)))
     return info
 
 

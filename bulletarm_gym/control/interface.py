@@ -1,0 +1,87 @@
+"""The robot as a control commands it."""
+
+from collections.abc import Callable
+
+from bulletarm_gym.geometry import Pose
+from bulletarm_gym.robots import Robot
+
+
+class RobotInterface:
+    """Commands and measurements of a robot, without the poses of objects.
+
+    It offers what a real robot offers. Poses are those of the fingertips in the world (m).
+
+    :param robot: the simulated robot
+    :param settle: function that simulates until loose objects are at rest
+    """
+
+    def __init__(self, robot: Robot, settle: Callable[[], None]) -> None:
+        self._robot = robot
+        self._settle = settle
+
+    @property
+    def pose(self) -> Pose:
+        """Measured pose of the fingertips."""
+        return self._robot.pose
+
+    @property
+    def stroke(self) -> float:
+        """Largest distance (m) between the fingers."""
+        return self._robot.model.gripper.stroke
+
+    @property
+    def opening(self) -> float:
+        """Measured distance (m) between the fingers."""
+        return self._robot.opening
+
+    @property
+    def opening_ratio(self) -> float:
+        """Measured opening over the stroke, 0 closed to 1 open."""
+        return self._robot.opening_ratio
+
+    @property
+    def is_holding(self) -> bool:
+        """Whether the gripper holds an object."""
+        return self._robot.held is not None
+
+    def reaches(self, pose: Pose) -> bool:
+        """Return True if the inverse kinematics has a solution for a pose."""
+        return self._robot.reaches(pose)
+
+    def follows(self, pose: Pose) -> bool:
+        """Return True if a pose is in reach without passing a joint limit on the way."""
+        return self._robot.follows(pose)
+
+    def reset(self, pose: Pose) -> None:
+        """Set the empty, open gripper to a pose without moving through the space between.
+
+        :raises OutOfReachError: the pose is out of reach
+        """
+        self._robot.home(pose)
+
+    def move_to(self, pose: Pose, careful: bool = True) -> None:
+        """Move to a pose; a blocked arm stops on the way.
+
+        :param careful: move slowly where the gripper may push an object
+        :raises OutOfReachError: the pose is out of reach
+        """
+        self._robot.move_to(pose, careful)
+
+    def transfer(self, pose: Pose) -> None:
+        """Move to a pose over everything in between.
+
+        :raises OutOfReachError: the pose is out of reach
+        """
+        self._robot.transfer(pose)
+
+    def set_opening(self, ratio: float) -> None:
+        """Move the fingers to an opening ratio, 0 closed to 1 open; an object between them stops them."""
+        self._robot.set_opening(ratio)
+
+    def is_apart(self) -> bool:
+        """Return True if the arm and the grasped object touch nothing else."""
+        return self._robot.is_apart()
+
+    def wait_until_still(self) -> None:
+        """Wait until loose objects are at rest."""
+        self._settle()

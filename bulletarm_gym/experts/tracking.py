@@ -1,0 +1,104 @@
+"""Moves of a control that follow an expert's plan."""
+
+import math
+from collections.abc import Iterator
+from typing import Any, Protocol, runtime_checkable
+
+from bulletarm_gym.config import CLOSE_LOOP, MAX_ROTATION, MAX_TRANSLATION
+from bulletarm_gym.control import CloseLoop, Control, DeltaMove, OpenLoop, PickPlace
+from bulletarm_gym.control.open_loop import HALF_TURN, PICK, PLACE
+from bulletarm_gym.experts.approach import avoid_limits, exchange_fingers, route
+from bulletarm_gym.experts.waypoints import OPEN, Waypoint
+from bulletarm_gym.geometry import Pose, euler_angles, wrap_angle
+from bulletarm_gym.scene import Scene
+
+ARRIVED = 0.999
+"""Fraction of the distance to a waypoint that counts as all of it."""
+
+
+@runtime_checkable
+class Tracking(Protocol):
+    """A control that computes its moves towards waypoints itself."""
+
+    def towards(self, waypoint: Waypoint) -> Any:
+        """Return the move that brings the gripper closest to a waypoint."""
+
+
+class Tracker:
+    """Follows plans by the moves of a control.
+
+    :param control: a subclass of ``CloseLoop`` or ``OpenLoop``, or one that defines ``towards(waypoint)``
+    :param scene: the scene of the plans; its largest close-loop step becomes that of the control
+    :param opening: largest distance (m) between the open fingers; None if plans contain the path to a pick or
+        place, which close-loop control otherwise adds
+    """
+
+    def __init__(self, control: Control[Any], scene: Scene, opening: float | None) -> None:
+        self._control = control
+        self._scene = scene
+        if control.kind == CLOSE_LOOP:
+            _, scene.max_translation = control.ranges.get("x", (0.0, MAX_TRANSLATION))
+            _, scene.max_rotation = control.ranges.get("r", (0.0, MAX_ROTATION))
+        self._opening = None if opening is None else min(opening / control.robot.stroke, OPEN)
+
+    def next_move(self, plan: Iterator[Waypoint]) -> Any:
+        """Return the next move of a plan: open loop, its first pick or place."""
+        if isinstance(self._control, OpenLoop):
+            return self.towards(next(waypoint for waypoint in plan if waypoint.finish is not None))
+        first = next(plan)
+        if self._opening is not None and first.finish is not None and not first.clear:
+            first = next(route(self._scene, first, self._opening))
+        return self.towards(first)
+
+    def towards(self, waypoint: Waypoint) -> Any:
+        """Return the move that brings the gripper closest to a waypoint."""
+        control = self._control
+        if isinstance(control, Tracking):
+            return control.towards(waypoint)
+        if isinstance(control, OpenLoop):
+            return self._pick_place(control, waypoint)
+        if isinstance(control, CloseLoop):
+            return self._delta_move(control, waypoint)
+        raise TypeError(
+            f"control must extend CloseLoop or OpenLoop, or define towards(waypoint), got {type(control)}"
+        )
+
+    def _pick_place(self, control: OpenLoop, waypoint: Waypoint) -> PickPlace:
+        assert waypoint.finish is not None
+        pose = waypoint.pose
+        if self._scene.config.half_rotation and "theta" in control.ranges:
+            if not -math.pi / 2.0 <= pose.yaw < math.pi / 2.0:
+                pose = exchange_fingers(self._scene, pose)
+            if pose.yaw < 0.0:
+                pose = pose.compose(HALF_TURN)  # OpenLoop.executed() turns it back
+        elif not control.robot.reaches(pose):
+            pose = exchange_fingers(self._scene, pose)
+        psi, phi, theta = euler_angles(pose.orientation)
+        primitive = PICK if waypoint.finish < waypoint.gripper else PLACE
+        return PickPlace(primitive, pose.position, (theta, phi, psi))
+
+    def _delta_move(self, control: CloseLoop, waypoint: Waypoint) -> DeltaMove:
+        """Return the move towards a waypoint within the control's ranges."""
+        tips, ranges, goal = control.robot.pose, control.ranges, avoid_limits(self._scene, waypoint.pose)
+        target = control.within(goal.position)
+        way = [end - now for end, now in zip(target, tips.position, strict=True)]
+        rotation = _rotation(control, tips, goal.yaw) if "r" in ranges else 0.0
+        limits = [*(ranges[axis][1] for axis in "xyz"), ranges.get("r", (0.0, MAX_ROTATION))[1]]
+        excess = max(abs(part) / limit for part, limit in zip((*way, rotation), limits, strict=True))
+        scale = 1.0 / excess if waypoint.straight and excess > 1.0 else 1.0
+        x, y, z, r = (
+            min(max(part, -limit), limit)
+            for part, limit in zip((*(scale * part for part in way), rotation), limits, strict=True)
+        )
+        arrives = excess * ARRIVED <= 1.0
+        opening = waypoint.finish if arrives and waypoint.finish is not None else waypoint.gripper
+        return DeltaMove(opening, (x, y, z), r)
+
+
+def _rotation(control: CloseLoop, tips: Pose, yaw: float) -> float:
+    """Return the rotation (rad) to a yaw, the long way round where a joint limit blocks the short one."""
+    rotation, (low, high) = wrap_angle(yaw - tips.yaw), control.ranges["r"]
+    step = min(max(rotation, low), high)
+    if step == rotation or control.robot.follows(Pose.planar(*tips.position, tips.yaw + step)):
+        return rotation
+    return rotation - math.copysign(2.0 * math.pi, rotation)
