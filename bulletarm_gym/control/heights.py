@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from bulletarm_gym.compilation import compiled
 from bulletarm_gym.geometry import Pose, Rectangle, matrix
 from bulletarm_gym.rendering.overlays import rectangle_mask
 from bulletarm_gym.sensors import Map
@@ -69,7 +70,7 @@ def measure_grasp(before: Map, after: Map, closed_at: Pose) -> Grasp | None:
     nearest = int(distances.argmin())
     if distances[nearest] * before.resolution > GRASP_RADIUS:
         return None
-    footprint = _connected(removed, pixels[nearest])
+    footprint = _connected(removed, *pixels[nearest].tolist())
     points = before.points(np.argwhere(footprint)) - closed_at.position[:2]
     points = points @ matrix(Pose.planar(0.0, 0.0, 0.0, closed_at.yaw))[:2, :2]
     (x0, y0), (x1, y1) = points.min(axis=0).tolist(), points.max(axis=0).tolist()
@@ -98,14 +99,17 @@ def _highest(heights: Map, area: Rectangle) -> float:
     return float(heights.heights[covered].max())
 
 
-def _connected(mask: Mask, seed: NDArray[np.int64]) -> Mask:
-    """Return the pixels of a mask that are connected with a pixel of it, over edges or corners."""
+@compiled
+def _connected(mask: Mask, row: int, column: int) -> Mask:
+    """Return the pixels of a mask that are connected with one of them, over edges or corners."""
     region = np.zeros_like(mask)
-    region[tuple(seed)] = True
-    while True:
-        wide, n = np.pad(region, 1), len(mask)
-        shifted = [wide[row : row + n, column : column + n] for row in range(3) for column in range(3)]
-        grown: Mask = mask & np.logical_or.reduce(shifted)
-        if np.array_equal(grown, region):
-            return region
-        region = grown
+    region[row, column] = True
+    open_pixels = [(row, column)]
+    while open_pixels:
+        row, column = open_pixels.pop()
+        for i in range(max(row - 1, 0), min(row + 2, len(mask))):
+            for j in range(max(column - 1, 0), min(column + 2, len(mask))):
+                if mask[i, j] and not region[i, j]:
+                    region[i, j] = True
+                    open_pixels.append((i, j))
+    return region
