@@ -104,8 +104,8 @@ def _act_at_random(env: ManipulationEnv, seed: int) -> None:
     for action_seed in range(20):
         rng = np.random.default_rng((seed, action_seed))
         env.reset(seed=seed)
-        ends = [any(env.step(rng.uniform(-1, 1, env.action_space.shape))[2:4]) for _ in range(10)]
-        if not any(ends):
+        actions = (rng.uniform(-1, 1, env.action_space.shape) for _ in range(10))
+        if not any(any(env.step(action)[2:4]) for action in actions):
             return
     raise AssertionError("random actions end every episode")
 
