@@ -449,7 +449,7 @@ def test_waypoints_become_actions(make: Make, half: bool) -> None:
     carried = hand.inverse().compose(cube.pose)
     pick_place_move = env.tracker.towards(Waypoint(spot, CLOSED, finish=OPEN))
     assert pick_place_move.primitive == "place"
-    executed = env.control._executed(pick_place_move)
+    executed = env.control.executed(pick_place_move)
     goal, wanted = executed.compose(carried), spot.compose(carried)
     assert goal.position == pytest.approx(wanted.position)
     assert wrap_angle(goal.yaw - wanted.yaw, math.pi) == pytest.approx(0.0, abs=1e-9)

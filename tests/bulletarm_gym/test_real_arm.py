@@ -86,7 +86,7 @@ def test_heights_of_picks_and_places_are_the_environments(
     before, _ = env.reset(seed=0)
     for _ in range(3):
         action = env.expert_action()
-        hand = env.decode_action(action).pose
+        hand = env.control.executed(env.decode_action(action))
         assert pick_height(
             before["heightmap"], hand, env.task.hints.pick_offset, workspace=workspace
         ) == pytest.approx(hand.z)
@@ -94,7 +94,7 @@ def test_heights_of_picks_and_places_are_the_environments(
         grasp = measure_grasp(before["heightmap"], after["heightmap"], hand, workspace)
         assert grasp is not None and tuple(grasp) == pytest.approx(env.control.memory, abs=1e-4)
         action = env.expert_action()
-        hand = env.decode_action(action).pose
+        hand = env.control.executed(env.decode_action(action))
         height = place_height(after["heightmap"], hand, grasp, env.task.hints.place_offset, workspace)
         assert height == pytest.approx(hand.z, abs=1e-4)
         before, *_ = env.step(action)
