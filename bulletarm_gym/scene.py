@@ -19,8 +19,10 @@ from bulletarm_gym.robots import Robot, RobotModel
 from bulletarm_gym.simulation import Body, BodySpec, Camera, World
 from bulletarm_gym.simulation.physics import PHYSICS_MODES
 from bulletarm_gym.simulation.shapes import Colour
-from bulletarm_gym.simulation.world import STILL, Twist
+from bulletarm_gym.simulation.state import STILL, Twist
+from bulletarm_gym.simulation.world import CREEP_SPEED, REST_SPEED
 from bulletarm_gym.stopwatch import PHYSICS, RENDERING, Stopwatch
+from bulletarm_gym.support import lie_still
 from bulletarm_gym.surfaces import Surface
 
 T = TypeVar("T")
@@ -281,6 +283,7 @@ class Scene:
 
     def clear(self, rng: np.random.Generator) -> None:
         """Empty the scene, draw its ground and who plays each role."""
+        self.world.is_settled = False
         self.surface.arrange(rng)
         for item in self._items.values():
             item.park()
@@ -291,12 +294,18 @@ class Scene:
         self.robot.begin()
 
     def settle(self) -> None:
-        """Let what is loose come to rest."""
-        loose = [body for body in self.world.loose_bodies if body is not self.robot.held]
-        if any(self.world.is_moving(body) for body in loose):
-            self.world.settle(loose, SETTLE_LIMIT)
-            self.world.end()
+        """Simulate until all loose bodies rest: those that move, were placed or lost their support."""
+        world = self.world
+        loose = [body for body in world.loose_bodies if body is not self.robot.held]
+        speed = max(map(world.speed, loose), default=0.0)
+        if (speed >= CREEP_SPEED or not world.is_settled) and not self._lie_still(loose, speed):
+            world.settle(loose, SETTLE_LIMIT)
+        world.is_settled = True
         self.robot.give_way()
+
+    def _lie_still(self, loose: Sequence[Body], speed: float) -> bool:
+        slow = speed < REST_SPEED and self.robot.is_apart()
+        return slow and lie_still(self.world, self.surface, loose)
 
     def measure(self) -> Stopwatch:
         """Return a stopwatch to which the engine's steps and heightmaps report from now on."""

@@ -23,6 +23,7 @@ from bulletarm_gym.simulation.motion import (
     on_the_way,
     send_fingers,
 )
+from bulletarm_gym.simulation.world import NEAR
 
 FREE_STEPS = 24
 """Simulation steps of a move by the reference distance where nothing is in the way ..."""
@@ -160,7 +161,8 @@ class Robot:
     # Motion
 
     def home(self, pose: Pose) -> None:
-        """Put the empty, open gripper at a pose at once."""
+        """Put the empty, open gripper at a pose at once; what it held or touched falls."""
+        self._world.is_settled = self._world.is_settled and self.held is None and self.is_apart()
         self.held = None
         self._command = self.model.gripper.stroke
         self._place(self._arm, self._solve(pose))
@@ -192,6 +194,7 @@ class Robot:
         stops = [*self._line(start, pose), goal]
         clear = self._is_clear(start, pose, stops, length)
         if clear and self.fast:
+            self._leave()
             self._place(self._arm, goal)
             return
         slow = careful and not clear and self.held is None
@@ -250,6 +253,12 @@ class Robot:
         """Close the gripper on whatever is between the fingers."""
         self.set_opening(0.0)
 
+    def _leave(self) -> None:
+        """Record that bodies which the arm touches lose its support."""
+        low = self._reach_down(self.pose) - CLEAR_ABOVE
+        near = [body for body in self._world.loose_bodies if self._world.top(body) > low]
+        self._world.is_settled &= not any(self._world.are_near(self.body, body, NEAR) for body in near)
+
     def _place(self, group: JointGroup, positions: Sequence[float]) -> None:
         self._world.set_joints(self.body, group.moved(self._world, positions))
         self._send_targets()
@@ -259,7 +268,8 @@ class Robot:
         self._world.end()
         self._world.set_joints(self.body, self._world.joints[self.body.index])
         bodies = self._world.free_bodies if self._is_squeezing else []
-        self.held = next((body for body in bodies if self._grips(body)), None)
+        before, self.held = self.held, next((body for body in bodies if self._grips(body)), None)
+        self._world.is_settled &= before is None or before is self.held
         if self.held is not None:
             self._world.rest(self.held)
         self._draw_out()
@@ -270,7 +280,7 @@ class Robot:
         for _ in range(YIELDS):
             if self.held is None or (way := way_into(self._world, self.held, self.body)) is None:
                 return
-            self._world.place(self.held, Pose(way).compose(self._world.poses[self.held.index]))
+            self._world.carry(self.held, Pose(way).compose(self._world.poses[self.held.index]))
 
     def _draw_out(self) -> None:
         """Move the resting arm out of what it is too deep in, but for what it holds.
@@ -293,7 +303,7 @@ class Robot:
         self._place(self._arm, goal)
         if self.held is not None:
             before = self._world.poses[self.held.index]
-            self._world.place(self.held, self.pose.compose(hand.inverse().compose(before)))
+            self._world.carry(self.held, self.pose.compose(hand.inverse().compose(before)))
 
     @property
     def _is_squeezing(self) -> bool:
@@ -350,7 +360,7 @@ class Robot:
             return True
         self._place(self._arm, joints)
         if held is not None and before is not None:
-            self._world.place(held, before)
+            self._world.carry(held, before)
         return False
 
     def is_apart(self) -> bool:

@@ -9,7 +9,6 @@ the same way.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 from bulletarm_gym.geometry import Pose, Vector
@@ -17,6 +16,7 @@ from bulletarm_gym.simulation.client import Client
 from bulletarm_gym.simulation.loading import load_jointed, load_plane, load_rigid, load_urdf
 from bulletarm_gym.simulation.physics import Physics, surface_speed
 from bulletarm_gym.simulation.shapes import ORIGIN, BodySpec
+from bulletarm_gym.simulation.state import STILL, Body, Twist, WorldState
 
 TIME_STEP = 1.0 / 240.0
 """Seconds a simulation step."""
@@ -25,52 +25,22 @@ GRAVITY = -10.0
 RESIDUAL_THRESHOLD = 1e-5
 """Squared change of the impulses at which the solver stops before its last iteration."""
 REST_SPEED = 0.01
-"""A body slower than this (m/s at its rim) rests: in one step gravity alone adds four times as much."""
+"""Greatest speed (m/s at its rim) of a body at rest: in one step gravity alone adds four times as much."""
+CREEP_SPEED = 1e-3
+"""Speed (m/s at its rim) below which changes from step to step are noise of the contact solver."""
+CALM_STEPS = 24
+"""Simulation steps after which bodies slower than :data:`REST_SPEED` rest, although some speed up."""
 SPHERE_GAP = 0.01
 """Gap (m) between two spheres that is enough for what they hold to be apart: the engine adds margins."""
 PARKING_HEIGHT = 10.0
 """Where (m) bodies that take no part wait, far from everything, without contacts."""
 PARKING_PITCH = 1.0
 
+NEAR = 1e-3
+"""Gap (m) within which a body may support another one."""
+
 MOVING, FIXED = 1, 2
 """Collision groups: Bullet would compute contacts between fixed bodies in every step."""
-
-Twist = tuple[Vector, Vector]
-STILL: Twist = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
-FALLING: Twist = ((0.0, 0.0, -0.02), (0.0, 0.0, 0.0))
-"""Of a body that is let go: faster than what counts as rest."""
-
-
-@dataclass(frozen=True)
-class Body:
-    """A body of the world, by which all others name it.
-
-    :param index: its place in the world's order and in :class:`WorldState`
-    :param joints: indices of its movable joints in Bullet
-    """
-
-    index: int
-    id: int
-    spec: BodySpec
-    joints: tuple[int, ...] = ()
-
-
-@dataclass(frozen=True)
-class WorldState:
-    """Everything that decides what happens next, in plain numbers.
-
-    :param poses: of every body's frame
-    :param twists: linear (m/s) and angular (rad/s) velocity of every body
-    :param active: whether a body takes part or is parked
-    :param joints: positions (m or rad) of every body's movable joints
-    :param joint_rates: their velocities (m/s or rad/s)
-    """
-
-    poses: tuple[Pose, ...]
-    twists: tuple[Twist, ...]
-    active: tuple[bool, ...]
-    joints: tuple[tuple[float, ...], ...]
-    joint_rates: tuple[tuple[float, ...], ...]
 
 
 class World:
@@ -89,6 +59,7 @@ class World:
         self.active: list[bool] = []
         self.joints: list[tuple[float, ...]] = []
         self.joint_rates: list[tuple[float, ...]] = []
+        self.is_settled = False
         self._ground: Body | None = None
         self._near: dict[tuple[int, int, float], tuple[Any, bool]] = {}
         self._solids: list[Body] = []
@@ -174,8 +145,9 @@ class World:
 
     @property
     def has_motion(self) -> bool:
-        """Whether a body has speed in the state."""
-        return any(twist != STILL for twist in self.twists) or any(any(rates) for rates in self.joint_rates)
+        """Return True if a body has speed in the state, or has not come to rest since it was placed."""
+        moves = any(twist != STILL for twist in self.twists) or any(any(rates) for rates in self.joint_rates)
+        return moves or not self.is_settled
 
     def _check_open(self) -> None:
         if self._snapshot is not None:
@@ -195,9 +167,14 @@ class World:
     # Layout
 
     def place(self, body: Body, pose: Pose, twist: Twist = STILL) -> None:
-        """Put a body somewhere, calling it in if it was parked."""
+        """Put a body somewhere, calling it in if it was parked; it falls if nothing supports it."""
         if not self.active[body.index]:
             self._set_active(body, True)
+        self.carry(body, pose, twist)
+        self.is_settled = False
+
+    def carry(self, body: Body, pose: Pose, twist: Twist = STILL) -> None:
+        """Put a grasped body somewhere; the arm supports it."""
         self.poses[body.index] = pose
         self.twists[body.index] = twist
         self._send(body)
@@ -208,6 +185,8 @@ class World:
         It keeps its mass: taking it would change the order in which Bullet solves contacts, and with it the
         last digits of what happens.
         """
+        others = self.loose_bodies if self.is_settled else []
+        self.is_settled &= not any(self.are_near(body, other, NEAR) for other in others if other is not body)
         self.poses[body.index] = _parking_place(body.index)
         self.twists[body.index] = STILL
         self._set_active(body, False)
@@ -220,6 +199,7 @@ class World:
 
     def set_joints(self, body: Body, positions: Sequence[float]) -> None:
         """Put a body's movable joints somewhere, at rest."""
+        self.is_settled &= not body.spec.parts
         self.joints[body.index] = tuple(positions)
         self.joint_rates[body.index] = (0.0,) * len(body.joints)
         self._send_joints(body)
@@ -315,6 +295,7 @@ class World:
             tuple(self.active),
             tuple(self.joints),
             tuple(self.joint_rates),
+            self.is_settled,
         )
 
     def set_state(self, state: WorldState) -> None:
@@ -324,6 +305,7 @@ class World:
                 self._set_active(body, state.active[body.index])
         self.poses[:], self.twists[:] = state.poses, state.twists
         self.joints[:], self.joint_rates[:] = state.joints, state.joint_rates
+        self.is_settled = state.is_settled
         for body in self.bodies:
             self._send(body)
 
@@ -335,18 +317,26 @@ class World:
             self.client.stepSimulation()
 
     def settle(self, bodies: Sequence[Body], limit: int) -> None:
-        """Advance until the bodies rest, at most ``limit`` steps."""
+        """Advance until the bodies rest, at most ``limit`` steps, and read the world into the state.
+
+        A body rests if it is slow in two consecutive steps and does not speed up, as one that tips over does.
+        """
+        speeds, calm = [self.speed(body) for body in bodies], 0
         for _ in range(limit):
             self.client.stepSimulation()
-            if not any(self.is_moving(body) for body in bodies):
-                return
+            before, speeds = speeds, [self.speed(body) for body in bodies]
+            calm = calm + 1 if all(speed < REST_SPEED for speed in speeds) else 0
+            steady = all(now <= max(old, CREEP_SPEED) for old, now in zip(before, speeds, strict=True))
+            if calm > 1 and (steady or calm > CALM_STEPS):
+                break
+        self.end()
+        self.is_settled = True
 
-    def is_moving(self, body: Body) -> bool:
-        """Whether a body moves in the simulation right now."""
+    def speed(self, body: Body) -> float:
+        """Return the speed (m/s) of a body or of its fastest part in the simulation right now."""
         states = self.client.getJointStates(body.id, body.joints) if body.joints else ()
-        if any(abs(state[1]) >= REST_SPEED for state in states):
-            return True
-        return body.spec.mass > 0.0 and surface_speed(*self.client.getBaseVelocity(body.id)) >= REST_SPEED
+        own = surface_speed(*self.client.getBaseVelocity(body.id)) if body.spec.mass > 0.0 else 0.0
+        return float(max(own, *(abs(state[1]) for state in states))) if states else own
 
     # Queries
 
