@@ -11,6 +11,8 @@ from bulletarm_gym.surfaces.surface import UP, Surface
 
 CONTACT = 1e-4
 """Greatest gap or overlap (m) of a body that stands on the surface."""
+EMBEDDED = 1.5e-3
+"""Greatest overlap (m) with a part of the surface: the engine adds 1 mm to hulls."""
 APART = 2e-3
 """Gap (m) between two bodies beyond which neither supports the other."""
 OVER_EDGE = math.pi - 0.1
@@ -48,7 +50,7 @@ def _stands_alone(world: World, surface: Surface, body: Body) -> bool:
     contacts = vertices[gaps < CONTACT, :2] - (x, y)
     return (
         _surrounds(contacts)
-        and _holds(surface, body, (x, y))
+        and _holds(world, surface, body, (x, y))
         and not any(_touches(world, surface, body, other) for other in world.obstacles if other is not body)
     )
 
@@ -62,16 +64,17 @@ def _surrounds(contacts: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> b
     return widest < OVER_EDGE
 
 
-def _holds(surface: Surface, body: Body, point: tuple[float, float]) -> bool:
+def _holds(world: World, surface: Surface, body: Body, point: tuple[float, float]) -> bool:
     """Return True if friction keeps a body from sliding down the surface at a point."""
     normal = surface.normal(point)
     if tuple(normal) == UP:
         return True
-    friction = body.spec.friction * min(ground.spec.friction for ground in surface.bodies)
+    ground = min(world.get_properties(other).friction for other in surface.bodies)
+    friction = world.get_properties(body).friction * ground
     return math.hypot(normal[0], normal[1]) < GRIP * friction * normal[2]
 
 
 def _touches(world: World, surface: Surface, body: Body, other: Body) -> bool:
     """Return True if another body may support this one or push it away."""
-    gap = -CONTACT if other in surface.bodies else APART
+    gap = -EMBEDDED if other in surface.bodies else APART
     return world.are_near(body, other, gap)

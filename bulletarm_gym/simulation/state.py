@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 from bulletarm_gym.geometry import Pose, Vector
+from bulletarm_gym.simulation.properties import Properties
 from bulletarm_gym.simulation.shapes import BodySpec
 
 Twist = tuple[Vector, Vector]
@@ -33,6 +34,7 @@ class WorldState:
     :param joints: positions (m or rad) of every body's movable joints
     :param joint_rates: their velocities (m/s or rad/s)
     :param is_settled: whether all bodies have come to rest since one of them was placed or lost its support
+    :param properties: index and properties of each body that has others than its specification
     """
 
     poses: tuple[Pose, ...]
@@ -41,3 +43,4 @@ class WorldState:
     joints: tuple[tuple[float, ...], ...]
     joint_rates: tuple[tuple[float, ...], ...]
     is_settled: bool
+    properties: tuple[tuple[int, Properties], ...]

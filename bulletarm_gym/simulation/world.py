@@ -14,7 +14,8 @@ from typing import Any
 from bulletarm_gym.geometry import Pose, Vector
 from bulletarm_gym.simulation.client import Client
 from bulletarm_gym.simulation.loading import load_jointed, load_plane, load_rigid, load_urdf
-from bulletarm_gym.simulation.physics import Physics, surface_speed
+from bulletarm_gym.simulation.physics import REST_SPEED, Physics, surface_speed
+from bulletarm_gym.simulation.properties import Properties, set_dynamics
 from bulletarm_gym.simulation.shapes import ORIGIN, BodySpec
 from bulletarm_gym.simulation.state import STILL, Body, Twist, WorldState
 
@@ -24,12 +25,6 @@ GRAVITY = -10.0
 """Acceleration (m/s^2) along z."""
 RESIDUAL_THRESHOLD = 1e-5
 """Squared change of the impulses at which the solver stops before its last iteration."""
-REST_SPEED = 0.01
-"""Greatest speed (m/s at its rim) of a body at rest: in one step gravity alone adds four times as much."""
-CREEP_SPEED = 1e-3
-"""Speed (m/s at its rim) below which changes from step to step are noise of the contact solver."""
-CALM_STEPS = 24
-"""Simulation steps after which bodies slower than :data:`REST_SPEED` rest, although some speed up."""
 SPHERE_GAP = 0.01
 """Gap (m) between two spheres that is enough for what they hold to be apart: the engine adds margins."""
 PARKING_HEIGHT = 10.0
@@ -60,6 +55,7 @@ class World:
         self.joints: list[tuple[float, ...]] = []
         self.joint_rates: list[tuple[float, ...]] = []
         self.is_settled = False
+        self._changed: dict[int, Properties] = {}
         self._ground: Body | None = None
         self._near: dict[tuple[int, int, float], tuple[Any, bool]] = {}
         self._solids: list[Body] = []
@@ -204,6 +200,34 @@ class World:
         self.joint_rates[body.index] = (0.0,) * len(body.joints)
         self._send_joints(body)
 
+    def get_properties(self, body: Body) -> Properties:
+        """Return the properties of a body that are in effect."""
+        return self._changed.get(body.index) or Properties.of(body.spec)
+
+    def set_properties(self, body: Body, properties: Properties) -> None:
+        """Give a body other properties until the next reset.
+
+        :raises ValueError: one of them is out of range
+        """
+        properties.check(body.spec)
+        before = self.get_properties(body)
+        if properties == before:
+            return
+        set_dynamics(self.client, body.id, body.spec, properties)
+        if properties.colour != before.colour:
+            self.client.changeVisualShape(body.id, -1, rgbaColor=properties.colour)
+        self._changed.pop(body.index, None)
+        if properties != Properties.of(body.spec):
+            self._changed[body.index] = properties
+        self.is_settled = False
+
+    def reset_properties(self, changed: Sequence[tuple[int, Properties]] = ()) -> None:
+        """Give some bodies properties by their index, and all others those of their specifications."""
+        wanted = dict(changed)
+        for index in sorted({*self._changed, *wanted}):
+            body = self.bodies[index]
+            self.set_properties(body, wanted.get(index) or Properties.of(body.spec))
+
     def show_joints(self, body: Body, positions: Sequence[float]) -> None:
         """Pose a body's joints for a query; :meth:`set_joints` or :meth:`begin` goes back to the state."""
         self.client.resetJointStatesMultiDof(body.id, body.joints, [(position,) for position in positions])
@@ -296,6 +320,7 @@ class World:
             tuple(self.joints),
             tuple(self.joint_rates),
             self.is_settled,
+            tuple(sorted(self._changed.items())),
         )
 
     def set_state(self, state: WorldState) -> None:
@@ -305,6 +330,7 @@ class World:
                 self._set_active(body, state.active[body.index])
         self.poses[:], self.twists[:] = state.poses, state.twists
         self.joints[:], self.joint_rates[:] = state.joints, state.joint_rates
+        self.reset_properties(state.properties)
         self.is_settled = state.is_settled
         for body in self.bodies:
             self._send(body)
@@ -315,22 +341,6 @@ class World:
         """Advance by ``count`` steps of :data:`TIME_STEP`."""
         for _ in range(count):
             self.client.stepSimulation()
-
-    def settle(self, bodies: Sequence[Body], limit: int) -> None:
-        """Advance until the bodies rest, at most ``limit`` steps, and read the world into the state.
-
-        A body rests if it is slow in two consecutive steps and does not speed up, as one that tips over does.
-        """
-        speeds, calm = [self.speed(body) for body in bodies], 0
-        for _ in range(limit):
-            self.client.stepSimulation()
-            before, speeds = speeds, [self.speed(body) for body in bodies]
-            calm = calm + 1 if all(speed < REST_SPEED for speed in speeds) else 0
-            steady = all(now <= max(old, CREEP_SPEED) for old, now in zip(before, speeds, strict=True))
-            if calm > 1 and (steady or calm > CALM_STEPS):
-                break
-        self.end()
-        self.is_settled = True
 
     def speed(self, body: Body) -> float:
         """Return the speed (m/s) of a body or of its fastest part in the simulation right now."""

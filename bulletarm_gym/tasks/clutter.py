@@ -27,6 +27,7 @@ from bulletarm_gym.objects.sets import object_set
 from bulletarm_gym.placement import ARRANGEMENTS
 from bulletarm_gym.scene import Item, Role, Scene
 from bulletarm_gym.simulation import BodySpec, Convex, Piece
+from bulletarm_gym.simulation.settling import settle
 from bulletarm_gym.tasks.picking import LIFTED
 from bulletarm_gym.tasks.task import Hints, Task
 
@@ -158,7 +159,7 @@ class ObjectGrasping(Task):
             scene.world.step(DROP_STEPS)
             scene.world.end()
         scene.begin()
-        scene.world.settle(scene.world.loose_bodies, SETTLE_STEPS)
+        settle(scene.world, scene.world.loose_bodies, SETTLE_STEPS)
         scene.robot.home(start)
 
     def _drop_pose(self, scene: Scene, rng: np.random.Generator) -> Pose:
