@@ -38,8 +38,8 @@ if TYPE_CHECKING:
     from sb3_extensions.demonstrations.collecting import Hand
 
 DESCRIPTION = """Check environments: Gymnasium's and Stable-Baselines3's own checks, equal episodes from equal
-seeds, equal steps from equal states in two environments, and how often the expert succeeds. Draws the start and
-the end of the expert's first episode."""
+seeds, equal steps from equal states in two environments, and how often the expert succeeds. Draws the start
+and the end of the expert's first episode."""
 GRIDDED = "open_loop"  # family of the tasks with a grid
 RENDER_MODE = "rgb_array"
 SUCCESS_DIGITS, STEPS_DIGITS = 4, 3
