@@ -189,6 +189,9 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         self._steps += 1
         if self._acts_after:
             self.task.after_action(self.scene, self._rng(AFTER_ACTION))
+            if not self.scene.world.is_settled:
+                self.scene.begin()
+                self.scene.settle()
         info = self._evaluate(outcome.ignored)
         success, valid = info["is_success"], info["is_valid"]
         reward = finite_reward(self._reward(self.scene, info), self._reward) if valid else 0.0

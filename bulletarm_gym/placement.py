@@ -9,7 +9,6 @@ import numpy as np
 from bulletarm_gym.footprint import Footprint, PlacementError
 from bulletarm_gym.geometry import Pose
 from bulletarm_gym.scene import Item, Scene
-from bulletarm_gym.simulation.world import FALLING, STILL
 from bulletarm_gym.surfaces.surface import Point
 
 T = TypeVar("T")
@@ -74,12 +73,7 @@ def _free_point(
 def stand(scene: Scene, item: Item, point: Point, rng: np.random.Generator, spread: float) -> None:
     """Stand an item on the ground at a point, turned by up to ``spread`` (rad) unless told not to."""
     yaw = float(rng.uniform(-spread, spread)) if scene.config.random_orientation else 0.0
-    set_down(scene, item, scene.surface.lay(item.spec, point, yaw))
-
-
-def set_down(scene: Scene, item: Item, pose: Pose) -> None:
-    """Put an item on the ground; where it does not stay as it is laid, it falls until it rests."""
-    item.place(pose, STILL if scene.surface.keeps_poses else FALLING)
+    item.place(scene.surface.lay(item.spec, point, yaw))
 
 
 def lay_apart(
@@ -113,7 +107,7 @@ def lay_apart(
             covered.append(footprint(item, pose))
         else:
             for item, pose in zip(largest_first, poses, strict=True):
-                set_down(scene, item, pose)
+                item.place(pose)
             return
     raise PlacementError(
         f"workspace: found no room for {len(items)} items {gap:.3f} m apart in {scene.config.workspace[:2]}"

@@ -12,15 +12,19 @@ from numpy.typing import NDArray
 
 from bulletarm_gym.config import MAX_ROTATION, MAX_TRANSLATION, ORTHOGRAPHIC, EnvConfig
 from bulletarm_gym.geometry import FloatArray, Pose, Vector, matrix
+from bulletarm_gym.rendering.mesh_poses import MeshPoses
 from bulletarm_gym.rendering.point_cloud import project
 from bulletarm_gym.rendering.rasterizer import Labels
 from bulletarm_gym.rendering.z_buffer import ZBuffer
 from bulletarm_gym.robots import Robot, RobotModel
 from bulletarm_gym.simulation import Body, BodySpec, Camera, World
-from bulletarm_gym.simulation.physics import PHYSICS_MODES
+from bulletarm_gym.simulation.physics import PHYSICS_MODES, REST_SPEED
+from bulletarm_gym.simulation.properties import Properties
+from bulletarm_gym.simulation.settling import CREEP_SPEED, settle
 from bulletarm_gym.simulation.shapes import Colour
-from bulletarm_gym.simulation.world import STILL, Twist
+from bulletarm_gym.simulation.state import STILL, Twist
 from bulletarm_gym.stopwatch import PHYSICS, RENDERING, Stopwatch
+from bulletarm_gym.support import lie_still
 from bulletarm_gym.surfaces import Surface
 
 T = TypeVar("T")
@@ -177,6 +181,20 @@ class Item:
         self._world.place(self.body, pose, twist)
 
     @property
+    def properties(self) -> Properties:
+        """Mass, frictions, restitution and colour that are in effect."""
+        return self._world.get_properties(self.body)
+
+    def set_properties(self, **changes: Any) -> None:
+        """Change properties of the body until the next reset; an omitted one stays as it is.
+
+        :param changes: fields of :class:`~bulletarm_gym.simulation.properties.Properties`
+        :raises ValueError: one of them is out of range
+        :raises TypeError: an unknown property
+        """
+        self._world.set_properties(self.body, self.properties.changed(**changes))
+
+    @property
     def joints(self) -> tuple[float, ...]:
         """Positions (m or rad) of the body's parts that slide or turn."""
         return self._world.joints[self.body.index]
@@ -195,48 +213,6 @@ class Item:
 def _lowest(item: Item) -> float:
     heights = item.spec.mesh.vertices @ matrix(item.pose)[2]
     return item.pose.z + float(heights.min())
-
-
-class MeshPoses:
-    """Where the meshes that are seen from above are, one a body link; what has not moved is not written anew.
-
-    :param world: sealed
-    """
-
-    def __init__(self, world: World) -> None:
-        self._world = world
-        self._owners = np.array(
-            [body.index for body in world.visible for _ in body.spec.part_meshes], np.int64
-        )
-        rows = np.searchsorted(self._owners, [body.index for body in world.visible]).tolist()
-        self._bodies = list(zip(world.visible, rows, strict=True))
-        self._seen: list[Pose | None] = [None] * len(self._bodies)
-        self._positions = np.zeros((len(self._owners), 3))
-        self._orientations = np.zeros((len(self._owners), 4))
-
-    def poses(self) -> tuple[FloatArray, FloatArray]:
-        """Return positions (n, 3) and orientations (n, 4); the next call may change them."""
-        poses = self._world.poses
-        for number, (body, row) in enumerate(self._bodies):
-            pose = poses[body.index]
-            if pose is self._seen[number] and not body.joints:
-                continue
-            self._seen[number] = pose
-            for place, part in enumerate(self._world.part_poses(body), row):
-                self._positions[place], self._orientations[place] = part.position, part.orientation
-        return self._positions, self._orientations
-
-    @property
-    def present(self) -> NDArray[np.bool_]:
-        """Which of the meshes, (n,), take part."""
-        return np.array(self._world.active, np.bool_)[self._owners]
-
-    def of(self, bodies: Sequence[Body]) -> NDArray[np.bool_]:
-        """Return which of the meshes, (n,), are those of some bodies."""
-        wanted = np.zeros(len(self._world.bodies), np.bool_)
-        for body in bodies:
-            wanted[body.index] = True
-        return wanted[self._owners]
 
 
 class Scene:
@@ -283,6 +259,8 @@ class Scene:
 
     def clear(self, rng: np.random.Generator) -> None:
         """Empty the scene, draw its ground and who plays each role."""
+        self.world.is_settled = False
+        self.world.reset_properties()
         self.surface.arrange(rng)
         for item in self._items.values():
             item.park()
@@ -293,12 +271,18 @@ class Scene:
         self.robot.begin()
 
     def settle(self) -> None:
-        """Let what is loose come to rest."""
-        loose = [body for body in self.world.loose_bodies if body is not self.robot.held]
-        if any(self.world.is_moving(body) for body in loose):
-            self.world.settle(loose, SETTLE_LIMIT)
-            self.world.end()
+        """Simulate until all loose bodies rest: those that move, were placed or lost their support."""
+        world = self.world
+        loose = [body for body in world.loose_bodies if body is not self.robot.held]
+        speed = max(map(world.speed, loose), default=0.0)
+        if (speed >= CREEP_SPEED or not world.is_settled) and not self._lie_still(loose, speed):
+            settle(world, loose, SETTLE_LIMIT)
+        world.is_settled = True
         self.robot.give_way()
+
+    def _lie_still(self, loose: Sequence[Body], speed: float) -> bool:
+        slow = speed < REST_SPEED and self.robot.is_apart()
+        return slow and lie_still(self.world, self.surface, loose)
 
     def measure(self) -> Stopwatch:
         """Return a stopwatch to which the engine's steps and heightmaps report from now on."""
@@ -367,6 +351,15 @@ class Scene:
     def parts(self) -> list[tuple[Body, Colour]]:
         """What is seen from above: each body and each of its sliding parts, with its colour."""
         return [(body, colour) for body in self.world.visible for colour in body.spec.part_colours]
+
+    @property
+    def colours(self) -> list[Colour]:
+        """Colours of :attr:`parts` that are in effect: a task may have changed those of bodies."""
+        return [
+            colour
+            for body in self.world.visible
+            for colour in (self.world.get_properties(body).colour, *body.spec.part_colours[1:])
+        ]
 
     @cached_property
     def _z_buffer(self) -> ZBuffer:

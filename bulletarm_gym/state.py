@@ -6,6 +6,7 @@ from typing import Any
 from bulletarm_gym.geometry import Pose
 from bulletarm_gym.robots import RobotState
 from bulletarm_gym.simulation import WorldState
+from bulletarm_gym.simulation.properties import Properties
 
 
 @dataclasses.dataclass(frozen=True)
@@ -35,7 +36,7 @@ class EnvState:
 
 
 STATE_TYPES: dict[str, type] = {
-    kind.__name__: kind for kind in (bytes, list, dict, Pose, WorldState, RobotState, EnvState)
+    kind.__name__: kind for kind in (bytes, list, dict, Pose, Properties, WorldState, RobotState, EnvState)
 }
 """Types that files of states name, by name: the fixed ones and those that imported tasks declare."""
 

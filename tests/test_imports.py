@@ -27,6 +27,7 @@ LAYERS = (
     },
     {"simulation"},
     {"robots", "objects", "surfaces", "rendering"},
+    {"support"},
     {"scene", "state"},
     {"relations", "placement", "sensors"},
     {"control"},

@@ -124,6 +124,8 @@ def _rebuild(env: ManipulationEnv, seed: int) -> Episode | None:
         relocations = take_apart(env.scene, np.random.default_rng((seed, TAKING_APART)))
     except PlacementError:
         return None
+    env.scene.begin()
+    env.scene.settle()
     waypoints = (waypoint for relocation in reversed(relocations) for waypoint in relocation.reversed())
     moves = (env.tracker.next_move(iter([waypoint])) for waypoint in waypoints)
     actions = (env.encode_action(move) for move in moves)

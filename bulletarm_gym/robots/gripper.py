@@ -9,7 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from xml.etree.ElementTree import Element, SubElement
 
-from bulletarm_gym.geometry import Pose, Vector, euler_pose
+from bulletarm_gym.geometry import Pose, Vector, euler_pose, matrix
 from bulletarm_gym.robots.urdf import (
     DARK,
     LIGHT,
@@ -58,6 +58,12 @@ class Gripper:
     def overhang(self) -> float:
         """How far (m) the palm reaches out beyond the open fingers; negative where it is narrower."""
         return self.palm[0] / 2.0 - self.stroke / 2.0 - self.finger[0]
+
+    def lowest(self, pose: Pose) -> float:
+        """Return the height (m) of the open gripper's lowest point: tilted, it reaches below its middle."""
+        along, across, _ = (float(part) for part in matrix(pose)[2])
+        wide = self.stroke / 2.0 + self.finger[0]
+        return pose.z - abs(along) * wide - abs(across) * self.finger[1] / 2.0
 
 
 @dataclass(frozen=True, kw_only=True)

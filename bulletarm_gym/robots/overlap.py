@@ -1,11 +1,14 @@
 """How deep an arm is in what it touches, and the way out: rigid bodies overlap in Bullet where they press."""
 
+from collections.abc import Sequence
 from typing import Any
 
-from bulletarm_gym.geometry import Vector
+from bulletarm_gym.geometry import Pose, Vector
 from bulletarm_gym.simulation import Body, World
 from bulletarm_gym.simulation.motion import MAX_DEPTH
 
+YIELDS = 4
+"""Most moves out of what the arm is too deep in: the way out of one thing may lead into another."""
 TOO_DEEP = 3e-3
 """Depth (m) of what is held in a finger from which it is taken out, though nothing pressed it in any more."""
 REMAINING = 1e-3
@@ -24,7 +27,16 @@ def way_out(world: World, arm: Body, held: Body | None) -> Vector | None:
     return None if point is None else _along(point, -point[8] - REMAINING)
 
 
-def way_into(world: World, held: Body, arm: Body) -> Vector | None:
+def push_out(world: World, held: Body | None, arm: Body) -> bool:
+    """Move what an arm holds out of a finger; return True if it is too deep in neither."""
+    for _ in range(YIELDS):
+        if held is None or (way := _way_into(world, held, arm)) is None:
+            return True
+        world.carry(held, Pose(way).compose(world.poses[held.index]))
+    return False
+
+
+def _way_into(world: World, held: Body, arm: Body) -> Vector | None:
     """Return the shift (m) that takes what is squeezed out of the finger that it is too deep in, or None.
 
     No farther than must be, and no more than half the way: there is another finger behind it.
@@ -34,6 +46,17 @@ def way_into(world: World, held: Body, arm: Body) -> Vector | None:
     if point is None or not (pressed or -point[8] > TOO_DEEP):
         return None
     return _along(point, max(MAX_DEPTH + point[8], point[8] / 2.0))
+
+
+def squeeze(world: World, arm: Body, fingers: Sequence[int], held: Body | None) -> float:
+    """Return how far (m) fingers must open so that nothing between them is too deep in both."""
+    widths = [0.0]
+    for other in sorted({p[2] for p in world.client.getContactPoints(arm.id) if p[8] < -REMAINING}):
+        points = [world.client.getClosestPoints(arm.id, other, 0.0, finger) for finger in fingers]
+        left = MAX_DEPTH if held is not None and other == held.id else REMAINING
+        if all(points):
+            widths.append(-sum(min(p[8] for p in side) for side in points) - len(points) * left)
+    return max(widths)
 
 
 def _deepest(points: Any) -> Any:

@@ -11,7 +11,7 @@ from bulletarm_gym.geometry import FloatArray, Pose, interpolate, matrix, rotate
 from bulletarm_gym.robots.fingers import couple_fingers
 from bulletarm_gym.robots.kinematics import POSITION_TOLERANCE
 from bulletarm_gym.robots.model import RobotModel
-from bulletarm_gym.robots.overlap import way_into, way_out
+from bulletarm_gym.robots.overlap import YIELDS, push_out, squeeze, way_out
 from bulletarm_gym.robots.way import REFERENCE_DISTANCE, distance, stops_over
 from bulletarm_gym.simulation import Body, BodySpec, World
 from bulletarm_gym.simulation.motion import (
@@ -24,7 +24,7 @@ from bulletarm_gym.simulation.motion import (
     send_fingers,
     steps_within_torques,
 )
-from bulletarm_gym.simulation.world import GRAVITY
+from bulletarm_gym.simulation.world import GRAVITY, NEAR
 
 FREE_STEPS = 24
 """Simulation steps of a move by the reference distance where nothing is in the way ..."""
@@ -56,8 +56,6 @@ GIVING_WAY = 0.2
 """Share of the stroke by which fingers that were pushed shut are left so, as long as the command stays."""
 REMEMBERED = 64
 """Poses of which the solutions are remembered."""
-YIELDS = 4
-"""Most moves out of what the arm is too deep in: the way out of one thing may lead into another."""
 
 
 class OutOfReachError(ValueError):
@@ -184,7 +182,8 @@ class Robot:
     # Motion
 
     def home(self, pose: Pose) -> None:
-        """Put the empty, open gripper at a pose at once."""
+        """Put the empty, open gripper at a pose at once; what it held or touched falls."""
+        self._world.is_settled = self._world.is_settled and self.held is None and self.is_apart()
         self.held = None
         self._command = self.model.gripper.stroke
         self._place(self._arm, self._solve(pose))
@@ -216,6 +215,7 @@ class Robot:
         stops = [*self._line(start, pose), goal]
         clear = self._is_clear(start, pose, stops, length)
         if clear and self.fast:
+            self._world.is_settled &= not self._touches_loose_bodies()
             self._place(self._arm, goal)
             return
         slow = careful and not clear and self.held is None
@@ -235,7 +235,9 @@ class Robot:
         if self.held is None:
             return np.zeros(len(joints))
         linear = self.model.chain.jacobian(joints)[:3]
-        force = self.held.spec.mass * (linear @ accelerations - np.array((0.0, 0.0, GRAVITY)))
+        force = self._world.get_properties(self.held).mass * (
+            linear @ accelerations - np.array((0.0, 0.0, GRAVITY))
+        )
         torques: FloatArray = linear.T @ force
         return torques
 
@@ -289,6 +291,11 @@ class Robot:
         """Close the gripper on whatever is between the fingers."""
         self.set_opening(0.0)
 
+    def _touches_loose_bodies(self) -> bool:
+        low = self.model.gripper.lowest(self.pose) - CLEAR_ABOVE
+        near = (body for body in self._world.loose_bodies if self._world.top(body) > low)
+        return any(self._world.are_near(self.body, body, NEAR) for body in near)
+
     def _place(self, group: JointGroup, positions: Sequence[float]) -> None:
         self._world.set_joints(self.body, group.moved(self._world, positions))
         self._send_targets()
@@ -298,21 +305,27 @@ class Robot:
         self._world.end()
         self._world.set_joints(self.body, self._world.joints[self.body.index])
         bodies = self._world.free_bodies if self._is_squeezing else []
-        self.held = next((body for body in bodies if self._grips(body)), None)
+        before, self.held = self.held, next((body for body in bodies if self._grips(body)), None)
+        self._world.is_settled &= before is None or before is self.held
         if self.held is not None:
             self._world.rest(self.held)
         self._draw_out()
 
     def give_way(self) -> None:
-        """Take the resting arm out of what it is too deep in, and what it holds out of a finger."""
-        self._draw_out()
-        for _ in range(YIELDS):
-            if self.held is None or (way := way_into(self._world, self.held, self.body)) is None:
-                return
-            self._world.place(self.held, Pose(way).compose(self._world.poses[self.held.index]))
+        """Take the resting arm out of what it is too deep in, and what it holds out of a finger.
 
-    def _draw_out(self) -> None:
-        """Move the resting arm out of what it is too deep in, but for what it holds.
+        What is too deep in both fingers opens them.
+        """
+        world, held = self._world, self.held
+        if self._draw_out() and push_out(world, held, self.body):
+            return
+        wider = squeeze(world, self.body, self._fingers.joints, held) / 2.0
+        self._place(self._fingers, [joint + wider for joint in self._fingers.positions(world)])
+        self._draw_out()
+        push_out(world, held, self.body)
+
+    def _draw_out(self) -> bool:
+        """Move the resting arm out of what it is too deep in, but for what it holds; return True if it is.
 
         What was pressed into the ground or tilted comes up again under fingers that stopped in time. Empty
         fingers stop, too: pressed on a block they would go on dragging it under themselves.
@@ -321,10 +334,11 @@ class Robot:
             way = way_out(self._world, self.body, self.held)
             goal = None if way is None else Pose(way).compose(self.pose)
             if goal is None or not self.reaches(goal):
-                return
+                return way is None
             if self.held is None:
                 self._command = self.opening
             self._carry(self.inverse_kinematics(goal))
+        return False
 
     def _carry(self, goal: Sequence[float]) -> None:
         """Put the arm at joint positions, what it holds with it."""
@@ -332,7 +346,7 @@ class Robot:
         self._place(self._arm, goal)
         if self.held is not None:
             before = self._world.poses[self.held.index]
-            self._world.place(self.held, self.pose.compose(hand.inverse().compose(before)))
+            self._world.carry(self.held, self.pose.compose(hand.inverse().compose(before)))
 
     @property
     def _is_squeezing(self) -> bool:
@@ -360,7 +374,7 @@ class Robot:
         """Whether nothing moves and nothing can be touched on the way."""
         if self.held is not None or self._world.has_motion:
             return False
-        lowest = min(self._reach_down(start), self._reach_down(end))
+        lowest = min(self.model.gripper.lowest(start), self.model.gripper.lowest(end))
         if lowest < FREE_CLEARANCE:
             return False
         lowest -= CLEAR_ABOVE
@@ -373,13 +387,6 @@ class Robot:
         self._world.set_joints(self.body, self._world.joints[self.body.index])
         return clear
 
-    def _reach_down(self, hand: Pose) -> float:
-        """Return the height (m) of the open gripper's lowest point: a tilted one reaches below its middle."""
-        gripper = self.model.gripper
-        along, across, _ = (float(part) for part in matrix(hand)[2])
-        wide = gripper.stroke / 2.0 + gripper.finger[0]
-        return hand.z - abs(along) * wide - abs(across) * gripper.finger[1] / 2.0
-
     def _jump(self, goal: Sequence[float]) -> bool:
         """Put the arm, with what it holds, at joint positions, unless it touches something else there."""
         joints, held = self._arm.positions(self._world), self.held
@@ -389,13 +396,13 @@ class Robot:
             return True
         self._place(self._arm, joints)
         if held is not None and before is not None:
-            self._world.place(held, before)
+            self._world.carry(held, before)
         return False
 
     def is_apart(self) -> bool:
         """Whether the arm and what it holds touch nothing else."""
         held = self.held
-        lowest = self._reach_down(self.pose)
+        lowest = self.model.gripper.lowest(self.pose)
         if held is not None:
             pose = self._world.poses[held.index]
             lowest = min(lowest, pose.z + float((held.spec.mesh.vertices @ matrix(pose)[2]).min()))
@@ -415,7 +422,7 @@ class Robot:
         """
         if self.held is not None or self._world.has_motion:
             return False
-        tip = self._reach_down(self.pose) - CLEAR_ABOVE
+        tip = self.model.gripper.lowest(self.pose) - CLEAR_ABOVE
         near = [body for body in self._world.obstacles if self._world.top(body) > tip]
         if not near:
             return True

@@ -66,10 +66,11 @@ class Color(Sensor):
         image[:, view.fingers] = np.array(FINGER_COLOUR, np.uint8)[:, None]
         return image
 
-    @cached_property
+    @property
     def _palette(self) -> NDArray[np.uint8]:
         """Colour of each label, (3, labels)."""
-        colours = [self.scene.world.ground.spec.colour, *(colour for _, colour in self.scene.parts)]
+        world = self.scene.world
+        colours = [world.get_properties(world.ground).colour, *self.scene.colours]
         return np.rint(255.0 * np.array(colours)[:, :3].T).astype(np.uint8)
 
 

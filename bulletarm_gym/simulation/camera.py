@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bulletarm_gym.geometry import FloatArray, Vector
-from bulletarm_gym.simulation.world import Body, World
+from bulletarm_gym.simulation.state import Body
+from bulletarm_gym.simulation.world import World
 
 LIGHT = (0.6, -0.9, 1.6)
 VERTICAL = 1e-3

@@ -11,6 +11,7 @@ import numpy as np
 
 from bulletarm_gym.geometry import Pose
 from bulletarm_gym.simulation.client import Client
+from bulletarm_gym.simulation.properties import Properties, set_dynamics
 from bulletarm_gym.simulation.shapes import BodySpec, Box, flat_normals, wavefront
 from bulletarm_gym.simulation.urdf import write_urdf
 
@@ -21,7 +22,7 @@ def load_rigid(client: Client, spec: BodySpec, damping: float) -> int:
     :param damping: linear and angular
     :return: its id in Bullet
     """
-    frame, moments = spec.mass_properties
+    frame, _ = spec.mass_properties
     body_id = client.createMultiBody(
         spec.mass,
         _collision_shape(client, spec),
@@ -29,9 +30,8 @@ def load_rigid(client: Client, spec: BodySpec, damping: float) -> int:
         baseInertialFramePosition=frame.position,
         baseInertialFrameOrientation=frame.orientation,
     )
-    _set_surface(client, body_id, spec, damping)
-    if spec.mass > 0.0:
-        client.changeDynamics(body_id, -1, localInertiaDiagonal=moments)
+    _set_damping(client, body_id, spec, damping)
+    set_dynamics(client, body_id, spec, Properties.of(spec))
     return int(body_id)
 
 
@@ -46,7 +46,8 @@ def load_jointed(client: Client, spec: BodySpec, damping: float) -> int:
     with tempfile.TemporaryDirectory(prefix="bulletarm_") as folder:
         path = str(write_urdf(spec, Path(folder)))
         body_id = client.loadURDF(path, useFixedBase=not free, flags=flags)
-    _set_surface(client, body_id, spec, damping)
+    _set_damping(client, body_id, spec, damping)
+    set_dynamics(client, body_id, spec, Properties.of(spec))
     for joint, part in enumerate(spec.parts):
         client.changeDynamics(body_id, joint, lateralFriction=part.friction, jointDamping=0.0)
         client.setJointMotorControl2(
@@ -82,16 +83,8 @@ def _temporary_file(text: str, suffix: str) -> Iterator[str]:
         yield file.name
 
 
-def _set_surface(client: Client, body_id: int, spec: BodySpec, damping: float) -> None:
-    client.changeDynamics(
-        body_id,
-        -1,
-        lateralFriction=spec.friction,
-        rollingFriction=spec.rolling_friction,
-        spinningFriction=spec.spinning_friction,
-        linearDamping=damping,
-        angularDamping=damping + spec.angular_damping,
-    )
+def _set_damping(client: Client, body_id: int, spec: BodySpec, damping: float) -> None:
+    client.changeDynamics(body_id, -1, linearDamping=damping, angularDamping=damping + spec.angular_damping)
 
 
 def _collision_shape(client: Client, spec: BodySpec) -> int:

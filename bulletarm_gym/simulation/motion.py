@@ -11,7 +11,8 @@ import numpy as np
 
 from bulletarm_gym.compilation import compiled
 from bulletarm_gym.geometry import FloatArray
-from bulletarm_gym.simulation.world import TIME_STEP, Body, World
+from bulletarm_gym.simulation.state import Body
+from bulletarm_gym.simulation.world import TIME_STEP, World
 
 RISE = 0.25
 """Share of a motion spent speeding up; braking takes the rest, so what is pushed stays at the gripper."""

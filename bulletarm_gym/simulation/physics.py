@@ -7,6 +7,8 @@ from bulletarm_gym.geometry import Vector
 
 REST_RIM = 0.05
 """Lever (m) at which a body's turning counts as speed."""
+REST_SPEED = 0.01
+"""Greatest speed (m/s at its rim) of a body at rest: in one step gravity alone adds four times as much."""
 
 
 @dataclass(frozen=True)

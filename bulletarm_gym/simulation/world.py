@@ -9,14 +9,15 @@ the same way.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 from bulletarm_gym.geometry import Pose, Vector
 from bulletarm_gym.simulation.client import Client
 from bulletarm_gym.simulation.loading import load_jointed, load_plane, load_rigid, load_urdf
-from bulletarm_gym.simulation.physics import Physics, surface_speed
+from bulletarm_gym.simulation.physics import REST_SPEED, Physics, surface_speed
+from bulletarm_gym.simulation.properties import Properties, set_dynamics
 from bulletarm_gym.simulation.shapes import ORIGIN, BodySpec
+from bulletarm_gym.simulation.state import STILL, Body, Twist, WorldState
 
 TIME_STEP = 1.0 / 240.0
 """Seconds a simulation step."""
@@ -24,53 +25,17 @@ GRAVITY = -10.0
 """Acceleration (m/s^2) along z."""
 RESIDUAL_THRESHOLD = 1e-5
 """Squared change of the impulses at which the solver stops before its last iteration."""
-REST_SPEED = 0.01
-"""A body slower than this (m/s at its rim) rests: in one step gravity alone adds four times as much."""
 SPHERE_GAP = 0.01
 """Gap (m) between two spheres that is enough for what they hold to be apart: the engine adds margins."""
 PARKING_HEIGHT = 10.0
 """Where (m) bodies that take no part wait, far from everything, without contacts."""
 PARKING_PITCH = 1.0
 
+NEAR = 1e-3
+"""Gap (m) within which a body may support another one."""
+
 MOVING, FIXED = 1, 2
 """Collision groups: Bullet would compute contacts between fixed bodies in every step."""
-
-Twist = tuple[Vector, Vector]
-STILL: Twist = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
-FALLING: Twist = ((0.0, 0.0, -0.02), (0.0, 0.0, 0.0))
-"""Of a body that is let go: faster than what counts as rest."""
-
-
-@dataclass(frozen=True)
-class Body:
-    """A body of the world, by which all others name it.
-
-    :param index: its place in the world's order and in :class:`WorldState`
-    :param joints: indices of its movable joints in Bullet
-    """
-
-    index: int
-    id: int
-    spec: BodySpec
-    joints: tuple[int, ...] = ()
-
-
-@dataclass(frozen=True)
-class WorldState:
-    """Everything that decides what happens next, in plain numbers.
-
-    :param poses: of every body's frame
-    :param twists: linear (m/s) and angular (rad/s) velocity of every body
-    :param active: whether a body takes part or is parked
-    :param joints: positions (m or rad) of every body's movable joints
-    :param joint_rates: their velocities (m/s or rad/s)
-    """
-
-    poses: tuple[Pose, ...]
-    twists: tuple[Twist, ...]
-    active: tuple[bool, ...]
-    joints: tuple[tuple[float, ...], ...]
-    joint_rates: tuple[tuple[float, ...], ...]
 
 
 class World:
@@ -89,6 +54,8 @@ class World:
         self.active: list[bool] = []
         self.joints: list[tuple[float, ...]] = []
         self.joint_rates: list[tuple[float, ...]] = []
+        self.is_settled = False
+        self._changed: dict[int, Properties] = {}
         self._ground: Body | None = None
         self._near: dict[tuple[int, int, float], tuple[Any, bool]] = {}
         self._solids: list[Body] = []
@@ -174,8 +141,9 @@ class World:
 
     @property
     def has_motion(self) -> bool:
-        """Whether a body has speed in the state."""
-        return any(twist != STILL for twist in self.twists) or any(any(rates) for rates in self.joint_rates)
+        """Return True if a body has speed in the state, or has not come to rest since it was placed."""
+        moves = any(twist != STILL for twist in self.twists) or any(any(rates) for rates in self.joint_rates)
+        return moves or not self.is_settled
 
     def _check_open(self) -> None:
         if self._snapshot is not None:
@@ -195,9 +163,14 @@ class World:
     # Layout
 
     def place(self, body: Body, pose: Pose, twist: Twist = STILL) -> None:
-        """Put a body somewhere, calling it in if it was parked."""
+        """Put a body somewhere, calling it in if it was parked; it falls if nothing supports it."""
         if not self.active[body.index]:
             self._set_active(body, True)
+        self.carry(body, pose, twist)
+        self.is_settled = False
+
+    def carry(self, body: Body, pose: Pose, twist: Twist = STILL) -> None:
+        """Put a grasped body somewhere; the arm supports it."""
         self.poses[body.index] = pose
         self.twists[body.index] = twist
         self._send(body)
@@ -208,6 +181,8 @@ class World:
         It keeps its mass: taking it would change the order in which Bullet solves contacts, and with it the
         last digits of what happens.
         """
+        others = self.loose_bodies if self.is_settled else []
+        self.is_settled &= not any(self.are_near(body, other, NEAR) for other in others if other is not body)
         self.poses[body.index] = _parking_place(body.index)
         self.twists[body.index] = STILL
         self._set_active(body, False)
@@ -220,9 +195,38 @@ class World:
 
     def set_joints(self, body: Body, positions: Sequence[float]) -> None:
         """Put a body's movable joints somewhere, at rest."""
+        self.is_settled &= not body.spec.parts
         self.joints[body.index] = tuple(positions)
         self.joint_rates[body.index] = (0.0,) * len(body.joints)
         self._send_joints(body)
+
+    def get_properties(self, body: Body) -> Properties:
+        """Return the properties of a body that are in effect."""
+        return self._changed.get(body.index) or Properties.of(body.spec)
+
+    def set_properties(self, body: Body, properties: Properties) -> None:
+        """Give a body other properties until the next reset.
+
+        :raises ValueError: one of them is out of range
+        """
+        properties.check(body.spec)
+        before = self.get_properties(body)
+        if properties == before:
+            return
+        set_dynamics(self.client, body.id, body.spec, properties)
+        if properties.colour != before.colour:
+            self.client.changeVisualShape(body.id, -1, rgbaColor=properties.colour)
+        self._changed.pop(body.index, None)
+        if properties != Properties.of(body.spec):
+            self._changed[body.index] = properties
+        self.is_settled = False
+
+    def reset_properties(self, changed: Sequence[tuple[int, Properties]] = ()) -> None:
+        """Give some bodies properties by their index, and all others those of their specifications."""
+        wanted = dict(changed)
+        for index in sorted({*self._changed, *wanted}):
+            body = self.bodies[index]
+            self.set_properties(body, wanted.get(index) or Properties.of(body.spec))
 
     def show_joints(self, body: Body, positions: Sequence[float]) -> None:
         """Pose a body's joints for a query; :meth:`set_joints` or :meth:`begin` goes back to the state."""
@@ -315,6 +319,8 @@ class World:
             tuple(self.active),
             tuple(self.joints),
             tuple(self.joint_rates),
+            self.is_settled,
+            tuple(sorted(self._changed.items())),
         )
 
     def set_state(self, state: WorldState) -> None:
@@ -324,6 +330,8 @@ class World:
                 self._set_active(body, state.active[body.index])
         self.poses[:], self.twists[:] = state.poses, state.twists
         self.joints[:], self.joint_rates[:] = state.joints, state.joint_rates
+        self.reset_properties(state.properties)
+        self.is_settled = state.is_settled
         for body in self.bodies:
             self._send(body)
 
@@ -334,19 +342,11 @@ class World:
         for _ in range(count):
             self.client.stepSimulation()
 
-    def settle(self, bodies: Sequence[Body], limit: int) -> None:
-        """Advance until the bodies rest, at most ``limit`` steps."""
-        for _ in range(limit):
-            self.client.stepSimulation()
-            if not any(self.is_moving(body) for body in bodies):
-                return
-
-    def is_moving(self, body: Body) -> bool:
-        """Whether a body moves in the simulation right now."""
+    def speed(self, body: Body) -> float:
+        """Return the speed (m/s) of a body or of its fastest part in the simulation right now."""
         states = self.client.getJointStates(body.id, body.joints) if body.joints else ()
-        if any(abs(state[1]) >= REST_SPEED for state in states):
-            return True
-        return body.spec.mass > 0.0 and surface_speed(*self.client.getBaseVelocity(body.id)) >= REST_SPEED
+        own = surface_speed(*self.client.getBaseVelocity(body.id)) if body.spec.mass > 0.0 else 0.0
+        return float(max(own, *(abs(state[1]) for state in states))) if states else own
 
     # Queries
 

@@ -33,10 +33,9 @@ from bulletarm_gym.geometry import (
 from bulletarm_gym.objects.blocks import CUBE_SIZE
 from bulletarm_gym.objects.sets import object_set
 from bulletarm_gym.placement import ARRANGEMENTS
-from bulletarm_gym.relations import TOUCHING
 from bulletarm_gym.scene import Item, Role, Scene
 from bulletarm_gym.simulation import BodySpec, Convex, Piece
-from bulletarm_gym.simulation.world import FALLING
+from bulletarm_gym.simulation.settling import settle
 from bulletarm_gym.tasks.task import Task
 
 MOST_OBJECTS = 15
@@ -156,13 +155,12 @@ class ObjectGrasping(Task):
         away = Pose.planar(start.x, start.y, ARM_AWAY)
         scene.robot.home(away if scene.robot.reaches(away) else start)
         for item in items:
-            item.place(self._drop_pose(scene, rng), FALLING)
+            item.place(self._drop_pose(scene, rng))
             scene.begin()
             scene.world.step(DROP_STEPS)
             scene.world.end()
         scene.begin()
-        scene.world.settle(scene.world.loose_bodies, SETTLE_STEPS)
-        scene.world.end()
+        settle(scene.world, scene.world.loose_bodies, SETTLE_STEPS)
         scene.robot.home(start)
 
     def _drop_pose(self, scene: Scene, rng: np.random.Generator) -> Pose:
@@ -174,20 +172,9 @@ class ObjectGrasping(Task):
     def carry_on(self, scene: Scene, rng: np.random.Generator) -> bool:
         """Take the grasped object away and keep the others; false when none is left or one is outside."""
         held = scene.held
-        if held is not None:
-            self._let_go(scene, held)
-            if scene.robot.pose.z > self.config.lift_height:
-                held.park()
+        if held is not None and scene.robot.pose.z > self.config.lift_height:
+            held.park()
         return any(True for _ in scene) and self.is_valid(scene)
-
-    def _let_go(self, scene: Scene, held: Item) -> None:
-        """Let what hangs in the gripper fall, and what hangs on it."""
-        for item in list(scene):
-            touches = min(
-                scene.world.distance(item.body, other, TOUCHING) for other in (held.body, scene.robot.body)
-            )
-            if touches <= TOUCHING:
-                item.place(item.pose, FALLING)
 
     def after_action(self, scene: Scene, rng: np.random.Generator) -> None:
         """Remember where the gripper closed and holds nothing."""

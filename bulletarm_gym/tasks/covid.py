@@ -28,7 +28,6 @@ from bulletarm_gym.objects.covid import (
 from bulletarm_gym.relations import at_rest, inside, is_empty
 from bulletarm_gym.scene import Item, Role, Scene, scaled
 from bulletarm_gym.simulation import BodySpec
-from bulletarm_gym.simulation.world import FALLING
 from bulletarm_gym.surfaces.surface import Point
 from bulletarm_gym.tasks.task import Task
 
@@ -120,7 +119,7 @@ class CovidTest(Task):
         """Lay an item on the floor of a place, at a point (m) and a yaw (rad) in its frame."""
         height = BOX_FLOOR - float(scene[name].spec.mesh.bounds[0, 2])
         pose = Pose.planar(point[0], point[1], height, yaw)
-        scene[name].place(scene[place].pose.compose(pose), FALLING)
+        scene[name].place(scene[place].pose.compose(pose))
 
     def after_action(self, scene: Scene, rng: np.random.Generator) -> None:
         """Let the user test: a swab and a tube in the test area become a used tube."""
@@ -134,8 +133,6 @@ class CovidTest(Task):
         point = [float(rng.uniform(-reach, reach)) for reach in USER_REACH]
         yaw = float(rng.uniform(-math.pi, math.pi)) if self.config.random_orientation else QUARTER
         self._lay(scene, f"used tube {number}", "test area", point, yaw)
-        scene.begin()
-        scene.settle()
 
     def evaluate(self, scene: Scene) -> dict[str, bool]:
         """Look whether all used tubes are collected, and whether all is done."""

@@ -12,7 +12,7 @@ from bulletarm_gym.experts.waypoints import Waypoint
 from bulletarm_gym.footprint import Footprint, PlacementError
 from bulletarm_gym.geometry import Pose, wrap_angle
 from bulletarm_gym.objects.palletizing import BOX, PALLET, pallet, palletizing_box
-from bulletarm_gym.placement import draw_until, footprint, free_pose, roomiest, set_down
+from bulletarm_gym.placement import draw_until, footprint, free_pose, roomiest
 from bulletarm_gym.relations import UPRIGHT, at_rest, inside, is_empty, is_top
 from bulletarm_gym.robots.gripper import WIDEST_HAND
 from bulletarm_gym.scene import Item, Role, Scene, scaled
@@ -96,9 +96,6 @@ class BoxPalletizing(Task):
                 self._appear(scene, rng)
             except PlacementError:
                 self.memory = NO_ROOM
-                return
-            scene.begin()
-            scene.settle()
 
     def is_valid(self, scene: Scene) -> bool:
         """Whether all is inside the workspace and the next box, when it was due, found room."""
@@ -127,7 +124,7 @@ class BoxPalletizing(Task):
                 and min(hand.gap(base), shadow.gap(base) - BOX_MARGIN) > 0.0
             )
 
-        set_down(scene, box, draw_until(draw, fits, ATTEMPTS))
+        box.place(draw_until(draw, fits, ATTEMPTS))
 
     def evaluate(self, scene: Scene) -> dict[str, bool]:
         """Look whether the boxes are stacked, and whether all is done."""

@@ -170,9 +170,6 @@ def bowl_with(env: ManipulationEnv, offset: tuple[float, float], height: float) 
     env.reset(seed=0)
     env.scene["bowl"].place(Pose.planar(0.45, -0.03, 0.035))
     env.scene["cube"].place(Pose.planar(0.45 + offset[0], -0.03 + offset[1], height))
-    env.scene.begin()
-    env.scene.world.settle(env.scene.world.loose_bodies, 240)
-    env.scene.world.end()
     *_, info = env.step(np.array([1.0, 0.0, 0.0, 0.0, 0.0]))
     return info
 

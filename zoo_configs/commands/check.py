@@ -38,7 +38,8 @@ if TYPE_CHECKING:
     from sb3_extensions.demonstrations.collecting import Hand
 
 DESCRIPTION = """Check environments: Gymnasium's and Stable-Baselines3's own checks, equal episodes from equal
-seeds, and how often the expert succeeds. Draws the start and the end of the expert's first episode."""
+seeds, equal steps from equal states in two environments, and how often the expert succeeds. Draws the start
+and the end of the expert's first episode."""
 GRIDDED = "open_loop"  # family of the tasks with a grid
 RENDER_MODE = "rgb_array"
 SUCCESS_DIGITS, STEPS_DIGITS = 4, 3
@@ -120,6 +121,7 @@ def _passes(env_id: str, args: argparse.Namespace) -> bool:
         ),
         "Stable-Baselines3's check_env": lambda: check_sb3(make().unwrapped, warn=False),
         "equal episodes from equal seeds": lambda: _check_determinism(make(), make(), args.seed),
+        "equal steps from equal states": lambda: _check_states(make().unwrapped, make().unwrapped, args.seed),
     }
     passed = all([_report(name, check) for name, check in checks.items()])
     try:
@@ -192,6 +194,40 @@ def _check_determinism(first: gym.Env[Any, Any], second: gym.Env[Any, Any], seed
             assert data_equivalence(*results, exact=True), f"step {step} differs between two environments"
             if results[0][2] or results[0][3]:
                 break
+
+
+def _check_states(played: Any, fresh: Any, seed: int) -> None:
+    """
+    Continue from each state of two episodes in an environment in which no episode has begun, too.
+
+    :param played: Environment whose task arranges the episodes
+    :param fresh: Environment of the same id, which knows of them what the states contain
+    """
+    for episode in range(2):
+        played.reset(seed=seed + episode)
+        for step in range(ROLLOUT):
+            fresh.set_state(played.get_state())
+            action = played.expert_action()
+            assert np.array_equal(action, fresh.expert_action()), f"the expert differs {_restored(step)}"
+            results = played.step(action), fresh.step(action)
+            if moved := _moved_apart(played, fresh):
+                raise AssertionError(f"the pose of {moved!r} differs {_restored(step)}")
+            assert data_equivalence(*results, exact=True), f"what step() returns differs {_restored(step)}"
+            if results[0][2] or results[0][3]:
+                break
+
+
+def _restored(step: int) -> str:
+    return (
+        f"after set_state() with the state before step {step} in another environment: the task changes"
+        " something that the state lacks. Use the methods of Item and Task.memory instead"
+    )
+
+
+def _moved_apart(first: Any, second: Any) -> str | None:
+    """Name of a body whose poses differ between two environments."""
+    poses = zip(first.scene.world.poses, second.scene.world.poses, first.scene.world.bodies, strict=True)
+    return next((str(body.spec.name) for one, other, body in poses if one != other), None)
 
 
 def _watch_expert(env: gym.Env[Any, Any], args: argparse.Namespace) -> Experience:

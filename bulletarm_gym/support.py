@@ -1,0 +1,80 @@
+"""Static test of whether bodies stay where they are, so that most scenes come to rest without simulation."""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from bulletarm_gym.geometry import matrix, rotate
+from bulletarm_gym.simulation import Body, World
+from bulletarm_gym.surfaces.surface import UP, Surface
+
+CONTACT = 1e-4
+"""Greatest gap or overlap (m) of a body that stands on the surface."""
+EMBEDDED = 1.5e-3
+"""Greatest overlap (m) with a part of the surface: the engine adds 1 mm to hulls."""
+APART = 2e-3
+"""Gap (m) between two bodies beyond which neither supports the other."""
+OVER_EDGE = math.pi - 0.1
+"""Greatest angle (rad) between neighbouring contacts, seen from the centre of mass, of a body that stands."""
+GRIP = 0.9
+"""Greatest slope in relation to the friction coefficient."""
+
+
+def lie_still(world: World, surface: Surface, bodies: Sequence[Body]) -> bool:
+    """Return True if each of the bodies at rest stands on the surface alone, so that none can fall or slide.
+
+    False means that only simulation can decide.
+    """
+    return surface.keeps_poses and all(
+        _stays_shut(world, body) if body.spec.mass == 0.0 else _stands_alone(world, surface, body)
+        for body in bodies
+    )
+
+
+def _stays_shut(world: World, body: Body) -> bool:
+    """Return True if gravity does not move the parts of a fixed body: level slides."""
+    orientation = world.poses[body.index].orientation
+    return not body.spec.hinges and all(
+        abs(rotate(orientation, slide.axis)[2]) < CONTACT for slide in body.spec.slides
+    )
+
+
+def _stands_alone(world: World, surface: Surface, body: Body) -> bool:
+    pose, spec = world.poses[body.index], body.spec
+    vertices = spec.mesh.vertices @ matrix(pose).T + pose.position
+    gaps = vertices[:, 2] - surface.heights(vertices[:, :2])
+    if gaps.min() < -CONTACT or spec.parts:
+        return False
+    x, y, _ = pose.transform(spec.mass_properties[0].position)
+    contacts = vertices[gaps < CONTACT, :2] - (x, y)
+    return (
+        _surrounds(contacts)
+        and _holds(world, surface, body, (x, y))
+        and not any(_touches(world, surface, body, other) for other in world.obstacles if other is not body)
+    )
+
+
+def _surrounds(contacts: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> bool:
+    """Return True if the origin lies within the polygon of points (n, 2), not close to an edge."""
+    if len(contacts) < 3:
+        return False
+    angles = np.sort(np.arctan2(contacts[:, 1], contacts[:, 0]))
+    widest = max(float(np.diff(angles).max()), float(angles[0] - angles[-1]) + 2.0 * math.pi)
+    return widest < OVER_EDGE
+
+
+def _holds(world: World, surface: Surface, body: Body, point: tuple[float, float]) -> bool:
+    """Return True if friction keeps a body from sliding down the surface at a point."""
+    normal = surface.normal(point)
+    if tuple(normal) == UP:
+        return True
+    ground = min(world.get_properties(other).friction for other in surface.bodies)
+    friction = world.get_properties(body).friction * ground
+    return math.hypot(normal[0], normal[1]) < GRIP * friction * normal[2]
+
+
+def _touches(world: World, surface: Surface, body: Body, other: Body) -> bool:
+    """Return True if another body may support this one or push it away."""
+    gap = -EMBEDDED if other in surface.bodies else APART
+    return world.are_near(body, other, gap)
