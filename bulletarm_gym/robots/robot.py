@@ -7,7 +7,8 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
-from bulletarm_gym.geometry import FloatArray, Pose, interpolate, matrix, rotate
+from bulletarm_gym.geometry import FloatArray, Pose, interpolate, rotate
+from bulletarm_gym.robots.clearance import CLEAR_ABOVE, FREE_CLEARANCE, Clearance
 from bulletarm_gym.robots.fingers import couple_fingers
 from bulletarm_gym.robots.kinematics import POSITION_TOLERANCE
 from bulletarm_gym.robots.model import RobotModel
@@ -24,7 +25,7 @@ from bulletarm_gym.simulation.motion import (
     send_fingers,
     steps_within_torques,
 )
-from bulletarm_gym.simulation.world import GRAVITY, NEAR
+from bulletarm_gym.simulation.world import GRAVITY
 
 FREE_STEPS = 24
 """Simulation steps of a move by the reference distance where nothing is in the way ..."""
@@ -40,10 +41,6 @@ LEVEL_TILT = 0.03
 """Tilt (rad) up to which the gripper counts as looking down: what is grasped is never quite even."""
 LINE_STOPS = 4
 """Points between two poses that a tilted gripper is led through."""
-FREE_CLEARANCE = 0.004
-"""Gap (m) that must stay between the gripper and everything else where it is moved without simulation."""
-CLEAR_ABOVE = 0.01
-"""A fingertip path this far (m) above a body cannot touch it: joint motions sag some mm below a line."""
 SAMPLE_DISTANCE = 0.008
 """Spacing (m) of the poses a path is checked at; with the clearance, less than a finger slips between."""
 GRIP_ALIGNMENT = 0.7
@@ -55,7 +52,7 @@ OPENING_TOLERANCE = 5e-4
 GIVING_WAY = 0.2
 """Share of the stroke by which fingers that were pushed shut are left so, as long as the command stays."""
 REMEMBERED = 64
-"""Poses of which the solutions are remembered."""
+"""Number of poses whose solutions are cached."""
 
 
 class OutOfReachError(ValueError):
@@ -94,6 +91,7 @@ class Robot:
         fingers = tuple(names.index(name) for name in model.gripper.joints)
         self._fingers = JointGroup(self.body, fingers, (model.gripper.force,) * 2)
         couple_fingers(world, self.body, self._fingers.joints, model.gripper.friction)
+        self._clearance = Clearance(world, self.body, model.gripper)
         self.held: Body | None = None
         self._command = model.gripper.stroke
         # An action asks for the same few poses again and again.
@@ -166,9 +164,7 @@ class Robot:
 
     def is_free_at(self, pose: Pose, bodies: Sequence[Body]) -> bool:
         """Whether the arm would touch none of some bodies with its fingertips at a pose in reach."""
-        free = self._is_free(self._arm.moved(self._world, self._solve(pose)), bodies)
-        self._world.set_joints(self.body, self._world.joints[self.body.index])
-        return free
+        return self._clearance.is_free([self._arm.moved(self._world, self._solve(pose))], bodies)
 
     def _solve(self, pose: Pose) -> list[float]:
         joints, error = self._inverse(pose)
@@ -215,7 +211,7 @@ class Robot:
         stops = [*self._line(start, pose), goal]
         clear = self._is_clear(start, pose, stops, length)
         if clear and self.fast:
-            self._world.is_settled &= not self._touches_loose_bodies()
+            self._world.is_settled &= not self._clearance.touches_loose_bodies(start)
             self._place(self._arm, goal)
             return
         slow = careful and not clear and self.held is None
@@ -235,10 +231,8 @@ class Robot:
         if self.held is None:
             return np.zeros(len(joints))
         linear = self.model.chain.jacobian(joints)[:3]
-        force = self._world.get_properties(self.held).mass * (
-            linear @ accelerations - np.array((0.0, 0.0, GRAVITY))
-        )
-        torques: FloatArray = linear.T @ force
+        mass = self._world.get_properties(self.held).mass
+        torques: FloatArray = mass * linear.T @ (linear @ accelerations - (0.0, 0.0, GRAVITY))
         return torques
 
     def _line(self, start: Pose, end: Pose) -> list[tuple[float, ...]]:
@@ -290,11 +284,6 @@ class Robot:
     def close(self) -> None:
         """Close the gripper on whatever is between the fingers."""
         self.set_opening(0.0)
-
-    def _touches_loose_bodies(self) -> bool:
-        low = self.model.gripper.lowest(self.pose) - CLEAR_ABOVE
-        near = (body for body in self._world.loose_bodies if self._world.top(body) > low)
-        return any(self._world.are_near(self.body, body, NEAR) for body in near)
 
     def _place(self, group: JointGroup, positions: Sequence[float]) -> None:
         self._world.set_joints(self.body, group.moved(self._world, positions))
@@ -377,15 +366,10 @@ class Robot:
         lowest = min(self.model.gripper.lowest(start), self.model.gripper.lowest(end))
         if lowest < FREE_CLEARANCE:
             return False
-        lowest -= CLEAR_ABOVE
-        near = [body for body in self._world.obstacles if self._world.top(body) > lowest]
-        if not near:
-            return True
         shares = np.linspace(0.0, 1.0, math.ceil(length / SAMPLE_DISTANCE) + 1)[1:]
-        samples = on_the_way([self._arm.positions(self._world), *stops], shares)
-        clear = all(self._is_free(self._arm.moved(self._world, sample), near) for sample in samples.tolist())
-        self._world.set_joints(self.body, self._world.joints[self.body.index])
-        return clear
+        samples = on_the_way([self._arm.positions(self._world), *stops], shares).tolist()
+        joints = (self._arm.moved(self._world, sample) for sample in samples)
+        return self._clearance.is_free(joints, self._clearance.bodies_above(lowest - CLEAR_ABOVE))
 
     def _jump(self, goal: Sequence[float]) -> bool:
         """Put the arm, with what it holds, at joint positions, unless it touches something else there."""
@@ -401,19 +385,7 @@ class Robot:
 
     def is_apart(self) -> bool:
         """Whether the arm and what it holds touch nothing else."""
-        held = self.held
-        lowest = self.model.gripper.lowest(self.pose)
-        if held is not None:
-            pose = self._world.poses[held.index]
-            lowest = min(lowest, pose.z + float((held.spec.mesh.vertices @ matrix(pose)[2]).min()))
-        near = [body for body in self._world.obstacles if self._world.top(body) > lowest - FREE_CLEARANCE]
-        movers = [self.body] if held is None else [self.body, held]
-        return lowest > FREE_CLEARANCE and all(
-            math.isinf(self._world.distance(mover, body, FREE_CLEARANCE))
-            for body in near
-            if body is not held
-            for mover in movers
-        )
+        return self._clearance.is_apart(self.pose, self.held)
 
     def _can_jump(self, command: float) -> bool:
         """Whether the fingers touch nothing, and will not on the way to a new opening.
@@ -422,15 +394,7 @@ class Robot:
         """
         if self.held is not None or self._world.has_motion:
             return False
-        tip = self.model.gripper.lowest(self.pose) - CLEAR_ABOVE
-        near = [body for body in self._world.obstacles if self._world.top(body) > tip]
-        if not near:
-            return True
-        samples = np.linspace(self.opening / 2.0, command / 2.0, 5)
-        clear = all(self._is_free(self._fingers.moved(self._world, [s, s]), near) for s in samples.tolist())
-        self._world.set_joints(self.body, self._world.joints[self.body.index])
-        return clear
-
-    def _is_free(self, joints: Sequence[float], bodies: Sequence[Body]) -> bool:
-        self._world.show_joints(self.body, joints)
-        return all(math.isinf(self._world.distance(self.body, body, FREE_CLEARANCE)) for body in bodies)
+        near = self._clearance.bodies_above(self.model.gripper.lowest(self.pose) - CLEAR_ABOVE)
+        openings = np.linspace(self.opening / 2.0, command / 2.0, 5).tolist()
+        joints = (self._fingers.moved(self._world, [half, half]) for half in openings)
+        return self._clearance.is_free(joints, near)

@@ -1,0 +1,67 @@
+"""Tests whether a robot touches anything, without simulation."""
+
+import math
+from collections.abc import Iterable, Sequence
+
+from bulletarm_gym.geometry import Pose, matrix
+from bulletarm_gym.robots.gripper import Gripper
+from bulletarm_gym.simulation import Body, World
+from bulletarm_gym.simulation.world import NEAR
+
+FREE_CLEARANCE = 0.004
+"""Gap (m) that must stay between the robot and everything else where it moves without simulation."""
+CLEAR_ABOVE = 0.01
+"""Height (m) of a path above a body from which the path is free: joint motions sag some mm below a line."""
+
+
+class Clearance:
+    """Gaps between a robot and the other bodies of its world.
+
+    :param world: the world
+    :param robot: the robot's body
+    :param gripper: its gripper
+    """
+
+    def __init__(self, world: World, robot: Body, gripper: Gripper) -> None:
+        self._world = world
+        self._robot = robot
+        self._gripper = gripper
+
+    def bodies_above(self, height: float) -> list[Body]:
+        """Return the bodies that reach above a height (m)."""
+        return [body for body in self._world.obstacles if self._world.top(body) > height]
+
+    def is_free(self, samples: Iterable[Sequence[float]], bodies: Sequence[Body]) -> bool:
+        """Return True if the robot touches none of some bodies at any of some joint positions (m or rad)."""
+        free = not bodies or all(self._is_free(sample, bodies) for sample in samples)
+        self._world.set_joints(self._robot, self._world.joints[self._robot.index])
+        return free
+
+    def _is_free(self, joints: Sequence[float], bodies: Sequence[Body]) -> bool:
+        self._world.show_joints(self._robot, joints)
+        return not any(self._is_near(self._robot, body) for body in bodies)
+
+    def _is_near(self, mover: Body, body: Body) -> bool:
+        return not math.isinf(self._world.distance(mover, body, FREE_CLEARANCE))
+
+    def is_apart(self, pose: Pose, held: Body | None) -> bool:
+        """Return True if the robot and the grasped object touch nothing else.
+
+        :param pose: of the fingertips
+        :param held: the grasped object
+        """
+        lowest = self._gripper.lowest(pose)
+        if held is not None:
+            place = self._world.poses[held.index]
+            lowest = min(lowest, place.z + float((held.spec.mesh.vertices @ matrix(place)[2]).min()))
+        if lowest <= FREE_CLEARANCE:
+            return False
+        movers = [self._robot] if held is None else [self._robot, held]
+        others = [body for body in self.bodies_above(lowest - FREE_CLEARANCE) if body is not held]
+        return not any(self._is_near(mover, body) for body in others for mover in movers)
+
+    def touches_loose_bodies(self, pose: Pose) -> bool:
+        """Return True if the robot, its fingertips at a pose, may support or push a body that can move."""
+        low = self._gripper.lowest(pose) - CLEAR_ABOVE
+        near = (body for body in self._world.loose_bodies if self._world.top(body) > low)
+        return any(self._world.are_near(self._robot, body, NEAR) for body in near)
