@@ -16,14 +16,19 @@ REMAINING = 1e-3
 
 
 def way_out(world: World, arm: Body, held: Body | None) -> Vector | None:
-    """Return the shift (m) that takes an arm out of the deepest of its overlaps; None where none is too deep.
+    """Return the shift (m) that ends the deepest overlap of an arm and its grasped object with other bodies.
 
-    :param held: what is in its gripper, which does not count
+    The overlap between the two does not count. The result is None if no overlap is too deep.
     """
-    # Contacts are those of the step before: they tell which bodies to look at.
-    touched = {p[2] for p in world.client.getContactPoints(arm.id) if p[8] < -REMAINING}
-    others = sorted(touched - {-1 if held is None else held.id})
-    point = _deepest([p for other in others for p in world.client.getClosestPoints(arm.id, other, 0.0)])
+    movers = [arm.id] if held is None else [arm.id, held.id]
+    # Contacts are those of the last simulation step. They show which pairs of bodies to measure.
+    pairs = [
+        (mover, other)
+        for mover in movers
+        for other in sorted({p[2] for p in world.client.getContactPoints(mover) if p[8] < -REMAINING})
+        if other not in movers
+    ]
+    point = _deepest([p for pair in pairs for p in world.client.getClosestPoints(*pair, 0.0)])
     return None if point is None else _along(point, -point[8] - REMAINING)
 
 
