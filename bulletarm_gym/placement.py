@@ -13,6 +13,9 @@ from bulletarm_gym.surfaces.surface import Point
 
 T = TypeVar("T")
 
+GRASP_ROOM = (0.21, 0.07)
+"""Length and width (m) that tasks keep free around a block for a gripper, the same for every arm."""
+
 ATTEMPTS = 200
 """Positions tried for one item before the whole arrangement is begun anew."""
 ARRANGEMENTS = 50

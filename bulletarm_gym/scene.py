@@ -104,10 +104,12 @@ class Item:
     :param role: which
     :param choices: places of the role's variants that can be drawn
     :param world: where their bodies are loaded
+    :param pad_width: width (m) of the pads of the robot's fingers
     """
 
-    def __init__(self, role: Role, choices: Sequence[int], world: World) -> None:
+    def __init__(self, role: Role, choices: Sequence[int], world: World, pad_width: float) -> None:
         self.role = role
+        self.pad_width = pad_width
         self.choices = choices
         self.variant = 0
         self._bodies = [world.add(role.variants[place]) for place in choices]
@@ -234,7 +236,8 @@ class Scene:
         self.robot = Robot(model, self.world, config.fast_mode)
         choices = spread(roles, MOST_VARIANTS) if len(config.scales) > 1 else spread(roles, sys.maxsize)
         self._items = {
-            role.name: Item(role, places, self.world) for role, places in zip(roles, choices, strict=True)
+            role.name: Item(role, places, self.world, model.gripper.finger[1])
+            for role, places in zip(roles, choices, strict=True)
         }
         self.world.seal()
 

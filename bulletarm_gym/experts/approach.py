@@ -28,8 +28,8 @@ SLANTED = math.radians(8.0)
 """Slope (rad) from which fingers that come straight down slip off a side."""
 RELEASE = 0.003
 """Gap (m) under an item that is let go."""
-HAND_REACH = 0.06
-"""Half the width (m) of an open gripper with its fingers: what lies this near its way is in its way."""
+PASSING_ASIDE = 0.005
+"""Gap (m) beside the open gripper within which an object is in its way."""
 
 
 def route(scene: Scene, move: Waypoint, opening: float) -> Iterator[Waypoint]:
@@ -181,12 +181,13 @@ def _way(start: Pose, end: Pose) -> tuple[float, float, float]:
 
 def highest_between(scene: Scene, start: Sequence[float], end: Sequence[float], but: Item | None) -> float:
     """Return the height (m) of the highest item but one near a line, or of the ground."""
+    reach = scene.robot.model.gripper.half_width() + PASSING_ASIDE
     tops = [
         scene.world.top(item.body)
         for item in scene
         if item is not but
         and not item.spec.is_mark
-        and _distance_to_line(item.pose.position, start, end) < item.spec.planar_radius + HAND_REACH
+        and _distance_to_line(item.pose.position, start, end) < item.spec.planar_radius + reach
     ]
     return max(tops, default=scene.surface.height((end[0], end[1])))
 

@@ -35,8 +35,6 @@ SQUARENESS = 1.05
 """A block whose level sides differ by less than this factor can be turned by a quarter."""
 FINGER_CLEARANCE = 0.002
 """Gap (m) between the open fingers and what is beside them."""
-PAD = 0.02
-"""Width (m) of the fingers' pads, for all arms."""
 GRIP_PLACES = 25
 """Places along a block at which it may be taken."""
 FLUSH = 1e-3
@@ -91,7 +89,7 @@ def _grip_point(item: Item) -> Vector:
     """Return where (m) in its frame fingers that close along x hold an item: square on, near its middle."""
     low, high = (item.spec.piece_bounds[:, end, :2] for end in (0, 1))
     end = np.abs(item.spec.mesh.bounds[:, 1]).max()
-    points = [_held_at(low, high, y) for y in np.linspace(-end, end, GRIP_PLACES).tolist()]
+    points = [_held_at(low, high, y, item.pad_width) for y in np.linspace(-end, end, GRIP_PLACES).tolist()]
     grip = min(points)
     return (grip.x, grip.y, 0.0)
 
@@ -109,13 +107,14 @@ class Grip(NamedTuple):
     y: float
 
 
-def _held_at(low: FloatArray, high: FloatArray, y: float) -> Grip:
+def _held_at(low: FloatArray, high: FloatArray, y: float, pad: float) -> Grip:
     """Return how fingers hold an item at y.
 
     :param low: lowest x and y of each piece, (n, 2) m
     :param high: highest x and y of each piece
+    :param pad: width (m) of the fingers' pads
     """
-    start, stop = np.maximum(low[:, 1], y - PAD / 2.0), np.minimum(high[:, 1], y + PAD / 2.0)
+    start, stop = np.maximum(low[:, 1], y - pad / 2.0), np.minimum(high[:, 1], y + pad / 2.0)
     between = stop > start
     if not between.any():
         return Grip(math.inf, 0.0, y)

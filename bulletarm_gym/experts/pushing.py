@@ -17,8 +17,6 @@ SLOPE = 1.2
 """... and by how much higher it is to be per metre farther away, without a step that is hard to see ..."""
 LOOK_AHEAD = 0.04
 """How far (m) a drag over sloping ground looks ahead."""
-HALF_OPEN_REACH = 0.035
-"""Half the width (m) of the half-open gripper."""
 UNDER = 0.03
 """... where this much (m) lower still does no harm."""
 BAND = 0.02
@@ -40,6 +38,7 @@ class Drag:
 
     def __init__(self, scene: Scene, item: Item, goal: Sequence[float], low: float) -> None:
         self._hand = scene.robot.pose
+        self._half_width = scene.robot.model.gripper.half_width(HALF_OPEN)
         self._goal = goal
         self._block = block = item.pose
         self._behind = item.spec.extents[0] / 2.0 + CLEAR
@@ -80,7 +79,7 @@ class Drag:
 
     def _above_ground(self, point: Sequence[float]) -> float:
         """Return the height (m) at which the open fingers drag there."""
-        aside = HALF_OPEN_REACH * math.cos(self._hand.yaw), HALF_OPEN_REACH * math.sin(self._hand.yaw)
+        aside = self._half_width * math.cos(self._hand.yaw), self._half_width * math.sin(self._hand.yaw)
         under = [(point[0] + share * aside[0], point[1] + share * aside[1]) for share in (-1.0, 0.0, 1.0)]
         return self._low + float(self._surface.heights(under).max())
 

@@ -12,8 +12,6 @@ from bulletarm_gym.scene import Item, Scene
 
 CUBE_SYMMETRY = math.pi / 2.0
 CROWN_SYMMETRY = math.pi
-HAND_ROOM = 0.13
-"""Distance (m) at which no arm's hand touches a pile: half the Panda's, 10 cm, and half a cube."""
 
 
 class Tower:
@@ -84,7 +82,9 @@ class Tower:
         """Whether the crown can be grasped beside a pile, however high it grows."""
         if self._crown is None or is_held(self._scene, self._crown):
             return True
-        return planar_distance(pile[0].pose.position, self._crown.pose.position) > HAND_ROOM
+        gripper = self._scene.robot.model.gripper
+        room = max(gripper.palm[0] / 2.0, gripper.half_width()) + pile[0].spec.planar_radius
+        return planar_distance(pile[0].pose.position, self._crown.pose.position) > room
 
     def _above(self, item: Item, pool: Sequence[Item] | None = None) -> Item | None:
         """Return the block that lies on an item."""

@@ -23,8 +23,6 @@ from bulletarm_gym.robots.urdf import (
 )
 
 FINGER_MASS = 0.05
-WIDEST_HAND = (0.21, 0.07)
-"""Length and width (m) of the widest arm's hand, the Panda's: tasks lay things where every arm has room."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,13 +55,16 @@ class Gripper:
     @property
     def overhang(self) -> float:
         """How far (m) the palm reaches out beyond the open fingers; negative where it is narrower."""
-        return self.palm[0] / 2.0 - self.stroke / 2.0 - self.finger[0]
+        return self.palm[0] / 2.0 - self.half_width()
+
+    def half_width(self, ratio: float = 1.0) -> float:
+        """Return the distance (m) from the middle to the outer side of a finger at an opening ratio."""
+        return ratio * self.stroke / 2.0 + self.finger[0]
 
     def lowest(self, pose: Pose) -> float:
         """Return the height (m) of the open gripper's lowest point: tilted, it reaches below its middle."""
         along, across, _ = (float(part) for part in matrix(pose)[2])
-        wide = self.stroke / 2.0 + self.finger[0]
-        return pose.z - abs(along) * wide - abs(across) * self.finger[1] / 2.0
+        return pose.z - abs(along) * self.half_width() - abs(across) * self.finger[1] / 2.0
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -169,9 +169,7 @@ class Robot:
     def _solve(self, pose: Pose) -> list[float]:
         joints, error = self._inverse(pose)
         if error > POSITION_TOLERANCE:
-            raise OutOfReachError(
-                f"robot {self.model.name!r} cannot reach {pose}: {error:.4f} m or rad remain"
-            )
+            raise OutOfReachError(f"robot {self.model.name!r} cannot reach {pose}: {error:.4f} remain")
         solution: list[float] = joints.tolist()
         return solution
 
@@ -309,7 +307,8 @@ class Robot:
         if self._draw_out() and push_out(world, held, self.body):
             return
         wider = squeeze(world, self.body, self._fingers.joints, held) / 2.0
-        self._place(self._fingers, [joint + wider for joint in self._fingers.positions(world)])
+        travel = self.model.gripper.travel
+        self._place(self._fingers, [min(joint + wider, travel) for joint in self._fingers.positions(world)])
         self._draw_out()
         push_out(world, held, self.body)
 

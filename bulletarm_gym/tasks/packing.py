@@ -14,9 +14,8 @@ from bulletarm_gym.experts.waypoints import CLOSED, OPEN, Waypoint
 from bulletarm_gym.footprint import Footprint
 from bulletarm_gym.geometry import FloatArray, Pose, matrix
 from bulletarm_gym.objects.packing import BIN, BIN_WALL, SHAPES, packing_bin, packing_block
-from bulletarm_gym.placement import footprint, lay_apart
+from bulletarm_gym.placement import GRASP_ROOM, footprint, lay_apart
 from bulletarm_gym.relations import at_rest, inside, is_empty, is_top
-from bulletarm_gym.robots.gripper import WIDEST_HAND
 from bulletarm_gym.scene import Item, Role, Scene, shaped
 from bulletarm_gym.tasks.task import Task
 
@@ -86,7 +85,7 @@ class BinPacking(Task):
         blocks = [item for item in scene.items if item is not scene["bin"]]
 
         def leaves_room(pose: Pose) -> bool:
-            hand = Footprint.rectangle(WIDEST_HAND, pose)
+            hand = Footprint.rectangle(GRASP_ROOM, pose)
             return not self.config.random_orientation or hand.gap(footprint(scene["bin"])) > 0.0
 
         site = scene.surface.goal_site(self.site, rng, spread)

@@ -12,9 +12,8 @@ from bulletarm_gym.experts.waypoints import Waypoint
 from bulletarm_gym.footprint import Footprint, PlacementError
 from bulletarm_gym.geometry import Pose, wrap_angle
 from bulletarm_gym.objects.palletizing import BOX, PALLET, pallet, palletizing_box
-from bulletarm_gym.placement import draw_until, footprint, free_pose, roomiest
+from bulletarm_gym.placement import GRASP_ROOM, draw_until, footprint, free_pose, roomiest
 from bulletarm_gym.relations import UPRIGHT, at_rest, inside, is_empty, is_top
-from bulletarm_gym.robots.gripper import WIDEST_HAND
 from bulletarm_gym.scene import Item, Role, Scene, scaled
 from bulletarm_gym.tasks.task import Task
 
@@ -118,7 +117,7 @@ class BoxPalletizing(Task):
         def fits(pose: Pose) -> bool:
             shadow = footprint(box, pose)
             yaw = pose.yaw if "r" in self.config.action_sequence else 0.0
-            hand = Footprint.rectangle(WIDEST_HAND, Pose.planar(*pose.position, yaw))
+            hand = Footprint.rectangle(GRASP_ROOM, Pose.planar(*pose.position, yaw))
             return (
                 scene.surface.fits(shadow, BOX_MARGIN)
                 and min(hand.gap(base), shadow.gap(base) - BOX_MARGIN) > 0.0

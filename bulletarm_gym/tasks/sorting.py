@@ -10,10 +10,11 @@ from bulletarm_gym.config import CLOSE_LOOP, OPEN_LOOP, EnvConfig, TaskDefaults,
 from bulletarm_gym.experts.approach import ALIGNED, grasp, highest_between, place_item, side_yaw
 from bulletarm_gym.experts.pick_place import fingers_fit
 from bulletarm_gym.experts.waypoints import HALF_OPEN, Waypoint
+from bulletarm_gym.footprint import Footprint
 from bulletarm_gym.geometry import Pose, Vector, planar_distance, wrap_angle
 from bulletarm_gym.objects import BodySpec, Colour, bowl, cube
 from bulletarm_gym.objects.bowl import DIAMETER, HEIGHT, THICKNESS
-from bulletarm_gym.placement import draw_until, lay_apart
+from bulletarm_gym.placement import draw_until, footprint, lay_apart
 from bulletarm_gym.relations import at_rest, is_empty, upright
 from bulletarm_gym.scene import Item, Role, Scene, scaled
 from bulletarm_gym.simulation.shapes import BLUE, RED
@@ -30,6 +31,8 @@ FROM_AXIS = 0.32
 """Distance of a cube from the bowl's axis when it is let go, in its sides: the other one has room."""
 RELEASE_HEIGHT = 0.6
 """Height of a cube's lowest point when it is let go, in bowl heights: the open fingers are near the rim."""
+FINGER_ROOM = (0.135, 0.03)
+"""Length and width (m) kept free around a cube at the start for open fingers, the same for every arm."""
 HALF_TURN = math.pi
 
 
@@ -82,7 +85,7 @@ class BlockSorting(Task):
         """Put everything apart, with room for the gripper about each cube."""
         draw_until(
             lambda: lay_apart(scene, rng, scene.items, ITEM_SPACING),
-            lambda _: all(_yaws(scene, item)[1] for item in self._cubes(scene)),
+            lambda _: all(_has_room(scene, item) for item in self._cubes(scene)),
         )
 
     def evaluate(self, scene: Scene) -> dict[str, bool]:
@@ -154,6 +157,15 @@ def _take(scene: Scene, item: Item) -> Iterator[Waypoint]:
     yaws, fitting = _yaws(scene, item)
     top = max(scene.world.top(item.body), highest_between(scene, hand.position, centre, item))
     yield from grasp(scene, Pose.planar(*centre, (fitting or yaws)[0]), top, HALF_TURN)
+
+
+def _has_room(scene: Scene, item: Item) -> bool:
+    """Return True if a gripper of usual size has room about a cube along one of its sides."""
+    side = wrap_angle(side_yaw(item.pose), HALF_TURN / 2.0)
+    yaws = (side, side + HALF_TURN / 2.0) if "r" in scene.config.action_sequence else (side,)
+    others = [footprint(other) for other in scene if other is not item]
+    rooms = (Footprint.rectangle(FINGER_ROOM, Pose.planar(*item.centre_of_mass, yaw)) for yaw in yaws)
+    return any(all(room.gap(other) > 0.0 for other in others) for room in rooms)
 
 
 def _yaws(scene: Scene, item: Item) -> tuple[list[float], list[float]]:
