@@ -27,6 +27,11 @@ class Clearance:
         self._robot = robot
         self._gripper = gripper
 
+    @property
+    def can_be_tested(self) -> bool:
+        """True if no body moves or has yet to come to rest."""
+        return self._world.is_settled and not self._world.has_motion
+
     def bodies_above(self, height: float) -> list[Body]:
         """Return the bodies that reach above a height (m)."""
         return [body for body in self._world.obstacles if self._world.top(body) > height]

@@ -360,7 +360,7 @@ class Robot:
 
     def _is_clear(self, start: Pose, end: Pose, stops: Sequence[Sequence[float]], length: float) -> bool:
         """Whether nothing moves and nothing can be touched on the way."""
-        if self.held is not None or self._world.has_motion:
+        if self.held is not None or not self._clearance.can_be_tested:
             return False
         lowest = min(self.model.gripper.lowest(start), self.model.gripper.lowest(end))
         if lowest < FREE_CLEARANCE:
@@ -391,7 +391,7 @@ class Robot:
 
         What they touch may hang between them, two objects in a row say, though they hold neither.
         """
-        if self.held is not None or self._world.has_motion:
+        if self.held is not None or not self._clearance.can_be_tested:
             return False
         near = self._clearance.bodies_above(self.model.gripper.lowest(self.pose) - CLEAR_ABOVE)
         openings = np.linspace(self.opening / 2.0, command / 2.0, 5).tolist()

@@ -141,9 +141,8 @@ class World:
 
     @property
     def has_motion(self) -> bool:
-        """Return True if a body has speed in the state, or has not come to rest since it was placed."""
-        moves = any(twist != STILL for twist in self.twists) or any(any(rates) for rates in self.joint_rates)
-        return moves or not self.is_settled
+        """Return True if a body has speed in the state."""
+        return any(twist != STILL for twist in self.twists) or any(any(rates) for rates in self.joint_rates)
 
     def _check_open(self) -> None:
         if self._snapshot is not None:

@@ -130,7 +130,7 @@ def test_boxes_appear_inside_and_apart(make: Make, env_id: str, layer: int) -> N
             assert base.gap(footprint(env.scene["pallet"])) > 0.0
             if parameters and env_id == FLAT:
                 turn = box.pose.yaw - env.scene["pallet"].pose.yaw - layer_yaw(layer)
-                assert math.sin(turn) == pytest.approx(0.0, abs=1e-6)
+                assert math.sin(turn) == pytest.approx(0.0, abs=1e-3)
 
 
 def test_the_episode_ends_where_the_next_box_finds_no_room(
