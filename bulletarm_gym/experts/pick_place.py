@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from bulletarm_gym.config import OPEN_LOOP
-from bulletarm_gym.control.open_loop import MAX_TILT
+from bulletarm_gym.control.open_loop import HALF_TURN, MAX_TILT, MOTION
 from bulletarm_gym.experts.approach import RELEASE
 from bulletarm_gym.experts.waypoints import CLOSED, OPEN, Waypoint
 from bulletarm_gym.footprint import Footprint
@@ -62,6 +62,8 @@ LEANING_LIFTS = (-0.2, 0.0, 0.15)
 TRIES = 4
 """Of so many such grasps one is drawn: what has slipped once is not taken in the same way again."""
 HERE = Pose((0.0, 0.0, 0.0))
+NEAREST_STOP = Pose((0.0, 0.0, MOTION.stops[-1][0]))
+"""Nearest pose from which open-loop control begins a pick or place, in the frame of its target."""
 
 
 def lying_frame(item: Item) -> Pose:
@@ -181,7 +183,8 @@ def pick(scene: Scene, item: Item, rng: np.random.Generator) -> Waypoint:
     hands = [_able(scene, frame.compose(Pose.planar(0.0, 0.0, z, turn))) for z in lifts for turn in turns]
     drawn = hands[int(rng.integers(len(hands)))]
     best = next((hand for hand in hands if _fits(scene, hand, item)), None)
-    if best is None and scene.robot.model.gripper.overhang > OVERHANG:
+    is_wide = scene.robot.model.gripper.overhang > OVERHANG
+    if best is None and (is_wide or not any(_reaches(scene, hand) for hand in hands)):
         leaning = (hand for hand in _leaning(scene, item, turns) if _fits(scene, hand, item))
         some = list(itertools.islice(leaning, TRIES))
         best = some[int(rng.integers(len(some)))] if some else None
@@ -261,7 +264,14 @@ def _bring(scene: Scene, hand: Pose, held_at: Vector, goal: Vector) -> Pose:
 
 
 def _rank(scene: Scene, hand: Pose, item: Item) -> tuple[bool, bool, bool]:
-    return scene.robot.reaches(hand), fingers_fit(scene, hand, item), palm_fits(scene, hand, item)
+    return _reaches(scene, hand), fingers_fit(scene, hand, item), palm_fits(scene, hand, item)
+
+
+def _reaches(scene: Scene, hand: Pose) -> bool:
+    """Return True if a pick or place is in reach, with the nearest pose from which it can begin."""
+    if not -math.pi / 2.0 <= hand.yaw < math.pi / 2.0:
+        hand = hand.compose(HALF_TURN)
+    return scene.robot.reaches(hand) and scene.robot.reaches(hand.compose(NEAREST_STOP))
 
 
 def _fits(scene: Scene, hand: Pose, item: Item) -> bool:
@@ -269,7 +279,7 @@ def _fits(scene: Scene, hand: Pose, item: Item) -> bool:
     return (
         palm_fits(scene, hand, item)
         and fingers_fit(scene, hand, item)
-        and scene.robot.reaches(hand)
+        and _reaches(scene, hand)
         and _wrist_fits(scene, hand, item)
     )
 

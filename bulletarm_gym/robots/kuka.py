@@ -18,7 +18,7 @@ KUKA = RobotModel(
     joints=tuple(f"lbr_iiwa_joint_{number}" for number in range(1, 8)),
     tool=JAW.tool(FLANGE).compose(Pose.planar(0.0, 0.0, 0.0, math.pi)),
     gripper=JAW,
-    base=Pose((-0.15, 0.0, 0.16)),
+    base=Pose((-0.14, 0.0, 0.1)),
     posture=(0.0, 0.6, 0.0, -1.8, 0.0, math.pi - 2.4, 0.0),
     force=(320.0, 320.0, 176.0, 176.0, 110.0, 40.0, 40.0),
 )
