@@ -88,7 +88,7 @@ class CloseLoop(Control[DeltaMove]):
         x, y, z = self.within(map(sum, zip(hand.position, move.translation, strict=True)))
         poses = (Pose.planar(x, y, z, hand.yaw + move.rotation + offset) for offset in YAW_OFFSETS)
         pose = next(filter(self.robot.follows, poses), None)
-        return Outcome(ignored=True) if pose is None else self.go(pose, move.opening)
+        return Outcome(ignored=True) if pose is None else self._carry_out(pose, move.opening)
 
     def within(self, position: Iterable[float]) -> Vector:
         """Return the point (m) of the workspace nearest to a position."""
@@ -98,8 +98,9 @@ class CloseLoop(Control[DeltaMove]):
 
     def go(self, pose: Pose, opening: float) -> Outcome:
         """Move the fingertips to a pose, then the fingers to an opening ratio; ignored if out of reach."""
-        if not self.robot.follows(pose):
-            return Outcome(ignored=True)
+        return self._carry_out(pose, opening) if self.robot.follows(pose) else Outcome(ignored=True)
+
+    def _carry_out(self, pose: Pose, opening: float) -> Outcome:
         self.robot.move_to(pose)
         self.robot.set_opening(opening)
         return Outcome(ignored=False)

@@ -67,12 +67,12 @@ class RobotInterface:
         """
         self._robot.move_to(pose, careful)
 
-    def transfer(self, pose: Pose) -> None:
-        """Move to a pose over everything in between.
+    def transfer(self, *poses: Pose) -> None:
+        """Move, over everything in between, to the first of some poses that touches nothing, or to the last.
 
-        :raises OutOfReachError: the pose is out of reach
+        :raises OutOfReachError: a pose is out of reach
         """
-        self._robot.transfer(pose)
+        self._robot.transfer(*poses)
 
     def set_opening(self, ratio: float) -> None:
         """Move the fingers to an opening ratio, 0 closed to 1 open; an object between them stops them."""

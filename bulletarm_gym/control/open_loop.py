@@ -34,8 +34,8 @@ class PickPlaceMotion:
     """Distances (m) of the motion of a pick or place.
 
     :param stops: from the target to the poses at which the gripper stops; the first entry that is in reach
-        counts. An approach begins at the last stop. A retreat ends at the first one where the gripper touches
-        nothing
+        counts. An approach begins, and a retreat ends, at the first stop where the gripper touches nothing,
+        or at the last
     :param release: by which the fingers open first, so that they do not push what is next to the object
     """
 
@@ -44,7 +44,7 @@ class PickPlaceMotion:
 
     @property
     def approach(self) -> float:
-        """Distance (m) from the target to the beginning of an approach with enough reach."""
+        """Largest distance (m) from the target to the beginning of an approach."""
         return self.stops[0][-1]
 
 
@@ -169,7 +169,7 @@ class OpenLoop(Control[PickPlace]):
             return Outcome(ignored=True)
         if picks:
             self._open(self._hints.opening)
-        robot.transfer(stops[-1])
+        robot.transfer(*stops)
         robot.move_to(pose)
         closed_at = robot.pose if picks else None
         (self._grasp if picks else self._release)(stops)

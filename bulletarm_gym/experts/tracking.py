@@ -1,8 +1,8 @@
 """Moves of a control that follow an expert's plan."""
 
 import math
-from collections.abc import Iterator
-from typing import Any, Protocol, runtime_checkable
+from collections.abc import Callable, Iterator
+from typing import Any
 
 from bulletarm_gym.config import CLOSE_LOOP, MAX_ROTATION, MAX_TRANSLATION
 from bulletarm_gym.control import CloseLoop, Control, DeltaMove, OpenLoop, PickPlace
@@ -16,14 +16,6 @@ ARRIVED = 0.999
 """Fraction of the distance to a waypoint that counts as all of it."""
 
 
-@runtime_checkable
-class Tracking(Protocol):
-    """A control that computes its moves towards waypoints itself."""
-
-    def towards(self, waypoint: Waypoint) -> Any:
-        """Return the move that brings the gripper closest to a waypoint."""
-
-
 class Tracker:
     """Follows plans by the moves of a control.
 
@@ -35,6 +27,7 @@ class Tracker:
 
     def __init__(self, control: Control[Any], scene: Scene, opening: float | None) -> None:
         self._control = control
+        self._towards: Callable[[Waypoint], Any] | None = getattr(control, "towards", None)
         self._scene = scene
         if control.kind == CLOSE_LOOP:
             _, scene.max_translation = control.ranges.get("x", (0.0, MAX_TRANSLATION))
@@ -53,8 +46,8 @@ class Tracker:
     def towards(self, waypoint: Waypoint) -> Any:
         """Return the move that brings the gripper closest to a waypoint."""
         control = self._control
-        if isinstance(control, Tracking):
-            return control.towards(waypoint)
+        if self._towards is not None:
+            return self._towards(waypoint)
         if isinstance(control, OpenLoop):
             return self._pick_place(control, waypoint)
         if isinstance(control, CloseLoop):

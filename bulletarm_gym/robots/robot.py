@@ -7,8 +7,9 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
-from bulletarm_gym.geometry import FloatArray, Pose, interpolate, rotate
+from bulletarm_gym.geometry import Pose, interpolate, rotate
 from bulletarm_gym.robots.clearance import CLEAR_ABOVE, FREE_CLEARANCE, Clearance
+from bulletarm_gym.robots.dynamics import Dynamics
 from bulletarm_gym.robots.fingers import couple_fingers
 from bulletarm_gym.robots.kinematics import POSITION_TOLERANCE
 from bulletarm_gym.robots.model import RobotModel
@@ -23,9 +24,7 @@ from bulletarm_gym.simulation.motion import (
     motion_steps,
     on_the_way,
     send_fingers,
-    steps_within_torques,
 )
-from bulletarm_gym.simulation.world import GRAVITY
 
 FREE_STEPS = 24
 """Simulation steps of a move by the reference distance where nothing is in the way ..."""
@@ -91,6 +90,7 @@ class Robot:
         fingers = tuple(names.index(name) for name in model.gripper.joints)
         self._fingers = JointGroup(self.body, fingers, (model.gripper.force,) * 2)
         couple_fingers(world, self.body, self._fingers.joints, model.gripper.friction)
+        self._dynamics = Dynamics.of(world, self.body, self._arm.joints, model.chain)
         self._clearance = Clearance(world, self.body, model.gripper)
         self.held: Body | None = None
         self._command = model.gripper.stroke
@@ -221,17 +221,9 @@ class Robot:
 
     def _least_steps(self, stops: Sequence[Sequence[float]]) -> int:
         """Return the number of simulation steps that the joint torques need for a motion through stops."""
-        path = [self._arm.positions(self._world), *stops]
-        return steps_within_torques(self._world, self._arm, path, self._load_torques)
-
-    def _load_torques(self, joints: FloatArray, accelerations: FloatArray) -> FloatArray:
-        """Return the torques (N m) for the grasped object, a point mass at the fingertips."""
-        if self.held is None:
-            return np.zeros(len(joints))
-        linear = self.model.chain.jacobian(joints)[:3]
-        mass = self._world.get_properties(self.held).mass
-        torques: FloatArray = mass * linear.T @ (linear @ accelerations - (0.0, 0.0, GRAVITY))
-        return torques
+        path = np.array([self._arm.positions(self._world), *stops])
+        load = 0.0 if self.held is None else self._world.get_properties(self.held).mass
+        return self._dynamics.least_steps(path, np.array(self._arm.forces), load)
 
     def _line(self, start: Pose, end: Pose) -> list[tuple[float, ...]]:
         """Return joint positions (rad) between two poses that keep a tilted gripper on the line.
@@ -244,20 +236,18 @@ class Robot:
         poses = [interpolate(start, end, share) for share in shares]
         return [self.inverse_kinematics(pose) for pose in poses if self.reaches(pose)]
 
-    def transfer(self, pose: Pose) -> None:
-        """Bring the fingertips and what they hold to a pose, over everything that is in between.
+    def transfer(self, *poses: Pose) -> None:
+        """Move to the first of some poses where the robot touches nothing, or to the last, over everything.
 
-        From where the gripper touches nothing it can go straight up, and where it will touch nothing it can
-        come straight down; so only the two ends decide whether this needs simulation. Where the arm does not
-        reach over everything, it goes from one place that it reaches on the way to the next.
+        A gripper that touches nothing can go straight up, and one that will touch nothing can come straight
+        down. Only the two ends decide whether the path is simulated. It leads through poses in reach.
 
-        :raises OutOfReachError: the fingertips cannot be brought there
+        :raises OutOfReachError: a pose is out of reach
         """
-        goal = self.inverse_kinematics(pose)
-        if self.fast and self.is_apart() and self._jump(goal):
+        if self.fast and self.is_apart() and any(map(self._jump, map(self.inverse_kinematics, poses))):
             self.begin()
             return
-        for stop in filter(self.reaches, stops_over(self.pose, pose)):
+        for stop in filter(self.reaches, stops_over(self.pose, poses[-1])):
             self.move_to(stop)
             self.begin()
 

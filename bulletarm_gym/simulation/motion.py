@@ -1,7 +1,7 @@
 """Motions of motor-driven joints: a trajectory once computed, then a loop that only steps."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from operator import itemgetter
@@ -12,18 +12,10 @@ import numpy as np
 from bulletarm_gym.compilation import compiled
 from bulletarm_gym.geometry import FloatArray
 from bulletarm_gym.simulation.state import Body
-from bulletarm_gym.simulation.world import TIME_STEP, World
+from bulletarm_gym.simulation.world import World
 
 RISE = 0.25
 """Share of a motion spent speeding up; braking takes the rest, so what is pushed stays at the gripper."""
-PHASES = ((0.0, 0.0, 2.0 / RISE), (RISE, 2.0, 2.0 / RISE), (1.0, 0.0, -2.0 / (1.0 - RISE)))
-"""Path share, speed and acceleration of a motion of one second at the start, at full speed and at the end."""
-TORQUE_SHARE = 0.8
-"""Share of the joints' maximum torque that motions use in free space; the rest is left for contacts."""
-MIN_ROOM = 0.1
-"""Minimum share of the torque that is left for acceleration where gravity takes nearly all of it."""
-MAX_STEPS = 480
-"""Maximum number of simulation steps of a motion (2 s)."""
 MAX_LAG = 0.03
 """A joint (rad) this far behind its trajectory is blocked: a centimetre or two at the fingertips."""
 LAG_CHECK = 4
@@ -220,48 +212,6 @@ def drive_fingers(world: World, group: JointGroup, goal: float, speed: float) ->
         if left < FINGER_TOLERANCE or (number >= FINGER_START and before - left < STALL_PROGRESS):
             break
     world.step(SETTLING_STEPS)
-
-
-def steps_within_torques(
-    world: World,
-    group: JointGroup,
-    stops: Sequence[Sequence[float]],
-    load: Callable[[FloatArray, FloatArray], FloatArray],
-) -> int:
-    """Return the least number of simulation steps in which joints can move through stops with their torques.
-
-    The torque of a motion of T seconds is the static one and a part that falls with T squared. Both are
-    computed at the phases of the motion where they are largest, see :data:`PHASES`.
-
-    :param stops: (n, joints) rad, the present positions first
-    :param load: torques (joints,) N m for the grasped object at positions (rad) and accelerations (rad/s^2)
-    """
-    path = np.array(stops, dtype=np.float64)
-    slopes = np.diff(path, axis=0) * (len(path) - 1)
-    limits = TORQUE_SHARE * np.array(group.forces)
-    square = 0.0
-    for share, rate, acceleration in PHASES:
-        here, slope = _interpolate(path, np.array([share]))[0], slopes[-1 if share == 1.0 else 0]
-        static = _torques(world, group, here, 0.0 * slope, 0.0 * slope) + load(here, 0.0 * slope)
-        total = _torques(world, group, here, rate * slope, acceleration * slope)
-        moving = total + load(here, acceleration * slope) - static
-        room = np.maximum(limits - np.abs(static), MIN_ROOM * limits)
-        square = max(square, float((np.abs(moving) / room).max()))
-    return min(math.ceil(math.sqrt(square) / TIME_STEP), MAX_STEPS)
-
-
-def _torques(
-    world: World, group: JointGroup, positions: FloatArray, rates: FloatArray, accelerations: FloatArray
-) -> FloatArray:
-    """Return the torques (joints,) N m of a motion under gravity, the other joints of the body at rest."""
-    every = [0.0] * len(group.body.joints)
-    full = [list(every), list(every)]
-    for row, values in zip(full, (rates, accelerations), strict=True):
-        for slot, value in zip(group.slots, values.tolist(), strict=True):
-            row[slot] = value
-    moved = group.moved(world, positions.tolist())
-    torques = world.client.calculateInverseDynamics(group.body.id, moved, *full)
-    return np.array(torques)[list(group.slots)]
 
 
 def motion_steps(distance: float, reference_distance: float, reference_steps: int, least: int) -> int:

@@ -60,6 +60,7 @@ COLUMNS = (
     "rendering",
     "rest",
     "without expert",
+    "without simulation",
     "reset ms",
     "expert",
 )
@@ -322,6 +323,7 @@ def _cells(ours: Throughput) -> list[str]:
         f"{ours.yardstick.step_us:.1f}",
         f"{ours.steps_per_second:.0f}",
         *(f"{time:.2f}" for time in times),
+        f"{ours.unsimulated:.0%}",
         f"{ours.reset_ms:.1f}",
         f"{ours.success_rate:.2f} of {ours.episodes}",
     ]

@@ -39,7 +39,7 @@ SPEED = Layout(
     ("env", "env_kwargs"),
     (
         *("yardstick_us", "steps_per_second", "step_ms", "physics_ms", "rendering_ms", "rest_ms"),
-        *("without_expert_ms", "reset_ms", "success", "episodes"),
+        *("without_expert_ms", "unsimulated", "reset_ms", "success", "episodes"),
         *("reference_steps_per_second", "times_reference", "load"),
     ),
 )

@@ -45,6 +45,7 @@ def throughput_record(
         "rendering_ms": number(ours.rendering_ms, TIME_DIGITS),
         "rest_ms": number(ours.rest_ms, TIME_DIGITS),
         "without_expert_ms": number(ours.without_expert_ms, TIME_DIGITS),
+        "unsimulated": number(ours.unsimulated, SHARE_DIGITS),
         "reset_ms": number(ours.reset_ms, TIME_DIGITS),
         "success": number(ours.success_rate, SHARE_DIGITS),
         "episodes": str(ours.episodes),

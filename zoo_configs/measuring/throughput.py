@@ -35,6 +35,7 @@ class Throughput:
     :param expert_ms: Of that, the choice of the action, with the heightmaps it looks at
     :param physics_ms: Of a step, simulation steps of the engine
     :param rendering_ms: Of a step, drawing heightmaps
+    :param unsimulated: Share of the steps that needed no simulation step of the engine
     :param reset_ms: A reset
     :param load: Load average of the machine when it began
     """
@@ -48,6 +49,7 @@ class Throughput:
     expert_ms: float
     physics_ms: float
     rendering_ms: float
+    unsimulated: float
     reset_ms: float
     load: float = 0.0
 
@@ -110,7 +112,7 @@ class _Meter:
         self.own: Any = env.unwrapped
         self.parts: Mapping[str, float] = self.own.measure().seconds if hasattr(self.own, "measure") else {}
         self.stepping = self.resetting = self.expert = self.physics = self.rendering = 0.0
-        self.steps = self.episodes = self.successes = 0
+        self.steps = self.unsimulated = self.episodes = self.successes = 0
 
     @property
     def seconds(self) -> float:
@@ -123,9 +125,11 @@ class _Meter:
         before = dict(self.parts)
         over = False
         while not over:
-            _, _, terminated, truncated, info = self.env.step(self._action())
+            action, simulated = self._action(), self.parts.get("physics", 0.0)
+            _, _, terminated, truncated, info = self.env.step(action)
             over = terminated or truncated
             self.steps += 1
+            self.unsimulated += self.parts.get("physics", 0.0) == simulated
         self.stepping += time.perf_counter() - begin
         self.resetting += begin - start
         self.physics += self.parts.get("physics", 0.0) - before.get("physics", 0.0)
@@ -151,6 +155,7 @@ class _Meter:
             expert_ms=self.expert * per_step,
             physics_ms=self.physics * per_step,
             rendering_ms=self.rendering * per_step,
+            unsimulated=self.unsimulated / self.steps,
             reset_ms=self.resetting * 1e3 / self.episodes,
             load=busy,
         )

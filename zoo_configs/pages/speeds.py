@@ -17,6 +17,7 @@ HEADS = {
     "rendering_ms": "rendering",
     "rest_ms": "rest",
     "without_expert_ms": "without expert",
+    "unsimulated": "steps without simulation",
     "reset_ms": "reset ms",
     "reference_steps_per_second": "reference steps/s",
     "times_reference": "ratio",
