@@ -160,7 +160,7 @@ class Robot:
 
     def home(self, pose: Pose) -> None:
         """Put the empty, open gripper at a pose at once; what it held or touched falls."""
-        self._world.is_settled = self._world.is_settled and self.held is None and self.is_apart()
+        self._leave()
         self.held = None
         self._command = self.model.gripper.stroke
         self._place(self._arm, self._solve(pose))
@@ -192,7 +192,7 @@ class Robot:
         stops = [*self._line(start, pose), goal]
         clear = self._is_clear(start, pose, stops, length)
         if clear and self.fast:
-            self._world.is_settled &= not self._touches_loose_bodies()
+            self._leave()
             self._place(self._arm, goal)
             return
         slow = careful and not clear and self.held is None
@@ -251,10 +251,15 @@ class Robot:
         """Close the gripper on whatever is between the fingers."""
         self.set_opening(0.0)
 
-    def _touches_loose_bodies(self) -> bool:
+    def touched(self, bodies: Sequence[Body]) -> list[Body]:
+        """Return those of some bodies that the arm holds or touches."""
         low = self.model.gripper.lowest(self.pose) - CLEAR_ABOVE
-        near = (body for body in self._world.loose_bodies if self._world.top(body) > low)
-        return any(self._world.are_near(self.body, body, NEAR) for body in near)
+        near = (body for body in bodies if self._world.top(body) > low)
+        return [body for body in near if body is self.held or self._world.are_near(self.body, body, NEAR)]
+
+    def _leave(self) -> None:
+        """Record that what the arm holds or touches loses its support."""
+        self._world.unsettled.update(body.index for body in self.touched(self._world.loose_bodies))
 
     def _place(self, group: JointGroup, positions: Sequence[float]) -> None:
         self._world.set_joints(self.body, group.moved(self._world, positions))
@@ -266,7 +271,8 @@ class Robot:
         self._world.set_joints(self.body, self._world.joints[self.body.index])
         bodies = self._world.free_bodies if self._is_squeezing else []
         before, self.held = self.held, next((body for body in bodies if self._grips(body)), None)
-        self._world.is_settled &= before is None or before is self.held
+        if before is not None and before is not self.held:
+            self._world.unsettled.add(before.index)
         if self.held is not None:
             self._world.rest(self.held)
         self._draw_out()
@@ -276,13 +282,11 @@ class Robot:
 
         What is too deep in both fingers opens them.
         """
-        world, held = self._world, self.held
-        if self._draw_out() and push_out(world, held, self.body):
-            return
-        wider = squeeze(world, self.body, self._fingers.joints, held) / 2.0
-        self._place(self._fingers, [joint + wider for joint in self._fingers.positions(world)])
-        self._draw_out()
-        push_out(world, held, self.body)
+        for _ in range(2):
+            if self._draw_out() and push_out(self._world, self.held, self.body):
+                return
+            wider = squeeze(self._world, self.body, self._fingers.joints, self.held) / 2.0
+            self._place(self._fingers, [joint + wider for joint in self._fingers.positions(self._world)])
 
     def _draw_out(self) -> bool:
         """Move the resting arm out of what it is too deep in, but for what it holds; return True if it is.
@@ -332,7 +336,7 @@ class Robot:
 
     def _is_clear(self, start: Pose, end: Pose, stops: Sequence[Sequence[float]], length: float) -> bool:
         """Whether nothing moves and nothing can be touched on the way."""
-        if self.held is not None or self._world.has_motion:
+        if self.held is not None or self._world.has_motion or self._world.unsettled:
             return False
         lowest = min(self.model.gripper.lowest(start), self.model.gripper.lowest(end))
         if lowest < FREE_CLEARANCE:
@@ -380,7 +384,7 @@ class Robot:
 
         What they touch may hang between them, two objects in a row say, though they hold neither.
         """
-        if self.held is not None or self._world.has_motion:
+        if self.held is not None or self._world.has_motion or self._world.unsettled:
             return False
         tip = self.model.gripper.lowest(self.pose) - CLEAR_ABOVE
         near = [body for body in self._world.obstacles if self._world.top(body) > tip]
