@@ -189,7 +189,7 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         self._steps += 1
         if self._acts_after:
             self.task.after_action(self.scene, self._rng(AFTER_ACTION))
-            if not self.scene.world.is_settled:
+            if self.scene.world.unsettled:
                 self.scene.begin()
                 self.scene.settle()
         info = self._evaluate(outcome.ignored)

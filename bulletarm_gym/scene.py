@@ -262,7 +262,7 @@ class Scene:
 
     def clear(self, rng: np.random.Generator) -> None:
         """Empty the scene, draw its ground and who plays each role."""
-        self.world.is_settled = False
+        self.world.unsettled.update(body.index for body in self.world.loose_bodies)
         self.world.reset_properties()
         self.surface.arrange(rng)
         for item in self._items.values():
@@ -274,18 +274,21 @@ class Scene:
         self.robot.begin()
 
     def settle(self) -> None:
-        """Simulate until all loose bodies rest: those that move, were placed or lost their support."""
-        world = self.world
-        loose = [body for body in world.loose_bodies if body is not self.robot.held]
-        speed = max(map(world.speed, loose), default=0.0)
-        if (speed >= CREEP_SPEED or not world.is_settled) and not self._lie_still(loose, speed):
+        """Simulate until all loose bodies rest, if one of them moves, was placed or lost its support."""
+        world, held = self.world, self.robot.held
+        loose = [body for body in world.loose_bodies if body is not held]
+        speeds = {body.index: world.speed(body) for body in loose}
+        doubtful = [
+            body for body in loose if body.index in world.unsettled or speeds[body.index] >= CREEP_SPEED
+        ]
+        slow = max(speeds.values(), default=0.0) < REST_SPEED
+        if doubtful and not (slow and self._lie_still(doubtful)):
             settle(world, loose, SETTLE_LIMIT)
-        world.is_settled = True
+        world.unsettled.clear()
         self.robot.give_way()
 
-    def _lie_still(self, loose: Sequence[Body], speed: float) -> bool:
-        slow = speed < REST_SPEED and self.robot.is_apart()
-        return slow and lie_still(self.world, self.surface, loose)
+    def _lie_still(self, bodies: Sequence[Body]) -> bool:
+        return lie_still(self.world, self.surface, bodies) and not self.robot.touched(bodies)
 
     def measure(self) -> Stopwatch:
         """Return a stopwatch to which the engine's steps and heightmaps report from now on."""

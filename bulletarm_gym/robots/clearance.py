@@ -30,7 +30,7 @@ class Clearance:
     @property
     def can_be_tested(self) -> bool:
         """True if no body moves or has yet to come to rest."""
-        return self._world.is_settled and not self._world.has_motion
+        return not self._world.unsettled and not self._world.has_motion
 
     def bodies_above(self, height: float) -> list[Body]:
         """Return the bodies that reach above a height (m)."""
@@ -65,8 +65,8 @@ class Clearance:
         others = [body for body in self.bodies_above(lowest - FREE_CLEARANCE) if body is not held]
         return not any(self._is_near(mover, body) for body in others for mover in movers)
 
-    def touches_loose_bodies(self, pose: Pose) -> bool:
-        """Return True if the robot, its fingertips at a pose, may support or push a body that can move."""
+    def touched(self, pose: Pose, held: Body | None, bodies: Sequence[Body]) -> list[Body]:
+        """Return those of some bodies that the robot, its fingertips at a pose, holds or touches."""
         low = self._gripper.lowest(pose) - CLEAR_ABOVE
-        near = (body for body in self._world.loose_bodies if self._world.top(body) > low)
-        return any(self._world.are_near(self._robot, body, NEAR) for body in near)
+        near = (body for body in bodies if self._world.top(body) > low)
+        return [body for body in near if body is held or self._world.are_near(self._robot, body, NEAR)]

@@ -177,7 +177,7 @@ class Robot:
 
     def home(self, pose: Pose) -> None:
         """Put the empty, open gripper at a pose at once; what it held or touched falls."""
-        self._world.is_settled = self._world.is_settled and self.held is None and self.is_apart()
+        self._leave()
         self.held = None
         self._command = self.model.gripper.stroke
         self._place(self._arm, self._solve(pose))
@@ -209,7 +209,7 @@ class Robot:
         stops = [*self._line(start, pose), goal]
         clear = self._is_clear(start, pose, stops, length)
         if clear and self.fast:
-            self._world.is_settled &= not self._clearance.touches_loose_bodies(start)
+            self._leave()
             self._place(self._arm, goal)
             return
         slow = careful and not clear and self.held is None
@@ -273,6 +273,14 @@ class Robot:
         """Close the gripper on whatever is between the fingers."""
         self.set_opening(0.0)
 
+    def touched(self, bodies: Sequence[Body]) -> list[Body]:
+        """Return those of some bodies that the arm holds or touches."""
+        return self._clearance.touched(self.pose, self.held, bodies)
+
+    def _leave(self) -> None:
+        """Record that the bodies that the arm holds or touches lose their support."""
+        self._world.unsettled.update(body.index for body in self.touched(self._world.loose_bodies))
+
     def _place(self, group: JointGroup, positions: Sequence[float]) -> None:
         self._world.set_joints(self.body, group.moved(self._world, positions))
         self._send_targets()
@@ -283,7 +291,8 @@ class Robot:
         self._world.set_joints(self.body, self._world.joints[self.body.index])
         bodies = self._world.free_bodies if self._is_squeezing else []
         before, self.held = self.held, next((body for body in bodies if self._grips(body)), None)
-        self._world.is_settled &= before is None or before is self.held
+        if before is not None and before is not self.held:
+            self._world.unsettled.add(before.index)
         if self.held is not None:
             self._world.rest(self.held)
         self._draw_out()
@@ -293,14 +302,13 @@ class Robot:
 
         What is too deep in both fingers opens them.
         """
-        world, held = self._world, self.held
-        if self._draw_out() and push_out(world, held, self.body):
-            return
-        wider = squeeze(world, self.body, self._fingers.joints, held) / 2.0
         travel = self.model.gripper.travel
-        self._place(self._fingers, [min(joint + wider, travel) for joint in self._fingers.positions(world)])
-        self._draw_out()
-        push_out(world, held, self.body)
+        for _ in range(2):
+            if self._draw_out() and push_out(self._world, self.held, self.body):
+                return
+            wider = squeeze(self._world, self.body, self._fingers.joints, self.held) / 2.0
+            fingers = self._fingers.positions(self._world)
+            self._place(self._fingers, [min(joint + wider, travel) for joint in fingers])
 
     def _draw_out(self) -> bool:
         """Move the resting arm out of what it is too deep in, but for what it holds; return True if it is.

@@ -56,10 +56,17 @@ def load_jointed(client: Client, spec: BodySpec, damping: float) -> int:
     return int(body_id)
 
 
-def load_urdf(client: Client, xml: str, pose: Pose) -> int:
-    """Load a body that is fixed to the world from its URDF."""
+def load_urdf(client: Client, xml: str, pose: Pose) -> tuple[int, tuple[int, ...]]:
+    """Load a body that is fixed to the world from its URDF, its joints free of Bullet's own brakes.
+
+    :return: its id in Bullet; the indices of its movable joints
+    """
     with _temporary_file(xml, ".urdf") as path:
-        return int(client.loadURDF(path, pose.position, pose.orientation, useFixedBase=True))
+        body_id = int(client.loadURDF(path, pose.position, pose.orientation, useFixedBase=True))
+    infos = [client.getJointInfo(body_id, joint) for joint in range(client.getNumJoints(body_id))]
+    joints = tuple(int(info[0]) for info in infos if info[2] != client.JOINT_FIXED)
+    client.setJointMotorControlArray(body_id, joints, client.VELOCITY_CONTROL, forces=[0.0] * len(joints))
+    return body_id, joints
 
 
 def load_plane(client: Client, spec: BodySpec) -> int:

@@ -26,4 +26,4 @@ def settle(world: World, bodies: Sequence[Body], limit: int) -> None:
         if calm > 1 and (steady or calm > CALM_STEPS):
             break
     world.end()
-    world.is_settled = True
+    world.unsettled.clear()

@@ -33,7 +33,7 @@ class WorldState:
     :param active: whether a body takes part or is parked
     :param joints: positions (m or rad) of every body's movable joints
     :param joint_rates: their velocities (m/s or rad/s)
-    :param is_settled: whether all bodies have come to rest since one of them was placed or lost its support
+    :param unsettled: indices of bodies that were placed or lost their support and have not rested since
     :param properties: index and properties of each body that has others than its specification
     """
 
@@ -42,5 +42,5 @@ class WorldState:
     active: tuple[bool, ...]
     joints: tuple[tuple[float, ...], ...]
     joint_rates: tuple[tuple[float, ...], ...]
-    is_settled: bool
+    unsettled: tuple[int, ...]
     properties: tuple[tuple[int, Properties], ...]

@@ -30,7 +30,6 @@ SPHERE_GAP = 0.01
 PARKING_HEIGHT = 10.0
 """Where (m) bodies that take no part wait, far from everything, without contacts."""
 PARKING_PITCH = 1.0
-
 NEAR = 1e-3
 """Gap (m) within which a body may support another one."""
 
@@ -54,7 +53,7 @@ class World:
         self.active: list[bool] = []
         self.joints: list[tuple[float, ...]] = []
         self.joint_rates: list[tuple[float, ...]] = []
-        self.is_settled = False
+        self.unsettled: set[int] = set()
         self._changed: dict[int, Properties] = {}
         self._ground: Body | None = None
         self._near: dict[tuple[int, int, float], tuple[Any, bool]] = {}
@@ -79,8 +78,7 @@ class World:
         :raises RuntimeError: the world has been sealed
         """
         self._check_open()
-        load = load_jointed if spec.parts else load_rigid
-        body_id = load(self.client, spec, self.physics.damping)
+        body_id = (load_jointed if spec.parts else load_rigid)(self.client, spec, self.physics.damping)
         return self._register(Body(len(self.bodies), body_id, spec, tuple(range(len(spec.parts)))), pose)
 
     def add_plane(self, spec: BodySpec) -> Body:
@@ -91,15 +89,9 @@ class World:
         return self._ground
 
     def add_urdf(self, spec: BodySpec, xml: str, pose: Pose) -> Body:
-        """Load a jointed body from its URDF, fixed to the world, its joints free of Bullet's own brakes."""
+        """Load a jointed body from its URDF, fixed to the world."""
         self._check_open()
-        body_id = load_urdf(self.client, xml, pose)
-        count = self.client.getNumJoints(body_id)
-        fixed = self.client.JOINT_FIXED
-        joints = tuple(j for j in range(count) if self.client.getJointInfo(body_id, j)[2] != fixed)
-        self.client.setJointMotorControlArray(
-            body_id, joints, self.client.VELOCITY_CONTROL, forces=[0.0] * len(joints)
-        )
+        body_id, joints = load_urdf(self.client, xml, pose)
         return self._register(Body(len(self.bodies), body_id, spec, joints), pose)
 
     def seal(self) -> None:
@@ -152,7 +144,7 @@ class World:
         self.bodies.append(body)
         self.poses.append(pose or _parking_place(body.index))
         self.twists.append(STILL)
-        self.active.append(True)
+        self.active.append(pose is not None)
         self.joints.append((0.0,) * len(body.joints))
         self.joint_rates.append((0.0,) * len(body.joints))
         if pose is None:
@@ -163,10 +155,11 @@ class World:
 
     def place(self, body: Body, pose: Pose, twist: Twist = STILL) -> None:
         """Put a body somewhere, calling it in if it was parked; it falls if nothing supports it."""
+        self._disturb(body)
         if not self.active[body.index]:
             self._set_active(body, True)
         self.carry(body, pose, twist)
-        self.is_settled = False
+        self._disturb(body)
 
     def carry(self, body: Body, pose: Pose, twist: Twist = STILL) -> None:
         """Put a grasped body somewhere; the arm supports it."""
@@ -180,12 +173,21 @@ class World:
         It keeps its mass: taking it would change the order in which Bullet solves contacts, and with it the
         last digits of what happens.
         """
-        others = self.loose_bodies if self.is_settled else []
-        self.is_settled &= not any(self.are_near(body, other, NEAR) for other in others if other is not body)
+        self._disturb(body)
+        self.unsettled.discard(body.index)
         self.poses[body.index] = _parking_place(body.index)
         self.twists[body.index] = STILL
         self._set_active(body, False)
         self._send(body)
+
+    def _disturb(self, body: Body) -> None:
+        """Record that a body that takes part, and those that it may support, have to come to rest."""
+        others = self.loose_bodies if self.active[body.index] else []
+        self.unsettled.update(
+            other.index
+            for other in others
+            if other.index not in self.unsettled and (other is body or self.are_near(body, other, NEAR))
+        )
 
     def rest(self, body: Body) -> None:
         """Take a body's speed from it, and that of its parts."""
@@ -194,7 +196,8 @@ class World:
 
     def set_joints(self, body: Body, positions: Sequence[float]) -> None:
         """Put a body's movable joints somewhere, at rest."""
-        self.is_settled &= not body.spec.parts
+        if body.spec.parts:
+            self._disturb(body)
         self.joints[body.index] = tuple(positions)
         self.joint_rates[body.index] = (0.0,) * len(body.joints)
         self._send_joints(body)
@@ -209,16 +212,14 @@ class World:
         :raises ValueError: one of them is out of range
         """
         properties.check(body.spec)
-        before = self.get_properties(body)
-        if properties == before:
+        if properties == self.get_properties(body):
             return
         set_dynamics(self.client, body.id, body.spec, properties)
-        if properties.colour != before.colour:
-            self.client.changeVisualShape(body.id, -1, rgbaColor=properties.colour)
+        self.client.changeVisualShape(body.id, -1, rgbaColor=properties.colour)
         self._changed.pop(body.index, None)
         if properties != Properties.of(body.spec):
             self._changed[body.index] = properties
-        self.is_settled = False
+        self._disturb(body)
 
     def reset_properties(self, changed: Sequence[tuple[int, Properties]] = ()) -> None:
         """Give some bodies properties by their index, and all others those of their specifications."""
@@ -318,7 +319,7 @@ class World:
             tuple(self.active),
             tuple(self.joints),
             tuple(self.joint_rates),
-            self.is_settled,
+            tuple(sorted(self.unsettled)),
             tuple(sorted(self._changed.items())),
         )
 
@@ -330,7 +331,7 @@ class World:
         self.poses[:], self.twists[:] = state.poses, state.twists
         self.joints[:], self.joint_rates[:] = state.joints, state.joint_rates
         self.reset_properties(state.properties)
-        self.is_settled = state.is_settled
+        self.unsettled = set(state.unsettled)
         for body in self.bodies:
             self._send(body)
 

@@ -149,6 +149,7 @@ def test_stack_falls_without_its_lowest_cube(
             lowest.place(
                 lowest.pose._replace(position=(env.config.centre[0] + 0.06, *lowest.pose.position[1:]))
             )
+        assert env.scene.world.unsettled
         step_on(env, idle(env))
         assert env.scene["cube 2"].pose.z - env.scene.surface.level < 2.0 * SIDE
         assert_supported(env)

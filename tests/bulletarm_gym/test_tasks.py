@@ -196,7 +196,7 @@ def test_cube_held_in_the_bowl_does_not_count(make: Make) -> None:
     hand = env.scene.robot.pose
     follow(env, Waypoint(Pose.planar(hand.x, hand.y, 0.13, hand.yaw), CLOSED), 3)
     follow(env, Waypoint(Pose.planar(x, y, 0.13, hand.yaw), CLOSED), 6)
-    info = follow(env, Waypoint(Pose.planar(x, y, 0.031, hand.yaw), CLOSED), 2)
+    info = follow(env, Waypoint(Pose.planar(x, y, 0.034, hand.yaw), CLOSED), 2)
     assert info["is_in_bowl"] and not info["is_empty"] and not info["is_success"]
 
 
