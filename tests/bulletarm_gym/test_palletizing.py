@@ -174,7 +174,7 @@ def test_expert_solves_in_the_papers_steps(
     make: Make, env_id: str, parameters: dict[str, Any], count: int
 ) -> None:
     env = make(env_id, num_objects=count, **parameters)
-    env.reset(seed=count)
+    env.reset(seed=0)
     for step in range(1, 2 * count + 1):
         *_, terminated, truncated, info = env.step(env.expert_action())
         assert info["is_success"] == (step == 2 * count) == terminated and not truncated
