@@ -1,6 +1,5 @@
 """What an arm is, as data."""
 
-import copy
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -138,12 +137,6 @@ class RobotModel:
 
     @cached_property
     def xml(self) -> str:
-        """The model as the simulator loads it, its arm joints without limits.
-
-        Inverse kinematics keeps the limits. As constraints of the engine they would cost a fifth of its time.
-        """
-        root = copy.deepcopy(self.urdf)
-        for name in self.joints:
-            self._joint(root, name).set("type", "continuous")
-        ElementTree.indent(root)  # Bullet breaks lines of more than 1,023 characters, wherever that is
-        return ElementTree.tostring(root, encoding="unicode")
+        """The model as the simulator loads it."""
+        ElementTree.indent(self.urdf)  # Bullet breaks lines of more than 1,023 characters, wherever that is
+        return ElementTree.tostring(self.urdf, encoding="unicode")
