@@ -1,5 +1,6 @@
 """What an arm is, as data."""
 
+import copy
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -137,6 +138,13 @@ class RobotModel:
 
     @cached_property
     def xml(self) -> str:
-        """The model as the simulator loads it."""
-        ElementTree.indent(self.urdf)  # Bullet breaks lines of more than 1,023 characters, wherever that is
-        return ElementTree.tostring(self.urdf, encoding="unicode")
+        """The model as the simulator loads it.
+
+        Its arm joints are continuous joints with limits: Bullet clamps the targets of their motors to the limits,
+        but adds no limit constraint, which would cost a seventh of a simulation step.
+        """
+        root = copy.deepcopy(self.urdf)
+        for name in self.joints:
+            self._joint(root, name).set("type", "continuous")
+        ElementTree.indent(root)  # Bullet breaks lines of more than 1,023 characters, wherever that is
+        return ElementTree.tostring(root, encoding="unicode")
