@@ -140,8 +140,8 @@ class RobotModel:
     def xml(self) -> str:
         """The model as the simulator loads it.
 
-        Its arm joints are continuous joints with limits: Bullet clamps the targets of their motors to the limits,
-        but adds no limit constraint, which would cost a seventh of a simulation step.
+        Its arm joints are continuous joints with limits: Bullet clamps the targets of their motors to them, but
+        adds no limit constraint, which would cost a seventh of a simulation step.
         """
         root = copy.deepcopy(self.urdf)
         for name in self.joints:
