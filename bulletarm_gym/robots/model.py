@@ -140,7 +140,7 @@ class RobotModel:
     def xml(self) -> str:
         """The model as the simulator loads it.
 
-        Its arm joints are continuous joints with limits: Bullet clamps the targets of their motors to them, but
+        Its arm joints are continuous joints with limits: Bullet clamps the targets of their motors, but
         adds no limit constraint, which would cost a seventh of a simulation step.
         """
         root = copy.deepcopy(self.urdf)
