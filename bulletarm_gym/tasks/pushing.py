@@ -27,7 +27,7 @@ APART = 0.09
 GOAL_REACHED = 0.05
 """Distance (m) of the cube's centre to the goal's that counts as reached (paper, Block Pushing)."""
 PUSH_HEIGHT = 0.015
-"""Height (m) of the fingertips while they push: below the middle of the cube, which would fall over else."""
+"""Height (m) of the fingertips during a push: below the middle of a cube, which would tip over otherwise."""
 YAW_SPREAD = math.pi / 2.0
 
 
@@ -35,7 +35,7 @@ class BlockPushing(Task):
     """Push a cube onto a goal area.
 
     Description: a 5 cm cube stands on the floor, on which a square of 9 x 9 cm is the goal. The heightmap
-    shows the square 2 cm nearer the camera.
+    shows the square 2 cm nearer the camera. The lengths of the goal shrink with smaller cubes.
     Randomisation: the positions of cube and goal, at least 9 cm apart, the cube's yaw in +-90 degrees; with a
     fixed orientation both lie along y.
     Success: the cube's centre is within 5 cm of the goal's.
@@ -45,9 +45,14 @@ class BlockPushing(Task):
     defaults = TaskDefaults(num_objects=1)
     controls = (CLOSE_LOOP,)
 
+    @property
+    def _scale(self) -> float:
+        """Scale of the goal's lengths: that of the largest cube, at most 1."""
+        return min(1.0, max(self.config.scales))
+
     def bodies(self, config: EnvConfig) -> list[Role]:
         """Return the cube and the mark of the goal area."""
-        return [scaled(config, "cube", cube), Role("goal", (goal_area("goal", GOAL_SIDE),))]
+        return [scaled(config, "cube", cube), Role("goal", (goal_area("goal", self._scale * GOAL_SIDE),))]
 
     def grasped(self, scene: Scene) -> list[Item]:
         """Return nothing: the cube is pushed."""
@@ -56,21 +61,22 @@ class BlockPushing(Task):
     def arrange(self, scene: Scene, rng: np.random.Generator) -> None:
         """Put cube and goal apart."""
         item, goal = scene["cube"], scene["goal"]
-        margins = [GOAL_BORDER, BORDER_MARGIN * item.spec.extents[0]]
-        goal_point, point = scatter(scene, rng, margins, APART, aligned=not self.config.random_orientation)
+        margins = [self._scale * GOAL_BORDER, BORDER_MARGIN * item.spec.extents[0]]
+        aligned = not self.config.random_orientation
+        goal_point, point = scatter(scene, rng, margins, self._scale * APART, aligned=aligned)
         goal.place(scene.surface.pose(goal_point, 0.0))
         stand(scene, item, point, rng, YAW_SPREAD)
 
     def overlays(self, scene: Scene) -> tuple[Overlay, ...]:
         """Return the goal area."""
-        pose = scene["goal"].pose
-        return (Overlay(Rectangle(pose.x, pose.y, GOAL_SIDE, GOAL_SIDE, pose.yaw), GOAL_RISE),)
+        pose, side = scene["goal"].pose, self._scale * GOAL_SIDE
+        return (Overlay(Rectangle(pose.x, pose.y, side, side, pose.yaw), GOAL_RISE),)
 
     def evaluate(self, scene: Scene) -> dict[str, bool]:
         """Compare the cube's place with the goal's."""
         apart = planar_distance(scene["cube"].pose.position, scene["goal"].pose.position)
-        return {"success": apart < GOAL_REACHED}
+        return {"success": apart < self._scale * GOAL_REACHED}
 
     def plan(self, scene: Scene, rng: np.random.Generator) -> Iterator[Waypoint]:
         """Go behind the cube, and push."""
-        yield from Drag(scene, scene["cube"], scene["goal"].pose.position, PUSH_HEIGHT).plan()
+        yield from Drag(scene, scene["cube"], scene["goal"].pose.position, self._scale * PUSH_HEIGHT).plan()

@@ -4,10 +4,12 @@ from typing import Any
 
 import pytest
 from rollouts import make_env
+from small_arm import PARAMETERS, SMALL
 
 from bulletarm_gym.config import ParameterError, default_home_height
 
 PICKING = "BulletArm/CloseLoopBlockPicking-v0"
+PUSHING = "BulletArm/CloseLoopBlockPushing-v0"
 PULLING = "BulletArm/CloseLoopBlockPulling-v0"
 STACKING = "BulletArm/OpenLoopBlockStacking-v0"
 WORKSPACE = [[0.3, 0.6], [-0.15, 0.15], [0.01, 0.25]]
@@ -65,6 +67,39 @@ def test_expert_solves_a_task_of_a_small_arm(task: str) -> None:
         assert info["is_success"]
         assert not lift or 0.08 < env.scene.robot.pose.z <= 0.121
     env.close()
+
+
+@pytest.mark.parametrize(
+    ("task", "changes"),
+    [
+        ("CloseLoopBlockReaching", {}),
+        ("CloseLoopBlockPicking", {"lift_height": 0.08}),
+        ("CloseLoopBlockPushing", {}),
+        ("CloseLoopBlockStacking", {"num_objects": 2}),
+        ("OpenLoopBlockStacking", {"num_objects": 2}),
+    ],
+)
+def test_the_expert_solves_tasks_with_an_arm_of_five_joints(task: str, changes: dict[str, Any]) -> None:
+    env = make_env(f"BulletArm/{task}-v0", robot=SMALL, **PARAMETERS, **changes)
+    solved = 0
+    for seed in range(10):
+        env.reset(seed=seed)
+        over = False
+        while not over:
+            *_, terminated, truncated, info = env.step(env.expert_action())
+            over = terminated or truncated
+        solved += info["is_success"]
+    env.close()
+    assert solved >= 9
+
+
+def test_the_goal_of_a_push_shrinks_with_the_cube() -> None:
+    sides = []
+    for scale in (1.2, 1.0, 0.5):
+        env = make_env(PUSHING, object_scale_range=scale)
+        sides.append(env.scene["goal"].spec.extents[0])
+        env.close()
+    assert sides == pytest.approx([0.09, 0.09, 0.045])
 
 
 def test_open_loop_returns_to_the_home_height() -> None:
