@@ -433,3 +433,41 @@ def test_start_distributions_do_not_depend_on_the_arm(make: Make, env_id: str) -
             env.reset(seed=seed)
             starts.add((seed, tuple(item.pose for item in env.scene)))
     assert len(starts) == 2
+
+
+# Torques
+
+
+def test_torques_agree_with_the_simulator(arm_env: ManipulationEnv, robot: Robot) -> None:
+    """Bullet's inverse dynamics counts the fingers where they are, ours at the tool."""
+    world, slots = arm_env.scene.world, list(robot._arm.slots)
+    rng, count = np.random.default_rng(0), len(robot.body.joints)
+    for _ in range(10):
+        positions, rates, accelerations = np.array(world.joints[robot.body.index]), *np.zeros((2, count))
+        positions[slots] += rng.uniform(-0.3, 0.3, len(slots))
+        rates[slots], accelerations[slots] = rng.uniform((-1.0, -5.0), (1.0, 5.0), (len(slots), 2)).T
+        motion = (positions, rates, accelerations)
+        expected = world.client.calculateInverseDynamics(robot.body.id, *(part.tolist() for part in motion))
+        torques = robot._dynamics.torques(*(part[slots] for part in motion))
+        assert torques == pytest.approx(np.array(expected)[slots], abs=0.1)
+
+
+def test_motions_take_longer_with_less_torque_and_more_load(robot: Robot) -> None:
+    start = np.array(robot._arm.positions(robot._world))
+    path = np.array([start, robot.inverse_kinematics(Pose.planar(0.45, 0.0, 0.25))])
+    limits = np.array(robot.model.torques)
+    steps = [
+        robot._dynamics.least_steps(path, share * limits, load) for share, load in ((1, 0), (1, 2), (0.5, 0))
+    ]
+    assert steps[0] < steps[1] and steps[0] < steps[2]
+
+
+@pytest.mark.parametrize("mode", ["fast", "slow"])
+def test_a_load_is_carried_to_where_it_was_sent(make: Make, name: str, mode: str) -> None:
+    env = make(PICKING, robot=name, physics_mode=mode, fast_mode=False)
+    env.reset(seed=0)
+    env.scene["cube"].set_properties(mass=0.2)
+    grasp_with_the_expert(env)
+    for goal in (MIDDLE, Pose.planar(0.5, 0.08, 0.2, 0.6), Pose.planar(0.4, -0.08, 0.1, -0.6)):
+        move(env, goal)
+        assert far(env.scene.robot.pose, goal) < 3e-3 and env.scene.robot.held is not None
