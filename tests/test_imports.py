@@ -38,6 +38,7 @@ LAYERS = (
     {"demonstrations", "registration"},
     {"benchmarks", "real_arm", "vector", "wrappers", "__init__"},
     {"selfcheck"},
+    {"check_robot"},
 )
 LEVEL = {room: level for level, layer in enumerate(LAYERS) for room in layer}
 

@@ -61,6 +61,15 @@ class Camera:
         points: FloatArray = np.asarray(self.eye) + along[:, None] * rays
         return points
 
+    def project(self, point: Vector) -> tuple[float, float]:
+        """Return the column and row (pixels) of a point of the world (m)."""
+        right, up, forward = self._axes()
+        offset = np.subtract(point, self.eye)
+        scale = self.height / (2.0 * math.tan(math.radians(self.fov) / 2.0) * float(offset @ forward))
+        return self.width / 2.0 + scale * float(offset @ right), self.height / 2.0 - scale * float(
+            offset @ up
+        )
+
     @property
     def _up(self) -> Vector:
         """What is upwards in the image; straight down, rows grow with world x and columns with y."""
