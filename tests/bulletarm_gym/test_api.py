@@ -444,9 +444,8 @@ def test_encode_inverts_decode_for_every_sequence(picking: ManipulationEnv) -> N
     rng = np.random.default_rng(0)
     control = picking.control
     for sequence in SEQUENCES:
-        control_of = type(control)(
-            dataclasses.replace(picking.config, action_sequence=sequence), picking.scene, picking.task
-        )
+        config = dataclasses.replace(picking.config, action_sequence=sequence)
+        control_of = type(control)(config, control.robot, picking.task.hints)
         action = rng.uniform(-1, 1, len(sequence)).astype(np.float32)
         assert control_of.action_space.shape == (len(sequence),)
         np.testing.assert_allclose(
