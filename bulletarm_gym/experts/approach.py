@@ -28,6 +28,8 @@ SLANTED = math.radians(8.0)
 """Slope (rad) from which fingers that come straight down slip off a side."""
 RELEASE = 0.003
 """Gap (m) under an item that is let go."""
+WRIST_MARGIN = 1.0
+"""Rotation (rad) of the last joint beyond that of the gripper, as the arm moves across the workspace."""
 PASSING_ASIDE = 0.005
 """Gap (m) beside the open gripper within which an object is in its way."""
 
@@ -64,7 +66,8 @@ def exchange_fingers(scene: Scene, pose: Pose) -> Pose:
 
 def avoid_limits(scene: Scene, pose: Pose) -> Pose:
     """Return a tool pose, or the symmetric one if only that can be reached without passing a joint limit."""
-    if scene.robot.follows(pose):
+    turn = abs(wrap_angle(pose.yaw - scene.robot.pose.yaw))
+    if scene.robot.wrist_room > turn + WRIST_MARGIN or scene.robot.follows(pose):
         return pose
     other = exchange_fingers(scene, pose)
     return other if scene.robot.follows(other) else pose

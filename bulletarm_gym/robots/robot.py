@@ -162,6 +162,13 @@ class Robot:
         now, goal = self._arm.positions(self._world), self.inverse_kinematics(pose)
         return max(abs(after - before) for before, after in zip(now, goal, strict=True)) < MAX_TURN
 
+    @property
+    def wrist_room(self) -> float:
+        """Distance (rad) of the last joint from its nearer limit."""
+        low, high = self.model.chain.solution_limits[-1]
+        position = self._arm.positions(self._world)[-1]
+        return float(min(position - low, high - position))
+
     def is_free_at(self, pose: Pose, bodies: Sequence[Body]) -> bool:
         """Whether the arm would touch none of some bodies with its fingertips at a pose in reach."""
         return self._clearance.is_free([self._arm.moved(self._world, self._solve(pose))], bodies)
@@ -311,17 +318,13 @@ class Robot:
             self._place(self._fingers, [min(joint + wider, travel) for joint in fingers])
 
     def _draw_out(self) -> bool:
-        """Move the resting arm out of what it is too deep in, but for what it holds; return True if it is.
-
-        What was pressed into the ground or tilted comes up again under fingers that stopped in time. Empty
-        fingers stop, too: pressed on a block they would go on dragging it under themselves.
-        """
+        """End overlaps of the resting arm and its load with other bodies; return True if that succeeds."""
         for _ in range(YIELDS):
             way = way_out(self._world, self.body, self.held)
             goal = None if way is None else Pose(way).compose(self.pose)
             if goal is None or not self.reaches(goal):
                 return way is None
-            if self.held is None:
+            if self.held is None:  # fingers pressed on a block would go on dragging it under themselves
                 self._command = self.opening
             self._carry(self.inverse_kinematics(goal))
         return False
