@@ -3,8 +3,6 @@
 import math
 from collections.abc import Sequence
 
-import numpy as np
-
 from bulletarm_gym.geometry import matrix, rotate
 from bulletarm_gym.simulation import Body, World
 from bulletarm_gym.surfaces.surface import UP, Surface
@@ -47,21 +45,19 @@ def _stands_alone(world: World, surface: Surface, body: Body) -> bool:
     if gaps.min() < -CONTACT or spec.parts:
         return False
     x, y, _ = pose.transform(spec.mass_properties[0].position)
-    contacts = vertices[gaps < CONTACT, :2] - (x, y)
+    contacts = vertices[gaps < CONTACT].tolist()
     return (
-        _surrounds(contacts)
+        _surrounds([math.atan2(v - y, u - x) for u, v, _ in contacts])
         and _holds(world, surface, body, (x, y))
         and not any(_touches(world, surface, body, other) for other in world.obstacles if other is not body)
     )
 
 
-def _surrounds(contacts: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> bool:
-    """Return True if the origin lies within the polygon of points (n, 2), not close to an edge."""
-    if len(contacts) < 3:
-        return False
-    angles = np.sort(np.arctan2(contacts[:, 1], contacts[:, 0]))
-    widest = max(float(np.diff(angles).max()), float(angles[0] - angles[-1]) + 2.0 * math.pi)
-    return widest < OVER_EDGE
+def _surrounds(angles: list[float]) -> bool:
+    """Return True if contacts in some directions (rad) lie all around, so that a body tips to no side."""
+    angles = sorted(angles)
+    ends = [*angles[1:], *(angle + 2.0 * math.pi for angle in angles[:1])]
+    return bool(angles) and max(end - start for start, end in zip(angles, ends, strict=True)) < OVER_EDGE
 
 
 def _holds(world: World, surface: Surface, body: Body, point: tuple[float, float]) -> bool:
