@@ -269,9 +269,13 @@ def _rank(scene: Scene, hand: Pose, item: Item) -> tuple[bool, bool, bool]:
 
 def _reaches(scene: Scene, hand: Pose) -> bool:
     """Return True if a pick or place is in reach, with the nearest pose from which it can begin."""
-    if not -math.pi / 2.0 <= hand.yaw < math.pi / 2.0:
-        hand = hand.compose(HALF_TURN)
+    hand = _symmetric(hand)
     return scene.robot.reaches(hand) and scene.robot.reaches(hand.compose(NEAREST_STOP))
+
+
+def _symmetric(hand: Pose) -> Pose:
+    """Return the symmetric tool pose within a quarter turn of the home pose."""
+    return hand if -math.pi / 2.0 <= hand.yaw < math.pi / 2.0 else hand.compose(HALF_TURN)
 
 
 def _fits(scene: Scene, hand: Pose, item: Item) -> bool:
@@ -308,7 +312,7 @@ def _wrist_fits(scene: Scene, hand: Pose, item: Item) -> bool:
     root = hand.z + scene.robot.model.gripper.finger[2]
     others = (other.body for other in scene if other is not item and other is not scene.held)
     high = [body for body in others if scene.world.top(body) > root]
-    return not high or scene.robot.is_free_at(hand, high)
+    return not high or scene.robot.is_free_at(_symmetric(hand), high)
 
 
 def _beyond(item: Item, hand: Pose, height: float) -> Footprint:
