@@ -200,9 +200,9 @@ def gap(env: ManipulationEnv) -> Finding:
     """Check that the fingers meet."""
     robot = env.scene.robot
     env.scene.begin()
-    robot.close()
+    robot.set_opening(0.0)
     opening = robot.opening
-    robot.open()
+    robot.set_opening(1.0)
     advice = "the fingers' joints must be at 0 where the fingers meet"
     bad = opening > MAX_GAP
     return Finding("closed fingers", f"{1e3 * opening:.1f} mm apart", advice if bad else "", bad)

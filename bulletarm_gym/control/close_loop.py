@@ -87,7 +87,7 @@ class CloseLoop(Control[DeltaMove]):
         hand = self.robot.pose
         x, y, z = self.within(map(sum, zip(hand.position, move.translation, strict=True)))
         poses = (Pose.planar(x, y, z, hand.yaw + move.rotation + offset) for offset in YAW_OFFSETS)
-        pose = next(filter(self.robot.follows, poses), None)
+        pose = next(filter(self.robot.can_move_to, poses), None)
         return Outcome(ignored=True) if pose is None else self._carry_out(pose, move.opening)
 
     def within(self, position: Iterable[float]) -> Vector:
@@ -98,7 +98,7 @@ class CloseLoop(Control[DeltaMove]):
 
     def go(self, pose: Pose, opening: float) -> Outcome:
         """Move the fingertips to a pose, then the fingers to an opening ratio; ignored if out of reach."""
-        return self._carry_out(pose, opening) if self.robot.follows(pose) else Outcome(ignored=True)
+        return self._carry_out(pose, opening) if self.robot.can_move_to(pose) else Outcome(ignored=True)
 
     def _carry_out(self, pose: Pose, opening: float) -> Outcome:
         self.robot.move_to(pose)

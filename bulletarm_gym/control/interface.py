@@ -48,9 +48,9 @@ class RobotInterface:
         """Return True if the inverse kinematics has a solution for a pose."""
         return self._robot.reaches(pose)
 
-    def follows(self, pose: Pose) -> bool:
-        """Return True if a pose is in reach without passing a joint limit on the way."""
-        return self._robot.follows(pose)
+    def can_move_to(self, pose: Pose) -> bool:
+        """Return True if one motion leads to a pose: in reach, no joint limit in between, almost straight."""
+        return self._robot.can_move_to(pose)
 
     def reset(self, pose: Pose) -> None:
         """Set the empty, open gripper to a pose without moving through the space between.

@@ -20,6 +20,8 @@ HOVER = 0.03
 """Height (m) of the fingertips over an item while they line up with it."""
 PRECISE = 0.003
 """Distance (m) from which close-loop control goes down to a pick or place: it may be narrow there."""
+NEARLY_DOWN = 0.01
+"""Height (m) over a pick or place from which the fingers do not go back up to line up anew."""
 READY = 0.9
 """Opening ratio from which the gripper is ready to grasp."""
 PASSING = 0.03
@@ -28,6 +30,8 @@ SLANTED = math.radians(8.0)
 """Slope (rad) from which fingers that come straight down slip off a side."""
 RELEASE = 0.003
 """Gap (m) under an item that is let go."""
+AT_LIMIT = 1e-3
+"""Distance (rad) of the last joint from its limit at which the other joints make up for what it cannot do."""
 WRIST_MARGIN = 1.0
 """Rotation (rad) of the last joint beyond that of the gripper, as the arm moves across the workspace."""
 PASSING_ASIDE = 0.005
@@ -65,12 +69,12 @@ def exchange_fingers(scene: Scene, pose: Pose) -> Pose:
 
 
 def avoid_limits(scene: Scene, pose: Pose) -> Pose:
-    """Return a tool pose, or the symmetric one if only that can be reached without passing a joint limit."""
-    turn = abs(wrap_angle(pose.yaw - scene.robot.pose.yaw))
-    if scene.robot.wrist_room > turn + WRIST_MARGIN or scene.robot.follows(pose):
+    """Return a tool pose, or the symmetric one if only that can be reached without meeting a joint limit."""
+    robot = scene.robot
+    if robot.wrist_room() > abs(wrap_angle(pose.yaw - robot.pose.yaw)) + WRIST_MARGIN:
         return pose
-    other = exchange_fingers(scene, pose)
-    return other if scene.robot.follows(other) else pose
+    possible = [other for other in (pose, exchange_fingers(scene, pose)) if robot.can_move_to(other)]
+    return next((other for other in possible if robot.wrist_room(other) > AT_LIMIT), (*possible, pose)[0])
 
 
 def grasp(
@@ -107,8 +111,12 @@ def grasp(
 
 
 def _is_aligned(goal: Pose, hand: Pose, turn: float, near: float) -> bool:
-    """Whether the fingers may go straight to a goal, from within a distance (m) in the plane."""
+    """Whether the fingers may go straight to a goal, from within a distance (m) in the plane.
+
+    Close to it they may also where contacts have pushed them aside.
+    """
     apart = planar_distance(goal.position, hand.position)
+    near = ALIGNED if hand.z < goal.z + NEARLY_DOWN else near
     return apart <= near and abs(turn) <= ALIGNED_YAW * near / ALIGNED
 
 

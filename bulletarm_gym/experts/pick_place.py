@@ -59,6 +59,8 @@ ASIDES = (0.0, -0.25, 0.25)
 """How far from its middle, in lengths, an item is taken then."""
 LEANING_LIFTS = (-0.2, 0.0, 0.15)
 """How far above its middle, in heights: low, where a roof is wide."""
+SKEWS = (0.0, 0.5, -0.5)
+"""How far (rad) the fingers may be turned against the item's sides: it turns between them as they close."""
 TRIES = 4
 """Of so many such grasps one is drawn: what has slipped once is not taken in the same way again."""
 HERE = Pose((0.0, 0.0, 0.0))
@@ -204,10 +206,11 @@ def _leaning(scene: Scene, item: Item, turns: Sequence[float]) -> list[Pose]:
     tilts = sorted(itertools.product(leans, leans), key=lambda tilt: math.hypot(*tilt))
     frame = lying_frame(item)
     return [
-        _able(scene, frame.compose(euler_pose((0.0, aside, lift * height), (along, across, turn))))
+        _able(scene, frame.compose(euler_pose((0.0, aside, lift * height), (along, across, turn + skew))))
         for along, across in tilts
         for aside in asides
         for lift in LEANING_LIFTS
+        for skew in SKEWS
         for turn in turns
     ]
 

@@ -92,6 +92,6 @@ def _rotation(control: CloseLoop, tips: Pose, yaw: float) -> float:
     """Return the rotation (rad) to a yaw, the long way round where a joint limit blocks the short one."""
     rotation, (low, high) = wrap_angle(yaw - tips.yaw), control.ranges["r"]
     step = min(max(rotation, low), high)
-    if step == rotation or control.robot.follows(Pose.planar(*tips.position, tips.yaw + step)):
+    if step == rotation or control.robot.can_move_to(Pose.planar(*tips.position, tips.yaw + step)):
         return rotation
     return rotation - math.copysign(2.0 * math.pi, rotation)

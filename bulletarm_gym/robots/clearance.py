@@ -3,7 +3,7 @@
 import math
 from collections.abc import Iterable, Sequence
 
-from bulletarm_gym.geometry import Pose, matrix
+from bulletarm_gym.geometry import Pose, matrix, rotate
 from bulletarm_gym.robots.gripper import Gripper
 from bulletarm_gym.simulation import Body, World
 from bulletarm_gym.simulation.world import NEAR
@@ -12,6 +12,11 @@ FREE_CLEARANCE = 0.004
 """Gap (m) that must stay between the robot and everything else where it moves without simulation."""
 CLEAR_ABOVE = 0.01
 """Height (m) of a path above a body from which the path is free: joint motions sag some mm below a line."""
+
+GRIP_ALIGNMENT = 0.7
+"""Minimum cosine between a contact's normal and the fingers' direction for the contact to be a grip."""
+GRIP_DISTANCE = 2e-3
+"""Gap (m) up to which a finger touches."""
 
 
 class Clearance:
@@ -70,3 +75,18 @@ class Clearance:
         low = self._gripper.lowest(pose) - CLEAR_ABOVE
         near = (body for body in bodies if self._world.top(body) > low)
         return [body for body in near if body is held or self._world.are_near(self._robot, body, NEAR)]
+
+    def presses(self, finger: int, body: Body, tips: Pose) -> bool:
+        """Return True if a finger's inner side presses on a body.
+
+        Contacts tell which bodies to look at, but keep normals from before a turn; the gap is measured anew.
+
+        :param finger: index of its joint
+        :param tips: pose of the fingertips
+        """
+        client = self._world.client
+        if not client.getContactPoints(self._robot.id, body.id, finger):
+            return False
+        points = client.getClosestPoints(self._robot.id, body.id, GRIP_DISTANCE, finger)
+        x, y, z = rotate(tips.orientation, (1.0, 0.0, 0.0))
+        return any(abs(p[7][0] * x + p[7][1] * y + p[7][2] * z) > GRIP_ALIGNMENT for p in points)

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 
@@ -15,8 +16,6 @@ from bulletarm_gym.simulation.world import GRAVITY, TIME_STEP
 Model = tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, float]
 """Rotations, translations and axes of a chain; masses, centres and inertias of links; mass at the tool."""
 
-PHASES = np.array(((0.0, 0.0, 2.0 / RISE), (RISE, 2.0, 2.0 / RISE), (1.0, 0.0, -2.0 / (1.0 - RISE))))
-"""Path share, speed and acceleration of a motion of one second at the start, at full speed and at the end."""
 TORQUE_SHARE = 0.9
 """Share of the joints' maximum torque that motions use in free space; the rest is left for contacts."""
 MIN_ROOM = 0.1
@@ -74,23 +73,31 @@ class Dynamics:
         """
         return _torques(*self._model(load), positions, rates, accelerations)
 
-    def least_steps(self, path: FloatArray, limits: FloatArray, load: float) -> int:
+    def least_steps(self, path: FloatArray, limits: FloatArray, load: float, rise: float = RISE) -> int:
         """Return the least number of simulation steps in which the joints can move along a path.
 
         The torque of a motion of T seconds is the static one and a part that falls with T squared. Both are
-        computed at the phases of the motion where they are largest, see :data:`PHASES`.
+        computed at the phases of the motion where they are largest, see :func:`phases`.
 
         :param path: (k, n) rad, evenly spaced in time but for the speed profile
         :param limits: (n,) maximum torques (N m)
         :param load: mass (kg) of the grasped object
+        :param rise: share of the motion spent speeding up
         """
-        seconds = math.sqrt(_least_square(self._model(load), path, TORQUE_SHARE * limits, PHASES))
+        seconds = math.sqrt(_least_square(self._model(load), path, TORQUE_SHARE * limits, phases(rise)))
         return min(math.ceil(seconds / TIME_STEP), MAX_STEPS)
 
     def _model(self, load: float) -> Model:
         chain = self.chain
         links = (self.masses, self.centres, self.inertias)
         return (chain.rotations, chain.translations, chain.axes, *links, self.tip_mass + load)
+
+
+@cache
+def phases(rise: float) -> FloatArray:
+    """Return share, speed and acceleration of a motion of one second at its start, full speed and end."""
+    rising, braking = 2.0 / rise, -2.0 / (1.0 - rise)
+    return np.array(((0.0, 0.0, rising), (rise, 2.0, rising), (rise, 2.0, braking), (1.0, 0.0, braking)))
 
 
 def _hangs_on(link: int, ancestor: int, parents: dict[int, int]) -> bool:

@@ -35,6 +35,8 @@ class Gripper:
     :param force: with which each finger closes (N)
     :param speed: of each finger (m/s)
     :param friction: of the pads; with a block's own friction of 1 it is the coefficient of the contact
+    :param shoulder: thickness (m) of a finger's thicker upper part, and the height (m) over the fingertips at
+        which it begins
     :param palm: side lengths (m) of the box that carries the fingers: along the opening, across it, upwards
         from their roots; experts keep a wide one out of what stands beside an item. 0 where it is narrow
     """
@@ -46,6 +48,7 @@ class Gripper:
     force: float = 30.0
     speed: float = 0.4
     friction: float = 1.5
+    shoulder: tuple[float, float] = (0.0, 0.0)
 
     @property
     def travel(self) -> float:

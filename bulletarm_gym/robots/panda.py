@@ -67,6 +67,7 @@ PANDA = RobotModel(
         stroke=0.08,
         finger=(0.014, 0.0175, 0.0462),
         palm=PALM,
+        shoulder=(0.0263, 0.0538 - 0.019),
     ),
     base=Pose((-0.06, 0.0, 0.0)),
     posture=(0.0, 0.0, 0.0, -2.2, 0.0, 2.2, -math.pi / 4.0),

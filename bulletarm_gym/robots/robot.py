@@ -7,16 +7,18 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
-from bulletarm_gym.geometry import Pose, interpolate, rotate
+from bulletarm_gym.geometry import Pose, interpolate
 from bulletarm_gym.robots.clearance import CLEAR_ABOVE, FREE_CLEARANCE, Clearance
 from bulletarm_gym.robots.dynamics import Dynamics
 from bulletarm_gym.robots.fingers import couple_fingers
 from bulletarm_gym.robots.kinematics import POSITION_TOLERANCE
 from bulletarm_gym.robots.model import RobotModel
 from bulletarm_gym.robots.overlap import YIELDS, push_out, squeeze, way_out
-from bulletarm_gym.robots.way import REFERENCE_DISTANCE, distance, stops_over
+from bulletarm_gym.robots.way import REFERENCE_DISTANCE, distance, is_straight, stops_over
 from bulletarm_gym.simulation import Body, BodySpec, World
 from bulletarm_gym.simulation.motion import (
+    CAREFUL_RISE,
+    RISE,
     JointGroup,
     drive_fingers,
     follow,
@@ -26,26 +28,22 @@ from bulletarm_gym.simulation.motion import (
     send_fingers,
 )
 
-FREE_STEPS = 24
-"""Simulation steps of a move by the reference distance where nothing is in the way ..."""
-CARRYING_STEPS = 16
-"""... with something in the gripper ..."""
-CAREFUL_STEPS = 48
+QUICK_STEPS = 16
+"""Simulation steps of a move by the reference distance with something in the gripper, or away from it ..."""
+CAREFUL_STEPS = 44
 """... and where something may be pushed: braking at 3 m/s^2 at most, friction keeps blocks at the gripper."""
 LEAST_STEPS = 6
 FULL_TURN = 2.0 * math.pi
 MAX_TURN = math.pi
 """Change of a joint (rad) from which a move goes the long way round, because a joint limit is in between."""
+CALM_TURN = 0.3
+"""Change of the joints but the last (rad) below which a move by the reference distance is almost straight."""
 LEVEL_TILT = 0.03
 """Tilt (rad) up to which the gripper counts as looking down: what is grasped is never quite even."""
 LINE_STOPS = 4
 """Points between two poses that a tilted gripper is led through."""
 SAMPLE_DISTANCE = 0.008
 """Spacing (m) of the poses a path is checked at; with the clearance, less than a finger slips between."""
-GRIP_ALIGNMENT = 0.7
-"""Least cosine between a contact's normal and the fingers' direction for the contact to be a grip."""
-GRIP_DISTANCE = 2e-3
-"""Gap (m) up to which a finger touches."""
 OPENING_TOLERANCE = 5e-4
 """Difference of openings (m) too small to move the fingers for, or to be a squeeze."""
 GIVING_WAY = 0.2
@@ -155,19 +153,31 @@ class Robot:
         """Whether the fingertips can be brought to a pose."""
         return self._inverse(pose)[1] <= POSITION_TOLERANCE
 
-    def follows(self, pose: Pose) -> bool:
-        """Return True if a pose is in reach without a joint that turns by :data:`MAX_TURN` or more."""
+    def can_move_to(self, pose: Pose) -> bool:
+        """Return True if one motion leads to a pose: in reach, no joint limit in between, almost straight.
+
+        A motion that leaves the limit of the last joint may swing.
+        """
         if not self.reaches(pose):
             return False
         now, goal = self._arm.positions(self._world), self.inverse_kinematics(pose)
-        return max(abs(after - before) for before, after in zip(now, goal, strict=True)) < MAX_TURN
+        if max(abs(after - before) for before, after in zip(now, goal, strict=True)) >= MAX_TURN:
+            return False
+        return self._is_straight(pose, goal) or self.wrist_room(pose) > self.wrist_room()
 
-    @property
-    def wrist_room(self) -> float:
-        """Distance (rad) of the last joint from its nearer limit."""
+    def _is_straight(self, pose: Pose, goal: Sequence[float]) -> bool:
+        """Return True if a joint motion to a pose keeps near the line to it."""
+        now = self._arm.positions(self._world)
+        turns = (abs(after - before) for before, after in zip(now[:-1], goal[:-1], strict=True))
+        if max(turns) < CALM_TURN:
+            return True
+        return is_straight(self.pose, self.model.chain.forward((np.array(now) + goal) / 2.0), pose)
+
+    def wrist_room(self, pose: Pose | None = None) -> float:
+        """Return the distance (rad) of the last joint from its nearer limit, now or at a pose in reach."""
+        joints = self._arm.positions(self._world) if pose is None else self.inverse_kinematics(pose)
         low, high = self.model.chain.solution_limits[-1]
-        position = self._arm.positions(self._world)[-1]
-        return float(min(position - low, high - position))
+        return float(min(joints[-1] - low, high - joints[-1]))
 
     def is_free_at(self, pose: Pose, bodies: Sequence[Body]) -> bool:
         """Whether the arm would touch none of some bodies with its fingertips at a pose in reach."""
@@ -220,24 +230,24 @@ class Robot:
             self._place(self._arm, goal)
             return
         slow = careful and not clear and self.held is None
-        pace = CAREFUL_STEPS if slow else FREE_STEPS if self.held is None else CARRYING_STEPS
+        pace, rise = (CAREFUL_STEPS, CAREFUL_RISE) if slow else (QUICK_STEPS, RISE)
         steps = motion_steps(length, REFERENCE_DISTANCE, pace, LEAST_STEPS)
-        steps = max(round(steps * self._world.physics.pace), self._least_steps(stops))
-        follow(self._world, self._arm, stops, steps, self.held)
+        steps = max(round(steps * self._world.physics.pace), self._least_steps(stops, rise))
+        follow(self._world, self._arm, stops, steps, self.held, rise)
         self._finish()
 
-    def _least_steps(self, stops: Sequence[Sequence[float]]) -> int:
+    def _least_steps(self, stops: Sequence[Sequence[float]], rise: float) -> int:
         """Return the number of simulation steps that the joint torques need for a motion through stops."""
         path = np.array([self._arm.positions(self._world), *stops])
         load = 0.0 if self.held is None else self._world.get_properties(self.held).mass
-        return self._dynamics.least_steps(path, np.array(self._arm.forces), load)
+        return self._dynamics.least_steps(path, np.array(self._arm.forces), load, rise)
 
     def _line(self, start: Pose, end: Pose) -> list[tuple[float, ...]]:
-        """Return joint positions (rad) between two poses that keep a tilted gripper on the line.
+        """Return joint positions (rad) between two poses that keep the gripper on the line.
 
-        While it looks down joint motions sag some millimetres; tilted, they swing by centimetres.
+        While it looks down most joint motions sag some millimetres; tilted, they swing by centimetres.
         """
-        if end.tilt < LEVEL_TILT:
+        if end.tilt < LEVEL_TILT and self._is_straight(end, self.inverse_kinematics(end)):
             return []
         shares = np.linspace(0.0, 1.0, LINE_STOPS + 2)[1:-1].tolist()
         poses = [interpolate(start, end, share) for share in shares]
@@ -271,14 +281,6 @@ class Robot:
             return
         drive_fingers(self._world, self._fingers, command / 2.0, self.model.gripper.speed)
         self._finish()
-
-    def open(self) -> None:
-        """Open the gripper."""
-        self.set_opening(1.0)
-
-    def close(self) -> None:
-        """Close the gripper on whatever is between the fingers."""
-        self.set_opening(0.0)
 
     def touched(self, bodies: Sequence[Body]) -> list[Body]:
         """Return those of some bodies that the arm holds or touches."""
@@ -343,19 +345,7 @@ class Robot:
         return self.opening - self._command > OPENING_TOLERANCE
 
     def _grips(self, body: Body) -> bool:
-        return all(self._touches(joint, body) for joint in self._fingers.joints)
-
-    def _touches(self, finger: int, body: Body) -> bool:
-        """Whether a finger's inner side presses on a body.
-
-        Contacts tell which bodies to look at, but keep normals from before a turn; the gap is measured anew.
-        """
-        client = self._world.client
-        if not client.getContactPoints(self.body.id, body.id, finger):
-            return False
-        points = client.getClosestPoints(self.body.id, body.id, GRIP_DISTANCE, finger)
-        x, y, z = rotate(self.pose.orientation, (1.0, 0.0, 0.0))
-        return any(abs(p[7][0] * x + p[7][1] * y + p[7][2] * z) > GRIP_ALIGNMENT for p in points)
+        return all(self._clearance.presses(joint, body, self.pose) for joint in self._fingers.joints)
 
     # Free space
 

@@ -12,6 +12,8 @@ TURNING_RADIUS = 0.06
 """Lever (m) at which a turn about the tool counts as distance: half an open gripper and its fingers."""
 TILTING_RADIUS = 0.25
 """Lever (m) at which a tilt counts as distance: from the fingertips to the wrist of an arm."""
+MAX_SAG = 0.2
+"""Largest distance of a motion from the straight line, as a share of its length."""
 TRANSFER_HEIGHT = 0.4
 """Height (m) at which things are carried across a workspace where that has to be simulated."""
 
@@ -23,6 +25,12 @@ def stops_over(start: Pose, end: Pose) -> Iterator[Pose]:
     for before, after in itertools.pairwise([start, *over, end]):
         count = max(1, math.ceil(distance(before, after) / REFERENCE_DISTANCE))
         yield from (interpolate(before, after, number / count) for number in range(1, count + 1))
+
+
+def is_straight(start: Pose, middle: Pose, end: Pose) -> bool:
+    """Return True if the middle of a motion is near the line between its ends."""
+    off = math.dist(middle.position, interpolate(start, end, 0.5).position)
+    return off < MAX_SAG * distance(start, end)
 
 
 def distance(start: Pose, end: Pose) -> float:

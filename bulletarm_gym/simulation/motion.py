@@ -14,8 +14,10 @@ from bulletarm_gym.geometry import FloatArray
 from bulletarm_gym.simulation.state import Body
 from bulletarm_gym.simulation.world import World
 
-RISE = 0.25
-"""Share of a motion spent speeding up; braking takes the rest, so what is pushed stays at the gripper."""
+RISE = 0.5
+"""Share of a motion spent speeding up; braking takes the rest. Half and half takes the least torque."""
+CAREFUL_RISE = 0.1
+"""The same where something may be pushed: slow braking keeps it at the gripper by friction."""
 MAX_LAG = 0.03
 """A joint (rad) this far behind its trajectory is blocked: a centimetre or two at the fingertips."""
 LAG_CHECK = 4
@@ -85,12 +87,12 @@ class JointGroup:
 
 
 @lru_cache(maxsize=256)
-def ramp(steps: int) -> FloatArray:
-    """Return the share of the way done after each step: quickly up to speed, slowly to rest."""
+def ramp(steps: int, rise: float = RISE) -> FloatArray:
+    """Return the share of the way done after each step, ``rise`` of them at a constant acceleration."""
     time = np.arange(1, steps + 1) / steps
-    rising = time**2 / RISE
-    falling = 1.0 - (1.0 - time) ** 2 / (1.0 - RISE)
-    return np.where(time < RISE, rising, falling)
+    rising = time**2 / rise
+    falling = 1.0 - (1.0 - time) ** 2 / (1.0 - rise)
+    return np.where(time < rise, rising, falling)
 
 
 def hold(world: World, group: JointGroup, positions: Sequence[float]) -> None:
@@ -131,14 +133,20 @@ def _interpolate(stops: FloatArray, shares: FloatArray) -> FloatArray:
 
 
 def follow(
-    world: World, group: JointGroup, stops: Sequence[Sequence[float]], steps: int, held: Body | None
+    world: World,
+    group: JointGroup,
+    stops: Sequence[Sequence[float]],
+    steps: int,
+    held: Body | None,
+    rise: float = RISE,
 ) -> None:
     """Drive joints through stops to the last in a number of simulation steps; a blocked arm stops there.
 
     :param held: a body in the gripper, which does not block it
+    :param rise: share of the motion spent speeding up
     """
     start = group.positions(world)
-    path = [start, *on_the_way([start, *stops], ramp(steps)).tolist()]
+    path = [start, *on_the_way([start, *stops], ramp(steps, rise)).tolist()]
     depth = math.inf
     for number in range(1, steps + 1):
         hold(world, group, path[number])

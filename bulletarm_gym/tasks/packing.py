@@ -1,5 +1,6 @@
 """Packing blocks into a bin."""
 
+import itertools
 import math
 from collections.abc import Iterator
 
@@ -160,8 +161,8 @@ class Room:
         tips = rest + RELEASE - low[2]
         fits = rest - low[2] + self._origin() < BIN[2] - BELOW_RIM
         if needs_fingers:
-            for finger in self._fingers(yaw):
-                fits &= self._highest(*finger, 0.0) < tips - PACKING_CLEARANCE
+            for outline, height in self._fingers(yaw):
+                fits &= self._highest(*outline, 0.0) < tips + height - PACKING_CLEARANCE
         if not fits.any():
             return None
         steps = np.where(fits, np.round(rest / PITCH), np.inf)
@@ -182,17 +183,18 @@ class Room:
         seen = turned @ matrix(self._bin)
         return seen.min(axis=0) - PACKING_CLEARANCE, seen.max(axis=0) + PACKING_CLEARANCE
 
-    def _fingers(self, yaw: float) -> Iterator[tuple[FloatArray, FloatArray]]:
-        """Yield the outlines of the fingers when they have let go, like :meth:`_outline`."""
-        thickness, width, _ = self._scene.robot.model.gripper.finger
+    def _fingers(self, yaw: float) -> Iterator[tuple[tuple[FloatArray, FloatArray], float]]:
+        """Yield outlines of the opened fingers, see :meth:`_outline`, and heights (m) over the tips."""
+        gripper = self._scene.robot.model.gripper
+        thickness, width, _ = gripper.finger
         inner = self._scene.robot.opening / 2.0
-        for side in (1.0, -1.0):
+        for (thick, height), side in itertools.product(((thickness, 0.0), gripper.shoulder), (1.0, -1.0)):
             corners = [
                 Pose.planar(0.0, 0.0, 0.0, yaw).transform((side * x, y, 0.0))
-                for x in (inner, inner + FINGER_RELEASE + thickness)
+                for x in (inner, inner + FINGER_RELEASE + thick)
                 for y in (-width / 2.0, width / 2.0)
             ]
-            yield np.min(corners, axis=0), np.max(corners, axis=0)
+            yield (np.min(corners, axis=0), np.max(corners, axis=0)), height
 
     def _look(self) -> FloatArray:
         """Return the heights (m) in the bin, walls among them, pixel by pixel along its x and y axes."""

@@ -14,10 +14,20 @@ from rollouts import make_env, transcript
 
 import bulletarm_gym
 from bulletarm_gym.env import ManipulationEnv
-from bulletarm_gym.geometry import Pose, Quaternion, euler_pose, matrix, multiply, wrap_angle, yaw_quaternion
+from bulletarm_gym.geometry import (
+    FloatArray,
+    Pose,
+    Quaternion,
+    euler_pose,
+    matrix,
+    multiply,
+    wrap_angle,
+    yaw_quaternion,
+)
 from bulletarm_gym.robots import KUKA, PANDA, ROBOTS, Robot, RobotModel, read_urdf
 from bulletarm_gym.robots.kinematics import POSITION_TOLERANCE, Chain
 from bulletarm_gym.robots.urdf import box, cylinder, merge_fixed
+from bulletarm_gym.simulation.motion import on_the_way
 
 PICKING = "BulletArm/CloseLoopBlockPicking-v0"
 TASKS = ("BlockReaching", "BlockPicking", "BlockPulling")
@@ -274,7 +284,7 @@ def test_closes_on_and_holds_a_cube(arm_env: ManipulationEnv, robot: Robot) -> N
     move(arm_env, Pose((0.45, 0.0, 0.15), tilted(robot.pose.yaw, TILT, 1.0)))
     assert robot.held is cube.body
     arm_env.scene.begin()
-    robot.open()
+    robot.set_opening(1.0)
     assert robot.held is None
 
 
@@ -460,6 +470,42 @@ def test_motions_take_longer_with_less_torque_and_more_load(robot: Robot) -> Non
         robot._dynamics.least_steps(path, share * limits, load) for share, load in ((1, 0), (1, 2), (0.5, 0))
     ]
     assert steps[0] < steps[1] and steps[0] < steps[2]
+
+
+def test_motions_with_less_time_to_speed_up_take_longer(robot: Robot) -> None:
+    start = np.array(robot._arm.positions(robot._world))
+    path = np.array([start, robot.inverse_kinematics(Pose.planar(0.45, 0.0, 0.25))])
+    limits = np.array(robot.model.torques)
+    steps = [robot._dynamics.least_steps(path, limits, 0.0, rise) for rise in (0.5, 0.25, 0.1)]
+    assert steps[0] < steps[1] < steps[2]
+
+
+def test_moves_keep_to_the_straight_line(robot: Robot) -> None:
+    """Near a joint limit of the wrist the elbow would swing by centimetres: such a move is refused."""
+    chain, rng, tried = robot.model.chain, np.random.default_rng(0), 0
+    for _ in range(300):
+        position = rng.uniform((0.32, -0.13, 0.03), (0.58, 0.13, 0.23))
+        start = Pose.planar(*position, rng.uniform(-math.pi, math.pi))
+        shift, turn = rng.uniform(-0.03, 0.03, 3), rng.uniform(-0.7, 0.7)
+        end = Pose.planar(*(position + shift), start.yaw + turn)
+        if not robot.reaches(start):
+            continue
+        robot.home(start)
+        if not robot.can_move_to(end):
+            continue
+        leaves = robot.wrist_room(end) > robot.wrist_room()
+        stops = [robot._arm.positions(robot._world), *robot._line(start, end), robot.inverse_kinematics(end)]
+        path = [chain.forward(joints).position for joints in on_the_way(stops, np.linspace(0.0, 1.0, 41))]
+        off = max(math.dist(point, place(point, position, position + shift)) for point in path)
+        assert off < (0.03 if leaves else 0.012)
+        tried += 1
+    assert tried > 200
+
+
+def place(point: Sequence[float], start: FloatArray, end: FloatArray) -> FloatArray:
+    """Return the nearest point of a line."""
+    way = end - start
+    return start + way * np.clip((point - start) @ way / (way @ way), 0.0, 1.0)
 
 
 @pytest.mark.parametrize("mode", ["fast", "slow"])

@@ -117,9 +117,9 @@ def test_opening_follows_the_command(make: Make, model: RobotModel, fast: bool) 
 
 def test_close_and_open(armed: ManipulationEnv) -> None:
     armed.scene.begin()
-    armed.scene.robot.close()
+    armed.scene.robot.set_opening(0.0)
     assert armed.scene.robot.opening_ratio < 0.03 and armed.scene.robot.held is None
-    armed.scene.robot.open()
+    armed.scene.robot.set_opening(1.0)
     assert armed.scene.robot.opening_ratio > 0.97
 
 
