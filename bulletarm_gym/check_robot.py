@@ -17,26 +17,30 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 import bulletarm_gym  # noqa: F401 (registers the environments)
-from bulletarm_gym.config import CLOSE_LOOP, OPEN_LOOP, WORKSPACES, ParameterError
-from bulletarm_gym.control.control import MIN_REACH
+from bulletarm_gym.config import CLOSE_LOOP, OPEN_LOOP, WORKSPACES, ParameterError, default_home_height
+from bulletarm_gym.control.control import MIN_REACH, MIN_TILTED_REACH
 from bulletarm_gym.env import ManipulationEnv
-from bulletarm_gym.geometry import Pose, conjugate, multiply
-from bulletarm_gym.robots import RobotModel, find_robot
-from bulletarm_gym.robots.kinematics import POSITION_TOLERANCE
+from bulletarm_gym.geometry import Pose, Vector, conjugate, rotate
+from bulletarm_gym.robots import Robot, RobotModel, find_robot
+from bulletarm_gym.robots.reach import TILT, Limits, Survey, grid, largest_workspace, pose_error, survey
 from bulletarm_gym.selfcheck import Finding, report
-from bulletarm_gym.simulation import Camera
-from bulletarm_gym.simulation.motion import RISE
+from bulletarm_gym.simulation import Camera, World
 from bulletarm_gym.simulation.world import TIME_STEP
 
-PICKING = "BulletArm/CloseLoopBlockPicking-v0"
-POINTS = 7
+REACHING = "BulletArm/CloseLoopBlockReaching-v0"
+POINTS = 5
 """Number of positions along each side of a workspace."""
 HEIGHTS = {CLOSE_LOOP: (0.01, 0.13, 0.25), OPEN_LOOP: (0.02, 0.1, 0.25)}
-"""Heights (m) of the fingertips."""
+"""Heights (m) of the fingertips in the default workspaces."""
 LOAD = 0.2
 """Mass (kg) of the object in the checks of torques and tracking."""
+CUBE = 0.05
+"""Side length (m) of a cube of scale 1; the grasped cube takes at most :data:`CUBE_SHARE` of the stroke."""
+CUBE_SHARE = 0.6
 MAX_ERROR = 1e-3
 """Maximum error (m or rad) of inverse kinematics."""
+MIN_ROOM = 0.2
+"""Minimum distance (rad) of a joint from its limits at home."""
 MAX_COLLISION = 5e-3
 """Maximum overlap (m) of links that are not neighbours."""
 MAX_TIP_ERROR = 5e-3
@@ -46,115 +50,137 @@ MAX_TRACKING = 5e-3
 MAX_STATIC = 0.8
 """Maximum share of a joint's torque that gravity may take."""
 MAX_GAP = 5e-3
-"""Maximum distance (m) between closed fingers."""
+"""Maximum error (m) of the distance between closed and between open fingers."""
+MAX_ANGLE = 0.05
+"""Maximum angle (rad) between the opening direction and the x axis of the tool frame."""
 STEP = 0.05
-"""Length (m) of the closed-loop step whose speed is reported."""
+"""Length (m) of the closed-loop step whose speed is reported; shorter in a lower workspace."""
 
 
-def check_robot(model: RobotModel) -> Iterator[Finding]:
-    """Yield the findings on an arm; the last one says why no environment can be made with it, if so."""
-    yield from (reach(model, control) for control in (CLOSE_LOOP, OPEN_LOOP))
-    yield accuracy(model)
-    yield limits(model)
+def check_robot(model: RobotModel, workspace: Limits | None = None) -> Iterator[Finding]:
+    """Yield the findings on an arm; the last one says why no environment can be made with it, if so.
+
+    :param model: the arm
+    :param workspace: limits (m) along x, y and z; the default workspaces of both controls by default
+    """
     try:
-        env = _make(model)
+        surveys = _surveys(model, workspace)
+    except ValueError as error:  # a joint is missing, or a number of joint positions or torques is wrong
+        yield Finding("model", " ".join(str(error).split()), "correct the model or its URDF", fails=True)
+        return
+    for name, (upright, tilted) in surveys.items():
+        yield reach(name, upright, tilted)
+    yield Finding("largest workspace", f"in reach upright: {largest_workspace(model)}")
+    solved = [one for upright, _ in surveys.values() for one in upright.solved]
+    yield accuracy(model, solved)
+    yield limits(model, [upright for upright, _ in surveys.values()], _home(workspace))
+    try:
+        env = _make(model, workspace)
     except ParameterError as error:
         yield Finding("environment", " ".join(str(error).split()), "see the lines above", fails=True)
         return
     with closing(env):
-        yield from (check(env) for check in (collisions, fingertips, static_torques, pace, gap))
+        yield collisions(env, solved)
+        yield from (check(env) for check in (fingertips, fingers))
+        yield static_torques(env, solved)
     for mode, load in itertools.product(("fast", "slow"), (0.0, LOAD)):
-        yield tracking(model, mode, load)
+        yield tracking(model, workspace, mode, load)
 
 
-def _make(model: RobotModel, **parameters: Any) -> ManipulationEnv:
-    env: ManipulationEnv = gymnasium.make(PICKING, robot=model, **parameters).unwrapped  # type: ignore[assignment]
+def _surveys(model: RobotModel, workspace: Limits | None) -> dict[str, tuple[Survey, Survey]]:
+    """Return the poses in reach, upright and tilted, by the name of the workspace."""
+    asked = {control: (WORKSPACES[control], HEIGHTS[control]) for control in (CLOSE_LOOP, OPEN_LOOP)}
+    if workspace is not None:
+        asked = {"workspace": (workspace, _heights(workspace))}  # type: ignore[dict-item]
+    return {
+        name: (survey(model, grid(*where, POINTS)), survey(model, grid(*where, POINTS, TILT)))
+        for name, where in asked.items()
+    }
+
+
+def _heights(workspace: Limits) -> tuple[float, ...]:
+    low, high = workspace[2]
+    return (low, (low + high) / 2.0, high)
+
+
+def _home(workspace: Limits | None) -> Pose:
+    limits = [list(side) for side in workspace or WORKSPACES[CLOSE_LOOP]]
+    (x0, x1), (y0, y1), _ = limits
+    return Pose.planar((x0 + x1) / 2.0, (y0 + y1) / 2.0, default_home_height(CLOSE_LOOP, limits))
+
+
+def _make(model: RobotModel, workspace: Limits | None, **parameters: Any) -> ManipulationEnv:
+    if workspace is not None:
+        parameters["workspace"] = [list(side) for side in workspace]
+    scale = min(1.0, CUBE_SHARE * model.gripper.stroke / CUBE)
+    env = gymnasium.make(REACHING, robot=model, object_scale_range=scale, **parameters).unwrapped
     env.reset(seed=0)
-    return env
+    return env  # type: ignore[return-value]
 
 
-def _grid(control: str) -> list[Pose]:
-    xs, ys = (np.linspace(low, high, POINTS).tolist() for low, high in WORKSPACES[control][:2])
-    return [Pose.planar(x, y, z) for x, y, z in itertools.product(xs, ys, HEIGHTS[control])]
-
-
-def _solutions(model: RobotModel) -> list[tuple[Pose, Any]]:
-    """Return the poses of both default workspaces that are in reach, with their joint positions (rad)."""
-    solved = [(pose, model.inverse(pose)) for pose in (*_grid(CLOSE_LOOP), *_grid(OPEN_LOOP))]
-    return [(pose, joints) for pose, (joints, error) in solved if error <= POSITION_TOLERANCE]
-
-
-def reach(model: RobotModel, control: str) -> Finding:
-    """Check the share of a default workspace that is in reach, and find the largest one that would be."""
-    reached = {pose: model.inverse(pose)[1] <= POSITION_TOLERANCE for pose in _grid(control)}
-    share = sum(reached.values()) / len(reached)
-    (x0, x1), (y0, y1), _ = WORKSPACES[control]
-    middle, side = ((x0 + x1) / 2.0, (y0 + y1) / 2.0), x1 - x0
-    inside = (
-        size
-        for size in np.linspace(side, 0.0, POINTS).tolist()
-        if all(
-            good
-            for pose, good in reached.items()
-            if max(abs(pose.x - middle[0]), abs(pose.y - middle[1])) <= size / 2.0 + 1e-9
-        )
-    )
-    largest = next(inside, 0.0)
-    value = f"{share:.0%} of the default workspace in reach; around its middle a square of {largest:.2f} m"
+def reach(name: str, upright: Survey, tilted: Survey) -> Finding:
+    """Check the share of a workspace that is in reach."""
+    value = f"{upright.share:.0%} in reach upright, {tilted.share:.0%} tilted by 30 degrees"
     advice = "change base or posture (tools/reach.py compares bases), or pass a smaller workspace"
-    return Finding(f"reach, {control}", value, "" if share >= MIN_REACH else advice, share < MIN_REACH)
+    is_small = upright.share < MIN_REACH or tilted.share < MIN_TILTED_REACH
+    return Finding(f"reach, {name}", value, advice if is_small else "", upright.share < MIN_REACH)
 
 
-def accuracy(model: RobotModel) -> Finding:
+def accuracy(model: RobotModel, solved: Sequence[tuple[Pose, Any]]) -> Finding:
     """Check that forward kinematics returns the poses that inverse kinematics was solved for."""
-    worst = 0.0
-    for pose, joints in _solutions(model):
-        found = model.chain.forward(joints)
-        x, y, z, w = multiply(conjugate(found.orientation), pose.orientation)
-        angle = 2.0 * math.atan2(math.hypot(x, y, z), abs(w))
-        worst = max(worst, math.dist(found.position, pose.position), angle)
+    errors = [max(pose_error(model.chain.forward(joints), pose)) for pose, joints in solved]
+    worst = max(errors, default=0.0)
     advice = "check the axes and frames of the joints in the URDF"
     bad = worst > MAX_ERROR
     return Finding("inverse kinematics", f"error of at most {worst:.1e} m or rad", advice if bad else "", bad)
 
 
-def limits(model: RobotModel) -> Finding:
-    """Report the room that the joints have at the middle of the closed-loop workspace."""
-    joints, error = model.inverse(Pose.planar(0.45, 0.0, 0.2))
+def limits(model: RobotModel, surveys: Sequence[Survey], home: Pose) -> Finding:
+    """Report the joint limits that are met, and the room that the joints have at home."""
+    joints, _ = model.inverse(home)
     lower, upper = model.chain.limits.T
     rooms = np.minimum(joints - lower, upper - joints)
-    number = int(rooms.argmin())
-    value = f"{rooms[number]:.2f} rad from a limit at home, the nearest is {model.joints[number]}"
-    advice = "choose a posture or mount the tool so that the joints are far from their limits at home"
-    return Finding("joint limits", value, advice if rooms[number] < 0.2 or error > POSITION_TOLERANCE else "")
+    nearest = int(rooms.argmin())
+    met = sum((found.limited for found in surveys), start=type(surveys[0].limited)())
+    count = sum(found.count for found in surveys)
+    value = (
+        f"{met.total()} of {count} poses are beyond one; at home {model.joints[nearest]} has the least room"
+    )
+    advice = ""
+    if rooms[nearest] < MIN_ROOM:
+        advice = f"change posture, or rotate the tool, so that {model.joints[nearest]} has room at home"
+    elif met:
+        advice = f"{met.most_common(1)[0][0]} is beyond its limit most often: change base or workspace"
+    return Finding("joint limits", f"{value}, {rooms[nearest]:.2f} rad", advice)
 
 
-def collisions(env: ManipulationEnv) -> Finding:
-    """Check that links that are not neighbours stay apart, at the posture and over both workspaces."""
+def collisions(env: ManipulationEnv, solved: Sequence[tuple[Pose, Any]]) -> Finding:
+    """Check that links that are not neighbours stay apart, at the posture and over the workspaces."""
     robot, world = env.scene.robot, env.scene.world
-    client, body = world.client, robot.body
-    count = client.getNumJoints(body.id)
-    parents = {link: client.getJointInfo(body.id, link)[16] for link in range(count)}
+    client, body = world.client, robot.body.id
+    info = {link: client.getJointInfo(body, link) for link in range(client.getNumJoints(body))}
+    names = {-1: client.getBodyInfo(body)[0].decode(), **{link: i[12].decode() for link, i in info.items()}}
+    parents = {link: i[16] for link, i in info.items()}
     pairs = [
         (one, two)
-        for one, two in itertools.combinations(range(-1, count), 2)
+        for one, two in itertools.combinations(range(-1, len(info)), 2)
         if not {one, parents.get(one)} & {parents[two], parents.get(parents[two])}
     ]
     worst, where = 0.0, ""
-    samples = [(None, np.array(robot.model.posture)), *_solutions(robot.model)[::POINTS]]
-    for pose, joints in samples:
-        world.show_joints(body, robot._arm.moved(world, joints.tolist()))
+    for pose, joints in [(None, np.array(robot.model.posture)), *solved[::POINTS]]:
+        world.show_joints(robot.body, robot._arm.moved(world, joints.tolist()))
         for one, two in pairs:
-            points = client.getClosestPoints(body.id, body.id, 0.0, one, two)
-            depth = max((-point[8] for point in points), default=0.0)
+            depth = max(
+                (-point[8] for point in client.getClosestPoints(body, body, 0.0, one, two)), default=0
+            )
             if depth > worst:
-                worst, where = depth, f" between links {one} and {two} at {pose or 'the posture'}"
+                place = "the posture" if pose is None else f"{np.round(pose.position, 2).tolist()} m"
+                worst, where = depth, f" between {names[one]} and {names[two]} at {place}"
     env.scene.begin()
     advice = "check posture, and that the gripper points away from the arm (flange and tool)"
     bad = worst > MAX_COLLISION
-    return Finding(
-        "self-collision", f"{1e3 * worst:.1f} mm{where if bad else ''}", advice if bad else "", bad
-    )
+    value = f"{1e3 * worst:.1f} mm{where if bad else ''}"
+    return Finding("self-collision", value, advice if bad else "", bad)
 
 
 def fingertips(env: ManipulationEnv) -> Finding:
@@ -168,13 +194,44 @@ def fingertips(env: ManipulationEnv) -> Finding:
     return Finding("fingertips", f"{1e3 * error:+.1f} mm above the tool frame", advice if bad else "", bad)
 
 
-def static_torques(env: ManipulationEnv) -> Finding:
-    """Check the share of the torques that gravity takes over both workspaces, with a load."""
+def fingers(env: ManipulationEnv) -> Finding:
+    """Check the direction in which the fingers open, and the distances between them, closed and open."""
+    robot, world = env.scene.robot, env.scene.world
+    opened, direction = _between(robot, world)
+    x, y, z = rotate(conjugate(robot.pose.orientation), direction)
+    angle = math.atan2(math.hypot(y, z), abs(x))
+    env.scene.begin()
+    robot.set_opening(0.0)
+    closed, _ = _between(robot, world)
+    robot.set_opening(1.0)
+    value = (
+        f"open {1e3 * opened:.1f} mm, closed {1e3 * closed:.1f} mm, "
+        f"{math.degrees(angle):.0f} degrees from the x axis of the tool frame"
+    )
+    errors = {
+        "rotate the tool frame about z until its x axis is the opening direction": angle > MAX_ANGLE,
+        "the fingers' joints must be at 0 where the fingers meet": closed > MAX_GAP,
+        "correct gripper.stroke": abs(opened - robot.model.gripper.stroke) > MAX_GAP,
+    }
+    advice = next((text for text, wrong in errors.items() if wrong), "")
+    return Finding("fingers", value, advice, bool(advice))
+
+
+def _between(robot: Robot, world: World) -> tuple[float, Vector]:
+    """Return the distance (m) between the fingers and the direction from one to the other."""
+    body, joints = robot.body.id, robot._fingers.joints
+    points = world.client.getClosestPoints(body, body, 1.0, *joints)
+    nearest = min(points, key=lambda point: float(point[8]))
+    return max(nearest[8], 0.0), nearest[7]
+
+
+def static_torques(env: ManipulationEnv, solved: Sequence[tuple[Pose, Any]]) -> Finding:
+    """Check the share of the torques that gravity takes over the workspaces, with a load."""
     robot = env.scene.robot
     still = np.zeros(len(robot.model.joints))
     shares = [
         np.abs(robot._dynamics.torques(joints, still, still, LOAD)) / robot.model.torques
-        for _, joints in _solutions(robot.model)
+        for _, joints in solved
     ]
     most = np.max(shares, axis=0) if shares else still
     number, bad = int(most.argmax()), bool(most.max() > MAX_STATIC)
@@ -182,58 +239,54 @@ def static_torques(env: ManipulationEnv) -> Finding:
     return Finding("torques", value, "check force and the masses in the URDF" if bad else "", bad)
 
 
-def pace(env: ManipulationEnv) -> Finding:
-    """Report the peak speed and acceleration of a closed-loop step that is limited by torques alone."""
-    robot = env.scene.robot
-    start = robot.pose
-    end = Pose((start.x, start.y, start.z - STEP), start.orientation)
-    path = np.array([robot.inverse_kinematics(start), robot.inverse_kinematics(end)])
-    values = []
-    for name, load in (("empty", 0.0), (f"with {LOAD} kg", LOAD)):
-        seconds = robot._dynamics.least_steps(path, np.array(robot.model.torques), load) * TIME_STEP
-        speed, acceleration = 2.0 * STEP / seconds, 2.0 * STEP / (RISE * seconds**2)
-        values.append(f"{name} {speed:.1f} m/s and {acceleration:.0f} m/s^2")
-    return Finding("pace", f"the torques allow a step of {STEP} m at " + ", ".join(values))
-
-
-def gap(env: ManipulationEnv) -> Finding:
-    """Check that the fingers meet."""
-    robot = env.scene.robot
-    env.scene.begin()
-    robot.set_opening(0.0)
-    opening = robot.opening
-    robot.set_opening(1.0)
-    advice = "the fingers' joints must be at 0 where the fingers meet"
-    bad = opening > MAX_GAP
-    return Finding("closed fingers", f"{1e3 * opening:.1f} mm apart", advice if bad else "", bad)
-
-
-def tracking(model: RobotModel, mode: str, load: float) -> Finding:
-    """Check the distance between commanded and reached tool positions in simulated moves."""
+def tracking(model: RobotModel, workspace: Limits | None, mode: str, load: float) -> Finding:
+    """Check the distance between commanded and reached tool positions in simulated moves; report speeds."""
     name = f"tracking, {mode}, " + (f"{load} kg" if load else "empty")
-    with closing(_make(model, physics_mode=mode, fast_mode=False, max_steps=100)) as env:
-        robot, worst = env.scene.robot, 0.0
+    with closing(_make(model, workspace, physics_mode=mode, fast_mode=False)) as env:
+        scene, robot, home = env.scene, env.scene.robot, _home(workspace)
+        (low, high), (left, right) = scene.config.workspace[2], scene.config.workspace[0]
         if load:
-            env.scene["cube"].set_properties(mass=load)
-            for _ in range(20):
-                if robot.held is not None:
-                    break
-                env.step(env.expert_action())
-            if robot.held is None:
-                return Finding(name, "the expert grasps no cube", "see the lines above", fails=True)
-        for x, y in ((0.45, 0.0), (0.5, 0.08), (0.4, -0.08)):
-            pose = Pose.planar(x, y, 0.2)
-            env.scene.begin()
-            robot.move_to(pose)
-            worst = max(worst, math.dist(robot.pose.position, pose.position))
+            _grasp(env, load)
+        step = min(STEP, (high - low) / 2.0, (right - left) / 2.0)
+        robot.move_to(home)
+        if load and robot.held is None:
+            advice = "see the lines above, or increase gripper.force"
+            return Finding(name, f"a cube of {load} kg is not lifted", advice, fails=True)
+        worst = speed = acceleration = 0.0
+        for x, z in ((0.0, -step), (0.0, 0.0), (step, 0.0), (0.0, 0.0)):
+            goal = Pose.planar(home.x + x, home.y, home.z + z, home.yaw)
+            if not robot.can_move_to(goal):
+                continue
+            scene.begin()
+            steps, rise = robot._duration([robot.inverse_kinematics(goal)], step, slow=False)
+            seconds = steps * TIME_STEP
+            speed, acceleration = (
+                max(speed, 2.0 * step / seconds),
+                max(acceleration, 2.0 * step / (rise * seconds**2)),
+            )
+            robot.move_to(goal, careful=False)
+            worst = max(worst, math.dist(robot.pose.position, goal.position))
     bad = worst > MAX_TRACKING
     advice = "increase force to the torques of the data sheet, or check the masses in the URDF"
-    return Finding(name, f"error of at most {1e3 * worst:.1f} mm", advice if bad else "", bad)
+    value = f"error of at most {1e3 * worst:.1f} mm; up to {speed:.2f} m/s, {acceleration:.0f} m/s^2"
+    return Finding(name, value, advice if bad else "", bad)
 
 
-def draw(model: RobotModel, path: Path) -> None:
+def _grasp(env: ManipulationEnv, load: float) -> None:
+    """Close the gripper on the cube, its mass set to a load (kg)."""
+    scene, robot, cube = env.scene, env.scene.robot, env.scene["cube"]
+    cube.set_properties(mass=load)
+    poses = (cube.pose.compose(Pose.planar(0.0, 0.0, 0.0, turn * math.pi / 2.0)) for turn in range(4))
+    pose = next((pose for pose in poses if robot.reaches(pose)), None)
+    if pose is not None:
+        robot.home(Pose.planar(*pose.position, pose.yaw))
+        scene.begin()
+        robot.set_opening(0.0)
+
+
+def draw(model: RobotModel, workspace: Limits | None, path: Path) -> None:
     """Write an image of the arm at home with the axes of the tool frame, x red, y green, z blue."""
-    with closing(_make(model)) as env:
+    with closing(_make(model, workspace)) as env:
         pose, camera = env.scene.robot.pose, Camera()
         image = Image.fromarray(camera.color(env.scene.world))
         lines = ImageDraw.Draw(image)
@@ -247,13 +300,17 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Check an arm; return the exit status, 2 if something fails."""
     parser = argparse.ArgumentParser("python -m bulletarm_gym.check_robot", description=__doc__)
     parser.add_argument("robot", metavar="NAME", help="a built-in arm or module:attribute")
+    parser.add_argument(
+        "--workspace", type=float, nargs=6, metavar=("X0", "X1", "Y0", "Y1", "Z0", "Z1"), help="limits (m)"
+    )
     parser.add_argument("--image", type=Path, metavar="FILE", help="where to write an image of the arm")
     args = parser.parse_args(argv)
+    workspace = None if args.workspace is None else np.reshape(args.workspace, (3, 2)).tolist()
     try:
         model = find_robot(args.robot)
-        failed = report(check_robot(model))
+        failed = report(check_robot(model, workspace))
         if args.image is not None:
-            draw(model, args.image)
+            draw(model, workspace, args.image)
     except (ParameterError, ValueError) as error:
         print(" ".join(str(error).split()), file=sys.stderr)
         return 2

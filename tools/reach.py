@@ -7,15 +7,15 @@ python tools/reach.py --search kuka   compare bases over x, z and mounting yaw
 import argparse
 import itertools
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from bulletarm_gym.config import CLOSE_LOOP, OPEN_LOOP, WORKSPACES
-from bulletarm_gym.geometry import Pose, multiply, yaw_quaternion
+from bulletarm_gym.geometry import Pose
 from bulletarm_gym.robots import ROBOTS, RobotModel
-from bulletarm_gym.robots.kinematics import POSITION_TOLERANCE
+from bulletarm_gym.robots.reach import TILT, grid, survey
 
 FORMER = {
     "kuka": Pose((0.0, 0.0, 0.0)),
@@ -27,28 +27,15 @@ FORMER = {
 POINTS = 9
 """Number of positions along each side of a workspace."""
 HEIGHTS = {CLOSE_LOOP: (0.01, 0.07, 0.13, 0.19, 0.25), OPEN_LOOP: (0.02, 0.1, 0.2, 0.35)}
-"""Heights (m) of the fingertips."""
-TILT = math.radians(30.0)
-"""Largest tilt (rad) of the paper's 6D tasks."""
-YAWS = (-math.pi / 2.0, 0.0, math.pi / 2.0)
-DIRECTIONS = tuple(np.linspace(-math.pi, math.pi, 8, endpoint=False).tolist())
-
-
-def poses(control: str, tilt: float) -> Iterator[Pose]:
-    """Yield tool poses all over the default workspace of a control, upright or tilted (rad)."""
-    xs, ys = (np.linspace(low, high, POINTS).tolist() for low, high in WORKSPACES[control][:2])
-    heights = HEIGHTS[control] if tilt == 0.0 else (0.02, 0.1, 0.2)
-    directions = (0.0,) if tilt == 0.0 else DIRECTIONS
-    for x, y, z, yaw, direction in itertools.product(xs, ys, heights, YAWS, directions):
-        sine = math.sin(tilt / 2.0)
-        lean = (sine * math.cos(direction), sine * math.sin(direction), 0.0, math.cos(tilt / 2.0))
-        yield Pose((x, y, z), multiply(lean, yaw_quaternion(yaw)))
+"""Heights (m) of the fingertips ..."""
+TILTED_HEIGHTS = (0.02, 0.1, 0.2)
+"""... and of the tilted fingertips."""
 
 
 def share(model: RobotModel, control: str, tilt: float = 0.0) -> float:
     """Return the share of the poses of a workspace that an arm reaches inside its joint limits."""
-    reached = [model.inverse(pose)[1] <= POSITION_TOLERANCE for pose in poses(control, tilt)]
-    return sum(reached) / len(reached)
+    heights = HEIGHTS[control] if tilt == 0.0 else TILTED_HEIGHTS
+    return survey(model, grid(WORKSPACES[control], heights, POINTS, tilt)).share
 
 
 def shares(model: RobotModel) -> tuple[float, ...]:

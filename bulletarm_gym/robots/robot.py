@@ -230,17 +230,21 @@ class Robot:
             self._place(self._arm, goal)
             return
         slow = careful and not clear and self.held is None
-        pace, rise = (CAREFUL_STEPS, CAREFUL_RISE) if slow else (QUICK_STEPS, RISE)
-        steps = motion_steps(length, REFERENCE_DISTANCE, pace, LEAST_STEPS)
-        steps = max(round(steps * self._world.physics.pace), self._least_steps(stops, rise))
+        steps, rise = self._duration(stops, length, slow)
         follow(self._world, self._arm, stops, steps, self.held, rise)
         self._finish()
 
-    def _least_steps(self, stops: Sequence[Sequence[float]], rise: float) -> int:
-        """Return the number of simulation steps that the joint torques need for a motion through stops."""
+    def _duration(self, stops: Sequence[Sequence[float]], length: float, slow: bool) -> tuple[int, float]:
+        """Return the simulation steps of a motion through stops, and the share of them spent speeding up.
+
+        It takes at least as long as the joint torques need.
+        """
+        pace, rise = (CAREFUL_STEPS, CAREFUL_RISE) if slow else (QUICK_STEPS, RISE)
+        steps = motion_steps(length, REFERENCE_DISTANCE, pace, LEAST_STEPS)
         path = np.array([self._arm.positions(self._world), *stops])
         load = 0.0 if self.held is None else self._world.get_properties(self.held).mass
-        return self._dynamics.least_steps(path, np.array(self._arm.forces), load, rise)
+        least = self._dynamics.least_steps(path, np.array(self._arm.forces), load, rise)
+        return max(round(steps * self._world.physics.pace), least), rise
 
     def _line(self, start: Pose, end: Pose) -> list[tuple[float, ...]]:
         """Return joint positions (rad) between two poses that keep the gripper on the line.

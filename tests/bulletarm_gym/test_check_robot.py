@@ -7,11 +7,13 @@ from pathlib import Path
 
 import pytest
 from PIL import Image
+from small_arm import PARAMETERS, SMALL
 
 from bulletarm_gym.check_robot import check_robot, main
 from bulletarm_gym.geometry import Pose, euler_pose
 from bulletarm_gym.robots import KUKA, ROBOTS, ParallelJaw, RobotModel
 from bulletarm_gym.robots.kuka import FLANGE, JAW
+from bulletarm_gym.robots.reach import grid, largest_workspace, survey
 from bulletarm_gym.simulation.assets import load_model
 
 
@@ -20,6 +22,11 @@ def fitted(jaw: ParallelJaw, flange: Pose) -> RobotModel:
     arm = partial(load_model, "kuka_iiwa/model.urdf")
     tool = jaw.tool(flange).compose(Pose.planar(0.0, 0.0, 0.0, math.pi))
     return replace(KUKA, gripper=jaw, load=partial(jaw.fitted, arm, "lbr_iiwa_link_7", flange), tool=tool)
+
+
+def turned(model: RobotModel, angle: float) -> RobotModel:
+    """An arm whose tool frame is rotated about the approach."""
+    return replace(model, tool=model.tool.compose(Pose.planar(0.0, 0.0, 0.0, angle)))
 
 
 BROKEN = {
@@ -36,6 +43,38 @@ def test_built_in_arms_pass(model: RobotModel) -> None:
     assert [finding for finding in check_robot(model) if finding.fails] == []
 
 
+WORKSPACE = PARAMETERS["workspace"]
+BROKEN_SMALL = {
+    "model": replace(SMALL, joints=(*SMALL.joints[:-1], "tilt_joint")),
+    "reach, workspace": replace(SMALL, base=Pose((-0.2, 0.0, 0.05))),
+    "fingertips": replace(SMALL, tool=SMALL.tool.compose(Pose((0.0, 0.0, 0.01)))),
+    "fingers": turned(SMALL, 0.3),
+    "torques": replace(SMALL, force=1.0),
+    "tracking, fast, 0.2 kg": replace(SMALL, gripper=replace(SMALL.gripper, force=0.2)),
+}
+
+
+def test_a_small_arm_passes_in_its_workspace() -> None:
+    findings = list(check_robot(SMALL, WORKSPACE))
+    assert [finding for finding in findings if finding.fails] == []
+    assert len({finding.what for finding in findings}) == len(findings) == 12
+    assert [finding for finding in check_robot(SMALL) if finding.fails]
+
+
+@pytest.mark.parametrize("what", BROKEN_SMALL)
+def test_a_broken_small_arm_is_recognised(what: str) -> None:
+    (finding,) = (one for one in check_robot(BROKEN_SMALL[what], WORKSPACE) if one.what == what)
+    assert finding.fails and finding.advice
+
+
+def test_the_largest_workspace_is_in_reach() -> None:
+    for model in (*ROBOTS.values(), SMALL):
+        limits = largest_workspace(model)
+        (x0, x1), (y0, y1), (low, high) = limits
+        assert x1 - x0 >= 0.1 and y1 - y0 >= 0.1
+        assert survey(model, grid(limits, (low, (low + high) / 2.0, high), 3)).share == 1.0
+
+
 @pytest.mark.parametrize("what", BROKEN)
 def test_a_broken_model_is_recognised(what: str) -> None:
     (finding,) = (finding for finding in check_robot(BROKEN[what]) if finding.what == what)
@@ -47,6 +86,13 @@ def test_command_writes_an_image_with_the_tool_frame(tmp_path: Path) -> None:
     assert main(["kuka", "--image", str(path)]) == 0
     colours = {colour for _, colour in Image.open(path).getcolors(1 << 20)}
     assert {(255, 0, 0), (0, 128, 0), (0, 0, 255)} <= colours
+
+
+def test_command_checks_a_workspace(capsys: pytest.CaptureFixture[str]) -> None:
+    limits = [str(limit) for side in WORKSPACE for limit in side]
+    assert main(["small_arm:SMALL", "--workspace", *limits]) == 0
+    assert main(["small_arm:SMALL"]) == 2
+    assert "largest workspace" in capsys.readouterr().out
 
 
 def test_unknown_arm_is_one_line_and_exit_status_2(capsys: pytest.CaptureFixture[str]) -> None:
