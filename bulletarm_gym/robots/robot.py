@@ -30,7 +30,7 @@ from bulletarm_gym.simulation.motion import (
 
 QUICK_STEPS = 16
 """Simulation steps of a move by the reference distance with something in the gripper, or away from it ..."""
-CAREFUL_STEPS = 44
+CAREFUL_STEPS = 48
 """... and where something may be pushed: braking at 3 m/s^2 at most, friction keeps blocks at the gripper."""
 LEAST_STEPS = 6
 FULL_TURN = 2.0 * math.pi

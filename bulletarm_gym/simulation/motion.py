@@ -16,7 +16,7 @@ from bulletarm_gym.simulation.world import World
 
 RISE = 0.5
 """Share of a motion spent speeding up; braking takes the rest. Half and half takes the least torque."""
-CAREFUL_RISE = 0.1
+CAREFUL_RISE = 0.25
 """The same where something may be pushed: slow braking keeps it at the gripper by friction."""
 MAX_LAG = 0.03
 """A joint (rad) this far behind its trajectory is blocked: a centimetre or two at the fingertips."""
