@@ -73,6 +73,11 @@ def test_tutorials(command: str, output: str, tmp_path: Path) -> None:
     assert re.search(output, result.stdout), result.stdout
 
 
+def test_small_arm(capsys: pytest.CaptureFixture[str]) -> None:
+    runpy.run_path(str(EXAMPLES / "small_arm.py"), run_name="__main__")
+    assert re.findall(r"rate (\d\.\d\d)", capsys.readouterr().out) == ["1.00"] * 4
+
+
 @pytest.mark.parametrize("page", ["task", "robot", "object", "sensor"])
 def test_tutorials_modules_are_those_of_the_guides(page: str) -> None:
     guide = (EXAMPLES.parent / "docs" / "guides" / f"{page}.md").read_text(encoding="utf-8")

@@ -15,6 +15,7 @@ HERE = Path(__file__).resolve().parent
 KEPT = 12
 """Shared environments that stay open: one takes some 40 MB, and the tests ask for hundreds."""
 sys.path.insert(0, str(HERE))  # for the module of rollouts, which also runs as a script
+sys.path.insert(1, str(HERE.parents[1] / "examples"))  # for small_arm
 
 import rollouts  # noqa: E402
 
