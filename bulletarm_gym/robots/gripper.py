@@ -9,7 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from xml.etree.ElementTree import Element, SubElement
 
-from bulletarm_gym.geometry import Pose, Vector, euler_pose, matrix
+from bulletarm_gym.geometry import Pose, Vector, euler_pose
 from bulletarm_gym.robots.urdf import (
     DARK,
     LIGHT,
@@ -66,8 +66,9 @@ class Gripper:
 
     def lowest(self, pose: Pose) -> float:
         """Return the height (m) of the open gripper's lowest point: tilted, it reaches below its middle."""
-        along, across, _ = (float(part) for part in matrix(pose)[2])
-        return pose.z - abs(along) * self.half_width() - abs(across) * self.finger[1] / 2.0
+        x, y, z, w = pose.orientation
+        along, across = 2.0 * abs(x * z - w * y), 2.0 * abs(y * z + w * x)
+        return pose.z - along * self.half_width() - across * self.finger[1] / 2.0
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -44,6 +44,8 @@ LINE_STOPS = 4
 """Points between two poses that a tilted gripper is led through."""
 SAMPLE_DISTANCE = 0.008
 """Spacing (m) of the poses a path is checked at; with the clearance, less than a finger slips between."""
+OPENING_SAMPLES = 4
+"""Number of intervals in which the path of the fingers is checked."""
 OPENING_TOLERANCE = 5e-4
 """Difference of openings (m) too small to move the fingers for, or to be a squeeze."""
 GIVING_WAY = 0.2
@@ -94,6 +96,7 @@ class Robot:
         self._command = model.gripper.stroke
         # An action asks for the same few poses again and again.
         self._inverse = lru_cache(maxsize=REMEMBERED)(model.inverse)
+        self._wrist_limits: list[float] = model.chain.solution_limits[-1].tolist()
         self._posed: tuple[tuple[float, ...], Pose] = ((), Pose((0.0, 0.0, 0.0)))
 
     # State
@@ -176,8 +179,8 @@ class Robot:
     def wrist_room(self, pose: Pose | None = None) -> float:
         """Return the distance (rad) of the last joint from its nearer limit, now or at a pose in reach."""
         joints = self._arm.positions(self._world) if pose is None else self.inverse_kinematics(pose)
-        low, high = self.model.chain.solution_limits[-1]
-        return float(min(joints[-1] - low, high - joints[-1]))
+        low, high = self._wrist_limits
+        return min(joints[-1] - low, high - joints[-1])
 
     def is_free_at(self, pose: Pose, bodies: Sequence[Body]) -> bool:
         """Whether the arm would touch none of some bodies with its fingertips at a pose in reach."""
@@ -360,7 +363,8 @@ class Robot:
         lowest = min(self.model.gripper.lowest(start), self.model.gripper.lowest(end))
         if lowest < FREE_CLEARANCE:
             return False
-        shares = np.linspace(0.0, 1.0, math.ceil(length / SAMPLE_DISTANCE) + 1)[1:]
+        count = math.ceil(length / SAMPLE_DISTANCE)
+        shares = np.arange(1, count + 1) / count
         samples = on_the_way([self._arm.positions(self._world), *stops], shares).tolist()
         joints = (self._arm.moved(self._world, sample) for sample in samples)
         return self._clearance.is_free(joints, self._clearance.bodies_above(lowest - CLEAR_ABOVE))
@@ -389,6 +393,7 @@ class Robot:
         if self.held is not None or not self._clearance.can_be_tested:
             return False
         near = self._clearance.bodies_above(self.model.gripper.lowest(self.pose) - CLEAR_ABOVE)
-        openings = np.linspace(self.opening / 2.0, command / 2.0, 5).tolist()
+        start, way = self.opening / 2.0, (command - self.opening) / 2.0
+        openings = [start + way * number / OPENING_SAMPLES for number in range(OPENING_SAMPLES + 1)]
         joints = (self._fingers.moved(self._world, [half, half]) for half in openings)
         return self._clearance.is_free(joints, near)
