@@ -120,7 +120,6 @@ NO_FOLDER = "/dev/null/folder"  # /dev/null is none
         ),
         (["speed", "--baseline", "sacfd", "--device", "gpu0"], "is no device"),
         (["speed", "--overhead", "10"], "--overhead goes with --baseline"),
-        (["speed", "--vector", "2", "--baseline", "sacfd"], "take one"),
         (["speed", "--env", "TOY", "--data", f"{NO_FOLDER}/a.csv"], "cannot be written"),
         (["check", "TOY", "--data", f"{NO_FOLDER}/a.csv"], "cannot be written"),
         (["report"], "takes either the folder of a benchmark or pages, behind --docs"),

@@ -2,33 +2,26 @@
 
 from __future__ import annotations
 
-import multiprocessing
-import re
 import subprocess
 import sys
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from gymnasium import spaces
-from stable_baselines3.common.vec_env import SubprocVecEnv
 
 from bulletarm_gym import selfcheck
 from bulletarm_gym.selfcheck import Yardstick
-from sb3_extensions.vec_env import SplitVecEnv
 from zoo_configs.cells.cell import Cell
 from zoo_configs.cli import main
 from zoo_configs.drawing.curves import LearningCurve, draw_curves, load_curve, mean_curve
 from zoo_configs.drawing.video import compose_frame, observed_images
 from zoo_configs.errors import CommandError
 from zoo_configs.files import whole_file
-from zoo_configs.measuring import overhead, vector_speed
-from zoo_configs.measuring.data_files import OVERHEAD, SPEED, UPDATES, VECTORS, DataFile, number
+from zoo_configs.measuring import overhead
+from zoo_configs.measuring.data_files import OVERHEAD, SPEED, UPDATES, DataFile, number
 from zoo_configs.measuring.throughput import ReferenceRate, load_reference
-from zoo_configs.pages.markers import Source
-from zoo_configs.pages.speeds import vector_table
 from zoo_configs.training.runs import Run, claim_run_folder, write_resolved
 from zoo_configs.training.seeds import SeedStream, stream_seed
 
@@ -59,29 +52,6 @@ def test_speed_compares_with_the_reference(
     assert row["command"].endswith(f"--env {REACHING} --seconds 0.1 --seed 0 --reference")
     assert main(["speed", "--baseline", "sacfd", "--env", REACHING, *kept]) == 2
     assert "speed.csv is no such file of measurements" in capsys.readouterr().err
-
-
-def test_speed_of_several_environments(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    forked: dict[str, Any] = {"subproc": partial(SubprocVecEnv, start_method="fork")}
-    forked["split"] = partial(SplitVecEnv, processes=2, start_method="fork")
-    monkeypatch.setattr(vector_speed, "KINDS", {**vector_speed.KINDS, **forked})
-    data = DataFile(tmp_path / "vectors.csv", VECTORS)
-    command = ["speed", "--vector", "3", "--env", REACHING, "--seconds", "0.01", "--markdown"]
-    assert main([*command, "--data", str(data.path)]) == 0
-    machine, head, _, row = capsys.readouterr().out.splitlines()
-    assert machine.endswith("3 environments")
-    cells = dict(zip(_cells(head), _cells(row), strict=True))
-    assert cells["environment"] == REACHING and float(cells["dummy steps/s"]) > 0
-    middle, low, high = map(float, re.findall(r"\d+\.\d+", cells["split, times as many"]))
-    assert 0 < low <= middle <= high
-    kept = {row["vec_env"]: row for row in data.read()}
-    assert kept["dummy"]["times_one_process"] == "1" and kept["split"]["n_envs"] == "3"
-    assert float(kept["split"]["times_one_process"]) == middle
-    table = vector_table(Source(tmp_path, tmp_path / "speed.md"))
-    assert f"{middle:.2f} ({low:.2f} to {high:.2f})" in table
-    assert not multiprocessing.active_children()
 
 
 def test_speed_splits_an_update(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

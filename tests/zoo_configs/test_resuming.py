@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-import multiprocessing
 import os
 import shutil
 from collections.abc import Callable
@@ -18,7 +17,6 @@ from stable_baselines3.common.save_util import load_from_zip_file
 from sb3_extensions.common import checkpoint
 from sb3_extensions.replay.expert import ExpertReplayBuffer
 from sb3_extensions.sacfd import SACfD
-from sb3_extensions.vec_env import split_vec_env
 from zoo_configs.cli import main
 from zoo_configs.training.evaluation import PeriodicEvaluation
 
@@ -46,20 +44,6 @@ def test_an_extended_run_equals_a_longer_one(train_tiny: Train, tmp_path: Path) 
     assert train_tiny(tmp_path / "b", constant, "-n", "18") == 0
     assert _same_run(extended, longer)
     assert len(list(extended.parent.iterdir())) == 1
-
-
-def test_a_run_divided_among_processes_goes_on_as_one_of_one_process(
-    train_tiny: Train, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(split_vec_env, "_cores", lambda: 2)
-    monkeypatch.setattr(split_vec_env, "_start_method", lambda: "fork")  # the others import for seconds
-    divided, whole = (tmp_path / name / "sacfd" / "BulletArm-CloseLoopToy-v0_1" for name in ("a", "b"))
-    params = ["learning_rate:0.001", "n_envs:3"]
-    assert train_tiny(tmp_path / "a", *params, "--vec-env", "split", "--n-eval-envs", "3") == 0
-    assert main(["train", "--resume", str(divided), "-n", "18", "--no-progress"]) == 0
-    assert train_tiny(tmp_path / "b", *params, "-n", "18", "--n-eval-envs", "3") == 0
-    assert _same_run(divided, whole)
-    assert not multiprocessing.active_children()
 
 
 def test_an_interrupted_run_goes_on(

@@ -24,12 +24,11 @@ from zoo_configs.arguments import (
     seed,
 )
 from zoo_configs.environments import known_env_id, our_env_ids, register_environments, try_env
-from zoo_configs.measuring.data_files import OVERHEAD, SPEED, UPDATES, VECTORS, DataFile, Layout
+from zoo_configs.measuring.data_files import OVERHEAD, SPEED, UPDATES, DataFile, Layout
 from zoo_configs.measuring.speed_records import (
     overhead_record,
     throughput_record,
     update_record,
-    vector_records,
 )
 from zoo_configs.measuring.throughput import (
     ReferenceRate,
@@ -46,9 +45,8 @@ DESCRIPTION = """Measure steps a second with the expert in one process, split in
 steps), rendering (heightmaps) and the rest, and once without the expert. The yardstick is plain PyBullet, on
 this machine at this hour. With --baseline instead: the time of one gradient update, split into its parts, the
 greatest memory of its process, and how the equivariant convolutions compare with plain ones of the same
-width, forward and backward, in turn. With --overhead besides: what train adds to a bare model.learn(), of
-five pairs in turn. With --vector: how many times as many steps several environments make in processes as in
-one, along the expert's ways, in turn."""
+width, forward and backward, in turn. With --overhead in addition: what train adds to a bare
+model.learn(), of five pairs in turn."""
 DEFAULT_LEARNING_ENV = "BulletArm/CloseLoopBlockPicking-v0"
 SHIPPED_REFERENCE = "data/reference_rates.csv"
 COLUMNS = (
@@ -104,9 +102,6 @@ def main(argv: Sequence[str]) -> None:
     env_ids = [known_env_id(env_id) for env_id in args.env] or our_env_ids()
     for env_id in env_ids:
         try_env(env_id, args.env_kwargs)
-    if args.vector:
-        _measure_vectors(env_ids, args, data)
-        return
     reference = load_reference(args.reference) if args.reference else {}
     print(describe_machine())
     rows: list[Row] = []
@@ -127,8 +122,6 @@ def _parse(argv: Sequence[str]) -> argparse.Namespace:
     add("--seed", type=seed, default=0, help="seed of the first episode (default: 0)")
     help_text = "CSV to compare with (default where no file is named: the earlier implementation's rates)"
     add("--reference", type=Path, nargs="?", const=_shipped_reference(), metavar="FILE", help=help_text)
-    help_text = "measure so many environments at once under each --vec-env of train"
-    add("--vector", type=positive_int, metavar="N", help=help_text)
     add("--baseline", nargs="+", default=[], help="measure updates of these baselines, on the first --env")
     add("--preset", default="cpu", help="... with this preset (default: cpu)")
     add(
@@ -154,8 +147,6 @@ def _parse(argv: Sequence[str]) -> argparse.Namespace:
         parser.error(f"--seconds must be positive, got {args.seconds}")
     if args.overhead and not args.baseline:
         parser.error("--overhead goes with --baseline, which names what is trained")
-    if args.vector and args.baseline:
-        parser.error("--vector measures environments, --baseline updates: take one")
     return args
 
 
@@ -166,7 +157,7 @@ def _data_file(args: argparse.Namespace) -> DataFile | None:
 def _layout(args: argparse.Namespace) -> Layout:
     if args.baseline:
         return OVERHEAD if args.overhead else UPDATES
-    return VECTORS if args.vector else SPEED
+    return SPEED
 
 
 def _throughput_flags(args: argparse.Namespace) -> list[str]:
@@ -270,33 +261,6 @@ def _measure(env_ids: Sequence[str], args: argparse.Namespace) -> Iterator[Throu
         for env_id in env_ids:
             bar.set_description(env_id)
             yield measure_env(env_id, args.seconds, args.seed, bar.update, args.env_kwargs)
-
-
-def _measure_vectors(env_ids: Sequence[str], args: argparse.Namespace, data: DataFile | None) -> None:
-    from tqdm import tqdm
-
-    from zoo_configs.drawing.tables import print_table
-    from zoo_configs.measuring.vector_speed import COLUMNS as VECTOR_COLUMNS
-    from zoo_configs.measuring.vector_speed import measure_vector
-
-    print(f"{describe_machine()}; {args.vector} environments")
-    cells = []
-    hidden = hides_progress(args.progress)
-    try:
-        with tqdm(total=len(env_ids), disable=hidden, bar_format="{desc}: {percentage:.0f}%|{bar}|") as bar:
-            for env_id in env_ids:
-                bar.set_description(env_id)
-                measured = measure_vector(
-                    env_id, args.vector, args.seconds, args.seed, args.env_kwargs, bar.update
-                )
-                cells.append(measured.cells())
-                if data is not None:
-                    flags = ["--seconds", f"{args.seconds:g}", "--seed", str(args.seed)]
-                    for record in vector_records(measured, args.vector, args.env_kwargs, flags):
-                        data.add(record)
-    finally:  # after Ctrl-C, too, with what there is
-        if cells:
-            print_table(VECTOR_COLUMNS, cells, args.markdown)
 
 
 def _print(rows: Sequence[Row], markdown: bool) -> None:

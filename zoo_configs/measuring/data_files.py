@@ -56,12 +56,6 @@ OVERHEAD = Layout(
     ("baseline", "preset", "env", "env_kwargs", "timesteps"),
     ("bare_seconds", "train_seconds", "overhead", "least", "greatest"),
 )
-# A row a kind of vector environment: times as many as in one process are median, least and
-# greatest of the rounds.
-VECTORS = Layout(
-    ("env", "env_kwargs", "n_envs", "vec_env"),
-    ("steps_per_second", "times_one_process", "least", "greatest", "load"),
-)
 # Attempts are those that the episodes took, the rate counts start-up.
 COLLECTING = Layout(
     ("env", "env_kwargs", "planner"),

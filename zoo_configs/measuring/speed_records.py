@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     from zoo_configs.cells.cell import Cell
     from zoo_configs.measuring.overhead import Overhead
     from zoo_configs.measuring.update_speed import UpdateSpeed
-    from zoo_configs.measuring.vector_speed import VectorSpeed
 
 PROGRAM = ("bulletarm-zoo", "speed")
 TIME_DIGITS, SHARE_DIGITS, LOAD_DIGITS = 2, 3, 1
@@ -112,40 +111,6 @@ def overhead_record(
         "greatest": number(shares[-1], SHARE_DIGITS),
         **provenance(command),
     }
-
-
-def vector_records(
-    measured: VectorSpeed, n_envs: int, env_kwargs: Mapping[str, Any], flags: Sequence[str]
-) -> list[Record]:
-    """
-    Keep how many steps several environments make.
-
-    :param measured: What was measured
-    :param n_envs: How many environments
-    :param env_kwargs: Parameters of the environments
-    :param flags: Words of the command besides these and the environment's id
-    :return: Rows of :data:`~zoo_configs.measuring.data_files.VECTORS`, one a kind of vector environment
-    """
-    words = ["--vector", str(n_envs), "--env", measured.env_id, *flags, *env_kwargs_words(env_kwargs)]
-    origin = provenance([*PROGRAM, *words])
-    records = []
-    for kind, rates in measured.rates.items():
-        ratios = measured.ratios(kind)
-        records.append(
-            {
-                "env": task_name(measured.env_id),
-                "env_kwargs": " ".join(key_values(env_kwargs)),
-                "n_envs": str(n_envs),
-                "vec_env": kind,
-                "steps_per_second": number(statistics.median(rates), 1),
-                "times_one_process": number(statistics.median(ratios), TIME_DIGITS),
-                "least": number(ratios[0], TIME_DIGITS),
-                "greatest": number(ratios[-1], TIME_DIGITS),
-                "load": number(measured.load, LOAD_DIGITS),
-                **origin,
-            }
-        )
-    return records
 
 
 def _names(cell: Cell) -> Record:

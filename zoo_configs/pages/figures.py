@@ -19,7 +19,6 @@ FIGURES: dict[str, Figure] = {
     "speed, in short": speeds.ratio_summary,
     "updates, close loop": partial(speeds.update_table, belongs=lambda name: name.startswith("CloseLoop")),
     "updates, open loop": partial(speeds.update_table, belongs=lambda name: name.startswith("OpenLoop")),
-    "vector environments": speeds.vector_table,
     "overhead": speeds.overhead_table,
     "deconstruction": collecting.deconstruction_table,
     "code": code.code_table,

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Sequence
 
 from zoo_configs.drawing.tables import markdown_table
-from zoo_configs.measuring.data_files import OVERHEAD, SPEED, UPDATES, VECTORS, Record
+from zoo_configs.measuring.data_files import OVERHEAD, SPEED, UPDATES, Record
 from zoo_configs.pages.markers import Source, origins
 
 HEADS = {
@@ -111,37 +111,6 @@ def overhead_table(source: Source) -> str:
         for row in rows
     ]
     return "\n\n".join([markdown_table(heads, lines), f"{origins(rows)} ({source.link('overhead')})."])
-
-
-def vector_table(source: Source) -> str:
-    """
-    Tell how many steps several environments make.
-
-    :param source: The data
-    :return: Markdown
-    """
-    rows = source.read("vectors", VECTORS)
-    cells: dict[tuple[str, str], dict[str, Record]] = {}
-    for row in rows:
-        cells.setdefault((row["env"], row["n_envs"]), {})[row["vec_env"]] = row
-    heads = [
-        "environment",
-        "environments",
-        "`dummy`, steps/s",
-        "`subproc`, times as many",
-        "`split`, times as many",
-    ]
-    lines = [
-        [f"`{env}`", n_envs, f"{float(kinds['dummy']['steps_per_second']):,.0f}"]
-        + [_range(kinds[kind]) for kind in ("subproc", "split")]
-        for (env, n_envs), kinds in cells.items()
-    ]
-    return "\n\n".join([markdown_table(heads, lines), f"{origins(rows)} ({source.link('vectors')})."])
-
-
-def _range(row: Record) -> str:
-    middle, least, greatest = (float(row[column]) for column in ("times_one_process", "least", "greatest"))
-    return f"{middle:.2f} ({least:.2f} to {greatest:.2f})"
 
 
 def _default(source: Source) -> list[Record]:

@@ -20,7 +20,6 @@ from stable_baselines3.common.vec_env import VecEnv
 
 from sb3_extensions.common.checkpoint import DirectoryCheckpointCallback, resume, save_checkpoint
 from sb3_extensions.common.following import constructor_keys
-from sb3_extensions.vec_env import SplitVecEnv
 from zoo_configs.algorithms import class_from_path
 from zoo_configs.cells.validation import policy_class
 from zoo_configs.environments import load_expert_data
@@ -85,14 +84,12 @@ class ZooManager(ExperimentManager):
             log_interval=options.log_interval,
             save_replay_buffer=options.save_replay_buffer,
             verbose=options.verbose,
-            vec_env_type="dummy" if options.vec_env == "split" else options.vec_env,
+            vec_env_type=options.vec_env,
             n_eval_envs=options.n_eval_envs,
             device=run.device,
             config=str(run.resolved_file),
             show_progress=progress,
         )
-        if options.vec_env == "split":  # which rl_zoo3 does not know
-            self.vec_env_class = SplitVecEnv
         self.run = run
         self.checkpoint = checkpoint
         self.demonstrations = demonstrations

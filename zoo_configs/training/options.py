@@ -32,7 +32,7 @@ TUNING = (
     "--study-name",
     "--trial-id",
 )
-VEC_ENVS = ("dummy", "subproc", "split")
+VEC_ENVS = ("dummy", "subproc")
 # Packages that rl_zoo3 does not require, by the option that does.
 PACKAGES = {"tensorboard_log": ("tensorboard",), "track": ("wandb", "tensorboard")}
 
@@ -48,8 +48,7 @@ class TrainingOptions:
     :param n_eval_envs: Environments of an evaluation
     :param save_freq: Time steps between two checkpoints; 0 or less for none
     :param save_replay_buffer: Whether to save the replay buffer beside the last model
-    :param vec_env: ``"dummy"`` steps the environments in turn, ``"subproc"`` each in a process of its own,
-        ``"split"`` divides them among this process and one for each further core
+    :param vec_env: ``"dummy"`` steps the environments in turn, ``"subproc"`` each in a process of its own
     :param num_threads: Threads of PyTorch, -1 leaves them as they are
     :param log_interval: Episodes between two logs, -1 takes the algorithm's, -2 for none
     :param trained_agent: A model file from which to begin
