@@ -222,7 +222,8 @@ def quaternion(rotation: FloatArray) -> Quaternion:
 
 def wrap_angle(angle: float, period: float = 2.0 * math.pi) -> float:
     """Return the angle (rad) in [-period/2, period/2) that equals ``angle`` modulo ``period``, a symmetry."""
-    return (angle + period / 2.0) % period - period / 2.0
+    wrapped = (angle + period / 2.0) % period - period / 2.0
+    return wrapped if wrapped < period / 2.0 else -period / 2.0  # the remainder of -1e-17 is the period
 
 
 def planar_distance(a: Sequence[float], b: Sequence[float]) -> float:

@@ -43,7 +43,7 @@ class OffPolicyFromDemonstrations(OffPolicyAlgorithm):
     A subclass stands before an algorithm of Stable-Baselines3, or is one itself. Its constructor sets the
     attributes below, and calls :meth:`_check_demonstrations` before ``_setup_model()``.
 
-    - ``expert_episodes``, ``expert_noise``, ``expert_data``, ``expert_cache``: see
+    - ``expert_episodes``, ``expert_noise``, ``expert_data``: see
       :class:`~sb3_extensions.demonstrations.source.DemonstrationSource`
     - ``dagger``: whether to ask the environment's expert before every step, see
       :class:`~sb3_extensions.demonstrations.dagger.Adviser`
@@ -55,7 +55,6 @@ class OffPolicyFromDemonstrations(OffPolicyAlgorithm):
     expert_episodes: int
     expert_noise: float
     expert_data: Iterable[EpisodeData] | None
-    expert_cache: str | os.PathLike[str] | None
     dagger: bool
     pretrain_steps: int
     augmentation: Augmentation | None
@@ -85,9 +84,7 @@ class OffPolicyFromDemonstrations(OffPolicyAlgorithm):
                 raise ValueError(f"{name} is an argument of the algorithm, not one of replay_buffer_kwargs")
 
     def _demonstrations(self, **kwargs: Any) -> DemonstrationSource:
-        return DemonstrationSource(
-            self.expert_episodes, self.expert_noise, self.expert_data, self.expert_cache, **kwargs
-        )
+        return DemonstrationSource(self.expert_episodes, self.expert_noise, self.expert_data, **kwargs)
 
     def _setup_model(self) -> None:
         if self.dagger:
@@ -226,6 +223,7 @@ class OffPolicyFromDemonstrations(OffPolicyAlgorithm):
     def _collect_demonstrations(self, replay_buffer: ExpertReplayBuffer, env: VecEnv) -> None:
         seed = None if self.seed is None else derive_seed(self.seed, SeedKey.EXPERT)
         source = self._demonstrations(progress_bar=self._progress_bar)
+        self.n_pretrained = 0  # a model loaded for another environment begins again
         try:
             source.fill(replay_buffer, env, seed, self._as_policy_actions)
         except BaseException:  # some of them would be taken for all by the next learn()

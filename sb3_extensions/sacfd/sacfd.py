@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections import defaultdict
 from collections.abc import Iterable
 from typing import Any, ClassVar
@@ -84,7 +83,6 @@ class SACfD(Exploration, SAC):
         in the policy's units [-1, 1], see :class:`~sb3_extensions.demonstrations.noise.UnsteadyHand`
     :param expert_data: episodes to begin with instead, in the environment's units; not saved. See
         :class:`~sb3_extensions.demonstrations.collecting.EpisodeData`
-    :param expert_cache: folder that keeps the expert's episodes for the next run, None keeps none
     :param dagger: ask the environment's expert before every step as well: it does not act, but is imitated in
         the agent's own states too; not part of the paper. DAgger: https://arxiv.org/abs/1011.0686
     :param augmentation: random views of the images: None, :class:`~sb3_extensions.common.augmentation.RAD` or
@@ -141,7 +139,6 @@ class SACfD(Exploration, SAC):
         expert_episodes: int = 100,
         expert_noise: float = 0.0,
         expert_data: Iterable[EpisodeData] | None = None,
-        expert_cache: str | os.PathLike[str] | None = None,
         dagger: bool = False,
         augmentation: AugmentationSpec = None,
         pretrain_steps: int = 0,
@@ -193,7 +190,6 @@ class SACfD(Exploration, SAC):
         self.expert_episodes = expert_episodes
         self.expert_noise = expert_noise
         self.expert_data = expert_data
-        self.expert_cache = expert_cache
         self.dagger = dagger
         self.augmentation = make_augmentation(augmentation)
         self.augmentation_generator = th.Generator().manual_seed(th.initial_seed())

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections import defaultdict
 from collections.abc import Iterable
 from typing import Any, ClassVar
@@ -88,7 +87,6 @@ class SpatialDQN(OffPolicyFromDemonstrations):
         is given
     :param expert_data: episodes to begin with instead, in the environment's units; not saved. See
         :class:`~sb3_extensions.demonstrations.collecting.EpisodeData`
-    :param expert_cache: folder that keeps the expert's episodes for the next run, None keeps none
     :param rigid_augmentation: turn and shift the heightmaps of each sample, and its actions with them, see
         :class:`~sb3_extensions.spatial_dqn.augmentation.RigidMotion`
     :param pretrain_steps: number of gradient steps before the first step in the environment
@@ -142,7 +140,6 @@ class SpatialDQN(OffPolicyFromDemonstrations):
         max_grad_value: float = 1.0,
         expert_episodes: int = 200,
         expert_data: Iterable[EpisodeData] | None = None,
-        expert_cache: str | os.PathLike[str] | None = None,
         rigid_augmentation: bool = False,
         pretrain_steps: int = 0,
         stats_window_size: int = 100,
@@ -189,7 +186,6 @@ class SpatialDQN(OffPolicyFromDemonstrations):
         self.max_grad_value = max_grad_value
         self.expert_episodes = expert_episodes
         self.expert_data = expert_data
-        self.expert_cache = expert_cache
         self.rigid_augmentation = rigid_augmentation
         self.augmentation_generator = th.Generator().manual_seed(th.initial_seed())
         self.pretrain_steps = pretrain_steps

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterable
 from functools import partial
 from typing import Any, ClassVar
@@ -80,7 +79,6 @@ class TQCfD(SACfD):
         expert_episodes: int = 100,
         expert_noise: float = 0.0,
         expert_data: Iterable[EpisodeData] | None = None,
-        expert_cache: str | os.PathLike[str] | None = None,
         dagger: bool = False,
         augmentation: AugmentationSpec = None,
         top_quantiles_to_drop_per_net: int = 2,
@@ -124,7 +122,6 @@ class TQCfD(SACfD):
             expert_episodes=expert_episodes,
             expert_noise=expert_noise,
             expert_data=expert_data,
-            expert_cache=expert_cache,
             dagger=dagger,
             augmentation=augmentation,
             pretrain_steps=pretrain_steps,

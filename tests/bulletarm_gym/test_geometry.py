@@ -101,7 +101,8 @@ def test_inverse_undoes() -> None:
 
 @pytest.mark.parametrize("period", [2 * math.pi, math.pi, math.pi / 2])
 def test_wrap_angle(period: float) -> None:
-    for angle in np.linspace(-20.0, 20.0, 101).tolist():
+    edges = [np.nextafter(sign * period / 2.0, toward) for sign in (-1.0, 1.0) for toward in (-9.0, 9.0)]
+    for angle in [*np.linspace(-20.0, 20.0, 101).tolist(), *edges]:
         wrapped = wrap_angle(angle, period)
         assert -period / 2 <= wrapped < period / 2
         assert math.remainder(wrapped - angle, period) == pytest.approx(0.0, abs=1e-9)

@@ -412,6 +412,17 @@ def test_save_and_load(policy: Any, make_toy: Any, tmp_path: Any) -> None:
     assert loaded.replay_buffer.expert_size == expert_size
 
 
+def test_a_loaded_model_begins_again_with_demonstrations_of_its_environment(
+    make_toy: Any, tmp_path: Any
+) -> None:
+    make_model(make_toy(), pretrain_steps=4).learn(2).save(tmp_path / "model")
+    for steps in (2, 6):
+        loaded = SACfD.load(tmp_path / "model", env=make_toy(), pretrain_steps=steps, expert_episodes=3)
+        updates = loaded._n_updates
+        loaded.learn(1)
+        assert loaded.n_pretrained == steps and loaded._n_updates >= updates + steps
+
+
 def states(model: Any, name: str) -> list[th.Tensor]:
     optimizer = model
     for part in name.split("."):

@@ -29,7 +29,6 @@ BLANKS: dict[str, Any] = {
     "ep_success_buffer": None,
     "action_noise": None,
     "tensorboard_log": None,
-    "expert_cache": None,
     "expert_data": None,
     "start_time": 0,
     "verbose": 0,

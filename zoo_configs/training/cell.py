@@ -24,7 +24,6 @@ from zoo_configs.files import missing_folders
 from zoo_configs.training.manager import ZooManager
 from zoo_configs.training.options import TrainingOptions
 from zoo_configs.training.runs import (
-    DEMONSTRATIONS_FOLDER,
     Run,
     claim_run_folder,
     clear,
@@ -71,7 +70,7 @@ def train_cell(
     :param cell: The cell, as from :func:`zoo_configs.cells.cell.resolve`
     :param seed: Seed of model and environments
     :param device: PyTorch device
-    :param folder: Log folder; its runs share their demonstrations
+    :param folder: Log folder
     :param options: How it is trained, default what the cell says
     :param at: Run folder
     :param gym_packages: Packages that register the environment, besides our own
@@ -86,14 +85,14 @@ def train_cell(
     run = Run(Path(), cell, seed, device, options or TrainingOptions.of(cell), tuple(gym_packages))
     check_run(run, any_demonstrations)
     if at is not None:
-        return _train_at(replace(run, folder=Path(at)), Path(folder), callbacks, progress)
+        return _train_at(replace(run, folder=Path(at)), callbacks, progress)
     logs = Path(folder) / cell.algo
     made = missing_folders(logs)
     claimed = claim_run_folder(logs, cell.env_id, f"_{uuid4()}" if run.options.uuid else "")
     run = replace(run, folder=claimed)
     try:
         write_resolved(run)
-        return _train(run, None, Path(folder), callbacks, progress)
+        return _train(run, None, callbacks, progress)
     except BaseException:
         discard_if_fruitless(run, made)
         raise
@@ -113,7 +112,7 @@ def resume_run(run: Run, callbacks: Sequence[BaseCallback] = (), progress: bool 
     register_environments(run.gym_packages)
     known_env_id(run.cell.env_id)
     check_run(run, resumed=True)
-    return _train(run, _newest_checkpoint(run), run.folder.parent.parent, callbacks, progress)
+    return _train(run, _newest_checkpoint(run), callbacks, progress)
 
 
 def check_run(run: Run, any_demonstrations: bool = False, resumed: bool = False) -> None:
@@ -138,7 +137,7 @@ def check_run(run: Run, any_demonstrations: bool = False, resumed: bool = False)
             check_expert_data(cell, env, any_demonstrations)
 
 
-def _train_at(run: Run, folder: Path, callbacks: Sequence[BaseCallback], progress: bool) -> Run:
+def _train_at(run: Run, callbacks: Sequence[BaseCallback], progress: bool) -> Run:
     """Begin, go on, or return what is done."""
     if run.resolved_file.is_file():
         check_same(load_run(run.folder), run)
@@ -147,9 +146,9 @@ def _train_at(run: Run, folder: Path, callbacks: Sequence[BaseCallback], progres
         return run
     run.folder.mkdir(parents=True, exist_ok=True)
     if latest_checkpoint(run.checkpoint_folder) is not None:
-        return _train(run, _newest_checkpoint(run), folder, callbacks, progress)
+        return _train(run, _newest_checkpoint(run), callbacks, progress)
     write_resolved(run)
-    return _train(run, None, folder, callbacks, progress)
+    return _train(run, None, callbacks, progress)
 
 
 def check_same(found: Run, wanted: Run) -> None:
@@ -178,16 +177,14 @@ def _newest_checkpoint(run: Run) -> Path:
     return checkpoint
 
 
-def _train(
-    run: Run, checkpoint: Path | None, folder: Path, callbacks: Sequence[BaseCallback], progress: bool
-) -> Run:
+def _train(run: Run, checkpoint: Path | None, callbacks: Sequence[BaseCallback], progress: bool) -> Run:
     register_algorithms()
     logging = tracked(run) if run.options.track else nullcontext(run)
     with held(run.folder, checkpoint) as done, _threads(run.options.num_threads), logging as logged:
         if checkpoint is None:
             clear(run)
         set_random_seed(run.seed)
-        manager = ZooManager(logged, checkpoint, folder / DEMONSTRATIONS_FOLDER, callbacks, progress, done)
+        manager = ZooManager(logged, checkpoint, callbacks, progress, done)
         built = manager.setup_experiment()
         assert built is not None  # it is only where rl_zoo3 searches for hyperparameters
         manager.learn(built[0])

@@ -19,7 +19,6 @@ from stable_baselines3.common.save_util import load_from_zip_file
 from stable_baselines3.common.vec_env import VecEnv
 
 from sb3_extensions.common.checkpoint import DirectoryCheckpointCallback, resume, save_checkpoint
-from sb3_extensions.common.following import constructor_keys
 from zoo_configs.algorithms import class_from_path
 from zoo_configs.cells.validation import policy_class
 from zoo_configs.environments import load_expert_data
@@ -50,7 +49,6 @@ class ZooManager(ExperimentManager):
 
     :param run: The run; its folder holds its resolved hyperparameters
     :param checkpoint: The checkpoint to go on from, None for a new run
-    :param demonstrations: Folder of the demonstrations that runs share
     :param callbacks: At work beside those of the options
     :param progress: Whether to show a progress bar
     :param done: Whether the run was done before: there is nothing to do then but for more time steps. One
@@ -61,7 +59,6 @@ class ZooManager(ExperimentManager):
         self,
         run: Run,
         checkpoint: Path | None,
-        demonstrations: Path,
         callbacks: Sequence[BaseCallback] = (),
         progress: bool = False,
         done: bool = False,
@@ -92,7 +89,6 @@ class ZooManager(ExperimentManager):
         )
         self.run = run
         self.checkpoint = checkpoint
-        self.demonstrations = demonstrations
         self.more_callbacks = callbacks
         self.done = done
         self.interrupted = False
@@ -116,9 +112,6 @@ class ZooManager(ExperimentManager):
         for key in EVALUATED_KEYS:
             if key in hyperparams:
                 hyperparams[key] = import_classes(hyperparams[key], is_class=key.endswith("_class"))
-        if "expert_cache" in constructor_keys(ALGOS[self.algo]):
-            # Shared by the runs in the log folder: the next seed or baseline need not collect them again
-            hyperparams.setdefault("expert_cache", str(self.demonstrations))
         if self.checkpoint is None:  # what is resumed has them in its replay buffer
             hyperparams = load_expert_data(hyperparams)
         processed = super()._preprocess_hyperparams(hyperparams)

@@ -27,7 +27,6 @@ TRAINING_LOG_FILE = "training.csv"
 BEST_MODEL_FILE = "best_model.zip"
 CHECKPOINT_FOLDER = "checkpoints"
 # In the log folder, for all its runs.
-DEMONSTRATIONS_FOLDER = "demonstrations"
 # Of a benchmark's run folders, <folder>/<task>/<baseline>/seed_<n>.
 SEED_PREFIX = "seed_"
 CURVE_FILE = "learning_curve.png"

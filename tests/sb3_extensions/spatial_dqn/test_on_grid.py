@@ -1,6 +1,5 @@
 """What a spatial Q algorithm does and what it is shown lie on its grid."""
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -124,11 +123,3 @@ def test_episodes_handed_over_are_snapped(
     assert is_on_grid(model, stored) and not is_on_grid(model, given)
     np.testing.assert_allclose(stored, model.codec.snap(given), atol=1e-6)
     np.testing.assert_array_equal(model.codec.encode(stored), model.codec.encode(given))
-
-
-def test_demonstrations_are_kept_by_their_grid(make_model: Any, tmp_path: Path) -> None:
-    for count in (4, 4, 8):
-        grid = {"codec_kwargs": {"num_rotations": count}}
-        model = make_model(policy_kwargs=grid, expert_cache=tmp_path, gradient_steps=0).learn(1)
-        assert is_on_grid(model, model.replay_buffer.table["action"][: model.replay_buffer.expert_size])
-    assert len(list(tmp_path.iterdir())) == 2
