@@ -54,6 +54,26 @@ def follow_sequence(
     return {**given, SEQUENCE: sequence} if fits else given
 
 
+def check_rotation(policy_class: type[Any], env: VecEnv | None) -> None:
+    """
+    Check that a policy which rotates its actions with the scene suits the environment.
+
+    The theta of an open-loop action is the yaw in the world: it changes when the scene is rotated. The r of a
+    closed-loop action is a rotation relative to the gripper, which does not.
+
+    :param policy_class: class of the policy
+    :param env: environments, if there are any
+    :raises ValueError: the actions are open-loop ones with a yaw
+    """
+    keys = constructor_keys(policy_class)
+    ranges = _told(env, RANGES)
+    if SEQUENCE in keys and GRID not in keys and isinstance(ranges, Mapping) and "theta" in ranges:
+        raise ValueError(
+            "policy must be 'MultiInputPolicy' for open-loop actions with a yaw, got "
+            f"{policy_class.__name__}. Use SDQfD('EquivariantASRPolicy', ...) for an equivariant network"
+        )
+
+
 def follow_ranges(cls: type[Any], kwargs: Mapping[str, Any] | None, env: VecEnv | None) -> dict[str, Any]:
     """
     Arguments of a policy with a grid over the environment's ``action_ranges``: from names (x, theta, phi)

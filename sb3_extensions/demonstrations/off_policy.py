@@ -14,12 +14,13 @@ from stable_baselines3.common.buffers import ReplayBuffer
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.noise import ActionNoise
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
-from stable_baselines3.common.type_aliases import MaybeCallback, RolloutReturn, TrainFreq
+from stable_baselines3.common.policies import BasePolicy
+from stable_baselines3.common.type_aliases import MaybeCallback, RolloutReturn, TrainFreq, TrainFrequencyUnit
 from stable_baselines3.common.vec_env import VecEnv
 from tqdm import tqdm
 
 from sb3_extensions.common.augmentation import Augmentation, make_augmentation
-from sb3_extensions.common.following import follow_ranges, follow_sequence
+from sb3_extensions.common.following import check_rotation, follow_ranges, follow_sequence
 from sb3_extensions.common.rounding import check_normalisation, check_rounding, follow_extractor
 from sb3_extensions.common.seeds import SeedKey, derive_seed
 from sb3_extensions.demonstrations.collecting import EpisodeData
@@ -99,6 +100,7 @@ class OffPolicyFromDemonstrations(OffPolicyAlgorithm):
         n_steps, self.n_steps = self.n_steps, 1
         super()._setup_model()
         self.n_steps = n_steps
+        self._check_train_freq()
         self._follow_discount()
         assert self.replay_buffer is not None
         check_rounding(self.replay_buffer, self.policy)
@@ -107,10 +109,25 @@ class OffPolicyFromDemonstrations(OffPolicyAlgorithm):
         # The base class seeds before it makes the buffer
         self._seed_samplers(self.seed)
 
+    def _get_policy_from_name(self, policy_name: str) -> type[BasePolicy]:
+        if policy_name not in self.policy_aliases:
+            raise ValueError(f"policy must be one of {', '.join(self.policy_aliases)}, got {policy_name!r}")
+        return self.policy_aliases[policy_name]
+
+    def _check_train_freq(self) -> None:
+        """Stable-Baselines3 refuses this with the first step in the environment, after the pretraining."""
+        assert isinstance(self.train_freq, TrainFreq)
+        if self.train_freq.unit == TrainFrequencyUnit.EPISODE and self.n_envs > 1:
+            raise ValueError(
+                f"train_freq must be a number of steps with {self.n_envs} environments, got "
+                f"({self.train_freq.frequency}, 'episode')"
+            )
+
     def _follow_env(self) -> None:
         """Policy and replay buffer take from the environment what its numbers are, unless they are told."""
         assert self.replay_buffer_class is not None
         env, space = self.env, self.action_space
+        check_rotation(self.policy_class, env)
         policy_kwargs = follow_sequence(self.policy_class, self.policy_kwargs, env, space)
         self.policy_kwargs = follow_ranges(self.policy_class, policy_kwargs, env)
         buffer_class, buffer_kwargs = self.replay_buffer_class, self.replay_buffer_kwargs

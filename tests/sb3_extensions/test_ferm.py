@@ -175,8 +175,8 @@ def test_run_save_and_load(augmentation: Any, side: int, make_toy: Any, tmp_path
     observation = env.reset()
     actions = [m.predict(observation, deterministic=True)[0] for m in (model, loaded)]
     np.testing.assert_array_equal(*actions)
-    loaded.learn(2)  # demonstrations are collected anew, but the encoder is trained already
-    assert steps(loaded.contrast.optimizer) == {8}
+    loaded.learn(2)  # demonstrations and the pretraining of the encoder begin again
+    assert steps(loaded.contrast.optimizer) == {3 + 4 + 3 + 1}
 
 
 def test_resumed_run_equals_uninterrupted_run(make_toy: Any, tmp_path: Any) -> None:

@@ -412,6 +412,26 @@ def test_save_and_load(policy: Any, make_toy: Any, tmp_path: Any) -> None:
     assert loaded.replay_buffer.expert_size == expert_size
 
 
+@pytest.mark.parametrize("name", ["CnnPolicy", "unknown"])
+def test_an_unknown_policy_is_refused_with_the_known_ones(name: str, make_toy: Any) -> None:
+    with pytest.raises(ValueError, match=f"policy must be one of .*EquivariantPolicy.*, got '{name}'"):
+        SACfD(name, make_toy())
+
+
+def test_episodic_training_of_several_environments_is_refused_at_once(make_toy: Any) -> None:
+    with pytest.raises(ValueError, match=r"train_freq must be a number of steps .* got \(1, 'episode'\)"):
+        make_model(make_toy(2), train_freq=(1, "episode"))
+    make_model(make_toy(1), train_freq=(1, "episode"), pretrain_steps=0)
+
+
+def test_an_equivariant_actor_is_refused_in_open_loop(monkeypatch: pytest.MonkeyPatch, make_toy: Any) -> None:
+    env = make_toy()
+    monkeypatch.setattr(type(env.envs[0].unwrapped), "action_ranges", {"theta": (0.0, 3.1)}, raising=False)
+    with pytest.raises(ValueError, match=r"policy must be 'MultiInputPolicy' .*got EquivariantPolicy"):
+        SACfD("EquivariantPolicy", env)
+    SACfD("MultiInputPolicy", env)
+
+
 def test_a_loaded_model_begins_again_with_demonstrations_of_its_environment(
     make_toy: Any, tmp_path: Any
 ) -> None:
