@@ -19,6 +19,7 @@ from sb3_extensions.replay.expert import ExpertReplayBuffer
 from sb3_extensions.sacfd import SACfD
 from zoo_configs.cli import main
 from zoo_configs.training.evaluation import PeriodicEvaluation
+from zoo_configs.training.runs import RESOLVED_FILE
 
 RUN_NAME = "BulletArm-CloseLoopToy-v0_1"
 Train = Callable[..., int]
@@ -156,6 +157,21 @@ def test_training_goes_on_from_a_model(train_tiny: Train, run_folder: Path, tmp_
     trained = SACfD.load(tmp_path / "sacfd" / RUN_NAME / "best_model.zip", device="cpu")
     assert (trained.gamma, trained.n_steps, trained.n_pretrained) == (0.9, 2, 2)
     assert trained.replay_buffer_kwargs["expert_fraction"] == 0.25
+
+
+def test_a_replay_buffer_of_another_environment_is_left_out(
+    train_tiny: Train, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    source = tmp_path / "a"
+    flags = ["--save-replay-buffer", "--eval-freq", "0"]
+    assert train_tiny(source, *flags) == 0
+    model_file = source / "sacfd" / RUN_NAME / "BulletArm-CloseLoopToy-v0.zip"
+    assert train_tiny(tmp_path / "b", "--eval-freq", "0", "-i", str(model_file)) == 0
+    assert "left out" not in capsys.readouterr().out
+    resolved = model_file.parent / RESOLVED_FILE
+    resolved.write_text(resolved.read_text().replace("CloseLoopToy", "CloseLoopOther"))
+    assert train_tiny(tmp_path / "c", "--eval-freq", "0", "-i", str(model_file)) == 0
+    assert "left out" in capsys.readouterr().out
 
 
 def test_a_model_with_an_augmentation_and_a_buffer_of_its_own_goes_on(

@@ -14,6 +14,7 @@ from rl_zoo3.callbacks import SaveVecNormalizeCallback
 from rl_zoo3.exp_manager import ExperimentManager
 from rl_zoo3.utils import ALGOS
 from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.buffers import ReplayBuffer
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.save_util import load_from_zip_file
 from stable_baselines3.common.vec_env import VecEnv
@@ -26,7 +27,7 @@ from zoo_configs.errors import CommandError, reason, refused
 from zoo_configs.files import whole_file
 from zoo_configs.training.evaluation import PeriodicEvaluation
 from zoo_configs.training.progress import TrainingBar
-from zoo_configs.training.runs import Run
+from zoo_configs.training.runs import Run, load_run
 from zoo_configs.training.seeds import SeedStream, stream_seed
 from zoo_configs.training.state import NothingToDo
 from zoo_configs.training.training_log import TrainingLog
@@ -172,12 +173,28 @@ class ZooManager(ExperimentManager):
             # What the hyperparameters do not name would be the model's, and the buffer's arguments are theirs
             if (default := getattr(ALGOS[self.algo], "default_replay_buffer_class", None)) is not None:
                 hyperparams.setdefault("replay_buffer_class", default)
-            return super()._load_pretrained_agent(hyperparams, env)
+            model = super()._load_pretrained_agent(hyperparams, env)
+            self._discard_foreign_buffer(model)
+            return model
         model = resume(self.checkpoint, env, self.device)
         if self.done and model.num_timesteps >= self.n_timesteps:
             done = f"{self.run.folder} has done {model.num_timesteps} time steps of {self.n_timesteps}"
             raise NothingToDo(f"{done}; to go on, give more by -n")
         return model
+
+    def _discard_foreign_buffer(self, model: BaseAlgorithm) -> None:
+        """Empty a replay buffer that was not recorded in this run's environment."""
+        buffer: ReplayBuffer | None = getattr(model, "replay_buffer", None)
+        if buffer is None or not buffer.size():
+            return
+        cell = self.run.cell
+        with contextlib.suppress(CommandError):
+            found = load_run(Path(self.trained_agent).parent).cell
+            same = found.hyperparams.get("env_kwargs") == cell.hyperparams.get("env_kwargs")
+            if found.env_id == cell.env_id and same:
+                return
+        buffer.reset()
+        print(f"The replay buffer next to {self.trained_agent} is not of this environment: left out")
 
     def _check_trained_agent(self, policy: str | type[Any]) -> None:
         """The model keeps its policy, whatever the hyperparameters say."""
