@@ -23,6 +23,7 @@ from typing import Any
 import gymnasium
 import h5py
 import numpy as np
+from gymnasium import spaces
 from numpy.typing import NDArray
 
 from bulletarm_gym.demonstrations import plain
@@ -130,6 +131,11 @@ class Demonstrations:
     def action_sequence(self) -> str:
         """Meaning of each number of an action, one character each."""
         return str(self.about["configuration"]["action_sequence"])
+
+    @property
+    def action_space(self) -> spaces.Box:
+        """Action space of the environment."""
+        return spaces.Box(-1.0, 1.0, (len(self.action_sequence),), np.float32)
 
     @property
     def action_ranges(self) -> dict[str, tuple[float, float]] | None:
