@@ -1,23 +1,21 @@
 """Pickles and copies of an environment."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from copy import deepcopy
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+import gymnasium
 from gymnasium.envs.registration import EnvSpec
 
 from bulletarm_gym.state import EnvState
 
-if TYPE_CHECKING:
-    from bulletarm_gym.env import ManipulationEnv
+Env = gymnasium.Env[Any, Any]
 
 KEPT = ("action_space", "observation_space", "_np_random", "_np_random_seed")
 """Attributes with generators or seeds, which copies of an environment keep."""
 
 
-def reduce_env(
-    env: "ManipulationEnv", arguments: Mapping[str, Any], state: EnvState | None
-) -> tuple[Any, ...]:
+def reduce_env(env: Env, arguments: Mapping[str, Any], state: EnvState | None) -> tuple[Any, ...]:
     """Return what ``__reduce__()`` returns for an environment.
 
     :param arguments: of the constructor
@@ -28,12 +26,12 @@ def reduce_env(
 
 
 def _restore(
-    kind: type["ManipulationEnv"],
+    kind: Callable[..., Any],
     arguments: Mapping[str, Any],
     spec: EnvSpec | None,
     state: EnvState | None,
     kept: Mapping[str, Any],
-) -> "ManipulationEnv":
+) -> Any:
     env = kind(**arguments)
     env.spec = spec
     if state is not None:
