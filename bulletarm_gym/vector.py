@@ -25,8 +25,12 @@ def reset_to_states(envs: VectorEnv[Any, Any, Any], states: Sequence[EnvState]) 
     :param envs: vector environment of Gymnasium, or :class:`ParallelEnv`
     :param states: one state per member
     :return: observations and infos, as ``envs.reset()`` returns them
-    :raises ValueError: the number of states differs from that of the members
+    :raises ValueError: the number of states differs from that of the members, or ``envs`` has
+        ``shared_memory=False``
     """
+    if not getattr(envs.unwrapped, "shared_memory", True):
+        # Its workers reset ended members again at the next step: findings/gymnasium_async_resets_twice.sh
+        raise ValueError("envs must have shared_memory=True, got shared_memory=False")
     if len(states) != envs.num_envs:
         raise ValueError(f"states must be {envs.num_envs} states, one per member, got {len(states)}")
     observations, infos = envs.reset(options={"state": states[0]})

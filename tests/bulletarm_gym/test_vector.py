@@ -90,13 +90,10 @@ def states_and_observations() -> tuple[list[Any], list[Any]]:
     return states, observations
 
 
-@pytest.mark.parametrize("shared", [True, False])
 @pytest.mark.parametrize("mode", ["sync", "async", "parallel"])
-def test_members_begin_at_states_of_their_own(mode: str, shared: bool) -> None:
-    if mode == "sync" and not shared:
-        pytest.skip("the synchronous vector environment has no shared memory")
+def test_members_begin_at_states_of_their_own(mode: str) -> None:
     states, expected = states_and_observations()
-    vector = make_vector(mode, **({} if mode == "sync" else {"shared_memory": shared}))
+    vector = make_vector(mode)
     for _ in range(2):
         observations, infos = reset_to_states(vector, states)
         np.testing.assert_array_equal(observations["heightmap"], expected)
@@ -105,6 +102,29 @@ def test_members_begin_at_states_of_their_own(mode: str, shared: bool) -> None:
         vector.step(np.stack(vector.call("expert_action")))
     with pytest.raises(ValueError, match=r"^states must be 3 states, one per member, got 2"):
         reset_to_states(vector, states[:2])
+    vector.close()
+
+
+@pytest.mark.parametrize("mode", ["sync", "async", "parallel"])
+def test_members_begin_at_states_after_the_end_of_their_episodes(mode: str) -> None:
+    states, _ = states_and_observations()
+    vector = make_vector(mode)
+    vector.reset(seed=0)
+    ended = False
+    while not ended:
+        _, _, terminations, truncations, _ = vector.step(np.stack(vector.call("expert_action")))
+        ended = bool((terminations | truncations).any())
+    reset_to_states(vector, states)
+    vector.step(np.zeros((3, 5), np.float32))
+    steps = [state.steps for state in vector.call("get_state")]
+    assert steps == [state.steps + 1 for state in states]
+    vector.close()
+
+
+def test_states_are_refused_where_they_would_be_lost() -> None:
+    vector = make_vector("async", shared_memory=False)
+    with pytest.raises(ValueError, match=r"^envs must have shared_memory=True, got shared_memory=False$"):
+        reset_to_states(vector, states_and_observations()[0])
     vector.close()
 
 
