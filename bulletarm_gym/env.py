@@ -1,6 +1,5 @@
 """The environment: task, control, surface, arm and sensors put together."""
 
-import zlib
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import cached_property, partial
@@ -14,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from bulletarm_gym.assembly import find_types, make_config, make_scene, take_objects
 from bulletarm_gym.config import CLOSE_LOOP
 from bulletarm_gym.control import Control, RobotInterface
+from bulletarm_gym.copies import reduce_env
 from bulletarm_gym.experts.tracking import Tracker
 from bulletarm_gym.extensions import by_path
 from bulletarm_gym.feasibility import (
@@ -27,25 +27,27 @@ from bulletarm_gym.feasibility import (
     reward_function,
 )
 from bulletarm_gym.footprint import PlacementError
+from bulletarm_gym.rendering.frames import render_frame
 from bulletarm_gym.scene import Scene
 from bulletarm_gym.sensors import Observer, View
-from bulletarm_gym.simulation import Camera, has_display
-from bulletarm_gym.state import EnvState
+from bulletarm_gym.simulation import has_display
+from bulletarm_gym.state import EnvState, check_fits, made_of
 from bulletarm_gym.stopwatch import Stopwatch
 from bulletarm_gym.tasks import Task
 from bulletarm_gym.viewer import Viewer
+from bulletarm_gym.wrapped_expert import querying_wrappers, wrapped_expert
 
 Observation = dict[str, NDArray[Any]]
 Action = NDArray[np.float32]
 
-SCENE_PARAMETERS = ("workspace", "object_scale_range", "num_objects", "close_loop_tray")
-"""What the bodies of a scene, and where they can be, follow from."""
 GROUNDS = 30
 """Drawn before the workspace counts as too small for the task."""
 MOVE_STEPS = 10
 """Close-loop steps for which a plan of picks and places draws the same, so that it stays what it is."""
 ARRANGEMENT, AFTER_ACTION, PLAN = range(3)
 """Streams of an episode's randomness: what one of them draws does not move the others."""
+UNKNOWN_SEED = -1
+"""Gymnasium's value of ``np_random_seed`` for a generator that no known seed has produced."""
 
 
 class ManipulationEnv(gymnasium.Env[Observation, Action]):
@@ -83,7 +85,7 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         config_of = partial(make_config, task_type, control_type, tuple(robots), surface, defaults)
         self.config, own = config_of(parameters), config_of({})
         recipe: dict[str, Any] = {"task": task, "control": control, "surface": surface}
-        self._recipe = recipe | ({"defaults": dict(defaults)} if defaults else {})
+        self.recipe = recipe | ({"defaults": dict(defaults)} if defaults else {})
         self.render_mode = self.config.render_mode
         if not has_display():
             self.metadata = {**self.metadata, "render_modes": ["rgb_array", "depth_array"]}
@@ -121,13 +123,19 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
 
         :param seed: the same seed gives the same episode and, from then on, the same episodes
         :param options: ``{"new_scene": True}`` arranges a new scene where a task keeps what an episode left,
-            as a seed does; ``{"start": "goal"}`` arranges the task's finished structure, to take it apart
-        :raises ValueError: an unknown option, or the task has no structure to start from
+            as a seed does; ``{"start": "goal"}`` arranges the task's finished structure, to take it apart;
+            ``{"state": state}`` begins at a state as :meth:`set_state` does
+        :raises ValueError: an unknown option, the task has no structure to start from, or the state is of
+            another environment or after the end of its episode
         :raises PlacementError: the workspace is too small for the task
         :raises gymnasium.error.ClosedEnvironmentError: the environment is closed
         """
         self.scene.world.client.check_open()
         options = checked_options(options, self.task)
+        if "state" in options:
+            self.set_state(options["state"])
+            super().reset(seed=seed)  # decides the later episodes
+            return self.observe(), self._evaluate(ignored=False)
         super().reset(seed=seed)
         anew = seed is not None or any(options.values()) or self._episode_seed is None
         arrange = self.task.arrange_goal if "start" in options else self.task.arrange
@@ -204,16 +212,12 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         return self._observer.read(self._view), reward, terminated, truncated, info
 
     def render(self) -> Any:
-        """Return a picture (480, 480, 3) uint8, distances (480, 480) float32 in metres, or nothing.
+        """Return an image (480, 480, 3) uint8, distances (480, 480) float32 in metres, or None.
 
         :raises gymnasium.error.ClosedEnvironmentError: the environment is closed
         """
         self.scene.world.client.check_open()
-        if self.render_mode == "rgb_array":
-            return Camera().color(self.scene.world)
-        if self.render_mode == "depth_array":
-            return Camera().depth(self.scene.world)
-        return None
+        return render_frame(self.scene.world, self.render_mode, self.spec.id if self.spec else "ID")
 
     def close(self) -> None:
         """Release the simulation; a second call does nothing."""
@@ -272,6 +276,15 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         plan = iter(self.task.plan(self.scene, self._rng(PLAN, self._steps // lasts)))
         return self.control.encode_action(self.tracker.next_move(plan))
 
+    def get_wrapper_attr(self, name: str) -> Any:
+        """Return an attribute; ``expert_action`` returns actions of the outermost wrapper that was queried.
+
+        :raises ValueError: a wrapper changes actions in a way that cannot be inverted
+        """
+        if name == "expert_action":
+            return wrapped_expert(self.expert_action, querying_wrappers(self))
+        return super().get_wrapper_attr(name)
+
     def measure(self) -> Stopwatch:
         """Return a stopwatch that adds up the seconds of the engine's steps and of heightmaps from now on.
 
@@ -310,7 +323,7 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         :raises gymnasium.error.ClosedEnvironmentError: the environment is closed
         """
         self.scene.world.client.check_open()
-        self._check_fits(state)
+        check_fits(state, self._made_of)
         self.scene.world.set_state(state.world)
         self.scene.robot.set_state(state.robot)
         self.scene.set_cast(state.cast)
@@ -320,27 +333,14 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         self._steps, self._ended = state.steps, state.ended
         self._episode_seed = state.episode_seed
         self.np_random.bit_generator.state = state.generator
+        self._np_random_seed = UNKNOWN_SEED
 
     @cached_property
     def _made_of(self) -> dict[str, Any]:
-        """What a state must have in common with the environment: names and JSON values."""
+        """Values that a state must have in common with the environment."""
         names = [body.spec.name for body in self.scene.world.bodies]
-        return {
-            **self._recipe,
-            **{name: getattr(self.config, name) for name in SCENE_PARAMETERS},
-            "robot": self.scene.robot.model.name,
-            **self._observer.shapes(["in_hand"]),
-            "bodies": f"{len(names)}, crc {zlib.crc32(repr(names).encode()):08x}",
-        }
-
-    def _check_fits(self, state: EnvState) -> None:
-        if not isinstance(state, EnvState):
-            raise ValueError(f"state must be an EnvState from get_state(), got a {type(state).__name__}")
-        theirs, ours = state.made_of, self._made_of
-        other = [name for name, value in ours.items() if theirs.get(name) != value]
-        if other:
-            needed, got = (", ".join(f"{n}={made.get(n)!r}" for n in other) for made in (ours, theirs))
-            raise ValueError(f"state must be of an environment with {needed}, got one with {got}")
+        robot, memories = self.scene.robot.model.name, self._observer.shapes(["in_hand"])
+        return made_of(self.recipe, vars(self.config), robot, names, memories)
 
     def _evaluate(self, ignored: bool) -> dict[str, bool]:
         """Return the info; ``is_success`` is the task's goal in a valid scene."""
@@ -374,7 +374,7 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
     def spec(self, spec: EnvSpec | None) -> None:
         """Keep a spec, its parameters as this environment keeps them."""
         if spec is not None:
-            known = {**self._recipe, **self._parameters}
+            known = {**self.recipe, **self._parameters}
             kwargs = {name: known.get(name, value) for name, value in spec.kwargs.items()}
             spec = replace(spec, kwargs=kwargs, max_episode_steps=self.config.max_steps)
         self._spec = spec
@@ -387,19 +387,11 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         self.task.config = self.scene.config = self.config
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle the parameters and, within an episode, the state."""
+        """Pickle the parameters, the generators and, within an episode, the state."""
         state = None if self._episode_seed is None else self.get_state()
-        return _restore, ({**self._recipe, **self._parameters}, self._spec, state)
+        return reduce_env(self, {**self.recipe, **self._parameters}, state)
 
     @property
     def _parameters(self) -> dict[str, Any]:
         """What the environment can be made from again: JSON values, and objects that have no import path."""
         return {**self.config.parameters(), **self.objects}
-
-
-def _restore(arguments: Mapping[str, Any], spec: EnvSpec | None, state: EnvState | None) -> ManipulationEnv:
-    env = ManipulationEnv(**arguments)
-    env.spec = spec
-    if state is not None:
-        env.set_state(state)
-    return env

@@ -139,15 +139,22 @@ def _wish(config: EnvConfig) -> str:
 
 
 def checked_options(options: Mapping[str, Any] | None, task: Task) -> dict[str, Any]:
-    """Return the options of a reset.
+    """Return the options of a reset; a state is checked by ``set_state()``.
 
-    :raises ValueError: not a mapping, an unknown option, or the task has no structure to start from
+    :raises ValueError: not a mapping, an unknown option, an option next to a state, or the task has no
+        structure to start from
     """
     given = {} if options is None else options
+    if isinstance(given, Mapping) and "state" in given:
+        if len(given) > 1:
+            raise ValueError(f"options must have no others next to 'state', got {sorted(given)}")
+        if getattr(given["state"], "ended", False):
+            raise ValueError("state must be before the end of its episode, got one after it")
+        return dict(given)
     if not isinstance(given, Mapping) or not all(
         (type(value), value) in OPTIONS.get(name, ()) for name, value in given.items()
     ):
-        must = 'None or a dict with "new_scene": True or False and "start": "goal"'
+        must = 'None or a dict with "new_scene": True or False and "start": "goal", or with "state"'
         raise ValueError(f"options must be {must}, got {options!r}")
     if "start" in given and not task.has_goal_structure:
         must = f"without a start: {type(task).__name__} builds no structure, it has no arrange_goal()"

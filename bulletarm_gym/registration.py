@@ -129,7 +129,7 @@ def register_all() -> None:
     """Register every entry with Gymnasium, once, and those of the process that started this one."""
     for entry in (*ENTRIES, *(Entry(**recipe) for recipe in announced(TASK).values())):
         if entry.env_id not in gymnasium.registry:
-            _register(entry)
+            register(entry.env_id, entry.kwargs)
 
 
 def register_task(name: str, task: Any, control: str = "close_loop", surface: str = "flat") -> str:
@@ -152,7 +152,7 @@ def register_task(name: str, task: Any, control: str = "close_loop", surface: st
     entry = Entry(_prefix(control, surface) + name, import_path(task, f"task {name!r}"), **recipe)
     known_spec = gymnasium.registry.get(entry.env_id)
     if known_spec is None:
-        _register(entry)
+        register(entry.env_id, entry.kwargs)
     elif known_spec.kwargs != entry.kwargs:
         raise ValueError(f"name: {entry.env_id} is taken by {known_spec.kwargs.get('task')}")
     announce(TASK, entry.env_id, {"name": entry.name, "task": entry.task, **recipe})
@@ -164,10 +164,14 @@ def _check_known(what: str, name: str, known: Sequence[str]) -> None:
         raise ValueError(f"{what}: got {name!r}, takes one of {', '.join(map(repr, known))}")
 
 
-def _register(entry: Entry) -> None:
+def register(env_id: str, recipe: Mapping[str, Any]) -> None:
+    """Register an id with Gymnasium.
+
+    :param recipe: task, control, surface and defaults, as the constructor has them
+    """
     gymnasium.register(
-        entry.env_id,
+        env_id,
         entry_point=ENTRY_POINT,
-        kwargs=entry.kwargs,
+        kwargs=dict(recipe),
         additional_wrappers=(time_limit.wrapper_spec(),),
     )

@@ -1,12 +1,17 @@
 """State of an environment, and the types of the values in it."""
 
 import dataclasses
+import zlib
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from bulletarm_gym.geometry import Pose
 from bulletarm_gym.robots import RobotState
 from bulletarm_gym.simulation import WorldState
 from bulletarm_gym.simulation.properties import Properties
+
+SCENE_PARAMETERS = ("workspace", "object_scale_range", "num_objects", "close_loop_tray")
+"""Parameters that decide the bodies of a scene and where they can be."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -33,6 +38,48 @@ class EnvState:
     episode_seed: int
     generator: dict[str, Any]
     made_of: dict[str, Any]
+
+
+def check_fits(state: Any, made_of: dict[str, Any]) -> None:
+    """Check that a state belongs to an environment of the same task, arm and objects.
+
+    :param made_of: values that the environment and the state must have in common, by name
+    :raises ValueError: they differ, or ``state`` is not an :class:`EnvState`
+    """
+    if not isinstance(state, EnvState):
+        advice = ". Use bulletarm_gym.vector.reset_to_states() for one state per member"
+        raise ValueError(
+            f"state must be an EnvState from get_state(), got a {type(state).__name__}"
+            f"{advice if isinstance(state, list | tuple) else ''}"
+        )
+    other = [name for name, value in made_of.items() if state.made_of.get(name) != value]
+    if other:
+        needed, got = (", ".join(f"{n}={made.get(n)!r}" for n in other) for made in (made_of, state.made_of))
+        raise ValueError(f"state must be of an environment with {needed}, got one with {got}")
+
+
+def made_of(
+    recipe: Mapping[str, Any],
+    parameters: Mapping[str, Any],
+    robot: str,
+    bodies: Sequence[str],
+    memories: Mapping[str, Any],
+) -> dict[str, Any]:
+    """Return the values that a state and an environment must have in common, by name; JSON values.
+
+    :param recipe: task, control and surface of the environment
+    :param parameters: parameters of the environment
+    :param robot: name of the arm
+    :param bodies: names of the bodies
+    :param memories: shapes of the memories of sensors
+    """
+    return {
+        **recipe,
+        **{name: parameters[name] for name in SCENE_PARAMETERS},
+        "robot": robot,
+        **memories,
+        "bodies": f"{len(bodies)}, crc {zlib.crc32(repr(list(bodies)).encode()):08x}",
+    }
 
 
 STATE_TYPES: dict[str, type] = {

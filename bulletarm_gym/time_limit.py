@@ -4,14 +4,20 @@
 that the environment has, but not extend it; which calls a success at the limit truncated, too; and whose
 count of steps does not follow ``set_state()``. So the first wrapper that each id names takes ``TimeLimit``
 away again and tells the environment; nothing of it stays but its name in the spec.
+
+``max_episode_steps=-1`` removes the limit.
 """
 
+import sys
 from dataclasses import replace
 from typing import Any
 
 import gymnasium
 from gymnasium.envs.registration import WrapperSpec
 from gymnasium.wrappers import TimeLimit
+
+UNLIMITED = 2**31 - 1
+"""Limit (steps) of an environment made with ``max_episode_steps=-1``."""
 
 
 def wrapper_spec(known: int | None = None) -> WrapperSpec:
@@ -27,10 +33,13 @@ def own_time_limit(env: gymnasium.Env[Any, Any], known: int | None) -> gymnasium
     """
     core: Any = env.unwrapped
     spec = core.spec
+    limit = known
     if isinstance(env, TimeLimit):
         limit, env = env._max_episode_steps, env.env
-        if limit != known:
-            core.limit_steps(limit)
-            spec = replace(spec, kwargs={**spec.kwargs, "max_steps": limit})
+    elif sys._getframe(1).f_locals.get("max_episode_steps") == -1:  # make() leaves no other trace of it
+        limit = UNLIMITED
+    if limit is not None and limit != known:
+        core.limit_steps(limit)
+        spec = replace(spec, kwargs={**spec.kwargs, "max_steps": limit})
     core.spec = replace(spec, additional_wrappers=(wrapper_spec(core.config.max_steps),))
     return env

@@ -12,8 +12,40 @@ from multiprocessing.process import BaseProcess
 from typing import Any, NoReturn
 
 import gymnasium
-from gymnasium.vector import AsyncVectorEnv
+import numpy as np
+from gymnasium.vector import AsyncVectorEnv, VectorEnv
 from gymnasium.vector.async_vector_env import _async_worker
+
+from bulletarm_gym.state import EnvState
+
+
+def reset_to_states(envs: VectorEnv[Any, Any, Any], states: Sequence[EnvState]) -> tuple[Any, dict[str, Any]]:
+    """Begin the episodes of a vector environment, each member at a state of its own.
+
+    :param envs: vector environment of Gymnasium, or :class:`ParallelEnv`
+    :param states: one state per member
+    :return: observations and infos, as ``envs.reset()`` returns them
+    :raises ValueError: the number of states differs from that of the members, or ``envs`` has
+        ``shared_memory=False``
+    """
+    if not getattr(envs.unwrapped, "shared_memory", True):
+        # Its workers reset ended members again at the next step: findings/gymnasium_async_resets_twice.sh
+        raise ValueError("envs must have shared_memory=True, got shared_memory=False")
+    if len(states) != envs.num_envs:
+        raise ValueError(f"states must be {envs.num_envs} states, one per member, got {len(states)}")
+    observations, infos = envs.reset(options={"state": states[0]})
+    for number, state in enumerate(states[1:], 1):
+        mask = np.arange(envs.num_envs) == number
+        observations, later = envs.reset(options={"state": state, "reset_mask": mask})
+        infos = _masked(infos, later, mask)
+    return observations, infos
+
+
+def _masked(value: Any, later: Any, mask: Any) -> Any:
+    """Return infos, or an entry of infos, with the later values of the members in a mask."""
+    if isinstance(value, dict):
+        return {name: _masked(entry, later[name], mask) for name, entry in value.items()}
+    return np.where(mask, later, value)
 
 
 class WorkerError(RuntimeError):

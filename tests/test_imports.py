@@ -33,7 +33,7 @@ LAYERS = (
     {"control"},
     {"experts"},
     {"tasks"},
-    {"assembly", "feasibility", "viewer"},
+    {"assembly", "copies", "feasibility", "viewer", "wrapped_expert"},
     {"env"},
     {"demonstrations", "registration"},
     {"benchmarks", "real_arm", "vector", "wrappers", "__init__"},

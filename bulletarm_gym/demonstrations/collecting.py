@@ -64,7 +64,7 @@ def collect(
     most = ATTEMPTS_PER_EPISODE * episodes if max_attempts is None else max_attempts
     with closing(_make(env_id, env_kwargs or {})) as env:
         check_planner(planner, env)
-        recorder = Recorder(env_id, recordable(env))
+        recorder = Recorder(describe(env))
         silent = None if progress is None else not progress
         with tqdm(desc=planner, total=episodes, unit="episode", disable=silent) as bar:
             for episode in itertools.islice(_attempts(env, planner, seed), most):
@@ -153,16 +153,22 @@ def _play(
     return assemble(observations, steps, seed, initial_state)
 
 
-def recordable(env: ManipulationEnv) -> dict[str, Any]:
-    """Return the parameters that a file tells of an environment.
+def describe(env: ManipulationEnv) -> dict[str, Any]:
+    """Return the description of an environment in a file: its id, parts, parameters and action ranges.
 
-    :raises ValueError: it cannot tell what the environment was, with the reason
+    :raises ValueError: an object in the parameters has no import path
     """
+    assert env.spec is not None
     for name, thing in env.objects.items():
         raise ValueError(
             f"env_kwargs: {name}={thing!r} has no import path 'module:name' to be kept in a file"
         )
-    return {**env.config.parameters(), "render_mode": None}
+    return {
+        "env_id": env.spec.id,
+        "recipe": env.recipe,
+        "configuration": {**env.config.parameters(), "render_mode": None},
+        "action_ranges": env.action_ranges,
+    }
 
 
 def _make(env_id: str, env_kwargs: Mapping[str, Any]) -> ManipulationEnv:

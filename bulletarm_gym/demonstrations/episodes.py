@@ -1,10 +1,10 @@
 """Episodes, and the HDF5 files they are kept in.
 
 A file holds, compressed, ``episodes/0``, ``episodes/1``, ...: each with ``observations`` (n + 1 of each key),
-``actions``, ``rewards``, ``terminations``, ``truncations``, the ``seed`` it was reset with, and as JSON the
-``initial_state`` (see :mod:`~bulletarm_gym.plain`), the ``configuration`` of its environment and the
-``versions`` of what it was recorded with. Heights are counts of 0.1 mm. Before it, in HDF5's user block, is a
-checksum of all that.
+``actions``, ``rewards``, ``terminations``, ``truncations``, the ``seed`` of its reset if it had one, and as
+JSON the ``initial_state`` (see :mod:`~bulletarm_gym.plain`), the ``configuration`` of its environment and
+the ``versions`` of what it was recorded with. Heights are counts of 0.1 mm. Before it, in HDF5's user block,
+is a checksum of all that.
 """
 
 import io
@@ -23,9 +23,11 @@ from typing import Any
 import gymnasium
 import h5py
 import numpy as np
+from gymnasium import spaces
 from numpy.typing import NDArray
 
 from bulletarm_gym.demonstrations import plain
+from bulletarm_gym.registration import register
 from bulletarm_gym.state import EnvState
 
 FORMAT = 1
@@ -38,6 +40,8 @@ STEPS = ("actions", "rewards", "terminations", "truncations")
 LIBRARIES = ("bulletarm-gym", "gymnasium", "h5py", "numba", "numpy", "pybullet")
 USER_BLOCK = 512
 """Bytes before the HDF5 content proper: HDF5's smallest block for other things than its own."""
+LARGEST_SEED = 2**63 - 1
+"""Largest seed that HDF5 stores as an integer; larger seeds are decimal text."""
 MAGIC = b"bulletarm-gym demonstrations"
 PACKED = {"compression": "gzip", "compression_opts": 4, "shuffle": True}
 
@@ -51,7 +55,7 @@ class Episode:
     :param rewards: (n,)
     :param terminations: (n,) whether it terminated
     :param truncations: (n,) whether it was truncated
-    :param seed: of the reset it began with
+    :param seed: of the reset it began with; None if it began without a seed or at a state
     :param initial_state: as JSON
     """
 
@@ -60,7 +64,7 @@ class Episode:
     rewards: NDArray[np.float32]
     terminations: NDArray[np.bool_]
     truncations: NDArray[np.bool_]
-    seed: int
+    seed: int | None
     initial_state: str
 
     def __len__(self) -> int:
@@ -81,7 +85,7 @@ Step = tuple[NDArray[np.float32], float, bool, bool]
 def assemble(
     observations: Sequence[Mapping[str, NDArray[np.float32]]],
     steps: Sequence[Step],
-    seed: int,
+    seed: int | None,
     initial_state: str,
 ) -> Episode:
     """Put an episode together from what was observed, n + 1 times, and done, n times."""
@@ -123,11 +127,29 @@ class Demonstrations:
         """Number of episodes begun for those that are here."""
         return int(self.about["attempts"])
 
-    def make_env(self, **parameters: Any) -> gymnasium.Env[Any, Any]:
-        """Make an environment like the one they were recorded in.
+    @property
+    def action_sequence(self) -> str:
+        """Meaning of each number of an action, one character each."""
+        return str(self.about["configuration"]["action_sequence"])
 
-        :param parameters: that are to differ
+    @property
+    def action_space(self) -> spaces.Box:
+        """Action space of the environment."""
+        return spaces.Box(-1.0, 1.0, (len(self.action_sequence),), np.float32)
+
+    @property
+    def action_ranges(self) -> dict[str, tuple[float, float]] | None:
+        """Values (m, rad) of -1 and 1 in an action, by name; None in older files."""
+        ranges = self.about.get("action_ranges")
+        return ranges and {name: (low, high) for name, (low, high) in ranges.items()}
+
+    def make_env(self, **parameters: Any) -> gymnasium.Env[Any, Any]:
+        """Make an environment like the one they were recorded in; the module of a user's task is imported.
+
+        :param parameters: parameters with other values
         """
+        if self.env_id not in gymnasium.registry and "recipe" in self.about:
+            register(self.env_id, self.about["recipe"])
         return gymnasium.make(self.env_id, **{**self.about["configuration"], **parameters})
 
     def save(self, path: str | os.PathLike[str]) -> None:
@@ -169,18 +191,13 @@ class Demonstrations:
 class Recorder:
     """Makes the file, episode by episode, in memory: until it is whole there is none on the disk.
 
-    :param env_id: of the environment
-    :param configuration: its parameters
+    :param environment: description of the environment, with its parameters as ``configuration``
     """
 
-    def __init__(self, env_id: str, configuration: Mapping[str, Any]) -> None:
-        self._about = {
-            "format": FORMAT,
-            "env_id": env_id,
-            "configuration": dict(configuration),
-            "versions": versions(),
-        }
-        self._attempts = 0
+    def __init__(self, environment: Mapping[str, Any]) -> None:
+        self._about = {"format": FORMAT, **environment, "versions": versions()}
+        self.attempts = 0
+        """Number of episodes begun."""
         self._buffer = io.BytesIO()
         self._file = h5py.File(self._buffer, "w", userblock_size=USER_BLOCK)
         self._episodes = self._file.create_group("episodes", track_order=True)
@@ -193,7 +210,7 @@ class Recorder:
 
     def add(self, episode: Episode | None) -> None:
         """Add the episode of an attempt; None counts as one that failed."""
-        self._attempts += 1
+        self.attempts += 1
         if episode is not None:
             self._write(episode)
 
@@ -203,7 +220,8 @@ class Recorder:
             _write_observations(group.require_group("observations"), key, values)
         for name in STEPS:
             group[name] = getattr(episode, name)
-        group["seed"] = episode.seed
+        if episode.seed is not None:
+            group["seed"] = episode.seed if episode.seed <= LARGEST_SEED else str(episode.seed)
         state = np.frombuffer(episode.initial_state.encode(), np.uint8)
         group.create_dataset("initial_state", data=state, **PACKED)
         for name in ("configuration", "versions"):
@@ -214,7 +232,7 @@ class Recorder:
 
         :param about: what else is to be known of it; JSON values
         """
-        self._file["about"] = json.dumps({**self._about, "attempts": self._attempts, **about})
+        self._file["about"] = json.dumps({**self._about, "attempts": self.attempts, **about})
         self._file.close()
         content = self._buffer.getvalue()[USER_BLOCK:]
         return Demonstrations(_user_block(content) + content)
@@ -265,7 +283,7 @@ def _read(group: h5py.Group) -> Episode:
         group["rewards"][()],
         group["terminations"][()],
         group["truncations"][()],
-        int(group["seed"][()]),
+        int(group["seed"][()]) if "seed" in group else None,
         group["initial_state"][()].tobytes().decode(),
     )
 

@@ -11,6 +11,7 @@ import numpy.typing as npt
 from stable_baselines3.common.vec_env import VecEnv
 
 from sb3_extensions.common.codec import SpatialActionCodec
+from sb3_extensions.demonstrations.checking import checked_episodes
 from sb3_extensions.demonstrations.collecting import (
     AnyEnv,
     EpisodeData,
@@ -74,9 +75,10 @@ class DemonstrationSource:
         :param env: environment to train in
         :param seed: seed of the episodes, None draws one
         :param rescale: from actions in the environment's units to those of the policy
-        :raises ValueError: if ``data`` has no episode
+        :raises ValueError: if ``data`` has no episode, or is of another environment
         """
-        for episode in self.data if self.data is not None else self._expert_episodes(env, seed):
+        episodes = self._expert_episodes(env, seed) if self.data is None else checked_episodes(self.data, env)
+        for episode in episodes:
             wanted = getattr(episode, "expert_actions", episode.actions)
             buffer.add_episode(
                 episode.observations,

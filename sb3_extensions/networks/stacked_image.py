@@ -119,9 +119,16 @@ def square_images(parts: Mapping[str, gym.Space[Any]]) -> dict[str, spaces.Box]:
         if isinstance(space, spaces.Box) and len(space.shape) == IMAGE_AXES
     }
     if not images or any(space.shape[1] != space.shape[2] for space in images.values()):
-        shapes = {key: space.shape for key, space in images.items()}
-        advice = "" if images else "; numbers alone are for a StatePolicy or the MlpExtractor"
-        raise ValueError(f"observation_space needs images, all (channels, size, size), got {shapes}{advice}")
+        shapes = {key: space.shape or space for key, space in parts.items()}
+        advice = (
+            ""
+            if images
+            else ". Use neither FlattenObservation nor FrameStackObservation for images, "
+            "and a StatePolicy or the MlpExtractor for numbers alone."
+        )
+        raise ValueError(
+            f"observation_space must have images, all (channels, size, size), got {shapes}{advice}"
+        )
     return images
 
 

@@ -27,6 +27,7 @@ from bulletarm_gym.geometry import Pose
 from bulletarm_gym.robots import KUKA, RobotModel
 from bulletarm_gym.scene import Scene
 from bulletarm_gym.state import EnvState
+from bulletarm_gym.time_limit import UNLIMITED
 
 Make = Callable[..., ManipulationEnv]
 
@@ -494,9 +495,10 @@ def test_pictures_show_the_scene(make: Make) -> None:
     assert (env.render() != before).any(axis=-1).sum() > 500
 
 
-def test_no_render_mode_gives_nothing(typical_env: ManipulationEnv) -> None:
+def test_render_without_a_mode_warns(typical_env: ManipulationEnv) -> None:
     typical_env.reset(seed=0)
-    assert typical_env.render() is None
+    with pytest.warns(UserWarning, match=r"render_mode must be set for render\(\), got None"):
+        assert typical_env.render() is None
 
 
 HUMAN = """
@@ -575,7 +577,6 @@ def test_spec_round_trip(typical_id: str) -> None:
         ({"max_steps": 7}, {}, 7),
         ({"max_episode_steps": 60}, {}, 60),
         ({"max_episode_steps": 5}, {}, 5),
-        ({"max_episode_steps": -1}, {}, 50),
         ({"max_steps": 7, "max_episode_steps": 60}, {}, 60),
         ({}, {"max_steps": 60}, 60),
         ({}, {"max_episode_steps": 60}, 60),
@@ -600,6 +601,20 @@ def test_the_spec_says_where_episodes_are_truncated(
         assert ends == [(False, False)] * (steps - 1) + [(False, True)]
         env.close()
     made.close()
+
+
+@pytest.mark.parametrize("then", [False, True])
+def test_no_limit_with_max_episode_steps_of_minus_one(then: bool) -> None:
+    env = gymnasium.make(PICKING, obs_size=16, **({} if then else {"max_episode_steps": -1}))
+    if then:
+        env = gymnasium.make(env.spec, max_episode_steps=-1)
+    for each in (env, gymnasium.make(env.spec), pickle.loads(pickle.dumps(env))):
+        each.reset(seed=0)
+        assert not any(each.step(idle(each.unwrapped))[3] for _ in range(60))
+        each.close()
+    vector = gymnasium.make_vec(PICKING, num_envs=1, max_episode_steps=-1, obs_size=16)
+    assert vector.get_attr("spec")[0].max_episode_steps == UNLIMITED
+    vector.close()
 
 
 def test_vectors_take_the_time_limit() -> None:

@@ -1,5 +1,6 @@
 """States are exact: what follows from one is the same in any instance, process and after any pickle."""
 
+import copy
 import pickle
 from collections.abc import Callable
 from typing import Any
@@ -183,6 +184,79 @@ def test_state_needs_an_episode(typical_id: str) -> None:
     with pytest.raises(gymnasium.error.ResetNeeded):
         env.get_state()
     env.close()
+
+
+# Resets to a state
+
+
+def test_reset_begins_at_a_state(typical_id: str, make: Make) -> None:
+    env, other = make(typical_id), make(typical_id, 1)
+    state = advance(env, SEED, 1)
+    expected = digest(env.observe())
+    transcript(other, 5, seed=8)
+    observation, info = other.reset(options={"state": state})
+    assert digest(observation) == expected and info["is_valid"]
+    assert other.get_state() == state
+    assert transcript(other, 12) == transcript(env, 12)
+
+
+def test_seed_of_a_reset_to_a_state_decides_later_episodes(picking: ManipulationEnv) -> None:
+    state = advance(picking, SEED, 1)
+    picking.reset(seed=11, options={"state": state})
+    assert picking.np_random_seed == 11
+    later = digest(*picking.reset())
+    picking.reset(seed=11, options={"state": advance(picking, 5, 2)})
+    assert digest(*picking.reset()) == later
+
+
+def test_reset_rejects_other_states(picking: ManipulationEnv, make: Make) -> None:
+    state = advance(picking, SEED, 0)
+    other = make("BulletArm/CloseLoopBlockReaching-v0")
+    wrong: list[tuple[dict[str, Any], str]] = [
+        ({"state": 3}, r"^state must be an EnvState from get_state\(\), got a int$"),
+        ({"state": [state]}, r"got a list\. Use bulletarm_gym\.vector\.reset_to_states\(\)"),
+        ({"state": advance(other, 0, 0)}, r"^state must be of an environment with task="),
+        ({"state": state, "new_scene": True}, r"^options must have no others next to 'state'"),
+    ]
+    for options, message in wrong:
+        with pytest.raises(ValueError, match=message):
+            picking.reset(options=options)
+        assert picking.get_state() == state
+    short = make(PICKING, max_steps=1)
+    short.reset(seed=0)
+    short.step(idle(short))
+    with pytest.raises(ValueError, match=r"^state must be before the end of its episode"):
+        short.reset(options={"state": short.get_state()})
+
+
+# Copies
+
+
+@pytest.mark.parametrize("moment", [None, 1])
+@pytest.mark.parametrize("copied", [copy.copy, copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
+def test_copies_keep_generators_and_seed(copied: Callable[[Any], Any], moment: int | None) -> None:
+    env = make_env(PICKING, obs_size=16)
+    env.action_space.seed(5)
+    env.observation_space.seed(6)
+    env.action_space.sample()
+    if moment is None:
+        _ = env.np_random_seed
+    else:
+        advance(env, SEED, moment)
+    other = copied(env)
+    assert other.np_random_seed == env.np_random_seed
+    assert np.array_equal(other.action_space.sample(), env.action_space.sample())
+    assert digest(other.observation_space.sample()) == digest(env.observation_space.sample())
+    assert digest(*other.reset()) == digest(*env.reset())
+    env.close()
+    other.close()
+
+
+def test_set_state_leaves_no_seed_of_another_generator(picking: ManipulationEnv) -> None:
+    state = advance(picking, SEED, 1)
+    picking.reset(seed=4)
+    picking.set_state(state)
+    assert picking.np_random_seed == -1  # Gymnasium's value for an unknown seed
 
 
 STACKING = "BulletArm/OpenLoopBlockStacking-v0"

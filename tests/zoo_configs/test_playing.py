@@ -63,7 +63,7 @@ def test_a_file_of_another_task_is_refused(
 ) -> None:
     _play(monkeypatch, "xx", STACKING, "--record", "own.h5", "--env-kwargs", "num_objects:2")
     assert _play(monkeypatch, "", PICKING, "--record", "own.h5") == 2
-    assert "--record: path: own.h5 has env_id=" in capsys.readouterr().err
+    assert "--record: path must be a file of demonstrations with env_id=" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -197,6 +197,26 @@ def test_a_study_stays_in_its_folder(tune: Tune, tmp_path: Path, capsys: pytest.
     assert "was begun in another folder" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("begun", ["trial", "attribute", "direction"])
+def test_a_study_of_another_program_is_refused_unchanged(
+    begun: str, tune: Tune, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    database = f"sqlite:///{tmp_path / 'study.db'}"
+    direction = "minimize" if begun == "direction" else "maximize"
+    foreign = optuna.create_study(storage=database, study_name="mine", direction=direction)
+    if begun == "trial":
+        foreign.optimize(lambda trial: trial.suggest_float("x", 0.0, 1.0), n_trials=1)
+    if begun == "attribute":
+        foreign.set_user_attr("owner", "me")
+    before = (foreign.trials, foreign.user_attrs)
+    assert tune("--n-trials", "1", "--storage", database, "--study-name", "mine") == 2
+    assert (
+        "--study-name must be a new study or one of bulletarm-zoo tune, got mine" in capsys.readouterr().err
+    )
+    again = optuna.load_study(storage=database, study_name="mine")
+    assert (again.trials, again.user_attrs) == before
+
+
 @pytest.mark.parametrize(
     "algo", [name for name in register_algorithms() if name not in ("ars", "dqn", "qrdqn")]
 )

@@ -16,6 +16,7 @@ from optuna.pruners import BasePruner, MedianPruner, NopPruner, SuccessiveHalvin
 from optuna.samplers import BaseSampler, GPSampler, RandomSampler, TPESampler
 from optuna.storages import BaseStorage, JournalStorage, RDBStorage
 from optuna.storages.journal import JournalFileBackend
+from optuna.study import StudyDirection
 from optuna.trial import FrozenTrial, TrialState
 from tqdm import tqdm
 
@@ -100,7 +101,7 @@ def open_study(search: Search) -> optuna.Study:
     :param search: What is searched
     :return: The study
     :raises CommandError: if the storage cannot be opened, has a study of that name about something else, or
-        one that was begun in another folder
+        one that another program has begun or that was begun in another folder
     """
     algorithm = register_algorithms()[search.cell.algo]
     check_space(search.space, algorithm)
@@ -115,6 +116,7 @@ def open_study(search: Search) -> optuna.Study:
                 load_if_exists=True,
             )
         if STUDY not in study.user_attrs:
+            _check_new(search, study)
             study.set_user_attr(FOLDER, _identify(search.folder))
             study.enqueue_trial(first_values(search.space, search.cell, algorithm))
             study.set_user_attr(STUDY, search.about())
@@ -126,6 +128,23 @@ def open_study(search: Search) -> optuna.Study:
             f"study {search.name} was begun in another folder than {search.folder}: share that one"
         )
     return study
+
+
+def _check_new(search: Search, study: optuna.Study) -> None:
+    """
+    Check that a study without our attributes is new.
+
+    :raises CommandError: if another program has begun it
+    """
+    trials = len(study.get_trials(deepcopy=False))
+    if FOLDER in study.user_attrs:  # begun by a process that was killed
+        return
+    if trials or study.user_attrs or study.directions != [StudyDirection.MAXIMIZE]:
+        directions = [direction.name.lower() for direction in study.directions]
+        raise CommandError(
+            f"--study-name must be a new study or one of bulletarm-zoo tune, got {search.name} of another "
+            f"program ({trials} trials, directions {directions}). Use another --study-name."
+        )
 
 
 def work(search: Search, study: optuna.Study, progress: bool | None = False) -> None:

@@ -357,11 +357,11 @@ def test_extractors_serve_other_algorithms(algorithm, extractor_class, kwargs, t
 @pytest.mark.parametrize(
     "space, kwargs, named",
     [
-        (spaces.Box(0, 0.4, (16, 16), np.float32), {}, "needs images"),
-        (spaces.Box(0, 0.4, (1, 16, 18), np.float32), {}, "needs images"),
-        (spaces.Dict({"holding": spaces.Box(0, 1, (1,), np.float32)}), {}, "needs images"),
-        (observation_space(in_hand=spaces.Box(0, 0.4, (1, 8, 10), np.float32)), {}, "needs images"),
-        (observation_space(heightmap=spaces.Box(0, 0.4, (1, 16, 24), np.float32)), {}, "needs images"),
+        (spaces.Box(0, 0.4, (16, 16), np.float32), {}, "must have images"),
+        (spaces.Box(0, 0.4, (1, 16, 18), np.float32), {}, "must have images"),
+        (spaces.Dict({"holding": spaces.Box(0, 1, (1,), np.float32)}), {}, "must have images"),
+        (observation_space(in_hand=spaces.Box(0, 0.4, (1, 8, 10), np.float32)), {}, "must have images"),
+        (observation_space(heightmap=spaces.Box(0, 0.4, (1, 16, 24), np.float32)), {}, "must have images"),
         (observation_space(in_hand=spaces.Box(0, np.inf, (1, 8, 8), np.float32)), {}, "'in_hand'"),
         (observation_space(), {"small_image_features": 0}, "small_image_features"),
         (observation_space(heightmap=spaces.Box(0, np.inf, (1, 16, 16), np.float32)), {}, "'heightmap'"),

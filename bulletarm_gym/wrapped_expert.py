@@ -1,0 +1,82 @@
+"""Actions of the expert in the action space of the outermost wrapper."""
+
+import sys
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import gymnasium
+import numpy as np
+from gymnasium.wrappers import ClipAction, DiscretizeAction, RescaleAction
+
+Wrapper = gymnasium.Wrapper[Any, Any, Any, Any]
+Inverse = Callable[[Any], Any]
+
+
+def querying_wrappers(env: gymnasium.Env[Any, Any]) -> list[Wrapper]:
+    """Return the wrappers whose ``get_wrapper_attr()`` called that of an environment, the innermost first.
+
+    Gymnasium gives an environment no reference to its wrappers: they are read from the call stack.
+    """
+    wrappers: list[Wrapper] = []
+    inner: Any = env
+    frame = sys._getframe(1)
+    while frame is not None:
+        caller = frame.f_locals.get("self")
+        if isinstance(caller, gymnasium.Wrapper) and caller.env is inner:
+            wrappers.append(caller)
+            inner = caller
+        elif caller is not inner:
+            break
+        frame = frame.f_back  # type: ignore[assignment]
+    return wrappers
+
+
+def wrapped_expert(expert: Callable[[], Any], wrappers: Sequence[Wrapper]) -> Callable[[], Any]:
+    """Return an expert whose actions are those of the outermost wrapper's action space.
+
+    :param wrappers: the innermost first
+    :raises ValueError: a wrapper changes actions in a way that cannot be inverted
+    """
+    inverses = [inverse for wrapper in wrappers if (inverse := _inverse(wrapper)) is not None]
+    if not inverses:
+        return expert
+
+    def act() -> Any:
+        action = expert()
+        for inverse in inverses:
+            action = inverse(action)
+        return action
+
+    return act
+
+
+def _inverse(wrapper: Wrapper) -> Inverse | None:
+    """Return the inverse of a wrapper's change of actions, or None if it does not change them.
+
+    :raises ValueError: the change cannot be inverted
+    """
+    own: Inverse | None = getattr(wrapper, "revert_action", None)
+    if own is not None and not isinstance(wrapper, DiscretizeAction):  # its own is the nearest bin
+        return own
+    if isinstance(wrapper, RescaleAction):
+        return _rescaled(wrapper)
+    same_space = wrapper.action_space == wrapper.env.action_space
+    if isinstance(wrapper, ClipAction) or (same_space and not isinstance(wrapper, gymnasium.ActionWrapper)):
+        return None
+    raise ValueError(
+        "expert_action must be queried below wrappers whose change of actions has no known inverse, got "
+        f"{type(wrapper).__name__}. Define revert_action(action) in the wrapper, or use env.unwrapped."
+    )
+
+
+def _rescaled(wrapper: RescaleAction[Any, Any, Any]) -> Inverse:
+    """Return the affine map from the action space inside a ``RescaleAction`` to that outside it."""
+    inner: Any = wrapper.env.action_space
+    outer: Any = wrapper.action_space
+
+    def inverse(action: Any) -> Any:
+        share = (np.asarray(action, np.float64) - inner.low) / (inner.high.astype(np.float64) - inner.low)
+        rescaled = outer.low + share * (outer.high.astype(np.float64) - outer.low)
+        return rescaled.clip(outer.low, outer.high).astype(outer.dtype)
+
+    return inverse
