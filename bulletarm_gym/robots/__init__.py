@@ -11,6 +11,7 @@ from bulletarm_gym.robots.model import RobotModel
 from bulletarm_gym.robots.panda import PANDA
 from bulletarm_gym.robots.robot import OutOfReachError, Robot, RobotState
 from bulletarm_gym.robots.ur5 import UR5, UR5_ROBOTIQ
+from bulletarm_gym.robots.urdf import without
 from bulletarm_gym.simulation.assets import read_urdf
 
 ROBOTS = {model.name: model for model in (KUKA, PANDA, UR5, UR5_ROBOTIQ)}
@@ -49,4 +50,5 @@ __all__ = [
     "find_robot",
     "on_slides",
     "read_urdf",
+    "without",
 ]

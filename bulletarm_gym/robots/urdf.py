@@ -139,29 +139,65 @@ def end_of(joint: Element, end: str) -> str:
 
 def _move(element: Element, frame: Pose) -> None:
     """Express in an outer frame an element given in ``frame``."""
-    _put(element, frame.compose(frame_of(element)))
+    put_origin(element, frame.compose(frame_of(element)))
 
 
-def _put(element: Element, pose: Pose) -> None:
+def put_origin(element: Element, pose: Pose) -> None:
+    """Replace the ``origin`` of an element."""
     for old in element.findall("origin"):
         element.remove(old)
     SubElement(element, "origin", _origin(pose))
 
 
 def _add_mass(link: Element, other: Element, mount: Pose) -> None:
-    """Add another link's mass to a link, at their common centre; the inertia is Bullet's to compute."""
+    """Add another link's mass to a link, at their common centre; the inertia is Bullet's to compute.
+
+    A link without ``<inertial>`` has no mass. Bullet would give it 1 kg.
+    """
     own, added = link.find("inertial"), other.find("inertial")
-    if own is None or added is None:
+    if added is None or mass_of(other) == 0.0:
         return
-    masses = [float(part.findall("mass")[0].get("value", "0")) for part in (own, added)]
-    total = sum(masses)
-    if masses[1] == 0.0:
-        return
-    share = masses[1] / total
+    if own is None:
+        own = SubElement(link, "inertial")
+        SubElement(own, "mass", value="0.0")
+        SubElement(own, "inertia", _inertia(mass_of(other), (0.05, 0.05, 0.05)))
+    total = mass_of(link) + mass_of(other)
+    share = mass_of(other) / total
     pairs = zip(frame_of(own).position, mount.transform(frame_of(added).position), strict=True)
     x, y, z = ((1.0 - share) * here + share * there for here, there in pairs)
     own.findall("mass")[0].set("value", repr(total))
-    _put(own, Pose((x, y, z)))
+    put_origin(own, Pose((x, y, z)))
+
+
+def mass_of(link: Element) -> float:
+    """Return the mass (kg) of a link, 0 without ``<inertial>``."""
+    mass = link.find("inertial/mass")
+    return 0.0 if mass is None else float(mass.get("value", "0"))
+
+
+def without(root: Element, *links: str) -> Element:
+    """Remove links from a model, each with its joint and all that is attached to it.
+
+    Leaves out the gripper that a flange carries in its file, for example.
+
+    :param links: names of the links
+    :return: the model
+    :raises ValueError: the model has no such link
+    """
+    for name in links:
+        removed = {find_link(root, name).get("name", "")}
+        while True:
+            joints = [joint for joint in root.findall("joint") if end_of(joint, "parent") in removed]
+            if not joints:
+                break
+            for joint in joints:
+                removed.add(end_of(joint, "child"))
+                root.remove(joint)
+        for joint in [joint for joint in root.findall("joint") if end_of(joint, "child") == name]:
+            root.remove(joint)
+        for link in [link for link in root.findall("link") if link.get("name") in removed]:
+            root.remove(link)
+    return root
 
 
 def _origin(pose: Pose) -> dict[str, str]:
