@@ -101,7 +101,7 @@ def fix(joint: Element) -> None:
 
 
 def _normalize_axis(joint: Element) -> None:
-    """Give an axis the length of 1: Bullet uses the axis as it is."""
+    """Give an axis the length of 1: Bullet multiplies the position of a prismatic joint by the length."""
     axis = axis_of(joint)
     length = math.hypot(*axis)
     if length == 0.0:

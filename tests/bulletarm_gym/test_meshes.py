@@ -9,10 +9,13 @@ import pytest
 
 from bulletarm_gym.geometry import Mesh, Pose
 from bulletarm_gym.robots import KUKA, read_urdf
+from bulletarm_gym.simulation import BodySpec, Box, Slide, World
 from bulletarm_gym.simulation.client import Client
 from bulletarm_gym.simulation.loading import load_urdf
 from bulletarm_gym.simulation.meshes import mesh_parts
+from bulletarm_gym.simulation.physics import PHYSICS_MODES
 from bulletarm_gym.simulation.shapes import Convex, Piece, wavefront
+from bulletarm_gym.surfaces.flat import FLOOR
 
 SIZE = (0.1, 0.2, 0.4)
 INERTIAL = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
@@ -186,3 +189,34 @@ def test_a_model_that_bullet_refuses_is_named() -> None:
     with pytest.raises(ValueError, match="model 'lost' must be a URDF that PyBullet loads"):
         load_urdf(client, "lost", replace(KUKA, name="lost", load=load).xml, Pose((0.0, 0.0, 0.0)))
     client.close()
+
+
+# What Bullet does with links
+
+
+def test_inertia_of_a_robots_link_is_that_of_the_box_around_its_collision_shape() -> None:
+    box = f'<collision><geometry><box size="{" ".join(map(str, SIZE))}"/></geometry></collision>'
+    joint = '<joint name="j" type="continuous"><parent link="a"/><child link="b"/><axis xyz="0 0 1"/></joint>'
+    links = "".join(f'<link name="{name}">{INERTIAL}{box}</link>' for name in ("a", "b"))
+    client = Client()
+    body, _ = load_urdf(client, "two", f'<robot name="two">{links}{joint}</robot>', Pose((0.0, 0.0, 0.0)))
+    x, y, z = (side * side for side in SIZE)
+    expected = [(y + z) / 12.0, (x + z) / 12.0, (x + y) / 12.0]
+    assert client.getDynamicsInfo(body, 0)[2] == pytest.approx(expected, rel=0.1)  # Bullet adds a margin
+    client.close()
+
+
+@pytest.mark.parametrize("mass", [0.0, 0.3], ids=["fixed", "free"])
+def test_parts_of_a_body_do_not_collide_with_it_or_with_each_other(mass: float) -> None:
+    def part(name: str) -> Slide:
+        return Slide(name, (Piece(Box((0.04, 0.04, 0.04))),), 0.1, axis=(1.0, 0.0, 0.0), limits=(-0.1, 0.1))
+
+    spec = BodySpec("body", (Piece(Box((0.05, 0.05, 0.05))),), mass, slides=(part("one"), part("other")))
+    world = World(PHYSICS_MODES["fast"])
+    world.add_plane(FLOOR)
+    body = world.add(spec, Pose((0.0, 0.0, 0.5)))
+    world.seal()
+    world.begin()
+    world.step(5)
+    assert not world.client.getContactPoints(body.id, body.id)
+    world.close()
