@@ -45,7 +45,8 @@ def load_jointed(client: Client, spec: BodySpec, damping: float) -> int:
     :return: its id in Bullet; its joints are numbered like ``spec.parts``
     """
     free = spec.mass > 0.0
-    flags = client.URDF_USE_INERTIA_FROM_FILE if free else 0
+    # A part that only slides in a fixed body does not rotate: its inertia has no effect.
+    flags = client.URDF_USE_INERTIA_FROM_FILE if free or spec.hinges else 0
     with tempfile.TemporaryDirectory(prefix="bulletarm_") as folder:
         path = str(write_urdf(spec, Path(folder)))
         body_id = client.loadURDF(path, useFixedBase=not free, flags=flags)
