@@ -4,6 +4,7 @@ from collections.abc import Callable
 
 from bulletarm_gym.config import ParameterError
 from bulletarm_gym.extensions import produce
+from bulletarm_gym.robots.editing import attach, without
 from bulletarm_gym.robots.gripper import Gripper, ParallelJaw
 from bulletarm_gym.robots.kuka import KUKA
 from bulletarm_gym.robots.linkage import on_slides
@@ -11,7 +12,6 @@ from bulletarm_gym.robots.model import RobotModel
 from bulletarm_gym.robots.panda import PANDA
 from bulletarm_gym.robots.robot import OutOfReachError, Robot, RobotState
 from bulletarm_gym.robots.ur5 import UR5, UR5_ROBOTIQ
-from bulletarm_gym.robots.urdf import without
 from bulletarm_gym.simulation.assets import read_urdf
 
 ROBOTS = {model.name: model for model in (KUKA, PANDA, UR5, UR5_ROBOTIQ)}
@@ -47,6 +47,7 @@ __all__ = [
     "Robot",
     "RobotModel",
     "RobotState",
+    "attach",
     "find_robot",
     "on_slides",
     "read_urdf",

@@ -175,31 +175,6 @@ def mass_of(link: Element) -> float:
     return 0.0 if mass is None else float(mass.get("value", "0"))
 
 
-def without(root: Element, *links: str) -> Element:
-    """Remove links from a model, each with its joint and all that is attached to it.
-
-    Leaves out the gripper that a flange carries in its file, for example.
-
-    :param links: names of the links
-    :return: the model
-    :raises ValueError: the model has no such link
-    """
-    for name in links:
-        removed = {find_link(root, name).get("name", "")}
-        while True:
-            joints = [joint for joint in root.findall("joint") if end_of(joint, "parent") in removed]
-            if not joints:
-                break
-            for joint in joints:
-                removed.add(end_of(joint, "child"))
-                root.remove(joint)
-        for joint in [joint for joint in root.findall("joint") if end_of(joint, "child") == name]:
-            root.remove(joint)
-        for link in [link for link in root.findall("link") if link.get("name") in removed]:
-            root.remove(link)
-    return root
-
-
 def _origin(pose: Pose) -> dict[str, str]:
     return {"xyz": _text(pose.position), "rpy": _text(rpy(pose.orientation))}
 

@@ -13,7 +13,7 @@ import pytest
 
 from bulletarm_gym.env import ManipulationEnv
 from bulletarm_gym.geometry import Pose, conjugate, euler_pose, multiply
-from bulletarm_gym.robots import KUKA, PANDA, Gripper, ParallelJaw, RobotModel, on_slides, without
+from bulletarm_gym.robots import KUKA, PANDA, Gripper, ParallelJaw, RobotModel, attach, on_slides, without
 from bulletarm_gym.robots.kinematics import find_joint
 from bulletarm_gym.robots.structure import prepare
 from bulletarm_gym.robots.urdf import LIGHT, add_joint, add_link, box, merge_fixed
@@ -359,6 +359,37 @@ def test_without_leaves_out_a_link_and_all_attached_to_it() -> None:
 def test_a_jaw_on_an_arm_with_the_same_joint_names_is_refused() -> None:
     with pytest.raises(ValueError, match="'panda_finger_joint1'"):
         _ = _fitted(PANDA.load).urdf
+
+
+def hand() -> Element:
+    """The hand of the Panda as a model of its own."""
+    root = PANDA.load()
+    links = ("panda_hand", "panda_leftfinger", "panda_rightfinger", "panda_grasptarget")
+    for element in [*root.findall("link"), *root.findall("joint")]:
+        ends = [element.get("name"), *(end.get("link") for end in element.findall("parent"))]
+        if not set(ends) & set(links):
+            root.remove(element)
+    return root
+
+
+def test_attach_joins_the_models_of_an_arm_and_a_gripper() -> None:
+    mount = euler_pose((0.0, 0.0, 0.0), (0.0, 0.0, -math.pi / 4.0))
+    whole, joined = PANDA.load(), attach(without(PANDA.load(), "panda_hand"), "panda_link8", hand(), mount)
+    for kind in ("link", "joint"):
+        assert len(joined.findall(kind)) == len(whole.findall(kind))
+    model = replace(PANDA, load=lambda: joined)
+    pose = PANDA.chain.forward(np.array(PANDA.posture))
+    assert math.dist(model.chain.forward(np.array(PANDA.posture)).position, pose.position) < 1e-9
+    places = []
+    for root in (PANDA.urdf, model.urdf):
+        origin = find_joint(root, PANDA.gripper.joints[0]).findall("origin")[0]
+        places.append([float(part) for part in f"{origin.get('xyz')} {origin.get('rpy')}".split()])
+    assert places[1] == pytest.approx(places[0], abs=1e-4)
+
+
+def test_attach_refuses_models_with_the_same_names() -> None:
+    with pytest.raises(ValueError, match="names of links must be distinct, got 'panda_hand'"):
+        attach(PANDA.load(), "panda_link8", hand(), ORIGIN)
 
 
 def test_prepare_leaves_unit_axes_as_they_are() -> None:
