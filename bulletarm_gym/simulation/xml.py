@@ -25,7 +25,7 @@ def parse_xml(path: Path) -> Element:
     parser.EndElementHandler = builder.end
     parser.CharacterDataHandler = builder.data
     try:
-        parser.Parse(path.read_bytes(), True)
+        parser.Parse(path.read_bytes().lstrip(), True)
     except (expat.ExpatError, ValueError) as error:  # ValueError: an encoding that is not supported
         raise ParseError(str(error)) from error
     return builder.close()

@@ -174,7 +174,7 @@ def test_other_formats_than_urdf_are_named(tmp_path: Path, text: str, reason: st
 def test_extensions_of_other_programs_need_no_declaration(tmp_path: Path) -> None:
     path = write_model(tmp_path, "a.stl", ascii_stl())
     text = path.read_text().replace("<visual>", '<drake:proximity/><visual drake:acceleration="3">')
-    path.write_text(text)
+    path.write_text("\n" + '<?xml version="1.0"?>' + text)
     assert simulated_size(path) == pytest.approx(SIZE, abs=0.01)
 
 
