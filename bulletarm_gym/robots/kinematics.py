@@ -15,7 +15,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from bulletarm_gym.compilation import compiled
-from bulletarm_gym.geometry import FloatArray, Pose, Vector, euler_pose, matrix, quaternion, turn
+from bulletarm_gym.geometry import FloatArray, Pose, Vector, euler_pose, matrix, quaternion
 
 MAX_ITERATIONS = 80
 TOLERANCE = 1e-9
@@ -109,17 +109,6 @@ def frame_of(element: ElementTree.Element) -> Pose:
 def axis_of(joint: ElementTree.Element) -> Vector:
     """Return the axis of a URDF joint in its own frame, of any length."""
     return _floats(joint.find("axis"), "xyz", "1 0 0")
-
-
-def pose_at(joint: ElementTree.Element, position: float) -> Pose:
-    """Return the pose of a joint's child link in its parent link at a position (rad or m)."""
-    kind, frame = joint.get("type"), frame_of(joint)
-    if kind not in ("revolute", "continuous", "prismatic"):
-        return frame
-    x, y, z = axis_of(joint)
-    length = math.hypot(x, y, z)
-    x, y, z = (position * part / length for part in (x, y, z))
-    return frame.compose(Pose((x, y, z)) if kind == "prismatic" else Pose((0.0, 0.0, 0.0), turn((x, y, z))))
 
 
 def limits_of(joint: ElementTree.Element) -> tuple[float, float]:

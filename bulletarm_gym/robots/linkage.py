@@ -5,8 +5,8 @@ from xml.etree.ElementTree import Element, SubElement
 import numpy as np
 
 from bulletarm_gym.geometry import Pose, conjugate, rotate
-from bulletarm_gym.robots.kinematics import find_joint, pose_at
-from bulletarm_gym.robots.urdf import add_joint, end_of, find_link
+from bulletarm_gym.robots.kinematics import find_joint
+from bulletarm_gym.robots.urdf import add_joint, end_of, find_link, pose_at
 
 EFFORT, SPEED = "50", "1"
 """Limits of a finger in the model (N, m/s); what moves it is what the gripper says."""
@@ -17,9 +17,8 @@ def on_slides(
 ) -> Element:
     """Put two fingers that a linkage moves in parallel on slides of their own.
 
-    What a linkage of position-driven joints grasps it does not hold. Each finger's joint becomes a prismatic
-    one of the carrier, 0 where the fingers meet, which takes it straight outwards as far as the linkage does
-    from there to where it is open. The rest of the linkage is left out.
+    A linkage of position-driven joints does not hold objects. Each finger's joint becomes a prismatic joint
+    of the carrier, 0 where the fingers meet. The rest of the linkage is left out.
 
     :param root: the model, which is changed
     :param carrier: name of the link that the linkage is mounted on
@@ -28,8 +27,7 @@ def on_slides(
         meet; joints with a ``mimic`` follow it as they say, fixed joints stay
     :param opened: its position where the fingers are open
     :return: the model
-    :raises ValueError: a finger's joint or the carrier is missing, the one does not hang on the other, or the
-        fingers are not farther apart when they are open
+    :raises ValueError: a joint or the carrier is missing or not attached, or ``opened`` opens nothing
     """
     met = [_pose(root, carrier, name, closed) for name in fingers]
     apart = [_pose(root, carrier, name, opened) for name in fingers]
@@ -46,8 +44,7 @@ def on_slides(
                 f"got {opened:g}"
             )
         axis = rotate(conjugate(met[number].orientation), (x, y, z))
-        links = (carrier, children[number])
-        slide = add_joint(root, "prismatic", fingers[number], links, met[number], axis)
+        slide = add_joint(root, "prismatic", fingers[number], (carrier, children[number]), met[number], axis)
         SubElement(slide, "limit", lower="0", upper=repr(travel), effort=EFFORT, velocity=SPEED)
     return root
 

@@ -6,8 +6,8 @@ from collections.abc import Iterable, Sequence
 from xml.etree.ElementTree import Element, SubElement
 
 from bulletarm_gym.geometry import Vector, rotate
-from bulletarm_gym.robots.kinematics import axis_of, find_joint, frame_of, limits_of, pose_at
-from bulletarm_gym.robots.urdf import end_of, find_link, mass_of, put_origin
+from bulletarm_gym.robots.kinematics import axis_of, find_joint, frame_of, limits_of
+from bulletarm_gym.robots.urdf import end_of, find_link, mass_of, pose_at, put_origin
 
 ROTATING = ("revolute", "continuous")
 UNIT_TOLERANCE = 1e-9

@@ -5,8 +5,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from xml.etree.ElementTree import Element, SubElement
 
-from bulletarm_gym.geometry import Pose, Vector, euler_pose, rpy
-from bulletarm_gym.robots.kinematics import frame_of
+from bulletarm_gym.geometry import Pose, Vector, euler_pose, rpy, turn
+from bulletarm_gym.robots.kinematics import axis_of, frame_of
 
 ORIGIN = Pose((0.0, 0.0, 0.0))
 
@@ -140,6 +140,17 @@ def end_of(joint: Element, end: str) -> str:
 def _move(element: Element, frame: Pose) -> None:
     """Express in an outer frame an element given in ``frame``."""
     put_origin(element, frame.compose(frame_of(element)))
+
+
+def pose_at(joint: Element, position: float) -> Pose:
+    """Return the pose of a joint's child link in its parent link at a position (rad or m)."""
+    kind, frame = joint.get("type"), frame_of(joint)
+    if kind not in ("revolute", "continuous", "prismatic"):
+        return frame
+    x, y, z = axis_of(joint)
+    length = math.hypot(x, y, z)
+    x, y, z = (position * part / length for part in (x, y, z))
+    return frame.compose(Pose((x, y, z)) if kind == "prismatic" else Pose(ORIGIN.position, turn((x, y, z))))
 
 
 def put_origin(element: Element, pose: Pose) -> None:
