@@ -124,7 +124,8 @@ class EnvConfig:
     :param in_hand_size: pixels a side of the open-loop in-hand image
     :param workspace_check: ``"point"`` asks an object's centre to stay inside, ``"bounding_box"`` all of it
     :param close_loop_tray: the task stands in a tray
-    :param object_set: None for the 86 objects made by code, a folder of OBJ or URDF files, or a list of kinds
+    :param object_set: None for the 86 objects made by code, a folder of OBJ, STL or URDF files, or a list of
+        kinds
     :param view: ``"orthographic"``, looking straight down, or ``"point_cloud"``, the paper's two side cameras
     :param observation: ``"image"``, ``"state"`` (the poses of gripper and objects), or a list of
         :data:`SENSORS`: each by its name, or ``{"name": ..., parameter: value, ...}``

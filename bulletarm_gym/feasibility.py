@@ -73,6 +73,7 @@ def check_spans(config: EnvConfig, own: EnvConfig, scene: Scene, task: Task) -> 
     :param own: the environment's own parameters
     :raises ParameterError: it does not
     """
+    _check_set(config, scene)
     if config.object_scale_range == own.object_scale_range:
         return
     stroke = scene.robot.model.gripper.stroke
@@ -84,6 +85,21 @@ def check_spans(config: EnvConfig, own: EnvConfig, scene: Scene, task: Task) -> 
                 f"{item.role.name!r} gets {width:.4g} m wide"
             )
             raise ParameterError.of("object_scale_range", config.object_scale_range, takes)
+
+
+def _check_set(config: EnvConfig, scene: Scene) -> None:
+    """Check that the gripper spans every object of a user's set.
+
+    :raises ParameterError: it does not; the message names the objects that are too wide
+    """
+    if config.object_set is None:
+        return
+    stroke = scene.robot.model.gripper.stroke
+    widths = {item.role.name: max(map(_narrowest, item.role.variants)) for item in scene.items}
+    wide = [f"{name} is {width:.4g} m wide" for name, width in widths.items() if width + GRASP_PLAY > stroke]
+    if wide:
+        takes = f"objects that the gripper of robot={config.robot!r} spans: it opens to {stroke:.4g} m, "
+        raise ParameterError.of("object_set", config.object_set, takes + ", ".join(wide))
 
 
 def _narrowest(spec: BodySpec) -> float:

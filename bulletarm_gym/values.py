@@ -127,7 +127,7 @@ def object_set(value: Any) -> str | list[str]:
     if isinstance(value, list | tuple) and value and all(isinstance(kind, str) for kind in value):
         return [str(kind) for kind in value]
     if not isinstance(value, str | os.PathLike) or not os.path.isdir(value):
-        raise Refused("None, a folder of OBJ or URDF files, or a list of kinds of objects")
+        raise Refused("None, a folder of OBJ, STL or URDF files, or a list of kinds of objects")
     return os.fspath(value)
 
 

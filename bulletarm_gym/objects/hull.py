@@ -1,62 +1,46 @@
 """The convex hull of points in space."""
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
+from scipy.spatial import ConvexHull
 
 from bulletarm_gym.geometry import FloatArray, Mesh
 
-Indices = NDArray[np.int64]
-
-TOLERANCE = 1e-7
-"""Share of the points' spread that counts as no distance."""
+FLAT = 1e-6
+"""Ratio of thickness to length below which points lie in a plane."""
 
 
 def convex_hull(points: ArrayLike) -> Mesh:
-    """Return the convex hull of points (m): each point outside the hull so far is joined to the rim it sees.
+    """Return the convex hull of points (m) as a closed mesh whose faces look outward.
 
     :param points: (n, 3) of any shape with volume
     :raises ValueError: a point is not finite, or all lie in a plane
     """
-    cloud = np.asarray(points, dtype=np.float64)
+    cloud = np.asarray(points, dtype=np.float64).reshape(-1, 3)
     if not np.isfinite(cloud).all():
         raise ValueError("a vertex is not finite")
-    cloud = np.unique(cloud.reshape(-1, 3), axis=0)
-    spread = float(np.ptp(cloud, axis=0).max()) if len(cloud) else 0.0
-    faces = _first_tetrahedron(cloud, TOLERANCE * spread)
-    for index in range(len(cloud)):
-        normals, offsets = _planes(cloud, faces)
-        seen = normals @ cloud[index] - offsets > TOLERANCE * spread
-        if seen.any():
-            faces = np.concatenate([faces[~seen], _cone(faces[seen], index)])
-    used, renamed = np.unique(faces, return_inverse=True)
-    return Mesh.of(cloud[used], renamed)
-
-
-def _first_tetrahedron(cloud: FloatArray, tolerance: float) -> Indices:
-    """Return the outward faces of a tetrahedron of four points far from each other."""
+    cloud = np.unique(cloud, axis=0)
     if len(cloud) < 4:
         raise ValueError(f"{len(cloud)} different vertices enclose no volume")
-    a = 0
-    b = int(np.linalg.norm(cloud - cloud[a], axis=1).argmax())
-    c = int(np.linalg.norm(np.cross(cloud - cloud[a], cloud[b] - cloud[a]), axis=1).argmax())
-    normal = np.cross(cloud[b] - cloud[a], cloud[c] - cloud[a])
-    heights = (cloud - cloud[a]) @ normal / max(float(np.linalg.norm(normal)), 1e-300)
-    d = int(np.abs(heights).argmax())
-    if abs(heights[d]) <= tolerance:
+    middle = (cloud.min(axis=0) + cloud.max(axis=0)) / 2.0
+    unit = (cloud - middle) / np.ptp(cloud, axis=0).max()  # Qhull's tolerances grow with the coordinates
+    if _thickness(unit) < FLAT:
         raise ValueError("the vertices lie in a plane and enclose no volume")
-    if heights[d] > 0.0:
-        b, c = c, b
-    return np.array([(a, b, c), (a, c, d), (c, b, d), (b, a, d)])
+    hull = ConvexHull(unit)
+    used, faces = np.unique(hull.simplices, return_inverse=True)
+    return Mesh.of(cloud[used], _outward(unit[used], faces.reshape(-1, 3)))
 
 
-def _planes(cloud: FloatArray, faces: Indices) -> tuple[FloatArray, FloatArray]:
-    corners = cloud[faces]
+def _thickness(cloud: FloatArray) -> float:
+    """Return the extent of points along their shortest principal axis."""
+    _, _, axes = np.linalg.svd(cloud - cloud.mean(axis=0), full_matrices=False)
+    return float(np.ptp(cloud @ axes[2]))
+
+
+def _outward(vertices: FloatArray, faces: "np.ndarray[tuple[int, ...], np.dtype[np.intp]]") -> FloatArray:
+    """Return the faces counter-clockwise seen from outside, without those of no area."""
+    corners = vertices[faces] - vertices.mean(axis=0)
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
-    return normals, np.einsum("fi,fi->f", normals, corners[:, 0])
-
-
-def _cone(seen: Indices, apex: int) -> Indices:
-    """Return the faces between a point and the rim of the faces it sees."""
-    edges = {(int(a), int(b)) for face in seen for a, b in zip(face, np.roll(face, -1), strict=True)}
-    return np.array([(a, b, apex) for a, b in sorted(edges) if (b, a) not in edges])
+    turned = np.where((np.einsum("fi,fi->f", normals, corners[:, 0]) < 0.0)[:, None], faces[:, ::-1], faces)
+    found: FloatArray = turned[np.linalg.norm(normals, axis=1) > 0.0]
+    return found

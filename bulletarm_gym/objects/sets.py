@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from bulletarm_gym.objects.catalogue import create
-from bulletarm_gym.objects.files import load_folder
+from bulletarm_gym.objects.folder import load_folder
 from bulletarm_gym.objects.graspables import graspables
 from bulletarm_gym.objects.solids import settled
 from bulletarm_gym.simulation.shapes import BodySpec
@@ -13,7 +13,7 @@ from bulletarm_gym.simulation.shapes import BodySpec
 def object_set(source: str | Sequence[str] | None) -> tuple[BodySpec, ...]:
     """Return the objects of a set, always in the same order.
 
-    :param source: None for the 86, a folder of OBJ or URDF files, or a list of kinds, see
+    :param source: None for the 86, a folder of OBJ, STL or URDF files, or a list of kinds, see
         :func:`bulletarm_gym.objects.create`; a kind that is listed n times makes n objects
     :raises ValueError: the folder has no file that can be loaded; there is no such kind, or it stands fixed
     """

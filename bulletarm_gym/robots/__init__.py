@@ -4,6 +4,7 @@ from collections.abc import Callable
 
 from bulletarm_gym.config import ParameterError
 from bulletarm_gym.extensions import produce
+from bulletarm_gym.robots.editing import attach, without
 from bulletarm_gym.robots.gripper import Gripper, ParallelJaw
 from bulletarm_gym.robots.kuka import KUKA
 from bulletarm_gym.robots.linkage import on_slides
@@ -46,7 +47,9 @@ __all__ = [
     "Robot",
     "RobotModel",
     "RobotState",
+    "attach",
     "find_robot",
     "on_slides",
     "read_urdf",
+    "without",
 ]

@@ -15,7 +15,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from bulletarm_gym.compilation import compiled
-from bulletarm_gym.geometry import FloatArray, Pose, euler_pose, matrix, quaternion
+from bulletarm_gym.geometry import FloatArray, Pose, Vector, euler_pose, matrix, quaternion
 
 MAX_ITERATIONS = 80
 TOLERANCE = 1e-9
@@ -58,7 +58,7 @@ class Chain:
         elements = [find_joint(root, name) for name in joints]
         frames = [frame_of(element) for element in elements]
         frames = [base.compose(frames[0]), *frames[1:], tool]
-        axes = [np.array(_floats(element.find("axis"), "xyz", "1 0 0")) for element in elements]
+        axes = [np.array(axis_of(element)) for element in elements]
         rotations = np.stack([matrix(frame) for frame in frames])
         axes = [axis / np.linalg.norm(axis) for axis in axes]
         limits = np.array([limits_of(element) for element in elements])
@@ -106,8 +106,13 @@ def frame_of(element: ElementTree.Element) -> Pose:
     return euler_pose(_floats(origin, "xyz", "0 0 0"), _floats(origin, "rpy", "0 0 0"))
 
 
+def axis_of(joint: ElementTree.Element) -> Vector:
+    """Return the axis of a URDF joint in its own frame, of any length."""
+    return _floats(joint.find("axis"), "xyz", "1 0 0")
+
+
 def limits_of(joint: ElementTree.Element) -> tuple[float, float]:
-    """Return the lower and upper limit (rad) of a URDF joint, infinite for a continuous joint."""
+    """Return the lower and upper limit (rad or m) of a URDF joint, infinite for a continuous joint."""
     limit = joint.find("limit")
     if joint.get("type") == "continuous" or limit is None:
         return (-math.inf, math.inf)
@@ -125,7 +130,7 @@ def find_joint(root: ElementTree.Element, name: str) -> ElementTree.Element:
     return joint
 
 
-def _floats(element: ElementTree.Element | None, key: str, default: str) -> tuple[float, float, float]:
+def _floats(element: ElementTree.Element | None, key: str, default: str) -> Vector:
     text = default if element is None else element.get(key, default)
     x, y, z = (float(value) for value in text.split())
     return (x, y, z)

@@ -5,54 +5,61 @@ from xml.etree.ElementTree import Element, SubElement
 import numpy as np
 
 from bulletarm_gym.geometry import Pose, conjugate, rotate
-from bulletarm_gym.robots.kinematics import Chain, find_joint
-from bulletarm_gym.robots.urdf import ORIGIN, add_joint, end_of, find_link
+from bulletarm_gym.robots.kinematics import find_joint
+from bulletarm_gym.robots.urdf import add_joint, end_of, find_link, pose_at
 
 EFFORT, SPEED = "50", "1"
 """Limits of a finger in the model (N, m/s); what moves it is what the gripper says."""
 
 
-def on_slides(root: Element, carrier: str, fingers: tuple[str, str], closed: float) -> Element:
+def on_slides(
+    root: Element, carrier: str, fingers: tuple[str, str], closed: float, opened: float = 0.0
+) -> Element:
     """Put two fingers that a linkage moves in parallel on slides of their own.
 
-    What a linkage of position-driven joints grasps it does not hold. Each finger's joint becomes a prismatic
-    one of the carrier, 0 where the fingers meet, which takes it straight outwards as far as the linkage does
-    from there to where all its joints are at 0. The rest of the linkage is left out.
+    A linkage of position-driven joints does not hold objects. Each finger's joint becomes a prismatic joint
+    of the carrier, 0 where the fingers meet. The rest of the linkage is left out.
 
     :param root: the model, which is changed
     :param carrier: name of the link that the linkage is mounted on
     :param fingers: names of the joints that move the fingers in the linkage
-    :param closed: position (rad) of the linkage's driving joint where the fingers meet; joints with a
-        ``mimic`` follow it as they say
+    :param closed: position (rad, or m of a prismatic joint) of the linkage's driving joint where the fingers
+        meet; joints with a ``mimic`` follow it as they say, fixed joints stay
+    :param opened: its position where the fingers are open
     :return: the model
-    :raises ValueError: a finger's joint or the carrier is missing, or the one does not hang on the other
+    :raises ValueError: a joint or the carrier is missing or not attached, or ``opened`` opens nothing
     """
     met = [_pose(root, carrier, name, closed) for name in fingers]
-    apart = [_pose(root, carrier, name, 0.0) for name in fingers]
+    apart = [_pose(root, carrier, name, opened) for name in fingers]
     across = np.subtract(apart[0].position, apart[1].position)
-    across /= np.linalg.norm(across)
+    across /= max(float(np.linalg.norm(across)), 1e-9)
     children = [end_of(find_joint(root, name), "child") for name in fingers]
     _clear(root, carrier, children)
     for number, outwards in enumerate((across, -across)):
         x, y, z = outwards.tolist()
         travel = float(np.subtract(apart[number].position, met[number].position) @ outwards)
+        if travel <= 0.0:
+            raise ValueError(
+                f"opened must move the finger {fingers[number]!r} outwards from closed={closed:g}, "
+                f"got {opened:g}"
+            )
         axis = rotate(conjugate(met[number].orientation), (x, y, z))
-        links = (carrier, children[number])
-        slide = add_joint(root, "prismatic", fingers[number], links, met[number], axis)
+        slide = add_joint(root, "prismatic", fingers[number], (carrier, children[number]), met[number], axis)
         SubElement(slide, "limit", lower="0", upper=repr(travel), effort=EFFORT, velocity=SPEED)
     return root
 
 
 def _pose(root: Element, carrier: str, finger: str, driven: float) -> Pose:
-    """Return where a finger is in its carrier when the driving joint is at a position (rad)."""
-    way = [find_joint(root, finger)]
-    while (parent := end_of(way[0], "parent")) != find_link(root, carrier).get("name"):
-        before = [joint for joint in root.findall("joint") if end_of(joint, "child") == parent]
+    """Return where a finger is in its carrier when the driving joint is at a position (rad or m)."""
+    joint = find_joint(root, finger)
+    pose = pose_at(joint, _position(joint, driven))
+    while (parent := end_of(joint, "parent")) != find_link(root, carrier).get("name"):
+        before = [other for other in root.findall("joint") if end_of(other, "child") == parent]
         if not before:
             raise ValueError(f"the joint {finger!r} does not hang on the link {carrier!r}")
-        way = [*before, *way]
-    chain = Chain.from_urdf(root, [joint.get("name", "") for joint in way], ORIGIN, ORIGIN)
-    return chain.forward(np.array([_position(joint, driven) for joint in way]))
+        joint = before[0]
+        pose = pose_at(joint, _position(joint, driven)).compose(pose)
+    return pose
 
 
 def _position(joint: Element, driven: float) -> float:

@@ -11,7 +11,8 @@ import numpy as np
 
 from bulletarm_gym.geometry import FloatArray, Pose
 from bulletarm_gym.robots.gripper import Gripper
-from bulletarm_gym.robots.kinematics import Chain
+from bulletarm_gym.robots.kinematics import Chain, find_joint
+from bulletarm_gym.robots.structure import check_chain, check_masses, find_root, prepare
 from bulletarm_gym.robots.urdf import DARK, add_parts, cylinder, merge_fixed
 
 PLINTH_RADIUS = 0.09
@@ -51,27 +52,28 @@ class RobotModel:
 
     @cached_property
     def urdf(self) -> ElementTree.Element:
-        """The model on its plinth, its first link being the root.
+        """The model on its plinth, without fixed joints.
 
-        :raises ValueError: a joint is missing, or a finger's joint limit is below the gripper's stroke
+        Joints that are neither the arm's nor the fingers' are fixed at 0, or at their limit nearest to 0.
+
+        :raises ValueError: a joint is missing or of a wrong type, the joints are not a chain, or a finger's
+            joint limits do not allow the gripper's stroke
         """
         root = self.load()
-        merge_fixed(root)
+        try:
+            prepare(root, self.joints, self.gripper.joints)
+            merge_fixed(root)
+            check_chain(root, self.joints, self.gripper.joints)
+            check_masses(root)
+        except ValueError as error:
+            raise ValueError(f"robot {self.name!r}: {error}") from error
         for name in self.gripper.joints:
-            self._check_travel(self._joint(root, name))
-        for name in self.joints:
-            self._joint(root, name)
+            self._check_travel(find_joint(root, name))
         if self.base.z > 0.0:
             # Only seen: ramps reach under the arm, and what touches something cannot be moved at once.
             plinth = cylinder(PLINTH_RADIUS, self.base.z, (0.0, 0.0, -self.base.z / 2.0), DARK, solid=False)
-            add_parts(root.findall("link")[0], [plinth])
+            add_parts(find_root(root), [plinth])
         return root
-
-    def _joint(self, root: ElementTree.Element, name: str) -> ElementTree.Element:
-        joint = root.find(f"joint[@name='{name}']")
-        if joint is None:
-            raise ValueError(f"robot {self.name!r}: the model has no joint {name!r}")
-        return joint
 
     def _check_travel(self, finger: ElementTree.Element) -> None:
         """Compare what the gripper says with what the model lets a finger do."""
@@ -145,6 +147,6 @@ class RobotModel:
         """
         root = copy.deepcopy(self.urdf)
         for name in self.joints:
-            self._joint(root, name).set("type", "continuous")
+            find_joint(root, name).set("type", "continuous")
         ElementTree.indent(root)  # Bullet breaks lines of more than 1,023 characters, wherever that is
         return ElementTree.tostring(root, encoding="unicode")

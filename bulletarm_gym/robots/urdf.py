@@ -5,8 +5,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from xml.etree.ElementTree import Element, SubElement
 
-from bulletarm_gym.geometry import Pose, Vector, euler_pose, rpy
-from bulletarm_gym.robots.kinematics import frame_of
+from bulletarm_gym.geometry import Pose, Vector, euler_pose, rpy, turn
+from bulletarm_gym.robots.kinematics import axis_of, frame_of
 
 ORIGIN = Pose((0.0, 0.0, 0.0))
 
@@ -139,29 +139,51 @@ def end_of(joint: Element, end: str) -> str:
 
 def _move(element: Element, frame: Pose) -> None:
     """Express in an outer frame an element given in ``frame``."""
-    _put(element, frame.compose(frame_of(element)))
+    put_origin(element, frame.compose(frame_of(element)))
 
 
-def _put(element: Element, pose: Pose) -> None:
+def pose_at(joint: Element, position: float) -> Pose:
+    """Return the pose of a joint's child link in its parent link at a position (rad or m)."""
+    kind, frame = joint.get("type"), frame_of(joint)
+    if kind not in ("revolute", "continuous", "prismatic"):
+        return frame
+    x, y, z = axis_of(joint)
+    length = math.hypot(x, y, z)
+    x, y, z = (position * part / length for part in (x, y, z))
+    return frame.compose(Pose((x, y, z)) if kind == "prismatic" else Pose(ORIGIN.position, turn((x, y, z))))
+
+
+def put_origin(element: Element, pose: Pose) -> None:
+    """Replace the ``origin`` of an element."""
     for old in element.findall("origin"):
         element.remove(old)
     SubElement(element, "origin", _origin(pose))
 
 
 def _add_mass(link: Element, other: Element, mount: Pose) -> None:
-    """Add another link's mass to a link, at their common centre; the inertia is Bullet's to compute."""
+    """Add another link's mass to a link, at their common centre; the inertia is Bullet's to compute.
+
+    A link without ``<inertial>`` has no mass. Bullet would give it 1 kg.
+    """
     own, added = link.find("inertial"), other.find("inertial")
-    if own is None or added is None:
+    if added is None or mass_of(other) == 0.0:
         return
-    masses = [float(part.findall("mass")[0].get("value", "0")) for part in (own, added)]
-    total = sum(masses)
-    if masses[1] == 0.0:
-        return
-    share = masses[1] / total
+    if own is None:
+        own = SubElement(link, "inertial")
+        SubElement(own, "mass", value="0.0")
+        SubElement(own, "inertia", _inertia(mass_of(other), (0.05, 0.05, 0.05)))
+    total = mass_of(link) + mass_of(other)
+    share = mass_of(other) / total
     pairs = zip(frame_of(own).position, mount.transform(frame_of(added).position), strict=True)
     x, y, z = ((1.0 - share) * here + share * there for here, there in pairs)
     own.findall("mass")[0].set("value", repr(total))
-    _put(own, Pose((x, y, z)))
+    put_origin(own, Pose((x, y, z)))
+
+
+def mass_of(link: Element) -> float:
+    """Return the mass (kg) of a link, 0 without ``<inertial>``."""
+    mass = link.find("inertial/mass")
+    return 0.0 if mass is None else float(mass.get("value", "0"))
 
 
 def _origin(pose: Pose) -> dict[str, str]:

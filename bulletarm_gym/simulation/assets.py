@@ -4,29 +4,36 @@ from os import PathLike
 from pathlib import Path
 from xml.etree import ElementTree
 
+from bulletarm_gym.simulation.meshes import check_mesh
+from bulletarm_gym.simulation.xml import parse_urdf
+
 PACKAGE, FILE = "package://", "file://"
 """How ROS names the files of a package, and any file."""
 
 
 def load_model(relative: str) -> ElementTree.Element:
-    """Read a URDF of ``pybullet_data``, see :func:`read_urdf`."""
+    """Read a URDF of ``pybullet_data``, see :func:`read_urdf`; its meshes are not checked."""
     import pybullet_data
 
-    return read_urdf(Path(pybullet_data.getDataPath()) / relative)
+    return _read(Path(pybullet_data.getDataPath()) / relative)
 
 
 def read_urdf(path: str | PathLike[str]) -> ElementTree.Element:
     """Read a URDF with the paths of its meshes made absolute, so that it can be written elsewhere.
 
     :param path: of the file; its meshes lie where :func:`mesh_path` looks for them
-    :raises ValueError: it is no XML, or a mesh is not found
+    :raises ValueError: it is not a URDF, or a mesh is not found or cannot be read
     :raises OSError: it cannot be read
     """
-    file = Path(path).absolute()
-    try:
-        root = ElementTree.parse(file).getroot()
-    except ElementTree.ParseError as error:
-        raise ValueError(f"{file} is no URDF: {error}") from error
+    root = _read(Path(path))
+    for mesh in root.iter("mesh"):
+        check_mesh(Path(mesh.get("filename", "")))
+    return root
+
+
+def _read(path: Path) -> ElementTree.Element:
+    file = path.absolute()
+    root = parse_urdf(file)
     for mesh in root.iter("mesh"):
         mesh.set("filename", str(mesh_path(mesh.get("filename", ""), file.parent)))
     return root

@@ -2,17 +2,20 @@
 
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from functools import cache
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 
-from bulletarm_gym.geometry import Pose
+from bulletarm_gym.geometry import Mesh, Pose
 from bulletarm_gym.simulation.client import Client
+from bulletarm_gym.simulation.engine import pybullet
+from bulletarm_gym.simulation.meshes import is_ascii_stl, stl_corners
 from bulletarm_gym.simulation.properties import Properties, set_dynamics
-from bulletarm_gym.simulation.shapes import BodySpec, Box, flat_normals, wavefront
+from bulletarm_gym.simulation.shapes import BodySpec, Box, Convex, Piece, flat_normals, wavefront
 from bulletarm_gym.simulation.urdf import write_urdf
 
 
@@ -42,7 +45,8 @@ def load_jointed(client: Client, spec: BodySpec, damping: float) -> int:
     :return: its id in Bullet; its joints are numbered like ``spec.parts``
     """
     free = spec.mass > 0.0
-    flags = client.URDF_USE_INERTIA_FROM_FILE if free else 0
+    # A part that only slides in a fixed body does not rotate: its inertia has no effect.
+    flags = client.URDF_USE_INERTIA_FROM_FILE if free or spec.hinges else 0
     with tempfile.TemporaryDirectory(prefix="bulletarm_") as folder:
         path = str(write_urdf(spec, Path(folder)))
         body_id = client.loadURDF(path, useFixedBase=not free, flags=flags)
@@ -56,17 +60,39 @@ def load_jointed(client: Client, spec: BodySpec, damping: float) -> int:
     return int(body_id)
 
 
-def load_urdf(client: Client, xml: str, pose: Pose) -> tuple[int, tuple[int, ...]]:
+def load_urdf(client: Client, name: str, xml: str, pose: Pose) -> tuple[int, tuple[int, ...]]:
     """Load a body that is fixed to the world from its URDF, its joints free of Bullet's own brakes.
 
+    :param name: of the model, for messages
     :return: its id in Bullet; the indices of its movable joints
+    :raises ValueError: Bullet refuses the model
     """
-    with _temporary_file(xml, ".urdf") as path:
-        body_id = int(client.loadURDF(path, pose.position, pose.orientation, useFixedBase=True))
+    with ExitStack() as files, _temporary_file(_convert_meshes(xml, files), ".urdf") as path:
+        try:
+            body_id = int(client.loadURDF(path, pose.position, pose.orientation, useFixedBase=True))
+        except pybullet.error as error:
+            raise ValueError(f"model {name!r} must be a URDF that PyBullet loads, got: {error}") from error
     infos = [client.getJointInfo(body_id, joint) for joint in range(client.getNumJoints(body_id))]
     joints = tuple(int(info[0]) for info in infos if info[2] != client.JOINT_FIXED)
     client.setJointMotorControlArray(body_id, joints, client.VELOCITY_CONTROL, forces=[0.0] * len(joints))
     return body_id, joints
+
+
+def _convert_meshes(xml: str, files: ExitStack) -> str:
+    """Return a URDF in which temporary OBJ files replace ASCII STL files, which Bullet does not read."""
+    if ".stl" not in xml.lower():
+        return xml
+    root = ElementTree.fromstring(xml)
+    converted: dict[str, str] = {}
+    for mesh in root.iter("mesh"):
+        name = mesh.get("filename", "")
+        if name not in converted and is_ascii_stl(Path(name)):
+            corners = stl_corners(Path(name))
+            faces = np.arange(len(corners)).reshape(-1, 3)
+            text = wavefront([Piece(Convex(Mesh.of(corners, faces)))])
+            converted[name] = files.enter_context(_temporary_file(text, ".obj"))
+        mesh.set("filename", converted.get(name, name))
+    return ElementTree.tostring(root, encoding="unicode") if converted else xml
 
 
 def load_plane(client: Client, spec: BodySpec) -> int:

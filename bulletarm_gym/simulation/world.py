@@ -91,7 +91,7 @@ class World:
     def add_urdf(self, spec: BodySpec, xml: str, pose: Pose) -> Body:
         """Load a jointed body from its URDF, fixed to the world."""
         self._check_open()
-        body_id, joints = load_urdf(self.client, xml, pose)
+        body_id, joints = load_urdf(self.client, spec.name, xml, pose)
         return self._register(Body(len(self.bodies), body_id, spec, joints), pose)
 
     def seal(self) -> None:

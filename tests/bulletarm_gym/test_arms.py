@@ -386,7 +386,7 @@ def write_arm(folder: Path, mesh: str) -> Path:
     package = folder / "my_arm"
     (package / "urdf").mkdir(parents=True)
     (package / "meshes").mkdir()
-    (package / "meshes" / "base.obj").write_text("v 0 0 0\n")
+    (package / "meshes" / "base.obj").write_text("v 0 0 0\nf 1 1 1\n")
     visual = f'<visual><geometry><mesh filename="{mesh}"/></geometry></visual>'
     path = package / "urdf" / "arm.urdf"
     path.write_text(f'<robot name="arm"><link name="base">{visual}</link></robot>')
@@ -418,7 +418,7 @@ def test_a_mesh_that_is_missing_is_named(mesh: str, tmp_path: Path) -> None:
 
 def test_what_is_no_urdf_is_named(tmp_path: Path) -> None:
     (tmp_path / "arm.urdf").write_text("<robot")
-    with pytest.raises(ValueError, match=r"arm\.urdf is no URDF"):
+    with pytest.raises(ValueError, match=r"arm\.urdf, which is not XML"):
         read_urdf(tmp_path / "arm.urdf")
 
 

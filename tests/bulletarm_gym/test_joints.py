@@ -120,6 +120,25 @@ def test_a_free_body_weighs_what_it_says_with_its_parts() -> None:
     world.close()
 
 
+@pytest.mark.parametrize("mass", [0.0, 0.3], ids=["fixed", "free"])
+def test_parts_have_the_inertia_of_their_pieces(mass: float) -> None:
+    """Two cubes of 2 cm that are 20 cm apart, in a plane that is oblique to the axes of the body."""
+    frame = euler_pose((0.0, 0.0, 0.0), (0.3, 0.5, 0.7))
+    ends = tuple(Piece(Box((0.02, 0.02, 0.02)), frame.compose(Pose((x, 0.0, 0.0)))) for x in (-0.1, 0.1))
+    weights = Hinge("weights", ends, 0.2, pivot=(0.0, 0.0, 0.0), axis=(0.0, 0.0, 1.0), limits=(-3.0, 3.0))
+    spec = BodySpec("body", (Piece(Box((0.05, 0.05, 0.05))),), mass, hinges=(weights,))
+    world = World(PHYSICS_MODES["fast"])
+    body = world.add(spec, Pose((0.0, 0.0, 0.5)))
+    own = 0.2 * 0.02**2 / 6.0
+    info = world.client.getDynamicsInfo(body.id, 0)
+    assert sorted(info[2]) == pytest.approx([own, own + 0.2 * 0.01, own + 0.2 * 0.01], rel=1e-4)
+    axis = frame.transform((1.0, 0.0, 0.0))
+    least = np.eye(3)[int(np.argmin(info[2]))].tolist()
+    found = Pose((0.0, 0.0, 0.0), info[4]).transform((least[0], least[1], least[2]))
+    assert abs(np.dot(axis, found)) == pytest.approx(1.0, abs=1e-4)
+    world.close()
+
+
 def test_it_is_loose_and_moves_until_it_rests(boxed: tuple[World, Body]) -> None:
     world, body = boxed
     assert body in world.loose_bodies and (body in world.free_bodies) == (body.spec.mass > 0.0)

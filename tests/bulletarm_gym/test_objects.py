@@ -1,18 +1,21 @@
 """The 86 objects, the tray, objects from files."""
 
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from bulletarm_gym.env import ManipulationEnv
 from bulletarm_gym.geometry import Mesh
-from bulletarm_gym.objects.files import load_folder
-from bulletarm_gym.objects.graspables import FAMILIES, graspables
+from bulletarm_gym.objects.files import GREY
+from bulletarm_gym.objects.folder import load_folder
+from bulletarm_gym.objects.graspables import FAMILIES, FRICTION, MASS, graspables
 from bulletarm_gym.objects.hull import convex_hull
 from bulletarm_gym.objects.sets import object_set
 from bulletarm_gym.objects.tray import FLOOR_HEIGHT, WALL_HEIGHT, tray_floor, tray_walls
-from bulletarm_gym.simulation.shapes import wavefront
+from bulletarm_gym.simulation.shapes import Box, Piece, wavefront
 
 
 def _planes(mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:
@@ -132,10 +135,142 @@ def test_symbolic_links_are_followed_once(tmp_path: Path) -> None:
         ("a.obj", "v 0 0 0\nf 1 2 3\n", "names vertex 2 of 1"),
         ("a.urdf", "<robot", "cannot be loaded"),
         ("a.urdf", "<robot><link/><link/></robot>", "2 links"),
-        ("a.txt", "", "no .obj and no .urdf"),
+        ("a.txt", "", "no .obj, no .stl and no .urdf"),
     ],
 )
 def test_bad_files_are_named(tmp_path: Path, name: str, text: str, reason: str) -> None:
     (tmp_path / name).write_text(text)
     with pytest.raises(ValueError, match=reason):
         load_folder(str(tmp_path))
+
+
+# Files of users
+
+BOX = '<geometry><box size="0.04 0.05 0.06"/></geometry>'
+
+
+def write_link(path: Path, inside: str = "", outside: str = "") -> None:
+    """Write a URDF of one box."""
+    path.write_text(
+        f'<robot name="a">{outside}<link name="a"><collision>{BOX}</collision>{inside}</link></robot>'
+    )
+
+
+def write_stl(path: Path, ascii_text: bool) -> None:
+    """Write a box of 4 x 5 x 6 cm as STL."""
+    mesh = Mesh.box((0.04, 0.05, 0.06))
+    corners = mesh.vertices[mesh.faces]
+    if ascii_text:
+        facets = ["".join(f"vertex {x:e} {y:e} {z:e}\n" for x, y, z in facet.tolist()) for facet in corners]
+        body = "".join(f"facet normal 0 0 0\nouter loop\n{text}endloop\nendfacet\n" for text in facets)
+        path.write_text(f"solid box\n{body}endsolid box\n")
+    else:
+        records = np.zeros(
+            len(corners), dtype=[("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("rest", "<u2")]
+        )
+        records["corners"] = corners
+        path.write_bytes(b"solid".ljust(80) + len(corners).to_bytes(4, "little") + records.tobytes())
+
+
+def test_mass_and_friction_of_a_urdf_are_used(tmp_path: Path) -> None:
+    contact = '<contact><lateral_friction value="0.8"/><rolling_friction value="0.002"/></contact>'
+    write_link(tmp_path / "a.urdf", f'<inertial><mass value="1.2"/></inertial>{contact}')
+    write_link(tmp_path / "b.urdf")
+    one, other = load_folder(str(tmp_path))
+    assert (one.mass, one.friction, one.rolling_friction, one.spinning_friction) == (1.2, 0.8, 0.002, 0.0)
+    assert (other.mass, other.friction) == (MASS, FRICTION)
+    assert sum(one.mass_properties[1]) == pytest.approx(1.2 / 6.0 * (0.04**2 + 0.05**2 + 0.06**2))
+
+
+@pytest.mark.parametrize(
+    ("inside", "reason"),
+    [
+        ('<inertial><mass value="0"/></inertial>', "mass must be 0.001 to 5.0 kg, got 0"),
+        ('<inertial><mass value="150"/></inertial>', "mass must be 0.001 to 5.0 kg, got 150"),
+        ('<contact><lateral_friction value="-1"/></contact>', "lateral_friction must be .* got -1"),
+    ],
+)
+def test_impossible_mass_or_friction_is_refused(tmp_path: Path, inside: str, reason: str) -> None:
+    write_link(tmp_path / "a.urdf", inside)
+    with pytest.raises(ValueError, match=rf"a\.urdf cannot be loaded: .*{reason}"):
+        load_folder(str(tmp_path))
+
+
+def test_unused_contact_properties_are_named(tmp_path: Path) -> None:
+    write_link(tmp_path / "a.urdf", '<contact><stiffness value="3"/><contact_erp value="1"/></contact>')
+    with pytest.warns(UserWarning, match="contact properties are not used: stiffness$"):
+        load_folder(str(tmp_path))
+
+
+def test_colour_is_that_of_the_visual(tmp_path: Path) -> None:
+    materials = "".join(
+        f'<material name="{name}"><color rgba="{rgba}"/></material>'
+        for name, rgba in (("first", "1 0 0 1"), ("second", "0 1 0 1"))
+    )
+    write_link(tmp_path / "a.urdf", f'<visual>{BOX}<material name="second"/></visual>', materials)
+    write_link(tmp_path / "b.urdf", "", materials)
+    one, other = load_folder(str(tmp_path))
+    assert one.colour == (0.0, 1.0, 0.0, 1.0) and other.colour == GREY
+
+
+@pytest.mark.parametrize("name", ["a.obj", "A.OBJ", "a.stl", "A.STL", "a.urdf", "A.URDF", "ascii.STL"])
+def test_extensions_in_capitals_and_small_letters_are_read(tmp_path: Path, name: str) -> None:
+    path = tmp_path / name
+    if path.suffix.lower() == ".obj":
+        path.write_text(wavefront(graspables()[0].pieces))
+    elif path.suffix.lower() == ".stl":
+        write_stl(path, ascii_text=name.startswith("ascii"))
+    else:
+        write_link(path)
+    (spec,) = load_folder(str(tmp_path))
+    assert spec.name == name
+    if path.suffix.lower() != ".obj":
+        assert spec.extents == pytest.approx((0.05, 0.06, 0.04))
+
+
+def test_files_that_are_not_used_are_named_in_one_warning(tmp_path: Path) -> None:
+    write_link(tmp_path / "a.urdf")
+    for name in ("loose.obj", "b.dae", "C.PLY", "readme.md", "a.mtl"):
+        (tmp_path / name).write_text("")
+    (tmp_path / "broken").mkdir()
+    (tmp_path / "broken" / "b.obj").write_text("v 0 0 0\n")
+    with pytest.warns(UserWarning) as caught:
+        load_folder(str(tmp_path))
+    (text,) = [str(warning.message) for warning in caught]
+    assert "1 of 2 files are left out" in text and "broken/b.obj cannot be loaded: it has no faces" in text
+    assert "3 files are not used: C.PLY, b.dae, loose.obj (" in text
+
+
+def test_a_flat_part_is_named(tmp_path: Path) -> None:
+    flat = "o label\nv 0 0 0\nv 1 0 0\nv 0 1 0\nv 1 1 0\nf 1 2 3\nf 2 3 4\n"
+    (tmp_path / "a.obj").write_text(flat)
+    with pytest.raises(ValueError, match=r"a\.obj cannot be loaded: .*plane.*part 'label'"):
+        load_folder(str(tmp_path))
+
+
+def test_a_byte_order_mark_and_continued_lines_are_read(tmp_path: Path) -> None:
+    (tmp_path / "a.obj").write_text(
+        "\ufeffv 0 0 0\nv 0.05 0 0\nv 0 0.05 0\nv 0 0 \\\n0.05\nf 1 2 3\nf -4 \\\n-3 -1\n", encoding="utf-8"
+    )
+    (spec,) = load_folder(str(tmp_path))
+    assert spec.extents == pytest.approx((0.05, 0.05, 0.05))
+
+
+@pytest.mark.parametrize(
+    ("size", "is_spanned"),
+    [((0.12, 0.12, 0.12), False), ((0.12, 0.12, 0.01), False), ((0.12, 0.05, 0.03), True)],
+)
+def test_objects_wider_than_the_stroke_are_refused_by_name(
+    make: Callable[..., ManipulationEnv], tmp_path: Path, size: tuple[float, float, float], is_spanned: bool
+) -> None:
+    (tmp_path / "small.obj").write_text(wavefront(graspables()[0].pieces))
+    (tmp_path / "other.obj").write_text(wavefront([Piece(Box(size))]))
+    parameters = {"object_set": str(tmp_path), "num_objects": 1}
+    if is_spanned:
+        make("BulletArm/CloseLoopObjectGrasping-v0", **parameters)
+        return
+    with pytest.raises(
+        ValueError, match=r"object_set: .* spans: it opens to 0\.085 m, other\.obj is 0\.12 m wide$"
+    ):
+        make("BulletArm/CloseLoopObjectGrasping-v0", **parameters)
+    make("BulletArm/CloseLoopObjectGrasping-v0", object_scale_range=0.5, **parameters)

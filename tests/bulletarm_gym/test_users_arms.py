@@ -1,0 +1,399 @@
+"""Arms of users: each model is simulated as its file says, or refused with the reason."""
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from xml.etree import ElementTree
+from xml.etree.ElementTree import Element, SubElement
+
+import gymnasium
+import numpy as np
+import pytest
+
+from bulletarm_gym.env import ManipulationEnv
+from bulletarm_gym.geometry import Pose, conjugate, euler_pose, multiply
+from bulletarm_gym.robots import KUKA, PANDA, Gripper, ParallelJaw, RobotModel, attach, on_slides, without
+from bulletarm_gym.robots.kinematics import find_joint
+from bulletarm_gym.robots.structure import prepare
+from bulletarm_gym.robots.urdf import LIGHT, add_joint, add_link, box, merge_fixed
+from bulletarm_gym.simulation.client import Client
+from bulletarm_gym.simulation.loading import load_urdf
+
+PICKING = "BulletArm/CloseLoopBlockPicking-v0"
+ORIGIN = Pose((0.0, 0.0, 0.0))
+FINGERS = ("left_finger_joint", "right_finger_joint")
+PART = box((0.05, 0.05, 0.05), (0.0, 0.0, 0.0), LIGHT)
+
+
+def angle(one: Pose, other: Pose) -> float:
+    x, y, z, w = multiply(one.orientation, conjugate(other.orientation))
+    return 2.0 * math.atan2(math.hypot(x, y, z), abs(w))
+
+
+def changed_kuka(change: Callable[[Element], None], **changes: object) -> RobotModel:
+    """The KUKA with a change of its URDF."""
+
+    def load() -> Element:
+        root = KUKA.load()
+        change(root)
+        return root
+
+    return replace(KUKA, load=load, **changes)  # type: ignore[arg-type]
+
+
+# Kinematics
+
+
+def random_arm(rng: np.random.Generator) -> tuple[Element, tuple[str, ...]]:
+    """A chain of random joints, of which some are fixed, prismatic or not named, and two fingers."""
+    root, named, parent = Element("robot", name="random"), [], "base"
+    add_link(root, parent, 1.0, [PART])
+    for number in range(10):
+        kind = str(rng.choice(["revolute", "continuous", "prismatic", "fixed", "revolute"]))
+        child, name = f"link{number}", f"joint{number}"
+        if rng.random() < 0.3 and kind == "fixed":
+            SubElement(root, "link", name=child)
+        else:
+            add_link(root, child, 0.5, [PART])
+        origin = euler_pose(
+            tuple(rng.uniform(-0.2, 0.2, 3).tolist()), tuple(rng.uniform(-3.0, 3.0, 3).tolist())
+        )
+        axis = rng.normal(size=3) * rng.uniform(0.2, 3.0)
+        joint = add_joint(root, kind, name, (parent, child), origin, tuple(axis.tolist()))
+        lower = float(rng.choice([-1.0, 0.2]))
+        SubElement(joint, "limit", lower=str(lower), upper="1.5", effort="10", velocity="1")
+        if kind in ("revolute", "continuous") and rng.random() < 0.8:
+            named.append(name)
+        parent = child
+    for name, side in zip(FINGERS, (1.0, -1.0), strict=True):
+        add_link(root, name.removesuffix("_joint"), 0.05, [PART])
+        finger = add_joint(
+            root, "prismatic", name, (parent, name.removesuffix("_joint")), ORIGIN, (0.0, side, 0.0)
+        )
+        SubElement(finger, "limit", lower="0", upper="0.05", effort="10", velocity="1")
+    return root, tuple(named)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_forward_kinematics_equals_the_pose_of_the_link_in_bullet(seed: int) -> None:
+    """Joints of all types with axes of any length and direction; those that are not named stay in place."""
+    rng = np.random.default_rng(seed)
+    root, names = random_arm(rng)
+    for name in names:
+        find_joint(root, name).findall("limit")[0].set("lower", "-1.0")
+    tool = Pose((0.03, -0.02, 0.1))
+    base = euler_pose((0.1, 0.2, 0.3), (0.0, 0.0, 0.4))
+    # A copy of the file, as Bullet reads it: held joints at 0 or at their nearest limit.
+    unit = ElementTree.fromstring(ElementTree.tostring(root))
+    for axis in unit.iter("axis"):
+        values = np.array([float(part) for part in axis.get("xyz", "").split()])
+        axis.set("xyz", " ".join(map(str, (values / np.linalg.norm(values)).tolist())))
+    model = RobotModel("random", lambda: root, names, tool, _gripper(), base, (0.0,) * len(names), 10.0)
+    client = Client()
+    ElementTree.indent(unit)
+    body, _ = load_urdf(client, "file", ElementTree.tostring(unit, encoding="unicode"), base)
+    positions = dict(zip(names, rng.uniform(-0.9, 1.4, len(names)).tolist(), strict=True))
+    for joint in range(client.getNumJoints(body)):
+        info = client.getJointInfo(body, joint)
+        kind, name = info[2], info[1].decode()
+        held = max(0.0, info[8]) if find_joint(unit, name).get("type") != "continuous" else 0.0
+        if kind != client.JOINT_FIXED:
+            client.resetJointState(body, joint, positions.get(name, held))
+    ours = model.chain.forward(np.array([positions[name] for name in names]))
+    # The tool is in the link of the last named joint, with what is fixed to it.
+    state = client.getLinkState(body, _index(client, body, names[-1]), computeForwardKinematics=True)
+    simulated = Pose(state[4], state[5]).compose(tool)
+    assert math.dist(ours.position, simulated.position) < 1e-6
+    assert angle(ours, simulated) < 1e-6
+    client.close()
+
+
+def _index(client: Client, body: int, name: str) -> int:
+    names = [client.getJointInfo(body, joint)[1].decode() for joint in range(client.getNumJoints(body))]
+    return names.index(name)
+
+
+def _gripper() -> Gripper:
+    return Gripper(stroke=0.1, finger=(0.01, 0.02, 0.05), joints=FINGERS)
+
+
+def lifted(root: Element, kind: str = "prismatic", lower: str = "0.2") -> None:
+    """Put an arm on a torso, as mobile manipulators have it."""
+    first = find_joint(root, "lbr_iiwa_joint_1")
+    parent = first.findall("parent")[0]
+    base = parent.get("link", "")
+    add_link(root, "torso", 5.0, [PART])
+    torso = add_joint(root, kind, "torso_joint", (base, "torso"), ORIGIN, (0.0, 0.0, 2.0))
+    SubElement(torso, "limit", lower=lower, upper="0.4", effort="1000", velocity="1")
+    parent.set("link", "torso")
+
+
+def test_a_joint_below_the_arm_that_is_not_named_is_fixed() -> None:
+    model = changed_kuka(lifted, base=Pose((-0.14, 0.0, 0.0)))
+    assert model.chain.translations[0] == pytest.approx(
+        (-0.14, 0.0, KUKA.chain.translations[0][2] - 0.1 + 0.2)
+    )
+    env = gymnasium.make(PICKING, robot=model).unwrapped
+    assert isinstance(env, ManipulationEnv)
+    env.reset(seed=0)
+    world, robot = env.scene.world, env.scene.robot
+    link = _index(world.client, robot.body.id, model.joints[-1])
+    for x in (0.4, 0.5):
+        robot.move_to(Pose.planar(x, 0.1, 0.2, 0.3))
+        state = world.client.getLinkState(robot.body.id, link, computeForwardKinematics=True)
+        simulated = Pose(state[4], state[5]).compose(model.tool)
+        assert math.dist(simulated.position, robot.pose.position) < 1e-4
+    assert world.client.getNumJoints(robot.body.id) == 9
+
+
+@pytest.mark.parametrize("kind", ["revolute", "prismatic", "continuous", "floating", "planar"])
+def test_other_joints_than_the_arms_are_fixed(kind: str) -> None:
+    def add_arm(root: Element) -> None:
+        add_link(root, "other", 3.0, [PART])
+        joint = add_joint(root, kind, "other_joint", ("lbr_iiwa_link_0", "other"), ORIGIN, (0.0, 1.0, 0.0))
+        SubElement(joint, "limit", lower="-1", upper="1", effort="10", velocity="1")
+
+    root = changed_kuka(add_arm).urdf
+    assert {joint.get("name") for joint in root.findall("joint")} == {*KUKA.joints, *KUKA.gripper.joints}
+
+
+def test_the_plinth_carries_the_root_link() -> None:
+    def reorder(root: Element) -> None:
+        link = root.findall("link")[0]
+        root.remove(link)
+        root.append(link)
+
+    root = changed_kuka(reorder).urdf
+    tops = [
+        link.get("name") for link in root.findall("link") if link.find("visual/geometry/cylinder") is not None
+    ]
+    assert tops == ["lbr_iiwa_link_0"]
+
+
+@pytest.mark.parametrize(
+    ("joints", "reason"),
+    [
+        (KUKA.joints[::-1], "must be a chain from the base to the gripper, got 'lbr_iiwa_joint_7'"),
+        (
+            (*KUKA.joints[:3], *KUKA.joints[4:2:-1], *KUKA.joints[5:]),
+            "must be a chain .* got 'lbr_iiwa_joint_5'",
+        ),
+        (
+            (*KUKA.joints[:-1], "left_finger_joint"),
+            "joints must be revolute .* prismatic joint 'left_finger_joint'",
+        ),
+        ((*KUKA.joints, "nothing"), "no joint 'nothing'"),
+    ],
+)
+def test_joints_that_are_not_a_chain_are_refused(joints: tuple[str, ...], reason: str) -> None:
+    with pytest.raises(ValueError, match=f"robot 'kuka': .*{reason}"):
+        _ = replace(KUKA, joints=joints).urdf
+
+
+def test_a_prismatic_joint_of_the_arm_is_refused() -> None:
+    with pytest.raises(
+        ValueError, match="joints must be revolute or continuous, got the prismatic joint 'torso_joint'"
+    ):
+        _ = changed_kuka(lifted, joints=("torso_joint", *KUKA.joints)).urdf
+
+
+def _double_name(root: Element) -> None:
+    SubElement(root, "link", name="lbr_iiwa_link_3")
+
+
+def _second_parent(root: Element) -> None:
+    add_joint(root, "fixed", "loop", ("lbr_iiwa_link_1", "lbr_iiwa_link_4"), ORIGIN, (1.0, 0.0, 0.0))
+
+
+def _massless(root: Element) -> None:
+    link = root.findall("link[@name='lbr_iiwa_link_3']")[0]
+    link.remove(link.findall("inertial")[0])
+
+
+def _no_axis(root: Element) -> None:
+    find_joint(root, KUKA.joints[2]).findall("axis")[0].set("xyz", "0 0 0")
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        (_double_name, "names of links must be distinct, got 'lbr_iiwa_link_3' twice"),
+        (
+            partial(add_link, name="loose", mass=1.0, parts=[PART]),
+            "one root link, got 'lbr_iiwa_link_0', 'loose'",
+        ),
+        (_second_parent, "one parent, got several for 'lbr_iiwa_link_4'"),
+        (_massless, "mass of link 'lbr_iiwa_link_3' must be a positive number, got no <inertial>"),
+        (_no_axis, "axis of joint 'lbr_iiwa_joint_3' must have a length"),
+    ],
+)
+def test_a_broken_structure_is_refused(change: Callable[[Element], None], reason: str) -> None:
+    with pytest.raises(ValueError, match=f"robot 'kuka': .*{reason}"):
+        _ = changed_kuka(change).urdf
+
+
+def test_mass_below_a_frame_without_inertial_is_kept() -> None:
+    root = ElementTree.fromstring(
+        """<robot name="hand"><link name="arm"><inertial><mass value="2"/></inertial></link>
+        <link name="frame"/>
+        <link name="hand"><inertial><origin xyz="0 0 0.1"/><mass value="0.3"/></inertial></link>
+        <joint name="a" type="revolute"><parent link="base"/><child link="frame"/></joint>
+        <joint name="b" type="fixed"><parent link="frame"/><child link="hand"/><origin xyz="0 0 0.2"/></joint>
+        </robot>"""
+    )
+    merge_fixed(root)
+    frame = root.findall("link[@name='frame']")[0]
+    assert frame.findall("inertial/mass")[0].get("value") == "0.3"
+    assert frame.findall("inertial/origin")[0].get("xyz") == "0.0 0.0 0.30000000000000004"
+
+
+# Fingers
+
+
+def _reversed(root: Element) -> None:
+    """Let a finger open to negative positions."""
+    finger = find_joint(root, FINGERS[0])
+    finger.findall("axis")[0].set("xyz", "-2 0 0")
+    finger.findall("limit")[0].set("lower", "-0.0425")
+    finger.findall("limit")[0].set("upper", "0")
+
+
+def test_a_finger_with_a_negative_axis_opens_as_the_other() -> None:
+    model = changed_kuka(_reversed)
+    env = gymnasium.make(PICKING, robot=model).unwrapped
+    assert isinstance(env, ManipulationEnv)
+    env.reset(seed=0)
+    is_over = False
+    while not is_over:
+        *_, terminated, truncated, info = env.step(env.expert_action())
+        is_over = terminated or truncated
+    assert info["is_success"]
+
+
+def _limited(root: Element) -> None:
+    find_joint(root, FINGERS[0]).findall("limit")[0].set("lower", "0.02")
+
+
+def _same_side(root: Element) -> None:
+    find_joint(root, FINGERS[0]).findall("axis")[0].set("xyz", "-1 0 0")
+
+
+def _rotating(root: Element) -> None:
+    find_joint(root, FINGERS[0]).set("type", "revolute")
+
+
+def _elsewhere(root: Element) -> None:
+    find_joint(root, FINGERS[0]).findall("parent")[0].set("link", "lbr_iiwa_link_3")
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        (
+            _limited,
+            "must reach 0, where the fingers meet, got 'left_finger_joint' with the lower limit 0.02 m",
+        ),
+        (_same_side, "must open in opposite directions"),
+        (_rotating, r"must be prismatic, got the revolute joint 'left_finger_joint'. Use on_slides\(\)"),
+        (_elsewhere, "must be attached to the link 'lbr_iiwa_link_7' of the last joint"),
+    ],
+)
+def test_fingers_that_do_not_fit_the_gripper_are_refused(
+    change: Callable[[Element], None], reason: str
+) -> None:
+    with pytest.raises(ValueError, match=reason):
+        _ = changed_kuka(change).urdf
+
+
+SLIDES = """<robot name="vx"><link name="palm"/><link name="bar"/><link name="left"/><link name="right"/>
+<joint name="bar" type="fixed"><parent link="palm"/><child link="bar"/>
+<origin xyz="0.1 0 0" rpy="0 0 0.5"/></joint>
+<joint name="l" type="prismatic"><parent link="bar"/><child link="left"/><axis xyz="0 2 0"/></joint>
+<joint name="r" type="prismatic"><parent link="bar"/><child link="right"/><axis xyz="0 1 0"/>
+<mimic joint="l" multiplier="-1"/></joint></robot>"""
+
+
+def test_on_slides_keeps_fixed_joints_and_moves_prismatic_fingers() -> None:
+    root = on_slides(ElementTree.fromstring(SLIDES), "palm", ("l", "r"), closed=0.021, opened=0.057)
+    for name, sign in (("l", 1.0), ("r", -1.0)):
+        joint = find_joint(root, name)
+        offset = np.array((-math.sin(0.5), math.cos(0.5), 0.0))
+        expected = np.array((0.1, 0.0, 0.0)) + sign * 0.021 * offset
+        xyz = [float(part) for part in joint.findall("origin")[0].get("xyz", "").split()]
+        assert xyz == pytest.approx(expected.tolist())
+        axis = [float(part) for part in joint.findall("axis")[0].get("xyz", "").split()]
+        assert axis == pytest.approx((0.0, sign, 0.0))
+        assert float(joint.findall("limit")[0].get("upper", "")) == pytest.approx(0.036)
+
+
+def test_on_slides_refuses_fingers_that_do_not_open() -> None:
+    with pytest.raises(
+        ValueError, match=r"opened must move the finger 'l' outwards from closed=0\.057, got 0\.021"
+    ):
+        on_slides(ElementTree.fromstring(SLIDES), "palm", ("l", "r"), closed=0.057, opened=0.021)
+
+
+# A flange that carries a gripper already
+
+JAW = ParallelJaw(
+    stroke=0.08, palm=(0.1, 0.05, 0.05), finger=(0.01, 0.02, 0.08), joints=("panda_finger_joint1", "b_joint")
+)
+
+
+def _fitted(arm: Callable[[], Element]) -> RobotModel:
+    flange = Pose((0.0, 0.0, 0.107))
+    load = partial(JAW.fitted, arm, "panda_link7", flange)
+    return replace(PANDA, load=load, tool=JAW.tool(flange), gripper=JAW)
+
+
+def test_without_leaves_out_a_link_and_all_attached_to_it() -> None:
+    root = without(PANDA.load(), "panda_hand")
+    assert [link.get("name") for link in root.findall("link")][-1] == "panda_link8"
+    assert len(root.findall("joint")) == len(root.findall("link")) - 1
+    assert len(_fitted(lambda: without(PANDA.load(), "panda_hand")).urdf.findall("joint")) == 9
+    with pytest.raises(ValueError, match="no link 'wrist'"):
+        without(PANDA.load(), "wrist")
+
+
+def test_a_jaw_on_an_arm_with_the_same_joint_names_is_refused() -> None:
+    with pytest.raises(ValueError, match="'panda_finger_joint1'"):
+        _ = _fitted(PANDA.load).urdf
+
+
+def hand() -> Element:
+    """The hand of the Panda as a model of its own."""
+    root = PANDA.load()
+    links = ("panda_hand", "panda_leftfinger", "panda_rightfinger", "panda_grasptarget")
+    for element in [*root.findall("link"), *root.findall("joint")]:
+        ends = [element.get("name"), *(end.get("link") for end in element.findall("parent"))]
+        if not set(ends) & set(links):
+            root.remove(element)
+    return root
+
+
+def test_attach_joins_the_models_of_an_arm_and_a_gripper() -> None:
+    mount = euler_pose((0.0, 0.0, 0.0), (0.0, 0.0, -math.pi / 4.0))
+    whole, joined = PANDA.load(), attach(without(PANDA.load(), "panda_hand"), "panda_link8", hand(), mount)
+    for kind in ("link", "joint"):
+        assert len(joined.findall(kind)) == len(whole.findall(kind))
+    model = replace(PANDA, load=lambda: joined)
+    pose = PANDA.chain.forward(np.array(PANDA.posture))
+    assert math.dist(model.chain.forward(np.array(PANDA.posture)).position, pose.position) < 1e-9
+    places = []
+    for root in (PANDA.urdf, model.urdf):
+        origin = find_joint(root, PANDA.gripper.joints[0]).findall("origin")[0]
+        places.append([float(part) for part in f"{origin.get('xyz')} {origin.get('rpy')}".split()])
+    assert places[1] == pytest.approx(places[0], abs=1e-4)
+
+
+def test_attach_refuses_models_with_the_same_names() -> None:
+    with pytest.raises(ValueError, match="names of links must be distinct, got 'panda_hand'"):
+        attach(PANDA.load(), "panda_link8", hand(), ORIGIN)
+
+
+def test_prepare_leaves_unit_axes_as_they_are() -> None:
+    root = KUKA.load()
+    before = ElementTree.tostring(root)
+    prepare(root, KUKA.joints, KUKA.gripper.joints)
+    assert ElementTree.tostring(root) == before
