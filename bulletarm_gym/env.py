@@ -1,6 +1,5 @@
 """The environment: task, control, surface, arm and sensors put together."""
 
-import zlib
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import cached_property, partial
@@ -12,6 +11,7 @@ from gymnasium.envs.registration import EnvSpec
 from numpy.typing import ArrayLike, NDArray
 
 from bulletarm_gym.assembly import find_types, make_config, make_scene, take_objects
+from bulletarm_gym.cameras import RENDER, scene_cameras
 from bulletarm_gym.config import CLOSE_LOOP
 from bulletarm_gym.control import Control, RobotInterface
 from bulletarm_gym.experts.tracking import Tracker
@@ -29,8 +29,8 @@ from bulletarm_gym.feasibility import (
 from bulletarm_gym.footprint import PlacementError
 from bulletarm_gym.scene import Scene
 from bulletarm_gym.sensors import Observer, View
-from bulletarm_gym.simulation import Camera, has_display
-from bulletarm_gym.state import EnvState
+from bulletarm_gym.simulation import has_display
+from bulletarm_gym.state import EnvState, check_fits, scene_facts
 from bulletarm_gym.stopwatch import Stopwatch
 from bulletarm_gym.tasks import Task
 from bulletarm_gym.viewer import Viewer
@@ -38,8 +38,6 @@ from bulletarm_gym.viewer import Viewer
 Observation = dict[str, NDArray[Any]]
 Action = NDArray[np.float32]
 
-SCENE_PARAMETERS = ("workspace", "object_scale_range", "num_objects", "close_loop_tray")
-"""What the bodies of a scene, and where they can be, follow from."""
 GROUNDS = 30
 """Drawn before the workspace counts as too small for the task."""
 MOVE_STEPS = 10
@@ -103,6 +101,8 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         check_room(self.config, own, self.scene, self.task, self.control)
         self.action_space = self.control.action_space
         self._observer = Observer(self.config, self.scene)
+        self.cameras = scene_cameras(self.scene, self._observer.cameras)
+        """Cameras by name: ``"render"``, and those of sensors by the names of the sensors."""
         self._view: View | None = None
         # Gymnasium types a Dict space by its parts instead of its samples.
         self.observation_space = self._observer.space  # type: ignore[assignment]
@@ -204,16 +204,15 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         return self._observer.read(self._view), reward, terminated, truncated, info
 
     def render(self) -> Any:
-        """Return a picture (480, 480, 3) uint8, distances (480, 480) float32 in metres, or nothing.
+        """Return an image (height, width, 3) uint8, distances (height, width) float32 in metres, or None.
 
         :raises gymnasium.error.ClosedEnvironmentError: the environment is closed
         """
         self.scene.world.client.check_open()
+        camera = self.cameras[RENDER]
         if self.render_mode == "rgb_array":
-            return Camera().color(self.scene.world)
-        if self.render_mode == "depth_array":
-            return Camera().depth(self.scene.world)
-        return None
+            return camera.color()
+        return camera.depth() if self.render_mode == "depth_array" else None
 
     def close(self) -> None:
         """Release the simulation; a second call does nothing."""
@@ -310,7 +309,7 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         :raises gymnasium.error.ClosedEnvironmentError: the environment is closed
         """
         self.scene.world.client.check_open()
-        self._check_fits(state)
+        check_fits(state, self._made_of)
         self.scene.world.set_state(state.world)
         self.scene.robot.set_state(state.robot)
         self.scene.set_cast(state.cast)
@@ -323,24 +322,8 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
 
     @cached_property
     def _made_of(self) -> dict[str, Any]:
-        """What a state must have in common with the environment: names and JSON values."""
-        names = [body.spec.name for body in self.scene.world.bodies]
-        return {
-            **self._recipe,
-            **{name: getattr(self.config, name) for name in SCENE_PARAMETERS},
-            "robot": self.scene.robot.model.name,
-            **self._observer.shapes(["in_hand"]),
-            "bodies": f"{len(names)}, crc {zlib.crc32(repr(names).encode()):08x}",
-        }
-
-    def _check_fits(self, state: EnvState) -> None:
-        if not isinstance(state, EnvState):
-            raise ValueError(f"state must be an EnvState from get_state(), got a {type(state).__name__}")
-        theirs, ours = state.made_of, self._made_of
-        other = [name for name, value in ours.items() if theirs.get(name) != value]
-        if other:
-            needed, got = (", ".join(f"{n}={made.get(n)!r}" for n in other) for made in (ours, theirs))
-            raise ValueError(f"state must be of an environment with {needed}, got one with {got}")
+        """Names and JSON values that a state must have in common with the environment."""
+        return {**self._recipe, **scene_facts(self.scene), **self._observer.shapes(["in_hand"])}
 
     def _evaluate(self, ignored: bool) -> dict[str, bool]:
         """Return the info; ``is_success`` is the task's goal in a valid scene."""

@@ -1,12 +1,18 @@
 """State of an environment, and the types of the values in it."""
 
 import dataclasses
+import zlib
+from collections.abc import Mapping
 from typing import Any
 
 from bulletarm_gym.geometry import Pose
 from bulletarm_gym.robots import RobotState
+from bulletarm_gym.scene import Scene
 from bulletarm_gym.simulation import WorldState
 from bulletarm_gym.simulation.properties import Properties
+
+SCENE_PARAMETERS = ("workspace", "object_scale_range", "num_objects", "close_loop_tray")
+"""Parameters that determine the bodies of a scene and where they can be."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -57,6 +63,30 @@ def declare_state_types(kinds: tuple[type, ...]) -> None:
                 "Rename one of them."
             )
         STATE_TYPES[kind.__name__] = kind  # a module that is reloaded replaces its types
+
+
+def scene_facts(scene: Scene) -> dict[str, Any]:
+    """Return names and JSON values that a state must have in common with a scene."""
+    names = [body.spec.name for body in scene.world.bodies]
+    return {
+        **{name: getattr(scene.config, name) for name in SCENE_PARAMETERS},
+        "robot": scene.robot.model.name,
+        "bodies": f"{len(names)}, crc {zlib.crc32(repr(names).encode()):08x}",
+    }
+
+
+def check_fits(state: EnvState, ours: Mapping[str, Any]) -> None:
+    """Check that a state is of an environment with given names and values.
+
+    :raises ValueError: the state is of another environment, or not a state
+    """
+    if not isinstance(state, EnvState):
+        raise ValueError(f"state must be an EnvState from get_state(), got a {type(state).__name__}")
+    theirs = state.made_of
+    other = [name for name, value in ours.items() if theirs.get(name) != value]
+    if other:
+        needed, got = (", ".join(f"{n}={made.get(n)!r}" for n in other) for made in (ours, theirs))
+        raise ValueError(f"state must be of an environment with {needed}, got one with {got}")
 
 
 def field_names(kind: type) -> tuple[str, ...]:

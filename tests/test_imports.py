@@ -29,7 +29,7 @@ LAYERS = (
     {"robots", "objects", "surfaces", "rendering"},
     {"support"},
     {"scene", "state"},
-    {"relations", "placement", "sensors"},
+    {"relations", "placement", "cameras", "sensors"},
     {"control"},
     {"experts"},
     {"tasks"},

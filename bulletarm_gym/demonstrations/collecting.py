@@ -162,7 +162,7 @@ def recordable(env: ManipulationEnv) -> dict[str, Any]:
         raise ValueError(
             f"env_kwargs: {name}={thing!r} has no import path 'module:name' to be kept in a file"
         )
-    return {**env.config.parameters(), "render_mode": None}
+    return {name: value for name, value in env.config.parameters().items() if not name.startswith("render_")}
 
 
 def _make(env_id: str, env_kwargs: Mapping[str, Any]) -> ManipulationEnv:

@@ -80,7 +80,8 @@ class Camera:
         seen = ~np.isin(shown, [body.id for body in without]) & (distances < self.far * 0.99)
         rows, columns = np.nonzero(seen)
         pixels = np.stack([columns, rows, np.ones(len(rows))])
-        offsets = np.linalg.inv(self.intrinsics) @ pixels * distances[rows, columns]
+        to_rays: Any = np.linalg.inv(self.intrinsics)
+        offsets = to_rays @ pixels * distances[rows, columns]
         points: FloatArray = np.asarray(self.eye) + offsets.T @ self.extrinsics[:3, :3]
         return points
 
