@@ -221,6 +221,16 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
     # Ours besides
 
     @property
+    def task_description(self) -> str:
+        """One sentence that describes the task, an instruction for policies that take language."""
+        return self.task.description
+
+    @property
+    def _max_episode_steps(self) -> int:
+        """Number of steps after which episodes are truncated; LeRobot's evaluation reads it by this name."""
+        return self.config.max_steps
+
+    @property
     def action_sequence(self) -> str:
         """What each number of an action is, a character each."""
         return self.config.action_sequence
