@@ -27,6 +27,7 @@ from bulletarm_gym.feasibility import (
     reward_function,
 )
 from bulletarm_gym.footprint import PlacementError
+from bulletarm_gym.rehearsal import REHEARSAL
 from bulletarm_gym.scene import Scene
 from bulletarm_gym.sensors import Observer, View
 from bulletarm_gym.simulation import has_display
@@ -111,6 +112,7 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         self._episode_seed: int | None = None
         if self.render_mode == "human":
             self.viewer.face_workspace()
+        REHEARSAL.run(ManipulationEnv)
 
     # Gymnasium
 

@@ -21,6 +21,7 @@ LAYERS = (
         "compilation",
         "extensions",
         "machine",
+        "rehearsal",
         "stopwatch",
         "time_limit",
         "values",
