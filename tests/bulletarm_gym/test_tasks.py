@@ -328,6 +328,7 @@ def test_vector_environments_return_what_the_evaluation_of_lerobot_calls() -> No
     envs = gymnasium.make_vec(task_id("BlockPicking"), 2, vectorization_mode="sync", max_episode_steps=9)
     assert envs.call("_max_episode_steps") == (9, 9)
     assert envs.call("task_description") == ("Grasp a cube and lift it.",) * 2
+    assert hasattr(envs.envs[0], "task_description"), "LeRobot passes an empty task without it"  # type: ignore[attr-defined]
     envs.close()
 
 
