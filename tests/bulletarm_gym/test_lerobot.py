@@ -199,3 +199,37 @@ def test_lerobot_dataset(picking: Demonstrations, tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="cameras"):
         export_lerobot(picking, "bulletarm/picking", tmp_path / "other", cameras={"top": {"zoom": 2}})
     assert [path.name for path in tmp_path.iterdir()] == ["set"]
+
+
+@pytest.mark.slow
+def test_a_policy_of_lerobot_trains_one_step(picking: Demonstrations, tmp_path: Path) -> None:
+    pytest.importorskip("lerobot")
+    from lerobot.configs.types import FeatureType
+    from lerobot.datasets.lerobot_dataset import LeRobotDataset
+    from lerobot.datasets.utils import dataset_to_policy_features
+    from lerobot.policies.act.configuration_act import ACTConfig
+    from lerobot.policies.act.modeling_act import ACTPolicy
+    from torch.optim import Adam
+    from torch.utils.data import DataLoader
+
+    export_lerobot(picking, "bulletarm/picking", tmp_path / "set", cameras={"front": {"size": 64}}, fps=5)
+    steps = {"action": [0.0, 0.2]}
+    dataset = LeRobotDataset("bulletarm/picking", root=tmp_path / "set", delta_timestamps=steps)
+    features = dataset_to_policy_features(dataset.features)
+    assert FeatureType.ENV not in [feature.type for feature in features.values()]
+    inputs = ("observation.images.front", "observation.state")
+    small = {"dim_model": 32, "dim_feedforward": 32, "n_heads": 2, "pretrained_backbone_weights": None}
+    config = ACTConfig(
+        input_features={name: features[name] for name in inputs},
+        output_features={"action": features["action"]},
+        chunk_size=2,
+        n_action_steps=2,
+        device="cpu",
+        **small,
+    )
+    policy = ACTPolicy(config)
+    optimizer = Adam(policy.parameters())
+    loss, _ = policy.forward(next(iter(DataLoader(dataset, batch_size=4))))
+    loss.backward()
+    optimizer.step()
+    assert np.isfinite(loss.item())
