@@ -1,22 +1,90 @@
 """Compiling numeric loops, in one way everywhere: without fastmath and threads, so results are exact."""
 
+import logging
+import os
+import tempfile
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, ParamSpec, TypeVar
 
+import numba
 from numba import float64, njit
+from numba.core import event
 from numba.extending import intrinsic
 
 P = ParamSpec("P")
 R = TypeVar("R")
 
+LOGGER = logging.getLogger("bulletarm_gym")
+CONFIG: Any = numba.config
+
+
+class CompileMonitor(event.Listener):
+    """Counts the functions of :func:`compiled` that numba compiles, and logs one line before the first.
+
+    Functions that are read from the cache do not count.
+    """
+
+    def __init__(self) -> None:
+        self.count = 0
+        self.functions: set[Any] = set()
+        self._announced = False
+
+    def on_start(self, event: Any) -> None:
+        """Count a function that is about to be compiled."""
+        function = event.data["dispatcher"]
+        if function.py_func not in self.functions:
+            return
+        self.count += 1
+        if not self._announced:
+            self._announced = True
+            folder = function.stats.cache_path
+            where = f"once for this machine: the code is kept in {folder}" if folder else "in every process"
+            LOGGER.warning("bulletarm_gym compiles its numeric loops, up to a minute, %s", where)
+
+    def on_end(self, event: Any) -> None:
+        """Do nothing."""
+
+
+MONITOR = CompileMonitor()
+"""Monitor of this process."""
+event.register("numba:compile", MONITOR)  # type: ignore[no-untyped-call]
+
 
 def compiled(function: Callable[P, R]) -> Callable[P, R]:
-    """Compile at the first call, kept on disk between processes where any cache folder can be written."""
+    """Compile at the first call, kept on disk between processes.
+
+    If numba finds no folder that it can write, the code is kept in a folder for temporary files.
+    """
+    MONITOR.functions.add(function)
     try:
-        cached: Callable[P, R] = njit(cache=True, error_model="numpy")(function)
+        return _cached(function)
     except RuntimeError:  # numba found neither the package's folder nor the user's to be writable
-        cached = njit(error_model="numpy")(function)
-    return cached
+        has_file = Path(function.__code__.co_filename).is_file()
+    if has_file and not CONFIG.CACHE_DIR:
+        CONFIG.CACHE_DIR = str(_temporary_folder())
+        LOGGER.warning(
+            "No folder for compiled code can be written. Using %s. Set NUMBA_CACHE_DIR to another folder.",
+            CONFIG.CACHE_DIR,
+        )
+        return _cached(function)
+    plain: Callable[P, R] = njit(error_model="numpy")(function)
+    return plain
+
+
+def _cached(function: Callable[P, R]) -> Callable[P, R]:
+    found: Callable[P, R] = njit(cache=True, error_model="numpy")(function)
+    return found
+
+
+def _temporary_folder() -> Path:
+    """Return a folder for temporary files that belongs to this user alone: cached code is executed."""
+    user = getattr(os, "getuid", lambda: 0)()
+    folder = Path(tempfile.gettempdir()) / f"bulletarm-gym-{user}"
+    folder.mkdir(mode=0o700, exist_ok=True)
+    status = folder.lstat()
+    private = not folder.is_symlink() and not status.st_mode & 0o077 and status.st_uid == user
+    return folder if private or os.name == "nt" else Path(tempfile.mkdtemp(prefix="bulletarm-gym-"))
 
 
 def _emit_fma(typing_context: Any, a: Any, b: Any, c: Any) -> Any:

@@ -132,6 +132,8 @@ class EnvConfig:
     :param physics_mode: ``"fast"`` (50 solver iterations) or ``"slow"`` (200, and slower motions)
     :param reward: None for the task's own, or ``"module:function"`` called as ``function(scene, outcome)``
     :param render_mode: None, ``"rgb_array"``, ``"depth_array"`` or ``"human"``
+    :param render_size: [width, height] (pixels) of rendered images, or a number for both
+    :param render_camera: None, or a dict with some of ``position`` and ``target`` (m) and ``fov`` (degrees)
     :param home_height: height (m) of the fingertips above z = 0 at reset and, in open loop, between actions
     :param lift_height: height (m) above z = 0 to which the fingertips must lift an object
     """
@@ -157,6 +159,8 @@ class EnvConfig:
     physics_mode: str = "fast"
     reward: str | None = None
     render_mode: str | None = None
+    render_size: list[int] = field(default_factory=lambda: [480, 480])
+    render_camera: dict[str, Any] | None = None
     lift_height: float = LIFT_HEIGHT
 
     @classmethod
@@ -314,6 +318,8 @@ def _checks(control: str, task: TaskDefaults, robots: Sequence[str]) -> dict[str
         "physics_mode": values.choice("fast", "slow"),
         "reward": values.optional(values.import_path),
         "render_mode": values.choice(None, "rgb_array", "depth_array", "human"),
+        "render_size": values.render_size,
+        "render_camera": values.optional(values.camera),
     }
     return {name: check for name, check in checks.items() if belongs(name, control)}
 

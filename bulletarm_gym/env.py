@@ -11,6 +11,7 @@ from gymnasium.envs.registration import EnvSpec
 from numpy.typing import ArrayLike, NDArray
 
 from bulletarm_gym.assembly import find_types, make_config, make_scene, take_objects
+from bulletarm_gym.cameras import RENDER, scene_cameras
 from bulletarm_gym.config import CLOSE_LOOP
 from bulletarm_gym.control import Control, RobotInterface
 from bulletarm_gym.copies import reduce_env
@@ -27,11 +28,12 @@ from bulletarm_gym.feasibility import (
     reward_function,
 )
 from bulletarm_gym.footprint import PlacementError
+from bulletarm_gym.rehearsal import REHEARSAL
 from bulletarm_gym.rendering.frames import render_frame
 from bulletarm_gym.scene import Scene
 from bulletarm_gym.sensors import Observer, View
 from bulletarm_gym.simulation import has_display
-from bulletarm_gym.state import EnvState, check_fits, made_of
+from bulletarm_gym.state import EnvState, check_fits, scene_facts
 from bulletarm_gym.stopwatch import Stopwatch
 from bulletarm_gym.tasks import Task
 from bulletarm_gym.viewer import Viewer
@@ -105,6 +107,8 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         check_room(self.config, own, self.scene, self.task, self.control)
         self.action_space = self.control.action_space
         self._observer = Observer(self.config, self.scene)
+        self.cameras = scene_cameras(self.scene, self._observer.cameras)
+        """Cameras by name: ``"render"``, and those of sensors by the names of the sensors."""
         self._view: View | None = None
         # Gymnasium types a Dict space by its parts instead of its samples.
         self.observation_space = self._observer.space  # type: ignore[assignment]
@@ -113,6 +117,7 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         self._episode_seed: int | None = None
         if self.render_mode == "human":
             self.viewer.face_workspace()
+        REHEARSAL.run(ManipulationEnv)
 
     # Gymnasium
 
@@ -212,18 +217,28 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         return self._observer.read(self._view), reward, terminated, truncated, info
 
     def render(self) -> Any:
-        """Return an image (480, 480, 3) uint8, distances (480, 480) float32 in metres, or None.
+        """Return an image (height, width, 3) uint8, distances (height, width) float32 in metres, or None.
 
         :raises gymnasium.error.ClosedEnvironmentError: the environment is closed
         """
         self.scene.world.client.check_open()
-        return render_frame(self.scene.world, self.render_mode, self.spec.id if self.spec else "ID")
+        return render_frame(self.cameras[RENDER], self.render_mode, self.spec.id if self.spec else "ID")
 
     def close(self) -> None:
         """Release the simulation; a second call does nothing."""
         self.scene.world.close()
 
     # Ours besides
+
+    @property
+    def task_description(self) -> str:
+        """One sentence that describes the task, an instruction for policies that take language."""
+        return self.task.description
+
+    @property
+    def _max_episode_steps(self) -> int:
+        """Number of steps after which episodes are truncated; LeRobot's evaluation reads it by this name."""
+        return self.config.max_steps
 
     @property
     def action_sequence(self) -> str:
@@ -337,10 +352,8 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
 
     @cached_property
     def _made_of(self) -> dict[str, Any]:
-        """Values that a state must have in common with the environment."""
-        names = [body.spec.name for body in self.scene.world.bodies]
-        robot, memories = self.scene.robot.model.name, self._observer.shapes(["in_hand"])
-        return made_of(self.recipe, vars(self.config), robot, names, memories)
+        """Names and JSON values that a state must have in common with the environment."""
+        return {**self.recipe, **scene_facts(self.scene), **self._observer.shapes(["in_hand"])}
 
     def _evaluate(self, ignored: bool) -> dict[str, bool]:
         """Return the info; ``is_success`` is the task's goal in a valid scene."""

@@ -37,6 +37,8 @@ SIDE_FOV = 35.6
 """... their field of view (degrees) ..."""
 SIDE_PIXELS = 512
 """... and their resolution."""
+SIDE_WORKSPACE = 0.4
+"""Side (m) of the largest workspace that they show from there; for a larger one they are farther away."""
 SETTLE_LIMIT = 240
 """Most simulation steps (1 s) that loose bodies are given to come to rest."""
 MOST_VARIANTS = 120
@@ -392,8 +394,7 @@ class Scene:
         :param pixels: a side of their images
         """
         x, y = self.config.centre
-        left, right = (
-            Camera((x, y + side, SIDE_HEIGHT), (x, y, 0.0), SIDE_FOV, pixels, pixels, near=0.1, far=3.0)
-            for side in (-SIDE_DISTANCE, SIDE_DISTANCE)
-        )
-        return left, right
+        scale = max(1.0, self.config.workspace_size / SIDE_WORKSPACE)
+        eyes = [(x, y + side * scale, SIDE_HEIGHT * scale) for side in (-SIDE_DISTANCE, SIDE_DISTANCE)]
+        first, second = (Camera(eye, (x, y, 0.0), SIDE_FOV, pixels, pixels, 0.1, 3.0 * scale) for eye in eyes)
+        return first, second

@@ -2,16 +2,16 @@
 
 import dataclasses
 import zlib
-from collections.abc import Mapping, Sequence
 from typing import Any
 
 from bulletarm_gym.geometry import Pose
 from bulletarm_gym.robots import RobotState
+from bulletarm_gym.scene import Scene
 from bulletarm_gym.simulation import WorldState
 from bulletarm_gym.simulation.properties import Properties
 
 SCENE_PARAMETERS = ("workspace", "object_scale_range", "num_objects", "close_loop_tray")
-"""Parameters that decide the bodies of a scene and where they can be."""
+"""Parameters that determine the bodies of a scene and where they can be."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -58,30 +58,6 @@ def check_fits(state: Any, made_of: dict[str, Any]) -> None:
         raise ValueError(f"state must be of an environment with {needed}, got one with {got}")
 
 
-def made_of(
-    recipe: Mapping[str, Any],
-    parameters: Mapping[str, Any],
-    robot: str,
-    bodies: Sequence[str],
-    memories: Mapping[str, Any],
-) -> dict[str, Any]:
-    """Return the values that a state and an environment must have in common, by name; JSON values.
-
-    :param recipe: task, control and surface of the environment
-    :param parameters: parameters of the environment
-    :param robot: name of the arm
-    :param bodies: names of the bodies
-    :param memories: shapes of the memories of sensors
-    """
-    return {
-        **recipe,
-        **{name: parameters[name] for name in SCENE_PARAMETERS},
-        "robot": robot,
-        **memories,
-        "bodies": f"{len(bodies)}, crc {zlib.crc32(repr(list(bodies)).encode()):08x}",
-    }
-
-
 STATE_TYPES: dict[str, type] = {
     kind.__name__: kind for kind in (bytes, list, dict, Pose, Properties, WorldState, RobotState, EnvState)
 }
@@ -104,6 +80,16 @@ def declare_state_types(kinds: tuple[type, ...]) -> None:
                 "Rename one of them."
             )
         STATE_TYPES[kind.__name__] = kind  # a module that is reloaded replaces its types
+
+
+def scene_facts(scene: Scene) -> dict[str, Any]:
+    """Return names and JSON values that a state must have in common with a scene."""
+    names = [body.spec.name for body in scene.world.bodies]
+    return {
+        **{name: getattr(scene.config, name) for name in SCENE_PARAMETERS},
+        "robot": scene.robot.model.name,
+        "bodies": f"{len(names)}, crc {zlib.crc32(repr(names).encode()):08x}",
+    }
 
 
 def field_names(kind: type) -> tuple[str, ...]:

@@ -41,5 +41,8 @@ def own_time_limit(env: gymnasium.Env[Any, Any], known: int | None) -> gymnasium
     if limit is not None and limit != known:
         core.limit_steps(limit)
         spec = replace(spec, kwargs={**spec.kwargs, "max_steps": limit})
+    if env is not core:
+        # LeRobot looks for it with hasattr(), which does not look inside wrappers, and else passes no task.
+        env.task_description = core.task_description  # type: ignore[attr-defined]
     core.spec = replace(spec, additional_wrappers=(wrapper_spec(core.config.max_steps),))
     return env

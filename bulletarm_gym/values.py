@@ -18,6 +18,8 @@ ROUNDING = 1e-9
 """What differences of decimal fractions may be off by (m)."""
 LARGEST_SCALE = 2.0
 """A cube twice the nominal size (10 cm) no longer fits any gripper."""
+RENDER_SIZES = (16, 4096)
+"""Smallest and largest side (pixels) of rendered images."""
 
 
 class Refused(Exception):
@@ -108,6 +110,50 @@ def tray(choices: Sequence[bool], reason: str) -> Check:
         return boolean(value)
 
     return check
+
+
+def number(low: float, high: float, unit: str) -> Check:
+    """Require a number within limits, both included.
+
+    :param unit: of the number, in the plural
+    """
+
+    def check(value: Any) -> float:
+        is_number = isinstance(value, int | float | np.number) and not isinstance(value, bool)
+        if not is_number or not low <= float(value) <= high:
+            raise Refused(f"a number of {unit} from {low:g} to {high:g}")
+        return float(value)
+
+    return check
+
+
+def point(value: Any) -> list[float]:
+    """Require the coordinates of a point."""
+    found: list[float] = _numbers(value, (3,), "[x, y, z] in metres")
+    return found
+
+
+def render_size(value: Any) -> list[int]:
+    """Require the size of rendered images; a square may be one integer."""
+    pair = [value, value] if isinstance(value, int | np.integer) else value
+    pixels = integer(*RENDER_SIZES)
+    try:
+        width, height = map(pixels, pair)
+    except (Refused, TypeError, ValueError):
+        low, high = RENDER_SIZES
+        raise Refused(f"a number of pixels or [width, height], each from {low} to {high}") from None
+    return [width, height]
+
+
+def camera(value: Any) -> dict[str, Any]:
+    """Require a camera: some of its position, target and field of view."""
+    checks: dict[str, Check] = {"position": point, "target": point, "fov": FIELD_OF_VIEW}
+    if not isinstance(value, Mapping) or not value.keys() <= checks.keys():
+        raise Refused(f"None or a dict with some of {', '.join(map(repr, checks))}")
+    try:
+        return {name: checks[name](entry) for name, entry in value.items()}
+    except Refused as refused:
+        raise Refused(f"a dict in which each of {', '.join(value)} is valid: {refused}") from None
 
 
 def optional(inner: Check) -> Check:
@@ -247,3 +293,7 @@ def scale_range(value: Any) -> list[float]:
     if not 0.0 < limits[0] <= limits[1] <= LARGEST_SCALE:
         raise Refused(takes)
     return limits
+
+
+FIELD_OF_VIEW = number(1.0, 170.0, "degrees")
+"""Check of a camera's vertical field of view."""

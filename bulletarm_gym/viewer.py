@@ -5,6 +5,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from bulletarm_gym.cameras import render_camera, sight
 from bulletarm_gym.geometry import Vector
 from bulletarm_gym.scene import Scene
 from bulletarm_gym.simulation import Camera
@@ -38,16 +39,17 @@ class Viewer:
         return Camera(*self._sight, FIELD_OF_VIEW, pixels, pixels).color(self._scene.world)
 
     def face_workspace(self) -> None:
-        """Show the workspace in the window, from where close-ups are taken."""
-        look(self._scene.world.client, *self._sight)
+        """Show the workspace in the window, from the configured camera or from that of close-ups."""
+        camera = render_camera(self._scene)
+        chosen = (camera.eye, camera.target) if self._scene.config.render_camera else self._sight
+        look(self._scene.world.client, *chosen)
 
     @property
     def _sight(self) -> tuple[Vector, Vector]:
-        """Where the camera stands and what it looks at."""
-        x, y = self._scene.config.centre
+        """Position and target of the camera of close-ups."""
         floor = self._scene.config.workspace[2][0]
-        eye = (x + EYE_OFFSET[0], y + EYE_OFFSET[1], floor + EYE_OFFSET[2])
-        return eye, (x, y, floor + TARGET_HEIGHT)
+        ahead, left, up = EYE_OFFSET
+        return sight(self._scene, (ahead, left, floor + up), (0.0, 0.0, floor + TARGET_HEIGHT))
 
     def pressed_keys(self) -> list[str]:
         """Return the characters whose keys went down in the window since the last call.

@@ -67,7 +67,7 @@ LIBRARIES = {
     "d3rlpy_offline": Library("d3rlpy", r"10 episodes; mean return [01]\.\d", ("d3rlpy==2.8.0",)),
     "lerobot_dataset": Library(
         "lerobot",
-        r"3 episodes, kuka .*\n(.*\n)*observation.heightmap 1 64 64\n",
+        r"3 episodes, kuka .*\n(.*\n)*observation.heightmap 64 64 1\n",
         (
             "accelerate<2",
             "av<16",

@@ -163,10 +163,11 @@ def describe(env: ManipulationEnv) -> dict[str, Any]:
         raise ValueError(
             f"env_kwargs: {name}={thing!r} has no import path 'module:name' to be kept in a file"
         )
+    parameters = env.config.parameters()
     return {
         "env_id": env.spec.id,
         "recipe": env.recipe,
-        "configuration": {**env.config.parameters(), "render_mode": None},
+        "configuration": {name: parameters[name] for name in parameters if not name.startswith("render_")},
         "action_ranges": env.action_ranges,
     }
 

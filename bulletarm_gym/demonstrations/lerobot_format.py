@@ -25,7 +25,8 @@ CAMERAS: Mapping[str, Mapping[str, Any]] = {"front": {"size": 240}}
 """What pictures are taken with unless told."""
 GRIPPER = ("opening", "x", "y", "z", "cos_yaw", "sin_yaw", "holding")
 POSE = ("present", "x", "y", "z", "qx", "qy", "qz", "qw")
-CHANNELS = ("channels", "height", "width")
+IMAGE_AXES = ("height", "width", "channels")
+"""Axes of images. LeRobot computes one statistic for each index of the last axis, so channels come last."""
 COLOURS = 3
 TILTING = ("theta", "phi", "psi")
 """What three r's of an action are: turns about z, y and x."""
@@ -65,6 +66,7 @@ def export_lerobot(
     root: str | os.PathLike[str] | None = None,
     *,
     cameras: Mapping[str, Mapping[str, Any]] = CAMERAS,
+    object_poses: bool = False,
     task: str | None = None,
     fps: int | None = None,
     progress: bool | None = None,
@@ -74,20 +76,23 @@ def export_lerobot(
     Episodes are repeated from their first states; pictures are taken and poses read as they go. There is a
     frame an action, with what was seen before it:
 
-    - ``observation.images.<camera>``: red, green and blue, (3, size, size) uint8
+    - ``observation.images.<camera>``: red, green and blue, (size, size, 3) uint8
     - ``observation.state``: the gripper's opening ratio, position (m), cosine and sine of its yaw, and
       whether it holds something, (7,)
-    - ``observation.environment_state``: of each item 1 if it is present, position (m), quaternion, and the
-      positions (m or rad) of its parts that slide or turn
-    - ``observation.<name>``: what was recorded, such as ``heightmap`` in metres, (1, obs_size, obs_size);
-      pictures in three colours are ``observation.images.<name>``
+    - ``observation.environment_state``, with ``object_poses=True``: for each item 1 if it is present,
+      position (m), quaternion, and the positions (m or rad) of its sliding and hinged parts
+    - ``observation.<name>``: the recorded observation, such as ``heightmap`` in metres, (obs_size, obs_size,
+      1), channels last; color images are ``observation.images.<name>``
     - ``action``: (n,), named by the characters of ``action_sequence``
-    - ``next.reward``, ``next.done``, ``next.success``: what comes of it
+    - ``next.reward``, ``next.done``, ``next.success``: the outcome of the action, (1,)
+
+    LeRobot loads ``observation.images.*`` as (3, size, size) and features of shape (1,) as scalars.
 
     :param repo_id: such as ``"someone/block-picking"``
     :param root: its folder, by default among LeRobot's own datasets; written whole or not at all
     :param cameras: parameters of the sensor ``rgb``, by the names of cameras
-    :param task: what is done, in words; by default the first line of the task's docstring
+    :param object_poses: export the poses of the objects. LeRobot's policies use them as an observation
+    :param task: what is done, in words; by default ``task_description``
     :param fps: frames a second; by default ``render_fps``, for environments step and keep no time
     :param progress: show a progress bar; by default on a terminal
     :return: the dataset, as LeRobot loads it
@@ -103,7 +108,7 @@ def export_lerobot(
         raise ImportError(f"LeRobot is missing ({error}): pip install 'bulletarm-gym[lerobot]'") from error
     target = Path(HF_LEROBOT_HOME) / repo_id if root is None else Path(root)
     with closing(inner(demonstrations)) as env, whole_folder(target) as temporary, _without_bars():
-        features = make_features(env, demonstrations[0], cameras)
+        features = make_features(env, demonstrations[0], cameras, object_poses)
         dataset = LeRobotDataset.create(
             repo_id,
             fps=env.metadata["render_fps"] if fps is None else fps,
@@ -112,7 +117,7 @@ def export_lerobot(
             robot_type=env.config.robot,
             use_videos=False,
         )
-        words = in_words(env) if task is None else task
+        words = env.task_description if task is None else task
         silent = None if progress is None else not progress
         try:
             for number in tqdm(range(len(demonstrations)), "lerobot", unit="episode", disable=silent):
@@ -130,12 +135,6 @@ def inner(demonstrations: Demonstrations) -> ManipulationEnv:
     return env
 
 
-def in_words(env: ManipulationEnv) -> str:
-    """Return what is done: the first line of the task's docstring, or else the name of its class."""
-    first, *_ = (type(env.task).__doc__ or "").strip().splitlines() or [type(env.task).__name__]
-    return first
-
-
 def frames(
     demonstrations: Demonstrations, number: int, env: ManipulationEnv, features: Mapping[str, Feature]
 ) -> Iterator[dict[str, NDArray[Any]]]:
@@ -148,7 +147,10 @@ def frames(
 
 
 def make_features(
-    env: ManipulationEnv, episode: Episode, cameras: Mapping[str, Mapping[str, Any]]
+    env: ManipulationEnv,
+    episode: Episode,
+    cameras: Mapping[str, Mapping[str, Any]],
+    object_poses: bool = False,
 ) -> dict[str, Feature]:
     """Return the columns of the dataset, by name.
 
@@ -157,7 +159,7 @@ def make_features(
     """
     found = [
         *(_camera(env, name, parameters) for name, parameters in cameras.items()),
-        *_poses(env),
+        *_poses(env, object_poses),
         *(
             _recorded(name, values)
             for name, values in episode.observations.items()
@@ -176,11 +178,14 @@ def _camera(env: ManipulationEnv, name: str, parameters: Mapping[str, Any]) -> t
         camera: Sensor = Rgb(env.scene, **parameters)
     except (TypeError, ValueError) as error:
         raise ValueError(f"cameras: {name}: {error}") from error
-    return f"observation.images.{name}", _sensed(camera, "image", CHANNELS)
+    shape = (*camera.space.shape[1:], camera.space.shape[0])
+    return f"observation.images.{name}", Feature(
+        "image", shape, IMAGE_AXES, lambda moment: np.moveaxis(camera.read(moment.view), 0, -1)
+    )
 
 
-def _poses(env: ManipulationEnv) -> list[tuple[str, Feature]]:
-    """Return what is known of the gripper, and of everything else where there is something."""
+def _poses(env: ManipulationEnv, object_poses: bool) -> list[tuple[str, Feature]]:
+    """Return the state of the gripper and, if required, the poses of the objects."""
     state, holding = State(env.scene), Holding(env.scene)
 
     def read_gripper(moment: Moment) -> NDArray[Any]:
@@ -197,24 +202,27 @@ def _poses(env: ManipulationEnv) -> list[tuple[str, Feature]]:
     ]
     items = Feature("float32", (len(parts),), tuple(parts), read_items)
     found = [("observation.state", gripper), ("observation.environment_state", items)]
-    return found if parts else found[:1]
+    return found if parts and object_poses else found[:1]
 
 
 def _is_state(env: ManipulationEnv, name: str) -> bool:
-    """Whether an observation is the sensor that tells the poses, which are told anyway."""
+    """Return True if an observation is that of the sensor ``state``, which contains the poses of objects."""
     return any((name, "state") == (known, source) for known, source, _ in env.config.sensors)
 
 
 def _recorded(name: str, values: NDArray[Any]) -> tuple[str, Feature]:
     shape = values.shape[1:]
-    is_image = len(shape) == len(CHANNELS)
+    is_image = len(shape) == len(IMAGE_AXES)
     is_picture = is_image and values.dtype == np.uint8 and shape[0] == COLOURS
-    return f"observation.images.{name}" if is_picture else f"observation.{name}", Feature(
-        "image" if is_picture else str(values.dtype),
-        shape,
-        CHANNELS if is_image else None,
-        lambda moment: moment.episode.observations[name][moment.step],
-    )
+    shape = (*shape[1:], shape[0]) if is_image else shape
+
+    def read(moment: Moment) -> NDArray[Any]:
+        value = moment.episode.observations[name][moment.step]
+        return np.moveaxis(value, 0, -1) if is_image else value
+
+    dtype = "image" if is_picture else str(values.dtype)
+    feature = Feature(dtype, shape, IMAGE_AXES if is_image else None, read)
+    return f"observation.images.{name}" if is_picture else f"observation.{name}", feature
 
 
 def _outcomes(env: ManipulationEnv, episode: Episode) -> list[tuple[str, Feature]]:
@@ -234,10 +242,6 @@ def _names(sequence: str) -> tuple[str, ...]:
     """Return a name for each number of an action, no two alike."""
     turns = iter(TILTING if sequence.count("r") == len(TILTING) else "r")
     return tuple(next(turns) if character == "r" else character for character in sequence)
-
-
-def _sensed(sensor: Sensor, dtype: str, names: tuple[str, ...]) -> Feature:
-    return Feature(dtype, sensor.space.shape, names, lambda moment: sensor.read(moment.view))
 
 
 def _described(feature: Feature) -> dict[str, Any]:

@@ -1,58 +1,61 @@
-"""What cameras see: pictures, and points on what they show."""
+"""Sensors that are cameras: color images and point clouds."""
 
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from bulletarm_gym.geometry import FloatArray, Vector
+from bulletarm_gym.cameras import aimed, sight
+from bulletarm_gym.geometry import FloatArray
 from bulletarm_gym.scene import Scene
 from bulletarm_gym.sensors.sensor import Sensor
 from bulletarm_gym.sensors.view import View
 from bulletarm_gym.simulation import Camera
+from bulletarm_gym.values import FIELD_OF_VIEW, check_argument, integer, optional, point
 
-POSITION, TARGET = (1.0, -0.45, 0.6), (0.45, 0.0, 0.05)
-"""Where the camera stands and what it looks at (m) unless told: the workspace, from front and side."""
+EYE, TARGET = (0.55, -0.45, 0.6), (0.0, 0.0, 0.05)
+"""Default position, in front and to one side, and target (m), from the centre of a default workspace."""
 PICTURE = 84
-"""Pixels a side unless told: fewer than a heightmap has, so that learners do not take it for another view of
-the same square."""
+"""Default pixels a side: fewer than a heightmap has, so that learners do not use both as views of the same
+square."""
 LARGEST_PICTURE = 1024
-"""Most pixels a side."""
-WIDEST = 170.0
-"""Greatest field of view (degrees) whose picture is not all edges."""
+"""Largest number of pixels a side."""
 MOST_POINTS = 65536
 CLOUD_PIXELS = 128
 """Pixels a side of the depth images that points are taken from."""
 
 
 class Rgb(Sensor):
-    """The picture of a camera that stands still; the arm is seen.
+    """Image of a fixed camera; the arm is visible.
 
-    :param position: where the camera stands (m, world)
-    :param target: what it looks at (m, world); straight down, rows grow with world x, columns with y
+    :param position: position (m, world); by default the camera looks at the workspace from the front
+    :param target: point (m, world) in the middle of the image; straight down, rows grow with world x and
+        columns with y
     :param size: pixels a side
     :param fov: field of view (degrees)
-    :raises ValueError: one of them is something else
+    :raises ValueError: a parameter has a value that it does not accept
     """
 
     def __init__(
         self,
         scene: Scene,
-        position: Sequence[float] = POSITION,
-        target: Sequence[float] = TARGET,
+        position: Sequence[float] | None = None,
+        target: Sequence[float] | None = None,
         size: int = PICTURE,
         fov: float = Camera.fov,
     ) -> None:
         super().__init__(scene)
-        eye, seen = _point("position", position), _point("target", target)
-        if eye == seen:
-            raise ValueError(f"target: got {target!r}, takes another point than position")
-        _check_whole("size", size, 16, LARGEST_PICTURE)
-        if not (_is_number(fov) and 1.0 <= fov <= WIDEST):
-            raise ValueError(f"fov: got {fov!r}, takes degrees from 1 to {WIDEST:g}")
-        self._camera = Camera(eye, seen, float(fov), size, size)
+        eye, middle = sight(scene, EYE, TARGET)
+        eye = tuple(check_argument("position", position, optional(point)) or eye)
+        middle = tuple(check_argument("target", target, optional(point)) or middle)
+        size = check_argument("size", size, integer(16, LARGEST_PICTURE))
+        self._camera = aimed(eye, middle, check_argument("fov", fov, FIELD_OF_VIEW), size, size)
+
+    @property
+    def cameras(self) -> Mapping[str, Camera]:
+        """The camera."""
+        return {"": self._camera}
 
     @property
     def space(self) -> spaces.Box:
@@ -72,14 +75,18 @@ class PointCloud(Sensor):
     camera by camera and row by row: some twice where there are fewer, zeros where there is none.
 
     :param points: number of points
-    :raises ValueError: it is something else
+    :raises ValueError: ``points`` is not such a number
     """
 
     def __init__(self, scene: Scene, points: int = 1024) -> None:
         super().__init__(scene)
-        _check_whole("points", points, 1, MOST_POINTS)
-        self._count = points
+        self._count = check_argument("points", points, integer(1, MOST_POINTS))
         self._cameras = scene.side_cameras(CLOUD_PIXELS)
+
+    @property
+    def cameras(self) -> Mapping[str, Camera]:
+        """The two cameras, the first at the lower y."""
+        return {f"_{number}": camera for number, camera in enumerate(self._cameras)}
 
     @property
     def space(self) -> spaces.Box:
@@ -103,22 +110,3 @@ class PointCloud(Sensor):
         points = points - frame.origin.position
         inside: FloatArray = points[(np.abs(points[:, :2]) <= frame.extent / 2.0).all(axis=1)]
         return inside
-
-
-def _point(name: str, value: Any) -> Vector:
-    try:
-        x, y, z = (float(number) for number in value)
-    except (TypeError, ValueError):
-        x = y = z = np.nan
-    if not np.isfinite([x, y, z]).all():
-        raise ValueError(f"{name}: got {value!r}, takes [x, y, z] in metres")
-    return (x, y, z)
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool)
-
-
-def _check_whole(name: str, value: Any, low: int, high: int) -> None:
-    if not isinstance(value, int) or isinstance(value, bool) or not low <= value <= high:
-        raise ValueError(f"{name}: got {value!r}, takes an integer from {low} to {high}")

@@ -1,14 +1,18 @@
 """Images of the scene from straight above."""
 
+from collections.abc import Mapping
 from functools import cached_property
 
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
+from bulletarm_gym.config import ORTHOGRAPHIC
 from bulletarm_gym.rendering.overlays import fill_rectangles, rectangle_mask
+from bulletarm_gym.scene import SIDE_PIXELS
 from bulletarm_gym.sensors.sensor import Sensor
 from bulletarm_gym.sensors.view import MAX_HEIGHT, Frame, Heights, View
+from bulletarm_gym.simulation import Camera
 
 FINGER_COLOUR = (40, 40, 40)
 """Colour of the squares that stand for the fingers."""
@@ -24,6 +28,13 @@ class Heightmap(Sensor):
         """Metres, (1, size, size); rows grow with world x, columns with y."""
         size = self.scene.config.obs_size
         return spaces.Box(0.0, MAX_HEIGHT, (1, size, size), np.float32)
+
+    @property
+    def cameras(self) -> Mapping[str, Camera]:
+        """The two cameras of the view ``"point_cloud"``, the first at the lower y."""
+        if self.scene.config.view == ORTHOGRAPHIC:
+            return {}
+        return {f"_{number}": camera for number, camera in enumerate(self.scene.side_cameras(SIDE_PIXELS))}
 
     def read(self, view: View) -> NDArray[np.float32]:
         """Return heights above the workspace's floor, or depths below a plane over the fingertips."""

@@ -7,6 +7,7 @@ from typing import Any
 from gymnasium import spaces
 from numpy.typing import NDArray
 
+from bulletarm_gym.cameras import RENDER
 from bulletarm_gym.config import ORTHOGRAPHIC, EnvConfig, ParameterError
 from bulletarm_gym.extensions import load
 from bulletarm_gym.geometry import Pose
@@ -17,6 +18,7 @@ from bulletarm_gym.sensors.in_hand import InHand
 from bulletarm_gym.sensors.numbers import Holding, State
 from bulletarm_gym.sensors.sensor import Sensor
 from bulletarm_gym.sensors.view import View
+from bulletarm_gym.simulation import Camera
 
 SENSORS: dict[str, type[Sensor]] = {
     "heightmap": Heightmap,
@@ -47,7 +49,24 @@ class Observer:
         }
         self.asks_for_labels = any(sensor.asks_for_labels for sensor in self._sensors.values())
         self.follows = any(sensor.follows for sensor in self._sensors.values())
+        self.cameras = self._named_cameras(config)
         self.space = spaces.Dict({name: sensor.space for name, sensor in self._sensors.items()})
+
+    def _named_cameras(self, config: EnvConfig) -> dict[str, Camera]:
+        """Return the cameras of all sensors by name.
+
+        :raises ParameterError: two cameras would have one name
+        """
+        found = [
+            (name + suffix, camera)
+            for name, sensor in self._sensors.items()
+            for suffix, camera in sensor.cameras.items()
+        ]
+        names = [RENDER, *(name for name, _ in found)]
+        if taken := sorted({name for name in names if names.count(name) > 1}):
+            takes = f"sensors with other names: two cameras would be called {', '.join(map(repr, taken))}"
+            raise ParameterError.of("observation", config.observation, takes)
+        return dict(found)
 
     def read(self, view: View) -> dict[str, NDArray[Any]]:
         """Return the observation; it changes nothing."""

@@ -1,6 +1,7 @@
 """The contract of a sensor."""
 
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from typing import Any, ClassVar
 
 from gymnasium import spaces
@@ -10,6 +11,7 @@ from bulletarm_gym.config import CLOSE_LOOP, OPEN_LOOP
 from bulletarm_gym.geometry import Pose
 from bulletarm_gym.scene import Scene
 from bulletarm_gym.sensors.view import View
+from bulletarm_gym.simulation import Camera
 
 
 class Sensor(ABC):
@@ -45,6 +47,11 @@ class Sensor(ABC):
 
         :param view: the heights of the scene from above, drawn once for all sensors
         """
+
+    @property
+    def cameras(self) -> Mapping[str, Camera]:
+        """Cameras of the sensor, by the suffix that the name of the sensor gets; by default none."""
+        return {}
 
     def follow(self, before: View, pick: Pose | None) -> None:  # noqa: B027 (most have no memory)
         """Note that an action was carried out.

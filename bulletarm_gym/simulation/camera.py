@@ -1,4 +1,4 @@
-"""Perspective cameras, headless: pictures of the whole scene, and what a depth camera would measure."""
+"""Perspective cameras without a display: color images, depth images and point clouds."""
 
 import math
 from collections.abc import Sequence
@@ -14,18 +14,20 @@ from bulletarm_gym.simulation.world import World
 
 LIGHT = (0.6, -0.9, 1.6)
 VERTICAL = 1e-3
-"""Slope from the vertical (m a metre) below which a camera looks straight down or up."""
+"""Slope from the vertical (m per metre) below which a camera looks straight down or up."""
 
 
 @dataclass(frozen=True)
 class Camera:
-    """A pinhole camera with square pixels.
+    """A pinhole camera with square pixels and the centre of its image on the optical axis.
 
-    :param eye: where it stands (m, world)
-    :param target: what it looks at (m, world)
+    :param eye: position (m, world)
+    :param target: a point on the optical axis (m, world)
     :param fov: vertical field of view (degrees)
-    :param near: nearest distance seen (m)
-    :param far: farthest distance seen (m)
+    :param width: of the image (pixels)
+    :param height: of the image (pixels)
+    :param near: smallest visible distance (m)
+    :param far: largest visible distance (m)
     """
 
     eye: Vector = (1.4, -0.95, 0.95)
@@ -36,8 +38,33 @@ class Camera:
     near: float = 0.05
     far: float = 4.0
 
+    @property
+    def intrinsics(self) -> FloatArray:
+        """Camera matrix (3, 3) in pixels: it maps (x, y, z) of the camera frame to (column, row, 1) times z.
+
+        The centre of a pixel has integer coordinates, the first pixel (0, 0).
+        """
+        focal = self.height / (2.0 * math.tan(math.radians(self.fov) / 2.0))
+        middle = (self.width - 1) / 2.0, (self.height - 1) / 2.0
+        return np.array([[focal, 0.0, middle[0]], [0.0, focal, middle[1]], [0.0, 0.0, 1.0]])
+
+    @property
+    def extrinsics(self) -> FloatArray:
+        """Transformation (4, 4) from the world to the camera frame (m).
+
+        The camera frame has x to the right, y down in the image, and z along the optical axis, as in OpenCV.
+        """
+        forward = np.subtract(self.target, self.eye)
+        forward /= np.linalg.norm(forward)
+        right = np.cross(forward, self._up)
+        right /= np.linalg.norm(right)
+        matrix = np.eye(4)
+        matrix[:3, :3] = right, np.cross(forward, right), forward
+        matrix[:3, 3] = -matrix[:3, :3] @ self.eye
+        return matrix
+
     def color(self, world: World) -> NDArray[np.uint8]:
-        """Return a picture, (height, width, 3)."""
+        """Return an image, (height, width, 3)."""
         pixels = np.asarray(self._shoot(world, shadow=True)[2], dtype=np.uint8)
         return pixels.reshape(self.height, self.width, 4)[:, :, :3].copy()
 
@@ -46,59 +73,54 @@ class Camera:
         return self._distances(self._shoot(world)).astype(np.float32)
 
     def points(self, world: World, without: Sequence[Body]) -> FloatArray:
-        """Return the points (n, 3) of the world (m) that the camera sees, less those on some bodies."""
+        """Return the visible points (n, 3) of the world (m), without those on some bodies."""
         image = self._shoot(world)
         distances = self._distances(image)
         shown = np.asarray(image[4]).reshape(distances.shape)
         seen = ~np.isin(shown, [body.id for body in without]) & (distances < self.far * 0.99)
         rows, columns = np.nonzero(seen)
-        along = distances[rows, columns]
-        right, up, forward = self._axes()
-        tangent = np.tan(np.radians(self.fov) / 2.0)
-        across = (2.0 * (columns + 0.5) / self.width - 1.0) * tangent * self.width / self.height
-        upward = (1.0 - 2.0 * (rows + 0.5) / self.height) * tangent
-        rays = forward + across[:, None] * right + upward[:, None] * up
-        points: FloatArray = np.asarray(self.eye) + along[:, None] * rays
+        pixels = np.stack([columns, rows, np.ones(len(rows))])
+        to_rays: Any = np.linalg.inv(self.intrinsics)
+        offsets = to_rays @ pixels * distances[rows, columns]
+        points: FloatArray = np.asarray(self.eye) + offsets.T @ self.extrinsics[:3, :3]
         return points
 
     def project(self, point: Vector) -> tuple[float, float]:
         """Return the column and row (pixels) of a point of the world (m)."""
-        right, up, forward = self._axes()
-        offset = np.subtract(point, self.eye)
-        scale = self.height / (2.0 * math.tan(math.radians(self.fov) / 2.0) * float(offset @ forward))
-        return self.width / 2.0 + scale * float(offset @ right), self.height / 2.0 - scale * float(
-            offset @ up
-        )
+        column, row, scale = self.intrinsics @ (self.extrinsics @ [*point, 1.0])[:3]
+        return float(column / scale), float(row / scale)
 
     @property
     def _up(self) -> Vector:
-        """What is upwards in the image; straight down, rows grow with world x and columns with y."""
+        """Upward direction of the image. Straight down, rows grow with world x and columns with y."""
         across = math.hypot(self.eye[0] - self.target[0], self.eye[1] - self.target[1])
         return (0.0, 0.0, 1.0) if across > VERTICAL * abs(self.eye[2] - self.target[2]) else (-1.0, 0.0, 0.0)
-
-    def _axes(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        forward = np.subtract(self.target, self.eye)
-        forward /= np.linalg.norm(forward)
-        right = np.cross(forward, self._up)
-        right /= np.linalg.norm(right)
-        return right, np.cross(right, forward), forward
 
     def _distances(self, image: tuple[Any, ...]) -> FloatArray:
         buffer = np.asarray(image[3], dtype=np.float64).reshape(self.height, self.width)
         distances: FloatArray = self.far * self.near / (self.far - (self.far - self.near) * buffer)
         return distances
 
+    def _projection(self, world: World) -> list[float]:
+        """Return the projection matrix of OpenGL, column by column.
+
+        TinyRenderer samples pixel (column, row) at (column, row + 1) of an image whose first pixel spans 0
+        to 1. The projection shifts the image by half a pixel, so that it samples the centre of each pixel.
+        """
+        matrix = list(
+            world.client.computeProjectionMatrixFOV(self.fov, self.width / self.height, self.near, self.far)
+        )
+        matrix[8] += 1.0 / self.width
+        matrix[9] += 1.0 / self.height
+        return matrix
+
     def _shoot(self, world: World, shadow: bool = False) -> tuple[Any, ...]:
         client = world.client
-        view = client.computeViewMatrix(self.eye, self.target, self._up)
-        projection = client.computeProjectionMatrixFOV(
-            self.fov, self.width / self.height, self.near, self.far
-        )
         image: tuple[Any, ...] = client.getCameraImage(
             self.width,
             self.height,
-            view,
-            projection,
+            client.computeViewMatrix(self.eye, self.target, self._up),
+            self._projection(world),
             lightDirection=LIGHT,
             shadow=int(shadow),
             renderer=client.ER_TINY_RENDERER,

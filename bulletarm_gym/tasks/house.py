@@ -29,7 +29,7 @@ class HouseBuilding1(Stack):
 
 
 class HouseBuilding2(Structure):
-    """Two cubes side by side, the roof on both.
+    """Put two cubes side by side, and the roof on both.
 
     Description: two 3 cm cubes and a roof, 12 x 3 x 3 cm, lie on the ground.
     All else is as in :class:`~bulletarm_gym.tasks.structure.Structure`.
@@ -44,7 +44,7 @@ class HouseBuilding2(Structure):
 
 
 class HouseBuilding3(HouseBuilding2):
-    """Two cubes side by side, the brick on both, the roof on the brick.
+    """Put two cubes side by side, the brick on both, and the roof on the brick.
 
     Description: two 3 cm cubes, a brick and a roof, 12 x 3 x 3 cm each, lie on the ground.
     All else is as in :class:`~bulletarm_gym.tasks.structure.Structure`.
@@ -58,7 +58,7 @@ class HouseBuilding3(HouseBuilding2):
 
 
 class HouseBuilding4(HouseBuilding3):
-    """Two cubes side by side, the brick on both, two more cubes on the brick, the roof on those.
+    """Put two cubes side by side, the brick on both, two more cubes on the brick, and the roof on those.
 
     Description: four 3 cm cubes, a brick and a roof, 12 x 3 x 3 cm each, lie on the ground.
     All else is as in :class:`~bulletarm_gym.tasks.structure.Structure`.

@@ -13,7 +13,7 @@ BRICKS = 19
 
 
 class ImproviseHouseBuilding2(Structure):
-    """Two blocks of random shapes side by side, the roof on both.
+    """Put two blocks of random shapes side by side, and the roof on both.
 
     Description: two of 19 blocks of one layer, 3.6 to 9 cm wide and long, and a roof, 12 x 3 x 3 cm, lie on
     the ground.
@@ -38,7 +38,7 @@ class ImproviseHouseBuilding2(Structure):
 
 
 class ImproviseHouseBuilding3(ImproviseHouseBuilding2):
-    """Two blocks of random shapes side by side, a brick of random size on both, the roof on the brick.
+    """Put two blocks of random shapes side by side, a brick of random size on both, and the roof on it.
 
     Description: two of 19 blocks of one layer, 3.6 to 9 cm wide and long, a brick 2.5 to 3.5 cm wide, 10 to
     14 cm long and 2 to 3.5 cm high, and a roof, 12 x 3 x 3 cm, lie on the ground.

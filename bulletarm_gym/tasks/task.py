@@ -1,5 +1,6 @@
 """The contract between a task and the house around it."""
 
+import re
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
 from typing import Any, ClassVar
@@ -50,6 +51,13 @@ class Task(ABC):
         """
         super().__init_subclass__(**options)
         declare_state_types(cls.memory_types)
+
+    @property
+    def description(self) -> str:
+        """One sentence that describes the task: the first of the docstring, or the class name in words."""
+        paragraph = (type(self).__doc__ or "").strip().split("\n\n")[0]
+        words = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", " ", type(self).__name__).capitalize()
+        return " ".join(paragraph.split()) or f"{words}."
 
     @property
     def hints(self) -> Hints:

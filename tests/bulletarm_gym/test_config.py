@@ -142,6 +142,16 @@ WRONG: dict[str, list[Any]] = {
     "physics_mode": ["quick", None, 1],
     "reward": ["nomodule", "a:b:c", ":f", "m:", 3, len],
     "render_mode": ["rgb", "ansi", 1, True],
+    "render_size": [8, 5000, 480.0, "large", [480], [480, 360, 3], [480, 0], None, True],
+    "render_camera": [
+        "top",
+        [1.0, 0.0, 1.0],
+        {"eye": [1.0, 0.0, 1.0]},
+        {"position": [1.0, 0.0]},
+        {"target": [0.0, 0.0, float("nan")]},
+        {"fov": 180},
+        {"fov": True},
+    ],
 }
 
 
@@ -315,6 +325,9 @@ def test_impossible_number_of_objects() -> None:
         ("fast_mode", np.bool_(False), False),
         ("reward", "package.module:function", "package.module:function"),
         ("render_mode", None, None),
+        ("render_size", 64, [64, 64]),
+        ("render_size", np.array([64, 48]), [64, 48]),
+        ("render_camera", {"position": np.ones(3)}, {"position": [1.0, 1.0, 1.0]}),
         ("action_sequence", "zyxp", "zyxp"),
     ],
     ids=str,

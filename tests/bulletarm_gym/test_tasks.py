@@ -4,6 +4,7 @@ import itertools
 import math
 from collections.abc import Callable
 
+import gymnasium
 import numpy as np
 import pytest
 from rollouts import make_env
@@ -14,6 +15,7 @@ from bulletarm_gym.geometry import Pose
 from bulletarm_gym.objects.corner import INSIDE
 from bulletarm_gym.relations import touching
 from bulletarm_gym.scene import Scene
+from bulletarm_gym.tasks.picking import BlockPicking
 
 Make = Callable[..., ManipulationEnv]
 
@@ -309,3 +311,29 @@ def test_state_observation_tells_how_far_the_drawer_is_open(make: Make) -> None:
     env.reset(seed=0)
     env.scene["drawer"].set_joints((0.1,))
     assert env.observe()["state"][-1] == np.float32(0.1)
+
+
+INSTRUCTIONS = ("Put", "Get", "Grasp", "Move", "Pull", "Push", "Stack", "Present", "Bring")
+
+
+def test_task_description_is_one_sentence_in_the_imperative(make: Make, env_id: str) -> None:
+    env = make(env_id)
+    description = env.get_wrapper_attr("task_description")
+    assert description.startswith(INSTRUCTIONS) and description.endswith(".")
+    assert description.count(".") == 1 and "\n" not in description
+    assert env.get_wrapper_attr("_max_episode_steps") == env.config.max_steps
+
+
+def test_vector_environments_return_what_the_evaluation_of_lerobot_calls() -> None:
+    envs = gymnasium.make_vec(task_id("BlockPicking"), 2, vectorization_mode="sync", max_episode_steps=9)
+    assert envs.call("_max_episode_steps") == (9, 9)
+    assert envs.call("task_description") == ("Grasp a cube and lift it.",) * 2
+    assert hasattr(envs.envs[0], "task_description"), "LeRobot passes an empty task without it"  # type: ignore[attr-defined]
+    envs.close()
+
+
+def test_description_of_a_task_without_docstring_is_its_name() -> None:
+    class BlockShaking(BlockPicking):
+        pass
+
+    assert BlockShaking.description.fget(object.__new__(BlockShaking)) == "Block shaking."

@@ -40,7 +40,7 @@ NO_FOLDER = "/dev/null/folder"  # /dev/null is none
         ),
         (["train", "--baseline", "sacfd", "--preset", "cpuu", "--env", "TOY"], "did you mean 'cpu'?"),
         (["train", "--algo", "pp0", "--env", "TOY"], "unknown algorithm 'pp0', did you mean 'ppo'?"),
-        (["train", "--algo", "ppo", "--env", "TOY"], "You must use `MultiInputPolicy`"),
+        (["train", "--algo", "crossq", "--env", "TOY"], "You must use `MultiInputPolicy`"),
         (["train", "--algo", "ppo", "--conf-file", "none.yml", "--env", "TOY"], "takes a YAML file"),
         (["train", "--algo", "dqn", "--env", "Pendulum-v1"], "only supports"),
         (

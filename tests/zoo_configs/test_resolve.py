@@ -408,3 +408,32 @@ def test_nearest_name_ignores_case() -> None:
 def test_family_of_an_id() -> None:
     assert family_of(PICKING).name == "close_loop"
     assert np.isin(["sac", "equi_sac", "sacfd", "equi_sacfd"], list(family_of(PICKING).baselines)).all()
+
+
+@pytest.mark.parametrize("algo", ["ppo", "a2c", "sac", "td3", "ddpg", "tqc", "trpo"])
+def test_stock_algorithms_take_a_policy_for_images_on_our_ids(algo: str) -> None:
+    for size, strided in ((128, 4), (64, 4), (32, 3)):
+        cell = cell_of("--algo", algo, "--env", STACKING, "--env-kwargs", f"obs_size:{size}")
+        check_cell(cell)
+        assert cell.hyperparams["policy"] == "MultiInputPolicy"
+        extractor = cell.hyperparams["policy_kwargs"]
+        assert extractor["features_extractor_class"].endswith(".CnnExtractor")
+        assert extractor["features_extractor_kwargs"] == {"strided": strided}
+
+
+def test_stock_algorithms_take_no_extractor_for_images_on_states() -> None:
+    words = ["--algo", "ppo", "--env", PICKING, "--env-kwargs", "observation:'state'"]
+    cell = cell_of(*words)
+    assert cell.hyperparams["policy"] == "MultiInputPolicy" and "policy_kwargs" not in cell.hyperparams
+
+
+def test_a_chosen_policy_and_its_arguments_win() -> None:
+    words = ["--algo", "ppo", "--env", PICKING, "-params"]
+    assert cell_of(*words, "policy:'CnnPolicy'").hyperparams["policy"] == "CnnPolicy"
+    chosen = cell_of(*words, "policy_kwargs:{'features_extractor_kwargs': {'strided': 2}}").hyperparams
+    assert chosen["policy_kwargs"]["features_extractor_kwargs"] == {"strided": 2}
+    assert chosen["policy_kwargs"]["features_extractor_class"].endswith(".CnnExtractor")
+
+
+def test_stock_algorithms_keep_their_policy_on_other_ids() -> None:
+    assert cell_of("--algo", "ppo", "--env", "Pendulum-v1").hyperparams["policy"] == "MlpPolicy"

@@ -201,6 +201,21 @@ def test_a_stock_algorithm_trains(tmp_path: Path) -> None:
     assert content["Pendulum-v1"]["env_kwargs"] == {"g": 9.0}
 
 
+@pytest.mark.parametrize(
+    ("algo", "parameters"),
+    [
+        ("ppo", ["n_steps:8", "batch_size:8"]),
+        ("td3", ["buffer_size:50", "learning_starts:4", "batch_size:4"]),
+    ],
+)
+def test_a_stock_algorithm_trains_on_images(
+    algo: str, parameters: list[str], toy_id: str, tmp_path: Path
+) -> None:
+    arguments = ["train", "--algo", algo, "--env", toy_id, "-f", str(tmp_path), "-n", "8", "--no-progress"]
+    options = ["--eval-freq", "-1", "--env-kwargs", "obs_size:48", "-params", *parameters]
+    assert main([*arguments, *options, "--device", "cpu"]) == 0
+
+
 TRAINING_BAR = "━"
 
 

@@ -94,7 +94,8 @@ def _check_origin(path: str, about: Mapping[str, Any], env_id: str, env: gym.Env
     config: Any = getattr(env.unwrapped, "config", None)
     wanted = {} if config is None else {"env": env_id, **config.parameters()}
     shown = {"env": about.get("env_id"), **about.get("configuration", {})}
-    other = [name for name, value in wanted.items() if name != "render_mode" and shown.get(name) != value]
+    compared = [name for name in wanted if not name.startswith("render_")]
+    other = [name for name in compared if shown.get(name) != wanted[name]]
     if config is None or not other:
         return
     theirs, ours = ({name: values.get(name) for name in other} for values in (shown, wanted))
