@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
@@ -110,3 +111,18 @@ def scene_cameras(scene: Scene, others: Mapping[str, Camera]) -> dict[str, Scene
 def _beyond(value: float, limits: tuple[float, float]) -> float:
     """Return the factor by which a value is below or above limits, 1 between them."""
     return value / min(max(value, limits[0]), limits[1])
+
+
+def render_frame(camera: SceneCamera, mode: str | None, env_id: str) -> Any:
+    """Return an image (height, width, 3) uint8, distances (height, width) float32 in metres, or None.
+
+    Without a mode, a warning says so, as in Gymnasium's environments.
+    """
+    if mode == "rgb_array":
+        return camera.color()
+    if mode == "depth_array":
+        return camera.depth()
+    if mode is None:
+        advice = f'Use gymnasium.make("{env_id}", render_mode="rgb_array").'
+        gymnasium.logger.warn(f"render_mode must be set for render(), got None. {advice}")
+    return None

@@ -11,7 +11,7 @@ from gymnasium.envs.registration import EnvSpec
 from numpy.typing import ArrayLike, NDArray
 
 from bulletarm_gym.assembly import find_types, make_config, make_scene, take_objects
-from bulletarm_gym.cameras import RENDER, scene_cameras
+from bulletarm_gym.cameras import RENDER, render_frame, scene_cameras
 from bulletarm_gym.config import CLOSE_LOOP
 from bulletarm_gym.control import Control, RobotInterface
 from bulletarm_gym.copies import reduce_env
@@ -29,7 +29,6 @@ from bulletarm_gym.feasibility import (
 )
 from bulletarm_gym.footprint import PlacementError
 from bulletarm_gym.rehearsal import REHEARSAL
-from bulletarm_gym.rendering.frames import render_frame
 from bulletarm_gym.scene import Scene
 from bulletarm_gym.sensors import Observer, View
 from bulletarm_gym.simulation import has_display

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bulletarm_gym.config import OPEN_LOOP
+from bulletarm_gym.config import CLOSE_LOOP, OPEN_LOOP
 from bulletarm_gym.control.open_loop import HALF_TURN, MAX_TILT, MOTION
 from bulletarm_gym.experts.approach import RELEASE
 from bulletarm_gym.experts.waypoints import CLOSED, OPEN, Waypoint
@@ -203,14 +203,15 @@ def _leaning(scene: Scene, item: Item, turns: Sequence[float]) -> list[Pose]:
     leans = LEANS if scene.config.action_sequence.count("r") == 3 else LEANS[:1]
     width, length, height = lying_corners(item).sides
     asides = [share * length for share in ASIDES] if is_box(item) or length > 2.0 * width else [0.0]
+    skews = SKEWS if scene.config.control == CLOSE_LOOP else SKEWS[:1]
     tilts = sorted(itertools.product(leans, leans), key=lambda tilt: math.hypot(*tilt))
     frame = lying_frame(item)
     return [
         _able(scene, frame.compose(euler_pose((0.0, aside, lift * height), (along, across, turn + skew))))
+        for skew in skews
         for along, across in tilts
         for aside in asides
         for lift in LEANING_LIFTS
-        for skew in SKEWS
         for turn in turns
     ]
 

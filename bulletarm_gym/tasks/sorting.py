@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from bulletarm_gym.config import CLOSE_LOOP, OPEN_LOOP, EnvConfig, TaskDefaults, TrayUse
-from bulletarm_gym.experts.approach import ALIGNED, grasp, highest_between, place_item, side_yaw
+from bulletarm_gym.experts.approach import ALIGNED, RELEASE, grasp, highest_between, place_item, side_yaw
 from bulletarm_gym.experts.pick_place import fingers_fit
 from bulletarm_gym.experts.waypoints import HALF_OPEN, Waypoint
 from bulletarm_gym.footprint import Footprint
@@ -106,6 +106,10 @@ class BlockSorting(Task):
         held = scene.held
         if held in self._cubes(scene):
             yield from self._put(scene, held)
+        elif held is not None:  # a bowl
+            spot = held.pose.position
+            height = highest_between(scene, spot, spot, held) + RELEASE
+            yield from place_item(scene, held, spot[:2], height)
         else:
             yield from _take(scene, self._next(scene))
 

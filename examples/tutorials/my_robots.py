@@ -24,7 +24,7 @@ def xarm6() -> RobotModel:
         gripper=JAW,
         base=Pose((0.05, 0.0, 0.1)),
         posture=(0.0, -0.3, -1.2, 0.0, 1.5, 0.0),
-        force=300.0,
+        force=(50.0, 50.0, 32.0, 32.0, 32.0, 20.0),  # N m, the efforts in the URDF
     )
 
 

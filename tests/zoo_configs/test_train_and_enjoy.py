@@ -49,15 +49,6 @@ def test_updates_are_logged(run_folder: Path) -> None:
         assert np.isfinite(log[name]).tolist() == [False, True, True]
 
 
-def test_demonstrations_are_collected_once_for_all_runs(train_tiny: Train, tmp_path: Path) -> None:
-    assert train_tiny(tmp_path, "--baseline", "equi_sacfd") == 0
-    [kept] = (tmp_path / "demonstrations").iterdir()
-    before = kept.stat().st_mtime_ns
-    assert train_tiny(tmp_path, "--baseline", "sacfd", "--preset", "quick") == 0
-    assert list((tmp_path / "demonstrations").iterdir()) == [kept]
-    assert kept.stat().st_mtime_ns == before
-
-
 def test_plot_draws_what_was_logged(trained: Path, tmp_path: Path) -> None:
     picture = tmp_path / "values.png"
     assert main(["plot", "-f", str(trained), "--training", "-o", str(picture)]) == 0

@@ -82,7 +82,6 @@ def test_a_study_begins_with_the_baseline_and_ends_with_the_best(
     done = trials(tmp_path)
     assert done[0].params == {"learning_rate": 1e-3, "batch_size": "4"}  # lin_1e-3
     assert len(done) == 3 and all(0 <= trial.value <= 1 for trial in done if trial.value is not None)
-    assert len(list((study / "demonstrations").iterdir())) == 1
     for picture in ("history", "importances", "parallel_coordinates"):
         assert (study / f"{picture}.png").stat().st_size > 5000
     best = yaml.safe_load((study / "best.yml").read_text())[toy_id]
