@@ -122,13 +122,14 @@ class RobotModel:
         upright gripper, and from there to the pose. Neighbouring poses have neighbouring solutions, and the
         result depends on the pose alone.
         """
-        x, y = pose.x - self.base.x, pose.y - self.base.y
-        azimuth = math.atan2(y, x)
-        upright = Pose.planar(self.base.x + math.hypot(x, y), self.base.y, pose.z)
+        x, y, yaw = pose.x - self.base.x, pose.y - self.base.y, self.base.yaw
+        azimuth, radius = math.remainder(math.atan2(y, x) - yaw, math.tau), math.hypot(x, y)
+        front = (self.base.x + radius * math.cos(yaw), self.base.y + radius * math.sin(yaw))
+        upright = Pose.planar(*front, pose.z, yaw)
         start, _ = self.chain.inverse(upright, np.array(self.posture))
         first, last = self._directions
         start[0] += first * azimuth
-        start[-1] += last * (pose.yaw - azimuth)
+        start[-1] += last * (pose.yaw - yaw - azimuth)
         return self.chain.inverse(pose, start)
 
     @cached_property

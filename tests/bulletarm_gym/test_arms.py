@@ -480,6 +480,19 @@ def test_motions_with_less_time_to_speed_up_take_longer(robot: Robot) -> None:
     assert steps[0] < steps[1] < steps[2]
 
 
+def test_a_base_may_be_turned(name: str) -> None:
+    """The whole arm turned about the vertical reaches the turned poses with the same joint positions."""
+    model, yaw = ROBOTS[name], math.pi / 3.0
+    turn = Pose.planar(0.0, 0.0, 0.0, yaw)
+    turned = replace(model, base=turn.compose(model.base))
+    for x, y, z in itertools.product((0.35, 0.55), (-0.15, 0.0, 0.15), (0.05, 0.2)):
+        pose = Pose.planar(x, y, z, 0.3)
+        joints, error = model.inverse(pose)
+        others, other_error = turned.inverse(turn.compose(pose))
+        assert max(error, other_error) <= POSITION_TOLERANCE
+        np.testing.assert_allclose(others, joints, atol=1e-6)
+
+
 def test_moves_keep_to_the_straight_line(robot: Robot) -> None:
     """Near a joint limit of the wrist the elbow would swing by centimetres: such a move is refused."""
     chain, rng, tried = robot.model.chain, np.random.default_rng(0), 0
