@@ -11,7 +11,7 @@ from stable_baselines3.common.evaluation import evaluate_policy
 
 from bulletarm_gym.wrappers import ImageObservation
 from sb3_extensions.networks.extractors import CnnExtractor
-from sb3_extensions.replay.buffer import FrameReplayBuffer
+from sb3_extensions.replay.buffer import ExpertReplayBuffer
 
 ENV_ID = "BulletArm/CloseLoopBlockReaching-v0"
 
@@ -28,7 +28,7 @@ def main() -> None:
         env,
         buffer_size=20_000,
         batch_size=64,
-        replay_buffer_class=FrameReplayBuffer,  # every image once, as one byte a pixel
+        replay_buffer_class=ExpertReplayBuffer,  # every image once, as one byte a pixel
         policy_kwargs={
             "features_extractor_class": CnnExtractor,
             "features_extractor_kwargs": {"channels": [8, 16, 32, 64, 64]},

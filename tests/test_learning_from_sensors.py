@@ -115,10 +115,11 @@ def test_sacfd_learns_from_colours_and_keeps_them_exactly() -> None:
         seed=0,
     )
     model.learn(6)
-    frames = model.replay_buffer.frames
+    table = model.replay_buffer.table
     observation, _ = env.reset(seed=5)
-    ids = frames.append({name: values[None] for name, values in observation.items()})
-    for name, values in frames.read(ids).items():
+    row = table.heads[:1]
+    table.write_observations(row, {name: values[None] for name, values in observation.items()})
+    for name, values in table.read_observations(row).items():
         exact = name != "heightmap"
         np.testing.assert_allclose(values[0], observation[name], atol=0 if exact else 0.2 / 255)
         assert values.dtype == observation[name].dtype

@@ -13,7 +13,7 @@ from gymnasium import spaces
 import bulletarm_gym  # noqa: F401  registers the environments
 from bulletarm_gym.geometry import Pose
 from sb3_extensions.common.codec import SpatialActionCodec
-from sb3_extensions.replay.samples import FrameReplayBufferSamples
+from sb3_extensions.replay.samples import ExpertReplayBufferSamples
 from sb3_extensions.spatial_dqn import EquivariantASRPolicy, EquivariantFCNPolicy, RotFCNPolicy
 from sb3_extensions.spatial_dqn.augmentation import RigidMotion
 from sb3_extensions.spatial_dqn.policies import SpatialPolicy
@@ -144,7 +144,7 @@ def test_all_levels_turn_with_the_scene(env: Any) -> None:
 
 
 def samples_of(before: Observation, after: Observation) -> Any:
-    return FrameReplayBufferSamples(before, None, after, *[None] * 8)  # type: ignore[arg-type]
+    return ExpertReplayBufferSamples(before, None, after, *[None] * 8)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("turns", [1, 2, 3, 5, 7])

@@ -11,7 +11,7 @@ import pytest
 import torch as th
 
 from bulletarm_gym.geometry import Pose
-from sb3_extensions.replay.rotated import rotate_actions, rotate_images
+from sb3_extensions.replay.rotation import rotate_actions, rotate_images
 from sb3_extensions.sacfd import SACfD
 
 SYMMETRIC = [f"BulletArm/CloseLoopBlock{name}-v0" for name in ("Picking", "Pulling")]
@@ -93,10 +93,11 @@ def test_mirroring_the_scene_turns_the_sign_of_the_rotation(env: Any, model: SAC
 
 
 @pytest.mark.parametrize("angle", [0.5, 2.5, 4.0])
-def test_rotated_copies_in_the_replay_are_what_a_turned_scene_shows(env: Any, angle: float) -> None:
+def test_rotated_samples_are_what_a_turned_scene_shows(env: Any, angle: float) -> None:
     before, after = look_twice(env, functools.partial(turned, angle=angle))
     angles = np.arange(0, 2 * math.pi, 0.1)
-    rotated = rotate_images(np.repeat(before["heightmap"][None], len(angles), axis=0), angles)[:, 0]
+    images = th.from_numpy(before["heightmap"]).expand(len(angles), -1, -1, -1)
+    rotated = rotate_images(images, th.from_numpy(angles))[:, 0].numpy()
     # Within the circle that no corner of the image turns into
     rows, columns = np.indices((SIZE, SIZE)) - (SIZE - 1) / 2
     inside = np.hypot(rows, columns) < SIZE / 2 - 1

@@ -9,7 +9,7 @@ from typing import Any
 
 from stable_baselines3.common.base_class import BaseAlgorithm
 
-from sb3_extensions.common.following import constructor_keys
+from sb3_extensions.common.env_metadata import constructor_keys
 from zoo_configs.algorithms import ALGORITHMS, register_algorithms
 from zoo_configs.environments import known_env_id, register_environments
 from zoo_configs.errors import CommandError, refused

@@ -10,7 +10,7 @@ from stable_baselines3.common.vec_env import VecNormalize
 
 from sb3_extensions.networks.stacked_image import StackedImage
 from sb3_extensions.networks.views import SceneView
-from sb3_extensions.replay.buffer import FrameReplayBuffer
+from sb3_extensions.replay.buffer import ExpertReplayBuffer
 
 
 def follow_extractor(buffer_kwargs: Mapping[str, Any], policy_kwargs: Mapping[str, Any]) -> dict[str, Any]:
@@ -27,7 +27,7 @@ def follow_extractor(buffer_kwargs: Mapping[str, Any], policy_kwargs: Mapping[st
     return {"image_dtype": quantise, **buffer_kwargs} if quantise else dict(buffer_kwargs)
 
 
-def check_rounding(buffer: FrameReplayBuffer, policy: BasePolicy) -> None:
+def check_rounding(buffer: ExpertReplayBuffer, policy: BasePolicy) -> None:
     """
     Check that an agent sees images as it is trained on them.
 
@@ -35,9 +35,9 @@ def check_rounding(buffer: FrameReplayBuffer, policy: BasePolicy) -> None:
     :param policy: what sees them; networks other than ours are left to their user
     :raises ValueError: if they are rounded in two ways
     """
-    stored = buffer.frames.image_dtype
+    stored = buffer.image_dtype
     for stack in _stacks(policy):
-        if stored is not None and stack.has_float_images and stack.quantise != stored:
+        if stack.has_float_images and stack.quantise != stored:
             raise ValueError(
                 f"the replay buffer stores images with image_dtype={stored!r}, but the policy "
                 f"rounds them with quantise={stack.quantise!r}: give both the same"

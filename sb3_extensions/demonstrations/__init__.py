@@ -1,1 +1,1 @@
-"""Demonstrations: their collection, where an algorithm gets them from, noise."""
+"""Demonstrations: episodes of an expert, their collection and validation, and learning from them."""

@@ -1,54 +1,51 @@
-"""Asking the environment's expert in the states that an agent comes to."""
+"""Labels of the expert in the states that the agent visits."""
 
 from __future__ import annotations
 
 from typing import Any
 
 import numpy as np
-from stable_baselines3.common.vec_env import VecEnv
+import numpy.typing as npt
+from stable_baselines3.common.callbacks import BaseCallback
 
-from sb3_extensions.demonstrations.collecting import Actions
-from sb3_extensions.demonstrations.source import Rescale
+from sb3_extensions.demonstrations.off_policy import OffPolicyFromDemonstrations
 from sb3_extensions.replay.buffer import EXPERT_ACTION
 
 
-class Adviser:
+class DaggerCallback(BaseCallback):
     """
-    The expert of the training environment: it does not act, but says what it would do.
+    Query the expert of the training environment before every step, so that SACfD imitates it in online steps,
+    too.
 
-    DAgger: https://arxiv.org/abs/1011.0686
+    The agent's action is executed. Use it with ``bc_weight`` greater than 0. Source: DAgger,
+    https://arxiv.org/abs/1011.0686
 
-    :param rescale: from actions in the environment's units to those of the policy
+    :param verbose: verbosity level
+    :raises ValueError: at the start of ``learn()``, if the environment has no ``expert_action()``
     """
 
-    def __init__(self, rescale: Rescale) -> None:
-        self.rescale = rescale
-        self._advice: Actions = np.empty(0)
+    model: OffPolicyFromDemonstrations
 
-    @staticmethod
-    def check(env: VecEnv | None) -> None:
-        """
-        Check that there is somebody to ask.
+    def __init__(self, verbose: int = 0) -> None:
+        super().__init__(verbose)
+        self._actions: npt.NDArray[Any] | None = None
 
-        :param env: training environment, None if it comes later
-        :raises ValueError: if it has no ``expert_action()``
-        """
-        if env is not None and not env.has_attr("expert_action"):
-            raise ValueError("dagger=True needs an environment with expert_action(), this one has none")
+    def _on_training_start(self) -> None:
+        if not self.training_env.has_attr("expert_action"):
+            raise ValueError("env must have expert_action() for DaggerCallback, this one has none")
+        self._actions = None
 
-    def ask(self, env: VecEnv) -> None:
-        """
-        Ask before a step, in the state that the environment is in.
+    def _on_rollout_start(self) -> None:
+        if self._actions is None:
+            self._query()
 
-        :param env: training environment
-        """
-        self._advice = self.rescale(np.stack(env.env_method("expert_action")))
+    def _on_step(self) -> bool:
+        assert self._actions is not None
+        for info, action in zip(self.locals["infos"], self._actions, strict=True):
+            info[EXPERT_ACTION] = action
+        self._query()  # in the state before the next step
+        return True
 
-    def advise(self, infos: list[dict[str, Any]]) -> list[dict[str, Any]]:
-        """
-        Hand over what was said before the step.
-
-        :param infos: of the step, one an environment
-        :return: the same with the expert's actions, as the replay buffer takes them
-        """
-        return [{**info, EXPERT_ACTION: action} for info, action in zip(infos, self._advice, strict=True)]
+    def _query(self) -> None:
+        actions = np.stack(self.training_env.env_method("expert_action"))
+        self._actions = self.model.as_policy_actions(actions)

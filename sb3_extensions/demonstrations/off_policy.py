@@ -1,4 +1,4 @@
-"""What off-policy algorithms that learn from demonstrations have in common, whatever they learn."""
+"""What off-policy algorithms with demonstrations have in common."""
 
 from __future__ import annotations
 
@@ -19,55 +19,58 @@ from stable_baselines3.common.type_aliases import MaybeCallback, RolloutReturn, 
 from stable_baselines3.common.vec_env import VecEnv
 from tqdm import tqdm
 
-from sb3_extensions.common.augmentation import Augmentation, make_augmentation
-from sb3_extensions.common.following import check_rotation, follow_ranges, follow_sequence
+from sb3_extensions.common.components import check_not_negative
+from sb3_extensions.common.env_metadata import (
+    action_sequence,
+    check_rotation,
+    with_action_grid,
+    with_action_sequence,
+)
 from sb3_extensions.common.rounding import check_normalisation, check_rounding, follow_extractor
 from sb3_extensions.common.seeds import SeedKey, derive_seed
-from sb3_extensions.demonstrations.collecting import EpisodeData
-from sb3_extensions.demonstrations.dagger import Adviser
+from sb3_extensions.demonstrations.episodes import EpisodeData
 from sb3_extensions.demonstrations.source import DemonstrationSource
-from sb3_extensions.replay.expert import ExpertReplayBuffer, check_alike
+from sb3_extensions.replay.augmentation import Augmentation
+from sb3_extensions.replay.augmentations import make_augmentation
+from sb3_extensions.replay.buffer import ExpertReplayBuffer, check_compatible
 
-# Gradient steps of the pretraining between two lines of the log.
 PRETRAINING_LOG_INTERVAL = 100
+"""Gradient steps of the pretraining between two entries of the log."""
 
 SelfOffPolicy = TypeVar("SelfOffPolicy", bound="OffPolicyFromDemonstrations")
 
 
 class OffPolicyFromDemonstrations(OffPolicyAlgorithm):
     """
-    Begins with the episodes of an expert in the replay buffer, and with gradient steps on them.
+    Base class of algorithms whose replay buffer starts with expert episodes, with pretraining on them.
 
-    Both belong to the training: callbacks are at work (before every gradient step of the pretraining
-    ``on_rollout_start()`` is called), the log counts up to 0, a checkpoint taken in between goes on there.
+    The first ``learn()`` collects the demonstrations and pretrains. Callbacks get ``on_rollout_start()``
+    before every gradient step of the pretraining, and checkpoints continue in it.
 
-    A subclass stands before an algorithm of Stable-Baselines3, or is one itself. Its constructor sets the
-    attributes below, and calls :meth:`_check_demonstrations` before ``_setup_model()``.
+    A subclass precedes an algorithm of Stable-Baselines3 in the bases, or is one itself. Its constructor sets
+    the attributes below and calls :meth:`_check_demonstrations` before ``_setup_model()``.
 
     - ``expert_episodes``, ``expert_noise``, ``expert_data``: see
       :class:`~sb3_extensions.demonstrations.source.DemonstrationSource`
-    - ``dagger``: whether to ask the environment's expert before every step, see
-      :class:`~sb3_extensions.demonstrations.dagger.Adviser`
     - ``pretrain_steps``: number of gradient steps before the first step in the environment
-    - ``augmentation``: random views of the images, or None
+    - ``augmentation``: augmentation of the sampled steps, or None
     """
 
     replay_buffer: ExpertReplayBuffer | None
     expert_episodes: int
     expert_noise: float
     expert_data: Iterable[EpisodeData] | None
-    dagger: bool
     pretrain_steps: int
     augmentation: Augmentation | None
     augmentation_generator: th.Generator
-    _progress_bar: bool | None = None  # that of the latest learn()
+    _progress_bar: bool | None = None  # of the latest learn()
     n_pretrained: int = 0
-    """Gradient steps of the pretraining that are done."""
-    _had_expert_data: bool = False  # also where it was not saved
+    """Number of gradient steps of the pretraining so far."""
+    _had_expert_data: bool = False  # expert_data is not saved
 
     default_replay_buffer_class: ClassVar[type[ExpertReplayBuffer]] = ExpertReplayBuffer
     own_buffer_arguments: ClassVar[tuple[str, ...]] = ("gamma", "n_steps")
-    """What the algorithm itself gives to its replay buffer."""
+    """Arguments of the replay buffer that are arguments of the algorithm."""
 
     def _check_demonstrations(self) -> None:
         source = self._demonstrations()
@@ -82,31 +85,29 @@ class OffPolicyFromDemonstrations(OffPolicyAlgorithm):
             raise ValueError(f"replay_buffer_class must be an ExpertReplayBuffer, got {buffer_class}")
         for name in self.own_buffer_arguments:
             if name in self.replay_buffer_kwargs:
-                raise ValueError(f"{name} is an argument of the algorithm, not one of replay_buffer_kwargs")
+                raise ValueError(f"{name} must be an argument of the algorithm, not of replay_buffer_kwargs")
 
     def _demonstrations(self, **kwargs: Any) -> DemonstrationSource:
         return DemonstrationSource(self.expert_episodes, self.expert_noise, self.expert_data, **kwargs)
 
     def _setup_model(self) -> None:
-        if self.dagger:
-            Adviser.check(self.env)
-        self.augmentation = make_augmentation(self.augmentation)  # load() sets it as it is given
+        self._adopt_env_metadata()
         if self.augmentation is not None:
             self.augmentation.check(self.observation_space)
             self.policy_kwargs = self.augmentation.with_crop(self.policy_kwargs)
-        self.replay_buffer_kwargs = follow_extractor(self.replay_buffer_kwargs, self.policy_kwargs)
-        self._follow_env()
-        # The base class does not pass n_steps and gamma on to a given class, and warns, see GH #2274
+        # The paper's targets do not bootstrap from truncated episodes (the authors' code).
+        buffer_kwargs = {"handle_timeout_termination": False, **self.replay_buffer_kwargs}
+        self.replay_buffer_kwargs = follow_extractor(buffer_kwargs, self.policy_kwargs)
+        # The base class does not pass n_steps and gamma to a custom buffer class and warns, see GH #2274.
         n_steps, self.n_steps = self.n_steps, 1
         super()._setup_model()
         self.n_steps = n_steps
         self._check_train_freq()
-        self._follow_discount()
+        self._set_discount()
         assert self.replay_buffer is not None
         check_rounding(self.replay_buffer, self.policy)
-        self._adviser = Adviser(self._as_policy_actions)
         self._had_expert_data |= self.expert_data is not None
-        # The base class seeds before it makes the buffer
+        # The base class sets the seed before it creates the buffer.
         self._seed_samplers(self.seed)
 
     def _get_policy_from_name(self, policy_name: str) -> type[BasePolicy]:
@@ -115,7 +116,7 @@ class OffPolicyFromDemonstrations(OffPolicyAlgorithm):
         return self.policy_aliases[policy_name]
 
     def _check_train_freq(self) -> None:
-        """Stable-Baselines3 refuses this with the first step in the environment, after the pretraining."""
+        """Check what Stable-Baselines3 checks only at the first step in the environment."""
         assert isinstance(self.train_freq, TrainFreq)
         if self.train_freq.unit == TrainFrequencyUnit.EPISODE and self.n_envs > 1:
             raise ValueError(
@@ -123,18 +124,15 @@ class OffPolicyFromDemonstrations(OffPolicyAlgorithm):
                 f"({self.train_freq.frequency}, 'episode')"
             )
 
-    def _follow_env(self) -> None:
-        """Policy and replay buffer take from the environment what its numbers are, unless they are told."""
-        assert self.replay_buffer_class is not None
-        env, space = self.env, self.action_space
-        check_rotation(self.policy_class, env)
-        policy_kwargs = follow_sequence(self.policy_class, self.policy_kwargs, env, space)
-        self.policy_kwargs = follow_ranges(self.policy_class, policy_kwargs, env)
-        buffer_class, buffer_kwargs = self.replay_buffer_class, self.replay_buffer_kwargs
-        self.replay_buffer_kwargs = follow_sequence(buffer_class, buffer_kwargs, env, space)
+    def _adopt_env_metadata(self) -> None:
+        """Take the meaning of the actions from the environment where the arguments lack it."""
+        check_rotation(self.policy_class, self.env)
+        kwargs = with_action_sequence(self.policy_class, self.policy_kwargs, self.env, self.action_space)
+        self.policy_kwargs = with_action_grid(self.policy_class, kwargs, self.env)
+        self.augmentation = make_augmentation(self.augmentation, action_sequence(self.env, self.action_space))
 
-    def _follow_discount(self) -> None:
-        """The replay buffer sums up what the algorithm says, also where that was changed or loaded."""
+    def _set_discount(self) -> None:
+        """Set the buffer's discount to the algorithm's, which a user or load() can have changed."""
         assert self.replay_buffer is not None
         self.replay_buffer.set_discount(self.gamma, self.n_steps)
 
@@ -157,7 +155,7 @@ class OffPolicyFromDemonstrations(OffPolicyAlgorithm):
     def _update_current_progress_remaining(self, num_timesteps: int, total_timesteps: int) -> None:
         super()._update_current_progress_remaining(num_timesteps, total_timesteps)
         if self.replay_buffer is not None:
-            self.replay_buffer.progress_remaining = self._current_progress_remaining
+            self.replay_buffer.sampler.progress_remaining = self._current_progress_remaining
 
     def learn(
         self: SelfOffPolicy,
@@ -169,7 +167,7 @@ class OffPolicyFromDemonstrations(OffPolicyAlgorithm):
         progress_bar: bool | None = None,
     ) -> SelfOffPolicy:
         """
-        Return a trained model; the first call begins with demonstrations and pretraining.
+        Return a trained model; the first call starts with demonstrations and pretraining.
 
         :param total_timesteps: The total number of samples (env steps) to train on, without demonstrations
         :param callback: callback(s) called at every step with state of the algorithm.
@@ -192,15 +190,12 @@ class OffPolicyFromDemonstrations(OffPolicyAlgorithm):
         )
 
     def _setup_learn(self, *args: Any, **kwargs: Any) -> tuple[int, BaseCallback]:
-        # An environment or a discount may have been set since
-        if self.dagger:
-            Adviser.check(self.env)
-        self._follow_discount()
+        self._set_discount()
         assert self.replay_buffer is not None
         if self._had_expert_data and self.expert_data is None and not self.replay_buffer.size():
             raise ValueError(
-                "expert_data must be set anew, or the replay buffer loaded: the model was made with "
-                "demonstrations, which are not saved with it"
+                "expert_data must be set after load(), got None: a model does not store its "
+                "demonstrations. Set model.expert_data, or load the replay buffer"
             )
         check_normalisation(self.get_vec_normalize_env(), self.policy)
         return super()._setup_learn(*args, **kwargs)
@@ -222,11 +217,11 @@ class OffPolicyFromDemonstrations(OffPolicyAlgorithm):
         :param callback: Callback that will be called at each step
             (and at the beginning and end of the rollout)
         :param train_freq: How much experience to collect
-        :param replay_buffer: Where to store it
+        :param replay_buffer: Replay buffer of the experience
         :param action_noise: Action noise that will be used for exploration
         :param learning_starts: Number of steps before learning for the warm-up phase.
         :param log_interval: Log data every ``log_interval`` episodes
-        :return: what was collected
+        :return: collected experience
         """
         assert isinstance(replay_buffer, ExpertReplayBuffer)
         if not replay_buffer.size():
@@ -240,17 +235,19 @@ class OffPolicyFromDemonstrations(OffPolicyAlgorithm):
     def _collect_demonstrations(self, replay_buffer: ExpertReplayBuffer, env: VecEnv) -> None:
         seed = None if self.seed is None else derive_seed(self.seed, SeedKey.EXPERT)
         source = self._demonstrations(progress_bar=self._progress_bar)
-        self.n_pretrained = 0  # a model loaded for another environment begins again
+        self.n_pretrained = 0  # a model that was loaded with another environment is pretrained again
         try:
-            source.fill(replay_buffer, env, seed, self._as_policy_actions)
-        except BaseException:  # some of them would be taken for all by the next learn()
+            source.fill(replay_buffer, env, seed, self.as_policy_actions)
+        except BaseException:  # the next learn() must not take a part for all
             replay_buffer.reset()
             raise
 
     def _pretrain(self, callback: BaseCallback) -> None:
         total = self._pretraining_total
-        silent = None if self._progress_bar is None else not self._progress_bar  # None: but on a terminal
-        with tqdm(total=total, initial=self.n_pretrained, desc="pretraining", disable=silent) as progress:
+        is_hidden = (
+            None if self._progress_bar is None else not self._progress_bar
+        )  # None: hidden off a terminal
+        with tqdm(total=total, initial=self.n_pretrained, desc="pretraining", disable=is_hidden) as progress:
             while self.pretraining_left:
                 callback.on_rollout_start()
                 self._pretrain_once()
@@ -260,7 +257,7 @@ class OffPolicyFromDemonstrations(OffPolicyAlgorithm):
                     self.logger.dump(step=-self.pretraining_left)
 
     def _pretrain_once(self) -> None:
-        """One gradient step before the first step in the environment."""
+        """Do one gradient step of the pretraining."""
         self.train(gradient_steps=1, batch_size=self.batch_size)
 
     @property
@@ -282,70 +279,28 @@ class OffPolicyFromDemonstrations(OffPolicyAlgorithm):
 
         :param path: Path to the pickled replay buffer
         :param truncate_last_traj: without effect, see Stable-Baselines3's ``HerReplayBuffer``
-        :raises ValueError: if it is not one that the algorithm would have made; its own stays then
+        :raises ValueError: if it does not fit the algorithm, which then keeps its own
         """
         own = self.replay_buffer
         assert own is not None
         super().load_replay_buffer(path, truncate_last_traj)  # type: ignore[arg-type]
         try:
-            check_rounding(check_alike(self.replay_buffer, own), self.policy)
+            check_rounding(check_compatible(self.replay_buffer, own), self.policy)
         except ValueError:
             self.replay_buffer = own
             raise
 
-    def _sample_action(
-        self, learning_starts: int, action_noise: ActionNoise | None = None, n_envs: int = 1
-    ) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
-        if self.dagger:
-            assert self.env is not None
-            self._adviser.ask(self.env)
-        return super()._sample_action(learning_starts, action_noise, n_envs)
+    def as_policy_actions(self, actions: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        """
+        Convert actions to the policy's units.
 
-    def _store_transition(
-        self,
-        replay_buffer: ReplayBuffer,
-        buffer_action: npt.NDArray[Any],
-        new_obs: npt.NDArray[Any] | dict[str, npt.NDArray[Any]],
-        reward: npt.NDArray[Any],
-        dones: npt.NDArray[Any],
-        infos: list[dict[str, Any]],
-    ) -> None:
-        told = self._annotated(infos)
-        super()._store_transition(replay_buffer, buffer_action, new_obs, reward, dones, told)
-
-    def _annotated(self, infos: list[dict[str, Any]]) -> list[dict[str, Any]]:
-        """What the replay buffer is told of a step besides what the environments say."""
-        return self._adviser.advise(infos) if self.dagger else infos
-
-    def _as_policy_actions(self, actions: npt.NDArray[Any]) -> npt.NDArray[Any]:
-        # The environments clip, so a clipped action is the one that is carried out
+        :param actions: in the environment's units, shape (n, action dimensions)
+        :return: in [-1, 1]
+        """
+        # The environments clip, so the clipped action is the executed one.
         space = self.action_space
         return self.policy.scale_action(np.clip(actions, space.low, space.high))  # type: ignore[attr-defined]
 
     def _excluded_save_params(self) -> list[str]:
-        own = ["expert_data", "augmentation_generator", "_adviser", "_progress_bar"]
+        own = ["expert_data", "augmentation_generator", "_progress_bar"]
         return [*super()._excluded_save_params(), *own]
-
-
-def check_share(**given: float) -> None:
-    """
-    Check arguments.
-
-    :param given: values by their names
-    :raises ValueError: if one is not in [0, 1]
-    """
-    for name, value in given.items():
-        if not 0 <= value <= 1:
-            raise ValueError(f"{name} must be between 0 and 1, got {value}")
-
-
-def check_not_negative(**given: float | None) -> None:
-    """
-    Check arguments.
-
-    :param given: values by their names, None where there is none
-    :raises ValueError: if one is negative
-    """
-    for name, value in given.items():
-        if value is not None and value < 0:
-            raise ValueError(f"{name} must not be negative, got {value}")

@@ -1,91 +1,83 @@
-"""Where an algorithm gets its demonstrations from, composed into the algorithm."""
+"""Demonstrations of an algorithm: passed by the user, or collected from the expert of the environment."""
 
 from __future__ import annotations
 
 import contextlib
 import os
 from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 import numpy.typing as npt
 from stable_baselines3.common.vec_env import VecEnv
 
 from sb3_extensions.common.codec import SpatialActionCodec
-from sb3_extensions.demonstrations.checking import checked_episodes
-from sb3_extensions.demonstrations.collecting import (
-    AnyEnv,
-    EpisodeData,
-    Hand,
-    collect_episodes,
-    make_expert_env,
-)
-from sb3_extensions.demonstrations.noise import UnsteadyHand
-from sb3_extensions.demonstrations.snapping import SnappingHand
-from sb3_extensions.replay.expert import ExpertReplayBuffer
+from sb3_extensions.common.components import check_not_negative
+from sb3_extensions.demonstrations.action_transforms import ActionTransform, GaussianExpertNoise, GridSnapping
+from sb3_extensions.demonstrations.collection import collect_episodes
+from sb3_extensions.demonstrations.episodes import EpisodeData
+from sb3_extensions.demonstrations.expert_envs import make_expert_envs
+from sb3_extensions.demonstrations.validation import validate_episodes
+from sb3_extensions.replay.buffer import ExpertReplayBuffer
 
 Rescale = Callable[[npt.NDArray[Any]], npt.NDArray[Any]]
 
 
+@dataclass(frozen=True)
 class DemonstrationSource:
     """
-    Episodes that were handed over, or of the expert of an environment like the one trained in.
+    Source of the demonstrations.
 
-    :param episodes: number of successful episodes of the expert, unless ``data`` is given
-    :param noise: standard deviation of a normal error with which the expert's actions are carried out, see
-        :class:`~sb3_extensions.demonstrations.noise.UnsteadyHand`
-    :param data: episodes to take instead, with Minari's attributes
-        (see :class:`~sb3_extensions.demonstrations.collecting.EpisodeData`), in the environment's units
-    :param snap: grid that the expert's actions are carried out on, see
-        :class:`~sb3_extensions.demonstrations.snapping.SnappingHand`; None carries them out as they are
-    :param progress_bar: whether to show progress; None shows it on a terminal
-    :raises ValueError: if ``episodes`` or ``noise`` is negative, or ``data`` are no episodes
+    :param episodes: number of successful episodes of the expert, if ``data`` is None. Different environments
+        contribute in proportion
+    :param noise: standard deviation of Gaussian noise on the expert's executed actions, see
+        :class:`~sb3_extensions.demonstrations.action_transforms.GaussianExpertNoise`
+    :param data: episodes of the user in the environment's units, with Minari's attributes
+    :param snap: grid to which the expert's actions are moved before they are executed, None for none
+    :param progress_bar: whether to show progress, None for a terminal only
+    :raises ValueError: if ``episodes`` or ``noise`` is negative, or ``data`` is not an iterable of episodes
     """
 
-    def __init__(
-        self,
-        episodes: int = 100,
-        noise: float = 0.0,
-        data: Iterable[EpisodeData] | None = None,
-        snap: SpatialActionCodec | None = None,
-        progress_bar: bool | None = None,
-    ) -> None:
-        if isinstance(data, str | os.PathLike) or not isinstance(data, Iterable | None):
+    episodes: int = 100
+    noise: float = 0.0
+    data: Iterable[EpisodeData] | None = None
+    snap: SpatialActionCodec | None = None
+    progress_bar: bool | None = None
+
+    def __post_init__(self) -> None:
+        if isinstance(self.data, str | os.PathLike) or not isinstance(self.data, Iterable | None):
             raise ValueError(
-                f"expert_data must be episodes, read from a file where they are in one, got {data!r}"
+                f"expert_data must be an iterable of episodes, got {self.data!r}. Use "
+                "bulletarm_gym.demonstrations.Demonstrations(path) to read a file"
             )
-        for name, value in {"expert_episodes": episodes, "expert_noise": noise}.items():
-            if value < 0:
-                raise ValueError(f"{name} must not be negative, got {value}")
-        self.episodes = episodes
-        self.noise = noise
-        self.data = data
-        self.snap = snap
-        self.progress_bar = progress_bar
+        check_not_negative(expert_episodes=self.episodes, expert_noise=self.noise)
 
     @property
     def is_empty(self) -> bool:
-        """Whether there is nothing to show."""
+        """Whether there are no demonstrations."""
         return self.data is None and self.episodes == 0
 
     def fill(self, buffer: ExpertReplayBuffer, env: VecEnv, seed: int | None, rescale: Rescale) -> None:
         """
         Add all episodes to a replay buffer.
 
-        :param buffer: buffer without online transitions
-        :param env: environment to train in
-        :param seed: seed of the episodes, None draws one
-        :param rescale: from actions in the environment's units to those of the policy
-        :raises ValueError: if ``data`` has no episode, or is of another environment
+        :param buffer: buffer without online steps
+        :param env: training environment
+        :param seed: seed of the episodes, None for a random one
+        :param rescale: function from actions in the environment's units to those of the policy
+        :raises ValueError: if ``data`` has no episode or does not fit the environment
         """
-        episodes = self._expert_episodes(env, seed) if self.data is None else checked_episodes(self.data, env)
+        # The environment defines the bounds of its own episodes.
+        episodes = self._collect(env, seed) if self.data is None else validate_episodes(self.data, env)
         for episode in episodes:
-            wanted = getattr(episode, "expert_actions", episode.actions)
+            intended = getattr(episode, "expert_actions", episode.actions)
             buffer.add_episode(
                 episode.observations,
                 rescale(episode.actions),
                 episode.rewards,
                 episode.terminations,
-                expert_actions=rescale(wanted),
+                expert_actions=rescale(intended),
             )
         if self.data is not None and not buffer.expert_size:
             raise ValueError(
@@ -93,14 +85,24 @@ class DemonstrationSource:
                 "after its first use"
             )
 
-    def _expert_episodes(self, vec_env: VecEnv, seed: int | None) -> Iterable[EpisodeData]:
+    def _collect(self, vec_env: VecEnv, seed: int | None) -> Iterator[EpisodeData]:
+        """Yield episodes of copies of the training environments."""
         if not self.episodes:
             return
-        with contextlib.closing(make_expert_env(vec_env)) as env:
-            yield from self._collect(env, seed)
+        expert_envs = make_expert_envs(vec_env)
+        ends = np.cumsum([count for _, count in expert_envs]) * self.episodes / vec_env.num_envs
+        shares = np.diff(ends.round().astype(int), prepend=0).tolist()
+        for index, ((env, _), share) in enumerate(zip(expert_envs, shares, strict=True)):
+            env_seed = None if seed is None else seed + index
+            with contextlib.closing(env):
+                yield from collect_episodes(
+                    env,
+                    share,
+                    env_seed,
+                    progress_bar=self.progress_bar,
+                    action_transform=self._transform(env),
+                )
 
-    def _collect(self, env: AnyEnv, seed: int | None) -> Iterator[Any]:
-        hand: Hand | None = UnsteadyHand(env.action_space, self.noise) if self.noise else None
-        if self.snap is not None:
-            hand = SnappingHand(env.action_space, self.snap, hand)
-        return collect_episodes(env, self.episodes, seed, progress_bar=self.progress_bar, hand=hand)
+    def _transform(self, env: VecEnv) -> ActionTransform | None:
+        noise = GaussianExpertNoise(env.action_space, self.noise) if self.noise else None
+        return noise if self.snap is None else GridSnapping(env.action_space, self.snap, noise)

@@ -148,7 +148,7 @@ class MultiInputPolicy(sacfd.MultiInputPolicy):
         borrower, owner = self.actor.features_extractor, self.critic.features_extractor
         assert isinstance(borrower, ContrastiveExtractor) and isinstance(owner, ContrastiveExtractor)
         borrower.borrow_encoder(owner)
-        self.reset_average()
+        self.build_average()
         borrowed = set(owner.parameters()) & set(borrower.parameters())
         self.contrast = BilinearContrast(owner.features_dim)
         for module, parameters in (

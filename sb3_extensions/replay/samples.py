@@ -1,4 +1,4 @@
-"""What a replay buffer hands out."""
+"""Samples of the replay buffer."""
 
 from __future__ import annotations
 
@@ -7,20 +7,22 @@ from typing import NamedTuple
 import torch as th
 from stable_baselines3.common.type_aliases import TensorDict
 
-from sb3_extensions.replay.frames import Ids
+from sb3_extensions.replay.step_table import Rows
 
 
-class FrameReplayBufferSamples(NamedTuple):
+class ExpertReplayBufferSamples(NamedTuple):
     """
-    Stable-Baselines3's ``(Dict)ReplayBufferSamples``, and what demonstrations and prioritized replay add.
+    Sampled steps: the fields of Stable-Baselines3's ``ReplayBufferSamples`` and those of demonstrations.
 
-    All tensors but the observations are of shape (batch, 1) or (batch, action dimensions). ``dones`` is 1
-    only where the episode terminated: a timeout bootstraps. ``discounts`` multiplies the value of
-    ``next_observations``; it is None where the buffer was given no ``gamma``. ``is_expert`` is boolean,
-    ``weights`` are importance weights, ``indices`` (numpy, shape (batch,)) the rows of the table.
-    ``expert_actions`` are what an expert wanted, or would have wanted, NaN where none was asked. ``returns``
-    are the discounted rewards to the end of the episode or up to the next exploratory action, NaN while the
-    episode goes on or where there is no ``gamma``.
+    All tensors but the observations have shape (batch, 1) or (batch, action dimensions).
+
+    - ``dones``: 1 if the target has no bootstrap
+    - ``discounts``: factor of the value of ``next_observations``, None if the buffer has no ``gamma``
+    - ``is_expert``: whether the step is the expert's
+    - ``weights``: importance weights
+    - ``indices``: rows of the table, NumPy array of shape (batch,)
+    - ``expert_actions``: actions of the expert, NaN if unknown
+    - ``succeeded``: whether the episode succeeded without an exploratory action after this step
     """
 
     observations: TensorDict | th.Tensor
@@ -31,6 +33,26 @@ class FrameReplayBufferSamples(NamedTuple):
     discounts: th.Tensor | None
     is_expert: th.Tensor
     weights: th.Tensor
-    indices: Ids
+    indices: Rows
     expert_actions: th.Tensor
-    returns: th.Tensor
+    succeeded: th.Tensor
+
+
+def count_rows(observations: TensorDict | th.Tensor) -> int:
+    """Return the batch size of observations."""
+    return (
+        len(observations) if isinstance(observations, th.Tensor) else len(next(iter(observations.values())))
+    )
+
+
+def select_rows(observations: TensorDict | th.Tensor, rows: th.Tensor) -> TensorDict | th.Tensor:
+    """
+    Return a part of a batch of observations.
+
+    :param observations: batch
+    :param rows: indices, shape (n,)
+    :return: observations of the indices
+    """
+    if isinstance(observations, th.Tensor):
+        return observations[rows]
+    return {key: values[rows] for key, values in observations.items()}

@@ -1,84 +1,56 @@
-"""Policies that act by a running average of their actor's weights."""
+"""Policies that act by an average of their actor's weights."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
 import torch as th
-from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.type_aliases import PyTorchObs, Schedule
-from stable_baselines3.common.utils import get_parameters_by_name, polyak_update
-from stable_baselines3.sac.policies import Actor, SACPolicy
-
-# How the names of parameters begin.
-ACTOR, AVERAGE = "actor.", "actor_average."
+from stable_baselines3.sac.policies import SACPolicy
+from torch.optim.swa_utils import AveragedModel
 
 
 class AveragedActorPolicy(SACPolicy):
     """
-    Policy whose deterministic actions may be those of a running average of the actor's weights.
+    Policy whose deterministic actions can use an exponential moving average of the actor's weights.
 
-    While the learning rate is high an actor's weights wander about what they should be, and so do its
-    actions: by too little to matter where they are sampled, by enough to stand still where they are not.
-    Their average stays. Sampled actions are the actor's own.
+    Sampled actions use the actor itself. Source: https://arxiv.org/abs/1509.02971 (soft updates), here of the
+    actor.
 
     :param args: arguments of :class:`stable_baselines3.sac.policies.SACPolicy`
-    :param average_actor: Whether there is an average; an algorithm keeps it, see :meth:`update_average`
+    :param actor_tau: soft update coefficient of the average, greater than 0 and at most 1. The first ``1 /
+        actor_tau`` weights have equal shares. None for no average
     :param kwargs: keyword arguments of :class:`stable_baselines3.sac.policies.SACPolicy`
+    :raises ValueError: if ``actor_tau`` is out of its range
     """
 
-    actor_average: Actor | None
+    actor_average: AveragedModel | None
 
-    def __init__(self, *args: Any, average_actor: bool = False, **kwargs: Any) -> None:
-        self.average_actor = average_actor
+    def __init__(self, *args: Any, actor_tau: float | None = None, **kwargs: Any) -> None:
+        if actor_tau is not None and not 0 < actor_tau <= 1:
+            raise ValueError(f"actor_tau must be None or greater than 0 and at most 1, got {actor_tau}")
+        self.actor_tau = actor_tau
         super().__init__(*args, **kwargs)
 
     def _build(self, lr_schedule: Schedule) -> None:
         super()._build(lr_schedule)
+        self.build_average()
+
+    def build_average(self) -> None:
+        """Create the average from the actor's present weights."""
         self.actor_average = None
-        if self.average_actor:
-            self.actor_average = self.make_actor().requires_grad_(False)
-            self.actor_average.set_training_mode(False)
-            self.reset_average()
+        if (tau := self.actor_tau) is None:
+            return
 
-    def reset_average(self) -> None:
-        """Begin anew with the actor's present weights."""
+        def average(averaged: Any, current: Any, n_averaged: Any) -> None:
+            th._foreach_lerp_(averaged, current, max(tau, 1 / (int(n_averaged) + 1)))
+
+        self.actor_average = AveragedModel(self.actor, multi_avg_fn=average).requires_grad_(False)
+
+    def update_average(self) -> None:
+        """Update the average by the actor's weights."""
         if self.actor_average is not None:
-            self.actor_average.load_state_dict(self.actor.state_dict())
-
-    def update_average(self, tau: float, n_updates: int) -> None:
-        """
-        Let the average follow the actor.
-
-        The first weights count as much as the next, until there are ``1 / tau`` of them.
-
-        :param tau: the soft update coefficient ("Polyak update", between 0 and 1)
-        :param n_updates: number of updates of the average before this one
-        """
-        assert self.actor_average is not None
-        actor, average = self.actor, self.actor_average
-        polyak_update(actor.parameters(), average.parameters(), max(tau, 1 / (n_updates + 1)))
-        # Copy running stats, see GH issue #996
-        stats, average_stats = (get_parameters_by_name(module, ["running_"]) for module in (actor, average))
-        polyak_update(stats, average_stats, 1.0)
-
-    def load_state_dict(self, state_dict: Mapping[str, Any], *args: Any, **kwargs: Any) -> Any:
-        """
-        Load what a policy with or without an average had: one that was not there begins with the actor's
-        weights, one that is not wanted is left out.
-
-        :param state_dict: parameters and buffers by their names
-        :param args: further arguments of :meth:`torch.nn.Module.load_state_dict`
-        :param kwargs: its keyword arguments
-        :return: names that are missing or not expected
-        """
-        average = {name: value for name, value in state_dict.items() if name.startswith(AVERAGE)}
-        state = {name: value for name, value in state_dict.items() if name not in average}
-        if self.actor_average is not None:
-            own = {name: value for name, value in state.items() if name.startswith(ACTOR)}
-            state |= average or {AVERAGE + name.removeprefix(ACTOR): value for name, value in own.items()}
-        return super().load_state_dict(state, *args, **kwargs)
+            self.actor_average.update_parameters(self.actor)
 
     def _predict(self, observation: PyTorchObs, deterministic: bool = False) -> th.Tensor:
         if deterministic and self.actor_average is not None:
@@ -88,24 +60,5 @@ class AveragedActorPolicy(SACPolicy):
 
     def _get_constructor_parameters(self) -> dict[str, Any]:
         data = super()._get_constructor_parameters()
-        data.update(average_actor=self.average_actor, share_features_extractor=self.share_features_extractor)
+        data.update(actor_tau=self.actor_tau, share_features_extractor=self.share_features_extractor)
         return data
-
-
-def with_average(
-    policy_class: type[BasePolicy], policy_kwargs: dict[str, Any], actor_tau: float | None
-) -> dict[str, Any]:
-    """
-    Arguments of a policy that keeps an average if an algorithm updates it.
-
-    :param policy_class: whose arguments
-    :param policy_kwargs: as they were given
-    :param actor_tau: coefficient of the algorithm's updates, None for none
-    :return: a copy
-    :raises ValueError: if the policy cannot keep an average
-    """
-    if not issubclass(policy_class, AveragedActorPolicy):
-        if actor_tau is not None:
-            raise ValueError(f"actor_tau needs an AveragedActorPolicy, got {policy_class.__name__}")
-        return policy_kwargs
-    return {**policy_kwargs, "average_actor": actor_tau is not None}

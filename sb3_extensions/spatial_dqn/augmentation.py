@@ -10,7 +10,7 @@ from torch.nn import functional as F
 
 from sb3_extensions.common.codec import PIXEL, SpatialActionCodec
 from sb3_extensions.common.exploration import EXPLORED_HEIGHT
-from sb3_extensions.replay.samples import FrameReplayBufferSamples
+from sb3_extensions.replay.samples import ExpertReplayBufferSamples
 
 # Standard deviation of a shift, in sides of the image (the authors' code).
 SHIFT = 1 / 20
@@ -37,8 +37,8 @@ class RigidMotion:
         self.names = [*PIXEL, *codec.grids]
 
     def __call__(
-        self, samples: FrameReplayBufferSamples, indices: th.Tensor, generator: th.Generator
-    ) -> tuple[FrameReplayBufferSamples, th.Tensor]:
+        self, samples: ExpertReplayBufferSamples, indices: th.Tensor, generator: th.Generator
+    ) -> tuple[ExpertReplayBufferSamples, th.Tensor]:
         """
         Move samples; their ``actions`` stay as they were.
 

@@ -16,16 +16,12 @@ from stable_baselines3.common.type_aliases import GymEnv, Schedule
 from stable_baselines3.common.utils import LinearSchedule, polyak_update
 from torch.nn import functional as F
 
+from sb3_extensions.common.components import check_fraction, check_not_negative
 from sb3_extensions.common.exploration import explore_on_grid
 from sb3_extensions.common.seeds import SeedKey, derive_seed
-from sb3_extensions.demonstrations.collecting import EpisodeData
-from sb3_extensions.demonstrations.off_policy import (
-    OffPolicyFromDemonstrations,
-    check_not_negative,
-    check_share,
-)
+from sb3_extensions.demonstrations.episodes import EpisodeData
+from sb3_extensions.demonstrations.off_policy import OffPolicyFromDemonstrations
 from sb3_extensions.demonstrations.source import DemonstrationSource
-from sb3_extensions.replay.rotated import RotatedReplayBuffer
 from sb3_extensions.spatial_dqn.augmentation import RigidMotion
 from sb3_extensions.spatial_dqn.losses import ImitationLoss, LargeMargin, StrictMargin, cross_entropy
 from sb3_extensions.spatial_dqn.policies import (
@@ -50,8 +46,8 @@ class SpatialDQN(OffPolicyFromDemonstrations):
     demonstrations, whose actions are carried out snapped to it. A network values all actions at once, or in
     levels that choose one number after the other; every level learns the same target.
 
-    Half of each batch are demonstrations, as soon as there is half a batch of demonstrations and of own
-    transitions; until then it is drawn from all. This class does not imitate them; :class:`ADET`,
+    Half of each batch are expert steps, as soon as there is half a batch of expert and of online steps;
+    before, all steps are sampled with equal probability. This class does not imitate them; :class:`ADET`,
     :class:`DQfD` and :class:`SDQfD` do.
 
     Paper: https://arxiv.org/abs/2205.14292, Section "Open-Loop 3D Benchmark", and
@@ -72,8 +68,8 @@ class SpatialDQN(OffPolicyFromDemonstrations):
         as many as steps done in the environment during the rollout
     :param replay_buffer_class: Replay buffer class, ``ExpertReplayBuffer`` (the default) or a subclass
     :param replay_buffer_kwargs: Keyword arguments to pass to the replay buffer on creation; its ``n_steps``
-        and ``gamma`` are the algorithm's, its ``image_dtype`` is what the policy rounds to. With
-        ``expert_fraction=None``, which prioritized replay needs, batches are not divided
+        and ``gamma`` are the algorithm's, its ``image_dtype`` is by default the policy's ``quantise``, its
+        ``sampler`` is by default half expert steps
     :param n_steps: number of rewards that are summed up before the bootstrap
     :param target_update_interval: update the target network every so many gradient steps
     :param imitation_weight: weight of the imitation term, see the subclasses; without effect in this class.
@@ -86,7 +82,7 @@ class SpatialDQN(OffPolicyFromDemonstrations):
     :param expert_episodes: number of successful episodes of the expert to begin with, unless ``expert_data``
         is given
     :param expert_data: episodes to begin with instead, in the environment's units; not saved. See
-        :class:`~sb3_extensions.demonstrations.collecting.EpisodeData`
+        :class:`~sb3_extensions.demonstrations.episodes.EpisodeData`
     :param rigid_augmentation: turn and shift the heightmaps of each sample, and its actions with them, see
         :class:`~sb3_extensions.spatial_dqn.augmentation.RigidMotion`
     :param pretrain_steps: number of gradient steps before the first step in the environment
@@ -111,9 +107,8 @@ class SpatialDQN(OffPolicyFromDemonstrations):
     default_imitation_weight: ClassVar[float] = 0.1
     exploration_schedule: Schedule
     policy: SpatialPolicy
-    # Noise in the hand and an expert asked at every step are not on the grid
+    # Noisy actions are not on the grid.
     expert_noise = 0.0
-    dagger = False
     augmentation = None
 
     def __init__(
@@ -196,10 +191,8 @@ class SpatialDQN(OffPolicyFromDemonstrations):
 
     def _check_arguments(self) -> None:
         self._check_demonstrations()
-        if issubclass(self.replay_buffer_class or ReplayBuffer, RotatedReplayBuffer):
-            raise ValueError("replay_buffer_class must not rotate, yaws stay: give rigid_augmentation=True")
         check_not_negative(imitation_weight=self.imitation_weight, margin=self.margin)
-        check_share(
+        check_fraction(
             exploration_fraction=self.exploration_fraction,
             exploration_initial_eps=self.exploration_initial_eps,
             exploration_final_eps=self.exploration_final_eps,
@@ -209,10 +202,8 @@ class SpatialDQN(OffPolicyFromDemonstrations):
                 raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
 
     def _setup_model(self) -> None:
-        shares: dict[str, Any] = {"expert_fraction": EXPERT_FRACTION, **self.replay_buffer_kwargs}
-        if shares["expert_fraction"] is not None:
-            shares.setdefault("balanced_from", max(1, self.batch_size // 2))
-        self.replay_buffer_kwargs = shares
+        shares = {"expert_fraction": EXPERT_FRACTION, "balanced_from": max(1, self.batch_size // 2)}
+        self.replay_buffer_kwargs = {"sampler": {"shares": shares}, **self.replay_buffer_kwargs}
         super()._setup_model()
         self._create_aliases()
         self.exploration_schedule = LinearSchedule(
@@ -262,12 +253,12 @@ class SpatialDQN(OffPolicyFromDemonstrations):
                 bootstrap = (1 - replay_data.dones) * replay_data.discounts * next_q_values[:, None]
                 target_q_values = replay_data.rewards + bootstrap
 
-            # Current estimates at every level, each given the choices made before it
-            estimates = self.q_net.values(observations, indices)
+            # Current Q-values of every level, given the choices of the levels before
+            q_values = self.q_net.values(observations, indices)
             choices = self.q_net.choices(indices)
             is_expert = replay_data.is_expert[:, 0]
             loss = th.zeros((), device=self.device)
-            for level, (values, chosen) in enumerate(zip(estimates, choices, strict=True)):
+            for level, (values, chosen) in enumerate(zip(q_values, choices, strict=True)):
                 current_q_values = values.gather(1, chosen[:, None])
                 # Compute Huber loss (less sensitive to outliers)
                 td_errors = F.smooth_l1_loss(current_q_values, target_q_values, reduction="none")
@@ -294,9 +285,9 @@ class SpatialDQN(OffPolicyFromDemonstrations):
                 polyak_update(self.q_net.parameters(), self.q_net_target.parameters(), self.tau)
 
             logs["loss"].append(loss.detach())
-            # What is expected where the expert was, and where the agent was
+            # Mean Q-value separately for expert and online steps
             logs["value_expert"].append(current_q_values.detach()[replay_data.is_expert])
-            logs["value_own"].append(current_q_values.detach()[~replay_data.is_expert])
+            logs["value_online"].append(current_q_values.detach()[~replay_data.is_expert])
 
         self.logger.record("train/n_updates", self._n_updates, exclude="tensorboard")
         for name, losses in logs.items():
@@ -316,7 +307,7 @@ class SpatialDQN(OffPolicyFromDemonstrations):
     ) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
         assert isinstance(self._last_obs, dict)
         greedy, _ = self.predict(self._last_obs)
-        scaled = self._as_policy_actions(greedy)
+        scaled = self.as_policy_actions(greedy)
         probability = 1.0 if self.num_timesteps < learning_starts else self.exploration_rate
         if probability > 0:
             scaled = self._explore(scaled, self._last_obs, probability)
@@ -338,8 +329,9 @@ class SpatialDQN(OffPolicyFromDemonstrations):
     def _demonstrations(self, **kwargs: Any) -> DemonstrationSource:
         return super()._demonstrations(snap=getattr(self, "codec", None), **kwargs)
 
-    def _as_policy_actions(self, actions: npt.NDArray[Any]) -> npt.NDArray[Any]:
-        return self.codec.snap(super()._as_policy_actions(actions))
+    def as_policy_actions(self, actions: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        """Convert actions to the policy's units and move them to the grid."""
+        return self.codec.snap(super().as_policy_actions(actions))
 
     def _seed_samplers(self, seed: int | None) -> None:
         super()._seed_samplers(seed)

@@ -259,6 +259,14 @@ class ImageOnly(gym.ObservationWrapper):
         return observation["heightmap"]
 
 
+class WithoutTermination(gym.Wrapper):
+    """Truncates episodes that would terminate, so that all targets bootstrap if timeouts do."""
+
+    def step(self, action: np.ndarray) -> Any:
+        observation, reward, terminated, truncated, info = self.env.step(action)
+        return observation, reward, False, terminated or truncated, info
+
+
 if ENV_ID not in gym.registry:
     gym.register(ENV_ID, entry_point=ToyReach)
     gym.register(PICKING_ID, entry_point=ToyPicking)
@@ -270,18 +278,17 @@ SMALL_EQUIVARIANT: dict[str, Any] = {"features_extractor_kwargs": {"n": 4, "chan
 
 
 @pytest.fixture
-def papers() -> dict[str, Any]:
-    """Arguments with which SACfD and TQCfD do what the paper's learners do, and nothing besides."""
-    ours_off = {"exploration": 0.0, "self_imitation": None, "bc_limit": 1.0}
-    return {"n_steps": 1, "ent_coef": "auto_0.01", "backup_entropy": True, "bc_weight": 1.0, **ours_off}
-
-
-@pytest.fixture
 def make_toy() -> MakeEnv:
     """Makes a vector environment of the toy task: ``make_toy(n_envs, seed, image_only, **env_kwargs)``."""
 
-    def make(n_envs: int = 1, seed: int | None = 0, image_only: bool = False, **env_kwargs: Any) -> VecEnv:
-        wrapper = ImageOnly if image_only else None
+    def make(
+        n_envs: int = 1,
+        seed: int | None = 0,
+        image_only: bool = False,
+        endless: bool = False,
+        **env_kwargs: Any,
+    ) -> VecEnv:
+        wrapper = ImageOnly if image_only else (WithoutTermination if endless else None)
         return make_vec_env(ENV_ID, n_envs, seed, env_kwargs=env_kwargs, wrapper_class=wrapper)
 
     return make

@@ -9,10 +9,10 @@ import torch as th
 from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.logger import Logger
 
-from sb3_extensions.common.augmentation import RAD, DrQ
 from sb3_extensions.common.checkpoint import resume, save_checkpoint
 from sb3_extensions.ferm import FERM
 from sb3_extensions.ferm.policies import BilinearContrast
+from sb3_extensions.replay.augmentation import RAD, DrQ
 from sb3_extensions.sacfd import SACfD
 from sb3_extensions.sacfd.policies import MultiInputPolicy as SacfdPolicy
 
@@ -215,7 +215,7 @@ def test_the_papers_networks(make_toy: Any) -> None:
 @pytest.mark.parametrize(
     ("kwargs", "message"),
     [
-        ({"augmentation": None}, "augmentation=None"),
+        ({"augmentation": None}, "augmentation must have 'rad' or 'drq', got None"),
         ({"contrastive_steps": -1}, "contrastive_steps must not be negative, got -1"),
         ({"encoder_tau": 0.0}, "encoder_tau must be greater than 0 and at most 1, got 0.0"),
         ({"policy": SacfdPolicy}, "policy must be FERM's MultiInputPolicy"),
@@ -232,7 +232,7 @@ def test_bad_arguments(kwargs: dict[str, Any], message: str, make_toy: Any) -> N
 def test_learns_to_reach(make_toy: Any) -> None:
     policy_kwargs = {"features_extractor_kwargs": {"channels": [8, 16, 32]}, "net_arch": [32]}
     kwargs: dict[str, Any] = {"policy_kwargs": policy_kwargs, "batch_size": 32, "learning_rate": 3e-3}
-    kwargs |= {"expert_episodes": 20, "contrastive_steps": 50, "pretrain_steps": 80}
+    kwargs |= {"expert_episodes": 20, "contrastive_steps": 50, "bc_weight": 10.0, "pretrain_steps": 80}
     reached = []
     for seed in range(3):  # so short a training differs from seed to seed
         model = make_model(make_toy(2, size=SIDE), seed=seed, **kwargs)

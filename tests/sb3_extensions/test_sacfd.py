@@ -6,17 +6,18 @@ import numpy as np
 import pytest
 import torch as th
 from stable_baselines3 import SAC
+from stable_baselines3.common.buffers import ReplayBuffer
 from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.vec_env import VecNormalize
 from stable_baselines3.sac.policies import MultiInputPolicy as StockPolicy
 
-from sb3_extensions.common.exploration import disturb_one_number
-from sb3_extensions.demonstrations.collecting import collect_episodes, make_expert_env
-from sb3_extensions.replay.buffer import NO_ROW, FrameReplayBuffer
-from sb3_extensions.replay.expert import ExpertReplayBuffer
-from sb3_extensions.replay.rotated import PrioritizedRotatedReplayBuffer
+from sb3_extensions.common.exploration import replace_one_number
+from sb3_extensions.demonstrations.collection import collect_episodes
+from sb3_extensions.demonstrations.dagger import DaggerCallback
+from sb3_extensions.demonstrations.expert_envs import make_expert_envs
+from sb3_extensions.replay.buffer import ExpertReplayBuffer
 from sb3_extensions.sacfd import SACfD
-from sb3_extensions.sacfd.imitation import imitated_actions, value_weights
+from sb3_extensions.sacfd.losses import imitation_loss, self_imitation_weights
 
 SMALL_STOCK = {"net_arch": [16], "features_extractor_kwargs": {"cnn_output_dim": 8}}
 
@@ -88,10 +89,10 @@ def test_demonstrations_are_no_timesteps(make_toy: Any) -> None:
 
 def test_expert_data_is_an_iterable_of_episodes(make_toy: Any) -> None:
     env = make_toy()
-    episodes = list(collect_episodes(make_expert_env(env), 3, seed=0, progress_bar=False))
+    episodes = list(collect_episodes(make_expert_envs(env)[0][0], 3, seed=0, progress_bar=False))
     model = make_model(env, expert_data=iter(episodes)).learn(2)
     assert model.replay_buffer.expert_size == sum(len(episode.actions) for episode in episodes)
-    stored = model.replay_buffer.table["action"][: model.replay_buffer.expert_size]
+    stored = model.replay_buffer.steps("action")[: model.replay_buffer.expert_size]
     np.testing.assert_allclose(stored, np.concatenate([episode.actions for episode in episodes]), atol=1e-6)
 
 
@@ -100,7 +101,7 @@ def frozen_critic(model: Any) -> Any:
     return model
 
 
-def test_without_imitation_it_is_sac(make_toy: Any, papers: dict[str, Any]) -> None:
+def test_without_imitation_it_is_sac(make_toy: Any) -> None:
     """But for the actor's loss, which uses the critic before its step: equal if the critic stands still."""
     kwargs: dict[str, Any] = {
         "learning_rate": 1e-3,
@@ -117,11 +118,13 @@ def test_without_imitation_it_is_sac(make_toy: Any, papers: dict[str, Any]) -> N
 
     def ours() -> SACfD:
         alone = {"bc_weight": 0, "expert_episodes": 0}
-        return SACfD(StockPolicy, make_toy(2), **{**papers, **kwargs, **alone})
+        # All targets bootstrap: SACfD draws no noise for the others.
+        buffer = {"replay_buffer_kwargs": {"handle_timeout_termination": True}}
+        return SACfD(StockPolicy, make_toy(2, endless=True), **kwargs, **alone, **buffer)
 
     def stock() -> SAC:
-        buffer = {"replay_buffer_class": FrameReplayBuffer, "replay_buffer_kwargs": {"seed": 0}}
-        return SAC(StockPolicy, make_toy(2), **kwargs, **buffer)
+        buffer = {"replay_buffer_class": ExpertReplayBuffer, "replay_buffer_kwargs": {"seed": 0}}
+        return SAC(StockPolicy, make_toy(2, endless=True), **kwargs, **buffer)
 
     for steps in (80, 12):
         models = [frozen_critic(make()).learn(steps) for make in (ours, stock)]
@@ -142,8 +145,8 @@ def one_update(model: SACfD, **changes: Any) -> tuple[Any, dict[str, float]]:
 
 
 @pytest.mark.parametrize("experts", [0, 5, 16])
-def test_losses_equal_a_slow_reference(experts: int, make_toy: Any, papers: dict[str, Any]) -> None:
-    model = make_model(make_toy(), **{**papers, "bc_weight": 0.7, "n_steps": 2, "gamma": 0.9})
+def test_losses_equal_a_slow_reference(experts: int, make_toy: Any) -> None:
+    model = make_model(make_toy(), bc_weight=0.7, n_steps=2, gamma=0.9)
     model.learn(20)
     expert_actions = th.full((16, 5), np.nan)
     expert_actions[:experts] = th.rand(experts, 5)
@@ -152,7 +155,7 @@ def test_losses_equal_a_slow_reference(experts: int, make_toy: Any, papers: dict
     alpha = model.log_ent_coef.exp().item()
     actor, critic, target = (copy_of(model, name) for name in ("actor", "critic", "critic_target"))
     th.manual_seed(3)
-    sample, logged = one_update(model, expert_actions=expert_actions, weights=weights)
+    sample, logged = one_update(model, expert_actions=expert_actions, weights=weights, dones=th.zeros(16, 1))
 
     th.manual_seed(3)
     with th.no_grad():
@@ -212,28 +215,39 @@ def test_imitation_moves_the_actor_only(make_toy: Any) -> None:
 
 
 @pytest.mark.parametrize("n_envs", [1, 2])
-def test_dagger_asks_the_expert_before_every_step(n_envs: int, make_toy: Any) -> None:
-    model = make_model(make_toy(n_envs), dagger=True, learning_starts=40, gradient_steps=0).learn(40)
+def test_dagger_queries_the_expert_before_every_step(n_envs: int, make_toy: Any) -> None:
+    model = make_model(make_toy(n_envs), learning_starts=40, gradient_steps=0)
+    model.learn(40, callback=DaggerCallback())
     buffer = model.replay_buffer
-    rows = np.arange(buffer.expert_size, buffer.size())
-    actions, experts = (buffer.table[name][rows] for name in ("action", "expert_action"))
+    rows = np.flatnonzero(buffer.table.columns["valid"])[buffer.expert_size :]
+    actions, experts = (buffer.table.columns[name][rows] for name in ("action", "expert_action"))
     assert len(rows) == 40 and np.isfinite(experts).all()
     assert (experts[:, [0, 3, 4]] == 0).all()
-    # The way to the target is the expert's action where that is within the limits, and shrinks as one moves.
+    # The distance to the target is the expert's action where that is within the limits; a step reduces it.
     left = np.clip(experts - actions, -1, 1)[:, 1:3]
-    within = (np.abs(experts) < 1)[:, 1:3] & (buffer.table["next_row"][rows] != NO_ROW)[:, None]
-    after = experts[np.searchsorted(rows, buffer.table["next_row"][rows]) % 40, 1:3]
+    next_rows = buffer.table.next(rows)
+    within = (np.abs(experts) < 1)[:, 1:3] & buffer.table.columns["valid"][next_rows][:, None]
+    after = buffer.table.columns["expert_action"][next_rows][:, 1:3]
     assert within.sum() > 5
     np.testing.assert_allclose(after[within], left[within], atol=1e-5)
 
 
-def test_dagger_imitates_in_the_agents_own_states(make_toy: Any) -> None:
-    kwargs = {"expert_episodes": 1, "learning_starts": 20, "replay_buffer_kwargs": {"expert_fraction": 0.0}}
+def test_dagger_imitates_in_online_steps(make_toy: Any) -> None:
+    shares = {"sampler": {"shares": {"expert_fraction": 0.0}}}
+    kwargs = {"expert_episodes": 1, "learning_starts": 20, "replay_buffer_kwargs": shares}
     losses = []
-    for dagger in (False, True):
-        model = make_model(make_toy(), dagger=dagger, **kwargs).learn(25)
+    for callback in (None, DaggerCallback()):
+        model = make_model(make_toy(), **kwargs).learn(25, callback=callback)
         losses.append(model.logger.name_to_value["train/bc_loss"])
     assert losses[0] == 0.0 < losses[1]
+
+
+def test_dagger_without_an_expert_is_refused(make_toy: Any) -> None:
+    env = make_toy()
+    model = make_model(env, expert_episodes=0)
+    env.has_attr = lambda name: name != "expert_action"
+    with pytest.raises(ValueError, match=r"env must have expert_action\(\) for DaggerCallback"):
+        model.learn(5, callback=DaggerCallback())
 
 
 @pytest.mark.parametrize("backup_entropy", [True, False])
@@ -248,75 +262,84 @@ def test_targets_equal_a_slow_reference(
     sample, logged = one_update(model)
     th.manual_seed(3)
     loss = 0.0
+    continues = sample.dones[:, 0] == 0
+    assert 0 < continues.sum() < 16  # the other values are not computed
+    row = continues.cumsum(0) - 1
     with th.no_grad():
         actor.action_log_prob(sample.observations)
-        actions, log_prob = actor.action_log_prob(sample.next_observations)
-        next_q = th.stack(target(sample.next_observations, actions)).numpy()
+        after = {key: values[continues] for key, values in sample.next_observations.items()}
+        actions, log_prob = actor.action_log_prob(after)
+        next_q = th.stack(target(after, actions)).numpy()
         q = th.stack(critic(sample.observations, sample.actions)).numpy()
     for k in range(16):
-        value = next_q[:, k, 0].min()
+        value = next_q[:, row[k], 0].min() if continues[k] else 0.0
         if value_range is not None:
             value = min(max(value, value_range[0]), value_range[1])
-        value -= 0.3 * log_prob[k].item() * backup_entropy
+        value -= 0.3 * log_prob[row[k]].item() * backup_entropy
         y = sample.rewards[k].item() + sample.discounts[k].item() * (1 - sample.dones[k].item()) * value
         loss += 0.5 * ((q[:, k, 0] - y) ** 2).sum() / 16
     np.testing.assert_allclose(logged["train/critic_loss"], loss, rtol=1e-4)
 
 
-def test_weights_of_imitation_equal_a_slow_reference(make_toy: Any) -> None:
+def test_imitation_equals_a_slow_reference(make_toy: Any) -> None:
     model = make_model(make_toy(), learning_starts=60).learn(60)
     sample = model.replay_buffer.sample(64)
-    own_returns = th.tensor([0.9, 0.0, np.nan, -0.5] * 16, dtype=th.float32)[:, None]
-    sample = sample._replace(returns=th.where(sample.is_expert, 1.0, own_returns))
-    advantages = th.linspace(-1, 1, 64)[:, None]
-    actions, weights = imitated_actions(sample, advantages, 0.2, 0.9)
+    sample = sample._replace(succeeded=sample.is_expert | (th.arange(64) % 2 == 0)[:, None])
+    advantages, actions = th.linspace(-1, 1, 64)[:, None], th.rand(64, 5) * 2 - 1
+    weights = self_imitation_weights(advantages, sample.succeeded, 0.2)
+    total = count = 0.0
     for k in range(64):
-        if sample.is_expert[k]:
-            expected = 1.0
-        elif sample.returns[k] > 0:
-            expected = np.exp(min(advantages[k].item() / 0.2, 0.0))
-        else:  # failed, or still going on
-            expected = 0.0
-        np.testing.assert_allclose(weights[k], expected, rtol=1e-5)
-        np.testing.assert_allclose(actions[k], np.clip(sample.actions[k], -0.9, 0.9), rtol=1e-5)
-    assert len({round(weight, 3) for weight in weights[:, 0].tolist()}) > 4
-    alone = imitated_actions(sample, advantages, None, 1.0)[1]
-    np.testing.assert_array_equal(alone, sample.is_expert)
+        weight = float(np.exp(min(advantages[k].item() / 0.2, 0.0))) if sample.succeeded[k] else 0.0
+        np.testing.assert_allclose(weights[k], weight, rtol=1e-5)
+        weight = 1.0 if sample.is_expert[k] else weight
+        error = (actions[k].numpy() - np.clip(sample.actions[k].numpy(), -0.9, 0.9)) ** 2
+        total, count = total + weight * error.mean(), count + weight
+    assert 0 < count < 64
+    np.testing.assert_allclose(imitation_loss(actions, sample, weights, 0.9), total / count, rtol=1e-5)
+    assert not self_imitation_weights(advantages, sample.succeeded, None).any()
 
 
-def test_self_imitation_learns_from_what_was_won(make_toy: Any) -> None:
-    """Without an expert's word: of all that random actions do, what came near the target is repeated."""
-    kwargs = {"expert_episodes": 0, "learning_starts": 400, "gradient_steps": 1, "q_weight": 0.0}
+def test_self_imitation_learns_from_successful_steps(make_toy: Any) -> None:
+    kwargs = {"expert_episodes": 0, "learning_starts": 400, "gradient_steps": 1}
     losses = []
-    for self_imitation in (None, 0.1):
-        model = make_model(make_toy(), self_imitation=self_imitation, **kwargs).learn(410)
+    for temperature in (None, 0.1):
+        model = make_model(make_toy(), self_imitation_temperature=temperature, **kwargs).learn(410)
         losses.append(model.logger.name_to_value["train/bc_loss"])
     assert losses[0] == 0.0 < losses[1]
 
 
-def test_values_draw_the_actor_in_its_own_states_only(make_toy: Any) -> None:
-    """So that updates on the demonstrations are plain imitation, whatever the critic says."""
+def test_pretraining_updates_the_actor_alone(make_toy: Any) -> None:
+    before = parameters(make_model(make_toy()))
+    model = make_model(make_toy(), pretrain_steps=5, learning_starts=9).learn(1)
+    after = parameters(model)
+    moved = {name.split(".")[0] for name in after if not np.array_equal(after[name], before[name])}
+    assert moved == {"actor"} and model._n_updates == 5
 
-    def pretrained(**weights: float) -> dict[str, np.ndarray]:
-        model = make_model(make_toy(), pretrain_steps=20, learning_starts=9, ent_coef=0.0, **weights).learn(1)
+
+def test_the_warm_up_updates_everything(make_toy: Any) -> None:
+    before = parameters(make_model(make_toy()))
+    model = make_model(make_toy(), pretrain_steps=2, critic_warmup_steps=3, learning_starts=9).learn(1)
+    after = parameters(model)
+    moved = {name.split(".")[0] for name in after if not np.array_equal(after[name], before[name])}
+    assert moved == {"actor", "critic", "critic_target"} and model._n_updates == 5
+
+
+def test_the_critic_has_no_effect_on_the_actor_at_expert_steps_with_weight_0(make_toy: Any) -> None:
+    def pretrained(**kwargs: Any) -> dict[str, np.ndarray]:
+        model = make_model(make_toy(), learning_starts=9, ent_coef=0.0, **kwargs).learn(1)
         return parameters(model.actor)
 
-    imitated, imitated_too = pretrained(q_weight=0.0), pretrained(q_weight=3.0, expert_q_weight=0.0)
+    imitated = pretrained(critic_warmup_steps=20, expert_q_weight=0.0)
+    scaled = pretrained(critic_warmup_steps=20, expert_q_weight=0.0, gamma=0.1)
     for name, value in imitated.items():
-        np.testing.assert_array_equal(value, imitated_too[name], err_msg=name)
-    led = pretrained(q_weight=3.0)
+        np.testing.assert_array_equal(value, scaled[name], err_msg=name)
+    led = pretrained(critic_warmup_steps=20)
     assert any((value != led[name]).any() for name, value in imitated.items())
-
-
-def test_weights_of_values_by_who_acted() -> None:
-    is_expert = th.tensor([[True], [False]])
-    assert value_weights(is_expert, 3.0, None) == 3.0
-    np.testing.assert_array_equal(value_weights(is_expert, 3.0, 0.5), [[0.5], [3.0]])
 
 
 def test_exploration_draws_one_number_of_an_action() -> None:
     actions = np.full((4000, 5), 0.25, np.float32)
-    disturbed = disturb_one_number(actions, 0.3, th.Generator().manual_seed(0))
+    disturbed = replace_one_number(actions, 0.3, th.Generator().manual_seed(0))
     changed = disturbed != actions
     assert disturbed.dtype == np.float32 and changed.sum(axis=1).max() == 1
     np.testing.assert_allclose(changed.mean(axis=0), 0.3 / 5, atol=0.02)
@@ -328,28 +351,27 @@ def test_explored_actions_are_those_that_are_stored(make_toy: Any) -> None:
     steady, explored = (
         make_model(make_toy(), exploration=share, gradient_steps=0).learn(40) for share in (0.0, 1.0)
     )
-    rows = slice(steady.replay_buffer.expert_size, steady.replay_buffer.expert_size + 1)
-    first, other = (model.replay_buffer.table["action"][rows][0] for model in (steady, explored))
+    first, other = (
+        model.replay_buffer.steps("action")[model.replay_buffer.expert_size] for model in (steady, explored)
+    )
     assert (first != other).sum() == 1
     for model, share in (steady, 0), (explored, 1):
-        own = model.replay_buffer.table["explored"][model.replay_buffer.expert_size :][:40]
-        assert own.mean() == share
+        assert model.replay_buffer.steps("explored")[model.replay_buffer.expert_size :].mean() == share
     assert explored.predict(make_toy().reset(), deterministic=True)[0].shape == (1, 5)
 
 
-def test_some_episodes_are_of_deterministic_actions(make_toy: Any) -> None:
-    model = make_model(make_toy(3), exploration=1.0, greedy_fraction=0.5, gradient_steps=0).learn(300)
-    own = slice(model.replay_buffer.expert_size, model.replay_buffer.expert_size + 300)
-    table, ids = model.replay_buffer.table, model.replay_buffer.rows.ids(np.arange(own.start, own.stop))
-    observations, _ = model.replay_buffer._observations(table["frame"][own], None, 300)
+def test_some_episodes_have_deterministic_actions(make_toy: Any) -> None:
+    model = make_model(make_toy(3), exploration=1.0, deterministic_fraction=0.5, gradient_steps=0).learn(300)
+    table = model.replay_buffer.table
+    rows = np.flatnonzero(table.columns["valid"])[model.replay_buffer.expert_size :]
+    observations, _ = model.replay_buffer._observations(rows, None, len(rows))
     with th.no_grad():
         actions = model.actor(observations, deterministic=True).numpy()
-    greedy = np.isclose(table["action"][own], actions, atol=0.02).all(axis=1)
-    assert 0.2 < greedy.mean() < 0.8
-    np.testing.assert_array_equal(table["explored"][own], ~greedy)
-    for row, successor in enumerate(table["next_row"][own]):  # the same to the end of an episode
-        if successor != NO_ROW:
-            assert greedy[row] == greedy[np.flatnonzero(ids == successor)[0]]
+    is_deterministic = np.isclose(table.columns["action"][rows], actions, atol=0.02).all(axis=1)
+    assert 0.2 < is_deterministic.mean() < 0.8
+    np.testing.assert_array_equal(table.columns["explored"][rows], ~is_deterministic)
+    within = table.columns["valid"][table.next(rows)]  # equal until the end of an episode
+    np.testing.assert_array_equal(is_deterministic[:-1][within[:-1]], is_deterministic[1:][within[:-1]])
 
 
 def test_critic_parameters_get_no_gradient_from_the_actor(make_toy: Any) -> None:
@@ -452,7 +474,7 @@ def states(model: Any, name: str) -> list[th.Tensor]:
 
 def test_expert_data_is_not_saved(make_toy: Any, tmp_path: Any) -> None:
     env = make_toy()
-    episodes = list(collect_episodes(make_expert_env(env), 2, seed=0, progress_bar=False))
+    episodes = list(collect_episodes(make_expert_envs(env)[0][0], 2, seed=0, progress_bar=False))
     model = make_model(env, expert_data=episodes, expert_episodes=0).learn(2)
     model.save(tmp_path / "model")
     assert SACfD.load(tmp_path / "model", env=env).expert_data is None
@@ -466,17 +488,14 @@ def test_expert_data_is_not_saved(make_toy: Any, tmp_path: Any) -> None:
         ({"pretrain_steps": -1}, "pretrain_steps"),
         ({"expert_noise": -0.1}, "expert_noise"),
         ({"pretrain_steps": 5, "expert_episodes": 0}, "must be 0 without demonstrations"),
-        ({"replay_buffer_class": FrameReplayBuffer}, "ExpertReplayBuffer"),
+        ({"replay_buffer_class": ReplayBuffer}, "replay_buffer_class must be an ExpertReplayBuffer, got"),
+        ({"pretrain_steps": 5, "bc_weight": 0}, "pretrain_steps must be 0 with bc_weight=0, got 5"),
         ({"n_steps": 0}, "n_steps"),
-        ({"dagger": True, "bc_weight": 0}, "bc_weight"),
-        ({"q_weight": -1}, "q_weight"),
         ({"expert_q_weight": -1}, "expert_q_weight must not be negative, got -1"),
         ({"bc_limit": 1.5}, "bc_limit must be between 0 and 1, got 1.5"),
         ({"exploration": -0.1}, "exploration"),
-        ({"greedy_fraction": 1.1}, "greedy_fraction must be between 0 and 1, got 1.1"),
-        ({"actor_tau": 0.0}, "actor_tau must be None or greater than 0 and at most 1, got 0.0"),
-        ({"actor_tau": 0.1}, "actor_tau needs an AveragedActorPolicy, got MultiInputPolicy"),
-        ({"self_imitation": 0.0}, "self_imitation must be None or greater than 0, got 0.0"),
+        ({"deterministic_fraction": 1.1}, "deterministic_fraction must be between 0 and 1, got 1.1"),
+        ({"self_imitation_temperature": 0.0}, "self_imitation_temperature must be None or greater than 0"),
         ({"value_range": (1.0, 0.0)}, "value_range"),
         ({"policy": "NoSuchPolicy"}, "NoSuchPolicy"),
     ],
@@ -486,16 +505,8 @@ def test_bad_arguments(kwargs: dict[str, Any], message: str, make_toy: Any) -> N
         SACfD(**{"policy": StockPolicy, "env": make_toy(), "policy_kwargs": dict(SMALL_STOCK), **kwargs})
 
 
-def test_dagger_needs_an_expert(make_toy: Any) -> None:
-    env = make_toy()
-    env.has_attr = lambda name: name != "expert_action"
-    with pytest.raises(ValueError, match=r"dagger=True needs an environment with expert_action\(\)"):
-        make_model(env, dagger=True)
-
-
-@pytest.mark.parametrize("buffer", [ExpertReplayBuffer, PrioritizedRotatedReplayBuffer])
-def test_learns_to_reach(policy: Any, buffer: Any, make_toy: Any) -> None:
-    kwargs = {"replay_buffer_class": buffer, "buffer_size": 1500}
+def test_learns_to_reach(policy: Any, make_toy: Any) -> None:
+    kwargs = {"bc_weight": 10.0, "buffer_size": 1500}
     kwargs |= {"expert_episodes": 20, "pretrain_steps": 60, "learning_rate": 3e-3, "batch_size": 32}
     model = make_model(make_toy(2), policy, **kwargs)
     untrained, _ = evaluate_policy(model, make_toy(seed=9), 30)

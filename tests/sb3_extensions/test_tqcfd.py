@@ -10,8 +10,7 @@ from sb3_contrib import TQC
 from sb3_contrib.tqc.policies import MultiInputPolicy as StockPolicy
 from stable_baselines3.common.evaluation import evaluate_policy
 
-from sb3_extensions.replay.buffer import FrameReplayBuffer
-from sb3_extensions.replay.rotated import PrioritizedRotatedReplayBuffer
+from sb3_extensions.replay.buffer import ExpertReplayBuffer
 from sb3_extensions.tqcfd import TQCfD
 
 SMALL_STOCK = {"net_arch": [16], "features_extractor_kwargs": {"cnn_output_dim": 8}}
@@ -36,9 +35,8 @@ def parameters(model: Any) -> dict[str, np.ndarray]:
         {"n_steps": 3, "ent_coef": 0.1},
         {"augmentation": "drq"},
         {
-            "replay_buffer_class": PrioritizedRotatedReplayBuffer,
-            "replay_buffer_kwargs": {"copies": 2},
-            "augmentation": {"rad": {"size": 12}},
+            "replay_buffer_kwargs": {"sampler": "prioritized"},
+            "augmentation": {"rotation": {}, "rad": {"size": 12}},
         },
     ],
 )
@@ -56,7 +54,7 @@ def test_deterministic_training(policy: Any, make_toy: Any) -> None:
         np.testing.assert_array_equal(value, second[name], err_msg=name)
 
 
-def test_without_imitation_it_is_tqc(make_toy: Any, papers: dict[str, Any]) -> None:
+def test_without_imitation_it_is_tqc(make_toy: Any) -> None:
     kwargs: dict[str, Any] = {
         "learning_rate": 1e-3,
         "buffer_size": 500,
@@ -77,9 +75,10 @@ def test_without_imitation_it_is_tqc(make_toy: Any, papers: dict[str, Any]) -> N
         return model.learn(40)
 
     alone = {"bc_weight": 0, "expert_episodes": 0}
-    ours = trained(TQCfD(StockPolicy, make_toy(2), **{**papers, **kwargs, **alone}))
-    kwargs |= {"replay_buffer_class": FrameReplayBuffer, "replay_buffer_kwargs": {"seed": 0}}
-    stock = trained(TQC(StockPolicy, make_toy(2), **kwargs))
+    buffer = {"replay_buffer_kwargs": {"handle_timeout_termination": True}}
+    ours = trained(TQCfD(StockPolicy, make_toy(2, endless=True), **kwargs, **alone, **buffer))
+    kwargs |= {"replay_buffer_class": ExpertReplayBuffer, "replay_buffer_kwargs": {"seed": 0}}
+    stock = trained(TQC(StockPolicy, make_toy(2, endless=True), **kwargs))
     assert ours._n_updates == stock._n_updates > 10
     theirs = parameters(stock)
     for name, value in parameters(ours).items():
@@ -107,20 +106,25 @@ def reference_critic_loss(current: np.ndarray, targets: np.ndarray, weights: np.
 
 
 @pytest.mark.parametrize("dropped", [0, 2])
-def test_losses_equal_a_slow_reference(dropped: int, make_toy: Any, papers: dict[str, Any]) -> None:
+def test_losses_equal_a_slow_reference(dropped: int, make_toy: Any) -> None:
     policy_kwargs = {**SMALL_STOCK, "n_quantiles": N_QUANTILES, "n_critics": N_CRITICS}
     model = make_model(
         make_toy(),
         (StockPolicy, policy_kwargs),
         top_quantiles_to_drop_per_net=dropped,
-        replay_buffer_class=PrioritizedRotatedReplayBuffer,
-        **{**papers, "bc_weight": 0.7, "n_steps": 2, "gamma": 0.9},
+        replay_buffer_kwargs={"sampler": "prioritized"},
+        bc_weight=0.7,
+        n_steps=2,
+        gamma=0.9,
     )
     model.learn(10)
     assert model.replay_buffer is not None
     sample = model.replay_buffer.sample(16)
     weights = th.linspace(0.1, 1, 16)[:, None]
-    sample = sample._replace(weights=weights, indices=np.arange(16), rewards=sample.rewards * 3)
+    rows = np.flatnonzero(model.replay_buffer.table.columns["valid"])[:16]
+    sample = sample._replace(
+        weights=weights, indices=rows, rewards=sample.rewards * 3, dones=th.zeros_like(sample.dones)
+    )
     model.replay_buffer.sample = lambda *args, **kwargs: sample  # type: ignore[method-assign]
     alpha, critic = model.log_ent_coef.exp().item(), copy.deepcopy(model.critic)
     th.manual_seed(3)
@@ -142,8 +146,8 @@ def test_losses_equal_a_slow_reference(dropped: int, make_toy: Any, papers: dict
         td_errors.append(np.mean([abs(current[k, c].mean() - np.mean(targets[k])) for c in range(N_CRITICS)]))
     expected = reference_critic_loss(current, np.array(targets), weights[:, 0].numpy())
     np.testing.assert_allclose(logged["train/critic_loss"], expected, rtol=1e-4)
-    priorities = model.replay_buffer.tree[np.arange(16)] ** (1 / 0.6)
-    bonus = np.arange(16) < model.replay_buffer.expert_size
+    priorities = model.replay_buffer.sampler.tree[rows] ** (1 / 0.6)
+    bonus = rows < model.replay_buffer.table.n_pinned
     np.testing.assert_allclose(priorities, np.array(td_errors) + bonus, rtol=1e-3, atol=2e-6)
     # The actor's loss uses the critic before its step
     with th.no_grad():

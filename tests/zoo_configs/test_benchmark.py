@@ -18,7 +18,7 @@ import yaml
 from sweeps import FLAGS, TINY, is_running, same, start, sweep_of, wait_for
 
 from bulletarm_gym.benchmarks import BENCHMARKS
-from sb3_extensions.replay.expert import ExpertReplayBuffer
+from sb3_extensions.replay.buffer import ExpertReplayBuffer
 from zoo_configs.benchmarking.child import Ending, RunProcess, Task
 from zoo_configs.benchmarking.cost import estimate
 from zoo_configs.benchmarking.overview import Overview, Status, make_table, shown
@@ -122,10 +122,12 @@ def test_a_pattern_takes_the_tasks_of_the_benchmark() -> None:
 def test_a_buffer_tells_its_size_before_it_takes_it() -> None:
     space = gym.spaces.Box(0, 1, (1, 8, 8), np.float32)
     buffer = ExpertReplayBuffer(100, space, gym.spaces.Box(-1, 1, (2,)), "cpu", seed=0)
-    announced = buffer.nbytes
+    announced = buffer.table.nbytes
     image, action, one = np.zeros((1, 1, 8, 8), np.float32), np.zeros((1, 2), np.float32), np.zeros(1)
     buffer.add(image, image, action, one, one, [{}])
-    held_bytes = sum(array.nbytes for array in (*buffer.table.values(), *buffer.frames.data.values()))
+    held_bytes = sum(
+        array.nbytes for array in (*buffer.table.columns.values(), *buffer.table.observations.values())
+    )
     assert held_bytes == announced
 
 

@@ -1,4 +1,4 @@
-"""Small files of agents: what acts is kept, the rest left out; the algorithm's own load reads them."""
+"""Small files of agents, which the algorithm's own load reads."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from torch import nn
 
 from sb3_extensions.ferm import FERM
 from sb3_extensions.sacfd import SACfD
-from zoo_configs.publishing.compact import acting_weights, save_compact
+from zoo_configs.publishing.compact import save_compact, stored_weights
 
 SMALL = {"features_extractor_kwargs": {"n": 4, "channels": [1, 2, 2, 2, 2]}}
 
@@ -44,7 +44,7 @@ class Policy(nn.Module):
 
 def test_weights_are_rounded_as_the_network_rounds_them() -> None:
     policy = Policy()
-    weights = acting_weights(policy, half=True)
+    weights = stored_weights(policy, half=True)
     assert set(weights) == set(policy.state_dict())
     encoder = policy.actor["encoder"].layer.weight  # type: ignore[union-attr, index]
     assert th.equal(weights["actor.encoder.layer.weight"], encoder.bfloat16())
@@ -52,18 +52,19 @@ def test_weights_are_rounded_as_the_network_rounds_them() -> None:
     assert weights["actor.mean.bias"].dtype == th.float32
 
 
-def test_what_does_not_act_is_left_out_and_what_is_shared_stays() -> None:
-    weights = acting_weights(Policy(), half=True)
-    assert weights["critic.value.weight"].isnan().all()
-    assert weights["critic.value.weight"].untyped_storage().nbytes() == 4
+def test_shared_parameters_and_targets_are_stored_once() -> None:
+    policy = Policy()
+    policy.critic_target = nn.ModuleDict({"encoder": Bf16(), "value": nn.Linear(2, 1)})
+    weights = stored_weights(policy, half=True)
     assert weights["critic.encoder.layer.weight"] is weights["actor.encoder.layer.weight"]
+    assert weights["critic_target.value.weight"] is weights["critic.value.weight"]
 
 
 def test_weights_too_large_for_float16_stay() -> None:
     policy = Policy()
     with th.no_grad():
         policy.actor["mean"].weight[0, 0] = 1e6  # type: ignore[index, operator, union-attr]
-    assert acting_weights(policy, half=True)["actor.mean.weight"].dtype == th.float32
+    assert stored_weights(policy, half=True)["actor.mean.weight"].dtype == th.float32
 
 
 def make_model(name: str, toy_id: str) -> BaseAlgorithm:
@@ -75,10 +76,10 @@ def make_model(name: str, toy_id: str) -> BaseAlgorithm:
     env = gym.make(toy_id, obs_size=48)
     if name == "ferm":
         kwargs = {"features_extractor_kwargs": {"channels": [4, 8, 8, 8, 8], "features_dim": 6}}
-        more: dict[str, Any] = {"augmentation": "drq", "actor_tau": 0.1, "policy_kwargs": kwargs}
+        more: dict[str, Any] = {"augmentation": "drq", "policy_kwargs": {**kwargs, "actor_tau": 0.1}}
         return FERM("MultiInputPolicy", env, seed=0, **more)
-    tau = 0.1 if name == "average" else None
-    return SACfD("EquivariantPolicy", env, policy_kwargs=kwargs, actor_tau=tau, seed=0)
+    kwargs["actor_tau"] = 0.1 if name == "average" else None
+    return SACfD("EquivariantPolicy", env, policy_kwargs=kwargs, seed=0)
 
 
 def wander(model: BaseAlgorithm) -> None:
@@ -121,14 +122,26 @@ def test_a_file_is_small_and_says_nothing_of_the_machine(toy_id: str, tmp_path: 
     model.learn(2)
     model.save(tmp_path / "whole.zip")
     save_compact(model, tmp_path / "small.zip")
-    assert (tmp_path / "small.zip").stat().st_size < (tmp_path / "whole.zip").stat().st_size / 5
+    assert (tmp_path / "small.zip").stat().st_size < (tmp_path / "whole.zip").stat().st_size / 4
     with zipfile.ZipFile(tmp_path / "small.zip") as archive:
         data = archive.read("data").decode()
     assert str(tmp_path) not in data
     assert json.loads(data)["_last_obs"] is None
     loaded = SACfD.load(tmp_path / "small.zip")
     assert not loaded.actor.optimizer.state_dict()["state"]
-    assert all(weight.isnan().all() for weight in loaded.critic.parameters())
+    assert all(weight.isfinite().all() for weight in loaded.policy.parameters())
+
+
+def test_a_compact_agent_trains_further(toy_id: str, tmp_path: Path) -> None:
+    env = gym.make(toy_id, obs_size=48)
+    schedule = {"learning_rate": lambda progress: 1e-3 * progress, "expert_episodes": 1, "batch_size": 4}
+    save_compact(SACfD("EquivariantPolicy", env, policy_kwargs=SMALL, seed=0, **schedule), tmp_path / "a.zip")
+    loaded = SACfD.load(tmp_path / "a.zip", env=env)
+    before = [parameter.detach().clone() for parameter in loaded.actor.parameters()]
+    loaded.learn(3)
+    assert loaded.learning_rate == 1e-3
+    assert all(weight.isfinite().all() for weight in loaded.policy.parameters())
+    assert any(not th.equal(old, new) for old, new in zip(before, loaded.actor.parameters(), strict=True))
 
 
 def test_the_same_agent_gives_the_same_bytes(toy_id: str, tmp_path: Path) -> None:

@@ -69,11 +69,7 @@ def test_the_paper_preset_is_the_papers(learner: str, own: dict[str, float]) -> 
         "train_freq": 1,
         "gradient_steps": 1,
         "target_update_interval": 100,
-        "replay_buffer_kwargs": {
-            "expert_fraction": 0.5,
-            "frames_per_transition": 1.25,
-            "handle_timeout_termination": False,
-        },
+        "replay_buffer_kwargs": {"sampler": {"shares": {"expert_fraction": 0.5}}},
         **own,
     }
     assert {key: cell.hyperparams[key] for key in expected} == expected

@@ -77,7 +77,10 @@ NO_FOLDER = "/dev/null/folder"  # /dev/null is none
         ([*TRAIN, "-params", "n_envs:0"], "n_envs takes"),
         ([*TRAIN, "-params", "policy_kwargs:3"], "policy_kwargs takes a mapping of arguments, got 3"),
         ([*TRAIN, "-params", "policy_kwargs:{'net_arch': 'x'}"], "net_arch"),
-        ([*TRAIN, "-params", "replay_buffer_kwargs:{'expert_fraction': 2.0}"], "expert_fraction must be"),
+        (
+            [*TRAIN, "-params", "replay_buffer_kwargs:{'sampler': {'shares': {'expert_fraction': 2.0}}}"],
+            "expert_fraction must be",
+        ),
         ([*TRAIN, "-params", "policy_kwargs:{'features_extractor_class': 3}"], "dotted path of a class"),
         ([*TRAIN, "-params", "policy_kwargs:{'features_extractor_kwargs': 3}"], "takes a mapping"),
         ([*TRAIN, "-params", "gradient_steps:'x'"], "gradient_steps takes a whole number"),

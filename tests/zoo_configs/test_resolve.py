@@ -11,7 +11,8 @@ import yaml
 
 from bulletarm_gym.benchmarks import BENCHMARKS
 from sb3_extensions.common.codec import SpatialActionCodec
-from sb3_extensions.common.following import constructor_keys
+from sb3_extensions.common.env_metadata import constructor_keys
+from sb3_extensions.replay.sampling import PrioritizedSampler, make_sampler
 from zoo_configs.cells.cell import Cell, explain, merge, resolve
 from zoo_configs.cells.flags import find_cell
 from zoo_configs.cells.rules import Family, families, family_of, parse_family, task_name
@@ -57,9 +58,8 @@ def test_buffers_hold_all_demonstrations(env_id: str) -> None:
         limit = env.unwrapped.config.max_steps  # type: ignore[attr-defined]
     for baseline, preset, _ in (cell for cell in CELLS if cell[2] == env_id):
         hyperparams = resolve(baseline, preset, env_id).hyperparams
-        rows = 1 + hyperparams.get("replay_buffer_kwargs", {}).get("copies", 0)
-        needed = hyperparams.get("expert_episodes", 0) * limit * rows
-        assert hyperparams["buffer_size"] >= needed + 10 * rows, (baseline, preset)
+        needed = hyperparams.get("expert_episodes", 0) * (limit + 1)
+        assert hyperparams["buffer_size"] >= needed + 100, (baseline, preset)
 
 
 def test_the_paper_preset_is_the_papers() -> None:
@@ -78,14 +78,10 @@ def test_the_paper_preset_is_the_papers() -> None:
         "train_freq": 1,
         "gradient_steps": 1,
         "n_timesteps": 5 * 10_000,
-        # What is ours and not the paper's is off
-        "n_steps": 1,
         "bc_weight": 1.0,
-        "bc_limit": 1.0,
-        "self_imitation": None,
-        "exploration": 0.0,
-        "backup_entropy": True,
     }
+    additions = {"n_steps", "bc_limit", "exploration", "backup_entropy", "pretrain_steps", "value_range"}
+    assert not additions & cell.hyperparams.keys()  # their defaults are the paper's
     assert {key: cell.hyperparams[key] for key in expected} == expected
     assert cell.hyperparams["env_kwargs"]["obs_size"] == 128
     assert cell.flags["eval_freq"] == 5 * 500
@@ -102,8 +98,10 @@ def test_the_cpu_preset_keeps_to_the_papers_budget_with_one_set_of_hyperparamete
     ]
     for cell in cells:
         assert cell["expert_episodes"] <= 100
-        assert (cell["n_timesteps"] // cell["n_envs"]) + cell["pretrain_steps"] <= 10_000
-        assert "expert_noise" not in cell and "dagger" not in cell
+        assert (cell["n_timesteps"] // cell["n_envs"]) + cell["pretrain_steps"] + cell[
+            "critic_warmup_steps"
+        ] <= 10_000
+        assert "expert_noise" not in cell and "callback" not in cell
         assert cell["gamma"] == 0.99
     one_baseline = [resolve("equi_sacfd", "cpu", env_id).hyperparams for env_id in CLOSE_LOOP]
     for cell in one_baseline:
@@ -115,11 +113,16 @@ def test_the_cpu_preset_keeps_to_the_papers_budget_with_one_set_of_hyperparamete
 def test_the_cpu_preset_shows_equivariant_networks_the_angles_between_quarter_turns(baseline: str) -> None:
     hyperparams = resolve(baseline, "cpu", PICKING).hyperparams
     assert hyperparams["policy_kwargs"]["features_extractor_kwargs"]["n"] == 4
-    assert hyperparams["replay_buffer_class"].endswith("RotatedReplayBuffer")
-    assert hyperparams["replay_buffer_kwargs"]["copies"] == 4
+    assert "rotation" in hyperparams["augmentation"]
 
 
-@pytest.mark.parametrize(("preset", "weight"), [("paper", 1.0), ("cpu", 10.0), ("quick", 10.0)])
+def test_the_cpu_preset_rotates_samples_for_all_baselines_of_images() -> None:
+    for name, baseline in family_of(PICKING).baselines.items():
+        augmentation = resolve(name, "cpu", PICKING).hyperparams.get("augmentation", {})
+        assert ("rotation" in augmentation) == (baseline.network != "state"), name
+
+
+@pytest.mark.parametrize(("preset", "weight"), [("paper", 1.0), ("cpu", 3.33), ("quick", 10.0)])
 @pytest.mark.parametrize("network", ["", "equi_", "rad_", "drq_", "ferm_"])
 def test_only_sacfd_imitates(network: str, preset: str, weight: float) -> None:
     assert resolve(f"{network}sac", preset, PICKING).hyperparams["bc_weight"] == 0
@@ -132,8 +135,8 @@ def test_imitation_is_alike_for_all(preset: str) -> None:
     imitating = [name for name in family_of(PICKING).baselines if "fd" in name]
     assert len(imitating) == 9
     cells = [resolve(name, preset, PICKING).hyperparams for name in imitating]
-    names = ("bc_weight", "ent_coef", "self_imitation", "n_steps", "gamma", "exploration")
-    assert len({tuple(cell[name] for name in names) for cell in cells}) == 1
+    names = ("bc_weight", "ent_coef", "self_imitation_temperature", "n_steps", "gamma", "exploration")
+    assert len({tuple(cell.get(name) for name in names) for cell in cells}) == 1
 
 
 def test_a_task_may_say_more_of_policies_and_baselines() -> None:
@@ -279,23 +282,17 @@ def test_the_name_of_a_task() -> None:
 def test_crops_are_in_the_papers_proportion(baseline: str, preset: str, obs_size: int, size: int) -> None:
     hyperparams = resolve(baseline, preset, PICKING).hyperparams
     assert hyperparams["env_kwargs"]["obs_size"] == obs_size
-    assert hyperparams["augmentation"] == {"rad": {"size": size}}
+    assert hyperparams["augmentation"]["rad"] == {"size": size}
 
 
 @pytest.mark.parametrize("preset", ["cpu", "paper"])
 def test_prioritized_replay_is_the_papers(preset: str) -> None:
-    """Exponents and bonus of the appendix "Benchmark Details"; four copies as in its authors' code."""
+    """Exponents and bonus of the appendix "Benchmark Details"; four of five samples are rotated."""
     hyperparams = resolve("equi_sacfd_per_aug", preset, PICKING).hyperparams
-    for name in ("expert_fraction", "success_fraction", "handle_timeout_termination"):
-        hyperparams["replay_buffer_kwargs"].pop(name, None)
-    expected = {
-        "exponent": 0.6,
-        "beta_start": 0.4,
-        "expert_bonus": 1.0,
-        "copies": 4,
-        "action_sequence": "pxyzr",
-    }
-    assert hyperparams["replay_buffer_kwargs"] == expected
+    sampler = make_sampler(hyperparams["replay_buffer_kwargs"]["sampler"])
+    assert isinstance(sampler, PrioritizedSampler)
+    assert (sampler.exponent, sampler.beta_start, sampler.expert_bonus) == (0.6, 0.4, 1.0)
+    assert hyperparams["augmentation"] == {"rotation": {"probability": 0.8}}
 
 
 def test_overrides_win_and_merge() -> None:
@@ -305,11 +302,10 @@ def test_overrides_win_and_merge() -> None:
     assert hyperparams["env_kwargs"].items() >= {"action_sequence": "pxyz", "obs_size": 64}.items()
 
 
-def test_policy_and_replay_follow_the_action_sequence() -> None:
+def test_the_policy_follows_the_action_sequence() -> None:
     overrides = {"env_kwargs": {"action_sequence": "xyzp"}}
     hyperparams = resolve("equi_sacfd_per_aug", "cpu", PICKING, overrides).hyperparams
     assert hyperparams["policy_kwargs"]["action_sequence"] == "xyzp"
-    assert hyperparams["replay_buffer_kwargs"]["action_sequence"] == "xyzp"
 
 
 def test_cells_share_nothing() -> None:
@@ -341,23 +337,17 @@ def test_unknown_names_are_told(names: tuple[str, str, str], message: str) -> No
         ({"seed": 1}, "unknown hyperparameter of sacfd 'seed'"),
         ({"policy": "EquivarantPolicy"}, "did you mean 'EquivariantPolicy'?"),
         ({"policy": "no_package.Policy"}, "policy 'no_package.Policy' cannot be imported"),
-        (
-            {
-                "replay_buffer_class": "sb3_extensions.replay.rotated.RotatedReplayBuffer",
-                "replay_buffer_kwargs": {"copys": 3},
-            },
-            "did you mean 'copies'?",
-        ),
-        ({"replay_buffer_kwargs": {"expert_fracton": 0.5}}, "did you mean 'expert_fraction'?"),
+        ({"replay_buffer_kwargs": {"samplr": "uniform"}}, "did you mean 'sampler'?"),
+        ({"replay_buffer_kwargs": {"sampler": "priority"}}, "sampler must be None, one of uniform, shares"),
         (
             {"replay_buffer_kwargs": {"gamma": 0.5}},
-            "unknown replay_buffer_kwargs of RotatedReplayBuffer 'gamma'",
+            "unknown replay_buffer_kwargs of ExpertReplayBuffer 'gamma'",
         ),
         (
             {"replay_buffer_class": "no_package.Buffer"},
             "replay buffer 'no_package.Buffer' cannot be imported",
         ),
-        ({"augmentation": "rda"}, "one of rad, drq, got 'rda'"),
+        ({"augmentation": "rda"}, "one of rotation, rad, drq, or one of them"),
         ({"policy_kwargs": {"net_arc": []}}, "did you mean 'net_arch'?"),
         ({"policy_kwargs": {"features_extractor_kwargs": {"chanels": []}}}, "did you mean 'channels'?"),
     ],

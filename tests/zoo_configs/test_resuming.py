@@ -15,7 +15,7 @@ import pytest
 from stable_baselines3.common.save_util import load_from_zip_file
 
 from sb3_extensions.common import checkpoint
-from sb3_extensions.replay.expert import ExpertReplayBuffer
+from sb3_extensions.replay.buffer import ExpertReplayBuffer
 from sb3_extensions.sacfd import SACfD
 from zoo_configs.cli import main
 from zoo_configs.training.evaluation import PeriodicEvaluation
@@ -152,11 +152,16 @@ def test_a_damaged_model_is_told(
 def test_training_goes_on_from_a_model(train_tiny: Train, run_folder: Path, tmp_path: Path) -> None:
     """Of the same policy, with other hyperparameters: the discount, what is drawn from the buffer."""
     model = str(run_folder / "best_model.zip")
-    more = ["gamma:0.9", "n_steps:2", "replay_buffer_kwargs:{'expert_fraction':0.25}", "n_envs:2"]
+    more = [
+        "gamma:0.9",
+        "n_steps:2",
+        "replay_buffer_kwargs:{'sampler':{'shares':{'expert_fraction':0.25}}}",
+        "n_envs:2",
+    ]
     assert train_tiny(tmp_path, *more, "-i", model) == 0
     trained = SACfD.load(tmp_path / "sacfd" / RUN_NAME / "best_model.zip", device="cpu")
     assert (trained.gamma, trained.n_steps, trained.n_pretrained) == (0.9, 2, 2)
-    assert trained.replay_buffer_kwargs["expert_fraction"] == 0.25
+    assert trained.replay_buffer_kwargs["sampler"] == {"shares": {"expert_fraction": 0.25}}
 
 
 def test_a_replay_buffer_of_another_environment_is_left_out(
@@ -189,12 +194,12 @@ def test_a_model_with_an_augmentation_and_a_buffer_of_its_own_goes_on(
 
 
 def test_a_loaded_model_learns_with_another_buffer(run_folder: Path, toy_id: str) -> None:
-    env, other = gym.make(toy_id, obs_size=48), {"expert_fraction": 0.25}
+    env, other = gym.make(toy_id, obs_size=48), {"sampler": {"shares": {"expert_fraction": 0.25}}}
     file = run_folder / "best_model.zip"
     model = SACfD.load(file, env=env, device="cpu", replay_buffer_kwargs=other, gamma=0.5)
     model.learn(4)
     assert isinstance(model.replay_buffer, ExpertReplayBuffer)
-    assert (model.replay_buffer.expert_fraction, model.replay_buffer.gamma) == (0.25, 0.5)
+    assert (model.replay_buffer.sampler.expert_fraction, model.replay_buffer.gamma) == (0.25, 0.5)
 
 
 def test_a_model_of_another_policy_is_refused(

@@ -45,7 +45,7 @@ def test_updates_are_logged(run_folder: Path) -> None:
     assert log["timesteps"].tolist() == [0, 6, 12]  # the first is of the pretraining
     for name in ("value_expert", "entropy_expert", "critic_loss", "bc_loss"):
         assert np.isfinite(log[name]).all()
-    for name in ("value_own", "entropy_own"):
+    for name in ("value_online", "entropy_online"):
         assert np.isfinite(log[name]).tolist() == [False, True, True]
 
 

@@ -58,14 +58,14 @@ def estimate(cell: Cell, options: TrainingOptions, device: str) -> Cost:
 
 def _buffer_bytes(cell: Cell, steps: int) -> float:
     """What a run of so many time steps fills of its replay buffer; the rest takes no memory."""
-    from sb3_extensions.replay.buffer import FrameReplayBuffer
+    from sb3_extensions.replay.buffer import ExpertReplayBuffer
     from zoo_configs.training.manager import import_classes
 
     hyperparams = cell.hyperparams
     algorithm = register_algorithms()[cell.algo]
     wanted = hyperparams.get("replay_buffer_class")
     cls = class_from_path(wanted) if wanted else getattr(algorithm, "default_replay_buffer_class", None)
-    if cls is None or not issubclass(cls, FrameReplayBuffer):
+    if cls is None or not issubclass(cls, ExpertReplayBuffer):
         return 0.0
     kwargs: dict[str, Any] = dict(import_classes(hyperparams.get("replay_buffer_kwargs", {})))
     capacity, n_envs = int(hyperparams["buffer_size"]), int(hyperparams.get("n_envs", 1))
@@ -82,7 +82,7 @@ def _buffer_bytes(cell: Cell, steps: int) -> float:
             **kwargs,
         )
     shown = int(hyperparams.get("expert_episodes", 0)) * _longest_episode(cell)
-    return float(buffer.nbytes) * min(1.0, (steps + shown) * (1 + int(kwargs.get("copies", 0))) / capacity)
+    return float(buffer.table.nbytes) * min(1.0, (steps + shown) / capacity)
 
 
 def _hours(cell: Cell, options: TrainingOptions, steps: int, device: str) -> float | None:
@@ -105,7 +105,8 @@ def _updates(cell: Cell, steps: int) -> float:
     gathered = int(frequency) * int(hyperparams.get("n_envs", 1))
     gradient_steps = int(hyperparams.get("gradient_steps", 1))
     share = gathered if gradient_steps < 0 else gradient_steps
-    return float(hyperparams.get("pretrain_steps", 0)) + steps / gathered * share
+    before = sum(float(hyperparams.get(key, 0)) for key in ("pretrain_steps", "critic_warmup_steps"))
+    return before + steps / gathered * share
 
 
 def _longest_episode(cell: Cell) -> int:

@@ -13,8 +13,8 @@ from zoo_configs.cells.rules import Case, Family, Rule, families, family_of
 from zoo_configs.errors import CommandError, unknown_name
 
 OVERRIDES = "overrides"
-# Have an action sequence that follows the environment's.
-FOLLOWING = ("policy_kwargs", "replay_buffer_kwargs")
+FOLLOWING = ("policy_kwargs",)
+"""Arguments whose action sequence follows the environment's."""
 GRID = "policy_kwargs.codec_kwargs"
 # Arguments of a codec, and the environment's parameter that each follows.
 GRID_FOLLOWS = {"theta_bounds": "half_rotation", "workspace_size": "workspace"}

@@ -8,8 +8,9 @@ from typing import Any
 
 import gymnasium as gym
 
-from sb3_extensions.common.augmentation import make_augmentation
-from sb3_extensions.common.following import constructor_keys
+from sb3_extensions.common.env_metadata import constructor_keys
+from sb3_extensions.replay.augmentations import make_augmentation
+from sb3_extensions.replay.sampling import make_sampler
 from zoo_configs.algorithms import class_from_path, register_algorithms
 from zoo_configs.cells.cell import Cell
 from zoo_configs.cells.ranges import check_values
@@ -145,6 +146,8 @@ def _check_replay_buffer(algorithm: type[Any], hyperparams: Mapping[str, Any]) -
     if buffer is not None and isinstance(kwargs, Mapping):
         valid = constructor_keys(buffer) - set(getattr(algorithm, "own_buffer_arguments", ()))
         _check_names(f"replay_buffer_kwargs of {buffer.__name__}", kwargs, valid)
+        with refused("replay_buffer_kwargs"):
+            make_sampler(kwargs.get("sampler"))
 
 
 def _default(cls: type[Any], parameter: str) -> Any:

@@ -35,7 +35,7 @@ from zoo_configs.measuring.data_files import EXPERTS, DataFile, number
 from zoo_configs.measuring.provenance import env_kwargs_words, key_values, provenance
 
 if TYPE_CHECKING:
-    from sb3_extensions.demonstrations.collecting import Hand
+    from sb3_extensions.demonstrations.action_transforms import ActionTransform
 
 DESCRIPTION = """Check environments: Gymnasium's and Stable-Baselines3's own checks, equal episodes from equal
 seeds, equal steps from equal states in two environments, and how often the expert succeeds. Draws the start
@@ -231,7 +231,7 @@ def _moved_apart(first: Any, second: Any) -> str | None:
 
 
 def _watch_expert(env: gym.Env[Any, Any], args: argparse.Namespace) -> Experience:
-    hand = _snapping_hand(env) if args.snap else lambda action, _: action
+    transform = _grid_snapping(env) if args.snap else lambda action, _: action
     rng = np.random.default_rng(args.seed)
     successes, lengths, frames = 0, [], []
     for episode in trange(args.episodes, unit="episode", disable=hides_progress(args.progress)):
@@ -240,7 +240,7 @@ def _watch_expert(env: gym.Env[Any, Any], args: argparse.Namespace) -> Experienc
             frames.append(_frame(env, observation, "start"))
         steps, over = 0, False
         while not over:
-            observation, _, terminated, truncated, info = env.step(hand(_expert(env)(), rng))
+            observation, _, terminated, truncated, info = env.step(transform(_expert(env)(), rng))
             steps, over = steps + 1, terminated or truncated
         if info["is_success"]:
             successes += 1
@@ -251,17 +251,17 @@ def _watch_expert(env: gym.Env[Any, Any], args: argparse.Namespace) -> Experienc
     return Experience(successes, lengths, frames)
 
 
-def _snapping_hand(env: gym.Env[Any, Any]) -> Hand:
-    """What carries the expert's actions out on the grid, over the heightmap that the environment shows."""
+def _grid_snapping(env: gym.Env[Any, Any]) -> ActionTransform:
+    """Return the transformation of the expert's actions to the grid over the heightmap."""
     from sb3_extensions.common.codec import DEFAULT_SEQUENCE, SpatialActionCodec
-    from sb3_extensions.demonstrations.snapping import SnappingHand
+    from sb3_extensions.demonstrations.action_transforms import GridSnapping
     from sb3_extensions.networks.views import SceneView
 
     config: Any = getattr(env.unwrapped, "config", None)
     sequence = getattr(config, "action_sequence", DEFAULT_SEQUENCE)
     try:
         size = SceneView(env.observation_space).size
-        return SnappingHand(env.action_space, SpatialActionCodec(size, sequence))
+        return GridSnapping(env.action_space, SpatialActionCodec(size, sequence))
     except ValueError as error:
         raise CommandError(f"--snap: {error}") from error
 

@@ -32,17 +32,19 @@ BLANKS: dict[str, Any] = {
     "expert_data": None,
     "start_time": 0,
     "verbose": 0,
-    "learning_rate": 0.0,
-    "clip_range": 0.0,
-    "clip_range_vf": None,
 }
-SCHEDULES = ("lr_schedule", "exploration_schedule")  # made anew by who loads
+CONSTANTS = ("learning_rate", "clip_range")
+"""Schedules that are stored by their first value, because a function can contain paths of the machine."""
+SCHEDULES = ("lr_schedule", "exploration_schedule")  # created by load()
+TARGETS = {"critic_target": "critic", "q_net_target": "q_net", "actor_target": "actor"}
+"""Target networks, stored as the networks that they follow."""
 
 
 def save_compact(model: BaseAlgorithm, path: Path, half: bool = True) -> str:
     """
-    Write the part of an agent that acts: no optimizer's state, and neither critic nor target network unless
-    actions come from them. Parameters that are left out are NaN in who loads the file.
+    Write an agent without the states of its optimizers. The loaded agent acts and trains further.
+
+    Target networks are stored as the networks that they follow. An actor with an average is stored as its average.
 
     :param model: The agent
     :param path: The file, ``.zip``
@@ -50,12 +52,13 @@ def save_compact(model: BaseAlgorithm, path: Path, half: bool = True) -> str:
     :return: What the weights are stored as
     """
     params = {name: _without_state(state) for name, state in model.get_parameters().items()}
-    weights = acting_weights(model.policy, half)
+    weights = stored_weights(model.policy, half)
     params[POLICY] = weights
     names, variables = model._get_torch_save_params()
     left_out = (*model._excluded_save_params(), *names, *variables, *SCHEDULES)
     data = {name: value for name, value in vars(model).items() if name not in _roots(left_out)}
     data.update({name: value for name, value in BLANKS.items() if name in data})
+    data.update({name: _initial(data[name]) for name in CONSTANTS if name in data})
     data.update({name: _unseeded(data[name]) for name in ("observation_space", "action_space")})
     if type(model).__module__.split(".")[0] not in _our_packages() and "buffer_size" in data:
         data["buffer_size"] = 1  # ours allocate nothing before their first transition
@@ -65,50 +68,43 @@ def save_compact(model: BaseAlgorithm, path: Path, half: bool = True) -> str:
     return ", ".join(sorted({SMALLER[t.dtype] for t in weights.values() if t.dtype in SMALLER})) or "float32"
 
 
-def acting_weights(policy: nn.Module, half: bool) -> dict[str, th.Tensor]:
+def stored_weights(policy: nn.Module, half: bool) -> dict[str, th.Tensor]:
     """
-    Parameters and buffers of a policy under all their names.
+    Return the parameters and buffers of a policy under all their names.
 
     :param policy: The policy
     :param half: Whether to halve those of two and more dimensions
-    :return: What acts; the others NaN, without a storage of their own size
+    :return: Tensors; shared parameters and target networks share their storage
     """
-    actor = _actor(policy)
     state = _with_average(policy)
-    kept = {id(tensor) for tensor in actor.state_dict(keep_vars=True).values()}
-    computed_in_bf16 = {id(weight) for weight in _bf16_weights(actor)}
-    known: dict[int, th.Tensor] = {}  # shared parameters stay shared
+    computed_in_bf16 = {id(weight) for weight in _bf16_weights(policy)}
+    known: dict[int, th.Tensor] = {}
     for tensor in state.values():
-        key = id(tensor)
-        dtype = th.bfloat16 if key in computed_in_bf16 else th.float16
-        if key not in known:
-            known[key] = _shrunk(tensor.detach(), dtype, half) if key in kept else _absent(tensor)
+        dtype = th.bfloat16 if id(tensor) in computed_in_bf16 else th.float16
+        if id(tensor) not in known:
+            known[id(tensor)] = _shrunk(tensor.detach(), dtype, half)
     return {name: known[id(tensor)] for name, tensor in state.items()}
 
 
-def _actor(policy: nn.Module) -> nn.Module:
-    """The part of a policy that actions come from."""
-    for name in (AVERAGE, ACTOR, "q_net"):
-        if isinstance(part := getattr(policy, name, None), nn.Module):
-            return part
-    return policy
-
-
 def _with_average(policy: nn.Module) -> dict[str, th.Tensor]:
-    """Parameters and buffers of a policy, those of the actor as the average by which it acts, if it does."""
+    """Return the state of a policy with the average for the actor, and online for target networks."""
     state: dict[str, th.Tensor] = policy.state_dict(keep_vars=True)
+    for target, online in TARGETS.items():
+        names = [name for name in state if name.startswith(f"{target}.")]
+        state.update({name: state[online + name.removeprefix(target)] for name in names})
     if getattr(policy, AVERAGE, None) is None:
         return state
     own, averaged = (
-        policy.get_submodule(name).state_dict(keep_vars=True).values() for name in (ACTOR, AVERAGE)
+        policy.get_submodule(name).state_dict(keep_vars=True).values()
+        for name in (ACTOR, f"{AVERAGE}.module")
     )
     in_its_place = {id(tensor): other for tensor, other in zip(own, averaged, strict=True)}
     return {name: in_its_place.get(id(tensor), tensor) for name, tensor in state.items()}
 
 
-def _bf16_weights(actor: nn.Module) -> Iterator[th.Tensor]:
-    """Weights that are rounded to bfloat16 whenever they are used: to store them so changes nothing."""
-    for part in actor.modules():
+def _bf16_weights(policy: nn.Module) -> Iterator[th.Tensor]:
+    """Yield weights that are rounded to bfloat16 whenever they are used."""
+    for part in policy.modules():
         if getattr(part, "autocast", None) == "bf16":
             yield from (m.weight for m in part.modules() if isinstance(m, nn.Linear | nn.Conv2d))
 
@@ -121,10 +117,9 @@ def _shrunk(tensor: th.Tensor, dtype: th.dtype, half: bool) -> th.Tensor:
     return smaller if smaller.isfinite().all() else tensor
 
 
-def _absent(tensor: th.Tensor) -> th.Tensor:
-    """A tensor of the same shape, of one number."""
-    value = th.nan if tensor.is_floating_point() else 0
-    return th.full((), value, dtype=tensor.dtype).expand(tensor.shape)
+def _initial(schedule: Any) -> Any:
+    """Return the first value of a schedule, a number as it is."""
+    return float(schedule(1.0)) if callable(schedule) else schedule
 
 
 def _without_state(state: dict[str, Any]) -> dict[str, Any]:

@@ -129,7 +129,7 @@ def check_space(space: tuple[Parameter, ...], algorithm: type[Any]) -> None:
     :param algorithm: Class of the algorithm
     :raises CommandError: for a hyperparameter that it does not have
     """
-    from sb3_extensions.common.following import constructor_keys
+    from sb3_extensions.common.env_metadata import constructor_keys
     from zoo_configs.cells.validation import MANAGER_KEYS
 
     valid = {*MANAGER_KEYS, *constructor_keys(algorithm)}

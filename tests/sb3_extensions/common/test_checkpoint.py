@@ -22,8 +22,6 @@ from sb3_extensions.common.checkpoint import (
     resume,
     save_checkpoint,
 )
-from sb3_extensions.replay.prioritized import PrioritizedReplayBuffer
-from sb3_extensions.replay.rotated import PrioritizedRotatedReplayBuffer
 from sb3_extensions.sacfd import SACfD
 from sb3_extensions.spatial_dqn import ADET, SDQfD
 from sb3_extensions.tqcfd import TQCfD
@@ -82,18 +80,17 @@ def assert_equal_trees(first: Any, second: Any) -> None:
         {"learning_starts": 40},
         {"action_noise": NormalActionNoise(np.zeros(5), np.full(5, 0.1))},
         {
-            "replay_buffer_class": PrioritizedRotatedReplayBuffer,
-            "replay_buffer_kwargs": {"copies": 1},
+            "replay_buffer_kwargs": {"sampler": "prioritized"},
+            "augmentation": "rotation",
             "n_steps": 2,
         },
         {"algorithm": TQCfD},
         {"augmentation": "drq"},
-        {"dagger": True},
         {
-            "dagger": True,
-            "algorithm": TQCfD,
-            "replay_buffer_class": PrioritizedRotatedReplayBuffer,
-            "replay_buffer_kwargs": {"copies": 1},
+            "replay_buffer_kwargs": {"sampler": {"shares": {"success_fraction": 0.2}}},
+            "self_imitation_temperature": 0.1,
+            "exploration": 0.2,
+            "deterministic_fraction": 0.3,
         },
         {"augmentation": {"rad": {"size": 12}}},
     ],
@@ -125,11 +122,7 @@ def test_resumed_run_equals_uninterrupted_run(
     [
         {"exploration_initial_eps": 0.5, "exploration_final_eps": 0.2, "rigid_augmentation": True},
         {"learning_starts": 10, "algorithm": ADET, "sequence": "pxyzrrr"},
-        {
-            "replay_buffer_class": PrioritizedReplayBuffer,
-            "replay_buffer_kwargs": {"expert_fraction": None},
-            "n_steps": 2,
-        },
+        {"replay_buffer_kwargs": {"sampler": "prioritized"}, "n_steps": 2},
     ],
 )
 def test_resumed_spatial_run_equals_uninterrupted_run(

@@ -7,11 +7,11 @@ import pytest
 from gymnasium import spaces
 
 from sb3_extensions.common.codec import SpatialActionCodec
-from sb3_extensions.demonstrations.collecting import collect_episodes, make_expert_env
-from sb3_extensions.demonstrations.noise import UnsteadyHand
-from sb3_extensions.demonstrations.snapping import SnappingHand
+from sb3_extensions.demonstrations.action_transforms import GaussianExpertNoise, GridSnapping
+from sb3_extensions.demonstrations.collection import collect_episodes
+from sb3_extensions.demonstrations.expert_envs import make_expert_envs
 from sb3_extensions.demonstrations.source import DemonstrationSource
-from sb3_extensions.replay.expert import ExpertReplayBuffer
+from sb3_extensions.replay.buffer import ExpertReplayBuffer
 
 CODEC = SpatialActionCodec(24, "pxyr", num_rotations=4)
 
@@ -24,35 +24,35 @@ CODEC = SpatialActionCodec(24, "pxyr", num_rotations=4)
     ],
 )
 def test_nearest_actions_in_the_units_of_the_environment(space: Any) -> None:
-    hand, rng = SnappingHand(space, CODEC), np.random.default_rng(0)
+    transform, rng = GridSnapping(space, CODEC), np.random.default_rng(0)
     space.seed(0)
     for _ in range(50):
         wanted = space.sample()
-        done = hand(wanted, rng)
+        done = transform(wanted, rng)
         assert space.contains(done) and done.dtype == space.dtype
         share = (wanted - space.low) / (space.high - space.low)
         expected = CODEC.snap(2 * share[None] - 1)[0]
         np.testing.assert_allclose(2 * (done - space.low) / (space.high - space.low) - 1, expected, atol=1e-6)
-        np.testing.assert_allclose(hand(done, rng), done, atol=1e-6)
-    beyond = hand(space.high + 1, rng)
-    np.testing.assert_array_equal(beyond, hand(space.high, rng))
+        np.testing.assert_allclose(transform(done, rng), done, atol=1e-6)
+    beyond = transform(space.high + 1, rng)
+    np.testing.assert_array_equal(beyond, transform(space.high, rng))
 
 
 def test_a_hand_before_it_is_snapped_too() -> None:
     space = spaces.Box(-1.0, 1.0, (4,), np.float32)
-    hand = SnappingHand(space, CODEC, UnsteadyHand(space, 0.2))
+    transform = GridSnapping(space, CODEC, GaussianExpertNoise(space, 0.2))
     wanted, rng = np.array([-1.0, 0.1, 0.2, 0.3], np.float32), np.random.default_rng(0)
-    done = np.stack([hand(wanted, rng) for _ in range(30)])
+    done = np.stack([transform(wanted, rng) for _ in range(30)])
     np.testing.assert_array_equal(CODEC.snap(done), done)
     assert len(np.unique(done, axis=0)) > 10
 
 
 def test_the_expert_goes_on_from_what_comes_of_it(make_picking: Any) -> None:
     """What is stored was carried out, what was wanted is beside it, and only what succeeded so is kept."""
-    env = make_expert_env(make_picking(size=24, max_steps=2))
+    [(env, _)] = make_expert_envs(make_picking(size=24, max_steps=2))
     few = SpatialActionCodec(24, "pxyr", num_rotations=2)  # too few to grip some bars
-    hand = SnappingHand(env.action_space, few)
-    episodes = list(collect_episodes(env, 8, seed=0, hand=hand, progress_bar=False))
+    transform = GridSnapping(env.action_space, few)
+    episodes = list(collect_episodes(env, 8, seed=0, action_transform=transform, progress_bar=False))
     freely = list(collect_episodes(env, 8, seed=0, progress_bar=False))
     assert [episode.seed for episode in episodes] != [episode.seed for episode in freely]  # some failed
     for episode in episodes:
@@ -61,9 +61,10 @@ def test_the_expert_goes_on_from_what_comes_of_it(make_picking: Any) -> None:
         assert (episode.expert_actions[:, 1:3] != episode.actions[:, 1:3]).all()
         assert episode.rewards.tolist() == [0.0, 1.0] and episode.terminations[-1]
         # The in-hand image is of the place on the grid
-        env.reset(seed=episode.seed)
-        seen = env.step(episode.actions[0])[0]
-        np.testing.assert_array_equal(seen["in_hand"], episode.observations["in_hand"][1])
+        env.seed(episode.seed)
+        env.reset()
+        observed = env.step(episode.actions[:1])[0]
+        np.testing.assert_array_equal(observed["in_hand"][0], episode.observations["in_hand"][1])
 
 
 def test_a_source_carries_out_on_its_grid(make_picking: Any) -> None:
@@ -72,7 +73,7 @@ def test_a_source_carries_out_on_its_grid(make_picking: Any) -> None:
     for snap in (None, CODEC):
         buffer = ExpertReplayBuffer(100, env.observation_space, env.action_space, gamma=0.9, seed=0)
         DemonstrationSource(5, snap=snap).fill(buffer, env, 0, rescale=lambda actions: actions)
-        buffers.append(buffer.table["action"][: buffer.expert_size])
+        buffers.append(buffer.steps("action")[: buffer.expert_size])
     free, snapped = buffers
     np.testing.assert_array_equal(CODEC.snap(snapped), snapped)
     assert not np.array_equal(CODEC.snap(free), free)
@@ -80,5 +81,5 @@ def test_a_source_carries_out_on_its_grid(make_picking: Any) -> None:
 
 @pytest.mark.parametrize("space", [spaces.Discrete(4), spaces.Box(-np.inf, np.inf, (4,))])
 def test_spaces_without_ranges(space: Any) -> None:
-    with pytest.raises(ValueError, match="an action space with ranges, a Box, got"):
-        SnappingHand(space, CODEC)
+    with pytest.raises(ValueError, match="action_space must be a bounded Box, got"):
+        GridSnapping(space, CODEC)

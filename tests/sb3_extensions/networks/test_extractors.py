@@ -10,7 +10,7 @@ from sb3_extensions.networks.encoders import CnnEncoder, EquivariantEncoder, Sma
 from sb3_extensions.networks.extractors import CnnExtractor, EquivariantExtractor
 from sb3_extensions.networks.groups import Group
 from sb3_extensions.networks.stacked_image import StackedImage
-from sb3_extensions.replay.buffer import FrameReplayBuffer
+from sb3_extensions.replay.buffer import ExpertReplayBuffer
 from sb3_extensions.replay.quantisation import Quantiser
 
 SIZE = 16
@@ -292,7 +292,7 @@ def test_scenes_turn_and_small_images_stay(output):
 def test_open_loop_observations(algorithm, extractor_class, kwargs):
     settings = {"n_steps": 4, "n_epochs": 1}
     if algorithm is SAC:
-        settings = {"learning_starts": 4, "buffer_size": 16, "replay_buffer_class": FrameReplayBuffer}
+        settings = {"learning_starts": 4, "buffer_size": 16, "replay_buffer_class": ExpertReplayBuffer}
     model = algorithm(
         "MultiInputPolicy",
         "bulletarm_gym:BulletArm/OpenLoopBlockStacking-v0",

@@ -13,10 +13,7 @@ from stable_baselines3 import SAC
 from stable_baselines3.common.torch_layers import CombinedExtractor, FlattenExtractor
 from stable_baselines3.common.vec_env import VecNormalize
 
-from sb3_extensions.replay.buffer import EXPERT_ACTION, EXPLORED, FrameReplayBuffer
-from sb3_extensions.replay.expert import ExpertReplayBuffer
-from sb3_extensions.replay.frames import PinnedRing
-from sb3_extensions.replay.prioritized import PrioritizedReplayBuffer
+from sb3_extensions.replay.buffer import EXPERT_ACTION, EXPLORED, ExpertReplayBuffer
 
 HEIGHT = 0.4
 OBSERVATION_SPACE = spaces.Dict(
@@ -27,11 +24,13 @@ OBSERVATION_SPACE = spaces.Dict(
 )
 ACTION_SPACE = spaces.Box(-1, 1, (3,), np.float32)
 GAMMA = 0.9
-both_buffers = pytest.mark.parametrize("cls", [ExpertReplayBuffer, PrioritizedReplayBuffer])
+both_samplers = pytest.mark.parametrize("sampler", ["uniform", "prioritized"])
 
 
-def make_buffer(cls: type = ExpertReplayBuffer, size: int = 50, n_envs: int = 1, **kwargs: Any) -> Any:
-    return cls(size, OBSERVATION_SPACE, ACTION_SPACE, device="cpu", n_envs=n_envs, seed=0, **kwargs)
+def make_buffer(size: int = 50, n_envs: int = 1, **kwargs: Any) -> ExpertReplayBuffer:
+    return ExpertReplayBuffer(
+        size, OBSERVATION_SPACE, ACTION_SPACE, device="cpu", n_envs=n_envs, seed=0, **kwargs
+    )
 
 
 def observe(ids: np.ndarray) -> dict[str, np.ndarray]:
@@ -63,7 +62,10 @@ class Player:
         action = self.rng.uniform(-1, 1, (self.n_envs, 3)).astype(np.float32)
         reward = self.rng.random(self.n_envs).astype(np.float32)
         explored = self.rng.random(self.n_envs) < p_explore
-        infos: list[dict[str, Any]] = [{"TimeLimit.truncated": bool(t)} for t in truncated]
+        infos: list[dict[str, Any]] = [
+            {"TimeLimit.truncated": bool(t), "is_success": bool(r > 0.5)}
+            for t, r in zip(truncated, reward, strict=True)
+        ]
         for info in (info for info, flag in zip(infos, explored, strict=True) if flag):
             info[EXPLORED] = True
         self.buffer.add(observe(self.obs), observe(next_obs), action, reward, done, infos)
@@ -77,6 +79,7 @@ class Player:
                 "done": done[i],
                 "explored": explored[i],
                 "successor": None,
+                "success": bool(done[i] and reward[i] > 0.5),
             }
             if (latest := self.latest[i]) is not None:
                 latest["successor"] = transition
@@ -96,42 +99,40 @@ def sampled_ids(tensors: dict[str, th.Tensor]) -> np.ndarray:
     return tensors["number"][:, 0].numpy().astype(int)
 
 
-def test_pinned_ring_keeps_pinned_and_latest() -> None:
-    ring = PinnedRing(capacity=7, min_ring=2)
-    pinned = ring.pin(3)
-    kept = [ring.append(1).item() for _ in range(10)][-4:]
-    assert len(ring) == 7
-    ids = ring.ids(np.arange(7))
-    assert ids.tolist() == [*pinned, *kept]
-    assert sorted(ring.slots(ids)) == list(range(7))
-    np.testing.assert_array_equal(ring.ids_in(ring.slots(ids)), ids)
-    with pytest.raises(ValueError, match="before the first"):
-        ring.pin(1)
-    with pytest.raises(ValueError, match="do not fit"):
-        PinnedRing(capacity=7, min_ring=2).pin(6)
+def find_kept(player: Player, size: int) -> dict[int, dict[str, Any]]:
+    """Return the latest steps of each environment that fit into a ring of ``size`` rows."""
+    kept: dict[int, dict[str, Any]] = {}
+    for env in range(player.n_envs):
+        steps = player.transitions[env :: player.n_envs]
+        rows = 1  # of the last observation
+        for step in reversed(steps):
+            # The row after the end of an episode is free until its next step.
+            rows += 2 if step["done"] and step is not steps[-1] else 1
+            if rows > size:
+                break
+            kept[step["obs"]] = step
+    return kept
 
 
-@both_buffers
+@both_samplers
 @pytest.mark.parametrize("n_envs", [1, 3])
 @pytest.mark.parametrize("n_steps", [1, 3])
 @pytest.mark.parametrize("p_explore", [0.0, 0.3])
-def test_samples_equal_a_slow_reference(cls: type, n_envs: int, n_steps: int, p_explore: float) -> None:
-    size = 40 * n_envs + 1
-    kwargs = {"n_steps": n_steps, "gamma": GAMMA, "frames_per_transition": 2}
-    buffer = make_buffer(cls, size, n_envs, **kwargs)
+def test_samples_equal_a_slow_reference(sampler: str, n_envs: int, n_steps: int, p_explore: float) -> None:
+    buffer = make_buffer(40 * n_envs + 1, n_envs, n_steps=n_steps, gamma=GAMMA, sampler=sampler)
     player = Player(buffer)
     for _ in range(200):  # several times around
         player.step(p_explore=p_explore)
-    assert buffer.size() == size
-    reference = {t["obs"]: t for t in player.transitions[-buffer.size() :]}
+    reference = find_kept(player, buffer.table.ring_length)
+    assert buffer.size() == len(reference) > 20 * n_envs
     samples = buffer.sample(2000)
-    seen = sampled_ids(samples.observations)
-    assert set(seen) == set(reference)  # nothing else, and nothing left out
-    for k, obs in enumerate(seen):
+    observed = sampled_ids(samples.observations)
+    assert set(observed) == set(reference)
+    for k, obs in enumerate(observed):
         first = last = reference[obs]
         reward, discount = first["reward"], GAMMA
         while last["successor"] is not None and discount > GAMMA**n_steps * 1.001:
-            if last["successor"]["explored"]:  # what luck brought is no merit of what was chosen before
+            if last["successor"]["explored"]:
                 break
             last = last["successor"]
             reward, discount = reward + discount * last["reward"], discount * GAMMA
@@ -140,20 +141,30 @@ def test_samples_equal_a_slow_reference(cls: type, n_envs: int, n_steps: int, p_
         np.testing.assert_allclose(samples.rewards[k].item(), reward, rtol=1e-5)
         np.testing.assert_allclose(samples.discounts[k].item(), discount, rtol=1e-5)
         np.testing.assert_array_equal(samples.actions[k], first["action"])
+        assert samples.succeeded[k].item() == leads_to_success(first)
 
 
-def test_frames_are_shared() -> None:
+def leads_to_success(step: dict[str, Any]) -> bool:
+    """Whether the episode succeeded without an exploratory action after a step."""
+    while (after := step["successor"]) is not None:
+        if after["explored"]:
+            return False
+        step = after
+    return bool(step["success"])
+
+
+def test_each_observation_is_stored_once() -> None:
     buffer = make_buffer(size=50, n_envs=2)
     player = Player(buffer)
     for _ in range(10):
         player.step(0, 0)
-    assert buffer.frames.ring.end == 2 * 11
+    assert buffer.table.heads.tolist() == [10, 35]
     player.step(1, 0)
     player.step(0, 0)
-    assert buffer.frames.ring.end == 2 * 14  # a last frame for each episode that ended
+    assert buffer.table.heads.tolist() == [13, 38]  # one row more for the end of the episode
 
 
-def test_reset_in_the_middle_of_an_episode_breaks_it() -> None:
+def test_reset_in_the_middle_of_an_episode_ends_it() -> None:
     buffer = make_buffer(n_steps=3, gamma=GAMMA)
     player = Player(buffer)
     player.step(0, 0)
@@ -165,26 +176,30 @@ def test_reset_in_the_middle_of_an_episode_breaks_it() -> None:
     np.testing.assert_allclose(samples.discounts.numpy(), GAMMA, rtol=1e-6)
 
 
-def test_short_episodes_drop_the_oldest_rows_only() -> None:
-    buffer = make_buffer(size=40)
-    player = Player(buffer)
-    for _ in range(300):
-        player.step(p_terminate=0.9)
-    assert 20 <= buffer.size() < 40  # one frame of its own for nearly every transition
-    expected = {(t["obs"], t["next"]) for t in player.transitions[-buffer.size() :]}
-    samples = buffer.sample(500)
-    seen = zip(sampled_ids(samples.observations), sampled_ids(samples.next_observations), strict=True)
-    assert set(seen) == expected
-    roomy = make_buffer(size=40, frames_per_transition=2)
-    player = Player(roomy)
-    for _ in range(300):
-        player.step(p_terminate=1)
-    assert roomy.size() == 40
+def test_memory_of_100_000_steps_of_128_pixels(caplog: pytest.LogCaptureFixture) -> None:
+    space = spaces.Dict(
+        {
+            "heightmap": spaces.Box(0.0, 0.4, (1, 128, 128), np.float32),
+            "holding": spaces.Box(0.0, 1.0, (1,), np.float32),
+        }
+    )
+    buffer = ExpertReplayBuffer(109_000, space, spaces.Box(-1, 1, (5,)), n_envs=5)
+    assert buffer.table.nbytes < 1.8e9
+    assert not buffer.table.is_allocated
 
 
-@both_buffers
-def test_expert_rows_are_never_overwritten(cls: type) -> None:
-    buffer = make_buffer(cls, size=30)
+def test_memory_beyond_what_is_free_is_logged(
+    caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    memory = type("Memory", (), {"available": 1000})
+    monkeypatch.setattr("sb3_extensions.replay.buffer.psutil.virtual_memory", lambda: memory)
+    Player(make_buffer()).step()
+    assert any(record.levelname == "WARNING" for record in caplog.records)
+
+
+@both_samplers
+def test_expert_rows_are_never_overwritten(sampler: str) -> None:
+    buffer = make_buffer(size=30, sampler=sampler)
     buffer.add_episode(*expert_episode(4, first=100))
     buffer.add_episode(*expert_episode(3, first=200))
     player = Player(buffer)
@@ -198,7 +213,7 @@ def test_expert_rows_are_never_overwritten(cls: type) -> None:
         assert seen == expert
         assert (samples.actions[samples.is_expert[:, 0]] == 0.5).all()
         assert (samples.expert_actions[samples.is_expert[:, 0]] == 0.5).all()
-        assert samples.expert_actions[~samples.is_expert[:, 0]].isnan().all()  # nobody was asked
+        assert samples.expert_actions[~samples.is_expert[:, 0]].isnan().all()
         assert (sampled_ids(samples.observations)[~is_expert] >= 1000).all()
     assert buffer.expert_size == 7
 
@@ -217,26 +232,9 @@ def test_what_an_expert_would_have_done() -> None:
     assert not samples.is_expert.any()
 
 
-def test_expert_fraction() -> None:
-    buffer = make_buffer(size=60, expert_fraction=0.5)
-    buffer.add_episode(*expert_episode(3))
-    assert buffer.sample(16).is_expert.all()  # nothing else there yet
-    player = Player(buffer)
-    for _ in range(40):
-        player.step()
-    assert buffer.sample(16).is_expert.sum() == 8
-    uniform = make_buffer(size=60)
-    uniform.add_episode(*expert_episode(10))
-    player = Player(uniform)
-    for _ in range(40):
-        player.step()
-    share = uniform.sample(20_000).is_expert.float().mean().item()
-    assert abs(share - 10 / 50) < 0.01
-
-
 def test_expert_episodes_come_first_and_fit() -> None:
     buffer = make_buffer(size=20)
-    with pytest.raises(ValueError, match="do not fit"):
+    with pytest.raises(ValueError, match="buffer_size must be at least 24 for the demonstrations, got 20"):
         buffer.add_episode(*expert_episode(20))
     observations, actions, rewards, terminations = expert_episode(4)
     with pytest.raises(ValueError, match="rewards"):
@@ -264,16 +262,16 @@ def test_quantisation_error_is_at_most_half_a_step(dtype: str, levels: int) -> N
     assert np.abs(sample.numpy() - image).max() <= HEIGHT / levels / 2 * 1.001
 
 
-def test_timeouts_bootstrap_unless_told_otherwise() -> None:
+def test_timeouts_bootstrap_by_default() -> None:
     for handle, expected in [(True, 0.0), (False, 1.0)]:
         buffer = make_buffer(handle_timeout_termination=handle)
         Player(buffer).step(p_terminate=0, p_truncate=1)
         assert buffer.sample(1).dones.item() == expected
 
 
-@both_buffers
-def test_same_seed_same_samples_and_pickle(cls: type) -> None:
-    buffers = [make_buffer(cls, size=20, n_steps=2, gamma=GAMMA) for _ in range(2)]
+@both_samplers
+def test_same_seed_same_samples_and_pickle(sampler: str) -> None:
+    buffers = [make_buffer(size=20, n_steps=2, gamma=GAMMA, sampler=sampler) for _ in range(2)]
     for buffer in buffers:
         buffer.add_episode(*expert_episode(4))
         player = Player(buffer)
@@ -287,23 +285,10 @@ def test_same_seed_same_samples_and_pickle(cls: type) -> None:
                 *(x.values() if isinstance(x, dict) else [x] for x in (ours, theirs)), strict=True
             ):
                 np.testing.assert_array_equal(a, b)
-    assert copy.frames.data["image"].shape == buffers[0].frames.data["image"].shape
-
-
-def test_a_pickle_of_an_earlier_version_tells_nothing_of_exploration() -> None:
-    buffer = make_buffer(n_steps=3, gamma=GAMMA)
-    player = Player(buffer)
+    player = Player(copy, seed=1)
     for _ in range(30):
         player.step()
-    state = buffer.__getstate__()
-    del state["table"]["explored"]
-    earlier = object.__new__(ExpertReplayBuffer)
-    earlier.__setstate__(pickle.loads(pickle.dumps(state)))
-    samples = [each.sample(50) for each in (buffer, earlier)]
-    np.testing.assert_array_equal(*(each.rewards for each in samples))
-    player.buffer = earlier
-    player.step(p_explore=1.0)
-    assert earlier.table["explored"].sum() == 1
+    assert copy.sample(50).is_expert.any()
 
 
 def test_pickle_holds_only_what_is_used() -> None:
@@ -318,7 +303,7 @@ def test_reset_forgets_everything() -> None:
     Player(buffer).step()
     buffer.reset()
     assert buffer.size() == 0
-    with pytest.raises(ValueError, match="empty"):
+    with pytest.raises(ValueError, match="at least one step, got 0"):
         buffer.sample(1)
     buffer.add_episode(*expert_episode(2))
     assert set(sampled_ids(buffer.sample(20).observations)) == {100, 101}
@@ -330,8 +315,11 @@ def test_reset_forgets_everything() -> None:
         ({"n_steps": 0}, "n_steps"),
         ({"n_steps": 3}, "gamma"),
         ({"optimize_memory_usage": True}, "optimize_memory_usage"),
-        ({"frames_per_transition": 0.5}, "frames_per_transition"),
-        ({"expert_fraction": 1.5}, "expert_fraction"),
+        (
+            {"sampler": {"shares": {"expert_fraction": 1.5}}},
+            "expert_fraction must be between 0 and 1, got 1.5",
+        ),
+        ({"sampler": "best"}, "sampler must be None, one of uniform, shares, prioritized, .* got 'best'"),
         ({"image_dtype": "float32"}, "dtype"),
         ({"size": 1}, "buffer_size"),
     ],
@@ -344,7 +332,7 @@ def test_bad_arguments(kwargs: dict[str, Any], message: str) -> None:
 def test_other_observation_spaces_are_refused() -> None:
     for space in (spaces.Discrete(3), spaces.Dict({"a": spaces.Discrete(3)})):
         with pytest.raises(ValueError, match="Box"):
-            FrameReplayBuffer(10, space, ACTION_SPACE)
+            ExpertReplayBuffer(10, space, ACTION_SPACE)
 
 
 @pytest.mark.parametrize(
@@ -363,7 +351,7 @@ def test_serves_stock_algorithms(algorithm: Any, policy: Any, n_envs: int, make_
             buffer_size=30,
             batch_size=8,
             gamma=0.8,
-            replay_buffer_class=FrameReplayBuffer,
+            replay_buffer_class=ExpertReplayBuffer,
             policy_kwargs={"net_arch": [8], "features_extractor_class": extractor},
             seed=0,
         )
@@ -376,7 +364,7 @@ def test_serves_stock_algorithms(algorithm: Any, policy: Any, n_envs: int, make_
 
 def test_vec_normalize(make_toy: Any) -> None:
     env = VecNormalize(make_toy(), norm_obs_keys=["heightmap"])
-    model = SAC("MultiInputPolicy", env, learning_starts=10, replay_buffer_class=FrameReplayBuffer, seed=0)
+    model = SAC("MultiInputPolicy", env, learning_starts=10, replay_buffer_class=ExpertReplayBuffer, seed=0)
     model.learn(30)
     raw = model.replay_buffer.sample(20).observations["heightmap"]
     model.replay_buffer.seed(1)

@@ -9,7 +9,7 @@ import torch as th
 
 from sb3_extensions.common.codec import SpatialActionCodec
 from sb3_extensions.networks.projections import rotation_matrices
-from sb3_extensions.replay.samples import FrameReplayBufferSamples
+from sb3_extensions.replay.samples import ExpertReplayBufferSamples
 from sb3_extensions.spatial_dqn.augmentation import SHIFT, RigidMotion
 
 SIZE, YAWS = 20, 6
@@ -29,7 +29,7 @@ def random_indices(motion: RigidMotion, low: int = 0, high: int = SIZE, count: i
     return th.stack([*pixels, *shape[2:]], dim=1)
 
 
-def make_samples(heightmaps: th.Tensor, after: th.Tensor | None = None) -> FrameReplayBufferSamples:
+def make_samples(heightmaps: th.Tensor, after: th.Tensor | None = None) -> ExpertReplayBufferSamples:
     count, generator = len(heightmaps), th.Generator().manual_seed(2)
     numbers = [th.rand(count, 1, generator=generator) for _ in range(9)]
     first, second = (
@@ -40,7 +40,7 @@ def make_samples(heightmaps: th.Tensor, after: th.Tensor | None = None) -> Frame
         }
         for images in (heightmaps, heightmaps if after is None else after)
     )
-    return FrameReplayBufferSamples(first, numbers[0], second, *numbers[1:])  # type: ignore[arg-type]
+    return ExpertReplayBufferSamples(first, numbers[0], second, *numbers[1:])  # type: ignore[arg-type]
 
 
 def move(motion: RigidMotion, samples: Any, indices: th.Tensor, seed: int = 0) -> tuple[Any, th.Tensor]:

@@ -7,7 +7,8 @@ import pytest
 import torch as th
 
 from sb3_extensions.common.exploration import EXPLORED_HEIGHT, explore_on_grid
-from sb3_extensions.demonstrations.collecting import collect_episodes, make_expert_env
+from sb3_extensions.demonstrations.collection import collect_episodes
+from sb3_extensions.demonstrations.expert_envs import make_expert_envs
 from sb3_extensions.spatial_dqn import SpatialDQN
 
 
@@ -38,7 +39,7 @@ def test_exploration_stays_on_the_grid(
     kwargs = {"expert_episodes": 0, "learning_starts": 40, "exploration_initial_eps": 0.5}
     env = make_picking(2, size=24, low=low, high=high)
     model = make_model(env=env, exploration_final_eps=0.5, gradient_steps=0, **kwargs).learn(80)
-    actions = model.replay_buffer.table["action"][:80]
+    actions = model.replay_buffer.steps("action")[:80]
     assert is_on_grid(model, actions)
     sample = model.replay_buffer.sample(300)
     observations = {key: value.numpy() for key, value in sample.observations.items()}
@@ -46,10 +47,15 @@ def test_exploration_stays_on_the_grid(
     np.testing.assert_array_equal(model.codec.places(stored), observations["holding"][:, 0] > 0.5)
     scaled = 2 * (model.predict(observations)[0] - low) / (high - low) - 1
     is_greedy = np.isclose(scaled, stored, atol=1e-5).all(axis=1)
-    warming_up = sample.indices < 40
+    ring_length = model.replay_buffer.table.ring_length
+    warming_up = np.zeros(2 * ring_length, bool)
+    for start in (0, ring_length):  # the first 20 steps of each environment
+        valid = np.flatnonzero(model.replay_buffer.table.columns["valid"][start : start + ring_length])
+        warming_up[start + valid[:20]] = True
+    warming_up = warming_up[sample.indices]
     assert is_greedy[warming_up].mean() < 0.1
     assert 0.25 < is_greedy[~warming_up].mean() < 0.75
-    assert set(model.codec.encode(actions)[:40, 2]) == {0, 1, 2, 3}
+    assert set(model.codec.encode(actions)[:20, 2]) == {0, 1, 2, 3}
 
 
 def test_exploration_takes_no_global_randomness(make_model: Any) -> None:
@@ -65,7 +71,7 @@ def test_exploration_takes_no_global_randomness(make_model: Any) -> None:
         model.learn(10)
         assert th.equal(states[0], th.get_rng_state())
         np.testing.assert_array_equal(states[1], np.random.get_state()[1])
-        taken.append(model.replay_buffer.table["action"][:10])
+        taken.append(model.replay_buffer.steps("action")[:10])
     assert np.array_equal(taken[0], taken[1]) and not np.array_equal(taken[0], taken[2])
 
 
@@ -104,10 +110,11 @@ def test_demonstrations_are_carried_out_on_the_grid(make_picking: Any, make_mode
     model = make_model(env=env, policy_kwargs=few, expert_episodes=6, gradient_steps=0).learn(1)
     rows = slice(model.replay_buffer.expert_size)
     assert model.replay_buffer.expert_size == 12
-    table = model.replay_buffer.table
-    assert is_on_grid(model, table["action"][rows])
-    assert table["reward"][rows].tolist() == [0.0, 1.0] * 6
-    np.testing.assert_array_equal(table["done"][rows], table["reward"][rows])
+    assert is_on_grid(model, model.replay_buffer.steps("action")[rows])
+    assert model.replay_buffer.steps("reward")[rows].tolist() == [0.0, 1.0] * 6
+    np.testing.assert_array_equal(
+        model.replay_buffer.steps("done")[rows], model.replay_buffer.steps("reward")[rows]
+    )
 
 
 @pytest.mark.parametrize("units", [(-1.0, 1.0), (2.0, 5.0)])
@@ -116,9 +123,9 @@ def test_episodes_handed_over_are_snapped(
 ) -> None:
     low, high = units
     env = make_picking(size=24, low=low, high=high)
-    episodes = list(collect_episodes(make_expert_env(env), 3, seed=0, progress_bar=False))
+    episodes = list(collect_episodes(make_expert_envs(env)[0][0], 3, seed=0, progress_bar=False))
     model = make_model(env=env, expert_data=iter(episodes), gradient_steps=0).learn(1)
-    stored = model.replay_buffer.table["action"][: model.replay_buffer.expert_size]
+    stored = model.replay_buffer.steps("action")[: model.replay_buffer.expert_size]
     given = 2 * (np.concatenate([episode.actions for episode in episodes]) - low) / (high - low) - 1
     assert is_on_grid(model, stored) and not is_on_grid(model, given)
     np.testing.assert_allclose(stored, model.codec.snap(given), atol=1e-6)

@@ -7,11 +7,10 @@ import gymnasium as gym
 import numpy as np
 import pytest
 import torch as th
+from stable_baselines3.common.buffers import ReplayBuffer
 from stable_baselines3.common.evaluation import evaluate_policy
 
 import bulletarm_gym  # noqa: F401  registers the environments
-from sb3_extensions.replay.buffer import FrameReplayBuffer
-from sb3_extensions.replay.prioritized import PrioritizedReplayBuffer
 from sb3_extensions.spatial_dqn import ADET, DQfD, SDQfD, SpatialDQN
 from sb3_extensions.spatial_dqn.losses import LargeMargin, StrictMargin, cross_entropy
 
@@ -43,7 +42,7 @@ def test_run(algorithm: Any, case: Any, make_model: Any) -> None:
     levels = len(model.q_net.levels) + 1
     logged = [name for name in model.logger.name_to_value if "imitation_loss" in name]
     assert len(logged) == (0 if algorithm is SpatialDQN else levels)
-    assert is_on_grid(model, model.replay_buffer.table["action"][: model.replay_buffer.size()])
+    assert is_on_grid(model, model.replay_buffer.steps("action"))
 
 
 @pytest.mark.parametrize(
@@ -54,7 +53,7 @@ def test_run(algorithm: Any, case: Any, make_model: Any) -> None:
         {"n_steps": 2, "rigid_augmentation": True},
         {"expert_episodes": 0, "learning_starts": 4, "batch_size": 1},
         {"pretrain_steps": 2, "expert_episodes": 1},
-        {"replay_buffer_class": PrioritizedReplayBuffer, "replay_buffer_kwargs": {"expert_fraction": None}},
+        {"replay_buffer_kwargs": {"sampler": "prioritized"}},
         {"policy_kwargs": {"optimizer_kwargs": {"weight_decay": 1e-5}, "quantise": "uint16"}},
     ],
 )
@@ -76,9 +75,9 @@ def test_run_in_the_simulator(env_id: str, policy: str, sequence: str, make_mode
     model = make_model((policy, sequence), SDQfD, env, {"codec_kwargs": grid}, expert_episodes=1)
     model.learn(3)
     assert model._n_updates == 3
-    stored = model.replay_buffer.table["action"][: model.replay_buffer.size()]
+    stored = model.replay_buffer.steps("action")
     assert is_on_grid(model, stored)
-    rewards = model.replay_buffer.table["reward"][: model.replay_buffer.expert_size]
+    rewards = model.replay_buffer.steps("reward")[: model.replay_buffer.expert_size]
     assert rewards[-1] == 1.0 and rewards[:-1].sum() == 0.0
     env.close()
 
@@ -115,7 +114,7 @@ def test_save_and_load(which: Any, make_picking: Any, make_model: Any, tmp_path:
     assert ours.keys() == theirs.keys() and len(ours) > 0
     assert all(th.equal(ours[k]["exp_avg"], theirs[k]["exp_avg"]) for k in ours)
     assert loaded.codec.describe() == model.codec.describe()
-    assert loaded.q_net is loaded.policy.q_net and loaded.replay_buffer.frames.image_dtype == "uint16"
+    assert loaded.q_net is loaded.policy.q_net and loaded.replay_buffer.image_dtype == "uint16"
     assert loaded._imitation_loss.margin == 0.2 and loaded.exploration_rate == model.exploration_rate
     loaded.learn(12)
     assert loaded._n_updates > model._n_updates
@@ -181,7 +180,7 @@ def test_losses_equal_a_slow_reference(algorithm: Any, which: Any, make_model: A
     np.testing.assert_allclose(logged["train/loss"], total, rtol=1e-4)
     last = levels[-1].gather(1, network.choices(indices)[-1][:, None])
     np.testing.assert_allclose(logged["train/value_expert"], last[is_expert].mean(), rtol=1e-3, atol=1e-6)
-    np.testing.assert_allclose(logged["train/value_own"], last[~is_expert].mean(), rtol=1e-3, atol=1e-6)
+    np.testing.assert_allclose(logged["train/value_online"], last[~is_expert].mean(), rtol=1e-3, atol=1e-6)
 
 
 def copy_of(model: SpatialDQN, name: str) -> Any:
@@ -246,10 +245,10 @@ def test_moved_samples_are_learnt(make_model: Any) -> None:
         ({"max_grad_value": 0.0}, "max_grad_value must be positive"),
         ({"expert_episodes": -1}, "expert_episodes must not be negative"),
         ({"pretrain_steps": 5, "expert_episodes": 0}, "must be 0 without demonstrations"),
-        ({"replay_buffer_class": FrameReplayBuffer}, "replay_buffer_class must be an ExpertReplayBuffer"),
-        ({"replay_buffer_kwargs": {"gamma": 0.9}}, "gamma is an argument of the algorithm"),
+        ({"replay_buffer_class": ReplayBuffer}, "replay_buffer_class must be an ExpertReplayBuffer"),
+        ({"replay_buffer_kwargs": {"gamma": 0.9}}, "gamma must be an argument of the algorithm"),
         ({"replay_buffer_kwargs": {"image_dtype": "uint16"}}, "image_dtype='uint16', but the policy rounds"),
-        ({"replay_buffer_class": PrioritizedReplayBuffer}, "expert_fraction must be None"),
+        ({"replay_buffer_kwargs": {"sampler": "best"}}, "sampler must be None, one of"),
         ({"n_steps": 0}, "n_steps must be at least 1"),
         ({"case": ("ASRPolicy", "pxy")}, "action_sequence='pxy' names 3 numbers"),
         ({"case": ("FCNPolicy", "pxyz")}, r"needs \['z'\]"),

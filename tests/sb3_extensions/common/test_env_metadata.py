@@ -9,7 +9,6 @@ import gymnasium
 import pytest
 
 import bulletarm_gym  # noqa: F401 (registers the environments)
-from sb3_extensions.replay.rotated import RotatedReplayBuffer
 from sb3_extensions.sacfd import SACfD
 from sb3_extensions.spatial_dqn import SpatialDQN
 
@@ -39,20 +38,6 @@ def test_what_is_given_stays() -> None:
     assert make_sacfd({"action_sequence": "pxyzr"}, action_sequence="xyzpr").policy.action_sequence == "pxyzr"
     codec = make_dqn({"codec_kwargs": {"workspace_size": 0.5}}, workspace=WIDE).codec
     assert codec.workspace_size == 0.5
-
-
-def test_rotated_copies_follow_too() -> None:
-    env = gymnasium.make(PICKING, obs_size=64, action_sequence="xyzpr")
-    model = SACfD(
-        "EquivariantPolicy",
-        env,
-        buffer_size=100,
-        policy_kwargs=SMALL,
-        replay_buffer_class=RotatedReplayBuffer,
-        replay_buffer_kwargs={"copies": 1},
-    )
-    assert isinstance(model.replay_buffer, RotatedReplayBuffer)
-    assert model.replay_buffer.action_sequence == "xyzpr"
 
 
 def test_a_grid_lies_over_what_the_actions_range_over() -> None:

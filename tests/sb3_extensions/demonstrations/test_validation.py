@@ -14,7 +14,8 @@ from gymnasium.wrappers import FlattenObservation, FrameStackObservation, Rescal
 from stable_baselines3.common.env_util import make_vec_env
 
 from bulletarm_gym.demonstrations import Demonstrations, collect
-from sb3_extensions.demonstrations.collecting import Episode
+from sb3_extensions.demonstrations.dagger import DaggerCallback
+from sb3_extensions.demonstrations.episodes import Episode
 from sb3_extensions.sacfd import SACfD
 from sb3_extensions.tqcfd import TQCfD
 
@@ -87,7 +88,7 @@ def test_episodes_of_other_shapes_are_refused_with_both_shapes(reaching: Demonst
     episode = reaching[0]
     state = episode.observations["state"]
     wrong: list[tuple[dict[str, Any], str]] = [
-        ({"actions": episode.actions[:, :4]}, r"actions of the environment's shapes \(5,\), got \(4,\)"),
+        ({"actions": episode.actions[:, :4]}, r"actions of shape \(5,\), got \(4,\)"),
         ({"observations": state}, r"observations of .* \{'holding': \(1,\), 'state': \(14,\)\}, got \(14,\)"),
         ({"observations": {"other": state}}, r".*'state': .* got \{'other': "),
         (
@@ -132,23 +133,42 @@ def rescaled(env: Any) -> Any:
     return RescaleAction(env, np.float32(-2.0), np.float32(5.0))
 
 
-@pytest.mark.parametrize("dagger", [False, True])
-def test_learner_stores_the_experts_actions_in_the_wrapped_action_space(dagger: bool) -> None:
+@pytest.mark.parametrize("callback", [None, DaggerCallback()])
+def test_learner_stores_the_experts_actions_in_the_wrapped_action_space(callback: Any) -> None:
     def make() -> Any:
         return rescaled(gym.make(ENV_ID, observation="state"))
 
     stored = []
     for env in (make_vec_env(ENV_ID, env_kwargs={"observation": "state"}), make_vec_env(make)):
-        options: dict[str, Any] = {
-            "dagger": dagger,
-            "bc_weight": 1.0,
-            "expert_episodes": 2,
-            "buffer_size": 100,
-        }
-        model = SACfD("StatePolicy", env, seed=0, **options).learn(2)
+        model = SACfD("StatePolicy", env, expert_episodes=2, buffer_size=100, seed=0).learn(
+            2, callback=callback
+        )
         assert model.replay_buffer is not None
-        stored.append(model.replay_buffer.table["expert_action"][: model.replay_buffer.expert_size + 1])
+        stored.append(model.replay_buffer.steps("expert_action")[: model.replay_buffer.expert_size + 1])
     np.testing.assert_allclose(stored[0], stored[1], atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"actions": lambda x: x * 1000}, r"actions from -1 to 1, got -?\d+ to \d+ in episode 0"),
+        ({"actions": lambda x: np.full_like(x, np.nan)}, "actions from -1 to 1, got NaN in episode 0"),
+        ({"rewards": lambda x: x + np.inf}, "finite rewards, got inf to inf in episode 0"),
+        ({"rewards": lambda x: x[:-1]}, r"rewards of shape \(\d+,\), got \(\d+,\) in episode 0"),
+        ({"expert_actions": lambda x: x - 7}, "expert_actions from -1 to 1, got -8"),
+        (
+            {"observations": lambda x: {**x, "holding": x["holding"] * 255 - 3}},
+            r"observations\['holding'\] from 0 to 1, got -3 to .* in episode 0",
+        ),
+    ],
+)
+def test_values_outside_their_bounds_are_refused(
+    changes: dict[str, Any], message: str, reaching: Demonstrations
+) -> None:
+    parts = {**vars(plain_episode(reaching[0]))}
+    changed = {name: change(parts[name]) for name, change in changes.items()}
+    with pytest.raises(ValueError, match=f"^expert_data must have {message}"):
+        learn([plain_episode(reaching[0], **changed)])
 
 
 def test_learner_names_the_wrapper_without_an_inverse() -> None:

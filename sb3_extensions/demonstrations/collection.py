@@ -1,0 +1,142 @@
+"""Collection of expert episodes from environments with ``expert_action()``."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Iterator
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
+from tqdm import tqdm
+
+from sb3_extensions.demonstrations.action_transforms import ActionTransform
+from sb3_extensions.demonstrations.episodes import Episode
+from sb3_extensions.replay.buffer import KEY, SUCCESS
+
+ATTEMPTS_PER_EPISODE = 4
+"""Default maximum number of attempts for each successful episode; the paper's experts succeed in 9 of 10."""
+KEEPS_SCENE = "keeps_scene"
+
+
+def collect_episodes(
+    env: gym.Env[Any, Any] | VecEnv,
+    episodes: int,
+    seed: int | None = None,
+    max_attempts: int | None = None,
+    progress_bar: bool | None = None,
+    action_transform: ActionTransform | None = None,
+) -> Iterator[Episode]:
+    """
+    Collect successful episodes of the expert of an environment, one at a time.
+
+    An episode is successful if ``info["is_success"]`` is True at its end. Each attempt has its own seed. If
+    the environment has a true attribute ``keeps_scene``, an episode after a success continues with the scene.
+
+    :param env: environment with a method ``expert_action()``, or a vector environment with one such
+        environment
+    :param episodes: number of successful episodes
+    :param seed: seed of the seeds of the attempts and of the transformation
+    :param max_attempts: maximum number of episodes, by default four for each successful one
+    :param progress_bar: whether to show progress, by default on a terminal
+    :param action_transform: transformation of the expert's actions before they are executed, such as
+        :class:`~sb3_extensions.demonstrations.action_transforms.GaussianExpertNoise`
+    :return: the episodes
+    :raises ValueError: if the environment has no expert, or ``episodes`` is negative
+    :raises RuntimeError: while iterating, if too few attempts succeeded
+    """
+    if episodes < 0:
+        raise ValueError(f"episodes must not be negative, got {episodes}")
+    vec_env = env if isinstance(env, VecEnv) else DummyVecEnv([lambda: env])
+    if not vec_env.has_attr("expert_action"):
+        raise ValueError(
+            f"env must have expert_action(), got {vec_env.get_attr('unwrapped')[0]}. Pass "
+            "expert_episodes=0 to train without demonstrations, or expert_data"
+        )
+    attempts = ATTEMPTS_PER_EPISODE * episodes if max_attempts is None else max_attempts
+    is_hidden = None if progress_bar is None else not progress_bar  # None: hidden unless on a terminal
+    rng = np.random.default_rng(seed)
+    return _successful_episodes(vec_env, action_transform, episodes, attempts, rng, is_hidden)
+
+
+def _successful_episodes(
+    env: VecEnv,
+    action_transform: ActionTransform | None,
+    episodes: int,
+    attempts: int,
+    rng: np.random.Generator,
+    is_hidden: bool | None,
+) -> Iterator[Episode]:
+    successes, observation = 0, None
+    transform_rng = rng.spawn(1)[0]
+    keeps_scene = env.has_attr(KEEPS_SCENE) and env.get_attr(KEEPS_SCENE)[0]
+    with tqdm(total=episodes, desc="expert episodes", disable=is_hidden) as progress:
+        for _ in range(attempts):
+            if successes == episodes:
+                return
+            seed = None
+            if observation is None:
+                seed = int(rng.integers(2**31))
+                env.seed(seed)
+                observation = env.reset()
+            episode, success, observation = _run_episode(
+                env, observation, action_transform, transform_rng, seed
+            )
+            if success:
+                successes += 1
+                progress.update()
+                yield episode
+            if not (keeps_scene and success):
+                observation = None
+    if successes < episodes:
+        raise RuntimeError(
+            f"the expert succeeded in {successes} of {attempts} episodes of {env.get_attr('unwrapped')[0]}, "
+            f"{episodes} needed"
+        )
+
+
+def _run_episode(
+    env: VecEnv,
+    observation: Any,
+    action_transform: ActionTransform | None,
+    rng: np.random.Generator,
+    seed: int | None,
+) -> tuple[Episode, bool, Any]:
+    """Return an episode, whether it succeeded, and the first observation after it."""
+    observations, steps, done = [_first(observation)], [], False
+    while not done:
+        intended = np.array(env.env_method("expert_action")[0])
+        action = intended if action_transform is None else action_transform(intended, rng)
+        observation, rewards, dones, infos = env.step(np.asarray(action)[None])
+        done, info = bool(dones[0]), infos[0]
+        # The vector environment has already reset the environment.
+        observations.append(
+            _as_dict(copy.deepcopy(info["terminal_observation"])) if done else _first(observation)
+        )
+        truncated = info.get("TimeLimit.truncated", False)
+        steps.append((action, intended, rewards[0], done and not truncated, done and truncated))
+    if SUCCESS not in info:
+        raise ValueError(
+            f"env must have {SUCCESS!r} in the info at the end of an episode, got {sorted(info)}"
+        )
+    actions, expert_actions, rewards, terminations, truncations = map(np.array, zip(*steps, strict=True))
+    episode = Episode(
+        observations={key: np.stack([entry[key] for entry in observations]) for key in observations[0]},
+        actions=actions,
+        expert_actions=expert_actions,
+        rewards=rewards.astype(np.float32),
+        terminations=terminations,
+        truncations=truncations,
+        seed=seed,
+    )
+    return episode, bool(info[SUCCESS]), observation
+
+
+def _first(observation: Any) -> Any:
+    """Return a copy of the observation of the first environment."""
+    return {key: values[0].copy() for key, values in _as_dict(observation).items()}
+
+
+def _as_dict(observation: Any) -> dict[str, Any]:
+    return observation if isinstance(observation, dict) else {KEY: observation}

@@ -1,0 +1,156 @@
+"""Environments of the expert: copies of the training environments."""
+
+from __future__ import annotations
+
+import contextlib
+import copy
+import dataclasses
+from collections.abc import Iterator
+from typing import Any
+
+import gymnasium as gym
+from gymnasium import spaces
+from gymnasium.wrappers import RecordVideo
+from stable_baselines3.common.monitor import Monitor
+from stable_baselines3.common.vec_env import (
+    DummyVecEnv,
+    VecCheckNan,
+    VecEnv,
+    VecEnvWrapper,
+    VecFrameStack,
+    VecMonitor,
+    VecNormalize,
+    VecTransposeImage,
+    VecVideoRecorder,
+)
+
+AnyEnv = gym.Env[Any, Any]
+
+RECORDERS = (Monitor, RecordVideo)
+"""Wrappers that write files of the training and are left out of a copy."""
+TRANSPARENT = (VecCheckNan, VecMonitor, VecNormalize, VecVideoRecorder)
+"""Vector wrappers that do not change what the replay buffer stores."""
+INSTEAD = "Pass expert_data=collect_episodes(env, n), with env wrapped as the training environment."
+
+
+def make_expert_envs(vec_env: VecEnv) -> list[tuple[VecEnv, int]]:
+    """
+    Create a copy of each different training environment, in a vector environment of its own.
+
+    Environments in this process are copied with all their wrappers but monitors and video recorders.
+    Environments in other processes are created from their spec.
+
+    :param vec_env: training environment
+    :return: vector environments with one environment each, wrapped as ``vec_env``, and how many training
+        environments each of them represents
+    :raises ValueError: if an environment cannot be copied or created
+    """
+    base = vec_env.unwrapped
+    if isinstance(base, DummyVecEnv):
+        counts = _count_specs([env.spec for env in base.envs])
+        envs = [_copy(base.envs[index]) for index in counts]
+    else:
+        specs = base.get_attr("spec")
+        counts = _count_specs(specs)
+        envs = [_from_spec(specs[index]) for index in counts]
+    return [(_wrap(env, vec_env), count) for env, count in zip(envs, counts.values(), strict=True)]
+
+
+def _count_specs(specs: list[Any]) -> dict[int, int]:
+    """Return how many environments have each spec, by the first index; those without a spec differ."""
+    counts: dict[int, int] = {}
+    for index, spec in enumerate(specs):
+        first = next((other for other in counts if spec is not None and specs[other] == spec), index)
+        counts[first] = counts.get(first, 0) + 1
+    return counts
+
+
+def _copy(env: AnyEnv) -> AnyEnv:
+    """Return a copy of an environment without recorders."""
+    try:
+        with _without_open_files(env):
+            return _remove_recorders(copy.deepcopy(env))
+    except (TypeError, ValueError, RuntimeError, NotImplementedError) as error:
+        if env.spec is None:
+            raise ValueError(f"env must be copyable or have a spec, got {env}: {error}. {INSTEAD}") from error
+    return _from_spec(env.spec)
+
+
+@contextlib.contextmanager
+def _without_open_files(env: AnyEnv) -> Iterator[None]:
+    """Detach the open files of monitors, which cannot be copied."""
+    monitors = [wrapper for wrapper in _wrappers(env) if isinstance(wrapper, Monitor)]
+    writers = [monitor.results_writer for monitor in monitors]
+    try:
+        for monitor in monitors:
+            monitor.results_writer = None
+        yield
+    finally:
+        for monitor, writer in zip(monitors, writers, strict=True):
+            monitor.results_writer = writer
+
+
+def _wrappers(env: AnyEnv) -> Iterator[gym.Wrapper[Any, Any, Any, Any]]:
+    while isinstance(env, gym.Wrapper):
+        yield env
+        env = env.env
+
+
+def _remove_recorders(env: AnyEnv) -> AnyEnv:
+    while isinstance(env, RECORDERS):
+        env = env.env
+    for wrapper in _wrappers(env):
+        while isinstance(wrapper.env, RECORDERS):
+            wrapper.env = wrapper.env.env
+    return env
+
+
+def _from_spec(spec: Any) -> AnyEnv:
+    """Create an environment with the wrappers of its spec."""
+    if spec is None:
+        raise ValueError(f"env must have a spec if it runs in another process, got None. {INSTEAD}")
+    recorders = {f"{kind.__module__}:{kind.__name__}" for kind in RECORDERS}
+    wrappers = tuple(entry for entry in spec.additional_wrappers if entry.entry_point not in recorders)
+    kwargs = {name: value for name, value in spec.kwargs.items() if name != "render_mode"}
+    try:
+        return gym.make(dataclasses.replace(spec, kwargs=kwargs, additional_wrappers=wrappers))
+    except ValueError as error:
+        raise ValueError(
+            f"env must have a spec that can be created, got {spec.id}: {error}. {INSTEAD}"
+        ) from error
+
+
+def _wrap(env: AnyEnv, vec_env: VecEnv) -> VecEnv:
+    """Wrap an environment in the vector wrappers that change observations."""
+    chain: list[VecEnvWrapper] = []
+    current = vec_env
+    while isinstance(current, VecEnvWrapper):
+        chain.append(current)
+        current = current.venv
+    wrapped: VecEnv = DummyVecEnv([lambda: env])
+    for wrapper in reversed(chain):
+        if isinstance(wrapper, VecTransposeImage):
+            wrapped = VecTransposeImage(wrapped)
+        elif isinstance(wrapper, VecFrameStack):
+            stacked = wrapper.stacked_obs
+            wrapped = VecFrameStack(wrapped, stacked.n_stack, _channels_order(stacked))
+        elif not isinstance(wrapper, TRANSPARENT):
+            raise ValueError(f"env must have known vector wrappers, got {type(wrapper).__name__}. {INSTEAD}")
+    _check_spaces(wrapped, vec_env)
+    return wrapped
+
+
+def _channels_order(stacked: Any) -> Any:
+    """Return the order with which a VecFrameStack was created."""
+    if isinstance(stacked.observation_space, spaces.Dict):
+        return {key: _channels_order(part) for key, part in stacked.sub_stacked_observations.items()}
+    return "first" if stacked.channels_first else "last"
+
+
+def _check_spaces(expert_env: VecEnv, vec_env: VecEnv) -> None:
+    for name in ("observation_space", "action_space"):
+        theirs, ours = getattr(expert_env, name), getattr(vec_env, name)
+        if theirs != ours:
+            raise ValueError(
+                f"env must have {name}={ours} after it was created again, got {theirs}. {INSTEAD}"
+            )

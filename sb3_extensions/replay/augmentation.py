@@ -1,0 +1,296 @@
+"""Augmentation of sampled steps; random crops and shifts of images: RAD and DrQ."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import Any
+
+import torch as th
+from gymnasium import spaces
+from stable_baselines3.common.type_aliases import TensorDict
+
+from sb3_extensions.common.images import scene_images
+from sb3_extensions.replay.samples import ExpertReplayBufferSamples
+
+Observations = TensorDict | th.Tensor
+
+PER_OBSERVATION = (
+    "actions",
+    "dones",
+    "rewards",
+    "discounts",
+    "succeeded",
+    "expert_actions",
+    "is_expert",
+    "weights",
+)
+"""Fields of a sample that are repeated with its observations."""
+
+
+class Augmentation(ABC):
+    """Random transformation of sampled steps."""
+
+    @abstractmethod
+    def __call__(
+        self, samples: ExpertReplayBufferSamples, generator: th.Generator
+    ) -> ExpertReplayBufferSamples:
+        """
+        Transform a sample. Several views of each observation make the sample longer.
+
+        :param samples: sample of the replay buffer
+        :param generator: random generator on the CPU
+        :return: augmented sample
+        """
+
+    @abstractmethod
+    def check(self, space: spaces.Space[Any]) -> None:
+        """
+        Check that observations can be augmented.
+
+        :param space: observation space
+        :raises ValueError: if they cannot
+        """
+
+    def average_targets(self, values: th.Tensor) -> th.Tensor:
+        """
+        Average values over the views of each next observation.
+
+        :param values: shape (views of the next observations, n)
+        :return: shape (views of the observations, n)
+        """
+        return values
+
+    def with_crop(self, policy_kwargs: dict[str, Any]) -> dict[str, Any]:
+        """
+        Add the crop of the images to the arguments of a policy.
+
+        :param policy_kwargs: arguments of a policy
+        :return: a copy whose features extractor uses the centre of images that are larger than the views
+        """
+        return policy_kwargs
+
+    @property
+    def window(self) -> RandomWindow | None:
+        """Augmentation with random windows, None without one."""
+        return None
+
+
+@dataclass(frozen=True)
+class Sequence(Augmentation):
+    """
+    Apply several augmentations in order.
+
+    :param steps: the augmentations; at most one with several views
+    """
+
+    steps: tuple[Augmentation, ...]
+
+    def __call__(
+        self, samples: ExpertReplayBufferSamples, generator: th.Generator
+    ) -> ExpertReplayBufferSamples:
+        """Return the augmented sample."""
+        for step in self.steps:
+            samples = step(samples, generator)
+        return samples
+
+    def check(self, space: spaces.Space[Any]) -> None:
+        """Check that observations can be augmented."""
+        for step in self.steps:
+            step.check(space)
+
+    def average_targets(self, values: th.Tensor) -> th.Tensor:
+        """Return the mean over the views of each next observation."""
+        for step in self.steps:
+            values = step.average_targets(values)
+        return values
+
+    def with_crop(self, policy_kwargs: dict[str, Any]) -> dict[str, Any]:
+        """Return a copy of the arguments with the crop."""
+        for step in self.steps:
+            policy_kwargs = step.with_crop(policy_kwargs)
+        return policy_kwargs
+
+    @property
+    def window(self) -> RandomWindow | None:
+        """First augmentation with random windows."""
+        return next((step.window for step in self.steps if step.window is not None), None)
+
+
+class RandomWindow(Augmentation):
+    """
+    Random windows of images whose border pixels are repeated ``pad`` times outwards.
+
+    All images of the largest size, which show the scene, get the same window. Smaller images stay as they
+    are.
+    """
+
+    pad: int = 0
+    size: int | None = None
+    """Side of a window in pixels, None for that of the images."""
+
+    @property
+    def window(self) -> RandomWindow:
+        """This augmentation."""
+        return self
+
+    def check(self, space: spaces.Space[Any]) -> None:
+        """Check that there are images larger than a window."""
+        shapes = {key: part.shape or () for key, part in image_spaces(space).items()}
+        sides = [shapes[key][-1] for key in scene_images(shapes)]
+        if not sides or (self.size is not None and min(sides) <= self.size):
+            larger = "" if self.size is None else f" larger than {self.size} x {self.size} pixels"
+            raise ValueError(f"observation_space must have images{larger} for {self}, got {space}")
+
+    def with_crop(self, policy_kwargs: dict[str, Any]) -> dict[str, Any]:
+        """Return a copy of the arguments with the crop."""
+        if self.size is None:
+            return policy_kwargs
+        extractor_kwargs = {**(policy_kwargs.get("features_extractor_kwargs") or {}), "crop": self.size}
+        return {**policy_kwargs, "features_extractor_kwargs": extractor_kwargs}
+
+    def view(self, observations: Observations, generator: th.Generator, copies: int = 1) -> Observations:
+        """
+        Return independent random windows of each observation.
+
+        :param observations: batch
+        :param generator: random generator on the CPU
+        :param copies: number of windows of each
+        :return: one window of the whole batch after the other, first axis ``copies * batch``
+        """
+        return self._cut(observations, self._offsets(observations, generator, copies))
+
+    def _offsets(self, observations: Observations, generator: th.Generator, copies: int = 1) -> th.Tensor:
+        """Return uniform positions of the windows (row, column) in the padded images, (copies * batch, 2)."""
+        image = _scene(observations)[0]
+        positions = image.shape[-1] + 2 * self.pad - (self.size or image.shape[-1]) + 1
+        offsets = th.randint(positions, (copies * len(image), 2), generator=generator)
+        return offsets.to(image.device)
+
+    def _cut(self, observations: Observations, offsets: th.Tensor) -> Observations:
+        if isinstance(observations, th.Tensor):
+            return self._cut_image(observations, offsets)
+        copies = len(offsets) // len(next(iter(observations.values())))
+        cut = scene_images(_shapes(observations))
+        return {
+            key: self._cut_image(part, offsets) if key in cut else repeat(part, copies)
+            for key, part in observations.items()
+        }
+
+    def _cut_image(self, images: th.Tensor, offsets: th.Tensor) -> th.Tensor:
+        size = self.size or images.shape[-1]
+        if self.pad:
+            border = th.arange(-self.pad, images.shape[-1] + self.pad, device=images.device)
+            border = border.clamp_(0, images.shape[-1] - 1)
+            images = images.index_select(-2, border).index_select(-1, border)
+        # A view of all windows: (batch, channels, row, column, size, size)
+        windows = images.unfold(-2, size, 1).unfold(-2, size, 1)
+        sample = th.arange(len(offsets), device=images.device) % len(images)
+        return windows[sample, :, offsets[:, 0], offsets[:, 1]]
+
+
+@dataclass(frozen=True)
+class RAD(RandomWindow):
+    """
+    Random crops, the same for both observations of a step. A policy acts on the centre of an image.
+
+    Source: https://arxiv.org/abs/2004.14990; 142 x 142 pixels are cropped to 128 (BulletArm, appendix
+    "Benchmark Details").
+
+    :param size: side of the crop in pixels; the images must be larger
+    :raises ValueError: if the size is not a positive integer
+    """
+
+    size: int = 128
+
+    def __post_init__(self) -> None:
+        _check_positive(size=self.size)
+
+    def __call__(
+        self, samples: ExpertReplayBufferSamples, generator: th.Generator
+    ) -> ExpertReplayBufferSamples:
+        """Return the sample with cropped observations."""
+        offsets = self._offsets(samples.observations, generator)
+        return samples._replace(
+            observations=self._cut(samples.observations, offsets),
+            next_observations=self._cut(samples.next_observations, offsets),
+        )
+
+
+@dataclass(frozen=True)
+class DrQ(RandomWindow):
+    """
+    Random shifts by up to ``pad`` pixels.
+
+    The target is the mean over ``K`` views of the next observation. The losses of critic and actor are means
+    over ``M`` views of the observation.
+
+    Source: https://arxiv.org/abs/2004.13649; K = M = 2 (BulletArm, appendix "Benchmark Details").
+
+    :param K: number of views of a next observation
+    :param M: number of views of an observation
+    :param pad: maximum shift along an axis in pixels
+    :raises ValueError: if an argument is not a positive integer
+    """
+
+    K: int = 2
+    M: int = 2
+    pad: int = 4
+
+    def __post_init__(self) -> None:
+        _check_positive(K=self.K, M=self.M, pad=self.pad)
+
+    def __call__(
+        self, samples: ExpertReplayBufferSamples, generator: th.Generator
+    ) -> ExpertReplayBufferSamples:
+        """Return M views of the observations and K of the next observations."""
+        fields = samples._asdict()
+        repeated: dict[str, Any] = {
+            key: repeat(fields[key], self.M) for key in PER_OBSERVATION if fields[key] is not None
+        }
+        return samples._replace(
+            observations=self.view(samples.observations, generator, self.M),
+            next_observations=self.view(samples.next_observations, generator, self.K),
+            **repeated,
+        )
+
+    def average_targets(self, values: th.Tensor) -> th.Tensor:
+        """Return the mean over the K views, repeated for the M views; shape (M * batch, n)."""
+        return repeat(values.view(self.K, -1, values.shape[1]).mean(dim=0), self.M)
+
+
+def repeat(values: th.Tensor, copies: int) -> th.Tensor:
+    """
+    Repeat a batch.
+
+    :param values: any shape
+    :param copies: number of copies
+    :return: one copy after the other, first axis ``copies * batch``
+    """
+    return values if copies == 1 else values.repeat(copies, *[1] * (values.dim() - 1))
+
+
+def image_spaces(space: spaces.Space[Any]) -> dict[str, spaces.Space[Any]]:
+    """
+    Return the entries of an observation space by key.
+
+    :param space: Dict space, or the space of one image
+    :return: the entries; one image has the key ``"image"``
+    """
+    return dict(space.spaces) if isinstance(space, spaces.Dict) else {"image": space}
+
+
+def _scene(observations: Observations) -> list[th.Tensor]:
+    if isinstance(observations, th.Tensor):
+        return [observations]
+    return [observations[key] for key in scene_images(_shapes(observations))]
+
+
+def _shapes(observations: TensorDict) -> dict[str, th.Size]:
+    return {key: part.shape[1:] for key, part in observations.items()}
+
+
+def _check_positive(**arguments: Any) -> None:
+    for name, value in arguments.items():
+        if not isinstance(value, int) or isinstance(value, bool) or value < 1:
+            raise ValueError(f"{name} must be a positive integer, got {value!r}")
