@@ -11,6 +11,7 @@ import pytest
 import torch as th
 
 from bulletarm_gym.geometry import Pose
+from sb3_extensions.common.action_sequence import ActionSequence
 from sb3_extensions.replay.rotation import rotate_actions, rotate_images
 from sb3_extensions.sacfd import SACfD
 
@@ -40,7 +41,11 @@ def model(request: pytest.FixtureRequest) -> SACfD:
 
 def turned(pose: Pose, about: Pose, angle: float = math.pi / 2) -> Pose:
     """About the vertical through a point."""
-    x, y = rotate_actions(np.array([[pose.x - about.x, pose.y - about.y]]), np.array([angle]), "xy")[0]
+    x, y = rotate_actions(
+        th.tensor([[pose.x - about.x, pose.y - about.y]], dtype=th.float64),
+        th.tensor([angle], dtype=th.float64),
+        ActionSequence("xy", 2),
+    )[0].tolist()
     return Pose.planar(about.x + x, about.y + y, pose.z, pose.yaw + angle)
 
 

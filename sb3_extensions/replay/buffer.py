@@ -157,7 +157,8 @@ class ExpertReplayBuffer(ReplayBuffer):
         :param name: "action", "expert_action", "explored", "succeeded", "reward" or "done"
         :return: one entry a step
         """
-        return self.table.columns[name][self.table.columns["valid"]]
+        column: npt.NDArray[Any] = self.table.columns[name][self.table.columns["valid"]]
+        return column
 
     def _allocate(self) -> None:
         size, available = self.table.nbytes / GIGABYTE, psutil.virtual_memory().available / GIGABYTE

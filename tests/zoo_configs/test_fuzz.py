@@ -30,7 +30,8 @@ NAMES = """
     n_steps batch_size replay_buffer_class replay_buffer_kwargs ent_coef target_entropy
     expert_episodes expert_noise expert_data pretrain_steps env_wrapper callback
     normalize frame_stack monitor_kwargs noise_type augmentation bc_weight bc_limit
-    self_imitation_temperature value_range exploration critic_warmup_steps n_timesteps stats_window_size use_sde action_noise
+    self_imitation_temperature value_range exploration critic_warmup_steps n_timesteps
+    stats_window_size use_sde action_noise
     target_update_interval env_kwargs buffer_size deterministic_fraction expert_q_weight
 """.split()
 CHEAP = ["-n", "2", "--eval-freq", "0", "--device", "cpu", "--num-threads", "1", "--no-progress"]

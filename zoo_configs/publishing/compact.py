@@ -44,7 +44,7 @@ def save_compact(model: BaseAlgorithm, path: Path, half: bool = True) -> str:
     """
     Write an agent without the states of its optimizers. The loaded agent acts and trains further.
 
-    Target networks are stored as the networks that they follow. An actor with an average is stored as its average.
+    Target networks are stored as the networks that they follow, an actor with an average as its average.
 
     :param model: The agent
     :param path: The file, ``.zip``
