@@ -61,8 +61,13 @@ LIBRARIES = {
     ),
     "minari_dataset": Library(
         "minari",
-        r"3 episodes, \(\d+, 1, 64, 64\) \(\d+, 5\)\n(.*\n)*\d+ steps recorded",
+        r"3 episodes, \(\d+, 1, 64, 64\) \(\d+, 5\)\nseeds \[\d+, \d+, \d+\]\n(.*\n)*\d+ steps recorded",
         ("minari[hdf5,create]",),
+    ),
+    "torchrl_minari": Library(
+        "torchrl",
+        r"(\d+) transitions, rewards \[0.0, .*1.0\]\n(.*\n)*batch \(32, 1, 64, 64\)",
+        ("torchrl", "minari[hdf5,create]"),
     ),
     "d3rlpy_offline": Library("d3rlpy", r"10 episodes; mean return [01]\.\d", ("d3rlpy==2.8.0",)),
     "lerobot_dataset": Library(

@@ -12,6 +12,8 @@ demonstrations.export_minari(expert, "bulletarm/block-reaching/expert-v0")
 dataset = minari.load_dataset("bulletarm/block-reaching/expert-v0")
 episode = dataset[0]
 print(dataset.total_episodes, "episodes,", episode.observations["heightmap"].shape, episode.actions.shape)
+metadata = dataset.storage.get_episode_metadata(dataset.episode_indices)
+print("seeds", [int(episode["seed"]) for episode in metadata])
 
 env = minari.DataCollector(gymnasium.make(ENV_ID, obs_size=64))
 env.reset(seed=0)
