@@ -22,8 +22,8 @@ from sb3_extensions.networks.convolution import PlainConv2d
 from sb3_extensions.networks.equivariant import EquivariantConv2d
 from sb3_extensions.networks.groups import FieldType, Group
 
-# Sides at which halving stops: the largest that the last two stages bring to one pixel.
 LAST_SIZES = (6, 8)
+"""Sides (pixels) at which halving stops. The last two stages reduce these sides to one pixel."""
 AUTOCAST_OPTIONS = (None, "bf16")
 
 
@@ -47,18 +47,47 @@ POOLED_HALVING = Stage(pools=True)
 STRIDED_HALVING = Stage(kernel_size=4, stride=2)
 
 
-def count_halvings(size: int) -> int:
-    """How often an image is halved until 6 or 8 pixels a side remain.
+def encoded_size(size: int) -> int:
+    """Return the side to which an encoder resizes an image: the next side that halves to 6 or 8 pixels.
+
+    For example 64 for 64 pixels, 96 for 84, 256 for 224.
 
     :param size: side of the image, pixels
-    :raises ValueError: if halving never gives 6 or 8
+    :raises ValueError: if the side is not positive
     """
-    halvings, side = 0, size
-    while side % 2 == 0 and side > max(LAST_SIZES):
+    if size < 1:
+        raise ValueError(f"image size must be at least 1, got {size}")
+    small, large = LAST_SIZES
+    scale = 1
+    while large * scale < size:
+        scale *= 2
+    return small * scale if small * scale >= size else large * scale
+
+
+def count_halvings(size: int) -> int:
+    """Return how often an image is halved until 6 or 8 pixels a side remain.
+
+    :param size: side of the image, pixels. Other sides than 6 or 8 times a power of two are resized first,
+        see :func:`encoded_size`
+    :raises ValueError: if the side is not positive
+    """
+    halvings, side = 0, encoded_size(size)
+    while side > max(LAST_SIZES):
         halvings, side = halvings + 1, side // 2
-    if side not in LAST_SIZES:
-        raise ValueError(f"image size must be 6 or 8 times a power of two (as 48, 64, 96, 128), got {size}")
     return halvings
+
+
+def resize(images: th.Tensor, side: int) -> th.Tensor:
+    """
+    Resize square images by bilinear interpolation, which commutes with rotations by 90 degrees.
+
+    :param images: (batch, channels, size, size)
+    :param side: side of the result, pixels
+    :return: (batch, channels, side, side), the same tensor if the images have this side
+    """
+    if images.shape[-1] == side:
+        return images
+    return F.interpolate(images, size=(side, side), mode="bilinear", align_corners=False)
 
 
 def plan_stages(size: int, count: int, strided: int = 0) -> list[Stage]:
@@ -81,7 +110,7 @@ def plan_stages(size: int, count: int, strided: int = 0) -> list[Stage]:
     if not 0 <= strided <= halvings + 1:
         raise ValueError(f"strided must be from 0 to {halvings + 1} for images of size {size}, got {strided}")
     halve = [STRIDED_HALVING] * strided + [POOLED_HALVING] * (halvings + 1 - strided)
-    shrink = halve.pop()._replace(padding=0 if size >> halvings == max(LAST_SIZES) else 1)
+    shrink = halve.pop()._replace(padding=0 if encoded_size(size) >> halvings == max(LAST_SIZES) else 1)
     return [*halve, *[Stage()] * kept, shrink, Stage(padding=0)]
 
 
@@ -154,6 +183,7 @@ class Encoder(nn.Module):
 
     :param convolutions: one for each stage
     :param stages: what :func:`plan_stages` gave
+    :param size: side of the images that the stages reduce; images of another side are resized
     :param channels_last: keep the channels of a pixel together in memory; faster on CPUs and recent GPUs
     :param autocast: ``"bf16"`` computes in bfloat16 where the device can (with a warning, in float32 where it
         cannot); ``None`` in float32
@@ -164,12 +194,13 @@ class Encoder(nn.Module):
         self,
         convolutions: Sequence[nn.Module],
         stages: Sequence[Stage],
+        size: int,
         channels_last: bool,
         autocast: str | None,
     ) -> None:
         super().__init__()
         check_autocast(autocast)
-        self.autocast = autocast
+        self.autocast, self.size = autocast, size
         self.memory_format = th.channels_last if channels_last else th.contiguous_format
         modules: list[nn.Module] = []
         for convolution, stage in zip(convolutions, stages, strict=True):
@@ -181,6 +212,7 @@ class Encoder(nn.Module):
     def forward(self, image: th.Tensor) -> th.Tensor:
         """:return: float32 features, (batch, features)"""
         device_type = image.device.type
+        image = resize(image, self.size)
         with precision(self.autocast, device_type):
             if th.is_autocast_enabled(device_type):
                 # Before its layout changes: there is half as much to move
@@ -193,7 +225,7 @@ class CnnEncoder(Encoder):
     """Plain convolutional encoder; weights Xavier normal, biases zero.
 
     :param in_channels: channels of the image
-    :param size: side of the image, pixels: 6 or 8 times a power of two
+    :param size: side of the image, pixels; resized if it is not 6 or 8 times a power of two
     :param channels: output channels of each stage; those of the paper, for the size, if ``None``
     :param strided: see :func:`plan_stages`
     :param channels_last: see :class:`Encoder`
@@ -219,7 +251,7 @@ class CnnEncoder(Encoder):
             PlainConv2d(inputs, outputs, stage.kernel_size, stage.stride, stage.padding)
             for inputs, outputs, stage in zip((in_channels, *channels), channels, stages, strict=False)
         ]
-        super().__init__(convolutions, stages, channels_last, autocast)
+        super().__init__(convolutions, stages, encoded_size(size), channels_last, autocast)
         for convolution in convolutions:
             nn.init.xavier_normal_(convolution.weight)
             nn.init.constant_(convolution.get_parameter("bias"), 0.0)
@@ -253,18 +285,18 @@ class SmallImageEncoder(Encoder):
         channels_last: bool = True,
         autocast: str | None = None,
     ) -> None:
-        stages = []
-        while size > self.LAST_SIZE:
+        stages, side = [], size
+        while side > self.LAST_SIZE:
             stages.append(Stage(stride=2))
-            size = (size + 1) // 2
-        stages.append(Stage(kernel_size=size, padding=0))
+            side = (side + 1) // 2
+        stages.append(Stage(kernel_size=side, padding=0))
         halving = [self.HALVING[min(i, len(self.HALVING) - 1)] for i in range(len(stages) - 1)]
         channels = [in_channels, *halving, features_dim]
         convolutions = [
             PlainConv2d(inputs, outputs, stage.kernel_size, stage.stride, stage.padding)
             for (inputs, outputs), stage in zip(pairwise(channels), stages, strict=True)
         ]
-        super().__init__(convolutions, stages, channels_last, autocast)
+        super().__init__(convolutions, stages, size, channels_last, autocast)
         for convolution in convolutions:
             initialise(convolution.weight)
             nn.init.constant_(convolution.get_parameter("bias"), 0.0)
@@ -275,7 +307,7 @@ class EquivariantEncoder(Encoder):
     """Encoder to regular fields at the image's centre: turning the image permutes the numbers of each field.
 
     :param in_channels: channels of the image, all scalar (trivial fields)
-    :param size: side of the image, pixels: 6 or 8 times a power of two
+    :param size: side of the image, pixels; resized if it is not 6 or 8 times a power of two
     :param group: the symmetry
     :param channels: regular fields after each stage; those of the paper, for the size, if ``None``
     :param strided: see :func:`plan_stages`
@@ -305,6 +337,6 @@ class EquivariantEncoder(Encoder):
             EquivariantConv2d(in_type, out_type, stage.kernel_size, stage.stride, stage.padding)
             for in_type, out_type, stage in zip(in_types, out_types, stages, strict=False)
         ]
-        super().__init__(convolutions, stages, channels_last, autocast)
+        super().__init__(convolutions, stages, encoded_size(size), channels_last, autocast)
         self.out_type = out_types[-1]
         self.features_dim = self.out_type.size

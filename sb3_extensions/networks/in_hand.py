@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import torch as th
 from torch import nn
 
+from sb3_extensions.networks.encoders import resize
 from sb3_extensions.networks.unets import initialise_xavier
 
 # Side of the map before the linear layers, at most: 24 pixels become 6, 40 become 5, in the level of all
@@ -13,11 +15,15 @@ from sb3_extensions.networks.unets import initialise_xavier
 LAST_SIDE = 8
 LAST_SIDE_OF_PIXELS = 10
 CONVOLUTIONS = 3  # of the plain networks' encoder
+SMALLEST_SIDE = 10
+"""Side (pixels) of the smallest image that :class:`PatchMap` reduces. Smaller images are resized to it."""
 
 
 class PatchMap(nn.Sequential):
     """
     Three 3 x 3 convolutions without padding, the image halved before the last: 24 pixels a side become 8.
+
+    Images of fewer than 10 pixels a side are resized to 10 pixels.
 
     :param in_channels: channels of the image
     :param channels: of the three convolutions
@@ -39,18 +45,19 @@ class PatchMap(nn.Sequential):
         )
         self.apply(initialise_xavier)
 
+    def forward(self, image: th.Tensor) -> th.Tensor:
+        """:return: (batch, channels[-1], side, side), see :meth:`side`"""
+        features: th.Tensor = super().forward(resize(image, max(image.shape[-1], SMALLEST_SIDE)))
+        return features
+
     @staticmethod
     def side(size: int) -> int:
         """
-        Side of the map, pixels.
+        Return the side of the map, pixels.
 
         :param size: side of the image, pixels
-        :raises ValueError: if nothing is left of it
         """
-        side = (size - 4) // 2 - 2
-        if side < 1:
-            raise ValueError(f"patches must be at least 10 pixels a side, got {size}")
-        return side
+        return (max(size, SMALLEST_SIDE) - 4) // 2 - 2
 
 
 class PatchVector(nn.Sequential):

@@ -16,7 +16,7 @@ from torch import nn
 from torch.nn import functional as F
 
 from sb3_extensions.common.codec import PIXEL, SpatialActionCodec
-from sb3_extensions.networks.encoders import HalvingMaxPool, Stage
+from sb3_extensions.networks.encoders import HalvingMaxPool, Stage, resize
 from sb3_extensions.networks.equivariant import DynamicEquivariantConv2d, EquivariantConv2d
 from sb3_extensions.networks.groups import FieldType, Group
 from sb3_extensions.networks.heads import OUTPUT_GAIN, scale_down
@@ -139,14 +139,14 @@ class EquivariantRotations(Level):
     encoding of the scene and the in-hand image.
 
     :param codec: the grid
-    :param shapes: of the images; patches of 12, 16, 24 or 40 pixels a side
+    :param shapes: of the images. Patches are resized to the next side of 12, 16, 24 or 40 pixels
     :param encoding_shape: (channels, side, side)
     :param fields: regular fields of each convolution on the patch
     :param in_hand_channels: of the convolutions on the in-hand image
     :param hidden: units of the two linear layers behind each, the encoding and the in-hand image
     :param pool_encoding: take the greatest value of each channel of the encoding over its pixels: then yaws
         also shift when the whole scene turns by a right angle. Otherwise all of it, as the authors' code
-    :raises ValueError: if there is no way for patches of this size, or one of another number of convolutions
+    :raises ValueError: if ``fields`` has another length than the stages for patches of this size
     """
 
     def __init__(
@@ -160,12 +160,13 @@ class EquivariantRotations(Level):
         pool_encoding: bool = False,
     ) -> None:
         super().__init__(codec, "theta", shapes)
-        stages = PATCH_STAGES.get(self.patch_size)
-        if stages is None or len(stages) != len(fields):
-            known = {size: len(way) for size, way in PATCH_STAGES.items()}
+        self.encoded_size = min(
+            (size for size in PATCH_STAGES if size >= self.patch_size), default=max(PATCH_STAGES)
+        )
+        stages = PATCH_STAGES[self.encoded_size]
+        if len(stages) != len(fields):
             raise ValueError(
-                f"patches of {self.patch_size} pixels and {len(fields)} fields do not fit, "
-                f"sides and numbers of fields that do: {known}"
+                f"patch_fields must have {len(stages)} entries for patches of {self.patch_size} pixels, got {fields}"
             )
         self.pool_encoding = pool_encoding
         group = Group("cyclic", 2 * self.choices)
@@ -191,7 +192,7 @@ class EquivariantRotations(Level):
     def forward(self, view: View, encoding: th.Tensor, indices: th.Tensor) -> th.Tensor:
         """:return: (batch, yaws)"""
         patch = crop_patches(view.image, indices[:, 0], indices[:, 1], self.patch_size)
-        features = self.encoder(patch)
+        features = self.encoder(resize(patch, self.encoded_size))
         scene = encoding.amax(dim=(2, 3)) if self.pool_encoding else encoding.flatten(1)
         condition = self.scene(scene)
         if self.in_hand is not None:

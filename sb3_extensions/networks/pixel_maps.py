@@ -84,7 +84,7 @@ class PlainPixelMaps(PixelMaps):
     :param channels: of each level, see :func:`~sb3_extensions.networks.unets.plain_unet`
     :param in_hand_channels: of the three convolutions on the in-hand image
     :param rotations: number of yaws
-    :raises ValueError: if the in-hand image is too small, or the convolutions are not three
+    :raises ValueError: if the convolutions are not three
     """
 
     def __init__(
@@ -93,9 +93,7 @@ class PlainPixelMaps(PixelMaps):
         super().__init__(rotations, shapes.encoding(channels[-1], len(channels)))
         self.in_hand: PatchMap | None = None
         if shapes.in_hand is not None:
-            channels_in_hand, side, _ = shapes.in_hand
-            PatchMap.side(side)  # raises where nothing would be left of it
-            self.in_hand = PatchMap(channels_in_hand, in_hand_channels)
+            self.in_hand = PatchMap(shapes.in_hand[0], in_hand_channels)
         self.unet = plain_unet(1, channels, 0 if self.in_hand is None else in_hand_channels[-1])
         self.head = nn.Conv2d(channels[0], PRIMITIVES * rotations, 1)
         scale_down(self.head)

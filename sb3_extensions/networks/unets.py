@@ -14,7 +14,7 @@ import torch as th
 from torch import nn
 from torch.nn import functional as F
 
-from sb3_extensions.networks.encoders import HalvingMaxPool
+from sb3_extensions.networks.encoders import HalvingMaxPool, resize
 from sb3_extensions.networks.equivariant import EquivariantConv2d
 from sb3_extensions.networks.groups import FieldType, Group
 
@@ -91,18 +91,6 @@ def split_padding(size: int, multiple: int) -> tuple[int, int]:
     """
     missing = -size % multiple
     return missing // 2, missing - missing // 2
-
-
-def resize(features: th.Tensor, side: int) -> th.Tensor:
-    """
-    Features of another side, interpolated bilinearly where it differs.
-
-    :param features: (batch, channels, side before, side before)
-    :param side: pixels
-    """
-    if features.shape[-1] == side:
-        return features
-    return F.interpolate(features, size=(side, side), mode="bilinear", align_corners=False)
 
 
 class ResidualBlock(nn.Module):

@@ -2,7 +2,13 @@ import pytest
 import torch as th
 from torch import nn
 
-from sb3_extensions.networks.encoders import CnnEncoder, EquivariantEncoder, plan_stages
+from sb3_extensions.networks.encoders import (
+    CnnEncoder,
+    EquivariantEncoder,
+    count_halvings,
+    encoded_size,
+    plan_stages,
+)
 from sb3_extensions.networks.equivariant import EquivariantConv2d
 from sb3_extensions.networks.groups import Group
 
@@ -38,9 +44,7 @@ def test_default_channels_are_the_papers():
 @pytest.mark.parametrize(
     "size, count, strided, named",
     [
-        (100, 7, 0, "size"),
-        (7, 3, 0, "size"),
-        (4, 3, 0, "size"),
+        (0, 3, 0, "size"),
         (128, 5, 0, "channels"),
         (64, 5, 5, "strided"),
         (64, 5, -1, "strided"),
@@ -49,6 +53,32 @@ def test_default_channels_are_the_papers():
 def test_plan_refuses_what_it_cannot_reduce(size, count, strided, named):
     with pytest.raises(ValueError, match=named):
         plan_stages(size, count, strided)
+
+
+@pytest.mark.parametrize(
+    ("size", "encoded"), [(1, 6), (7, 8), (24, 24), (25, 32), (84, 96), (128, 128), (224, 256)]
+)
+def test_images_are_resized_to_the_next_side_that_can_be_halved(size, encoded):
+    assert encoded_size(size) == encoded
+
+
+@pytest.mark.parametrize("size", [5, 20, 25, 84])
+def test_encoders_of_any_size_turn_with_the_image(size):
+    count = count_halvings(size) + 2
+    plain = CnnEncoder(3, size, (4,) * count)
+    image = th.rand(2, 3, size, size)
+    assert plain(image).shape == (2, 4) and plain(image).std() > 0
+    equivariant = EquivariantEncoder(3, size, Group("cyclic", 4), (4,) * count)
+    features = equivariant(image).unflatten(1, (4, 4))
+    turned = equivariant(th.rot90(image, 1, (-2, -1))).unflatten(1, (4, 4))
+    th.testing.assert_close(turned, features.roll(1, dims=2), atol=1e-5, rtol=1e-5)
+
+
+@pytest.mark.parametrize("size", [84, 224])
+def test_default_encoders_accept_sizes_of_colour_sensors(size):
+    with th.no_grad():
+        for encoder in (CnnEncoder(3, size), EquivariantEncoder(3, size, Group("cyclic", 4))):
+            assert encoder(th.rand(1, 3, size, size)).shape == (1, encoder.features_dim)
 
 
 def test_encoder_refuses_an_unknown_precision():

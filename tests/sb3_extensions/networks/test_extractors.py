@@ -366,7 +366,6 @@ def test_extractors_serve_other_algorithms(algorithm, extractor_class, kwargs, t
         (observation_space(), {"small_image_features": 0}, "small_image_features"),
         (observation_space(heightmap=spaces.Box(0, np.inf, (1, 16, 16), np.float32)), {}, "'heightmap'"),
         (observation_space(), {"quantise": "int4"}, "quantise='int4'"),
-        (observation_space(20), {}, "size"),
         (observation_space(), {"channels": [4]}, "channels"),
         (observation_space(), {"strided": 3}, "strided"),
         (observation_space(), {"autocast": "fp16"}, "autocast"),

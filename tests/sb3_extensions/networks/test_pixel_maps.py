@@ -227,10 +227,6 @@ def test_widths_are_the_authors() -> None:
     [
         (lambda: plain_unet(1, [8], 0), r"channels must name two levels or more, got \[8\]"),
         (lambda: equivariant_unet(1, Group("cyclic", 4), [2]), "fields must name two levels or more"),
-        (
-            lambda: PlainPixelMaps(Shapes(32, (1, 9, 9)), CHANNELS, PATCH_MAP),
-            "at least 10 pixels a side, got 9",
-        ),
         (lambda: PlainPixelMaps(Shapes(32, (1, 12, 12)), CHANNELS, [4, 4]), "3 in_hand_channels are needed"),
         (
             lambda: EquivariantPixelMaps(Shapes(32, None), Group("cyclic", 4), FIELDS, IN_HAND, HIDDEN, 4),
