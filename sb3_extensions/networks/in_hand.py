@@ -47,7 +47,9 @@ class PatchMap(nn.Sequential):
 
     def forward(self, image: th.Tensor) -> th.Tensor:
         """:return: (batch, channels[-1], side, side), see :meth:`side`"""
-        features: th.Tensor = super().forward(resize(image, max(image.shape[-1], SMALLEST_SIDE)))
+        features = resize(image, max(image.shape[-1], SMALLEST_SIDE))
+        for layer in self:
+            features = layer(features)
         return features
 
     @staticmethod

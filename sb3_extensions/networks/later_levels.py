@@ -166,7 +166,8 @@ class EquivariantRotations(Level):
         stages = PATCH_STAGES[self.encoded_size]
         if len(stages) != len(fields):
             raise ValueError(
-                f"patch_fields must have {len(stages)} entries for patches of {self.patch_size} pixels, got {fields}"
+                f"patch_fields must have {len(stages)} entries for patches of {self.patch_size} pixels, "
+                f"got {fields}"
             )
         self.pool_encoding = pool_encoding
         group = Group("cyclic", 2 * self.choices)
