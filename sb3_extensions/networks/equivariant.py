@@ -2,7 +2,7 @@
 
 Their filters are combinations of the steerable filters of :mod:`~sb3_extensions.networks.steerable`. Under
 rotations by 90 degrees and reflections, which map the pixel grid to itself, the layers are exact; under
-others as exact as a sampled image can be.
+others up to the error of sampling, see :mod:`~sb3_extensions.networks.harmonics`.
 
 Filters are expanded from their weights in every forward pass, or once in the scope of
 :func:`expanded_filters`. They are never kept beyond it: a Polyak update writes through ``.data``, which no
@@ -22,7 +22,8 @@ from torch.nn import functional as F
 
 from sb3_extensions.networks.convolution import convolve
 from sb3_extensions.networks.groups import FieldType
-from sb3_extensions.networks.steerable import FilterSpace, harmonic_basis, steerable_basis
+from sb3_extensions.networks.harmonics import harmonic_basis
+from sb3_extensions.networks.steerable import FilterSpace, steerable_basis
 
 __all__ = [
     "DynamicEquivariantConv2d",

@@ -17,9 +17,8 @@ import torch as th
 from torch import nn
 
 from sb3_extensions.networks.groups import FieldType, Group, Matrices, Representation, block_diagonal
+from sb3_extensions.networks.harmonics import harmonic_basis
 
-# Standard deviation of a ring, in pixels: neighbouring rings overlap without becoming alike.
-RING_WIDTH = 0.6
 # Smallest eigenvalue taken for 1 when a projector (eigenvalues 0 and 1) is decomposed in float64.
 PROJECTOR_THRESHOLD = 0.5
 # Most filters of a basis that is kept whole. Each costs one multiplication a number of the expanded filter:
@@ -206,33 +205,6 @@ def steerable_basis(in_rep: Representation, out_rep: Representation, kernel_size
         filters = np.einsum("phoi,hxy->poixy", coefficients * math.sqrt(out_rep.size), harmonics)
     filters.flags.writeable = False
     return filters
-
-
-@cache
-def harmonic_basis(kernel_size: int) -> tuple[Matrices, tuple[int, ...]]:
-    """Gaussian rings times circular harmonics on the grid of a filter.
-
-    Rings are one pixel apart. The ring of radius r carries frequencies up to ``floor(r) + 1``: higher ones
-    would alias. Of frequencies above 0 there are two, cosine and sine, next to each other.
-
-    :param kernel_size: side of the filter, pixels
-    :return: samples (number of functions, kernel_size, kernel_size), each frequency's of unit energy, and
-        the frequency of each cosine (or constant), in order
-    """
-    offsets = np.arange(kernel_size) - (kernel_size - 1) / 2
-    rows, columns = np.meshgrid(offsets, offsets, indexing="ij")
-    radius, angle = np.hypot(rows, columns), np.arctan2(columns, rows)
-    samples, frequencies = [], []
-    for ring in np.unique(abs(offsets)):
-        profile = np.exp(-0.5 * ((radius - ring) / RING_WIDTH) ** 2)
-        for frequency in range(int(ring) + 2 if ring > 0 else 1):
-            # The angle of the centre is not defined: only constants may be nonzero there.
-            weight = profile if frequency == 0 else np.where(radius > 0, profile, 0.0)
-            waves = [np.cos(frequency * angle)] + [np.sin(frequency * angle)] * (frequency > 0)
-            pair = np.stack([weight * wave for wave in waves])
-            samples.append(pair / math.sqrt((pair**2).sum() / len(pair)))
-            frequencies.append(frequency)
-    return np.concatenate(samples), tuple(frequencies)
 
 
 @cache
