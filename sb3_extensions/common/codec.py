@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import torch as th
 
 Actions = npt.NDArray[np.float32]
 Indices = npt.NDArray[np.int64]
@@ -107,6 +108,7 @@ class SpatialActionCodec:
             )
         self.grids = {name: grids[name] for name in NAMES if name in self.numbers and name in grids}
         """Values of each index behind the pixel's, m or rad, in order."""
+        self._tables = self._make_tables()
 
     def describe(self) -> dict[str, Any]:
         """What the grid is made of, in JSON's types."""
@@ -146,28 +148,44 @@ class SpatialActionCodec:
 
     def decode(self, indices: Indices, places: npt.NDArray[np.bool_]) -> Actions:
         """
-        The actions that indices stand for.
+        Return the actions of indices.
 
         :param indices: (n, indices)
-        :param places: whether to place, otherwise to pick, (n,)
+        :param places: True to place, False to pick, (n,)
         :return: in [-1, 1], (n, numbers of an action)
         """
-        row, column, *others = np.asarray(indices).T
-        flipped = np.zeros(len(row), dtype=bool)
-        values = {
-            "p": np.where(places, 1.0, -1.0),
-            "x": (2 * row + 1) / self.size - 1.0,
-            "y": (2 * column + 1) / self.size - 1.0,
-        }
-        for (name, grid), index in zip(self.grids.items(), others, strict=True):
-            (low, high), value = self._bounds[name], grid[index]
-            if name == "theta":
-                value = value + self._half_turns[index] * math.pi
-                flipped = self._half_turns[index] % 2 != 0
-            elif name in ANGLES:
-                value = np.where(flipped, -value, value)
-            values[name] = 2.0 * (value - low) / (high - low) - 1.0
-        return np.stack([values[name] for name in self.numbers], axis=1).astype(np.float32)
+        actions: Actions = self.decode_tensor(th.as_tensor(indices), th.as_tensor(places)).numpy()
+        return actions
+
+    def decode_tensor(self, indices: th.Tensor, places: th.Tensor) -> th.Tensor:
+        """
+        Return the actions of indices. This method can be exported with the network.
+
+        :param indices: int64, (n, indices)
+        :param places: True to place, False to pick, bool (n,)
+        :return: in [-1, 1], float32, (n, numbers of an action)
+        """
+        columns = dict(zip((*PIXEL, *self.grids), indices.unbind(1), strict=True))
+        values = {"p": th.where(places, 1.0, -1.0), "x": self._lookup("x", columns["row"])}
+        values["y"] = self._lookup("x", columns["column"])
+        values |= {name: self._lookup(name, columns[name]) for name in self.grids}
+        if "theta" in self.grids:
+            sign = self._lookup("tilt_sign", columns["theta"])
+            values |= {name: values[name] * sign for name in ANGLES[1:] if name in values}
+        return th.stack([values[name].float() for name in self.numbers], dim=1)
+
+    def _lookup(self, name: str, indices: th.Tensor) -> th.Tensor:
+        return self._tables[name].to(indices.device)[indices]
+
+    def _make_tables(self) -> dict[str, th.Tensor]:
+        """Return the numbers of an action in [-1, 1] by index, and the sign of tilts by yaw."""
+        turned = {"theta": self._half_turns * math.pi}
+        tables = {"x": (2 * np.arange(self.size) + 1) / self.size - 1.0}
+        for name, grid in self.grids.items():
+            low, high = self._bounds[name]
+            tables[name] = 2.0 * (grid + turned.get(name, 0.0) - low) / (high - low) - 1.0
+        tables["tilt_sign"] = np.where(self._half_turns % 2 != 0, -1.0, 1.0)
+        return {name: th.tensor(table, dtype=th.float32) for name, table in tables.items()}
 
     def snap(self, actions: npt.NDArray[np.floating]) -> Actions:
         """

@@ -1,6 +1,8 @@
-"""Convolutions that are matrix products where the filter covers the whole image."""
+"""Convolutions that are matrix products where the filter covers the whole image, and layers in float32."""
 
 from __future__ import annotations
+
+from contextlib import AbstractContextManager, nullcontext
 
 import torch as th
 from torch import nn
@@ -45,3 +47,26 @@ class PlainConv2d(nn.Conv2d):
     def forward(self, features: th.Tensor) -> th.Tensor:
         """:return: (batch, out channels, height, width)"""
         return convolve(features, self.weight, self.bias, int(self.stride[0]), int(self.padding[0]))
+
+
+def apply_in_float32(layer: nn.Module, features: th.Tensor) -> th.Tensor:
+    """
+    Apply a layer in float32, also inside an autocast context.
+
+    In bfloat16 the values of several actions are often equal, so the best action would be arbitrary.
+
+    :param layer: layer whose output is compared, such as the last one of a Q network
+    :param features: input of the layer, any precision
+    """
+    with full_precision(features.device.type):
+        values: th.Tensor = layer(features.float())
+    return values
+
+
+def full_precision(device_type: str) -> AbstractContextManager[object]:
+    """
+    Return a context in which autocast is off.
+
+    :param device_type: as in ``torch.device.type``
+    """
+    return th.autocast(device_type, enabled=False) if th.is_autocast_enabled(device_type) else nullcontext()

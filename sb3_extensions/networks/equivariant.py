@@ -20,7 +20,7 @@ import torch as th
 from torch import nn
 from torch.nn import functional as F
 
-from sb3_extensions.networks.convolution import convolve
+from sb3_extensions.networks.convolution import convolve, full_precision
 from sb3_extensions.networks.groups import FieldType
 from sb3_extensions.networks.harmonics import harmonic_basis
 from sb3_extensions.networks.steerable import FilterSpace, steerable_basis
@@ -108,7 +108,7 @@ class SteerableMap(nn.Module):
     def filters(self) -> tuple[th.Tensor, th.Tensor | None]:
         """Filter and bias in float32, the filter from an open scope if no gradient is wanted."""
         bias_basis = self.space.bias_basis
-        with th.autocast(device_type=bias_basis.device.type, enabled=False):
+        with full_precision(bias_basis.device.type):
             scope = None if th.is_grad_enabled() else _EXPANDED.get()
             weight = self.expand() if scope is None or self not in scope else scope[self]
             return weight, None if self.bias is None else self.bias @ bias_basis
@@ -196,7 +196,7 @@ class DynamicEquivariantConv2d(nn.Module):
 
         :param coefficients: (batch, num_coefficients)
         """
-        with th.autocast(device_type=coefficients.device.type, enabled=False):
+        with full_precision(coefficients.device.type):
             *parts, bias = coefficients.float().split(self._sizes, dim=1)
             weights = {
                 key: part.unflatten(1, shape) * self.space.std(key, HE_GAIN)

@@ -1,8 +1,8 @@
 """Circular harmonics on the pixel grid of a filter.
 
-A harmonic of frequency f should only respond to the part of an image that rotates with frequency f. Samples of
-Gaussian rings times circular harmonics violate this condition, because the grid only has rotations by 90
-degrees. For example, a harmonic of frequency 4 responds to a constant image, and one of frequency 3 to a ramp.
+A harmonic of frequency f should only respond to the part of an image that rotates with frequency f. Samples
+of Gaussian rings times circular harmonics violate this condition, because the grid only has rotations by 90
+degrees. For example, a harmonic of frequency 4 responds to a constant image, one of frequency 3 to a ramp.
 :func:`harmonic_basis` suppresses the part of each sampled harmonic that responds to other frequencies.
 """
 

@@ -16,6 +16,7 @@ from torch import nn
 from torch.nn import functional as F
 
 from sb3_extensions.common.codec import PIXEL, SpatialActionCodec
+from sb3_extensions.networks.convolution import apply_in_float32
 from sb3_extensions.networks.encoders import HalvingMaxPool, Stage, resize
 from sb3_extensions.networks.equivariant import DynamicEquivariantConv2d, EquivariantConv2d
 from sb3_extensions.networks.groups import FieldType, Group
@@ -129,7 +130,8 @@ class PlainRotations(Level):
     def forward(self, view: View, encoding: th.Tensor, indices: th.Tensor) -> th.Tensor:
         """:return: (batch, yaws)"""
         features = self.encoder(self.patch(view, indices)).flatten(1)
-        values = self.head(th.cat([features, encoding.flatten(1)], dim=1))
+        hidden = self.head[:-1](th.cat([features, encoding.flatten(1)], dim=1))
+        values = apply_in_float32(self.head[-1], hidden)
         return of_primitive(values.unflatten(1, (PRIMITIVES, self.choices)), view.places)
 
 
@@ -199,7 +201,7 @@ class EquivariantRotations(Level):
         if self.in_hand is not None:
             condition = th.cat([condition, self.in_hand(view.in_hand)], dim=1)
         features = F.relu(self.dynamic(features, self.coefficients(condition)))
-        values = self.head(features).flatten(1).unflatten(1, (PRIMITIVES, self.choices))
+        values = apply_in_float32(self.head, features).flatten(1).unflatten(1, (PRIMITIVES, self.choices))
         return of_primitive(values, view.places)
 
 
@@ -268,7 +270,7 @@ class PlainLevel(Level):
     def forward(self, view: View, encoding: th.Tensor, indices: th.Tensor) -> th.Tensor:
         """:return: (batch, values of the number)"""
         features = th.cat([self.encoder(self._seen(view, indices)), self.scene(encoding)], dim=1)
-        values = self.head(features).unflatten(1, (PRIMITIVES, self.choices))
+        values = apply_in_float32(self.head, features).unflatten(1, (PRIMITIVES, self.choices))
         return of_primitive(values, view.places)
 
     def _seen(self, view: View, indices: th.Tensor) -> th.Tensor:
@@ -317,7 +319,8 @@ class DeicticLevel(Level):
         if view.in_hand is not None:
             in_hand = view.in_hand[:, None].expand(-1, self.choices, -1, -1, -1)
             seen = th.cat([seen, in_hand], dim=2)
-        values = self.head(self.encoder(seen.flatten(0, 1))).unflatten(0, (-1, self.choices))
+        values = apply_in_float32(self.head, self.encoder(seen.flatten(0, 1)))
+        values = values.unflatten(0, (-1, self.choices))
         return of_primitive(values.transpose(1, 2), view.places)
 
 

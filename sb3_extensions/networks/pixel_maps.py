@@ -16,6 +16,7 @@ import torch as th
 from torch import nn
 from torch.nn import functional as F
 
+from sb3_extensions.networks.convolution import apply_in_float32
 from sb3_extensions.networks.equivariant import (
     DynamicEquivariantConv2d,
     EquivariantConv2d,
@@ -102,7 +103,7 @@ class PlainPixelMaps(PixelMaps):
         """:return: values (batch, yaws, size, size), encoding"""
         in_hand = None if self.in_hand is None else self.in_hand(view.in_hand)
         features, encoding = self.unet(view.image, in_hand)
-        values = self.head(features).unflatten(1, (PRIMITIVES, self.rotations))
+        values = apply_in_float32(self.head, features).unflatten(1, (PRIMITIVES, self.rotations))
         return of_primitive(values, view.places), encoding
 
 
@@ -192,16 +193,36 @@ class EquivariantPixelMaps(PixelMaps):
     def forward(self, view: View) -> tuple[th.Tensor, th.Tensor]:
         """:return: values (batch, yaws, size, size), encoding"""
         features, lowest = self.unet(view.image)
+        return self._values(features, view), self.pool(lowest)
+
+    def _values(self, features: th.Tensor, view: View) -> th.Tensor:
+        """Return values of the next primitive: (batch, yaws, size, size)."""
+        if th.compiler.is_compiling() or th.jit.is_tracing():  # a graph has no branches that depend on data
+            picks, places = self._pick_values(features), self._place_values(features, view.in_hand)
+            return th.where(view.places[:, None, None, None], places, picks)
         values = features.new_zeros(len(features), self.rotations, *features.shape[2:], dtype=th.float32)
-        for head, samples in zip(self.heads, (~view.places, view.places), strict=True):
-            if not samples.any():
-                continue
-            chosen = features[samples]
-            if head is self.heads[1] and self.dynamic is not None:
-                assert view.in_hand is not None
-                chosen = F.relu(self.dynamic(chosen, self.coefficients(view.in_hand[samples])))
-            values[samples] = head(chosen).float()
-        return values, self.pool(lowest)
+        if (~view.places).any():
+            values[~view.places] = self._pick_values(features[~view.places])
+        if view.places.any():
+            placed = view.of(view.places)
+            values[view.places] = self._place_values(features[view.places], placed.in_hand)
+        return values
+
+    def _pick_values(self, features: th.Tensor) -> th.Tensor:
+        return _apply_head(self.heads[0], features)
+
+    def _place_values(self, features: th.Tensor, in_hand: th.Tensor | None) -> th.Tensor:
+        if self.dynamic is not None:
+            features = F.relu(self.dynamic(features, self.coefficients(in_hand)))
+        return _apply_head(self.heads[1], features)
+
+
+def _apply_head(head: nn.Module, features: th.Tensor) -> th.Tensor:
+    """Apply the layers of a head, the last one in float32."""
+    assert isinstance(head, nn.Sequential)
+    for layer in head[:-1]:
+        features = layer(features)
+    return apply_in_float32(head[-1], features)
 
 
 def _head(regular: FieldType, rotations: int) -> nn.Sequential:

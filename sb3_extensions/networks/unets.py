@@ -114,7 +114,7 @@ class ResidualBlock(nn.Module):
 
 
 class EquivariantResidualBlock(nn.Module):
-    """Two 3 x 3 equivariant convolutions beside an identity, or a third one where the fields change.
+    """Two 3 x 3 equivariant convolutions next to an identity, or to a 1 x 1 convolution if the fields change.
 
     :param in_type: fields of the input
     :param out_type: regular fields of the output
@@ -125,11 +125,7 @@ class EquivariantResidualBlock(nn.Module):
         self.first = EquivariantConv2d(in_type, out_type, 3, padding=1, bias=False)
         self.second = EquivariantConv2d(out_type, out_type, 3, padding=1, bias=False, gain=1.0)
         same = in_type == out_type
-        self.skip = (
-            nn.Identity()
-            if same
-            else EquivariantConv2d(in_type, out_type, 3, padding=1, bias=False, gain=1.0)
-        )
+        self.skip = nn.Identity() if same else EquivariantConv2d(in_type, out_type, 1, bias=False, gain=1.0)
 
     def forward(self, features: th.Tensor) -> th.Tensor:
         """:return: (batch, out channels, height, width)"""

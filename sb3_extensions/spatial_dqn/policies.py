@@ -159,8 +159,29 @@ class SpatialPolicy(BasePolicy):
         assert isinstance(observation, dict)
         indices, _ = self.q_net.greedy(observation)
         places = self.q_net.scene_view(observation).places
-        actions = self.codec.decode(indices.cpu().numpy(), places.cpu().numpy())
-        return th.as_tensor(actions, device=self.device)
+        return self.codec.decode_tensor(indices, places)
+
+    def parameters_to_vector(self) -> npt.NDArray[Any]:
+        """
+        Convert the parameters to a 1D vector.
+
+        Unlike SB3's method it works for any memory layout, such as ``channels_last``.
+        """
+        flat = [parameter.detach().reshape(-1) for parameter in self.parameters()]
+        vector: npt.NDArray[Any] = th.cat(flat).cpu().numpy()
+        return vector
+
+    @th.no_grad()
+    def load_from_vector(self, vector: npt.NDArray[Any]) -> None:
+        """
+        Load parameters from a 1D vector.
+
+        :param vector: as returned by :meth:`parameters_to_vector`
+        """
+        sizes = [parameter.numel() for parameter in self.parameters()]
+        parts = th.as_tensor(vector, dtype=th.float32, device=self.device).split(sizes)
+        for parameter, part in zip(self.parameters(), parts, strict=True):
+            parameter.copy_(part.view(parameter.shape))
 
     def value_map(
         self, observation: dict[str, npt.NDArray[Any]]

@@ -86,7 +86,7 @@ def test_small_networks_value_places_from_the_first(rotations: int, dynamic_fiel
     for seed in range(10):
         th.manual_seed(seed)
         network = EquivariantPixelMaps(
-            Shapes(32, (1, SIDE, SIDE)), group, (1, 2, 4, 4), IN_HAND, HIDDEN, rotations, dynamic_fields
+            Shapes(32, (1, SIDE, SIDE)), group, (2, 2, 4, 4), IN_HAND, HIDDEN, rotations, dynamic_fields
         )
         assert network.dynamic is not None
         assert network.dynamic.out_type.size == dynamic_fields * group.order

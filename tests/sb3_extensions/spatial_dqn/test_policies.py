@@ -125,6 +125,20 @@ def test_values_of_yaws_differ_before_training(make_policy_kwargs: Any) -> None:
     assert yaws.std(dim=1).mean() > 0.01 * pixels.std(dim=1).mean()
 
 
+def test_values_are_not_rounded_to_bfloat16(
+    case: Any, make_policy_kwargs: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Values rounded to bfloat16 are equal at several pixels, so that the best one is arbitrary."""
+    monkeypatch.setattr("sb3_extensions.networks.encoders.has_bf16", lambda device_type: True)
+    env, observations = real_observations(case[1])
+    policy = make_policy(env, case[0], **make_policy_kwargs(*case, autocast="bf16"))
+    with th.no_grad():
+        indices, _ = policy.q_net.greedy(observations)
+        for level in policy.q_net.values(observations, indices):
+            assert level.dtype == th.float32
+            assert (level != level.bfloat16().float()).float().mean() > 0.5
+
+
 @pytest.mark.parametrize("side", [6, 11, 20, 41])
 def test_in_hand_images_of_any_size(side: int, make_picking: Any, make_policy_kwargs: Any) -> None:
     env = make_picking(2, in_hand_size=side)
