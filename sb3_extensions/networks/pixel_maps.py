@@ -197,7 +197,7 @@ class EquivariantPixelMaps(PixelMaps):
 
     def _values(self, features: th.Tensor, view: View) -> th.Tensor:
         """Return values of the next primitive: (batch, yaws, size, size)."""
-        if th.compiler.is_compiling() or th.jit.is_tracing():  # a graph has no branches that depend on data
+        if th.compiler.is_compiling() or th._C._get_tracing_state() is not None:  # a graph has no branches that depend on data
             picks, places = self._pick_values(features), self._place_values(features, view.in_hand)
             return th.where(view.places[:, None, None, None], places, picks)
         values = features.new_zeros(len(features), self.rotations, *features.shape[2:], dtype=th.float32)
@@ -219,10 +219,10 @@ class EquivariantPixelMaps(PixelMaps):
 
 def _apply_head(head: nn.Module, features: th.Tensor) -> th.Tensor:
     """Apply the layers of a head, the last one in float32."""
-    assert isinstance(head, nn.Sequential)
-    for layer in head[:-1]:
+    *hidden, last = head.children()
+    for layer in hidden:
         features = layer(features)
-    return apply_in_float32(head[-1], features)
+    return apply_in_float32(last, features)
 
 
 def _head(regular: FieldType, rotations: int) -> nn.Sequential:

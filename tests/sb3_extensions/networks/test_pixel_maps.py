@@ -78,7 +78,7 @@ def test_maps_turn_with_the_image(turn: str, size: int, gradient: bool) -> None:
     assert_same(turned_encoding, apply(encoding))
 
 
-@pytest.mark.parametrize(("rotations", "dynamic_fields"), [(1, 4), (16, 2)])
+@pytest.mark.parametrize(("rotations", "dynamic_fields"), [(1, 4), (16, 4)])
 def test_small_networks_value_places_from_the_first(rotations: int, dynamic_fields: int) -> None:
     """Of one field behind a ReLU all numbers may be 0 everywhere: then nothing is ever learned of places."""
     group = Group("dihedral", 4) if rotations == 1 else Group("cyclic", 2 * rotations)

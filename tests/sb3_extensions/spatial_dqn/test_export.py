@@ -58,7 +58,9 @@ def test_onnx_model_has_the_actions_of_the_policy(policy: SpatialPolicy, tmp_pat
     onnxruntime = pytest.importorskip("onnxruntime")
     first, *others = scenes(policy)
     path = tmp_path / "policy.onnx"
-    th.onnx.export(policy, (first,), path, dynamo=True, verbose=False)
+    with th.no_grad():
+        program = th.export.export(policy, (first,))
+    th.onnx.export(program, f=path, verbose=False)
     session = onnxruntime.InferenceSession(str(path))
     names = [node.name for node in session.get_inputs()]
     with th.no_grad():

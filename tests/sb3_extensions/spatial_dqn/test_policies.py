@@ -136,7 +136,8 @@ def test_values_are_not_rounded_to_bfloat16(
         indices, _ = policy.q_net.greedy(observations)
         for level in policy.q_net.values(observations, indices):
             assert level.dtype == th.float32
-            assert (level != level.bfloat16().float()).float().mean() > 0.5
+            values = level[level != 0.0]  # narrow layers may be silent
+            assert (values != values.bfloat16().float()).float().mean() > 0.5
 
 
 @pytest.mark.parametrize("side", [6, 11, 20, 41])
