@@ -12,9 +12,9 @@ cache can notice.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
-from contextvars import ContextVar
+from typing import Any
 
 import torch as th
 from torch import nn
@@ -39,28 +39,26 @@ __all__ = [
 # Of an initialisation that keeps a signal's mean square although the ReLU behind halves it (He et al., 2015).
 HE_GAIN = math.sqrt(2.0)
 
-_EXPANDED: ContextVar[Mapping[nn.Module, th.Tensor] | None] = ContextVar("expanded_filters", default=None)
-
 
 @contextmanager
 def expanded_filters(*modules: nn.Module) -> Iterator[None]:
     """Expand the modules' filters once, for every forward pass without gradient inside the scope.
 
-    For several forward passes with the same weights, such as an evaluation or the target network in one
-    update. The weights must not change inside the scope. Forward passes with gradient expand as always.
+    Use it for several forward passes with the same weights, such as an evaluation or the target network in
+    one update. The weights must not change inside the scope. Forward passes with gradient expand as always.
 
     :param modules: modules whose equivariant layers, at any depth, are expanded
     """
-    filters = dict(_EXPANDED.get() or {})
-    with th.no_grad():
-        for layer in (layer for module in modules for layer in module.modules()):
-            if isinstance(layer, SteerableMap):
-                filters[layer] = layer.expand()
-    token = _EXPANDED.set(filters)
+    layers = [layer for module in modules for layer in module.modules() if isinstance(layer, SteerableMap)]
+    previous = [layer.expanded for layer in layers]
     try:
+        with th.no_grad():
+            for layer in layers:
+                layer.expanded = layer.expand().contiguous(memory_format=th.channels_last)
         yield
     finally:
-        _EXPANDED.reset(token)
+        for layer, before in zip(reversed(layers), reversed(previous), strict=True):
+            layer.expanded = before
 
 
 class SteerableMap(nn.Module):
@@ -89,6 +87,7 @@ class SteerableMap(nn.Module):
         for key, shape in self.space.shapes.items():
             self.weights[key] = nn.Parameter(th.empty(shape))
         self.bias = nn.Parameter(th.zeros(self.space.num_biases)) if bias else None
+        self.expanded: th.Tensor | None = None
         self.reset_parameters(gain)
 
     def reset_parameters(self, gain: float) -> None:
@@ -101,6 +100,9 @@ class SteerableMap(nn.Module):
         if self.bias is not None:
             nn.init.zeros_(self.bias)
 
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "expanded": None}  # copies may get other weights
+
     def expand(self) -> th.Tensor:
         """Filter of the plain convolution that does the same: (out channels, in channels, side, side)."""
         return self.space.expand(self.weights)
@@ -109,8 +111,9 @@ class SteerableMap(nn.Module):
         """Filter and bias in float32, the filter from an open scope if no gradient is wanted."""
         bias_basis = self.space.bias_basis
         with full_precision(bias_basis.device.type):
-            scope = None if th.is_grad_enabled() else _EXPANDED.get()
-            weight = self.expand() if scope is None or self not in scope else scope[self]
+            weight = self.expanded
+            if weight is None or th.is_grad_enabled():
+                weight = self.expand()
             return weight, None if self.bias is None else self.bias @ bias_basis
 
 

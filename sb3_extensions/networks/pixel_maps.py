@@ -197,7 +197,9 @@ class EquivariantPixelMaps(PixelMaps):
 
     def _values(self, features: th.Tensor, view: View) -> th.Tensor:
         """Return values of the next primitive: (batch, yaws, size, size)."""
-        if th.compiler.is_compiling() or th._C._get_tracing_state() is not None:  # a graph has no branches that depend on data
+        if (
+            th.compiler.is_compiling() or th._C._get_tracing_state() is not None
+        ):  # a graph has no branches that depend on data
             picks, places = self._pick_values(features), self._place_values(features, view.in_hand)
             return th.where(view.places[:, None, None, None], places, picks)
         values = features.new_zeros(len(features), self.rotations, *features.shape[2:], dtype=th.float32)

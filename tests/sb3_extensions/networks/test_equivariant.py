@@ -372,3 +372,23 @@ def test_scope_closes_after_an_error():
         for parameter in encoder.parameters():
             parameter.data.mul_(0.5)
         assert relative_error(encoder(image), before) > 1e-3
+
+
+def test_scopes_may_be_nested():
+    encoder = encoder_of(Group("cyclic", 4))
+    layers = [layer for layer in encoder.modules() if isinstance(layer, EquivariantConv2d)]
+    with expanded_filters(encoder, encoder):
+        outer = layers[0].expanded
+        with expanded_filters(encoder):
+            assert layers[0].expanded is not outer
+        assert layers[0].expanded is outer
+    assert all(layer.expanded is None for layer in layers)
+
+
+@pytest.mark.parametrize("scope", [False, True])
+def test_encoder_is_one_graph(scope):
+    """The compiler finds no operation that it has to leave to Python."""
+    encoder, image = encoder_of(Group("cyclic", 4)), th.rand(2, 2, 16, 16)
+    compiled = th.compile(encoder, backend="eager", fullgraph=True)
+    with th.no_grad(), expanded_filters(*[encoder] * scope):
+        assert relative_error(compiled(image), encoder(image)) < EXACT
