@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
 
-from sb3_extensions.common.codec import SpatialActionCodec
 from sb3_extensions.demonstrations.collecting import Actions, Hand
+
+if TYPE_CHECKING:  # the codec's package imports this one
+    from sb3_extensions.spatial_dqn.codec import SpatialActionCodec
 
 
 @dataclass(frozen=True)

@@ -5,12 +5,11 @@ from __future__ import annotations
 import contextlib
 import os
 from collections.abc import Callable, Iterable, Iterator
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy.typing as npt
 from stable_baselines3.common.vec_env import VecEnv
 
-from sb3_extensions.common.codec import SpatialActionCodec
 from sb3_extensions.demonstrations.checking import checked_episodes
 from sb3_extensions.demonstrations.collecting import (
     AnyEnv,
@@ -22,6 +21,9 @@ from sb3_extensions.demonstrations.collecting import (
 from sb3_extensions.demonstrations.noise import UnsteadyHand
 from sb3_extensions.demonstrations.snapping import SnappingHand
 from sb3_extensions.replay.expert import ExpertReplayBuffer
+
+if TYPE_CHECKING:  # the codec's package imports this one
+    from sb3_extensions.spatial_dqn.codec import SpatialActionCodec
 
 Rescale = Callable[[npt.NDArray[Any]], npt.NDArray[Any]]
 

@@ -8,9 +8,9 @@ import torch as th
 from stable_baselines3.common.type_aliases import TensorDict
 from torch.nn import functional as F
 
-from sb3_extensions.common.codec import PIXEL, SpatialActionCodec
 from sb3_extensions.common.exploration import EXPLORED_HEIGHT
 from sb3_extensions.replay.samples import FrameReplayBufferSamples
+from sb3_extensions.spatial_dqn.codec import PIXEL, SpatialActionCodec
 
 # Standard deviation of a shift, in sides of the image (the authors' code).
 SHIFT = 1 / 20

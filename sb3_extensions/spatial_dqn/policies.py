@@ -12,9 +12,9 @@ from gymnasium import spaces
 from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.type_aliases import PyTorchObs, Schedule
 
-from sb3_extensions.common.codec import DEFAULT_SEQUENCE, SpatialActionCodec
-from sb3_extensions.networks.groups import Group
-from sb3_extensions.networks.later_levels import (
+from sb3_extensions.encoders.observation import SceneView
+from sb3_extensions.equivariant.groups import Group
+from sb3_extensions.spatial_dqn.asr_heads import (
     DeicticLevel,
     EquivariantRotations,
     Level,
@@ -22,15 +22,15 @@ from sb3_extensions.networks.later_levels import (
     PlainRotations,
     Widths,
 )
-from sb3_extensions.networks.pixel_maps import (
+from sb3_extensions.spatial_dqn.codec import DEFAULT_SEQUENCE, SpatialActionCodec
+from sb3_extensions.spatial_dqn.pixel_maps import (
     EquivariantPixelMaps,
     PixelMaps,
     PlainPixelMaps,
     RotatedPixelMaps,
     Shapes,
 )
-from sb3_extensions.networks.spatial_q import SpatialQNetwork
-from sb3_extensions.networks.views import SceneView
+from sb3_extensions.spatial_dqn.q_network import SpatialQNetwork
 
 # Channels and fields of the authors' code, for 128 x 128 pixels.
 CHANNELS = (32, 64, 128, 256, 256)
@@ -44,21 +44,22 @@ HIDDEN = (1024, 512)
 class SpatialPolicy(BasePolicy):
     """
     Greedy policy of a Q function over the grid of a
-    :class:`~sb3_extensions.common.codec.SpatialActionCodec`, and its target network. A subclass makes the
-    levels of the network.
+    :class:`~sb3_extensions.spatial_dqn.codec.SpatialActionCodec`, and its target network.
 
-    :param observation_space: Observation space, see :class:`~sb3_extensions.networks.views.SceneView`
+    A subclass makes the levels of the network.
+
+    :param observation_space: Observation space, see :class:`~sb3_extensions.encoders.observation.SceneView`
     :param action_space: Action space, one number for each character of ``action_sequence``
     :param lr_schedule: Learning rate schedule (could be constant)
-    :param action_sequence: see :class:`~sb3_extensions.common.codec.SpatialActionCodec`
+    :param action_sequence: see :class:`~sb3_extensions.spatial_dqn.codec.SpatialActionCodec`
     :param codec_kwargs: its other arguments: numbers and ranges of the grid
     :param network_kwargs: channels, fields and the like, see the policy's class
-    :param quantise: see :class:`~sb3_extensions.networks.views.SceneView`
-    :param standardise: see :class:`~sb3_extensions.networks.views.SceneView`
-    :param autocast: see :class:`~sb3_extensions.networks.spatial_q.SpatialQNetwork`
-    :param channels_last: see :class:`~sb3_extensions.networks.spatial_q.SpatialQNetwork`
+    :param quantise: see :class:`~sb3_extensions.encoders.observation.SceneView`
+    :param standardise: see :class:`~sb3_extensions.encoders.observation.SceneView`
+    :param autocast: see :class:`~sb3_extensions.spatial_dqn.q_network.SpatialQNetwork`
+    :param channels_last: see :class:`~sb3_extensions.spatial_dqn.q_network.SpatialQNetwork`
     :param image_key: of the heightmap, as ``in_hand_key`` and ``holding_key`` see
-        :class:`~sb3_extensions.networks.views.SceneView`
+        :class:`~sb3_extensions.encoders.observation.SceneView`
     :param in_hand_key: of the in-hand image
     :param holding_key: of whether the gripper holds something
     :param optimizer_class: The optimizer to use, ``th.optim.Adam`` by default
@@ -265,7 +266,7 @@ class EquivariantFCNPolicy(SpatialPolicy):
 
     ``network_kwargs``: regular ``fields`` of its levels, ``in_hand_channels`` of the convolutions on the
     in-hand image, ``hidden`` units of the linear layer behind them, ``dynamic_fields`` see
-    :class:`~sb3_extensions.networks.pixel_maps.EquivariantPixelMaps`.
+    :class:`~sb3_extensions.spatial_dqn.pixel_maps.EquivariantPixelMaps`.
     """
 
     def make_levels(  # type: ignore[override]
@@ -326,8 +327,8 @@ class EquivariantASRPolicy(SpatialPolicy):
     ``network_kwargs``: the symmetry of the first level (``group``, ``n``), ``fields`` of the U-Net's levels,
     ``patch_fields`` of the convolutions on the patch around the pixel, ``in_hand_channels`` of those on the
     in-hand image, ``hidden`` units of the two linear layers behind them, ``dynamic_fields`` see
-    :class:`~sb3_extensions.networks.pixel_maps.EquivariantPixelMaps`, ``pool_encoding`` see
-    :class:`~sb3_extensions.networks.later_levels.EquivariantRotations`; in 6D ``patch_channels`` and
+    :class:`~sb3_extensions.spatial_dqn.pixel_maps.EquivariantPixelMaps`, ``pool_encoding`` see
+    :class:`~sb3_extensions.spatial_dqn.asr_heads.EquivariantRotations`; in 6D ``patch_channels`` and
     ``patch_hidden`` of the levels behind the yaw.
     """
 

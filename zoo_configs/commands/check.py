@@ -253,9 +253,9 @@ def _watch_expert(env: gym.Env[Any, Any], args: argparse.Namespace) -> Experienc
 
 def _snapping_hand(env: gym.Env[Any, Any]) -> Hand:
     """What carries the expert's actions out on the grid, over the heightmap that the environment shows."""
-    from sb3_extensions.common.codec import DEFAULT_SEQUENCE, SpatialActionCodec
     from sb3_extensions.demonstrations.snapping import SnappingHand
-    from sb3_extensions.networks.views import SceneView
+    from sb3_extensions.encoders.observation import SceneView
+    from sb3_extensions.spatial_dqn.codec import DEFAULT_SEQUENCE, SpatialActionCodec
 
     config: Any = getattr(env.unwrapped, "config", None)
     sequence = getattr(config, "action_sequence", DEFAULT_SEQUENCE)

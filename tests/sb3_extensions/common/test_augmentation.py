@@ -9,7 +9,7 @@ from gymnasium import spaces
 from stable_baselines3.common.evaluation import evaluate_policy
 
 from sb3_extensions.common.augmentation import RAD, DrQ, make_augmentation
-from sb3_extensions.networks.extractors import CnnExtractor
+from sb3_extensions.encoders.extractors import CnnExtractor
 from sb3_extensions.replay.samples import FrameReplayBufferSamples
 from sb3_extensions.sacfd import SACfD
 

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from gymnasium import spaces
 
-from sb3_extensions.common.codec import SpatialActionCodec
 from sb3_extensions.demonstrations.collecting import collect_episodes, make_expert_env
 from sb3_extensions.demonstrations.noise import UnsteadyHand
 from sb3_extensions.demonstrations.snapping import SnappingHand
 from sb3_extensions.demonstrations.source import DemonstrationSource
 from sb3_extensions.replay.expert import ExpertReplayBuffer
+from sb3_extensions.spatial_dqn.codec import SpatialActionCodec
 
 CODEC = SpatialActionCodec(24, "pxyr", num_rotations=4)
 

@@ -129,7 +129,7 @@ def test_values_are_not_rounded_to_bfloat16(
     case: Any, make_policy_kwargs: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Values rounded to bfloat16 are equal at several pixels, so that the best one is arbitrary."""
-    monkeypatch.setattr("sb3_extensions.networks.encoders.has_bf16", lambda device_type: True)
+    monkeypatch.setattr("sb3_extensions.encoders.cnn.has_bf16", lambda device_type: True)
     env, observations = real_observations(case[1])
     policy = make_policy(env, case[0], **make_policy_kwargs(*case, autocast="bf16"))
     with th.no_grad():
