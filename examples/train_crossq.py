@@ -10,7 +10,7 @@ from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.evaluation import evaluate_policy
 
 from bulletarm_gym.wrappers import ImageObservation
-from sb3_extensions.networks.extractors import CnnExtractor
+from sb3_extensions.encoders.extractors import CnnExtractor
 from sb3_extensions.replay.buffer import ExpertReplayBuffer
 
 ENV_ID = "BulletArm/CloseLoopBlockReaching-v0"

@@ -12,7 +12,7 @@ from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.evaluation import evaluate_policy
 
 import bulletarm_gym  # noqa: F401 (registers the environments)
-from sb3_extensions.networks.extractors import CnnExtractor, EquivariantExtractor
+from sb3_extensions.encoders.extractors import CnnExtractor, EquivariantExtractor
 
 ENV_ID = "BulletArm/CloseLoopBlockReaching-v0"
 CNN: dict[str, Any] = {

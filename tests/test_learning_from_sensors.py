@@ -11,8 +11,8 @@ from stable_baselines3.common.preprocessing import is_image_space, preprocess_ob
 from stable_baselines3.common.utils import obs_as_tensor
 
 import bulletarm_gym  # noqa: F401 (registers the environments)
-from sb3_extensions.networks.extractors import CnnExtractor, EquivariantExtractor
-from sb3_extensions.networks.stacked_image import StackedImage
+from sb3_extensions.encoders.extractors import CnnExtractor, EquivariantExtractor
+from sb3_extensions.encoders.observation import StackedImage
 from sb3_extensions.sacfd import SACfD
 
 PICKING = "BulletArm/CloseLoopBlockPicking-v0"

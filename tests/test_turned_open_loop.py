@@ -12,10 +12,10 @@ from gymnasium import spaces
 
 import bulletarm_gym  # noqa: F401  registers the environments
 from bulletarm_gym.geometry import Pose
-from sb3_extensions.common.codec import SpatialActionCodec
 from sb3_extensions.replay.samples import ExpertReplayBufferSamples
 from sb3_extensions.spatial_dqn import EquivariantASRPolicy, EquivariantFCNPolicy, RotFCNPolicy
 from sb3_extensions.spatial_dqn.augmentation import RigidMotion
+from sb3_extensions.spatial_dqn.codec import SpatialActionCodec
 from sb3_extensions.spatial_dqn.policies import SpatialPolicy
 
 SIZE, SIDE, YAWS = 48, 12, 4

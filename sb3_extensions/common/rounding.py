@@ -8,8 +8,7 @@ from typing import Any
 from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.vec_env import VecNormalize
 
-from sb3_extensions.networks.stacked_image import StackedImage
-from sb3_extensions.networks.views import SceneView
+from sb3_extensions.encoders.observation import SceneView, StackedImage
 from sb3_extensions.replay.buffer import ExpertReplayBuffer
 
 

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import gymnasium as gym
 import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
-from sb3_extensions.common.codec import SpatialActionCodec
+if TYPE_CHECKING:  # the package of the codec imports this one
+    from sb3_extensions.spatial_dqn.codec import SpatialActionCodec
 
 Actions = npt.NDArray[Any]
 ActionTransform = Callable[[Actions, np.random.Generator], Actions]

@@ -12,7 +12,6 @@ import numpy as np
 import numpy.typing as npt
 from stable_baselines3.common.vec_env import VecEnv
 
-from sb3_extensions.common.codec import SpatialActionCodec
 from sb3_extensions.common.components import check_not_negative
 from sb3_extensions.demonstrations.action_transforms import ActionTransform, GaussianExpertNoise, GridSnapping
 from sb3_extensions.demonstrations.collection import collect_episodes
@@ -20,6 +19,10 @@ from sb3_extensions.demonstrations.episodes import EpisodeData
 from sb3_extensions.demonstrations.expert_envs import make_expert_envs
 from sb3_extensions.demonstrations.validation import validate_episodes
 from sb3_extensions.replay.buffer import ExpertReplayBuffer
+from sb3_extensions.spatial_dqn.codec import SpatialActionCodec
+
+if TYPE_CHECKING:  # the codec's package imports this one
+    from sb3_extensions.spatial_dqn.codec import SpatialActionCodec
 
 Rescale = Callable[[npt.NDArray[Any]], npt.NDArray[Any]]
 

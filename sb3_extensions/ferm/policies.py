@@ -13,11 +13,11 @@ from stable_baselines3.common.type_aliases import PyTorchObs, Schedule
 from torch import nn
 from torch.nn import functional as F
 
-from sb3_extensions.networks.encoders import CnnEncoder, scale_channels
-from sb3_extensions.networks.extractors import CnnExtractor
-from sb3_extensions.networks.policies import NetArch
-from sb3_extensions.networks.stacked_image import StackedImage
+from sb3_extensions.encoders.cnn import CnnEncoder, scale_channels
+from sb3_extensions.encoders.extractors import CnnExtractor
+from sb3_extensions.encoders.observation import StackedImage
 from sb3_extensions.sacfd import policies as sacfd
+from sb3_extensions.sacfd.actor_critic import NetArch
 
 # Units of the two hidden layers of actor and critic, as in the paper's FERM baseline.
 NET_ARCH = [1024, 1024]
@@ -26,13 +26,13 @@ NET_ARCH = [1024, 1024]
 class ContrastiveExtractor(CnnExtractor):
     """Convolutional encoder, a linear layer and layer normalisation.
 
-    :param observation_space: see :class:`~sb3_extensions.networks.stacked_image.StackedImage`
+    :param observation_space: see :class:`~sb3_extensions.encoders.observation.StackedImage`
     :param features_dim: number of features
-    :param channels: output channels of each stage, see :class:`~sb3_extensions.networks.encoders.CnnEncoder`;
+    :param channels: output channels of each stage, see :class:`~sb3_extensions.encoders.cnn.CnnEncoder`;
         those of the paper's FERM baseline, for the size of the images, if ``None``
-    :param quantise: see :class:`~sb3_extensions.networks.stacked_image.StackedImage`
-    :param crop: see :class:`~sb3_extensions.networks.stacked_image.StackedImage`
-    :param kwargs: further parameters of :class:`~sb3_extensions.networks.extractors.CnnExtractor`
+    :param quantise: see :class:`~sb3_extensions.encoders.observation.StackedImage`
+    :param crop: see :class:`~sb3_extensions.encoders.observation.StackedImage`
+    :param kwargs: further parameters of :class:`~sb3_extensions.encoders.extractors.CnnExtractor`
     """
 
     LAST = (256, 256, 1024)  # channels of the stages behind the halving ones
@@ -110,7 +110,7 @@ class MultiInputPolicy(sacfd.MultiInputPolicy):
     The parameters are those of :class:`sb3_extensions.sacfd.policies.MultiInputPolicy`.
 
     :param observation_space: Dict of images and numbers, see
-        :class:`~sb3_extensions.networks.stacked_image.StackedImage`
+        :class:`~sb3_extensions.encoders.observation.StackedImage`
     :param action_space: Action space
     :param lr_schedule: Learning rate schedule (could be constant)
     :param net_arch: Hidden layers behind the features extractors, the paper's if ``None``

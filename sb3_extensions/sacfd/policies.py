@@ -12,10 +12,9 @@ from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from stable_baselines3.common.type_aliases import Schedule
 from stable_baselines3.sac.policies import Actor
 
-from sb3_extensions.networks.extractors import CnnExtractor, EquivariantExtractor
-from sb3_extensions.networks.heads import features_type
-from sb3_extensions.networks.numbers import MlpExtractor
-from sb3_extensions.networks.policies import (
+from sb3_extensions.encoders.extractors import CnnExtractor, EquivariantExtractor
+from sb3_extensions.encoders.mlp_extractor import MlpExtractor
+from sb3_extensions.sacfd.actor_critic import (
     EquivariantActor,
     EquivariantCritic,
     NetArch,
@@ -23,6 +22,7 @@ from sb3_extensions.networks.policies import (
     initialise_actor,
 )
 from sb3_extensions.sacfd.averaging import AveragedActorPolicy
+from sb3_extensions.sacfd.heads import features_type
 
 # Hidden layers of the paper's close-loop CNN baseline: none in the actor, 128 units in each head of the
 # critic.
@@ -34,7 +34,7 @@ class MultiInputPolicy(AveragedActorPolicy):
     """CNN policy of the paper: one encoder for the actor, one for all heads of the critic.
 
     :param observation_space: Dict of images and numbers, see
-        :class:`~sb3_extensions.networks.stacked_image.StackedImage`
+        :class:`~sb3_extensions.encoders.observation.StackedImage`
     :param action_space: Action space
     :param lr_schedule: Learning rate schedule (could be constant)
     :param net_arch: Hidden layers behind the encoders, the paper's if ``None``
@@ -75,7 +75,7 @@ class MultiInputPolicy(AveragedActorPolicy):
 class StatePolicy(MultiInputPolicy):
     """Fully connected policy for observations of numbers alone, such as an environment's poses.
 
-    :param observation_space: see :class:`~sb3_extensions.networks.numbers.MlpExtractor`
+    :param observation_space: see :class:`~sb3_extensions.encoders.mlp_extractor.MlpExtractor`
     :param action_space: Action space
     :param lr_schedule: Learning rate schedule (could be constant)
     :param net_arch: Hidden layers behind the encoders; by default none in the actor, 256 units in each head
@@ -107,7 +107,7 @@ class EquivariantPolicy(AveragedActorPolicy):
     """Equivariant policy of the paper: one encoder for the actor, one for all heads of the critic.
 
     :param observation_space: Dict of images and numbers, see
-        :class:`~sb3_extensions.networks.stacked_image.StackedImage`
+        :class:`~sb3_extensions.encoders.observation.StackedImage`
     :param action_space: Action space
     :param lr_schedule: Learning rate schedule (could be constant)
     :param net_arch: Regular fields of the hidden layers behind the encoders; by default none in the actor and

@@ -8,7 +8,6 @@ import torch as th
 from stable_baselines3.common.type_aliases import TensorDict
 from torch.nn import functional as F
 
-from sb3_extensions.common.codec import PIXEL, SpatialActionCodec
 from sb3_extensions.common.exploration import EXPLORED_HEIGHT
 from sb3_extensions.replay.samples import ExpertReplayBufferSamples
 

@@ -12,9 +12,9 @@ from gymnasium import spaces
 from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.type_aliases import PyTorchObs, Schedule
 
-from sb3_extensions.common.codec import DEFAULT_SEQUENCE, SpatialActionCodec
-from sb3_extensions.networks.groups import Group
-from sb3_extensions.networks.later_levels import (
+from sb3_extensions.encoders.observation import SceneView
+from sb3_extensions.equivariant.groups import Group
+from sb3_extensions.spatial_dqn.asr_heads import (
     DeicticLevel,
     EquivariantRotations,
     Level,
@@ -22,15 +22,15 @@ from sb3_extensions.networks.later_levels import (
     PlainRotations,
     Widths,
 )
-from sb3_extensions.networks.pixel_maps import (
+from sb3_extensions.spatial_dqn.codec import DEFAULT_SEQUENCE, SpatialActionCodec
+from sb3_extensions.spatial_dqn.pixel_maps import (
     EquivariantPixelMaps,
     PixelMaps,
     PlainPixelMaps,
     RotatedPixelMaps,
     Shapes,
 )
-from sb3_extensions.networks.spatial_q import SpatialQNetwork
-from sb3_extensions.networks.views import SceneView
+from sb3_extensions.spatial_dqn.q_network import SpatialQNetwork
 
 # Channels and fields of the authors' code, for 128 x 128 pixels.
 CHANNELS = (32, 64, 128, 256, 256)
@@ -44,21 +44,22 @@ HIDDEN = (1024, 512)
 class SpatialPolicy(BasePolicy):
     """
     Greedy policy of a Q function over the grid of a
-    :class:`~sb3_extensions.common.codec.SpatialActionCodec`, and its target network. A subclass makes the
-    levels of the network.
+    :class:`~sb3_extensions.spatial_dqn.codec.SpatialActionCodec`, and its target network.
 
-    :param observation_space: Observation space, see :class:`~sb3_extensions.networks.views.SceneView`
+    A subclass makes the levels of the network.
+
+    :param observation_space: Observation space, see :class:`~sb3_extensions.encoders.observation.SceneView`
     :param action_space: Action space, one number for each character of ``action_sequence``
     :param lr_schedule: Learning rate schedule (could be constant)
-    :param action_sequence: see :class:`~sb3_extensions.common.codec.SpatialActionCodec`
+    :param action_sequence: see :class:`~sb3_extensions.spatial_dqn.codec.SpatialActionCodec`
     :param codec_kwargs: its other arguments: numbers and ranges of the grid
     :param network_kwargs: channels, fields and the like, see the policy's class
-    :param quantise: see :class:`~sb3_extensions.networks.views.SceneView`
-    :param standardise: see :class:`~sb3_extensions.networks.views.SceneView`
-    :param autocast: see :class:`~sb3_extensions.networks.spatial_q.SpatialQNetwork`
-    :param channels_last: see :class:`~sb3_extensions.networks.spatial_q.SpatialQNetwork`
+    :param quantise: see :class:`~sb3_extensions.encoders.observation.SceneView`
+    :param standardise: see :class:`~sb3_extensions.encoders.observation.SceneView`
+    :param autocast: see :class:`~sb3_extensions.spatial_dqn.q_network.SpatialQNetwork`
+    :param channels_last: see :class:`~sb3_extensions.spatial_dqn.q_network.SpatialQNetwork`
     :param image_key: of the heightmap, as ``in_hand_key`` and ``holding_key`` see
-        :class:`~sb3_extensions.networks.views.SceneView`
+        :class:`~sb3_extensions.encoders.observation.SceneView`
     :param in_hand_key: of the in-hand image
     :param holding_key: of whether the gripper holds something
     :param optimizer_class: The optimizer to use, ``th.optim.Adam`` by default
@@ -159,8 +160,29 @@ class SpatialPolicy(BasePolicy):
         assert isinstance(observation, dict)
         indices, _ = self.q_net.greedy(observation)
         places = self.q_net.scene_view(observation).places
-        actions = self.codec.decode(indices.cpu().numpy(), places.cpu().numpy())
-        return th.as_tensor(actions, device=self.device)
+        return self.codec.decode_tensor(indices, places)
+
+    def parameters_to_vector(self) -> npt.NDArray[Any]:
+        """
+        Convert the parameters to a 1D vector.
+
+        Unlike SB3's method it works for any memory layout, such as ``channels_last``.
+        """
+        flat = [parameter.detach().reshape(-1) for parameter in self.parameters()]
+        vector: npt.NDArray[Any] = th.cat(flat).cpu().numpy()
+        return vector
+
+    @th.no_grad()
+    def load_from_vector(self, vector: npt.NDArray[Any]) -> None:
+        """
+        Load parameters from a 1D vector.
+
+        :param vector: as returned by :meth:`parameters_to_vector`
+        """
+        sizes = [parameter.numel() for parameter in self.parameters()]
+        parts = th.as_tensor(vector, dtype=th.float32, device=self.device).split(sizes)
+        for parameter, part in zip(self.parameters(), parts, strict=True):
+            parameter.copy_(part.view(parameter.shape))
 
     def value_map(
         self, observation: dict[str, npt.NDArray[Any]]
@@ -244,7 +266,7 @@ class EquivariantFCNPolicy(SpatialPolicy):
 
     ``network_kwargs``: regular ``fields`` of its levels, ``in_hand_channels`` of the convolutions on the
     in-hand image, ``hidden`` units of the linear layer behind them, ``dynamic_fields`` see
-    :class:`~sb3_extensions.networks.pixel_maps.EquivariantPixelMaps`.
+    :class:`~sb3_extensions.spatial_dqn.pixel_maps.EquivariantPixelMaps`.
     """
 
     def make_levels(  # type: ignore[override]
@@ -305,8 +327,8 @@ class EquivariantASRPolicy(SpatialPolicy):
     ``network_kwargs``: the symmetry of the first level (``group``, ``n``), ``fields`` of the U-Net's levels,
     ``patch_fields`` of the convolutions on the patch around the pixel, ``in_hand_channels`` of those on the
     in-hand image, ``hidden`` units of the two linear layers behind them, ``dynamic_fields`` see
-    :class:`~sb3_extensions.networks.pixel_maps.EquivariantPixelMaps`, ``pool_encoding`` see
-    :class:`~sb3_extensions.networks.later_levels.EquivariantRotations`; in 6D ``patch_channels`` and
+    :class:`~sb3_extensions.spatial_dqn.pixel_maps.EquivariantPixelMaps`, ``pool_encoding`` see
+    :class:`~sb3_extensions.spatial_dqn.asr_heads.EquivariantRotations`; in 6D ``patch_channels`` and
     ``patch_hidden`` of the levels behind the yaw.
     """
 

@@ -41,8 +41,9 @@ class SpatialDQN(OffPolicyFromDemonstrations):
     Deep Q-learning (DQN) whose actions are places in a heightmap: pixel, and yaw, height and tilts of a
     gripper.
 
-    The environment's actions stay a Box; a :class:`~sb3_extensions.common.codec.SpatialActionCodec` grids
-    them, and everything the algorithm does lives on that grid: its greedy actions, its exploration, and its
+    The environment's actions stay a Box; a
+    :class:`~sb3_extensions.spatial_dqn.codec.SpatialActionCodec` grids them, and everything the
+    algorithm does lives on that grid: its greedy actions, its exploration, and its
     demonstrations, whose actions are carried out snapped to it. A network values all actions at once, or in
     levels that choose one number after the other; every level learns the same target.
 

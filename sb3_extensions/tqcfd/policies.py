@@ -8,8 +8,8 @@ import torch as th
 from stable_baselines3.common.type_aliases import PyTorchObs, Schedule
 from stable_baselines3.sac.policies import SACPolicy
 
-from sb3_extensions.networks.policies import EquivariantCritic, NormalisedCritic
 from sb3_extensions.sacfd import policies as sacfd
+from sb3_extensions.sacfd.actor_critic import EquivariantCritic, NormalisedCritic
 
 
 class QuantileCritic(NormalisedCritic):
@@ -17,7 +17,7 @@ class QuantileCritic(NormalisedCritic):
     Critic of quantiles; its attributes are those of :class:`sb3_contrib.tqc.policies.Critic`.
 
     :param n_quantiles: of each head
-    :param kwargs: keyword arguments of :class:`~sb3_extensions.networks.policies.NormalisedCritic`
+    :param kwargs: keyword arguments of :class:`~sb3_extensions.sacfd.actor_critic.NormalisedCritic`
     """
 
     def __init__(self, n_quantiles: int = 25, **kwargs: Any) -> None:

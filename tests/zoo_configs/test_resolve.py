@@ -10,9 +10,9 @@ import pytest
 import yaml
 
 from bulletarm_gym.benchmarks import BENCHMARKS
-from sb3_extensions.common.codec import SpatialActionCodec
 from sb3_extensions.common.env_metadata import constructor_keys
 from sb3_extensions.replay.sampling import PrioritizedSampler, make_sampler
+from sb3_extensions.spatial_dqn.codec import SpatialActionCodec
 from zoo_configs.cells.cell import Cell, explain, merge, resolve
 from zoo_configs.cells.flags import find_cell
 from zoo_configs.cells.rules import Family, families, family_of, parse_family, task_name

@@ -14,7 +14,7 @@ from zoo_configs.cells.ranges import check_values
 from zoo_configs.cells.rules import Family, families
 from zoo_configs.errors import CommandError, unknown_name
 
-EXTRACTOR = "sb3_extensions.networks.extractors.CnnExtractor"
+EXTRACTOR = "sb3_extensions.encoders.extractors.CnnExtractor"
 """Features extractor of stock algorithms for images."""
 STRIDED = 4
 """Halvings by strides in that extractor: a third of the time of pooling on a CPU."""
@@ -122,7 +122,7 @@ def _cell_from_rl_zoo3(algo: str, env_id: str) -> Cell:
 
 def _with_policy_for_dicts(cell: Cell) -> Cell:
     """Replace rl_zoo3's default policy, for vectors, by one for the observations of our environments."""
-    from sb3_extensions.networks.encoders import count_halvings
+    from sb3_extensions.encoders.cnn import count_halvings
     from zoo_configs.algorithms import register_algorithms
 
     aliases = register_algorithms()[cell.algo].policy_aliases

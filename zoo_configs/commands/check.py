@@ -253,9 +253,9 @@ def _watch_expert(env: gym.Env[Any, Any], args: argparse.Namespace) -> Experienc
 
 def _grid_snapping(env: gym.Env[Any, Any]) -> ActionTransform:
     """Return the transformation of the expert's actions to the grid over the heightmap."""
-    from sb3_extensions.common.codec import DEFAULT_SEQUENCE, SpatialActionCodec
     from sb3_extensions.demonstrations.action_transforms import GridSnapping
-    from sb3_extensions.networks.views import SceneView
+    from sb3_extensions.encoders.observation import SceneView
+    from sb3_extensions.spatial_dqn.codec import DEFAULT_SEQUENCE, SpatialActionCodec
 
     config: Any = getattr(env.unwrapped, "config", None)
     sequence = getattr(config, "action_sequence", DEFAULT_SEQUENCE)

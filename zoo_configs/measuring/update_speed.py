@@ -18,9 +18,9 @@ from torch import nn
 from torch.profiler import profile
 
 from bulletarm_gym.machine import load_average
-from sb3_extensions.networks.convolution import PlainConv2d
-from sb3_extensions.networks.encoders import precision
-from sb3_extensions.networks.equivariant import EquivariantConv2d
+from sb3_extensions.encoders.cnn import precision
+from sb3_extensions.equivariant.convolution import PlainConv2d
+from sb3_extensions.equivariant.layers import EquivariantConv2d
 from sb3_extensions.spatial_dqn import SpatialDQN
 from zoo_configs.algorithms import register_algorithms
 from zoo_configs.cells.cell import Cell
@@ -74,7 +74,7 @@ class Network:
 
     :param module: The convolutions' parent
     :param forward: A pass through it
-    :param autocast: Its precision, see :func:`~sb3_extensions.networks.encoders.precision`
+    :param autocast: Its precision, see :func:`~sb3_extensions.encoders.cnn.precision`
     """
 
     module: nn.Module

@@ -10,7 +10,7 @@ import numpy as np
 from stable_baselines3.common.callbacks import EvalCallback
 from stable_baselines3.common.vec_env import VecEnv
 
-from sb3_extensions.networks.equivariant import expanded_filters
+from sb3_extensions.equivariant.layers import expanded_filters
 from zoo_configs.training.runs import BEST_MODEL_FILE, EVALUATIONS_FILE
 from zoo_configs.training.seeds import SeedStream, stream_seed
 from zoo_configs.training.training_log import training_time

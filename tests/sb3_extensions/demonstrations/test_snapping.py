@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from gymnasium import spaces
 
-from sb3_extensions.common.codec import SpatialActionCodec
 from sb3_extensions.demonstrations.action_transforms import GaussianExpertNoise, GridSnapping
 from sb3_extensions.demonstrations.collection import collect_episodes
 from sb3_extensions.demonstrations.expert_envs import make_expert_envs
 from sb3_extensions.demonstrations.source import DemonstrationSource
 from sb3_extensions.replay.buffer import ExpertReplayBuffer
+from sb3_extensions.spatial_dqn.codec import SpatialActionCodec
 
 CODEC = SpatialActionCodec(24, "pxyr", num_rotations=4)
 

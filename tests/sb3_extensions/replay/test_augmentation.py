@@ -8,7 +8,7 @@ import torch as th
 from gymnasium import spaces
 from stable_baselines3.common.evaluation import evaluate_policy
 
-from sb3_extensions.networks.extractors import CnnExtractor
+from sb3_extensions.encoders.extractors import CnnExtractor
 from sb3_extensions.replay.augmentation import RAD, DrQ
 from sb3_extensions.replay.augmentations import make_augmentation
 from sb3_extensions.replay.samples import ExpertReplayBufferSamples

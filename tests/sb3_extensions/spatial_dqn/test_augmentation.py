@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 import torch as th
 
-from sb3_extensions.common.codec import SpatialActionCodec
-from sb3_extensions.networks.projections import rotation_matrices
 from sb3_extensions.replay.samples import ExpertReplayBufferSamples
 from sb3_extensions.spatial_dqn.augmentation import SHIFT, RigidMotion
+from sb3_extensions.spatial_dqn.codec import SpatialActionCodec
+from sb3_extensions.spatial_dqn.projections import rotation_matrices
 
 SIZE, YAWS = 20, 6
 BATCH = 64

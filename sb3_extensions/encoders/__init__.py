@@ -1,0 +1,1 @@
+"""Encoders of images and numbers: features extractors, U-Nets, and preprocessing of observations."""

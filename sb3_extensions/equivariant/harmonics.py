@@ -1,0 +1,94 @@
+"""Circular harmonics on the pixel grid of a filter.
+
+A harmonic of frequency f should only respond to the part of an image that rotates with frequency f. Samples
+of Gaussian rings times circular harmonics violate this condition, because the grid only has rotations by 90
+degrees. For example, a harmonic of frequency 4 responds to a constant image, one of frequency 3 to a ramp.
+:func:`harmonic_basis` suppresses the part of each sampled harmonic that responds to other frequencies.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+
+import numpy as np
+import numpy.typing as npt
+
+Samples = npt.NDArray[np.float64]
+Complex = npt.NDArray[np.complex128]
+
+RING_WIDTH = 0.6
+"""Standard deviation (pixels) of the radial profile of a ring, as in escnn."""
+CORRELATION_LENGTH = 3.0
+"""Correlation length (pixels) of the random images for which harmonics suppress other frequencies."""
+PLANE_VARIANCE = 1e3
+"""Variance of the constant and of the slope in the random images. Both are suppressed exactly."""
+SUPPRESSION = 1e-5
+"""Weight of the distance from the sampled ring relative to the response to other frequencies. Smaller weights
+hardly lower the error of one layer, and make the harmonics of neighbouring rings more similar."""
+QUADRATURE_ANGLES = 64
+"""Number of rotations that approximate the mean over all rotations, exact to rounding up to 15 pixels."""
+
+
+@cache
+def harmonic_basis(kernel_size: int) -> tuple[Samples, tuple[int, ...]]:
+    """Return circular harmonics on Gaussian rings, sampled on the grid of a filter.
+
+    Rings are one pixel apart. The ring of radius r carries the frequencies 0 to ``floor(r) + 1``. Each
+    frequency above 0 has two functions, cosine and sine, next to each other.
+
+    :param kernel_size: side of the filter, pixels
+    :return: samples (number of functions, kernel_size, kernel_size), each frequency's of unit energy, and
+        the frequency of each cosine (or constant), in order
+    """
+    places = _pixel_positions(kernel_size)
+    parts: dict[int, Complex] = {}
+    samples, frequencies = [], []
+    for ring in np.unique(abs(places.real)):
+        profile = np.exp(-0.5 * ((abs(places) - ring) / RING_WIDTH) ** 2)
+        for frequency in range(int(ring) + 2 if ring > 0 else 1):
+            if frequency not in parts:
+                parts[frequency] = _suppression(places, frequency)
+            wave = np.linalg.solve(parts[frequency], profile * _wave(places, frequency))
+            pair = np.stack([wave.real, wave.imag][: 1 + (frequency > 0)])
+            pair /= math.sqrt((pair**2).sum() / len(pair))
+            samples.append(pair.reshape(-1, kernel_size, kernel_size))
+            frequencies.append(frequency)
+    return np.concatenate(samples), tuple(frequencies)
+
+
+def _pixel_positions(kernel_size: int) -> Complex:
+    """Return the positions of all pixels relative to the centre, as complex numbers row + i column."""
+    offsets = np.arange(kernel_size) - (kernel_size - 1) / 2
+    positions: Complex = np.add.outer(offsets, 1j * offsets).ravel()
+    return positions
+
+
+def _wave(places: Complex, frequency: int) -> Complex:
+    """Return the samples of exp(i frequency angle), 0 at the centre for frequencies above 0."""
+    wave: Complex = np.exp(1j * frequency * np.angle(places))
+    return wave if frequency == 0 else np.where(abs(places) > 0, wave, 0.0)
+
+
+def _suppression(places: Complex, frequency: int) -> Complex:
+    """Return the matrix of the linear system that suppresses the response to other frequencies.
+
+    The solution minimises the mean square response to the parts of random images with other frequencies,
+    plus :data:`SUPPRESSION` times the squared distance from the sampled harmonic. The random images are
+    Gaussian and isotropic. Their part of one frequency is the mean of the rotated images times the conjugate
+    wave.
+    """
+    total = _covariance(places, places)
+    own = np.zeros_like(total)
+    for angle in np.arange(QUADRATURE_ANGLES) * (2 * np.pi / QUADRATURE_ANGLES):
+        own += _covariance(places, np.exp(1j * angle) * places) * np.exp(1j * frequency * angle)
+    matrix: Complex = np.eye(len(places)) + (total - own / QUADRATURE_ANGLES) / SUPPRESSION
+    return matrix
+
+
+def _covariance(first: Complex, second: Complex) -> Complex:
+    """Return the covariance of the random images between all pairs of two sets of positions."""
+    squared = abs(np.subtract.outer(first, second)) ** 2
+    plane = 1.0 + np.outer(first, second.conj()).real
+    covariance: Complex = np.exp(-squared / (2 * CORRELATION_LENGTH**2)) + PLANE_VARIANCE * plane + 0j
+    return covariance

@@ -1,0 +1,248 @@
+"""Layers that commute with the rotations (and reflections) of a finite group, in plain PyTorch.
+
+Their filters are combinations of the steerable filters of :mod:`~sb3_extensions.equivariant.steerable`. Under
+rotations by 90 degrees and reflections, which map the pixel grid to itself, the layers are exact; under
+others up to the error of sampling, see :mod:`~sb3_extensions.equivariant.harmonics`.
+
+Filters are expanded from their weights in every forward pass, or once in the scope of
+:func:`expanded_filters`. They are never kept beyond it: a Polyak update writes through ``.data``, which no
+cache can notice.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import torch as th
+from torch import nn
+from torch.nn import functional as F
+
+from sb3_extensions.equivariant.convolution import convolve, full_precision
+from sb3_extensions.equivariant.groups import FieldType
+from sb3_extensions.equivariant.harmonics import harmonic_basis
+from sb3_extensions.equivariant.steerable import FilterSpace, steerable_basis
+
+__all__ = [
+    "DynamicEquivariantConv2d",
+    "EquivariantConv2d",
+    "EquivariantLinear",
+    "GroupMaxPool",
+    "SteerableMap",
+    "expanded_filters",
+    "harmonic_basis",
+    "steerable_basis",
+]
+
+# Of an initialisation that keeps a signal's mean square although the ReLU behind halves it (He et al., 2015).
+HE_GAIN = math.sqrt(2.0)
+
+
+@contextmanager
+def expanded_filters(*modules: nn.Module) -> Iterator[None]:
+    """Expand the modules' filters once, for every forward pass without gradient inside the scope.
+
+    Use it for several forward passes with the same weights, such as an evaluation or the target network in
+    one update. The weights must not change inside the scope. Forward passes with gradient expand as always.
+
+    :param modules: modules whose equivariant layers, at any depth, are expanded
+    """
+    layers = [layer for module in modules for layer in module.modules() if isinstance(layer, SteerableMap)]
+    previous = [layer.expanded for layer in layers]
+    try:
+        with th.no_grad():
+            for layer in layers:
+                layer.expanded = layer.expand().contiguous(memory_format=th.channels_last)
+        yield
+    finally:
+        for layer, before in zip(reversed(layers), reversed(previous), strict=True):
+            layer.expanded = before
+
+
+class SteerableMap(nn.Module):
+    """Learned linear map between two field types, of all those that commute with the group.
+
+    :param in_type: input fields
+    :param out_type: output fields
+    :param kernel_size: side of the filter, pixels; 1 for a map without extent
+    :param bias: learn a bias for the fields that may have one (regular and trivial)
+    :param gain: of the initialisation: ``sqrt(2)`` (He) before a ReLU, 1 where none follows
+    :raises ValueError: if the groups differ or no such map exists
+    """
+
+    def __init__(
+        self,
+        in_type: FieldType,
+        out_type: FieldType,
+        kernel_size: int = 1,
+        bias: bool = True,
+        gain: float = HE_GAIN,
+    ) -> None:
+        super().__init__()
+        self.in_type, self.out_type, self.kernel_size = in_type, out_type, kernel_size
+        self.space = FilterSpace(in_type, out_type, kernel_size)
+        self.weights = nn.ParameterDict()
+        for key, shape in self.space.shapes.items():
+            self.weights[key] = nn.Parameter(th.empty(shape))
+        self.bias = nn.Parameter(th.zeros(self.space.num_biases)) if bias else None
+        self.expanded: th.Tensor | None = None
+        self.reset_parameters(gain)
+
+    def reset_parameters(self, gain: float) -> None:
+        """Draw normal weights that keep the mean square of a signal, times ``gain ** 2``; biases become zero.
+
+        :param gain: see the class and :meth:`~sb3_extensions.equivariant.steerable.FilterSpace.std`
+        """
+        for key, weight in self.weights.items():
+            nn.init.normal_(weight, std=self.space.std(key, gain))
+        if self.bias is not None:
+            nn.init.zeros_(self.bias)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "expanded": None}  # copies may get other weights
+
+    def expand(self) -> th.Tensor:
+        """Filter of the plain convolution that does the same: (out channels, in channels, side, side)."""
+        return self.space.expand(self.weights)
+
+    def filters(self) -> tuple[th.Tensor, th.Tensor | None]:
+        """Filter and bias in float32, the filter from an open scope if no gradient is wanted."""
+        bias_basis = self.space.bias_basis
+        with full_precision(bias_basis.device.type):
+            weight = self.expanded
+            if weight is None or th.is_grad_enabled():
+                weight = self.expand()
+            return weight, None if self.bias is None else self.bias @ bias_basis
+
+
+class EquivariantConv2d(SteerableMap):
+    """Convolution of a feature map, (batch, in channels, height, width), that commutes with the group.
+
+    With a stride the output is exact under 90 degrees only if it divides ``side + 2 padding - kernel_size``.
+
+    :param stride: pixels between two outputs
+    :param padding: zeros added on each side, pixels
+    """
+
+    def __init__(
+        self,
+        in_type: FieldType,
+        out_type: FieldType,
+        kernel_size: int = 3,
+        stride: int = 1,
+        padding: int = 0,
+        bias: bool = True,
+        gain: float = HE_GAIN,
+    ) -> None:
+        super().__init__(in_type, out_type, kernel_size, bias, gain)
+        self.stride, self.padding = stride, padding
+
+    def forward(self, features: th.Tensor) -> th.Tensor:
+        """:return: (batch, out channels, height, width)"""
+        weight, bias = self.filters()
+        return convolve(features, weight, bias, self.stride, self.padding)
+
+
+class EquivariantLinear(SteerableMap):
+    """Map of a feature vector, (batch, in channels), that commutes with the group."""
+
+    def __init__(
+        self, in_type: FieldType, out_type: FieldType, bias: bool = True, gain: float = HE_GAIN
+    ) -> None:
+        super().__init__(in_type, out_type, 1, bias, gain)
+
+    def forward(self, features: th.Tensor) -> th.Tensor:
+        """:return: (batch, out channels)"""
+        weight, bias = self.filters()
+        return F.linear(features, weight.flatten(1), bias)
+
+
+class DynamicEquivariantConv2d(nn.Module):
+    """Convolution that commutes with the group, with another filter for each sample of a batch.
+
+    The filters' coefficients come from another network and must not change under the group. They are counted
+    in units of He's rule: of variance 1 they make filters as an
+    :class:`EquivariantConv2d` has at first, before a ReLU. Biases are in units of the features.
+
+    :param in_type: input fields
+    :param out_type: output fields
+    :param kernel_size: side of the filter, pixels
+    :param padding: zeros added on each side, pixels
+    :raises ValueError: if the groups differ or no such map exists
+    """
+
+    def __init__(
+        self, in_type: FieldType, out_type: FieldType, kernel_size: int = 3, padding: int = 0
+    ) -> None:
+        super().__init__()
+        self.in_type, self.out_type = in_type, out_type
+        self.kernel_size, self.padding = kernel_size, padding
+        self.space = FilterSpace(in_type, out_type, kernel_size)
+        self._sizes = [*map(math.prod, self.space.shapes.values()), self.space.num_biases]
+
+    @property
+    def num_coefficients(self) -> int:
+        """Numbers of one sample's filter: the weights, then one bias a field that may have one (regular,
+        quotient, trivial).
+        """
+        return sum(self._sizes)
+
+    @property
+    def num_biases(self) -> int:
+        """How many of the coefficients, the last, are biases."""
+        return self.space.num_biases
+
+    def filters(self, coefficients: th.Tensor) -> tuple[th.Tensor, th.Tensor]:
+        """Filters, (batch, out channels, in channels, side, side), and biases, (batch, out channels).
+
+        :param coefficients: (batch, num_coefficients)
+        """
+        with full_precision(coefficients.device.type):
+            *parts, bias = coefficients.float().split(self._sizes, dim=1)
+            weights = {
+                key: part.unflatten(1, shape) * self.space.std(key, HE_GAIN)
+                for part, (key, shape) in zip(parts, self.space.shapes.items(), strict=True)
+            }
+            return self.space.expand(weights), bias @ self.space.bias_basis
+
+    def forward(self, features: th.Tensor, coefficients: th.Tensor) -> th.Tensor:
+        """
+        :param features: (batch, in channels, height, width)
+        :param coefficients: (batch, num_coefficients)
+        :return: (batch, out channels, height, width)
+        :raises ValueError: if the coefficients have another shape
+        """
+        if coefficients.shape != (len(features), self.num_coefficients):
+            raise ValueError(
+                "coefficients must have one row for each sample of the features, shape "
+                f"{(len(features), self.num_coefficients)}, got {tuple(coefficients.shape)}"
+            )
+        weight, bias = self.filters(coefficients)
+        # One group of a plain convolution for each sample.
+        joined = features.reshape(1, -1, *features.shape[2:])
+        out: th.Tensor = F.conv2d(
+            joined, weight.flatten(0, 1), bias.flatten(), padding=self.padding, groups=len(features)
+        )
+        return out.view(len(features), -1, *out.shape[2:])
+
+
+class GroupMaxPool(nn.Module):
+    """Largest number of each regular field: (batch, fields x order, ...) to (batch, fields, ...), invariant.
+
+    :param in_type: regular fields only
+    :raises ValueError: if there are others
+    """
+
+    def __init__(self, in_type: FieldType) -> None:
+        super().__init__()
+        if any(rep.kind != "regular" for rep, _ in in_type.fields):
+            raise ValueError(f"group pooling needs regular fields only, got {in_type}")
+        self.order = in_type.group.order
+        self.out_type = FieldType.of((in_type.group.trivial, in_type.size // self.order))
+
+    def forward(self, features: th.Tensor) -> th.Tensor:
+        """:return: (batch, fields, ...)"""
+        fields = features.reshape(len(features), -1, self.order, *features.shape[2:])
+        return fields.amax(dim=2)

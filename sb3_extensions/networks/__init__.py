@@ -1,1 +1,0 @@
-"""Networks: groups, equivariant layers, encoders, features extractors, heads, actors and critics."""

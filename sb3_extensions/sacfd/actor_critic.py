@@ -1,0 +1,223 @@
+"""Actors and critics of which policies are made: the paper's CNN and its equivariant network."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch as th
+from gymnasium import spaces
+from stable_baselines3.common.distributions import SquashedDiagGaussianDistribution
+from stable_baselines3.common.policies import ContinuousCritic
+from stable_baselines3.common.preprocessing import get_action_dim
+from stable_baselines3.common.torch_layers import BaseFeaturesExtractor, create_mlp
+from stable_baselines3.common.type_aliases import PyTorchObs
+from stable_baselines3.sac.policies import Actor
+from torch import nn
+from torch.nn import functional as F
+
+from sb3_extensions.common.action_sequence import ActionSequence
+from sb3_extensions.encoders.initialisation import scale_down
+from sb3_extensions.equivariant.groups import FieldType
+from sb3_extensions.sacfd.heads import (
+    ActionScaling,
+    EquivariantLogStd,
+    EquivariantMean,
+    InvariantValue,
+    equivariant_mlp,
+    features_type,
+)
+
+NetArch = list[int] | dict[str, list[int]]
+
+
+def initialise_actor(actor: Actor) -> Actor:
+    """
+    Give the linear layers of a plain actor Xavier uniform weights, the last ones small: means begin near 0,
+    standard deviations near 1.
+
+    :param actor: an actor without state-dependent exploration
+    :return: the same actor
+    """
+    for layer in actor.latent_pi.modules():
+        if isinstance(layer, nn.Linear):
+            nn.init.xavier_uniform_(layer.weight)
+            nn.init.zeros_(layer.bias)
+    for output in (actor.mu, actor.log_std):
+        if isinstance(output, nn.Linear):
+            scale_down(output)
+    return actor
+
+
+class NormalisedCritic(ContinuousCritic):
+    """
+    Critic behind one encoder whose features and hidden layers are normalised, and that begins near zero.
+
+    A value that bootstraps from itself falls by (1 - discount) x ``tau`` an update: what an untrained critic
+    says wrongly, it says for long. And where layers are normalised, no action beyond the data can raise a
+    value without bound (RLPD, https://arxiv.org/abs/2302.02948).
+
+    :param observation_space: Observation space
+    :param action_space: Action space
+    :param net_arch: units of each hidden layer of a head
+    :param features_extractor: Network to extract features
+    :param features_dim: Number of features
+    :param activation_fn: Activation function
+    :param normalize_images: Whether to divide ``uint8`` images by 255
+    :param n_critics: Number of heads
+    :param share_features_extractor: Whether the features extractor is the actor's, which alone trains it
+    :param n_outputs: numbers that a head gives: 1 for a Q-value, more for quantiles
+    """
+
+    def __init__(
+        self,
+        observation_space: spaces.Space[Any],
+        action_space: spaces.Box,
+        net_arch: list[int],
+        features_extractor: BaseFeaturesExtractor,
+        features_dim: int,
+        activation_fn: type[nn.Module] = nn.ReLU,
+        normalize_images: bool = True,
+        n_critics: int = 2,
+        share_features_extractor: bool = False,
+        n_outputs: int = 1,
+    ) -> None:
+        # ContinuousCritic's own constructor would build other heads
+        super(ContinuousCritic, self).__init__(
+            observation_space,
+            action_space,
+            features_extractor=features_extractor,
+            normalize_images=normalize_images,
+        )
+        self.net_arch, self.features_dim, self.activation_fn = net_arch, features_dim, activation_fn
+        self.share_features_extractor = share_features_extractor
+        self.n_critics, self.n_outputs = n_critics, n_outputs
+        self.q_networks: list[nn.Module] = []
+        for idx in range(n_critics):
+            q_net = self._make_head()
+            self.add_module(f"qf{idx}", q_net)
+            self.q_networks.append(q_net)
+
+    def extract_features(self, obs: PyTorchObs, features_extractor: BaseFeaturesExtractor) -> th.Tensor:
+        """
+        Features of mean 0 and variance 1 over each observation, whatever the units of the images.
+
+        A turned image only permutes what is averaged.
+
+        :param obs: Observation
+        :param features_extractor: The features extractor to use
+        :return: shape (batch, features_dim)
+        """
+        features = super().extract_features(obs, features_extractor)
+        return F.layer_norm(features, features.shape[1:])
+
+    def _make_head(self) -> nn.Module:
+        action_dim = get_action_dim(self.action_space)
+        layers = create_mlp(
+            self.features_dim + action_dim,
+            self.n_outputs,
+            self.net_arch,
+            self.activation_fn,
+            post_linear_modules=[_FixedLayerNorm],
+        )
+        hidden_and_output = [layer for layer in layers if isinstance(layer, nn.Linear)]
+        for hidden in hidden_and_output:
+            nn.init.xavier_uniform_(hidden.weight)
+            nn.init.zeros_(hidden.bias)
+        scale_down(hidden_and_output[-1])
+        return nn.Sequential(ActionScaling(self.features_dim, action_dim), *layers)
+
+
+class _FixedLayerNorm(nn.LayerNorm):
+    """Layer normalisation without learned scale and offset."""
+
+    def __init__(self, size: int) -> None:
+        super().__init__(size, elementwise_affine=False)
+
+
+class EquivariantActor(Actor):
+    """Actor whose mean of (x, y) turns with the images and whose other outputs stay.
+
+    So does the Gaussian before it is squashed, for the whole group. Squashing acts on x and y alone, and
+    commutes with rotations by 90 degrees and with reflections.
+
+    :param observation_space: Observation space
+    :param action_space: Action space
+    :param net_arch: regular fields of each hidden layer behind the encoder
+    :param features_extractor: with regular features, trivial ones may follow them
+    :param features_dim: Number of features
+    :param action_sequence: one character for each number of the action, see
+        :class:`~sb3_extensions.common.action_sequence.ActionSequence`
+    :param activation_fn: Activation function
+    :param use_sde: must be False
+    :param log_std_init: of state-dependent exploration, not used
+    :param use_expln: of state-dependent exploration, not used
+    :param clip_mean: of state-dependent exploration, not used
+    :param normalize_images: Whether to divide ``uint8`` images by 255
+    :raises ValueError: if features or ``action_sequence`` do not fit, or with ``use_sde``
+    """
+
+    def __init__(
+        self,
+        observation_space: spaces.Space[Any],
+        action_space: spaces.Box,
+        net_arch: list[int],
+        features_extractor: BaseFeaturesExtractor,
+        features_dim: int,
+        action_sequence: str,
+        activation_fn: type[nn.Module] = nn.ReLU,
+        use_sde: bool = False,
+        log_std_init: float = -3,
+        use_expln: bool = False,
+        clip_mean: float = 2.0,
+        normalize_images: bool = True,
+    ) -> None:
+        if use_sde:
+            raise ValueError("use_sde=True: the noise of state-dependent exploration is not equivariant")
+        # Actor's own constructor would build heads that are not equivariant
+        super(Actor, self).__init__(
+            observation_space,
+            action_space,
+            features_extractor=features_extractor,
+            normalize_images=normalize_images,
+            squash_output=True,
+        )
+        self.use_sde, self.sde_features_extractor = False, None
+        self.net_arch, self.features_dim, self.activation_fn = net_arch, features_dim, activation_fn
+        self.log_std_init, self.use_expln, self.clip_mean = log_std_init, use_expln, clip_mean
+        self.full_std = True
+        self.action_sequence = action_sequence
+        action_dim = get_action_dim(action_space)
+        action = ActionSequence(action_sequence, action_dim)
+        hidden_type = in_type = features_type(features_extractor)
+        if net_arch:
+            hidden_type = FieldType.of((in_type.group.regular, net_arch[-1]))
+        self.latent_pi = equivariant_mlp(in_type, net_arch, activation_fn)
+        self.action_dist = SquashedDiagGaussianDistribution(action_dim)  # type: ignore[assignment]
+        self.mu = EquivariantMean(hidden_type, action)
+        self.log_std = EquivariantLogStd(hidden_type, action)  # type: ignore[assignment]
+
+    def _get_constructor_parameters(self) -> dict[str, Any]:
+        data = super()._get_constructor_parameters()
+        data.pop("full_std")
+        data.update(action_sequence=self.action_sequence)
+        return data
+
+
+class EquivariantCritic(NormalisedCritic):
+    """Critic whose values stay when images and (x, y) of the action turn together.
+
+    :param args: arguments of :class:`NormalisedCritic`; ``net_arch`` are regular fields, the features too
+    :param action_sequence: one character for each number of the action, see
+        :class:`~sb3_extensions.common.action_sequence.ActionSequence`
+    :param kwargs: keyword arguments of :class:`NormalisedCritic`
+    :raises ValueError: if features or ``action_sequence`` do not fit
+    """
+
+    def __init__(self, *args: Any, action_sequence: str, **kwargs: Any) -> None:
+        self.action_sequence = action_sequence
+        super().__init__(*args, **kwargs)
+
+    def _make_head(self) -> nn.Module:
+        in_type = features_type(self.features_extractor)
+        action = ActionSequence(self.action_sequence, get_action_dim(self.action_space))
+        return InvariantValue(in_type, action, self.net_arch, self.n_outputs, self.activation_fn)

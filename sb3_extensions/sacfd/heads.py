@@ -1,0 +1,197 @@
+"""Equivariant heads on regular features: parts of actors and critics for actions that move in the plane."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from itertools import pairwise
+
+import torch as th
+from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
+from torch import nn
+
+from sb3_extensions.common.action_sequence import ActionSequence
+from sb3_extensions.encoders.initialisation import OUTPUT_GAIN, scale_down
+from sb3_extensions.equivariant.groups import FieldType, Group
+from sb3_extensions.equivariant.layers import EquivariantLinear, GroupMaxPool
+
+# The order in which the numbers of an action stand in their field type: vectors, signs, invariant ones. The
+# turns u and v about x and y become a vector as (v, -u), the direction in which what points up leans.
+FIELD_ORDER = "xyvurpz"
+NEGATED = "u"
+
+
+def action_type(action: ActionSequence, group: Group) -> FieldType:
+    """
+    How the numbers of an action turn with the scene: x and y together are a vector, and so are the turns v
+    and -u about y and x; r, a rotation about z, changes its sign under reflections; p and z are invariant.
+
+    :param action: which numbers it has
+    :param group: the symmetry
+    :return: type of the numbers taken in the order of :data:`FIELD_ORDER`
+    """
+    vectors, signs = ("x" in action) + ("u" in action), int("r" in action)
+    rest = action.action_dim - 2 * vectors - signs
+    return FieldType.of((group.irrep(1), vectors), (group.sign, signs), (group.trivial, rest))
+
+
+def _signs(action: ActionSequence) -> th.Tensor:
+    """What the numbers of an action are multiplied by to stand in their field type."""
+    return th.tensor([-1.0 if name in NEGATED else 1.0 for name in action.names])
+
+
+class EquivariantMean(nn.Module):
+    """Mean of an action, turning with the features: (batch, in channels) to (batch, action_dim), not
+    squashed.
+
+    :param in_type: regular fields, and trivial ones if need be
+    :param action: which numbers turn
+    """
+
+    index: th.Tensor
+    signs: th.Tensor
+
+    def __init__(self, in_type: FieldType, action: ActionSequence) -> None:
+        super().__init__()
+        self.linear = EquivariantLinear(in_type, action_type(action, in_type.group), gain=OUTPUT_GAIN)
+        self.register_buffer("index", th.tensor(action.places(FIELD_ORDER)).argsort(), persistent=False)
+        self.register_buffer("signs", _signs(action), persistent=False)
+
+    def forward(self, features: th.Tensor) -> th.Tensor:
+        """:return: means in the order of the action"""
+        fields: th.Tensor = self.linear(features)
+        return fields[:, self.index] * self.signs
+
+
+class EquivariantLogStd(nn.Module):
+    """Logarithm of an action's standard deviations, invariant: (batch, in channels) to (batch, action_dim).
+
+    x and y share one: a Gaussian with two would not turn into one of the same kind, and by 90 degrees they
+    would swap. So do turns about x and y.
+
+    :param in_type: regular fields, and trivial ones if need be
+    :param action: which numbers share
+    """
+
+    index: th.Tensor
+
+    def __init__(self, in_type: FieldType, action: ActionSequence) -> None:
+        super().__init__()
+        names = [next((pair for pair in ("xy", "uv") if name in pair), name) for name in action.names]
+        distinct = sorted(set(names))
+        out_type = FieldType.of((in_type.group.trivial, len(distinct)))
+        self.linear = EquivariantLinear(in_type, out_type, gain=OUTPUT_GAIN)
+        index = th.tensor([distinct.index(name) for name in names])
+        self.register_buffer("index", index, persistent=False)
+
+    def forward(self, features: th.Tensor) -> th.Tensor:
+        """:return: in the order of the action"""
+        log_std: th.Tensor = self.linear(features)
+        return log_std[:, self.index]
+
+
+class InvariantValue(nn.Module):
+    """Value of features and action that stays when both turn: (batch, in channels + action_dim) to (batch,
+    outputs).
+
+    Equivariant layers of the features and the action's fields, the largest number of each field, one linear
+    map.
+
+    :param in_type: of the features: regular fields, and trivial ones if need be
+    :param action: which numbers turn
+    :param net_arch: regular fields of each hidden layer, at least one
+    :param outputs: 1 for a Q-value, more for quantiles
+    :param activation_fn: pointwise nonlinearity
+    :raises ValueError: if there is no hidden layer
+    """
+
+    index: th.Tensor
+    signs: th.Tensor
+
+    def __init__(
+        self,
+        in_type: FieldType,
+        action: ActionSequence,
+        net_arch: Sequence[int],
+        outputs: int = 1,
+        activation_fn: type[nn.Module] = nn.ReLU,
+    ) -> None:
+        super().__init__()
+        if not net_arch:
+            raise ValueError("net_arch of an equivariant critic (qf) needs at least one hidden layer, got []")
+        joint_type = in_type + action_type(action, in_type.group)
+        self.hidden = equivariant_mlp(joint_type, net_arch, activation_fn, normalise=True)
+        self.pool = GroupMaxPool(FieldType.of((in_type.group.regular, net_arch[-1])))
+        self.value = nn.Linear(net_arch[-1], outputs)
+        scale_down(self.value)
+        self.action_scaling = ActionScaling(in_type.size, action.action_dim)
+        places = [*range(in_type.size), *(in_type.size + place for place in action.places(FIELD_ORDER))]
+        self.register_buffer("index", th.tensor(places), persistent=False)
+        signs = th.cat([th.ones(in_type.size), _signs(action)])
+        self.register_buffer("signs", signs, persistent=False)
+
+    def forward(self, features_and_action: th.Tensor) -> th.Tensor:
+        """:return: (batch, outputs)"""
+        joint = (self.action_scaling(features_and_action) * self.signs)[:, self.index]
+        values: th.Tensor = self.value(self.pool(self.hidden(joint)))
+        return values
+
+
+class ActionScaling(nn.Module):
+    """Makes an action as loud as the features beside it: (batch, features_dim + action_dim), the same shape.
+
+    Five numbers beside 128 of the same size make one hundredth of a hidden unit's variance: the critic then
+    knows what a state is worth long before it tells one action from another, and what it says of actions that
+    were not carried out is the same everywhere.
+
+    :param features_dim: numbers of variance 1
+    :param action_dim: numbers in [-1, 1]
+    """
+
+    gain: th.Tensor
+
+    def __init__(self, features_dim: int, action_dim: int) -> None:
+        super().__init__()
+        gain = th.ones(features_dim + action_dim)
+        gain[features_dim:] = math.sqrt(features_dim / action_dim)
+        self.register_buffer("gain", gain, persistent=False)
+
+    def forward(self, features_and_action: th.Tensor) -> th.Tensor:
+        """:return: features and the louder action"""
+        return features_and_action * self.gain
+
+
+def equivariant_mlp(
+    in_type: FieldType, net_arch: Sequence[int], activation_fn: type[nn.Module], normalise: bool = False
+) -> nn.Sequential:
+    """Layers to regular fields, each followed by the nonlinearity.
+
+    :param in_type: input fields
+    :param net_arch: regular fields of each layer; none gives the identity
+    :param activation_fn: pointwise nonlinearity
+    :param normalise: normalise what each layer gives, without learned scales; the group only permutes it
+    """
+    types = [in_type] + [FieldType.of((in_type.group.regular, count)) for count in net_arch]
+    layers: list[nn.Module] = []
+    for layer_in, layer_out in pairwise(types):
+        norm = [nn.LayerNorm(layer_out.size, elementwise_affine=False)] if normalise else []
+        layers += [EquivariantLinear(layer_in, layer_out), *norm, activation_fn()]
+    return nn.Sequential(*layers)
+
+
+def features_type(features_extractor: BaseFeaturesExtractor) -> FieldType:
+    """Type of an extractor's features, for heads that need regular fields; trivial ones may follow them.
+
+    :param features_extractor: with an ``out_type``, as
+        :class:`~sb3_extensions.encoders.extractors.EquivariantExtractor` has
+    :raises ValueError: if its features do not begin with regular fields, or have others than these two kinds
+    """
+    out_type = getattr(features_extractor, "out_type", None)
+    kinds = [rep.kind for rep, _ in out_type.fields] if isinstance(out_type, FieldType) else []
+    if kinds not in (["regular"], ["regular", "trivial"]):
+        raise ValueError(
+            "an equivariant policy needs features of regular fields, as EquivariantExtractor's with "
+            f"output='regular'; features_extractor_class {type(features_extractor).__name__} has {out_type}"
+        )
+    assert isinstance(out_type, FieldType)
+    return out_type

@@ -1,0 +1,166 @@
+"""Actions on a grid: there and back, to the nearest, and what the environment makes of them."""
+
+import itertools
+import json
+import math
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+import bulletarm_gym  # noqa: F401  registers the environments
+from sb3_extensions.spatial_dqn.codec import SpatialActionCodec
+
+SEQUENCES = ["xy", "pxy", "pxyr", "xyrp", "pxyzrrr", "zrrpyrx", "yxz"]
+SMALL: dict[str, Any] = {"num_rotations": 4, "num_heights": 5, "num_tilts": 3}
+THETA_BOUNDS = [(0.0, math.pi), (-math.pi, math.pi), (-math.pi / 2, math.pi / 2)]
+SIZE = 6
+
+
+def make_codec(sequence: str, **kwargs: Any) -> SpatialActionCodec:
+    return SpatialActionCodec(SIZE, sequence, **{**SMALL, **kwargs})
+
+
+def whole_grid(codec: SpatialActionCodec) -> np.ndarray:
+    return np.indices(codec.shape).reshape(len(codec.shape), -1).T
+
+
+@pytest.mark.parametrize("theta_bounds", THETA_BOUNDS)
+@pytest.mark.parametrize("sequence", SEQUENCES)
+def test_the_whole_grid_goes_there_and_back(sequence: str, theta_bounds: tuple[float, float]) -> None:
+    codec = make_codec(sequence, theta_bounds=theta_bounds)
+    indices = whole_grid(codec)
+    places = np.arange(len(indices)) % 3 == 0
+    actions = codec.decode(indices, places)
+    assert actions.dtype == np.float32 and actions.shape == (len(indices), len(sequence))
+    assert np.abs(actions).max() <= 1.0
+    assert len(np.unique(actions, axis=0)) == len(indices)
+    np.testing.assert_array_equal(codec.encode(actions), indices)
+    np.testing.assert_array_equal(codec.places(actions), places & ("p" in sequence))
+    np.testing.assert_array_equal(codec.snap(actions), actions)
+
+
+def test_order_of_indices_and_default_grid() -> None:
+    codec = SpatialActionCodec(128, "rrrzyxp")
+    assert codec.shape == (128, 128, 16, 36, 7, 7)
+    assert list(codec.grids) == ["theta", "z", "phi", "psi"]
+    assert math.isclose(codec.resolution, 0.4 / 128)
+    np.testing.assert_allclose(codec.grids["theta"], np.arange(16) * math.pi / 16)
+    np.testing.assert_allclose(codec.grids["z"][[0, -1]], [0.02, 0.20])
+    for name in ("phi", "psi"):
+        np.testing.assert_allclose(np.degrees(codec.grids[name]), [-30, -20, -10, 0, 10, 20, 30], atol=1e-9)
+
+
+def slowly_encoded(codec: SpatialActionCodec, action: np.ndarray) -> list[int]:
+    """Number by number: the place of the grid that is the fewest metres or radians away."""
+    value = dict(zip(codec.numbers, action.tolist(), strict=True))
+    middles = [(2 * i + 1) / SIZE - 1 for i in range(SIZE)]
+    indices = [int(np.argmin([abs(value[name] - middle) for middle in middles])) for name in "xy"]
+    ranges = {"z": (0.0, 0.3), "theta": codec.theta_bounds, "phi": (-math.pi / 4, math.pi / 4)}
+    ranges["psi"] = ranges["phi"]
+    flipped = False
+    for name, grid in codec.grids.items():
+        low, high = ranges[name]
+        at = low + (value[name] + 1) / 2 * (high - low)
+        if name == "theta":
+            turns = list(itertools.product(range(len(grid)), range(-2, 3)))  # yaw, half turns
+            index, half_turns = min(turns, key=lambda turn: abs(at - grid[turn[0]] - turn[1] * math.pi))
+            flipped = half_turns % 2 == 1
+        else:
+            wanted = -at if flipped and name in ("phi", "psi") else at
+            index = min(range(len(grid)), key=lambda k: abs(wanted - grid[k]))
+        indices.append(index)
+    return indices
+
+
+@pytest.mark.parametrize("theta_bounds", THETA_BOUNDS)
+@pytest.mark.parametrize("sequence", ["pxy", "xyrp", "pxyzrrr"])
+def test_what_lies_between_goes_to_the_nearest(sequence: str, theta_bounds: tuple[float, float]) -> None:
+    codec = make_codec(sequence, theta_bounds=theta_bounds)
+    actions = np.random.default_rng(0).uniform(-1, 1, (300, len(sequence)))
+    expected = [slowly_encoded(codec, action) for action in actions]
+    np.testing.assert_array_equal(codec.encode(actions), expected)
+    np.testing.assert_array_equal(codec.encode(codec.snap(actions)), expected)
+    np.testing.assert_array_equal(codec.places(codec.snap(actions)), codec.places(actions))
+
+
+def test_half_a_turn_exchanges_the_signs_of_tilts() -> None:
+    codec = make_codec("rrrxy")
+    tilted = {"phi": 2, "psi": 0}
+    for yaw, index, flips in [(0.99 * math.pi, 0, True), (0.8 * math.pi, 3, False), (math.pi, 0, True)]:
+        action = np.array([[2 * yaw / math.pi - 1, 0.6, -0.6, 0, 0]])
+        phi, psi = (2 - k if flips else k for k in tilted.values())
+        np.testing.assert_array_equal(codec.encode(action)[0, 2:], [index, phi, psi])
+
+
+def test_beyond_the_grid() -> None:
+    codec = make_codec("pxyz")
+    actions = np.array([[0, -1, 1, -1], [-0.01, 1, -1, 1]])
+    np.testing.assert_array_equal(codec.encode(actions), [[0, 5, 0], [5, 0, 4]])
+    np.testing.assert_array_equal(codec.places(actions), [True, False])
+
+
+@pytest.mark.parametrize("half_rotation", [True, False])
+@pytest.mark.parametrize("sequence", ["xy", "pxyr", "xyrp", "pxyzrrr"])
+def test_environment_does_what_the_grid_says(sequence: str, half_rotation: bool) -> None:
+    kwargs = {"obs_size": 16, "workspace": [[0.3, 0.6], [-0.1, 0.2], [0.0, 1.0]], "num_objects": 2}
+    kwargs |= {"action_sequence": sequence, "half_rotation": half_rotation}
+    env = gym.make("BulletArm/OpenLoopBlockStacking-v0", **kwargs)
+    env.reset(seed=0)
+    low = 0.0 if half_rotation else -math.pi
+    codec = SpatialActionCodec(16, sequence, theta_bounds=(low, math.pi), workspace_size=0.3)
+    rng = np.random.default_rng(0)
+    indices = np.stack([rng.integers(count, size=60) for count in codec.shape], axis=1)
+    places = rng.random(60) < 0.5
+    for index, place, action in zip(indices, places, codec.decode(indices, places), strict=True):
+        assert env.action_space.contains(action)
+        move = env.unwrapped.decode_action(action)
+        middle = [0.3 + (index[0] + 0.5) * 0.3 / 16, -0.1 + (index[1] + 0.5) * 0.3 / 16]
+        np.testing.assert_allclose(move.position[:2], middle, atol=1e-6)
+        values = {name: grid[k] for (name, grid), k in zip(codec.grids.items(), index[2:], strict=True)}
+        rotation = [values.get(name, 0.0) for name in ("theta", "phi", "psi")]
+        np.testing.assert_allclose(move.rotation, rotation, atol=1e-6)
+        if "z" in values:
+            np.testing.assert_allclose(move.position[2], values["z"], atol=1e-6)
+        if "p" in sequence:
+            assert move.primitive == ("place" if place else "pick")
+    env.close()
+
+
+def test_description_tells_grids_apart() -> None:
+    base: dict[str, Any] = {"size": 32, "action_sequence": "pxyzrrr"}
+    other = [
+        *({"size": 33}, {"action_sequence": "xyzrrr"}, {"num_rotations": 5}, {"num_heights": 4}),
+        *({"heights": (0.01, 0.20)}, {"num_tilts": 5}, {"tilt": 0.3}, {"workspace_size": 0.3}),
+        *({"z_bounds": (0.0, 0.4)}, {"theta_bounds": (-math.pi, math.pi)}, {"tilt_bound": 0.7}),
+    ]
+    described = [SpatialActionCodec(**{**base, **change}).describe() for change in ({}, *other)]
+    texts = [json.dumps(description, sort_keys=True) for description in described]
+    assert len(set(texts)) == len(texts)
+    assert [json.loads(text) for text in texts] == described
+
+
+@pytest.mark.parametrize(
+    ("kwargs", "message"),
+    [
+        ({"size": 0}, "size must be positive, got 0"),
+        ({"num_rotations": 0}, "num_rotations must be positive"),
+        ({"num_heights": -1}, "num_heights must be positive, got -1"),
+        ({"num_tilts": 0}, "num_tilts must be positive"),
+        ({"workspace_size": 0.0}, "workspace_size must be positive"),
+        ({"heights": (0.1, 0.05)}, "heights must lie within z_bounds"),
+        ({"heights": (0.1, 0.5)}, r"heights must lie within z_bounds=\(0.0, 0.3\), in order, got"),
+        ({"tilt": 1.0}, "tilt must be from 0 to tilt_bound"),
+        ({"tilt": -0.1}, "tilt must be from 0 to tilt_bound"),
+        ({"theta_bounds": (0.0, 1.0)}, r"theta_bounds must span the 16 yaws of half a turn, got \(0"),
+        ({"theta_bounds": (3.0, 6.0)}, "theta_bounds must span"),
+        ({"action_sequence": "pxr"}, "action_sequence must have x and y, and may have p, z and r, got 'pxr'"),
+        ({"action_sequence": "pxyq"}, "action_sequence must have x and y"),
+        ({"action_sequence": "xxy"}, "action_sequence must name p, x, y, z once"),
+        ({"action_sequence": "xyrrrr"}, "r up to three times, got 'xyrrrr'"),
+    ],
+)
+def test_bad_arguments(kwargs: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        SpatialActionCodec(**{"size": 32, **kwargs})

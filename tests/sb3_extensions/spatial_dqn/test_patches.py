@@ -1,0 +1,196 @@
+"""Patches are the environment's in-hand crops; patches and rotations turn as the scene does."""
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+import torch as th
+from torch.nn import functional as F
+
+from bulletarm_gym.geometry import Pose
+from bulletarm_gym.sensors.in_hand import Map, crop
+from sb3_extensions.encoders.patch_encoders import LAST_SIDE, LAST_SIDE_OF_PIXELS, PatchVector
+from sb3_extensions.spatial_dqn.patches import crop_patches, gather_windows, rotate_images
+
+SIDE = 20
+SIZES = (1, 2, 7, 8, 24)
+# In the middle, near each border, in corners, and beyond.
+ROWS = th.tensor([9, 10, 1, 19, 0, 19, 18, -2])
+COLUMNS = th.tensor([11, 0, 17, 7, 0, 19, 1, 5])
+ANGLES = th.tensor([0.0, math.pi / 2, 0.3, -2.0, 1.1, 3.0, -0.7, 6.0], dtype=th.float64)
+
+
+@pytest.mark.parametrize(("size", "side", "side_of_pixels"), [(16, 8, 8), (24, 6, 6), (40, 5, 10)])
+def test_maps_before_linear_layers_are_as_large_as_the_authors(
+    size: int, side: int, side_of_pixels: int
+) -> None:
+    for last_side, expected in ((LAST_SIDE, side), (LAST_SIDE_OF_PIXELS, side_of_pixels)):
+        network = PatchVector(1, size, [2, 2, 2, 2], [3], last_side)
+        linear = next(layer for layer in network if isinstance(layer, th.nn.Linear))
+        assert linear.in_features == 2 * expected**2
+        assert network(th.zeros(1, 1, size, size)).shape == (1, 3)
+
+
+@pytest.fixture
+def images() -> th.Tensor:
+    return 0.4 * th.rand(len(ROWS), 2, SIDE, SIDE, generator=th.Generator().manual_seed(0))
+
+
+def in_hand_crops(images: th.Tensor, size: int, angles: th.Tensor) -> np.ndarray:
+    """What the environment would show a gripper at the middles of the pixels."""
+    crops = []
+    for channels, row, column, angle in zip(
+        images.numpy(), ROWS.tolist(), COLUMNS.tolist(), angles.tolist(), strict=True
+    ):
+        views = [Map(image, (0.45, 0.1), 0.4) for image in channels]
+        corner, pixel = np.array([0.25, -0.1]), views[0].resolution
+        x, y = corner + (np.array([row, column]) + 0.5) * pixel
+        crops.append(np.concatenate([crop(view, Pose.planar(x, y, 0.0, angle), size) for view in views]))
+    return np.stack(crops)
+
+
+def quarter_turned(images: th.Tensor) -> tuple[th.Tensor, th.Tensor, th.Tensor]:
+    """Images turned by 90 degrees, and where the pixels of the tests are then."""
+    return th.rot90(images, k=1, dims=(-2, -1)), SIDE - 1 - COLUMNS, ROWS
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_patches_are_in_hand_crops(images: th.Tensor, size: int) -> None:
+    patches = crop_patches(images, ROWS, COLUMNS, size, ANGLES)
+    assert patches.dtype == th.float32
+    np.testing.assert_allclose(patches, in_hand_crops(images, size, ANGLES), atol=1e-6)
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_patches_that_are_not_turned_are_in_hand_crops(images: th.Tensor, size: int) -> None:
+    patches = crop_patches(images, ROWS, COLUMNS, size)
+    np.testing.assert_allclose(patches, in_hand_crops(images, size, th.zeros(len(ROWS))), atol=1e-6)
+
+
+def test_odd_patches_are_the_pixels_themselves(images: th.Tensor) -> None:
+    padded = F.pad(images, [5] * 4)
+    patches = crop_patches(images, ROWS, COLUMNS, 7)
+    for patch, image, row, column in zip(patches, padded, ROWS.tolist(), COLUMNS.tolist(), strict=True):
+        assert th.equal(patch, image[:, row + 2 : row + 9, column + 2 : column + 9])
+
+
+@pytest.mark.parametrize("size", [7, 8])
+@pytest.mark.parametrize("angles", [None, ANGLES], ids=["straight", "turned"])
+def test_patches_turn_with_the_image(images: th.Tensor, size: int, angles: th.Tensor | None) -> None:
+    before = crop_patches(images, ROWS, COLUMNS, size, angles)
+    after = crop_patches(*quarter_turned(images), size, angles)
+    th.testing.assert_close(after, th.rot90(before, k=1, dims=(-2, -1)), atol=1e-7, rtol=0.0)
+
+
+@pytest.mark.parametrize("size", [7, 8])
+def test_patches_stay_when_gripper_and_image_turn(images: th.Tensor, size: int) -> None:
+    before = crop_patches(images, ROWS, COLUMNS, size, ANGLES)
+    after = crop_patches(*quarter_turned(images), size, ANGLES + math.pi / 2)
+    th.testing.assert_close(after, before, atol=1e-7, rtol=0.0)
+
+
+def test_images_need_not_be_square(images: th.Tensor) -> None:
+    """A patch of a part of the image knows nothing of the rest."""
+    part = images[:, :, :, :13]
+    expected = crop_patches(F.pad(part, [0, 7, 0, 0]), ROWS, COLUMNS, 8, ANGLES)
+    th.testing.assert_close(crop_patches(part, ROWS, COLUMNS, 8, ANGLES), expected)
+
+
+def test_windows_hold_something_else_beyond_the_border(images: th.Tensor) -> None:
+    windows = gather_windows(images, ROWS, COLUMNS, 3, beyond=-math.inf)
+    padded = F.pad(images, [5] * 4, value=-math.inf)
+    for window, image, row, column in zip(windows, padded, ROWS.tolist(), COLUMNS.tolist(), strict=True):
+        assert th.equal(window, image[:, row + 2 : row + 9, column + 2 : column + 9])
+
+
+@pytest.mark.parametrize("side", [8, 9, 128])
+@pytest.mark.parametrize("k", [0, 1, 2, 3, -1])
+def test_rotations_by_quarters_are_rot90(side: int, k: int) -> None:
+    images = th.rand(2, 3, side, side, generator=th.Generator().manual_seed(1))
+    turned = rotate_images(images, th.full((2,), k * math.pi / 2))
+    th.testing.assert_close(turned, th.rot90(images, k=k, dims=(-2, -1)), atol=2e-5, rtol=0.0)
+
+
+@pytest.mark.parametrize(("side", "size", "border"), [(8, 14, 3), (9, 5, -2)])
+def test_rotation_on_another_canvas_keeps_the_middle(side: int, size: int, border: int) -> None:
+    images = th.rand(2, 1, side, side, generator=th.Generator().manual_seed(2))
+    turned = rotate_images(images, th.full((2,), math.pi / 2), size)
+    expected = F.pad(th.rot90(images, k=1, dims=(-2, -1)), [border] * 4)
+    th.testing.assert_close(turned, expected, atol=1e-6, rtol=0.0)
+
+
+def blobs(places: th.Tensor, size: int) -> th.Tensor:
+    """Smooth images, each with one blob at a place (n, 2), pixels from the middle."""
+    line = th.arange(size) - (size - 1) / 2
+    rows, columns = line[None, :, None] - places[:, :1, None], line[None, None, :] - places[:, 1:, None]
+    return th.exp(-(rows**2 + columns**2) / 30)[:, None]
+
+
+def test_rotation_moves_points_as_vectors() -> None:
+    generator = th.Generator().manual_seed(3)
+    places = 24 * th.rand(6, 2, generator=generator) - 12
+    angles = 12 * th.rand(6, generator=generator) - 6
+    (x, y), c, s = places.T, angles.cos(), angles.sin()
+    turned = rotate_images(blobs(places, 64), angles, 70)
+    expected = blobs(th.stack([c * x - s * y, s * x + c * y], dim=1), 70)
+    assert (turned - expected).abs().max() < 0.02
+    assert (turned - blobs(places, 70)).abs().max() > 0.5
+
+
+def test_rotation_there_and_back() -> None:
+    images, angles = blobs(th.tensor([[9.0, -4.0], [0.0, 7.0]]), 45), th.tensor([0.4, -2.3])
+    back = rotate_images(rotate_images(images, angles, 64), -angles, 45)
+    assert (back - images).abs().max() < 0.04
+
+
+def test_rotation_shows_nothing_beyond_the_border() -> None:
+    turned = rotate_images(th.ones(1, 1, 10, 10), th.tensor([math.pi / 4]), 16)[0, 0]
+    assert th.equal(turned[:2, :2], th.zeros(2, 2)) and turned[7:9, 7:9].min() > 0.999
+    # A square turned by half a quarter stands on its corner, but for what is lost at the tip.
+    assert turned[1, 7:9].min() > 0.1 and turned[7:9, 1].min() > 0.1
+    assert turned.sum() == pytest.approx(100, rel=0.05)
+
+
+def test_gradients_are_passed_on() -> None:
+    generator = th.Generator().manual_seed(4)
+    images = th.rand(2, 1, 5, 5, generator=generator, dtype=th.float64, requires_grad=True)
+    angles, place = th.tensor([0.3, 2.0], dtype=th.float64), th.tensor([1, 3])
+    assert th.autograd.gradcheck(lambda values: rotate_images(values, angles, 8), (images,))
+    assert th.autograd.gradcheck(lambda values: crop_patches(values, place, place, 4, angles), (images,))
+    assert th.autograd.gradcheck(lambda values: crop_patches(values, place, place, 4), (images,))
+
+
+PLACE = th.zeros(1, dtype=th.int64)
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"images": th.zeros(1, 9, 9)}, "images must be floating point of shape"),
+        ({"images": th.zeros(1, 1, 9, 9, dtype=th.uint8)}, "torch.uint8"),
+        ({"rows": th.zeros(2, dtype=th.int64)}, r"rows must have shape \(1,\), got \(2,\)"),
+        ({"columns": th.zeros(1)}, "columns must be int64, got torch.float32"),
+        ({"size": 0}, "size must be at least 1, got 0"),
+        ({"angles": th.zeros(1, 1)}, r"angles must have shape \(1,\), got \(1, 1\)"),
+    ],
+    ids=lambda value: next(iter(value)) if isinstance(value, dict) else "",
+)
+def test_patches_of_wrong_arguments(changed: dict[str, Any], message: str) -> None:
+    arguments = {"images": th.zeros(1, 1, 9, 9), "rows": PLACE, "columns": PLACE, "size": 3, **changed}
+    with pytest.raises(ValueError, match=message):
+        crop_patches(**arguments)
+
+
+@pytest.mark.parametrize(
+    ("shape", "angles", "size", "message"),
+    [
+        ((2, 1, 9, 8), 2, None, r"images must be square, got \(2, 1, 9, 8\)"),
+        ((2, 9, 9), 2, None, "images must be floating point of shape"),
+        ((2, 1, 9, 9), 1, None, r"angles must have shape \(2,\), got \(1,\)"),
+        ((2, 1, 9, 9), 2, 0, "size must be at least 1, got 0"),
+    ],
+)
+def test_rotations_of_wrong_arguments(shape: Any, angles: int, size: int | None, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        rotate_images(th.zeros(shape), th.zeros(angles), size)
