@@ -6,7 +6,7 @@ import contextlib
 import os
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -19,7 +19,6 @@ from sb3_extensions.demonstrations.episodes import EpisodeData
 from sb3_extensions.demonstrations.expert_envs import make_expert_envs
 from sb3_extensions.demonstrations.validation import validate_episodes
 from sb3_extensions.replay.buffer import ExpertReplayBuffer
-from sb3_extensions.spatial_dqn.codec import SpatialActionCodec
 
 if TYPE_CHECKING:  # the codec's package imports this one
     from sb3_extensions.spatial_dqn.codec import SpatialActionCodec

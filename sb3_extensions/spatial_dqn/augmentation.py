@@ -10,6 +10,7 @@ from torch.nn import functional as F
 
 from sb3_extensions.common.exploration import EXPLORED_HEIGHT
 from sb3_extensions.replay.samples import ExpertReplayBufferSamples
+from sb3_extensions.spatial_dqn.codec import PIXEL, SpatialActionCodec
 
 # Standard deviation of a shift, in sides of the image (the authors' code).
 SHIFT = 1 / 20
