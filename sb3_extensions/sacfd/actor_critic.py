@@ -1,4 +1,4 @@
-"""Actors and critics of which policies are made: the paper's CNN and its equivariant network."""
+"""Actors and critics of the policies: the paper's CNN and its equivariant network."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from torch import nn
 from torch.nn import functional as F
 
 from sb3_extensions.common.action_sequence import ActionSequence
-from sb3_extensions.encoders.initialisation import scale_down
+from sb3_extensions.encoders.initialisation import OUTPUT_GAIN, scale_down
 from sb3_extensions.equivariant.groups import FieldType
 from sb3_extensions.sacfd.heads import (
     ActionScaling,
@@ -32,8 +32,9 @@ NetArch = list[int] | dict[str, list[int]]
 
 def initialise_actor(actor: Actor) -> Actor:
     """
-    Give the linear layers of a plain actor Xavier uniform weights, the last ones small: means begin near 0,
-    standard deviations near 1.
+    Initialise the linear layers of an actor with Xavier uniform weights, small ones in the last layers.
+
+    The means start near 0 and the standard deviations near 1.
 
     :param actor: an actor without state-dependent exploration
     :return: the same actor
@@ -48,13 +49,13 @@ def initialise_actor(actor: Actor) -> Actor:
     return actor
 
 
-class NormalisedCritic(ContinuousCritic):
+class MultiHeadCritic(ContinuousCritic):
     """
-    Critic behind one encoder whose features and hidden layers are normalised, and that begins near zero.
+    Critic whose heads share one encoder.
 
-    A value that bootstraps from itself falls by (1 - discount) x ``tau`` an update: what an untrained critic
-    says wrongly, it says for long. And where layers are normalised, no action beyond the data can raise a
-    value without bound (RLPD, https://arxiv.org/abs/2302.02948).
+    With ``normalise`` features and hidden layers are normalised, which bounds the values of actions outside
+    the data (RLPD, https://arxiv.org/abs/2302.02948), and values start near 0, because a wrong initial value
+    that bootstraps from itself decays slowly.
 
     :param observation_space: Observation space
     :param action_space: Action space
@@ -65,7 +66,8 @@ class NormalisedCritic(ContinuousCritic):
     :param normalize_images: Whether to divide ``uint8`` images by 255
     :param n_critics: Number of heads
     :param share_features_extractor: Whether the features extractor is the actor's, which alone trains it
-    :param n_outputs: numbers that a head gives: 1 for a Q-value, more for quantiles
+    :param n_outputs: number of outputs of a head, 1 for a Q-value, more for quantiles
+    :param normalise: whether to normalise features and hidden layers, scale actions, and start near 0
     """
 
     def __init__(
@@ -80,6 +82,7 @@ class NormalisedCritic(ContinuousCritic):
         n_critics: int = 2,
         share_features_extractor: bool = False,
         n_outputs: int = 1,
+        normalise: bool = False,
     ) -> None:
         # ContinuousCritic's own constructor would build other heads
         super(ContinuousCritic, self).__init__(
@@ -90,7 +93,7 @@ class NormalisedCritic(ContinuousCritic):
         )
         self.net_arch, self.features_dim, self.activation_fn = net_arch, features_dim, activation_fn
         self.share_features_extractor = share_features_extractor
-        self.n_critics, self.n_outputs = n_critics, n_outputs
+        self.n_critics, self.n_outputs, self.normalise = n_critics, n_outputs, normalise
         self.q_networks: list[nn.Module] = []
         for idx in range(n_critics):
             q_net = self._make_head()
@@ -99,26 +102,21 @@ class NormalisedCritic(ContinuousCritic):
 
     def extract_features(self, obs: PyTorchObs, features_extractor: BaseFeaturesExtractor) -> th.Tensor:
         """
-        Features of mean 0 and variance 1 over each observation, whatever the units of the images.
-
-        A turned image only permutes what is averaged.
+        Extract features; with ``normalise`` they have mean 0 and variance 1 over each observation.
 
         :param obs: Observation
         :param features_extractor: The features extractor to use
         :return: shape (batch, features_dim)
         """
         features = super().extract_features(obs, features_extractor)
-        return F.layer_norm(features, features.shape[1:])
+        return F.layer_norm(features, features.shape[1:]) if self.normalise else features
 
     def _make_head(self) -> nn.Module:
         action_dim = get_action_dim(self.action_space)
-        layers = create_mlp(
-            self.features_dim + action_dim,
-            self.n_outputs,
-            self.net_arch,
-            self.activation_fn,
-            post_linear_modules=[_FixedLayerNorm],
-        )
+        arguments = (self.features_dim + action_dim, self.n_outputs, self.net_arch, self.activation_fn)
+        if not self.normalise:
+            return nn.Sequential(*create_mlp(*arguments))
+        layers = create_mlp(*arguments, post_linear_modules=[_FixedLayerNorm])
         hidden_and_output = [layer for layer in layers if isinstance(layer, nn.Linear)]
         for hidden in hidden_and_output:
             nn.init.xavier_uniform_(hidden.weight)
@@ -147,6 +145,7 @@ class EquivariantActor(Actor):
     :param features_dim: Number of features
     :param action_sequence: one character for each number of the action, see
         :class:`~sb3_extensions.common.action_sequence.ActionSequence`
+    :param normalise: whether means start near 0 and standard deviations near 1
     :param activation_fn: Activation function
     :param use_sde: must be False
     :param log_std_init: of state-dependent exploration, not used
@@ -164,6 +163,7 @@ class EquivariantActor(Actor):
         features_extractor: BaseFeaturesExtractor,
         features_dim: int,
         action_sequence: str,
+        normalise: bool = False,
         activation_fn: type[nn.Module] = nn.ReLU,
         use_sde: bool = False,
         log_std_init: float = -3,
@@ -185,31 +185,32 @@ class EquivariantActor(Actor):
         self.net_arch, self.features_dim, self.activation_fn = net_arch, features_dim, activation_fn
         self.log_std_init, self.use_expln, self.clip_mean = log_std_init, use_expln, clip_mean
         self.full_std = True
-        self.action_sequence = action_sequence
+        self.action_sequence, self.normalise = action_sequence, normalise
         action_dim = get_action_dim(action_space)
         action = ActionSequence(action_sequence, action_dim)
+        gain = OUTPUT_GAIN if normalise else 1.0
         hidden_type = in_type = features_type(features_extractor)
         if net_arch:
             hidden_type = FieldType.of((in_type.group.regular, net_arch[-1]))
         self.latent_pi = equivariant_mlp(in_type, net_arch, activation_fn)
         self.action_dist = SquashedDiagGaussianDistribution(action_dim)  # type: ignore[assignment]
-        self.mu = EquivariantMean(hidden_type, action)
-        self.log_std = EquivariantLogStd(hidden_type, action)  # type: ignore[assignment]
+        self.mu = EquivariantMean(hidden_type, action, gain)
+        self.log_std = EquivariantLogStd(hidden_type, action, gain)  # type: ignore[assignment]
 
     def _get_constructor_parameters(self) -> dict[str, Any]:
         data = super()._get_constructor_parameters()
         data.pop("full_std")
-        data.update(action_sequence=self.action_sequence)
+        data.update(action_sequence=self.action_sequence, normalise=self.normalise)
         return data
 
 
-class EquivariantCritic(NormalisedCritic):
+class EquivariantCritic(MultiHeadCritic):
     """Critic whose values stay when images and (x, y) of the action turn together.
 
-    :param args: arguments of :class:`NormalisedCritic`; ``net_arch`` are regular fields, the features too
+    :param args: arguments of :class:`MultiHeadCritic`; ``net_arch`` are regular fields, the features too
     :param action_sequence: one character for each number of the action, see
         :class:`~sb3_extensions.common.action_sequence.ActionSequence`
-    :param kwargs: keyword arguments of :class:`NormalisedCritic`
+    :param kwargs: keyword arguments of :class:`MultiHeadCritic`
     :raises ValueError: if features or ``action_sequence`` do not fit
     """
 
@@ -220,4 +221,6 @@ class EquivariantCritic(NormalisedCritic):
     def _make_head(self) -> nn.Module:
         in_type = features_type(self.features_extractor)
         action = ActionSequence(self.action_sequence, get_action_dim(self.action_space))
-        return InvariantValue(in_type, action, self.net_arch, self.n_outputs, self.activation_fn)
+        return InvariantValue(
+            in_type, action, self.net_arch, self.n_outputs, self.activation_fn, self.normalise
+        )

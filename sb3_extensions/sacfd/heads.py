@@ -11,7 +11,7 @@ from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from torch import nn
 
 from sb3_extensions.common.action_sequence import ActionSequence
-from sb3_extensions.encoders.initialisation import OUTPUT_GAIN, scale_down
+from sb3_extensions.encoders.initialisation import scale_down
 from sb3_extensions.equivariant.groups import FieldType, Group
 from sb3_extensions.equivariant.layers import EquivariantLinear, GroupMaxPool
 
@@ -46,14 +46,15 @@ class EquivariantMean(nn.Module):
 
     :param in_type: regular fields, and trivial ones if need be
     :param action: which numbers turn
+    :param gain: factor of the initial weights
     """
 
     index: th.Tensor
     signs: th.Tensor
 
-    def __init__(self, in_type: FieldType, action: ActionSequence) -> None:
+    def __init__(self, in_type: FieldType, action: ActionSequence, gain: float = 1.0) -> None:
         super().__init__()
-        self.linear = EquivariantLinear(in_type, action_type(action, in_type.group), gain=OUTPUT_GAIN)
+        self.linear = EquivariantLinear(in_type, action_type(action, in_type.group), gain=gain)
         self.register_buffer("index", th.tensor(action.places(FIELD_ORDER)).argsort(), persistent=False)
         self.register_buffer("signs", _signs(action), persistent=False)
 
@@ -75,12 +76,12 @@ class EquivariantLogStd(nn.Module):
 
     index: th.Tensor
 
-    def __init__(self, in_type: FieldType, action: ActionSequence) -> None:
+    def __init__(self, in_type: FieldType, action: ActionSequence, gain: float = 1.0) -> None:
         super().__init__()
         names = [next((pair for pair in ("xy", "uv") if name in pair), name) for name in action.names]
         distinct = sorted(set(names))
         out_type = FieldType.of((in_type.group.trivial, len(distinct)))
-        self.linear = EquivariantLinear(in_type, out_type, gain=OUTPUT_GAIN)
+        self.linear = EquivariantLinear(in_type, out_type, gain=gain)
         index = th.tensor([distinct.index(name) for name in names])
         self.register_buffer("index", index, persistent=False)
 
@@ -102,6 +103,7 @@ class InvariantValue(nn.Module):
     :param net_arch: regular fields of each hidden layer, at least one
     :param outputs: 1 for a Q-value, more for quantiles
     :param activation_fn: pointwise nonlinearity
+    :param normalise: whether to normalise hidden layers, scale the action to the features, and start near 0
     :raises ValueError: if there is no hidden layer
     """
 
@@ -115,16 +117,19 @@ class InvariantValue(nn.Module):
         net_arch: Sequence[int],
         outputs: int = 1,
         activation_fn: type[nn.Module] = nn.ReLU,
+        normalise: bool = False,
     ) -> None:
         super().__init__()
         if not net_arch:
             raise ValueError("net_arch of an equivariant critic (qf) needs at least one hidden layer, got []")
         joint_type = in_type + action_type(action, in_type.group)
-        self.hidden = equivariant_mlp(joint_type, net_arch, activation_fn, normalise=True)
+        self.hidden = equivariant_mlp(joint_type, net_arch, activation_fn, normalise)
         self.pool = GroupMaxPool(FieldType.of((in_type.group.regular, net_arch[-1])))
         self.value = nn.Linear(net_arch[-1], outputs)
-        scale_down(self.value)
-        self.action_scaling = ActionScaling(in_type.size, action.action_dim)
+        self.action_scaling: nn.Module = nn.Identity()
+        if normalise:
+            scale_down(self.value)
+            self.action_scaling = ActionScaling(in_type.size, action.action_dim)
         places = [*range(in_type.size), *(in_type.size + place for place in action.places(FIELD_ORDER))]
         self.register_buffer("index", th.tensor(places), persistent=False)
         signs = th.cat([th.ones(in_type.size), _signs(action)])
@@ -138,11 +143,10 @@ class InvariantValue(nn.Module):
 
 
 class ActionScaling(nn.Module):
-    """Makes an action as loud as the features beside it: (batch, features_dim + action_dim), the same shape.
+    """Scale actions to the norm of the features: (batch, features_dim + action_dim) to the same shape.
 
-    Five numbers beside 128 of the same size make one hundredth of a hidden unit's variance: the critic then
-    knows what a state is worth long before it tells one action from another, and what it says of actions that
-    were not carried out is the same everywhere.
+    Five numbers next to 128 of the same size contribute one hundredth of a hidden unit's variance, so that an
+    untrained critic is insensitive to the action input.
 
     :param features_dim: numbers of variance 1
     :param action_dim: numbers in [-1, 1]
@@ -157,7 +161,7 @@ class ActionScaling(nn.Module):
         self.register_buffer("gain", gain, persistent=False)
 
     def forward(self, features_and_action: th.Tensor) -> th.Tensor:
-        """:return: features and the louder action"""
+        """:return: features and the scaled action"""
         return features_and_action * self.gain
 
 

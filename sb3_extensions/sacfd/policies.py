@@ -17,11 +17,11 @@ from sb3_extensions.encoders.mlp_extractor import MlpExtractor
 from sb3_extensions.sacfd.actor_critic import (
     EquivariantActor,
     EquivariantCritic,
+    MultiHeadCritic,
     NetArch,
-    NormalisedCritic,
     initialise_actor,
 )
-from sb3_extensions.sacfd.averaging import AveragedActorPolicy
+from sb3_extensions.sacfd.base_policy import SACfDPolicy
 from sb3_extensions.sacfd.heads import features_type
 
 # Hidden layers of the paper's close-loop CNN baseline: none in the actor, 128 units in each head of the
@@ -30,7 +30,7 @@ CNN_NET_ARCH: dict[str, list[int]] = {"pi": [], "qf": [128]}
 STATE_NET_ARCH: dict[str, list[int]] = {"pi": [], "qf": [256]}
 
 
-class MultiInputPolicy(AveragedActorPolicy):
+class MultiInputPolicy(SACfDPolicy):
     """CNN policy of the paper: one encoder for the actor, one for all heads of the critic.
 
     :param observation_space: Dict of images and numbers, see
@@ -39,10 +39,10 @@ class MultiInputPolicy(AveragedActorPolicy):
     :param lr_schedule: Learning rate schedule (could be constant)
     :param net_arch: Hidden layers behind the encoders, the paper's if ``None``
     :param features_extractor_class: Features extractor to use
-    :param kwargs: further parameters of :class:`~sb3_extensions.sacfd.averaging.AveragedActorPolicy`
+    :param kwargs: further parameters of :class:`~sb3_extensions.sacfd.base_policy.SACfDPolicy`
     """
 
-    critic_class: ClassVar[type[NormalisedCritic]] = NormalisedCritic
+    critic_class: ClassVar[type[MultiHeadCritic]] = MultiHeadCritic
 
     def __init__(
         self,
@@ -63,13 +63,14 @@ class MultiInputPolicy(AveragedActorPolicy):
         )
 
     def make_actor(self, features_extractor: BaseFeaturesExtractor | None = None) -> Actor:
-        """Actor that begins with means near 0."""
-        return initialise_actor(super().make_actor(features_extractor))
+        """Create the actor."""
+        actor = super().make_actor(features_extractor)
+        return initialise_actor(actor) if self.normalise else actor
 
     def make_critic(self, features_extractor: BaseFeaturesExtractor | None = None) -> ContinuousCritic:
-        """Critic that begins with values near 0."""
+        """Create the critic."""
         kwargs = self._update_features_extractor(self.critic_kwargs, features_extractor)
-        return self.critic_class(**kwargs).to(self.device)
+        return self.critic_class(normalise=self.normalise, **kwargs).to(self.device)
 
 
 class StatePolicy(MultiInputPolicy):
@@ -103,7 +104,7 @@ class StatePolicy(MultiInputPolicy):
         )
 
 
-class EquivariantPolicy(AveragedActorPolicy):
+class EquivariantPolicy(SACfDPolicy):
     """Equivariant policy of the paper: one encoder for the actor, one for all heads of the critic.
 
     :param observation_space: Dict of images and numbers, see
@@ -115,7 +116,7 @@ class EquivariantPolicy(AveragedActorPolicy):
     :param features_extractor_class: Features extractor with regular features, trivial ones may follow them
     :param action_sequence: One character for each number of the action: ``p`` (gripper), ``x``, ``y``, ``z``,
         ``r`` (rotation about z), in any order
-    :param kwargs: further parameters of :class:`~sb3_extensions.sacfd.averaging.AveragedActorPolicy`
+    :param kwargs: further parameters of :class:`~sb3_extensions.sacfd.base_policy.SACfDPolicy`
     :raises ValueError: if features or ``action_sequence`` do not fit, or with ``use_sde``
     """
 
@@ -142,15 +143,19 @@ class EquivariantPolicy(AveragedActorPolicy):
         )
 
     def make_actor(self, features_extractor: BaseFeaturesExtractor | None = None) -> Actor:
-        """Actor that commutes with the group."""
+        """Create the actor, equivariant under the group."""
         kwargs = self._update_features_extractor(self.actor_kwargs, features_extractor)
-        return EquivariantActor(action_sequence=self.action_sequence, **kwargs).to(self.device)
+        return EquivariantActor(action_sequence=self.action_sequence, normalise=self.normalise, **kwargs).to(
+            self.device
+        )
 
     def make_critic(self, features_extractor: BaseFeaturesExtractor | None = None) -> ContinuousCritic:
-        """Critic that is invariant under the group."""
+        """Create the critic, invariant under the group."""
         kwargs = self._update_features_extractor(self.critic_kwargs, features_extractor)
         kwargs["net_arch"] = kwargs["net_arch"] or [features_type(kwargs["features_extractor"]).fields[0][1]]
-        return self.critic_class(action_sequence=self.action_sequence, **kwargs).to(self.device)
+        return self.critic_class(action_sequence=self.action_sequence, normalise=self.normalise, **kwargs).to(
+            self.device
+        )
 
     def _get_constructor_parameters(self) -> dict[str, Any]:
         data = super()._get_constructor_parameters()

@@ -21,7 +21,7 @@ from sb3_extensions.common.gradients import frozen
 from sb3_extensions.demonstrations.episodes import EpisodeData
 from sb3_extensions.replay.augmentations import AugmentationSpec
 from sb3_extensions.replay.samples import ExpertReplayBufferSamples, count_rows, select_rows
-from sb3_extensions.sacfd.averaging import AveragedActorPolicy
+from sb3_extensions.sacfd.base_policy import SACfDPolicy
 from sb3_extensions.sacfd.exploration import Exploration
 from sb3_extensions.sacfd.losses import imitation_loss, self_imitation_weights
 from sb3_extensions.sacfd.policies import EquivariantPolicy, MultiInputPolicy, StatePolicy
@@ -403,7 +403,7 @@ class SACfD(Exploration, SAC):
         return {}
 
     def _update_actor_average(self) -> None:
-        if isinstance(self.policy, AveragedActorPolicy):
+        if isinstance(self.policy, SACfDPolicy):
             self.policy.update_average()
 
     def _update_target_critic(self) -> None:

@@ -9,15 +9,15 @@ from stable_baselines3.common.type_aliases import PyTorchObs, Schedule
 from stable_baselines3.sac.policies import SACPolicy
 
 from sb3_extensions.sacfd import policies as sacfd
-from sb3_extensions.sacfd.actor_critic import EquivariantCritic, NormalisedCritic
+from sb3_extensions.sacfd.actor_critic import EquivariantCritic, MultiHeadCritic
 
 
-class QuantileCritic(NormalisedCritic):
+class QuantileCritic(MultiHeadCritic):
     """
     Critic of quantiles; its attributes are those of :class:`sb3_contrib.tqc.policies.Critic`.
 
     :param n_quantiles: of each head
-    :param kwargs: keyword arguments of :class:`~sb3_extensions.sacfd.actor_critic.NormalisedCritic`
+    :param kwargs: keyword arguments of :class:`~sb3_extensions.sacfd.actor_critic.MultiHeadCritic`
     """
 
     def __init__(self, n_quantiles: int = 25, **kwargs: Any) -> None:
@@ -68,7 +68,7 @@ class MultiInputPolicy(QuantilePolicy, sacfd.MultiInputPolicy):
     :class:`sb3_extensions.sacfd.policies.MultiInputPolicy`.
     """
 
-    critic_class: ClassVar[type[NormalisedCritic]] = QuantileCritic
+    critic_class: ClassVar[type[MultiHeadCritic]] = QuantileCritic
 
 
 class StatePolicy(QuantilePolicy, sacfd.StatePolicy):
@@ -78,7 +78,7 @@ class StatePolicy(QuantilePolicy, sacfd.StatePolicy):
     :class:`sb3_extensions.sacfd.policies.StatePolicy`.
     """
 
-    critic_class: ClassVar[type[NormalisedCritic]] = QuantileCritic
+    critic_class: ClassVar[type[MultiHeadCritic]] = QuantileCritic
 
 
 class EquivariantPolicy(QuantilePolicy, sacfd.EquivariantPolicy):

@@ -18,7 +18,7 @@ from zoo_configs.algorithms import ALGORITHMS
 from zoo_configs.files import whole_file
 
 POLICY = "policy"
-ACTOR, AVERAGE = "actor", "actor_average"  # of an AveragedActorPolicy
+ACTOR, AVERAGE = "actor", "actor_average"  # of an SACfDPolicy
 SMALLER = {th.float16: "float16", th.bfloat16: "bfloat16"}
 # What an agent that only acts has no use for, and paths of the machine that trained it.
 BLANKS: dict[str, Any] = {

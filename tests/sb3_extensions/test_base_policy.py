@@ -10,7 +10,7 @@ from stable_baselines3.sac.policies import Actor
 
 from sb3_extensions.ferm import FERM
 from sb3_extensions.sacfd import SACfD
-from sb3_extensions.sacfd.averaging import AveragedActorPolicy
+from sb3_extensions.sacfd.base_policy import SACfDPolicy
 from sb3_extensions.sacfd.policies import EquivariantPolicy
 from sb3_extensions.tqcfd import TQCfD
 
@@ -48,7 +48,7 @@ def weights(module: th.nn.Module) -> np.ndarray:
 
 
 def average(model: SACfD) -> Actor:
-    assert isinstance(model.policy, AveragedActorPolicy) and model.policy.actor_average is not None
+    assert isinstance(model.policy, SACfDPolicy) and model.policy.actor_average is not None
     return model.policy.actor_average.module
 
 

@@ -1,4 +1,4 @@
-"""Policies that act by an average of their actor's weights."""
+"""Base class of the policies of SACfD."""
 
 from __future__ import annotations
 
@@ -10,25 +10,28 @@ from stable_baselines3.sac.policies import SACPolicy
 from torch.optim.swa_utils import AveragedModel
 
 
-class AveragedActorPolicy(SACPolicy):
+class SACfDPolicy(SACPolicy):
     """
-    Policy whose deterministic actions can use an exponential moving average of the actor's weights.
-
-    Sampled actions use the actor itself. Source: https://arxiv.org/abs/1509.02971 (soft updates), here of the
-    actor.
+    SAC policy with two additions, both off by default.
 
     :param args: arguments of :class:`stable_baselines3.sac.policies.SACPolicy`
-    :param actor_tau: soft update coefficient of the average, greater than 0 and at most 1. The first ``1 /
-        actor_tau`` weights have equal shares. None for no average
+    :param normalise: normalise the critic's features and hidden layers (https://arxiv.org/abs/2302.02948),
+        scale the actions in its input to the features, and start actor and critic with outputs near 0
+    :param actor_tau: soft update coefficient of an average of the actor's weights that deterministic actions
+        use (own addition), greater than 0 and at most 1. The first ``1 / actor_tau`` weights have equal
+        shares. None for no average
     :param kwargs: keyword arguments of :class:`stable_baselines3.sac.policies.SACPolicy`
     :raises ValueError: if ``actor_tau`` is out of its range
     """
 
     actor_average: AveragedModel | None
 
-    def __init__(self, *args: Any, actor_tau: float | None = None, **kwargs: Any) -> None:
+    def __init__(
+        self, *args: Any, normalise: bool = False, actor_tau: float | None = None, **kwargs: Any
+    ) -> None:
         if actor_tau is not None and not 0 < actor_tau <= 1:
             raise ValueError(f"actor_tau must be None or greater than 0 and at most 1, got {actor_tau}")
+        self.normalise = normalise
         self.actor_tau = actor_tau
         super().__init__(*args, **kwargs)
 
@@ -60,5 +63,9 @@ class AveragedActorPolicy(SACPolicy):
 
     def _get_constructor_parameters(self) -> dict[str, Any]:
         data = super()._get_constructor_parameters()
-        data.update(actor_tau=self.actor_tau, share_features_extractor=self.share_features_extractor)
+        data.update(
+            normalise=self.normalise,
+            actor_tau=self.actor_tau,
+            share_features_extractor=self.share_features_extractor,
+        )
         return data
