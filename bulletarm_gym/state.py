@@ -96,8 +96,8 @@ def scene_facts(scene: Scene) -> dict[str, Any]:
     """Return names and JSON values that a state must have in common with a scene."""
     names, model = [body.spec.name for body in scene.world.bodies], scene.robot.model
     files = {}
-    if model not in ROBOTS.values():
-        files["arm"] = _checksum(_arm_numbers(model))
+    if (arm := _arm_checksum(model)) != _arm_checksum(ROBOTS.get(model.name)):
+        files["arm"] = arm
     if isinstance(scene.config.object_set, str):
         specs = (spec for item in scene.items for spec in item.role.variants)
         files["object_files"] = _checksum(map(_object_numbers, specs))
@@ -107,6 +107,10 @@ def scene_facts(scene: Scene) -> dict[str, Any]:
         "bodies": f"{len(names)}, crc {zlib.crc32(repr(names).encode()):08x}",
         **files,
     }
+
+
+def _arm_checksum(model: RobotModel | None) -> str:
+    return "" if model is None else _checksum(_arm_numbers(model))
 
 
 def _checksum(parts: Iterable[Any]) -> str:
