@@ -305,6 +305,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("--image", type=Path, metavar="FILE", help="where to write an image of the arm")
     args = parser.parse_args(argv)
+    if args.image is not None:
+        _check_image(parser, args.image)
     workspace = None if args.workspace is None else np.reshape(args.workspace, (3, 2)).tolist()
     try:
         model = find_robot(args.robot)
@@ -315,6 +317,14 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(" ".join(str(error).split()), file=sys.stderr)
         return 2
     return 2 if failed else 0
+
+
+def _check_image(parser: argparse.ArgumentParser, path: Path) -> None:
+    """End the program with a message if no image can be written to a path."""
+    if path.suffix.lower() not in Image.registered_extensions():
+        parser.error(f"--image must be a file name with the extension of an image, got {path}. Use .png.")
+    if not path.absolute().parent.is_dir():
+        parser.error(f"--image must be in an existing folder, got {path}")
 
 
 if __name__ == "__main__":

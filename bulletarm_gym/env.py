@@ -284,10 +284,11 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         before (paper, Expert Demonstrations: the waypoint planner).
 
         :raises gymnasium.error.ResetNeeded: no episode has begun
+        :raises ValueError: the task's plan has no waypoint
         """
         self._check_running()
         lasts = MOVE_STEPS if self.task.plans_moves and self.config.control == CLOSE_LOOP else 1
-        plan = iter(self.task.plan(self.scene, self._rng(PLAN, self._steps // lasts)))
+        plan = iter(self.task.plan(self.scene, self._rng(PLAN, self._steps // lasts)) or ())
         return self.control.encode_action(self.tracker.next_move(plan))
 
     def get_wrapper_attr(self, name: str) -> Any:

@@ -1,7 +1,7 @@
 """What parameters, the options of a reset, or a reward ask for and cannot have."""
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -12,7 +12,7 @@ from bulletarm_gym.extensions import load
 from bulletarm_gym.footprint import Footprint, PlacementError
 from bulletarm_gym.geometry import Pose
 from bulletarm_gym.objects.blocks import CUBE_SIZE
-from bulletarm_gym.scene import Scene
+from bulletarm_gym.scene import Role, Scene
 from bulletarm_gym.simulation import BodySpec
 from bulletarm_gym.tasks import Task
 
@@ -176,6 +176,23 @@ def checked_options(options: Mapping[str, Any] | None, task: Task) -> dict[str, 
         must = f"without a start: {type(task).__name__} builds no structure, it has no arrange_goal()"
         raise ValueError(f"options must be {must}, got {options!r}")
     return dict(given)
+
+
+def checked_roles(roles: Any, task: Task) -> Sequence[Role]:
+    """Return the roles of a task's ``bodies()``.
+
+    :raises ValueError: they are something else, or two have one name
+    """
+    if not isinstance(roles, Sequence) or not all(isinstance(role, Role) for role in roles):
+        raise ValueError(f"bodies() of {type(task).__name__} must return a list of roles, got {roles!r}")
+    names = [role.name for role in roles]
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        raise ValueError(
+            f"bodies() of {type(task).__name__} must return roles with distinct names, "
+            f"got {', '.join(map(repr, twice))} more than once"
+        )
+    return roles
 
 
 def checked_facts(facts: Mapping[str, Any], task: Task) -> dict[str, bool]:

@@ -2,16 +2,25 @@
 
 import dataclasses
 import zlib
+from collections.abc import Iterable
 from typing import Any
 
+import numpy as np
+
 from bulletarm_gym.geometry import Pose
-from bulletarm_gym.robots import RobotState
+from bulletarm_gym.robots import ROBOTS, RobotModel, RobotState
+from bulletarm_gym.robots.urdf import mass_of
 from bulletarm_gym.scene import Scene
 from bulletarm_gym.simulation import WorldState
 from bulletarm_gym.simulation.properties import Properties
+from bulletarm_gym.simulation.shapes import BodySpec
 
 SCENE_PARAMETERS = ("workspace", "object_scale_range", "num_objects", "close_loop_tray")
 """Parameters that determine the bodies of a scene and where they can be."""
+FILE_FACTS = ("arm", "object_files")
+"""Checksums of an arm and of objects that come from files of users."""
+DECIMALS = 5
+"""Number of decimals of the numbers (m, rad, kg) that are compared between files."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -52,7 +61,8 @@ def check_fits(state: Any, made_of: dict[str, Any]) -> None:
             f"state must be an EnvState from get_state(), got a {type(state).__name__}"
             f"{advice if isinstance(state, list | tuple) else ''}"
         )
-    other = [name for name, value in made_of.items() if state.made_of.get(name) != value]
+    names = [*made_of, *(name for name in FILE_FACTS if name not in made_of)]
+    other = [name for name in names if state.made_of.get(name) != made_of.get(name)]
     if other:
         needed, got = (", ".join(f"{n}={made.get(n)!r}" for n in other) for made in (made_of, state.made_of))
         raise ValueError(f"state must be of an environment with {needed}, got one with {got}")
@@ -84,12 +94,45 @@ def declare_state_types(kinds: tuple[type, ...]) -> None:
 
 def scene_facts(scene: Scene) -> dict[str, Any]:
     """Return names and JSON values that a state must have in common with a scene."""
-    names = [body.spec.name for body in scene.world.bodies]
+    names, model = [body.spec.name for body in scene.world.bodies], scene.robot.model
+    files = {}
+    if (arm := _arm_checksum(model)) != _arm_checksum(ROBOTS.get(model.name)):
+        files["arm"] = arm
+    if isinstance(scene.config.object_set, str):
+        specs = (spec for item in scene.items for spec in item.role.variants)
+        files["object_files"] = _checksum(map(_object_numbers, specs))
     return {
         **{name: getattr(scene.config, name) for name in SCENE_PARAMETERS},
-        "robot": scene.robot.model.name,
+        "robot": model.name,
         "bodies": f"{len(names)}, crc {zlib.crc32(repr(names).encode()):08x}",
+        **files,
     }
+
+
+def _arm_checksum(model: RobotModel | None) -> str:
+    return "" if model is None else _checksum(_arm_numbers(model))
+
+
+def _checksum(parts: Iterable[Any]) -> str:
+    """Return a checksum of numbers, without their last decimals."""
+    rounded = [np.round(np.asarray(part, np.float64), DECIMALS) + 0.0 for part in parts]  # -0.0 becomes 0.0
+    return f"crc {zlib.crc32(b''.join(part.tobytes() for part in rounded)):08x}"
+
+
+def _arm_numbers(model: RobotModel) -> list[Any]:
+    """Return the numbers of an arm on which motions depend."""
+    chain, gripper = model.chain, model.gripper
+    masses = [mass_of(link) for link in model.urdf.findall("link")]
+    fingers = (gripper.stroke, gripper.force, gripper.speed, gripper.friction)
+    frames = (chain.rotations, chain.translations, chain.axes, chain.limits)
+    return [*frames, model.posture, model.torques, masses, fingers]
+
+
+def _object_numbers(spec: BodySpec) -> list[float]:
+    """Return the numbers of an object on which its motion depends."""
+    frame, _ = spec.mass_properties
+    frictions = (spec.friction, spec.rolling_friction, spec.spinning_friction)
+    return [*spec.extents, *frame.position, spec.mass, *frictions]
 
 
 def field_names(kind: type) -> tuple[str, ...]:

@@ -172,8 +172,11 @@ def object_set(value: Any) -> str | list[str]:
     """Ask for a folder that exists, or the names of kinds."""
     if isinstance(value, list | tuple) and value and all(isinstance(kind, str) for kind in value):
         return [str(kind) for kind in value]
-    if not isinstance(value, str | os.PathLike) or not os.path.isdir(value):
+    if not isinstance(value, str | os.PathLike):
         raise Refused("None, a folder of OBJ, STL or URDF files, or a list of kinds of objects")
+    if not os.path.isdir(value):
+        where = "" if os.path.isabs(value) else f" in the working directory {os.getcwd()}"
+        raise Refused(f"None, an existing folder{where} or a list of kinds of objects")
     return os.fspath(value)
 
 

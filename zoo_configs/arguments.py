@@ -44,10 +44,13 @@ class KeyValues(argparse.Action):
         :param namespace: Where they go
         :param values: Words
         :param option_string: The flag
-        :raises CommandError: if one is no such pair
+        :raises CommandError: if one is no such pair, or a key comes twice behind one flag
         """
-        pairs = dict(_key_value(str(option_string), pair) for pair in values)
-        setattr(namespace, self.dest, {**getattr(namespace, self.dest, {}), **pairs})
+        pairs = [_key_value(str(option_string), pair) for pair in values]
+        keys = [key for key, _ in pairs]
+        if twice := sorted({key for key in keys if keys.count(key) > 1}):
+            raise CommandError(f"{option_string} must have each key once, got {', '.join(twice)} more often")
+        setattr(namespace, self.dest, {**getattr(namespace, self.dest, {}), **dict(pairs)})
 
 
 def _key_value(flag: str, pair: str) -> tuple[str, Any]:

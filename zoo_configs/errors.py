@@ -12,6 +12,8 @@ from contextlib import contextmanager
 # others, or of the whole.
 NEAR, NEARLY_EQUAL = 0.6, 0.95
 COLOURS = re.compile(r"\x1b\[\d+m")
+MADE_BY_GYMNASIUM = " was raised from the environment creator for "
+"""Begin of the text that Gymnasium appends to a ``TypeError`` of an environment: all of its parameters."""
 
 
 class CommandError(Exception):
@@ -47,7 +49,7 @@ def reason(error: BaseException) -> str:
     """
     if isinstance(error, OSError) and error.strerror:
         return f"{error.filename}: {error.strerror}" if error.filename else error.strerror
-    said = " ".join(str(error).split())
+    said = " ".join(str(error).split()).partition(MADE_BY_GYMNASIUM)[0]
     explains = isinstance(error, AssertionError | CommandError | RuntimeError | ValueError) and said
     return said if explains else f"{type(error).__name__}: {said}".removesuffix(": ")
 

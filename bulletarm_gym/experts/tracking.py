@@ -35,10 +35,13 @@ class Tracker:
         self._opening = None if opening is None else min(opening / control.robot.stroke, OPEN)
 
     def next_move(self, plan: Iterator[Waypoint]) -> Any:
-        """Return the next move of a plan: open loop, its first pick or place."""
+        """Return the next move of a plan: open loop, its first pick or place.
+
+        :raises ValueError: the plan has none
+        """
         if isinstance(self._control, OpenLoop):
-            return self.towards(next(waypoint for waypoint in plan if waypoint.finish is not None))
-        first = next(plan)
+            return self.towards(_first(waypoint for waypoint in plan if waypoint.finish is not None))
+        first = _first(plan)
         if self._opening is not None and first.finish is not None and not first.clear:
             first = next(route(self._scene, first, self._opening))
         return self.towards(first)
@@ -95,3 +98,12 @@ def _rotation(control: CloseLoop, tips: Pose, yaw: float) -> float:
     if step == rotation or control.robot.can_move_to(Pose.planar(*tips.position, tips.yaw + step)):
         return rotation
     return rotation - math.copysign(2.0 * math.pi, rotation)
+
+
+def _first(plan: Iterator[Waypoint]) -> Waypoint:
+    first = next(plan, None)
+    if first is None:
+        raise ValueError(
+            "plan() of the task must yield a waypoint, and in open loop one with a finish, got none"
+        )
+    return first

@@ -58,4 +58,8 @@ def create(kind: str, name: str, scale: float = 1.0) -> BodySpec:
     made = make(name, scale)
     if not isinstance(made, BodySpec):
         raise ValueError(f"object {kind!r}: {path} returned a {type(made).__name__}, not a BodySpec")
+    if not made.pieces:
+        raise ValueError(f"object {kind!r}: pieces must be at least one piece, got none")
+    if not made.is_mark and min(made.extents) <= 0.0:
+        raise ValueError(f"object {kind!r}: sides must be positive (m), got {made.extents}")
     return made

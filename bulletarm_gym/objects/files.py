@@ -14,6 +14,7 @@ import numpy as np
 from bulletarm_gym.geometry import Pose, Vector, euler_pose
 from bulletarm_gym.objects.graspables import graspable
 from bulletarm_gym.objects.hull import convex_hull
+from bulletarm_gym.robots.kinematics import number_of
 from bulletarm_gym.simulation.assets import mesh_path
 from bulletarm_gym.simulation.meshes import mesh_parts
 from bulletarm_gym.simulation.shapes import ORIGIN, BodySpec, Box, Colour, Convex, Piece
@@ -115,7 +116,7 @@ def _vector(text: str) -> Vector:
 
 
 def _number(element: Element) -> float:
-    return float(element.get("value", ""))
+    return number_of(element, "value", "")
 
 
 def _colour(root: Element) -> Colour:
@@ -123,10 +124,17 @@ def _colour(root: Element) -> Colour:
     material = root.find("link/visual/material")
     if material is None:
         return GREY
-    named = f"material[@name='{material.get('name', '')}']/color"
-    colour = material.find("color")
-    colour = root.find(named) if colour is None else colour
+    named = [other for other in root.findall("material") if other.get("name") == material.get("name")]
+    colour = next(
+        (found for found in (one.find("color") for one in (material, *named)) if found is not None), None
+    )
     if colour is None:
         return GREY
-    red, green, blue, alpha = (float(word) for word in colour.get("rgba", "").split())
+    text = colour.get("rgba", "")
+    try:
+        red, green, blue, alpha = (float(word) for word in text.split())
+    except ValueError:
+        raise ValueError(f"rgba of <color> must be four numbers, got {text!r}") from None
+    if not all(0.0 <= value <= 1.0 for value in (red, green, blue, alpha)):
+        raise ValueError(f"rgba of <color> must be from 0 to 1, got {text!r}")
     return (red, green, blue, alpha)

@@ -3,6 +3,7 @@
 from xml.etree.ElementTree import Element
 
 from bulletarm_gym.geometry import Pose
+from bulletarm_gym.robots.checks import check_element
 from bulletarm_gym.robots.structure import check_tree, find_root
 from bulletarm_gym.robots.urdf import add_joint, end_of, find_link
 
@@ -40,8 +41,10 @@ def attach(root: Element, link: str, other: Element, mount: Pose) -> Element:
     :param other: the model to attach
     :param mount: pose of the other model's root link in the link
     :return: the model
-    :raises ValueError: there is no such link, or both models use the same name for a link or a joint
+    :raises ValueError: there is no such link, ``other`` is not the element ``<robot>``, or both models use
+        the same name for a link or a joint
     """
+    check_element("other", other)
     find_link(root, link)
     base = find_root(other).get("name", "")
     materials = {material.get("name") for material in root.findall("material")}

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from xml.etree.ElementTree import Element, SubElement
 
 from bulletarm_gym.geometry import Pose, Vector, euler_pose
+from bulletarm_gym.robots import checks
 from bulletarm_gym.robots.urdf import (
     DARK,
     LIGHT,
@@ -21,6 +22,7 @@ from bulletarm_gym.robots.urdf import (
     box,
     find_link,
 )
+from bulletarm_gym.values import Check
 
 FINGER_MASS = 0.05
 
@@ -39,6 +41,7 @@ class Gripper:
         which it begins
     :param palm: side lengths (m) of the box that carries the fingers: along the opening, across it, upwards
         from their roots; experts keep a wide one out of what stands beside an item. 0 where it is narrow
+    :raises ValueError: a number is not finite or not positive, or a value has another length
     """
 
     stroke: float
@@ -49,6 +52,18 @@ class Gripper:
     speed: float = 0.4
     friction: float = 1.5
     shoulder: tuple[float, float] = (0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        """Check the values."""
+        lengths = checks.numbers("three lengths (m) of at least 0", 3, 0.0)
+        fields: dict[str, Check] = {
+            **dict.fromkeys(("stroke", "force", "speed", "friction"), checks.positive),
+            "finger": lengths,
+            "palm": lengths,
+            "shoulder": checks.numbers("a thickness and a height (m) of at least 0", 2, 0.0),
+            "joints": checks.names(2),
+        }
+        checks.check_fields(self, "gripper.", fields)
 
     @property
     def travel(self) -> float:

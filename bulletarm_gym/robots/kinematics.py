@@ -116,7 +116,7 @@ def limits_of(joint: ElementTree.Element) -> tuple[float, float]:
     limit = joint.find("limit")
     if joint.get("type") == "continuous" or limit is None:
         return (-math.inf, math.inf)
-    return (float(limit.get("lower", "0")), float(limit.get("upper", "0")))
+    return (number_of(limit, "lower"), number_of(limit, "upper"))
 
 
 def find_joint(root: ElementTree.Element, name: str) -> ElementTree.Element:
@@ -124,15 +124,32 @@ def find_joint(root: ElementTree.Element, name: str) -> ElementTree.Element:
 
     :raises ValueError: the model has none of that name
     """
-    joint = root.find(f"joint[@name='{name}']")
-    if joint is None:
-        raise ValueError(f"the model has no joint {name!r}")
-    return joint
+    for joint in root.findall("joint"):  # not by XPath, in which a name cannot have quotes
+        if joint.get("name") == name:
+            return joint
+    raise ValueError(f"the model has no joint {name!r}")
+
+
+def number_of(element: ElementTree.Element, key: str, default: str = "0") -> float:
+    """Return an attribute that is a number.
+
+    :raises ValueError: it is not
+    """
+    text = element.get(key, default)
+    try:
+        return float(text)
+    except ValueError:
+        raise ValueError(f"{key} of <{element.tag}> must be a number, got {text!r}") from None
 
 
 def _floats(element: ElementTree.Element | None, key: str, default: str) -> Vector:
-    text = default if element is None else element.get(key, default)
-    x, y, z = (float(value) for value in text.split())
+    if element is None:
+        element = ElementTree.Element("origin")
+    text = element.get(key, default)
+    try:
+        x, y, z = (float(value) for value in text.split())
+    except ValueError:
+        raise ValueError(f"{key} of <{element.tag}> must be three numbers, got {text!r}") from None
     return (x, y, z)
 
 

@@ -5,8 +5,10 @@ from xml.etree.ElementTree import Element, SubElement
 import numpy as np
 
 from bulletarm_gym.geometry import Pose, conjugate, rotate
+from bulletarm_gym.robots.checks import finite, names
 from bulletarm_gym.robots.kinematics import find_joint
 from bulletarm_gym.robots.urdf import add_joint, end_of, find_link, pose_at
+from bulletarm_gym.values import check_argument
 
 EFFORT, SPEED = "50", "1"
 """Limits of a finger in the model (N, m/s); what moves it is what the gripper says."""
@@ -27,8 +29,12 @@ def on_slides(
         meet; joints with a ``mimic`` follow it as they say, fixed joints stay
     :param opened: its position where the fingers are open
     :return: the model
-    :raises ValueError: a joint or the carrier is missing or not attached, or ``opened`` opens nothing
+    :raises ValueError: a joint or the carrier is missing or not attached, ``opened`` opens nothing, or a
+        position is not a number
     """
+    fingers = check_argument("fingers", fingers, names(2))
+    for name, value in (("closed", closed), ("opened", opened)):
+        check_argument(name, value, finite)
     met = [_pose(root, carrier, name, closed) for name in fingers]
     apart = [_pose(root, carrier, name, opened) for name in fingers]
     across = np.subtract(apart[0].position, apart[1].position)
@@ -41,7 +47,7 @@ def on_slides(
         if travel <= 0.0:
             raise ValueError(
                 f"opened must move the finger {fingers[number]!r} outwards from closed={closed:g}, "
-                f"got {opened:g}"
+                f'got {opened:g}. Add <mimic multiplier="-1"/> to a joint that moves against the driving one.'
             )
         axis = rotate(conjugate(met[number].orientation), (x, y, z))
         slide = add_joint(root, "prismatic", fingers[number], (carrier, children[number]), met[number], axis)

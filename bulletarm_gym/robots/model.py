@@ -10,15 +10,19 @@ from xml.etree import ElementTree
 import numpy as np
 
 from bulletarm_gym.geometry import FloatArray, Pose
+from bulletarm_gym.robots import checks
 from bulletarm_gym.robots.gripper import Gripper
 from bulletarm_gym.robots.kinematics import Chain, find_joint
-from bulletarm_gym.robots.structure import check_chain, check_masses, find_root, prepare
+from bulletarm_gym.robots.structure import check_chain, check_masses, check_opening, find_root, prepare
 from bulletarm_gym.robots.urdf import DARK, add_parts, cylinder, merge_fixed
+from bulletarm_gym.values import Check
 
 PLINTH_RADIUS = 0.09
 """Of the stand (m) under an arm whose base is above the ground; it stays clear of the workspaces."""
 TRAVEL_TOLERANCE = 1e-4
 """Tolerance (m) of the comparison between the gripper's stroke and the fingers' joint limits."""
+FRONT = math.pi / 2.0
+"""Maximum angle (rad) about the base between the posture and the front. Beyond it the posture is rotated."""
 VERTICAL = 0.9
 """Minimum cosine between the vertical and the axis of a joint that rotates the gripper about the vertical."""
 
@@ -39,6 +43,7 @@ class RobotModel:
     :param posture: joint positions (rad) from which inverse kinematics starts: gripper down, elbow up, in
         front of the base
     :param force: maximum torque (N m) of each joint, one value for each or one for all
+    :raises ValueError: a value is of another type, or a number is not finite or not positive
     """
 
     name: str
@@ -49,6 +54,19 @@ class RobotModel:
     base: Pose
     posture: tuple[float, ...]
     force: float | tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        """Check the values, and keep sequences as tuples."""
+        fields: dict[str, Check] = {
+            "load": checks.function,
+            "joints": checks.names(),
+            "tool": checks.instance(Pose),
+            "gripper": checks.instance(Gripper),
+            "base": checks.instance(Pose),
+            "posture": checks.numbers("numbers (rad), one for each joint"),
+            "force": checks.torques,
+        }
+        checks.check_fields(self, f"robot {self.name!r}: ", fields)
 
     @cached_property
     def urdf(self) -> ElementTree.Element:
@@ -61,10 +79,12 @@ class RobotModel:
         """
         root = self.load()
         try:
+            checks.check_element("load()", root)
             prepare(root, self.joints, self.gripper.joints)
             merge_fixed(root)
             check_chain(root, self.joints, self.gripper.joints)
             check_masses(root)
+            check_opening(root, self.gripper.joints[0], self.tool)
         except ValueError as error:
             raise ValueError(f"robot {self.name!r}: {error}") from error
         for name in self.gripper.joints:
@@ -126,11 +146,23 @@ class RobotModel:
         azimuth, radius = math.remainder(math.atan2(y, x) - yaw, math.tau), math.hypot(x, y)
         front = (self.base.x + radius * math.cos(yaw), self.base.y + radius * math.sin(yaw))
         upright = Pose.planar(*front, pose.z, yaw)
-        start, _ = self.chain.inverse(upright, np.array(self.posture))
+        start, _ = self.chain.inverse(upright, self._start.copy())
         first, last = self._directions
         start[0] += first * azimuth
         start[-1] += last * (pose.yaw - yaw - azimuth)
         return self.chain.inverse(pose, start)
+
+    @cached_property
+    def _start(self) -> FloatArray:
+        """Posture (n,) rad. If it is more than :data:`FRONT` from the front, it is rotated about the base."""
+        start, yaw = np.array(self.posture), self.base.yaw
+        tool = self.chain.forward(start)
+        azimuth = math.remainder(math.atan2(tool.y - self.base.y, tool.x - self.base.x) - yaw, math.tau)
+        if abs(azimuth) > FRONT:
+            first, last = self._directions
+            start[0] -= first * azimuth
+            start[-1] += last * math.remainder(yaw + azimuth - tool.yaw, math.tau)
+        return start
 
     @cached_property
     def _directions(self) -> tuple[float, float]:

@@ -5,8 +5,8 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from xml.etree.ElementTree import Element, SubElement
 
-from bulletarm_gym.geometry import Vector, rotate
-from bulletarm_gym.robots.kinematics import axis_of, find_joint, frame_of, limits_of
+from bulletarm_gym.geometry import Pose, Vector, rotate
+from bulletarm_gym.robots.kinematics import axis_of, find_joint, frame_of, limits_of, number_of
 from bulletarm_gym.robots.urdf import end_of, find_link, mass_of, pose_at, put_origin
 
 ROTATING = ("revolute", "continuous")
@@ -16,19 +16,29 @@ OPPOSITE = -0.99
 """Maximum cosine between the directions in which the two fingers open."""
 LIMIT_TOLERANCE = 1e-4
 """Tolerance (m) of the comparison between a finger's lower limit and 0."""
+ALIGNED = 0.8
+"""Minimum cosine between the opening direction of the fingers and the x axis of the tool frame."""
+SHAPES = ("box", "cylinder", "sphere", "capsule", "mesh")
+"""Elements of a ``<geometry>`` that Bullet reads for a robot."""
 
 
 def prepare(root: Element, joints: Sequence[str], fingers: Sequence[str]) -> None:
     """Check the structure of a model and fix the joints that are neither the arm's nor the fingers'.
 
-    :raises ValueError: the model is not a tree of links with distinct names, a joint is missing or of a type
-        that is not supported
+    :raises ValueError: the model is not a tree of links with distinct names; a joint is missing, of a type
+        that is not supported, without limits or coupled to another joint; Bullet does not read a shape
     """
     check_tree(root)
-    for name in joints:
-        check_kind("joints", find_joint(root, name), ROTATING)
-    for name in fingers:
-        check_kind("gripper.joints", find_joint(root, name), ("prismatic",))
+    _check_shapes(root)
+    for parameter, names, kinds in (
+        ("joints", joints, ROTATING),
+        ("gripper.joints", fingers, ("prismatic",)),
+    ):
+        for name in names:
+            check_kind(parameter, find_joint(root, name), kinds)
+            _check_limits(parameter, find_joint(root, name))
+    for joint in root.findall("joint"):
+        _check_coupling(joint, joints, fingers)
     for joint in root.findall("joint"):
         if joint.get("name") not in {*joints, *fingers}:
             fix(joint)
@@ -49,6 +59,47 @@ def check_kind(parameter: str, joint: Element, kinds: Sequence[str]) -> None:
             f"{parameter} must be {' or '.join(kinds)}, got the {joint.get('type')} joint "
             f"{joint.get('name')!r}.{hint}"
         )
+
+
+def _check_limits(parameter: str, joint: Element) -> None:
+    lower, upper = limits_of(joint)
+    if joint.get("type") == "continuous" or -math.inf < lower < upper < math.inf:
+        return
+    got = "no <limit>" if joint.find("limit") is None else f"{lower:g} and {upper:g}"
+    hint = " Use the type continuous for a joint without limits." if joint.get("type") == "revolute" else ""
+    raise ValueError(
+        f"{parameter} must have a <limit> with lower < upper, got {got} for {joint.get('name')!r}.{hint}"
+    )
+
+
+def _check_coupling(joint: Element, joints: Sequence[str], fingers: Sequence[str]) -> None:
+    """Check that no ``<mimic>`` couples a joint to a joint of the arm, or the fingers unequally."""
+    mimic, name = joint.find("mimic"), joint.get("name")
+    if mimic is None:
+        return
+    source = mimic.get("joint")
+    if name in joints or source in joints:
+        raise ValueError(
+            f"joints must move independently, got {name!r}, which follows {source!r} by <mimic>. "
+            "Couplings of arm joints are not simulated."
+        )
+    multiplier, offset = number_of(mimic, "multiplier", "1"), number_of(mimic, "offset")
+    if name in fingers and source in fingers and (abs(multiplier) != 1.0 or offset != 0.0):
+        raise ValueError(
+            f"gripper.joints must move equally, got {name!r}, which follows {source!r} with the multiplier "
+            f"{multiplier:g} and the offset {offset:g}"
+        )
+
+
+def _check_shapes(root: Element) -> None:
+    for link in root.findall("link"):
+        for geometry in link.iterfind("*/geometry"):
+            found = [shape.tag for shape in geometry]
+            if len(found) != 1 or found[0] not in SHAPES:
+                raise ValueError(
+                    f"<geometry> must hold one of {', '.join(SHAPES)}, "
+                    f"got {', '.join(found) or 'nothing'} in link {link.get('name')!r}"
+                )
 
 
 def check_tree(root: Element) -> None:
@@ -148,7 +199,26 @@ def check_chain(root: Element, joints: Sequence[str], fingers: Sequence[str]) ->
                 f"gripper.joints must be attached to the link {link!r} of the last joint, got {name!r}, "
                 f"which is attached to {parent!r}"
             )
+    for name in fingers:
+        child = end_of(find_joint(root, name), "child")
+        if find_link(root, child).find("collision") is None:
+            raise ValueError(f"fingers must have a collision shape, got none for link {child!r}")
     _check_fingers([find_joint(root, name) for name in fingers])
+
+
+def check_opening(root: Element, finger: str, tool: Pose) -> None:
+    """Check that a finger opens along the x axis of the tool frame.
+
+    :param tool: tool frame in the link that carries the finger
+    :raises ValueError: it opens in another direction
+    """
+    axis, opening = rotate(tool.orientation, (1.0, 0.0, 0.0)), _direction(find_joint(root, finger))
+    cosine = abs(sum(a * b for a, b in zip(axis, opening, strict=True)))
+    if cosine < ALIGNED:
+        raise ValueError(
+            "tool must have its x axis along the opening direction of the fingers, got an angle of "
+            f"{math.degrees(math.acos(cosine)):.0f} degrees. Rotate it about its z axis."
+        )
 
 
 def check_masses(root: Element) -> None:

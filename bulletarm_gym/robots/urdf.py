@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from xml.etree.ElementTree import Element, SubElement
 
 from bulletarm_gym.geometry import Pose, Vector, euler_pose, rpy, turn
-from bulletarm_gym.robots.kinematics import axis_of, frame_of
+from bulletarm_gym.robots.kinematics import axis_of, frame_of, number_of
 
 ORIGIN = Pose((0.0, 0.0, 0.0))
 
@@ -109,10 +109,10 @@ def find_link(root: Element, name: str) -> Element:
 
     :raises ValueError: the model has none of that name
     """
-    link = root.find(f"link[@name='{name}']")
-    if link is None:
-        raise ValueError(f"the model has no link {name!r}")
-    return link
+    for link in root.findall("link"):  # not by XPath, in which a name cannot have quotes
+        if link.get("name") == name:
+            return link
+    raise ValueError(f"the model has no link {name!r}")
 
 
 def merge_fixed(root: Element) -> None:
@@ -133,8 +133,14 @@ def merge_fixed(root: Element) -> None:
 
 
 def end_of(joint: Element, end: str) -> str:
-    """Return the name of a joint's ``"parent"`` or ``"child"``."""
-    return joint.findall(end)[0].get("link", "")
+    """Return the name of a joint's ``"parent"`` or ``"child"``.
+
+    :raises ValueError: the joint has none
+    """
+    element = joint.find(end)
+    if element is None:
+        raise ValueError(f"joint {joint.get('name')!r} must have a <{end}>")
+    return element.get("link", "")
 
 
 def _move(element: Element, frame: Pose) -> None:
@@ -183,7 +189,7 @@ def _add_mass(link: Element, other: Element, mount: Pose) -> None:
 def mass_of(link: Element) -> float:
     """Return the mass (kg) of a link, 0 without ``<inertial>``."""
     mass = link.find("inertial/mass")
-    return 0.0 if mass is None else float(mass.get("value", "0"))
+    return 0.0 if mass is None else number_of(mass, "value")
 
 
 def _origin(pose: Pose) -> dict[str, str]:

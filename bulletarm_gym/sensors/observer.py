@@ -4,6 +4,7 @@ import inspect
 from collections.abc import Iterable, Mapping
 from typing import Any
 
+import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
@@ -69,8 +70,14 @@ class Observer:
         return dict(found)
 
     def read(self, view: View) -> dict[str, NDArray[Any]]:
-        """Return the observation; it changes nothing."""
-        return {name: sensor.read(view) for name, sensor in self._sensors.items()}
+        """Return the observation; it changes nothing.
+
+        :raises ValueError: a sensor returns something else than an array of its space
+        """
+        return {
+            name: _checked(name, sensor.read(view), self.space[name])
+            for name, sensor in self._sensors.items()
+        }
 
     def follow(self, before: View, pick: Pose | None) -> None:
         """Tell the sensors that an action was carried out."""
@@ -110,9 +117,24 @@ def _made(config: EnvConfig, name: str, source: str, parameters: Mapping[str, An
         raise ParameterError.of("observation", config.observation, takes)
     _check_parameters(config, name, kind, parameters)
     try:
-        return kind(scene, **parameters)
+        made = kind(scene, **parameters)
     except ValueError as error:
         raise ParameterError(f"observation: {name}: {error}") from error
+    if not isinstance(made.space, spaces.Box):
+        raise ParameterError(f"observation: {name}: space must be a Box, got {made.space}")
+    return made
+
+
+def _checked(name: str, found: Any, space: spaces.Space[Any]) -> NDArray[Any]:
+    """Return what a sensor read, an array of the shape and the type of its space."""
+    is_array = isinstance(found, np.ndarray)
+    if not is_array or found.shape != space.shape or found.dtype != space.dtype:
+        got = f"{found.dtype} of the shape {found.shape}" if is_array else type(found).__name__
+        raise ValueError(
+            f"observation: {name}: read() must return an array of {space.dtype} of the shape {space.shape}, "
+            f"got {got}"
+        )
+    return found  # type: ignore[no-any-return]
 
 
 def _loaded(name: str, path: str) -> Any:

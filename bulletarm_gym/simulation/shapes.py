@@ -161,6 +161,20 @@ class BodySpec:
     hinges: tuple[Hinge, ...] = ()
     is_mark: bool = False
 
+    def __post_init__(self) -> None:
+        """Check the numbers.
+
+        :raises ValueError: one is not finite or negative, or the colour is not four numbers
+        """
+        for name in ("mass", "friction", "rolling_friction", "spinning_friction", "angular_damping"):
+            value = getattr(self, name)
+            if not 0.0 <= value < math.inf:
+                raise ValueError(
+                    f"{name} of {self.name!r} must be a finite number of at least 0, got {value}"
+                )
+        if len(self.colour) != 4:
+            raise ValueError(f"colour of {self.name!r} must be red, green, blue and alpha, got {self.colour}")
+
     @cached_property
     def mesh(self) -> Mesh:
         """The triangles of all pieces in the body's frame."""

@@ -99,3 +99,16 @@ def test_unknown_arm_is_one_line_and_exit_status_2(capsys: pytest.CaptureFixture
     assert main(["ur10"]) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert "ur10" in line and "kuka" in line
+
+
+@pytest.mark.parametrize(
+    ("image", "must"),
+    [("arm.xyz", "a file name with the extension of an image"), ("missing/arm.png", "in an existing folder")],
+)
+def test_an_image_that_cannot_be_written_is_refused_before_the_check(
+    image: str, must: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as stop:
+        main(["kuka", "--image", str(tmp_path / image)])
+    assert stop.value.code == 2
+    assert f"--image must be {must}, got" in capsys.readouterr().err

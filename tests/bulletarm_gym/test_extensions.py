@@ -134,6 +134,25 @@ def brick(name, scale):
 
 def nothing(name, scale):
     return None
+
+def made(name, side=0.04, pieces=None, **values):
+    pieces = (Piece(Box((side, 0.04, 0.04))),) if pieces is None else pieces
+    return BodySpec(name, pieces, **{"mass": 0.1, **values})
+
+def light(name, scale):
+    return made(name, mass=-1.0)
+
+def slippery(name, scale):
+    return made(name, friction=float("nan"))
+
+def opaque(name, scale):
+    return made(name, colour=(1.0, 0.0, 0.0))
+
+def empty(name, scale):
+    return made(name, pieces=())
+
+def flat(name, scale):
+    return made(name, side=0.0)
 """
 
 
@@ -168,6 +187,14 @@ def test_registered_objects_reach_a_task_of_ours() -> None:
     [
         (["hammer"], "^object_set: kind: got 'hammer', takes one of 'bottle_tray', "),
         (["my_objects:nothing"], "^object_set: .* returned a NoneType, not a BodySpec"),
+        (["my_objects:light"], "^object_set: mass of .* must be a finite number of at least 0, got -1"),
+        (
+            ["my_objects:slippery"],
+            "^object_set: friction of .* must be a finite number of at least 0, got nan",
+        ),
+        (["my_objects:opaque"], "^object_set: colour of .* must be red, green, blue and alpha, got"),
+        (["my_objects:empty"], "^object_set: object 'my_objects:empty': pieces must be at least one piece"),
+        (["my_objects:flat"], "^object_set: object 'my_objects:flat': sides must be positive"),
         (["pallet"], "^object_set: 'pallet' stands fixed"),
         (["cube"], "takes at most 1 with this object_set"),
     ],

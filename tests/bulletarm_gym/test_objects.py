@@ -4,6 +4,7 @@ import shutil
 from collections.abc import Callable
 from pathlib import Path
 
+import gymnasium
 import numpy as np
 import pytest
 
@@ -172,6 +173,10 @@ def write_stl(path: Path, ascii_text: bool) -> None:
         path.write_bytes(b"solid".ljust(80) + len(corners).to_bytes(4, "little") + records.tobytes())
 
 
+def _coloured(rgba: str) -> str:
+    return f'<visual>{BOX}<material name="paint"><color rgba="{rgba}"/></material></visual>'
+
+
 def test_mass_and_friction_of_a_urdf_are_used(tmp_path: Path) -> None:
     contact = '<contact><lateral_friction value="0.8"/><rolling_friction value="0.002"/></contact>'
     write_link(tmp_path / "a.urdf", f'<inertial><mass value="1.2"/></inertial>{contact}')
@@ -188,9 +193,12 @@ def test_mass_and_friction_of_a_urdf_are_used(tmp_path: Path) -> None:
         ('<inertial><mass value="0"/></inertial>', "mass must be 0.001 to 5.0 kg, got 0"),
         ('<inertial><mass value="150"/></inertial>', "mass must be 0.001 to 5.0 kg, got 150"),
         ('<contact><lateral_friction value="-1"/></contact>', "lateral_friction must be .* got -1"),
+        ("<inertial><mass/></inertial>", "value of <mass> must be a number, got ''"),
+        (_coloured("1 0 0"), "rgba of <color> must be four numbers, got '1 0 0'"),
+        (_coloured("255 0 0 255"), "rgba of <color> must be from 0 to 1, got '255 0 0 255'"),
     ],
 )
-def test_impossible_mass_or_friction_is_refused(tmp_path: Path, inside: str, reason: str) -> None:
+def test_impossible_value_of_a_urdf_is_refused(tmp_path: Path, inside: str, reason: str) -> None:
     write_link(tmp_path / "a.urdf", inside)
     with pytest.raises(ValueError, match=rf"a\.urdf cannot be loaded: .*{reason}"):
         load_folder(str(tmp_path))
@@ -211,6 +219,21 @@ def test_colour_is_that_of_the_visual(tmp_path: Path) -> None:
     write_link(tmp_path / "b.urdf", "", materials)
     one, other = load_folder(str(tmp_path))
     assert one.colour == (0.0, 1.0, 0.0, 1.0) and other.colour == GREY
+
+
+def test_name_of_a_material_may_have_an_apostrophe(tmp_path: Path) -> None:
+    material = '<material name="painter\'s"><color rgba="0 0 1 1"/></material>'
+    write_link(tmp_path / "a.urdf", f'<visual>{BOX}<material name="painter\'s"/></visual>', material)
+    assert load_folder(str(tmp_path))[0].colour == (0.0, 0.0, 1.0, 1.0)
+
+
+def test_a_folder_that_does_not_exist_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    env_id = "BulletArm/CloseLoopObjectGrasping-v0"
+    with pytest.raises(ValueError, match=f"'{tmp_path}/none', takes None, an existing folder or a list"):
+        gymnasium.make(env_id, object_set=f"{tmp_path}/none")
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(ValueError, match=f"an existing folder in the working directory {tmp_path} or a list"):
+        gymnasium.make(env_id, object_set="none")
 
 
 @pytest.mark.parametrize("name", ["a.obj", "A.OBJ", "a.stl", "A.STL", "a.urdf", "A.URDF", "ascii.STL"])

@@ -140,3 +140,47 @@ def test_a_class_local_to_a_function_is_refused() -> None:
 def test_what_is_no_whole_sensor_is_refused(path: str) -> None:
     with pytest.raises(ValueError, match=r"^observation: .* is none"):
         gymnasium.make(PICKING, observation=[{"name": "mine", "sensor": path}])
+
+
+WRONG = """
+import numpy as np
+from gymnasium import spaces
+from bulletarm_gym.sensors import Sensor
+
+class Wrong(Sensor):
+    space = spaces.Box(0.0, 1.0, (2,), np.float32)
+    def read(self, view):
+        return self.returned
+
+class Shape(Wrong):
+    returned = np.zeros(3, np.float32)
+
+class Type(Wrong):
+    returned = np.zeros(2)
+
+class List(Wrong):
+    returned = [0.0, 0.0]
+
+class Discrete(Wrong):
+    space = spaces.Discrete(2)
+    returned = 0
+"""
+
+
+@pytest.mark.parametrize(
+    ("name", "reason"),
+    [
+        ("Shape", r"must return an array of float32 of the shape \(2,\), got float32 of the shape \(3,\)"),
+        ("Type", r"must return an array of float32 .* got float64 of the shape \(2,\)"),
+        ("List", "must return an array of float32 .* got list"),
+        ("Discrete", "space must be a Box, got Discrete"),
+    ],
+)
+def test_a_reading_outside_its_space_is_refused(
+    name: str, reason: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "wrong_sensors.py").write_text(WRONG)
+    monkeypatch.syspath_prepend(tmp_path)
+    sensor = {"name": "mine", "sensor": f"wrong_sensors:{name}"}
+    with pytest.raises(ValueError, match=f"^observation: mine: .*{reason}"):
+        gymnasium.make(PICKING, observation=[sensor]).reset(seed=0)

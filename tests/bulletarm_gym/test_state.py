@@ -3,6 +3,8 @@
 import copy
 import pickle
 from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import gymnasium
@@ -12,6 +14,9 @@ from rollouts import advance, digest, idle, make_env, transcript
 
 import bulletarm_gym
 from bulletarm_gym.env import ManipulationEnv
+from bulletarm_gym.geometry import Pose
+from bulletarm_gym.robots import KUKA
+from bulletarm_gym.simulation.shapes import Box, Piece, wavefront
 
 Make = Callable[..., ManipulationEnv]
 
@@ -298,3 +303,40 @@ def test_state_of_an_environment_that_looks_otherwise_is_taken(picking: Manipula
     picking.reset(seed=0)
     other.set_state(picking.get_state())
     assert other.scene.world.poses == picking.scene.world.poses
+
+
+def test_state_of_changed_object_files_is_refused(tmp_path: Path) -> None:
+    """A file of demonstrations replays with the objects that it was recorded with, or not at all."""
+    env_id, parameters = (
+        "BulletArm/CloseLoopObjectGrasping-v0",
+        {"object_set": str(tmp_path), "num_objects": 1},
+    )
+
+    def write(side: float) -> None:
+        (tmp_path / "box.obj").write_text(wavefront([Piece(Box((0.04, side, 0.04)))]))
+
+    write(0.05)
+    before = make_env(env_id, **parameters)
+    state = advance(before, SEED, 1)
+    same = make_env(env_id, **parameters)
+    same.set_state(state)
+    write(0.06)
+    changed = make_env(env_id, **parameters)
+    with pytest.raises(
+        ValueError, match=r"state must be .* with object_files='crc .*', got one with object_files="
+    ):
+        changed.set_state(state)
+    for env in (before, same, changed):
+        env.close()
+
+
+def test_state_of_a_changed_arm_of_the_same_name_is_refused(picking: ManipulationEnv) -> None:
+    longer = replace(KUKA, tool=KUKA.tool.compose(Pose((0.0, 0.0, -0.01))))
+    stronger = replace(longer, gripper=replace(KUKA.gripper, force=40.0))
+    one, same, other = (make_env(PICKING, robot=model) for model in (longer, replace(longer), stronger))
+    state = advance(one, SEED, 1)
+    same.set_state(state)
+    picking.reset(seed=0)
+    for env, found in ((other, "'crc .*'"), (picking, "None")):
+        with pytest.raises(ValueError, match=rf"state must be .* with arm={found}, got one with arm='crc "):
+            env.set_state(state)

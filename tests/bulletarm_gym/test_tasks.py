@@ -3,6 +3,7 @@
 import itertools
 import math
 from collections.abc import Callable
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -337,3 +338,34 @@ def test_description_of_a_task_without_docstring_is_its_name() -> None:
         pass
 
     assert BlockShaking.description.fget(object.__new__(BlockShaking)) == "Block shaking."
+
+
+@pytest.mark.parametrize(
+    "env_id", ["BulletArm/CloseLoopBlockPicking-v0", "BulletArm/OpenLoopBlockStacking-v0"]
+)
+@pytest.mark.parametrize("plan", [(), None])
+def test_a_plan_without_a_waypoint_is_refused(
+    env_id: str, plan: tuple[()] | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    env = make_env(env_id)
+    monkeypatch.setattr(env.task, "plan", lambda scene, rng: plan)
+    env.reset(seed=0)
+    with pytest.raises(ValueError, match=r"plan\(\) of the task must yield a waypoint, .* got none"):
+        env.expert_action()
+    env.close()
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        (lambda roles: [*roles, *roles], "roles with distinct names, got 'cube' more than once"),
+        (lambda roles: None, "a list of roles, got None"),
+    ],
+)
+def test_roles_that_cannot_be_loaded_are_refused(
+    change: Callable[[Any], Any], reason: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bodies = BlockPicking.bodies
+    monkeypatch.setattr(BlockPicking, "bodies", lambda task, config: change(bodies(task, config)))
+    with pytest.raises(ValueError, match=rf"bodies\(\) of BlockPicking must return {reason}"):
+        make_env("BulletArm/CloseLoopBlockPicking-v0")

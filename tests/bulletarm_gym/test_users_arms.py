@@ -46,11 +46,16 @@ def changed_kuka(change: Callable[[Element], None], **changes: object) -> RobotM
 
 
 def random_arm(rng: np.random.Generator) -> tuple[Element, tuple[str, ...]]:
-    """A chain of random joints, of which some are fixed, prismatic or not named, and two fingers."""
+    """A chain of random joints, of which some are fixed, prismatic or not named, and two fingers.
+
+    The last joint is revolute and named, so that the fingers open along the x axis of its link.
+    """
     root, named, parent = Element("robot", name="random"), [], "base"
     add_link(root, parent, 1.0, [PART])
     for number in range(10):
+        is_last = number == 9
         kind = str(rng.choice(["revolute", "continuous", "prismatic", "fixed", "revolute"]))
+        kind = "revolute" if is_last else kind
         child, name = f"link{number}", f"joint{number}"
         if rng.random() < 0.3 and kind == "fixed":
             SubElement(root, "link", name=child)
@@ -63,13 +68,13 @@ def random_arm(rng: np.random.Generator) -> tuple[Element, tuple[str, ...]]:
         joint = add_joint(root, kind, name, (parent, child), origin, tuple(axis.tolist()))
         lower = float(rng.choice([-1.0, 0.2]))
         SubElement(joint, "limit", lower=str(lower), upper="1.5", effort="10", velocity="1")
-        if kind in ("revolute", "continuous") and rng.random() < 0.8:
+        if is_last or (kind in ("revolute", "continuous") and rng.random() < 0.8):
             named.append(name)
         parent = child
     for name, side in zip(FINGERS, (1.0, -1.0), strict=True):
         add_link(root, name.removesuffix("_joint"), 0.05, [PART])
         finger = add_joint(
-            root, "prismatic", name, (parent, name.removesuffix("_joint")), ORIGIN, (0.0, side, 0.0)
+            root, "prismatic", name, (parent, name.removesuffix("_joint")), ORIGIN, (side, 0.0, 0.0)
         )
         SubElement(finger, "limit", lower="0", upper="0.05", effort="10", velocity="1")
     return root, tuple(named)
@@ -215,6 +220,41 @@ def _no_axis(root: Element) -> None:
     find_joint(root, KUKA.joints[2]).findall("axis")[0].set("xyz", "0 0 0")
 
 
+def _no_limit(root: Element) -> None:
+    joint = find_joint(root, KUKA.joints[1])
+    joint.remove(joint.findall("limit")[0])
+
+
+def _swapped_limits(root: Element) -> None:
+    find_joint(root, KUKA.joints[1]).findall("limit")[0].attrib.update(lower="2", upper="-2")
+
+
+def _no_child(root: Element) -> None:
+    joint = find_joint(root, KUKA.joints[3])
+    joint.remove(joint.findall("child")[0])
+
+
+def _cone(root: Element) -> None:
+    geometry = root.findall("link[@name='lbr_iiwa_link_3']/collision/geometry")[0]
+    geometry.clear()
+    SubElement(geometry, "cone", radius="0.1", length="0.1")
+
+
+def _unit(root: Element) -> None:
+    root.findall("link[@name='lbr_iiwa_link_3']/inertial/mass")[0].set("value", "5kg")
+
+
+def _coupled(root: Element) -> None:
+    SubElement(find_joint(root, KUKA.joints[2]), "mimic", joint=KUKA.joints[1], multiplier="-1")
+
+
+def _coupled_linkage(root: Element) -> None:
+    """A rod that keeps a link level, as palletizing arms have it."""
+    add_link(root, "rod", 0.1, [PART])
+    rod = add_joint(root, "revolute", "rod", ("lbr_iiwa_link_2", "rod"), ORIGIN, (0.0, 1.0, 0.0))
+    SubElement(rod, "mimic", joint=KUKA.joints[1], multiplier="-1")
+
+
 @pytest.mark.parametrize(
     ("change", "reason"),
     [
@@ -226,6 +266,16 @@ def _no_axis(root: Element) -> None:
         (_second_parent, "one parent, got several for 'lbr_iiwa_link_4'"),
         (_massless, "mass of link 'lbr_iiwa_link_3' must be a positive number, got no <inertial>"),
         (_no_axis, "axis of joint 'lbr_iiwa_joint_3' must have a length"),
+        (_no_limit, "joints must have a <limit> with lower < upper, got no <limit> for 'lbr_iiwa_joint_2'"),
+        (_swapped_limits, "joints must have a <limit> with lower < upper, got 2 and -2 for"),
+        (_no_child, "joint 'lbr_iiwa_joint_4' must have a <child>"),
+        (_cone, "<geometry> must hold one of box, .*, got cone in link 'lbr_iiwa_link_3'"),
+        (_unit, "value of <mass> must be a number, got '5kg'"),
+        (
+            _coupled,
+            "joints must move independently, got 'lbr_iiwa_joint_3', which follows 'lbr_iiwa_joint_2'",
+        ),
+        (_coupled_linkage, "joints must move independently, got 'rod', which follows 'lbr_iiwa_joint_2'"),
     ],
 )
 def test_a_broken_structure_is_refused(change: Callable[[Element], None], reason: str) -> None:
@@ -287,6 +337,21 @@ def _elsewhere(root: Element) -> None:
     find_joint(root, FINGERS[0]).findall("parent")[0].set("link", "lbr_iiwa_link_3")
 
 
+def _without_shape(root: Element) -> None:
+    link = root.findall("link[@name='left_finger']")[0]
+    for shape in link.findall("collision"):
+        link.remove(shape)
+
+
+def _without_limit(root: Element) -> None:
+    joint = find_joint(root, FINGERS[0])
+    joint.remove(joint.findall("limit")[0])
+
+
+def _unequal(root: Element) -> None:
+    SubElement(find_joint(root, FINGERS[0]), "mimic", joint=FINGERS[1], multiplier="0.5")
+
+
 @pytest.mark.parametrize(
     ("change", "reason"),
     [
@@ -297,6 +362,9 @@ def _elsewhere(root: Element) -> None:
         (_same_side, "must open in opposite directions"),
         (_rotating, r"must be prismatic, got the revolute joint 'left_finger_joint'. Use on_slides\(\)"),
         (_elsewhere, "must be attached to the link 'lbr_iiwa_link_7' of the last joint"),
+        (_without_shape, "fingers must have a collision shape, got none for link 'left_finger'"),
+        (_without_limit, "must have a <limit> with lower < upper, got no <limit> for 'left_finger_joint'"),
+        (_unequal, "must move equally, got 'left_finger_joint', which follows .* with the multiplier 0.5"),
     ],
 )
 def test_fingers_that_do_not_fit_the_gripper_are_refused(
@@ -397,3 +465,113 @@ def test_prepare_leaves_unit_axes_as_they_are() -> None:
     before = ElementTree.tostring(root)
     prepare(root, KUKA.joints, KUKA.gripper.joints)
     assert ElementTree.tostring(root) == before
+
+
+# Values of the model
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "must"),
+    [
+        ("force", (50.0,) * 6 + (0.0,), "a positive number"),
+        ("force", math.nan, "a positive number"),
+        ("force", None, "a positive number"),
+        ("posture", (math.nan,) * 7, "numbers"),
+        ("posture", "home", "numbers"),
+        ("joints", (), "a tuple with the name of each joint"),
+        ("joints", "lbr_iiwa_joint_1", "a tuple with the name of each joint"),
+        ("base", (0.0, 0.0, 0.0), "a Pose"),
+        ("load", "kuka.urdf", "a function that returns the URDF"),
+        ("gripper", None, "a Gripper"),
+    ],
+)
+def test_robot_model_names_the_wrong_value(field: str, value: object, must: str) -> None:
+    with pytest.raises(ValueError, match=f"robot 'kuka': {field} must be {must}"):
+        replace(KUKA, **{field: value})  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "must"),
+    [
+        *(
+            (name, value, "a positive number")
+            for name in ("stroke", "speed")
+            for value in (0.0, math.nan, "1")
+        ),
+        *((name, value, "a positive number") for name in ("force", "friction") for value in (-1.0, True)),
+        ("finger", (0.01, 0.02), "three lengths"),
+        ("palm", (0.1, -0.1, 0.1), "three lengths"),
+        ("shoulder", 0.01, "a thickness and a height"),
+        ("joints", ("left_finger_joint",), "a tuple of 2 names"),
+    ],
+)
+def test_gripper_names_the_wrong_value(field: str, value: object, must: str) -> None:
+    with pytest.raises(ValueError, match=f"gripper.{field} must be {must}"):
+        replace(KUKA.gripper, **{field: value})  # type: ignore[arg-type]
+
+
+def test_sequences_of_any_type_are_kept_as_tuples() -> None:
+    model = replace(KUKA, joints=list(KUKA.joints), posture=np.array(KUKA.posture), force=[100] * 7)  # type: ignore[arg-type]
+    assert (model.joints, model.posture, model.force) == (KUKA.joints, KUKA.posture, (100.0,) * 7)
+
+
+@pytest.mark.parametrize(
+    "load", [lambda: None, lambda: "kuka.urdf", lambda: ElementTree.ElementTree(KUKA.load())]
+)
+def test_load_must_return_the_root_element(load: Callable[[], Element]) -> None:
+    with pytest.raises(ValueError, match=r"load\(\) must be the element <robot> of a URDF"):
+        _ = replace(KUKA, load=load).urdf
+
+
+def test_attach_and_on_slides_name_the_wrong_value() -> None:
+    with pytest.raises(ValueError, match="other must be the element <robot> of a URDF, got str"):
+        attach(KUKA.load(), "lbr_iiwa_link_7", "gripper.urdf", ORIGIN)  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="fingers must be a tuple of 2 names"):
+        on_slides(KUKA.load(), "lbr_iiwa_link_7", ("left_finger_joint",), 0.0)  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="closed must be a finite number, got nan"):
+        on_slides(KUKA.load(), "lbr_iiwa_link_7", FINGERS, math.nan)
+
+
+@pytest.mark.parametrize("text", ["0 0", "0 0 ${height}"])
+def test_an_origin_without_three_numbers_is_refused(text: str) -> None:
+    def change(root: Element) -> None:
+        find_joint(root, KUKA.joints[3]).findall("origin")[0].set("xyz", text)
+
+    with pytest.raises(ValueError, match="xyz of <origin> must be three numbers, got '0 0"):
+        _ = changed_kuka(change).chain
+
+
+def test_names_with_quotes_are_found() -> None:
+    def rename(root: Element) -> None:
+        find_joint(root, KUKA.joints[2]).set("name", """the "arm's" joint""")
+
+    joints = (*KUKA.joints[:2], """the "arm's" joint""", *KUKA.joints[3:])
+    assert len(changed_kuka(rename, joints=joints).chain.axes) == 7
+
+
+def test_a_tool_frame_across_the_opening_direction_is_refused() -> None:
+    tool = KUKA.tool.compose(Pose.planar(0.0, 0.0, 0.0, math.pi / 2.0))
+    with pytest.raises(
+        ValueError, match=r"tool must have its x axis along the opening direction .* 90 degrees"
+    ):
+        _ = replace(KUKA, tool=tool).urdf
+
+
+@pytest.mark.parametrize("azimuth", [2.9, -2.5, 2.0])
+def test_a_posture_that_does_not_face_the_workspace_serves_as_well(azimuth: float) -> None:
+    """The posture is rotated to the front, so that the base can have any yaw."""
+    pose = Pose.planar(0.5, 0.1, 0.2, 0.4)
+    behind = replace(KUKA, posture=(azimuth, *KUKA.posture[1:]))
+    for model in (KUKA, behind):
+        joints, error = model.inverse(pose)
+        assert error < 1e-4
+        assert math.dist(model.chain.forward(joints).position, pose.position) < 1e-4
+
+
+@pytest.mark.parametrize("base", [(0.05, 0.0, 1.2), (0.75, 0.2, 1.2)])
+def test_an_arm_hangs_from_the_ceiling(base: tuple[float, float, float]) -> None:
+    model = replace(
+        KUKA, base=euler_pose(base, (math.pi, 0.0, 0.0)), posture=(0.0, 0.3, 0.0, -1.2, 0.0, -1.5, 0.0)
+    )
+    solved = [model.inverse(Pose.planar(x, y, 0.15))[1] < 1e-4 for x in (0.35, 0.55) for y in (-0.1, 0.1)]
+    assert all(solved)

@@ -90,6 +90,11 @@ NO_FOLDER = "/dev/null/folder"  # /dev/null is none
         ([*TRAIN, "-params", "expert_episodes:-1"], "expert_episodes must not be negative"),
         ([*TRAIN, "-params", "expert_data:'none.h5'"], "none.h5"),
         (["demos", "--env", REACHING, "--env-kwargs", "obs_size=64"], "got 'obs_size=64'"),
+        (
+            ["demos", "--env", REACHING, "--env-kwargs", "obs_size:64", "obs_size:32"],
+            "--env-kwargs must have each key once, got obs_size more often",
+        ),
+        ([*TRAIN, "-params", "gamma:0.9", "gamma:0.99"], "-params must have each key once, got gamma"),
         (["demos", "--env", REACHING, "--env-kwargs", "robot:panda"], "name 'panda' is not defined"),
         (["demos", "--env", REACHING, "--env-kwargs", "robot:'x'"], "takes one of 'kuka'"),
         (["demos", "--env", REACHING, "-o", f"{NO_FOLDER}/a.h5"], "cannot be written"),
@@ -229,3 +234,8 @@ def test_version(capsys: pytest.CaptureFixture[str]) -> None:
 
     assert main(["--version"]) == 0
     assert capsys.readouterr().out == f"bulletarm-zoo {__version__}\n"
+
+
+def test_unknown_parameter_is_named_without_all_parameters(refuse: Refuse) -> None:
+    message = refuse("demos", "--env", REACHING, "--env-kwargs", "obssize:64")
+    assert message.strip().endswith("did you mean 'obs_size'?")
