@@ -30,8 +30,11 @@ SLANTED = math.radians(8.0)
 """Slope (rad) from which fingers that come straight down slip off a side."""
 RELEASE = 0.003
 """Gap (m) under an item that is let go."""
-AT_LIMIT = 1e-3
-"""Distance (rad) of the last joint from its limit at which the other joints make up for what it cannot do."""
+AT_LIMIT = 0.03
+"""Distance (rad) of the last joint from its limit within which the other joints make up for its rotation.
+
+Inverse kinematics then ends up to 0.02 rad before the limit, and only at some heights in one straight motion.
+"""
 WRIST_MARGIN = 1.0
 """Rotation (rad) of the last joint beyond that of the gripper, as the arm moves across the workspace."""
 PASSING_ASIDE = 0.005
