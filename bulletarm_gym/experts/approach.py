@@ -45,7 +45,8 @@ def route(scene: Scene, move: Waypoint, opening: float) -> Iterator[Waypoint]:
     """Yield the way of close-loop control to a pick or place: up, over what is in between, straight down.
 
     :param move: with a finish: a pick if that closes the gripper, else a place
-    :param opening: greatest opening ratio that leaves what is beside the fingers alone
+    :param opening: greatest opening ratio that leaves what is beside the fingers alone; a pick may set a
+        smaller one
     """
     assert move.finish is not None
     hand, held, goal = scene.robot.pose, scene.held, move.pose
@@ -53,7 +54,7 @@ def route(scene: Scene, move: Waypoint, opening: float) -> Iterator[Waypoint]:
         goal = Pose.planar(*goal.position, hand.yaw)
     if held is None or move.finish < move.gripper:
         top = max(goal.z, highest_between(scene, hand.position, goal.position, held))
-        yield from grasp(scene, goal, top, math.pi, opening, PRECISE)
+        yield from grasp(scene, goal, top, math.pi, min(opening, move.gripper), PRECISE)
     else:
         height = goal.z - hand.z + held.lowest
         apart = scene.robot.opening_ratio + MOTION.release / scene.robot.model.gripper.stroke
