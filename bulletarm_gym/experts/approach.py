@@ -30,8 +30,11 @@ SLANTED = math.radians(8.0)
 """Slope (rad) from which fingers that come straight down slip off a side."""
 RELEASE = 0.003
 """Gap (m) under an item that is let go."""
-AT_LIMIT = 1e-3
-"""Distance (rad) of the last joint from its limit at which the other joints make up for what it cannot do."""
+AT_LIMIT = 0.03
+"""Distance (rad) of the last joint from its limit within which the other joints make up for its rotation.
+
+Inverse kinematics then ends up to 0.02 rad before the limit, and only at some heights in one straight motion.
+"""
 WRIST_MARGIN = 1.0
 """Rotation (rad) of the last joint beyond that of the gripper, as the arm moves across the workspace."""
 PASSING_ASIDE = 0.005
@@ -42,7 +45,8 @@ def route(scene: Scene, move: Waypoint, opening: float) -> Iterator[Waypoint]:
     """Yield the way of close-loop control to a pick or place: up, over what is in between, straight down.
 
     :param move: with a finish: a pick if that closes the gripper, else a place
-    :param opening: greatest opening ratio that leaves what is beside the fingers alone
+    :param opening: greatest opening ratio that leaves what is beside the fingers alone; a pick may set a
+        smaller one
     """
     assert move.finish is not None
     hand, held, goal = scene.robot.pose, scene.held, move.pose
@@ -50,7 +54,7 @@ def route(scene: Scene, move: Waypoint, opening: float) -> Iterator[Waypoint]:
         goal = Pose.planar(*goal.position, hand.yaw)
     if held is None or move.finish < move.gripper:
         top = max(goal.z, highest_between(scene, hand.position, goal.position, held))
-        yield from grasp(scene, goal, top, math.pi, opening, PRECISE)
+        yield from grasp(scene, goal, top, math.pi, min(opening, move.gripper), PRECISE)
     else:
         height = goal.z - hand.z + held.lowest
         apart = scene.robot.opening_ratio + MOTION.release / scene.robot.model.gripper.stroke

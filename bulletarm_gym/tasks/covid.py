@@ -48,6 +48,8 @@ GRASP_DEPTH = 0.008
 """How far (m) below their tops swabs and tubes are grasped."""
 AWAY = 0.05
 """Height (m) of the fingertips over the test area from which the user has room."""
+FINGER_GAP = 0.0075
+"""Gap (m) between an item and each open finger: a swab may lie close to a tube."""
 OPENING = 0.04
 """Greatest distance (m) of the fingers: between two tubes there is not much room."""
 QUARTER = math.pi / 2.0
@@ -183,7 +185,9 @@ class CovidTest(Task):
         """Return the pick of an item across its length."""
         x, y, _ = item.pose.position
         depth = max(float(item.bounds[1, 2]) - GRASP_DEPTH, item.lowest + RELEASE)
-        return Waypoint(Pose.planar(x, y, depth, item.pose.yaw + QUARTER), OPEN, finish=CLOSED)
+        opening = (item.spec.extents[1] + 2.0 * FINGER_GAP) / scene.robot.model.gripper.stroke
+        pose = Pose.planar(x, y, depth, item.pose.yaw + QUARTER)
+        return Waypoint(pose, min(opening, OPEN), finish=CLOSED)
 
     def _items(self, scene: Scene, kind: str) -> list[Item]:
         return [item for item in scene if item.role.kind == kind]

@@ -155,17 +155,23 @@ class Room:
         return [across + math.pi / 2.0, across]
 
     def _lowest(self, yaw: float, needs_fingers: bool) -> tuple[tuple[float, ...], Pose] | None:
-        """Return where the block goes lowest with the gripper turned by a yaw, and a key to compare it by."""
+        """Return where the block goes lowest with the gripper turned by a yaw, and a key to compare it by.
+
+        :param needs_fingers: require room for the fingers; if False, the block is released above what they
+            would touch
+        """
         low, high = self._outline(yaw)
         rest = self._highest(low, high, math.inf)
-        tips = rest + RELEASE - low[2]
+        lowest = rest + RELEASE - low[2]
         fits = rest - low[2] + self._origin() < BIN[2] - BELOW_RIM
+        tips = lowest
+        for outline, height in self._fingers(yaw):
+            tips = np.maximum(tips, self._highest(*outline, 0.0) + PACKING_CLEARANCE - height)
         if needs_fingers:
-            for outline, height in self._fingers(yaw):
-                fits &= self._highest(*outline, 0.0) < tips + height - PACKING_CLEARANCE
+            fits &= tips <= lowest
         if not fits.any():
             return None
-        steps = np.where(fits, np.round(rest / PITCH), np.inf)
+        steps = np.where(fits, np.round((rest if needs_fingers else tips) / PITCH), np.inf)
         aside = self._xs[:, None] - ROW_WEIGHT * np.abs(self._ys)
         row, column = np.unravel_index(np.where(steps == steps.min(), aside, np.inf).argmin(), steps.shape)
         pose = Pose.planar(self._xs[row], self._ys[column], tips[row, column], yaw)

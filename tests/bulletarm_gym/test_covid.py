@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 
 from bulletarm_gym.env import ManipulationEnv
+from bulletarm_gym.experts.approach import PRECISE
+from bulletarm_gym.footprint import Footprint
 from bulletarm_gym.geometry import Pose
 from bulletarm_gym.placement import footprint
 
@@ -102,3 +104,17 @@ def test_expert_solves_in_the_papers_steps(make: Make, parameters: dict[str, Any
     for step in range(1, 19):
         *_, terminated, truncated, info = env.step(env.expert_action())
         assert info["is_success"] == (step == 18) == terminated and not truncated
+
+
+def test_fingers_around_a_swab_keep_clear_of_the_tubes(make: Make) -> None:
+    env = make("BulletArm/CloseLoopCovidTest-v0", robot="ur5_robotiq")
+    gripper = env.scene.robot.model.gripper
+    thickness, width, _ = gripper.finger
+    for seed in range(20):
+        env.reset(seed=seed)
+        tubes = [footprint(env.scene[f"tube {number}"]) for number in range(3)]
+        pick = next(iter(env.task.plan(env.scene, np.random.default_rng(0))))
+        offset = (pick.gripper * gripper.stroke + thickness) / 2.0
+        fingers = [pick.pose.compose(Pose((side * offset, 0.0, 0.0))) for side in (1.0, -1.0)]
+        bases = [Footprint.rectangle((thickness, width), finger) for finger in fingers]
+        assert min(base.gap(tube) for base in bases for tube in tubes) > 2.0 * PRECISE

@@ -8,6 +8,8 @@ import pytest
 from rollouts import advance, digest, is_open_loop, is_sloping, mixed_action
 
 from bulletarm_gym.env import ManipulationEnv
+from bulletarm_gym.experts.approach import avoid_limits
+from bulletarm_gym.geometry import Pose
 
 Make = Callable[..., ManipulationEnv]
 
@@ -130,3 +132,13 @@ def test_expert_follows_the_state(make: Make, env_id: str) -> None:
     other.reset(seed=9)
     other.set_state(state)
     np.testing.assert_array_equal(env.expert_action(), other.expert_action())
+
+
+@pytest.mark.parametrize("height", [0.06, 0.125])
+def test_expert_keeps_clear_of_the_last_joint_limit_at_every_height(make: Make, height: float) -> None:
+    """Near that limit one of these heights is reached in a straight motion, the other is not."""
+    env = make("BulletArm/CloseLoopBinPacking-v0", robot="panda")
+    env.reset(seed=0)
+    env.scene.robot.home(Pose.planar(0.3532, 0.1133, 0.125, -0.293))
+    goal = avoid_limits(env.scene, Pose.planar(0.3531, 0.1137, height, 2.849))
+    assert goal.yaw == pytest.approx(2.849 - np.pi)

@@ -3,15 +3,17 @@
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
 import pytest
 
 from bulletarm_gym.env import ManipulationEnv
 from bulletarm_gym.footprint import Footprint
 from bulletarm_gym.geometry import Pose
 from bulletarm_gym.objects.bottles import TRAY
-from bulletarm_gym.objects.packing import BIN
+from bulletarm_gym.objects.packing import BIN, BIN_WALL
 from bulletarm_gym.placement import footprint
 from bulletarm_gym.tasks.arranging import places
+from bulletarm_gym.tasks.packing import Room
 
 Make = Callable[..., ManipulationEnv]
 
@@ -75,6 +77,20 @@ def test_eight_of_the_largest_blocks_go_in(make: Make) -> None:
             break
     assert info["is_success"]
     assert BIN[2] == 0.08
+
+
+def test_block_is_released_above_a_gap_without_room_for_the_fingers(make: Make) -> None:
+    env = make("BulletArm/CloseLoopBinPacking-v0", robot="panda")
+    env.reset(seed=0)
+    block, hand = env.scene["block 0"], env.scene.robot.pose
+    block.variant = 6
+    block.place(hand)
+    room, around = Room(env.scene, block), 0.07
+    in_gap = np.maximum(np.abs(room._xs)[:, None], np.abs(room._ys)) < 0.024
+    room._heights = np.where(in_gap, BIN_WALL, around)
+    goal = env.scene["bin"].pose.inverse().compose(room.best())
+    assert goal.position[:2] == pytest.approx((0.0, 0.0), abs=0.003)
+    assert around < goal.z < around + 0.005
 
 
 def test_bottles_have_places_in_the_tray() -> None:
