@@ -26,18 +26,22 @@ PLANE_VARIANCE = 1e3
 SUPPRESSION = 1e-5
 """Weight of the distance from the sampled ring relative to the response to other frequencies. Smaller weights
 hardly lower the error of one layer, and make the harmonics of neighbouring rings more similar."""
+QUARTER_TURNS = 4
+"""Number of rotations that map the pixel grid to itself."""
 QUADRATURE_ANGLES = 64
 """Number of rotations that approximate the mean over all rotations, exact to rounding up to 15 pixels."""
 
 
 @cache
-def harmonic_basis(kernel_size: int) -> tuple[Samples, tuple[int, ...]]:
+def harmonic_basis(kernel_size: int, rotations: int) -> tuple[Samples, tuple[int, ...]]:
     """Return circular harmonics on Gaussian rings, sampled on the grid of a filter.
 
     Rings are one pixel apart. The ring of radius r carries the frequencies 0 to ``floor(r) + 1``. Each
     frequency above 0 has two functions, cosine and sine, next to each other.
 
     :param kernel_size: side of the filter, pixels
+    :param rotations: number of rotations of the group. With 1, 2 and 4 every filter is exact on the grid, and the
+        harmonics are sampled without suppression
     :return: samples (number of functions, kernel_size, kernel_size), each frequency's of unit energy, and
         the frequency of each cosine (or constant), in order
     """
@@ -49,7 +53,9 @@ def harmonic_basis(kernel_size: int) -> tuple[Samples, tuple[int, ...]]:
         for frequency in range(int(ring) + 2 if ring > 0 else 1):
             if frequency not in parts:
                 parts[frequency] = _suppression(places, frequency)
-            wave = np.linalg.solve(parts[frequency], profile * _wave(places, frequency))
+            wave = profile * _wave(places, frequency)
+            if QUARTER_TURNS % rotations:
+                wave = np.linalg.solve(parts[frequency], wave)
             pair = np.stack([wave.real, wave.imag][: 1 + (frequency > 0)])
             pair /= math.sqrt((pair**2).sum() / len(pair))
             samples.append(pair.reshape(-1, kernel_size, kernel_size))

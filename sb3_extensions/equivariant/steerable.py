@@ -200,7 +200,7 @@ def steerable_basis(in_rep: Representation, out_rep: Representation, kernel_size
         filters = np.einsum("goq,ghxy->hqogxy", out_rep.matrices, waves)
         filters = filters.reshape(-1, *filters.shape[2:])
     else:
-        harmonics, frequencies = harmonic_basis(kernel_size)
+        harmonics, frequencies = harmonic_basis(kernel_size, in_rep.group.n)
         coefficients = _invariant_coefficients(in_rep, out_rep, frequencies)
         filters = np.einsum("phoi,hxy->poixy", coefficients * math.sqrt(out_rep.size), harmonics)
     filters.flags.writeable = False
@@ -215,7 +215,7 @@ def turned_harmonics(group: Group, kernel_size: int) -> Matrices:
     :param kernel_size: side of the filter, pixels
     :return: (elements, number of functions, kernel_size, kernel_size), read-only
     """
-    harmonics, frequencies = harmonic_basis(kernel_size)
+    harmonics, frequencies = harmonic_basis(kernel_size, group.n)
     actions = _harmonic_actions(group, frequencies)
     turned: Matrices = np.einsum("gab,axy->gbxy", actions, harmonics)
     turned.flags.writeable = False

@@ -85,7 +85,7 @@ def test_constant_image_has_no_direction(n: int, size: int) -> None:
 
 @pytest.mark.parametrize("size", range(1, 10))
 def test_harmonics_do_not_respond_to_constants_and_ramps_of_other_frequencies(size: int) -> None:
-    samples, frequencies = harmonic_basis(size)
+    samples, frequencies = harmonic_basis(size, 8)
     functions = np.repeat(frequencies, [1 + (frequency > 0) for frequency in frequencies])
     assert len(functions) == len(samples)
     axis = np.arange(size) - (size - 1) / 2
@@ -96,13 +96,13 @@ def test_harmonics_do_not_respond_to_constants_and_ramps_of_other_frequencies(si
 
 def test_harmonics_are_independent() -> None:
     for size in SIZES:
-        samples, _ = harmonic_basis(size)
+        samples, _ = harmonic_basis(size, 8)
         values = np.linalg.svd(samples.reshape(len(samples), -1), compute_uv=False)
         assert values[-1] > 0.25 * values[0]
 
 
 def test_small_harmonics_are_isotropic_differences() -> None:
     """The gradient of 3 x 3 pixels has weights of 1, 4 and 1, whose error is of fourth order."""
-    samples, frequencies = harmonic_basis(3)
+    samples, frequencies = harmonic_basis(3, 8)
     assert frequencies == (0, 0, 1, 2)
     np.testing.assert_allclose(samples[2, 2, 1] / samples[2, 2, 0], 4.0, atol=0.3)

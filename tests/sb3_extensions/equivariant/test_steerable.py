@@ -34,7 +34,7 @@ LARGEST_BUFFER = 40_000
 def projected_basis(out_rep, kernel_size):
     """The slow way: project every tensor (harmonics x out) of a regular field's first number."""
     group = out_rep.group
-    harmonics, frequencies = harmonic_basis(kernel_size)
+    harmonics, frequencies = harmonic_basis(kernel_size, 8)
     reps = [group.irrep(frequency) if frequency else group.trivial for frequency in frequencies]
     turns = np.stack([block_diagonal([rep.matrices[g] for rep in reps]) for g in range(group.order)])
     mean = np.einsum("gab,gcd,gef->acebdf", turns, out_rep.matrices, group.regular.matrices) / group.order
