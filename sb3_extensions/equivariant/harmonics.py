@@ -40,8 +40,8 @@ def harmonic_basis(kernel_size: int, rotations: int) -> tuple[Samples, tuple[int
     frequency above 0 has two functions, cosine and sine, next to each other.
 
     :param kernel_size: side of the filter, pixels
-    :param rotations: number of rotations of the group. With 1, 2 and 4 every filter is exact on the grid, and the
-        harmonics are sampled without suppression
+    :param rotations: number of rotations of the group. With 1, 2 and 4 every filter is exact on the grid, and
+        the harmonics are sampled without suppression
     :return: samples (number of functions, kernel_size, kernel_size), each frequency's of unit energy, and
         the frequency of each cosine (or constant), in order
     """

@@ -72,10 +72,10 @@ class SACfD(Exploration, SAC):
         :class:`~sb3_extensions.replay.augmentation.Augmentation`
     :param expert_noise: standard deviation of Gaussian noise on the expert's executed actions, in the
         policy's units. Source: https://arxiv.org/abs/1703.09327
-    :param pretrain_steps: number of updates of the actor by the imitation term alone, before the first step
-        in the environment. Source: https://arxiv.org/abs/1709.10087
-    :param critic_warmup_steps: number of full updates on the demonstrations after them (own addition, compare
-        the warm-up of https://arxiv.org/abs/2412.07762)
+    :param pretrain_steps: number of updates on the demonstrations before the first step in the environment.
+        They update the actor alone, by the imitation term. Source: https://arxiv.org/abs/1709.10087
+    :param critic_warmup_steps: number of the last ``pretrain_steps`` that update everything (own addition,
+        compare the warm-up of https://arxiv.org/abs/2412.07762). None for all of them
     :param bc_limit: imitated actions are clipped to [-bc_limit, bc_limit], because the mean of a squashed
         Gaussian grows without bound towards 1 (own addition)
     :param expert_q_weight: weight of the critic's value in the actor's loss at expert steps; 1 at the other
@@ -133,7 +133,7 @@ class SACfD(Exploration, SAC):
         augmentation: AugmentationSpec = None,
         expert_noise: float = 0.0,
         pretrain_steps: int = 0,
-        critic_warmup_steps: int = 0,
+        critic_warmup_steps: int | None = 0,
         bc_limit: float = 1.0,
         expert_q_weight: float = 1.0,
         self_imitation_temperature: float | None = None,
@@ -209,15 +209,16 @@ class SACfD(Exploration, SAC):
             raise ValueError(f"self_imitation_temperature must be None or greater than 0, got {temperature}")
         if self.value_range is not None and not self.value_range[0] < self.value_range[1]:
             raise ValueError(f"value_range must be None or (minimum, maximum), got {self.value_range}")
-        if self.pretrain_steps and self.bc_weight == 0:
+        check_not_negative(critic_warmup_steps=self._warmup_steps)
+        if self.bc_weight == 0 and self.pretrain_steps > self._warmup_steps:
             raise ValueError(
-                f"pretrain_steps must be 0 with bc_weight=0, got {self.pretrain_steps}. Use "
-                "critic_warmup_steps for updates without imitation"
+                "critic_warmup_steps must be None or at least pretrain_steps with bc_weight=0, got "
+                f"{self.critic_warmup_steps}"
             )
 
     @property
-    def _pretraining_total(self) -> int:
-        return self.pretrain_steps + self.critic_warmup_steps
+    def _warmup_steps(self) -> int:
+        return self.pretrain_steps if self.critic_warmup_steps is None else self.critic_warmup_steps
 
     def _setup_model(self) -> None:
         super()._setup_model()
@@ -225,7 +226,7 @@ class SACfD(Exploration, SAC):
         self.critic_target.requires_grad_(False)
 
     def _pretrain_once(self) -> None:
-        if self.pretraining_left > self.critic_warmup_steps:
+        if self.pretraining_left > self._warmup_steps:
             self._imitate()
         else:
             super()._pretrain_once()

@@ -24,6 +24,18 @@ TINY = (
     *("-params", "expert_episodes:2", "pretrain_steps:2", "batch_size:4", "buffer_size:100"),
 )
 
+
+def _last_of_each_key(arguments: list[str]) -> list[str]:
+    """Leave out parameters that a later one replaces: the command accepts each key once."""
+    first = arguments.index("-params") + 1
+    keys = [argument.split(":")[0] for argument in arguments]
+    return [
+        argument
+        for index, (key, argument) in enumerate(zip(keys, arguments, strict=True))
+        if index < first or ":" not in argument or key not in keys[index + 1 :]
+    ]
+
+
 Train = Callable[..., int]
 Refuse = Callable[..., str]
 Bench = Callable[..., int]
@@ -50,7 +62,7 @@ def train_tiny(toy_id: str) -> Train:
 
     def train(folder: Path, *more: str) -> int:
         names = ["--baseline", "equi_sacfd", "--preset", "cpu", "--env", toy_id, "-f", str(folder)]
-        return main(["train", *names, *TINY, *more])
+        return main(["train", *names, *_last_of_each_key([*TINY, *more])])
 
     return train
 

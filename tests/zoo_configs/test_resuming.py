@@ -161,7 +161,7 @@ def test_training_goes_on_from_a_model(train_tiny: Train, run_folder: Path, tmp_
     assert train_tiny(tmp_path, *more, "-i", model) == 0
     trained = SACfD.load(tmp_path / "sacfd" / RUN_NAME / "best_model.zip", device="cpu")
     assert (trained.gamma, trained.n_steps, trained.n_pretrained) == (0.9, 2, 2)
-    assert trained.replay_buffer_kwargs["sampler"] == {"shares": {"expert_fraction": 0.25}}
+    assert trained.replay_buffer_kwargs["sampler"]["shares"]["expert_fraction"] == 0.25
 
 
 def test_a_replay_buffer_of_another_environment_is_left_out(

@@ -105,8 +105,7 @@ def _updates(cell: Cell, steps: int) -> float:
     gathered = int(frequency) * int(hyperparams.get("n_envs", 1))
     gradient_steps = int(hyperparams.get("gradient_steps", 1))
     share = gathered if gradient_steps < 0 else gradient_steps
-    before = sum(float(hyperparams.get(key, 0)) for key in ("pretrain_steps", "critic_warmup_steps"))
-    return before + steps / gathered * share
+    return float(hyperparams.get("pretrain_steps", 0)) + steps / gathered * share
 
 
 def _longest_episode(cell: Cell) -> int:

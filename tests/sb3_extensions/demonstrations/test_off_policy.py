@@ -72,7 +72,7 @@ def test_pretraining_is_logged_before_time_step_0(make_toy: Any, monkeypatch: py
 @pytest.mark.parametrize(
     ("algorithm", "kwargs"),
     [
-        (SACfD, {"pretrain_steps": 2, "critic_warmup_steps": 7}),
+        (SACfD, {"pretrain_steps": 9, "critic_warmup_steps": 7}),
         (SACfD, {"pretrain_steps": 9}),
         (FERM, {"pretrain_steps": 4, "contrastive_steps": 5, "augmentation": {"rad": {"size": 12}}}),
         (FERM, {"pretrain_steps": 3, "contrastive_steps": 2, "augmentation": {"rad": {"size": 12}}}),
@@ -112,7 +112,7 @@ def test_a_run_killed_in_pretraining_goes_on_there(
 
 
 def test_pretraining_is_done_once(make_toy: Any, tmp_path: Path) -> None:
-    model = make_model(make_toy(), pretrain_steps=1, critic_warmup_steps=2).learn(2)
+    model = make_model(make_toy(), pretrain_steps=3, critic_warmup_steps=2).learn(2)
     assert model.n_pretrained == 3
     model.save(tmp_path / "model")
     loaded = SACfD.load(tmp_path / "model", env=make_toy(), device="cpu")

@@ -218,7 +218,13 @@ def test_the_action_sequence_is_the_environments(make_toy: Any, monkeypatch: pyt
 @pytest.mark.parametrize("sampler", ["uniform", "prioritized"])
 def test_learns_to_reach(policy: Any, sampler: str, make_toy: Any) -> None:
     name, policy_kwargs = policy
-    kwargs = {"expert_episodes": 20, "critic_warmup_steps": 60, "learning_rate": 3e-3, "batch_size": 32}
+    kwargs = {
+        "expert_episodes": 20,
+        "pretrain_steps": 60,
+        "critic_warmup_steps": None,
+        "learning_rate": 3e-3,
+        "batch_size": 32,
+    }
     model = SACfD(
         name,
         make_toy(2),
