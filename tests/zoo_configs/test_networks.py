@@ -61,7 +61,7 @@ def real_observations(**env_kwargs: Any) -> dict[str, th.Tensor]:
 
 
 @pytest.mark.parametrize("scale", list(SCALES))
-@pytest.mark.parametrize("preset", list(FAMILY.presets))
+@pytest.mark.parametrize("preset", [name for name in FAMILY.presets if name != "paper"])  # not normalised
 @pytest.mark.parametrize("baseline", SEEING)
 def test_an_untrained_agent_expects_nothing_and_tries_everything(
     baseline: str, preset: str, scale: str, build: Build
