@@ -171,7 +171,7 @@ def test_dynamic_convolution_refuses_other_coefficients():
 def test_filters_obey_the_constraint_under_rotations_off_the_grid(n):
     """The continuous filters obey it exactly: turned harmonics are the harmonics' rotation."""
     group = Group("cyclic", n)
-    _, frequencies = harmonic_basis(5, 8)
+    _, frequencies = harmonic_basis(5, n)
     angle, element = 0.37, 1
     for frequency in frequencies:
         if frequency:
@@ -220,7 +220,7 @@ def test_regular_layer_has_a_fraction_of_the_parameters(group, functions):
     fields = FieldType.of((group.regular, 3))
     layer = EquivariantConv2d(fields, fields, 3)
     plain = nn.Conv2d(fields.size, fields.size, 3)
-    assert len(harmonic_basis(3, 8)[0]) == functions
+    assert len(harmonic_basis(3, group.n)[0]) == functions
     assert (
         sum(weight.numel() for weight in layer.weights.values())
         == plain.weight.numel() // group.order * functions // 9

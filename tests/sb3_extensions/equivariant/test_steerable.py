@@ -34,7 +34,7 @@ LARGEST_BUFFER = 40_000
 def projected_basis(out_rep, kernel_size):
     """The slow way: project every tensor (harmonics x out) of a regular field's first number."""
     group = out_rep.group
-    harmonics, frequencies = harmonic_basis(kernel_size, 8)
+    harmonics, frequencies = harmonic_basis(kernel_size, group.n)
     reps = [group.irrep(frequency) if frequency else group.trivial for frequency in frequencies]
     turns = np.stack([block_diagonal([rep.matrices[g] for rep in reps]) for g in range(group.order)])
     mean = np.einsum("gab,gcd,gef->acebdf", turns, out_rep.matrices, group.regular.matrices) / group.order
@@ -112,14 +112,14 @@ def test_the_largest_layers_need_no_large_memory():
 # Action and values (two fields) of a small actor and critic behind an encoder.
 STORED = {
     C4: (
-        [-0.002984, -0.329885, -0.078047, -0.210162, -0.184526],
-        [[-0.027954, 0.419854, 0.088621, 0.550452], [-0.323838, -0.52375, -0.363333, -0.379924]],
+        [-0.000908, -0.100342, -0.074992, -0.201935, -0.177302],
+        [[0.011417, 0.446298, 0.046876, 0.486022], [-0.324128, -0.456022, -0.336141, -0.412275]],
     ),
     D4: (
-        [-0.328076, -0.026172, -0.065296, 0.120919, -0.123704],
+        [-0.435788, -0.049708, 0.050491, 0.034773, -0.225637],
         [
-            [-0.165898, -0.263571, -0.191994, -0.826629, -0.064994, -0.915134, -0.200325, -0.612709],
-            [-0.000577, -0.413347, 0.133596, -0.33877, 0.241238, -0.660284, 0.028019, -0.190287],
+            [-0.229093, -0.097067, -0.176883, -0.918404, -0.09694, -0.825089, -0.281316, -0.324952],
+            [-0.006162, -0.250437, 0.205073, -0.113424, 0.294541, -0.475133, 0.057585, 0.079482],
         ],
     ),
 }
