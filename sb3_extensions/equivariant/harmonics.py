@@ -51,10 +51,10 @@ def harmonic_basis(kernel_size: int, rotations: int) -> tuple[Samples, tuple[int
     for ring in np.unique(abs(places.real)):
         profile = np.exp(-0.5 * ((abs(places) - ring) / RING_WIDTH) ** 2)
         for frequency in range(int(ring) + 2 if ring > 0 else 1):
-            if frequency not in parts:
-                parts[frequency] = _suppression(places, frequency)
             wave = profile * _wave(places, frequency)
             if QUARTER_TURNS % rotations:
+                if frequency not in parts:
+                    parts[frequency] = _suppression(places, frequency)
                 wave = np.linalg.solve(parts[frequency], wave)
             pair = np.stack([wave.real, wave.imag][: 1 + (frequency > 0)])
             pair /= math.sqrt((pair**2).sum() / len(pair))
