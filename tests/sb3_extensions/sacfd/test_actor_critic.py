@@ -12,7 +12,6 @@ from torch import nn
 
 from sb3_extensions.common.action_sequence import ActionSequence
 from sb3_extensions.encoders.extractors import CnnExtractor
-from sb3_extensions.encoders.initialisation import OUTPUT_GAIN
 from sb3_extensions.sacfd.policies import EquivariantPolicy, MultiInputPolicy
 
 SIZE = 16
@@ -126,10 +125,11 @@ def test_actor_turns_with_the_scene(group, n, sequence, hidden, space):
         for turns, mirror in grid_elements(group):
             turned = turn_observations(observations, turns, mirror)
             turned_mean, turned_log_std, _ = policy.actor.get_action_dist_params(turned)
-            assert th.allclose(turned_mean, turn_actions(mean, sequence, turns, mirror), atol=EXACT)
-            assert th.allclose(turned_log_std, log_std, atol=EXACT)
+            rounding = EXACT * max(1.0, mean.abs().max().item())  # of float32, relative to the largest mean
+            assert th.allclose(turned_mean, turn_actions(mean, sequence, turns, mirror), atol=rounding)
+            assert th.allclose(turned_log_std, log_std, atol=rounding)
             squashed = policy.actor(turned, deterministic=True)
-            assert th.allclose(squashed, turn_actions(action, sequence, turns, mirror), atol=EXACT)
+            assert th.allclose(squashed, turn_actions(action, sequence, turns, mirror), atol=rounding)
     names = ActionSequence(sequence, len(sequence)).names
     shared = {second: first for first, second in ("xy", "uv") if second in names}
     for second, first in shared.items():
@@ -153,7 +153,7 @@ def test_critic_stays_when_scene_and_action_turn(group, n, sequence, space):
             turned = turn_observations(observations, turns, mirror)
             turned_actions = turn_actions(actions, sequence, turns, mirror)
             found = th.cat(policy.critic(turned, turned_actions), dim=1)
-            assert th.allclose(found, values, atol=EXACT)
+            assert th.allclose(found, values, atol=EXACT * max(1.0, values.abs().max().item()))
         assert not th.allclose(th.cat(policy.critic(observations, -actions), dim=1), values, atol=1e-3)
 
 
@@ -183,9 +183,8 @@ def test_cnn_policy_is_the_papers():
         layers = [(key, layer) for key, layer in network.named_modules() if isinstance(layer, nn.Linear)]
         widths[name] = [(layer.in_features, layer.out_features) for _, layer in layers]
         for _, layer in layers:
-            gain = 1.0 if layer.out_features == 128 else OUTPUT_GAIN
-            bound = gain * (6 / (layer.in_features + layer.out_features)) ** 0.5
-            assert 0.8 * bound < layer.weight.abs().max() <= bound and (layer.bias == 0).all()
+            bound = layer.in_features**-0.5  # PyTorch's initialisation
+            assert 0.8 * bound < layer.weight.abs().max() <= bound
     assert widths == {"actor": [(128, 5), (128, 5)], "critic": [(133, 128), (128, 1)] * 2}
 
 
