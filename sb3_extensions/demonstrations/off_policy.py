@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import os
-from collections.abc import Iterable
 from typing import Any, ClassVar, TypeVar
 
 import numpy as np
@@ -28,8 +27,7 @@ from sb3_extensions.common.env_metadata import (
 )
 from sb3_extensions.common.rounding import check_normalisation, check_rounding, follow_extractor
 from sb3_extensions.common.seeds import SeedKey, derive_seed
-from sb3_extensions.demonstrations.episodes import EpisodeData
-from sb3_extensions.demonstrations.source import DemonstrationSource
+from sb3_extensions.demonstrations.source import DemonstrationSource, ExpertData, load_episodes
 from sb3_extensions.replay.augmentation import Augmentation
 from sb3_extensions.replay.augmentations import make_augmentation
 from sb3_extensions.replay.buffer import ExpertReplayBuffer, check_compatible
@@ -50,8 +48,9 @@ class OffPolicyFromDemonstrations(OffPolicyAlgorithm):
     A subclass precedes an algorithm of Stable-Baselines3 in the bases, or is one itself. Its constructor sets
     the attributes below and calls :meth:`_check_demonstrations` before ``_setup_model()``.
 
-    - ``expert_episodes``, ``expert_noise``, ``expert_data``: see
+    - ``expert_episodes``, ``expert_noise``: see
       :class:`~sb3_extensions.demonstrations.source.DemonstrationSource`
+    - ``expert_data``: see :func:`~sb3_extensions.demonstrations.source.load_episodes`
     - ``pretrain_steps``: number of gradient steps before the first step in the environment
     - ``augmentation``: augmentation of the sampled steps, or None
     """
@@ -59,7 +58,7 @@ class OffPolicyFromDemonstrations(OffPolicyAlgorithm):
     replay_buffer: ExpertReplayBuffer | None
     expert_episodes: int
     expert_noise: float
-    expert_data: Iterable[EpisodeData] | None
+    expert_data: ExpertData | None
     pretrain_steps: int
     augmentation: Augmentation | None
     augmentation_generator: th.Generator
@@ -88,7 +87,8 @@ class OffPolicyFromDemonstrations(OffPolicyAlgorithm):
                 raise ValueError(f"{name} must be an argument of the algorithm, not of replay_buffer_kwargs")
 
     def _demonstrations(self, **kwargs: Any) -> DemonstrationSource:
-        return DemonstrationSource(self.expert_episodes, self.expert_noise, self.expert_data, **kwargs)
+        data = load_episodes(self.expert_data)
+        return DemonstrationSource(self.expert_episodes, self.expert_noise, data, **kwargs)
 
     def _setup_model(self) -> None:
         self._adopt_env_metadata()

@@ -23,7 +23,30 @@ from sb3_extensions.replay.buffer import ExpertReplayBuffer
 if TYPE_CHECKING:  # the codec's package imports this one
     from sb3_extensions.spatial_dqn.codec import SpatialActionCodec
 
+ExpertData = Iterable[EpisodeData] | str | os.PathLike[str]
+"""Episodes, or the path of a file of ``bulletarm_gym.demonstrations``."""
 Rescale = Callable[[npt.NDArray[Any]], npt.NDArray[Any]]
+
+
+def load_episodes(data: ExpertData | None) -> Iterable[EpisodeData] | None:
+    """
+    Return episodes that were passed or that are in a file.
+
+    :param data: episodes, the path of a file of ``bulletarm_gym.demonstrations``, or None
+    :return: the episodes, or None
+    :raises ImportError: if ``data`` is a path and bulletarm-gym is not installed
+    :raises OSError: if the file cannot be opened
+    :raises ValueError: if the file is not a file of demonstrations, or ``data`` is something else
+    """
+    if isinstance(data, str | os.PathLike):
+        try:
+            from bulletarm_gym.demonstrations import load
+        except ImportError as error:
+            raise ImportError(f"expert_data={data!r} requires: pip install bulletarm-gym") from error
+        return load(data)
+    if not isinstance(data, Iterable | None):
+        raise ValueError(f"expert_data must be an iterable of episodes or the path of a file, got {data!r}")
+    return data
 
 
 @dataclass(frozen=True)
@@ -38,7 +61,7 @@ class DemonstrationSource:
     :param data: episodes of the user in the environment's units, with Minari's attributes
     :param snap: grid to which the expert's actions are moved before they are executed, None for none
     :param progress_bar: whether to show progress, None for a terminal only
-    :raises ValueError: if ``episodes`` or ``noise`` is negative, or ``data`` is not an iterable of episodes
+    :raises ValueError: if ``episodes`` or ``noise`` is negative
     """
 
     episodes: int = 100
@@ -48,11 +71,6 @@ class DemonstrationSource:
     progress_bar: bool | None = None
 
     def __post_init__(self) -> None:
-        if isinstance(self.data, str | os.PathLike) or not isinstance(self.data, Iterable | None):
-            raise ValueError(
-                f"expert_data must be an iterable of episodes, got {self.data!r}. Use "
-                "bulletarm_gym.demonstrations.Demonstrations(path) to read a file"
-            )
         check_not_negative(expert_episodes=self.episodes, expert_noise=self.noise)
 
     @property

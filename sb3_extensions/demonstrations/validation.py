@@ -22,13 +22,16 @@ def validate_episodes(data: Iterable[EpisodeData], env: VecEnv) -> Iterator[Epis
     """
     Yield episodes that fit an environment.
 
-    :param data: episodes, with the attributes ``action_sequence``, ``action_ranges`` and ``action_space`` or
-        without
+    The attributes ``env_id``, ``action_sequence``, ``action_ranges`` and ``action_space`` of the data are
+    optional. A Minari data set has them in its ``env_spec``.
+
+    :param data: episodes
     :param env: training environment
     :return: the episodes
     :raises ValueError: if an attribute differs, or an episode has other shapes, values outside the bounds, or
         numbers that are not finite
     """
+    _check_env_id(data, env)
     for name in (SEQUENCE, RANGES, ACTION_SPACE):
         theirs = _attribute(data, name)
         ours = env.action_space if name == ACTION_SPACE else env_attribute(env, name)
@@ -101,6 +104,19 @@ def _observation_shapes(observations: Any, needed: Mapping[str, Any]) -> Any:
         return np.shape(observations)[1:]
     shapes = {key: np.shape(values)[1:] for key, values in observations.items()}
     return {key: shapes[key] for key in needed} if needed.keys() <= shapes.keys() else shapes
+
+
+def _check_env_id(data: Any, env: VecEnv) -> None:
+    """Check that the episodes are of a training environment, if their environment is known."""
+    theirs = getattr(data, "env_id", None) or getattr(getattr(data, "env_spec", None), "id", None)
+    if theirs is None:
+        return
+    ours = sorted({spec.id for spec in env.get_attr("spec") if spec is not None})
+    if ours and theirs not in ours:
+        raise ValueError(
+            f"expert_data must be episodes of {', '.join(ours)}, got episodes of {theirs}. Pass "
+            "list(expert_data) to use episodes of another environment"
+        )
 
 
 def _attribute(data: Any, name: str) -> Any:
