@@ -38,15 +38,15 @@ def load_episodes(data: ExpertData | None) -> Iterable[EpisodeData] | None:
     :raises OSError: if the file cannot be opened
     :raises ValueError: if the file is not a file of demonstrations, or ``data`` is something else
     """
-    if isinstance(data, str | os.PathLike):
-        try:
-            from bulletarm_gym.demonstrations import load
-        except ImportError as error:
-            raise ImportError(f"expert_data={data!r} requires: pip install bulletarm-gym") from error
-        return load(data)
-    if not isinstance(data, Iterable | None):
+    if not isinstance(data, Iterable | os.PathLike | None):
         raise ValueError(f"expert_data must be an iterable of episodes or the path of a file, got {data!r}")
-    return data
+    if not isinstance(data, str | os.PathLike):
+        return data
+    try:
+        from bulletarm_gym.demonstrations import load
+    except ImportError as error:
+        raise ImportError(f"expert_data={data!r} requires: pip install bulletarm-gym") from error
+    return load(data)
 
 
 @dataclass(frozen=True)
@@ -58,9 +58,9 @@ class DemonstrationSource:
         contribute in proportion
     :param noise: standard deviation of Gaussian noise on the expert's executed actions, see
         :class:`~sb3_extensions.demonstrations.action_transforms.GaussianExpertNoise`
-    :param data: episodes of the user in the environment's units, with Minari's attributes
-    :param snap: grid to which the expert's actions are moved before they are executed, None for none
-    :param progress_bar: whether to show progress, None for a terminal only
+    :param data: episodes in the environment's units, with Minari's attributes
+    :param snap: grid to which the expert's actions are moved before they are executed, or None
+    :param progress_bar: whether to show progress; None shows it on a terminal only
     :raises ValueError: if ``episodes`` or ``noise`` is negative
     """
 
@@ -88,16 +88,16 @@ class DemonstrationSource:
         :param rescale: function from actions in the environment's units to those of the policy
         :raises ValueError: if ``data`` has no episode or does not fit the environment
         """
-        # The environment defines the bounds of its own episodes.
+        # Episodes of the environment itself need no validation.
         episodes = self._collect(env, seed) if self.data is None else validate_episodes(self.data, env)
         for episode in episodes:
-            intended = getattr(episode, "expert_actions", episode.actions)
+            intended = getattr(episode, "expert_actions", None)
             buffer.add_episode(
                 episode.observations,
                 rescale(episode.actions),
                 episode.rewards,
                 episode.terminations,
-                expert_actions=rescale(intended),
+                expert_actions=None if intended is None else rescale(intended),
             )
         if self.data is not None and not buffer.expert_size:
             raise ValueError(

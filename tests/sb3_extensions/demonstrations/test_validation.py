@@ -92,13 +92,19 @@ def test_episodes_of_other_shapes_are_refused_with_both_shapes(reaching: Demonst
     episode = reaching[0]
     state = episode.observations["state"]
     wrong: list[tuple[dict[str, Any], str]] = [
-        ({"actions": episode.actions[:, :4]}, r"actions of shape \(5,\), got \(4,\)"),
-        ({"observations": state}, r"observations of .* \{'holding': \(1,\), 'state': \(14,\)\}, got \(14,\)"),
-        ({"observations": {"other": state}}, r".*'state': .* got \{'other': "),
+        ({"actions": episode.actions[:, :4]}, r"actions of shape \(\d+, 5\), got \(\d+, 4\)"),
+        ({"actions": episode.actions[:0]}, "at least one step in an episode, got 0 in episode 1"),
+        ({"observations": state}, r"observations with the keys \['holding', 'state'\], got ndarray"),
+        ({"observations": {"other": state}}, r".* keys \['holding', 'state'\], got \['other'\]"),
         (
             {"observations": {**episode.observations, "state": state[:, :3]}},
-            r".* got \{'holding': \(1,\), 'state': \(3,\)\} in episode 1$",
+            r"observations\['state'\] of shape \(\d+, 14\), got \(\d+, 3\) in episode 1$",
         ),
+        (
+            {"observations": {**episode.observations, "state": state[1:]}},
+            r"observations\['state'\] of shape",
+        ),
+        ({"terminations": episode.terminations[1:]}, r"terminations of shape \(\d+,\), got"),
     ]
     for changes, message in wrong:
         with pytest.raises(ValueError, match=f"^expert_data must have {message}"):
@@ -197,7 +203,7 @@ def test_learner_stores_the_experts_actions_in_the_wrapped_action_space(callback
     [
         ({"actions": lambda x: x * 1000}, r"actions from -1 to 1, got -?\d+ to \d+ in episode 0"),
         ({"actions": lambda x: np.full_like(x, np.nan)}, "actions from -1 to 1, got NaN in episode 0"),
-        ({"rewards": lambda x: x + np.inf}, "finite rewards, got inf to inf in episode 0"),
+        ({"rewards": lambda x: x + np.inf}, "rewards from .* got inf to inf in episode 0"),
         ({"rewards": lambda x: x[:-1]}, r"rewards of shape \(\d+,\), got \(\d+,\) in episode 0"),
         ({"expert_actions": lambda x: x - 7}, "expert_actions from -1 to 1, got -8"),
         (
