@@ -176,7 +176,7 @@ def resume(path: str | os.PathLike[str], env: GymEnv, device: th.device | str = 
     :param env: environment with the arguments, wrappers and number of copies of the interrupted run
     :param device: device on which the algorithm should run
     :return: the algorithm
-    :raises CheckpointError: if there is no checkpoint, or it is damaged
+    :raises CheckpointError: if the checkpoint is missing or damaged
     :raises ValueError: if the environment does not fit
     """
     checkpoint = Path(path)

@@ -18,8 +18,7 @@ GRID = "codec_kwargs"
 
 def constructor_keys(cls: type[Any]) -> set[str]:
     """
-    Return the keyword arguments of a constructor, with those of its parents as long as it passes ``**kwargs``
-    on.
+    Return the keyword arguments of a constructor, including the parent's arguments if it has ``**kwargs``.
 
     :param cls: the class
     :return: names
@@ -41,7 +40,7 @@ def env_attribute(env: VecEnv | None, name: str) -> Any:
 
     :param env: vector environment, or None
     :param name: name of the attribute
-    :return: its value, None if there is no such attribute
+    :return: its value, None if the attribute does not exist
     """
     return env.get_attr(name, 0)[0] if env is not None and env.has_attr(name) else None
 

@@ -8,7 +8,7 @@ import numpy as np
 
 
 class SeedKey(IntEnum):
-    """What a stream is for; environments have the algorithm's seed and those after it."""
+    """Purpose of a random stream. Environments have the algorithm's seed and the following ones."""
 
     AUGMENTATION = 0xA6
     EXPERT = 0xE9
@@ -17,10 +17,10 @@ class SeedKey(IntEnum):
 
 def derive_seed(seed: int, key: SeedKey) -> int:
     """
-    Seed of one stream.
+    Return the seed of a random stream.
 
     :param seed: seed of the algorithm
-    :param key: which stream
-    :return: 32 bits
+    :param key: purpose of the stream
+    :return: seed of 32 bits
     """
     return int(np.random.SeedSequence([seed, key]).generate_state(1)[0])

@@ -27,13 +27,13 @@ AnyEnv = gym.Env[Any, Any]
 RECORDERS = (Monitor, RecordVideo)
 """Wrappers that write files of the training and are left out of a copy."""
 TRANSPARENT = (VecCheckNan, VecMonitor, VecNormalize, VecVideoRecorder)
-"""Vector wrappers that do not change what the replay buffer stores."""
+"""Vector wrappers without an effect on the contents of the replay buffer."""
 INSTEAD = "Pass expert_data=collect_episodes(env, n), with env wrapped as the training environment."
 
 
 def make_expert_envs(vec_env: VecEnv) -> list[tuple[VecEnv, int]]:
     """
-    Create a copy of each different training environment, in a vector environment of its own.
+    Create a vector environment with a copy of each different training environment.
 
     Environments in this process are copied with all their wrappers except monitors and video recorders.
     Environments in other processes are created from their spec.

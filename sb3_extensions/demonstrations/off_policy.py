@@ -9,9 +9,7 @@ from typing import Any, ClassVar, TypeVar
 import numpy as np
 import numpy.typing as npt
 import torch as th
-from stable_baselines3.common.buffers import ReplayBuffer
 from stable_baselines3.common.callbacks import BaseCallback
-from stable_baselines3.common.noise import ActionNoise
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.type_aliases import MaybeCallback, RolloutReturn, TrainFreq, TrainFrequencyUnit
@@ -193,14 +191,7 @@ class OffPolicyFromDemonstrations(OffPolicyAlgorithm):
         return super()._setup_learn(*args, **kwargs)
 
     def collect_rollouts(
-        self,
-        env: VecEnv,
-        callback: BaseCallback,
-        train_freq: TrainFreq,
-        replay_buffer: ReplayBuffer,
-        action_noise: ActionNoise | None = None,
-        learning_starts: int = 0,
-        log_interval: int | None = None,
+        self, env: VecEnv, callback: BaseCallback, *args: Any, **kwargs: Any
     ) -> RolloutReturn:
         """
         Collect experiences and store them. The first call begins with demonstrations and pretraining.
@@ -208,21 +199,16 @@ class OffPolicyFromDemonstrations(OffPolicyAlgorithm):
         :param env: The training environment
         :param callback: Callback that will be called at each step
             (and at the beginning and end of the rollout)
-        :param train_freq: How much experience to collect
-        :param replay_buffer: Replay buffer of the experience
-        :param action_noise: Action noise that will be used for exploration
-        :param learning_starts: Number of steps before learning for the warm-up phase.
-        :param log_interval: Log data every ``log_interval`` episodes
+        :param args: arguments of ``OffPolicyAlgorithm.collect_rollouts()``
+        :param kwargs: keyword arguments of ``OffPolicyAlgorithm.collect_rollouts()``
         :return: collected experience
         """
-        assert isinstance(replay_buffer, ExpertReplayBuffer)
-        if not replay_buffer.size():
-            self._collect_demonstrations(replay_buffer, env)
+        assert self.replay_buffer is not None
+        if not self.replay_buffer.size():
+            self._collect_demonstrations(self.replay_buffer, env)
         if self.pretraining_left:
             self._pretrain(callback)
-        return super().collect_rollouts(
-            env, callback, train_freq, replay_buffer, action_noise, learning_starts, log_interval
-        )
+        return super().collect_rollouts(env, callback, *args, **kwargs)
 
     def _collect_demonstrations(self, replay_buffer: ExpertReplayBuffer, env: VecEnv) -> None:
         seed = None if self.seed is None else derive_seed(self.seed, SeedKey.EXPERT)

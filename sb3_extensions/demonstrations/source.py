@@ -75,7 +75,7 @@ class DemonstrationSource:
 
     @property
     def is_empty(self) -> bool:
-        """Whether there are no demonstrations."""
+        """True without any demonstrations."""
         return self.data is None and self.episodes == 0
 
     def fill(self, buffer: ExpertReplayBuffer, env: VecEnv, seed: int | None, rescale: Rescale) -> None:
@@ -85,7 +85,7 @@ class DemonstrationSource:
         :param buffer: buffer without online steps
         :param env: training environment
         :param seed: seed of the episodes, None for a random one
-        :param rescale: function from actions in the environment's units to those of the policy
+        :param rescale: function from actions in the environment's units to actions in the policy's units
         :raises ValueError: if ``data`` has no episode or does not fit the environment
         """
         # Episodes of the environment itself need no validation.

@@ -102,7 +102,7 @@ def _range(numbers: Any) -> str:
 
 
 def _check_env_id(data: Any, env: VecEnv) -> None:
-    """Check that the episodes are of a training environment, if their environment is known."""
+    """Check that the episodes are of a training environment, if the data name theirs."""
     theirs = getattr(data, "env_id", None) or getattr(getattr(data, "env_spec", None), "id", None)
     if theirs is None:
         return

@@ -143,7 +143,7 @@ class ExpertReplayBuffer(ReplayBuffer):
 
     def steps(self, name: str) -> npt.NDArray[Any]:
         """
-        Return a column of all steps, those of the expert first.
+        Return a column of all steps, expert steps first.
 
         :param name: "action", "expert_action", "explored", "succeeded", "reward" or "done"
         :return: one entry for each step

@@ -139,7 +139,7 @@ class Rotation(Augmentation):
         for given in (actions, expert_actions):
             rotated = rotate_actions(given[:, None].expand(-1, N_CANDIDATES + 1, -1), candidates, sequence)
             moved = [column for pair in ("xy", "uv") for column in sequence.places(pair)]
-            fits &= ~(rotated[..., moved].abs() > 1 + TOLERANCE).any(dim=2)  # NaN fits: no action is known
+            fits &= ~(rotated[..., moved].abs() > 1 + TOLERANCE).any(dim=2)  # NaN, an unknown action, fits
         fits[:, -1] = True
         first = fits.int().argmax(dim=1, keepdim=True)
         return candidates.gather(1, first)[:, 0].masked_fill(unchanged.to(actions.device), 0.0)

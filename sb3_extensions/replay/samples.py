@@ -12,7 +12,7 @@ from sb3_extensions.replay.step_table import Rows
 
 class ExpertReplayBufferSamples(NamedTuple):
     """
-    Sampled steps: the fields of Stable-Baselines3's ``ReplayBufferSamples`` and those of demonstrations.
+    Sampled steps: Stable-Baselines3's ``ReplayBufferSamples`` with additional fields for demonstrations.
 
     All tensors but the observations have shape (batch, 1) or (batch, action dimensions).
 

@@ -41,7 +41,7 @@ class UniformSampler:
         Adapt to changed rows.
 
         :param added: rows with new steps
-        :param removed: rows whose steps are no longer valid
+        :param removed: rows whose steps became invalid
         """
 
     @property
