@@ -50,10 +50,5 @@ class ActionSequence:
         return name in self.names
 
     def places(self, names: str) -> list[int]:
-        """
-        Return the indices of numbers in an action.
-
-        :param names: names of the numbers, in any order
-        :return: one index for each name that the action has
-        """
+        """Return the indices of the numbers with these names. Names that the action lacks are skipped."""
         return [self.names.index(name) for name in names if name in self.names]

@@ -17,12 +17,7 @@ GRID = "codec_kwargs"
 
 
 def constructor_keys(cls: type[Any]) -> set[str]:
-    """
-    Return the keyword arguments of a constructor, including the parent's arguments if it has ``**kwargs``.
-
-    :param cls: the class
-    :return: names
-    """
+    """Return the keyword arguments of a constructor, and of its parent if it has ``**kwargs``."""
     keys: set[str] = set()
     for parent in cls.__mro__:
         if "__init__" not in vars(parent):
@@ -35,24 +30,12 @@ def constructor_keys(cls: type[Any]) -> set[str]:
 
 
 def env_attribute(env: VecEnv | None, name: str) -> Any:
-    """
-    Return an attribute of the first environment.
-
-    :param env: vector environment, or None
-    :param name: name of the attribute
-    :return: its value, None if the attribute does not exist
-    """
+    """Return an attribute of the first environment, None if it does not exist."""
     return env.get_attr(name, 0)[0] if env is not None and env.has_attr(name) else None
 
 
 def action_sequence(env: VecEnv | None, action_space: spaces.Space[Any]) -> str | None:
-    """
-    Return the environment's ``action_sequence`` if it describes the action space.
-
-    :param env: vector environment, or None
-    :param action_space: action space, which a wrapper may have changed
-    :return: one character for each number of an action, or None
-    """
+    """Return the environment's ``action_sequence``, None if it does not describe the action space."""
     sequence = env_attribute(env, SEQUENCE)
     fits = isinstance(sequence, str) and len(sequence) == get_action_dim(action_space)
     return sequence if fits else None

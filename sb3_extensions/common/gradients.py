@@ -10,11 +10,7 @@ from torch import nn
 
 @contextlib.contextmanager
 def frozen(module: nn.Module) -> Iterator[None]:
-    """
-    Compute no gradients with respect to the parameters of a module in this context.
-
-    :param module: the module
-    """
+    """Compute no gradients with respect to the parameters of a module in this context."""
     parameters = [parameter for parameter in module.parameters() if parameter.requires_grad]
     module.requires_grad_(False)
     try:

@@ -16,11 +16,5 @@ class SeedKey(IntEnum):
 
 
 def derive_seed(seed: int, key: SeedKey) -> int:
-    """
-    Return the seed of a random stream.
-
-    :param seed: seed of the algorithm
-    :param key: purpose of the stream
-    :return: seed of 32 bits
-    """
+    """Return the seed, 32 bits, of a random stream of an algorithm with a seed."""
     return int(np.random.SeedSequence([seed, key]).generate_state(1)[0])

@@ -37,7 +37,7 @@ def collect_episodes(
     :param env: environment with a method ``expert_action()``, or a vector environment with one such
         environment
     :param episodes: number of successful episodes
-    :param seed: seed of the seeds of the attempts and of the transformation
+    :param seed: seed of the generator of the attempts' seeds and of the transformation
     :param progress_bar: whether to show progress, by default on a terminal
     :param action_transform: transformation of the expert's actions before they are executed, such as
         :class:`~sb3_extensions.demonstrations.action_transforms.GaussianExpertNoise`
@@ -94,14 +94,7 @@ def _successful_episodes(
 
 
 def make_progress_bar(total: int, name: str, shown: bool | None, initial: int = 0) -> tqdm[Any]:
-    """
-    Create a progress bar.
-
-    :param total: number of iterations
-    :param name: text in front of the bar
-    :param shown: whether to show it; None shows it on a terminal only
-    :param initial: number of completed iterations
-    """
+    """Create a progress bar. With ``shown=None`` it is shown on a terminal only."""
     return tqdm(total=total, initial=initial, desc=name, disable=None if shown is None else not shown)
 
 

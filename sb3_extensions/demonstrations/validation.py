@@ -46,14 +46,7 @@ def validate_episodes(data: Iterable[EpisodeData], env: VecEnv) -> Iterator[Epis
 
 
 def validate_episode(episode: EpisodeData, env: VecEnv, number: int) -> None:
-    """
-    Check the shapes and values of an episode.
-
-    :param episode: the episode
-    :param env: training environment
-    :param number: number of the episode, for messages
-    :raises ValueError: if a shape or value does not fit
-    """
+    """Raise a ValueError that names the episode's number if a shape or value does not fit an environment."""
     space, observations = env.observation_space, episode.observations
     entries: Mapping[str, Any] = space.spaces if isinstance(space, spaces.Dict) else {KEY: space}
     if not isinstance(observations, Mapping) or not entries.keys() <= observations.keys():

@@ -13,7 +13,7 @@ from torch import nn
 
 from sb3_extensions.common.components import check_not_negative
 from sb3_extensions.ferm.policies import MultiInputPolicy
-from sb3_extensions.replay.augmentations import AugmentationSpec, make_augmentation
+from sb3_extensions.replay.augmentations import AugmentationSpec
 from sb3_extensions.sacfd import SACfD
 
 
@@ -68,10 +68,9 @@ class FERM(SACfD):
             self._setup_model()
 
     def _setup_model(self) -> None:
-        window = make_augmentation(self.augmentation)
-        if window is None or window.window is None:
-            raise ValueError(f"augmentation must have 'rad' or 'drq', got {self.augmentation}")
         super()._setup_model()
+        if self.augmentation is None or self.augmentation.window is None:
+            raise ValueError(f"augmentation must have 'rad' or 'drq', got {self.augmentation}")
 
     def _create_aliases(self) -> None:
         super()._create_aliases()

@@ -30,8 +30,6 @@ class ContrastiveExtractor(CnnExtractor):
     :param features_dim: number of features
     :param channels: output channels of each stage, see :class:`~sb3_extensions.encoders.cnn.CnnEncoder`. None
         for BulletArm's, adapted to the image size
-    :param quantise: see :class:`~sb3_extensions.encoders.observation.StackedImage`
-    :param crop: see :class:`~sb3_extensions.encoders.observation.StackedImage`
     :param kwargs: further parameters of :class:`~sb3_extensions.encoders.extractors.CnnExtractor`
     """
 
@@ -43,13 +41,11 @@ class ContrastiveExtractor(CnnExtractor):
         observation_space: gym.Space[Any],
         features_dim: int = 50,
         channels: Sequence[int] | None = None,
-        quantise: str | None = "uint8",
-        crop: int | None = None,
         **kwargs: Any,
     ) -> None:
-        size = StackedImage(observation_space, quantise, crop).size
+        size = StackedImage(observation_space, None, kwargs.get("crop")).size
         channels = channels or scale_channels(size, CnnEncoder.HALVING, self.LAST)
-        super().__init__(observation_space, channels, quantise=quantise, crop=crop, **kwargs)
+        super().__init__(observation_space, channels, **kwargs)
         linear = nn.Linear(self.features_dim, features_dim)
         nn.init.xavier_uniform_(linear.weight)
         nn.init.zeros_(linear.bias)

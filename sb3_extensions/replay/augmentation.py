@@ -36,12 +36,7 @@ class Augmentation(ABC):
 
     @abstractmethod
     def check(self, space: spaces.Space[Any]) -> None:
-        """
-        Check that observations can be augmented.
-
-        :param space: observation space
-        :raises ValueError: if they cannot
-        """
+        """Raise a ValueError if observations of a space cannot be augmented."""
 
     @property
     def window(self) -> RandomWindow | None:
@@ -49,21 +44,11 @@ class Augmentation(ABC):
         return None
 
     def average_targets(self, values: th.Tensor) -> th.Tensor:
-        """
-        Average values over the views of each next observation.
-
-        :param values: shape (views of the next observations, n)
-        :return: shape (views of the observations, n)
-        """
+        """Return means over the views of each next observation, one row for each view of an observation."""
         return values if self.window is None else self.window.average_views(values)
 
     def with_crop(self, policy_kwargs: dict[str, Any]) -> dict[str, Any]:
-        """
-        Add the crop of the images to the arguments of a policy.
-
-        :param policy_kwargs: arguments of a policy
-        :return: a copy whose features extractor uses the centre of images that are larger than the views
-        """
+        """Return arguments of a policy whose features extractor crops images to the size of the views."""
         if self.window is None or self.window.size is None:
             return policy_kwargs
         extractor_kwargs = policy_kwargs.get("features_extractor_kwargs") or {}
@@ -92,7 +77,7 @@ class Sequence(Augmentation):
         return samples
 
     def check(self, space: spaces.Space[Any]) -> None:
-        """Check that observations can be augmented."""
+        """Check all augmentations."""
         for step in self.steps:
             step.check(space)
 
@@ -130,14 +115,7 @@ class RandomWindow(Augmentation):
         return values
 
     def view(self, observations: Observations, generator: th.Generator, copies: int = 1) -> Observations:
-        """
-        Return independent random windows of each observation.
-
-        :param observations: batch
-        :param generator: random generator on the CPU
-        :param copies: number of windows of each
-        :return: one window of the whole batch after the other, first axis ``copies * batch``
-        """
+        """Return ``copies`` independent windows of each observation, first axis ``copies * batch``."""
         return self._cut(observations, self._offsets(observations, generator, copies))
 
     def _offsets(self, observations: Observations, generator: th.Generator, copies: int = 1) -> th.Tensor:

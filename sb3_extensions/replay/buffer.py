@@ -106,13 +106,7 @@ class ExpertReplayBuffer(ReplayBuffer):
             raise ValueError(f"buffer_size must be at least {needed} for {content}, got {self.buffer_size}")
 
     def set_discount(self, gamma: float | None, n_steps: int) -> None:
-        """
-        Set the discount of the returns.
-
-        :param gamma: discount factor per step
-        :param n_steps: maximum number of rewards in a return
-        :raises ValueError: if ``n_steps`` is out of its range
-        """
+        """Set the discount factor per step and the maximum number of rewards in a return."""
         if n_steps < 1 or (n_steps > 1 and gamma is None):
             raise ValueError(
                 f"n_steps must be at least 1, and 1 without gamma, got n_steps={n_steps} and gamma={gamma}"
@@ -120,11 +114,7 @@ class ExpertReplayBuffer(ReplayBuffer):
         self.gamma, self.n_steps = gamma, n_steps
 
     def seed(self, seed: int) -> None:
-        """
-        Seed the sampling.
-
-        :param seed: seed
-        """
+        """Seed the sampling."""
         self.rng = np.random.default_rng(seed)
 
     def reset(self) -> None:
@@ -271,7 +261,6 @@ class ExpertReplayBuffer(ReplayBuffer):
 
         :param batch_size: number of steps
         :param env: normalization to apply to observations and rewards
-        :return: the sample
         :raises ValueError: if the buffer is empty
         """
         if not self.size():
@@ -280,12 +269,7 @@ class ExpertReplayBuffer(ReplayBuffer):
         return self._get_samples(rows, env, weights)
 
     def update_priorities(self, rows: Rows, td_errors: th.Tensor) -> None:
-        """
-        Pass the errors of an update to the sampler.
-
-        :param rows: ``indices`` of a sample, shape (batch,)
-        :param td_errors: absolute temporal-difference errors, shape (batch, 1)
-        """
+        """Pass the absolute temporal-difference errors (batch, 1) of sampled rows (batch,) to the sampler."""
         self.sampler.update_priorities(rows, td_errors.detach().cpu().numpy().ravel().astype(np.float64))
 
     def _get_samples(  # type: ignore[override]
@@ -324,13 +308,7 @@ class ExpertReplayBuffer(ReplayBuffer):
     def _n_step_returns(
         self, rows: Rows, env: VecNormalize | None
     ) -> tuple[Rows, npt.NDArray[np.float32], npt.NDArray[np.float32] | None]:
-        """
-        Return sums of discounted rewards over up to ``n_steps`` steps.
-
-        :param rows: first rows, shape (batch,)
-        :param env: normalization to apply to the rewards
-        :return: last rows, sums, discounts of the values after them; each of shape (batch,)
-        """
+        """Return last rows of returns, sums of rewards, and discounts of the values after them."""
         columns = self.table.columns
         rewards = self._normalize_reward(columns["reward"][rows], env)
         if self.gamma is None:

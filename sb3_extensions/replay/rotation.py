@@ -41,14 +41,7 @@ def rotate_images(images: th.Tensor, angles: th.Tensor, mode: str = "bilinear") 
 
 
 def rotate_pairs(values: th.Tensor, columns: list[int], angles: th.Tensor) -> th.Tensor:
-    """
-    Rotate two columns as the coordinates (x, y) of a vector.
-
-    :param values: last axis with the columns
-    :param columns: indices of x and y
-    :param angles: from x towards y, rad, broadcastable to ``values[..., 0]``
-    :return: a copy with rotated columns
-    """
+    """Return a copy with two columns of the last axis rotated as the coordinates (x, y) of a vector."""
     rotated = values.clone()
     x, y = values[..., columns[0]], values[..., columns[1]]
     cos, sin = angles.cos().to(values.dtype), angles.sin().to(values.dtype)
@@ -59,12 +52,11 @@ def rotate_pairs(values: th.Tensor, columns: list[int], angles: th.Tensor) -> th
 
 def rotate_actions(actions: th.Tensor, angles: th.Tensor, action_sequence: ActionSequence) -> th.Tensor:
     """
-    Rotate (dx, dy) of actions and, of three r's, the components about x and y.
+    Rotate (dx, dy) of actions, and the x and y components of rotation vectors.
 
     :param actions: in the policy's units, shape (batch, action dimensions)
     :param angles: from x towards y, rad, shape (batch,)
     :param action_sequence: meaning of the numbers
-    :return: rotated actions of the same shape
     """
     for pair in ("xy", "uv"):
         if columns := action_sequence.places(pair):

@@ -29,20 +29,11 @@ class UniformSampler:
     """Remaining fraction of the training, from 1 to 0. The algorithm updates it."""
 
     def setup(self, table: StepTable) -> None:
-        """
-        Prepare for an empty table.
-
-        :param table: table to sample from
-        """
+        """Prepare for sampling from a table, which is empty."""
         self.table = table
 
     def update(self, added: Rows, removed: Rows) -> None:
-        """
-        Adapt to changed rows.
-
-        :param added: rows with new steps
-        :param removed: rows whose steps became invalid
-        """
+        """Adapt to rows with new steps and to rows whose steps became invalid."""
 
     @property
     def valid_rows(self) -> Rows:
@@ -50,23 +41,12 @@ class UniformSampler:
         return np.flatnonzero(self.table.columns["valid"])
 
     def sample(self, batch_size: int, rng: np.random.Generator) -> tuple[Rows, Weights]:
-        """
-        Sample rows.
-
-        :param batch_size: number of rows
-        :param rng: random generator
-        :return: rows and importance weights, both of shape (batch_size,)
-        """
+        """Return sampled rows and importance weights, both of shape (batch_size,)."""
         valid = self.valid_rows
         return valid[rng.integers(len(valid), size=batch_size)], np.ones(batch_size, dtype=np.float32)
 
     def update_priorities(self, rows: Rows, td_errors: FloatArray) -> None:
-        """
-        Update priorities. A sampler without priorities ignores them.
-
-        :param rows: sampled rows, shape (batch_size,)
-        :param td_errors: absolute temporal-difference errors, shape (batch_size,)
-        """
+        """Update priorities of rows by absolute temporal-difference errors, if the sampler has priorities."""
 
 
 class ShareSampler(UniformSampler):
@@ -101,7 +81,7 @@ class ShareSampler(UniformSampler):
         self.balanced_from = balanced_from
 
     def sample(self, batch_size: int, rng: np.random.Generator) -> tuple[Rows, Weights]:
-        """Sample rows and their importance weights."""
+        """Return sampled rows and importance weights."""
         valid, succeeded = self.valid_rows, self.table.columns["succeeded"]
         expert, online = np.split(valid, [np.searchsorted(valid, self.table.n_pinned)])
         if min(len(expert), len(online)) < self.balanced_from:
@@ -154,7 +134,7 @@ class PrioritizedSampler(UniformSampler):
         self.expert_bonus = expert_bonus
 
     def setup(self, table: StepTable) -> None:
-        """Prepare for an empty table."""
+        """Prepare for sampling from a table, which is empty."""
         super().setup(table)
         self.masses = np.zeros(table.capacity)  # priority ** exponent, 0 for invalid rows
 
@@ -164,7 +144,7 @@ class PrioritizedSampler(UniformSampler):
         self.masses[added] = self.masses.max() or 1.0
 
     def sample(self, batch_size: int, rng: np.random.Generator) -> tuple[Rows, Weights]:
-        """Sample rows and their importance weights."""
+        """Return sampled rows and importance weights."""
         valid = self.valid_rows
         masses = self.masses[valid]
         ends = masses.cumsum()

@@ -94,12 +94,7 @@ class StepTable:
         return self.capacity * sum(int(np.prod(shape)) * np.dtype(dtype).itemsize for shape, dtype in layout)
 
     def pin(self, n_rows: int) -> Rows:
-        """
-        Reserve rows that are never overwritten.
-
-        :param n_rows: number of rows
-        :return: consecutive rows
-        """
+        """Return ``n_rows`` consecutive new rows that are never overwritten."""
         self.n_pinned += n_rows
         self.heads = self.n_pinned + np.arange(self.n_envs) * self.ring_length
         return np.arange(self.n_pinned - n_rows, self.n_pinned)
@@ -112,12 +107,7 @@ class StepTable:
         return np.where(wraps, following - length, following)
 
     def write_observations(self, rows: Rows, observations: Observations) -> None:
-        """
-        Write observations. The rows are invalid until their steps are written.
-
-        :param rows: shape (n,)
-        :param observations: for each key an array of shape (n, *shape of the key)
-        """
+        """Write n observations to n rows. The rows are invalid until their steps are written."""
         for key, array in self.observations.items():
             quantiser = self.quantisers.get(key)
             values = observations[key]
@@ -131,12 +121,7 @@ class StepTable:
         self.columns["valid"][rows] = True
 
     def read_observations(self, rows: Rows) -> Observations:
-        """
-        Return observations. The error of images is at most half a quantisation step.
-
-        :param rows: shape (n,)
-        :return: for each key an array of shape (n, *shape of the key)
-        """
+        """Return the observations of rows. The error of images is at most half a quantisation step."""
         observations = {key: array[rows] for key, array in self.observations.items()}
         return observations | {
             key: quantiser.decode(observations[key]) for key, quantiser in self.quantisers.items()
