@@ -1,8 +1,8 @@
 """
 Checkpoints from which training continues exactly.
 
-A checkpoint is a directory with the algorithm (``model.zip``), its replay buffer (``replay_buffer.pkl``, if
-it has one), the states of random generators, environments and wrappers (``state.pkl``), and the checksums of
+A checkpoint is a directory with the algorithm (``model.zip``) and its replay buffer (``replay_buffer.pkl``).
+It also has the states of random generators, environments and wrappers (``state.pkl``), and the checksums of
 these files (``manifest.json``). The directory is written under a temporary name and then renamed, so that an
 interrupted write leaves no incomplete checkpoint.
 
@@ -15,7 +15,6 @@ each ``learn()``.
 
 from __future__ import annotations
 
-import importlib
 import json
 import os
 import pickle
@@ -158,7 +157,7 @@ def latest_valid_checkpoint(path: str | os.PathLike[str]) -> tuple[Path, list[Ch
     errors: list[CheckpointError] = []
     for checkpoint in reversed(_checkpoints(Path(path))):
         try:
-            _read_manifest(checkpoint)
+            _check_files(checkpoint)
             return checkpoint, errors
         except CheckpointError as error:
             errors.append(error)
@@ -184,15 +183,16 @@ def resume(path: str | os.PathLike[str], env: GymEnv, device: th.device | str = 
         checkpoint, errors = latest_valid_checkpoint(path)
         for error in errors:
             warnings.warn(f"{error}. Resuming from {checkpoint}", stacklevel=2)
-    manifest = _read_manifest(checkpoint)
-    algorithm = _import_algorithm(checkpoint, manifest["algorithm"])
+    files = _check_files(checkpoint)
     try:
         state = pickle.loads((checkpoint / STATE).read_bytes())
-        model = algorithm.load(checkpoint / MODEL, env=env, device=device, force_reset=False)
+        model: BaseAlgorithm = state["algorithm"].load(
+            checkpoint / MODEL, env=env, device=device, force_reset=False
+        )
         _check_env(model, state["envs"])  # before the replay buffer, whose errors are less clear
-        if isinstance(model, OffPolicyAlgorithm) and REPLAY_BUFFER in manifest["crc32"]:
+        if isinstance(model, OffPolicyAlgorithm) and REPLAY_BUFFER in files:
             model.load_replay_buffer(checkpoint / REPLAY_BUFFER, truncate_last_traj=False)
-    except (pickle.UnpicklingError, EOFError, zipfile.BadZipFile) as error:
+    except (pickle.UnpicklingError, EOFError, ImportError, AttributeError, zipfile.BadZipFile) as error:
         raise CheckpointError(f"{checkpoint} cannot be read: {error}") from error
     _set_env_state(model, state["envs"])
     _set_generator_state(model, state["generators"])  # last, because the calls above can sample numbers
@@ -201,25 +201,25 @@ def resume(path: str | os.PathLike[str], env: GymEnv, device: th.device | str = 
 
 def _write_files(model: BaseAlgorithm, directory: Path) -> None:
     """Write all files of a checkpoint to the disk."""
-    state = {"envs": _env_state(model), "generators": _generator_state(model)}
+    state = {
+        "algorithm": type(model),
+        "envs": _env_state(model),
+        "generators": _generator_state(model),
+    }
     (directory / STATE).write_bytes(pickle.dumps(state, protocol=pickle.HIGHEST_PROTOCOL))
     model.save(directory / MODEL)
     if isinstance(model, OffPolicyAlgorithm) and model.replay_buffer is not None:
         model.save_replay_buffer(directory / REPLAY_BUFFER)
-    manifest = {
-        "format": FORMAT,
-        "algorithm": f"{type(model).__module__}:{type(model).__qualname__}",
-        "crc32": {file.name: _crc32(file) for file in directory.iterdir()},
-    }
+    manifest = {"format": FORMAT, "crc32": {file.name: _crc32(file) for file in directory.iterdir()}}
     (directory / MANIFEST).write_text(json.dumps(manifest, indent=2), encoding="utf-8")
     for file in (*directory.iterdir(), directory):
         _sync(file)
 
 
-def _read_manifest(checkpoint: Path) -> dict[str, Any]:
-    """Return the manifest of a checkpoint after a comparison of its checksums with the files."""
+def _check_files(checkpoint: Path) -> set[str]:
+    """Return the names of the files of a checkpoint after a comparison with their checksums."""
     try:
-        manifest: dict[str, Any] = json.loads((checkpoint / MANIFEST).read_text(encoding="utf-8"))
+        manifest = json.loads((checkpoint / MANIFEST).read_text(encoding="utf-8"))
         version, checksums = manifest["format"], manifest["crc32"]
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise CheckpointError(f"{checkpoint / MANIFEST} must be a manifest, got {error!r}") from error
@@ -230,16 +230,7 @@ def _read_manifest(checkpoint: Path) -> dict[str, Any]:
             raise CheckpointError(f"{checkpoint} is damaged: {name} is missing")
         if _crc32(checkpoint / name) != checksum:
             raise CheckpointError(f"{checkpoint} is damaged: {name} has another checksum")
-    return manifest
-
-
-def _import_algorithm(checkpoint: Path, name: str) -> type[BaseAlgorithm]:
-    module, _, qualname = name.partition(":")
-    try:
-        algorithm: type[BaseAlgorithm] = getattr(importlib.import_module(module), qualname)
-    except (ImportError, AttributeError) as error:
-        raise CheckpointError(f"{checkpoint} needs the algorithm {name}, which cannot be imported") from error
-    return algorithm
+    return set(checksums)
 
 
 def _generator_state(model: BaseAlgorithm) -> dict[str, Any]:

@@ -80,18 +80,12 @@ def _check(name: str, values: Any, length: int, space: spaces.Space[Any], number
     low, high = space.low.astype(np.float64), space.high.astype(np.float64)
     width = np.where(np.isfinite(high - low), high - low, np.maximum(np.abs(low), np.abs(high)))
     tolerance = RELATIVE_TOLERANCE * np.where(np.isfinite(width), width, 0.0)
-    if np.isnan(numbers).any() or (numbers < low - tolerance).any() or (numbers > high + tolerance).any():
+    # The comparisons are False for NaN.
+    if not ((numbers >= low - tolerance) & (numbers <= high + tolerance)).all():
         raise ValueError(
-            f"expert_data must have {name} from {low.min():g} to {high.max():g}, got {_range(numbers)} in "
-            f"episode {number}"
+            f"expert_data must have {name} from {low.min():g} to {high.max():g}, got {numbers.min():g} to "
+            f"{numbers.max():g} in episode {number}"
         )
-
-
-def _range(numbers: Any) -> str:
-    if np.isnan(numbers).all():
-        return "NaN"
-    missing = " with NaN" if np.isnan(numbers).any() else ""
-    return f"{np.nanmin(numbers):g} to {np.nanmax(numbers):g}{missing}"
 
 
 def _check_env_id(data: Any, env: VecEnv) -> None:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import numpy.typing as npt
 import torch as th
@@ -16,12 +14,11 @@ MAX_FLOAT32_ERROR = 0.25
 
 class Quantiser:
     """
-    Uniform levels from the lowest to the highest bound of a Box.
+    Uniform levels over the bounds of a Box, the lowest level on ``low``, the highest on ``high``.
 
-    ``encode(decode(levels))`` returns the same levels. :meth:`round_trip` equals ``decode(encode(values))``
-    bit for bit, because both use the same sequence of float32 operations.
+    ``encode(decode(levels))`` returns the same levels.
 
-    :param space: Box with finite bounds
+    :param space: Box with finite bounds, ``low < high`` everywhere
     :param dtype: ``"uint8"`` (256 levels) or ``"uint16"`` (65,536 levels)
     :raises ValueError: if the bounds are infinite or equal, if their range is too narrow for float32, or for
         another ``dtype``
@@ -30,60 +27,54 @@ class Quantiser:
     def __init__(self, space: spaces.Box, dtype: str = "uint8") -> None:
         if dtype not in DTYPES:
             raise ValueError(f"dtype must be one of {DTYPES}, got {dtype!r}")
-        low, high = float(space.low.min()), float(space.high.max())
-        if not (math.isfinite(low) and math.isfinite(high) and low < high):
+        low, high = space.low.astype(np.float64), space.high.astype(np.float64)
+        if not (np.isfinite(low).all() and np.isfinite(high).all() and (low < high).all()):
             raise ValueError(f"space must have finite bounds with low < high, got {space}")
         self.dtype = np.dtype(dtype)
         self.levels = int(np.iinfo(self.dtype).max)
         step = (high - low) / self.levels
-        if max(abs(low), abs(high)) * np.finfo(np.float32).eps > MAX_FLOAT32_ERROR * step:
+        if (np.maximum(abs(low), abs(high)) * np.finfo(np.float32).eps > MAX_FLOAT32_ERROR * step).any():
             raise ValueError(f"the range of {space} is too narrow for {self.levels + 1} levels in float32")
-        self._low, self._high = np.float32(low), np.float32(high)
-        self._step, self._inverse_step = np.float32(step), np.float32(1.0 / step)
+        self._low, self._high, self._step, self._inverse_step = (
+            _as_tensor(bound) for bound in (low, high, step, 1.0 / step)
+        )
 
     def encode(self, values: npt.NDArray[np.floating]) -> npt.NDArray[np.unsignedinteger]:
         """
         Round values to the nearest levels, halves to even. Values outside the bounds are clipped.
 
-        :param values: any shape, in the units of the space
+        :param values: last axes of the shape of the space, in its units
         :return: levels of the type ``dtype``, same shape
         """
-        levels = (np.asarray(values, dtype=np.float32) - self._low) * self._inverse_step
-        encoded: npt.NDArray[np.unsignedinteger] = np.clip(np.rint(levels), 0, self.levels).astype(self.dtype)
-        return encoded
+        tensor = th.from_numpy(np.array(values, dtype=np.float32))
+        levels: npt.NDArray[np.unsignedinteger] = self._to_levels(tensor).numpy().astype(self.dtype)
+        return levels
 
     def decode(self, levels: npt.NDArray[np.unsignedinteger]) -> npt.NDArray[np.float32]:
-        """
-        Return the values of levels.
+        """Return the values of levels, within the bounds and of the same shape."""
+        values: npt.NDArray[np.float32] = self._to_values(th.from_numpy(levels.astype(np.float32))).numpy()
+        return values
 
-        :param levels: any shape
-        :return: values within the bounds, same shape
-        """
-        values = levels.astype(np.float32)
-        decoded: npt.NDArray[np.float32] = np.minimum(values * self._step + self._low, self._high)
-        return decoded
-
-    @th.no_grad()
     def round_trip(self, values: th.Tensor) -> th.Tensor:
-        """
-        Return the values that the replay buffer returns after storing them, without gradient.
+        """Return ``decode(encode(values))`` as a float32 tensor without gradient."""
+        return self._to_values(self._to_levels(values))
 
-        :param values: any shape, in the units of the space
-        :return: float32 tensor of the same shape
-        """
-        rounded = self._levels_of(values).mul_(float(self._step)).add_(float(self._low))
-        return rounded.clamp_(max=float(self._high))
+    def normalise(self, values: th.Tensor) -> th.Tensor:
+        """Return rounded values scaled to [0, 1], equal for a value and its stored copy, without gradient."""
+        return self._to_levels(values).mul_(1.0 / self.levels)
 
     @th.no_grad()
-    def normalise(self, values: th.Tensor) -> th.Tensor:
-        """
-        Return rounded values scaled to [0, 1], equal for a value and its stored copy, without gradient.
+    def _to_levels(self, values: th.Tensor) -> th.Tensor:
+        offset = values.float() - self._low.to(values.device)
+        return offset.mul_(self._inverse_step.to(values.device)).round_().clamp_(0, self.levels)
 
-        :param values: any shape, in the units of the space
-        :return: float32 tensor of the same shape
-        """
-        return self._levels_of(values).mul_(1.0 / self.levels)
+    @th.no_grad()
+    def _to_values(self, levels: th.Tensor) -> th.Tensor:
+        low, high, step = (bound.to(levels.device) for bound in (self._low, self._high, self._step))
+        return levels.mul_(step).add_(low).clamp_(max=high)
 
-    def _levels_of(self, values: th.Tensor) -> th.Tensor:
-        offset = values.float() - float(self._low)
-        return offset.mul_(float(self._inverse_step)).round_().clamp_(0, self.levels)
+
+def _as_tensor(bound: npt.NDArray[np.float64]) -> th.Tensor:
+    """Return a bound in float32, one number if all entries are equal."""
+    tensor = th.from_numpy(bound.astype(np.float32))
+    return tensor.flatten()[0].clone() if (tensor == tensor.flatten()[0]).all() else tensor

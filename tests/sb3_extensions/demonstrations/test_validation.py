@@ -202,7 +202,7 @@ def test_learner_stores_the_experts_actions_in_the_wrapped_action_space(callback
     ("changes", "message"),
     [
         ({"actions": lambda x: x * 1000}, r"actions from -1 to 1, got -?\d+ to \d+ in episode 0"),
-        ({"actions": lambda x: np.full_like(x, np.nan)}, "actions from -1 to 1, got NaN in episode 0"),
+        ({"actions": lambda x: np.full_like(x, np.nan)}, "actions from -1 to 1, got nan to nan in episode 0"),
         ({"rewards": lambda x: x + np.inf}, "rewards from .* got inf to inf in episode 0"),
         ({"rewards": lambda x: x[:-1]}, r"rewards of shape \(\d+,\), got \(\d+,\) in episode 0"),
         ({"expert_actions": lambda x: x - 7}, "expert_actions from -1 to 1, got -8"),
