@@ -1,4 +1,4 @@
-"""FERM: which loss trains what, once; the momentum encoder; pretraining; in the manner of the SACfD tests."""
+"""FERM: parameters that each loss trains, momentum encoder, and pretraining."""
 
 from collections.abc import Iterable
 from typing import Any
@@ -39,7 +39,7 @@ def values(parameters: Iterable[th.Tensor]) -> list[np.ndarray]:
 
 
 def changed(before: dict[str, th.Tensor], after: dict[str, th.Tensor]) -> set[str]:
-    """Parts of the policy, such as ``critic.features_extractor.encoder``, with another number in them."""
+    """Return the parts of the policy, such as ``critic.features_extractor.encoder``, that differ."""
     names = {name for name, value in after.items() if not th.equal(value, before[name])}
     return {".".join(name.split(".")[: 3 if "features_extractor" in name else 1]) for name in names}
 
@@ -49,7 +49,7 @@ def state(model: FERM) -> dict[str, th.Tensor]:
 
 
 def steps(optimizer: th.optim.Optimizer) -> set[int]:
-    """How many steps the parameters of an Adam have taken, all of them."""
+    """Return the numbers of steps of the parameters of an Adam optimizer."""
     parameters = [p for group in optimizer.param_groups for p in group["params"]]
     assert len(set(parameters)) == len(parameters)
     return {int(optimizer.state[p]["step"]) if p in optimizer.state else 0 for p in parameters}
@@ -78,7 +78,7 @@ def test_actor_and_critic_share_convolutions_alone(make_toy: Any) -> None:
 
 
 @pytest.mark.parametrize("in_hand_size", [0, 8])
-def test_which_loss_trains_what(in_hand_size: int, make_toy: Any) -> None:
+def test_each_loss_trains_its_parameters_only(in_hand_size: int, make_toy: Any) -> None:
     model = make_model(make_toy(size=SIDE, in_hand_size=in_hand_size)).learn(2)
     sample = model.replay_buffer.sample(16)
     actions, log_prob = model.actor.action_log_prob(sample.observations)
@@ -128,7 +128,7 @@ def test_target_extractor_follows_faster_than_the_heads(make_toy: Any) -> None:
         assert not th.equal(critic[name], before[name]), name
 
 
-def test_pretraining_takes_exactly_its_steps_and_no_parameter_two_a_step(make_toy: Any) -> None:
+def test_pretraining_updates_each_parameter_once_per_step(make_toy: Any) -> None:
     model = make_model(make_toy(size=SIDE), contrastive_steps=7, learning_starts=100)
     initial = state(model)
     model.learn(2)
@@ -143,7 +143,7 @@ def test_pretraining_takes_exactly_its_steps_and_no_parameter_two_a_step(make_to
     assert steps(model.critic.optimizer) == steps(model.actor.optimizer) == {4}
 
 
-def test_pretraining_learns_to_tell_views_apart(make_toy: Any) -> None:
+def test_pretraining_reduces_the_contrastive_loss(make_toy: Any) -> None:
     losses = []
     for contrastive_steps in (0, 60):
         env = make_toy(size=SIDE)
@@ -190,7 +190,7 @@ def test_resumed_run_equals_uninterrupted_run(make_toy: Any, tmp_path: Any) -> N
     assert steps(whole.contrast.optimizer) == steps(resumed.contrast.optimizer) == {3 + 10}
 
 
-def test_acting_sees_the_centre(make_toy: Any) -> None:
+def test_policy_acts_on_the_centre_of_an_image(make_toy: Any) -> None:
     env = make_toy(3, size=SIDE)
     model = make_model(env)
     observation = env.reset()

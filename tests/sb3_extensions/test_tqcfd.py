@@ -1,4 +1,4 @@
-"""TQCfD: what differs from SACfD, whose tests cover what they share."""
+"""TQCfD: differences to SACfD."""
 
 import copy
 from typing import Any
@@ -54,7 +54,7 @@ def test_deterministic_training(policy: Any, make_toy: Any) -> None:
         np.testing.assert_array_equal(value, second[name], err_msg=name)
 
 
-def test_without_imitation_it_is_tqc(make_toy: Any) -> None:
+def test_tqcfd_without_imitation_equals_tqc(make_toy: Any) -> None:
     kwargs: dict[str, Any] = {
         "learning_rate": 1e-3,
         "buffer_size": 500,
@@ -187,7 +187,7 @@ def test_save_and_load(policy: Any, make_toy: Any, tmp_path: Any) -> None:
 
 
 @pytest.mark.parametrize("dropped", [-1, 25])
-def test_some_quantiles_must_be_left(dropped: int, make_toy: Any) -> None:
+def test_dropping_all_quantiles_is_rejected(dropped: int, make_toy: Any) -> None:
     with pytest.raises(ValueError, match="top_quantiles_to_drop_per_net"):
         make_model(make_toy(), top_quantiles_to_drop_per_net=dropped)
 

@@ -1,4 +1,4 @@
-"""Checkpoints: whole or absent, and training that goes on from them as if it had never stopped."""
+"""Checkpoints are written atomically, and a resumed run equals an uninterrupted one."""
 
 import errno
 import json
@@ -47,7 +47,7 @@ def make_model(env: Any, algorithm: type[SACfD] = SACfD, **kwargs: Any) -> SACfD
 
 
 def assert_same(first: Any, second: Any) -> None:
-    """Equal in all that training depends on and all that it reports."""
+    """Assert that two models have equal parameters, counters and statistics."""
     ours, theirs = first.get_parameters(), second.get_parameters()
     assert_equal_trees(ours, theirs)
     assert_equal_trees(first._last_obs, second._last_obs)
@@ -108,7 +108,7 @@ def test_resumed_run_equals_uninterrupted_run(
     checkpoint = tmp_path / f"checkpoint_{STEPS:012d}_000"
     env = make_toy(n_envs, seed=123)
     env.reset()
-    env.step(np.ones((n_envs, 5)))  # whatever happened in the environment before
+    env.step(np.ones((n_envs, 5)))  # the previous state of the environment has no effect
     np.random.seed(9)
     resumed = resume(checkpoint, env, device="cpu")
     assert env.get_attr("steps") != [0] * n_envs  # mid-episode
@@ -161,7 +161,7 @@ def test_resumed_spatial_run_equals_uninterrupted_run(
     assert_equal_trees(ours._asdict(), theirs._asdict())
 
 
-def test_vector_wrappers_are_carried(make_toy: Any, tmp_path: Path) -> None:
+def test_state_of_vector_wrappers_is_restored(make_toy: Any, tmp_path: Path) -> None:
     def make_env() -> Any:
         return VecNormalize(
             VecMonitor(DummyVecEnv([lambda: gym.make("ToyReach-v0")] * 2)), norm_obs_keys=["holding"]
@@ -178,7 +178,7 @@ def test_vector_wrappers_are_carried(make_toy: Any, tmp_path: Path) -> None:
     assert max(e["l"] for e in resumed.ep_info_buffer) <= 10
 
 
-def test_time_limits_are_carried(tmp_path: Path) -> None:
+def test_time_limits_are_restored(tmp_path: Path) -> None:
     def make_env() -> Any:
         return DummyVecEnv([lambda: gym.make("ToyReach-v0", max_episode_steps=6)])
 
@@ -203,7 +203,7 @@ def test_stock_algorithms(algorithm: Any, make_toy: Any, tmp_path: Path) -> None
     assert_same(whole, resumed)
 
 
-def test_callback_saves_and_keeps(make_toy: Any, tmp_path: Path) -> None:
+def test_callback_keeps_the_latest_checkpoints(make_toy: Any, tmp_path: Path) -> None:
     make_model(make_toy(2)).learn(50, callback=DirectoryCheckpointCallback(10, tmp_path / "new", keep=2))
     names = sorted(entry.name for entry in (tmp_path / "new").iterdir())
     assert names == ["checkpoint_000000000030_002", "checkpoint_000000000040_003"]
@@ -220,17 +220,17 @@ def test_saving_twice_at_the_same_step(make_toy: Any, tmp_path: Path) -> None:
     assert latest_checkpoint(tmp_path) == second
 
 
-def test_what_is_written_last_is_kept(make_toy: Any, tmp_path: Path) -> None:
+def test_checkpoints_are_ordered_by_time_of_writing(make_toy: Any, tmp_path: Path) -> None:
     model = make_model(make_toy(), pretrain_steps=70)
     model.learn(1, callback=DirectoryCheckpointCallback(10, tmp_path))
     newest = resume(tmp_path, make_toy(), device="cpu")
     assert (newest.n_pretrained, newest.num_timesteps) == (70, 0)
     model.learn(40, callback=DirectoryCheckpointCallback(10, tmp_path))
-    model.learn(20, callback=DirectoryCheckpointCallback(10, tmp_path))  # counts timesteps anew
+    model.learn(20, callback=DirectoryCheckpointCallback(10, tmp_path))  # counts timesteps from 0
     assert resume(tmp_path, make_toy(), device="cpu").num_timesteps == 10
 
 
-def test_a_damaged_checkpoint_does_not_outlive_a_newer_one(make_toy: Any, tmp_path: Path) -> None:
+def test_damaged_checkpoint_is_deleted_before_a_newer_one(make_toy: Any, tmp_path: Path) -> None:
     model = make_model(make_toy()).learn(5)
     save_checkpoint(model, tmp_path)
     damaged = save_checkpoint(model.learn(10, reset_num_timesteps=False), tmp_path)
@@ -241,7 +241,7 @@ def test_a_damaged_checkpoint_does_not_outlive_a_newer_one(make_toy: Any, tmp_pa
     assert list(tmp_path.iterdir()) == [newest] and resumed.num_timesteps == 10
 
 
-def test_kill_while_writing_leaves_the_last_one(
+def test_interrupted_write_keeps_the_last_checkpoint(
     make_toy: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     model = make_model(make_toy()).learn(5)
@@ -267,7 +267,7 @@ def _killed(*args: Any, **kwargs: Any) -> None:
     raise KeyboardInterrupt
 
 
-def test_damaged_or_foreign_directories(make_toy: Any, tmp_path: Path) -> None:
+def test_resume_rejects_damaged_and_other_directories(make_toy: Any, tmp_path: Path) -> None:
     checkpoint = save_checkpoint(make_model(make_toy()).learn(5), tmp_path)
     env = make_toy()
     with pytest.raises(CheckpointError, match="must have a checkpoint, got none"):
@@ -300,7 +300,7 @@ def test_damaged_or_foreign_directories(make_toy: Any, tmp_path: Path) -> None:
         resume(checkpoint, env)
 
 
-def test_a_damaged_checkpoint_gives_way_to_the_one_before(make_toy: Any, tmp_path: Path) -> None:
+def test_resume_skips_a_damaged_checkpoint(make_toy: Any, tmp_path: Path) -> None:
     model = make_model(make_toy()).learn(5)
     first = save_checkpoint(model, tmp_path)
     newest = save_checkpoint(model.learn(5, reset_num_timesteps=False), tmp_path)
@@ -315,7 +315,9 @@ def test_a_damaged_checkpoint_gives_way_to_the_one_before(make_toy: Any, tmp_pat
         latest_valid_checkpoint(tmp_path)
 
 
-def test_a_full_disk_leaves_no_half(make_toy: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_full_disk_leaves_no_incomplete_checkpoint(
+    make_toy: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def fill(*_: Any) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 

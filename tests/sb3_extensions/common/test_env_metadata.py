@@ -1,4 +1,4 @@
-"""What policies and buffers take from an environment that they are not told."""
+"""Metadata of an environment's actions as defaults of policies."""
 
 from __future__ import annotations
 
@@ -30,17 +30,17 @@ def make_dqn(policy_kwargs: dict[str, Any] | None = None, **env_kwargs: Any) -> 
 
 
 @pytest.mark.parametrize("sequence", ["xyzpr", "rzyxp"])
-def test_the_environment_says_which_numbers_turn(sequence: str) -> None:
+def test_policy_adopts_the_action_sequence_of_the_environment(sequence: str) -> None:
     assert make_sacfd({}, action_sequence=sequence).policy.action_sequence == sequence
 
 
-def test_what_is_given_stays() -> None:
+def test_policy_kwargs_take_precedence() -> None:
     assert make_sacfd({"action_sequence": "pxyzr"}, action_sequence="xyzpr").policy.action_sequence == "pxyzr"
     codec = make_dqn({"codec_kwargs": {"workspace_size": 0.5}}, workspace=WIDE).codec
     assert codec.workspace_size == 0.5
 
 
-def test_a_grid_lies_over_what_the_actions_range_over() -> None:
+def test_grid_adopts_the_action_ranges() -> None:
     codec = make_dqn(action_sequence="xypr", workspace=WIDE, half_rotation=False).codec
     assert codec.action_sequence == "xypr"
     assert codec.theta_bounds == (-math.pi, math.pi)
@@ -48,7 +48,7 @@ def test_a_grid_lies_over_what_the_actions_range_over() -> None:
     assert make_dqn().codec.theta_bounds == (0.0, math.pi)
 
 
-def test_an_action_that_a_wrapper_has_changed_is_not_the_sequence_s() -> None:
+def test_action_sequence_of_another_length_is_not_adopted() -> None:
     env = gymnasium.make(PICKING, obs_size=64)
     shorter = gymnasium.wrappers.TransformAction(
         env, lambda action: [*action, 0.0], gymnasium.spaces.Box(-1.0, 1.0, (4,))

@@ -16,7 +16,7 @@ def make_env(**kwargs: Any) -> gym.Env[Any, Any]:
     return gym.make(ENV_ID, **kwargs)
 
 
-def test_counts_and_keeps_successes_only() -> None:
+def test_collect_episodes_returns_successes_only() -> None:
     env = make_env(expert_failures=3)
     episodes = list(collect_episodes(env, 5, seed=0, progress_bar=False))
     assert len(episodes) == 5
@@ -50,7 +50,7 @@ def test_same_seed_same_episodes() -> None:
     assert len(set(seeds(1))) == 4
 
 
-def test_only_the_first_is_seeded_where_a_scene_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_only_the_first_episode_of_a_kept_scene_has_a_seed(monkeypatch: pytest.MonkeyPatch) -> None:
     def seeds() -> list[int | None]:
         return [episode.seed for episode in collect_episodes(make_env(), 3, 0, progress_bar=False)]
 
@@ -68,7 +68,7 @@ def test_only_the_first_is_seeded_where_a_scene_is_kept(monkeypatch: pytest.Monk
     assert len(set(starts[0])) == 3
 
 
-def test_a_scene_in_which_the_expert_failed_is_left(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_failed_scene_is_reset(monkeypatch: pytest.MonkeyPatch) -> None:
     class Unlucky(gym.Wrapper[Any, Any, Any, Any]):
         """Whose second episode is never a success."""
 
@@ -93,8 +93,8 @@ def test_a_scene_in_which_the_expert_failed_is_left(monkeypatch: pytest.MonkeyPa
     assert [episode.seed for episode in episodes] == [first, third, None]
 
 
-def test_noise_disturbs_what_is_carried_out_and_not_what_is_wanted() -> None:
-    """DART's label is what the expert wants in the state that its errors led to."""
+def test_noise_changes_executed_but_not_intended_actions() -> None:
+    """The label of DART is the intended action in the state that results from earlier errors."""
 
     def collect(noise: float) -> list[Any]:
         noise_transform = GaussianExpertNoise(make_env().action_space, noise)
@@ -119,7 +119,7 @@ def test_noise_disturbs_what_is_carried_out_and_not_what_is_wanted() -> None:
     np.testing.assert_array_equal(steady[0].actions, steady[0].expert_actions)
 
 
-def test_a_hand_may_carry_out_another_action() -> None:
+def test_action_transform_changes_executed_actions() -> None:
     def snap(action: np.ndarray, rng: np.random.Generator) -> np.ndarray:
         return np.round(action * 2) / 2
 
@@ -132,13 +132,13 @@ def test_a_hand_may_carry_out_another_action() -> None:
             np.testing.assert_array_equal(observation["heightmap"], episode.observations["heightmap"][k + 1])
 
 
-def test_gives_up() -> None:
+def test_collect_episodes_raises_after_too_many_failures() -> None:
     episodes = collect_episodes(make_env(expert_failures=100), 2, seed=0, progress_bar=False)
     with pytest.raises(RuntimeError, match=r"succeeded in 0 of 8 episodes .*, 2 needed"):
         list(episodes)
 
 
-def test_needs_an_expert_and_dict_observations() -> None:
+def test_collect_episodes_rejects_env_without_expert() -> None:
     with pytest.raises(ValueError, match="expert_action"):
         collect_episodes(_WithoutExpert(), 1)
     with pytest.raises(ValueError, match="episodes"):

@@ -68,7 +68,7 @@ def test_a_copy_has_the_wrappers_but_not_the_monitor(tmp_path: Any) -> None:
         lambda env: FrameStackObservation(env, 1),
     ],
 )
-def test_demonstrations_come_through_the_users_wrappers(wrapper: Any) -> None:
+def test_demonstrations_have_the_users_wrappers(wrapper: Any) -> None:
     def make() -> Any:
         env = wrapper(make_env())
         if isinstance(env, FrameStackObservation):
@@ -172,12 +172,12 @@ def test_environments_in_other_processes_come_from_their_spec() -> None:
     assert copy.get_attr("render_mode") == [None]
 
 
-def test_normalisation_of_the_observations_stays_with_the_replay_buffer() -> None:
+def test_expert_envs_have_no_vec_normalize() -> None:
     [(copy, _)] = make_expert_envs(VecNormalize(DummyVecEnv([make_env]), norm_obs_keys=["holding"]))
     assert isinstance(copy, DummyVecEnv)
 
 
-def test_what_cannot_be_copied_is_refused_with_a_remedy() -> None:
+def test_env_that_cannot_be_copied_is_rejected_with_advice() -> None:
     class Uncopyable(gym.Wrapper[Any, Any, Any, Any]):
         spec = None  # type: ignore[assignment]
 

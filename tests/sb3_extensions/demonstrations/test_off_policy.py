@@ -1,4 +1,4 @@
-"""What algorithms that learn from demonstrations have in common, tried with SACfD."""
+"""Base class of algorithms with demonstrations, tested with SACfD."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def assert_equal_parameters(first: Any, second: Any) -> None:
 
 
 class Watch(BaseCallback):
-    """Notes the state of the training at the beginning of every rollout."""
+    """Record the state of the training at the start of every rollout."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -46,7 +46,7 @@ class Watch(BaseCallback):
         return True
 
 
-def test_callbacks_see_the_pretraining(make_toy: Any) -> None:
+def test_callbacks_are_called_in_the_pretraining(make_toy: Any) -> None:
     watch = Watch()
     make_model(make_toy(), pretrain_steps=3).learn(2, callback=watch)
     assert watch.seen == [(0, 0, 3), (0, 1, 2), (0, 2, 1), (0, 3, 0), (1, 4, 0)]
@@ -78,7 +78,7 @@ def test_pretraining_is_logged_before_time_step_0(make_toy: Any, monkeypatch: py
         (FERM, {"pretrain_steps": 3, "contrastive_steps": 2, "augmentation": {"rad": {"size": 12}}}),
     ],
 )
-def test_a_run_killed_in_pretraining_goes_on_there(
+def test_run_interrupted_in_pretraining_resumes_there(
     algorithm: type[SACfD], kwargs: dict[str, Any], make_toy: Any, tmp_path: Path
 ) -> None:
     if algorithm is FERM:
@@ -144,7 +144,9 @@ def test_the_buffer_stores_what_the_extractor_rounds_to(quantise: str, make_toy:
 
 
 @pytest.mark.parametrize(("stored", "quantise"), [("uint16", "uint8"), ("uint8", "uint16"), ("uint8", None)])
-def test_two_ways_of_rounding_are_refused(stored: str, quantise: str | None, make_toy: Any) -> None:
+def test_different_rounding_of_buffer_and_policy_is_rejected(
+    stored: str, quantise: str | None, make_toy: Any
+) -> None:
     extractor = {"channels": [4, 8, 8], "quantise": quantise}
     with pytest.raises(ValueError, match=f"image_dtype='{stored}'.*quantise={quantise!r}"):
         make_model(
@@ -155,14 +157,12 @@ def test_two_ways_of_rounding_are_refused(stored: str, quantise: str | None, mak
 
 
 @pytest.mark.parametrize("name", ["gamma", "n_steps"])
-def test_the_algorithm_gives_the_discount(name: str, make_toy: Any) -> None:
+def test_discount_in_replay_buffer_kwargs_is_rejected(name: str, make_toy: Any) -> None:
     with pytest.raises(ValueError, match=f"{name} must be an argument of the algorithm"):
         make_model(make_toy(), replay_buffer_kwargs={name: 0.9})
 
 
-def test_interrupted_demonstrations_are_not_taken_for_all(
-    make_toy: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_interrupted_collection_starts_again(make_toy: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     whole = make_model(make_toy()).learn(3)
     model = make_model(make_toy())
     add, added = model.replay_buffer.add_episode, []
@@ -181,7 +181,7 @@ def test_interrupted_demonstrations_are_not_taken_for_all(
     assert model.replay_buffer.expert_size == whole.replay_buffer.expert_size
 
 
-def test_demonstrations_handed_over_are_asked_for_again(make_toy: Any, tmp_path: Path) -> None:
+def test_loaded_model_requires_expert_data_again(make_toy: Any, tmp_path: Path) -> None:
     data = list(collect_episodes(make_expert_envs(make_toy())[0][0], 2, seed=0))
     model = make_model(make_toy(), expert_data=data).learn(2)
     model.save(tmp_path / "model")

@@ -1,4 +1,4 @@
-"""Demonstrations whose actions are carried out on a grid."""
+"""Demonstrations whose executed actions are on a grid."""
 
 from typing import Any
 
@@ -38,7 +38,7 @@ def test_nearest_actions_in_the_units_of_the_environment(space: Any) -> None:
     np.testing.assert_array_equal(beyond, transform(space.high, rng))
 
 
-def test_a_hand_before_it_is_snapped_too() -> None:
+def test_noise_is_snapped_to_the_grid() -> None:
     space = spaces.Box(-1.0, 1.0, (4,), np.float32)
     transform = GridSnapping(space, CODEC, GaussianExpertNoise(space, 0.2))
     wanted, rng = np.array([-1.0, 0.1, 0.2, 0.3], np.float32), np.random.default_rng(0)
@@ -47,8 +47,8 @@ def test_a_hand_before_it_is_snapped_too() -> None:
     assert len(np.unique(done, axis=0)) > 10
 
 
-def test_the_expert_goes_on_from_what_comes_of_it(make_picking: Any) -> None:
-    """What is stored was carried out, what was wanted is beside it, and only what succeeded so is kept."""
+def test_expert_continues_from_the_snapped_action(make_picking: Any) -> None:
+    """Episodes have executed and intended actions. Only successes of the executed actions are kept."""
     [(env, _)] = make_expert_envs(make_picking(size=24, max_steps=2))
     few = SpatialActionCodec(24, "pxyr", num_rotations=2)  # too few to grip some bars
     transform = GridSnapping(env.action_space, few)
@@ -67,7 +67,7 @@ def test_the_expert_goes_on_from_what_comes_of_it(make_picking: Any) -> None:
         np.testing.assert_array_equal(observed["in_hand"][0], episode.observations["in_hand"][1])
 
 
-def test_a_source_carries_out_on_its_grid(make_picking: Any) -> None:
+def test_source_snaps_executed_actions(make_picking: Any) -> None:
     env = make_picking(size=24)
     buffers = []
     for snap in (None, CODEC):

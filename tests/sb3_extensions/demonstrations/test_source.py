@@ -1,4 +1,4 @@
-"""Demonstrations of an expert, and those that are passed."""
+"""Demonstrations that are collected or passed."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def assert_equal_rows(first: ExpertReplayBuffer, second: ExpertReplayBuffer) -> 
 
 @pytest.fixture
 def collections(monkeypatch: pytest.MonkeyPatch) -> list[int]:
-    """How many episodes each collection was asked for."""
+    """Return the list of the numbers of episodes in each call of ``collect_episodes``."""
     asked: list[int] = []
 
     def spy(env: Any, episodes: int, *args: Any, **kwargs: Any) -> Any:
@@ -53,7 +53,7 @@ def test_demonstrations_without_an_episode_are_refused(data: Any, make_toy: Any)
         fill(make_toy(), data=data)
 
 
-def test_episodes_handed_over_win(make_toy: Any, collections: list[int]) -> None:
+def test_expert_data_replaces_collected_episodes(make_toy: Any, collections: list[int]) -> None:
     env = make_toy()
     given = list(collect_episodes(make_expert_envs(env)[0][0], 2, 3, progress_bar=False))
     plain = [SimpleNamespace(**{name: getattr(episode, name) for name in EPISODE_PARTS}) for episode in given]
@@ -64,12 +64,12 @@ def test_episodes_handed_over_win(make_toy: Any, collections: list[int]) -> None
 EPISODE_PARTS = ("observations", "actions", "rewards", "terminations")
 
 
-def test_what_is_wanted_is_imitated_and_what_was_done_is_valued(make_toy: Any) -> None:
+def test_buffer_stores_executed_and_intended_actions(make_toy: Any) -> None:
     buffer = fill(make_toy(), episodes=5, noise=0.05)
     assert np.abs(buffer.steps("action") - buffer.steps("expert_action")).max() > 0.02
 
 
-def test_emptiness() -> None:
+def test_source_is_empty_without_episodes_and_data() -> None:
     assert DemonstrationSource(0).is_empty
     assert not DemonstrationSource(1).is_empty
     assert not DemonstrationSource(0, data=[]).is_empty

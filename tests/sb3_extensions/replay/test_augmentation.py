@@ -1,4 +1,4 @@
-"""Random crops and shifts beside slow references, and what RAD and DrQ make of a sample."""
+"""RAD and DrQ compared with slow references."""
 
 from typing import Any
 
@@ -25,7 +25,7 @@ SPACE = spaces.Dict(
 
 
 def observations(seed: int, batch: int = BATCH) -> dict[str, th.Tensor]:
-    """Every pixel another number, so that a window tells where it was cut."""
+    """Return observations with a different number in every pixel, to identify windows."""
     pixels = np.random.default_rng(seed).permutation(batch * 2 * SIDE * SIDE).reshape(batch, 2, SIDE, SIDE)
     return {"heightmap": th.from_numpy(pixels.astype(np.float32)), "holding": th.arange(batch)[:, None] % 2.0}
 
@@ -50,7 +50,7 @@ def samples() -> ExpertReplayBufferSamples:
 
 
 def slow_window(image: np.ndarray, row: int, column: int, size: int) -> np.ndarray:
-    """Pixel by pixel, the image's edge repeated outwards."""
+    """Return a window pixel by pixel, with the border of the image repeated outwards."""
     window = np.empty((len(image), size, size), np.float32)
     for c in range(len(image)):
         for i in range(size):
@@ -74,7 +74,7 @@ def generator(seed: int = 0) -> th.Generator:
     return th.Generator().manual_seed(seed)
 
 
-def test_rad_crops_both_observations_of_a_transition_alike() -> None:
+def test_rad_crops_both_observations_of_a_step_equally() -> None:
     before = samples()
     after = RAD(CROP)(before, generator())
     offsets = []
@@ -95,7 +95,7 @@ def test_rad_crops_both_observations_of_a_transition_alike() -> None:
 
 
 @pytest.mark.parametrize(("k", "m"), [(2, 2), (3, 1), (1, 2)])
-def test_drq_shifts_every_view_by_itself(k: int, m: int) -> None:
+def test_drq_shifts_each_view_independently(k: int, m: int) -> None:
     before = samples()
     after = DrQ(k, m)(before, generator())
     for field, copies in (("observations", m), ("next_observations", k)):
@@ -114,8 +114,8 @@ def test_drq_shifts_every_view_by_itself(k: int, m: int) -> None:
 
 @pytest.mark.parametrize("augmentation", [RAD(CROP), RAD(5), DrQ(K=3, M=2)])
 @pytest.mark.parametrize("first", [True, False])
-def test_smaller_images_stay_as_they_are(augmentation: Any, first: bool) -> None:
-    """The views of the scene are cut as if the smaller images were not there, whichever comes first."""
+def test_smaller_images_do_not_change(augmentation: Any, first: bool) -> None:
+    """Smaller images have no effect on the windows of the scene, in any order of the entries."""
     before, in_hand = samples(), {"in_hand": th.rand(BATCH, 3, 8, 8)}
     joined = before._replace(
         **{
@@ -150,11 +150,11 @@ def test_targets_are_means_over_the_views_of_a_next_observation() -> None:
 
 
 @pytest.mark.parametrize(("augmentation", "places"), [(RAD(CROP), 4), (DrQ(pad=4), 9)])
-def test_places_are_uniform_and_reach_the_edges(augmentation: Any, places: int) -> None:
+def test_window_positions_are_uniform_up_to_the_edges(augmentation: Any, places: int) -> None:
     rows, columns = np.divmod(np.arange(SIDE * SIDE, dtype=np.float32).reshape(1, 1, SIDE, SIDE), SIDE)
     image = th.from_numpy(np.concatenate([rows, columns], axis=1)).expand(9_000, -1, -1, -1)
     view = augmentation.view(image, generator())
-    # The middle pixel, which no shift moves onto the repeated edge, tells the place.
+    # The middle pixel, which no shift moves onto the repeated edge, identifies the position.
     middle = view[:, :, view.shape[-1] // 2, view.shape[-1] // 2].numpy()
     counts = np.stack([np.unique(axis, return_counts=True)[1] for axis in middle.T])
     assert counts.shape == (2, places)
@@ -164,14 +164,14 @@ def test_places_are_uniform_and_reach_the_edges(augmentation: Any, places: int) 
     assert len(pairs) == places**2  # rows and columns are drawn independently
 
 
-def test_images_without_a_dict_and_of_bytes() -> None:
+def test_views_of_uint8_images_without_a_dict() -> None:
     image = th.randint(256, (BATCH, 1, SIDE, SIDE), dtype=th.uint8)
     view = DrQ().view(image, generator(), copies=2)
     assert view.dtype == th.uint8 and view.shape == (2 * BATCH, 1, SIDE, SIDE)
     assert th.equal(view, DrQ().view({"image": image}, generator(), copies=2)["image"])
 
 
-def test_views_come_from_the_generator_alone() -> None:
+def test_views_depend_on_the_generator_only() -> None:
     first, again, other = (
         RAD(CROP).view(observations(0), generator(seed))["heightmap"] for seed in (3, 3, 4)
     )
@@ -190,7 +190,7 @@ def test_views_come_from_the_generator_alone() -> None:
         (RAD(32), RAD(32)),
     ],
 )
-def test_names_and_parameters(spec: Any, expected: Any) -> None:
+def test_make_augmentation_from_names_and_arguments(spec: Any, expected: Any) -> None:
     assert make_augmentation(spec) == expected
 
 
@@ -204,7 +204,7 @@ def test_names_and_parameters(spec: Any, expected: Any) -> None:
         ({"drq": {"K": 1.5}}, "K must be a positive integer, got 1.5"),
     ],
 )
-def test_wrong_names_and_parameters_are_told(spec: Any, message: str) -> None:
+def test_make_augmentation_rejects_wrong_names_and_arguments(spec: Any, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         make_augmentation(spec)
 
@@ -218,12 +218,12 @@ def test_images_must_be_larger_than_the_crop(augmentation: Any, message: str, ma
 
 
 @pytest.mark.parametrize("crop", [0, 20])
-def test_extractor_refuses_a_crop_outside_the_images(crop: int) -> None:
+def test_extractor_rejects_crop_larger_than_the_images(crop: int) -> None:
     with pytest.raises(ValueError, match=f"crop must be from 1 to the images' size, 19, got {crop}"):
         CnnExtractor(SPACE, crop=crop)
 
 
-def test_extractor_takes_the_centre_of_a_whole_image_and_all_of_a_crop() -> None:
+def test_extractor_crops_the_centre_of_an_image_and_keeps_a_crop() -> None:
     th.manual_seed(0)
     extractor = CnnExtractor(SPACE, [4, 8, 8], crop=CROP)
     whole = {"heightmap": th.rand(3, 2, SIDE, SIDE) * 0.4, "holding": th.ones(3, 1)}
@@ -265,7 +265,7 @@ def test_run_with_every_policy(
     np.testing.assert_array_equal(loaded.predict(observation, deterministic=True)[0], action)
 
 
-def test_acting_sees_the_centre_and_training_the_same_pixels(make_toy: Any) -> None:
+def test_policy_acts_on_the_centre_of_an_image(make_toy: Any) -> None:
     env = make_toy(3, size=18)
     model = make_model(env, RAD(CROP))
     observation = env.reset()

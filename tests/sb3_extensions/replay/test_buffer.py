@@ -1,4 +1,4 @@
-"""The replay buffer: what it stores and what it samples, against slow references."""
+"""Storage and sampling of the replay buffer compared with slow references."""
 
 import pickle
 from typing import Any
@@ -34,7 +34,7 @@ def make_buffer(size: int = 50, n_envs: int = 1, **kwargs: Any) -> ExpertReplayB
 
 
 def observe(ids: np.ndarray) -> dict[str, np.ndarray]:
-    """Observations that carry a number each, in one entry exactly and in the image as brightness."""
+    """Return observations that encode a number exactly in one entry, and as brightness of the image."""
     image = np.broadcast_to((ids % 256)[:, None, None, None] / 255 * HEIGHT, (len(ids), 1, 4, 4))
     return {
         "image": image.astype(np.float32),
@@ -85,7 +85,7 @@ class Player:
                 latest["successor"] = transition
             self.latest[i] = None if done[i] else transition
             self.transitions.append(transition)
-        self.next_id += done  # the next episode begins with an observation of its own
+        self.next_id += done  # the next episode begins with another observation
         self.obs = self.next_id.copy()
 
 
@@ -215,7 +215,7 @@ def test_expert_rows_are_never_overwritten(sampler: str) -> None:
     assert buffer.expert_size == 7
 
 
-def test_what_an_expert_would_have_done() -> None:
+def test_expert_actions_of_online_steps_are_stored() -> None:
     buffer = make_buffer(n_envs=2, size=50)
     for k in range(60):
         ids = np.array([k, 1000 + k])
@@ -229,7 +229,7 @@ def test_what_an_expert_would_have_done() -> None:
     assert not samples.is_expert.any()
 
 
-def test_expert_episodes_come_first_and_fit() -> None:
+def test_add_episode_rejects_small_buffer_and_online_steps() -> None:
     buffer = make_buffer(size=20)
     with pytest.raises(ValueError, match="buffer_size must be at least 24 for the demonstrations, got 20"):
         buffer.add_episode(*expert_episode(20))
@@ -259,7 +259,7 @@ def test_timeouts_bootstrap_by_default() -> None:
 
 
 @both_samplers
-def test_same_seed_same_samples_and_pickle(sampler: str) -> None:
+def test_equal_seeds_and_pickles_give_equal_samples(sampler: str) -> None:
     buffers = [make_buffer(size=20, n_steps=2, gamma=GAMMA, sampler=sampler) for _ in range(2)]
     for buffer in buffers:
         buffer.add_episode(*expert_episode(4))
@@ -280,13 +280,13 @@ def test_same_seed_same_samples_and_pickle(sampler: str) -> None:
     assert copy.sample(50).is_expert.any()
 
 
-def test_pickle_holds_only_what_is_used() -> None:
+def test_pickle_has_used_rows_only() -> None:
     buffer = make_buffer(size=10_000)
     Player(buffer).step()
     assert len(pickle.dumps(buffer)) < 10_000
 
 
-def test_reset_forgets_everything() -> None:
+def test_reset_removes_all_steps() -> None:
     buffer = make_buffer()
     buffer.add_episode(*expert_episode(4))
     Player(buffer).step()
@@ -328,7 +328,7 @@ def test_other_observation_spaces_are_refused() -> None:
     ("algorithm", "policy"), [(SAC, "MultiInputPolicy"), (TQC, "MultiInputPolicy"), (CrossQ, CrossQPolicy)]
 )
 @pytest.mark.parametrize("n_envs", [1, 2])
-def test_serves_stock_algorithms(algorithm: Any, policy: Any, n_envs: int, make_toy: Any) -> None:
+def test_buffer_works_with_stock_algorithms(algorithm: Any, policy: Any, n_envs: int, make_toy: Any) -> None:
     # CrossQ takes no Dict observations
     extractor = FlattenExtractor if policy is CrossQPolicy else CombinedExtractor
 

@@ -14,7 +14,7 @@ def box(low, high, shape=(1, 4, 4)):
 
 @pytest.mark.parametrize("dtype", ["uint8", "uint16"])
 @pytest.mark.parametrize("low, high", BOUNDS)
-def test_levels_survive_the_way_out_and_back(low, high, dtype):
+def test_encode_inverts_decode(low, high, dtype):
     quantiser = Quantiser(box(low, high), dtype)
     levels = np.arange(quantiser.levels + 1).astype(dtype)
     values = quantiser.decode(levels)
@@ -27,7 +27,7 @@ def test_levels_survive_the_way_out_and_back(low, high, dtype):
 
 @pytest.mark.parametrize("dtype", ["uint8", "uint16"])
 @pytest.mark.parametrize("low, high", BOUNDS)
-def test_tensors_are_rounded_as_arrays_are(low, high, dtype):
+def test_tensors_and_arrays_are_rounded_equally(low, high, dtype):
     quantiser = Quantiser(box(low, high), dtype)
     margin = 0.1 * (high - low)
     values = np.random.default_rng(0).uniform(low - margin, high + margin, 10_000).astype(np.float32)
@@ -50,7 +50,7 @@ def test_each_entry_may_have_its_own_bounds():
     assert quantiser.round_trip(th.tensor([[[1.0, 3.0]]])).tolist() == [[[1, 3]]]
 
 
-def test_rounding_carries_no_gradient_and_writes_to_no_argument():
+def test_rounding_has_no_gradient_and_does_not_change_its_argument():
     values = th.full((1, 4, 4), 0.123, requires_grad=True)
     rounded = Quantiser(box(0, 0.4)).round_trip(values)
     assert not rounded.requires_grad and (values == 0.123).all()
@@ -65,6 +65,6 @@ def test_rounding_carries_no_gradient_and_writes_to_no_argument():
         (box(1000, 1000.01), "uint16", "too narrow"),
     ],
 )
-def test_refuses_bounds_without_levels(space, dtype, named):
+def test_quantiser_rejects_unusable_bounds(space, dtype, named):
     with pytest.raises(ValueError, match=named):
         Quantiser(space, dtype)

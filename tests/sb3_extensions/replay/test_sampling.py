@@ -37,7 +37,7 @@ def shares(**kwargs: Any) -> dict[str, Any]:
     return {"sampler": {"shares": kwargs}}
 
 
-def test_batches_are_divided_once_both_sides_have_enough() -> None:
+def test_shares_apply_from_balanced_from_steps() -> None:
     divided = make_buffer(20, **shares(expert_fraction=0.5, balanced_from=8))
     uniform = make_buffer(20)
     for online in range(30):
@@ -50,7 +50,7 @@ def test_batches_are_divided_once_both_sides_have_enough() -> None:
         play(uniform)
 
 
-def test_batches_are_divided_from_the_first_online_step_by_default() -> None:
+def test_shares_apply_from_the_first_online_step_by_default() -> None:
     buffer = make_buffer(10, sampler="shares")
     assert buffer.sample(BATCH).is_expert.all()
     play(buffer)
@@ -87,7 +87,7 @@ def test_weights_correct_the_share_of_successes(successes: int) -> None:
 
 
 def test_an_exploratory_step_of_a_success_counts_as_success() -> None:
-    """The action itself led there, whoever chose it."""
+    """The episode succeeded without a later exploratory action."""
     buffer = make_buffer(1, **shares(expert_fraction=0.5, success_fraction=0.5))
     play(buffer, 1, success=True, explored=True)
     assert buffer.sample(20).succeeded.all()
