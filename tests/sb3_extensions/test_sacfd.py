@@ -364,7 +364,7 @@ def test_some_episodes_have_deterministic_actions(make_toy: Any) -> None:
     model = make_model(make_toy(3), exploration=1.0, deterministic_fraction=0.5, gradient_steps=0).learn(300)
     table = model.replay_buffer.table
     rows = np.flatnonzero(table.columns["valid"])[model.replay_buffer.expert_size :]
-    observations, _ = model.replay_buffer._observations(rows, None, len(rows))
+    observations = model.replay_buffer._get_samples(rows).observations
     with th.no_grad():
         actions = model.actor(observations, deterministic=True).numpy()
     is_deterministic = np.isclose(table.columns["action"][rows], actions, atol=0.02).all(axis=1)
