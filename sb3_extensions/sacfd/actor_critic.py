@@ -4,24 +4,21 @@ from __future__ import annotations
 
 from typing import Any
 
-import torch as th
 from gymnasium import spaces
 from stable_baselines3.common.distributions import SquashedDiagGaussianDistribution
 from stable_baselines3.common.policies import ContinuousCritic
 from stable_baselines3.common.preprocessing import get_action_dim
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor, create_mlp
-from stable_baselines3.common.type_aliases import PyTorchObs
 from stable_baselines3.sac.policies import Actor
 from torch import nn
-from torch.nn import functional as F
 
 from sb3_extensions.common.action_sequence import ActionSequence
 from sb3_extensions.encoders.initialisation import OUTPUT_GAIN, scale_down
 from sb3_extensions.equivariant.groups import FieldType
 from sb3_extensions.sacfd.heads import (
-    ActionScaling,
     EquivariantLogStd,
     EquivariantMean,
+    InputNormalisation,
     InvariantValue,
     equivariant_mlp,
     features_type,
@@ -65,7 +62,7 @@ class MultiHeadCritic(ContinuousCritic):
     :param activation_fn: Activation function
     :param normalize_images: Whether to divide ``uint8`` images by 255
     :param n_critics: Number of heads
-    :param share_features_extractor: Whether the features extractor is the actor's, which alone trains it
+    :param share_features_extractor: Whether the features extractor is the actor's
     :param n_outputs: number of outputs of a head, 1 for a Q-value, more for quantiles
     :param normalise: whether to normalise features and hidden layers, scale actions, and start near 0
     """
@@ -100,17 +97,6 @@ class MultiHeadCritic(ContinuousCritic):
             self.add_module(f"qf{idx}", q_net)
             self.q_networks.append(q_net)
 
-    def extract_features(self, obs: PyTorchObs, features_extractor: BaseFeaturesExtractor) -> th.Tensor:
-        """
-        Extract features; with ``normalise`` they have mean 0 and variance 1 over each observation.
-
-        :param obs: Observation
-        :param features_extractor: The features extractor to use
-        :return: shape (batch, features_dim)
-        """
-        features = super().extract_features(obs, features_extractor)
-        return F.layer_norm(features, features.shape[1:]) if self.normalise else features
-
     def _make_head(self) -> nn.Module:
         action_dim = get_action_dim(self.action_space)
         arguments = (self.features_dim + action_dim, self.n_outputs, self.net_arch, self.activation_fn)
@@ -122,7 +108,7 @@ class MultiHeadCritic(ContinuousCritic):
             nn.init.xavier_uniform_(hidden.weight)
             nn.init.zeros_(hidden.bias)
         scale_down(hidden_and_output[-1])
-        return nn.Sequential(ActionScaling(self.features_dim, action_dim), *layers)
+        return nn.Sequential(InputNormalisation(self.features_dim, action_dim), *layers)
 
 
 class _FixedLayerNorm(nn.LayerNorm):

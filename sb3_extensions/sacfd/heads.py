@@ -9,6 +9,7 @@ from itertools import pairwise
 import torch as th
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from torch import nn
+from torch.nn import functional as F
 
 from sb3_extensions.common.action_sequence import ActionSequence
 from sb3_extensions.encoders.initialisation import scale_down
@@ -126,10 +127,10 @@ class InvariantValue(nn.Module):
         self.hidden = equivariant_mlp(joint_type, net_arch, activation_fn, normalise)
         self.pool = GroupMaxPool(FieldType.of((in_type.group.regular, net_arch[-1])))
         self.value = nn.Linear(net_arch[-1], outputs)
-        self.action_scaling: nn.Module = nn.Identity()
+        self.normalisation: nn.Module = nn.Identity()
         if normalise:
             scale_down(self.value)
-            self.action_scaling = ActionScaling(in_type.size, action.action_dim)
+            self.normalisation = InputNormalisation(in_type.size, action.action_dim)
         places = [*range(in_type.size), *(in_type.size + place for place in action.places(FIELD_ORDER))]
         self.register_buffer("index", th.tensor(places), persistent=False)
         signs = th.cat([th.ones(in_type.size), _signs(action)])
@@ -137,32 +138,37 @@ class InvariantValue(nn.Module):
 
     def forward(self, features_and_action: th.Tensor) -> th.Tensor:
         """:return: (batch, outputs)"""
-        joint = (self.action_scaling(features_and_action) * self.signs)[:, self.index]
+        joint = (self.normalisation(features_and_action) * self.signs)[:, self.index]
         values: th.Tensor = self.value(self.pool(self.hidden(joint)))
         return values
 
 
-class ActionScaling(nn.Module):
-    """Scale actions to the norm of the features: (batch, features_dim + action_dim) to the same shape.
-
-    Five numbers next to 128 of the same size contribute one hundredth of a hidden unit's variance, so that an
-    untrained critic is insensitive to the action input.
-
-    :param features_dim: numbers of variance 1
-    :param action_dim: numbers in [-1, 1]
+class InputNormalisation(nn.Module):
     """
+    Normalise the features of a critic's input and scale its actions to their norm.
 
-    gain: th.Tensor
+    The features get mean 0 and variance 1 over each observation. Without the scale, 5 numbers next to 128
+    features contribute one hundredth of a hidden unit's variance, and an untrained critic is insensitive to
+    the action input.
+
+    :param features_dim: number of features
+    :param action_dim: number of action dimensions, in [-1, 1]
+    """
 
     def __init__(self, features_dim: int, action_dim: int) -> None:
         super().__init__()
-        gain = th.ones(features_dim + action_dim)
-        gain[features_dim:] = math.sqrt(features_dim / action_dim)
-        self.register_buffer("gain", gain, persistent=False)
+        self.sizes = [features_dim, action_dim]
+        self.gain = math.sqrt(features_dim / action_dim)
 
     def forward(self, features_and_action: th.Tensor) -> th.Tensor:
-        """:return: features and the scaled action"""
-        return features_and_action * self.gain
+        """
+        Normalise a batch.
+
+        :param features_and_action: shape (batch, features_dim + action_dim)
+        :return: the same shape
+        """
+        features, actions = features_and_action.split(self.sizes, dim=1)
+        return th.cat([F.layer_norm(features, features.shape[1:]), actions * self.gain], dim=1)
 
 
 def equivariant_mlp(

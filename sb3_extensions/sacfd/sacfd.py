@@ -13,7 +13,7 @@ from stable_baselines3.common.noise import ActionNoise
 from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.type_aliases import GymEnv, PyTorchObs, Schedule
 from stable_baselines3.common.utils import polyak_update
-from stable_baselines3.sac.policies import SACPolicy
+from stable_baselines3.sac.policies import LOG_STD_MAX, LOG_STD_MIN, SACPolicy
 from stable_baselines3.sac.sac import SAC
 
 from sb3_extensions.common.components import check_fraction, check_not_negative
@@ -241,7 +241,7 @@ class SACfD(Exploration, SAC):
             self.logger.record(f"train/{name}", value.item())
         if self.augmentation is not None:
             replay_data = self.augmentation(replay_data, self.augmentation_generator)
-        actions_pi, _ = self.actor.action_log_prob(replay_data.observations)
+        actions_pi, _ = self._action_log_prob(self._features(self.actor, replay_data.observations))
         bc_loss = imitation_loss(actions_pi, replay_data, th.zeros_like(replay_data.rewards), self.bc_limit)
         self.actor.optimizer.zero_grad()
         (self.bc_weight * bc_loss).backward()
@@ -279,8 +279,8 @@ class SACfD(Exploration, SAC):
             observations = replay_data.observations
 
             # Action by the current actor for the sampled state
-            actions_pi, log_prob = self.actor.action_log_prob(observations)
-            log_prob = log_prob.reshape(-1, 1)
+            actor_features = self._features(self.actor, observations)
+            actions_pi, log_prob = self._action_log_prob(actor_features)
 
             # Optimize entropy coefficient, also called entropy temperature or alpha in the paper
             ent_coef = self._update_ent_coef(log_prob, logs)
@@ -290,7 +290,8 @@ class SACfD(Exploration, SAC):
                 target_q_values = replay_data.rewards + self._bootstrap(replay_data, ent_coef)
 
             # Current Q-values of the critics, for the actions from the replay buffer
-            features = self._features(self.critic, observations)
+            shared = self.policy.share_features_extractor
+            features = actor_features if shared else self._features(self.critic, observations)
             q_values = self._q_values(self.critic, features, replay_data.actions)
             critic_loss, td_errors = self._critic_loss(q_values, target_q_values, replay_data.weights)
             # Mean over the views of each observation if there are several
@@ -315,9 +316,8 @@ class SACfD(Exploration, SAC):
 
             # Optimize the critic and the actor
             self.critic.optimizer.zero_grad()
-            critic_loss.backward()
             self.actor.optimizer.zero_grad()
-            actor_loss.backward()
+            (critic_loss + actor_loss).backward()
             self.critic.optimizer.step()
             self.actor.optimizer.step()
 
@@ -378,21 +378,27 @@ class SACfD(Exploration, SAC):
     def _next_values(self, next_observations: PyTorchObs, ent_coef: th.Tensor) -> th.Tensor:
         """Return the target critic's values of the actor's actions."""
         # Select action according to policy
-        next_actions, next_log_prob = self.actor.action_log_prob(next_observations)
+        next_actions, next_log_prob = self._action_log_prob(self._features(self.actor, next_observations))
         features = self._features(self.critic_target, next_observations)
         next_q_values = self._target_values(self._q_values(self.critic_target, features, next_actions))
         if self.value_range is not None:
             next_q_values = next_q_values.clamp(*self.value_range)
         if self.backup_entropy:
             # add entropy term
-            next_q_values = next_q_values - ent_coef * next_log_prob.reshape(-1, 1)
+            next_q_values = next_q_values - ent_coef * next_log_prob
         return next_q_values
 
-    def _features(self, critic: Any, observations: PyTorchObs) -> th.Tensor:
-        """Return the features of a critic, without gradient if the actor's loss trains the extractor."""
-        with th.set_grad_enabled(th.is_grad_enabled() and not self.policy.share_features_extractor):
-            features: th.Tensor = critic.extract_features(observations, critic.features_extractor)
+    def _features(self, network: Any, observations: PyTorchObs) -> th.Tensor:
+        """Return the features of an actor or a critic, (batch, features_dim)."""
+        features: th.Tensor = network.extract_features(observations, network.features_extractor)
         return features
+
+    def _action_log_prob(self, features: th.Tensor) -> tuple[th.Tensor, th.Tensor]:
+        """Sample the actor's actions; return them and their log probabilities, (batch, 1)."""
+        latent_pi = self.actor.latent_pi(features)
+        log_std = self.actor.log_std(latent_pi).clamp(LOG_STD_MIN, LOG_STD_MAX)  # type: ignore[operator]
+        actions, log_prob = self.actor.action_dist.log_prob_from_params(self.actor.mu(latent_pi), log_std)
+        return actions, log_prob.reshape(-1, 1)
 
     def _q_values(self, critic: Any, features: th.Tensor, actions: th.Tensor) -> Any:
         """Return the outputs of the heads of a critic, one entry a head."""
