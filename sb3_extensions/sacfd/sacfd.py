@@ -397,7 +397,9 @@ class SACfD(Exploration, SAC):
         """Sample the actor's actions; return them and their log probabilities, (batch, 1)."""
         latent_pi = self.actor.latent_pi(features)
         log_std = self.actor.log_std(latent_pi).clamp(LOG_STD_MIN, LOG_STD_MAX)  # type: ignore[operator]
-        actions, log_prob = self.actor.action_dist.log_prob_from_params(self.actor.mu(latent_pi), log_std)
+        actions, log_prob = self.actor.action_dist.log_prob_from_params(  # type: ignore[call-arg]
+            self.actor.mu(latent_pi), log_std
+        )
         return actions, log_prob.reshape(-1, 1)
 
     def _q_values(self, critic: Any, features: th.Tensor, actions: th.Tensor) -> Any:
