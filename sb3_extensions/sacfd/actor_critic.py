@@ -119,15 +119,16 @@ class _FixedLayerNorm(nn.LayerNorm):
 
 
 class EquivariantActor(Actor):
-    """Actor whose mean of (x, y) turns with the images and whose other outputs stay.
+    """
+    Equivariant actor: its (x, y) rotates with the images, its other outputs are invariant.
 
-    So does the Gaussian before it is squashed, for the whole group. Squashing acts on x and y alone, and
-    commutes with rotations by 90 degrees and with reflections.
+    The Gaussian before squashing is equivariant under the whole group. Squashing acts on x and y separately,
+    so it commutes only with rotations by 90 degrees and with reflections.
 
     :param observation_space: Observation space
     :param action_space: Action space
     :param net_arch: regular fields of each hidden layer behind the encoder
-    :param features_extractor: with regular features, trivial ones may follow them
+    :param features_extractor: network with regular features that trivial ones may follow
     :param features_dim: Number of features
     :param action_sequence: one character for each number of the action, see
         :class:`~sb3_extensions.common.action_sequence.ActionSequence`
@@ -191,9 +192,10 @@ class EquivariantActor(Actor):
 
 
 class EquivariantCritic(MultiHeadCritic):
-    """Critic whose values stay when images and (x, y) of the action turn together.
+    """
+    Critic that is invariant to a rotation of the images together with (x, y) of the action.
 
-    :param args: arguments of :class:`MultiHeadCritic`; ``net_arch`` are regular fields, the features too
+    :param args: arguments of :class:`MultiHeadCritic`. ``net_arch`` and the features are regular fields
     :param action_sequence: one character for each number of the action, see
         :class:`~sb3_extensions.common.action_sequence.ActionSequence`
     :param kwargs: keyword arguments of :class:`MultiHeadCritic`

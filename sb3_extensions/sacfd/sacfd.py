@@ -13,7 +13,7 @@ from stable_baselines3.common.noise import ActionNoise
 from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.type_aliases import GymEnv, PyTorchObs, Schedule
 from stable_baselines3.common.utils import polyak_update
-from stable_baselines3.sac.policies import LOG_STD_MAX, LOG_STD_MIN, SACPolicy
+from stable_baselines3.sac.policies import SACPolicy
 from stable_baselines3.sac.sac import SAC
 
 from sb3_extensions.common.components import check_fraction, check_not_negative
@@ -21,13 +21,12 @@ from sb3_extensions.common.gradients import frozen
 from sb3_extensions.demonstrations.episodes import EpisodeData
 from sb3_extensions.replay.augmentations import AugmentationSpec
 from sb3_extensions.replay.samples import ExpertReplayBufferSamples, count_rows, select_rows
-from sb3_extensions.sacfd.base_policy import SACfDPolicy
-from sb3_extensions.sacfd.exploration import Exploration
 from sb3_extensions.sacfd.losses import imitation_loss, self_imitation_weights
 from sb3_extensions.sacfd.policies import EquivariantPolicy, MultiInputPolicy, StatePolicy
+from sb3_extensions.sacfd.pretraining import ActorPretraining, Logs
 
 
-class SACfD(Exploration, SAC):
+class SACfD(ActorPretraining, SAC):
     """
     Soft actor-critic from demonstrations (SACfD).
 
@@ -198,6 +197,7 @@ class SACfD(Exploration, SAC):
 
     def _check_arguments(self) -> None:
         self._check_demonstrations()
+        self._check_pretraining()
         check_not_negative(bc_weight=self.bc_weight, expert_q_weight=self.expert_q_weight)
         check_fraction(
             bc_limit=self.bc_limit,
@@ -206,50 +206,14 @@ class SACfD(Exploration, SAC):
         )
         temperature = self.self_imitation_temperature
         if temperature is not None and temperature <= 0:
-            raise ValueError(f"self_imitation_temperature must be None or greater than 0, got {temperature}")
+            raise ValueError(f"self_imitation_temperature must be None or positive, got {temperature}")
         if self.value_range is not None and not self.value_range[0] < self.value_range[1]:
             raise ValueError(f"value_range must be None or (minimum, maximum), got {self.value_range}")
-        check_not_negative(critic_warmup_steps=self._warmup_steps)
-        if self.bc_weight == 0 and self.pretrain_steps > self._warmup_steps:
-            raise ValueError(
-                "critic_warmup_steps must be None or at least pretrain_steps with bc_weight=0, got "
-                f"{self.critic_warmup_steps}"
-            )
-
-    @property
-    def _warmup_steps(self) -> int:
-        return self.pretrain_steps if self.critic_warmup_steps is None else self.critic_warmup_steps
 
     def _setup_model(self) -> None:
         super()._setup_model()
         # The target is not trained; without gradients its encoder keeps no activations.
         self.critic_target.requires_grad_(False)
-
-    def _pretrain_once(self) -> None:
-        if self.pretraining_left > self._warmup_steps:
-            self._imitate()
-        else:
-            super()._pretrain_once()
-
-    def _imitate(self) -> None:
-        """Update the actor by the imitation term alone."""
-        assert self.replay_buffer is not None
-        self.policy.set_training_mode(True)
-        self._update_learning_rate(self.actor.optimizer)
-        replay_data = self.replay_buffer.sample(self.batch_size, env=self._vec_normalize_env)
-        for name, value in self._update_encoder(replay_data.observations).items():
-            self.logger.record(f"train/{name}", value.item())
-        if self.augmentation is not None:
-            replay_data = self.augmentation(replay_data, self.augmentation_generator)
-        actions_pi, _ = self._action_log_prob(self._features(self.actor, replay_data.observations))
-        bc_loss = imitation_loss(actions_pi, replay_data, th.zeros_like(replay_data.rewards), self.bc_limit)
-        self.actor.optimizer.zero_grad()
-        (self.bc_weight * bc_loss).backward()
-        self.actor.optimizer.step()
-        self._update_actor_average()
-        self._n_updates += 1
-        self.logger.record("train/n_updates", self._n_updates, exclude="tensorboard")
-        self.logger.record("train/bc_loss", bc_loss.item())
 
     def train(self, gradient_steps: int, batch_size: int = 64) -> None:
         """
@@ -259,6 +223,7 @@ class SACfD(Exploration, SAC):
         :param gradient_steps: number of updates
         :param batch_size: number of steps in each batch
         """
+        assert self.replay_buffer is not None
         # Switch to train mode (this affects batch norm / dropout)
         self.policy.set_training_mode(True)
         # Update optimizers learning rate
@@ -267,15 +232,10 @@ class SACfD(Exploration, SAC):
             optimizers += [self.ent_coef_optimizer]
         self._update_learning_rate(optimizers)
 
-        assert self.replay_buffer is not None
-        logs: defaultdict[str, list[th.Tensor]] = defaultdict(list)
+        logs: Logs = defaultdict(list)
 
         for gradient_step in range(gradient_steps):
-            replay_data = self.replay_buffer.sample(batch_size, env=self._vec_normalize_env)
-            for name, value in self._update_encoder(replay_data.observations).items():
-                logs[name].append(value)
-            if self.augmentation is not None:
-                replay_data = self.augmentation(replay_data, self.augmentation_generator)
+            replay_data = self._sample(batch_size, logs)
             observations = replay_data.observations
 
             # Action by the current actor for the sampled state
@@ -336,14 +296,9 @@ class SACfD(Exploration, SAC):
                     logs[f"{name}_expert"].append(numbers[replay_data.is_expert])
                     logs[f"{name}_online"].append(numbers[~replay_data.is_expert])
 
-        self._n_updates += gradient_steps
+        self._log_updates(gradient_steps, logs)
 
-        self.logger.record("train/n_updates", self._n_updates, exclude="tensorboard")
-        for name, losses in logs.items():
-            if len(numbers := th.cat([loss.reshape(-1) for loss in losses])):
-                self.logger.record(f"train/{name}", numbers.mean().item())
-
-    def _update_ent_coef(self, log_prob: th.Tensor, logs: dict[str, list[th.Tensor]]) -> th.Tensor:
+    def _update_ent_coef(self, log_prob: th.Tensor, logs: Logs) -> th.Tensor:
         """Update the entropy coefficient if it is learned; return the value before."""
         if self.ent_coef_optimizer is None or self.log_ent_coef is None:
             return self.ent_coef_tensor
@@ -388,32 +343,10 @@ class SACfD(Exploration, SAC):
             next_q_values = next_q_values - ent_coef * next_log_prob
         return next_q_values
 
-    def _features(self, network: Any, observations: PyTorchObs) -> th.Tensor:
-        """Return the features of an actor or a critic, (batch, features_dim)."""
-        features: th.Tensor = network.extract_features(observations, network.features_extractor)
-        return features
-
-    def _action_log_prob(self, features: th.Tensor) -> tuple[th.Tensor, th.Tensor]:
-        """Sample the actor's actions; return them and their log probabilities, (batch, 1)."""
-        latent_pi = self.actor.latent_pi(features)
-        log_std = self.actor.log_std(latent_pi).clamp(LOG_STD_MIN, LOG_STD_MAX)  # type: ignore[operator]
-        actions, log_prob = self.actor.action_dist.log_prob_from_params(  # type: ignore[call-arg]
-            self.actor.mu(latent_pi), log_std
-        )
-        return actions, log_prob.reshape(-1, 1)
-
     def _q_values(self, critic: Any, features: th.Tensor, actions: th.Tensor) -> Any:
         """Return the outputs of the heads of a critic, one entry a head."""
         head_input = th.cat([features, actions], dim=1)
         return [head(head_input) for head in critic.q_networks]
-
-    def _update_encoder(self, observations: PyTorchObs) -> dict[str, th.Tensor]:
-        """Train an encoder on observations alone; return the losses by name. SACfD trains none."""
-        return {}
-
-    def _update_actor_average(self) -> None:
-        if isinstance(self.policy, SACfDPolicy):
-            self.policy.update_average()
 
     def _update_target_critic(self) -> None:
         polyak_update(self.critic.parameters(), self.critic_target.parameters(), self.tau)
