@@ -206,7 +206,7 @@ class SACfD(ActorPretraining, SAC):
         )
         temperature = self.self_imitation_temperature
         if temperature is not None and temperature <= 0:
-            raise ValueError(f"self_imitation_temperature must be None or positive, got {temperature}")
+            raise ValueError(f"self_imitation_temperature must be None or greater than 0, got {temperature}")
         if self.value_range is not None and not self.value_range[0] < self.value_range[1]:
             raise ValueError(f"value_range must be None or (minimum, maximum), got {self.value_range}")
 
