@@ -58,12 +58,13 @@ FORBIDDEN = {
 # What the command line may know of the environments: data of the paper, files of episodes, how machine and
 # environments are.
 DOORS: dict[str, tuple[str, ...]] = {
+    "sb3_extensions": ("bulletarm_gym.demonstrations",),  # when expert_data is the path of a file
     "zoo_configs": (
         "bulletarm_gym.benchmarks",
         "bulletarm_gym.demonstrations",
         "bulletarm_gym.machine",
         "bulletarm_gym.selfcheck",
-    )
+    ),
 }
 ENGINE = {"pybullet", "pybullet_utils"}
 

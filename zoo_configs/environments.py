@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import closing
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
@@ -148,3 +148,24 @@ def load_expert_data(hyperparams: Mapping[str, Any]) -> dict[str, Any]:
         return {**hyperparams, "expert_data": demonstrations().load(path)}
     except Exception as error:  # whatever a file of unknown content raises
         raise CommandError(f"expert_data: {path} cannot be read: {reason(error)}") from error
+
+
+class CheckedDemonstrations:
+    """
+    Demonstrations whose environment ``check_expert_data`` has compared with that of the run.
+
+    They have no id of an environment, so that a learner accepts those that ``--any-demonstrations`` accepts.
+
+    :param episodes: The demonstrations
+    """
+
+    env_id = None
+
+    def __init__(self, episodes: Any) -> None:
+        self._episodes = episodes
+
+    def __iter__(self) -> Iterator[Any]:
+        return iter(self._episodes)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._episodes, name)

@@ -1,1 +1,1 @@
-"""What all algorithms share besides: checkpoints, seeds, augmentation, names of the numbers of an action."""
+"""Modules that several algorithms share: checkpoints, seeds, validation, metadata of environments."""

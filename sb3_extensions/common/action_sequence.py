@@ -1,58 +1,54 @@
-"""Which number of an action is what: the names that environments give to the numbers of their actions."""
+"""Meaning of the numbers of an action, one character for each number."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 ACTION_SYMBOLS = "pxyzr"
-# What three r's are, in their order: turns about the world's x and y axes, and r about z.
-TURNS = "uvr"
+ROTATION_VECTOR = "uvr"
+"""Names of three r's: the components of a rotation vector about the world's x, y and z axes."""
 
 
 @dataclass(frozen=True)
 class ActionSequence:
     """
-    The numbers of an action by one character each: ``p`` (gripper), ``x``, ``y``, ``z`` (translation) and
-    ``r`` (rotation about z). Three r's are a rotation vector, the turns about the world's x, y and z axes.
+    Names of the numbers of an action: ``p`` (gripper), ``x``, ``y``, ``z`` (translation) and ``r`` (rotation
+    about z). Three r's are a rotation vector about the world's x, y and z axes.
 
-    :param symbols: each of ``pxyz`` at most once, no, one or three ``r``, in any order; x and y together or
-        neither
+    :param symbols: at most one each of ``pxyz``, and zero, one or three ``r``, in any order; x requires y
     :param action_dim: length of an action
-    :raises ValueError: if the symbols are of another number, unknown or repeated, or only one of x and y
+    :raises ValueError: if ``symbols`` has another length, or unknown, repeated or missing characters
     """
 
     symbols: str
     action_dim: int
 
     def __post_init__(self) -> None:
+        counts = {symbol: self.symbols.count(symbol) for symbol in ACTION_SYMBOLS}
+        rotations = counts.pop("r")
         problem = None
         if len(self.symbols) != self.action_dim:
-            problem = f"names {len(self.symbols)} numbers, but the action space has {self.action_dim}"
-        elif unknown := sorted(set(self.symbols) - set(ACTION_SYMBOLS)):
-            problem = f"contains {''.join(unknown)!r}; it may contain the characters of {ACTION_SYMBOLS!r}"
-        elif any(self.symbols.count(symbol) > 1 for symbol in "pxyz"):
-            problem = "repeats a character"
-        elif self.symbols.count("r") not in (0, 1, 3):
-            problem = "needs one r or three, or none"
-        elif ("x" in self.symbols) != ("y" in self.symbols):
-            problem = "needs both x and y, or neither"
+            problem = f"have {self.action_dim} characters, the length of an action"
+        elif not set(self.symbols) <= set(ACTION_SYMBOLS):
+            problem = f"contain the characters of {ACTION_SYMBOLS!r} only"
+        elif max(counts.values()) > 1:
+            problem = "not repeat a character of 'pxyz'"
+        elif rotations not in (0, 1, 3):
+            problem = "contain zero, one or three r"
+        elif counts["x"] != counts["y"]:
+            problem = "contain both x and y, or neither"
         if problem is not None:
-            raise ValueError(f"action_sequence={self.symbols!r} {problem}")
+            raise ValueError(f"action_sequence must {problem}, got action_sequence={self.symbols!r}")
 
     @property
     def names(self) -> str:
-        """A character of its own for each number: of three r's the first is ``u``, the second ``v``."""
-        turns = iter(TURNS if self.symbols.count("r") > 1 else "r")
-        return "".join(next(turns) if symbol == "r" else symbol for symbol in self.symbols)
+        """Different characters for all numbers, ``u``, ``v`` and ``r`` for three r's."""
+        rotations = iter(ROTATION_VECTOR if self.symbols.count("r") > 1 else "r")
+        return "".join(next(rotations) if symbol == "r" else symbol for symbol in self.symbols)
 
     def __contains__(self, name: str) -> bool:
         return name in self.names
 
     def places(self, names: str) -> list[int]:
-        """
-        Where numbers stand in the action.
-
-        :param names: their names, in any order
-        :return: an index for each of them that the action has
-        """
+        """Return the indices of the numbers with these names. Names that the action lacks are skipped."""
         return [self.names.index(name) for name in names if name in self.names]

@@ -1,15 +1,16 @@
 """
-Checkpoints from which training goes on as if it had never stopped.
+Checkpoints from which training continues exactly.
 
-A checkpoint is a directory: the algorithm (``model.zip``), its replay buffer (``replay_buffer.pkl``, if it
-has one), the state of everything around it (``state.pkl``: random generators, environments, their wrappers),
-and ``manifest.json``, which lists these files with their checksums. It is written under a temporary name and
-then renamed, so that a directory with a checkpoint's name is always whole.
+A checkpoint is a directory with the algorithm (``model.zip``), its replay buffer (``replay_buffer.pkl``, if
+it has one), the states of random generators, environments and wrappers (``state.pkl``), and the checksums of
+these files (``manifest.json``). The directory is written under a temporary name and then renamed, so that an
+interrupted write leaves no incomplete checkpoint.
 
-A resumed run equals an uninterrupted one bit for bit, on the CPU with a ``DummyVecEnv``, if the environments
-have methods ``get_state()`` and ``set_state(state)`` whose state includes the environment's random generator.
-Others start a new episode. Callbacks (an ``EvalCallback``'s best result) and the state of an
-Ornstein-Uhlenbeck ``action_noise``, which Stable-Baselines3 resets at each ``learn()``, are not part of it.
+A resumed run equals an uninterrupted one bit for bit on the CPU with a ``DummyVecEnv``. This requires
+environments with ``get_state()`` and ``set_state(state)`` whose state includes the random generator. Other
+environments start a new episode. Two things are not stored: the state of callbacks (the best result of an
+``EvalCallback``), and the state of an Ornstein-Uhlenbeck ``action_noise``, which Stable-Baselines3 resets in
+each ``learn()``.
 """
 
 from __future__ import annotations
@@ -19,7 +20,6 @@ import json
 import os
 import pickle
 import random
-import re
 import shutil
 import warnings
 import zipfile
@@ -29,45 +29,43 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import stable_baselines3 as sb3
 import torch as th
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.type_aliases import GymEnv
-from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper, VecFrameStack, VecMonitor, VecNormalize
+from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
 
 MANIFEST, MODEL, REPLAY_BUFFER, STATE = "manifest.json", "model.zip", "replay_buffer.pkl", "state.pkl"
-FORMAT = 5
-PREFIX = "checkpoint_"
-NAME = re.compile(rf"{PREFIX}\d+_(?P<number>\d+)")
-TEMPORARY_PREFIX = ".incomplete_"
-CHUNK = 1 << 20  # bytes
+FORMAT = 6
+"""Version of the format of a checkpoint."""
+PREFIX, TEMPORARY_PREFIX = "checkpoint_", ".incomplete_"
+CHUNK = 1 << 20
+"""Bytes that are read at once for a checksum."""
 
-# What changes from step to step in Monitor and TimeLimit. By name: rl_zoo3 puts a class of its own in place
-# of TimeLimit, and worker processes do not take one that is no longer found where it says it is.
 WRAPPER_STATE = ("rewards", "_elapsed_steps")
-VEC_WRAPPER_STATE: dict[type[VecEnvWrapper], tuple[str, ...]] = {
-    VecMonitor: ("episode_returns", "episode_lengths", "episode_count"),
-    VecNormalize: ("obs_rms", "ret_rms", "returns", "old_obs", "old_reward"),
-    VecFrameStack: ("stacked_obs",),
-}
+"""Attributes of ``Monitor`` and ``TimeLimit`` that change in an episode."""
+VEC_WRAPPER_STATE = (
+    *("episode_returns", "episode_lengths", "episode_count"),
+    *("obs_rms", "ret_rms", "returns", "old_obs", "old_reward"),
+    "stacked_obs",
+)
+"""Attributes of ``VecMonitor``, ``VecNormalize`` and ``VecFrameStack`` that change in an episode."""
 
 
 class CheckpointError(ValueError):
-    """A path holds no checkpoint, or a damaged one."""
+    """Error of a path without a checkpoint, or of a damaged checkpoint."""
 
 
 class DirectoryCheckpointCallback(BaseCallback):
     """
-    Saves a checkpoint directory every so many timesteps, and keeps the latest.
+    Callback that saves a checkpoint directory every ``save_freq`` timesteps and keeps the latest ones.
 
-    Checkpoints are taken between two rollouts, after the gradient steps, where everything is in one
-    consistent state: the first such moment after the timesteps have passed. A gradient step of pretraining
+    A checkpoint is saved between two rollouts, after the gradient steps. A gradient step of the pretraining
     counts as one timestep.
 
-    :param save_freq: number of timesteps (of all environments together) from one checkpoint to the next
-    :param path: directory of the checkpoints, made if needed
+    :param save_freq: number of timesteps of all environments between two checkpoints
+    :param path: directory of the checkpoints, created if it does not exist
     :param keep: number of checkpoints to keep
     :param verbose: Verbosity level: 0 for no output, 2 for indicating when saving a checkpoint
     :raises ValueError: if ``save_freq`` or ``keep`` is not positive
@@ -87,7 +85,7 @@ class DirectoryCheckpointCallback(BaseCallback):
 
     @property
     def _progress(self) -> int:
-        """Timesteps and gradient steps of pretraining that are done."""
+        """Number of timesteps and gradient steps of the pretraining so far."""
         pretrained: int = getattr(self.model, "n_pretrained", 0)
         return self.model.num_timesteps + pretrained
 
@@ -105,135 +103,133 @@ class DirectoryCheckpointCallback(BaseCallback):
 
 def save_checkpoint(model: BaseAlgorithm, path: str | os.PathLike[str], keep: int = 2) -> Path:
     """
-    Write a checkpoint into a directory of checkpoints, whole or not at all; then delete older ones.
+    Write a checkpoint atomically, then delete older ones and incomplete ones of an interrupted run.
 
-    One run writes into a directory: what another, killed one left half written is cleared away.
-    Not to be called from a callback's ``_on_step``: there the replay buffer lacks the latest transition.
+    Only one run may write to a directory. Do not call this function in a callback's ``_on_step``, where the
+    replay buffer lacks the latest step.
 
     :param model: algorithm with an environment
-    :param path: directory of the checkpoints, made if needed
-    :param keep: number of checkpoints to keep, this one included
-    :return: directory of this checkpoint
+    :param path: directory of the checkpoints, created if it does not exist
+    :param keep: number of checkpoints to keep, including the new one
+    :return: directory of the new checkpoint
     """
     path = Path(path)
     path.mkdir(parents=True, exist_ok=True)
     for leftover in path.glob(f"{TEMPORARY_PREFIX}*"):
         shutil.rmtree(leftover)
-    final = path / f"{PREFIX}{model.num_timesteps:012d}_{_next_number(path):03d}"
+    # Numbers order the checkpoints, because the pretraining has no timesteps.
+    number = max(map(_number, _checkpoints(path)), default=-1) + 1
+    final = path / f"{PREFIX}{model.num_timesteps:012d}_{number:03d}"
     temporary = path / f"{TEMPORARY_PREFIX}{final.name}"
     temporary.mkdir()
     try:
         _write_files(model, temporary)
-    except BaseException:  # on a full disk its first half would fill what is left
+    except BaseException:  # free the space on a full disk
         shutil.rmtree(temporary, ignore_errors=True)
         raise
     os.rename(temporary, final)
     _sync(path)
     for old in _checkpoints(path)[:-keep]:
-        _remove(old)
+        # An interrupted deletion leaves a directory with a temporary name.
+        renamed = path / f"{TEMPORARY_PREFIX}{old.name}"
+        os.rename(old, renamed)
+        shutil.rmtree(renamed)
     return final
 
 
 def latest_checkpoint(path: str | os.PathLike[str]) -> Path | None:
     """
-    Find the latest checkpoint.
+    Return the latest checkpoint, without reading it.
 
     :param path: directory of checkpoints
-    :return: the checkpoint written last, None if there is none
+    :return: the checkpoint, None if there is none
     """
-    checkpoints = _checkpoints(Path(path))
-    return checkpoints[-1] if checkpoints else None
+    return next(reversed(_checkpoints(Path(path))), None)
 
 
-def latest_whole_checkpoint(path: str | os.PathLike[str]) -> tuple[Path, list[CheckpointError]]:
+def latest_valid_checkpoint(path: str | os.PathLike[str]) -> tuple[Path, list[CheckpointError]]:
     """
-    Find the latest checkpoint whose files are what was written.
+    Return the latest checkpoint whose files match their checksums.
 
     :param path: directory of checkpoints
-    :return: that checkpoint, and what is wrong with each later one
-    :raises CheckpointError: if there is none; says what is wrong with the latest
+    :return: the checkpoint, and the errors of later ones
+    :raises CheckpointError: if there is none; the error is that of the latest checkpoint
     """
-    damaged: list[CheckpointError] = []
+    errors: list[CheckpointError] = []
     for checkpoint in reversed(_checkpoints(Path(path))):
         try:
             _read_manifest(checkpoint)
-            return checkpoint, damaged
+            return checkpoint, errors
         except CheckpointError as error:
-            damaged.append(error)
-    raise damaged[0] if damaged else CheckpointError(f"{path} holds no checkpoint to go on from")
+            errors.append(error)
+    raise errors[0] if errors else CheckpointError(f"{path} must have a checkpoint, got none")
 
 
 def resume(path: str | os.PathLike[str], env: GymEnv, device: th.device | str = "auto") -> BaseAlgorithm:
     """
-    Load an algorithm from a checkpoint, to go on by ``learn(..., reset_num_timesteps=False)``.
+    Load an algorithm from a checkpoint. Continue with ``learn(..., reset_num_timesteps=False)``.
 
-    Sets the global generators of Python, NumPy and PyTorch. As with every pickle: only open files you trust.
+    This sets the global generators of Python, NumPy and PyTorch. Only open files that you trust, because
+    loading a pickle can run code.
 
-    :param path: a checkpoint, or a directory of checkpoints, of which the latest whole one is taken
-    :param env: environment made like the one of the interrupted run, with as many copies
+    :param path: a checkpoint, or a directory of checkpoints, of which the latest valid one is loaded
+    :param env: environment with the arguments, wrappers and number of copies of the interrupted run
     :param device: device on which the algorithm should run
     :return: the algorithm
-    :raises CheckpointError: if there is no checkpoint, or it is damaged
+    :raises CheckpointError: if the checkpoint is missing or damaged
     :raises ValueError: if the environment does not fit
     """
     checkpoint = Path(path)
     if not (checkpoint / MANIFEST).is_file():
-        checkpoint, damaged = latest_whole_checkpoint(path)
-        for error in damaged:
-            warnings.warn(f"{error}; going on from {checkpoint}", stacklevel=2)
+        checkpoint, errors = latest_valid_checkpoint(path)
+        for error in errors:
+            warnings.warn(f"{error}. Resuming from {checkpoint}", stacklevel=2)
     manifest = _read_manifest(checkpoint)
     algorithm = _import_algorithm(checkpoint, manifest["algorithm"])
     try:
         state = pickle.loads((checkpoint / STATE).read_bytes())
         model = algorithm.load(checkpoint / MODEL, env=env, device=device, force_reset=False)
-        _check_env(model, state["envs"])  # a misfit would show in the replay buffer, too
-        if isinstance(model, OffPolicyAlgorithm) and REPLAY_BUFFER in manifest["files"]:
+        _check_env(model, state["envs"])  # before the replay buffer, whose errors are less clear
+        if isinstance(model, OffPolicyAlgorithm) and REPLAY_BUFFER in manifest["crc32"]:
             model.load_replay_buffer(checkpoint / REPLAY_BUFFER, truncate_last_traj=False)
     except (pickle.UnpicklingError, EOFError, zipfile.BadZipFile) as error:
         raise CheckpointError(f"{checkpoint} cannot be read: {error}") from error
     _set_env_state(model, state["envs"])
-    _set_generator_state(model, state["generators"])  # last, because all the above may draw numbers
+    _set_generator_state(model, state["generators"])  # last, because the calls above can sample numbers
     return model
 
 
 def _write_files(model: BaseAlgorithm, directory: Path) -> None:
-    """Write all files of a checkpoint, and make sure that they are on the disk."""
+    """Write all files of a checkpoint to the disk."""
     state = {"envs": _env_state(model), "generators": _generator_state(model)}
     (directory / STATE).write_bytes(pickle.dumps(state, protocol=pickle.HIGHEST_PROTOCOL))
     model.save(directory / MODEL)
     if isinstance(model, OffPolicyAlgorithm) and model.replay_buffer is not None:
         model.save_replay_buffer(directory / REPLAY_BUFFER)
-    files = {file.name: {"bytes": file.stat().st_size, "crc32": _crc32(file)} for file in directory.iterdir()}
     manifest = {
         "format": FORMAT,
         "algorithm": f"{type(model).__module__}:{type(model).__qualname__}",
-        "num_timesteps": model.num_timesteps,
-        "stable_baselines3": sb3.__version__,
-        "torch": th.__version__,
-        "numpy": np.__version__,
-        "files": files,
+        "crc32": {file.name: _crc32(file) for file in directory.iterdir()},
     }
     (directory / MANIFEST).write_text(json.dumps(manifest, indent=2), encoding="utf-8")
-    for file in directory.iterdir():
+    for file in (*directory.iterdir(), directory):
         _sync(file)
-    _sync(directory)
 
 
 def _read_manifest(checkpoint: Path) -> dict[str, Any]:
-    """Read the manifest of a checkpoint and compare the files with it."""
+    """Return the manifest of a checkpoint after a comparison of its checksums with the files."""
     try:
         manifest: dict[str, Any] = json.loads((checkpoint / MANIFEST).read_text(encoding="utf-8"))
-        version, files = manifest["format"], manifest["files"]
+        version, checksums = manifest["format"], manifest["crc32"]
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise CheckpointError(f"{checkpoint / MANIFEST} is not a checkpoint's manifest: {error!r}") from error
+        raise CheckpointError(f"{checkpoint / MANIFEST} must be a manifest, got {error!r}") from error
     if version != FORMAT:
-        raise CheckpointError(f"{checkpoint} has format {version}, this version reads format {FORMAT}")
-    for name, entry in files.items():
-        file = checkpoint / name
-        if not file.is_file():
+        raise CheckpointError(f"{checkpoint} must have format {FORMAT}, got format {version}")
+    for name, checksum in checksums.items():
+        if not (checkpoint / name).is_file():
             raise CheckpointError(f"{checkpoint} is damaged: {name} is missing")
-        if file.stat().st_size != entry["bytes"] or _crc32(file) != entry["crc32"]:
-            raise CheckpointError(f"{checkpoint} is damaged: {name} is not what was written")
+        if _crc32(checkpoint / name) != checksum:
+            raise CheckpointError(f"{checkpoint} is damaged: {name} has another checksum")
     return manifest
 
 
@@ -247,10 +243,7 @@ def _import_algorithm(checkpoint: Path, name: str) -> type[BaseAlgorithm]:
 
 
 def _generator_state(model: BaseAlgorithm) -> dict[str, Any]:
-    """States of the global generators, of the action space's and of the model's own.
-
-    The replay buffer's is in its own file.
-    """
+    """Return the states of all random generators except the replay buffer's, which the buffer stores."""
     return {
         "python": random.getstate(),
         "numpy": np.random.get_state(),
@@ -277,15 +270,14 @@ def _own_generators(model: BaseAlgorithm) -> dict[str, th.Generator]:
 
 
 def _env_state(model: BaseAlgorithm) -> dict[str, Any]:
-    """States of the environments (None if they have no ``get_state``) and of their wrappers."""
-    env = model.get_env()
-    assert env is not None, "You must set the environment before saving a checkpoint"
+    """Return the states of the environments, None without ``get_state()``, and of their wrappers."""
+    env = _env_of(model)
     return {
         "num_envs": env.num_envs,
         "envs": env.env_method("get_state") if env.has_attr("get_state") else None,
         "wrappers": {name: env.get_attr(name) for name in WRAPPER_STATE if env.has_attr(name)},
         "vec_wrappers": [
-            {name: getattr(wrapper, name) for name in _vec_wrapper_state(wrapper) if hasattr(wrapper, name)}
+            {name: vars(wrapper)[name] for name in VEC_WRAPPER_STATE if name in vars(wrapper)}
             for wrapper in _vec_wrappers(env)
         ],
         "vec_wrapper_names": _vec_wrapper_names(env),
@@ -293,36 +285,39 @@ def _env_state(model: BaseAlgorithm) -> dict[str, Any]:
 
 
 def _check_env(model: BaseAlgorithm, state: dict[str, Any]) -> None:
-    env = model.get_env()
-    assert env is not None
+    env = _env_of(model)
     if state["num_envs"] != env.num_envs:
         raise ValueError(f"env must have {state['num_envs']} environments, got {env.num_envs}")
-    if state["vec_wrapper_names"] != (given := _vec_wrapper_names(env)):
-        raise ValueError(f"env must be wrapped in {state['vec_wrapper_names']}, got {given}")
+    if state["vec_wrapper_names"] != (names := _vec_wrapper_names(env)):
+        raise ValueError(f"env must be wrapped in {state['vec_wrapper_names']}, got {names}")
 
 
 def _set_env_state(model: BaseAlgorithm, state: dict[str, Any]) -> None:
-    env = model.get_env()
-    assert env is not None
+    env = _env_of(model)
     if state["envs"] is None:
         _start_new_episodes(model, env)
     else:
-        env.reset()  # wrappers want it before the first step
+        env.reset()  # required by wrappers before the first step
         for index, env_state in enumerate(state["envs"]):
             env.env_method("set_state", env_state, indices=index)
             for name, values in state["wrappers"].items():
                 env.env_method("set_wrapper_attr", name, values[index], indices=index)
     for wrapper, attributes in zip(_vec_wrappers(env), state["vec_wrappers"], strict=True):
-        for name, value in attributes.items():
-            setattr(wrapper, name, value)
+        vars(wrapper).update(attributes)
 
 
 def _start_new_episodes(model: BaseAlgorithm, env: VecEnv) -> None:
-    """Let the next ``learn()`` reset the environments, to other episodes than at the start of the run."""
-    warnings.warn("the environments have no get_state(): their episodes start anew", stacklevel=4)
+    """Let the next ``learn()`` reset the environments, with other seeds than at the start of the run."""
+    warnings.warn("the environments have no get_state(), so new episodes start", stacklevel=4)
     model._last_obs = None
     if model.seed is not None:
         env.seed(int(np.random.SeedSequence([model.seed, model.num_timesteps]).generate_state(1)[0] >> 1))
+
+
+def _env_of(model: BaseAlgorithm) -> VecEnv:
+    env = model.get_env()
+    assert env is not None, "You must set the environment before saving a checkpoint"
+    return env
 
 
 def _vec_wrappers(env: VecEnv) -> Iterator[VecEnvWrapper]:
@@ -332,37 +327,18 @@ def _vec_wrappers(env: VecEnv) -> Iterator[VecEnvWrapper]:
 
 
 def _vec_wrapper_names(env: VecEnv) -> list[str]:
-    """Names of the wrappers around all environments, from the outside in."""
+    """Return the names of the vector wrappers, the outermost first."""
     return [type(wrapper).__name__ for wrapper in _vec_wrappers(env)]
 
 
-def _vec_wrapper_state(wrapper: VecEnvWrapper) -> tuple[str, ...]:
-    return next((names for kind, names in VEC_WRAPPER_STATE.items() if isinstance(wrapper, kind)), ())
-
-
-def _next_number(path: Path) -> int:
-    """How many checkpoints were written before; timesteps do not tell, they stand still in pretraining."""
-    checkpoints = _checkpoints(path)
-    return _number(checkpoints[-1]) + 1 if checkpoints else 0
+def _checkpoints(path: Path) -> list[Path]:
+    """Return the checkpoints in a directory in the order in which they were written."""
+    found = (manifest.parent for manifest in path.glob(f"{PREFIX}[0-9]*_[0-9]*/{MANIFEST}"))
+    return sorted(found, key=_number)
 
 
 def _number(checkpoint: Path) -> int:
-    match = NAME.fullmatch(checkpoint.name)
-    assert match is not None
-    return int(match["number"])
-
-
-def _checkpoints(path: Path) -> list[Path]:
-    """Checkpoints in a directory, in the order in which they were written."""
-    named = (entry for entry in path.glob(f"{PREFIX}*") if NAME.fullmatch(entry.name))
-    return sorted((entry for entry in named if (entry / MANIFEST).is_file()), key=_number)
-
-
-def _remove(checkpoint: Path) -> None:
-    """Delete a checkpoint, so that it never looks whole while half of it is gone."""
-    doomed = checkpoint.with_name(f"{TEMPORARY_PREFIX}{checkpoint.name}")
-    os.rename(checkpoint, doomed)
-    shutil.rmtree(doomed)
+    return int(checkpoint.name.rpartition("_")[2])
 
 
 def _crc32(file: Path) -> int:
@@ -374,7 +350,7 @@ def _crc32(file: Path) -> int:
 
 
 def _sync(path: Path) -> None:
-    """Make the operating system write a file, or the entries of a directory, to the disk."""
+    """Write a file, or the entries of a directory, from the cache of the operating system to the disk."""
     descriptor = os.open(path, os.O_RDONLY)
     try:
         os.fsync(descriptor)

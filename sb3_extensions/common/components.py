@@ -35,24 +35,14 @@ def make_component(parameter: str, spec: object, classes: Mapping[str, type[Comp
 
 
 def check_fraction(**arguments: float) -> None:
-    """
-    Check that arguments are fractions.
-
-    :param arguments: values by name
-    :raises ValueError: if a value is not in [0, 1]
-    """
+    """Raise a ValueError that names the argument if a value is not in [0, 1]."""
     for name, value in arguments.items():
         if not 0 <= value <= 1:
             raise ValueError(f"{name} must be between 0 and 1, got {value}")
 
 
 def check_not_negative(**arguments: float) -> None:
-    """
-    Check that arguments are not negative.
-
-    :param arguments: values by name
-    :raises ValueError: if a value is negative
-    """
+    """Raise a ValueError that names the argument if a value is negative."""
     for name, value in arguments.items():
         if value < 0:
             raise ValueError(f"{name} must not be negative, got {value}")

@@ -19,7 +19,7 @@ def replace_one_number(
     """
     Replace one random number of some actions by a uniform sample from [-1, 1].
 
-    The other numbers keep their meaning: a gripper that opens at the intended position is a useful trial.
+    The other numbers do not change, so that for example the gripper opens at the intended position.
 
     :param actions: in the policy's units [-1, 1], shape (n, action dimensions)
     :param probability: probability that an action is changed
@@ -42,8 +42,9 @@ def explore_on_grid(
     generator: th.Generator,
 ) -> npt.NDArray[np.int64]:
     """
-    Replace some actions on a grid by random ones, at a pixel higher than :data:`EXPLORED_HEIGHT` if there is
-    one.
+    Replace some actions on a grid by random ones.
+
+    The pixel is sampled from the pixels higher than :data:`EXPLORED_HEIGHT`, if the image has any.
 
     :param indices: row, column and further indices, (n, indices)
     :param heights: heightmaps in m, (n, size, size)

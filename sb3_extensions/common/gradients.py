@@ -1,4 +1,4 @@
-"""Where gradients flow."""
+"""Control of the computation of gradients."""
 
 from __future__ import annotations
 
@@ -10,14 +10,9 @@ from torch import nn
 
 @contextlib.contextmanager
 def frozen(module: nn.Module) -> Iterator[None]:
-    """
-    Within it, what a module computes carries no gradient with respect to the module's parameters.
-
-    :param module: the module
-    """
+    """Compute no gradients with respect to the parameters of a module in this context."""
     parameters = [parameter for parameter in module.parameters() if parameter.requires_grad]
-    for parameter in parameters:
-        parameter.requires_grad_(False)
+    module.requires_grad_(False)
     try:
         yield
     finally:

@@ -1,8 +1,8 @@
-"""One rounding of images for the replay buffer and for what acts on them."""
+"""Checks that the replay buffer and the networks round images equally."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 from stable_baselines3.common.policies import BasePolicy
@@ -12,12 +12,11 @@ from sb3_extensions.encoders.observation import SceneView, StackedImage
 from sb3_extensions.replay.buffer import ExpertReplayBuffer
 
 
-def follow_extractor(buffer_kwargs: Mapping[str, Any], policy_kwargs: Mapping[str, Any]) -> dict[str, Any]:
+def with_image_dtype(buffer_kwargs: Mapping[str, Any], policy_kwargs: Mapping[str, Any]) -> dict[str, Any]:
     """
-    Let the buffer store images as the policy or its features extractor rounds them, where it is not told
-    otherwise.
+    Add the type to which the policy or its features extractor rounds images to the buffer's arguments.
 
-    :param buffer_kwargs: arguments of a replay buffer
+    :param buffer_kwargs: arguments of a replay buffer; an ``image_dtype`` takes precedence
     :param policy_kwargs: arguments of a policy
     :return: arguments of the replay buffer
     """
@@ -26,41 +25,29 @@ def follow_extractor(buffer_kwargs: Mapping[str, Any], policy_kwargs: Mapping[st
     return {"image_dtype": quantise, **buffer_kwargs} if quantise else dict(buffer_kwargs)
 
 
-def check_rounding(buffer: ExpertReplayBuffer, policy: BasePolicy) -> None:
+def check_rounding(buffer: ExpertReplayBuffer, policy: BasePolicy, env: VecNormalize | None = None) -> None:
     """
-    Check that an agent sees images as it is trained on them.
+    Check that a policy acts on images as the replay buffer stores them. Networks of users are not checked.
 
-    :param buffer: what stores them
-    :param policy: what sees them; networks other than ours are left to their user
-    :raises ValueError: if they are rounded in two ways
+    :param buffer: replay buffer
+    :param policy: policy
+    :param env: vector environment that normalises observations, or None
+    :raises ValueError: if buffer and policy round images differently, or the environment normalises images
+        that the policy rounds
     """
-    stored = buffer.image_dtype
-    for stack in _stacks(policy):
-        if stack.has_float_images and stack.quantise != stored:
+    for stack in (module for module in policy.modules() if isinstance(module, StackedImage | SceneView)):
+        if stack.has_float_images and stack.quantise != buffer.image_dtype:
             raise ValueError(
-                f"the replay buffer stores images with image_dtype={stored!r}, but the policy "
-                f"rounds them with quantise={stack.quantise!r}: give both the same"
+                f"quantise of the policy must be the buffer's image_dtype={buffer.image_dtype!r}, got "
+                f"quantise={stack.quantise!r}"
             )
-
-
-def check_normalisation(env: VecNormalize | None, policy: BasePolicy) -> None:
-    """
-    Check that images reach an agent within the bounds that it rounds them in.
-
-    :param env: what normalises observations, if anything
-    :param policy: what sees them; networks other than ours are left to their user
-    :raises ValueError: if it normalises images
-    """
-    if env is None or not env.norm_obs:
-        return
-    for stack in _stacks(policy):
-        images = stack.image_keys if env.norm_obs_keys is None else stack.image_keys & {*env.norm_obs_keys}
-        if images and stack.quantise:
+        if env is None or not env.norm_obs or not stack.quantise:
+            continue
+        images = stack.image_keys.intersection(
+            stack.image_keys if env.norm_obs_keys is None else env.norm_obs_keys
+        )
+        if images:
             raise ValueError(
-                f"VecNormalize must not normalise the images {sorted(images)}, which the policy rounds: give "
-                "it norm_obs_keys without them, or norm_obs=False"
+                f"VecNormalize must not normalise the images {sorted(images)}, which the policy rounds. Use "
+                "norm_obs_keys without them, or norm_obs=False"
             )
-
-
-def _stacks(policy: BasePolicy) -> Iterator[StackedImage | SceneView]:
-    return (module for module in policy.modules() if isinstance(module, StackedImage | SceneView))

@@ -8,7 +8,7 @@ import numpy as np
 
 
 class SeedKey(IntEnum):
-    """What a stream is for; environments have the algorithm's seed and those after it."""
+    """Purpose of a random stream. Environments have the algorithm's seed and the following ones."""
 
     AUGMENTATION = 0xA6
     EXPERT = 0xE9
@@ -16,11 +16,5 @@ class SeedKey(IntEnum):
 
 
 def derive_seed(seed: int, key: SeedKey) -> int:
-    """
-    Seed of one stream.
-
-    :param seed: seed of the algorithm
-    :param key: which stream
-    :return: 32 bits
-    """
+    """Return the seed, 32 bits, of a random stream of an algorithm with a seed."""
     return int(np.random.SeedSequence([seed, key]).generate_state(1)[0])

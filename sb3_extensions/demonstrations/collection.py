@@ -16,7 +16,7 @@ from sb3_extensions.demonstrations.episodes import Episode
 from sb3_extensions.replay.buffer import KEY, SUCCESS
 
 ATTEMPTS_PER_EPISODE = 4
-"""Default maximum number of attempts for each successful episode; the paper's experts succeed in 9 of 10."""
+"""Maximum number of attempts for each successful episode. The paper's experts succeed in 9 of 10 attempts."""
 KEEPS_SCENE = "keeps_scene"
 
 
@@ -24,7 +24,6 @@ def collect_episodes(
     env: gym.Env[Any, Any] | VecEnv,
     episodes: int,
     seed: int | None = None,
-    max_attempts: int | None = None,
     progress_bar: bool | None = None,
     action_transform: ActionTransform | None = None,
 ) -> Iterator[Episode]:
@@ -32,13 +31,13 @@ def collect_episodes(
     Collect successful episodes of the expert of an environment, one at a time.
 
     An episode is successful if ``info["is_success"]`` is True at its end. Each attempt has its own seed. If
-    the environment has a true attribute ``keeps_scene``, an episode after a success continues with the scene.
+    the environment has a true attribute ``keeps_scene``, the episode after a success starts in the scene that
+    the success has left.
 
     :param env: environment with a method ``expert_action()``, or a vector environment with one such
         environment
     :param episodes: number of successful episodes
-    :param seed: seed of the seeds of the attempts and of the transformation
-    :param max_attempts: maximum number of episodes, by default four for each successful one
+    :param seed: seed of the generator of the attempts' seeds and of the transformation
     :param progress_bar: whether to show progress, by default on a terminal
     :param action_transform: transformation of the expert's actions before they are executed, such as
         :class:`~sb3_extensions.demonstrations.action_transforms.GaussianExpertNoise`
@@ -54,24 +53,22 @@ def collect_episodes(
             f"env must have expert_action(), got {vec_env.get_attr('unwrapped')[0]}. Pass "
             "expert_episodes=0 to train without demonstrations, or expert_data"
         )
-    attempts = ATTEMPTS_PER_EPISODE * episodes if max_attempts is None else max_attempts
-    is_hidden = None if progress_bar is None else not progress_bar  # None: hidden unless on a terminal
-    rng = np.random.default_rng(seed)
-    return _successful_episodes(vec_env, action_transform, episodes, attempts, rng, is_hidden)
+    return _successful_episodes(
+        vec_env, action_transform, episodes, np.random.default_rng(seed), progress_bar
+    )
 
 
 def _successful_episodes(
     env: VecEnv,
     action_transform: ActionTransform | None,
     episodes: int,
-    attempts: int,
     rng: np.random.Generator,
-    is_hidden: bool | None,
+    progress_bar: bool | None,
 ) -> Iterator[Episode]:
-    successes, observation = 0, None
+    attempts, successes, observation = ATTEMPTS_PER_EPISODE * episodes, 0, None
     transform_rng = rng.spawn(1)[0]
     keeps_scene = env.has_attr(KEEPS_SCENE) and env.get_attr(KEEPS_SCENE)[0]
-    with tqdm(total=episodes, desc="expert episodes", disable=is_hidden) as progress:
+    with make_progress_bar(episodes, "expert episodes", progress_bar) as progress:
         for _ in range(attempts):
             if successes == episodes:
                 return
@@ -94,6 +91,11 @@ def _successful_episodes(
             f"the expert succeeded in {successes} of {attempts} episodes of {env.get_attr('unwrapped')[0]}, "
             f"{episodes} needed"
         )
+
+
+def make_progress_bar(total: int, name: str, shown: bool | None, initial: int = 0) -> tqdm[Any]:
+    """Create a progress bar. With ``shown=None`` it is shown on a terminal only."""
+    return tqdm(total=total, initial=initial, desc=name, disable=None if shown is None else not shown)
 
 
 def _run_episode(

@@ -20,22 +20,18 @@ class EpisodeData(Protocol):
     @property
     def observations(self) -> dict[str, npt.NDArray[Any]]:
         """For each key of the Dict space an array of n + 1 observations."""
-        ...
 
     @property
     def actions(self) -> npt.NDArray[Any]:
         """Executed actions in the environment's units, shape (n, action dimensions)."""
-        ...
 
     @property
     def rewards(self) -> npt.NDArray[Any]:
         """Rewards, shape (n,)."""
-        ...
 
     @property
     def terminations(self) -> npt.NDArray[np.bool_]:
         """Whether the episode terminated, shape (n,)."""
-        ...
 
 
 @dataclasses.dataclass(frozen=True)

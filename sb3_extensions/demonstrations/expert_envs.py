@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import contextlib
 import copy
 import dataclasses
-from collections.abc import Iterator
 from typing import Any
 
 import gymnasium as gym
@@ -29,20 +27,20 @@ AnyEnv = gym.Env[Any, Any]
 RECORDERS = (Monitor, RecordVideo)
 """Wrappers that write files of the training and are left out of a copy."""
 TRANSPARENT = (VecCheckNan, VecMonitor, VecNormalize, VecVideoRecorder)
-"""Vector wrappers that do not change what the replay buffer stores."""
+"""Vector wrappers without an effect on the contents of the replay buffer."""
 INSTEAD = "Pass expert_data=collect_episodes(env, n), with env wrapped as the training environment."
 
 
 def make_expert_envs(vec_env: VecEnv) -> list[tuple[VecEnv, int]]:
     """
-    Create a copy of each different training environment, in a vector environment of its own.
+    Create a vector environment with a copy of each different training environment.
 
-    Environments in this process are copied with all their wrappers but monitors and video recorders.
+    Environments in this process are copied with all their wrappers except monitors and video recorders.
     Environments in other processes are created from their spec.
 
     :param vec_env: training environment
-    :return: vector environments with one environment each, wrapped as ``vec_env``, and how many training
-        environments each of them represents
+    :return: vector environments with one environment each, wrapped as ``vec_env``, and the number of training
+        environments that each of them represents
     :raises ValueError: if an environment cannot be copied or created
     """
     base = vec_env.unwrapped
@@ -53,11 +51,14 @@ def make_expert_envs(vec_env: VecEnv) -> list[tuple[VecEnv, int]]:
         specs = base.get_attr("spec")
         counts = _count_specs(specs)
         envs = [_from_spec(specs[index]) for index in counts]
-    return [(_wrap(env, vec_env), count) for env, count in zip(envs, counts.values(), strict=True)]
+    wrapped = [_wrap(env, vec_env) for env in envs]
+    for env in wrapped:
+        _check_spaces(env, vec_env)
+    return list(zip(wrapped, counts.values(), strict=True))
 
 
 def _count_specs(specs: list[Any]) -> dict[int, int]:
-    """Return how many environments have each spec, by the first index; those without a spec differ."""
+    """Return the number of environments of each spec, by its first index. Missing specs count separately."""
     counts: dict[int, int] = {}
     for index, spec in enumerate(specs):
         first = next((other for other in counts if spec is not None and specs[other] == spec), index)
@@ -67,41 +68,25 @@ def _count_specs(specs: list[Any]) -> dict[int, int]:
 
 def _copy(env: AnyEnv) -> AnyEnv:
     """Return a copy of an environment without recorders."""
+    open_files: dict[int, Any] = {}  # of monitors; deepcopy() replaces them by None
+    wrapper = env
+    while isinstance(wrapper, gym.Wrapper):
+        if isinstance(wrapper, Monitor):
+            open_files[id(wrapper.results_writer)] = None
+        wrapper = wrapper.env
     try:
-        with _without_open_files(env):
-            return _remove_recorders(copy.deepcopy(env))
+        return _without_recorders(copy.deepcopy(env, open_files))
     except (TypeError, ValueError, RuntimeError, NotImplementedError) as error:
         if env.spec is None:
             raise ValueError(f"env must be copyable or have a spec, got {env}: {error}. {INSTEAD}") from error
     return _from_spec(env.spec)
 
 
-@contextlib.contextmanager
-def _without_open_files(env: AnyEnv) -> Iterator[None]:
-    """Detach the open files of monitors, which cannot be copied."""
-    monitors = [wrapper for wrapper in _wrappers(env) if isinstance(wrapper, Monitor)]
-    writers = [monitor.results_writer for monitor in monitors]
-    try:
-        for monitor in monitors:
-            monitor.results_writer = None
-        yield
-    finally:
-        for monitor, writer in zip(monitors, writers, strict=True):
-            monitor.results_writer = writer
-
-
-def _wrappers(env: AnyEnv) -> Iterator[gym.Wrapper[Any, Any, Any, Any]]:
-    while isinstance(env, gym.Wrapper):
-        yield env
-        env = env.env
-
-
-def _remove_recorders(env: AnyEnv) -> AnyEnv:
-    while isinstance(env, RECORDERS):
-        env = env.env
-    for wrapper in _wrappers(env):
-        while isinstance(wrapper.env, RECORDERS):
-            wrapper.env = wrapper.env.env
+def _without_recorders(env: AnyEnv) -> AnyEnv:
+    if isinstance(env, RECORDERS):
+        return _without_recorders(env.env)
+    if isinstance(env, gym.Wrapper):
+        env.env = _without_recorders(env.env)
     return env
 
 
@@ -121,22 +106,17 @@ def _from_spec(spec: Any) -> AnyEnv:
 
 
 def _wrap(env: AnyEnv, vec_env: VecEnv) -> VecEnv:
-    """Wrap an environment in the vector wrappers that change observations."""
-    chain: list[VecEnvWrapper] = []
-    current = vec_env
-    while isinstance(current, VecEnvWrapper):
-        chain.append(current)
-        current = current.venv
-    wrapped: VecEnv = DummyVecEnv([lambda: env])
-    for wrapper in reversed(chain):
-        if isinstance(wrapper, VecTransposeImage):
-            wrapped = VecTransposeImage(wrapped)
-        elif isinstance(wrapper, VecFrameStack):
-            stacked = wrapper.stacked_obs
-            wrapped = VecFrameStack(wrapped, stacked.n_stack, _channels_order(stacked))
-        elif not isinstance(wrapper, TRANSPARENT):
-            raise ValueError(f"env must have known vector wrappers, got {type(wrapper).__name__}. {INSTEAD}")
-    _check_spaces(wrapped, vec_env)
+    """Wrap an environment in the vector wrappers of ``vec_env`` that change observations."""
+    if not isinstance(vec_env, VecEnvWrapper):
+        return DummyVecEnv([lambda: env])
+    wrapped = _wrap(env, vec_env.venv)
+    if isinstance(vec_env, VecTransposeImage):
+        return VecTransposeImage(wrapped)
+    if isinstance(vec_env, VecFrameStack):
+        stacked = vec_env.stacked_obs
+        return VecFrameStack(wrapped, stacked.n_stack, _channels_order(stacked))
+    if not isinstance(vec_env, TRANSPARENT):
+        raise ValueError(f"env must have known vector wrappers, got {type(vec_env).__name__}. {INSTEAD}")
     return wrapped
 
 

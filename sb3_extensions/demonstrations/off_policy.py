@@ -1,35 +1,26 @@
-"""What off-policy algorithms with demonstrations have in common."""
+"""Base class of off-policy algorithms that learn from demonstrations."""
 
 from __future__ import annotations
 
 import io
 import os
-from collections.abc import Iterable
 from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 import torch as th
-from stable_baselines3.common.buffers import ReplayBuffer
 from stable_baselines3.common.callbacks import BaseCallback
-from stable_baselines3.common.noise import ActionNoise
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.type_aliases import MaybeCallback, RolloutReturn, TrainFreq, TrainFrequencyUnit
 from stable_baselines3.common.vec_env import VecEnv
-from tqdm import tqdm
 
 from sb3_extensions.common.components import check_not_negative
-from sb3_extensions.common.env_metadata import (
-    action_sequence,
-    check_rotation,
-    with_action_grid,
-    with_action_sequence,
-)
-from sb3_extensions.common.rounding import check_normalisation, check_rounding, follow_extractor
+from sb3_extensions.common.env_metadata import action_sequence, with_action_metadata
+from sb3_extensions.common.rounding import check_rounding, with_image_dtype
 from sb3_extensions.common.seeds import SeedKey, derive_seed
-from sb3_extensions.demonstrations.episodes import EpisodeData
-from sb3_extensions.demonstrations.source import DemonstrationSource
+from sb3_extensions.demonstrations.collection import make_progress_bar
+from sb3_extensions.demonstrations.source import DemonstrationSource, ExpertData, load_episodes
 from sb3_extensions.replay.augmentation import Augmentation
 from sb3_extensions.replay.augmentations import make_augmentation
 from sb3_extensions.replay.buffer import ExpertReplayBuffer, check_compatible
@@ -44,14 +35,15 @@ class OffPolicyFromDemonstrations(OffPolicyAlgorithm):
     """
     Base class of algorithms whose replay buffer starts with expert episodes, with pretraining on them.
 
-    The first ``learn()`` collects the demonstrations and pretrains. Callbacks get ``on_rollout_start()``
-    before every gradient step of the pretraining, and checkpoints continue in it.
+    The first ``learn()`` collects the demonstrations and pretrains. ``on_rollout_start()`` of callbacks is
+    called before every gradient step of the pretraining. A checkpoint of the pretraining continues in it.
 
-    A subclass precedes an algorithm of Stable-Baselines3 in the bases, or is one itself. Its constructor sets
-    the attributes below and calls :meth:`_check_demonstrations` before ``_setup_model()``.
+    A subclass is an algorithm or precedes an algorithm of Stable-Baselines3 in the bases. Its constructor
+    sets the attributes below and calls :meth:`_check_demonstrations` before ``_setup_model()``.
 
-    - ``expert_episodes``, ``expert_noise``, ``expert_data``: see
+    - ``expert_episodes``, ``expert_noise``: see
       :class:`~sb3_extensions.demonstrations.source.DemonstrationSource`
+    - ``expert_data``: see :func:`~sb3_extensions.demonstrations.source.load_episodes`
     - ``pretrain_steps``: number of gradient steps before the first step in the environment
     - ``augmentation``: augmentation of the sampled steps, or None
     """
@@ -59,14 +51,16 @@ class OffPolicyFromDemonstrations(OffPolicyAlgorithm):
     replay_buffer: ExpertReplayBuffer | None
     expert_episodes: int
     expert_noise: float
-    expert_data: Iterable[EpisodeData] | None
+    expert_data: ExpertData | None
     pretrain_steps: int
     augmentation: Augmentation | None
     augmentation_generator: th.Generator
-    _progress_bar: bool | None = None  # of the latest learn()
+    _progress_bar: bool | None = None
+    """Argument of the latest ``learn()``."""
     n_pretrained: int = 0
     """Number of gradient steps of the pretraining so far."""
-    _had_expert_data: bool = False  # expert_data is not saved
+    _had_expert_data: bool = False
+    """Whether ``expert_data``, which is not saved, was set."""
 
     default_replay_buffer_class: ClassVar[type[ExpertReplayBuffer]] = ExpertReplayBuffer
     own_buffer_arguments: ClassVar[tuple[str, ...]] = ("gamma", "n_steps")
@@ -88,16 +82,19 @@ class OffPolicyFromDemonstrations(OffPolicyAlgorithm):
                 raise ValueError(f"{name} must be an argument of the algorithm, not of replay_buffer_kwargs")
 
     def _demonstrations(self, **kwargs: Any) -> DemonstrationSource:
-        return DemonstrationSource(self.expert_episodes, self.expert_noise, self.expert_data, **kwargs)
+        data = load_episodes(self.expert_data)
+        return DemonstrationSource(self.expert_episodes, self.expert_noise, data, **kwargs)
 
     def _setup_model(self) -> None:
-        self._adopt_env_metadata()
+        kwargs = with_action_metadata(self.policy_class, self.policy_kwargs, self.env, self.action_space)
+        self.policy_kwargs = kwargs
+        self.augmentation = make_augmentation(self.augmentation, action_sequence(self.env, self.action_space))
         if self.augmentation is not None:
             self.augmentation.check(self.observation_space)
             self.policy_kwargs = self.augmentation.with_crop(self.policy_kwargs)
         # The paper's targets do not bootstrap from truncated episodes (the authors' code).
         buffer_kwargs = {"handle_timeout_termination": False, **self.replay_buffer_kwargs}
-        self.replay_buffer_kwargs = follow_extractor(buffer_kwargs, self.policy_kwargs)
+        self.replay_buffer_kwargs = with_image_dtype(buffer_kwargs, self.policy_kwargs)
         # The base class does not pass n_steps and gamma to a custom buffer class and warns, see GH #2274.
         n_steps, self.n_steps = self.n_steps, 1
         super()._setup_model()
@@ -116,7 +113,7 @@ class OffPolicyFromDemonstrations(OffPolicyAlgorithm):
         return self.policy_aliases[policy_name]
 
     def _check_train_freq(self) -> None:
-        """Check what Stable-Baselines3 checks only at the first step in the environment."""
+        """Raise an error before the demonstrations, not at the first step in the environment."""
         assert isinstance(self.train_freq, TrainFreq)
         if self.train_freq.unit == TrainFrequencyUnit.EPISODE and self.n_envs > 1:
             raise ValueError(
@@ -124,15 +121,8 @@ class OffPolicyFromDemonstrations(OffPolicyAlgorithm):
                 f"({self.train_freq.frequency}, 'episode')"
             )
 
-    def _adopt_env_metadata(self) -> None:
-        """Take the meaning of the actions from the environment where the arguments lack it."""
-        check_rotation(self.policy_class, self.env)
-        kwargs = with_action_sequence(self.policy_class, self.policy_kwargs, self.env, self.action_space)
-        self.policy_kwargs = with_action_grid(self.policy_class, kwargs, self.env)
-        self.augmentation = make_augmentation(self.augmentation, action_sequence(self.env, self.action_space))
-
     def _set_discount(self) -> None:
-        """Set the buffer's discount to the algorithm's, which a user or load() can have changed."""
+        """Set the buffer's discount to that of the algorithm, which a user or load() can have changed."""
         assert self.replay_buffer is not None
         self.replay_buffer.set_discount(self.gamma, self.n_steps)
 
@@ -141,7 +131,7 @@ class OffPolicyFromDemonstrations(OffPolicyAlgorithm):
         Set the seed of the pseudo-random generators
         (python, numpy, pytorch, gym, action_space, replay buffer, augmentation)
 
-        :param seed:
+        :param seed: seed
         """
         super().set_random_seed(seed)
         self._seed_samplers(seed)
@@ -167,7 +157,7 @@ class OffPolicyFromDemonstrations(OffPolicyAlgorithm):
         progress_bar: bool | None = None,
     ) -> SelfOffPolicy:
         """
-        Return a trained model; the first call starts with demonstrations and pretraining.
+        Return a trained model. The first call starts with demonstrations and pretraining.
 
         :param total_timesteps: The total number of samples (env steps) to train on, without demonstrations
         :param callback: callback(s) called at every step with state of the algorithm.
@@ -175,7 +165,7 @@ class OffPolicyFromDemonstrations(OffPolicyAlgorithm):
         :param tb_log_name: the name of the run for TensorBoard logging; that of the class if ``None``
         :param reset_num_timesteps: whether or not to reset the current timestep number (used in logging)
         :param progress_bar: Display a progress bar using tqdm and rich, and one each for demonstrations and
-            pretraining; None displays these two only, and only on a terminal.
+            pretraining. None displays the last two on a terminal, and no other.
         :return: the trained model
         :raises ValueError: if a loaded model's ``expert_data`` is missing, or images are normalised
         """
@@ -197,57 +187,42 @@ class OffPolicyFromDemonstrations(OffPolicyAlgorithm):
                 "expert_data must be set after load(), got None: a model does not store its "
                 "demonstrations. Set model.expert_data, or load the replay buffer"
             )
-        check_normalisation(self.get_vec_normalize_env(), self.policy)
+        check_rounding(self.replay_buffer, self.policy, self.get_vec_normalize_env())
         return super()._setup_learn(*args, **kwargs)
 
     def collect_rollouts(
-        self,
-        env: VecEnv,
-        callback: BaseCallback,
-        train_freq: TrainFreq,
-        replay_buffer: ReplayBuffer,
-        action_noise: ActionNoise | None = None,
-        learning_starts: int = 0,
-        log_interval: int | None = None,
+        self, env: VecEnv, callback: BaseCallback, *args: Any, **kwargs: Any
     ) -> RolloutReturn:
         """
-        Collect experiences and store them; the first time, after demonstrations and pretraining.
+        Collect experiences and store them. The first call begins with demonstrations and pretraining.
 
         :param env: The training environment
         :param callback: Callback that will be called at each step
             (and at the beginning and end of the rollout)
-        :param train_freq: How much experience to collect
-        :param replay_buffer: Replay buffer of the experience
-        :param action_noise: Action noise that will be used for exploration
-        :param learning_starts: Number of steps before learning for the warm-up phase.
-        :param log_interval: Log data every ``log_interval`` episodes
+        :param args: arguments of ``OffPolicyAlgorithm.collect_rollouts()``
+        :param kwargs: keyword arguments of ``OffPolicyAlgorithm.collect_rollouts()``
         :return: collected experience
         """
-        assert isinstance(replay_buffer, ExpertReplayBuffer)
-        if not replay_buffer.size():
-            self._collect_demonstrations(replay_buffer, env)
+        assert self.replay_buffer is not None
+        if not self.replay_buffer.size():
+            self._collect_demonstrations(self.replay_buffer, env)
         if self.pretraining_left:
             self._pretrain(callback)
-        return super().collect_rollouts(
-            env, callback, train_freq, replay_buffer, action_noise, learning_starts, log_interval
-        )
+        return super().collect_rollouts(env, callback, *args, **kwargs)
 
     def _collect_demonstrations(self, replay_buffer: ExpertReplayBuffer, env: VecEnv) -> None:
         seed = None if self.seed is None else derive_seed(self.seed, SeedKey.EXPERT)
         source = self._demonstrations(progress_bar=self._progress_bar)
-        self.n_pretrained = 0  # a model that was loaded with another environment is pretrained again
+        self.n_pretrained = 0  # A model that was loaded with another environment is pretrained again.
         try:
             source.fill(replay_buffer, env, seed, self.as_policy_actions)
-        except BaseException:  # the next learn() must not take a part for all
+        except BaseException:  # The next learn() must collect all of them again.
             replay_buffer.reset()
             raise
 
     def _pretrain(self, callback: BaseCallback) -> None:
-        total = self._pretraining_total
-        is_hidden = (
-            None if self._progress_bar is None else not self._progress_bar
-        )  # None: hidden off a terminal
-        with tqdm(total=total, initial=self.n_pretrained, desc="pretraining", disable=is_hidden) as progress:
+        total, done = self._pretraining_total, self.n_pretrained
+        with make_progress_bar(total, "pretraining", self._progress_bar, done) as progress:
             while self.pretraining_left:
                 callback.on_rollout_start()
                 self._pretrain_once()
@@ -266,7 +241,7 @@ class OffPolicyFromDemonstrations(OffPolicyAlgorithm):
 
     @property
     def pretraining_left(self) -> int:
-        """Gradient steps until the first step in the environment; 0 without demonstrations or after it."""
+        """Gradient steps before the first step in the environment, 0 after it or without demonstrations."""
         assert self.replay_buffer is not None
         has_only_demonstrations = 0 < self.replay_buffer.size() == self.replay_buffer.expert_size
         return self._pretraining_total - self.n_pretrained if has_only_demonstrations else 0
@@ -279,7 +254,7 @@ class OffPolicyFromDemonstrations(OffPolicyAlgorithm):
 
         :param path: Path to the pickled replay buffer
         :param truncate_last_traj: without effect, see Stable-Baselines3's ``HerReplayBuffer``
-        :raises ValueError: if it does not fit the algorithm, which then keeps its own
+        :raises ValueError: if it does not fit the algorithm. The algorithm then keeps its present buffer
         """
         own = self.replay_buffer
         assert own is not None

@@ -23,7 +23,30 @@ from sb3_extensions.replay.buffer import ExpertReplayBuffer
 if TYPE_CHECKING:  # the codec's package imports this one
     from sb3_extensions.spatial_dqn.codec import SpatialActionCodec
 
+ExpertData = Iterable[EpisodeData] | str | os.PathLike[str]
+"""Episodes, or the path of a file of ``bulletarm_gym.demonstrations``."""
 Rescale = Callable[[npt.NDArray[Any]], npt.NDArray[Any]]
+
+
+def load_episodes(data: ExpertData | None) -> Iterable[EpisodeData] | None:
+    """
+    Return episodes that were passed or that are in a file.
+
+    :param data: episodes, the path of a file of ``bulletarm_gym.demonstrations``, or None
+    :return: the episodes, or None
+    :raises ImportError: if ``data`` is a path and bulletarm-gym is not installed
+    :raises OSError: if the file cannot be opened
+    :raises ValueError: if the file is not a file of demonstrations, or ``data`` is something else
+    """
+    if not isinstance(data, Iterable | os.PathLike | None):
+        raise ValueError(f"expert_data must be an iterable of episodes or the path of a file, got {data!r}")
+    if not isinstance(data, str | os.PathLike):
+        return data
+    try:
+        from bulletarm_gym.demonstrations import load
+    except ImportError as error:
+        raise ImportError(f"expert_data={data!r} requires: pip install bulletarm-gym") from error
+    return load(data)
 
 
 @dataclass(frozen=True)
@@ -35,10 +58,10 @@ class DemonstrationSource:
         contribute in proportion
     :param noise: standard deviation of Gaussian noise on the expert's executed actions, see
         :class:`~sb3_extensions.demonstrations.action_transforms.GaussianExpertNoise`
-    :param data: episodes of the user in the environment's units, with Minari's attributes
-    :param snap: grid to which the expert's actions are moved before they are executed, None for none
-    :param progress_bar: whether to show progress, None for a terminal only
-    :raises ValueError: if ``episodes`` or ``noise`` is negative, or ``data`` is not an iterable of episodes
+    :param data: episodes in the environment's units, with Minari's attributes
+    :param snap: grid to which the expert's actions are moved before they are executed, or None
+    :param progress_bar: whether to show progress; None shows it on a terminal only
+    :raises ValueError: if ``episodes`` or ``noise`` is negative
     """
 
     episodes: int = 100
@@ -48,16 +71,11 @@ class DemonstrationSource:
     progress_bar: bool | None = None
 
     def __post_init__(self) -> None:
-        if isinstance(self.data, str | os.PathLike) or not isinstance(self.data, Iterable | None):
-            raise ValueError(
-                f"expert_data must be an iterable of episodes, got {self.data!r}. Use "
-                "bulletarm_gym.demonstrations.Demonstrations(path) to read a file"
-            )
         check_not_negative(expert_episodes=self.episodes, expert_noise=self.noise)
 
     @property
     def is_empty(self) -> bool:
-        """Whether there are no demonstrations."""
+        """True without any demonstrations."""
         return self.data is None and self.episodes == 0
 
     def fill(self, buffer: ExpertReplayBuffer, env: VecEnv, seed: int | None, rescale: Rescale) -> None:
@@ -67,19 +85,19 @@ class DemonstrationSource:
         :param buffer: buffer without online steps
         :param env: training environment
         :param seed: seed of the episodes, None for a random one
-        :param rescale: function from actions in the environment's units to those of the policy
+        :param rescale: function from actions in the environment's units to actions in the policy's units
         :raises ValueError: if ``data`` has no episode or does not fit the environment
         """
-        # The environment defines the bounds of its own episodes.
+        # Episodes of the environment itself need no validation.
         episodes = self._collect(env, seed) if self.data is None else validate_episodes(self.data, env)
         for episode in episodes:
-            intended = getattr(episode, "expert_actions", episode.actions)
+            intended = getattr(episode, "expert_actions", None)
             buffer.add_episode(
                 episode.observations,
                 rescale(episode.actions),
                 episode.rewards,
                 episode.terminations,
-                expert_actions=rescale(intended),
+                expert_actions=None if intended is None else rescale(intended),
             )
         if self.data is not None and not buffer.expert_size:
             raise ValueError(

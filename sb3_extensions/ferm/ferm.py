@@ -13,7 +13,7 @@ from torch import nn
 
 from sb3_extensions.common.components import check_not_negative
 from sb3_extensions.ferm.policies import MultiInputPolicy
-from sb3_extensions.replay.augmentations import AugmentationSpec, make_augmentation
+from sb3_extensions.replay.augmentations import AugmentationSpec
 from sb3_extensions.sacfd import SACfD
 
 
@@ -22,26 +22,24 @@ class FERM(SACfD):
     Framework for efficient robotic manipulation (FERM).
 
     SACfD on random crops of the images with a contrastive loss. The encoder learns to identify two crops of
-    the same observation: first on the demonstrations alone, then in every update. The queries come from the
-    critic's features extractor, the keys from the target critic's, an average with ``encoder_tau``. With
-    ``bc_weight=0`` it is FERM SAC.
+    the same observation, first on the demonstrations alone, then in every update. The critic's features
+    extractor computes the queries, and the target critic's the keys. ``encoder_tau`` is the coefficient of
+    this target. With ``bc_weight=0`` it is FERM SAC.
 
-    Paper: https://arxiv.org/abs/2012.07975; the defaults are those of BulletArm,
+    Paper: https://arxiv.org/abs/2012.07975; defaults: BulletArm,
     https://arxiv.org/abs/2205.14292, appendix "Benchmark Details", and its authors' code.
-
-    All parameters that are not listed are those of :class:`~sb3_extensions.sacfd.SACfD`.
 
     :param policy: The policy model to use (``"MultiInputPolicy"`` or a subclass of it)
     :param env: The environment to learn from (if registered in Gym, can be str)
-    :param augmentation: as in :class:`~sb3_extensions.sacfd.SACfD`, with RAD or DrQ
+    :param augmentation: see :class:`~sb3_extensions.sacfd.SACfD`; must include RAD or DrQ
     :param contrastive_steps: number of updates of the encoder by the contrastive loss alone, on the
         demonstrations, before the first step in the environment
-    :param encoder_tau: the soft update coefficient of the target critic's features extractor; ``tau`` is that
-        of its heads
+    :param encoder_tau: the soft update coefficient of the target critic's features extractor. ``tau`` is the
+        coefficient of its heads
     :param _init_setup_model: Whether or not to build the network at the creation of the instance
     :param kwargs: keyword arguments of :class:`~sb3_extensions.sacfd.SACfD`
     :raises ValueError: if an argument is out of its range, ``augmentation`` has no crops, or ``policy`` is
-        another
+        not FERM's
     """
 
     policy_aliases: ClassVar[dict[str, type[BasePolicy]]] = {"MultiInputPolicy": MultiInputPolicy}
@@ -70,10 +68,9 @@ class FERM(SACfD):
             self._setup_model()
 
     def _setup_model(self) -> None:
-        window = make_augmentation(self.augmentation)
-        if window is None or window.window is None:
-            raise ValueError(f"augmentation must have 'rad' or 'drq', got {self.augmentation}")
         super()._setup_model()
+        if self.augmentation is None or self.augmentation.window is None:
+            raise ValueError(f"augmentation must have 'rad' or 'drq', got {self.augmentation}")
 
     def _create_aliases(self) -> None:
         super()._create_aliases()

@@ -1,4 +1,4 @@
-"""Policy of FERM: one convolutional encoder for critic and actor, and a measure of likeness of two views."""
+"""Policy of FERM: one convolutional encoder for critic and actor, trained by a contrastive loss."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from typing import Any
 
 import gymnasium as gym
 import torch as th
-from gymnasium import spaces
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from stable_baselines3.common.type_aliases import PyTorchObs, Schedule
 from torch import nn
@@ -19,36 +18,34 @@ from sb3_extensions.encoders.observation import StackedImage
 from sb3_extensions.sacfd import policies as sacfd
 from sb3_extensions.sacfd.actor_critic import NetArch
 
-# Units of the two hidden layers of actor and critic, as in the paper's FERM baseline.
 NET_ARCH = [1024, 1024]
+"""Units of the hidden layers of actor and critic (BulletArm, FERM)."""
 
 
 class ContrastiveExtractor(CnnExtractor):
-    """Convolutional encoder, a linear layer and layer normalisation.
+    """
+    Convolutional encoder, a linear layer and layer normalisation.
 
     :param observation_space: see :class:`~sb3_extensions.encoders.observation.StackedImage`
     :param features_dim: number of features
-    :param channels: output channels of each stage, see :class:`~sb3_extensions.encoders.cnn.CnnEncoder`;
-        those of the paper's FERM baseline, for the size of the images, if ``None``
-    :param quantise: see :class:`~sb3_extensions.encoders.observation.StackedImage`
-    :param crop: see :class:`~sb3_extensions.encoders.observation.StackedImage`
+    :param channels: output channels of each stage, see :class:`~sb3_extensions.encoders.cnn.CnnEncoder`. None
+        for BulletArm's, adapted to the image size
     :param kwargs: further parameters of :class:`~sb3_extensions.encoders.extractors.CnnExtractor`
     """
 
-    LAST = (256, 256, 1024)  # channels of the stages behind the halving ones
+    LAST = (256, 256, 1024)
+    """Channels of the stages after the halving stages."""
 
     def __init__(
         self,
         observation_space: gym.Space[Any],
         features_dim: int = 50,
         channels: Sequence[int] | None = None,
-        quantise: str | None = "uint8",
-        crop: int | None = None,
         **kwargs: Any,
     ) -> None:
-        size = StackedImage(observation_space, quantise, crop).size
+        size = StackedImage(observation_space, None, kwargs.get("crop")).size
         channels = channels or scale_channels(size, CnnEncoder.HALVING, self.LAST)
-        super().__init__(observation_space, channels, quantise=quantise, crop=crop, **kwargs)
+        super().__init__(observation_space, channels, **kwargs)
         linear = nn.Linear(self.features_dim, features_dim)
         nn.init.xavier_uniform_(linear.weight)
         nn.init.zeros_(linear.bias)
@@ -58,15 +55,15 @@ class ContrastiveExtractor(CnnExtractor):
 
     def borrow_encoder(self, owner: ContrastiveExtractor) -> None:
         """
-        Use the convolutions of another extractor from now on, and never train them.
+        Use the convolutions of another extractor without training them.
 
-        :param owner: the other one
+        :param owner: the other extractor
         """
         self.encoder, self.small_images = owner.encoder, owner.small_images
         self.trains_encoder = False
 
     def forward(self, observations: PyTorchObs) -> th.Tensor:
-        """:return: (batch, features_dim)"""
+        """Return features of shape (batch, features_dim)."""
         with th.set_grad_enabled(th.is_grad_enabled() and self.trains_encoder):
             image_features = super().forward(observations)
         features: th.Tensor = self.projection(image_features)
@@ -74,7 +71,8 @@ class ContrastiveExtractor(CnnExtractor):
 
 
 class BilinearContrast(nn.Module):
-    """Tells by ``query^T W key``, with a learned W, which two views are of the same observation.
+    """
+    Contrastive loss with the similarity ``query^T W key`` of two views, where W is learned.
 
     InfoNCE: https://arxiv.org/abs/1807.03748; bilinear: CURL, https://arxiv.org/abs/2004.04136
 
@@ -89,11 +87,11 @@ class BilinearContrast(nn.Module):
 
     def forward(self, queries: th.Tensor, keys: th.Tensor) -> th.Tensor:
         """
-        Loss of a batch.
+        Return the loss of a batch.
 
         :param queries: features of one view of each observation, (batch, features_dim)
         :param keys: features of the other views, (batch, features_dim)
-        :return: mean cross-entropy of finding a query's own key among all keys
+        :return: mean cross-entropy of the classification of each query's key among all keys
         """
         return F.cross_entropy(queries @ self.weight @ keys.T, th.arange(len(keys), device=keys.device))
 
@@ -102,46 +100,35 @@ class MultiInputPolicy(sacfd.MultiInputPolicy):
     """
     Policy class (with both actor and critic) for FERM.
 
-    The critic's convolutions are the actor's as well, which does not train them; each has a linear layer and
-    a normalisation of its own behind them. The contrastive loss trains the critic's whole features extractor;
-    its keys come from that of the target critic. One optimizer of its own updates everything that this loss
-    trains, once.
+    Actor and critic use the convolutions of the critic, which the actor's loss does not train. Each has its
+    own linear layer and normalisation. The contrastive loss trains the critic's features extractor with a
+    separate optimizer; its keys come from the target critic.
 
-    The parameters are those of :class:`sb3_extensions.sacfd.policies.MultiInputPolicy`.
-
-    :param observation_space: Dict of images and numbers, see
-        :class:`~sb3_extensions.encoders.observation.StackedImage`
-    :param action_space: Action space
-    :param lr_schedule: Learning rate schedule (could be constant)
-    :param net_arch: Hidden layers behind the features extractors, the paper's if ``None``
-    :param features_extractor_class: Features extractor to use, a :class:`ContrastiveExtractor`
-    :param kwargs: further parameters of :class:`stable_baselines3.sac.policies.SACPolicy`
+    :param args: arguments of :class:`sb3_extensions.sacfd.policies.MultiInputPolicy`
+    :param net_arch: hidden layers after the features extractors, None for BulletArm's
+    :param features_extractor_class: a :class:`ContrastiveExtractor`
+    :param kwargs: keyword arguments of :class:`sb3_extensions.sacfd.policies.MultiInputPolicy`
     :raises ValueError: with ``share_features_extractor`` or another features extractor
     """
 
     def __init__(
         self,
-        observation_space: spaces.Space[Any],
-        action_space: spaces.Box,
-        lr_schedule: Schedule,
+        *args: Any,
         net_arch: NetArch | None = None,
         features_extractor_class: type[BaseFeaturesExtractor] = ContrastiveExtractor,
         **kwargs: Any,
     ) -> None:
         if kwargs.get("share_features_extractor"):
-            raise ValueError("share_features_extractor=True: FERM shares convolutions in a way of its own")
+            raise ValueError("share_features_extractor must be False for FERM, got True")
         if not issubclass(features_extractor_class, ContrastiveExtractor):
             raise ValueError(
                 f"features_extractor_class must be a ContrastiveExtractor, got {features_extractor_class}"
             )
-        super().__init__(
-            observation_space,
-            action_space,
-            lr_schedule,
-            net_arch=NET_ARCH if net_arch is None else net_arch,
-            features_extractor_class=features_extractor_class,
-            **kwargs,
-        )
+        kwargs |= {
+            "net_arch": NET_ARCH if net_arch is None else net_arch,
+            "features_extractor_class": features_extractor_class,
+        }
+        super().__init__(*args, **kwargs)
 
     def _build(self, lr_schedule: Schedule) -> None:
         super()._build(lr_schedule)

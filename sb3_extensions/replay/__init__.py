@@ -1,1 +1,1 @@
-"""Replay: images quantised and stored once; rows of an expert, priorities, rotated copies."""
+"""Replay buffer: quantised storage, samplers, n-step returns and augmentation."""

@@ -1,4 +1,4 @@
-"""Augmentation of sampled steps; random crops and shifts of images: RAD and DrQ."""
+"""Augmentation of sampled steps: the base class, random crops (RAD) and random shifts (DrQ)."""
 
 from __future__ import annotations
 
@@ -15,17 +15,8 @@ from sb3_extensions.replay.samples import ExpertReplayBufferSamples
 
 Observations = TensorDict | th.Tensor
 
-PER_OBSERVATION = (
-    "actions",
-    "dones",
-    "rewards",
-    "discounts",
-    "succeeded",
-    "expert_actions",
-    "is_expert",
-    "weights",
-)
-"""Fields of a sample that are repeated with its observations."""
+IMAGE = "image"
+"""Key of an observation without a Dict space."""
 
 
 class Augmentation(ABC):
@@ -45,35 +36,26 @@ class Augmentation(ABC):
 
     @abstractmethod
     def check(self, space: spaces.Space[Any]) -> None:
-        """
-        Check that observations can be augmented.
-
-        :param space: observation space
-        :raises ValueError: if they cannot
-        """
-
-    def average_targets(self, values: th.Tensor) -> th.Tensor:
-        """
-        Average values over the views of each next observation.
-
-        :param values: shape (views of the next observations, n)
-        :return: shape (views of the observations, n)
-        """
-        return values
-
-    def with_crop(self, policy_kwargs: dict[str, Any]) -> dict[str, Any]:
-        """
-        Add the crop of the images to the arguments of a policy.
-
-        :param policy_kwargs: arguments of a policy
-        :return: a copy whose features extractor uses the centre of images that are larger than the views
-        """
-        return policy_kwargs
+        """Raise a ValueError if observations of a space cannot be augmented."""
 
     @property
     def window(self) -> RandomWindow | None:
         """Augmentation with random windows, None without one."""
         return None
+
+    def average_targets(self, values: th.Tensor) -> th.Tensor:
+        """Return means over the views of each next observation, one row for each view of an observation."""
+        return values if self.window is None else self.window.average_views(values)
+
+    def with_crop(self, policy_kwargs: dict[str, Any]) -> dict[str, Any]:
+        """Return arguments of a policy whose features extractor crops images to the size of the views."""
+        if self.window is None or self.window.size is None:
+            return policy_kwargs
+        extractor_kwargs = policy_kwargs.get("features_extractor_kwargs") or {}
+        return {
+            **policy_kwargs,
+            "features_extractor_kwargs": {**extractor_kwargs, "crop": self.window.size},
+        }
 
 
 @dataclass(frozen=True)
@@ -81,7 +63,7 @@ class Sequence(Augmentation):
     """
     Apply several augmentations in order.
 
-    :param steps: the augmentations; at most one with several views
+    :param steps: the augmentations; at most one with random windows
     """
 
     steps: tuple[Augmentation, ...]
@@ -95,25 +77,13 @@ class Sequence(Augmentation):
         return samples
 
     def check(self, space: spaces.Space[Any]) -> None:
-        """Check that observations can be augmented."""
+        """Check all augmentations."""
         for step in self.steps:
             step.check(space)
 
-    def average_targets(self, values: th.Tensor) -> th.Tensor:
-        """Return the mean over the views of each next observation."""
-        for step in self.steps:
-            values = step.average_targets(values)
-        return values
-
-    def with_crop(self, policy_kwargs: dict[str, Any]) -> dict[str, Any]:
-        """Return a copy of the arguments with the crop."""
-        for step in self.steps:
-            policy_kwargs = step.with_crop(policy_kwargs)
-        return policy_kwargs
-
     @property
     def window(self) -> RandomWindow | None:
-        """First augmentation with random windows."""
+        """The augmentation with random windows."""
         return next((step.window for step in self.steps if step.window is not None), None)
 
 
@@ -121,13 +91,12 @@ class RandomWindow(Augmentation):
     """
     Random windows of images whose border pixels are repeated ``pad`` times outwards.
 
-    All images of the largest size, which show the scene, get the same window. Smaller images stay as they
-    are.
+    All images of the largest size, which show the scene, get the same window. Smaller images do not change.
     """
 
     pad: int = 0
     size: int | None = None
-    """Side of a window in pixels, None for that of the images."""
+    """Side of a window in pixels, None for the side of the images."""
 
     @property
     def window(self) -> RandomWindow:
@@ -136,33 +105,23 @@ class RandomWindow(Augmentation):
 
     def check(self, space: spaces.Space[Any]) -> None:
         """Check that there are images larger than a window."""
-        shapes = {key: part.shape or () for key, part in image_spaces(space).items()}
-        sides = [shapes[key][-1] for key in scene_images(shapes)]
+        sides = [shape[-1] for shape in scene_shapes(space).values()]
         if not sides or (self.size is not None and min(sides) <= self.size):
             larger = "" if self.size is None else f" larger than {self.size} x {self.size} pixels"
             raise ValueError(f"observation_space must have images{larger} for {self}, got {space}")
 
-    def with_crop(self, policy_kwargs: dict[str, Any]) -> dict[str, Any]:
-        """Return a copy of the arguments with the crop."""
-        if self.size is None:
-            return policy_kwargs
-        extractor_kwargs = {**(policy_kwargs.get("features_extractor_kwargs") or {}), "crop": self.size}
-        return {**policy_kwargs, "features_extractor_kwargs": extractor_kwargs}
+    def average_views(self, values: th.Tensor) -> th.Tensor:
+        """Return values of one view of each observation unchanged."""
+        return values
 
     def view(self, observations: Observations, generator: th.Generator, copies: int = 1) -> Observations:
-        """
-        Return independent random windows of each observation.
-
-        :param observations: batch
-        :param generator: random generator on the CPU
-        :param copies: number of windows of each
-        :return: one window of the whole batch after the other, first axis ``copies * batch``
-        """
+        """Return ``copies`` independent windows of each observation, first axis ``copies * batch``."""
         return self._cut(observations, self._offsets(observations, generator, copies))
 
     def _offsets(self, observations: Observations, generator: th.Generator, copies: int = 1) -> th.Tensor:
         """Return uniform positions of the windows (row, column) in the padded images, (copies * batch, 2)."""
-        image = _scene(observations)[0]
+        parts = as_parts(observations)
+        image = parts[scene_keys(parts)[0]]
         positions = image.shape[-1] + 2 * self.pad - (self.size or image.shape[-1]) + 1
         offsets = th.randint(positions, (copies * len(image), 2), generator=generator)
         return offsets.to(image.device)
@@ -170,10 +129,9 @@ class RandomWindow(Augmentation):
     def _cut(self, observations: Observations, offsets: th.Tensor) -> Observations:
         if isinstance(observations, th.Tensor):
             return self._cut_image(observations, offsets)
-        copies = len(offsets) // len(next(iter(observations.values())))
-        cut = scene_images(_shapes(observations))
+        cut = scene_keys(observations)
         return {
-            key: self._cut_image(part, offsets) if key in cut else repeat(part, copies)
+            key: self._cut_image(part, offsets) if key in cut else repeat(part, len(offsets) // len(part))
             for key, part in observations.items()
         }
 
@@ -244,53 +202,43 @@ class DrQ(RandomWindow):
         self, samples: ExpertReplayBufferSamples, generator: th.Generator
     ) -> ExpertReplayBufferSamples:
         """Return M views of the observations and K of the next observations."""
-        fields = samples._asdict()
-        repeated: dict[str, Any] = {
-            key: repeat(fields[key], self.M) for key in PER_OBSERVATION if fields[key] is not None
-        }
-        return samples._replace(
-            observations=self.view(samples.observations, generator, self.M),
-            next_observations=self.view(samples.next_observations, generator, self.K),
-            **repeated,
+        columns: dict[str, Any] = samples._asdict()
+        observations, next_observations = columns.pop("observations"), columns.pop("next_observations")
+        columns |= {key: repeat(part, self.M) for key, part in columns.items() if isinstance(part, th.Tensor)}
+        return ExpertReplayBufferSamples(
+            observations=self.view(observations, generator, self.M),
+            next_observations=self.view(next_observations, generator, self.K),
+            **columns,
         )
 
-    def average_targets(self, values: th.Tensor) -> th.Tensor:
+    def average_views(self, values: th.Tensor) -> th.Tensor:
         """Return the mean over the K views, repeated for the M views; shape (M * batch, n)."""
         return repeat(values.view(self.K, -1, values.shape[1]).mean(dim=0), self.M)
 
 
 def repeat(values: th.Tensor, copies: int) -> th.Tensor:
-    """
-    Repeat a batch.
-
-    :param values: any shape
-    :param copies: number of copies
-    :return: one copy after the other, first axis ``copies * batch``
-    """
+    """Return ``copies`` of a batch, one after the other, first axis ``copies * batch``."""
     return values if copies == 1 else values.repeat(copies, *[1] * (values.dim() - 1))
 
 
-def image_spaces(space: spaces.Space[Any]) -> dict[str, spaces.Space[Any]]:
-    """
-    Return the entries of an observation space by key.
-
-    :param space: Dict space, or the space of one image
-    :return: the entries; one image has the key ``"image"``
-    """
-    return dict(space.spaces) if isinstance(space, spaces.Dict) else {"image": space}
+def as_parts(observations: Observations) -> TensorDict:
+    """Return the entries of observations by key, a copy of a dictionary."""
+    return {IMAGE: observations} if isinstance(observations, th.Tensor) else dict(observations)
 
 
-def _scene(observations: Observations) -> list[th.Tensor]:
-    if isinstance(observations, th.Tensor):
-        return [observations]
-    return [observations[key] for key in scene_images(_shapes(observations))]
+def scene_keys(parts: TensorDict) -> list[str]:
+    """Return the keys of the images of the scene in a batch."""
+    return scene_images({key: part.shape[1:] for key, part in parts.items()})
 
 
-def _shapes(observations: TensorDict) -> dict[str, th.Size]:
-    return {key: part.shape[1:] for key, part in observations.items()}
+def scene_shapes(space: spaces.Space[Any]) -> dict[str, tuple[int, ...]]:
+    """Return the shapes of the images of the scene in an observation space."""
+    parts = space.spaces if isinstance(space, spaces.Dict) else {IMAGE: space}
+    shapes = {key: part.shape or () for key, part in parts.items()}
+    return {key: shapes[key] for key in scene_images(shapes)}
 
 
 def _check_positive(**arguments: Any) -> None:
     for name, value in arguments.items():
-        if not isinstance(value, int) or isinstance(value, bool) or value < 1:
+        if not isinstance(value, int) or value < 1:
             raise ValueError(f"{name} must be a positive integer, got {value!r}")

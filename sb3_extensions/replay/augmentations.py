@@ -1,4 +1,4 @@
-"""Names of the augmentations, for arguments and YAML files."""
+"""Creation of augmentations from their names, for arguments and YAML files."""
 
 from __future__ import annotations
 

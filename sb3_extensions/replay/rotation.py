@@ -1,4 +1,4 @@
-"""Rotation of sampled steps: images, point clouds and actions by one angle."""
+"""Rotation of images, point clouds and actions of a sampled step by one angle."""
 
 from __future__ import annotations
 
@@ -7,51 +7,41 @@ from dataclasses import dataclass
 
 import torch as th
 from gymnasium import spaces
-from stable_baselines3.common.type_aliases import TensorDict
 from torch.nn import functional as F
 
 from sb3_extensions.common.action_sequence import ActionSequence
 from sb3_extensions.common.components import check_fraction
-from sb3_extensions.common.images import is_point_cloud, scene_images
-from sb3_extensions.replay.augmentation import Augmentation, Observations, image_spaces
+from sb3_extensions.common.images import is_point_cloud
+from sb3_extensions.replay.augmentation import IMAGE, Augmentation, as_parts, scene_keys, scene_shapes
 from sb3_extensions.replay.samples import ExpertReplayBufferSamples
 
 N_CANDIDATES = 8
-"""Angles sampled for each step, of which the first that keeps the actions within their bounds is used."""
+"""Number of angles sampled for each step. The first that keeps the actions within their bounds is used."""
 TOLERANCE = 1e-6
-"""By which float32 rounding may move an action beyond its bounds."""
+"""Excess over the bounds of an action that float32 rounding can cause."""
 
 
-def rotate_images(images: th.Tensor, angles: th.Tensor) -> th.Tensor:
+def rotate_images(images: th.Tensor, angles: th.Tensor, mode: str = "bilinear") -> th.Tensor:
     """
-    Rotate images about their centres by bilinear interpolation, with the nearest border pixel outside.
-
-    Integer images of one channel can hold labels; they are rotated to the nearest pixel.
+    Rotate images about their centres. Pixels outside have the value of the nearest border pixel.
 
     :param images: shape (batch, channels, size, size), rows along x and columns along y
     :param angles: from x towards y, rad, shape (batch,); pi / 2 is ``numpy.rot90(image, k=1)``
+    :param mode: ``"bilinear"`` or ``"nearest"``
     :return: rotated images of the same shape and type
     """
-    size, is_float = images.shape[-1], images.is_floating_point()
+    size = images.shape[-1]
     line = (th.arange(size, device=images.device) * 2 + 1) / size - 1
     cos, sin = angles.cos()[:, None, None].float(), angles.sin()[:, None, None].float()
     row, column = line[:, None], line
     # Source of each pixel, in the order of grid_sample: column, row
     grid = th.stack([cos * column - sin * row, sin * column + cos * row], dim=-1)
-    mode = "bilinear" if is_float or images.shape[1] > 1 else "nearest"
     rotated = F.grid_sample(images.float(), grid, mode, padding_mode="border", align_corners=False)
-    return rotated if is_float else rotated.round().to(images.dtype)
+    return rotated if images.is_floating_point() else rotated.round().to(images.dtype)
 
 
 def rotate_pairs(values: th.Tensor, columns: list[int], angles: th.Tensor) -> th.Tensor:
-    """
-    Rotate two columns as the coordinates (x, y) of a vector.
-
-    :param values: last axis with the columns
-    :param columns: indices of x and y
-    :param angles: from x towards y, rad, broadcastable to ``values[..., 0]``
-    :return: a copy with rotated columns
-    """
+    """Return a copy with two columns of the last axis rotated as the coordinates (x, y) of a vector."""
     rotated = values.clone()
     x, y = values[..., columns[0]], values[..., columns[1]]
     cos, sin = angles.cos().to(values.dtype), angles.sin().to(values.dtype)
@@ -62,12 +52,11 @@ def rotate_pairs(values: th.Tensor, columns: list[int], angles: th.Tensor) -> th
 
 def rotate_actions(actions: th.Tensor, angles: th.Tensor, action_sequence: ActionSequence) -> th.Tensor:
     """
-    Rotate (dx, dy) of actions and, of three r's, the components about x and y.
+    Rotate (dx, dy) of actions, and the x and y components of rotation vectors.
 
     :param actions: in the policy's units, shape (batch, action dimensions)
     :param angles: from x towards y, rad, shape (batch,)
     :param action_sequence: meaning of the numbers
-    :return: rotated actions of the same shape
     """
     for pair in ("xy", "uv"):
         if columns := action_sequence.places(pair):
@@ -81,10 +70,9 @@ class Rotation(Augmentation):
     Rotate both observations, the action and the expert's action of a step by one random angle.
 
     The images of the largest size and point clouds are rotated. Smaller images, such as the in-hand image,
-    rotate with the gripper and stay as they are. The r of an action must be a rotation relative to the
+    rotate with the gripper and do not change. The r of an action must be a rotation relative to the
     gripper (closed loop). Angles are uniform in [0, 2 pi) among those for which the rotated actions are
-    within [-1, 1]. If none of
-    :data:`N_CANDIDATES` sampled angles is, a random multiple of pi / 2 is used.
+    within [-1, 1]. If none of :data:`N_CANDIDATES` sampled angles is, a random multiple of pi / 2 is used.
 
     Source: https://arxiv.org/abs/2205.14292, "Equi SACfD + PER + Aug", which stores four rotated copies of
     each step.
@@ -105,16 +93,10 @@ class Rotation(Augmentation):
             raise ValueError(f"action_sequence must have x and y to rotate, got {self.action_sequence!r}")
 
     def check(self, space: spaces.Space[object]) -> None:
-        """
-        Check that there are square images or point clouds to rotate.
-
-        :param space: observation space
-        :raises ValueError: if there are none
-        """
-        shapes = {key: part.shape or () for key, part in image_spaces(space).items()}
-        images = {key: shapes[key] for key in scene_images(shapes)}
-        if not images or any(height != width for _, height, width in images.values()):
-            raise ValueError(f"observation_space must have images (channels, size, size), got {shapes}")
+        """Check that there are square images to rotate."""
+        shapes = scene_shapes(space).values()
+        if not shapes or any(height != width for _, height, width in shapes):
+            raise ValueError(f"observation_space must have images (channels, size, size), got {space}")
 
     def __call__(
         self, samples: ExpertReplayBufferSamples, generator: th.Generator
@@ -122,12 +104,16 @@ class Rotation(Augmentation):
         """Return the rotated sample."""
         sequence = ActionSequence(self.action_sequence, samples.actions.shape[1])
         angles = self._sample_angles(samples.actions, samples.expert_actions, sequence, generator)
-        observations, next_observations = _rotate_observations(
-            samples.observations, samples.next_observations, angles
-        )
+        before, after = as_parts(samples.observations), as_parts(samples.next_observations)
+        for key in scene_keys(before):
+            before[key], after[key] = _rotate_pair(before[key], after[key], angles)
+        for key in [key for key, part in before.items() if is_point_cloud(part.shape[1:])]:
+            for parts in (before, after):
+                parts[key] = rotate_pairs(parts[key], [0, 1], angles[:, None])
+        is_image = isinstance(samples.observations, th.Tensor)
         return samples._replace(
-            observations=observations,
-            next_observations=next_observations,
+            observations=before[IMAGE] if is_image else before,
+            next_observations=after[IMAGE] if is_image else after,
             actions=rotate_actions(samples.actions, angles, sequence).clamp(-1, 1),
             expert_actions=rotate_actions(samples.expert_actions, angles, sequence).clamp(-1, 1),
         )
@@ -145,39 +131,15 @@ class Rotation(Augmentation):
         for given in (actions, expert_actions):
             rotated = rotate_actions(given[:, None].expand(-1, N_CANDIDATES + 1, -1), candidates, sequence)
             moved = [column for pair in ("xy", "uv") for column in sequence.places(pair)]
-            fits &= ~(rotated[..., moved].abs() > 1 + TOLERANCE).any(dim=2)  # NaN fits: no action is known
+            fits &= ~(rotated[..., moved].abs() > 1 + TOLERANCE).any(dim=2)  # NaN, an unknown action, fits
         fits[:, -1] = True
         first = fits.int().argmax(dim=1, keepdim=True)
         return candidates.gather(1, first)[:, 0].masked_fill(unchanged.to(actions.device), 0.0)
 
 
-def _rotate_observations(
-    first: Observations, second: Observations, angles: th.Tensor
-) -> tuple[Observations, Observations]:
-    """Rotate both observations of each step by one angle."""
-    if isinstance(first, th.Tensor) or isinstance(second, th.Tensor):
-        assert isinstance(first, th.Tensor) and isinstance(second, th.Tensor)
-        rotated = _rotate_together({"image": first}, {"image": second}, angles)
-        return rotated[0]["image"], rotated[1]["image"]
-    return _rotate_together(first, second, angles)
-
-
-def _rotate_together(
-    first: TensorDict, second: TensorDict, angles: th.Tensor
-) -> tuple[TensorDict, TensorDict]:
-    images = scene_images({key: value.shape[1:] for key, value in first.items()})
-    rotated: tuple[TensorDict, TensorDict] = ({**first}, {**second})
-    for key, value in first.items():
-        if key in images:
-            # One grid serves both observations as channels of one image.
-            n = value.shape[1]
-            pair = th.cat([value, second[key]], dim=1)
-            if not value.is_floating_point() and n == 1:
-                moved = th.cat([rotate_images(part, angles) for part in (value, second[key])], dim=1)
-            else:
-                moved = rotate_images(pair, angles)
-            rotated[0][key], rotated[1][key] = moved[:, :n], moved[:, n:]
-        elif is_point_cloud(value.shape[1:]):
-            for target, source in zip(rotated, (value, second[key]), strict=True):
-                target[key] = rotate_pairs(source, [0, 1], angles[:, None])
-    return rotated
+def _rotate_pair(first: th.Tensor, second: th.Tensor, angles: th.Tensor) -> tuple[th.Tensor, ...]:
+    """Rotate images of both observations; one grid serves both as channels of one image."""
+    # Integer images of one channel can hold labels.
+    is_label = first.shape[1] == 1 and not first.is_floating_point()
+    both = rotate_images(th.cat([first, second], dim=1), angles, "nearest" if is_label else "bilinear")
+    return both.chunk(2, dim=1)

@@ -12,13 +12,13 @@ from sb3_extensions.replay.step_table import Rows
 
 class ExpertReplayBufferSamples(NamedTuple):
     """
-    Sampled steps: the fields of Stable-Baselines3's ``ReplayBufferSamples`` and those of demonstrations.
+    Sampled steps: Stable-Baselines3's ``ReplayBufferSamples`` with additional fields for demonstrations.
 
     All tensors but the observations have shape (batch, 1) or (batch, action dimensions).
 
     - ``dones``: 1 if the target has no bootstrap
     - ``discounts``: factor of the value of ``next_observations``, None if the buffer has no ``gamma``
-    - ``is_expert``: whether the step is the expert's
+    - ``is_expert``: whether the step belongs to a demonstration
     - ``weights``: importance weights
     - ``indices``: rows of the table, NumPy array of shape (batch,)
     - ``expert_actions``: actions of the expert, NaN if unknown
@@ -40,19 +40,12 @@ class ExpertReplayBufferSamples(NamedTuple):
 
 def count_rows(observations: TensorDict | th.Tensor) -> int:
     """Return the batch size of observations."""
-    return (
-        len(observations) if isinstance(observations, th.Tensor) else len(next(iter(observations.values())))
-    )
+    first = next(iter(observations.values())) if isinstance(observations, dict) else observations
+    return len(first)
 
 
 def select_rows(observations: TensorDict | th.Tensor, rows: th.Tensor) -> TensorDict | th.Tensor:
-    """
-    Return a part of a batch of observations.
-
-    :param observations: batch
-    :param rows: indices, shape (n,)
-    :return: observations of the indices
-    """
+    """Return the observations of ``rows``, indices of shape (n,)."""
     if isinstance(observations, th.Tensor):
         return observations[rows]
     return {key: values[rows] for key, values in observations.items()}

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable
 from typing import Any, ClassVar
 
 import torch as th
@@ -18,7 +17,7 @@ from stable_baselines3.sac.sac import SAC
 
 from sb3_extensions.common.components import check_fraction, check_not_negative
 from sb3_extensions.common.gradients import frozen
-from sb3_extensions.demonstrations.episodes import EpisodeData
+from sb3_extensions.demonstrations.source import ExpertData
 from sb3_extensions.replay.augmentations import AugmentationSpec
 from sb3_extensions.replay.samples import ExpertReplayBufferSamples, count_rows, select_rows
 from sb3_extensions.sacfd.losses import imitation_loss, self_imitation_weights
@@ -64,7 +63,8 @@ class SACfD(ActorPretraining, SAC):
     :param target_entropy: when learning ``ent_coef``; 'auto' is minus the number of action dimensions
     :param bc_weight: weight of the imitation term in the actor's loss
     :param expert_episodes: number of successful episodes of the expert, if ``expert_data`` is None
-    :param expert_data: episodes in the environment's units instead, not saved with the model. See
+    :param expert_data: episodes in the environment's units instead, or the path of a file of
+        ``bulletarm_gym.demonstrations``; not saved with the model. See
         :class:`~sb3_extensions.demonstrations.episodes.EpisodeData`
     :param augmentation: augmentation of the sampled steps: None, ``"rad"``, ``"drq"``, ``"rotation"``, names
         with arguments (``{"rad": {"size": 128}}``), or an
@@ -128,7 +128,7 @@ class SACfD(ActorPretraining, SAC):
         target_entropy: str | float = "auto",
         bc_weight: float = 1.0,
         expert_episodes: int = 100,
-        expert_data: Iterable[EpisodeData] | None = None,
+        expert_data: ExpertData | None = None,
         augmentation: AugmentationSpec = None,
         expert_noise: float = 0.0,
         pretrain_steps: int = 0,

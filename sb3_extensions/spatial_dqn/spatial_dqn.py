@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable
 from typing import Any, ClassVar
 
 import numpy.typing as npt
@@ -19,9 +18,8 @@ from torch.nn import functional as F
 from sb3_extensions.common.components import check_fraction, check_not_negative
 from sb3_extensions.common.exploration import explore_on_grid
 from sb3_extensions.common.seeds import SeedKey, derive_seed
-from sb3_extensions.demonstrations.episodes import EpisodeData
 from sb3_extensions.demonstrations.off_policy import OffPolicyFromDemonstrations
-from sb3_extensions.demonstrations.source import DemonstrationSource
+from sb3_extensions.demonstrations.source import DemonstrationSource, ExpertData
 from sb3_extensions.spatial_dqn.augmentation import RigidMotion
 from sb3_extensions.spatial_dqn.losses import ImitationLoss, LargeMargin, StrictMargin, cross_entropy
 from sb3_extensions.spatial_dqn.policies import (
@@ -82,7 +80,8 @@ class SpatialDQN(OffPolicyFromDemonstrations):
     :param max_grad_value: each number of the gradient is clipped to so much
     :param expert_episodes: number of successful episodes of the expert to begin with, unless ``expert_data``
         is given
-    :param expert_data: episodes to begin with instead, in the environment's units; not saved. See
+    :param expert_data: episodes in the environment's units instead, or the path of a file of
+        ``bulletarm_gym.demonstrations``; not saved with the model. See
         :class:`~sb3_extensions.demonstrations.episodes.EpisodeData`
     :param rigid_augmentation: turn and shift the heightmaps of each sample, and its actions with them, see
         :class:`~sb3_extensions.spatial_dqn.augmentation.RigidMotion`
@@ -135,7 +134,7 @@ class SpatialDQN(OffPolicyFromDemonstrations):
         exploration_final_eps: float = 0.0,
         max_grad_value: float = 1.0,
         expert_episodes: int = 200,
-        expert_data: Iterable[EpisodeData] | None = None,
+        expert_data: ExpertData | None = None,
         rigid_augmentation: bool = False,
         pretrain_steps: int = 0,
         stats_window_size: int = 100,

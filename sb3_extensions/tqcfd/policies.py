@@ -1,4 +1,4 @@
-"""Policies of SACfD with critics of quantiles, for TQCfD."""
+"""Policies of TQCfD: the policies of SACfD with critics whose heads return quantiles."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from sb3_extensions.sacfd.actor_critic import EquivariantCritic, MultiHeadCritic
 
 class QuantileCritic(MultiHeadCritic):
     """
-    Critic of quantiles; its attributes are those of :class:`sb3_contrib.tqc.policies.Critic`.
+    Critic whose heads return quantiles. It has the attributes of :class:`sb3_contrib.tqc.policies.Critic`.
 
-    :param n_quantiles: of each head
+    :param n_quantiles: number of quantiles of each head
     :param kwargs: keyword arguments of :class:`~sb3_extensions.sacfd.actor_critic.MultiHeadCritic`
     """
 
@@ -26,21 +26,21 @@ class QuantileCritic(MultiHeadCritic):
         self.quantiles_total = n_quantiles * self.n_critics
 
     def forward(self, obs: PyTorchObs, actions: th.Tensor) -> th.Tensor:  # type: ignore[override]
-        """:return: (batch, heads, quantiles)"""
+        """Return quantiles of shape (batch, heads, quantiles)."""
         return th.stack(super().forward(obs, actions), dim=1)  # type: ignore[arg-type]
 
 
 class EquivariantQuantileCritic(QuantileCritic, EquivariantCritic):
     """
-    Critic of quantiles that stay when images and (x, y) of the action turn together.
+    Critic whose quantiles are invariant to a rotation of images and (x, y) of the action.
 
-    The parameters are those of both.
+    It has the parameters of both base classes.
     """
 
 
 class QuantilePolicy(SACPolicy):
     """
-    Policy whose critic gives quantiles.
+    Policy whose critic returns quantiles.
 
     :param args: arguments of the policy
     :param n_quantiles: number of quantiles of each head of the critic
@@ -62,30 +62,30 @@ class QuantilePolicy(SACPolicy):
 
 
 class MultiInputPolicy(QuantilePolicy, sacfd.MultiInputPolicy):
-    """CNN policy with a critic of quantiles: one encoder for the actor, one for the critic.
+    """
+    CNN policy with a critic of quantiles. Actor and critic have one encoder each.
 
-    The parameters are those of :class:`QuantilePolicy` and of
-    :class:`sb3_extensions.sacfd.policies.MultiInputPolicy`.
+    It has the parameters of the base classes.
     """
 
     critic_class: ClassVar[type[MultiHeadCritic]] = QuantileCritic
 
 
 class StatePolicy(QuantilePolicy, sacfd.StatePolicy):
-    """Fully connected policy for numbers alone, with a critic of quantiles.
+    """
+    Fully connected policy for observations without images, with a critic of quantiles.
 
-    The parameters are those of :class:`QuantilePolicy` and of
-    :class:`sb3_extensions.sacfd.policies.StatePolicy`.
+    It has the parameters of the base classes.
     """
 
     critic_class: ClassVar[type[MultiHeadCritic]] = QuantileCritic
 
 
 class EquivariantPolicy(QuantilePolicy, sacfd.EquivariantPolicy):
-    """Equivariant policy with a critic of quantiles: one encoder for the actor, one for the critic.
+    """
+    Equivariant policy with a critic of quantiles. Actor and critic have one encoder each.
 
-    The parameters are those of :class:`QuantilePolicy` and of
-    :class:`sb3_extensions.sacfd.policies.EquivariantPolicy`.
+    It has the parameters of the base classes.
     """
 
     critic_class: ClassVar[type[EquivariantCritic]] = EquivariantQuantileCritic

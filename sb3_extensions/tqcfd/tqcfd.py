@@ -24,15 +24,13 @@ class TQCfD(SACfD):
 
     TQC: https://arxiv.org/abs/2005.04269
 
-    All parameters that are not listed are those of :class:`~sb3_extensions.sacfd.SACfD`.
-
     :param policy: The policy model to use (one of the aliases, or a class)
     :param env: The environment to learn from (if registered in Gym, can be str)
     :param top_quantiles_to_drop_per_net: number of quantiles to drop per network, of its ``n_quantiles`` (in
         ``policy_kwargs``, 25 by default)
     :param _init_setup_model: Whether or not to build the network at the creation of the instance
     :param kwargs: keyword arguments of :class:`~sb3_extensions.sacfd.SACfD`
-    :raises ValueError: if no quantiles are left
+    :raises ValueError: if all quantiles are dropped
     """
 
     policy_aliases: ClassVar[dict[str, type[BasePolicy]]] = {
@@ -65,7 +63,7 @@ class TQCfD(SACfD):
             )
 
     def _q_values(self, critic: Any, features: th.Tensor, actions: th.Tensor) -> Any:
-        """Quantiles of all heads, (batch, heads, quantiles)."""
+        """Return the quantiles of all heads, (batch, heads, quantiles)."""
         return th.stack(super()._q_values(critic, features, actions), dim=1)
 
     def _target_values(self, q_values: Any) -> th.Tensor:
@@ -78,7 +76,7 @@ class TQCfD(SACfD):
     def _critic_loss(
         self, q_values: Any, targets: th.Tensor, weights: th.Tensor
     ) -> tuple[th.Tensor, th.Tensor]:
-        # One loss for each step: the function reduces over the batch
+        # vmap() gives one loss for each step, because the function reduces over the batch
         losses = th.vmap(partial(quantile_huber_loss, sum_over_quantiles=False))(
             q_values[:, None], targets[:, None, None]
         )

@@ -146,7 +146,7 @@ def test_losses_equal_a_slow_reference(dropped: int, make_toy: Any) -> None:
         td_errors.append(np.mean([abs(current[k, c].mean() - np.mean(targets[k])) for c in range(N_CRITICS)]))
     expected = reference_critic_loss(current, np.array(targets), weights[:, 0].numpy())
     np.testing.assert_allclose(logged["train/critic_loss"], expected, rtol=1e-4)
-    priorities = model.replay_buffer.sampler.tree[rows] ** (1 / 0.6)
+    priorities = model.replay_buffer.sampler.masses[rows] ** (1 / 0.6)
     bonus = rows < model.replay_buffer.table.n_pinned
     np.testing.assert_allclose(priorities, np.array(td_errors) + bonus, rtol=1e-3, atol=2e-6)
     # The actor's loss uses the critic before its step

@@ -13,7 +13,7 @@ import torch as th
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.utils import set_random_seed
 
-from sb3_extensions.common.checkpoint import CheckpointError, latest_checkpoint, latest_whole_checkpoint
+from sb3_extensions.common.checkpoint import CheckpointError, latest_checkpoint, latest_valid_checkpoint
 from zoo_configs.algorithms import register_algorithms
 from zoo_configs.arguments import check_device
 from zoo_configs.cells.cell import Cell
@@ -169,7 +169,7 @@ def check_same(found: Run, wanted: Run) -> None:
 def _newest_checkpoint(run: Run) -> Path:
     """The newest checkpoint that is whole."""
     try:
-        checkpoint, damaged = latest_whole_checkpoint(run.checkpoint_folder)
+        checkpoint, damaged = latest_valid_checkpoint(run.checkpoint_folder)
     except CheckpointError as error:
         raise CommandError(str(error)) from error
     for damage in damaged:

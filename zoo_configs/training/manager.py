@@ -22,7 +22,7 @@ from stable_baselines3.common.vec_env import VecEnv
 from sb3_extensions.common.checkpoint import DirectoryCheckpointCallback, resume, save_checkpoint
 from zoo_configs.algorithms import class_from_path
 from zoo_configs.cells.validation import policy_class
-from zoo_configs.environments import load_expert_data
+from zoo_configs.environments import CheckedDemonstrations, load_expert_data
 from zoo_configs.errors import CommandError, reason, refused
 from zoo_configs.files import whole_file
 from zoo_configs.training.evaluation import PeriodicEvaluation
@@ -115,6 +115,8 @@ class ZooManager(ExperimentManager):
                 hyperparams[key] = import_classes(hyperparams[key], is_class=key.endswith("_class"))
         if self.checkpoint is None:  # what is resumed has them in its replay buffer
             hyperparams = load_expert_data(hyperparams)
+            if (episodes := hyperparams.get("expert_data")) is not None:
+                hyperparams["expert_data"] = CheckedDemonstrations(episodes)
         processed = super()._preprocess_hyperparams(hyperparams)
         self.eval_env_kwargs = {**self.env_kwargs, **(self._eval_env_kwargs_args or {})}
         if "info_keywords" in self.monitor_kwargs:  # YAML has lists only

@@ -18,7 +18,7 @@ from sb3_extensions.common.checkpoint import (
     CheckpointError,
     DirectoryCheckpointCallback,
     latest_checkpoint,
-    latest_whole_checkpoint,
+    latest_valid_checkpoint,
     resume,
     save_checkpoint,
 )
@@ -269,10 +269,10 @@ def _killed(*args: Any, **kwargs: Any) -> None:
 def test_damaged_or_foreign_directories(make_toy: Any, tmp_path: Path) -> None:
     checkpoint = save_checkpoint(make_model(make_toy()).learn(5), tmp_path)
     env = make_toy()
-    with pytest.raises(CheckpointError, match="no checkpoint"):
+    with pytest.raises(CheckpointError, match="must have a checkpoint, got none"):
         resume(tmp_path / "nowhere", env)
     (tmp_path / "foreign").mkdir()
-    with pytest.raises(CheckpointError, match="no checkpoint"):
+    with pytest.raises(CheckpointError, match="must have a checkpoint, got none"):
         resume(tmp_path / "foreign", env)
     for name in ("model.zip", "replay_buffer.pkl", "state.pkl"):
         copy = shutil.copytree(checkpoint, tmp_path / "copy")
@@ -298,15 +298,15 @@ def test_a_damaged_checkpoint_gives_way_to_the_one_before(make_toy: Any, tmp_pat
     model = make_model(make_toy()).learn(5)
     first = save_checkpoint(model, tmp_path)
     newest = save_checkpoint(model.learn(5, reset_num_timesteps=False), tmp_path)
-    assert latest_whole_checkpoint(tmp_path) == (newest, [])
+    assert latest_valid_checkpoint(tmp_path) == (newest, [])
     (newest / "model.zip").write_bytes(b"")
-    checkpoint, [damage] = latest_whole_checkpoint(tmp_path)
+    checkpoint, [damage] = latest_valid_checkpoint(tmp_path)
     assert checkpoint == first and f"{newest} is damaged: model.zip" in str(damage)
-    with pytest.warns(UserWarning, match=f"model.zip .* going on from {first}"):
+    with pytest.warns(UserWarning, match=f"model.zip .* Resuming from {first}"):
         assert resume(tmp_path, make_toy(), device="cpu").num_timesteps == 5
     (first / "state.pkl").unlink()
     with pytest.raises(CheckpointError, match=f"{newest} is damaged"):
-        latest_whole_checkpoint(tmp_path)
+        latest_valid_checkpoint(tmp_path)
 
 
 def test_a_full_disk_leaves_no_half(make_toy: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -338,7 +338,7 @@ def test_envs_without_state_start_a_new_episode(tmp_path: Path) -> None:
     model = SAC("MlpPolicy", make_env(), learning_starts=5, device="cpu", **kwargs)
     model.learn(10)
     save_checkpoint(model, tmp_path)
-    with pytest.warns(UserWarning, match="start anew"):
+    with pytest.warns(UserWarning, match="new episodes start"):
         resumed = resume(tmp_path, make_env(), device="cpu")
     assert resumed._last_obs is None
     normalised, before = resumed.get_env(), model.get_env()

@@ -132,19 +132,9 @@ def test_a_hand_may_carry_out_another_action() -> None:
             np.testing.assert_array_equal(observation["heightmap"], episode.observations["heightmap"][k + 1])
 
 
-def test_noise_needs_ranges_and_is_not_negative() -> None:
-    with pytest.raises(ValueError, match=r"std must not be negative, got -0\.1"):
-        GaussianExpertNoise(make_env().action_space, -0.1)
-    with pytest.raises(ValueError, match="action_space must be a Box"):
-        GaussianExpertNoise(gym.spaces.Discrete(3), 0.1)
-
-
 def test_gives_up() -> None:
     episodes = collect_episodes(make_env(expert_failures=100), 2, seed=0, progress_bar=False)
     with pytest.raises(RuntimeError, match=r"succeeded in 0 of 8 episodes .*, 2 needed"):
-        list(episodes)
-    episodes = collect_episodes(make_env(expert_failures=6), 2, 0, max_attempts=4, progress_bar=False)
-    with pytest.raises(RuntimeError, match="1 of 4"):
         list(episodes)
 
 

@@ -77,9 +77,3 @@ def test_a_source_carries_out_on_its_grid(make_picking: Any) -> None:
     free, snapped = buffers
     np.testing.assert_array_equal(CODEC.snap(snapped), snapped)
     assert not np.array_equal(CODEC.snap(free), free)
-
-
-@pytest.mark.parametrize("space", [spaces.Discrete(4), spaces.Box(-np.inf, np.inf, (4,))])
-def test_spaces_without_ranges(space: Any) -> None:
-    with pytest.raises(ValueError, match="action_space must be a bounded Box, got"):
-        GridSnapping(space, CODEC)

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+import subprocess
+import sys
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -20,6 +23,7 @@ from sb3_extensions.sacfd import SACfD
 from sb3_extensions.tqcfd import TQCfD
 
 ENV_ID = "BulletArm/CloseLoopBlockReaching-v0"
+OTHER_ID = "BulletArm/CloseLoopBlockPicking-v0"
 
 
 @pytest.fixture(scope="module")
@@ -34,13 +38,13 @@ class MinariLike(list[Any]):
 
     def __init__(self, episodes: Any, **kwargs: Any) -> None:
         super().__init__(episodes)
-        self.env_spec = SimpleNamespace(kwargs=kwargs)
+        self.env_spec = SimpleNamespace(id=kwargs.pop("id", ENV_ID), kwargs=kwargs)
         self.action_space = spaces.Box(-1.0, 1.0, (5,), np.float32)
 
 
-def learn(data: Any, env: Any = None, **env_kwargs: Any) -> SACfD:
+def learn(data: Any, env: Any = None, policy: str = "StatePolicy", **env_kwargs: Any) -> SACfD:
     env = env or make_vec_env(ENV_ID, env_kwargs={"observation": "state", **env_kwargs})
-    model = SACfD("StatePolicy", env, expert_data=data, buffer_size=100, seed=0)
+    model = SACfD(policy, env, expert_data=data, buffer_size=100, seed=0)
     try:
         return model.learn(1)
     except ValueError:
@@ -88,17 +92,63 @@ def test_episodes_of_other_shapes_are_refused_with_both_shapes(reaching: Demonst
     episode = reaching[0]
     state = episode.observations["state"]
     wrong: list[tuple[dict[str, Any], str]] = [
-        ({"actions": episode.actions[:, :4]}, r"actions of shape \(5,\), got \(4,\)"),
-        ({"observations": state}, r"observations of .* \{'holding': \(1,\), 'state': \(14,\)\}, got \(14,\)"),
-        ({"observations": {"other": state}}, r".*'state': .* got \{'other': "),
+        ({"actions": episode.actions[:, :4]}, r"actions of shape \(\d+, 5\), got \(\d+, 4\)"),
+        ({"actions": episode.actions[:0]}, "at least one step in an episode, got 0 in episode 1"),
+        ({"observations": state}, r"observations with the keys \['holding', 'state'\], got ndarray"),
+        ({"observations": {"other": state}}, r".* keys \['holding', 'state'\], got \['other'\]"),
         (
             {"observations": {**episode.observations, "state": state[:, :3]}},
-            r".* got \{'holding': \(1,\), 'state': \(3,\)\} in episode 1$",
+            r"observations\['state'\] of shape \(\d+, 14\), got \(\d+, 3\) in episode 1$",
         ),
+        (
+            {"observations": {**episode.observations, "state": state[1:]}},
+            r"observations\['state'\] of shape",
+        ),
+        ({"terminations": episode.terminations[1:]}, r"terminations of shape \(\d+,\), got"),
     ]
     for changes, message in wrong:
         with pytest.raises(ValueError, match=f"^expert_data must have {message}"):
             learn([plain_episode(episode), plain_episode(episode, **changes)])
+
+
+@pytest.fixture(scope="module")
+def picking() -> Demonstrations:
+    """Demonstrations of another task with the same spaces."""
+    return collect(OTHER_ID, 1, seed=0, env_kwargs={"obs_size": 48})
+
+
+def test_demonstrations_of_another_task_are_refused(picking: Demonstrations) -> None:
+    env_kwargs = {"observation": "image", "obs_size": 48}
+    message = f"^expert_data must be episodes of {ENV_ID}, got episodes of {OTHER_ID}"
+    for data in (picking, MinariLike(picking, id=OTHER_ID)):
+        with pytest.raises(ValueError, match=message):
+            learn(data, policy="MultiInputPolicy", **env_kwargs)
+
+
+def test_episodes_without_an_env_id_are_accepted(picking: Demonstrations) -> None:
+    learn(list(picking), policy="MultiInputPolicy", observation="image", obs_size=48)
+
+
+def test_expert_data_can_be_the_path_of_a_file(reaching: Demonstrations, tmp_path: Path) -> None:
+    reaching.save(tmp_path / "reaching.h5")
+    models = [learn(data) for data in (reaching, tmp_path / "reaching.h5", str(tmp_path / "reaching.h5"))]
+    for model in models:
+        assert model.replay_buffer is not None and models[0].replay_buffer is not None
+        stored = model.replay_buffer.steps("action")
+        np.testing.assert_array_equal(stored, models[0].replay_buffer.steps("action"))
+
+
+def test_path_of_another_file_is_refused_by_the_constructor(tmp_path: Path) -> None:
+    (tmp_path / "other.h5").write_bytes(b"other")
+    with pytest.raises(ValueError, match=r"other\.h5"):
+        learn(tmp_path / "other.h5")
+    with pytest.raises(FileNotFoundError, match=r"none\.h5"):
+        learn(tmp_path / "none.h5")
+
+
+def test_bulletarm_gym_is_imported_for_a_path_only() -> None:
+    code = "import sys, sb3_extensions.sacfd; assert 'bulletarm_gym' not in sys.modules"
+    subprocess.run([sys.executable, "-c", code], check=True)
 
 
 def test_further_observations_are_ignored(reaching: Demonstrations) -> None:
@@ -153,7 +203,7 @@ def test_learner_stores_the_experts_actions_in_the_wrapped_action_space(callback
     [
         ({"actions": lambda x: x * 1000}, r"actions from -1 to 1, got -?\d+ to \d+ in episode 0"),
         ({"actions": lambda x: np.full_like(x, np.nan)}, "actions from -1 to 1, got NaN in episode 0"),
-        ({"rewards": lambda x: x + np.inf}, "finite rewards, got inf to inf in episode 0"),
+        ({"rewards": lambda x: x + np.inf}, "rewards from .* got inf to inf in episode 0"),
         ({"rewards": lambda x: x[:-1]}, r"rewards of shape \(\d+,\), got \(\d+,\) in episode 0"),
         ({"expert_actions": lambda x: x - 7}, "expert_actions from -1 to 1, got -8"),
         (

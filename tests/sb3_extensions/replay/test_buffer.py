@@ -176,7 +176,7 @@ def test_reset_in_the_middle_of_an_episode_ends_it() -> None:
     np.testing.assert_allclose(samples.discounts.numpy(), GAMMA, rtol=1e-6)
 
 
-def test_memory_of_100_000_steps_of_128_pixels(caplog: pytest.LogCaptureFixture) -> None:
+def test_memory_of_100_000_steps_of_128_pixels() -> None:
     space = spaces.Dict(
         {
             "heightmap": spaces.Box(0.0, 0.4, (1, 128, 128), np.float32),
@@ -185,16 +185,13 @@ def test_memory_of_100_000_steps_of_128_pixels(caplog: pytest.LogCaptureFixture)
     )
     buffer = ExpertReplayBuffer(109_000, space, spaces.Box(-1, 1, (5,)), n_envs=5)
     assert buffer.table.nbytes < 1.8e9
-    assert not buffer.table.is_allocated
 
 
-def test_memory_beyond_what_is_free_is_logged(
-    caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_buffer_larger_than_the_available_memory_warns(monkeypatch: pytest.MonkeyPatch) -> None:
     memory = type("Memory", (), {"available": 1000})
     monkeypatch.setattr("sb3_extensions.replay.buffer.psutil.virtual_memory", lambda: memory)
-    Player(make_buffer()).step()
-    assert any(record.levelname == "WARNING" for record in caplog.records)
+    with pytest.warns(UserWarning, match="replay buffer needs"):
+        make_buffer()
 
 
 @both_samplers
@@ -236,14 +233,6 @@ def test_expert_episodes_come_first_and_fit() -> None:
     buffer = make_buffer(size=20)
     with pytest.raises(ValueError, match="buffer_size must be at least 24 for the demonstrations, got 20"):
         buffer.add_episode(*expert_episode(20))
-    observations, actions, rewards, terminations = expert_episode(4)
-    with pytest.raises(ValueError, match="rewards"):
-        buffer.add_episode(observations, actions, rewards[:-1], terminations)
-    with pytest.raises(ValueError, match="number"):
-        buffer.add_episode({"image": observations["image"]}, actions, rewards, terminations)
-    with pytest.raises(ValueError, match="shape"):
-        flat = {**observations, "image": observations["image"][:, 0]}
-        buffer.add_episode(flat, actions, rewards, terminations)
     buffer = make_buffer(size=20)
     Player(buffer).step()
     with pytest.raises(ValueError, match="before the first online"):

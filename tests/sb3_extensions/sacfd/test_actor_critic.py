@@ -282,15 +282,16 @@ def test_predict_takes_one_observation_or_a_batch():
 @pytest.mark.parametrize(
     "action_dim, sequence, problem",
     [
-        (4, "pxyzr", "names 5 numbers, but the action space has 4"),
-        (5, "pxyzq", "contains 'q'"),
-        (5, "pxxyz", "repeats"),
-        (6, "pxyzrr", "one r or three"),
+        (4, "pxyzr", "have 4 characters"),
+        (5, "pxyzq", "contain the characters of 'pxyzr' only"),
+        (5, "pxxyz", "not repeat"),
+        (6, "pxyzrr", "one or three r"),
         (4, "pxzr", "both x and y"),
     ],
 )
 def test_action_sequence_must_fit_the_action(action_dim, sequence, problem):
-    with pytest.raises(ValueError, match=f"action_sequence='{sequence}' .*{problem}"):
+    message = f"action_sequence must .*{problem}.* got action_sequence='{sequence}'"
+    with pytest.raises(ValueError, match=message):
         make_policy(action_dim, action_sequence=sequence)
 
 

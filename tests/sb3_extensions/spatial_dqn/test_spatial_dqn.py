@@ -247,7 +247,7 @@ def test_moved_samples_are_learnt(make_model: Any) -> None:
         ({"pretrain_steps": 5, "expert_episodes": 0}, "must be 0 without demonstrations"),
         ({"replay_buffer_class": ReplayBuffer}, "replay_buffer_class must be an ExpertReplayBuffer"),
         ({"replay_buffer_kwargs": {"gamma": 0.9}}, "gamma must be an argument of the algorithm"),
-        ({"replay_buffer_kwargs": {"image_dtype": "uint16"}}, "image_dtype='uint16', but the policy rounds"),
+        ({"replay_buffer_kwargs": {"image_dtype": "uint16"}}, "image_dtype='uint16', got quantise='uint8'"),
         ({"replay_buffer_kwargs": {"sampler": "best"}}, "sampler must be None, one of"),
         ({"n_steps": 0}, "n_steps must be at least 1"),
         ({"case": ("ASRPolicy", "pxy")}, "action_sequence='pxy' names 3 numbers"),
