@@ -8,7 +8,7 @@ from typing import Any
 from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.vec_env import VecNormalize
 
-from sb3_extensions.encoders.observation import SceneView, StackedImage
+from sb3_extensions.encoders.observation import StackedImage
 from sb3_extensions.replay.buffer import ExpertReplayBuffer
 
 
@@ -62,5 +62,5 @@ def check_normalisation(env: VecNormalize | None, policy: BasePolicy) -> None:
             )
 
 
-def _stacks(policy: BasePolicy) -> Iterator[StackedImage | SceneView]:
-    return (module for module in policy.modules() if isinstance(module, StackedImage | SceneView))
+def _stacks(policy: BasePolicy) -> Iterator[StackedImage]:
+    return (module for module in policy.modules() if isinstance(module, StackedImage))

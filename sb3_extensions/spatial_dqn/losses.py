@@ -1,6 +1,4 @@
-"""How spatial Q algorithms imitate: one term of the loss for each level (the paper's appendix; authors'
-code).
-"""
+"""Imitation losses of the spatial Q algorithms, one term for each level (paper, appendix; authors' code)."""
 
 from __future__ import annotations
 
@@ -9,20 +7,22 @@ from collections.abc import Callable
 import torch as th
 from torch.nn import functional as F
 
-# Multiplies the values of the level of all pixels where they are logits: many more choices than elsewhere.
 PIXEL_TEMPERATURE = 100.0
+"""Factor of the values of all pixels as logits, because this level has many more choices."""
 
 ImitationLoss = Callable[[th.Tensor, th.Tensor, th.Tensor, int], th.Tensor]
-"""From values (batch, choices), the actions' choices (batch,), whether they are the expert's, bool (batch,),
-and the number of the level to a scalar."""
+"""Function of values (batch, choices), choices of the actions (batch,), mask of expert steps, bool (batch,),
+and index of the level. The result is a scalar."""
 
 
 class StrictMargin:
     """
-    SDQfD: the mean, over all choices with a value above the expert's less a margin, of how far above they are
-    (https://arxiv.org/abs/2010.02798); the mean over the whole batch, 0 where the action is not the expert's.
+    Loss of SDQfD (https://arxiv.org/abs/2010.02798).
 
-    :param margin: by which the expert's choice is to be better than all others
+    The mean excess of all choices whose value is larger than the expert's value minus a margin. Averaged over
+    the whole batch, with 0 for online steps.
+
+    :param margin: required difference of the expert's choice and all others
     """
 
     def __init__(self, margin: float) -> None:
@@ -38,8 +38,10 @@ class StrictMargin:
 
 class LargeMargin:
     """
-    DQfD: how far the best choice is above the expert's, others raised by a margin
-    (https://arxiv.org/abs/1704.03732); the mean over the expert's transitions.
+    Loss of DQfD (https://arxiv.org/abs/1704.03732).
+
+    The difference of the best choice, with a margin added to all but the expert's, and the expert's choice.
+    Averaged over the expert steps.
 
     :param margin: see :class:`StrictMargin`
     """
@@ -51,30 +53,26 @@ class LargeMargin:
         """:return: a scalar"""
         chosen = values.gather(1, choices[:, None])
         raised = (values + self.margin).scatter(1, choices[:, None], chosen)
-        return mean_of_expert(raised.amax(dim=1) - chosen[:, 0], is_expert)
+        return _expert_mean(raised.amax(dim=1) - chosen[:, 0], is_expert)
 
 
 def cross_entropy(values: th.Tensor, choices: th.Tensor, is_expert: th.Tensor, level: int) -> th.Tensor:
     """
-    ADET: cross entropy of the expert's choice, values taken as logits (Lakshminarayanan, Ozair and Bengio,
-    "Reinforcement Learning with Few Expert Demonstrations", 2016); the mean over the expert's transitions.
+    Return the loss of ADET: the cross entropy of the expert's choices with values as logits.
+
+    Averaged over the expert steps. Lakshminarayanan, Ozair and Bengio, "Reinforcement Learning with Few
+    Expert Demonstrations", 2016.
 
     :param values: (batch, choices)
-    :param choices: of the actions, (batch,)
-    :param is_expert: whether they are the expert's, bool (batch,)
-    :param level: 0 for that of all pixels
+    :param choices: choices of the actions, (batch,)
+    :param is_expert: mask of expert steps, bool (batch,)
+    :param level: index of the level, 0 for all pixels
     :return: a scalar
     """
     temperature = PIXEL_TEMPERATURE if level == 0 else 1.0
-    return mean_of_expert(F.cross_entropy(temperature * values, choices, reduction="none"), is_expert)
+    return _expert_mean(F.cross_entropy(temperature * values, choices, reduction="none"), is_expert)
 
 
-def mean_of_expert(losses: th.Tensor, is_expert: th.Tensor) -> th.Tensor:
-    """
-    Mean over the expert's transitions, 0 if there are none.
-
-    :param losses: (batch,)
-    :param is_expert: bool (batch,)
-    :return: a scalar
-    """
+def _expert_mean(losses: th.Tensor, is_expert: th.Tensor) -> th.Tensor:
+    """Return the mean over the expert steps, 0 if there are none."""
     return th.where(is_expert, losses, 0.0).sum() / is_expert.sum().clamp(min=1)

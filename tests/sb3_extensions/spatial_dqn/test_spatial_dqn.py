@@ -113,7 +113,7 @@ def test_save_and_load(which: Any, make_picking: Any, make_model: Any, tmp_path:
     ours, theirs = (m.policy.optimizer.state_dict()["state"] for m in (model, loaded))
     assert ours.keys() == theirs.keys() and len(ours) > 0
     assert all(th.equal(ours[k]["exp_avg"], theirs[k]["exp_avg"]) for k in ours)
-    assert loaded.codec.describe() == model.codec.describe()
+    assert loaded.codec.shape == model.codec.shape
     assert loaded.q_net is loaded.policy.q_net and loaded.replay_buffer.image_dtype == "uint16"
     assert loaded._imitation_loss.margin == 0.2 and loaded.exploration_rate == model.exploration_rate
     loaded.learn(12)
@@ -250,8 +250,8 @@ def test_moved_samples_are_learnt(make_model: Any) -> None:
         ({"replay_buffer_kwargs": {"image_dtype": "uint16"}}, "image_dtype='uint16', but the policy rounds"),
         ({"replay_buffer_kwargs": {"sampler": "best"}}, "sampler must be None, one of"),
         ({"n_steps": 0}, "n_steps must be at least 1"),
-        ({"case": ("ASRPolicy", "pxy")}, "action_sequence='pxy' names 3 numbers"),
-        ({"case": ("FCNPolicy", "pxyz")}, r"needs \['z'\]"),
+        ({"case": ("ASRPolicy", "pxy")}, "Box of 3 numbers for action_sequence='pxy'"),
+        ({"case": ("FCNPolicy", "pxyz")}, r"needs levels for \['z'\]"),
     ],
 )
 def test_bad_arguments(kwargs: dict[str, Any], message: str, make_picking: Any, make_model: Any) -> None:
