@@ -10,6 +10,7 @@ import warnings
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from functools import cache
+from itertools import count, pairwise
 from typing import Any, NamedTuple
 
 import torch as th
@@ -54,11 +55,7 @@ def encoded_size(size: int) -> int:
     """
     if size < 1:
         raise ValueError(f"image size must be at least 1, got {size}")
-    small, large = LAST_SIZES
-    scale = 1
-    while large * scale < size:
-        scale *= 2
-    return small * scale if small * scale >= size else large * scale
+    return next(side << k for k in count() for side in LAST_SIZES if side << k >= size)
 
 
 def count_halvings(size: int) -> int:
@@ -81,22 +78,22 @@ def resize(images: th.Tensor, side: int) -> th.Tensor:
     return F.interpolate(images, size=(side, side), mode="bilinear", align_corners=False)
 
 
-def plan_stages(size: int, count: int, strided: int = 0) -> list[Stage]:
+def plan_stages(size: int, n_stages: int, strided: int = 0) -> list[Stage]:
     """Return the stages of an encoder: halvings, stages that keep the size, two stages that end in one pixel.
 
     For 128 pixels and seven stages without strides, these are the stages of the paper's encoder.
 
     :param size: side of the image, pixels
-    :param count: number of stages
+    :param n_stages: number of stages
     :param strided: number of halvings, from the first, that use a stride of 2 instead of pooling. The step
         from 6 or 8 pixels to 3 counts as the last halving
-    :raises ValueError: if ``count`` is too small for the size, or ``strided`` is too large
+    :raises ValueError: if ``n_stages`` is too small for the size, or ``strided`` is too large
     """
     halvings = count_halvings(size)
-    kept = count - halvings - 2
+    kept = n_stages - halvings - 2
     if kept < 0:
         raise ValueError(
-            f"channels must have at least {halvings + 2} entries for images of size {size}, got {count}"
+            f"channels must have at least {halvings + 2} entries for images of size {size}, got {n_stages}"
         )
     if not 0 <= strided <= halvings + 1:
         raise ValueError(f"strided must be from 0 to {halvings + 1} for images of size {size}, got {strided}")
@@ -177,7 +174,7 @@ def stack_stages(
     :param stages: stages, one fewer than ``types``
     """
     layers: list[nn.Module] = []
-    for in_type, out_type, stage in zip(types, types[1:], stages, strict=False):
+    for (in_type, out_type), stage in zip(pairwise(types), stages, strict=True):
         layers.append(layer_class(in_type, out_type, stage.kernel_size, stage.stride, stage.padding))
         # Pooling before the ReLU gives the same numbers for a quarter of the work.
         layers += [HalvingMaxPool()] if stage.pools else []

@@ -17,9 +17,7 @@ from sb3_extensions.encoders.cnn import CnnEncoder, Encoder, scale_channels
 from sb3_extensions.encoders.equivariant import EquivariantEncoder
 from sb3_extensions.encoders.observation import StackedImage, square_images
 from sb3_extensions.equivariant.groups import FieldType, Group
-from sb3_extensions.equivariant.layers import GroupMaxPool
 
-OUTPUTS = ("regular", "invariant")
 SMALL_IMAGE_CHANNELS = (16, 32, 64)
 """Channels of the halving stages of the encoders of smaller images."""
 
@@ -70,22 +68,11 @@ class ImageExtractor(BaseFeaturesExtractor):
         small_dim = small_image_features * len(small_images)
         super().__init__(observation_space, encoder.features_dim + small_dim)
         self.stack, self.encoder, self.small_images = stack, encoder, small_images
-        self.small_dim = small_dim
 
     def forward(self, observations: PyTorchObs) -> th.Tensor:
         """:return: (batch, features_dim)"""
-        features = self.encode(self.stack(observations))
+        features = self.encoder(self.stack(observations))
         return th.cat([features, *(encoder(observations) for encoder in self.small_images)], dim=1)
-
-    def encode(self, image: th.Tensor) -> th.Tensor:
-        """
-        Return the features of the largest images.
-
-        :param image: stacked images and numbers, (batch, channels, size, size)
-        :return: (batch, features)
-        """
-        features: th.Tensor = self.encoder(image)
-        return features
 
 
 def _small_images_by_size(observation_space: gym.Space[Any]) -> list[spaces.Dict]:
@@ -145,17 +132,9 @@ class EquivariantExtractor(ImageExtractor):
         output: str = "regular",
         **kwargs: Any,
     ) -> None:
-        if output not in OUTPUTS:
-            raise ValueError(f"output must be one of {OUTPUTS}, got {output!r}")
         symmetry = Group(group, n)
-        make_encoder = partial(EquivariantEncoder, group=symmetry)
+        make_encoder = partial(EquivariantEncoder, group=symmetry, output=output)
         super().__init__(make_encoder, observation_space, channels, **kwargs)
-        self.pool = GroupMaxPool(self.encoder.out_type) if output == "invariant" else None
-        scene_type = self.encoder.out_type if self.pool is None else self.pool.out_type
-        self.out_type = FieldType((*scene_type.fields, (symmetry.trivial, self.small_dim)))
-        self._features_dim = self.out_type.size
-
-    def encode(self, image: th.Tensor) -> th.Tensor:
-        """:return: (batch, features of the largest images)"""
-        features = super().encode(image)
-        return features if self.pool is None else self.pool(features)
+        scene_type = self.encoder.out_type
+        small_dim = self.features_dim - scene_type.size
+        self.out_type = FieldType((*scene_type.fields, (symmetry.trivial, small_dim)))

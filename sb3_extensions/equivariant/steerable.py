@@ -256,11 +256,6 @@ def _harmonic_actions(group: Group, frequencies: tuple[int, ...]) -> Matrices:
 
 def _invariants(out_type: FieldType) -> th.Tensor:
     """Return the invariant constant feature of each field that can have a bias, (biases, size)."""
-    rows, start = [], 0
-    for rep, count in out_type.fields:
-        for _ in range(count):
-            if rep.is_permutation:
-                rows.append(np.zeros(out_type.size))
-                rows[-1][start : start + rep.size] = 1.0
-            start += rep.size
-    return th.tensor(np.array(rows).reshape(len(rows), out_type.size), dtype=th.float32)
+    reps = [rep for rep, count in out_type.fields for _ in range(count)]
+    fields = np.repeat(np.eye(len(reps)), [rep.size for rep in reps], axis=1)
+    return th.tensor(fields[[rep.is_permutation for rep in reps]], dtype=th.float32)

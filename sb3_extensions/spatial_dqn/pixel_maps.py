@@ -29,6 +29,12 @@ HEAD_CHANNELS = 16
 """Channels of the head for one yaw (the authors' code). With few channels all ReLUs may be inactive
 forever."""
 
+# Channels and fields of the authors' code, for 128 x 128 pixels.
+CHANNELS = (32, 64, 128, 256, 256)
+FIELDS = (16, 32, 64, 128, 128)
+PATCH_MAP_CHANNELS = (64, 128, 256)
+IN_HAND_CHANNELS = (32, 64, 128, 256)
+
 InHandShape = tuple[int, int] | None
 """Number of channels and side (pixels) of the in-hand image, None without one."""
 
@@ -65,8 +71,8 @@ class PlainPixelMaps(PixelMaps):
         self,
         size: int,
         in_hand: InHandShape,
-        channels: Sequence[int],
-        in_hand_channels: Sequence[int],
+        channels: Sequence[int] = CHANNELS,
+        in_hand_channels: Sequence[int] = PATCH_MAP_CHANNELS,
         rotations: int = 1,
     ) -> None:
         super().__init__(rotations, lowest_shape(size, channels))
@@ -101,9 +107,9 @@ class RotatedPixelMaps(PixelMaps):
         self,
         size: int,
         in_hand: InHandShape,
-        channels: Sequence[int],
-        in_hand_channels: Sequence[int],
-        rotations: int,
+        channels: Sequence[int] = CHANNELS,
+        in_hand_channels: Sequence[int] = PATCH_MAP_CHANNELS,
+        rotations: int = 1,
     ) -> None:
         multiple = 2 ** (len(channels) - 1)
         canvas = math.ceil(size * math.sqrt(2.0) / multiple) * multiple
@@ -148,9 +154,9 @@ class EquivariantPixelMaps(PixelMaps):
         size: int,
         in_hand: InHandShape,
         group: Group,
-        fields: Sequence[int],
-        in_hand_channels: Sequence[int],
-        hidden: int,
+        fields: Sequence[int] = FIELDS,
+        in_hand_channels: Sequence[int] = IN_HAND_CHANNELS,
+        hidden: int = 1024,
         rotations: int = 1,
         dynamic_fields: int | None = None,
     ) -> None:

@@ -25,6 +25,10 @@ from sb3_extensions.spatial_dqn.asr_heads import (
 )
 from sb3_extensions.spatial_dqn.codec import DEFAULT_SEQUENCE, SpatialActionCodec
 from sb3_extensions.spatial_dqn.pixel_maps import (
+    CHANNELS,
+    FIELDS,
+    IN_HAND_CHANNELS,
+    PATCH_MAP_CHANNELS,
     EquivariantPixelMaps,
     PixelMaps,
     PlainPixelMaps,
@@ -32,13 +36,10 @@ from sb3_extensions.spatial_dqn.pixel_maps import (
 )
 from sb3_extensions.spatial_dqn.q_network import SpatialQNetwork
 
-# Channels and fields of the authors' code, for 128 x 128 pixels.
-CHANNELS = (32, 64, 128, 256, 256)
-FIELDS = (16, 32, 64, 128, 128)
 PATCH_FIELDS = (8, 16, 32, 32, 16)
-PATCH_MAP_CHANNELS = (64, 128, 256)
-IN_HAND_CHANNELS = (32, 64, 128, 256)
+"""Regular fields of the convolutions on the patch (the authors' code)."""
 HIDDEN = (1024, 512)
+"""Units of the linear layers of :class:`EquivariantASRPolicy` (the authors' code)."""
 
 
 class SpatialPolicy(BasePolicy):
@@ -226,15 +227,9 @@ class FCNPolicy(SpatialPolicy):
 
     maps_class: ClassVar[type[PlainPixelMaps | RotatedPixelMaps]] = PlainPixelMaps
 
-    def make_levels(  # type: ignore[override]
-        self,
-        view: SceneView,
-        channels: Sequence[int] = CHANNELS,
-        in_hand_channels: Sequence[int] = PATCH_MAP_CHANNELS,
-    ) -> tuple[PixelMaps, list[Level]]:
+    def make_levels(self, view: SceneView, **kwargs: Any) -> tuple[PixelMaps, list[Level]]:
         """:return: first level, no further levels"""
-        shapes = view.size, view.in_hand_shape
-        return self.maps_class(*shapes, channels, in_hand_channels, self.rotations), []
+        return self.maps_class(view.size, view.in_hand_shape, rotations=self.rotations, **kwargs), []
 
 
 class RotFCNPolicy(FCNPolicy):
@@ -252,24 +247,15 @@ class EquivariantFCNPolicy(SpatialPolicy):
     Equivariant U-Net that values every pixel and yaw (Equivariant FCN).
 
     The group is D_4 if actions have no yaw, otherwise C_2n for n yaws. Parameters of ``network_kwargs``:
-    regular ``fields`` of the levels, ``in_hand_channels`` of the convolutions on the in-hand image,
-    ``hidden`` units of the linear layer on it, and ``dynamic_fields``, see
+    ``fields``, ``in_hand_channels``, ``hidden`` and ``dynamic_fields`` of
     :class:`~sb3_extensions.spatial_dqn.pixel_maps.EquivariantPixelMaps`.
     """
 
-    def make_levels(  # type: ignore[override]
-        self,
-        view: SceneView,
-        fields: Sequence[int] = FIELDS,
-        in_hand_channels: Sequence[int] = IN_HAND_CHANNELS,
-        hidden: int = HIDDEN[0],
-        dynamic_fields: int | None = None,
-    ) -> tuple[PixelMaps, list[Level]]:
+    def make_levels(self, view: SceneView, **kwargs: Any) -> tuple[PixelMaps, list[Level]]:
         """:return: first level, no further levels"""
-        rotations = self.rotations
-        group = Group("dihedral", 4) if rotations == 1 else Group("cyclic", 2 * rotations)
-        widths = (fields, in_hand_channels, hidden, rotations, dynamic_fields)
-        return EquivariantPixelMaps(view.size, view.in_hand_shape, group, *widths), []
+        n_yaws = self.rotations
+        group = Group("dihedral", 4) if n_yaws == 1 else Group("cyclic", 2 * n_yaws)
+        return EquivariantPixelMaps(view.size, view.in_hand_shape, group, rotations=n_yaws, **kwargs), []
 
 
 class ASRPolicy(SpatialPolicy):
@@ -286,7 +272,7 @@ class ASRPolicy(SpatialPolicy):
         view: SceneView,
         channels: Sequence[int] = CHANNELS,
         in_hand_channels: Sequence[int] = PATCH_MAP_CHANNELS,
-        hidden: int = HIDDEN[0],
+        hidden: int = 1024,
         patch_channels: Sequence[int] = PATCH_CHANNELS,
         patch_hidden: Sequence[int] = PATCH_HIDDEN,
     ) -> tuple[PixelMaps, list[Level]]:

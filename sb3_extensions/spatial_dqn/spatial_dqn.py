@@ -23,7 +23,7 @@ from sb3_extensions.demonstrations.episodes import EpisodeData
 from sb3_extensions.demonstrations.off_policy import OffPolicyFromDemonstrations
 from sb3_extensions.demonstrations.source import DemonstrationSource
 from sb3_extensions.spatial_dqn.augmentation import RigidMotion
-from sb3_extensions.spatial_dqn.losses import ImitationLoss, LargeMargin, StrictMargin, cross_entropy
+from sb3_extensions.spatial_dqn.losses import ImitationLoss, cross_entropy, large_margin, strict_margin
 from sb3_extensions.spatial_dqn.policies import (
     ASRPolicy,
     EquivariantASRPolicy,
@@ -105,6 +105,8 @@ class SpatialDQN(OffPolicyFromDemonstrations):
         "EquivariantASRPolicy": EquivariantASRPolicy,
     }
     default_imitation_weight: ClassVar[float] = 0.1
+    imitation_loss: ImitationLoss | None = None
+    """Imitation loss of one level, None without imitation."""
     exploration_schedule: Schedule
     policy: SpatialPolicy
     expert_noise = 0.0  # noisy actions are not on the grid
@@ -204,21 +206,13 @@ class SpatialDQN(OffPolicyFromDemonstrations):
         shares = {"expert_fraction": EXPERT_FRACTION, "balanced_from": max(1, self.batch_size // 2)}
         self.replay_buffer_kwargs = {"sampler": {"shares": shares}, **self.replay_buffer_kwargs}
         super()._setup_model()
-        self._create_aliases()
-        self.exploration_schedule = LinearSchedule(
-            self.exploration_initial_eps, self.exploration_final_eps, self.exploration_fraction
-        )
-
-    def _create_aliases(self) -> None:
         self.q_net = self.policy.q_net
         self.q_net_target = self.policy.q_net_target
         self.codec = self.policy.codec
-        self._imitation_loss = self._make_imitation_loss()
         self._rigid_motion = RigidMotion(self.codec, self.q_net.scene_view.image_key)
-
-    def _make_imitation_loss(self) -> ImitationLoss | None:
-        """Return the imitation loss of one level, None without imitation."""
-        return None
+        self.exploration_schedule = LinearSchedule(
+            self.exploration_initial_eps, self.exploration_final_eps, self.exploration_fraction
+        )
 
     def train(self, gradient_steps: int, batch_size: int = 16) -> None:
         """
@@ -263,8 +257,8 @@ class SpatialDQN(OffPolicyFromDemonstrations):
                 td_loss = (replay_data.weights * td_errors).mean()
                 loss = loss + td_loss
                 logs[f"td_loss_{level}"].append(td_loss.detach())
-                if self._imitation_loss is not None:
-                    imitation_loss = self._imitation_loss(values, chosen, is_expert, level)
+                if self.imitation_loss is not None:
+                    imitation_loss = self.imitation_loss(values, chosen, is_expert, level, self.margin)
                     loss = loss + self.imitation_weight * imitation_loss
                     logs[f"imitation_loss_{level}"].append(imitation_loss.detach())
             # The values of the last level are the targets.
@@ -334,7 +328,7 @@ class SpatialDQN(OffPolicyFromDemonstrations):
             self.exploration_generator.manual_seed(derive_seed(seed, SeedKey.EXPLORATION))
 
     def _excluded_save_params(self) -> list[str]:
-        own = ["q_net", "q_net_target", "codec", "exploration_generator", "_imitation_loss", "_rigid_motion"]
+        own = ["q_net", "q_net_target", "codec", "exploration_generator", "_rigid_motion"]
         return [*super()._excluded_save_params(), *own]
 
     def _get_torch_save_params(self) -> tuple[list[str], list[str]]:
@@ -345,24 +339,22 @@ class SDQfD(SpatialDQN):
     """
     Strict deep Q-learning from demonstrations (https://arxiv.org/abs/2010.02798).
 
-    Imitates with :class:`~sb3_extensions.spatial_dqn.losses.StrictMargin`. See :class:`SpatialDQN` for the
+    Imitates with :func:`~sb3_extensions.spatial_dqn.losses.strict_margin`. See :class:`SpatialDQN` for the
     parameters.
     """
 
-    def _make_imitation_loss(self) -> ImitationLoss:
-        return StrictMargin(self.margin)
+    imitation_loss = staticmethod(strict_margin)
 
 
 class DQfD(SpatialDQN):
     """
     Deep Q-learning from demonstrations (https://arxiv.org/abs/1704.03732).
 
-    Imitates with :class:`~sb3_extensions.spatial_dqn.losses.LargeMargin`. See :class:`SpatialDQN` for the
+    Imitates with :func:`~sb3_extensions.spatial_dqn.losses.large_margin`. See :class:`SpatialDQN` for the
     parameters.
     """
 
-    def _make_imitation_loss(self) -> ImitationLoss:
-        return LargeMargin(self.margin)
+    imitation_loss = staticmethod(large_margin)
 
 
 class ADET(SpatialDQN):
@@ -375,6 +367,4 @@ class ADET(SpatialDQN):
     """
 
     default_imitation_weight: ClassVar[float] = 0.01
-
-    def _make_imitation_loss(self) -> ImitationLoss:
-        return cross_entropy
+    imitation_loss = staticmethod(cross_entropy)
