@@ -5,6 +5,7 @@ import json
 import pickle
 import sys
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -13,9 +14,10 @@ import numpy as np
 import pytest
 from rollouts import idle
 
-from bulletarm_gym.demonstrations import Demonstrations, Episode, collect, export_minari, load
+from bulletarm_gym.demonstrations import Demonstrations, Episode, collect, export_minari, load, replay
 from bulletarm_gym.demonstrations import episodes as files
 from bulletarm_gym.env import ManipulationEnv
+from bulletarm_gym.simulation.shapes import Box, Piece, wavefront
 
 Make = Callable[..., ManipulationEnv]
 
@@ -151,6 +153,27 @@ def test_environments_are_made_again(basket: Demonstrations) -> None:
     assert env.unwrapped.config.max_steps == 7
     assert env.unwrapped.config.num_objects == basket.about["configuration"]["num_objects"]
     env.close()
+
+
+def test_a_folder_of_objects_is_found_from_other_folders_and_after_a_move(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    objects = tmp_path / "objects"
+    objects.mkdir()
+    (objects / "box.obj").write_text(wavefront([Piece(Box((0.04, 0.05, 0.04)))]))
+    monkeypatch.chdir(tmp_path)
+    kwargs = {"object_set": "objects", "num_objects": 1, "obs_size": 16}
+    recorded = collect("BulletArm/CloseLoopObjectGrasping-v0", 1, seed=0, env_kwargs=kwargs)
+    recorded.save("episodes.h5")
+    monkeypatch.chdir("/")
+    recorded.make_env().close()
+    objects.rename(tmp_path / "moved")
+    must = rf"^object_set must be .*, got '{objects}', .* load\(path, object_set="
+    with pytest.raises(ValueError, match=must):
+        recorded.make_env()
+    moved = load(tmp_path / "episodes.h5", object_set=tmp_path / "moved")
+    with closing(moved.make_env()) as env:
+        assert list(replay(moved, 0, env.unwrapped))  # type: ignore[arg-type]
 
 
 def test_interrupted_collections_leave_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
