@@ -256,12 +256,24 @@ def test_files_that_are_not_used_are_named_in_one_warning(tmp_path: Path) -> Non
     for name in ("loose.obj", "b.dae", "C.PLY", "readme.md", "a.mtl"):
         (tmp_path / name).write_text("")
     (tmp_path / "broken").mkdir()
-    (tmp_path / "broken" / "b.obj").write_text("v 0 0 0\n")
+    (tmp_path / "broken" / "b.urdf").write_text("<robot><link/><link/></robot>")
+    (tmp_path / "broken" / "c.obj").write_text("")
     with pytest.warns(UserWarning) as caught:
         load_folder(str(tmp_path))
     (text,) = [str(warning.message) for warning in caught]
-    assert "1 of 2 files are left out" in text and "broken/b.obj cannot be loaded: it has no faces" in text
-    assert "3 files are not used: C.PLY, b.dae, loose.obj (" in text
+    assert "1 of 2 files are left out" in text and "broken/b.urdf cannot be loaded: it has 2 links" in text
+    assert "4 files are not used: C.PLY, b.dae, broken/c.obj, loose.obj (" in text
+
+
+def test_meshes_in_a_folder_next_to_a_urdf_are_parts_of_it(tmp_path: Path) -> None:
+    meshes = tmp_path / "meshes" / "collision"
+    meshes.mkdir(parents=True)
+    (meshes / "a.obj").write_text(wavefront(graspables()[0].pieces))
+    mesh = '<geometry><mesh filename="meshes/collision/a.obj"/></geometry>'
+    (tmp_path / "a.urdf").write_text(
+        f'<robot name="a"><link name="a"><collision>{mesh}</collision></link></robot>'
+    )
+    assert [spec.name for spec in load_folder(str(tmp_path))] == ["a.urdf"]
 
 
 def test_a_flat_part_is_named(tmp_path: Path) -> None:
