@@ -9,12 +9,21 @@ from contextlib import closing
 from pathlib import Path
 from typing import Any
 
+import gymnasium
 import h5py
 import numpy as np
 import pytest
 from rollouts import idle
 
-from bulletarm_gym.demonstrations import Demonstrations, Episode, collect, export_minari, load, replay
+from bulletarm_gym.demonstrations import (
+    Demonstrations,
+    Episode,
+    RecordDemonstrations,
+    collect,
+    export_minari,
+    load,
+    replay,
+)
 from bulletarm_gym.demonstrations import episodes as files
 from bulletarm_gym.env import ManipulationEnv
 from bulletarm_gym.simulation.shapes import Box, Piece, wavefront
@@ -288,8 +297,11 @@ def test_collect_names_the_wrong_argument(name: str, value: Any, must: str) -> N
 
 
 def test_folders_are_no_files(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="a folder"):
+    must = f"^path must be a file such as .*, got the folder {tmp_path}"
+    with pytest.raises(ValueError, match=must):
         collect(PICKING, 1, path=tmp_path)
+    with closing(gymnasium.make(PICKING, obs_size=16)) as env, pytest.raises(ValueError, match=must):
+        RecordDemonstrations(env, tmp_path)
 
 
 # Minari
