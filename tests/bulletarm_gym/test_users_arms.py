@@ -435,9 +435,19 @@ def test_without_leaves_out_a_link_and_all_attached_to_it() -> None:
         without(PANDA.load(), "wrist")
 
 
-def test_a_jaw_on_an_arm_with_the_same_joint_names_is_refused() -> None:
-    with pytest.raises(ValueError, match="'panda_finger_joint1'"):
+def test_a_jaw_on_a_flange_that_carries_a_gripper_is_refused() -> None:
+    """Else the hand of the Panda would reach through the jaw."""
+    must = r"link must carry no gripper, got 'panda_link7' with the joint 'panda_finger.*'panda_hand'"
+    with pytest.raises(ValueError, match=must):
         _ = _fitted(PANDA.load).urdf
+
+
+def test_a_jaw_on_an_arm_with_the_same_joint_names_is_refused() -> None:
+    jaw = replace(JAW, joints=("panda_joint3", "b_joint"))
+    bare = partial(without, PANDA.load(), "panda_hand")
+    load = partial(jaw.fitted, bare, "panda_link7", Pose((0.0, 0.0, 0.107)))
+    with pytest.raises(ValueError, match="'panda_joint3'"):
+        _ = replace(PANDA, load=load, gripper=jaw).urdf
 
 
 def hand() -> Element:
