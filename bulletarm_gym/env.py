@@ -18,6 +18,7 @@ from bulletarm_gym.copies import reduce_env
 from bulletarm_gym.experts.tracking import Tracker
 from bulletarm_gym.extensions import by_path
 from bulletarm_gym.feasibility import (
+    check_base,
     check_heights,
     check_home,
     check_room,
@@ -96,6 +97,7 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         check_heights(self.config, own, self.task)
         self._reward = self.objects.get("reward") or reward_function(self.config.reward) or self.task.reward
         self.scene = make_scene(self.config, robots, surface, self.task)
+        check_base(self.config, self.scene.robot.model)
         check_home(self.config, self.scene)
         check_spans(self.config, own, self.scene, self.task)
         robot = RobotInterface(self.scene.robot, self.scene.settle)

@@ -12,6 +12,7 @@ from bulletarm_gym.extensions import load
 from bulletarm_gym.footprint import Footprint, PlacementError
 from bulletarm_gym.geometry import Pose
 from bulletarm_gym.objects.blocks import CUBE_SIZE
+from bulletarm_gym.robots import RobotModel
 from bulletarm_gym.scene import Role, Scene
 from bulletarm_gym.simulation import BodySpec
 from bulletarm_gym.tasks import Task
@@ -26,6 +27,20 @@ INFO = frozenset({"is_success", "is_valid", "ignored"})
 """Keys of ``info`` that the environment itself sets."""
 GRASP_PLAY = 0.001
 """Play (m) that open fingers need about what they grasp."""
+
+
+def check_base(config: EnvConfig, model: RobotModel) -> None:
+    """Check that the workspace is next to the base of the arm, and not behind it.
+
+    :raises ParameterError: it is not
+    """
+    if model.jumps_inside(config.workspace):
+        x, y, yaw = model.base.x, model.base.y, model.base.yaw
+        takes = (
+            f"one without the base of robot={config.robot!r} and the line behind it: the base is at "
+            f"({x:g}, {y:g}) with a yaw of {yaw:.4g} rad, and there the first joint would have to jump"
+        )
+        raise ParameterError.of("workspace", config.workspace, takes)
 
 
 def check_heights(config: EnvConfig, own: EnvConfig, task: Task) -> None:

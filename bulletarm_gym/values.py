@@ -169,7 +169,7 @@ def boolean(value: Any) -> bool:
 
 
 def object_set(value: Any) -> str | list[str]:
-    """Ask for a folder that exists, or the names of kinds."""
+    """Ask for a folder that exists, or the names of kinds; return the absolute path of a folder."""
     if isinstance(value, list | tuple) and value and all(isinstance(kind, str) for kind in value):
         return [str(kind) for kind in value]
     if not isinstance(value, str | os.PathLike):
@@ -177,7 +177,7 @@ def object_set(value: Any) -> str | list[str]:
     if not os.path.isdir(value):
         where = "" if os.path.isabs(value) else f" in the working directory {os.getcwd()}"
         raise Refused(f"None, an existing folder{where} or a list of kinds of objects")
-    return os.fspath(value)
+    return os.path.abspath(os.fspath(value))
 
 
 def no_object_set(value: Any) -> None:

@@ -1,4 +1,4 @@
-"""Learners take what sensors give: images of both types, points and numbers."""
+"""Learners accept images of both types and numbers from sensors."""
 
 from typing import Any
 
@@ -21,7 +21,6 @@ EVERYTHING = [
     *COLOURS,
     "segmentation",
     {"name": "rgb", "size": 24},
-    {"name": "point_cloud", "points": 64},
     "state",
 ]
 SMALL = {"channels": (4, 4, 4, 4, 8)}
@@ -36,17 +35,12 @@ def as_seen(space: Any, observation: dict[str, np.ndarray], turns: int = 0) -> d
     turned = dict(observation)
     for name in ("heightmap", "color", "segmentation"):
         turned[name] = np.rot90(observation[name], turns, axes=(1, 2)).copy()
-    cos, sin = np.cos(turns * np.pi / 2), np.sin(turns * np.pi / 2)
-    turn = np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]], np.float32)
-    turned["point_cloud"] = observation["point_cloud"] @ turn
     batch = obs_as_tensor({name: values[None] for name, values in turned.items()}, "cpu")
     return preprocess_obs(batch, space)
 
 
 def changed(name: str, values: np.ndarray) -> np.ndarray:
     """Another observation of a sensor."""
-    if name == "point_cloud":
-        return 2.0 * values
     return np.roll(values, 3, axis=-1) if values.ndim > 1 else 1 - values
 
 
@@ -76,7 +70,7 @@ def test_extractors_see_every_part(extractor: Any, seen: Any) -> None:
         assert not th.equal(network(as_seen(space, other)), features), name
 
 
-def test_features_turn_with_colours_and_points(seen: Any) -> None:
+def test_features_rotate_with_colours(seen: Any) -> None:
     """Behind a side camera, which does not turn with the scene, nothing would be equivariant."""
     space, observation = seen
     th.manual_seed(0)

@@ -59,7 +59,7 @@ def collect(
     check_argument("seed", seed, optional(integer(0)))
     check_argument("max_attempts", max_attempts, optional(integer(1)))
     check_argument("env_kwargs", env_kwargs, optional(mapping))
-    target = None if path is None else _writable(Path(path))
+    target = None if path is None else writable(Path(path))
     seed = int(np.random.SeedSequence().generate_state(1)[0]) if seed is None else seed
     most = ATTEMPTS_PER_EPISODE * episodes if max_attempts is None else max_attempts
     with closing(_make(env_id, env_kwargs or {})) as env:
@@ -179,14 +179,14 @@ def _make(env_id: str, env_kwargs: Mapping[str, Any]) -> ManipulationEnv:
     return env
 
 
-def _writable(path: Path) -> Path:
+def writable(path: Path) -> Path:
     """Return a path that a file can be written to; asked before an hour of collecting, not after.
 
     :raises ValueError: it is a folder
     :raises OSError: its folder cannot be made or written to
     """
     if path.is_dir():
-        raise ValueError(f"path: got {path}, a folder; takes a file such as {path / 'demonstrations.h5'}")
+        raise ValueError(f"path must be a file such as {path / 'demonstrations.h5'}, got the folder {path}")
     path.parent.mkdir(parents=True, exist_ok=True)
     if not os.access(path.parent, os.W_OK):
         raise PermissionError(f"path: {path.parent} cannot be written to")

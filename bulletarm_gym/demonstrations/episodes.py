@@ -100,12 +100,16 @@ class Demonstrations:
 
     :param image: the content of the file
     :param name: of the file, for errors
+    :param object_set: folder of the objects, if it is not where it was when they were recorded
     :raises ValueError: it is of another kind, or damaged
     """
 
-    def __init__(self, image: bytes, name: str = "demonstrations") -> None:
+    def __init__(
+        self, image: bytes, name: str = "demonstrations", object_set: str | os.PathLike[str] | None = None
+    ) -> None:
         self.image = image
         self._name = name
+        self._changed = {} if object_set is None else {"object_set": os.path.abspath(object_set)}
         if not image.startswith(MAGIC):
             raise ValueError(f"{name}: not a file of demonstrations")
         if image[:USER_BLOCK] != _user_block(image[USER_BLOCK:]):
@@ -147,10 +151,18 @@ class Demonstrations:
         """Make an environment like the one they were recorded in; the module of a user's task is imported.
 
         :param parameters: parameters with other values
+        :raises ValueError: the folder of the objects does not exist
         """
         if self.env_id not in gymnasium.registry and "recipe" in self.about:
             register(self.env_id, self.about["recipe"])
-        return gymnasium.make(self.env_id, **{**self.about["configuration"], **parameters})
+        parameters = {**self.about["configuration"], **self._changed, **parameters}
+        folder = parameters.get("object_set")
+        if isinstance(folder, str) and not os.path.isdir(folder):
+            raise ValueError(
+                f"object_set must be the folder of the objects that were recorded, got {folder!r}, "
+                "which does not exist. Use load(path, object_set=FOLDER)."
+            )
+        return gymnasium.make(self.env_id, **parameters)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the file, whole or not at all; its folder is made."""
@@ -294,10 +306,11 @@ def _read_observations(dataset: h5py.Dataset) -> NDArray[Any]:
     return stored if unit is None else (stored * unit).astype(np.float32)
 
 
-def load(path: str | os.PathLike[str]) -> Demonstrations:
+def load(path: str | os.PathLike[str], object_set: str | os.PathLike[str] | None = None) -> Demonstrations:
     """Return the demonstrations in a file.
 
+    :param object_set: folder of the objects, if it is not where it was when they were recorded
     :raises OSError: it cannot be opened
     :raises ValueError: it is of another kind, or damaged; so it may turn out when an episode is read
     """
-    return Demonstrations(Path(path).read_bytes(), os.fspath(path))
+    return Demonstrations(Path(path).read_bytes(), os.fspath(path), object_set)

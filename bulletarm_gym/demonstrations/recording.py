@@ -14,7 +14,7 @@ from gymnasium import wrappers
 from gymnasium.utils import RecordConstructorArgs
 
 from bulletarm_gym.demonstrations import plain
-from bulletarm_gym.demonstrations.collecting import describe
+from bulletarm_gym.demonstrations.collecting import describe, writable
 from bulletarm_gym.demonstrations.episodes import Demonstrations, Episode, Recorder, Step, assemble, load
 from bulletarm_gym.env import Action, ManipulationEnv, Observation
 
@@ -42,6 +42,7 @@ class RecordDemonstrations(
     :param env: an environment of this package, without inner wrappers that change actions or observations
     :param path: file to write; episodes of an existing file are kept
     :param planner: name of the acting person or policy, for readers of the file
+    :raises OSError: the folder of ``path`` cannot be made or written to
     :raises ValueError: ``path`` holds episodes of another environment or of other parameters, or is not a
         file of demonstrations; ``env`` is of another package or has such a wrapper
     """
@@ -53,7 +54,7 @@ class RecordDemonstrations(
         gymnasium.Wrapper.__init__(self, env)
         self._inner = _recorded_env(env)
         self._about = describe(self._inner)
-        self._path, self._planner = Path(path), planner
+        self._path, self._planner = writable(Path(path).absolute()), planner
         self._count = len(self._earlier() or ())
         self._unsaved: list[Episode] = []
         self._attempts = 0  # since the last write

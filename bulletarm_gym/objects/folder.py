@@ -24,9 +24,9 @@ SOLVER_ELEMENTS = ("contact_cfm", "contact_erp", "inertia_scaling")
 def load_folder(folder: str) -> tuple[BodySpec, ...]:
     """Return the objects of all files in a folder and the folders within it, sorted by path.
 
-    If a folder has URDF files, the meshes in it are parts of them. Symbolic links are followed. One warning
-    names files that cannot be loaded, with the reasons, other models that are not used, and contact
-    properties that are not used.
+    If a folder has URDF files, the meshes in it and in the folders within it are parts of them. Symbolic
+    links are followed. One warning names files that cannot be loaded, with the reasons, other models that are
+    not used, and contact properties that are not used.
 
     :raises ValueError: there is no such file, or none can be loaded; the message names files and reasons
     """
@@ -51,9 +51,12 @@ def load_folder(folder: str) -> tuple[BodySpec, ...]:
 
 
 def _object_files(folder: Path) -> Iterator[Path]:
+    described: set[Path] = set()  # folders with URDF files, and the folders within them
     for parent, names in _walk(folder):
-        described = [name for name in names if name.lower().endswith(".urdf")]
-        yield from (parent / name for name in described or names if name.lower().endswith((".urdf", *MESHES)))
+        if parent.parent in described or any(name.lower().endswith(".urdf") for name in names):
+            described.add(parent)
+        endings = (".urdf",) if parent in described else (".urdf", *MESHES)
+        yield from (parent / name for name in names if name.lower().endswith(endings))
 
 
 def _walk(folder: Path) -> Iterator[tuple[Path, list[str]]]:
@@ -83,7 +86,8 @@ def _unused_files(folder: Path, used: set[Path]) -> list[str]:
     models = [path for path in files if path.suffix.lower() in (*MESHES, *OTHER_MODELS)]
     names = sorted(str(path.relative_to(folder)) for path in models if os.path.realpath(path) not in real)
     reason = (
-        "OBJ, STL and URDF files are read, and in a folder with URDF files only the meshes that they name"
+        "OBJ, STL and URDF files are read; in a folder with URDF files and the folders within it, only the "
+        "meshes that they name"
     )
     return [f"object_set: {len(names)} files are not used: {', '.join(names)} ({reason})"] if names else []
 

@@ -20,6 +20,7 @@ from bulletarm_gym.robots.urdf import (
     add_link,
     add_parts,
     box,
+    end_of,
     find_link,
 )
 from bulletarm_gym.values import Check
@@ -114,9 +115,10 @@ class ParallelJaw(Gripper):
         """Return an arm's model with the palm as part of a link and the fingers as links of their own.
 
         :param arm: reads or makes the model
-        :raises ValueError: the model has no such link
+        :raises ValueError: the model has no such link, or the link carries a gripper
         """
         root = arm()
+        _check_free(root, link)
         palm = box(self.palm, (0.0, 0.0, self.palm[2] / 2.0), DARK)
         add_parts(find_link(root, link), [part.seen_from(flange) for part in (palm, *self.housing)])
         for name, yaw in zip(self.joints, (0.0, math.pi), strict=True):
@@ -131,3 +133,20 @@ class ParallelJaw(Gripper):
         element = add_joint(root, "prismatic", joint, (parent, child), mount, (1.0, 0.0, 0.0))
         limits = {"lower": 0.0, "upper": self.travel, "effort": self.force, "velocity": self.speed}
         SubElement(element, "limit", {key: repr(value) for key, value in limits.items()})
+
+
+def _check_free(root: Element, link: str) -> None:
+    """Check that no joint moves what is attached to a link.
+
+    :raises ValueError: one does, as on a flange that carries a gripper
+    """
+    carried = [link]
+    for name in carried:
+        for joint in (joint for joint in root.findall("joint") if end_of(joint, "parent") == name):
+            if joint.get("type") != "fixed":
+                raise ValueError(
+                    f"link must carry no gripper, got {link!r} with the joint {joint.get('name')!r}. "
+                    f"Use without(model, {name!r}) in load."
+                )
+            if (child := end_of(joint, "child")) not in carried:
+                carried.append(child)

@@ -2,7 +2,7 @@
 
 import copy
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from xml.etree import ElementTree
@@ -23,6 +23,8 @@ TRAVEL_TOLERANCE = 1e-4
 """Tolerance (m) of the comparison between the gripper's stroke and the fingers' joint limits."""
 FRONT = math.pi / 2.0
 """Maximum angle (rad) about the base between the posture and the front. Beyond it the posture is rotated."""
+LINE_POINTS = 1000
+"""Number of points of the line behind the base that are compared with a workspace."""
 VERTICAL = 0.9
 """Minimum cosine between the vertical and the axis of a joint that rotates the gripper about the vertical."""
 
@@ -151,6 +153,24 @@ class RobotModel:
         start[0] += first * azimuth
         start[-1] += last * (pose.yaw - yaw - azimuth)
         return self.chain.inverse(pose, start)
+
+    def jumps_inside(self, workspace: Sequence[Sequence[float]]) -> bool:
+        """Return True if the first joint jumps between neighbouring positions in a workspace.
+
+        It jumps around the base, and on both sides of the line behind the base unless the first joint makes a
+        whole turn.
+
+        :param workspace: [low, high] (m) along x and y
+        """
+        first, _ = self._directions
+        lower, upper = self.chain.solution_limits[0]
+        if first == 0.0:
+            return False
+        base, (low, high) = np.array(self.base.position[:2]), np.array(workspace[:2]).T
+        reach = 0.0 if upper - lower >= math.tau else np.abs([base - low, base - high]).sum()
+        lengths = np.linspace(0.0, reach, LINE_POINTS)[:, None]
+        line = base - lengths * [math.cos(self.base.yaw), math.sin(self.base.yaw)]
+        return bool(((low < line) & (line < high)).all(axis=1).any())
 
     @cached_property
     def _start(self) -> FloatArray:

@@ -8,7 +8,7 @@ from typing import Any
 from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.vec_env import VecNormalize
 
-from sb3_extensions.encoders.observation import SceneView, StackedImage
+from sb3_extensions.encoders.observation import StackedImage
 from sb3_extensions.replay.buffer import ExpertReplayBuffer
 
 
@@ -35,7 +35,7 @@ def check_rounding(buffer: ExpertReplayBuffer, policy: BasePolicy, env: VecNorma
     :raises ValueError: if buffer and policy round images differently, or the environment normalises images
         that the policy rounds
     """
-    for stack in (module for module in policy.modules() if isinstance(module, StackedImage | SceneView)):
+    for stack in (module for module in policy.modules() if isinstance(module, StackedImage)):
         if stack.has_float_images and stack.quantise != buffer.image_dtype:
             raise ValueError(
                 f"quantise of the policy must be the buffer's image_dtype={buffer.image_dtype!r}, got "

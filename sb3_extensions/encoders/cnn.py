@@ -1,8 +1,7 @@
-"""Convolutional encoders of a square image to a vector: the paper's closed-loop CNN, and one of small images.
+"""Convolutional encoders of a square image to a vector.
 
-The paper's encoder and :class:`~sb3_extensions.encoders.equivariant.EquivariantEncoder` halve the image until
-6 or 8 pixels a side remain. Two further stages end in one pixel. Every stage maps a grid to one with the same
-centre, so rotations by 90 degrees stay exact.
+An encoder halves the image until 6 or 8 pixels a side remain. Two further stages end in one pixel. Each stage
+keeps the centre of the image, so rotations by 90 degrees are exact.
 """
 
 from __future__ import annotations
@@ -11,13 +10,14 @@ import warnings
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from functools import cache
-from itertools import pairwise
-from typing import NamedTuple
+from itertools import count, pairwise
+from typing import Any, NamedTuple
 
 import torch as th
 from torch import nn
 from torch.nn import functional as F
 
+from sb3_extensions.encoders.initialisation import initialise_xavier
 from sb3_extensions.equivariant.convolution import PlainConv2d
 
 LAST_SIZES = (6, 8)
@@ -26,12 +26,12 @@ AUTOCAST_OPTIONS = (None, "bf16")
 
 
 class Stage(NamedTuple):
-    """A convolution, max-pooling, ReLU.
+    """Convolution, optional max-pooling, ReLU.
 
     :param kernel_size: side of the filter, pixels
-    :param stride: of the convolution, pixels
+    :param stride: stride of the convolution, pixels
     :param padding: zeros on each side, pixels
-    :param pools: whether it halves the image by max-pooling
+    :param pools: whether max-pooling halves the image
     """
 
     kernel_size: int = 3
@@ -41,7 +41,7 @@ class Stage(NamedTuple):
 
 
 POOLED_HALVING = Stage(pools=True)
-# Four pixels, the smallest filter whose steps of two keep the image's centre and whose neighbours overlap.
+# 4 pixels is the smallest filter that overlaps its neighbours and keeps the image centre with a stride of 2.
 STRIDED_HALVING = Stage(kernel_size=4, stride=2)
 
 
@@ -55,29 +55,19 @@ def encoded_size(size: int) -> int:
     """
     if size < 1:
         raise ValueError(f"image size must be at least 1, got {size}")
-    small, large = LAST_SIZES
-    scale = 1
-    while large * scale < size:
-        scale *= 2
-    return small * scale if small * scale >= size else large * scale
+    return next(side << k for k in count() for side in LAST_SIZES if side << k >= size)
 
 
 def count_halvings(size: int) -> int:
-    """Return how often an image is halved until 6 or 8 pixels a side remain.
+    """Return the number of halvings of an image until 6 or 8 pixels a side remain.
 
-    :param size: side of the image, pixels. Other sides than 6 or 8 times a power of two are resized first,
-        see :func:`encoded_size`
-    :raises ValueError: if the side is not positive
+    :param size: side of the image, pixels; resized first, see :func:`encoded_size`
     """
-    halvings, side = 0, encoded_size(size)
-    while side > max(LAST_SIZES):
-        halvings, side = halvings + 1, side // 2
-    return halvings
+    return (encoded_size(size) // LAST_SIZES[0]).bit_length() - 1
 
 
 def resize(images: th.Tensor, side: int) -> th.Tensor:
-    """
-    Resize square images by bilinear interpolation, which commutes with rotations by 90 degrees.
+    """Resize square images by bilinear interpolation, which commutes with rotations by 90 degrees.
 
     :param images: (batch, channels, size, size)
     :param side: side of the result, pixels
@@ -88,22 +78,22 @@ def resize(images: th.Tensor, side: int) -> th.Tensor:
     return F.interpolate(images, size=(side, side), mode="bilinear", align_corners=False)
 
 
-def plan_stages(size: int, count: int, strided: int = 0) -> list[Stage]:
-    """Stages of an encoder: halvings, stages that keep 6 or 8 pixels, two that end in one pixel.
+def plan_stages(size: int, n_stages: int, strided: int = 0) -> list[Stage]:
+    """Return the stages of an encoder: halvings, stages that keep the size, two stages that end in one pixel.
 
-    For 128 pixels and seven stages, none strided, this is the paper's encoder.
+    For 128 pixels and seven stages without strides, these are the stages of the paper's encoder.
 
     :param size: side of the image, pixels
-    :param count: number of stages
-    :param strided: halvings, from the first, by a convolution with stride 2 instead of by pooling; the step
-        from 6 or 8 pixels to 3 is the last one
-    :raises ValueError: if the size cannot be reduced, or in so few stages, or with so many strided
+    :param n_stages: number of stages
+    :param strided: number of halvings, from the first, that use a stride of 2 instead of pooling. The step
+        from 6 or 8 pixels to 3 counts as the last halving
+    :raises ValueError: if ``n_stages`` is too small for the size, or ``strided`` is too large
     """
     halvings = count_halvings(size)
-    kept = count - halvings - 2
+    kept = n_stages - halvings - 2
     if kept < 0:
         raise ValueError(
-            f"channels needs {halvings + 2} entries or more for images of size {size}, got {count}"
+            f"channels must have at least {halvings + 2} entries for images of size {size}, got {n_stages}"
         )
     if not 0 <= strided <= halvings + 1:
         raise ValueError(f"strided must be from 0 to {halvings + 1} for images of size {size}, got {strided}")
@@ -113,18 +103,18 @@ def plan_stages(size: int, count: int, strided: int = 0) -> list[Stage]:
 
 
 def scale_channels(size: int, halving: Sequence[int], last: Sequence[int]) -> tuple[int, ...]:
-    """Channels for another image size: as many halvings as it takes, the widest repeated, then the others.
+    """Return the channels of an encoder for a size of the image.
 
     :param size: side of the image, pixels
-    :param halving: channels of the halving stages
-    :param last: channels of the stages after them
+    :param halving: channels of the halving stages. The last entry is repeated for further halvings
+    :param last: channels of the stages after the halvings
     """
     return (*(halving[min(i, len(halving) - 1)] for i in range(count_halvings(size))), *last)
 
 
 @cache
 def has_bf16(device_type: str) -> bool:
-    """Whether a kind of device computes in bfloat16; if not, one warning says that float32 is used.
+    """Return True if a kind of device computes in bfloat16. Otherwise warn once that float32 is used.
 
     :param device_type: as in ``torch.device.type``
     """
@@ -139,21 +129,19 @@ def has_bf16(device_type: str) -> bool:
 
 
 def check_autocast(autocast: str | None) -> None:
-    """
-    Check an argument.
+    """Check the precision of a network.
 
     :param autocast: ``"bf16"`` or None
-    :raises ValueError: if it is something else
+    :raises ValueError: if it is another value
     """
     if autocast not in AUTOCAST_OPTIONS:
         raise ValueError(f"autocast must be one of {AUTOCAST_OPTIONS}, got {autocast!r}")
 
 
 def precision(autocast: str | None, device_type: str) -> AbstractContextManager[object]:
-    """
-    Context in which layers run.
+    """Return the context in which layers run.
 
-    :param autocast: ``"bf16"`` computes in bfloat16 where the device can; ``None`` in float32
+    :param autocast: ``"bf16"`` for bfloat16 if the device supports it, ``None`` for float32
     :param device_type: as in ``torch.device.type``
     """
     if autocast is None or not has_bf16(device_type):
@@ -162,10 +150,10 @@ def precision(autocast: str | None, device_type: str) -> AbstractContextManager[
 
 
 class HalvingMaxPool(nn.Module):
-    """Max-pooling of 2 x 2 pixels: (batch, channels, size, size), its size even, to half the size.
+    """Max-pooling of 2 x 2 pixels, for images of an even size.
 
-    PyTorch's own also notes which pixel was the largest; where no gradient is wanted, two maxima take a third
-    of its time on a CPU.
+    PyTorch's max-pooling also stores the index of each maximum. Without gradients, two maxima are three times
+    as fast on a CPU.
     """
 
     def forward(self, features: th.Tensor) -> th.Tensor:
@@ -176,36 +164,50 @@ class HalvingMaxPool(nn.Module):
         return th.maximum(rows[..., 0::2], rows[..., 1::2])
 
 
-class Encoder(nn.Module):
-    """A sequence of stages: (batch, channels, size, size) to (batch, features).
+def stack_stages(
+    layer_class: Callable[..., nn.Module], types: Sequence[Any], stages: Sequence[Stage]
+) -> nn.Sequential:
+    """Return the layers of several stages.
 
-    :param convolutions: one for each stage
-    :param stages: what :func:`plan_stages` gave
-    :param size: side of the images that the stages reduce; images of another side are resized
-    :param channels_last: keep the channels of a pixel together in memory; faster on CPUs and recent GPUs
-    :param autocast: ``"bf16"`` computes in bfloat16 where the device can (with a warning, in float32 where it
-        cannot); ``None`` in float32
-    :raises ValueError: if ``autocast`` is something else
+    :param layer_class: class of the convolutions, such as :class:`PlainConv2d`
+    :param types: input and output of each convolution in order: channels or field types
+    :param stages: stages, one fewer than ``types``
     """
+    layers: list[nn.Module] = []
+    for (in_type, out_type), stage in zip(pairwise(types), stages, strict=True):
+        layers.append(layer_class(in_type, out_type, stage.kernel_size, stage.stride, stage.padding))
+        # Pooling before the ReLU gives the same numbers for a quarter of the work.
+        layers += [HalvingMaxPool()] if stage.pools else []
+        layers.append(nn.ReLU(inplace=True))
+    return nn.Sequential(*layers)
+
+
+class Encoder(nn.Module):
+    """Base class of the encoders: a sequence of stages, (batch, channels, size, size) to (batch, features).
+
+    :param layer_class: class of the convolutions
+    :param types: input and output of each convolution in order: channels or field types
+    :param size: side of the image, pixels; resized if it is not 6 or 8 times a power of two
+    :param strided: see :func:`plan_stages`
+    :param autocast: ``"bf16"`` for bfloat16 if the device supports it (otherwise float32 and a warning),
+        ``None`` for float32
+    :raises ValueError: if size, number of stages and ``strided`` do not match, or ``autocast`` is unknown
+    """
+
+    features_dim: int
 
     def __init__(
         self,
-        convolutions: Sequence[nn.Module],
-        stages: Sequence[Stage],
+        layer_class: Callable[..., nn.Module],
+        types: Sequence[Any],
         size: int,
-        channels_last: bool,
-        autocast: str | None,
+        strided: int = 0,
+        autocast: str | None = None,
     ) -> None:
         super().__init__()
         check_autocast(autocast)
-        self.autocast, self.size = autocast, size
-        self.memory_format = th.channels_last if channels_last else th.contiguous_format
-        modules: list[nn.Module] = []
-        for convolution, stage in zip(convolutions, stages, strict=True):
-            # Pooling before the ReLU gives the same numbers for a quarter of the work.
-            pooling = [HalvingMaxPool()] if stage.pools else []
-            modules += [convolution, *pooling, nn.ReLU(inplace=True)]
-        self.layers = nn.Sequential(*modules)
+        self.autocast, self.size = autocast, encoded_size(size)
+        self.layers = stack_stages(layer_class, types, plan_stages(size, len(types) - 1, strided))
 
     def forward(self, image: th.Tensor) -> th.Tensor:
         """:return: float32 features, (batch, features)"""
@@ -213,89 +215,28 @@ class Encoder(nn.Module):
         image = resize(image, self.size)
         with precision(self.autocast, device_type):
             if th.is_autocast_enabled(device_type):
-                # Before its layout changes: there is half as much to move
+                # Convert before the memory layout changes: there is half as much to move.
                 image = image.to(th.get_autocast_dtype(device_type))
-            features: th.Tensor = self.layers(image.contiguous(memory_format=self.memory_format))
+            features: th.Tensor = self.layers(image.contiguous(memory_format=th.channels_last))
         return features.flatten(1).float()
 
 
 class CnnEncoder(Encoder):
-    """Plain convolutional encoder; weights Xavier normal, biases zero.
+    """Plain convolutional encoder with Xavier normal weights and zero biases.
 
     :param in_channels: channels of the image
-    :param size: side of the image, pixels; resized if it is not 6 or 8 times a power of two
-    :param channels: output channels of each stage; those of the paper, for the size, if ``None``
-    :param strided: see :func:`plan_stages`
-    :param channels_last: see :class:`Encoder`
-    :param autocast: see :class:`Encoder`
-    :raises ValueError: if size, channels and strided do not fit together
+    :param size: side of the image, pixels
+    :param channels: output channels of each stage; by default the paper's, for the size
+    :param kwargs: further parameters of :class:`Encoder`
     """
 
     # Close-loop CNN baseline of the paper, 128 x 128 pixels.
     HALVING, LAST = (16, 32, 64, 128), (256, 256, 128)
 
     def __init__(
-        self,
-        in_channels: int,
-        size: int,
-        channels: Sequence[int] | None = None,
-        strided: int = 0,
-        channels_last: bool = True,
-        autocast: str | None = None,
+        self, in_channels: int, size: int, channels: Sequence[int] | None = None, **kwargs: Any
     ) -> None:
         channels = channels or scale_channels(size, self.HALVING, self.LAST)
-        stages = plan_stages(size, len(channels), strided)
-        convolutions = [
-            PlainConv2d(inputs, outputs, stage.kernel_size, stage.stride, stage.padding)
-            for inputs, outputs, stage in zip((in_channels, *channels), channels, stages, strict=False)
-        ]
-        super().__init__(convolutions, stages, encoded_size(size), channels_last, autocast)
-        for convolution in convolutions:
-            nn.init.xavier_normal_(convolution.weight)
-            nn.init.constant_(convolution.get_parameter("bias"), 0.0)
+        super().__init__(PlainConv2d, (in_channels, *channels), size, **kwargs)
+        self.apply(initialise_xavier)
         self.features_dim = channels[-1]
-
-
-class SmallImageEncoder(Encoder):
-    """Plain convolutional encoder of an image of few pixels, of any size, as of what is in the gripper;
-    biases zero.
-
-    Convolutions with stride 2 halve it, the half rounded up, until at most four pixels a side remain; a
-    filter as large as these ends it.
-
-    :param in_channels: channels of the image
-    :param size: side of the image, pixels
-    :param features_dim: number of features
-    :param initialise: draws the weights of a layer
-    :param channels_last: see :class:`Encoder`
-    :param autocast: see :class:`Encoder`
-    """
-
-    HALVING = (16, 32, 64)  # channels of the halving stages, the last for all further ones
-    LAST_SIZE = 4  # largest side at which halving stops, pixels
-
-    def __init__(
-        self,
-        in_channels: int,
-        size: int,
-        features_dim: int,
-        initialise: Callable[[th.Tensor], th.Tensor] = nn.init.xavier_normal_,
-        channels_last: bool = True,
-        autocast: str | None = None,
-    ) -> None:
-        stages, side = [], size
-        while side > self.LAST_SIZE:
-            stages.append(Stage(stride=2))
-            side = (side + 1) // 2
-        stages.append(Stage(kernel_size=side, padding=0))
-        halving = [self.HALVING[min(i, len(self.HALVING) - 1)] for i in range(len(stages) - 1)]
-        channels = [in_channels, *halving, features_dim]
-        convolutions = [
-            PlainConv2d(inputs, outputs, stage.kernel_size, stage.stride, stage.padding)
-            for (inputs, outputs), stage in zip(pairwise(channels), stages, strict=True)
-        ]
-        super().__init__(convolutions, stages, size, channels_last, autocast)
-        for convolution in convolutions:
-            initialise(convolution.weight)
-            nn.init.constant_(convolution.get_parameter("bias"), 0.0)
-        self.features_dim = features_dim

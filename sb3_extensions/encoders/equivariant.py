@@ -1,25 +1,29 @@
-"""Equivariant encoder of a square image to a vector: the paper's closed-loop one."""
+"""Equivariant encoder of a square image to a vector: the paper's closed-loop encoder."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
-from sb3_extensions.encoders.cnn import Encoder, encoded_size, plan_stages, scale_channels
+import torch as th
+
+from sb3_extensions.encoders.cnn import Encoder, scale_channels
 from sb3_extensions.equivariant.groups import FieldType, Group
-from sb3_extensions.equivariant.layers import EquivariantConv2d
+from sb3_extensions.equivariant.layers import EquivariantConv2d, GroupMaxPool
+
+OUTPUTS = ("regular", "invariant")
 
 
 class EquivariantEncoder(Encoder):
-    """Encoder to regular fields at the image's centre: turning the image permutes the numbers of each field.
+    """Encoder to regular fields: a rotation of the image permutes the numbers of each field.
 
     :param in_channels: channels of the image, all scalar (trivial fields)
-    :param size: side of the image, pixels; resized if it is not 6 or 8 times a power of two
-    :param group: the symmetry
-    :param channels: regular fields after each stage; those of the paper, for the size, if ``None``
-    :param strided: see :func:`plan_stages`
-    :param channels_last: see :class:`Encoder`
-    :param autocast: see :class:`Encoder`
-    :raises ValueError: if size, channels and strided do not fit together
+    :param size: side of the image, pixels
+    :param group: symmetry group
+    :param channels: regular fields after each stage; by default the paper's, for the size
+    :param output: ``"regular"``, or ``"invariant"`` to reduce each field to its maximum
+    :param kwargs: further parameters of :class:`~sb3_extensions.encoders.cnn.Encoder`
+    :raises ValueError: if ``output`` is unknown, or see :class:`~sb3_extensions.encoders.cnn.Encoder`
     """
 
     # Close-loop equivariant baseline of the paper, 128 x 128 pixels.
@@ -31,18 +35,20 @@ class EquivariantEncoder(Encoder):
         size: int,
         group: Group,
         channels: Sequence[int] | None = None,
-        strided: int = 0,
-        channels_last: bool = True,
-        autocast: str | None = None,
+        output: str = "regular",
+        **kwargs: Any,
     ) -> None:
+        if output not in OUTPUTS:
+            raise ValueError(f"output must be one of {OUTPUTS}, got {output!r}")
         channels = channels or scale_channels(size, self.HALVING, self.LAST)
-        stages = plan_stages(size, len(channels), strided)
-        out_types = [FieldType.of((group.regular, count)) for count in channels]
-        in_types = [FieldType.of((group.trivial, in_channels)), *out_types]
-        convolutions = [
-            EquivariantConv2d(in_type, out_type, stage.kernel_size, stage.stride, stage.padding)
-            for in_type, out_type, stage in zip(in_types, out_types, stages, strict=False)
-        ]
-        super().__init__(convolutions, stages, encoded_size(size), channels_last, autocast)
-        self.out_type = out_types[-1]
+        image = FieldType.of((group.trivial, in_channels))
+        types = [image, *(FieldType.of((group.regular, count)) for count in channels)]
+        super().__init__(EquivariantConv2d, types, size, **kwargs)
+        self.pool = GroupMaxPool(types[-1]) if output == "invariant" else None
+        self.out_type = types[-1] if self.pool is None else self.pool.out_type
         self.features_dim = self.out_type.size
+
+    def forward(self, image: th.Tensor) -> th.Tensor:
+        """:return: float32 features, (batch, features)"""
+        features = super().forward(image)
+        return features if self.pool is None else self.pool(features)

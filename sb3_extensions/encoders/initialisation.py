@@ -5,15 +5,15 @@ from __future__ import annotations
 from torch import nn
 
 OUTPUT_GAIN = 0.01
-"""Gain of the last layers. Heights in centimetres make features large. With this gain an untrained actor has
+"""Gain of output layers. Heights in centimetres make features large. With this gain an untrained actor has
 means near 0 and standard deviations near 1, and an untrained critic has values near 0."""
 
 
 def initialise_xavier(module: nn.Module) -> None:
     """
-    Xavier normal weights and zero biases for convolutions and linear layers.
+    Initialise a convolution or a linear layer with Xavier normal weights and zero biases.
 
-    :param module: any module; others are left alone
+    :param module: any module; other layers are unchanged
     """
     if isinstance(module, nn.Conv2d | nn.Linear):
         nn.init.xavier_normal_(module.weight)
@@ -23,9 +23,9 @@ def initialise_xavier(module: nn.Module) -> None:
 
 def scale_down(layer: nn.Linear | nn.Conv2d) -> None:
     """
-    Begin an output layer near zero: Xavier uniform weights times :data:`OUTPUT_GAIN`, no bias.
+    Initialise an output layer near zero: Xavier uniform weights times :data:`OUTPUT_GAIN`, zero biases.
 
-    :param layer: the last layer of a network
+    :param layer: last layer of a network
     """
     nn.init.xavier_uniform_(layer.weight, gain=OUTPUT_GAIN)
     if layer.bias is not None:

@@ -1,4 +1,4 @@
-"""Features extractor for observations of numbers alone, for any Stable-Baselines3 algorithm."""
+"""Features extractor for observations of numbers, for any Stable-Baselines3 algorithm."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ from stable_baselines3.common.type_aliases import PyTorchObs
 from torch import nn
 
 from sb3_extensions.common.images import IMAGE_AXES
+from sb3_extensions.encoders.observation import check_standardise
 
 KEY = "observation"
-"""Of the only part where an observation is no Dict."""
+"""Name of the only part if the observation is not a Dict."""
 
 
 class MlpExtractor(BaseFeaturesExtractor):
-    """Fully connected encoder of an observation of numbers, such as poses instead of images; its layers are
-    normalised.
+    """Fully connected encoder with layer normalisation, for observations such as poses instead of images.
 
-    :param observation_space: Dict of Boxes, flattened in their order, or one Box; no images
-    :param layers: units of each layer, the last one's are the features
-    :param standardise: (mean, standard deviation) of the numbers: they become (number - mean) / standard
-        deviation. Of metres, centimetres matter: (0.0, 0.1) makes them tenths. ``None`` takes them as they
-        are
-    :raises ValueError: if there are images or other spaces, no layers, or ``standardise`` is something else
+    :param observation_space: Dict of Boxes, flattened in the order of the Dict, or one Box; no images
+    :param layers: units of each layer; the output of the last layer is the features
+    :param standardise: (mean, standard deviation): numbers become (number - mean) / standard deviation. For
+        metres, (0.0, 0.1) gives tenths of a metre. ``None`` leaves the numbers unchanged
+    :raises ValueError: if there are images or spaces other than Boxes, ``layers`` is empty, or
+        ``standardise`` is invalid
     """
 
     def __init__(
@@ -39,33 +39,30 @@ class MlpExtractor(BaseFeaturesExtractor):
     ) -> None:
         if not layers or min(layers) < 1:
             raise ValueError(f"layers must be positive numbers of units, at least one, got {layers}")
-        if standardise is not None and not (len(standardise) == 2 and standardise[1] > 0.0):
-            raise ValueError(f"standardise must be (mean, standard deviation above 0), got {standardise}")
-        keys = _number_keys(observation_space)
+        check_standardise("standardise", standardise)
+        parts: Mapping[str, gym.Space[Any]] = {KEY: observation_space}
+        if isinstance(observation_space, spaces.Dict):
+            parts = observation_space.spaces
+        for key, space in parts.items():
+            if not isinstance(space, spaces.Box) or len(space.shape) == IMAGE_AXES:
+                raise ValueError(
+                    f"observation_space must have Boxes of numbers, no images: {key!r} is {space}"
+                )
         super().__init__(observation_space, layers[-1])
-        self.keys = keys
+        # An observation may have another order than its space.
+        self.keys = list(parts)
         self.mean, self.std = (0.0, 1.0) if standardise is None else standardise
         n_numbers = get_flattened_obs_dim(observation_space)
-        # Normalised layers imitate several times as exactly in as many updates.
+        # With layer normalisation the imitation error after as many updates is several times smaller.
         self.encoder = nn.Sequential(
             *create_mlp(n_numbers, -1, list(layers), post_linear_modules=[nn.LayerNorm])
         )
 
     def forward(self, observations: PyTorchObs) -> th.Tensor:
         """:return: (batch, features_dim)"""
-        if isinstance(observations, th.Tensor):
-            observations = {KEY: observations}
-        numbers = th.cat([observations[key].flatten(1) for key in self.keys], dim=1)
+        parts = (
+            [observations] if isinstance(observations, th.Tensor) else [observations[k] for k in self.keys]
+        )
+        numbers = th.cat([part.flatten(1) for part in parts], dim=1)
         features: th.Tensor = self.encoder((numbers - self.mean) / self.std)
         return features
-
-
-def _number_keys(observation_space: gym.Space[Any]) -> list[str]:
-    """Names of the parts of an observation, in the space's order: an observation may have another."""
-    parts: Mapping[str, gym.Space[Any]] = {KEY: observation_space}
-    if isinstance(observation_space, spaces.Dict):
-        parts = observation_space.spaces
-    for key, space in parts.items():
-        if not isinstance(space, spaces.Box) or len(space.shape) == IMAGE_AXES:
-            raise ValueError(f"observation_space needs Boxes of numbers, no images: {key!r} is {space}")
-    return list(parts)

@@ -1,8 +1,9 @@
-"""Encoders of patches and in-hand images, some ten to forty pixels a side (the authors' code)."""
+"""Encoders of patches and in-hand images of 10 to 40 pixels a side (the authors' code)."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import torch as th
 from torch import nn
@@ -10,29 +11,28 @@ from torch import nn
 from sb3_extensions.encoders.cnn import resize
 from sb3_extensions.encoders.initialisation import initialise_xavier
 
-# Side of the map before the linear layers, at most: 24 pixels become 6, 40 become 5, in the level of all
-# pixels 10.
 LAST_SIDE = 8
+"""Maximum side (pixels) of the map before the linear layers: 6 for images of 24 pixels, 5 for 40 pixels."""
 LAST_SIDE_OF_PIXELS = 10
-CONVOLUTIONS = 3  # of the plain networks' encoder
+"""As :data:`LAST_SIDE`, for the in-hand image of the equivariant pixel maps."""
+CONVOLUTIONS = 3
+"""Number of convolutions of :class:`PatchMap`."""
 SMALLEST_SIDE = 10
 """Side (pixels) of the smallest image that :class:`PatchMap` reduces. Smaller images are resized to it."""
 
 
 class PatchMap(nn.Sequential):
     """
-    Three 3 x 3 convolutions without padding, the image halved before the last: 24 pixels a side become 8.
-
-    Images of fewer than 10 pixels a side are resized to 10 pixels.
+    Three 3 x 3 convolutions without padding, with max-pooling before the last: 24 pixels a side become 8.
 
     :param in_channels: channels of the image
-    :param channels: of the three convolutions
-    :raises ValueError: if they are not three
+    :param channels: channels of the three convolutions
+    :raises ValueError: if the number of entries of ``channels`` is not three
     """
 
     def __init__(self, in_channels: int, channels: Sequence[int]) -> None:
         if len(channels) != CONVOLUTIONS:
-            raise ValueError(f"{CONVOLUTIONS} in_hand_channels are needed, one a convolution, got {channels}")
+            raise ValueError(f"in_hand_channels must have {CONVOLUTIONS} entries, got {channels}")
         first, second, third = channels
         super().__init__(
             nn.Conv2d(in_channels, first, 3),
@@ -64,15 +64,16 @@ class PatchMap(nn.Sequential):
 
 class PatchVector(nn.Sequential):
     """
-    Convolutions that keep the size, the image halved before the last of them until it is small, and linear
-    layers: (batch, channels, size, size) to (batch, hidden[-1]), behind a ReLU.
+    Convolutions with padding and linear layers: (batch, channels, size, size) to (batch, hidden[-1]).
+
+    Max-pooling precedes each of the last convolutions, as often as the map is larger than ``last_side``. It
+    never precedes the first convolution, so the last map may be larger.
 
     :param in_channels: channels of the image
     :param size: side of the image, pixels
-    :param channels: of the convolutions
-    :param hidden: units of the linear layers, one or more
-    :param last_side: side of the last map, pixels; it may stay larger, as the first convolution is never
-        halved
+    :param channels: channels of the convolutions
+    :param hidden: units of the linear layers, at least one
+    :param last_side: maximum side of the last map, pixels
     """
 
     def __init__(
@@ -88,7 +89,7 @@ class PatchVector(nn.Sequential):
         while sides[-1] > last_side and len(sides) < len(channels):
             sides.append(sides[-1] // 2)
         first_halved = len(channels) - len(sides) + 1
-        for index, (inputs, outputs) in enumerate(zip((in_channels, *channels), channels, strict=False)):
+        for index, (inputs, outputs) in enumerate(pairwise((in_channels, *channels))):
             layers += [nn.MaxPool2d(2)] if index >= first_halved else []
             layers += [nn.Conv2d(inputs, outputs, 3, padding=1), nn.ReLU(inplace=True)]
         super().__init__(*layers, nn.Flatten(), *mlp(channels[-1] * sides[-1] ** 2, hidden))
@@ -97,12 +98,12 @@ class PatchVector(nn.Sequential):
 
 def mlp(features: int, hidden: Sequence[int]) -> list[nn.Module]:
     """
-    Linear layers, each with a ReLU behind it.
+    Return linear layers, each followed by a ReLU.
 
-    :param features: numbers that come in
+    :param features: number of inputs
     :param hidden: units of each layer
     """
     layers: list[nn.Module] = []
-    for inputs, outputs in zip((features, *hidden), hidden, strict=False):
+    for inputs, outputs in pairwise((features, *hidden)):
         layers += [nn.Linear(inputs, outputs), nn.ReLU(inplace=True)]
     return layers

@@ -1,4 +1,4 @@
-"""Convolutions that are matrix products where the filter covers the whole image, and layers in float32."""
+"""Convolutions that become matrix products for filters of the size of the image, and layers in float32."""
 
 from __future__ import annotations
 
@@ -13,14 +13,16 @@ def convolve(
     features: th.Tensor, weight: th.Tensor, bias: th.Tensor | None, stride: int = 1, padding: int = 0
 ) -> th.Tensor:
     """
-    Convolution of feature maps. Where the filter covers the whole image it is computed as the matrix product
-    that it is, which takes a CPU a quarter to a half of the time.
+    Convolve feature maps.
+
+    A filter that covers the image is applied as a matrix product, which is two to four times as fast on a
+    CPU.
 
     :param features: (batch, in channels, height, width)
-    :param weight: (out channels, in channels, height of the filter, its width)
+    :param weight: (out channels, in channels, height of the filter, width of the filter)
     :param bias: (out channels,) or None
-    :param stride: pixels between two outputs
-    :param padding: zeros added on each side, pixels
+    :param stride: distance of two outputs, pixels
+    :param padding: zeros on each side, pixels
     :return: (batch, out channels, height, width)
     """
     if padding == 0 and weight.shape[2:] == features.shape[2:]:
@@ -30,13 +32,13 @@ def convolve(
 
 class PlainConv2d(nn.Conv2d):
     """
-    PyTorch's convolution by :func:`convolve`.
+    PyTorch's convolution, applied by :func:`convolve`.
 
     :param in_channels: channels of the input
     :param out_channels: channels of the output
     :param kernel_size: side of the filter, pixels
-    :param stride: pixels between two outputs
-    :param padding: zeros added on each side, pixels
+    :param stride: see :func:`convolve`
+    :param padding: see :func:`convolve`
     """
 
     def __init__(

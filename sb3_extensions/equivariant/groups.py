@@ -1,10 +1,9 @@
-"""Finite groups of the plane, their real representations, and the types of feature fields.
+"""Finite groups of the plane, their real representations, and field types of feature maps.
 
-Conventions, used by every equivariant layer: an image's row is world x, its column world y. A rotation by
-``theta`` about z takes (x, y) to (cos(theta) x - sin(theta) y, sin(theta) x + cos(theta) y); by +90 degrees
-it takes (x, y) to (-y, x) and turns an array by ``np.rot90(image, k=1, axes=(rows, columns))``. The
-reflection of a dihedral group takes (x, y) to (x, -y) and turns a rotation about z into its opposite; an
-array's columns are flipped.
+Conventions of all equivariant layers: the row of an image is world x, its column world y. A rotation by
+``theta`` about z maps (x, y) to (cos(theta) x - sin(theta) y, sin(theta) x + cos(theta) y). A rotation by +90
+degrees maps (x, y) to (-y, x), and an array to ``np.rot90(image, k=1, axes=(rows, columns))``. The reflection
+of a dihedral group maps (x, y) to (x, -y), inverts rotations about z, and flips the columns of an array.
 """
 
 from __future__ import annotations
@@ -25,14 +24,13 @@ GROUP_FAMILIES = ("cyclic", "dihedral")
 
 @dataclass(frozen=True)
 class Group:
-    """The cyclic group C_n (rotations by multiples of 2 pi / n) or the dihedral group D_n (and their
-    reflections).
+    """Cyclic group C_n (rotations by multiples of 2 pi / n) or dihedral group D_n (with reflections).
 
     Element ``i`` is the rotation by ``2 pi (i mod n) / n``, after the reflection if ``i >= n``.
 
     :param family: ``"cyclic"`` or ``"dihedral"``
     :param n: number of rotations, at least 1
-    :raises ValueError: if the family is another or ``n < 1``
+    :raises ValueError: if the family is unknown or ``n < 1``
     """
 
     family: str
@@ -50,26 +48,26 @@ class Group:
         return self.n if self.family == "cyclic" else 2 * self.n
 
     def angle(self, element: int) -> float:
-        """Rotation angle of an element, rad."""
+        """Return the rotation angle of an element, rad."""
         return 2 * np.pi * (element % self.n) / self.n
 
     def reflects(self, element: int) -> bool:
-        """Whether the element contains the reflection."""
+        """Return True if the element contains the reflection."""
         return element >= self.n
 
     def product(self, first: int, second: int) -> int:
-        """The element that acts as ``second`` and then ``first``."""
-        turn = -second if self.reflects(first) else second
-        return (first + turn) % self.n + self.n * (self.reflects(first) != self.reflects(second))
+        """Return the element that is ``second`` followed by ``first``."""
+        rotation = -second if self.reflects(first) else second
+        return (first + rotation) % self.n + self.n * (self.reflects(first) != self.reflects(second))
 
     @property
     def trivial(self) -> Representation:
-        """One number that every element leaves alone."""
+        """One invariant number."""
         return Representation(self, "trivial")
 
     @property
     def sign(self) -> Representation:
-        """One number whose sign a reflection changes; the same as trivial for a cyclic group."""
+        """One number whose sign a reflection changes; equal to trivial for a cyclic group."""
         return Representation(self, "sign" if self.family == "dihedral" else "trivial")
 
     @property
@@ -78,11 +76,11 @@ class Group:
         return Representation(self, "regular")
 
     def quotient(self, m: int) -> Representation:
-        """One number for each coset of the subgroup C_m of rotations, permuted by the group.
+        """Return the representation with one number for each coset of the subgroup C_m of rotations.
 
-        Number ``i < n / m`` is the coset of the rotation by ``2 pi i / n``; those of a dihedral group's
-        elements with the reflection follow in the same order. Of C_32 with ``m = 2``, number ``i`` means a
-        gripper's yaw of ``i pi / 16`` modulo pi. With ``m = 1`` it acts as the regular representation.
+        Number ``i < n / m`` is the coset of the rotation by ``2 pi i / n``. The numbers of the reflected
+        elements of a dihedral group follow in the same order. For C_32 with ``m = 2``, number ``i`` is a yaw
+        of ``i pi / 16`` modulo pi.
 
         :param m: order of the subgroup, a divisor of n
         :raises ValueError: if m does not divide n
@@ -92,9 +90,10 @@ class Group:
         return Representation(self, "quotient", subgroup=m)
 
     def irrep(self, frequency: int) -> Representation:
-        """Two numbers turned by ``frequency`` times the angle; frequency 1 is a vector (x, y).
+        """Return the representation of two numbers that rotate by ``frequency`` times the angle.
 
-        For frequencies of 0 or n / 2 modulo n the two numbers fall apart into one-dimensional irreps.
+        Frequency 1 is a vector (x, y). For frequencies of 0 or n / 2 modulo n the representation is
+        reducible.
 
         :param frequency: at least 0
         """
@@ -103,12 +102,12 @@ class Group:
 
 @dataclass(frozen=True)
 class Representation:
-    """An orthogonal representation of a group.
+    """Orthogonal representation of a group.
 
     :param group: the group
     :param kind: ``"trivial"``, ``"sign"``, ``"regular"``, ``"quotient"`` or ``"irrep"``
-    :param frequency: of an irrep
-    :param subgroup: of a quotient, order of the subgroup of rotations
+    :param frequency: frequency of an irrep
+    :param subgroup: order of the subgroup of a quotient
     """
 
     group: Group
@@ -118,18 +117,18 @@ class Representation:
 
     @property
     def size(self) -> int:
-        """Numbers in one field."""
+        """Number of channels of one field."""
         cosets = self.group.order // self.subgroup
         return {"trivial": 1, "sign": 1, "irrep": 2, "regular": cosets, "quotient": cosets}[self.kind]
 
     @property
     def is_permutation(self) -> bool:
-        """Whether a nonlinearity may act on each number alone."""
+        """Whether elementwise nonlinearities are equivariant."""
         return self.kind in ("regular", "quotient", "trivial")
 
     @cached_property
     def matrices(self) -> Matrices:
-        """One orthogonal matrix an element: (order, size, size)."""
+        """Orthogonal matrix of each element, (order, size, size)."""
         return np.stack([self._matrix(element) for element in range(self.group.order)])
 
     def _matrix(self, element: int) -> Matrices:
@@ -143,22 +142,20 @@ class Representation:
         return np.array([[mirror if self.kind == "sign" else 1.0]])
 
     def _images(self, element: int) -> list[int]:
-        """The coset to which an element takes each; those of a regular representation are single elements."""
-        group, turns = self.group, self.group.n // self.subgroup
-        first = [start + turn for start in range(0, group.order, group.n) for turn in range(turns)]
+        """Return the coset to which an element maps each coset."""
+        group, rotations = self.group, self.group.n // self.subgroup
+        first = [start + index for start in range(0, group.order, group.n) for index in range(rotations)]
         images = [group.product(element, other) for other in first]
-        return [image % group.n % turns + turns * group.reflects(image) for image in images]
+        return [image % group.n % rotations + rotations * group.reflects(image) for image in images]
 
 
 @dataclass(frozen=True)
 class FieldType:
-    """What the channels of a feature map are: ``count`` fields of each representation, one after the other.
+    """Representation of the channels of a feature map: fields in order, the channels of a field adjacent.
 
-    The numbers of one field are neighbouring channels.
-
-    :param fields: pairs (representation, count), all of one group; empty pairs are dropped, neighbours of one
-        kind joined
-    :raises ValueError: if empty, a count is negative, or the groups differ
+    :param fields: pairs (representation, number of fields) of one group; empty pairs are dropped, adjacent
+        pairs of one representation joined
+    :raises ValueError: if there is no field, a number is negative, or the groups differ
     """
 
     fields: tuple[tuple[Representation, int], ...]
@@ -176,7 +173,7 @@ class FieldType:
 
     @classmethod
     def of(cls, *fields: tuple[Representation, int]) -> FieldType:
-        """Build from pairs (representation, count)."""
+        """Return the field type of pairs (representation, number of fields)."""
         return cls(fields)
 
     def __add__(self, other: FieldType) -> FieldType:
@@ -184,7 +181,7 @@ class FieldType:
 
     @property
     def group(self) -> Group:
-        """The group that acts."""
+        """Symmetry group."""
         return self.fields[0][0].group
 
     @property
@@ -193,12 +190,12 @@ class FieldType:
         return sum(rep.size * count for rep, count in self.fields)
 
     def matrix(self, element: int) -> Matrices:
-        """How an element acts on the channels: (size, size), block diagonal."""
+        """Return the block diagonal matrix of an element for all channels, (size, size)."""
         return block_diagonal([rep.matrices[element] for rep, count in self.fields for _ in range(count)])
 
 
 def block_diagonal(blocks: Sequence[Matrices]) -> Matrices:
-    """Matrix with the given square blocks along its diagonal and zeros elsewhere."""
+    """Return the matrix with the square blocks along its diagonal and zeros elsewhere."""
     sizes = [len(block) for block in blocks]
     matrix, start = np.zeros((sum(sizes), sum(sizes))), 0
     for block, size in zip(blocks, sizes, strict=True):

@@ -26,7 +26,7 @@ PLANE_VARIANCE = 1e3
 SUPPRESSION = 1e-5
 """Weight of the distance from the sampled ring relative to the response to other frequencies. Smaller weights
 hardly lower the error of one layer, and make the harmonics of neighbouring rings more similar."""
-QUARTER_TURNS = 4
+GRID_ROTATIONS = 4
 """Number of rotations that map the pixel grid to itself."""
 QUADRATURE_ANGLES = 64
 """Number of rotations that approximate the mean over all rotations, exact to rounding up to 15 pixels."""
@@ -45,16 +45,16 @@ def harmonic_basis(kernel_size: int, rotations: int) -> tuple[Samples, tuple[int
     :return: samples (number of functions, kernel_size, kernel_size), each frequency's of unit energy, and
         the frequency of each cosine (or constant), in order
     """
-    places = _pixel_positions(kernel_size)
+    positions = _pixel_positions(kernel_size)
     parts: dict[int, Complex] = {}
     samples, frequencies = [], []
-    for ring in np.unique(abs(places.real)):
-        profile = np.exp(-0.5 * ((abs(places) - ring) / RING_WIDTH) ** 2)
+    for ring in np.unique(abs(positions.real)):
+        profile = np.exp(-0.5 * ((abs(positions) - ring) / RING_WIDTH) ** 2)
         for frequency in range(int(ring) + 2 if ring > 0 else 1):
-            wave = profile * _wave(places, frequency)
-            if QUARTER_TURNS % rotations:
+            wave = profile * _wave(positions, frequency)
+            if GRID_ROTATIONS % rotations:
                 if frequency not in parts:
-                    parts[frequency] = _suppression(places, frequency)
+                    parts[frequency] = _suppression(positions, frequency)
                 wave = np.linalg.solve(parts[frequency], wave)
             pair = np.stack([wave.real, wave.imag][: 1 + (frequency > 0)])
             pair /= math.sqrt((pair**2).sum() / len(pair))
@@ -70,13 +70,13 @@ def _pixel_positions(kernel_size: int) -> Complex:
     return positions
 
 
-def _wave(places: Complex, frequency: int) -> Complex:
+def _wave(positions: Complex, frequency: int) -> Complex:
     """Return the samples of exp(i frequency angle), 0 at the centre for frequencies above 0."""
-    wave: Complex = np.exp(1j * frequency * np.angle(places))
-    return wave if frequency == 0 else np.where(abs(places) > 0, wave, 0.0)
+    wave: Complex = np.exp(1j * frequency * np.angle(positions))
+    return wave if frequency == 0 else np.where(abs(positions) > 0, wave, 0.0)
 
 
-def _suppression(places: Complex, frequency: int) -> Complex:
+def _suppression(positions: Complex, frequency: int) -> Complex:
     """Return the matrix of the linear system that suppresses the response to other frequencies.
 
     The solution minimises the mean square response to the parts of random images with other frequencies,
@@ -84,11 +84,11 @@ def _suppression(places: Complex, frequency: int) -> Complex:
     Gaussian and isotropic. Their part of one frequency is the mean of the rotated images times the conjugate
     wave.
     """
-    total = _covariance(places, places)
+    total = _covariance(positions, positions)
     own = np.zeros_like(total)
     for angle in np.arange(QUADRATURE_ANGLES) * (2 * np.pi / QUADRATURE_ANGLES):
-        own += _covariance(places, np.exp(1j * angle) * places) * np.exp(1j * frequency * angle)
-    matrix: Complex = np.eye(len(places)) + (total - own / QUADRATURE_ANGLES) / SUPPRESSION
+        own += _covariance(positions, np.exp(1j * angle) * positions) * np.exp(1j * frequency * angle)
+    matrix: Complex = np.eye(len(positions)) + (total - own / QUADRATURE_ANGLES) / SUPPRESSION
     return matrix
 
 

@@ -1,12 +1,10 @@
 """Layers that commute with the rotations (and reflections) of a finite group, in plain PyTorch.
 
-Their filters are combinations of the steerable filters of :mod:`~sb3_extensions.equivariant.steerable`. Under
-rotations by 90 degrees and reflections, which map the pixel grid to itself, the layers are exact; under
-others up to the error of sampling, see :mod:`~sb3_extensions.equivariant.harmonics`.
+Rotations by 90 degrees and reflections map the pixel grid to itself, and the layers are exact under them.
+Under other rotations there is a sampling error, see :mod:`~sb3_extensions.equivariant.harmonics`.
 
-Filters are expanded from their weights in every forward pass, or once in the scope of
-:func:`expanded_filters`. They are never kept beyond it: a Polyak update writes through ``.data``, which no
-cache can notice.
+Filters are expanded from their weights in every forward pass, or once inside :func:`expanded_filters`. They
+are not cached beyond that, because a Polyak update writes through ``.data``, which a cache cannot detect.
 """
 
 from __future__ import annotations
@@ -22,32 +20,20 @@ from torch.nn import functional as F
 
 from sb3_extensions.equivariant.convolution import convolve, full_precision
 from sb3_extensions.equivariant.groups import FieldType
-from sb3_extensions.equivariant.harmonics import harmonic_basis
-from sb3_extensions.equivariant.steerable import FilterSpace, steerable_basis
+from sb3_extensions.equivariant.steerable import FilterSpace
 
-__all__ = [
-    "DynamicEquivariantConv2d",
-    "EquivariantConv2d",
-    "EquivariantLinear",
-    "GroupMaxPool",
-    "SteerableMap",
-    "expanded_filters",
-    "harmonic_basis",
-    "steerable_basis",
-]
-
-# Of an initialisation that keeps a signal's mean square although the ReLU behind halves it (He et al., 2015).
 HE_GAIN = math.sqrt(2.0)
+"""Gain that keeps the mean square of a signal although a ReLU halves it (He et al., 2015)."""
 
 
 @contextmanager
 def expanded_filters(*modules: nn.Module) -> Iterator[None]:
-    """Expand the modules' filters once, for every forward pass without gradient inside the scope.
+    """Expand the filters once, for all forward passes without gradient inside the context.
 
-    Use it for several forward passes with the same weights, such as an evaluation or the target network in
-    one update. The weights must not change inside the scope. Forward passes with gradient expand as always.
+    Use it for several forward passes with the same weights, such as an evaluation. The weights must not
+    change inside the context. Forward passes with gradient expand the filters themselves.
 
-    :param modules: modules whose equivariant layers, at any depth, are expanded
+    :param modules: modules with equivariant layers at any depth
     """
     layers = [layer for module in modules for layer in module.modules() if isinstance(layer, SteerableMap)]
     previous = [layer.expanded for layer in layers]
@@ -62,13 +48,13 @@ def expanded_filters(*modules: nn.Module) -> Iterator[None]:
 
 
 class SteerableMap(nn.Module):
-    """Learned linear map between two field types, of all those that commute with the group.
+    """Base class of the layers: learned linear map between two field types that commutes with the group.
 
     :param in_type: input fields
     :param out_type: output fields
-    :param kernel_size: side of the filter, pixels; 1 for a map without extent
-    :param bias: learn a bias for the fields that may have one (regular and trivial)
-    :param gain: of the initialisation: ``sqrt(2)`` (He) before a ReLU, 1 where none follows
+    :param kernel_size: side of the filter, pixels; 1 for a linear map of vectors
+    :param bias: learn a bias for the fields that can have one (regular, quotient, trivial)
+    :param gain: gain of the initial weights: ``sqrt(2)`` (He) before a ReLU, 1 without ReLU
     :raises ValueError: if the groups differ or no such map exists
     """
 
@@ -85,30 +71,19 @@ class SteerableMap(nn.Module):
         self.space = FilterSpace(in_type, out_type, kernel_size)
         self.weights = nn.ParameterDict()
         for key, shape in self.space.shapes.items():
-            self.weights[key] = nn.Parameter(th.empty(shape))
+            self.weights[key] = nn.Parameter(th.empty(shape).normal_(std=self.space.std(key, gain)))
         self.bias = nn.Parameter(th.zeros(self.space.num_biases)) if bias else None
         self.expanded: th.Tensor | None = None
-        self.reset_parameters(gain)
-
-    def reset_parameters(self, gain: float) -> None:
-        """Draw normal weights that keep the mean square of a signal, times ``gain ** 2``; biases become zero.
-
-        :param gain: see the class and :meth:`~sb3_extensions.equivariant.steerable.FilterSpace.std`
-        """
-        for key, weight in self.weights.items():
-            nn.init.normal_(weight, std=self.space.std(key, gain))
-        if self.bias is not None:
-            nn.init.zeros_(self.bias)
 
     def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "expanded": None}  # copies may get other weights
+        return {**self.__dict__, "expanded": None}  # the weights of a copy may change
 
     def expand(self) -> th.Tensor:
-        """Filter of the plain convolution that does the same: (out channels, in channels, side, side)."""
+        """Return the filter of the equivalent plain convolution, (out channels, in channels, side, side)."""
         return self.space.expand(self.weights)
 
     def filters(self) -> tuple[th.Tensor, th.Tensor | None]:
-        """Filter and bias in float32, the filter from an open scope if no gradient is wanted."""
+        """Return filter and bias in float32, without gradient from an open :func:`expanded_filters`."""
         bias_basis = self.space.bias_basis
         with full_precision(bias_basis.device.type):
             weight = self.expanded
@@ -118,12 +93,12 @@ class SteerableMap(nn.Module):
 
 
 class EquivariantConv2d(SteerableMap):
-    """Convolution of a feature map, (batch, in channels, height, width), that commutes with the group.
+    """Convolution of feature maps, (batch, in channels, height, width), that commutes with the group.
 
-    With a stride the output is exact under 90 degrees only if it divides ``side + 2 padding - kernel_size``.
+    With a stride it is exact under 90 degrees only if the stride divides ``side + 2 padding - kernel_size``.
 
-    :param stride: pixels between two outputs
-    :param padding: zeros added on each side, pixels
+    :param stride: distance of two outputs, pixels
+    :param padding: zeros on each side, pixels
     """
 
     def __init__(
@@ -146,7 +121,7 @@ class EquivariantConv2d(SteerableMap):
 
 
 class EquivariantLinear(SteerableMap):
-    """Map of a feature vector, (batch, in channels), that commutes with the group."""
+    """Linear map of feature vectors, (batch, in channels), that commutes with the group."""
 
     def __init__(
         self, in_type: FieldType, out_type: FieldType, bias: bool = True, gain: float = HE_GAIN
@@ -160,16 +135,16 @@ class EquivariantLinear(SteerableMap):
 
 
 class DynamicEquivariantConv2d(nn.Module):
-    """Convolution that commutes with the group, with another filter for each sample of a batch.
+    """Convolution that commutes with the group, with a separate filter for each sample of a batch.
 
-    The filters' coefficients come from another network and must not change under the group. They are counted
-    in units of He's rule: of variance 1 they make filters as an
-    :class:`EquivariantConv2d` has at first, before a ReLU. Biases are in units of the features.
+    The coefficients of the filters come from another network and must be invariant. Coefficients of variance
+    1 make filters of the size of the initial filters of :class:`EquivariantConv2d`. Biases are in units of
+    the features.
 
     :param in_type: input fields
     :param out_type: output fields
     :param kernel_size: side of the filter, pixels
-    :param padding: zeros added on each side, pixels
+    :param padding: zeros on each side, pixels
     :raises ValueError: if the groups differ or no such map exists
     """
 
@@ -184,18 +159,16 @@ class DynamicEquivariantConv2d(nn.Module):
 
     @property
     def num_coefficients(self) -> int:
-        """Numbers of one sample's filter: the weights, then one bias a field that may have one (regular,
-        quotient, trivial).
-        """
+        """Number of coefficients of a sample: weights, then :attr:`num_biases` biases."""
         return sum(self._sizes)
 
     @property
     def num_biases(self) -> int:
-        """How many of the coefficients, the last, are biases."""
+        """Number of fields that have a bias."""
         return self.space.num_biases
 
     def filters(self, coefficients: th.Tensor) -> tuple[th.Tensor, th.Tensor]:
-        """Filters, (batch, out channels, in channels, side, side), and biases, (batch, out channels).
+        """Return filters, (batch, out channels, in channels, side, side), and biases, (batch, out channels).
 
         :param coefficients: (batch, num_coefficients)
         """
@@ -216,8 +189,8 @@ class DynamicEquivariantConv2d(nn.Module):
         """
         if coefficients.shape != (len(features), self.num_coefficients):
             raise ValueError(
-                "coefficients must have one row for each sample of the features, shape "
-                f"{(len(features), self.num_coefficients)}, got {tuple(coefficients.shape)}"
+                f"coefficients must have the shape {(len(features), self.num_coefficients)}, "
+                f"got {tuple(coefficients.shape)}"
             )
         weight, bias = self.filters(coefficients)
         # One group of a plain convolution for each sample.
@@ -229,16 +202,16 @@ class DynamicEquivariantConv2d(nn.Module):
 
 
 class GroupMaxPool(nn.Module):
-    """Largest number of each regular field: (batch, fields x order, ...) to (batch, fields, ...), invariant.
+    """Maximum of each regular field: (batch, fields x order, ...) to invariant (batch, fields, ...).
 
-    :param in_type: regular fields only
-    :raises ValueError: if there are others
+    :param in_type: regular fields
+    :raises ValueError: if there are other fields
     """
 
     def __init__(self, in_type: FieldType) -> None:
         super().__init__()
         if any(rep.kind != "regular" for rep, _ in in_type.fields):
-            raise ValueError(f"group pooling needs regular fields only, got {in_type}")
+            raise ValueError(f"in_type must have regular fields only, got {in_type}")
         self.order = in_type.group.order
         self.out_type = FieldType.of((in_type.group.trivial, in_type.size // self.order))
 

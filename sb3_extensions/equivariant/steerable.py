@@ -1,8 +1,7 @@
 """Filters that commute with the rotations (and reflections) of a finite group.
 
 A filter is a combination of steerable filters: Gaussian rings times circular harmonics, sampled on the pixel
-grid (Weiler and Cesa, "General E(2)-equivariant steerable CNNs", 2019). :class:`FilterSpace` makes filters of
-the coefficients of such a combination, wherever these come from.
+grid (Weiler and Cesa, "General E(2)-equivariant steerable CNNs", 2019).
 """
 
 from __future__ import annotations
@@ -19,25 +18,24 @@ from torch import nn
 from sb3_extensions.equivariant.groups import FieldType, Group, Matrices, Representation, block_diagonal
 from sb3_extensions.equivariant.harmonics import harmonic_basis
 
-# Smallest eigenvalue taken for 1 when a projector (eigenvalues 0 and 1) is decomposed in float64.
 PROJECTOR_THRESHOLD = 0.5
-# Most filters of a basis that is kept whole. Each costs one multiplication a number of the expanded filter:
-# of more it is faster to turn one column, and the whole would take 140 MB (C_32, 7 x 7 pixels).
+"""Threshold between the eigenvalues 0 and 1 of a projector in float64."""
 WHOLE_BASIS_LIMIT = 64
+"""Maximum number of filters of a stored basis. For larger bases it is faster to rotate one column, and
+storage would need 140 MB (C_32, 7 x 7 pixels)."""
 
 Weights: TypeAlias = Mapping[str, th.Tensor] | nn.ParameterDict
 
 
 class FilterSpace(nn.Module):
-    """All filters between two field types that commute with the group, as combinations of a basis.
+    """Space of the filters between two field types that commute with the group; has no parameters.
 
-    It learns nothing. The coefficients are one tensor for each pair of an output and an input representation
-    between which there are such filters.
+    A filter has one tensor of coefficients for each pair of an output and an input representation.
 
     :param in_type: input fields
     :param out_type: output fields
-    :param kernel_size: side of the filter, pixels; 1 for a map without extent
-    :raises ValueError: if the groups differ, the side is below 1, or no such filter exists
+    :param kernel_size: side of the filter, pixels; 1 for a linear map of vectors
+    :raises ValueError: if the groups differ, the side is below 1, or the space is empty
     """
 
     bias_basis: th.Tensor
@@ -49,8 +47,8 @@ class FilterSpace(nn.Module):
         if kernel_size < 1:
             raise ValueError(f"kernel_size must be at least 1, got {kernel_size}")
         self.in_type, self.out_type, self.kernel_size = in_type, out_type, kernel_size
-        # Of the coefficients of each pair of representations: (out fields, in fields, basis).
         self.shapes: dict[str, tuple[int, int, int]] = {}
+        """Shape (out fields, in fields, basis) of the coefficients of each pair of representations."""
         self.bases = nn.ModuleDict()
         self._passed: dict[str, float] = {}
         for row, (out_rep, out_count) in enumerate(out_type.fields):
@@ -66,23 +64,24 @@ class FilterSpace(nn.Module):
 
     @property
     def num_biases(self) -> int:
-        """Fields that may have a bias: those of a permutation representation (regular, quotient, trivial)."""
+        """Number of fields that can have a bias (regular, quotient, trivial)."""
         return len(self.bias_basis)
 
     def std(self, key: str, gain: float) -> float:
-        """Standard deviation of random coefficients that keep a signal's mean square, times ``gain ** 2``.
+        """Return the standard deviation of initial coefficients that scale a signal's mean square by ``gain
+        ** 2``.
 
-        He's rule for the stronger of two signals: white noise, and what is constant over pixels and fields.
-        Steerable filters are smooth and pass the latter, of which images and features behind ReLUs mostly
-        consist, better; by the rule for noise alone it would grow with every layer.
+        This is He's rule for the stronger of two signals: white noise, and a signal that is constant over
+        pixels and fields. Steerable filters are smooth and amplify constant signals more. Images and features
+        after ReLUs are mostly constant, so the rule for noise alone would amplify them in every layer.
 
-        :param key: of the pair of representations, as in :attr:`shapes`
-        :param gain: ``sqrt(2)`` (He) before a ReLU, 1 where none follows
+        :param key: pair of representations, see :attr:`shapes`
+        :param gain: ``sqrt(2)`` (He) before a ReLU, 1 without ReLU
         """
         return gain / math.sqrt(self.in_type.size * self.kernel_size**2 * self._passed[key])
 
     def expand(self, weights: Weights) -> th.Tensor:
-        """Filter of the plain convolution that does the same as the combination.
+        """Return the filter of the equivalent plain convolution.
 
         :param weights: coefficients of each pair of representations, (..., out fields, in fields, basis)
         :return: (..., out channels, in channels, side, side)
@@ -95,7 +94,7 @@ class FilterSpace(nn.Module):
         return joined[0] if len(joined) == 1 else th.cat(joined, dim=-4)
 
     def _expand_block(self, weights: Weights, row: int, column: int) -> th.Tensor:
-        """Filters from the fields of one input representation to those of one output representation."""
+        """Return the filters between one input and one output representation."""
         (out_rep, out_count), (in_rep, in_count) = self.out_type.fields[row], self.in_type.fields[column]
         key, batch = f"{row}_{column}", next(iter(weights.values())).shape[:-3]
         shape = (*batch, out_count * out_rep.size, in_count * in_rep.size, self.kernel_size, self.kernel_size)
@@ -106,20 +105,24 @@ class FilterSpace(nn.Module):
 
 
 class _Basis(nn.Module):
-    """A basis of the filters between two fields.
+    """Basis of the filters between two fields.
 
     :param size: number of filters
-    :param passed: mean square that the stronger of white noise and a constant signal, both of mean square 1,
-        has behind random filters of the basis, over that behind a plain filter of the same shape
+    :param noise: sum of squares of all filters
+    :param constant: sum of squares of the responses of all filters to a constant signal
+    :param plain_size: number of entries of a filter
     """
 
-    def __init__(self, size: int, passed: float) -> None:
+    def __init__(self, size: int, noise: float, constant: float, plain_size: int) -> None:
         super().__init__()
-        self.size, self.passed = size, passed
+        self.size = size
+        self.passed = max(noise, constant) / plain_size
+        """Mean square after random filters relative to a plain filter, for the stronger of white noise and a
+        constant signal."""
 
 
 class _WholeBasis(_Basis):
-    """A basis kept whole, for any two representations.
+    """Stored basis of any two representations.
 
     :param filters: (basis, out size, in size, side, side)
     """
@@ -129,25 +132,25 @@ class _WholeBasis(_Basis):
     def __init__(self, filters: Matrices) -> None:
         size, out_size, *_ = filters.shape
         noise, constant = np.square(filters).sum(), np.square(filters.sum(axis=(2, 3, 4))).sum()
-        super().__init__(size, max(noise, constant) / math.prod(filters.shape[1:]))
+        super().__init__(size, noise, constant, math.prod(filters.shape[1:]))
         flat = th.tensor(filters.reshape(size, out_size, -1), dtype=th.float32)
         self.register_buffer("filters", flat, persistent=False)
 
     def forward(self, weights: th.Tensor) -> th.Tensor:
-        """:return: (..., out fields, out size, in fields, the rest)"""
-        # (out fields, in fields, basis) x (basis, out, the rest), numbers of a field kept together.
+        """:return: (..., out fields, out size, in fields, in size * side * side)"""
+        # (out fields, in fields, basis) x (basis, out size, rest); the channels of a field stay adjacent.
         blocks = th.matmul(weights.flatten(0, -2), self.filters.flatten(1))
         return blocks.view(*weights.shape[:-1], *self.filters.shape[1:]).transpose(-3, -2)
 
 
 class _ColumnBasis(_Basis):
-    """A basis of which one column is kept, for regular inputs.
+    """Basis for regular inputs of which one column is stored.
 
-    The column of a regular field's first number is free: any harmonic at any output number. That of element g
-    is the first one turned by g.
+    The column of the first channel of a regular field is arbitrary. The column of element g is the first
+    column rotated by g.
 
-    :param actions: (elements, out size, out size), how an output field changes
-    :param waves: (elements, harmonics, side, side), what becomes of the harmonics
+    :param actions: matrices of the output representation, (elements, out size, out size)
+    :param waves: rotated harmonics, (elements, harmonics, side, side)
     """
 
     actions: th.Tensor
@@ -157,7 +160,7 @@ class _ColumnBasis(_Basis):
         (order, out_size, _), (_, harmonics, side, _) = actions.shape, waves.shape
         noise = out_size * np.square(waves).sum()
         constant = np.square(np.einsum("goq,gh->hqo", actions, waves.sum(axis=(2, 3)))).sum()
-        super().__init__(harmonics * out_size, max(noise, constant) / (out_size * order * side**2))
+        super().__init__(harmonics * out_size, noise, constant, out_size * order * side**2)
         self.register_buffer("actions", th.tensor(actions, dtype=th.float32), persistent=False)
         flat = th.tensor(waves.reshape(order, harmonics, -1), dtype=th.float32)
         self.register_buffer("waves", flat, persistent=False)
@@ -165,7 +168,7 @@ class _ColumnBasis(_Basis):
     def forward(self, weights: th.Tensor) -> th.Tensor:
         """:return: (batch, out fields, out size, in fields, elements, pixels)"""
         (out_count, in_count, _), (order, out_size, _) = weights.shape[-3:], self.actions.shape
-        # The output numbers first, while there are few harmonics, then pixels: (elements, out, ..., pixels).
+        # First the output channels, because there are fewer harmonics than pixels.
         columns = th.matmul(self.actions.flatten(0, 1), weights.reshape(-1, out_size).T)
         columns = th.bmm(columns.view(order, -1, self.waves.shape[1]), self.waves)
         blocks = columns.view(order, out_size, -1, out_count, in_count, columns.shape[-1])
@@ -173,9 +176,9 @@ class _ColumnBasis(_Basis):
 
 
 def _make_basis(in_rep: Representation, out_rep: Representation, kernel_size: int) -> _Basis | None:
-    """The whole basis where it is small or the input is not regular, else one column; none if it is empty."""
+    """Return a basis, stored whole if it is small or the input is not regular, or None if it is empty."""
     if in_rep.kind == "regular":
-        waves = turned_harmonics(in_rep.group, kernel_size)
+        waves = rotated_harmonics(in_rep.group, kernel_size)
         if waves.shape[1] * out_rep.size > WHOLE_BASIS_LIMIT:
             return _ColumnBasis(out_rep.matrices, waves * _column_scale(out_rep))
     filters = steerable_basis(in_rep, out_rep, kernel_size)
@@ -184,10 +187,10 @@ def _make_basis(in_rep: Representation, out_rep: Representation, kernel_size: in
 
 @cache
 def steerable_basis(in_rep: Representation, out_rep: Representation, kernel_size: int) -> Matrices:
-    """Basis of the filters K with ``K(g x) = out_rep(g) K(x) in_rep(g)^-1`` for all g of the group.
+    """Return a basis of the filters K with ``K(g x) = out_rep(g) K(x) in_rep(g)^-1`` for all g of the group.
 
-    Each has the energy that one output number of unit energy gives, whatever the group: a learning rate then
-    means the same for all groups, and about what it means for a plain convolution.
+    Each filter has the energy of one output channel of unit energy for any group. A learning rate then has a
+    similar effect for all groups and for plain convolutions.
 
     :param in_rep: representation of an input field
     :param out_rep: representation of an output field
@@ -196,7 +199,7 @@ def steerable_basis(in_rep: Representation, out_rep: Representation, kernel_size
     """
     filters: Matrices
     if in_rep.kind == "regular":
-        waves = turned_harmonics(in_rep.group, kernel_size) * _column_scale(out_rep)
+        waves = rotated_harmonics(in_rep.group, kernel_size) * _column_scale(out_rep)
         filters = np.einsum("goq,ghxy->hqogxy", out_rep.matrices, waves)
         filters = filters.reshape(-1, *filters.shape[2:])
     else:
@@ -208,33 +211,32 @@ def steerable_basis(in_rep: Representation, out_rep: Representation, kernel_size
 
 
 @cache
-def turned_harmonics(group: Group, kernel_size: int) -> Matrices:
-    """The functions of :func:`harmonic_basis` turned by each element, resampled without interpolation.
+def rotated_harmonics(group: Group, kernel_size: int) -> Matrices:
+    """Return the functions of :func:`harmonic_basis`, rotated by each element without interpolation.
 
-    :param group: the symmetry
+    :param group: symmetry group
     :param kernel_size: side of the filter, pixels
     :return: (elements, number of functions, kernel_size, kernel_size), read-only
     """
     harmonics, frequencies = harmonic_basis(kernel_size, group.n)
     actions = _harmonic_actions(group, frequencies)
-    turned: Matrices = np.einsum("gab,axy->gbxy", actions, harmonics)
-    turned.flags.writeable = False
-    return turned
+    rotated: Matrices = np.einsum("gab,axy->gbxy", actions, harmonics)
+    rotated.flags.writeable = False
+    return rotated
 
 
 def _column_scale(out_rep: Representation) -> float:
-    """Factor of a filter that is the turns of one tensor of norm 1, see :func:`steerable_basis`."""
+    """Return the scale of filters that consist of the rotations of one tensor of norm 1."""
     return math.sqrt(out_rep.size / out_rep.group.order)
 
 
 def _invariant_coefficients(
     in_rep: Representation, out_rep: Representation, frequencies: tuple[int, ...]
 ) -> Matrices:
-    """Orthonormal basis (p, h, o, i) of the tensors that (harmonics x out_rep x in_rep) leaves alone."""
+    """Return an orthonormal basis (p, h, o, i) of the invariant tensors of (harmonics x out_rep x in_rep)."""
     group = in_rep.group
     harmonic, out = _harmonic_actions(group, frequencies), out_rep.matrices
-    # A regular field visits each of its numbers once: the tensors that start at its first number already span
-    # all.
+    # The group permutes the channels of a regular field, so the tensors of its first channel span all.
     if out_rep.kind == "regular":
         spanning: Matrices = np.einsum("gab,gc,gef->bface", harmonic, out[:, :, 0], in_rep.matrices)
         return spanning.reshape(-1, *spanning.shape[2:]) * np.float64(1 / math.sqrt(group.order))
@@ -245,7 +247,7 @@ def _invariant_coefficients(
 
 
 def _harmonic_actions(group: Group, frequencies: tuple[int, ...]) -> Matrices:
-    """How the harmonics of :func:`harmonic_basis` change under each element: block diagonal matrices."""
+    """Return the matrix of each element for the functions of :func:`harmonic_basis`, block diagonal."""
     reps = [group.irrep(frequency) if frequency else group.trivial for frequency in frequencies]
     return np.stack(
         [block_diagonal([rep.matrices[element] for rep in reps]) for element in range(group.order)]
@@ -253,14 +255,7 @@ def _harmonic_actions(group: Group, frequencies: tuple[int, ...]) -> Matrices:
 
 
 def _invariants(out_type: FieldType) -> th.Tensor:
-    """Constant features that the group leaves alone, one for each field of a permutation representation:
-    (biases, size).
-    """
-    rows, start = [], 0
-    for rep, count in out_type.fields:
-        for _ in range(count):
-            if rep.is_permutation:
-                rows.append(np.zeros(out_type.size))
-                rows[-1][start : start + rep.size] = 1.0
-            start += rep.size
-    return th.tensor(np.array(rows).reshape(len(rows), out_type.size), dtype=th.float32)
+    """Return the invariant constant feature of each field that can have a bias, (biases, size)."""
+    reps = [rep for rep, count in out_type.fields for _ in range(count)]
+    fields = np.repeat(np.eye(len(reps)), [rep.size for rep in reps], axis=1)
+    return th.tensor(fields[[rep.is_permutation for rep in reps]], dtype=th.float32)

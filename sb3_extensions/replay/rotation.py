@@ -21,21 +21,23 @@ TOLERANCE = 1e-6
 """Excess over the bounds of an action that float32 rounding can cause."""
 
 
-def rotate_images(images: th.Tensor, angles: th.Tensor, mode: str = "bilinear") -> th.Tensor:
+def rotate_images(images: th.Tensor, angles: th.Tensor) -> th.Tensor:
     """
     Rotate images about their centres. Pixels outside have the value of the nearest border pixel.
 
+    Interpolation is bilinear. Integer images of one channel can hold labels and use the nearest pixel.
+
     :param images: shape (batch, channels, size, size), rows along x and columns along y
     :param angles: from x towards y, rad, shape (batch,); pi / 2 is ``numpy.rot90(image, k=1)``
-    :param mode: ``"bilinear"`` or ``"nearest"``
     :return: rotated images of the same shape and type
     """
-    size = images.shape[-1]
+    size, is_label = images.shape[-1], images.shape[1] == 1 and not images.is_floating_point()
     line = (th.arange(size, device=images.device) * 2 + 1) / size - 1
     cos, sin = angles.cos()[:, None, None].float(), angles.sin()[:, None, None].float()
     row, column = line[:, None], line
     # Source of each pixel, in the order of grid_sample: column, row
     grid = th.stack([cos * column - sin * row, sin * column + cos * row], dim=-1)
+    mode = "nearest" if is_label else "bilinear"
     rotated = F.grid_sample(images.float(), grid, mode, padding_mode="border", align_corners=False)
     return rotated if images.is_floating_point() else rotated.round().to(images.dtype)
 
@@ -73,6 +75,7 @@ class Rotation(Augmentation):
     rotate with the gripper and do not change. The r of an action must be a rotation relative to the
     gripper (closed loop). Angles are uniform in [0, 2 pi) among those for which the rotated actions are
     within [-1, 1]. If none of :data:`N_CANDIDATES` sampled angles is, a random multiple of pi / 2 is used.
+    To save time, the next observation is rotated only if the target bootstraps from it.
 
     Source: https://arxiv.org/abs/2205.14292, "Equi SACfD + PER + Aug", which stores four rotated copies of
     each step.
@@ -105,8 +108,10 @@ class Rotation(Augmentation):
         sequence = ActionSequence(self.action_sequence, samples.actions.shape[1])
         angles = self._sample_angles(samples.actions, samples.expert_actions, sequence, generator)
         before, after = as_parts(samples.observations), as_parts(samples.next_observations)
+        rows = (samples.dones[:, 0] == 0).nonzero()[:, 0]
         for key in scene_keys(before):
-            before[key], after[key] = _rotate_pair(before[key], after[key], angles)
+            before[key] = rotate_images(before[key], angles)
+            after[key] = after[key].index_copy(0, rows, rotate_images(after[key][rows], angles[rows]))
         for key in [key for key, part in before.items() if is_point_cloud(part.shape[1:])]:
             for parts in (before, after):
                 parts[key] = rotate_pairs(parts[key], [0, 1], angles[:, None])
@@ -135,11 +140,3 @@ class Rotation(Augmentation):
         fits[:, -1] = True
         first = fits.int().argmax(dim=1, keepdim=True)
         return candidates.gather(1, first)[:, 0].masked_fill(unchanged.to(actions.device), 0.0)
-
-
-def _rotate_pair(first: th.Tensor, second: th.Tensor, angles: th.Tensor) -> tuple[th.Tensor, ...]:
-    """Rotate images of both observations; one grid serves both as channels of one image."""
-    # Integer images of one channel can hold labels.
-    is_label = first.shape[1] == 1 and not first.is_floating_point()
-    both = rotate_images(th.cat([first, second], dim=1), angles, "nearest" if is_label else "bilinear")
-    return both.chunk(2, dim=1)

@@ -4,24 +4,21 @@ from __future__ import annotations
 
 from typing import Any
 
-import torch as th
 from gymnasium import spaces
 from stable_baselines3.common.distributions import SquashedDiagGaussianDistribution
 from stable_baselines3.common.policies import ContinuousCritic
 from stable_baselines3.common.preprocessing import get_action_dim
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor, create_mlp
-from stable_baselines3.common.type_aliases import PyTorchObs
 from stable_baselines3.sac.policies import Actor
 from torch import nn
-from torch.nn import functional as F
 
 from sb3_extensions.common.action_sequence import ActionSequence
 from sb3_extensions.encoders.initialisation import OUTPUT_GAIN, scale_down
 from sb3_extensions.equivariant.groups import FieldType
 from sb3_extensions.sacfd.heads import (
-    ActionScaling,
     EquivariantLogStd,
     EquivariantMean,
+    InputNormalisation,
     InvariantValue,
     equivariant_mlp,
     features_type,
@@ -65,7 +62,7 @@ class MultiHeadCritic(ContinuousCritic):
     :param activation_fn: Activation function
     :param normalize_images: Whether to divide ``uint8`` images by 255
     :param n_critics: Number of heads
-    :param share_features_extractor: Whether the features extractor is the actor's, which alone trains it
+    :param share_features_extractor: Whether the features extractor is the actor's
     :param n_outputs: number of outputs of a head, 1 for a Q-value, more for quantiles
     :param normalise: whether to normalise features and hidden layers, scale actions, and start near 0
     """
@@ -100,17 +97,6 @@ class MultiHeadCritic(ContinuousCritic):
             self.add_module(f"qf{idx}", q_net)
             self.q_networks.append(q_net)
 
-    def extract_features(self, obs: PyTorchObs, features_extractor: BaseFeaturesExtractor) -> th.Tensor:
-        """
-        Extract features; with ``normalise`` they have mean 0 and variance 1 over each observation.
-
-        :param obs: Observation
-        :param features_extractor: The features extractor to use
-        :return: shape (batch, features_dim)
-        """
-        features = super().extract_features(obs, features_extractor)
-        return F.layer_norm(features, features.shape[1:]) if self.normalise else features
-
     def _make_head(self) -> nn.Module:
         action_dim = get_action_dim(self.action_space)
         arguments = (self.features_dim + action_dim, self.n_outputs, self.net_arch, self.activation_fn)
@@ -122,7 +108,7 @@ class MultiHeadCritic(ContinuousCritic):
             nn.init.xavier_uniform_(hidden.weight)
             nn.init.zeros_(hidden.bias)
         scale_down(hidden_and_output[-1])
-        return nn.Sequential(ActionScaling(self.features_dim, action_dim), *layers)
+        return nn.Sequential(InputNormalisation(self.features_dim, action_dim), *layers)
 
 
 class _FixedLayerNorm(nn.LayerNorm):
@@ -133,15 +119,16 @@ class _FixedLayerNorm(nn.LayerNorm):
 
 
 class EquivariantActor(Actor):
-    """Actor whose mean of (x, y) turns with the images and whose other outputs stay.
+    """
+    Equivariant actor: its (x, y) rotates with the images, its other outputs are invariant.
 
-    So does the Gaussian before it is squashed, for the whole group. Squashing acts on x and y alone, and
-    commutes with rotations by 90 degrees and with reflections.
+    The Gaussian before squashing is equivariant under the whole group. Squashing acts on x and y separately,
+    so it commutes only with rotations by 90 degrees and with reflections.
 
     :param observation_space: Observation space
     :param action_space: Action space
     :param net_arch: regular fields of each hidden layer behind the encoder
-    :param features_extractor: with regular features, trivial ones may follow them
+    :param features_extractor: network with regular features that trivial ones may follow
     :param features_dim: Number of features
     :param action_sequence: one character for each number of the action, see
         :class:`~sb3_extensions.common.action_sequence.ActionSequence`
@@ -205,9 +192,10 @@ class EquivariantActor(Actor):
 
 
 class EquivariantCritic(MultiHeadCritic):
-    """Critic whose values stay when images and (x, y) of the action turn together.
+    """
+    Critic that is invariant to a rotation of the images together with (x, y) of the action.
 
-    :param args: arguments of :class:`MultiHeadCritic`; ``net_arch`` are regular fields, the features too
+    :param args: arguments of :class:`MultiHeadCritic`. ``net_arch`` and the features are regular fields
     :param action_sequence: one character for each number of the action, see
         :class:`~sb3_extensions.common.action_sequence.ActionSequence`
     :param kwargs: keyword arguments of :class:`MultiHeadCritic`

@@ -12,7 +12,7 @@ from torch.optim.swa_utils import AveragedModel
 
 class SACfDPolicy(SACPolicy):
     """
-    SAC policy with two additions, both off by default.
+    SAC policy with additions, all off by default.
 
     :param args: arguments of :class:`stable_baselines3.sac.policies.SACPolicy`
     :param normalise: normalise the critic's features and hidden layers (https://arxiv.org/abs/2302.02948),
@@ -20,7 +20,9 @@ class SACfDPolicy(SACPolicy):
     :param actor_tau: soft update coefficient of an average of the actor's weights that deterministic actions
         use (own addition), greater than 0 and at most 1. The first ``1 / actor_tau`` weights have equal
         shares. None for no average
-    :param kwargs: keyword arguments of :class:`stable_baselines3.sac.policies.SACPolicy`
+    :param kwargs: keyword arguments of :class:`stable_baselines3.sac.policies.SACPolicy`. With
+        ``share_features_extractor`` the sum of both losses trains one features extractor. In
+        Stable-Baselines3's SAC, the actor's loss alone trains it
     :raises ValueError: if ``actor_tau`` is out of its range
     """
 

@@ -1,4 +1,4 @@
-"""Equivariant heads on regular features: parts of actors and critics for actions that move in the plane."""
+"""Equivariant output layers of actors and critics, for features of regular fields."""
 
 from __future__ import annotations
 
@@ -9,26 +9,28 @@ from itertools import pairwise
 import torch as th
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from torch import nn
+from torch.nn import functional as F
 
 from sb3_extensions.common.action_sequence import ActionSequence
 from sb3_extensions.encoders.initialisation import scale_down
 from sb3_extensions.equivariant.groups import FieldType, Group
 from sb3_extensions.equivariant.layers import EquivariantLinear, GroupMaxPool
 
-# The order in which the numbers of an action stand in their field type: vectors, signs, invariant ones. The
-# turns u and v about x and y become a vector as (v, -u), the direction in which what points up leans.
+# Order of the action dimensions in their field type: vectors, sign fields, invariant ones. The rotations u
+# and v about x and y transform as the vector (v, -u), the horizontal direction in which the gripper tilts.
 FIELD_ORDER = "xyvurpz"
 NEGATED = "u"
 
 
 def action_type(action: ActionSequence, group: Group) -> FieldType:
     """
-    How the numbers of an action turn with the scene: x and y together are a vector, and so are the turns v
-    and -u about y and x; r, a rotation about z, changes its sign under reflections; p and z are invariant.
+    Return the field type of an action, in the order of :data:`FIELD_ORDER`.
 
-    :param action: which numbers it has
-    :param group: the symmetry
-    :return: type of the numbers taken in the order of :data:`FIELD_ORDER`
+    (x, y) is a vector, and so is (v, -u) of the rotations about y and x. r, the rotation about z, changes its
+    sign under reflections. p and z are invariant.
+
+    :param action: names of the action dimensions
+    :param group: symmetry group
     """
     vectors, signs = ("x" in action) + ("u" in action), int("r" in action)
     rest = action.action_dim - 2 * vectors - signs
@@ -36,16 +38,16 @@ def action_type(action: ActionSequence, group: Group) -> FieldType:
 
 
 def _signs(action: ActionSequence) -> th.Tensor:
-    """What the numbers of an action are multiplied by to stand in their field type."""
+    """Return the sign of each action dimension in the field type."""
     return th.tensor([-1.0 if name in NEGATED else 1.0 for name in action.names])
 
 
 class EquivariantMean(nn.Module):
-    """Mean of an action, turning with the features: (batch, in channels) to (batch, action_dim), not
-    squashed.
+    """
+    Equivariant linear layer for the mean of an action before squashing.
 
-    :param in_type: regular fields, and trivial ones if need be
-    :param action: which numbers turn
+    :param in_type: field type of the features, regular fields that trivial ones may follow
+    :param action: names of the action dimensions
     :param gain: factor of the initial weights
     """
 
@@ -59,19 +61,26 @@ class EquivariantMean(nn.Module):
         self.register_buffer("signs", _signs(action), persistent=False)
 
     def forward(self, features: th.Tensor) -> th.Tensor:
-        """:return: means in the order of the action"""
+        """
+        Compute the means.
+
+        :param features: shape (batch, in_type.size)
+        :return: shape (batch, action dimensions)
+        """
         fields: th.Tensor = self.linear(features)
         return fields[:, self.index] * self.signs
 
 
 class EquivariantLogStd(nn.Module):
-    """Logarithm of an action's standard deviations, invariant: (batch, in channels) to (batch, action_dim).
+    """
+    Invariant linear layer for the logarithms of an action's standard deviations.
 
-    x and y share one: a Gaussian with two would not turn into one of the same kind, and by 90 degrees they
-    would swap. So do turns about x and y.
+    x and y share one standard deviation, because a rotated Gaussian with two different ones is not diagonal.
+    For the same reason the rotations about x and y share one.
 
-    :param in_type: regular fields, and trivial ones if need be
-    :param action: which numbers share
+    :param in_type: field type of the features, regular fields that trivial ones may follow
+    :param action: names of the action dimensions
+    :param gain: factor of the initial weights
     """
 
     index: th.Tensor
@@ -86,25 +95,30 @@ class EquivariantLogStd(nn.Module):
         self.register_buffer("index", index, persistent=False)
 
     def forward(self, features: th.Tensor) -> th.Tensor:
-        """:return: in the order of the action"""
+        """
+        Compute the logarithms.
+
+        :param features: shape (batch, in_type.size)
+        :return: shape (batch, action dimensions)
+        """
         log_std: th.Tensor = self.linear(features)
         return log_std[:, self.index]
 
 
 class InvariantValue(nn.Module):
-    """Value of features and action that stays when both turn: (batch, in channels + action_dim) to (batch,
-    outputs).
+    """
+    Head of a critic that is invariant to a rotation of features and action together.
 
-    Equivariant layers of the features and the action's fields, the largest number of each field, one linear
-    map.
+    It consists of equivariant hidden layers, the maximum over each field, and a linear layer.
 
-    :param in_type: of the features: regular fields, and trivial ones if need be
-    :param action: which numbers turn
-    :param net_arch: regular fields of each hidden layer, at least one
-    :param outputs: 1 for a Q-value, more for quantiles
-    :param activation_fn: pointwise nonlinearity
-    :param normalise: whether to normalise hidden layers, scale the action to the features, and start near 0
-    :raises ValueError: if there is no hidden layer
+    :param in_type: field type of the features, regular fields that trivial ones may follow
+    :param action: names of the action dimensions
+    :param net_arch: regular fields of each hidden layer, at least one layer
+    :param outputs: number of outputs, 1 for a Q-value, more for quantiles
+    :param activation_fn: pointwise activation function
+    :param normalise: whether to normalise features and hidden layers, scale the action to the norm of the
+        features, and start with values near 0
+    :raises ValueError: if ``net_arch`` is empty
     """
 
     index: th.Tensor
@@ -121,59 +135,72 @@ class InvariantValue(nn.Module):
     ) -> None:
         super().__init__()
         if not net_arch:
-            raise ValueError("net_arch of an equivariant critic (qf) needs at least one hidden layer, got []")
+            raise ValueError(
+                "net_arch (qf) must have at least one hidden layer in an equivariant critic, got []"
+            )
         joint_type = in_type + action_type(action, in_type.group)
         self.hidden = equivariant_mlp(joint_type, net_arch, activation_fn, normalise)
         self.pool = GroupMaxPool(FieldType.of((in_type.group.regular, net_arch[-1])))
         self.value = nn.Linear(net_arch[-1], outputs)
-        self.action_scaling: nn.Module = nn.Identity()
+        self.normalisation: nn.Module = nn.Identity()
         if normalise:
             scale_down(self.value)
-            self.action_scaling = ActionScaling(in_type.size, action.action_dim)
+            self.normalisation = InputNormalisation(in_type.size, action.action_dim)
         places = [*range(in_type.size), *(in_type.size + place for place in action.places(FIELD_ORDER))]
         self.register_buffer("index", th.tensor(places), persistent=False)
         signs = th.cat([th.ones(in_type.size), _signs(action)])
         self.register_buffer("signs", signs, persistent=False)
 
     def forward(self, features_and_action: th.Tensor) -> th.Tensor:
-        """:return: (batch, outputs)"""
-        joint = (self.action_scaling(features_and_action) * self.signs)[:, self.index]
+        """
+        Compute the values.
+
+        :param features_and_action: shape (batch, in_type.size + action dimensions)
+        :return: shape (batch, outputs)
+        """
+        joint = (self.normalisation(features_and_action) * self.signs)[:, self.index]
         values: th.Tensor = self.value(self.pool(self.hidden(joint)))
         return values
 
 
-class ActionScaling(nn.Module):
-    """Scale actions to the norm of the features: (batch, features_dim + action_dim) to the same shape.
-
-    Five numbers next to 128 of the same size contribute one hundredth of a hidden unit's variance, so that an
-    untrained critic is insensitive to the action input.
-
-    :param features_dim: numbers of variance 1
-    :param action_dim: numbers in [-1, 1]
+class InputNormalisation(nn.Module):
     """
+    Normalise the features of a critic's input and scale its actions to their norm.
 
-    gain: th.Tensor
+    The features get mean 0 and variance 1 over each observation. Without the scale, 5 numbers next to 128
+    features contribute one hundredth of a hidden unit's variance, and an untrained critic is insensitive to
+    the action input.
+
+    :param features_dim: number of features
+    :param action_dim: number of action dimensions, in [-1, 1]
+    """
 
     def __init__(self, features_dim: int, action_dim: int) -> None:
         super().__init__()
-        gain = th.ones(features_dim + action_dim)
-        gain[features_dim:] = math.sqrt(features_dim / action_dim)
-        self.register_buffer("gain", gain, persistent=False)
+        self.sizes = [features_dim, action_dim]
+        self.gain = math.sqrt(features_dim / action_dim)
 
     def forward(self, features_and_action: th.Tensor) -> th.Tensor:
-        """:return: features and the scaled action"""
-        return features_and_action * self.gain
+        """
+        Normalise a batch.
+
+        :param features_and_action: shape (batch, features_dim + action_dim)
+        :return: the same shape
+        """
+        features, actions = features_and_action.split(self.sizes, dim=1)
+        return th.cat([F.layer_norm(features, features.shape[1:]), actions * self.gain], dim=1)
 
 
 def equivariant_mlp(
     in_type: FieldType, net_arch: Sequence[int], activation_fn: type[nn.Module], normalise: bool = False
 ) -> nn.Sequential:
-    """Layers to regular fields, each followed by the nonlinearity.
+    """
+    Create an equivariant multi-layer perceptron with regular fields.
 
-    :param in_type: input fields
-    :param net_arch: regular fields of each layer; none gives the identity
-    :param activation_fn: pointwise nonlinearity
-    :param normalise: normalise what each layer gives, without learned scales; the group only permutes it
+    :param in_type: input field type
+    :param net_arch: regular fields of each layer, [] for the identity
+    :param activation_fn: pointwise activation function
+    :param normalise: whether to normalise the output of each layer, without learned parameters
     """
     types = [in_type] + [FieldType.of((in_type.group.regular, count)) for count in net_arch]
     layers: list[nn.Module] = []
@@ -184,18 +211,20 @@ def equivariant_mlp(
 
 
 def features_type(features_extractor: BaseFeaturesExtractor) -> FieldType:
-    """Type of an extractor's features, for heads that need regular fields; trivial ones may follow them.
+    """
+    Return the field type of the features of an extractor.
 
-    :param features_extractor: with an ``out_type``, as
-        :class:`~sb3_extensions.encoders.extractors.EquivariantExtractor` has
-    :raises ValueError: if its features do not begin with regular fields, or have others than these two kinds
+    :param features_extractor: an :class:`~sb3_extensions.encoders.extractors.EquivariantExtractor`, or
+        another one with an attribute ``out_type``
+    :raises ValueError: if its features are not regular fields that trivial ones may follow
     """
     out_type = getattr(features_extractor, "out_type", None)
     kinds = [rep.kind for rep, _ in out_type.fields] if isinstance(out_type, FieldType) else []
     if kinds not in (["regular"], ["regular", "trivial"]):
         raise ValueError(
-            "an equivariant policy needs features of regular fields, as EquivariantExtractor's with "
-            f"output='regular'; features_extractor_class {type(features_extractor).__name__} has {out_type}"
+            "features_extractor_class must have regular features in an equivariant policy, such as "
+            "EquivariantExtractor with output='regular', got "
+            f"{type(features_extractor).__name__} with {out_type}"
         )
     assert isinstance(out_type, FieldType)
     return out_type

@@ -1,6 +1,4 @@
-"""Policies of SACfD for images and numbers, the paper's CNN and its equivariant network, and for numbers
-alone.
-"""
+"""Policies of SACfD: the paper's CNN, its equivariant network, and a multi-layer perceptron."""
 
 from __future__ import annotations
 
@@ -31,7 +29,8 @@ STATE_NET_ARCH: dict[str, list[int]] = {"pi": [], "qf": [256]}
 
 
 class MultiInputPolicy(SACfDPolicy):
-    """CNN policy of the paper: one encoder for the actor, one for all heads of the critic.
+    """
+    CNN policy of the paper, with an encoder for the actor and one for all heads of the critic.
 
     :param observation_space: Dict of images and numbers, see
         :class:`~sb3_extensions.encoders.observation.StackedImage`
@@ -74,13 +73,14 @@ class MultiInputPolicy(SACfDPolicy):
 
 
 class StatePolicy(MultiInputPolicy):
-    """Fully connected policy for observations of numbers alone, such as an environment's poses.
+    """
+    Policy without images, for vectors such as object poses.
 
     :param observation_space: see :class:`~sb3_extensions.encoders.mlp_extractor.MlpExtractor`
     :param action_space: Action space
     :param lr_schedule: Learning rate schedule (could be constant)
-    :param net_arch: Hidden layers behind the encoders; by default none in the actor, 256 units in each head
-        of the critic
+    :param net_arch: Hidden layers behind the encoders, by default none in the actor and 256 units in each
+        head of the critic
     :param features_extractor_class: Features extractor to use
     :param kwargs: further parameters of :class:`MultiInputPolicy`
     """
@@ -105,15 +105,16 @@ class StatePolicy(MultiInputPolicy):
 
 
 class EquivariantPolicy(SACfDPolicy):
-    """Equivariant policy of the paper: one encoder for the actor, one for all heads of the critic.
+    """
+    Equivariant policy of the paper, with an encoder for the actor and one for all heads of the critic.
 
     :param observation_space: Dict of images and numbers, see
         :class:`~sb3_extensions.encoders.observation.StackedImage`
     :param action_space: Action space
     :param lr_schedule: Learning rate schedule (could be constant)
-    :param net_arch: Regular fields of the hidden layers behind the encoders; by default none in the actor and
-        as many as the encoder has in each head of the critic
-    :param features_extractor_class: Features extractor with regular features, trivial ones may follow them
+    :param net_arch: Regular fields of the hidden layers behind the encoders. By default the actor has none,
+        and each head of the critic has one layer with the encoder's number of fields
+    :param features_extractor_class: Features extractor with regular features that trivial ones may follow
     :param action_sequence: One character for each number of the action: ``p`` (gripper), ``x``, ``y``, ``z``,
         ``r`` (rotation about z), in any order
     :param kwargs: further parameters of :class:`~sb3_extensions.sacfd.base_policy.SACfDPolicy`

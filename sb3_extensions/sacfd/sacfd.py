@@ -20,13 +20,12 @@ from sb3_extensions.common.gradients import frozen
 from sb3_extensions.demonstrations.source import ExpertData
 from sb3_extensions.replay.augmentations import AugmentationSpec
 from sb3_extensions.replay.samples import ExpertReplayBufferSamples, count_rows, select_rows
-from sb3_extensions.sacfd.base_policy import SACfDPolicy
-from sb3_extensions.sacfd.exploration import Exploration
 from sb3_extensions.sacfd.losses import imitation_loss, self_imitation_weights
 from sb3_extensions.sacfd.policies import EquivariantPolicy, MultiInputPolicy, StatePolicy
+from sb3_extensions.sacfd.pretraining import ActorPretraining, Logs
 
 
-class SACfD(Exploration, SAC):
+class SACfD(ActorPretraining, SAC):
     """
     Soft actor-critic from demonstrations (SACfD).
 
@@ -198,6 +197,7 @@ class SACfD(Exploration, SAC):
 
     def _check_arguments(self) -> None:
         self._check_demonstrations()
+        self._check_pretraining()
         check_not_negative(bc_weight=self.bc_weight, expert_q_weight=self.expert_q_weight)
         check_fraction(
             bc_limit=self.bc_limit,
@@ -209,47 +209,11 @@ class SACfD(Exploration, SAC):
             raise ValueError(f"self_imitation_temperature must be None or greater than 0, got {temperature}")
         if self.value_range is not None and not self.value_range[0] < self.value_range[1]:
             raise ValueError(f"value_range must be None or (minimum, maximum), got {self.value_range}")
-        check_not_negative(critic_warmup_steps=self._warmup_steps)
-        if self.bc_weight == 0 and self.pretrain_steps > self._warmup_steps:
-            raise ValueError(
-                "critic_warmup_steps must be None or at least pretrain_steps with bc_weight=0, got "
-                f"{self.critic_warmup_steps}"
-            )
-
-    @property
-    def _warmup_steps(self) -> int:
-        return self.pretrain_steps if self.critic_warmup_steps is None else self.critic_warmup_steps
 
     def _setup_model(self) -> None:
         super()._setup_model()
         # The target is not trained; without gradients its encoder keeps no activations.
         self.critic_target.requires_grad_(False)
-
-    def _pretrain_once(self) -> None:
-        if self.pretraining_left > self._warmup_steps:
-            self._imitate()
-        else:
-            super()._pretrain_once()
-
-    def _imitate(self) -> None:
-        """Update the actor by the imitation term alone."""
-        assert self.replay_buffer is not None
-        self.policy.set_training_mode(True)
-        self._update_learning_rate(self.actor.optimizer)
-        replay_data = self.replay_buffer.sample(self.batch_size, env=self._vec_normalize_env)
-        for name, value in self._update_encoder(replay_data.observations).items():
-            self.logger.record(f"train/{name}", value.item())
-        if self.augmentation is not None:
-            replay_data = self.augmentation(replay_data, self.augmentation_generator)
-        actions_pi, _ = self.actor.action_log_prob(replay_data.observations)
-        bc_loss = imitation_loss(actions_pi, replay_data, th.zeros_like(replay_data.rewards), self.bc_limit)
-        self.actor.optimizer.zero_grad()
-        (self.bc_weight * bc_loss).backward()
-        self.actor.optimizer.step()
-        self._update_actor_average()
-        self._n_updates += 1
-        self.logger.record("train/n_updates", self._n_updates, exclude="tensorboard")
-        self.logger.record("train/bc_loss", bc_loss.item())
 
     def train(self, gradient_steps: int, batch_size: int = 64) -> None:
         """
@@ -259,6 +223,7 @@ class SACfD(Exploration, SAC):
         :param gradient_steps: number of updates
         :param batch_size: number of steps in each batch
         """
+        assert self.replay_buffer is not None
         # Switch to train mode (this affects batch norm / dropout)
         self.policy.set_training_mode(True)
         # Update optimizers learning rate
@@ -267,20 +232,15 @@ class SACfD(Exploration, SAC):
             optimizers += [self.ent_coef_optimizer]
         self._update_learning_rate(optimizers)
 
-        assert self.replay_buffer is not None
-        logs: defaultdict[str, list[th.Tensor]] = defaultdict(list)
+        logs: Logs = defaultdict(list)
 
         for gradient_step in range(gradient_steps):
-            replay_data = self.replay_buffer.sample(batch_size, env=self._vec_normalize_env)
-            for name, value in self._update_encoder(replay_data.observations).items():
-                logs[name].append(value)
-            if self.augmentation is not None:
-                replay_data = self.augmentation(replay_data, self.augmentation_generator)
+            replay_data = self._sample(batch_size, logs)
             observations = replay_data.observations
 
             # Action by the current actor for the sampled state
-            actions_pi, log_prob = self.actor.action_log_prob(observations)
-            log_prob = log_prob.reshape(-1, 1)
+            actor_features = self._features(self.actor, observations)
+            actions_pi, log_prob = self._action_log_prob(actor_features)
 
             # Optimize entropy coefficient, also called entropy temperature or alpha in the paper
             ent_coef = self._update_ent_coef(log_prob, logs)
@@ -290,7 +250,8 @@ class SACfD(Exploration, SAC):
                 target_q_values = replay_data.rewards + self._bootstrap(replay_data, ent_coef)
 
             # Current Q-values of the critics, for the actions from the replay buffer
-            features = self._features(self.critic, observations)
+            shared = self.policy.share_features_extractor
+            features = actor_features if shared else self._features(self.critic, observations)
             q_values = self._q_values(self.critic, features, replay_data.actions)
             critic_loss, td_errors = self._critic_loss(q_values, target_q_values, replay_data.weights)
             # Mean over the views of each observation if there are several
@@ -315,9 +276,8 @@ class SACfD(Exploration, SAC):
 
             # Optimize the critic and the actor
             self.critic.optimizer.zero_grad()
-            critic_loss.backward()
             self.actor.optimizer.zero_grad()
-            actor_loss.backward()
+            (critic_loss + actor_loss).backward()
             self.critic.optimizer.step()
             self.actor.optimizer.step()
 
@@ -336,14 +296,9 @@ class SACfD(Exploration, SAC):
                     logs[f"{name}_expert"].append(numbers[replay_data.is_expert])
                     logs[f"{name}_online"].append(numbers[~replay_data.is_expert])
 
-        self._n_updates += gradient_steps
+        self._log_updates(gradient_steps, logs)
 
-        self.logger.record("train/n_updates", self._n_updates, exclude="tensorboard")
-        for name, losses in logs.items():
-            if len(numbers := th.cat([loss.reshape(-1) for loss in losses])):
-                self.logger.record(f"train/{name}", numbers.mean().item())
-
-    def _update_ent_coef(self, log_prob: th.Tensor, logs: dict[str, list[th.Tensor]]) -> th.Tensor:
+    def _update_ent_coef(self, log_prob: th.Tensor, logs: Logs) -> th.Tensor:
         """Update the entropy coefficient if it is learned; return the value before."""
         if self.ent_coef_optimizer is None or self.log_ent_coef is None:
             return self.ent_coef_tensor
@@ -378,34 +333,20 @@ class SACfD(Exploration, SAC):
     def _next_values(self, next_observations: PyTorchObs, ent_coef: th.Tensor) -> th.Tensor:
         """Return the target critic's values of the actor's actions."""
         # Select action according to policy
-        next_actions, next_log_prob = self.actor.action_log_prob(next_observations)
+        next_actions, next_log_prob = self._action_log_prob(self._features(self.actor, next_observations))
         features = self._features(self.critic_target, next_observations)
         next_q_values = self._target_values(self._q_values(self.critic_target, features, next_actions))
         if self.value_range is not None:
             next_q_values = next_q_values.clamp(*self.value_range)
         if self.backup_entropy:
             # add entropy term
-            next_q_values = next_q_values - ent_coef * next_log_prob.reshape(-1, 1)
+            next_q_values = next_q_values - ent_coef * next_log_prob
         return next_q_values
-
-    def _features(self, critic: Any, observations: PyTorchObs) -> th.Tensor:
-        """Return the features of a critic, without gradient if the actor's loss trains the extractor."""
-        with th.set_grad_enabled(th.is_grad_enabled() and not self.policy.share_features_extractor):
-            features: th.Tensor = critic.extract_features(observations, critic.features_extractor)
-        return features
 
     def _q_values(self, critic: Any, features: th.Tensor, actions: th.Tensor) -> Any:
         """Return the outputs of the heads of a critic, one entry a head."""
         head_input = th.cat([features, actions], dim=1)
         return [head(head_input) for head in critic.q_networks]
-
-    def _update_encoder(self, observations: PyTorchObs) -> dict[str, th.Tensor]:
-        """Train an encoder on observations alone; return the losses by name. SACfD trains none."""
-        return {}
-
-    def _update_actor_average(self) -> None:
-        if isinstance(self.policy, SACfDPolicy):
-            self.policy.update_average()
 
     def _update_target_critic(self) -> None:
         polyak_update(self.critic.parameters(), self.critic_target.parameters(), self.tau)

@@ -1,21 +1,17 @@
-"""Networks that choose what follows a pixel: yaw, height and tilts of the gripper (ASR,
+"""Networks that choose the numbers of an action after the pixel: yaw, height and tilts of the gripper (ASR,
 https://arxiv.org/abs/2010.02798).
-
-Each gives the values of one more number of the action, given those before it: of a view, the encoding of the
-scene, and the indices so far, (batch, numbers), to (batch, values of the number).
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Mapping, Sequence
 
 import torch as th
 from torch import nn
 from torch.nn import functional as F
 
-from sb3_extensions.encoders.cnn import HalvingMaxPool, Stage, resize
+from sb3_extensions.encoders.cnn import Stage, resize, stack_stages
 from sb3_extensions.encoders.initialisation import OUTPUT_GAIN, initialise_xavier, scale_down
 from sb3_extensions.encoders.observation import SceneView, View
 from sb3_extensions.encoders.patch_encoders import PatchMap, PatchVector, mlp
@@ -24,146 +20,165 @@ from sb3_extensions.equivariant.groups import FieldType, Group
 from sb3_extensions.equivariant.layers import DynamicEquivariantConv2d, EquivariantConv2d
 from sb3_extensions.spatial_dqn.codec import PIXEL, SpatialActionCodec
 from sb3_extensions.spatial_dqn.patches import crop_patches
-from sb3_extensions.spatial_dqn.pixel_maps import PRIMITIVES, Shapes, coefficients_of, of_primitive
+from sb3_extensions.spatial_dqn.pixel_maps import PRIMITIVES, coefficient_layer, of_primitive
 from sb3_extensions.spatial_dqn.projections import orthographic_projections, rotation_matrices
 
-PROJECTIONS = 3  # along the gripper's axes
-PATCH_SIZE = 24  # of the authors' code, pixels, where there is no in-hand image to say it
-SMALL_PATCH_SIDE = 3  # of the last map of the 6D networks
+PROJECTIONS = 3
+"""Number of projections, one along each axis of the gripper."""
+PATCH_SIZE = 24
+"""Side (pixels) of patches without an in-hand image (the authors' code)."""
+SMALL_PATCH_SIDE = 3
+"""Maximum side (pixels) of the last map of the 6D networks."""
+PATCH_CHANNELS, PATCH_HIDDEN = (32, 64, 128, 128), (1024, 512)
+"""Channels and units of the 6D networks (the authors' code)."""
 
-# Ways of patches to one pixel, by their side: those of 24 and 40 pixels are the authors'.
 PATCH_STAGES = {
-    12: (Stage(5, padding=1), Stage(5, padding=1, pools=True), Stage(3, padding=0), Stage(2, padding=0)),
-    16: (
-        Stage(5, padding=1),
-        Stage(5, padding=1, pools=True),
-        Stage(3, padding=0, pools=False),
-        Stage(3, padding=1, pools=True),
-        Stage(2, padding=0),
-    ),
-    24: (
-        Stage(7, padding=2),
-        Stage(7, padding=2, pools=True),
-        Stage(7, padding=2),
-        Stage(3, padding=0, pools=True),
-        Stage(3, padding=0),
-    ),
-    40: (
-        Stage(7, padding=3, pools=True),
-        Stage(7, padding=3, pools=True),
-        Stage(7, padding=2),
-        Stage(3, padding=0, pools=True),
-        Stage(3, padding=0),
-    ),
+    12: (Stage(5, 1, 1), Stage(5, 1, 1, True), Stage(3, 1, 0), Stage(2, 1, 0)),
+    16: (Stage(5, 1, 1), Stage(5, 1, 1, True), Stage(3, 1, 0), Stage(3, 1, 1, True), Stage(2, 1, 0)),
+    24: (Stage(7, 1, 2), Stage(7, 1, 2, True), Stage(7, 1, 2), Stage(3, 1, 0, True), Stage(3, 1, 0)),
+    40: (Stage(7, 1, 3, True), Stage(7, 1, 3, True), Stage(7, 1, 2), Stage(3, 1, 0, True), Stage(3, 1, 0)),
 }
+"""Stages from a patch of each side (pixels) to one pixel; 24 and 40 pixels are the authors'."""
 
 
 class Level(nn.Module):
     """
-    What they have in common.
+    Base class of the networks: values of one number of the action, given the previous ones.
 
-    :param codec: the grid
-    :param name: of the number that it values
-    :param shapes: of the images
+    :param codec: conversion of the actions to the grid
+    :param name: name of the number
+    :param scene_view: conversion of the observations, for the shape of the in-hand image and the
+        standardisation
     """
 
-    def __init__(self, codec: SpatialActionCodec, name: str, shapes: Shapes) -> None:
+    def __init__(self, codec: SpatialActionCodec, name: str, scene_view: SceneView) -> None:
         super().__init__()
         self.codec, self.name = codec, name
         self.choices = len(codec.grids[name])
-        self.in_hand_channels = 0 if shapes.in_hand is None else shapes.in_hand[0]
-        self.patch_size = PATCH_SIZE if shapes.in_hand is None else shapes.in_hand[1]
+        self.in_hand_channels, self.patch_size = scene_view.in_hand_shape or (0, PATCH_SIZE)
+        self.mean, self.std = scene_view.standardise
 
     def forward(self, view: View, encoding: th.Tensor, indices: th.Tensor) -> th.Tensor:
         """
-        :param view: what is seen
-        :param encoding: of the scene
-        :param indices: row, column and what follows them so far, int64 (batch, numbers)
+        :param view: batch of inputs
+        :param encoding: encoding of the scene
+        :param indices: row, column and the numbers chosen so far, int64 (batch, indices)
         :return: (batch, values of the number)
         """
         raise NotImplementedError
 
     def patch(self, view: View, indices: th.Tensor, angles: th.Tensor | None = None) -> th.Tensor:
-        """The heightmap around the pixel, beside the in-hand image, (batch, channels, side, side)."""
+        """Return the heightmap around the pixel and the in-hand image, (batch, channels, side, side)."""
         patch = crop_patches(view.image, indices[:, 0], indices[:, 1], self.patch_size, angles)
         return patch if view.in_hand is None else th.cat([patch, view.in_hand], dim=1)
 
+    def project(
+        self, view: View, indices: th.Tensor, candidates: Mapping[str, th.Tensor] | None = None
+    ) -> th.Tensor:
+        """
+        Return the scene around the gripper at the pixel, along its three axes, and the in-hand image.
+
+        :param view: batch of inputs
+        :param indices: numbers chosen so far
+        :param candidates: values of numbers that replace the chosen ones, m or rad, (1, candidates)
+        :return: standardised, (batch * candidates, channels, side, side)
+        """
+        poses = dict(candidates or {})
+        z, *angles = th.broadcast_tensors(
+            *(poses.get(name, self.chosen(name, indices)[:, None]) for name in ("z", "theta", "phi", "psi"))
+        )
+        pixel, rotations = (indices[:, 0], indices[:, 1]), rotation_matrices(*angles)
+        projections = orthographic_projections(
+            view.heights, *pixel, z, rotations, self.patch_size, self.codec.resolution
+        )
+        images = (projections - self.mean) / self.std
+        if view.in_hand is not None:
+            in_hand = view.in_hand[:, None].expand(-1, images.shape[1], -1, -1, -1)
+            images = th.cat([images, in_hand], dim=2)
+        return images.flatten(0, 1)
+
     def chosen(self, name: str, indices: th.Tensor) -> th.Tensor:
-        """Value of a number that is chosen already, m or rad, (batch,); 0 where the action has it not yet."""
+        """Return the value of a number, m or rad, (batch,); 0 if it is not chosen yet."""
         names = list(self.codec.grids)
-        place = names.index(name) + len(PIXEL) if name in names else indices.shape[1]
-        if place >= indices.shape[1]:
+        column = names.index(name) + len(PIXEL) if name in names else indices.shape[1]
+        if column >= indices.shape[1]:
             return th.zeros(len(indices), device=indices.device)
-        return self.grid(name, indices.device)[indices[:, place]]
+        return self.grid(name, indices.device)[indices[:, column]]
 
     def grid(self, name: str, device: th.device) -> th.Tensor:
-        """All values of a number, m or rad."""
+        """Return all values of a number, m or rad."""
         return th.as_tensor(self.codec.grids[name], dtype=th.float32, device=device)
+
+    def head_values(self, head: nn.Module, features: th.Tensor, view: View) -> th.Tensor:
+        """Return the values of the next primitive from the output of the last layer, (batch, values)."""
+        values = apply_in_float32(head, features).flatten(1).unflatten(1, (PRIMITIVES, self.choices))
+        return of_primitive(values, view.places)
 
 
 class PlainRotations(Level):
     """
-    Yaws from the patch around the pixel, the in-hand image and the encoding of the scene, all flattened.
+    Values of yaws from the patch around the pixel, the in-hand image and the encoding of the scene.
 
-    :param codec: the grid
-    :param shapes: of the images
+    :param codec: see :class:`Level`
+    :param scene_view: see :class:`Level`
     :param encoding_shape: (channels, side, side)
-    :param channels: of the three convolutions on the patch
+    :param channels: channels of the three convolutions on the patch
     :param hidden: units of the hidden layer
     """
 
     def __init__(
         self,
         codec: SpatialActionCodec,
-        shapes: Shapes,
+        scene_view: SceneView,
         encoding_shape: tuple[int, int, int],
         channels: Sequence[int],
         hidden: int,
     ) -> None:
-        super().__init__(codec, "theta", shapes)
+        super().__init__(codec, "theta", scene_view)
         self.encoder = PatchMap(1 + self.in_hand_channels, channels)
         features = channels[-1] * PatchMap.side(self.patch_size) ** 2 + math.prod(encoding_shape)
-        self.head = nn.Sequential(*mlp(features, [hidden]), nn.Linear(hidden, PRIMITIVES * self.choices))
-        initialise_head(self.head)
+        last = nn.Linear(hidden, PRIMITIVES * self.choices)
+        self.head = nn.Sequential(*mlp(features, [hidden]), last)
+        self.head.apply(initialise_xavier)
+        scale_down(last)
 
     def forward(self, view: View, encoding: th.Tensor, indices: th.Tensor) -> th.Tensor:
         """:return: (batch, yaws)"""
         features = self.encoder(self.patch(view, indices)).flatten(1)
         hidden = self.head[:-1](th.cat([features, encoding.flatten(1)], dim=1))
-        values = apply_in_float32(self.head[-1], hidden)
-        return of_primitive(values.unflatten(1, (PRIMITIVES, self.choices)), view.places)
+        return self.head_values(self.head[-1], hidden, view)
 
 
 class EquivariantRotations(Level):
     """
-    Yaws that shift when the patch turns: of C_2n for n yaws, with a filter whose coefficients come from the
-    encoding of the scene and the in-hand image.
+    Values of n yaws that shift when the patch rotates (group C_2n).
 
-    :param codec: the grid
-    :param shapes: of the images. Patches are resized to the next side of 12, 16, 24 or 40 pixels
+    The coefficients of one filter come from the encoding of the scene and the in-hand image.
+
+    :param codec: see :class:`Level`
+    :param scene_view: see :class:`Level`. Patches are resized to the next side of 12, 16, 24 or 40 pixels
     :param encoding_shape: (channels, side, side)
     :param fields: regular fields of each convolution on the patch
-    :param in_hand_channels: of the convolutions on the in-hand image
-    :param hidden: units of the two linear layers behind each, the encoding and the in-hand image
-    :param pool_encoding: take the greatest value of each channel of the encoding over its pixels: then yaws
-        also shift when the whole scene turns by a right angle. Otherwise all of it, as the authors' code
-    :raises ValueError: if ``fields`` has another length than the stages for patches of this size
+    :param in_hand_channels: channels of the convolutions on the in-hand image
+    :param hidden: units of the two linear layers on each, the encoding and the in-hand image
+    :param pool_encoding: use the maximum of each channel of the encoding over its pixels, so that yaws also
+        shift when the whole scene rotates by 90 degrees. Otherwise use the whole encoding (the authors' code)
+    :raises ValueError: if the number of ``fields`` is not the number of stages for patches of this size
     """
 
     def __init__(
         self,
         codec: SpatialActionCodec,
-        shapes: Shapes,
+        scene_view: SceneView,
         encoding_shape: tuple[int, int, int],
         fields: Sequence[int],
         in_hand_channels: Sequence[int],
         hidden: Sequence[int],
         pool_encoding: bool = False,
     ) -> None:
-        super().__init__(codec, "theta", shapes)
-        self.encoded_size = min(
-            (size for size in PATCH_STAGES if size >= self.patch_size), default=max(PATCH_STAGES)
-        )
+        super().__init__(codec, "theta", scene_view)
+        larger = (size for size in PATCH_STAGES if size >= self.patch_size)
+        self.encoded_size = next(larger, max(PATCH_STAGES))
         stages = PATCH_STAGES[self.encoded_size]
         if len(stages) != len(fields):
             raise ValueError(
@@ -173,21 +188,16 @@ class EquivariantRotations(Level):
         self.pool_encoding = pool_encoding
         group = Group("cyclic", 2 * self.choices)
         types = [FieldType.of((group.trivial, 1)), *(FieldType.of((group.regular, n)) for n in fields)]
-        layers: list[nn.Module] = []
-        for in_type, out_type, stage in zip(types, types[1:], stages, strict=False):
-            layers.append(EquivariantConv2d(in_type, out_type, stage.kernel_size, padding=stage.padding))
-            layers += [HalvingMaxPool()] if stage.pools else []
-            layers.append(nn.ReLU(inplace=True))
-        self.encoder = nn.Sequential(*layers)
+        self.encoder = stack_stages(EquivariantConv2d, types, stages)
         self.dynamic = DynamicEquivariantConv2d(types[-1], types[-1], 1)
         scene_features = encoding_shape[0] if pool_encoding else math.prod(encoding_shape)
         self.scene = nn.Sequential(*mlp(scene_features, hidden))
         self.scene.apply(initialise_xavier)
         self.in_hand: PatchVector | None = None
-        if shapes.in_hand is not None:
-            self.in_hand = PatchVector(shapes.in_hand[0], shapes.in_hand[1], in_hand_channels, hidden)
+        if scene_view.in_hand_shape is not None:
+            self.in_hand = PatchVector(*scene_view.in_hand_shape, in_hand_channels, hidden)
         features = hidden[-1] * (1 if self.in_hand is None else 2)
-        self.coefficients = coefficients_of(self.dynamic, features)
+        self.coefficients = coefficient_layer(self.dynamic, features)
         yaws = FieldType.of((group.quotient(2), PRIMITIVES))
         self.head = EquivariantConv2d(types[-1], yaws, 1, gain=OUTPUT_GAIN)
 
@@ -200,157 +210,91 @@ class EquivariantRotations(Level):
         if self.in_hand is not None:
             condition = th.cat([condition, self.in_hand(view.in_hand)], dim=1)
         features = F.relu(self.dynamic(features, self.coefficients(condition)))
-        values = apply_in_float32(self.head, features).flatten(1).unflatten(1, (PRIMITIVES, self.choices))
-        return of_primitive(values, view.places)
-
-
-class Widths(NamedTuple):
-    """
-    Of the networks on patches in 6D.
-
-    :param channels: of the convolutions
-    :param hidden: units of the two linear layers behind them, and behind the encoding's
-    """
-
-    channels: tuple[int, ...] = (32, 64, 128, 128)
-    hidden: tuple[int, ...] = (1024, 512)
-
-    def encoder(self, in_channels: int, size: int) -> PatchVector:
-        """
-        Make the network on a patch.
-
-        :param in_channels: of the patch
-        :param size: its side, pixels
-        """
-        return PatchVector(in_channels, size, self.channels, self.hidden, SMALL_PATCH_SIDE)
+        return self.head_values(self.head, features, view)
 
 
 class PlainLevel(Level):
     """
-    Any number behind the pixel, from the encoding of the scene and a patch: for yaw and height the heightmap
-    around the pixel, for height turned by the yaw; for the tilts what is around the gripper as it is chosen
-    so far, projected along its three axes (the authors' code).
+    Values of one number from the encoding of the scene and a patch (the authors' code).
 
-    :param codec: the grid
-    :param name: of the number
-    :param shapes: of the images
+    The patch of yaw and height is the heightmap around the pixel, for the height rotated by the yaw. The
+    patch of the tilts is the three projections around the gripper in the pose chosen so far.
+
+    :param codec: see :class:`Level`
+    :param name: see :class:`Level`
+    :param scene_view: see :class:`Level`
     :param encoding_shape: (channels, side, side)
-    :param widths: of the layers
-    :param scene_view: standardises projections as it does images
+    :param channels: channels of the convolutions on the patch
+    :param hidden: units of the two linear layers on each, the patch and the encoding
     """
 
     def __init__(
         self,
         codec: SpatialActionCodec,
         name: str,
-        shapes: Shapes,
-        encoding_shape: tuple[int, int, int],
-        widths: Widths,
         scene_view: SceneView,
+        encoding_shape: tuple[int, int, int],
+        channels: Sequence[int] = PATCH_CHANNELS,
+        hidden: Sequence[int] = PATCH_HIDDEN,
     ) -> None:
-        super().__init__(codec, name, shapes)
+        super().__init__(codec, name, scene_view)
         self.projects = name in ("phi", "psi")
-        self._standardised = scene_view.standardised
         in_channels = (PROJECTIONS if self.projects else 1) + self.in_hand_channels
-        self.encoder = widths.encoder(in_channels, self.patch_size)
-        channels, side, _ = encoding_shape
-        narrow = max(1, channels // 2)
+        self.encoder = PatchVector(in_channels, self.patch_size, channels, hidden, SMALL_PATCH_SIDE)
+        scene_channels, side, _ = encoding_shape
+        narrow = max(1, scene_channels // 2)
         self.scene = nn.Sequential(
-            nn.Conv2d(channels, narrow, 3, padding=1),
+            nn.Conv2d(scene_channels, narrow, 3, padding=1),
             nn.ReLU(inplace=True),
             nn.MaxPool2d(2, ceil_mode=True),
             nn.Flatten(),
-            *mlp(narrow * (-(-side // 2)) ** 2, widths.hidden),
+            *mlp(narrow * (-(-side // 2)) ** 2, hidden),
         )
         self.scene.apply(initialise_xavier)
-        self.head = nn.Linear(2 * widths.hidden[-1], PRIMITIVES * self.choices)
+        self.head = nn.Linear(2 * hidden[-1], PRIMITIVES * self.choices)
         scale_down(self.head)
 
     def forward(self, view: View, encoding: th.Tensor, indices: th.Tensor) -> th.Tensor:
         """:return: (batch, values of the number)"""
-        features = th.cat([self.encoder(self._seen(view, indices)), self.scene(encoding)], dim=1)
-        values = apply_in_float32(self.head, features).unflatten(1, (PRIMITIVES, self.choices))
-        return of_primitive(values, view.places)
+        features = th.cat([self.encoder(self.inputs(view, indices)), self.scene(encoding)], dim=1)
+        return self.head_values(self.head, features, view)
 
-    def _seen(self, view: View, indices: th.Tensor) -> th.Tensor:
-        if not self.projects:
-            return self.patch(view, indices, self.chosen("theta", indices) if self.name == "z" else None)
-        z, *angles = (self.chosen(name, indices)[:, None] for name in ("z", "theta", "phi", "psi"))
-        projections = self._standardised(project_around(self, view, indices, z, angles))[:, 0]
-        return projections if view.in_hand is None else th.cat([projections, view.in_hand], dim=1)
+    def inputs(self, view: View, indices: th.Tensor) -> th.Tensor:
+        """Return the patch, (batch, channels, side, side)."""
+        if self.projects:
+            return self.project(view, indices)
+        return self.patch(view, indices, self.chosen("theta", indices) if self.name == "z" else None)
 
 
 class DeicticLevel(Level):
     """
-    Any number behind the yaw: what would be around the gripper is projected along its axes for each value of
-    the number, and each is valued alone, beside the in-hand image (https://arxiv.org/abs/2110.15443).
+    Values of one number after the yaw, each from its own projections and the in-hand image
+    (https://arxiv.org/abs/2110.15443).
 
-    :param codec: the grid
-    :param name: of the number
-    :param shapes: of the images
-    :param widths: of the layers
-    :param scene_view: standardises projections as it does images
+    :param codec: see :class:`Level`
+    :param name: see :class:`Level`
+    :param scene_view: see :class:`Level`
+    :param channels: see :class:`PlainLevel`
+    :param hidden: see :class:`PlainLevel`
     """
 
     def __init__(
         self,
         codec: SpatialActionCodec,
         name: str,
-        shapes: Shapes,
-        widths: Widths,
         scene_view: SceneView,
+        channels: Sequence[int] = PATCH_CHANNELS,
+        hidden: Sequence[int] = PATCH_HIDDEN,
     ) -> None:
-        super().__init__(codec, name, shapes)
-        self._standardised = scene_view.standardised
+        super().__init__(codec, name, scene_view)
         in_channels = PROJECTIONS + self.in_hand_channels
-        self.encoder = widths.encoder(in_channels, self.patch_size)
-        self.head = nn.Linear(widths.hidden[-1], PRIMITIVES)
+        self.encoder = PatchVector(in_channels, self.patch_size, channels, hidden, SMALL_PATCH_SIDE)
+        self.head = nn.Linear(hidden[-1], PRIMITIVES)
         scale_down(self.head)
 
     def forward(self, view: View, encoding: th.Tensor, indices: th.Tensor) -> th.Tensor:
         """:return: (batch, values of the number)"""
-        candidates = self.grid(self.name, indices.device)[None]
-        z, *angles = (
-            candidates if name == self.name else self.chosen(name, indices)[:, None]
-            for name in ("z", "theta", "phi", "psi")
-        )
-        seen = self._standardised(project_around(self, view, indices, z, angles))
-        if view.in_hand is not None:
-            in_hand = view.in_hand[:, None].expand(-1, self.choices, -1, -1, -1)
-            seen = th.cat([seen, in_hand], dim=2)
-        values = apply_in_float32(self.head, self.encoder(seen.flatten(0, 1)))
-        values = values.unflatten(0, (-1, self.choices))
+        candidates = {self.name: self.grid(self.name, indices.device)[None]}
+        images = self.project(view, indices, candidates)
+        values = apply_in_float32(self.head, self.encoder(images)).unflatten(0, (-1, self.choices))
         return of_primitive(values.transpose(1, 2), view.places)
-
-
-def project_around(
-    level: Level, view: View, indices: th.Tensor, z: th.Tensor, angles: Sequence[th.Tensor]
-) -> th.Tensor:
-    """
-    What is around the gripper in poses over a chosen pixel, along its three axes.
-
-    :param level: whose grid and patch size it is
-    :param view: what is seen
-    :param indices: begin with row and column
-    :param z: heights, m, (batch or 1, candidates or 1)
-    :param angles: theta, phi, psi, rad, likewise
-    :return: m, (batch, candidates, 3, side, side)
-    """
-    z, *angles = th.broadcast_tensors(z, *angles)
-    rotations = rotation_matrices(*angles)
-    size, resolution = level.patch_size, level.codec.resolution
-    return orthographic_projections(
-        view.heights, indices[:, 0], indices[:, 1], z, rotations, size, resolution
-    )
-
-
-def initialise_head(head: nn.Sequential) -> None:
-    """
-    Xavier weights, the last layer small.
-
-    :param head: linear layers
-    """
-    head.apply(initialise_xavier)
-    last = head[-1]
-    assert isinstance(last, nn.Linear)
-    scale_down(last)

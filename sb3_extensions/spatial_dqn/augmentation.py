@@ -1,4 +1,4 @@
-"""Scenes turned and shifted together with what is done in them."""
+"""Augmentation by random rigid motions of scenes and actions."""
 
 from __future__ import annotations
 
@@ -12,24 +12,25 @@ from sb3_extensions.common.exploration import EXPLORED_HEIGHT
 from sb3_extensions.replay.samples import ExpertReplayBufferSamples
 from sb3_extensions.spatial_dqn.codec import PIXEL, SpatialActionCodec
 
-# Standard deviation of a shift, in sides of the image (the authors' code).
 SHIFT = 1 / 20
-# Motions drawn for a sample, of which the first that keeps everything in view is taken; none if there is
-# none.
-TRIES = 20
-ROUNDING = 1e-3  # pixels: a turn by a right angle keeps what reaches the border in view
+"""Standard deviation of a shift as a fraction of the side of the image (the authors' code)."""
+N_CANDIDATES = 20
+"""Number of sampled motions for each step. The first valid one is used, or none."""
+TOLERANCE = 1e-3
+"""Tolerance (pixels) of the border, so that a rotation by 90 degrees keeps pixels at the border valid."""
 
 
 class RigidMotion:
     """
-    A random rigid motion for each sample: heightmaps turn by a multiple of the angle between two yaws of the
-    grid, where actions have a yaw, and shift by a normal error; pixels and yaws move with them. The in-hand
-    image, which turns with the gripper, stays.
+    Random rotation and shift of each sampled step.
 
-    A motion is drawn again until all that is higher than one centimetre stays in view, and the pixel too.
+    Heightmaps rotate by a multiple of the difference of two yaws of the grid (if actions have a yaw) and
+    shift by a normal error. Pixels and yaws of the actions move with them. The in-hand image is unchanged,
+    because it is in the frame of the gripper. A motion is valid if the pixel and everything higher than one
+    centimetre stay in the image.
 
-    :param codec: the grid
-    :param image_key: of the heightmap in an observation
+    :param codec: conversion of the actions to the grid
+    :param image_key: name of the heightmap
     """
 
     def __init__(self, codec: SpatialActionCodec, image_key: str) -> None:
@@ -40,96 +41,96 @@ class RigidMotion:
         self, samples: ExpertReplayBufferSamples, indices: th.Tensor, generator: th.Generator
     ) -> tuple[ExpertReplayBufferSamples, th.Tensor]:
         """
-        Move samples; their ``actions`` stay as they were.
+        Move samples; their ``actions`` are unchanged.
 
-        :param samples: as the replay buffer gave them
-        :param indices: of their actions, int64 (batch, indices)
-        :param generator: source of the randomness, on the CPU
+        :param samples: sample of the replay buffer
+        :param indices: indices of the actions, int64 (batch, indices)
+        :param generator: random generator on the CPU
         :return: samples with moved heightmaps, moved indices
         """
-        observations, next_observations = samples.observations, samples.next_observations
-        assert isinstance(observations, dict) and isinstance(next_observations, dict)
-        turns, shifts = self._draw(observations, next_observations, indices, generator)
+        before, after = samples.observations, samples.next_observations
+        assert isinstance(before, dict) and isinstance(after, dict)
+        steps, shifts = self._sample_motions(before, after, indices, generator)
         moved = samples._replace(
-            observations=self._moved(observations, turns, shifts),
-            next_observations=self._moved(next_observations, turns, shifts),
+            observations=self._move_heightmap(before, steps, shifts),
+            next_observations=self._move_heightmap(after, steps, shifts),
         )
-        return moved, self._moved_indices(indices, turns, shifts)
+        return moved, self._move_indices(indices, steps, shifts)
 
     @property
     def rotations(self) -> int:
-        """Number of yaws, over half a turn; 0 where actions have none and heightmaps do not turn."""
+        """Number of yaws in a range of pi; 0 if actions have no yaw and heightmaps do not rotate."""
         return len(self.codec.grids.get("theta", []))
 
-    def _draw(
+    def _sample_motions(
         self, before: TensorDict, after: TensorDict, indices: th.Tensor, generator: th.Generator
     ) -> tuple[th.Tensor, th.Tensor]:
-        """Turns in steps between two yaws, (batch,), and shifts in pixels, (batch, 2)."""
+        """Return rotations in steps of the grid of yaws, (batch,), and shifts in pixels, (batch, 2)."""
         size, count = self.codec.size, len(indices)
-        turns = th.randint(max(1, 2 * self.rotations), (count, TRIES), generator=generator)
-        shifts = th.randn(count, TRIES, 2, generator=generator) * (SHIFT * size)
+        steps = th.randint(max(1, 2 * self.rotations), (count, N_CANDIDATES), generator=generator)
+        shifts = th.randn(count, N_CANDIDATES, 2, generator=generator) * (SHIFT * size)
         device = indices.device
-        turns, shifts = turns.to(device), shifts.round().to(device)
+        steps, shifts = steps.to(device), shifts.round().to(device)
         points = th.cat(
             [_corners(before[self.image_key]), _corners(after[self.image_key]), indices[:, None, :2]], 1
         )
-        moved = self._turned(points[:, None].expand(-1, TRIES, -1, -1), turns[..., None]) + shifts[:, :, None]
-        fits = ((moved > -ROUNDING) & (moved < size - 1 + ROUNDING)).all(dim=3).all(dim=2)
-        first, rows = fits.int().argmax(dim=1), th.arange(count, device=device)
-        possible = fits.any(dim=1)
-        return turns[rows, first] * possible, shifts[rows, first] * possible[:, None]
+        rotated = self._rotate(points[:, None].expand(-1, N_CANDIDATES, -1, -1), steps[..., None])
+        moved = rotated + shifts[:, :, None]
+        valid = ((moved > -TOLERANCE) & (moved < size - 1 + TOLERANCE)).all(dim=3).all(dim=2)
+        first, rows = valid.int().argmax(dim=1), th.arange(count, device=device)
+        any_valid = valid.any(dim=1)
+        return steps[rows, first] * any_valid, shifts[rows, first] * any_valid[:, None]
 
-    def _turned(self, points: th.Tensor, turns: th.Tensor) -> th.Tensor:
-        """Rows and columns (..., 2) about the middle of the image, turned; float32."""
-        middle = (self.codec.size - 1) / 2.0
-        angle = self._angle(turns)
-        row, column = (points - middle).unbind(-1)
+    def _rotate(self, points: th.Tensor, steps: th.Tensor) -> th.Tensor:
+        """Rotate rows and columns (..., 2) about the centre of the image; float32."""
+        centre = (self.codec.size - 1) / 2.0
+        angle = self._angle(steps)
+        row, column = (points - centre).unbind(-1)
         cos, sin = angle.cos(), angle.sin()
-        return th.stack([cos * row - sin * column, sin * row + cos * column], dim=-1) + middle
+        return th.stack([cos * row - sin * column, sin * row + cos * column], dim=-1) + centre
 
-    def _angle(self, turns: th.Tensor) -> th.Tensor:
-        return turns * (math.pi / max(1, self.rotations))
+    def _angle(self, steps: th.Tensor) -> th.Tensor:
+        return steps * (math.pi / max(1, self.rotations))
 
-    def _moved(self, observations: TensorDict, turns: th.Tensor, shifts: th.Tensor) -> TensorDict:
-        """Heightmaps as they would be after the motion, the nearest pixel's height; 0 beyond the border."""
+    def _move_heightmap(self, observations: TensorDict, steps: th.Tensor, shifts: th.Tensor) -> TensorDict:
+        """Move heightmaps by nearest-neighbour interpolation, with 0 outside the image."""
         image, size = observations[self.image_key], self.codec.size
         line = th.arange(size, device=image.device) - (size - 1) / 2.0
-        angle = self._angle(turns)[:, None, None]
+        angle = self._angle(steps)[:, None, None]
         cos, sin = angle.cos(), angle.sin()
-        # Where each pixel was, from the middle: turned back, after shifting back
+        # Source of each pixel: the inverse shift, then the inverse rotation.
         row, column = line[:, None] - shifts[:, 0, None, None], line - shifts[:, 1, None, None]
-        before = th.stack([cos * column - sin * row, cos * row + sin * column], dim=-1) * (2.0 / size)
-        return {
-            **observations,
-            self.image_key: F.grid_sample(image, before, mode="nearest", align_corners=False),
-        }
+        source = th.stack([cos * column - sin * row, cos * row + sin * column], dim=-1) * (2.0 / size)
+        moved = F.grid_sample(image, source, mode="nearest", align_corners=False)
+        return {**observations, self.image_key: moved}
 
-    def _moved_indices(self, indices: th.Tensor, turns: th.Tensor, shifts: th.Tensor) -> th.Tensor:
+    def _move_indices(self, indices: th.Tensor, steps: th.Tensor, shifts: th.Tensor) -> th.Tensor:
         moved = indices.clone()
-        pixels = self._turned(indices[:, None, :2], turns[:, None])[:, 0] + shifts
+        pixels = self._rotate(indices[:, None, :2], steps[:, None])[:, 0] + shifts
         moved[:, :2] = pixels.round().long().clamp(0, self.codec.size - 1)
         if self.rotations:
             theta = self.names.index("theta")
-            yaw = indices[:, theta] + turns
+            yaw = indices[:, theta] + steps
             moved[:, theta] = yaw % self.rotations
             flipped = (yaw // self.rotations) % 2 == 1
             for name in ("phi", "psi"):
                 if name in self.names:
-                    place, count = self.names.index(name), len(self.codec.grids[name])
-                    moved[:, place] = th.where(flipped, count - 1 - indices[:, place], indices[:, place])
+                    column, count = self.names.index(name), len(self.codec.grids[name])
+                    moved[:, column] = th.where(flipped, count - 1 - indices[:, column], indices[:, column])
         return moved
 
 
 def _corners(images: th.Tensor) -> th.Tensor:
-    """Corners of what stands out of the floor, rows and columns (batch, 4, 2); the middle where nothing
-    does.
+    """Return the bounding box of everything above the ground, rows and columns (batch, 4, 2).
+
+    The corners are at the centre of an empty image.
     """
-    stands = images[:, 0] > EXPLORED_HEIGHT
+    above_ground = images[:, 0] > EXPLORED_HEIGHT
     ends = []
     for axis in (1, 2):
-        line = stands.any(dim=3 - axis)
+        line = above_ground.any(dim=3 - axis)
         first, last = line.int().argmax(dim=1), line.shape[1] - 1 - line.flip(1).int().argmax(dim=1)
         empty = ~line.any(dim=1)
-        middle = line.shape[1] // 2
-        ends.append([end.masked_fill(empty, middle) for end in (first, last)])
+        centre = line.shape[1] // 2
+        ends.append([end.masked_fill(empty, centre) for end in (first, last)])
     return th.stack([th.stack([row, column], dim=1) for row in ends[0] for column in ends[1]], dim=1)

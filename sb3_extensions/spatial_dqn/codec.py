@@ -1,14 +1,14 @@
-"""Actions of spatial Q networks: places on a grid, and the Box actions that they stand for."""
+"""Conversion between Box actions and indices on the action grid of spatial Q networks."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import torch as th
+
+from sb3_extensions.common.action_sequence import ActionSequence
 
 Actions = npt.NDArray[np.float32]
 Indices = npt.NDArray[np.int64]
@@ -16,48 +16,46 @@ Indices = npt.NDArray[np.int64]
 DEFAULT_SEQUENCE = "pxyr"
 PIXEL = ("row", "column")
 ANGLES = ("theta", "phi", "psi")
-NAMES = ("x", "y", "theta", "z", "phi", "psi")
-# The paper's grid, appendix "Benchmark Details": 16 yaws over half a turn; heights from 2 to 20 cm, tilts up
-# to 30 degrees.
-NUM_ROTATIONS = 16
-NUM_HEIGHTS, HEIGHTS = 36, (0.02, 0.20)
-NUM_TILTS, TILT = 7, math.pi / 6.0
+INDEX_ORDER = ("theta", "z", "phi", "psi")
+"""Order of the indices after the pixel."""
 
 
 class SpatialActionCodec:
     """
-    Between actions in a policy's units, [-1, 1], and indices of pixel, yaw, height and tilt.
+    Conversion between normalised actions, [-1, 1], and indices of pixel, yaw, height and tilts.
 
-    An action has the indices ``(row, column, theta, z, phi, psi)``, as many as its sequence has. The middle
-    of pixel (i, j) of the heightmap is at x = (2 i + 1) / size - 1, y = (2 j + 1) / size - 1. A gripper
-    turned by half a turn is the same, with its tilts the other way round: yaws are taken modulo pi. What lies
-    between two places of the grid goes to the nearest.
+    The indices are ``(row, column, theta, z, phi, psi)`` without those that the action sequence lacks. The
+    centre of pixel (i, j) of the heightmap is x = (2 i + 1) / size - 1, y = (2 j + 1) / size - 1. A rotation
+    of the gripper by pi with inverted tilts is the same pose, so yaws are modulo pi. Actions between grid
+    points are rounded to the nearest.
+
+    The default grid is the paper's (appendix "Benchmark Details").
 
     :param size: side of the heightmap, pixels
-    :param action_sequence: one character for each number of an action: p the primitive (-1 picks, 1 places),
-        x and y, z, up to three r's (theta, phi, psi: about z, y, x)
+    :param action_sequence: one character for each number of an action: p primitive (-1 pick, 1 place), x and
+        y, z, and one or three r (theta, phi, psi: rotations about z, y, x)
     :param num_rotations: number of yaws, multiples of pi / num_rotations
     :param num_heights: number of heights
-    :param heights: least and greatest height, m
+    :param heights: minimum and maximum height, m
     :param num_tilts: number of tilts about each of y and x
-    :param tilt: greatest tilt, rad
-    :param workspace_size: side of what the heightmap shows, m
-    :param z_bounds: heights, m, that -1 and 1 stand for in an action
-    :param theta_bounds: yaws, rad, that -1 and 1 stand for
-    :param tilt_bound: tilt, rad, that 1 stands for, as -1 for the opposite
-    :raises ValueError: if the sequence lacks x or y or has another character, a number is not positive, or
-        the grid leaves the bounds
+    :param tilt: maximum tilt, rad
+    :param workspace_size: side of the area of the heightmap, m
+    :param z_bounds: heights of the actions -1 and 1, m
+    :param theta_bounds: yaws of the actions -1 and 1, rad
+    :param tilt_bound: tilt of the action 1, rad; the action -1 is the opposite
+    :raises ValueError: if the sequence is invalid or has no x and y, a number is not positive, or the grid is
+        outside the bounds
     """
 
     def __init__(
         self,
         size: int,
         action_sequence: str = DEFAULT_SEQUENCE,
-        num_rotations: int = NUM_ROTATIONS,
-        num_heights: int = NUM_HEIGHTS,
-        heights: tuple[float, float] = HEIGHTS,
-        num_tilts: int = NUM_TILTS,
-        tilt: float = TILT,
+        num_rotations: int = 16,
+        num_heights: int = 36,
+        heights: tuple[float, float] = (0.02, 0.20),
+        num_tilts: int = 7,
+        tilt: float = math.pi / 6.0,
         workspace_size: float = 0.4,
         z_bounds: tuple[float, float] = (0.0, 0.3),
         theta_bounds: tuple[float, float] = (0.0, math.pi),
@@ -73,46 +71,30 @@ class SpatialActionCodec:
             if number <= 0:
                 raise ValueError(f"{name} must be positive, got {number}")
         if not z_bounds[0] <= heights[0] <= heights[1] <= z_bounds[1]:
-            raise ValueError(f"heights must lie within z_bounds={z_bounds}, in order, got {heights}")
+            raise ValueError(f"heights must be within z_bounds={z_bounds}, in order, got {heights}")
         if not 0 <= tilt <= tilt_bound:
             raise ValueError(f"tilt must be from 0 to tilt_bound={tilt_bound}, got {tilt}")
-        self._parameters = {
-            "size": size,
-            "action_sequence": action_sequence,
-            "num_rotations": num_rotations,
-            "heights": [*heights, num_heights],
-            "tilts": [tilt, num_tilts],
-            "bounds": [workspace_size, *z_bounds, *theta_bounds, tilt_bound],
-        }
         self.size = size
         self.action_sequence = action_sequence
-        self.numbers = _numbers(action_sequence)
+        self.numbers = _name_numbers(action_sequence)
         self.workspace_size = workspace_size
         self.theta_bounds = theta_bounds
         tilts = np.linspace(-tilt, tilt, num_tilts) if num_tilts > 1 else np.zeros(1)
-        grids = {
-            "theta": np.arange(num_rotations) * math.pi / num_rotations,
-            "z": np.linspace(*heights, num_heights),
-            "phi": tilts,
-            "psi": tilts,
-        }
-        bounds = {"z": z_bounds, "theta": theta_bounds, "phi": (-tilt_bound, tilt_bound)}
-        self._bounds = {**bounds, "psi": bounds["phi"]}
-        # Of each yaw: by how many half turns an action's differs from it, to be within the bounds
+        yaws = np.arange(num_rotations) * math.pi / num_rotations
+        grids = {"theta": yaws, "z": np.linspace(*heights, num_heights), "phi": tilts, "psi": tilts}
+        tilt_bounds = (-tilt_bound, tilt_bound)
+        self._bounds = {"z": z_bounds, "theta": theta_bounds, "phi": tilt_bounds, "psi": tilt_bounds}
+        # Number of rotations by pi that move each yaw into the bounds.
         low, high = theta_bounds
-        outside = (grids["theta"] < low) | (grids["theta"] > high)
-        self._half_turns = np.where(outside, np.ceil((low - grids["theta"]) / math.pi), 0.0)
-        if (grids["theta"] + self._half_turns * math.pi > high).any():
+        outside = (yaws < low) | (yaws > high)
+        self._half_turns = np.where(outside, np.ceil((low - yaws) / math.pi), 0.0)
+        if (yaws + self._half_turns * math.pi > high).any():
             raise ValueError(
-                f"theta_bounds must span the {num_rotations} yaws of half a turn, got {theta_bounds}"
+                f"theta_bounds must contain {num_rotations} yaws of a range of pi, got {theta_bounds}"
             )
-        self.grids = {name: grids[name] for name in NAMES if name in self.numbers and name in grids}
-        """Values of each index behind the pixel's, m or rad, in order."""
+        self.grids = {name: grids[name] for name in INDEX_ORDER if name in self.numbers}
+        """Values of each index after the pixel, m or rad."""
         self._tables = self._make_tables()
-
-    def describe(self) -> dict[str, Any]:
-        """What the grid is made of, in JSON's types."""
-        return self._parameters
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -126,20 +108,21 @@ class SpatialActionCodec:
 
     def encode(self, actions: npt.NDArray[np.floating]) -> Indices:
         """
-        The nearest places on the grid.
+        Return the nearest grid points of actions.
 
         :param actions: in [-1, 1], (n, numbers of an action)
         :return: (n, indices)
         """
         values = dict(zip(self.numbers, np.asarray(actions, dtype=np.float64).T, strict=True))
-        shares = [(values[name] + 1.0) / 2.0 for name in ("x", "y")]
-        columns = [np.floor(share * self.size).clip(0, self.size - 1) for share in shares]
+        fractions = [(values[name] + 1.0) / 2.0 for name in ("x", "y")]
+        columns = [np.floor(fraction * self.size).clip(0, self.size - 1) for fraction in fractions]
         flipped = np.zeros(len(actions), dtype=bool)
         for name, grid in self.grids.items():
-            value = self._physical(name, values[name])
+            low, high = self._bounds[name]
+            value = low + (values[name] + 1.0) / 2.0 * (high - low)
             if name == "theta":
-                turns, index = np.divmod(np.rint(value * len(grid) / math.pi), len(grid))
-                flipped = turns % 2 != 0
+                half_turns, index = np.divmod(np.rint(value * len(grid) / math.pi), len(grid))
+                flipped = half_turns % 2 != 0
             else:
                 value = np.where(flipped, -value, value) if name in ANGLES else value
                 index = np.abs(value[:, None] - grid).argmin(axis=1)
@@ -147,13 +130,7 @@ class SpatialActionCodec:
         return np.stack(columns, axis=1).astype(np.int64)
 
     def decode(self, indices: Indices, places: npt.NDArray[np.bool_]) -> Actions:
-        """
-        Return the actions of indices.
-
-        :param indices: (n, indices)
-        :param places: True to place, False to pick, (n,)
-        :return: in [-1, 1], (n, numbers of an action)
-        """
+        """Return the actions of indices as arrays, see :meth:`decode_tensor`."""
         actions: Actions = self.decode_tensor(th.as_tensor(indices), th.as_tensor(places)).numpy()
         return actions
 
@@ -179,17 +156,17 @@ class SpatialActionCodec:
 
     def _make_tables(self) -> dict[str, th.Tensor]:
         """Return the numbers of an action in [-1, 1] by index, and the sign of tilts by yaw."""
-        turned = {"theta": self._half_turns * math.pi}
+        offsets = {"theta": self._half_turns * math.pi}
         tables = {"x": (2 * np.arange(self.size) + 1) / self.size - 1.0}
         for name, grid in self.grids.items():
             low, high = self._bounds[name]
-            tables[name] = 2.0 * (grid + turned.get(name, 0.0) - low) / (high - low) - 1.0
+            tables[name] = 2.0 * (grid + offsets.get(name, 0.0) - low) / (high - low) - 1.0
         tables["tilt_sign"] = np.where(self._half_turns % 2 != 0, -1.0, 1.0)
         return {name: th.tensor(table, dtype=th.float32) for name, table in tables.items()}
 
     def snap(self, actions: npt.NDArray[np.floating]) -> Actions:
         """
-        The nearest actions on the grid, with the primitives that they have.
+        Return the nearest actions on the grid with the same primitives.
 
         :param actions: in [-1, 1], (n, numbers of an action)
         :return: the same shape
@@ -198,7 +175,7 @@ class SpatialActionCodec:
 
     def places(self, actions: npt.NDArray[np.floating]) -> npt.NDArray[np.bool_]:
         """
-        Whether actions place; where they do not say it, no.
+        Return whether each action is a place; without p in the sequence all are picks.
 
         :param actions: in [-1, 1], (n, numbers of an action)
         :return: (n,)
@@ -208,18 +185,10 @@ class SpatialActionCodec:
         places: npt.NDArray[np.bool_] = np.asarray(actions)[:, self.numbers.index("p")] >= 0.0
         return places
 
-    def _physical(self, name: str, values: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        low, high = self._bounds[name]
-        return low + (values + 1.0) / 2.0 * (high - low)
 
-
-def _numbers(sequence: str) -> tuple[str, ...]:
-    """What each number of an action is."""
-    angles: Iterator[str] = iter(ANGLES)
-    if sequence.count("r") > len(ANGLES) or len(set(sequence) - {"r"}) != len(sequence.replace("r", "")):
-        raise ValueError(
-            f"action_sequence must name p, x, y, z once and r up to three times, got {sequence!r}"
-        )
-    if not {"x", "y"} <= set(sequence) <= set("pxyzr"):
-        raise ValueError(f"action_sequence must have x and y, and may have p, z and r, got {sequence!r}")
-    return tuple(next(angles) if character == "r" else character for character in sequence)
+def _name_numbers(symbols: str) -> tuple[str, ...]:
+    """Return the name of each number of an action; the r's are theta, phi and psi in order."""
+    if "x" not in ActionSequence(symbols, len(symbols)):
+        raise ValueError(f"action_sequence must contain x and y, got {symbols!r}")
+    angles = iter(ANGLES)
+    return tuple(next(angles) if symbol == "r" else symbol for symbol in symbols)

@@ -1,6 +1,4 @@
-"""How spatial Q algorithms imitate: one term of the loss for each level (the paper's appendix; authors'
-code).
-"""
+"""Imitation losses of the spatial Q algorithms, one term for each level (paper, appendix; authors' code)."""
 
 from __future__ import annotations
 
@@ -9,72 +7,62 @@ from collections.abc import Callable
 import torch as th
 from torch.nn import functional as F
 
-# Multiplies the values of the level of all pixels where they are logits: many more choices than elsewhere.
 PIXEL_TEMPERATURE = 100.0
+"""Factor of the values of all pixels as logits, because this level has many more choices."""
 
-ImitationLoss = Callable[[th.Tensor, th.Tensor, th.Tensor, int], th.Tensor]
-"""From values (batch, choices), the actions' choices (batch,), whether they are the expert's, bool (batch,),
-and the number of the level to a scalar."""
+ImitationLoss = Callable[[th.Tensor, th.Tensor, th.Tensor, int, float], th.Tensor]
+"""Function with the parameters of :func:`strict_margin` that returns a scalar."""
 
 
-class StrictMargin:
+def strict_margin(
+    values: th.Tensor, choices: th.Tensor, is_expert: th.Tensor, level: int, margin: float
+) -> th.Tensor:
     """
-    SDQfD: the mean, over all choices with a value above the expert's less a margin, of how far above they are
-    (https://arxiv.org/abs/2010.02798); the mean over the whole batch, 0 where the action is not the expert's.
+    Return the loss of SDQfD (https://arxiv.org/abs/2010.02798).
 
-    :param margin: by which the expert's choice is to be better than all others
-    """
-
-    def __init__(self, margin: float) -> None:
-        self.margin = margin
-
-    def __call__(self, values: th.Tensor, choices: th.Tensor, is_expert: th.Tensor, level: int) -> th.Tensor:
-        """:return: a scalar"""
-        above = values + self.margin - values.gather(1, choices[:, None])
-        violates = (above > 0).scatter(1, choices[:, None], False) & is_expert[:, None]
-        violations = violates.sum(dim=1).clamp(min=1)
-        return (th.where(violates, above, 0.0).sum(dim=1) / violations).mean()
-
-
-class LargeMargin:
-    """
-    DQfD: how far the best choice is above the expert's, others raised by a margin
-    (https://arxiv.org/abs/1704.03732); the mean over the expert's transitions.
-
-    :param margin: see :class:`StrictMargin`
-    """
-
-    def __init__(self, margin: float) -> None:
-        self.margin = margin
-
-    def __call__(self, values: th.Tensor, choices: th.Tensor, is_expert: th.Tensor, level: int) -> th.Tensor:
-        """:return: a scalar"""
-        chosen = values.gather(1, choices[:, None])
-        raised = (values + self.margin).scatter(1, choices[:, None], chosen)
-        return mean_of_expert(raised.amax(dim=1) - chosen[:, 0], is_expert)
-
-
-def cross_entropy(values: th.Tensor, choices: th.Tensor, is_expert: th.Tensor, level: int) -> th.Tensor:
-    """
-    ADET: cross entropy of the expert's choice, values taken as logits (Lakshminarayanan, Ozair and Bengio,
-    "Reinforcement Learning with Few Expert Demonstrations", 2016); the mean over the expert's transitions.
+    The loss of an expert step is the mean excess of all choices with values above the expert's value minus
+    the margin. It is averaged over the whole batch, with 0 for online steps.
 
     :param values: (batch, choices)
-    :param choices: of the actions, (batch,)
-    :param is_expert: whether they are the expert's, bool (batch,)
-    :param level: 0 for that of all pixels
+    :param choices: choices of the actions, (batch,)
+    :param is_expert: mask of expert steps, bool (batch,)
+    :param level: index of the level, 0 for all pixels
+    :param margin: required difference of the expert's choice and all others
     :return: a scalar
+    """
+    above = values + margin - values.gather(1, choices[:, None])
+    violates = (above > 0).scatter(1, choices[:, None], False) & is_expert[:, None]
+    violations = violates.sum(dim=1).clamp(min=1)
+    return (th.where(violates, above, 0.0).sum(dim=1) / violations).mean()
+
+
+def large_margin(
+    values: th.Tensor, choices: th.Tensor, is_expert: th.Tensor, level: int, margin: float
+) -> th.Tensor:
+    """
+    Return the loss of DQfD (https://arxiv.org/abs/1704.03732), see :func:`strict_margin` for the parameters.
+
+    The difference of the best choice, with the margin added to all but the expert's, and the expert's choice.
+    It is averaged over the expert steps.
+    """
+    chosen = values.gather(1, choices[:, None])
+    raised = (values + margin).scatter(1, choices[:, None], chosen)
+    return _expert_mean(raised.amax(dim=1) - chosen[:, 0], is_expert)
+
+
+def cross_entropy(
+    values: th.Tensor, choices: th.Tensor, is_expert: th.Tensor, level: int, margin: float = 0.0
+) -> th.Tensor:
+    """
+    Return the loss of ADET, see :func:`strict_margin` for the parameters; the margin has no effect.
+
+    The cross entropy of the expert's choices with values as logits, averaged over the expert steps.
+    Lakshminarayanan, Ozair and Bengio, "Reinforcement Learning with Few Expert Demonstrations", 2016.
     """
     temperature = PIXEL_TEMPERATURE if level == 0 else 1.0
-    return mean_of_expert(F.cross_entropy(temperature * values, choices, reduction="none"), is_expert)
+    return _expert_mean(F.cross_entropy(temperature * values, choices, reduction="none"), is_expert)
 
 
-def mean_of_expert(losses: th.Tensor, is_expert: th.Tensor) -> th.Tensor:
-    """
-    Mean over the expert's transitions, 0 if there are none.
-
-    :param losses: (batch,)
-    :param is_expert: bool (batch,)
-    :return: a scalar
-    """
+def _expert_mean(losses: th.Tensor, is_expert: th.Tensor) -> th.Tensor:
+    """Return the mean over the expert steps, 0 if there are none."""
     return th.where(is_expert, losses, 0.0).sum() / is_expert.sum().clamp(min=1)

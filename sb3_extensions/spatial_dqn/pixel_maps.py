@@ -1,16 +1,14 @@
-"""Networks that value every pixel of a heightmap as the place of a pick or a place (paper, Open-Loop 3D
-Benchmark).
+"""Networks that value a pick or a place at every pixel of a heightmap (paper, Open-Loop 3D Benchmark).
 
 The input is a :class:`~sb3_extensions.encoders.observation.View`. The outputs are the values of all pixels,
 (batch, yaws, size, size), for the next primitive and one or several yaws, and an encoding of the scene for
-the levels that follow.
+the other levels.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import torch as th
 from torch import nn
@@ -19,50 +17,34 @@ from torch.nn import functional as F
 from sb3_extensions.encoders.initialisation import OUTPUT_GAIN, scale_down
 from sb3_extensions.encoders.observation import View
 from sb3_extensions.encoders.patch_encoders import LAST_SIDE_OF_PIXELS, PatchMap, PatchVector
-from sb3_extensions.encoders.unet import equivariant_unet, plain_unet, split_padding
+from sb3_extensions.encoders.unet import equivariant_unet, lowest_shape, plain_unet
 from sb3_extensions.equivariant.convolution import apply_in_float32
 from sb3_extensions.equivariant.groups import FieldType, Group
-from sb3_extensions.equivariant.layers import (
-    DynamicEquivariantConv2d,
-    EquivariantConv2d,
-    GroupMaxPool,
-)
+from sb3_extensions.equivariant.layers import DynamicEquivariantConv2d, EquivariantConv2d, GroupMaxPool
 from sb3_extensions.spatial_dqn.patches import rotate_images
 
-PRIMITIVES = 2  # pick and place
-HEAD_CHANNELS = 16  # of the authors' heads for one yaw: with a few, all their ReLUs may be silent for ever
+PRIMITIVES = 2
+"""Number of primitives: pick and place."""
+HEAD_CHANNELS = 16
+"""Channels of the head for one yaw (the authors' code). With few channels all ReLUs may be inactive
+forever."""
 
+# Channels and fields of the authors' code, for 128 x 128 pixels.
+CHANNELS = (32, 64, 128, 256, 256)
+FIELDS = (16, 32, 64, 128, 128)
+PATCH_MAP_CHANNELS = (64, 128, 256)
+IN_HAND_CHANNELS = (32, 64, 128, 256)
 
-@dataclass(frozen=True)
-class Shapes:
-    """
-    Shapes of what a network sees.
-
-    :param size: side of the heightmap, pixels
-    :param in_hand: of the in-hand image, (channels, side, side), None where there is none
-    """
-
-    size: int
-    in_hand: tuple[int, int, int] | None
-
-    def encoding(self, channels: int, levels: int) -> tuple[int, int, int]:
-        """
-        Shape of the lowest features of a U-Net.
-
-        :param channels: their number
-        :param levels: of the U-Net
-        """
-        multiple = 2 ** (levels - 1)
-        side = (self.size + sum(split_padding(self.size, multiple))) // multiple
-        return channels, side, side
+InHandShape = tuple[int, int] | None
+"""Number of channels and side (pixels) of the in-hand image, None without one."""
 
 
 class PixelMaps(nn.Module):
     """
-    What they have in common.
+    Base class of the networks.
 
     :param rotations: number of yaws
-    :param encoding_shape: of the encoding, (channels, side, side)
+    :param encoding_shape: shape of the encoding, (channels, side, side)
     """
 
     def __init__(self, rotations: int, encoding_shape: tuple[int, int, int]) -> None:
@@ -70,32 +52,32 @@ class PixelMaps(nn.Module):
         self.rotations, self.encoding_shape = rotations, encoding_shape
 
     def forward(self, view: View) -> tuple[th.Tensor, th.Tensor]:
-        """
-        :param view: what is seen
-        :return: values (batch, yaws, size, size), encoding
-        """
+        """:return: values (batch, yaws, size, size), encoding"""
         raise NotImplementedError
 
 
 class PlainPixelMaps(PixelMaps):
     """
-    A U-Net that sees the in-hand image beside its lowest features.
+    U-Net whose lowest features are combined with features of the in-hand image.
 
-    :param shapes: of the images
-    :param channels: of each level, see :func:`~sb3_extensions.encoders.unet.plain_unet`
-    :param in_hand_channels: of the three convolutions on the in-hand image
+    :param size: side of the heightmap, pixels
+    :param in_hand: shape of the in-hand image
+    :param channels: channels of each level, see :func:`~sb3_extensions.encoders.unet.plain_unet`
+    :param in_hand_channels: channels of the three convolutions on the in-hand image
     :param rotations: number of yaws
-    :raises ValueError: if the convolutions are not three
     """
 
     def __init__(
-        self, shapes: Shapes, channels: Sequence[int], in_hand_channels: Sequence[int], rotations: int = 1
+        self,
+        size: int,
+        in_hand: InHandShape,
+        channels: Sequence[int] = CHANNELS,
+        in_hand_channels: Sequence[int] = PATCH_MAP_CHANNELS,
+        rotations: int = 1,
     ) -> None:
-        super().__init__(rotations, shapes.encoding(channels[-1], len(channels)))
-        self.in_hand: PatchMap | None = None
-        if shapes.in_hand is not None:
-            self.in_hand = PatchMap(shapes.in_hand[0], in_hand_channels)
-        self.unet = plain_unet(1, channels, 0 if self.in_hand is None else in_hand_channels[-1])
+        super().__init__(rotations, lowest_shape(size, channels))
+        self.in_hand = PatchMap(in_hand[0], in_hand_channels) if in_hand else None
+        self.unet = plain_unet(1, channels, in_hand_channels[-1] if in_hand else 0)
         self.head = nn.Conv2d(channels[0], PRIMITIVES * rotations, 1)
         scale_down(self.head)
 
@@ -109,85 +91,92 @@ class PlainPixelMaps(PixelMaps):
 
 class RotatedPixelMaps(PixelMaps):
     """
-    One network on the heightmap turned back by each yaw, its maps turned forth again (Rot FCN,
+    One network on the heightmap rotated by each negative yaw, with its maps rotated back (Rot FCN,
     https://arxiv.org/abs/1803.09956).
 
-    :param shapes: of the images
+    :param size: see :class:`PlainPixelMaps`
+    :param in_hand: see :class:`PlainPixelMaps`
     :param channels: see :class:`PlainPixelMaps`
     :param in_hand_channels: see :class:`PlainPixelMaps`
-    :param rotations: number of yaws, over half a turn
+    :param rotations: number of yaws in a range of pi
     """
 
+    angles: th.Tensor
+
     def __init__(
-        self, shapes: Shapes, channels: Sequence[int], in_hand_channels: Sequence[int], rotations: int
+        self,
+        size: int,
+        in_hand: InHandShape,
+        channels: Sequence[int] = CHANNELS,
+        in_hand_channels: Sequence[int] = PATCH_MAP_CHANNELS,
+        rotations: int = 1,
     ) -> None:
         multiple = 2 ** (len(channels) - 1)
-        canvas = math.ceil(shapes.size * math.sqrt(2.0) / multiple) * multiple
-        network = PlainPixelMaps(Shapes(canvas, shapes.in_hand), channels, in_hand_channels)
+        canvas = math.ceil(size * math.sqrt(2.0) / multiple) * multiple
+        network = PlainPixelMaps(canvas, in_hand, channels, in_hand_channels)
         super().__init__(rotations, network.encoding_shape)
         self.network, self.canvas = network, canvas
         angles = th.arange(rotations) * (math.pi / rotations)
         self.register_buffer("angles", angles, persistent=False)
-        self.angles: th.Tensor
 
     def forward(self, view: View) -> tuple[th.Tensor, th.Tensor]:
-        """:return: values (batch, yaws, size, size), encoding of the first yaw's image"""
+        """:return: values (batch, yaws, size, size), encoding of the image of the first yaw"""
         batch, size = len(view.image), view.image.shape[-1]
         samples = th.arange(batch, device=view.image.device).repeat_interleave(self.rotations)
         angles = self.angles.repeat(batch)
-        turned = view.of(samples)._replace(image=rotate_images(view.image[samples], -angles, self.canvas))
-        maps, encoding = self.network(turned)
+        rotated = view.of(samples)._replace(image=rotate_images(view.image[samples], -angles, self.canvas))
+        maps, encoding = self.network(rotated)
         values = rotate_images(maps.float(), angles, size)
         return values.view(batch, self.rotations, size, size), encoding[:: self.rotations]
 
 
 class EquivariantPixelMaps(PixelMaps):
     """
-    An equivariant U-Net; where something is to be placed, an encoder of the in-hand image gives the
-    coefficients of one more filter.
+    Equivariant U-Net; for places, an encoder of the in-hand image predicts one more filter.
 
-    With one yaw its maps turn with the heightmap. With several, of C_2n for n yaws, they turn and are
-    permuted: a gripper turned by half a turn is the same.
+    With one yaw the maps rotate with the heightmap. With n yaws (group C_2n) they rotate and are permuted,
+    because a rotation of the gripper by pi is the same pose.
 
-    :param shapes: of the images
-    :param group: the symmetry
+    :param size: see :class:`PlainPixelMaps`
+    :param in_hand: see :class:`PlainPixelMaps`
+    :param group: symmetry group
     :param fields: regular fields of each level, see :func:`~sb3_extensions.encoders.unet.equivariant_unet`
-    :param in_hand_channels: of the convolutions on the in-hand image
-    :param hidden: units of the linear layer behind them
+    :param in_hand_channels: channels of the convolutions on the in-hand image
+    :param hidden: units of the linear layer on the in-hand image
     :param rotations: number of yaws: 1, or half of the group's rotations
-    :param dynamic_fields: regular fields behind the filter that these make, as many as before it (the
-        authors' code) if None. Of one or two a ReLU may be silent everywhere, for ever
-    :raises ValueError: if the yaws do not fit the group, or ``dynamic_fields`` is less than 1
+    :param dynamic_fields: regular fields after the predicted filter, by default ``fields[0]`` (the authors'
+        code). With one or two fields the ReLU may be inactive everywhere, forever
+    :raises ValueError: if the yaws do not match the group, or ``dynamic_fields`` is less than 1
     """
 
     def __init__(
         self,
-        shapes: Shapes,
+        size: int,
+        in_hand: InHandShape,
         group: Group,
-        fields: Sequence[int],
-        in_hand_channels: Sequence[int],
-        hidden: int,
+        fields: Sequence[int] = FIELDS,
+        in_hand_channels: Sequence[int] = IN_HAND_CHANNELS,
+        hidden: int = 1024,
         rotations: int = 1,
         dynamic_fields: int | None = None,
     ) -> None:
         if rotations != 1 and (group.family, group.n) != ("cyclic", 2 * rotations):
             raise ValueError(
-                f"{rotations} yaws need the cyclic group of {2 * rotations} rotations, got {group}"
+                f"group must be cyclic with {2 * rotations} rotations for {rotations} yaws, got {group}"
             )
         if dynamic_fields is not None and dynamic_fields < 1:
             raise ValueError(f"dynamic_fields must be at least 1, got {dynamic_fields}")
-        super().__init__(rotations, shapes.encoding(fields[-1], len(fields)))
+        super().__init__(rotations, lowest_shape(size, fields))
         regular, lowest = (FieldType.of((group.regular, fields[level])) for level in (0, -1))
         self.unet = equivariant_unet(1, group, fields)
         self.pool = GroupMaxPool(lowest)
         self.dynamic: DynamicEquivariantConv2d | None = None
         placed = regular
-        if shapes.in_hand is not None:
+        if in_hand is not None:
             placed = FieldType.of((group.regular, dynamic_fields or fields[0]))
             self.dynamic = DynamicEquivariantConv2d(regular, placed, 3, padding=1)
-            channels, side, _ = shapes.in_hand
-            encoder = PatchVector(channels, side, in_hand_channels, [hidden], LAST_SIDE_OF_PIXELS)
-            self.coefficients = nn.Sequential(encoder, coefficients_of(self.dynamic, hidden))
+            encoder = PatchVector(*in_hand, in_hand_channels, [hidden], LAST_SIDE_OF_PIXELS)
+            self.coefficients = nn.Sequential(encoder, coefficient_layer(self.dynamic, hidden))
         self.heads = nn.ModuleList(_head(in_type, rotations) for in_type in (regular, placed))
 
     def forward(self, view: View) -> tuple[th.Tensor, th.Tensor]:
@@ -196,10 +185,9 @@ class EquivariantPixelMaps(PixelMaps):
         return self._values(features, view), self.pool(lowest)
 
     def _values(self, features: th.Tensor, view: View) -> th.Tensor:
-        """Return values of the next primitive: (batch, yaws, size, size)."""
-        if (
-            th.compiler.is_compiling() or th._C._get_tracing_state() is not None
-        ):  # a graph has no branches that depend on data
+        """Return the values of the next primitive, (batch, yaws, size, size)."""
+        if th.compiler.is_compiling() or th._C._get_tracing_state() is not None:
+            # An exported graph has no branches that depend on data.
             picks, places = self._pick_values(features), self._place_values(features, view.in_hand)
             return th.where(view.places[:, None, None, None], places, picks)
         values = features.new_zeros(len(features), self.rotations, *features.shape[2:], dtype=th.float32)
@@ -228,7 +216,7 @@ def _apply_head(head: nn.Module, features: th.Tensor) -> th.Tensor:
 
 
 def _head(regular: FieldType, rotations: int) -> nn.Sequential:
-    """From regular fields to the values of one yaw, or of all of them."""
+    """Return the layers from regular fields to the values of all yaws."""
     group = regular.group
     if rotations > 1:
         yaws = FieldType.of((group.quotient(2), 1))
@@ -241,14 +229,15 @@ def _head(regular: FieldType, rotations: int) -> nn.Sequential:
     )
 
 
-def coefficients_of(dynamic: DynamicEquivariantConv2d, features: int) -> nn.Linear:
+def coefficient_layer(dynamic: DynamicEquivariantConv2d, features: int) -> nn.Linear:
     """
-    A layer that makes the coefficients of a dynamic filter. It begins with a random filter, of the size that
-    others begin with, which what is seen changes a little: a layer that began near zero would silence all
-    that passes the filter, and hardly learn.
+    Return a layer that predicts the coefficients of a dynamic filter.
 
-    :param dynamic: the convolution with that filter
-    :param features: numbers that come in
+    The initial bias is a random filter of the size of other filters, which the input changes a little. A
+    layer with outputs near zero would learn slowly, because the filtered features would be near zero.
+
+    :param dynamic: convolution with that filter
+    :param features: number of inputs
     """
     layer = nn.Linear(features, dynamic.num_coefficients)
     nn.init.normal_(layer.bias)
@@ -259,10 +248,10 @@ def coefficients_of(dynamic: DynamicEquivariantConv2d, features: int) -> nn.Line
 
 def of_primitive(values: th.Tensor, places: th.Tensor) -> th.Tensor:
     """
-    Values of what the gripper does next.
+    Select the values of the next primitive.
 
-    :param values: (batch, pick and place, ...)
-    :param places: bool (batch,)
+    :param values: values of pick and place, (batch, 2, ...)
+    :param places: whether the next primitive is a place, bool (batch,)
     :return: (batch, ...), float32
     """
     samples = th.arange(len(values), device=values.device)

@@ -15,57 +15,53 @@ from stable_baselines3.common.type_aliases import PyTorchObs, Schedule
 from sb3_extensions.encoders.observation import SceneView
 from sb3_extensions.equivariant.groups import Group
 from sb3_extensions.spatial_dqn.asr_heads import (
+    PATCH_CHANNELS,
+    PATCH_HIDDEN,
     DeicticLevel,
     EquivariantRotations,
     Level,
     PlainLevel,
     PlainRotations,
-    Widths,
 )
 from sb3_extensions.spatial_dqn.codec import DEFAULT_SEQUENCE, SpatialActionCodec
 from sb3_extensions.spatial_dqn.pixel_maps import (
+    CHANNELS,
+    FIELDS,
+    IN_HAND_CHANNELS,
+    PATCH_MAP_CHANNELS,
     EquivariantPixelMaps,
     PixelMaps,
     PlainPixelMaps,
     RotatedPixelMaps,
-    Shapes,
 )
 from sb3_extensions.spatial_dqn.q_network import SpatialQNetwork
 
-# Channels and fields of the authors' code, for 128 x 128 pixels.
-CHANNELS = (32, 64, 128, 256, 256)
-FIELDS = (16, 32, 64, 128, 128)
 PATCH_FIELDS = (8, 16, 32, 32, 16)
-PATCH_MAP_CHANNELS = (64, 128, 256)
-IN_HAND_CHANNELS = (32, 64, 128, 256)
+"""Regular fields of the convolutions on the patch (the authors' code)."""
 HIDDEN = (1024, 512)
+"""Units of the linear layers of :class:`EquivariantASRPolicy` (the authors' code)."""
 
 
 class SpatialPolicy(BasePolicy):
     """
-    Greedy policy of a Q function over the grid of a
-    :class:`~sb3_extensions.spatial_dqn.codec.SpatialActionCodec`, and its target network.
-
-    A subclass makes the levels of the network.
+    Base class of the policies: greedy actions of a Q function over an action grid, and its target network.
 
     :param observation_space: Observation space, see :class:`~sb3_extensions.encoders.observation.SceneView`
     :param action_space: Action space, one number for each character of ``action_sequence``
     :param lr_schedule: Learning rate schedule (could be constant)
     :param action_sequence: see :class:`~sb3_extensions.spatial_dqn.codec.SpatialActionCodec`
-    :param codec_kwargs: its other arguments: numbers and ranges of the grid
-    :param network_kwargs: channels, fields and the like, see the policy's class
+    :param codec_kwargs: further parameters of :class:`~sb3_extensions.spatial_dqn.codec.SpatialActionCodec`
+    :param network_kwargs: channels and fields of the networks, see the subclass
     :param quantise: see :class:`~sb3_extensions.encoders.observation.SceneView`
     :param standardise: see :class:`~sb3_extensions.encoders.observation.SceneView`
     :param autocast: see :class:`~sb3_extensions.spatial_dqn.q_network.SpatialQNetwork`
-    :param channels_last: see :class:`~sb3_extensions.spatial_dqn.q_network.SpatialQNetwork`
-    :param image_key: of the heightmap, as ``in_hand_key`` and ``holding_key`` see
-        :class:`~sb3_extensions.encoders.observation.SceneView`
-    :param in_hand_key: of the in-hand image
-    :param holding_key: of whether the gripper holds something
+    :param image_key: see :class:`~sb3_extensions.encoders.observation.SceneView`
+    :param in_hand_key: see :class:`~sb3_extensions.encoders.observation.SceneView`
+    :param holding_key: see :class:`~sb3_extensions.encoders.observation.SceneView`
     :param optimizer_class: The optimizer to use, ``th.optim.Adam`` by default
     :param optimizer_kwargs: Additional keyword arguments, excluding the learning rate
-    :raises ValueError: if the action space is not of the sequence or has no ranges, or the networks do not
-        fit the images or the sequence
+    :raises ValueError: if the action space does not match the sequence or is not bounded, or the networks do
+        not match the images or the sequence
     """
 
     def __init__(
@@ -79,7 +75,6 @@ class SpatialPolicy(BasePolicy):
         quantise: str | None = "uint8",
         standardise: Sequence[float] = (0.0, 1.0),
         autocast: str | None = None,
-        channels_last: bool = True,
         image_key: str = "heightmap",
         in_hand_key: str = "in_hand",
         holding_key: str = "holding",
@@ -91,22 +86,25 @@ class SpatialPolicy(BasePolicy):
             action_space,
             optimizer_class=optimizer_class,
             optimizer_kwargs=optimizer_kwargs,
-            squash_output=True,  # actions are in [-1, 1], predict() gives them in the environment's units
+            squash_output=True,  # actions are in [-1, 1], predict() returns them in the environment's units
         )
-        if action_space.shape != (len(action_sequence),):
+        if action_space.shape != (len(action_sequence),) or not action_space.is_bounded():
             raise ValueError(
-                f"action_sequence={action_sequence!r} names {len(action_sequence)} numbers, "
-                f"the action space is {action_space}"
+                f"action_space must be a bounded Box of {len(action_sequence)} numbers for "
+                f"action_sequence={action_sequence!r}, got {action_space}"
             )
-        if not action_space.is_bounded():
-            raise ValueError(f"a grid needs an action space with finite ranges, got {action_space}")
         self.action_sequence = action_sequence
         self.codec_kwargs, self.network_kwargs = codec_kwargs or {}, network_kwargs or {}
-        self.quantise, self.standardise = quantise, standardise
-        self.autocast, self.channels_last = autocast, channels_last
-        self.keys = {"image_key": image_key, "in_hand_key": in_hand_key, "holding_key": holding_key}
-        view = self._make_view()
-        self.codec = SpatialActionCodec(view.size, action_sequence, **self.codec_kwargs)
+        self.autocast = autocast
+        self.view_kwargs: dict[str, Any] = {
+            "quantise": quantise,
+            "standardise": standardise,
+            "image_key": image_key,
+            "in_hand_key": in_hand_key,
+            "holding_key": holding_key,
+        }
+        size = SceneView(observation_space, **self.view_kwargs).size
+        self.codec = SpatialActionCodec(size, action_sequence, **self.codec_kwargs)
         self.q_net = self.make_q_net()
         self.q_net_target = self.make_q_net()
         self.q_net_target.load_state_dict(self.q_net.state_dict())
@@ -118,40 +116,34 @@ class SpatialPolicy(BasePolicy):
             **self.optimizer_kwargs,
         )
 
-    def _make_view(self) -> SceneView:
-        return SceneView(self.observation_space, self.quantise, self.standardise, **self.keys)
-
     def make_q_net(self) -> SpatialQNetwork:
         """Make the Q network."""
-        view = self._make_view()
-        pixel_maps, levels = self.make_levels(
-            view, Shapes(view.size, view.in_hand_shape), **self.network_kwargs
-        )
-        network = SpatialQNetwork(self.codec, view, pixel_maps, levels, self.autocast, self.channels_last)
+        view = SceneView(self.observation_space, **self.view_kwargs)
+        pixel_maps, levels = self.make_levels(view, **self.network_kwargs)
+        network = SpatialQNetwork(self.codec, view, pixel_maps, levels, self.autocast)
         return network.to(self.device)
 
-    def make_levels(self, view: SceneView, shapes: Shapes, **kwargs: Any) -> tuple[PixelMaps, list[Level]]:
+    def make_levels(self, view: SceneView, **kwargs: Any) -> tuple[PixelMaps, list[Level]]:
         """
         Make the networks.
 
-        :param view: what they see
-        :param shapes: of the images
+        :param view: conversion of the observations
         :param kwargs: ``network_kwargs`` of the constructor
-        :return: the first level, and those that follow
+        :return: first level, further levels
         """
         raise NotImplementedError
 
     @property
     def rotations(self) -> int:
-        """Number of yaws of the grid, 1 where actions have none."""
+        """Number of yaws of the grid, 1 if actions have none."""
         return len(self.codec.grids.get("theta", [0.0]))
 
     def forward(self, obs: PyTorchObs, deterministic: bool = True) -> th.Tensor:
         """
-        Greedy actions.
+        Return the greedy actions.
 
         :param obs: a batch
-        :param deterministic: exploration is the algorithm's: without effect
+        :param deterministic: has no effect, because the algorithm explores
         :return: in [-1, 1], (batch, numbers)
         """
         return self._predict(obs, deterministic)
@@ -166,7 +158,7 @@ class SpatialPolicy(BasePolicy):
         """
         Convert the parameters to a 1D vector.
 
-        Unlike SB3's method it works for any memory layout, such as ``channels_last``.
+        SB3's method does not support the memory format ``channels_last``.
         """
         flat = [parameter.detach().reshape(-1) for parameter in self.parameters()]
         vector: npt.NDArray[Any] = th.cat(flat).cpu().numpy()
@@ -188,9 +180,9 @@ class SpatialPolicy(BasePolicy):
         self, observation: dict[str, npt.NDArray[Any]]
     ) -> tuple[npt.NDArray[np.float32], tuple[int, ...]]:
         """
-        What the agent thinks of the places in one observation, for a picture.
+        Return the values of all pixels for one observation.
 
-        :param observation: of the environment, not a batch
+        :param observation: observation of the environment, not a batch
         :return: value of every pixel with its best yaw, (size, size), and the indices of the greedy action
         """
         batch, _ = self.obs_to_tensor(observation)
@@ -211,49 +203,40 @@ class SpatialPolicy(BasePolicy):
 
     def _get_constructor_parameters(self) -> dict[str, Any]:
         data = super()._get_constructor_parameters()
-        del data["normalize_images"]  # what is seen are heights
+        del data["normalize_images"]  # images are heights
         data.update(
             lr_schedule=self._dummy_schedule,  # dummy lr schedule, not needed for loading policy alone
             action_sequence=self.action_sequence,
             codec_kwargs=self.codec_kwargs,
             network_kwargs=self.network_kwargs,
-            quantise=self.quantise,
-            standardise=self.standardise,
             autocast=self.autocast,
-            channels_last=self.channels_last,
             optimizer_class=self.optimizer_class,
             optimizer_kwargs=self.optimizer_kwargs,
-            **self.keys,
+            **self.view_kwargs,
         )
         return data
 
 
 class FCNPolicy(SpatialPolicy):
     """
-    One plain U-Net that values every pixel and yaw (FCN).
+    Plain U-Net that values every pixel and yaw (FCN).
 
-    ``network_kwargs``: ``channels`` of its levels, ``in_hand_channels`` of the three convolutions on the
-    in-hand image. All other arguments see :class:`SpatialPolicy`.
+    Parameters of ``network_kwargs``: ``channels`` of the levels, ``in_hand_channels`` of the three
+    convolutions on the in-hand image. See :class:`SpatialPolicy` for the other parameters.
     """
 
     maps_class: ClassVar[type[PlainPixelMaps | RotatedPixelMaps]] = PlainPixelMaps
 
-    def make_levels(  # type: ignore[override]
-        self,
-        view: SceneView,
-        shapes: Shapes,
-        channels: Sequence[int] = CHANNELS,
-        in_hand_channels: Sequence[int] = PATCH_MAP_CHANNELS,
-    ) -> tuple[PixelMaps, list[Level]]:
-        """:return: the only level"""
-        return self.maps_class(shapes, channels, in_hand_channels, self.rotations), []
+    def make_levels(self, view: SceneView, **kwargs: Any) -> tuple[PixelMaps, list[Level]]:
+        """:return: first level, no further levels"""
+        return self.maps_class(view.size, view.in_hand_shape, rotations=self.rotations, **kwargs), []
 
 
 class RotFCNPolicy(FCNPolicy):
     """
-    One plain U-Net that values every pixel, on the heightmap turned by each yaw (Rot FCN).
+    Plain U-Net that values every pixel, on the heightmap rotated by each yaw (Rot FCN).
 
-    ``network_kwargs`` as those of :class:`FCNPolicy`.
+    See :class:`FCNPolicy` for the parameters.
     """
 
     maps_class: ClassVar[type[PlainPixelMaps | RotatedPixelMaps]] = RotatedPixelMaps
@@ -261,102 +244,84 @@ class RotFCNPolicy(FCNPolicy):
 
 class EquivariantFCNPolicy(SpatialPolicy):
     """
-    One equivariant U-Net that values every pixel and yaw (Equivariant FCN): of the dihedral group of four
-    rotations where actions have no yaw, of the cyclic group of twice as many rotations as there are yaws.
+    Equivariant U-Net that values every pixel and yaw (Equivariant FCN).
 
-    ``network_kwargs``: regular ``fields`` of its levels, ``in_hand_channels`` of the convolutions on the
-    in-hand image, ``hidden`` units of the linear layer behind them, ``dynamic_fields`` see
+    The group is D_4 if actions have no yaw, otherwise C_2n for n yaws. Parameters of ``network_kwargs``:
+    ``fields``, ``in_hand_channels``, ``hidden`` and ``dynamic_fields`` of
     :class:`~sb3_extensions.spatial_dqn.pixel_maps.EquivariantPixelMaps`.
     """
 
-    def make_levels(  # type: ignore[override]
-        self,
-        view: SceneView,
-        shapes: Shapes,
-        fields: Sequence[int] = FIELDS,
-        in_hand_channels: Sequence[int] = IN_HAND_CHANNELS,
-        hidden: int = HIDDEN[0],
-        dynamic_fields: int | None = None,
-    ) -> tuple[PixelMaps, list[Level]]:
-        """:return: the only level"""
-        rotations = self.rotations
-        group = Group("dihedral", 4) if rotations == 1 else Group("cyclic", 2 * rotations)
-        return EquivariantPixelMaps(
-            shapes, group, fields, in_hand_channels, hidden, rotations, dynamic_fields
-        ), []
+    def make_levels(self, view: SceneView, **kwargs: Any) -> tuple[PixelMaps, list[Level]]:
+        """:return: first level, no further levels"""
+        n_yaws = self.rotations
+        group = Group("dihedral", 4) if n_yaws == 1 else Group("cyclic", 2 * n_yaws)
+        return EquivariantPixelMaps(view.size, view.in_hand_shape, group, rotations=n_yaws, **kwargs), []
 
 
 class ASRPolicy(SpatialPolicy):
     """
-    Plain networks that choose one after the other (ASR): the pixel, the yaw, and in 6D the height and the two
-    tilts.
+    Plain networks that choose the pixel, the yaw, and in 6D the height and the two tilts in order (ASR).
 
-    ``network_kwargs``: ``channels`` of the U-Net's levels, ``in_hand_channels`` of the three convolutions on
-    the in-hand image and on the patch around the pixel, ``hidden`` units of the layer behind them; in 6D
-    ``patch_channels`` and ``patch_hidden`` of each level behind the pixel.
+    Parameters of ``network_kwargs``: ``channels`` of the levels of the U-Net, ``in_hand_channels`` of the
+    three convolutions on the in-hand image and on the patch around the pixel, and ``hidden`` units of the
+    layer on the patch. In 6D also ``patch_channels`` and ``patch_hidden`` of each level after the pixel.
     """
 
     def make_levels(  # type: ignore[override]
         self,
         view: SceneView,
-        shapes: Shapes,
         channels: Sequence[int] = CHANNELS,
         in_hand_channels: Sequence[int] = PATCH_MAP_CHANNELS,
-        hidden: int = HIDDEN[0],
-        patch_channels: Sequence[int] = Widths().channels,
-        patch_hidden: Sequence[int] = Widths().hidden,
+        hidden: int = 1024,
+        patch_channels: Sequence[int] = PATCH_CHANNELS,
+        patch_hidden: Sequence[int] = PATCH_HIDDEN,
     ) -> tuple[PixelMaps, list[Level]]:
-        """:return: the level of the pixel, and those that follow"""
-        pixels = PlainPixelMaps(shapes, channels, in_hand_channels)
-        names = list(self.codec.grids)
+        """:return: level of the pixel, further levels"""
+        pixels = PlainPixelMaps(view.size, view.in_hand_shape, channels, in_hand_channels)
+        names, encoding = list(self.codec.grids), pixels.encoding_shape
         if names == ["theta"]:
-            encoding = pixels.encoding_shape
-            return pixels, [PlainRotations(self.codec, shapes, encoding, in_hand_channels, hidden)]
-        widths = Widths(tuple(patch_channels), tuple(patch_hidden))
-        return pixels, [
-            PlainLevel(self.codec, name, shapes, pixels.encoding_shape, widths, view) for name in names
-        ]
+            return pixels, [PlainRotations(self.codec, view, encoding, in_hand_channels, hidden)]
+        widths = (patch_channels, patch_hidden)
+        return pixels, [PlainLevel(self.codec, name, view, encoding, *widths) for name in names]
 
 
 class EquivariantASRPolicy(SpatialPolicy):
     """
-    Equivariant networks that choose one after the other: the pixel by one of the dihedral group of four
-    rotations, the yaw by one of the cyclic group of twice as many rotations as there are yaws (Equivariant
-    ASR); in 6D the height and the tilts by what would be around the gripper (Equivariant Deictic ASR).
+    Equivariant networks that choose the numbers of an action in order (Equivariant ASR; in 6D Equivariant
+    Deictic ASR).
 
-    ``network_kwargs``: the symmetry of the first level (``group``, ``n``), ``fields`` of the U-Net's levels,
-    ``patch_fields`` of the convolutions on the patch around the pixel, ``in_hand_channels`` of those on the
-    in-hand image, ``hidden`` units of the two linear layers behind them, ``dynamic_fields`` see
-    :class:`~sb3_extensions.spatial_dqn.pixel_maps.EquivariantPixelMaps`, ``pool_encoding`` see
-    :class:`~sb3_extensions.spatial_dqn.asr_heads.EquivariantRotations`; in 6D ``patch_channels`` and
-    ``patch_hidden`` of the levels behind the yaw.
+    The network of the pixel is equivariant to D_4, the network of n yaws to C_2n. Height and tilts are valued
+    from projections around the gripper. Parameters of ``network_kwargs``:
+
+    - ``fields``: regular fields of the levels of the U-Net
+    - ``patch_fields``: regular fields of the convolutions on the patch around the pixel
+    - ``in_hand_channels``: channels of the convolutions on the in-hand image
+    - ``hidden``: units of the two linear layers on the in-hand image and the encoding
+    - ``dynamic_fields``: see :class:`~sb3_extensions.spatial_dqn.pixel_maps.EquivariantPixelMaps`
+    - ``pool_encoding``: see :class:`~sb3_extensions.spatial_dqn.asr_heads.EquivariantRotations`
+    - ``patch_channels``, ``patch_hidden``: channels and units of the levels after the yaw (6D)
     """
 
     def make_levels(  # type: ignore[override]
         self,
         view: SceneView,
-        shapes: Shapes,
-        group: str = "dihedral",
-        n: int = 4,
         fields: Sequence[int] = FIELDS,
         patch_fields: Sequence[int] = PATCH_FIELDS,
         in_hand_channels: Sequence[int] = IN_HAND_CHANNELS,
         hidden: Sequence[int] = HIDDEN,
         dynamic_fields: int | None = None,
         pool_encoding: bool = False,
-        patch_channels: Sequence[int] = Widths().channels,
-        patch_hidden: Sequence[int] = Widths().hidden,
+        patch_channels: Sequence[int] = PATCH_CHANNELS,
+        patch_hidden: Sequence[int] = PATCH_HIDDEN,
     ) -> tuple[PixelMaps, list[Level]]:
-        """:return: the level of the pixel, and those that follow"""
-        pixels = EquivariantPixelMaps(
-            shapes, Group(group, n), fields, in_hand_channels, hidden[0], dynamic_fields=dynamic_fields
-        )
-        widths = Widths(tuple(patch_channels), tuple(patch_hidden))
+        """:return: level of the pixel, further levels"""
+        pixel_widths = (fields, in_hand_channels, hidden[0], 1, dynamic_fields)
+        pixels = EquivariantPixelMaps(view.size, view.in_hand_shape, Group("dihedral", 4), *pixel_widths)
+        yaw_widths = (patch_fields, in_hand_channels, hidden, pool_encoding)
 
         def make_level(name: str) -> Level:
-            if name != "theta":
-                return DeicticLevel(self.codec, name, shapes, widths, view)
-            encoding, conditioned = pixels.encoding_shape, (in_hand_channels, hidden, pool_encoding)
-            return EquivariantRotations(self.codec, shapes, encoding, patch_fields, *conditioned)
+            if name == "theta":
+                return EquivariantRotations(self.codec, view, pixels.encoding_shape, *yaw_widths)
+            return DeicticLevel(self.codec, name, view, patch_channels, patch_hidden)
 
         return pixels, [make_level(name) for name in self.codec.grids]

@@ -1,33 +1,33 @@
-"""A Q function over the grid of a codec, in one level or in several that choose one after the other."""
+"""Q function over the action grid, in one level or in several levels that choose one after the other."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from contextlib import AbstractContextManager
 
 import torch as th
 from stable_baselines3.common.type_aliases import TensorDict
 from torch import nn
 
 from sb3_extensions.encoders.cnn import check_autocast, precision
-from sb3_extensions.encoders.observation import SceneView, View
+from sb3_extensions.encoders.observation import SceneView
 from sb3_extensions.spatial_dqn.asr_heads import Level
-from sb3_extensions.spatial_dqn.codec import SpatialActionCodec
+from sb3_extensions.spatial_dqn.codec import PIXEL, SpatialActionCodec
 from sb3_extensions.spatial_dqn.pixel_maps import PixelMaps
 
 
 class SpatialQNetwork(nn.Module):
     """
-    Values of actions on a grid. The first level values all pixels, of one yaw or all; every other one the
-    values of one more number, given those before it.
+    Values of the actions on the grid.
 
-    :param codec: the grid
-    :param scene_view: what the networks see of an observation
-    :param pixel_maps: the first level
-    :param levels: the others, in the order of the codec's numbers
-    :param autocast: ``"bf16"`` computes in bfloat16 where the device can, ``None`` in float32
-    :param channels_last: keep the channels of a pixel together in memory
-    :raises ValueError: if the levels do not choose each number of the codec once, in its order
+    The first level values all pixels, for one yaw or all yaws. Each further level values one more number of
+    the action, given the previous ones.
+
+    :param codec: conversion of the actions to the grid
+    :param scene_view: conversion of the observations
+    :param pixel_maps: first level
+    :param levels: further levels, in the order of the indices
+    :param autocast: ``"bf16"`` for bfloat16 if the device supports it, ``None`` for float32
+    :raises ValueError: if the levels do not choose each index of the codec once and in order
     """
 
     def __init__(
@@ -37,66 +37,64 @@ class SpatialQNetwork(nn.Module):
         pixel_maps: PixelMaps,
         levels: Sequence[Level] = (),
         autocast: str | None = None,
-        channels_last: bool = True,
     ) -> None:
         super().__init__()
         covered = [*(["theta"] if pixel_maps.rotations > 1 else []), *(level.name for level in levels)]
         if covered != list(codec.grids):
             raise ValueError(
-                f"the levels choose {covered} behind the pixel, the action sequence "
-                f"{codec.action_sequence!r} needs {list(codec.grids)}"
+                f"action_sequence={codec.action_sequence!r} needs levels for {list(codec.grids)} after the "
+                f"pixel, got levels for {covered}"
             )
         check_autocast(autocast)
         self.codec, self.scene_view = codec, scene_view
         self.pixel_maps, self.levels = pixel_maps, nn.ModuleList(levels)
         self.autocast = autocast
-        if channels_last:
-            self.to(memory_format=th.channels_last)  # type: ignore[call-overload]
+        self._n_first = len(PIXEL) + (pixel_maps.rotations > 1)  # indices that the first level chooses
+        self.to(memory_format=th.channels_last)  # type: ignore[call-overload]
 
     def values(self, observations: TensorDict, indices: th.Tensor) -> list[th.Tensor]:
         """
-        Values of all choices at every level, given those that were made before it.
+        Return the values of all choices at every level, given the choices of the previous levels.
 
         :param observations: a batch
-        :param indices: of the actions, int64 (batch, indices)
-        :return: for each level (batch, choices), float32
+        :param indices: indices of the actions, int64 (batch, indices)
+        :return: (batch, choices) for each level, float32
         """
-        with self._precision(indices.device):
+        with precision(self.autocast, indices.device.type):
             view = self.scene_view(observations)
             maps, encoding = self.pixel_maps(view)
-            later = [
-                level(view, encoding, indices[:, : self._known(place)])
-                for place, level in enumerate(self.levels)
+            further = [
+                level(view, encoding, indices[:, : self._n_first + index])
+                for index, level in enumerate(self.levels)
             ]
-        return [maps.flatten(1), *later]
+        return [maps.flatten(1), *further]
 
     def choices(self, indices: th.Tensor) -> list[th.Tensor]:
         """
-        Which choice an action makes at every level.
+        Return the choice of an action at every level.
 
         :param indices: int64 (batch, indices)
-        :return: for each level (batch,)
+        :return: (batch,) for each level
         """
         size = self.codec.size
-        row, column = indices[:, 0], indices[:, 1]
-        pixels = row * size + column
+        pixels = indices[:, 0] * size + indices[:, 1]
         if self.pixel_maps.rotations > 1:
             pixels = pixels + indices[:, 2] * size**2
-        return [pixels, *(indices[:, self._known(place)] for place in range(len(self.levels)))]
+        return [pixels, *indices[:, self._n_first :].unbind(1)]
 
     @th.no_grad()
     def greedy(self, observations: TensorDict) -> tuple[th.Tensor, th.Tensor]:
         """
-        The best choice at every level, one after the other.
+        Return the best choices, level by level.
 
         :param observations: a batch
-        :return: indices, int64 (batch, indices), and the last level's values of them, (batch,)
+        :return: indices, int64 (batch, indices), and their values at the last level, (batch,)
         """
         view = self.scene_view(observations)
-        with self._precision(view.image.device):
+        with precision(self.autocast, view.image.device.type):
             maps, encoding = self.pixel_maps(view)
             values, best = maps.flatten(1).max(dim=1)
-            indices = self._pixels(best)
+            indices = self._first_indices(best)
             for level in self.levels:
                 values, best = level(view, encoding, indices).max(dim=1)
                 indices = th.cat([indices, best[:, None]], dim=1)
@@ -104,27 +102,18 @@ class SpatialQNetwork(nn.Module):
 
     def maps(self, observations: TensorDict) -> th.Tensor:
         """
-        Values of all pixels, for a look at them.
+        Return the values of all pixels.
 
         :param observations: a batch
         :return: (batch, yaws, size, size), float32
         """
-        view: View = self.scene_view(observations)
-        with self._precision(view.image.device):
+        view = self.scene_view(observations)
+        with precision(self.autocast, view.image.device.type):
             values: th.Tensor = self.pixel_maps(view)[0]
         return values
 
-    def _pixels(self, best: th.Tensor) -> th.Tensor:
+    def _first_indices(self, best: th.Tensor) -> th.Tensor:
         size = self.codec.size
         pixel = best % size**2
-        places = [pixel // size, pixel % size]
-        if self.pixel_maps.rotations > 1:
-            places.append(best // size**2)
-        return th.stack(places, dim=1)
-
-    def _known(self, place: int) -> int:
-        """How many indices are chosen before the level at a place behind the first."""
-        return 2 + (self.pixel_maps.rotations > 1) + place
-
-    def _precision(self, device: th.device) -> AbstractContextManager[object]:
-        return precision(self.autocast, device.type)
+        indices = [pixel // size, pixel % size, best // size**2]
+        return th.stack(indices[: self._n_first], dim=1)

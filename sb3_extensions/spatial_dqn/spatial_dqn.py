@@ -21,7 +21,7 @@ from sb3_extensions.common.seeds import SeedKey, derive_seed
 from sb3_extensions.demonstrations.off_policy import OffPolicyFromDemonstrations
 from sb3_extensions.demonstrations.source import DemonstrationSource, ExpertData
 from sb3_extensions.spatial_dqn.augmentation import RigidMotion
-from sb3_extensions.spatial_dqn.losses import ImitationLoss, LargeMargin, StrictMargin, cross_entropy
+from sb3_extensions.spatial_dqn.losses import ImitationLoss, cross_entropy, large_margin, strict_margin
 from sb3_extensions.spatial_dqn.policies import (
     ASRPolicy,
     EquivariantASRPolicy,
@@ -31,59 +31,58 @@ from sb3_extensions.spatial_dqn.policies import (
     SpatialPolicy,
 )
 
-EXPERT_FRACTION = 0.5  # of each batch (paper, appendix "Benchmark Details")
+EXPERT_FRACTION = 0.5
+"""Fraction of expert steps in each batch (paper, appendix "Benchmark Details")."""
 
 
 class SpatialDQN(OffPolicyFromDemonstrations):
     """
-    Deep Q-learning (DQN) whose actions are places in a heightmap: pixel, and yaw, height and tilts of a
-    gripper.
+    Deep Q-learning (DQN) with actions on a grid over a heightmap: pixel, yaw, height and tilts of a gripper.
 
-    The environment's actions stay a Box; a
-    :class:`~sb3_extensions.spatial_dqn.codec.SpatialActionCodec` grids them, and everything the
-    algorithm does lives on that grid: its greedy actions, its exploration, and its
-    demonstrations, whose actions are carried out snapped to it. A network values all actions at once, or in
-    levels that choose one number after the other; every level learns the same target.
+    The environment's actions are a Box. A :class:`~sb3_extensions.spatial_dqn.codec.SpatialActionCodec`
+    converts them to the grid. Greedy actions, exploration and demonstrations are on the grid. The network
+    values all actions at once, or in levels that choose one number after the other. Every level learns the
+    same target.
 
-    Half of each batch are expert steps, as soon as there is half a batch of expert and of online steps;
-    before, all steps are sampled with equal probability. This class does not imitate them; :class:`ADET`,
+    Half of each batch are expert steps, as soon as there is half a batch of expert and of online steps.
+    Before, all steps are sampled with equal probability. This class does not imitate the expert steps;
+    :class:`ADET`,
     :class:`DQfD` and :class:`SDQfD` do.
 
     Paper: https://arxiv.org/abs/2205.14292, Section "Open-Loop 3D Benchmark", and
     https://arxiv.org/abs/2010.02798
 
-    :param policy: The policy model to use (one of the aliases, or a class)
-    :param env: The environment to learn from (if registered in Gym, can be str); its observations are a Dict
-        with a heightmap, its actions a Box
+    :param policy: The policy model to use (alias or class)
+    :param env: The environment to learn from (if registered in Gym, can be str), with Dict observations that
+        contain a heightmap and Box actions
     :param learning_rate: The learning rate, it can be a function of the current progress remaining (from 1 to
         0)
-    :param buffer_size: number of transitions in the replay buffer, demonstrations included
-    :param learning_starts: how many steps to take at random, on the grid, before learning starts
+    :param buffer_size: number of transitions in the replay buffer, including demonstrations
+    :param learning_starts: number of random steps on the grid before learning starts
     :param batch_size: Minibatch size for each gradient update
     :param tau: the soft update coefficient ("Polyak update", between 0 and 1) default 1 for hard update
     :param gamma: the discount factor
-    :param train_freq: Update the model every so many steps, or ``(2, "episode")``
-    :param gradient_steps: How many gradient steps to do after each rollout (see ``train_freq``); ``-1`` means
-        as many as steps done in the environment during the rollout
+    :param train_freq: number of steps between updates of the model, or a tuple such as ``(2, "episode")``
+    :param gradient_steps: How many gradient steps to do after each rollout (see ``train_freq``); ``-1`` for
+        the number of environment steps of the rollout
     :param replay_buffer_class: Replay buffer class, ``ExpertReplayBuffer`` (the default) or a subclass
-    :param replay_buffer_kwargs: Keyword arguments to pass to the replay buffer on creation; its ``n_steps``
-        and ``gamma`` are the algorithm's, its ``image_dtype`` is by default the policy's ``quantise``, its
-        ``sampler`` is by default half expert steps
-    :param n_steps: number of rewards that are summed up before the bootstrap
-    :param target_update_interval: update the target network every so many gradient steps
-    :param imitation_weight: weight of the imitation term, see the subclasses; without effect in this class.
-        None takes the paper's: 0.01 for :class:`ADET`, else 0.1
-    :param margin: of the imitation terms that have one
+    :param replay_buffer_kwargs: Keyword arguments to pass to the replay buffer on creation, except
+        ``n_steps`` and ``gamma``. ``image_dtype`` defaults to the policy's ``quantise``, ``sampler`` to half
+        expert steps
+    :param n_steps: number of rewards in the target before the bootstrap
+    :param target_update_interval: number of gradient steps between updates of the target network
+    :param imitation_weight: weight of the imitation loss of a subclass. None for the paper's: 0.01 for
+        :class:`ADET`, otherwise 0.1
+    :param margin: margin of the imitation loss of :class:`DQfD` and :class:`SDQfD`
     :param exploration_fraction: fraction of entire training period over which the exploration rate is reduced
     :param exploration_initial_eps: initial value of random action probability
     :param exploration_final_eps: final value of random action probability
-    :param max_grad_value: each number of the gradient is clipped to so much
-    :param expert_episodes: number of successful episodes of the expert to begin with, unless ``expert_data``
-        is given
+    :param max_grad_value: maximum absolute value of each number of the gradient
+    :param expert_episodes: number of successful expert episodes to collect, without ``expert_data``
     :param expert_data: episodes in the environment's units instead, or the path of a file of
-        ``bulletarm_gym.demonstrations``; not saved with the model. See
+        ``bulletarm_gym.demonstrations``, not saved with the model. See
         :class:`~sb3_extensions.demonstrations.episodes.EpisodeData`
-    :param rigid_augmentation: turn and shift the heightmaps of each sample, and its actions with them, see
+    :param rigid_augmentation: rotate and shift sampled steps, see
         :class:`~sb3_extensions.spatial_dqn.augmentation.RigidMotion`
     :param pretrain_steps: number of gradient steps before the first step in the environment
     :param stats_window_size: number of episodes over which the rollout logging averages
@@ -91,10 +90,10 @@ class SpatialDQN(OffPolicyFromDemonstrations):
     :param policy_kwargs: arguments of the policy
     :param verbose: Verbosity level: 0 for no output, 1 for info messages, 2 for debug messages
     :param seed: Seed for the pseudo random generators
-    :param device: Device (cpu, cuda, ...) on which the code should be run; auto takes a GPU if possible
+    :param device: Device (cpu, cuda, ...) on which the code should be run; auto for a GPU if available
     :param _init_setup_model: Whether or not to build the network at the creation of the instance
-    :raises ValueError: if an argument is out of its range, if there is pretraining without demonstrations, or
-        if ``replay_buffer_class`` is no ``ExpertReplayBuffer``
+    :raises ValueError: if an argument is out of its range, ``pretrain_steps`` is positive without
+        demonstrations, or ``replay_buffer_class`` is not an ``ExpertReplayBuffer``
     """
 
     policy_aliases: ClassVar[dict[str, type[BasePolicy]]] = {
@@ -105,10 +104,11 @@ class SpatialDQN(OffPolicyFromDemonstrations):
         "EquivariantASRPolicy": EquivariantASRPolicy,
     }
     default_imitation_weight: ClassVar[float] = 0.1
+    imitation_loss: ImitationLoss | None = None
+    """Imitation loss of one level, None without imitation."""
     exploration_schedule: Schedule
     policy: SpatialPolicy
-    # Noisy actions are not on the grid.
-    expert_noise = 0.0
+    expert_noise = 0.0  # noisy actions are not on the grid
     augmentation = None
 
     def __init__(
@@ -205,29 +205,20 @@ class SpatialDQN(OffPolicyFromDemonstrations):
         shares = {"expert_fraction": EXPERT_FRACTION, "balanced_from": max(1, self.batch_size // 2)}
         self.replay_buffer_kwargs = {"sampler": {"shares": shares}, **self.replay_buffer_kwargs}
         super()._setup_model()
-        self._create_aliases()
+        self.q_net = self.policy.q_net
+        self.q_net_target = self.policy.q_net_target
+        self.codec = self.policy.codec
+        self._rigid_motion = RigidMotion(self.codec, self.q_net.scene_view.image_key)
         self.exploration_schedule = LinearSchedule(
             self.exploration_initial_eps, self.exploration_final_eps, self.exploration_fraction
         )
 
-    def _create_aliases(self) -> None:
-        self.q_net = self.policy.q_net
-        self.q_net_target = self.policy.q_net_target
-        self.codec = self.policy.codec
-        self._imitation_loss = self._make_imitation_loss()
-        self._rigid_motion = RigidMotion(self.codec, self.policy.keys["image_key"])
-
-    def _make_imitation_loss(self) -> ImitationLoss | None:
-        """The imitation term of one level; None imitates nothing."""
-        return None
-
     def train(self, gradient_steps: int, batch_size: int = 16) -> None:
         """
-        Sample the replay buffer and do the updates
-        (gradient descent and update target networks)
+        Sample the replay buffer and do the updates (gradient descent and update target networks).
 
         :param gradient_steps: number of updates
-        :param batch_size: number of transitions for each
+        :param batch_size: number of transitions of each update
         """
         # Switch to train mode (this affects batch norm / dropout)
         self.policy.set_training_mode(True)
@@ -247,13 +238,13 @@ class SpatialDQN(OffPolicyFromDemonstrations):
             assert isinstance(observations, dict) and isinstance(next_observations, dict)
 
             with th.no_grad():
-                # The value that the last level of the target network gives to its own best action
+                # Value of the best action of the target network at its last level
                 _, next_q_values = self.q_net_target.greedy(next_observations)
                 assert replay_data.discounts is not None
                 bootstrap = (1 - replay_data.dones) * replay_data.discounts * next_q_values[:, None]
                 target_q_values = replay_data.rewards + bootstrap
 
-            # Current Q-values of every level, given the choices of the levels before
+            # Current Q-values of every level, given the choices of the previous levels
             q_values = self.q_net.values(observations, indices)
             choices = self.q_net.choices(indices)
             is_expert = replay_data.is_expert[:, 0]
@@ -265,11 +256,11 @@ class SpatialDQN(OffPolicyFromDemonstrations):
                 td_loss = (replay_data.weights * td_errors).mean()
                 loss = loss + td_loss
                 logs[f"td_loss_{level}"].append(td_loss.detach())
-                if self._imitation_loss is not None:
-                    imitation_loss = self._imitation_loss(values, chosen, is_expert, level)
+                if self.imitation_loss is not None:
+                    imitation_loss = self.imitation_loss(values, chosen, is_expert, level, self.margin)
                     loss = loss + self.imitation_weight * imitation_loss
                     logs[f"imitation_loss_{level}"].append(imitation_loss.detach())
-            # Of the last level, whose values are the targets
+            # The values of the last level are the targets.
             errors = (current_q_values - target_q_values).detach().abs()
             self.replay_buffer.update_priorities(replay_data.indices, errors)
 
@@ -295,10 +286,7 @@ class SpatialDQN(OffPolicyFromDemonstrations):
                 self.logger.record(f"train/{name}", numbers.mean().item())
 
     def _on_step(self) -> None:
-        """
-        Update the exploration rate.
-        This method is called in ``collect_rollouts()`` after each step in the environment.
-        """
+        """Update the exploration rate after each step of ``collect_rollouts()``."""
         self.exploration_rate = self.exploration_schedule(self._current_progress_remaining)
         self.logger.record("rollout/exploration_rate", self.exploration_rate)
 
@@ -316,10 +304,10 @@ class SpatialDQN(OffPolicyFromDemonstrations):
     def _explore(
         self, actions: npt.NDArray[Any], observations: dict[str, npt.NDArray[Any]], probability: float
     ) -> npt.NDArray[Any]:
-        """Replace some actions by random ones of the same primitive."""
+        """Replace some actions by random actions of the same primitive."""
         indices = explore_on_grid(
             self.codec.encode(actions),
-            observations[self.policy.keys["image_key"]][:, 0],
+            observations[self.q_net.scene_view.image_key][:, 0],
             probability,
             self.codec.shape,
             self.exploration_generator,
@@ -339,7 +327,7 @@ class SpatialDQN(OffPolicyFromDemonstrations):
             self.exploration_generator.manual_seed(derive_seed(seed, SeedKey.EXPLORATION))
 
     def _excluded_save_params(self) -> list[str]:
-        own = ["q_net", "q_net_target", "codec", "exploration_generator", "_imitation_loss", "_rigid_motion"]
+        own = ["q_net", "q_net_target", "codec", "exploration_generator", "_rigid_motion"]
         return [*super()._excluded_save_params(), *own]
 
     def _get_torch_save_params(self) -> tuple[list[str], list[str]]:
@@ -348,40 +336,34 @@ class SpatialDQN(OffPolicyFromDemonstrations):
 
 class SDQfD(SpatialDQN):
     """
-    Strict deep Q-learning from demonstrations: all choices that are valued higher than the expert's, less a
-    margin, are pushed below it, see :class:`~sb3_extensions.spatial_dqn.losses.StrictMargin`.
+    Strict deep Q-learning from demonstrations (https://arxiv.org/abs/2010.02798).
 
-    Paper: https://arxiv.org/abs/2010.02798. All arguments see :class:`SpatialDQN`.
+    Imitates with :func:`~sb3_extensions.spatial_dqn.losses.strict_margin`. See :class:`SpatialDQN` for the
+    parameters.
     """
 
-    def _make_imitation_loss(self) -> ImitationLoss:
-        return StrictMargin(self.margin)
+    imitation_loss = staticmethod(strict_margin)
 
 
 class DQfD(SpatialDQN):
     """
-    Deep Q-learning from demonstrations: the best other choice is pushed below the expert's, less a margin,
-    see
-    :class:`~sb3_extensions.spatial_dqn.losses.LargeMargin`.
+    Deep Q-learning from demonstrations (https://arxiv.org/abs/1704.03732).
 
-    Paper: https://arxiv.org/abs/1704.03732. All arguments see :class:`SpatialDQN`.
+    Imitates with :func:`~sb3_extensions.spatial_dqn.losses.large_margin`. See :class:`SpatialDQN` for the
+    parameters.
     """
 
-    def _make_imitation_loss(self) -> ImitationLoss:
-        return LargeMargin(self.margin)
+    imitation_loss = staticmethod(large_margin)
 
 
 class ADET(SpatialDQN):
     """
-    Accelerated DQN with expert trajectories: values are the logits of a classifier of the expert's choices,
-    see
-    :func:`~sb3_extensions.spatial_dqn.losses.cross_entropy`.
+    Accelerated DQN with expert trajectories (Lakshminarayanan, Ozair and Bengio, "Reinforcement Learning with
+    Few Expert Demonstrations", 2016).
 
-    Lakshminarayanan, Ozair and Bengio, "Reinforcement Learning with Few Expert Demonstrations", 2016. All
-    arguments see :class:`SpatialDQN`.
+    Imitates with :func:`~sb3_extensions.spatial_dqn.losses.cross_entropy`. See :class:`SpatialDQN` for the
+    parameters.
     """
 
     default_imitation_weight: ClassVar[float] = 0.01
-
-    def _make_imitation_loss(self) -> ImitationLoss:
-        return cross_entropy
+    imitation_loss = staticmethod(cross_entropy)

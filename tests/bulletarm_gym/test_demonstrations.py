@@ -5,17 +5,28 @@ import json
 import pickle
 import sys
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
+import gymnasium
 import h5py
 import numpy as np
 import pytest
 from rollouts import idle
 
-from bulletarm_gym.demonstrations import Demonstrations, Episode, collect, export_minari, load
+from bulletarm_gym.demonstrations import (
+    Demonstrations,
+    Episode,
+    RecordDemonstrations,
+    collect,
+    export_minari,
+    load,
+    replay,
+)
 from bulletarm_gym.demonstrations import episodes as files
 from bulletarm_gym.env import ManipulationEnv
+from bulletarm_gym.simulation.shapes import Box, Piece, wavefront
 
 Make = Callable[..., ManipulationEnv]
 
@@ -153,6 +164,27 @@ def test_environments_are_made_again(basket: Demonstrations) -> None:
     env.close()
 
 
+def test_a_folder_of_objects_is_found_from_other_folders_and_after_a_move(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    objects = tmp_path / "objects"
+    objects.mkdir()
+    (objects / "box.obj").write_text(wavefront([Piece(Box((0.04, 0.05, 0.04)))]))
+    monkeypatch.chdir(tmp_path)
+    kwargs = {"object_set": "objects", "num_objects": 1, "obs_size": 16}
+    recorded = collect("BulletArm/CloseLoopObjectGrasping-v0", 1, seed=0, env_kwargs=kwargs)
+    recorded.save("episodes.h5")
+    monkeypatch.chdir("/")
+    recorded.make_env().close()
+    objects.rename(tmp_path / "moved")
+    must = rf"^object_set must be .*, got '{objects}', .* load\(path, object_set="
+    with pytest.raises(ValueError, match=must):
+        recorded.make_env()
+    moved = load(tmp_path / "episodes.h5", object_set=tmp_path / "moved")
+    with closing(moved.make_env()) as env:
+        assert list(replay(moved, 0, env.unwrapped))  # type: ignore[arg-type]
+
+
 def test_interrupted_collections_leave_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     step, calls = ManipulationEnv.step, []
 
@@ -265,8 +297,11 @@ def test_collect_names_the_wrong_argument(name: str, value: Any, must: str) -> N
 
 
 def test_folders_are_no_files(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="a folder"):
+    must = f"^path must be a file such as .*, got the folder {tmp_path}"
+    with pytest.raises(ValueError, match=must):
         collect(PICKING, 1, path=tmp_path)
+    with closing(gymnasium.make(PICKING, obs_size=16)) as env, pytest.raises(ValueError, match=must):
+        RecordDemonstrations(env, tmp_path)
 
 
 # Minari

@@ -256,12 +256,24 @@ def test_files_that_are_not_used_are_named_in_one_warning(tmp_path: Path) -> Non
     for name in ("loose.obj", "b.dae", "C.PLY", "readme.md", "a.mtl"):
         (tmp_path / name).write_text("")
     (tmp_path / "broken").mkdir()
-    (tmp_path / "broken" / "b.obj").write_text("v 0 0 0\n")
+    (tmp_path / "broken" / "b.urdf").write_text("<robot><link/><link/></robot>")
+    (tmp_path / "broken" / "c.obj").write_text("")
     with pytest.warns(UserWarning) as caught:
         load_folder(str(tmp_path))
     (text,) = [str(warning.message) for warning in caught]
-    assert "1 of 2 files are left out" in text and "broken/b.obj cannot be loaded: it has no faces" in text
-    assert "3 files are not used: C.PLY, b.dae, loose.obj (" in text
+    assert "1 of 2 files are left out" in text and "broken/b.urdf cannot be loaded: it has 2 links" in text
+    assert "4 files are not used: C.PLY, b.dae, broken/c.obj, loose.obj (" in text
+
+
+def test_meshes_in_a_folder_next_to_a_urdf_are_parts_of_it(tmp_path: Path) -> None:
+    meshes = tmp_path / "meshes" / "collision"
+    meshes.mkdir(parents=True)
+    (meshes / "a.obj").write_text(wavefront(graspables()[0].pieces))
+    mesh = '<geometry><mesh filename="meshes/collision/a.obj"/></geometry>'
+    (tmp_path / "a.urdf").write_text(
+        f'<robot name="a"><link name="a"><collision>{mesh}</collision></link></robot>'
+    )
+    assert [spec.name for spec in load_folder(str(tmp_path))] == ["a.urdf"]
 
 
 def test_a_flat_part_is_named(tmp_path: Path) -> None:
@@ -269,6 +281,36 @@ def test_a_flat_part_is_named(tmp_path: Path) -> None:
     (tmp_path / "a.obj").write_text(flat)
     with pytest.raises(ValueError, match=r"a\.obj cannot be loaded: .*plane.*part 'label'"):
         load_folder(str(tmp_path))
+
+
+@pytest.mark.parametrize("kind", ["inside out", "open", "two components", "millimetres in a URDF"])
+def test_meshes_of_any_faces_have_the_mass_properties_of_the_box(tmp_path: Path, kind: str) -> None:
+    lines = wavefront([Piece(Box((0.04, 0.05, 0.06)))]).splitlines()
+    faces = [line for line in lines if line.startswith("f ")]
+    corners = [[float(text) for text in line.split()[1:4]] for line in lines if line.startswith("v ")]
+    if kind == "inside out":
+        faces = [" ".join(["f", *reversed(face.split()[1:])]) for face in faces]
+    elif kind == "open":
+        faces = faces[:-2]
+    elif kind == "two components":  # the second one is a smaller box inside the first
+        count = len(corners)
+        faces += [" ".join(["f", *(str(int(n) + count) for n in face.split()[1:])]) for face in faces]
+        corners += [[0.5 * value for value in corner] for corner in corners]
+    scale = 1000.0 if kind == "millimetres in a URDF" else 1.0
+    vertices = [" ".join(["v", *(repr(scale * value) for value in corner)]) for corner in corners]
+    (tmp_path / "a.obj").write_text("\n".join([*vertices, *faces]))
+    if scale > 1.0:
+        mesh = '<geometry><mesh filename="a.obj" scale="0.001 0.001 0.001"/></geometry>'
+        (tmp_path / "a.urdf").write_text(
+            f'<robot name="a"><link name="a"><collision>{mesh}</collision></link></robot>'
+        )
+    (spec,) = load_folder(str(tmp_path))
+    frame, moments = spec.mass_properties
+    x, y, z = 0.04**2, 0.05**2, 0.06**2
+    expected = [spec.mass / 12.0 * value for value in (x + y, x + z, y + z)]
+    assert sorted(moments) == pytest.approx(expected, rel=1e-6)
+    centre = np.mean([piece.mesh.vertices for piece in spec.pieces], axis=(0, 1))
+    assert frame.position == pytest.approx(tuple(centre), abs=1e-9)
 
 
 def test_a_byte_order_mark_and_continued_lines_are_read(tmp_path: Path) -> None:

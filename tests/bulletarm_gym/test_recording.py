@@ -229,6 +229,15 @@ def test_recorders_of_a_vector_environment_keep_all_episodes(tmp_path: Path) -> 
     assert len(load(tmp_path / "own.h5")) == successes > 2
 
 
+def test_a_relative_path_stays_where_it_was(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    env = record(Path("new/own.h5"))
+    monkeypatch.chdir("/")
+    assert play(env, 1)
+    env.close()
+    assert len(load(tmp_path / "new" / "own.h5")) == 1
+
+
 def test_failed_write_keeps_the_episode(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     env = record(tmp_path / "own.h5")
     with monkeypatch.context() as patch:

@@ -11,9 +11,20 @@ import gymnasium
 import numpy as np
 import pytest
 
+from bulletarm_gym.config import ParameterError
 from bulletarm_gym.env import ManipulationEnv
 from bulletarm_gym.geometry import Pose, conjugate, euler_pose, multiply
-from bulletarm_gym.robots import KUKA, PANDA, Gripper, ParallelJaw, RobotModel, attach, on_slides, without
+from bulletarm_gym.robots import (
+    KUKA,
+    PANDA,
+    ROBOTS,
+    Gripper,
+    ParallelJaw,
+    RobotModel,
+    attach,
+    on_slides,
+    without,
+)
 from bulletarm_gym.robots.kinematics import find_joint
 from bulletarm_gym.robots.structure import prepare
 from bulletarm_gym.robots.urdf import LIGHT, add_joint, add_link, box, merge_fixed
@@ -424,9 +435,19 @@ def test_without_leaves_out_a_link_and_all_attached_to_it() -> None:
         without(PANDA.load(), "wrist")
 
 
-def test_a_jaw_on_an_arm_with_the_same_joint_names_is_refused() -> None:
-    with pytest.raises(ValueError, match="'panda_finger_joint1'"):
+def test_a_jaw_on_a_flange_that_carries_a_gripper_is_refused() -> None:
+    """Else the hand of the Panda would reach through the jaw."""
+    must = r"link must carry no gripper, got 'panda_link7' with the joint 'panda_finger.*'panda_hand'"
+    with pytest.raises(ValueError, match=must):
         _ = _fitted(PANDA.load).urdf
+
+
+def test_a_jaw_on_an_arm_with_the_same_joint_names_is_refused() -> None:
+    jaw = replace(JAW, joints=("panda_joint3", "b_joint"))
+    bare = partial(without, PANDA.load(), "panda_hand")
+    load = partial(jaw.fitted, bare, "panda_link7", Pose((0.0, 0.0, 0.107)))
+    with pytest.raises(ValueError, match="'panda_joint3'"):
+        _ = replace(PANDA, load=load, gripper=jaw).urdf
 
 
 def hand() -> Element:
@@ -575,3 +596,19 @@ def test_an_arm_hangs_from_the_ceiling(base: tuple[float, float, float]) -> None
     )
     solved = [model.inverse(Pose.planar(x, y, 0.15))[1] < 1e-4 for x in (0.35, 0.55) for y in (-0.1, 0.1)]
     assert all(solved)
+
+
+@pytest.mark.parametrize("robot, x, yaw", [("kuka", 0.45, 0.0), ("ur5", 0.45, 0.0), ("panda", 1.0, 0.0)])
+def test_a_workspace_around_or_behind_the_base_is_refused(robot: str, x: float, yaw: float) -> None:
+    """There the first joint of neighbouring positions differs by up to a turn, and motions get stuck."""
+    model = ROBOTS[robot]
+    base = euler_pose((x, 0.0, 1.3), (math.pi, 0.0, yaw)) if x < 0.6 else Pose.planar(x, 0.0, 0.0, yaw)
+    with pytest.raises(ParameterError, match=rf"workspace.*{robot}.*base is at \({x:g}, 0\)"):
+        gymnasium.make("BulletArm/CloseLoopBlockReaching-v0", robot=replace(model, base=base))
+
+
+@pytest.mark.parametrize("robot, x, yaw", [("kuka", 0.3, 0.0), ("panda", 1.0, math.pi), ("ur5", 1.0, 0.0)])
+def test_a_workspace_next_to_the_base_is_accepted(robot: str, x: float, yaw: float) -> None:
+    """Also behind an arm whose first joint makes whole turns."""
+    model = replace(ROBOTS[robot], base=Pose.planar(x, 0.0, 0.0, yaw))
+    assert not model.jumps_inside([[0.3, 0.6], [-0.15, 0.15]])

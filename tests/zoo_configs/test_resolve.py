@@ -11,6 +11,7 @@ import yaml
 
 from bulletarm_gym.benchmarks import BENCHMARKS
 from sb3_extensions.common.env_metadata import constructor_keys
+from sb3_extensions.encoders.cnn import plan_stages
 from sb3_extensions.replay.sampling import PrioritizedSampler, make_sampler
 from sb3_extensions.spatial_dqn.codec import SpatialActionCodec
 from zoo_configs.cells.cell import Cell, explain, merge, resolve
@@ -425,3 +426,30 @@ def test_a_chosen_policy_and_its_arguments_win() -> None:
 
 def test_stock_algorithms_keep_their_policy_on_other_ids() -> None:
     assert cell_of("--algo", "ppo", "--env", "Pendulum-v1").hyperparams["policy"] == "MlpPolicy"
+
+
+@pytest.mark.parametrize("size", [16, 32, 48, 64, 84, 128, 224])
+@pytest.mark.parametrize("baseline", ["sacfd", "equi_sacfd", "drq_sac"])
+def test_presets_fit_the_image_size(baseline: str, size: int) -> None:
+    words = ["--baseline", baseline, "--env", PICKING, "--preset", "cpu", "--env-kwargs", f"obs_size:{size}"]
+    cell = cell_of(*words)
+    check_cell(cell)
+    encoder = cell.hyperparams["policy_kwargs"]["features_extractor_kwargs"]
+    plan_stages(size, len(encoder["channels"]), encoder["strided"])
+    own = resolve(baseline, "cpu", PICKING).hyperparams["policy_kwargs"]["features_extractor_kwargs"]
+    assert set(encoder["channels"]) == set(own["channels"]) and (size != 64 or encoder == own)
+
+
+def test_a_fitted_value_comes_from_the_image_size() -> None:
+    found = explain("sacfd", "cpu", PICKING, {"env_kwargs": {"obs_size": 32}})
+    where = {name: rule.where for rule, values in found for name in values}
+    name = "policy_kwargs.features_extractor_kwargs"
+    assert where[f"{name}.strided"] == where["env_kwargs.obs_size"] == "overrides"
+    assert where[f"{name}.channels"].startswith("close_loop.yml")
+
+
+def test_chosen_arguments_of_the_encoder_are_kept() -> None:
+    chosen = {"policy_kwargs": {"features_extractor_kwargs": {"strided": 4, "channels": [8, 8, 8, 8]}}}
+    cell = resolve("sacfd", "cpu", PICKING, {"env_kwargs": {"obs_size": 32}, **chosen})
+    encoder = cell.hyperparams["policy_kwargs"]["features_extractor_kwargs"]
+    assert (encoder["strided"], encoder["channels"]) == (4, [8, 8, 8, 8])

@@ -18,6 +18,9 @@ FOLLOWING = ("policy_kwargs",)
 GRID = "policy_kwargs.codec_kwargs"
 # Arguments of a codec, and the environment's parameter that each follows.
 GRID_FOLLOWS = {"theta_bounds": "half_rotation", "workspace_size": "workspace"}
+EXTRACTOR = "policy_kwargs.features_extractor_kwargs"
+EXTRACTOR_FOLLOWS = ("channels", "strided")
+"""Arguments of an encoder of images that follow the size of the image."""
 WHOLE_TURN = (-math.pi, math.pi)  # rad, what -1 and 1 stand for without half_rotation
 
 
@@ -75,6 +78,7 @@ def resolve(
         hyperparams, flags = merge(hyperparams, rule.hyperparams), merge(flags, rule.flags)
     _share_action_sequence(hyperparams)
     _share_bounds(hyperparams)
+    _fit_image_size(hyperparams, overrides or {})
     algo = next(rule.algo for rule in reversed(rules) if rule.algo is not None)
     return Cell(algo, env_id, hyperparams, flags, baseline, preset, case.benchmark)
 
@@ -110,6 +114,9 @@ def explain(
         if f"env_kwargs.{parameter}" in sources:
             sources.setdefault(f"{GRID}.{argument}", sources[f"env_kwargs.{parameter}"])
     said = dict(_leaves(_said(cell.algo, cell.hyperparams, cell.flags)))
+    for name in (f"{EXTRACTOR}.{argument}" for argument in EXTRACTOR_FOLLOWS):
+        if name in sources and dict(_leaves(sources[name].hyperparams))[name] != said[name]:
+            sources[name] = sources["env_kwargs.obs_size"]
     kept = [(rule, {name: said[name] for name in said if sources[name] is rule}) for rule in rules]
     return [(rule, values) for rule, values in kept if values]
 
@@ -207,3 +214,32 @@ def _share_bounds(hyperparams: dict[str, Any]) -> None:
     match env_kwargs.get("workspace"):
         case [[int() | float() as low, int() | float() as high], *_]:
             codec_kwargs.setdefault("workspace_size", high - low)
+
+
+def _fit_image_size(hyperparams: dict[str, Any], overrides: Mapping[str, Any]) -> None:
+    """Fit a preset's encoder to the ``obs_size`` of the overrides: more halvings for a larger image, fewer
+    halvings by strides for a smaller one.
+    """
+    size = (_at(overrides, "env_kwargs") or {}).get("obs_size")
+    encoder = _at(hyperparams, EXTRACTOR)
+    if type(size) is not int or size < 1 or encoder is None:
+        return
+    from sb3_extensions.encoders.cnn import count_halvings
+
+    rad = _at(hyperparams, "augmentation.rad") or {}
+    halvings = count_halvings(rad.get("size", size))
+    chosen = _at(overrides, EXTRACTOR) or {}
+    if "strided" in encoder and "strided" not in chosen:
+        encoder["strided"] = min(encoder["strided"], halvings + 1)
+    if "channels" in encoder and "channels" not in chosen:
+        *halving, widest, last, features = encoder["channels"]
+        missing = max(halvings - len(halving) - 1, 0)
+        encoder["channels"] = [*halving, *[widest] * (missing + 1), last, features]
+
+
+def _at(mapping: Mapping[str, Any], name: str) -> Any:
+    """Return the mapping at a dotted name, None if there is none."""
+    found: Any = mapping
+    for key in name.split("."):
+        found = found.get(key) if isinstance(found, Mapping) else None
+    return found if isinstance(found, Mapping) else None

@@ -61,14 +61,10 @@ def make_policy(
 
 
 def draw_biases(policy):
-    """Biases that differ from zero, so that a small network has no dead features; larger heads."""
+    """Biases that differ from zero, so that a small network has no dead features."""
     for parameter in policy.parameters():
         if parameter.dim() == 1:
             nn.init.uniform_(parameter, 0.1, 0.5)
-    with th.no_grad():
-        for head in (policy.actor.mu, policy.actor.log_std):
-            for parameter in head.parameters():
-                parameter.mul_(10 if parameter.dim() > 1 else 1)
     return policy
 
 

@@ -18,16 +18,14 @@ from sb3_extensions.spatial_dqn.asr_heads import (
     Level,
     PlainLevel,
     PlainRotations,
-    Widths,
 )
 from sb3_extensions.spatial_dqn.codec import SpatialActionCodec
-from sb3_extensions.spatial_dqn.pixel_maps import Shapes
 from sb3_extensions.spatial_dqn.projections import orthographic_projections, rotation_matrices
 
 SIZE, SIDE, YAWS = 24, 12, 4
 ENCODING = (6, 3, 3)
 BATCH = 6
-NARROW = Widths((4, 4, 6, 6), (16, 8))
+NARROW = ((4, 4, 6, 6), (16, 8))
 EXACT = 1e-4  # of the spread of what is compared
 STANDARDISE = (0.01, 0.02)
 
@@ -41,8 +39,11 @@ def make_codec(sequence: str = "pxyzrrr") -> SpatialActionCodec:
     return SpatialActionCodec(SIZE, sequence, num_rotations=YAWS, num_heights=5, num_tilts=3, tilt=0.5)
 
 
-def make_scene_view(channels: int) -> SceneView:
-    boxes = {"heightmap": (1, SIZE, SIZE), "in_hand": (channels, SIDE, SIDE), "holding": (1,)}
+def make_scene_view(channels: int, side: int = SIDE) -> SceneView:
+    """Without an in-hand image if it has no channels."""
+    boxes = {"heightmap": (1, SIZE, SIZE), "in_hand": (channels, side, side), "holding": (1,)}
+    if channels == 0:
+        del boxes["in_hand"]
     space = spaces.Dict({name: spaces.Box(0.0, 0.4, shape, np.float32) for name, shape in boxes.items()})
     return SceneView(space, quantise=None, standardise=STANDARDISE)
 
@@ -64,14 +65,14 @@ def random_indices(codec: SpatialActionCodec) -> th.Tensor:
 
 def make_level(kind: str, name: str) -> Level:
     """By the name of its class, of 6D; rotations of 3D."""
-    shapes, encoding = Shapes(SIZE, (3, SIDE, SIDE)), ENCODING
+    scene_view, encoding = make_scene_view(3), ENCODING
     if kind == "PlainLevel":
-        return PlainLevel(make_codec(), name, shapes, encoding, NARROW, make_scene_view(3))
+        return PlainLevel(make_codec(), name, scene_view, encoding, *NARROW)
     if kind == "DeicticLevel":
-        return DeicticLevel(make_codec(), name, shapes, NARROW, make_scene_view(3))
+        return DeicticLevel(make_codec(), name, scene_view, *NARROW)
     if kind == "PlainRotations":
-        return PlainRotations(make_codec(), shapes, encoding, (4, 4, 6), 16)
-    return EquivariantRotations(make_codec(), shapes, encoding, (4, 4, 6, 4), (4, 4, 6, 6), (16, 16))
+        return PlainRotations(make_codec(), scene_view, encoding, (4, 4, 6), 16)
+    return EquivariantRotations(make_codec(), scene_view, encoding, (4, 4, 6, 4), (4, 4, 6, 6), (16, 16))
 
 
 LEVELS = [
@@ -128,8 +129,8 @@ def turn_back(indices: th.Tensor) -> th.Tensor:
 @pytest.mark.parametrize("side", PATCH_STAGES)
 def test_yaws_shift_when_the_patch_turns(side: int) -> None:
     fields = (4, 4, 6, 6, 4)[: len(PATCH_STAGES[side])]
-    shapes, view = Shapes(SIZE, (1, side, side)), make_view(1, side)
-    level = EquivariantRotations(make_codec("pxyr"), shapes, ENCODING, fields, (4, 4, 6, 6), (16, 16))
+    scene_view, view = make_scene_view(1, side), make_view(1, side)
+    level = EquivariantRotations(make_codec("pxyr"), scene_view, ENCODING, fields, (4, 4, 6, 6), (16, 16))
     encoding, indices = th.randn(BATCH, *ENCODING), random_indices(make_codec("pxyr"))[:, :2]
     with th.no_grad():
         values = [level(view, encoding, indices)]
@@ -146,9 +147,9 @@ def test_yaws_shift_when_the_patch_turns(side: int) -> None:
 
 @pytest.mark.parametrize("pool_encoding", [True, False])
 def test_a_pooled_encoding_may_turn(pool_encoding: bool) -> None:
-    shapes, view = Shapes(SIZE, (1, SIDE, SIDE)), make_view(1)
+    scene_view, view = make_scene_view(1), make_view(1)
     widths: Any = ((4, 4, 6, 4), (4, 4, 6, 6), (16, 16))
-    level = EquivariantRotations(make_codec("pxyr"), shapes, ENCODING, *widths, pool_encoding)
+    level = EquivariantRotations(make_codec("pxyr"), scene_view, ENCODING, *widths, pool_encoding)
     encoding, indices = th.randn(BATCH, *ENCODING), random_indices(make_codec("pxyr"))[:, :2]
     with th.no_grad():
         values = level(view, encoding, indices)
@@ -190,7 +191,7 @@ def test_plain_levels_see_patches_turned_by_the_yaw_or_projections() -> None:
     for name, known in (("theta", 2), ("z", 3), ("phi", 4), ("psi", 5)):
         level = make_level("PlainLevel", name)
         assert isinstance(level, PlainLevel)
-        seen = level._seen(view, indices[:, :known])
+        seen = level.inputs(view, indices[:, :known])
         assert seen.shape == (BATCH, 6 if name in ("phi", "psi") else 4, SIDE, SIDE)
         th.testing.assert_close(seen[:, -3:], view.in_hand)
         if name in ("theta", "z"):
@@ -213,13 +214,12 @@ def test_plain_levels_see_patches_turned_by_the_yaw_or_projections() -> None:
 def test_patches_where_there_is_no_in_hand_image() -> None:
     """They are as large as the authors'."""
     view = make_view()._replace(in_hand=None)
-    shapes, codec = Shapes(SIZE, None), make_codec()
-    scene_view = make_scene_view(1)
+    scene_view, codec = make_scene_view(0), make_codec()
     levels = [
-        PlainRotations(codec, shapes, ENCODING, (4, 4, 6), 16),
-        EquivariantRotations(codec, shapes, ENCODING, (2, 2, 2, 2, 2), (), (16, 16)),
-        PlainLevel(codec, "psi", shapes, ENCODING, NARROW, scene_view),
-        DeicticLevel(codec, "psi", shapes, NARROW, scene_view),
+        PlainRotations(codec, scene_view, ENCODING, (4, 4, 6), 16),
+        EquivariantRotations(codec, scene_view, ENCODING, (2, 2, 2, 2, 2), (), (16, 16)),
+        PlainLevel(codec, "psi", scene_view, ENCODING, *NARROW),
+        DeicticLevel(codec, "psi", scene_view, *NARROW),
     ]
     for level in levels:
         known = ORDER.index(level.name)
@@ -230,6 +230,6 @@ def test_patches_where_there_is_no_in_hand_image() -> None:
 
 @pytest.mark.parametrize("side", [20, 24])
 def test_fields_must_fit_the_side_of_patches(side: int) -> None:
-    shapes, fields = Shapes(SIZE, (1, side, side)), (2, 2, 2, 2)
+    scene_view, fields = make_scene_view(1, side), (2, 2, 2, 2)
     with pytest.raises(ValueError, match=f"patch_fields must have 5 entries for patches of {side}"):
-        EquivariantRotations(make_codec(), shapes, ENCODING, fields, (4, 4), (16,))
+        EquivariantRotations(make_codec(), scene_view, ENCODING, fields, (4, 4), (16,))

@@ -55,7 +55,7 @@ def always(motion: RigidMotion, turns: int, shift: tuple[int, int]) -> RigidMoti
         count = len(indices)
         return th.full((count,), turns), th.tensor([shift], dtype=th.float32).expand(count, 2)
 
-    motion._draw = draw  # type: ignore[method-assign]
+    motion._sample_motions = draw  # type: ignore[method-assign]
     return motion
 
 

@@ -1,13 +1,14 @@
 """Imitation terms against slow references, and their gradients."""
 
 import math
+from functools import partial
 from typing import Any
 
 import numpy as np
 import pytest
 import torch as th
 
-from sb3_extensions.spatial_dqn.losses import LargeMargin, StrictMargin, cross_entropy
+from sb3_extensions.spatial_dqn.losses import cross_entropy, large_margin, strict_margin
 
 MARGIN = 0.125  # exact in binary, as are the multiples of it that make ties
 BATCH, CHOICES = 12, 7
@@ -41,8 +42,8 @@ def slow_cross_entropy(values: Any, choices: Any, is_expert: Any, level: int) ->
 
 
 LOSSES = [
-    (StrictMargin(MARGIN), slow_strict_margin),
-    (LargeMargin(MARGIN), slow_large_margin),
+    (partial(strict_margin, margin=MARGIN), slow_strict_margin),
+    (partial(large_margin, margin=MARGIN), slow_large_margin),
     (cross_entropy, slow_cross_entropy),
 ]
 each_loss = pytest.mark.parametrize(("loss", "slow"), LOSSES, ids=["sdqfd", "dqfd", "adet"])
@@ -103,7 +104,7 @@ def test_gradients(loss: Any, slow: Any, kind: str) -> None:
 def test_strict_margin_counts_violations_only() -> None:
     """One choice at the margin's edge, one within, one above: two violations, of 0.25 and 0.0625."""
     values = th.tensor([[0.5, 0.375, 0.4375, 0.625], [0.0, 9.0, 9.0, 9.0]])
-    found = StrictMargin(0.125)(values, th.tensor([0, 0]), th.tensor([True, False]), 0)
+    found = strict_margin(values, th.tensor([0, 0]), th.tensor([True, False]), 0, 0.125)
     assert found.item() == (0.0625 + 0.25) / 2 / 2
 
 

@@ -1,7 +1,6 @@
 """Patches are the environment's in-hand crops; patches and rotations turn as the scene does."""
 
 import math
-from typing import Any
 
 import numpy as np
 import pytest
@@ -98,7 +97,7 @@ def test_images_need_not_be_square(images: th.Tensor) -> None:
 
 
 def test_windows_hold_something_else_beyond_the_border(images: th.Tensor) -> None:
-    windows = gather_windows(images, ROWS, COLUMNS, 3, beyond=-math.inf)
+    windows = gather_windows(images, ROWS, COLUMNS, 3, outside=-math.inf)
     padded = F.pad(images, [5] * 4, value=-math.inf)
     for window, image, row, column in zip(windows, padded, ROWS.tolist(), COLUMNS.tolist(), strict=True):
         assert th.equal(window, image[:, row + 2 : row + 9, column + 2 : column + 9])
@@ -159,38 +158,3 @@ def test_gradients_are_passed_on() -> None:
     assert th.autograd.gradcheck(lambda values: rotate_images(values, angles, 8), (images,))
     assert th.autograd.gradcheck(lambda values: crop_patches(values, place, place, 4, angles), (images,))
     assert th.autograd.gradcheck(lambda values: crop_patches(values, place, place, 4), (images,))
-
-
-PLACE = th.zeros(1, dtype=th.int64)
-
-
-@pytest.mark.parametrize(
-    ("changed", "message"),
-    [
-        ({"images": th.zeros(1, 9, 9)}, "images must be floating point of shape"),
-        ({"images": th.zeros(1, 1, 9, 9, dtype=th.uint8)}, "torch.uint8"),
-        ({"rows": th.zeros(2, dtype=th.int64)}, r"rows must have shape \(1,\), got \(2,\)"),
-        ({"columns": th.zeros(1)}, "columns must be int64, got torch.float32"),
-        ({"size": 0}, "size must be at least 1, got 0"),
-        ({"angles": th.zeros(1, 1)}, r"angles must have shape \(1,\), got \(1, 1\)"),
-    ],
-    ids=lambda value: next(iter(value)) if isinstance(value, dict) else "",
-)
-def test_patches_of_wrong_arguments(changed: dict[str, Any], message: str) -> None:
-    arguments = {"images": th.zeros(1, 1, 9, 9), "rows": PLACE, "columns": PLACE, "size": 3, **changed}
-    with pytest.raises(ValueError, match=message):
-        crop_patches(**arguments)
-
-
-@pytest.mark.parametrize(
-    ("shape", "angles", "size", "message"),
-    [
-        ((2, 1, 9, 8), 2, None, r"images must be square, got \(2, 1, 9, 8\)"),
-        ((2, 9, 9), 2, None, "images must be floating point of shape"),
-        ((2, 1, 9, 9), 1, None, r"angles must have shape \(2,\), got \(1,\)"),
-        ((2, 1, 9, 9), 2, 0, "size must be at least 1, got 0"),
-    ],
-)
-def test_rotations_of_wrong_arguments(shape: Any, angles: int, size: int | None, message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        rotate_images(th.zeros(shape), th.zeros(angles), size)

@@ -9,14 +9,13 @@ import torch as th
 from torch.nn import functional as F
 
 from sb3_extensions.encoders.observation import View
-from sb3_extensions.encoders.unet import equivariant_unet, plain_unet
+from sb3_extensions.encoders.unet import equivariant_unet, lowest_shape, plain_unet
 from sb3_extensions.equivariant.groups import Group
 from sb3_extensions.spatial_dqn.patches import rotate_images
 from sb3_extensions.spatial_dqn.pixel_maps import (
     EquivariantPixelMaps,
     PlainPixelMaps,
     RotatedPixelMaps,
-    Shapes,
 )
 
 SIDE = 12  # of the in-hand image
@@ -56,14 +55,14 @@ def assert_same(found: th.Tensor, expected: th.Tensor) -> None:
 
 def equivariant(size: int, rotations: int = 1) -> EquivariantPixelMaps:
     group = Group("dihedral", 4) if rotations == 1 else Group("cyclic", 2 * rotations)
-    return EquivariantPixelMaps(Shapes(size, (1, SIDE, SIDE)), group, FIELDS, IN_HAND, HIDDEN, rotations)
+    return EquivariantPixelMaps(size, (1, SIDE), group, FIELDS, IN_HAND, HIDDEN, rotations)
 
 
 def all_networks(size: int) -> dict[str, Any]:
-    shapes = Shapes(size, (1, SIDE, SIDE))
+    shapes = size, (1, SIDE)
     return {
-        "plain": PlainPixelMaps(shapes, CHANNELS, PATCH_MAP, 3),
-        "rotated": RotatedPixelMaps(shapes, CHANNELS, PATCH_MAP, 3),
+        "plain": PlainPixelMaps(*shapes, CHANNELS, PATCH_MAP, 3),
+        "rotated": RotatedPixelMaps(*shapes, CHANNELS, PATCH_MAP, 3),
         "equivariant": equivariant(size),
         "equivariant with yaws": equivariant(size, 3),
     }
@@ -91,7 +90,7 @@ def test_small_networks_value_places_from_the_first(rotations: int, dynamic_fiel
     for seed in range(10):
         th.manual_seed(seed)
         network = EquivariantPixelMaps(
-            Shapes(32, (1, SIDE, SIDE)), group, (2, 2, 4, 4), IN_HAND, HIDDEN, rotations, dynamic_fields
+            32, (1, SIDE), group, (2, 2, 4, 4), IN_HAND, HIDDEN, rotations, dynamic_fields
         )
         assert network.dynamic is not None
         assert network.dynamic.out_type.size == dynamic_fields * group.order
@@ -119,7 +118,7 @@ def test_maps_turn_and_yaws_shift(quarters: int, rotations: int) -> None:
 @pytest.mark.parametrize("size", [16, 18])
 def test_rotated_maps_shift_under_quarter_turns(size: int) -> None:
     """But for yaws that begin anew after half a turn, for which the plain network sees another image."""
-    network = RotatedPixelMaps(Shapes(size, (1, SIDE, SIDE)), CHANNELS, PATCH_MAP, 6)
+    network = RotatedPixelMaps(size, (1, SIDE), CHANNELS, PATCH_MAP, 6)
     view = make_view(size)
     with th.no_grad():
         maps, _ = network(view)
@@ -129,7 +128,7 @@ def test_rotated_maps_shift_under_quarter_turns(size: int) -> None:
 
 def test_rotated_maps_shift_under_one_step_between_yaws() -> None:
     size, rotations = 32, 6
-    network = RotatedPixelMaps(Shapes(size, (1, SIDE, SIDE)), CHANNELS, PATCH_MAP, rotations)
+    network = RotatedPixelMaps(size, (1, SIDE), CHANNELS, PATCH_MAP, rotations)
     line = th.linspace(-1, 1, size)
     x, y = th.meshgrid(line, line, indexing="ij")
     bumps = [th.exp(-((x - a) ** 2 + (y - b) ** 2) / 0.1) for a, b in ((0.3, 0.2), (-0.3, 0.3), (0.0, -0.4))]
@@ -147,7 +146,7 @@ def test_rotated_maps_shift_under_one_step_between_yaws() -> None:
 
 def test_rotated_maps_are_the_networks_on_turned_images() -> None:
     size, rotations = 16, 4
-    network = RotatedPixelMaps(Shapes(size, (1, SIDE, SIDE)), CHANNELS, PATCH_MAP, rotations)
+    network = RotatedPixelMaps(size, (1, SIDE), CHANNELS, PATCH_MAP, rotations)
     view = make_view(size)
     with th.no_grad():
         maps, encoding = network(view)
@@ -184,12 +183,12 @@ def test_what_matters_and_what_does_not(kind: str) -> None:
 
 
 def test_without_an_in_hand_image() -> None:
-    shapes = Shapes(16, None)
+    shapes = 16, None
     view = make_view(16)._replace(in_hand=None)
     group = Group("dihedral", 4)
     for network in (
-        PlainPixelMaps(shapes, CHANNELS, PATCH_MAP, 3),
-        EquivariantPixelMaps(shapes, group, FIELDS, IN_HAND, HIDDEN),
+        PlainPixelMaps(*shapes, CHANNELS, PATCH_MAP, 3),
+        EquivariantPixelMaps(*shapes, group, FIELDS, IN_HAND, HIDDEN),
     ):
         assert network(view)[0].shape == (4, network.rotations, 16, 16)
 
@@ -206,7 +205,7 @@ def test_maps_of_padded_images(size: int) -> None:
     assert features.shape == (2, CHANNELS[0], size, size)
     th.testing.assert_close(features, padded[..., before : before + size, before : before + size])
     th.testing.assert_close(lowest, padded_lowest)
-    assert lowest.shape[1:] == Shapes(size, None).encoding(CHANNELS[-1], len(CHANNELS))
+    assert lowest.shape[1:] == lowest_shape(size, CHANNELS)
 
 
 def test_widths_are_the_authors() -> None:
@@ -230,16 +229,16 @@ def test_widths_are_the_authors() -> None:
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: plain_unet(1, [8], 0), r"channels must name two levels or more, got \[8\]"),
-        (lambda: equivariant_unet(1, Group("cyclic", 4), [2]), "fields must name two levels or more"),
-        (lambda: PlainPixelMaps(Shapes(32, (1, 12, 12)), CHANNELS, [4, 4]), "3 in_hand_channels are needed"),
+        (lambda: plain_unet(1, [8], 0), r"channels must have at least two levels, got \[8\]"),
+        (lambda: equivariant_unet(1, Group("cyclic", 4), [2]), "fields must have at least two levels"),
+        (lambda: PlainPixelMaps(32, (1, 12), CHANNELS, [4, 4]), "in_hand_channels must have 3 entries"),
         (
-            lambda: EquivariantPixelMaps(Shapes(32, None), Group("cyclic", 4), FIELDS, IN_HAND, HIDDEN, 4),
-            "4 yaws need the cyclic group of 8 rotations, got Group",
+            lambda: EquivariantPixelMaps(32, None, Group("cyclic", 4), FIELDS, IN_HAND, HIDDEN, 4),
+            "group must be cyclic with 8 rotations for 4 yaws, got Group",
         ),
         (
             lambda: EquivariantPixelMaps(
-                Shapes(32, None), Group("cyclic", 4), FIELDS, IN_HAND, HIDDEN, dynamic_fields=0
+                32, None, Group("cyclic", 4), FIELDS, IN_HAND, HIDDEN, dynamic_fields=0
             ),
             "dynamic_fields must be at least 1, got 0",
         ),

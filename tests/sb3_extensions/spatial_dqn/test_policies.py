@@ -170,18 +170,22 @@ BOX = spaces.Box(-1.0, 1.0, (4,), np.float32)
         (
             "FCNPolicy",
             {"action_sequence": "pxy"},
-            r"action_sequence='pxy' names 3 numbers, the action space is",
+            r"bounded Box of 3 numbers for action_sequence='pxy', got",
         ),
-        ("FCNPolicy", {"action_sequence": "pxrr"}, "action_sequence must have x and y"),
-        ("FCNPolicy", {"action_space": spaces.Box(-np.inf, 1.0, (4,))}, "finite ranges, got Box"),
-        ("FCNPolicy", {"action_space": spaces.Box(-1.0, 1.0, (2, 2))}, "names 4 numbers"),
+        ("FCNPolicy", {"action_sequence": "pxrr"}, "'pxrr' needs one r or three"),
+        ("FCNPolicy", {"action_space": spaces.Box(-np.inf, 1.0, (4,))}, "must be a bounded Box of 4 numbers"),
+        ("FCNPolicy", {"action_space": spaces.Box(-1.0, 1.0, (2, 2))}, "must be a bounded Box of 4 numbers"),
         ("FCNPolicy", {"observation_space": BOX}, r"a Dict with a heightmap \(1, size, size\)"),
         ("FCNPolicy", {"image_key": "depth"}, "under 'depth'"),
         ("FCNPolicy", {"autocast": "fp16"}, "autocast must be one of"),
         ("FCNPolicy", {"codec_kwargs": {"num_tilts": 0}}, "num_tilts must be positive"),
         ("EquivariantASRPolicy", {"in_hand_size": 20}, "patch_fields must have 5 entries .* 20 pixels"),
-        ("FCNPolicy", {"sequence": "pxyzrrr"}, r"the levels choose \['theta'\] behind the pixel"),
-        ("RotFCNPolicy", {"sequence": "pxyz"}, r"the levels choose \[\] behind the pixel, .* needs \['z'\]"),
+        ("FCNPolicy", {"sequence": "pxyzrrr"}, r"got levels for \['theta'\]"),
+        (
+            "RotFCNPolicy",
+            {"sequence": "pxyz"},
+            r"needs levels for \['z'\] after the pixel, got levels for \[\]",
+        ),
     ],
 )
 def test_what_does_not_fit(

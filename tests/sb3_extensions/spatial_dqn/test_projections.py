@@ -166,33 +166,3 @@ def test_rotation_matrices_broadcast() -> None:
     rotations = rotation_matrices(theta, phi, psi)
     assert rotations.shape == (4, 7, 3, 3)
     th.testing.assert_close(rotations[2, 5], rotation_matrices(theta[2, 0], phi, psi[5]))
-
-
-ZERO = th.zeros(2, dtype=th.int64)
-
-
-@pytest.mark.parametrize(
-    ("changed", "message"),
-    [
-        ({"heights": th.zeros(2, 1, 9, 9)}, "heights must be floating point of shape"),
-        ({"heights": th.zeros(2, 9, 9, dtype=th.int32)}, "torch.int32"),
-        ({"rows": ZERO[:1]}, r"rows must have shape \(2,\), got \(1,\)"),
-        ({"columns": ZERO.float()}, "columns must be int64"),
-        ({"z": th.zeros(2)}, r"z must have shape \(2, candidates\), got \(2,\)"),
-        ({"z": th.zeros(3, 4)}, r"z must have shape \(2, candidates\), got \(3, 4\)"),
-        ({"rotations": th.zeros(2, 1, 3, 3)}, r"rotations must have shape \(2, 4, 3, 3\)"),
-        ({"size": 0}, "size must be at least 1"),
-    ],
-)
-def test_wrong_arguments(changed: dict[str, Any], message: str) -> None:
-    arguments = {
-        "heights": th.zeros(2, 9, 9),
-        "rows": ZERO,
-        "columns": ZERO,
-        "z": th.zeros(2, 4),
-        "rotations": th.eye(3).expand(2, 4, 3, 3),
-        "size": 3,
-        "resolution": RESOLUTION,
-    }
-    with pytest.raises(ValueError, match=message):
-        orthographic_projections(**{**arguments, **changed})

@@ -12,7 +12,7 @@ from stable_baselines3.common.evaluation import evaluate_policy
 
 import bulletarm_gym  # noqa: F401  registers the environments
 from sb3_extensions.spatial_dqn import ADET, DQfD, SDQfD, SpatialDQN
-from sb3_extensions.spatial_dqn.losses import LargeMargin, StrictMargin, cross_entropy
+from sb3_extensions.spatial_dqn.losses import cross_entropy, large_margin, strict_margin
 
 ALGORITHMS = [SpatialDQN, ADET, DQfD, SDQfD]
 ASR, ASR_6D = ("ASRPolicy", "pxyr"), ("EquivariantASRPolicy", "pxyzrrr")
@@ -113,9 +113,9 @@ def test_save_and_load(which: Any, make_picking: Any, make_model: Any, tmp_path:
     ours, theirs = (m.policy.optimizer.state_dict()["state"] for m in (model, loaded))
     assert ours.keys() == theirs.keys() and len(ours) > 0
     assert all(th.equal(ours[k]["exp_avg"], theirs[k]["exp_avg"]) for k in ours)
-    assert loaded.codec.describe() == model.codec.describe()
+    assert loaded.codec.shape == model.codec.shape
     assert loaded.q_net is loaded.policy.q_net and loaded.replay_buffer.image_dtype == "uint16"
-    assert loaded._imitation_loss.margin == 0.2 and loaded.exploration_rate == model.exploration_rate
+    assert loaded.margin == 0.2 and loaded.exploration_rate == model.exploration_rate
     loaded.learn(12)
     assert loaded._n_updates > model._n_updates
 
@@ -165,14 +165,14 @@ def test_losses_equal_a_slow_reference(algorithm: Any, which: Any, make_model: A
         indices = th.as_tensor(model.codec.encode(sample.actions.numpy()))
         levels = network.values(sample.observations, indices)
     total = 0.0
-    imitation = {ADET: cross_entropy, DQfD: LargeMargin(0.1), SDQfD: StrictMargin(0.1)}.get(algorithm)
+    imitation = {ADET: cross_entropy, DQfD: large_margin, SDQfD: strict_margin}.get(algorithm)
     for place, (values, choices) in enumerate(zip(levels, network.choices(indices), strict=True)):
         errors = [values[k, choices[k]].item() - targets[k] for k in range(8)]
         td_loss = np.mean([w * huber(error) for w, error in zip(weights[:, 0].tolist(), errors, strict=True)])
         np.testing.assert_allclose(logged[f"train/td_loss_{place}"], td_loss, rtol=1e-4)
         total += td_loss
         if imitation is not None:
-            expected = imitation(values, choices, is_expert[:, 0], place).item()
+            expected = imitation(values, choices, is_expert[:, 0], place, 0.1).item()
             np.testing.assert_allclose(
                 logged[f"train/imitation_loss_{place}"], expected, rtol=1e-4, atol=1e-9
             )
@@ -250,8 +250,8 @@ def test_moved_samples_are_learnt(make_model: Any) -> None:
         ({"replay_buffer_kwargs": {"image_dtype": "uint16"}}, "image_dtype='uint16', got quantise='uint8'"),
         ({"replay_buffer_kwargs": {"sampler": "best"}}, "sampler must be None, one of"),
         ({"n_steps": 0}, "n_steps must be at least 1"),
-        ({"case": ("ASRPolicy", "pxy")}, "action_sequence='pxy' names 3 numbers"),
-        ({"case": ("FCNPolicy", "pxyz")}, r"needs \['z'\]"),
+        ({"case": ("ASRPolicy", "pxy")}, "Box of 3 numbers for action_sequence='pxy'"),
+        ({"case": ("FCNPolicy", "pxyz")}, r"needs levels for \['z'\]"),
     ],
 )
 def test_bad_arguments(kwargs: dict[str, Any], message: str, make_picking: Any, make_model: Any) -> None:
