@@ -3,9 +3,10 @@ import math
 import numpy as np
 import pytest
 import torch as th
+from scipy.linalg import block_diag
 
 from sb3_extensions.encoders.equivariant import EquivariantEncoder
-from sb3_extensions.equivariant.groups import FieldType, Group, block_diagonal
+from sb3_extensions.equivariant.groups import FieldType, Group
 from sb3_extensions.equivariant.layers import EquivariantConv2d, EquivariantLinear
 from sb3_extensions.equivariant.steerable import WHOLE_BASIS_LIMIT, FilterSpace, harmonic_basis
 
@@ -36,7 +37,7 @@ def projected_basis(out_rep, kernel_size):
     group = out_rep.group
     harmonics, frequencies = harmonic_basis(kernel_size, group.n)
     reps = [group.irrep(frequency) if frequency else group.trivial for frequency in frequencies]
-    turns = np.stack([block_diagonal([rep.matrices[g] for rep in reps]) for g in range(group.order)])
+    turns = np.stack([block_diag(*(rep.matrices[g] for rep in reps)) for g in range(group.order)])
     mean = np.einsum("gab,gcd,gef->acebdf", turns, out_rep.matrices, group.regular.matrices) / group.order
     coefficients = mean[..., 0].reshape(*mean.shape[:3], -1) * math.sqrt(group.order * out_rep.size)
     return np.einsum("hoip,hxy->poixy", coefficients, harmonics)

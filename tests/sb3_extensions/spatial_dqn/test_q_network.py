@@ -113,6 +113,13 @@ def observe(batch: int = BATCH) -> dict[str, th.Tensor]:
     }
 
 
+def maps_of(network: SpatialQNetwork, observations: dict[str, th.Tensor]) -> th.Tensor:
+    """Values of all pixels at the first level, (batch, yaws, size, size)."""
+    with th.no_grad():
+        values: th.Tensor = network.pixel_maps(network.scene_view(observations))[0]
+    return values
+
+
 def whole_grid_of(codec: SpatialActionCodec, batch: int) -> th.Tensor:
     return th.stack([th.randint(count, (batch,)) for count in codec.shape], dim=1)
 
@@ -123,7 +130,7 @@ def test_greedy_is_the_best_choice_at_every_level(kind: str) -> None:
     network, observations = make_network(kind), observe()
     indices, values = network.greedy(observations)
     assert indices.shape == (BATCH, len(network.codec.shape)) and indices.dtype == th.int64
-    maps = network.maps(observations).detach().numpy()
+    maps = maps_of(network, observations).numpy()
     chosen = []
     for sample in range(BATCH):
         yaw, row, column = np.unravel_index(maps[sample].argmax(), maps[sample].shape)
@@ -151,7 +158,7 @@ def test_values_and_choices_of_any_action(kind: str) -> None:
     shape = network.codec.shape
     indices = whole_grid_of(network.codec, 40)
     with th.no_grad():
-        values, maps = network.values(observations, indices), network.maps(observations)
+        values, maps = network.values(observations, indices), maps_of(network, observations)
     yaws = maps.shape[1]
     sizes = [yaws * SIZE**2, *shape[2 + (yaws > 1) :]]
     assert [tuple(level.shape) for level in values] == [(40, size) for size in sizes]
