@@ -98,7 +98,7 @@ def assert_same(found: th.Tensor, expected: th.Tensor) -> None:
 
 def maps(policy: SpatialPolicy, observation: Observation) -> th.Tensor:
     with th.no_grad():
-        return policy.q_net.maps(observation)
+        return policy.q_net.pixel_maps(policy.q_net.scene_view(observation))[0]
 
 
 @pytest.mark.parametrize("mirror", [False, True])

@@ -88,11 +88,11 @@ class StackedImage(nn.Module):
         """:return: (batch, channels, size, size)"""
         if isinstance(observations, th.Tensor):
             observations = {IMAGE_KEY: observations}
-        parts = [
-            part
-            for key, scale in self.scales.items()
-            for part in scale(crop_centre(observations[key], self.size))
-        ]
+        parts: list[th.Tensor] = []
+        for key, scale in self.scales.items():
+            image = observations[key]
+            start = (image.shape[-1] - self.size) // 2
+            parts += scale(image[..., start : start + self.size, start : start + self.size])
         parts += [observations[key].flatten(1)[..., None, None] for key in self.number_keys]
         return th.cat([part.expand(-1, -1, self.size, self.size) for part in parts], dim=1)
 
@@ -120,18 +120,6 @@ def square_images(parts: Mapping[str, gym.Space[Any]]) -> dict[str, spaces.Box]:
         f"observation_space must have images, all (channels, size, size), got {shapes}"
         f"{'' if images else advice}"
     )
-
-
-def crop_centre(images: th.Tensor, size: int) -> th.Tensor:
-    """
-    Return the central part of images, rounded up and to the left by half a pixel.
-
-    :param images: last axes (side, side)
-    :param size: side of the result, pixels
-    :return: last axes (size, size); the same tensor if the images have this size
-    """
-    start = (images.shape[-1] - size) // 2
-    return images[..., start : start + size, start : start + size]
 
 
 def check_standardise(name: str, value: Sequence[float] | None) -> None:

@@ -8,7 +8,6 @@ of a dihedral group maps (x, y) to (x, -y), inverts rotations about z, and flips
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import groupby
@@ -16,6 +15,7 @@ from operator import itemgetter
 
 import numpy as np
 import numpy.typing as npt
+from scipy.linalg import block_diag
 
 Matrices = npt.NDArray[np.float64]
 
@@ -191,14 +191,6 @@ class FieldType:
 
     def matrix(self, element: int) -> Matrices:
         """Return the block diagonal matrix of an element for all channels, (size, size)."""
-        return block_diagonal([rep.matrices[element] for rep, count in self.fields for _ in range(count)])
-
-
-def block_diagonal(blocks: Sequence[Matrices]) -> Matrices:
-    """Return the matrix with the square blocks along its diagonal and zeros elsewhere."""
-    sizes = [len(block) for block in blocks]
-    matrix, start = np.zeros((sum(sizes), sum(sizes))), 0
-    for block, size in zip(blocks, sizes, strict=True):
-        matrix[start : start + size, start : start + size] = block
-        start += size
-    return matrix
+        blocks = [rep.matrices[element] for rep, count in self.fields for _ in range(count)]
+        matrix: Matrices = block_diag(*blocks)
+        return matrix

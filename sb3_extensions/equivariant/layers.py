@@ -159,13 +159,8 @@ class DynamicEquivariantConv2d(nn.Module):
 
     @property
     def num_coefficients(self) -> int:
-        """Number of coefficients of a sample: weights, then :attr:`num_biases` biases."""
+        """Number of coefficients of a sample: weights, then one bias for each field that has one."""
         return sum(self._sizes)
-
-    @property
-    def num_biases(self) -> int:
-        """Number of fields that have a bias."""
-        return self.space.num_biases
 
     def filters(self, coefficients: th.Tensor) -> tuple[th.Tensor, th.Tensor]:
         """Return filters, (batch, out channels, in channels, side, side), and biases, (batch, out channels).

@@ -13,9 +13,10 @@ from typing import TypeAlias
 
 import numpy as np
 import torch as th
+from scipy.linalg import block_diag
 from torch import nn
 
-from sb3_extensions.equivariant.groups import FieldType, Group, Matrices, Representation, block_diagonal
+from sb3_extensions.equivariant.groups import FieldType, Group, Matrices, Representation
 from sb3_extensions.equivariant.harmonics import harmonic_basis
 
 PROJECTOR_THRESHOLD = 0.5
@@ -249,9 +250,7 @@ def _invariant_coefficients(
 def _harmonic_actions(group: Group, frequencies: tuple[int, ...]) -> Matrices:
     """Return the matrix of each element for the functions of :func:`harmonic_basis`, block diagonal."""
     reps = [group.irrep(frequency) if frequency else group.trivial for frequency in frequencies]
-    return np.stack(
-        [block_diagonal([rep.matrices[element] for rep in reps]) for element in range(group.order)]
-    )
+    return np.stack([block_diag(*(rep.matrices[element] for rep in reps)) for element in range(group.order)])
 
 
 def _invariants(out_type: FieldType) -> th.Tensor:

@@ -242,7 +242,7 @@ def coefficient_layer(dynamic: DynamicEquivariantConv2d, features: int) -> nn.Li
     layer = nn.Linear(features, dynamic.num_coefficients)
     nn.init.normal_(layer.bias)
     with th.no_grad():
-        layer.bias[-dynamic.num_biases :] = 0.0
+        layer.bias[-dynamic.space.num_biases :] = 0.0
     return layer
 
 

@@ -188,9 +188,9 @@ class SpatialPolicy(BasePolicy):
         batch, _ = self.obs_to_tensor(observation)
         assert isinstance(batch, dict)
         with th.no_grad():
-            values = self.q_net.maps(batch)[0].amax(dim=0)
             indices, _ = self.q_net.greedy(batch)
-        return values.cpu().numpy(), tuple(indices[0].tolist())
+            values = self.q_net.values(batch, indices)[0].view(-1, self.codec.size, self.codec.size)
+        return values.amax(dim=0).cpu().numpy(), tuple(indices[0].tolist())
 
     def set_training_mode(self, mode: bool) -> None:
         """

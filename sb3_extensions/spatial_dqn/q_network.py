@@ -100,18 +100,6 @@ class SpatialQNetwork(nn.Module):
                 indices = th.cat([indices, best[:, None]], dim=1)
         return indices, values
 
-    def maps(self, observations: TensorDict) -> th.Tensor:
-        """
-        Return the values of all pixels.
-
-        :param observations: a batch
-        :return: (batch, yaws, size, size), float32
-        """
-        view = self.scene_view(observations)
-        with precision(self.autocast, view.image.device.type):
-            values: th.Tensor = self.pixel_maps(view)[0]
-        return values
-
     def _first_indices(self, best: th.Tensor) -> th.Tensor:
         size = self.codec.size
         pixel = best % size**2

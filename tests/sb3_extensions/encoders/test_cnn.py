@@ -45,7 +45,7 @@ def test_default_channels_are_the_papers():
         (64, 5, -1, "strided"),
     ],
 )
-def test_plan_refuses_what_it_cannot_reduce(size, count, strided, named):
+def test_plan_stages_rejects_invalid_sizes(size, count, strided, named):
     with pytest.raises(ValueError, match=named):
         plan_stages(size, count, strided)
 
@@ -53,12 +53,12 @@ def test_plan_refuses_what_it_cannot_reduce(size, count, strided, named):
 @pytest.mark.parametrize(
     ("size", "encoded"), [(1, 6), (7, 8), (24, 24), (25, 32), (84, 96), (128, 128), (224, 256)]
 )
-def test_images_are_resized_to_the_next_side_that_can_be_halved(size, encoded):
+def test_images_are_resized_to_the_next_encoded_size(size, encoded):
     assert encoded_size(size) == encoded
 
 
 @pytest.mark.parametrize("size", [5, 20, 25, 84])
-def test_encoders_of_any_size_turn_with_the_image(size):
+def test_encoders_of_any_size_are_equivariant(size):
     count = count_halvings(size) + 2
     plain = CnnEncoder(3, size, (4,) * count)
     image = th.rand(2, 3, size, size)
@@ -76,7 +76,7 @@ def test_default_encoders_accept_sizes_of_colour_sensors(size):
             assert encoder(th.rand(1, 3, size, size)).shape == (1, encoder.features_dim)
 
 
-def test_encoder_refuses_an_unknown_precision():
+def test_encoder_rejects_unknown_precision():
     with pytest.raises(ValueError, match="autocast"):
         EquivariantEncoder(2, 16, Group("cyclic", 4), (4, 4, 4), autocast="fp8")
 

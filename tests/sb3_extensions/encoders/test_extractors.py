@@ -32,7 +32,7 @@ def sample(space, batch=3, seed=0):
 
 
 def with_small_images(size=SIZE, **others):
-    """As in open loop: what is in the gripper; and two images of a third size, one of them of bytes."""
+    """Return a space with an in-hand image, and a float and a uint8 image of a third size."""
     return observation_space(
         size,
         in_hand=spaces.Box(0, 0.4, (3, 10, 10), np.float32),
@@ -72,7 +72,7 @@ def _seed():
     th.manual_seed(0)
 
 
-def test_stack_scales_images_and_spreads_numbers():
+def test_stack_scales_images_and_repeats_numbers():
     space = observation_space(
         extra=spaces.Box(-5, 5, (2,), np.float32), colour=spaces.Box(0, 255, (3, SIZE, SIZE), np.uint8)
     )
@@ -89,7 +89,7 @@ def test_stack_scales_images_and_spreads_numbers():
     assert sorted(observations) == sorted(order)
 
 
-def test_stack_takes_an_image_alone():
+def test_stack_accepts_a_single_image():
     space = ImageNoiseEnv.observation_space
     space.seed(0)
     image = th.from_numpy(np.stack([space.sample() for _ in range(3)]))
@@ -98,14 +98,14 @@ def test_stack_takes_an_image_alone():
     )
 
 
-def test_stack_takes_one_hot_numbers():
+def test_stack_accepts_one_hot_numbers():
     space = observation_space(stage=spaces.Discrete(4))
     assert StackedImage(space, None).channels == 1 + 1 + 4
 
 
 @pytest.mark.parametrize("dtype", ["uint8", "uint16"])
-def test_acting_sees_what_training_sees(dtype):
-    """The features of an image equal those of its copy in the replay buffer, bit for bit."""
+def test_features_equal_those_of_stored_images(dtype):
+    """Features of an image and of its copy in the replay buffer are bit-identical."""
     space = observation_space()
     extractor, quantiser = (
         CnnExtractor(space, [4, 8, 8], quantise=dtype),
@@ -156,10 +156,10 @@ def test_heights_above_the_ground(quantise, error):
     assert th.equal(image[:, 2:], observations["holding"][..., None, None].expand(-1, -1, SIZE, SIZE))
 
 
-def test_heights_above_the_ground_are_the_same_from_everywhere():
+def test_heights_above_the_ground_do_not_depend_on_the_camera_height():
     stack = StackedImage(observation_space(), None, crop=SIZE - 4, above_ground=(0.0, 1.0))
     near = {"heightmap": th.rand(3, 1, SIZE, SIZE) * 0.2, "holding": th.zeros(3, 1)}
-    near["heightmap"][:, :, 0, 0] = 0.3  # cut off: not the ground of what is seen
+    near["heightmap"][:, :, 0, 0] = 0.3  # outside the crop, so it is not the ground
     far = {**near, "heightmap": near["heightmap"] + 0.1}
     seen = stack(near), stack(far)
     th.testing.assert_close(seen[0][:, 0], seen[1][:, 0])
@@ -168,7 +168,7 @@ def test_heights_above_the_ground_are_the_same_from_everywhere():
 
 
 @pytest.mark.parametrize("group, n", [("cyclic", 4), ("cyclic", 8), ("dihedral", 4)])
-def test_outputs_turn_or_stay(group, n):
+def test_outputs_are_equivariant_or_invariant(group, n):
     space = observation_space()
     regular = EquivariantExtractor(space, group, n, [4, 4, 4])
     invariant = EquivariantExtractor(space, group, n, [4, 4, 4], output="invariant")
@@ -191,8 +191,8 @@ def test_outputs_turn_or_stay(group, n):
 @pytest.mark.parametrize(
     "space", [observation_space(), ImageNoiseEnv.observation_space], ids=["dict", "image"]
 )
-def test_images_of_one_size_give_the_networks_of_their_encoder(space, output):
-    """Weights, features and all later random draws are those of the encoder alone."""
+def test_extractor_without_small_images_equals_its_encoder(space, output):
+    """Weights, features and later random numbers equal those of the encoder."""
     channels = StackedImage(space, "uint8").channels
     for make_encoder, make_extractor in (
         (
@@ -221,7 +221,7 @@ def test_images_of_one_size_give_the_networks_of_their_encoder(space, output):
 @pytest.mark.parametrize(
     "extractor_class, kwargs", [CNN, REGULAR, INVARIANT], ids=["cnn", "regular", "invariant"]
 )
-def test_small_images_are_features_behind_the_others(extractor_class, kwargs):
+def test_features_of_small_images_are_appended(extractor_class, kwargs):
     space = with_small_images()
     plain = extractor_class(observation_space(), **kwargs)
     extractor = extractor_class(space, small_image_features=5, **kwargs)
@@ -254,7 +254,7 @@ def test_small_images_are_rounded_standardised_and_never_cropped():
 
 
 @pytest.mark.parametrize("output", ["regular", "invariant"])
-def test_scenes_turn_and_small_images_stay(output):
+def test_features_of_small_images_are_invariant(output):
     space = with_small_images()
     extractor = EquivariantExtractor(space, n=4, channels=[4, 4, 4], output=output, small_image_features=6)
     fields = extractor.out_type.fields
@@ -365,6 +365,6 @@ def test_extractors_serve_other_algorithms(algorithm, extractor_class, kwargs, t
         (spaces.Box(0, 255, (3, 16, 16), np.uint8), {"above_ground": (0.1, 0.1)}, "above_ground"),
     ],
 )
-def test_extractor_names_what_does_not_fit(space, kwargs, named):
+def test_extractor_rejects_invalid_arguments(space, kwargs, named):
     with pytest.raises(ValueError, match=named):
         EquivariantExtractor(space, **kwargs)

@@ -19,7 +19,7 @@ SPACE = spaces.Dict({"state": STATE, "holding": HOLDING})
 IMAGE = spaces.Dict({"heightmap": spaces.Box(0, 0.4, (1, 16, 16), np.float32)})
 
 
-def test_every_number_matters() -> None:
+def test_features_depend_on_every_number() -> None:
     extractor = MlpExtractor(SPACE, layers=[32, 16])
     observations = {"state": th.randn(3, 7), "holding": th.ones(3, 1)}
     features = extractor(observations)
@@ -33,7 +33,7 @@ def test_every_number_matters() -> None:
     assert th.equal(extractor(in_another_order), features)
 
 
-def test_a_box_is_taken_too() -> None:
+def test_box_observations_are_accepted() -> None:
     assert MlpExtractor(STATE)(th.zeros(2, 7)).shape == (2, 256)
 
 
@@ -57,18 +57,18 @@ def test_numbers_are_standardised() -> None:
         (SPACE, {"standardise": [0.1]}, "standardise must be"),
     ],
 )
-def test_what_it_cannot_take_is_refused(space: Any, kwargs: dict[str, Any], message: str) -> None:
+def test_invalid_arguments_are_rejected(space: Any, kwargs: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         MlpExtractor(space, **kwargs)
 
 
-def test_extractors_of_images_name_what_takes_numbers() -> None:
+def test_image_extractors_recommend_the_mlp_extractor_for_numbers() -> None:
     with pytest.raises(ValueError, match="StatePolicy"):
         CnnExtractor(SPACE)
 
 
 @pytest.mark.parametrize("algorithm", [SACfD, TQCfD])
-def test_imitation_solves_the_toy(algorithm: type[SACfD], make_toy: Any, tmp_path: Any) -> None:
+def test_imitation_solves_the_toy_task(algorithm: type[SACfD], make_toy: Any, tmp_path: Any) -> None:
     env = make_toy(observation="state")
     model = algorithm(
         "StatePolicy",

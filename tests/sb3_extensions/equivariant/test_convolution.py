@@ -15,7 +15,7 @@ from sb3_extensions.equivariant.convolution import PlainConv2d, convolve
     ("side", "kernel_size", "stride", "padding"),
     [(3, 3, 1, 0), (4, 4, 2, 0), (1, 1, 1, 0), (3, 3, 1, 1), (8, 4, 2, 1), (5, 3, 2, 0)],
 )
-def test_convolutions_and_their_gradients_are_pytorchs(
+def test_convolutions_and_their_gradients_equal_pytorch(
     side: int, kernel_size: int, stride: int, padding: int, has_bias: bool
 ) -> None:
     features = th.randn(2, 3, side, side, dtype=th.float64)
@@ -41,7 +41,7 @@ def test_a_filter_as_large_as_its_image_is_a_matrix_product() -> None:
     assert "Convolution" in type(wider.grad_fn).__name__
 
 
-def test_the_layer_has_pytorchs_weights() -> None:
+def test_layer_loads_the_weights_of_pytorch() -> None:
     ours, theirs = PlainConv2d(3, 5, 4, 2, 1), nn.Conv2d(3, 5, 4, 2, 1)
     theirs.load_state_dict(ours.state_dict())
     features = th.randn(2, 3, 8, 8)

@@ -24,7 +24,7 @@ def test_representations_are_orthogonal_homomorphisms(group):
         np.testing.assert_allclose(rep.matrices @ inverses, [np.eye(rep.size)] * group.order, atol=1e-12)
 
 
-def test_vector_turns_as_the_world_does():
+def test_vector_rotates_with_the_world():
     group = Group("dihedral", 4)
     x, y = 0.3, 0.7
     np.testing.assert_allclose(group.irrep(1).matrices[1] @ (x, y), (-y, x), atol=1e-12)
@@ -32,8 +32,8 @@ def test_vector_turns_as_the_world_does():
     assert [rep.matrices[4].item() for rep in (group.sign, group.trivial)] == [-1, 1]
 
 
-def test_rot90_of_an_image_turns_its_points_as_vectors():
-    """A quarter turn takes (x, y) to (-y, x) and an image, row = x, column = y, to np.rot90(image, k=1)."""
+def test_rot90_of_an_image_rotates_its_points_as_vectors():
+    """A rotation by 90 degrees maps (x, y) to (-y, x) and an image to np.rot90(image, k=1)."""
     size, turn = 8, Group("cyclic", 4).irrep(1).matrices[1]
     image = np.zeros((size, size))
     image[6, 3] = 1
@@ -59,7 +59,7 @@ def test_quotient_by_one_rotation_acts_as_the_regular_representation(group):
     np.testing.assert_array_equal(group.quotient(1).matrices, group.regular.matrices)
 
 
-def test_cosets_with_the_reflection_stand_behind():
+def test_reflected_cosets_follow_the_rotations():
     rep = Group("dihedral", 4).quotient(2)
     assert rep.size == 4
     turn, reflection = (rep.matrices[element].argmax(axis=0).tolist() for element in (1, 4))
@@ -67,7 +67,7 @@ def test_cosets_with_the_reflection_stand_behind():
 
 
 @pytest.mark.parametrize("m", [0, -2, 3, 16])
-def test_quotient_refuses_what_is_no_subgroup(m):
+def test_quotient_rejects_orders_that_do_not_divide_n(m):
     with pytest.raises(ValueError, match=f"m, the order of the subgroup, must divide n = 8, got {m}"):
         Group("dihedral", 8).quotient(m)
 
@@ -86,12 +86,12 @@ def test_field_type_joins_neighbours_and_drops_empty_fields():
 
 
 @pytest.mark.parametrize("family, n, named", [("square", 4, "square"), ("cyclic", 0, "0")])
-def test_group_refuses_what_it_is_not(family, n, named):
+def test_group_rejects_invalid_arguments(family, n, named):
     with pytest.raises(ValueError, match=named):
         Group(family, n)
 
 
-def test_field_type_refuses_mixed_groups_and_nothing():
+def test_field_type_rejects_mixed_groups_and_no_fields():
     with pytest.raises(ValueError, match="same group"):
         FieldType.of((Group("cyclic", 4).regular, 1), (Group("cyclic", 8).regular, 1))
     for count in (0, -1):

@@ -12,13 +12,13 @@ from torch import nn
 from sb3_extensions.encoders.cnn import count_halvings
 from sb3_extensions.encoders.equivariant import EquivariantEncoder
 from sb3_extensions.equivariant.groups import FieldType, Group
+from sb3_extensions.equivariant.harmonics import harmonic_basis
 from sb3_extensions.equivariant.layers import (
     DynamicEquivariantConv2d,
     EquivariantConv2d,
     EquivariantLinear,
     GroupMaxPool,
     expanded_filters,
-    harmonic_basis,
 )
 
 GROUPS = [Group("cyclic", n) for n in (1, 2, 4, 8)] + [Group("dihedral", n) for n in (1, 2, 4, 8)]
@@ -103,7 +103,7 @@ def test_quotient_fields_permute(family, n, m, kernel_size):
 
 
 def dynamic_layer(family, n, kernel_size, mixed):
-    """A layer with images and coefficients for it; images of one pixel turn by every angle."""
+    """Return a layer, images and coefficients. Images of one pixel are invariant to all rotations."""
     group = Group(family, n)
     fields = FieldType.of((group.regular, 2), *[(group.irrep(1), 1), (group.quotient(2), 1)] * mixed)
     layer = DynamicEquivariantConv2d(fields, fields, kernel_size, padding=kernel_size // 2)
@@ -127,7 +127,7 @@ def test_dynamic_convolution_commutes_with_the_group(family, n, kernel_size, mix
 
 
 @pytest.mark.parametrize("family, n, kernel_size", DYNAMIC)
-def test_dynamic_convolution_does_for_each_sample_what_a_layer_of_its_own_does(family, n, kernel_size):
+def test_dynamic_convolution_equals_one_layer_for_each_sample(family, n, kernel_size):
     """Coefficients are the layer's weights in units of the standard deviation that these have at first."""
     layer, image, coefficients = dynamic_layer(family, n, kernel_size, mixed=True)
     own = EquivariantConv2d(layer.in_type, layer.out_type, kernel_size, padding=layer.padding)
@@ -151,7 +151,7 @@ def test_gradients_reach_coefficients_and_features():
 
 
 @pytest.mark.parametrize("batch", [1, 3])
-def test_dynamic_convolution_takes_channels_last_and_bfloat16(batch):
+def test_dynamic_convolution_accepts_channels_last_and_bfloat16(batch):
     layer, image, coefficients = dynamic_layer("cyclic", 4, 3, mixed=False)
     image, coefficients = image[:batch], coefficients[:batch]
     expected = layer(image, coefficients)
@@ -160,7 +160,7 @@ def test_dynamic_convolution_takes_channels_last_and_bfloat16(batch):
         assert relative_error(layer(image, coefficients.bfloat16()).float(), expected) < 0.05
 
 
-def test_dynamic_convolution_refuses_other_coefficients():
+def test_dynamic_convolution_rejects_other_shapes_of_coefficients():
     layer, image, coefficients = dynamic_layer("cyclic", 4, 3, mixed=False)
     for wrong in (coefficients[:, 1:], coefficients[0], coefficients[:2]):
         with pytest.raises(ValueError, match=f"coefficients .* {layer.num_coefficients}"):
@@ -169,7 +169,7 @@ def test_dynamic_convolution_refuses_other_coefficients():
 
 @pytest.mark.parametrize("n", [8, 6])
 def test_filters_obey_the_constraint_under_rotations_off_the_grid(n):
-    """The continuous filters obey it exactly: turned harmonics are the harmonics' rotation."""
+    """Continuous filters obey the constraint exactly, because rotated harmonics are exact."""
     group = Group("cyclic", n)
     _, frequencies = harmonic_basis(5, n)
     angle, element = 0.37, 1
@@ -182,7 +182,7 @@ def test_filters_obey_the_constraint_under_rotations_off_the_grid(n):
 
 
 def blobs(size, angle, width):
-    """An image of Gaussian blobs, turned by an angle about its centre without interpolation."""
+    """Return an image of Gaussian blobs, rotated about its centre without interpolation."""
     axis = th.arange(float(size)) - (size - 1) / 2
     rows, columns = th.meshgrid(axis, axis, indexing="ij")
     places = th.tensor([[0.3, 0.1], [-0.2, 0.25], [0.05, -0.3]]) * size
@@ -205,7 +205,7 @@ def test_layer_commutes_with_45_degrees_on_smooth_images():
 
 @pytest.mark.parametrize("strided", [0, 2])
 def test_encoder_commutes_with_45_degrees_up_to_sampling(strided):
-    """Pixels and pooling windows do not turn by 45 degrees: the last ones are as coarse as the image."""
+    """Pixels and pooling windows do not rotate by 45 degrees, so there is a sampling error."""
     encoder = EquivariantEncoder(1, 64, Group("cyclic", 8), (4, 8, 8, 16, 16), strided=strided)
     with th.no_grad():
         plain, turned = (encoder(blobs(64, angle, width=4)) for angle in (0, math.pi / 4))
@@ -229,7 +229,7 @@ def test_regular_layer_has_a_fraction_of_the_parameters(group, functions):
 
 
 @pytest.mark.parametrize("group", [Group("cyclic", 4), Group("dihedral", 8)], ids=str)
-def test_first_weights_keep_the_scale_of_a_signal(group):
+def test_initial_weights_keep_the_scale_of_a_signal(group):
     """By He's rule the mean square doubles, and a ReLU halves it; noise is damped, not amplified."""
     layer = EquivariantConv2d(FieldType.of((group.regular, 64)), FieldType.of((group.regular, 64)), 3)
     constant = th.randn(1, 64, 1, 1, 1).expand(1, 64, group.order, 3, 3).flatten(1, 2)
@@ -247,7 +247,7 @@ def test_gradients_reach_every_parameter():
         assert parameter.grad is not None and parameter.grad.abs().sum() > 0, name
 
 
-def test_group_pooling_is_invariant_and_refuses_other_fields():
+def test_group_pooling_is_invariant_and_rejects_other_fields():
     group = Group("cyclic", 8)
     regular = FieldType.of((group.regular, 3))
     pool, features = GroupMaxPool(regular), th.randn(2, 24)
@@ -259,7 +259,7 @@ def test_group_pooling_is_invariant_and_refuses_other_fields():
         GroupMaxPool(mixed_type(group))
 
 
-def test_layers_refuse_what_has_no_answer():
+def test_layers_reject_invalid_arguments():
     c4, c8, d4 = Group("cyclic", 4), Group("cyclic", 8), Group("dihedral", 4)
     with pytest.raises(ValueError, match="group"):
         EquivariantLinear(FieldType.of((c4.regular, 1)), FieldType.of((c8.regular, 1)))
@@ -274,13 +274,12 @@ def encoder_of(group, size=16, channels=(4, 4, 4), **kwargs):
 
 
 @pytest.mark.parametrize("group", [Group("cyclic", 4), Group("cyclic", 8), Group("dihedral", 4)], ids=str)
-@pytest.mark.parametrize("channels_last", [True, False])
 @pytest.mark.parametrize(
     "size, strided", [(16, 0), (16, 1), (16, 2), (24, 0), (24, 3), (32, 1), (32, 2), (8, 0), (8, 1)]
 )
-def test_encoder_commutes_with_the_group(group, size, strided, channels_last):
+def test_encoder_commutes_with_the_group(group, size, strided):
     channels = (4,) * (count_halvings(size) + 3)
-    encoder = encoder_of(group, size, channels, strided=strided, channels_last=channels_last)
+    encoder = encoder_of(group, size, channels, strided=strided)
     image = th.rand(2, 2, size, size)
     features = encoder(image)
     assert features.shape == (2, encoder.features_dim) and features.std() > 0
@@ -335,7 +334,7 @@ def test_state_dict_copy_and_pickle(training):
         assert th.equal(other(image), expected)
 
 
-def test_scope_expands_once_and_never_outlives_itself(monkeypatch):
+def test_expanded_filters_expands_once_and_only_inside_the_context(monkeypatch):
     encoder = encoder_of(Group("cyclic", 4))
     image = th.rand(2, 2, 16, 16)
     layers = [layer for layer in encoder.modules() if isinstance(layer, EquivariantConv2d)]
@@ -355,7 +354,7 @@ def test_scope_expands_once_and_never_outlives_itself(monkeypatch):
         assert th.equal(duplicate(image), encoder(image))
 
 
-def test_scope_leaves_training_alone():
+def test_expanded_filters_does_not_change_training():
     encoder = encoder_of(Group("cyclic", 4))
     image = th.rand(2, 2, 16, 16)
     with expanded_filters(encoder):
@@ -363,7 +362,7 @@ def test_scope_leaves_training_alone():
     assert all(parameter.grad is not None for parameter in encoder.parameters())
 
 
-def test_scope_closes_after_an_error():
+def test_expanded_filters_ends_after_an_error():
     encoder = encoder_of(Group("cyclic", 4))
     image = th.rand(2, 2, 16, 16)
     with th.no_grad():
@@ -375,7 +374,7 @@ def test_scope_closes_after_an_error():
         assert relative_error(encoder(image), before) > 1e-3
 
 
-def test_scopes_may_be_nested():
+def test_expanded_filters_can_be_nested():
     encoder = encoder_of(Group("cyclic", 4))
     layers = [layer for layer in encoder.modules() if isinstance(layer, EquivariantConv2d)]
     with expanded_filters(encoder, encoder):

@@ -3,9 +3,10 @@ import math
 import numpy as np
 import pytest
 import torch as th
+from scipy.linalg import block_diag
 
 from sb3_extensions.encoders.equivariant import EquivariantEncoder
-from sb3_extensions.equivariant.groups import FieldType, Group, block_diagonal
+from sb3_extensions.equivariant.groups import FieldType, Group
 from sb3_extensions.equivariant.layers import EquivariantConv2d, EquivariantLinear
 from sb3_extensions.equivariant.steerable import WHOLE_BASIS_LIMIT, FilterSpace, harmonic_basis
 
@@ -27,23 +28,23 @@ FROM_REGULAR = [
     (C16.quotient(2), 5, False),
     (C4.irrep(1), 9, False),
 ]
-# What a layer of the largest size that networks use, C_32 and 7 x 7 pixels, may keep in one buffer: 160 kB.
+# Maximum number of entries of a buffer (160 kB) of the largest layers: C_32 and 7 x 7 pixels.
 LARGEST_BUFFER = 40_000
 
 
 def projected_basis(out_rep, kernel_size):
-    """The slow way: project every tensor (harmonics x out) of a regular field's first number."""
+    """Project every tensor (harmonics x out) of the first channel of a regular field."""
     group = out_rep.group
     harmonics, frequencies = harmonic_basis(kernel_size, group.n)
     reps = [group.irrep(frequency) if frequency else group.trivial for frequency in frequencies]
-    turns = np.stack([block_diagonal([rep.matrices[g] for rep in reps]) for g in range(group.order)])
+    turns = np.stack([block_diag(*(rep.matrices[g] for rep in reps)) for g in range(group.order)])
     mean = np.einsum("gab,gcd,gef->acebdf", turns, out_rep.matrices, group.regular.matrices) / group.order
     coefficients = mean[..., 0].reshape(*mean.shape[:3], -1) * math.sqrt(group.order * out_rep.size)
     return np.einsum("hoip,hxy->poixy", coefficients, harmonics)
 
 
 @pytest.mark.parametrize("out_rep, kernel_size, whole", FROM_REGULAR, ids=str)
-def test_expansion_equals_that_of_the_projected_basis(out_rep, kernel_size, whole):
+def test_expansion_equals_the_projected_basis(out_rep, kernel_size, whole):
     th.manual_seed(0)
     basis = projected_basis(out_rep, kernel_size)
     assert (len(basis) <= WHOLE_BASIS_LIMIT) == whole
@@ -60,7 +61,7 @@ def test_expansion_equals_that_of_the_projected_basis(out_rep, kernel_size, whol
 
 
 @pytest.mark.parametrize("kernel_size", [3, 5])
-def test_filters_of_a_batch_are_those_of_its_samples(kernel_size):
+def test_filters_of_a_batch_equal_filters_of_its_samples(kernel_size):
     th.manual_seed(0)
     fields = FieldType.of((D4.regular, 2), (D4.irrep(1), 1), (D4.sign, 1), (D4.quotient(2), 2))
     space = FilterSpace(fields, fields, kernel_size)
@@ -72,7 +73,7 @@ def test_filters_of_a_batch_are_those_of_its_samples(kernel_size):
         th.testing.assert_close(filters[first, second], single)
 
 
-def test_filters_are_made_where_the_weights_are():
+def test_filters_are_on_the_device_of_the_weights():
     """On the device without memory, which mixes with no other."""
     mixed = FieldType.of((D4.regular, 1), (D4.sign, 1), (D4.trivial, 1))
     for kernel_size in (1, 5):
@@ -80,7 +81,7 @@ def test_filters_are_made_where_the_weights_are():
         assert layer.expand().device.type == "meta"
 
 
-def test_gradients_are_those_of_a_linear_map():
+def test_gradients_equal_those_of_a_linear_map():
     """Of the expansion from one column; its derivative along a direction is the direction's expansion."""
     th.manual_seed(0)
     fields = FieldType.of((D8.regular, 2))
@@ -92,8 +93,8 @@ def test_gradients_are_those_of_a_linear_map():
     th.testing.assert_close((weight.grad * direction).sum(), expected, rtol=1e-4, atol=1e-4)
 
 
-def test_the_largest_layers_need_no_large_memory():
-    """Neither buffers nor what is kept for the backward pass grow with the basis of 704 filters a field."""
+def test_largest_layers_need_little_memory():
+    """Buffers and tensors saved for the backward pass do not grow with the basis of 704 filters a field."""
     group = Group("cyclic", 32)
     layer = EquivariantConv2d(FieldType.of((group.regular, 8)), FieldType.of((group.regular, 16)), 7)
     assert max(buffer.numel() for buffer in layer.buffers()) < LARGEST_BUFFER
@@ -126,7 +127,7 @@ STORED = {
 
 
 @pytest.mark.parametrize("group", STORED, ids=str)
-def test_networks_of_a_seed_stay_the_same_functions(group):
+def test_networks_of_a_seed_have_stored_outputs(group):
     th.manual_seed(3)
     encoder = EquivariantEncoder(2, 16, group, (4, 4, 4), strided=1)
     action_type = FieldType.of((group.irrep(1), 1), (group.sign, 1), (group.trivial, 2))

@@ -26,7 +26,7 @@ SIZE, SIDE, YAWS = 24, 12, 4
 ENCODING = (6, 3, 3)
 BATCH = 6
 NARROW = ((4, 4, 6, 6), (16, 8))
-EXACT = 1e-4  # of the spread of what is compared
+EXACT = 1e-4  # relative to the standard deviation of the compared values
 STANDARDISE = (0.01, 0.02)
 
 
@@ -58,7 +58,7 @@ def make_view(channels: int = 3, side: int = SIDE) -> View:
 
 
 def random_indices(codec: SpatialActionCodec) -> th.Tensor:
-    """Pixels in the midst of the blocks, whatever else."""
+    """Return pixels inside the blocks and random other indices."""
     pixels = [th.randint(6, 16, (BATCH,)) for _ in range(2)]
     return th.stack([*pixels, *(th.randint(n, (BATCH,)) for n in codec.shape[2:])], dim=1)
 
@@ -97,12 +97,12 @@ def test_values_depend_on_earlier_choices(kind: str, name: str) -> None:
             other = indices.clone()
             other[:, place] = (other[:, place] + 1) % codec.shape[place]
             matters = (level(view, encoding, other) != values).any(dim=1)
-            # The heightmap around the pixel is turned with the gripper in the level of the height alone.
+            # Only the level of the height rotates the heightmap around the pixel with the gripper.
             assert matters.float().mean() > 0.6, ORDER[place]
 
 
 @each_level
-def test_values_depend_on_what_is_seen(kind: str, name: str) -> None:
+def test_values_depend_on_the_view(kind: str, name: str) -> None:
     level, view = make_level(kind, name), make_view()
     encoding, indices = th.randn(BATCH, *ENCODING), random_indices(make_codec())[:, : ORDER.index(name)]
     with th.no_grad():
@@ -122,12 +122,12 @@ def test_values_depend_on_what_is_seen(kind: str, name: str) -> None:
 
 
 def turn_back(indices: th.Tensor) -> th.Tensor:
-    """Where pixels are after a quarter turn."""
+    """Return the indices of the pixels after a rotation by 90 degrees."""
     return th.stack([SIZE - 1 - indices[:, 1], indices[:, 0], *indices.T[2:]], dim=1)
 
 
 @pytest.mark.parametrize("side", PATCH_STAGES)
-def test_yaws_shift_when_the_patch_turns(side: int) -> None:
+def test_yaws_shift_when_the_patch_rotates(side: int) -> None:
     fields = (4, 4, 6, 6, 4)[: len(PATCH_STAGES[side])]
     scene_view, view = make_scene_view(1, side), make_view(1, side)
     level = EquivariantRotations(make_codec("pxyr"), scene_view, ENCODING, fields, (4, 4, 6, 6), (16, 16))
@@ -146,7 +146,7 @@ def test_yaws_shift_when_the_patch_turns(side: int) -> None:
 
 
 @pytest.mark.parametrize("pool_encoding", [True, False])
-def test_a_pooled_encoding_may_turn(pool_encoding: bool) -> None:
+def test_yaws_are_invariant_to_rotations_of_a_pooled_encoding(pool_encoding: bool) -> None:
     scene_view, view = make_scene_view(1), make_view(1)
     widths: Any = ((4, 4, 6, 4), (4, 4, 6, 6), (16, 16))
     level = EquivariantRotations(make_codec("pxyr"), scene_view, ENCODING, *widths, pool_encoding)
@@ -158,12 +158,12 @@ def test_a_pooled_encoding_may_turn(pool_encoding: bool) -> None:
 
 
 @pytest.mark.parametrize("name", ["z", "phi", "psi"])
-def test_each_candidate_is_valued_by_its_projection_alone(name: str) -> None:
+def test_values_depend_on_the_projection_of_the_candidate_only(name: str) -> None:
     """Against a loop over samples and candidates, with the environment's own projections."""
     level, view, codec = make_level("DeicticLevel", name), make_view(), make_codec()
     assert isinstance(level, DeicticLevel)
     indices = random_indices(codec)[:, : ORDER.index(name)]
-    # At yaw 0 voxels lie between pixels, which the environment rounds either way
+    # At yaw 0 voxels are on the borders of pixels, which the environment rounds arbitrarily
     indices[:, 2:3] = 1 + indices[:, 2:3] % 3 // 2 * 2
     with th.no_grad():
         values = level(view, th.zeros(BATCH, *ENCODING), indices)
@@ -185,7 +185,7 @@ def test_each_candidate_is_valued_by_its_projection_alone(name: str) -> None:
             th.testing.assert_close(values[sample, candidate], expected, atol=1e-5, rtol=1e-3)
 
 
-def test_plain_levels_see_patches_turned_by_the_yaw_or_projections() -> None:
+def test_inputs_of_plain_levels_are_rotated_patches_or_projections() -> None:
     view, codec = make_view(), make_codec()
     indices = random_indices(codec)
     for name, known in (("theta", 2), ("z", 3), ("phi", 4), ("psi", 5)):
@@ -211,7 +211,7 @@ def test_plain_levels_see_patches_turned_by_the_yaw_or_projections() -> None:
         assert name == "phi" or (at["phi"] != 0).any()
 
 
-def test_patches_where_there_is_no_in_hand_image() -> None:
+def test_patches_without_in_hand_image_have_the_authors_size() -> None:
     """They are as large as the authors'."""
     view = make_view()._replace(in_hand=None)
     scene_view, codec = make_scene_view(0), make_codec()
@@ -229,7 +229,7 @@ def test_patches_where_there_is_no_in_hand_image() -> None:
 
 
 @pytest.mark.parametrize("side", [20, 24])
-def test_fields_must_fit_the_side_of_patches(side: int) -> None:
+def test_fields_must_match_the_side_of_patches(side: int) -> None:
     scene_view, fields = make_scene_view(1, side), (2, 2, 2, 2)
     with pytest.raises(ValueError, match=f"patch_fields must have 5 entries for patches of {side}"):
         EquivariantRotations(make_codec(), scene_view, ENCODING, fields, (4, 4), (16,))

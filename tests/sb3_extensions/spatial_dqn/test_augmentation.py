@@ -1,4 +1,4 @@
-"""Samples that are moved: they show what the moved scene would show, and what would be done there."""
+"""Augmented samples equal those of the moved scene."""
 
 import math
 from typing import Any
@@ -49,7 +49,7 @@ def move(motion: RigidMotion, samples: Any, indices: th.Tensor, seed: int = 0) -
 
 
 def always(motion: RigidMotion, turns: int, shift: tuple[int, int]) -> RigidMotion:
-    """Whatever would be drawn."""
+    """Replace the sampled motion by a fixed one."""
 
     def draw(before: Any, after: Any, indices: th.Tensor, generator: th.Generator) -> Any:
         count = len(indices)
@@ -67,7 +67,7 @@ def images_around_the_middle() -> th.Tensor:
 
 @pytest.mark.parametrize("shift", [(0, 0), (3, -2), (-6, 5)])
 @pytest.mark.parametrize("quarters", [0, 1, 2, 3])
-def test_quarter_turns_and_shifts_are_exact(quarters: int, shift: tuple[int, int]) -> None:
+def test_rotations_by_90_degrees_and_shifts_are_exact(quarters: int, shift: tuple[int, int]) -> None:
     motion = always(make_motion(), quarters * YAWS // 2, shift)
     images, indices = images_around_the_middle(), random_indices(make_motion(), 6, 14)
     samples = make_samples(images, images.flip(0))
@@ -83,8 +83,8 @@ def test_quarter_turns_and_shifts_are_exact(quarters: int, shift: tuple[int, int
 
 
 @pytest.mark.parametrize("turns", range(2 * YAWS))
-def test_grippers_turn_with_the_scene(turns: int) -> None:
-    """Up to half a turn about their own axis."""
+def test_grippers_rotate_with_the_scene(turns: int) -> None:
+    """Poses of the gripper are modulo pi."""
     motion = make_motion()
     indices = random_indices(motion)
     _, moved = move(always(motion, turns, (0, 0)), make_samples(images_around_the_middle()), indices)
@@ -107,7 +107,7 @@ HANDS = [[1, 1, 1], [-1, -1, 1]]
 
 
 @pytest.mark.parametrize("turns", [1, 4, 11])
-def test_objects_are_where_their_pixel_went(turns: int) -> None:
+def test_objects_move_with_their_pixel(turns: int) -> None:
     motion = make_motion()
     indices = random_indices(motion, 5, 15)
     row, column = np.ogrid[:SIZE, :SIZE]
@@ -138,7 +138,7 @@ def test_only_heightmaps_and_indices_move() -> None:
     assert not th.equal(moved_indices, indices)
 
 
-def test_what_stands_stays_in_view() -> None:
+def test_objects_stay_in_the_image() -> None:
     """Of a block of 3 x 3 pixels before, another after, and the gripper's pixel, wherever they are."""
     motion, generator = make_motion(), np.random.default_rng(0)
     count = 400
@@ -162,7 +162,7 @@ def test_what_stands_stays_in_view() -> None:
     assert (around[np.arange(count), moved_indices[:, 0], moved_indices[:, 1]][inside] > 0).all()
 
 
-def test_where_things_fill_the_view_only_right_angles_fit() -> None:
+def test_full_images_rotate_by_90_degrees_only() -> None:
     images = 0.05 + 0.1 * th.rand(BATCH, 1, SIZE, SIZE, generator=th.Generator().manual_seed(0))
     indices = random_indices(make_motion())
     moved, moved_indices = move(make_motion(), make_samples(images), indices)
@@ -178,7 +178,7 @@ def test_where_things_fill_the_view_only_right_angles_fit() -> None:
     assert th.equal(heights, images[rows, 0, indices[:, 0], indices[:, 1]])
 
 
-def test_motions_are_of_all_kinds() -> None:
+def test_motions_have_all_rotations_and_shifts() -> None:
     """Nothing stands: only the pixel, in the middle, is to stay in view."""
     motion, count = make_motion(), 2000
     indices = th.zeros(count, 6, dtype=th.int64)
@@ -202,7 +202,7 @@ def test_without_yaws_heightmaps_only_shift() -> None:
         np.testing.assert_array_equal(np.roll(image, shift, axis=(1, 2)), after)
 
 
-def test_randomness_comes_from_the_generator_alone() -> None:
+def test_motions_depend_on_the_generator_only() -> None:
     motion, images = make_motion(), images_around_the_middle()
     samples, indices = make_samples(images), random_indices(make_motion(), 6, 14)
     results = []

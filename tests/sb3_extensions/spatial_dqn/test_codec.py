@@ -1,4 +1,4 @@
-"""Actions on a grid: there and back, to the nearest, and what the environment makes of them."""
+"""Conversion of actions to the grid and back, rounding, and the actions that the environment decodes."""
 
 import itertools
 import math
@@ -27,7 +27,7 @@ def whole_grid(codec: SpatialActionCodec) -> np.ndarray:
 
 @pytest.mark.parametrize("theta_bounds", THETA_BOUNDS)
 @pytest.mark.parametrize("sequence", SEQUENCES)
-def test_the_whole_grid_goes_there_and_back(sequence: str, theta_bounds: tuple[float, float]) -> None:
+def test_encode_inverts_decode_on_the_whole_grid(sequence: str, theta_bounds: tuple[float, float]) -> None:
     codec = make_codec(sequence, theta_bounds=theta_bounds)
     indices = whole_grid(codec)
     places = np.arange(len(indices)) % 3 == 0
@@ -63,7 +63,7 @@ def slowly_encoded(codec: SpatialActionCodec, action: np.ndarray) -> list[int]:
         low, high = ranges[name]
         at = low + (value[name] + 1) / 2 * (high - low)
         if name == "theta":
-            turns = list(itertools.product(range(len(grid)), range(-2, 3)))  # yaw, half turns
+            turns = list(itertools.product(range(len(grid)), range(-2, 3)))  # yaw, number of rotations by pi
             index, half_turns = min(turns, key=lambda turn: abs(at - grid[turn[0]] - turn[1] * math.pi))
             flipped = half_turns % 2 == 1
         else:
@@ -75,7 +75,9 @@ def slowly_encoded(codec: SpatialActionCodec, action: np.ndarray) -> list[int]:
 
 @pytest.mark.parametrize("theta_bounds", THETA_BOUNDS)
 @pytest.mark.parametrize("sequence", ["pxy", "xyrp", "pxyzrrr"])
-def test_what_lies_between_goes_to_the_nearest(sequence: str, theta_bounds: tuple[float, float]) -> None:
+def test_actions_are_rounded_to_the_nearest_grid_point(
+    sequence: str, theta_bounds: tuple[float, float]
+) -> None:
     codec = make_codec(sequence, theta_bounds=theta_bounds)
     actions = np.random.default_rng(0).uniform(-1, 1, (300, len(sequence)))
     expected = [slowly_encoded(codec, action) for action in actions]
@@ -84,7 +86,7 @@ def test_what_lies_between_goes_to_the_nearest(sequence: str, theta_bounds: tupl
     np.testing.assert_array_equal(codec.places(codec.snap(actions)), codec.places(actions))
 
 
-def test_half_a_turn_exchanges_the_signs_of_tilts() -> None:
+def test_rotation_by_pi_inverts_tilts() -> None:
     codec = make_codec("rrrxy")
     tilted = {"phi": 2, "psi": 0}
     for yaw, index, flips in [(0.99 * math.pi, 0, True), (0.8 * math.pi, 3, False), (math.pi, 0, True)]:
@@ -93,7 +95,7 @@ def test_half_a_turn_exchanges_the_signs_of_tilts() -> None:
         np.testing.assert_array_equal(codec.encode(action)[0, 2:], [index, phi, psi])
 
 
-def test_beyond_the_grid() -> None:
+def test_actions_outside_the_grid_are_clipped() -> None:
     codec = make_codec("pxyz")
     actions = np.array([[0, -1, 1, -1], [-0.01, 1, -1, 1]])
     np.testing.assert_array_equal(codec.encode(actions), [[0, 5, 0], [5, 0, 4]])
@@ -102,7 +104,7 @@ def test_beyond_the_grid() -> None:
 
 @pytest.mark.parametrize("half_rotation", [True, False])
 @pytest.mark.parametrize("sequence", ["xy", "pxyr", "xyrp", "pxyzrrr"])
-def test_environment_does_what_the_grid_says(sequence: str, half_rotation: bool) -> None:
+def test_decoded_actions_match_the_environment(sequence: str, half_rotation: bool) -> None:
     kwargs = {"obs_size": 16, "workspace": [[0.3, 0.6], [-0.1, 0.2], [0.0, 1.0]], "num_objects": 2}
     kwargs |= {"action_sequence": sequence, "half_rotation": half_rotation}
     env = gym.make("BulletArm/OpenLoopBlockStacking-v0", **kwargs)
@@ -148,6 +150,6 @@ def test_environment_does_what_the_grid_says(sequence: str, half_rotation: bool)
         ({"action_sequence": "xyrrrr"}, "action_sequence='xyrrrr' needs one r or three"),
     ],
 )
-def test_bad_arguments(kwargs: dict[str, Any], message: str) -> None:
+def test_invalid_arguments_are_rejected(kwargs: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         SpatialActionCodec(**{"size": 32, **kwargs})

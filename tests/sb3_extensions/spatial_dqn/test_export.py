@@ -70,7 +70,7 @@ def test_onnx_model_has_the_actions_of_the_policy(policy: SpatialPolicy, tmp_pat
             np.testing.assert_allclose(action, policy(scene).numpy(), atol=1e-6)
 
 
-def test_parameters_of_a_vector(policy: SpatialPolicy) -> None:
+def test_parameters_are_restored_from_a_vector(policy: SpatialPolicy) -> None:
     vector = policy.parameters_to_vector()
     assert vector.shape == (sum(parameter.numel() for parameter in policy.parameters()),)
     policy.load_from_vector(np.arange(len(vector), dtype=np.float32))

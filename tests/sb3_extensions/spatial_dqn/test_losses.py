@@ -67,7 +67,7 @@ def make_batch(kind: str) -> tuple[th.Tensor, th.Tensor, th.Tensor]:
 @each_loss
 @pytest.mark.parametrize("kind", ["random", "ties", "best already", "no expert"])
 @pytest.mark.parametrize("level", [0, 1, 4])
-def test_equal_slow_ones(loss: Any, slow: Any, kind: str, level: int) -> None:
+def test_losses_equal_slow_references(loss: Any, slow: Any, kind: str, level: int) -> None:
     values, choices, is_expert = make_batch(kind)
     found = loss(values, choices, is_expert, level)
     assert found.shape == ()
@@ -80,7 +80,7 @@ def test_equal_slow_ones(loss: Any, slow: Any, kind: str, level: int) -> None:
 
 
 @each_loss
-def test_float32_as_well(loss: Any, slow: Any) -> None:
+def test_losses_support_float32(loss: Any, slow: Any) -> None:
     values, choices, is_expert = make_batch("random")
     found = loss(values.float(), choices, is_expert, 1)
     assert found.dtype == th.float32

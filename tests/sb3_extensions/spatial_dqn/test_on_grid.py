@@ -1,4 +1,4 @@
-"""What a spatial Q algorithm does and what it is shown lie on its grid."""
+"""Actions of spatial Q algorithms and of demonstrations are on the grid."""
 
 from typing import Any
 
@@ -25,7 +25,7 @@ def test_half_of_each_batch_are_demonstrations(make_model: Any) -> None:
     assert model.replay_buffer.expert_size >= 4
 
 
-def test_demonstrations_too_few_to_divide(make_model: Any) -> None:
+def test_few_demonstrations_are_sampled_uniformly(make_model: Any) -> None:
     model = make_model(batch_size=32, learning_starts=100, expert_episodes=1).learn(40)
     assert 2 <= model.replay_buffer.expert_size < 16
     assert model.replay_buffer.sample(400).is_expert.float().mean() < 0.4
@@ -58,7 +58,7 @@ def test_exploration_stays_on_the_grid(
     assert set(model.codec.encode(actions)[:20, 2]) == {0, 1, 2, 3}
 
 
-def test_exploration_takes_no_global_randomness(make_model: Any) -> None:
+def test_exploration_does_not_use_global_generators(make_model: Any) -> None:
     kwargs = {"expert_episodes": 0, "exploration_initial_eps": 1.0, "exploration_final_eps": 1.0}
     taken = []
     for seed in (0, 0, 1):
@@ -75,7 +75,7 @@ def test_exploration_takes_no_global_randomness(make_model: Any) -> None:
     assert np.array_equal(taken[0], taken[1]) and not np.array_equal(taken[0], taken[2])
 
 
-def test_random_actions_are_where_something_stands() -> None:
+def test_random_actions_are_at_objects() -> None:
     heights = np.zeros((600, 8, 8), np.float32)
     heights[:300, 2, 3:5] = 2 * EXPLORED_HEIGHT
     heights[:300, 6, 6] = 0.5 * EXPLORED_HEIGHT
@@ -94,7 +94,7 @@ def test_random_actions_are_where_something_stands() -> None:
     np.testing.assert_array_equal(explore_on_grid(greedy, heights, 0.0, shape, generator), greedy)
 
 
-def test_exploration_rate_falls(make_model: Any) -> None:
+def test_exploration_rate_decreases(make_model: Any) -> None:
     rates = []
     model = make_model(
         exploration_initial_eps=1.0, exploration_final_eps=0.2, exploration_fraction=0.5, gradient_steps=0
@@ -103,7 +103,7 @@ def test_exploration_rate_falls(make_model: Any) -> None:
     np.testing.assert_allclose(rates, [0.0, 0.84, 0.68, 0.52, 0.36, *[0.2] * 5], atol=1e-9)
 
 
-def test_demonstrations_are_carried_out_on_the_grid(make_picking: Any, make_model: Any) -> None:
+def test_demonstrations_are_executed_on_the_grid(make_picking: Any, make_model: Any) -> None:
     """Where they fail so, they are not kept: two yaws are too few for some bars."""
     env = make_picking(size=24, max_steps=2)
     few = {"codec_kwargs": {"num_rotations": 2, "num_heights": 4, "num_tilts": 3}}
@@ -118,7 +118,7 @@ def test_demonstrations_are_carried_out_on_the_grid(make_picking: Any, make_mode
 
 
 @pytest.mark.parametrize("units", [(-1.0, 1.0), (2.0, 5.0)])
-def test_episodes_handed_over_are_snapped(
+def test_expert_data_is_snapped_to_the_grid(
     units: tuple[float, float], make_picking: Any, make_model: Any
 ) -> None:
     low, high = units

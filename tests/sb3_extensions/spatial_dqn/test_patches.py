@@ -1,4 +1,4 @@
-"""Patches are the environment's in-hand crops; patches and rotations turn as the scene does."""
+"""Patches equal the environment's in-hand images, and patches and rotations are equivariant."""
 
 import math
 
@@ -37,7 +37,7 @@ def images() -> th.Tensor:
 
 
 def in_hand_crops(images: th.Tensor, size: int, angles: th.Tensor) -> np.ndarray:
-    """What the environment would show a gripper at the middles of the pixels."""
+    """Return the environment's in-hand images of a gripper at the centres of the pixels."""
     crops = []
     for channels, row, column, angle in zip(
         images.numpy(), ROWS.tolist(), COLUMNS.tolist(), angles.tolist(), strict=True
@@ -50,7 +50,7 @@ def in_hand_crops(images: th.Tensor, size: int, angles: th.Tensor) -> np.ndarray
 
 
 def quarter_turned(images: th.Tensor) -> tuple[th.Tensor, th.Tensor, th.Tensor]:
-    """Images turned by 90 degrees, and where the pixels of the tests are then."""
+    """Return images rotated by 90 degrees, and the rows and columns of the test pixels in them."""
     return th.rot90(images, k=1, dims=(-2, -1)), SIDE - 1 - COLUMNS, ROWS
 
 
@@ -62,12 +62,12 @@ def test_patches_are_in_hand_crops(images: th.Tensor, size: int) -> None:
 
 
 @pytest.mark.parametrize("size", SIZES)
-def test_patches_that_are_not_turned_are_in_hand_crops(images: th.Tensor, size: int) -> None:
+def test_unrotated_patches_are_in_hand_crops(images: th.Tensor, size: int) -> None:
     patches = crop_patches(images, ROWS, COLUMNS, size)
     np.testing.assert_allclose(patches, in_hand_crops(images, size, th.zeros(len(ROWS))), atol=1e-6)
 
 
-def test_odd_patches_are_the_pixels_themselves(images: th.Tensor) -> None:
+def test_odd_patches_are_pixels(images: th.Tensor) -> None:
     padded = F.pad(images, [5] * 4)
     patches = crop_patches(images, ROWS, COLUMNS, 7)
     for patch, image, row, column in zip(patches, padded, ROWS.tolist(), COLUMNS.tolist(), strict=True):
@@ -76,27 +76,27 @@ def test_odd_patches_are_the_pixels_themselves(images: th.Tensor) -> None:
 
 @pytest.mark.parametrize("size", [7, 8])
 @pytest.mark.parametrize("angles", [None, ANGLES], ids=["straight", "turned"])
-def test_patches_turn_with_the_image(images: th.Tensor, size: int, angles: th.Tensor | None) -> None:
+def test_patches_rotate_with_the_image(images: th.Tensor, size: int, angles: th.Tensor | None) -> None:
     before = crop_patches(images, ROWS, COLUMNS, size, angles)
     after = crop_patches(*quarter_turned(images), size, angles)
     th.testing.assert_close(after, th.rot90(before, k=1, dims=(-2, -1)), atol=1e-7, rtol=0.0)
 
 
 @pytest.mark.parametrize("size", [7, 8])
-def test_patches_stay_when_gripper_and_image_turn(images: th.Tensor, size: int) -> None:
+def test_patches_do_not_change_when_gripper_and_image_rotate(images: th.Tensor, size: int) -> None:
     before = crop_patches(images, ROWS, COLUMNS, size, ANGLES)
     after = crop_patches(*quarter_turned(images), size, ANGLES + math.pi / 2)
     th.testing.assert_close(after, before, atol=1e-7, rtol=0.0)
 
 
 def test_images_need_not_be_square(images: th.Tensor) -> None:
-    """A patch of a part of the image knows nothing of the rest."""
+    """A patch of a part of the image does not depend on the rest."""
     part = images[:, :, :, :13]
     expected = crop_patches(F.pad(part, [0, 7, 0, 0]), ROWS, COLUMNS, 8, ANGLES)
     th.testing.assert_close(crop_patches(part, ROWS, COLUMNS, 8, ANGLES), expected)
 
 
-def test_windows_hold_something_else_beyond_the_border(images: th.Tensor) -> None:
+def test_windows_have_a_value_outside_the_image(images: th.Tensor) -> None:
     windows = gather_windows(images, ROWS, COLUMNS, 3, outside=-math.inf)
     padded = F.pad(images, [5] * 4, value=-math.inf)
     for window, image, row, column in zip(windows, padded, ROWS.tolist(), COLUMNS.tolist(), strict=True):
@@ -105,14 +105,14 @@ def test_windows_hold_something_else_beyond_the_border(images: th.Tensor) -> Non
 
 @pytest.mark.parametrize("side", [8, 9, 128])
 @pytest.mark.parametrize("k", [0, 1, 2, 3, -1])
-def test_rotations_by_quarters_are_rot90(side: int, k: int) -> None:
+def test_rotations_by_90_degrees_are_rot90(side: int, k: int) -> None:
     images = th.rand(2, 3, side, side, generator=th.Generator().manual_seed(1))
     turned = rotate_images(images, th.full((2,), k * math.pi / 2))
     th.testing.assert_close(turned, th.rot90(images, k=k, dims=(-2, -1)), atol=2e-5, rtol=0.0)
 
 
 @pytest.mark.parametrize(("side", "size", "border"), [(8, 14, 3), (9, 5, -2)])
-def test_rotation_on_another_canvas_keeps_the_middle(side: int, size: int, border: int) -> None:
+def test_rotation_to_another_size_keeps_the_centre(side: int, size: int, border: int) -> None:
     images = th.rand(2, 1, side, side, generator=th.Generator().manual_seed(2))
     turned = rotate_images(images, th.full((2,), math.pi / 2), size)
     expected = F.pad(th.rot90(images, k=1, dims=(-2, -1)), [border] * 4)
@@ -137,21 +137,21 @@ def test_rotation_moves_points_as_vectors() -> None:
     assert (turned - blobs(places, 70)).abs().max() > 0.5
 
 
-def test_rotation_there_and_back() -> None:
+def test_inverse_rotation_restores_the_image() -> None:
     images, angles = blobs(th.tensor([[9.0, -4.0], [0.0, 7.0]]), 45), th.tensor([0.4, -2.3])
     back = rotate_images(rotate_images(images, angles, 64), -angles, 45)
     assert (back - images).abs().max() < 0.04
 
 
-def test_rotation_shows_nothing_beyond_the_border() -> None:
+def test_rotation_is_zero_outside_the_image() -> None:
     turned = rotate_images(th.ones(1, 1, 10, 10), th.tensor([math.pi / 4]), 16)[0, 0]
     assert th.equal(turned[:2, :2], th.zeros(2, 2)) and turned[7:9, 7:9].min() > 0.999
-    # A square turned by half a quarter stands on its corner, but for what is lost at the tip.
+    # A square rotated by 45 degrees reaches the border with its corners.
     assert turned[1, 7:9].min() > 0.1 and turned[7:9, 1].min() > 0.1
     assert turned.sum() == pytest.approx(100, rel=0.05)
 
 
-def test_gradients_are_passed_on() -> None:
+def test_patches_and_rotations_are_differentiable() -> None:
     generator = th.Generator().manual_seed(4)
     images = th.rand(2, 1, 5, 5, generator=generator, dtype=th.float64, requires_grad=True)
     angles, place = th.tensor([0.3, 2.0], dtype=th.float64), th.tensor([1, 3])

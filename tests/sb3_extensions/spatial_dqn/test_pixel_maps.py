@@ -1,4 +1,4 @@
-"""Networks that value every pixel: their maps turn with what they see."""
+"""Networks that value every pixel rotate with the heightmap."""
 
 from collections.abc import Callable
 from typing import Any
@@ -21,7 +21,7 @@ from sb3_extensions.spatial_dqn.pixel_maps import (
 SIDE = 12  # of the in-hand image
 CHANNELS, FIELDS = (4, 6, 8), (4, 4, 6)
 PATCH_MAP, IN_HAND, HIDDEN = (4, 4, 6), (4, 4, 6, 6), 16
-EXACT = 1e-4  # of the spread of what is compared
+EXACT = 1e-4  # relative to the standard deviation of the compared values
 Turn = Callable[[th.Tensor], th.Tensor]
 QUARTERS: dict[str, Turn] = {
     f"{k} quarters": lambda image, k=k: th.rot90(image, k, (-2, -1)) for k in range(1, 4)
@@ -71,7 +71,7 @@ def all_networks(size: int) -> dict[str, Any]:
 @pytest.mark.parametrize("gradient", [True, False])
 @pytest.mark.parametrize("size", [32, 30])
 @pytest.mark.parametrize("turn", [*QUARTERS, *FLIPS])
-def test_maps_turn_with_the_image(turn: str, size: int, gradient: bool) -> None:
+def test_maps_rotate_with_the_image(turn: str, size: int, gradient: bool) -> None:
     network, view, apply = equivariant(size), make_view(size), {**QUARTERS, **FLIPS}[turn]
     with th.set_grad_enabled(gradient):
         maps, encoding = network(view)
@@ -83,7 +83,9 @@ def test_maps_turn_with_the_image(turn: str, size: int, gradient: bool) -> None:
 
 
 @pytest.mark.parametrize(("rotations", "dynamic_fields"), [(1, 4), (16, 4)])
-def test_small_networks_value_places_from_the_first(rotations: int, dynamic_fields: int) -> None:
+def test_untrained_small_networks_have_different_values_of_places(
+    rotations: int, dynamic_fields: int
+) -> None:
     """Of one field behind a ReLU all numbers may be 0 everywhere: then nothing is ever learned of places."""
     group = Group("dihedral", 4) if rotations == 1 else Group("cyclic", 2 * rotations)
     view = make_view(32)
@@ -101,7 +103,7 @@ def test_small_networks_value_places_from_the_first(rotations: int, dynamic_fiel
 
 @pytest.mark.parametrize("rotations", [2, 4, 6])
 @pytest.mark.parametrize("quarters", [1, 2, 3])
-def test_maps_turn_and_yaws_shift(quarters: int, rotations: int) -> None:
+def test_maps_rotate_and_yaws_shift(quarters: int, rotations: int) -> None:
     network, view = equivariant(16, rotations), make_view(16)
     turn = QUARTERS[f"{quarters} quarters"]
     with th.no_grad():
@@ -117,7 +119,7 @@ def test_maps_turn_and_yaws_shift(quarters: int, rotations: int) -> None:
 
 @pytest.mark.parametrize("size", [16, 18])
 def test_rotated_maps_shift_under_quarter_turns(size: int) -> None:
-    """But for yaws that begin anew after half a turn, for which the plain network sees another image."""
+    """Except yaws that wrap around at pi, for which the plain network has another input."""
     network = RotatedPixelMaps(size, (1, SIDE), CHANNELS, PATCH_MAP, 6)
     view = make_view(size)
     with th.no_grad():
@@ -144,7 +146,7 @@ def test_rotated_maps_shift_under_one_step_between_yaws() -> None:
     assert error < 0.3 * (turned_maps[:, :-1] - expected[:, :-1])[inside].std()
 
 
-def test_rotated_maps_are_the_networks_on_turned_images() -> None:
+def test_rotated_maps_equal_the_network_on_rotated_images() -> None:
     size, rotations = 16, 4
     network = RotatedPixelMaps(size, (1, SIDE), CHANNELS, PATCH_MAP, rotations)
     view = make_view(size)
@@ -163,8 +165,8 @@ def test_rotated_maps_are_the_networks_on_turned_images() -> None:
 
 
 @pytest.mark.parametrize("kind", ["plain", "rotated", "equivariant", "equivariant with yaws"])
-def test_what_matters_and_what_does_not(kind: str) -> None:
-    """Places depend on what is held, picks and places differ, samples do not see each other."""
+def test_maps_depend_on_the_in_hand_image_and_the_primitive(kind: str) -> None:
+    """Places depend on the in-hand image, picks and places differ, samples are independent."""
     network, view = all_networks(16)[kind], make_view(16)
     with th.no_grad():
         maps, encoding = network(view)
@@ -172,7 +174,7 @@ def test_what_matters_and_what_does_not(kind: str) -> None:
         assert encoding.shape[1:] == network.encoding_shape
         other_hand, _ = network(view._replace(in_hand=view.in_hand.flip(0)))
         assert not th.allclose(maps[1::2], other_hand[1::2])
-        if "equivariant" in kind:  # whose picks do not look into the hand
+        if "equivariant" in kind:  # whose picks do not depend on the in-hand image
             assert th.equal(maps[::2], other_hand[::2])
         swapped, _ = network(view._replace(places=~view.places))
         assert not th.allclose(maps, swapped)
@@ -182,7 +184,7 @@ def test_what_matters_and_what_does_not(kind: str) -> None:
         assert maps.abs().max() < 1
 
 
-def test_without_an_in_hand_image() -> None:
+def test_networks_accept_no_in_hand_image() -> None:
     shapes = 16, None
     view = make_view(16)._replace(in_hand=None)
     group = Group("dihedral", 4)
@@ -194,7 +196,7 @@ def test_without_an_in_hand_image() -> None:
 
 
 @pytest.mark.parametrize("size", [30, 17, 32])
-def test_maps_of_padded_images(size: int) -> None:
+def test_padding_does_not_change_maps(size: int) -> None:
     """A U-Net of another size than a multiple sees zeros around the image."""
     network = plain_unet(1, CHANNELS, 0)
     image = th.rand(2, 1, size, size)
@@ -244,6 +246,6 @@ def test_widths_are_the_authors() -> None:
         ),
     ],
 )
-def test_what_does_not_fit(make: Any, message: str) -> None:
+def test_invalid_arguments_are_rejected(make: Any, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         make()

@@ -49,7 +49,7 @@ def test_predicted_actions_are_on_the_grid(
     scaled = 2 * (actions - low) / (high - low) - 1
     np.testing.assert_allclose(policy.codec.snap(scaled), scaled, atol=1e-6)
     assert policy.codec.places(scaled).tolist() == [False, True, False, True]
-    # What the environment makes of them
+    # Compare with the actions that the environment decodes.
     indices, _ = policy.q_net.greedy(policy.obs_to_tensor(observation)[0])
     for action, (row, column, *others) in zip(actions, indices.numpy(), strict=True):
         [to] = env.env_method("decode_action", action, indices=0)
@@ -61,7 +61,9 @@ def test_predicted_actions_are_on_the_grid(
     np.testing.assert_array_equal(policy.predict(observation, deterministic=False)[0], actions)
 
 
-def test_saved_alone(case: Any, make_picking: Any, make_policy_kwargs: Any, tmp_path: Path) -> None:
+def test_saved_policy_has_the_same_actions(
+    case: Any, make_picking: Any, make_policy_kwargs: Any, tmp_path: Path
+) -> None:
     env = make_picking(3, action_sequence=case[1])
     policy = make_policy(env, case[0], **make_policy_kwargs(*case))
     policy.save(str(tmp_path / "policy"))
@@ -76,7 +78,7 @@ def test_saved_alone(case: Any, make_picking: Any, make_policy_kwargs: Any, tmp_
             assert loaded._get_constructor_parameters()[name] == value, name
 
 
-def test_target_network(case: Any, make_picking: Any, make_policy_kwargs: Any) -> None:
+def test_target_network_is_a_frozen_copy(case: Any, make_picking: Any, make_policy_kwargs: Any) -> None:
     policy = make_policy(make_picking(action_sequence=case[1]), case[0], **make_policy_kwargs(*case))
     state, target = policy.q_net.state_dict(), policy.q_net_target.state_dict()
     assert state.keys() == target.keys()
@@ -92,7 +94,7 @@ def test_target_network(case: Any, make_picking: Any, make_policy_kwargs: Any) -
 
 @functools.cache
 def real_observations(sequence: str) -> tuple[Any, dict[str, th.Tensor]]:
-    """The environment's spaces, and what is seen before and after a pick of the expert."""
+    """Return the environment and observations before and after a pick of the expert."""
     env = gym.make(REAL[sequence], obs_size=48, in_hand_size=12, action_sequence=sequence)
     seen = []
     for seed in range(3):
@@ -152,7 +154,7 @@ def test_in_hand_images_of_any_size(side: int, make_picking: Any, make_policy_kw
 
 
 @pytest.mark.parametrize("sequence", ["pxy", "pxyz", "yxzr"])
-def test_levels_are_those_of_the_sequence(sequence: str, make_picking: Any, make_policy_kwargs: Any) -> None:
+def test_levels_follow_the_action_sequence(sequence: str, make_picking: Any, make_policy_kwargs: Any) -> None:
     """Also of others than the paper's."""
     env = make_picking(2, action_sequence=sequence)
     for name in ("ASRPolicy", "EquivariantASRPolicy"):
@@ -188,7 +190,7 @@ BOX = spaces.Box(-1.0, 1.0, (4,), np.float32)
         ),
     ],
 )
-def test_what_does_not_fit(
+def test_invalid_arguments_are_rejected(
     name: str, changes: dict[str, Any], message: str, make_picking: Any, make_policy_kwargs: Any
 ) -> None:
     changes = dict(changes)
@@ -200,7 +202,7 @@ def test_what_does_not_fit(
         SpatialDQN.policy_aliases[name](lr_schedule=lambda _: 1e-3, **kwargs)
 
 
-def test_defaults_are_the_authors_widths() -> None:
+def test_default_widths_are_the_authors() -> None:
     """The first layers of each network; the others follow from them."""
     space = spaces.Dict({name: spaces.Box(0.0, 0.4, shape, np.float32) for name, shape in SHAPES.items()})
     actions = spaces.Box(-1.0, 1.0, (3,), np.float32)

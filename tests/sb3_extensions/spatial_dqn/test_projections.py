@@ -17,7 +17,7 @@ SIDE, RESOLUTION = 20, 0.004  # pixels, m
 CANDIDATES = 6
 # In the middle, near borders, in a corner.
 ROWS, COLUMNS = th.tensor([9, 1, 12, 19]), th.tensor([11, 8, 18, 0])
-# Nearer to the border of a pixel (pixels) or to a surface (m) rounding says what a voxel is.
+# Distance to the border of a pixel (pixels) or to a surface (m) below which rounding decides.
 MARGIN = 2e-5
 
 
@@ -28,7 +28,7 @@ def heights() -> th.Tensor:
 
 @pytest.fixture
 def poses() -> tuple[th.Tensor, th.Tensor]:
-    """Heights and angles: two not tilted, one of them not turned either, the others at random."""
+    """Return heights and angles: one pose without rotation, one without tilt, the others random."""
     generator = th.Generator().manual_seed(1)
     z = 0.06 * th.rand(len(ROWS), CANDIDATES, generator=generator)
     angles = 2 * th.rand(3, len(ROWS), CANDIDATES, generator=generator) - 1
@@ -45,7 +45,7 @@ def project(heights: th.Tensor, z: th.Tensor, angles: th.Tensor, size: int, **kw
 def slow_cubes(
     image: np.ndarray, row: int, column: int, z: float, rotation: np.ndarray, size: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Voxel by voxel: whether it is full, and whether rounding may say otherwise."""
+    """Return whether each voxel is full, and whether rounding may change that."""
     full, doubtful = np.zeros((size,) * 3, bool), np.zeros((size,) * 3, bool)
     for index in itertools.product(range(size), repeat=3):
         offset = rotation @ [k - (size - 1) / 2 for k in index]
@@ -70,7 +70,7 @@ def flat_poses(heights: th.Tensor, z: th.Tensor, angles: th.Tensor) -> Any:
 
 
 @pytest.mark.parametrize("size", [7, 8])
-def test_projections_equal_slow_ones(heights: th.Tensor, poses: Any, size: int) -> None:
+def test_projections_equal_slow_references(heights: th.Tensor, poses: Any, size: int) -> None:
     counts = project(heights, *poses, size) / RESOLUTION
     doubts = []
     for index, image, row, column, z, (theta, phi, psi) in flat_poses(heights, *poses):
@@ -89,7 +89,7 @@ def test_projections_equal_the_environments(heights: th.Tensor, poses: Any, size
     wrong = []
     for index, image, row, column, z, (theta, phi, psi) in flat_poses(heights, *poses):
         if size % 2 == 0 and theta == phi == psi == 0.0:
-            continue  # voxels between pixels, which the environment rounds either way
+            continue  # voxels on the borders of pixels, which the environment rounds arbitrarily
         view = Map(image, (0.45, 0.0), SIDE * RESOLUTION)
         x, y = np.array(view.centre) + (np.array([row, column]) + 0.5 - SIDE / 2) * RESOLUTION
         expected = projections(view, euler_pose((x, y, z), (psi, phi, theta)), size)
@@ -98,7 +98,7 @@ def test_projections_equal_the_environments(heights: th.Tensor, poses: Any, size
     assert np.sum(wrong) <= 3 * 2, "at most two voxels on the border of a pixel"
 
 
-def test_hand_beside_the_border() -> None:
+def test_voxels_on_the_border_of_two_pixels_belong_to_one_side() -> None:
     """Voxels of even cubes that lie between two pixels belong to the further ones."""
     heights, zero = th.full((1, 5, 5), 0.1), th.zeros(1, dtype=th.int64)
     z = th.tensor([[0.05, 0.0951, 0.2]])
@@ -112,13 +112,13 @@ def test_hand_beside_the_border() -> None:
 
 
 @pytest.mark.parametrize("max_voxels", [1, 1300, 10**7])
-def test_chunks_do_not_matter(heights: th.Tensor, poses: Any, max_voxels: int) -> None:
+def test_chunks_do_not_change_projections(heights: th.Tensor, poses: Any, max_voxels: int) -> None:
     expected = project(heights, *poses, 8)
     assert expected.shape == (len(ROWS), CANDIDATES, 3, 8, 8) and expected.any()
     assert th.equal(project(heights, *poses, 8, max_voxels=max_voxels), expected)
 
 
-def test_no_more_voxels_at_once_than_allowed(
+def test_chunks_have_at_most_max_voxels(
     heights: th.Tensor, poses: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     chunks, count = [], module._count_full
@@ -132,7 +132,7 @@ def test_no_more_voxels_at_once_than_allowed(
 @pytest.mark.parametrize("size", [7, 8])
 @pytest.mark.parametrize("k", [1, 2, 3])
 @pytest.mark.parametrize("tilt", [(0.0, 0.0), (0.4, 0.0), (0.0, -0.3)])
-def test_gripper_and_scene_turn(
+def test_projections_do_not_change_when_gripper_and_scene_rotate(
     heights: th.Tensor, poses: Any, size: int, k: int, tilt: tuple[float, float]
 ) -> None:
     """Nothing changes, not even where voxels lie between pixels."""
@@ -147,11 +147,11 @@ def test_gripper_and_scene_turn(
     assert th.equal(orthographic_projections(turned, rows, columns, z, after, size, RESOLUTION), expected)
 
 
-def test_gradients_end_here(heights: th.Tensor, poses: Any) -> None:
+def test_projections_have_no_gradient(heights: th.Tensor, poses: Any) -> None:
     assert not project(heights.requires_grad_(), *poses, 4).requires_grad
 
 
-def test_rotation_matrices_are_those_of_actions() -> None:
+def test_rotation_matrices_equal_the_environments() -> None:
     generator = th.Generator().manual_seed(2)
     theta, phi, psi = (6 * th.rand(5, 3, generator=generator) - 3 for _ in range(3))
     rotations = rotation_matrices(theta, phi, psi)

@@ -113,17 +113,24 @@ def observe(batch: int = BATCH) -> dict[str, th.Tensor]:
     }
 
 
+def maps_of(network: SpatialQNetwork, observations: dict[str, th.Tensor]) -> th.Tensor:
+    """Values of all pixels at the first level, (batch, yaws, size, size)."""
+    with th.no_grad():
+        values: th.Tensor = network.pixel_maps(network.scene_view(observations))[0]
+    return values
+
+
 def whole_grid_of(codec: SpatialActionCodec, batch: int) -> th.Tensor:
     return th.stack([th.randint(count, (batch,)) for count in codec.shape], dim=1)
 
 
 @pytest.mark.parametrize("kind", NETWORKS)
 def test_greedy_is_the_best_choice_at_every_level(kind: str) -> None:
-    """Against NumPy, level by level, and all levels at once given what was chosen."""
+    """Compare with NumPy for each level, and with the values of all levels for the chosen indices."""
     network, observations = make_network(kind), observe()
     indices, values = network.greedy(observations)
     assert indices.shape == (BATCH, len(network.codec.shape)) and indices.dtype == th.int64
-    maps = network.maps(observations).detach().numpy()
+    maps = maps_of(network, observations).numpy()
     chosen = []
     for sample in range(BATCH):
         yaw, row, column = np.unravel_index(maps[sample].argmax(), maps[sample].shape)
@@ -146,12 +153,12 @@ def test_greedy_is_the_best_choice_at_every_level(kind: str) -> None:
 
 
 @pytest.mark.parametrize("kind", NETWORKS)
-def test_values_and_choices_of_any_action(kind: str) -> None:
+def test_values_of_choices_equal_the_maps(kind: str) -> None:
     network, observations = make_network(kind), observe(40)
     shape = network.codec.shape
     indices = whole_grid_of(network.codec, 40)
     with th.no_grad():
-        values, maps = network.values(observations, indices), network.maps(observations)
+        values, maps = network.values(observations, indices), maps_of(network, observations)
     yaws = maps.shape[1]
     sizes = [yaws * SIZE**2, *shape[2 + (yaws > 1) :]]
     assert [tuple(level.shape) for level in values] == [(40, size) for size in sizes]
@@ -165,8 +172,8 @@ def test_values_and_choices_of_any_action(kind: str) -> None:
 
 
 @pytest.mark.parametrize("kind", ["ASR", "ASR 6D", "Deictic ASR"])
-def test_levels_come_one_after_the_other(kind: str) -> None:
-    """Pixel, yaw, height, tilts about y and x: what comes later does not matter, what came before does."""
+def test_levels_depend_on_earlier_choices_only(kind: str) -> None:
+    """The order is pixel, yaw, height, tilts about y and x."""
     network, observations = make_network(kind), observe(20)
     observations["heightmap"][:, :, 3:13, 3:13] += 0.05
     names = [level.name for level in network.levels]
@@ -186,7 +193,7 @@ def test_levels_come_one_after_the_other(kind: str) -> None:
 
 
 @pytest.mark.parametrize("kind", ["ASR", "ASR 6D", "Equivariant ASR"])
-def test_later_levels_teach_the_first_its_encoding(kind: str) -> None:
+def test_later_levels_train_the_encoding_of_the_first(kind: str) -> None:
     network, observations = make_network(kind), observe()
     values = network.values(observations, whole_grid_of(network.codec, BATCH))
     values[1].sum().backward()
@@ -203,7 +210,7 @@ def test_later_levels_teach_the_first_its_encoding(kind: str) -> None:
 @pytest.mark.parametrize("turned", [1, 2, 3])
 @pytest.mark.parametrize("pool_encoding", [True, False])
 def test_pooled_encodings_keep_yaws_equivariant(turned: int, pool_encoding: bool) -> None:
-    """When the whole scene turns, with all levels in one network."""
+    """Rotate the whole scene by 90 degrees, with all levels in one network."""
     codec, view = make_codec("pxyr"), make_view()
     network = SpatialQNetwork(codec, view, *deictic(codec, view, pool_encoding))
     observations, indices = observe(), whole_grid_of(codec, BATCH)
@@ -219,8 +226,8 @@ def test_pooled_encodings_keep_yaws_equivariant(turned: int, pool_encoding: bool
     assert ((second[1] - yaws).abs().max() < 1e-4 * yaws.std()) == pool_encoding
 
 
-def test_both_kinds_learn_the_same_best_actions() -> None:
-    """Values are those of a pixel plus those of a yaw: then both choose alike, if both learn what is true."""
+def test_one_level_and_several_levels_learn_the_same_best_actions() -> None:
+    """The value of an action is the sum of a value of the pixel and a value of the yaw."""
     of_yaw = th.tensor([0.1, 0.5, 0.3, 0.2])
     observations, peaks = observe(4), th.tensor([[3, 4], [12, 9], [7, 13], [10, 2]])
     line = th.arange(SIZE)
@@ -252,7 +259,7 @@ def test_both_kinds_learn_the_same_best_actions() -> None:
         np.testing.assert_array_equal(learn(kind, targets), expected, err_msg=kind)
 
 
-def test_observations_as_networks_see_them() -> None:
+def test_view_has_rounded_standardised_images() -> None:
     view = make_view(quantise="uint8", standardise=(0.1, 0.02))
     observations = observe()
     seen = view(observations)
@@ -295,7 +302,9 @@ def test_precision_changes_little() -> None:
         ("ASR", "pxyzr", r"\['theta'\]", r"\['theta', 'z'\]"),
     ],
 )
-def test_levels_that_do_not_fit(kind: str, sequence: str, chosen: str, needed: str) -> None:
+def test_levels_of_another_action_sequence_are_rejected(
+    kind: str, sequence: str, chosen: str, needed: str
+) -> None:
     levels = NETWORKS[kind][1](make_codec("pxyr"), make_view())
     with pytest.raises(
         ValueError, match=f"needs levels for {needed} after the pixel, got levels for {chosen}"
@@ -325,11 +334,11 @@ def test_levels_that_do_not_fit(kind: str, sequence: str, chosen: str, needed: s
         (make_space(), {"quantise": "uint4"}, "uint4"),
     ],
 )
-def test_observations_that_do_not_fit(space: Any, kwargs: dict[str, Any], message: str) -> None:
+def test_invalid_observation_spaces_are_rejected(space: Any, kwargs: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         SceneView(space, **kwargs)
 
 
-def test_unknown_precision() -> None:
+def test_unknown_precision_is_rejected() -> None:
     with pytest.raises(ValueError, match="autocast must be one of"):
         make_network("FCN", autocast="fp8")

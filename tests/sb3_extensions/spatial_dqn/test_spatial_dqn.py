@@ -1,4 +1,4 @@
-"""SpatialDQN, ADET, DQfD and SDQfD: in the manner of Stable-Baselines3's tests of its own algorithms."""
+"""SpatialDQN, ADET, DQfD and SDQfD, tested like the algorithms of Stable-Baselines3."""
 
 from pathlib import Path
 from typing import Any
@@ -33,7 +33,7 @@ def is_on_grid(model: SpatialDQN, actions: np.ndarray) -> bool:
 
 
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
-def test_run(algorithm: Any, case: Any, make_model: Any) -> None:
+def test_training_runs(algorithm: Any, case: Any, make_model: Any) -> None:
     model = make_model(case, algorithm, expert_episodes=2).learn(2)
     assert model.num_timesteps == model._n_updates == 2
     assert model.replay_buffer.size() == model.replay_buffer.expert_size + 2
@@ -57,7 +57,7 @@ def test_run(algorithm: Any, case: Any, make_model: Any) -> None:
         {"policy_kwargs": {"optimizer_kwargs": {"weight_decay": 1e-5}, "quantise": "uint16"}},
     ],
 )
-def test_run_variants(kwargs: dict[str, Any], make_model: Any) -> None:
+def test_training_runs_with_options(kwargs: dict[str, Any], make_model: Any) -> None:
     assert make_model(**kwargs).learn(8)._n_updates >= 2
 
 
@@ -68,7 +68,7 @@ def test_run_variants(kwargs: dict[str, Any], make_model: Any) -> None:
         ("BulletArm/OpenLoopRampBlockStacking-v0", "EquivariantASRPolicy", "pxyzrrr"),
     ],
 )
-def test_run_in_the_simulator(env_id: str, policy: str, sequence: str, make_model: Any) -> None:
+def test_training_runs_in_the_simulator(env_id: str, policy: str, sequence: str, make_model: Any) -> None:
     env = gym.make(env_id, obs_size=32, in_hand_size=12, num_objects=2)
     # As many yaws and tilts as the expert needs to succeed on the grid
     grid = {"num_rotations": 16, "num_heights": 36, "num_tilts": 7}
@@ -82,12 +82,12 @@ def test_run_in_the_simulator(env_id: str, policy: str, sequence: str, make_mode
     env.close()
 
 
-def test_several_environments(make_picking: Any, make_model: Any) -> None:
+def test_training_runs_with_several_environments(make_picking: Any, make_model: Any) -> None:
     model = make_model(env=make_picking(3, size=24)).learn(9)
     assert model.num_timesteps == 9 and model._n_updates == 3
 
 
-def test_deterministic_training(make_picking: Any, make_model: Any) -> None:
+def test_training_is_deterministic(make_picking: Any, make_model: Any) -> None:
     kwargs = {"rigid_augmentation": True, "exploration_initial_eps": 0.5, "exploration_final_eps": 0.5}
     first, second = (make_model(env=make_picking(2, size=24), **kwargs).learn(8) for _ in range(2))
     assert_equal(parameters(first.policy), parameters(second.policy))
@@ -101,7 +101,9 @@ def test_deterministic_training(make_picking: Any, make_model: Any) -> None:
 
 
 @pytest.mark.parametrize("which", [ASR, ASR_6D])
-def test_save_and_load(which: Any, make_picking: Any, make_model: Any, tmp_path: Path) -> None:
+def test_loaded_model_equals_the_saved_one(
+    which: Any, make_picking: Any, make_model: Any, tmp_path: Path
+) -> None:
     kwargs = {"exploration_initial_eps": 0.5, "margin": 0.2, "policy_kwargs": {"quantise": "uint16"}}
     model = make_model(which, DQfD, **kwargs).learn(4)
     env = make_picking(6, seed=3, action_sequence=which[1], size=24)
@@ -138,7 +140,7 @@ def huber(error: float) -> float:
     [*((algorithm, ASR) for algorithm in ALGORITHMS), (SDQfD, ("FCNPolicy", "pxyr")), (SDQfD, ASR_6D)],
 )
 def test_losses_equal_a_slow_reference(algorithm: Any, which: Any, make_model: Any) -> None:
-    """The same target at all levels: what the target network's last level says of its own best choices."""
+    """All levels have one target: the value of the greedy action at the last level of the target network."""
     model = make_model(which, algorithm, gamma=0.9, learning_rate=0.05, target_update_interval=2).learn(5)
     rewards = th.tensor([0.0, 3.0, -2.0, 0.5, 1.0, 0.0, 0.0, 0.0])[:, None]  # on both sides of Huber's delta
     dones = th.tensor([1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])[:, None]
@@ -189,7 +191,7 @@ def copy_of(model: SpatialDQN, name: str) -> Any:
     return network
 
 
-def test_target_is_copied_every_so_many_updates(make_model: Any) -> None:
+def test_target_is_copied_every_target_update_interval(make_model: Any) -> None:
     model = make_model(target_update_interval=3, learning_rate=1e-2).learn(1)
     for update in range(2, 8):
         before = parameters(model.q_net_target)
@@ -201,7 +203,7 @@ def test_target_is_copied_every_so_many_updates(make_model: Any) -> None:
         assert bool(moved) == (update % 3 != 0)
 
 
-def test_gradients_are_clipped_number_by_number(make_model: Any) -> None:
+def test_gradients_are_clipped_by_value(make_model: Any) -> None:
     gradients = []
     for limit in (1e-2, 1e9):
         model = make_model(max_grad_value=limit).learn(1)
@@ -217,12 +219,12 @@ def test_gradients_are_clipped_number_by_number(make_model: Any) -> None:
         th.testing.assert_close(first, second.clamp(-1e-2, 1e-2))
 
 
-def test_target_and_sample_stay_without_gradient(make_model: Any) -> None:
+def test_target_and_sample_have_no_gradient(make_model: Any) -> None:
     model = make_model().learn(2)
     assert all(parameter.grad is None for parameter in model.q_net_target.parameters())
 
 
-def test_moved_samples_are_learnt(make_model: Any) -> None:
+def test_augmented_samples_are_trained_on(make_model: Any) -> None:
     losses = []
     for moves in (False, True):
         model = make_model(rigid_augmentation=moves).learn(1)
@@ -254,20 +256,22 @@ def test_moved_samples_are_learnt(make_model: Any) -> None:
         ({"case": ("FCNPolicy", "pxyz")}, r"needs levels for \['z'\]"),
     ],
 )
-def test_bad_arguments(kwargs: dict[str, Any], message: str, make_picking: Any, make_model: Any) -> None:
+def test_invalid_arguments_are_rejected(
+    kwargs: dict[str, Any], message: str, make_picking: Any, make_model: Any
+) -> None:
     kwargs = dict(kwargs)
     env = make_picking(action_sequence="pxyz" if kwargs.get("case", ASR)[1] == "pxyz" else "pxyr")
     with pytest.raises(ValueError, match=message):
         make_model(env=env, **kwargs)
 
 
-def test_environment_without_a_heightmap(make_toy: Any) -> None:
+def test_environment_without_a_heightmap_is_rejected(make_toy: Any) -> None:
     with pytest.raises(ValueError, match=r"a Dict with a heightmap \(1, size, size\)"):
         kwargs = {"policy_kwargs": {"action_sequence": "pxyzr"}}
         SpatialDQN("FCNPolicy", make_toy(image_only=True), device="cpu", **kwargs)
 
 
-def test_it_learns_to_pick_and_place(make_picking: Any, make_model: Any) -> None:
+def test_agent_learns_to_pick_and_place(make_picking: Any, make_model: Any) -> None:
     """From 40 demonstrations, in some two hundred updates."""
     networks = {"channels": [4, 8, 8], "in_hand_channels": [8, 16, 16], "hidden": 32}
     kwargs = {
