@@ -13,7 +13,7 @@ from stable_baselines3.common.preprocessing import get_flattened_obs_dim, is_ima
 from stable_baselines3.common.type_aliases import PyTorchObs, TensorDict
 from torch import nn
 
-from sb3_extensions.common.images import IMAGE_AXES, scene_images
+from sb3_extensions.common.images import IMAGE_AXES, is_point_cloud, scene_images
 from sb3_extensions.replay.quantisation import Quantiser
 
 HOLDING_THRESHOLD = 0.5
@@ -43,8 +43,8 @@ class StackedImage(nn.Module):
         distant point of each image, which do not depend on the height of the camera. The distance of that
         point becomes a constant channel, standardised with ``above_ground``. ``standardise`` then applies to
         the heights
-    :raises ValueError: if there is no image, an image is not square or has bounds that cannot be quantised,
-        ``crop`` is larger than the images, or an argument is invalid
+    :raises ValueError: if there is no image, there is a point cloud, an image is not square or has bounds
+        that cannot be quantised, ``crop`` is larger than the images, or an argument is invalid
     """
 
     def __init__(
@@ -76,6 +76,11 @@ class StackedImage(nn.Module):
             units = (None, None) if is_colour else (standardise, above_ground)
             self.scales[key] = ImageScale(key, all_images[key], quantise, *units)
         self.number_keys = [key for key in parts if key not in all_images]
+        if clouds := [key for key in self.number_keys if is_point_cloud(parts[key].shape or ())]:
+            raise ValueError(
+                f"observation_space must not have point clouds (n, 3), got {clouds}. "
+                "Remove them with gymnasium.wrappers.FilterObservation"
+            )
         self.channels = sum(scale.channels for scale in self.scales.values())
         self.channels += sum(get_flattened_obs_dim(parts[key]) for key in self.number_keys)
 

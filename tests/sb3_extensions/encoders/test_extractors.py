@@ -368,3 +368,10 @@ def test_extractors_serve_other_algorithms(algorithm, extractor_class, kwargs, t
 def test_extractor_rejects_invalid_arguments(space, kwargs, named):
     with pytest.raises(ValueError, match=named):
         EquivariantExtractor(space, **kwargs)
+
+
+def test_point_clouds_are_rejected() -> None:
+    points = spaces.Box(-1, 1, (100, 3), np.float32)
+    space = spaces.Dict({"heightmap": spaces.Box(0, 0.4, (1, 16, 16), np.float32), "points": points})
+    with pytest.raises(ValueError, match="points"):
+        CnnExtractor(space)
