@@ -17,7 +17,7 @@ from zoo_configs.errors import CommandError, unknown_name
 EXTRACTOR = "sb3_extensions.encoders.extractors.CnnExtractor"
 """Features extractor of stock algorithms for images."""
 STRIDED = 4
-"""Halvings by strides in that extractor: a third of the time of pooling on a CPU."""
+"""Halvings by strides in that extractor: between a third and a half of the time of pooling on a CPU."""
 DEFAULT_OBS_SIZE = 128
 PRESETS = "cpu, paper, or in close loop quick"
 
