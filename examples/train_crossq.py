@@ -31,7 +31,7 @@ def main() -> None:
         replay_buffer_class=ExpertReplayBuffer,  # every image once, as one byte a pixel
         policy_kwargs={
             "features_extractor_class": CnnExtractor,
-            "features_extractor_kwargs": {"channels": [8, 16, 32, 64, 64], "strided": 4},
+            "features_extractor_kwargs": {"channels": [8, 16, 32, 64, 64]},
             "net_arch": {"pi": [64], "qf": [256]},
         },
         verbose=1,

@@ -17,7 +17,7 @@ from sb3_extensions.encoders.extractors import CnnExtractor, EquivariantExtracto
 ENV_ID = "BulletArm/CloseLoopBlockReaching-v0"
 CNN: dict[str, Any] = {
     "features_extractor_class": CnnExtractor,
-    "features_extractor_kwargs": {"channels": [8, 16, 32, 64, 64], "strided": 4},
+    "features_extractor_kwargs": {"channels": [8, 16, 32, 64, 64]},
 }
 # The features turn with the scene; PPO's own head behind them is not equivariant.
 EQUIVARIANT: dict[str, Any] = {

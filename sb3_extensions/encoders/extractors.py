@@ -30,7 +30,8 @@ class ImageExtractor(BaseFeaturesExtractor):
     :param make_encoder: makes the encoder of the largest images
     :param observation_space: see :class:`~sb3_extensions.encoders.observation.StackedImage`
     :param channels: channels or regular fields after each stage; by default the paper's, for the size
-    :param strided: number of halvings without pooling, see :func:`~sb3_extensions.encoders.cnn.plan_stages`
+    :param strided: number of halvings without pooling, None for all, see
+        :func:`~sb3_extensions.encoders.cnn.plan_stages`
     :param quantise: see :class:`~sb3_extensions.encoders.observation.StackedImage`; holds for all images
     :param autocast: ``None`` or ``"bf16"``, see :class:`~sb3_extensions.encoders.cnn.Encoder`
     :param crop: see :class:`~sb3_extensions.encoders.observation.StackedImage`
@@ -45,7 +46,7 @@ class ImageExtractor(BaseFeaturesExtractor):
         observation_space: gym.Space[Any],
         /,
         channels: Sequence[int] | None = None,
-        strided: int = 0,
+        strided: int | None = None,
         quantise: str | None = "uint8",
         autocast: str | None = None,
         crop: int | None = None,

@@ -9,10 +9,14 @@ from stable_baselines3.common.type_aliases import PyTorchObs, Schedule
 from stable_baselines3.sac.policies import SACPolicy
 from torch.optim.swa_utils import AveragedModel
 
+from sb3_extensions.encoders.extractors import ImageExtractor
+
 
 class SACfDPolicy(SACPolicy):
     """
     SAC policy with additions, all off by default.
+
+    The encoders of images pool as the paper's do, unless ``features_extractor_kwargs`` has ``strided``.
 
     :param args: arguments of :class:`stable_baselines3.sac.policies.SACPolicy`
     :param normalise: normalise the critic's features and hidden layers (https://arxiv.org/abs/2302.02948),
@@ -33,6 +37,9 @@ class SACfDPolicy(SACPolicy):
     ) -> None:
         if actor_tau is not None and not 0 < actor_tau <= 1:
             raise ValueError(f"actor_tau must be None or greater than 0 and at most 1, got {actor_tau}")
+        if issubclass(kwargs.get("features_extractor_class", object), ImageExtractor):
+            extractor_kwargs = kwargs.get("features_extractor_kwargs") or {}
+            kwargs["features_extractor_kwargs"] = {"strided": 0, **extractor_kwargs}
         self.normalise = normalise
         self.actor_tau = actor_tau
         super().__init__(*args, **kwargs)

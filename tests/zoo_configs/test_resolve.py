@@ -401,13 +401,12 @@ def test_family_of_an_id() -> None:
 
 @pytest.mark.parametrize("algo", ["ppo", "a2c", "sac", "td3", "ddpg", "tqc", "trpo"])
 def test_stock_algorithms_take_a_policy_for_images_on_our_ids(algo: str) -> None:
-    for size, strided in ((128, 4), (64, 4), (32, 3)):
+    for size in (128, 64, 32):
         cell = cell_of("--algo", algo, "--env", STACKING, "--env-kwargs", f"obs_size:{size}")
         check_cell(cell)
         assert cell.hyperparams["policy"] == "MultiInputPolicy"
         extractor = cell.hyperparams["policy_kwargs"]
         assert extractor["features_extractor_class"].endswith(".CnnExtractor")
-        assert extractor["features_extractor_kwargs"] == {"strided": strided}
 
 
 def test_stock_algorithms_take_no_extractor_for_images_on_states() -> None:
@@ -441,15 +440,15 @@ def test_presets_fit_the_image_size(baseline: str, size: int) -> None:
 
 
 def test_a_fitted_value_comes_from_the_image_size() -> None:
-    found = explain("sacfd", "cpu", PICKING, {"env_kwargs": {"obs_size": 32}})
+    found = explain("sacfd", "cpu", PICKING, {"env_kwargs": {"obs_size": 128}})
     where = {name: rule.where for rule, values in found for name in values}
     name = "policy_kwargs.features_extractor_kwargs"
-    assert where[f"{name}.strided"] == where["env_kwargs.obs_size"] == "overrides"
-    assert where[f"{name}.channels"].startswith("close_loop.yml")
+    assert where[f"{name}.channels"] == where["env_kwargs.obs_size"] == "overrides"
+    assert where[f"{name}.autocast"].startswith("close_loop.yml")
 
 
 def test_chosen_arguments_of_the_encoder_are_kept() -> None:
-    chosen = {"policy_kwargs": {"features_extractor_kwargs": {"strided": 4, "channels": [8, 8, 8, 8]}}}
-    cell = resolve("sacfd", "cpu", PICKING, {"env_kwargs": {"obs_size": 32}, **chosen})
+    chosen = {"policy_kwargs": {"features_extractor_kwargs": {"strided": 2, "channels": [8, 8, 8, 8]}}}
+    cell = resolve("sacfd", "cpu", PICKING, {"env_kwargs": {"obs_size": 128}, **chosen})
     encoder = cell.hyperparams["policy_kwargs"]["features_extractor_kwargs"]
-    assert (encoder["strided"], encoder["channels"]) == (4, [8, 8, 8, 8])
+    assert (encoder["strided"], encoder["channels"]) == (2, [8, 8, 8, 8])

@@ -19,8 +19,8 @@ GRID = "policy_kwargs.codec_kwargs"
 # Arguments of a codec, and the environment's parameter that each follows.
 GRID_FOLLOWS = {"theta_bounds": "half_rotation", "workspace_size": "workspace"}
 EXTRACTOR = "policy_kwargs.features_extractor_kwargs"
-EXTRACTOR_FOLLOWS = ("channels", "strided")
-"""Arguments of an encoder of images that follow the size of the image."""
+CHANNELS = f"{EXTRACTOR}.channels"
+"""Argument of an encoder that follows the size of the image."""
 WHOLE_TURN = (-math.pi, math.pi)  # rad, what -1 and 1 stand for without half_rotation
 
 
@@ -114,9 +114,8 @@ def explain(
         if f"env_kwargs.{parameter}" in sources:
             sources.setdefault(f"{GRID}.{argument}", sources[f"env_kwargs.{parameter}"])
     said = dict(_leaves(_said(cell.algo, cell.hyperparams, cell.flags)))
-    for name in (f"{EXTRACTOR}.{argument}" for argument in EXTRACTOR_FOLLOWS):
-        if name in sources and dict(_leaves(sources[name].hyperparams))[name] != said[name]:
-            sources[name] = sources["env_kwargs.obs_size"]
+    if CHANNELS in sources and dict(_leaves(sources[CHANNELS].hyperparams))[CHANNELS] != said[CHANNELS]:
+        sources[CHANNELS] = sources["env_kwargs.obs_size"]
     kept = [(rule, {name: said[name] for name in said if sources[name] is rule}) for rule in rules]
     return [(rule, values) for rule, values in kept if values]
 
@@ -217,9 +216,7 @@ def _share_bounds(hyperparams: dict[str, Any]) -> None:
 
 
 def _fit_image_size(hyperparams: dict[str, Any], overrides: Mapping[str, Any]) -> None:
-    """Fit a preset's encoder to the ``obs_size`` of the overrides: more halvings for a larger image, fewer
-    halvings by strides for a smaller one.
-    """
+    """Fit a preset's encoder to the ``obs_size`` of the overrides: more halvings for a larger image."""
     size = (_at(overrides, "env_kwargs") or {}).get("obs_size")
     encoder = _at(hyperparams, EXTRACTOR)
     if type(size) is not int or size < 1 or encoder is None:
@@ -229,8 +226,6 @@ def _fit_image_size(hyperparams: dict[str, Any], overrides: Mapping[str, Any]) -
     rad = _at(hyperparams, "augmentation.rad") or {}
     halvings = count_halvings(rad.get("size", size))
     chosen = _at(overrides, EXTRACTOR) or {}
-    if "strided" in encoder and "strided" not in chosen:
-        encoder["strided"] = min(encoder["strided"], halvings + 1)
     if "channels" in encoder and "channels" not in chosen:
         *halving, widest, last, features = encoder["channels"]
         missing = max(halvings - len(halving) - 1, 0)

@@ -16,9 +16,6 @@ from zoo_configs.errors import CommandError, unknown_name
 
 EXTRACTOR = "sb3_extensions.encoders.extractors.CnnExtractor"
 """Features extractor of stock algorithms for images."""
-STRIDED = 4
-"""Halvings by strides in that extractor: between a third and a half of the time of pooling on a CPU."""
-DEFAULT_OBS_SIZE = 128
 PRESETS = "cpu, paper, or in close loop quick"
 
 
@@ -122,7 +119,6 @@ def _cell_from_rl_zoo3(algo: str, env_id: str) -> Cell:
 
 def _with_policy_for_dicts(cell: Cell) -> Cell:
     """Replace rl_zoo3's default policy, for vectors, by one for the observations of our environments."""
-    from sb3_extensions.encoders.cnn import count_halvings
     from zoo_configs.algorithms import register_algorithms
 
     aliases = register_algorithms()[cell.algo].policy_aliases
@@ -132,9 +128,7 @@ def _with_policy_for_dicts(cell: Cell) -> Cell:
     env_kwargs = cell.hyperparams.get("env_kwargs", {})
     hyperparams: dict[str, Any] = {"policy": policies[0]}
     if _has_images(env_kwargs.get("observation", "image")):
-        strided = min(STRIDED, count_halvings(env_kwargs.get("obs_size", DEFAULT_OBS_SIZE)) + 1)
-        extractor = {"features_extractor_class": EXTRACTOR, "features_extractor_kwargs": {"strided": strided}}
-        hyperparams["policy_kwargs"] = extractor
+        hyperparams["policy_kwargs"] = {"features_extractor_class": EXTRACTOR}
     return replace(cell, hyperparams=merge(merge(cell.hyperparams, hyperparams), _chosen(cell)))
 
 
