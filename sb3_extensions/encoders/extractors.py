@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
@@ -12,6 +13,7 @@ from gymnasium import spaces
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from stable_baselines3.common.type_aliases import PyTorchObs
 from torch import nn
+from torch.utils.cpp_extension import get_cxx_compiler
 
 from sb3_extensions.encoders.cnn import CnnEncoder, Encoder, scale_channels
 from sb3_extensions.encoders.equivariant import EquivariantEncoder
@@ -38,6 +40,8 @@ class ImageExtractor(BaseFeaturesExtractor):
     :param standardise: see :class:`~sb3_extensions.encoders.observation.StackedImage`; holds for all images
     :param above_ground: see :class:`~sb3_extensions.encoders.observation.StackedImage`
     :param small_image_features: number of features of the smaller images of one size
+    :param compile: whether to compile the encoder with ``torch.compile``, which takes one to two minutes
+    :raises ValueError: if the encoder does not match the images, or ``compile`` has no C++ compiler
     """
 
     def __init__(
@@ -53,6 +57,7 @@ class ImageExtractor(BaseFeaturesExtractor):
         standardise: Sequence[float] | None = None,
         above_ground: Sequence[float] | None = None,
         small_image_features: int = 32,
+        compile: bool = False,
     ) -> None:
         if small_image_features < 1:
             raise ValueError(f"small_image_features must be at least 1, got {small_image_features}")
@@ -69,11 +74,26 @@ class ImageExtractor(BaseFeaturesExtractor):
         small_dim = small_image_features * len(small_images)
         super().__init__(observation_space, encoder.features_dim + small_dim)
         self.stack, self.encoder, self.small_images = stack, encoder, small_images
+        if compile:
+            check_compiler()
+            self.encoder.compile(dynamic=True)
 
     def forward(self, observations: PyTorchObs) -> th.Tensor:
         """:return: (batch, features_dim)"""
         features = self.encoder(self.stack(observations))
         return th.cat([features, *(encoder(observations) for encoder in self.small_images)], dim=1)
+
+
+def check_compiler() -> None:
+    """Check that PyTorch finds a C++ compiler.
+
+    :raises ValueError: if there is none
+    """
+    name = get_cxx_compiler()
+    if shutil.which(name) is None:
+        raise ValueError(
+            f"compile must be False without a C++ compiler, got True. Install {name}, or set CXX"
+        )
 
 
 def _small_images_by_size(observation_space: gym.Space[Any]) -> list[spaces.Dict]:

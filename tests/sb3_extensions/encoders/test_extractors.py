@@ -370,8 +370,27 @@ def test_extractor_rejects_invalid_arguments(space, kwargs, named):
         EquivariantExtractor(space, **kwargs)
 
 
-def test_point_clouds_are_rejected() -> None:
+def test_point_clouds_are_rejected():
     points = spaces.Box(-1, 1, (100, 3), np.float32)
     space = spaces.Dict({"heightmap": spaces.Box(0, 0.4, (1, 16, 16), np.float32), "points": points})
     with pytest.raises(ValueError, match="points"):
         CnnExtractor(space)
+
+
+def test_compile_without_a_compiler_is_rejected(monkeypatch):
+    monkeypatch.setenv("CXX", "no-such-compiler")
+    with pytest.raises(ValueError, match="compile.*no-such-compiler"):
+        CnnExtractor(observation_space(), compile=True)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("extractor_class", [CnnExtractor, EquivariantExtractor])
+def test_compiled_extractor_has_the_same_features(extractor_class):
+    th.manual_seed(0)
+    extractor = extractor_class(observation_space(), channels=[4, 4, 4])
+    compiled = extractor_class(observation_space(), channels=[4, 4, 4], compile=True)
+    compiled.load_state_dict(extractor.state_dict())
+    for batch in (4, 7):
+        observations = sample(observation_space(), batch)
+        features = extractor(observations)
+        assert th.allclose(compiled(observations), features, atol=1e-4)
