@@ -379,7 +379,7 @@ def test_point_clouds_are_rejected():
 
 def test_compile_without_a_compiler_is_rejected(monkeypatch):
     monkeypatch.setenv("CXX", "no-such-compiler")
-    with pytest.raises(ValueError, match="compile.*no-such-compiler"):
+    with pytest.raises(ValueError, match=r"compile.*no-such-compiler"):
         CnnExtractor(observation_space(), compile=True)
 
 
