@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import torch as th
+from gymnasium import spaces
 from stable_baselines3.common.type_aliases import TensorDict
 from torch.nn import functional as F
 
 from sb3_extensions.common.exploration import EXPLORED_HEIGHT
+from sb3_extensions.replay.augmentation import Augmentation
 from sb3_extensions.replay.samples import ExpertReplayBufferSamples
 from sb3_extensions.spatial_dqn.codec import PIXEL, SpatialActionCodec
 
@@ -20,7 +23,7 @@ TOLERANCE = 1e-3
 """Tolerance (pixels) of the border, so that a rotation by 90 degrees keeps pixels at the border valid."""
 
 
-class RigidMotion:
+class RigidMotion(Augmentation):
     """
     Random rotation and shift of each sampled step.
 
@@ -37,11 +40,26 @@ class RigidMotion:
         self.codec, self.image_key = codec, image_key
         self.names = [*PIXEL, *codec.grids]
 
+    def check(self, space: spaces.Space[Any]) -> None:
+        """Check that there is a heightmap to move."""
+        if not isinstance(space, spaces.Dict) or self.image_key not in space.spaces:
+            raise ValueError(f"observation_space must have an image {self.image_key!r}, got {space}")
+
     def __call__(
+        self, samples: ExpertReplayBufferSamples, generator: th.Generator
+    ) -> ExpertReplayBufferSamples:
+        """Return samples with moved heightmaps and actions; ``expert_actions`` do not change."""
+        actions = samples.actions.cpu().numpy()
+        indices = th.as_tensor(self.codec.encode(actions), device=samples.actions.device)
+        moved, moved_indices = self.move(samples, indices, generator)
+        moved_actions = self.codec.decode(moved_indices.cpu().numpy(), self.codec.places(actions))
+        return moved._replace(actions=th.as_tensor(moved_actions, device=samples.actions.device))
+
+    def move(
         self, samples: ExpertReplayBufferSamples, indices: th.Tensor, generator: th.Generator
     ) -> tuple[ExpertReplayBufferSamples, th.Tensor]:
         """
-        Move samples; their ``actions`` are unchanged.
+        Move heightmaps and indices of actions on the grid.
 
         :param samples: sample of the replay buffer
         :param indices: indices of the actions, int64 (batch, indices)

@@ -82,7 +82,7 @@ class SpatialDQN(OffPolicyFromDemonstrations):
     :param expert_data: episodes in the environment's units instead, or the path of a file of
         ``bulletarm_gym.demonstrations``, not saved with the model. See
         :class:`~sb3_extensions.demonstrations.episodes.EpisodeData`
-    :param rigid_augmentation: rotate and shift sampled steps, see
+    :param augmentation: augmentation of the sampled steps: None or ``"rigid_motion"``, see
         :class:`~sb3_extensions.spatial_dqn.augmentation.RigidMotion`
     :param pretrain_steps: number of gradient steps before the first step in the environment
     :param stats_window_size: number of episodes over which the rollout logging averages
@@ -109,7 +109,6 @@ class SpatialDQN(OffPolicyFromDemonstrations):
     exploration_schedule: Schedule
     policy: SpatialPolicy
     expert_noise = 0.0  # noisy actions are not on the grid
-    augmentation = None
 
     def __init__(
         self,
@@ -135,7 +134,7 @@ class SpatialDQN(OffPolicyFromDemonstrations):
         max_grad_value: float = 1.0,
         expert_episodes: int = 200,
         expert_data: ExpertData | None = None,
-        rigid_augmentation: bool = False,
+        augmentation: str | None = None,
         pretrain_steps: int = 0,
         stats_window_size: int = 100,
         tensorboard_log: str | None = None,
@@ -181,7 +180,9 @@ class SpatialDQN(OffPolicyFromDemonstrations):
         self.max_grad_value = max_grad_value
         self.expert_episodes = expert_episodes
         self.expert_data = expert_data
-        self.rigid_augmentation = rigid_augmentation
+        if augmentation not in (None, "rigid_motion"):
+            raise ValueError(f"augmentation must be None or 'rigid_motion', got {augmentation!r}")
+        self.augmentation = augmentation  # type: ignore[assignment]  # _setup_model() creates the object
         self.augmentation_generator = th.Generator().manual_seed(th.initial_seed())
         self.pretrain_steps = pretrain_steps
         self._check_arguments()
@@ -204,11 +205,13 @@ class SpatialDQN(OffPolicyFromDemonstrations):
     def _setup_model(self) -> None:
         shares = {"expert_fraction": EXPERT_FRACTION, "balanced_from": max(1, self.batch_size // 2)}
         self.replay_buffer_kwargs = {"sampler": {"shares": shares}, **self.replay_buffer_kwargs}
+        is_augmented, self.augmentation = self.augmentation is not None, None
         super()._setup_model()
         self.q_net = self.policy.q_net
         self.q_net_target = self.policy.q_net_target
         self.codec = self.policy.codec
-        self._rigid_motion = RigidMotion(self.codec, self.q_net.scene_view.image_key)
+        if is_augmented:
+            self.augmentation = RigidMotion(self.codec, self.q_net.scene_view.image_key)
         self.exploration_schedule = LinearSchedule(
             self.exploration_initial_eps, self.exploration_final_eps, self.exploration_fraction
         )
@@ -230,10 +233,10 @@ class SpatialDQN(OffPolicyFromDemonstrations):
 
         for _ in range(gradient_steps):
             replay_data = self.replay_buffer.sample(batch_size, env=self._vec_normalize_env)
+            if self.augmentation is not None:
+                replay_data = self.augmentation(replay_data, self.augmentation_generator)
             actions = self.codec.encode(replay_data.actions.cpu().numpy())
             indices = th.as_tensor(actions, device=self.device)
-            if self.rigid_augmentation:
-                replay_data, indices = self._rigid_motion(replay_data, indices, self.augmentation_generator)
             observations, next_observations = replay_data.observations, replay_data.next_observations
             assert isinstance(observations, dict) and isinstance(next_observations, dict)
 
@@ -327,7 +330,7 @@ class SpatialDQN(OffPolicyFromDemonstrations):
             self.exploration_generator.manual_seed(derive_seed(seed, SeedKey.EXPLORATION))
 
     def _excluded_save_params(self) -> list[str]:
-        own = ["q_net", "q_net_target", "codec", "exploration_generator", "_rigid_motion"]
+        own = ["q_net", "q_net_target", "codec", "exploration_generator"]
         return [*super()._excluded_save_params(), *own]
 
     def _get_torch_save_params(self) -> tuple[list[str], list[str]]:

@@ -121,7 +121,7 @@ def test_resumed_run_equals_uninterrupted_run(
 @pytest.mark.parametrize(
     "kwargs",
     [
-        {"exploration_initial_eps": 0.5, "exploration_final_eps": 0.2, "rigid_augmentation": True},
+        {"exploration_initial_eps": 0.5, "exploration_final_eps": 0.2, "augmentation": "rigid_motion"},
         {"learning_starts": 10, "algorithm": ADET, "sequence": "pxyzrrr"},
         {"replay_buffer_kwargs": {"sampler": "prioritized"}, "n_steps": 2},
     ],

@@ -44,8 +44,12 @@ def make_samples(heightmaps: th.Tensor, after: th.Tensor | None = None) -> Exper
 
 
 def move(motion: RigidMotion, samples: Any, indices: th.Tensor, seed: int = 0) -> tuple[Any, th.Tensor]:
-    moved, moved_indices = motion(samples, indices, th.Generator().manual_seed(seed))
-    return moved, moved_indices
+    places = np.zeros(len(indices), bool)
+    actions = th.as_tensor(motion.codec.decode(indices.numpy(), places))
+    by_index = motion.move(samples, indices, th.Generator().manual_seed(seed))
+    by_action = motion(samples._replace(actions=actions), th.Generator().manual_seed(seed))
+    assert np.array_equal(motion.codec.encode(by_action.actions.numpy()), by_index[1].numpy())
+    return by_index
 
 
 def always(motion: RigidMotion, turns: int, shift: tuple[int, int]) -> RigidMotion:

@@ -50,7 +50,7 @@ def test_training_runs(algorithm: Any, case: Any, make_model: Any) -> None:
     [
         {"train_freq": (1, "episode")},
         {"gradient_steps": -1, "tau": 0.5, "target_update_interval": 1},
-        {"n_steps": 2, "rigid_augmentation": True},
+        {"n_steps": 2, "augmentation": "rigid_motion"},
         {"expert_episodes": 0, "learning_starts": 4, "batch_size": 1},
         {"pretrain_steps": 2, "expert_episodes": 1},
         {"replay_buffer_kwargs": {"sampler": "prioritized"}},
@@ -88,7 +88,7 @@ def test_training_runs_with_several_environments(make_picking: Any, make_model: 
 
 
 def test_training_is_deterministic(make_picking: Any, make_model: Any) -> None:
-    kwargs = {"rigid_augmentation": True, "exploration_initial_eps": 0.5, "exploration_final_eps": 0.5}
+    kwargs = {"augmentation": "rigid_motion", "exploration_initial_eps": 0.5, "exploration_final_eps": 0.5}
     first, second = (make_model(env=make_picking(2, size=24), **kwargs).learn(8) for _ in range(2))
     assert_equal(parameters(first.policy), parameters(second.policy))
     np.random.seed(1)  # what happened before does not matter
@@ -227,7 +227,7 @@ def test_target_and_sample_have_no_gradient(make_model: Any) -> None:
 def test_augmented_samples_are_trained_on(make_model: Any) -> None:
     losses = []
     for moves in (False, True):
-        model = make_model(rigid_augmentation=moves).learn(1)
+        model = make_model(augmentation="rigid_motion" if moves else None).learn(1)
         state = model.augmentation_generator.get_state()
         one_update(model)
         losses.append(model.logger.name_to_value["train/loss"])
@@ -245,6 +245,7 @@ def test_augmented_samples_are_trained_on(make_model: Any) -> None:
         ({"exploration_final_eps": 2.0}, "exploration_final_eps must be between 0 and 1"),
         ({"target_update_interval": 0}, "target_update_interval must be positive, got 0"),
         ({"max_grad_value": 0.0}, "max_grad_value must be positive"),
+        ({"augmentation": "rad"}, "augmentation must be .*, got .rad."),
         ({"expert_episodes": -1}, "expert_episodes must not be negative"),
         ({"pretrain_steps": 5, "expert_episodes": 0}, "must be 0 without demonstrations"),
         ({"replay_buffer_class": ReplayBuffer}, "replay_buffer_class must be an ExpertReplayBuffer"),
