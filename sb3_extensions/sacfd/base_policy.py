@@ -64,6 +64,11 @@ class SACfDPolicy(SACPolicy):
         if self.actor_average is not None:
             self.actor_average.update_parameters(self.actor)
 
+    def set_training_mode(self, mode: bool) -> None:
+        """Set the training mode if it changes; walking through all modules takes milliseconds."""
+        if mode != self.training:
+            super().set_training_mode(mode)
+
     def _predict(self, observation: PyTorchObs, deterministic: bool = False) -> th.Tensor:
         if deterministic and self.actor_average is not None:
             averaged: th.Tensor = self.actor_average(observation, deterministic)
