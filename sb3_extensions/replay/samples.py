@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import torch as th
@@ -49,3 +50,23 @@ def select_rows(observations: TensorDict | th.Tensor, rows: th.Tensor) -> Tensor
     if isinstance(observations, th.Tensor):
         return observations[rows]
     return {key: values[rows] for key, values in observations.items()}
+
+
+def compute_next_values(
+    samples: ExpertReplayBufferSamples, compute: Callable[[TensorDict | th.Tensor], th.Tensor]
+) -> th.Tensor:
+    """
+    Compute values of the next observations, only of those from which the target bootstraps.
+
+    Most steps of sparse tasks with n-step returns end the episode.
+
+    :param samples: sample of the replay buffer
+    :param compute: function of observations that returns values, (rows, values)
+    :return: shape (next observations, values), 0 without a bootstrap
+    """
+    n_next, continues = count_rows(samples.next_observations), samples.dones[: len(samples.indices), 0] == 0
+    rows = continues.repeat(n_next // len(continues)).nonzero()[:, 0]
+    if not len(rows):
+        return samples.rewards.new_zeros(n_next, 1)
+    values = compute(select_rows(samples.next_observations, rows))
+    return values.new_zeros(n_next, values.shape[1]).index_put((rows,), values)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
+from functools import partial
 from typing import Any, ClassVar
 
 import torch as th
@@ -19,7 +20,7 @@ from sb3_extensions.common.components import check_fraction, check_not_negative
 from sb3_extensions.common.gradients import frozen
 from sb3_extensions.demonstrations.source import ExpertData
 from sb3_extensions.replay.augmentations import AugmentationSpec
-from sb3_extensions.replay.samples import ExpertReplayBufferSamples, count_rows, select_rows
+from sb3_extensions.replay.samples import ExpertReplayBufferSamples, compute_next_values
 from sb3_extensions.sacfd.losses import imitation_loss, self_imitation_weights
 from sb3_extensions.sacfd.policies import EquivariantPolicy, MultiInputPolicy, StatePolicy
 from sb3_extensions.sacfd.pretraining import ActorPretraining, Logs
@@ -317,15 +318,7 @@ class SACfD(ActorPretraining, SAC):
     def _bootstrap(self, replay_data: ExpertReplayBufferSamples, ent_coef: th.Tensor) -> th.Tensor:
         """Return the discounted next values, 0 at the ends of episodes; (batch, values)."""
         assert replay_data.discounts is not None
-        batch_size = len(replay_data.indices)
-        n_next = count_rows(replay_data.next_observations)
-        # Most steps of sparse tasks with n-step returns end the episode: skip their next observations.
-        continues = replay_data.dones[:batch_size, 0] == 0
-        rows = continues.repeat(n_next // batch_size).nonzero()[:, 0]
-        if not len(rows):
-            return th.zeros_like(replay_data.rewards)
-        next_values = self._next_values(select_rows(replay_data.next_observations, rows), ent_coef)
-        values = next_values.new_zeros(n_next, next_values.shape[1]).index_put((rows,), next_values)
+        values = compute_next_values(replay_data, partial(self._next_values, ent_coef=ent_coef))
         if self.augmentation is not None:
             values = self.augmentation.average_targets(values)
         return (1 - replay_data.dones) * replay_data.discounts * values

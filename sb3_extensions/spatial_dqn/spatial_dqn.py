@@ -11,7 +11,7 @@ from gymnasium import spaces
 from stable_baselines3.common.buffers import ReplayBuffer
 from stable_baselines3.common.noise import ActionNoise
 from stable_baselines3.common.policies import BasePolicy
-from stable_baselines3.common.type_aliases import GymEnv, Schedule
+from stable_baselines3.common.type_aliases import GymEnv, PyTorchObs, Schedule
 from stable_baselines3.common.utils import LinearSchedule, polyak_update
 from torch.nn import functional as F
 
@@ -20,6 +20,7 @@ from sb3_extensions.common.exploration import explore_on_grid
 from sb3_extensions.common.seeds import SeedKey, derive_seed
 from sb3_extensions.demonstrations.off_policy import OffPolicyFromDemonstrations
 from sb3_extensions.demonstrations.source import DemonstrationSource, ExpertData
+from sb3_extensions.replay.samples import compute_next_values
 from sb3_extensions.spatial_dqn.augmentation import RigidMotion
 from sb3_extensions.spatial_dqn.losses import ImitationLoss, cross_entropy, large_margin, strict_margin
 from sb3_extensions.spatial_dqn.policies import (
@@ -237,15 +238,13 @@ class SpatialDQN(OffPolicyFromDemonstrations):
                 replay_data = self.augmentation(replay_data, self.augmentation_generator)
             actions = self.codec.encode(replay_data.actions.cpu().numpy())
             indices = th.as_tensor(actions, device=self.device)
-            observations, next_observations = replay_data.observations, replay_data.next_observations
-            assert isinstance(observations, dict) and isinstance(next_observations, dict)
+            observations = replay_data.observations
+            assert isinstance(observations, dict)
 
             with th.no_grad():
-                # Value of the best action of the target network at its last level
-                _, next_q_values = self.q_net_target.greedy(next_observations)
+                next_q_values = compute_next_values(replay_data, self._next_values)
                 assert replay_data.discounts is not None
-                bootstrap = (1 - replay_data.dones) * replay_data.discounts * next_q_values[:, None]
-                target_q_values = replay_data.rewards + bootstrap
+                target_q_values = replay_data.rewards + replay_data.discounts * next_q_values
 
             # Current Q-values of every level, given the choices of the previous levels
             q_values = self.q_net.values(observations, indices)
@@ -287,6 +286,11 @@ class SpatialDQN(OffPolicyFromDemonstrations):
         for name, losses in logs.items():
             if len(numbers := th.cat([entry.reshape(-1) for entry in losses])):
                 self.logger.record(f"train/{name}", numbers.mean().item())
+
+    def _next_values(self, next_observations: PyTorchObs) -> th.Tensor:
+        """Return the target network's value of its best action at its last level, (batch, 1)."""
+        assert isinstance(next_observations, dict)
+        return self.q_net_target.greedy(next_observations)[1][:, None]
 
     def _on_step(self) -> None:
         """Update the exploration rate after each step of ``collect_rollouts()``."""
