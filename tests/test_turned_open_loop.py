@@ -154,7 +154,7 @@ def test_augmented_samples_are_what_a_turned_scene_shows(env: Any, turns: int) -
     errors = []
     for drawn in range(2 * YAWS):
         motion._sample_motions = lambda *args, n=drawn: (th.full((2,), n), th.zeros(2, 2))  # type: ignore[method-assign]
-        found, _ = motion(samples_of(before, before), th.zeros(2, 3, dtype=th.int64), th.Generator())
+        found, _ = motion.move(samples_of(before, before), th.zeros(2, 3, dtype=th.int64), th.Generator())
         assert isinstance(found.observations, dict) and isinstance(found.next_observations, dict)
         image = found.observations["heightmap"]
         assert th.equal(image, found.next_observations["heightmap"])

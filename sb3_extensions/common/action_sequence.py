@@ -38,7 +38,7 @@ class ActionSequence:
         elif counts["x"] != counts["y"]:
             problem = "contain both x and y, or neither"
         if problem is not None:
-            raise ValueError(f"action_sequence must {problem}, got action_sequence={self.symbols!r}")
+            raise ValueError(f"action_sequence must {problem}, got {self.symbols!r}")
 
     @property
     def names(self) -> str:

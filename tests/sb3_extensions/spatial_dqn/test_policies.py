@@ -174,7 +174,7 @@ BOX = spaces.Box(-1.0, 1.0, (4,), np.float32)
             {"action_sequence": "pxy"},
             r"bounded Box of 3 numbers for action_sequence='pxy', got",
         ),
-        ("FCNPolicy", {"action_sequence": "pxrr"}, "'pxrr' needs one r or three"),
+        ("FCNPolicy", {"action_sequence": "pxrr"}, "action_sequence must .*, got 'pxrr'"),
         ("FCNPolicy", {"action_space": spaces.Box(-np.inf, 1.0, (4,))}, "must be a bounded Box of 4 numbers"),
         ("FCNPolicy", {"action_space": spaces.Box(-1.0, 1.0, (2, 2))}, "must be a bounded Box of 4 numbers"),
         ("FCNPolicy", {"observation_space": BOX}, r"a Dict with a heightmap \(1, size, size\)"),
