@@ -225,8 +225,7 @@ def _fit_image_size(hyperparams: dict[str, Any], overrides: Mapping[str, Any]) -
 
     rad = _at(hyperparams, "augmentation.rad") or {}
     halvings = count_halvings(rad.get("size", size))
-    chosen = _at(overrides, EXTRACTOR) or {}
-    if "channels" in encoder and "channels" not in chosen:
+    if "channels" in encoder and "channels" not in (_at(overrides, EXTRACTOR) or {}):
         *halving, widest, last, features = encoder["channels"]
         missing = max(halvings - len(halving) - 1, 0)
         encoder["channels"] = [*halving, *[widest] * (missing + 1), last, features]
