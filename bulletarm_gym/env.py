@@ -28,7 +28,7 @@ from bulletarm_gym.feasibility import (
     finite_reward,
     reward_function,
 )
-from bulletarm_gym.footprint import PlacementError
+from bulletarm_gym.geometry import PlacementError
 from bulletarm_gym.rehearsal import REHEARSAL
 from bulletarm_gym.scene import Scene
 from bulletarm_gym.sensors import Observer, View
@@ -101,9 +101,9 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         check_home(self.config, self.scene)
         check_spans(self.config, own, self.scene, self.task)
         robot = RobotInterface(self.scene.robot, self.scene.settle)
-        self.control: Control[Any] = control_type(self.config, robot, self.task.hints)
+        self.control: Control[Any] = control_type(self.config, robot, self.task.grasp_params)
         self.tracker = Tracker(
-            self.control, self.scene, self.task.hints.opening if self.task.plans_moves else None
+            self.control, self.scene, self.task.grasp_params.opening if self.task.plans_moves else None
         )
         check_room(self.config, own, self.scene, self.task, self.control)
         self.action_space = self.control.action_space
@@ -149,7 +149,7 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         self._steps, self._ended = 0, False
         self.task.memory = self.control.memory = None
         rng = self._rng(ARRANGEMENT)
-        if anew or not self.task.carry_on(self.scene, rng):
+        if anew or not self.task.continue_scene(self.scene, rng):
             self._arrange(arrange, rng)
         else:
             self.control.start()
@@ -319,7 +319,7 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         return EnvState(
             self.scene.world.get_state(),
             self.scene.robot.get_state(),
-            self.scene.get_cast(),
+            self.scene.get_variants(),
             self._observer.get_memory(),
             self.task.memory,
             self.control.memory,
@@ -343,7 +343,7 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         check_fits(state, self._made_of)
         self.scene.world.set_state(state.world)
         self.scene.robot.set_state(state.robot)
-        self.scene.set_cast(state.cast)
+        self.scene.set_variants(state.cast)
         self._observer.set_memory(state.sensors)
         self.task.memory = state.memory
         self.control.memory = state.control

@@ -9,11 +9,10 @@ import numpy as np
 from bulletarm_gym.config import CLOSE_LOOP, EnvConfig, ParameterError, default_home_height
 from bulletarm_gym.control import Control
 from bulletarm_gym.extensions import load
-from bulletarm_gym.footprint import Footprint, PlacementError
-from bulletarm_gym.geometry import Pose
+from bulletarm_gym.geometry import Footprint, PlacementError, Pose
 from bulletarm_gym.objects.blocks import CUBE_SIZE
 from bulletarm_gym.robots import RobotModel
-from bulletarm_gym.scene import Role, Scene
+from bulletarm_gym.scene import ObjectSlot, Scene
 from bulletarm_gym.simulation import BodySpec
 from bulletarm_gym.tasks import Task
 
@@ -74,7 +73,7 @@ def check_home(config: EnvConfig, scene: Scene) -> None:
     if not low <= config.home_height <= (high if config.control == CLOSE_LOOP else math.inf):
         takes = f"a height within the workspace, from {low:g} to {high:g}"
         raise ParameterError.of("home_height", config.home_height, takes)
-    tallest = max((body.spec.extents[2] for item in scene.items for body in item.bodies), default=0.0)
+    tallest = max((body.spec.extents[2] for item in scene.objects for body in item.bodies), default=0.0)
     if default_home_height(config.control, config.workspace) != config.home_height <= tallest:
         takes = f"a height above {tallest:.4g} with this task: so high are its objects"
         raise ParameterError.of("home_height", config.home_height, takes)
@@ -110,7 +109,7 @@ def _check_set(config: EnvConfig, scene: Scene) -> None:
     if config.object_set is None:
         return
     stroke = scene.robot.model.gripper.stroke
-    widths = {item.role.name: max(map(_narrowest, item.role.variants)) for item in scene.items}
+    widths = {item.role.name: max(map(_narrowest, item.role.variants)) for item in scene.objects}
     wide = [f"{name} is {width:.4g} m wide" for name, width in widths.items() if width + GRASP_PLAY > stroke]
     if wide:
         takes = f"objects that the gripper of robot={config.robot!r} spans: it opens to {stroke:.4g} m, "
@@ -150,7 +149,7 @@ def _rehearse(scene: Scene, task: Task, control: Control[Any], rng: np.random.Ge
     """Arrange a start in the largest sizes; return why there is no room, or None."""
     scene.clear(rng)
     sizes = len(scene.config.scales)
-    for item in scene.items:
+    for item in scene.objects:
         shapes, rest = divmod(len(item.role.variants), sizes)
         if rest == 0:  # the larger, the later
             shape = item.choices[item.variant] % shapes
@@ -193,12 +192,12 @@ def checked_options(options: Mapping[str, Any] | None, task: Task) -> dict[str, 
     return dict(given)
 
 
-def checked_roles(roles: Any, task: Task) -> Sequence[Role]:
+def checked_roles(roles: Any, task: Task) -> Sequence[ObjectSlot]:
     """Return the roles of a task's ``bodies()``.
 
     :raises ValueError: they are something else, or two have one name
     """
-    if not isinstance(roles, Sequence) or not all(isinstance(role, Role) for role in roles):
+    if not isinstance(roles, Sequence) or not all(isinstance(role, ObjectSlot) for role in roles):
         raise ValueError(f"bodies() of {type(task).__name__} must return a list of roles, got {roles!r}")
     names = [role.name for role in roles]
     twice = sorted({name for name in names if names.count(name) > 1})

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from bulletarm_gym.config import CLOSE_LOOP, OPEN_LOOP, WORKSPACES
 from bulletarm_gym.control import Grasp, heights
-from bulletarm_gym.control.close_loop import VIEW_SCALE, hand_frame
+from bulletarm_gym.control.close_loop import VIEW_SCALE, tool_frame
 from bulletarm_gym.geometry import FloatArray, Pose, Rectangle
 from bulletarm_gym.rendering.point_cloud import project
 from bulletarm_gym.sensors import MAX_HEIGHT, Frame, Map
@@ -46,7 +46,7 @@ def close_loop_heightmap(
     :raises ValueError: no point is in the square, or ``points`` has another shape
     """
     (low, high), _, (_, top) = workspace
-    return _shown(points, hand_frame(hand, opening, VIEW_SCALE * (high - low)), top, size)
+    return _shown(points, tool_frame(hand, opening, VIEW_SCALE * (high - low)), top, size)
 
 
 def open_loop_heightmap(
@@ -95,8 +95,8 @@ def pick_height(
     :param heightmap: (1, n, n), the last one
     :param target: pose of the fingertips in the world, of any z
     :param depth: depth (m) of the fingertips below the highest point of the area, the task's
-        ``hints.pick_offset``
-    :param area: length along the opening and width (m) of the area, the task's ``hints.pick_area``; by
+        ``grasp_params.pick_offset``
+    :param area: length along the opening and width (m) of the area, the task's ``grasp_params.pick_area``; by
         default a square of twice the depth
     :param workspace: the environment's
     :return: z of the target in the world
@@ -131,7 +131,7 @@ def place_height(
     :param heightmap: (1, n, n), the last one, without the grasped object
     :param target: pose of the fingertips in the world, of any z
     :param grasp: measurements at the pick, see :func:`measure_grasp`
-    :param gap: gap (m) between the object and the highest point under it, the task's ``hints.place_offset``
+    :param gap: gap (m) from the object to the highest point under it, ``grasp_params.place_offset``
     :param workspace: the environment's
     :return: z of the target in the world
     """

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from contextlib import closing
 from typing import Any
 
-from bulletarm_gym.compilation import MONITOR
+from bulletarm_gym.geometry.compilation import MONITOR
 
 STEPS = 4
 """Steps of the expert in each episode: a pick and a place, two times."""

@@ -15,10 +15,8 @@ ROOT = Path(__file__).resolve().parent.parent
 LAYERS = (
     {
         "geometry",
-        "footprint",
         "inheritance",
         "config",
-        "compilation",
         "extensions",
         "machine",
         "rehearsal",
@@ -28,9 +26,8 @@ LAYERS = (
     },
     {"simulation"},
     {"robots", "objects", "surfaces", "rendering"},
-    {"support"},
     {"scene", "state"},
-    {"relations", "placement", "cameras", "sensors"},
+    {"cameras", "sensors"},
     {"control"},
     {"experts"},
     {"tasks"},

@@ -4,7 +4,7 @@ from typing import Any
 
 from bulletarm_gym.config import CLOSE_LOOP, OPEN_LOOP
 from bulletarm_gym.control.close_loop import CloseLoop, DeltaMove
-from bulletarm_gym.control.control import Control, Hints, Outcome
+from bulletarm_gym.control.control import Control, GraspParams, Outcome
 from bulletarm_gym.control.heights import Grasp
 from bulletarm_gym.control.interface import RobotInterface
 from bulletarm_gym.control.open_loop import OpenLoop, PickPlace
@@ -18,7 +18,7 @@ __all__ = [
     "Control",
     "DeltaMove",
     "Grasp",
-    "Hints",
+    "GraspParams",
     "OpenLoop",
     "Outcome",
     "PickPlace",
@@ -30,7 +30,7 @@ __all__ = [
 def find_control(name: str) -> type[Any]:
     """Return the class of a control by its name, ours or registered, or by its path ``"module:Class"``.
 
-    :return: a subclass of :class:`Control`, constructed with ``(config, robot, hints)``
+    :return: a subclass of :class:`Control`, constructed with ``(config, robot, grasp_params)``
     :raises ValueError: there is no such control
     """
     found = find_class("control", name, CONTROLS, CONTROL_PATHS, Control)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from bulletarm_gym.config import CLOSE_LOOP, MAX_ROTATION, MAX_TRANSLATION, EnvConfig
-from bulletarm_gym.control.control import POINTS, Control, Hints, Outcome, over
+from bulletarm_gym.control.control import POINTS, Control, GraspParams, Outcome, over
 from bulletarm_gym.control.interface import RobotInterface
 from bulletarm_gym.geometry import Pose, Rectangle, Vector
 from bulletarm_gym.sensors import Frame, View
@@ -46,7 +46,7 @@ class CloseLoop(Control[DeltaMove]):
 
     :param config: the environment's parameters
     :param robot: the robot that carries out the moves
-    :param hints: grasp parameters of the task, not used
+    :param grasp_params: grasp parameters of the task, not used
     """
 
     kind = CLOSE_LOOP
@@ -55,7 +55,7 @@ class CloseLoop(Control[DeltaMove]):
     max_rotation: ClassVar[float] = MAX_ROTATION
     """Largest rotation (rad) of an action."""
 
-    def __init__(self, config: EnvConfig, robot: RobotInterface, hints: Hints) -> None:
+    def __init__(self, config: EnvConfig, robot: RobotInterface, grasp_params: GraspParams) -> None:
         poses = (Pose.planar(*position) for position in over(config, config.workspace[2], POINTS))
         super().__init__(config, robot, poses)
         self._workspace = config.workspace
@@ -107,10 +107,10 @@ class CloseLoop(Control[DeltaMove]):
 
     def frame(self) -> Frame:
         """Return the square around the fingertips along the world's axes, with the squares of the fingers."""
-        return hand_frame(self.robot.pose, self.robot.opening, self._extent)
+        return tool_frame(self.robot.pose, self.robot.opening, self._extent)
 
 
-def hand_frame(hand: Pose, opening: float, extent: float) -> Frame:
+def tool_frame(hand: Pose, opening: float, extent: float) -> Frame:
     """Return a square of a side ``extent`` (m) about the fingertips, which are ``opening`` (m) apart."""
     return Frame(hand, extent, hand.z + CAMERA_OFFSET, gripper_squares(hand, opening))
 

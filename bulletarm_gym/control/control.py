@@ -29,7 +29,7 @@ Move = TypeVar("Move")
 
 
 @dataclass(frozen=True)
-class Hints:
+class GraspParams:
     """Grasp parameters of a task (paper, Open-loop Environments).
 
     :param pick_offset: depth (m) of the fingertips below the highest point around the target of a pick, if
@@ -66,7 +66,7 @@ class Control(ABC, Generic[Move]):
     ``action_sequence``.
 
     It uses only what a real robot knows: the action, the last observation, the measurements of its own joints
-    and gripper. The environment constructs a subclass with ``(config, robot, hints)``.
+    and gripper. The environment constructs a subclass with ``(config, robot, grasp_params)``.
 
     :param config: the environment's parameters
     :param robot: the robot that carries out the moves

@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bulletarm_gym.compilation import compiled
 from bulletarm_gym.geometry import Pose, Rectangle, matrix
+from bulletarm_gym.geometry.compilation import compiled
 from bulletarm_gym.rendering.overlays import rectangle_mask
 from bulletarm_gym.sensors import Map
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from bulletarm_gym.config import OPEN_LOOP, EnvConfig
-from bulletarm_gym.control.control import POINTS, Control, Hints, Outcome, over
+from bulletarm_gym.control.control import POINTS, Control, GraspParams, Outcome, over
 from bulletarm_gym.control.heights import Grasp, measure_grasp, pick_height, place_height
 from bulletarm_gym.control.interface import RobotInterface
 from bulletarm_gym.geometry import Pose, Rectangle, Vector, euler_pose
@@ -83,15 +83,15 @@ class OpenLoop(Control[PickPlace]):
 
     :param config: the environment's parameters
     :param robot: the robot that carries out the moves
-    :param hints: grasp parameters of the task
+    :param grasp_params: grasp parameters of the task
     """
 
     kind = OPEN_LOOP
 
-    def __init__(self, config: EnvConfig, robot: RobotInterface, hints: Hints) -> None:
+    def __init__(self, config: EnvConfig, robot: RobotInterface, grasp_params: GraspParams) -> None:
         floor = config.workspace[2][0]
         super().__init__(config, robot, _poses(config, floor))
-        self._hints = hints
+        self._hints = grasp_params
         self._config = config
         self._floor = floor
         self._names = _names(config.action_sequence)
@@ -138,13 +138,13 @@ class OpenLoop(Control[PickPlace]):
 
     def _height(self, view: View, places: bool, target: Pose) -> float:
         """Return the height (m) of a target whose action has no z."""
-        hints, heights = self._hints, view.map
-        depth = hints.pick_offset
+        grasp_params, heights = self._hints, view.map
+        depth = grasp_params.pick_offset
         if places and view.is_holding:
             # Without measurements, as in a task that starts with a grasped object, it counts as a cube.
             grasp = Grasp(*(self.memory or (depth, 0.0, 0.0, 2.0 * depth, 2.0 * depth)))
-            return self._floor + place_height(heights, target, grasp, hints.place_offset)
-        area = hints.pick_area or (2.0 * depth, 2.0 * depth)
+            return self._floor + place_height(heights, target, grasp, grasp_params.place_offset)
+        area = grasp_params.pick_area or (2.0 * depth, 2.0 * depth)
         return self._floor + pick_height(heights, Rectangle(target.x, target.y, *area, target.yaw), depth)
 
     def follow(self, before: View, after: View, outcome: Outcome) -> None:

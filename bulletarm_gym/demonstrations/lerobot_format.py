@@ -197,7 +197,7 @@ def _poses(env: ManipulationEnv, object_poses: bool) -> list[tuple[str, Feature]
     gripper = Feature("float32", (len(GRIPPER),), GRIPPER, read_gripper)
     parts = [
         f"{item.role.name}.{part}"
-        for item in env.scene.items
+        for item in env.scene.objects
         for part in (*POSE, *(f"joint_{number}" for number in range(len(item.spec.parts))))
     ]
     items = Feature("float32", (len(parts),), tuple(parts), read_items)

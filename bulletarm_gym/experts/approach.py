@@ -8,7 +8,7 @@ import numpy as np
 from bulletarm_gym.control.open_loop import HALF_TURN, MOTION
 from bulletarm_gym.experts.waypoints import CLOSED, OPEN, Waypoint
 from bulletarm_gym.geometry import Pose, matrix, planar_distance, rotate, wrap_angle
-from bulletarm_gym.scene import Item, Scene
+from bulletarm_gym.scene import Scene, SceneObject
 
 ALIGNED = 0.012
 """Distance (m) in the plane at which the fingers go down beside an item without touching it ..."""
@@ -131,7 +131,7 @@ def _stays_above(scene: Scene, apart: float, turn: float, top: float) -> bool:
     return scene.robot.pose.z - step * moves >= top - 1e-3
 
 
-def grasp_item(scene: Scene, item: Item, yaw: float, symmetry: float) -> Iterator[Waypoint]:
+def grasp_item(scene: Scene, item: SceneObject, yaw: float, symmetry: float) -> Iterator[Waypoint]:
     """Yield the way to a grasp about an item's centre of mass, over whatever is in between.
 
     :param yaw: along which the fingers open (rad); the nearest one with room for them is taken
@@ -148,7 +148,7 @@ def grasp_item(scene: Scene, item: Item, yaw: float, symmetry: float) -> Iterato
 
 
 def place_item(
-    scene: Scene, item: Item, spot: Sequence[float], height: float, turn: float = 0.0
+    scene: Scene, item: SceneObject, spot: Sequence[float], height: float, turn: float = 0.0
 ) -> Iterator[Waypoint]:
     """Yield the way of the held item to a spot, over whatever is in between, and let go of it there.
 
@@ -158,7 +158,9 @@ def place_item(
     yield from _carry(scene, item, goal, height, OPEN, ALIGNED)
 
 
-def place_pose(scene: Scene, item: Item, spot: Sequence[float], height: float, turn: float = 0.0) -> Pose:
+def place_pose(
+    scene: Scene, item: SceneObject, spot: Sequence[float], height: float, turn: float = 0.0
+) -> Pose:
     """Return where the fingertips let go of the held item.
 
     :param spot: x and y (m) of the item's middle
@@ -172,7 +174,7 @@ def place_pose(scene: Scene, item: Item, spot: Sequence[float], height: float, t
 
 
 def _carry(
-    scene: Scene, item: Item, goal: Pose, height: float, opening: float, near: float
+    scene: Scene, item: SceneObject, goal: Pose, height: float, opening: float, near: float
 ) -> Iterator[Waypoint]:
     """Yield the way to where the held item is let go.
 
@@ -194,7 +196,9 @@ def _way(start: Pose, end: Pose) -> tuple[float, float, float]:
     return (end.x - start.x, end.y - start.y, 0.0)
 
 
-def highest_between(scene: Scene, start: Sequence[float], end: Sequence[float], but: Item | None) -> float:
+def highest_between(
+    scene: Scene, start: Sequence[float], end: Sequence[float], but: SceneObject | None
+) -> float:
     """Return the height (m) of the highest item but one near a line, or of the ground."""
     reach = scene.robot.model.gripper.half_width() + PASSING_ASIDE
     tops = [
@@ -216,7 +220,7 @@ def _distance_to_line(point: Sequence[float], start: Sequence[float], end: Seque
     return math.hypot(point[0] - start[0] - share * dx, point[1] - start[1] - share * dy)
 
 
-def _is_clear(scene: Scene, item: Item, yaw: float) -> bool:
+def _is_clear(scene: Scene, item: SceneObject, yaw: float) -> bool:
     """Whether no other item is where the open fingers come down."""
     gripper = scene.robot.model.gripper
     reach = (gripper.stroke + gripper.finger[0]) / 2.0
@@ -227,7 +231,7 @@ def _is_clear(scene: Scene, item: Item, yaw: float) -> bool:
     return not any(_covers(other, finger, margin) for other in others for finger in fingers)
 
 
-def _covers(item: Item, point: tuple[float, float, float], margin: float) -> bool:
+def _covers(item: SceneObject, point: tuple[float, float, float], margin: float) -> bool:
     """Whether a point is in the box of one of an item's pieces, widened by a margin (m)."""
     inside = np.array(item.pose.inverse().transform(point))
     low, high = item.spec.piece_bounds[:, 0] - margin, item.spec.piece_bounds[:, 1] + margin

@@ -4,7 +4,8 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import permutations
 
-from bulletarm_gym.relations import (
+from bulletarm_gym.scene import Scene, SceneObject
+from bulletarm_gym.scene.predicates import (
     between,
     carries,
     in_line,
@@ -15,7 +16,6 @@ from bulletarm_gym.relations import (
     on_top,
     upright,
 )
-from bulletarm_gym.scene import Item, Scene
 
 LONG = 1.5
 """A block whose side along y is this many times as long as that along x is long: it is laid along a line."""
@@ -37,11 +37,11 @@ class Slot:
     below: tuple["Slot", ...] = ()
 
 
-Blocks = Mapping[str, Sequence[Item]]
+Blocks = Mapping[str, Sequence[SceneObject]]
 """All blocks of a task, by kind."""
-Standing = dict[Slot, Item]
+Standing = dict[Slot, SceneObject]
 """The blocks that are where they belong, by slot; those below before those above."""
-Accept = Callable[[Slot, Item, Standing], bool]
+Accept = Callable[[Slot, SceneObject, Standing], bool]
 
 
 class Blueprint:
@@ -124,7 +124,7 @@ class Blueprint:
                 standing[slot] = item
         return standing
 
-    def _fits(self, scene: Scene, slot: Slot, item: Item, standing: Standing) -> bool:
+    def _fits(self, scene: Scene, slot: Slot, item: SceneObject, standing: Standing) -> bool:
         """Whether an item lies as a slot's block should."""
         lies_on = on_top if len(slot.below) == 1 else carries
         if not all(below in standing and lies_on(scene, standing[below], item) for below in slot.below):
@@ -147,7 +147,7 @@ class Blueprint:
         )
 
 
-def is_long(item: Item) -> bool:
+def is_long(item: SceneObject) -> bool:
     """Whether a block is long enough to be laid along a line."""
     return item.spec.extents[1] > LONG * item.spec.extents[0]
 

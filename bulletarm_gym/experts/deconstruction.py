@@ -13,9 +13,9 @@ from bulletarm_gym.experts.approach import RELEASE
 from bulletarm_gym.experts.pick_place import fingers_fit, pick
 from bulletarm_gym.experts.waypoints import CLOSED, OPEN, Waypoint
 from bulletarm_gym.geometry import Pose
-from bulletarm_gym.placement import draw_until, free_pose
-from bulletarm_gym.relations import is_top
-from bulletarm_gym.scene import Item, Scene
+from bulletarm_gym.scene import Scene, SceneObject
+from bulletarm_gym.scene.predicates import is_top
+from bulletarm_gym.scene.sampling import free_pose, sample_until
 
 GRASP_CLEARANCE = 0.04
 """Least distance (m) between blocks on the ground: an open finger comes down in it."""
@@ -65,7 +65,7 @@ def take_apart(scene: Scene, rng: np.random.Generator) -> list[Relocation]:
     return relocations
 
 
-def _relocate(scene: Scene, rng: np.random.Generator, item: Item) -> Relocation:
+def _relocate(scene: Scene, rng: np.random.Generator, item: SceneObject) -> Relocation:
     """Put a block on the ground, where it can be grasped as in the structure."""
     before = item.pose
     carried = pick(scene, item, rng).pose.inverse().compose(before)
@@ -75,12 +75,12 @@ def _relocate(scene: Scene, rng: np.random.Generator, item: Item) -> Relocation:
         behind = hand.compose(Pose((0.0, 0.0, MOTION.approach)))
         return fingers_fit(scene, hand, item) and scene.robot.reaches(hand) and scene.robot.reaches(behind)
 
-    after = draw_until(lambda: free_pose(scene, rng, item, GRASP_CLEARANCE), is_in_reach)
+    after = sample_until(lambda: free_pose(scene, rng, item, GRASP_CLEARANCE), is_in_reach)
     item.place(after)
     return Relocation(before, after, carried)
 
 
-def _next(standing: Sequence[Item], rng: np.random.Generator) -> Item:
+def _next(standing: Sequence[SceneObject], rng: np.random.Generator) -> SceneObject:
     """Return one of the highest blocks of those that none is above."""
     free = [item for item in standing if is_top(item, standing)]
     highest = max(item.pose.z for item in free)

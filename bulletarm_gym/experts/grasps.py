@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bulletarm_gym.compilation import compiled
 from bulletarm_gym.geometry import FloatArray, IntArray, Pose
+from bulletarm_gym.geometry.compilation import compiled
 from bulletarm_gym.robots.gripper import Gripper
 
 YAWS = 12
@@ -44,7 +44,7 @@ TALL = 0.03
 
 
 @dataclass(frozen=True)
-class Relief:
+class ElevationLayers:
     """Heights of a square of the scene, with one layer an item.
 
     :param layers: (n, size, size) heights (m) of each item alone, 0 where it is not
@@ -111,7 +111,7 @@ class Grasps:
 
 
 def find_grasps(
-    relief: Relief,
+    relief: ElevationLayers,
     gripper: Gripper,
     yaws: Sequence[float],
     lowest: float,

@@ -16,9 +16,9 @@ from bulletarm_gym.config import CLOSE_LOOP, OPEN_LOOP
 from bulletarm_gym.control.open_loop import HALF_TURN, MAX_TILT, MOTION
 from bulletarm_gym.experts.approach import RELEASE
 from bulletarm_gym.experts.waypoints import CLOSED, OPEN, Waypoint
-from bulletarm_gym.footprint import Footprint
 from bulletarm_gym.geometry import (
     FloatArray,
+    Footprint,
     Pose,
     Vector,
     euler_pose,
@@ -27,8 +27,8 @@ from bulletarm_gym.geometry import (
     rotate,
     wrap_angle,
 )
-from bulletarm_gym.placement import footprint
-from bulletarm_gym.scene import Item, Scene
+from bulletarm_gym.scene import Scene, SceneObject
+from bulletarm_gym.scene.sampling import footprint
 from bulletarm_gym.simulation import Box
 
 SQUARENESS = 1.05
@@ -68,19 +68,19 @@ NEAREST_STOP = Pose((0.0, 0.0, MOTION.stops[-1][0]))
 """Nearest pose from which open-loop control begins a pick or place, in the frame of its target."""
 
 
-def lying_frame(item: Item) -> Pose:
+def resting_frame(item: SceneObject) -> Pose:
     """Return an item's lying frame, in the world.
 
     Boxes may lie on any side; all else keeps its own axes, turned over if it lies upside down.
     """
-    return item.once_a_pose(_lying_frame)
+    return item.cached_by_pose(_lying_frame)
 
 
-def _lying_frame(item: Item) -> Pose:
+def _lying_frame(item: SceneObject) -> Pose:
     rotation = matrix(item.pose)
     if not is_box(item):
         flip = np.diag([1.0, -1.0, -1.0]) if rotation[2, 2] < 0.0 else np.eye(3)
-        return Pose(item.pose.transform(item.once_a_shape(_grip_point)), quaternion(rotation @ flip))
+        return Pose(item.pose.transform(item.cached_by_shape(_grip_point)), quaternion(rotation @ flip))
     up = int(abs(rotation[2]).argmax())
     _, long = sorted({0, 1, 2} - {up}, key=lambda axis: (item.spec.extents[axis], axis))
     z, y = math.copysign(1.0, rotation[2, up]) * rotation[:, up], rotation[:, long]
@@ -89,7 +89,7 @@ def _lying_frame(item: Item) -> Pose:
     return Pose(item.pose.position, quaternion(np.array([x, y, z]).T))
 
 
-def _grip_point(item: Item) -> Vector:
+def _grip_point(item: SceneObject) -> Vector:
     """Return where (m) in its frame fingers that close along x hold an item: square on, near its middle."""
     low, high = (item.spec.piece_bounds[:, end, :2] for end in (0, 1))
     end = np.abs(item.spec.mesh.bounds[:, 1]).max()
@@ -130,7 +130,7 @@ def _held_at(low: FloatArray, high: FloatArray, y: float, pad: float) -> Grip:
     return Grip(badness, (left + right) / 2.0, y)
 
 
-def is_box(item: Item) -> bool:
+def is_box(item: SceneObject) -> bool:
     """Whether an item is a cuboid."""
     pieces = item.spec.pieces
     return len(pieces) == 1 and isinstance(pieces[0].shape, Box)
@@ -158,26 +158,26 @@ class Corners(NamedTuple):
         return ((self.low[0] + self.high[0]) / 2.0, (self.low[1] + self.high[1]) / 2.0, 0.0)
 
 
-def lying_corners(item: Item) -> Corners:
+def lying_corners(item: SceneObject) -> Corners:
     """Return the corners of an item in its lying frame."""
-    return item.once_a_pose(_lying_corners)
+    return item.cached_by_pose(_lying_corners)
 
 
-def _lying_corners(item: Item) -> Corners:
-    inside = lying_frame(item).inverse().compose(item.pose)
+def _lying_corners(item: SceneObject) -> Corners:
+    inside = resting_frame(item).inverse().compose(item.pose)
     points = item.spec.mesh.vertices @ matrix(inside).T + inside.position
     (x0, y0, z0), (x1, y1, z1) = points.min(axis=0).tolist(), points.max(axis=0).tolist()
     return Corners((x0, y0, z0), (x1, y1, z1))
 
 
-def pick(scene: Scene, item: Item, rng: np.random.Generator) -> Waypoint:
+def pick(scene: Scene, item: SceneObject, rng: np.random.Generator) -> Waypoint:
     """Return the pick of an item: about its middle, or higher if the fingers have room only there.
 
     The fingers close across the shorter of its sides, or along if there they have room.
 
     :param rng: draws one of the ways if none has room: one of them may do all the same
     """
-    frame = lying_frame(item)
+    frame = resting_frame(item)
     _, length, height = lying_corners(item).sides
     stroke = scene.robot.model.gripper.stroke
     turns = [0.0, math.pi / 2.0] if is_box(item) and length + OPENING_PLAY <= stroke else [0.0]
@@ -195,7 +195,7 @@ def pick(scene: Scene, item: Item, rng: np.random.Generator) -> Waypoint:
     return Waypoint(best, OPEN, finish=CLOSED)
 
 
-def _leaning(scene: Scene, item: Item, turns: Sequence[float]) -> list[Pose]:
+def _leaning(scene: Scene, item: SceneObject, turns: Sequence[float]) -> list[Pose]:
     """Return grasps by which a wide palm may get past what is beside an item, the least tilted ones first.
 
     The hand leans along the fingers' sides or to where they open; it takes a long item nearer to an end.
@@ -205,7 +205,7 @@ def _leaning(scene: Scene, item: Item, turns: Sequence[float]) -> list[Pose]:
     asides = [share * length for share in ASIDES] if is_box(item) or length > 2.0 * width else [0.0]
     skews = SKEWS if scene.config.control == CLOSE_LOOP else SKEWS[:1]
     tilts = sorted(itertools.product(leans, leans), key=lambda tilt: math.hypot(*tilt))
-    frame = lying_frame(item)
+    frame = resting_frame(item)
     return [
         _able(scene, frame.compose(euler_pose((0.0, aside, lift * height), (along, across, turn + skew))))
         for skew in skews
@@ -216,12 +216,12 @@ def _leaning(scene: Scene, item: Item, turns: Sequence[float]) -> list[Pose]:
     ]
 
 
-def put(scene: Scene, item: Item, grounds: Sequence[Pose]) -> Waypoint:
+def put(scene: Scene, item: SceneObject, grounds: Sequence[Pose]) -> Waypoint:
     """Return the place of the held item.
 
     :param grounds: frames it may as well be put on: the middle of the block just above the origin of one
     """
-    hand, lying = scene.robot.pose, lying_frame(item)
+    hand, lying = scene.robot.pose, resting_frame(item)
     in_hand = lying.inverse().compose(hand)
     middle = lying_corners(item).middle
     held_at = in_hand.inverse().transform(middle)
@@ -235,7 +235,7 @@ def put(scene: Scene, item: Item, grounds: Sequence[Pose]) -> Waypoint:
     return Waypoint(best, CLOSED, finish=OPEN)
 
 
-def _lying(item: Item) -> Iterator[Pose]:
+def _lying(item: SceneObject) -> Iterator[Pose]:
     """Yield the lying frame over the ground, in every way that looks the same."""
     corners = lying_corners(item)
     level = corners.sides[:2]
@@ -267,7 +267,7 @@ def _bring(scene: Scene, hand: Pose, held_at: Vector, goal: Vector) -> Pose:
     return Pose((goal[0] - x, goal[1] - y, goal[2] - z), able.orientation)
 
 
-def _rank(scene: Scene, hand: Pose, item: Item) -> tuple[bool, bool, bool]:
+def _rank(scene: Scene, hand: Pose, item: SceneObject) -> tuple[bool, bool, bool]:
     return _reaches(scene, hand), fingers_fit(scene, hand, item), palm_fits(scene, hand, item)
 
 
@@ -282,7 +282,7 @@ def _symmetric(hand: Pose) -> Pose:
     return hand if -math.pi / 2.0 <= hand.yaw < math.pi / 2.0 else hand.compose(HALF_TURN)
 
 
-def _fits(scene: Scene, hand: Pose, item: Item) -> bool:
+def _fits(scene: Scene, hand: Pose, item: SceneObject) -> bool:
     """Whether a grasp is in reach and has room, what is soonest known first."""
     return (
         palm_fits(scene, hand, item)
@@ -292,7 +292,7 @@ def _fits(scene: Scene, hand: Pose, item: Item) -> bool:
     )
 
 
-def palm_fits(scene: Scene, hand: Pose, item: Item) -> bool:
+def palm_fits(scene: Scene, hand: Pose, item: SceneObject) -> bool:
     """Whether a palm that reaches out beyond the fingers touches nothing but an item on its way in to a pose.
 
     Other palms touch nothing that the fingers would not touch.
@@ -311,7 +311,7 @@ def palm_fits(scene: Scene, hand: Pose, item: Item) -> bool:
     return all(outline.gap(_beyond(other, hand, root)) > PALM_CLEARANCE for other in high)
 
 
-def _wrist_fits(scene: Scene, hand: Pose, item: Item) -> bool:
+def _wrist_fits(scene: Scene, hand: Pose, item: SceneObject) -> bool:
     """Whether the arm, its palm and wrist too, touches nothing that stands higher than the fingers reach."""
     root = hand.z + scene.robot.model.gripper.finger[2]
     others = (other.body for other in scene if other is not item and other is not scene.held)
@@ -319,7 +319,7 @@ def _wrist_fits(scene: Scene, hand: Pose, item: Item) -> bool:
     return not high or scene.robot.is_free_at(_symmetric(hand), high)
 
 
-def _beyond(item: Item, hand: Pose, height: float) -> Footprint:
+def _beyond(item: SceneObject, hand: Pose, height: float) -> Footprint:
     """Return what an item covers at a height (m) of a hand's frame and above, seen along its z axis."""
     world = item.spec.mesh.vertices @ matrix(item.pose).T + item.pose.position
     points = (world - hand.position) @ matrix(hand)
@@ -336,7 +336,7 @@ def _lattice(length: float, width: float, height: float) -> FloatArray:
     return np.stack([along.ravel(), across.ravel(), np.full(along.size, height)], axis=1)
 
 
-def fingers_fit(scene: Scene, hand: Pose, item: Item) -> bool:
+def fingers_fit(scene: Scene, hand: Pose, item: SceneObject) -> bool:
     """Whether the open fingers can close, their tips at a pose, and touch nothing but an item."""
     gripper = scene.robot.model.gripper
     thickness, width, _ = gripper.finger

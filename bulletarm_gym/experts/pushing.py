@@ -5,7 +5,7 @@ from collections.abc import Iterator, Sequence
 
 from bulletarm_gym.experts.waypoints import HALF_OPEN, Waypoint
 from bulletarm_gym.geometry import Pose, planar_distance
-from bulletarm_gym.scene import Item, Scene
+from bulletarm_gym.scene import Scene, SceneObject
 
 CLEAR = 0.06
 """Where (m) the gripper comes down behind the block."""
@@ -36,7 +36,7 @@ class Drag:
     :param low: height (m) of the fingertips while they drag
     """
 
-    def __init__(self, scene: Scene, item: Item, goal: Sequence[float], low: float) -> None:
+    def __init__(self, scene: Scene, item: SceneObject, goal: Sequence[float], low: float) -> None:
         self._hand = scene.robot.pose
         self._half_width = scene.robot.model.gripper.half_width(HALF_OPEN)
         self._goal = goal

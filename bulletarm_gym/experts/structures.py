@@ -18,11 +18,10 @@ from bulletarm_gym.experts.pick_place import (
     put,
 )
 from bulletarm_gym.experts.waypoints import Waypoint
-from bulletarm_gym.footprint import Footprint, PlacementError
-from bulletarm_gym.geometry import Pose, planar_distance, wrap_angle
-from bulletarm_gym.placement import footprint, free_pose, free_site, roomiest
-from bulletarm_gym.relations import IN_LINE, heading, is_held, middle, rests_on
-from bulletarm_gym.scene import Item, Scene
+from bulletarm_gym.geometry import Footprint, PlacementError, Pose, planar_distance, wrap_angle
+from bulletarm_gym.scene import Scene, SceneObject
+from bulletarm_gym.scene.predicates import IN_LINE, heading, is_held, middle, rests_on
+from bulletarm_gym.scene.sampling import footprint, free_pose, free_site, most_free_point
 from bulletarm_gym.surfaces.surface import Point
 
 BASE_GAP = 0.75
@@ -118,7 +117,7 @@ class Builder:
                 return best
         return {}
 
-    def _accepts(self, slot: Slot, item: Item, standing: Standing) -> bool:
+    def _accepts(self, slot: Slot, item: SceneObject, standing: Standing) -> bool:
         """Whether an item is near enough to where it would have been put."""
         if slot.layer > 0:
             ground = self._ground(slot, item, standing)
@@ -133,7 +132,7 @@ class Builder:
             and self._carries(footprint(before[0]), footprint(item))
         )
 
-    def _is_straight(self, items: Sequence[Item]) -> bool:
+    def _is_straight(self, items: Sequence[SceneObject]) -> bool:
         a, b, c = items[0], items[-2], items[-1]
         return a is b or abs(wrap_angle(_direction(a, b) - _direction(b, c))) < IN_LINE
 
@@ -141,20 +140,20 @@ class Builder:
         """Whether nothing lies on what stands that does not belong there."""
         return not any(True for _ in self._strays(standing))
 
-    def _strays(self, standing: Standing) -> Iterator[Item]:
+    def _strays(self, standing: Standing) -> Iterator[SceneObject]:
         """Yield what lies on the structure and is not part of it."""
         for item in self._loose(standing):
             if any(rests_on(self._scene, below, item) for below in standing.values()):
                 yield item
 
-    def _loose(self, standing: Standing) -> list[Item]:
+    def _loose(self, standing: Standing) -> list[SceneObject]:
         there = standing.values()
         return [item for item in self._scene if item not in there and not is_held(self._scene, item)]
 
     # What is done next
 
     @property
-    def _next(self) -> Item:
+    def _next(self) -> SceneObject:
         """The block to pick: what lies where it should not, else what is missing, else the last one."""
         stray = next(self._strays(self._standing), None)
         if stray is not None:
@@ -163,7 +162,7 @@ class Builder:
         loose = [] if slot is None else self._spare(slot)
         return self._topmost(loose[0] if loose else list(self._standing.values())[-1])
 
-    def _spare(self, slot: Slot, standing: Standing | None = None) -> list[Item]:
+    def _spare(self, slot: Slot, standing: Standing | None = None) -> list[SceneObject]:
         """Return the blocks that may go to a slot, the one to take first."""
         standing = self._standing if standing is None else standing
         there = list(standing.values())
@@ -175,17 +174,17 @@ class Builder:
             loose, key=lambda item: (self._above(item) is not None, planar_distance(item.pose.position, at))
         )
 
-    def _topmost(self, item: Item) -> Item:
+    def _topmost(self, item: SceneObject) -> SceneObject:
         seen = [item]
         while (above := self._above(seen[-1])) is not None and above not in seen:
             seen.append(above)
         return seen[-1]
 
-    def _above(self, item: Item) -> Item | None:
+    def _above(self, item: SceneObject) -> SceneObject | None:
         free = (other for other in self._scene if other is not item and not is_held(self._scene, other))
         return next((other for other in free if rests_on(self._scene, item, other)), None)
 
-    def _open_slot(self, item: Item) -> Slot | None:
+    def _open_slot(self, item: SceneObject) -> Slot | None:
         """Return the slot a held item can be put into now."""
         if not self._is_free(self._standing):
             return None
@@ -200,7 +199,7 @@ class Builder:
 
     # Where to
 
-    def _ground(self, slot: Slot, item: Item, standing: Standing) -> Pose:
+    def _ground(self, slot: Slot, item: SceneObject, standing: Standing) -> Pose:
         """Return the level frame on which a slot's block is put, its y axis along the structure's line."""
         if slot.layer == 0:
             return self._beside or self._site(item) or self._aside(item)
@@ -216,16 +215,16 @@ class Builder:
             x + offset * math.cos(yaw), y + offset * math.sin(yaw), height, yaw - math.pi / 2.0
         )
 
-    def _aside(self, item: Item) -> Pose:
+    def _aside(self, item: SceneObject) -> Pose:
         """Return the frame of a free place on the ground."""
         for margin in MARGINS:
             try:
                 return free_pose(self._scene, self._rng, item, margin).compose(_under(item))
             except PlacementError:
                 continue
-        return self._scene.surface.pose(roomiest(self._scene, item), 0.0)
+        return self._scene.surface.pose(most_free_point(self._scene, item), 0.0)
 
-    def _site(self, item: Item) -> Pose | None:
+    def _site(self, item: SceneObject) -> Pose | None:
         """Return where an item can be put that a base begins with, with room for the others."""
         base = [self._blocks[slot.kind][slot.place] for slot in self._blueprint.layers[0]]
         size, places = self._base(base)
@@ -237,7 +236,7 @@ class Builder:
                 continue
         return None
 
-    def _base(self, items: Sequence[Item]) -> tuple[Point, list[float]]:
+    def _base(self, items: Sequence[SceneObject]) -> tuple[Point, list[float]]:
         """Return width and length (m) of blocks side by side, and where (m) each of them is along y."""
         lengths = [item.spec.extents[1] for item in items]
         gap = self._gaps(self._blueprint.layers[0][-1], lengths[0] + lengths[-1])[0]
@@ -287,7 +286,7 @@ class Builder:
                     room = min((base_of.gap(other) for other in others), default=MARGINS[0])
                     yield min(room, MARGINS[0]) - PREFERENCE * gap, ground
 
-    def _directions(self, base: Sequence[Item]) -> list[float]:
+    def _directions(self, base: Sequence[SceneObject]) -> list[float]:
         if len(base) > 1:
             return [_direction(base[0], base[-1])]
         if "r" not in self._scene.config.action_sequence:
@@ -301,7 +300,7 @@ class Builder:
     def _blueprint_site(self) -> tuple[float, float]:
         return (self._blueprint.side, self._blueprint.side)
 
-    def _can_be_put(self, ground: Pose, item: Item) -> bool:
+    def _can_be_put(self, ground: Pose, item: SceneObject) -> bool:
         """Whether the fingers have room to put an item on a frame."""
         corners = lying_corners(item)
         width, length, _ = corners.sides
@@ -341,16 +340,16 @@ class Builder:
         return float(surface.heights(over.points).max()) < surface.level + 0.8 * self._blueprint.side
 
 
-def _under(item: Item) -> Pose:
+def _under(item: SceneObject) -> Pose:
     """Return the frame below the middle of an item, as it was made to stand, in the item's frame."""
     low, high = item.spec.mesh.bounds.tolist()
     return Pose(((low[0] + high[0]) / 2.0, (low[1] + high[1]) / 2.0, low[2]))
 
 
-def _direction(first: Item, second: Item) -> float:
+def _direction(first: SceneObject, second: SceneObject) -> float:
     return math.atan2(second.pose.y - first.pose.y, second.pose.x - first.pose.x)
 
 
-def _heading(item: Item) -> float:
+def _heading(item: SceneObject) -> float:
     """Return the direction (rad) of what lies on a block: along it, or along a side of it."""
     return heading(item) if is_long(item) else side_yaw(item.pose) + math.pi / 2.0

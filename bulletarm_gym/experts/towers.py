@@ -6,9 +6,9 @@ from collections.abc import Iterator, Sequence
 from bulletarm_gym.experts.approach import RELEASE, grasp_item, place_item, side_yaw
 from bulletarm_gym.experts.waypoints import Waypoint
 from bulletarm_gym.geometry import planar_distance, wrap_angle
-from bulletarm_gym.placement import roomiest
-from bulletarm_gym.relations import is_held, on_ground, on_top
-from bulletarm_gym.scene import Item, Scene
+from bulletarm_gym.scene import Scene, SceneObject
+from bulletarm_gym.scene.predicates import is_held, on_ground, on_top
+from bulletarm_gym.scene.sampling import most_free_point
 
 CUBE_SYMMETRY = math.pi / 2.0
 CROWN_SYMMETRY = math.pi
@@ -21,7 +21,7 @@ class Tower:
     :param crown: what comes on top in the end; it is grasped along its x axis
     """
 
-    def __init__(self, scene: Scene, cubes: Sequence[Item], crown: Item | None = None) -> None:
+    def __init__(self, scene: Scene, cubes: Sequence[SceneObject], crown: SceneObject | None = None) -> None:
         self._scene = scene
         self._crown = crown
         self._blocks = [*cubes, crown] if crown is not None else list(cubes)
@@ -41,12 +41,12 @@ class Tower:
         elif self._fits(item):
             yield from self._put_on(item, self._standing[-1])
         else:
-            spot = roomiest(self._scene, item)
+            spot = most_free_point(self._scene, item)
             height = self._scene.surface.height(spot) + RELEASE
             yield from place_item(self._scene, item, spot, height)
 
     @property
-    def _next(self) -> Item:
+    def _next(self) -> SceneObject:
         """The block to move: what is held, else what lies on those it should not, else what is missing."""
         held = self._scene.held
         if held is not None:
@@ -59,18 +59,18 @@ class Tower:
             wanted = above
         return wanted
 
-    def _fits(self, item: Item) -> bool:
+    def _fits(self, item: SceneObject) -> bool:
         """Whether an item belongs on the tower now."""
         if not self._standing or item in self._standing or (item is self._crown and self._missing):
             return False
         return self._above(self._standing[-1]) is None
 
-    def _put_on(self, item: Item, below: Item) -> Iterator[Waypoint]:
+    def _put_on(self, item: SceneObject, below: SceneObject) -> Iterator[Waypoint]:
         turn = wrap_angle(self._yaw(below) - self._yaw(item), CUBE_SYMMETRY)
         height = self._scene.world.top(below.body) + RELEASE
         yield from place_item(self._scene, item, below.pose.position, height, turn)
 
-    def _pile(self, base: Item, cubes: Sequence[Item]) -> list[Item]:
+    def _pile(self, base: SceneObject, cubes: Sequence[SceneObject]) -> list[SceneObject]:
         """Return a cube and, if it is on the ground, the cubes on it, from the bottom up."""
         pile = [base]
         if on_ground(self._scene, base):
@@ -78,7 +78,7 @@ class Tower:
                 pile.append(above)
         return pile
 
-    def _leaves_room(self, pile: Sequence[Item]) -> bool:
+    def _leaves_room(self, pile: Sequence[SceneObject]) -> bool:
         """Whether the crown can be grasped beside a pile, however high it grows."""
         if self._crown is None or is_held(self._scene, self._crown):
             return True
@@ -86,17 +86,17 @@ class Tower:
         room = max(gripper.palm[0] / 2.0, gripper.half_width()) + pile[0].spec.planar_radius
         return planar_distance(pile[0].pose.position, self._crown.pose.position) > room
 
-    def _above(self, item: Item, pool: Sequence[Item] | None = None) -> Item | None:
+    def _above(self, item: SceneObject, pool: Sequence[SceneObject] | None = None) -> SceneObject | None:
         """Return the block that lies on an item."""
         others = (block for block in (pool or self._blocks) if block is not item)
         free = (block for block in others if not is_held(self._scene, block))
         return next((block for block in free if on_top(self._scene, item, block)), None)
 
-    def _distance(self, item: Item) -> float:
+    def _distance(self, item: SceneObject) -> float:
         return planar_distance(item.pose.position, self._scene.robot.pose.position)
 
-    def _yaw(self, item: Item) -> float:
+    def _yaw(self, item: SceneObject) -> float:
         return item.pose.yaw if item is self._crown else side_yaw(item.pose)
 
-    def _symmetry(self, item: Item) -> float:
+    def _symmetry(self, item: SceneObject) -> float:
         return CROWN_SYMMETRY if item is self._crown else CUBE_SYMMETRY

@@ -6,8 +6,8 @@ The paper's close-loop observation, Section Close-loop Environments.
 import numpy as np
 from numpy.typing import NDArray
 
-from bulletarm_gym.compilation import compiled
 from bulletarm_gym.geometry import FloatArray
+from bulletarm_gym.geometry.compilation import compiled
 
 EMPTY = np.float32(-np.inf)
 

@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bulletarm_gym.compilation import compiled
 from bulletarm_gym.geometry import FloatArray, IntArray
+from bulletarm_gym.geometry.compilation import compiled
 
 SUBPIXELS = 65536.0
 """Grid steps a pixel: 16 bits, so that a product of two numbers of 10 bits more fits the 53 of a double."""

@@ -6,8 +6,8 @@ from functools import cache
 
 import numpy as np
 
-from bulletarm_gym.compilation import compiled
 from bulletarm_gym.geometry import FloatArray, Pose, matrix
+from bulletarm_gym.geometry.compilation import compiled
 from bulletarm_gym.robots.kinematics import Chain, _advance, _apply, _dot, _product
 from bulletarm_gym.simulation import Body, World
 from bulletarm_gym.simulation.motion import RISE

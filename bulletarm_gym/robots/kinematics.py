@@ -14,8 +14,8 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from bulletarm_gym.compilation import compiled
 from bulletarm_gym.geometry import FloatArray, Pose, Vector, euler_pose, matrix, quaternion
+from bulletarm_gym.geometry.compilation import compiled
 
 MAX_ITERATIONS = 80
 TOLERANCE = 1e-9

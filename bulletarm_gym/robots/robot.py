@@ -313,7 +313,7 @@ class Robot:
             self._world.rest(self.held)
         self._draw_out()
 
-    def give_way(self) -> None:
+    def resolve_penetration(self) -> None:
         """Take the resting arm out of what it is too deep in, and what it holds out of a finger.
 
         What is too deep in both fingers opens them.

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from xml.etree.ElementTree import Element, SubElement
 
-from bulletarm_gym.geometry import Pose, Vector, euler_pose, rpy, turn
+from bulletarm_gym.geometry import Pose, Vector, euler_pose, from_rotvec, rpy
 from bulletarm_gym.robots.kinematics import axis_of, frame_of, number_of
 
 ORIGIN = Pose((0.0, 0.0, 0.0))
@@ -156,7 +156,9 @@ def pose_at(joint: Element, position: float) -> Pose:
     x, y, z = axis_of(joint)
     length = math.hypot(x, y, z)
     x, y, z = (position * part / length for part in (x, y, z))
-    return frame.compose(Pose((x, y, z)) if kind == "prismatic" else Pose(ORIGIN.position, turn((x, y, z))))
+    return frame.compose(
+        Pose((x, y, z)) if kind == "prismatic" else Pose(ORIGIN.position, from_rotvec((x, y, z)))
+    )
 
 
 def put_origin(element: Element, pose: Pose) -> None:

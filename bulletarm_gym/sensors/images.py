@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from bulletarm_gym.config import ORTHOGRAPHIC
 from bulletarm_gym.rendering.overlays import fill_rectangles, rectangle_mask
-from bulletarm_gym.scene import SIDE_PIXELS
+from bulletarm_gym.scene.scene import SIDE_PIXELS
 from bulletarm_gym.sensors.sensor import Sensor
 from bulletarm_gym.sensors.view import MAX_HEIGHT, Frame, Heights, View
 from bulletarm_gym.simulation import Camera
@@ -109,6 +109,6 @@ class Segmentation(Sensor):
     @cached_property
     def _numbers(self) -> NDArray[np.uint8]:
         """Number of the item of each label."""
-        items = self.scene.items
+        items = self.scene.objects
         number_of = {body.index: number for number, item in enumerate(items, 1) for body in item.bodies}
         return np.array([0, *(number_of.get(body.index, 0) for body, _ in self.scene.parts)], np.uint8)

@@ -37,7 +37,7 @@ class State(Sensor):
     @property
     def space(self) -> spaces.Box:
         """Metres and quaternions, without limits."""
-        size = HAND_SIZE + sum(POSE_SIZE + len(item.spec.parts) for item in self.scene.items)
+        size = HAND_SIZE + sum(POSE_SIZE + len(item.spec.parts) for item in self.scene.objects)
         return spaces.Box(-np.inf, np.inf, (size,), np.float32)
 
     def read(self, view: View) -> NDArray[np.float32]:
@@ -49,7 +49,7 @@ class State(Sensor):
         robot = self.scene.robot
         hand = robot.pose
         numbers = [robot.opening_ratio, *hand.position, math.cos(hand.yaw), math.sin(hand.yaw)]
-        for item in self.scene.items:
+        for item in self.scene.objects:
             pose = item.pose
             numbers += [1.0, *pose.position, *pose.orientation] if item.is_present else [0.0] * POSE_SIZE
             numbers += item.joints if item.spec.parts else ()

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from bulletarm_gym.compilation import compiled
 from bulletarm_gym.geometry import FloatArray
+from bulletarm_gym.geometry.compilation import compiled
 from bulletarm_gym.simulation.state import Body
 from bulletarm_gym.simulation.world import World
 

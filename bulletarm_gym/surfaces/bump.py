@@ -6,8 +6,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import ArrayLike
 
-from bulletarm_gym.footprint import Footprint, PlacementError
-from bulletarm_gym.geometry import FloatArray, Pose, Vector, matrix
+from bulletarm_gym.geometry import FloatArray, Footprint, PlacementError, Pose, Vector, matrix
 from bulletarm_gym.objects.solids import loft
 from bulletarm_gym.simulation import BodySpec, Box, Piece, World
 from bulletarm_gym.surfaces.flat import FLOOR

@@ -8,8 +8,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike
 
-from bulletarm_gym.footprint import Footprint, PlacementError
-from bulletarm_gym.geometry import FloatArray, Pose, Vector, matrix
+from bulletarm_gym.geometry import FloatArray, Footprint, PlacementError, Pose, Vector, matrix
 from bulletarm_gym.objects.solids import block
 from bulletarm_gym.simulation import BodySpec, World
 from bulletarm_gym.surfaces.flat import FLOOR

@@ -8,8 +8,7 @@ from typing import ClassVar, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
-from bulletarm_gym.footprint import Footprint, PlacementError
-from bulletarm_gym.geometry import FloatArray, Pose, Vector
+from bulletarm_gym.geometry import FloatArray, Footprint, PlacementError, Pose, Vector
 from bulletarm_gym.simulation import Body, BodySpec, World
 
 Point: TypeAlias = tuple[float, float]

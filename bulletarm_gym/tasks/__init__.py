@@ -1,8 +1,8 @@
 """What is to be done: one file a family of tasks."""
 
-from bulletarm_gym.control import Hints
+from bulletarm_gym.control import GraspParams
 from bulletarm_gym.experts import CLOSED, HALF_OPEN, OPEN, Waypoint
 from bulletarm_gym.rendering.overlays import Overlay
 from bulletarm_gym.tasks.task import Task
 
-__all__ = ["CLOSED", "HALF_OPEN", "OPEN", "Hints", "Overlay", "Task", "Waypoint"]
+__all__ = ["CLOSED", "HALF_OPEN", "OPEN", "GraspParams", "Overlay", "Task", "Waypoint"]

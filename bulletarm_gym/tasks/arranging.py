@@ -6,14 +6,14 @@ from collections.abc import Iterator
 import numpy as np
 
 from bulletarm_gym.config import CLOSE_LOOP, OPEN_LOOP, WIDE, EnvConfig, TaskDefaults, TrayUse
-from bulletarm_gym.control import Hints
+from bulletarm_gym.control import GraspParams
 from bulletarm_gym.experts.approach import RELEASE, place_pose
 from bulletarm_gym.experts.waypoints import CLOSED, OPEN, Waypoint
 from bulletarm_gym.geometry import Pose, planar_distance, wrap_angle
 from bulletarm_gym.objects.bottles import BOTTLES, HEIGHT, TRAY, TRAY_FLOOR, bottle, bottle_tray
-from bulletarm_gym.placement import lay_apart
-from bulletarm_gym.relations import at_rest, inside, is_empty, touching, upright
-from bulletarm_gym.scene import Item, Role, Scene, shaped
+from bulletarm_gym.scene import ObjectSlot, Scene, SceneObject, shaped
+from bulletarm_gym.scene.predicates import at_rest, inside, is_empty, touching, upright
+from bulletarm_gym.scene.sampling import place_apart
 from bulletarm_gym.tasks.task import Task
 
 MOST_BOTTLES = 6
@@ -59,22 +59,22 @@ class BottleArrangement(Task):
         return TRAY_FLOOR + HEIGHT * max(self.config.scales) / 2.0
 
     @property
-    def hints(self) -> Hints:
+    def grasp_params(self) -> GraspParams:
         """Bottles are grasped at their necks and released close to the tray, because they tip over."""
         depth = PICK_OFFSET * max(self.config.scales)
-        return Hints(pick_offset=depth, place_offset=PLACE_OFFSET, opening=OPENING)
+        return GraspParams(pick_offset=depth, place_offset=PLACE_OFFSET, opening=OPENING)
 
-    def bodies(self, config: EnvConfig) -> list[Role]:
+    def bodies(self, config: EnvConfig) -> list[ObjectSlot]:
         """Return the tray, and for each bottle all shapes in all sizes."""
         names = [f"bottle {number}" for number in range(config.num_objects)]
         bottles = [shaped(config, name, bottle, len(BOTTLES)) for name in names]
-        return [Role("tray", (bottle_tray("tray"),)), *bottles]
+        return [ObjectSlot("tray", (bottle_tray("tray"),)), *bottles]
 
     def arrange(self, scene: Scene, rng: np.random.Generator) -> None:
         """Put the tray somewhere, and the bottles beside it."""
         spread = math.pi if self.config.random_orientation else 0.0
         scene["tray"].place(scene.surface.goal_site(self.site, rng, spread))
-        lay_apart(scene, rng, self._bottles(scene, absent=True), BOTTLE_SPACING)
+        place_apart(scene, rng, self._bottles(scene, absent=True), BOTTLE_SPACING)
 
     def evaluate(self, scene: Scene) -> dict[str, bool]:
         """Look whether all bottles are in the tray, and whether all is done."""
@@ -103,18 +103,18 @@ class BottleArrangement(Task):
         bottles = self._bottles(scene)
         item = next((item for item in bottles if not self._is_in_tray(scene, item)), bottles[0])
         x, y, _ = item.pose.position
-        height = scene.world.top(item.body) - self.hints.pick_offset
+        height = scene.world.top(item.body) - self.grasp_params.pick_offset
         yield Waypoint(Pose.planar(x, y, height, yaw), OPEN, finish=CLOSED)
 
-    def _bottles(self, scene: Scene, absent: bool = False) -> list[Item]:
-        return [item for item in (scene.items if absent else scene) if item is not scene["tray"]]
+    def _bottles(self, scene: Scene, absent: bool = False) -> list[SceneObject]:
+        return [item for item in (scene.objects if absent else scene) if item is not scene["tray"]]
 
-    def _is_in_tray(self, scene: Scene, item: Item) -> bool:
+    def _is_in_tray(self, scene: Scene, item: SceneObject) -> bool:
         tray = scene["tray"]
         lies = inside(item, tray) and upright(item)
         return lies and item is not scene.held and touching(scene, tray, item)
 
-    def _emptiest(self, scene: Scene, held: Item) -> Pose:
+    def _emptiest(self, scene: Scene, held: SceneObject) -> Pose:
         """Return the place farthest from all bottles but the held one, in the world, on the tray's floor."""
         others = [item.pose.position for item in self._bottles(scene) if item is not held]
         spots = [scene["tray"].pose.compose(place) for place in places()]

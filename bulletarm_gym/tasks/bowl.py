@@ -12,9 +12,9 @@ from bulletarm_gym.geometry import planar_distance
 from bulletarm_gym.objects import bowl, cube
 from bulletarm_gym.objects.blocks import CUBE_SIZE
 from bulletarm_gym.objects.bowl import HEIGHT
-from bulletarm_gym.placement import scatter, stand
-from bulletarm_gym.relations import at_rest, is_empty, is_held, touching, upright
-from bulletarm_gym.scene import Item, Role, Scene, scaled
+from bulletarm_gym.scene import ObjectSlot, Scene, SceneObject, scaled
+from bulletarm_gym.scene.predicates import at_rest, is_empty, is_held, touching, upright
+from bulletarm_gym.scene.sampling import scatter, stand
 from bulletarm_gym.tasks.reaching import BORDER_MARGIN
 from bulletarm_gym.tasks.task import Task
 
@@ -47,11 +47,11 @@ class BlockInBowl(Task):
         """The gripper must get over the rim with half a cube below it."""
         return (HEIGHT + CUBE_SIZE / 2.0) * max(self.config.scales)
 
-    def bodies(self, config: EnvConfig) -> list[Role]:
+    def bodies(self, config: EnvConfig) -> list[ObjectSlot]:
         """Return cube and bowl."""
         return [scaled(config, "cube", cube), scaled(config, "bowl", bowl)]
 
-    def grasped(self, scene: Scene) -> list[Item]:
+    def grasped(self, scene: Scene) -> list[SceneObject]:
         """Return the cube: the bowl stays where it is."""
         return [scene["cube"]]
 

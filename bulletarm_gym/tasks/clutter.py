@@ -15,16 +15,16 @@ from bulletarm_gym.config import (
     TaskDefaults,
     TrayUse,
 )
-from bulletarm_gym.control import Hints
+from bulletarm_gym.control import GraspParams
 from bulletarm_gym.experts.approach import ALIGNED, ALIGNED_YAW, HOVER
-from bulletarm_gym.experts.grasps import DEPTHS, YAWS, Grasps, Relief, find_grasps
-from bulletarm_gym.experts.stirring import stir
+from bulletarm_gym.experts.grasps import DEPTHS, YAWS, ElevationLayers, Grasps, find_grasps
+from bulletarm_gym.experts.singulation import stir
 from bulletarm_gym.experts.waypoints import CLOSED, OPEN, Waypoint
-from bulletarm_gym.footprint import PlacementError
 from bulletarm_gym.geometry import (
     IDENTITY,
     FloatArray,
     Mesh,
+    PlacementError,
     Pose,
     Quaternion,
     planar_distance,
@@ -32,8 +32,8 @@ from bulletarm_gym.geometry import (
 )
 from bulletarm_gym.objects.blocks import CUBE_SIZE
 from bulletarm_gym.objects.sets import object_set
-from bulletarm_gym.placement import ARRANGEMENTS
-from bulletarm_gym.scene import Item, Role, Scene
+from bulletarm_gym.scene import ObjectSlot, Scene, SceneObject
+from bulletarm_gym.scene.sampling import ARRANGEMENTS
 from bulletarm_gym.simulation import BodySpec, Convex, Piece
 from bulletarm_gym.simulation.settling import settle
 from bulletarm_gym.tasks.task import Task
@@ -120,7 +120,7 @@ class ObjectGrasping(Task):
         """Up to where the gripper must lift."""
         return self.config.lift_height
 
-    def bodies(self, config: EnvConfig) -> list[Role]:
+    def bodies(self, config: EnvConfig) -> list[ObjectSlot]:
         """Return all objects of the set, each in one size.
 
         :raises ValueError: the set has fewer than ``num_objects``, or is of kinds that there are not
@@ -130,9 +130,11 @@ class ObjectGrasping(Task):
             raise ValueError(
                 f"num_objects: got {config.num_objects}, takes at most {len(specs)} with this object_set"
             )
-        return [Role(spec.name, (resized(spec, scales[n % len(scales)]),)) for n, spec in enumerate(specs)]
+        return [
+            ObjectSlot(spec.name, (resized(spec, scales[n % len(scales)]),)) for n, spec in enumerate(specs)
+        ]
 
-    def grasped(self, scene: Scene) -> list[Item]:
+    def grasped(self, scene: Scene) -> list[SceneObject]:
         """Return nothing: what is too large for the gripper is left where it is."""
         return []
 
@@ -142,14 +144,14 @@ class ObjectGrasping(Task):
         :raises PlacementError: they do not stay in it
         """
         for _ in range(ARRANGEMENTS):
-            chosen = rng.choice(len(scene.items), self.config.num_objects, replace=False)
-            self.drop(scene, [scene.items[index] for index in chosen], rng)
+            chosen = rng.choice(len(scene.objects), self.config.num_objects, replace=False)
+            self.drop(scene, [scene.objects[index] for index in chosen], rng)
             if self.is_valid(scene):
                 return
             scene.clear(rng)
         raise PlacementError(f"num_objects: {self.config.num_objects} objects do not stay in the tray")
 
-    def drop(self, scene: Scene, items: Sequence[Item], rng: np.random.Generator) -> None:
+    def drop(self, scene: Scene, items: Sequence[SceneObject], rng: np.random.Generator) -> None:
         """Drop items into the tray one by one and let them come to rest, the arm out of their way."""
         start = scene.robot.pose
         away = Pose.planar(start.x, start.y, ARM_AWAY)
@@ -169,7 +171,7 @@ class ObjectGrasping(Task):
         position = (*point, scene.surface.height(point) + DROP_HEIGHT)
         return Pose(position, orientation if self.config.random_orientation else IDENTITY)
 
-    def carry_on(self, scene: Scene, rng: np.random.Generator) -> bool:
+    def continue_scene(self, scene: Scene, rng: np.random.Generator) -> bool:
         """Take the grasped object away and keep the others; false when none is left or one is outside."""
         held = scene.held
         if held is not None and scene.robot.pose.z > self.config.lift_height:
@@ -212,7 +214,7 @@ class ObjectGrasping(Task):
             height = max(hand.z, self.config.lift_height) + scene.max_translation
             yield Waypoint(Pose.planar(hand.x, hand.y, height, hand.yaw), CLOSED)
 
-    def _target(self, scene: Scene, relief: Relief) -> Pose | None:
+    def _target(self, scene: Scene, relief: ElevationLayers) -> Pose | None:
         """Return the grasp whose quality less the way to it is best, if any is good enough.
 
         The way shrinks as the gripper comes near, and for hardly any other grasp faster: the choice stands.
@@ -230,7 +232,7 @@ class ObjectGrasping(Task):
         way = np.sqrt((grasps.x - hand.x) ** 2 + (grasps.y - hand.y) ** 2 + turn**2)
         return grasps.at(int(np.where(good, value - WAY_WEIGHT * way, -np.inf).argmax()))
 
-    def _grasps(self, scene: Scene, relief: Relief, depths: Sequence[float]) -> Grasps:
+    def _grasps(self, scene: Scene, relief: ElevationLayers, depths: Sequence[float]) -> Grasps:
         """Return the grasps within the workspace that have room, as :func:`find_grasps` does."""
         turns = "r" in self.config.action_sequence
         yaws = [math.pi * step / YAWS for step in range(YAWS)] if turns else [scene.robot.pose.yaw]
@@ -265,9 +267,9 @@ class OpenLoopObjectGrasping(ObjectGrasping):
         return CUBE_SIZE * max(self.config.scales)
 
     @property
-    def hints(self) -> Hints:
+    def grasp_params(self) -> GraspParams:
         """Grasps go deep; what is beside the fingers does not matter."""
-        return Hints(pick_offset=PICK_DEPTH, pick_area=PICK_AREA)
+        return GraspParams(pick_offset=PICK_DEPTH, pick_area=PICK_AREA)
 
     def after_action(self, scene: Scene, rng: np.random.Generator) -> None:
         """Remember nothing: the episode is over."""
@@ -297,7 +299,7 @@ class OpenLoopObjectGrasping(ObjectGrasping):
         return Pose.planar(x, y, scene.surface.level + FLOOR_CLEARANCE, yaw)
 
 
-def _approach(scene: Scene, relief: Relief, target: Pose) -> Waypoint:
+def _approach(scene: Scene, relief: ElevationLayers, target: Pose) -> Waypoint:
     """Return what to do next for a grasp: open, always towards it, down a funnel, then close.
 
     But for opening and closing, a little more or less of anything changes what is done by no more than a
@@ -327,7 +329,7 @@ def _beyond(distance: float, limit: float) -> float:
     return max(0.0, abs(distance) - limit)
 
 
-def survey(scene: Scene) -> Relief:
+def survey(scene: Scene) -> ElevationLayers:
     """Return the relief of the workspace."""
     centre, extent = scene.config.centre, scene.config.workspace_size + 2.0 * SURROUNDINGS
     size = round(extent / PITCH)
@@ -335,7 +337,7 @@ def survey(scene: Scene) -> Relief:
     layers = [scene.heights_of([item.body], centre, extent, size) for item in items]
     own = {item.body.index for item in items}
     others = [body for body in scene.world.obstacles if body.index not in own]
-    return Relief(np.stack(layers), scene.heights_of(others, centre, extent, size), centre, extent)
+    return ElevationLayers(np.stack(layers), scene.heights_of(others, centre, extent, size), centre, extent)
 
 
 def wrap(angles: FloatArray) -> FloatArray:

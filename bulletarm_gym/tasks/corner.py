@@ -17,8 +17,8 @@ from bulletarm_gym.experts.waypoints import CLOSED, Waypoint
 from bulletarm_gym.geometry import Pose, planar_distance
 from bulletarm_gym.objects import corner, cube
 from bulletarm_gym.objects.corner import INSIDE, PLATE, SIDE
-from bulletarm_gym.placement import draw_until, is_within
-from bulletarm_gym.scene import Role, Scene, scaled
+from bulletarm_gym.scene import ObjectSlot, Scene, scaled
+from bulletarm_gym.scene.sampling import is_within, sample_until
 from bulletarm_gym.tasks.picking import Lift
 
 WALL_CLEARANCE = 2e-4
@@ -58,9 +58,9 @@ class CornerPicking(Lift):
         level_ground="the corner's plate lies on level ground",
     )
 
-    def bodies(self, config: EnvConfig) -> list[Role]:
+    def bodies(self, config: EnvConfig) -> list[ObjectSlot]:
         """Return the cube and the corner."""
-        return [scaled(config, "cube", cube), Role("corner", (corner("corner"),))]
+        return [scaled(config, "cube", cube), ObjectSlot("corner", (corner("corner"),))]
 
     def arrange(self, scene: Scene, rng: np.random.Generator) -> None:
         """Put the corner where the cube in it is inside the workspace."""
@@ -72,7 +72,7 @@ class CornerPicking(Lift):
         def draw() -> Pose:
             return scene.surface.pose(scene.surface.sample_position(rng, SIDE / 2.0), self._yaw(rng))
 
-        pose = draw_until(
+        pose = sample_until(
             draw, lambda frame: is_within(scene, frame.transform(place.position), item.spec.planar_radius)
         )
         walls.place(pose)

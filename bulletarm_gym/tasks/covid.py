@@ -7,11 +7,10 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from bulletarm_gym.config import CLOSE_LOOP, OPEN_LOOP, WIDE, EnvConfig, ParameterError, TaskDefaults, TrayUse
-from bulletarm_gym.control import Hints
+from bulletarm_gym.control import GraspParams
 from bulletarm_gym.experts.approach import RELEASE, place_pose
 from bulletarm_gym.experts.waypoints import CLOSED, OPEN, Waypoint
-from bulletarm_gym.footprint import Footprint
-from bulletarm_gym.geometry import Pose, wrap_angle
+from bulletarm_gym.geometry import Footprint, Pose, wrap_angle
 from bulletarm_gym.objects.covid import (
     BOX_FLOOR,
     NEW_TUBE_BOX,
@@ -25,8 +24,8 @@ from bulletarm_gym.objects.covid import (
     used_tube,
     used_tube_box,
 )
-from bulletarm_gym.relations import at_rest, inside, is_empty
-from bulletarm_gym.scene import Item, Role, Scene, scaled
+from bulletarm_gym.scene import ObjectSlot, Scene, SceneObject, scaled
+from bulletarm_gym.scene.predicates import at_rest, inside, is_empty
 from bulletarm_gym.simulation import BodySpec
 from bulletarm_gym.surfaces.surface import Point
 from bulletarm_gym.tasks.task import Task
@@ -83,18 +82,18 @@ class CovidTest(Task):
     site = (SIDE, SIDE)
 
     @property
-    def hints(self) -> Hints:
+    def grasp_params(self) -> GraspParams:
         """What is grasped is thin and lies close together."""
-        return Hints(pick_offset=GRASP_DEPTH, opening=OPENING)
+        return GraspParams(pick_offset=GRASP_DEPTH, opening=OPENING)
 
-    def bodies(self, config: EnvConfig) -> list[Role]:
+    def bodies(self, config: EnvConfig) -> list[ObjectSlot]:
         """Return the places, swabs, tubes, and the used tubes that they become.
 
         :raises ParameterError: swabs and tubes are too large to lie beside each other in their box
         """
         check_gaps(config)
         makers = {"new box": new_tube_box, "test area": test_area, "used box": used_tube_box}
-        places = [Role(name, (make(name),)) for name, make in makers.items()]
+        places = [ObjectSlot(name, (make(name),)) for name, make in makers.items()]
         kinds = {"swab": swab, "tube": tube, "used tube": used_tube}
         return places + [
             scaled(config, f"{kind} {number}", make, kind)
@@ -170,7 +169,7 @@ class CovidTest(Task):
         top = max((scene.world.top(item.body) for item in self._inside(scene, kind, name)), default=point[2])
         yield Waypoint(place_pose(scene, held, point, top + RELEASE, turn), CLOSED, finish=OPEN)
 
-    def _next(self, scene: Scene) -> Item:
+    def _next(self, scene: Scene) -> SceneObject:
         """Return what to grasp: a used tube, else a swab, else a tube that is not where it belongs."""
         has_swab = bool(self._inside(scene, "swab", "test area"))
         wanted = [("used tube", "used box"), ("tube" if has_swab else "swab", "test area")]
@@ -181,7 +180,7 @@ class CovidTest(Task):
                 return missing[0]
         return max((item for item in scene if item.spec.mass > 0.0), key=lambda item: item.pose.z)
 
-    def _pick(self, scene: Scene, item: Item) -> Waypoint:
+    def _pick(self, scene: Scene, item: SceneObject) -> Waypoint:
         """Return the pick of an item across its length."""
         x, y, _ = item.pose.position
         depth = max(float(item.bounds[1, 2]) - GRASP_DEPTH, item.lowest + RELEASE)
@@ -189,10 +188,10 @@ class CovidTest(Task):
         pose = Pose.planar(x, y, depth, item.pose.yaw + QUARTER)
         return Waypoint(pose, min(opening, OPEN), finish=CLOSED)
 
-    def _items(self, scene: Scene, kind: str) -> list[Item]:
+    def _items(self, scene: Scene, kind: str) -> list[SceneObject]:
         return [item for item in scene if item.role.kind == kind]
 
-    def _inside(self, scene: Scene, kind: str, place: str) -> list[Item]:
+    def _inside(self, scene: Scene, kind: str, place: str) -> list[SceneObject]:
         """Return the items of a kind that lie in a place, seen from above, the held one aside."""
         items = (item for item in self._items(scene, kind) if item is not scene.held)
         return [item for item in items if inside(item, scene[place])]

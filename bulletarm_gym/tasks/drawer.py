@@ -11,8 +11,8 @@ from bulletarm_gym.experts.waypoints import CLOSED, Waypoint
 from bulletarm_gym.geometry import Pose, planar_distance, wrap_angle
 from bulletarm_gym.objects import drawer
 from bulletarm_gym.objects.drawer import CABINET, HANDLE, HANDLE_DISTANCE, HANDLE_RADIUS, STRUT_SPACING
-from bulletarm_gym.placement import draw_until, is_within
-from bulletarm_gym.scene import Role, Scene
+from bulletarm_gym.scene import ObjectSlot, Scene
+from bulletarm_gym.scene.sampling import is_within, sample_until
 from bulletarm_gym.tasks.task import Task
 
 OPENED = 0.15
@@ -57,9 +57,9 @@ class DrawerOpening(Task):
         """The gripper must get over the handle."""
         return HANDLE[2] + HANDLE_RADIUS
 
-    def bodies(self, config: EnvConfig) -> list[Role]:
+    def bodies(self, config: EnvConfig) -> list[ObjectSlot]:
         """Return the cabinet with its drawer."""
-        return [Role("drawer", (drawer("drawer"),))]
+        return [ObjectSlot("drawer", (drawer("drawer"),))]
 
     def arrange(self, scene: Scene, rng: np.random.Generator) -> None:
         """Put the cabinet where the gripper can hook the handle and open the drawer."""
@@ -80,7 +80,7 @@ class DrawerOpening(Task):
                 for x in (_START, _end(scene))
             )
 
-        scene["drawer"].place(draw_until(draw, fits))
+        scene["drawer"].place(sample_until(draw, fits))
         scene["drawer"].set_joints((0.0,))
 
     def _yaw(self, rng: np.random.Generator) -> float:

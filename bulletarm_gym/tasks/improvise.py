@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from bulletarm_gym.config import EnvConfig, TaskDefaults
 from bulletarm_gym.objects.blocks import improvise_bricks, roof
 from bulletarm_gym.objects.polyominoes import CELL, WIDEST, improvise_blocks
-from bulletarm_gym.scene import Role
+from bulletarm_gym.scene import ObjectSlot
 from bulletarm_gym.tasks.structure import SCALE, Part, Structure
 
 BRICKS = 19
@@ -29,12 +29,12 @@ class ImproviseHouseBuilding2(Structure):
     upright = ("roof",)
     width = CELL * WIDEST
 
-    def block(self, config: EnvConfig, part: Part) -> Role:
+    def block(self, config: EnvConfig, part: Part) -> ObjectSlot:
         """Return a role that each of the 19 shapes may play."""
         if part.kind != "block":
             return super().block(config, part)
         shapes = [spec for scale in config.scales for spec in improvise_blocks(part.name, scale, part.number)]
-        return Role(part.name, tuple(shapes))
+        return ObjectSlot(part.name, tuple(shapes))
 
 
 class ImproviseHouseBuilding3(ImproviseHouseBuilding2):
@@ -50,9 +50,9 @@ class ImproviseHouseBuilding3(ImproviseHouseBuilding2):
     )
     layers = (("block", "block"), ("brick",), ("roof",))
 
-    def block(self, config: EnvConfig, part: Part) -> Role:
+    def block(self, config: EnvConfig, part: Part) -> ObjectSlot:
         """Return a role that bricks of several sizes may play, or one of the other blocks."""
         if part.kind != "brick":
             return super().block(config, part)
         sizes = [spec for scale in config.scales for spec in improvise_bricks(part.name, scale, BRICKS)]
-        return Role(part.name, tuple(sizes))
+        return ObjectSlot(part.name, tuple(sizes))

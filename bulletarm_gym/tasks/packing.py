@@ -8,16 +8,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bulletarm_gym.config import CLOSE_LOOP, OPEN_LOOP, WIDE, EnvConfig, TaskDefaults, TrayUse
-from bulletarm_gym.control import Hints
+from bulletarm_gym.control import GraspParams
 from bulletarm_gym.experts.approach import RELEASE
-from bulletarm_gym.experts.pick_place import lying_frame, pick
+from bulletarm_gym.experts.pick_place import pick, resting_frame
 from bulletarm_gym.experts.waypoints import CLOSED, OPEN, Waypoint
-from bulletarm_gym.footprint import Footprint
-from bulletarm_gym.geometry import FloatArray, Pose, matrix
+from bulletarm_gym.geometry import FloatArray, Footprint, Pose, matrix
 from bulletarm_gym.objects.packing import BIN, BIN_WALL, SHAPES, packing_bin, packing_block
-from bulletarm_gym.placement import GRASP_ROOM, footprint, lay_apart
-from bulletarm_gym.relations import at_rest, inside, is_empty, is_top
-from bulletarm_gym.scene import Item, Role, Scene, shaped
+from bulletarm_gym.scene import ObjectSlot, Scene, SceneObject, shaped
+from bulletarm_gym.scene.predicates import at_rest, inside, is_empty, is_top
+from bulletarm_gym.scene.sampling import GRASP_ROOM, footprint, place_apart
 from bulletarm_gym.tasks.task import Task
 
 MOST_BLOCKS = 8
@@ -70,20 +69,20 @@ class BinPacking(Task):
         return BIN[2]
 
     @property
-    def hints(self) -> Hints:
+    def grasp_params(self) -> GraspParams:
         """Blocks are grasped near their tops."""
-        return Hints(pick_offset=PICK_OFFSET * max(self.config.scales), opening=OPENING)
+        return GraspParams(pick_offset=PICK_OFFSET * max(self.config.scales), opening=OPENING)
 
-    def bodies(self, config: EnvConfig) -> list[Role]:
+    def bodies(self, config: EnvConfig) -> list[ObjectSlot]:
         """Return the bin, and for each block all shapes in all sizes."""
         names = [f"block {number}" for number in range(config.num_objects)]
         blocks = [shaped(config, name, packing_block, len(SHAPES)) for name in names]
-        return [Role("bin", (packing_bin("bin"),)), *blocks]
+        return [ObjectSlot("bin", (packing_bin("bin"),)), *blocks]
 
     def arrange(self, scene: Scene, rng: np.random.Generator) -> None:
         """Put the bin somewhere, and the blocks beside it."""
         spread = math.pi if self.config.random_orientation else 0.0
-        blocks = [item for item in scene.items if item is not scene["bin"]]
+        blocks = [item for item in scene.objects if item is not scene["bin"]]
 
         def leaves_room(pose: Pose) -> bool:
             hand = Footprint.rectangle(GRASP_ROOM, pose)
@@ -91,7 +90,7 @@ class BinPacking(Task):
 
         site = scene.surface.goal_site(self.site, rng, spread)
         scene["bin"].place(site.compose(Pose.planar(0.0, 0.0, 0.0, math.pi / 2.0)))
-        lay_apart(scene, rng, blocks, BLOCK_SPACING, allows=leaves_room)
+        place_apart(scene, rng, blocks, BLOCK_SPACING, allows=leaves_room)
 
     def evaluate(self, scene: Scene) -> dict[str, bool]:
         """Look whether all blocks are in the bin, and whether all is done."""
@@ -112,15 +111,15 @@ class BinPacking(Task):
         free = [item for item in outside if is_top(item, blocks)] or outside
         yield pick(scene, max(free, key=_volume), rng)
 
-    def _blocks(self, scene: Scene) -> list[Item]:
+    def _blocks(self, scene: Scene) -> list[SceneObject]:
         return [item for item in scene if item is not scene["bin"]]
 
-    def _is_in_bin(self, scene: Scene, item: Item) -> bool:
+    def _is_in_bin(self, scene: Scene, item: SceneObject) -> bool:
         rise = item.pose.z - scene["bin"].pose.z
         return inside(item, scene["bin"]) and rise < BIN[2] and item is not scene.held
 
 
-def _volume(item: Item) -> float:
+def _volume(item: SceneObject) -> float:
     """Return the volume (m^3) of an item's bounding box."""
     return math.prod(item.spec.extents)
 
@@ -131,7 +130,7 @@ class Room:
     All is in the bin's frame; a place is that of the fingertips.
     """
 
-    def __init__(self, scene: Scene, held: Item) -> None:
+    def __init__(self, scene: Scene, held: SceneObject) -> None:
         self._scene = scene
         self._held = held
         self._bin = scene["bin"].pose
@@ -151,7 +150,7 @@ class Room:
         hand = self._scene.robot.pose.yaw - self._bin.yaw
         if "r" not in self._scene.config.action_sequence:
             return [hand]
-        across = hand - (lying_frame(self._held).yaw - self._bin.yaw)
+        across = hand - (resting_frame(self._held).yaw - self._bin.yaw)
         return [across + math.pi / 2.0, across]
 
     def _lowest(self, yaw: float, needs_fingers: bool) -> tuple[tuple[float, ...], Pose] | None:

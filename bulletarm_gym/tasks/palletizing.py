@@ -6,15 +6,14 @@ from collections.abc import Iterator
 import numpy as np
 
 from bulletarm_gym.config import CLOSE_LOOP, OPEN_LOOP, WIDE, EnvConfig, TaskDefaults, TrayUse
-from bulletarm_gym.control import Hints
-from bulletarm_gym.experts.pick_place import lying_frame, pick, put
+from bulletarm_gym.control import GraspParams
+from bulletarm_gym.experts.pick_place import pick, put, resting_frame
 from bulletarm_gym.experts.waypoints import Waypoint
-from bulletarm_gym.footprint import Footprint, PlacementError
-from bulletarm_gym.geometry import Pose, wrap_angle
+from bulletarm_gym.geometry import Footprint, PlacementError, Pose, wrap_angle
 from bulletarm_gym.objects.palletizing import BOX, PALLET, pallet, palletizing_box
-from bulletarm_gym.placement import GRASP_ROOM, draw_until, footprint, free_pose, roomiest
-from bulletarm_gym.relations import UPRIGHT, at_rest, inside, is_empty, is_top
-from bulletarm_gym.scene import Item, Role, Scene, scaled
+from bulletarm_gym.scene import ObjectSlot, Scene, SceneObject, scaled
+from bulletarm_gym.scene.predicates import UPRIGHT, at_rest, inside, is_empty, is_top
+from bulletarm_gym.scene.sampling import GRASP_ROOM, footprint, free_pose, most_free_point, sample_until
 from bulletarm_gym.tasks.task import Task
 
 LAYER = 6
@@ -70,14 +69,14 @@ class BoxPalletizing(Task):
         return PALLET[2] + (layers - 0.5) * BOX[2] * max(self.config.scales)
 
     @property
-    def hints(self) -> Hints:
+    def grasp_params(self) -> GraspParams:
         """The fingers close a little above a box's middle."""
-        return Hints(pick_offset=PICK_OFFSET * max(self.config.scales))
+        return GraspParams(pick_offset=PICK_OFFSET * max(self.config.scales))
 
-    def bodies(self, config: EnvConfig) -> list[Role]:
+    def bodies(self, config: EnvConfig) -> list[ObjectSlot]:
         """Return the pallet and all boxes."""
         boxes = [scaled(config, f"box {number}", palletizing_box) for number in range(config.num_objects)]
-        return [Role("pallet", (pallet("pallet"),)), *boxes]
+        return [ObjectSlot("pallet", (pallet("pallet"),)), *boxes]
 
     def arrange(self, scene: Scene, rng: np.random.Generator) -> None:
         """Put the pallet somewhere, and the first box beside it."""
@@ -123,7 +122,7 @@ class BoxPalletizing(Task):
                 and min(hand.gap(base), shadow.gap(base) - BOX_MARGIN) > 0.0
             )
 
-        box.place(draw_until(draw, fits, ATTEMPTS))
+        box.place(sample_until(draw, fits, ATTEMPTS))
 
     def evaluate(self, scene: Scene) -> dict[str, bool]:
         """Look whether the boxes are stacked, and whether all is done."""
@@ -145,15 +144,15 @@ class BoxPalletizing(Task):
             free = [self._aside(scene, rng, held)]
         yield put(scene, held, free[:1])
 
-    def _aside(self, scene: Scene, rng: np.random.Generator, held: Item) -> Pose:
+    def _aside(self, scene: Scene, rng: np.random.Generator, held: SceneObject) -> Pose:
         """Return the frame of a free place on the ground, or of the freest."""
         try:
             aside = free_pose(scene, rng, held, ASIDE_CLEARANCE)
         except PlacementError:
-            return scene.surface.pose(roomiest(scene, held), 0.0)
+            return scene.surface.pose(most_free_point(scene, held), 0.0)
         return scene.surface.pose((aside.x, aside.y), aside.yaw)
 
-    def _next(self, scene: Scene) -> Item:
+    def _next(self, scene: Scene) -> SceneObject:
         """Return a box that is not in its place, or the highest if all are."""
         boxes, right = self._boxes(scene), self._right(scene)
         wrong = [box for box in boxes if box not in right]
@@ -162,32 +161,32 @@ class BoxPalletizing(Task):
 
     # Places
 
-    def _boxes(self, scene: Scene) -> list[Item]:
+    def _boxes(self, scene: Scene) -> list[SceneObject]:
         return [item for item in scene if item is not scene["pallet"]]
 
-    def _right(self, scene: Scene) -> list[Item]:
+    def _right(self, scene: Scene) -> list[SceneObject]:
         """Return the boxes in right places: those of a layer count while all below it are full."""
-        layers: list[list[Item]] = [[] for _ in range(self.config.num_objects // LAYER)]
+        layers: list[list[SceneObject]] = [[] for _ in range(self.config.num_objects // LAYER)]
         for box in self._boxes(scene):
             layer = None if box is scene.held else self._layer(scene, box)
             if layer is not None and layer < len(layers):
                 layers[layer].append(box)
-        right: list[Item] = []
+        right: list[SceneObject] = []
         for number, layer_boxes in enumerate(layers):
             if len(right) == number * LAYER and len(layer_boxes) <= LAYER:
                 right += layer_boxes
         return right
 
-    def _layer(self, scene: Scene, box: Item) -> int | None:
+    def _layer(self, scene: Scene, box: SceneObject) -> int | None:
         """Return the layer that a box stands in as it should."""
-        frame = scene["pallet"].pose.inverse().compose(lying_frame(box))
+        frame = scene["pallet"].pose.inverse().compose(resting_frame(box))
         level = (frame.z - PALLET[2]) / (BOX[2] * max(self.config.scales)) - 0.5
         layer = round(level)
         stands = layer >= 0 and abs(level - layer) < LAYER_TOLERANCE and frame.tilt < UPRIGHT
         turned = abs(wrap_angle(frame.yaw - layer_yaw(layer), math.pi))
         return layer if stands and inside(box, scene["pallet"]) and turned < YAW_TOLERANCE else None
 
-    def _free(self, scene: Scene, held: Item) -> list[Pose]:
+    def _free(self, scene: Scene, held: SceneObject) -> list[Pose]:
         """Return the free places of the lowest layer that is not full, in the world, at its ground."""
         layer = min(len(self._right(scene)) // LAYER, self.config.num_objects // LAYER - 1)
         width, length, height = (side * max(self.config.scales) for side in BOX)

@@ -11,8 +11,8 @@ from bulletarm_gym.experts.approach import grasp, side_symmetry, side_yaw
 from bulletarm_gym.experts.waypoints import CLOSED, Waypoint
 from bulletarm_gym.geometry import Pose
 from bulletarm_gym.objects import cube
-from bulletarm_gym.relations import is_held
-from bulletarm_gym.scene import Role, Scene, scaled
+from bulletarm_gym.scene import ObjectSlot, Scene, scaled
+from bulletarm_gym.scene.predicates import is_held
 from bulletarm_gym.tasks.reaching import place_cube
 from bulletarm_gym.tasks.task import Task
 
@@ -61,7 +61,7 @@ class BlockPicking(Lift):
 
     defaults = TaskDefaults(num_objects=1, lifts=True)
 
-    def bodies(self, config: EnvConfig) -> list[Role]:
+    def bodies(self, config: EnvConfig) -> list[ObjectSlot]:
         """Return the cube."""
         return [scaled(config, "cube", cube)]
 

@@ -9,9 +9,9 @@ from bulletarm_gym.config import CLOSE_LOOP, EnvConfig, TaskDefaults
 from bulletarm_gym.experts.pushing import Drag
 from bulletarm_gym.experts.waypoints import Waypoint
 from bulletarm_gym.objects import flat_block
-from bulletarm_gym.placement import scatter, stand
-from bulletarm_gym.relations import touching
-from bulletarm_gym.scene import Item, Role, Scene, scaled
+from bulletarm_gym.scene import ObjectSlot, Scene, SceneObject, scaled
+from bulletarm_gym.scene.predicates import touching
+from bulletarm_gym.scene.sampling import scatter, stand
 from bulletarm_gym.tasks.task import Task
 
 YAW_SPREAD = math.pi / 2.0
@@ -37,11 +37,11 @@ class BlockPulling(Task):
     defaults = TaskDefaults(num_objects=2, object_scale=0.8, allowed_objects=(2,))
     controls = (CLOSE_LOOP,)
 
-    def bodies(self, config: EnvConfig) -> list[Role]:
+    def bodies(self, config: EnvConfig) -> list[ObjectSlot]:
         """Return the two blocks."""
         return [scaled(config, name, flat_block) for name in NAMES]
 
-    def grasped(self, scene: Scene) -> list[Item]:
+    def grasped(self, scene: Scene) -> list[SceneObject]:
         """Return nothing: the blocks are pulled from behind."""
         return []
 

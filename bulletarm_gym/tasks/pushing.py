@@ -10,9 +10,9 @@ from bulletarm_gym.experts.pushing import Drag
 from bulletarm_gym.experts.waypoints import Waypoint
 from bulletarm_gym.geometry import Rectangle, planar_distance
 from bulletarm_gym.objects import cube, goal_area
-from bulletarm_gym.placement import scatter, stand
 from bulletarm_gym.rendering.overlays import Overlay
-from bulletarm_gym.scene import Item, Role, Scene, scaled
+from bulletarm_gym.scene import ObjectSlot, Scene, SceneObject, scaled
+from bulletarm_gym.scene.sampling import scatter, stand
 from bulletarm_gym.tasks.reaching import BORDER_MARGIN
 from bulletarm_gym.tasks.task import Task
 
@@ -50,11 +50,14 @@ class BlockPushing(Task):
         """Scale of the goal's lengths: that of the largest cube, at most 1."""
         return min(1.0, max(self.config.scales))
 
-    def bodies(self, config: EnvConfig) -> list[Role]:
+    def bodies(self, config: EnvConfig) -> list[ObjectSlot]:
         """Return the cube and the mark of the goal area."""
-        return [scaled(config, "cube", cube), Role("goal", (goal_area("goal", self._scale * GOAL_SIDE),))]
+        return [
+            scaled(config, "cube", cube),
+            ObjectSlot("goal", (goal_area("goal", self._scale * GOAL_SIDE),)),
+        ]
 
-    def grasped(self, scene: Scene) -> list[Item]:
+    def grasped(self, scene: Scene) -> list[SceneObject]:
         """Return nothing: the cube is pushed."""
         return []
 

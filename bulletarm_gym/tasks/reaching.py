@@ -9,8 +9,8 @@ from bulletarm_gym.config import CLOSE_LOOP, EnvConfig, TaskDefaults
 from bulletarm_gym.experts.waypoints import OPEN, Waypoint
 from bulletarm_gym.geometry import Pose, wrap_angle
 from bulletarm_gym.objects import cube
-from bulletarm_gym.placement import scatter, stand
-from bulletarm_gym.scene import Role, Scene, scaled
+from bulletarm_gym.scene import ObjectSlot, Scene, scaled
+from bulletarm_gym.scene.sampling import scatter, stand
 from bulletarm_gym.tasks.task import Task
 
 REACHED = 0.03
@@ -32,7 +32,7 @@ class BlockReaching(Task):
     defaults = TaskDefaults(num_objects=1)
     controls = (CLOSE_LOOP,)
 
-    def bodies(self, config: EnvConfig) -> list[Role]:
+    def bodies(self, config: EnvConfig) -> list[ObjectSlot]:
         """Return the cube."""
         return [scaled(config, "cube", cube)]
 

@@ -10,13 +10,12 @@ from bulletarm_gym.config import CLOSE_LOOP, OPEN_LOOP, EnvConfig, TaskDefaults,
 from bulletarm_gym.experts.approach import ALIGNED, RELEASE, grasp, highest_between, place_item, side_yaw
 from bulletarm_gym.experts.pick_place import fingers_fit
 from bulletarm_gym.experts.waypoints import HALF_OPEN, Waypoint
-from bulletarm_gym.footprint import Footprint
-from bulletarm_gym.geometry import Pose, Vector, planar_distance, wrap_angle
+from bulletarm_gym.geometry import Footprint, Pose, Vector, planar_distance, wrap_angle
 from bulletarm_gym.objects import BodySpec, Colour, bowl, cube
 from bulletarm_gym.objects.bowl import DIAMETER, HEIGHT, THICKNESS
-from bulletarm_gym.placement import draw_until, footprint, lay_apart
-from bulletarm_gym.relations import at_rest, is_empty, upright
-from bulletarm_gym.scene import Item, Role, Scene, scaled
+from bulletarm_gym.scene import ObjectSlot, Scene, SceneObject, scaled
+from bulletarm_gym.scene.predicates import at_rest, is_empty, upright
+from bulletarm_gym.scene.sampling import footprint, place_apart, sample_until
 from bulletarm_gym.simulation.shapes import BLUE, RED
 from bulletarm_gym.tasks.task import Task
 
@@ -67,7 +66,7 @@ class BlockSorting(Task):
         """The gripper must get over the rim with half a cube below it."""
         return super().height / 2.0 + HEIGHT * BOWL_SCALE * max(self.config.scales)
 
-    def bodies(self, config: EnvConfig) -> list[Role]:
+    def bodies(self, config: EnvConfig) -> list[ObjectSlot]:
         """Return the bowls and the cubes."""
         pairs = range((config.num_objects - len(COLOURS)) // len(COLOURS))
         bowls = [scaled(config, f"{name} bowl", _coloured(_bowl, colour)) for name, colour in COLOURS.items()]
@@ -77,14 +76,14 @@ class BlockSorting(Task):
             for name, colour in COLOURS.items()
         ]
 
-    def grasped(self, scene: Scene) -> list[Item]:
+    def grasped(self, scene: Scene) -> list[SceneObject]:
         """Return the cubes: the bowls stay where they are."""
         return self._cubes(scene)
 
     def arrange(self, scene: Scene, rng: np.random.Generator) -> None:
         """Put everything apart, with room for the gripper about each cube."""
-        draw_until(
-            lambda: lay_apart(scene, rng, scene.items, ITEM_SPACING),
+        sample_until(
+            lambda: place_apart(scene, rng, scene.objects, ITEM_SPACING),
             lambda _: all(_has_room(scene, item) for item in self._cubes(scene)),
         )
 
@@ -113,7 +112,7 @@ class BlockSorting(Task):
         else:
             yield from _take(scene, self._next(scene))
 
-    def _put(self, scene: Scene, held: Item) -> Iterator[Waypoint]:
+    def _put(self, scene: Scene, held: SceneObject) -> Iterator[Waypoint]:
         vessel = self._bowl_of(scene, held)
         others = [item for item in self._cubes(scene) if item is not held and _is_in(vessel, item)]
         x, y, _ = vessel.pose.position
@@ -129,20 +128,20 @@ class BlockSorting(Task):
             # Opened all the way the fingers would jam in the bowl.
             yield waypoint if waypoint.finish is None else replace(waypoint, finish=HALF_OPEN)
 
-    def _next(self, scene: Scene) -> Item:
+    def _next(self, scene: Scene) -> SceneObject:
         """Return a cube that is not in its bowl, best one about which there is room; any if all are in."""
         cubes = self._cubes(scene)
         unsorted = [item for item in cubes if not _is_in(self._bowl_of(scene, item), item)]
         free = (item for item in unsorted if _yaws(scene, item)[1])
         return next(free, next(iter(unsorted or cubes)))
 
-    def _bowls(self, scene: Scene) -> list[Item]:
+    def _bowls(self, scene: Scene) -> list[SceneObject]:
         return [scene[f"{name} bowl"] for name in COLOURS]
 
-    def _cubes(self, scene: Scene) -> list[Item]:
-        return scene.items[len(COLOURS) :]
+    def _cubes(self, scene: Scene) -> list[SceneObject]:
+        return scene.objects[len(COLOURS) :]
 
-    def _bowl_of(self, scene: Scene, item: Item) -> Item:
+    def _bowl_of(self, scene: Scene, item: SceneObject) -> SceneObject:
         return scene[f"{item.role.kind} bowl"]
 
 
@@ -155,7 +154,7 @@ class OpenLoopBlockSorting(BlockSorting):
     defaults = replace(BlockSorting.defaults, max_steps=20)
 
 
-def _take(scene: Scene, item: Item) -> Iterator[Waypoint]:
+def _take(scene: Scene, item: SceneObject) -> Iterator[Waypoint]:
     """Yield the way to a grasp of a cube by the sides about which the open fingers have room."""
     centre, hand = item.centre_of_mass, scene.robot.pose
     yaws, fitting = _yaws(scene, item)
@@ -163,7 +162,7 @@ def _take(scene: Scene, item: Item) -> Iterator[Waypoint]:
     yield from grasp(scene, Pose.planar(*centre, (fitting or yaws)[0]), top, HALF_TURN)
 
 
-def _has_room(scene: Scene, item: Item) -> bool:
+def _has_room(scene: Scene, item: SceneObject) -> bool:
     """Return True if a gripper of usual size has room about a cube along one of its sides."""
     side = wrap_angle(side_yaw(item.pose), HALF_TURN / 2.0)
     yaws = (side, side + HALF_TURN / 2.0) if "r" in scene.config.action_sequence else (side,)
@@ -172,7 +171,7 @@ def _has_room(scene: Scene, item: Item) -> bool:
     return any(all(room.gap(other) > 0.0 for other in others) for room in rooms)
 
 
-def _yaws(scene: Scene, item: Item) -> tuple[list[float], list[float]]:
+def _yaws(scene: Scene, item: SceneObject) -> tuple[list[float], list[float]]:
     """Return in which directions (rad) the fingers may close on a cube, and those in which they have room.
 
     The nearest to the gripper's comes first; if it cannot turn, there is no other.
@@ -185,21 +184,21 @@ def _yaws(scene: Scene, item: Item) -> tuple[list[float], list[float]]:
     return yaws, [yaw for yaw in yaws if _fits(scene, item, yaw)]
 
 
-def _fits(scene: Scene, item: Item, yaw: float) -> bool:
+def _fits(scene: Scene, item: SceneObject, yaw: float) -> bool:
     """Whether open fingers have room about a cube, also a little beside it, as on their way down."""
     target = Pose.planar(*item.centre_of_mass, yaw)
     places = (target.compose(Pose((aside, 0.0, 0.0))) for aside in (0.0, -ALIGNED, ALIGNED))
     return all(fingers_fit(scene, place, item) for place in places)
 
 
-def _is_in(vessel: Item, item: Item) -> bool:
+def _is_in(vessel: SceneObject, item: SceneObject) -> bool:
     """Whether the middle of an item is inside a bowl, below its rim."""
     x, y, z = _local(vessel, item)
     scale = vessel.spec.extents[0] / DIAMETER
     return math.hypot(x, y) < (DIAMETER / 2.0 - THICKNESS) * scale and abs(z) < HEIGHT / 2.0 * scale
 
 
-def _local(vessel: Item, item: Item) -> Vector:
+def _local(vessel: SceneObject, item: SceneObject) -> Vector:
     return vessel.pose.inverse().transform(item.pose.position)
 
 

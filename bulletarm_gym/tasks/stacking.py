@@ -12,9 +12,9 @@ from bulletarm_gym.experts.towers import Tower
 from bulletarm_gym.experts.waypoints import Waypoint
 from bulletarm_gym.objects import cube
 from bulletarm_gym.objects.blocks import CUBE_SIZE
-from bulletarm_gym.placement import scatter, stand
-from bulletarm_gym.relations import at_rest, is_empty, is_top, stacked, upright
-from bulletarm_gym.scene import Item, Scene
+from bulletarm_gym.scene import Scene, SceneObject
+from bulletarm_gym.scene.predicates import at_rest, is_empty, is_top, stacked, upright
+from bulletarm_gym.scene.sampling import scatter, stand
 from bulletarm_gym.tasks.reaching import BORDER_MARGIN
 from bulletarm_gym.tasks.structure import SCALE, Structure
 from bulletarm_gym.tasks.task import Task
@@ -60,7 +60,7 @@ class Stack(Structure):
     def arrange(self, scene: Scene, rng: np.random.Generator) -> None:
         """Put the blocks apart."""
         if self._is_close_loop:
-            scatter_blocks(scene, rng, scene.items, self.spread)
+            scatter_blocks(scene, rng, scene.objects, self.spread)
         else:
             super().arrange(scene, rng)
 
@@ -71,7 +71,7 @@ class Stack(Structure):
         facts = {"is_stacked": stacked(scene, scene)}
         if (crown := self._crown(scene)) is not None:
             facts["is_roof_upright"] = upright(crown)
-            facts["is_roof_on_top"] = is_top(crown, scene.items)
+            facts["is_roof_on_top"] = is_top(crown, scene.objects)
         facts |= {"is_empty": is_empty(scene), "is_at_rest": at_rest(scene)}
         return {"success": all(facts.values()), **facts}
 
@@ -87,7 +87,7 @@ class Stack(Structure):
         else:
             yield from super().plan(scene, rng)
 
-    def _crown(self, scene: Scene) -> Item | None:
+    def _crown(self, scene: Scene) -> SceneObject | None:
         return None if self.crown is None else self.blocks(scene)[self.crown][0]
 
 
@@ -107,7 +107,7 @@ class BlockStacking(Stack):
     spread = math.pi / 4.0
 
 
-def scatter_blocks(scene: Scene, rng: np.random.Generator, items: list[Item], spread: float) -> None:
+def scatter_blocks(scene: Scene, rng: np.random.Generator, items: list[SceneObject], spread: float) -> None:
     """Stand blocks apart, with room for the gripper between them, their yaws in +-``spread`` (rad)."""
     side = max(item.spec.extents[0] for item in items)
     points = scatter(scene, rng, [BORDER_MARGIN * side] * len(items), CENTRE_SPACING * side)

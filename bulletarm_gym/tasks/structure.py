@@ -12,9 +12,9 @@ from bulletarm_gym.experts.blueprint import Blocks, Blueprint
 from bulletarm_gym.experts.structures import BUILD_TOLERANCE, Builder
 from bulletarm_gym.experts.waypoints import Waypoint
 from bulletarm_gym.objects.blocks import CUBE_SIZE
-from bulletarm_gym.placement import draw_until, lay_apart
-from bulletarm_gym.relations import UPRIGHT, at_rest, is_empty, upright
-from bulletarm_gym.scene import Item, Role, Scene, scaled
+from bulletarm_gym.scene import ObjectSlot, Scene, SceneObject, scaled
+from bulletarm_gym.scene.predicates import UPRIGHT, at_rest, is_empty, upright
+from bulletarm_gym.scene.sampling import place_apart, sample_until
 from bulletarm_gym.simulation import BodySpec
 from bulletarm_gym.tasks.task import Task
 
@@ -44,9 +44,9 @@ class Structure(Task):
 
     Description: its blocks lie on the ground.
     Randomisation: their positions and yaws, at least 4.2 cm between any two.
-    Success: every block lies on those below it (see :mod:`~bulletarm_gym.relations`), the lowest on level
-    ground; one over two or more is less than a cube's side from their middle, a long one besides within pi/7
-    of their line, tilted by less than 20 degrees; the gripper is empty and nothing moves.
+    Success: every block lies on those below it (see :mod:`~bulletarm_gym.scene.predicates`), the lowest on
+    level ground; one over two or more is less than a cube's side from their middle, a long one besides
+    within pi/7 of their line, tilted by less than 20 degrees; the gripper is empty and nothing moves.
     Validity: no triangle and no roof (:attr:`upright`) has fallen over; the gripper cannot right it.
     Expert: add the next block, from the ground up; what lies in the way is put aside first.
 
@@ -79,11 +79,11 @@ class Structure(Task):
         """The structure."""
         return Blueprint(self.layers, self.upright, CUBE_SIZE * max(self.config.scales))
 
-    def bodies(self, config: EnvConfig) -> list[Role]:
+    def bodies(self, config: EnvConfig) -> list[ObjectSlot]:
         """Return the blocks of all layers."""
         return [replace(self.block(config, part), kind=part.kind) for part in self._parts]
 
-    def block(self, config: EnvConfig, part: Part) -> Role:
+    def block(self, config: EnvConfig, part: Part) -> ObjectSlot:
         """Return the role of one of the blocks."""
         return scaled(config, part.name, self.kinds[part.kind])
 
@@ -91,10 +91,10 @@ class Structure(Task):
         """Lay the blocks apart, no two as if to be built on, and leave room to build."""
 
         def lay() -> Builder:
-            lay_apart(scene, rng, scene.items, BLOCK_SPACING)
+            place_apart(scene, rng, scene.objects, BLOCK_SPACING)
             return self._builder(scene, rng)
 
-        draw_until(lay, lambda builder: builder.is_fresh)
+        sample_until(lay, lambda builder: builder.is_fresh)
 
     def arrange_goal(self, scene: Scene, rng: np.random.Generator) -> None:
         """Lay the blocks on level ground as the structure they become."""
@@ -123,8 +123,8 @@ class Structure(Task):
 
     def blocks(self, scene: Scene) -> Blocks:
         """Return the blocks by kind."""
-        found: dict[str, list[Item]] = {}
-        for item in scene.items:
+        found: dict[str, list[SceneObject]] = {}
+        for item in scene.objects:
             found.setdefault(item.role.kind, []).append(item)
         return found
 
@@ -139,7 +139,7 @@ class Structure(Task):
         ]
 
 
-def _fallen(scene: Scene, item: Item) -> bool:
+def _fallen(scene: Scene, item: SceneObject) -> bool:
     """Whether an item that is not held stands upright neither by the vertical nor on sloping ground."""
     if item is scene.held or upright(item):
         return False

@@ -8,12 +8,12 @@ from typing import Any, ClassVar
 import numpy as np
 
 from bulletarm_gym.config import OPEN_LOOP, EnvConfig, TaskDefaults
-from bulletarm_gym.control import Hints
+from bulletarm_gym.control import GraspParams
 from bulletarm_gym.experts.waypoints import Waypoint
 from bulletarm_gym.geometry import Vector
 from bulletarm_gym.objects.blocks import CUBE_SIZE
 from bulletarm_gym.rendering.overlays import Overlay
-from bulletarm_gym.scene import Item, Role, Scene
+from bulletarm_gym.scene import ObjectSlot, Scene, SceneObject
 from bulletarm_gym.state import declare_state_types
 from bulletarm_gym.surfaces.surface import SITE, Point
 
@@ -60,9 +60,9 @@ class Task(ABC):
         return " ".join(paragraph.split()) or f"{words}."
 
     @property
-    def hints(self) -> Hints:
+    def grasp_params(self) -> GraspParams:
         """Grasp parameters; by default, the fingertips close half a largest cube deep."""
-        return Hints(pick_offset=CUBE_SIZE * max(self.config.scales) / 2.0)
+        return GraspParams(pick_offset=CUBE_SIZE * max(self.config.scales) / 2.0)
 
     @property
     def height(self) -> float:
@@ -75,12 +75,12 @@ class Task(ABC):
         return OPEN_LOOP in self.controls
 
     @abstractmethod
-    def bodies(self, config: EnvConfig) -> list[Role]:
+    def bodies(self, config: EnvConfig) -> list[ObjectSlot]:
         """Return everything the task will ever need."""
 
-    def grasped(self, scene: Scene) -> list[Item]:
+    def grasped(self, scene: Scene) -> list[SceneObject]:
         """Return the items that the gripper must be able to span: by default all that are loose."""
-        return [item for item in scene.items if item.spec.mass > 0.0]
+        return [item for item in scene.objects if item.spec.mass > 0.0]
 
     @abstractmethod
     def arrange(self, scene: Scene, rng: np.random.Generator) -> None:
@@ -105,8 +105,8 @@ class Task(ABC):
 
     @property
     def keeps_scene(self) -> bool:
-        """Whether the task defines :meth:`carry_on`."""
-        return type(self).carry_on is not Task.carry_on
+        """Whether the task defines :meth:`continue_scene`."""
+        return type(self).continue_scene is not Task.continue_scene
 
     @abstractmethod
     def evaluate(self, scene: Scene) -> dict[str, bool]:
@@ -122,7 +122,7 @@ class Task(ABC):
         It must give one in every state, also after a failure; for open-loop control one with a ``finish``.
         """
 
-    def carry_on(self, scene: Scene, rng: np.random.Generator) -> bool:
+    def continue_scene(self, scene: Scene, rng: np.random.Generator) -> bool:
         """Begin an episode with what the last one left; False, for most, asks for a new arrangement."""
         return False
 
@@ -145,13 +145,13 @@ class Task(ABC):
         """
         return float(outcome["is_success"])
 
-    def _is_inside(self, item: Item) -> bool:
+    def _is_inside(self, item: SceneObject) -> bool:
         (x0, x1), (y0, y1), (_, top) = self.config.workspace
         low, high = self._extent(item)
         inside = x0 <= low[0] and high[0] <= x1 and y0 <= low[1] and high[1] <= y1
         return inside and low[2] >= FALLEN and high[2] <= top
 
-    def _extent(self, item: Item) -> tuple[Vector, Vector]:
+    def _extent(self, item: SceneObject) -> tuple[Vector, Vector]:
         """Return the corners (m) that must be inside: of the bounding box, or twice the centre."""
         if self.config.workspace_check == "bounding_box":
             (left, near, _), (right, far, top) = item.bounds.tolist()

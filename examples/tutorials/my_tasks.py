@@ -10,9 +10,9 @@ from bulletarm_gym.config import EnvConfig, TaskDefaults
 from bulletarm_gym.experts.approach import grasp
 from bulletarm_gym.geometry import Pose, planar_distance
 from bulletarm_gym.objects import cube
-from bulletarm_gym.placement import scatter, stand
-from bulletarm_gym.relations import is_held
-from bulletarm_gym.scene import Role, Scene, scaled
+from bulletarm_gym.scene import ObjectSlot, Scene, scaled
+from bulletarm_gym.scene.predicates import is_held
+from bulletarm_gym.scene.sampling import scatter, stand
 from bulletarm_gym.tasks import CLOSED, Task, Waypoint
 
 
@@ -22,7 +22,7 @@ class BlockCentring(Task):
     defaults = TaskDefaults(num_objects=1)
     controls = ("close_loop",)
 
-    def bodies(self, config: EnvConfig) -> list[Role]:
+    def bodies(self, config: EnvConfig) -> list[ObjectSlot]:
         return [scaled(config, "cube", cube)]
 
     def arrange(self, scene: Scene, rng: np.random.Generator) -> None:

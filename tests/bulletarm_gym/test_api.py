@@ -446,7 +446,7 @@ def test_encode_inverts_decode_for_every_sequence(picking: ManipulationEnv) -> N
     control = picking.control
     for sequence in SEQUENCES:
         config = dataclasses.replace(picking.config, action_sequence=sequence)
-        control_of = type(control)(config, control.robot, picking.task.hints)
+        control_of = type(control)(config, control.robot, picking.task.grasp_params)
         action = rng.uniform(-1, 1, len(sequence)).astype(np.float32)
         assert control_of.action_space.shape == (len(sequence),)
         np.testing.assert_allclose(

@@ -10,7 +10,7 @@ import pytest
 
 from bulletarm_gym.config import LIFT_HEIGHT
 from bulletarm_gym.env import ManipulationEnv
-from bulletarm_gym.experts.stirring import _end_to_push
+from bulletarm_gym.experts.singulation import _end_to_push
 from bulletarm_gym.geometry import Pose
 from bulletarm_gym.objects.graspables import graspables
 from bulletarm_gym.simulation.shapes import wavefront
@@ -156,7 +156,7 @@ def test_fingers_that_were_pushed_shut_open_again(env: ManipulationEnv) -> None:
 @pytest.mark.parametrize("yaw", [0.0, 0.4, 2.0, -1.1])
 def test_round_things_are_pushed_towards_the_middle(env: ManipulationEnv, yaw: float) -> None:
     env.reset(seed=0)
-    bowl = next(item for item in env.scene.items if item.role.name == "bowl_3")
+    bowl = next(item for item in env.scene.objects if item.role.name == "bowl_3")
     bowl.place(Pose.planar(0.40, -0.06, 0.03, 0.0))
     end, _ = _end_to_push(env.scene, bowl)
     bowl.place(Pose.planar(0.40 + 1e-6, -0.06, 0.03, yaw))
@@ -200,7 +200,7 @@ def test_every_object_alone_is_lifted(robot: str) -> None:
     env = gymnasium.make(ENV_ID, robot=robot, num_objects=1).unwrapped
     assert isinstance(env, ManipulationEnv) and isinstance(env.task, ObjectGrasping)
     failing = {}
-    for index, item in enumerate(env.scene.items):
+    for index, item in enumerate(env.scene.objects):
         lifted = 0
         for seed in range(5):
             env.reset(seed=seed)

@@ -9,7 +9,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 LOOP = """
-from bulletarm_gym.compilation import compiled
+from bulletarm_gym.geometry.compilation import compiled
 
 
 @compiled
@@ -23,7 +23,7 @@ EPISODES = """
 import gymnasium
 
 import bulletarm_gym
-from bulletarm_gym.compilation import MONITOR
+from bulletarm_gym.geometry.compilation import MONITOR
 
 for name in (
     "CloseLoopBlockPicking",

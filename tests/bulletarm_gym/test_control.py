@@ -17,14 +17,14 @@ from bulletarm_gym.experts.tracking import Tracker
 from bulletarm_gym.experts.waypoints import CLOSED, OPEN, Waypoint
 from bulletarm_gym.geometry import Pose
 from bulletarm_gym.robots import Robot
-from bulletarm_gym.scene import Item, Scene
+from bulletarm_gym.scene import Scene, SceneObject
 from bulletarm_gym.sensors import View
 from bulletarm_gym.simulation import Body, World
 from bulletarm_gym.tasks import Task
 
 Make = Callable[..., ManipulationEnv]
 SOURCES = sorted(Path(control.__file__).parent.glob("*.py"))
-SIMULATED = (Scene, World, Item, Body, Robot, Task)
+SIMULATED = (Scene, World, SceneObject, Body, Robot, Task)
 
 
 class SmallSteps(CloseLoop):

@@ -8,9 +8,8 @@ import pytest
 
 from bulletarm_gym.env import ManipulationEnv
 from bulletarm_gym.experts.approach import PRECISE
-from bulletarm_gym.footprint import Footprint
-from bulletarm_gym.geometry import Pose
-from bulletarm_gym.placement import footprint
+from bulletarm_gym.geometry import Footprint, Pose
+from bulletarm_gym.scene.sampling import footprint
 
 Make = Callable[..., ManipulationEnv]
 

@@ -12,9 +12,9 @@ from bulletarm_gym.config import ParameterError
 from bulletarm_gym.demonstrations import collect
 from bulletarm_gym.env import ManipulationEnv
 from bulletarm_gym.experts.deconstruction import GRASP_CLEARANCE, take_apart
-from bulletarm_gym.footprint import PlacementError
-from bulletarm_gym.placement import footprint
-from bulletarm_gym.relations import on_ground
+from bulletarm_gym.geometry import PlacementError
+from bulletarm_gym.scene.predicates import on_ground
+from bulletarm_gym.scene.sampling import footprint
 
 Make = Callable[..., ManipulationEnv]
 

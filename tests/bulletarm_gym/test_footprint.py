@@ -5,8 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from bulletarm_gym.footprint import DIRECTIONS, Footprint
-from bulletarm_gym.geometry import Pose, euler_pose, matrix
+from bulletarm_gym.geometry import DIRECTIONS, Footprint, Pose, euler_pose, matrix
 
 
 @pytest.fixture(params=range(5))

@@ -6,8 +6,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from bulletarm_gym.compilation import compiled
 from bulletarm_gym.geometry import Mesh, join
+from bulletarm_gym.geometry.compilation import compiled
 from bulletarm_gym.rendering.z_buffer import ZBuffer
 
 EXTENT, SIZE = 0.45, 128

@@ -92,7 +92,7 @@ def test_place_clears_the_highest_point_under_the_grasped_object(make: Make) -> 
         item.place(Pose.planar(0.3, 0.1 - 0.09 * number, CUBE / 2))
     roof.place(Pose.planar(0.55, 0.0, CUBE / 2, 0.0))
     assert pick(env, 0.55, 0.0) is roof
-    level = env.scene.robot.pose.z - roof.lowest + env.task.hints.place_offset
+    level = env.scene.robot.pose.z - roof.lowest + env.task.grasp_params.place_offset
     points = ((0.5, 0.0), (0.3, 0.1), (0.3 + CUBE / 2 + 0.009, 0.1), (0.3 + CUBE + 0.006, 0.1))
     heights = [height_at(env, "place", x, y) for x, y in points]
     assert heights == pytest.approx([level, level + CUBE, level + CUBE, level], abs=1e-3)
@@ -102,7 +102,7 @@ def test_place_knows_the_height_of_an_object_from_a_stack(env: ManipulationEnv) 
     """The surface under the upper cube is seen after the pick."""
     lay_out(env, Pose.planar(0.4, -0.1, CUBE / 2), Pose.planar(0.4, -0.1, 1.5 * CUBE))
     pick(env, 0.4, -0.1)
-    level = CUBE / 2 + env.task.hints.place_offset
+    level = CUBE / 2 + env.task.grasp_params.place_offset
     assert height_at(env, "place", 0.5, 0.1) == pytest.approx(level, abs=1.5e-3)
     assert height_at(env, "place", 0.4, -0.1) == pytest.approx(level + CUBE, abs=1.5e-3)
 
@@ -122,7 +122,7 @@ def test_object_without_measurements_counts_as_a_cube(env: ManipulationEnv) -> N
     lay_out(env, Pose.planar(0.5, 0.1, CUBE / 2))
     pick(env, 0.5, 0.1)
     env.control.memory = None
-    level = env.task.hints.pick_offset + env.task.hints.place_offset
+    level = env.task.grasp_params.pick_offset + env.task.grasp_params.place_offset
     assert height_at(env, "place", 0.4, 0.0) == pytest.approx(level)
 
 

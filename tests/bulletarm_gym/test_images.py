@@ -105,7 +105,7 @@ def test_open_loop_shows_neither_arm_nor_what_it_holds(make: Make) -> None:
     before, _ = env.reset(seed=0)
     after, *_ = env.step(env.expert_action())
     assert after["holding"] == 1.0
-    held = next(n for n, item in enumerate(env.scene.items, 1) if item is env.scene.held)
+    held = next(n for n, item in enumerate(env.scene.objects, 1) if item is env.scene.held)
     assert (before["segmentation"] == held).any() and not (after["segmentation"] == held).any()
     assert not (after["segmentation"] == GRIPPER).any()
     assert set(np.unique(before["segmentation"])) == {0, 1, 2, 3, 4}

@@ -62,7 +62,7 @@ def test_encode_inverts_decode(make: Make, sequence: str, half: bool) -> None:
     config = type(env.config).of(
         "open_loop", env.task.defaults, ("kuka",), {"action_sequence": sequence, "half_rotation": half}
     )
-    control, view = type(env.control)(config, env.control.robot, env.task.hints), env.look()
+    control, view = type(env.control)(config, env.control.robot, env.task.grasp_params), env.look()
     rng = np.random.default_rng(0)
     corners = [np.full(len(sequence), sign) for sign in (-1.0, 0.0, 1.0)]
     for action in [*corners, *rng.uniform(-1.0, 1.0, (3, len(sequence)))]:

@@ -7,11 +7,10 @@ import numpy as np
 import pytest
 
 from bulletarm_gym.env import ManipulationEnv
-from bulletarm_gym.footprint import Footprint
-from bulletarm_gym.geometry import Pose
+from bulletarm_gym.geometry import Footprint, Pose
 from bulletarm_gym.objects.bottles import TRAY
 from bulletarm_gym.objects.packing import BIN, BIN_WALL
-from bulletarm_gym.placement import footprint
+from bulletarm_gym.scene.sampling import footprint
 from bulletarm_gym.tasks.arranging import places
 from bulletarm_gym.tasks.packing import Room
 
@@ -66,7 +65,7 @@ def test_blocks_are_packed_below_the_rim(make: Make, local: Any, packed: bool) -
 def test_eight_of_the_largest_blocks_go_in(make: Make) -> None:
     env = make(PACKING)
     env.reset(seed=3)
-    for item in env.scene.items[1:]:
+    for item in env.scene.objects[1:]:
         pose = item.pose
         item.park()
         item.variant = 5

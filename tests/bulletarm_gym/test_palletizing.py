@@ -9,10 +9,9 @@ import pytest
 
 from bulletarm_gym.env import ManipulationEnv
 from bulletarm_gym.experts.waypoints import CLOSED, OPEN, Waypoint
-from bulletarm_gym.footprint import Footprint, PlacementError
-from bulletarm_gym.geometry import Pose
+from bulletarm_gym.geometry import Footprint, PlacementError, Pose
 from bulletarm_gym.objects.palletizing import PALLET
-from bulletarm_gym.placement import footprint
+from bulletarm_gym.scene.sampling import footprint
 from bulletarm_gym.tasks.palletizing import BoxPalletizing, layer_yaw, places
 
 Make = Callable[..., ManipulationEnv]
@@ -32,7 +31,7 @@ def env(make: Make) -> ManipulationEnv:
 def stack(env: ManipulationEnv, count: int, turn: float = 0.0, sink: float = 0.0) -> None:
     """Put boxes in the first places, all turned by an angle (rad), and lower (m) than they should be."""
     scene = env.scene
-    for number, box in enumerate(scene.items[1 : 1 + count]):
+    for number, box in enumerate(scene.objects[1 : 1 + count]):
         layer, place = divmod(number, 6)
         height = PALLET[2] + (layer + 0.5) * HEIGHT - sink
         frame = places(layer, WIDTH, LENGTH)[place].compose(Pose.planar(0.0, 0.0, height, turn))
@@ -143,7 +142,7 @@ def test_the_episode_ends_where_the_next_box_finds_no_room(
     def full(*_: Any) -> None:
         raise PlacementError("workspace: found no room")
 
-    monkeypatch.setattr("bulletarm_gym.tasks.palletizing.draw_until", full)
+    monkeypatch.setattr("bulletarm_gym.tasks.palletizing.sample_until", full)
     _, reward, terminated, truncated, info = env.step(np.ones(env.action_space.shape, np.float32))
     assert (reward, terminated, truncated, info["is_valid"]) == (0.0, True, False, False)
     monkeypatch.undo()

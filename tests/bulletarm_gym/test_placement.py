@@ -8,12 +8,18 @@ import numpy as np
 import pytest
 
 from bulletarm_gym.env import ManipulationEnv
-from bulletarm_gym.footprint import PlacementError
-from bulletarm_gym.geometry import Pose
+from bulletarm_gym.geometry import PlacementError, Pose
 from bulletarm_gym.objects import create
-from bulletarm_gym.placement import draw_until, free_pose, is_within, lay_apart, roomiest, scatter
 from bulletarm_gym.robots import find_robot
-from bulletarm_gym.scene import Role, Scene
+from bulletarm_gym.scene import ObjectSlot, Scene
+from bulletarm_gym.scene.sampling import (
+    free_pose,
+    is_within,
+    most_free_point,
+    place_apart,
+    sample_until,
+    scatter,
+)
 from bulletarm_gym.surfaces import make_surface
 
 Make = Callable[..., ManipulationEnv]
@@ -38,7 +44,7 @@ PACKING = [(f"packing_{number}", f"packing_block_{number % 7}", 0.8) for number 
 
 def _scene(make: Make, surface: str, kinds: list[tuple[str, str, float]]) -> Scene:
     config = replace(make("BulletArm/CloseLoopBlockStacking-v0").config, workspace=WORKSPACE)
-    roles = [Role(name, (create(kind, name, scale),)) for name, kind, scale in kinds]
+    roles = [ObjectSlot(name, (create(kind, name, scale),)) for name, kind, scale in kinds]
     return Scene(config, find_robot("kuka"), make_surface(surface, WORKSPACE, (0.03, 0.03)), roles)
 
 
@@ -68,7 +74,7 @@ def test_nothing_touches_and_nothing_is_over_the_border(
     for seed in range(seeds):
         rng = np.random.default_rng(seed)
         scene.clear(rng)
-        lay_apart(scene, rng, scene.items, gap)
+        place_apart(scene, rng, scene.objects, gap)
         _assert_apart_and_inside(scene, gap)
     scene.world.close()
 
@@ -78,8 +84,8 @@ def test_one_more_is_laid_away_from_what_is_there(make: Make) -> None:
     for seed in range(50):
         rng = np.random.default_rng(seed)
         scene.clear(rng)
-        *others, last = scene.items
-        lay_apart(scene, rng, others, 0.03)
+        *others, last = scene.objects
+        place_apart(scene, rng, others, 0.03)
         before = [item.pose for item in others]
         last.place(free_pose(scene, rng, last, 0.03))
         assert [item.pose for item in others] == before
@@ -90,7 +96,7 @@ def test_one_more_is_laid_away_from_what_is_there(make: Make) -> None:
 def test_without_random_orientation_all_lie_straight(make: Make) -> None:
     scene = _scene(make, "flat", HOUSE)
     scene.config = replace(scene.config, random_orientation=False)
-    lay_apart(scene, np.random.default_rng(0), scene.items, 0.03)
+    place_apart(scene, np.random.default_rng(0), scene.objects, 0.03)
     assert all(item.pose.yaw == 0.0 for item in scene)
     scene.world.close()
 
@@ -98,7 +104,7 @@ def test_without_random_orientation_all_lie_straight(make: Make) -> None:
 def test_too_much_is_refused(make: Make) -> None:
     scene = _scene(make, "flat", HOUSE)
     with pytest.raises(PlacementError, match="workspace: found no room for 6 items"):
-        lay_apart(scene, np.random.default_rng(0), scene.items, 0.3)
+        place_apart(scene, np.random.default_rng(0), scene.objects, 0.3)
     scene.world.close()
 
 
@@ -130,7 +136,7 @@ def test_search_is_bounded(scene: Scene) -> None:
     with pytest.raises(PlacementError, match="workspace"):
         scatter(scene, rng, [0.05] * 3, 0.3)
     with pytest.raises(PlacementError, match="workspace"):
-        draw_until(lambda: 0, lambda drawn: False)
+        sample_until(lambda: 0, lambda drawn: False)
 
 
 def test_too_wide_a_margin_is_refused(scene: Scene) -> None:
@@ -140,11 +146,11 @@ def test_too_wide_a_margin_is_refused(scene: Scene) -> None:
 
 def test_draw_until_returns_what_fits() -> None:
     numbers = iter(range(10))
-    assert draw_until(lambda: next(numbers), lambda number: number > 3) == 4
+    assert sample_until(lambda: next(numbers), lambda number: number > 3) == 4
 
 
 def test_roomiest_is_away_from_all_others(scene: Scene) -> None:
-    for item, (x, y) in zip(scene.items, ((0.35, -0.1), (0.35, 0.1), (0.4, 0.0)), strict=True):
+    for item, (x, y) in zip(scene.objects, ((0.35, -0.1), (0.35, 0.1), (0.4, 0.0)), strict=True):
         item.place(Pose.planar(x, y, 0.025))
-    x, y = roomiest(scene, scene.items[2])
+    x, y = most_free_point(scene, scene.objects[2])
     assert x > 0.5 and is_within(scene, (x, y), 0.03)

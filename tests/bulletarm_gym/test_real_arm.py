@@ -15,7 +15,7 @@ from bulletarm_gym.real_arm import (
     pick_height,
     place_height,
 )
-from bulletarm_gym.scene import SIDE_PIXELS
+from bulletarm_gym.scene.scene import SIDE_PIXELS
 
 STACKING = "BulletArm/CloseLoopBlockStacking-v0"
 MILLIMETRE = 1e-3
@@ -88,14 +88,14 @@ def test_heights_of_picks_and_places_are_the_environments(
         action = env.expert_action()
         hand = env.control.executed(env.decode_action(action))
         assert pick_height(
-            before["heightmap"], hand, env.task.hints.pick_offset, workspace=workspace
+            before["heightmap"], hand, env.task.grasp_params.pick_offset, workspace=workspace
         ) == pytest.approx(hand.z)
         after, *_ = env.step(action)
         grasp = measure_grasp(before["heightmap"], after["heightmap"], hand, workspace)
         assert grasp is not None and tuple(grasp) == pytest.approx(env.control.memory, abs=1e-4)
         action = env.expert_action()
         hand = env.control.executed(env.decode_action(action))
-        height = place_height(after["heightmap"], hand, grasp, env.task.hints.place_offset, workspace)
+        height = place_height(after["heightmap"], hand, grasp, env.task.grasp_params.place_offset, workspace)
         assert height == pytest.approx(hand.z, abs=1e-4)
         before, *_ = env.step(action)
 

@@ -87,7 +87,7 @@ def test_episode_begins_with_the_placed_object(tmp_path: Path) -> None:
     env = record(tmp_path / "own.h5")
     core: Any = env.unwrapped
     env.reset(seed=8)
-    item = core.scene.items[0]
+    item = core.scene.objects[0]
     x, y, z = item.pose.position
     item.place(item.pose._replace(position=(x, -y + 0.03, z)))
     expected = core.observe()["heightmap"]

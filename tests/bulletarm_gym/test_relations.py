@@ -7,8 +7,17 @@ import pytest
 
 from bulletarm_gym.env import ManipulationEnv
 from bulletarm_gym.geometry import Pose
-from bulletarm_gym.relations import at_rest, inside, is_top, on_ground, on_top, stacked, touching, upright
-from bulletarm_gym.scene import Item, Scene
+from bulletarm_gym.scene import Scene, SceneObject
+from bulletarm_gym.scene.predicates import (
+    at_rest,
+    inside,
+    is_top,
+    on_ground,
+    on_top,
+    stacked,
+    touching,
+    upright,
+)
 
 Make = Callable[..., ManipulationEnv]
 STACKING = "BulletArm/CloseLoopBlockStacking-v0"
@@ -21,8 +30,8 @@ def scene(make: Make) -> Scene:
     return env.scene
 
 
-def lay(scene: Scene, *places: tuple[float, float, float]) -> list[Item]:
-    items = scene.items[: len(places)]
+def lay(scene: Scene, *places: tuple[float, float, float]) -> list[SceneObject]:
+    items = scene.objects[: len(places)]
     for item, (x, y, z) in zip(items, places, strict=True):
         item.place(Pose.planar(x, y, z))
     return items
@@ -69,7 +78,7 @@ def test_held_item_is_not_stacked(make: Make) -> None:
 
 
 def test_upright_up_to_20_degrees(scene: Scene) -> None:
-    item = scene.items[0]
+    item = scene.objects[0]
     for degrees, expected in ((19.0, True), (21.0, False), (90.0, False)):
         half = math.radians(degrees) / 2.0
         item.place(Pose((0.45, 0.0, 0.1), (0.0, math.sin(half), 0.0, math.cos(half))))
@@ -77,7 +86,7 @@ def test_upright_up_to_20_degrees(scene: Scene) -> None:
 
 
 def test_on_ground(scene: Scene) -> None:
-    item = scene.items[0]
+    item = scene.objects[0]
     item.place(Pose.planar(0.45, 0.0, 0.025, 0.3))
     assert on_ground(scene, item)
     quarter = math.pi / 8.0
@@ -89,7 +98,7 @@ def test_on_ground(scene: Scene) -> None:
 
 def test_is_top(scene: Scene) -> None:
     low, high, aside = lay(scene, (0.45, 0.0, 0.025), (0.45, 0.0, 0.075), (0.55, 0.1, 0.075))
-    assert is_top(high, scene.items) and is_top(aside, scene.items) and not is_top(low, scene.items)
+    assert is_top(high, scene.objects) and is_top(aside, scene.objects) and not is_top(low, scene.objects)
 
 
 def test_inside_seen_from_above(make: Make) -> None:
@@ -103,7 +112,7 @@ def test_inside_seen_from_above(make: Make) -> None:
 
 def test_what_falls_is_not_at_rest(scene: Scene) -> None:
     assert at_rest(scene)
-    scene.items[0].place(Pose.planar(0.45, 0.0, 0.2))
+    scene.objects[0].place(Pose.planar(0.45, 0.0, 0.2))
     scene.begin()
     scene.world.step(3)
     scene.world.end()

@@ -10,9 +10,9 @@ from rollouts import advance, transcript
 from bulletarm_gym.env import ManipulationEnv
 from bulletarm_gym.geometry import Pose
 from bulletarm_gym.objects.packing import SHAPES
-from bulletarm_gym.placement import footprint
-from bulletarm_gym.relations import touching
-from bulletarm_gym.scene import MOST_VARIANTS, Role, spread
+from bulletarm_gym.scene.predicates import touching
+from bulletarm_gym.scene.sampling import footprint
+from bulletarm_gym.scene.scene import MOST_VARIANTS, ObjectSlot, spread
 from bulletarm_gym.simulation import BodySpec
 
 Make = Callable[..., ManipulationEnv]
@@ -20,18 +20,20 @@ PACKING = "BulletArm/OpenLoopBinPacking-v0"
 RANGE = {"object_scale_range": [0.7, 0.9]}
 
 
-def role(count: int) -> Role:
-    return Role(f"role {count}", tuple(BodySpec(f"{number}", (), 1.0) for number in range(count)))
+def role(count: int) -> ObjectSlot:
+    return ObjectSlot(f"role {count}", tuple(BodySpec(f"{number}", (), 1.0) for number in range(count)))
 
 
 def variants(env: ManipulationEnv) -> dict[str, list[BodySpec]]:
-    return {item.role.name: [item.role.variants[place] for place in item.choices] for item in env.scene.items}
+    return {
+        item.role.name: [item.role.variants[place] for place in item.choices] for item in env.scene.objects
+    }
 
 
 def test_without_a_range_all_variants_are_loaded(make: Make) -> None:
     env = make(PACKING)
     assert len(env.scene.world.bodies) == 3 + 8 * len(SHAPES)  # the ground, the arm and the bin, the blocks
-    assert all(len(item.choices) == len(item.role.variants) for item in env.scene.items)
+    assert all(len(item.choices) == len(item.role.variants) for item in env.scene.objects)
 
 
 @pytest.mark.parametrize(
@@ -39,7 +41,7 @@ def test_without_a_range_all_variants_are_loaded(make: Make) -> None:
 )
 def test_a_range_does_not_multiply_the_bodies(make: Make, name: str) -> None:
     env = make(f"BulletArm/OpenLoop{name}-v0", **RANGE)
-    assert sum(len(item.choices) for item in env.scene.items) <= MOST_VARIANTS
+    assert sum(len(item.choices) for item in env.scene.objects) <= MOST_VARIANTS
     assert len(env.scene.world.bodies) <= MOST_VARIANTS + 2
 
 

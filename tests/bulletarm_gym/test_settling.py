@@ -13,9 +13,9 @@ from bulletarm_gym.control import DeltaMove, PickPlace
 from bulletarm_gym.env import ManipulationEnv
 from bulletarm_gym.geometry import Pose, euler_pose
 from bulletarm_gym.objects import cube
-from bulletarm_gym.relations import at_rest, on_ground, stacked, touching
-from bulletarm_gym.scene import Role, Scene, scaled
-from bulletarm_gym.support import lie_still
+from bulletarm_gym.scene import ObjectSlot, Scene, scaled
+from bulletarm_gym.scene.predicates import at_rest, on_ground, stacked, touching
+from bulletarm_gym.scene.stability import is_stable
 from bulletarm_gym.tasks import Task, Waypoint
 
 SIDE = 0.05
@@ -33,7 +33,7 @@ class Arranged(Task):
     site = (3.0 * SIDE, 3.0 * SIDE)
     layout: dict[int, Pose]
 
-    def bodies(self, config: Any) -> list[Role]:
+    def bodies(self, config: Any) -> list[ObjectSlot]:
         """Return the cubes."""
         return [scaled(config, f"cube {number}", cube) for number in range(3)]
 
@@ -256,7 +256,7 @@ def test_cubes_apart_on_the_surface_need_no_simulation(
     scene, expected = env.scene, above(HALF).z + env.scene.surface.level
     assert [pose.z for pose in present(env)] == [expected, expected]
     bodies = [item.body for item in scene]
-    assert lie_still(scene.world, scene.surface, bodies)
+    assert is_stable(scene.world, scene.surface, bodies)
     for pose in (
         above(HALF + 3e-4),
         above(HALF - 3e-4),
@@ -264,4 +264,4 @@ def test_cubes_apart_on_the_surface_need_no_simulation(
         euler_pose((0.0, 0.0, HALF), (0.05, 0.0, 0.0)),
     ):
         scene["cube 0"].place(Pose((*env.config.centre, scene.surface.level)).compose(pose))
-        assert not lie_still(scene.world, scene.surface, bodies)
+        assert not is_stable(scene.world, scene.surface, bodies)

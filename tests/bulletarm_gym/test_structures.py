@@ -9,11 +9,20 @@ import pytest
 from bulletarm_gym.config import CLOSE_LOOP
 from bulletarm_gym.env import ManipulationEnv
 from bulletarm_gym.experts.blueprint import Blueprint
-from bulletarm_gym.experts.pick_place import fingers_fit, lying_frame, palm_fits, pick
+from bulletarm_gym.experts.pick_place import fingers_fit, palm_fits, pick, resting_frame
 from bulletarm_gym.geometry import Pose, euler_pose
-from bulletarm_gym.placement import footprint
-from bulletarm_gym.relations import between, carries, heading, in_line, is_level, lies_flat, on_top, rests_on
-from bulletarm_gym.scene import Item, Scene
+from bulletarm_gym.scene import Scene, SceneObject
+from bulletarm_gym.scene.predicates import (
+    between,
+    carries,
+    heading,
+    in_line,
+    is_level,
+    lies_flat,
+    on_top,
+    rests_on,
+)
+from bulletarm_gym.scene.sampling import footprint
 from bulletarm_gym.tasks.structure import BLOCK_SPACING, Structure
 
 Make = Callable[..., ManipulationEnv]
@@ -31,8 +40,8 @@ BUMP = "BulletArm/OpenLoopBumpHouseBuilding4-v0"
 
 def lay(env: ManipulationEnv, **places: Sequence[float]) -> None:
     """Put blocks at y, height of their lowest points and, if given, x and yaw; all others out of the way."""
-    aside = np.linspace(-0.16, 0.16, len(env.scene.items)).tolist()
-    for y, item in zip(aside, env.scene.items, strict=True):
+    aside = np.linspace(-0.16, 0.16, len(env.scene.objects)).tolist()
+    for y, item in zip(aside, env.scene.objects, strict=True):
         item.place(Pose.planar(0.32, y, CUBE / 2.0, math.pi / 2.0))
     for name, (y, low, *rest) in places.items():
         x, yaw = (*rest, CENTRE, 0.0)[:2] if len(rest) != 1 else (rest[0], 0.0)
@@ -178,7 +187,7 @@ def test_a_brick_that_has_rolled_over_is_as_good(scene: Scene) -> None:
         brick.place(euler_pose(brick.pose.position, (0.0, quarter * math.pi / 2.0, 0.3)))
         assert is_level(brick) and lies_flat(brick)
         assert heading(brick) == pytest.approx(math.pi / 2.0 + 0.3)
-        assert abs(math.sin(lying_frame(brick).yaw - 0.3)) < 1e-6
+        assert abs(math.sin(resting_frame(brick).yaw - 0.3)) < 1e-6
     brick.place(euler_pose(brick.pose.position, (math.pi / 2.0, 0.0, 0.0)))
     assert not is_level(brick)
 
@@ -230,7 +239,7 @@ def test_only_a_fallen_roof_ends_the_episode(make: Make, env_id: str) -> None:
 
 
 def optimal(env: ManipulationEnv, base_on_site: bool) -> int:
-    return 2 * (len(env.scene.items) - base_on_site)
+    return 2 * (len(env.scene.objects) - base_on_site)
 
 
 def test_expert_wastes_nothing(make: Make) -> None:
@@ -288,7 +297,7 @@ def test_a_wide_palm_needs_room_over_what_is_beside(make: Make, robot: str, fits
     assert palm_fits(env.scene, Pose.planar(0.45, 0.0, 0.015, math.pi / 2.0), cube)
 
 
-def blocks_of(scene: Scene) -> list[Item]:
+def blocks_of(scene: Scene) -> list[SceneObject]:
     return [item for item in scene if item.role.name.startswith("block")]
 
 
@@ -298,7 +307,7 @@ def test_random_blocks_are_grasped_square_on(make: Make) -> None:
     for seed in range(10):
         env.reset(seed=seed)
         for item in blocks_of(env.scene):
-            inside = item.pose.inverse().transform(lying_frame(item).position)
+            inside = item.pose.inverse().transform(resting_frame(item).position)
             low, high = item.spec.mesh.bounds[:, :2]
             assert (low < inside[:2]).all() and (inside[:2] < high).all()
             pieces = item.spec.piece_bounds

@@ -11,10 +11,9 @@ import pytest
 from rollouts import advance, transcript
 
 from bulletarm_gym.env import ManipulationEnv
-from bulletarm_gym.footprint import Footprint, PlacementError
-from bulletarm_gym.geometry import Pose, rotate
-from bulletarm_gym.placement import footprint, free_site, lay_apart
-from bulletarm_gym.relations import on_ground, on_site
+from bulletarm_gym.geometry import Footprint, PlacementError, Pose, rotate
+from bulletarm_gym.scene.predicates import on_ground, on_site
+from bulletarm_gym.scene.sampling import footprint, free_site, place_apart
 from bulletarm_gym.simulation import World
 from bulletarm_gym.simulation.physics import PHYSICS_MODES
 from bulletarm_gym.surfaces import BumpSurface, RampSurface, make_surface
@@ -89,7 +88,7 @@ def test_the_simulated_ground_is_where_it_is_said_to_be(env: ManipulationEnv) ->
     scene = env.scene
     env.reset(seed=2)
     client, points = scene.world.client, _grid(env)[::211]
-    for item in scene.items:
+    for item in scene.objects:
         item.park()
     hits = client.rayTestBatch([(*p, 0.4) for p in points.tolist()], [(*p, -0.1) for p in points.tolist()])
     ground = np.isin([hit[0] for hit in hits], [body.id for body in scene.surface.bodies])
@@ -148,7 +147,7 @@ def test_what_is_laid_fits_and_stays(env: ManipulationEnv) -> None:
     on_strip = []
     for seed in range(40):
         scene.clear(np.random.default_rng(seed))
-        lay_apart(scene, np.random.default_rng(seed), scene.items, gap=0.03)
+        place_apart(scene, np.random.default_rng(seed), scene.objects, gap=0.03)
         laid = [item.pose for item in scene]
         for item in scene:
             assert scene.surface.fits(footprint(item))
@@ -174,7 +173,7 @@ def test_the_steepest_ramp_holds_a_block(make: Make) -> None:
         if ramp.slope > 0.99 * math.pi / 6.0:
             break
     assert ramp.slope > 0.99 * math.pi / 6.0
-    item = scene.items[0]
+    item = scene.objects[0]
     point = tuple(np.add(ramp.edge[:2], 0.05 * np.array(ramp.uphill)).tolist())
     item.place(surface.lay(item.spec, point, 0.4))
     before = item.pose
@@ -209,8 +208,8 @@ def test_a_free_site_keeps_away_from_what_lies_there(env: ManipulationEnv) -> No
     rng = np.random.default_rng(5)
     for seed in range(10):
         env.scene.clear(np.random.default_rng(seed))
-        env.scene.surface.lay(env.scene.items[0].spec, (0.45, 0.0), 0.0)
-        lay_apart(env.scene, rng, env.scene.items[:2], gap=0.03)
+        env.scene.surface.lay(env.scene.objects[0].spec, (0.45, 0.0), 0.0)
+        place_apart(env.scene, rng, env.scene.objects[:2], gap=0.03)
         base = Footprint.rectangle((0.03, 0.08), free_site(env.scene, rng, (0.03, 0.08), 0.02))
         assert all(base.gap(footprint(item)) >= 0.02 for item in env.scene)
 

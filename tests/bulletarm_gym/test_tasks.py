@@ -14,8 +14,8 @@ from bulletarm_gym.env import ManipulationEnv
 from bulletarm_gym.experts.waypoints import CLOSED, OPEN, Waypoint
 from bulletarm_gym.geometry import Pose
 from bulletarm_gym.objects.corner import INSIDE
-from bulletarm_gym.relations import touching
 from bulletarm_gym.scene import Scene
+from bulletarm_gym.scene.predicates import touching
 from bulletarm_gym.tasks.picking import BlockPicking
 
 Make = Callable[..., ManipulationEnv]

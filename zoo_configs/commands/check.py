@@ -220,7 +220,7 @@ def _check_states(played: Any, fresh: Any, seed: int) -> None:
 def _restored(step: int) -> str:
     return (
         f"after set_state() with the state before step {step} in another environment: the task changes"
-        " something that the state lacks. Use the methods of Item and Task.memory instead"
+        " something that the state lacks. Use the methods of SceneObject and Task.memory instead"
     )
 
 

@@ -6,8 +6,8 @@ from functools import cached_property
 
 import numpy as np
 
-from bulletarm_gym.compilation import compiled, fma
-from bulletarm_gym.geometry import FloatArray, Pose, Quaternion
+from bulletarm_gym.geometry.compilation import compiled, fma
+from bulletarm_gym.geometry.poses import FloatArray, Pose, Quaternion
 
 DIRECTIONS = 32
 """Directions in which footprints are compared: with each its opposite, x and y among them."""

@@ -3,9 +3,8 @@
 import math
 from collections.abc import Iterable, Sequence
 
-from bulletarm_gym.footprint import Footprint
-from bulletarm_gym.geometry import FloatArray, matrix, planar_distance, wrap_angle
-from bulletarm_gym.scene import Item, Scene
+from bulletarm_gym.geometry import FloatArray, Footprint, matrix, planar_distance, wrap_angle
+from bulletarm_gym.scene import Scene, SceneObject
 from bulletarm_gym.surfaces.surface import Point
 
 TOUCHING = 2e-3
@@ -17,12 +16,12 @@ IN_LINE = math.pi / 7.0
 """Greatest angle (rad) between a long block and the line through what it lies on."""
 
 
-def touching(scene: Scene, first: Item, second: Item) -> bool:
+def touching(scene: Scene, first: SceneObject, second: SceneObject) -> bool:
     """Whether two items are in contact."""
     return scene.world.are_near(first.body, second.body, TOUCHING)
 
 
-def is_held(scene: Scene, item: Item) -> bool:
+def is_held(scene: Scene, item: SceneObject) -> bool:
     """Whether the gripper holds an item."""
     return scene.robot.held is item.body
 
@@ -37,46 +36,46 @@ def at_rest(scene: Scene) -> bool:
     return not scene.world.has_motion
 
 
-def upright(item: Item) -> bool:
+def upright(item: SceneObject) -> bool:
     """Whether an item stands as it was made to stand."""
     return item.pose.tilt < UPRIGHT
 
 
-def on_ground(scene: Scene, item: Item) -> bool:
+def on_ground(scene: Scene, item: SceneObject) -> bool:
     """Whether an item touches the ground, level or not."""
     world = scene.world
     standing = (body for body in scene.surface.bodies if world.active[body.index])
     return any(world.are_near(item.body, body, TOUCHING) for body in standing)
 
 
-def on_site(scene: Scene, item: Item) -> bool:
+def on_site(scene: Scene, item: SceneObject) -> bool:
     """Whether an item stands, all of it but a hair, on the level ground where structures are built."""
     level = abs(item.lowest - scene.surface.level) <= TOUCHING
-    return level and scene.surface.fits_site(item.once_a_pose(_all_but_a_hair))
+    return level and scene.surface.fits_site(item.cached_by_pose(_all_but_a_hair))
 
 
-def _all_but_a_hair(item: Item) -> Footprint:
+def _all_but_a_hair(item: SceneObject) -> Footprint:
     return Footprint.of(item.spec.mesh.vertices, item.pose).grown(-TOUCHING)
 
 
-def _rotation(item: Item) -> FloatArray:
+def _rotation(item: SceneObject) -> FloatArray:
     return matrix(item.pose)
 
 
-def carries(scene: Scene, bottom: Item, top: Item) -> bool:
+def carries(scene: Scene, bottom: SceneObject, top: SceneObject) -> bool:
     """Whether an item lies on another, if only with an end: higher by half its height, and in contact."""
     rise = top.pose.z - bottom.pose.z
     return rise >= min(bottom.spec.extents[2], top.spec.extents[2]) / 2.0 and touching(scene, bottom, top)
 
 
-def on_top(scene: Scene, bottom: Item, top: Item) -> bool:
+def on_top(scene: Scene, bottom: SceneObject, top: SceneObject) -> bool:
     """Whether an item lies on another: higher by half its height, in contact, its middle over the other."""
     reach = max(*bottom.spec.extents[:2], *top.spec.extents[:2]) / 2.0
     beside = max(abs(top.pose.x - bottom.pose.x), abs(top.pose.y - bottom.pose.y))
     return beside <= reach and carries(scene, bottom, top)
 
 
-def stacked(scene: Scene, items: Iterable[Item]) -> bool:
+def stacked(scene: Scene, items: Iterable[SceneObject]) -> bool:
     """Whether items form one stack: the lowest on the ground, each of the others on the one before alone."""
     lowest, *others = sorted(items, key=lambda item: item.pose.z)
     chain = zip([lowest, *others], others, strict=False)
@@ -87,14 +86,14 @@ def stacked(scene: Scene, items: Iterable[Item]) -> bool:
     )
 
 
-def inside(item: Item, container: Item) -> bool:
+def inside(item: SceneObject, container: SceneObject) -> bool:
     """Whether an item's origin is, seen from above, within the outer sides of a container."""
     place = container.pose.inverse().transform(item.pose.position)
     low, high = container.spec.mesh.bounds.tolist()
     return all(low[axis] < place[axis] < high[axis] for axis in (0, 1))
 
 
-def is_top(item: Item, pool: Sequence[Item]) -> bool:
+def is_top(item: SceneObject, pool: Sequence[SceneObject]) -> bool:
     """Whether none of the items in the pool is above an item."""
     return not any(
         other.pose.z > item.pose.z
@@ -104,44 +103,44 @@ def is_top(item: Item, pool: Sequence[Item]) -> bool:
     )
 
 
-def middle(items: Sequence[Item]) -> Point:
+def middle(items: Sequence[SceneObject]) -> Point:
     """Return the mean x and y (m) of items."""
     x, y = (sum(item.pose.position[axis] for item in items) / len(items) for axis in (0, 1))
     return (x, y)
 
 
-def between(item: Item, others: Sequence[Item], reach: float) -> bool:
+def between(item: SceneObject, others: Sequence[SceneObject], reach: float) -> bool:
     """Whether an item is, seen from above, less than ``reach`` (m) from the middle of others."""
     return planar_distance(item.pose.position, middle(others)) < reach
 
 
-def heading(item: Item) -> float:
+def heading(item: SceneObject) -> float:
     """Return the direction (rad) of an item's y axis, a long block's long side, seen from above."""
-    rotation = item.once_a_pose(_rotation)
+    rotation = item.cached_by_pose(_rotation)
     return math.atan2(rotation[1, 1], rotation[0, 1])
 
 
-def in_line(item: Item, others: Sequence[Item]) -> bool:
+def in_line(item: SceneObject, others: Sequence[SceneObject]) -> bool:
     """Whether an item's y axis is along the line from the first of the others to the last."""
     (x0, y0, _), (x1, y1, _) = others[0].pose.position, others[-1].pose.position
     return abs(wrap_angle(heading(item) - math.atan2(y1 - y0, x1 - x0), math.pi)) < IN_LINE
 
 
-def is_level(item: Item) -> bool:
+def is_level(item: SceneObject) -> bool:
     """Whether an item's y axis is tilted no more than what stands upright."""
-    return abs(float(item.once_a_pose(_rotation)[2, 1])) < math.sin(UPRIGHT)
+    return abs(float(item.cached_by_pose(_rotation)[2, 1])) < math.sin(UPRIGHT)
 
 
-def lies_flat(item: Item) -> bool:
+def lies_flat(item: SceneObject) -> bool:
     """Whether one of an item's axes is upright: a block that has rolled onto another side lies flat."""
-    return item.once_a_pose(_steepest) > math.cos(UPRIGHT)
+    return item.cached_by_pose(_steepest) > math.cos(UPRIGHT)
 
 
-def _steepest(item: Item) -> float:
+def _steepest(item: SceneObject) -> float:
     """Return the greatest cosine of an axis of an item with the vertical."""
-    return float(abs(item.once_a_pose(_rotation)[2]).max())
+    return float(abs(item.cached_by_pose(_rotation)[2]).max())
 
 
-def rests_on(scene: Scene, bottom: Item, top: Item) -> bool:
+def rests_on(scene: Scene, bottom: SceneObject, top: SceneObject) -> bool:
     """Whether an item touches another that it is higher than: lies on it, if only with an edge."""
     return top.pose.z > bottom.pose.z + TOUCHING and touching(scene, bottom, top)

@@ -19,7 +19,7 @@ GRIP = 0.9
 """Greatest slope in relation to the friction coefficient."""
 
 
-def lie_still(world: World, surface: Surface, bodies: Sequence[Body]) -> bool:
+def is_stable(world: World, surface: Surface, bodies: Sequence[Body]) -> bool:
     """Return True if each of the bodies at rest stands on the surface alone, so that none can fall or slide.
 
     False means that only simulation can decide.

@@ -7,7 +7,7 @@ import numpy as np
 from bulletarm_gym.experts.approach import HOVER
 from bulletarm_gym.experts.waypoints import CLOSED, Waypoint
 from bulletarm_gym.geometry import Pose, matrix, planar_distance
-from bulletarm_gym.scene import Item, Scene
+from bulletarm_gym.scene import Scene, SceneObject
 
 RUN_UP = 0.045
 """Distance (m) beside an item from which one of its ends is pushed."""
@@ -27,7 +27,7 @@ SPREAD = 0.02
 """Spread (m) of where the push begins, so that no two tries are alike."""
 
 
-def stir(scene: Scene, item: Item, rng: np.random.Generator) -> Iterator[Waypoint]:
+def stir(scene: Scene, item: SceneObject, rng: np.random.Generator) -> Iterator[Waypoint]:
     """Yield the way of pushing an end of an item across its length, towards the middle of the workspace.
 
     :param rng: moves the start of the push
@@ -60,7 +60,7 @@ def _stands_on_something(scene: Scene) -> bool:
     return any(world.distance(arm, body, TOUCH) < TOUCH for body in solids)
 
 
-def _end_to_push(scene: Scene, item: Item) -> tuple[tuple[float, float], tuple[float, float]]:
+def _end_to_push(scene: Scene, item: SceneObject) -> tuple[tuple[float, float], tuple[float, float]]:
     """Return an end of an item and the direction across its length that leads to the middle."""
     plane = (item.spec.mesh.vertices @ matrix(item.pose).T)[:, :2]
     centre = (plane.min(axis=0) + plane.max(axis=0)) / 2.0

@@ -17,6 +17,7 @@ from bulletarm_gym.rendering.point_cloud import project
 from bulletarm_gym.rendering.rasterizer import Labels
 from bulletarm_gym.rendering.z_buffer import ZBuffer
 from bulletarm_gym.robots import Robot, RobotModel
+from bulletarm_gym.scene.stability import is_stable
 from bulletarm_gym.simulation import Body, BodySpec, Camera, World
 from bulletarm_gym.simulation.physics import PHYSICS_MODES, REST_SPEED
 from bulletarm_gym.simulation.properties import Properties
@@ -24,7 +25,6 @@ from bulletarm_gym.simulation.settling import CREEP_SPEED, settle
 from bulletarm_gym.simulation.shapes import Colour
 from bulletarm_gym.simulation.state import STILL, Twist
 from bulletarm_gym.stopwatch import PHYSICS, RENDERING, Stopwatch
-from bulletarm_gym.support import lie_still
 from bulletarm_gym.surfaces import Surface
 
 T = TypeVar("T")
@@ -49,7 +49,7 @@ GOLDEN = (math.sqrt(5.0) - 1.0) / 2.0
 
 
 @dataclass(frozen=True)
-class Role:
+class ObjectSlot:
     """A part that a body plays in a task, and the bodies that may play it.
 
     :param variants: of different sizes or shapes; one is drawn each episode. Of several sizes the smallest
@@ -62,18 +62,22 @@ class Role:
     kind: str = ""
 
 
-def scaled(config: EnvConfig, name: str, make: Callable[[str, float], BodySpec], kind: str = "") -> Role:
+def scaled(
+    config: EnvConfig, name: str, make: Callable[[str, float], BodySpec], kind: str = ""
+) -> ObjectSlot:
     """Return a role played by one body a size: ``make(name, scale)`` for every scale of the configuration."""
-    return Role(name, tuple(make(f"{name} {scale:g}", scale) for scale in config.scales), kind)
+    return ObjectSlot(name, tuple(make(f"{name} {scale:g}", scale) for scale in config.scales), kind)
 
 
-def shaped(config: EnvConfig, name: str, make: Callable[[str, float, int], BodySpec], shapes: int) -> Role:
+def shaped(
+    config: EnvConfig, name: str, make: Callable[[str, float, int], BodySpec], shapes: int
+) -> ObjectSlot:
     """Return a role played by ``make(name, scale, number)`` for every scale and all of so many shapes."""
     kinds = [(scale, kind) for scale in config.scales for kind in range(shapes)]
-    return Role(name, tuple(make(f"{name} {kind} {scale:g}", scale, kind) for scale, kind in kinds))
+    return ObjectSlot(name, tuple(make(f"{name} {kind} {scale:g}", scale, kind) for scale, kind in kinds))
 
 
-def spread(roles: Sequence[Role], most: int) -> list[list[int]]:
+def spread(roles: Sequence[ObjectSlot], most: int) -> list[list[int]]:
     """Choose variants of roles so that all together are at most so many, but one a role at least.
 
     Roles of few variants keep all; the others keep as many as each other, spread evenly over shapes and
@@ -100,7 +104,7 @@ def spread(roles: Sequence[Role], most: int) -> list[list[int]]:
     return chosen
 
 
-class Item:
+class SceneObject:
     """The body that plays a role in this episode.
 
     :param role: which
@@ -109,7 +113,7 @@ class Item:
     :param pad_width: width (m) of the pads of the robot's fingers
     """
 
-    def __init__(self, role: Role, choices: Sequence[int], world: World, pad_width: float) -> None:
+    def __init__(self, role: ObjectSlot, choices: Sequence[int], world: World, pad_width: float) -> None:
         self.role = role
         self.pad_width = pad_width
         self.choices = choices
@@ -142,7 +146,7 @@ class Item:
     @property
     def lowest(self) -> float:
         """Height (m) of the body's lowest point."""
-        return self.once_a_pose(_lowest)
+        return self.cached_by_pose(_lowest)
 
     @property
     def bounds(self) -> FloatArray:
@@ -155,7 +159,7 @@ class Item:
         """Where (m) the body's centre of mass is in the world."""
         return self.pose.transform(self.spec.mass_properties[0].position)
 
-    def once_a_shape(self, compute: Callable[["Item"], T]) -> T:
+    def cached_by_shape(self, compute: Callable[["SceneObject"], T]) -> T:
         """Return what a function tells from the body's shape alone, computed once."""
         known = self._of_shapes[self.variant]
         if compute not in known:
@@ -163,7 +167,7 @@ class Item:
         found: T = known[compute]
         return found
 
-    def once_a_pose(self, compute: Callable[["Item"], T]) -> T:
+    def cached_by_pose(self, compute: Callable[["SceneObject"], T]) -> T:
         """Return what a function tells from the body's shape and pose alone, computed once for each pose."""
         pose = self.pose
         variant, before, known = self._of_pose
@@ -214,7 +218,7 @@ class Item:
                 self._world.park(body)
 
 
-def _lowest(item: Item) -> float:
+def _lowest(item: SceneObject) -> float:
     heights = item.spec.mesh.vertices @ matrix(item.pose)[2]
     return item.pose.z + float(heights.min())
 
@@ -228,7 +232,9 @@ class Scene:
     :param roles: every body the task will ever need; where sizes are drawn, at most :data:`MOST_VARIANTS`
     """
 
-    def __init__(self, config: EnvConfig, model: RobotModel, surface: Surface, roles: Sequence[Role]) -> None:
+    def __init__(
+        self, config: EnvConfig, model: RobotModel, surface: Surface, roles: Sequence[ObjectSlot]
+    ) -> None:
         self.config = config
         self.surface = surface
         # Limits of a close-loop action (m, rad): those of the control, once the experts' tracker exists.
@@ -238,26 +244,26 @@ class Scene:
         self.robot = Robot(model, self.world, config.fast_mode)
         choices = spread(roles, MOST_VARIANTS) if len(config.scales) > 1 else spread(roles, sys.maxsize)
         self._items = {
-            role.name: Item(role, places, self.world, model.gripper.finger[1])
+            role.name: SceneObject(role, places, self.world, model.gripper.finger[1])
             for role, places in zip(roles, choices, strict=True)
         }
         self.world.seal()
 
-    def __getitem__(self, name: str) -> Item:
+    def __getitem__(self, name: str) -> SceneObject:
         """Return the item of a role."""
         return self._items[name]
 
-    def __iter__(self) -> Iterator[Item]:
+    def __iter__(self) -> Iterator[SceneObject]:
         """Iterate over the items that take part."""
         return (item for item in self._items.values() if item.is_present)
 
     @property
-    def items(self) -> list[Item]:
+    def objects(self) -> list[SceneObject]:
         """The items of all roles, in their order, absent ones too."""
         return list(self._items.values())
 
     @property
-    def held(self) -> Item | None:
+    def held(self) -> SceneObject | None:
         """The item in the gripper."""
         held = self.robot.held
         return None if held is None else next((item for item in self if item.body is held), None)
@@ -287,10 +293,10 @@ class Scene:
         if doubtful and not (slow and self._lie_still(doubtful)):
             settle(world, loose, SETTLE_LIMIT)
         world.unsettled.clear()
-        self.robot.give_way()
+        self.robot.resolve_penetration()
 
     def _lie_still(self, bodies: Sequence[Body]) -> bool:
-        return lie_still(self.world, self.surface, bodies) and not self.robot.touched(bodies)
+        return is_stable(self.world, self.surface, bodies) and not self.robot.touched(bodies)
 
     def measure(self) -> Stopwatch:
         """Return a stopwatch to which the engine's steps and heightmaps report from now on."""
@@ -300,11 +306,11 @@ class Scene:
         self._label = stopwatch.timed(RENDERING, self._label)
         return stopwatch
 
-    def get_cast(self) -> tuple[int, ...]:
+    def get_variants(self) -> tuple[int, ...]:
         """Return which of an item's choices plays each role."""
         return tuple(item.variant for item in self._items.values())
 
-    def set_cast(self, variants: Sequence[int]) -> None:
+    def set_variants(self, variants: Sequence[int]) -> None:
         """Return to a cast; the bodies are the world's."""
         for item, variant in zip(self._items.values(), variants, strict=True):
             item.variant = variant

@@ -6,9 +6,8 @@ from typing import TypeVar
 
 import numpy as np
 
-from bulletarm_gym.footprint import Footprint, PlacementError
-from bulletarm_gym.geometry import Pose
-from bulletarm_gym.scene import Item, Scene
+from bulletarm_gym.geometry import Footprint, PlacementError, Pose
+from bulletarm_gym.scene import Scene, SceneObject
 from bulletarm_gym.surfaces.surface import Point
 
 T = TypeVar("T")
@@ -73,16 +72,16 @@ def _free_point(
     return None
 
 
-def stand(scene: Scene, item: Item, point: Point, rng: np.random.Generator, spread: float) -> None:
+def stand(scene: Scene, item: SceneObject, point: Point, rng: np.random.Generator, spread: float) -> None:
     """Stand an item on the ground at a point, turned by up to ``spread`` (rad) unless told not to."""
     yaw = float(rng.uniform(-spread, spread)) if scene.config.random_orientation else 0.0
     item.place(scene.surface.lay(item.spec, point, yaw))
 
 
-def lay_apart(
+def place_apart(
     scene: Scene,
     rng: np.random.Generator,
-    items: Sequence[Item],
+    items: Sequence[SceneObject],
     gap: float,
     spread: float = math.pi,
     taken: Sequence[Footprint] = (),
@@ -118,7 +117,7 @@ def lay_apart(
 
 
 def free_pose(
-    scene: Scene, rng: np.random.Generator, item: Item, gap: float, spread: float = math.pi
+    scene: Scene, rng: np.random.Generator, item: SceneObject, gap: float, spread: float = math.pi
 ) -> Pose:
     """Draw a pose in which an item, held or not, can be put on the ground away from all others.
 
@@ -133,7 +132,7 @@ def free_pose(
 
 
 def free_site(
-    scene: Scene, rng: np.random.Generator, size: Point, gap: float, without: Sequence[Item] = ()
+    scene: Scene, rng: np.random.Generator, size: Point, gap: float, without: Sequence[SceneObject] = ()
 ) -> Pose:
     """Draw a place on level ground to build on, away from the items that lie there.
 
@@ -150,19 +149,19 @@ def free_site(
         base = Footprint.rectangle(size, site)
         return all(base.gap(other) >= gap for other in covered)
 
-    return draw_until(lambda: scene.surface.goal_site(size, rng, spread), is_free)
+    return sample_until(lambda: scene.surface.goal_site(size, rng, spread), is_free)
 
 
-def footprint(item: Item, pose: Pose | None = None) -> Footprint:
+def footprint(item: SceneObject, pose: Pose | None = None) -> Footprint:
     """Return what an item covers of the ground, where it is or would be at a pose."""
-    return Footprint.of(item.spec.mesh.vertices, pose) if pose else item.once_a_pose(_shadow)
+    return Footprint.of(item.spec.mesh.vertices, pose) if pose else item.cached_by_pose(_shadow)
 
 
-def _shadow(item: Item) -> Footprint:
+def _shadow(item: SceneObject) -> Footprint:
     return Footprint.of(item.spec.mesh.vertices, item.pose)
 
 
-def footprints(scene: Scene, without: Sequence[Item] = ()) -> list[Footprint]:
+def footprints(scene: Scene, without: Sequence[SceneObject] = ()) -> list[Footprint]:
     """Return what the items of a scene cover: all but some, marks and what the gripper holds."""
     absent = [*without, scene.held]
     return [footprint(item) for item in scene if item not in absent and not item.spec.is_mark]
@@ -171,7 +170,7 @@ def footprints(scene: Scene, without: Sequence[Item] = ()) -> list[Footprint]:
 def _free_pose(
     scene: Scene,
     rng: np.random.Generator,
-    item: Item,
+    item: SceneObject,
     gap: float,
     spread: float,
     covered: Sequence[Footprint],
@@ -191,7 +190,7 @@ def _free_pose(
     return None
 
 
-def roomiest(scene: Scene, item: Item) -> Point:
+def most_free_point(scene: Scene, item: SceneObject) -> Point:
     """Return the point of the workspace that is farthest from all other items and not near the border."""
     margin = item.spec.planar_radius
     xs, ys = (np.linspace(low + margin, high - margin, GRID) for low, high in scene.config.workspace[:2])
@@ -200,7 +199,7 @@ def roomiest(scene: Scene, item: Item) -> Point:
     return max(points, key=lambda point: min((math.dist(point, other) for other in others), default=0.0))
 
 
-def draw_until(draw: Callable[[], T], fits: Callable[[T], bool], attempts: int = ATTEMPTS) -> T:
+def sample_until(draw: Callable[[], T], fits: Callable[[T], bool], attempts: int = ATTEMPTS) -> T:
     """Draw until something fits.
 
     :raises PlacementError: nothing did
