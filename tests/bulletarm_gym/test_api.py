@@ -51,7 +51,7 @@ def with_pose(env: ManipulationEnv, state: EnvState, role: str, pose: Pose) -> E
 
 def loose_role(env: ManipulationEnv) -> str:
     """The role of something that can leave the workspace."""
-    roles = [item.role.name for item in env.scene if item.spec.mass > 0.0]
+    roles = [item.slot.name for item in env.scene if item.spec.mass > 0.0]
     return roles[0] if roles else pytest.skip("nothing here is loose")
 
 

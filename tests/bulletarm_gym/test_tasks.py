@@ -358,8 +358,8 @@ def test_a_plan_without_a_waypoint_is_refused(
 @pytest.mark.parametrize(
     ("change", "reason"),
     [
-        (lambda roles: [*roles, *roles], "roles with distinct names, got 'cube' more than once"),
-        (lambda roles: None, "a list of roles, got None"),
+        (lambda slots: [*slots, *slots], "slots with distinct names, got 'cube' more than once"),
+        (lambda slots: None, "a list of slots, got None"),
     ],
 )
 def test_roles_that_cannot_be_loaded_are_refused(
