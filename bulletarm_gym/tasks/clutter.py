@@ -259,7 +259,7 @@ class OpenLoopObjectGrasping(ObjectGrasping):
         takes_object_set=True,
     )
     controls = (OPEN_LOOP,)
-    one_decision = True
+    single_step = True
 
     @property
     def height(self) -> float:

@@ -30,7 +30,7 @@ class Task(ABC):
     defaults: ClassVar[TaskDefaults]
     controls: ClassVar[tuple[str, ...]]
     """Names of the controls the task can be solved with."""
-    one_decision: ClassVar[bool] = False
+    single_step: ClassVar[bool] = False
     """Whether every action ends the episode."""
     rehearsals: ClassVar[int] = 8
     """Starts arranged at most to see whether there is room, where objects or workspace are not its own."""

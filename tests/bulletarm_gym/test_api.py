@@ -216,7 +216,7 @@ def test_time_limit_truncates(make: Make, typical_id: str, max_steps: int) -> No
     env = make(typical_id, max_steps=max_steps)
     for seed in range(2):
         env.reset(seed=seed)
-        if env.task.one_decision:
+        if env.task.single_step:
             assert env.step(idle(env))[1:4] == (0.0, True, False)
             continue
         ends = [env.step(idle(env))[1:4] for _ in range(max_steps)]
