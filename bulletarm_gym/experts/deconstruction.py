@@ -46,7 +46,7 @@ class Relocation:
         )
 
 
-def take_apart(scene: Scene, rng: np.random.Generator) -> list[Relocation]:
+def deconstruct(scene: Scene, rng: np.random.Generator) -> list[Relocation]:
     """Take a structure apart, one block after the other, from the top; the last stays where it is.
 
     The blocks are moved without the arm: whether it can do what they do is for the reversed actions to show.

@@ -11,7 +11,7 @@ from rollouts import digest
 from bulletarm_gym.config import ParameterError
 from bulletarm_gym.demonstrations import collect
 from bulletarm_gym.env import ManipulationEnv
-from bulletarm_gym.experts.deconstruction import GRASP_CLEARANCE, take_apart
+from bulletarm_gym.experts.deconstruction import GRASP_CLEARANCE, deconstruct
 from bulletarm_gym.geometry import PlacementError
 from bulletarm_gym.scene.predicates import on_ground
 from bulletarm_gym.scene.sampling import footprint
@@ -79,7 +79,7 @@ def test_what_is_taken_apart_can_be_rebuilt(building: ManipulationEnv) -> None:
 def test_blocks_go_from_the_top_to_free_ground(make: Make, env_id: str) -> None:
     env = make(env_id)
     env.reset(seed=0, options=GOAL)
-    relocations = take_apart(env.scene, np.random.default_rng(0))
+    relocations = deconstruct(env.scene, np.random.default_rng(0))
     heights = [relocation.before.position[2] for relocation in relocations]
     assert heights == sorted(heights, reverse=True) and len(heights) == 3
     for first, second in itertools.combinations(env.scene, 2):
@@ -107,7 +107,7 @@ def test_no_room_to_lay_a_block_is_a_failed_attempt(monkeypatch: pytest.MonkeyPa
     def full(*_: Any) -> None:
         raise PlacementError("workspace: found no room for cube 3")
 
-    monkeypatch.setattr("bulletarm_gym.demonstrations.collecting.take_apart", full)
+    monkeypatch.setattr("bulletarm_gym.demonstrations.collecting.deconstruct", full)
     with pytest.raises(RuntimeError, match="0 of 2 attempts"):
         collect(STACKING, 1, "deconstruction", seed=0, max_attempts=2)
 
