@@ -134,13 +134,13 @@ def check_room(config: EnvConfig, own: EnvConfig, scene: Scene, task: Task, cont
     if not changed:
         return
     failures = 0
-    for number in range(task.rehearsals):
+    for number in range(task.feasibility_trials):
         reason = _rehearse(scene, task, control, np.random.default_rng(number))
         failures += reason is not None
-        if 2 * failures > task.rehearsals:
+        if 2 * failures > task.feasibility_trials:
             takes = f"one that leaves room: {_wish(config)} has none; {reason}"
             raise ParameterError.of(changed[0], getattr(config, changed[0]), takes)
-        if 2 * (number + 1 - failures) >= task.rehearsals:
+        if 2 * (number + 1 - failures) >= task.feasibility_trials:
             break
     scene.clear(np.random.default_rng(0))
 

@@ -32,7 +32,7 @@ class Task(ABC):
     """Names of the controls the task can be solved with."""
     single_step: ClassVar[bool] = False
     """Whether every action ends the episode."""
-    rehearsals: ClassVar[int] = 8
+    feasibility_trials: ClassVar[int] = 8
     """Starts arranged at most to see whether there is room, where objects or workspace are not its own."""
     memory_types: ClassVar[tuple[type, ...]] = ()
     """Dataclasses and named tuples in :attr:`memory`, for files of states; plain values need none."""
