@@ -7,7 +7,7 @@ from bulletarm_gym.experts.approach import RELEASE, grasp_item, place_item, side
 from bulletarm_gym.experts.waypoints import Waypoint
 from bulletarm_gym.geometry import planar_distance, wrap_angle
 from bulletarm_gym.scene import Scene, SceneObject
-from bulletarm_gym.scene.predicates import is_held, on_ground, on_top
+from bulletarm_gym.scene.predicates import is_held, on_surface, on_top
 from bulletarm_gym.scene.sampling import most_free_point
 
 CUBE_SYMMETRY = math.pi / 2.0
@@ -73,7 +73,7 @@ class Tower:
     def _pile(self, base: SceneObject, cubes: Sequence[SceneObject]) -> list[SceneObject]:
         """Return a cube and, if it is on the ground, the cubes on it, from the bottom up."""
         pile = [base]
-        if on_ground(self._scene, base):
+        if on_surface(self._scene, base):
             while (above := self._above(pile[-1], cubes)) is not None:
                 pile.append(above)
         return pile

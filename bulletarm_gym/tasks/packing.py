@@ -16,7 +16,7 @@ from bulletarm_gym.geometry import FloatArray, Footprint, Pose, matrix
 from bulletarm_gym.objects.packing import BIN, BIN_WALL, SHAPES, packing_bin, packing_block
 from bulletarm_gym.scene import ObjectSlot, Scene, SceneObject, shaped
 from bulletarm_gym.scene.predicates import at_rest, inside, is_empty, is_top
-from bulletarm_gym.scene.sampling import GRASP_ROOM, footprint, place_apart
+from bulletarm_gym.scene.sampling import GRASP_AREA, footprint, place_apart
 from bulletarm_gym.tasks.task import Task
 
 MOST_BLOCKS = 8
@@ -85,7 +85,7 @@ class BinPacking(Task):
         blocks = [item for item in scene.objects if item is not scene["bin"]]
 
         def leaves_room(pose: Pose) -> bool:
-            hand = Footprint.rectangle(GRASP_ROOM, pose)
+            hand = Footprint.rectangle(GRASP_AREA, pose)
             return not self.config.random_orientation or hand.gap(footprint(scene["bin"])) > 0.0
 
         site = scene.surface.goal_site(self.site, rng, spread)

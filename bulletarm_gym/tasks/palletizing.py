@@ -13,7 +13,7 @@ from bulletarm_gym.geometry import Footprint, PlacementError, Pose, wrap_angle
 from bulletarm_gym.objects.palletizing import BOX, PALLET, pallet, palletizing_box
 from bulletarm_gym.scene import ObjectSlot, Scene, SceneObject, scaled
 from bulletarm_gym.scene.predicates import UPRIGHT, at_rest, inside, is_empty, is_top
-from bulletarm_gym.scene.sampling import GRASP_ROOM, footprint, free_pose, most_free_point, sample_until
+from bulletarm_gym.scene.sampling import GRASP_AREA, footprint, free_pose, most_free_point, sample_until
 from bulletarm_gym.tasks.task import Task
 
 LAYER = 6
@@ -116,7 +116,7 @@ class BoxPalletizing(Task):
         def fits(pose: Pose) -> bool:
             shadow = footprint(box, pose)
             yaw = pose.yaw if "r" in self.config.action_sequence else 0.0
-            hand = Footprint.rectangle(GRASP_ROOM, Pose.planar(*pose.position, yaw))
+            hand = Footprint.rectangle(GRASP_AREA, Pose.planar(*pose.position, yaw))
             return (
                 scene.surface.fits(shadow, BOX_MARGIN)
                 and min(hand.gap(base), shadow.gap(base) - BOX_MARGIN) > 0.0

@@ -13,7 +13,7 @@ from bulletarm_gym.demonstrations import collect
 from bulletarm_gym.env import ManipulationEnv
 from bulletarm_gym.experts.deconstruction import GRASP_CLEARANCE, deconstruct
 from bulletarm_gym.geometry import PlacementError
-from bulletarm_gym.scene.predicates import on_ground
+from bulletarm_gym.scene.predicates import on_surface
 from bulletarm_gym.scene.sampling import footprint
 
 Make = Callable[..., ManipulationEnv]
@@ -84,7 +84,7 @@ def test_blocks_go_from_the_top_to_free_ground(make: Make, env_id: str) -> None:
     assert heights == sorted(heights, reverse=True) and len(heights) == 3
     for first, second in itertools.combinations(env.scene, 2):
         assert footprint(first).gap(footprint(second)) >= GRASP_CLEARANCE
-        assert on_ground(env.scene, first)
+        assert on_surface(env.scene, first)
     assert len({round(item.pose.yaw, 3) for item in env.scene}) == 4
 
 
