@@ -13,7 +13,7 @@ from bulletarm_gym.geometry.compilation import compiled
 from bulletarm_gym.rendering.overlays import rectangle_mask
 from bulletarm_gym.sensors import Map
 
-LEAST_PICK = 0.005
+MIN_PICK_HEIGHT = 0.005
 """Smallest height (m) of a pick."""
 REMOVED = 0.002
 """Smallest decrease (m) of a pixel's height at a pick that shows the absence of the grasped object."""
@@ -49,14 +49,14 @@ def pick_height(heights: Map, target: Rectangle, depth: float) -> float:
     :param target: area between the fingers
     :param depth: depth (m) of the fingertips below the highest point of the area
     """
-    return max(_highest(heights, target) - depth, LEAST_PICK)
+    return max(_highest(heights, target) - depth, MIN_PICK_HEIGHT)
 
 
 def measure_grasp(before: Map, after: Map, closed_at: Pose) -> Grasp | None:
     """Return the measurements of the grasped object, or None if the heightmaps do not show its absence.
 
     The footprint consists of the connected pixels that the pick lowered. The surface that supported the
-    object, the ground or another object, is the highest of these pixels after the pick.
+    object, the floor or another object, is the highest of these pixels after the pick.
 
     :param before: heightmap before the pick
     :param after: heightmap after the pick, without the grasped object

@@ -254,7 +254,7 @@ def test_what_is_no_control_is_refused() -> None:
     path = "my_controls:Backwards"
     for wrong, reason in (
         ("remote", "^control: got 'remote', takes one of 'close_loop', 'open_loop', or 'module:Class'"),
-        ("my_controls:Kindless", "^control: .* has kind='both', takes one of"),
+        ("my_controls:Kindless", "^control: .* must have a kind of .*, got 'both'"),
         ("builtins:dict", "no subclass of Control"),
         ("open_loop", "^control: got 'open_loop', BlockPicking takes one of"),
     ):
