@@ -1,102 +1,80 @@
-"""Deciding which block goes where next to build a tower: a tool that tasks' experts share."""
+"""Planning of a tower of cubes under closed-loop control."""
 
 import math
 from collections.abc import Iterator, Sequence
+from functools import cached_property
 
-from bulletarm_gym.experts.approach import RELEASE, grasp_item, place_item, side_yaw
+from bulletarm_gym.experts.approach import RELEASE, grasp_object, place_object, side_yaw
+from bulletarm_gym.experts.blueprint import Placed
+from bulletarm_gym.experts.builder import Builder
 from bulletarm_gym.experts.waypoints import Waypoint
 from bulletarm_gym.geometry import planar_distance, wrap_angle
-from bulletarm_gym.scene import Scene, SceneObject
+from bulletarm_gym.scene import SceneObject
 from bulletarm_gym.scene.predicates import is_held, on_surface, on_top
 from bulletarm_gym.scene.sampling import most_free_point
 
-CUBE_SYMMETRY = math.pi / 2.0
-CROWN_SYMMETRY = math.pi
 
+class TowerBuilder(Builder):
+    """Builder of a tower of cubes, with a different block on top or without, by closed-loop waypoints.
 
-class Tower:
-    """A tower of cubes as far as it stands, and what is to be done next.
-
-    :param cubes: in any order, one on another
-    :param crown: what comes on top in the end; it is grasped along its x axis
+    The cube nearest to the gripper is grasped next. While a cube is grasped, the nearest tower is extended.
+    The plan is therefore visible and does not change while the gripper moves.
     """
 
-    def __init__(self, scene: Scene, cubes: Sequence[SceneObject], crown: SceneObject | None = None) -> None:
-        self._scene = scene
-        self._crown = crown
-        self._blocks = [*cubes, crown] if crown is not None else list(cubes)
-        # Of equal cubes the nearest is grasped, and built on when one is held: what to do can then be seen,
-        # and stays as the gripper comes nearer.
-        nearest_first = sorted(cubes, key=self._distance)
-        bases = nearest_first if scene.held is not None else reversed(nearest_first)
-        piles = (self._pile(cube, cubes) for cube in bases if not is_held(scene, cube))
-        self._standing = max(piles, key=lambda pile: (len(pile), self._leaves_room(pile)), default=[])
-        self._missing = [cube for cube in nearest_first if cube not in self._standing]
+    _lies_on = staticmethod(on_top)
 
     def plan(self) -> Iterator[Waypoint]:
         """Yield the waypoints of the next block."""
-        item = self._next
-        if not is_held(self._scene, item):
-            yield from grasp_item(self._scene, item, self._yaw(item), self._symmetry(item))
-        elif self._fits(item):
-            yield from self._put_on(item, self._standing[-1])
+        scene, held = self._scene, self._scene.held
+        if held is None:
+            block = self._next
+            yield from grasp_object(scene, block, self._yaw(block), self._symmetry(block))
+        elif self._placed and self._open_position(held) is not None:
+            below = list(self._placed.values())[-1]
+            rotation = wrap_angle(self._yaw(below) - self._yaw(held), math.pi / 2.0)
+            height = scene.world.top(below.body) + RELEASE
+            yield from place_object(scene, held, below.pose.position, height, rotation)
         else:
-            spot = most_free_point(self._scene, item)
-            height = self._scene.surface.height(spot) + RELEASE
-            yield from place_item(self._scene, item, spot, height)
+            spot = most_free_point(scene, held)
+            yield from place_object(scene, held, spot, scene.surface.height(spot) + RELEASE)
+
+    @cached_property
+    def _placed(self) -> Placed:
+        """The highest tower; of equal ones the nearest while a block is grasped, else the farthest."""
+        nearest_first = sorted(self._cubes, key=self._distance)
+        bases = nearest_first if self._scene.held is not None else reversed(nearest_first)
+        towers = (self._tower(cube) for cube in bases if not is_held(self._scene, cube))
+        best = max(towers, key=lambda tower: (len(tower), self._leaves_space(tower)), default=[])
+        return dict(zip(self._blueprint.positions, best, strict=False))
 
     @property
-    def _next(self) -> SceneObject:
-        """The block to move: what is held, else what lies on those it should not, else what is missing."""
-        held = self._scene.held
-        if held is not None:
-            return held
-        in_the_way = self._above(self._standing[-1])
-        if in_the_way is not None:
-            return in_the_way
-        wanted = self._missing[0] if self._missing else self._blocks[-1]
-        while (above := self._above(wanted)) is not None:
-            wanted = above
-        return wanted
+    def _cubes(self) -> Sequence[SceneObject]:
+        return self._blocks[self._blueprint.positions[0].kind]
 
-    def _fits(self, item: SceneObject) -> bool:
-        """Whether an item belongs on the tower now."""
-        if not self._standing or item in self._standing or (item is self._crown and self._missing):
-            return False
-        return self._above(self._standing[-1]) is None
+    def _tower(self, base: SceneObject) -> list[SceneObject]:
+        """Return a cube and, if it is on the surface, the cubes on it."""
+        tower = [base]
+        while on_surface(self._scene, base) and (above := self._above(tower[-1])) in self._cubes:
+            tower.append(above)
+        return tower
 
-    def _put_on(self, item: SceneObject, below: SceneObject) -> Iterator[Waypoint]:
-        turn = wrap_angle(self._yaw(below) - self._yaw(item), CUBE_SYMMETRY)
-        height = self._scene.world.top(below.body) + RELEASE
-        yield from place_item(self._scene, item, below.pose.position, height, turn)
-
-    def _pile(self, base: SceneObject, cubes: Sequence[SceneObject]) -> list[SceneObject]:
-        """Return a cube and, if it is on the ground, the cubes on it, from the bottom up."""
-        pile = [base]
-        if on_surface(self._scene, base):
-            while (above := self._above(pile[-1], cubes)) is not None:
-                pile.append(above)
-        return pile
-
-    def _leaves_room(self, pile: Sequence[SceneObject]) -> bool:
-        """Whether the crown can be grasped beside a pile, however high it grows."""
-        if self._crown is None or is_held(self._scene, self._crown):
+    def _leaves_space(self, tower: Sequence[SceneObject]) -> bool:
+        """Return True if the block on top can be grasped next to a tower of any height."""
+        top = self._blocks[self._blueprint.positions[-1].kind][0]
+        if top in self._cubes or is_held(self._scene, top):
             return True
         gripper = self._scene.robot.model.gripper
-        room = max(gripper.palm[0] / 2.0, gripper.half_width()) + pile[0].spec.planar_radius
-        return planar_distance(pile[0].pose.position, self._crown.pose.position) > room
+        reach = max(gripper.palm[0] / 2.0, gripper.half_width()) + tower[0].spec.planar_radius
+        return planar_distance(tower[0].pose.position, top.pose.position) > reach
 
-    def _above(self, item: SceneObject, pool: Sequence[SceneObject] | None = None) -> SceneObject | None:
-        """Return the block that lies on an item."""
-        others = (block for block in (pool or self._blocks) if block is not item)
-        free = (block for block in others if not is_held(self._scene, block))
-        return next((block for block in free if on_top(self._scene, item, block)), None)
+    def _preference(self, block: SceneObject, there: Sequence[SceneObject]) -> tuple[float, ...]:
+        return (self._distance(block),)
 
-    def _distance(self, item: SceneObject) -> float:
-        return planar_distance(item.pose.position, self._scene.robot.pose.position)
+    def _distance(self, block: SceneObject) -> float:
+        return planar_distance(block.pose.position, self._scene.robot.pose.position)
 
-    def _yaw(self, item: SceneObject) -> float:
-        return item.pose.yaw if item is self._crown else side_yaw(item.pose)
+    def _yaw(self, block: SceneObject) -> float:
+        return side_yaw(block.pose) if block in self._cubes else block.pose.yaw
 
-    def _symmetry(self, item: SceneObject) -> float:
-        return CROWN_SYMMETRY if item is self._crown else CUBE_SYMMETRY
+    def _symmetry(self, block: SceneObject) -> float:
+        return math.pi / 2.0 if block in self._cubes else math.pi

@@ -1,4 +1,4 @@
-"""What experts plan in: places for the fingertips, and what the gripper does on the way."""
+"""Waypoints of the plans of experts."""
 
 from dataclasses import dataclass
 
@@ -11,17 +11,17 @@ CLOSED = 0.0
 
 @dataclass(frozen=True)
 class Waypoint:
-    """A place an expert wants the fingertips at (paper, Expert Demonstrations).
+    """A pose of the fingertips in a plan (paper, Expert Demonstrations).
 
-    Close-loop control goes from one to the next. Open-loop control finds its own way: of a plan it takes the
-    first waypoint with a ``finish``, as a pick if that closes the gripper, as a place if it opens it. To such
-    picks and places of a task for both controls close-loop control finds a way, too.
+    Closed-loop control moves from one waypoint to the next. Open-loop control executes the first waypoint
+    with a ``finish``: a pick if that closes the gripper, a place if it opens it. For a task of both controls,
+    closed-loop control adds the path to such a pick or place.
 
-    :param pose: of the fingertips, in the world
-    :param gripper: opening ratio on the way, 0 closed to 1 open
-    :param finish: opening ratio on arrival; None keeps that of the way
-    :param straight: come in a straight line, for moves in contact; else each axis runs at its own limit
-    :param clear: nothing is in between: close-loop control can go there as it is
+    :param pose: pose of the fingertips in the world
+    :param gripper: opening ratio before arrival, 0 closed to 1 open
+    :param finish: opening ratio on arrival; None keeps ``gripper``
+    :param straight: move in a straight line, for moves in contact; otherwise each axis moves at its own limit
+    :param clear: the space in between is free, so that closed-loop control adds no path
     """
 
     pose: Pose

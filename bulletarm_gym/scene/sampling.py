@@ -85,7 +85,7 @@ def random_yaw(scene: Scene, rng: np.random.Generator, spread: float) -> float:
 
 
 def goal_site(scene: Scene, rng: np.random.Generator, size: Point) -> Pose:
-    """Sample a level frame with space for a base of ``size`` (m), axis-aligned without ``random_orientation``.
+    """Sample a level frame for a base of ``size`` (m); its yaw is 0 without ``random_orientation``.
 
     :raises PlacementError: no such place exists
     """

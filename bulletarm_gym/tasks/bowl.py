@@ -6,7 +6,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from bulletarm_gym.config import CLOSE_LOOP, EnvConfig, TaskDefaults
-from bulletarm_gym.experts.approach import grasp_item, place_item, side_yaw
+from bulletarm_gym.experts.approach import grasp_object, place_object, side_yaw
 from bulletarm_gym.experts.waypoints import Waypoint
 from bulletarm_gym.geometry import planar_distance
 from bulletarm_gym.objects import bowl, cube
@@ -80,6 +80,6 @@ class BlockInBowl(Task):
         item, vessel = scene["cube"], scene["bowl"]
         if is_held(scene, item):
             height = vessel.lowest + RELEASE_HEIGHT * vessel.spec.extents[2]
-            yield from place_item(scene, item, vessel.pose.position, height)
+            yield from place_object(scene, item, vessel.pose.position, height)
         else:
-            yield from grasp_item(scene, item, side_yaw(item.pose), math.pi / 2.0)
+            yield from grasp_object(scene, item, side_yaw(item.pose), math.pi / 2.0)

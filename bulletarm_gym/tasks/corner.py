@@ -9,7 +9,7 @@ from bulletarm_gym.config import EnvConfig, TaskDefaults, TrayUse
 from bulletarm_gym.experts.approach import (
     HEIGHT_TOLERANCE,
     HOVER,
-    grasp_item,
+    grasp_object,
     highest_between,
     side_yaw,
 )
@@ -89,7 +89,7 @@ class CornerPicking(Lift):
         x, y, _ = scene["corner"].pose.inverse().transform(item.pose.position)
         if min(x, y) - INSIDE - item.spec.extents[0] / 2.0 < FREE:
             yield from self._nudge(scene)
-        yield from grasp_item(scene, item, side_yaw(item.pose), math.pi / 2.0)
+        yield from grasp_object(scene, item, side_yaw(item.pose), math.pi / 2.0)
 
     def _nudge(self, scene: Scene) -> Iterator[Waypoint]:
         """Press on the cube with the closed gripper, and draw it to the middle of the plate."""

@@ -1,58 +1,52 @@
-"""Houses of blocks that are never the same."""
+"""Houses of blocks with random shapes."""
 
 from collections.abc import Sequence
 
-from bulletarm_gym.config import EnvConfig, TaskDefaults
+from bulletarm_gym.config import EnvConfig
 from bulletarm_gym.objects.blocks import improvise_bricks, roof
 from bulletarm_gym.objects.polyominoes import CELL, WIDEST, improvise_blocks
 from bulletarm_gym.scene import ObjectSlot
-from bulletarm_gym.tasks.structure import SCALE, Part, Structure
+from bulletarm_gym.tasks.structure import Structure, structure_defaults
 
 BRICKS = 19
-"""Sizes of bricks to be drawn from: as many as there are shapes of blocks."""
+"""Number of sizes of bricks, the number of shapes of blocks."""
 
 
 class ImproviseHouseBuilding2(Structure):
     """Put two blocks of random shapes side by side, and the roof on both.
 
     Description: two of 19 blocks of one layer, 3.6 to 9 cm wide and long, and a roof, 12 x 3 x 3 cm, lie on
-    the ground.
-    Randomisation: which blocks, of which sizes; their positions and yaws, at least 4.2 cm between any two.
-    All else is as in :class:`~bulletarm_gym.tasks.structure.Structure`.
+    the surface.
+    Randomisation: the shapes and sizes of the blocks; positions and yaws, at least 4.2 cm between any two.
+    Everything else is as in :class:`~bulletarm_gym.tasks.structure.Structure`.
     """
 
-    defaults = TaskDefaults(
-        num_objects=3, max_steps=10, object_scale=SCALE, allowed_objects=(3,), close_loop={"max_steps": 100}
-    )
+    defaults = structure_defaults(3)
     kinds = {"roof": roof}  # noqa: RUF012
     layers: Sequence[Sequence[str]] = (("block", "block"), ("roof",))
     upright = ("roof",)
     width = CELL * WIDEST
 
-    def block(self, config: EnvConfig, part: Part) -> ObjectSlot:
-        """Return a role that each of the 19 shapes may play."""
-        if part.kind != "block":
-            return super().block(config, part)
-        shapes = [spec for scale in config.scales for spec in improvise_blocks(part.name, scale, part.number)]
-        return ObjectSlot(part.name, tuple(shapes))
+    def block(self, config: EnvConfig, name: str, kind: str, number: int) -> ObjectSlot:
+        """Return the slot of a block with variants of all shapes and sizes."""
+        if kind == "roof":
+            return super().block(config, name, kind, number)
+        specs = (
+            improvise_blocks(name, scale, number)
+            if kind == "block"
+            else improvise_bricks(name, scale, BRICKS)
+            for scale in config.scales
+        )
+        return ObjectSlot(name, tuple(spec for variants in specs for spec in variants))
 
 
 class ImproviseHouseBuilding3(ImproviseHouseBuilding2):
     """Put two blocks of random shapes side by side, a brick of random size on both, and the roof on it.
 
     Description: two of 19 blocks of one layer, 3.6 to 9 cm wide and long, a brick 2.5 to 3.5 cm wide, 10 to
-    14 cm long and 2 to 3.5 cm high, and a roof, 12 x 3 x 3 cm, lie on the ground.
-    All else is as in :class:`ImproviseHouseBuilding2`.
+    14 cm long and 2 to 3.5 cm high, and a roof, 12 x 3 x 3 cm, lie on the surface.
+    Everything else is as in :class:`ImproviseHouseBuilding2`.
     """
 
-    defaults = TaskDefaults(
-        num_objects=4, max_steps=10, object_scale=SCALE, allowed_objects=(4,), close_loop={"max_steps": 100}
-    )
+    defaults = structure_defaults(4)
     layers = (("block", "block"), ("brick",), ("roof",))
-
-    def block(self, config: EnvConfig, part: Part) -> ObjectSlot:
-        """Return a role that bricks of several sizes may play, or one of the other blocks."""
-        if part.kind != "brick":
-            return super().block(config, part)
-        sizes = [spec for scale in config.scales for spec in improvise_bricks(part.name, scale, BRICKS)]
-        return ObjectSlot(part.name, tuple(sizes))

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from bulletarm_gym.config import CLOSE_LOOP, OPEN_LOOP, EnvConfig, TaskDefaults, TrayUse
-from bulletarm_gym.experts.approach import ALIGNED, RELEASE, grasp, highest_between, place_item, side_yaw
+from bulletarm_gym.experts.approach import ALIGNED, RELEASE, grasp, highest_between, place_object, side_yaw
 from bulletarm_gym.experts.pick_place import fingers_fit
 from bulletarm_gym.experts.waypoints import HALF_OPEN, Waypoint
 from bulletarm_gym.geometry import Footprint, Pose, Vector, planar_distance, wrap_angle
@@ -108,7 +108,7 @@ class BlockSorting(Task):
         elif held is not None:  # a bowl
             spot = held.pose.position
             height = highest_between(scene, spot, spot, held) + RELEASE
-            yield from place_item(scene, held, spot[:2], height)
+            yield from place_object(scene, held, spot[:2], height)
         else:
             yield from _take(scene, self._next(scene))
 
@@ -124,7 +124,7 @@ class BlockSorting(Task):
         spot = (x + aside * math.cos(line), y + aside * math.sin(line))
         turn = wrap_angle(line + math.pi / 2.0 - scene.robot.pose.yaw, HALF_TURN)
         height = vessel.lowest + RELEASE_HEIGHT * vessel.spec.extents[2]
-        for waypoint in place_item(scene, held, spot, height, turn):
+        for waypoint in place_object(scene, held, spot, height, turn):
             # Opened all the way the fingers would jam in the bowl.
             yield waypoint if waypoint.finish is None else replace(waypoint, finish=HALF_OPEN)
 
