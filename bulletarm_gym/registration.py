@@ -115,7 +115,7 @@ COMPOSED = (
 )
 """More of their tasks under close-loop control: those whose expert succeeds in 95 % of episodes or more."""
 OWN = (
-    Entry("OpenLoopBlockSorting", "bulletarm_gym.tasks.sorting:OpenLoopBlockSorting", "open_loop"),
+    Entry("OpenLoopBlockSorting", "bulletarm_gym.tasks.sorting:BlockSorting", "open_loop"),
     Entry("CloseLoopBlockSorting", "bulletarm_gym.tasks.sorting:BlockSorting", "close_loop"),
 )
 """Tasks of our own."""

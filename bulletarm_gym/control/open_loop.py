@@ -223,7 +223,7 @@ class OpenLoop(Control[PickPlace]):
 
 
 def _poses(config: EnvConfig, floor: float) -> Iterator[Pose]:
-    """Yield upright poses, with three r's also tilted ones, at which the reach is checked; none above home."""
+    """Yield the poses at which the reach is checked, none above home; with three r's also tilted ones."""
 
     def below_home(*heights: float) -> list[float]:
         return [min(floor + height, config.home_height) for height in heights]

@@ -1,4 +1,4 @@
-"""How tasks are solved: waypoints, and the tools that plans are made of."""
+"""Experts: waypoints, and functions and classes that plan them."""
 
 from bulletarm_gym.experts.waypoints import CLOSED, HALF_OPEN, OPEN, Waypoint
 

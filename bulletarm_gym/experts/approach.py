@@ -190,7 +190,7 @@ def _carry(
     if not _is_aligned(goal, tool, wrap_angle(goal.yaw - tool.yaw), near):
         over = max(height, highest_between(scene, tool.position, goal.position, obj))
         level = min(over + PASSING + tool.z - obj.lowest, scene.config.workspace[2][1])
-        yield from pass_above(tool, goal, level)
+        yield from pass_above(tool, Pose.planar(*goal.position, goal.yaw), level)
     yield Waypoint(goal, CLOSED, finish=opening, clear=True)
 
 
@@ -198,7 +198,7 @@ def pass_above(tool: Pose, goal: Pose, height: float) -> Iterator[Waypoint]:
     """Yield waypoints of the closed gripper: up to a height (m), then across to above a goal."""
     if tool.z < height - HEIGHT_TOLERANCE:
         yield Waypoint(Pose.planar(tool.x, tool.y, height, tool.yaw), CLOSED)
-    yield Waypoint(Pose.planar(goal.x, goal.y, height, goal.yaw), CLOSED)
+    yield Waypoint(Pose((goal.x, goal.y, height), goal.orientation), CLOSED)
 
 
 def highest_between(

@@ -1,6 +1,5 @@
-"""The deconstruction planner: takes a structure apart, which backwards is how to build it.
-
-(paper, Expert Demonstrations)
+"""Deconstruction planner: a structure is built by reversing how it is taken apart (paper, Expert
+Demonstrations).
 """
 
 from collections.abc import Sequence
@@ -18,18 +17,18 @@ from bulletarm_gym.scene.predicates import is_top
 from bulletarm_gym.scene.sampling import free_pose, sample_until
 
 GRASP_CLEARANCE = 0.04
-"""Least distance (m) between blocks on the ground: an open finger comes down in it."""
+"""Smallest gap (m) between blocks on the surface, for an open finger."""
 SAME_LEVEL = 0.5
-"""Blocks count as equally high where they differ by less than this share of their height."""
+"""Largest height difference of blocks at the same level, relative to their height."""
 
 
 @dataclass(frozen=True)
 class Relocation:
-    """A block taken from a structure and put on the ground.
+    """A block that was moved from a structure to the surface.
 
-    :param before: its pose in the structure
-    :param after: its pose on the ground
-    :param carried: its pose in the frame of the fingertips on the way
+    :param before: pose of the block in the structure
+    :param after: pose of the block on the surface
+    :param carried: pose of the grasped block in the frame of the fingertips
     """
 
     before: Pose
@@ -37,52 +36,52 @@ class Relocation:
     carried: Pose
 
     def reversed(self) -> tuple[Waypoint, Waypoint]:
-        """Return the pick and the place that bring the block back."""
-        hand = self.carried.inverse()
+        """Return the pick and the place that move the block back into the structure."""
+        tool = self.carried.inverse()
         above = self.before.compose(Pose((0.0, 0.0, RELEASE)))
         return (
-            Waypoint(self.after.compose(hand), OPEN, finish=CLOSED),
-            Waypoint(above.compose(hand), CLOSED, finish=OPEN),
+            Waypoint(self.after.compose(tool), OPEN, finish=CLOSED),
+            Waypoint(above.compose(tool), CLOSED, finish=OPEN),
         )
 
 
 def deconstruct(scene: Scene, rng: np.random.Generator) -> list[Relocation]:
-    """Take a structure apart, one block after the other, from the top; the last stays where it is.
+    """Move all blocks of a structure but the last to the surface, from the top, without the arm.
 
-    The blocks are moved without the arm: whether it can do what they do is for the reversed actions to show.
+    The reversed actions may fail.
 
-    :param scene: what is loose in it is the structure
-    :param rng: chooses among equally high blocks, and where they go
-    :return: what was done, in this order
-    :raises PlacementError: there is no room on the ground
+    :param scene: scene whose loose objects are the structure
+    :param rng: samples the order of blocks at the same level and their new poses
+    :return: the relocations in their order
+    :raises PlacementError: the surface has no space for a block
     """
-    standing = [item for item in scene if item.spec.mass > 0.0]
+    remaining = [obj for obj in scene if obj.spec.mass > 0.0]
     relocations = []
-    while len(standing) > 1:
-        item = _next(standing, rng)
-        standing.remove(item)
-        relocations.append(_relocate(scene, rng, item))
+    while len(remaining) > 1:
+        block = _next(remaining, rng)
+        remaining.remove(block)
+        relocations.append(_relocate(scene, rng, block))
     return relocations
 
 
-def _relocate(scene: Scene, rng: np.random.Generator, item: SceneObject) -> Relocation:
-    """Put a block on the ground, where it can be grasped as in the structure."""
-    before = item.pose
-    carried = pick(scene, item, rng).pose.inverse().compose(before)
+def _relocate(scene: Scene, rng: np.random.Generator, block: SceneObject) -> Relocation:
+    """Place a block on the surface, where the same grasp as in the structure is possible."""
+    before = block.pose
+    carried = pick(scene, block, rng).pose.inverse().compose(before)
 
-    def is_in_reach(pose: Pose) -> bool:
-        hand = pose.compose(carried.inverse())
-        behind = hand.compose(Pose((0.0, 0.0, MOTION.approach)))
-        return fingers_fit(scene, hand, item) and scene.robot.reaches(hand) and scene.robot.reaches(behind)
+    def is_graspable(pose: Pose) -> bool:
+        tool = pose.compose(carried.inverse())
+        start = tool.compose(Pose((0.0, 0.0, MOTION.approach)))
+        return fingers_fit(scene, tool, block) and scene.robot.reaches(tool) and scene.robot.reaches(start)
 
-    after = sample_until(lambda: free_pose(scene, rng, item, GRASP_CLEARANCE), is_in_reach)
-    item.place(after)
+    after = sample_until(lambda: free_pose(scene, rng, block, GRASP_CLEARANCE), is_graspable)
+    block.place(after)
     return Relocation(before, after, carried)
 
 
-def _next(standing: Sequence[SceneObject], rng: np.random.Generator) -> SceneObject:
-    """Return one of the highest blocks of those that none is above."""
-    free = [item for item in standing if is_top(item, standing)]
-    highest = max(item.pose.z for item in free)
-    level = [item for item in free if highest - item.pose.z < SAME_LEVEL * item.spec.extents[2]]
+def _next(remaining: Sequence[SceneObject], rng: np.random.Generator) -> SceneObject:
+    """Sample one of the highest blocks that carry no other."""
+    free = [block for block in remaining if is_top(block, remaining)]
+    highest = max(block.pose.z for block in free)
+    level = [block for block in free if highest - block.pose.z < SAME_LEVEL * block.spec.extents[2]]
     return level[int(rng.integers(len(level)))]

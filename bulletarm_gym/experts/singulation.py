@@ -1,4 +1,4 @@
-"""Turning what lies in a tray with the tip of the closed gripper, where nothing can be grasped as it lies."""
+"""Singulation: pushes that separate objects in a tray where no grasp is possible."""
 
 from collections.abc import Iterator
 
@@ -8,68 +8,68 @@ from bulletarm_gym.experts.approach import HOVER
 from bulletarm_gym.experts.waypoints import CLOSED, Waypoint
 from bulletarm_gym.geometry import Pose, matrix, planar_distance
 from bulletarm_gym.scene import Scene, SceneObject
+from bulletarm_gym.surfaces.surface import Point
 
 RUN_UP = 0.045
-"""Distance (m) beside an item from which one of its ends is pushed."""
+"""Distance (m) to an object's end at which a push starts."""
 END = 0.75
-"""Share of an item's half length at which it is pushed."""
+"""Distance of the pushed point from an object's centre, relative to its half length."""
 PUSH_HEIGHT = 0.012
-"""Height (m) of the fingertips above the ground while they push."""
-STROKE = 0.09
-"""How far (m) an end is pushed."""
-OFF_PUSH = 0.012
-"""A gripper this far (m) off the line of the push has left it."""
+"""Height (m) of the fingertips above the surface during a push."""
+PUSH_LENGTH = 0.09
+"""Length (m) of a push."""
+TOLERANCE = 0.012
+"""Largest distance (m) of the gripper from the line of a push."""
 ROUND = 0.8
-"""What is as wide as this share of its length, as variances go, counts as round."""
-TOUCH = 0.001
-"""Distance (m) at which the gripper counts as touching."""
+"""Smallest ratio of the variances across and along a round object."""
+CONTACT = 0.001
+"""Largest distance (m) between the gripper and a body in contact."""
 SPREAD = 0.02
-"""Spread (m) of where the push begins, so that no two tries are alike."""
+"""Largest sampled offset (m) of a push, so that retries differ."""
 
 
-def stir(scene: Scene, item: SceneObject, rng: np.random.Generator) -> Iterator[Waypoint]:
-    """Yield the way of pushing an end of an item across its length, towards the middle of the workspace.
+def singulate(scene: Scene, obj: SceneObject, rng: np.random.Generator) -> Iterator[Waypoint]:
+    """Yield waypoints that push an object's end sideways, towards the middle of the workspace.
 
-    :param rng: moves the start of the push
+    :param rng: samples the offset of the push
     """
-    hand, low = scene.robot.pose, scene.surface.height(item.pose.position[:2]) + PUSH_HEIGHT
-    end, push = _end_to_push(scene, item)
-    ahead = (end[0] - hand.x) * push[0] + (end[1] - hand.y) * push[1]
-    aside = abs((end[0] - hand.x) * push[1] - (end[1] - hand.y) * push[0])
-    if hand.z < low + PUSH_HEIGHT and aside < SPREAD + OFF_PUSH and RUN_UP - STROKE < ahead < 2.0 * RUN_UP:
-        beyond = Pose.planar(hand.x + STROKE * push[0], hand.y + STROKE * push[1], low, hand.yaw)
-        yield Waypoint(beyond, CLOSED, straight=True)
-    if hand.z > low + PUSH_HEIGHT and _stands_on_something(scene):
-        # What stops the gripper on its way down it rubs along instead
-        across = Pose.planar(hand.x + STROKE * push[0], hand.y + STROKE * push[1], hand.z, hand.yaw)
-        yield Waypoint(across, CLOSED, straight=True)
+    tool, low = scene.robot.pose, scene.surface.height(obj.pose.position[:2]) + PUSH_HEIGHT
+    end, push = end_to_push(scene, obj)
+    ahead = (end[0] - tool.x) * push[0] + (end[1] - tool.y) * push[1]
+    aside = abs((end[0] - tool.x) * push[1] - (end[1] - tool.y) * push[0])
+    x, y = tool.x + PUSH_LENGTH * push[0], tool.y + PUSH_LENGTH * push[1]
+    is_low = tool.z < low + PUSH_HEIGHT
+    if is_low and aside < SPREAD + TOLERANCE and RUN_UP - PUSH_LENGTH < ahead < 2.0 * RUN_UP:
+        yield Waypoint(Pose.planar(x, y, low, tool.yaw), CLOSED, straight=True)
+    if tool.z > low + PUSH_HEIGHT and _is_in_contact(scene):
+        # The gripper slides over the object that blocks its descent.
+        yield Waypoint(Pose.planar(x, y, tool.z, tool.yaw), CLOSED, straight=True)
     shift = float(rng.uniform(-SPREAD, SPREAD))
     start = (end[0] - RUN_UP * push[0] - shift * push[1], end[1] - RUN_UP * push[1] + shift * push[0])
-    hover = scene.world.top(item.body) + HOVER
-    if planar_distance(start, hand.position) > SPREAD + OFF_PUSH:
-        if hand.z < hover - OFF_PUSH:
-            yield Waypoint(Pose.planar(hand.x, hand.y, hover, hand.yaw), CLOSED)
-        yield Waypoint(Pose.planar(*start, hover, hand.yaw), CLOSED)
-    yield Waypoint(Pose.planar(hand.x, hand.y, low, hand.yaw), CLOSED)
+    hover = scene.world.top(obj.body) + HOVER
+    if planar_distance(start, tool.position) > SPREAD + TOLERANCE:
+        if tool.z < hover - TOLERANCE:
+            yield Waypoint(Pose.planar(tool.x, tool.y, hover, tool.yaw), CLOSED)
+        yield Waypoint(Pose.planar(*start, hover, tool.yaw), CLOSED)
+    yield Waypoint(Pose.planar(tool.x, tool.y, low, tool.yaw), CLOSED)
 
 
-def _stands_on_something(scene: Scene) -> bool:
-    """Whether the gripper touches an object, or a wall."""
+def _is_in_contact(scene: Scene) -> bool:
+    """Return True if the gripper touches an object or a wall."""
     arm, world = scene.robot.body, scene.world
-    solids = (body for body in world.obstacles if body is not arm)
-    return any(world.distance(arm, body, TOUCH) < TOUCH for body in solids)
+    return any(world.distance(arm, body, CONTACT) < CONTACT for body in world.obstacles if body is not arm)
 
 
-def _end_to_push(scene: Scene, item: SceneObject) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Return an end of an item and the direction across its length that leads to the middle."""
-    plane = (item.spec.mesh.vertices @ matrix(item.pose).T)[:, :2]
+def end_to_push(scene: Scene, obj: SceneObject) -> tuple[Point, Point]:
+    """Return a point (m) near an end of an object, and the direction of a push across its length."""
+    plane = (obj.spec.mesh.vertices @ matrix(obj.pose).T)[:, :2]
     centre = (plane.min(axis=0) + plane.max(axis=0)) / 2.0
-    spread, axes = np.linalg.eigh(np.cov((plane - centre).T))
-    x, y = (np.asarray(item.pose.position[:2]) + centre).tolist()
+    variances, axes = np.linalg.eigh(np.cov((plane - centre).T))
+    x, y = (np.asarray(obj.pose.position[:2]) + centre).tolist()
     inward = np.asarray(scene.config.centre) - (x, y)
     distance = float(np.hypot(*inward))
-    if spread[0] > ROUND * spread[1] and distance > 0.0:
-        # A round thing has no length of its own: it would change with every hair's breadth.
+    if variances[0] > ROUND * variances[1] and distance > 0.0:
+        # The long axis of a round object would change with every small rotation.
         along, side = np.array((inward[1], -inward[0])) / distance, 1.0
     else:
         along = axes[:, 1]

@@ -20,7 +20,7 @@ YAW_SPREAD = math.pi / 4.0
 
 
 class Lift(Task):
-    """The base of tasks that are solved once a cube is held in the air.
+    """Base class of tasks in which a cube is lifted.
 
     Success: the gripper holds the cube and is higher than ``lift_height``, 15 cm.
     """
@@ -29,34 +29,34 @@ class Lift(Task):
 
     @property
     def height(self) -> float:
-        """Up to where the gripper must lift."""
+        """Height (m) to which the gripper must lift."""
         return self.config.lift_height
 
     def evaluate(self, scene: Scene) -> dict[str, bool]:
-        """Look whether the cube is held, and how high."""
+        """Return whether the cube is held above ``lift_height``."""
         held = is_held(scene, scene["cube"])
         return {"success": held and scene.robot.pose.z > self.config.lift_height, "is_held": held}
 
     def plan(self, scene: Scene, rng: np.random.Generator) -> Iterator[Waypoint]:
         """Grasp the cube, then lift."""
-        hand = scene.robot.pose
+        tool = scene.robot.pose
         if not is_held(scene, scene["cube"]):
             yield from self._grasp(scene)
-        height = max(hand.z, self.config.lift_height) + scene.max_translation
-        yield Waypoint(Pose.planar(hand.x, hand.y, height, hand.yaw), CLOSED)
+        height = max(tool.z, self.config.lift_height) + scene.max_translation
+        yield Waypoint(Pose.planar(tool.x, tool.y, height, tool.yaw), CLOSED)
 
     @abstractmethod
     def _grasp(self, scene: Scene) -> Iterator[Waypoint]:
-        """Get the cube between the fingers."""
+        """Yield the waypoints of the grasp."""
 
 
 class BlockPicking(Lift):
     """Grasp a cube and lift it.
 
-    Description: one 5 cm cube stands on the floor.
+    Description: one 5 cm cube stands on the surface.
     Randomisation: the cube's position in the workspace, its yaw in +-45 degrees.
     Success: the gripper holds the cube and is higher than ``lift_height``, 15 cm.
-    Expert: down to the cube's centre with the fingers along its sides, close, straight up.
+    Expert: descend to the cube's centre with the fingers along its sides, close, lift.
     """
 
     defaults = TaskDefaults(num_objects=1, lifts=True)
@@ -66,12 +66,12 @@ class BlockPicking(Lift):
         return [scaled(config, "cube", cube)]
 
     def arrange(self, scene: Scene, rng: np.random.Generator) -> None:
-        """Put the cube anywhere."""
+        """Place the cube."""
         place_cube(scene, rng, YAW_SPREAD)
 
     def _grasp(self, scene: Scene) -> Iterator[Waypoint]:
-        item = scene["cube"]
-        symmetry = side_symmetry(item.pose)
-        yaw = item.pose.yaw if symmetry < math.pi else side_yaw(item.pose)
-        target = Pose.planar(*item.pose.position, yaw)
-        yield from grasp(scene, target, scene.world.top(item.body), symmetry)
+        block = scene["cube"]
+        symmetry = side_symmetry(block.pose)
+        yaw = block.pose.yaw if symmetry < math.pi else side_yaw(block.pose)
+        target = Pose.planar(*block.pose.position, yaw)
+        yield from grasp(scene, target, scene.world.top(block.body), symmetry)

@@ -1,4 +1,4 @@
-"""Bringing the gripper to a block."""
+"""Moving the gripper to a block."""
 
 import math
 from collections.abc import Iterator
@@ -17,16 +17,16 @@ REACHED = 0.03
 """Distance (m) that counts as reached (paper, Block Reaching)."""
 YAW_SPREAD = math.pi / 2.0
 BORDER_MARGIN = 1.2
-"""Distance of a cube's centre to the border, in largest cube sides."""
+"""Distance of a cube's centre to the border, relative to the largest cube's side."""
 
 
 class BlockReaching(Task):
     """Move the fingertips to a cube.
 
-    Description: one 5 cm cube stands on the floor.
+    Description: one 5 cm cube stands on the surface.
     Randomisation: the cube's position in the workspace, its yaw in +-90 degrees.
     Success: the fingertips are within 3 cm of the cube's centre.
-    Expert: straight to the cube's centre.
+    Expert: move straight to the cube's centre.
     """
 
     defaults = TaskDefaults(num_objects=1)
@@ -37,23 +37,23 @@ class BlockReaching(Task):
         return [scaled(config, "cube", cube)]
 
     def arrange(self, scene: Scene, rng: np.random.Generator) -> None:
-        """Put the cube anywhere."""
+        """Place the cube."""
         place_cube(scene, rng, YAW_SPREAD)
 
     def evaluate(self, scene: Scene) -> dict[str, bool]:
-        """Compare the fingertips with the cube's centre."""
-        reached = math.dist(scene.robot.pose.position, scene["cube"].pose.position) < REACHED
-        return {"success": reached}
+        """Return whether the fingertips are near the cube's centre."""
+        distance = math.dist(scene.robot.pose.position, scene["cube"].pose.position)
+        return {"success": distance < REACHED}
 
     def plan(self, scene: Scene, rng: np.random.Generator) -> Iterator[Waypoint]:
-        """Go to the cube."""
-        target, hand = scene["cube"].pose, scene.robot.pose
-        turn = wrap_angle(target.yaw - hand.yaw, math.pi / 2.0)
-        yield Waypoint(Pose.planar(*target.position, hand.yaw + turn), OPEN)
+        """Move to the cube."""
+        target, tool = scene["cube"].pose, scene.robot.pose
+        rotation = wrap_angle(target.yaw - tool.yaw, math.pi / 2.0)
+        yield Waypoint(Pose.planar(*target.position, tool.yaw + rotation), OPEN)
 
 
 def place_cube(scene: Scene, rng: np.random.Generator, spread: float) -> None:
-    """Put the scene's one cube anywhere in the workspace, with a yaw in +-``spread`` (rad)."""
-    item = scene["cube"]
-    (point,) = scatter(scene, rng, [BORDER_MARGIN * item.spec.extents[0]], 0.0)
-    stand(scene, item, point, rng, spread)
+    """Place the scene's cube in the workspace, with a yaw in +-``spread`` (rad)."""
+    block = scene["cube"]
+    (point,) = scatter(scene, rng, [BORDER_MARGIN * block.spec.extents[0]], 0.0)
+    stand(scene, block, point, rng, spread)

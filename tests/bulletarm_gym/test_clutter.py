@@ -10,7 +10,7 @@ import pytest
 
 from bulletarm_gym.config import LIFT_HEIGHT
 from bulletarm_gym.env import ManipulationEnv
-from bulletarm_gym.experts.singulation import _end_to_push
+from bulletarm_gym.experts.singulation import end_to_push
 from bulletarm_gym.geometry import Pose
 from bulletarm_gym.objects.graspables import graspables
 from bulletarm_gym.simulation.shapes import wavefront
@@ -158,9 +158,9 @@ def test_round_things_are_pushed_towards_the_middle(env: ManipulationEnv, yaw: f
     env.reset(seed=0)
     bowl = next(item for item in env.scene.objects if item.slot.name == "bowl_3")
     bowl.place(Pose.planar(0.40, -0.06, 0.03, 0.0))
-    end, _ = _end_to_push(env.scene, bowl)
+    end, _ = end_to_push(env.scene, bowl)
     bowl.place(Pose.planar(0.40 + 1e-6, -0.06, 0.03, yaw))
-    turned_end, push = _end_to_push(env.scene, bowl)
+    turned_end, push = end_to_push(env.scene, bowl)
     np.testing.assert_allclose(push, np.array((0.05, 0.06)) / np.hypot(0.05, 0.06), atol=0.02)
     np.testing.assert_allclose(turned_end, end, atol=0.005)
 

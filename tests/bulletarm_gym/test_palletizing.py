@@ -40,7 +40,7 @@ def stack(env: ManipulationEnv, count: int, turn: float = 0.0, sink: float = 0.0
 
 def right(env: ManipulationEnv) -> int:
     assert isinstance(env.task, BoxPalletizing)
-    return len(env.task._right(env.scene))
+    return len(env.task._correct(env.scene))
 
 
 def present(env: ManipulationEnv) -> int:

@@ -12,7 +12,7 @@ from rollouts import advance, transcript
 
 from bulletarm_gym.env import ManipulationEnv
 from bulletarm_gym.geometry import Footprint, PlacementError, Pose, rotate
-from bulletarm_gym.scene.predicates import on_surface, on_site
+from bulletarm_gym.scene.predicates import on_site, on_surface
 from bulletarm_gym.scene.sampling import footprint, free_site, place_apart
 from bulletarm_gym.simulation import World
 from bulletarm_gym.simulation.physics import PHYSICS_MODES
