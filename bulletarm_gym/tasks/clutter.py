@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 
 from bulletarm_gym.config import (
-    CLOSE_LOOP,
     MAX_ROTATION,
     MAX_TRANSLATION,
     OPEN_LOOP,
@@ -35,7 +34,7 @@ from bulletarm_gym.scene import ObjectSlot, Scene, SceneObject
 from bulletarm_gym.scene.sampling import ARRANGEMENTS
 from bulletarm_gym.simulation import BodySpec, Convex, Piece
 from bulletarm_gym.simulation.settling import settle
-from bulletarm_gym.tasks.task import Task
+from bulletarm_gym.tasks.picking import Lift
 
 DROP_HEIGHT = 0.12
 """Height (m) above the tray's floor from which objects are dropped."""
@@ -93,7 +92,7 @@ QUALITY_NOISE = 0.02
 """Standard deviation of the noise on the quality of open-loop grasps."""
 
 
-class ObjectGrasping(Task):
+class ObjectGrasping(Lift):
     """Grasp any object of a clutter and lift it.
 
     Description: a tray with up to N of 86 objects.
@@ -107,13 +106,7 @@ class ObjectGrasping(Task):
     """
 
     defaults = DEFAULTS
-    controls = (CLOSE_LOOP,)
     feasibility_trials = 1  # each drops all objects, several times if necessary
-
-    @property
-    def height(self) -> float:
-        """Height (m) to which the gripper must lift."""
-        return self.config.lift_height
 
     def bodies(self, config: EnvConfig) -> list[ObjectSlot]:
         """Return all objects of the set, each in one size.
@@ -192,18 +185,8 @@ class ObjectGrasping(Task):
         """Tool poses of this episode's failed grasps."""
         return self.memory or ()
 
-    def evaluate(self, scene: Scene) -> dict[str, bool]:
-        """Return whether an object is held above ``lift_height``."""
-        held = scene.held is not None
-        return {"success": held and scene.robot.pose.z > self.config.lift_height, "is_held": held}
-
-    def plan(self, scene: Scene, rng: np.random.Generator) -> Iterator[Waypoint]:
-        """Execute the best grasp, then lift; push an object if no grasp is possible."""
-        tool = scene.robot.pose
-        if scene.robot.held is not None:
-            height = max(tool.z, self.config.lift_height) + scene.max_translation
-            yield Waypoint(Pose.planar(tool.x, tool.y, height, tool.yaw), CLOSED)
-            return
+    def plan_grasp(self, scene: Scene, rng: np.random.Generator) -> Iterator[Waypoint]:
+        """Execute the best grasp, or push an object if no grasp is possible."""
         elevation = ElevationMap.of(scene)
         target = self._target(scene, elevation)
         if target is None:

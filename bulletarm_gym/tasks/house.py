@@ -1,11 +1,17 @@
-"""Building houses."""
+"""Building houses of fixed blocks, and of blocks with random shapes."""
 
 import math
 from collections.abc import Sequence
 
-from bulletarm_gym.objects.blocks import brick, cube, roof, triangle
+from bulletarm_gym.config import EnvConfig
+from bulletarm_gym.objects.blocks import brick, cube, improvise_bricks, roof, triangle
+from bulletarm_gym.objects.polyominoes import CELL, WIDEST, improvise_blocks
+from bulletarm_gym.scene import ObjectSlot
 from bulletarm_gym.tasks.stacking import Stack
 from bulletarm_gym.tasks.structure import Structure, structure_defaults
+
+BRICKS = 19
+"""Number of sizes of bricks, the number of shapes of blocks."""
 
 
 class HouseBuilding1(Stack):
@@ -61,3 +67,43 @@ class HouseBuilding4(HouseBuilding3):
 
     defaults = structure_defaults(6, max_steps=20)
     layers = (("cube", "cube"), ("brick",), ("cube", "cube"), ("roof",))
+
+
+class ImproviseHouseBuilding2(Structure):
+    """Put two blocks of random shapes side by side, and the roof on both.
+
+    Description: two of 19 blocks of one layer, 3.6 to 9 cm wide and long, and a roof, 12 x 3 x 3 cm, lie on
+    the surface.
+    Randomisation: the shapes and sizes of the blocks; positions and yaws, at least 4.2 cm between any two.
+    Everything else is as in :class:`~bulletarm_gym.tasks.structure.Structure`.
+    """
+
+    defaults = structure_defaults(3)
+    kinds = {"roof": roof}  # noqa: RUF012
+    layers: Sequence[Sequence[str]] = (("block", "block"), ("roof",))
+    upright = ("roof",)
+    width = CELL * WIDEST
+
+    def block(self, config: EnvConfig, name: str, kind: str, number: int) -> ObjectSlot:
+        """Return the slot of a block with variants of all shapes and sizes."""
+        if kind == "roof":
+            return super().block(config, name, kind, number)
+        specs = (
+            improvise_blocks(name, scale, number)
+            if kind == "block"
+            else improvise_bricks(name, scale, BRICKS)
+            for scale in config.scales
+        )
+        return ObjectSlot(name, tuple(spec for variants in specs for spec in variants))
+
+
+class ImproviseHouseBuilding3(ImproviseHouseBuilding2):
+    """Put two blocks of random shapes side by side, a brick of random size on both, and the roof on it.
+
+    Description: two of 19 blocks of one layer, 3.6 to 9 cm wide and long, a brick 2.5 to 3.5 cm wide, 10 to
+    14 cm long and 2 to 3.5 cm high, and a roof, 12 x 3 x 3 cm, lie on the surface.
+    Everything else is as in :class:`ImproviseHouseBuilding2`.
+    """
+
+    defaults = structure_defaults(4)
+    layers = (("block", "block"), ("brick",), ("roof",))

@@ -1,4 +1,4 @@
-"""Pushing a block onto a goal area."""
+"""Pushing a block onto a goal area, and pulling a block to another."""
 
 import math
 from collections.abc import Iterator
@@ -9,11 +9,12 @@ from bulletarm_gym.config import CLOSE_LOOP, EnvConfig, TaskDefaults
 from bulletarm_gym.experts.pushing import Drag
 from bulletarm_gym.experts.waypoints import Waypoint
 from bulletarm_gym.geometry import Rectangle, planar_distance
-from bulletarm_gym.objects import cube, goal_area
+from bulletarm_gym.objects import cube, flat_block, goal_area
 from bulletarm_gym.rendering.overlays import Overlay
 from bulletarm_gym.scene import ObjectSlot, Scene, SceneObject, scaled
+from bulletarm_gym.scene.predicates import touching
 from bulletarm_gym.scene.sampling import scatter, stand
-from bulletarm_gym.tasks.reaching import BORDER_MARGIN
+from bulletarm_gym.tasks.picking import BORDER_MARGIN
 from bulletarm_gym.tasks.task import Task
 
 GOAL_SIDE = 0.09
@@ -28,7 +29,12 @@ GOAL_REACHED = 0.05
 """Distance (m) between the centres of cube and goal that counts as reached (paper, Block Pushing)."""
 PUSH_HEIGHT = 0.015
 """Height (m) of the fingertips during a push, below a cube's centre so that it does not tip over."""
-YAW_SPREAD = math.pi / 2.0
+PULL_BORDER_MARGIN = 0.85
+"""Distance of a block's centre to the border, relative to the block's side."""
+PULL_SPACING = 1.7
+"""Smallest distance between the blocks' centres, relative to the block's side."""
+PULL_HEIGHT = 0.03
+"""Height (m) of the fingertips while they pull."""
 
 
 class BlockPushing(Task):
@@ -66,7 +72,7 @@ class BlockPushing(Task):
         aligned = not self.config.random_orientation
         goal_point, point = scatter(scene, rng, margins, self._scale * APART, aligned)
         goal.place(scene.surface.pose(goal_point, 0.0))
-        stand(scene, block, point, rng, YAW_SPREAD)
+        stand(scene, block, point, rng, math.pi / 2.0)
 
     def overlays(self, scene: Scene) -> tuple[Overlay, ...]:
         """Return the goal area."""
@@ -81,3 +87,46 @@ class BlockPushing(Task):
     def plan(self, scene: Scene, rng: np.random.Generator) -> Iterator[Waypoint]:
         """Move behind the cube, and push."""
         yield from Drag(scene, scene["cube"], scene["goal"].pose.position, self._scale * PUSH_HEIGHT).plan()
+
+
+class BlockPulling(Task):
+    """Pull one of two blocks until it touches the other.
+
+    Description: two blocks of 8 x 8 x 5 cm stand on the surface, too wide for the gripper.
+    Randomisation: the blocks' positions in the workspace, at least 1.7 sides apart, their yaws in +-90
+    degrees; with a fixed orientation both lie along y, side by side.
+    Success: the blocks touch.
+    Expert: move above the far side of a block, lower behind it, pull it to the other.
+    """
+
+    defaults = TaskDefaults(num_objects=2, object_scale=0.8, allowed_objects=(2,))
+    controls = (CLOSE_LOOP,)
+
+    def bodies(self, config: EnvConfig) -> list[ObjectSlot]:
+        """Return the two blocks."""
+        return [scaled(config, name, flat_block) for name in ("near block", "far block")]
+
+    def grasped(self, scene: Scene) -> list[SceneObject]:
+        """Return nothing: the blocks are pulled from behind."""
+        return []
+
+    def arrange(self, scene: Scene, rng: np.random.Generator) -> None:
+        """Place the blocks apart."""
+        side = max(block.spec.extents[0] for block in scene.objects)
+        aligned = not self.config.random_orientation
+        points = scatter(scene, rng, [PULL_BORDER_MARGIN * side] * 2, PULL_SPACING * side, aligned)
+        for block, point in zip(scene.objects, points, strict=True):
+            stand(scene, block, point, rng, math.pi / 2.0)
+
+    def evaluate(self, scene: Scene) -> dict[str, bool]:
+        """Return whether the blocks touch."""
+        return {"success": touching(scene, *scene.objects)}
+
+    def plan(self, scene: Scene, rng: np.random.Generator) -> Iterator[Waypoint]:
+        """Pull the block with the shorter path to the other block."""
+        first, second = scene.objects
+        drags = [
+            Drag(scene, block, goal.pose.position, PULL_HEIGHT)
+            for block, goal in ((first, second), (second, first))
+        ]
+        yield from min(drags, key=lambda drag: drag.effort).plan()

@@ -14,7 +14,7 @@ from bulletarm_gym.objects.blocks import CUBE_SIZE
 from bulletarm_gym.scene import Scene
 from bulletarm_gym.scene.predicates import is_top, stacked, success_at_rest, upright
 from bulletarm_gym.scene.sampling import scatter, stand
-from bulletarm_gym.tasks.reaching import BORDER_MARGIN
+from bulletarm_gym.tasks.picking import BORDER_MARGIN
 from bulletarm_gym.tasks.structure import Structure, structure_defaults
 
 CENTRE_SPACING = 2.4
