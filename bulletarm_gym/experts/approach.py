@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from bulletarm_gym.control.open_loop import HALF_TURN, MOTION
-from bulletarm_gym.experts.waypoints import CLOSED, OPEN, Waypoint
+from bulletarm_gym.experts import CLOSED, OPEN, Waypoint
 from bulletarm_gym.geometry import Pose, matrix, planar_distance, rotate, wrap_angle
 from bulletarm_gym.scene import Scene, SceneObject
 

@@ -4,18 +4,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import permutations
 
-from bulletarm_gym.scene import Scene, SceneObject
-from bulletarm_gym.scene.predicates import (
-    between,
-    carries,
-    in_line,
-    is_held,
-    is_level,
-    lies_flat,
-    on_site,
-    on_top,
-    upright,
-)
+from bulletarm_gym.scene import Scene, SceneObject, predicates
 
 LONG = 1.5
 """Smallest ratio of the sides along y and x of a long block, which is placed along a line."""
@@ -94,13 +83,11 @@ class Blueprint:
         :param width: number of blocks of the base
         :param accept: returns False for blocks that do not count
         """
-        free = {
-            kind: [block for block in same if not is_held(scene, block) and lies_flat(block)]
-            for kind, same in blocks.items()
-        }
+        flat = {kind: filter(predicates.lies_flat, same) for kind, same in blocks.items()}
+        free = {kind: [block for block in same if block is not scene.held] for kind, same in flat.items()}
         base = self.layers[0][:width]
         kinds = dict.fromkeys(position.kind for position in base)
-        ground = {kind: [block for block in free[kind] if on_site(scene, block)] for kind in kinds}
+        ground = {kind: [block for block in free[kind] if predicates.on_site(scene, block)] for kind in kinds}
         for chosen in permutations([block for same in ground.values() for block in same], width):
             placed: Placed = {}
             for position, block in zip(base, chosen, strict=True):
@@ -126,22 +113,22 @@ class Blueprint:
 
     def _fits(self, scene: Scene, position: Position, block: SceneObject, placed: Placed) -> bool:
         """Return True if a block is placed correctly at a position."""
-        lies_on = on_top if len(position.below) == 1 else carries
+        lies_on = predicates.on_top if len(position.below) == 1 else predicates.carries
         if not all(below in placed and lies_on(scene, placed[below], block) for below in position.below):
             return False
-        if position.kind in self._upright and not upright(block):
+        if position.kind in self._upright and not predicates.upright(block):
             return False
         line = [placed[other] for other in self.line(position)]
         if not line:
             return True
-        return between(block, line, self.side) and (
-            not is_long(block) or (is_level(block) and in_line(block, line))
+        return predicates.between(block, line, self.side) and (
+            not is_long(block) or (predicates.is_level(block) and predicates.in_line(block, line))
         )
 
     def _is_balanced(self, placed: Placed) -> bool:
         """Return True if every block that supports two or more side by side is below their middle."""
         return all(
-            between(placed[layer[0].below[0]], [placed[position] for position in layer], self.side)
+            predicates.between(placed[layer[0].below[0]], [placed[position] for position in layer], self.side)
             for layer in self.layers[1:]
             if len(layer) > 1 and len(layer[0].below) == 1 and layer[0].below == layer[-1].below
         )

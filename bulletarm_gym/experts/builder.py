@@ -2,11 +2,13 @@
 
 import math
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from functools import cached_property
 from typing import ClassVar
 
 import numpy as np
 
+from bulletarm_gym.experts import Waypoint
 from bulletarm_gym.experts.approach import RELEASE, rotates, side_yaw
 from bulletarm_gym.experts.blueprint import Blocks, Blueprint, Placed, Position, is_long
 from bulletarm_gym.experts.pick_place import (
@@ -18,7 +20,6 @@ from bulletarm_gym.experts.pick_place import (
     put,
     resting_box,
 )
-from bulletarm_gym.experts.waypoints import Waypoint
 from bulletarm_gym.geometry import Footprint, PlacementError, Pose, planar_distance, wrap_angle
 from bulletarm_gym.scene import Scene, SceneObject
 from bulletarm_gym.scene.predicates import IN_LINE, heading, is_held, middle, rests_on
@@ -221,10 +222,8 @@ class Builder:
     def _aside(self, block: SceneObject) -> Pose:
         """Return the frame of a free place on the surface."""
         for margin in MARGINS:
-            try:
+            with suppress(PlacementError):
                 return free_pose(self._scene, self._rng, block, margin).compose(_bottom(block))
-            except PlacementError:
-                continue
         return self._scene.surface.pose(most_free_point(self._scene, block), 0.0)
 
     def _site(self, block: SceneObject) -> Pose | None:
@@ -232,11 +231,9 @@ class Builder:
         base = [self._blocks[position.kind][position.place] for position in self._blueprint.layers[0]]
         size, offsets = self._base(base)
         for margin in MARGINS:
-            try:
+            with suppress(PlacementError):
                 site = free_site(self._scene, self._rng, size, margin, [block])
                 return site.compose(Pose((0.0, offsets[0], 0.0)))
-            except PlacementError:
-                continue
         return None
 
     def _base(self, blocks: Sequence[SceneObject]) -> tuple[Point, list[float]]:
@@ -290,17 +287,16 @@ class Builder:
         if not rotates(self._scene):
             return [math.pi / 2.0, -math.pi / 2.0]
         side = self._blueprint.side
-        try:
+        first = 0.0
+        with suppress(PlacementError):
             first = self._scene.surface.goal_site((side, side), self._rng).yaw + math.pi / 2.0
-        except PlacementError:
-            first = 0.0
         return [first + 2.0 * math.pi * number / DIRECTIONS for number in range(DIRECTIONS)]
 
     def _can_put(self, frame: Pose, block: SceneObject) -> bool:
         """Return True if the gripper collides with nothing when it places a block on a frame."""
         box = resting_box(block)
         width, length, _ = box.sides
-        tool = frame.compose(Pose((0.0, 0.0, RELEASE - box.low[2])))
+        tool = frame.compose(Pose((0.0, 0.0, RELEASE - box.bottom)))
         square = is_box(block) and length < SQUARENESS * width and rotates(self._scene)
         yaws = (0.0, math.pi / 2.0) if square else (0.0,)
         poses = [tool.compose(Pose.planar(0.0, 0.0, 0.0, yaw)) for yaw in yaws]

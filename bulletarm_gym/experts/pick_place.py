@@ -14,8 +14,8 @@ import numpy as np
 
 from bulletarm_gym.config import CLOSE_LOOP, OPEN_LOOP
 from bulletarm_gym.control.open_loop import HALF_TURN, MAX_TILT, MOTION
+from bulletarm_gym.experts import CLOSED, OPEN, Waypoint
 from bulletarm_gym.experts.approach import RELEASE
-from bulletarm_gym.experts.waypoints import CLOSED, OPEN, Waypoint
 from bulletarm_gym.geometry import (
     FloatArray,
     Footprint,
@@ -67,26 +67,17 @@ NEAREST_STOP = Pose((0.0, 0.0, MOTION.stops[-1][0]))
 """Nearest pose from which open-loop control begins a pick or place, in the frame of its target."""
 
 
-class BoundingBox(NamedTuple):
-    """Bounding box of an object along the axes of a frame.
+class RestingBox(NamedTuple):
+    """Bounding box of an object in its resting frame.
 
-    :param low: smallest x, y and z (m)
-    :param high: largest x, y and z (m)
+    :param sides: side lengths (m)
+    :param middle: centre (m), projected to z = 0
+    :param bottom: z of the lower side (m)
     """
 
-    low: Vector
-    high: Vector
-
-    @property
-    def sides(self) -> Vector:
-        """Side lengths (m)."""
-        (x0, y0, z0), (x1, y1, z1) = self
-        return (x1 - x0, y1 - y0, z1 - z0)
-
-    @property
-    def middle(self) -> Vector:
-        """Centre (m), projected to z = 0."""
-        return ((self.low[0] + self.high[0]) / 2.0, (self.low[1] + self.high[1]) / 2.0, 0.0)
+    sides: Vector
+    middle: Vector
+    bottom: float
 
 
 def is_box(obj: SceneObject) -> bool:
@@ -144,16 +135,16 @@ def _grip_cost(low: FloatArray, high: FloatArray, y: float, pad: float) -> tuple
     return cost, (left + right) / 2.0, y
 
 
-def resting_box(obj: SceneObject) -> BoundingBox:
+def resting_box(obj: SceneObject) -> RestingBox:
     """Return the bounding box of an object in its resting frame."""
     return obj.cached_by_pose(_resting_box)
 
 
-def _resting_box(obj: SceneObject) -> BoundingBox:
+def _resting_box(obj: SceneObject) -> RestingBox:
     inside = resting_frame(obj).inverse().compose(obj.pose)
     points = obj.spec.mesh.vertices @ matrix(inside).T + inside.position
     (x0, y0, z0), (x1, y1, z1) = points.min(axis=0).tolist(), points.max(axis=0).tolist()
-    return BoundingBox((x0, y0, z0), (x1, y1, z1))
+    return RestingBox((x1 - x0, y1 - y0, z1 - z0), ((x0 + x1) / 2.0, (y0 + y1) / 2.0, 0.0), z0)
 
 
 # Picks
@@ -218,13 +209,13 @@ def put(scene: Scene, obj: SceneObject, frames: Sequence[Pose]) -> Waypoint:
     return Waypoint(best, CLOSED, finish=OPEN)
 
 
-def _symmetric_frames(box: BoundingBox) -> Iterator[Pose]:
+def _symmetric_frames(box: RestingBox) -> Iterator[Pose]:
     """Yield the resting frames of symmetric poses of an object, relative to the frame of its support."""
     level = box.sides[:2]
     count = 4 if max(level) < SQUARENESS * min(level) else 2
     x, y, _ = box.middle
     for number in range(count):
-        rotated = Pose.planar(0.0, 0.0, RELEASE - box.low[2], 2.0 * math.pi * number / count)
+        rotated = Pose.planar(0.0, 0.0, RELEASE - box.bottom, 2.0 * math.pi * number / count)
         yield rotated.compose(Pose((-x, -y, 0.0)))
 
 

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Iterator, Sequence
 
-from bulletarm_gym.experts.waypoints import HALF_OPEN, Waypoint
+from bulletarm_gym.experts import HALF_OPEN, Waypoint
 from bulletarm_gym.geometry import Pose, planar_distance
 from bulletarm_gym.scene import Scene, SceneObject
 from bulletarm_gym.surfaces.surface import Point

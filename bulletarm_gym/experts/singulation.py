@@ -4,8 +4,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from bulletarm_gym.experts import CLOSED, Waypoint
 from bulletarm_gym.experts.approach import HOVER
-from bulletarm_gym.experts.waypoints import CLOSED, Waypoint
 from bulletarm_gym.geometry import Pose, matrix, planar_distance
 from bulletarm_gym.scene import Scene, SceneObject
 from bulletarm_gym.surfaces.surface import Point

@@ -4,10 +4,10 @@ import math
 from collections.abc import Iterator, Sequence
 from functools import cached_property
 
+from bulletarm_gym.experts import Waypoint
 from bulletarm_gym.experts.approach import RELEASE, grasp_object, place_object, side_yaw
 from bulletarm_gym.experts.blueprint import Placed
 from bulletarm_gym.experts.builder import Builder
-from bulletarm_gym.experts.waypoints import Waypoint
 from bulletarm_gym.geometry import planar_distance, wrap_angle
 from bulletarm_gym.scene import SceneObject
 from bulletarm_gym.scene.predicates import is_held, on_surface, on_top

@@ -7,8 +7,8 @@ from typing import Any
 from bulletarm_gym.config import CLOSE_LOOP, MAX_ROTATION, MAX_TRANSLATION
 from bulletarm_gym.control import CloseLoop, Control, DeltaMove, OpenLoop, PickPlace
 from bulletarm_gym.control.open_loop import HALF_TURN, PICK, PLACE
+from bulletarm_gym.experts import OPEN, Waypoint
 from bulletarm_gym.experts.approach import avoid_limits, exchange_fingers, route
-from bulletarm_gym.experts.waypoints import OPEN, Waypoint
 from bulletarm_gym.geometry import Pose, euler_angles, wrap_angle
 from bulletarm_gym.scene import Scene
 

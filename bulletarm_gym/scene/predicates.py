@@ -15,6 +15,11 @@ IN_LINE = math.pi / 7.0
 """Largest angle (rad) between a long block and the line through the blocks that support it."""
 
 
+def loose_objects(scene: Scene) -> list[SceneObject]:
+    """Return the present objects that are not fixed."""
+    return [obj for obj in scene if obj.spec.mass > 0.0]
+
+
 def success_at_rest(scene: Scene, **facts: bool) -> dict[str, bool]:
     """Return a task's facts, ``is_empty`` and ``is_at_rest``, with ``success`` if all of them are True."""
     facts |= {"is_empty": is_empty(scene), "is_at_rest": at_rest(scene)}

@@ -102,8 +102,6 @@ def place_apart(
     rng: np.random.Generator,
     objects: Sequence[SceneObject],
     gap: float,
-    spread: float = math.pi,
-    taken: Sequence[Footprint] = (),
     allows: Callable[[Pose], bool] = lambda pose: True,
 ) -> None:
     """Place objects on the surface at random, their footprints apart and inside the border.
@@ -111,33 +109,28 @@ def place_apart(
     All other objects of the scene stay where they are and keep the same gap.
 
     :param gap: smallest distance (m) between two footprints
-    :param spread: largest absolute yaw (rad); 0 without ``random_orientation``
-    :param taken: additional footprints that keep the gap
     :param allows: returns False for poses that are excluded
     :raises PlacementError: the objects do not fit together
     """
     largest_first = sorted(objects, key=lambda obj: -obj.spec.planar_radius)
-    others = [*taken, *footprints(scene, without=objects)]
+    others = footprints(scene, without=objects)
 
     def sample(poses: list[Pose]) -> Pose:
         placed = zip(largest_first, poses, strict=False)
         covered = [*others, *(footprint(obj, pose) for obj, pose in placed)]
-        return _sample_pose(scene, rng, largest_first[len(poses)], gap, spread, covered, allows)
+        return _sample_pose(scene, rng, largest_first[len(poses)], gap, covered, allows)
 
     for obj, pose in zip(largest_first, _sample_all(scene, len(objects), gap, sample), strict=True):
         obj.place(pose)
 
 
-def free_pose(
-    scene: Scene, rng: np.random.Generator, obj: SceneObject, gap: float, spread: float = math.pi
-) -> Pose:
+def free_pose(scene: Scene, rng: np.random.Generator, obj: SceneObject, gap: float) -> Pose:
     """Sample a pose of an object on the surface away from all others.
 
     :param gap: smallest distance (m) between footprints
-    :param spread: largest absolute yaw (rad); 0 without ``random_orientation``
     :raises PlacementError: no sample fits
     """
-    return _sample_pose(scene, rng, obj, gap, spread, footprints(scene, without=[obj]))
+    return _sample_pose(scene, rng, obj, gap, footprints(scene, without=[obj]))
 
 
 def _sample_pose(
@@ -145,7 +138,6 @@ def _sample_pose(
     rng: np.random.Generator,
     obj: SceneObject,
     gap: float,
-    spread: float,
     covered: Sequence[Footprint],
     allows: Callable[[Pose], bool] = lambda pose: True,
 ) -> Pose:
@@ -153,7 +145,7 @@ def _sample_pose(
 
     def draw() -> Pose:
         point = (float(rng.uniform(x0, x1)), float(rng.uniform(y0, y1)))
-        return scene.surface.lay(obj.spec, point, random_yaw(scene, rng, spread))
+        return scene.surface.lay(obj.spec, point, random_yaw(scene, rng, math.pi))
 
     def fits(pose: Pose) -> bool:
         base = footprint(obj, pose)

@@ -7,12 +7,12 @@ import numpy as np
 
 from bulletarm_gym.config import CLOSE_LOOP, OPEN_LOOP, WIDE, EnvConfig, TaskDefaults, TrayUse
 from bulletarm_gym.control import GraspParams
+from bulletarm_gym.experts import CLOSED, OPEN, Waypoint
 from bulletarm_gym.experts.approach import RELEASE, place_pose
-from bulletarm_gym.experts.waypoints import CLOSED, OPEN, Waypoint
 from bulletarm_gym.geometry import Pose, planar_distance, wrap_angle
 from bulletarm_gym.objects.bottles import BOTTLES, HEIGHT, TRAY, TRAY_FLOOR, bottle, bottle_tray
 from bulletarm_gym.scene import ObjectSlot, Scene, SceneObject, shaped
-from bulletarm_gym.scene.predicates import inside, success_at_rest, touching, upright
+from bulletarm_gym.scene.predicates import inside, loose_objects, success_at_rest, touching, upright
 from bulletarm_gym.scene.sampling import goal_site, place_apart
 from bulletarm_gym.tasks.task import Task
 
@@ -73,22 +73,22 @@ class BottleArrangement(Task):
     def arrange(self, scene: Scene, rng: np.random.Generator) -> None:
         """Place the tray, and the bottles next to it."""
         scene["tray"].place(goal_site(scene, rng, self.site))
-        place_apart(scene, rng, [obj for obj in scene.objects if obj is not scene["tray"]], BOTTLE_SPACING)
+        place_apart(scene, rng, self.grasped(scene), BOTTLE_SPACING)
 
     def evaluate(self, scene: Scene) -> dict[str, bool]:
         """Return whether all bottles are in the tray, the gripper is empty and nothing moves."""
-        arranged = all(self._is_in_tray(scene, obj) for obj in self._bottles(scene))
+        arranged = all(self._is_in_tray(scene, obj) for obj in loose_objects(scene))
         return success_at_rest(scene, is_arranged=arranged)
 
     def is_valid(self, scene: Scene) -> bool:
         """Return True if all objects are inside the workspace and every bottle is upright."""
         return super().is_valid(scene) and all(
-            upright(obj) for obj in self._bottles(scene) if obj is not scene.held
+            upright(obj) for obj in loose_objects(scene) if obj is not scene.held
         )
 
     def plan(self, scene: Scene, rng: np.random.Generator) -> Iterator[Waypoint]:
         """Grasp the next bottle, or release it in the tray."""
-        held, yaw, bottles = scene.held, scene["tray"].pose.yaw, self._bottles(scene)
+        held, yaw, bottles = scene.held, scene["tray"].pose.yaw, loose_objects(scene)
         if held is not None:
             rotation = wrap_angle(yaw - scene.robot.pose.yaw, math.pi / 2.0)
             spot = self._most_free(scene, [obj for obj in bottles if obj is not held])
@@ -99,9 +99,6 @@ class BottleArrangement(Task):
         x, y, _ = obj.pose.position
         height = scene.world.top(obj.body) - self.grasp_params.pick_offset
         yield Waypoint(Pose.planar(x, y, height, yaw), OPEN, finish=CLOSED)
-
-    def _bottles(self, scene: Scene) -> list[SceneObject]:
-        return [obj for obj in scene if obj is not scene["tray"]]
 
     def _is_in_tray(self, scene: Scene, obj: SceneObject) -> bool:
         tray = scene["tray"]

@@ -7,24 +7,12 @@ import numpy as np
 
 from bulletarm_gym.config import CLOSE_LOOP, OPEN_LOOP, WIDE, EnvConfig, ParameterError, TaskDefaults, TrayUse
 from bulletarm_gym.control import GraspParams
+from bulletarm_gym.experts import CLOSED, OPEN, Waypoint
 from bulletarm_gym.experts.approach import RELEASE, place_pose
-from bulletarm_gym.experts.waypoints import CLOSED, OPEN, Waypoint
 from bulletarm_gym.geometry import Pose, wrap_angle
-from bulletarm_gym.objects.covid import (
-    BOX_FLOOR,
-    NEW_TUBE_BOX,
-    SCALE,
-    TEST_AREA,
-    USED_TUBE_BOX,
-    new_tube_box,
-    swab,
-    test_area,
-    tube,
-    used_tube,
-    used_tube_box,
-)
+from bulletarm_gym.objects import covid
 from bulletarm_gym.scene import ObjectSlot, Scene, SceneObject, scaled
-from bulletarm_gym.scene.predicates import inside, is_empty, success_at_rest
+from bulletarm_gym.scene.predicates import inside, is_empty, loose_objects, success_at_rest
 from bulletarm_gym.scene.sampling import goal_site, random_yaw
 from bulletarm_gym.tasks.task import Task
 
@@ -32,9 +20,9 @@ ROUNDS = 3
 """Number of tests in an episode (paper, Covid Test)."""
 SIDE = 0.3
 """Side (m) of the square that the three containers fill."""
-TUBES_APART, TUBE_ROW = NEW_TUBE_BOX[0] / 3.3, NEW_TUBE_BOX[1] / 4.0
+TUBES_APART, TUBE_ROW = covid.NEW_TUBE_BOX[0] / 3.3, covid.NEW_TUBE_BOX[1] / 4.0
 """Distance (m) between tubes along x, and their y (m), in the frame of their box."""
-SWABS_APART, SWAB_ROW = NEW_TUBE_BOX[0] / 3.7, -NEW_TUBE_BOX[1] / 9.0
+SWABS_APART, SWAB_ROW = covid.NEW_TUBE_BOX[0] / 3.7, -covid.NEW_TUBE_BOX[1] / 9.0
 """Distance (m) between swabs along x, and their y (m), in the frame of their box."""
 SPREAD = math.radians(30.0)
 """Largest absolute yaw of tubes and of swabs."""
@@ -52,12 +40,12 @@ OPENING = 0.04
 """Largest distance (m) between the fingers, for the narrow gap between two tubes."""
 QUARTER = math.pi / 2.0
 CONTAINERS = {
-    "new box": (new_tube_box, NEW_TUBE_BOX, (-1.0, 1.0)),
-    "test area": (test_area, TEST_AREA, (1.0, 0.0)),
-    "used box": (used_tube_box, USED_TUBE_BOX, (-1.0, -1.0)),
+    "new box": (covid.new_tube_box, covid.NEW_TUBE_BOX, (-1.0, 1.0)),
+    "test area": (covid.test_area, covid.TEST_AREA, (1.0, 0.0)),
+    "used box": (covid.used_tube_box, covid.USED_TUBE_BOX, (-1.0, -1.0)),
 }
 """Function, side lengths (m) and corner of the square, in x and y, of each container."""
-KINDS = {"swab": swab, "tube": tube, "used tube": used_tube}
+KINDS = {"swab": covid.swab, "tube": covid.tube, "used tube": covid.used_tube}
 TARGETS = {
     "swab": ("test area", (0.0, 0.07), QUARTER),
     "tube": ("test area", (0.0, -0.05), QUARTER),
@@ -83,7 +71,7 @@ class CovidTest(Task):
     defaults = TaskDefaults(
         num_objects=2 * ROUNDS,
         max_steps=30,
-        object_scale=SCALE,
+        object_scale=covid.SCALE,
         allowed_objects=(2 * ROUNDS,),
         tray=TrayUse((False,), "the three places do not fit into the tray"),
         level_ground="the three places need 30 x 30 cm of level ground",
@@ -127,7 +115,7 @@ class CovidTest(Task):
 
     def _lay(self, scene: Scene, name: str, container: str, point: Sequence[float], yaw: float) -> None:
         """Place an object on the floor of a container, at a point (m) and a yaw (rad) in its frame."""
-        height = BOX_FLOOR - float(scene[name].spec.mesh.bounds[0, 2])
+        height = covid.BOX_FLOOR - float(scene[name].spec.mesh.bounds[0, 2])
         pose = Pose.planar(point[0], point[1], height, yaw)
         scene[name].place(scene[container].pose.compose(pose))
 
@@ -164,7 +152,7 @@ class CovidTest(Task):
         name, spot, yaw = TARGETS[kind]
         container = scene[name].pose
         rotation = wrap_angle(container.yaw + yaw - held.pose.yaw, math.pi)
-        point = container.transform((*spot, BOX_FLOOR))
+        point = container.transform((*spot, covid.BOX_FLOOR))
         top = max((scene.world.top(obj.body) for obj in self._inside(scene, kind, name)), default=point[2])
         yield Waypoint(place_pose(scene, held, point, top + RELEASE, rotation), CLOSED, finish=OPEN)
 
@@ -176,7 +164,7 @@ class CovidTest(Task):
             missing = [obj for obj in self._of_kind(scene, kind) if obj not in there]
             if missing:
                 return missing[0]
-        return max((obj for obj in scene if obj.spec.mass > 0.0), key=lambda obj: obj.pose.z)
+        return max(loose_objects(scene), key=lambda obj: obj.pose.z)
 
     def _pick(self, scene: Scene, obj: SceneObject) -> Waypoint:
         """Return the pick of an object across its length."""

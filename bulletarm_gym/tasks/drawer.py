@@ -6,8 +6,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from bulletarm_gym.config import CLOSE_LOOP, EnvConfig, TaskDefaults, TrayUse
+from bulletarm_gym.experts import CLOSED, Waypoint
 from bulletarm_gym.experts.approach import ALIGNED, ALIGNED_YAW, HOVER, pass_above, rotates
-from bulletarm_gym.experts.waypoints import CLOSED, Waypoint
 from bulletarm_gym.geometry import Pose, planar_distance, wrap_angle
 from bulletarm_gym.objects import drawer
 from bulletarm_gym.objects.drawer import CABINET, HANDLE, HANDLE_DISTANCE, HANDLE_RADIUS, STRUT_SPACING
@@ -52,11 +52,7 @@ class DrawerOpening(Task):
         level_ground="the cabinet stands on level ground",
     )
     controls = (CLOSE_LOOP,)
-
-    @property
-    def height(self) -> float:
-        """Height (m) of the handle's upper side."""
-        return HANDLE[2] + HANDLE_RADIUS
+    height = HANDLE[2] + HANDLE_RADIUS
 
     def bodies(self, config: EnvConfig) -> list[ObjectSlot]:
         """Return the cabinet with its drawer."""

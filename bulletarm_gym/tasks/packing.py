@@ -9,13 +9,13 @@ from scipy.ndimage import maximum_filter1d
 
 from bulletarm_gym.config import CLOSE_LOOP, OPEN_LOOP, WIDE, EnvConfig, TaskDefaults, TrayUse
 from bulletarm_gym.control import GraspParams
+from bulletarm_gym.experts import CLOSED, OPEN, Waypoint
 from bulletarm_gym.experts.approach import RELEASE, rotates
 from bulletarm_gym.experts.pick_place import pick, resting_frame
-from bulletarm_gym.experts.waypoints import CLOSED, OPEN, Waypoint
 from bulletarm_gym.geometry import FloatArray, Footprint, Pose, matrix
 from bulletarm_gym.objects.packing import BIN, BIN_WALL, SHAPES, packing_bin, packing_block
 from bulletarm_gym.scene import ObjectSlot, Scene, SceneObject, shaped
-from bulletarm_gym.scene.predicates import inside, is_top, success_at_rest
+from bulletarm_gym.scene.predicates import inside, is_top, loose_objects, success_at_rest
 from bulletarm_gym.scene.sampling import GRASP_AREA, footprint, goal_site, place_apart
 from bulletarm_gym.tasks.task import Task
 
@@ -63,11 +63,7 @@ class BinPacking(Task):
     )
     controls = (OPEN_LOOP, CLOSE_LOOP)
     site = (BIN[1], BIN[0])
-
-    @property
-    def height(self) -> float:
-        """Height (m) of the rim."""
-        return BIN[2]
+    height = BIN[2]
 
     @property
     def grasp_params(self) -> GraspParams:
@@ -82,7 +78,6 @@ class BinPacking(Task):
 
     def arrange(self, scene: Scene, rng: np.random.Generator) -> None:
         """Place the bin, and the blocks next to it."""
-        blocks = [obj for obj in scene.objects if obj is not scene["bin"]]
 
         def is_graspable(pose: Pose) -> bool:
             area = Footprint.rectangle(GRASP_AREA, pose)
@@ -90,25 +85,22 @@ class BinPacking(Task):
 
         site = goal_site(scene, rng, self.site)
         scene["bin"].place(site.compose(Pose.planar(0.0, 0.0, 0.0, math.pi / 2.0)))
-        place_apart(scene, rng, blocks, BLOCK_SPACING, allows=is_graspable)
+        place_apart(scene, rng, self.grasped(scene), BLOCK_SPACING, allows=is_graspable)
 
     def evaluate(self, scene: Scene) -> dict[str, bool]:
         """Return whether all blocks are in the bin, the gripper is empty and nothing moves."""
-        packed = all(self._is_in_bin(scene, block) for block in self._blocks(scene))
+        packed = all(self._is_in_bin(scene, block) for block in loose_objects(scene))
         return success_at_rest(scene, is_packed=packed)
 
     def plan(self, scene: Scene, rng: np.random.Generator) -> Iterator[Waypoint]:
         """Grasp the largest block outside the bin, or release the grasped block in it."""
-        held, blocks = scene.held, self._blocks(scene)
+        held, blocks = scene.held, loose_objects(scene)
         if held is not None:
             yield Waypoint(FreeSpace(scene, held).best(), CLOSED, finish=OPEN)
             return
         outside = [block for block in blocks if not self._is_in_bin(scene, block)] or blocks
         free = [block for block in outside if is_top(block, blocks)] or outside
         yield pick(scene, max(free, key=lambda block: math.prod(block.spec.extents)), rng)
-
-    def _blocks(self, scene: Scene) -> list[SceneObject]:
-        return [obj for obj in scene if obj is not scene["bin"]]
 
     def _is_in_bin(self, scene: Scene, block: SceneObject) -> bool:
         rise = block.pose.z - scene["bin"].pose.z

@@ -7,13 +7,21 @@ import numpy as np
 
 from bulletarm_gym.config import CLOSE_LOOP, OPEN_LOOP, WIDE, EnvConfig, TaskDefaults, TrayUse
 from bulletarm_gym.control import GraspParams
+from bulletarm_gym.experts import Waypoint
 from bulletarm_gym.experts.approach import rotates
 from bulletarm_gym.experts.pick_place import pick, put, resting_frame
-from bulletarm_gym.experts.waypoints import Waypoint
 from bulletarm_gym.geometry import Footprint, PlacementError, Pose, wrap_angle
 from bulletarm_gym.objects.palletizing import BOX, PALLET, pallet, palletizing_box
 from bulletarm_gym.scene import ObjectSlot, Scene, SceneObject, scaled
-from bulletarm_gym.scene.predicates import UPRIGHT, at_rest, inside, is_empty, is_top, success_at_rest
+from bulletarm_gym.scene.predicates import (
+    UPRIGHT,
+    at_rest,
+    inside,
+    is_empty,
+    is_top,
+    loose_objects,
+    success_at_rest,
+)
 from bulletarm_gym.scene.sampling import (
     GRASP_AREA,
     footprint,
@@ -97,7 +105,7 @@ class BoxPalletizing(Task):
 
     def after_action(self, scene: Scene, rng: np.random.Generator) -> None:
         """Add the next box when all others are placed correctly; the episode ends if it has no free pose."""
-        boxes = self._boxes(scene)
+        boxes = loose_objects(scene)
         done = len(boxes) < self.config.num_objects and len(self._correct(scene)) == len(boxes)
         if done and is_empty(scene) and at_rest(scene):
             try:
@@ -114,7 +122,7 @@ class BoxPalletizing(Task):
 
         :raises PlacementError: no such place exists
         """
-        number = len(self._boxes(scene))
+        number = len(loose_objects(scene))
         box, base = scene[f"box {number}"], footprint(scene["pallet"])
         layer_direction = scene["pallet"].pose.yaw + layer_yaw(number // LAYER)
 
@@ -158,18 +166,15 @@ class BoxPalletizing(Task):
 
     def _next(self, scene: Scene) -> SceneObject:
         """Return a misplaced box, or the highest box if none is misplaced."""
-        boxes, correct = self._boxes(scene), self._correct(scene)
+        boxes, correct = loose_objects(scene), self._correct(scene)
         wrong = [box for box in boxes if box not in correct]
         highest = max(wrong or boxes, key=lambda box: box.pose.z)
         return next((box for box in wrong if is_top(box, boxes)), highest)
 
-    def _boxes(self, scene: Scene) -> list[SceneObject]:
-        return [obj for obj in scene if obj is not scene["pallet"]]
-
     def _correct(self, scene: Scene) -> list[SceneObject]:
         """Return the correctly placed boxes: those of a layer count while all layers below are full."""
         layers: list[list[SceneObject]] = [[] for _ in range(self._layers)]
-        for box in self._boxes(scene):
+        for box in loose_objects(scene):
             layer = None if box is scene.held else self._layer(scene, box)
             if layer is not None and layer < len(layers):
                 layers[layer].append(box)
@@ -193,7 +198,7 @@ class BoxPalletizing(Task):
         layer = min(len(self._correct(scene)) // LAYER, self._layers - 1)
         width, length, height = (side * max(self.config.scales) for side in BOX)
         base = scene["pallet"].pose.compose(Pose((0.0, 0.0, PALLET[2] + layer * height)))
-        others = [box for box in self._boxes(scene) if box is not held]
+        others = [box for box in loose_objects(scene) if box is not held]
         taken = [footprint(box) for box in others if scene.world.top(box.body) > base.z + height / 2.0]
 
         def is_free(frame: Pose) -> bool:

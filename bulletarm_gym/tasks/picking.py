@@ -8,6 +8,7 @@ from typing import ClassVar
 import numpy as np
 
 from bulletarm_gym.config import CLOSE_LOOP, EnvConfig, TaskDefaults, TrayUse
+from bulletarm_gym.experts import CLOSED, OPEN, Waypoint
 from bulletarm_gym.experts.approach import (
     HOVER,
     grasp,
@@ -18,7 +19,6 @@ from bulletarm_gym.experts.approach import (
     side_symmetry,
     side_yaw,
 )
-from bulletarm_gym.experts.waypoints import CLOSED, OPEN, Waypoint
 from bulletarm_gym.geometry import Pose, planar_distance, wrap_angle
 from bulletarm_gym.objects import bowl, corner, cube
 from bulletarm_gym.objects.blocks import CUBE_SIZE

@@ -6,8 +6,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from bulletarm_gym.config import CLOSE_LOOP, EnvConfig, TaskDefaults
+from bulletarm_gym.experts import Waypoint
 from bulletarm_gym.experts.pushing import Drag
-from bulletarm_gym.experts.waypoints import Waypoint
 from bulletarm_gym.geometry import Rectangle, planar_distance
 from bulletarm_gym.objects import cube, flat_block, goal_area
 from bulletarm_gym.rendering.overlays import Overlay

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from bulletarm_gym.config import CLOSE_LOOP, OPEN_LOOP, EnvConfig, TaskDefaults, TrayUse
+from bulletarm_gym.experts import HALF_OPEN, Waypoint
 from bulletarm_gym.experts.approach import (
     ALIGNED,
     RELEASE,
@@ -17,7 +18,6 @@ from bulletarm_gym.experts.approach import (
     side_yaw,
 )
 from bulletarm_gym.experts.pick_place import fingers_fit
-from bulletarm_gym.experts.waypoints import HALF_OPEN, Waypoint
 from bulletarm_gym.geometry import Footprint, Pose, planar_distance, wrap_angle
 from bulletarm_gym.objects import BodySpec, Colour, bowl, cube
 from bulletarm_gym.objects.bowl import DIAMETER, HEIGHT, THICKNESS

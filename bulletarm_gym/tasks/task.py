@@ -9,10 +9,11 @@ import numpy as np
 
 from bulletarm_gym.config import OPEN_LOOP, EnvConfig, TaskDefaults
 from bulletarm_gym.control import GraspParams
-from bulletarm_gym.experts.waypoints import Waypoint
+from bulletarm_gym.experts import Waypoint
 from bulletarm_gym.objects.blocks import CUBE_SIZE
 from bulletarm_gym.rendering.overlays import Overlay
 from bulletarm_gym.scene import ObjectSlot, Scene, SceneObject
+from bulletarm_gym.scene.predicates import loose_objects
 from bulletarm_gym.state import declare_state_types
 from bulletarm_gym.surfaces.surface import SITE, Point
 
@@ -135,7 +136,7 @@ class Task(ABC):
     def is_valid(self, scene: Scene) -> bool:
         """Return True if every loose object that is not grasped is inside the workspace."""
         held = scene.robot.held
-        return all(self._is_inside(obj) for obj in scene if obj.spec.mass > 0.0 and obj.body is not held)
+        return all(self._is_inside(obj) for obj in loose_objects(scene) if obj.body is not held)
 
     def reward(self, scene: Scene, outcome: Mapping[str, bool]) -> float:
         """Return 1 on success, else 0 (paper, Environment).

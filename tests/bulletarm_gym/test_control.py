@@ -13,8 +13,8 @@ import pytest
 from bulletarm_gym import control
 from bulletarm_gym.control import CloseLoop, DeltaMove, RobotInterface
 from bulletarm_gym.env import ManipulationEnv
+from bulletarm_gym.experts import CLOSED, OPEN, Waypoint
 from bulletarm_gym.experts.tracking import Tracker
-from bulletarm_gym.experts.waypoints import CLOSED, OPEN, Waypoint
 from bulletarm_gym.geometry import Pose
 from bulletarm_gym.robots import Robot
 from bulletarm_gym.scene import Scene, SceneObject

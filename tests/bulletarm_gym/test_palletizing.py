@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from bulletarm_gym.env import ManipulationEnv
-from bulletarm_gym.experts.waypoints import CLOSED, OPEN, Waypoint
+from bulletarm_gym.experts import CLOSED, OPEN, Waypoint
 from bulletarm_gym.geometry import Footprint, PlacementError, Pose
 from bulletarm_gym.objects.palletizing import PALLET
 from bulletarm_gym.scene.sampling import footprint

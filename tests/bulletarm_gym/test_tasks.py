@@ -11,7 +11,7 @@ import pytest
 from rollouts import make_env
 
 from bulletarm_gym.env import ManipulationEnv
-from bulletarm_gym.experts.waypoints import CLOSED, OPEN, Waypoint
+from bulletarm_gym.experts import CLOSED, OPEN, Waypoint
 from bulletarm_gym.geometry import Pose
 from bulletarm_gym.objects.corner import INSIDE
 from bulletarm_gym.scene import Scene
