@@ -4,10 +4,23 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import permutations
 
+import numpy as np
+
 from bulletarm_gym.scene import Scene, SceneObject, predicates
+from bulletarm_gym.surfaces.surface import Point
 
 LONG = 1.5
 """Smallest ratio of the sides along y and x of a long block, which is placed along a line."""
+BASE_GAP = 0.75
+"""Gap between blocks side by side, relative to a cube's side."""
+WIDE_BASE_GAP = 1.5
+"""Gap between blocks side by side where the fingers do not fit into :data:`BASE_GAP`."""
+MAX_COVERED = 0.9
+"""Largest distance between the centres of two blocks, relative to the length of the block above them."""
+TIGHT = 0.005
+"""Smallest gap (m) between blocks side by side."""
+BUILD_TOLERANCE = 0.003
+"""Largest error (m) of a block's position, within which it must be on level ground."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,6 +145,30 @@ class Blueprint:
             for layer in self.layers[1:]
             if len(layer) > 1 and len(layer[0].below) == 1 and layer[0].below == layer[-1].below
         )
+
+    def length_above(self, position: Position, blocks: Blocks) -> float:
+        """Return the length (m) of the block above a position and its neighbour."""
+        above = (other for other in self.positions if position in other.below and len(other.below) > 1)
+        kind = next((other.kind for other in above), None)
+        return blocks[kind][0].spec.extents[1] if kind else 3.0 * self.side
+
+    def gaps(self, position: Position, length: float, blocks: Blocks) -> list[float]:
+        """Return the gaps (m) to try next to a position, the best one first.
+
+        :param length: length of both blocks together (m)
+        """
+        most = MAX_COVERED * self.length_above(position, blocks) - length / 2.0
+        return [max(TIGHT, min(gap * self.side, most)) for gap in (BASE_GAP, WIDE_BASE_GAP)]
+
+    def base(self, chosen: Sequence[SceneObject], blocks: Blocks) -> tuple[Point, list[float]]:
+        """Return width and length (m) of a base, and the position (m) of each of its blocks along y."""
+        lengths = [block.spec.extents[1] for block in chosen]
+        gap = self.gaps(self.layers[0][-1], lengths[0] + lengths[-1], blocks)[0]
+        total = sum(lengths) + gap * (len(chosen) - 1)
+        ends = np.cumsum([length + gap for length in lengths]) - gap
+        offsets = ends - np.array(lengths) / 2.0 - total / 2.0
+        width = max(block.spec.extents[0] for block in chosen)
+        return (width + 2.0 * BUILD_TOLERANCE, total + 2.0 * BUILD_TOLERANCE), offsets.tolist()
 
 
 def is_long(block: SceneObject) -> bool:

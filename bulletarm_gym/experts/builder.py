@@ -9,8 +9,8 @@ from typing import ClassVar
 import numpy as np
 
 from bulletarm_gym.experts import Waypoint
-from bulletarm_gym.experts.approach import RELEASE, rotates, side_yaw
-from bulletarm_gym.experts.blueprint import Blocks, Blueprint, Placed, Position, is_long
+from bulletarm_gym.experts.approach import RELEASE, grasp_object, place_object, rotates, side_yaw
+from bulletarm_gym.experts.blueprint import BUILD_TOLERANCE, Blocks, Blueprint, Placed, Position, is_long
 from bulletarm_gym.experts.pick_place import (
     SQUARENESS,
     fingers_fit,
@@ -22,18 +22,9 @@ from bulletarm_gym.experts.pick_place import (
 )
 from bulletarm_gym.geometry import Footprint, PlacementError, Pose, planar_distance, wrap_angle
 from bulletarm_gym.scene import Scene, SceneObject
-from bulletarm_gym.scene.predicates import IN_LINE, heading, is_held, middle, rests_on
+from bulletarm_gym.scene.predicates import IN_LINE, heading, is_held, middle, on_surface, on_top, rests_on
 from bulletarm_gym.scene.sampling import footprint, free_pose, free_site, goal_site, most_free_point
-from bulletarm_gym.surfaces.surface import Point
 
-BASE_GAP = 0.75
-"""Gap between blocks side by side, relative to a cube's side."""
-WIDE_BASE_GAP = 1.5
-"""Gap between blocks side by side where the fingers do not fit into :data:`BASE_GAP`."""
-MAX_COVERED = 0.9
-"""Largest distance between the centres of two blocks, relative to the length of the block above them."""
-TIGHT = 0.005
-"""Smallest gap (m) between blocks side by side."""
 SPAN = 0.45
 """Largest gap between blocks that are built on, relative to the length of the block above them."""
 APART = 1.8
@@ -46,8 +37,6 @@ MARGINS = (0.042, 0.02)
 """Gaps (m) to other blocks with space for the fingers; the second is used if the first is impossible."""
 CROWDED = 0.01
 """Free distance (m) around the next block of a base below which another base is started."""
-BUILD_TOLERANCE = 0.003
-"""Largest error (m) of a block's position, within which it must be on level ground."""
 
 
 class Builder:
@@ -75,14 +64,16 @@ class Builder:
             yield pick(self._scene, self._next, self._rng)
         else:
             position = self._open_position(held)
-            frame = self._aside(held) if position is None else self._support(position, held, self._placed)
+            frame = self._aside(held) if position is None else self._support(position, held, self.placed)
             yield put(self._scene, held, [frame])
 
     def finish(self) -> None:
         """Place every block at its final pose, in an empty scene."""
         blocks = {kind: iter(same) for kind, same in self._blocks.items()}
         chosen = {position: next(blocks[position.kind]) for position in self._blueprint.positions}
-        size, offsets = self._base([chosen[position] for position in self._blueprint.layers[0]])
+        size, offsets = self._blueprint.base(
+            [chosen[position] for position in self._blueprint.layers[0]], self._blocks
+        )
         site = goal_site(self._scene, self._rng, size)
         placed: Placed = {}
         for position, block in chosen.items():
@@ -99,7 +90,7 @@ class Builder:
         base = self._blueprint.layers[0]
         if len(base) > 1 and any(True for _ in self._candidates(len(base))):
             return False
-        return bool(self._placed) or self._site(self._spare(base[0])[0]) is not None
+        return bool(self.placed) or self._site(self._spare(base[0])[0]) is not None
 
     # Placed blocks
 
@@ -107,7 +98,7 @@ class Builder:
         return self._blueprint.partial_structures(self._scene, self._blocks, width, self._accepts)
 
     @cached_property
-    def _placed(self) -> Placed:
+    def placed(self) -> Placed:
         """The largest part of the structure that can be extended."""
         base = self._blueprint.layers[0]
         for width in range(len(base), 0, -1):
@@ -130,7 +121,7 @@ class Builder:
         before = list(placed.values())
         gap = footprint(before[-1]).gap(footprint(block))
         return (
-            gap < SPAN * self._length_above(position)
+            gap < SPAN * self._blueprint.length_above(position, self._blocks)
             and self._is_straight([*before, block])
             and self._supports(footprint(before[0]), footprint(block))
         )
@@ -158,16 +149,16 @@ class Builder:
     @property
     def _next(self) -> SceneObject:
         """The block to pick: a misplaced block, else one for the next open position, else the last one."""
-        misplaced = next(self._misplaced(self._placed), None)
+        misplaced = next(self._misplaced(self.placed), None)
         if misplaced is not None:
             return self._topmost(misplaced)
-        position = next((p for p in self._blueprint.positions if p not in self._placed), None)
+        position = next((p for p in self._blueprint.positions if p not in self.placed), None)
         loose = [] if position is None else self._spare(position)
-        return self._topmost(loose[0] if loose else list(self._placed.values())[-1])
+        return self._topmost(loose[0] if loose else list(self.placed.values())[-1])
 
     def _spare(self, position: Position, placed: Placed | None = None) -> list[SceneObject]:
         """Return the blocks that can be placed at a position, the best one first."""
-        there = list((self._placed if placed is None else placed).values())
+        there = list((self.placed if placed is None else placed).values())
         if self._scene.held is not None and self._scene.held.slot.kind == position.kind:
             return [self._scene.held]
         loose = [block for block in self._blocks[position.kind] if block not in there]
@@ -190,16 +181,16 @@ class Builder:
 
     def _open_position(self, block: SceneObject) -> Position | None:
         """Return the position at which the grasped block can be placed now."""
-        if not self._is_free(self._placed):
+        if not self._is_free(self.placed):
             return None
-        missing = (position for position in self._blueprint.positions if position not in self._placed)
+        missing = (position for position in self._blueprint.positions if position not in self.placed)
         open_positions = (position for position in missing if self._is_open(position))
         return next((position for position in open_positions if position.kind == block.slot.kind), None)
 
     def _is_open(self, position: Position) -> bool:
         if position.layer == 0:
-            return position.place == len(self._placed)
-        return all(below in self._placed for below in position.below)
+            return position.place == len(self.placed)
+        return all(below in self.placed for below in position.below)
 
     # Target frames
 
@@ -229,22 +220,12 @@ class Builder:
     def _site(self, block: SceneObject) -> Pose | None:
         """Return the frame of the first block of a base, with space for the other blocks."""
         base = [self._blocks[position.kind][position.place] for position in self._blueprint.layers[0]]
-        size, offsets = self._base(base)
+        size, offsets = self._blueprint.base(base, self._blocks)
         for margin in MARGINS:
             with suppress(PlacementError):
                 site = free_site(self._scene, self._rng, size, margin, [block])
                 return site.compose(Pose((0.0, offsets[0], 0.0)))
         return None
-
-    def _base(self, blocks: Sequence[SceneObject]) -> tuple[Point, list[float]]:
-        """Return width and length (m) of blocks side by side, and the position (m) of each along y."""
-        lengths = [block.spec.extents[1] for block in blocks]
-        gap = self._gaps(self._blueprint.layers[0][-1], lengths[0] + lengths[-1])[0]
-        total = sum(lengths) + gap * (len(blocks) - 1)
-        ends = np.cumsum([length + gap for length in lengths]) - gap
-        offsets = ends - np.array(lengths) / 2.0 - total / 2.0
-        width = max(block.spec.extents[0] for block in blocks)
-        return (width + 2.0 * BUILD_TOLERANCE, total + 2.0 * BUILD_TOLERANCE), offsets.tolist()
 
     # Next block of a base
 
@@ -272,7 +253,7 @@ class Builder:
         for direction in self._directions(base):
             along = np.array([math.cos(direction), math.sin(direction)])
             reach = float(((covered[-1].points - (x, y)) @ along).max())
-            for gap in self._gaps(position, 2.0 * (reach + half)):
+            for gap in self._blueprint.gaps(position, 2.0 * (reach + half), self._blocks):
                 x1, y1 = (float(value) for value in (x, y) + (reach + gap + half) * along)
                 frame = Pose.planar(x1, y1, self._scene.surface.level, direction - math.pi / 2.0)
                 area = Footprint.rectangle((width, 2.0 * half), frame)
@@ -304,33 +285,85 @@ class Builder:
             fingers_fit(self._scene, pose, block) and palm_fits(self._scene, pose, block) for pose in poses
         )
 
-    def _gaps(self, position: Position, length: float) -> list[float]:
-        """Return the gaps (m) to try next to a position, the best one first.
-
-        :param length: length of both blocks together (m)
-        """
-        most = MAX_COVERED * self._length_above(position) - length / 2.0
-        return [max(TIGHT, min(gap * self._blueprint.side, most)) for gap in (BASE_GAP, WIDE_BASE_GAP)]
-
-    def _length_above(self, position: Position) -> float:
-        """Return the length (m) of the block above a position and its neighbour."""
-        above = (p for p in self._blueprint.positions if position in p.below and len(p.below) > 1)
-        kind = next((other.kind for other in above), None)
-        return self._blocks[kind][0].spec.extents[1] if kind else 3.0 * self._blueprint.side
-
     def _supports(self, first: Footprint, last: Footprint) -> bool:
         """Return True if the block above a base does not touch the surface next to it.
 
         :param first: footprint of the first block of the base
         :param last: footprint of the last block of the base
         """
-        surface = self._scene.surface
+        surface, side = self._scene.surface, self._blueprint.side
         (x0, y0), (x1, y1) = first.mean, last.mean
         over = Footprint.rectangle(
-            (self._blueprint.side, self._length_above(self._blueprint.layers[0][-1])),
+            (side, self._blueprint.length_above(self._blueprint.layers[0][-1], self._blocks)),
             Pose.planar((x0 + x1) / 2.0, (y0 + y1) / 2.0, 0.0, math.atan2(y1 - y0, x1 - x0) - math.pi / 2.0),
         )
-        return float(surface.heights(over.points).max()) < surface.level + 0.8 * self._blueprint.side
+        return float(surface.heights(over.points).max()) < surface.level + 0.8 * side
+
+
+class TowerBuilder(Builder):
+    """Builder of a tower of cubes, with a different block on top or without, by closed-loop waypoints.
+
+    The cube nearest to the gripper is grasped next. While a cube is grasped, the nearest tower is extended.
+    The plan is therefore visible and does not change while the gripper moves.
+    """
+
+    _lies_on = staticmethod(on_top)
+
+    def plan(self) -> Iterator[Waypoint]:
+        """Yield the waypoints of the next block."""
+        scene, held = self._scene, self._scene.held
+        if held is None:
+            block = self._next
+            yield from grasp_object(scene, block, self._yaw(block), self._symmetry(block))
+        elif self.placed and self._open_position(held) is not None:
+            below = list(self.placed.values())[-1]
+            rotation = wrap_angle(self._yaw(below) - self._yaw(held), math.pi / 2.0)
+            height = scene.world.top(below.body) + RELEASE
+            yield from place_object(scene, held, below.pose.position, height, rotation)
+        else:
+            spot = most_free_point(scene, held)
+            yield from place_object(scene, held, spot, scene.surface.height(spot) + RELEASE)
+
+    @cached_property
+    def placed(self) -> Placed:
+        """The highest tower; of equal ones the nearest while a block is grasped, else the farthest."""
+        nearest_first = sorted(self._cubes, key=self._distance)
+        bases = nearest_first if self._scene.held is not None else reversed(nearest_first)
+        towers = (self._tower(cube) for cube in bases if not is_held(self._scene, cube))
+        best = max(towers, key=lambda tower: (len(tower), self._leaves_space(tower)), default=[])
+        return dict(zip(self._blueprint.positions, best, strict=False))
+
+    @property
+    def _cubes(self) -> Sequence[SceneObject]:
+        return self._blocks[self._blueprint.positions[0].kind]
+
+    def _tower(self, base: SceneObject) -> list[SceneObject]:
+        """Return a cube and, if it is on the surface, the cubes on it."""
+        tower = [base]
+        while on_surface(self._scene, base) and (above := self._above(tower[-1])) in self._cubes:
+            tower.append(above)
+        return tower
+
+    def _leaves_space(self, tower: Sequence[SceneObject]) -> bool:
+        """Return True if the block on top can be grasped next to a tower of any height."""
+        top = self._blocks[self._blueprint.positions[-1].kind][0]
+        if top in self._cubes or is_held(self._scene, top):
+            return True
+        gripper = self._scene.robot.model.gripper
+        reach = max(gripper.palm[0] / 2.0, gripper.half_width()) + tower[0].spec.planar_radius
+        return planar_distance(tower[0].pose.position, top.pose.position) > reach
+
+    def _preference(self, block: SceneObject, there: Sequence[SceneObject]) -> tuple[float, ...]:
+        return (self._distance(block),)
+
+    def _distance(self, block: SceneObject) -> float:
+        return planar_distance(block.pose.position, self._scene.robot.pose.position)
+
+    def _yaw(self, block: SceneObject) -> float:
+        return side_yaw(block.pose) if block in self._cubes else block.pose.yaw
+
+    def _symmetry(self, block: SceneObject) -> float:
+        return math.pi / 2.0 if block in self._cubes else math.pi
 
 
 def _bottom(block: SceneObject) -> Pose:

@@ -7,7 +7,6 @@ its horizontal sides, and the origin is where the block is best grasped with fin
 import itertools
 import math
 from collections.abc import Iterator, Sequence
-from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -43,8 +42,6 @@ FINGER_CLEARANCE = 0.002
 """Gap (m) between the open fingers and other objects."""
 TIP_CLEARANCE = 0.0015
 """Gap (m) between the fingertips and the surface below them."""
-SWEEP = np.concatenate([sign * np.linspace(0.3, 1.0, 12) for sign in (-1.0, 1.0)])
-"""Positions below the closing fingers at which the surface is evaluated, relative to the open fingers."""
 OPENING_PLAY = 0.008
 """Smallest difference (m) between the stroke and the side of a block that is grasped along its length."""
 LIFTS = (0.0, 0.15, 0.3)
@@ -63,6 +60,14 @@ SKEWS = (0.0, 0.5, -0.5)
 """Yaws (rad) of tilted grasps relative to the block's sides: the block rotates as the fingers close."""
 CANDIDATES = 4
 """Number of candidate grasps to sample from, so that a retry after a slip uses a different grasp."""
+ACROSS = np.linspace(-0.5, 0.5, 5)
+"""Positions of evaluated surface points across the opening, relative to the width of the palm or finger."""
+PALM_POINTS = np.array([(x, y, 0.0) for y in ACROSS for x in np.linspace(-0.5, 0.5, 11)])
+"""Points below a palm at which the surface is evaluated, (n, 3), relative to its length and width."""
+FINGER_POINTS = np.array(
+    [(side * x, y, 0.0) for y in ACROSS for side in (-1.0, 1.0) for x in np.linspace(0.3, 1.0, 12)]
+)
+"""Points below the closing fingers, (n, 3), relative to the open fingers' outer side and width."""
 NEAREST_STOP = Pose((0.0, 0.0, MOTION.stops[-1][0]))
 """Nearest pose from which open-loop control begins a pick or place, in the frame of its target."""
 
@@ -288,7 +293,7 @@ def palm_fits(scene: Scene, pose: Pose, obj: SceneObject) -> bool:
         return True
     length, width, _ = gripper.palm
     root = gripper.finger[2]
-    under = _lattice(length, width, root) @ matrix(pose).T + pose.position
+    under = (PALM_POINTS * (length, width, 0.0) + (0.0, 0.0, root)) @ matrix(pose).T + pose.position
     if (scene.surface.heights(under[:, :2]) + PALM_CLEARANCE > under[:, 2]).any():
         return False
     outline = Footprint.rectangle((length, width), Pose((0.0, 0.0, 0.0)))
@@ -312,19 +317,12 @@ def _footprint_above(obj: SceneObject, pose: Pose, height: float) -> Footprint:
     return Footprint(np.concatenate([above, start + share * (end - start)])[:, :2])
 
 
-@lru_cache(maxsize=4)
-def _lattice(length: float, width: float, height: float) -> FloatArray:
-    """Return points below a palm, (n, 3) m in the tool frame."""
-    along, across = np.meshgrid(length * np.linspace(-0.5, 0.5, 11), width * np.linspace(-0.5, 0.5, 5))
-    return np.stack([along.ravel(), across.ravel(), np.full(along.size, height)], axis=1)
-
-
 def fingers_fit(scene: Scene, pose: Pose, obj: SceneObject) -> bool:
     """Return True if the fingers can close, from open, at a pose and touch nothing except an object."""
     gripper = scene.robot.model.gripper
     thickness, width, _ = gripper.finger
     far = gripper.half_width()
-    tips = _swept(far, width) @ matrix(pose).T + pose.position
+    tips = FINGER_POINTS * (far, width, 0.0) @ matrix(pose).T + pose.position
     if (scene.surface.heights(tips[:, :2]) + TIP_CLEARANCE > tips[:, 2]).any():
         return False
     fingers = [pose.compose(Pose((side * (far - thickness / 2.0), 0.0, 0.0))) for side in (1.0, -1.0)]
@@ -334,14 +332,3 @@ def fingers_fit(scene: Scene, pose: Pose, obj: SceneObject) -> bool:
         for other in _others(scene, obj, float(tips[:, 2].min()))
         for base, z in bases
     )
-
-
-@lru_cache(maxsize=16)
-def _swept(far: float, width: float) -> FloatArray:
-    """Return points below the closing fingers, (n, 3) m in the tool frame.
-
-    :param far: position of the open fingers' outer sides (m)
-    :param width: width of a finger (m)
-    """
-    along, across = np.meshgrid(far * SWEEP, width * np.linspace(-0.5, 0.5, 5))
-    return np.stack([along.ravel(), across.ravel(), np.zeros(along.size)], axis=1)

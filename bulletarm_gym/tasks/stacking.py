@@ -7,8 +7,7 @@ import numpy as np
 
 from bulletarm_gym.config import CLOSE_LOOP, EnvConfig, ParameterError
 from bulletarm_gym.experts.approach import PASSING
-from bulletarm_gym.experts.builder import Builder
-from bulletarm_gym.experts.towers import TowerBuilder
+from bulletarm_gym.experts.builder import Builder, TowerBuilder
 from bulletarm_gym.objects import cube
 from bulletarm_gym.objects.blocks import CUBE_SIZE
 from bulletarm_gym.scene import Scene

@@ -9,8 +9,8 @@ import numpy as np
 
 from bulletarm_gym.config import CLOSE_LOOP, OPEN_LOOP, EnvConfig, TaskDefaults
 from bulletarm_gym.experts import Waypoint
-from bulletarm_gym.experts.blueprint import Blocks, Blueprint
-from bulletarm_gym.experts.builder import BUILD_TOLERANCE, Builder
+from bulletarm_gym.experts.blueprint import BUILD_TOLERANCE, Blocks, Blueprint
+from bulletarm_gym.experts.builder import Builder
 from bulletarm_gym.objects.blocks import CUBE_SIZE
 from bulletarm_gym.scene import ObjectSlot, Scene, SceneObject, scaled
 from bulletarm_gym.scene.predicates import UPRIGHT, success_at_rest, upright
