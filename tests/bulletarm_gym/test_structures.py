@@ -201,7 +201,7 @@ def test_an_end_that_touches_carries_nothing_central(scene: Scene) -> None:
 
 
 def test_layers_that_cannot_lie_on_each_other_are_refused() -> None:
-    with pytest.raises(ValueError, match="layers must .* got 3 on 2"):
+    with pytest.raises(ValueError, match=r"layers must .* got 3 on 2"):
         Blueprint([["cube"] * 2, ["cube"] * 3], (), CUBE)
 
 
