@@ -49,8 +49,8 @@ EDGE_GAIN = 1.5
 WIDTH_GAIN = 0.02
 """Increase of the quality for contact over the whole width of the fingers."""
 
-Heights = NDArray[np.float32]
-Frame = tuple[float, float, float, float]
+Image = NDArray[np.float32]
+GripFrame = tuple[float, float, float, float]
 """Row and column (pixels) of a gripper's centre, cosine and sine of its yaw."""
 
 
@@ -64,8 +64,8 @@ class ElevationMap:
     :param extent: side of the square (m)
     """
 
-    layers: Heights
-    ground: Heights
+    layers: Image
+    ground: Image
     centre: tuple[float, float]
     extent: float
 
@@ -125,7 +125,7 @@ def find_grasps(
 
 @compiled
 def _search(
-    heights: Heights, owner: IntArray, size: FloatArray, yaws: FloatArray, depths: FloatArray, lowest: float
+    heights: Image, owner: IntArray, size: FloatArray, yaws: FloatArray, depths: FloatArray, lowest: float
 ) -> FloatArray:
     """Return the grasps at every SPACING-th pixel of every object, x and y in pixels.
 
@@ -153,7 +153,7 @@ def _search(
 
 
 @compiled
-def _gather(heights: Heights, owner: IntArray, frame: Frame, between: Heights, whose: IntArray) -> None:
+def _gather(heights: Image, owner: IntArray, frame: GripFrame, between: Image, whose: IntArray) -> None:
     """Write heights (m) and owners between the open fingers, outside the map 0 and -1.
 
     :param between: (lines, columns), across and along the opening
@@ -176,7 +176,7 @@ def _gather(heights: Heights, owner: IntArray, frame: Frame, between: Heights, w
 
 
 @compiled
-def _tops(between: Heights, whose: IntArray, target: int, least: float) -> tuple[float, float]:
+def _tops(between: Image, whose: IntArray, target: int, least: float) -> tuple[float, float]:
     """Return the largest heights (m) of a target and of everything else, at least ``least``."""
     top, others = least, least
     for line in range(between.shape[0]):
@@ -192,7 +192,7 @@ def _tops(between: Heights, whose: IntArray, target: int, least: float) -> tuple
 
 @compiled
 def _evaluate(
-    heights: Heights, between: Heights, frame: Frame, size: FloatArray, tip: float
+    heights: Image, between: Image, frame: GripFrame, size: FloatArray, tip: float
 ) -> tuple[float, float]:
     """Return the position of the target's middle along the opening, and the quality, 0 for no grasp.
 
@@ -223,7 +223,7 @@ def _evaluate(
 
 
 @compiled
-def _ends(line: Heights, least: float) -> tuple[int, int]:
+def _ends(line: Image, least: float) -> tuple[int, int]:
     """Return the first and the last index of a line above a height (m), (-1, -1) if there is none."""
     first, last = 0, len(line) - 1
     while first <= last and line[first] <= least:
@@ -236,7 +236,7 @@ def _ends(line: Heights, least: float) -> tuple[int, int]:
 
 
 @compiled
-def _fingers_pass(heights: Heights, frame: Frame, middle: float, size: FloatArray, limit: float) -> bool:
+def _fingers_pass(heights: Image, frame: GripFrame, middle: float, size: FloatArray, limit: float) -> bool:
     """Return True if no height below the two open fingers exceeds a limit (m)."""
     lines = int(size[2]) + 2
     for step in range(int(np.ceil(size[1] + 2.0 * size[3])) + 1):

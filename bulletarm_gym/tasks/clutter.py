@@ -18,7 +18,7 @@ from bulletarm_gym.control import GraspParams
 from bulletarm_gym.experts import CLOSED, OPEN, Waypoint
 from bulletarm_gym.experts.approach import ALIGNED, ALIGNED_YAW, HOVER, rotates
 from bulletarm_gym.experts.grasp_sampling import DEPTHS, YAWS, ElevationMap, find_grasps
-from bulletarm_gym.experts.singulation import singulate
+from bulletarm_gym.experts.pushing import singulate
 from bulletarm_gym.geometry import (
     IDENTITY,
     FloatArray,

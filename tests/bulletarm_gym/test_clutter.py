@@ -10,7 +10,7 @@ import pytest
 
 from bulletarm_gym.config import LIFT_HEIGHT
 from bulletarm_gym.env import ManipulationEnv
-from bulletarm_gym.experts.singulation import end_to_push
+from bulletarm_gym.experts.pushing import end_to_push
 from bulletarm_gym.geometry import Pose
 from bulletarm_gym.objects.graspables import graspables
 from bulletarm_gym.simulation.shapes import wavefront

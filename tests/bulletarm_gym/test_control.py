@@ -77,7 +77,7 @@ def test_control_modules_use_public_attributes_and_no_scene(path: Path) -> None:
     nodes = list(ast.walk(ast.parse(path.read_text(encoding="utf-8"))))
     imported = {node.module or "" for node in nodes if isinstance(node, ast.ImportFrom)}
     rooms = {name.split(".")[1] for name in imported if name.startswith("bulletarm_gym.")}
-    assert not rooms & {"scene", "simulation", "objects", "relations", "placement", "experts", "tasks"}
+    assert not rooms & {"scene", "simulation", "objects", "experts", "tasks"}
     attributes = [node for node in nodes if isinstance(node, ast.Attribute)]
     private = [
         node.attr
