@@ -63,7 +63,8 @@ class Blueprint:
         self._upright = upright
         self.layers: list[tuple[Position, ...]] = []
         for layer in layers:
-            self.layers.append(tuple(_positions(layer, len(self.layers), self.layers[-1:])))
+            below = self.layers[-1] if self.layers else ()
+            self.layers.append(tuple(_positions(layer, len(self.layers), below)))
 
     @property
     def positions(self) -> list[Position]:
@@ -176,11 +177,8 @@ def is_long(block: SceneObject) -> bool:
     return block.spec.extents[1] > LONG * block.spec.extents[0]
 
 
-def _positions(
-    layer: Sequence[str], number: int, before: Sequence[tuple[Position, ...]]
-) -> Iterator[Position]:
-    """Yield a layer's positions above the layer before, if there is one."""
-    below = before[0] if before else ()
+def _positions(layer: Sequence[str], number: int, below: tuple[Position, ...]) -> Iterator[Position]:
+    """Yield a layer's positions above the layer below, if there is one."""
     overlap = len(below) - len(layer) + 1
     if below and overlap < 1 < len(below):
         raise ValueError(

@@ -173,13 +173,10 @@ class BoxPalletizing(Task):
 
     def _correct(self, scene: Scene) -> list[SceneObject]:
         """Return the correctly placed boxes: those of a layer count while all layers below are full."""
-        layers: list[list[SceneObject]] = [[] for _ in range(self._layers)]
-        for box in loose_objects(scene):
-            layer = None if box is scene.held else self._layer(scene, box)
-            if layer is not None and layer < len(layers):
-                layers[layer].append(box)
+        found = [(self._layer(scene, box), box) for box in loose_objects(scene) if box is not scene.held]
         correct: list[SceneObject] = []
-        for number, boxes in enumerate(layers):
+        for number in range(self._layers):
+            boxes = [box for layer, box in found if layer == number]
             if len(correct) == number * LAYER and len(boxes) <= LAYER:
                 correct += boxes
         return correct
