@@ -1,10 +1,9 @@
 """Planning of the next block of a structure: the expert of all tasks with a blueprint."""
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from functools import cached_property
-from typing import ClassVar
 
 import numpy as np
 
@@ -47,8 +46,6 @@ class Builder:
     :param blocks: blocks by kind
     :param rng: samples positions of blocks that are put aside and of the structure
     """
-
-    _lies_on: ClassVar[Callable[[Scene, SceneObject, SceneObject], bool]] = staticmethod(rests_on)
 
     def __init__(self, scene: Scene, blueprint: Blueprint, blocks: Blocks, rng: np.random.Generator) -> None:
         self._scene = scene
@@ -137,7 +134,7 @@ class Builder:
     def _misplaced(self, placed: Placed) -> Iterator[SceneObject]:
         """Yield the blocks that lie on the placed blocks and do not belong there."""
         for obj in self._loose(placed):
-            if any(self._lies_on(self._scene, below, obj) for below in placed.values()):
+            if any(self._lies_on(below, obj) for below in placed.values()):
                 yield obj
 
     def _loose(self, placed: Placed) -> list[SceneObject]:
@@ -177,7 +174,10 @@ class Builder:
 
     def _above(self, block: SceneObject) -> SceneObject | None:
         free = (other for other in self._scene if other is not block and not is_held(self._scene, other))
-        return next((other for other in free if self._lies_on(self._scene, block, other)), None)
+        return next((other for other in free if self._lies_on(block, other)), None)
+
+    def _lies_on(self, bottom: SceneObject, top: SceneObject) -> bool:
+        return rests_on(self._scene, bottom, top)
 
     def _open_position(self, block: SceneObject) -> Position | None:
         """Return the position at which the grasped block can be placed now."""
@@ -307,8 +307,6 @@ class TowerBuilder(Builder):
     The plan is therefore visible and does not change while the gripper moves.
     """
 
-    _lies_on = staticmethod(on_top)
-
     def plan(self) -> Iterator[Waypoint]:
         """Yield the waypoints of the next block."""
         scene, held = self._scene, self._scene.held
@@ -340,8 +338,10 @@ class TowerBuilder(Builder):
     def _tower(self, base: SceneObject) -> list[SceneObject]:
         """Return a cube and, if it is on the surface, the cubes on it."""
         tower = [base]
-        while on_surface(self._scene, base) and (above := self._above(tower[-1])) in self._cubes:
+        above = self._above(base) if on_surface(self._scene, base) else None
+        while above is not None and above in self._cubes:
             tower.append(above)
+            above = self._above(above)
         return tower
 
     def _leaves_space(self, tower: Sequence[SceneObject]) -> bool:
@@ -352,6 +352,9 @@ class TowerBuilder(Builder):
         gripper = self._scene.robot.model.gripper
         reach = max(gripper.palm[0] / 2.0, gripper.half_width()) + tower[0].spec.planar_radius
         return planar_distance(tower[0].pose.position, top.pose.position) > reach
+
+    def _lies_on(self, bottom: SceneObject, top: SceneObject) -> bool:
+        return on_top(self._scene, bottom, top)
 
     def _preference(self, block: SceneObject, there: Sequence[SceneObject]) -> tuple[float, ...]:
         return (self._distance(block),)
