@@ -61,7 +61,7 @@ STRUCTURES = {
 """The seven tasks that build a structure of blocks."""
 PACKAGING = {
     "BinPacking": "packing:BinPacking",
-    "BottleArrangement": "arranging:BottleArrangement",
+    "BottleArrangement": "packing:BottleArrangement",
     "BoxPalletizing": "palletizing:BoxPalletizing",
     "CovidTest": "covid:CovidTest",
 }

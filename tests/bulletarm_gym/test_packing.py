@@ -11,8 +11,7 @@ from bulletarm_gym.geometry import Footprint, Pose
 from bulletarm_gym.objects.bottles import TRAY
 from bulletarm_gym.objects.packing import BIN, BIN_WALL
 from bulletarm_gym.scene.sampling import footprint
-from bulletarm_gym.tasks.arranging import tray_positions
-from bulletarm_gym.tasks.packing import FreeSpace
+from bulletarm_gym.tasks.packing import FreeSpace, tray_positions
 
 Make = Callable[..., ManipulationEnv]
 
