@@ -65,8 +65,9 @@ class Control(ABC, Generic[Move]):
     """Maps actions to motions of the robot; an action has one number in [-1, 1] per character of
     ``action_sequence``.
 
-    It uses only what a real robot knows: the action, the last observation, the measurements of its own joints
-    and gripper. The environment constructs a subclass with ``(config, robot, grasp_params)``.
+    It uses only quantities that are available on a real robot: the action, the last observation, the
+    measurements of joints and gripper. The environment constructs a subclass with the arguments
+    ``(config, robot, grasp_params)``.
 
     :param config: the environment's parameters
     :param robot: the robot that executes the moves

@@ -9,7 +9,7 @@ from bulletarm_gym.robots import Robot
 class RobotInterface:
     """Commands and measurements of a robot, without the poses of objects.
 
-    It offers what a real robot offers. Poses are those of the fingertips in the world (m).
+    Poses are of the fingertips in the world (m).
 
     :param robot: the simulated robot
     :param settle: function that simulates until loose objects are at rest

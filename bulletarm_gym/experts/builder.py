@@ -324,7 +324,7 @@ class TowerBuilder(Builder):
 
     @cached_property
     def placed(self) -> Placed:
-        """The highest tower; of equal ones the nearest while a block is grasped, else the farthest."""
+        """The highest tower; of equal ones the nearest while a block is grasped, else the most distant."""
         nearest_first = sorted(self._cubes, key=self._distance)
         bases = nearest_first if self._scene.held is not None else reversed(nearest_first)
         towers = (self._tower(cube) for cube in bases if not is_held(self._scene, cube))

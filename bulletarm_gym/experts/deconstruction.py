@@ -26,7 +26,7 @@ def deconstruct(scene: Scene, rng: np.random.Generator) -> list[Waypoint]:
 
     :param scene: scene whose loose objects are the structure
     :param rng: samples the order of blocks at the same level and their new poses
-    :return: picks and places, in turn, that build the structure again; they may fail
+    :return: alternating picks and places that build the structure again; they may fail
     :raises PlacementError: the surface has no space for a block
     """
     remaining = loose_objects(scene)

@@ -47,7 +47,7 @@ OPENING_PLAY = 0.008
 LIFTS = (0.0, 0.15, 0.3)
 """Heights of grasps above a block's centre, relative to the block's height."""
 OVERHANG = 0.005
-"""Distance (m) by which a palm may be wider than the open fingers without a check of its own."""
+"""Distance (m) by which a palm may be wider than the open fingers without a collision check."""
 PALM_CLEARANCE = 0.004
 """Gap (m) between a palm and other objects or the surface."""
 LEANS = (0.0, -0.15, 0.15, -0.3, 0.3, -0.45, 0.45)

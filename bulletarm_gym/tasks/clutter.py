@@ -116,7 +116,7 @@ class ObjectGrasping(Lift):
         specs, scales = object_set(config.object_set), config.scales
         if len(specs) < config.num_objects:
             raise ValueError(
-                f"num_objects: got {config.num_objects}, takes at most {len(specs)} with this object_set"
+                f"num_objects must be at most {len(specs)} with this object_set, got {config.num_objects}"
             )
         return [
             ObjectSlot(spec.name, (resized(spec, scales[n % len(scales)]),)) for n, spec in enumerate(specs)
@@ -288,7 +288,7 @@ def _approach(scene: Scene, elevation: ElevationMap, target: Pose) -> Waypoint:
     distance = planar_distance(target.position, tool.position)
     if distance < ALIGNED and abs(rotation) < ALIGNED_YAW and abs(target.z - tool.z) < DEEP:
         return Waypoint(Pose.planar(*target.position, tool.yaw + rotation), OPEN, finish=CLOSED)
-    # The distance after this step, which may not descend all the way if it is long.
+    # The distance that remains after this step limits the descent.
     dx, dy = (
         _excess(goal - now, scene.max_translation) for goal, now in ((target.x, tool.x), (target.y, tool.y))
     )

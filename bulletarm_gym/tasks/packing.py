@@ -123,7 +123,7 @@ class BinPacking(Task):
 class FreeSpace:
     """Search for a release pose in the bin, without collisions of the grasped block and the open fingers.
 
-    All coordinates are in the bin's frame; positions are those of the fingertips.
+    All coordinates are in the bin's frame, and positions refer to the fingertips.
 
     :param scene: scene with the bin
     :param held: the grasped block
@@ -155,8 +155,8 @@ class FreeSpace:
     def _lowest(self, yaw: float, needs_fingers: bool) -> tuple[tuple[float, ...], Pose] | None:
         """Return a key for comparison and the pose of the lowest release at a yaw.
 
-        :param needs_fingers: require space for the fingers; if False, the block is released above what they
-            would touch
+        :param needs_fingers: require space for the fingers; if False, the block is released higher if they
+            would touch an object
         """
         low, high = self._outline(yaw)
         rest = self._highest(low, high, math.inf)

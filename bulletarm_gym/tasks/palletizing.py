@@ -72,7 +72,7 @@ class BoxPalletizing(Task):
         max_steps=40,
         object_scale=0.8,
         allowed_objects=(LAYER, 2 * LAYER, 3 * LAYER),
-        tray=TrayUse((False,), "the pallet and a box beside it do not fit into the tray"),
+        tray=TrayUse((False,), "the pallet and a box next to it do not fit into the tray"),
         close_loop={"max_steps": 400, "workspace": WIDE},
     )
     controls = (OPEN_LOOP, CLOSE_LOOP)
@@ -172,7 +172,7 @@ class BoxPalletizing(Task):
         return next((box for box in wrong if is_top(box, boxes)), highest)
 
     def _correct(self, scene: Scene) -> list[SceneObject]:
-        """Return the correctly placed boxes: those of a layer count while all layers below are full."""
+        """Return the correctly placed boxes, of a layer only if all layers below are full."""
         found = [(self._layer(scene, box), box) for box in loose_objects(scene) if box is not scene.held]
         correct: list[SceneObject] = []
         for number in range(self._layers):

@@ -93,7 +93,7 @@ class Structure(Task):
     def block(self, config: EnvConfig, name: str, kind: str, number: int) -> ObjectSlot:
         """Return the slot of one block.
 
-        :param number: number of the block among those of its kind, from 0
+        :param number: number of the block within its kind, from 0
         """
         return scaled(config, name, self.kinds[kind])
 

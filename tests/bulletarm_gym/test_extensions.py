@@ -196,7 +196,7 @@ def test_registered_objects_reach_a_task_of_ours() -> None:
         (["my_objects:empty"], "^object_set: object 'my_objects:empty': pieces must be at least one piece"),
         (["my_objects:flat"], "^object_set: object 'my_objects:flat': sides must be positive"),
         (["pallet"], "^object_set: 'pallet' stands fixed"),
-        (["cube"], "takes at most 1 with this object_set"),
+        (["cube"], "at most 1 with this object_set"),
     ],
 )
 def test_sets_of_kinds_that_cannot_be(kinds: list[str], reason: str) -> None:
