@@ -81,8 +81,8 @@ class CloseLoop(Control[DeltaMove]):
     def apply(self, move: DeltaMove) -> Outcome:
         """Execute a move: the arm first, then the gripper.
 
-        At a joint limit the gripper moves to the nearest yaw inside the limits. A move to a position out of reach
-        is ignored.
+        At a joint limit the gripper moves to the nearest yaw inside the limits. A move to a position out of
+        reach is ignored.
         """
         tool = self.robot.pose
         x, y, z = self.within(map(sum, zip(tool.position, move.translation, strict=True)))
