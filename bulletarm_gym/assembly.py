@@ -6,7 +6,7 @@ from typing import Any
 from bulletarm_gym.config import EnvConfig
 from bulletarm_gym.control import find_control
 from bulletarm_gym.extensions import OBJECTS, find_class
-from bulletarm_gym.feasibility import checked_roles
+from bulletarm_gym.feasibility import checked_slots
 from bulletarm_gym.robots import ROBOTS, RobotModel, find_robot
 from bulletarm_gym.scene import Scene
 from bulletarm_gym.surfaces import find_surface, make_surface
@@ -76,7 +76,7 @@ def make_scene(config: EnvConfig, robots: Mapping[str, RobotModel], surface: str
     """
     ground = make_surface("tray" if config.close_loop_tray else surface, config.workspace, task.site)
     robot = robots.get(config.robot) or find_robot(config.robot)
-    return Scene(config, robot, ground, checked_roles(task.bodies(config), task))
+    return Scene(config, robot, ground, checked_slots(task.bodies(config), task))
 
 
 def _is_object(value: Any) -> bool:

@@ -209,7 +209,7 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         info = self._evaluate(outcome.ignored)
         success, valid = info["is_success"], info["is_valid"]
         reward = finite_reward(self._reward(self.scene, info), self._reward) if valid else 0.0
-        terminated = success or not valid or self.task.one_decision
+        terminated = success or not valid or self.task.single_step
         truncated = not terminated and self._steps >= self.config.max_steps
         self._ended = terminated or truncated
         self._view = self.look()

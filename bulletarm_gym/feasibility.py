@@ -92,11 +92,11 @@ def check_spans(config: EnvConfig, own: EnvConfig, scene: Scene, task: Task) -> 
         return
     stroke = scene.robot.model.gripper.stroke
     for item in task.grasped(scene):
-        width = max(_narrowest(spec) for spec in item.role.variants)
+        width = max(_narrowest(spec) for spec in item.slot.variants)
         if width + GRASP_PLAY > stroke:
             takes = (
                 f"one that the gripper of robot={config.robot!r} spans: it opens to {stroke:.4g} m, "
-                f"{item.role.name!r} gets {width:.4g} m wide"
+                f"{item.slot.name!r} gets {width:.4g} m wide"
             )
             raise ParameterError.of("object_scale_range", config.object_scale_range, takes)
 
@@ -109,7 +109,7 @@ def _check_set(config: EnvConfig, scene: Scene) -> None:
     if config.object_set is None:
         return
     stroke = scene.robot.model.gripper.stroke
-    widths = {item.role.name: max(map(_narrowest, item.role.variants)) for item in scene.objects}
+    widths = {item.slot.name: max(map(_narrowest, item.slot.variants)) for item in scene.objects}
     wide = [f"{name} is {width:.4g} m wide" for name, width in widths.items() if width + GRASP_PLAY > stroke]
     if wide:
         takes = f"objects that the gripper of robot={config.robot!r} spans: it opens to {stroke:.4g} m, "
@@ -134,13 +134,13 @@ def check_room(config: EnvConfig, own: EnvConfig, scene: Scene, task: Task, cont
     if not changed:
         return
     failures = 0
-    for number in range(task.rehearsals):
+    for number in range(task.feasibility_trials):
         reason = _rehearse(scene, task, control, np.random.default_rng(number))
         failures += reason is not None
-        if 2 * failures > task.rehearsals:
+        if 2 * failures > task.feasibility_trials:
             takes = f"one that leaves room: {_wish(config)} has none; {reason}"
             raise ParameterError.of(changed[0], getattr(config, changed[0]), takes)
-        if 2 * (number + 1 - failures) >= task.rehearsals:
+        if 2 * (number + 1 - failures) >= task.feasibility_trials:
             break
     scene.clear(np.random.default_rng(0))
 
@@ -150,7 +150,7 @@ def _rehearse(scene: Scene, task: Task, control: Control[Any], rng: np.random.Ge
     scene.clear(rng)
     sizes = len(scene.config.scales)
     for item in scene.objects:
-        shapes, rest = divmod(len(item.role.variants), sizes)
+        shapes, rest = divmod(len(item.slot.variants), sizes)
         if rest == 0:  # the larger, the later
             shape = item.choices[item.variant] % shapes
             item.variant = max(n for n, place in enumerate(item.choices) if place % shapes == shape)
@@ -192,21 +192,21 @@ def checked_options(options: Mapping[str, Any] | None, task: Task) -> dict[str, 
     return dict(given)
 
 
-def checked_roles(roles: Any, task: Task) -> Sequence[ObjectSlot]:
-    """Return the roles of a task's ``bodies()``.
+def checked_slots(slots: Any, task: Task) -> Sequence[ObjectSlot]:
+    """Return the slots of a task's ``bodies()``.
 
     :raises ValueError: they are something else, or two have one name
     """
-    if not isinstance(roles, Sequence) or not all(isinstance(role, ObjectSlot) for role in roles):
-        raise ValueError(f"bodies() of {type(task).__name__} must return a list of roles, got {roles!r}")
-    names = [role.name for role in roles]
+    if not isinstance(slots, Sequence) or not all(isinstance(slot, ObjectSlot) for slot in slots):
+        raise ValueError(f"bodies() of {type(task).__name__} must return a list of slots, got {slots!r}")
+    names = [slot.name for slot in slots]
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
         raise ValueError(
-            f"bodies() of {type(task).__name__} must return roles with distinct names, "
+            f"bodies() of {type(task).__name__} must return slots with distinct names, "
             f"got {', '.join(map(repr, twice))} more than once"
         )
-    return roles
+    return slots
 
 
 def checked_facts(facts: Mapping[str, Any], task: Task) -> dict[str, bool]:

@@ -56,12 +56,12 @@ def _prefix(control: str, surface: str) -> str:
 STRUCTURES = {
     "BlockStacking": "stacking:BlockStacking",
     **{f"HouseBuilding{number}": f"house:HouseBuilding{number}" for number in (1, 2, 3, 4)},
-    **{f"ImproviseHouseBuilding{n}": f"improvise:ImproviseHouseBuilding{n}" for n in (2, 3)},
+    **{f"ImproviseHouseBuilding{n}": f"house:ImproviseHouseBuilding{n}" for n in (2, 3)},
 }
 """The seven tasks that build a structure of blocks."""
 PACKAGING = {
     "BinPacking": "packing:BinPacking",
-    "BottleArrangement": "arranging:BottleArrangement",
+    "BottleArrangement": "packing:BottleArrangement",
     "BoxPalletizing": "palletizing:BoxPalletizing",
     "CovidTest": "covid:CovidTest",
 }
@@ -85,19 +85,21 @@ PAPER = (
     ),
     *_entries(
         {
-            f"Block{task}": f"{task.lower()}:Block{task}"
-            for task in ("Reaching", "Picking", "Pushing", "Pulling")
+            "BlockReaching": "picking:BlockReaching",
+            "BlockPicking": "picking:BlockPicking",
+            "BlockPushing": "pushing:BlockPushing",
+            "BlockPulling": "pushing:BlockPulling",
         },
         "close_loop",
     ),
-    *_entries({"BlockInBowl": "bowl:BlockInBowl"}, "close_loop"),
+    *_entries({"BlockInBowl": "picking:BlockInBowl"}, "close_loop"),
     Entry(
         "CloseLoopBlockStacking", "bulletarm_gym.tasks.stacking:BlockStacking", "close_loop", defaults=PAIR
     ),
     Entry("CloseLoopHouseBuilding", "bulletarm_gym.tasks.house:HouseBuilding1", "close_loop", defaults=PAIR),
     *_entries(
         {
-            "CornerPicking": "corner:CornerPicking",
+            "CornerPicking": "picking:CornerPicking",
             "DrawerOpening": "drawer:DrawerOpening",
             "ObjectGrasping": "clutter:ObjectGrasping",
         },
@@ -110,12 +112,12 @@ COMPOSED = (
     *_entries(PACKAGING, "close_loop"),
     *_entries({"BlockPicking": "picking:BlockPicking"}, "close_loop", "ramp"),
     *_entries(
-        {"BlockPicking": "picking:BlockPicking", "BlockInBowl": "bowl:BlockInBowl"}, "close_loop", "bump"
+        {"BlockPicking": "picking:BlockPicking", "BlockInBowl": "picking:BlockInBowl"}, "close_loop", "bump"
     ),
 )
 """More of their tasks under close-loop control: those whose expert succeeds in 95 % of episodes or more."""
 OWN = (
-    Entry("OpenLoopBlockSorting", "bulletarm_gym.tasks.sorting:OpenLoopBlockSorting", "open_loop"),
+    Entry("OpenLoopBlockSorting", "bulletarm_gym.tasks.sorting:BlockSorting", "open_loop"),
     Entry("CloseLoopBlockSorting", "bulletarm_gym.tasks.sorting:BlockSorting", "close_loop"),
 )
 """Tasks of our own."""

@@ -1,4 +1,4 @@
-"""How the arm is commanded."""
+"""Controls map actions to motions of the robot."""
 
 from typing import Any
 
@@ -28,14 +28,13 @@ __all__ = [
 
 
 def find_control(name: str) -> type[Any]:
-    """Return the class of a control by its name, ours or registered, or by its path ``"module:Class"``.
+    """Return the class of a control by its registered name or by its path ``"module:Class"``.
 
     :return: a subclass of :class:`Control`, constructed with ``(config, robot, grasp_params)``
-    :raises ValueError: there is no such control
+    :raises ValueError: no such control exists
     """
     found = find_class("control", name, CONTROLS, CONTROL_PATHS, Control)
-    if getattr(found, "kind", None) not in CONTROLS:
-        raise ValueError(
-            f"control: {name} has kind={getattr(found, 'kind', None)!r}, takes one of {tuple(CONTROLS)}"
-        )
+    kind = getattr(found, "kind", None)
+    if kind not in CONTROLS:
+        raise ValueError(f"control: {name} must have a kind of {tuple(CONTROLS)}, got {kind!r}")
     return found

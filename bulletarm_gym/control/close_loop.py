@@ -1,4 +1,4 @@
-"""Close-loop control: each action moves the gripper a little (paper, Close-loop Environments)."""
+"""Closed-loop control: each action moves the gripper by a small step (paper, Close-loop Environments)."""
 
 import math
 from collections.abc import Iterable
@@ -9,24 +9,24 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from bulletarm_gym.config import CLOSE_LOOP, MAX_ROTATION, MAX_TRANSLATION, EnvConfig
-from bulletarm_gym.control.control import POINTS, Control, GraspParams, Outcome, over
+from bulletarm_gym.control.control import Control, GraspParams, Outcome, grid_positions
 from bulletarm_gym.control.interface import RobotInterface
 from bulletarm_gym.geometry import Pose, Rectangle, Vector
 from bulletarm_gym.sensors import Frame, View
 
 VIEW_SCALE = 1.5
-"""Side of the observed square in workspaces: 0.45 m for 0.3 m (paper, Benchmark Details)."""
+"""Ratio of the observed square's side to the workspace's: 0.45 m for 0.3 m (paper, Benchmark Details)."""
 CAMERA_OFFSET = 0.1
 """Height (m) of the virtual camera plane above the fingertips."""
 FINGER_SQUARE = 0.021
-"""Side (m) of the squares that stand for the fingers: 6 of 128 pixels over 0.45 m."""
+"""Side (m) of the squares that show the fingers: 6 of 128 pixels over 0.45 m."""
 YAW_OFFSETS = tuple(sign * step * MAX_ROTATION / 16.0 for step in range(33) for sign in (1.0, -1.0))
-"""Offsets (rad) from the commanded yaw, nearest first, that are tried to stay inside the joint limits."""
+"""Offsets (rad) from the commanded yaw, smallest first, that are tried to stay inside the joint limits."""
 
 
 @dataclass(frozen=True)
 class DeltaMove:
-    """A close-loop action in physical units.
+    """A closed-loop action in physical units.
 
     :param opening: gripper opening ratio, 0 closed to 1 open
     :param translation: of the fingertips (m), along the world's axes
@@ -41,11 +41,11 @@ class DeltaMove:
 class CloseLoop(Control[DeltaMove]):
     """Delta-pose control.
 
-    An action is one number in [-1, 1] a character of ``action_sequence``: p the opening (-1 closed, +1 open),
-    x, y and z the translation, r the rotation; without r the gripper does not turn.
+    The characters of ``action_sequence`` are p, the opening (-1 closed, +1 open), x, y and z, the translation
+    along the world's axes, and r, the rotation. Without r the gripper does not rotate.
 
     :param config: the environment's parameters
-    :param robot: the robot that carries out the moves
+    :param robot: the robot that executes the moves
     :param grasp_params: grasp parameters of the task, not used
     """
 
@@ -56,12 +56,12 @@ class CloseLoop(Control[DeltaMove]):
     """Largest rotation (rad) of an action."""
 
     def __init__(self, config: EnvConfig, robot: RobotInterface, grasp_params: GraspParams) -> None:
-        poses = (Pose.planar(*position) for position in over(config, config.workspace[2], POINTS))
-        super().__init__(config, robot, poses)
+        positions = grid_positions(config, config.workspace[2])
+        super().__init__(config, robot, (Pose.planar(*position) for position in positions))
         self._workspace = config.workspace
         self._extent = VIEW_SCALE * config.workspace_size
-        farthest = {**dict.fromkeys("xyz", self.max_translation), "r": self.max_rotation}
-        self.ranges = {name: (-most, most) for name, most in farthest.items() if name in self.sequence}
+        limits = {**dict.fromkeys("xyz", self.max_translation), "r": self.max_rotation}
+        self.ranges = {name: (-limit, limit) for name, limit in limits.items() if name in self.sequence}
 
     def decode_action(self, action: ArrayLike, view: View) -> DeltaMove:
         """Return the move of an action; numbers outside [-1, 1] are clipped.
@@ -79,16 +79,16 @@ class CloseLoop(Control[DeltaMove]):
         return np.array([value[axis] for axis in self.sequence], dtype=np.float32).clip(-1.0, 1.0)
 
     def apply(self, move: DeltaMove) -> Outcome:
-        """Carry out a move: the arm first, then the gripper.
+        """Execute a move: the arm first, then the gripper.
 
-        At a joint limit the gripper takes the nearest yaw inside the limits. A move whose position is out of
+        At a joint limit the gripper moves to the nearest yaw inside the limits. A move to a position out of
         reach is ignored.
         """
-        hand = self.robot.pose
-        x, y, z = self.within(map(sum, zip(hand.position, move.translation, strict=True)))
-        poses = (Pose.planar(x, y, z, hand.yaw + move.rotation + offset) for offset in YAW_OFFSETS)
+        tool = self.robot.pose
+        x, y, z = self.within(map(sum, zip(tool.position, move.translation, strict=True)))
+        poses = (Pose.planar(x, y, z, tool.yaw + move.rotation + offset) for offset in YAW_OFFSETS)
         pose = next(filter(self.robot.can_move_to, poses), None)
-        return Outcome(ignored=True) if pose is None else self._carry_out(pose, move.opening)
+        return Outcome(ignored=True) if pose is None else self._execute(pose, move.opening)
 
     def within(self, position: Iterable[float]) -> Vector:
         """Return the point (m) of the workspace nearest to a position."""
@@ -98,29 +98,27 @@ class CloseLoop(Control[DeltaMove]):
 
     def go(self, pose: Pose, opening: float) -> Outcome:
         """Move the fingertips to a pose, then the fingers to an opening ratio; ignored if out of reach."""
-        return self._carry_out(pose, opening) if self.robot.can_move_to(pose) else Outcome(ignored=True)
+        return self._execute(pose, opening) if self.robot.can_move_to(pose) else Outcome(ignored=True)
 
-    def _carry_out(self, pose: Pose, opening: float) -> Outcome:
+    def _execute(self, pose: Pose, opening: float) -> Outcome:
         self.robot.move_to(pose)
         self.robot.set_opening(opening)
         return Outcome(ignored=False)
 
     def frame(self) -> Frame:
-        """Return the square around the fingertips along the world's axes, with the squares of the fingers."""
+        """Return the axis-aligned square around the fingertips, with the squares that show the fingers."""
         return tool_frame(self.robot.pose, self.robot.opening, self._extent)
 
 
-def tool_frame(hand: Pose, opening: float, extent: float) -> Frame:
-    """Return a square of a side ``extent`` (m) about the fingertips, which are ``opening`` (m) apart."""
-    return Frame(hand, extent, hand.z + CAMERA_OFFSET, gripper_squares(hand, opening))
+def tool_frame(tool: Pose, opening: float, extent: float) -> Frame:
+    """Return the observed square of side ``extent`` (m) around the fingertips.
 
-
-def gripper_squares(hand: Pose, opening: float) -> tuple[Rectangle, Rectangle]:
-    """Return the squares that stand for the fingers, inner sides ``opening`` (m) apart, turned."""
+    :param opening: distance (m) between the inner sides of the squares that show the fingers
+    """
     offset = (opening + FINGER_SQUARE) / 2.0
-    x, y = offset * math.cos(hand.yaw), offset * math.sin(hand.yaw)
-    first, second = (
-        Rectangle(hand.x + sign * x, hand.y + sign * y, FINGER_SQUARE, FINGER_SQUARE, hand.yaw)
+    x, y = offset * math.cos(tool.yaw), offset * math.sin(tool.yaw)
+    fingers = (
+        Rectangle(tool.x + sign * x, tool.y + sign * y, FINGER_SQUARE, FINGER_SQUARE, tool.yaw)
         for sign in (1.0, -1.0)
     )
-    return first, second
+    return Frame(tool, extent, tool.z + CAMERA_OFFSET, tuple(fingers))

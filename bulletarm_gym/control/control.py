@@ -1,4 +1,4 @@
-"""The contract of a control: what actions mean, how the robot carries them out, what the heightmap shows."""
+"""Base class of controls: decoding and encoding of actions, motion of the robot, observed frame."""
 
 import itertools
 import math
@@ -65,11 +65,12 @@ class Control(ABC, Generic[Move]):
     """Maps actions to motions of the robot; an action has one number in [-1, 1] per character of
     ``action_sequence``.
 
-    It uses only what a real robot knows: the action, the last observation, the measurements of its own joints
-    and gripper. The environment constructs a subclass with ``(config, robot, grasp_params)``.
+    It uses only quantities that are available on a real robot: the action, the last observation, the
+    measurements of joints and gripper. The environment constructs a subclass with the arguments
+    ``(config, robot, grasp_params)``.
 
     :param config: the environment's parameters
-    :param robot: the robot that carries out the moves
+    :param robot: the robot that executes the moves
     :param poses: fingertip poses all over the workspace, of which a minimum share must be in reach
     :raises ParameterError: the home pose or too many of ``poses`` are out of reach
     """
@@ -77,32 +78,20 @@ class Control(ABC, Generic[Move]):
     kind: ClassVar[str]
     """Kind of control, ``"close_loop"`` or ``"open_loop"``, whose tasks and parameters apply."""
     sequences: ClassVar[tuple[str, ...]] = ()
-    """Values of ``action_sequence``, in any order of their characters, the default first; empty for those of
-    the kind."""
+    """Values of ``action_sequence`` in any order of their characters, the default first; empty for the values
+    of the kind."""
 
     ranges: Mapping[str, tuple[float, float]] = MappingProxyType({})
     """Physical values (m, rad) of the numbers -1 and 1, by the name of the number."""
 
     def __init__(self, config: EnvConfig, robot: RobotInterface, poses: Iterable[Pose]) -> None:
-        home = Pose.planar(*config.centre, config.home_height)
-        if not robot.reaches(home):
-            if home.z != default_home_height(config.control, config.workspace):
-                takes = f"a height that robot={config.robot!r} reaches in the middle of the workspace"
-                raise ParameterError.of("home_height", home.z, takes)
-            takes = f"one whose middle robot={config.robot!r} reaches at a height of {home.z:g} m"
-            raise ParameterError.of("workspace", config.workspace, takes)
-        upright: list[Pose] = []
-        tilted: list[Pose] = []
-        for pose in poses:
-            (tilted if pose.tilt > LEVEL_TILT else upright).append(pose)
-        _check_reach(config, robot, upright, MIN_REACH, "an upright")
-        _check_reach(config, robot, tilted, MIN_TILTED_REACH, "a tilted")
         self.robot = robot
         self.sequence = config.action_sequence
         self.memory: Any = None
         """Memory within an episode, part of the environment's state: plain values; None at the start."""
-        self._home = home
         self.action_space = spaces.Box(-1.0, 1.0, (len(self.sequence),), np.float32)
+        self._home = Pose.planar(*config.centre, config.home_height)
+        _check_reach(config, robot, self._home, list(poses))
 
     def numbers(self, action: ArrayLike) -> list[float]:
         """Return an action's numbers, clipped to [-1, 1].
@@ -115,8 +104,8 @@ class Control(ABC, Generic[Move]):
             array = np.empty(0)
         if array.shape != self.action_space.shape or not np.isfinite(array).all():
             raise ValueError(
-                f"action: got {action!r}, takes {len(self.sequence)} finite numbers, "
-                f"one each for {self.sequence!r}"
+                f"action must be {len(self.sequence)} finite numbers, one each for {self.sequence!r}, "
+                f"got {action!r}"
             )
         numbers: list[float] = array.clip(-1.0, 1.0).tolist()
         return numbers
@@ -125,7 +114,7 @@ class Control(ABC, Generic[Move]):
     def decode_action(self, action: ArrayLike, view: View) -> Move:
         """Return the move of an action in physical units; numbers outside [-1, 1] are clipped.
 
-        :param view: last view of the scene, for heights that the action leaves open
+        :param view: last view of the scene, for heights that the action does not specify
         :raises ValueError: the action has the wrong shape or is not finite
         """
 
@@ -139,7 +128,7 @@ class Control(ABC, Generic[Move]):
 
     @abstractmethod
     def apply(self, move: Move) -> Outcome:
-        """Carry out a move."""
+        """Execute a move."""
 
     def follow(self, before: View, after: View, outcome: Outcome) -> None:
         """Update :attr:`memory` after a move that was not ignored.
@@ -159,24 +148,31 @@ class Control(ABC, Generic[Move]):
         """Return the part of the scene that the heightmap shows."""
 
 
-def _check_reach(
-    config: EnvConfig, robot: RobotInterface, poses: list[Pose], least: float, gripper: str
-) -> None:
-    """Check that a minimum share of poses is in reach.
+def _check_reach(config: EnvConfig, robot: RobotInterface, home: Pose, poses: list[Pose]) -> None:
+    """Check that the home pose and a minimum share of poses are in reach.
 
-    :raises ParameterError: it is not
+    :raises ParameterError: they are not
     """
-    far = [pose for pose in poses if not robot.reaches(pose)]
-    if len(far) > (1.0 - least) * len(poses):
-        x, y, z = far[0].position
-        takes = (
-            f"one of which robot={config.robot!r} reaches at least {least:.0%} with {gripper} gripper; "
-            f"it reaches {1.0 - len(far) / len(poses):.0%}, for example not ({x:g}, {y:g}, {z:g})"
-        )
+    if not robot.reaches(home):
+        if home.z != default_home_height(config.control, config.workspace):
+            takes = f"a height that robot={config.robot!r} reaches in the middle of the workspace"
+            raise ParameterError.of("home_height", home.z, takes)
+        takes = f"one whose middle robot={config.robot!r} reaches at a height of {home.z:g} m"
         raise ParameterError.of("workspace", config.workspace, takes)
+    upright = [pose for pose in poses if pose.tilt <= LEVEL_TILT]
+    tilted = [pose for pose in poses if pose.tilt > LEVEL_TILT]
+    for group, least, gripper in ((upright, MIN_REACH, "an upright"), (tilted, MIN_TILTED_REACH, "a tilted")):
+        far = [pose for pose in group if not robot.reaches(pose)]
+        if len(far) > (1.0 - least) * len(group):
+            x, y, z = far[0].position
+            takes = (
+                f"one of which robot={config.robot!r} reaches at least {least:.0%} with {gripper} gripper; "
+                f"it reaches {1.0 - len(far) / len(group):.0%}, for example not ({x:g}, {y:g}, {z:g})"
+            )
+            raise ParameterError.of("workspace", config.workspace, takes)
 
 
-def over(config: EnvConfig, heights: Iterable[float], points: int) -> Iterator[Vector]:
-    """Yield positions (m) all over the workspace, ``points`` a side, the border included, at some heights."""
+def grid_positions(config: EnvConfig, heights: Iterable[float], points: int = POINTS) -> Iterator[Vector]:
+    """Yield positions (m) on a grid over the workspace, ``points`` along each side, at some heights (m)."""
     xs, ys = (np.linspace(low, high, points).tolist() for low, high in config.workspace[:2])
     return itertools.product(xs, ys, heights)

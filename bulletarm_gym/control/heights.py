@@ -6,21 +6,18 @@ Heights are above the zero of the heightmap, in open loop the workspace's floor.
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from scipy.ndimage import label
 
 from bulletarm_gym.geometry import Pose, Rectangle, matrix
-from bulletarm_gym.geometry.compilation import compiled
 from bulletarm_gym.rendering.overlays import rectangle_mask
 from bulletarm_gym.sensors import Map
 
-LEAST_PICK = 0.005
+MIN_PICK_HEIGHT = 0.005
 """Smallest height (m) of a pick."""
 REMOVED = 0.002
 """Smallest decrease (m) of a pixel's height at a pick that shows the absence of the grasped object."""
 GRASP_RADIUS = 0.05
 """Largest distance (m) of the fingertips from the nearest pixel of the grasped object."""
-
-Mask = NDArray[np.bool_]
 
 
 class Grasp(NamedTuple):
@@ -49,14 +46,14 @@ def pick_height(heights: Map, target: Rectangle, depth: float) -> float:
     :param target: area between the fingers
     :param depth: depth (m) of the fingertips below the highest point of the area
     """
-    return max(_highest(heights, target) - depth, LEAST_PICK)
+    return max(_highest(heights, target) - depth, MIN_PICK_HEIGHT)
 
 
 def measure_grasp(before: Map, after: Map, closed_at: Pose) -> Grasp | None:
     """Return the measurements of the grasped object, or None if the heightmaps do not show its absence.
 
     The footprint consists of the connected pixels that the pick lowered. The surface that supported the
-    object, the ground or another object, is the highest of these pixels after the pick.
+    object, the floor or another object, is the highest of these pixels after the pick.
 
     :param before: heightmap before the pick
     :param after: heightmap after the pick, without the grasped object
@@ -70,7 +67,8 @@ def measure_grasp(before: Map, after: Map, closed_at: Pose) -> Grasp | None:
     nearest = int(distances.argmin())
     if distances[nearest] * before.resolution > GRASP_RADIUS:
         return None
-    footprint = _connected(removed, *pixels[nearest].tolist())
+    regions, _ = label(removed, np.ones((3, 3)))
+    footprint = regions == regions[tuple(pixels[nearest])]
     points = before.points(np.argwhere(footprint)) - closed_at.position[:2]
     points = points @ matrix(Pose.planar(0.0, 0.0, 0.0, closed_at.yaw))[:2, :2]
     (x0, y0), (x1, y1) = points.min(axis=0).tolist(), points.max(axis=0).tolist()
@@ -97,19 +95,3 @@ def _highest(heights: Map, area: Rectangle) -> float:
     row, column = heights.pixels(np.array((area.x, area.y))).round().astype(int).clip(0, len(covered) - 1)
     covered[row, column] = True
     return float(heights.heights[covered].max())
-
-
-@compiled
-def _connected(mask: Mask, row: int, column: int) -> Mask:
-    """Return the pixels of a mask that are connected with one of them, over edges or corners."""
-    region = np.zeros_like(mask)
-    region[row, column] = True
-    open_pixels = [(row, column)]
-    while open_pixels:
-        row, column = open_pixels.pop()
-        for i in range(max(row - 1, 0), min(row + 2, len(mask))):
-            for j in range(max(column - 1, 0), min(column + 2, len(mask))):
-                if mask[i, j] and not region[i, j]:
-                    region[i, j] = True
-                    open_pixels.append((i, j))
-    return region

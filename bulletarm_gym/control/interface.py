@@ -1,4 +1,4 @@
-"""The robot as a control commands it."""
+"""Interface of a robot for controls."""
 
 from collections.abc import Callable
 
@@ -9,7 +9,7 @@ from bulletarm_gym.robots import Robot
 class RobotInterface:
     """Commands and measurements of a robot, without the poses of objects.
 
-    It offers what a real robot offers. Poses are those of the fingertips in the world (m).
+    Poses are of the fingertips in the world (m).
 
     :param robot: the simulated robot
     :param settle: function that simulates until loose objects are at rest
@@ -60,7 +60,7 @@ class RobotInterface:
         self._robot.home(pose)
 
     def move_to(self, pose: Pose, careful: bool = True) -> None:
-        """Move to a pose; a blocked arm stops on the way.
+        """Move to a pose; a blocked arm stops early.
 
         :param careful: move slowly where the gripper may push an object
         :raises OutOfReachError: the pose is out of reach
@@ -68,7 +68,7 @@ class RobotInterface:
         self._robot.move_to(pose, careful)
 
     def transfer(self, *poses: Pose) -> None:
-        """Move, over everything in between, to the first of some poses that touches nothing, or to the last.
+        """Move, above everything in between, to the first pose that touches nothing, or to the last pose.
 
         :raises OutOfReachError: a pose is out of reach
         """

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from bulletarm_gym.config import OPEN_LOOP, EnvConfig
-from bulletarm_gym.control.control import POINTS, Control, GraspParams, Outcome, over
+from bulletarm_gym.control.control import Control, GraspParams, Outcome, grid_positions
 from bulletarm_gym.control.heights import Grasp, measure_grasp, pick_height, place_height
 from bulletarm_gym.control.interface import RobotInterface
 from bulletarm_gym.geometry import Pose, Rectangle, Vector, euler_pose
@@ -23,9 +23,9 @@ MAX_Z = 0.3
 MAX_TILT = math.pi / 4.0
 """Largest rotation (rad) about the gripper's y and x axes."""
 TILT = math.pi / 12.0
-"""Tilt (rad) that the robot must reach all over the workspace: the mean slope of ramps."""
+"""Tilt (rad) that must be in reach all over the workspace: the mean slope of ramps."""
 TILTED_Z = (0.02, 0.2)
-"""Heights (m) above the workspace's floor at which the robot must reach that tilt."""
+"""Heights (m) above the workspace's floor at which that tilt must be in reach."""
 ANGLES = ("theta", "phi", "psi")
 
 
@@ -33,10 +33,10 @@ ANGLES = ("theta", "phi", "psi")
 class PickPlaceMotion:
     """Distances (m) of the motion of a pick or place.
 
-    :param stops: from the target to the poses at which the gripper stops; the first entry that is in reach
-        counts. An approach begins, and a retreat ends, at the first stop where the gripper touches nothing,
-        or at the last
-    :param release: by which the fingers open first, so that they do not push what is next to the object
+    :param stops: distances from the target to the poses at which the gripper stops; the first entry whose
+        poses are in reach counts. An approach begins, and a retreat ends, at the first stop where the gripper
+        touches nothing, or at the last
+    :param release: opening at a release before the retreat, so that the fingers do not push other objects
     """
 
     stops: tuple[tuple[float, ...], ...] = ((0.05, 0.1), (0.05,), (0.025,))
@@ -59,7 +59,7 @@ class PickPlace:
 
     :param primitive: ``"pick"`` or ``"place"``
     :param position: of the fingertips (m) in the world
-    :param rotation: theta, phi, psi (rad): about z, then about the turned y, then about the turned x axis
+    :param rotation: theta, phi, psi (rad): about z, then about the rotated y, then about the rotated x axis
     """
 
     primitive: str
@@ -68,7 +68,7 @@ class PickPlace:
 
     @property
     def pose(self) -> Pose:
-        """Of the fingertips in the world."""
+        """Pose of the fingertips in the world."""
         theta, phi, psi = self.rotation
         return euler_pose(self.position, (psi, phi, theta))
 
@@ -76,26 +76,26 @@ class PickPlace:
 class OpenLoop(Control[PickPlace]):
     """Pick and place.
 
-    Of an action p is the primitive (below 0 a pick, else a place), x and y are the target's position in the
-    workspace, z is its height above the floor, and the r's are theta, phi and psi. Without p the gripper
-    picks if it is empty and places if it holds an object. Without z the height follows from heightmaps.
-    Without r the gripper does not rotate.
+    The characters of ``action_sequence`` are p, the primitive (below 0 a pick, else a place), x and y, the
+    target's position in the workspace, z, its height above the floor, and the r's, theta, phi and psi.
+    Without p the gripper picks if it is empty and places if it holds an object. Without z the height follows
+    from heightmaps. Without r the gripper does not rotate.
 
     :param config: the environment's parameters
-    :param robot: the robot that carries out the moves
+    :param robot: the robot that executes the moves
     :param grasp_params: grasp parameters of the task
     """
 
     kind = OPEN_LOOP
 
     def __init__(self, config: EnvConfig, robot: RobotInterface, grasp_params: GraspParams) -> None:
-        floor = config.workspace[2][0]
-        super().__init__(config, robot, _poses(config, floor))
-        self._hints = grasp_params
         self._config = config
-        self._floor = floor
-        self._names = _names(config.action_sequence)
-        self.ranges = _ranges(config)
+        self._grasp_params = grasp_params
+        self._floor = config.workspace[2][0]
+        angles = iter(ANGLES)
+        self._names = [next(angles) if name == "r" else name for name in config.action_sequence]
+        self.ranges = {name: limits for name, limits in _ranges(config).items() if name in self._names}
+        super().__init__(config, robot, _poses(config, self._floor))
 
     # Actions
 
@@ -129,7 +129,7 @@ class OpenLoop(Control[PickPlace]):
         if not low <= theta <= high:
             turns, theta = divmod(theta - low, high - low)
             theta += low
-            # After half a turn the gripper is the same, but its other axes point the other way.
+            # A rotation by pi exchanges the fingers and reverses the gripper's other axes.
             phi, psi = (-phi, -psi) if self._config.half_rotation and turns % 2.0 else (phi, psi)
         value = dict(zip(("x", "y", "z", *ANGLES), (*move.position, theta, phi, psi), strict=True))
         share = {name: (value[name] - low) / (high - low) for name, (low, high) in self.ranges.items()}
@@ -138,14 +138,13 @@ class OpenLoop(Control[PickPlace]):
 
     def _height(self, view: View, places: bool, target: Pose) -> float:
         """Return the height (m) of a target whose action has no z."""
-        grasp_params, heights = self._hints, view.map
-        depth = grasp_params.pick_offset
+        params, depth = self._grasp_params, self._grasp_params.pick_offset
         if places and view.is_holding:
-            # Without measurements, as in a task that starts with a grasped object, it counts as a cube.
+            # A task may start with a grasped object: without measurements it counts as a cube.
             grasp = Grasp(*(self.memory or (depth, 0.0, 0.0, 2.0 * depth, 2.0 * depth)))
-            return self._floor + place_height(heights, target, grasp, grasp_params.place_offset)
-        area = grasp_params.pick_area or (2.0 * depth, 2.0 * depth)
-        return self._floor + pick_height(heights, Rectangle(target.x, target.y, *area, target.yaw), depth)
+            return self._floor + place_height(view.map, target, grasp, params.place_offset)
+        area = params.pick_area or (2.0 * depth, 2.0 * depth)
+        return self._floor + pick_height(view.map, Rectangle(target.x, target.y, *area, target.yaw), depth)
 
     def follow(self, before: View, after: View, outcome: Outcome) -> None:
         """Remember the measurements of the grasped object until the gripper is empty."""
@@ -159,7 +158,7 @@ class OpenLoop(Control[PickPlace]):
     # Motion
 
     def apply(self, move: PickPlace) -> Outcome:
-        """Carry out a pick or a place and move to the home pose.
+        """Execute a pick or a place and move to the home pose.
 
         A pick while holding, a place while empty and a target out of reach are ignored.
         """
@@ -168,52 +167,44 @@ class OpenLoop(Control[PickPlace]):
         if picks == robot.is_holding or not stops:
             return Outcome(ignored=True)
         if picks:
-            self._open(self._hints.opening)
+            self._open(self._grasp_params.opening)
         robot.transfer(*stops)
         robot.move_to(pose)
         closed_at = robot.pose if picks else None
-        (self._grasp if picks else self._release)(stops)
+        if picks:
+            robot.set_opening(0.0)
+        else:
+            self._open(robot.opening + MOTION.release)
+            robot.wait_until_still()
+        self._retreat(stops)
+        if not (picks and robot.is_holding):
+            self._open(self._grasp_params.opening)
         robot.transfer(self._home)
         return Outcome(ignored=False, pick=move.pose if picks else None, closed_at=closed_at)
 
     def _stops(self, pose: Pose) -> list[Pose]:
         """Return the poses behind a target at which the gripper stops, the nearest first.
 
-        They are nearer to the target where the arm does not reach as far. The list is empty if the target is
-        out of reach.
+        The list is empty if the target is out of reach.
         """
-        if not self.robot.reaches(pose):
-            return []
-        for distances in MOTION.stops:
+        for distances in MOTION.stops if self.robot.reaches(pose) else ():
             stops = [pose.compose(Pose((0.0, 0.0, distance))) for distance in distances]
             if all(map(self.robot.reaches, stops)):
                 return stops
         return []
 
     def executed(self, move: PickPlace) -> Pose:
-        """Return the tool pose of a move, within a quarter turn of the home pose under ``half_rotation``.
+        """Return the tool pose of a move, within pi/2 of the home pose under ``half_rotation``.
 
-        The gripper is symmetric, and the wrist has room to either side.
+        The gripper is symmetric, so that its fingers can be exchanged.
         """
         is_far = self._config.half_rotation and move.rotation[0] >= math.pi / 2.0
         return move.pose.compose(HALF_TURN) if is_far else move.pose
 
-    def _grasp(self, stops: Sequence[Pose]) -> None:
-        self.robot.set_opening(0.0)
-        self._withdraw(stops)
-        if not self.robot.is_holding:
-            self._open(self._hints.opening)
-
-    def _release(self, stops: Sequence[Pose]) -> None:
-        self._open(self.robot.opening + MOTION.release)
-        self.robot.wait_until_still()
-        self._withdraw(stops)
-        self._open(self._hints.opening)
-
-    def _withdraw(self, stops: Sequence[Pose]) -> None:
+    def _retreat(self, stops: Sequence[Pose]) -> None:
         """Move back to the first stop at which the gripper touches nothing, or to the last.
 
-        A gripper that was blocked on the way to its target may be behind a stop already.
+        A gripper that did not arrive at its target may be behind a stop already.
         """
         for stop in stops:
             if self.robot.pose.inverse().compose(stop).z > 0.0:
@@ -222,10 +213,8 @@ class OpenLoop(Control[PickPlace]):
                 return
 
     def _open(self, width: float) -> None:
-        """Open the fingers to a distance (m), or as far as they open."""
+        """Open the fingers to a distance (m), at most to the stroke."""
         self.robot.set_opening(min(width / self.robot.stroke, 1.0))
-
-    # Observation
 
     def frame(self) -> Frame:
         """Return the workspace, from its floor up, without the arm and the grasped object."""
@@ -234,33 +223,24 @@ class OpenLoop(Control[PickPlace]):
 
 
 def _poses(config: EnvConfig, floor: float) -> Iterator[Pose]:
-    """Yield the poses at which the reach is checked, at most as high as home: upright, tilted with three r's.
-
-    An action whose pose is out of reach is ignored.
-    """
+    """Yield the poses at which the reach is checked, none above home; with three r's also tilted ones."""
 
     def below_home(*heights: float) -> list[float]:
         return [min(floor + height, config.home_height) for height in heights]
 
-    for position in over(config, below_home(0.0, MOTION.approach, MAX_Z), POINTS):
+    for position in grid_positions(config, below_home(0.0, MOTION.approach, MAX_Z)):
         yield Pose.planar(*position)
     if config.action_sequence.count("r") == len(ANGLES):
-        for position in over(config, below_home(*TILTED_Z), 3):
+        for position in grid_positions(config, below_home(*TILTED_Z), 3):
             for theta, tilt in itertools.product((0.0, math.pi / 2.0), (-TILT, TILT)):
                 yield euler_pose(position, (tilt, 0.0, theta))
                 yield euler_pose(position, (0.0, tilt, theta))
 
 
-def _names(sequence: str) -> list[str]:
-    """Return what each number of an action is; the r's are angles in their order."""
-    angles = iter(ANGLES)
-    return [next(angles) if character == "r" else character for character in sequence]
-
-
 def _ranges(config: EnvConfig) -> dict[str, tuple[float, float]]:
-    """Return what an action's numbers range over (m or rad)."""
+    """Return the ranges (m or rad) of all numbers that an action can have."""
     (x0, x1), (y0, y1), (floor, _) = config.workspace
-    everything = {
+    return {
         "x": (x0, x1),
         "y": (y0, y1),
         "z": (floor, floor + MAX_Z),
@@ -268,5 +248,3 @@ def _ranges(config: EnvConfig) -> dict[str, tuple[float, float]]:
         "phi": (-MAX_TILT, MAX_TILT),
         "psi": (-MAX_TILT, MAX_TILT),
     }
-    names = _names(config.action_sequence)
-    return {name: limits for name, limits in everything.items() if name in names}

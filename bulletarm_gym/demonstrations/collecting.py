@@ -15,7 +15,7 @@ from bulletarm_gym.config import OPEN_LOOP
 from bulletarm_gym.demonstrations import plain
 from bulletarm_gym.demonstrations.episodes import Demonstrations, Episode, Recorder, assemble
 from bulletarm_gym.env import Action, ManipulationEnv, Observation
-from bulletarm_gym.experts.deconstruction import take_apart
+from bulletarm_gym.experts.deconstruction import deconstruct
 from bulletarm_gym.geometry import PlacementError
 from bulletarm_gym.values import check_argument, integer, mapping, optional
 
@@ -121,12 +121,11 @@ def _rebuild(env: ManipulationEnv, seed: int) -> Episode | None:
     """Take the finished structure apart, and put it together again."""
     _, info = env.reset(seed=seed, options={"start": "goal"})
     try:
-        relocations = take_apart(env.scene, np.random.default_rng((seed, TAKING_APART)))
+        waypoints = deconstruct(env.scene, np.random.default_rng((seed, TAKING_APART)))
     except PlacementError:
         return None
     env.scene.begin()
     env.scene.settle()
-    waypoints = (waypoint for relocation in reversed(relocations) for waypoint in relocation.reversed())
     moves = (env.tracker.next_move(iter([waypoint])) for waypoint in waypoints)
     actions = (env.encode_action(move) for move in moves)
     return _play(env, seed, env.observe(), actions) if info["is_success"] else None

@@ -196,7 +196,7 @@ def _poses(env: ManipulationEnv, object_poses: bool) -> list[tuple[str, Feature]
 
     gripper = Feature("float32", (len(GRIPPER),), GRIPPER, read_gripper)
     parts = [
-        f"{item.role.name}.{part}"
+        f"{item.slot.name}.{part}"
         for item in env.scene.objects
         for part in (*POSE, *(f"joint_{number}" for number in range(len(item.spec.parts))))
     ]

@@ -1,4 +1,4 @@
-"""Waypoints for grasping an item from above and putting it down: tools that tasks' experts share."""
+"""Waypoints of grasps from above and of releases under closed-loop control, shared by the tasks' experts."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -6,63 +6,67 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from bulletarm_gym.control.open_loop import HALF_TURN, MOTION
-from bulletarm_gym.experts.waypoints import CLOSED, OPEN, Waypoint
+from bulletarm_gym.experts import CLOSED, OPEN, Waypoint
 from bulletarm_gym.geometry import Pose, matrix, planar_distance, rotate, wrap_angle
 from bulletarm_gym.scene import Scene, SceneObject
 
 ALIGNED = 0.012
-"""Distance (m) in the plane at which the fingers go down beside an item without touching it ..."""
+"""Horizontal distance (m) from a target within which the open fingers can descend around an object."""
 ALIGNED_YAW = 0.25
-"""... and the angle (rad)."""
-HEIGHT_TOLERANCE = 5e-3
-"""Height (m) that the fingertips may lack."""
-HOVER = 0.03
-"""Height (m) of the fingertips over an item while they line up with it."""
+"""Yaw (rad) from a target within which the open fingers can descend around an object."""
 PRECISE = 0.003
-"""Distance (m) from which close-loop control goes down to a pick or place: it may be narrow there."""
+"""Horizontal distance (m) within which closed-loop control descends to an open-loop pick or place."""
+HEIGHT_TOLERANCE = 5e-3
+"""Height (m) below a waypoint at which the fingertips count as arrived."""
+HOVER = 0.03
+"""Height (m) of the fingertips above an object while they are aligned with it."""
 NEARLY_DOWN = 0.01
-"""Height (m) over a pick or place from which the fingers do not go back up to line up anew."""
+"""Height (m) above a target below which the fingers do not rise again to be aligned."""
 READY = 0.9
-"""Opening ratio from which the gripper is ready to grasp."""
+"""Share of the commanded opening from which the gripper is ready to grasp."""
 PASSING = 0.03
-"""Gap (m) between what is carried and what it is carried over: wide, as agents are not so exact."""
+"""Gap (m) between the grasped object and objects below its path; wide, for agents that imitate it."""
 SLANTED = math.radians(8.0)
-"""Slope (rad) from which fingers that come straight down slip off a side."""
+"""Slope (rad) of a side from which vertically descending fingers slip off."""
 RELEASE = 0.003
-"""Gap (m) under an item that is let go."""
+"""Gap (m) below an object at its release."""
 AT_LIMIT = 0.03
-"""Distance (rad) of the last joint from its limit within which the other joints make up for its rotation.
+"""Distance (rad) of the last joint from its limit within which the other joints compensate for its rotation.
 
 Inverse kinematics then ends up to 0.02 rad before the limit, and only at some heights in one straight motion.
 """
 WRIST_MARGIN = 1.0
-"""Rotation (rad) of the last joint beyond that of the gripper, as the arm moves across the workspace."""
+"""Rotation (rad) of the last joint, in addition to the gripper's, as the arm moves across the workspace."""
 PASSING_ASIDE = 0.005
-"""Gap (m) beside the open gripper within which an object is in its way."""
+"""Gap (m) next to the open gripper within which an object obstructs it."""
 
 
 def route(scene: Scene, move: Waypoint, opening: float) -> Iterator[Waypoint]:
-    """Yield the way of close-loop control to a pick or place: up, over what is in between, straight down.
+    """Yield closed-loop waypoints to a pick or place: up, above the objects in between, straight down.
 
-    :param move: with a finish: a pick if that closes the gripper, else a place
-    :param opening: greatest opening ratio that leaves what is beside the fingers alone; a pick may set a
-        smaller one
+    :param move: waypoint with a finish: a pick if that closes the gripper, else a place
+    :param opening: largest opening ratio near other objects; a pick may have a smaller one
     """
     assert move.finish is not None
-    hand, held, goal = scene.robot.pose, scene.held, move.pose
-    if "r" not in scene.config.action_sequence:
-        goal = Pose.planar(*goal.position, hand.yaw)
+    tool, held, goal = scene.robot.pose, scene.held, move.pose
+    if not rotates(scene):
+        goal = Pose.planar(*goal.position, tool.yaw)
     if held is None or move.finish < move.gripper:
-        top = max(goal.z, highest_between(scene, hand.position, goal.position, held))
+        top = max(goal.z, highest_between(scene, tool.position, goal.position, held))
         yield from grasp(scene, goal, top, math.pi, min(opening, move.gripper), PRECISE)
     else:
-        height = goal.z - hand.z + held.lowest
+        height = goal.z - tool.z + held.lowest
         apart = scene.robot.opening_ratio + MOTION.release / scene.robot.model.gripper.stroke
         yield from _carry(scene, held, goal, height, min(apart, opening), PRECISE)
 
 
+def rotates(scene: Scene) -> bool:
+    """Return True if actions rotate the gripper."""
+    return "r" in scene.config.action_sequence
+
+
 def exchange_fingers(scene: Scene, pose: Pose) -> Pose:
-    """Return a tool pose turned by half about the gripper's axis, with the grasped object's middle in place.
+    """Return a tool pose rotated by pi about the gripper's axis, with the same centre of the grasped object.
 
     A parallel gripper is symmetric, and so is every object that experts place.
     """
@@ -73,7 +77,7 @@ def exchange_fingers(scene: Scene, pose: Pose) -> Pose:
 
 
 def avoid_limits(scene: Scene, pose: Pose) -> Pose:
-    """Return a tool pose, or the symmetric one if only that can be reached without meeting a joint limit."""
+    """Return a tool pose, or the symmetric pose if a joint limit blocks all motions to the first."""
     robot = scene.robot
     if robot.wrist_room() > abs(wrap_angle(pose.yaw - robot.pose.yaw)) + WRIST_MARGIN:
         return pose
@@ -84,135 +88,136 @@ def avoid_limits(scene: Scene, pose: Pose) -> Pose:
 def grasp(
     scene: Scene, target: Pose, top: float, symmetry: float, opening: float = OPEN, near: float = ALIGNED
 ) -> Iterator[Waypoint]:
-    """Yield the way to a grasp from wherever the empty gripper is.
+    """Yield the waypoints of a grasp with the empty gripper.
 
-    Straight in where the fingers are above the item for as long as they are not aligned with it, else up,
+    The path is straight while the fingers stay above the object until they are aligned with it, else up,
     across and down.
 
-    :param target: of the fingertips when they close
-    :param top: height (m) of the highest point of the item, or of what is on the way to it
-    :param symmetry: turning the gripper by this angle (rad) gives as good a grasp
-    :param opening: ratio to come in with
-    :param near: distance (m) in the plane at which the fingers may go down
+    :param target: pose of the fingertips when they close
+    :param top: height (m) of the highest point of the object and of all objects on the path
+    :param symmetry: angle (rad) between equivalent yaws of the gripper
+    :param opening: opening ratio of the approach
+    :param near: horizontal distance (m) to the target within which the fingers descend
     """
-    hand = scene.robot.pose
-    turn = wrap_angle(target.yaw - hand.yaw, symmetry)
-    goal = avoid_limits(scene, Pose.planar(*target.position, hand.yaw + turn))
-    turn = wrap_angle(goal.yaw - hand.yaw)
-    apart = max(abs(goal.x - hand.x), abs(goal.y - hand.y))
-    aligned = _is_aligned(goal, hand, turn, near)
+    tool = scene.robot.pose
+    rotation = wrap_angle(target.yaw - tool.yaw, symmetry)
+    goal = avoid_limits(scene, Pose.planar(*target.position, tool.yaw + rotation))
+    rotation = wrap_angle(goal.yaw - tool.yaw)
+    apart = max(abs(goal.x - tool.x), abs(goal.y - tool.y))
+    aligned = _is_aligned(goal, tool, rotation, near)
+    above = _stays_above(scene, apart, rotation, top)
     ready = scene.robot.opening_ratio > READY * opening
     hover = top + HOVER
-    if hand.z < hover - HEIGHT_TOLERANCE and not (
-        (aligned and ready) or _stays_above(scene, apart, turn, top)
-    ):
-        width = opening if hand.z > top else scene.robot.opening_ratio
-        yield Waypoint(Pose.planar(hand.x, hand.y, hover, hand.yaw), width)
-    closes_at_once = not ready and hand.z - goal.z < scene.max_translation
-    if closes_at_once or not (aligned or _stays_above(scene, apart, turn, top)):
+    if tool.z < hover - HEIGHT_TOLERANCE and not ((aligned and ready) or above):
+        width = opening if tool.z > top else scene.robot.opening_ratio
+        yield Waypoint(Pose.planar(tool.x, tool.y, hover, tool.yaw), width)
+    closes_at_once = not ready and tool.z - goal.z < scene.max_translation
+    if closes_at_once or not (aligned or above):
         yield Waypoint(Pose.planar(goal.x, goal.y, hover, goal.yaw), opening)
     yield Waypoint(goal, opening, finish=CLOSED, clear=True)
 
 
-def _is_aligned(goal: Pose, hand: Pose, turn: float, near: float) -> bool:
-    """Whether the fingers may go straight to a goal, from within a distance (m) in the plane.
+def _is_aligned(goal: Pose, tool: Pose, rotation: float, near: float) -> bool:
+    """Return True if the fingers can move straight to a goal from within a horizontal distance (m).
 
-    Close to it they may also where contacts have pushed them aside.
+    Close to the goal the distance may be larger, because contacts push the fingers.
     """
-    apart = planar_distance(goal.position, hand.position)
-    near = ALIGNED if hand.z < goal.z + NEARLY_DOWN else near
-    return apart <= near and abs(turn) <= ALIGNED_YAW * near / ALIGNED
+    near = ALIGNED if tool.z < goal.z + NEARLY_DOWN else near
+    apart = planar_distance(goal.position, tool.position)
+    return apart <= near and abs(rotation) <= ALIGNED_YAW * near / ALIGNED
 
 
-def _stays_above(scene: Scene, apart: float, turn: float, top: float) -> bool:
-    """Return True if moves down of full length leave the fingers above the item until they are aligned."""
+def _stays_above(scene: Scene, apart: float, rotation: float, top: float) -> bool:
+    """Return True if largest moves down leave the fingers above a height until they are aligned."""
     step = scene.max_translation
-    moves = max(math.ceil(apart / step - 1e-6), math.ceil(abs(turn) / scene.max_rotation - 1e-6))
+    moves = max(math.ceil(apart / step - 1e-6), math.ceil(abs(rotation) / scene.max_rotation - 1e-6))
     return scene.robot.pose.z - step * moves >= top - 1e-3
 
 
-def grasp_item(scene: Scene, item: SceneObject, yaw: float, symmetry: float) -> Iterator[Waypoint]:
-    """Yield the way to a grasp about an item's centre of mass, over whatever is in between.
+def grasp_object(scene: Scene, obj: SceneObject, yaw: float, symmetry: float) -> Iterator[Waypoint]:
+    """Yield the waypoints of a grasp at an object's centre of mass, above all objects in between.
 
-    :param yaw: along which the fingers open (rad); the nearest one with room for them is taken
-    :param symmetry: turning the gripper by this angle (rad) gives as good a grasp
+    :param yaw: direction (rad) in which the fingers open; the nearest equivalent one that is free is used
+    :param symmetry: angle (rad) between equivalent yaws of the gripper
     """
-    hand, centre = scene.robot.pose, item.centre_of_mass
-    top = max(scene.world.top(item.body), highest_between(scene, hand.position, centre, item))
-    nearest = hand.yaw + wrap_angle(yaw - hand.yaw, symmetry)
-    if _is_clear(scene, item, nearest) or "r" not in scene.config.action_sequence:
+    tool, centre = scene.robot.pose, obj.centre_of_mass
+    top = max(scene.world.top(obj.body), highest_between(scene, tool.position, centre, obj))
+    nearest = tool.yaw + wrap_angle(yaw - tool.yaw, symmetry)
+    if _is_clear(scene, obj, nearest) or not rotates(scene):
         yield from grasp(scene, Pose.planar(*centre, nearest), top, symmetry)
     else:
-        other = nearest - math.copysign(symmetry, wrap_angle(nearest - hand.yaw))
+        other = nearest - math.copysign(symmetry, wrap_angle(nearest - tool.yaw))
         yield from grasp(scene, Pose.planar(*centre, other), top, 2.0 * math.pi)
 
 
-def place_item(
-    scene: Scene, item: SceneObject, spot: Sequence[float], height: float, turn: float = 0.0
+def place_object(
+    scene: Scene, obj: SceneObject, spot: Sequence[float], height: float, rotation: float = 0.0
 ) -> Iterator[Waypoint]:
-    """Yield the way of the held item to a spot, over whatever is in between, and let go of it there.
+    """Yield the waypoints that carry the grasped object above all others and release it.
 
     The parameters are those of :func:`place_pose`.
     """
-    goal = place_pose(scene, item, spot, height, turn)
-    yield from _carry(scene, item, goal, height, OPEN, ALIGNED)
+    goal = place_pose(scene, obj, spot, height, rotation)
+    yield from _carry(scene, obj, goal, height, OPEN, ALIGNED)
 
 
 def place_pose(
-    scene: Scene, item: SceneObject, spot: Sequence[float], height: float, turn: float = 0.0
+    scene: Scene, obj: SceneObject, spot: Sequence[float], height: float, rotation: float = 0.0
 ) -> Pose:
-    """Return where the fingertips let go of the held item.
+    """Return the pose of the fingertips that releases the grasped object.
 
-    :param spot: x and y (m) of the item's middle
-    :param height: of the item's lowest point (m) when it is let go
-    :param turn: by which it is turned on the way (rad); ignored where the gripper cannot turn
+    :param spot: x and y (m) of the object's origin at the release
+    :param height: height (m) of the object's lowest point at the release
+    :param rotation: rotation (rad) about z before the release; ignored if actions do not rotate the gripper
     """
-    hand = scene.robot.pose
-    turn = turn if "r" in scene.config.action_sequence else 0.0
-    dx, dy, _ = rotate(Pose.planar(0.0, 0.0, 0.0, turn).orientation, _way(hand, item.pose))
-    return Pose.planar(spot[0] - dx, spot[1] - dy, height + hand.z - item.lowest, hand.yaw + turn)
+    tool = scene.robot.pose
+    rotation = rotation if rotates(scene) else 0.0
+    offset = (obj.pose.x - tool.x, obj.pose.y - tool.y, 0.0)
+    dx, dy, _ = rotate(Pose.planar(0.0, 0.0, 0.0, rotation).orientation, offset)
+    return Pose.planar(spot[0] - dx, spot[1] - dy, height + tool.z - obj.lowest, tool.yaw + rotation)
 
 
 def _carry(
-    scene: Scene, item: SceneObject, goal: Pose, height: float, opening: float, near: float
+    scene: Scene, obj: SceneObject, goal: Pose, height: float, opening: float, near: float
 ) -> Iterator[Waypoint]:
-    """Yield the way to where the held item is let go.
+    """Yield the waypoints to the release of the grasped object.
 
-    :param height: of the item's lowest point (m) there
-    :param opening: ratio to let go with
-    :param near: distance (m) in the plane at which the item may go down
+    :param height: height (m) of the object's lowest point at the release
+    :param opening: opening ratio of the release
+    :param near: horizontal distance (m) within which the object descends
     """
-    hand, goal = scene.robot.pose, avoid_limits(scene, goal)
-    if not _is_aligned(goal, hand, wrap_angle(goal.yaw - hand.yaw), near):
-        over = max(height, highest_between(scene, hand.position, goal.position, item))
-        level = min(over + PASSING + hand.z - item.lowest, scene.config.workspace[2][1])
-        if hand.z < level - HEIGHT_TOLERANCE:
-            yield Waypoint(Pose.planar(hand.x, hand.y, level, hand.yaw), CLOSED)
-        yield Waypoint(Pose.planar(goal.x, goal.y, level, goal.yaw), CLOSED)
+    tool, goal = scene.robot.pose, avoid_limits(scene, goal)
+    if not _is_aligned(goal, tool, wrap_angle(goal.yaw - tool.yaw), near):
+        over = max(height, highest_between(scene, tool.position, goal.position, obj))
+        level = min(over + PASSING + tool.z - obj.lowest, scene.config.workspace[2][1])
+        yield from pass_above(tool, Pose.planar(*goal.position, goal.yaw), level)
     yield Waypoint(goal, CLOSED, finish=opening, clear=True)
 
 
-def _way(start: Pose, end: Pose) -> tuple[float, float, float]:
-    return (end.x - start.x, end.y - start.y, 0.0)
+def pass_above(tool: Pose, goal: Pose, height: float) -> Iterator[Waypoint]:
+    """Yield waypoints of the closed gripper: up to a height (m), then across to above a goal."""
+    if tool.z < height - HEIGHT_TOLERANCE:
+        yield Waypoint(Pose.planar(tool.x, tool.y, height, tool.yaw), CLOSED)
+    yield Waypoint(Pose((goal.x, goal.y, height), goal.orientation), CLOSED)
 
 
 def highest_between(
-    scene: Scene, start: Sequence[float], end: Sequence[float], but: SceneObject | None
+    scene: Scene, start: Sequence[float], end: Sequence[float], ignored: SceneObject | None
 ) -> float:
-    """Return the height (m) of the highest item but one near a line, or of the ground."""
+    """Return the height (m) of the highest object near a line except one, or of the surface at its end."""
     reach = scene.robot.model.gripper.half_width() + PASSING_ASIDE
     tops = [
-        scene.world.top(item.body)
-        for item in scene
-        if item is not but
-        and not item.spec.is_mark
-        and _distance_to_line(item.pose.position, start, end) < item.spec.planar_radius + reach
+        scene.world.top(obj.body)
+        for obj in scene
+        if obj is not ignored
+        and not obj.spec.is_mark
+        and _distance_to_line(obj.pose.position, start, end) < obj.spec.planar_radius + reach
     ]
     return max(tops, default=scene.surface.height((end[0], end[1])))
 
 
 def _distance_to_line(point: Sequence[float], start: Sequence[float], end: Sequence[float]) -> float:
-    """Return the distance (m) in the plane of a point to the line between two others."""
+    """Return the horizontal distance (m) of a point to the line between two others."""
     dx, dy = end[0] - start[0], end[1] - start[1]
     square = dx * dx + dy * dy
     share = ((point[0] - start[0]) * dx + (point[1] - start[1]) * dy) / square if square > 0.0 else 0.0
@@ -220,35 +225,35 @@ def _distance_to_line(point: Sequence[float], start: Sequence[float], end: Seque
     return math.hypot(point[0] - start[0] - share * dx, point[1] - start[1] - share * dy)
 
 
-def _is_clear(scene: Scene, item: SceneObject, yaw: float) -> bool:
-    """Whether no other item is where the open fingers come down."""
+def _is_clear(scene: Scene, obj: SceneObject, yaw: float) -> bool:
+    """Return True if no other object is below the open fingers at an object."""
     gripper = scene.robot.model.gripper
     reach = (gripper.stroke + gripper.finger[0]) / 2.0
     margin = gripper.finger[1] / 2.0
-    x, y, z = item.centre_of_mass
+    x, y, z = obj.centre_of_mass
     fingers = [(x + s * reach * math.cos(yaw), y + s * reach * math.sin(yaw), z) for s in (1.0, -1.0)]
-    others = [other for other in scene if other is not item and not other.spec.is_mark]
+    others = [other for other in scene if other is not obj and not other.spec.is_mark]
     return not any(_covers(other, finger, margin) for other in others for finger in fingers)
 
 
-def _covers(item: SceneObject, point: tuple[float, float, float], margin: float) -> bool:
-    """Whether a point is in the box of one of an item's pieces, widened by a margin (m)."""
-    inside = np.array(item.pose.inverse().transform(point))
-    low, high = item.spec.piece_bounds[:, 0] - margin, item.spec.piece_bounds[:, 1] + margin
+def _covers(obj: SceneObject, point: tuple[float, float, float], margin: float) -> bool:
+    """Return True if a point is in the box of one of an object's pieces, extended by a margin (m)."""
+    inside = np.array(obj.pose.inverse().transform(point))
+    low, high = obj.spec.piece_bounds[:, 0] - margin, obj.spec.piece_bounds[:, 1] + margin
     return bool(((low < inside) & (inside < high)).all(axis=1).any())
 
 
 def side_yaw(pose: Pose) -> float:
-    """Return the direction (rad) of a box's side that lies flattest, whichever way it has come to lie."""
+    """Return the direction (rad) of a cube's most horizontal axis."""
     rotation = matrix(pose)
     flattest = int(abs(rotation[2]).argmin())
     return math.atan2(rotation[1, flattest], rotation[0, flattest])
 
 
 def side_symmetry(pose: Pose) -> float:
-    """Return the angle (rad) by which a gripper along :func:`side_yaw` can be turned and hold a cube as well.
+    """Return the angle (rad) between equivalent yaws of a gripper that grasps a cube along :func:`side_yaw`.
 
-    On a slope the fingers are square to the flattest side alone.
+    On a slope the fingers are square only to the most horizontal axis.
     """
     second = sorted(abs(matrix(pose)[2]).tolist())[1]
     return math.pi / 2.0 if second < math.sin(SLANTED) else math.pi

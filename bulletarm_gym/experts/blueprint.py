@@ -1,166 +1,188 @@
-"""What a structure of blocks looks like, layer by layer: goal, start and expert follow from it."""
+"""Structures of blocks, described layer by layer."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import permutations
 
-from bulletarm_gym.scene import Scene, SceneObject
-from bulletarm_gym.scene.predicates import (
-    between,
-    carries,
-    in_line,
-    is_held,
-    is_level,
-    lies_flat,
-    on_site,
-    on_top,
-    upright,
-)
+import numpy as np
+
+from bulletarm_gym.scene import Scene, SceneObject, predicates
+from bulletarm_gym.surfaces.surface import Point
 
 LONG = 1.5
-"""A block whose side along y is this many times as long as that along x is long: it is laid along a line."""
+"""Smallest ratio of the sides along y and x of a long block, which is placed along a line."""
+BASE_GAP = 0.75
+"""Gap between blocks side by side, relative to a cube's side."""
+WIDE_BASE_GAP = 1.5
+"""Gap between blocks side by side where the fingers do not fit into :data:`BASE_GAP`."""
+MAX_COVERED = 0.9
+"""Largest distance between the centres of two blocks, relative to the length of the block above them."""
+TIGHT = 0.005
+"""Smallest gap (m) between blocks side by side."""
+BUILD_TOLERANCE = 0.003
+"""Largest error (m) of a block's position, within which it must be on level ground."""
 
 
 @dataclass(frozen=True, eq=False)
-class Slot:
-    """A place in a structure; each is equal to itself alone.
+class Position:
+    """Position of a block in a structure; two positions are never equal.
 
-    :param kind: of the block that belongs there
-    :param layer: 0 on the ground
-    :param place: in its layer, counted along the structure's line
-    :param below: the slots of the blocks it lies on
+    :param kind: kind of the block
+    :param layer: number of the layer, 0 on the surface
+    :param place: number in the layer, along the structure's line
+    :param below: positions of the blocks that support this one
     """
 
     kind: str
     layer: int
     place: int
-    below: tuple["Slot", ...] = ()
+    below: tuple["Position", ...] = ()
 
 
 Blocks = Mapping[str, Sequence[SceneObject]]
 """All blocks of a task, by kind."""
-Standing = dict[Slot, SceneObject]
-"""The blocks that are where they belong, by slot; those below before those above."""
-Accept = Callable[[Slot, SceneObject, Standing], bool]
+Placed = dict[Position, SceneObject]
+"""The blocks that are placed correctly, by position; supporting blocks come first."""
+Accept = Callable[[Position, SceneObject, Placed], bool]
 
 
 class Blueprint:
-    """Layers of blocks from the ground up; those of a layer are side by side along one line.
+    """Layers of blocks from the surface up; the blocks of a layer are side by side along one line.
 
-    A layer of fewer blocks than the one below lies over the gaps between them, one of as many block on block,
-    and one of more on a single long block.
+    A layer of fewer blocks than the one below lies over the gaps between them. A layer of the same number of
+    blocks lies block on block. A layer of more blocks lies on a single long block.
 
     :param layers: the kind of each block, layer by layer
-    :param upright: kinds that must stay as they were made to stand
-    :param side: of a cube (m)
-    :raises ValueError: there is no such layer over the one below
+    :param upright: kinds whose z axis must stay vertical
+    :param side: side length of a cube (m)
+    :raises ValueError: a layer has more blocks than the layer below, which is not a single block
     """
 
     def __init__(self, layers: Sequence[Sequence[str]], upright: Sequence[str], side: float) -> None:
         self.side = side
         self._upright = upright
-        self.layers: list[tuple[Slot, ...]] = []
+        self.layers: list[tuple[Position, ...]] = []
         for layer in layers:
-            self.layers.append(tuple(_slots(layer, len(self.layers), self.layers[-1:])))
+            below = self.layers[-1] if self.layers else ()
+            self.layers.append(tuple(_positions(layer, len(self.layers), below)))
 
     @property
-    def slots(self) -> list[Slot]:
-        """All slots from the ground up."""
-        return [slot for layer in self.layers for slot in layer]
+    def positions(self) -> list[Position]:
+        """All positions from the surface up."""
+        return [position for layer in self.layers for position in layer]
 
-    def line(self, slot: Slot) -> tuple[Slot, ...]:
-        """Return the slots whose middle a block lies over, and along whose line if it is long.
+    def line(self, position: Position) -> tuple[Position, ...]:
+        """Return the positions whose middle a block lies over, and along whose line if it is long.
 
-        What lies on a single block is measured against the nearest layer below of two blocks or more.
+        For a block on a single block it is the nearest layer below with two blocks or more.
         """
-        if len(slot.below) > 1 or len(self.layers[slot.layer]) > 1:
-            return slot.below if len(slot.below) > 1 else ()
-        return next((layer for layer in reversed(self.layers[: slot.layer]) if len(layer) > 1), ())
+        if len(position.below) > 1 or len(self.layers[position.layer]) > 1:
+            return position.below if len(position.below) > 1 else ()
+        return next((layer for layer in reversed(self.layers[: position.layer]) if len(layer) > 1), ())
 
     def is_built(self, scene: Scene, blocks: Blocks) -> bool:
-        """Whether the structure stands, whichever block of a kind plays which part."""
-        everything = len(self.slots)
-        ways = self.ways(scene, blocks, len(self.layers[0]))
-        return any(len(standing) == everything and self._is_balanced(standing) for standing in ways)
+        """Return True if the structure is complete; blocks of a kind are interchangeable."""
+        candidates = self.partial_structures(scene, blocks, len(self.layers[0]))
+        return any(len(placed) == len(self.positions) and self._is_balanced(placed) for placed in candidates)
 
-    def ways(
+    def partial_structures(
         self,
         scene: Scene,
         blocks: Blocks,
         width: int,
-        accept: Accept = lambda slot, item, standing: True,
-    ) -> Iterator[Standing]:
-        """Yield what stands of the structure on each of the bases there are.
+        accept: Accept = lambda position, block, placed: True,
+    ) -> Iterator[Placed]:
+        """Yield the correctly placed blocks for each possible base.
 
         :param width: number of blocks of the base
-        :param accept: says which of the blocks that lie where they may count
+        :param accept: returns False for blocks that do not count
         """
-        free = {
-            kind: [item for item in items if not is_held(scene, item) and lies_flat(item)]
-            for kind, items in blocks.items()
-        }
+        flat = {kind: filter(predicates.lies_flat, same) for kind, same in blocks.items()}
+        free = {kind: [block for block in same if block is not scene.held] for kind, same in flat.items()}
         base = self.layers[0][:width]
-        ground = {kind: [item for item in free[kind] if on_site(scene, item)] for kind in _kinds(base)}
-        for items in permutations([item for some in ground.values() for item in some], width):
-            standing: Standing = {}
-            for slot, item in zip(base, items, strict=True):
-                if item not in ground[slot.kind] or not accept(slot, item, standing):
+        kinds = dict.fromkeys(position.kind for position in base)
+        ground = {kind: [block for block in free[kind] if predicates.on_site(scene, block)] for kind in kinds}
+        for chosen in permutations([block for same in ground.values() for block in same], width):
+            placed: Placed = {}
+            for position, block in zip(base, chosen, strict=True):
+                if block not in ground[position.kind] or not accept(position, block, placed):
                     break
-                standing[slot] = item
+                placed[position] = block
             else:
-                yield self._raised(scene, free, standing, accept)
+                yield self._add_layers(scene, free, placed, accept)
 
-    def _raised(self, scene: Scene, free: Blocks, standing: Standing, accept: Accept) -> Standing:
-        """Add to a base what lies on it as it should."""
-        for slot in self.slots[len(self.layers[0]) :]:
+    def _add_layers(self, scene: Scene, free: Blocks, placed: Placed, accept: Accept) -> Placed:
+        """Add the correctly placed blocks above a base."""
+        for position in self.positions[len(self.layers[0]) :]:
             fitting = (
-                item
-                for item in free[slot.kind]
-                if item not in standing.values()
-                and self._fits(scene, slot, item, standing)
-                and accept(slot, item, standing)
+                block
+                for block in free[position.kind]
+                if block not in placed.values()
+                and self._fits(scene, position, block, placed)
+                and accept(position, block, placed)
             )
-            if (item := next(fitting, None)) is not None:
-                standing[slot] = item
-        return standing
+            if (block := next(fitting, None)) is not None:
+                placed[position] = block
+        return placed
 
-    def _fits(self, scene: Scene, slot: Slot, item: SceneObject, standing: Standing) -> bool:
-        """Whether an item lies as a slot's block should."""
-        lies_on = on_top if len(slot.below) == 1 else carries
-        if not all(below in standing and lies_on(scene, standing[below], item) for below in slot.below):
+    def _fits(self, scene: Scene, position: Position, block: SceneObject, placed: Placed) -> bool:
+        """Return True if a block is placed correctly at a position."""
+        lies_on = predicates.on_top if len(position.below) == 1 else predicates.carries
+        if not all(below in placed and lies_on(scene, placed[below], block) for below in position.below):
             return False
-        if slot.kind in self._upright and not upright(item):
+        if position.kind in self._upright and not predicates.upright(block):
             return False
-        line = [standing[other] for other in self.line(slot)]
+        line = [placed[other] for other in self.line(position)]
         if not line:
             return True
-        return between(item, line, self.side) and (
-            not is_long(item) or (is_level(item) and in_line(item, line))
+        return predicates.between(block, line, self.side) and (
+            not is_long(block) or (predicates.is_level(block) and predicates.in_line(block, line))
         )
 
-    def _is_balanced(self, standing: Standing) -> bool:
-        """Whether every block that carries two or more side by side is in their middle."""
+    def _is_balanced(self, placed: Placed) -> bool:
+        """Return True if every block that supports two or more side by side is below their middle."""
         return all(
-            between(standing[layer[0].below[0]], [standing[slot] for slot in layer], self.side)
+            predicates.between(placed[layer[0].below[0]], [placed[position] for position in layer], self.side)
             for layer in self.layers[1:]
             if len(layer) > 1 and len(layer[0].below) == 1 and layer[0].below == layer[-1].below
         )
 
+    def length_above(self, position: Position, blocks: Blocks) -> float:
+        """Return the length (m) of the block above a position and its neighbour."""
+        above = (other for other in self.positions if position in other.below and len(other.below) > 1)
+        kind = next((other.kind for other in above), None)
+        return blocks[kind][0].spec.extents[1] if kind else 3.0 * self.side
 
-def is_long(item: SceneObject) -> bool:
-    """Whether a block is long enough to be laid along a line."""
-    return item.spec.extents[1] > LONG * item.spec.extents[0]
+    def gaps(self, position: Position, length: float, blocks: Blocks) -> list[float]:
+        """Return the gaps (m) to try next to a position, the best one first.
+
+        :param length: length of both blocks together (m)
+        """
+        most = MAX_COVERED * self.length_above(position, blocks) - length / 2.0
+        return [max(TIGHT, min(gap * self.side, most)) for gap in (BASE_GAP, WIDE_BASE_GAP)]
+
+    def base(self, chosen: Sequence[SceneObject], blocks: Blocks) -> tuple[Point, list[float]]:
+        """Return width and length (m) of a base, and the position (m) of each of its blocks along y."""
+        lengths = [block.spec.extents[1] for block in chosen]
+        gap = self.gaps(self.layers[0][-1], lengths[0] + lengths[-1], blocks)[0]
+        total = sum(lengths) + gap * (len(chosen) - 1)
+        ends = np.cumsum([length + gap for length in lengths]) - gap
+        offsets = ends - np.array(lengths) / 2.0 - total / 2.0
+        width = max(block.spec.extents[0] for block in chosen)
+        return (width + 2.0 * BUILD_TOLERANCE, total + 2.0 * BUILD_TOLERANCE), offsets.tolist()
 
 
-def _kinds(slots: Sequence[Slot]) -> list[str]:
-    return list(dict.fromkeys(slot.kind for slot in slots))
+def is_long(block: SceneObject) -> bool:
+    """Return True if a block is placed along a line."""
+    return block.spec.extents[1] > LONG * block.spec.extents[0]
 
 
-def _slots(layer: Sequence[str], number: int, before: Sequence[tuple[Slot, ...]]) -> Iterator[Slot]:
-    """Yield a layer's slots over the layer before, if there is one."""
-    below = before[0] if before else ()
+def _positions(layer: Sequence[str], number: int, below: tuple[Position, ...]) -> Iterator[Position]:
+    """Yield a layer's positions above the layer below, if there is one."""
     overlap = len(below) - len(layer) + 1
     if below and overlap < 1 < len(below):
-        raise ValueError(f"layers: got {len(layer)} blocks on {len(below)}, takes as many, fewer, or on one")
+        raise ValueError(
+            f"layers must have the same number, fewer, or all on one block, got {len(layer)} on {len(below)}"
+        )
     for place, kind in enumerate(layer):
-        yield Slot(kind, number, place, below[place : place + overlap] if overlap >= 1 else below)
+        yield Position(kind, number, place, below[place : place + overlap] if overlap >= 1 else below)

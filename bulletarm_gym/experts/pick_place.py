@@ -1,21 +1,20 @@
-"""Picking blocks up and putting them down in one action each: tools that open-loop experts share.
+"""Picks and places of blocks, shared by the experts that plan whole picks and places.
 
-A block is seen through its *lying frame*: z up from the side it lies on, y along the longer of its level
-sides, its origin where it is best taken, along x. It can be put down in any of the ways that look the same.
+Each block has a *resting frame*: z points up from the side on which the block rests, y is along the longer of
+its horizontal sides, and the origin is where the block is best grasped with fingers that open along x.
 """
 
 import itertools
 import math
 from collections.abc import Iterator, Sequence
-from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 
 from bulletarm_gym.config import CLOSE_LOOP, OPEN_LOOP
 from bulletarm_gym.control.open_loop import HALF_TURN, MAX_TILT, MOTION
+from bulletarm_gym.experts import CLOSED, OPEN, Waypoint
 from bulletarm_gym.experts.approach import RELEASE
-from bulletarm_gym.experts.waypoints import CLOSED, OPEN, Waypoint
 from bulletarm_gym.geometry import (
     FloatArray,
     Footprint,
@@ -32,336 +31,304 @@ from bulletarm_gym.scene.sampling import footprint
 from bulletarm_gym.simulation import Box
 
 SQUARENESS = 1.05
-"""A block whose level sides differ by less than this factor can be turned by a quarter."""
-FINGER_CLEARANCE = 0.002
-"""Gap (m) between the open fingers and what is beside them."""
-GRIP_PLACES = 25
-"""Places along a block at which it may be taken."""
+"""Largest ratio of a block's horizontal sides at which a rotation by pi/2 is a symmetry."""
+GRIP_POSITIONS = 25
+"""Number of positions along a block at which a grasp is evaluated."""
 FLUSH = 1e-3
-"""Faces this near (m) to the foremost one are touched, too."""
+"""Distance (m) from the outermost face within which another face is touched, too."""
 OFF_CENTRE = 0.5
-"""A grip that far (m) from the middle is as bad as one a metre askew."""
+"""Weight of the distance from the object's centre (per metre) relative to finger misalignment (per metre)."""
+FINGER_CLEARANCE = 0.002
+"""Gap (m) between the open fingers and other objects."""
 TIP_CLEARANCE = 0.0015
-"""Gap (m) between the fingertips and the ground under them."""
-SWEEP = np.concatenate([sign * np.linspace(0.3, 1.0, 12) for sign in (-1.0, 1.0)])
-"""Where the ground under the closing fingers is looked at, in their farthest reach."""
+"""Gap (m) between the fingertips and the surface below them."""
 OPENING_PLAY = 0.008
-"""What the gripper opens wider (m) than a block, at least, to take it."""
+"""Smallest difference (m) between the stroke and the side of a block that is grasped along its length."""
 LIFTS = (0.0, 0.15, 0.3)
-"""How far above its middle, in heights, a block may be taken."""
+"""Heights of grasps above a block's centre, relative to the block's height."""
 OVERHANG = 0.005
-"""What reaches less (m) beyond the open fingers than this needs no room of its own."""
+"""Distance (m) by which a palm may be wider than the open fingers without a collision check."""
 PALM_CLEARANCE = 0.004
-"""Gap (m) between a palm and what is beside or under it."""
+"""Gap (m) between a palm and other objects or the surface."""
 LEANS = (0.0, -0.15, 0.15, -0.3, 0.3, -0.45, 0.45)
-"""Tilts (rad) of a hand whose palm has no room when it comes in straight."""
-ASIDES = (0.0, -0.25, 0.25)
-"""How far from its middle, in lengths, an item is taken then."""
+"""Tilts (rad) of the gripper that are tried where an upright palm collides."""
+OFFSETS = (0.0, -0.25, 0.25)
+"""Offsets of tilted grasps from a block's centre, relative to the block's length."""
 LEANING_LIFTS = (-0.2, 0.0, 0.15)
-"""How far above its middle, in heights: low, where a roof is wide."""
+"""Heights of tilted grasps above a block's centre, relative to the block's height."""
 SKEWS = (0.0, 0.5, -0.5)
-"""How far (rad) the fingers may be turned against the item's sides: it turns between them as they close."""
-TRIES = 4
-"""Of so many such grasps one is drawn: what has slipped once is not taken in the same way again."""
-HERE = Pose((0.0, 0.0, 0.0))
+"""Yaws (rad) of tilted grasps relative to the block's sides: the block rotates as the fingers close."""
+CANDIDATES = 4
+"""Number of candidate grasps to sample from, so that a retry after a slip uses a different grasp."""
+ACROSS = np.linspace(-0.5, 0.5, 5)
+"""Positions of evaluated surface points across the opening, relative to the width of the palm or finger."""
+PALM_POINTS = np.array([(x, y, 0.0) for y in ACROSS for x in np.linspace(-0.5, 0.5, 11)])
+"""Points below a palm at which the surface is evaluated, (n, 3), relative to its length and width."""
+FINGER_POINTS = np.array(
+    [(side * x, y, 0.0) for y in ACROSS for side in (-1.0, 1.0) for x in np.linspace(0.3, 1.0, 12)]
+)
+"""Points below the closing fingers, (n, 3), relative to the open fingers' outer side and width."""
 NEAREST_STOP = Pose((0.0, 0.0, MOTION.stops[-1][0]))
 """Nearest pose from which open-loop control begins a pick or place, in the frame of its target."""
 
 
-def resting_frame(item: SceneObject) -> Pose:
-    """Return an item's lying frame, in the world.
+class RestingBox(NamedTuple):
+    """Bounding box of an object in its resting frame.
 
-    Boxes may lie on any side; all else keeps its own axes, turned over if it lies upside down.
+    :param sides: side lengths (m)
+    :param middle: centre (m), projected to z = 0
+    :param bottom: z of the lower side (m)
     """
-    return item.cached_by_pose(_lying_frame)
+
+    sides: Vector
+    middle: Vector
+    bottom: float
 
 
-def _lying_frame(item: SceneObject) -> Pose:
-    rotation = matrix(item.pose)
-    if not is_box(item):
+def is_box(obj: SceneObject) -> bool:
+    """Return True if an object is a cuboid."""
+    pieces = obj.spec.pieces
+    return len(pieces) == 1 and isinstance(pieces[0].shape, Box)
+
+
+def resting_frame(obj: SceneObject) -> Pose:
+    """Return an object's resting frame in the world.
+
+    A box rests on any side. Other objects keep their axes, rotated by pi about x if they are upside down.
+    """
+    return obj.cached_by_pose(_resting_frame)
+
+
+def _resting_frame(obj: SceneObject) -> Pose:
+    rotation = matrix(obj.pose)
+    if not is_box(obj):
         flip = np.diag([1.0, -1.0, -1.0]) if rotation[2, 2] < 0.0 else np.eye(3)
-        return Pose(item.pose.transform(item.cached_by_shape(_grip_point)), quaternion(rotation @ flip))
+        return Pose(obj.pose.transform(obj.cached_by_shape(_grip_point)), quaternion(rotation @ flip))
     up = int(abs(rotation[2]).argmax())
-    _, long = sorted({0, 1, 2} - {up}, key=lambda axis: (item.spec.extents[axis], axis))
+    _, long = sorted({0, 1, 2} - {up}, key=lambda axis: (obj.spec.extents[axis], axis))
     z, y = math.copysign(1.0, rotation[2, up]) * rotation[:, up], rotation[:, long]
     (y0, y1, y2), (z0, z1, z2) = y, z
     x = (y1 * z2 - y2 * z1, y2 * z0 - y0 * z2, y0 * z1 - y1 * z0)
-    return Pose(item.pose.position, quaternion(np.array([x, y, z]).T))
+    return Pose(obj.pose.position, quaternion(np.array([x, y, z]).T))
 
 
-def _grip_point(item: SceneObject) -> Vector:
-    """Return where (m) in its frame fingers that close along x hold an item: square on, near its middle."""
-    low, high = (item.spec.piece_bounds[:, end, :2] for end in (0, 1))
-    end = np.abs(item.spec.mesh.bounds[:, 1]).max()
-    points = [_held_at(low, high, y, item.pad_width) for y in np.linspace(-end, end, GRIP_PLACES).tolist()]
-    grip = min(points)
-    return (grip.x, grip.y, 0.0)
+def _grip_point(obj: SceneObject) -> Vector:
+    """Return the best point (m), in an object's frame, for fingers that close along x."""
+    low, high = (obj.spec.piece_bounds[:, end, :2] for end in (0, 1))
+    end = np.abs(obj.spec.mesh.bounds[:, 1]).max()
+    positions = np.linspace(-end, end, GRIP_POSITIONS).tolist()
+    _, x, y = min(_grip_cost(low, high, y, obj.pad_width) for y in positions)
+    return (x, y, 0.0)
 
 
-class Grip(NamedTuple):
-    """Where fingers that close along x may hold an item, in its frame; of two the lesser is the better.
+def _grip_cost(low: FloatArray, high: FloatArray, y: float, pad: float) -> tuple[float, float, float]:
+    """Return the cost (m) of a grasp at y, and x and y (m) of the middle between the fingers.
 
-    :param badness: how far (m) the fingers are from square on, wide and near the middle
-    :param x: of the middle between the fingers (m)
-    :param y: of the fingers (m)
-    """
-
-    badness: float
-    x: float
-    y: float
-
-
-def _held_at(low: FloatArray, high: FloatArray, y: float, pad: float) -> Grip:
-    """Return how fingers hold an item at y.
-
-    :param low: lowest x and y of each piece, (n, 2) m
-    :param high: highest x and y of each piece
+    :param low: smallest x and y of each piece, (n, 2) m
+    :param high: largest x and y of each piece, (n, 2) m
     :param pad: width (m) of the fingers' pads
     """
     start, stop = np.maximum(low[:, 1], y - pad / 2.0), np.minimum(high[:, 1], y + pad / 2.0)
     between = stop > start
     if not between.any():
-        return Grip(math.inf, 0.0, y)
+        return math.inf, 0.0, y
     left, right = float(low[between, 0].min()), float(high[between, 0].max())
     touched = [between & (low[:, 0] < left + FLUSH), between & (high[:, 0] > right - FLUSH)]
     lengths = [float((stop - start)[pieces].sum()) for pieces in touched]
     middles = [float(((start + stop) / 2.0)[pieces].mean()) for pieces in touched]
-    badness = abs(middles[0] - middles[1]) + OFF_CENTRE * abs(y) - min(lengths)
-    return Grip(badness, (left + right) / 2.0, y)
+    cost = abs(middles[0] - middles[1]) + OFF_CENTRE * abs(y) - min(lengths)
+    return cost, (left + right) / 2.0, y
 
 
-def is_box(item: SceneObject) -> bool:
-    """Whether an item is a cuboid."""
-    pieces = item.spec.pieces
-    return len(pieces) == 1 and isinstance(pieces[0].shape, Box)
+def resting_box(obj: SceneObject) -> RestingBox:
+    """Return the bounding box of an object in its resting frame."""
+    return obj.cached_by_pose(_resting_box)
 
 
-class Corners(NamedTuple):
-    """The box along a frame's axes that an item fills.
-
-    :param low: lowest x, y and z (m)
-    :param high: highest
-    """
-
-    low: Vector
-    high: Vector
-
-    @property
-    def sides(self) -> Vector:
-        """Full side lengths (m)."""
-        (x0, y0, z0), (x1, y1, z1) = self
-        return (x1 - x0, y1 - y0, z1 - z0)
-
-    @property
-    def middle(self) -> Vector:
-        """Its middle (m), on the plane z = 0."""
-        return ((self.low[0] + self.high[0]) / 2.0, (self.low[1] + self.high[1]) / 2.0, 0.0)
-
-
-def lying_corners(item: SceneObject) -> Corners:
-    """Return the corners of an item in its lying frame."""
-    return item.cached_by_pose(_lying_corners)
-
-
-def _lying_corners(item: SceneObject) -> Corners:
-    inside = resting_frame(item).inverse().compose(item.pose)
-    points = item.spec.mesh.vertices @ matrix(inside).T + inside.position
+def _resting_box(obj: SceneObject) -> RestingBox:
+    inside = resting_frame(obj).inverse().compose(obj.pose)
+    points = obj.spec.mesh.vertices @ matrix(inside).T + inside.position
     (x0, y0, z0), (x1, y1, z1) = points.min(axis=0).tolist(), points.max(axis=0).tolist()
-    return Corners((x0, y0, z0), (x1, y1, z1))
+    return RestingBox((x1 - x0, y1 - y0, z1 - z0), ((x0 + x1) / 2.0, (y0 + y1) / 2.0, 0.0), z0)
 
 
-def pick(scene: Scene, item: SceneObject, rng: np.random.Generator) -> Waypoint:
-    """Return the pick of an item: about its middle, or higher if the fingers have room only there.
+# Picks
 
-    The fingers close across the shorter of its sides, or along if there they have room.
 
-    :param rng: draws one of the ways if none has room: one of them may do all the same
+def pick(scene: Scene, obj: SceneObject, rng: np.random.Generator) -> Waypoint:
+    """Return the pick of an object: at its centre, or higher if the fingers collide at the centre.
+
+    The fingers close across the shorter side, or along it if they collide otherwise.
+
+    :param rng: samples a grasp if all of them collide; the sampled grasp may succeed nevertheless
     """
-    frame = resting_frame(item)
-    _, length, height = lying_corners(item).sides
-    stroke = scene.robot.model.gripper.stroke
-    turns = [0.0, math.pi / 2.0] if is_box(item) and length + OPENING_PLAY <= stroke else [0.0]
+    frame = resting_frame(obj)
+    _, length, height = resting_box(obj).sides
+    gripper = scene.robot.model.gripper
+    yaws = [0.0, math.pi / 2.0] if is_box(obj) and length + OPENING_PLAY <= gripper.stroke else [0.0]
     lifts = [share * height for share in LIFTS]
-    hands = [_able(scene, frame.compose(Pose.planar(0.0, 0.0, z, turn))) for z in lifts for turn in turns]
-    drawn = hands[int(rng.integers(len(hands)))]
-    best = next((hand for hand in hands if _fits(scene, hand, item)), None)
-    is_wide = scene.robot.model.gripper.overhang > OVERHANG
-    if best is None and (is_wide or not any(_reaches(scene, hand) for hand in hands)):
-        leaning = (hand for hand in _leaning(scene, item, turns) if _fits(scene, hand, item))
-        some = list(itertools.islice(leaning, TRIES))
-        best = some[int(rng.integers(len(some)))] if some else None
-    if best is None:  # no grasp has room for the wrist, one may for the fingers
-        best = next((hand for hand in hands if all(_rank(scene, hand, item))), drawn)
+    poses = [_feasible(scene, frame.compose(Pose.planar(0.0, 0.0, z, yaw))) for z in lifts for yaw in yaws]
+    sampled = poses[int(rng.integers(len(poses)))]
+    best = next((pose for pose in poses if _fits(scene, pose, obj)), None)
+    if best is None and (gripper.overhang > OVERHANG or not any(_reaches(scene, pose) for pose in poses)):
+        leaning = (pose for pose in _leaning(scene, obj, yaws) if _fits(scene, pose, obj))
+        candidates = list(itertools.islice(leaning, CANDIDATES))
+        best = candidates[int(rng.integers(len(candidates)))] if candidates else None
+    if best is None:  # the wrist collides in every grasp, the fingers may not
+        best = next((pose for pose in poses if all(_rank(scene, pose, obj))), sampled)
     return Waypoint(best, OPEN, finish=CLOSED)
 
 
-def _leaning(scene: Scene, item: SceneObject, turns: Sequence[float]) -> list[Pose]:
-    """Return grasps by which a wide palm may get past what is beside an item, the least tilted ones first.
-
-    The hand leans along the fingers' sides or to where they open; it takes a long item nearer to an end.
-    """
+def _leaning(scene: Scene, obj: SceneObject, yaws: Sequence[float]) -> list[Pose]:
+    """Return grasps that avoid collisions of a wide palm by tilts and offsets, the least tilted first."""
     leans = LEANS if scene.config.action_sequence.count("r") == 3 else LEANS[:1]
-    width, length, height = lying_corners(item).sides
-    asides = [share * length for share in ASIDES] if is_box(item) or length > 2.0 * width else [0.0]
+    width, length, height = resting_box(obj).sides
+    offsets = [share * length for share in OFFSETS] if is_box(obj) or length > 2.0 * width else [0.0]
     skews = SKEWS if scene.config.control == CLOSE_LOOP else SKEWS[:1]
     tilts = sorted(itertools.product(leans, leans), key=lambda tilt: math.hypot(*tilt))
-    frame = resting_frame(item)
+    frame = resting_frame(obj)
     return [
-        _able(scene, frame.compose(euler_pose((0.0, aside, lift * height), (along, across, turn + skew))))
-        for skew in skews
-        for along, across in tilts
-        for aside in asides
-        for lift in LEANING_LIFTS
-        for turn in turns
+        _feasible(scene, frame.compose(euler_pose((0.0, y, lift * height), (*tilt, yaw + skew))))
+        for skew, tilt, y, lift, yaw in itertools.product(skews, tilts, offsets, LEANING_LIFTS, yaws)
     ]
 
 
-def put(scene: Scene, item: SceneObject, grounds: Sequence[Pose]) -> Waypoint:
-    """Return the place of the held item.
+# Places
 
-    :param grounds: frames it may as well be put on: the middle of the block just above the origin of one
+
+def put(scene: Scene, obj: SceneObject, frames: Sequence[Pose]) -> Waypoint:
+    """Return the place of the grasped object.
+
+    :param frames: equivalent frames of the support; the object's centre is released above the origin of one
     """
-    hand, lying = scene.robot.pose, resting_frame(item)
-    in_hand = lying.inverse().compose(hand)
-    middle = lying_corners(item).middle
-    held_at = in_hand.inverse().transform(middle)
-    goals = (ground.compose(turned) for ground in grounds for turned in _lying(item))
-    hands = (_bring(scene, goal.compose(in_hand), held_at, goal.transform(middle)) for goal in goals)
-    # In open loop half a turn is none, see half_rotation; in close loop it has to be made.
-    turn = math.pi if scene.config.control == OPEN_LOOP else 2.0 * math.pi
+    tool, box = scene.robot.pose, resting_box(obj)
+    in_frame = resting_frame(obj).inverse().compose(tool)
+    middle = in_frame.inverse().transform(box.middle)
+    goals = (frame.compose(symmetric) for frame in frames for symmetric in _symmetric_frames(box))
+    poses = (_bring(scene, goal.compose(in_frame), middle, goal.transform(box.middle)) for goal in goals)
+    # Open-loop control rotates by up to pi/2 only, see half_rotation; closed-loop control by up to pi.
+    period = math.pi if scene.config.control == OPEN_LOOP else 2.0 * math.pi
     best = max(
-        hands, key=lambda goal: (*_rank(scene, goal, item), -abs(wrap_angle(goal.yaw - hand.yaw, turn)))
+        poses, key=lambda pose: (*_rank(scene, pose, obj), -abs(wrap_angle(pose.yaw - tool.yaw, period)))
     )
     return Waypoint(best, CLOSED, finish=OPEN)
 
 
-def _lying(item: SceneObject) -> Iterator[Pose]:
-    """Yield the lying frame over the ground, in every way that looks the same."""
-    corners = lying_corners(item)
-    level = corners.sides[:2]
-    turns = 4 if max(level) < SQUARENESS * min(level) else 2
-    x, y, _ = corners.middle
-    for turn in range(turns):
-        turned = Pose.planar(0.0, 0.0, RELEASE - corners.low[2], 2.0 * math.pi * turn / turns)
-        yield turned.compose(Pose((-x, -y, 0.0)))
+def _symmetric_frames(box: RestingBox) -> Iterator[Pose]:
+    """Yield the resting frames of symmetric poses of an object, relative to the frame of its support."""
+    level = box.sides[:2]
+    count = 4 if max(level) < SQUARENESS * min(level) else 2
+    x, y, _ = box.middle
+    for number in range(count):
+        rotated = Pose.planar(0.0, 0.0, RELEASE - box.bottom, 2.0 * math.pi * number / count)
+        yield rotated.compose(Pose((-x, -y, 0.0)))
 
 
-def _able(scene: Scene, hand: Pose) -> Pose:
-    """Return the nearest pose that an action can tell."""
-    turns = scene.config.action_sequence.count("r")
-    if turns == 3 and hand.tilt < MAX_TILT:
-        return hand
-    return Pose.planar(*hand.position, hand.yaw if turns else scene.robot.pose.yaw)
+def _feasible(scene: Scene, pose: Pose) -> Pose:
+    """Return the nearest tool pose in the action space."""
+    rotations = scene.config.action_sequence.count("r")
+    if rotations == 3 and pose.tilt < MAX_TILT:
+        return pose
+    return Pose.planar(*pose.position, pose.yaw if rotations else scene.robot.pose.yaw)
 
 
-def _bring(scene: Scene, hand: Pose, held_at: Vector, goal: Vector) -> Pose:
-    """Return the pose nearest to a hand's that an action can tell and that brings what is held to a point.
+def _bring(scene: Scene, pose: Pose, middle: Vector, goal: Vector) -> Pose:
+    """Return the tool pose in the action space nearest to a pose that brings the grasped object to a point.
 
-    :param held_at: the middle of what is held in the hand's frame (m)
-    :param goal: where that is to come (m)
+    :param middle: centre of the grasped object in the tool frame (m)
+    :param goal: point for that centre (m)
     """
-    able = _able(scene, hand)
-    if able is hand:
-        return hand
-    x, y, z = rotate(able.orientation, held_at)
-    return Pose((goal[0] - x, goal[1] - y, goal[2] - z), able.orientation)
+    feasible = _feasible(scene, pose)
+    if feasible is pose:
+        return pose
+    x, y, z = rotate(feasible.orientation, middle)
+    return Pose((goal[0] - x, goal[1] - y, goal[2] - z), feasible.orientation)
 
 
-def _rank(scene: Scene, hand: Pose, item: SceneObject) -> tuple[bool, bool, bool]:
-    return _reaches(scene, hand), fingers_fit(scene, hand, item), palm_fits(scene, hand, item)
+# Collisions
 
 
-def _reaches(scene: Scene, hand: Pose) -> bool:
-    """Return True if a pick or place is in reach, with the nearest pose from which it can begin."""
-    hand = _symmetric(hand)
-    return scene.robot.reaches(hand) and scene.robot.reaches(hand.compose(NEAREST_STOP))
+def _rank(scene: Scene, pose: Pose, obj: SceneObject) -> tuple[bool, bool, bool]:
+    return _reaches(scene, pose), fingers_fit(scene, pose, obj), palm_fits(scene, pose, obj)
 
 
-def _symmetric(hand: Pose) -> Pose:
-    """Return the symmetric tool pose within a quarter turn of the home pose."""
-    return hand if -math.pi / 2.0 <= hand.yaw < math.pi / 2.0 else hand.compose(HALF_TURN)
-
-
-def _fits(scene: Scene, hand: Pose, item: SceneObject) -> bool:
-    """Whether a grasp is in reach and has room, what is soonest known first."""
+def _fits(scene: Scene, pose: Pose, obj: SceneObject) -> bool:
+    """Return True if a grasp is in reach and without collisions; the fastest check comes first."""
     return (
-        palm_fits(scene, hand, item)
-        and fingers_fit(scene, hand, item)
-        and _reaches(scene, hand)
-        and _wrist_fits(scene, hand, item)
+        palm_fits(scene, pose, obj)
+        and fingers_fit(scene, pose, obj)
+        and _reaches(scene, pose)
+        and _wrist_fits(scene, pose, obj)
     )
 
 
-def palm_fits(scene: Scene, hand: Pose, item: SceneObject) -> bool:
-    """Whether a palm that reaches out beyond the fingers touches nothing but an item on its way in to a pose.
+def _reaches(scene: Scene, pose: Pose) -> bool:
+    """Return True if a pick or place is in reach, with the nearest pose from which it can begin."""
+    pose = _nearest_symmetric(pose)
+    return scene.robot.reaches(pose) and scene.robot.reaches(pose.compose(NEAREST_STOP))
 
-    Other palms touch nothing that the fingers would not touch.
+
+def _nearest_symmetric(pose: Pose) -> Pose:
+    """Return the symmetric tool pose within pi/2 of the home pose."""
+    return pose if -math.pi / 2.0 <= pose.yaw < math.pi / 2.0 else pose.compose(HALF_TURN)
+
+
+def _others(scene: Scene, obj: SceneObject, height: float) -> list[SceneObject]:
+    """Return the objects that reach above a height (m), without one and without the grasped object."""
+    held = scene.held
+    return [
+        other
+        for other in scene
+        if other is not obj and other is not held and scene.world.top(other.body) > height
+    ]
+
+
+def palm_fits(scene: Scene, pose: Pose, obj: SceneObject) -> bool:
+    """Return True if the palm touches nothing except an object on a straight approach to a pose.
+
+    A palm that is not wider than the open fingers always fits.
     """
     gripper = scene.robot.model.gripper
     if gripper.overhang <= OVERHANG:
         return True
     length, width, _ = gripper.palm
     root = gripper.finger[2]
-    under = _lattice(length, width, root) @ matrix(hand).T + hand.position
+    under = (PALM_POINTS * (length, width, 0.0) + (0.0, 0.0, root)) @ matrix(pose).T + pose.position
     if (scene.surface.heights(under[:, :2]) + PALM_CLEARANCE > under[:, 2]).any():
         return False
-    outline, lowest = Footprint.rectangle((length, width), HERE), float(under[:, 2].min())
-    others = (other for other in scene if other is not item and other is not scene.held)
-    high = (other for other in others if scene.world.top(other.body) > lowest)
-    return all(outline.gap(_beyond(other, hand, root)) > PALM_CLEARANCE for other in high)
+    outline = Footprint.rectangle((length, width), Pose((0.0, 0.0, 0.0)))
+    others = _others(scene, obj, float(under[:, 2].min()))
+    return all(outline.gap(_footprint_above(other, pose, root)) > PALM_CLEARANCE for other in others)
 
 
-def _wrist_fits(scene: Scene, hand: Pose, item: SceneObject) -> bool:
-    """Whether the arm, its palm and wrist too, touches nothing that stands higher than the fingers reach."""
-    root = hand.z + scene.robot.model.gripper.finger[2]
-    others = (other.body for other in scene if other is not item and other is not scene.held)
-    high = [body for body in others if scene.world.top(body) > root]
-    return not high or scene.robot.is_free_at(_symmetric(hand), high)
+def _wrist_fits(scene: Scene, pose: Pose, obj: SceneObject) -> bool:
+    """Return True if the arm, with palm and wrist, touches no object that is higher than the finger roots."""
+    high = [other.body for other in _others(scene, obj, pose.z + scene.robot.model.gripper.finger[2])]
+    return not high or scene.robot.is_free_at(_nearest_symmetric(pose), high)
 
 
-def _beyond(item: SceneObject, hand: Pose, height: float) -> Footprint:
-    """Return what an item covers at a height (m) of a hand's frame and above, seen along its z axis."""
-    world = item.spec.mesh.vertices @ matrix(item.pose).T + item.pose.position
-    points = (world - hand.position) @ matrix(hand)
+def _footprint_above(obj: SceneObject, pose: Pose, height: float) -> Footprint:
+    """Return the footprint, along a tool's z axis, of the part of an object above a height (m) there."""
+    world = obj.spec.mesh.vertices @ matrix(obj.pose).T + obj.pose.position
+    points = (world - pose.position) @ matrix(pose)
     above, below = points[points[:, 2] > height], points[points[:, 2] <= height]
     start, end = (np.repeat(below, len(above), axis=0), np.tile(above, (len(below), 1)))
     share = (height - start[:, 2:]) / (end[:, 2:] - start[:, 2:])
     return Footprint(np.concatenate([above, start + share * (end - start)])[:, :2])
 
 
-@lru_cache(maxsize=4)
-def _lattice(length: float, width: float, height: float) -> FloatArray:
-    """Return where the ground under a palm is looked at, (n, 3) m in the hand's frame."""
-    along, across = np.meshgrid(length * np.linspace(-0.5, 0.5, 11), width * np.linspace(-0.5, 0.5, 5))
-    return np.stack([along.ravel(), across.ravel(), np.full(along.size, height)], axis=1)
-
-
-def fingers_fit(scene: Scene, hand: Pose, item: SceneObject) -> bool:
-    """Whether the open fingers can close, their tips at a pose, and touch nothing but an item."""
+def fingers_fit(scene: Scene, pose: Pose, obj: SceneObject) -> bool:
+    """Return True if the fingers can close, from open, at a pose and touch nothing except an object."""
     gripper = scene.robot.model.gripper
     thickness, width, _ = gripper.finger
-    far = gripper.stroke / 2.0 + thickness
-    tips = _swept(far, width) @ matrix(hand).T + hand.position
+    far = gripper.half_width()
+    tips = FINGER_POINTS * (far, width, 0.0) @ matrix(pose).T + pose.position
     if (scene.surface.heights(tips[:, :2]) + TIP_CLEARANCE > tips[:, 2]).any():
         return False
-    fingers = [hand.compose(Pose((side * (far - thickness / 2.0), 0.0, 0.0))) for side in (1.0, -1.0)]
+    fingers = [pose.compose(Pose((side * (far - thickness / 2.0), 0.0, 0.0))) for side in (1.0, -1.0)]
     bases = [(Footprint.rectangle((thickness, width), finger), finger.z) for finger in fingers]
-    lowest, held = float(tips[:, 2].min()), scene.held
-    for other in scene:
-        if other is item or other is held or (top := scene.world.top(other.body)) <= lowest:
-            continue
-        shadow = footprint(other)
-        if any(base.gap(shadow) < FINGER_CLEARANCE and top > z for base, z in bases):
-            return False
-    return True
-
-
-@lru_cache(maxsize=16)
-def _swept(far: float, width: float) -> FloatArray:
-    """Return where the ground under the closing fingers is looked at, (n, 3) m in the hand's frame.
-
-    :param far: the open fingers' outer sides (m)
-    :param width: of a finger (m)
-    """
-    along, across = np.meshgrid(far * SWEEP, width * np.linspace(-0.5, 0.5, 5))
-    return np.stack([along.ravel(), across.ravel(), np.zeros(along.size)], axis=1)
+    return not any(
+        base.gap(footprint(other)) < FINGER_CLEARANCE and scene.world.top(other.body) > z
+        for other in _others(scene, obj, float(tips[:, 2].min()))
+        for base, z in bases
+    )

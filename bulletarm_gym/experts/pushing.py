@@ -1,47 +1,68 @@
-"""Waypoints for bringing a block somewhere without lifting it: a tool that tasks' experts share."""
+"""Waypoints of pushes: of a block to a goal, and of objects in a tray that no grasp can separate."""
 
 import math
 from collections.abc import Iterator, Sequence
 
-from bulletarm_gym.experts.waypoints import HALF_OPEN, Waypoint
-from bulletarm_gym.geometry import Pose, planar_distance
-from bulletarm_gym.scene import Scene, SceneObject
+import numpy as np
 
-CLEAR = 0.06
-"""Where (m) the gripper comes down behind the block."""
-ABOVE = 0.1
-"""Height (m) of the fingertips on the way to it."""
+from bulletarm_gym.experts import CLOSED, HALF_OPEN, Waypoint
+from bulletarm_gym.experts.approach import HOVER
+from bulletarm_gym.geometry import Pose, matrix, planar_distance
+from bulletarm_gym.scene import Scene, SceneObject
+from bulletarm_gym.surfaces.surface import Point
+
+CLEARANCE = 0.06
+"""Distance (m) from the block's side at which the gripper descends behind it."""
+DRAG_HOVER = 0.1
+"""Height (m) of the fingertips before the descent."""
 AT_START = 0.01
-"""Distance (m) from there within which it is right to be as low as the block ..."""
+"""Horizontal distance (m) from the start within which the gripper descends to the block's height."""
 SLOPE = 1.2
-"""... and by how much higher it is to be per metre farther away, without a step that is hard to see ..."""
+"""Height of the fingertips per metre from the start: a continuous path is easier to imitate than a step."""
+HEIGHT_TOLERANCE = 0.03
+"""Height (m) below that path from which the gripper first moves up."""
 LOOK_AHEAD = 0.04
-"""How far (m) a drag over sloping ground looks ahead."""
-UNDER = 0.03
-"""... where this much (m) lower still does no harm."""
+"""Length (m) of a step over a sloping surface."""
 BAND = 0.02
-"""Height (m) above that of a drag that still counts as low."""
+"""Largest height (m) of the fingertips above the height of a drag."""
 OFF_LINE = 0.035
-"""Distance (m) from the line to the goal at which a drag is begun anew."""
+"""Largest distance (m) of the gripper from the line to the goal during a drag."""
+
+RUN_UP = 0.045
+"""Distance (m) to an object's end at which a push starts."""
+END = 0.75
+"""Distance of the pushed point from an object's centre, relative to its half length."""
+PUSH_HEIGHT = 0.012
+"""Height (m) of the fingertips above the surface during a push."""
+PUSH_LENGTH = 0.09
+"""Length (m) of a push."""
+TOLERANCE = 0.012
+"""Largest distance (m) of the gripper from the line of a push."""
+ROUND = 0.8
+"""Smallest ratio of the variances across and along a round object."""
+CONTACT = 0.001
+"""Largest distance (m) between the gripper and a body in contact."""
+SPREAD = 0.02
+"""Largest sampled offset (m) of a push, so that retries differ."""
 
 
 class Drag:
-    """One block being brought to a goal by a gripper behind it.
+    """Plan that moves one block to a goal with the gripper behind it.
 
-    The gripper does not turn: with the fingers apart it pushes straight enough in any direction, and where it
-    should turn by a right angle, either way would do, which an agent cannot imitate.
+    The gripper does not rotate: half-open fingers push straight enough in any direction. With a rotation by
+    pi/2 two yaws would be equivalent, and an agent cannot imitate the choice.
 
-    :param item: the block
-    :param goal: where its centre is to come (m)
-    :param low: height (m) of the fingertips while they drag
+    :param obj: the block
+    :param goal: position (m) for its centre
+    :param low: height (m) of the fingertips above the surface during the drag
     """
 
-    def __init__(self, scene: Scene, item: SceneObject, goal: Sequence[float], low: float) -> None:
-        self._hand = scene.robot.pose
+    def __init__(self, scene: Scene, obj: SceneObject, goal: Sequence[float], low: float) -> None:
+        self._tool = scene.robot.pose
         self._half_width = scene.robot.model.gripper.half_width(HALF_OPEN)
         self._goal = goal
-        self._block = block = item.pose
-        self._behind = item.spec.extents[0] / 2.0 + CLEAR
+        self._block = block = obj.pose
+        self._behind = obj.spec.extents[0] / 2.0 + CLEARANCE
         self._low = low
         self._surface = scene.surface
         dx, dy = goal[0] - block.x, goal[1] - block.y
@@ -52,58 +73,112 @@ class Drag:
 
     @property
     def effort(self) -> float:
-        """How far (m) the gripper would have to go; being behind the block already counts most."""
+        """Cost of the path to the start: its length (m), more outside the workspace, -1 behind the block."""
         if self._is_behind:
             return -1.0
-        return 10.0 * self._outside + planar_distance(self._start, self._hand.position)
+        return 10.0 * self._outside + planar_distance(self._start, self._tool.position)
 
     @property
     def _is_behind(self) -> bool:
-        """Whether the gripper is in place to drag."""
-        dx, dy = self._hand.x - self._block.x, self._hand.y - self._block.y
+        """Whether the gripper is at a pose from which the drag can start."""
+        dx, dy = self._tool.x - self._block.x, self._tool.y - self._block.y
         along = dx * self._line[0] + dy * self._line[1]
         aside = abs(dx * self._line[1] - dy * self._line[0])
         return (
             along < 0.0
             and aside < OFF_LINE
-            and self._hand.z < self._above_ground(self._hand.position) + BAND
+            and self._tool.z < self._drag_height(self._tool.position) + BAND
             and -along < 2.0 * self._behind
         )
 
     @property
-    def _height(self) -> float:
-        """Height (m) to be at on the way: the nearer to the start, the lower."""
-        apart = planar_distance(self._start, self._hand.position) - AT_START - self._outside
-        low = self._above_ground(self._start)
-        return min(ABOVE + low - self._low, low + SLOPE * max(0.0, apart))
+    def _approach_height(self) -> float:
+        """Height (m) of the fingertips before the drag, lower near the start."""
+        apart = planar_distance(self._start, self._tool.position) - AT_START - self._outside
+        low = self._drag_height(self._start)
+        return min(DRAG_HOVER + low - self._low, low + SLOPE * max(0.0, apart))
 
-    def _above_ground(self, point: Sequence[float]) -> float:
-        """Return the height (m) at which the open fingers drag there."""
-        aside = self._half_width * math.cos(self._hand.yaw), self._half_width * math.sin(self._hand.yaw)
+    def _drag_height(self, point: Sequence[float]) -> float:
+        """Return the height (m) of the fingertips at a point of the drag."""
+        aside = self._half_width * math.cos(self._tool.yaw), self._half_width * math.sin(self._tool.yaw)
         under = [(point[0] + share * aside[0], point[1] + share * aside[1]) for share in (-1.0, 0.0, 1.0)]
         return self._low + float(self._surface.heights(under).max())
 
     def plan(self) -> Iterator[Waypoint]:
-        """Yield what remains of: over the start, down, to the goal."""
+        """Yield the remaining waypoints: above the start, down, to the goal."""
+        tool = self._tool
         if not self._is_behind:
-            if self._hand.z < self._height - UNDER:
-                yield Waypoint(Pose.planar(self._hand.x, self._hand.y, ABOVE, self._hand.yaw), HALF_OPEN)
-            yield Waypoint(Pose.planar(*self._start, self._height, self._hand.yaw), HALF_OPEN)
+            if tool.z < self._approach_height - HEIGHT_TOLERANCE:
+                yield Waypoint(Pose.planar(tool.x, tool.y, DRAG_HOVER, tool.yaw), HALF_OPEN)
+            yield Waypoint(Pose.planar(*self._start, self._approach_height, tool.yaw), HALF_OPEN)
         yield Waypoint(self._next(), HALF_OPEN, straight=True)
 
     def _next(self) -> Pose:
-        """Return where the drag goes next: to the goal, over sloping ground step by step."""
-        goal, hand = self._goal, self._hand
-        share = min(1.0, LOOK_AHEAD / max(planar_distance(goal, hand.position), 1e-9))
-        near = (hand.x + share * (goal[0] - hand.x), hand.y + share * (goal[1] - hand.y))
-        here, there, end = (self._above_ground(point) for point in (hand.position, near, goal))
+        """Return the next pose of the drag: the goal, or on a sloping surface a short step."""
+        goal, tool = self._goal, self._tool
+        share = min(1.0, LOOK_AHEAD / max(planar_distance(goal, tool.position), 1e-9))
+        near = (tool.x + share * (goal[0] - tool.x), tool.y + share * (goal[1] - tool.y))
+        here, there, end = (self._drag_height(point) for point in (tool.position, near, goal))
         if here == there == end:
-            return Pose.planar(goal[0], goal[1], end, hand.yaw)
-        return Pose.planar(*near, there, hand.yaw)
+            return Pose.planar(goal[0], goal[1], end, tool.yaw)
+        return Pose.planar(*near, there, tool.yaw)
 
 
-def _distance_outside(point: tuple[float, float], workspace: list[list[float]]) -> float:
-    """Return how far (m) a point is beyond the border in x or y, 0 inside."""
+def _distance_outside(point: Point, workspace: list[list[float]]) -> float:
+    """Return the distance (m) of a point beyond the border in x or y, 0 inside."""
     return max(
         max(low - value, value - high, 0.0) for value, (low, high) in zip(point, workspace, strict=False)
     )
+
+
+def singulate(scene: Scene, obj: SceneObject, rng: np.random.Generator) -> Iterator[Waypoint]:
+    """Yield waypoints that push an object's end sideways, towards the middle of the workspace.
+
+    :param rng: samples the offset of the push
+    """
+    tool, low = scene.robot.pose, scene.surface.height(obj.pose.position[:2]) + PUSH_HEIGHT
+    end, push = end_to_push(scene, obj)
+    ahead = (end[0] - tool.x) * push[0] + (end[1] - tool.y) * push[1]
+    aside = abs((end[0] - tool.x) * push[1] - (end[1] - tool.y) * push[0])
+    x, y = tool.x + PUSH_LENGTH * push[0], tool.y + PUSH_LENGTH * push[1]
+    is_low = tool.z < low + PUSH_HEIGHT
+    if is_low and aside < SPREAD + TOLERANCE and RUN_UP - PUSH_LENGTH < ahead < 2.0 * RUN_UP:
+        yield Waypoint(Pose.planar(x, y, low, tool.yaw), CLOSED, straight=True)
+    if tool.z > low + PUSH_HEIGHT and _is_in_contact(scene):
+        # The gripper slides over the object that blocks its descent.
+        yield Waypoint(Pose.planar(x, y, tool.z, tool.yaw), CLOSED, straight=True)
+    shift = float(rng.uniform(-SPREAD, SPREAD))
+    start = (end[0] - RUN_UP * push[0] - shift * push[1], end[1] - RUN_UP * push[1] + shift * push[0])
+    hover = scene.world.top(obj.body) + HOVER
+    if planar_distance(start, tool.position) > SPREAD + TOLERANCE:
+        if tool.z < hover - TOLERANCE:
+            yield Waypoint(Pose.planar(tool.x, tool.y, hover, tool.yaw), CLOSED)
+        yield Waypoint(Pose.planar(*start, hover, tool.yaw), CLOSED)
+    yield Waypoint(Pose.planar(tool.x, tool.y, low, tool.yaw), CLOSED)
+
+
+def _is_in_contact(scene: Scene) -> bool:
+    """Return True if the gripper touches an object or a wall."""
+    arm, world = scene.robot.body, scene.world
+    return any(world.distance(arm, body, CONTACT) < CONTACT for body in world.obstacles if body is not arm)
+
+
+def end_to_push(scene: Scene, obj: SceneObject) -> tuple[Point, Point]:
+    """Return a point (m) near an end of an object, and the direction of a push across its length."""
+    plane = (obj.spec.mesh.vertices @ matrix(obj.pose).T)[:, :2]
+    centre = (plane.min(axis=0) + plane.max(axis=0)) / 2.0
+    variances, axes = np.linalg.eigh(np.cov((plane - centre).T))
+    x, y = (np.asarray(obj.pose.position[:2]) + centre).tolist()
+    inward = np.asarray(scene.config.centre) - (x, y)
+    distance = float(np.hypot(*inward))
+    if variances[0] > ROUND * variances[1] and distance > 0.0:
+        # The long axis of a round object would change with every small rotation.
+        along, side = np.array((inward[1], -inward[0])) / distance, 1.0
+    else:
+        along = axes[:, 1]
+        side = 1.0 if along @ inward >= 0.0 else -1.0
+    half = float(np.abs((plane - centre) @ along).max())
+    across = (-float(along[1]), float(along[0]))
+    sign = 1.0 if across[0] * inward[0] + across[1] * inward[1] >= 0.0 else -1.0
+    reach = END * half * side
+    return (x + reach * float(along[0]), y + reach * float(along[1])), (sign * across[0], sign * across[1])

@@ -7,22 +7,22 @@ from typing import Any
 from bulletarm_gym.config import CLOSE_LOOP, MAX_ROTATION, MAX_TRANSLATION
 from bulletarm_gym.control import CloseLoop, Control, DeltaMove, OpenLoop, PickPlace
 from bulletarm_gym.control.open_loop import HALF_TURN, PICK, PLACE
+from bulletarm_gym.experts import OPEN, Waypoint
 from bulletarm_gym.experts.approach import avoid_limits, exchange_fingers, route
-from bulletarm_gym.experts.waypoints import OPEN, Waypoint
 from bulletarm_gym.geometry import Pose, euler_angles, wrap_angle
 from bulletarm_gym.scene import Scene
 
 ARRIVED = 0.999
-"""Fraction of the distance to a waypoint that counts as all of it."""
+"""Fraction of the distance to a waypoint from which the gripper counts as arrived."""
 
 
 class Tracker:
     """Follows plans by the moves of a control.
 
     :param control: a subclass of ``CloseLoop`` or ``OpenLoop``, or one that defines ``towards(waypoint)``
-    :param scene: the scene of the plans; its largest close-loop step becomes that of the control
+    :param scene: the scene of the plans; its largest closed-loop step becomes that of the control
     :param opening: largest distance (m) between the open fingers; None if plans contain the path to a pick or
-        place, which close-loop control otherwise adds
+        place, which closed-loop control otherwise adds
     """
 
     def __init__(self, control: Control[Any], scene: Scene, opening: float | None) -> None:
@@ -35,7 +35,7 @@ class Tracker:
         self._opening = None if opening is None else min(opening / control.robot.stroke, OPEN)
 
     def next_move(self, plan: Iterator[Waypoint]) -> Any:
-        """Return the next move of a plan: open loop, its first pick or place.
+        """Return the next move of a plan: open-loop, its first pick or place.
 
         :raises ValueError: the plan has none
         """
@@ -66,7 +66,7 @@ class Tracker:
             if not -math.pi / 2.0 <= pose.yaw < math.pi / 2.0:
                 pose = exchange_fingers(self._scene, pose)
             if pose.yaw < 0.0:
-                pose = pose.compose(HALF_TURN)  # OpenLoop.executed() turns it back
+                pose = pose.compose(HALF_TURN)  # OpenLoop.executed() rotates it back
         elif not control.robot.reaches(pose):
             pose = exchange_fingers(self._scene, pose)
         psi, phi, theta = euler_angles(pose.orientation)
@@ -75,27 +75,25 @@ class Tracker:
 
     def _delta_move(self, control: CloseLoop, waypoint: Waypoint) -> DeltaMove:
         """Return the move towards a waypoint within the control's ranges."""
-        tips, ranges, goal = control.robot.pose, control.ranges, avoid_limits(self._scene, waypoint.pose)
+        tool, ranges, goal = control.robot.pose, control.ranges, avoid_limits(self._scene, waypoint.pose)
         target = control.within(goal.position)
-        way = [end - now for end, now in zip(target, tips.position, strict=True)]
-        rotation = _rotation(control, tips, goal.yaw) if "r" in ranges else 0.0
-        limits = [*(ranges[axis][1] for axis in "xyz"), ranges.get("r", (0.0, MAX_ROTATION))[1]]
-        excess = max(abs(part) / limit for part, limit in zip((*way, rotation), limits, strict=True))
+        distances = [end - start for end, start in zip(target, tool.position, strict=True)]
+        rotation = _rotation(control, tool, goal.yaw) if "r" in ranges else 0.0
+        limits = [*(ranges[axis][1] for axis in "xyz"), self._scene.max_rotation]
+        excess = max(abs(part) / limit for part, limit in zip((*distances, rotation), limits, strict=True))
         scale = 1.0 / excess if waypoint.straight and excess > 1.0 else 1.0
-        x, y, z, r = (
-            min(max(part, -limit), limit)
-            for part, limit in zip((*(scale * part for part in way), rotation), limits, strict=True)
-        )
+        parts = (*(scale * distance for distance in distances), rotation)
+        x, y, z, r = (min(max(part, -limit), limit) for part, limit in zip(parts, limits, strict=True))
         arrives = excess * ARRIVED <= 1.0
         opening = waypoint.finish if arrives and waypoint.finish is not None else waypoint.gripper
         return DeltaMove(opening, (x, y, z), r)
 
 
-def _rotation(control: CloseLoop, tips: Pose, yaw: float) -> float:
-    """Return the rotation (rad) to a yaw, the long way round where a joint limit blocks the short one."""
-    rotation, (low, high) = wrap_angle(yaw - tips.yaw), control.ranges["r"]
+def _rotation(control: CloseLoop, tool: Pose, yaw: float) -> float:
+    """Return the rotation (rad) to a yaw, in the longer direction if a joint limit blocks the shorter one."""
+    rotation, (low, high) = wrap_angle(yaw - tool.yaw), control.ranges["r"]
     step = min(max(rotation, low), high)
-    if step == rotation or control.robot.can_move_to(Pose.planar(*tips.position, tips.yaw + step)):
+    if step == rotation or control.robot.can_move_to(Pose.planar(*tool.position, tool.yaw + step)):
         return rotation
     return rotation - math.copysign(2.0 * math.pi, rotation)
 

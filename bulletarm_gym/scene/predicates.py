@@ -1,4 +1,4 @@
-"""How items stand to each other: the words that goals and experts are written in."""
+"""Predicates on objects, for the goals of tasks and the plans of experts."""
 
 import math
 from collections.abc import Iterable, Sequence
@@ -8,139 +8,149 @@ from bulletarm_gym.scene import Scene, SceneObject
 from bulletarm_gym.surfaces.surface import Point
 
 TOUCHING = 2e-3
-"""Gap (m) up to which two items touch: what a collision leaves between them when they come to rest."""
+"""Largest gap (m) between two objects in contact: a collision leaves gaps of this size."""
 UPRIGHT = math.pi / 9.0
-"""Greatest tilt (rad) of what stands upright."""
-
+"""Largest tilt (rad) of an upright object."""
 IN_LINE = math.pi / 7.0
-"""Greatest angle (rad) between a long block and the line through what it lies on."""
+"""Largest angle (rad) between a long block and the line through the blocks that support it."""
+
+
+def loose_objects(scene: Scene) -> list[SceneObject]:
+    """Return the present objects that are not fixed."""
+    return [obj for obj in scene if obj.spec.mass > 0.0]
+
+
+def success_at_rest(scene: Scene, **facts: bool) -> dict[str, bool]:
+    """Return a task's facts, ``is_empty`` and ``is_at_rest``, with ``success`` if all of them are True."""
+    facts |= {"is_empty": is_empty(scene), "is_at_rest": at_rest(scene)}
+    return {"success": all(facts.values()), **facts}
 
 
 def touching(scene: Scene, first: SceneObject, second: SceneObject) -> bool:
-    """Whether two items are in contact."""
+    """Return True if two objects are in contact."""
     return scene.world.are_near(first.body, second.body, TOUCHING)
 
 
-def is_held(scene: Scene, item: SceneObject) -> bool:
-    """Whether the gripper holds an item."""
-    return scene.robot.held is item.body
+def is_held(scene: Scene, obj: SceneObject) -> bool:
+    """Return True if the gripper holds an object."""
+    return scene.robot.held is obj.body
 
 
 def is_empty(scene: Scene) -> bool:
-    """Whether the gripper holds nothing."""
+    """Return True if the gripper holds nothing."""
     return scene.robot.held is None
 
 
 def at_rest(scene: Scene) -> bool:
-    """Whether nothing moves."""
+    """Return True if nothing moves."""
     return not scene.world.has_motion
 
 
-def upright(item: SceneObject) -> bool:
-    """Whether an item stands as it was made to stand."""
-    return item.pose.tilt < UPRIGHT
+def upright(obj: SceneObject) -> bool:
+    """Return True if the z axis of an object is nearly vertical."""
+    return obj.pose.tilt < UPRIGHT
 
 
-def on_ground(scene: Scene, item: SceneObject) -> bool:
-    """Whether an item touches the ground, level or not."""
+def on_surface(scene: Scene, obj: SceneObject) -> bool:
+    """Return True if an object touches the surface, level or not."""
     world = scene.world
-    standing = (body for body in scene.surface.bodies if world.active[body.index])
-    return any(world.are_near(item.body, body, TOUCHING) for body in standing)
+    bodies = (body for body in scene.surface.bodies if world.active[body.index])
+    return any(world.are_near(obj.body, body, TOUCHING) for body in bodies)
 
 
-def on_site(scene: Scene, item: SceneObject) -> bool:
-    """Whether an item stands, all of it but a hair, on the level ground where structures are built."""
-    level = abs(item.lowest - scene.surface.level) <= TOUCHING
-    return level and scene.surface.fits_site(item.cached_by_pose(_all_but_a_hair))
+def on_site(scene: Scene, obj: SceneObject) -> bool:
+    """Return True if an object stands on the level part of the surface where structures are built."""
+    level = abs(obj.lowest - scene.surface.level) <= TOUCHING
+    return level and scene.surface.fits_site(obj.cached_by_pose(_inner_footprint))
 
 
-def _all_but_a_hair(item: SceneObject) -> Footprint:
-    return Footprint.of(item.spec.mesh.vertices, item.pose).grown(-TOUCHING)
+def _inner_footprint(obj: SceneObject) -> Footprint:
+    return Footprint.of(obj.spec.mesh.vertices, obj.pose).grown(-TOUCHING)
 
 
-def _rotation(item: SceneObject) -> FloatArray:
-    return matrix(item.pose)
+def rests_on(scene: Scene, bottom: SceneObject, top: SceneObject) -> bool:
+    """Return True if an object touches another and its origin is higher."""
+    return top.pose.z > bottom.pose.z + TOUCHING and touching(scene, bottom, top)
 
 
 def carries(scene: Scene, bottom: SceneObject, top: SceneObject) -> bool:
-    """Whether an item lies on another, if only with an end: higher by half its height, and in contact."""
+    """Return True if an object touches another and is higher by half the smaller height."""
     rise = top.pose.z - bottom.pose.z
     return rise >= min(bottom.spec.extents[2], top.spec.extents[2]) / 2.0 and touching(scene, bottom, top)
 
 
 def on_top(scene: Scene, bottom: SceneObject, top: SceneObject) -> bool:
-    """Whether an item lies on another: higher by half its height, in contact, its middle over the other."""
+    """Return True if an object carries another whose centre is above it."""
     reach = max(*bottom.spec.extents[:2], *top.spec.extents[:2]) / 2.0
-    beside = max(abs(top.pose.x - bottom.pose.x), abs(top.pose.y - bottom.pose.y))
-    return beside <= reach and carries(scene, bottom, top)
+    offset = max(abs(top.pose.x - bottom.pose.x), abs(top.pose.y - bottom.pose.y))
+    return offset <= reach and carries(scene, bottom, top)
 
 
-def stacked(scene: Scene, items: Iterable[SceneObject]) -> bool:
-    """Whether items form one stack: the lowest on the ground, each of the others on the one before alone."""
-    lowest, *others = sorted(items, key=lambda item: item.pose.z)
-    chain = zip([lowest, *others], others, strict=False)
+def stacked(scene: Scene, objects: Iterable[SceneObject]) -> bool:
+    """Return True if objects form one stack on the surface and none of them is grasped."""
+    lowest, *others = sorted(objects, key=lambda obj: obj.pose.z)
+    pairs = zip([lowest, *others], others, strict=False)
     return (
-        not any(is_held(scene, item) for item in (lowest, *others))
-        and on_ground(scene, lowest)
-        and all(on_top(scene, below, item) and not on_ground(scene, item) for below, item in chain)
+        not any(is_held(scene, obj) for obj in (lowest, *others))
+        and on_surface(scene, lowest)
+        and all(on_top(scene, below, obj) and not on_surface(scene, obj) for below, obj in pairs)
     )
 
 
-def inside(item: SceneObject, container: SceneObject) -> bool:
-    """Whether an item's origin is, seen from above, within the outer sides of a container."""
-    place = container.pose.inverse().transform(item.pose.position)
+def inside(obj: SceneObject, container: SceneObject) -> bool:
+    """Return True if an object's origin is horizontally within the outer sides of a container."""
+    position = container.pose.inverse().transform(obj.pose.position)
     low, high = container.spec.mesh.bounds.tolist()
-    return all(low[axis] < place[axis] < high[axis] for axis in (0, 1))
+    return all(low[axis] < position[axis] < high[axis] for axis in (0, 1))
 
 
-def is_top(item: SceneObject, pool: Sequence[SceneObject]) -> bool:
-    """Whether none of the items in the pool is above an item."""
+def is_top(obj: SceneObject, objects: Sequence[SceneObject]) -> bool:
+    """Return True if none of the objects is above an object."""
     return not any(
-        other.pose.z > item.pose.z
-        and planar_distance(other.pose.position, item.pose.position) < min(item.spec.extents[:2])
-        for other in pool
-        if other is not item
+        other.pose.z > obj.pose.z
+        and planar_distance(other.pose.position, obj.pose.position) < min(obj.spec.extents[:2])
+        for other in objects
+        if other is not obj
     )
 
 
-def middle(items: Sequence[SceneObject]) -> Point:
-    """Return the mean x and y (m) of items."""
-    x, y = (sum(item.pose.position[axis] for item in items) / len(items) for axis in (0, 1))
+def middle(objects: Sequence[SceneObject]) -> Point:
+    """Return the mean x and y (m) of objects."""
+    x, y = (sum(obj.pose.position[axis] for obj in objects) / len(objects) for axis in (0, 1))
     return (x, y)
 
 
-def between(item: SceneObject, others: Sequence[SceneObject], reach: float) -> bool:
-    """Whether an item is, seen from above, less than ``reach`` (m) from the middle of others."""
-    return planar_distance(item.pose.position, middle(others)) < reach
+def between(obj: SceneObject, others: Sequence[SceneObject], distance: float) -> bool:
+    """Return True if an object is horizontally less than ``distance`` (m) from the middle of others."""
+    return planar_distance(obj.pose.position, middle(others)) < distance
 
 
-def heading(item: SceneObject) -> float:
-    """Return the direction (rad) of an item's y axis, a long block's long side, seen from above."""
-    rotation = item.cached_by_pose(_rotation)
+def heading(obj: SceneObject) -> float:
+    """Return the horizontal direction (rad) of an object's y axis, the long axis of a long block."""
+    rotation = obj.cached_by_pose(_rotation)
     return math.atan2(rotation[1, 1], rotation[0, 1])
 
 
-def in_line(item: SceneObject, others: Sequence[SceneObject]) -> bool:
-    """Whether an item's y axis is along the line from the first of the others to the last."""
+def in_line(obj: SceneObject, others: Sequence[SceneObject]) -> bool:
+    """Return True if an object's y axis is along the line from the first to the last of the others."""
     (x0, y0, _), (x1, y1, _) = others[0].pose.position, others[-1].pose.position
-    return abs(wrap_angle(heading(item) - math.atan2(y1 - y0, x1 - x0), math.pi)) < IN_LINE
+    return abs(wrap_angle(heading(obj) - math.atan2(y1 - y0, x1 - x0), math.pi)) < IN_LINE
 
 
-def is_level(item: SceneObject) -> bool:
-    """Whether an item's y axis is tilted no more than what stands upright."""
-    return abs(float(item.cached_by_pose(_rotation)[2, 1])) < math.sin(UPRIGHT)
+def is_level(obj: SceneObject) -> bool:
+    """Return True if an object's y axis is nearly horizontal."""
+    return abs(float(obj.cached_by_pose(_rotation)[2, 1])) < math.sin(UPRIGHT)
 
 
-def lies_flat(item: SceneObject) -> bool:
-    """Whether one of an item's axes is upright: a block that has rolled onto another side lies flat."""
-    return item.cached_by_pose(_steepest) > math.cos(UPRIGHT)
+def lies_flat(obj: SceneObject) -> bool:
+    """Return True if one of an object's axes is nearly vertical."""
+    return obj.cached_by_pose(_steepest) > math.cos(UPRIGHT)
 
 
-def _steepest(item: SceneObject) -> float:
-    """Return the greatest cosine of an axis of an item with the vertical."""
-    return float(abs(item.cached_by_pose(_rotation)[2]).max())
+def _rotation(obj: SceneObject) -> FloatArray:
+    return matrix(obj.pose)
 
 
-def rests_on(scene: Scene, bottom: SceneObject, top: SceneObject) -> bool:
-    """Whether an item touches another that it is higher than: lies on it, if only with an edge."""
-    return top.pose.z > bottom.pose.z + TOUCHING and touching(scene, bottom, top)
+def _steepest(obj: SceneObject) -> float:
+    """Return the largest cosine between an axis of an object and the vertical."""
+    return float(abs(obj.cached_by_pose(_rotation)[2]).max())

@@ -1,4 +1,4 @@
-"""Finding room for things, with a bound on how long is searched."""
+"""Sampling of free points, poses and sites in the workspace, with a bounded number of attempts."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -12,207 +12,195 @@ from bulletarm_gym.surfaces.surface import Point
 
 T = TypeVar("T")
 
-GRASP_ROOM = (0.21, 0.07)
-"""Length and width (m) that tasks keep free around a block for a gripper, the same for every arm."""
-
+GRASP_AREA = (0.21, 0.07)
+"""Length and width (m) of the area around a block that tasks keep free for any gripper."""
 ATTEMPTS = 200
-"""Positions tried for one item before the whole arrangement is begun anew."""
+"""Number of samples for one object before the whole arrangement is sampled again."""
 ARRANGEMENTS = 50
-"""Arrangements tried before the workspace counts as too small."""
-
-
+"""Number of arrangements before the workspace counts as too small."""
 GRID = 7
-"""Points a side among which room is looked for."""
+"""Number of candidate points along each side of the workspace for the most free point."""
+
+
+class _AttemptsExhausted(PlacementError):
+    """No sample fits."""
+
+
+def sample_until(draw: Callable[[], T], fits: Callable[[T], bool], attempts: int = ATTEMPTS) -> T:
+    """Return the first sample that fits.
+
+    :raises PlacementError: none of ``attempts`` samples fits
+    """
+    for _ in range(attempts):
+        sample = draw()
+        if fits(sample):
+            return sample
+    raise _AttemptsExhausted(f"workspace: found no room for the task in {attempts} attempts")
+
+
+def _sample_all(scene: Scene, count: int, gap: float, sample: Callable[[list[T]], T]) -> list[T]:
+    """Return samples that depend on the samples before them; start again where one does not fit.
+
+    :param gap: distance (m) between objects, for the error
+    :raises PlacementError: they do not fit together
+    """
+    for _ in range(ARRANGEMENTS):
+        samples: list[T] = []
+        try:
+            while len(samples) < count:
+                samples.append(sample(samples))
+            return samples
+        except _AttemptsExhausted:
+            continue
+    limits = scene.config.workspace[:2]
+    raise PlacementError(f"workspace: found no room for {count} objects {gap:.3f} m apart in {limits}")
 
 
 def scatter(
-    scene: Scene,
-    rng: np.random.Generator,
-    margins: Sequence[float],
-    gap: float,
-    aligned: bool = False,
+    scene: Scene, rng: np.random.Generator, margins: Sequence[float], gap: float, aligned: bool = False
 ) -> list[Point]:
-    """Draw positions in the workspace, uniformly among those far enough from its border and from each other.
+    """Sample points of the workspace, uniformly among those with enough distance.
 
-    :param margins: of each position to the border (m)
-    :param gap: least distance between two positions (m)
-    :param aligned: all positions share their x, drawn once
+    :param margins: distance (m) of each point to the border
+    :param gap: smallest distance (m) between two points
+    :param aligned: all points have the same x
     :return: (x, y) of each
-    :raises PlacementError: they do not fit together
+    :raises PlacementError: the points do not fit together
     :raises ValueError: the workspace is narrower than twice a margin
     """
-    for _ in range(ARRANGEMENTS):
-        points: list[Point] = []
-        for margin in margins:
-            line = points[0][0] if aligned and points else None
-            point = _free_point(scene, rng, margin, gap, points, line)
-            if point is None:
-                break
-            points.append(point)
-        else:
-            return points
-    raise PlacementError(
-        f"workspace: found no room for {len(margins)} items {gap:.3f} m apart in {scene.config.workspace[:2]}"
-    )
+
+    def sample(points: list[Point]) -> Point:
+        def draw() -> Point:
+            x, y = scene.surface.sample_position(rng, margins[len(points)])
+            return (points[0][0] if aligned and points else x, y)
+
+        return sample_until(draw, lambda point: all(math.dist(point, other) >= gap for other in points))
+
+    return _sample_all(scene, len(margins), gap, sample)
 
 
-def _free_point(
-    scene: Scene,
-    rng: np.random.Generator,
-    margin: float,
-    gap: float,
-    taken: Sequence[Point],
-    line: float | None,
-) -> Point | None:
-    for _ in range(ATTEMPTS):
-        x, y = scene.surface.sample_position(rng, margin)
-        point = (x if line is None else line, y)
-        if all(math.dist(point, other) >= gap for other in taken):
-            return point
-    return None
+def random_yaw(scene: Scene, rng: np.random.Generator, spread: float) -> float:
+    """Sample a yaw (rad) in +-``spread``; it is 0 without ``random_orientation``."""
+    return float(rng.uniform(-spread, spread)) if scene.config.random_orientation else 0.0
 
 
-def stand(scene: Scene, item: SceneObject, point: Point, rng: np.random.Generator, spread: float) -> None:
-    """Stand an item on the ground at a point, turned by up to ``spread`` (rad) unless told not to."""
-    yaw = float(rng.uniform(-spread, spread)) if scene.config.random_orientation else 0.0
-    item.place(scene.surface.lay(item.spec, point, yaw))
+def goal_site(scene: Scene, rng: np.random.Generator, size: Point) -> Pose:
+    """Sample a level frame for a base of ``size`` (m); its yaw is 0 without ``random_orientation``.
+
+    :raises PlacementError: no such place exists
+    """
+    return scene.surface.goal_site(size, rng, math.pi if scene.config.random_orientation else 0.0)
+
+
+def stand(scene: Scene, obj: SceneObject, point: Point, rng: np.random.Generator, spread: float) -> None:
+    """Place an object on the surface at a point, with a random yaw in +-``spread`` (rad)."""
+    obj.place(scene.surface.lay(obj.spec, point, random_yaw(scene, rng, spread)))
 
 
 def place_apart(
     scene: Scene,
     rng: np.random.Generator,
-    items: Sequence[SceneObject],
+    objects: Sequence[SceneObject],
     gap: float,
-    spread: float = math.pi,
-    taken: Sequence[Footprint] = (),
     allows: Callable[[Pose], bool] = lambda pose: True,
 ) -> None:
-    """Lay items on the ground at random, so that their true footprints are apart and inside the border.
+    """Place objects on the surface at random, their footprints apart and inside the border.
 
-    What is in the scene besides them stays where it is, and they keep the same gap to it.
+    All other objects of the scene stay where they are and keep the same gap.
 
-    :param gap: least distance (m) between two footprints
-    :param spread: greatest yaw (rad) either way; 0 without ``random_orientation``
-    :param taken: more footprints to keep the gap to
-    :param allows: whether an item may lie at a pose
-    :raises PlacementError: they do not fit together
+    :param gap: smallest distance (m) between two footprints
+    :param allows: returns False for poses that are excluded
+    :raises PlacementError: the objects do not fit together
     """
-    others = [*taken, *footprints(scene, without=items)]
-    largest_first = sorted(items, key=lambda item: -item.spec.planar_radius)
-    for _ in range(ARRANGEMENTS):
-        covered, poses = list(others), []
-        for item in largest_first:
-            pose = _free_pose(scene, rng, item, gap, spread, covered, allows)
-            if pose is None:
-                break
-            poses.append(pose)
-            covered.append(footprint(item, pose))
-        else:
-            for item, pose in zip(largest_first, poses, strict=True):
-                item.place(pose)
-            return
-    raise PlacementError(
-        f"workspace: found no room for {len(items)} items {gap:.3f} m apart in {scene.config.workspace[:2]}"
-    )
+    largest_first = sorted(objects, key=lambda obj: -obj.spec.planar_radius)
+    others = footprints(scene, without=objects)
+
+    def sample(poses: list[Pose]) -> Pose:
+        placed = zip(largest_first, poses, strict=False)
+        covered = [*others, *(footprint(obj, pose) for obj, pose in placed)]
+        return _sample_pose(scene, rng, largest_first[len(poses)], gap, covered, allows)
+
+    for obj, pose in zip(largest_first, _sample_all(scene, len(objects), gap, sample), strict=True):
+        obj.place(pose)
 
 
-def free_pose(
-    scene: Scene, rng: np.random.Generator, item: SceneObject, gap: float, spread: float = math.pi
+def free_pose(scene: Scene, rng: np.random.Generator, obj: SceneObject, gap: float) -> Pose:
+    """Sample a pose of an object on the surface away from all others.
+
+    :param gap: smallest distance (m) between footprints
+    :raises PlacementError: no sample fits
+    """
+    return _sample_pose(scene, rng, obj, gap, footprints(scene, without=[obj]))
+
+
+def _sample_pose(
+    scene: Scene,
+    rng: np.random.Generator,
+    obj: SceneObject,
+    gap: float,
+    covered: Sequence[Footprint],
+    allows: Callable[[Pose], bool] = lambda pose: True,
 ) -> Pose:
-    """Draw a pose in which an item, held or not, can be put on the ground away from all others.
+    (x0, x1), (y0, y1), _ = scene.config.workspace
 
-    :param gap: least distance (m) between footprints
-    :param spread: greatest yaw (rad) either way; 0 without ``random_orientation``
-    :raises PlacementError: there is no room for it
-    """
-    pose = _free_pose(scene, rng, item, gap, spread, footprints(scene, without=[item]))
-    if pose is None:
-        raise PlacementError(f"workspace: found no room for {item.role.name} {gap:.3f} m from all others")
-    return pose
+    def draw() -> Pose:
+        point = (float(rng.uniform(x0, x1)), float(rng.uniform(y0, y1)))
+        return scene.surface.lay(obj.spec, point, random_yaw(scene, rng, math.pi))
+
+    def fits(pose: Pose) -> bool:
+        base = footprint(obj, pose)
+        inside = scene.surface.fits(base, scene.surface.slide)
+        return inside and all(base.gap(other) >= gap for other in covered) and allows(pose)
+
+    return sample_until(draw, fits)
 
 
 def free_site(
     scene: Scene, rng: np.random.Generator, size: Point, gap: float, without: Sequence[SceneObject] = ()
 ) -> Pose:
-    """Draw a place on level ground to build on, away from the items that lie there.
+    """Sample a level site to build on, away from the objects of the scene.
 
-    :param size: width and length (m) of the base, along x and y of the frame returned
-    :param gap: least distance (m) of the base to footprints
-    :param without: items that do not count
-    :return: frame of the site, level, its origin on the ground
-    :raises PlacementError: there is no such place
+    :param size: width and length (m) of the base, along x and y of the returned frame
+    :param gap: smallest distance (m) of the base to footprints
+    :param without: objects to ignore
+    :return: level frame of the site, its origin on the surface
+    :raises PlacementError: no such place exists
     """
     covered = footprints(scene, without)
-    spread = math.pi if scene.config.random_orientation else 0.0
 
     def is_free(site: Pose) -> bool:
         base = Footprint.rectangle(size, site)
         return all(base.gap(other) >= gap for other in covered)
 
-    return sample_until(lambda: scene.surface.goal_site(size, rng, spread), is_free)
+    return sample_until(lambda: goal_site(scene, rng, size), is_free)
 
 
-def footprint(item: SceneObject, pose: Pose | None = None) -> Footprint:
-    """Return what an item covers of the ground, where it is or would be at a pose."""
-    return Footprint.of(item.spec.mesh.vertices, pose) if pose else item.cached_by_pose(_shadow)
+def footprint(obj: SceneObject, pose: Pose | None = None) -> Footprint:
+    """Return the footprint of an object at its present pose or at another pose."""
+    return Footprint.of(obj.spec.mesh.vertices, pose) if pose else obj.cached_by_pose(_present_footprint)
 
 
-def _shadow(item: SceneObject) -> Footprint:
-    return Footprint.of(item.spec.mesh.vertices, item.pose)
+def _present_footprint(obj: SceneObject) -> Footprint:
+    return Footprint.of(obj.spec.mesh.vertices, obj.pose)
 
 
 def footprints(scene: Scene, without: Sequence[SceneObject] = ()) -> list[Footprint]:
-    """Return what the items of a scene cover: all but some, marks and what the gripper holds."""
+    """Return the footprints of all objects except some, marks and the grasped object."""
     absent = [*without, scene.held]
-    return [footprint(item) for item in scene if item not in absent and not item.spec.is_mark]
+    return [footprint(obj) for obj in scene if obj not in absent and not obj.spec.is_mark]
 
 
-def _free_pose(
-    scene: Scene,
-    rng: np.random.Generator,
-    item: SceneObject,
-    gap: float,
-    spread: float,
-    covered: Sequence[Footprint],
-    allows: Callable[[Pose], bool] = lambda pose: True,
-) -> Pose | None:
-    (x0, x1), (y0, y1), _ = scene.config.workspace
-    for _ in range(ATTEMPTS):
-        point = (float(rng.uniform(x0, x1)), float(rng.uniform(y0, y1)))
-        yaw = float(rng.uniform(-spread, spread)) if scene.config.random_orientation else 0.0
-        pose = scene.surface.lay(item.spec, point, yaw)
-        base = footprint(item, pose)
-        free = scene.surface.fits(base, scene.surface.slide) and all(
-            base.gap(other) >= gap for other in covered
-        )
-        if free and allows(pose):
-            return pose
-    return None
-
-
-def most_free_point(scene: Scene, item: SceneObject) -> Point:
-    """Return the point of the workspace that is farthest from all other items and not near the border."""
-    margin = item.spec.planar_radius
+def most_free_point(scene: Scene, obj: SceneObject) -> Point:
+    """Return the point on a grid in the workspace with the largest distance to all other objects."""
+    margin = obj.spec.planar_radius
     xs, ys = (np.linspace(low + margin, high - margin, GRID) for low, high in scene.config.workspace[:2])
-    others = [other.pose.position[:2] for other in scene if other is not item]
+    others = [other.pose.position[:2] for other in scene if other is not obj]
     points = [(x, y) for x in xs.tolist() for y in ys.tolist()]
     return max(points, key=lambda point: min((math.dist(point, other) for other in others), default=0.0))
 
 
-def sample_until(draw: Callable[[], T], fits: Callable[[T], bool], attempts: int = ATTEMPTS) -> T:
-    """Draw until something fits.
-
-    :raises PlacementError: nothing did
-    """
-    for _ in range(attempts):
-        drawn = draw()
-        if fits(drawn):
-            return drawn
-    raise PlacementError(f"workspace: found no room for what the task needs, in {attempts} attempts")
-
-
 def is_within(scene: Scene, point: Sequence[float], margin: float) -> bool:
-    """Whether a point is at least ``margin`` (m) inside the workspace's border in x and y."""
+    """Return True if a point is at least ``margin`` (m) inside the workspace's border in x and y."""
     limits = scene.config.workspace[:2]
     return all(
         low + margin <= value <= high - margin for value, (low, high) in zip(point, limits, strict=False)

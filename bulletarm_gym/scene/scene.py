@@ -1,4 +1,4 @@
-"""What tasks, controls and planners share: the bodies by role, the arm, the surface and the workspace."""
+"""What tasks, controls and planners share: the bodies by slot, the arm, the surface and the workspace."""
 
 import math
 import sys
@@ -42,7 +42,7 @@ SIDE_WORKSPACE = 0.4
 SETTLE_LIMIT = 240
 """Most simulation steps (1 s) that loose bodies are given to come to rest."""
 MOST_VARIANTS = 120
-"""Bodies that are loaded to play all roles where sizes are drawn: Bullet looks at every pair of them in every
+"""Bodies that are loaded to play all slots where sizes are drawn: Bullet looks at every pair of them in every
 step, parked or not. Twice as many as any task has without."""
 GOLDEN = (math.sqrt(5.0) - 1.0) / 2.0
 """Steps of this share go round a circle most evenly, however many are made."""
@@ -54,7 +54,7 @@ class ObjectSlot:
 
     :param variants: of different sizes or shapes; one is drawn each episode. Of several sizes the smallest
         comes first, each in all shapes, in the same order
-    :param kind: what it has in common with other roles of the task: its kind of block, its colour
+    :param kind: what it has in common with other slots of the task: its kind of block, its colour
     """
 
     name: str
@@ -65,29 +65,29 @@ class ObjectSlot:
 def scaled(
     config: EnvConfig, name: str, make: Callable[[str, float], BodySpec], kind: str = ""
 ) -> ObjectSlot:
-    """Return a role played by one body a size: ``make(name, scale)`` for every scale of the configuration."""
+    """Return a slot played by one body a size: ``make(name, scale)`` for every scale of the configuration."""
     return ObjectSlot(name, tuple(make(f"{name} {scale:g}", scale) for scale in config.scales), kind)
 
 
 def shaped(
     config: EnvConfig, name: str, make: Callable[[str, float, int], BodySpec], shapes: int
 ) -> ObjectSlot:
-    """Return a role played by ``make(name, scale, number)`` for every scale and all of so many shapes."""
+    """Return a slot played by ``make(name, scale, number)`` for every scale and all of so many shapes."""
     kinds = [(scale, kind) for scale in config.scales for kind in range(shapes)]
     return ObjectSlot(name, tuple(make(f"{name} {kind} {scale:g}", scale, kind) for scale, kind in kinds))
 
 
-def spread(roles: Sequence[ObjectSlot], most: int) -> list[list[int]]:
-    """Choose variants of roles so that all together are at most so many, but one a role at least.
+def spread(slots: Sequence[ObjectSlot], most: int) -> list[list[int]]:
+    """Choose variants of slots so that all together are at most so many, but one a slot at least.
 
     Roles of few variants keep all; the others keep as many as each other, spread evenly over shapes and
-    sizes: one role goes on where the one before it ended, so that together they have as many different ones
+    sizes: one slot goes on where the one before it ended, so that together they have as many different ones
     as can be.
 
     :param most: variants
-    :return: for each role the places of its chosen variants, in their order
+    :return: for each slot the places of its chosen variants, in their order
     """
-    counts = [len(role.variants) for role in roles]
+    counts = [len(slot.variants) for slot in slots]
     most_of_one = max(counts, default=1)
     while most_of_one > 1 and sum(min(count, most_of_one) for count in counts) > most:
         most_of_one -= 1
@@ -105,20 +105,20 @@ def spread(roles: Sequence[ObjectSlot], most: int) -> list[list[int]]:
 
 
 class SceneObject:
-    """The body that plays a role in this episode.
+    """The body that plays a slot in this episode.
 
-    :param role: which
-    :param choices: places of the role's variants that can be drawn
+    :param slot: which
+    :param choices: places of the slot's variants that can be drawn
     :param world: where their bodies are loaded
     :param pad_width: width (m) of the pads of the robot's fingers
     """
 
-    def __init__(self, role: ObjectSlot, choices: Sequence[int], world: World, pad_width: float) -> None:
-        self.role = role
+    def __init__(self, slot: ObjectSlot, choices: Sequence[int], world: World, pad_width: float) -> None:
+        self.slot = slot
         self.pad_width = pad_width
         self.choices = choices
         self.variant = 0
-        self._bodies = [world.add(role.variants[place]) for place in choices]
+        self._bodies = [world.add(slot.variants[place]) for place in choices]
         self._world = world
         self._of_shapes: list[dict[Any, Any]] = [{} for _ in choices]
         self._of_pose: tuple[int, Pose, dict[Any, Any]] = (-1, Pose((0.0, 0.0, 0.0)), {})
@@ -130,7 +130,7 @@ class SceneObject:
 
     @property
     def bodies(self) -> list[Body]:
-        """All bodies that may play the role."""
+        """All bodies that may play the slot."""
         return list(self._bodies)
 
     @property
@@ -212,7 +212,7 @@ class SceneObject:
         self._world.set_joints(self.body, positions)
 
     def park(self) -> None:
-        """Take every body of the role out of the scene."""
+        """Take every body of the slot out of the scene."""
         for body in self._bodies:
             if self._world.active[body.index]:
                 self._world.park(body)
@@ -229,11 +229,11 @@ class Scene:
     :param config: the environment's parameters
     :param model: the arm
     :param surface: the ground
-    :param roles: every body the task will ever need; where sizes are drawn, at most :data:`MOST_VARIANTS`
+    :param slots: every body the task will ever need; where sizes are drawn, at most :data:`MOST_VARIANTS`
     """
 
     def __init__(
-        self, config: EnvConfig, model: RobotModel, surface: Surface, roles: Sequence[ObjectSlot]
+        self, config: EnvConfig, model: RobotModel, surface: Surface, slots: Sequence[ObjectSlot]
     ) -> None:
         self.config = config
         self.surface = surface
@@ -242,25 +242,25 @@ class Scene:
         self.world = World(PHYSICS_MODES[config.physics_mode], gui=config.render_mode == "human")
         surface.load(self.world)
         self.robot = Robot(model, self.world, config.fast_mode)
-        choices = spread(roles, MOST_VARIANTS) if len(config.scales) > 1 else spread(roles, sys.maxsize)
-        self._items = {
-            role.name: SceneObject(role, places, self.world, model.gripper.finger[1])
-            for role, places in zip(roles, choices, strict=True)
+        choices = spread(slots, MOST_VARIANTS) if len(config.scales) > 1 else spread(slots, sys.maxsize)
+        self._objects = {
+            slot.name: SceneObject(slot, places, self.world, model.gripper.finger[1])
+            for slot, places in zip(slots, choices, strict=True)
         }
         self.world.seal()
 
     def __getitem__(self, name: str) -> SceneObject:
-        """Return the item of a role."""
-        return self._items[name]
+        """Return the item of a slot."""
+        return self._objects[name]
 
     def __iter__(self) -> Iterator[SceneObject]:
         """Iterate over the items that take part."""
-        return (item for item in self._items.values() if item.is_present)
+        return (item for item in self._objects.values() if item.is_present)
 
     @property
     def objects(self) -> list[SceneObject]:
-        """The items of all roles, in their order, absent ones too."""
-        return list(self._items.values())
+        """The items of all slots, in their order, absent ones too."""
+        return list(self._objects.values())
 
     @property
     def held(self) -> SceneObject | None:
@@ -269,11 +269,11 @@ class Scene:
         return None if held is None else next((item for item in self if item.body is held), None)
 
     def clear(self, rng: np.random.Generator) -> None:
-        """Empty the scene, draw its ground and who plays each role."""
+        """Empty the scene, draw its ground and who plays each slot."""
         self.world.unsettled.update(body.index for body in self.world.loose_bodies)
         self.world.reset_properties()
         self.surface.arrange(rng)
-        for item in self._items.values():
+        for item in self._objects.values():
             item.park()
             item.variant = int(rng.integers(len(item.choices)))
 
@@ -307,12 +307,12 @@ class Scene:
         return stopwatch
 
     def get_variants(self) -> tuple[int, ...]:
-        """Return which of an item's choices plays each role."""
-        return tuple(item.variant for item in self._items.values())
+        """Return which of an item's choices plays each slot."""
+        return tuple(item.variant for item in self._objects.values())
 
     def set_variants(self, variants: Sequence[int]) -> None:
         """Return to a cast; the bodies are the world's."""
-        for item, variant in zip(self._items.values(), variants, strict=True):
+        for item, variant in zip(self._objects.values(), variants, strict=True):
             item.variant = variant
 
     # What is seen of it

@@ -1,4 +1,4 @@
-"""What is to be done: one file a family of tasks."""
+"""Tasks, one module per family."""
 
 from bulletarm_gym.control import GraspParams
 from bulletarm_gym.experts import CLOSED, HALF_OPEN, OPEN, Waypoint

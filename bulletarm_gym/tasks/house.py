@@ -1,43 +1,46 @@
-"""Building houses."""
+"""Building houses of fixed blocks, and of blocks with random shapes."""
 
 import math
 from collections.abc import Sequence
 
-from bulletarm_gym.config import TaskDefaults
-from bulletarm_gym.objects.blocks import brick, cube, roof, triangle
+from bulletarm_gym.config import EnvConfig
+from bulletarm_gym.objects.blocks import brick, cube, improvise_bricks, roof, triangle
+from bulletarm_gym.objects.polyominoes import CELL, WIDEST, improvise_blocks
+from bulletarm_gym.scene import ObjectSlot
 from bulletarm_gym.tasks.stacking import Stack
-from bulletarm_gym.tasks.structure import SCALE, Structure
+from bulletarm_gym.tasks.structure import Structure, structure_defaults
+
+BRICKS = 19
+"""Number of sizes of bricks, the number of shapes of blocks."""
 
 
 class HouseBuilding1(Stack):
     """Stack the cubes, and put the triangle on top.
 
-    Description: three (one to five) 3 cm cubes and a triangle, 3 x 3 x 3 cm, lie on the ground; in
-    the paper's close-loop House Building a cube of 5 cm and a triangle as large.
-    Randomisation: the blocks' positions and yaws, in open loop at least 4.2 cm between any two, in close loop
-    at least 2.4 sides apart and yaws within 90 degrees either way.
-    Success: the cubes form a stack, on top the triangle, upright; the gripper is empty and nothing moves.
-    Expert: in open loop pick a cube, the triangle last, and place it on the tallest stack there is, in close
-    loop grasp it, up, over the stack, down, open; and so on.
-    All else is as in :class:`~bulletarm_gym.tasks.stacking.Stack`.
+    Description: three (one to five) 3 cm cubes and a triangle, 3 x 3 x 3 cm, lie on the surface; in the
+    paper's closed-loop House Building a cube of 5 cm and a triangle of the same size.
+    Randomisation: the blocks' positions and yaws; open-loop at least 4.2 cm between any two, closed-loop at
+    least 2.4 sides apart and yaws within 90 degrees.
+    Success: the cubes form a stack with the upright triangle on top; the gripper is empty and nothing moves.
+    Expert: repeat until solved: grasp the next block (the triangle last), lift, move above the highest stack,
+    lower, open.
+    Everything else is as in :class:`~bulletarm_gym.tasks.stacking.Stack`.
     """
 
     kinds = {"cube": cube, "triangle": triangle}  # noqa: RUF012
     upright = ("triangle",)
-    crown = "triangle"
+    top = "triangle"
     spread = math.pi / 2.0
 
 
 class HouseBuilding2(Structure):
     """Put two cubes side by side, and the roof on both.
 
-    Description: two 3 cm cubes and a roof, 12 x 3 x 3 cm, lie on the ground.
-    All else is as in :class:`~bulletarm_gym.tasks.structure.Structure`.
+    Description: two 3 cm cubes and a roof, 12 x 3 x 3 cm, lie on the surface.
+    Everything else is as in :class:`~bulletarm_gym.tasks.structure.Structure`.
     """
 
-    defaults = TaskDefaults(
-        num_objects=3, max_steps=10, object_scale=SCALE, allowed_objects=(3,), close_loop={"max_steps": 100}
-    )
+    defaults = structure_defaults(3)
     kinds = {"cube": cube, "roof": roof}  # noqa: RUF012
     layers: Sequence[Sequence[str]] = (("cube", "cube"), ("roof",))
     upright = ("roof",)
@@ -46,13 +49,11 @@ class HouseBuilding2(Structure):
 class HouseBuilding3(HouseBuilding2):
     """Put two cubes side by side, the brick on both, and the roof on the brick.
 
-    Description: two 3 cm cubes, a brick and a roof, 12 x 3 x 3 cm each, lie on the ground.
-    All else is as in :class:`~bulletarm_gym.tasks.structure.Structure`.
+    Description: two 3 cm cubes, a brick and a roof, 12 x 3 x 3 cm each, lie on the surface.
+    Everything else is as in :class:`~bulletarm_gym.tasks.structure.Structure`.
     """
 
-    defaults = TaskDefaults(
-        num_objects=4, max_steps=10, object_scale=SCALE, allowed_objects=(4,), close_loop={"max_steps": 100}
-    )
+    defaults = structure_defaults(4)
     kinds = {**HouseBuilding2.kinds, "brick": brick}  # noqa: RUF012
     layers: Sequence[Sequence[str]] = (("cube", "cube"), ("brick",), ("roof",))
 
@@ -60,11 +61,49 @@ class HouseBuilding3(HouseBuilding2):
 class HouseBuilding4(HouseBuilding3):
     """Put two cubes side by side, the brick on both, two more cubes on the brick, and the roof on those.
 
-    Description: four 3 cm cubes, a brick and a roof, 12 x 3 x 3 cm each, lie on the ground.
-    All else is as in :class:`~bulletarm_gym.tasks.structure.Structure`.
+    Description: four 3 cm cubes, a brick and a roof, 12 x 3 x 3 cm each, lie on the surface.
+    Everything else is as in :class:`~bulletarm_gym.tasks.structure.Structure`.
     """
 
-    defaults = TaskDefaults(
-        num_objects=6, max_steps=20, object_scale=SCALE, allowed_objects=(6,), close_loop={"max_steps": 200}
-    )
+    defaults = structure_defaults(6, max_steps=20)
     layers = (("cube", "cube"), ("brick",), ("cube", "cube"), ("roof",))
+
+
+class ImproviseHouseBuilding2(Structure):
+    """Put two blocks of random shapes side by side, and the roof on both.
+
+    Description: two of 19 blocks of one layer, 3.6 to 9 cm wide and long, and a roof, 12 x 3 x 3 cm, lie on
+    the surface.
+    Randomisation: the shapes and sizes of the blocks; positions and yaws, at least 4.2 cm between any two.
+    Everything else is as in :class:`~bulletarm_gym.tasks.structure.Structure`.
+    """
+
+    defaults = structure_defaults(3)
+    kinds = {"roof": roof}  # noqa: RUF012
+    layers: Sequence[Sequence[str]] = (("block", "block"), ("roof",))
+    upright = ("roof",)
+    width = CELL * WIDEST
+
+    def block(self, config: EnvConfig, name: str, kind: str, number: int) -> ObjectSlot:
+        """Return the slot of a block with variants of all shapes and sizes."""
+        if kind == "roof":
+            return super().block(config, name, kind, number)
+        specs = (
+            improvise_blocks(name, scale, number)
+            if kind == "block"
+            else improvise_bricks(name, scale, BRICKS)
+            for scale in config.scales
+        )
+        return ObjectSlot(name, tuple(spec for variants in specs for spec in variants))
+
+
+class ImproviseHouseBuilding3(ImproviseHouseBuilding2):
+    """Put two blocks of random shapes side by side, a brick of random size on both, and the roof on it.
+
+    Description: two of 19 blocks of one layer, 3.6 to 9 cm wide and long, a brick 2.5 to 3.5 cm wide, 10 to
+    14 cm long and 2 to 3.5 cm high, and a roof, 12 x 3 x 3 cm, lie on the surface.
+    Everything else is as in :class:`ImproviseHouseBuilding2`.
+    """
+
+    defaults = structure_defaults(4)
+    layers = (("block", "block"), ("brick",), ("roof",))

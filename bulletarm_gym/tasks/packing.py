@@ -1,133 +1,132 @@
-"""Packing blocks into a bin."""
+"""Packing blocks into a bin, and bottles into a tray."""
 
 import itertools
 import math
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter1d
 
 from bulletarm_gym.config import CLOSE_LOOP, OPEN_LOOP, WIDE, EnvConfig, TaskDefaults, TrayUse
 from bulletarm_gym.control import GraspParams
-from bulletarm_gym.experts.approach import RELEASE
+from bulletarm_gym.experts import CLOSED, OPEN, Waypoint
+from bulletarm_gym.experts.approach import RELEASE, place_pose, rotates
 from bulletarm_gym.experts.pick_place import pick, resting_frame
-from bulletarm_gym.experts.waypoints import CLOSED, OPEN, Waypoint
-from bulletarm_gym.geometry import FloatArray, Footprint, Pose, matrix
+from bulletarm_gym.geometry import FloatArray, Footprint, Pose, matrix, planar_distance, wrap_angle
+from bulletarm_gym.objects.bottles import BOTTLES, HEIGHT, TRAY, TRAY_FLOOR, bottle, bottle_tray
 from bulletarm_gym.objects.packing import BIN, BIN_WALL, SHAPES, packing_bin, packing_block
 from bulletarm_gym.scene import ObjectSlot, Scene, SceneObject, shaped
-from bulletarm_gym.scene.predicates import at_rest, inside, is_empty, is_top
-from bulletarm_gym.scene.sampling import GRASP_ROOM, footprint, place_apart
+from bulletarm_gym.scene.predicates import inside, is_top, loose_objects, success_at_rest, touching, upright
+from bulletarm_gym.scene.sampling import GRASP_AREA, footprint, goal_site, place_apart
 from bulletarm_gym.tasks.task import Task
 
-MOST_BLOCKS = 8
-"""As many as the paper's (Bin Packing)."""
+MAX_BLOCKS = 8
+"""Largest number of blocks (paper, Bin Packing)."""
 BLOCK_SPACING = 0.025
-"""Least gap (m) between blocks at the start."""
+"""Smallest gap (m) between blocks at the start."""
 PICK_OFFSET = 0.0125
-"""How far (m) below its top a block of scale 1 is grasped: on the bin's floor every hand is above the rim."""
+"""Depth (m) of a grasp below the top of a block of scale 1, so that every gripper stays above the rim."""
 OPENING = 0.058
-"""Greatest distance (m) of the fingers: half wider than a block, so that its neighbours are not touched."""
+"""Largest distance (m) between the fingers, half a block wider than a block, to avoid its neighbours."""
 PACKING_CLEARANCE = 0.001
-"""Gap (m) kept to what is beside a block and its fingers."""
+"""Gap (m) around a packed block and its fingers."""
 FINGER_RELEASE = 0.004
-"""How far (m) a finger moves out to let go."""
+"""Displacement (m) of a finger at a release."""
 BELOW_RIM = 0.003
-"""How far (m) below the rim the origin of what is packed must be expected."""
+"""Smallest depth (m) of a packed block's expected origin below the rim."""
 ROW_WEIGHT = 0.5
-"""A place is as good as it is towards one short wall and, by this share, towards the long walls."""
+"""Weight of the distance to the long walls relative to the distance to the short wall."""
 VIEW = 0.24
-"""Side (m) of the square that is looked at: the bin at any yaw."""
+"""Side (m) of a square that contains the bin at any yaw."""
 PITCH = 0.001
-"""Side (m) of the pixels in which room is looked for."""
+"""Side (m) of a pixel of the elevation map of the bin."""
+
+MAX_BOTTLES = 6
+"""Largest number of bottles (paper, Bottle Arrangement), and number of positions in the tray."""
+ROWS, COLUMNS = 2, 3
+BOTTLE_SPACING = 0.024
+"""Smallest gap (m) around a bottle at the start, for the fingers at its neck."""
+NECK_OFFSET = 0.025
+"""Depth (m) of a grasp below the top of a bottle of scale 1, at its neck."""
+BOTTLE_GAP = 0.002
+"""Gap (m) between a bottle and the tray's floor at the release."""
+NECK_OPENING = 0.05
+"""Largest distance (m) between the fingers, wider than any neck, to avoid the neighbours."""
 
 
 class BinPacking(Task):
     """Put all blocks into a bin.
 
-    Description: eight (one to eight) blocks of seven shapes, 4 x 4 x 2 to 8 x 4 x 4 cm, lie on the ground
-    beside a fixed bin, 17.6 x 14.4 x 8 cm.
+    Description: eight (one to eight) blocks of seven shapes, 4 x 4 x 2 to 8 x 4 x 4 cm, lie on the surface
+    next to a fixed bin, 17.6 x 14.4 x 8 cm.
     Randomisation: the shapes, the positions and yaws of blocks and bin. With ``random_orientation=False`` the
-    bin's long side is along y, as those of the blocks.
+    long sides of bin and blocks are along y.
     Success: all blocks are in the bin, their origins below its rim; the gripper is empty and nothing moves.
-    Expert: grasp the largest block outside, put it as low in the bin as it goes, close to a corner.
+    Expert: repeat until solved: grasp the largest block outside, release it as low as possible in the bin,
+    close to a corner.
     """
 
     defaults = TaskDefaults(
-        num_objects=MOST_BLOCKS,
+        num_objects=MAX_BLOCKS,
         max_steps=20,
         object_scale=0.8,
-        allowed_objects=tuple(range(1, MOST_BLOCKS + 1)),
+        allowed_objects=tuple(range(1, MAX_BLOCKS + 1)),
         tray=TrayUse((False,), "the bin and its blocks do not fit into the tray"),
         close_loop={"max_steps": 200, "workspace": WIDE},
     )
     controls = (OPEN_LOOP, CLOSE_LOOP)
     site = (BIN[1], BIN[0])
-
-    @property
-    def height(self) -> float:
-        """Blocks may be as high as the rim."""
-        return BIN[2]
+    height = BIN[2]
 
     @property
     def grasp_params(self) -> GraspParams:
-        """Blocks are grasped near their tops."""
+        """Parameters of grasps near the tops of blocks."""
         return GraspParams(pick_offset=PICK_OFFSET * max(self.config.scales), opening=OPENING)
 
     def bodies(self, config: EnvConfig) -> list[ObjectSlot]:
-        """Return the bin, and for each block all shapes in all sizes."""
+        """Return the bin, and the blocks with all shapes in all sizes."""
         names = [f"block {number}" for number in range(config.num_objects)]
         blocks = [shaped(config, name, packing_block, len(SHAPES)) for name in names]
         return [ObjectSlot("bin", (packing_bin("bin"),)), *blocks]
 
     def arrange(self, scene: Scene, rng: np.random.Generator) -> None:
-        """Put the bin somewhere, and the blocks beside it."""
-        spread = math.pi if self.config.random_orientation else 0.0
-        blocks = [item for item in scene.objects if item is not scene["bin"]]
+        """Place the bin, and the blocks next to it."""
 
-        def leaves_room(pose: Pose) -> bool:
-            hand = Footprint.rectangle(GRASP_ROOM, pose)
-            return not self.config.random_orientation or hand.gap(footprint(scene["bin"])) > 0.0
+        def is_graspable(pose: Pose) -> bool:
+            area = Footprint.rectangle(GRASP_AREA, pose)
+            return not self.config.random_orientation or area.gap(footprint(scene["bin"])) > 0.0
 
-        site = scene.surface.goal_site(self.site, rng, spread)
+        site = goal_site(scene, rng, self.site)
         scene["bin"].place(site.compose(Pose.planar(0.0, 0.0, 0.0, math.pi / 2.0)))
-        place_apart(scene, rng, blocks, BLOCK_SPACING, allows=leaves_room)
+        place_apart(scene, rng, self.grasped(scene), BLOCK_SPACING, allows=is_graspable)
 
     def evaluate(self, scene: Scene) -> dict[str, bool]:
-        """Look whether all blocks are in the bin, and whether all is done."""
-        facts = {
-            "is_packed": all(self._is_in_bin(scene, item) for item in self._blocks(scene)),
-            "is_empty": is_empty(scene),
-            "is_at_rest": at_rest(scene),
-        }
-        return {"success": all(facts.values()), **facts}
+        """Return whether all blocks are in the bin, the gripper is empty and nothing moves."""
+        packed = all(self._is_in_bin(scene, block) for block in loose_objects(scene))
+        return success_at_rest(scene, is_packed=packed)
 
     def plan(self, scene: Scene, rng: np.random.Generator) -> Iterator[Waypoint]:
-        """Grasp the largest block that is outside, or put it into the bin."""
-        held, blocks = scene.held, self._blocks(scene)
+        """Grasp the largest block outside the bin, or release the grasped block in it."""
+        held, blocks = scene.held, loose_objects(scene)
         if held is not None:
-            yield Waypoint(Room(scene, held).best(), CLOSED, finish=OPEN)
+            yield Waypoint(FreeSpace(scene, held).best(), CLOSED, finish=OPEN)
             return
-        outside = [item for item in blocks if not self._is_in_bin(scene, item)] or blocks
-        free = [item for item in outside if is_top(item, blocks)] or outside
-        yield pick(scene, max(free, key=_volume), rng)
+        outside = [block for block in blocks if not self._is_in_bin(scene, block)] or blocks
+        free = [block for block in outside if is_top(block, blocks)] or outside
+        yield pick(scene, max(free, key=lambda block: math.prod(block.spec.extents)), rng)
 
-    def _blocks(self, scene: Scene) -> list[SceneObject]:
-        return [item for item in scene if item is not scene["bin"]]
-
-    def _is_in_bin(self, scene: Scene, item: SceneObject) -> bool:
-        rise = item.pose.z - scene["bin"].pose.z
-        return inside(item, scene["bin"]) and rise < BIN[2] and item is not scene.held
+    def _is_in_bin(self, scene: Scene, block: SceneObject) -> bool:
+        rise = block.pose.z - scene["bin"].pose.z
+        return inside(block, scene["bin"]) and rise < BIN[2] and block is not scene.held
 
 
-def _volume(item: SceneObject) -> float:
-    """Return the volume (m^3) of an item's bounding box."""
-    return math.prod(item.spec.extents)
+class FreeSpace:
+    """Search for a release pose in the bin, without collisions of the grasped block and the open fingers.
 
+    All coordinates are in the bin's frame, and positions refer to the fingertips.
 
-class Room:
-    """Where in the bin the held block has room, as seen from above: the block itself and the open fingers.
-
-    All is in the bin's frame; a place is that of the fingertips.
+    :param scene: scene with the bin
+    :param held: the grasped block
     """
 
     def __init__(self, scene: Scene, held: SceneObject) -> None:
@@ -135,34 +134,35 @@ class Room:
         self._held = held
         self._bin = scene["bin"].pose
         self._xs, self._ys = (np.arange(PITCH / 2.0 - side / 2.0, side / 2.0, PITCH) for side in BIN[:2])
-        self._heights = self._look()
+        self._heights = self._elevation()
 
     def best(self) -> Pose:
-        """Return the pose of the gripper that puts the block as low as it goes, close to a corner."""
+        """Return the tool pose in the world that releases the block as low as possible, close to a corner."""
         for needs_fingers in (True, False):
-            found = [place for yaw in self._yaws() if (place := self._lowest(yaw, needs_fingers))]
+            found = [option for yaw in self._yaws() if (option := self._lowest(yaw, needs_fingers))]
             if found:
-                return min(found, key=lambda place: place[0])[1]
+                return min(found, key=lambda option: option[0])[1]
         return self._bin.compose(Pose.planar(0.0, 0.0, 2.0 * BIN[2], self._yaws()[0]))
 
     def _yaws(self) -> list[float]:
-        """Return the gripper's yaws that lay the block's long side along the bin's x or y axis."""
-        hand = self._scene.robot.pose.yaw - self._bin.yaw
-        if "r" not in self._scene.config.action_sequence:
-            return [hand]
-        across = hand - (resting_frame(self._held).yaw - self._bin.yaw)
+        """Return the gripper's yaws with the block's long side along the bin's x and y axes."""
+        yaw = self._scene.robot.pose.yaw - self._bin.yaw
+        if not rotates(self._scene):
+            return [yaw]
+        across = yaw - (resting_frame(self._held).yaw - self._bin.yaw)
         return [across + math.pi / 2.0, across]
 
     def _lowest(self, yaw: float, needs_fingers: bool) -> tuple[tuple[float, ...], Pose] | None:
-        """Return where the block goes lowest with the gripper turned by a yaw, and a key to compare it by.
+        """Return a key for comparison and the pose of the lowest release at a yaw.
 
-        :param needs_fingers: require room for the fingers; if False, the block is released above what they
-            would touch
+        :param needs_fingers: require space for the fingers; if False, the block is released higher if they
+            would touch an object
         """
         low, high = self._outline(yaw)
         rest = self._highest(low, high, math.inf)
         lowest = rest + RELEASE - low[2]
-        fits = rest - low[2] + self._origin() < BIN[2] - BELOW_RIM
+        origin = self._held.pose.z - self._scene.robot.pose.z
+        fits = rest - low[2] + origin < BIN[2] - BELOW_RIM
         tips = lowest
         for outline, height in self._fingers(yaw):
             tips = np.maximum(tips, self._highest(*outline, 0.0) + PACKING_CLEARANCE - height)
@@ -171,25 +171,21 @@ class Room:
         if not fits.any():
             return None
         steps = np.where(fits, np.round((rest if needs_fingers else tips) / PITCH), np.inf)
-        aside = self._xs[:, None] - ROW_WEIGHT * np.abs(self._ys)
-        row, column = np.unravel_index(np.where(steps == steps.min(), aside, np.inf).argmin(), steps.shape)
+        cost = self._xs[:, None] - ROW_WEIGHT * np.abs(self._ys)
+        row, column = np.unravel_index(np.where(steps == steps.min(), cost, np.inf).argmin(), steps.shape)
         pose = Pose.planar(self._xs[row], self._ys[column], tips[row, column], yaw)
         return (float(steps[row, column]), yaw != self._yaws()[0]), self._bin.compose(pose)
 
-    def _origin(self) -> float:
-        """Return the height (m) of the block's origin over the fingertips."""
-        return self._held.pose.z - self._scene.robot.pose.z
-
     def _outline(self, yaw: float) -> tuple[FloatArray, FloatArray]:
-        """Return the lowest and the highest corner (m) of the block about the fingertips, turned by a yaw."""
-        hand, held = self._scene.robot.pose, self._held
-        points = held.spec.mesh.vertices @ matrix(held.pose).T + held.pose.position - np.array(hand.position)
-        turned = points @ matrix(Pose.planar(0.0, 0.0, 0.0, yaw + self._bin.yaw - hand.yaw)).T
-        seen = turned @ matrix(self._bin)
-        return seen.min(axis=0) - PACKING_CLEARANCE, seen.max(axis=0) + PACKING_CLEARANCE
+        """Return the lowest and the highest corner (m) of the block relative to the fingertips at a yaw."""
+        tool, held = self._scene.robot.pose, self._held
+        points = held.spec.mesh.vertices @ matrix(held.pose).T + held.pose.position - np.array(tool.position)
+        rotated = points @ matrix(Pose.planar(0.0, 0.0, 0.0, yaw + self._bin.yaw - tool.yaw)).T
+        in_bin = rotated @ matrix(self._bin)
+        return in_bin.min(axis=0) - PACKING_CLEARANCE, in_bin.max(axis=0) + PACKING_CLEARANCE
 
     def _fingers(self, yaw: float) -> Iterator[tuple[tuple[FloatArray, FloatArray], float]]:
-        """Yield outlines of the opened fingers, see :meth:`_outline`, and heights (m) over the tips."""
+        """Yield outlines of the opened fingers, see :meth:`_outline`, and heights (m) above the tips."""
         gripper = self._scene.robot.model.gripper
         thickness, width, _ = gripper.finger
         inner = self._scene.robot.opening / 2.0
@@ -201,9 +197,9 @@ class Room:
             ]
             yield (np.min(corners, axis=0), np.max(corners, axis=0)), height
 
-    def _look(self) -> FloatArray:
-        """Return the heights (m) in the bin, walls among them, pixel by pixel along its x and y axes."""
-        bodies = [item.body for item in self._scene if item not in (self._scene["bin"], self._held)]
+    def _elevation(self) -> FloatArray:
+        """Return the heights (m) in the bin, its walls included, per pixel along its x and y axes."""
+        bodies = [obj.body for obj in self._scene if obj not in (self._scene["bin"], self._held)]
         size = round(VIEW / PITCH)
         view = self._scene.heights_of(bodies, self._bin.position[:2], VIEW, size)
         grid = np.stack(np.meshgrid(self._xs, self._ys, indexing="ij"), axis=-1)
@@ -213,26 +209,108 @@ class Room:
         return np.where(inside, heights, BIN[2])
 
     def _highest(self, low: FloatArray, high: FloatArray, outside: float) -> FloatArray:
-        """Return for each place the greatest height (m) within an outline about it.
+        """Return the largest height (m) within an outline around each position.
 
         :param outside: height (m) outside the bin
         """
         found = self._heights
         for axis in (0, 1):
             first, last = math.floor(low[axis] / PITCH), math.ceil(high[axis] / PITCH)
-            margin = max(-first, last, 0)
-            # Height by height along the first axis; turned over after each, both axes come first once.
-            sides = np.full((margin, found.shape[1]), outside, found.dtype)
-            windows = _greatest(np.concatenate([sides, found, sides]), last - first + 1)
-            found = np.ascontiguousarray(windows[margin + first :][: len(found)].T)
+            count, margin = last - first + 1, max(-first, last, 0)
+            pad = [(margin, margin) if axis == other else (0, 0) for other in (0, 1)]
+            windows = maximum_filter1d(np.pad(found, pad, constant_values=outside), count, axis)
+            start = margin + first + count // 2
+            found = windows.take(range(start, start + found.shape[axis]), axis)
         return found
 
 
-def _greatest(rows: NDArray[np.float32], count: int) -> NDArray[np.float32]:
-    """Return the greatest of each ``count`` rows that follow each other, of twice as many in each turn."""
-    taken = 1
-    while 2 * taken <= count:
-        rows = np.maximum(rows[:-taken], rows[taken:])
-        taken *= 2
-    left = count - taken
-    return np.maximum(rows[:-left], rows[left:]) if left else rows
+class BottleArrangement(Task):
+    """Put all bottles into a tray.
+
+    Description: six (one to six) bottles of eight shapes, about 5 x 5 x 14 cm, stand on the surface next to a
+    fixed tray, 24 x 16 x 5 cm.
+    Randomisation: the shapes, the positions and yaws of bottles and tray.
+    Success: all bottles stand upright in the tray; the gripper is empty and nothing moves.
+    Validity: no bottle has fallen over.
+    Expert: repeat until solved: grasp a bottle at its neck, release it at the most free of the tray's six
+    positions.
+    """
+
+    defaults = TaskDefaults(
+        num_objects=MAX_BOTTLES,
+        max_steps=20,
+        object_scale=0.8,
+        allowed_objects=tuple(range(1, MAX_BOTTLES + 1)),
+        tray=TrayUse((False,), "the bottles and their own tray do not fit into the tray"),
+        level_ground="bottles fall over on a slope",
+        close_loop={"max_steps": 240, "workspace": WIDE},
+    )
+    controls = (OPEN_LOOP, CLOSE_LOOP)
+    site = TRAY[:2]
+
+    @property
+    def height(self) -> float:
+        """Height (m) of the middle of a bottle in the tray."""
+        return TRAY_FLOOR + HEIGHT * max(self.config.scales) / 2.0
+
+    @property
+    def grasp_params(self) -> GraspParams:
+        """Parameters of grasps at necks, and of releases close to the tray, because bottles tip over."""
+        depth = NECK_OFFSET * max(self.config.scales)
+        return GraspParams(pick_offset=depth, place_offset=BOTTLE_GAP, opening=NECK_OPENING)
+
+    def bodies(self, config: EnvConfig) -> list[ObjectSlot]:
+        """Return the tray, and the bottles with all shapes in all sizes."""
+        names = [f"bottle {number}" for number in range(config.num_objects)]
+        bottles = [shaped(config, name, bottle, len(BOTTLES)) for name in names]
+        return [ObjectSlot("tray", (bottle_tray("tray"),)), *bottles]
+
+    def arrange(self, scene: Scene, rng: np.random.Generator) -> None:
+        """Place the tray, and the bottles next to it."""
+        scene["tray"].place(goal_site(scene, rng, self.site))
+        place_apart(scene, rng, self.grasped(scene), BOTTLE_SPACING)
+
+    def evaluate(self, scene: Scene) -> dict[str, bool]:
+        """Return whether all bottles are in the tray, the gripper is empty and nothing moves."""
+        arranged = all(self._is_in_tray(scene, obj) for obj in loose_objects(scene))
+        return success_at_rest(scene, is_arranged=arranged)
+
+    def is_valid(self, scene: Scene) -> bool:
+        """Return True if all objects are inside the workspace and every bottle is upright."""
+        return super().is_valid(scene) and all(
+            upright(obj) for obj in loose_objects(scene) if obj is not scene.held
+        )
+
+    def plan(self, scene: Scene, rng: np.random.Generator) -> Iterator[Waypoint]:
+        """Grasp the next bottle, or release it in the tray."""
+        held, yaw, bottles = scene.held, scene["tray"].pose.yaw, loose_objects(scene)
+        if held is not None:
+            rotation = wrap_angle(yaw - scene.robot.pose.yaw, math.pi / 2.0)
+            spot = self._most_free(scene, [obj for obj in bottles if obj is not held])
+            goal = place_pose(scene, held, spot.position, spot.z + RELEASE, rotation)
+            yield Waypoint(goal, CLOSED, finish=OPEN)
+            return
+        obj = next((obj for obj in bottles if not self._is_in_tray(scene, obj)), bottles[0])
+        x, y, _ = obj.pose.position
+        height = scene.world.top(obj.body) - self.grasp_params.pick_offset
+        yield Waypoint(Pose.planar(x, y, height, yaw), OPEN, finish=CLOSED)
+
+    def _is_in_tray(self, scene: Scene, obj: SceneObject) -> bool:
+        tray = scene["tray"]
+        return inside(obj, tray) and upright(obj) and obj is not scene.held and touching(scene, tray, obj)
+
+    def _most_free(self, scene: Scene, others: list[SceneObject]) -> Pose:
+        """Return the position in the tray, in the world, with the largest distance to other bottles."""
+        points = [obj.pose.position for obj in others]
+        spots = [scene["tray"].pose.compose(position) for position in tray_positions()]
+        return max(
+            spots, key=lambda spot: min((planar_distance(spot.position, p) for p in points), default=0.0)
+        )
+
+
+def tray_positions() -> list[Pose]:
+    """Return the positions of bottles on the tray's floor, in the tray's frame."""
+    pitch = (TRAY[0] / COLUMNS, TRAY[1] / ROWS)
+    columns = [pitch[0] * (column - (COLUMNS - 1) / 2.0) for column in range(COLUMNS)]
+    rows = [pitch[1] * (row - (ROWS - 1) / 2.0) for row in range(ROWS)]
+    return [Pose((x, y, TRAY_FLOOR)) for x in columns for y in rows]

@@ -1,77 +1,267 @@
-"""Picking up a block."""
+"""Reaching for a block, and picking it up from the surface or a corner, or into a bowl."""
 
 import math
 from abc import abstractmethod
 from collections.abc import Iterator
+from typing import ClassVar
 
 import numpy as np
 
-from bulletarm_gym.config import CLOSE_LOOP, EnvConfig, TaskDefaults
-from bulletarm_gym.experts.approach import grasp, side_symmetry, side_yaw
-from bulletarm_gym.experts.waypoints import CLOSED, Waypoint
-from bulletarm_gym.geometry import Pose
-from bulletarm_gym.objects import cube
-from bulletarm_gym.scene import ObjectSlot, Scene, scaled
-from bulletarm_gym.scene.predicates import is_held
-from bulletarm_gym.tasks.reaching import place_cube
+from bulletarm_gym.config import CLOSE_LOOP, EnvConfig, TaskDefaults, TrayUse
+from bulletarm_gym.experts import CLOSED, OPEN, Waypoint
+from bulletarm_gym.experts.approach import (
+    HOVER,
+    grasp,
+    grasp_object,
+    highest_between,
+    pass_above,
+    place_object,
+    side_symmetry,
+    side_yaw,
+)
+from bulletarm_gym.geometry import Pose, planar_distance, wrap_angle
+from bulletarm_gym.objects import bowl, corner, cube
+from bulletarm_gym.objects.blocks import CUBE_SIZE
+from bulletarm_gym.objects.bowl import HEIGHT
+from bulletarm_gym.objects.corner import INSIDE, PLATE, SIDE
+from bulletarm_gym.scene import ObjectSlot, Scene, SceneObject, scaled
+from bulletarm_gym.scene.predicates import is_empty, is_held, success_at_rest, touching, upright
+from bulletarm_gym.scene.sampling import is_within, sample_until, scatter, stand
 from bulletarm_gym.tasks.task import Task
 
-YAW_SPREAD = math.pi / 4.0
+REACHED = 0.03
+"""Distance (m) that counts as reached (paper, Block Reaching)."""
+BORDER_MARGIN = 1.2
+"""Distance of a cube's centre to the border, relative to the largest cube's side."""
+CENTRED = 0.03
+"""Largest distance (m) of the cube's centre to the bowl's axis at success."""
+BOWL_BORDER = 0.53
+"""Distance of the bowl's axis to the border, relative to its diameter: 8.5 cm."""
+RIM_CLEARANCE = 0.06
+"""Distance (m) between the cube's centre and the bowl's rim, for the gripper's fingers."""
+RELEASE_HEIGHT = 0.35
+"""Height of the release relative to the bowl's height, where the open fingers still fit into the bowl."""
+WALL_CLEARANCE = 2e-4
+"""Gap (m) between the cube and the walls at the start, so that they exert no force."""
+PRESS = 1e-3
+"""Depth (m) of the fingertips' target below the cube's upper side.
+
+Half and twice this depth move the cube too; from twice this depth on the arm may be blocked.
+"""
+FREE = 0.05
+"""Distance (m) of the cube from the walls at which the fingers of any gripper fit in between."""
+DRAWN = 0.07
+"""Distance (m) from the walls to which the expert draws the cube, visibly more than :data:`FREE`."""
+OFFSET = 0.004
+"""Distance (m) of the pressed point from the cube's centre, towards both walls, to keep it upright."""
+SHUT = 0.1
+"""Largest opening ratio at which the gripper presses with both fingers."""
+DESCENT_RADIUS = 0.02
+"""Horizontal distance (m) from the pressed point within which the gripper descends."""
+PRESSING_RADIUS = 0.025
+"""Horizontal distance (m) from the pressed point within which the gripper presses on the cube."""
 
 
-class Lift(Task):
-    """The base of tasks that are solved once a cube is held in the air.
+class BlockReaching(Task):
+    """Move the fingertips to a cube.
 
-    Success: the gripper holds the cube and is higher than ``lift_height``, 15 cm.
+    Description: one 5 cm cube stands on the surface.
+    Randomisation: the cube's position in the workspace, its yaw in +-90 degrees.
+    Success: the fingertips are within 3 cm of the cube's centre.
+    Expert: move straight to the cube's centre.
     """
 
+    defaults = TaskDefaults(num_objects=1)
     controls = (CLOSE_LOOP,)
 
-    @property
-    def height(self) -> float:
-        """Up to where the gripper must lift."""
-        return self.config.lift_height
-
-    def evaluate(self, scene: Scene) -> dict[str, bool]:
-        """Look whether the cube is held, and how high."""
-        held = is_held(scene, scene["cube"])
-        return {"success": held and scene.robot.pose.z > self.config.lift_height, "is_held": held}
-
-    def plan(self, scene: Scene, rng: np.random.Generator) -> Iterator[Waypoint]:
-        """Grasp the cube, then lift."""
-        hand = scene.robot.pose
-        if not is_held(scene, scene["cube"]):
-            yield from self._grasp(scene)
-        height = max(hand.z, self.config.lift_height) + scene.max_translation
-        yield Waypoint(Pose.planar(hand.x, hand.y, height, hand.yaw), CLOSED)
-
-    @abstractmethod
-    def _grasp(self, scene: Scene) -> Iterator[Waypoint]:
-        """Get the cube between the fingers."""
-
-
-class BlockPicking(Lift):
-    """Grasp a cube and lift it.
-
-    Description: one 5 cm cube stands on the floor.
-    Randomisation: the cube's position in the workspace, its yaw in +-45 degrees.
-    Success: the gripper holds the cube and is higher than ``lift_height``, 15 cm.
-    Expert: down to the cube's centre with the fingers along its sides, close, straight up.
-    """
-
-    defaults = TaskDefaults(num_objects=1, lifts=True)
+    spread: ClassVar[float] = math.pi / 2.0
+    """Largest absolute yaw (rad) of the cube at the start."""
 
     def bodies(self, config: EnvConfig) -> list[ObjectSlot]:
         """Return the cube."""
         return [scaled(config, "cube", cube)]
 
     def arrange(self, scene: Scene, rng: np.random.Generator) -> None:
-        """Put the cube anywhere."""
-        place_cube(scene, rng, YAW_SPREAD)
+        """Place the cube in the workspace."""
+        block = scene["cube"]
+        (point,) = scatter(scene, rng, [BORDER_MARGIN * block.spec.extents[0]], 0.0)
+        stand(scene, block, point, rng, self.spread)
 
-    def _grasp(self, scene: Scene) -> Iterator[Waypoint]:
-        item = scene["cube"]
-        symmetry = side_symmetry(item.pose)
-        yaw = item.pose.yaw if symmetry < math.pi else side_yaw(item.pose)
-        target = Pose.planar(*item.pose.position, yaw)
-        yield from grasp(scene, target, scene.world.top(item.body), symmetry)
+    def evaluate(self, scene: Scene) -> dict[str, bool]:
+        """Return whether the fingertips are near the cube's centre."""
+        distance = math.dist(scene.robot.pose.position, scene["cube"].pose.position)
+        return {"success": distance < REACHED}
+
+    def plan(self, scene: Scene, rng: np.random.Generator) -> Iterator[Waypoint]:
+        """Move to the cube."""
+        target, tool = scene["cube"].pose, scene.robot.pose
+        rotation = wrap_angle(target.yaw - tool.yaw, math.pi / 2.0)
+        yield Waypoint(Pose.planar(*target.position, tool.yaw + rotation), OPEN)
+
+
+class Lift(Task):
+    """Base class of tasks in which an object is lifted.
+
+    Success: the gripper holds an object and is higher than ``lift_height``, 15 cm.
+    """
+
+    controls = (CLOSE_LOOP,)
+
+    @property
+    def height(self) -> float:
+        """Height (m) to which the gripper must lift."""
+        return self.config.lift_height
+
+    def evaluate(self, scene: Scene) -> dict[str, bool]:
+        """Return whether an object is held above ``lift_height``."""
+        held = not is_empty(scene)
+        return {"success": held and scene.robot.pose.z > self.config.lift_height, "is_held": held}
+
+    def plan(self, scene: Scene, rng: np.random.Generator) -> Iterator[Waypoint]:
+        """Grasp an object, then lift it."""
+        tool = scene.robot.pose
+        if is_empty(scene):
+            yield from self.plan_grasp(scene, rng)
+        height = max(tool.z, self.config.lift_height) + scene.max_translation
+        yield Waypoint(Pose.planar(tool.x, tool.y, height, tool.yaw), CLOSED)
+
+    @abstractmethod
+    def plan_grasp(self, scene: Scene, rng: np.random.Generator) -> Iterator[Waypoint]:
+        """Yield the waypoints of the grasp."""
+
+
+class BlockPicking(Lift, BlockReaching):
+    """Grasp a cube and lift it.
+
+    Description: one 5 cm cube stands on the surface.
+    Randomisation: the cube's position in the workspace, its yaw in +-45 degrees.
+    Success: the gripper holds the cube and is higher than ``lift_height``, 15 cm.
+    Expert: descend to the cube's centre with the fingers along its sides, close, lift.
+    """
+
+    defaults = TaskDefaults(num_objects=1, lifts=True)
+    spread = math.pi / 4.0
+
+    def plan_grasp(self, scene: Scene, rng: np.random.Generator) -> Iterator[Waypoint]:
+        """Grasp the cube along its sides."""
+        block = scene["cube"]
+        symmetry = side_symmetry(block.pose)
+        yaw = block.pose.yaw if symmetry < math.pi else side_yaw(block.pose)
+        target = Pose.planar(*block.pose.position, yaw)
+        yield from grasp(scene, target, scene.world.top(block.body), symmetry)
+
+
+class BlockInBowl(Task):
+    """Put a cube into a bowl.
+
+    Description: a 5 cm cube and a bowl of 16 x 16 x 7 cm stand on the surface.
+    Randomisation: the positions of both, with space for the gripper between them, their yaws in +-90 degrees.
+    Success: the cube's centre is within 3 cm of the bowl's axis and the cube touches the bowl, which is
+    upright; the gripper is empty and nothing moves.
+    Expert: grasp the cube, lift, move above the bowl, lower, open.
+    """
+
+    defaults = TaskDefaults(num_objects=2, allowed_objects=(2,))
+    controls = (CLOSE_LOOP,)
+
+    @property
+    def height(self) -> float:
+        """Height (m) of the fingertips above the rim with half a cube below them."""
+        return (HEIGHT + CUBE_SIZE / 2.0) * max(self.config.scales)
+
+    def bodies(self, config: EnvConfig) -> list[ObjectSlot]:
+        """Return cube and bowl."""
+        return [scaled(config, "cube", cube), scaled(config, "bowl", bowl)]
+
+    def grasped(self, scene: Scene) -> list[SceneObject]:
+        """Return the cube, not the bowl."""
+        return [scene["cube"]]
+
+    def arrange(self, scene: Scene, rng: np.random.Generator) -> None:
+        """Place cube and bowl apart."""
+        block, vessel = scene["cube"], scene["bowl"]
+        margins = [BOWL_BORDER * vessel.spec.extents[0], BORDER_MARGIN * block.spec.extents[0]]
+        vessel_point, point = scatter(scene, rng, margins, vessel.spec.planar_radius + RIM_CLEARANCE)
+        stand(scene, vessel, vessel_point, rng, math.pi / 2.0)
+        stand(scene, block, point, rng, math.pi / 2.0)
+
+    def evaluate(self, scene: Scene) -> dict[str, bool]:
+        """Return whether the cube is in the upright bowl, the gripper is empty and nothing moves."""
+        block, vessel = scene["cube"], scene["bowl"]
+        centred = planar_distance(block.pose.position, vessel.pose.position) < CENTRED
+        return success_at_rest(
+            scene, is_in_bowl=centred and touching(scene, block, vessel), is_upright=upright(vessel)
+        )
+
+    def plan(self, scene: Scene, rng: np.random.Generator) -> Iterator[Waypoint]:
+        """Grasp the cube, or release it in the bowl."""
+        block, vessel = scene["cube"], scene["bowl"]
+        if is_held(scene, block):
+            height = vessel.lowest + RELEASE_HEIGHT * vessel.spec.extents[2]
+            yield from place_object(scene, block, vessel.pose.position, height)
+        else:
+            yield from grasp_object(scene, block, side_yaw(block.pose), math.pi / 2.0)
+
+
+class CornerPicking(Lift):
+    """Get a cube out of a corner and lift it.
+
+    Description: a 5 cm cube stands in a corner, next to both of its walls, which are 8 cm high and fixed; the
+    fingers do not fit between them and the cube.
+    Randomisation: the corner's position and yaw, the cube with it; with a fixed orientation the walls lie
+    along the axes.
+    Success: the gripper holds the cube and is higher than ``lift_height``, 15 cm.
+    Expert: press the closed gripper on the cube and draw it out of the corner, then as in Block Picking.
+    """
+
+    defaults = TaskDefaults(
+        num_objects=1,
+        lifts=True,
+        tray=TrayUse((False,), "the corner does not fit into the tray"),
+        level_ground="the corner's plate lies on level ground",
+    )
+
+    def bodies(self, config: EnvConfig) -> list[ObjectSlot]:
+        """Return the cube and the corner."""
+        return [scaled(config, "cube", cube), ObjectSlot("corner", (corner("corner"),))]
+
+    def arrange(self, scene: Scene, rng: np.random.Generator) -> None:
+        """Place the corner so that the cube in it is inside the workspace."""
+        block, walls = scene["cube"], scene["corner"]
+        inset = INSIDE + block.spec.extents[0] / 2.0 + WALL_CLEARANCE
+        place = Pose((inset, inset, PLATE + block.spec.extents[2] / 2.0))
+
+        def draw() -> Pose:
+            return scene.surface.pose(scene.surface.sample_position(rng, SIDE / 2.0), self._yaw(rng))
+
+        pose = sample_until(
+            draw, lambda frame: is_within(scene, frame.transform(place.position), block.spec.planar_radius)
+        )
+        walls.place(pose)
+        block.place(pose.compose(place))
+
+    def _yaw(self, rng: np.random.Generator) -> float:
+        if self.config.random_orientation:
+            return float(rng.uniform(-math.pi, math.pi))
+        return int(rng.integers(4)) * math.pi / 2.0
+
+    def plan_grasp(self, scene: Scene, rng: np.random.Generator) -> Iterator[Waypoint]:
+        """Draw the cube out of the corner first, if it is still there."""
+        block, walls, tool = scene["cube"], scene["corner"].pose, scene.robot.pose
+        half, top = block.spec.extents[0] / 2.0, scene.world.top(block.body)
+        inner = walls.inverse().transform(block.pose.position)
+        if min(inner[:2]) - INSIDE - half < FREE:
+            x, y, _ = walls.transform((inner[0] - OFFSET, inner[1] - OFFSET, 0.0))
+            apart = planar_distance((x, y), tool.position)
+            closed = scene.robot.opening_ratio < SHUT
+            if not (closed and apart < PRESSING_RADIUS and tool.z < top):
+                if apart > DESCENT_RADIUS or not closed:
+                    over = max(top, highest_between(scene, tool.position, block.pose.position, block)) + HOVER
+                    yield from pass_above(tool, Pose.planar(x, y, over, tool.yaw), over)
+                yield Waypoint(Pose.planar(x, y, top - PRESS, tool.yaw), CLOSED)
+            drawn = INSIDE + half + DRAWN - OFFSET
+            goal = walls.transform((drawn, drawn, 0.0))
+            dx, dy = tool.x - x, tool.y - y
+            pressed = Pose.planar(goal[0] + dx, goal[1] + dy, top - PRESS, tool.yaw)
+            yield Waypoint(pressed, CLOSED, straight=True)
+        yield from grasp_object(scene, block, side_yaw(block.pose), math.pi / 2.0)

@@ -1,4 +1,4 @@
-"""Pushing a block onto a goal area."""
+"""Pushing a block onto a goal area, and pulling a block to another."""
 
 import math
 from collections.abc import Iterator
@@ -6,40 +6,46 @@ from collections.abc import Iterator
 import numpy as np
 
 from bulletarm_gym.config import CLOSE_LOOP, EnvConfig, TaskDefaults
+from bulletarm_gym.experts import Waypoint
 from bulletarm_gym.experts.pushing import Drag
-from bulletarm_gym.experts.waypoints import Waypoint
 from bulletarm_gym.geometry import Rectangle, planar_distance
-from bulletarm_gym.objects import cube, goal_area
+from bulletarm_gym.objects import cube, flat_block, goal_area
 from bulletarm_gym.rendering.overlays import Overlay
 from bulletarm_gym.scene import ObjectSlot, Scene, SceneObject, scaled
+from bulletarm_gym.scene.predicates import touching
 from bulletarm_gym.scene.sampling import scatter, stand
-from bulletarm_gym.tasks.reaching import BORDER_MARGIN
+from bulletarm_gym.tasks.picking import BORDER_MARGIN
 from bulletarm_gym.tasks.task import Task
 
 GOAL_SIDE = 0.09
 """Side (m) of the goal area (paper, Block Pushing)."""
 GOAL_RISE = 0.02
-"""By how much (m) the heightmap shows the goal nearer the camera."""
+"""Distance (m) by which the heightmap shows the goal nearer the camera."""
 GOAL_BORDER = 0.065
 """Distance (m) of the goal's centre to the border."""
 APART = 0.09
-"""Least distance (m) of cube and goal at the start."""
+"""Smallest distance (m) between cube and goal at the start."""
 GOAL_REACHED = 0.05
-"""Distance (m) of the cube's centre to the goal's that counts as reached (paper, Block Pushing)."""
+"""Distance (m) between the centres of cube and goal that counts as reached (paper, Block Pushing)."""
 PUSH_HEIGHT = 0.015
-"""Height (m) of the fingertips during a push: below the middle of a cube, which would tip over otherwise."""
-YAW_SPREAD = math.pi / 2.0
+"""Height (m) of the fingertips during a push, below a cube's centre so that it does not tip over."""
+PULL_BORDER_MARGIN = 0.85
+"""Distance of a block's centre to the border, relative to the block's side."""
+PULL_SPACING = 1.7
+"""Smallest distance between the blocks' centres, relative to the block's side."""
+PULL_HEIGHT = 0.03
+"""Height (m) of the fingertips while they pull."""
 
 
 class BlockPushing(Task):
     """Push a cube onto a goal area.
 
-    Description: a 5 cm cube stands on the floor, on which a square of 9 x 9 cm is the goal. The heightmap
+    Description: a 5 cm cube stands on the surface, on which a square of 9 x 9 cm is the goal. The heightmap
     shows the square 2 cm nearer the camera. The lengths of the goal shrink with smaller cubes.
     Randomisation: the positions of cube and goal, at least 9 cm apart, the cube's yaw in +-90 degrees; with a
     fixed orientation both lie along y.
     Success: the cube's centre is within 5 cm of the goal's.
-    Expert: down behind the cube, and with it to the goal.
+    Expert: lower the gripper behind the cube, push it to the goal.
     """
 
     defaults = TaskDefaults(num_objects=1)
@@ -52,23 +58,21 @@ class BlockPushing(Task):
 
     def bodies(self, config: EnvConfig) -> list[ObjectSlot]:
         """Return the cube and the mark of the goal area."""
-        return [
-            scaled(config, "cube", cube),
-            ObjectSlot("goal", (goal_area("goal", self._scale * GOAL_SIDE),)),
-        ]
+        goal = goal_area("goal", self._scale * GOAL_SIDE)
+        return [scaled(config, "cube", cube), ObjectSlot("goal", (goal,))]
 
     def grasped(self, scene: Scene) -> list[SceneObject]:
         """Return nothing: the cube is pushed."""
         return []
 
     def arrange(self, scene: Scene, rng: np.random.Generator) -> None:
-        """Put cube and goal apart."""
-        item, goal = scene["cube"], scene["goal"]
-        margins = [self._scale * GOAL_BORDER, BORDER_MARGIN * item.spec.extents[0]]
+        """Place cube and goal apart."""
+        block, goal = scene["cube"], scene["goal"]
+        margins = [self._scale * GOAL_BORDER, BORDER_MARGIN * block.spec.extents[0]]
         aligned = not self.config.random_orientation
-        goal_point, point = scatter(scene, rng, margins, self._scale * APART, aligned=aligned)
+        goal_point, point = scatter(scene, rng, margins, self._scale * APART, aligned)
         goal.place(scene.surface.pose(goal_point, 0.0))
-        stand(scene, item, point, rng, YAW_SPREAD)
+        stand(scene, block, point, rng, math.pi / 2.0)
 
     def overlays(self, scene: Scene) -> tuple[Overlay, ...]:
         """Return the goal area."""
@@ -76,10 +80,53 @@ class BlockPushing(Task):
         return (Overlay(Rectangle(pose.x, pose.y, side, side, pose.yaw), GOAL_RISE),)
 
     def evaluate(self, scene: Scene) -> dict[str, bool]:
-        """Compare the cube's place with the goal's."""
-        apart = planar_distance(scene["cube"].pose.position, scene["goal"].pose.position)
-        return {"success": apart < self._scale * GOAL_REACHED}
+        """Return whether the cube's centre is near the goal's."""
+        distance = planar_distance(scene["cube"].pose.position, scene["goal"].pose.position)
+        return {"success": distance < self._scale * GOAL_REACHED}
 
     def plan(self, scene: Scene, rng: np.random.Generator) -> Iterator[Waypoint]:
-        """Go behind the cube, and push."""
+        """Move behind the cube, and push."""
         yield from Drag(scene, scene["cube"], scene["goal"].pose.position, self._scale * PUSH_HEIGHT).plan()
+
+
+class BlockPulling(Task):
+    """Pull one of two blocks until it touches the other.
+
+    Description: two blocks of 8 x 8 x 5 cm stand on the surface, too wide for the gripper.
+    Randomisation: the blocks' positions in the workspace, at least 1.7 sides apart, their yaws in +-90
+    degrees; with a fixed orientation both lie along y, side by side.
+    Success: the blocks touch.
+    Expert: move above the far side of a block, lower behind it, pull it to the other.
+    """
+
+    defaults = TaskDefaults(num_objects=2, object_scale=0.8, allowed_objects=(2,))
+    controls = (CLOSE_LOOP,)
+
+    def bodies(self, config: EnvConfig) -> list[ObjectSlot]:
+        """Return the two blocks."""
+        return [scaled(config, name, flat_block) for name in ("near block", "far block")]
+
+    def grasped(self, scene: Scene) -> list[SceneObject]:
+        """Return nothing: the blocks are pulled from behind."""
+        return []
+
+    def arrange(self, scene: Scene, rng: np.random.Generator) -> None:
+        """Place the blocks apart."""
+        side = max(block.spec.extents[0] for block in scene.objects)
+        aligned = not self.config.random_orientation
+        points = scatter(scene, rng, [PULL_BORDER_MARGIN * side] * 2, PULL_SPACING * side, aligned)
+        for block, point in zip(scene.objects, points, strict=True):
+            stand(scene, block, point, rng, math.pi / 2.0)
+
+    def evaluate(self, scene: Scene) -> dict[str, bool]:
+        """Return whether the blocks touch."""
+        return {"success": touching(scene, *scene.objects)}
+
+    def plan(self, scene: Scene, rng: np.random.Generator) -> Iterator[Waypoint]:
+        """Pull the block with the shorter path to the other block."""
+        first, second = scene.objects
+        drags = [
+            Drag(scene, block, goal.pose.position, PULL_HEIGHT)
+            for block, goal in ((first, second), (second, first))
+        ]
+        yield from min(drags, key=lambda drag: drag.effort).plan()

@@ -7,63 +7,70 @@ from dataclasses import replace
 import numpy as np
 
 from bulletarm_gym.config import CLOSE_LOOP, OPEN_LOOP, EnvConfig, TaskDefaults, TrayUse
-from bulletarm_gym.experts.approach import ALIGNED, RELEASE, grasp, highest_between, place_item, side_yaw
+from bulletarm_gym.experts import HALF_OPEN, Waypoint
+from bulletarm_gym.experts.approach import (
+    ALIGNED,
+    RELEASE,
+    grasp,
+    highest_between,
+    place_object,
+    rotates,
+    side_yaw,
+)
 from bulletarm_gym.experts.pick_place import fingers_fit
-from bulletarm_gym.experts.waypoints import HALF_OPEN, Waypoint
-from bulletarm_gym.geometry import Footprint, Pose, Vector, planar_distance, wrap_angle
+from bulletarm_gym.geometry import Footprint, Pose, planar_distance, wrap_angle
 from bulletarm_gym.objects import BodySpec, Colour, bowl, cube
 from bulletarm_gym.objects.bowl import DIAMETER, HEIGHT, THICKNESS
 from bulletarm_gym.scene import ObjectSlot, Scene, SceneObject, scaled
-from bulletarm_gym.scene.predicates import at_rest, is_empty, upright
+from bulletarm_gym.scene.predicates import success_at_rest, upright
 from bulletarm_gym.scene.sampling import footprint, place_apart, sample_until
 from bulletarm_gym.simulation.shapes import BLUE, RED
+from bulletarm_gym.tasks.structure import SCALE
 from bulletarm_gym.tasks.task import Task
 
 COLOURS = {"red": RED, "blue": BLUE}
-SCALE = 0.6
-"""Cubes of 3 cm, as in the paper's open-loop tasks."""
 BOWL_SCALE = 4.0 / 3.0
-"""Of a bowl to a cube: two cubes lie side by side on its floor."""
-ITEM_SPACING = 0.02
-"""Least gap (m) between two things at the start."""
+"""Scale of a bowl relative to a cube, so that two cubes fit side by side on its floor."""
+SPACING = 0.02
+"""Smallest gap (m) between two objects at the start."""
 FROM_AXIS = 0.32
-"""Distance of a cube from the bowl's axis when it is let go, in its sides: the other one has room."""
+"""Distance of a cube from the bowl's axis at its release, relative to its side."""
 RELEASE_HEIGHT = 0.6
-"""Height of a cube's lowest point when it is let go, in bowl heights: the open fingers are near the rim."""
-FINGER_ROOM = (0.135, 0.03)
-"""Length and width (m) kept free around a cube at the start for open fingers, the same for every arm."""
-HALF_TURN = math.pi
+"""Height of a cube's lowest point at its release relative to the bowl's; the fingers are near the rim."""
+FINGER_AREA = (0.135, 0.03)
+"""Length and width (m) of the free area around a cube at the start for the open fingers of any gripper."""
 
 
 class BlockSorting(Task):
     """Put the cubes of each of two colours into the bowl of their colour.
 
     Description: two red and two blue cubes (or one of each) of 3 cm, a red and a blue bowl of
-    12.8 x 12.8 x 5.6 cm stand on the floor.
-    Randomisation: positions and yaws of all of them, at least 2 cm apart, with
-    room for the gripper about each cube.
+    12.8 x 12.8 x 5.6 cm stand on the surface.
+    Randomisation: positions and yaws of all objects, at least 2 cm apart, with space for the gripper around
+    each cube.
     Success: the centre of every cube is in the bowl of its colour, below the rim; the gripper is empty and
     nothing moves.
     Validity: no bowl has fallen over.
-    Expert: grasp a cube, up, over its bowl, away from the cube that is in it already, down, open; and so on.
+    Expert: repeat until solved: grasp a cube, lift, move above its bowl next to the cube in it, lower, open.
 
-    Heights do not tell the colours, so by default ``color`` is observed, too.
+    Heights do not show the colours, so that ``color`` is observed by default, too.
     """
 
     defaults = TaskDefaults(
         num_objects=6,
-        max_steps=100,
+        max_steps=20,
         object_scale=SCALE,
         allowed_objects=(4, 6),
         tray=TrayUse((False,), "two bowls and the cubes do not fit into it"),
         level_ground="bowls slide on a slope",
         sensors=("color",),
+        close_loop={"max_steps": 100},
     )
     controls = (CLOSE_LOOP, OPEN_LOOP)
 
     @property
     def height(self) -> float:
-        """The gripper must get over the rim with half a cube below it."""
+        """Height (m) of the fingertips above the rim with half a cube below them."""
         return super().height / 2.0 + HEIGHT * BOWL_SCALE * max(self.config.scales)
 
     def bodies(self, config: EnvConfig) -> list[ObjectSlot]:
@@ -77,129 +84,104 @@ class BlockSorting(Task):
         ]
 
     def grasped(self, scene: Scene) -> list[SceneObject]:
-        """Return the cubes: the bowls stay where they are."""
+        """Return the cubes, not the bowls."""
         return self._cubes(scene)
 
     def arrange(self, scene: Scene, rng: np.random.Generator) -> None:
-        """Put everything apart, with room for the gripper about each cube."""
+        """Place all objects apart, with space for the gripper around each cube."""
         sample_until(
-            lambda: place_apart(scene, rng, scene.objects, ITEM_SPACING),
-            lambda _: all(_has_room(scene, item) for item in self._cubes(scene)),
+            lambda: place_apart(scene, rng, scene.objects, SPACING),
+            lambda _: all(_has_space(scene, block) for block in self._cubes(scene)),
         )
 
     def evaluate(self, scene: Scene) -> dict[str, bool]:
-        """Look where the cubes are, and whether all is done."""
-        facts = {
-            "is_sorted": all(_is_in(self._bowl_of(scene, item), item) for item in self._cubes(scene)),
-            "is_empty": is_empty(scene),
-            "is_at_rest": at_rest(scene),
-        }
-        return {"success": all(facts.values()), **facts}
+        """Return whether the cubes are in their bowls, the gripper is empty and nothing moves."""
+        placed = all(_is_in(self._bowl_of(scene, block), block) for block in self._cubes(scene))
+        return success_at_rest(scene, is_sorted=placed)
 
     def is_valid(self, scene: Scene) -> bool:
-        """Whether all is inside the workspace and the bowls stand."""
-        return super().is_valid(scene) and all(map(upright, self._bowls(scene)))
+        """Return True if all objects are inside the workspace and the bowls are upright."""
+        return super().is_valid(scene) and all(upright(scene[f"{name} bowl"]) for name in COLOURS)
 
     def plan(self, scene: Scene, rng: np.random.Generator) -> Iterator[Waypoint]:
-        """Grasp the next cube, or put it into its bowl."""
+        """Grasp the next cube, or release it in its bowl."""
         held = scene.held
         if held in self._cubes(scene):
             yield from self._put(scene, held)
         elif held is not None:  # a bowl
             spot = held.pose.position
             height = highest_between(scene, spot, spot, held) + RELEASE
-            yield from place_item(scene, held, spot[:2], height)
+            yield from place_object(scene, held, spot[:2], height)
         else:
             yield from _take(scene, self._next(scene))
 
     def _put(self, scene: Scene, held: SceneObject) -> Iterator[Waypoint]:
         vessel = self._bowl_of(scene, held)
-        others = [item for item in self._cubes(scene) if item is not held and _is_in(vessel, item)]
+        others = [block for block in self._cubes(scene) if block is not held and _is_in(vessel, block)]
         x, y, _ = vessel.pose.position
-        # In a line with the cube that is there, the fingers beside it.
+        # The cubes are in one line, the fingers on both sides of it.
         line = scene.robot.pose.yaw + math.pi / 2.0
         if others and planar_distance(others[0].pose.position, vessel.pose.position) > 0.0:
             line = math.atan2(y - others[0].pose.y, x - others[0].pose.x)
-        aside = FROM_AXIS * held.spec.extents[0]
-        spot = (x + aside * math.cos(line), y + aside * math.sin(line))
-        turn = wrap_angle(line + math.pi / 2.0 - scene.robot.pose.yaw, HALF_TURN)
+        offset = FROM_AXIS * held.spec.extents[0]
+        spot = (x + offset * math.cos(line), y + offset * math.sin(line))
+        rotation = wrap_angle(line + math.pi / 2.0 - scene.robot.pose.yaw, math.pi)
         height = vessel.lowest + RELEASE_HEIGHT * vessel.spec.extents[2]
-        for waypoint in place_item(scene, held, spot, height, turn):
-            # Opened all the way the fingers would jam in the bowl.
+        for waypoint in place_object(scene, held, spot, height, rotation):
+            # Completely open fingers would jam in the bowl.
             yield waypoint if waypoint.finish is None else replace(waypoint, finish=HALF_OPEN)
 
     def _next(self, scene: Scene) -> SceneObject:
-        """Return a cube that is not in its bowl, best one about which there is room; any if all are in."""
+        """Return a cube outside its bowl, preferably one that the fingers can grasp, or any cube."""
         cubes = self._cubes(scene)
-        unsorted = [item for item in cubes if not _is_in(self._bowl_of(scene, item), item)]
-        free = (item for item in unsorted if _yaws(scene, item)[1])
-        return next(free, next(iter(unsorted or cubes)))
-
-    def _bowls(self, scene: Scene) -> list[SceneObject]:
-        return [scene[f"{name} bowl"] for name in COLOURS]
+        remaining = [block for block in cubes if not _is_in(self._bowl_of(scene, block), block)]
+        free = (block for block in remaining if _yaws(scene, block)[1])
+        return next(free, next(iter(remaining or cubes)))
 
     def _cubes(self, scene: Scene) -> list[SceneObject]:
         return scene.objects[len(COLOURS) :]
 
-    def _bowl_of(self, scene: Scene, item: SceneObject) -> SceneObject:
-        return scene[f"{item.role.kind} bowl"]
+    def _bowl_of(self, scene: Scene, block: SceneObject) -> SceneObject:
+        return scene[f"{block.slot.kind} bowl"]
 
 
-class OpenLoopBlockSorting(BlockSorting):
-    """Put the cubes of each of two colours into the bowl of their colour, by pick and place.
-
-    All else is as in :class:`BlockSorting`.
-    """
-
-    defaults = replace(BlockSorting.defaults, max_steps=20)
-
-
-def _take(scene: Scene, item: SceneObject) -> Iterator[Waypoint]:
-    """Yield the way to a grasp of a cube by the sides about which the open fingers have room."""
-    centre, hand = item.centre_of_mass, scene.robot.pose
-    yaws, fitting = _yaws(scene, item)
-    top = max(scene.world.top(item.body), highest_between(scene, hand.position, centre, item))
-    yield from grasp(scene, Pose.planar(*centre, (fitting or yaws)[0]), top, HALF_TURN)
+def _take(scene: Scene, block: SceneObject) -> Iterator[Waypoint]:
+    """Yield the waypoints of a grasp of a cube along the sides where the open fingers fit."""
+    centre, tool = block.centre_of_mass, scene.robot.pose
+    yaws, fitting = _yaws(scene, block)
+    top = max(scene.world.top(block.body), highest_between(scene, tool.position, centre, block))
+    yield from grasp(scene, Pose.planar(*centre, (fitting or yaws)[0]), top, math.pi)
 
 
-def _has_room(scene: Scene, item: SceneObject) -> bool:
-    """Return True if a gripper of usual size has room about a cube along one of its sides."""
-    side = wrap_angle(side_yaw(item.pose), HALF_TURN / 2.0)
-    yaws = (side, side + HALF_TURN / 2.0) if "r" in scene.config.action_sequence else (side,)
-    others = [footprint(other) for other in scene if other is not item]
-    rooms = (Footprint.rectangle(FINGER_ROOM, Pose.planar(*item.centre_of_mass, yaw)) for yaw in yaws)
-    return any(all(room.gap(other) > 0.0 for other in others) for room in rooms)
+def _has_space(scene: Scene, block: SceneObject) -> bool:
+    """Return True if the area for the fingers along one of a cube's sides is free."""
+    side = wrap_angle(side_yaw(block.pose), math.pi / 2.0)
+    yaws = (side, side + math.pi / 2.0) if rotates(scene) else (side,)
+    others = [footprint(other) for other in scene if other is not block]
+    areas = (Footprint.rectangle(FINGER_AREA, Pose.planar(*block.centre_of_mass, yaw)) for yaw in yaws)
+    return any(all(area.gap(other) > 0.0 for other in others) for area in areas)
 
 
-def _yaws(scene: Scene, item: SceneObject) -> tuple[list[float], list[float]]:
-    """Return in which directions (rad) the fingers may close on a cube, and those in which they have room.
-
-    The nearest to the gripper's comes first; if it cannot turn, there is no other.
-    """
-    hand, side = scene.robot.pose, side_yaw(item.pose)
-    turns = sorted(
-        (wrap_angle(side + turn - hand.yaw, HALF_TURN) for turn in (0.0, HALF_TURN / 2.0)), key=abs
-    )
-    yaws = [hand.yaw + turn for turn in turns[: 2 if "r" in scene.config.action_sequence else 1]]
-    return yaws, [yaw for yaw in yaws if _fits(scene, item, yaw)]
+def _yaws(scene: Scene, block: SceneObject) -> tuple[list[float], list[float]]:
+    """Return the yaws (rad) of a grasp of a cube, the nearest first, and those where the fingers fit."""
+    tool, side = scene.robot.pose, side_yaw(block.pose)
+    rotations = sorted((wrap_angle(side + yaw - tool.yaw, math.pi) for yaw in (0.0, math.pi / 2.0)), key=abs)
+    yaws = [tool.yaw + rotation for rotation in rotations[: 2 if rotates(scene) else 1]]
+    return yaws, [yaw for yaw in yaws if _fits(scene, block, yaw)]
 
 
-def _fits(scene: Scene, item: SceneObject, yaw: float) -> bool:
-    """Whether open fingers have room about a cube, also a little beside it, as on their way down."""
-    target = Pose.planar(*item.centre_of_mass, yaw)
-    places = (target.compose(Pose((aside, 0.0, 0.0))) for aside in (0.0, -ALIGNED, ALIGNED))
-    return all(fingers_fit(scene, place, item) for place in places)
+def _fits(scene: Scene, block: SceneObject, yaw: float) -> bool:
+    """Return True if the open fingers fit around a cube, also with the offset allowed for the descent."""
+    target = Pose.planar(*block.centre_of_mass, yaw)
+    poses = (target.compose(Pose((offset, 0.0, 0.0))) for offset in (0.0, -ALIGNED, ALIGNED))
+    return all(fingers_fit(scene, pose, block) for pose in poses)
 
 
-def _is_in(vessel: SceneObject, item: SceneObject) -> bool:
-    """Whether the middle of an item is inside a bowl, below its rim."""
-    x, y, z = _local(vessel, item)
+def _is_in(vessel: SceneObject, block: SceneObject) -> bool:
+    """Return True if the centre of a block is inside a bowl, below its rim."""
+    x, y, z = vessel.pose.inverse().transform(block.pose.position)
     scale = vessel.spec.extents[0] / DIAMETER
     return math.hypot(x, y) < (DIAMETER / 2.0 - THICKNESS) * scale and abs(z) < HEIGHT / 2.0 * scale
-
-
-def _local(vessel: SceneObject, item: SceneObject) -> Vector:
-    return vessel.pose.inverse().transform(item.pose.position)
 
 
 def _bowl(name: str, scale: float) -> BodySpec:
@@ -207,5 +189,5 @@ def _bowl(name: str, scale: float) -> BodySpec:
 
 
 def _coloured(make: Callable[[str, float], BodySpec], colour: Colour) -> Callable[[str, float], BodySpec]:
-    """Return what makes the same things in another colour."""
+    """Return a function that makes the same objects in another colour."""
     return lambda name, scale: replace(make(name, scale), colour=colour)

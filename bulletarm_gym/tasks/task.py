@@ -1,4 +1,4 @@
-"""The contract between a task and the house around it."""
+"""Base class of tasks."""
 
 import re
 from abc import ABC, abstractmethod
@@ -9,40 +9,40 @@ import numpy as np
 
 from bulletarm_gym.config import OPEN_LOOP, EnvConfig, TaskDefaults
 from bulletarm_gym.control import GraspParams
-from bulletarm_gym.experts.waypoints import Waypoint
-from bulletarm_gym.geometry import Vector
+from bulletarm_gym.experts import Waypoint
 from bulletarm_gym.objects.blocks import CUBE_SIZE
 from bulletarm_gym.rendering.overlays import Overlay
 from bulletarm_gym.scene import ObjectSlot, Scene, SceneObject
+from bulletarm_gym.scene.predicates import loose_objects
 from bulletarm_gym.state import declare_state_types
 from bulletarm_gym.surfaces.surface import SITE, Point
 
 
 class Task(ABC):
-    """A task: its bodies, how they are arranged, when it is solved, and how an expert solves it.
+    """A task: its bodies, their arrangement, its success, and the plan of an expert.
 
-    A task keeps nothing between calls but :attr:`memory`; what it does follows from the scene, so that states
-    can be saved, restored and planned from.
+    A task keeps only :attr:`memory` between calls. Everything else depends on the scene, so that states can
+    be saved and restored.
 
     :param config: the environment's parameters
     """
 
     defaults: ClassVar[TaskDefaults]
     controls: ClassVar[tuple[str, ...]]
-    """Names of the controls the task can be solved with."""
-    one_decision: ClassVar[bool] = False
+    """Kinds of controls that can solve the task."""
+    single_step: ClassVar[bool] = False
     """Whether every action ends the episode."""
-    rehearsals: ClassVar[int] = 8
-    """Starts arranged at most to see whether there is room, where objects or workspace are not its own."""
+    feasibility_trials: ClassVar[int] = 8
+    """Largest number of arrangements in the constructor that check sizes and workspaces set by the user."""
     memory_types: ClassVar[tuple[type, ...]] = ()
     """Dataclasses and named tuples in :attr:`memory`, for files of states; plain values need none."""
     site: Point = SITE
-    """Width and length (m) of the base of what is built: ramps and bumps leave level ground for it."""
+    """Width and length (m) of the base of a structure, for which ramps and bumps have level ground."""
 
     def __init__(self, config: EnvConfig) -> None:
         self.config = config
         self.memory: Any = None
-        """What the task must remember within an episode: plain values and :attr:`memory_types`."""
+        """Memory of the task within an episode: plain values and :attr:`memory_types`."""
 
     def __init_subclass__(cls, **options: Any) -> None:
         """Declare the types of the memory.
@@ -61,40 +61,40 @@ class Task(ABC):
 
     @property
     def grasp_params(self) -> GraspParams:
-        """Grasp parameters; by default, the fingertips close half a largest cube deep."""
+        """Grasp parameters; by default the fingertips close at half the height of a largest cube."""
         return GraspParams(pick_offset=CUBE_SIZE * max(self.config.scales) / 2.0)
 
     @property
     def height(self) -> float:
-        """Height (m) above which the workspace must reach for the task to be solved: of a largest cube."""
+        """Height (m) to which objects must be lifted; by default that of a largest cube."""
         return CUBE_SIZE * max(self.config.scales)
 
     @property
     def plans_moves(self) -> bool:
-        """Whether its plan says only where to pick and to place, and close loop has to find the way."""
+        """Whether the plan has only picks and places, to which closed-loop control adds the path."""
         return OPEN_LOOP in self.controls
 
     @abstractmethod
     def bodies(self, config: EnvConfig) -> list[ObjectSlot]:
-        """Return everything the task will ever need."""
+        """Return the slots of all objects of the task."""
 
     def grasped(self, scene: Scene) -> list[SceneObject]:
-        """Return the items that the gripper must be able to span: by default all that are loose."""
-        return [item for item in scene.objects if item.spec.mass > 0.0]
+        """Return the objects that must fit between the open fingers; by default all loose objects."""
+        return [obj for obj in scene.objects if obj.spec.mass > 0.0]
 
     @abstractmethod
     def arrange(self, scene: Scene, rng: np.random.Generator) -> None:
-        """Lay out the start of an episode in an empty scene.
+        """Place the objects of a new episode in an empty scene.
 
-        :raises PlacementError: there is no room; it is then asked again, some times, on other ground
+        :raises PlacementError: the objects do not fit; the environment tries again with other ground
         """
 
     def arrange_goal(self, scene: Scene, rng: np.random.Generator) -> None:
-        """Lay out the finished structure at the surface's goal site in an empty scene.
+        """Place all loose objects as the finished structure at the surface's goal site in an empty scene.
 
-        Deconstruction begins with it (paper, Expert Demonstrations). All that can move belongs to it.
+        Deconstruction starts from it (paper, Expert Demonstrations).
 
-        :raises ValueError: the task has no such structure, as most
+        :raises ValueError: the task builds no structure
         """
         raise ValueError(f"{type(self).__name__} builds no structure: it has no arrange_goal()")
 
@@ -117,26 +117,26 @@ class Task(ABC):
 
     @abstractmethod
     def plan(self, scene: Scene, rng: np.random.Generator) -> Iterator[Waypoint]:
-        """Yield the waypoints that remain from the present scene on, first the next.
+        """Yield the remaining waypoints, the next one first.
 
-        It must give one in every state, also after a failure; for open-loop control one with a ``finish``.
+        Every state has a next waypoint, also after a failure; for open-loop control one with a ``finish``.
         """
 
     def continue_scene(self, scene: Scene, rng: np.random.Generator) -> bool:
-        """Begin an episode with what the last one left; False, for most, asks for a new arrangement."""
+        """Start an episode with the objects that the last one left; return False for a new arrangement."""
         return False
 
     def overlays(self, scene: Scene) -> tuple[Overlay, ...]:
-        """Return what the heightmap shows besides the bodies: goals that no body stands for."""
+        """Return marks without a body that the heightmap shows, such as goals."""
         return ()
 
     def after_action(self, scene: Scene, rng: np.random.Generator) -> None:  # noqa: B027 (most have none)
-        """Change the scene after an action, where the task has a life of its own."""
+        """Change the scene after an action."""
 
     def is_valid(self, scene: Scene) -> bool:
-        """Whether every loose item is inside the workspace, not above its top nor below the floor."""
+        """Return True if every loose object that is not grasped is inside the workspace."""
         held = scene.robot.held
-        return all(self._is_inside(item) for item in scene if item.spec.mass > 0.0 and item.body is not held)
+        return all(self._is_inside(obj) for obj in loose_objects(scene) if obj.body is not held)
 
     def reward(self, scene: Scene, outcome: Mapping[str, bool]) -> float:
         """Return 1 on success, else 0 (paper, Environment).
@@ -145,19 +145,12 @@ class Task(ABC):
         """
         return float(outcome["is_success"])
 
-    def _is_inside(self, item: SceneObject) -> bool:
+    def _is_inside(self, obj: SceneObject) -> bool:
+        """Return True if an object's centre or bounding box is in the workspace, not below the floor."""
         (x0, x1), (y0, y1), (_, top) = self.config.workspace
-        low, high = self._extent(item)
-        inside = x0 <= low[0] and high[0] <= x1 and y0 <= low[1] and high[1] <= y1
-        return inside and low[2] >= FALLEN and high[2] <= top
-
-    def _extent(self, item: SceneObject) -> tuple[Vector, Vector]:
-        """Return the corners (m) that must be inside: of the bounding box, or twice the centre."""
         if self.config.workspace_check == "bounding_box":
-            (left, near, _), (right, far, top) = item.bounds.tolist()
-            return (left, near, item.pose.z), (right, far, top)
-        return item.pose.position, item.pose.position
-
-
-FALLEN = 0.0
-"""An item whose centre is below this height (m) has fallen through the ground."""
+            low, high = obj.bounds.tolist()
+        else:
+            low = high = obj.pose.position
+        inside = x0 <= low[0] and high[0] <= x1 and y0 <= low[1] and high[1] <= y1
+        return inside and obj.pose.z >= 0.0 and high[2] <= top

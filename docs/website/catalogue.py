@@ -13,9 +13,9 @@ from bulletarm_gym.tasks import Task
 from website.docstrings import LABEL, LABELS
 
 GROUPS = {
-    "Reach, pick, push, open": ("reaching", "picking", "pushing", "pulling", "bowl", "corner", "drawer"),
-    "Build": ("stacking", "house", "improvise"),
-    "Pack and sort": ("packing", "arranging", "palletizing", "covid", "sorting"),
+    "Reach, pick, push, open": ("picking", "pushing", "drawer"),
+    "Build": ("stacking", "house"),
+    "Pack and sort": ("packing", "palletizing", "covid", "sorting"),
     "Clutter": ("clutter",),
 }
 """Headings of the gallery and the modules of their tasks."""
@@ -127,7 +127,7 @@ def _labelled(task: type[Any]) -> dict[str, str]:
 
 def _text(text: str) -> str:
     """Return the lines up to the next thing that is told, such as what all else is like."""
-    own = re.split(r"\n\n|\nAll else is", text)[0]
+    own = re.split(r"\n\n|\nEverything else is", text)[0]
     return _clean(own)
 
 

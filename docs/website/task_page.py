@@ -71,7 +71,7 @@ def _identity(one: Shown, env: ManipulationEnv) -> str:
 
 
 def _ends(one: Shown, env: ManipulationEnv) -> str:
-    if one.task.one_decision:
+    if one.task.single_step:
         return "after every action"
     return f"at success, in an invalid scene, or after {env.config.max_steps} steps"
 

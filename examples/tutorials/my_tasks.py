@@ -34,9 +34,9 @@ class BlockCentring(Task):
         return {"success": near and is_held(scene, scene["cube"]), "is_near": near}
 
     def plan(self, scene: Scene, rng: np.random.Generator) -> Iterator[Waypoint]:
-        item = scene["cube"]
-        if not is_held(scene, item):
-            yield from grasp(scene, item.pose, scene.world.top(item.body), math.pi / 2)
+        obj = scene["cube"]
+        if not is_held(scene, obj):
+            yield from grasp(scene, obj.pose, scene.world.top(obj.body), math.pi / 2)
         yield Waypoint(Pose.planar(*self.config.centre, 0.1, scene.robot.pose.yaw), CLOSED)
 
 

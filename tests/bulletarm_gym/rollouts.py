@@ -115,7 +115,7 @@ def advance(env: ManipulationEnv, seed: int, steps: int) -> EnvState:
     env.reset(seed=seed)
     for _ in range(steps):
         *_, terminated, truncated, _ = env.step(env.expert_action())
-        if env.task.one_decision:
+        if env.task.single_step:
             env.reset()
         else:
             assert not terminated and not truncated

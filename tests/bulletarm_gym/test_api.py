@@ -51,7 +51,7 @@ def with_pose(env: ManipulationEnv, state: EnvState, role: str, pose: Pose) -> E
 
 def loose_role(env: ManipulationEnv) -> str:
     """The role of something that can leave the workspace."""
-    roles = [item.role.name for item in env.scene if item.spec.mass > 0.0]
+    roles = [item.slot.name for item in env.scene if item.spec.mass > 0.0]
     return roles[0] if roles else pytest.skip("nothing here is loose")
 
 
@@ -216,7 +216,7 @@ def test_time_limit_truncates(make: Make, typical_id: str, max_steps: int) -> No
     env = make(typical_id, max_steps=max_steps)
     for seed in range(2):
         env.reset(seed=seed)
-        if env.task.one_decision:
+        if env.task.single_step:
             assert env.step(idle(env))[1:4] == (0.0, True, False)
             continue
         ends = [env.step(idle(env))[1:4] for _ in range(max_steps)]

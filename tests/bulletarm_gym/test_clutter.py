@@ -10,7 +10,7 @@ import pytest
 
 from bulletarm_gym.config import LIFT_HEIGHT
 from bulletarm_gym.env import ManipulationEnv
-from bulletarm_gym.experts.singulation import _end_to_push
+from bulletarm_gym.experts.pushing import end_to_push
 from bulletarm_gym.geometry import Pose
 from bulletarm_gym.objects.graspables import graspables
 from bulletarm_gym.simulation.shapes import wavefront
@@ -26,7 +26,7 @@ def env(make: Make) -> ManipulationEnv:
 
 
 def _names(env: ManipulationEnv) -> list[str]:
-    return [item.role.name for item in env.scene]
+    return [item.slot.name for item in env.scene]
 
 
 def _solve(env: ManipulationEnv) -> bool:
@@ -51,15 +51,15 @@ def test_the_grasped_object_is_gone_and_the_others_stay(env: ManipulationEnv) ->
     held = env.scene.held
     assert held is not None and env.scene.robot.pose.z > LIFT_HEIGHT  # still there to be seen
     env.reset()
-    assert set(_names(env)) == before - {held.role.name}
+    assert set(_names(env)) == before - {held.slot.name}
     assert env.scene.robot.held is None and env.scene.robot.opening_ratio == 1.0
 
 
 def test_an_episode_without_a_grasp_leaves_everything(env: ManipulationEnv) -> None:
     env.reset(seed=2)
-    before = {item.role.name: item.pose for item in env.scene}
+    before = {item.slot.name: item.pose for item in env.scene}
     env.reset()
-    assert {item.role.name: item.pose for item in env.scene} == before
+    assert {item.slot.name: item.pose for item in env.scene} == before
 
 
 def test_all_grasped_makes_a_new_scene(make: Make) -> None:
@@ -156,11 +156,11 @@ def test_fingers_that_were_pushed_shut_open_again(env: ManipulationEnv) -> None:
 @pytest.mark.parametrize("yaw", [0.0, 0.4, 2.0, -1.1])
 def test_round_things_are_pushed_towards_the_middle(env: ManipulationEnv, yaw: float) -> None:
     env.reset(seed=0)
-    bowl = next(item for item in env.scene.objects if item.role.name == "bowl_3")
+    bowl = next(item for item in env.scene.objects if item.slot.name == "bowl_3")
     bowl.place(Pose.planar(0.40, -0.06, 0.03, 0.0))
-    end, _ = _end_to_push(env.scene, bowl)
+    end, _ = end_to_push(env.scene, bowl)
     bowl.place(Pose.planar(0.40 + 1e-6, -0.06, 0.03, yaw))
-    turned_end, push = _end_to_push(env.scene, bowl)
+    turned_end, push = end_to_push(env.scene, bowl)
     np.testing.assert_allclose(push, np.array((0.05, 0.06)) / np.hypot(0.05, 0.06), atol=0.02)
     np.testing.assert_allclose(turned_end, end, atol=0.005)
 
@@ -209,6 +209,6 @@ def test_every_object_alone_is_lifted(robot: str) -> None:
             env.task.drop(env.scene, [item], rng)
             lifted += _solve(env)
         if lifted < 4:
-            failing[item.role.name] = lifted
+            failing[item.slot.name] = lifted
     env.close()
     assert not failing

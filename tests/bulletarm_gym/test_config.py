@@ -290,7 +290,7 @@ def test_what_is_grasped_fits_the_gripper(name: str, scale: float, refused: list
 @pytest.mark.parametrize("scale", [0.86, [0.6, 1.0], 2.0], ids=str)
 def test_swabs_and_tubes_that_would_overlap_are_refused(scale: Any) -> None:
     make_env("BulletArm/OpenLoopCovidTest-v0", object_scale_range=0.84, obs_size=16).close()
-    with pytest.raises(ParameterError, match=r"^object_scale_range: got .* smaller ones: .* overlap"):
+    with pytest.raises(ParameterError, match=r"^object_scale_range: .* overlap"):
         make_env("BulletArm/OpenLoopCovidTest-v0", object_scale_range=scale)
 
 

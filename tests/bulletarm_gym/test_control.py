@@ -13,8 +13,8 @@ import pytest
 from bulletarm_gym import control
 from bulletarm_gym.control import CloseLoop, DeltaMove, RobotInterface
 from bulletarm_gym.env import ManipulationEnv
+from bulletarm_gym.experts import CLOSED, OPEN, Waypoint
 from bulletarm_gym.experts.tracking import Tracker
-from bulletarm_gym.experts.waypoints import CLOSED, OPEN, Waypoint
 from bulletarm_gym.geometry import Pose
 from bulletarm_gym.robots import Robot
 from bulletarm_gym.scene import Scene, SceneObject
@@ -77,7 +77,7 @@ def test_control_modules_use_public_attributes_and_no_scene(path: Path) -> None:
     nodes = list(ast.walk(ast.parse(path.read_text(encoding="utf-8"))))
     imported = {node.module or "" for node in nodes if isinstance(node, ast.ImportFrom)}
     rooms = {name.split(".")[1] for name in imported if name.startswith("bulletarm_gym.")}
-    assert not rooms & {"scene", "simulation", "objects", "relations", "placement", "experts", "tasks"}
+    assert not rooms & {"scene", "simulation", "objects", "experts", "tasks"}
     attributes = [node for node in nodes if isinstance(node, ast.Attribute)]
     private = [
         node.attr

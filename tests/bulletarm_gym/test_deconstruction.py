@@ -11,9 +11,9 @@ from rollouts import digest
 from bulletarm_gym.config import ParameterError
 from bulletarm_gym.demonstrations import collect
 from bulletarm_gym.env import ManipulationEnv
-from bulletarm_gym.experts.deconstruction import GRASP_CLEARANCE, take_apart
+from bulletarm_gym.experts.deconstruction import GRASP_CLEARANCE, deconstruct
 from bulletarm_gym.geometry import PlacementError
-from bulletarm_gym.scene.predicates import on_ground
+from bulletarm_gym.scene.predicates import on_surface
 from bulletarm_gym.scene.sampling import footprint
 
 Make = Callable[..., ManipulationEnv]
@@ -79,12 +79,12 @@ def test_what_is_taken_apart_can_be_rebuilt(building: ManipulationEnv) -> None:
 def test_blocks_go_from_the_top_to_free_ground(make: Make, env_id: str) -> None:
     env = make(env_id)
     env.reset(seed=0, options=GOAL)
-    relocations = take_apart(env.scene, np.random.default_rng(0))
-    heights = [relocation.before.position[2] for relocation in relocations]
-    assert heights == sorted(heights, reverse=True) and len(heights) == 3
+    plan = deconstruct(env.scene, np.random.default_rng(0))
+    heights = [waypoint.pose.z for waypoint in plan[1::2]]
+    assert heights == sorted(heights) and len(heights) == 3
     for first, second in itertools.combinations(env.scene, 2):
         assert footprint(first).gap(footprint(second)) >= GRASP_CLEARANCE
-        assert on_ground(env.scene, first)
+        assert on_surface(env.scene, first)
     assert len({round(item.pose.yaw, 3) for item in env.scene}) == 4
 
 
@@ -107,7 +107,7 @@ def test_no_room_to_lay_a_block_is_a_failed_attempt(monkeypatch: pytest.MonkeyPa
     def full(*_: Any) -> None:
         raise PlacementError("workspace: found no room for cube 3")
 
-    monkeypatch.setattr("bulletarm_gym.demonstrations.collecting.take_apart", full)
+    monkeypatch.setattr("bulletarm_gym.demonstrations.collecting.deconstruct", full)
     with pytest.raises(RuntimeError, match="0 of 2 attempts"):
         collect(STACKING, 1, "deconstruction", seed=0, max_attempts=2)
 

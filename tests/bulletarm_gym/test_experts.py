@@ -92,7 +92,7 @@ def test_fixed_orientation_turns_by_quarters_at_most(make: Make, env_id: str) ->
 def test_expert_recovers_from_random_actions(make: Make, env_id: str) -> None:
     longer = max(60, make(env_id).config.max_steps + 20)
     env = make(env_id, max_steps=longer)
-    if env.task.one_decision:
+    if env.task.single_step:
         pytest.skip("nothing to recover from")
     solved = []
     for seed in SEEDS if 60 < longer <= 150 else seeds(env, 5):

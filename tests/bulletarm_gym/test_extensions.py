@@ -171,7 +171,7 @@ def test_registered_objects_reach_a_task_of_ours() -> None:
     env = make_env(GRASPING, object_set=kinds, num_objects=2, obs_size=16, object_scale_range=0.5)
     path = "my_objects:brick"
     assert env.config.object_set == [path, "cube", path]
-    assert [item.role.name for item in env.scene.objects] == [f"{path} 0", "cube 0", f"{path} 1"]
+    assert [item.slot.name for item in env.scene.objects] == [f"{path} 0", "cube 0", f"{path} 1"]
     spec = env.scene.objects[0].spec
     assert spec.mass == 0.3 and spec.extents == pytest.approx((0.02, 0.04, 0.015))  # lying
     extensions.OBJECT_PATHS.clear()
@@ -196,7 +196,7 @@ def test_registered_objects_reach_a_task_of_ours() -> None:
         (["my_objects:empty"], "^object_set: object 'my_objects:empty': pieces must be at least one piece"),
         (["my_objects:flat"], "^object_set: object 'my_objects:flat': sides must be positive"),
         (["pallet"], "^object_set: 'pallet' stands fixed"),
-        (["cube"], "takes at most 1 with this object_set"),
+        (["cube"], "at most 1 with this object_set"),
     ],
 )
 def test_sets_of_kinds_that_cannot_be(kinds: list[str], reason: str) -> None:
@@ -254,7 +254,7 @@ def test_what_is_no_control_is_refused() -> None:
     path = "my_controls:Backwards"
     for wrong, reason in (
         ("remote", "^control: got 'remote', takes one of 'close_loop', 'open_loop', or 'module:Class'"),
-        ("my_controls:Kindless", "^control: .* has kind='both', takes one of"),
+        ("my_controls:Kindless", "^control: .* must have a kind of .*, got 'both'"),
         ("builtins:dict", "no subclass of Control"),
         ("open_loop", "^control: got 'open_loop', BlockPicking takes one of"),
     ):

@@ -13,7 +13,7 @@ from rollouts import digest, transcript
 import bulletarm_gym
 from bulletarm_gym.control import PickPlace
 from bulletarm_gym.env import ManipulationEnv
-from bulletarm_gym.experts.waypoints import CLOSED, OPEN, Waypoint
+from bulletarm_gym.experts import CLOSED, OPEN, Waypoint
 from bulletarm_gym.geometry import Pose, Vector, euler_angles, euler_pose, matrix, wrap_angle
 from bulletarm_gym.sensors.in_hand import Map, crop, projections
 

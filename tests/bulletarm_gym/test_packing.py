@@ -11,8 +11,7 @@ from bulletarm_gym.geometry import Footprint, Pose
 from bulletarm_gym.objects.bottles import TRAY
 from bulletarm_gym.objects.packing import BIN, BIN_WALL
 from bulletarm_gym.scene.sampling import footprint
-from bulletarm_gym.tasks.arranging import places
-from bulletarm_gym.tasks.packing import Room
+from bulletarm_gym.tasks.packing import FreeSpace, tray_positions
 
 Make = Callable[..., ManipulationEnv]
 
@@ -84,7 +83,7 @@ def test_block_is_released_above_a_gap_without_room_for_the_fingers(make: Make) 
     block, hand = env.scene["block 0"], env.scene.robot.pose
     block.variant = 6
     block.place(hand)
-    room, around = Room(env.scene, block), 0.07
+    room, around = FreeSpace(env.scene, block), 0.07
     in_gap = np.maximum(np.abs(room._xs)[:, None], np.abs(room._ys)) < 0.024
     room._heights = np.where(in_gap, BIN_WALL, around)
     goal = env.scene["bin"].pose.inverse().compose(room.best())
@@ -94,7 +93,7 @@ def test_block_is_released_above_a_gap_without_room_for_the_fingers(make: Make) 
 
 def test_bottles_have_places_in_the_tray() -> None:
     half = [[-side / 2.0, side / 2.0] for side in TRAY[:2]]
-    bases = [Footprint.rectangle((0.055, 0.055), place) for place in places()]
+    bases = [Footprint.rectangle((0.055, 0.055), place) for place in tray_positions()]
     assert all(base.is_inside(half, 0.01) for base in bases)
     assert min(one.gap(other) for number, one in enumerate(bases) for other in bases[:number]) > 0.02
 

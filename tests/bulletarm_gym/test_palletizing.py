@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from bulletarm_gym.env import ManipulationEnv
-from bulletarm_gym.experts.waypoints import CLOSED, OPEN, Waypoint
+from bulletarm_gym.experts import CLOSED, OPEN, Waypoint
 from bulletarm_gym.geometry import Footprint, PlacementError, Pose
 from bulletarm_gym.objects.palletizing import PALLET
 from bulletarm_gym.scene.sampling import footprint
@@ -40,7 +40,7 @@ def stack(env: ManipulationEnv, count: int, turn: float = 0.0, sink: float = 0.0
 
 def right(env: ManipulationEnv) -> int:
     assert isinstance(env.task, BoxPalletizing)
-    return len(env.task._right(env.scene))
+    return len(env.task._correct(env.scene))
 
 
 def present(env: ManipulationEnv) -> int:

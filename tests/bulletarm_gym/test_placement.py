@@ -103,7 +103,7 @@ def test_without_random_orientation_all_lie_straight(make: Make) -> None:
 
 def test_too_much_is_refused(make: Make) -> None:
     scene = _scene(make, "flat", HOUSE)
-    with pytest.raises(PlacementError, match="workspace: found no room for 6 items"):
+    with pytest.raises(PlacementError, match="workspace: found no room for 6 objects"):
         place_apart(scene, np.random.default_rng(0), scene.objects, 0.3)
     scene.world.close()
 

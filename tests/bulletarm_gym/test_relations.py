@@ -12,7 +12,7 @@ from bulletarm_gym.scene.predicates import (
     at_rest,
     inside,
     is_top,
-    on_ground,
+    on_surface,
     on_top,
     stacked,
     touching,
@@ -88,12 +88,12 @@ def test_upright_up_to_20_degrees(scene: Scene) -> None:
 def test_on_ground(scene: Scene) -> None:
     item = scene.objects[0]
     item.place(Pose.planar(0.45, 0.0, 0.025, 0.3))
-    assert on_ground(scene, item)
+    assert on_surface(scene, item)
     quarter = math.pi / 8.0
     item.place(Pose((0.45, 0.0, 0.025 * math.sqrt(2.0)), (math.sin(quarter), 0.0, 0.0, math.cos(quarter))))
-    assert on_ground(scene, item), "on an edge"
+    assert on_surface(scene, item), "on an edge"
     item.place(Pose.planar(0.45, 0.0, 0.03))
-    assert not on_ground(scene, item)
+    assert not on_surface(scene, item)
 
 
 def test_is_top(scene: Scene) -> None:

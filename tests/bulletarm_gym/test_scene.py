@@ -26,14 +26,14 @@ def role(count: int) -> ObjectSlot:
 
 def variants(env: ManipulationEnv) -> dict[str, list[BodySpec]]:
     return {
-        item.role.name: [item.role.variants[place] for place in item.choices] for item in env.scene.objects
+        item.slot.name: [item.slot.variants[place] for place in item.choices] for item in env.scene.objects
     }
 
 
 def test_without_a_range_all_variants_are_loaded(make: Make) -> None:
     env = make(PACKING)
     assert len(env.scene.world.bodies) == 3 + 8 * len(SHAPES)  # the ground, the arm and the bin, the blocks
-    assert all(len(item.choices) == len(item.role.variants) for item in env.scene.objects)
+    assert all(len(item.choices) == len(item.slot.variants) for item in env.scene.objects)
 
 
 @pytest.mark.parametrize(

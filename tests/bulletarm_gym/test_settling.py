@@ -14,7 +14,7 @@ from bulletarm_gym.env import ManipulationEnv
 from bulletarm_gym.geometry import Pose, euler_pose
 from bulletarm_gym.objects import cube
 from bulletarm_gym.scene import ObjectSlot, Scene, scaled
-from bulletarm_gym.scene.predicates import at_rest, on_ground, stacked, touching
+from bulletarm_gym.scene.predicates import at_rest, on_surface, stacked, touching
 from bulletarm_gym.scene.stability import is_stable
 from bulletarm_gym.tasks import Task, Waypoint
 
@@ -100,7 +100,7 @@ def assert_supported(env: ManipulationEnv) -> None:
     assert at_rest(env.scene)
     for item in items:
         others = [other for other in items if other is not item]
-        assert on_ground(env.scene, item) or any(touching(env.scene, item, other) for other in others)
+        assert on_surface(env.scene, item) or any(touching(env.scene, item, other) for other in others)
         assert all(world.distance(item.body, other.body, 0.1) > -1.5e-3 for other in others)
     before = present(env)
     env.scene.begin()

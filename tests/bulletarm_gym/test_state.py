@@ -139,7 +139,7 @@ def test_set_state_on_a_fresh_instance(env_id: str, make: Make) -> None:
 
 def test_state_keeps_the_time_limit(make: Make, env_id: str) -> None:
     env, other = make(env_id, max_steps=3), make(env_id, 1, max_steps=3)
-    if env.task.one_decision:
+    if env.task.single_step:
         pytest.skip("ends before it")
     env.reset(seed=0)
     env.step(idle(env))

@@ -12,7 +12,7 @@ from rollouts import advance, transcript
 
 from bulletarm_gym.env import ManipulationEnv
 from bulletarm_gym.geometry import Footprint, PlacementError, Pose, rotate
-from bulletarm_gym.scene.predicates import on_ground, on_site
+from bulletarm_gym.scene.predicates import on_site, on_surface
 from bulletarm_gym.scene.sampling import footprint, free_site, place_apart
 from bulletarm_gym.simulation import World
 from bulletarm_gym.simulation.physics import PHYSICS_MODES
@@ -154,7 +154,7 @@ def test_what_is_laid_fits_and_stays(env: ManipulationEnv) -> None:
         scene.begin()
         scene.settle()
         for item, pose in zip(scene, laid, strict=True):
-            assert on_ground(scene, item)
+            assert on_surface(scene, item)
             if not isinstance(scene.surface, BumpSurface):
                 assert math.dist(item.pose.position, pose.position) < 1e-3
                 on_strip.append(on_site(scene, item))

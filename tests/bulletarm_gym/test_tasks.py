@@ -11,7 +11,7 @@ import pytest
 from rollouts import make_env
 
 from bulletarm_gym.env import ManipulationEnv
-from bulletarm_gym.experts.waypoints import CLOSED, OPEN, Waypoint
+from bulletarm_gym.experts import CLOSED, OPEN, Waypoint
 from bulletarm_gym.geometry import Pose
 from bulletarm_gym.objects.corner import INSIDE
 from bulletarm_gym.scene import Scene
@@ -358,8 +358,8 @@ def test_a_plan_without_a_waypoint_is_refused(
 @pytest.mark.parametrize(
     ("change", "reason"),
     [
-        (lambda roles: [*roles, *roles], "roles with distinct names, got 'cube' more than once"),
-        (lambda roles: None, "a list of roles, got None"),
+        (lambda slots: [*slots, *slots], "slots with distinct names, got 'cube' more than once"),
+        (lambda slots: None, "a list of slots, got None"),
     ],
 )
 def test_roles_that_cannot_be_loaded_are_refused(

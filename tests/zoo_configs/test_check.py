@@ -9,7 +9,7 @@ from zoo_configs.cli import main
 
 TASK = """
     import bulletarm_gym
-    from bulletarm_gym.tasks.reaching import BlockReaching
+    from bulletarm_gym.tasks.picking import BlockReaching
 
     class SlowReaching(BlockReaching):
         def plan(self, scene, rng):

@@ -18,7 +18,7 @@ MODULE = "my_own_tasks"
 ENV_ID = "BulletArm/CloseLoopOwnReaching-v0"
 TASKS = """
     import bulletarm_gym
-    from bulletarm_gym.tasks.reaching import BlockReaching
+    from bulletarm_gym.tasks.picking import BlockReaching
 
     class OwnReaching(BlockReaching):
         pass

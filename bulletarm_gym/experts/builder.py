@@ -1,0 +1,384 @@
+"""Planning of the next block of a structure: the expert of all tasks with a blueprint."""
+
+import math
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from functools import cached_property
+
+import numpy as np
+
+from bulletarm_gym.experts import Waypoint
+from bulletarm_gym.experts.approach import RELEASE, grasp_object, place_object, rotates, side_yaw
+from bulletarm_gym.experts.blueprint import BUILD_TOLERANCE, Blocks, Blueprint, Placed, Position, is_long
+from bulletarm_gym.experts.pick_place import (
+    SQUARENESS,
+    fingers_fit,
+    is_box,
+    palm_fits,
+    pick,
+    put,
+    resting_box,
+)
+from bulletarm_gym.geometry import Footprint, PlacementError, Pose, planar_distance, wrap_angle
+from bulletarm_gym.scene import Scene, SceneObject
+from bulletarm_gym.scene.predicates import IN_LINE, heading, is_held, middle, on_surface, on_top, rests_on
+from bulletarm_gym.scene.sampling import footprint, free_pose, free_site, goal_site, most_free_point
+
+SPAN = 0.45
+"""Largest gap between blocks that are built on, relative to the length of the block above them."""
+APART = 1.8
+"""Distance between the centres of blocks side by side on a long block, relative to a cube's side."""
+PREFERENCE = 1e-3
+"""Free distance (m) that compensates for one metre of gap in the choice of a position."""
+DIRECTIONS = 16
+"""Number of directions in which a block can be placed next to another."""
+MARGINS = (0.042, 0.02)
+"""Gaps (m) to other blocks with space for the fingers; the second is used if the first is impossible."""
+CROWDED = 0.01
+"""Free distance (m) around the next block of a base below which another base is started."""
+
+
+class Builder:
+    """Correctly placed blocks of a structure, and the next pick or place.
+
+    :param scene: scene with the blocks
+    :param blueprint: structure to build
+    :param blocks: blocks by kind
+    :param rng: samples positions of blocks that are put aside and of the structure
+    """
+
+    def __init__(self, scene: Scene, blueprint: Blueprint, blocks: Blocks, rng: np.random.Generator) -> None:
+        self._scene = scene
+        self._blueprint = blueprint
+        self._blocks = blocks
+        self._rng = rng
+        self._next_base: Pose | None = None
+
+    def plan(self) -> Iterator[Waypoint]:
+        """Yield the next pick or place."""
+        held = self._scene.held
+        if held is None:
+            yield pick(self._scene, self._next, self._rng)
+        else:
+            position = self._open_position(held)
+            frame = self._aside(held) if position is None else self._support(position, held, self.placed)
+            yield put(self._scene, held, [frame])
+
+    def finish(self) -> None:
+        """Place every block at its final pose, in an empty scene."""
+        blocks = {kind: iter(same) for kind, same in self._blocks.items()}
+        chosen = {position: next(blocks[position.kind]) for position in self._blueprint.positions}
+        size, offsets = self._blueprint.base(
+            [chosen[position] for position in self._blueprint.layers[0]], self._blocks
+        )
+        site = goal_site(self._scene, self._rng, size)
+        placed: Placed = {}
+        for position, block in chosen.items():
+            if position.layer == 0:
+                frame = site.compose(Pose((0.0, offsets[position.place], 0.0)))
+            else:
+                frame = self._support(position, block, placed)
+            block.place(frame.compose(_bottom(block).inverse()))
+            placed[position] = block
+
+    @property
+    def is_unbuilt(self) -> bool:
+        """Whether no part of more than one block is built, and a structure can be started."""
+        base = self._blueprint.layers[0]
+        if len(base) > 1 and any(True for _ in self._candidates(len(base))):
+            return False
+        return bool(self.placed) or self._site(self._spare(base[0])[0]) is not None
+
+    # Placed blocks
+
+    def _candidates(self, width: int) -> Iterator[Placed]:
+        return self._blueprint.partial_structures(self._scene, self._blocks, width, self._accepts)
+
+    @cached_property
+    def placed(self) -> Placed:
+        """The largest part of the structure that can be extended."""
+        base = self._blueprint.layers[0]
+        for width in range(len(base), 0, -1):
+            candidates = self._candidates(width)
+            if width == len(base):
+                best = max(candidates, key=lambda placed: (len(placed), self._is_free(placed)), default=None)
+            else:
+                best = self._extendable(list(candidates), base[width])
+            if best is not None:
+                return best
+        return {}
+
+    def _accepts(self, position: Position, block: SceneObject, placed: Placed) -> bool:
+        """Return True if a block is close to the pose that the expert plans."""
+        if position.layer > 0:
+            frame = self._support(position, block, placed)
+            return planar_distance(block.pose.position, frame.position) < self._blueprint.side / 2.0
+        if position.place == 0:
+            return True
+        before = list(placed.values())
+        gap = footprint(before[-1]).gap(footprint(block))
+        return (
+            gap < SPAN * self._blueprint.length_above(position, self._blocks)
+            and self._is_straight([*before, block])
+            and self._supports(footprint(before[0]), footprint(block))
+        )
+
+    def _is_straight(self, blocks: Sequence[SceneObject]) -> bool:
+        a, b, c = blocks[0], blocks[-2], blocks[-1]
+        return a is b or abs(wrap_angle(_direction(a, b) - _direction(b, c))) < IN_LINE
+
+    def _is_free(self, placed: Placed) -> bool:
+        """Return True if no misplaced block lies on the placed blocks."""
+        return not any(True for _ in self._misplaced(placed))
+
+    def _misplaced(self, placed: Placed) -> Iterator[SceneObject]:
+        """Yield the blocks that lie on the placed blocks and do not belong there."""
+        for obj in self._loose(placed):
+            if any(self._lies_on(below, obj) for below in placed.values()):
+                yield obj
+
+    def _loose(self, placed: Placed) -> list[SceneObject]:
+        there = placed.values()
+        return [obj for obj in self._scene if obj not in there and not is_held(self._scene, obj)]
+
+    # Next block
+
+    @property
+    def _next(self) -> SceneObject:
+        """The block to pick: a misplaced block, else one for the next open position, else the last one."""
+        misplaced = next(self._misplaced(self.placed), None)
+        if misplaced is not None:
+            return self._topmost(misplaced)
+        position = next((p for p in self._blueprint.positions if p not in self.placed), None)
+        loose = [] if position is None else self._spare(position)
+        return self._topmost(loose[0] if loose else list(self.placed.values())[-1])
+
+    def _spare(self, position: Position, placed: Placed | None = None) -> list[SceneObject]:
+        """Return the blocks that can be placed at a position, the best one first."""
+        there = list((self.placed if placed is None else placed).values())
+        if self._scene.held is not None and self._scene.held.slot.kind == position.kind:
+            return [self._scene.held]
+        loose = [block for block in self._blocks[position.kind] if block not in there]
+        return sorted(loose, key=lambda block: self._preference(block, there))
+
+    def _preference(self, block: SceneObject, there: Sequence[SceneObject]) -> tuple[float, ...]:
+        """Return the sort key of a block: blocks below others last, then by the distance to the structure."""
+        centre = middle(there) if there else self._scene.config.centre
+        return (self._above(block) is not None, planar_distance(block.pose.position, centre))
+
+    def _topmost(self, block: SceneObject) -> SceneObject:
+        seen = [block]
+        while (above := self._above(seen[-1])) is not None and above not in seen:
+            seen.append(above)
+        return seen[-1]
+
+    def _above(self, block: SceneObject) -> SceneObject | None:
+        free = (other for other in self._scene if other is not block and not is_held(self._scene, other))
+        return next((other for other in free if self._lies_on(block, other)), None)
+
+    def _lies_on(self, bottom: SceneObject, top: SceneObject) -> bool:
+        return rests_on(self._scene, bottom, top)
+
+    def _open_position(self, block: SceneObject) -> Position | None:
+        """Return the position at which the grasped block can be placed now."""
+        if not self._is_free(self.placed):
+            return None
+        missing = (position for position in self._blueprint.positions if position not in self.placed)
+        open_positions = (position for position in missing if self._is_open(position))
+        return next((position for position in open_positions if position.kind == block.slot.kind), None)
+
+    def _is_open(self, position: Position) -> bool:
+        if position.layer == 0:
+            return position.place == len(self.placed)
+        return all(below in self.placed for below in position.below)
+
+    # Target frames
+
+    def _support(self, position: Position, block: SceneObject, placed: Placed) -> Pose:
+        """Return the level frame on which a block is placed, its y axis along the structure's line."""
+        if position.layer == 0:
+            return self._next_base or self._site(block) or self._aside(block)
+        below = [placed[other] for other in position.below]
+        line = [placed[other] for other in self._blueprint.line(position)]
+        yaw = _direction(line[0], line[-1]) if line else _long_axis(below[0])
+        row = self._blueprint.layers[position.layer]
+        count = len(row) if len(below) == 1 and row[0].below == row[-1].below else 1
+        offset = (position.place - (count - 1) / 2.0) * APART * self._blueprint.side if count > 1 else 0.0
+        x, y = middle(below)
+        height = max(self._scene.world.top(other.body) for other in below)
+        return Pose.planar(
+            x + offset * math.cos(yaw), y + offset * math.sin(yaw), height, yaw - math.pi / 2.0
+        )
+
+    def _aside(self, block: SceneObject) -> Pose:
+        """Return the frame of a free place on the surface."""
+        for margin in MARGINS:
+            with suppress(PlacementError):
+                return free_pose(self._scene, self._rng, block, margin).compose(_bottom(block))
+        return self._scene.surface.pose(most_free_point(self._scene, block), 0.0)
+
+    def _site(self, block: SceneObject) -> Pose | None:
+        """Return the frame of the first block of a base, with space for the other blocks."""
+        base = [self._blocks[position.kind][position.place] for position in self._blueprint.layers[0]]
+        size, offsets = self._blueprint.base(base, self._blocks)
+        for margin in MARGINS:
+            with suppress(PlacementError):
+                site = free_site(self._scene, self._rng, size, margin, [block])
+                return site.compose(Pose((0.0, offsets[0], 0.0)))
+        return None
+
+    # Next block of a base
+
+    def _extendable(self, candidates: Sequence[Placed], position: Position) -> Placed | None:
+        """Return the base with most space for its next block, whose frame is kept; None if none has."""
+        found = [(*option, placed) for placed in candidates for option in self._options(placed, position)]
+        best = sorted(found, key=lambda option: -option[0])
+        if not best or (best[0][0] < CROWDED and self._site(self._spare(position, {})[0]) is not None):
+            return None
+        fitting = (one for one in best if self._can_put(one[1], self._spare(position, one[2])[0]))
+        _, self._next_base, placed = next(fitting, best[0])
+        return placed
+
+    def _options(self, placed: Placed, position: Position) -> Iterator[tuple[float, Pose]]:
+        """Yield the free distance (m) and the frame of places next to the last block of a base."""
+        base = list(placed.values())[: position.place]
+        block = self._spare(position, placed)[0]
+        if not self._is_free(placed):
+            return
+        others = [footprint(other) for other in self._loose(placed) if other is not block]
+        covered = [footprint(other) for other in base]
+        width, length, _ = resting_box(block).sides
+        x, y = covered[-1].centre
+        half = length / 2.0
+        for direction in self._directions(base):
+            along = np.array([math.cos(direction), math.sin(direction)])
+            reach = float(((covered[-1].points - (x, y)) @ along).max())
+            for gap in self._blueprint.gaps(position, 2.0 * (reach + half), self._blocks):
+                x1, y1 = (float(value) for value in (x, y) + (reach + gap + half) * along)
+                frame = Pose.planar(x1, y1, self._scene.surface.level, direction - math.pi / 2.0)
+                area = Footprint.rectangle((width, 2.0 * half), frame)
+                on_site = self._scene.surface.fits_site(area.grown(BUILD_TOLERANCE))
+                if on_site and self._supports(covered[0], area):
+                    free = min((area.gap(other) for other in others), default=MARGINS[0])
+                    yield min(free, MARGINS[0]) - PREFERENCE * gap, frame
+
+    def _directions(self, base: Sequence[SceneObject]) -> list[float]:
+        if len(base) > 1:
+            return [_direction(base[0], base[-1])]
+        if not rotates(self._scene):
+            return [math.pi / 2.0, -math.pi / 2.0]
+        side = self._blueprint.side
+        first = 0.0
+        with suppress(PlacementError):
+            first = self._scene.surface.goal_site((side, side), self._rng).yaw + math.pi / 2.0
+        return [first + 2.0 * math.pi * number / DIRECTIONS for number in range(DIRECTIONS)]
+
+    def _can_put(self, frame: Pose, block: SceneObject) -> bool:
+        """Return True if the gripper collides with nothing when it places a block on a frame."""
+        box = resting_box(block)
+        width, length, _ = box.sides
+        tool = frame.compose(Pose((0.0, 0.0, RELEASE - box.bottom)))
+        square = is_box(block) and length < SQUARENESS * width and rotates(self._scene)
+        yaws = (0.0, math.pi / 2.0) if square else (0.0,)
+        poses = [tool.compose(Pose.planar(0.0, 0.0, 0.0, yaw)) for yaw in yaws]
+        return any(
+            fingers_fit(self._scene, pose, block) and palm_fits(self._scene, pose, block) for pose in poses
+        )
+
+    def _supports(self, first: Footprint, last: Footprint) -> bool:
+        """Return True if the block above a base does not touch the surface next to it.
+
+        :param first: footprint of the first block of the base
+        :param last: footprint of the last block of the base
+        """
+        surface, side = self._scene.surface, self._blueprint.side
+        (x0, y0), (x1, y1) = first.mean, last.mean
+        over = Footprint.rectangle(
+            (side, self._blueprint.length_above(self._blueprint.layers[0][-1], self._blocks)),
+            Pose.planar((x0 + x1) / 2.0, (y0 + y1) / 2.0, 0.0, math.atan2(y1 - y0, x1 - x0) - math.pi / 2.0),
+        )
+        return float(surface.heights(over.points).max()) < surface.level + 0.8 * side
+
+
+class TowerBuilder(Builder):
+    """Builder of a tower of cubes, with a different block on top or without, by closed-loop waypoints.
+
+    The cube nearest to the gripper is grasped next. While a cube is grasped, the nearest tower is extended.
+    The plan is therefore visible and does not change while the gripper moves.
+    """
+
+    def plan(self) -> Iterator[Waypoint]:
+        """Yield the waypoints of the next block."""
+        scene, held = self._scene, self._scene.held
+        if held is None:
+            block = self._next
+            yield from grasp_object(scene, block, self._yaw(block), self._symmetry(block))
+        elif self.placed and self._open_position(held) is not None:
+            below = list(self.placed.values())[-1]
+            rotation = wrap_angle(self._yaw(below) - self._yaw(held), math.pi / 2.0)
+            height = scene.world.top(below.body) + RELEASE
+            yield from place_object(scene, held, below.pose.position, height, rotation)
+        else:
+            spot = most_free_point(scene, held)
+            yield from place_object(scene, held, spot, scene.surface.height(spot) + RELEASE)
+
+    @cached_property
+    def placed(self) -> Placed:
+        """The highest tower; of equal ones the nearest while a block is grasped, else the most distant."""
+        nearest_first = sorted(self._cubes, key=self._distance)
+        bases = nearest_first if self._scene.held is not None else reversed(nearest_first)
+        towers = (self._tower(cube) for cube in bases if not is_held(self._scene, cube))
+        best = max(towers, key=lambda tower: (len(tower), self._leaves_space(tower)), default=[])
+        return dict(zip(self._blueprint.positions, best, strict=False))
+
+    @property
+    def _cubes(self) -> Sequence[SceneObject]:
+        return self._blocks[self._blueprint.positions[0].kind]
+
+    def _tower(self, base: SceneObject) -> list[SceneObject]:
+        """Return a cube and, if it is on the surface, the cubes on it."""
+        tower = [base]
+        above = self._above(base) if on_surface(self._scene, base) else None
+        while above is not None and above in self._cubes:
+            tower.append(above)
+            above = self._above(above)
+        return tower
+
+    def _leaves_space(self, tower: Sequence[SceneObject]) -> bool:
+        """Return True if the block on top can be grasped next to a tower of any height."""
+        top = self._blocks[self._blueprint.positions[-1].kind][0]
+        if top in self._cubes or is_held(self._scene, top):
+            return True
+        gripper = self._scene.robot.model.gripper
+        reach = max(gripper.palm[0] / 2.0, gripper.half_width()) + tower[0].spec.planar_radius
+        return planar_distance(tower[0].pose.position, top.pose.position) > reach
+
+    def _lies_on(self, bottom: SceneObject, top: SceneObject) -> bool:
+        return on_top(self._scene, bottom, top)
+
+    def _preference(self, block: SceneObject, there: Sequence[SceneObject]) -> tuple[float, ...]:
+        return (self._distance(block),)
+
+    def _distance(self, block: SceneObject) -> float:
+        return planar_distance(block.pose.position, self._scene.robot.pose.position)
+
+    def _yaw(self, block: SceneObject) -> float:
+        return side_yaw(block.pose) if block in self._cubes else block.pose.yaw
+
+    def _symmetry(self, block: SceneObject) -> float:
+        return math.pi / 2.0 if block in self._cubes else math.pi
+
+
+def _bottom(block: SceneObject) -> Pose:
+    """Return the frame at the bottom centre of an upright block, in the block's frame."""
+    low, high = block.spec.mesh.bounds.tolist()
+    return Pose(((low[0] + high[0]) / 2.0, (low[1] + high[1]) / 2.0, low[2]))
+
+
+def _direction(first: SceneObject, second: SceneObject) -> float:
+    return math.atan2(second.pose.y - first.pose.y, second.pose.x - first.pose.x)
+
+
+def _long_axis(block: SceneObject) -> float:
+    """Return the direction (rad) of the blocks above a block: along it if it is long, else along a side."""
+    return heading(block) if is_long(block) else side_yaw(block.pose) + math.pi / 2.0

@@ -1,0 +1,252 @@
+"""Grasps from above on objects in clutter, found in an elevation map.
+
+A parallel gripper descends vertically on a point at some yaw. Its fingers must collide with nothing, no other
+object may be between them, and the target's sides must be steep and parallel to the fingers.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bulletarm_gym.geometry import FloatArray, IntArray
+from bulletarm_gym.geometry.compilation import compiled
+from bulletarm_gym.robots.gripper import Gripper
+from bulletarm_gym.scene import Scene
+
+YAWS = 12
+"""Number of yaws over pi."""
+DEPTHS = (0.04, 0.025, 0.014)
+"""Depths (m) of the fingertips below the highest point between the fingers; deep grasps slip least."""
+PITCH = 0.003
+"""Side (m) of a pixel of the elevation map."""
+SURROUNDINGS = 0.05
+"""Width (m) of the strip around the workspace that the elevation map includes, for an open gripper."""
+SPACING = 6
+"""Distance (pixels) between the evaluated points."""
+DESCENT_CLEARANCE = 0.004
+"""Gap (m) between the fingers and other surfaces during the descent."""
+BELOW = 0.002
+"""Smallest gap (m) between the fingertips and the surface below them."""
+OVERLAP = 0.005
+"""Height (m) above the fingertips from which a surface is between the fingers."""
+FRAGMENT = 0.5
+"""Smallest share of the fingers' width that touches the target."""
+SKEW = 0.7
+"""Largest slope of the target's sides relative to the fingers (35 degrees)."""
+EDGE = 0.007
+"""Smallest height (m) of the target's sides above the fingertips."""
+TALL = 0.03
+"""Height (m) of sides above which the quality does not increase."""
+QUALITY = 0.3
+"""Quality of a grasp without skew, edge and width."""
+SKEW_COST = 0.12
+"""Decrease of the quality per unit of skew."""
+EDGE_GAIN = 1.5
+"""Increase of the quality per metre of the sides' height."""
+WIDTH_GAIN = 0.02
+"""Increase of the quality for contact over the whole width of the fingers."""
+
+Image = NDArray[np.float32]
+GripFrame = tuple[float, float, float, float]
+"""Row and column (pixels) of a gripper's centre, cosine and sine of its yaw."""
+
+
+@dataclass(frozen=True)
+class ElevationMap:
+    """Heights in a square of the scene, with one layer per object.
+
+    :param layers: (n, size, size) heights (m) of each object, 0 elsewhere
+    :param ground: (size, size) heights (m) of everything else
+    :param centre: world x and y of the centre (m)
+    :param extent: side of the square (m)
+    """
+
+    layers: Image
+    ground: Image
+    centre: tuple[float, float]
+    extent: float
+
+    @classmethod
+    def of(cls, scene: Scene) -> "ElevationMap":
+        """Return the elevation map of the workspace and a strip around it."""
+        centre, extent = scene.config.centre, scene.config.workspace_size + 2.0 * SURROUNDINGS
+        size = round(extent / PITCH)
+        bodies = [obj.body for obj in scene]
+        layers = [scene.heights_of([body], centre, extent, size) for body in bodies]
+        others = [body for body in scene.world.obstacles if body not in bodies]
+        return cls(np.stack(layers), scene.heights_of(others, centre, extent, size), centre, extent)
+
+    @property
+    def pitch(self) -> float:
+        """Side of a pixel (m)."""
+        return self.extent / len(self.ground)
+
+    def top_between(self, first: Sequence[float], second: Sequence[float], reach: float) -> float:
+        """Return the largest height (m) of an object in the box of two points, extended by ``reach`` (m)."""
+        rows, columns = (self._span(first[axis], second[axis], reach, axis) for axis in (0, 1))
+        return float(self.layers[:, rows, columns].max())
+
+    def _span(self, first: float, second: float, reach: float, axis: int) -> slice:
+        low, high = min(first, second) - reach, max(first, second) + reach
+        return slice(self._pixel(low, axis), self._pixel(high, axis) + 1)
+
+    def _pixel(self, value: float, axis: int) -> int:
+        size = len(self.ground)
+        return min(max(int((value - self.centre[axis] + self.extent / 2.0) / self.pitch), 0), size - 1)
+
+
+def find_grasps(
+    elevation: ElevationMap,
+    gripper: Gripper,
+    yaws: Sequence[float],
+    lowest: float,
+    depths: Sequence[float] = DEPTHS,
+) -> FloatArray:
+    """Return the grasps without collisions.
+
+    :param yaws: directions (rad) in which the fingers may open
+    :param lowest: smallest height (m) of the fingertips
+    :param depths: depths (m) of the fingertips below the highest point between the fingers
+    :return: (n, 5) x, y, z (m) and yaw (rad) of the fingertips, and quality, up to 0.35
+    """
+    objects = elevation.layers.max(axis=0)
+    owner = np.where(objects >= elevation.ground, elevation.layers.argmax(axis=0), -1).astype(np.int32)
+    lengths = [gripper.stroke / 2.0, gripper.finger[0], gripper.finger[1] / 2.0, DESCENT_CLEARANCE]
+    size = np.array(lengths) / elevation.pitch
+    heights = np.maximum(objects, elevation.ground)
+    found: FloatArray = _search(heights, owner, size, np.array(yaws), np.array(depths), lowest)
+    middle = (objects.shape[0] - 1) / 2.0
+    found[:, :2] = (found[:, :2] - middle) * elevation.pitch + elevation.centre
+    return found
+
+
+@compiled
+def _search(
+    heights: Image, owner: IntArray, size: FloatArray, yaws: FloatArray, depths: FloatArray, lowest: float
+) -> FloatArray:
+    """Return the grasps at every SPACING-th pixel of every object, x and y in pixels.
+
+    :param size: half stroke, thickness and half width of a finger, clearance (pixels)
+    """
+    rows = [(0.0, 0.0, 0.0, 0.0, 0.0)]
+    between = np.empty((2 * (int(size[2]) + 1) + 1, 2 * int(size[0]) + 1), np.float32)
+    whose = np.empty(between.shape, np.int32)
+    for i in range(SPACING // 2, heights.shape[0], SPACING):
+        for j in range(SPACING // 2, heights.shape[1], SPACING):
+            if owner[i, j] < 0:
+                continue
+            for yaw in yaws:
+                frame = (float(i), float(j), math.cos(yaw), math.sin(yaw))
+                _gather(heights, owner, frame, between, whose)
+                top, others = _tops(between, whose, owner[i, j], lowest + OVERLAP)
+                for depth in depths:
+                    tip = max(lowest, top - depth)
+                    if others > tip + OVERLAP:
+                        continue
+                    middle, quality = _evaluate(heights, between, frame, size, tip)
+                    if quality > 0.0:
+                        rows.append((i + middle * frame[2], j + middle * frame[3], tip, yaw, quality))
+    return np.array(rows)[1:]
+
+
+@compiled
+def _gather(heights: Image, owner: IntArray, frame: GripFrame, between: Image, whose: IntArray) -> None:
+    """Write heights (m) and owners between the open fingers, outside the map 0 and -1.
+
+    :param between: (lines, columns), across and along the opening
+    :param whose: of the same shape
+    """
+    lines, reach = between.shape[0] // 2, between.shape[1] // 2
+    margin, far = lines + reach + 1, min(heights.shape) - 1
+    inside = margin <= min(frame[0], frame[1]) and max(frame[0], frame[1]) <= far - margin
+    for line in range(between.shape[0]):
+        across = line - lines
+        down, right = across * frame[3], across * frame[2]
+        for place in range(between.shape[1]):
+            along = place - reach
+            row = int(np.rint(frame[0] + along * frame[2] - down))
+            column = int(np.rint(frame[1] + along * frame[3] + right))
+            if inside or (0 <= row < heights.shape[0] and 0 <= column < heights.shape[1]):
+                between[line, place], whose[line, place] = heights[row, column], owner[row, column]
+            else:
+                between[line, place], whose[line, place] = 0.0, -1
+
+
+@compiled
+def _tops(between: Image, whose: IntArray, target: int, least: float) -> tuple[float, float]:
+    """Return the largest heights (m) of a target and of everything else, at least ``least``."""
+    top, others = least, least
+    for line in range(between.shape[0]):
+        for place in range(between.shape[1]):
+            height = between[line, place]
+            if height > least:
+                if whose[line, place] == target:
+                    top = max(top, height)
+                else:
+                    others = max(others, height)
+    return top, others
+
+
+@compiled
+def _evaluate(
+    heights: Image, between: Image, frame: GripFrame, size: FloatArray, tip: float
+) -> tuple[float, float]:
+    """Return the position of the target's middle along the opening, and the quality, 0 for no grasp.
+
+    :param between: heights between the open fingers; above the tips only the target's
+    """
+    count, reach, filled = between.shape[0], between.shape[1] // 2, 0
+    low, high, inmost_low, inmost_high = reach + 1, -reach - 1, -reach - 1, reach + 1
+    left, right = 0.0, 0.0  # sums of the heights above the tips at both ends of the lines
+    for line in range(count):
+        first, last = _ends(between[line], tip + OVERLAP)
+        if first < 0:
+            continue
+        filled += 1
+        low, inmost_low = min(low, first - reach), max(inmost_low, first - reach)
+        high, inmost_high = max(high, last - reach), min(inmost_high, last - reach)
+        left += between[line, first] - tip
+        right += between[line, last] - tip
+    if filled < FRAGMENT * count:
+        return 0.0, 0.0
+    skew = (inmost_low - low + high - inmost_high) / (2.0 * filled)
+    edge, middle = min(left / filled, right / filled), 0.5 * (low + high)
+    if high - low + 1.0 + 2.0 * size[3] > 2.0 * size[0] or skew > SKEW or edge < EDGE:
+        return 0.0, 0.0
+    if not _fingers_pass(heights, frame, middle, size, tip - BELOW):
+        return 0.0, 0.0
+    quality = QUALITY - SKEW_COST * skew + EDGE_GAIN * min(edge, TALL) + WIDTH_GAIN * filled / count
+    return middle, quality
+
+
+@compiled
+def _ends(line: Image, least: float) -> tuple[int, int]:
+    """Return the first and the last index of a line above a height (m), (-1, -1) if there is none."""
+    first, last = 0, len(line) - 1
+    while first <= last and line[first] <= least:
+        first += 1
+    if first > last:
+        return -1, -1
+    while line[last] <= least:
+        last -= 1
+    return first, last
+
+
+@compiled
+def _fingers_pass(heights: Image, frame: GripFrame, middle: float, size: FloatArray, limit: float) -> bool:
+    """Return True if no height below the two open fingers exceeds a limit (m)."""
+    lines = int(size[2]) + 2
+    for step in range(int(np.ceil(size[1] + 2.0 * size[3])) + 1):
+        for across in range(-lines, lines + 1):
+            for side in (-1.0, 1.0):
+                along = middle + side * (size[0] - size[3] + step)
+                row = int(np.rint(frame[0] + along * frame[2] - across * frame[3]))
+                column = int(np.rint(frame[1] + along * frame[3] + across * frame[2]))
+                if not (0 <= row < heights.shape[0] and 0 <= column < heights.shape[1]):
+                    return False
+                if heights[row, column] > limit:
+                    return False
+    return True
