@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from xml.etree.ElementTree import Element, SubElement
 
-from bulletarm_gym.geometry import Pose, Vector, euler_pose, from_rotvec, rpy
+from bulletarm_gym.geometry import Pose, Vector, euler_angles, euler_pose, from_rotvec
 from bulletarm_gym.robots.kinematics import axis_of, frame_of, number_of
 
 ORIGIN = Pose((0.0, 0.0, 0.0))
@@ -195,7 +195,7 @@ def mass_of(link: Element) -> float:
 
 
 def _origin(pose: Pose) -> dict[str, str]:
-    return {"xyz": _text(pose.position), "rpy": _text(rpy(pose.orientation))}
+    return {"xyz": _text(pose.position), "rpy": _text(euler_angles(pose.orientation))}
 
 
 def _inertia(mass: float, extents: Vector) -> dict[str, str]:

@@ -8,8 +8,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from bulletarm_gym.geometry import FloatArray, Mesh, Pose, Vector, join
-from bulletarm_gym.simulation.inertia import mass_properties
+from bulletarm_gym.geometry import FloatArray, Mesh, Pose, Vector, join, mass_properties
 
 Colour: TypeAlias = tuple[float, float, float, float]
 

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from xml.etree import ElementTree
 
-from bulletarm_gym.geometry import Pose, Vector, matrix, rpy
+from bulletarm_gym.geometry import Pose, Vector, euler_angles, matrix
 from bulletarm_gym.simulation.shapes import BodySpec, Box, Colour, Hinge, Piece, Slide, wavefront
 
 BASE = "base"
@@ -50,7 +50,7 @@ def _link(
 def _inertial(frame: Pose, moments: Vector, mass: float, free: bool) -> ElementTree.Element:
     """Return a link's mass and inertia: of a free body in its principal axes, in which its pose is read."""
     inertial = ElementTree.Element("inertial")
-    turn = {"rpy": _text(rpy(frame.orientation))} if free else {}
+    turn = {"rpy": _text(euler_angles(frame.orientation))} if free else {}
     ElementTree.SubElement(inertial, "origin", {"xyz": _text(frame.position), **turn})
     ElementTree.SubElement(inertial, "mass", value=repr(mass))
     axes = Pose((0.0, 0.0, 0.0)) if free else frame
@@ -69,7 +69,10 @@ def _in_link(part: Slide | Hinge) -> Sequence[Piece]:
 def _add_box(element: ElementTree.Element, piece: Piece, shape: Box) -> None:
     """Boxes collide as boxes."""
     ElementTree.SubElement(
-        element, "origin", xyz=_text(piece.pose.position), rpy=_text(rpy(piece.pose.orientation))
+        element,
+        "origin",
+        xyz=_text(piece.pose.position),
+        rpy=_text(euler_angles(piece.pose.orientation)),
     )
     geometry = ElementTree.SubElement(element, "geometry")
     ElementTree.SubElement(geometry, "box", size=_text(shape.extents))

@@ -5,7 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from bulletarm_gym.geometry import DIRECTIONS, Footprint, Pose, euler_pose, matrix
+from bulletarm_gym.geometry import Footprint, Pose, euler_pose, matrix
+from bulletarm_gym.geometry.footprint import DIRECTIONS
 
 
 @pytest.fixture(params=range(5))
