@@ -59,13 +59,13 @@ class RobotInterface:
         """
         self._robot.home(pose)
 
-    def move_to(self, pose: Pose, careful: bool = True) -> None:
+    def move_to(self, pose: Pose, in_contact: bool = True) -> None:
         """Move to a pose; a blocked arm stops on the way.
 
-        :param careful: move slowly where the gripper may push an object
+        :param in_contact: move slowly where the gripper may push an object
         :raises OutOfReachError: the pose is out of reach
         """
-        self._robot.move_to(pose, careful)
+        self._robot.move_to(pose, in_contact)
 
     def transfer(self, *poses: Pose) -> None:
         """Move, over everything in between, to the first of some poses that touches nothing, or to the last.

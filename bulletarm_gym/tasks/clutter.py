@@ -34,8 +34,8 @@ from bulletarm_gym.objects.blocks import CUBE_SIZE
 from bulletarm_gym.objects.sets import object_set
 from bulletarm_gym.scene import ObjectSlot, Scene, SceneObject
 from bulletarm_gym.scene.sampling import ARRANGEMENTS
+from bulletarm_gym.scene.stability import settle
 from bulletarm_gym.simulation import BodySpec, Convex, Piece
-from bulletarm_gym.simulation.settling import settle
 from bulletarm_gym.tasks.task import Task
 
 MOST_OBJECTS = 15

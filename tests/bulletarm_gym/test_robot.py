@@ -19,7 +19,7 @@ from bulletarm_gym.geometry import (
     yaw_quaternion,
 )
 from bulletarm_gym.robots import ROBOTS, RobotModel
-from bulletarm_gym.simulation.motion import on_the_way
+from bulletarm_gym.simulation.motion import interpolate_path
 
 Make = Callable[..., ManipulationEnv]
 
@@ -166,7 +166,7 @@ def test_rotation_stops_at_the_joint_limits(armed: ManipulationEnv, direction: f
     start = robot.pose
     for _ in range(24):
         _, _, _, _, info = armed.step([1.0, 0.0, 0.0, 0.0, direction])
-        joints = np.array(robot._arm.positions(armed.scene.world))
+        joints = np.array(robot.joint_positions)
         assert not info["ignored"] and (lower <= joints).all() and (joints <= upper).all()
     assert math.dist(robot.pose.position, start.position) < 2e-3
     stopped = robot.pose.yaw
@@ -232,6 +232,6 @@ def test_tilted_gripper_keeps_to_the_line(armed: ManipulationEnv) -> None:
         ends = [robot.inverse_kinematics(pose) for pose in (start, end)]
         stops = [ends[0], *robot._line(start, end), ends[1]]
         shares = np.linspace(0.0, 1.0, 21)
-        for share, joints in zip(shares, on_the_way(stops, shares), strict=True):
+        for share, joints in zip(shares, interpolate_path(stops, shares), strict=True):
             straight = end.compose(Pose((0.0, 0.0, 0.1 * (1.0 - share)))).position
             assert math.dist(robot.model.chain.forward(joints).position, straight) < 4e-3
