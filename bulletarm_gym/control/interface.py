@@ -1,6 +1,6 @@
 """The robot as a control commands it."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from bulletarm_gym.geometry import Pose
 from bulletarm_gym.robots import Robot
@@ -43,6 +43,19 @@ class RobotInterface:
     def is_holding(self) -> bool:
         """Whether the gripper holds an object."""
         return self._robot.held is not None
+
+    @property
+    def joint_positions(self) -> tuple[float, ...]:
+        """Measured positions (rad) of the arm joints."""
+        return self._robot.joint_positions
+
+    def move_joints(self, positions: Sequence[float], in_contact: bool = True) -> None:
+        """Move the arm joints to positions (rad). A blocked arm stops.
+
+        :param in_contact: move slowly, because the robot may push an object
+        :raises ValueError: the number of positions is wrong, or one is outside its limits
+        """
+        self._robot.move_joints(positions, in_contact)
 
     def reaches(self, pose: Pose) -> bool:
         """Return True if the inverse kinematics has a solution for a pose."""

@@ -60,16 +60,10 @@ def compiled(function: Callable[P, R]) -> Callable[P, R]:
     try:
         return _cached(function)
     except RuntimeError:  # neither the package's folder nor the user's cache folder is writable
-        has_file = Path(function.__code__.co_filename).is_file()
-    if has_file and not CONFIG.CACHE_DIR:
         CONFIG.CACHE_DIR = str(_temporary_folder())
-        LOGGER.warning(
-            "The cache folder of Numba is not writable. Using %s. Set NUMBA_CACHE_DIR to another folder.",
-            CONFIG.CACHE_DIR,
-        )
-        return _cached(function)
-    plain: Callable[P, R] = njit(error_model="numpy")(function)
-    return plain
+    message = "The cache folder of Numba is not writable. Using %s. Set NUMBA_CACHE_DIR to another folder."
+    LOGGER.warning(message, CONFIG.CACHE_DIR)
+    return _cached(function)
 
 
 def _cached(function: Callable[P, R]) -> Callable[P, R]:

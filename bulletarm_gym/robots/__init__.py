@@ -28,7 +28,7 @@ def find_robot(source: str | RobotModel | Callable[[], RobotModel]) -> RobotMode
     known = ROBOTS.get(source) if isinstance(source, str) else None
     try:
         model = known or produce(source, RobotModel)
-    except (TypeError, ValueError) as error:  # TypeError: a function that takes arguments
+    except (TypeError, ValueError) as error:  # TypeError: a function with arguments
         takes = f"one of {', '.join(map(repr, ROBOTS))}, a model of your own or 'module:name': {error}"
         raise ParameterError.of("robot", source, takes) from error
     assert isinstance(model, RobotModel)

@@ -117,7 +117,7 @@ class Arm:
     def inverse_kinematics(self, pose: Pose) -> tuple[float, ...]:
         """Return joint positions (rad) inside the limits for a tool pose.
 
-        Whole turns are added to each joint, so that it is as near as possible to its current position.
+        Multiples of 2 pi are added to each joint, so that it is as near as possible to its current position.
 
         :raises OutOfReachError: no solution is inside the joint limits
         """
@@ -131,7 +131,7 @@ class Arm:
 
     @cached_property
     def _turning_joints(self) -> list[tuple[int, tuple[float, float]]]:
-        """Index and limits (rad) of the joints that can make a whole turn."""
+        """Index and limits (rad) of the joints with a range of at least 2 pi."""
         limits = self.model.chain.solution_limits.tolist()
         return [(joint, (low, high)) for joint, (low, high) in enumerate(limits) if high - low >= FULL_TURN]
 

@@ -9,7 +9,7 @@ import numpy as np
 
 T = TypeVar("T")
 Converter = Callable[[Any], Any]
-"""Function that returns a value in its type, or raises TypeError or ValueError."""
+"""Class of the value, or function that converts the value or raises TypeError or ValueError."""
 
 
 def convert(name: str, value: Any, must: str, converter: Callable[[Any], T]) -> T:
@@ -19,7 +19,9 @@ def convert(name: str, value: Any, must: str, converter: Callable[[Any], T]) -> 
     :raises ValueError: the value cannot be converted
     """
     try:
-        return converter(value)
+        if isinstance(converter, type) and not isinstance(value, converter):
+            raise TypeError
+        return value if isinstance(converter, type) else converter(value)
     except (TypeError, ValueError):
         raise ValueError(f"{name} must be {must}, got {value!r}") from None
 
@@ -43,24 +45,6 @@ def check_element(name: str, value: Any) -> None:
     if not (isinstance(value, Element) and value.tag == "robot"):
         got = f"<{value.tag}>" if isinstance(value, Element) else type(value).__name__
         raise ValueError(f"{name} must be the element <robot> of a URDF, got {got}. Use read_urdf().")
-
-
-def instance(kind: type[Any]) -> tuple[str, Converter]:
-    """Return the description and the converter of objects of a class."""
-
-    def check(value: Any) -> Any:
-        if not isinstance(value, kind):
-            raise TypeError
-        return value
-
-    return f"a {kind.__name__}", check
-
-
-def function(value: Any) -> Any:
-    """Return a function."""
-    if not callable(value):
-        raise TypeError
-    return value
 
 
 def number(value: Any, low: float = -math.inf) -> float:

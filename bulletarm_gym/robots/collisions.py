@@ -62,7 +62,7 @@ class Collisions:
         return not math.isinf(self._world.distance(mover, body, FREE_CLEARANCE))
 
     def is_apart(self, pose: Pose, held: Body | None) -> bool:
-        """Return True if the robot and the grasped object touch nothing else.
+        """Return True if the robot and the grasped object touch no other body.
 
         :param pose: tool pose
         :param held: the grasped object
@@ -78,7 +78,7 @@ class Collisions:
         return not any(self._is_near(mover, body) for body in others for mover in movers)
 
     def touched(self, pose: Pose, held: Body | None, bodies: Sequence[Body]) -> list[Body]:
-        """Return those of some bodies that the robot holds or touches at a tool pose."""
+        """Return the bodies that the robot holds or touches at a tool pose."""
         low = self._gripper.lowest(pose) - CLEAR_ABOVE
         near = (body for body in bodies if self._world.top(body) > low)
         return [body for body in near if body is held or self._world.are_near(self._robot, body, NEAR)]

@@ -8,13 +8,13 @@ import numpy as np
 
 from bulletarm_gym.geometry import FloatArray, matrix
 from bulletarm_gym.geometry.compilation import compiled
-from bulletarm_gym.robots.kinematics import Chain, advance, apply, dot, product
+from bulletarm_gym.robots.kinematics import Chain, Frames, advance, apply, dot, product
 from bulletarm_gym.simulation import Body
 from bulletarm_gym.simulation.motion import RISE
 from bulletarm_gym.simulation.world import GRAVITY, TIME_STEP
 
-Model = tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, float]
-"""Rotations, translations and axes of a chain; masses, centres and inertias of links; mass at the tool."""
+Model = tuple[Frames, FloatArray, FloatArray, FloatArray, float]
+"""Frames of a chain; masses, centres and inertias of its links; mass at the tool."""
 
 TORQUE_SHARE = 0.9
 """Fraction of the maximum torque for motions in free space. The rest is for contacts."""
@@ -68,7 +68,7 @@ class Dynamics:
         :param accelerations: joint accelerations (n,) rad/s^2
         :param load: mass (kg) of the grasped object, a point at the tool
         """
-        return _torques(*self._model(load), positions, rates, accelerations)
+        return _torques(self._model(load), positions, rates, accelerations)
 
     def least_steps(self, path: FloatArray, limits: FloatArray, load: float, rise: float = RISE) -> int:
         """Return the minimum number of simulation steps of a motion along a path.
@@ -85,9 +85,7 @@ class Dynamics:
         return min(math.ceil(seconds / TIME_STEP), MAX_STEPS)
 
     def _model(self, load: float) -> Model:
-        chain = self.chain
-        links = (self.masses, self.centres, self.inertias)
-        return (chain.rotations, chain.translations, chain.axes, *links, self.tip_mass + load)
+        return (self.chain.frames, self.masses, self.centres, self.inertias, self.tip_mass + load)
 
 
 @cache
@@ -103,19 +101,10 @@ def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
 
 
 @compiled
-def _torques(
-    rotations: FloatArray,
-    translations: FloatArray,
-    axes: FloatArray,
-    masses: FloatArray,
-    centres: FloatArray,
-    inertias: FloatArray,
-    tip_mass: float,
-    positions: FloatArray,
-    rates: FloatArray,
-    accelerations: FloatArray,
-) -> FloatArray:
+def _torques(model: Model, positions: FloatArray, rates: FloatArray, accelerations: FloatArray) -> FloatArray:
     """Return the torques (n,) N m by the recursive Newton-Euler algorithm, in world coordinates."""
+    frames, masses, centres, inertias, tip_mass = model
+    _, translations, axes = frames
     n = len(positions)
     rotation, origin, spare = np.eye(3), np.zeros(3), np.empty((2, 3, 3))
     omega, alpha, linear = np.zeros(3), np.zeros(3), np.array((0.0, 0.0, -GRAVITY))
@@ -124,7 +113,7 @@ def _torques(
     for j in range(n + 1):
         before = origin.copy()
         if j < n:
-            advance(rotation, origin, rotations[j], translations[j], axes[j], positions[j], spare)
+            advance(rotation, origin, frames, j, positions[j], spare)
         else:
             apply(rotation, translations[n], arm)
             origin += arm
@@ -154,12 +143,7 @@ def _torques(
 
 
 @compiled
-def _least_square(
-    model: Model,
-    path: FloatArray,
-    limits: FloatArray,
-    phases: FloatArray,
-) -> float:
+def _least_square(model: Model, path: FloatArray, limits: FloatArray, phases: FloatArray) -> float:
     """Return the square of the shortest duration (s) of a motion along a path."""
     pieces, n = len(path) - 1, path.shape[1]
     still, square = np.zeros(n), 0.0
@@ -168,8 +152,8 @@ def _least_square(
         piece = min(int(share * pieces), pieces - 1)
         slope = (path[piece + 1] - path[piece]) * pieces
         here = path[piece] + slope * (share - piece / pieces)
-        static = _torques(*model, here, still, still)
-        total = _torques(*model, here, slope * rate, slope * acceleration)
+        static = _torques(model, here, still, still)
+        total = _torques(model, here, slope * rate, slope * acceleration)
         for j in range(n):
             room = max(limits[j] - abs(static[j]), MIN_ACCELERATION_SHARE * limits[j])
             square = max(square, abs(total[j] - static[j]) / room)

@@ -33,6 +33,9 @@ LIMIT_MARGIN = 0.02
 HALF_TURN_SINE = 1e-6
 """Sine of a rotation angle below which the symmetric part of the matrix gives the rotation axis."""
 
+Frames = tuple[FloatArray, FloatArray, FloatArray]
+"""Rotations, translations and axes of a chain."""
+
 
 @dataclass(frozen=True)
 class Chain:
@@ -48,6 +51,11 @@ class Chain:
     translations: FloatArray
     axes: FloatArray
     limits: FloatArray
+
+    @property
+    def frames(self) -> Frames:
+        """Rotations, translations and axes."""
+        return self.rotations, self.translations, self.axes
 
     @classmethod
     def from_urdf(cls, root: Element, joints: Sequence[str], base: Pose, tool: Pose) -> "Chain":
@@ -77,15 +85,9 @@ class Chain:
 
     def _tool(self, joints: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return the tool's rotation (3, 3) and position (3,), and the Jacobian (6, n)."""
-        n = len(joints)
-        rotation, position, jacobian, spare = (
-            np.empty((3, 3)),
-            np.empty(3),
-            np.empty((6, n)),
-            np.empty((n + 3, 3, 3)),
-        )
-        chain = (self.rotations, self.translations, self.axes)
-        _jacobian(*chain, np.asarray(joints, np.float64), rotation, position, jacobian, spare)
+        rotation, position, jacobian = np.empty((3, 3)), np.empty(3), np.empty((6, len(joints)))
+        spare = np.empty((len(joints) + 3, 3, 3))
+        _jacobian(self.frames, np.asarray(joints, np.float64), rotation, position, jacobian, spare)
         return rotation, position, jacobian
 
     def inverse(self, pose: Pose, start: FloatArray) -> tuple[FloatArray, float]:
@@ -95,9 +97,8 @@ class Chain:
 
         :param start: joint positions (n,) rad at the start of the iteration
         """
-        target = np.array(pose.position)
-        limits = self.solution_limits
-        return _inverse(self.rotations, self.translations, self.axes, limits, matrix(pose), target, start)
+        target = (matrix(pose), np.array(pose.position))
+        return _inverse(self.frames, self.solution_limits, target, start)
 
     @cached_property
     def solution_limits(self) -> FloatArray:
@@ -138,32 +139,23 @@ def _axis_rotation(axis: FloatArray, angle: float, out: FloatArray) -> None:
 
 @compiled
 def advance(
-    rotation: FloatArray,
-    position: FloatArray,
-    fixed: FloatArray,
-    offset: FloatArray,
-    axis: FloatArray,
-    angle: float,
-    spare: FloatArray,
+    rotation: FloatArray, position: FloatArray, frames: Frames, joint: int, angle: float, spare: FloatArray
 ) -> None:
-    """Compute the frame of the next joint in place.
+    """Replace the frame before a joint by the frame after it.
 
-    :param fixed: rotation (3, 3) before the joint
-    :param offset: offset (m) before the joint
     :param spare: memory for two rotations, (2, 3, 3)
     """
-    apply(rotation, offset, spare[0, 0])
+    rotations, translations, axes = frames
+    apply(rotation, translations[joint], spare[0, 0])
     position += spare[0, 0]
-    product(rotation, fixed, spare[0])
-    _axis_rotation(axis, angle, spare[1])
+    product(rotation, rotations[joint], spare[0])
+    _axis_rotation(axes[joint], angle, spare[1])
     product(spare[0], spare[1], rotation)
 
 
 @compiled
 def _jacobian(
-    rotations: FloatArray,
-    translations: FloatArray,
-    axes: FloatArray,
+    frames: Frames,
     joints: FloatArray,
     tool: FloatArray,
     position: FloatArray,
@@ -171,13 +163,14 @@ def _jacobian(
     spare: FloatArray,
 ) -> None:
     """Write the tool's rotation and position, and the (6, n) Jacobian of position and rotation (world)."""
+    rotations, translations, axes = frames
     rotation, origins = spare[2], spare[3:]
     rotation[:] = 0.0
     position[:] = 0.0
     for i in range(3):
         rotation[i, i] = 1.0
     for j in range(len(joints)):
-        advance(rotation, position, rotations[j], translations[j], axes[j], joints[j], spare)
+        advance(rotation, position, frames, j, joints[j], spare)
         origins[j, 0] = position
         apply(rotation, axes[j], origins[j, 1])
     apply(rotation, translations[-1], spare[0, 0])
@@ -196,7 +189,7 @@ def _jacobian(
 def _rotation_vector(goal: FloatArray, now: FloatArray, out: FloatArray, spare: FloatArray) -> None:
     """Write the rotation vector (rad, world) from ``now`` to ``goal``.
 
-    At half a turn the antisymmetric part of the rotation matrix is 0, and the symmetric part gives the axis.
+    At an angle of pi the antisymmetric part of the rotation matrix is 0, and the symmetric part gives the axis.
     """
     r = spare
     product(goal, now.T, r)
@@ -245,15 +238,6 @@ def _solve(a: FloatArray, x: FloatArray, low: FloatArray) -> None:
 
 
 @compiled
-def _normal_matrix(jacobian: FloatArray, square: FloatArray) -> None:
-    """Write the lower triangle of the damped product (6, 6) of a Jacobian (6, n) and its transpose."""
-    for i in range(6):
-        for j in range(i + 1):
-            square[i, j] = dot(jacobian[i], jacobian[j])
-        square[i, i] += DAMPING
-
-
-@compiled
 def _add_product(jacobian: FloatArray, weights: FloatArray, factor: float, out: FloatArray) -> None:
     """Add ``factor * jacobian.T @ weights``, (n,)."""
     for i in range(6):
@@ -299,7 +283,7 @@ def _null_step(
 
 @compiled
 def _unwind(joints: FloatArray, limits: FloatArray) -> None:
-    """Add whole turns to joints outside their limits if the result is inside."""
+    """Add multiples of 2 pi to joints outside their limits if the result is inside."""
     for j in range(len(joints)):
         turns = 0.0
         if joints[j] > limits[j, 1]:
@@ -313,29 +297,27 @@ def _unwind(joints: FloatArray, limits: FloatArray) -> None:
 
 @compiled
 def _inverse(
-    rotations: FloatArray,
-    translations: FloatArray,
-    axes: FloatArray,
-    limits: FloatArray,
-    goal_rotation: FloatArray,
-    goal_position: FloatArray,
-    start: FloatArray,
+    frames: Frames, limits: FloatArray, target: tuple[FloatArray, FloatArray], start: FloatArray
 ) -> tuple[FloatArray, float]:
+    """Return joint positions (n,) rad for a rotation (3, 3) and position (3,), and the maximum error."""
     n = len(start)
     joints, change, error, weights = start.copy(), np.empty(n), np.empty(6), np.empty(6)
     position, rotation, jacobian, beyond = np.empty(3), np.empty((3, 3)), np.empty((6, n)), np.empty(n)
     square, low, spare = np.empty((6, 6)), np.zeros((6, 6)), np.empty((n + 3, 3, 3))
     for iteration in range(MAX_ITERATIONS + 1):
-        _jacobian(rotations, translations, axes, joints, rotation, position, jacobian, spare)
-        error[:3] = goal_position - position
-        _rotation_vector(goal_rotation, rotation, error[3:], spare[0])
+        _jacobian(frames, joints, rotation, position, jacobian, spare)
+        error[:3] = target[1] - position
+        _rotation_vector(target[0], rotation, error[3:], spare[0])
         if dot(error, error) < TOLERANCE**2:
             _unwind(joints, limits)
         outside = _beyond(joints, limits, beyond)
         is_solved = dot(error, error) < TOLERANCE**2 and (outside < TOLERANCE or n <= 6)
         if is_solved or iteration == MAX_ITERATIONS:
             break
-        _normal_matrix(jacobian, square)
+        for i in range(6):
+            for j in range(i + 1):  # the solver reads the lower triangle
+                square[i, j] = dot(jacobian[i], jacobian[j])
+            square[i, i] += DAMPING
         weights[:] = error
         _solve(square, weights, low)
         change[:] = 0.0

@@ -23,4 +23,4 @@ KUKA = RobotModel(
     posture=(0.0, 0.6, 0.0, -1.8, 0.0, math.pi - 2.4, 0.0),
     force=(320.0, 320.0, 176.0, 176.0, 110.0, 40.0, 40.0),
 )
-"""Joint limits and torques are those of the data sheet."""
+"""Joint limits and torques from the data sheet."""

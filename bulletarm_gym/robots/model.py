@@ -60,11 +60,11 @@ class RobotModel:
     def __post_init__(self) -> None:
         """Check the values and convert sequences to tuples."""
         fields: dict[str, tuple[str, checks.Converter]] = {
-            "load": ("a function that returns the URDF", checks.function),
+            "load": ("a function that returns the URDF", Callable),
             "joints": ("a tuple with the name of each joint", checks.names),
-            "tool": checks.instance(Pose),
-            "gripper": checks.instance(Gripper),
-            "base": checks.instance(Pose),
+            "tool": ("a Pose", Pose),
+            "gripper": ("a Gripper", Gripper),
+            "base": ("a Pose", Pose),
             "posture": ("numbers (rad), one for each joint", checks.numbers),
             "force": ("a positive number (N m), or a tuple with one for each joint", checks.torques),
         }
@@ -153,7 +153,7 @@ class RobotModel:
     def jumps_inside(self, workspace: Sequence[Sequence[float]]) -> bool:
         """Return True if the solution for the first joint is discontinuous in a workspace.
 
-        It is discontinuous at the base, and at the line behind the base unless the joint makes whole turns.
+        It is discontinuous at the base, and at the line behind the base unless its range is 2 pi.
 
         :param workspace: [low, high] (m) along x and y
         """

@@ -1,4 +1,4 @@
-"""Franka Emika Panda with the Franka hand."""
+"""Franka Emika Panda with its gripper."""
 
 import math
 from xml.etree.ElementTree import Element
@@ -11,15 +11,15 @@ from bulletarm_gym.simulation.urdf import find_joint, find_link, load_model
 
 FINGERTIPS = 0.107 + 0.0584 + 0.0538
 """Distance (m) from the last link's origin to the fingertips: flange, finger mount, and finger mesh."""
-HAND_YAW = -math.pi / 4.0
-"""Rotation (rad) of the hand about the flange."""
+GRIPPER_YAW = -math.pi / 4.0
+"""Rotation (rad) of the gripper about the flange."""
 FINGERS = ("panda_leftfinger", "panda_rightfinger")
 PAD = box((0.0175, 0.0143, 0.0358), (0.0, 0.00715, 0.0359), LIGHT)
 """Box around the pad in the mesh of the left finger. Its y axis points outwards, its z axis to the tip."""
 ROOT = box((0.0208, 0.0236, 0.019), (0.0, 0.0145, 0.0095), LIGHT)
 """Box around the rest of this mesh."""
 PALM = (0.204, 0.063, 0.092)
-"""Side lengths (m) of the hull of the hand's mesh, which ends 46.2 mm above the fingertips."""
+"""Side lengths (m) of the hull of the palm's mesh, which ends 46.2 mm above the fingertips."""
 JOINTS = tuple(f"panda_joint{number}" for number in range(1, 8))
 LIMITS = (
     (-2.8973, 2.8973),
@@ -57,8 +57,8 @@ PANDA = RobotModel(
     name="panda",
     load=_load,
     joints=JOINTS,
-    # The fingers open along the hand's y axis.
-    tool=euler_pose((0.0, 0.0, FINGERTIPS), (math.pi, 0.0, HAND_YAW + math.pi / 2.0)),
+    # The fingers open along the gripper's y axis.
+    tool=euler_pose((0.0, 0.0, FINGERTIPS), (math.pi, 0.0, GRIPPER_YAW + math.pi / 2.0)),
     gripper=Gripper(
         joints=("panda_finger_joint1", "panda_finger_joint2"),
         stroke=0.08,
@@ -70,4 +70,4 @@ PANDA = RobotModel(
     posture=(0.0, 0.0, 0.0, -2.2, 0.0, 2.2, -math.pi / 4.0),
     force=(87.0, 87.0, 87.0, 87.0, 12.0, 12.0, 12.0),
 )
-"""Torques are those of the data sheet."""
+"""Torques from the data sheet."""

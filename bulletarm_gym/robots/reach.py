@@ -108,7 +108,7 @@ def _largest_square(model: RobotModel, heights: Sequence[float]) -> Limits:
 
 
 def _reaches(model: RobotModel, depth: float, aside: float, heights: Sequence[float]) -> bool:
-    """Return True if the upright gripper reaches both positions (m) in front of and beside the base."""
+    """Return True if the upright gripper reaches two positions (m) symmetric about the x axis of the base."""
     x, y = model.base.x + depth, model.base.y
     poses = (
         Pose.planar(x, y + side * aside, z, yaw) for z in heights for yaw in YAWS for side in (1.0, -1.0)

@@ -189,7 +189,7 @@ class Robot(Arm):
         self._finish()
 
     def touched(self, bodies: Sequence[Body]) -> list[Body]:
-        """Return those of some bodies that the robot holds or touches."""
+        """Return the bodies that the robot holds or touches."""
         return self._collisions.touched(self.pose, self.held, bodies)
 
     def _release(self) -> None:
@@ -205,7 +205,7 @@ class Robot(Arm):
         world = self._world
         world.end()
         world.set_joints(self.body, world.joints[self.body.index])
-        # Without a difference between opening and command there is no grasp.
+        # An object between the fingers keeps the opening above the command.
         is_squeezing = self.opening - self._command > OPENING_TOLERANCE
         bodies = [body for body in world.loose_bodies if is_squeezing and body.spec.mass > 0.0]
         before, self.held = self.held, next((body for body in bodies if self._grips(body)), None)
@@ -259,7 +259,7 @@ class Robot(Arm):
         return self._collisions.is_free([self._arm.moved(self._world, self._solve(pose))], bodies)
 
     def is_apart(self) -> bool:
-        """Return True if the robot and the grasped object touch nothing else."""
+        """Return True if the robot and the grasped object touch no other body."""
         return self._collisions.is_apart(self.pose, self.held)
 
     def _is_clear(self, start: Pose, end: Pose, stops: Sequence[Sequence[float]], length: float) -> bool:

@@ -34,7 +34,7 @@ ROBOTIQ_2F85 = ParallelJaw(
 )
 """Stroke of the data sheet. The fingers slide, because linkages of position-driven joints hold no objects."""
 OFFSET = 0.25
-"""Rotation (rad) of the shoulder relative to the fingertips: the wrist is 0.109 m beside the arm's plane."""
+"""Rotation (rad) of the shoulder relative to the fingertips: the wrist is 0.109 m from the arm's plane."""
 LIFT, ELBOW = -1.3, 1.9
 """Positions (rad) of the second and third joint in the posture."""
 

@@ -61,7 +61,7 @@ def _has_level_slides(world: World, body: Body) -> bool:
 
 
 def _stands_alone(world: World, surface: Surface, body: Body) -> bool:
-    """Return True if the surface supports a body on all sides and nothing else touches it."""
+    """Return True if the surface supports a body on all sides and no other body touches it."""
     pose, spec = world.poses[body.index], body.spec
     vertices = spec.mesh.vertices @ matrix(pose).T + pose.position
     gaps = vertices[:, 2] - surface.heights(vertices[:, :2])

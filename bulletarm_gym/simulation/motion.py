@@ -25,7 +25,7 @@ LAG_CHECK = 4
 MAX_FORCE = 100.0
 """Contact force (N) above which an arm that penetrates further is blocked. Pushing takes at most 60 N."""
 MAX_DEPTH = 2e-3
-"""Depth (m) above which an arm that penetrates further is blocked, whatever force the solver computes."""
+"""Depth (m) above which an arm that penetrates further is blocked, independent of the force."""
 MAX_SQUEEZE = 0.01
 """Depth (m) of the grasped object in a finger above which it blocks the arm: a body supports it."""
 RETREAT_FORCE = 20.0

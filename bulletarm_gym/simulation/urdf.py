@@ -149,7 +149,7 @@ def _find(root: Element, tag: str, name: str) -> Element:
 def find_root(root: Element) -> Element:
     """Return the link that is not the child of a joint.
 
-    :raises ValueError: there is no such link or more than one
+    :raises ValueError: the number of such links is not 1
     """
     children = {end_of(joint, "child") for joint in root.findall("joint")}
     found = [link for link in root.findall("link") if link.get("name") not in children]

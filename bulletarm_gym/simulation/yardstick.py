@@ -1,6 +1,6 @@
 """Speed of plain PyBullet, with which speeds measured on different machines are compared."""
 
-import time
+import timeit
 from collections.abc import Callable
 from dataclasses import dataclass
 from statistics import median
@@ -66,10 +66,4 @@ def _build_scene(client: Client) -> None:
 
 def _median_time(function: Callable[[], Any], calls: int) -> float:
     """Return the median over the measurements of the mean duration of a call (s)."""
-    times = []
-    for _ in range(REPETITIONS):
-        start = time.perf_counter()
-        for _ in range(calls):
-            function()
-        times.append((time.perf_counter() - start) / calls)
-    return median(times)
+    return median(timeit.repeat(function, number=calls, repeat=REPETITIONS)) / calls
