@@ -2,26 +2,27 @@
 
 import math
 from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import Any
 from xml.etree.ElementTree import Element
 
 import numpy as np
 
-T = TypeVar("T")
-Converter = Callable[[Any], Any]
+Converter = Callable[[Any], Any] | type[Any]
 """Class of the value, or function that converts the value or raises TypeError or ValueError."""
 
 
-def convert(name: str, value: Any, must: str, converter: Callable[[Any], T]) -> T:
+def convert(name: str, value: Any, must: str, converter: Converter) -> Any:
     """Return the converted value of a parameter.
 
     :param must: description of the accepted values
     :raises ValueError: the value cannot be converted
     """
     try:
-        if isinstance(converter, type) and not isinstance(value, converter):
-            raise TypeError
-        return value if isinstance(converter, type) else converter(value)
+        if not isinstance(converter, type):
+            return converter(value)
+        if isinstance(value, converter):
+            return value
+        raise TypeError
     except (TypeError, ValueError):
         raise ValueError(f"{name} must be {must}, got {value!r}") from None
 
@@ -45,6 +46,13 @@ def check_element(name: str, value: Any) -> None:
     if not (isinstance(value, Element) and value.tag == "robot"):
         got = f"<{value.tag}>" if isinstance(value, Element) else type(value).__name__
         raise ValueError(f"{name} must be the element <robot> of a URDF, got {got}. Use read_urdf().")
+
+
+def function(value: Any) -> Any:
+    """Return a function."""
+    if not callable(value):
+        raise TypeError
+    return value
 
 
 def number(value: Any, low: float = -math.inf) -> float:

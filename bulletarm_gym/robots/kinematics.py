@@ -189,7 +189,7 @@ def _jacobian(
 def _rotation_vector(goal: FloatArray, now: FloatArray, out: FloatArray, spare: FloatArray) -> None:
     """Write the rotation vector (rad, world) from ``now`` to ``goal``.
 
-    At an angle of pi the antisymmetric part of the rotation matrix is 0, and the symmetric part gives the axis.
+    At an angle of pi the antisymmetric part of the matrix is 0, and the symmetric part gives the axis.
     """
     r = spare
     product(goal, now.T, r)

@@ -60,7 +60,7 @@ class RobotModel:
     def __post_init__(self) -> None:
         """Check the values and convert sequences to tuples."""
         fields: dict[str, tuple[str, checks.Converter]] = {
-            "load": ("a function that returns the URDF", Callable),
+            "load": ("a function that returns the URDF", checks.function),
             "joints": ("a tuple with the name of each joint", checks.names),
             "tool": ("a Pose", Pose),
             "gripper": ("a Gripper", Gripper),

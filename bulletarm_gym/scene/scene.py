@@ -193,7 +193,7 @@ class SceneObject:
     def set_properties(self, **changes: Any) -> None:
         """Change properties of the body until the next reset; an omitted one stays as it is.
 
-        :param changes: fields of :class:`~bulletarm_gym.simulation.properties.Properties`
+        :param changes: fields of :class:`~bulletarm_gym.simulation.state.Properties`
         :raises ValueError: one of them is out of range
         :raises TypeError: an unknown property
         """

@@ -323,7 +323,7 @@ class World:
 
     def wrap_step(self, wrap: Callable[[Callable[..., Any]], Callable[..., Any]]) -> None:
         """Replace the function that computes a simulation step, to measure its time for example."""
-        self.client.stepSimulation = wrap(self.client.stepSimulation)
+        vars(self.client)["stepSimulation"] = wrap(self.client.stepSimulation)
 
     # Queries
 
