@@ -22,7 +22,15 @@ from bulletarm_gym.control.control import MIN_REACH, MIN_TILTED_REACH
 from bulletarm_gym.env import ManipulationEnv
 from bulletarm_gym.geometry import Pose, Vector, conjugate, rotate
 from bulletarm_gym.robots import Robot, RobotModel, find_robot
-from bulletarm_gym.robots.reach import TILT, Limits, Survey, grid, largest_workspace, pose_error, survey
+from bulletarm_gym.robots.reach import (
+    TILT,
+    Limits,
+    ReachStudy,
+    grid,
+    largest_workspace,
+    pose_error,
+    study_reach,
+)
 from bulletarm_gym.selfcheck import Finding, report
 from bulletarm_gym.simulation import Camera, World
 from bulletarm_gym.simulation.world import TIME_STEP
@@ -87,13 +95,13 @@ def check_robot(model: RobotModel, workspace: Limits | None = None) -> Iterator[
         yield tracking(model, workspace, mode, load)
 
 
-def _surveys(model: RobotModel, workspace: Limits | None) -> dict[str, tuple[Survey, Survey]]:
+def _surveys(model: RobotModel, workspace: Limits | None) -> dict[str, tuple[ReachStudy, ReachStudy]]:
     """Return the poses in reach, upright and tilted, by the name of the workspace."""
     asked = {control: (WORKSPACES[control], HEIGHTS[control]) for control in (CLOSE_LOOP, OPEN_LOOP)}
     if workspace is not None:
         asked = {"workspace": (workspace, _heights(workspace))}  # type: ignore[dict-item]
     return {
-        name: (survey(model, grid(*where, POINTS)), survey(model, grid(*where, POINTS, TILT)))
+        name: (study_reach(model, grid(*where, POINTS)), study_reach(model, grid(*where, POINTS, TILT)))
         for name, where in asked.items()
     }
 
@@ -118,7 +126,7 @@ def _make(model: RobotModel, workspace: Limits | None, **parameters: Any) -> Man
     return env  # type: ignore[return-value]
 
 
-def reach(name: str, upright: Survey, tilted: Survey) -> Finding:
+def reach(name: str, upright: ReachStudy, tilted: ReachStudy) -> Finding:
     """Check the share of a workspace that is in reach."""
     value = f"{upright.share:.0%} in reach upright, {tilted.share:.0%} tilted by 30 degrees"
     advice = "change base or posture (tools/reach.py compares bases), or pass a smaller workspace"
@@ -135,7 +143,7 @@ def accuracy(model: RobotModel, solved: Sequence[tuple[Pose, Any]]) -> Finding:
     return Finding("inverse kinematics", f"error of at most {worst:.1e} m or rad", advice if bad else "", bad)
 
 
-def limits(model: RobotModel, surveys: Sequence[Survey], home: Pose) -> Finding:
+def limits(model: RobotModel, surveys: Sequence[ReachStudy], home: Pose) -> Finding:
     """Report the joint limits that are met, and the room that the joints have at home."""
     joints, _ = model.inverse(home)
     lower, upper = model.chain.limits.T
@@ -157,22 +165,20 @@ def limits(model: RobotModel, surveys: Sequence[Survey], home: Pose) -> Finding:
 def collisions(env: ManipulationEnv, solved: Sequence[tuple[Pose, Any]]) -> Finding:
     """Check that links that are not neighbours stay apart, at the posture and over the workspaces."""
     robot, world = env.scene.robot, env.scene.world
-    client, body = world.client, robot.body.id
-    info = {link: client.getJointInfo(body, link) for link in range(client.getNumJoints(body))}
-    names = {-1: client.getBodyInfo(body)[0].decode(), **{link: i[12].decode() for link, i in info.items()}}
-    parents = {link: i[16] for link, i in info.items()}
+    body = robot.body
+    names = {-1: "the base", **{index: link.name for index, link in enumerate(body.links)}}
+    parents = {index: link.parent for index, link in enumerate(body.links)}
     pairs = [
         (one, two)
-        for one, two in itertools.combinations(range(-1, len(info)), 2)
+        for one, two in itertools.combinations(names, 2)
         if not {one, parents.get(one)} & {parents[two], parents.get(parents[two])}
     ]
     worst, where = 0.0, ""
     for pose, joints in [(None, np.array(robot.model.posture)), *solved[::POINTS]]:
-        world.show_joints(robot.body, robot._arm.moved(world, joints.tolist()))
+        robot.show_joints(joints.tolist())
         for one, two in pairs:
-            depth = max(
-                (-point[8] for point in client.getClosestPoints(body, body, 0.0, one, two)), default=0
-            )
+            points = world.closest_points(body, body, 0.0, one, two)
+            depth = max((-point.distance for point in points), default=0)
             if depth > worst:
                 place = "the posture" if pose is None else f"{np.round(pose.position, 2).tolist()} m"
                 worst, where = depth, f" between {names[one]} and {names[two]} at {place}"
@@ -185,8 +191,8 @@ def collisions(env: ManipulationEnv, solved: Sequence[tuple[Pose, Any]]) -> Find
 
 def fingertips(env: ManipulationEnv) -> Finding:
     """Check that the fingers end at the tool frame."""
-    robot, client = env.scene.robot, env.scene.world.client
-    tips = min(client.getAABB(robot.body.id, finger)[0][2] for finger in robot._fingers.joints)
+    robot, world = env.scene.robot, env.scene.world
+    tips = min(world.bounds(robot.body, finger)[0][2] for finger in robot.finger_links)
     error = tips - robot.pose.z
     direction = "back to the arm" if error > 0.0 else "along the approach"
     advice = f"move the tool frame by {1e3 * abs(error):.0f} mm {direction}"
@@ -219,10 +225,9 @@ def fingers(env: ManipulationEnv) -> Finding:
 
 def _between(robot: Robot, world: World) -> tuple[float, Vector]:
     """Return the distance (m) between the fingers and the direction from one to the other."""
-    body, joints = robot.body.id, robot._fingers.joints
-    points = world.client.getClosestPoints(body, body, 1.0, *joints)
-    nearest = min(points, key=lambda point: float(point[8]))
-    return max(nearest[8], 0.0), nearest[7]
+    points = world.closest_points(robot.body, robot.body, 1.0, *robot.finger_links)
+    nearest = min(points, key=lambda point: point.distance)
+    return max(nearest.distance, 0.0), nearest.normal
 
 
 def static_torques(env: ManipulationEnv, solved: Sequence[tuple[Pose, Any]]) -> Finding:
@@ -230,7 +235,7 @@ def static_torques(env: ManipulationEnv, solved: Sequence[tuple[Pose, Any]]) -> 
     robot = env.scene.robot
     still = np.zeros(len(robot.model.joints))
     shares = [
-        np.abs(robot._dynamics.torques(joints, still, still, LOAD)) / robot.model.torques
+        np.abs(robot.dynamics.torques(joints, still, still, LOAD)) / robot.model.torques
         for _, joints in solved
     ]
     most = np.max(shares, axis=0) if shares else still
@@ -258,13 +263,13 @@ def tracking(model: RobotModel, workspace: Limits | None, mode: str, load: float
             if not robot.can_move_to(goal):
                 continue
             scene.begin()
-            steps, rise = robot._duration([robot.inverse_kinematics(goal)], step, slow=False)
+            steps, rise = robot.duration([robot.inverse_kinematics(goal)], step, in_contact=False)
             seconds = steps * TIME_STEP
             speed, acceleration = (
                 max(speed, 2.0 * step / seconds),
                 max(acceleration, 2.0 * step / (rise * seconds**2)),
             )
-            robot.move_to(goal, careful=False)
+            robot.move_to(goal, in_contact=False)
             worst = max(worst, math.dist(robot.pose.position, goal.position))
     bad = worst > MAX_TRACKING
     advice = "increase force to the torques of the data sheet, or check the masses in the URDF"

@@ -136,7 +136,7 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         :raises PlacementError: the workspace is too small for the task
         :raises gymnasium.error.ClosedEnvironmentError: the environment is closed
         """
-        self.scene.world.client.check_open()
+        self.scene.world.check_open()
         options = checked_options(options, self.task)
         if "state" in options:
             self.set_state(options["state"])
@@ -222,7 +222,7 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
 
         :raises gymnasium.error.ClosedEnvironmentError: the environment is closed
         """
-        self.scene.world.client.check_open()
+        self.scene.world.check_open()
         return render_frame(self.cameras[RENDER], self.render_mode, self.spec.id if self.spec else "ID")
 
     def close(self) -> None:
@@ -268,7 +268,7 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
 
         :raises gymnasium.error.ClosedEnvironmentError: the environment is closed
         """
-        self.scene.world.client.check_open()
+        self.scene.world.check_open()
         return View(self.scene, self.control.frame(), self.task.overlays, self._observer.asks_for_labels)
 
     def decode_action(self, action: ArrayLike) -> Any:
@@ -339,7 +339,7 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         :raises ValueError: it is of another task, arm, workspace or other objects; nothing has changed then
         :raises gymnasium.error.ClosedEnvironmentError: the environment is closed
         """
-        self.scene.world.client.check_open()
+        self.scene.world.check_open()
         check_fits(state, self._made_of)
         self.scene.world.set_state(state.world)
         self.scene.robot.set_state(state.robot)
@@ -371,7 +371,7 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         return np.random.default_rng((self._episode_seed, time, stream))
 
     def _check_running(self) -> None:
-        self.scene.world.client.check_open()
+        self.scene.world.check_open()
         if self._episode_seed is None:
             raise gymnasium.error.ResetNeeded("no episode has begun. Call reset() first.")
 

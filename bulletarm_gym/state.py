@@ -9,11 +9,11 @@ import numpy as np
 
 from bulletarm_gym.geometry import Pose
 from bulletarm_gym.robots import ROBOTS, RobotModel, RobotState
-from bulletarm_gym.robots.urdf import mass_of
 from bulletarm_gym.scene import Scene
 from bulletarm_gym.simulation import WorldState
-from bulletarm_gym.simulation.properties import Properties
 from bulletarm_gym.simulation.shapes import BodySpec
+from bulletarm_gym.simulation.state import Properties
+from bulletarm_gym.simulation.urdf import mass_of
 
 SCENE_PARAMETERS = ("workspace", "object_scale_range", "num_objects", "close_loop_tray")
 """Parameters that determine the bodies of a scene and where they can be."""

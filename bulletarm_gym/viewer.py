@@ -42,7 +42,7 @@ class Viewer:
         """Show the workspace in the window, from the configured camera or from that of close-ups."""
         camera = render_camera(self._scene)
         chosen = (camera.eye, camera.target) if self._scene.config.render_camera else self._sight
-        look(self._scene.world.client, *chosen)
+        look(self._scene.world, *chosen)
 
     @property
     def _sight(self) -> tuple[Vector, Vector]:
@@ -59,7 +59,7 @@ class Viewer:
         if self._scene.config.render_mode != "human":
             raise RuntimeError('pressed_keys: keys are pressed in a window; use render_mode="human"')
         if self._keyboard is None:
-            self._keyboard = Keyboard(self._scene.world.client)
+            self._keyboard = Keyboard(self._scene.world)
         return self._keyboard.pressed()
 
     def mark(self, position: Vector, yaw: float = 0.0) -> None:
@@ -72,5 +72,5 @@ class Viewer:
         right, ahead = MARK_REACH * math.cos(yaw), MARK_REACH * math.sin(yaw)
         across = ((x - right, y - ahead, z), (x + right, y + ahead, z))
         self._mark = draw_segments(
-            self._scene.world.client, [(position, (x, y, z + MARK_HEIGHT)), across], self._mark
+            self._scene.world, [(position, (x, y, z + MARK_HEIGHT)), across], self._mark
         )

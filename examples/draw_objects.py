@@ -13,7 +13,7 @@ from bulletarm_gym.objects.graspables import graspables
 from bulletarm_gym.objects.packing import SHAPES
 from bulletarm_gym.objects.polyominoes import improvise_blocks
 from bulletarm_gym.simulation import Camera, World
-from bulletarm_gym.simulation.physics import PHYSICS_MODES
+from bulletarm_gym.simulation.state import PHYSICS_MODES
 from bulletarm_gym.surfaces.flat import FLOOR
 
 BLOCKS = ("cube", "brick", "triangle", "roof", "cylinder")

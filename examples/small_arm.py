@@ -6,13 +6,14 @@ python examples/small_arm.py    five episodes of the expert on each of four clos
 import math
 from functools import partial
 from typing import Any
-from xml.etree.ElementTree import Element, SubElement
+from xml.etree.ElementTree import Element
 
 import gymnasium
 
 from bulletarm_gym.geometry import Pose
 from bulletarm_gym.robots import ParallelJaw, RobotModel
-from bulletarm_gym.robots.urdf import DARK, LIGHT, add_joint, add_link, box, cylinder
+from bulletarm_gym.robots.primitives import DARK, LIGHT, add_link, box, cylinder
+from bulletarm_gym.simulation.urdf import add_joint
 
 TORQUE = 2.9
 """Maximum torque (N m) of a servo of 30 kg cm."""
@@ -38,9 +39,8 @@ def bare_arm() -> Element:
     parent = "base"
     for name, origin, axis, limit, mass, size in SEGMENTS:
         add_link(root, name, mass, [box(size, (0.0, 0.0, size[2] / 2.0), LIGHT)])
-        joint = add_joint(root, "revolute", f"{name}_joint", (parent, name), origin, axis)
-        limits = {"lower": -limit, "upper": limit, "effort": TORQUE, "velocity": 5.0}
-        SubElement(joint, "limit", {key: repr(value) for key, value in limits.items()})
+        links, limits = (parent, name), (-limit, limit)
+        add_joint(root, "revolute", f"{name}_joint", links, origin, axis, limits, TORQUE, velocity=5.0)
         parent = name
     return root
 

@@ -135,6 +135,16 @@ def test_only_simulation_imports_the_engine() -> None:
             assert not wrong, f"{path.relative_to(ROOT)} imports {sorted(wrong)}"
 
 
+def test_only_simulation_calls_the_engine() -> None:
+    for path in _sources("bulletarm_gym"):
+        if _room(path) != "simulation":
+            nodes = ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+            lines = [
+                node.lineno for node in nodes if isinstance(node, ast.Attribute) and node.attr == "client"
+            ]
+            assert not lines, f"{path.relative_to(ROOT)} uses PyBullet's client in the lines {lines}"
+
+
 def test_importing_the_package_is_light() -> None:
     heavy = ["pybullet", "numba", "torch", "stable_baselines3", "h5py", "matplotlib"]
     code = f"import sys, bulletarm_gym; print(sorted(set({heavy}) & set(sys.modules)))"

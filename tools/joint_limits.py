@@ -28,7 +28,7 @@ def rooms(env: Any, episodes: int) -> Iterator[float]:
         while not is_over:
             _, _, terminated, truncated, _ = env.step(env.expert_action())
             is_over = terminated or truncated
-            joints = np.array(robot._arm.positions(env.scene.world))
+            joints = np.array(robot.joint_positions)
             yield float(np.minimum(joints - lower, upper - joints).min())
 
 

@@ -1,6 +1,6 @@
 """Interface of a robot for controls."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from bulletarm_gym.geometry import Pose
 from bulletarm_gym.robots import Robot
@@ -44,6 +44,19 @@ class RobotInterface:
         """Whether the gripper holds an object."""
         return self._robot.held is not None
 
+    @property
+    def joint_positions(self) -> tuple[float, ...]:
+        """Measured positions (rad) of the arm joints."""
+        return self._robot.joint_positions
+
+    def move_joints(self, positions: Sequence[float], in_contact: bool = True) -> None:
+        """Move the arm joints to positions (rad). A blocked arm stops.
+
+        :param in_contact: move slowly, because the robot may push an object
+        :raises ValueError: the number of positions is wrong, or one is outside its limits
+        """
+        self._robot.move_joints(positions, in_contact)
+
     def reaches(self, pose: Pose) -> bool:
         """Return True if the inverse kinematics has a solution for a pose."""
         return self._robot.reaches(pose)
@@ -59,13 +72,13 @@ class RobotInterface:
         """
         self._robot.home(pose)
 
-    def move_to(self, pose: Pose, careful: bool = True) -> None:
+    def move_to(self, pose: Pose, in_contact: bool = True) -> None:
         """Move to a pose; a blocked arm stops early.
 
-        :param careful: move slowly where the gripper may push an object
+        :param in_contact: move slowly where the gripper may push an object
         :raises OutOfReachError: the pose is out of reach
         """
-        self._robot.move_to(pose, careful)
+        self._robot.move_to(pose, in_contact)
 
     def transfer(self, *poses: Pose) -> None:
         """Move, above everything in between, to the first pose that touches nothing, or to the last pose.

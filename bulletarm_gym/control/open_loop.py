@@ -208,7 +208,7 @@ class OpenLoop(Control[PickPlace]):
         """
         for stop in stops:
             if self.robot.pose.inverse().compose(stop).z > 0.0:
-                self.robot.move_to(stop, careful=False)
+                self.robot.move_to(stop, in_contact=False)
             if self.robot.is_apart():
                 return
 

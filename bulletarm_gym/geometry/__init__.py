@@ -1,7 +1,7 @@
 """Poses, rectangles, footprints and triangle meshes."""
 
 from bulletarm_gym.geometry.footprint import Footprint, PlacementError
-from bulletarm_gym.geometry.meshes import Mesh, join
+from bulletarm_gym.geometry.meshes import Mesh, join, mass_properties
 from bulletarm_gym.geometry.poses import (
     IDENTITY,
     FloatArray,
@@ -21,7 +21,6 @@ from bulletarm_gym.geometry.poses import (
     planar_distance,
     quaternion,
     rotate,
-    rpy,
     wrap_angle,
     yaw_quaternion,
 )
@@ -44,12 +43,12 @@ __all__ = [
     "from_rotvec",
     "interpolate",
     "join",
+    "mass_properties",
     "matrix",
     "multiply",
     "planar_distance",
     "quaternion",
     "rotate",
-    "rpy",
     "wrap_angle",
     "yaw_quaternion",
 ]

@@ -1,4 +1,4 @@
-"""Compiling numeric loops, in one way everywhere: without fastmath and threads, so results are exact."""
+"""Compilation of numeric loops by Numba, without fastmath and threads, so that results are reproducible."""
 
 import logging
 import os
@@ -20,9 +20,9 @@ CONFIG: Any = numba.config
 
 
 class CompileMonitor(event.Listener):
-    """Counts the functions of :func:`compiled` that numba compiles, and logs one line before the first.
+    """Counter of the functions of :func:`compiled` that Numba compiles; cached functions do not count.
 
-    Functions that are read from the cache do not count.
+    A line is logged before the first compilation of a process.
     """
 
     def __init__(self) -> None:
@@ -39,8 +39,8 @@ class CompileMonitor(event.Listener):
         if not self._announced:
             self._announced = True
             folder = function.stats.cache_path
-            where = f"once for this machine: the code is kept in {folder}" if folder else "in every process"
-            LOGGER.warning("bulletarm_gym compiles its numeric loops, up to a minute, %s", where)
+            where = f"once and stores the code in {folder}" if folder else "in every process"
+            LOGGER.warning("bulletarm_gym compiles its numeric loops (up to a minute) %s", where)
 
     def on_end(self, event: Any) -> None:
         """Do nothing."""
@@ -52,24 +52,18 @@ event.register("numba:compile", MONITOR)  # type: ignore[no-untyped-call]
 
 
 def compiled(function: Callable[P, R]) -> Callable[P, R]:
-    """Compile at the first call, kept on disk between processes.
+    """Return the function compiled at its first call; the code is cached on disk.
 
-    If numba finds no folder that it can write, the code is kept in a folder for temporary files.
+    If Numba finds no writable cache folder, the cache is in the folder of temporary files.
     """
     MONITOR.functions.add(function)
     try:
         return _cached(function)
-    except RuntimeError:  # numba found neither the package's folder nor the user's to be writable
-        has_file = Path(function.__code__.co_filename).is_file()
-    if has_file and not CONFIG.CACHE_DIR:
+    except RuntimeError:  # neither the package's folder nor the user's cache folder is writable
         CONFIG.CACHE_DIR = str(_temporary_folder())
-        LOGGER.warning(
-            "No folder for compiled code can be written. Using %s. Set NUMBA_CACHE_DIR to another folder.",
-            CONFIG.CACHE_DIR,
-        )
-        return _cached(function)
-    plain: Callable[P, R] = njit(error_model="numpy")(function)
-    return plain
+    message = "The cache folder of Numba is not writable. Using %s. Set NUMBA_CACHE_DIR to another folder."
+    LOGGER.warning(message, CONFIG.CACHE_DIR)
+    return _cached(function)
 
 
 def _cached(function: Callable[P, R]) -> Callable[P, R]:
@@ -78,7 +72,7 @@ def _cached(function: Callable[P, R]) -> Callable[P, R]:
 
 
 def _temporary_folder() -> Path:
-    """Return a folder for temporary files that belongs to this user alone: cached code is executed."""
+    """Return a temporary folder that no other user can write to, because cached code is executed."""
     user = getattr(os, "getuid", lambda: 0)()
     folder = Path(tempfile.gettempdir()) / f"bulletarm-gym-{user}"
     folder.mkdir(mode=0o700, exist_ok=True)
@@ -94,4 +88,4 @@ def _emit_fma(typing_context: Any, a: Any, b: Any, c: Any) -> Any:
 
 
 fma: Callable[[float, float, float], float] = intrinsic(_emit_fma)  # type: ignore[assignment]
-"""``a * b + c``, rounded once, in compiled code: as the library under NumPy's ``@`` does it."""
+"""``a * b + c`` with one rounding, in compiled code, as in NumPy's matrix product."""

@@ -1,4 +1,4 @@
-"""What things cover of the ground, and whether two of them are apart."""
+"""Footprints of bodies on the ground, and the gaps between them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,19 +10,19 @@ from bulletarm_gym.geometry.compilation import compiled, fma
 from bulletarm_gym.geometry.poses import FloatArray, Pose, Quaternion
 
 DIRECTIONS = 32
-"""Directions in which footprints are compared: with each its opposite, x and y among them."""
-_TURNS = 2.0 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
-_COMPASS = np.stack([np.cos(_TURNS), np.sin(_TURNS)])
+"""Number of evenly spaced directions, from x, in which footprints are compared."""
+_ANGLES = 2.0 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
+_COMPASS = np.stack([np.cos(_ANGLES), np.sin(_ANGLES)])
 _OPPOSITE = np.roll(np.arange(DIRECTIONS), DIRECTIONS // 2)
 
 
 class PlacementError(RuntimeError):
-    """No arrangement was found; the workspace is too small for what it should hold."""
+    """Raised when no arrangement of the objects fits into the workspace."""
 
 
 @dataclass(frozen=True)
 class Footprint:
-    """The shadow of something, straight from above: the convex hull of some points.
+    """Vertical projection of a body onto the ground: the convex hull of some points.
 
     :param points: (n, 2) world x and y (m)
     """
@@ -33,18 +33,19 @@ class Footprint:
     def of(cls, vertices: FloatArray, pose: Pose) -> "Footprint":
         """Return the footprint of a body at a pose.
 
-        :param vertices: (n, 3) of the body, in its frame (m)
+        :param vertices: (n, 3) vertices in the body's frame (m)
         """
         return cls(_shadow(vertices, pose.x, pose.y, pose.orientation))
 
     @classmethod
     def rectangle(cls, size: Sequence[float], pose: Pose) -> "Footprint":
-        """Return a level rectangle of side lengths ``size`` (m) along x and y of a frame, in its middle."""
-        return cls(_corners(float(size[0]), float(size[1]), pose.x, pose.y, pose.orientation))
+        """Return a rectangle of side lengths ``size`` (m) along x and y of a frame, centred on its origin."""
+        x, y = float(size[0]) / 2.0, float(size[1]) / 2.0
+        return cls.of(np.array(((-x, -y, 0.0), (x, -y, 0.0), (x, y, 0.0), (-x, y, 0.0))), pose)
 
     @property
     def centre(self) -> tuple[float, float]:
-        """Middle (m) of the corners' extent along x and y."""
+        """Centre (m) of the bounding box along x and y."""
         x0, x1, y0, y1 = self.extent
         return ((x0 + x1) / 2.0, (y0 + y1) / 2.0)
 
@@ -55,44 +56,39 @@ class Footprint:
 
     @cached_property
     def extent(self) -> tuple[float, float, float, float]:
-        """Lowest and highest x, lowest and highest y (m)."""
+        """Minimum and maximum x, minimum and maximum y (m)."""
         return _extent(self.points)
 
     def grown(self, margin: float) -> "Footprint":
-        """Return it with its corners moved outwards by ``margin`` (m), or inwards by a negative one."""
+        """Return the footprint with its points moved outwards by ``margin`` (m); it may be negative."""
         return Footprint(_grown(self.points, margin))
 
     @cached_property
     def reach(self) -> FloatArray:
-        """How far (m) it reaches in each of the directions, from the world's origin."""
+        """Extent (m) from the world's origin in each direction, (:data:`DIRECTIONS`,)."""
         return _reach(self.points, _COMPASS)
 
     @property
     def width(self) -> float:
-        """How far apart (m) two parallel fingers must be to go down on both sides of it, turned as they may.
+        """Minimum distance (m) between two parallel fingers around the body, over the compared directions.
 
-        It exceeds the least such distance by half a percent of its size at most; of a rectangle that lies
-        along x and y it is exact.
+        The value exceeds the true minimum by at most 0.5 % of the size.
         """
         return float((self.reach + self.reach[_OPPOSITE]).min())
 
     def gap(self, other: "Footprint") -> float:
-        """Return a distance (m) that two footprints keep at least; negative where they may overlap.
-
-        It falls short of the true distance by at most half a percent of their sizes, and between corners by
-        more; it never exceeds it.
-        """
+        """Return a lower bound of the distance (m) to a footprint, negative where they may overlap."""
         return _gap(self.reach, other.reach)
 
     def is_inside(self, limits: Sequence[Sequence[float]], margin: float = 0.0) -> bool:
-        """Whether it keeps a margin (m) to the border of [[x low, x high], [y low, y high]]."""
+        """Return True if the footprint keeps a margin (m) to limits [[x low, x high], [y low, y high]]."""
         x0, x1, y0, y1 = self.extent
         (left, right), (near, far) = limits[:2]
         return left <= x0 - margin and x1 + margin <= right and near <= y0 - margin and y1 + margin <= far
 
 
-# Hundreds of footprints are compared for one place to build on, of few points each: NumPy would take ten
-# times as long. The compiled code rounds as NumPy does.
+# Hundreds of footprints of a few points are compared to find one free place. NumPy takes ten times as long.
+# fma() gives the same last digits as NumPy's matrix product.
 
 
 @compiled
@@ -107,15 +103,6 @@ def _shadow(vertices: FloatArray, x: float, y: float, orientation: Quaternion) -
         points[row, 0] = fma(c, xz, fma(b, xy, a * xx)) + x
         points[row, 1] = fma(c, yz, fma(b, yy, a * yx)) + y
     return points
-
-
-@compiled
-def _corners(width: float, length: float, x: float, y: float, orientation: Quaternion) -> FloatArray:
-    """Return the corners of a rectangle about the origin of a frame."""
-    corners = np.zeros((4, 3))
-    for row, (right, far) in enumerate(((-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0))):
-        corners[row, 0], corners[row, 1] = right * (width / 2.0), far * (length / 2.0)
-    return _shadow(corners, x, y, orientation)
 
 
 @compiled

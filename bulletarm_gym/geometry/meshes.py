@@ -1,4 +1,4 @@
-"""Triangle meshes."""
+"""Triangle meshes and the inertia of solids made of them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -7,15 +7,18 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
-from bulletarm_gym.geometry.poses import FloatArray, IntArray, Pose
+from bulletarm_gym.geometry.poses import FloatArray, IntArray, Pose, Vector, quaternion
+
+TETRAHEDRON_MOMENTS = (np.ones((3, 3)) + np.eye(3)) / 120.0
+"""Second moments of the tetrahedron between the origin and the three unit vectors, at density 1."""
 
 
 @dataclass(frozen=True)
 class Mesh:
-    """A triangle mesh in the frame of the link that carries it.
+    """A triangle mesh.
 
     :param vertices: (V, 3) float64, metres
-    :param faces: (F, 3) int32, counter-clockwise seen from outside
+    :param faces: (F, 3) int32, counter-clockwise when viewed from outside
     """
 
     vertices: FloatArray
@@ -42,15 +45,38 @@ class Mesh:
 
     @cached_property
     def bounds(self) -> FloatArray:
-        """Lowest and highest corner, (2, 3) metres."""
+        """Lowest and highest corner (2, 3) of the bounding box, metres."""
         return np.stack([self.vertices.min(axis=0), self.vertices.max(axis=0)])
 
 
 def join(meshes: Sequence[Mesh]) -> Mesh:
-    """Return one mesh that holds the triangles of all."""
+    """Return one mesh with the triangles of all meshes."""
     offsets = np.cumsum([0] + [len(m.vertices) for m in meshes[:-1]])
     faces = [m.faces + int(offset) for m, offset in zip(meshes, offsets, strict=True)]
     return Mesh.of(np.concatenate([m.vertices for m in meshes]), np.concatenate(faces))
+
+
+def mass_properties(meshes: Sequence[Mesh], mass: float) -> tuple[Pose, Vector]:
+    """Return the principal frame at the centre of mass and the inertia (kg m^2) about its axes.
+
+    :param meshes: closed meshes with outward faces; overlapping volumes count twice
+    :param mass: total mass (kg), uniformly distributed
+    :raises ValueError: the meshes enclose no volume
+    """
+    corners = np.concatenate([mesh.vertices[mesh.faces] for mesh in meshes])
+    jacobians = np.transpose(corners, (0, 2, 1))
+    six_volumes = np.linalg.det(jacobians)
+    volume = six_volumes.sum() / 6.0
+    if volume <= 0.0:
+        raise ValueError("meshes must be closed with outward faces, got an enclosed volume of 0 or less")
+    centre = (six_volumes[:, None] * corners.sum(axis=1)).sum(axis=0) / (24.0 * volume)
+    moments = np.einsum("n,nij,jk,nlk->il", six_volumes, jacobians, TETRAHEDRON_MOMENTS, jacobians)
+    covariance = (moments / volume - np.outer(centre, centre)) * mass
+    values, axes = np.linalg.eigh(np.trace(covariance) * np.eye(3) - covariance)
+    axes = axes * np.array([1.0, 1.0, float(np.sign(np.linalg.det(axes)))])  # right-handed
+    x, y, z = centre.tolist()
+    a, b, c = values.tolist()
+    return Pose((x, y, z), quaternion(axes)), (a, b, c)
 
 
 _BOX_FACES = (

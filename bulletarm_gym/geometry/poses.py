@@ -1,8 +1,7 @@
 """Rigid poses, rectangles and rotations.
 
-Conventions: metres, radians, right-handed world frame with z up; quaternions are ``(x, y, z, w)`` as in
-Bullet. Written for single poses in the inner loop, where NumPy on three numbers costs more than plain
-arithmetic.
+Metres, radians, right-handed world frame with z up, quaternions ``(x, y, z, w)`` as in Bullet. The functions
+process single poses in plain arithmetic, which is faster than NumPy on three numbers.
 """
 
 import math
@@ -28,7 +27,7 @@ class Pose(NamedTuple):
 
     @classmethod
     def planar(cls, x: float, y: float, z: float, yaw: float = 0.0) -> "Pose":
-        """Return an upright pose turned by ``yaw`` (rad) about z."""
+        """Return an upright pose, rotated by ``yaw`` (rad) about z."""
         return cls((x, y, z), yaw_quaternion(yaw))
 
     @property
@@ -59,29 +58,29 @@ class Pose(NamedTuple):
         return math.acos(max(-1.0, min(1.0, 1.0 - 2.0 * (x * x + y * y))))
 
     def transform(self, point: Vector) -> Vector:
-        """Express in the outer frame a point (m) given in this one."""
+        """Return the coordinates (m) in the outer frame of a point in this frame."""
         px, py, pz = rotate(self.orientation, point)
         return (px + self.position[0], py + self.position[1], pz + self.position[2])
 
     def compose(self, inner: "Pose") -> "Pose":
-        """Express in the outer frame a pose given in this one."""
+        """Return the pose in the outer frame of a pose in this frame."""
         return Pose(self.transform(inner.position), multiply(self.orientation, inner.orientation))
 
     def inverse(self) -> "Pose":
-        """Return the pose of the outer frame in this one."""
+        """Return the pose of the outer frame in this frame."""
         back = conjugate(self.orientation)
         x, y, z = rotate(back, self.position)
         return Pose((-x, -y, -z), back)
 
 
 class Rectangle(NamedTuple):
-    """A level rectangle in the world, seen from above.
+    """A horizontal rectangle in the world.
 
-    :param x: of its middle (m)
-    :param y: of its middle (m)
-    :param length: along its own x axis (m)
-    :param width: along its own y axis (m)
-    :param yaw: of its own axes (rad)
+    :param x: x coordinate of the centre (m)
+    :param y: y coordinate of the centre (m)
+    :param length: side along the rectangle's x axis (m)
+    :param width: side along the rectangle's y axis (m)
+    :param yaw: rotation of the rectangle's axes about z (rad)
     """
 
     x: float
@@ -97,10 +96,7 @@ def yaw_quaternion(yaw: float) -> Quaternion:
 
 
 def from_rotvec(vector: Sequence[float]) -> Quaternion:
-    """Return the quaternion of a rotation about an axis, by as many rad as the axis is long.
-
-    Turned about z, such vectors turn as arrows do, which fixed-axis angles do not.
-    """
+    """Return the quaternion of a rotation vector (rad): its direction is the axis, its length the angle."""
     x, y, z = vector
     angle = math.hypot(x, y, z)
     part = math.sin(angle / 2.0) / angle if angle > 0.0 else 0.5
@@ -108,7 +104,7 @@ def from_rotvec(vector: Sequence[float]) -> Quaternion:
 
 
 def as_rotvec(q: Quaternion) -> Vector:
-    """Return the vector of a rotation (rad), at most pi long, the inverse of :func:`turn`."""
+    """Return the rotation vector (rad) of a quaternion, at most pi long."""
     x, y, z, w = q if q[3] >= 0.0 else (-q[0], -q[1], -q[2], -q[3])
     sine = math.hypot(x, y, z)
     part = 2.0 * math.atan2(sine, w) / sine if sine > 0.0 else 2.0
@@ -116,7 +112,7 @@ def as_rotvec(q: Quaternion) -> Vector:
 
 
 def euler_pose(position: Vector, angles: Vector) -> Pose:
-    """Return a pose from fixed-axis x-y-z angles (rad), URDF's and Bullet's roll, pitch and yaw."""
+    """Return a pose from fixed-axis x-y-z angles (rad): roll, pitch and yaw in URDF and Bullet."""
     roll, pitch, yaw = (angle / 2.0 for angle in angles)
     cr, sr, cp, sp, cy, sy = (f(a) for a in (roll, pitch, yaw) for f in (math.cos, math.sin))
     orientation = (
@@ -129,21 +125,13 @@ def euler_pose(position: Vector, angles: Vector) -> Pose:
 
 
 def euler_angles(q: Quaternion) -> Vector:
-    """Return the fixed-axis x-y-z angles (rad) of a rotation, the inverse of :func:`euler_pose`.
+    """Return the fixed-axis x-y-z angles (rad) of a rotation, as in :func:`euler_pose` and URDF.
 
-    The second is within +-pi/2; there only the sum of the others is defined.
+    The pitch is in [-pi/2, pi/2]. At both ends only a sum of the other angles is defined. There the yaw is 0.
     """
     x, y, z, w = q
-    roll = math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
-    pitch = math.asin(max(-1.0, min(1.0, 2.0 * (w * y - z * x))))
-    return (roll, pitch, Pose((0.0, 0.0, 0.0), q).yaw)
-
-
-def rpy(q: Quaternion) -> Vector:
-    """Return fixed-axis x-y-z angles (rad) of a rotation, as in URDF; at a pitch of +-pi/2 the yaw is 0."""
-    x, y, z, w = q
     sine = max(-1.0, min(1.0, 2.0 * (w * y - z * x)))
-    if abs(sine) > 1.0 - 1e-12:  # x and z turn about the same axis: give it all to x
+    if abs(sine) > 1.0 - 1e-12:
         return (2.0 * math.atan2(x, w), math.copysign(math.pi / 2.0, sine), 0.0)
     roll = math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
     return (roll, math.asin(sine), math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)))
@@ -179,12 +167,12 @@ def rotate(q: Quaternion, v: Vector) -> Vector:
 
 
 def interpolate(start: Pose, end: Pose, share: float) -> Pose:
-    """Return a pose on the way between two, 0 the first and 1 the second, turned the shorter way."""
+    """Return the pose at a share (0 to 1) of the path between two poses, along the shorter rotation."""
     if share >= 1.0:
         return end
-    near = math.copysign(1.0, sum(a * b for a, b in zip(start.orientation, end.orientation, strict=True)))
+    pairs = list(zip(start.orientation, end.orientation, strict=True))
+    near = math.copysign(1.0, sum(a * b for a, b in pairs))
     x, y, z = ((1.0 - share) * a + share * b for a, b in zip(start.position, end.position, strict=True))
-    pairs = zip(start.orientation, end.orientation, strict=True)
     mixed = [(1.0 - share) * a + share * near * b for a, b in pairs]
     norm = math.hypot(*mixed)
     qx, qy, qz, qw = (part / norm for part in mixed)
@@ -219,11 +207,11 @@ def quaternion(rotation: FloatArray) -> Quaternion:
 
 
 def wrap_angle(angle: float, period: float = 2.0 * math.pi) -> float:
-    """Return the angle (rad) in [-period/2, period/2) that equals ``angle`` modulo ``period``, a symmetry."""
+    """Return the angle (rad) in [-period/2, period/2) that equals ``angle`` modulo ``period``."""
     wrapped = (angle + period / 2.0) % period - period / 2.0
-    return wrapped if wrapped < period / 2.0 else -period / 2.0  # the remainder of -1e-17 is the period
+    return wrapped if wrapped < period / 2.0 else -period / 2.0  # Python rounds -1e-17 % period to period
 
 
 def planar_distance(a: Sequence[float], b: Sequence[float]) -> float:
-    """Return the distance (m) between two points in x and y."""
+    """Return the horizontal distance (m) between two points."""
     return math.hypot(a[0] - b[0], a[1] - b[1])

@@ -14,11 +14,9 @@ import numpy as np
 from bulletarm_gym.geometry import Pose, Vector, euler_pose
 from bulletarm_gym.objects.graspables import graspable
 from bulletarm_gym.objects.hull import convex_hull
-from bulletarm_gym.robots.kinematics import number_of
-from bulletarm_gym.simulation.assets import mesh_path
 from bulletarm_gym.simulation.meshes import mesh_parts
 from bulletarm_gym.simulation.shapes import ORIGIN, BodySpec, Box, Colour, Convex, Piece
-from bulletarm_gym.simulation.xml import parse_urdf
+from bulletarm_gym.simulation.urdf import mesh_path, number_of, parse_urdf
 
 SMALLEST = 0.005
 LARGEST = 0.3

@@ -6,9 +6,8 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from bulletarm_gym.objects.files import FRICTIONS, is_urdf, load_object
-from bulletarm_gym.simulation.assets import mesh_path
 from bulletarm_gym.simulation.shapes import BodySpec
-from bulletarm_gym.simulation.xml import parse_urdf
+from bulletarm_gym.simulation.urdf import mesh_path, parse_urdf
 
 MESHES = (".obj", ".stl")
 """File name extensions, in capitals or small letters, of the meshes that are read."""

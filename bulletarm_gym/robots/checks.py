@@ -1,28 +1,47 @@
-"""Checks of the values in the model of an arm."""
+"""Conversion of the values of a robot model, with errors that contain the parameter and the value."""
 
 import math
+from collections.abc import Callable
 from typing import Any
 from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from bulletarm_gym.values import Check, Refused, check_argument
+Converter = Callable[[Any], Any] | type[Any]
+"""Class of the value, or function that converts the value or raises TypeError or ValueError."""
 
 
-def check_fields(model: Any, prefix: str, checks: dict[str, Check]) -> None:
-    """Check the fields of a frozen dataclass and keep them as the checks return them.
+def convert(name: str, value: Any, must: str, converter: Converter) -> Any:
+    """Return the converted value of a parameter.
 
-    :param prefix: text in front of the name of a field in the message
-    :raises ValueError: a check refuses a value
+    :param must: description of the accepted values
+    :raises ValueError: the value cannot be converted
     """
-    for name, check in checks.items():
-        object.__setattr__(model, name, check_argument(prefix + name, getattr(model, name), check))
+    try:
+        if not isinstance(converter, type):
+            return converter(value)
+        if isinstance(value, converter):
+            return value
+        raise TypeError
+    except (TypeError, ValueError):
+        raise ValueError(f"{name} must be {must}, got {value!r}") from None
+
+
+def convert_fields(model: Any, prefix: str, fields: dict[str, tuple[str, Converter]]) -> None:
+    """Convert the fields of a frozen dataclass.
+
+    :param prefix: text before the name of a field in messages
+    :param fields: description of the accepted values and converter of each field
+    :raises ValueError: a value cannot be converted
+    """
+    for name, (must, converter) in fields.items():
+        object.__setattr__(model, name, convert(prefix + name, getattr(model, name), must, converter))
 
 
 def check_element(name: str, value: Any) -> None:
-    """Check that a value is a URDF.
+    """Check that a value is the root element of a URDF.
 
-    :raises ValueError: it is not the root element of one
+    :raises ValueError: it is not
     """
     if not (isinstance(value, Element) and value.tag == "robot"):
         got = f"<{value.tag}>" if isinstance(value, Element) else type(value).__name__
@@ -30,78 +49,40 @@ def check_element(name: str, value: Any) -> None:
 
 
 def function(value: Any) -> Any:
-    """Require a function."""
+    """Return a function."""
     if not callable(value):
-        raise Refused("a function that returns the URDF")
+        raise TypeError
     return value
 
 
-def instance(kind: type[Any]) -> Check:
-    """Require an object of a class."""
-
-    def check(value: Any) -> Any:
-        if not isinstance(value, kind):
-            raise Refused(f"a {kind.__name__}")
-        return value
-
-    return check
-
-
-def names(count: int | None = None) -> Check:
-    """Require a sequence of names.
-
-    :param count: number of names; any from 1 by default
-    """
-
-    def check(value: Any) -> tuple[str, ...]:
-        is_list = isinstance(value, list | tuple) and all(isinstance(name, str) for name in value)
-        if not is_list or len(value) != (count or max(len(value), 1)):
-            raise Refused(f"a tuple of {count} names" if count else "a tuple with the name of each joint")
-        return tuple(value)
-
-    return check
-
-
-def numbers(description: str, count: int | None = None, low: float = -math.inf) -> Check:
-    """Require a sequence of finite numbers.
-
-    :param description: of the numbers
-    :param count: number of values; any by default
-    :param low: minimum
-    """
-
-    def check(value: Any) -> tuple[float, ...]:
-        is_list = isinstance(value, list | tuple | np.ndarray) and all(map(_is_number, value))
-        if not is_list or len(value) != (count or len(value)) or any(number < low for number in value):
-            raise Refused(description)
-        return tuple(float(number) for number in value)
-
-    return check
-
-
-def finite(value: Any) -> float:
-    """Require a finite number."""
-    if not _is_number(value):
-        raise Refused("a finite number")
+def number(value: Any, low: float = -math.inf) -> float:
+    """Convert a finite number of at least ``low``."""
+    if isinstance(value, bool | str) or not math.isfinite(value) or value < low:
+        raise ValueError
     return float(value)
 
 
 def positive(value: Any) -> float:
-    """Require a positive, finite number."""
-    if not _is_number(value) or value <= 0.0:
-        raise Refused("a positive number")
-    return float(value)
+    """Convert a positive, finite number."""
+    return number(value, math.ulp(0.0))
+
+
+def numbers(value: Any, count: int | None = None, low: float = -math.inf) -> tuple[float, ...]:
+    """Convert a sequence of finite numbers of at least ``low``, of any length without ``count``."""
+    found = tuple(number(one, low) for one in value)
+    if len(found) != (count or len(found)):
+        raise ValueError
+    return found
+
+
+def names(value: Any, count: int | None = None) -> tuple[str, ...]:
+    """Convert a list or tuple of names, at least one without ``count``."""
+    is_list = isinstance(value, list | tuple) and all(isinstance(name, str) for name in value)
+    if not is_list or len(value) != (count or max(len(value), 1)):
+        raise ValueError
+    return tuple(value)
 
 
 def torques(value: Any) -> float | tuple[float, ...]:
-    """Require one positive number or a sequence of them."""
-    try:
-        is_list = isinstance(value, list | tuple | np.ndarray)
-        return tuple(map(positive, value)) if is_list else positive(value)
-    except Refused:
-        raise Refused("a positive number (N m), or a tuple with one for each joint") from None
-
-
-def _is_number(value: Any) -> bool:
-    is_number = isinstance(value, int | float | np.number) and not isinstance(value, bool)
-    return is_number and math.isfinite(value)
+    """Convert a positive number or a sequence of positive numbers."""
+    return positive(value) if np.ndim(value) == 0 else tuple(map(positive, value))

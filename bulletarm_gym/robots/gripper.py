@@ -1,48 +1,39 @@
-"""Grippers of two fingers that slide apart: what an arm must know of them, and one to be fitted to a flange.
+"""Grippers with two parallel fingers.
 
-The tool frame lies between the fingertips: it points back (z up when the gripper looks down) and its x axis
-is the direction in which the fingers open, as the tasks expect of every arm.
+The tool frame lies between the fingertips. Its z axis points back to the arm, upwards when the gripper points
+down. Its x axis is the opening direction.
 """
 
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from xml.etree.ElementTree import Element, SubElement
+from functools import partial
+from xml.etree.ElementTree import Element
 
 from bulletarm_gym.geometry import Pose, Vector, euler_pose
 from bulletarm_gym.robots import checks
-from bulletarm_gym.robots.urdf import (
-    DARK,
-    LIGHT,
-    Colour,
-    Part,
-    add_joint,
-    add_link,
-    add_parts,
-    box,
-    end_of,
-    find_link,
-)
-from bulletarm_gym.values import Check
+from bulletarm_gym.robots.primitives import DARK, LIGHT, RGB, Primitive, add_link, box
+from bulletarm_gym.simulation.urdf import add_joint, children_of, end_of, find_link
 
 FINGER_MASS = 0.05
+"""Mass (kg) of a finger of a :class:`ParallelJaw`."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Gripper:
-    """Two fingers on prismatic joints; each joint is 0 where they meet and grows as they open.
+    """Two fingers on prismatic joints. A joint is at 0 where the fingers meet and grows when they open.
 
-    :param joints: names of the fingers' joints
-    :param stroke: greatest opening between the pads (m)
+    :param joints: names of the finger joints
+    :param stroke: maximum opening between the pads (m)
     :param finger: side lengths (m) of a finger: thickness along the opening, width, length beyond the palm
-    :param force: with which each finger closes (N)
-    :param speed: of each finger (m/s)
-    :param friction: of the pads; with a block's own friction of 1 it is the coefficient of the contact
-    :param shoulder: thickness (m) of a finger's thicker upper part, and the height (m) over the fingertips at
-        which it begins
-    :param palm: side lengths (m) of the box that carries the fingers: along the opening, across it, upwards
-        from their roots; experts keep a wide one out of what stands beside an item. 0 where it is narrow
-    :raises ValueError: a number is not finite or not positive, or a value has another length
+    :param force: closing force of each finger (N)
+    :param speed: maximum speed of each finger (m/s)
+    :param friction: friction coefficient of the pads; the product with an object's coefficient is effective
+    :param shoulder: thickness (m) of the thicker upper part of a finger, and the height (m) above the
+        fingertips where it begins
+    :param palm: side lengths (m) of the palm's bounding box along the opening, across it, and upwards from
+        the fingers' roots, for collision tests of experts; 0 if it is narrower than the fingers
+    :raises ValueError: a value has a wrong length, or a number is not finite or not positive
     """
 
     stroke: float
@@ -56,32 +47,35 @@ class Gripper:
 
     def __post_init__(self) -> None:
         """Check the values."""
-        lengths = checks.numbers("three lengths (m) of at least 0", 3, 0.0)
-        fields: dict[str, Check] = {
-            **dict.fromkeys(("stroke", "force", "speed", "friction"), checks.positive),
+        lengths = ("three lengths (m) of at least 0", partial(checks.numbers, count=3, low=0.0))
+        fields: dict[str, tuple[str, checks.Converter]] = {
+            **dict.fromkeys(("stroke", "force", "speed", "friction"), ("a positive number", checks.positive)),
             "finger": lengths,
             "palm": lengths,
-            "shoulder": checks.numbers("a thickness and a height (m) of at least 0", 2, 0.0),
-            "joints": checks.names(2),
+            "shoulder": (
+                "a thickness and a height (m) of at least 0",
+                partial(checks.numbers, count=2, low=0.0),
+            ),
+            "joints": ("a tuple of 2 names", partial(checks.names, count=2)),
         }
-        checks.check_fields(self, "gripper.", fields)
+        checks.convert_fields(self, "gripper.", fields)
 
     @property
     def travel(self) -> float:
-        """Greatest displacement (m) of one finger."""
+        """Maximum displacement (m) of a finger."""
         return self.stroke / 2.0
 
     @property
     def overhang(self) -> float:
-        """How far (m) the palm reaches out beyond the open fingers; negative where it is narrower."""
+        """Distance (m) by which the palm is wider than the open fingers, negative if it is narrower."""
         return self.palm[0] / 2.0 - self.half_width()
 
     def half_width(self, ratio: float = 1.0) -> float:
-        """Return the distance (m) from the middle to the outer side of a finger at an opening ratio."""
+        """Return the distance (m) from the centre to the outer side of a finger at an opening ratio."""
         return ratio * self.stroke / 2.0 + self.finger[0]
 
     def lowest(self, pose: Pose) -> float:
-        """Return the height (m) of the open gripper's lowest point: tilted, it reaches below its middle."""
+        """Return the height (m) of the lowest point of the open fingers, tilted or upright."""
         x, y, z, w = pose.orientation
         along, across = 2.0 * abs(x * z - w * y), 2.0 * abs(y * z + w * x)
         return pose.z - along * self.half_width() - across * self.finger[1] / 2.0
@@ -89,38 +83,41 @@ class Gripper:
 
 @dataclass(frozen=True, kw_only=True)
 class ParallelJaw(Gripper):
-    """A gripper of primitives for any arm's flange, whose z axis points along the approach.
+    """A gripper of primitives for the flange of any arm. The flange's z axis points along the approach.
 
-    :param palm: of the box that carries the fingers; it is part of the model
-    :param colour: of the fingers
-    :param housing: what else is seen of the palm, in the flange's frame
-    :param trim: what else is seen of a finger: x outwards from its pad, z along it from the palm
+    :param palm: side lengths (m) of the box that carries the fingers, which is part of the model
+    :param colour: colour of the fingers
+    :param housing: further shapes of the palm in the frame of the flange
+    :param trim: further shapes of a finger; x points outwards from the pad, z along the finger from the palm
     """
 
     palm: Vector = field()
-    colour: Colour = LIGHT
-    housing: tuple[Part, ...] = ()
-    trim: tuple[Part, ...] = ()
+    colour: RGB = LIGHT
+    housing: tuple[Primitive, ...] = ()
+    trim: tuple[Primitive, ...] = ()
 
     @property
     def length(self) -> float:
-        """Metres from the flange to the fingertips."""
+        """Distance (m) from the flange to the fingertips."""
         return self.palm[2] + self.finger[2]
 
     def tool(self, flange: Pose) -> Pose:
-        """Return the tool frame in the link whose flange is given."""
+        """Return the tool frame in the link that contains the flange."""
         return flange.compose(euler_pose((0.0, 0.0, self.length), (math.pi, 0.0, 0.0)))
 
     def fitted(self, arm: Callable[[], Element], link: str, flange: Pose) -> Element:
-        """Return an arm's model with the palm as part of a link and the fingers as links of their own.
+        """Return the URDF of an arm with the palm as part of a link and the fingers as further links.
 
-        :param arm: reads or makes the model
+        :param arm: function that returns the URDF of the arm
+        :param flange: pose of the flange in the link
         :raises ValueError: the model has no such link, or the link carries a gripper
         """
         root = arm()
         _check_free(root, link)
         palm = box(self.palm, (0.0, 0.0, self.palm[2] / 2.0), DARK)
-        add_parts(find_link(root, link), [part.seen_from(flange) for part in (palm, *self.housing)])
+        carrier = find_link(root, link)
+        for primitive in (palm, *self.housing):
+            primitive.moved(flange).add_to(carrier)
         for name, yaw in zip(self.joints, (0.0, math.pi), strict=True):
             self._add_finger(root, name, link, flange.compose(Pose.planar(0.0, 0.0, self.palm[2], yaw)))
         return root
@@ -130,23 +127,22 @@ class ParallelJaw(Gripper):
         child = joint.removesuffix("_joint")
         pad = box(self.finger, (thickness / 2.0, 0.0, length / 2.0), self.colour)
         add_link(root, child, FINGER_MASS, (pad, *self.trim))
-        element = add_joint(root, "prismatic", joint, (parent, child), mount, (1.0, 0.0, 0.0))
-        limits = {"lower": 0.0, "upper": self.travel, "effort": self.force, "velocity": self.speed}
-        SubElement(element, "limit", {key: repr(value) for key, value in limits.items()})
+        limits, axis = (0.0, self.travel), (1.0, 0.0, 0.0)
+        add_joint(root, "prismatic", joint, (parent, child), mount, axis, limits, self.force, self.speed)
 
 
 def _check_free(root: Element, link: str) -> None:
-    """Check that no joint moves what is attached to a link.
+    """Check that no joint moves a link attached to ``link``.
 
-    :raises ValueError: one does, as on a flange that carries a gripper
+    :raises ValueError: a joint does, as on a flange that carries a gripper
     """
-    carried = [link]
-    for name in carried:
-        for joint in (joint for joint in root.findall("joint") if end_of(joint, "parent") == name):
+    attached = [link]
+    for name in attached:
+        for joint in children_of(root, name):
             if joint.get("type") != "fixed":
                 raise ValueError(
                     f"link must carry no gripper, got {link!r} with the joint {joint.get('name')!r}. "
                     f"Use without(model, {name!r}) in load."
                 )
-            if (child := end_of(joint, "child")) not in carried:
-                carried.append(child)
+            if (child := end_of(joint, "child")) not in attached:
+                attached.append(child)

@@ -1,45 +1,48 @@
 """Forward and inverse kinematics of a serial arm with joint limits.
 
-PyBullet's own inverse kinematics needs 200 iterations and 0.3 to 0.5 ms for 0.1 mm, and its result depends
-on the current joint positions. Here a damped Newton iteration starts from one fixed posture, takes some 20
-microseconds, and always gives the same joint positions for a pose. The null space of a redundant arm keeps
-the joints inside their limits.
+PyBullet's inverse kinematics takes 0.3 to 0.5 ms for an error of 0.1 mm, and its result depends on the
+current joint positions. The damped Newton iteration here takes 20 microseconds from a fixed start, and its
+solution depends on the pose alone. The null space of a redundant arm keeps the joints inside their limits.
 """
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from xml.etree import ElementTree
+from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from bulletarm_gym.geometry import FloatArray, Pose, Vector, euler_pose, matrix, quaternion
+from bulletarm_gym.geometry import FloatArray, Pose, matrix, quaternion
 from bulletarm_gym.geometry.compilation import compiled
+from bulletarm_gym.simulation.urdf import axis_of, find_joint, frame_of, limits_of
 
 MAX_ITERATIONS = 80
 TOLERANCE = 1e-9
-"""Error (m and rad) at which the iteration stops."""
+"""Error (m and rad) below which the iteration stops."""
 DAMPING = 1e-8
 """Damping of the least-squares steps (m^2 and rad^2)."""
 MAX_JOINT_STEP = 0.4
-"""Largest change (rad) of a joint in one iteration, which keeps the solution on the branch of its start."""
+"""Maximum change (rad) of a joint in an iteration, so that the solution stays on the branch of the start."""
 MAX_NULL_STEP = 0.3
-"""Largest change (rad) of a joint in one iteration towards the joint limits."""
+"""Maximum change (rad) of a joint in an iteration towards its limits."""
 POSITION_TOLERANCE = 1e-4
 """Error (m or rad) above which a pose is out of reach."""
 LIMIT_MARGIN = 0.02
-"""Distance (rad) that solutions keep from the joint limits, so that contacts do not push a joint beyond."""
+"""Minimum distance (rad) of solutions from the joint limits, because contacts may push a joint further."""
 HALF_TURN_SINE = 1e-6
-"""Sine of a rotation angle below which the rotation axis is read from the symmetric part of the matrix."""
+"""Sine of a rotation angle below which the symmetric part of the matrix gives the rotation axis."""
+
+Frames = tuple[FloatArray, FloatArray, FloatArray]
+"""Rotations, translations and axes of a chain."""
 
 
 @dataclass(frozen=True)
 class Chain:
     """Revolute joints from the world to a tool.
 
-    :param rotations: (n + 1, 3, 3) fixed rotation before each joint, and last before the tool
-    :param translations: (n + 1, 3) fixed offset (m) before each joint, and last before the tool
+    :param rotations: (n + 1, 3, 3) fixed rotations before each joint and before the tool
+    :param translations: (n + 1, 3) fixed offsets (m) before each joint and before the tool
     :param axes: (n, 3) unit axis of each joint in its own frame
     :param limits: (n, 2) lower and upper limit (rad) of each joint, infinite for a continuous joint
     """
@@ -49,10 +52,16 @@ class Chain:
     axes: FloatArray
     limits: FloatArray
 
-    @classmethod
-    def from_urdf(cls, root: ElementTree.Element, joints: Sequence[str], base: Pose, tool: Pose) -> "Chain":
-        """Read the chain of named joints; ``tool`` is given in the frame of the last link.
+    @property
+    def frames(self) -> Frames:
+        """Rotations, translations and axes."""
+        return self.rotations, self.translations, self.axes
 
+    @classmethod
+    def from_urdf(cls, root: Element, joints: Sequence[str], base: Pose, tool: Pose) -> "Chain":
+        """Return the chain of named joints of a URDF.
+
+        :param tool: tool frame in the last link
         :raises ValueError: the model has no joint of a name
         """
         elements = [find_joint(root, name) for name in joints]
@@ -66,106 +75,52 @@ class Chain:
 
     def forward(self, joints: FloatArray) -> Pose:
         """Return the tool's pose in the world at joint positions (n,) rad."""
-        rotation, position = _forward(
-            self.rotations, self.translations, self.axes, np.asarray(joints, dtype=np.float64)
-        )
+        rotation, position, _ = self._tool(joints)
         x, y, z = position.tolist()
         return Pose((x, y, z), quaternion(rotation))
 
     def jacobian(self, joints: FloatArray) -> FloatArray:
         """Return the derivative (6, n) of the tool's position (m) and rotation (rad, world) by the joints."""
-        count = len(joints)
-        jacobian, spare = np.empty((6, count)), np.empty((count + 3, 3, 3))
-        chain = (self.rotations, self.translations, self.axes)
-        _jacobian(*chain, np.asarray(joints, np.float64), np.empty((3, 3)), np.empty(3), jacobian, spare)
-        return jacobian
+        return self._tool(joints)[2]
+
+    def _tool(self, joints: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return the tool's rotation (3, 3) and position (3,), and the Jacobian (6, n)."""
+        rotation, position, jacobian = np.empty((3, 3)), np.empty(3), np.empty((6, len(joints)))
+        spare = np.empty((len(joints) + 3, 3, 3))
+        _jacobian(self.frames, np.asarray(joints, np.float64), rotation, position, jacobian, spare)
+        return rotation, position, jacobian
 
     def inverse(self, pose: Pose, start: FloatArray) -> tuple[FloatArray, float]:
-        """Solve for a pose from starting joint positions.
+        """Return joint positions (n,) rad for a tool pose, and the maximum error.
 
-        :param pose: of the tool in the world
-        :param start: (n,) rad
-        :return: joint positions (n,) rad and the largest remaining error: of the position (m), of the
-            rotation (rad) or beyond a joint limit (rad)
+        The error is that of the position (m), of the rotation (rad), or beyond a joint limit (rad).
+
+        :param start: joint positions (n,) rad at the start of the iteration
         """
-        target = np.array(pose.position)
-        limits = self.solution_limits
-        return _inverse(self.rotations, self.translations, self.axes, limits, matrix(pose), target, start)
+        target = (matrix(pose), np.array(pose.position))
+        return _inverse(self.frames, self.solution_limits, target, start)
 
     @cached_property
     def solution_limits(self) -> FloatArray:
-        """Limits (n, 2) rad that solutions keep: the joint limits less :data:`LIMIT_MARGIN`."""
+        """Limits (n, 2) rad of solutions: the joint limits minus :data:`LIMIT_MARGIN`."""
         lower, upper = self.limits.T
         margin = np.minimum(LIMIT_MARGIN, (upper - lower) / 2.0)
         return np.stack([lower + margin, upper - margin], axis=1)
 
 
-def frame_of(element: ElementTree.Element) -> Pose:
-    """Return the ``origin`` of a URDF element in the frame it is given in."""
-    origin = element.find("origin")
-    return euler_pose(_floats(origin, "xyz", "0 0 0"), _floats(origin, "rpy", "0 0 0"))
-
-
-def axis_of(joint: ElementTree.Element) -> Vector:
-    """Return the axis of a URDF joint in its own frame, of any length."""
-    return _floats(joint.find("axis"), "xyz", "1 0 0")
-
-
-def limits_of(joint: ElementTree.Element) -> tuple[float, float]:
-    """Return the lower and upper limit (rad or m) of a URDF joint, infinite for a continuous joint."""
-    limit = joint.find("limit")
-    if joint.get("type") == "continuous" or limit is None:
-        return (-math.inf, math.inf)
-    return (number_of(limit, "lower"), number_of(limit, "upper"))
-
-
-def find_joint(root: ElementTree.Element, name: str) -> ElementTree.Element:
-    """Return a joint.
-
-    :raises ValueError: the model has none of that name
-    """
-    for joint in root.findall("joint"):  # not by XPath, in which a name cannot have quotes
-        if joint.get("name") == name:
-            return joint
-    raise ValueError(f"the model has no joint {name!r}")
-
-
-def number_of(element: ElementTree.Element, key: str, default: str = "0") -> float:
-    """Return an attribute that is a number.
-
-    :raises ValueError: it is not
-    """
-    text = element.get(key, default)
-    try:
-        return float(text)
-    except ValueError:
-        raise ValueError(f"{key} of <{element.tag}> must be a number, got {text!r}") from None
-
-
-def _floats(element: ElementTree.Element | None, key: str, default: str) -> Vector:
-    if element is None:
-        element = ElementTree.Element("origin")
-    text = element.get(key, default)
-    try:
-        x, y, z = (float(value) for value in text.split())
-    except ValueError:
-        raise ValueError(f"{key} of <{element.tag}> must be three numbers, got {text!r}") from None
-    return (x, y, z)
-
-
-# The compiled code allocates nothing within its loops: a solution takes ten iterations.
+# The compiled loops allocate no memory: a solution takes about ten iterations.
 
 
 @compiled
-def _apply(m: FloatArray, v: FloatArray, out: FloatArray) -> None:
+def apply(m: FloatArray, v: FloatArray, out: FloatArray) -> None:
     """Write ``m @ v``."""
     for i in range(3):
         out[i] = m[i, 0] * v[0] + m[i, 1] * v[1] + m[i, 2] * v[2]
 
 
 @compiled
-def _product(a: FloatArray, b: FloatArray, out: FloatArray) -> None:
-    """Write ``a @ b``, which is neither of them."""
+def product(a: FloatArray, b: FloatArray, out: FloatArray) -> None:
+    """Write ``a @ b`` to an array that is neither of them."""
     for i in range(3):
         for j in range(3):
             out[i, j] = a[i, 0] * b[0, j] + a[i, 1] * b[1, j] + a[i, 2] * b[2, j]
@@ -183,71 +138,47 @@ def _axis_rotation(axis: FloatArray, angle: float, out: FloatArray) -> None:
 
 
 @compiled
-def _advance(
-    rotation: FloatArray,
-    position: FloatArray,
-    fixed: FloatArray,
-    offset: FloatArray,
-    axis: FloatArray,
-    angle: float,
-    spare: FloatArray,
+def advance(
+    rotation: FloatArray, position: FloatArray, frames: Frames, joint: int, angle: float, spare: FloatArray
 ) -> None:
-    """Go from one joint's frame to the next one's, in place.
+    """Replace the frame before a joint by the frame after it.
 
-    :param fixed: rotation (3, 3) before the joint
-    :param offset: offset (m) before it
-    :param spare: room for two rotations, (2, 3, 3)
+    :param spare: memory for two rotations, (2, 3, 3)
     """
-    _apply(rotation, offset, spare[0, 0])
+    rotations, translations, axes = frames
+    apply(rotation, translations[joint], spare[0, 0])
     position += spare[0, 0]
-    _product(rotation, fixed, spare[0])
-    _axis_rotation(axis, angle, spare[1])
-    _product(spare[0], spare[1], rotation)
-
-
-@compiled
-def _forward(
-    rotations: FloatArray, translations: FloatArray, axes: FloatArray, joints: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    rotation, position, spare = np.eye(3), np.zeros(3), np.empty((2, 3, 3))
-    for j in range(len(joints)):
-        _advance(rotation, position, rotations[j], translations[j], axes[j], joints[j], spare)
-    _apply(rotation, translations[-1], spare[0, 0])
-    _product(rotation, rotations[-1], spare[1])
-    return spare[1].copy(), position + spare[0, 0]
+    product(rotation, rotations[joint], spare[0])
+    _axis_rotation(axes[joint], angle, spare[1])
+    product(spare[0], spare[1], rotation)
 
 
 @compiled
 def _jacobian(
-    rotations: FloatArray,
-    translations: FloatArray,
-    axes: FloatArray,
+    frames: Frames,
     joints: FloatArray,
     tool: FloatArray,
     position: FloatArray,
     jacobian: FloatArray,
     spare: FloatArray,
 ) -> None:
-    """Write the tool's rotation and position, and the (6, n) Jacobian of position and turning (world)."""
+    """Write the tool's rotation and position, and the (6, n) Jacobian of position and rotation (world)."""
+    rotations, translations, axes = frames
     rotation, origins = spare[2], spare[3:]
     rotation[:] = 0.0
     position[:] = 0.0
     for i in range(3):
         rotation[i, i] = 1.0
     for j in range(len(joints)):
-        _advance(rotation, position, rotations[j], translations[j], axes[j], joints[j], spare)
+        advance(rotation, position, frames, j, joints[j], spare)
         origins[j, 0] = position
-        _apply(rotation, axes[j], origins[j, 1])
-    _apply(rotation, translations[-1], spare[0, 0])
+        apply(rotation, axes[j], origins[j, 1])
+    apply(rotation, translations[-1], spare[0, 0])
     position += spare[0, 0]
-    _product(rotation, rotations[-1], tool)
+    product(rotation, rotations[-1], tool)
     for j in range(len(joints)):
-        axis = origins[j, 1]
-        x, y, z = (
-            position[0] - origins[j, 0, 0],
-            position[1] - origins[j, 0, 1],
-            position[2] - origins[j, 0, 2],
-        )
+        origin, axis = origins[j, 0], origins[j, 1]
+        x, y, z = position[0] - origin[0], position[1] - origin[1], position[2] - origin[2]
         jacobian[0, j] = axis[1] * z - axis[2] * y
         jacobian[1, j] = axis[2] * x - axis[0] * z
         jacobian[2, j] = axis[0] * y - axis[1] * x
@@ -258,17 +189,14 @@ def _jacobian(
 def _rotation_vector(goal: FloatArray, now: FloatArray, out: FloatArray, spare: FloatArray) -> None:
     """Write the rotation vector (rad, world) from ``now`` to ``goal``.
 
-    The antisymmetric part of the rotation matrix vanishes at half a turn. There the symmetric part gives the
-    axis.
+    At an angle of pi the antisymmetric part of the matrix is 0, and the symmetric part gives the axis.
     """
-    _product(goal, now.T, spare)
     r = spare
-    out[0], out[1], out[2] = (
-        (r[2, 1] - r[1, 2]) / 2.0,
-        (r[0, 2] - r[2, 0]) / 2.0,
-        (r[1, 0] - r[0, 1]) / 2.0,
-    )
-    sine, cosine = math.sqrt(_dot(out, out)), (r[0, 0] + r[1, 1] + r[2, 2] - 1.0) / 2.0
+    product(goal, now.T, r)
+    out[0] = (r[2, 1] - r[1, 2]) / 2.0
+    out[1] = (r[0, 2] - r[2, 0]) / 2.0
+    out[2] = (r[1, 0] - r[0, 1]) / 2.0
+    sine, cosine = math.sqrt(dot(out, out)), (r[0, 0] + r[1, 1] + r[2, 2] - 1.0) / 2.0
     angle = math.atan2(sine, cosine)
     if sine > HALF_TURN_SINE:
         out *= angle / sine
@@ -283,8 +211,8 @@ def _rotation_vector(goal: FloatArray, now: FloatArray, out: FloatArray, spare: 
 
 
 @compiled
-def _dot(a: FloatArray, b: FloatArray) -> float:
-    """Return the sum of products, the first one first."""
+def dot(a: FloatArray, b: FloatArray) -> float:
+    """Return the scalar product, summed in order."""
     total = 0.0
     for i in range(len(a)):
         total += a[i] * b[i]
@@ -293,28 +221,20 @@ def _dot(a: FloatArray, b: FloatArray) -> float:
 
 @compiled
 def _solve(a: FloatArray, x: FloatArray, low: FloatArray) -> None:
-    """Solve a symmetric positive definite system by Cholesky decomposition; ``x`` begins as its right side.
+    """Solve a symmetric positive definite system in place by Cholesky decomposition.
 
-    :param low: room for the decomposition
+    :param x: right side, replaced by the solution
+    :param low: memory for the decomposition
     """
     n = len(x)
     for i in range(n):
         for j in range(i + 1):
-            s = a[i, j] - _dot(low[i, :j], low[j, :j])
+            s = a[i, j] - dot(low[i, :j], low[j, :j])
             low[i, j] = math.sqrt(s) if i == j else s / low[j, j]
     for i in range(n):
-        x[i] = (x[i] - _dot(low[i, :i], x[:i])) / low[i, i]
+        x[i] = (x[i] - dot(low[i, :i], x[:i])) / low[i, i]
     for i in range(n - 1, -1, -1):
-        x[i] = (x[i] - _dot(low[i + 1 :, i], x[i + 1 :])) / low[i, i]
-
-
-@compiled
-def _normal_matrix(jacobian: FloatArray, square: FloatArray) -> None:
-    """Write the lower triangle of the damped product (6, 6) of a Jacobian (6, n) and its transpose."""
-    for i in range(6):
-        for j in range(i + 1):
-            square[i, j] = _dot(jacobian[i], jacobian[j])
-        square[i, i] += DAMPING
+        x[i] = (x[i] - dot(low[i + 1 :, i], x[i + 1 :])) / low[i, i]
 
 
 @compiled
@@ -327,7 +247,7 @@ def _add_product(jacobian: FloatArray, weights: FloatArray, factor: float, out: 
 
 @compiled
 def _beyond(joints: FloatArray, limits: FloatArray, out: FloatArray) -> float:
-    """Write the change (n,) rad that brings each joint to its limits and return the largest."""
+    """Write the change (n,) rad that moves each joint inside its limits, and return the largest."""
     largest = 0.0
     for j in range(len(joints)):
         out[j] = min(max(joints[j], limits[j, 0]), limits[j, 1]) - joints[j]
@@ -339,14 +259,14 @@ def _beyond(joints: FloatArray, limits: FloatArray, out: FloatArray) -> float:
 def _null_step(
     jacobian: FloatArray, square: FloatArray, beyond: FloatArray, weights: FloatArray, low: FloatArray
 ) -> FloatArray:
-    """Return the step (n,) in the null space that brings joints nearest to their limits.
+    """Return the step (n,) in the null space that moves joints towards their limits.
 
-    :param beyond: change (n,) rad that brings each joint to its limits, 0 for a joint inside
+    :param beyond: change (n,) rad that moves each joint inside its limits
     :param weights: memory for 6 numbers
     :param low: memory for the decomposition of ``square``
     """
     for i in range(6):
-        weights[i] = _dot(jacobian[i], beyond)
+        weights[i] = dot(jacobian[i], beyond)
     _solve(square, weights, low)
     step = beyond.copy()
     _add_product(jacobian, weights, -1.0, step)
@@ -363,7 +283,7 @@ def _null_step(
 
 @compiled
 def _unwind(joints: FloatArray, limits: FloatArray) -> None:
-    """Add whole turns to joints beyond their limits where that brings them inside."""
+    """Add multiples of 2 pi to joints outside their limits if the result is inside."""
     for j in range(len(joints)):
         turns = 0.0
         if joints[j] > limits[j, 1]:
@@ -377,29 +297,27 @@ def _unwind(joints: FloatArray, limits: FloatArray) -> None:
 
 @compiled
 def _inverse(
-    rotations: FloatArray,
-    translations: FloatArray,
-    axes: FloatArray,
-    limits: FloatArray,
-    goal_rotation: FloatArray,
-    goal_position: FloatArray,
-    start: FloatArray,
+    frames: Frames, limits: FloatArray, target: tuple[FloatArray, FloatArray], start: FloatArray
 ) -> tuple[FloatArray, float]:
+    """Return joint positions (n,) rad for a rotation (3, 3) and position (3,), and the maximum error."""
     n = len(start)
     joints, change, error, weights = start.copy(), np.empty(n), np.empty(6), np.empty(6)
     position, rotation, jacobian, beyond = np.empty(3), np.empty((3, 3)), np.empty((6, n)), np.empty(n)
     square, low, spare = np.empty((6, 6)), np.zeros((6, 6)), np.empty((n + 3, 3, 3))
     for iteration in range(MAX_ITERATIONS + 1):
-        _jacobian(rotations, translations, axes, joints, rotation, position, jacobian, spare)
-        error[:3] = goal_position - position
-        _rotation_vector(goal_rotation, rotation, error[3:], spare[0])
-        if _dot(error, error) < TOLERANCE**2:
+        _jacobian(frames, joints, rotation, position, jacobian, spare)
+        error[:3] = target[1] - position
+        _rotation_vector(target[0], rotation, error[3:], spare[0])
+        if dot(error, error) < TOLERANCE**2:
             _unwind(joints, limits)
         outside = _beyond(joints, limits, beyond)
-        is_solved = _dot(error, error) < TOLERANCE**2 and (outside < TOLERANCE or n <= 6)
+        is_solved = dot(error, error) < TOLERANCE**2 and (outside < TOLERANCE or n <= 6)
         if is_solved or iteration == MAX_ITERATIONS:
             break
-        _normal_matrix(jacobian, square)
+        for i in range(6):
+            for j in range(i + 1):  # the solver reads the lower triangle
+                square[i, j] = dot(jacobian[i], jacobian[j])
+            square[i, i] += DAMPING
         weights[:] = error
         _solve(square, weights, low)
         change[:] = 0.0

@@ -1,30 +1,31 @@
-"""What an arm is, as data."""
+"""Description of an arm with its gripper."""
 
 import copy
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from xml.etree import ElementTree
+from xml.etree.ElementTree import Element
 
 import numpy as np
 
 from bulletarm_gym.geometry import FloatArray, Pose
 from bulletarm_gym.robots import checks
+from bulletarm_gym.robots.editing import merge_fixed
 from bulletarm_gym.robots.gripper import Gripper
-from bulletarm_gym.robots.kinematics import Chain, find_joint
-from bulletarm_gym.robots.structure import check_chain, check_masses, check_opening, find_root, prepare
-from bulletarm_gym.robots.urdf import DARK, add_parts, cylinder, merge_fixed
-from bulletarm_gym.values import Check
+from bulletarm_gym.robots.kinematics import Chain
+from bulletarm_gym.robots.primitives import DARK, cylinder
+from bulletarm_gym.robots.structure import check_merged, prepare
+from bulletarm_gym.simulation.urdf import find_joint, find_root, limits_of, to_text
 
 PLINTH_RADIUS = 0.09
-"""Of the stand (m) under an arm whose base is above the ground; it stays clear of the workspaces."""
+"""Radius (m) of the stand under an arm whose base is above the ground, outside the workspaces."""
 TRAVEL_TOLERANCE = 1e-4
 """Tolerance (m) of the comparison between the gripper's stroke and the fingers' joint limits."""
 FRONT = math.pi / 2.0
-"""Maximum angle (rad) about the base between the posture and the front. Beyond it the posture is rotated."""
+"""Angle (rad) about the base between the posture and the front, above which the posture is rotated."""
 LINE_POINTS = 1000
-"""Number of points of the line behind the base that are compared with a workspace."""
+"""Number of points of the line behind the base in the test of a workspace."""
 VERTICAL = 0.9
 """Minimum cosine between the vertical and the axis of a joint that rotates the gripper about the vertical."""
 
@@ -33,23 +34,22 @@ VERTICAL = 0.9
 class RobotModel:
     """An arm and its gripper.
 
-    :param name: the value of the parameter ``robot``
-    :param load: reads or makes the URDF of the arm with its gripper, see
+    :param name: value of the parameter ``robot``
+    :param load: function that returns the URDF of the arm with its gripper, see
         :func:`~bulletarm_gym.robots.read_urdf`
     :param joints: names of the revolute joints, from the base to the gripper
-    :param tool: the gripper's tool frame, between the fingertips, in the link that the last joint moves: z
-        back towards the arm, x along which the fingers open
-    :param gripper: the fingers in that model
-    :param base: pose of the arm's base in the world; ``tools/reach.py`` compares bases by the share of both
-        default workspaces that is in reach
+    :param tool: tool frame between the fingertips in the link of the last joint; z points back to the arm, x
+        is the opening direction
+    :param gripper: the gripper in the URDF
+    :param base: pose of the arm's base in the world; ``tools/reach.py`` compares the reach of bases
     :param posture: joint positions (rad) from which inverse kinematics starts: gripper down, elbow up, in
         front of the base
-    :param force: maximum torque (N m) of each joint, one value for each or one for all
-    :raises ValueError: a value is of another type, or a number is not finite or not positive
+    :param force: maximum torque (N m) of each joint, or one value for all joints
+    :raises ValueError: a value has another type, or a number is not finite or not positive
     """
 
     name: str
-    load: Callable[[], ElementTree.Element]
+    load: Callable[[], Element]
     joints: tuple[str, ...]
     tool: Pose
     gripper: Gripper
@@ -58,49 +58,45 @@ class RobotModel:
     force: float | tuple[float, ...]
 
     def __post_init__(self) -> None:
-        """Check the values, and keep sequences as tuples."""
-        fields: dict[str, Check] = {
-            "load": checks.function,
-            "joints": checks.names(),
-            "tool": checks.instance(Pose),
-            "gripper": checks.instance(Gripper),
-            "base": checks.instance(Pose),
-            "posture": checks.numbers("numbers (rad), one for each joint"),
-            "force": checks.torques,
+        """Check the values and convert sequences to tuples."""
+        fields: dict[str, tuple[str, checks.Converter]] = {
+            "load": ("a function that returns the URDF", checks.function),
+            "joints": ("a tuple with the name of each joint", checks.names),
+            "tool": ("a Pose", Pose),
+            "gripper": ("a Gripper", Gripper),
+            "base": ("a Pose", Pose),
+            "posture": ("numbers (rad), one for each joint", checks.numbers),
+            "force": ("a positive number (N m), or a tuple with one for each joint", checks.torques),
         }
-        checks.check_fields(self, f"robot {self.name!r}: ", fields)
+        checks.convert_fields(self, f"robot {self.name!r}: ", fields)
 
     @cached_property
-    def urdf(self) -> ElementTree.Element:
-        """The model on its plinth, without fixed joints.
+    def urdf(self) -> Element:
+        """The URDF on a plinth, without fixed joints.
 
         Joints that are neither the arm's nor the fingers' are fixed at 0, or at their limit nearest to 0.
 
-        :raises ValueError: a joint is missing or of a wrong type, the joints are not a chain, or a finger's
-            joint limits do not allow the gripper's stroke
+        :raises ValueError: the model cannot be simulated, see :mod:`bulletarm_gym.robots.structure`
         """
         root = self.load()
         try:
             checks.check_element("load()", root)
             prepare(root, self.joints, self.gripper.joints)
             merge_fixed(root)
-            check_chain(root, self.joints, self.gripper.joints)
-            check_masses(root)
-            check_opening(root, self.gripper.joints[0], self.tool)
+            check_merged(root, self.joints, self.gripper.joints, self.tool)
         except ValueError as error:
             raise ValueError(f"robot {self.name!r}: {error}") from error
         for name in self.gripper.joints:
             self._check_travel(find_joint(root, name))
         if self.base.z > 0.0:
-            # Only seen: ramps reach under the arm, and what touches something cannot be moved at once.
+            # Not solid, because ramps reach under the arm, and a robot in contact moves by simulation only.
             plinth = cylinder(PLINTH_RADIUS, self.base.z, (0.0, 0.0, -self.base.z / 2.0), DARK, solid=False)
-            add_parts(find_root(root), [plinth])
+            plinth.add_to(find_root(root))
         return root
 
-    def _check_travel(self, finger: ElementTree.Element) -> None:
-        """Compare what the gripper says with what the model lets a finger do."""
-        limit = finger.find("limit")
-        upper = math.inf if limit is None else float(limit.get("upper", "0"))
+    def _check_travel(self, finger: Element) -> None:
+        """Check that the limits of a finger joint allow the gripper's stroke."""
+        _, upper = limits_of(finger)
         if upper < self.gripper.travel - TRAVEL_TOLERANCE:
             raise ValueError(
                 f"robot {self.name!r}: the gripper's stroke of {self.gripper.stroke:g} m takes each finger "
@@ -111,8 +107,8 @@ class RobotModel:
     def chain(self) -> Chain:
         """Kinematics from the world to the fingertips.
 
-        :raises ValueError: ``posture`` or ``force`` does not have one value for each joint, or a joint of
-            ``posture`` is beyond its limits
+        :raises ValueError: ``posture`` or ``force`` does not have one value for each joint, or ``posture`` is
+            outside the joint limits
         """
         chain = Chain.from_urdf(self.urdf, self.joints, self.base, self.tool)
         self._check_count("posture", self.posture)
@@ -138,11 +134,11 @@ class RobotModel:
         return self.force if isinstance(self.force, tuple) else (self.force,) * len(self.joints)
 
     def inverse(self, pose: Pose) -> tuple[FloatArray, float]:
-        """Return joint positions (n,) rad for a fingertip pose, and the remaining error (m or rad).
+        """Return joint positions (n,) rad for a tool pose, and the remaining error (m or rad).
 
-        The search starts from the posture, goes to the same distance and height in front of the base with an
-        upright gripper, and from there to the pose. Neighbouring poses have neighbouring solutions, and the
-        result depends on the pose alone.
+        The first iteration leads from the posture to the distance and height of the pose in front of the base
+        with an upright gripper, the second one to the pose. Neighbouring poses have neighbouring solutions,
+        and the result depends on the pose alone.
         """
         x, y, yaw = pose.x - self.base.x, pose.y - self.base.y, self.base.yaw
         azimuth, radius = math.remainder(math.atan2(y, x) - yaw, math.tau), math.hypot(x, y)
@@ -155,10 +151,9 @@ class RobotModel:
         return self.chain.inverse(pose, start)
 
     def jumps_inside(self, workspace: Sequence[Sequence[float]]) -> bool:
-        """Return True if the first joint jumps between neighbouring positions in a workspace.
+        """Return True if the solution for the first joint is discontinuous in a workspace.
 
-        It jumps around the base, and on both sides of the line behind the base unless the first joint makes a
-        whole turn.
+        It is discontinuous at the base, and at the line behind the base unless its range is 2 pi.
 
         :param workspace: [low, high] (m) along x and y
         """
@@ -174,7 +169,7 @@ class RobotModel:
 
     @cached_property
     def _start(self) -> FloatArray:
-        """Posture (n,) rad. If it is more than :data:`FRONT` from the front, it is rotated about the base."""
+        """Posture (n,) rad, rotated about the base if its angle to the front exceeds :data:`FRONT`."""
         start, yaw = np.array(self.posture), self.base.yaw
         tool = self.chain.forward(start)
         azimuth = math.remainder(math.atan2(tool.y - self.base.y, tool.x - self.base.x) - yaw, math.tau)
@@ -186,20 +181,19 @@ class RobotModel:
 
     @cached_property
     def _directions(self) -> tuple[float, float]:
-        """Sense in which the first and the last joint rotate the gripper about the vertical, 1, -1 or 0."""
+        """Direction of rotation about the vertical by the first and the last joint: 1, -1 or 0."""
         vertical = self.chain.jacobian(np.array(self.posture))[5]
         first, last = np.where(np.abs(vertical) > VERTICAL, np.sign(vertical), 0.0)[[0, -1]].tolist()
         return first, last
 
     @cached_property
     def xml(self) -> str:
-        """The model as the simulator loads it.
+        """Text of the model for Bullet.
 
-        Its arm joints are continuous joints with limits: Bullet clamps the targets of their motors, but
-        adds no limit constraint, which would cost a seventh of a simulation step.
+        Its arm joints are continuous joints with limits. Bullet clamps the targets of their motors, without a
+        limit constraint, which takes a seventh of a simulation step.
         """
         root = copy.deepcopy(self.urdf)
         for name in self.joints:
             find_joint(root, name).set("type", "continuous")
-        ElementTree.indent(root)  # Bullet breaks lines of more than 1,023 characters, wherever that is
-        return ElementTree.tostring(root, encoding="unicode")
+        return to_text(root)

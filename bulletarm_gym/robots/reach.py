@@ -1,4 +1,4 @@
-"""Poses of workspaces that an arm reaches inside its joint limits."""
+"""Study of the poses that an arm reaches inside its joint limits."""
 
 import itertools
 import math
@@ -19,24 +19,26 @@ Limits = Sequence[Sequence[float]]
 TILT = math.radians(30.0)
 """Largest tilt (rad) of the paper's 6D tasks."""
 YAWS = (-math.pi / 2.0, 0.0, math.pi / 2.0)
+"""Rotations (rad) of the gripper about the vertical."""
 DIRECTIONS = tuple(np.linspace(-math.pi, math.pi, 8, endpoint=False).tolist())
+"""Directions (rad) of the tilt."""
 FLOOR = 0.01
-"""Lowest height (m) of the fingertips in the largest workspace ..."""
+"""Lower limit (m) of the fingertips' height in the largest workspace."""
 TOPS = (0.25, 0.18, 0.12, 0.08)
-"""... and its highest one: the first at which the workspace is wide enough."""
-WIDE_ENOUGH = 0.1
-"""Side length (m) from which a workspace is wide enough."""
+"""Candidates (m) for the upper limit; the first with a side of :data:`MIN_SIDE` is used."""
+MIN_SIDE = 0.1
+"""Minimum side length (m) of the largest workspace."""
 CELL = 0.02
-"""Distance (m) between the positions among which the largest workspace is looked for."""
+"""Grid spacing (m) in the search of the largest workspace."""
 
 
 @dataclass(frozen=True)
-class Survey:
-    """Solutions of inverse kinematics for some poses.
+class ReachStudy:
+    """Results of inverse kinematics for some poses.
 
     :param count: number of poses
-    :param solved: those in reach, with their joint positions (n,) rad
-    :param limited: number of poses out of reach because of a joint limit, by the name of the joint
+    :param solved: poses in reach with their joint positions (n,) rad
+    :param limited: number of poses beyond a joint limit, by the name of the joint
     """
 
     count: int
@@ -45,12 +47,12 @@ class Survey:
 
     @property
     def share(self) -> float:
-        """Share of the poses that are in reach."""
+        """Fraction of the poses in reach."""
         return len(self.solved) / self.count
 
 
-def survey(model: RobotModel, poses: Iterable[Pose]) -> Survey:
-    """Solve the inverse kinematics of some poses."""
+def study_reach(model: RobotModel, poses: Iterable[Pose]) -> ReachStudy:
+    """Return the results of inverse kinematics for some poses."""
     count, solved, limited = 0, [], Counter[str]()
     for pose in poses:
         count += 1
@@ -60,7 +62,7 @@ def survey(model: RobotModel, poses: Iterable[Pose]) -> Survey:
         elif max(pose_error(model.chain.forward(joints), pose)) <= POSITION_TOLERANCE:
             lower, upper = model.chain.solution_limits.T
             limited[model.joints[int(np.maximum(lower - joints, joints - upper).argmax())]] += 1
-    return Survey(count, solved, limited)
+    return ReachStudy(count, solved, limited)
 
 
 def pose_error(pose: Pose, goal: Pose) -> tuple[float, float]:
@@ -70,7 +72,7 @@ def pose_error(pose: Pose, goal: Pose) -> tuple[float, float]:
 
 
 def grid(limits: Limits, heights: Sequence[float], points: int, tilt: float = 0.0) -> Iterator[Pose]:
-    """Yield tool poses all over a workspace, at three yaws, upright or tilted (rad) in eight directions.
+    """Yield a grid of tool poses at three yaws, upright or tilted (rad) in eight directions.
 
     :param points: number of positions along x and y
     """
@@ -78,28 +80,24 @@ def grid(limits: Limits, heights: Sequence[float], points: int, tilt: float = 0.
     directions = (0.0,) if tilt == 0.0 else DIRECTIONS
     for x, y, z, yaw, direction in itertools.product(xs, ys, heights, YAWS, directions):
         sine = math.sin(tilt / 2.0)
-        lean = (sine * math.cos(direction), sine * math.sin(direction), 0.0, math.cos(tilt / 2.0))
-        yield Pose((x, y, z), multiply(lean, yaw_quaternion(yaw)))
+        tilted = (sine * math.cos(direction), sine * math.sin(direction), 0.0, math.cos(tilt / 2.0))
+        yield Pose((x, y, z), multiply(tilted, yaw_quaternion(yaw)))
 
 
 def largest_workspace(model: RobotModel) -> Limits:
-    """Return the limits (m) of the largest workspace in front of the base that is in reach upright.
-
-    It is as high as the default workspace of closed-loop control if its sides then have
-    :data:`WIDE_ENOUGH`, else lower.
-    """
+    """Return the limits (m) of the largest workspace in front of the base in reach of the upright gripper."""
     for top in TOPS:
         square = _largest_square(model, (FLOOR, (FLOOR + top) / 2.0, top))
-        if square[0][1] - square[0][0] >= WIDE_ENOUGH:
+        if square[0][1] - square[0][0] >= MIN_SIDE:
             break
     return [*square, [FLOOR, top]]
 
 
 def _largest_square(model: RobotModel, heights: Sequence[float]) -> Limits:
-    """Return the x and y limits (m) of the largest square, with the base on its axis of symmetry."""
+    """Return the x and y limits (m) of the largest square, symmetric about the x axis of the base."""
     count = math.ceil(float(np.linalg.norm(model.chain.translations[1:], axis=1).sum()) / CELL)
     is_free = cache(lambda row, column: _reaches(model, CELL * (row + 1), CELL * column, heights))
-    half, first = 0, 0  # half the side and its nearest row, in cells
+    half, first = 0, 0  # half of the side and the nearest row, in cells
     for row in range(count):
         while all(is_free(row + r, c) for r in reversed(range(2 * half + 3)) for c in range(half + 2)):
             half, first = half + 1, row
@@ -110,7 +108,7 @@ def _largest_square(model: RobotModel, heights: Sequence[float]) -> Limits:
 
 
 def _reaches(model: RobotModel, depth: float, aside: float, heights: Sequence[float]) -> bool:
-    """Return True if the upright gripper reaches both sides of a place (m) in front of the base."""
+    """Return True if the upright gripper reaches two positions (m) symmetric about the x axis of the base."""
     x, y = model.base.x + depth, model.base.y
     poses = (
         Pose.planar(x, y + side * aside, z, yaw) for z in heights for yaw in YAWS for side in (1.0, -1.0)

@@ -17,13 +17,10 @@ from bulletarm_gym.rendering.point_cloud import project
 from bulletarm_gym.rendering.rasterizer import Labels
 from bulletarm_gym.rendering.z_buffer import ZBuffer
 from bulletarm_gym.robots import Robot, RobotModel
-from bulletarm_gym.scene.stability import is_stable
+from bulletarm_gym.scene.stability import CREEP_SPEED, is_stable, settle
 from bulletarm_gym.simulation import Body, BodySpec, Camera, World
-from bulletarm_gym.simulation.physics import PHYSICS_MODES, REST_SPEED
-from bulletarm_gym.simulation.properties import Properties
-from bulletarm_gym.simulation.settling import CREEP_SPEED, settle
 from bulletarm_gym.simulation.shapes import Colour
-from bulletarm_gym.simulation.state import STILL, Twist
+from bulletarm_gym.simulation.state import PHYSICS_MODES, REST_SPEED, STILL, Properties, Twist
 from bulletarm_gym.stopwatch import PHYSICS, RENDERING, Stopwatch
 from bulletarm_gym.surfaces import Surface
 
@@ -196,7 +193,7 @@ class SceneObject:
     def set_properties(self, **changes: Any) -> None:
         """Change properties of the body until the next reset; an omitted one stays as it is.
 
-        :param changes: fields of :class:`~bulletarm_gym.simulation.properties.Properties`
+        :param changes: fields of :class:`~bulletarm_gym.simulation.state.Properties`
         :raises ValueError: one of them is out of range
         :raises TypeError: an unknown property
         """
@@ -301,7 +298,7 @@ class Scene:
     def measure(self) -> Stopwatch:
         """Return a stopwatch to which the engine's steps and heightmaps report from now on."""
         stopwatch = Stopwatch()
-        self.world.client.replace("stepSimulation", partial(stopwatch.timed, PHYSICS))
+        self.world.wrap_step(partial(stopwatch.timed, PHYSICS))
         self._draw = stopwatch.timed(RENDERING, self._draw)
         self._label = stopwatch.timed(RENDERING, self._label)
         return stopwatch

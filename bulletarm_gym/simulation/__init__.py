@@ -1,11 +1,9 @@
-"""The only room that talks to PyBullet: connection, bodies, motion, snapshot, camera."""
+"""The only package that uses PyBullet: bodies, motion, state and cameras of a physics world."""
 
 from bulletarm_gym.simulation.camera import Camera
 from bulletarm_gym.simulation.client import Client, has_display
-from bulletarm_gym.simulation.physics import Physics
-from bulletarm_gym.simulation.properties import Properties
 from bulletarm_gym.simulation.shapes import BodySpec, Box, Colour, Convex, Hinge, Piece, Slide
-from bulletarm_gym.simulation.state import Body, WorldState
+from bulletarm_gym.simulation.state import Body, Contact, Physics, Properties, WorldState
 from bulletarm_gym.simulation.world import World
 
 __all__ = [
@@ -15,6 +13,7 @@ __all__ = [
     "Camera",
     "Client",
     "Colour",
+    "Contact",
     "Convex",
     "Hinge",
     "Physics",

@@ -1,45 +1,76 @@
-"""A connection to a physics server of one's own."""
+"""Connection to a physics server of PyBullet."""
 
+import ctypes
 import os
 import sys
+import tempfile
 import weakref
-from collections.abc import Callable
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import partial
 from typing import Any
 
 from gymnasium.error import ClosedEnvironmentError
 
-from bulletarm_gym.simulation.engine import pybullet
+__all__ = ["Client", "has_display", "pybullet"]
+
+BANNER = b"pybullet build time:"
+"""Beginning of the line that PyBullet prints when it is imported."""
+STDOUT, STDERR = 1, 2
+
+
+@contextmanager
+def _without_banner(descriptor: int) -> Iterator[None]:
+    """Write to a file descriptor without the banner. C code writes past Python's ``sys.stderr``."""
+    try:
+        original = os.dup(descriptor)
+    except OSError:  # the descriptor is closed, as in a daemon
+        yield
+        return
+    with os.fdopen(original, "wb", buffering=0) as stream, tempfile.TemporaryFile() as buffer:
+        os.dup2(buffer.fileno(), descriptor)
+        try:
+            yield
+        finally:
+            if os.name == "posix":
+                ctypes.CDLL(None).fflush(None)  # the buffers of C's stdout
+            os.dup2(stream.fileno(), descriptor)
+            buffer.seek(0)
+            stream.writelines(line for line in buffer if not line.startswith(BANNER))
+
+
+# Releases of PyBullet differ in the stream that they print to.
+with _without_banner(STDOUT), _without_banner(STDERR):
+    import pybullet
 
 
 class Client:
-    """One physics server; PyBullet's functions as attributes, bound to it.
+    """A physics server with PyBullet's functions as attributes.
 
-    Any number of clients live in a process without touching each other. A client is released by
-    :meth:`close`, or when it is garbage collected.
+    The clients of a process are independent. A client is released by :meth:`close`, or when it is garbage
+    collected.
 
     :param gui: open PyBullet's window instead of computing headless
-    :raises RuntimeError: ``gui`` without a display (PyBullet itself would end the whole process)
+    :raises RuntimeError: ``gui`` without a display (PyBullet would end the process), or PyBullet has no
+        server left
     """
 
     def __init__(self, gui: bool = False) -> None:
         if gui and not has_display():
             raise RuntimeError(
                 'render_mode="human" opens a window, but no display was found '
-                "(DISPLAY and WAYLAND_DISPLAY are not set); "
-                'use render_mode="rgb_array" on a machine without one'
+                "(DISPLAY and WAYLAND_DISPLAY are not set). "
+                'Use render_mode="rgb_array" on a machine without a display.'
             )
         self.id: int = pybullet.connect(pybullet.GUI if gui else pybullet.DIRECT)
         if self.id < 0:
-            raise RuntimeError(
-                "PyBullet refused another physics server; close environments that are no longer used"
-            )
+            raise RuntimeError("PyBullet has no physics server left. Close environments that are not used.")
         self._release = weakref.finalize(self, _disconnect, self.id)
 
     def __getattr__(self, name: str) -> Any:
-        """Bind a function of PyBullet to this server, once; constants pass as they are.
+        """Return a constant of PyBullet, or a function bound to this server.
 
-        :raises ClosedEnvironmentError: the client is closed (PyBullet gives its number to the next one)
+        :raises ClosedEnvironmentError: the client is closed (PyBullet gives its number to the next client)
         """
         self.check_open()
         value = getattr(pybullet, name)
@@ -48,22 +79,17 @@ class Client:
         return bound
 
     def check_open(self) -> None:
-        """Check that the server has not been released.
+        """Check that the server is not released.
 
-        :raises ClosedEnvironmentError: it has
+        :raises ClosedEnvironmentError: it is released
         """
         if not self._release.alive:
             raise ClosedEnvironmentError("the environment is closed. Make a new one with gymnasium.make().")
 
-    def replace(self, name: str, wrap: Callable[["partial[Any]"], "partial[Any]"]) -> None:
-        """Put a function of this server's into another one, through which it is called from now on."""
-        setattr(self, name, wrap(getattr(self, name)))
-
     def close(self) -> None:
-        """Release the server; a second call does nothing."""
+        """Release the server. A second call does nothing."""
         self._release()
-        kept = {name: value for name, value in vars(self).items() if not isinstance(value, partial)}
-        self.__dict__ = kept
+        self.__dict__ = {"id": self.id, "_release": self._release}  # drops the bound functions
 
 
 def _disconnect(client_id: int) -> None:
@@ -72,6 +98,6 @@ def _disconnect(client_id: int) -> None:
 
 
 def has_display() -> bool:
-    """Whether a window can be opened."""
+    """Return True if a window can be opened."""
     needs_server = sys.platform.startswith("linux")
     return not needs_server or any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY"))

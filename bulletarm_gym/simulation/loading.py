@@ -1,29 +1,47 @@
-"""Making bodies in Bullet from what they are specified to be."""
+"""Creation of bodies in Bullet from their specifications."""
 
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from functools import cache
 from pathlib import Path
 from typing import Any
-from xml.etree import ElementTree
+from xml.etree.ElementTree import Element, SubElement, fromstring
 
 import numpy as np
 
-from bulletarm_gym.geometry import Mesh, Pose
-from bulletarm_gym.simulation.client import Client
-from bulletarm_gym.simulation.engine import pybullet
+from bulletarm_gym.geometry import Mesh, Pose, matrix
+from bulletarm_gym.simulation.client import Client, pybullet
 from bulletarm_gym.simulation.meshes import is_ascii_stl, stl_corners
-from bulletarm_gym.simulation.properties import Properties, set_dynamics
-from bulletarm_gym.simulation.shapes import BodySpec, Box, Convex, Piece, flat_normals, wavefront
-from bulletarm_gym.simulation.urdf import write_urdf
+from bulletarm_gym.simulation.shapes import (
+    ORIGIN,
+    BodySpec,
+    Box,
+    Convex,
+    Hinge,
+    Piece,
+    flat_normals,
+    wavefront,
+)
+from bulletarm_gym.simulation.state import Link, Properties
+from bulletarm_gym.simulation.urdf import (
+    add_geometry,
+    add_inertial,
+    add_joint,
+    add_material,
+    text_of,
+    to_text,
+)
+
+BASE = "base"
+"""Name of the link that carries the moving parts of a body."""
 
 
 def load_rigid(client: Client, spec: BodySpec, damping: float) -> int:
-    """Load a body in one piece, with its true inertia.
+    """Load a body without moving parts, with the inertia of its shape.
 
-    :param damping: linear and angular
-    :return: its id in Bullet
+    :param damping: linear and angular damping
+    :return: number of the body in Bullet
     """
     frame, _ = spec.mass_properties
     body_id = client.createMultiBody(
@@ -33,25 +51,24 @@ def load_rigid(client: Client, spec: BodySpec, damping: float) -> int:
         baseInertialFramePosition=frame.position,
         baseInertialFrameOrientation=frame.orientation,
     )
-    _set_damping(client, body_id, spec, damping)
-    set_dynamics(client, body_id, spec, Properties.of(spec))
+    _set_base_dynamics(client, body_id, spec, damping)
     return int(body_id)
 
 
 def load_jointed(client: Client, spec: BodySpec, damping: float) -> int:
-    """Load a body with parts that slide or turn; without a mass it is fixed to the world.
+    """Load a body with moving parts. Bullet reads joints with limits from URDF only.
 
-    :param damping: linear and angular
-    :return: its id in Bullet; its joints are numbered like ``spec.parts``
+    :param damping: linear and angular damping
+    :return: number of the body in Bullet; its joints have the order of ``spec.parts``
     """
-    free = spec.mass > 0.0
-    # A part that only slides in a fixed body does not rotate: its inertia has no effect.
-    flags = client.URDF_USE_INERTIA_FROM_FILE if free or spec.hinges else 0
+    is_free = spec.mass > 0.0
+    # A part that slides in a fixed body does not rotate: its inertia has no effect.
+    flags = client.URDF_USE_INERTIA_FROM_FILE if is_free or spec.hinges else 0
     with tempfile.TemporaryDirectory(prefix="bulletarm_") as folder:
-        path = str(write_urdf(spec, Path(folder)))
-        body_id = client.loadURDF(path, useFixedBase=not free, flags=flags)
-    _set_damping(client, body_id, spec, damping)
-    set_dynamics(client, body_id, spec, Properties.of(spec))
+        path = Path(folder, "body.urdf")
+        path.write_text(_write_urdf(spec, Path(folder)))
+        body_id = client.loadURDF(str(path), useFixedBase=not is_free, flags=flags)
+    _set_base_dynamics(client, body_id, spec, damping)
     for joint, part in enumerate(spec.parts):
         client.changeDynamics(body_id, joint, lateralFriction=part.friction, jointDamping=0.0)
         client.setJointMotorControl2(
@@ -60,29 +77,83 @@ def load_jointed(client: Client, spec: BodySpec, damping: float) -> int:
     return int(body_id)
 
 
-def load_urdf(client: Client, name: str, xml: str, pose: Pose) -> tuple[int, tuple[int, ...]]:
-    """Load a body that is fixed to the world from its URDF, its joints free of Bullet's own brakes.
+def load_urdf(client: Client, name: str, xml: str, pose: Pose) -> tuple[int, tuple[Link, ...]]:
+    """Load a body fixed to the world from a URDF, and switch off the default motors of its joints.
 
-    :param name: of the model, for messages
-    :return: its id in Bullet; the indices of its movable joints
-    :raises ValueError: Bullet refuses the model
+    :param name: name of the model in messages
+    :return: number of the body in Bullet; its links without the base
+    :raises ValueError: Bullet cannot load the model
     """
     with ExitStack() as files, _temporary_file(_convert_meshes(xml, files), ".urdf") as path:
         try:
             body_id = int(client.loadURDF(path, pose.position, pose.orientation, useFixedBase=True))
         except pybullet.error as error:
             raise ValueError(f"model {name!r} must be a URDF that PyBullet loads, got: {error}") from error
-    infos = [client.getJointInfo(body_id, joint) for joint in range(client.getNumJoints(body_id))]
-    joints = tuple(int(info[0]) for info in infos if info[2] != client.JOINT_FIXED)
-    client.setJointMotorControlArray(body_id, joints, client.VELOCITY_CONTROL, forces=[0.0] * len(joints))
-    return body_id, joints
+    links = tuple(_link(client, body_id, index) for index in range(client.getNumJoints(body_id)))
+    forces = [0.0] * len(links)
+    client.setJointMotorControlArray(body_id, list(range(len(links))), client.VELOCITY_CONTROL, forces=forces)
+    return body_id, links
+
+
+def _link(client: Client, body_id: int, index: int) -> Link:
+    info = client.getJointInfo(body_id, index)
+    mass, _, inertia, *frame = client.getDynamicsInfo(body_id, index)[:5]
+    return Link(info[12].decode(), info[1].decode(), info[16], mass, Pose(*frame), inertia)
+
+
+def load_plane(client: Client, spec: BodySpec) -> int:
+    """Load the infinite plane z = 0 with the friction and the visual shape of a specification."""
+    shape = client.createCollisionShape(client.GEOM_PLANE)
+    body_id = client.createMultiBody(0, shape, _visual_shape(client, spec))
+    client.changeDynamics(body_id, -1, lateralFriction=spec.friction)
+    return int(body_id)
+
+
+def set_dynamics(client: Client, body_id: int, spec: BodySpec, properties: Properties) -> None:
+    """Set frictions, restitution and mass of a body; the inertia changes in proportion to the mass."""
+    inertia: dict[str, Any] = {}
+    if spec.mass > 0.0:
+        moments = [moment * (properties.mass / spec.mass) for moment in spec.mass_properties[1]]
+        inertia = {"mass": properties.mass, "localInertiaDiagonal": moments}
+    client.changeDynamics(
+        body_id,
+        -1,
+        lateralFriction=properties.friction,
+        rollingFriction=properties.rolling_friction,
+        spinningFriction=properties.spinning_friction,
+        restitution=properties.restitution,
+        **inertia,
+    )
+
+
+def _set_base_dynamics(client: Client, body_id: int, spec: BodySpec, damping: float) -> None:
+    client.changeDynamics(body_id, -1, linearDamping=damping, angularDamping=damping + spec.angular_damping)
+    set_dynamics(client, body_id, spec, Properties.of(spec))
+
+
+# Files
+
+
+@contextmanager
+def _temporary_file(text: str, suffix: str) -> Iterator[str]:
+    """Write a text to a temporary file, from which Bullet reads meshes and models.
+
+    A single file is removed faster than a folder, which takes milliseconds.
+
+    :param suffix: end of the file name, from which Bullet infers the format
+    :return: a context with the path
+    """
+    with tempfile.NamedTemporaryFile("w", prefix="bulletarm_", suffix=suffix) as file:
+        file.write(text)
+        file.flush()
+        yield file.name
 
 
 def _convert_meshes(xml: str, files: ExitStack) -> str:
     """Return a URDF in which temporary OBJ files replace ASCII STL files, which Bullet does not read."""
     if ".stl" not in xml.lower():
         return xml
-    root = ElementTree.fromstring(xml)
+    root = fromstring(xml)
     converted: dict[str, str] = {}
     for mesh in root.iter("mesh"):
         name = mesh.get("filename", "")
@@ -92,75 +163,85 @@ def _convert_meshes(xml: str, files: ExitStack) -> str:
             text = wavefront([Piece(Convex(Mesh.of(corners, faces)))])
             converted[name] = files.enter_context(_temporary_file(text, ".obj"))
         mesh.set("filename", converted.get(name, name))
-    return ElementTree.tostring(root, encoding="unicode") if converted else xml
+    return to_text(root) if converted else xml
 
 
-def load_plane(client: Client, spec: BodySpec) -> int:
-    """Load the endless plane z = 0; ``spec`` gives its friction and picture."""
-    shape = client.createCollisionShape(client.GEOM_PLANE)
-    body_id = client.createMultiBody(0, shape, _visual_shape(client, spec))
-    client.changeDynamics(body_id, -1, lateralFriction=spec.friction)
-    return int(body_id)
+def _write_urdf(spec: BodySpec, folder: Path) -> str:
+    """Return the URDF of a body with moving parts, and write its meshes to a folder."""
+    root, is_free = Element("robot", name=spec.name), spec.mass > 0.0
+    _add_link(root, BodySpec(BASE, spec.pieces, spec.mass, colour=spec.colour), folder, is_free)
+    for part in spec.parts:
+        # The frame of a hinge's link has its origin on the axis.
+        origin = Pose(part.pivot) if isinstance(part, Hinge) else ORIGIN
+        pieces = tuple(Piece(piece.shape, origin.inverse().compose(piece.pose)) for piece in part.pieces)
+        _add_link(root, BodySpec(part.name, pieces, part.mass, colour=part.colour), folder, is_free)
+        kind = "revolute" if isinstance(part, Hinge) else "prismatic"
+        add_joint(root, kind, part.name, (BASE, part.name), origin, part.axis, part.limits)
+    return to_text(root)
 
 
-@contextmanager
-def _temporary_file(text: str, suffix: str) -> Iterator[str]:
-    """Hold a text in a file, as Bullet reads meshes and models. (Removing a folder, too, takes milliseconds.)
+def _add_link(root: Element, spec: BodySpec, folder: Path, is_free: bool) -> None:
+    """Add a link with the pieces of a specification.
 
-    :param suffix: of the file's name, which Bullet tells the format by
-    :return: a context of the file's path
+    The inertial frame of a free body has the principal axes, because Bullet reports the pose of this frame.
     """
-    with tempfile.NamedTemporaryFile("w", prefix="bulletarm_", suffix=suffix) as file:
-        file.write(text)
-        file.flush()
-        yield file.name
+    link = SubElement(root, "link", name=spec.name)
+    frame, moments = spec.mass_properties
+    rotation = matrix(ORIGIN if is_free else frame)
+    tensor = rotation @ (rotation * moments).T
+    add_inertial(link, frame if is_free else Pose(frame.position), spec.mass, tensor.tolist())
+    for number, piece in enumerate(spec.pieces):
+        path = folder / f"{spec.name}_{number}.obj"
+        path.write_text(wavefront([piece]))
+        add_material(add_geometry(link, "visual", "mesh", ORIGIN, filename=str(path)), spec.colour)
+        if isinstance(piece.shape, Box):
+            add_geometry(link, "collision", "box", piece.pose, size=text_of(piece.shape.extents))
+        else:
+            add_geometry(link, "collision", "mesh", ORIGIN, filename=str(path))
 
 
-def _set_damping(client: Client, body_id: int, spec: BodySpec, damping: float) -> None:
-    client.changeDynamics(body_id, -1, linearDamping=damping, angularDamping=damping + spec.angular_damping)
+# Shapes
 
 
 def _collision_shape(client: Client, spec: BodySpec) -> int:
-    piece = spec.pieces[0]
-    if len(spec.pieces) == 1 and isinstance(piece.shape, Box):
-        return int(
-            client.createCollisionShape(
-                client.GEOM_BOX,
-                halfExtents=[extent / 2.0 for extent in piece.shape.extents],
-                collisionFramePosition=piece.pose.position,
-                collisionFrameOrientation=piece.pose.orientation,
-            )
-        )
     if all(isinstance(piece.shape, Box) for piece in spec.pieces):
-        return int(_box_compound(client, spec))
+        return _box_shape(client, spec.pieces)
     with _temporary_file(wavefront(spec.pieces), ".obj") as path:
         return int(client.createCollisionShape(client.GEOM_MESH, fileName=path))
 
 
-def _box_compound(client: Client, spec: BodySpec) -> int:
-    """Boxes collide quicker and steadier as boxes than as hulls of their corners."""
-    boxes = [piece.shape for piece in spec.pieces if isinstance(piece.shape, Box)]
-    shape: int = client.createCollisionShapeArray(
-        shapeTypes=[client.GEOM_BOX] * len(boxes),
-        halfExtents=[[extent / 2.0 for extent in box.extents] for box in boxes],
-        collisionFramePositions=[piece.pose.position for piece in spec.pieces],
-        collisionFrameOrientations=[piece.pose.orientation for piece in spec.pieces],
-    )
-    return shape
+def _box_shape(client: Client, pieces: Sequence[Piece]) -> int:
+    """Return a shape of boxes, which collide faster and more stably than the hulls of their corners."""
+    sizes = [[extent / 2.0 for extent in piece.shape.extents] for piece in pieces]  # type: ignore[union-attr]
+    positions = [piece.pose.position for piece in pieces]
+    orientations = [piece.pose.orientation for piece in pieces]
+    if len(pieces) == 1:
+        shape = client.createCollisionShape(
+            client.GEOM_BOX,
+            halfExtents=sizes[0],
+            collisionFramePosition=positions[0],
+            collisionFrameOrientation=orientations[0],
+        )
+    else:
+        shape = client.createCollisionShapeArray(
+            shapeTypes=[client.GEOM_BOX] * len(pieces),
+            halfExtents=sizes,
+            collisionFramePositions=positions,
+            collisionFrameOrientations=orientations,
+        )
+    return int(shape)
 
 
 def _visual_shape(client: Client, spec: BodySpec) -> int:
-    mesh = spec.mesh
-    arrays = _mesh_arguments(mesh.vertices[mesh.faces].tobytes())
+    arrays = _mesh_arguments(spec.mesh.vertices[spec.mesh.faces].tobytes())
     return int(client.createVisualShape(client.GEOM_MESH, rgbaColor=spec.colour, **arrays))
 
 
 @cache
 def _mesh_arguments(triangles: bytes) -> dict[str, list[Any]]:
-    """Return what PyBullet takes for float64 triangles (m), the same lists whenever it is asked for them.
+    """Return PyBullet's arguments for float64 triangles (m).
 
-    PyBullet never lets go of the lists that it is given (their reference counts stay raised): those of every
-    body would stay in memory after their environment is closed.
+    The lists are cached because PyBullet never releases them: new lists for every body would leak memory.
     """
     corners = np.frombuffer(triangles).reshape(-1, 3)
     normals = flat_normals(corners.reshape(-1, 3, 3))

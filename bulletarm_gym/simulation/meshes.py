@@ -1,4 +1,4 @@
-"""Mesh files: their points, and a check of each before Bullet opens it.
+"""Reading of mesh files, and a check before Bullet opens them.
 
 Bullet ignores a mesh that it cannot read, and some broken files end the process.
 """
@@ -7,32 +7,27 @@ import re
 from collections.abc import Iterator
 from functools import lru_cache
 from pathlib import Path
-from xml.etree.ElementTree import ParseError
+from xml.etree import ElementTree
 
 import numpy as np
 
 from bulletarm_gym.geometry import FloatArray
-from bulletarm_gym.simulation.xml import parse_xml
 
-FORMATS = (".obj", ".stl", ".dae")
-"""File name extensions, in capitals or small letters, of the meshes that Bullet reads."""
 STL_HEADER, STL_FACET = 84, 50
-"""Bytes of a binary STL file before the first facet and of each facet."""
+"""Number of bytes before the first facet of a binary STL file, and of each facet."""
 VERTEX = re.compile(rb"\bvertex\s+(\S+)\s+(\S+)\s+(\S+)", re.IGNORECASE)
-
-Part = tuple[str, FloatArray]
-"""Name of a part and the corners (n, 3) of its faces in the unit of the file."""
+"""Vertex of an ASCII STL file."""
 
 
 def check_mesh(path: Path) -> None:
-    """Check that Bullet can read a mesh, or an ASCII STL file, which is converted for it.
+    """Check that a mesh can be loaded. An ASCII STL file is converted for Bullet later.
 
-    :raises ValueError: it cannot; the message names the file and the reason
+    :raises ValueError: the mesh cannot be loaded; the message contains the file and the reason
     """
     try:
         status = path.stat()
         _check_version(path, status.st_mtime_ns, status.st_size)
-    except (ValueError, OSError, ParseError) as error:
+    except (ValueError, OSError, ElementTree.ParseError) as error:
         raise ValueError(f"mesh must be a readable OBJ, STL or COLLADA file, got {path}: {error}") from error
 
 
@@ -45,15 +40,17 @@ def _check_version(path: Path, modified: int, size: int) -> None:
         mesh_parts(path)
 
 
-def mesh_parts(path: Path) -> list[Part]:
-    """Return the parts of an OBJ file that have faces, or the one part of an STL file.
+def mesh_parts(path: Path) -> list[tuple[str, FloatArray]]:
+    """Return the parts of an OBJ file that have faces, or the only part of an STL file.
 
-    :raises ValueError: the file has no faces, a face has a vertex that does not exist or is not finite
+    :return: name of each part and the corners (n, 3) of its faces in the unit of the file
+    :raises ValueError: the file has no faces, a face has a vertex that does not exist, or one is not finite
     :raises OSError: the file cannot be read
     """
-    if path.suffix.lower() not in (".obj", ".stl"):
+    suffix = path.suffix.lower()
+    if suffix not in (".obj", ".stl"):
         raise ValueError(f"its format must be OBJ or STL, got {path.suffix!r}")
-    parts = [(path.stem, stl_corners(path))] if path.suffix.lower() == ".stl" else _obj_parts(path)
+    parts = [(path.stem, stl_corners(path))] if suffix == ".stl" else _obj_parts(path)
     if not sum(len(points) for _, points in parts):
         raise ValueError("it has no faces")
     if not all(np.isfinite(points).all() for _, points in parts):
@@ -63,23 +60,21 @@ def mesh_parts(path: Path) -> list[Part]:
 
 def is_ascii_stl(path: Path) -> bool:
     """Return True if a file is an STL file in ASCII, which Bullet does not read."""
-    return path.suffix.lower() == ".stl" and not _is_binary(path)
+    return path.suffix.lower() == ".stl" and not _is_binary(path.read_bytes())
 
 
-def _is_binary(path: Path) -> bool:
-    with path.open("rb") as file:
-        header = file.read(STL_HEADER)
-    count = int.from_bytes(header[-4:], "little")
-    return len(header) == STL_HEADER and path.stat().st_size == STL_HEADER + STL_FACET * count
+def _is_binary(data: bytes) -> bool:
+    count = int.from_bytes(data[STL_HEADER - 4 : STL_HEADER], "little")
+    return len(data) >= STL_HEADER and len(data) == STL_HEADER + STL_FACET * count
 
 
 def stl_corners(path: Path) -> FloatArray:
     """Return the corners (3 n, 3) of the facets of a binary or ASCII STL file.
 
-    :raises ValueError: it is neither
+    :raises ValueError: the file is neither
     """
     data = path.read_bytes()
-    if _is_binary(path):
+    if _is_binary(data):
         facets = np.frombuffer(data[STL_HEADER:], np.uint8).reshape(-1, STL_FACET)[:, 12:48]
         return np.ascontiguousarray(facets).view("<f4").reshape(-1, 3).astype(np.float64)
     if not data.lstrip().lower().startswith(b"solid"):
@@ -90,7 +85,7 @@ def stl_corners(path: Path) -> FloatArray:
     return points.reshape(-1, 3)
 
 
-def _obj_parts(path: Path) -> list[Part]:
+def _obj_parts(path: Path) -> list[tuple[str, FloatArray]]:
     """Return the parts of an OBJ file that have faces."""
     vertices: list[list[float]] = []
     parts: list[tuple[str, list[int]]] = [(path.stem, [])]
@@ -108,13 +103,13 @@ def _obj_parts(path: Path) -> list[Part]:
 
 
 def _lines(path: Path) -> Iterator[str]:
-    """Yield the lines of a text file; a line that ends in a backslash goes on in the next one."""
+    """Yield the lines of an OBJ file. A backslash at the end of a line continues it."""
     text = path.read_text(encoding="utf-8-sig", errors="replace")
     yield from text.replace("\\\r\n", " ").replace("\\\n", " ").splitlines()
 
 
 def _vertex(word: str, count: int) -> int:
-    """Return the index of a face's corner, which counts from 1, or backwards from the last vertex."""
+    """Return the index of a face's corner. The file counts from 1, or backwards from the last vertex."""
     number = int(word.partition("/")[0])
     index = number - 1 if number > 0 else count + number
     if not 0 <= index < count:
@@ -123,10 +118,10 @@ def _vertex(word: str, count: int) -> int:
 
 
 def _check_collada(path: Path) -> None:
-    root = parse_xml(path)
-    faces = [face for kind in ("triangles", "polylist") for face in root.iter(kind)]
-    if root.tag != "COLLADA" or not any(int(face.get("count", "0")) for face in faces):
+    elements = [(element.tag.rpartition("}")[2], element) for element in ElementTree.parse(path).iter()]
+    counts = [int(element.get("count", "0")) for tag, element in elements if tag in ("triangles", "polylist")]
+    if elements[0][0] != "COLLADA" or not any(counts):
         raise ValueError("it has no <triangles> and no <polylist>")
-    for array in root.iter("float_array"):
-        if not all(np.isfinite([float(word) for word in (array.text or "").split()])):
-            raise ValueError("a vertex is not finite")
+    arrays = [element.text or "" for tag, element in elements if tag == "float_array"]
+    if not np.isfinite([float(word) for text in arrays for word in text.split()]).all():
+        raise ValueError("a vertex is not finite")

@@ -1,4 +1,4 @@
-"""Motions of motor-driven joints: a trajectory once computed, then a loop that only steps."""
+"""Motions of motor-driven joints: a trajectory computed in advance, then a loop of simulation steps."""
 
 import math
 from collections.abc import Sequence
@@ -15,43 +15,47 @@ from bulletarm_gym.simulation.state import Body
 from bulletarm_gym.simulation.world import World
 
 RISE = 0.5
-"""Share of a motion spent speeding up; braking takes the rest. Half and half takes the least torque."""
-CAREFUL_RISE = 0.25
-"""The same where something may be pushed: slow braking keeps it at the gripper by friction."""
+"""Fraction of a motion with positive acceleration. One half needs the smallest torque."""
+CONTACT_RISE = 0.25
+"""The fraction for motions in contact, so that friction keeps pushed objects at the braking gripper."""
 MAX_LAG = 0.03
-"""A joint (rad) this far behind its trajectory is blocked: a centimetre or two at the fingertips."""
+"""Maximum distance (rad) of a joint from its trajectory: one or two centimetres at the fingertips."""
 LAG_CHECK = 4
-"""Simulation steps between two looks at the lag."""
-MAX_PRESS = 100.0
-"""An arm that presses this hard (N) and still goes deeper is blocked: pushing blocks takes 60 N at most."""
+"""Number of simulation steps between two checks of this distance."""
+MAX_FORCE = 100.0
+"""Contact force (N) above which an arm that penetrates further is blocked. Pushing takes at most 60 N."""
 MAX_DEPTH = 2e-3
-"""Also one that is this deep (m) in something: Bullet's solver gives way before it comes to that force."""
+"""Depth (m) above which an arm that penetrates further is blocked, independent of the force."""
 MAX_SQUEEZE = 0.01
-"""What is held and is pressed this deep (m) into a finger blocks, too: it stands on something."""
-RESTING_PRESS = 20.0
-"""A blocked arm goes back the way it came until it presses less than this (N) ..."""
+"""Depth (m) of the grasped object in a finger above which it blocks the arm: a body supports it."""
+RETREAT_FORCE = 20.0
+"""Contact force (N) below which the retreat of a blocked arm ends, so that pressed objects recover."""
 CALM_STEPS = 10
-"""... for so many simulation steps: what it pressed into the ground comes up again."""
-GIVE_WAY_LIMIT = 60
-"""Most simulation steps it goes back."""
+"""Number of consecutive simulation steps below this force that end the retreat."""
+RETREAT_LIMIT = 60
+"""Maximum number of simulation steps of a retreat."""
 STALL_PROGRESS = 1e-4
-"""A finger that comes less than this (m) closer to its goal in one step (24 mm/s) is stopped by something."""
+"""Progress (m) of a finger in one simulation step below which something stops it (24 mm/s)."""
 FINGER_TOLERANCE = 2e-4
-"""Distance (m) at which a finger has arrived."""
+"""Distance (m) from the goal at which a finger has arrived."""
 FINGER_LIMIT = 60
-"""Most simulation steps a gripper motion takes."""
+"""Maximum number of simulation steps of a gripper motion."""
 FINGER_START = 2
-"""Simulation steps a finger is given to get going."""
+"""Number of simulation steps in which a finger accelerates."""
 SETTLING_STEPS = 3
-"""Simulation steps a stopped finger is given to press."""
+"""Number of simulation steps in which a stopped finger builds up its force."""
+GEAR_FORCE = 200.0
+"""Maximum force (N) that keeps the positions of the fingers equal, well above the gripper's force."""
+SPINNING_FRICTION = 0.1
+"""Friction coefficient of the pads against rotation about the contact normal (the Panda in pybullet_data)."""
 
 
 @dataclass(frozen=True)
 class JointGroup:
     """Joints of a body that move together.
 
-    :param slots: their places among the body's movable joints
-    :param forces: maximum force (N) or torque (N m) of each
+    :param slots: indices among the body's movable joints
+    :param forces: maximum force (N) or torque (N m) of each joint
     """
 
     body: Body
@@ -60,76 +64,96 @@ class JointGroup:
 
     @cached_property
     def joints(self) -> list[int]:
-        """Their indices in Bullet."""
+        """Indices in Bullet."""
         return [self.body.joints[slot] for slot in self.slots]
 
     @cached_property
-    def strength(self) -> dict[str, Sequence[float]]:
-        """What Bullet takes to drive them to a target: forces and gains, one a joint."""
+    def motors(self) -> dict[str, Sequence[float]]:
+        """PyBullet's arguments for the motors: maximum forces and gains."""
         gains: Sequence[float] = [1.0] * len(self.slots)
         return {"forces": self.forces, "positionGains": gains, "velocityGains": gains}
 
     def positions(self, world: World) -> tuple[float, ...]:
-        """Return their positions in the world's state."""
-        positions: tuple[float, ...] = self._among(world.joints[self.body.index])
+        """Return the joint positions in the state of the world."""
+        positions: tuple[float, ...] = self._getter(world.joints[self.body.index])
         return positions
 
     @cached_property
-    def _among(self) -> "itemgetter[Any]":
+    def _getter(self) -> "itemgetter[Any]":
         return itemgetter(*self.slots)
 
     def moved(self, world: World, positions: Sequence[float]) -> list[float]:
-        """Return all joint positions of the body with these joints elsewhere."""
+        """Return the positions of all joints of the body, with other positions of these joints."""
         joints = list(world.joints[self.body.index])
         for slot, position in zip(self.slots, positions, strict=True):
             joints[slot] = position
         return joints
 
 
+def add_gear_constraint(world: World, fingers: JointGroup, friction: float) -> None:
+    """Keep the positions of two fingers equal, and set the friction of their pads.
+
+    Friction anchors restore the contact points on curved paths. Spinning friction stops an object from
+    rotating about the line between the pads.
+
+    :param friction: lateral friction coefficient of the pads
+    """
+    client, body, (left, right) = world.client, fingers.body.id, fingers.joints
+    for joint in (left, right):
+        client.changeDynamics(
+            body, joint, lateralFriction=friction, spinningFriction=SPINNING_FRICTION, frictionAnchor=1
+        )
+    gear = client.createConstraint(
+        body, left, body, right, client.JOINT_GEAR, (1, 0, 0), (0, 0, 0), (0, 0, 0)
+    )
+    client.changeConstraint(gear, gearRatio=-1, erp=0.2, maxForce=GEAR_FORCE)
+
+
 @lru_cache(maxsize=256)
-def ramp(steps: int, rise: float = RISE) -> FloatArray:
-    """Return the share of the way done after each step, ``rise`` of them at a constant acceleration."""
+def velocity_profile(steps: int, rise: float = RISE) -> FloatArray:
+    """Return the completed share (steps,) of a path after each step of a triangular velocity profile.
+
+    :param rise: fraction of the steps with positive acceleration
+    """
     time = np.arange(1, steps + 1) / steps
     rising = time**2 / rise
     falling = 1.0 - (1.0 - time) ** 2 / (1.0 - rise)
     return np.where(time < rise, rising, falling)
 
 
-def hold(world: World, group: JointGroup, positions: Sequence[float]) -> None:
-    """Send motor targets that keep joints where they should be."""
-    world.client.setJointMotorControlArray(
-        group.body.id,
-        group.joints,
-        world.client.POSITION_CONTROL,
-        targetPositions=positions,
-        **group.strength,
-    )
-
-
-def on_the_way(stops: Sequence[Sequence[float]], shares: FloatArray) -> FloatArray:
-    """Return where joints are on a way through evenly spaced stops, (n, joints), after shares (n,) of it."""
+def interpolate_path(stops: Sequence[Sequence[float]], shares: FloatArray) -> FloatArray:
+    """Return the joint positions (n, joints) at shares (n,) of a path through evenly spaced stops."""
     return _interpolate(np.array(stops, dtype=np.float64), np.asarray(shares, dtype=np.float64))
 
 
 @compiled
 def _interpolate(stops: FloatArray, shares: FloatArray) -> FloatArray:
-    """Return what ``np.interp`` would for each joint, the stops evenly spaced from 0 to 1."""
+    """Return ``np.interp`` of each joint, which takes 20 times as long for a few stops."""
+    path = np.empty((len(shares), stops.shape[1]))
     pieces = len(stops) - 1
-    width = 1.0 / pieces
-    way = np.empty((len(shares), stops.shape[1]))
-    for row in range(len(shares)):
-        piece = min(int(shares[row] * pieces), pieces - 1)
-        if shares[row] < piece * width:
-            piece -= 1
-        elif piece + 1 < pieces and shares[row] >= (piece + 1) * width:
+    for row, share in enumerate(shares):
+        piece = 0
+        while piece + 1 < pieces and share >= (piece + 1) * (1.0 / pieces):
             piece += 1
-        start = piece * width
-        end = 1.0 if piece + 1 == pieces else (piece + 1) * width
+        start = piece * (1.0 / pieces)
+        end = 1.0 if piece + 1 == pieces else (piece + 1) * (1.0 / pieces)
         for joint in range(stops.shape[1]):
             first, last = stops[piece, joint], stops[piece + 1, joint]
-            slope = (last - first) / (end - start)
-            way[row, joint] = last if shares[row] >= 1.0 else slope * (shares[row] - start) + first
-    return way
+            path[row, joint] = (
+                last if share >= 1.0 else (last - first) / (end - start) * (share - start) + first
+            )
+    return path
+
+
+def hold(world: World, group: JointGroup, positions: Sequence[float]) -> None:
+    """Set the position targets of motors."""
+    world.client.setJointMotorControlArray(
+        group.body.id,
+        group.joints,
+        world.client.POSITION_CONTROL,
+        targetPositions=positions,
+        **group.motors,
+    )
 
 
 def follow(
@@ -140,62 +164,69 @@ def follow(
     held: Body | None,
     rise: float = RISE,
 ) -> None:
-    """Drive joints through stops to the last in a number of simulation steps; a blocked arm stops there.
+    """Move joints through stops to the last one in a number of simulation steps. A blocked arm stops.
 
-    :param held: a body in the gripper, which does not block it
-    :param rise: share of the motion spent speeding up
+    :param held: the grasped object, which does not block the arm
+    :param rise: fraction of the motion with positive acceleration
     """
     start = group.positions(world)
-    path = [start, *on_the_way([start, *stops], ramp(steps, rise)).tolist()]
+    path = [start, *interpolate_path([start, *stops], velocity_profile(steps, rise)).tolist()]
     depth = math.inf
     for number in range(1, steps + 1):
         hold(world, group, path[number])
-        world.client.stepSimulation()
-        before, (force, depth) = depth, press(world, group.body, held)
-        if depth > before and (force > MAX_PRESS or depth > MAX_DEPTH):
-            _give_way(world, group, path[:number], held)
+        world.step()
+        before, (force, depth) = depth, contact_load(world, group.body, held)
+        if depth > before and (force > MAX_FORCE or depth > MAX_DEPTH):
+            _retreat(world, group, path[:number], held)
             return
         if number % LAG_CHECK == 0 and _lag(world, group, path[number]) > MAX_LAG:
             _stop(world, group)
             return
 
 
-def press(world: World, body: Body, held: Body | None) -> tuple[float, float]:
-    """Return how hard (N) and how deep (m) a body presses on others than what it holds gently."""
-    points = world.client.getContactPoints(body.id)
+def contact_load(world: World, body: Body, held: Body | None) -> tuple[float, float]:
+    """Return the total contact force (N) and the penetration depth (m) of a body.
+
+    :param held: the grasped object, which counts only if it is deeper than :data:`MAX_SQUEEZE`
+    """
+    contacts = world.contacts(body)
     if held is not None:
-        points = [point for point in points if point[2] != held.id or -point[8] > MAX_SQUEEZE]
-    if not points:
+        contacts = [one for one in contacts if one.other is not held or -one.distance > MAX_SQUEEZE]
+    if not contacts:
         return 0.0, 0.0
-    return sum([point[9] for point in points]), -min([point[8] for point in points])
+    return sum([one.force for one in contacts]), -min([one.distance for one in contacts])
 
 
-def _give_way(world: World, group: JointGroup, path: Sequence[Sequence[float]], held: Body | None) -> None:
-    """Go back on a path until nothing presses hard any more, and stop there."""
+def _retreat(world: World, group: JointGroup, path: Sequence[Sequence[float]], held: Body | None) -> None:
+    """Move back on a path until the contact forces are small, and stop."""
     back, calm = len(path) - 1, 0
-    for _ in range(GIVE_WAY_LIMIT):
+    for _ in range(RETREAT_LIMIT):
         hold(world, group, path[back])
-        world.client.stepSimulation()
-        force, depth = press(world, group.body, held)
-        calm = calm + 1 if force < RESTING_PRESS and depth < MAX_DEPTH / 2.0 else 0
+        world.step()
+        force, depth = contact_load(world, group.body, held)
+        calm = calm + 1 if force < RETREAT_FORCE and depth < MAX_DEPTH / 2.0 else 0
         if calm == CALM_STEPS:
             break
         back = max(back - (calm == 0), 0)
     _stop(world, group)
 
 
+def _measure(world: World, group: JointGroup) -> list[float]:
+    """Return the joint positions in the simulation."""
+    return [state[0] for state in world.client.getJointStates(group.body.id, group.joints)]
+
+
 def _stop(world: World, group: JointGroup) -> None:
-    hold(world, group, [state[0] for state in world.client.getJointStates(group.body.id, group.joints)])
-    world.client.stepSimulation()
+    hold(world, group, _measure(world, group))
+    world.step()
 
 
 def _lag(world: World, group: JointGroup, target: Sequence[float]) -> float:
-    states = world.client.getJointStates(group.body.id, group.joints)
-    return float(max(abs(state[0] - goal) for state, goal in zip(states, target, strict=True)))
+    return max(abs(now - goal) for now, goal in zip(_measure(world, group), target, strict=True))
 
 
 def send_fingers(world: World, group: JointGroup, goal: float, speed: float) -> None:
-    """Send the fingers' motor target: to close on what is between them, or to open."""
+    """Set the position target (m) and the maximum speed (m/s) of the fingers' motors."""
     for joint, force in zip(group.joints, group.forces, strict=True):
         world.client.setJointMotorControl2(
             group.body.id,
@@ -210,18 +241,12 @@ def send_fingers(world: World, group: JointGroup, goal: float, speed: float) -> 
 
 
 def drive_fingers(world: World, group: JointGroup, goal: float, speed: float) -> None:
-    """Step until the fingers arrive or what is between them stops them."""
+    """Move the fingers until they arrive or an object stops them."""
     send_fingers(world, group, goal, speed)
     left = math.inf
     for number in range(FINGER_LIMIT):
-        world.client.stepSimulation()
-        states = world.client.getJointStates(group.body.id, group.joints)
-        before, left = left, max(abs(state[0] - goal) for state in states)
+        world.step()
+        before, left = left, max(abs(position - goal) for position in _measure(world, group))
         if left < FINGER_TOLERANCE or (number >= FINGER_START and before - left < STALL_PROGRESS):
             break
     world.step(SETTLING_STEPS)
-
-
-def motion_steps(distance: float, reference_distance: float, reference_steps: int, least: int) -> int:
-    """Return how many simulation steps a motion takes at the acceleration of a reference motion."""
-    return max(least, math.ceil(reference_steps * math.sqrt(distance / reference_distance)))

@@ -1,4 +1,4 @@
-"""What bodies are made of: convex pieces with a mass, a friction and a colour."""
+"""Specifications of bodies: convex pieces with mass, friction and colour."""
 
 import math
 from collections.abc import Sequence
@@ -8,10 +8,10 @@ from typing import TypeAlias
 
 import numpy as np
 
-from bulletarm_gym.geometry import FloatArray, Mesh, Pose, Vector, join
-from bulletarm_gym.simulation.inertia import mass_properties
+from bulletarm_gym.geometry import FloatArray, Mesh, Pose, Vector, join, mass_properties
 
 Colour: TypeAlias = tuple[float, float, float, float]
+"""Red, green, blue and opacity, 0 to 1."""
 
 ORIGIN = Pose((0.0, 0.0, 0.0))
 
@@ -39,7 +39,7 @@ class Box:
 
 @dataclass(frozen=True)
 class Convex:
-    """The convex hull of a mesh's vertices; the mesh must be convex for its picture to be true."""
+    """The convex hull of a mesh's vertices. Only a convex mesh is rendered as it collides."""
 
     mesh: Mesh
 
@@ -64,89 +64,77 @@ class Piece:
         return self.shape.mesh if self.pose == ORIGIN else self.shape.mesh.moved(self.pose)
 
     def scaled(self, factor: float) -> "Piece":
-        """Return the piece as it is in a body ``factor`` times as large."""
+        """Return the piece of a body ``factor`` times as large."""
         x, y, z = (value * factor for value in self.pose.position)
         return Piece(self.shape.scaled(factor), Pose((x, y, z), self.pose.orientation))
 
 
 @dataclass(frozen=True)
-class Part:
-    """A part of a body that moves in it.
+class MovingPart:
+    """A part of a body on a joint. Its pieces are in the body's frame, with the joint at 0.
 
-    :param name: unique in its body
+    :param name: unique in the body
+    :param mass: kg
+    :param axis: unit vector of the joint in the body's frame
+    :param limits: minimum and maximum joint position (m or rad)
+    :param friction: lateral friction coefficient of the surface
+    :param resistance: force (N) or torque (N m) that brakes the joint
     """
 
     name: str
     pieces: tuple[Piece, ...]
     mass: float
+    axis: Vector
+    limits: tuple[float, float]
+    friction: float = 1.0
+    resistance: float = 0.0
+    colour: Colour = RED
 
     @property
     def mesh(self) -> Mesh:
-        """The triangles of all pieces in the body's frame, the joint at 0."""
+        """The triangles of all pieces in the body's frame, with the joint at 0."""
         return join([piece.mesh for piece in self.pieces])
 
 
 @dataclass(frozen=True)
-class Slide(Part):
-    """A part of a body that slides along an axis of the body's frame, where it lies when the joint is at 0.
-
-    :param name: unique in its body
-    :param limits: least and greatest displacement (m)
-    :param friction: lateral friction coefficient of its surface
-    :param resistance: force (N) that brakes the slide
-    """
-
-    axis: Vector
-    limits: tuple[float, float]
-    friction: float = 1.0
-    resistance: float = 0.0
-    colour: Colour = RED
+class Slide(MovingPart):
+    """A part that slides along an axis of the body's frame."""
 
     def moved(self, distance: float) -> Pose:
-        """Return the pose (m) in the body's frame of what lies at its origin when the joint is at 0."""
+        """Return the pose in the body's frame of the body's origin, displaced with the part (m)."""
         return Pose((self.axis[0] * distance, self.axis[1] * distance, self.axis[2] * distance))
 
 
 @dataclass(frozen=True)
-class Hinge(Part):
-    """A part of a body that turns about an axis of the body's frame, where it lies when the joint is at 0.
+class Hinge(MovingPart):
+    """A part that rotates about an axis of the body's frame, counter-clockwise for positive angles.
 
-    :param name: unique in its body
     :param pivot: a point (m) on the axis, in the body's frame
-    :param axis: unit vector; a positive angle turns counter-clockwise about it
-    :param limits: least and greatest angle (rad)
-    :param friction: lateral friction coefficient of its surface
-    :param resistance: torque (N m) that brakes the hinge
     """
 
-    pivot: Vector
-    axis: Vector
-    limits: tuple[float, float]
-    friction: float = 1.0
-    resistance: float = 0.0
-    colour: Colour = RED
+    pivot: Vector = ORIGIN.position
 
     def moved(self, angle: float) -> Pose:
-        """Return the pose (m) in the body's frame of what lies at its origin when the joint is at 0."""
+        """Return the pose in the body's frame of the body's origin, rotated with the part (rad)."""
         x, y, z = (part * math.sin(angle / 2.0) for part in self.axis)
-        turn = Pose(self.pivot, (x, y, z, math.cos(angle / 2.0)))
-        return turn.compose(Pose(self.pivot).inverse())
+        rotated = Pose(self.pivot, (x, y, z, math.cos(angle / 2.0)))
+        return rotated.compose(Pose(self.pivot).inverse())
 
 
 @dataclass(frozen=True)
 class BodySpec:
-    """Everything needed to make a body.
+    """Specification of a body.
 
-    :param name: unique in its scene
-    :param pieces: the convex pieces that collide and are seen
+    :param name: unique in the scene
+    :param pieces: convex pieces that collide and are rendered
     :param mass: kg; 0 fixes the body to the world
-    :param friction: lateral friction coefficient; Bullet multiplies those of the two bodies in contact
+    :param friction: lateral friction coefficient; Bullet multiplies the coefficients of two bodies in contact
     :param rolling_friction: coefficient against rolling (m)
     :param spinning_friction: coefficient against spinning in place (m)
-    :param angular_damping: share of its turning it loses in a second, besides what the physics mode takes
-    :param slides: parts that slide in it
-    :param hinges: parts that turn in it; its joints are those of the slides, then those of the hinges
-    :param is_mark: a mark on the ground: drawn in pictures, no obstacle and without a height
+    :param angular_damping: fraction of the angular velocity lost per second, added to the physics mode's
+    :param slides: parts that slide; their joints come first
+    :param hinges: parts that rotate; their joints follow
+    :param is_mark: a mark on the ground, which is rendered but is not an obstacle and has no height
     """
 
     name: str
@@ -182,22 +170,22 @@ class BodySpec:
 
     @property
     def parts(self) -> tuple[Slide | Hinge, ...]:
-        """The parts that move in it, in the order of its joints."""
+        """The moving parts in the order of the joints."""
         return (*self.slides, *self.hinges)
 
     @cached_property
     def part_meshes(self) -> list[Mesh]:
-        """The body's mesh and those of its parts."""
+        """Meshes of the body and of its moving parts."""
         return [self.mesh, *(part.mesh for part in self.parts)]
 
     @property
     def part_colours(self) -> list[Colour]:
-        """The body's colour and those of its parts."""
+        """Colours of the body and of its moving parts."""
         return [self.colour, *(part.colour for part in self.parts)]
 
     @cached_property
     def piece_bounds(self) -> FloatArray:
-        """Lowest and highest corner of each piece in the body's frame, (n, 2, 3) m."""
+        """Bounding box of each piece in the body's frame, (n, 2, 3) m."""
         return np.stack([piece.mesh.bounds for piece in self.pieces])
 
     @cached_property
@@ -209,17 +197,17 @@ class BodySpec:
 
     @cached_property
     def planar_radius(self) -> float:
-        """Radius (m) of the circle about the frame's z axis that holds the body at any yaw."""
+        """Maximum distance (m) of the body from the frame's z axis."""
         return float(np.linalg.norm(self.mesh.vertices[:, :2], axis=1).max())
 
     @cached_property
     def radius(self) -> float:
-        """Radius (m) of the sphere about the frame's origin that holds the body, its slides aside."""
+        """Maximum distance (m) of the body, without moving parts, from the frame's origin."""
         return float(np.linalg.norm(self.mesh.vertices, axis=1).max()) if self.pieces else 0.0
 
     @cached_property
     def mass_properties(self) -> tuple[Pose, Vector]:
-        """Frame of the principal axes at the centre of mass, and the inertia (kg m^2) about them."""
+        """Principal frame at the centre of mass and inertia (kg m^2) about its axes."""
         only_box = len(self.pieces) == 1 and isinstance(self.pieces[0].shape, Box)
         if self.mass == 0.0 or (only_box and self.pieces[0].pose == ORIGIN):
             x, y, z = (side * side for side in self.extents)
@@ -229,7 +217,7 @@ class BodySpec:
 
 
 def wavefront(pieces: Sequence[Piece]) -> str:
-    """Return the pieces as an OBJ file: Bullet makes one convex hull of each named part."""
+    """Return the pieces as the text of an OBJ file. Bullet makes one convex hull of each named part."""
     lines, count = [], 1
     for number, mesh in enumerate(piece.mesh for piece in pieces):
         lines.append(f"o piece_{number}")
@@ -240,7 +228,7 @@ def wavefront(pieces: Sequence[Piece]) -> str:
 
 
 def flat_normals(triangles: FloatArray) -> list[list[float]]:
-    """Return one normal a corner of (n, 3, 3) triangles, so that edges of blocks are drawn sharp."""
+    """Return a normal for each corner of (n, 3, 3) triangles, so that edges are rendered sharp."""
     normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     corners: list[list[float]] = np.repeat(normals, 3, axis=0).tolist()

@@ -1,40 +1,154 @@
-"""Bodies of a world and their state in plain numbers."""
+"""Bodies of a world, their physical properties, and the state of the world in plain numbers."""
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
 
 from bulletarm_gym.geometry import Pose, Vector
-from bulletarm_gym.simulation.properties import Properties
-from bulletarm_gym.simulation.shapes import BodySpec
+from bulletarm_gym.simulation.shapes import BodySpec, Colour
 
 Twist = tuple[Vector, Vector]
+"""Linear (m/s) and angular (rad/s) velocity."""
 STILL: Twist = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+REST_RADIUS = 0.05
+"""Distance (m) from the centre of mass at which the angular velocity of a body counts as speed."""
+REST_SPEED = 0.01
+"""Maximum speed (m/s) of a body at rest. Gravity adds four times as much in one simulation step."""
+NUMBERS = ("mass", "friction", "rolling_friction", "spinning_friction", "restitution")
+"""Names of the properties that are numbers."""
+
+
+@dataclass(frozen=True)
+class Physics:
+    """Accuracy of the contact solver.
+
+    :param solver_iterations: iterations of Bullet's constraint solver in each simulation step
+    :param damping: linear and angular damping of free bodies
+    :param pace: duration of an arm motion relative to the shortest one
+    """
+
+    solver_iterations: int
+    damping: float
+    pace: float
+
+
+PHYSICS_MODES = {"fast": Physics(50, 0.0, 1.0), "slow": Physics(200, 0.04, 2.0)}
+"""Values of the parameter ``physics_mode`` (the two physics modes of the paper)."""
+
+
+class Link(NamedTuple):
+    """A link of a body loaded from URDF, with the joint that moves it.
+
+    :param joint: name of the joint
+    :param parent: index of the parent link, -1 for the base
+    :param mass: kg
+    :param frame: principal axes of inertia at the centre of mass, in the frame of the joint
+    :param inertia: moments of inertia (kg m^2) about these axes
+    """
+
+    name: str
+    joint: str
+    parent: int
+    mass: float
+    frame: Pose
+    inertia: Vector
 
 
 @dataclass(frozen=True)
 class Body:
-    """A body of the world, by which all others name it.
+    """Reference to a body of a world.
 
-    :param index: its place in the world's order and in :class:`WorldState`
-    :param joints: indices of its movable joints in Bullet
+    :param index: position in the world's order and in :class:`WorldState`
+    :param id: number of the body in Bullet
+    :param joints: indices of the movable joints in Bullet
+    :param links: links of a body loaded from a URDF; index i is moved by joint i
     """
 
     index: int
     id: int
     spec: BodySpec
     joints: tuple[int, ...] = ()
+    links: tuple[Link, ...] = ()
+
+
+class Contact(NamedTuple):
+    """A point where a body touches another body or is close to it.
+
+    :param link: index of the body's link in Bullet, -1 for the base
+    :param other: the other body
+    :param normal: unit vector from the other body to this body, world
+    :param distance: gap (m) along the normal, negative if the bodies overlap
+    :param force: normal force (N) in the last simulation step
+    """
+
+    link: int
+    other: Body
+    normal: Vector
+    distance: float
+    force: float
+
+
+@dataclass(frozen=True)
+class Properties:
+    """Physical properties of a body that a task may change at a reset.
+
+    :param mass: kg; 0 for a fixed body
+    :param friction: lateral friction coefficient
+    :param rolling_friction: coefficient against rolling (m)
+    :param spinning_friction: coefficient against spinning in place (m)
+    :param restitution: maximum ratio of the speeds after and before an impact
+    :param colour: red, green, blue and opacity, 0 to 1
+    """
+
+    mass: float
+    friction: float
+    rolling_friction: float
+    spinning_friction: float
+    restitution: float
+    colour: Colour
+
+    @classmethod
+    def of(cls, spec: BodySpec) -> "Properties":
+        """Return the properties that a body is loaded with."""
+        frictions = (spec.friction, spec.rolling_friction, spec.spinning_friction)
+        return cls(spec.mass, *frictions, 0.0, spec.colour)
+
+    def changed(self, **changes: Any) -> "Properties":
+        """Return the properties with some of them changed.
+
+        :raises TypeError: an unknown property
+        """
+        made = replace(self, **changes)
+        numbers: dict[str, Any] = {name: float(getattr(made, name)) for name in NUMBERS}
+        return Properties(**numbers, colour=tuple(map(float, made.colour)))  # type: ignore[arg-type]
+
+    def check(self, spec: BodySpec) -> None:
+        """Check the properties for a body.
+
+        :raises ValueError: one of them is out of range
+        """
+        for name in NUMBERS:
+            value = getattr(self, name)
+            if not 0.0 <= value < math.inf:
+                raise ValueError(f"{name} must be a finite number of at least 0, got {value!r}")
+        if (spec.mass > 0.0) != (self.mass > 0.0):
+            must = "a positive number" if spec.mass > 0.0 else "0 for a fixed body"
+            raise ValueError(f"mass must be {must}, got {self.mass!r}")
+        if len(self.colour) != 4 or not all(0.0 <= part <= 1.0 for part in self.colour):
+            raise ValueError(f"colour must be 4 numbers from 0 to 1, got {self.colour!r}")
 
 
 @dataclass(frozen=True)
 class WorldState:
-    """Everything that decides what happens next, in plain numbers.
+    """State of a world, which determines all later states.
 
-    :param poses: of every body's frame
+    :param poses: pose of every body's frame
     :param twists: linear (m/s) and angular (rad/s) velocity of every body
-    :param active: whether a body takes part or is parked
+    :param active: whether a body is in the scene or parked
     :param joints: positions (m or rad) of every body's movable joints
-    :param joint_rates: their velocities (m/s or rad/s)
-    :param unsettled: indices of bodies that were placed or lost their support and have not rested since
-    :param properties: index and properties of each body that has others than its specification
+    :param joint_rates: velocities (m/s or rad/s) of these joints
+    :param unsettled: indices of bodies that are not at rest yet after a placement or the loss of support
+    :param properties: index and properties of each body whose properties differ from its specification
     """
 
     poses: tuple[Pose, ...]
@@ -44,3 +158,8 @@ class WorldState:
     joint_rates: tuple[tuple[float, ...], ...]
     unsettled: tuple[int, ...]
     properties: tuple[tuple[int, Properties], ...]
+
+
+def surface_speed(linear: Vector, angular: Vector) -> float:
+    """Return the maximum speed (m/s) of a body's surface from its velocities (m/s and rad/s)."""
+    return math.hypot(*linear) + REST_RADIUS * math.hypot(*angular)

@@ -1,101 +1,309 @@
-"""Bodies with parts that slide or turn as URDF, the only form in which Bullet takes joints with limits."""
+"""Reading and writing of URDF elements."""
 
+import math
 from collections.abc import Sequence
+from os import PathLike
 from pathlib import Path
 from xml.etree import ElementTree
+from xml.etree.ElementTree import Element, ParseError, SubElement
+from xml.parsers import expat
 
-from bulletarm_gym.geometry import Pose, Vector, matrix, rpy
-from bulletarm_gym.simulation.shapes import BodySpec, Box, Colour, Hinge, Piece, Slide, wavefront
+from bulletarm_gym.geometry import Pose, Vector, euler_angles, euler_pose, from_rotvec
+from bulletarm_gym.simulation.meshes import check_mesh
 
-BASE = "base"
+PACKAGE, FILE = "package://", "file://"
+"""Prefixes of file names in ROS: of a file in a package, and of any file."""
+OTHER_FORMATS = {"mujoco": "an MJCF file", "mujocoinclude": "an MJCF file", "sdf": "an SDF file"}
+"""Formats of other model files by the name of the root element."""
 
 
-def write_urdf(spec: BodySpec, folder: Path) -> Path:
-    """Write a body and its parts as ``body.urdf`` in a folder.
+# Files
 
-    :return: the path of the file
+
+def parse_xml(path: Path) -> Element:
+    """Return the root element of an XML file. Prefixes stay part of names and need no declaration.
+
+    :raises ParseError: the file is not XML
+    :raises OSError: the file cannot be read
     """
-    root = ElementTree.Element("robot", name=spec.name)
-    root.append(_link(BASE, spec.pieces, spec.mass, spec.colour, folder, spec.mass > 0.0))
-    for part in spec.parts:
-        root.append(_link(part.name, _in_link(part), part.mass, part.colour, folder, spec.mass > 0.0))
-        root.append(_joint(part))
-    path = folder / "body.urdf"
-    ElementTree.indent(root)  # Bullet breaks lines of more than 1,023 characters, wherever that is
-    ElementTree.ElementTree(root).write(path)
-    return path
+    builder = ElementTree.TreeBuilder()
+    parser = expat.ParserCreate()
+    parser.buffer_text = True
+    parser.StartElementHandler = builder.start
+    parser.EndElementHandler = builder.end
+    parser.CharacterDataHandler = builder.data
+    try:
+        parser.Parse(path.read_bytes().lstrip(), True)
+    except (expat.ExpatError, ValueError) as error:  # ValueError: an encoding that is not supported
+        raise ParseError(str(error)) from error
+    return builder.close()
 
 
-def _link(
-    name: str, pieces: Sequence[Piece], mass: float, colour: Colour, folder: Path, free: bool
-) -> ElementTree.Element:
-    link = ElementTree.Element("link", name=name)
-    link.append(_inertial(*BodySpec(name, tuple(pieces), mass).mass_properties, mass, free))
-    for number, piece in enumerate(pieces):
-        path = folder / f"{name}_{number}.obj"
-        path.write_text(wavefront([piece]))
-        for kind in ("visual", "collision"):
-            element = ElementTree.SubElement(link, kind)
-            if isinstance(piece.shape, Box) and kind == "collision":
-                _add_box(element, piece, piece.shape)
-            else:
-                geometry = ElementTree.SubElement(element, "geometry")
-                ElementTree.SubElement(geometry, "mesh", filename=str(path))
-            if kind == "visual":
-                material = ElementTree.SubElement(element, "material", name=f"{name} colour")
-                ElementTree.SubElement(material, "color", rgba=_text(colour))
-    return link
+def parse_urdf(path: Path) -> Element:
+    """Return the root element of a URDF without the extensions of other programs.
+
+    :raises ValueError: the file is not XML or has another format
+    :raises OSError: the file cannot be read
+    """
+    must = f"model must be a URDF file, got {path}, "
+    try:
+        root = parse_xml(path)
+    except ParseError as error:
+        raise ValueError(f"{must}which is not XML: {error}") from error
+    if any(element.tag.startswith("xacro:") for element in root.iter()):
+        raise ValueError(f"{must}a xacro file. Run `xacro FILE > robot.urdf`.")
+    if root.tag in OTHER_FORMATS:
+        raise ValueError(f"{must}{OTHER_FORMATS[root.tag]}. Convert it to URDF.")
+    if root.tag != "robot":
+        raise ValueError(f"{must}whose root element is <{root.tag}>")
+    if any("quat_xyzw" in element.attrib for element in root.iter("origin")):
+        raise ValueError(f"origins must have rpy angles, got quat_xyzw of URDF 1.1 in {path}")
+    _remove_extensions(root)
+    return root
 
 
-def _inertial(frame: Pose, moments: Vector, mass: float, free: bool) -> ElementTree.Element:
-    """Return a link's mass and inertia: of a free body in its principal axes, in which its pose is read."""
-    inertial = ElementTree.Element("inertial")
-    turn = {"rpy": _text(rpy(frame.orientation))} if free else {}
-    ElementTree.SubElement(inertial, "origin", {"xyz": _text(frame.position), **turn})
-    ElementTree.SubElement(inertial, "mass", value=repr(mass))
-    axes = Pose((0.0, 0.0, 0.0)) if free else frame
-    ElementTree.SubElement(inertial, "inertia", _tensor(axes, moments))
-    return inertial
+def _remove_extensions(element: Element) -> None:
+    """Remove the elements and attributes of other programs, which have a prefix such as ``drake:``."""
+    for name in [name for name in element.attrib if ":" in name]:
+        del element.attrib[name]
+    for child in list(element):
+        if ":" in child.tag:
+            element.remove(child)
+        else:
+            _remove_extensions(child)
 
 
-def _in_link(part: Slide | Hinge) -> Sequence[Piece]:
-    """Return a part's pieces in the frame of its link: a hinge's has its origin on the axis."""
-    if isinstance(part, Slide):
-        return part.pieces
-    back = Pose(part.pivot).inverse()
-    return [Piece(piece.shape, back.compose(piece.pose)) for piece in part.pieces]
+def read_urdf(path: str | PathLike[str], check_meshes: bool = True) -> Element:
+    """Return the root element of a URDF with absolute paths of its meshes.
+
+    :param check_meshes: check that Bullet can read the meshes
+    :raises ValueError: the file is not a URDF, or a mesh is missing or cannot be read
+    :raises OSError: the file cannot be read
+    """
+    file = Path(path).absolute()
+    root = parse_urdf(file)
+    for mesh in root.iter("mesh"):
+        found = mesh_path(mesh.get("filename", ""), file.parent)
+        mesh.set("filename", str(found))
+        if check_meshes:
+            check_mesh(found)
+    return root
 
 
-def _add_box(element: ElementTree.Element, piece: Piece, shape: Box) -> None:
-    """Boxes collide as boxes."""
-    ElementTree.SubElement(
-        element, "origin", xyz=_text(piece.pose.position), rpy=_text(rpy(piece.pose.orientation))
-    )
-    geometry = ElementTree.SubElement(element, "geometry")
-    ElementTree.SubElement(geometry, "box", size=_text(shape.extents))
+def load_model(relative: str) -> Element:
+    """Return the root element of a URDF of ``pybullet_data``."""
+    import pybullet_data
+
+    return read_urdf(Path(pybullet_data.getDataPath()) / relative, check_meshes=False)
 
 
-def _joint(part: Slide | Hinge) -> ElementTree.Element:
-    kind = "revolute" if isinstance(part, Hinge) else "prismatic"
-    joint = ElementTree.Element("joint", name=part.name, type=kind)
-    ElementTree.SubElement(joint, "parent", link=BASE)
-    ElementTree.SubElement(joint, "child", link=part.name)
-    if isinstance(part, Hinge):
-        ElementTree.SubElement(joint, "origin", xyz=_text(part.pivot))
-    ElementTree.SubElement(joint, "axis", xyz=_text(part.axis))
-    low, high = part.limits
-    limits = {"lower": repr(low), "upper": repr(high), "effort": "100", "velocity": "10"}
-    ElementTree.SubElement(joint, "limit", limits)
-    return joint
+def mesh_path(name: str, folder: Path) -> Path:
+    """Return the absolute path of a mesh.
+
+    :param name: file name in a URDF; as in PyBullet, the package of a ``package://`` path is a folder above
+        the URDF or next to such a folder
+    :param folder: absolute path of the folder of the URDF
+    :raises ValueError: the file does not exist
+    """
+    folders = [folder, *folder.parents] if name.startswith(PACKAGE) else [folder]
+    for place in folders:
+        found = place / name.removeprefix(PACKAGE).removeprefix(FILE)
+        if found.is_file():
+            return found
+    where = "there or in the folders above" if len(folders) > 1 else "there"
+    raise ValueError(f"the mesh {name!r} of a model in {folder} is not {where}")
 
 
-def _tensor(frame: Pose, moments: Vector) -> dict[str, str]:
-    """Inertia about the centre of mass in the axes of the link."""
-    rotation = matrix(frame)
-    full = rotation @ (rotation * moments).T
-    names = {"ixx": (0, 0), "iyy": (1, 1), "izz": (2, 2), "ixy": (0, 1), "ixz": (0, 2), "iyz": (1, 2)}
-    return {name: repr(float(full[index])) for name, index in names.items()}
+def to_text(root: Element) -> str:
+    """Return the text of a model, in short lines: Bullet breaks lines of more than 1,023 characters."""
+    ElementTree.indent(root)
+    return ElementTree.tostring(root, encoding="unicode")
 
 
-def _text(values: Sequence[float]) -> str:
+# Reading elements
+
+
+def find_link(root: Element, name: str) -> Element:
+    """Return a link.
+
+    :raises ValueError: the model has no link of this name
+    """
+    return _find(root, "link", name)
+
+
+def find_joint(root: Element, name: str) -> Element:
+    """Return a joint.
+
+    :raises ValueError: the model has no joint of this name
+    """
+    return _find(root, "joint", name)
+
+
+def _find(root: Element, tag: str, name: str) -> Element:
+    for element in root.findall(tag):  # an XPath cannot contain a name with quotes
+        if element.get("name") == name:
+            return element
+    raise ValueError(f"the model has no {tag} {name!r}")
+
+
+def find_root(root: Element) -> Element:
+    """Return the link that is not the child of a joint.
+
+    :raises ValueError: the number of such links is not 1
+    """
+    children = {end_of(joint, "child") for joint in root.findall("joint")}
+    found = [link for link in root.findall("link") if link.get("name") not in children]
+    if len(found) != 1:
+        names = ", ".join(repr(link.get("name")) for link in found) or "none"
+        raise ValueError(f"a model must have one root link, got {names}")
+    return found[0]
+
+
+def end_of(joint: Element, end: str) -> str:
+    """Return the name of a joint's ``"parent"`` or ``"child"`` link.
+
+    :raises ValueError: the joint has none
+    """
+    element = joint.find(end)
+    if element is None:
+        raise ValueError(f"joint {joint.get('name')!r} must have a <{end}>")
+    return element.get("link", "")
+
+
+def children_of(root: Element, link: str) -> list[Element]:
+    """Return the joints attached to a link."""
+    return [joint for joint in root.findall("joint") if end_of(joint, "parent") == link]
+
+
+def number_of(element: Element, key: str, default: str = "0") -> float:
+    """Return the value of an attribute.
+
+    :raises ValueError: it is not a number
+    """
+    text = element.get(key, default)
+    try:
+        return float(text)
+    except ValueError:
+        raise ValueError(f"{key} of <{element.tag}> must be a number, got {text!r}") from None
+
+
+def vector_of(element: Element | None, key: str, default: str = "0 0 0") -> Vector:
+    """Return the three values of an attribute.
+
+    :raises ValueError: it is not three numbers
+    """
+    text = default if element is None else element.get(key, default)
+    try:
+        x, y, z = (float(value) for value in text.split())
+    except ValueError:
+        tag = "" if element is None else element.tag
+        raise ValueError(f"{key} of <{tag}> must be three numbers, got {text!r}") from None
+    return (x, y, z)
+
+
+def frame_of(element: Element) -> Pose:
+    """Return the ``origin`` of an element in the parent frame."""
+    origin = element.find("origin")
+    return euler_pose(vector_of(origin, "xyz"), vector_of(origin, "rpy"))
+
+
+def axis_of(joint: Element) -> Vector:
+    """Return the axis of a joint in its own frame, of any length."""
+    return vector_of(joint.find("axis"), "xyz", "1 0 0")
+
+
+def limits_of(joint: Element) -> tuple[float, float]:
+    """Return the lower and upper limit (rad or m) of a joint, infinite for a continuous joint."""
+    limit = joint.find("limit")
+    if joint.get("type") == "continuous" or limit is None:
+        return (-math.inf, math.inf)
+    return (number_of(limit, "lower"), number_of(limit, "upper"))
+
+
+def pose_at(joint: Element, position: float) -> Pose:
+    """Return the pose of a joint's child link in the parent link at a position (rad or m)."""
+    kind, frame = joint.get("type"), frame_of(joint)
+    if kind not in ("revolute", "continuous", "prismatic"):
+        return frame
+    x, y, z = axis_of(joint)
+    length = math.hypot(x, y, z)
+    x, y, z = (position * part / length for part in (x, y, z))
+    moved = Pose((x, y, z)) if kind == "prismatic" else Pose((0.0, 0.0, 0.0), from_rotvec((x, y, z)))
+    return frame.compose(moved)
+
+
+def mass_of(link: Element) -> float:
+    """Return the mass (kg) of a link, 0 without ``<inertial>``."""
+    mass = link.find("inertial/mass")
+    return 0.0 if mass is None else number_of(mass, "value")
+
+
+# Writing elements
+
+
+def text_of(values: Sequence[float]) -> str:
+    """Return the text of some numbers, exactly."""
     return " ".join(repr(value) for value in values)
+
+
+def put(element: Element, tag: str, **attributes: str) -> None:
+    """Replace the child elements of a tag by one element."""
+    for old in element.findall(tag):
+        element.remove(old)
+    SubElement(element, tag, attributes)
+
+
+def put_origin(element: Element, pose: Pose) -> None:
+    """Replace the ``origin`` of an element."""
+    put(element, "origin", xyz=text_of(pose.position), rpy=text_of(euler_angles(pose.orientation)))
+
+
+def add_geometry(link: Element, tag: str, shape: str, pose: Pose, **attributes: str) -> Element:
+    """Add a ``"visual"`` or ``"collision"`` element with a shape at a pose of the link and return it."""
+    element = SubElement(link, tag)
+    put_origin(element, pose)
+    put(SubElement(element, "geometry"), shape, **attributes)
+    return element
+
+
+def add_material(visual: Element, colour: Sequence[float]) -> None:
+    """Add a material, named after its red, green, blue and opacity, to a visual element."""
+    material = SubElement(visual, "material", name="colour " + text_of(colour))
+    put(material, "color", rgba=text_of(colour))
+
+
+def add_inertial(link: Element, origin: Pose, mass: float, tensor: Sequence[Sequence[float]]) -> None:
+    """Add mass (kg) and inertia (kg m^2), a (3, 3) tensor about the centre of mass, to a link."""
+    inertial = SubElement(link, "inertial")
+    put_origin(inertial, origin)
+    put(inertial, "mass", value=repr(mass))
+    names = {"ixx": (0, 0), "iyy": (1, 1), "izz": (2, 2), "ixy": (0, 1), "ixz": (0, 2), "iyz": (1, 2)}
+    put(inertial, "inertia", **{name: repr(tensor[row][column]) for name, (row, column) in names.items()})
+
+
+def add_joint(
+    root: Element,
+    kind: str,
+    name: str,
+    links: tuple[str, str],
+    origin: Pose,
+    axis: Vector,
+    limits: tuple[float, float] | None = None,
+    effort: float = 100.0,
+    velocity: float = 10.0,
+) -> Element:
+    """Add a joint between a parent and a child link and return it.
+
+    :param limits: lower and upper limit (rad or m)
+    :param effort: maximum torque (N m) or force (N)
+    :param velocity: maximum velocity (rad/s or m/s)
+    """
+    joint = SubElement(root, "joint", name=name, type=kind)
+    put(joint, "parent", link=links[0])
+    put(joint, "child", link=links[1])
+    put_origin(joint, origin)
+    put(joint, "axis", xyz=text_of(axis))
+    if limits is not None:
+        bounds = {"lower": repr(limits[0]), "upper": repr(limits[1])}
+        put(joint, "limit", **bounds, effort=repr(effort), velocity=repr(velocity))
+    return joint

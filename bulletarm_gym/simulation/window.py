@@ -1,20 +1,22 @@
-"""What a person does in PyBullet's window, and what is drawn there for them alone."""
+"""Camera, keyboard and line marks of PyBullet's window."""
 
 import math
 from collections.abc import Sequence
 
 from bulletarm_gym.geometry import Vector
-from bulletarm_gym.simulation.client import Client
+from bulletarm_gym.simulation.world import World
 
 MARK_WIDTH = 3.0
-"""Pixels."""
+"""Width of a mark (pixels)."""
 MARK_COLOUR = (1.0, 0.35, 0.2)
 
 Segment = tuple[Vector, Vector]
+"""Start and end (m) of a line."""
 
 
-def look(client: Client, eye: Vector, target: Vector) -> None:
-    """Show the window's picture alone, without panels, from a place (m, world) that looks at another."""
+def look(world: World, eye: Vector, target: Vector) -> None:
+    """Set the camera of the window to a position and a target (m), and hide the panels."""
+    client = world.client
     across, along, up = (a - b for a, b in zip(eye, target, strict=True))
     distance = math.dist(eye, target)
     yaw, pitch = math.degrees(math.atan2(across, -along)), math.degrees(math.asin(up / distance))
@@ -23,40 +25,40 @@ def look(client: Client, eye: Vector, target: Vector) -> None:
 
 
 class Keyboard:
-    """The keys of a window, which from then on takes no letters as commands of its own.
+    """Keys of a window. PyBullet's own shortcuts are switched off.
 
-    What a key did since the last look is all that PyBullet tells. Of one that went down and up again in
-    between, as it does while a step is computed, it tells only that it was released.
+    PyBullet reports what happened to a key since the last call. For a key that was pressed and released in
+    between, it reports the release only.
 
-    :param client: whose window
+    :param world: the world that the window shows
     """
 
-    def __init__(self, client: Client) -> None:
-        self._client = client
-        client.configureDebugVisualizer(client.COV_ENABLE_KEYBOARD_SHORTCUTS, 0)
+    def __init__(self, world: World) -> None:
+        self._client = world.client
+        self._client.configureDebugVisualizer(self._client.COV_ENABLE_KEYBOARD_SHORTCUTS, 0)
         self._down: set[int] = set()
 
     def pressed(self) -> list[str]:
-        """Return the characters whose keys went down since the last call; without a window none."""
+        """Return the characters of the keys pressed since the last call; empty without a window."""
         events = self._client.getKeyboardEvents()
-        went_down = [key for key, did in sorted(events.items()) if self._went_down(key, did)]
-        ups = {key for key, did in events.items() if did & self._client.KEY_WAS_RELEASED}
-        self._down = (self._down | set(events)) - ups
-        return [chr(key) for key in went_down if chr(key).isascii() and chr(key).isprintable()]
+        pressed = [key for key, event in sorted(events.items()) if self._is_pressed(key, event)]
+        released = {key for key, event in events.items() if event & self._client.KEY_WAS_RELEASED}
+        self._down = (self._down | set(events)) - released
+        return [chr(key) for key in pressed if chr(key).isascii() and chr(key).isprintable()]
 
-    def _went_down(self, key: int, did: int) -> bool:
-        released = did & self._client.KEY_WAS_RELEASED and key not in self._down
-        return bool(did & self._client.KEY_WAS_TRIGGERED or released)
+    def _is_pressed(self, key: int, event: int) -> bool:
+        released = event & self._client.KEY_WAS_RELEASED and key not in self._down
+        return bool(event & self._client.KEY_WAS_TRIGGERED or released)
 
 
-def draw_segments(client: Client, segments: Sequence[Segment], replaced: Sequence[int] = ()) -> list[int]:
-    """Draw lines (m, world) in the window only, instead of earlier ones.
+def draw_segments(world: World, segments: Sequence[Segment], replaced: Sequence[int] = ()) -> list[int]:
+    """Draw lines (m, world) in the window, in place of earlier lines.
 
-    :param replaced: what the last call returned
-    :return: what the next call replaces
+    :param replaced: return value of the last call
+    :return: numbers of the lines
     """
-    old = [{"replaceItemUniqueId": item} for item in replaced] or [{}] * len(segments)
+    options = [{"replaceItemUniqueId": item} for item in replaced] or [{}] * len(segments)
     return [
-        client.addUserDebugLine(start, end, MARK_COLOUR, MARK_WIDTH, **options)
-        for (start, end), options in zip(segments, old, strict=True)
+        world.client.addUserDebugLine(start, end, MARK_COLOUR, MARK_WIDTH, **option)
+        for (start, end), option in zip(segments, options, strict=True)
     ]

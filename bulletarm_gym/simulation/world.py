@@ -1,46 +1,50 @@
-"""A world whose state is plain arrays.
+"""A physics world whose state is plain numbers.
 
-Bullet keeps more than positions and velocities: contact caches, motor targets, the order of its bodies. Those
-make two runs from equal positions differ. Here every body is loaded once, in a fixed order, and a snapshot is
-taken of the untouched world. :meth:`World.begin` returns to that snapshot and lays the bodies out anew, so
-what follows depends on the poses, velocities and joint positions alone, in this world or in any other built
-the same way.
+Bullet's own state contains contact caches and motor targets, so two runs from equal positions differ. Here
+every body is loaded once, in a fixed order, and a snapshot is taken before the first step. :meth:`begin`
+restores the snapshot and sets poses and velocities, which alone determine the later states.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from bulletarm_gym.geometry import Pose, Vector
 from bulletarm_gym.simulation.client import Client
-from bulletarm_gym.simulation.loading import load_jointed, load_plane, load_rigid, load_urdf
-from bulletarm_gym.simulation.physics import REST_SPEED, Physics, surface_speed
-from bulletarm_gym.simulation.properties import Properties, set_dynamics
+from bulletarm_gym.simulation.loading import load_jointed, load_plane, load_rigid, load_urdf, set_dynamics
 from bulletarm_gym.simulation.shapes import ORIGIN, BodySpec
-from bulletarm_gym.simulation.state import STILL, Body, Twist, WorldState
+from bulletarm_gym.simulation.state import (
+    REST_SPEED,
+    STILL,
+    Body,
+    Contact,
+    Physics,
+    Properties,
+    Twist,
+    WorldState,
+    surface_speed,
+)
 
 TIME_STEP = 1.0 / 240.0
-"""Seconds a simulation step."""
+"""Duration of a simulation step (s)."""
 GRAVITY = -10.0
 """Acceleration (m/s^2) along z."""
 RESIDUAL_THRESHOLD = 1e-5
 """Squared change of the impulses at which the solver stops before its last iteration."""
 SPHERE_GAP = 0.01
-"""Gap (m) between two spheres that is enough for what they hold to be apart: the engine adds margins."""
+"""Gap (m) between bounding spheres above which bodies are apart. It exceeds Bullet's collision margins."""
 PARKING_HEIGHT = 10.0
-"""Where (m) bodies that take no part wait, far from everything, without contacts."""
-PARKING_PITCH = 1.0
+"""Height (m) of parked bodies, which are 1 m apart along x, far from all contacts."""
 NEAR = 1e-3
-"""Gap (m) within which a body may support another one."""
-
+"""Gap (m) within which a body may support another body."""
 MOVING, FIXED = 1, 2
-"""Collision groups: Bullet would compute contacts between fixed bodies in every step."""
+"""Collision groups, so that Bullet computes no contacts between fixed bodies."""
 
 
 class World:
     """Bodies under gravity.
 
-    :param physics: one of :data:`~bulletarm_gym.simulation.physics.PHYSICS_MODES`
+    :param physics: one of :data:`~bulletarm_gym.simulation.state.PHYSICS_MODES`
     :param gui: show PyBullet's window
     """
 
@@ -59,8 +63,7 @@ class World:
         self._near: dict[tuple[int, int, float], tuple[Any, bool]] = {}
         self._solids: list[Body] = []
         self._snapshot: int | None = None
-        # The default broad phase reorders its trees by memory address as time goes by, and so the contacts.
-        # The simple one keeps the order of loading, and for so few bodies it is as quick.
+        # The default broad phase orders contacts by memory address, the simple one in the order of loading.
         self.client.resetSimulation(self.client.RESET_USE_SIMPLE_BROADPHASE)
         self.client.setGravity(0.0, 0.0, GRAVITY)
         self.client.setPhysicsEngineParameter(
@@ -73,76 +76,41 @@ class World:
     # Loading
 
     def add(self, spec: BodySpec, pose: Pose | None = None) -> Body:
-        """Load a body; without a pose it is parked until :meth:`place` calls it in.
+        """Load a body. Without a pose it is parked until :meth:`place`.
 
-        :raises RuntimeError: the world has been sealed
+        :raises RuntimeError: the world is sealed
         """
-        self._check_open()
-        body_id = (load_jointed if spec.parts else load_rigid)(self.client, spec, self.physics.damping)
+        self._check_unsealed()
+        load = load_jointed if spec.parts else load_rigid
+        body_id = load(self.client, spec, self.physics.damping)
         return self._register(Body(len(self.bodies), body_id, spec, tuple(range(len(spec.parts)))), pose)
 
     def add_plane(self, spec: BodySpec) -> Body:
-        """Load the endless ground at z = 0; ``spec`` gives its name, friction and picture."""
-        self._check_open()
+        """Load the infinite ground at z = 0 with the name, friction and visual shape of a specification."""
+        self._check_unsealed()
         body_id = load_plane(self.client, spec)
-        self._ground = self._register(Body(len(self.bodies), body_id, spec), Pose((0.0, 0.0, 0.0)))
+        self._ground = self._register(Body(len(self.bodies), body_id, spec), ORIGIN)
         return self._ground
 
     def add_urdf(self, spec: BodySpec, xml: str, pose: Pose) -> Body:
-        """Load a jointed body from its URDF, fixed to the world."""
-        self._check_open()
-        body_id, joints = load_urdf(self.client, spec.name, xml, pose)
-        return self._register(Body(len(self.bodies), body_id, spec, joints), pose)
+        """Load a body with joints, fixed to the world, from a URDF without fixed joints."""
+        self._check_unsealed()
+        body_id, links = load_urdf(self.client, spec.name, xml, pose)
+        joints = tuple(range(len(links)))
+        return self._register(Body(len(self.bodies), body_id, spec, joints, links), pose)
 
     def seal(self) -> None:
-        """Take the snapshot every later move begins from; nothing can be loaded after it."""
-        self._check_open()
+        """Take the snapshot for :meth:`begin`. No body can be loaded afterwards."""
         self._solids = self.solids
         self._snapshot = self.client.saveState()
 
-    @property
-    def ground(self) -> Body:
-        """The endless ground, once it is loaded."""
-        assert self._ground is not None, "add_plane() loads it"
-        return self._ground
-
-    @property
-    def free_bodies(self) -> list[Body]:
-        """Bodies that take part and can move, joints aside."""
-        return [body for body in self.bodies if body.spec.mass > 0.0 and self.active[body.index]]
-
-    @property
-    def loose_bodies(self) -> list[Body]:
-        """Bodies that take part and move, or have parts that do, by themselves."""
-        return [body for body in self.obstacles if body.spec.mass > 0.0 or body.spec.parts]
-
-    @property
-    def solids(self) -> list[Body]:
-        """All bodies, parked ones too, but the endless ground, marks on it and what moves itself."""
-        return self._solids or [body for body in self.visible if not body.spec.is_mark]
-
-    @property
-    def visible(self) -> list[Body]:
-        """The solids and the marks on the ground."""
-        return [body for body in self.bodies if body.spec.pieces and body is not self._ground]
-
-    @property
-    def obstacles(self) -> list[Body]:
-        """The solids that take part."""
-        return [body for body in self.solids if self.active[body.index]]
-
-    @property
-    def has_motion(self) -> bool:
-        """Return True if a body has speed in the state."""
-        return any(twist != STILL for twist in self.twists) or any(any(rates) for rates in self.joint_rates)
-
-    def _check_open(self) -> None:
+    def _check_unsealed(self) -> None:
         if self._snapshot is not None:
             raise RuntimeError("the world is sealed: bodies are loaded once, before the first reset")
 
     def _register(self, body: Body, pose: Pose | None) -> Body:
         self.bodies.append(body)
-        self.poses.append(pose or _parking_place(body.index))
+        self.poses.append(pose or Pose((float(body.index), 0.0, PARKING_HEIGHT)))
         self.twists.append(STILL)
         self.active.append(pose is not None)
         self.joints.append((0.0,) * len(body.joints))
@@ -151,10 +119,38 @@ class World:
             self.park(body)
         return body
 
+    # Groups of bodies
+
+    @property
+    def ground(self) -> Body:
+        """The infinite ground, loaded by :meth:`add_plane`."""
+        assert self._ground is not None, "add_plane() loads it"
+        return self._ground
+
+    @property
+    def loose_bodies(self) -> list[Body]:
+        """Obstacles that move without a motor, or have moving parts."""
+        return [body for body in self.obstacles if body.spec.mass > 0.0 or body.spec.parts]
+
+    @property
+    def solids(self) -> list[Body]:
+        """All bodies, parked ones too, except the ground, marks and robots."""
+        return self._solids or [body for body in self.visible if not body.spec.is_mark]
+
+    @property
+    def visible(self) -> list[Body]:
+        """The solids and the marks."""
+        return [body for body in self.bodies if body.spec.pieces and body is not self._ground]
+
+    @property
+    def obstacles(self) -> list[Body]:
+        """The active solids."""
+        return [body for body in self.solids if self.active[body.index]]
+
     # Layout
 
     def place(self, body: Body, pose: Pose, twist: Twist = STILL) -> None:
-        """Put a body somewhere, calling it in if it was parked; it falls if nothing supports it."""
+        """Set the pose of a body and activate it. It falls if nothing supports it."""
         self._disturb(body)
         if not self.active[body.index]:
             self._set_active(body, True)
@@ -162,26 +158,22 @@ class World:
         self._disturb(body)
 
     def carry(self, body: Body, pose: Pose, twist: Twist = STILL) -> None:
-        """Put a grasped body somewhere; the arm supports it."""
+        """Set the pose of a grasped body, which the arm supports."""
         self.poses[body.index] = pose
         self.twists[body.index] = twist
         self._send(body)
 
     def park(self, body: Body) -> None:
-        """Take a body out of the scene: no contacts, out of sight, asleep.
-
-        It keeps its mass: taking it would change the order in which Bullet solves contacts, and with it the
-        last digits of what happens.
-        """
+        """Remove a body from the scene. It keeps its mass, which affects the order of solved contacts."""
         self._disturb(body)
         self.unsettled.discard(body.index)
-        self.poses[body.index] = _parking_place(body.index)
+        self.poses[body.index] = Pose((float(body.index), 0.0, PARKING_HEIGHT))
         self.twists[body.index] = STILL
         self._set_active(body, False)
         self._send(body)
 
     def _disturb(self, body: Body) -> None:
-        """Record that a body that takes part, and those that it may support, have to come to rest."""
+        """Mark an active body, and the bodies that it may support, as unsettled."""
         others = self.loose_bodies if self.active[body.index] else []
         self.unsettled.update(
             other.index
@@ -189,25 +181,24 @@ class World:
             if other.index not in self.unsettled and (other is body or self.are_near(body, other, NEAR))
         )
 
-    def rest(self, body: Body) -> None:
-        """Take a body's speed from it, and that of its parts."""
-        self.twists[body.index] = STILL
-        self.joint_rates[body.index] = (0.0,) * len(body.joints)
-
     def set_joints(self, body: Body, positions: Sequence[float]) -> None:
-        """Put a body's movable joints somewhere, at rest."""
+        """Set the positions (m or rad) of a body's movable joints, with velocity 0."""
         if body.spec.parts:
             self._disturb(body)
         self.joints[body.index] = tuple(positions)
         self.joint_rates[body.index] = (0.0,) * len(body.joints)
         self._send_joints(body)
 
+    def show_joints(self, body: Body, positions: Sequence[float]) -> None:
+        """Set joint positions for a query. :meth:`set_joints` or :meth:`begin` restores the state."""
+        self.client.resetJointStatesMultiDof(body.id, body.joints, [(position,) for position in positions])
+
     def get_properties(self, body: Body) -> Properties:
-        """Return the properties of a body that are in effect."""
+        """Return the current properties of a body."""
         return self._changed.get(body.index) or Properties.of(body.spec)
 
     def set_properties(self, body: Body, properties: Properties) -> None:
-        """Give a body other properties until the next reset.
+        """Set the properties of a body until the next reset.
 
         :raises ValueError: one of them is out of range
         """
@@ -222,15 +213,11 @@ class World:
         self._disturb(body)
 
     def reset_properties(self, changed: Sequence[tuple[int, Properties]] = ()) -> None:
-        """Give some bodies properties by their index, and all others those of their specifications."""
+        """Set the properties of some bodies by index, and of all others to their specifications."""
         wanted = dict(changed)
         for index in sorted({*self._changed, *wanted}):
             body = self.bodies[index]
             self.set_properties(body, wanted.get(index) or Properties.of(body.spec))
-
-    def show_joints(self, body: Body, positions: Sequence[float]) -> None:
-        """Pose a body's joints for a query; :meth:`set_joints` or :meth:`begin` goes back to the state."""
-        self.client.resetJointStatesMultiDof(body.id, body.joints, [(position,) for position in positions])
 
     def _set_active(self, body: Body, active: bool) -> None:
         self.active[body.index] = active
@@ -239,6 +226,14 @@ class World:
             client = self.client
             state = client.ACTIVATION_STATE_DISABLE_SLEEPING if active else client.ACTIVATION_STATE_SLEEP
             client.changeDynamics(body.id, -1, activationState=state)
+
+    def _set_colliding(self, body: Body, colliding: bool) -> None:
+        """Set the collision filter of a body. Fixed bodies collide with moving bodies only."""
+        set_mask = self.client.setCollisionFilterGroupMask
+        for link in (-1, *body.joints):
+            moves = link >= 0 or body.spec.mass > 0.0
+            group, mask = (MOVING, MOVING | FIXED) if moves else (FIXED, MOVING)
+            set_mask(body.id, link, group * colliding, mask * colliding)
 
     def _send(self, body: Body) -> None:
         if body.spec.pieces:
@@ -253,43 +248,26 @@ class World:
             self._send_joints(body)
 
     def _send_joints(self, body: Body) -> None:
-        self.client.resetJointStatesMultiDof(
-            body.id,
-            body.joints,
-            [(position,) for position in self.joints[body.index]],
-            [(rate,) for rate in self.joint_rates[body.index]],
-        )
+        positions = [(position,) for position in self.joints[body.index]]
+        rates = [(rate,) for rate in self.joint_rates[body.index]]
+        self.client.resetJointStatesMultiDof(body.id, body.joints, positions, rates)
 
     # State
 
     def begin(self) -> None:
-        """Return to the canonical world of the present state; every move starts with it."""
+        """Restore the snapshot with the current state. Every motion starts with this call."""
         self.client.restoreState(self._snapshot)
-        self._forget_contacts()
+        # Pairs of bodies keep data of their last contact, which no snapshot contains. Setting the collision
+        # filter removes the pairs.
+        for body in self.bodies:
+            if self.active[body.index] and not body.spec.is_mark:
+                self._set_colliding(body, True)
         for body in self.bodies:
             if self.active[body.index] and body is not self._ground:
                 self._send(body)
 
-    def _forget_contacts(self) -> None:
-        """Have Bullet forget which bodies were near each other.
-
-        Pairs keep what convex shapes found out about their last contact, and no snapshot holds it. Setting
-        its mask enters a body into the broad phase anew, its pairs gone.
-        """
-        for body in self.bodies:
-            if self.active[body.index] and not body.spec.is_mark:
-                self._set_colliding(body, True)
-
-    def _set_colliding(self, body: Body, colliding: bool) -> None:
-        """Have a body collide or not; what stands fixed does so with what moves only."""
-        set_mask = self.client.setCollisionFilterGroupMask
-        for link in (-1, *body.joints):
-            moves = link >= 0 or body.spec.mass > 0.0
-            group, mask = (MOVING, MOVING | FIXED) if moves else (FIXED, MOVING)
-            set_mask(body.id, link, group * colliding, mask * colliding)
-
     def end(self) -> None:
-        """Read the world into the state; bodies slower than :data:`REST_SPEED` are at rest."""
+        """Read the simulation into the state. Velocities below :data:`REST_SPEED` become 0."""
         for body in self.bodies:
             if body.joints:
                 self._read_joints(body)
@@ -297,8 +275,10 @@ class World:
                 self._read(body)
 
     def _read(self, body: Body) -> None:
-        position, orientation = self.client.getBasePositionAndOrientation(body.id)
-        pose, principal = Pose(position, orientation), body.spec.mass_properties[0]
+        pose, principal = (
+            Pose(*self.client.getBasePositionAndOrientation(body.id)),
+            body.spec.mass_properties[0],
+        )
         self.poses[body.index] = pose if principal is ORIGIN else pose.compose(principal.inverse())
         linear, angular = self.client.getBaseVelocity(body.id)
         at_rest = surface_speed(linear, angular) < REST_SPEED
@@ -307,12 +287,11 @@ class World:
     def _read_joints(self, body: Body) -> None:
         states = self.client.getJointStates(body.id, body.joints)
         self.joints[body.index] = tuple(state[0] for state in states)
-        self.joint_rates[body.index] = tuple(
-            state[1] if abs(state[1]) >= REST_SPEED else 0.0 for state in states
-        )
+        rates = (state[1] for state in states)
+        self.joint_rates[body.index] = tuple(rate if abs(rate) >= REST_SPEED else 0.0 for rate in rates)
 
     def get_state(self) -> WorldState:
-        """Return the state; it holds no reference into the world."""
+        """Return a copy of the state."""
         return WorldState(
             tuple(self.poses),
             tuple(self.twists),
@@ -324,7 +303,7 @@ class World:
         )
 
     def set_state(self, state: WorldState) -> None:
-        """Return to a state of this world or of another built the same way."""
+        """Set a state of this world or of another world with the same bodies."""
         for body in self.bodies:
             if state.active[body.index] != self.active[body.index]:
                 self._set_active(body, state.active[body.index])
@@ -335,37 +314,62 @@ class World:
         for body in self.bodies:
             self._send(body)
 
-    # Motion
+    # Simulation
 
     def step(self, count: int = 1) -> None:
-        """Advance by ``count`` steps of :data:`TIME_STEP`."""
+        """Advance the simulation by a number of steps of :data:`TIME_STEP`."""
         for _ in range(count):
             self.client.stepSimulation()
 
+    def wrap_step(self, wrap: Callable[[Callable[..., Any]], Callable[..., Any]]) -> None:
+        """Replace the function that computes a simulation step, to measure its time for example."""
+        vars(self.client)["stepSimulation"] = wrap(self.client.stepSimulation)
+
+    # Queries
+
+    @property
+    def has_motion(self) -> bool:
+        """Whether a body or a joint has a velocity in the state."""
+        return any(twist != STILL for twist in self.twists) or any(any(rates) for rates in self.joint_rates)
+
     def speed(self, body: Body) -> float:
-        """Return the speed (m/s) of a body or of its fastest part in the simulation right now."""
+        """Return the current speed (m/s) of a body or of its fastest part in the simulation."""
         states = self.client.getJointStates(body.id, body.joints) if body.joints else ()
         own = surface_speed(*self.client.getBaseVelocity(body.id)) if body.spec.mass > 0.0 else 0.0
         return float(max(own, *(abs(state[1]) for state in states))) if states else own
 
-    # Queries
-
     def part_poses(self, body: Body) -> list[Pose]:
-        """Return the poses of a body and of each of its parts, in whose frames their meshes are."""
+        """Return the poses of the meshes of a body and of its moving parts."""
         pose = self.poses[body.index]
         parts = zip(body.spec.parts, self.joints[body.index], strict=True) if body.spec.parts else ()
         return [pose, *(pose.compose(part.moved(position)) for part, position in parts)]
 
+    def contacts(self, body: Body, other: Body | None = None, link: int = -2) -> list[Contact]:
+        """Return the contacts of a body in the last simulation step.
+
+        :param other: only contacts with this body
+        :param link: only contacts of this link, an index in Bullet
+        """
+        other_id = -1 if other is None else other.id
+        return self._contacts(self.client.getContactPoints(body.id, other_id, link))
+
+    def closest_points(
+        self, body: Body, other: Body, limit: float = 0.0, link: int = -2, other_link: int = -2
+    ) -> list[Contact]:
+        """Return the closest points of two bodies whose gap is at most ``limit`` (m), as they are now."""
+        return self._contacts(self.client.getClosestPoints(body.id, other.id, limit, link, other_link))
+
+    def _contacts(self, points: Sequence[Any]) -> list[Contact]:
+        bodies = {body.id: body for body in self.bodies} if points else {}
+        return [Contact(p[3], bodies[p[2]], p[7], p[8], p[9]) for p in points]
+
     def distance(self, first: Body, second: Body, limit: float) -> float:
-        """Return the gap (m) between two bodies, negative where they overlap, infinite beyond ``limit``."""
+        """Return the gap (m) between two bodies, negative if they overlap, infinite beyond ``limit``."""
         points = self.client.getClosestPoints(first.id, second.id, limit)
         return min((point[8] for point in points), default=math.inf)
 
     def are_near(self, first: Body, second: Body, limit: float) -> bool:
-        """Whether the gap between two bodies that are where the state says is at most ``limit`` (m).
-
-        The answer is kept until one of them moves.
-        """
+        """Return True if the gap between two bodies is at most ``limit`` (m); cached until one moves."""
         one, two = first.index, second.index
         now = (self.poses[one], self.poses[two], self.joints[one], self.joints[two])
         known = self._near.get((one, two, limit))
@@ -375,25 +379,29 @@ class World:
         return known[1]
 
     def _may_be_near(self, first: Body, second: Body, limit: float) -> bool:
-        """Whether the spheres that hold two bodies are as near as that, without asking the engine."""
+        """Return False if the bounding spheres of two bodies are apart."""
         if not (first.spec.pieces and second.spec.pieces) or first.joints or second.joints:
             return True
         apart = math.dist(self.poses[first.index].position, self.poses[second.index].position)
         return apart <= first.spec.radius + second.spec.radius + limit + SPHERE_GAP
 
-    def bounds(self, body: Body) -> tuple[Vector, Vector]:
-        """Return the lowest and the highest corner (m) of a body's bounding box."""
-        low, high = self.client.getAABB(body.id)
+    def bounds(self, body: Body, link: int = -1) -> tuple[Vector, Vector]:
+        """Return the lowest and the highest corner (m) of the bounding box of a body's base or of a link."""
+        low, high = self.client.getAABB(body.id, link)
         return low, high
 
     def top(self, body: Body) -> float:
         """Return the height (m) of the highest point of a body's bounding box."""
         return self.bounds(body)[1][2]
 
+    def cast_rays(self, starts: Sequence[Vector], ends: Sequence[Vector]) -> list[float]:
+        """Return the fraction of each line (m, world) before its first hit of a body, 1 without a hit."""
+        return [hit[2] for hit in self.client.rayTestBatch(starts, ends)]
+
+    def check_open(self) -> None:
+        """Raise ClosedEnvironmentError if the world is closed."""
+        self.client.check_open()
+
     def close(self) -> None:
         """Release the physics server."""
         self.client.close()
-
-
-def _parking_place(index: int) -> Pose:
-    return Pose((PARKING_PITCH * index, 0.0, PARKING_HEIGHT))

@@ -1,28 +1,31 @@
-"""How fast a machine is in plain PyBullet, apart from our environments."""
+"""Speed of plain PyBullet, with which speeds measured on different machines are compared."""
 
-import time
+import timeit
 from collections.abc import Callable
 from dataclasses import dataclass
 from statistics import median
 from typing import Any
 
+import pybullet_data
+
 from bulletarm_gym.simulation.client import Client
 
 PIXELS = 128
-"""A side of the picture that is drawn."""
+"""Side of the rendered image (pixels)."""
 CUBES = 4
+"""Number of resting cubes."""
 UNTIL_REST = 300
-"""Steps until the cubes rest."""
+"""Number of simulation steps until the cubes rest."""
 REPETITIONS = 5
-"""Measurements of a figure, of which the median counts."""
+"""Number of measurements, of which the median is the result."""
 
 
 @dataclass(frozen=True)
 class Yardstick:
-    """The machine's speed in plain PyBullet: a KUKA arm and four resting cubes.
+    """Speed of plain PyBullet with a KUKA arm and four resting cubes.
 
-    :param step_us: one simulation step (microseconds)
-    :param render_ms: one picture of 128 x 128 pixels by the software renderer (milliseconds)
+    :param step_us: duration of a simulation step (microseconds)
+    :param render_ms: duration of an image of 128 x 128 pixels by the software renderer (milliseconds)
     """
 
     step_us: float
@@ -30,21 +33,20 @@ class Yardstick:
 
 
 def measure_yardstick(steps: int = 2000, pictures: int = 20) -> Yardstick:
-    """Measure the machine, apart from any environment.
+    """Measure the speed of plain PyBullet on this machine.
 
-    :param steps: simulation steps in each of five measurements
-    :param pictures: pictures in each of five measurements
-    :return: the median of five measurements of each figure
+    :param steps: number of simulation steps in each measurement
+    :param pictures: number of images in each measurement
     """
     client = Client()
     try:
         _build_scene(client)
         view = client.computeViewMatrix([0.45, 0, 0.8], [0.45, 0, 0], [-1, 0, 0])
-        lens = client.computeProjectionMatrixFOV(40, 1, 0.01, 2)
-        renderer = client.ER_TINY_RENDERER
+        projection = client.computeProjectionMatrixFOV(40, 1, 0.01, 2)
+        image = (PIXELS, PIXELS, view, projection)
         step = _median_time(client.stepSimulation, steps)
         picture = _median_time(
-            lambda: client.getCameraImage(PIXELS, PIXELS, view, lens, renderer=renderer), pictures
+            lambda: client.getCameraImage(*image, renderer=client.ER_TINY_RENDERER), pictures
         )
     finally:
         client.close()
@@ -52,8 +54,6 @@ def measure_yardstick(steps: int = 2000, pictures: int = 20) -> Yardstick:
 
 
 def _build_scene(client: Client) -> None:
-    import pybullet_data
-
     client.setAdditionalSearchPath(pybullet_data.getDataPath())
     client.setGravity(0, 0, -10)
     client.loadURDF("plane.urdf")
@@ -65,11 +65,5 @@ def _build_scene(client: Client) -> None:
 
 
 def _median_time(function: Callable[[], Any], calls: int) -> float:
-    """Return the median over repetitions of the mean time of a call (s)."""
-    times = []
-    for _ in range(REPETITIONS):
-        start = time.perf_counter()
-        for _ in range(calls):
-            function()
-        times.append((time.perf_counter() - start) / calls)
-    return median(times)
+    """Return the median over the measurements of the mean duration of a call (s)."""
+    return median(timeit.repeat(function, number=calls, repeat=REPETITIONS)) / calls

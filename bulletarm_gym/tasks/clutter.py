@@ -32,8 +32,8 @@ from bulletarm_gym.objects.blocks import CUBE_SIZE
 from bulletarm_gym.objects.sets import object_set
 from bulletarm_gym.scene import ObjectSlot, Scene, SceneObject
 from bulletarm_gym.scene.sampling import ARRANGEMENTS
+from bulletarm_gym.scene.stability import settle
 from bulletarm_gym.simulation import BodySpec, Convex, Piece
-from bulletarm_gym.simulation.settling import settle
 from bulletarm_gym.tasks.picking import Lift
 
 DROP_HEIGHT = 0.12

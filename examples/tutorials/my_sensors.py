@@ -25,12 +25,12 @@ class Rangefinder(Sensor):
         return spaces.Box(0.0, self.reach, (2,), np.float32)
 
     def read(self, view: View) -> NDArray[np.float32]:
-        robot, client = self.scene.robot, self.scene.world.client
+        robot, world = self.scene.robot, self.scene.world
         side = (robot.opening + robot.model.gripper.finger[0]) / 2.0
         starts, ends = (
             [robot.pose.transform((x, 0.0, z)) for x in (side, -side)] for z in (-SKIN, -self.reach)
         )
-        shares = [hit[2] for hit in client.rayTestBatch(starts, ends)]
+        shares = world.cast_rays(starts, ends)
         return np.array([SKIN + share * (self.reach - SKIN) for share in shares], np.float32)
 
 

@@ -25,9 +25,10 @@ from bulletarm_gym.geometry import (
     yaw_quaternion,
 )
 from bulletarm_gym.robots import KUKA, PANDA, ROBOTS, Robot, RobotModel, read_urdf
+from bulletarm_gym.robots.editing import merge_fixed
 from bulletarm_gym.robots.kinematics import POSITION_TOLERANCE, Chain
-from bulletarm_gym.robots.urdf import box, cylinder, merge_fixed
-from bulletarm_gym.simulation.motion import on_the_way
+from bulletarm_gym.robots.primitives import box, cylinder
+from bulletarm_gym.simulation.motion import interpolate_path
 
 PICKING = "BulletArm/CloseLoopBlockPicking-v0"
 TASKS = ("BlockReaching", "BlockPicking", "BlockPulling")
@@ -365,17 +366,18 @@ def numbers(root: ElementTree.Element, path: str, key: str) -> list[float]:
 
 
 def test_parts_that_are_only_seen_do_not_collide() -> None:
-    seen = cylinder(0.1, 0.2, (0.0, 0.0, 0.0), (1.0, 1.0, 1.0), "x", solid=False)
-    assert [element.tag for element in seen.elements()] == ["visual"]
-    solid = box((0.1, 0.2, 0.3), (0.0, 0.0, 0.0), (1.0, 1.0, 1.0))
-    assert [element.tag for element in solid.elements()] == ["visual", "collision"]
+    for is_solid, tags in ((False, ["visual"] * 2), (True, ["visual", "collision"] * 2)):
+        link = ElementTree.Element("link")
+        cylinder(0.1, 0.2, (0.0, 0.0, 0.0), (1.0, 1.0, 1.0), solid=is_solid).add_to(link)
+        box((0.1, 0.2, 0.3), (0.0, 0.0, 0.0), (1.0, 1.0, 1.0), solid=is_solid).add_to(link)
+        assert [element.tag for element in link] == tags
 
 
 def test_a_gripper_needs_a_link_to_sit_on() -> None:
-    from bulletarm_gym.robots.ur5 import FLANGE, JAW, arm
+    from bulletarm_gym.robots.ur5 import FLANGE, JAW
 
     with pytest.raises(ValueError, match="no link 'hand'"):
-        JAW.fitted(arm, "hand", FLANGE)
+        JAW.fitted(ROBOTS["ur5"].load, "hand", FLANGE)
 
 
 # Models of users
@@ -458,25 +460,25 @@ def test_torques_agree_with_the_simulator(arm_env: ManipulationEnv, robot: Robot
         rates[slots], accelerations[slots] = rng.uniform((-1.0, -5.0), (1.0, 5.0), (len(slots), 2)).T
         motion = (positions, rates, accelerations)
         expected = world.client.calculateInverseDynamics(robot.body.id, *(part.tolist() for part in motion))
-        torques = robot._dynamics.torques(*(part[slots] for part in motion))
+        torques = robot.dynamics.torques(*(part[slots] for part in motion))
         assert torques == pytest.approx(np.array(expected)[slots], abs=0.1)
 
 
 def test_motions_take_longer_with_less_torque_and_more_load(robot: Robot) -> None:
-    start = np.array(robot._arm.positions(robot._world))
+    start = np.array(robot.joint_positions)
     path = np.array([start, robot.inverse_kinematics(Pose.planar(0.45, 0.0, 0.25))])
     limits = np.array(robot.model.torques)
     steps = [
-        robot._dynamics.least_steps(path, share * limits, load) for share, load in ((1, 0), (1, 2), (0.5, 0))
+        robot.dynamics.least_steps(path, share * limits, load) for share, load in ((1, 0), (1, 2), (0.5, 0))
     ]
     assert steps[0] < steps[1] and steps[0] < steps[2]
 
 
 def test_motions_with_less_time_to_speed_up_take_longer(robot: Robot) -> None:
-    start = np.array(robot._arm.positions(robot._world))
+    start = np.array(robot.joint_positions)
     path = np.array([start, robot.inverse_kinematics(Pose.planar(0.45, 0.0, 0.25))])
     limits = np.array(robot.model.torques)
-    steps = [robot._dynamics.least_steps(path, limits, 0.0, rise) for rise in (0.5, 0.25, 0.1)]
+    steps = [robot.dynamics.least_steps(path, limits, 0.0, rise) for rise in (0.5, 0.25, 0.1)]
     assert steps[0] < steps[1] < steps[2]
 
 
@@ -507,8 +509,10 @@ def test_moves_keep_to_the_straight_line(robot: Robot) -> None:
         if not robot.can_move_to(end):
             continue
         leaves = robot.wrist_room(end) > robot.wrist_room()
-        stops = [robot._arm.positions(robot._world), *robot._line(start, end), robot.inverse_kinematics(end)]
-        path = [chain.forward(joints).position for joints in on_the_way(stops, np.linspace(0.0, 1.0, 41))]
+        stops = [robot.joint_positions, *robot._line(start, end), robot.inverse_kinematics(end)]
+        path = [
+            chain.forward(joints).position for joints in interpolate_path(stops, np.linspace(0.0, 1.0, 41))
+        ]
         off = max(math.dist(point, place(point, position, position + shift)) for point in path)
         assert off < (0.03 if leaves else 0.012)
         tried += 1

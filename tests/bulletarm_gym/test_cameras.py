@@ -21,7 +21,7 @@ from bulletarm_gym.env import ManipulationEnv
 from bulletarm_gym.geometry import FloatArray, Pose, euler_pose, matrix
 from bulletarm_gym.objects.solids import block
 from bulletarm_gym.simulation import BodySpec, Camera, World
-from bulletarm_gym.simulation.physics import PHYSICS_MODES
+from bulletarm_gym.simulation.state import PHYSICS_MODES
 
 Make = Callable[..., ManipulationEnv]
 

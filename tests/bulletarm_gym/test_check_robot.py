@@ -13,8 +13,8 @@ from bulletarm_gym.check_robot import check_robot, main
 from bulletarm_gym.geometry import Pose, euler_pose
 from bulletarm_gym.robots import KUKA, ROBOTS, ParallelJaw, RobotModel
 from bulletarm_gym.robots.kuka import FLANGE, JAW
-from bulletarm_gym.robots.reach import grid, largest_workspace, survey
-from bulletarm_gym.simulation.assets import load_model
+from bulletarm_gym.robots.reach import grid, largest_workspace, study_reach
+from bulletarm_gym.simulation.urdf import load_model
 
 
 def fitted(jaw: ParallelJaw, flange: Pose) -> RobotModel:
@@ -72,7 +72,7 @@ def test_the_largest_workspace_is_in_reach() -> None:
         limits = largest_workspace(model)
         (x0, x1), (y0, y1), (low, high) = limits
         assert x1 - x0 >= 0.1 and y1 - y0 >= 0.1
-        assert survey(model, grid(limits, (low, (low + high) / 2.0, high), 3)).share == 1.0
+        assert study_reach(model, grid(limits, (low, (low + high) / 2.0, high), 3)).share == 1.0
 
 
 @pytest.mark.parametrize("what", BROKEN)

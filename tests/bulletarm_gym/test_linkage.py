@@ -8,7 +8,7 @@ import pybullet_data
 import pytest
 
 from bulletarm_gym.robots import on_slides, read_urdf
-from bulletarm_gym.robots.kinematics import find_joint, frame_of
+from bulletarm_gym.simulation.urdf import find_joint, frame_of
 
 URDF = Path(pybullet_data.getDataPath(), "xarm", "xarm6_with_gripper.urdf")
 BASE, FINGERS = "xarm_gripper_base_link", ("left_finger_joint", "right_finger_joint")
@@ -48,7 +48,11 @@ def test_fingers_meet_at_0_and_open_straight_as_far_as_the_linkage() -> None:
     [
         (BASE, ("left_finger_joint", "thumb"), "no joint 'thumb'"),
         ("palm", FINGERS, "no link 'palm'"),
-        ("left_inner_knuckle", FINGERS, "'left_finger_joint' does not hang on the link 'left_inner_knuckle'"),
+        (
+            "left_inner_knuckle",
+            FINGERS,
+            "'left_finger_joint' is not attached to the link 'left_inner_knuckle'",
+        ),
     ],
 )
 def test_what_is_missing_is_named(carrier: str, fingers: tuple[str, str], reason: str) -> None:

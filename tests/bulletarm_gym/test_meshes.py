@@ -13,8 +13,8 @@ from bulletarm_gym.simulation import BodySpec, Box, Slide, World
 from bulletarm_gym.simulation.client import Client
 from bulletarm_gym.simulation.loading import load_urdf
 from bulletarm_gym.simulation.meshes import mesh_parts
-from bulletarm_gym.simulation.physics import PHYSICS_MODES
 from bulletarm_gym.simulation.shapes import Convex, Piece, wavefront
+from bulletarm_gym.simulation.state import PHYSICS_MODES
 from bulletarm_gym.surfaces.flat import FLOOR
 
 SIZE = (0.1, 0.2, 0.4)

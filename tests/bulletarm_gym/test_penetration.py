@@ -134,8 +134,8 @@ def test_a_blocked_pick_draws_back_the_way_it_came(make: Make, monkeypatch: pyte
     robot, heights = env.scene.robot, []
     move_to = robot.move_to
 
-    def watched(pose: Pose, careful: bool = True) -> None:
-        move_to(pose, careful)
+    def watched(pose: Pose, in_contact: bool = True) -> None:
+        move_to(pose, in_contact)
         heights.append(robot.pose.z)
 
     monkeypatch.setattr(robot, "move_to", watched)

@@ -11,7 +11,7 @@ from rollouts import digest, mixed_action, step_on, transcript
 from bulletarm_gym.demonstrations import plain
 from bulletarm_gym.env import ManipulationEnv
 from bulletarm_gym.scene import Scene
-from bulletarm_gym.simulation.properties import Properties
+from bulletarm_gym.simulation.state import Properties
 from bulletarm_gym.tasks.picking import BlockPicking
 
 Make = Callable[..., ManipulationEnv]

@@ -19,7 +19,7 @@ from bulletarm_gym.geometry import (
     yaw_quaternion,
 )
 from bulletarm_gym.robots import ROBOTS, RobotModel
-from bulletarm_gym.simulation.motion import on_the_way
+from bulletarm_gym.simulation.motion import interpolate_path
 
 Make = Callable[..., ManipulationEnv]
 
@@ -115,6 +115,35 @@ def test_opening_follows_the_command(make: Make, model: RobotModel, fast: bool) 
         assert env.scene.robot.opening_ratio == pytest.approx(ratio, abs=0.03)
 
 
+def test_joints_move_to_positions_and_are_measured(armed: ManipulationEnv) -> None:
+    robot = armed.scene.robot
+    goal = np.add(robot.joint_positions, 0.1)
+    armed.scene.begin()
+    robot.move_joints(goal)
+    np.testing.assert_allclose(robot.joint_positions, goal, atol=2e-3)
+    assert not any(robot.joint_velocities) and not robot.contacts
+    assert 0.0 < np.abs(robot.joint_torques).max() < max(robot.model.torques)
+    for wrong in (goal[:-1], goal + 10.0):
+        with pytest.raises(ValueError, match="positions must be"):
+            robot.move_joints(wrong)
+
+
+def test_contacts_name_the_touched_body(armed: ManipulationEnv) -> None:
+    grasp(armed)
+    robot, cube = armed.scene.robot, armed.scene["cube"].body
+    armed.scene.begin()
+    robot.move_to(robot.pose.compose(Pose((0.0, 0.0, 0.01))))
+    contacts = [contact for contact in robot.contacts if contact.other == cube]
+    assert {contact.link for contact in contacts} == set(robot.finger_links)
+    assert all(contact.force >= 0.0 and contact.distance < 0.01 for contact in contacts)
+
+
+def test_the_wrist_camera_is_directed_at_the_fingertips(armed: ManipulationEnv) -> None:
+    robot = armed.scene.robot
+    centre = robot.camera_pose.transform((0.0, 0.0, robot.model.gripper.finger[2]))
+    assert centre == pytest.approx(robot.pose.position)
+
+
 def test_close_and_open(armed: ManipulationEnv) -> None:
     armed.scene.begin()
     armed.scene.robot.set_opening(0.0)
@@ -166,7 +195,7 @@ def test_rotation_stops_at_the_joint_limits(armed: ManipulationEnv, direction: f
     start = robot.pose
     for _ in range(24):
         _, _, _, _, info = armed.step([1.0, 0.0, 0.0, 0.0, direction])
-        joints = np.array(robot._arm.positions(armed.scene.world))
+        joints = np.array(robot.joint_positions)
         assert not info["ignored"] and (lower <= joints).all() and (joints <= upper).all()
     assert math.dist(robot.pose.position, start.position) < 2e-3
     stopped = robot.pose.yaw
@@ -232,6 +261,6 @@ def test_tilted_gripper_keeps_to_the_line(armed: ManipulationEnv) -> None:
         ends = [robot.inverse_kinematics(pose) for pose in (start, end)]
         stops = [ends[0], *robot._line(start, end), ends[1]]
         shares = np.linspace(0.0, 1.0, 21)
-        for share, joints in zip(shares, on_the_way(stops, shares), strict=True):
+        for share, joints in zip(shares, interpolate_path(stops, shares), strict=True):
             straight = end.compose(Pose((0.0, 0.0, 0.1 * (1.0 - share)))).position
             assert math.dist(robot.model.chain.forward(joints).position, straight) < 4e-3

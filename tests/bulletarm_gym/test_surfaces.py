@@ -15,7 +15,7 @@ from bulletarm_gym.geometry import Footprint, PlacementError, Pose, rotate
 from bulletarm_gym.scene.predicates import on_site, on_surface
 from bulletarm_gym.scene.sampling import footprint, free_site, place_apart
 from bulletarm_gym.simulation import World
-from bulletarm_gym.simulation.physics import PHYSICS_MODES
+from bulletarm_gym.simulation.state import PHYSICS_MODES
 from bulletarm_gym.surfaces import BumpSurface, RampSurface, make_surface
 
 ENV_ID = "BulletArm/CloseLoopBlockStacking-v0"

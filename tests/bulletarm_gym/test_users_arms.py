@@ -25,11 +25,12 @@ from bulletarm_gym.robots import (
     on_slides,
     without,
 )
-from bulletarm_gym.robots.kinematics import find_joint
+from bulletarm_gym.robots.editing import merge_fixed
+from bulletarm_gym.robots.primitives import LIGHT, add_link, box
 from bulletarm_gym.robots.structure import prepare
-from bulletarm_gym.robots.urdf import LIGHT, add_joint, add_link, box, merge_fixed
 from bulletarm_gym.simulation.client import Client
 from bulletarm_gym.simulation.loading import load_urdf
+from bulletarm_gym.simulation.urdf import add_joint, find_joint
 
 PICKING = "BulletArm/CloseLoopBlockPicking-v0"
 ORIGIN = Pose((0.0, 0.0, 0.0))
@@ -271,7 +272,7 @@ def _coupled_linkage(root: Element) -> None:
     [
         (_double_name, "names of links must be distinct, got 'lbr_iiwa_link_3' twice"),
         (
-            partial(add_link, name="loose", mass=1.0, parts=[PART]),
+            partial(add_link, name="loose", mass=1.0, primitives=[PART]),
             "one root link, got 'lbr_iiwa_link_0', 'loose'",
         ),
         (_second_parent, "one parent, got several for 'lbr_iiwa_link_4'"),

@@ -90,7 +90,7 @@ def test_keys_that_went_down() -> None:
 def test_the_window_looks_where_close_ups_do() -> None:
     client: Any = Window()
     eye, target = (1.0, -1.0, 2.0**0.5 + 0.1), (0.0, 0.0, 0.1)
-    window.look(client, eye, target)
+    window.look(SimpleNamespace(client=client), eye, target)
     assert client.options == [(client.COV_ENABLE_GUI, 0)]
     distance, yaw, pitch, seen = client.camera
     assert (distance, yaw, pitch) == pytest.approx((2.0, 45.0, -45.0)) and seen == target
@@ -98,7 +98,8 @@ def test_the_window_looks_where_close_ups_do() -> None:
 
 def test_a_mark_replaces_the_last_one() -> None:
     client: Any = Window()
+    world: Any = SimpleNamespace(client=client)
     segments = [((0.0, 0.0, 0.0), (0.0, 0.0, 1.0)), ((0.0, 0.0, 0.0), (1.0, 0.0, 0.0))]
-    first = window.draw_segments(client, segments)
-    window.draw_segments(client, segments, first)
+    first = window.draw_segments(world, segments)
+    window.draw_segments(world, segments, first)
     assert [line.get("replaceItemUniqueId") for line in client.lines] == [None, None, 1, 2]

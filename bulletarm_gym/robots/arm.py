@@ -1,0 +1,177 @@
+"""The joints of a robot in a world: measurements and inverse kinematics."""
+
+import math
+from collections.abc import Sequence
+from functools import cached_property, lru_cache
+
+import numpy as np
+
+from bulletarm_gym.geometry import Pose
+from bulletarm_gym.robots.dynamics import Dynamics
+from bulletarm_gym.robots.kinematics import POSITION_TOLERANCE
+from bulletarm_gym.robots.model import RobotModel
+from bulletarm_gym.robots.paths import is_straight
+from bulletarm_gym.simulation import Body, BodySpec, Contact, World
+from bulletarm_gym.simulation.motion import JointGroup, add_gear_constraint
+
+FULL_TURN = 2.0 * math.pi
+MAX_JOINT_CHANGE = math.pi
+"""Change (rad) of a joint from which a motion is a detour around a joint limit."""
+STRAIGHT_JOINT_CHANGE = 0.3
+"""Change (rad) of all joints but the last below which a closed-loop step is almost straight."""
+CACHE_SIZE = 64
+"""Number of poses whose joint positions are cached. An action uses the same poses repeatedly."""
+
+
+class OutOfReachError(ValueError):
+    """Raised when inverse kinematics has no solution for a pose."""
+
+
+class Arm:
+    """An arm with its gripper, loaded into a world.
+
+    Poses are tool poses in the world: between the fingertips, z upwards when the gripper points down, x along
+    the opening direction.
+    """
+
+    def __init__(self, model: RobotModel, world: World) -> None:
+        self.model = model
+        self._world = world
+        self.body = world.add_urdf(BodySpec(model.name, (), 0.0), model.xml, model.base)
+        names = [link.joint for link in self.body.links]
+        self._arm = JointGroup(self.body, tuple(names.index(name) for name in model.joints), model.torques)
+        fingers = tuple(names.index(name) for name in model.gripper.joints)
+        self._fingers = JointGroup(self.body, fingers, (model.gripper.force,) * 2)
+        add_gear_constraint(world, self._fingers, model.gripper.friction)
+        self.dynamics = Dynamics.of(self.body, self._arm.joints, model.chain)
+        self.held: Body | None = None
+        self._inverse = lru_cache(maxsize=CACHE_SIZE)(model.inverse)
+        self._wrist_limits: list[float] = model.chain.solution_limits[-1].tolist()
+        self._pose_cache: tuple[tuple[float, ...], Pose] = ((), Pose((0.0, 0.0, 0.0)))
+
+    # Measurements
+
+    @property
+    def pose(self) -> Pose:
+        """Tool pose."""
+        joints = self.joint_positions
+        if joints != self._pose_cache[0]:
+            self._pose_cache = (joints, self.model.chain.forward(np.array(joints)))
+        return self._pose_cache[1]
+
+    @property
+    def joint_positions(self) -> tuple[float, ...]:
+        """Positions (rad) of the arm joints, in the order of ``model.joints``."""
+        return self._arm.positions(self._world)
+
+    @property
+    def joint_velocities(self) -> tuple[float, ...]:
+        """Velocities (rad/s) of the arm joints in the state, 0 between actions."""
+        rates = self._world.joint_rates[self.body.index]
+        return tuple(rates[slot] for slot in self._arm.slots)
+
+    @property
+    def joint_torques(self) -> tuple[float, ...]:
+        """Torques (N m) of the arm joints that hold the robot and the grasped object still."""
+        still = np.zeros(len(self.joint_positions))
+        torques = self.dynamics.torques(np.array(self.joint_positions), still, still, self._load)
+        return tuple(torques.tolist())
+
+    @property
+    def camera_pose(self) -> Pose:
+        """Pose of a wrist camera at the fingers' roots: z along the approach, x the opening direction."""
+        height = self.model.gripper.finger[2]
+        return self.pose.compose(Pose((0.0, 0.0, height), (1.0, 0.0, 0.0, 0.0)))
+
+    @property
+    def contacts(self) -> list[Contact]:
+        """Contacts of the robot in the last simulation step; empty after a motion without simulation."""
+        return self._world.contacts(self.body)
+
+    @property
+    def finger_links(self) -> list[int]:
+        """Indices of the finger links in Bullet."""
+        return self._fingers.joints
+
+    @property
+    def opening(self) -> float:
+        """Distance (m) between the fingers."""
+        return sum(self._fingers.positions(self._world))
+
+    @property
+    def opening_ratio(self) -> float:
+        """Opening relative to the gripper's stroke, 0 closed to 1 open."""
+        return min(1.0, max(0.0, self.opening / self.model.gripper.stroke))
+
+    @property
+    def _load(self) -> float:
+        """Mass (kg) of the grasped object."""
+        return 0.0 if self.held is None else self._world.get_properties(self.held).mass
+
+    def show_joints(self, positions: Sequence[float]) -> None:
+        """Set the arm joints (rad) for a query of the world, until the next motion begins."""
+        self._world.show_joints(self.body, self._arm.moved(self._world, positions))
+
+    # Inverse kinematics
+
+    def inverse_kinematics(self, pose: Pose) -> tuple[float, ...]:
+        """Return joint positions (rad) inside the limits for a tool pose.
+
+        Multiples of 2 pi are added to each joint, so that it is as near as possible to its current position.
+
+        :raises OutOfReachError: no solution is inside the joint limits
+        """
+        solution = self._solve(pose)
+        for joint, (low, high) in self._turning_joints:
+            turns = round((self.joint_positions[joint] - solution[joint]) / FULL_TURN)
+            least = math.ceil((low - solution[joint]) / FULL_TURN)
+            most = math.floor((high - solution[joint]) / FULL_TURN)
+            solution[joint] += FULL_TURN * min(max(turns, least), most)
+        return tuple(solution)
+
+    @cached_property
+    def _turning_joints(self) -> list[tuple[int, tuple[float, float]]]:
+        """Index and limits (rad) of the joints with a range of at least 2 pi."""
+        limits = self.model.chain.solution_limits.tolist()
+        return [(joint, (low, high)) for joint, (low, high) in enumerate(limits) if high - low >= FULL_TURN]
+
+    def reaches(self, pose: Pose) -> bool:
+        """Return True if a tool pose is in reach."""
+        return self._inverse(pose)[1] <= POSITION_TOLERANCE
+
+    def can_move_to(self, pose: Pose) -> bool:
+        """Return True if one motion leads to a pose: in reach, no joint limit in between, almost straight.
+
+        A motion away from the limits of the last joint may deviate from the line.
+        """
+        if not self.reaches(pose):
+            return False
+        goal = self.inverse_kinematics(pose)
+        if max(_changes(self.joint_positions, goal)) >= MAX_JOINT_CHANGE:
+            return False
+        return self._is_straight(pose, goal) or self.wrist_room(pose) > self.wrist_room()
+
+    def _is_straight(self, pose: Pose, goal: Sequence[float]) -> bool:
+        """Return True if a joint motion to a pose is near the straight line."""
+        now = self.joint_positions
+        if max(_changes(now[:-1], goal[:-1])) < STRAIGHT_JOINT_CHANGE:
+            return True
+        return is_straight(self.pose, self.model.chain.forward((np.array(now) + goal) / 2.0), pose)
+
+    def wrist_room(self, pose: Pose | None = None) -> float:
+        """Return the distance (rad) of the last joint from its nearer limit, now or at a pose in reach."""
+        joints = self.joint_positions if pose is None else self.inverse_kinematics(pose)
+        low, high = self._wrist_limits
+        return min(joints[-1] - low, high - joints[-1])
+
+    def _solve(self, pose: Pose) -> list[float]:
+        joints, error = self._inverse(pose)
+        if error > POSITION_TOLERANCE:
+            raise OutOfReachError(f"robot {self.model.name!r} cannot reach {pose}, the error is {error:.4f}")
+        solution: list[float] = joints.tolist()
+        return solution
+
+
+def _changes(start: Sequence[float], end: Sequence[float]) -> list[float]:
+    """Return the absolute change of each joint."""
+    return [abs(after - before) for before, after in zip(start, end, strict=True)]
