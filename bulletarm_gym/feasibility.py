@@ -92,11 +92,11 @@ def check_spans(config: EnvConfig, own: EnvConfig, scene: Scene, task: Task) -> 
         return
     stroke = scene.robot.model.gripper.stroke
     for item in task.grasped(scene):
-        width = max(_narrowest(spec) for spec in item.role.variants)
+        width = max(_narrowest(spec) for spec in item.slot.variants)
         if width + GRASP_PLAY > stroke:
             takes = (
                 f"one that the gripper of robot={config.robot!r} spans: it opens to {stroke:.4g} m, "
-                f"{item.role.name!r} gets {width:.4g} m wide"
+                f"{item.slot.name!r} gets {width:.4g} m wide"
             )
             raise ParameterError.of("object_scale_range", config.object_scale_range, takes)
 
@@ -109,7 +109,7 @@ def _check_set(config: EnvConfig, scene: Scene) -> None:
     if config.object_set is None:
         return
     stroke = scene.robot.model.gripper.stroke
-    widths = {item.role.name: max(map(_narrowest, item.role.variants)) for item in scene.objects}
+    widths = {item.slot.name: max(map(_narrowest, item.slot.variants)) for item in scene.objects}
     wide = [f"{name} is {width:.4g} m wide" for name, width in widths.items() if width + GRASP_PLAY > stroke]
     if wide:
         takes = f"objects that the gripper of robot={config.robot!r} spans: it opens to {stroke:.4g} m, "
@@ -150,7 +150,7 @@ def _rehearse(scene: Scene, task: Task, control: Control[Any], rng: np.random.Ge
     scene.clear(rng)
     sizes = len(scene.config.scales)
     for item in scene.objects:
-        shapes, rest = divmod(len(item.role.variants), sizes)
+        shapes, rest = divmod(len(item.slot.variants), sizes)
         if rest == 0:  # the larger, the later
             shape = item.choices[item.variant] % shapes
             item.variant = max(n for n, place in enumerate(item.choices) if place % shapes == shape)

@@ -99,7 +99,7 @@ def scene_facts(scene: Scene) -> dict[str, Any]:
     if (arm := _arm_checksum(model)) != _arm_checksum(ROBOTS.get(model.name)):
         files["arm"] = arm
     if isinstance(scene.config.object_set, str):
-        specs = (spec for item in scene.objects for spec in item.role.variants)
+        specs = (spec for item in scene.objects for spec in item.slot.variants)
         files["object_files"] = _checksum(map(_object_numbers, specs))
     return {
         **{name: getattr(scene.config, name) for name in SCENE_PARAMETERS},

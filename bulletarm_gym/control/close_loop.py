@@ -12,7 +12,7 @@ from bulletarm_gym.config import CLOSE_LOOP, MAX_ROTATION, MAX_TRANSLATION, EnvC
 from bulletarm_gym.control.control import POINTS, Control, GraspParams, Outcome, over
 from bulletarm_gym.control.interface import RobotInterface
 from bulletarm_gym.geometry import Pose, Rectangle, Vector
-from bulletarm_gym.sensors import Frame, View
+from bulletarm_gym.observations import Frame, View
 
 VIEW_SCALE = 1.5
 """Side of the observed square in workspaces: 0.45 m for 0.3 m (paper, Benchmark Details)."""

@@ -13,7 +13,7 @@ from bulletarm_gym.control.control import POINTS, Control, GraspParams, Outcome,
 from bulletarm_gym.control.heights import Grasp, measure_grasp, pick_height, place_height
 from bulletarm_gym.control.interface import RobotInterface
 from bulletarm_gym.geometry import Pose, Rectangle, Vector, euler_pose
-from bulletarm_gym.sensors import Frame, View
+from bulletarm_gym.observations import Frame, View
 
 PICK = "pick"
 PLACE = "place"
@@ -138,7 +138,7 @@ class OpenLoop(Control[PickPlace]):
 
     def _height(self, view: View, places: bool, target: Pose) -> float:
         """Return the height (m) of a target whose action has no z."""
-        grasp_params, heights = self._hints, view.map
+        grasp_params, heights = self._hints, view.elevation_map
         depth = grasp_params.pick_offset
         if places and view.is_holding:
             # Without measurements, as in a task that starts with a grasped object, it counts as a cube.
@@ -153,7 +153,7 @@ class OpenLoop(Control[PickPlace]):
             self.memory = None
         elif outcome.closed_at is not None and "z" not in self.ranges:
             closed_at = Pose((0.0, 0.0, -self._floor)).compose(outcome.closed_at)
-            grasp = measure_grasp(before.map, after.map, closed_at)
+            grasp = measure_grasp(before.elevation_map, after.elevation_map, closed_at)
             self.memory = None if grasp is None else tuple(grasp)
 
     # Motion

@@ -166,7 +166,7 @@ class Builder:
         """Return the blocks that may go to a slot, the one to take first."""
         standing = self._standing if standing is None else standing
         there = list(standing.values())
-        if self._scene.held is not None and self._scene.held.role.kind == slot.kind:
+        if self._scene.held is not None and self._scene.held.slot.kind == slot.kind:
             return [self._scene.held]
         at = middle(there) if there else self._scene.config.centre
         loose = [item for item in self._blocks[slot.kind] if item not in there]
@@ -190,7 +190,7 @@ class Builder:
             return None
         missing = (slot for slot in self._blueprint.slots if slot not in self._standing)
         open_slots = (slot for slot in missing if self._is_open(slot))
-        return next((slot for slot in open_slots if slot.kind == item.role.kind), None)
+        return next((slot for slot in open_slots if slot.kind == item.slot.kind), None)
 
     def _is_open(self, slot: Slot) -> bool:
         if slot.layer == 0:

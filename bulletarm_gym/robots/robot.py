@@ -110,6 +110,11 @@ class Robot:
         return self._posed[1]
 
     @property
+    def joint_positions(self) -> tuple[float, ...]:
+        """Positions (rad) of the arm's joints, from the base on."""
+        return self._arm.positions(self._world)
+
+    @property
     def opening(self) -> float:
         """Distance (m) between the fingers."""
         return sum(self._fingers.positions(self._world))

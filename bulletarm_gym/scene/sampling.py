@@ -127,7 +127,7 @@ def free_pose(
     """
     pose = _free_pose(scene, rng, item, gap, spread, footprints(scene, without=[item]))
     if pose is None:
-        raise PlacementError(f"workspace: found no room for {item.role.name} {gap:.3f} m from all others")
+        raise PlacementError(f"workspace: found no room for {item.slot.name} {gap:.3f} m from all others")
     return pose
 
 

@@ -32,6 +32,7 @@ from bulletarm_gym.geometry import (
 )
 from bulletarm_gym.objects.blocks import CUBE_SIZE
 from bulletarm_gym.objects.sets import object_set
+from bulletarm_gym.observations import HeightRenderer
 from bulletarm_gym.scene import ObjectSlot, Scene, SceneObject
 from bulletarm_gym.scene.sampling import ARRANGEMENTS
 from bulletarm_gym.simulation import BodySpec, Convex, Piece
@@ -334,10 +335,13 @@ def survey(scene: Scene) -> ElevationLayers:
     centre, extent = scene.config.centre, scene.config.workspace_size + 2.0 * SURROUNDINGS
     size = round(extent / PITCH)
     items = list(scene)
-    layers = [scene.heights_of([item.body], centre, extent, size) for item in items]
+    renderer = HeightRenderer.of(scene)
+    layers = [renderer.heights_of([item.body], centre, extent, size) for item in items]
     own = {item.body.index for item in items}
     others = [body for body in scene.world.obstacles if body.index not in own]
-    return ElevationLayers(np.stack(layers), scene.heights_of(others, centre, extent, size), centre, extent)
+    return ElevationLayers(
+        np.stack(layers), renderer.heights_of(others, centre, extent, size), centre, extent
+    )
 
 
 def wrap(angles: FloatArray) -> FloatArray:

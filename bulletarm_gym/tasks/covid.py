@@ -157,7 +157,7 @@ class CovidTest(Task):
         if held is None:
             yield self._pick(scene, self._next(scene))
             return
-        kind = held.role.kind
+        kind = held.slot.kind
         name, spot, along = {
             "swab": ("test area", SWAB_SPOT, QUARTER),
             "tube": ("test area", TUBE_SPOT, QUARTER),
@@ -189,7 +189,7 @@ class CovidTest(Task):
         return Waypoint(pose, min(opening, OPEN), finish=CLOSED)
 
     def _items(self, scene: Scene, kind: str) -> list[SceneObject]:
-        return [item for item in scene if item.role.kind == kind]
+        return [item for item in scene if item.slot.kind == kind]
 
     def _inside(self, scene: Scene, kind: str, place: str) -> list[SceneObject]:
         """Return the items of a kind that lie in a place, seen from above, the held one aside."""

@@ -10,7 +10,7 @@ from bulletarm_gym.experts.pushing import Drag
 from bulletarm_gym.experts.waypoints import Waypoint
 from bulletarm_gym.geometry import Rectangle, planar_distance
 from bulletarm_gym.objects import cube, goal_area
-from bulletarm_gym.rendering.overlays import Overlay
+from bulletarm_gym.observations import Overlay
 from bulletarm_gym.scene import ObjectSlot, Scene, SceneObject, scaled
 from bulletarm_gym.scene.sampling import scatter, stand
 from bulletarm_gym.tasks.reaching import BORDER_MARGIN

@@ -142,7 +142,7 @@ class BlockSorting(Task):
         return scene.objects[len(COLOURS) :]
 
     def _bowl_of(self, scene: Scene, item: SceneObject) -> SceneObject:
-        return scene[f"{item.role.kind} bowl"]
+        return scene[f"{item.slot.kind} bowl"]
 
 
 class OpenLoopBlockSorting(BlockSorting):

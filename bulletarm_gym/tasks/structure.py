@@ -125,7 +125,7 @@ class Structure(Task):
         """Return the blocks by kind."""
         found: dict[str, list[SceneObject]] = {}
         for item in scene.objects:
-            found.setdefault(item.role.kind, []).append(item)
+            found.setdefault(item.slot.kind, []).append(item)
         return found
 
     @cached_property

@@ -12,7 +12,7 @@ from bulletarm_gym.control import GraspParams
 from bulletarm_gym.experts.waypoints import Waypoint
 from bulletarm_gym.geometry import Vector
 from bulletarm_gym.objects.blocks import CUBE_SIZE
-from bulletarm_gym.rendering.overlays import Overlay
+from bulletarm_gym.observations import Overlay
 from bulletarm_gym.scene import ObjectSlot, Scene, SceneObject
 from bulletarm_gym.state import declare_state_types
 from bulletarm_gym.surfaces.surface import SITE, Point

@@ -26,7 +26,7 @@ def env(make: Make) -> ManipulationEnv:
 
 
 def _names(env: ManipulationEnv) -> list[str]:
-    return [item.role.name for item in env.scene]
+    return [item.slot.name for item in env.scene]
 
 
 def _solve(env: ManipulationEnv) -> bool:
@@ -51,15 +51,15 @@ def test_the_grasped_object_is_gone_and_the_others_stay(env: ManipulationEnv) ->
     held = env.scene.held
     assert held is not None and env.scene.robot.pose.z > LIFT_HEIGHT  # still there to be seen
     env.reset()
-    assert set(_names(env)) == before - {held.role.name}
+    assert set(_names(env)) == before - {held.slot.name}
     assert env.scene.robot.held is None and env.scene.robot.opening_ratio == 1.0
 
 
 def test_an_episode_without_a_grasp_leaves_everything(env: ManipulationEnv) -> None:
     env.reset(seed=2)
-    before = {item.role.name: item.pose for item in env.scene}
+    before = {item.slot.name: item.pose for item in env.scene}
     env.reset()
-    assert {item.role.name: item.pose for item in env.scene} == before
+    assert {item.slot.name: item.pose for item in env.scene} == before
 
 
 def test_all_grasped_makes_a_new_scene(make: Make) -> None:
@@ -156,7 +156,7 @@ def test_fingers_that_were_pushed_shut_open_again(env: ManipulationEnv) -> None:
 @pytest.mark.parametrize("yaw", [0.0, 0.4, 2.0, -1.1])
 def test_round_things_are_pushed_towards_the_middle(env: ManipulationEnv, yaw: float) -> None:
     env.reset(seed=0)
-    bowl = next(item for item in env.scene.objects if item.role.name == "bowl_3")
+    bowl = next(item for item in env.scene.objects if item.slot.name == "bowl_3")
     bowl.place(Pose.planar(0.40, -0.06, 0.03, 0.0))
     end, _ = _end_to_push(env.scene, bowl)
     bowl.place(Pose.planar(0.40 + 1e-6, -0.06, 0.03, yaw))
@@ -209,6 +209,6 @@ def test_every_object_alone_is_lifted(robot: str) -> None:
             env.task.drop(env.scene, [item], rng)
             lifted += _solve(env)
         if lifted < 4:
-            failing[item.role.name] = lifted
+            failing[item.slot.name] = lifted
     env.close()
     assert not failing

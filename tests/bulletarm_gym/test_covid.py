@@ -35,7 +35,7 @@ def idle(env: ManipulationEnv) -> tuple[bool, dict[str, bool]]:
 
 
 def names(env: ManipulationEnv) -> set[str]:
-    return {item.role.name for item in env.scene if item.spec.mass > 0.0}
+    return {item.slot.name for item in env.scene if item.spec.mass > 0.0}
 
 
 @pytest.mark.parametrize("parameters", [{}, FIXED], ids=str)

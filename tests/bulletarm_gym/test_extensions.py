@@ -171,7 +171,7 @@ def test_registered_objects_reach_a_task_of_ours() -> None:
     env = make_env(GRASPING, object_set=kinds, num_objects=2, obs_size=16, object_scale_range=0.5)
     path = "my_objects:brick"
     assert env.config.object_set == [path, "cube", path]
-    assert [item.role.name for item in env.scene.objects] == [f"{path} 0", "cube 0", f"{path} 1"]
+    assert [item.slot.name for item in env.scene.objects] == [f"{path} 0", "cube 0", f"{path} 1"]
     spec = env.scene.objects[0].spec
     assert spec.mass == 0.3 and spec.extents == pytest.approx((0.02, 0.04, 0.015))  # lying
     extensions.OBJECT_PATHS.clear()

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bulletarm_gym.geometry import Rectangle
-from bulletarm_gym.rendering.overlays import fill_rectangles, rectangle_mask
+from bulletarm_gym.observations.rasterizer import rectangle_mask
 
 EXTENT, SIZE = 0.45, 128
 RESOLUTION = EXTENT / SIZE
@@ -35,14 +35,9 @@ def test_mask_holds_the_pixels_inside(size: int) -> None:
         np.testing.assert_array_equal(mask, inside(rectangle, size=size))
 
 
-def test_fill_sets_the_union_and_nothing_else() -> None:
-    rng = np.random.default_rng(1)
-    rectangles = random_rectangles(rng, 3)
-    image = rng.random((SIZE, SIZE), dtype=np.float32)
-    before = image.copy()
-    fill_rectangles(image, CENTRE, EXTENT, rectangles, 0.25)
+def test_mask_of_several_rectangles_is_their_union() -> None:
+    rectangles = random_rectangles(np.random.default_rng(1), 3)
     covered = np.logical_or.reduce([inside(r) for r in rectangles])
-    np.testing.assert_array_equal(image, np.where(covered, np.float32(0.25), before))
     np.testing.assert_array_equal(rectangle_mask(CENTRE, EXTENT, SIZE, rectangles), covered)
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bulletarm_gym.env import ManipulationEnv
-from bulletarm_gym.rendering.point_cloud import project
+from bulletarm_gym.observations.point_cloud import project
 
 TASKS = ["Picking", "Pulling", "Pushing", "Stacking"]
 VIEWS = ("orthographic", "point_cloud")

@@ -149,7 +149,7 @@ def test_what_hangs_in_the_gripper_is_not_built(make: Make) -> None:
     for _ in range(3):
         *_, info = env.step(env.expert_action())
     held = env.scene.held
-    assert held is not None and held.role.name == "roof" and not info["is_built"]
+    assert held is not None and held.slot.name == "roof" and not info["is_built"]
 
 
 def test_structures_stand_on_level_ground(make: Make) -> None:
@@ -157,7 +157,7 @@ def test_structures_stand_on_level_ground(make: Make) -> None:
     env.reset(seed=0, options={"start": "goal"})
     site = env.scene.surface
     assert is_built(env) and site.level == 0.0
-    low = [item.lowest for item in env.scene if item.role.name != "roof"]
+    low = [item.lowest for item in env.scene if item.slot.name != "roof"]
     assert low == pytest.approx([0.0, 0.0], abs=2e-3)
 
 
@@ -298,7 +298,7 @@ def test_a_wide_palm_needs_room_over_what_is_beside(make: Make, robot: str, fits
 
 
 def blocks_of(scene: Scene) -> list[SceneObject]:
-    return [item for item in scene if item.role.name.startswith("block")]
+    return [item for item in scene if item.slot.name.startswith("block")]
 
 
 def test_random_blocks_are_grasped_square_on(make: Make) -> None:

@@ -1,4 +1,4 @@
-"""Images of the scene from straight above."""
+"""Images of the scene from straight above: heightmap, colours and segmentation."""
 
 from collections.abc import Mapping
 from functools import cached_property
@@ -8,20 +8,21 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from bulletarm_gym.config import ORTHOGRAPHIC
-from bulletarm_gym.rendering.overlays import fill_rectangles, rectangle_mask
-from bulletarm_gym.scene.scene import SIDE_PIXELS
-from bulletarm_gym.sensors.sensor import Sensor
-from bulletarm_gym.sensors.view import MAX_HEIGHT, Frame, Heights, View
+from bulletarm_gym.observations.cameras import SIDE_PIXELS, side_cameras
+from bulletarm_gym.observations.rasterizer import rectangle_mask
+from bulletarm_gym.observations.renderer import HeightRenderer
+from bulletarm_gym.observations.sensor import Sensor
+from bulletarm_gym.observations.view import MAX_HEIGHT, Frame, Heights, View
 from bulletarm_gym.simulation import Camera
 
 FINGER_COLOUR = (40, 40, 40)
-"""Colour of the squares that stand for the fingers."""
+"""Colour of the squares that represent the fingers."""
 GRIPPER = 255
-"""Their number in the segmentation; nothing else has it."""
+"""Number of the squares that represent the fingers in the segmentation."""
 
 
 class Heightmap(Sensor):
-    """Heights, or in close loop depths, with the overlays of the task and the two squares of the gripper."""
+    """Heights or, in close loop, depths, with the overlays of the task and the two squares of the fingers."""
 
     @property
     def space(self) -> spaces.Box:
@@ -31,13 +32,14 @@ class Heightmap(Sensor):
 
     @property
     def cameras(self) -> Mapping[str, Camera]:
-        """The two cameras of the view ``"point_cloud"``, the first at the lower y."""
-        if self.scene.config.view == ORTHOGRAPHIC:
+        """The two cameras of the view ``"point_cloud"``, the lower y first."""
+        config = self.scene.config
+        if config.view == ORTHOGRAPHIC:
             return {}
-        return {f"_{number}": camera for number, camera in enumerate(self.scene.side_cameras(SIDE_PIXELS))}
+        return {f"_{number}": camera for number, camera in enumerate(side_cameras(config, SIDE_PIXELS))}
 
     def read(self, view: View) -> NDArray[np.float32]:
-        """Return heights above the workspace's floor, or depths below a plane over the fingertips."""
+        """Return heights above the workspace's floor, or depths below the camera plane."""
         frame, heights = view.frame, view.heights.copy()
         for overlay in view.overlays:
             covered = rectangle_mask(frame.centre, frame.extent, view.size, [overlay.rectangle])
@@ -46,7 +48,7 @@ class Heightmap(Sensor):
 
 
 def heightmap(heights: Heights, frame: Frame) -> Heights:
-    """Return what a frame shows of heights: above its origin or below its plane, with its fingers at 0.
+    """Return heights above a frame's origin or depths below its plane, with its fingers at 0.
 
     :param heights: (size, size) m above the world's z = 0 over the frame's square
     :return: (1, size, size) m, within [0, 0.4]
@@ -56,14 +58,14 @@ def heightmap(heights: Heights, frame: Frame) -> Heights:
     else:
         image = np.clip(np.float32(frame.plane) - heights, 0.0, MAX_HEIGHT)
     if frame.fingers:
-        fill_rectangles(image, frame.centre, frame.extent, frame.fingers, 0.0)
+        image[rectangle_mask(frame.centre, frame.extent, len(image), frame.fingers)] = 0.0
     return image[None]
 
 
 class Color(Sensor):
-    """Colours of what the heightmap shows, unshaded, with the two squares of the gripper in dark grey."""
+    """Unshaded colours of the square of the heightmap, with the two squares of the fingers in dark grey."""
 
-    asks_for_labels = True
+    needs_labels = True
 
     @property
     def space(self) -> spaces.Box:
@@ -72,7 +74,7 @@ class Color(Sensor):
         return spaces.Box(0, 255, (3, size, size), np.uint8)
 
     def read(self, view: View) -> NDArray[np.uint8]:
-        """Return the colour of the body under each pixel's centre, or of the ground."""
+        """Return the colour of the body under the centre of each pixel, or of the ground."""
         image: NDArray[np.uint8] = np.take(self._palette, view.labels, axis=1)
         image[:, view.fingers] = np.array(FINGER_COLOUR, np.uint8)[:, None]
         return image
@@ -81,34 +83,35 @@ class Color(Sensor):
     def _palette(self) -> NDArray[np.uint8]:
         """Colour of each label, (3, labels)."""
         world = self.scene.world
-        colours = [world.get_properties(world.ground).colour, *self.scene.colours]
+        colours = [world.get_properties(world.ground).colour, *HeightRenderer.of(self.scene).colours]
         return np.rint(255.0 * np.array(colours)[:, :3].T).astype(np.uint8)
 
 
 class Segmentation(Sensor):
-    """Which item is seen where the heightmap shows something.
+    """Number of the visible object of each pixel of the heightmap.
 
-    0 is the ground and whatever the task stands on, n the n-th item in the order of the task's ``bodies()``,
-    whoever plays its role, and 255 the two squares of the gripper.
+    0 is the surface, n the n-th slot of the task's ``bodies()``, whichever variant is in the scene, and 255
+    the two squares of the fingers.
     """
 
-    asks_for_labels = True
+    needs_labels = True
 
     @property
     def space(self) -> spaces.Box:
-        """Numbers of items, (1, size, size)."""
+        """Numbers of objects, (1, size, size)."""
         size = self.scene.config.obs_size
         return spaces.Box(0, 255, (1, size, size), np.uint8)
 
     def read(self, view: View) -> NDArray[np.uint8]:
-        """Return the number of the item under each pixel's centre."""
+        """Return the number of the object under the centre of each pixel."""
         image = self._numbers[view.labels]
         image[view.fingers] = GRIPPER
         return image[None]
 
     @cached_property
     def _numbers(self) -> NDArray[np.uint8]:
-        """Number of the item of each label."""
-        items = self.scene.objects
-        number_of = {body.index: number for number, item in enumerate(items, 1) for body in item.bodies}
-        return np.array([0, *(number_of.get(body.index, 0) for body, _ in self.scene.parts)], np.uint8)
+        """Number of the object of each label."""
+        objects = enumerate(self.scene.objects, 1)
+        number_of = {body.index: number for number, item in objects for body in item.bodies}
+        bodies = HeightRenderer.of(self.scene).bodies
+        return np.array([0, *(number_of.get(body.index, 0) for body in bodies)], np.uint8)

@@ -1,7 +1,4 @@
-"""Heightmaps from a point cloud, as a real cell with two depth cameras makes them.
-
-The paper's close-loop observation, Section Close-loop Environments.
-"""
+"""Heightmaps from point clouds (paper, Close-loop Environments)."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,29 +14,29 @@ def project(
 ) -> NDArray[np.float32]:
     """Return the height of the highest point over every pixel.
 
-    Pixels that no point fell into take the value of the nearest one that has some. Rows grow with world x,
-    columns with y; pixel (i, j) covers ``extent / size`` of each.
+    A pixel without points gets the value of the nearest pixel with points.
 
     :param points: (n, 3) world coordinates (m)
-    :param centre: world x and y of the middle of the image (m)
-    :param extent: side of the square seen (m)
+    :param centre: world x and y of the image's centre (m)
+    :param extent: side of the square shown (m)
     :param size: pixels a side
-    :param ceiling: points above this height (m) are left out
-    :return: (size, size) float32 heights (m); zeros if no point falls into the square
+    :param ceiling: height (m) above which points are ignored
+    :return: (size, size) heights (m), zeros if no point is in the square; rows grow with world x, columns
+        with y
     """
     cells = np.floor((points[:, :2] - (np.asarray(centre) - extent / 2.0)) * (size / extent)).astype(np.int64)
     inside = ((cells >= 0) & (cells < size)).all(axis=1) & (points[:, 2] <= ceiling)
-    image = np.full((size, size), EMPTY, dtype=np.float32)
-    np.maximum.at(image, tuple(cells[inside].T), points[inside, 2].astype(np.float32))
     if not inside.any():
         return np.zeros((size, size), dtype=np.float32)
+    image = np.full((size, size), EMPTY, dtype=np.float32)
+    np.maximum.at(image, tuple(cells[inside].T), points[inside, 2].astype(np.float32))
     _fill(image)
     return image
 
 
 @compiled
 def _fill(image: NDArray[np.float32]) -> None:
-    """Give empty pixels the value of the nearest filled one, of several the first in rows, then columns."""
+    """Set empty pixels to the value of the nearest filled one, the first in rows and columns of several."""
     size = image.shape[0]
     source = image.copy()
     for i in range(size):
