@@ -1,9 +1,9 @@
 """The 86 objects of Object Grasping, made by formula.
 
-The paper takes 86 objects from GraspNet-1Billion, whose meshes have owners of their own. These are as many,
-of sizes like theirs (sorted sides about 4 x 6 x 10 cm) and as diverse: household things, tools, round
-and angular solids. However it comes to rest, each has a part that the narrowest gripper, 75 mm, can take
-from above. Sizes come from a fixed seed, so an object's name stands for its shape.
+The paper uses 86 objects of GraspNet-1Billion, whose meshes have other licences. These have similar sizes
+(sorted sides about 4 x 6 x 10 cm) and a similar diversity: household objects, tools, round and angular
+solids. In every resting pose each has a part that the narrowest gripper, 75 mm, can grasp from above. Sizes
+follow from a fixed seed, so that a name identifies a shape.
 """
 
 from collections.abc import Callable
@@ -11,31 +11,23 @@ from functools import cache
 
 import numpy as np
 
-from bulletarm_gym.objects.solids import (
-    Wall,
-    block,
-    circle,
-    extruded,
-    lathe,
-    settled,
-    stacked,
-    superquadric,
-    vessel,
-)
+from bulletarm_gym.objects.solids import block, cylinder, laid_flat, lathe, superquadric, vessel
 from bulletarm_gym.simulation.shapes import BodySpec, Colour, Piece
 
 SEED = 86
+"""Seed of the sizes and colours."""
 MASS = 0.15
+"""Mass (kg) of each object."""
 FRICTION = 0.6
-"""There is no rolling and spinning friction, which would triple the cost of a contact. Damping brings what
-rolls to rest instead, at no cost."""
+"""Friction coefficient of each object."""
 ANGULAR_DAMPING = 4.0
+"""Damping that stops rolling objects; rolling friction would triple the cost of a contact."""
 
 Shaper = Callable[[np.random.Generator], list[Piece]]
 
 
 def _between(rng: np.random.Generator, *ranges: tuple[float, float]) -> list[float]:
-    """Draw one length (m) from each range, in whole tenths of a millimetre."""
+    """Sample one length (m) from each range, rounded to 0.1 mm."""
     return [round(float(rng.uniform(low, high)), 4) for low, high in ranges]
 
 
@@ -51,7 +43,7 @@ def _can(rng: np.random.Generator) -> list[Piece]:
 
 def _prism(rng: np.random.Generator) -> list[Piece]:
     radius, height = _between(rng, (0.022, 0.031), (0.05, 0.12))
-    return [extruded(circle(radius, 0.0, int(rng.choice([4, 6, 8])))[:, :2], height)]
+    return [cylinder(radius, height, int(rng.choice([4, 6, 8])))]
 
 
 def _superquadric(rng: np.random.Generator) -> list[Piece]:
@@ -70,32 +62,32 @@ def _bottle(rng: np.random.Generator) -> list[Piece]:
         rng, (0.019, 0.029), (0.05, 0.09), (0.012, 0.028), (0.008, 0.014), (0.018, 0.032)
     )
     top = body + shoulder
-    return stacked(
-        [(0.92 * radius, 0.0), (radius, 0.005), (radius, body), (neck, top)],
-        [(neck, top - 0.002), (neck, top + length)],
-    )
+    return [
+        lathe([(0.92 * radius, 0.0), (radius, 0.005), (radius, body), (neck, top)]),
+        lathe([(neck, top - 0.002), (neck, top + length)]),
+    ]
 
 
 def _vase(rng: np.random.Generator) -> list[Piece]:
     foot, waist, belly, lip = _between(rng, (0.018, 0.026), (0.009, 0.014), (0.022, 0.031), (0.02, 0.028))
     low, mid, high = _between(rng, (0.015, 0.025), (0.045, 0.065), (0.075, 0.105))
-    return stacked(
-        [(foot, 0.0), (waist, low)],
-        [(waist, low), (belly, mid), (waist, 0.75 * high)],
-        [(waist, 0.75 * high), (lip, high)],
-    )
+    return [
+        lathe([(foot, 0.0), (waist, low)]),
+        lathe([(waist, low), (belly, mid), (waist, 0.75 * high)]),
+        lathe([(waist, 0.75 * high), (lip, high)]),
+    ]
 
 
 def _cup(rng: np.random.Generator) -> list[Piece]:
     low, high, height = _between(rng, (0.021, 0.026), (0.026, 0.031), (0.06, 0.09))
     wall = 0.005
-    return vessel(Wall(low - wall, low, 0.0), Wall(high - wall, high, height), wall)
+    return vessel((low - wall, low, 0.0), (high - wall, high, height), wall)
 
 
 def _mug(rng: np.random.Generator) -> list[Piece]:
     radius, height, reach = _between(rng, (0.024, 0.03), (0.055, 0.075), (0.018, 0.026))
     wall = 0.005
-    cup = vessel(Wall(radius - wall, radius, 0.0), Wall(radius - wall, radius, height), wall, sectors=6)
+    cup = vessel((radius - wall, radius, 0.0), (radius - wall, radius, height), wall, sectors=6)
     grip = block((0.01, 0.014, 0.6 * height), (radius + reach, 0.0, height / 2.0))
     arm = block((reach, 0.014, 0.01), (radius + reach / 2.0 - 0.003, 0.0, 0.75 * height))
     return [*cup, grip, arm]
@@ -104,7 +96,7 @@ def _mug(rng: np.random.Generator) -> list[Piece]:
 def _bowl(rng: np.random.Generator) -> list[Piece]:
     low, high, height = _between(rng, (0.022, 0.026), (0.04, 0.048), (0.035, 0.048))
     wall = 0.006
-    return vessel(Wall(low - wall, low, 0.0), Wall(high - wall, high, height), wall)
+    return vessel((low - wall, low, 0.0), (high - wall, high, height), wall)
 
 
 def _angle(rng: np.random.Generator) -> list[Piece]:
@@ -159,7 +151,7 @@ def _dumbbell(rng: np.random.Generator) -> list[Piece]:
     weight, width, grip, length = _between(rng, (0.019, 0.027), (0.018, 0.028), (0.009, 0.013), (0.04, 0.06))
     ends = [(0.0, width), (width + length, 2.0 * width + length)]
     discs = [[(0.85 * weight, low), (weight, low + 0.005), (weight, high)] for low, high in ends]
-    return [*stacked(*discs), lathe([(grip, width - 0.001), (grip, width + length + 0.001)], 8)]
+    return [*map(lathe, discs), lathe([(grip, width - 0.001), (grip, width + length + 0.001)], 8)]
 
 
 def _mushroom(rng: np.random.Generator) -> list[Piece]:
@@ -197,12 +189,12 @@ FAMILIES: tuple[tuple[str, int, Shaper], ...] = (
     ("mushroom", 3, _mushroom),
     ("cone", 3, _cone),
 )
-"""Name, number and shape of each family: 86 objects in all (paper, Object Grasping)."""
+"""Name, number of objects and shape of each family; 86 objects in total (paper, Object Grasping)."""
 
 
 @cache
 def graspables() -> tuple[BodySpec, ...]:
-    """Return the 86 objects, each in the frame it lies flat in."""
+    """Return the 86 objects, each in its resting frame."""
     specs: list[BodySpec] = []
     for family, (name, count, shape) in enumerate(FAMILIES):
         for number in range(count):
@@ -212,11 +204,11 @@ def graspables() -> tuple[BodySpec, ...]:
 
 
 def graspable(name: str, pieces: list[Piece], colour: Colour) -> BodySpec:
-    """Return a body with the mass and friction that all objects to be grasped share."""
-    return BodySpec(name, settled(pieces), MASS, FRICTION, angular_damping=ANGULAR_DAMPING, colour=colour)
+    """Return a body in its resting frame, with the mass and friction of all objects to grasp."""
+    return BodySpec(name, laid_flat(pieces), MASS, FRICTION, angular_damping=ANGULAR_DAMPING, colour=colour)
 
 
 def _colour(rng: np.random.Generator) -> Colour:
-    """Draw a light colour."""
+    """Sample a light colour."""
     red, green, blue = rng.uniform(0.35, 0.95, 3).round(2).tolist()
     return (red, green, blue, 1.0)

@@ -3,7 +3,7 @@
 import numpy as np
 
 from bulletarm_gym.geometry import Footprint, Pose
-from bulletarm_gym.objects.tray import FLOOR_HEIGHT, RIM, tray_floor, tray_walls
+from bulletarm_gym.objects.containers import FLOOR_HEIGHT, RIM, tray_floor, tray_walls
 from bulletarm_gym.simulation import World
 from bulletarm_gym.surfaces.flat import FlatSurface
 from bulletarm_gym.surfaces.surface import COVERED_SHARE, SITE, Point

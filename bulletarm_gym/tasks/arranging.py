@@ -10,7 +10,8 @@ from bulletarm_gym.control import GraspParams
 from bulletarm_gym.experts.approach import RELEASE, place_pose
 from bulletarm_gym.experts.waypoints import CLOSED, OPEN, Waypoint
 from bulletarm_gym.geometry import Pose, planar_distance, wrap_angle
-from bulletarm_gym.objects.bottles import BOTTLES, HEIGHT, TRAY, TRAY_FLOOR, bottle, bottle_tray
+from bulletarm_gym.objects.bottles import BOTTLE_HEIGHT, BOTTLES, bottle
+from bulletarm_gym.objects.containers import TRAY, TRAY_FLOOR, bottle_tray
 from bulletarm_gym.scene import ObjectSlot, Scene, SceneObject, shaped
 from bulletarm_gym.scene.predicates import at_rest, inside, is_empty, touching, upright
 from bulletarm_gym.scene.sampling import place_apart
@@ -56,7 +57,7 @@ class BottleArrangement(Task):
     @property
     def height(self) -> float:
         """Up to the middle of a bottle in the tray."""
-        return TRAY_FLOOR + HEIGHT * max(self.config.scales) / 2.0
+        return TRAY_FLOOR + BOTTLE_HEIGHT * max(self.config.scales) / 2.0
 
     @property
     def grasp_params(self) -> GraspParams:

@@ -11,7 +11,7 @@ from bulletarm_gym.experts.waypoints import Waypoint
 from bulletarm_gym.geometry import planar_distance
 from bulletarm_gym.objects import bowl, cube
 from bulletarm_gym.objects.blocks import CUBE_SIZE
-from bulletarm_gym.objects.bowl import HEIGHT
+from bulletarm_gym.objects.containers import BOWL_HEIGHT
 from bulletarm_gym.scene import ObjectSlot, Scene, SceneObject, scaled
 from bulletarm_gym.scene.predicates import at_rest, is_empty, is_held, touching, upright
 from bulletarm_gym.scene.sampling import scatter, stand
@@ -45,7 +45,7 @@ class BlockInBowl(Task):
     @property
     def height(self) -> float:
         """The gripper must get over the rim with half a cube below it."""
-        return (HEIGHT + CUBE_SIZE / 2.0) * max(self.config.scales)
+        return (BOWL_HEIGHT + CUBE_SIZE / 2.0) * max(self.config.scales)
 
     def bodies(self, config: EnvConfig) -> list[ObjectSlot]:
         """Return cube and bowl."""

@@ -16,7 +16,7 @@ from bulletarm_gym.experts.approach import (
 from bulletarm_gym.experts.waypoints import CLOSED, Waypoint
 from bulletarm_gym.geometry import Pose, planar_distance
 from bulletarm_gym.objects import corner, cube
-from bulletarm_gym.objects.corner import INSIDE, PLATE, SIDE
+from bulletarm_gym.objects.containers import CORNER_INSIDE, CORNER_PLATE, CORNER_SIDE
 from bulletarm_gym.scene import ObjectSlot, Scene, scaled
 from bulletarm_gym.scene.sampling import is_within, sample_until
 from bulletarm_gym.tasks.picking import Lift
@@ -66,11 +66,11 @@ class CornerPicking(Lift):
         """Put the corner where the cube in it is inside the workspace."""
         item, walls = scene["cube"], scene["corner"]
         half = item.spec.extents[0] / 2.0
-        inset = INSIDE + half + WALL_CLEARANCE
-        place = Pose((inset, inset, PLATE + item.spec.extents[2] / 2.0))
+        inset = CORNER_INSIDE + half + WALL_CLEARANCE
+        place = Pose((inset, inset, CORNER_PLATE + item.spec.extents[2] / 2.0))
 
         def draw() -> Pose:
-            return scene.surface.pose(scene.surface.sample_position(rng, SIDE / 2.0), self._yaw(rng))
+            return scene.surface.pose(scene.surface.sample_position(rng, CORNER_SIDE / 2.0), self._yaw(rng))
 
         pose = sample_until(
             draw, lambda frame: is_within(scene, frame.transform(place.position), item.spec.planar_radius)
@@ -87,7 +87,7 @@ class CornerPicking(Lift):
         """Nudge the cube out of the corner first, where it still stands in it."""
         item = scene["cube"]
         x, y, _ = scene["corner"].pose.inverse().transform(item.pose.position)
-        if min(x, y) - INSIDE - item.spec.extents[0] / 2.0 < FREE:
+        if min(x, y) - CORNER_INSIDE - item.spec.extents[0] / 2.0 < FREE:
             yield from self._nudge(scene)
         yield from grasp_item(scene, item, side_yaw(item.pose), math.pi / 2.0)
 
@@ -107,6 +107,8 @@ class CornerPicking(Lift):
                 yield Waypoint(Pose.planar(x, y, over, hand.yaw), CLOSED)
             yield Waypoint(Pose.planar(x, y, top - PRESS, hand.yaw), CLOSED)
         half = item.spec.extents[0] / 2.0
-        goal = walls.pose.transform((INSIDE + half + DRAWN - OFFSET, INSIDE + half + DRAWN - OFFSET, 0.0))
+        goal = walls.pose.transform(
+            (CORNER_INSIDE + half + DRAWN - OFFSET, CORNER_INSIDE + half + DRAWN - OFFSET, 0.0)
+        )
         dx, dy = hand.x - x, hand.y - y
         yield Waypoint(Pose.planar(goal[0] + dx, goal[1] + dy, top - PRESS, hand.yaw), CLOSED, straight=True)

@@ -11,17 +11,14 @@ from bulletarm_gym.control import GraspParams
 from bulletarm_gym.experts.approach import RELEASE, place_pose
 from bulletarm_gym.experts.waypoints import CLOSED, OPEN, Waypoint
 from bulletarm_gym.geometry import Footprint, Pose, wrap_angle
-from bulletarm_gym.objects.covid import (
+from bulletarm_gym.objects.bottles import COVID_SCALE, swab, tube, used_tube
+from bulletarm_gym.objects.containers import (
     BOX_FLOOR,
     NEW_TUBE_BOX,
-    SCALE,
     TEST_AREA,
     USED_TUBE_BOX,
     new_tube_box,
-    swab,
     test_area,
-    tube,
-    used_tube,
     used_tube_box,
 )
 from bulletarm_gym.scene import ObjectSlot, Scene, SceneObject, scaled
@@ -72,7 +69,7 @@ class CovidTest(Task):
     defaults = TaskDefaults(
         num_objects=2 * ROUNDS,
         max_steps=30,
-        object_scale=SCALE,
+        object_scale=COVID_SCALE,
         allowed_objects=(2 * ROUNDS,),
         tray=TrayUse((False,), "the three places do not fit into the tray"),
         level_ground="the three places need 30 x 30 cm of level ground",

@@ -3,8 +3,7 @@
 from collections.abc import Sequence
 
 from bulletarm_gym.config import EnvConfig, TaskDefaults
-from bulletarm_gym.objects.blocks import improvise_bricks, roof
-from bulletarm_gym.objects.polyominoes import CELL, WIDEST, improvise_blocks
+from bulletarm_gym.objects.blocks import CELL, MAX_STRETCHED_CELLS, improvise_blocks, improvise_bricks, roof
 from bulletarm_gym.scene import ObjectSlot
 from bulletarm_gym.tasks.structure import SCALE, Part, Structure
 
@@ -27,7 +26,7 @@ class ImproviseHouseBuilding2(Structure):
     kinds = {"roof": roof}  # noqa: RUF012
     layers: Sequence[Sequence[str]] = (("block", "block"), ("roof",))
     upright = ("roof",)
-    width = CELL * WIDEST
+    width = CELL * MAX_STRETCHED_CELLS
 
     def block(self, config: EnvConfig, part: Part) -> ObjectSlot:
         """Return a role that each of the 19 shapes may play."""

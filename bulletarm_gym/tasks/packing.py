@@ -13,7 +13,8 @@ from bulletarm_gym.experts.approach import RELEASE
 from bulletarm_gym.experts.pick_place import pick, resting_frame
 from bulletarm_gym.experts.waypoints import CLOSED, OPEN, Waypoint
 from bulletarm_gym.geometry import FloatArray, Footprint, Pose, matrix
-from bulletarm_gym.objects.packing import BIN, BIN_WALL, SHAPES, packing_bin, packing_block
+from bulletarm_gym.objects.blocks import SHAPES, packing_block
+from bulletarm_gym.objects.containers import BIN, BIN_WALL, packing_bin
 from bulletarm_gym.observations import HeightRenderer
 from bulletarm_gym.scene import ObjectSlot, Scene, SceneObject, shaped
 from bulletarm_gym.scene.predicates import at_rest, inside, is_empty, is_top

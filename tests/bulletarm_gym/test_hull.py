@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bulletarm_gym.geometry import FloatArray, Mesh, euler_pose, matrix
-from bulletarm_gym.objects.hull import convex_hull
+from bulletarm_gym.objects.files import convex_hull
 from bulletarm_gym.simulation.inertia import mass_properties
 
 SIZE = np.array((0.05, 0.08, 0.04))

@@ -9,7 +9,7 @@ from rollouts import advance, transcript
 
 from bulletarm_gym.env import ManipulationEnv
 from bulletarm_gym.geometry import Pose
-from bulletarm_gym.objects.packing import SHAPES
+from bulletarm_gym.objects.blocks import SHAPES
 from bulletarm_gym.observations import HeightRenderer
 from bulletarm_gym.scene.predicates import touching
 from bulletarm_gym.scene.sampling import footprint
