@@ -134,7 +134,7 @@ def test_ranges_of_the_bumps(bump: BumpSurface) -> None:
         bump.arrange(rng)
         assert len(bump.slopes) == 9
         slopes.append(bump.slopes)
-        yaws.append(bump._world.poses[bump._pyramids[bump._standing[0]].index].yaw)
+        yaws.append(bump._world.poses[bump._pyramids[bump._numbers[0]].index].yaw)
         places.append(bump.platform.position[:2])
     assert 0.0 < np.min(slopes) < math.radians(1.0) and np.max(slopes) == pytest.approx(math.pi / 12.0)
     assert np.mean(slopes) == pytest.approx(math.pi / 24.0, rel=0.05)
