@@ -13,10 +13,10 @@ from bulletarm_gym.config import CLOSE_LOOP, OPEN_LOOP, WORKSPACES
 from bulletarm_gym.control import Grasp, heights
 from bulletarm_gym.control.close_loop import VIEW_SCALE, tool_frame
 from bulletarm_gym.geometry import FloatArray, Pose, Rectangle
-from bulletarm_gym.observations import MAX_HEIGHT, ElevationMap, Frame, Heights
+from bulletarm_gym.observations import MAX_HEIGHT, ElevationMap, Frame, Heights, Window
 from bulletarm_gym.observations.images import heightmap
 from bulletarm_gym.observations.in_hand import projections, rotated_crop
-from bulletarm_gym.observations.point_cloud import project
+from bulletarm_gym.observations.rasterizer import project_points
 
 Limits = Sequence[Sequence[float]]
 """Ranges of a workspace in x, y and z (m)."""
@@ -159,7 +159,7 @@ def _shown(points: ArrayLike, frame: Frame, ceiling: float, size: int) -> Height
             f"points: got {len(cloud)}, none in the square of {frame.extent:g} m about x = {x:g}, y = {y:g}; "
             "takes points of the world, in metres"
         )
-    return heightmap(project(cloud, frame.centre, frame.extent, size, ceiling), frame)
+    return heightmap(project_points(cloud, Window(frame.centre, frame.extent, size), ceiling), frame)
 
 
 def _checked(points: ArrayLike) -> FloatArray:

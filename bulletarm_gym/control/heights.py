@@ -93,7 +93,7 @@ def place_height(heights: ElevationMap, target: Pose, grasp: Grasp, gap: float) 
 
 def _highest(heights: ElevationMap, area: Rectangle) -> float:
     """Return the greatest height (m) of the pixels in an area and of the pixel at its middle."""
-    covered = rectangle_mask(heights.centre, heights.extent, len(heights.heights), [area])
+    covered = rectangle_mask(heights.window, [area])
     row, column = heights.pixels(np.array((area.x, area.y))).round().astype(int).clip(0, len(covered) - 1)
     covered[row, column] = True
     return float(heights.heights[covered].max())

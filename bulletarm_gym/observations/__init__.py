@@ -4,6 +4,7 @@ from bulletarm_gym.observations.camera_sensors import Depth, PointCloud, Rgb
 from bulletarm_gym.observations.images import Color, Heightmap, Segmentation
 from bulletarm_gym.observations.in_hand import InHand
 from bulletarm_gym.observations.observer import SENSORS, Observer
+from bulletarm_gym.observations.rasterizer import Window
 from bulletarm_gym.observations.renderer import HeightRenderer
 from bulletarm_gym.observations.sensor import Sensor
 from bulletarm_gym.observations.state import Holding, JointState, State
@@ -30,4 +31,5 @@ __all__ = [
     "Sensor",
     "State",
     "View",
+    "Window",
 ]

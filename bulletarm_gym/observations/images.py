@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from bulletarm_gym.config import ORTHOGRAPHIC
 from bulletarm_gym.observations.cameras import SIDE_PIXELS, side_cameras
-from bulletarm_gym.observations.rasterizer import rectangle_mask
+from bulletarm_gym.observations.rasterizer import Window, rectangle_mask
 from bulletarm_gym.observations.renderer import HeightRenderer
 from bulletarm_gym.observations.sensor import Sensor
 from bulletarm_gym.observations.view import MAX_HEIGHT, Frame, Heights, View
@@ -42,8 +42,7 @@ class Heightmap(Sensor):
         """Return heights above the workspace's floor, or depths below the camera plane."""
         frame, heights = view.frame, view.heights.copy()
         for overlay in view.overlays:
-            covered = rectangle_mask(frame.centre, frame.extent, view.size, [overlay.rectangle])
-            heights[covered] += np.float32(overlay.rise)
+            heights[rectangle_mask(view.window, [overlay.rectangle])] += np.float32(overlay.rise)
         return heightmap(heights, frame)
 
 
@@ -58,7 +57,7 @@ def heightmap(heights: Heights, frame: Frame) -> Heights:
     else:
         image = np.clip(np.float32(frame.plane) - heights, 0.0, MAX_HEIGHT)
     if frame.fingers:
-        image[rectangle_mask(frame.centre, frame.extent, len(image), frame.fingers)] = 0.0
+        image[rectangle_mask(Window(frame.centre, frame.extent, len(image)), frame.fingers)] = 0.0
     return image[None]
 
 

@@ -1,4 +1,4 @@
-"""Orthographic z-buffer that looks straight down on meshes and rectangles, in compiled code.
+"""Orthographic images of meshes, rectangles and points from straight above, in compiled code.
 
 Image coordinates ``(u, v)`` are world x and y in pixels from the image's centre. The centre of pixel
 ``(i, j)`` lies at ``(i - (size - 1) / 2, j - (size - 1) / 2)``. Corners are snapped to a fixed grid that
@@ -11,6 +11,7 @@ the same image.
 
 import math
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,8 +28,26 @@ HEIGHT_STEPS = float(2**30)
 Labels = NDArray[np.int16]
 """Number of the visible mesh of each pixel, from 1 on; 0 where no mesh is visible."""
 
-Window = tuple[float, float, float]
-"""Centre x, centre y and side (m) of the square that an image shows."""
+EMPTY = np.float32(-np.inf)
+"""Height of a pixel without points."""
+
+
+class Window(NamedTuple):
+    """Square of the world that an image shows; rows grow with world x, columns with y.
+
+    :param centre: world x and y of its centre (m)
+    :param extent: its side (m)
+    :param size: pixels a side
+    """
+
+    centre: tuple[float, float]
+    extent: float
+    size: int
+
+    @property
+    def square(self) -> tuple[float, float, float]:
+        """Centre x, centre y and side (m)."""
+        return float(self.centre[0]), float(self.centre[1]), float(self.extent)
 
 
 @compiled
@@ -137,7 +156,7 @@ def _draw_meshes(
     positions: FloatArray,
     quaternions: FloatArray,
     visible: NDArray[np.bool_],
-    window: Window,
+    square: tuple[float, float, float],
     size: int,
 ) -> NDArray[np.float32]:
     """Draw n posed meshes into a new heightmap, see :class:`ZBuffer`.
@@ -153,22 +172,24 @@ def _draw_meshes(
         if not visible[index]:
             continue
         x, y, z = positions[index]
-        origin = (x - window[0], y - window[1], z)
+        origin = (x - square[0], y - square[1], z)
         matrix = _rotation(quaternions[index])
-        if not _overlaps_window(matrix, origin, spheres[index], 0.5 * window[2]):
+        if not _overlaps_window(matrix, origin, spheres[index], 0.5 * square[2]):
             continue
         start, end, first_face, end_face = ranges[index]
-        _project(vertices[start:end], matrix, origin, size / window[2], corners)
+        _project(vertices[start:end], matrix, origin, size / square[2], corners)
         for face in range(first_face, end_face):
             _draw_triangle(image, labels, index + 1, corners, faces[face, 0], faces[face, 1], faces[face, 2])
     return image
 
 
 @compiled
-def _draw_rectangles(rectangles: FloatArray, window: Window, size: int) -> NDArray[np.float32]:
+def _draw_rectangles(
+    rectangles: FloatArray, square: tuple[float, float, float], size: int
+) -> NDArray[np.float32]:
     """Return an image that is 1 where a rectangle covers the centre of a pixel, else 0."""
     image = np.zeros((size, size), np.float32)
-    corners, scale = np.ones((4, 3)), size / window[2]
+    corners, scale = np.ones((4, 3)), size / square[2]
     for index in range(len(rectangles)):
         x, y, length, width, yaw = rectangles[index]
         along_x, along_y = 0.5 * length * math.cos(yaw), 0.5 * length * math.sin(yaw)
@@ -179,32 +200,69 @@ def _draw_rectangles(rectangles: FloatArray, window: Window, size: int) -> NDArr
                 x + along * along_x + across * across_x,
                 y + along * along_y + across * across_y,
             )
-            corners[corner, 0] = _snap((corner_x - window[0]) * scale, SUBPIXELS)
-            corners[corner, 1] = _snap((corner_y - window[1]) * scale, SUBPIXELS)
+            corners[corner, 0] = _snap((corner_x - square[0]) * scale, SUBPIXELS)
+            corners[corner, 1] = _snap((corner_y - square[1]) * scale, SUBPIXELS)
         corners[3, :2] = corners[1, :2] + corners[2, :2] - corners[0, :2]
         _draw_triangle(image, None, 0, corners, 0, 1, 2)
         _draw_triangle(image, None, 0, corners, 3, 2, 1)
     return image
 
 
-def rectangle_mask(
-    centre: tuple[float, float], extent: float, size: int, rectangles: Sequence[Rectangle]
-) -> NDArray[np.bool_]:
-    """Return a mask of the pixels whose centre lies in one of the rectangles or on an edge.
+def rectangle_mask(window: Window, rectangles: Sequence[Rectangle]) -> NDArray[np.bool_]:
+    """Return a mask of the pixels whose centre lies in one of the rectangles or on an edge, (size, size).
 
     A rectangle without area, or with a number that is not finite, covers nothing.
-
-    :param centre: world x and y of the image's centre (m)
-    :param extent: side of the image (m)
-    :param size: pixels a side
-    :param rectangles: rectangles in the world, which may overlap
-    :return: (size, size) bool; rows grow with world x, columns with y
     """
     rows = np.array(rectangles, dtype=np.float64).reshape(len(rectangles), len(Rectangle._fields))
-    mask: NDArray[np.bool_] = (
-        _draw_rectangles(rows, (float(centre[0]), float(centre[1]), float(extent)), size) > 0.0
-    )
+    mask: NDArray[np.bool_] = _draw_rectangles(rows, window.square, window.size) > 0.0
     return mask
+
+
+def project_points(points: FloatArray, window: Window, ceiling: float) -> NDArray[np.float32]:
+    """Return the height of the highest point over every pixel (paper, Close-loop Environments).
+
+    A pixel without points gets the value of the nearest pixel with points.
+
+    :param points: (n, 3) world coordinates (m)
+    :param ceiling: height (m) above which points are ignored
+    :return: (size, size) heights (m), zeros if no point is in the window
+    """
+    centre, extent, size = window
+    cells = np.floor((points[:, :2] - (np.asarray(centre) - extent / 2.0)) * (size / extent)).astype(np.int64)
+    inside = ((cells >= 0) & (cells < size)).all(axis=1) & (points[:, 2] <= ceiling)
+    if not inside.any():
+        return np.zeros((size, size), dtype=np.float32)
+    image = np.full((size, size), EMPTY, dtype=np.float32)
+    np.maximum.at(image, tuple(cells[inside].T), points[inside, 2].astype(np.float32))
+    _fill(image)
+    return image
+
+
+@compiled
+def _fill(image: NDArray[np.float32]) -> None:
+    """Set empty pixels to the value of the nearest filled one, the first in rows and columns of several."""
+    size = image.shape[0]
+    source = image.copy()
+    for i in range(size):
+        for j in range(size):
+            if source[i, j] == EMPTY:
+                image[i, j] = _nearest(source, i, j, size)
+
+
+@compiled
+def _nearest(source: NDArray[np.float32], i: int, j: int, size: int) -> np.float32:
+    best, value = size * size * 2, source[i, j]
+    for radius in range(1, size):
+        if radius * radius > best:
+            break
+        for row in range(max(i - radius, 0), min(i + radius, size - 1) + 1):
+            step = 1 if abs(row - i) == radius else 2 * radius
+            for column in range(j - radius, j + radius + 1, step):
+                if 0 <= column < size and source[row, column] != EMPTY:
+                    distance = (row - i) ** 2 + (column - j) ** 2
+                    if distance < best:
+                        best, value = distance, source[row, column]
+    return value  # type: ignore[no-any-return]
 
 
 class ZBuffer:
@@ -237,9 +295,7 @@ class ZBuffer:
         positions: FloatArray,
         quaternions: FloatArray,
         visible: NDArray[np.bool_],
-        centre: tuple[float, float],
-        extent: float,
-        size: int,
+        window: Window,
         labels: Labels | None = None,
     ) -> NDArray[np.float32]:
         """Return the height of the highest surface under the centre of every pixel, 0 where there is none.
@@ -249,18 +305,14 @@ class ZBuffer:
         :param positions: (n, 3) float64, world positions of the meshes' frames (m)
         :param quaternions: (n, 4) float64, world orientations of the meshes' frames, ``(x, y, z, w)``
         :param visible: (n,) mask of the meshes to draw
-        :param centre: world x and y of the image's centre (m)
-        :param extent: side of the square shown (m)
-        :param size: pixels a side
         :param labels: (size, size), in which the number of a mesh, from 1 on, is set where it is visible
-        :return: (size, size) height above world z = 0 (m); rows grow with world x, columns with y
+        :return: (size, size) height above world z = 0 (m)
         :raises ValueError: the window is empty
         """
-        if not (extent > 0.0 and size > 0):
-            raise ValueError(f"extent and size must be positive, got {extent} and {size}")
-        window = (float(centre[0]), float(centre[1]), float(extent))
+        if not (window.extent > 0.0 and window.size > 0):
+            raise ValueError(f"extent and size must be positive, got {window.extent} and {window.size}")
         meshes = (self._vertices, self._faces, self._ranges, self._spheres)
-        return _draw_meshes(labels, *meshes, positions, quaternions, visible, window, size)
+        return _draw_meshes(labels, *meshes, positions, quaternions, visible, window.square, window.size)
 
 
 def _check(mesh: Mesh, index: int) -> None:

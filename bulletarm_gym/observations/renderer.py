@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from bulletarm_gym.config import ORTHOGRAPHIC
 from bulletarm_gym.geometry import FloatArray, Pose
 from bulletarm_gym.observations.cameras import SIDE_PIXELS, side_cameras
-from bulletarm_gym.observations.point_cloud import project
-from bulletarm_gym.observations.rasterizer import Labels, ZBuffer
+from bulletarm_gym.observations.rasterizer import Labels, Window, ZBuffer, project_points
 from bulletarm_gym.scene import Scene
 from bulletarm_gym.simulation import Body
 from bulletarm_gym.simulation.shapes import Colour
@@ -43,44 +42,34 @@ class HeightRenderer:
         """Return the renderer of a scene."""
         return scene.cached(cls)
 
-    def heights(
-        self, centre: tuple[float, float], extent: float, size: int, without: Body | None = None
-    ) -> NDArray[np.float32]:
-        """Return the height (m) of the highest surface over each pixel of a square, in the configured view.
+    def heights(self, window: Window, without: Body | None = None) -> NDArray[np.float32]:
+        """Return the height (m) of the highest surface over each pixel, (size, size), in the configured view.
 
-        :param centre: world x and y of the square's centre (m)
-        :param extent: side of the square (m)
-        :param size: pixels a side
         :param without: body that the orthographic view omits
-        :return: (size, size); rows grow with world x, columns with y
         """
         if self._config.view == ORTHOGRAPHIC:
-            return self._draw(self._present(without) & ~self._marks, centre, extent, size)
+            return self._draw(self._present(without) & ~self._marks, window)
         cameras = side_cameras(self._config, SIDE_PIXELS)
         cloud = np.concatenate([camera.points(self._world, [self._arm]) for camera in cameras])
-        return project(cloud, centre, extent, size, self._config.workspace[2][1])
+        return project_points(cloud, window, self._config.workspace[2][1])
 
-    def labelled(
-        self, centre: tuple[float, float], extent: float, size: int, without: Body | None = None
-    ) -> tuple[NDArray[np.float32], Labels]:
+    def labelled(self, window: Window, without: Body | None = None) -> tuple[NDArray[np.float32], Labels]:
         """Return orthographic heights as :meth:`heights`, and the number of the visible mesh of each pixel.
 
         :return: (size, size) m; (size, size) int16, 0 for the ground plane, else 1 + the index in
             :attr:`bodies`. Marks on the ground have no height, but a number
         """
         present = self._present(without)
-        labels = np.zeros((size, size), np.int16)
+        labels = np.zeros((window.size, window.size), np.int16)
         if (present & self._marks).any():
-            self._draw(present & self._marks, centre, extent, size, labels)
-        return self._draw(present & ~self._marks, centre, extent, size, labels), labels
+            self._draw(present & self._marks, window, labels)
+        return self._draw(present & ~self._marks, window, labels), labels
 
-    def heights_of(
-        self, bodies: Sequence[Body], centre: tuple[float, float], extent: float, size: int
-    ) -> NDArray[np.float32]:
+    def heights_of(self, bodies: Sequence[Body], window: Window) -> NDArray[np.float32]:
         """Return orthographic heights as :meth:`heights` of some bodies alone, 0 where there is none."""
         wanted = np.zeros(len(self._world.bodies), np.bool_)
         wanted[[body.index for body in bodies]] = True
-        return self._draw(self._present() & wanted[self._owners], centre, extent, size)
+        return self._draw(self._present() & wanted[self._owners], window)
 
     @property
     def colours(self) -> list[Colour]:
@@ -96,8 +85,10 @@ class HeightRenderer:
         present: NDArray[np.bool_] = np.array(self._world.active, np.bool_)[self._owners]
         return present if without is None else present & (self._owners != without.index)
 
-    def _draw(self, visible: NDArray[np.bool_], *window: Any) -> NDArray[np.float32]:
-        return self.draw(*self._poses(), visible, *window)
+    def _draw(
+        self, visible: NDArray[np.bool_], window: Window, labels: Labels | None = None
+    ) -> NDArray[np.float32]:
+        return self.draw(*self._poses(), visible, window, labels)
 
     def _poses(self) -> tuple[FloatArray, FloatArray]:
         """Return positions (n, 3) and orientations (n, 4) of the meshes; poses that are the same are kept."""

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bulletarm_gym.geometry import FloatArray, Pose, Rectangle
-from bulletarm_gym.observations.rasterizer import Labels, rectangle_mask
+from bulletarm_gym.observations.rasterizer import Labels, Window, rectangle_mask
 from bulletarm_gym.observations.renderer import HeightRenderer
 from bulletarm_gym.scene import Scene
 from bulletarm_gym.simulation import Body
@@ -43,6 +43,11 @@ class ElevationMap:
     heights: Heights
     centre: tuple[float, float]
     extent: float
+
+    @property
+    def window(self) -> Window:
+        """The square."""
+        return Window(self.centre, self.extent, len(self.heights))
 
     @property
     def resolution(self) -> float:
@@ -101,7 +106,7 @@ class View:
         self._scene = scene
         self._renderer = HeightRenderer.of(scene)
         self.frame = frame
-        self.size = scene.config.obs_size
+        self.window = Window(frame.centre, frame.extent, scene.config.obs_size)
         self.overlays = tuple(overlays)
         self._labelled = labelled
         self._moment = self._present()
@@ -121,14 +126,13 @@ class View:
         return self._scene.robot.held is not None
 
     @property
-    def _window(self) -> tuple[tuple[float, float], float, int, Body | None]:
-        hidden = self._scene.robot.held if self.frame.hides_grasped else None
-        return self.frame.centre, self.frame.extent, self.size, hidden
+    def _hidden(self) -> Body | None:
+        return self._scene.robot.held if self.frame.hides_grasped else None
 
     @cached_property
     def heights(self) -> Heights:
         """Heights (m), (size, size), above the world's z = 0; read-only."""
-        return self._with_labels[0] if self._labelled else self._renderer.heights(*self._window)
+        return self._with_labels[0] if self._labelled else self._renderer.heights(self.window, self._hidden)
 
     @property
     def labels(self) -> Labels:
@@ -140,12 +144,12 @@ class View:
 
     @cached_property
     def _with_labels(self) -> tuple[Heights, Labels]:
-        return self._renderer.labelled(*self._window)
+        return self._renderer.labelled(self.window, self._hidden)
 
     @cached_property
     def fingers(self) -> NDArray[np.bool_]:
         """Mask of the squares that represent the fingers, (size, size)."""
-        return rectangle_mask(self.frame.centre, self.frame.extent, self.size, self.frame.fingers)
+        return rectangle_mask(self.window, self.frame.fingers)
 
     @cached_property
     def elevation_map(self) -> ElevationMap:

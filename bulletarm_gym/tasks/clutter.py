@@ -32,7 +32,7 @@ from bulletarm_gym.geometry import (
 )
 from bulletarm_gym.objects.blocks import CUBE_SIZE
 from bulletarm_gym.objects.catalogue import object_set
-from bulletarm_gym.observations import HeightRenderer
+from bulletarm_gym.observations import HeightRenderer, Window
 from bulletarm_gym.scene import ObjectSlot, Scene, SceneObject
 from bulletarm_gym.scene.sampling import ARRANGEMENTS
 from bulletarm_gym.simulation import BodySpec, Convex, Piece
@@ -336,12 +336,11 @@ def survey(scene: Scene) -> ElevationLayers:
     size = round(extent / PITCH)
     items = list(scene)
     renderer = HeightRenderer.of(scene)
-    layers = [renderer.heights_of([item.body], centre, extent, size) for item in items]
+    window = Window(centre, extent, size)
+    layers = [renderer.heights_of([item.body], window) for item in items]
     own = {item.body.index for item in items}
     others = [body for body in scene.world.obstacles if body.index not in own]
-    return ElevationLayers(
-        np.stack(layers), renderer.heights_of(others, centre, extent, size), centre, extent
-    )
+    return ElevationLayers(np.stack(layers), renderer.heights_of(others, window), centre, extent)
 
 
 def wrap(angles: FloatArray) -> FloatArray:

@@ -15,7 +15,7 @@ from bulletarm_gym.experts.waypoints import CLOSED, OPEN, Waypoint
 from bulletarm_gym.geometry import FloatArray, Footprint, Pose, matrix
 from bulletarm_gym.objects.blocks import SHAPES, packing_block
 from bulletarm_gym.objects.containers import BIN, BIN_WALL, packing_bin
-from bulletarm_gym.observations import HeightRenderer
+from bulletarm_gym.observations import HeightRenderer, Window
 from bulletarm_gym.scene import ObjectSlot, Scene, SceneObject, shaped
 from bulletarm_gym.scene.predicates import at_rest, inside, is_empty, is_top
 from bulletarm_gym.scene.sampling import GRASP_ROOM, footprint, place_apart
@@ -207,7 +207,7 @@ class Room:
         """Return the heights (m) in the bin, walls among them, pixel by pixel along its x and y axes."""
         bodies = [item.body for item in self._scene if item not in (self._scene["bin"], self._held)]
         size = round(VIEW / PITCH)
-        view = HeightRenderer.of(self._scene).heights_of(bodies, self._bin.position[:2], VIEW, size)
+        view = HeightRenderer.of(self._scene).heights_of(bodies, Window(self._bin.position[:2], VIEW, size))
         grid = np.stack(np.meshgrid(self._xs, self._ys, indexing="ij"), axis=-1)
         rows, columns = ((grid @ matrix(self._bin)[:2, :2].T + VIEW / 2.0) / VIEW * size).astype(int).T
         heights = np.maximum(view[rows.T, columns.T] - self._bin.z, BIN_WALL)

@@ -8,7 +8,7 @@ import pytest
 
 from bulletarm_gym.geometry import Mesh, join
 from bulletarm_gym.geometry.compilation import compiled
-from bulletarm_gym.observations.rasterizer import ZBuffer
+from bulletarm_gym.observations.rasterizer import Window, ZBuffer
 
 EXTENT, SIZE = 0.45, 128
 RESOLUTION = EXTENT / SIZE
@@ -26,7 +26,7 @@ def draw(meshes, positions, quaternions=None, centre=CENTRE, extent=EXTENT, size
     visible = np.ones(count, bool) if visible is None else np.asarray(visible)
     positions = np.asarray(positions, float).reshape(count, 3)
     sensor = ZBuffer(meshes)
-    return sensor.draw(positions, quaternions.reshape(count, 4), visible, centre, extent, size)
+    return sensor.draw(positions, quaternions.reshape(count, 4), visible, Window(centre, extent, size))
 
 
 def pixel_centres(centre=CENTRE, extent=EXTENT, size=SIZE):
@@ -267,10 +267,12 @@ def test_same_input_gives_the_same_new_image() -> None:
     meshes = [bowl(), wedge(0.06, 0.12, 0.03), Mesh.box((0.05, 0.05, 0.05))]
     positions, quaternions = random_poses(rng, len(meshes))
     sensor, flags = ZBuffer(meshes), np.ones(len(meshes), bool)
-    first = sensor.draw(positions, quaternions, flags, CENTRE, EXTENT, SIZE)
+    first = sensor.draw(positions, quaternions, flags, Window(CENTRE, EXTENT, SIZE))
     kept = first.copy()
-    sensor.draw(positions + 0.01, quaternions, flags, CENTRE, EXTENT, SIZE)
-    again = sensor.draw(positions.astype(object).astype(float), quaternions, flags, CENTRE, EXTENT, SIZE)
+    sensor.draw(positions + 0.01, quaternions, flags, Window(CENTRE, EXTENT, SIZE))
+    again = sensor.draw(
+        positions.astype(object).astype(float), quaternions, flags, Window(CENTRE, EXTENT, SIZE)
+    )
     np.testing.assert_array_equal(first, kept)
     np.testing.assert_array_equal(again, kept)
     np.testing.assert_array_equal(draw(meshes, positions, quaternions), kept)
@@ -285,7 +287,7 @@ def test_bad_input_is_refused() -> None:
     sensor = ZBuffer([box])
     for extent, size in ((0.0, SIZE), (math.nan, SIZE), (EXTENT, 0)):
         with pytest.raises(ValueError, match="extent and size must be positive"):
-            sensor.draw(np.zeros((1, 3)), np.zeros((1, 4)), np.ones(1, bool), CENTRE, extent, size)
+            sensor.draw(np.zeros((1, 3)), np.zeros((1, 4)), np.ones(1, bool), Window(CENTRE, extent, size))
 
 
 def clutter(seed: int) -> tuple[list[Mesh], np.ndarray, np.ndarray]:

@@ -10,7 +10,7 @@ from rollouts import advance, transcript
 from bulletarm_gym.env import ManipulationEnv
 from bulletarm_gym.geometry import Pose
 from bulletarm_gym.objects.blocks import SHAPES
-from bulletarm_gym.observations import HeightRenderer
+from bulletarm_gym.observations import HeightRenderer, Window
 from bulletarm_gym.scene.predicates import touching
 from bulletarm_gym.scene.sampling import footprint
 from bulletarm_gym.scene.scene import MAX_BODIES, ObjectSlot, subsample_variants
@@ -126,13 +126,13 @@ def test_spheres_leave_nothing_out_that_is_near(make: Make) -> None:
 def test_heightmaps_follow_what_moves(make: Make) -> None:
     env = make("BulletArm/OpenLoopHouseBuilding2-v0")
     env.reset(seed=0)
-    scene, view = env.scene, (env.config.centre, env.config.workspace_size, 64)
+    scene, view = env.scene, Window(env.config.centre, env.config.workspace_size, 64)
     first, second = list(scene)[:2]
     renderer = HeightRenderer.of(scene)
-    alone = renderer.heights_of([first.body], *view)
+    alone = renderer.heights_of([first.body], view)
     assert alone.max() > 0.0
     second.place(Pose.planar(*env.config.centre, 0.1))
-    np.testing.assert_array_equal(renderer.heights_of([first.body], *view), alone)
+    np.testing.assert_array_equal(renderer.heights_of([first.body], view), alone)
     first.park()
-    assert renderer.heights_of([first.body], *view).max() == 0.0
-    assert renderer.heights(*view).max() == pytest.approx(0.1 + second.spec.extents[2] / 2.0, abs=1e-3)
+    assert renderer.heights_of([first.body], view).max() == 0.0
+    assert renderer.heights(view).max() == pytest.approx(0.1 + second.spec.extents[2] / 2.0, abs=1e-3)

@@ -12,7 +12,7 @@ from rollouts import advance, transcript
 
 from bulletarm_gym.env import ManipulationEnv
 from bulletarm_gym.geometry import Footprint, PlacementError, Pose, rotate
-from bulletarm_gym.observations import HeightRenderer
+from bulletarm_gym.observations import HeightRenderer, Window
 from bulletarm_gym.scene.predicates import on_ground, on_site
 from bulletarm_gym.scene.sampling import footprint, free_site, place_apart
 from bulletarm_gym.simulation import World
@@ -61,7 +61,8 @@ def test_heightmap_shows_the_surface(env: ManipulationEnv) -> None:
     scene, points = env.scene, _grid(env)
     for seed in range(20):
         scene.clear(np.random.default_rng(seed))
-        seen = HeightRenderer.of(scene).heights(env.config.centre, env.config.workspace_size, PIXELS).ravel()
+        window = Window(env.config.centre, env.config.workspace_size, PIXELS)
+        seen = HeightRenderer.of(scene).heights(window).ravel()
         assert np.abs(seen - scene.surface.heights(points)).max() < 1e-4
 
 
