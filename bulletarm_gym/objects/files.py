@@ -7,9 +7,10 @@ colour, mass and friction of one rigid link. Its inertia is not used: it follows
 import os
 import warnings
 from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 from xml.etree.ElementTree import Element
 
 import numpy as np
@@ -39,27 +40,15 @@ OTHER_MODELS = (
     *(".step", ".stp", ".sdf", ".xacro", ".xml", ".usd", ".usda", ".usdc"),
 )
 """File name extensions, in lower case, of models in formats that are not read."""
-FRICTIONS = {
-    "lateral_friction": "friction",
-    "rolling_friction": "rolling_friction",
-    "spinning_friction": "spinning_friction",
+PARAMETERS = {
+    "inertial/mass": "mass",
+    "contact/lateral_friction": "friction",
+    "contact/rolling_friction": "rolling_friction",
+    "contact/spinning_friction": "spinning_friction",
 }
-"""Elements of a URDF's ``<contact>`` and the parameters of :class:`BodySpec` that they set."""
-SOLVER_ELEMENTS = ("contact_cfm", "contact_erp", "inertia_scaling")
-"""Elements of a URDF's ``<contact>`` that set no property of the material."""
-
-
-class LoadedObject(NamedTuple):
-    """Object of a file.
-
-    :param spec: the object
-    :param files: the file and the meshes that it names
-    :param unused: elements of the file that have no effect
-    """
-
-    spec: BodySpec
-    files: set[Path]
-    unused: set[str]
+"""Elements of a URDF's link and the parameters of :class:`BodySpec` that they set."""
+SOLVER_ELEMENTS = ("contact/contact_cfm", "contact/contact_erp", "contact/inertia_scaling")
+"""Elements of a URDF's link that configure the solver of the contacts, without a warning."""
 
 
 def load_folder(folder: str) -> tuple[BodySpec, ...]:
@@ -76,24 +65,24 @@ def load_folder(folder: str) -> tuple[BodySpec, ...]:
     paths = sorted(_object_files(files))
     if not paths:
         raise ValueError(f"object_set: {folder!r} holds no .obj, no .stl and no .urdf file")
-    loaded, faults = [], []
+    specs, faults = [], []
+    used, unused = set(paths), set[str]()
     for path in paths:
         try:
-            loaded.append(load_object(path, str(path.relative_to(root))))
+            specs.append(load_object(path, str(path.relative_to(root)), used, unused))
         except ValueError as error:
             faults.append(str(error))
-    if not loaded:
+    if not specs:
         raise ValueError("; ".join(faults))
     lost = [f"{len(faults)} of {len(paths)} files are left out: {'; '.join(faults)}"] if faults else []
-    lost += _unused_models(root, files, {*paths, *(file for one in loaded for file in one.files)})
-    unused = set().union(*(one.unused for one in loaded))
+    lost += _unused_models(root, files, used)
     if any(b"map_Kd" in path.read_bytes() for path in files if path.suffix.lower() == ".mtl"):
         unused.add("map_Kd")
     if unused:
         lost.append(f"object_set: elements that have no effect: {', '.join(sorted(unused))}")
     if lost:
         warnings.warn("; ".join(lost), stacklevel=2)
-    return tuple(one.spec for one in loaded)
+    return tuple(specs)
 
 
 def _walk(folder: Path) -> Iterator[Path]:
@@ -127,18 +116,18 @@ def _unused_models(folder: Path, files: Iterable[Path], used: Iterable[Path]) ->
     return [f"object_set: {len(names)} files are not used: {', '.join(names)} ({reason})"] if names else []
 
 
-def load_object(path: Path, name: str) -> LoadedObject:
+def load_object(path: Path, name: str, used: set[Path], unused: set[str]) -> BodySpec:
     """Return the object of a file; what the file does not define is as in the built-in objects to grasp.
 
+    :param used: set that the meshes of a URDF are added to
+    :param unused: set that the elements without effect are added to
     :raises ValueError: the file cannot be loaded; the message names it and the reason
     """
     try:
-        is_urdf = path.suffix.lower() == ".urdf"
-        pieces = [] if is_urdf else _hulls(path)
-        loaded = (
-            _from_urdf(path, name) if is_urdf else LoadedObject(graspable(name, pieces, GREY), {path}, set())
-        )
-        spec = loaded.spec
+        if path.suffix.lower() == ".urdf":
+            spec = _from_urdf(path, name, used, unused)
+        else:
+            spec = graspable(name, _hulls(path), GREY)
         if not (SIDES[0] <= min(spec.extents) and max(spec.extents) <= SIDES[1]):
             sides = " x ".join(f"{side:.4g}" for side in spec.extents)
             raise ValueError(f"its sides must be {SIDES[0]} to {SIDES[1]} m, got {sides}")
@@ -146,7 +135,7 @@ def load_object(path: Path, name: str) -> LoadedObject:
             raise ValueError(f"its mass must be {MASSES[0]} to {MASSES[1]} kg, got {spec.mass:g}")
     except (ValueError, OSError) as error:
         raise ValueError(f"object_set: {path} cannot be loaded: {error}") from error
-    return loaded
+    return spec
 
 
 def convex_hull(points: ArrayLike) -> Mesh:
@@ -186,39 +175,30 @@ def _hulls(path: Path, scale: Vector = (1.0, 1.0, 1.0), pose: Pose = ORIGIN) -> 
     return pieces
 
 
-def _from_urdf(path: Path, name: str) -> LoadedObject:
+def _from_urdf(path: Path, name: str, used: set[Path], unused: set[str]) -> BodySpec:
     """Return the object of a URDF's one link."""
-    root = parse_urdf(path)
+    root, folder = parse_urdf(path), path.parent.absolute()
     links = root.findall("link")
     if len(links) != 1:
         raise ValueError(f"it must have one rigid link, got {len(links)} links")
     collisions = links[0].findall("collision")
     if not collisions:
         raise ValueError("its link has no collision geometry")
-    folder = path.parent.absolute()
     pieces = [piece for collision in collisions for piece in _collision_pieces(collision, folder)]
-    spec = graspable(name, pieces, _colour(root))
-    values: dict[str, Any] = {
-        parameter: _numbers(element, "value", 1)[0]
-        for tag, parameter in {
-            "inertial/mass": "mass",
-            **{f"contact/{t}": p for t, p in FRICTIONS.items()},
-        }.items()
-        if (element := links[0].find(tag)) is not None
+    values: dict[str, Any] = {}
+    for tag, parameter in PARAMETERS.items():
+        if (element := links[0].find(tag)) is not None:
+            (values[parameter],) = _numbers(element, "value", 1)
+    spec = replace(graspable(name, pieces, _colour(root)), **values)
+    known = {*PARAMETERS, *SOLVER_ELEMENTS}
+    unused |= {
+        element.tag for element in links[0].iterfind("contact/*") if f"contact/{element.tag}" not in known
     }
-    known = (*FRICTIONS, *SOLVER_ELEMENTS)
-    unused = {element.tag for element in links[0].iterfind("contact/*") if element.tag not in known}
     unused |= {element.tag for element in root.iter("texture")}
-    return LoadedObject(replace(spec, **values), {path, *_meshes(root, folder)}, unused)
-
-
-def _meshes(root: Element, folder: Path) -> Iterator[Path]:
-    """Yield the existing meshes that a URDF names."""
     for mesh in root.iter("mesh"):
-        try:
-            yield mesh_path(mesh.get("filename", ""), folder)
-        except ValueError:  # of a visual, which is not used
-            continue
+        with suppress(ValueError):  # the mesh of a visual, which is not used, may be missing
+            used.add(mesh_path(mesh.get("filename", ""), folder))
+    return spec
 
 
 def _collision_pieces(collision: Element, folder: Path) -> list[Piece]:
