@@ -55,7 +55,7 @@ def create(kind: str, name: str, scale: float = 1.0) -> BodySpec:
     path = OBJECT_PATHS.get(kind, kind)
     if kind not in KINDS and ":" not in path:
         known = ", ".join(repr(other) for other in (*KINDS, *OBJECT_PATHS))
-        raise ValueError(f"kind: got {kind!r}, takes one of {known}, or 'module:function' of your own")
+        raise ValueError(f"kind must be one of {known}, or 'module:function', got {kind!r}")
     make = KINDS[kind] if kind in KINDS else load(path)
     made = make(name, scale)
     if not isinstance(made, BodySpec):

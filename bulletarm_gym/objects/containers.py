@@ -93,7 +93,7 @@ CORNER_SIDE = 0.2
 CORNER_PLATE = 0.01
 """Thickness (m) of the plate. A finger would push a block through a thinner one onto the ground."""
 CORNER_HEIGHT = 0.09
-"""Height (m) of the walls, over which the widest hand, the Panda's, reaches the cube."""
+"""Height (m) of the walls, over which the widest gripper, the Panda's, reaches the cube."""
 CORNER_WALL = 0.03
 """Thickness (m) of the walls, too thick to be grasped together with the cube."""
 CORNER_INSIDE = -0.09
@@ -196,7 +196,7 @@ def tray_floor(size: float) -> BodySpec:
 def tray_walls(size: float) -> BodySpec:
     """Return the walls of a tray of nominal side ``size`` (m), without friction, so that objects slide."""
     inner, thickness = (size - RIM) / 2.0, 0.008
-    # The walls would meet the ground at foot. The strip rises from the floor until the wall overtakes it.
+    # The walls would meet the ground at foot. The strip rises from the floor until it meets the wall.
     foot = inner + 0.015
     meet = (foot - FILLET_SLOPE * inner + FLOOR_HEIGHT) / (1.0 - FILLET_SLOPE)
     top = foot + WALL_HEIGHT

@@ -117,7 +117,7 @@ def _unused_models(folder: Path, files: Iterable[Path], used: Iterable[Path]) ->
 
 
 def load_object(path: Path, name: str, used: set[Path], unused: set[str]) -> BodySpec:
-    """Return the object of a file; what the file does not define is as in the built-in objects to grasp.
+    """Return the object of a file; omitted properties are those of the built-in objects to grasp.
 
     :param used: set that the meshes of a URDF are added to
     :param unused: set that the elements without effect are added to

@@ -19,7 +19,7 @@ EYE, TARGET = (0.55, -0.45, 0.6), (0.0, 0.0, 0.05)
 WRIST_EYE, WRIST_TARGET = (0.0, -0.1, 0.1), (0.0, 0.0, -0.03)
 """Default position and target (m) of a wrist camera, in the frame of the fingertips."""
 IMAGE_SIZE = 84
-"""Default pixels a side, other than those of a heightmap, which learners take for views of one square."""
+"""Default pixels a side; learners treat images with the size of the heightmap as views of its square."""
 MAX_POINTS = 65536
 """Largest number of points of a point cloud."""
 CLOUD_PIXELS = 128

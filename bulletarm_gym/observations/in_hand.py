@@ -50,7 +50,7 @@ def rotated_crop(view: ElevationMap, tcp_pose: Pose, size: int) -> Heights:
     """Return the part of an elevation map around the gripper, rotated with it; 0 beyond the border.
 
     :param tcp_pose: pose of the fingertips in the world; its yaw rotates the crop
-    :param size: pixels a side, each as large as those of the map
+    :param size: pixels a side, at the resolution of the map
     :return: (1, size, size) m; rows grow along the gripper's x axis, columns along its y axis; heights are
         interpolated
     """
@@ -65,7 +65,7 @@ def projections(view: ElevationMap, tcp_pose: Pose, size: int) -> Heights:
     Every voxel below the surface of the elevation map is full, one above it or beyond its border empty.
 
     :param tcp_pose: pose of the fingertips, the centre of the cube, with its height as in the map
-    :param size: voxels a side, each as large as a pixel of the map
+    :param size: voxels a side, at the resolution of the map
     :return: (3, size, size) m: length of the full voxels along the gripper's x, y and z axes; rows and
         columns grow along the other two, in their order
     """

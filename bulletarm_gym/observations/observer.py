@@ -60,7 +60,7 @@ class Observer:
             raise ParameterError.of("observation", config.observation, takes)
         render = render_camera(scene)
         self.cameras = {RENDER: SceneCamera(lambda: render, scene.world)}
-        """Cameras by name: ``"render"``, and those of sensors by the names of the sensors."""
+        """The camera ``"render"``, and the cameras of sensors by the names of the sensors."""
         for name, suffix in found:
             self.cameras[name + suffix] = SceneCamera(partial(self._camera, name, suffix), scene.world)
 
@@ -92,7 +92,7 @@ class Observer:
             sensor.memory = memory.get(name)
 
     def shapes(self, names: Iterable[str]) -> dict[str, list[int]]:
-        """Return the shapes of those of the named sensors that the observation has."""
+        """Return the shapes of the named sensors that are part of the observation."""
         return {name: list(self._sensors[name].space.shape) for name in names if name in self._sensors}
 
 

@@ -51,7 +51,7 @@ class State(Sensor):
     @property
     def space(self) -> spaces.Box:
         """Metres and quaternions, without bounds."""
-        size = GRIPPER_SIZE + sum(OBJECT_SIZE + len(item.spec.parts) for item in self.scene.objects)
+        size = GRIPPER_SIZE + sum(OBJECT_SIZE + len(obj.spec.parts) for obj in self.scene.objects)
         return spaces.Box(-np.inf, np.inf, (size,), np.float32)
 
     def read(self, view: View) -> NDArray[np.float32]:
@@ -64,8 +64,8 @@ class State(Sensor):
         robot = self.scene.robot
         tcp_pose = robot.pose
         numbers = [robot.opening_ratio, *tcp_pose.position, math.cos(tcp_pose.yaw), math.sin(tcp_pose.yaw)]
-        for item in self.scene.objects:
-            pose = item.pose
-            numbers += [1.0, *pose.position, *pose.orientation] if item.is_present else [0.0] * OBJECT_SIZE
-            numbers += item.joints if item.spec.parts else ()
+        for obj in self.scene.objects:
+            pose = obj.pose
+            numbers += [1.0, *pose.position, *pose.orientation] if obj.is_present else [0.0] * OBJECT_SIZE
+            numbers += obj.joints if obj.spec.parts else ()
         return np.array(numbers, dtype=np.float32)

@@ -193,9 +193,9 @@ def _cached(known: dict[Any, Any], compute: Callable[[Any], T], argument: Any) -
     return found
 
 
-def _lowest(item: SceneObject) -> float:
-    heights = item.spec.mesh.vertices @ matrix(item.pose)[2]
-    return item.pose.z + float(heights.min())
+def _lowest(obj: SceneObject) -> float:
+    heights = obj.spec.mesh.vertices @ matrix(obj.pose)[2]
+    return obj.pose.z + float(heights.min())
 
 
 class Scene:
@@ -213,7 +213,7 @@ class Scene:
     ) -> None:
         self.config = config
         self.surface = surface
-        # Limits of a close-loop action (m, rad): those of the control, once the experts' tracker exists.
+        # Limits (m, rad) of a close-loop action; the experts' tracker replaces them by the control's.
         self.max_translation, self.max_rotation = MAX_TRANSLATION, MAX_ROTATION
         self.world = World(PHYSICS_MODES[config.physics_mode], gui=config.render_mode == "human")
         surface.load(self.world)
@@ -232,7 +232,7 @@ class Scene:
 
     def __iter__(self) -> Iterator[SceneObject]:
         """Iterate over the objects in the scene."""
-        return (item for item in self._objects.values() if item.is_present)
+        return (obj for obj in self._objects.values() if obj.is_present)
 
     @property
     def objects(self) -> list[SceneObject]:
@@ -243,7 +243,7 @@ class Scene:
     def held(self) -> SceneObject | None:
         """The grasped object."""
         held = self.robot.held
-        return None if held is None else next((item for item in self if item.body is held), None)
+        return None if held is None else next((obj for obj in self if obj.body is held), None)
 
     def cached(self, compute: Callable[["Scene"], T]) -> T:
         """Return the value of a function of the loaded bodies alone, computed once."""
@@ -254,9 +254,9 @@ class Scene:
         self.world.unsettled.update(body.index for body in self.world.loose_bodies)
         self.world.reset_properties()
         self.surface.arrange(rng)
-        for item in self._objects.values():
-            item.park()
-            item.variant = int(rng.integers(len(item.choices)))
+        for obj in self._objects.values():
+            obj.park()
+            obj.variant = int(rng.integers(len(obj.choices)))
 
     def begin(self) -> None:
         """Start a move from the canonical world."""
@@ -281,9 +281,9 @@ class Scene:
 
     def get_variants(self) -> tuple[int, ...]:
         """Return the present variant of each slot, an index in its choices."""
-        return tuple(item.variant for item in self._objects.values())
+        return tuple(obj.variant for obj in self._objects.values())
 
     def set_variants(self, variants: Sequence[int]) -> None:
         """Set the present variant of each slot; the poses of bodies do not change."""
-        for item, variant in zip(self._objects.values(), variants, strict=True):
-            item.variant = variant
+        for obj, variant in zip(self._objects.values(), variants, strict=True):
+            obj.variant = variant

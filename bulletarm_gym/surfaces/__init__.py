@@ -38,7 +38,7 @@ def find_surface(name: str) -> type[Surface]:
 def make_surface(name: str, workspace: list[list[float]], site: Point) -> Surface:
     """Return a surface, not loaded yet.
 
-    :param site: width and length (m) of the base of what the task builds
+    :param site: width and length (m) of the base of the task's structure
     :raises ValueError: the surface is unknown
     """
     return find_surface(name)(workspace, site)

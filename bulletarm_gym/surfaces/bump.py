@@ -176,7 +176,7 @@ class BumpSurface(Surface):
         """Return True if a footprint is on the platform."""
         return bool(self._on_platform(footprint.points).min() >= -1e-9)
 
-    def _sites(self, size: Point, rng: np.random.Generator, spread: float) -> Iterator[Pose]:
+    def _sites(self, size: Point, rng: np.random.Generator, max_yaw: float) -> Iterator[Pose]:
         """Sample a frame on the platform with its yaw."""
         x, y = ((a - b) / 2.0 for a, b in zip(self.platform_size, size, strict=True))
         if x >= 0.0 and y >= 0.0:

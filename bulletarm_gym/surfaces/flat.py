@@ -36,7 +36,7 @@ class FlatSurface(Surface):
 
 
 class TraySurface(FlatSurface):
-    """Floor of a tray at the centre of the workspace; heights beyond it are those of its floor, too."""
+    """Floor of a tray at the centre of the workspace, whose height is returned for all points."""
 
     def __init__(self, workspace: list[list[float]], site: Point = SITE) -> None:
         super().__init__(workspace, site)

@@ -87,7 +87,7 @@ class RampSurface(Surface):
     """Two plates with parallel edges, and a level strip for structures between them.
 
     Randomisation: the width of the strip, its direction and position, the slope of each plate and the height
-    of its edge. The strip is at least as wide as what the task builds.
+    of its edge. The strip is at least as wide as the task's structure.
     """
 
     sloping = True
@@ -162,7 +162,7 @@ class RampSurface(Surface):
         between = all(ramp.distances(footprint.points).max() <= 0.0 for ramp in self.ramps)
         return between and super().fits(footprint)
 
-    def _sites(self, size: Point, rng: np.random.Generator, spread: float) -> Iterator[Pose]:
+    def _sites(self, size: Point, rng: np.random.Generator, max_yaw: float) -> Iterator[Pose]:
         """Sample frames in the strip with their y axis along it."""
         first, second = self.ramps
         room, half = (self.gap - size[0]) / 2.0, self._half_diagonal

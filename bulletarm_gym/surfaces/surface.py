@@ -14,7 +14,7 @@ from bulletarm_gym.simulation import Body, BodySpec, World
 Point: TypeAlias = tuple[float, float]
 
 SITE: Point = (0.03, 0.03)
-"""Default base (m) of what a task builds: one of the paper's open-loop cubes."""
+"""Default base (m) of the structure of a task: one of the paper's open-loop cubes."""
 COVERED_SHARE = 0.5
 """Distance from an obstacle relative to the margin of an object to the border.
 
@@ -34,7 +34,7 @@ class Surface(ABC):
     the world, so that the state of the world includes the state of the surface.
 
     :param workspace: [[x low, x high], [y low, y high], [z low, z high]] (m)
-    :param site: width and length (m) of the base of what the task builds
+    :param site: width and length (m) of the base of the task's structure
     """
 
     keeps_poses: ClassVar[bool] = True
@@ -104,24 +104,24 @@ class Surface(ABC):
         """Return True if a footprint is inside the level ground for structures."""
         return self.fits(footprint)
 
-    def goal_site(self, size: Point, rng: np.random.Generator, spread: float = math.pi) -> Pose:
+    def goal_site(self, size: Point, rng: np.random.Generator, max_yaw: float = math.pi) -> Pose:
         """Sample a site for a structure on the level ground.
 
         :param size: width and length (m) of its base, along x and y of the returned frame
-        :param spread: largest absolute yaw (rad), if the surface permits several
+        :param max_yaw: largest absolute yaw (rad), if the surface permits several
         :return: level frame on the ground at the centre of the base
         :raises PlacementError: there is no such site
         """
-        for pose in self._sites(size, rng, spread):
+        for pose in self._sites(size, rng, max_yaw):
             if self.fits_site(Footprint.rectangle(size, pose)):
                 return pose
         raise PlacementError(f"workspace: no level ground of {size[0]:.3f} x {size[1]:.3f} m")
 
-    def _sites(self, size: Point, rng: np.random.Generator, spread: float) -> Iterator[Pose]:
+    def _sites(self, size: Point, rng: np.random.Generator, max_yaw: float) -> Iterator[Pose]:
         """Sample level frames, some of which may be sites."""
         for _ in range(ATTEMPTS):
             point = self.sample_position(rng, min(size) / 2.0)
-            yield Pose.planar(*point, self.level, float(rng.uniform(-spread, spread)))
+            yield Pose.planar(*point, self.level, float(rng.uniform(-max_yaw, max_yaw)))
 
     def sample_position(self, rng: np.random.Generator, margin: float) -> Point:
         """Sample a point at least ``margin`` (m) from the workspace's border and clear of obstacles.
