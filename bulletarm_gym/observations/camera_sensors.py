@@ -55,7 +55,7 @@ class CameraSensor(Sensor):
         defaults = (WRIST_EYE, WRIST_TARGET) if self._on_wrist else viewpoint(scene, EYE, TARGET)
         self._eye: Vector = tuple(check_argument("position", position, optional(point)) or defaults[0])
         self._target: Vector = tuple(check_argument("target", target, optional(point)) or defaults[1])
-        self._lens = (check_argument("fov", fov, FIELD_OF_VIEW), *check_argument("size", size, render_size))
+        self._lens = (check_argument("fov", fov, FIELD_OF_VIEW), check_argument("size", size, render_size))
         self._fixed = look_at(self._eye, self._target, *self._lens)
 
     @property

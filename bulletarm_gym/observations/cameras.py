@@ -1,7 +1,7 @@
 """Default cameras, which show the configured workspace, and the cameras of an environment by name."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -89,16 +89,17 @@ def viewpoint(scene: Scene, eye: Vector, target: Vector, scale: float | None = N
 
 
 def look_at(
-    position: Vector, target: Vector, fov: float, width: int, height: int, up: Vector | None = None
+    position: Vector, target: Vector, fov: float, size: Sequence[int], up: Vector | None = None
 ) -> Camera:
     """Return a camera at a position (m) whose optical axis leads through a target (m).
 
+    :param size: width and height of the image (pixels)
     :param up: upward direction of the image in the world; by default that of :class:`Camera`
     :raises ValueError: position and target are the same point
     """
     if position == target:
         raise ValueError(f"target must be another point than position, got {list(target)}")
-    far = max(Camera.far, 2.0 * math.dist(position, target))
+    (width, height), far = size, max(Camera.far, 2.0 * math.dist(position, target))
     return Camera(position, target, fov, width, height, far=far, up=up)
 
 
@@ -127,7 +128,7 @@ def render_camera(scene: Scene) -> Camera:
     chosen |= config.render_camera or {}
     try:
         position, target = tuple(chosen["position"]), tuple(chosen["target"])
-        return look_at(position, target, chosen["fov"], *config.render_size)
+        return look_at(position, target, chosen["fov"], config.render_size)
     except ValueError as error:
         raise ParameterError(f"render_camera: {error}") from None
 
