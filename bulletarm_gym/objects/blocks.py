@@ -30,8 +30,6 @@ IMPROVISE_WIDTH = (5.0 / 6.0, 7.0 / 6.0)
 """Range of the width and the length of a random brick, relative to a brick."""
 IMPROVISE_HEIGHT = (2.0 / 3.0, 7.0 / 6.0)
 """Range of the height of a random brick, relative to a brick."""
-BRICK_SEED = 3
-"""Seed of the sizes of random bricks."""
 FLAT_BLOCK_SIDE = 0.1
 """Side (m) of the flat block (paper, Block Pulling: 8 cm at scale 0.8)."""
 FLAT_BLOCK_HEIGHT = 0.05
@@ -83,7 +81,7 @@ def goal_area(name: str, side: float) -> BodySpec:
 
 def improvise_bricks(name: str, scale: float, count: int) -> tuple[BodySpec, ...]:
     """Return bricks of random sizes, the same in every process (paper, Improvise House Building 3)."""
-    rng = np.random.default_rng(BRICK_SEED)
+    rng = np.random.default_rng(3)
     planes, heights = rng.uniform(*IMPROVISE_WIDTH, (count, 2)), rng.uniform(*IMPROVISE_HEIGHT, count)
     side, length = CUBE_SIZE * scale, BRICK_LENGTH
     extents = [
@@ -145,10 +143,6 @@ RISE = (2.0, 2.2)
 """Range of the factor on a random block's height."""
 MAX_STRETCHED_CELLS = 5.2
 """Maximum product of stretch and squares along x, 62 mm at scale 0.6, which fits every gripper."""
-SEED = 19
-"""Seed of the sizes of random blocks."""
-GOLDEN_RATIO = 0.618
-"""Distance in hue between consecutive random blocks, which makes their colours differ."""
 
 DRAWINGS = (
     "#.. #.. ###",
@@ -193,7 +187,7 @@ def improvise_block(
         x, y = ((np.add(low, high) / 2.0 - middle) * side).tolist()
         extents: Vector = ((high[0] - low[0] + 1) * side, (high[1] - low[1] + 1) * side, height)
         pieces.append(block(extents, (x, y, 0.0)))
-    red, green, blue = colorsys.hsv_to_rgb(number * GOLDEN_RATIO % 1.0, 0.55, 0.8)
+    red, green, blue = colorsys.hsv_to_rgb(number * 0.618 % 1.0, 0.55, 0.8)  # distinct hues
     return BodySpec(name, tuple(pieces), MASS, colour=(red, green, blue, 1.0))
 
 
@@ -202,7 +196,7 @@ def improvise_blocks(name: str, scale: float, series: int) -> tuple[BodySpec, ..
 
     :param series: number of a series of sizes; different slots use different ones
     """
-    rng = np.random.default_rng((SEED, series))
+    rng = np.random.default_rng((19, series))
     stretches, rises = rng.uniform(*STRETCH, len(DRAWINGS)), rng.uniform(*RISE, len(DRAWINGS))
     return tuple(
         improvise_block(f"{name} {number}", scale, number, stretch, rise)

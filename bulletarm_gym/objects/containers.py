@@ -98,8 +98,6 @@ CORNER_WALL = 0.03
 """Thickness (m) of the walls, too thick to be grasped together with the cube."""
 CORNER_INSIDE = -0.09
 """Position (m) along x and y of the walls' inner faces in the corner's frame."""
-CORNER_FRICTION = 0.2
-"""Friction coefficient, low, so that a finger pressed on a block can drag it."""
 
 
 def _corner() -> list[Piece]:
@@ -111,8 +109,8 @@ def _corner() -> list[Piece]:
     ]
 
 
-corner = fixed(_corner(), GREY, CORNER_FRICTION)
-"""Two walls on a plate, open towards +x and +y."""
+corner = fixed(_corner(), GREY, friction=0.2)
+"""Two walls on a plate, open towards +x and +y; a finger pressed on a block can drag it over the plate."""
 
 # The drawer of Drawer Opening
 

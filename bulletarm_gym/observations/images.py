@@ -61,16 +61,23 @@ def heightmap(heights: Heights, frame: Frame) -> Heights:
     return image[None]
 
 
-class Color(Sensor):
-    """Unshaded colours of the square of the heightmap, with the two squares of the fingers in dark grey."""
+class LabelImage(Sensor):
+    """Image with one value per visible mesh, see :attr:`View.labels`."""
 
     needs_labels = True
+    channels = 1
 
     @property
     def space(self) -> spaces.Box:
-        """Red, green and blue, (3, size, size)."""
+        """Bytes, (channels, size, size)."""
         size = self.scene.config.obs_size
-        return spaces.Box(0, 255, (3, size, size), np.uint8)
+        return spaces.Box(0, 255, (self.channels, size, size), np.uint8)
+
+
+class Color(LabelImage):
+    """Unshaded colours of the square of the heightmap, with the two squares of the fingers in dark grey."""
+
+    channels = 3
 
     def read(self, view: View) -> NDArray[np.uint8]:
         """Return the colour of the body under the centre of each pixel, or of the ground."""
@@ -86,20 +93,12 @@ class Color(Sensor):
         return np.rint(255.0 * np.array(colours)[:, :3].T).astype(np.uint8)
 
 
-class Segmentation(Sensor):
+class Segmentation(LabelImage):
     """Number of the visible object of each pixel of the heightmap.
 
     0 is the surface, n the n-th slot of the task's ``bodies()``, whichever variant is in the scene, and 255
     the two squares of the fingers.
     """
-
-    needs_labels = True
-
-    @property
-    def space(self) -> spaces.Box:
-        """Numbers of objects, (1, size, size)."""
-        size = self.scene.config.obs_size
-        return spaces.Box(0, 255, (1, size, size), np.uint8)
 
     def read(self, view: View) -> NDArray[np.uint8]:
         """Return the number of the object under the centre of each pixel."""

@@ -11,7 +11,6 @@ from bulletarm_gym.geometry import FloatArray, Pose, Rectangle
 from bulletarm_gym.observations.rasterizer import Labels, Window, rectangle_mask
 from bulletarm_gym.observations.renderer import HeightRenderer
 from bulletarm_gym.scene import Scene
-from bulletarm_gym.simulation import Body
 
 MAX_HEIGHT = 0.4
 """Largest value (m) of a heightmap or in-hand image."""
@@ -104,7 +103,6 @@ class View:
         self, scene: Scene, frame: Frame, overlays: Sequence[Overlay] = (), labelled: bool = False
     ) -> None:
         self._scene = scene
-        self._renderer = HeightRenderer.of(scene)
         self.frame = frame
         self.window = Window(frame.centre, frame.extent, scene.config.obs_size)
         self.overlays = tuple(overlays)
@@ -125,26 +123,24 @@ class View:
         """Return True if the gripper holds an object."""
         return self._scene.robot.held is not None
 
-    @property
-    def _hidden(self) -> Body | None:
-        return self._scene.robot.held if self.frame.hides_grasped else None
-
     @cached_property
     def heights(self) -> Heights:
         """Heights (m), (size, size), above the world's z = 0; read-only."""
-        return self._with_labels[0] if self._labelled else self._renderer.heights(self.window, self._hidden)
+        return self._with_labels[0] if self._labelled else self._render()
 
     @property
     def labels(self) -> Labels:
-        """Number of the visible mesh of each pixel, (size, size).
-
-        See :meth:`~bulletarm_gym.observations.renderer.HeightRenderer.labelled`.
-        """
+        """Number of the visible mesh of each pixel, (size, size), see :meth:`HeightRenderer.heights`."""
         return self._with_labels[1]
 
     @cached_property
     def _with_labels(self) -> tuple[Heights, Labels]:
-        return self._renderer.labelled(self.window, self._hidden)
+        labels = np.zeros((self.window.size, self.window.size), np.int16)
+        return self._render(labels), labels
+
+    def _render(self, labels: Labels | None = None) -> Heights:
+        hidden = self._scene.robot.held if self.frame.hides_grasped else None
+        return HeightRenderer.of(self._scene).heights(self.window, hidden, labels)
 
     @cached_property
     def fingers(self) -> NDArray[np.bool_]:
