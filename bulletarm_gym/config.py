@@ -240,7 +240,10 @@ SCALE_STEP = 0.02
 
 ROBOTS = ("kuka", "panda", "ur5", "ur5_robotiq")
 """Our arms by name; users register more."""
-SENSORS = ("heightmap", "in_hand", "holding", "state", "color", "segmentation", "rgb", "point_cloud")
+SENSORS = (
+    *("heightmap", "in_hand", "holding", "state", "color", "segmentation", "rgb", "depth", "point_cloud"),
+    "joint_state",
+)
 """What can be observed, by name; users register more."""
 PRESETS: dict[str, dict[str, tuple[str, ...]]] = {
     CLOSE_LOOP: {"image": ("heightmap", "holding"), "state": ("state", "holding")},

@@ -11,7 +11,6 @@ from gymnasium.envs.registration import EnvSpec
 from numpy.typing import ArrayLike, NDArray
 
 from bulletarm_gym.assembly import find_types, make_config, make_scene, take_objects
-from bulletarm_gym.cameras import RENDER, render_frame, scene_cameras
 from bulletarm_gym.config import CLOSE_LOOP
 from bulletarm_gym.control import Control, RobotInterface
 from bulletarm_gym.copies import reduce_env
@@ -29,12 +28,13 @@ from bulletarm_gym.feasibility import (
     reward_function,
 )
 from bulletarm_gym.geometry import PlacementError
+from bulletarm_gym.observations import Observer, View
+from bulletarm_gym.observations.cameras import RENDER, render_frame
+from bulletarm_gym.observations.renderer import measure
 from bulletarm_gym.rehearsal import REHEARSAL
 from bulletarm_gym.scene import Scene
-from bulletarm_gym.sensors import Observer, View
 from bulletarm_gym.simulation import has_display
 from bulletarm_gym.state import EnvState, check_fits, scene_facts
-from bulletarm_gym.stopwatch import Stopwatch
 from bulletarm_gym.tasks import Task
 from bulletarm_gym.viewer import Viewer
 from bulletarm_gym.wrapped_expert import querying_wrappers, wrapped_expert
@@ -108,7 +108,7 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         check_room(self.config, own, self.scene, self.task, self.control)
         self.action_space = self.control.action_space
         self._observer = Observer(self.config, self.scene)
-        self.cameras = scene_cameras(self.scene, self._observer.cameras)
+        self.cameras = self._observer.cameras
         """Cameras by name: ``"render"``, and those of sensors by the names of the sensors."""
         self._view: View | None = None
         # Gymnasium types a Dict space by its parts instead of its samples.
@@ -268,8 +268,10 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
 
         :raises gymnasium.error.ClosedEnvironmentError: the environment is closed
         """
-        self.scene.world.check_open()
-        return View(self.scene, self.control.frame(), self.task.overlays, self._observer.asks_for_labels)
+        self.scene.world.client.check_open()
+        return View(
+            self.scene, self.control.frame(), self.task.overlays(self.scene), self._observer.needs_labels
+        )
 
     def decode_action(self, action: ArrayLike) -> Any:
         """Return an action in metres and radians: a ``DeltaMove``, a ``PickPlace``, or the control's own."""
@@ -302,12 +304,12 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
             return wrapped_expert(self.expert_action, querying_wrappers(self))
         return super().get_wrapper_attr(name)
 
-    def measure(self) -> Stopwatch:
-        """Return a stopwatch that adds up the seconds of the engine's steps and of heightmaps from now on.
+    def measure(self) -> dict[str, float]:
+        """Return a dict whose values grow by the seconds of simulation steps and of heightmaps from now on.
 
-        Who does not ask for one pays nothing for it.
+        Its keys are ``"physics"`` and ``"rendering"``. Nothing is measured before the first call.
         """
-        return self.scene.measure()
+        return measure(self.scene)
 
     def get_state(self) -> EnvState:
         """Return the present moment; it can be pickled, and set in any environment with the same parameters.

@@ -86,8 +86,8 @@ def register_sensor(name: str, sensor: Any) -> None:
     """Make a sensor available in the lists that ``observation`` takes.
 
     :param name: a new one
-    :param sensor: a subclass of :class:`~bulletarm_gym.sensors.Sensor` that can be imported from a module, or
-        its path ``"module:Class"``
+    :param sensor: a subclass of :class:`~bulletarm_gym.observations.Sensor` that can be imported from a
+        module, or its path ``"module:Class"``
     :raises ValueError: the name is taken or no identifier, or the class has no import path
     """
     _store(SENSOR_PATHS, "sensor", name, sensor, SENSORS)

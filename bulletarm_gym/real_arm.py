@@ -13,11 +13,10 @@ from bulletarm_gym.config import CLOSE_LOOP, OPEN_LOOP, WORKSPACES
 from bulletarm_gym.control import Grasp, heights
 from bulletarm_gym.control.close_loop import VIEW_SCALE, tool_frame
 from bulletarm_gym.geometry import FloatArray, Pose, Rectangle
-from bulletarm_gym.rendering.point_cloud import project
-from bulletarm_gym.sensors import MAX_HEIGHT, Frame, Map
-from bulletarm_gym.sensors.images import heightmap
-from bulletarm_gym.sensors.in_hand import crop, projections
-from bulletarm_gym.sensors.view import Heights
+from bulletarm_gym.observations import MAX_HEIGHT, ElevationMap, Frame, Heights, Window
+from bulletarm_gym.observations.images import heightmap
+from bulletarm_gym.observations.in_hand import projections, rotated_crop
+from bulletarm_gym.observations.rasterizer import project_points
 
 Limits = Sequence[Sequence[float]]
 """Ranges of a workspace in x, y and z (m)."""
@@ -79,7 +78,7 @@ def in_hand_image(
     :param tilts: whether actions have three r's, and the image three channels
     :return: (1, size, size) or (3, size, size) m, within [0, 0.4]
     """
-    show = projections if tilts else crop
+    show = projections if tilts else rotated_crop
     return show(_map(heightmap, workspace), _above_floor(pick, workspace), size).clip(0.0, MAX_HEIGHT)
 
 
@@ -138,9 +137,9 @@ def place_height(
     return workspace[2][0] + heights.place_height(_map(heightmap, workspace), target, grasp, gap)
 
 
-def _map(heightmap: Heights, workspace: Limits) -> Map:
+def _map(heightmap: Heights, workspace: Limits) -> ElevationMap:
     frame = _workspace_frame(workspace)
-    return Map(heightmap[0], frame.centre, frame.extent)
+    return ElevationMap(heightmap[0], frame.centre, frame.extent)
 
 
 def _above_floor(pose: Pose, workspace: Limits) -> Pose:
@@ -160,7 +159,7 @@ def _shown(points: ArrayLike, frame: Frame, ceiling: float, size: int) -> Height
             f"points: got {len(cloud)}, none in the square of {frame.extent:g} m about x = {x:g}, y = {y:g}; "
             "takes points of the world, in metres"
         )
-    return heightmap(project(cloud, frame.centre, frame.extent, size, ceiling), frame)
+    return heightmap(project_points(cloud, Window(frame.centre, frame.extent, size), ceiling), frame)
 
 
 def _checked(points: ArrayLike) -> FloatArray:

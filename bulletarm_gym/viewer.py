@@ -5,8 +5,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from bulletarm_gym.cameras import render_camera, sight
 from bulletarm_gym.geometry import Vector
+from bulletarm_gym.observations.cameras import render_camera, viewpoint
 from bulletarm_gym.scene import Scene
 from bulletarm_gym.simulation import Camera
 from bulletarm_gym.simulation.window import Keyboard, draw_segments, look
@@ -49,7 +49,7 @@ class Viewer:
         """Position and target of the camera of close-ups."""
         floor = self._scene.config.workspace[2][0]
         ahead, left, up = EYE_OFFSET
-        return sight(self._scene, (ahead, left, floor + up), (0.0, 0.0, floor + TARGET_HEIGHT))
+        return viewpoint(self._scene, (ahead, left, floor + up), (0.0, 0.0, floor + TARGET_HEIGHT))
 
     def pressed_keys(self) -> list[str]:
         """Return the characters whose keys went down in the window since the last call.

@@ -12,7 +12,7 @@ from bulletarm_gym.config import CLOSE_LOOP, MAX_ROTATION, MAX_TRANSLATION, EnvC
 from bulletarm_gym.control.control import Control, GraspParams, Outcome, grid_positions
 from bulletarm_gym.control.interface import RobotInterface
 from bulletarm_gym.geometry import Pose, Rectangle, Vector
-from bulletarm_gym.sensors import Frame, View
+from bulletarm_gym.observations import Frame, View
 
 VIEW_SCALE = 1.5
 """Ratio of the observed square's side to the workspace's: 0.45 m for 0.3 m (paper, Benchmark Details)."""

@@ -15,8 +15,8 @@ from numpy.typing import ArrayLike, NDArray
 from bulletarm_gym.config import EnvConfig, ParameterError, default_home_height
 from bulletarm_gym.control.interface import RobotInterface
 from bulletarm_gym.geometry import Pose, Vector
+from bulletarm_gym.observations import Frame, View
 from bulletarm_gym.robots.robot import LEVEL_TILT
-from bulletarm_gym.sensors import Frame, View
 
 POINTS = 5
 """Number of positions along each side of the workspace at which the arm's reach is checked."""

@@ -9,8 +9,8 @@ import numpy as np
 from scipy.ndimage import label
 
 from bulletarm_gym.geometry import Pose, Rectangle, matrix
-from bulletarm_gym.rendering.overlays import rectangle_mask
-from bulletarm_gym.sensors import Map
+from bulletarm_gym.observations import ElevationMap
+from bulletarm_gym.observations.rasterizer import rectangle_mask
 
 MIN_PICK_HEIGHT = 0.005
 """Smallest height (m) of a pick."""
@@ -39,7 +39,7 @@ class Grasp(NamedTuple):
     width: float
 
 
-def pick_height(heights: Map, target: Rectangle, depth: float) -> float:
+def pick_height(heights: ElevationMap, target: Rectangle, depth: float) -> float:
     """Return the height (m) of the fingertips at a pick.
 
     :param heights: last heightmap
@@ -49,7 +49,7 @@ def pick_height(heights: Map, target: Rectangle, depth: float) -> float:
     return max(_highest(heights, target) - depth, MIN_PICK_HEIGHT)
 
 
-def measure_grasp(before: Map, after: Map, closed_at: Pose) -> Grasp | None:
+def measure_grasp(before: ElevationMap, after: ElevationMap, closed_at: Pose) -> Grasp | None:
     """Return the measurements of the grasped object, or None if the heightmaps do not show its absence.
 
     The footprint consists of the connected pixels that the pick lowered. The surface that supported the
@@ -76,7 +76,7 @@ def measure_grasp(before: Map, after: Map, closed_at: Pose) -> Grasp | None:
     return Grasp(height, (x0 + x1) / 2.0, (y0 + y1) / 2.0, x1 - x0, y1 - y0)
 
 
-def place_height(heights: Map, target: Pose, grasp: Grasp, gap: float) -> float:
+def place_height(heights: ElevationMap, target: Pose, grasp: Grasp, gap: float) -> float:
     """Return the height (m) of the fingertips at a place.
 
     :param heights: last heightmap, without the grasped object
@@ -89,9 +89,9 @@ def place_height(heights: Map, target: Pose, grasp: Grasp, gap: float) -> float:
     return _highest(heights, footprint) + grasp.height + gap
 
 
-def _highest(heights: Map, area: Rectangle) -> float:
+def _highest(heights: ElevationMap, area: Rectangle) -> float:
     """Return the greatest height (m) of the pixels in an area and of the pixel at its middle."""
-    covered = rectangle_mask(heights.centre, heights.extent, len(heights.heights), [area])
+    covered = rectangle_mask(heights.window, [area])
     row, column = heights.pixels(np.array((area.x, area.y))).round().astype(int).clip(0, len(covered) - 1)
     covered[row, column] = True
     return float(heights.heights[covered].max())

@@ -13,7 +13,7 @@ from bulletarm_gym.control.control import Control, GraspParams, Outcome, grid_po
 from bulletarm_gym.control.heights import Grasp, measure_grasp, pick_height, place_height
 from bulletarm_gym.control.interface import RobotInterface
 from bulletarm_gym.geometry import Pose, Rectangle, Vector, euler_pose
-from bulletarm_gym.sensors import Frame, View
+from bulletarm_gym.observations import Frame, View
 
 PICK = "pick"
 PLACE = "place"
@@ -142,9 +142,11 @@ class OpenLoop(Control[PickPlace]):
         if places and view.is_holding:
             # A task may start with a grasped object: without measurements it counts as a cube.
             grasp = Grasp(*(self.memory or (depth, 0.0, 0.0, 2.0 * depth, 2.0 * depth)))
-            return self._floor + place_height(view.map, target, grasp, params.place_offset)
+            return self._floor + place_height(view.elevation_map, target, grasp, params.place_offset)
         area = params.pick_area or (2.0 * depth, 2.0 * depth)
-        return self._floor + pick_height(view.map, Rectangle(target.x, target.y, *area, target.yaw), depth)
+        return self._floor + pick_height(
+            view.elevation_map, Rectangle(target.x, target.y, *area, target.yaw), depth
+        )
 
     def follow(self, before: View, after: View, outcome: Outcome) -> None:
         """Remember the measurements of the grasped object until the gripper is empty."""
@@ -152,7 +154,7 @@ class OpenLoop(Control[PickPlace]):
             self.memory = None
         elif outcome.closed_at is not None and "z" not in self.ranges:
             closed_at = Pose((0.0, 0.0, -self._floor)).compose(outcome.closed_at)
-            grasp = measure_grasp(before.map, after.map, closed_at)
+            grasp = measure_grasp(before.elevation_map, after.elevation_map, closed_at)
             self.memory = None if grasp is None else tuple(grasp)
 
     # Motion

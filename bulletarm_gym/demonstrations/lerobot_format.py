@@ -15,8 +15,8 @@ from tqdm import tqdm
 from bulletarm_gym.demonstrations.episodes import Demonstrations, Episode, whole_file
 from bulletarm_gym.demonstrations.replaying import replay
 from bulletarm_gym.env import ManipulationEnv
-from bulletarm_gym.sensors import Holding, Rgb, Sensor, State, View
-from bulletarm_gym.sensors.numbers import HAND_SIZE
+from bulletarm_gym.observations import Holding, Rgb, Sensor, State, View
+from bulletarm_gym.observations.state import GRIPPER_SIZE
 
 if TYPE_CHECKING:
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
@@ -189,10 +189,10 @@ def _poses(env: ManipulationEnv, object_poses: bool) -> list[tuple[str, Feature]
     state, holding = State(env.scene), Holding(env.scene)
 
     def read_gripper(moment: Moment) -> NDArray[Any]:
-        return np.concatenate([state.read(moment.view)[:HAND_SIZE], holding.read(moment.view)])
+        return np.concatenate([state.read(moment.view)[:GRIPPER_SIZE], holding.read(moment.view)])
 
     def read_items(moment: Moment) -> NDArray[Any]:
-        return state.read(moment.view)[HAND_SIZE:]
+        return state.read(moment.view)[GRIPPER_SIZE:]
 
     gripper = Feature("float32", (len(GRIPPER),), GRIPPER, read_gripper)
     parts = [

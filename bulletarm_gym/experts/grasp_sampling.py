@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from bulletarm_gym.geometry import FloatArray, IntArray
 from bulletarm_gym.geometry.compilation import compiled
+from bulletarm_gym.observations import HeightRenderer, Window
 from bulletarm_gym.robots.gripper import Gripper
 from bulletarm_gym.scene import Scene
 
@@ -75,9 +76,10 @@ class ElevationMap:
         centre, extent = scene.config.centre, scene.config.workspace_size + 2.0 * SURROUNDINGS
         size = round(extent / PITCH)
         bodies = [obj.body for obj in scene]
-        layers = [scene.heights_of([body], centre, extent, size) for body in bodies]
+        renderer, window = HeightRenderer.of(scene), Window(centre, extent, size)
+        layers = [renderer.heights_of([body], window) for body in bodies]
         others = [body for body in scene.world.obstacles if body not in bodies]
-        return cls(np.stack(layers), scene.heights_of(others, centre, extent, size), centre, extent)
+        return cls(np.stack(layers), renderer.heights_of(others, window), centre, extent)
 
     @property
     def pitch(self) -> float:

@@ -1,10 +1,8 @@
-"""What is acted on: shapes and object sets made by code."""
+"""Objects: bodies made of convex pieces, built-in kinds, and objects from users' files."""
 
 from bulletarm_gym.objects.blocks import cube, flat_block, goal_area, triangle
-from bulletarm_gym.objects.bowl import bowl
 from bulletarm_gym.objects.catalogue import create
-from bulletarm_gym.objects.corner import corner
-from bulletarm_gym.objects.drawer import drawer
+from bulletarm_gym.objects.containers import bowl, corner, drawer
 from bulletarm_gym.simulation.shapes import BodySpec, Box, Colour, Convex, Hinge, Piece, Slide
 
 __all__ = [

@@ -1,98 +1,217 @@
-"""The paper's blocks.
+"""Blocks: the paper's, those to pack and to palletize, and random ones (paper, Environments).
 
-Sizes are nominal (m) and grow with the object scale.
+Sizes are nominal (m), at scale 1. The frame is at the centre of the bounding box unless stated otherwise.
 """
+
+import colorsys
+import math
+from collections.abc import Iterator, Sequence
+from itertools import pairwise
 
 import numpy as np
 
-from bulletarm_gym.geometry import Pose
-from bulletarm_gym.objects.solids import circle, corner_radius, extruded, loft
-from bulletarm_gym.simulation.shapes import BLUE, RED, YELLOW, BodySpec, Box, Piece
+from bulletarm_gym.geometry import Pose, Vector
+from bulletarm_gym.objects.solids import Kind, block, corner_radius, cuboid, cylinder, loft, prism
+from bulletarm_gym.simulation.shapes import BLUE, RED, YELLOW, BodySpec, Box, Colour, Piece
 
+MASS = 0.1
+"""Mass (kg) of all blocks but the flat one."""
 CUBE_SIZE = 0.05
-"""Side (m) of cubes and of a triangle's bounding box at scale 1 (paper, Environments); 3 cm at 0.6."""
-CUBE_MASS = 0.1
-
+"""Side (m) of cubes and of a triangle's bounding box (paper, Environments: 3 cm at scale 0.6)."""
 BRICK_LENGTH = 0.2
-"""Of brick and roof at scale 1 (m): 12 cm at the default scale of 0.6 (paper, House Building 3)."""
+"""Length (m) of brick and roof (paper, House Building 3: 12 cm at scale 0.6)."""
 CYLINDER_DIAMETER = 0.0538
+"""Diameter (m) of the cylinder."""
 CYLINDER_HEIGHT = 0.06
-"""At scale 1 (m)."""
-CYLINDER_SIDES = 16
-
+"""Height (m) of the cylinder."""
+CIRCLE_SIDES = 16
+"""Corners of the polygon that approximates the circle of a cylinder or disc."""
 IMPROVISE_WIDTH = (5.0 / 6.0, 7.0 / 6.0)
+"""Range of the width and the length of a random brick, relative to a brick."""
 IMPROVISE_HEIGHT = (2.0 / 3.0, 7.0 / 6.0)
-"""Least and greatest size of an improvised brick, width and length alike and height by itself, as shares of
-a brick's: 0.5 to 0.7 and 0.4 to 0.7 at scale 0.6."""
-IMPROVISE_SEED = 3
-
+"""Range of the height of a random brick, relative to a brick."""
 FLAT_BLOCK_SIDE = 0.1
-"""Side (m) at scale 1: 8 cm at the pulling task's default scale of 0.8 (paper, Block Pulling)."""
+"""Side (m) of the flat block (paper, Block Pulling: 8 cm at scale 0.8)."""
 FLAT_BLOCK_HEIGHT = 0.05
-"""Height (m), the same at every scale (paper, Block Pulling)."""
-FLAT_BLOCK_MASS = 0.5
-FLAT_BLOCK_FRICTION = 0.5
-
+"""Height (m) of the flat block at every scale (paper, Block Pulling)."""
+BOX: Vector = (0.05625, 0.09, 0.05625)
+"""Side lengths (m) of a box to palletize (paper, Box Palletizing: 4.5 x 7.2 x 4.5 cm at scale 0.8)."""
+SIDE = 0.05
+"""Width (m) of the blocks to pack, 1 or 2 widths long and 0.5 or 1 high (paper, Bin Packing: 4 cm at 0.8)."""
 MARK_THICKNESS = 1e-3
-"""Height (m) of marks on the ground: enough for a camera to see them."""
+"""Height (m) of marks on the ground, which makes them visible to cameras."""
 
 
-def cube(name: str, scale: float) -> BodySpec:
-    """Return a cube whose frame is its centre."""
-    side = CUBE_SIZE * scale
-    return BodySpec(name, (Piece(Box((side, side, side))),), CUBE_MASS, colour=RED)
-
-
-def flat_block(name: str, scale: float) -> BodySpec:
-    """Return a square block lower than it is wide, its frame in its centre."""
-    side = FLAT_BLOCK_SIDE * scale
-    pieces = (Piece(Box((side, side, FLAT_BLOCK_HEIGHT))),)
-    return BodySpec(name, pieces, FLAT_BLOCK_MASS, FLAT_BLOCK_FRICTION, colour=BLUE)
-
-
-def triangle(name: str, scale: float) -> BodySpec:
-    """Return an upright prism whose ridge runs along x, its frame in the middle of its bounding box."""
-    return _wedge(name, scale, CUBE_SIZE)
-
-
-def _wedge(name: str, scale: float, length: float) -> BodySpec:
+def _wedge(length: float, scale: float) -> list[Piece]:
+    """Return an upright prism of triangles whose ridge runs along x, ``length`` (m) along y."""
     half, end = CUBE_SIZE * scale / 2.0, length * scale / 2.0
-    rings = [[(x, -end, -half), (x, end, -half), (x, 0.0, half)] for x in (-half, half)]
-    return BodySpec(name, (Piece(loft(rings)),), CUBE_MASS, colour=YELLOW)
+    return [Piece(loft([[(x, -end, -half), (x, end, -half), (x, 0.0, half)] for x in (-half, half)]))]
 
 
-def brick(name: str, scale: float) -> BodySpec:
-    """Return a cuboid four times as long, along y, as it is wide and high, its frame in its centre."""
-    return _brick(name, scale, 1.0, 1.0, 1.0)
+def _cylinder(scale: float) -> list[Piece]:
+    radius = corner_radius(CYLINDER_DIAMETER * scale, CIRCLE_SIDES)
+    return [cylinder(radius, CYLINDER_HEIGHT * scale, CIRCLE_SIDES)]
 
 
-def improvise_bricks(name: str, scale: float, count: int) -> tuple[BodySpec, ...]:
-    """Return bricks of random sizes, always the same (Improvise House Building 3)."""
-    rng = np.random.default_rng(IMPROVISE_SEED)
-    shares = np.column_stack(
-        [rng.uniform(*IMPROVISE_WIDTH, (count, 2)), rng.uniform(*IMPROVISE_HEIGHT, count)]
-    )
-    return tuple(_brick(f"{name} {number}", scale, *row) for number, row in enumerate(shares.tolist()))
+def _flat_block(scale: float) -> list[Piece]:
+    return [block((FLAT_BLOCK_SIDE * scale, FLAT_BLOCK_SIDE * scale, FLAT_BLOCK_HEIGHT))]
 
 
-def _brick(name: str, scale: float, width: float, length: float, height: float) -> BodySpec:
-    side = CUBE_SIZE * scale
-    extents = (width * side, length * BRICK_LENGTH * scale, height * side)
-    return BodySpec(name, (Piece(Box(extents)),), CUBE_MASS, colour=BLUE)
-
-
-def roof(name: str, scale: float) -> BodySpec:
-    """Return an upright prism as long, along y, as a brick, its ridge along x, its frame as a triangle's."""
-    return _wedge(name, scale, BRICK_LENGTH)
-
-
-def cylinder(name: str, scale: float) -> BodySpec:
-    """Return an upright cylinder whose frame is its centre."""
-    outline = circle(corner_radius(CYLINDER_DIAMETER * scale, CYLINDER_SIDES), 0.0, CYLINDER_SIDES)[:, :2]
-    return BodySpec(name, (extruded(outline, CYLINDER_HEIGHT * scale),), CUBE_MASS, colour=RED)
+cube = Kind(cuboid(CUBE_SIZE, CUBE_SIZE, CUBE_SIZE), MASS, colour=RED)
+"""Cube."""
+brick = Kind(cuboid(CUBE_SIZE, BRICK_LENGTH, CUBE_SIZE), MASS, colour=BLUE)
+"""Cuboid, four times as long, along y, as it is wide and high."""
+triangle = Kind(lambda scale: _wedge(CUBE_SIZE, scale), MASS, colour=YELLOW)
+"""Upright triangular prism whose ridge runs along x."""
+roof = Kind(lambda scale: _wedge(BRICK_LENGTH, scale), MASS, colour=YELLOW)
+"""Upright triangular prism as long, along y, as a brick, whose ridge runs along x."""
+upright_cylinder = Kind(_cylinder, MASS, colour=RED)
+"""Upright cylinder."""
+flat_block = Kind(_flat_block, mass=0.5, friction=0.5, colour=BLUE)
+"""Square block lower than it is wide."""
+palletizing_box = Kind(cuboid(*BOX), MASS, colour=(0.58, 0.40, 0.26, 1.0))
+"""Box to palletize, longest along y."""
 
 
 def goal_area(name: str, side: float) -> BodySpec:
-    """Return a square of ``side`` (m) marked on the ground, its frame on the ground in its middle."""
+    """Return a square of ``side`` (m) marked on the ground, its frame on the ground at its centre."""
     square = Piece(Box((side, side, MARK_THICKNESS)), Pose((0.0, 0.0, MARK_THICKNESS / 2.0)))
     return BodySpec(name, (square,), mass=0.0, colour=BLUE, is_mark=True)
+
+
+def improvise_bricks(name: str, scale: float, count: int) -> tuple[BodySpec, ...]:
+    """Return bricks of random sizes, the same in every process (paper, Improvise House Building 3)."""
+    rng = np.random.default_rng(3)
+    planes, heights = rng.uniform(*IMPROVISE_WIDTH, (count, 2)), rng.uniform(*IMPROVISE_HEIGHT, count)
+    side, length = CUBE_SIZE * scale, BRICK_LENGTH
+    extents = [
+        (x * side, y * length * scale, z * side)
+        for (x, y), z in zip(planes.tolist(), heights.tolist(), strict=True)
+    ]
+    return tuple(
+        BodySpec(f"{name} {number}", (block(size),), MASS, colour=BLUE) for number, size in enumerate(extents)
+    )
+
+
+# Blocks to pack
+
+
+def _arch() -> list[Piece]:
+    legs = [block((1.0, 0.5, 1.0), (0.0, side * 0.75, 0.0)) for side in (-1.0, 1.0)]
+    angles = np.pi * (1.0 - np.arange(5) / 4)
+    vault = [(0.5 * math.cos(angle), 0.5 * math.sin(angle) - 0.5) for angle in angles.tolist()]
+    columns = [[low, high, (high[0], 0.5), (low[0], 0.5)] for low, high in pairwise(vault)]
+    return [*legs, *(prism(column, 1.0, axis=0) for column in columns)]
+
+
+OCTAGON = tuple(
+    (x / 4, y / 4) for x, y in ((2, 1), (1, 2), (-1, 2), (-2, 1), (-2, -1), (-1, -2), (1, -2), (2, -1))
+)
+"""Corners of the octagonal plate, in widths."""
+SHAPES: tuple[tuple[Sequence[Piece], Colour], ...] = (
+    ([prism([(-1.0, -0.5), (1.0, -0.5), (0.0, 0.5)], 1.0, axis=0)], (0.20, 0.55, 0.25, 1.0)),
+    (_arch(), (0.30, 0.75, 0.50, 1.0)),
+    ([prism(OCTAGON, 0.5)], (0.85, 0.25, 0.60, 1.0)),
+    ([block((1.0, 2.0, 0.5))], (0.25, 0.75, 0.80, 1.0)),
+    ([block((1.0, 1.0, 1.0))], (0.50, 0.40, 0.75, 1.0)),
+    ([block((1.0, 2.0, 1.0))], (0.40, 0.45, 0.85, 1.0)),
+    ([cylinder(corner_radius(1.0, CIRCLE_SIDES), 0.5, CIRCLE_SIDES)], (0.85, 0.50, 0.25, 1.0)),
+)
+"""Pieces, in widths with the long side along y, and colours of the seven blocks to pack."""
+
+
+def packing_block(name: str, scale: float, number: int) -> BodySpec:
+    """Return one of the seven blocks to pack.
+
+    :param number: 0 to 6
+    """
+    shape, colour = SHAPES[number]
+    pieces = tuple(piece.scaled(SIDE * scale) for piece in shape)
+    return BodySpec(name, pieces, MASS, friction=0.5, colour=colour)
+
+
+# Random blocks: squares side by side in one layer. The paper samples them from a set that it does not
+# publish; these have the same sizes.
+
+CELL = 0.02
+"""Side (m) of a square at stretch 1."""
+LAYER = 0.022
+"""Height (m) of a random block at rise 1."""
+STRETCH = (1.0, 1.5)
+"""Range of the factor on a random block's width and length."""
+RISE = (2.0, 2.2)
+"""Range of the factor on a random block's height."""
+MAX_STRETCHED_CELLS = 5.2
+"""Maximum product of stretch and squares along x, 62 mm at scale 0.6, which fits every gripper."""
+
+DRAWINGS = (
+    "#.. #.. ###",
+    "### .#. .#.",
+    "#.# #.# ###",
+    ".#. ### .#.",
+    "##. .#. .##",
+    "#.. ##. .##",
+    "### .#. .#. .#.",
+    "#.. #.. #.. ###",
+    "### .#. .#. ###",
+    ".#. ### .#. .#.",
+    "##. .#. .#. .##",
+    "### #.. #.. ###",
+    "#.# ### .#. .#.",
+    "##. ### .#. .#.",
+    ".#. ### ### .#.",
+    "#.. ### .#. ##.",
+    ".##. #### .##. .#..",
+    "#... #### .##. .#..",
+    "### .#. .#. .#. ###",
+)
+"""The 19 random blocks seen from above: one word per row of squares along x, rows along y."""
+
+
+def improvise_block(
+    name: str, scale: float, number: int, stretch: float = 1.25, rise: float = 2.1
+) -> BodySpec:
+    """Return one of the 19 random blocks, its frame at its centre of mass, where it is grasped.
+
+    :param number: 0 to 18
+    :param stretch: factor on its width and length, reduced for blocks too wide for a gripper
+    :param rise: factor on its height
+    """
+    rows = DRAWINGS[number].split()
+    side = CELL * scale * min(stretch, MAX_STRETCHED_CELLS / len(rows[0]))
+    height = LAYER * scale * rise
+    cells = np.array([(x, y) for y, row in enumerate(rows) for x, cell in enumerate(row) if cell == "#"])
+    middle = cells.mean(axis=0)
+    pieces = []
+    for low, high in _rectangles(rows):
+        x, y = ((np.add(low, high) / 2.0 - middle) * side).tolist()
+        extents: Vector = ((high[0] - low[0] + 1) * side, (high[1] - low[1] + 1) * side, height)
+        pieces.append(block(extents, (x, y, 0.0)))
+    red, green, blue = colorsys.hsv_to_rgb(number * 0.618 % 1.0, 0.55, 0.8)  # distinct hues
+    return BodySpec(name, tuple(pieces), MASS, colour=(red, green, blue, 1.0))
+
+
+def improvise_blocks(name: str, scale: float, series: int) -> tuple[BodySpec, ...]:
+    """Return the 19 random blocks in random sizes, the same in every process.
+
+    :param series: number of a series of sizes; different slots use different ones
+    """
+    rng = np.random.default_rng((19, series))
+    stretches, rises = rng.uniform(*STRETCH, len(DRAWINGS)), rng.uniform(*RISE, len(DRAWINGS))
+    return tuple(
+        improvise_block(f"{name} {number}", scale, number, stretch, rise)
+        for number, (stretch, rise) in enumerate(zip(stretches.tolist(), rises.tolist(), strict=True))
+    )
+
+
+def _rectangles(rows: list[str]) -> Iterator[tuple[tuple[int, int], tuple[int, int]]]:
+    """Yield the first and last square, (x, y), of rectangles that cover each square once."""
+    left = {(x, y) for y, row in enumerate(rows) for x, cell in enumerate(row) if cell == "#"}
+    while left:
+        x, y = low = min(left, key=lambda cell: (cell[1], cell[0]))
+        while (x + 1, y) in left:
+            x += 1
+        while all((column, y + 1) in left for column in range(low[0], x + 1)):
+            y += 1
+        yield low, (x, y)
+        left -= {(column, row) for column in range(low[0], x + 1) for row in range(low[1], y + 1)}

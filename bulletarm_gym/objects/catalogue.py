@@ -1,12 +1,14 @@
-"""Objects by the name of their kind: ours and those that users register."""
+"""Kinds of objects by name, built-in and registered, and the object sets of tasks."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 
 from bulletarm_gym.extensions import OBJECT_PATHS, load
-from bulletarm_gym.objects import blocks, bottles, covid, packing, palletizing
-from bulletarm_gym.objects.bowl import bowl
-from bulletarm_gym.objects.polyominoes import DRAWINGS, improvise_block
+from bulletarm_gym.objects import blocks, bottles, containers
+from bulletarm_gym.objects.files import load_folder
+from bulletarm_gym.objects.graspables import graspables
+from bulletarm_gym.objects.solids import laid_flat
 from bulletarm_gym.simulation.shapes import BodySpec
 
 Make = Callable[[str, float], BodySpec]
@@ -17,49 +19,74 @@ def _numbered(kind: str, make: Callable[..., BodySpec], count: int) -> dict[str,
 
 
 KINDS: Mapping[str, Make] = {
-    "bottle_tray": bottles.bottle_tray,
-    "bowl": bowl,
+    "bottle_tray": containers.bottle_tray,
+    "bowl": containers.bowl,
     "brick": blocks.brick,
     "cube": blocks.cube,
-    "cylinder": blocks.cylinder,
+    "cylinder": blocks.upright_cylinder,
     "flat_block": blocks.flat_block,
-    "new_tube_box": covid.new_tube_box,
-    "packing_bin": packing.packing_bin,
-    "pallet": palletizing.pallet,
-    "palletizing_box": palletizing.palletizing_box,
+    "new_tube_box": containers.new_tube_box,
+    "packing_bin": containers.packing_bin,
+    "pallet": containers.pallet,
+    "palletizing_box": blocks.palletizing_box,
     "roof": blocks.roof,
-    "swab": covid.swab,
-    "test_area": covid.test_area,
+    "swab": bottles.swab,
+    "test_area": containers.test_area,
     "triangle": blocks.triangle,
-    "tube": covid.tube,
-    "used_tube": covid.used_tube,
-    "used_tube_box": covid.used_tube_box,
+    "tube": bottles.tube,
+    "used_tube": bottles.used_tube,
+    "used_tube_box": containers.used_tube_box,
     **_numbered("bottle", bottles.bottle, len(bottles.BOTTLES)),
-    **_numbered("improvise_block", improvise_block, len(DRAWINGS)),
-    **_numbered("packing_block", packing.packing_block, len(packing.SHAPES)),
+    **_numbered("improvise_block", blocks.improvise_block, len(blocks.DRAWINGS)),
+    **_numbered("packing_block", blocks.packing_block, len(blocks.SHAPES)),
 }
-"""What there is besides users' objects."""
+"""Built-in kinds of objects."""
 
 
 def create(kind: str, name: str, scale: float = 1.0) -> BodySpec:
     """Return an object of a kind.
 
-    :param kind: one of :data:`KINDS`, a name given to :func:`bulletarm_gym.register_object`, or the path
-        ``"module:function"`` of what could be given to it
-    :param name: of the object, unique in its scene
-    :param scale: times its nominal size
-    :raises ValueError: there is no such kind, or it makes something else
+    :param kind: one of :data:`KINDS`, a name registered by :func:`bulletarm_gym.register_object`, or the
+        import path ``"module:function"`` of a function that could be registered
+    :param name: name of the object, unique in its scene
+    :param scale: factor on its nominal size
+    :raises ValueError: the kind is unknown, or its function does not return a body with a volume
     """
     path = OBJECT_PATHS.get(kind, kind)
     if kind not in KINDS and ":" not in path:
         known = ", ".join(repr(other) for other in (*KINDS, *OBJECT_PATHS))
-        raise ValueError(f"kind: got {kind!r}, takes one of {known}, or 'module:function' of your own")
+        raise ValueError(f"kind must be one of {known}, or 'module:function', got {kind!r}")
     make = KINDS[kind] if kind in KINDS else load(path)
     made = make(name, scale)
     if not isinstance(made, BodySpec):
-        raise ValueError(f"object {kind!r}: {path} returned a {type(made).__name__}, not a BodySpec")
+        raise ValueError(f"object {kind!r}: {path} must return a BodySpec, got a {type(made).__name__}")
     if not made.pieces:
         raise ValueError(f"object {kind!r}: pieces must be at least one piece, got none")
     if not made.is_mark and min(made.extents) <= 0.0:
         raise ValueError(f"object {kind!r}: sides must be positive (m), got {made.extents}")
     return made
+
+
+def object_set(source: str | Sequence[str] | None) -> tuple[BodySpec, ...]:
+    """Return the objects of a set, always in the same order.
+
+    :param source: None for the 86 built-in objects, a folder of OBJ, STL or URDF files, or a list of kinds,
+        see :func:`create`; a kind that is listed n times makes n objects
+    :raises ValueError: no file of the folder can be loaded; a kind is unknown or fixed
+    """
+    if source is None:
+        return graspables()
+    if isinstance(source, str):
+        return load_folder(source)
+    return tuple(_of_kind(kind, source[:place].count(kind)) for place, kind in enumerate(source))
+
+
+def _of_kind(kind: str, number: int) -> BodySpec:
+    """Return an object of a kind in nominal size and its resting frame."""
+    try:
+        spec = create(kind, f"{kind} {number}")
+    except ValueError as error:
+        raise ValueError(f"object_set: {error}") from error
+    if spec.mass == 0.0 or spec.parts or spec.is_mark:
+        raise ValueError(f"object_set: kinds must be of loose objects, got {kind!r}, which is fixed")
+    return replace(spec, pieces=laid_flat(spec.pieces))

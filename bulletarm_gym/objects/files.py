@@ -1,58 +1,166 @@
-"""Objects from a user's OBJ, STL or URDF files.
+"""Objects from users' OBJ, STL and URDF files.
 
-As in Bullet, each named part of an OBJ file becomes one convex hull. A URDF gives the collision geometry,
-colour, mass and friction of one rigid link. Its inertia is not used: a body has that of its shape.
+As in Bullet, each named part of an OBJ file becomes one convex hull. A URDF defines the collision geometry,
+colour, mass and friction of one rigid link. Its inertia is not used: it follows from the shape.
 """
 
+import os
+import warnings
+from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from xml.etree.ElementTree import Element
 
 import numpy as np
+from numpy.typing import ArrayLike
+from scipy.spatial import ConvexHull, QhullError
 
-from bulletarm_gym.geometry import Pose, Vector, euler_pose
+from bulletarm_gym.geometry import Mesh, Pose, Vector, euler_pose
 from bulletarm_gym.objects.graspables import graspable
-from bulletarm_gym.objects.hull import convex_hull
+from bulletarm_gym.objects.solids import corner_radius, cylinder
 from bulletarm_gym.simulation.meshes import mesh_parts
 from bulletarm_gym.simulation.shapes import ORIGIN, BodySpec, Box, Colour, Convex, Piece
-from bulletarm_gym.simulation.urdf import mesh_path, number_of, parse_urdf
+from bulletarm_gym.simulation.urdf import mesh_path, parse_urdf
 
-SMALLEST = 0.005
-LARGEST = 0.3
-"""Sides (m) of a bounding box between which an object can be handled at all: a wrong unit is noticed."""
-LIGHTEST = 1e-3
-HEAVIEST = 5.0
-"""Minimum and maximum mass (kg) of an object, which recognise a wrong unit."""
+SIDES = (0.005, 0.3)
+"""Range of the sides (m) of a bounding box, which detects a wrong unit."""
+MASSES = (1e-3, 5.0)
+"""Range of the mass (kg) of an object, which detects a wrong unit."""
+CYLINDER_SIDES = 16
+"""Corners of the polygon that approximates the circle of a cylinder."""
 GREY: Colour = (0.7, 0.7, 0.7, 1.0)
-FRICTIONS = {
-    "lateral_friction": "friction",
-    "rolling_friction": "rolling_friction",
-    "spinning_friction": "spinning_friction",
+"""Colour of an object whose file defines none."""
+MESHES = (".obj", ".stl")
+"""File name extensions, in lower case, of the meshes that are read."""
+OTHER_MODELS = (
+    *(".dae", ".ply", ".off", ".glb", ".gltf", ".3ds", ".3mf", ".fbx", ".wrl", ".vtk", ".msh"),
+    *(".step", ".stp", ".sdf", ".xacro", ".xml", ".usd", ".usda", ".usdc"),
+)
+"""File name extensions, in lower case, of models in formats that are not read."""
+PARAMETERS = {
+    "inertial/mass": "mass",
+    "contact/lateral_friction": "friction",
+    "contact/rolling_friction": "rolling_friction",
+    "contact/spinning_friction": "spinning_friction",
 }
-"""Elements of a URDF's ``<contact>`` and the parameters of :class:`BodySpec` that they set."""
+"""Elements of a URDF's link and the parameters of :class:`BodySpec` that they set."""
+SOLVER_ELEMENTS = ("contact/contact_cfm", "contact/contact_erp", "contact/inertia_scaling")
+"""Elements of a URDF's link that configure the solver of the contacts, without a warning."""
 
 
-def is_urdf(path: Path) -> bool:
-    """Return True if a file's name is that of a URDF."""
-    return path.suffix.lower() == ".urdf"
+def load_folder(folder: str) -> tuple[BodySpec, ...]:
+    """Return the objects of all files in a folder and its subfolders, sorted by path.
+
+    If a folder has URDF files, the meshes in it and in its subfolders are parts of them. Symbolic links are
+    followed. One warning names the files that cannot be loaded, with the reasons, and the models and elements
+    that have no effect.
+
+    :raises ValueError: there is no such file, or none can be loaded; the message names files and reasons
+    """
+    root = Path(folder)
+    files = list(_walk(root))
+    paths = sorted(_object_files(files))
+    if not paths:
+        raise ValueError(f"object_set: {folder!r} holds no .obj, no .stl and no .urdf file")
+    specs, faults = [], []
+    used, unused = set(paths), set[str]()
+    for path in paths:
+        try:
+            specs.append(load_object(path, str(path.relative_to(root)), used, unused))
+        except ValueError as error:
+            faults.append(str(error))
+    if not specs:
+        raise ValueError("; ".join(faults))
+    lost = [f"{len(faults)} of {len(paths)} files are left out: {'; '.join(faults)}"] if faults else []
+    lost += _unused_models(root, files, used)
+    if any(b"map_Kd" in path.read_bytes() for path in files if path.suffix.lower() == ".mtl"):
+        unused.add("map_Kd")
+    if unused:
+        lost.append(f"object_set: elements that have no effect: {', '.join(sorted(unused))}")
+    if lost:
+        warnings.warn("; ".join(lost), stacklevel=2)
+    return tuple(specs)
 
 
-def load_object(path: Path, name: str) -> BodySpec:
-    """Return the object of a file; what the file does not say is as in all objects to be grasped.
+def _walk(folder: Path) -> Iterator[Path]:
+    """Yield the files in a folder and its subfolders; folders that links lead back to come once."""
+    known: set[str] = set()
+    for parent, folders, names in os.walk(folder, followlinks=True):
+        known.add(os.path.realpath(parent))
+        folders[:] = [name for name in sorted(folders) if os.path.realpath(Path(parent, name)) not in known]
+        yield from (Path(parent, name) for name in names)
 
-    :raises ValueError: it cannot be loaded
+
+def _object_files(files: Iterable[Path]) -> Iterator[Path]:
+    """Yield URDF files, and the meshes that are not in a folder with URDF files or below it."""
+    files = list(files)
+    described = {path.parent for path in files if path.suffix.lower() == ".urdf"}
+    for path in files:
+        is_part = path.suffix.lower() in MESHES and described.intersection(path.parents)
+        if path.suffix.lower() in (".urdf", *MESHES) and not is_part:
+            yield path
+
+
+def _unused_models(folder: Path, files: Iterable[Path], used: Iterable[Path]) -> list[str]:
+    """Return a sentence that names the models without effect, if there are any."""
+    real = {os.path.realpath(path) for path in used}
+    models = (path for path in files if path.suffix.lower() in (*MESHES, *OTHER_MODELS))
+    names = sorted(str(path.relative_to(folder)) for path in models if os.path.realpath(path) not in real)
+    reason = (
+        "OBJ, STL and URDF files are read; in a folder with URDF files and its subfolders, only the meshes "
+        "that they name"
+    )
+    return [f"object_set: {len(names)} files are not used: {', '.join(names)} ({reason})"] if names else []
+
+
+def load_object(path: Path, name: str, used: set[Path], unused: set[str]) -> BodySpec:
+    """Return the object of a file; omitted properties are those of the built-in objects to grasp.
+
+    :param used: set that the meshes of a URDF are added to
+    :param unused: set that the elements without effect are added to
+    :raises ValueError: the file cannot be loaded; the message names it and the reason
     """
     try:
-        spec = _from_urdf(path, name) if is_urdf(path) else graspable(name, _hulls(path), GREY)
-        if not (SMALLEST <= min(spec.extents) and max(spec.extents) <= LARGEST):
+        if path.suffix.lower() == ".urdf":
+            spec = _from_urdf(path, name, used, unused)
+        else:
+            spec = graspable(name, _hulls(path), GREY)
+        if not (SIDES[0] <= min(spec.extents) and max(spec.extents) <= SIDES[1]):
             sides = " x ".join(f"{side:.4g}" for side in spec.extents)
-            raise ValueError(f"its sides must be {SMALLEST} to {LARGEST} m, got {sides}")
-        if not LIGHTEST <= spec.mass <= HEAVIEST:
-            raise ValueError(f"its mass must be {LIGHTEST} to {HEAVIEST} kg, got {spec.mass:g}")
+            raise ValueError(f"its sides must be {SIDES[0]} to {SIDES[1]} m, got {sides}")
+        if not MASSES[0] <= spec.mass <= MASSES[1]:
+            raise ValueError(f"its mass must be {MASSES[0]} to {MASSES[1]} kg, got {spec.mass:g}")
     except (ValueError, OSError) as error:
         raise ValueError(f"object_set: {path} cannot be loaded: {error}") from error
     return spec
+
+
+def convex_hull(points: ArrayLike) -> Mesh:
+    """Return the convex hull of points (m) as a closed mesh whose faces look outward.
+
+    :param points: (n, 3), in any order
+    :raises ValueError: a point is not finite, or the points enclose no volume
+    """
+    cloud = np.unique(np.asarray(points, dtype=np.float64).reshape(-1, 3), axis=0)
+    if not np.isfinite(cloud).all():
+        raise ValueError("a vertex is not finite")
+    if len(cloud) < 4:
+        raise ValueError(f"{len(cloud)} different vertices enclose no volume")
+    middle = (cloud.min(axis=0) + cloud.max(axis=0)) / 2.0
+    unit = (cloud - middle) / np.ptp(cloud, axis=0).max()  # Qhull's tolerances grow with the coordinates
+    try:
+        hull = ConvexHull(unit)
+    except QhullError as error:
+        raise ValueError("the vertices lie in a plane and enclose no volume") from error
+    used, faces = np.unique(hull.simplices, return_inverse=True)
+    faces = faces.reshape(-1, 3)
+    corners = unit[used][faces]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    is_inward = np.einsum("fi,fi->f", normals, hull.equations[:, :3]) < 0.0
+    faces = np.where(is_inward[:, None], faces[:, ::-1], faces)
+    return Mesh.of(cloud[used], faces[np.linalg.norm(normals, axis=1) > 0.0])
 
 
 def _hulls(path: Path, scale: Vector = (1.0, 1.0, 1.0), pose: Pose = ORIGIN) -> list[Piece]:
@@ -66,73 +174,83 @@ def _hulls(path: Path, scale: Vector = (1.0, 1.0, 1.0), pose: Pose = ORIGIN) -> 
     return pieces
 
 
-def _from_urdf(path: Path, name: str) -> BodySpec:
+def _from_urdf(path: Path, name: str, used: set[Path], unused: set[str]) -> BodySpec:
     """Return the object of a URDF's one link."""
-    root = parse_urdf(path)
+    root, folder = parse_urdf(path), path.parent.absolute()
     links = root.findall("link")
     if len(links) != 1:
-        raise ValueError(f"it has {len(links)} links; an object to grasp is one rigid link")
+        raise ValueError(f"it must have one rigid link, got {len(links)} links")
     collisions = links[0].findall("collision")
     if not collisions:
         raise ValueError("its link has no collision geometry")
-    pieces = [piece for collision in collisions for piece in _collision_pieces(collision, path.parent)]
-    spec = graspable(name, pieces, _colour(root))
-    mass, contact = links[0].find("inertial/mass"), links[0].find("contact")
-    values: dict[str, Any] = {} if mass is None else {"mass": _number(mass)}
-    for tag, parameter in FRICTIONS.items():
-        element = None if contact is None else contact.find(tag)
-        if element is not None:
-            values[parameter] = _number(element)
-            if not 0.0 <= values[parameter] < np.inf:
-                raise ValueError(f"{tag} must be a finite number of at least 0, got {values[parameter]:g}")
-    return replace(spec, **values)
+    pieces = [piece for collision in collisions for piece in _collision_pieces(collision, folder)]
+    values: dict[str, Any] = {}
+    for tag, parameter in PARAMETERS.items():
+        if (element := links[0].find(tag)) is not None:
+            (values[parameter],) = _numbers(element, "value", 1)
+    spec = replace(graspable(name, pieces, _colour(root)), **values)
+    known = {*PARAMETERS, *SOLVER_ELEMENTS}
+    unused |= {
+        element.tag for element in links[0].iterfind("contact/*") if f"contact/{element.tag}" not in known
+    }
+    unused |= {element.tag for element in root.iter("texture")}
+    for mesh in root.iter("mesh"):
+        with suppress(ValueError):  # the mesh of a visual, which is not used, may be missing
+            used.add(mesh_path(mesh.get("filename", ""), folder))
+    return spec
 
 
 def _collision_pieces(collision: Element, folder: Path) -> list[Piece]:
-    pose = _origin(collision.find("origin"))
-    mesh, box = collision.find("geometry/mesh"), collision.find("geometry/box")
-    if box is not None:
-        return [Piece(Box(_vector(box.get("size", ""))), pose)]
-    if mesh is None:
-        raise ValueError("its collision geometry is neither a mesh nor a box")
-    file = mesh_path(mesh.get("filename", ""), folder.absolute())
-    return _hulls(file, _vector(mesh.get("scale", "1 1 1")), pose)
+    pose, shape = _origin(collision.find("origin")), collision.find("geometry/*")
+    tag = None if shape is None else shape.tag
+    if shape is not None and tag == "box":
+        return [Piece(Box(_vector(shape, "size")), pose)]
+    if shape is not None and tag == "cylinder":
+        (radius,), (length,) = _numbers(shape, "radius", 1), _numbers(shape, "length", 1)
+        return [cylinder(corner_radius(2.0 * radius, CYLINDER_SIDES), length, CYLINDER_SIDES, pose)]
+    if shape is None or tag != "mesh":
+        raise ValueError(f"its collision geometry must be a mesh, a box or a cylinder, got {tag}")
+    return _hulls(mesh_path(shape.get("filename", ""), folder), _vector(shape, "scale", "1 1 1"), pose)
 
 
 def _origin(origin: Element | None) -> Pose:
-    """Return the frame that a URDF origin describes."""
+    """Return the pose of a URDF origin."""
     if origin is None:
         return ORIGIN
-    return euler_pose(_vector(origin.get("xyz", "0 0 0")), _vector(origin.get("rpy", "0 0 0")))
+    return euler_pose(_vector(origin, "xyz", "0 0 0"), _vector(origin, "rpy", "0 0 0"))
 
 
-def _vector(text: str) -> Vector:
-    values = [float(word) for word in text.split()]
-    if len(values) != 3:
-        raise ValueError(f"{text!r} is not three numbers")
-    return (values[0], values[1], values[2])
+def _vector(element: Element, key: str, default: str = "") -> Vector:
+    x, y, z = _numbers(element, key, 3, default)
+    return (x, y, z)
 
 
-def _number(element: Element) -> float:
-    return number_of(element, "value", "")
+def _numbers(element: Element, key: str, count: int, default: str = "") -> list[float]:
+    """Return the numbers of an attribute.
+
+    :raises ValueError: it does not consist of ``count`` numbers
+    """
+    text = element.get(key, default)
+    try:
+        values = [float(word) for word in text.split()]
+    except ValueError:
+        values = []
+    if len(values) != count:
+        wanted = "a number" if count == 1 else f"{count} numbers"
+        raise ValueError(f"{key} of <{element.tag}> must be {wanted}, got {text!r}")
+    return values
 
 
 def _colour(root: Element) -> Colour:
-    """Return the colour of a URDF's first visual, of its own or of the material that it names."""
+    """Return the colour of a URDF's first visual, its own or that of the material that it names."""
     material = root.find("link/visual/material")
     if material is None:
         return GREY
     named = [other for other in root.findall("material") if other.get("name") == material.get("name")]
-    colour = next(
-        (found for found in (one.find("color") for one in (material, *named)) if found is not None), None
-    )
-    if colour is None:
+    colours = [colour for one in (material, *named) if (colour := one.find("color")) is not None]
+    if not colours:
         return GREY
-    text = colour.get("rgba", "")
-    try:
-        red, green, blue, alpha = (float(word) for word in text.split())
-    except ValueError:
-        raise ValueError(f"rgba of <color> must be four numbers, got {text!r}") from None
+    red, green, blue, alpha = _numbers(colours[0], "rgba", 4)
     if not all(0.0 <= value <= 1.0 for value in (red, green, blue, alpha)):
-        raise ValueError(f"rgba of <color> must be from 0 to 1, got {text!r}")
+        raise ValueError(f"rgba of <color> must be from 0 to 1, got {colours[0].get('rgba')!r}")
     return (red, green, blue, alpha)

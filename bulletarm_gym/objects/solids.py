@@ -1,11 +1,11 @@
-"""Convex pieces by formula: lofts over rings of points, and what is made of them.
+"""Convex pieces by formula, and bodies made of them.
 
-Every piece is a :class:`~bulletarm_gym.simulation.shapes.Convex` whose faces are known without a search for
-the hull, so that a set of many objects is made in milliseconds.
+The faces of each piece are known without a search for the convex hull, so that many objects are made in
+milliseconds.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -13,15 +13,62 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from bulletarm_gym.geometry import FloatArray, Mesh, Pose, Vector, quaternion
-from bulletarm_gym.simulation.shapes import ORIGIN, Box, Convex, Piece
+from bulletarm_gym.simulation.shapes import ORIGIN, RED, BodySpec, Box, Colour, Convex, Piece
 
 SIDES = 10
-"""Corners of the polygons that stand for circles: even, so that opposite sides face each other."""
+"""Corners of the polygons that approximate circles; even, so that opposite sides are parallel."""
 SECTORS = 8
-"""Pieces that a hollow ring is cut into."""
+"""Pieces of a hollow ring."""
+POLE = math.radians(72.0)
+"""Latitude (rad) of the first and last ring of a superquadric, whose poles are cut flat."""
 
 Profile = Sequence[tuple[float, float]]
-"""Radius and height (m) of the rings of a lathe, from the bottom up."""
+"""Radius and height (m) of the rings of a solid of revolution, from the bottom up."""
+Ring = tuple[float, float, float]
+"""Inner radius, outer radius and height (m) of a cross-section of a hollow wall."""
+
+
+@dataclass(frozen=True)
+class Kind:
+    """Kind of object; a call ``kind(name, scale)`` returns its body.
+
+    :param pieces: function that returns the pieces at a scale
+    :param mass: kg at every scale; 0 fixes the body to the world
+    :param friction: lateral friction coefficient
+    :param colour: red, green, blue and opacity, 0 to 1
+    :param angular_damping: see :class:`~bulletarm_gym.simulation.shapes.BodySpec`
+    """
+
+    pieces: Callable[[float], Iterable[Piece]]
+    mass: float
+    friction: float = 1.0
+    colour: Colour = RED
+    angular_damping: float = 0.0
+
+    def __call__(self, name: str, scale: float = 1.0) -> BodySpec:
+        """Return the body.
+
+        :param name: name of the body, unique in its scene
+        :param scale: factor on its nominal size
+        """
+        pieces, damping = tuple(self.pieces(scale)), self.angular_damping
+        return BodySpec(name, pieces, self.mass, self.friction, angular_damping=damping, colour=self.colour)
+
+
+def fixed(pieces: Iterable[Piece], colour: Colour, friction: float = 1.0) -> Kind:
+    """Return a kind that is fixed to the world, from its pieces at scale 1."""
+    made = tuple(pieces)
+    return Kind(lambda scale: [piece.scaled(scale) for piece in made], 0.0, friction, colour)
+
+
+def cuboid(x: float, y: float, z: float) -> Callable[[float], list[Piece]]:
+    """Return a function from a scale to a box with these side lengths (m) at scale 1."""
+    return lambda scale: [block((x * scale, y * scale, z * scale))]
+
+
+def block(extents: Vector, centre: Vector = (0.0, 0.0, 0.0)) -> Piece:
+    """Return a box of full side lengths ``extents`` (m)."""
+    return Piece(Box(extents), Pose(centre) if any(centre) else ORIGIN)
 
 
 def loft(rings: ArrayLike) -> Convex:
@@ -42,44 +89,45 @@ def loft(rings: ArrayLike) -> Convex:
     return Convex(Mesh.of(points.reshape(-1, 3), faces))
 
 
-def circle(radius: float, height: float, sides: int = SIDES) -> FloatArray:
-    """Return a regular polygon, (sides, 3), in the plane at ``height`` (m), two of its sides across y."""
+def prism(outline: ArrayLike, length: float, axis: int = 2) -> Piece:
+    """Return a prism centred on the plane of its outline.
+
+    :param outline: (n, 2) convex, counter-clockwise (m), along the other two axes
+    :param length: length (m) along the axis
+    :param axis: 0 for x, 2 for z
+    """
+    plane = np.asarray(outline, dtype=np.float64)
+    return Piece(loft([np.insert(plane, axis, end, axis=1) for end in (-length / 2.0, length / 2.0)]))
+
+
+def lathe(profile: Profile, sides: int = SIDES, pose: Pose = ORIGIN) -> Piece:
+    """Return a solid of revolution about z with a convex profile, at a pose; two of its sides face y."""
     angles = 2.0 * np.pi * (np.arange(sides) + 0.5) / sides
-    return np.stack([radius * np.cos(angles), radius * np.sin(angles), np.full(sides, height)], axis=1)
+    rings = [
+        np.stack([radius * np.cos(angles), radius * np.sin(angles), np.full(sides, height)], axis=1)
+        for radius, height in profile
+    ]
+    return Piece(loft(rings), pose)
 
 
-def lathe(profile: Profile, sides: int = SIDES) -> Piece:
-    """Return a solid of revolution about z whose profile bulges everywhere."""
-    return Piece(loft([circle(radius, height, sides) for radius, height in profile]))
+def cylinder(radius: float, length: float, sides: int = SIDES, pose: Pose = ORIGIN) -> Piece:
+    """Return a cylinder along z, centred on its frame.
 
-
-def stacked(*profiles: Profile) -> list[Piece]:
-    """Return a solid of revolution in parts, each of which bulges: bottles, vases, spindles."""
-    return [lathe(profile) for profile in profiles]
-
-
-def extruded(outline: ArrayLike, height: float) -> Piece:
-    """Return an upright prism over a convex outline, (n, 2) counter-clockwise (m), centred on z = 0."""
-    plane = np.asarray(outline, dtype=np.float64)
-    return Piece(loft([np.insert(plane, 2, z, axis=1) for z in (-height / 2.0, height / 2.0)]))
-
-
-def beam(outline: ArrayLike, width: float) -> Piece:
-    """Return a prism along x over a convex outline of y and z, (n, 2) counter-clockwise (m)."""
-    plane = np.asarray(outline, dtype=np.float64)
-    return Piece(loft([np.insert(plane, 0, x, axis=1) for x in (-width / 2.0, width / 2.0)]))
+    :param radius: radius (m) of the corners of its polygon
+    """
+    return lathe([(radius, -length / 2.0), (radius, length / 2.0)], sides, pose)
 
 
 def corner_radius(width: float, sides: int) -> float:
-    """Return the radius (m) of a regular polygon that is ``width`` (m) across, from side to side.
+    """Return the radius (m) of a regular polygon of ``width`` (m) from side to side.
 
-    With sides in multiples of four that is its bounding box, and what lies on one of them does not roll.
+    If the number of sides is a multiple of four, the width is that of the bounding box.
     """
     return width / 2.0 / math.cos(math.pi / sides)
 
 
 def container(extents: Vector, wall: float, floor: float) -> tuple[Piece, ...]:
-    """Return a box open to the top, its frame on the ground in its middle.
+    """Return a box open to the top, its frame on the ground at its centre.
 
     :param extents: outer side lengths (m)
     :param wall: thickness (m) of the walls, which stand on the ground
@@ -92,86 +140,59 @@ def container(extents: Vector, wall: float, floor: float) -> tuple[Piece, ...]:
     return (*ends, *sides, block((inside, y - 2.0 * wall, floor), (0.0, 0.0, floor / 2.0)))
 
 
-def block(extents: Vector, centre: Vector = (0.0, 0.0, 0.0)) -> Piece:
-    """Return a box of full side lengths ``extents`` (m)."""
-    return Piece(Box(extents), Pose(centre) if any(centre) else ORIGIN)
+def vessel(low: Ring, high: Ring, base: float, sectors: int = SECTORS) -> list[Piece]:
+    """Return a hollow vessel: a disc ``base`` (m) thick and a straight or flared wall."""
+    _, radius, height = low
+    return [lathe([(radius, height), (radius, height + base)], 2 * sectors), *wall(low, high, sectors)]
 
 
-@dataclass(frozen=True)
-class Wall:
-    """One ring of a vessel's wall: its inner and outer radius at a height (m)."""
-
-    inner: float
-    outer: float
-    height: float
+def wall(low: Ring, high: Ring, sectors: int = SECTORS) -> list[Piece]:
+    """Return the sectors of a wall between two rings."""
+    angles = [2.0 * math.pi * sector / sectors for sector in range(sectors + 1)]
+    return [_sector(low, high, start, end) for start, end in pairwise(angles)]
 
 
-def vessel(low: Wall, high: Wall, base: float, sectors: int = SECTORS) -> list[Piece]:
-    """Return a vessel that is hollow: a disc ``base`` (m) thick and a wall in sectors, straight or flared."""
-    bottom = lathe([(low.outer, low.height), (low.outer, low.height + base)], 2 * sectors)
-    return [bottom, *ring(low, high, sectors)]
-
-
-def ring(low: Wall, high: Wall, sectors: int = SECTORS) -> list[Piece]:
-    """Return the sectors of a wall between two heights."""
-    turns = [2.0 * math.pi * sector / sectors for sector in range(sectors + 1)]
-    return [_sector(low, high, start, end) for start, end in pairwise(turns)]
-
-
-def _sector(low: Wall, high: Wall, start: float, end: float) -> Piece:
-    section = (
-        (low.inner, low.height),
-        (low.outer, low.height),
-        (high.outer, high.height),
-        (high.inner, high.height),
-    )
-    rings = [[(r * math.cos(turn), r * math.sin(turn), z) for r, z in section] for turn in (end, start)]
+def _sector(low: Ring, high: Ring, start: float, end: float) -> Piece:
+    (inner, outer, bottom), (top_inner, top_outer, top) = low, high
+    section = ((inner, bottom), (outer, bottom), (top_outer, top), (top_inner, top))
+    rings = [[(r * math.cos(angle), r * math.sin(angle), z) for r, z in section] for angle in (end, start)]
     return Piece(loft(rings))
 
 
 def superquadric(semi_axes: Vector, roundness: tuple[float, float], levels: int = 6) -> Piece:
-    """Return a superquadric: an ellipsoid at roundness (1, 1), more of a box towards 0.
+    """Return a superquadric: an ellipsoid at roundness (1, 1), similar to a box near 0.
 
     :param semi_axes: along x, y, z (m)
     :param roundness: exponents in the vertical and the horizontal plane, in (0, 1]
     :param levels: rings of points from pole to pole
     """
-    a, b, c = semi_axes
+    (a, b, c), (vertical, horizontal) = semi_axes, roundness
+    angles = (2.0 * np.pi * (np.arange(SIDES + 2) + 0.5) / (SIDES + 2)).tolist()
     rings = []
     for latitude in np.linspace(-POLE, POLE, levels):
-        radius, height = _power(math.cos(latitude), roundness[0]), _power(math.sin(latitude), roundness[0])
-        turns = 2.0 * np.pi * (np.arange(SIDES + 2) + 0.5) / (SIDES + 2)
-        rings.append(
-            [
-                (
-                    a * radius * _power(math.cos(turn), roundness[1]),
-                    b * radius * _power(math.sin(turn), roundness[1]),
-                    c * height,
-                )
-                for turn in turns.tolist()
-            ]
-        )
+        radius, height = _power(math.cos(latitude), vertical), _power(math.sin(latitude), vertical)
+        outline = [
+            (_power(math.cos(angle), horizontal), _power(math.sin(angle), horizontal)) for angle in angles
+        ]
+        rings.append([(a * radius * x, b * radius * y, c * height) for x, y in outline])
     return Piece(loft(rings))
-
-
-POLE = math.radians(72.0)
-"""Latitude of the last ring: the poles are cut flat."""
 
 
 def _power(value: float, exponent: float) -> float:
     return math.copysign(abs(value) ** exponent, value)
 
 
-def settled(pieces: Sequence[Piece]) -> tuple[Piece, ...]:
-    """Return the pieces in the frame their body lies in: z along its shortest side, y along its longest.
+def laid_flat(pieces: Iterable[Piece]) -> tuple[Piece, ...]:
+    """Return pieces in the resting frame of their body: z along its shortest side, y along its longest.
 
-    The frame's origin is the middle of the bounding box.
+    The frame's origin is the centre of the bounding box.
     """
-    vertices = np.concatenate([piece.mesh.vertices for piece in pieces])
+    meshes = [piece.mesh for piece in pieces]
+    vertices = np.concatenate([mesh.vertices for mesh in meshes])
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     z, x, y = np.argsort(high - low, kind="stable").tolist()
-    axes = np.eye(3)[[x, y, z]]
+    axes: FloatArray = np.eye(3)[[x, y, z]]
     axes[0] *= np.linalg.det(axes)
     middle = axes @ (low + high) / 2.0
     frame = Pose((-float(middle[0]), -float(middle[1]), -float(middle[2])), quaternion(axes))
-    return tuple(Piece(Convex(piece.mesh.moved(frame))) for piece in pieces)
+    return tuple(Piece(Convex(mesh.moved(frame))) for mesh in meshes)

@@ -28,6 +28,8 @@ class Camera:
     :param height: of the image (pixels)
     :param near: smallest visible distance (m)
     :param far: largest visible distance (m)
+    :param up: upward direction of the image in the world; by default z, or -x if the camera looks straight
+        down, so that rows grow with world x and columns with y
     """
 
     eye: Vector = (1.4, -0.95, 0.95)
@@ -37,6 +39,7 @@ class Camera:
     height: int = 480
     near: float = 0.05
     far: float = 4.0
+    up: Vector | None = None
 
     @property
     def intrinsics(self) -> FloatArray:
@@ -92,7 +95,8 @@ class Camera:
 
     @property
     def _up(self) -> Vector:
-        """Upward direction of the image. Straight down, rows grow with world x and columns with y."""
+        if self.up is not None:
+            return self.up
         across = math.hypot(self.eye[0] - self.target[0], self.eye[1] - self.target[1])
         return (0.0, 0.0, 1.0) if across > VERTICAL * abs(self.eye[2] - self.target[2]) else (-1.0, 0.0, 0.0)
 

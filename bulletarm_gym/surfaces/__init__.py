@@ -1,11 +1,10 @@
-"""Where things stand."""
+"""Surfaces: the ground of a workspace."""
 
 from bulletarm_gym.extensions import SURFACE_PATHS, find_class
 from bulletarm_gym.surfaces.bump import BumpSurface
-from bulletarm_gym.surfaces.flat import FlatSurface
+from bulletarm_gym.surfaces.flat import FlatSurface, TraySurface
 from bulletarm_gym.surfaces.ramp import RampSurface
 from bulletarm_gym.surfaces.surface import Point, Surface
-from bulletarm_gym.surfaces.tray import TraySurface
 
 SURFACES: dict[str, type[Surface]] = {
     "flat": FlatSurface,
@@ -13,6 +12,7 @@ SURFACES: dict[str, type[Surface]] = {
     "ramp": RampSurface,
     "bump": BumpSurface,
 }
+"""Built-in surfaces by name."""
 
 __all__ = [
     "SURFACES",
@@ -28,9 +28,9 @@ __all__ = [
 
 
 def find_surface(name: str) -> type[Surface]:
-    """Return the class of a surface by its name, ours or registered, or by its path ``"module:Class"``.
+    """Return the class of a built-in or registered surface, or that of an import path ``"module:Class"``.
 
-    :raises ValueError: there is no such surface
+    :raises ValueError: the surface is unknown
     """
     return find_class("surface", name, SURFACES, SURFACE_PATHS, Surface)
 
@@ -38,7 +38,7 @@ def find_surface(name: str) -> type[Surface]:
 def make_surface(name: str, workspace: list[list[float]], site: Point) -> Surface:
     """Return a surface, not loaded yet.
 
-    :param site: width and length (m) of the base of what the task builds
-    :raises ValueError: there is no surface of that name
+    :param site: width and length (m) of the base of the task's structure
+    :raises ValueError: the surface is unknown
     """
     return find_surface(name)(workspace, site)

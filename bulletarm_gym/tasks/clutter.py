@@ -29,7 +29,7 @@ from bulletarm_gym.geometry import (
     wrap_angle,
 )
 from bulletarm_gym.objects.blocks import CUBE_SIZE
-from bulletarm_gym.objects.sets import object_set
+from bulletarm_gym.objects.catalogue import object_set
 from bulletarm_gym.scene import ObjectSlot, Scene, SceneObject
 from bulletarm_gym.scene.sampling import ARRANGEMENTS
 from bulletarm_gym.scene.stability import settle

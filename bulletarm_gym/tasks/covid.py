@@ -10,7 +10,7 @@ from bulletarm_gym.control import GraspParams
 from bulletarm_gym.experts import CLOSED, OPEN, Waypoint
 from bulletarm_gym.experts.approach import RELEASE, place_pose
 from bulletarm_gym.geometry import Pose, wrap_angle
-from bulletarm_gym.objects import covid
+from bulletarm_gym.objects import bottles, containers
 from bulletarm_gym.scene import ObjectSlot, Scene, SceneObject, scaled
 from bulletarm_gym.scene.predicates import inside, is_empty, loose_objects, success_at_rest
 from bulletarm_gym.scene.sampling import goal_site, random_yaw
@@ -20,9 +20,9 @@ ROUNDS = 3
 """Number of tests in an episode (paper, Covid Test)."""
 SIDE = 0.3
 """Side (m) of the square that the three containers fill."""
-TUBES_APART, TUBE_ROW = covid.NEW_TUBE_BOX[0] / 3.3, covid.NEW_TUBE_BOX[1] / 4.0
+TUBES_APART, TUBE_ROW = containers.NEW_TUBE_BOX[0] / 3.3, containers.NEW_TUBE_BOX[1] / 4.0
 """Distance (m) between tubes along x, and their y (m), in the frame of their box."""
-SWABS_APART, SWAB_ROW = covid.NEW_TUBE_BOX[0] / 3.7, -covid.NEW_TUBE_BOX[1] / 9.0
+SWABS_APART, SWAB_ROW = containers.NEW_TUBE_BOX[0] / 3.7, -containers.NEW_TUBE_BOX[1] / 9.0
 """Distance (m) between swabs along x, and their y (m), in the frame of their box."""
 SPREAD = math.radians(30.0)
 """Largest absolute yaw of tubes and of swabs."""
@@ -40,12 +40,12 @@ OPENING = 0.04
 """Largest distance (m) between the fingers, for the narrow gap between two tubes."""
 QUARTER = math.pi / 2.0
 CONTAINERS = {
-    "new box": (covid.new_tube_box, covid.NEW_TUBE_BOX, (-1.0, 1.0)),
-    "test area": (covid.test_area, covid.TEST_AREA, (1.0, 0.0)),
-    "used box": (covid.used_tube_box, covid.USED_TUBE_BOX, (-1.0, -1.0)),
+    "new box": (containers.new_tube_box, containers.NEW_TUBE_BOX, (-1.0, 1.0)),
+    "test area": (containers.test_area, containers.TEST_AREA, (1.0, 0.0)),
+    "used box": (containers.used_tube_box, containers.USED_TUBE_BOX, (-1.0, -1.0)),
 }
 """Function, side lengths (m) and corner of the square, in x and y, of each container."""
-KINDS = {"swab": covid.swab, "tube": covid.tube, "used tube": covid.used_tube}
+KINDS = {"swab": bottles.swab, "tube": bottles.tube, "used tube": bottles.used_tube}
 TARGETS = {
     "swab": ("test area", (0.0, 0.07), QUARTER),
     "tube": ("test area", (0.0, -0.05), QUARTER),
@@ -71,7 +71,7 @@ class CovidTest(Task):
     defaults = TaskDefaults(
         num_objects=2 * ROUNDS,
         max_steps=30,
-        object_scale=covid.SCALE,
+        object_scale=bottles.COVID_SCALE,
         allowed_objects=(2 * ROUNDS,),
         tray=TrayUse((False,), "the three places do not fit into the tray"),
         level_ground="the three places need 30 x 30 cm of level ground",
@@ -115,7 +115,7 @@ class CovidTest(Task):
 
     def _lay(self, scene: Scene, name: str, container: str, point: Sequence[float], yaw: float) -> None:
         """Place an object on the floor of a container, at a point (m) and a yaw (rad) in its frame."""
-        height = covid.BOX_FLOOR - float(scene[name].spec.mesh.bounds[0, 2])
+        height = containers.BOX_FLOOR - float(scene[name].spec.mesh.bounds[0, 2])
         pose = Pose.planar(point[0], point[1], height, yaw)
         scene[name].place(scene[container].pose.compose(pose))
 
@@ -152,7 +152,7 @@ class CovidTest(Task):
         name, spot, yaw = TARGETS[kind]
         container = scene[name].pose
         rotation = wrap_angle(container.yaw + yaw - held.pose.yaw, math.pi)
-        point = container.transform((*spot, covid.BOX_FLOOR))
+        point = container.transform((*spot, containers.BOX_FLOOR))
         top = max((scene.world.top(obj.body) for obj in self._inside(scene, kind, name)), default=point[2])
         yield Waypoint(place_pose(scene, held, point, top + RELEASE, rotation), CLOSED, finish=OPEN)
 

@@ -10,7 +10,7 @@ from bulletarm_gym.experts import CLOSED, Waypoint
 from bulletarm_gym.experts.approach import ALIGNED, ALIGNED_YAW, HOVER, pass_above, rotates
 from bulletarm_gym.geometry import Pose, planar_distance, wrap_angle
 from bulletarm_gym.objects import drawer
-from bulletarm_gym.objects.drawer import CABINET, HANDLE, HANDLE_DISTANCE, HANDLE_RADIUS, STRUT_SPACING
+from bulletarm_gym.objects.containers import CABINET, HANDLE, HANDLE_DISTANCE, HANDLE_RADIUS, STRUT_SPACING
 from bulletarm_gym.robots.gripper import Gripper
 from bulletarm_gym.scene import ObjectSlot, Scene
 from bulletarm_gym.scene.sampling import is_within, sample_until

@@ -4,8 +4,16 @@ import math
 from collections.abc import Sequence
 
 from bulletarm_gym.config import EnvConfig
-from bulletarm_gym.objects.blocks import brick, cube, improvise_bricks, roof, triangle
-from bulletarm_gym.objects.polyominoes import CELL, WIDEST, improvise_blocks
+from bulletarm_gym.objects.blocks import (
+    CELL,
+    MAX_STRETCHED_CELLS,
+    brick,
+    cube,
+    improvise_blocks,
+    improvise_bricks,
+    roof,
+    triangle,
+)
 from bulletarm_gym.scene import ObjectSlot
 from bulletarm_gym.tasks.stacking import Stack
 from bulletarm_gym.tasks.structure import Structure, structure_defaults
@@ -82,7 +90,7 @@ class ImproviseHouseBuilding2(Structure):
     kinds = {"roof": roof}  # noqa: RUF012
     layers: Sequence[Sequence[str]] = (("block", "block"), ("roof",))
     upright = ("roof",)
-    width = CELL * WIDEST
+    width = CELL * MAX_STRETCHED_CELLS
 
     def block(self, config: EnvConfig, name: str, kind: str, number: int) -> ObjectSlot:
         """Return the slot of a block with variants of all shapes and sizes."""

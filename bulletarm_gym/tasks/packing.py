@@ -9,12 +9,15 @@ from scipy.ndimage import maximum_filter1d
 
 from bulletarm_gym.config import CLOSE_LOOP, OPEN_LOOP, WIDE, EnvConfig, TaskDefaults, TrayUse
 from bulletarm_gym.control import GraspParams
+from bulletarm_gym.demonstrations.episodes import HEIGHT
 from bulletarm_gym.experts import CLOSED, OPEN, Waypoint
 from bulletarm_gym.experts.approach import RELEASE, place_pose, rotates
 from bulletarm_gym.experts.pick_place import pick, resting_frame
 from bulletarm_gym.geometry import FloatArray, Footprint, Pose, matrix, planar_distance, wrap_angle
-from bulletarm_gym.objects.bottles import BOTTLES, HEIGHT, TRAY, TRAY_FLOOR, bottle, bottle_tray
-from bulletarm_gym.objects.packing import BIN, BIN_WALL, SHAPES, packing_bin, packing_block
+from bulletarm_gym.objects.blocks import SHAPES, packing_block
+from bulletarm_gym.objects.bottles import BOTTLES, bottle
+from bulletarm_gym.objects.containers import BIN, BIN_WALL, TRAY, TRAY_FLOOR, bottle_tray, packing_bin
+from bulletarm_gym.observations import HeightRenderer, Window
 from bulletarm_gym.scene import ObjectSlot, Scene, SceneObject, shaped
 from bulletarm_gym.scene.predicates import inside, is_top, loose_objects, success_at_rest, touching, upright
 from bulletarm_gym.scene.sampling import GRASP_AREA, footprint, goal_site, place_apart
@@ -201,7 +204,7 @@ class FreeSpace:
         """Return the heights (m) in the bin, its walls included, per pixel along its x and y axes."""
         bodies = [obj.body for obj in self._scene if obj not in (self._scene["bin"], self._held)]
         size = round(VIEW / PITCH)
-        view = self._scene.heights_of(bodies, self._bin.position[:2], VIEW, size)
+        view = HeightRenderer.of(self._scene).heights_of(bodies, Window(self._bin.position[:2], VIEW, size))
         grid = np.stack(np.meshgrid(self._xs, self._ys, indexing="ij"), axis=-1)
         rows, columns = ((grid @ matrix(self._bin)[:2, :2].T + VIEW / 2.0) / VIEW * size).astype(int).T
         heights = np.maximum(view[rows.T, columns.T] - self._bin.z, BIN_WALL)

@@ -11,7 +11,8 @@ from bulletarm_gym.experts import Waypoint
 from bulletarm_gym.experts.approach import rotates
 from bulletarm_gym.experts.pick_place import pick, put, resting_frame
 from bulletarm_gym.geometry import Footprint, PlacementError, Pose, wrap_angle
-from bulletarm_gym.objects.palletizing import BOX, PALLET, pallet, palletizing_box
+from bulletarm_gym.objects.blocks import BOX, palletizing_box
+from bulletarm_gym.objects.containers import PALLET, pallet
 from bulletarm_gym.scene import ObjectSlot, Scene, SceneObject, scaled
 from bulletarm_gym.scene.predicates import (
     UPRIGHT,

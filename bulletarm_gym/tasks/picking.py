@@ -8,6 +8,7 @@ from typing import ClassVar
 import numpy as np
 
 from bulletarm_gym.config import CLOSE_LOOP, EnvConfig, TaskDefaults, TrayUse
+from bulletarm_gym.demonstrations.episodes import HEIGHT
 from bulletarm_gym.experts import CLOSED, OPEN, Waypoint
 from bulletarm_gym.experts.approach import (
     HOVER,
@@ -22,8 +23,7 @@ from bulletarm_gym.experts.approach import (
 from bulletarm_gym.geometry import Pose, planar_distance, wrap_angle
 from bulletarm_gym.objects import bowl, corner, cube
 from bulletarm_gym.objects.blocks import CUBE_SIZE
-from bulletarm_gym.objects.bowl import HEIGHT
-from bulletarm_gym.objects.corner import INSIDE, PLATE, SIDE
+from bulletarm_gym.objects.containers import CORNER_INSIDE, CORNER_PLATE, CORNER_SIDE
 from bulletarm_gym.scene import ObjectSlot, Scene, SceneObject, scaled
 from bulletarm_gym.scene.predicates import is_empty, is_held, success_at_rest, touching, upright
 from bulletarm_gym.scene.sampling import is_within, sample_until, scatter, stand
@@ -228,11 +228,11 @@ class CornerPicking(Lift):
     def arrange(self, scene: Scene, rng: np.random.Generator) -> None:
         """Place the corner so that the cube in it is inside the workspace."""
         block, walls = scene["cube"], scene["corner"]
-        inset = INSIDE + block.spec.extents[0] / 2.0 + WALL_CLEARANCE
-        place = Pose((inset, inset, PLATE + block.spec.extents[2] / 2.0))
+        inset = CORNER_INSIDE + block.spec.extents[0] / 2.0 + WALL_CLEARANCE
+        place = Pose((inset, inset, CORNER_PLATE + block.spec.extents[2] / 2.0))
 
         def draw() -> Pose:
-            return scene.surface.pose(scene.surface.sample_position(rng, SIDE / 2.0), self._yaw(rng))
+            return scene.surface.pose(scene.surface.sample_position(rng, CORNER_SIDE / 2.0), self._yaw(rng))
 
         pose = sample_until(
             draw, lambda frame: is_within(scene, frame.transform(place.position), block.spec.planar_radius)
@@ -250,7 +250,7 @@ class CornerPicking(Lift):
         block, walls, tool = scene["cube"], scene["corner"].pose, scene.robot.pose
         half, top = block.spec.extents[0] / 2.0, scene.world.top(block.body)
         inner = walls.inverse().transform(block.pose.position)
-        if min(inner[:2]) - INSIDE - half < FREE:
+        if min(inner[:2]) - CORNER_INSIDE - half < FREE:
             x, y, _ = walls.transform((inner[0] - OFFSET, inner[1] - OFFSET, 0.0))
             apart = planar_distance((x, y), tool.position)
             closed = scene.robot.opening_ratio < SHUT
@@ -259,7 +259,7 @@ class CornerPicking(Lift):
                     over = max(top, highest_between(scene, tool.position, block.pose.position, block)) + HOVER
                     yield from pass_above(tool, Pose.planar(x, y, over, tool.yaw), over)
                 yield Waypoint(Pose.planar(x, y, top - PRESS, tool.yaw), CLOSED)
-            drawn = INSIDE + half + DRAWN - OFFSET
+            drawn = CORNER_INSIDE + half + DRAWN - OFFSET
             goal = walls.transform((drawn, drawn, 0.0))
             dx, dy = tool.x - x, tool.y - y
             pressed = Pose.planar(goal[0] + dx, goal[1] + dy, top - PRESS, tool.yaw)

@@ -10,7 +10,7 @@ from bulletarm_gym.experts import Waypoint
 from bulletarm_gym.experts.pushing import Drag
 from bulletarm_gym.geometry import Rectangle, planar_distance
 from bulletarm_gym.objects import cube, flat_block, goal_area
-from bulletarm_gym.rendering.overlays import Overlay
+from bulletarm_gym.observations.view import Overlay
 from bulletarm_gym.scene import ObjectSlot, Scene, SceneObject, scaled
 from bulletarm_gym.scene.predicates import touching
 from bulletarm_gym.scene.sampling import scatter, stand

@@ -20,7 +20,7 @@ from bulletarm_gym.experts.approach import (
 from bulletarm_gym.experts.pick_place import fingers_fit
 from bulletarm_gym.geometry import Footprint, Pose, planar_distance, wrap_angle
 from bulletarm_gym.objects import BodySpec, Colour, bowl, cube
-from bulletarm_gym.objects.bowl import DIAMETER, HEIGHT, THICKNESS
+from bulletarm_gym.objects.containers import BOWL_DIAMETER, BOWL_HEIGHT, BOWL_THICKNESS
 from bulletarm_gym.scene import ObjectSlot, Scene, SceneObject, scaled
 from bulletarm_gym.scene.predicates import success_at_rest, upright
 from bulletarm_gym.scene.sampling import footprint, place_apart, sample_until
@@ -71,7 +71,7 @@ class BlockSorting(Task):
     @property
     def height(self) -> float:
         """Height (m) of the fingertips above the rim with half a cube below them."""
-        return super().height / 2.0 + HEIGHT * BOWL_SCALE * max(self.config.scales)
+        return super().height / 2.0 + BOWL_HEIGHT * BOWL_SCALE * max(self.config.scales)
 
     def bodies(self, config: EnvConfig) -> list[ObjectSlot]:
         """Return the bowls and the cubes."""
@@ -180,8 +180,11 @@ def _fits(scene: Scene, block: SceneObject, yaw: float) -> bool:
 def _is_in(vessel: SceneObject, block: SceneObject) -> bool:
     """Return True if the centre of a block is inside a bowl, below its rim."""
     x, y, z = vessel.pose.inverse().transform(block.pose.position)
-    scale = vessel.spec.extents[0] / DIAMETER
-    return math.hypot(x, y) < (DIAMETER / 2.0 - THICKNESS) * scale and abs(z) < HEIGHT / 2.0 * scale
+    scale = vessel.spec.extents[0] / BOWL_DIAMETER
+    return (
+        math.hypot(x, y) < (BOWL_DIAMETER / 2.0 - BOWL_THICKNESS) * scale
+        and abs(z) < BOWL_HEIGHT / 2.0 * scale
+    )
 
 
 def _bowl(name: str, scale: float) -> BodySpec:

@@ -11,7 +11,7 @@ from bulletarm_gym.config import OPEN_LOOP, EnvConfig, TaskDefaults
 from bulletarm_gym.control import GraspParams
 from bulletarm_gym.experts import Waypoint
 from bulletarm_gym.objects.blocks import CUBE_SIZE
-from bulletarm_gym.rendering.overlays import Overlay
+from bulletarm_gym.observations import Overlay
 from bulletarm_gym.scene import ObjectSlot, Scene, SceneObject
 from bulletarm_gym.scene.predicates import loose_objects
 from bulletarm_gym.state import declare_state_types

@@ -5,8 +5,8 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 import bulletarm_gym
+from bulletarm_gym.observations import Sensor, View
 from bulletarm_gym.scene import Scene
-from bulletarm_gym.sensors import Sensor, View
 
 SKIN = 1e-3  # beams begin this far (m) below the fingertips
 

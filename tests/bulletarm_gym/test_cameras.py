@@ -15,11 +15,11 @@ from gymnasium.wrappers import RenderCollection
 from numpy.typing import NDArray
 from rollouts import make_env
 
-from bulletarm_gym.cameras import sight
 from bulletarm_gym.config import ParameterError
 from bulletarm_gym.env import ManipulationEnv
 from bulletarm_gym.geometry import FloatArray, Pose, euler_pose, matrix
 from bulletarm_gym.objects.solids import block
+from bulletarm_gym.observations.cameras import side_cameras, viewpoint
 from bulletarm_gym.simulation import BodySpec, Camera, World
 from bulletarm_gym.simulation.state import PHYSICS_MODES
 
@@ -154,7 +154,7 @@ def test_default_cameras_look_towards_the_arm_over_the_workspace(base: tuple[flo
     model = SimpleNamespace(base=Pose((*base, 0.1)))
     config = SimpleNamespace(centre=(0.45, 0.0), workspace_size=0.3)
     scene: Any = SimpleNamespace(config=config, robot=SimpleNamespace(model=model))
-    eye, target = sight(scene, (0.5, -0.2, 0.6), (0.0, 0.0, 0.05))
+    eye, target = viewpoint(scene, (0.5, -0.2, 0.6), (0.0, 0.0, 0.05))
     assert target == pytest.approx((0.45, 0.0, 0.05))
     assert math.dist(eye[:2], base) > math.dist((0.45, 0.0), base)
 
@@ -162,7 +162,7 @@ def test_default_cameras_look_towards_the_arm_over_the_workspace(base: tuple[flo
 def test_side_cameras_cover_a_large_workspace(make: Make) -> None:
     for workspace in (None, [[0.2, 0.66], [-0.23, 0.23], [0.01, 0.25]]):
         env = make(PICKING, **({} if workspace is None else {"workspace": workspace}))
-        for camera in env.scene.side_cameras(100):
+        for camera in side_cameras(env.config, 100):
             pixels = np.array([camera.project(corner) for corner in corners(env.config.workspace)])
             assert (pixels > 0).all() and (pixels < 99).all()
 

@@ -8,9 +8,8 @@ import pytest
 
 from bulletarm_gym.geometry import Pose
 from bulletarm_gym.objects import BodySpec, create
-from bulletarm_gym.objects.blocks import improvise_bricks
+from bulletarm_gym.objects.blocks import DRAWINGS, improvise_block, improvise_blocks, improvise_bricks
 from bulletarm_gym.objects.catalogue import KINDS
-from bulletarm_gym.objects.polyominoes import DRAWINGS, improvise_block, improvise_blocks
 from bulletarm_gym.simulation import World
 from bulletarm_gym.simulation.state import PHYSICS_MODES
 from bulletarm_gym.surfaces.flat import FLOOR

@@ -16,9 +16,9 @@ from bulletarm_gym.env import ManipulationEnv
 from bulletarm_gym.experts import CLOSED, OPEN, Waypoint
 from bulletarm_gym.experts.tracking import Tracker
 from bulletarm_gym.geometry import Pose
+from bulletarm_gym.observations import View
 from bulletarm_gym.robots import Robot
 from bulletarm_gym.scene import Scene, SceneObject
-from bulletarm_gym.sensors import View
 from bulletarm_gym.simulation import Body, World
 from bulletarm_gym.tasks import Task
 

@@ -185,8 +185,8 @@ def test_registered_objects_reach_a_task_of_ours() -> None:
 @pytest.mark.parametrize(
     ("kinds", "reason"),
     [
-        (["hammer"], "^object_set: kind: got 'hammer', takes one of 'bottle_tray', "),
-        (["my_objects:nothing"], "^object_set: .* returned a NoneType, not a BodySpec"),
+        (["hammer"], "^object_set: kind must be one of 'bottle_tray', .*got 'hammer'"),
+        (["my_objects:nothing"], "^object_set: .* must return a BodySpec, got a NoneType"),
         (["my_objects:light"], "^object_set: mass of .* must be a finite number of at least 0, got -1"),
         (
             ["my_objects:slippery"],

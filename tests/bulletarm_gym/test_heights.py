@@ -10,7 +10,7 @@ from bulletarm_gym.control import Grasp, PickPlace
 from bulletarm_gym.control.heights import measure_grasp, pick_height, place_height
 from bulletarm_gym.env import ManipulationEnv
 from bulletarm_gym.geometry import Pose, Rectangle
-from bulletarm_gym.sensors import Map
+from bulletarm_gym.observations import ElevationMap
 
 Make = Callable[..., ManipulationEnv]
 STACKING = "BulletArm/OpenLoopBlockStacking-v0"
@@ -46,12 +46,12 @@ def pick(env: ManipulationEnv, x: float, y: float) -> Any:
     return env.scene.held
 
 
-def square(height: float, middle: tuple[float, float], side: float, ground: float = 0.0) -> Map:
+def square(height: float, middle: tuple[float, float], side: float, ground: float = 0.0) -> ElevationMap:
     """Return the heightmap of a square on level ground."""
     axis = (np.arange(128) + 0.5) * PIXEL - 0.2
     inside = [np.abs(axis + offset - at) <= side / 2.0 for offset, at in zip(CENTRE, middle, strict=True)]
     heights = np.where(np.outer(*inside), height, ground).astype(np.float32)
-    return Map(heights, CENTRE, 0.4)
+    return ElevationMap(heights, CENTRE, 0.4)
 
 
 # Picks
@@ -68,7 +68,7 @@ def test_pick_goes_half_a_cube_below_what_is_between_the_fingers(env: Manipulati
     assert height_at(env, "pick", 0.4, -0.1) == pytest.approx(1.5 * CUBE, abs=1e-3)
     assert height_at(env, "pick", 0.5, -0.1) == height_at(env, "pick", 0.65, 0.2) == pytest.approx(0.005)
     area = Rectangle(0.5, 0.1, CUBE, CUBE, 0.0)
-    assert pick_height(env.look().map, area, 0.02) == pytest.approx(CUBE - 0.02)
+    assert pick_height(env.look().elevation_map, area, 0.02) == pytest.approx(CUBE - 0.02)
 
 
 @pytest.mark.parametrize("size", [16, 24, 40])

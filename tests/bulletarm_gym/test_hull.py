@@ -5,8 +5,9 @@ import itertools
 import numpy as np
 import pytest
 
-from bulletarm_gym.geometry import FloatArray, Mesh, euler_pose, mass_properties, matrix
-from bulletarm_gym.objects.hull import convex_hull
+from bulletarm_gym.geometry import FloatArray, Mesh, euler_pose, matrix
+from bulletarm_gym.geometry.meshes import mass_properties
+from bulletarm_gym.objects.files import convex_hull
 
 SIZE = np.array((0.05, 0.08, 0.04))
 CENTRE = np.array((0.1, -0.2, 0.3))

@@ -11,7 +11,7 @@ from rollouts import advance, digest, make_env, transcript
 from bulletarm_gym.config import ParameterError
 from bulletarm_gym.env import ManipulationEnv
 from bulletarm_gym.geometry import Pose
-from bulletarm_gym.sensors.images import FINGER_COLOUR, GRIPPER
+from bulletarm_gym.observations.images import FINGER_COLOUR, GRIPPER
 from bulletarm_gym.simulation.shapes import BLUE, RED
 from bulletarm_gym.surfaces.flat import FLOOR
 
@@ -166,3 +166,34 @@ def test_what_is_seen_follows_from_the_state(make: Make, env_id: str) -> None:
 def test_two_cameras_do_not_tell_bodies_apart(name: str) -> None:
     with pytest.raises(ParameterError, match="view='point_cloud'"):
         make_env(PICKING, view="point_cloud", observation=["heightmap", name])
+
+
+MOUNTED = {"sensor": "rgb", "mount": "wrist", "size": [64, 48]}
+
+
+@pytest.mark.parametrize("env_id", [PICKING, STACKING])
+def test_wrist_camera_moves_with_the_gripper(make: Make, env_id: str) -> None:
+    depth = {"name": "depth", "mount": "wrist", "size": [64, 48]}
+    env = make(env_id, observation=[{"name": "wrist", **MOUNTED}, depth, "joint_state"])
+    observation, _ = env.reset(seed=0)
+    assert env.observation_space.contains(observation)
+    assert observation["wrist"].shape == (3, 48, 64) and observation["depth"].shape == (1, 48, 64)
+    before = env.cameras["wrist"].camera
+    tcp_pose = env.scene.robot.pose
+    moved = tcp_pose.compose(Pose.planar(0.03, 0.02, 0.01, 0.5))
+    env.scene.robot.home(moved)
+    after = env.cameras["wrist"].camera
+    assert after.eye == pytest.approx(moved.transform(tcp_pose.inverse().transform(before.eye)), abs=1e-4)
+    column, row = after.project(moved.transform((0.0, 0.0, -0.03)))
+    assert (column, row) == pytest.approx((31.5, 23.5), abs=1e-2)
+    np.testing.assert_array_equal(env.observe()["depth"][0], env.cameras["depth"].depth())
+
+
+def test_joint_state_gives_the_tool_pose(make: Make) -> None:
+    env = make(PICKING, observation=["joint_state"])
+    env.reset(seed=0)
+    observation, *_ = env.step([1.0, 0.5, 0.5, -0.5, 0.5])
+    *joints, opening = observation["joint_state"]
+    pose = env.scene.robot.model.chain.forward(np.array(joints, float))
+    assert pose.position == pytest.approx(env.scene.robot.pose.position, abs=1e-5)
+    assert opening == pytest.approx(1.0)

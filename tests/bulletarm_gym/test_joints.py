@@ -15,6 +15,7 @@ from rollouts import step_on, transcript
 from bulletarm_gym.env import ManipulationEnv
 from bulletarm_gym.geometry import Pose, euler_angles, euler_pose
 from bulletarm_gym.objects.solids import block
+from bulletarm_gym.observations import HeightRenderer, Window
 from bulletarm_gym.scene.stability import settle
 from bulletarm_gym.simulation import Body, BodySpec, Box, Hinge, Piece, Slide, World
 from bulletarm_gym.simulation.state import PHYSICS_MODES, REST_SPEED
@@ -254,6 +255,6 @@ def test_the_heightmap_shows_the_door_where_it_is(door: Callable[..., Manipulati
     for angle in (0.0, 0.8, 1.6):
         item.set_joints((angle,))
         x, y, _ = item.pose.compose(Pose.planar(0.0, 0.0, 0.0, angle)).transform((0.09, 0.0, 0.0))
-        heights = scene.heights((x, y), 0.02, 5)
+        heights = HeightRenderer.of(scene).heights(Window((x, y), 0.02, 5))
         assert heights[2, 2] == pytest.approx(0.065, abs=1e-3)
     env.close()

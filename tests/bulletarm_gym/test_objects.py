@@ -10,12 +10,10 @@ import pytest
 
 from bulletarm_gym.env import ManipulationEnv
 from bulletarm_gym.geometry import Mesh
-from bulletarm_gym.objects.files import GREY
-from bulletarm_gym.objects.folder import load_folder
+from bulletarm_gym.objects.catalogue import object_set
+from bulletarm_gym.objects.containers import FLOOR_HEIGHT, WALL_HEIGHT, tray_floor, tray_walls
+from bulletarm_gym.objects.files import GREY, convex_hull, load_folder
 from bulletarm_gym.objects.graspables import FAMILIES, FRICTION, MASS, graspables
-from bulletarm_gym.objects.hull import convex_hull
-from bulletarm_gym.objects.sets import object_set
-from bulletarm_gym.objects.tray import FLOOR_HEIGHT, WALL_HEIGHT, tray_floor, tray_walls
 from bulletarm_gym.simulation.shapes import Box, Piece, wavefront
 
 
@@ -28,7 +26,7 @@ def _planes(mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:
 
 def test_there_are_86_with_names_of_their_own() -> None:
     specs = graspables()
-    assert len(specs) == sum(count for _, count, _ in FAMILIES) == 86
+    assert len(specs) == sum(count for _, count, *_ in FAMILIES) == 86
     assert len({spec.name for spec in specs}) == 86
     assert object_set(None) is specs
 
@@ -192,9 +190,9 @@ def test_mass_and_friction_of_a_urdf_are_used(tmp_path: Path) -> None:
     [
         ('<inertial><mass value="0"/></inertial>', "mass must be 0.001 to 5.0 kg, got 0"),
         ('<inertial><mass value="150"/></inertial>', "mass must be 0.001 to 5.0 kg, got 150"),
-        ('<contact><lateral_friction value="-1"/></contact>', "lateral_friction must be .* got -1"),
+        ('<contact><lateral_friction value="-1"/></contact>', "friction of .* must be .* got -1"),
         ("<inertial><mass/></inertial>", "value of <mass> must be a number, got ''"),
-        (_coloured("1 0 0"), "rgba of <color> must be four numbers, got '1 0 0'"),
+        (_coloured("1 0 0"), "rgba of <color> must be 4 numbers, got '1 0 0'"),
         (_coloured("255 0 0 255"), "rgba of <color> must be from 0 to 1, got '255 0 0 255'"),
     ],
 )
@@ -204,9 +202,30 @@ def test_impossible_value_of_a_urdf_is_refused(tmp_path: Path, inside: str, reas
         load_folder(str(tmp_path))
 
 
+def test_cylinder_of_a_urdf_has_its_size(tmp_path: Path) -> None:
+    origin = '<origin xyz="0 0 0.1" rpy="1.5707963267948966 0 0"/>'
+    shape = '<geometry><cylinder radius="0.02" length="0.1"/></geometry>'
+    link = f'<link name="a"><collision>{origin}{shape}</collision></link>'
+    (tmp_path / "a.urdf").write_text(f'<robot name="a">{link}</robot>')
+    (spec,) = load_folder(str(tmp_path))
+    assert spec.extents == pytest.approx((0.04, 0.1, 0.04))
+    (tmp_path / "a.urdf").write_text(f'<robot name="a">{link.replace("cylinder", "capsule")}</robot>')
+    with pytest.raises(ValueError, match="must be a mesh, a box or a cylinder, got capsule"):
+        load_folder(str(tmp_path))
+
+
+def test_textures_are_named(tmp_path: Path) -> None:
+    (tmp_path / "b.obj").write_text(wavefront(graspables()[0].pieces))
+    (tmp_path / "b.mtl").write_text("newmtl a\nmap_Kd image.png\n")
+    (tmp_path / "c").mkdir()
+    write_link(tmp_path / "c" / "a.urdf", f'<visual>{BOX}<material name="m"><texture/></material></visual>')
+    with pytest.warns(UserWarning, match="elements that have no effect: map_Kd, texture$"):
+        load_folder(str(tmp_path))
+
+
 def test_unused_contact_properties_are_named(tmp_path: Path) -> None:
     write_link(tmp_path / "a.urdf", '<contact><stiffness value="3"/><contact_erp value="1"/></contact>')
-    with pytest.warns(UserWarning, match="contact properties are not used: stiffness$"):
+    with pytest.warns(UserWarning, match="elements that have no effect: stiffness$"):
         load_folder(str(tmp_path))
 
 
@@ -261,7 +280,10 @@ def test_files_that_are_not_used_are_named_in_one_warning(tmp_path: Path) -> Non
     with pytest.warns(UserWarning) as caught:
         load_folder(str(tmp_path))
     (text,) = [str(warning.message) for warning in caught]
-    assert "1 of 2 files are left out" in text and "broken/b.urdf cannot be loaded: it has 2 links" in text
+    assert (
+        "1 of 2 files are left out" in text
+        and "broken/b.urdf cannot be loaded: it must have one rigid link, got 2" in text
+    )
     assert "4 files are not used: C.PLY, b.dae, broken/c.obj, loose.obj (" in text
 
 

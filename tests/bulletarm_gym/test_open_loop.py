@@ -15,7 +15,8 @@ from bulletarm_gym.control import PickPlace
 from bulletarm_gym.env import ManipulationEnv
 from bulletarm_gym.experts import CLOSED, OPEN, Waypoint
 from bulletarm_gym.geometry import Pose, Vector, euler_angles, euler_pose, matrix, wrap_angle
-from bulletarm_gym.sensors.in_hand import Map, crop, projections
+from bulletarm_gym.observations import ElevationMap
+from bulletarm_gym.observations.in_hand import projections, rotated_crop
 
 Make = Callable[..., ManipulationEnv]
 
@@ -300,7 +301,7 @@ def test_arm_and_held_object_are_not_in_the_heightmap(env: ManipulationEnv) -> N
     assert observation["heightmap"][0, 20:, 30:].max() == 0.0
 
 
-def slow_crop(view: Map, hand: Pose, size: int) -> np.ndarray:
+def slow_crop(view: ElevationMap, hand: Pose, size: int) -> np.ndarray:
     """Pixel by pixel: where it is in the world, and the mean of the four pixels around, weighted."""
     heights, n = view.heights.astype(np.float64), len(view.heights)
     image = np.zeros((1, size, size))
@@ -317,7 +318,7 @@ def slow_crop(view: Map, hand: Pose, size: int) -> np.ndarray:
     return image
 
 
-def slow_projections(view: Map, hand: Pose, size: int) -> np.ndarray:
+def slow_projections(view: ElevationMap, hand: Pose, size: int) -> np.ndarray:
     """Voxel by voxel: where it is in the world, and whether that is below the surface."""
     n, full = len(view.heights), np.zeros((size,) * 3)
     for index in itertools.product(range(size), repeat=3):
@@ -329,22 +330,22 @@ def slow_projections(view: Map, hand: Pose, size: int) -> np.ndarray:
 
 
 @pytest.fixture(scope="module")
-def view() -> Map:
+def view() -> ElevationMap:
     heights = np.random.default_rng(0).uniform(0.0, 0.05, (20, 20)).astype(np.float32)
-    return Map(heights, (0.45, 0.0), 0.4)
+    return ElevationMap(heights, (0.45, 0.0), 0.4)
 
 
 @pytest.mark.parametrize("at", [(0.45, 0.0), (0.431, 0.055), (0.26, 0.19), (0.65, -0.2)])
 @pytest.mark.parametrize("yaw", [0.0, math.pi / 2, 0.3, -2.0])
-def test_crop_equals_a_slow_one(view: Map, at: tuple[float, float], yaw: float) -> None:
+def test_crop_equals_a_slow_one(view: ElevationMap, at: tuple[float, float], yaw: float) -> None:
     hand = Pose.planar(*at, 0.02, yaw)
     for size in (8, 9):
-        np.testing.assert_allclose(crop(view, hand, size), slow_crop(view, hand, size), atol=1e-6)
+        np.testing.assert_allclose(rotated_crop(view, hand, size), slow_crop(view, hand, size), atol=1e-6)
 
 
 @pytest.mark.parametrize("angles", [(0.0, 0.0, 0.0), (0.3, -0.5, 2.0), (-0.7, 0.7, 0.4)])
 @pytest.mark.parametrize("at", [(0.4437, 0.013), (0.26, 0.19)])
-def test_projections_equal_slow_ones(view: Map, angles: Any, at: tuple[float, float]) -> None:
+def test_projections_equal_slow_ones(view: ElevationMap, angles: Any, at: tuple[float, float]) -> None:
     hand = euler_pose((*at, 0.021), angles)
     for size in (8, 9):
         np.testing.assert_allclose(
@@ -357,7 +358,7 @@ def test_in_hand_is_what_the_heightmap_showed_at_the_pick(env: ManipulationEnv) 
     assert not before["in_hand"].any()
     move = env.decode_action(env.expert_action())
     after, *_ = env.step(env.encode_action(move))
-    expected = slow_crop(Map(before["heightmap"][0], (0.45, 0.0), 0.4), move.pose, 24)
+    expected = slow_crop(ElevationMap(before["heightmap"][0], (0.45, 0.0), 0.4), move.pose, 24)
     np.testing.assert_allclose(after["in_hand"], expected, atol=1e-5)
     assert after["in_hand"][0, 12, 12] == pytest.approx(CUBE, abs=1e-4), "a cube in the middle, square on"
     assert after["in_hand"][0, 8:16, 8:16].min() == pytest.approx(CUBE, abs=1e-4)
@@ -383,7 +384,7 @@ def test_in_hand_with_tilt_is_three_projections(make: Make) -> None:
     move = env.decode_action(env.encode_action(move))
     after, *_ = env.step(env.encode_action(move))
     assert after["in_hand"].shape == (3, 24, 24) and after["in_hand"].max() > 0.0
-    expected = slow_projections(Map(before["heightmap"][0], (0.45, 0.0), 0.4), move.pose, 24)
+    expected = slow_projections(ElevationMap(before["heightmap"][0], (0.45, 0.0), 0.4), move.pose, 24)
     np.testing.assert_allclose(after["in_hand"], expected, atol=1e-6)
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bulletarm_gym.geometry import Rectangle
-from bulletarm_gym.rendering.overlays import fill_rectangles, rectangle_mask
+from bulletarm_gym.observations.rasterizer import Window, rectangle_mask
 
 EXTENT, SIZE = 0.45, 128
 RESOLUTION = EXTENT / SIZE
@@ -30,20 +30,15 @@ def random_rectangles(rng, count):
 @pytest.mark.parametrize("size", [15, 64, 128])
 def test_mask_holds_the_pixels_inside(size: int) -> None:
     for rectangle in random_rectangles(np.random.default_rng(0), 50):
-        mask = rectangle_mask(CENTRE, EXTENT, size, [rectangle])
+        mask = rectangle_mask(Window(CENTRE, EXTENT, size), [rectangle])
         assert mask.dtype == np.bool_
         np.testing.assert_array_equal(mask, inside(rectangle, size=size))
 
 
-def test_fill_sets_the_union_and_nothing_else() -> None:
-    rng = np.random.default_rng(1)
-    rectangles = random_rectangles(rng, 3)
-    image = rng.random((SIZE, SIZE), dtype=np.float32)
-    before = image.copy()
-    fill_rectangles(image, CENTRE, EXTENT, rectangles, 0.25)
+def test_mask_of_several_rectangles_is_their_union() -> None:
+    rectangles = random_rectangles(np.random.default_rng(1), 3)
     covered = np.logical_or.reduce([inside(r) for r in rectangles])
-    np.testing.assert_array_equal(image, np.where(covered, np.float32(0.25), before))
-    np.testing.assert_array_equal(rectangle_mask(CENTRE, EXTENT, SIZE, rectangles), covered)
+    np.testing.assert_array_equal(rectangle_mask(Window(CENTRE, EXTENT, SIZE), rectangles), covered)
 
 
 def test_edges_through_pixel_centres_belong_to_the_rectangle() -> None:
@@ -51,7 +46,7 @@ def test_edges_through_pixel_centres_belong_to_the_rectangle() -> None:
     corner = (CENTRE[0] + RESOLUTION / 2, CENTRE[1] + RESOLUTION / 2)
     for quarter in range(4):
         rectangle = Rectangle(*corner, side - RESOLUTION, side + RESOLUTION, quarter * math.pi / 2)
-        rows, columns = np.nonzero(rectangle_mask(CENTRE, EXTENT, SIZE, [rectangle]))
+        rows, columns = np.nonzero(rectangle_mask(Window(CENTRE, EXTENT, SIZE), [rectangle]))
         assert sorted([np.ptp(rows) + 1, np.ptp(columns) + 1]) == [5, 7]
 
 
@@ -63,8 +58,8 @@ def test_quarter_turn_of_the_world_is_rot90(size: int) -> None:
     rectangles[:5] = [Rectangle(0.45 + k * RESOLUTION, 0.0, side, side, 0.0) for k in range(5)]
     for before in rectangles:
         after = before._replace(x=-before.y, y=before.x, yaw=before.yaw + math.pi / 2)
-        mask = rectangle_mask(CENTRE, EXTENT, size, [before])
-        again = rectangle_mask((-CENTRE[1], CENTRE[0]), EXTENT, size, [after])
+        mask = rectangle_mask(Window(CENTRE, EXTENT, size), [before])
+        again = rectangle_mask(Window((-CENTRE[1], CENTRE[0]), EXTENT, size), [after])
         np.testing.assert_array_equal(again, np.rot90(mask, k=1))
 
 
@@ -75,6 +70,6 @@ def test_what_lies_outside_or_covers_nothing_is_not_drawn() -> None:
         Rectangle(math.nan, 0, 0.1, 0.1, 0),
         Rectangle(0.45, 0, 0.1, 0.1, math.nan),
     ]
-    assert not rectangle_mask(CENTRE, EXTENT, SIZE, nothing).any()
-    assert not rectangle_mask(CENTRE, EXTENT, SIZE, ()).any()
-    assert rectangle_mask(CENTRE, EXTENT, SIZE, [Rectangle(0.45, 0, 5, 5, 0.3)]).all()
+    assert not rectangle_mask(Window(CENTRE, EXTENT, SIZE), nothing).any()
+    assert not rectangle_mask(Window(CENTRE, EXTENT, SIZE), ()).any()
+    assert rectangle_mask(Window(CENTRE, EXTENT, SIZE), [Rectangle(0.45, 0, 5, 5, 0.3)]).all()

@@ -14,14 +14,14 @@ import bulletarm_gym
 from bulletarm_gym.demonstrations import collect
 from bulletarm_gym.env import ManipulationEnv
 from bulletarm_gym.extensions import SENSOR_PATHS
-from bulletarm_gym.sensors import Sensor
+from bulletarm_gym.observations import Sensor
 
 PICKING = "BulletArm/CloseLoopBlockPicking-v0"
 SOURCE = '''
 import numpy as np
 from gymnasium import spaces
 
-from bulletarm_gym.sensors import Sensor
+from bulletarm_gym.observations import Sensor
 
 
 class Count(Sensor):
@@ -145,7 +145,7 @@ def test_what_is_no_whole_sensor_is_refused(path: str) -> None:
 WRONG = """
 import numpy as np
 from gymnasium import spaces
-from bulletarm_gym.sensors import Sensor
+from bulletarm_gym.observations import Sensor
 
 class Wrong(Sensor):
     space = spaces.Box(0.0, 1.0, (2,), np.float32)

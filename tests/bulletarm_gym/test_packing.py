@@ -8,8 +8,7 @@ import pytest
 
 from bulletarm_gym.env import ManipulationEnv
 from bulletarm_gym.geometry import Footprint, Pose
-from bulletarm_gym.objects.bottles import TRAY
-from bulletarm_gym.objects.packing import BIN, BIN_WALL
+from bulletarm_gym.objects.containers import BIN, BIN_WALL, TRAY
 from bulletarm_gym.scene.sampling import footprint
 from bulletarm_gym.tasks.packing import FreeSpace, tray_positions
 

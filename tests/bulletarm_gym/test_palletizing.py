@@ -10,7 +10,7 @@ import pytest
 from bulletarm_gym.env import ManipulationEnv
 from bulletarm_gym.experts import CLOSED, OPEN, Waypoint
 from bulletarm_gym.geometry import Footprint, PlacementError, Pose
-from bulletarm_gym.objects.palletizing import PALLET
+from bulletarm_gym.objects.containers import PALLET
 from bulletarm_gym.scene.sampling import footprint
 from bulletarm_gym.tasks.palletizing import BoxPalletizing, layer_yaw, places
 

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from bulletarm_gym.env import ManipulationEnv
-from bulletarm_gym.rendering.point_cloud import project
+from bulletarm_gym.observations import Window
+from bulletarm_gym.observations.rasterizer import project_points
 
 TASKS = ["Picking", "Pulling", "Pushing", "Stacking"]
 VIEWS = ("orthographic", "point_cloud")
@@ -14,21 +15,21 @@ VIEWS = ("orthographic", "point_cloud")
 
 def test_highest_point_of_a_pixel_counts() -> None:
     points = np.array([[0.1, 0.1, 0.02], [0.1, 0.1, 0.05], [0.3, 0.1, 0.01], [0.1, 0.1, 0.5]])
-    image = project(points, (0.2, 0.2), 0.4, 2, ceiling=0.3)
+    image = project_points(points, Window((0.2, 0.2), 0.4, 2), ceiling=0.3)
     assert image[0, 0] == np.float32(0.05), "the point above the ceiling is left out"
     assert image[1, 0] == np.float32(0.01), "rows grow with x"
 
 
 def test_hole_takes_its_nearest_neighbour() -> None:
     points = np.array([[0.05, 0.05, 0.01], [0.95, 0.95, 0.02]])
-    image = project(points, (0.5, 0.5), 1.0, 10, ceiling=1.0)
+    image = project_points(points, Window((0.5, 0.5), 1.0, 10), ceiling=1.0)
     assert image[3, 3] == np.float32(0.01)
     assert image[7, 7] == np.float32(0.02)
     assert image[0, 9] == image[9, 0] == np.float32(0.01), "of two equally near the first"
 
 
 def test_nothing_seen_is_the_floor() -> None:
-    assert not project(np.empty((0, 3)), (0.0, 0.0), 1.0, 4, ceiling=1.0).any()
+    assert not project_points(np.empty((0, 3)), Window((0.0, 0.0), 1.0, 4), ceiling=1.0).any()
 
 
 @pytest.mark.parametrize("task", TASKS)

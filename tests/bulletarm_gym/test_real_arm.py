@@ -7,6 +7,7 @@ import pytest
 
 from bulletarm_gym.env import ManipulationEnv
 from bulletarm_gym.geometry import FloatArray, Pose, euler_pose
+from bulletarm_gym.observations.cameras import SIDE_PIXELS, side_cameras
 from bulletarm_gym.real_arm import (
     close_loop_heightmap,
     in_hand_image,
@@ -15,7 +16,6 @@ from bulletarm_gym.real_arm import (
     pick_height,
     place_height,
 )
-from bulletarm_gym.scene.scene import SIDE_PIXELS
 
 STACKING = "BulletArm/CloseLoopBlockStacking-v0"
 MILLIMETRE = 1e-3
@@ -25,7 +25,7 @@ def cloud(env: ManipulationEnv, held: bool) -> FloatArray:
     """Points as two depth cameras beside the workspace see them, without the arm."""
     scene = env.scene
     absent = [scene.robot.body, *([] if held or scene.robot.held is None else [scene.robot.held])]
-    cameras = scene.side_cameras(SIDE_PIXELS)
+    cameras = side_cameras(scene.config, SIDE_PIXELS)
     return np.concatenate([camera.points(scene.world, absent) for camera in cameras])
 
 

@@ -9,10 +9,11 @@ from rollouts import advance, transcript
 
 from bulletarm_gym.env import ManipulationEnv
 from bulletarm_gym.geometry import Pose
-from bulletarm_gym.objects.packing import SHAPES
+from bulletarm_gym.objects.blocks import SHAPES
+from bulletarm_gym.observations import HeightRenderer, Window
 from bulletarm_gym.scene.predicates import touching
 from bulletarm_gym.scene.sampling import footprint
-from bulletarm_gym.scene.scene import MOST_VARIANTS, ObjectSlot, spread
+from bulletarm_gym.scene.scene import MAX_BODIES, ObjectSlot, subsample_variants
 from bulletarm_gym.simulation import BodySpec
 
 Make = Callable[..., ManipulationEnv]
@@ -20,8 +21,8 @@ PACKING = "BulletArm/OpenLoopBinPacking-v0"
 RANGE = {"object_scale_range": [0.7, 0.9]}
 
 
-def role(count: int) -> ObjectSlot:
-    return ObjectSlot(f"role {count}", tuple(BodySpec(f"{number}", (), 1.0) for number in range(count)))
+def slot(count: int) -> ObjectSlot:
+    return ObjectSlot(f"slot {count}", tuple(BodySpec(f"{number}", (), 1.0) for number in range(count)))
 
 
 def variants(env: ManipulationEnv) -> dict[str, list[BodySpec]]:
@@ -41,8 +42,8 @@ def test_without_a_range_all_variants_are_loaded(make: Make) -> None:
 )
 def test_a_range_does_not_multiply_the_bodies(make: Make, name: str) -> None:
     env = make(f"BulletArm/OpenLoop{name}-v0", **RANGE)
-    assert sum(len(item.choices) for item in env.scene.objects) <= MOST_VARIANTS
-    assert len(env.scene.world.bodies) <= MOST_VARIANTS + 2
+    assert sum(len(item.choices) for item in env.scene.objects) <= MAX_BODIES
+    assert len(env.scene.world.bodies) <= MAX_BODIES + 2
 
 
 def test_a_range_keeps_all_sizes_and_shapes(make: Make) -> None:
@@ -73,21 +74,21 @@ def test_states_are_exact_among_many_sizes(make: Make) -> None:
 
 @pytest.mark.parametrize("most", [1, 8, 29, 120])
 def test_variants_are_spread(most: int) -> None:
-    roles = [role(count) for count in (1, 4, 77, 77, 38)]
-    chosen = spread(roles, most)
-    for places, one in zip(chosen, roles, strict=True):
+    slots = [slot(count) for count in (1, 4, 77, 77, 38)]
+    chosen = subsample_variants(slots, most)
+    for places, one in zip(chosen, slots, strict=True):
         assert places == sorted(set(places)) and 1 <= len(places) <= len(one.variants)
         assert all(0 <= place < len(one.variants) for place in places)
     lengths = [len(places) for places in chosen]
-    assert sum(lengths) <= max(most, len(roles))
-    assert lengths == [min(len(one.variants), max(lengths)) for one in roles]
+    assert sum(lengths) <= max(most, len(slots))
+    assert lengths == [min(len(one.variants), max(lengths)) for one in slots]
     if max(lengths) < 38:
         assert not set(chosen[2]) & set(chosen[3])  # the second goes on where the first ended
 
 
 def test_everything_is_kept_where_there_is_room() -> None:
-    assert spread([role(3), role(2)], 5) == [[0, 1, 2], [0, 1]]
-    assert spread([], 5) == []
+    assert subsample_variants([slot(3), slot(2)], 5) == [[0, 1, 2], [0, 1]]
+    assert subsample_variants([], 5) == []
 
 
 def test_what_is_remembered_follows_the_pose(make: Make) -> None:
@@ -125,12 +126,13 @@ def test_spheres_leave_nothing_out_that_is_near(make: Make) -> None:
 def test_heightmaps_follow_what_moves(make: Make) -> None:
     env = make("BulletArm/OpenLoopHouseBuilding2-v0")
     env.reset(seed=0)
-    scene, view = env.scene, (env.config.centre, env.config.workspace_size, 64)
+    scene, view = env.scene, Window(env.config.centre, env.config.workspace_size, 64)
     first, second = list(scene)[:2]
-    alone = scene.heights_of([first.body], *view)
+    renderer = HeightRenderer.of(scene)
+    alone = renderer.heights_of([first.body], view)
     assert alone.max() > 0.0
     second.place(Pose.planar(*env.config.centre, 0.1))
-    np.testing.assert_array_equal(scene.heights_of([first.body], *view), alone)
+    np.testing.assert_array_equal(renderer.heights_of([first.body], view), alone)
     first.park()
-    assert scene.heights_of([first.body], *view).max() == 0.0
-    assert scene.heights(*view).max() == pytest.approx(0.1 + second.spec.extents[2] / 2.0, abs=1e-3)
+    assert renderer.heights_of([first.body], view).max() == 0.0
+    assert renderer.heights(view).max() == pytest.approx(0.1 + second.spec.extents[2] / 2.0, abs=1e-3)

@@ -11,7 +11,7 @@ from rollouts import digest, is_open_loop, make_env, transcript
 
 from bulletarm_gym.config import PRESETS, SENSORS, ParameterError
 from bulletarm_gym.env import ManipulationEnv
-from bulletarm_gym.sensors import SENSORS as CLASSES
+from bulletarm_gym.observations import SENSORS as CLASSES
 
 Make = Callable[..., ManipulationEnv]
 
@@ -127,10 +127,10 @@ def test_unknown_names(make: Make, name: str) -> None:
         (
             PICKING,
             [{"name": "rgb", "size": 8}],
-            "size must be an integer of at least 16 and",
+            "size must be a number of pixels or [width, height]",
         ),
         (PICKING, [{"name": "rgb", "fov": 180}], "fov must be a number of degrees from 1 to 170, got 180"),
-        (PICKING, [{"name": "rgb", "fow": 60}], "position, target, size, fov, not fow"),
+        (PICKING, [{"name": "rgb", "fow": 60}], "position, target, size, fov, mount, not fow"),
         (
             PICKING,
             [{"name": "point_cloud", "points": 0}],

@@ -12,6 +12,7 @@ from rollouts import advance, transcript
 
 from bulletarm_gym.env import ManipulationEnv
 from bulletarm_gym.geometry import Footprint, PlacementError, Pose, rotate
+from bulletarm_gym.observations import HeightRenderer, Window
 from bulletarm_gym.scene.predicates import on_site, on_surface
 from bulletarm_gym.scene.sampling import footprint, free_site, place_apart
 from bulletarm_gym.simulation import World
@@ -60,7 +61,8 @@ def test_heightmap_shows_the_surface(env: ManipulationEnv) -> None:
     scene, points = env.scene, _grid(env)
     for seed in range(20):
         scene.clear(np.random.default_rng(seed))
-        seen = scene.heights(env.config.centre, env.config.workspace_size, PIXELS).ravel()
+        window = Window(env.config.centre, env.config.workspace_size, PIXELS)
+        seen = HeightRenderer.of(scene).heights(window).ravel()
         assert np.abs(seen - scene.surface.heights(points)).max() < 1e-4
 
 
@@ -133,7 +135,7 @@ def test_ranges_of_the_bumps(bump: BumpSurface) -> None:
         bump.arrange(rng)
         assert len(bump.slopes) == 9
         slopes.append(bump.slopes)
-        yaws.append(bump._world.poses[bump._pyramids[bump._standing[0]].index].yaw)
+        yaws.append(bump._world.poses[bump._pyramids[bump._numbers[0]].index].yaw)
         places.append(bump.platform.position[:2])
     assert 0.0 < np.min(slopes) < math.radians(1.0) and np.max(slopes) == pytest.approx(math.pi / 12.0)
     assert np.mean(slopes) == pytest.approx(math.pi / 24.0, rel=0.05)

@@ -13,7 +13,7 @@ from rollouts import make_env
 from bulletarm_gym.env import ManipulationEnv
 from bulletarm_gym.experts import CLOSED, OPEN, Waypoint
 from bulletarm_gym.geometry import Pose
-from bulletarm_gym.objects.corner import INSIDE
+from bulletarm_gym.objects.containers import CORNER_INSIDE
 from bulletarm_gym.scene import Scene
 from bulletarm_gym.scene.predicates import touching
 from bulletarm_gym.tasks.picking import BlockPicking
@@ -254,7 +254,7 @@ def test_cube_is_flush_with_both_walls(make: Make) -> None:
     for seed in range(20):
         env.reset(seed=seed)
         inside = env.scene["corner"].pose.inverse().compose(env.scene["cube"].pose)
-        assert inside.position[:2] == pytest.approx((INSIDE + 0.025,) * 2, abs=1e-3)
+        assert inside.position[:2] == pytest.approx((CORNER_INSIDE + 0.025,) * 2, abs=1e-3)
         assert abs(inside.yaw) < 0.01
 
 

@@ -142,7 +142,7 @@ def _has_images(observation: Any) -> bool:
     if isinstance(observation, str):
         return observation != "state"
     names = [entry if isinstance(entry, str) else entry.get("sensor", entry["name"]) for entry in observation]
-    return any(name not in ("state", "holding", "point_cloud") for name in names)
+    return any(name not in ("state", "holding", "point_cloud", "joint_state") for name in names)
 
 
 def _cell_from_file(path: Path, algo: str, env_id: str) -> Cell:

@@ -110,7 +110,7 @@ class _Meter:
     def __init__(self, env: gym.Env[Any, Any]) -> None:
         self.env = env
         self.own: Any = env.unwrapped
-        self.parts: Mapping[str, float] = self.own.measure().seconds if hasattr(self.own, "measure") else {}
+        self.parts: Mapping[str, float] = self.own.measure() if hasattr(self.own, "measure") else {}
         self.stepping = self.resetting = self.expert = self.physics = self.rendering = 0.0
         self.steps = self.unsimulated = self.episodes = self.successes = 0
 

@@ -9,7 +9,8 @@ import torch as th
 from gymnasium import spaces
 
 from bulletarm_gym.geometry import euler_pose
-from bulletarm_gym.sensors.in_hand import Map, projections
+from bulletarm_gym.observations import ElevationMap
+from bulletarm_gym.observations.in_hand import projections
 from sb3_extensions.encoders.observation import SceneView, View
 from sb3_extensions.spatial_dqn.asr_heads import (
     PATCH_STAGES,
@@ -177,7 +178,7 @@ def test_values_depend_on_the_projection_of_the_candidate_only(name: str) -> Non
                 ((chosen["row"] + 0.5) * 0.4 / SIZE, (chosen["column"] + 0.5) * 0.4 / SIZE, at["z"]),
                 (at.get("psi", 0.0), at.get("phi", 0.0), at["theta"]),
             )
-            seen = projections(Map(view.heights[sample].numpy(), (0.2, 0.2), 0.4), pose, SIDE)
+            seen = projections(ElevationMap(view.heights[sample].numpy(), (0.2, 0.2), 0.4), pose, SIDE)
             mean, deviation = STANDARDISE
             patch = th.cat([(th.as_tensor(seen) - mean) / deviation, view.in_hand[sample]])
             with th.no_grad():

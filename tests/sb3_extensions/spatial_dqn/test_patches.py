@@ -8,7 +8,8 @@ import torch as th
 from torch.nn import functional as F
 
 from bulletarm_gym.geometry import Pose
-from bulletarm_gym.sensors.in_hand import Map, crop
+from bulletarm_gym.observations import ElevationMap
+from bulletarm_gym.observations.in_hand import rotated_crop
 from sb3_extensions.encoders.patch_encoders import LAST_SIDE, LAST_SIDE_OF_PIXELS, PatchVector
 from sb3_extensions.spatial_dqn.patches import crop_patches, gather_windows, rotate_images
 
@@ -42,10 +43,12 @@ def in_hand_crops(images: th.Tensor, size: int, angles: th.Tensor) -> np.ndarray
     for channels, row, column, angle in zip(
         images.numpy(), ROWS.tolist(), COLUMNS.tolist(), angles.tolist(), strict=True
     ):
-        views = [Map(image, (0.45, 0.1), 0.4) for image in channels]
+        views = [ElevationMap(image, (0.45, 0.1), 0.4) for image in channels]
         corner, pixel = np.array([0.25, -0.1]), views[0].resolution
         x, y = corner + (np.array([row, column]) + 0.5) * pixel
-        crops.append(np.concatenate([crop(view, Pose.planar(x, y, 0.0, angle), size) for view in views]))
+        crops.append(
+            np.concatenate([rotated_crop(view, Pose.planar(x, y, 0.0, angle), size) for view in views])
+        )
     return np.stack(crops)
 
 

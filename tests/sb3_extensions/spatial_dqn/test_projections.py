@@ -9,7 +9,8 @@ import pytest
 import torch as th
 
 from bulletarm_gym.geometry import euler_pose, matrix
-from bulletarm_gym.sensors.in_hand import Map, projections
+from bulletarm_gym.observations import ElevationMap
+from bulletarm_gym.observations.in_hand import projections
 from sb3_extensions.spatial_dqn import projections as module
 from sb3_extensions.spatial_dqn.projections import orthographic_projections, rotation_matrices
 
@@ -90,7 +91,7 @@ def test_projections_equal_the_environments(heights: th.Tensor, poses: Any, size
     for index, image, row, column, z, (theta, phi, psi) in flat_poses(heights, *poses):
         if size % 2 == 0 and theta == phi == psi == 0.0:
             continue  # voxels on the borders of pixels, which the environment rounds arbitrarily
-        view = Map(image, (0.45, 0.0), SIDE * RESOLUTION)
+        view = ElevationMap(image, (0.45, 0.0), SIDE * RESOLUTION)
         x, y = np.array(view.centre) + (np.array([row, column]) + 0.5 - SIDE / 2) * RESOLUTION
         expected = projections(view, euler_pose((x, y, z), (psi, phi, theta)), size)
         wrong.append(np.abs(depths[index].numpy() - expected) > RESOLUTION / 2)

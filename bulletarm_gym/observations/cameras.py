@@ -1,7 +1,7 @@
-"""Default cameras, which look at the configured workspace, and the cameras of an environment by name."""
+"""Default cameras, which show the configured workspace, and the cameras of an environment by name."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -9,7 +9,7 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from bulletarm_gym.config import ParameterError
+from bulletarm_gym.config import EnvConfig, ParameterError
 from bulletarm_gym.geometry import FloatArray, Vector
 from bulletarm_gym.scene import Scene
 from bulletarm_gym.simulation import Camera, World
@@ -19,21 +19,36 @@ RENDER = "render"
 OVERVIEW = ((0.95, -0.95, 0.95), (-0.18, 0.0, 0.33))
 """Position and target (m) of the camera of ``render()``, relative to the centre of a default workspace."""
 SIZES = (0.3, 0.4)
-"""Sides (m) of the default workspaces. Cameras are nearer to smaller ones, farther from larger ones."""
+"""Sides (m) of the default workspaces. Camera distances scale with smaller and larger ones."""
 REACHES = (0.45, 0.65)
 """Distances (m) from the base of an arm to the workspace for which ``OVERVIEW`` shows both."""
+SIDE_DISTANCE = 0.5
+"""Horizontal distance (m) of the side cameras from the workspace's centre."""
+SIDE_HEIGHT = 1.0
+"""Height (m) of the side cameras."""
+SIDE_FOV = 35.6
+"""Field of view (degrees) of the side cameras."""
+SIDE_PIXELS = 512
+"""Pixels a side of the images of the side cameras in the point-cloud view."""
+SIDE_WORKSPACE = 0.4
+"""Side (m) of the largest workspace for which the side cameras keep their distance."""
 
 
 @dataclass(frozen=True)
 class SceneCamera:
-    """A camera of an environment.
+    """Camera of an environment.
 
-    :param camera: position, direction and size of its images
-    :param world: what it measures
+    :param look: function that returns the camera at present
+    :param world: world that it shows
     """
 
-    camera: Camera
+    look: Callable[[], Camera]
     world: World
+
+    @property
+    def camera(self) -> Camera:
+        """Position, direction and image size at present."""
+        return self.look()
 
     @property
     def intrinsics(self) -> FloatArray:
@@ -54,8 +69,8 @@ class SceneCamera:
         return self.camera.depth(self.world)
 
 
-def sight(scene: Scene, eye: Vector, target: Vector, scale: float | None = None) -> tuple[Vector, Vector]:
-    """Return the position and the target (m, world) of a camera that looks at the workspace.
+def viewpoint(scene: Scene, eye: Vector, target: Vector, scale: float | None = None) -> tuple[Vector, Vector]:
+    """Return the position and the target (m, world) of a camera that shows the workspace.
 
     :param eye: position (m) relative to the centre of a default workspace that is in front of the arm
     :param target: target (m), relative to the same point
@@ -73,15 +88,31 @@ def sight(scene: Scene, eye: Vector, target: Vector, scale: float | None = None)
     return place(eye), place(target)
 
 
-def aimed(position: Vector, target: Vector, fov: float, width: int, height: int) -> Camera:
-    """Return a camera at a position (m) that looks at a target (m) and beyond it.
+def look_at(
+    position: Vector, target: Vector, fov: float, size: Sequence[int], up: Vector | None = None
+) -> Camera:
+    """Return a camera at a position (m) whose optical axis leads through a target (m).
 
+    :param size: width and height of the image (pixels)
+    :param up: upward direction of the image in the world; by default that of :class:`Camera`
     :raises ValueError: position and target are the same point
     """
     if position == target:
         raise ValueError(f"target must be another point than position, got {list(target)}")
-    far = max(Camera.far, 2.0 * math.dist(position, target))
-    return Camera(position, target, fov, width, height, far=far)
+    (width, height), far = size, max(Camera.far, 2.0 * math.dist(position, target))
+    return Camera(position, target, fov, width, height, far=far, up=up)
+
+
+def side_cameras(config: EnvConfig, pixels: int) -> tuple[Camera, Camera]:
+    """Return the two cameras at the workspace's sides, the lower y first (paper, Close-loop Environments).
+
+    :param pixels: pixels a side of their images
+    """
+    x, y = config.centre
+    scale = max(1.0, config.workspace_size / SIDE_WORKSPACE)
+    eyes = [(x, y + side * scale, SIDE_HEIGHT * scale) for side in (-SIDE_DISTANCE, SIDE_DISTANCE)]
+    first, second = (Camera(eye, (x, y, 0.0), SIDE_FOV, pixels, pixels, 0.1, 3.0 * scale) for eye in eyes)
+    return first, second
 
 
 def render_camera(scene: Scene) -> Camera:
@@ -92,20 +123,14 @@ def render_camera(scene: Scene) -> Camera:
     config, base = scene.config, scene.robot.model.base
     distance = math.dist(config.centre, (base.x, base.y))
     scale = max(_beyond(config.workspace_size, SIZES), _beyond(distance, REACHES))
-    position, target = sight(scene, *OVERVIEW, scale)
+    position, target = viewpoint(scene, *OVERVIEW, scale)
     chosen: dict[str, Any] = {"position": position, "target": target, "fov": Camera.fov}
     chosen |= config.render_camera or {}
     try:
         position, target = tuple(chosen["position"]), tuple(chosen["target"])
-        return aimed(position, target, chosen["fov"], *config.render_size)
+        return look_at(position, target, chosen["fov"], config.render_size)
     except ValueError as error:
         raise ParameterError(f"render_camera: {error}") from None
-
-
-def scene_cameras(scene: Scene, others: Mapping[str, Camera]) -> dict[str, SceneCamera]:
-    """Return the camera of ``render()`` and other cameras by their names."""
-    cameras = {RENDER: render_camera(scene), **others}
-    return {name: SceneCamera(camera, scene.world) for name, camera in cameras.items()}
 
 
 def _beyond(value: float, limits: tuple[float, float]) -> float:
@@ -116,7 +141,7 @@ def _beyond(value: float, limits: tuple[float, float]) -> float:
 def render_frame(camera: SceneCamera, mode: str | None, env_id: str) -> Any:
     """Return an image (height, width, 3) uint8, distances (height, width) float32 in metres, or None.
 
-    Without a mode, a warning says so, as in Gymnasium's environments.
+    Without a mode a warning is logged, as in Gymnasium's environments.
     """
     if mode == "rgb_array":
         return camera.color()

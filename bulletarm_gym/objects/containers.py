@@ -1,0 +1,216 @@
+"""Containers and fixtures: bowl, trays, bin, pallet, boxes of the Covid test, corner and drawer.
+
+All but the bowl are fixed, and their frame is on the ground at their centre.
+"""
+
+import math
+
+from bulletarm_gym.geometry import Pose, Quaternion, Vector
+from bulletarm_gym.objects.bottles import ALONG_X
+from bulletarm_gym.objects.solids import Kind, block, container, cylinder, fixed, loft, vessel, wall
+from bulletarm_gym.simulation.shapes import YELLOW, BodySpec, Colour, Piece, Slide
+
+GREY: Colour = (0.78, 0.78, 0.80, 1.0)
+"""Colour of most fixtures."""
+
+BOWL_DIAMETER = 0.16
+"""Diameter (m) of the bowl at scale 1 (paper, Block in Bowl)."""
+BOWL_HEIGHT = 0.07
+"""Height (m) of the bowl at scale 1 (paper, Block in Bowl)."""
+BOWL_THICKNESS = 0.006
+"""Thickness (m) of the bowl's wall and base."""
+BOWL_PROFILE = ((0.048, 0.0), (0.072, 0.03), (BOWL_DIAMETER / 2.0, BOWL_HEIGHT))
+"""Outer radius and height (m) of foot, belly and rim; a cube of 5 cm lies flat inside the foot."""
+BOWL_SECTORS = 12
+"""Sectors of the bowl's wall, a multiple of 4, so that the bounding box is as wide as the circle."""
+
+
+def _bowl(scale: float) -> list[Piece]:
+    foot, belly, rim = (
+        ((radius - BOWL_THICKNESS) * scale, radius * scale, (height - BOWL_HEIGHT / 2.0) * scale)
+        for radius, height in BOWL_PROFILE
+    )
+    return [*vessel(foot, belly, BOWL_THICKNESS * scale, BOWL_SECTORS), *wall(belly, rim, BOWL_SECTORS)]
+
+
+bowl = Kind(_bowl, mass=0.1, colour=YELLOW)
+"""Bowl that is open to the top, its frame on its axis at the middle of its height."""
+
+# Bins, trays, boxes and the pallet
+
+TRAY: Vector = (0.24, 0.16, 0.05)
+"""Outer side lengths (m) of the tray for bottles (paper, Bottle Arrangement)."""
+TRAY_WALL = 0.01
+"""Thickness (m) of its walls."""
+TRAY_FLOOR = 0.005
+"""Thickness (m) of its floor."""
+BIN: Vector = (0.176, 0.144, 0.08)
+"""Outer side lengths (m) of the bin (paper, Bin Packing)."""
+BIN_WALL = 0.004
+"""Thickness (m) of its walls and floor."""
+NEW_TUBE_BOX: Vector = (0.17, 0.2, 0.005)
+"""Outer side lengths (m) of the box for new swabs and tubes."""
+TEST_AREA: Vector = (0.125, 0.3, 0.01)
+"""Outer side lengths (m) of the area for the test of a swab and a tube."""
+USED_TUBE_BOX: Vector = (0.12, 0.1, 0.04)
+"""Outer side lengths (m) of the box for used tubes."""
+BOX_WALL, BOX_FLOOR = 0.004, 0.002
+"""Thickness (m) of the walls and of the floor of these three."""
+PALLET: Vector = (0.232, 0.192, 0.03)
+"""Side lengths (m) of the pallet (paper, Box Palletizing)."""
+
+
+def _pallet() -> list[Piece]:
+    """Return six boards along y on three bearers along x."""
+    (x, y, z), board_width, board_height, bearer_width = PALLET, 0.028, 0.008, 0.02
+    pitch, across = (x - board_width) / 5, (y - bearer_width) / 2
+    bearer_height = z - board_height
+    boards = [(number - 2.5) * pitch for number in range(6)]
+    bearers = [(number - 1.0) * across for number in range(3)]
+    return [
+        *(block((board_width, y, board_height), (at, 0.0, z - board_height / 2.0)) for at in boards),
+        *(block((x, bearer_width, bearer_height), (0.0, at, bearer_height / 2.0)) for at in bearers),
+    ]
+
+
+bottle_tray = fixed(container(TRAY, TRAY_WALL, TRAY_FLOOR), (0.80, 0.80, 0.82, 1.0))
+"""Tray for bottles, long along x."""
+packing_bin = fixed(container(BIN, BIN_WALL, BIN_WALL), GREY)
+"""Bin, long along x."""
+new_tube_box = fixed(container(NEW_TUBE_BOX, BOX_WALL, BOX_FLOOR), (0.70, 0.62, 0.85, 1.0))
+"""Box for new swabs and tubes."""
+test_area = fixed(container(TEST_AREA, BOX_WALL, BOX_FLOOR), (0.72, 0.72, 0.74, 1.0))
+"""Area for the test of a swab and a tube."""
+used_tube_box = fixed(container(USED_TUBE_BOX, BOX_WALL, BOX_FLOOR), (0.90, 0.82, 0.25, 1.0))
+"""Box for used tubes."""
+pallet = fixed(_pallet(), (0.82, 0.66, 0.44, 1.0))
+"""Pallet, long along x."""
+
+# The corner of Corner Picking
+
+CORNER_SIDE = 0.2
+"""Side (m) of the corner's plate and walls."""
+CORNER_PLATE = 0.01
+"""Thickness (m) of the plate. A finger would push a block through a thinner one onto the ground."""
+CORNER_HEIGHT = 0.09
+"""Height (m) of the walls, over which the widest gripper, the Panda's, reaches the cube."""
+CORNER_WALL = 0.03
+"""Thickness (m) of the walls, too thick to be grasped together with the cube."""
+CORNER_INSIDE = -0.09
+"""Position (m) along x and y of the walls' inner faces in the corner's frame."""
+
+
+def _corner() -> list[Piece]:
+    middle, height = CORNER_INSIDE - CORNER_WALL / 2.0, CORNER_HEIGHT / 2.0
+    return [
+        block((CORNER_SIDE, CORNER_SIDE, CORNER_PLATE), (0.0, 0.0, CORNER_PLATE / 2.0)),
+        block((CORNER_WALL, CORNER_SIDE, CORNER_HEIGHT), (middle, 0.0, height)),
+        block((CORNER_SIDE, CORNER_WALL, CORNER_HEIGHT), (0.0, middle, height)),
+    ]
+
+
+corner = fixed(_corner(), GREY, friction=0.2)
+"""Two walls on a plate, open towards +x and +y; a finger pressed on a block can drag it over the plate."""
+
+# The drawer of Drawer Opening
+
+CABINET: Vector = (0.213, 0.228, 0.108)
+"""Side lengths (m) of the cabinet."""
+DRAWER: Vector = (0.2, 0.21, 0.09)
+"""Side lengths (m) of the drawer."""
+CABINET_WALL = 0.006
+"""Thickness (m) of all walls of cabinet and drawer."""
+FRONT = -CABINET[0] / 2.0
+"""Position (m) along x of the front of the closed drawer in the cabinet's frame."""
+HANDLE_DISTANCE = 0.05
+"""Distance (m) of the handle's bar from the drawer's front."""
+HANDLE_RADIUS = 0.0075
+"""Radius (m) of the bar."""
+STRUT_SPACING = 0.07
+"""Distance (m) between the two struts of the bar."""
+HANDLE: Vector = (FRONT - HANDLE_DISTANCE, 0.0, 0.054)
+"""Centre (m) of the bar of the closed drawer in the cabinet's frame."""
+ALONG_Y: Quaternion = (-math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5))
+"""Rotation of the z axis to the y axis."""
+
+
+def drawer(name: str) -> BodySpec:
+    """Return a cabinet whose drawer opens towards -x, its frame on the ground at the cabinet's centre."""
+    slide = Slide(
+        "drawer",
+        (*_drawer(), *_handle()),
+        mass=0.35,
+        axis=(-1.0, 0.0, 0.0),
+        limits=(0.0, 0.18),
+        resistance=1.0,
+        colour=(0.45, 0.46, 0.50, 1.0),
+    )
+    return BodySpec(name, _cabinet(), 0.0, colour=GREY, slides=(slide,))
+
+
+def _cabinet() -> tuple[Piece, ...]:
+    (x, y, z), thick = CABINET, CABINET_WALL
+    sides = [block((x, thick, z), (0.0, sign * (y - thick) / 2.0, z / 2.0)) for sign in (1.0, -1.0)]
+    plates = [block((x, y, thick), (0.0, 0.0, height)) for height in (thick / 2.0, z - thick / 2.0)]
+    return (*sides, *plates, block((thick, y, z), ((x - thick) / 2.0, 0.0, z / 2.0)))
+
+
+def _drawer() -> tuple[Piece, ...]:
+    (x, y, z), thick = DRAWER, CABINET_WALL
+    middle, low = FRONT + x / 2.0, (CABINET[2] - z) / 2.0
+    height = low + z / 2.0
+    ends = [
+        block((thick, y, z), (end, 0.0, height)) for end in (FRONT + thick / 2.0, FRONT + x - thick / 2.0)
+    ]
+    sides = [block((x, thick, z), (middle, sign * (y - thick) / 2.0, height)) for sign in (1.0, -1.0)]
+    return (*ends, *sides, block((x, y, thick), (middle, 0.0, low + thick / 2.0)))
+
+
+def _handle() -> tuple[Piece, ...]:
+    middle, height = FRONT - HANDLE_DISTANCE / 2.0, HANDLE[2]
+    ends = [(middle, sign * STRUT_SPACING / 2.0, height) for sign in (1.0, -1.0)]
+    struts = [cylinder(0.005, HANDLE_DISTANCE, pose=Pose(end, ALONG_X)) for end in ends]
+    return (cylinder(HANDLE_RADIUS, 0.1, pose=Pose(HANDLE, ALONG_Y)), *struts)
+
+
+# The tray of Object Grasping: a flat floor within four walls that lead dropped objects back to it
+
+FLOOR_HEIGHT = 0.002
+"""Height (m) of the upper side of the floor."""
+RIM = 0.03
+"""Difference (m) between the nominal side of the tray and that of its floor."""
+WALL_HEIGHT = 0.1
+"""Height (m) of the walls, which have a slope of 45 degrees."""
+FILLET_SLOPE = 0.364
+"""Slope (20 degrees) of the strip between floor and walls."""
+
+
+def tray_floor(size: float) -> BodySpec:
+    """Return the floor of a tray of nominal side ``size`` (m): 0.25 in close loop, 0.33 in open loop."""
+    piece = block((size - RIM, size - RIM, FLOOR_HEIGHT), (0.0, 0.0, FLOOR_HEIGHT / 2.0))
+    return BodySpec("tray floor", (piece,), 0.0, friction=0.5, colour=GREY)
+
+
+def tray_walls(size: float) -> BodySpec:
+    """Return the walls of a tray of nominal side ``size`` (m), without friction, so that objects slide."""
+    inner, thickness = (size - RIM) / 2.0, 0.008
+    # The walls would meet the ground at foot. The strip rises from the floor until it meets the wall.
+    foot = inner + 0.015
+    meet = (foot - FILLET_SLOPE * inner + FLOOR_HEIGHT) / (1.0 - FILLET_SLOPE)
+    top = foot + WALL_HEIGHT
+    strip = ((inner, 0.0), (meet, 0.0), (meet, meet - foot), (inner, FLOOR_HEIGHT))
+    panel = ((foot, 0.0), (foot + thickness, 0.0), (top + thickness, WALL_HEIGHT), (top, WALL_HEIGHT))
+    pieces = [_side(section, quarter) for section in (strip, panel) for quarter in range(4)]
+    return BodySpec("tray walls", tuple(pieces), 0.0, friction=0.0, colour=GREY)
+
+
+def _side(section: tuple[tuple[float, float], ...], quarter: int) -> Piece:
+    """Return one of four mitred sides; ``section`` has the distance from the centre and the height (m)."""
+    ends = [[(r, sign * r, z) for r, z in section] for sign in (1.0, -1.0)]
+    return Piece(loft([[_rotated(point, quarter) for point in end] for end in ends]))
+
+
+def _rotated(point: Vector, quarters: int) -> Vector:
+    """Rotate a point by quarter turns about z, without rounding."""
+    x, y, z = point
+    return ((x, y, z), (-y, x, z), (-x, -y, z), (y, -x, z))[quarters]

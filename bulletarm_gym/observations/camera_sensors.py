@@ -1,0 +1,150 @@
+"""Sensors with perspective cameras: color images, depth images and point clouds."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from bulletarm_gym.geometry import FloatArray, Vector, rotate
+from bulletarm_gym.observations.cameras import look_at, side_cameras, viewpoint
+from bulletarm_gym.observations.sensor import Sensor
+from bulletarm_gym.observations.view import View
+from bulletarm_gym.scene import Scene
+from bulletarm_gym.simulation import Camera
+from bulletarm_gym.values import FIELD_OF_VIEW, check_argument, choice, integer, optional, point, render_size
+
+EYE, TARGET = (0.55, -0.45, 0.6), (0.0, 0.0, 0.05)
+"""Default position and target (m) of a fixed camera, relative to the centre of a default workspace."""
+WRIST_EYE, WRIST_TARGET = (0.0, -0.1, 0.1), (0.0, 0.0, -0.03)
+"""Default position and target (m) of a wrist camera, in the frame of the fingertips."""
+IMAGE_SIZE = 84
+"""Default pixels a side; learners treat images with the size of the heightmap as views of its square."""
+MAX_POINTS = 65536
+"""Largest number of points of a point cloud."""
+CLOUD_PIXELS = 128
+"""Pixels a side of the depth images behind a point cloud."""
+WORLD, WRIST = "world", "wrist"
+
+
+class CameraSensor(Sensor):
+    """Camera that is fixed or moves with the wrist; the arm is visible.
+
+    :param position: position (m); by default a fixed camera shows the workspace from the front, and a wrist
+        camera the fingertips from the side
+    :param target: point (m) at the centre of the image; if a fixed camera looks straight down, rows grow with
+        world x and columns with y
+    :param size: pixels a side, or [width, height]
+    :param fov: vertical field of view (degrees)
+    :param mount: ``"world"`` for a fixed camera, or ``"wrist"``, with position and target in the frame of
+        the fingertips
+    :raises ValueError: a parameter is out of range
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        position: Sequence[float] | None = None,
+        target: Sequence[float] | None = None,
+        size: int | Sequence[int] = IMAGE_SIZE,
+        fov: float = Camera.fov,
+        mount: str = WORLD,
+    ) -> None:
+        super().__init__(scene)
+        self._on_wrist = check_argument("mount", mount, choice(WORLD, WRIST)) == WRIST
+        defaults = (WRIST_EYE, WRIST_TARGET) if self._on_wrist else viewpoint(scene, EYE, TARGET)
+        self._eye: Vector = tuple(check_argument("position", position, optional(point)) or defaults[0])
+        self._target: Vector = tuple(check_argument("target", target, optional(point)) or defaults[1])
+        self._lens = (check_argument("fov", fov, FIELD_OF_VIEW), check_argument("size", size, render_size))
+        self._fixed = look_at(self._eye, self._target, *self._lens)
+
+    @property
+    def camera(self) -> Camera:
+        """The camera at present."""
+        if not self._on_wrist:
+            return self._fixed
+        tcp_pose = self.scene.robot.pose
+        is_vertical = self._eye[:2] == self._target[:2]
+        up = rotate(tcp_pose.orientation, (-1.0, 0.0, 0.0) if is_vertical else (0.0, 0.0, 1.0))
+        eye, target = tcp_pose.transform(self._eye), tcp_pose.transform(self._target)
+        return look_at(eye, target, *self._lens, up=up)
+
+    @property
+    def cameras(self) -> Mapping[str, Camera]:
+        """The camera."""
+        return {"": self.camera}
+
+
+class Rgb(CameraSensor):
+    """Color image of a camera."""
+
+    @property
+    def space(self) -> spaces.Box:
+        """Red, green and blue, (3, height, width)."""
+        return spaces.Box(0, 255, (3, self._fixed.height, self._fixed.width), np.uint8)
+
+    def read(self, view: View) -> NDArray[np.uint8]:
+        """Return the image."""
+        return np.ascontiguousarray(self.camera.color(self.scene.world).transpose(2, 0, 1))
+
+
+class Depth(CameraSensor):
+    """Depth image of a camera."""
+
+    @property
+    def space(self) -> spaces.Box:
+        """Metres along the optical axis, (1, height, width)."""
+        shape = (1, self._fixed.height, self._fixed.width)
+        return spaces.Box(0.0, self._fixed.far, shape, np.float32)
+
+    def read(self, view: View) -> NDArray[np.float32]:
+        """Return the distances (m)."""
+        return self.camera.depth(self.scene.world)[None].clip(0.0, self._fixed.far)
+
+
+class PointCloud(Sensor):
+    """Points that two depth cameras at the workspace's sides measure (paper, Close-loop Environments).
+
+    Points on the arm and the ground plane, outside the square of the heightmap and, in open loop, on the
+    grasped object are removed. The rest is sampled at even steps, camera by camera and row by row, with
+    repetitions if there are fewer points than requested. Without a point the reading is zeros.
+
+    :param points: number of points
+    :raises ValueError: ``points`` is out of range
+    """
+
+    def __init__(self, scene: Scene, points: int = 1024) -> None:
+        super().__init__(scene)
+        self._count = check_argument("points", points, integer(1, MAX_POINTS))
+        self._cameras = side_cameras(scene.config, CLOUD_PIXELS)
+
+    @property
+    def cameras(self) -> Mapping[str, Camera]:
+        """The two cameras, the lower y first."""
+        return {f"_{number}": camera for number, camera in enumerate(self._cameras)}
+
+    @property
+    def space(self) -> spaces.Box:
+        """Metres, (points, 3)."""
+        return spaces.Box(-np.inf, np.inf, (self._count, 3), np.float32)
+
+    def read(self, view: View) -> NDArray[np.float32]:
+        """Return points along the world's axes, relative to the origin of the view's frame.
+
+        The origin is at the fingertips or, in open loop, at the centre of the workspace's floor.
+        """
+        points = self._measured(view)
+        if not len(points):
+            return np.zeros((self._count, 3), np.float32)
+        return points[np.linspace(0, len(points) - 1, self._count).round().astype(np.int64)].astype(
+            np.float32
+        )
+
+    def _measured(self, view: View) -> FloatArray:
+        world, robot, frame = self.scene.world, self.scene.robot, view.frame
+        grasped = [robot.held] if frame.hides_grasped and robot.held is not None else []
+        hidden = [robot.body, world.ground, *grasped]
+        points = np.concatenate([camera.points(world, hidden) for camera in self._cameras])
+        points = points - frame.origin.position
+        inside: FloatArray = points[(np.abs(points[:, :2]) <= frame.extent / 2.0).all(axis=1)]
+        return inside

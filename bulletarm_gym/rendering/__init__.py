@@ -1,1 +1,0 @@
-"""How a scene is drawn as seen from straight above."""
