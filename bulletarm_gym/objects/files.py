@@ -75,7 +75,9 @@ def load_folder(folder: str) -> tuple[BodySpec, ...]:
         raise ValueError("; ".join(faults))
     lost = [f"{len(faults)} of {len(paths)} files are left out: {'; '.join(faults)}"] if faults else []
     lost += _unused_models(root, files, used)
-    if any(b"map_Kd" in path.read_bytes() for path in files if path.suffix.lower() == ".mtl"):
+    if any(
+        b"map_Kd" in path.read_bytes() for path in files if path.suffix.lower() == ".mtl" and path.is_file()
+    ):
         unused.add("map_Kd")
     if unused:
         lost.append(f"object_set: elements that have no effect: {', '.join(sorted(unused))}")
