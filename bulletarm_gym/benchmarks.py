@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from bulletarm_gym.registration import NAMESPACE
+from bulletarm_gym.registry import NAMESPACE
 
 OPEN_LOOP_EPISODES = 200
 """Episodes of expert data before training (paper, Open-Loop 3D and, on bumps, 6D Benchmark)."""

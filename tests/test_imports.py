@@ -13,30 +13,21 @@ ROOT = Path(__file__).resolve().parent.parent
 
 # A room (module or subpackage of bulletarm_gym) may import rooms of its own layer and of those before it.
 LAYERS = (
-    {
-        "geometry",
-        "inheritance",
-        "config",
-        "extensions",
-        "machine",
-        "rehearsal",
-        "stopwatch",
-        "time_limit",
-        "values",
-    },
+    {"config_checks"},
+    {"registry"},
+    {"geometry", "config"},
     {"simulation"},
     {"robots", "objects", "surfaces", "rendering"},
-    {"scene", "state"},
+    {"scene"},
     {"cameras", "sensors"},
     {"control"},
     {"experts"},
     {"tasks"},
-    {"assembly", "copies", "feasibility", "viewer", "wrapped_expert"},
+    {"wrappers"},
     {"env"},
-    {"demonstrations", "registration"},
-    {"benchmarks", "real_arm", "vector", "wrappers", "__init__"},
-    {"selfcheck"},
-    {"check_robot"},
+    {"demonstrations"},
+    {"benchmarks", "real_arm", "vector", "__init__"},
+    {"check"},
 )
 LEVEL = {room: level for level, layer in enumerate(LAYERS) for room in layer}
 

@@ -12,12 +12,12 @@ import numpy as np
 from tqdm import tqdm
 
 from bulletarm_gym.config import OPEN_LOOP
+from bulletarm_gym.config_checks import check_argument, integer, mapping, optional
 from bulletarm_gym.demonstrations import plain
 from bulletarm_gym.demonstrations.episodes import Demonstrations, Episode, Recorder, assemble
 from bulletarm_gym.env import Action, ManipulationEnv, Observation
 from bulletarm_gym.experts.deconstruction import take_apart
 from bulletarm_gym.geometry import PlacementError
-from bulletarm_gym.values import check_argument, integer, mapping, optional
 
 WAYPOINT = "waypoint"
 DECONSTRUCTION = "deconstruction"

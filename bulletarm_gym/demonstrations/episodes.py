@@ -27,8 +27,8 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from bulletarm_gym.demonstrations import plain
-from bulletarm_gym.registration import register
-from bulletarm_gym.state import EnvState
+from bulletarm_gym.registry import register
+from bulletarm_gym.scene.state import EnvState
 
 FORMAT = 1
 """Of the file; raised when older readers could no longer read it."""

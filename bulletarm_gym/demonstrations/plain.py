@@ -3,7 +3,7 @@
 An array of JSON is a tuple, and each other thing an object with one key: ``{"list": [...]}``,
 ``{"dict": [[key, value], ...]}``, ``{"bytes": "base64"}``, or for a dataclass or named tuple the name of its
 type and its values, ``{"Pose": [[x, y, z], [x, y, z, w]]}``. The names are those of
-:data:`~bulletarm_gym.state.STATE_TYPES`.
+:data:`~bulletarm_gym.scene.state.STATE_TYPES`.
 """
 
 import base64
@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from bulletarm_gym.state import STATE_TYPES, field_names
+from bulletarm_gym.scene.state import STATE_TYPES, field_names
 
 
 def dumps(value: Any) -> str:

@@ -3,10 +3,10 @@
 from collections.abc import Callable, Mapping
 from functools import partial
 
-from bulletarm_gym.extensions import OBJECT_PATHS, load
 from bulletarm_gym.objects import blocks, bottles, covid, packing, palletizing
 from bulletarm_gym.objects.bowl import bowl
 from bulletarm_gym.objects.polyominoes import DRAWINGS, improvise_block
+from bulletarm_gym.registry import OBJECTS
 from bulletarm_gym.simulation.shapes import BodySpec
 
 Make = Callable[[str, float], BodySpec]
@@ -50,12 +50,8 @@ def create(kind: str, name: str, scale: float = 1.0) -> BodySpec:
     :param scale: times its nominal size
     :raises ValueError: there is no such kind, or it makes something else
     """
-    path = OBJECT_PATHS.get(kind, kind)
-    if kind not in KINDS and ":" not in path:
-        known = ", ".join(repr(other) for other in (*KINDS, *OBJECT_PATHS))
-        raise ValueError(f"kind: got {kind!r}, takes one of {known}, or 'module:function' of your own")
-    make = KINDS[kind] if kind in KINDS else load(path)
-    made = make(name, scale)
+    path = OBJECTS.path(kind)
+    made = OBJECTS.find(kind, "kind")(name, scale)
     if not isinstance(made, BodySpec):
         raise ValueError(f"object {kind!r}: {path} returned a {type(made).__name__}, not a BodySpec")
     if not made.pieces:

@@ -6,7 +6,7 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from bulletarm_gym.values import Check, Refused, check_argument
+from bulletarm_gym.config_checks import Check, Refused, check_argument
 
 
 def check_fields(model: Any, prefix: str, checks: dict[str, Check]) -> None:

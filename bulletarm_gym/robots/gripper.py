@@ -9,6 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from xml.etree.ElementTree import Element, SubElement
 
+from bulletarm_gym.config_checks import Check
 from bulletarm_gym.geometry import Pose, Vector, euler_pose
 from bulletarm_gym.robots import checks
 from bulletarm_gym.robots.urdf import (
@@ -23,7 +24,6 @@ from bulletarm_gym.robots.urdf import (
     end_of,
     find_link,
 )
-from bulletarm_gym.values import Check
 
 FINGER_MASS = 0.05
 

@@ -4,11 +4,11 @@ from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
 
+from bulletarm_gym.config_checks import check_argument
 from bulletarm_gym.geometry import Pose, conjugate, rotate
 from bulletarm_gym.robots.checks import finite, names
 from bulletarm_gym.robots.kinematics import find_joint
 from bulletarm_gym.robots.urdf import add_joint, end_of, find_link, pose_at
-from bulletarm_gym.values import check_argument
 
 EFFORT, SPEED = "50", "1"
 """Limits of a finger in the model (N, m/s); what moves it is what the gripper says."""

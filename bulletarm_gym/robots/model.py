@@ -9,13 +9,13 @@ from xml.etree import ElementTree
 
 import numpy as np
 
+from bulletarm_gym.config_checks import Check
 from bulletarm_gym.geometry import FloatArray, Pose
 from bulletarm_gym.robots import checks
 from bulletarm_gym.robots.gripper import Gripper
 from bulletarm_gym.robots.kinematics import Chain, find_joint
 from bulletarm_gym.robots.structure import check_chain, check_masses, check_opening, find_root, prepare
 from bulletarm_gym.robots.urdf import DARK, add_parts, cylinder, merge_fixed
-from bulletarm_gym.values import Check
 
 PLINTH_RADIUS = 0.09
 """Of the stand (m) under an arm whose base is above the ground; it stays clear of the workspaces."""

@@ -18,13 +18,13 @@ from bulletarm_gym.rendering.rasterizer import Labels
 from bulletarm_gym.rendering.z_buffer import ZBuffer
 from bulletarm_gym.robots import Robot, RobotModel
 from bulletarm_gym.scene.stability import is_stable
+from bulletarm_gym.scene.stopwatch import PHYSICS, RENDERING, Stopwatch
 from bulletarm_gym.simulation import Body, BodySpec, Camera, World
 from bulletarm_gym.simulation.physics import PHYSICS_MODES, REST_SPEED
 from bulletarm_gym.simulation.properties import Properties
 from bulletarm_gym.simulation.settling import CREEP_SPEED, settle
 from bulletarm_gym.simulation.shapes import Colour
 from bulletarm_gym.simulation.state import STILL, Twist
-from bulletarm_gym.stopwatch import PHYSICS, RENDERING, Stopwatch
 from bulletarm_gym.surfaces import Surface
 
 T = TypeVar("T")

@@ -7,12 +7,12 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from bulletarm_gym.cameras import aimed, sight
+from bulletarm_gym.config_checks import check_argument, field_of_view, integer, optional, point
 from bulletarm_gym.geometry import FloatArray
 from bulletarm_gym.scene import Scene
 from bulletarm_gym.sensors.sensor import Sensor
 from bulletarm_gym.sensors.view import View
 from bulletarm_gym.simulation import Camera
-from bulletarm_gym.values import FIELD_OF_VIEW, check_argument, integer, optional, point
 
 EYE, TARGET = (0.55, -0.45, 0.6), (0.0, 0.0, 0.05)
 """Default position, in front and to one side, and target (m), from the centre of a default workspace."""
@@ -50,7 +50,7 @@ class Rgb(Sensor):
         eye = tuple(check_argument("position", position, optional(point)) or eye)
         middle = tuple(check_argument("target", target, optional(point)) or middle)
         size = check_argument("size", size, integer(16, LARGEST_PICTURE))
-        self._camera = aimed(eye, middle, check_argument("fov", fov, FIELD_OF_VIEW), size, size)
+        self._camera = aimed(eye, middle, check_argument("fov", fov, field_of_view), size, size)
 
     @property
     def cameras(self) -> Mapping[str, Camera]:

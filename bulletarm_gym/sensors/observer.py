@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from bulletarm_gym.cameras import RENDER
 from bulletarm_gym.config import ORTHOGRAPHIC, EnvConfig, ParameterError
-from bulletarm_gym.extensions import load
 from bulletarm_gym.geometry import Pose
+from bulletarm_gym.registry import SENSORS as REGISTRY
 from bulletarm_gym.scene import Scene
 from bulletarm_gym.sensors.cameras import PointCloud, Rgb
 from bulletarm_gym.sensors.images import Color, Heightmap, Segmentation
@@ -31,7 +31,7 @@ SENSORS: dict[str, type[Sensor]] = {
     "rgb": Rgb,
     "point_cloud": PointCloud,
 }
-"""The sensors there are, by name; see :data:`~bulletarm_gym.config.SENSORS`."""
+"""Built-in sensors, by name."""
 
 
 class Observer:
@@ -103,9 +103,9 @@ def _made(config: EnvConfig, name: str, source: str, parameters: Mapping[str, An
 
     :raises ParameterError: it cannot be had so
     """
-    kind = SENSORS.get(source) or _loaded(name, source)
-    if not (isinstance(kind, type) and issubclass(kind, Sensor)) or inspect.isabstract(kind):
-        raise ParameterError.of("observation", config.observation, f"sensors; {source!r} is none")
+    kind = REGISTRY.find(source, "observation")
+    if inspect.isabstract(kind):
+        raise ParameterError.of("observation", config.observation, f"a list without the abstract {source!r}")
     if config.control not in kind.controls:
         belongs = " or ".join(control.replace("_", "-") for control in kind.controls)
         takes = f"what can be seen here: {name!r} belongs to {belongs} environments"
@@ -135,13 +135,6 @@ def _checked(name: str, found: Any, space: spaces.Space[Any]) -> NDArray[Any]:
             f"got {got}"
         )
     return found  # type: ignore[no-any-return]
-
-
-def _loaded(name: str, path: str) -> Any:
-    try:
-        return load(path)
-    except ValueError as error:
-        raise ParameterError(f"observation: {name}: {error}") from error
 
 
 def _check_parameters(

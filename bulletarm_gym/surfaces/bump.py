@@ -184,7 +184,7 @@ class BumpSurface(Surface):
     def sample_position(self, rng: np.random.Generator, margin: float) -> Point:
         """Draw a point at least ``margin`` (m) from the border, clear of the platform.
 
-        :raises ValueError: the workspace is narrower than twice the margin
+        :raises PlacementError: the workspace is narrower than twice the margin
         :raises PlacementError: the platform leaves no such point
         """
         for _ in range(ATTEMPTS):

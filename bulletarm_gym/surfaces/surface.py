@@ -122,11 +122,11 @@ class Surface(ABC):
     def sample_position(self, rng: np.random.Generator, margin: float) -> Point:
         """Draw a point of the workspace at least ``margin`` (m) from its border.
 
-        :raises ValueError: the workspace is narrower than twice the margin
+        :raises PlacementError: the workspace is narrower than twice the margin
         """
         (x0, x1), (y0, y1) = self.workspace[:2]
         if x1 - x0 < 2.0 * margin:
-            raise ValueError(f"workspace: {self.workspace[:2]} leaves nothing {margin:.3f} m from its border")
+            raise PlacementError(f"workspace: {self.workspace[:2]} has no point {margin:.3f} m from its border")
         return float(rng.uniform(x0 + margin, x1 - margin)), float(rng.uniform(y0 + margin, y1 - margin))
 
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from bulletarm_gym.geometry import Footprint, Pose
+from bulletarm_gym.geometry import Footprint, PlacementError, Pose
 from bulletarm_gym.objects.tray import FLOOR_HEIGHT, RIM, tray_floor, tray_walls
 from bulletarm_gym.simulation import World
 from bulletarm_gym.surfaces.flat import FlatSurface
@@ -32,11 +32,11 @@ class TraySurface(FlatSurface):
     def sample_position(self, rng: np.random.Generator, margin: float) -> Point:
         """Draw a point from which an item with this margin (m) to the workspace's border stays on the floor.
 
-        :raises ValueError: the floor is too small for the item
+        :raises PlacementError: the floor is too small for the item
         """
         reach = self.floor_side / 2.0 - COVERED_SHARE * margin
         if reach < 0.0:
-            raise ValueError(
+            raise PlacementError(
                 f"workspace: its tray of {self.floor_side:.3f} m has no room for a margin of {margin:.3f} m"
             )
         dx, dy = rng.uniform(-reach, reach, 2).tolist()

@@ -113,7 +113,6 @@ class ObjectGrasping(Task):
         lifts=True,
     )
     controls = (CLOSE_LOOP,)
-    rehearsals = 1  # each drops all objects, up to as many times as a reset does
 
     @property
     def height(self) -> float:

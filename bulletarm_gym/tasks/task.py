@@ -14,7 +14,7 @@ from bulletarm_gym.geometry import Vector
 from bulletarm_gym.objects.blocks import CUBE_SIZE
 from bulletarm_gym.rendering.overlays import Overlay
 from bulletarm_gym.scene import ObjectSlot, Scene, SceneObject
-from bulletarm_gym.state import declare_state_types
+from bulletarm_gym.scene.state import declare_state_types
 from bulletarm_gym.surfaces.surface import SITE, Point
 
 
@@ -32,8 +32,6 @@ class Task(ABC):
     """Names of the controls the task can be solved with."""
     one_decision: ClassVar[bool] = False
     """Whether every action ends the episode."""
-    rehearsals: ClassVar[int] = 8
-    """Starts arranged at most to see whether there is room, where objects or workspace are not its own."""
     memory_types: ClassVar[tuple[type, ...]] = ()
     """Dataclasses and named tuples in :attr:`memory`, for files of states; plain values need none."""
     site: Point = SITE

@@ -9,7 +9,7 @@ import pytest
 
 import bulletarm_gym  # noqa: F401
 from bulletarm_gym.simulation import window
-from bulletarm_gym.viewer import Viewer
+from bulletarm_gym.sensors.viewer import Viewer
 
 ENV_ID = "BulletArm/CloseLoopBlockPicking-v0"
 
