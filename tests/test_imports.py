@@ -50,8 +50,7 @@ DOORS: dict[str, tuple[str, ...]] = {
     "zoo_configs": (
         "bulletarm_gym.benchmarks",
         "bulletarm_gym.demonstrations",
-        "bulletarm_gym.machine",
-        "bulletarm_gym.selfcheck",
+        "bulletarm_gym.check",
     ),
 }
 ENGINE = {"pybullet", "pybullet_utils"}

@@ -339,7 +339,7 @@ def test_a_reward_that_is_no_number_is_named_at_once(value: Any) -> None:
     env.close()
     with pytest.raises(ValueError, match=r"^reward must be .*'module:function', got 'no:where': .*No module"):
         gymnasium.make(PICKING, reward="no:where")
-    with pytest.raises(ValueError, match="reward must be a function.*, got 'math:pi'"):
+    with pytest.raises(ValueError, match=r"reward must be a function.*, got 'math:pi'"):
         make_env(PICKING, reward="math:pi")
 
 

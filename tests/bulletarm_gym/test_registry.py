@@ -104,7 +104,7 @@ def test_what_cannot_be_registered() -> None:
 
     with pytest.raises(ValueError, match="local to a function"):
         bulletarm_gym.register_surface("mine", Local)
-    with pytest.raises(ValueError, match="^name must be unused, got 'ramp'"):
+    with pytest.raises(ValueError, match=r"^name must be unused, got 'ramp'"):
         bulletarm_gym.register_surface("ramp", FlatSurface)
     for kind in KINDS:
         with pytest.raises(ValueError, match=f"^name must be unused, got '{kind}'"):
@@ -112,10 +112,10 @@ def test_what_cannot_be_registered() -> None:
     for robot in ROBOTS:
         with pytest.raises(ValueError, match=f"^name must be unused, got '{robot}'"):
             bulletarm_gym.register_robot(robot, "bulletarm_gym.robots:KUKA")
-    with pytest.raises(ValueError, match="^name must be an identifier"):
+    with pytest.raises(ValueError, match=r"^name must be an identifier"):
         bulletarm_gym.register_surface("two levels", FlatSurface)
     bulletarm_gym.register_surface("mine", FlatSurface)
-    with pytest.raises(ValueError, match="^name must be unused"):
+    with pytest.raises(ValueError, match=r"^name must be unused"):
         bulletarm_gym.register_surface("mine", "bulletarm_gym.surfaces:RampSurface")
     for wrong in ({"surface": "moon"}, {"control": "remote"}):
         with pytest.raises(ValueError, match=f"^{next(iter(wrong))} must be one of .*, got "):
@@ -260,7 +260,7 @@ def test_what_is_no_control_is_refused() -> None:
         make_env("BulletArm/OpenLoopObjectGrasping-v0", control=path)
     with pytest.raises(ValueError, match=r"^action_sequence must be 'pzyx' or 'pzyxr'.*, got 'pxy'"):
         make_env(PICKING, control=path, action_sequence="pxy")
-    with pytest.raises(ValueError, match="^name must be unused, got 'open_loop'"):
+    with pytest.raises(ValueError, match=r"^name must be unused, got 'open_loop'"):
         bulletarm_gym.register_control("open_loop", path)
 
 
@@ -327,5 +327,5 @@ sys.stdout.buffer.write(pickle.dumps(env.unwrapped))
 def test_components_of_a_notebook_work_in_their_process() -> None:
     """Components of ``__main__`` are usable there; another process raises an error with the reason."""
     child = subprocess.run([sys.executable, "-c", NOTEBOOK], capture_output=True, check=True)
-    with pytest.raises(ValueError, match="'__main__:Mine' cannot be imported.*Define it in a module"):
+    with pytest.raises(ValueError, match=r"'__main__:Mine' cannot be imported.*Define it in a module"):
         pickle.loads(child.stdout)

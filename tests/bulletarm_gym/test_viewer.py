@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import bulletarm_gym  # noqa: F401
-from bulletarm_gym.simulation import window
 from bulletarm_gym.sensors.viewer import Viewer
+from bulletarm_gym.simulation import window
 
 ENV_ID = "BulletArm/CloseLoopBlockPicking-v0"
 
