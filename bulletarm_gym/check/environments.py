@@ -20,7 +20,7 @@ __all__ = ["Yardstick", "check_environments", "measure_yardstick"]
 CLOSE_LOOP = "BulletArm/CloseLoopBlockPicking-v0"
 OPEN_LOOP = "BulletArm/OpenLoopBlockStacking-v0"
 MAX_RATIO = {CLOSE_LOOP: 40.0, OPEN_LOOP: 200.0}
-"""Maximum duration of a step with the expert's action, in simulation steps of PyBullet: twice docs/speed.md."""
+"""Maximum duration of a step with the expert's action, in simulation steps of PyBullet."""
 EPISODES = 3
 """Maximum number of episodes in which the expert of a robot must succeed once."""
 THREADS = "OMP_NUM_THREADS"

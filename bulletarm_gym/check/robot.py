@@ -138,8 +138,8 @@ def limits(model: RobotModel, surveys: Sequence[Survey], home: Pose) -> Finding:
     nearest = int(margins.argmin())
     limited = sum((found.limited for found in surveys), start=type(surveys[0].limited)())
     value = (
-        f"{limited.total()} of {sum(found.count for found in surveys)} poses are beyond one; "
-        f"{model.joints[nearest]} is {margins[nearest]:.2f} rad from its limit at home (at least {MIN_MARGIN:g})"
+        f"{limited.total()} of {sum(found.count for found in surveys)} poses are beyond one; at home "
+        f"{model.joints[nearest]} is {margins[nearest]:.2f} rad from its limit (at least {MIN_MARGIN:g})"
     )
     advice = ""
     if margins[nearest] < MIN_MARGIN:

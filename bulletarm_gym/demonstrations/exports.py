@@ -1,4 +1,4 @@
-"""Demonstrations as datasets of LeRobot."""
+"""Demonstrations as datasets of Minari and LeRobot."""
 
 import os
 import shutil
@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from bulletarm_gym.demonstrations.episodes import Demonstrations, Episode, whole_file
+from bulletarm_gym.demonstrations.collecting import is_silent
+from bulletarm_gym.demonstrations.episodes import Demonstrations, Episode, atomic_path
 from bulletarm_gym.demonstrations.replaying import replay
 from bulletarm_gym.env import ManipulationEnv
 from bulletarm_gym.sensors import Holding, Rgb, Sensor, State, View
@@ -20,24 +21,47 @@ from bulletarm_gym.sensors.numbers import HAND_SIZE
 
 if TYPE_CHECKING:
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
+    from minari import MinariDataset
 
 CAMERAS: Mapping[str, Mapping[str, Any]] = {"front": {"size": 240}}
-"""What pictures are taken with unless told."""
+"""Default cameras, by name: parameters of the sensor ``rgb``."""
 GRIPPER = ("opening", "x", "y", "z", "cos_yaw", "sin_yaw", "holding")
 POSE = ("present", "x", "y", "z", "qx", "qy", "qz", "qw")
 IMAGE_AXES = ("height", "width", "channels")
 """Axes of images. LeRobot computes one statistic for each index of the last axis, so channels come last."""
 COLOURS = 3
-TILTING = ("theta", "phi", "psi")
-"""What three r's of an action are: turns about z, y and x."""
+"""Number of channels of color images."""
+ANGLES = ("theta", "phi", "psi")
+"""Names of three r's in an action sequence."""
+
+
+def export_minari(demonstrations: Demonstrations, dataset_id: str, **metadata: Any) -> "MinariDataset":
+    """Store demonstrations as a dataset of Minari.
+
+    :param dataset_id: id such as ``"bulletarm/block-picking/expert-v0"``
+    :param metadata: arguments of ``minari.create_dataset_from_buffers()``, such as ``author``
+    :raises ImportError: Minari is not installed
+    """
+    try:
+        import minari
+        from minari.data_collector import EpisodeBuffer
+    except ImportError as error:
+        raise ImportError("Minari is missing: pip install 'bulletarm-gym[minari]'") from error
+    names = ("observations", "actions", "rewards", "terminations", "truncations", "seed")
+    buffers = [
+        EpisodeBuffer(id=number, **{name: getattr(episode, name) for name in names})
+        for number, episode in enumerate(demonstrations)
+    ]
+    with closing(demonstrations.make_env()) as env:
+        return minari.create_dataset_from_buffers(
+            dataset_id, buffers, env=env, **{"algorithm_name": demonstrations.about["planner"], **metadata}
+        )
 
 
 class Moment(NamedTuple):
-    """A frame to be.
+    """State of a replayed episode from which a frame is made.
 
-    :param view: what is to be seen
-    :param episode: what was recorded
-    :param step: the action that comes next
+    :param step: number of the next action
     """
 
     view: View
@@ -46,12 +70,12 @@ class Moment(NamedTuple):
 
 
 class Feature(NamedTuple):
-    """A column of the dataset.
+    """Column of a LeRobot dataset.
 
-    :param dtype: as LeRobot names it
-    :param shape: of a frame's value
-    :param names: of its axes, or of its numbers
-    :param read: returns the value
+    :param dtype: LeRobot's name of the type
+    :param shape: shape of a frame's value
+    :param names: names of the axes or of the numbers
+    :param read: function that returns the value
     """
 
     dtype: str
@@ -71,35 +95,37 @@ def export_lerobot(
     fps: int | None = None,
     progress: bool | None = None,
 ) -> "LeRobotDataset":
-    """Store demonstrations as a dataset of LeRobot, in its format v3.0, pictures as PNG.
+    """Store demonstrations as a dataset of LeRobot, in its format v3.0, with PNG images.
 
-    Episodes are repeated from their first states; pictures are taken and poses read as they go. There is a
-    frame an action, with what was seen before it:
+    The episodes are replayed for images and poses. Each action has a frame with the observation before it:
 
-    - ``observation.images.<camera>``: red, green and blue, (size, size, 3) uint8
+    - ``observation.images.<camera>``: RGB image, (size, size, 3) uint8
     - ``observation.state``: the gripper's opening ratio, position (m), cosine and sine of its yaw, and
-      whether it holds something, (7,)
-    - ``observation.environment_state``, with ``object_poses=True``: for each item 1 if it is present,
-      position (m), quaternion, and the positions (m or rad) of its sliding and hinged parts
+    whether it
+      holds an object, (7,)
+    - ``observation.environment_state``, with ``object_poses=True``: for each object 1 if it is present,
+    position
+      (m), quaternion, and the positions (m or rad) of its sliding and hinged parts
     - ``observation.<name>``: the recorded observation, such as ``heightmap`` in metres, (obs_size, obs_size,
-      1), channels last; color images are ``observation.images.<name>``
+    1),
+      channels last; color images are ``observation.images.<name>``
     - ``action``: (n,), named by the characters of ``action_sequence``
-    - ``next.reward``, ``next.done``, ``next.success``: the outcome of the action, (1,)
+    - ``next.reward``, ``next.done``, ``next.success``: result of the action, (1,)
 
     LeRobot loads ``observation.images.*`` as (3, size, size) and features of shape (1,) as scalars.
 
-    :param repo_id: such as ``"someone/block-picking"``
-    :param root: its folder, by default among LeRobot's own datasets; written whole or not at all
+    :param repo_id: name such as ``"someone/block-picking"``
+    :param root: folder, by default that of LeRobot's datasets; written atomically
     :param cameras: parameters of the sensor ``rgb``, by the names of cameras
-    :param object_poses: export the poses of the objects. LeRobot's policies use them as an observation
-    :param task: what is done, in words; by default ``task_description``
-    :param fps: frames a second; by default ``render_fps``, for environments step and keep no time
-    :param progress: show a progress bar; by default on a terminal
-    :return: the dataset, as LeRobot loads it
-    :raises FileExistsError: ``root`` is there already
+    :param object_poses: export the poses of the objects, which LeRobot's policies use as an observation
+    :param task: description of the task, by default ``task_description``
+    :param fps: frames per second, by default ``render_fps``
+    :param progress: show a progress bar, by default on a terminal
+    :return: the dataset
+    :raises FileExistsError: ``root`` exists
     :raises ImportError: LeRobot is not installed
-    :raises ReplayError: an episode does not go as it was recorded
-    :raises ValueError: a camera cannot be had so, or two features would have one name
+    :raises ReplayError: a replayed episode differs from the recorded one
+    :raises ValueError: the parameters of a camera are invalid, or two features have the same name
     """
     try:
         from lerobot.datasets.lerobot_dataset import LeRobotDataset
@@ -107,7 +133,7 @@ def export_lerobot(
     except ImportError as error:
         raise ImportError(f"LeRobot is missing ({error}): pip install 'bulletarm-gym[lerobot]'") from error
     target = Path(HF_LEROBOT_HOME) / repo_id if root is None else Path(root)
-    with closing(inner(demonstrations)) as env, whole_folder(target) as temporary, _without_bars():
+    with closing(unwrapped_env(demonstrations)) as env, atomic_folder(target) as temporary, _without_bars():
         features = make_features(env, demonstrations[0], cameras, object_poses)
         dataset = LeRobotDataset.create(
             repo_id,
@@ -118,9 +144,9 @@ def export_lerobot(
             use_videos=False,
         )
         words = env.task_description if task is None else task
-        silent = None if progress is None else not progress
+        numbers = tqdm(range(len(demonstrations)), "lerobot", unit="episode", disable=is_silent(progress))
         try:
-            for number in tqdm(range(len(demonstrations)), "lerobot", unit="episode", disable=silent):
+            for number in numbers:
                 for frame in frames(demonstrations, number, env, features):
                     dataset.add_frame({**frame, "task": words})
                 dataset.save_episode()
@@ -129,8 +155,8 @@ def export_lerobot(
     return LeRobotDataset(repo_id, root=target)
 
 
-def inner(demonstrations: Demonstrations) -> ManipulationEnv:
-    """Make the environment itself, whose state can be set without a reset."""
+def unwrapped_env(demonstrations: Demonstrations) -> ManipulationEnv:
+    """Make the environment without wrappers, so that its state can be set before a reset."""
     env: ManipulationEnv = demonstrations.make_env().unwrapped  # type: ignore[assignment]
     return env
 
@@ -138,7 +164,7 @@ def inner(demonstrations: Demonstrations) -> ManipulationEnv:
 def frames(
     demonstrations: Demonstrations, number: int, env: ManipulationEnv, features: Mapping[str, Feature]
 ) -> Iterator[dict[str, NDArray[Any]]]:
-    """Repeat an episode, and yield a frame before each action."""
+    """Replay an episode, and yield a frame before each action."""
     episode = demonstrations[number]
     for step in replay(demonstrations, number, env):
         if step < len(episode):
@@ -154,22 +180,19 @@ def make_features(
 ) -> dict[str, Feature]:
     """Return the columns of the dataset, by name.
 
-    :param episode: any, as an example
-    :raises ValueError: a camera cannot be had so, or two columns would have one name
+    :param episode: any episode, as an example
+    :raises ValueError: the parameters of a camera are invalid, or two columns have the same name
     """
+    states = [name for name, source, _ in env.config.sensors if source == "state"]
     found = [
         *(_camera(env, name, parameters) for name, parameters in cameras.items()),
         *_poses(env, object_poses),
-        *(
-            _recorded(name, values)
-            for name, values in episode.observations.items()
-            if not _is_state(env, name)
-        ),
+        *(_recorded(name, values) for name, values in episode.observations.items() if name not in states),
         *_outcomes(env, episode),
     ]
     names = [name for name, _ in found]
     if taken := {name for name in names if names.count(name) > 1}:
-        raise ValueError(f"cameras: two features would be called {', '.join(sorted(taken))}")
+        raise ValueError(f"cameras must have other names, got two features {', '.join(sorted(taken))}")
     return dict(found)
 
 
@@ -191,7 +214,7 @@ def _poses(env: ManipulationEnv, object_poses: bool) -> list[tuple[str, Feature]
     def read_gripper(moment: Moment) -> NDArray[Any]:
         return np.concatenate([state.read(moment.view)[:HAND_SIZE], holding.read(moment.view)])
 
-    def read_items(moment: Moment) -> NDArray[Any]:
+    def read_objects(moment: Moment) -> NDArray[Any]:
         return state.read(moment.view)[HAND_SIZE:]
 
     gripper = Feature("float32", (len(GRIPPER),), GRIPPER, read_gripper)
@@ -200,71 +223,58 @@ def _poses(env: ManipulationEnv, object_poses: bool) -> list[tuple[str, Feature]
         for item in env.scene.objects
         for part in (*POSE, *(f"joint_{number}" for number in range(len(item.spec.parts))))
     ]
-    items = Feature("float32", (len(parts),), tuple(parts), read_items)
-    found = [("observation.state", gripper), ("observation.environment_state", items)]
+    objects = Feature("float32", (len(parts),), tuple(parts), read_objects)
+    found = [("observation.state", gripper), ("observation.environment_state", objects)]
     return found if parts and object_poses else found[:1]
-
-
-def _is_state(env: ManipulationEnv, name: str) -> bool:
-    """Return True if an observation is that of the sensor ``state``, which contains the poses of objects."""
-    return any((name, "state") == (known, source) for known, source, _ in env.config.sensors)
 
 
 def _recorded(name: str, values: NDArray[Any]) -> tuple[str, Feature]:
     shape = values.shape[1:]
     is_image = len(shape) == len(IMAGE_AXES)
-    is_picture = is_image and values.dtype == np.uint8 and shape[0] == COLOURS
+    is_color = is_image and values.dtype == np.uint8 and shape[0] == COLOURS
     shape = (*shape[1:], shape[0]) if is_image else shape
 
     def read(moment: Moment) -> NDArray[Any]:
         value = moment.episode.observations[name][moment.step]
         return np.moveaxis(value, 0, -1) if is_image else value
 
-    dtype = "image" if is_picture else str(values.dtype)
+    dtype = "image" if is_color else str(values.dtype)
     feature = Feature(dtype, shape, IMAGE_AXES if is_image else None, read)
-    return f"observation.images.{name}" if is_picture else f"observation.{name}", feature
+    return f"observation.images.{name}" if is_color else f"observation.{name}", feature
 
 
 def _outcomes(env: ManipulationEnv, episode: Episode) -> list[tuple[str, Feature]]:
-    """Return the action, and what comes of it: only episodes that succeed are kept."""
-    actions = Feature(
-        "float32",
-        episode.actions.shape[1:],
-        _names(env.action_sequence),
-        lambda moment: moment.episode.actions[moment.step],
-    )
+    """Return the action and its results; all episodes are successful."""
+    angles = iter(ANGLES if env.action_sequence.count("r") == len(ANGLES) else "r")
+    names = tuple(next(angles) if character == "r" else character for character in env.action_sequence)
+    shape = episode.actions.shape[1:]
+    actions = Feature("float32", shape, names, lambda moment: moment.episode.actions[moment.step])
     reward = Feature("float32", (1,), None, lambda moment: moment.episode.rewards[moment.step, None])
     end = Feature("bool", (1,), None, lambda moment: np.array([moment.step + 1 == len(moment.episode)]))
     return [("action", actions), ("next.reward", reward), ("next.done", end), ("next.success", end)]
 
 
-def _names(sequence: str) -> tuple[str, ...]:
-    """Return a name for each number of an action, no two alike."""
-    turns = iter(TILTING if sequence.count("r") == len(TILTING) else "r")
-    return tuple(next(turns) if character == "r" else character for character in sequence)
-
-
 def _described(feature: Feature) -> dict[str, Any]:
-    """Return a feature as LeRobot wants it."""
+    """Return LeRobot's description of a feature."""
     names = None if feature.names is None else list(feature.names)
     return {"dtype": feature.dtype, "shape": feature.shape, "names": names}
 
 
 @contextmanager
-def whole_folder(path: Path) -> Iterator[Path]:
-    """Give a path for a new folder, which takes the place of ``path`` if the block succeeds, and else goes.
+def atomic_folder(path: Path) -> Iterator[Path]:
+    """Yield a temporary path for a new folder, which becomes ``path`` if the block succeeds.
 
-    :raises FileExistsError: ``path`` is there already
+    :raises FileExistsError: ``path`` exists
     """
     if path.exists():
-        raise FileExistsError(f"root: {path} is there already")
-    with whole_file(path, discard=partial(shutil.rmtree, ignore_errors=True)) as temporary:
+        raise FileExistsError(f"root must be a new folder, got {path}, which exists")
+    with atomic_path(path, discard=partial(shutil.rmtree, ignore_errors=True)) as temporary:
         yield temporary
 
 
 @contextmanager
 def _without_bars() -> Iterator[None]:
-    """Keep ``datasets`` from a progress bar an episode."""
+    """Disable the progress bars of ``datasets``."""
     from datasets.utils import are_progress_bars_disabled, disable_progress_bars, enable_progress_bars
 
     were_disabled = are_progress_bars_disabled()
