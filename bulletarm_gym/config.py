@@ -154,18 +154,9 @@ def _sequence(context: Context) -> str:
 
 def _tray_check(context: Context) -> Check:
     tray = context.task.tray
-    return checks.boolean if len(tray.choices) > 1 else checks.fixed(tray.choices[0], tray.reason)
-
-
-def _observation_check(context: Context) -> Check:
-    own = PRESETS[context.control]
-    accepted = f"{' or '.join(map(repr, own))} or a list of sensors"
-    reasons = {
-        preset: f"{accepted}: {preset!r} belongs to {other.replace('_', '-')} environments"
-        for other, presets in PRESETS.items()
-        for preset in presets
-    }
-    return checks.observation(tuple(own), tuple(SENSORS.builtin), reasons)
+    if len(tray.choices) > 1:
+        return checks.boolean
+    return checks.choice(*tray.choices, must=f"{tray.choices[0]} with this task: {tray.reason}")
 
 
 def _observation(context: Context) -> Any:
@@ -173,8 +164,8 @@ def _observation(context: Context) -> Any:
     return [*PRESETS[context.control]["image"], *sensors] if sensors else "image"
 
 
-NO_OBJECT_SET = checks.fixed(None, "its objects cannot be replaced")
-NO_LIFT = checks.fixed(LIFT_HEIGHT, "its goal is not to lift an object")
+NO_OBJECT_SET = checks.choice(None, must="None with this task: its objects cannot be replaced")
+NO_LIFT = checks.choice(LIFT_HEIGHT, must=f"{LIFT_HEIGHT} with this task: its goal is not to lift objects")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -253,7 +244,11 @@ class EnvConfig:
         SCENE,
     )
     view: str = parameter(checks.choice(ORTHOGRAPHIC, "point_cloud"), ORTHOGRAPHIC, OBSERVATION, CLOSE_LOOP)
-    observation: str | list[Any] = parameter(Depends(_observation_check), Depends(_observation), OBSERVATION)
+    observation: str | list[Any] = parameter(
+        Depends(lambda c: checks.observation(tuple(PRESETS[c.control]), tuple(SENSORS.builtin))),
+        Depends(_observation),
+        OBSERVATION,
+    )
     physics_mode: str = parameter(checks.choice("fast", "slow"), "fast", MOTION)
     reward: str | None = parameter(checks.optional(checks.function_path), None, EPISODE)
     render_mode: str | None = parameter(

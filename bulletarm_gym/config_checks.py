@@ -1,6 +1,5 @@
 """Checks of parameters: each returns a valid value as a plain Python value, or raises :class:`Refused`."""
 
-import difflib
 import json
 import math
 import os
@@ -61,139 +60,124 @@ def describe(check: Check) -> str:
     raise AssertionError(f"{check} accepts every value")
 
 
+def _plain(value: Any) -> Any:
+    return value.item() if isinstance(value, np.generic) else value
+
+
+def _is_number(value: Any) -> bool:
+    return type(_plain(value)) in (int, float)
+
+
+def _float(value: Any) -> float:
+    if not _is_number(value):
+        raise TypeError
+    return float(value)
+
+
+def _floats(*shape: int) -> Callable[[Any], Any]:
+    """Return a conversion of array-likes of finite numbers to lists."""
+
+    def convert(value: Any) -> Any:
+        array = np.array(value, np.float64)
+        if array.shape != shape or not np.isfinite(array).all():
+            raise ValueError
+        return array.tolist()
+
+    return convert
+
+
+def rule(must: str, accepts: Callable[[Any], bool], convert: Callable[[Any], Any] = _plain) -> Check:
+    """Return a check.
+
+    :param must: description of the accepted values
+    :param accepts: function that returns True for valid converted values
+    :param convert: conversion to plain Python values; raises ``TypeError`` or ``ValueError`` for invalid ones
+    """
+
+    def check(value: Any) -> Any:
+        try:
+            converted = convert(value)
+            is_valid = accepts(converted)
+        except (TypeError, ValueError):
+            is_valid = False
+        if not is_valid:
+            raise Refused(must)
+        return converted
+
+    return check
+
+
 def optional(inner: Check) -> Check:
     """Accept None and the values of another check."""
     return lambda value: None if value is None else inner(value)
 
 
-def fixed(default: Any, reason: str) -> Check:
-    """Accept one value only.
-
-    :param reason: why the task has no other value
-    """
-
-    def check(value: Any) -> Any:
-        if type(value) is not type(default) or value != default:
-            raise Refused(f"{default!r} with this task: {reason}")
-        return value
-
-    return check
-
-
-def mapping(value: Any) -> Mapping[str, Any]:
-    """Accept a dict."""
-    if not isinstance(value, Mapping):
-        raise Refused("a dict")
-    return value
-
-
-def choice(*choices: Any) -> Check:
+def choice(*choices: Any, must: str = "") -> Check:
     """Accept some values, of exactly their types."""
-
-    def check(value: Any) -> Any:
-        plain = value.item() if isinstance(value, np.generic) else value
-        if not any(type(plain) is type(known) and plain == known for known in choices):
-            raise Refused("one of " + ", ".join(map(repr, choices)))
-        return plain
-
-    return check
-
-
-def boolean(value: Any) -> bool:
-    """Accept True and False."""
-    if not isinstance(value, bool | np.bool_):
-        raise Refused("True or False")
-    return bool(value)
+    text = must or "one of " + ", ".join(map(repr, choices))
+    return rule(text, lambda value: any(type(value) is type(one) and value == one for one in choices))
 
 
 def integer(low: int, high: int | None = None) -> Check:
     """Accept integers between limits, both included."""
-
-    def check(value: Any) -> int:
-        is_integer = isinstance(value, int | np.integer) and not isinstance(value, bool)
-        if not is_integer or value < low or (high is not None and value > high):
-            raise Refused(f"an integer of at least {low}" + (f" and at most {high}" if high else ""))
-        return int(value)
-
-    return check
+    text = f"an integer of at least {low}" + ("" if high is None else f" and at most {high}")
+    most = math.inf if high is None else high
+    return rule(text, lambda value: type(value) is int and low <= value <= most)
 
 
 def number(low: float, high: float, must: str) -> Check:
-    """Accept numbers between limits, both included.
-
-    :param must: description of the numbers
-    """
-
-    def check(value: Any) -> float:
-        if not _is_number(value) or not low <= float(value) <= high:
-            raise Refused(must)
-        return float(value)
-
-    return check
+    """Accept finite numbers between limits, both included."""
+    return rule(must, lambda value: low <= value <= high and math.isfinite(value), _float)
 
 
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float | np.number) and not isinstance(value, bool)
+def action_sequence(known: Sequence[str]) -> Check:
+    """Accept words, their characters in any order."""
+    words = " or ".join(filter(None, (", ".join(map(repr, known[:-1])), repr(known[-1]))))
+    text = f"{words}, the characters in any order"
+    return rule(text, lambda value: isinstance(value, str) and sorted(value) in map(sorted, known))
 
 
-positive = number(math.nextafter(0.0, 1.0), math.nextafter(math.inf, 0.0), "a positive number of metres")
-"""Accept positive, finite lengths (m)."""
+def robot(names: Sequence[str]) -> Check:
+    """Accept the name or the import path of a robot."""
+    text = f"one of {', '.join(map(repr, names))}, a RobotModel or 'module:attribute'"
+    return rule(text, lambda value: isinstance(value, str) and (value in names or ":" in value))
+
+
+boolean = rule("True or False", lambda value: isinstance(value, bool))
+mapping = rule("a dict", lambda value: isinstance(value, Mapping))
+positive = number(math.nextafter(0.0, 1.0), math.inf, "a positive number of metres")
 field_of_view = number(1.0, 170.0, "a number of degrees from 1 to 170")
-"""Accept vertical fields of view (degrees) of a camera."""
+point = rule("[x, y, z] in metres", bool, _floats(3))
 
 
-def numbers(value: Any, shape: tuple[int, ...], must: str) -> Any:
-    """Return an array-like of finite numbers as lists.
-
-    :param must: description of the array
-    """
-    try:
-        array = np.array(value, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise Refused(must) from None
-    if array.shape != shape or not np.isfinite(array).all():
-        raise Refused(must)
-    return array.tolist()
-
-
-def point(value: Any) -> list[float]:
-    """Accept the coordinates of a point."""
-    found: list[float] = numbers(value, (3,), "[x, y, z] in metres")
-    return found
-
-
-def workspace(value: Any) -> list[list[float]]:
-    """Accept limits along x, y and z."""
-    must = (
-        "[[x low, x high], [y low, y high], [z low, z high]] in metres, square in x and y with sides "
-        f"of at least {MIN_WORKSPACE:g}, z low not below 0"
-    )
-    limits: list[list[float]] = numbers(value, (3, 2), must)
+def _is_workspace(limits: list[list[float]]) -> bool:
     x, y, z = (high - low for low, high in limits)
     is_square = math.isclose(x, y, abs_tol=ROUNDING)
-    if not (x >= MIN_WORKSPACE - ROUNDING and is_square and z > 0.0 and limits[2][0] >= 0.0):
-        raise Refused(must)
-    return limits
+    return x >= MIN_WORKSPACE - ROUNDING and is_square and z > 0.0 and limits[2][0] >= 0.0
 
 
-def scale_range(value: Any) -> list[float]:
-    """Accept a scale or a range of scales."""
-    must = f"a positive number or [low, high], at most {MAX_SCALE}"
-    limits: list[float] = numbers([value, value] if _is_number(value) else value, (2,), must)
-    if not 0.0 < limits[0] <= limits[1] <= MAX_SCALE:
-        raise Refused(must)
-    return limits
-
-
-def render_size(value: Any) -> list[int]:
-    """Accept the size of rendered images; an integer is the side length of a square."""
-    low, high = RENDER_SIZES
-    pair = [value, value] if isinstance(value, int | np.integer) else value
-    try:
-        width, height = map(integer(low, high), pair)
-    except (Refused, TypeError, ValueError):
-        raise Refused(f"a number of pixels or [width, height], each from {low} to {high}") from None
-    return [width, height]
+workspace = rule(
+    "[[x low, x high], [y low, y high], [z low, z high]] in metres, square in x and y with sides "
+    f"of at least {MIN_WORKSPACE:g}, z low not below 0",
+    _is_workspace,
+    _floats(3, 2),
+)
+scale_range = rule(
+    f"a positive number or [low, high], at most {MAX_SCALE}",
+    lambda limits: 0.0 < limits[0] <= limits[1] <= MAX_SCALE,
+    lambda value: _floats(2)([value, value] if _is_number(value) else value),
+)
+render_size = rule(
+    "a number of pixels or [width, height], each from {} to {}".format(*RENDER_SIZES),
+    lambda sides: len(sides) == 2 and all(isinstance(integer(*RENDER_SIZES)(side), int) for side in sides),
+    lambda value: [_plain(side) for side in ([value, value] if _is_number(value) else value)],
+)
+function_path = rule(
+    'None or "module:function"',
+    lambda value: isinstance(value, str)
+    and value.count(":") == 1
+    and all(part.isidentifier() for part in value.replace(":", ".").split(".")),
+)
 
 
 def camera(value: Any) -> dict[str, Any]:
@@ -219,53 +203,20 @@ def object_set(value: Any) -> str | list[str]:
     return os.path.abspath(os.fspath(value))
 
 
-def function_path(value: Any) -> str:
-    """Accept an import path."""
-    module, _, name = value.partition(":") if isinstance(value, str) else ("", "", "")
-    if not all(part.isidentifier() for part in (*module.split("."), name)):
-        raise Refused('None or "module:function"')
-    return str(value)
-
-
-def action_sequence(known: Sequence[str]) -> Check:
-    """Accept words, their characters in any order."""
-
-    def check(value: Any) -> str:
-        if not isinstance(value, str) or sorted(value) not in [sorted(word) for word in known]:
-            words = " or ".join(filter(None, (", ".join(map(repr, known[:-1])), repr(known[-1]))))
-            raise Refused(f"{words}, the characters in any order")
-        return value
-
-    return check
-
-
-def robot(names: Sequence[str]) -> Check:
-    """Accept the name or the import path of a robot."""
-
-    def check(value: Any) -> str:
-        if value in names or (isinstance(value, str) and ":" in value):
-            return str(value)
-        raise Refused(f"one of {', '.join(map(repr, names))}, a RobotModel or 'module:attribute'")
-
-    return check
-
-
-def observation(presets: Sequence[str], known: Sequence[str], reasons: Mapping[str, str]) -> Check:
+def observation(presets: Sequence[str], builtin: Sequence[str]) -> Check:
     """Accept the name of a preset, or a list of sensors: names, or dicts with a name and parameters.
 
     :param presets: names of lists of sensors
-    :param known: names of sensors
-    :param reasons: constraints for other presets that the control does not have
+    :param builtin: names of built-in sensors, which other sensors cannot have
     """
+    text = f"{' or '.join(map(repr, presets))}, or a list of some of {', '.join(builtin)}"
 
     def check(value: Any) -> str | list[Any]:
         if isinstance(value, str) and value in presets:
             return value
-        if isinstance(value, str) and value in reasons:
-            raise Refused(reasons[value])
         if not isinstance(value, list | tuple) or not value:
-            raise Refused(f"{' or '.join(map(repr, presets))}, or a list of some of {', '.join(known)}")
-        entries = [_sensor(entry, known) for entry in value]
+            raise Refused(text)
+        entries = [_sensor(entry, builtin) for entry in value]
         names = [entry if isinstance(entry, str) else entry["name"] for entry in entries]
         if twice := sorted({name for name in names if names.count(name) > 1}):
             raise Refused(f"a list with distinct names, without {', '.join(twice)} more than once")
@@ -274,23 +225,17 @@ def observation(presets: Sequence[str], known: Sequence[str], reasons: Mapping[s
     return check
 
 
-def _sensor(entry: Any, known: Sequence[str]) -> str | dict[str, Any]:
+def _sensor(entry: Any, builtin: Sequence[str]) -> str | dict[str, Any]:
     """Accept the name of a sensor, or a dict with its name, parameters and, for a user's, import path."""
-    described = entry if isinstance(entry, Mapping) else {"name": entry}
-    name = described.get("name")
-    source = described.get("sensor", name)
-    if not (isinstance(name, str) and isinstance(source, str)):
-        raise Refused(f'a list of names and dicts {{"name": ..., parameter: value}}, without {entry!r}')
-    if source not in known and (":" not in source or source == name):
-        near = difflib.get_close_matches(source, known, n=1)
-        hint = f"did you mean {near[0]!r}?" if near else f"choose from {', '.join(known)}"
-        raise Refused(f"a list of known sensors, without {source!r} ({hint})")
-    if name in known and source != name:
-        raise Refused(f"a list in which other sensors have new names, not {name!r}")
-    if not name.isidentifier():
-        raise Refused(f"a list in which names are identifiers, not {name!r}")
     if isinstance(entry, str):
         return entry
+    name = entry.get("name") if isinstance(entry, Mapping) else None
+    if not (isinstance(name, str) and name.isidentifier()):
+        raise Refused(
+            f'a list of names and dicts {{"name": identifier, parameter: value}}, without {entry!r}'
+        )
+    if name in builtin and entry.get("sensor", name) != name:
+        raise Refused(f"a list in which other sensors have new names, not {name!r}")
     try:
         plain: dict[str, Any] = json.loads(json.dumps(dict(entry), default=_to_list))
     except (TypeError, ValueError):

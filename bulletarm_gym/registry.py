@@ -303,11 +303,13 @@ def _prefix(control: str, surface: str) -> str:
     return "".join(word[:1].upper() + word[1:] for word in words)
 
 
-def _entries(paths: str, control: str, surface: str = "flat", **defaults: Any) -> tuple[Entry, ...]:
+def _entries(
+    paths: str, control: str, surface: str = "flat", defaults: Mapping[str, Any] | None = None
+) -> tuple[Entry, ...]:
     """Return the entries of tasks, each by its module in :data:`TASK_PACKAGE` and its class."""
     prefix, names = _prefix(control, surface), (path.partition(":")[2] for path in paths.split())
     return tuple(
-        Entry(prefix + name, TASK_PACKAGE + path, control, surface, defaults)
+        Entry(prefix + name, TASK_PACKAGE + path, control, surface, defaults or {})
         for path, name in zip(paths.split(), names, strict=True)
     )
 
@@ -326,7 +328,7 @@ PAPER = (
     *_entries(f"stacking:BlockStacking {HOUSES}", "open_loop", "ramp"),
     *_entries("house:HouseBuilding4 palletizing:BoxPalletizing", "open_loop", "bump"),
     *_entries(f"{BLOCKS} bowl:BlockInBowl", "close_loop"),
-    *_entries("stacking:BlockStacking", "close_loop", **PAIR),
+    *_entries("stacking:BlockStacking", "close_loop", defaults=PAIR),
     Entry("CloseLoopHouseBuilding", TASK_PACKAGE + "house:HouseBuilding1", "close_loop", defaults=PAIR),
     *_entries("corner:CornerPicking drawer:DrawerOpening clutter:ObjectGrasping", "close_loop"),
 )

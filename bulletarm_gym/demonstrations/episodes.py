@@ -294,7 +294,10 @@ def _write_observations(group: h5py.Group, key: str, values: NDArray[Any]) -> No
 def _read(group: h5py.Group) -> Episode:
     return Episode(
         {key: _read_observations(dataset) for key, dataset in group["observations"].items()},
-        *(group[name][()] for name in STEPS),
+        group["actions"][()],
+        group["rewards"][()],
+        group["terminations"][()],
+        group["truncations"][()],
         int(group["seed"][()]) if "seed" in group else None,
         group["initial_state"][()].tobytes().decode(),
     )

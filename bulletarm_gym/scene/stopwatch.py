@@ -17,7 +17,7 @@ class Stopwatch:
         self.seconds = {PHYSICS: 0.0, RENDERING: 0.0}
         """Time (s) of each part so far."""
 
-    def timed(self, part: str, function: Callable[..., Any]) -> Callable[..., Any]:
+    def timed(self, part: str, function: Callable[..., Any]) -> Any:
         """Return a function that calls another one and adds the time to a part."""
 
         def run(*args: Any, **options: Any) -> Any:

@@ -117,7 +117,7 @@ def _made(config: EnvConfig, name: str, source: str, parameters: Mapping[str, An
         raise ParameterError.of("observation", config.observation, takes)
     _check_parameters(config, name, kind, parameters)
     try:
-        made = kind(scene, **parameters)
+        made: Sensor = kind(scene, **parameters)
     except ValueError as error:
         raise ParameterError(f"observation: {name}: {error}") from error
     if not isinstance(made.space, spaces.Box):

@@ -68,7 +68,7 @@ OPEN_LOOP_WRONG: dict[str, list[Any]] = {
 def test_wrong_open_loop_values_are_named(name: str, value: Any) -> None:
     with pytest.raises(ParameterError, match=rf"^{name} must .*, got ") as error:
         open_loop(**{name: value})
-    assert ("close-loop" in str(error.value)) == (name in ("close_loop_tray", "view", "observation"))
+    assert ("close-loop" in str(error.value)) == (name in ("close_loop_tray", "view"))
 
 
 @pytest.mark.parametrize(

@@ -88,9 +88,9 @@ def test_actions_see_the_scene_as_it_is(make: Make) -> None:
 
 
 WRONG: dict[str, Any] = {
-    "heigthmap": "did you mean 'heightmap'?",
-    "odometry": "choose from heightmap, ",
-    "my_sensors:Force": "without 'my_sensors:Force'",
+    "heigthmap": "'heightmap'",
+    "odometry": "'heightmap', ",
+    "my_sensors:Force": "'my_sensors:Force'",
 }
 
 
@@ -109,7 +109,7 @@ def test_unknown_names(make: Make, name: str) -> None:
         (PICKING, ["holding", "holding"], "without holding more than once"),
         (PICKING, [3], "names and dicts"),
         (PICKING, [{"sensor": "holding"}], "names and dicts"),
-        (PICKING, ["holding", {"name": "a b", "sensor": "state"}], "identifiers"),
+        (PICKING, ["holding", {"name": "a b", "sensor": "state"}], "identifier"),
         (PICKING, [{"name": "holding", "size": 3}], "no parameters, not size"),
         (PICKING, [{"name": "holding", "size": {3}}], "JSON values"),
         (PICKING, [{"name": "mine", "sensor": "json:dumps"}], "subclass of Sensor"),
@@ -140,7 +140,7 @@ def test_unknown_names(make: Make, name: str) -> None:
         (PICKING, ["rgb", {"name": "render", "sensor": "rgb"}], "two cameras would be called 'render'"),
         (PICKING, ["in_hand"], "'in_hand' belongs to open-loop environments"),
         (STACKING, ["heightmap", "state"], "'state' belongs to close-loop environments"),
-        (STACKING, "state", "'state' belongs to close-loop environments"),
+        (STACKING, "state", "'image', or a list of some of"),
     ],
     ids=str,
 )
