@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Mapping
 from copy import deepcopy
 from dataclasses import asdict, dataclass, field, fields
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 from bulletarm_gym import config_checks as checks
 from bulletarm_gym.config_checks import Check, ParameterError, check_argument, describe
@@ -45,16 +45,9 @@ PRESETS: dict[str, dict[str, tuple[str, ...]]] = {
 }
 """Names of lists of sensors for ``observation``, by control."""
 
-SCENE = "scene"
-"""Effect of parameters that determine the bodies and where they can be: part of an environment's state."""
-MOTION = "motion"
-"""Effect of parameters that change how the robot moves."""
-OBSERVATION = "observation"
-"""Effect of parameters that change observations only."""
-EPISODE = "episode"
-"""Effect of parameters that change how episodes start, are rewarded and end."""
-RENDERING = "rendering"
-"""Effect of parameters that change rendered images only."""
+Effect = Literal["scene", "motion", "observation", "episode", "rendering"]
+"""What a parameter changes: bodies and their limits, which states share; motions of the robot; observations only;
+starts, rewards and ends of episodes; or rendered images only."""
 
 
 class UnknownParameterError(ParameterError, TypeError):
@@ -133,7 +126,7 @@ class Depends(NamedTuple):
     on: Callable[[Context], Any]
 
 
-def parameter(check: Any, default: Any, effect: str, control: str = "") -> Any:
+def parameter(check: Any, default: Any, effect: Effect, control: str = "") -> Any:
     """Return the dataclass field of a parameter.
 
     :param check: check of its values, or :class:`Depends`
@@ -208,56 +201,56 @@ class EnvConfig:
     """
 
     control: str
-    robot: str = parameter(Depends(lambda c: checks.robot((*ROBOTS.names, *c.robots))), "kuka", SCENE)
+    robot: str = parameter(Depends(lambda c: checks.robot((*ROBOTS.names, *c.robots))), "kuka", "scene")
     action_sequence: str = parameter(
         Depends(lambda c: checks.action_sequence(c.sequences or SEQUENCES[c.control])),
         Depends(_sequence),
-        MOTION,
+        "motion",
     )
     workspace: list[list[float]] = parameter(
-        checks.workspace, Depends(lambda c: WORKSPACES[c.control]), SCENE
+        checks.workspace, Depends(lambda c: WORKSPACES[c.control]), "scene"
     )
     object_scale_range: list[float] = parameter(
-        checks.scale_range, Depends(lambda c: [c.task.object_scale] * 2), SCENE
+        checks.scale_range, Depends(lambda c: [c.task.object_scale] * 2), "scene"
     )
-    max_steps: int = parameter(checks.integer(1), Depends(lambda c: c.task.max_steps), EPISODE)
+    max_steps: int = parameter(checks.integer(1), Depends(lambda c: c.task.max_steps), "episode")
     num_objects: int = parameter(
         Depends(lambda c: checks.choice(*c.task.allowed_objects)),
         Depends(lambda c: c.task.num_objects),
-        SCENE,
+        "scene",
     )
-    home_height: float = parameter(checks.positive, None, MOTION)
-    obs_size: int = parameter(checks.integer(16, 1024), 128, OBSERVATION)
-    fast_mode: bool = parameter(checks.boolean, True, MOTION)
-    random_orientation: bool = parameter(checks.boolean, True, EPISODE)
-    half_rotation: bool = parameter(checks.boolean, True, MOTION, OPEN_LOOP)
+    home_height: float = parameter(checks.positive, None, "motion")
+    obs_size: int = parameter(checks.integer(16, 1024), 128, "observation")
+    fast_mode: bool = parameter(checks.boolean, True, "motion")
+    random_orientation: bool = parameter(checks.boolean, True, "episode")
+    half_rotation: bool = parameter(checks.boolean, True, "motion", OPEN_LOOP)
     in_hand_size: int = parameter(
-        checks.integer(8, 256), Depends(lambda c: 40 if c.surface == "bump" else 24), OBSERVATION, OPEN_LOOP
+        checks.integer(8, 256), Depends(lambda c: 40 if c.surface == "bump" else 24), "observation", OPEN_LOOP
     )
-    workspace_check: str = parameter(checks.choice("point", "bounding_box"), "point", EPISODE)
+    workspace_check: str = parameter(checks.choice("point", "bounding_box"), "point", "episode")
     close_loop_tray: bool = parameter(
-        Depends(_tray_check), Depends(lambda c: c.task.tray.choices[0]), SCENE, CLOSE_LOOP
+        Depends(_tray_check), Depends(lambda c: c.task.tray.choices[0]), "scene", CLOSE_LOOP
     )
     object_set: str | list[str] | None = parameter(
         Depends(lambda c: checks.optional(checks.object_set) if c.task.takes_object_set else NO_OBJECT_SET),
         None,
-        SCENE,
+        "scene",
     )
-    view: str = parameter(checks.choice(ORTHOGRAPHIC, "point_cloud"), ORTHOGRAPHIC, OBSERVATION, CLOSE_LOOP)
+    view: str = parameter(checks.choice(ORTHOGRAPHIC, "point_cloud"), ORTHOGRAPHIC, "observation", CLOSE_LOOP)
     observation: str | list[Any] = parameter(
         Depends(lambda c: checks.observation(tuple(PRESETS[c.control]), tuple(SENSORS.builtin))),
         Depends(_observation),
-        OBSERVATION,
+        "observation",
     )
-    physics_mode: str = parameter(checks.choice("fast", "slow"), "fast", MOTION)
-    reward: str | None = parameter(checks.optional(checks.function_path), None, EPISODE)
+    physics_mode: str = parameter(checks.choice("fast", "slow"), "fast", "motion")
+    reward: str | None = parameter(checks.optional(checks.function_path), None, "episode")
     render_mode: str | None = parameter(
-        checks.choice(None, "rgb_array", "depth_array", "human"), None, RENDERING
+        checks.choice(None, "rgb_array", "depth_array", "human"), None, "rendering"
     )
-    render_size: list[int] = parameter(checks.render_size, [480, 480], RENDERING)
-    render_camera: dict[str, Any] | None = parameter(checks.optional(checks.camera), None, RENDERING)
+    render_size: list[int] = parameter(checks.render_size, [480, 480], "rendering")
+    render_camera: dict[str, Any] | None = parameter(checks.optional(checks.camera), None, "rendering")
     lift_height: float = parameter(
-        Depends(lambda c: checks.positive if c.task.lifts else NO_LIFT), LIFT_HEIGHT, EPISODE, CLOSE_LOOP
+        Depends(lambda c: checks.positive if c.task.lifts else NO_LIFT), LIFT_HEIGHT, "episode", CLOSE_LOOP
     )
 
     @classmethod
@@ -287,7 +280,7 @@ class EnvConfig:
         """Return the control's parameters by name, as JSON values."""
         return {name: value for name, value in asdict(self).items() if belongs(name, self.control)}
 
-    def changed(self, default: "EnvConfig", effect: str) -> list[str]:
+    def changed(self, default: "EnvConfig", effect: Effect) -> list[str]:
         """Return the names of the parameters with an effect whose values differ from other ones."""
         return [name for name in with_effect(effect) if getattr(self, name) != getattr(default, name)]
 
@@ -331,7 +324,7 @@ def belongs(name: str, control: str) -> bool:
     return name in PARAMETERS and PARAMETERS[name]["control"] in ("", control)
 
 
-def with_effect(effect: str) -> list[str]:
+def with_effect(effect: Effect) -> list[str]:
     """Return the names of the parameters with an effect."""
     return [name for name, entry in PARAMETERS.items() if entry["effect"] == effect]
 

@@ -174,9 +174,11 @@ render_size = rule(
 )
 function_path = rule(
     'None or "module:function"',
-    lambda value: isinstance(value, str)
-    and value.count(":") == 1
-    and all(part.isidentifier() for part in value.replace(":", ".").split(".")),
+    lambda value: (
+        isinstance(value, str)
+        and value.count(":") == 1
+        and all(part.isidentifier() for part in value.replace(":", ".").split("."))
+    ),
 )
 
 

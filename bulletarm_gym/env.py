@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from bulletarm_gym import config_checks
 from bulletarm_gym.cameras import RENDER, render_frame, scene_cameras
-from bulletarm_gym.config import CLOSE_LOOP, SCENE, Context, EnvConfig, ParameterError
+from bulletarm_gym.config import CLOSE_LOOP, Context, EnvConfig, ParameterError
 from bulletarm_gym.control import Control, RobotInterface
 from bulletarm_gym.experts.tracking import Tracker
 from bulletarm_gym.experts.wrapped_expert import querying_wrappers, wrapped_expert
@@ -88,7 +88,7 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         config_checks.check_argument("defaults", defaults, config_checks.optional(config_checks.mapping))
         self.config = EnvConfig.of(context, parameters, defaults)
         default = EnvConfig.of(context, {}, defaults)
-        self._changed = self.config.changed(default, SCENE)
+        self._changed = self.config.changed(default, "scene")
         self.recipe: dict[str, Any] = {"task": task, "control": control, "surface": surface}
         self.recipe |= {"defaults": dict(defaults)} if defaults else {}
         self.render_mode = self.config.render_mode

@@ -1,6 +1,6 @@
 """Demonstrations of experts: collection, files, replay and exports (paper, Expert Demonstrations)."""
 
-from bulletarm_gym.demonstrations.collecting import check_planner, collect
+from bulletarm_gym.demonstrations.collecting import collect
 from bulletarm_gym.demonstrations.episodes import Demonstrations, Episode, load
 from bulletarm_gym.demonstrations.exports import export_lerobot, export_minari
 from bulletarm_gym.demonstrations.recording import RecordDemonstrations
@@ -11,7 +11,6 @@ __all__ = [
     "Episode",
     "RecordDemonstrations",
     "ReplayError",
-    "check_planner",
     "collect",
     "export_lerobot",
     "export_minari",

@@ -11,7 +11,7 @@ import gymnasium
 import numpy as np
 from tqdm import tqdm
 
-from bulletarm_gym.config import OPEN_LOOP, ParameterError
+from bulletarm_gym.config import OPEN_LOOP, ParameterError, with_effect
 from bulletarm_gym.config_checks import check_argument, choice, integer, mapping, number, optional
 from bulletarm_gym.demonstrations import json_state
 from bulletarm_gym.demonstrations.episodes import Demonstrations, Episode, Recorder, Step
@@ -66,7 +66,7 @@ def collect(
     seed = int(np.random.SeedSequence().generate_state(1)[0]) if seed is None else seed
     most = ATTEMPTS_PER_EPISODE * episodes if max_attempts is None else max_attempts
     with closing(_make(env_id, env_kwargs or {})) as env:
-        check_planner(planner, env, noise)
+        _check_planner(planner, env, noise)
         rng = np.random.default_rng(seed)
         recorder = Recorder({**describe(env), "planner": planner, "seed": seed, "noise": noise})
         with tqdm(desc=planner, total=episodes, unit="episode", disable=is_silent(progress)) as bar:
@@ -89,7 +89,7 @@ def is_silent(progress: bool | None) -> bool | None:
     return None if progress is None else not progress
 
 
-def check_planner(planner: str, env: ManipulationEnv, noise: float = 0.0) -> None:
+def _check_planner(planner: str, env: ManipulationEnv, noise: float = 0.0) -> None:
     """Check that a planner can be used with an environment.
 
     :raises ValueError: it cannot, with the reason
@@ -170,11 +170,12 @@ def describe(env: ManipulationEnv) -> dict[str, Any]:
     assert env.spec is not None
     for name, thing in env.objects.items():
         raise ValueError(f"env_kwargs must have import paths 'module:attribute', got {name}={thing!r}")
-    parameters = env.config.parameters()
     return {
         "env_id": env.spec.id,
         "recipe": env.recipe,
-        "configuration": {name: parameters[name] for name in parameters if not name.startswith("render_")},
+        "configuration": {
+            n: v for n, v in env.config.parameters().items() if n not in with_effect("rendering")
+        },
         "action_ranges": env.action_ranges,
     }
 

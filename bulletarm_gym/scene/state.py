@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from bulletarm_gym.config import SCENE, with_effect
+from bulletarm_gym.config import with_effect
 from bulletarm_gym.geometry import Pose
 from bulletarm_gym.robots import ROBOTS, RobotModel, RobotState
 from bulletarm_gym.robots.urdf import mass_of
@@ -71,7 +71,7 @@ def check_fits(state: Any, made_of: dict[str, Any]) -> None:
 def scene_facts(scene: Scene) -> dict[str, Any]:
     """Return names and JSON values that a state must have in common with a scene."""
     bodies, model = [body.spec.name for body in scene.world.bodies], scene.robot.model
-    names = [name for name in with_effect(SCENE) if name != "object_set"]  # a folder may have moved
+    names = [name for name in with_effect("scene") if name != "object_set"]  # a folder may have moved
     files = {}
     if (arm := _arm_checksum(model)) != _arm_checksum(ROBOTS.get(model.name)):
         files["arm"] = arm
