@@ -46,12 +46,12 @@ PRESETS: dict[str, dict[str, tuple[str, ...]]] = {
 """Names of lists of sensors for ``observation``, by control."""
 
 Effect = Literal["scene", "motion", "observation", "episode", "rendering"]
-"""What a parameter changes: bodies and their limits, which states share; motions of the robot; observations only;
-starts, rewards and ends of episodes; or rendered images only."""
+"""Effect of a parameter: bodies and their limits, which states share; motions of the robot; observations
+only; starts, rewards and ends of episodes; or rendered images only."""
 
 
 class UnknownParameterError(ParameterError, TypeError):
-    """There is no such parameter.
+    """A parameter does not exist.
 
     Python's own error for it is a ``TypeError``. Libraries that try parameters out, such as TorchRL's
     ``GymEnv``, catch that type and look for its text.
@@ -80,9 +80,9 @@ class TaskDefaults:
     :param allowed_objects: accepted values of ``num_objects``
     :param tray: whether the task can be placed in a tray
     :param level_ground: why the task cannot be placed on ramps and bumps, or empty if it can
-    :param takes_object_set: whether a user's objects can replace those of the task
+    :param takes_object_set: whether a user's objects can replace the task's objects
     :param lifts: whether the goal is to lift an object to ``lift_height``
-    :param sensors: sensors in addition to those of the preset ``"image"``
+    :param sensors: sensors in addition to the preset ``"image"``
     :param close_loop: defaults that differ in closed-loop control, for a task of both controls
     """
 
@@ -131,7 +131,7 @@ def parameter(check: Any, default: Any, effect: Effect, control: str = "") -> An
 
     :param check: check of its values, or :class:`Depends`
     :param default: default value, or :class:`Depends`
-    :param effect: what the parameter changes
+    :param effect: effect of the parameter
     :param control: the control that has the parameter, by default both
     """
     return field(metadata={"check": check, "default": default, "effect": effect, "control": control})
@@ -259,8 +259,8 @@ class EnvConfig:
     ) -> "EnvConfig":
         """Check parameters, and use defaults for the others.
 
-        :param defaults: defaults of the environment's id, which replace those of the task
-        :raises UnknownParameterError: there is no such parameter; the text names similar or all parameters
+        :param defaults: defaults of the environment's id, which replace the task's defaults
+        :raises UnknownParameterError: a parameter does not exist; the text names a similar one or all
         :raises ParameterError: a value is invalid, or the task cannot be placed on the surface
         """
         given = {**(defaults or {}), **parameters}
@@ -295,7 +295,7 @@ class EnvConfig:
 
     @property
     def scales(self) -> list[float]:
-        """Scales from which those of objects are sampled: a grid of 0.02 over the range, with both ends."""
+        """Scales of which objects have one: a grid of 0.02 over the range, with both ends."""
         low, high = self.object_scale_range
         count = math.floor((high - low) / SCALE_STEP + 1e-6)
         grid = [round(low + SCALE_STEP * step, 6) for step in range(count + 1)]

@@ -30,14 +30,14 @@ class ParameterError(ValueError):
     def of(cls, name: str, got: object, must: str, reason: str = "") -> "ParameterError":
         """Return the error of a parameter.
 
-        :param must: what the value must be
+        :param must: constraint on the value
         :param reason: why the value is not valid
         """
         return cls(f"{name} must be {must}, got {got!r}{': ' if reason else ''}{reason}")
 
 
 class Refused(Exception):
-    """A value is not valid; the text says what it must be."""
+    """A value is not valid; the text is the constraint."""
 
 
 def check_argument(name: str, value: Any, check: Check) -> Any:

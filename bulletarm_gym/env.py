@@ -17,7 +17,7 @@ from bulletarm_gym.config import CLOSE_LOOP, Context, EnvConfig, ParameterError
 from bulletarm_gym.control import Control, RobotInterface
 from bulletarm_gym.experts.tracking import Tracker
 from bulletarm_gym.experts.wrapped_expert import querying_wrappers, wrapped_expert
-from bulletarm_gym.registry import CONTROLS, ROBOTS, SURFACES, TASKS, by_path
+from bulletarm_gym.registry import CONTROLS, REWARDS, ROBOTS, SURFACES, TASKS, by_path
 from bulletarm_gym.robots import RobotModel
 from bulletarm_gym.scene import Scene
 from bulletarm_gym.scene.state import EnvState, check_fits, scene_facts
@@ -50,7 +50,7 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
     :param task: import path ``"module:Class"`` of the task
     :param control: ``"close_loop"``, ``"open_loop"``, or the name or path of a user's control
     :param surface: one of :data:`~bulletarm_gym.surfaces.SURFACES`, or the name or path of a user's surface
-    :param defaults: defaults of parameters that replace those of the task
+    :param defaults: values that replace the task's defaults of parameters
     :param parameters: parameters of :class:`~bulletarm_gym.config.EnvConfig`, by name
     :raises ValueError: a parameter is unknown (also a ``TypeError``) or has an invalid value; task and
         control cannot be combined
@@ -75,12 +75,11 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         if control_type.kind not in task_type.controls:
             must = f"a control of the kinds {', '.join(task_type.controls)} with {task_type.__name__}"
             raise ParameterError.of("control", control, must)
-        self.objects = {
+        self.objects = {  # parameters without an import path
             name: parameters.pop(name)
             for name in ("robot", "reward")
             if callable(parameters.get(name)) or isinstance(parameters.get(name), RobotModel)
         }
-        """Parameters that have no import path."""
         model = ROBOTS.convert(self.objects["robot"]) if "robot" in self.objects else None
         parameters |= {} if model is None else {"robot": model.name}
         robots = () if model is None else (model.name,)
@@ -96,8 +95,7 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
             self.metadata = {**self.metadata, "render_modes": ["rgb_array", "depth_array"]}
         self._make_scene(task_type, model or ROBOTS.find(self.config.robot), surface, default)
         self._make_control(control_type)
-        self._steps = 0
-        self._ended = False
+        self._steps, self._ended = 0, False
         self._episode_seed: int | None = None
         if self.render_mode == "human":
             self.viewer.face_workspace()
@@ -107,10 +105,11 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         """Make the task and load its bodies."""
         config = self.config
         self.task: Task = task_type(config)
-        # Making a generator takes as long as an image, and most tasks need none after an action.
+        # Making a generator is as slow as an image, and most tasks need none after an action.
         self._acts_after = task_type.after_action is not Task.after_action
         checks.check_heights(config, default, self.task)
-        self._reward = self.objects.get("reward") or checks.reward_function(config.reward) or self.task.reward
+        path = config.reward
+        self._reward = self.objects.get("reward") or (REWARDS.find(path) if path else self.task.reward)
         kind = SURFACES.find("tray" if config.close_loop_tray else surface)
         slots = checks.checked_slots(self.task.bodies(config), self.task)
         self.scene = Scene(config, model, kind(config.workspace, self.task.site), slots)
@@ -125,7 +124,7 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         self.action_space = self.control.action_space
         self._observer = Observer(self.config, self.scene)
         self.cameras = scene_cameras(self.scene, self._observer.cameras)
-        """Cameras by name: ``"render"``, and those of sensors by the names of the sensors."""
+        """Cameras by name: ``"render"``, and the cameras of sensors by the names of the sensors."""
         self._view: View | None = None
         # Gymnasium types a Dict space by its parts instead of its samples.
         self.observation_space = self._observer.space  # type: ignore[assignment]
@@ -135,7 +134,7 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
     ) -> tuple[Observation, dict[str, Any]]:
         """Begin an episode.
 
-        :param seed: determines this episode and those that follow it
+        :param seed: determines this episode and later ones
         :param options: ``{"new_scene": True}`` arranges a new scene if the task keeps the objects of the
             previous episode; a seed does, too. ``{"start": "goal"}`` arranges the task's finished structure,
             to take it apart. ``{"state": state}`` begins at a state as :meth:`set_state` does
@@ -350,8 +349,7 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
     def _rng(self, stream: int, time: int | None = None) -> np.random.Generator:
         """Return the generator of a stream at a step of this episode, by default the current one."""
         assert self._episode_seed is not None
-        time = self._steps if time is None else time
-        return np.random.default_rng((self._episode_seed, time, stream))
+        return np.random.default_rng((self._episode_seed, self._steps if time is None else time, stream))
 
     def _check_running(self) -> None:
         self.scene.world.client.check_open()

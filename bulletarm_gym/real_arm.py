@@ -1,7 +1,7 @@
 """Observations and heights of picks and places for a real robot, from the point cloud of its cameras.
 
-Frames and units are those of the environments: metres in the world, z upwards from the table's top, x from
-the robot to the workspace. The environments use the same code.
+Frames and units are the same as in the environments: metres in the world, z upwards from the table's top, x
+from the robot to the workspace. The environments use the same code.
 """
 
 from collections.abc import Sequence

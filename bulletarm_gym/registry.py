@@ -57,7 +57,7 @@ def import_path(component: Any) -> str:
 
     A path in ``__main__``, such as that of a class in a notebook, is valid in this process only.
 
-    :raises ValueError: there is no such path, with the reason
+    :raises ValueError: no such path exists, with the reason
     """
     if isinstance(component, str):
         load(component)
@@ -81,7 +81,7 @@ class Registry:
     A registered component is kept as its import path, so that worker processes can import it.
 
     :param kind: name of the kind, the parameter of environments that selects a component
-    :param convert: returns the component for an imported object; raises ``ValueError`` with what it must be
+    :param convert: returns the component for an imported object; raises ``ValueError`` with the constraint
     :param source: import path of the built-in components by name, or ``""`` if there are none
     """
 
@@ -129,7 +129,7 @@ class Registry:
 
         :param source: its name or import path
         :param parameter: name of the parameter in errors, by default the kind
-        :raises ParameterError: there is no such component
+        :raises ParameterError: the component does not exist
         """
         if isinstance(source, str) and source in self.builtin:
             return self.builtin[source]
@@ -178,6 +178,7 @@ def _function(found: Any) -> Any:
 
 
 TASKS = Registry("task", _subclass_of("bulletarm_gym.tasks.task:Task"))
+REWARDS = Registry("reward", _function)
 ROBOTS = Registry("robot", _robot_model, "bulletarm_gym.robots:ROBOTS")
 OBJECTS = Registry("object", _function, "bulletarm_gym.objects.catalogue:KINDS")
 SURFACES = Registry(
@@ -192,7 +193,7 @@ CONTROLS = Registry(
 
 
 def register_robot(name: str, model: Any) -> None:
-    """Make a robot available as ``robot=name``; errors are those of :meth:`Registry.register`.
+    """Make a robot available as ``robot=name``; raises as :meth:`Registry.register`.
 
     :param model: function without arguments that returns a :class:`~bulletarm_gym.robots.RobotModel`, or the
         import path of such a function or of a model
@@ -201,7 +202,7 @@ def register_robot(name: str, model: Any) -> None:
 
 
 def register_object(name: str, make: Any) -> None:
-    """Make a kind of object available as ``objects.create(name, ...)``; errors as :meth:`Registry.register`.
+    """Make a kind of object available as ``objects.create(name, ...)``; raises as :meth:`Registry.register`.
 
     :param make: function ``make(name, scale)`` that returns a :class:`~bulletarm_gym.objects.BodySpec`, or
         its import path
@@ -210,7 +211,7 @@ def register_object(name: str, make: Any) -> None:
 
 
 def register_surface(name: str, surface: Any) -> None:
-    """Make a surface available as ``surface=name``; errors are those of :meth:`Registry.register`.
+    """Make a surface available as ``surface=name``; raises as :meth:`Registry.register`.
 
     :param surface: subclass of :class:`~bulletarm_gym.surfaces.Surface`, or its import path
     """
@@ -218,7 +219,7 @@ def register_surface(name: str, surface: Any) -> None:
 
 
 def register_sensor(name: str, sensor: Any) -> None:
-    """Make a sensor available in the lists of ``observation``; errors are those of :meth:`Registry.register`.
+    """Make a sensor available in the lists of ``observation``; raises as :meth:`Registry.register`.
 
     :param sensor: subclass of :class:`~bulletarm_gym.sensors.Sensor`, or its import path
     """
@@ -226,7 +227,7 @@ def register_sensor(name: str, sensor: Any) -> None:
 
 
 def register_control(name: str, control: Any) -> None:
-    """Make a control available as ``control=name``; errors are those of :meth:`Registry.register`.
+    """Make a control available as ``control=name``; raises as :meth:`Registry.register`.
 
     :param control: subclass of :class:`~bulletarm_gym.control.Control`, or its import path
     """
@@ -276,7 +277,7 @@ class Entry:
 
     :param name: name in the id
     :param task: import path of the task
-    :param defaults: defaults of parameters that replace those of the task: JSON values
+    :param defaults: JSON values that replace the task's defaults of parameters
     """
 
     name: str
@@ -351,7 +352,7 @@ ENV_IDS: tuple[str, ...] = tuple(entry.env_id for entry in ENTRIES)
 
 
 def register_all() -> None:
-    """Register the ids of the package, and those that the process that started this one has registered."""
+    """Register the ids of the package, and the registrations of the process that started this one."""
     for entry in (*ENTRIES, *(Entry(**recipe) for recipe in published(TASKS.kind).values())):
         if entry.env_id not in gymnasium.registry:
             register(entry.env_id, entry.kwargs)

@@ -73,7 +73,7 @@ class ImageObservation(
         return image
 
     def images(self, observations: dict[str, NDArray[Any]]) -> NDArray[np.uint8]:
-        """Return the images of n observations, such as those of a demonstrated episode.
+        """Return the images of n observations, such as a demonstrated episode.
 
         :param observations: an array (n, ...) for each key
         """
@@ -91,7 +91,7 @@ class ImageObservation(
 def _image_boxes(space: spaces.Space[Any]) -> dict[str, spaces.Box]:
     """Return the spaces that are combined: images, then vectors.
 
-    :raises ValueError: there is no image, or a space that cannot be part of one
+    :raises ValueError: the space has no image, or a part that cannot be a channel
     """
     named = dict(space.items()) if isinstance(space, spaces.Dict) else {}
     boxes = {

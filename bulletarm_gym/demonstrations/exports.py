@@ -58,30 +58,19 @@ def export_minari(demonstrations: Demonstrations, dataset_id: str, **metadata: A
         )
 
 
-class Moment(NamedTuple):
-    """State of a replayed episode from which a frame is made.
-
-    :param step: number of the next action
-    """
-
-    view: View
-    episode: Episode
-    step: int
-
-
 class Feature(NamedTuple):
     """Column of a LeRobot dataset.
 
     :param dtype: LeRobot's name of the type
     :param shape: shape of a frame's value
     :param names: names of the axes or of the numbers
-    :param read: function that returns the value
+    :param read: function that returns the value from the view, the recorded episode and the step
     """
 
     dtype: str
     shape: tuple[int, ...]
     names: tuple[str, ...] | None
-    read: Callable[[Moment], NDArray[Any]]
+    read: Callable[[View, Episode, int], NDArray[Any]]
 
 
 def export_lerobot(
@@ -138,7 +127,10 @@ def export_lerobot(
         dataset = LeRobotDataset.create(
             repo_id,
             fps=env.metadata["render_fps"] if fps is None else fps,
-            features={name: _described(feature) for name, feature in features.items()},
+            features={
+                name: {"dtype": one.dtype, "shape": one.shape, "names": one.names and list(one.names)}
+                for name, one in features.items()
+            },
             root=temporary,
             robot_type=env.config.robot,
             use_videos=False,
@@ -168,8 +160,8 @@ def frames(
     episode = demonstrations[number]
     for step in replay(demonstrations, number, env):
         if step < len(episode):
-            moment = Moment(env.look(), episode, step)
-            yield {name: feature.read(moment) for name, feature in features.items()}
+            view = env.look()
+            yield {name: feature.read(view, episode, step) for name, feature in features.items()}
 
 
 def make_features(
@@ -203,7 +195,7 @@ def _camera(env: ManipulationEnv, name: str, parameters: Mapping[str, Any]) -> t
         raise ValueError(f"cameras: {name}: {error}") from error
     shape = (*camera.space.shape[1:], camera.space.shape[0])
     return f"observation.images.{name}", Feature(
-        "image", shape, IMAGE_AXES, lambda moment: np.moveaxis(camera.read(moment.view), 0, -1)
+        "image", shape, IMAGE_AXES, lambda view, *_: np.moveaxis(camera.read(view), 0, -1)
     )
 
 
@@ -211,11 +203,8 @@ def _poses(env: ManipulationEnv, object_poses: bool) -> list[tuple[str, Feature]
     """Return the state of the gripper and, if required, the poses of the objects."""
     state, holding = State(env.scene), Holding(env.scene)
 
-    def read_gripper(moment: Moment) -> NDArray[Any]:
-        return np.concatenate([state.read(moment.view)[:HAND_SIZE], holding.read(moment.view)])
-
-    def read_objects(moment: Moment) -> NDArray[Any]:
-        return state.read(moment.view)[HAND_SIZE:]
+    def read_gripper(view: View, *_: Any) -> NDArray[Any]:
+        return np.concatenate([state.read(view)[:HAND_SIZE], holding.read(view)])
 
     gripper = Feature("float32", (len(GRIPPER),), GRIPPER, read_gripper)
     parts = [
@@ -223,7 +212,7 @@ def _poses(env: ManipulationEnv, object_poses: bool) -> list[tuple[str, Feature]
         for item in env.scene.objects
         for part in (*POSE, *(f"joint_{number}" for number in range(len(item.spec.parts))))
     ]
-    objects = Feature("float32", (len(parts),), tuple(parts), read_objects)
+    objects = Feature("float32", (len(parts),), tuple(parts), lambda view, *_: state.read(view)[HAND_SIZE:])
     found = [("observation.state", gripper), ("observation.environment_state", objects)]
     return found if parts and object_poses else found[:1]
 
@@ -234,8 +223,8 @@ def _recorded(name: str, values: NDArray[Any]) -> tuple[str, Feature]:
     is_color = is_image and values.dtype == np.uint8 and shape[0] == COLOURS
     shape = (*shape[1:], shape[0]) if is_image else shape
 
-    def read(moment: Moment) -> NDArray[Any]:
-        value = moment.episode.observations[name][moment.step]
+    def read(_: View, episode: Episode, step: int) -> NDArray[Any]:
+        value = episode.observations[name][step]
         return np.moveaxis(value, 0, -1) if is_image else value
 
     dtype = "image" if is_color else str(values.dtype)
@@ -248,16 +237,10 @@ def _outcomes(env: ManipulationEnv, episode: Episode) -> list[tuple[str, Feature
     angles = iter(ANGLES if env.action_sequence.count("r") == len(ANGLES) else "r")
     names = tuple(next(angles) if character == "r" else character for character in env.action_sequence)
     shape = episode.actions.shape[1:]
-    actions = Feature("float32", shape, names, lambda moment: moment.episode.actions[moment.step])
-    reward = Feature("float32", (1,), None, lambda moment: moment.episode.rewards[moment.step, None])
-    end = Feature("bool", (1,), None, lambda moment: np.array([moment.step + 1 == len(moment.episode)]))
+    actions = Feature("float32", shape, names, lambda _, episode, step: episode.actions[step])
+    reward = Feature("float32", (1,), None, lambda _, episode, step: episode.rewards[step, None])
+    end = Feature("bool", (1,), None, lambda _, episode, step: np.array([step + 1 == len(episode)]))
     return [("action", actions), ("next.reward", reward), ("next.done", end), ("next.success", end)]
-
-
-def _described(feature: Feature) -> dict[str, Any]:
-    """Return LeRobot's description of a feature."""
-    names = None if feature.names is None else list(feature.names)
-    return {"dtype": feature.dtype, "shape": feature.shape, "names": names}
 
 
 @contextmanager

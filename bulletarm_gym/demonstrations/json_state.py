@@ -2,7 +2,7 @@
 
 A JSON array is a tuple. Other values are objects with one key: ``{"list": [...]}``,
 ``{"dict": [[key, value], ...]}``, ``{"bytes": "base64"}``, or the name and the fields of a dataclass or named
-tuple, ``{"Pose": [[x, y, z], [x, y, z, w]]}``. The names are those of
+tuple, ``{"Pose": [[x, y, z], [x, y, z, w]]}``. The names are the keys of
 :data:`~bulletarm_gym.scene.state.STATE_TYPES`.
 """
 

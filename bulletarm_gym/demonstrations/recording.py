@@ -30,13 +30,13 @@ PASSIVE = (
 MONITOR = "stable_baselines3.common.monitor.Monitor"
 """Another such wrapper, of a library that this package does not import."""
 EPISODES_PER_WRITE = 0.02
-"""Number of unsaved episodes, relative to those of the file, after which the file is written."""
+"""Number of unsaved episodes, relative to the saved ones, after which the file is written."""
 
 
 class RecordDemonstrations(
     gymnasium.Wrapper[Observation, Action, Observation, Action], RecordConstructorArgs
 ):
-    """Wrapper that writes successful episodes to a file like those of :func:`collect`.
+    """Wrapper that writes successful episodes to a file, as :func:`collect` does.
 
     The file is written after each of the first 50 successes, later after every 2 % more episodes, and by
     :meth:`close`, which also adds the attempts since the last success. Several recorders, also of several
@@ -67,7 +67,7 @@ class RecordDemonstrations(
         self._initial_state = self._state = ""
 
     def __len__(self) -> int:
-        """Return the number of episodes, including those of the file at the last write."""
+        """Return the number of episodes, including the episodes in the file at the last write."""
         return self._count + len(self._unsaved)
 
     def reset(
@@ -119,7 +119,7 @@ class RecordDemonstrations(
         super().close()
 
     def demonstrations(self) -> Demonstrations:
-        """Return the episodes of the file and those of this recorder."""
+        """Return the episodes of the file and of this recorder."""
         saved = self._saved()
         recorder = Recorder(self._about, None if saved is None else saved.image)
         for episode in self._unsaved:

@@ -113,7 +113,7 @@ def _object_numbers(spec: BodySpec) -> list[float]:
 STATE_TYPES: dict[str, type] = {
     kind.__name__: kind for kind in (bytes, list, dict, Pose, Properties, WorldState, RobotState, EnvState)
 }
-"""Types in files of states, by name: built-in ones and those that imported tasks declare."""
+"""Types in files of states, by name: built-in types and types that imported tasks declare."""
 
 
 def declare_state_types(kinds: tuple[type, ...]) -> None:

@@ -7,13 +7,10 @@ from typing import Any
 from bulletarm_gym.config import CLOSE_LOOP, EnvConfig, ParameterError, default_home_height
 from bulletarm_gym.geometry import Footprint, Pose
 from bulletarm_gym.objects.blocks import CUBE_SIZE
-from bulletarm_gym.registry import load
 from bulletarm_gym.robots import RobotModel
 from bulletarm_gym.scene import ObjectSlot, Scene
 from bulletarm_gym.simulation import BodySpec
 from bulletarm_gym.tasks.task import Task
-
-Reward = Callable[[Scene, Mapping[str, bool]], float]
 
 INFO = frozenset({"is_success", "is_valid", "ignored"})
 """Keys of ``info`` that the environment sets."""
@@ -147,20 +144,6 @@ def checked_predicates(predicates: Any, task: Task) -> dict[str, bool]:
             f"{', '.join(map(repr, sorted(INFO)))}, got {got!r}"
         )
     return {name: bool(value) for name, value in predicates.items()}
-
-
-def reward_function(path: str | None) -> Reward | None:
-    """Import a user's reward function, if there is one.
-
-    :raises ParameterError: it cannot be imported or is not a function
-    """
-    try:
-        found: Reward | None = None if path is None else load(path)
-    except ValueError as error:
-        raise ParameterError.of("reward", path, "None or 'module:function'", str(error)) from error
-    if not (found is None or callable(found)):
-        raise ParameterError.of("reward", path, f"a function, not a {type(found).__name__}")
-    return found
 
 
 def finite_reward(value: Any, reward: Callable[..., Any]) -> float:

@@ -140,7 +140,7 @@ def test_search_is_bounded(scene: Scene) -> None:
 
 
 def test_too_wide_a_margin_is_refused(scene: Scene) -> None:
-    with pytest.raises(ValueError, match="workspace"):
+    with pytest.raises(PlacementError, match="workspace"):
         scatter(scene, np.random.default_rng(0), [0.16], 0.0)
 
 
