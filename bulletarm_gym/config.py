@@ -105,14 +105,12 @@ class Context:
     :param control: kind of the control, ``"close_loop"`` or ``"open_loop"``
     :param surface: name or import path of the surface
     :param sequences: values of ``action_sequence``, the default first; empty for the built-in controls
-    :param robots: names of robots that are not registered
     """
 
     control: str
     task: TaskDefaults
     surface: str = "flat"
     sequences: tuple[str, ...] = ()
-    robots: tuple[str, ...] = ()
 
     @property
     def is_sloping(self) -> bool:
@@ -163,8 +161,7 @@ NO_LIFT = checks.choice(LIFT_HEIGHT, must=f"{LIFT_HEIGHT} with this task: its go
 
 @dataclass(frozen=True, kw_only=True)
 class EnvConfig:
-    """All parameters of an environment (paper, List of Configurable Environment Parameters; and additional
-    ones).
+    """Parameters of an environment (paper, List of Configurable Environment Parameters; and more).
 
     Values are plain JSON: arrays are stored as lists. Use :meth:`of` to construct one.
 
@@ -201,7 +198,7 @@ class EnvConfig:
     """
 
     control: str
-    robot: str = parameter(Depends(lambda c: checks.robot((*ROBOTS.names, *c.robots))), "kuka", "scene")
+    robot: str = parameter(Depends(lambda _: checks.robot(ROBOTS.names)), "kuka", "scene")
     action_sequence: str = parameter(
         Depends(lambda c: checks.action_sequence(c.sequences or SEQUENCES[c.control])),
         Depends(_sequence),

@@ -138,9 +138,9 @@ def action_sequence(known: Sequence[str]) -> Check:
 
 
 def robot(names: Sequence[str]) -> Check:
-    """Accept the name or the import path of a robot."""
+    """Accept text; whether a robot with that name or import path exists is checked when it is loaded."""
     text = f"one of {', '.join(map(repr, names))}, a RobotModel or 'module:attribute'"
-    return rule(text, lambda value: isinstance(value, str) and (value in names or ":" in value))
+    return rule(text, lambda value: isinstance(value, str))
 
 
 boolean = rule("True or False", lambda value: isinstance(value, bool))

@@ -82,8 +82,7 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         }
         model = ROBOTS.convert(self.objects["robot"]) if "robot" in self.objects else None
         parameters |= {} if model is None else {"robot": model.name}
-        robots = () if model is None else (model.name,)
-        context = Context(control_type.kind, task_type.defaults, surface, control_type.sequences, robots)
+        context = Context(control_type.kind, task_type.defaults, surface, control_type.sequences)
         config_checks.check_argument("defaults", defaults, config_checks.optional(config_checks.mapping))
         self.config = EnvConfig.of(context, parameters, defaults)
         default = EnvConfig.of(context, {}, defaults)

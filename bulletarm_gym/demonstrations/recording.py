@@ -118,18 +118,15 @@ class RecordDemonstrations(
             self._write()
         super().close()
 
-    def demonstrations(self) -> Demonstrations:
-        """Return the episodes of the file and of this recorder."""
-        saved = self._saved()
-        recorder = Recorder(self._about, None if saved is None else saved.image)
-        for episode in self._unsaved:
-            recorder.add(episode)
-        recorder.attempts += self._attempts - len(self._unsaved)
-        return recorder.finish()
-
     def _write(self) -> None:
+        """Add the unsaved episodes and attempts to the file."""
         with _locked(self._path):
-            merged = self.demonstrations()
+            saved = self._saved()
+            recorder = Recorder(self._about, None if saved is None else saved.image)
+            for episode in self._unsaved:
+                recorder.add(episode)
+            recorder.attempts += self._attempts - len(self._unsaved)
+            merged = recorder.finish()
             merged.save(self._path)
         self._count, self._attempts, self._unsaved = len(merged), 0, []
 

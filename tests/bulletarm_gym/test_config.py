@@ -111,7 +111,7 @@ def test_errors_can_be_sent_to_another_process(parameters: dict[str, Any]) -> No
 
 
 WRONG: dict[str, list[Any]] = {
-    "robot": ["kuka2", 1, None],
+    "robot": [1, None],
     "action_sequence": ["pxy", "pxyzrr", "", "PXYZR", 5, None, ["p", "x", "y", "z", "r"]],
     "workspace": [
         None,

@@ -334,8 +334,6 @@ def test_objects_wider_than_the_stroke_are_refused_by_name(
     if is_spanned:
         make("BulletArm/CloseLoopObjectGrasping-v0", **parameters)
         return
-    with pytest.raises(
-        ValueError, match=r"^object_set must be .* other\.obj is 0\.12 m wide$"
-    ):
+    with pytest.raises(ValueError, match=r"^object_set must be .* other\.obj is 0\.12 m wide$"):
         make("BulletArm/CloseLoopObjectGrasping-v0", **parameters)
     make("BulletArm/CloseLoopObjectGrasping-v0", object_scale_range=0.5, **parameters)

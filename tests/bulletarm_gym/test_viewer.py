@@ -64,7 +64,7 @@ def test_looking_changes_nothing() -> None:
 
 def test_keys_need_a_window() -> None:
     env: Any = gymnasium.make(ENV_ID).unwrapped
-    with pytest.raises(RuntimeError, match="^render_mode must be 'human'"):
+    with pytest.raises(RuntimeError, match=r"^render_mode must be 'human'"):
         env.viewer.pressed_keys()
 
 
