@@ -48,7 +48,7 @@ type: venv
 	$(BIN)/mypy
 
 selfcheck: venv
-	$(BIN)/python -m bulletarm_gym.selfcheck --seconds 0.1
+	$(BIN)/python -m bulletarm_gym.check --seconds 0.1
 
 docs: $(VENV)/installed-docs
 	$(BIN)/mkdocs build --strict

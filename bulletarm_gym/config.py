@@ -1,94 +1,89 @@
-"""The parameters of an environment, checked once, at the door."""
+"""The parameters of an environment: each is a field with its check, default, effect and control."""
+# ruff: noqa: RUF009 (parameter() returns a dataclasses.field())
 
 import difflib
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping
+from copy import deepcopy
 from dataclasses import asdict, dataclass, field, fields
-from typing import Any
+from typing import Any, Literal, NamedTuple
 
-from bulletarm_gym import values
-from bulletarm_gym.values import Check, Refused
+from bulletarm_gym import config_checks as checks
+from bulletarm_gym.config_checks import Check, ParameterError, check_argument, describe
+from bulletarm_gym.registry import ROBOTS, SENSORS, SURFACES
+
+__all__ = ["Context", "EnvConfig", "ParameterError", "TaskDefaults", "TrayUse", "UnknownParameterError"]
 
 CLOSE_LOOP = "close_loop"
 OPEN_LOOP = "open_loop"
 
 ORTHOGRAPHIC = "orthographic"
-"""The view that looks straight down on meshes."""
+"""View that looks straight down on meshes."""
 
 MAX_TRANSLATION = 0.05
-"""Largest translation (m) of a close-loop action along an axis (paper, Close-Loop 4D Benchmark)."""
+"""Maximum translation (m) of a closed-loop action along an axis (paper, Close-Loop 4D Benchmark)."""
 MAX_ROTATION = math.pi / 4.0
-"""Largest rotation (rad) of a close-loop action about z (paper, Close-Loop 4D Benchmark)."""
-
+"""Maximum rotation (rad) of a closed-loop action about z (paper, Close-Loop 4D Benchmark)."""
 HOME_HEIGHTS = {CLOSE_LOOP: 0.2, OPEN_LOOP: 0.4}
 """Default heights (m) of the fingertips at reset, see :func:`default_home_height`."""
 LIFT_HEIGHT = 0.15
 """Height (m) of the fingertips above z = 0 that counts as lifted (paper, Block Picking, Object Grasping)."""
+SCALE_STEP = 0.02
+"""Distance between neighbouring scales of objects."""
+WORKSPACES = {
+    CLOSE_LOOP: [[0.3, 0.6], [-0.15, 0.15], [0.01, 0.25]],
+    OPEN_LOOP: [[0.25, 0.65], [-0.2, 0.2], [0.0, 1.0]],
+}
+"""Default workspace (m) of each control (paper, Benchmark Details)."""
+WIDE = [[0.25, 0.65], [-0.2, 0.2], [0.0, 0.3]]
+"""Closed-loop workspace (m) of tasks that need the space of an open-loop workspace."""
+SEQUENCES = {CLOSE_LOOP: ("pxyz", "pxyzr"), OPEN_LOOP: ("xy", "xyr", "xyzrrr", "pxy", "pxyr", "pxyzrrr")}
+"""Values of ``action_sequence``, their characters in any order (paper, Environment)."""
+PRESETS: dict[str, dict[str, tuple[str, ...]]] = {
+    CLOSE_LOOP: {"image": ("heightmap", "holding"), "state": ("state", "holding")},
+    OPEN_LOOP: {"image": ("heightmap", "in_hand", "holding")},
+}
+"""Names of lists of sensors for ``observation``, by control."""
 
-LEVEL, SLOPING = ("flat", "tray"), ("ramp", "bump")
-"""Kinds of ground."""
-
-
-class ParameterError(ValueError):
-    """A parameter is unknown or has a value it cannot take.
-
-    Made from its whole text, so that it can be pickled and made anew by those who add to the text.
-    """
-
-    @classmethod
-    def of(cls, name: str, got: object, takes: str) -> "ParameterError":
-        """Return the error that says what a parameter got and what it takes."""
-        return cls(f"{name}: got {got!r}, takes {takes}")
+Effect = Literal["scene", "motion", "observation", "episode", "rendering"]
+"""Effect of a parameter: bodies and their limits, which states share; motions of the robot; observations
+only; starts, rewards and ends of episodes; or rendered images only."""
 
 
 class UnknownParameterError(ParameterError, TypeError):
-    """There is no such parameter.
+    """A parameter does not exist.
 
-    Python's own error for it is a ``TypeError``: libraries that try out which parameters an environment has
-    (TorchRL's ``GymEnv`` does) catch that, and look for its words.
+    Python's own error for it is a ``TypeError``. Libraries that try parameters out, such as TorchRL's
+    ``GymEnv``, catch that type and look for its text.
     """
-
-    @classmethod
-    def of(cls, name: str, got: object, takes: str) -> "UnknownParameterError":
-        """Return the error for a parameter by its name, with its value and what would be right."""
-        return cls(f"{name}: got an unexpected keyword argument {name!r} ({got!r}), takes {takes}")
 
 
 @dataclass(frozen=True)
 class TrayUse:
-    """Whether a task can stand in a tray.
+    """Values of ``close_loop_tray`` that a task accepts.
 
-    :param choices: what ``close_loop_tray`` may be, the default first
-    :param reason: why it cannot be anything else
+    :param choices: the values, the default first
+    :param reason: why there is one value only
     """
 
     choices: tuple[bool, ...] = (False, True)
     reason: str = ""
 
 
-WORKSPACES = {
-    "close_loop": [[0.3, 0.6], [-0.15, 0.15], [0.01, 0.25]],
-    "open_loop": [[0.25, 0.65], [-0.2, 0.2], [0.0, 1.0]],
-}
-"""The default workspace (m) of each control (paper, Benchmark Details)."""
-WIDE = [[0.25, 0.65], [-0.2, 0.2], [0.0, 0.3]]
-"""Close-loop workspace (m) of tasks that need the room of an open-loop one."""
-
-
 @dataclass(frozen=True)
 class TaskDefaults:
-    """What a task prescribes for its own parameters.
+    """Defaults and accepted values of the parameters of a task.
 
     :param num_objects: the paper's number
     :param max_steps: the paper's limit
-    :param object_scale: gives exactly the paper's sizes
-    :param allowed_objects: every number the task can have
-    :param tray: whether it can stand in a tray
-    :param level_ground: why it cannot stand on ramps and bumps, if so
-    :param takes_object_set: whether its objects can be replaced by a user's
-    :param lifts: whether its goal is to lift an object to ``lift_height``
-    :param sensors: what must be seen besides the default images
-    :param close_loop: parameters with other defaults in close loop, of a task for both controls
+    :param object_scale: scale that gives the paper's sizes
+    :param allowed_objects: accepted values of ``num_objects``
+    :param tray: whether the task can be placed in a tray
+    :param level_ground: why the task cannot be placed on ramps and bumps, or empty if it can
+    :param takes_object_set: whether a user's objects can replace the task's objects
+    :param lifts: whether the goal is to lift an object to ``lift_height``
+    :param sensors: sensors in addition to the preset ``"image"``
+    :param close_loop: defaults that differ in closed-loop control, for a task of both controls
     """
 
     num_objects: int
@@ -103,113 +98,192 @@ class TaskDefaults:
     close_loop: Mapping[str, Any] = field(default_factory=dict)
 
 
+@dataclass(frozen=True)
+class Context:
+    """The components on which checks and defaults of parameters depend.
+
+    :param control: kind of the control, ``"close_loop"`` or ``"open_loop"``
+    :param surface: name or import path of the surface
+    :param sequences: values of ``action_sequence``, the default first; empty for the built-in controls
+    """
+
+    control: str
+    task: TaskDefaults
+    surface: str = "flat"
+    sequences: tuple[str, ...] = ()
+
+    @property
+    def is_sloping(self) -> bool:
+        """Whether objects can be tilted on the surface."""
+        return bool(SURFACES.find(self.surface).sloping)
+
+
+class Depends(NamedTuple):
+    """A check or a default that depends on the context."""
+
+    on: Callable[[Context], Any]
+
+
+def parameter(check: Any, default: Any, effect: Effect, control: str = "") -> Any:
+    """Return the dataclass field of a parameter.
+
+    :param check: check of its values, or :class:`Depends`
+    :param default: default value, or :class:`Depends`
+    :param effect: effect of the parameter
+    :param control: the control that has the parameter, by default both
+    """
+    return field(metadata={"check": check, "default": default, "effect": effect, "control": control})
+
+
+def _sequence(context: Context) -> str:
+    if context.sequences:
+        return context.sequences[0]
+    if context.control == CLOSE_LOOP:
+        return "pxyzr"
+    return "pxyzrrr" if context.is_sloping else "pxyr"
+
+
+def _tray_check(context: Context) -> Check:
+    tray = context.task.tray
+    if len(tray.choices) > 1:
+        return checks.boolean
+    return checks.choice(*tray.choices, must=f"{tray.choices[0]} with this task: {tray.reason}")
+
+
+def _observation(context: Context) -> Any:
+    sensors = context.task.sensors
+    return [*PRESETS[context.control]["image"], *sensors] if sensors else "image"
+
+
+NO_OBJECT_SET = checks.choice(None, must="None with this task: its objects cannot be replaced")
+NO_LIFT = checks.choice(LIFT_HEIGHT, must=f"{LIFT_HEIGHT} with this task: its goal is not to lift objects")
+
+
 @dataclass(frozen=True, kw_only=True)
 class EnvConfig:
-    """All parameters of an environment (paper, List of Configurable Environment Parameters; and ours).
+    """Parameters of an environment (paper, List of Configurable Environment Parameters; and more).
 
-    Values are plain JSON: arrays given by a user are kept as lists. Build one with :meth:`of`.
+    Values are plain JSON: arrays are stored as lists. Use :meth:`of` to construct one.
 
-    :param control: ``"close_loop"`` or ``"open_loop"``, of a user's control its kind; follows from the id
-    :param robot: the arm, by its name or import path
-    :param action_sequence: one character a number of the action, in its order
+    :param control: kind of the control, ``"close_loop"`` or ``"open_loop"``; follows from the id
+    :param robot: name or import path of the robot
+    :param action_sequence: one character for each number of the action, in its order
     :param workspace: [[x low, x high], [y low, y high], [z low, z high]] (m); square in x and y
-    :param object_scale_range: [low, high] factors on nominal sizes, not on a task's own: where its objects
-        have 0.8 times the nominal size, 1.0 asks for larger ones; a grid of 0.02 is drawn from
-    :param max_steps: actions an episode
-    :param num_objects: objects in the scene
-    :param obs_size: pixels a side of the heightmap
+    :param object_scale_range: [low, high] scales relative to the nominal sizes; sampled from a grid of 0.02.
+        If a task's default is 0.8, 1.0 gives larger objects
+    :param max_steps: maximum number of actions in an episode
+    :param num_objects: number of objects in the scene
+    :param obs_size: side length (pixels) of the heightmap
     :param fast_mode: move the arm without simulation where it can touch nothing
-    :param random_orientation: objects start with random yaw
-    :param half_rotation: the open-loop gripper turns from 0 to pi, else all the way round
-    :param in_hand_size: pixels a side of the open-loop in-hand image
-    :param workspace_check: ``"point"`` asks an object's centre to stay inside, ``"bounding_box"`` all of it
-    :param close_loop_tray: the task stands in a tray
-    :param object_set: None for the 86 objects made by code, a folder of OBJ, STL or URDF files, or a list of
+    :param random_orientation: sample the initial yaw of objects
+    :param half_rotation: limit the yaw of open-loop actions to [0, pi); else it is in [-pi, pi)
+    :param in_hand_size: side length (pixels) of the open-loop in-hand image
+    :param workspace_check: ``"point"`` if the centres of objects must stay in the workspace,
+        ``"bounding_box"`` if whole objects must
+    :param close_loop_tray: place the task in a tray
+    :param object_set: None for the 86 built-in objects, a folder of OBJ, STL or URDF files, or a list of
         kinds
-    :param view: ``"orthographic"``, looking straight down, or ``"point_cloud"``, the paper's two side cameras
-    :param observation: ``"image"``, ``"state"`` (the poses of gripper and objects), or a list of
-        :data:`SENSORS`: each by its name, or ``{"name": ..., parameter: value, ...}``
+    :param view: ``"orthographic"``, straight down, or ``"point_cloud"``, from the paper's two side cameras
+    :param observation: ``"image"``, ``"state"`` (the poses of gripper and objects), or a list of sensors,
+        each a name or ``{"name": ..., parameter: value, ...}``
     :param physics_mode: ``"fast"`` (50 solver iterations) or ``"slow"`` (200, and slower motions)
-    :param reward: None for the task's own, or ``"module:function"`` called as ``function(scene, outcome)``
+    :param reward: None for the task's reward, or ``"module:function"``, called as ``function(scene,
+        outcome)``
     :param render_mode: None, ``"rgb_array"``, ``"depth_array"`` or ``"human"``
     :param render_size: [width, height] (pixels) of rendered images, or a number for both
     :param render_camera: None, or a dict with some of ``position`` and ``target`` (m) and ``fov`` (degrees)
-    :param home_height: height (m) of the fingertips above z = 0 at reset and, in open loop, between actions
+    :param home_height: height (m) of the fingertips above z = 0 at reset and, in open-loop control, between
+        actions
     :param lift_height: height (m) above z = 0 to which the fingertips must lift an object
     """
 
     control: str
-    robot: str
-    action_sequence: str
-    workspace: list[list[float]]
-    object_scale_range: list[float]
-    max_steps: int
-    num_objects: int
-    home_height: float
-    obs_size: int = 128
-    fast_mode: bool = True
-    random_orientation: bool = True
-    half_rotation: bool = True
-    in_hand_size: int = 24
-    workspace_check: str = "point"
-    close_loop_tray: bool = False
-    object_set: str | list[str] | None = None
-    view: str = ORTHOGRAPHIC
-    observation: str | list[Any] = "image"
-    physics_mode: str = "fast"
-    reward: str | None = None
-    render_mode: str | None = None
-    render_size: list[int] = field(default_factory=lambda: [480, 480])
-    render_camera: dict[str, Any] | None = None
-    lift_height: float = LIFT_HEIGHT
+    robot: str = parameter(Depends(lambda _: checks.robot(ROBOTS.names)), "kuka", "scene")
+    action_sequence: str = parameter(
+        Depends(lambda c: checks.action_sequence(c.sequences or SEQUENCES[c.control])),
+        Depends(_sequence),
+        "motion",
+    )
+    workspace: list[list[float]] = parameter(
+        checks.workspace, Depends(lambda c: WORKSPACES[c.control]), "scene"
+    )
+    object_scale_range: list[float] = parameter(
+        checks.scale_range, Depends(lambda c: [c.task.object_scale] * 2), "scene"
+    )
+    max_steps: int = parameter(checks.integer(1), Depends(lambda c: c.task.max_steps), "episode")
+    num_objects: int = parameter(
+        Depends(lambda c: checks.choice(*c.task.allowed_objects)),
+        Depends(lambda c: c.task.num_objects),
+        "scene",
+    )
+    home_height: float = parameter(checks.positive, None, "motion")
+    obs_size: int = parameter(checks.integer(16, 1024), 128, "observation")
+    fast_mode: bool = parameter(checks.boolean, True, "motion")
+    random_orientation: bool = parameter(checks.boolean, True, "episode")
+    half_rotation: bool = parameter(checks.boolean, True, "motion", OPEN_LOOP)
+    in_hand_size: int = parameter(
+        checks.integer(8, 256), Depends(lambda c: 40 if c.surface == "bump" else 24), "observation", OPEN_LOOP
+    )
+    workspace_check: str = parameter(checks.choice("point", "bounding_box"), "point", "episode")
+    close_loop_tray: bool = parameter(
+        Depends(_tray_check), Depends(lambda c: c.task.tray.choices[0]), "scene", CLOSE_LOOP
+    )
+    object_set: str | list[str] | None = parameter(
+        Depends(lambda c: checks.optional(checks.object_set) if c.task.takes_object_set else NO_OBJECT_SET),
+        None,
+        "scene",
+    )
+    view: str = parameter(checks.choice(ORTHOGRAPHIC, "point_cloud"), ORTHOGRAPHIC, "observation", CLOSE_LOOP)
+    observation: str | list[Any] = parameter(
+        Depends(lambda c: checks.observation(tuple(PRESETS[c.control]), tuple(SENSORS.builtin))),
+        Depends(_observation),
+        "observation",
+    )
+    physics_mode: str = parameter(checks.choice("fast", "slow"), "fast", "motion")
+    reward: str | None = parameter(checks.optional(checks.function_path), None, "episode")
+    render_mode: str | None = parameter(
+        checks.choice(None, "rgb_array", "depth_array", "human"), None, "rendering"
+    )
+    render_size: list[int] = parameter(checks.render_size, [480, 480], "rendering")
+    render_camera: dict[str, Any] | None = parameter(checks.optional(checks.camera), None, "rendering")
+    lift_height: float = parameter(
+        Depends(lambda c: checks.positive if c.task.lifts else NO_LIFT), LIFT_HEIGHT, "episode", CLOSE_LOOP
+    )
 
     @classmethod
     def of(
-        cls,
-        control: str,
-        task: TaskDefaults,
-        robots: Sequence[str],
-        parameters: Mapping[str, Any],
-        surface: str = "flat",
-        sloping: bool | None = None,
-        sequences: Sequence[str] = (),
-        defaults: Mapping[str, Any] | None = None,
+        cls, context: Context, parameters: Mapping[str, Any], defaults: Mapping[str, Any] | None = None
     ) -> "EnvConfig":
-        """Check a user's parameters and fill in the paper's defaults.
+        """Check parameters, and use defaults for the others.
 
-        :param control: which of the paper's two tables applies
-        :param task: the task's own numbers
-        :param robots: names of the arms there are
-        :param surface: where; some defaults follow from it
-        :param sloping: whether things may lie there at an angle; None for a surface of ours
-        :param sequences: what an action can consist of, the default first; none for a control of ours
-        :param defaults: of an environment's id, in place of the task's
-        :raises UnknownParameterError: there is no such parameter; one of a similar name is offered, else
-            all are listed
-        :raises ParameterError: a wrong type or value, or ground that the task cannot stand on
+        :param defaults: defaults of the environment's id, which replace the task's defaults
+        :raises UnknownParameterError: a parameter does not exist; the text names a similar one or all
+        :raises ParameterError: a value is invalid, or the task cannot be placed on the surface
         """
-        sloping = surface in SLOPING if sloping is None else sloping
-        checks = _checks(control, task, robots)
-        chosen = _defaults(control, surface, sloping, task)
-        if sequences:
-            checks["action_sequence"] = values.sequence(sequences)
-            chosen["action_sequence"] = sequences[0]
         given = {**(defaults or {}), **parameters}
         for name, value in given.items():
-            if name not in checks:
-                raise _unknown(name, value, control, checks)
-        chosen |= {name: _checked(name, checks[name], value) for name, value in given.items()}
-        chosen.setdefault("home_height", default_home_height(control, chosen["workspace"]))
-        _check_surface(surface, sloping, task, chosen["close_loop_tray"])
-        return cls(control=control, **chosen)
+            if name not in PARAMETERS or not belongs(name, context.control):
+                raise UnknownParameterError(_unknown(name, value, context.control))
+        chosen = {name: deepcopy(_resolve(entry["default"], context)) for name, entry in PARAMETERS.items()}
+        chosen |= deepcopy(dict(context.task.close_loop)) if context.control == CLOSE_LOOP else {}
+        for name, value in given.items():
+            chosen[name] = check_argument(name, value, _resolve(PARAMETERS[name]["check"], context))
+        if chosen["home_height"] is None:
+            chosen["home_height"] = default_home_height(context.control, chosen["workspace"])
+        _check_surface(context, chosen["close_loop_tray"])
+        return cls(control=context.control, **chosen)
 
     def parameters(self) -> dict[str, Any]:
         """Return the control's parameters by name, as JSON values."""
         return {name: value for name, value in asdict(self).items() if belongs(name, self.control)}
 
+    def changed(self, default: "EnvConfig", effect: Effect) -> list[str]:
+        """Return the names of the parameters with an effect whose values differ from other ones."""
+        return [name for name in with_effect(effect) if getattr(self, name) != getattr(default, name)]
+
     @property
     def sensors(self) -> list[tuple[str, str, dict[str, Any]]]:
-        """What is observed: names, the sensor behind each (its name or import path), its parameters."""
+        """Observed sensors: the name, the sensor (its name or import path), and its parameters."""
         chosen: Any = self.observation
         entries = PRESETS[self.control][chosen] if isinstance(chosen, str) else chosen
         described = [{"name": entry} if isinstance(entry, str) else dict(entry) for entry in entries]
@@ -218,7 +292,7 @@ class EnvConfig:
 
     @property
     def scales(self) -> list[float]:
-        """The sizes that objects are drawn from: a grid of 0.02 over the range, both ends included."""
+        """Scales of which objects have one: a grid of 0.02 over the range, with both ends."""
         low, high = self.object_scale_range
         count = math.floor((high - low) / SCALE_STEP + 1e-6)
         grid = [round(low + SCALE_STEP * step, 6) for step in range(count + 1)]
@@ -226,175 +300,77 @@ class EnvConfig:
 
     @property
     def centre(self) -> tuple[float, float]:
-        """Middle (m) of the workspace in x and y."""
+        """Centre (m) of the workspace in x and y."""
         (x0, x1), (y0, y1), _ = self.workspace
         return ((x0 + x1) / 2.0, (y0 + y1) / 2.0)
 
     @property
     def workspace_size(self) -> float:
-        """Side (m) of the workspace."""
+        """Side length (m) of the workspace."""
         return self.workspace[0][1] - self.workspace[0][0]
 
 
-SCALE_STEP = 0.02
-
-ROBOTS = ("kuka", "panda", "ur5", "ur5_robotiq")
-"""Our arms by name; users register more."""
-SENSORS = (
-    *("heightmap", "in_hand", "holding", "state", "color", "segmentation", "rgb", "depth", "point_cloud"),
-    "joint_state",
-)
-"""What can be observed, by name; users register more."""
-PRESETS: dict[str, dict[str, tuple[str, ...]]] = {
-    CLOSE_LOOP: {"image": ("heightmap", "holding"), "state": ("state", "holding")},
-    OPEN_LOOP: {"image": ("heightmap", "in_hand", "holding")},
+PARAMETERS: dict[str, Mapping[str, Any]] = {
+    entry.name: entry.metadata for entry in fields(EnvConfig) if entry.metadata
 }
-"""What ``observation`` may be besides a list: names for lists of sensors, by control."""
-
-_ONLY_WITH = {
-    "half_rotation": OPEN_LOOP,
-    "in_hand_size": OPEN_LOOP,
-    "close_loop_tray": CLOSE_LOOP,
-    "view": CLOSE_LOOP,
-    "lift_height": CLOSE_LOOP,
-}
-"""Parameters that one control has and the other has not."""
+"""Check, default, effect and control of each parameter, by name."""
 
 
 def belongs(name: str, control: str) -> bool:
-    """Whether a control has a parameter."""
-    return name != "control" and _ONLY_WITH.get(name, control) == control
+    """Return whether a control has a parameter."""
+    return name in PARAMETERS and PARAMETERS[name]["control"] in ("", control)
 
 
-def _defaults(control: str, surface: str, sloping: bool, task: TaskDefaults) -> dict[str, Any]:
-    """Return the paper's values where a parameter has no default of its own."""
-    shared = {
-        "robot": "kuka",
-        "object_scale_range": [task.object_scale, task.object_scale],
-        "max_steps": task.max_steps,
-        "num_objects": task.num_objects,
-        "close_loop_tray": task.tray.choices[0],
-        "observation": [*PRESETS[control]["image"], *task.sensors] if task.sensors else "image",
-    }
-    if control == CLOSE_LOOP:
-        return {
-            **shared,
-            "action_sequence": "pxyzr",
-            "workspace": [list(limits) for limits in WORKSPACES[control]],
-            **task.close_loop,
-        }
-    return shared | {
-        "action_sequence": "pxyzrrr" if sloping else "pxyr",
-        "workspace": [list(limits) for limits in WORKSPACES[control]],
-        "in_hand_size": 40 if surface == "bump" else 24,
-    }
+def with_effect(effect: Effect) -> list[str]:
+    """Return the names of the parameters with an effect."""
+    return [name for name, entry in PARAMETERS.items() if entry["effect"] == effect]
+
+
+def _resolve(entry: Any, context: Context) -> Any:
+    return entry.on(context) if isinstance(entry, Depends) else entry
 
 
 def default_home_height(control: str, workspace: list[list[float]]) -> float:
-    """Return the default of ``home_height`` (m): in open loop above the floor, else within the workspace."""
+    """Return the default of ``home_height`` (m): above the floor in open loop, else within the workspace."""
     low, high = workspace[2]
     height = HOME_HEIGHTS[control]
     return low + height if control == OPEN_LOOP else min(max(height, low), high)
 
 
-def _checks(control: str, task: TaskDefaults, robots: Sequence[str]) -> dict[str, Check]:
-    """Return what each parameter of a control must pass."""
-    checks: dict[str, Check] = {
-        "robot": values.robot(robots),
-        "action_sequence": values.sequence(SEQUENCES[control]),
-        "workspace": values.workspace,
-        "object_scale_range": values.scale_range,
-        "max_steps": values.integer(1),
-        "num_objects": values.choice(*task.allowed_objects),
-        "home_height": values.positive,
-        "lift_height": values.positive if task.lifts else values.no_lift_height(LIFT_HEIGHT),
-        "obs_size": values.integer(16, 1024),
-        "fast_mode": values.boolean,
-        "random_orientation": values.boolean,
-        "half_rotation": values.boolean,
-        "in_hand_size": values.integer(8, 256),
-        "workspace_check": values.choice("point", "bounding_box"),
-        "close_loop_tray": values.tray(task.tray.choices, task.tray.reason),
-        "object_set": values.optional(values.object_set) if task.takes_object_set else values.no_object_set,
-        "view": values.choice(ORTHOGRAPHIC, "point_cloud"),
-        "observation": values.observation(list(PRESETS[control]), SENSORS, _presets_elsewhere(control)),
-        "physics_mode": values.choice("fast", "slow"),
-        "reward": values.optional(values.import_path),
-        "render_mode": values.choice(None, "rgb_array", "depth_array", "human"),
-        "render_size": values.render_size,
-        "render_camera": values.optional(values.camera),
-    }
-    return {name: check for name, check in checks.items() if belongs(name, control)}
-
-
-def accepted(control: str, task: TaskDefaults, robots: Sequence[str]) -> dict[str, str]:
-    """Return what each parameter takes, by name, in the words of its errors.
-
-    :param control: which parameters there are
-    :param task: the task's own numbers
-    :param robots: names of the arms there are
-    """
-    return {name: _takes(check) for name, check in _checks(control, task, robots).items()}
-
-
-def _takes(check: Check) -> str:
-    """Return what is told to those who give nothing that a parameter could be."""
-    try:
-        check(object())
-    except Refused as refused:
-        return str(refused)
-    raise AssertionError(f"{check} refuses nothing")
-
-
-def _presets_elsewhere(control: str) -> dict[str, str]:
-    """Return why presets of the other control cannot be had."""
-    own = " or ".join(map(repr, PRESETS[control]))
+def accepted(context: Context) -> dict[str, str]:
+    """Return the description of the accepted values of each parameter, by name."""
     return {
-        preset: f"{own} or a list of sensors: {preset!r} belongs to {other.replace('_', '-')} environments"
-        for other, presets in PRESETS.items()
-        for preset in presets
-        if preset not in PRESETS[control]
+        name: describe(_resolve(entry["check"], context))
+        for name, entry in PARAMETERS.items()
+        if belongs(name, context.control)
     }
 
 
-def _check_surface(surface: str, sloping: bool, task: TaskDefaults, in_tray: bool) -> None:
-    """Refuse ground that a task cannot stand on.
+def _check_surface(context: Context, in_tray: bool) -> None:
+    """Check that the task can be placed on the surface.
 
-    :raises ParameterError: with the reason
+    :raises ParameterError: it cannot, with the reason
     """
+    task, surface = context.task, context.surface
     refused = {} if True in task.tray.choices else {"tray": task.tray.reason}
     if task.level_ground or in_tray:
-        refusing = (*SLOPING, surface) if sloping else SLOPING
-        refused |= dict.fromkeys(refusing, task.level_ground or "its tray stands on level ground")
+        sloping = [name for name, kind in SURFACES.builtin.items() if kind.sloping]
+        reason = task.level_ground or "its tray is placed on a level surface"
+        refused |= dict.fromkeys((*sloping, surface) if context.is_sloping else sloping, reason)
     if surface in refused:
-        others = " or ".join(repr(other) for other in (*LEVEL, *SLOPING) if other not in refused)
-        raise ParameterError.of("surface", surface, f"{others} with this task: {refused[surface]}")
+        others = " or ".join(repr(other) for other in SURFACES.builtin if other not in refused)
+        raise ParameterError.of("surface", surface, f"{others} with this task", refused[surface])
 
 
-def _unknown(name: str, value: object, control: str, checks: Mapping[str, Check]) -> UnknownParameterError:
+def _unknown(name: str, value: object, control: str) -> str:
+    """Return the text of the error for an unknown parameter."""
     if name == "render":
-        takes = 'nothing: there is no such parameter; use render_mode="human"'
-    elif name in _ONLY_WITH:
-        other, own = (text.replace("_", "-") for text in (_ONLY_WITH[name], control))
-        takes = f"nothing here: it belongs to {other} environments, this one is {own}"
+        advice = 'Use render_mode="human".'
+    elif name in PARAMETERS:
+        other, own = (text.replace("_", "-") for text in (PARAMETERS[name]["control"], control))
+        advice = f"It belongs to {other} environments, this one is {own}."
     else:
-        known = [*checks, "surface"]
+        known = [*filter(lambda known: belongs(known, control), PARAMETERS), "surface"]
         near = difflib.get_close_matches(name, known, n=1)
-        hint = f"did you mean {near[0]!r}?" if near else f"choose from {', '.join(known)}"
-        takes = f"nothing: there is no such parameter, {hint}"
-    return UnknownParameterError.of(name, value, takes)
-
-
-def _checked(name: str, check: Check, value: Any) -> Any:
-    try:
-        return check(value)
-    except Refused as refused:
-        raise ParameterError.of(name, value, str(refused)) from None
-
-
-SEQUENCES = {CLOSE_LOOP: ("pxyz", "pxyzr"), OPEN_LOOP: ("xy", "xyr", "xyzrrr", "pxy", "pxyr", "pxyzrrr")}
-"""What an action can consist of, a character a number, in any order (paper, Environment)."""
-
-
-PARAMETERS = tuple(entry.name for entry in fields(EnvConfig) if entry.name != "control")
-"""Names of all parameters."""
+        advice = f"Did you mean {near[0]!r}?" if near else f"Choose from {', '.join(known)}."
+    return f"{name} must not be passed, got an unexpected keyword argument {name!r} ({value!r}). {advice}"

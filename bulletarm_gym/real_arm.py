@@ -1,7 +1,7 @@
 """Observations and heights of picks and places for a real robot, from the point cloud of its cameras.
 
-Frames and units are those of the environments: metres, the world's z axis upwards from the table's top at
-z = 0, its x axis from the arm over the workspace. The environments use the same code.
+Frames and units are the same as in the environments: metres in the world, z upwards from the table's top, x
+from the robot to the workspace. The environments use the same code.
 """
 
 from collections.abc import Sequence
@@ -19,11 +19,11 @@ from bulletarm_gym.observations.in_hand import projections, rotated_crop
 from bulletarm_gym.observations.rasterizer import project_points
 
 Limits = Sequence[Sequence[float]]
-"""Ranges of a workspace in x, y and z (m)."""
+"""Limits (m) of a workspace along x, y and z."""
 SIZE = 128
-"""Pixels a side unless told, as ``obs_size`` ..."""
+"""Default side length (pixels) of heightmaps, ``obs_size``."""
 IN_HAND_SIZE = 24
-"""... and ``in_hand_size``, which is 40 on bumps."""
+"""Default side length (pixels) of in-hand images, ``in_hand_size``; 40 on bumps."""
 
 
 def close_loop_heightmap(
@@ -33,33 +33,33 @@ def close_loop_heightmap(
     workspace: Limits = WORKSPACES[CLOSE_LOOP],
     size: int = SIZE,
 ) -> Heights:
-    """Return the heightmap of close-loop control: depths below a plane 0.10 m above the fingertips.
+    """Return the heightmap of closed-loop control: depths below a plane 0.10 m above the fingertips.
 
-    :param points: (n, 3) world (m), table included, the arm's own taken out, those on what it holds left in.
-        Points that are not finite, or above the workspace, are left out
-    :param hand: of the middle between the fingertips, in the world; its yaw is 0 where fingers open along x
-    :param opening: distance (m) between the fingers' inner sides
-    :param workspace: the environment's; half as much again is seen
-    :param size: pixels a side, the environment's ``obs_size``
+    :param points: (n, 3) points (m, world) with the table and the grasped object, without the robot. Points
+        that are not finite or above the workspace are ignored
+    :param hand: tool pose, between the fingertips; its yaw is 0 if the fingers open along x
+    :param opening: distance (m) between the inner sides of the fingers
+    :param workspace: limits of the workspace; the heightmap is 1.5 times as large
+    :param size: side length (pixels)
     :return: (1, size, size) m, within [0, 0.4]; rows grow with world x, columns with y
     :raises ValueError: no point is in the square, or ``points`` has another shape
     """
     (low, high), _, (_, top) = workspace
-    return _shown(points, tool_frame(hand, opening, VIEW_SCALE * (high - low)), top, size)
+    return _heightmap(points, tool_frame(hand, opening, VIEW_SCALE * (high - low)), top, size)
 
 
 def open_loop_heightmap(
     points: ArrayLike, workspace: Limits = WORKSPACES[OPEN_LOOP], size: int = SIZE
 ) -> Heights:
-    """Return the heightmap of open-loop control: heights over the workspace's floor.
+    """Return the heightmap of open-loop control: heights above the workspace's floor.
 
-    :param points: (n, 3) world (m), table included, the arm's own and what it holds taken out
-    :param workspace: the environment's
-    :param size: pixels a side, the environment's ``obs_size``
+    :param points: (n, 3) points (m, world) with the table, without the robot and the grasped object
+    :param workspace: limits of the workspace
+    :param size: side length (pixels)
     :return: (1, size, size) m, within [0, 0.4]; rows grow with world x, columns with y
     :raises ValueError: no point is in the square, or ``points`` has another shape
     """
-    return _shown(points, _workspace_frame(workspace), workspace[2][1], size)
+    return _heightmap(points, _frame(workspace), workspace[2][1], size)
 
 
 def in_hand_image(
@@ -69,13 +69,13 @@ def in_hand_image(
     size: int = IN_HAND_SIZE,
     tilts: bool = False,
 ) -> Heights:
-    """Return the in-hand image of open-loop control, after a pick until the next place; else it is zeros.
+    """Return the in-hand image of open-loop control from a pick to the next place. At other times it is zero.
 
-    :param heightmap: (1, n, n), the last one before the pick
-    :param pick: where the fingertips closed, in the world
-    :param workspace: the environment's
-    :param size: pixels a side, the environment's ``in_hand_size``
-    :param tilts: whether actions have three r's, and the image three channels
+    :param heightmap: (1, n, n), heightmap before the pick
+    :param pick: pose (world) of the fingertips when they closed
+    :param workspace: limits of the workspace
+    :param size: side length (pixels)
+    :param tilts: whether actions have three r's and the image three channels
     :return: (1, size, size) or (3, size, size) m, within [0, 0.4]
     """
     show = projections if tilts else rotated_crop
@@ -89,16 +89,15 @@ def pick_height(
     area: tuple[float, float] | None = None,
     workspace: Limits = WORKSPACES[OPEN_LOOP],
 ) -> float:
-    """Return the height (m) of the fingertips at a pick whose action has no z.
+    """Return the height (m, world) of the fingertips at a pick whose action has no z.
 
-    :param heightmap: (1, n, n), the last one
-    :param target: pose of the fingertips in the world, of any z
-    :param depth: depth (m) of the fingertips below the highest point of the area, the task's
+    :param heightmap: (1, n, n), last heightmap
+    :param target: pose (world) of the fingertips, with any z
+    :param depth: depth (m) of the fingertips below the highest point of the area,
         ``grasp_params.pick_offset``
-    :param area: length along the opening and width (m) of the area, the task's ``grasp_params.pick_area``; by
-        default a square of twice the depth
-    :param workspace: the environment's
-    :return: z of the target in the world
+    :param area: length along the opening and width (m) of the area, ``grasp_params.pick_area``; by default a
+        square of twice the depth
+    :param workspace: limits of the workspace
     """
     between = Rectangle(target.x, target.y, *(area or (2.0 * depth, 2.0 * depth)), target.yaw)
     return workspace[2][0] + heights.pick_height(_map(heightmap, workspace), between, depth)
@@ -111,8 +110,8 @@ def measure_grasp(
 
     :param before: (1, n, n), heightmap before the pick
     :param after: (1, n, n), heightmap after the pick, without the grasped object
-    :param closed_at: measured pose of the fingertips in the world when they closed
-    :param workspace: the environment's
+    :param closed_at: measured pose (world) of the fingertips when they closed
+    :param workspace: limits of the workspace
     """
     tips = _above_floor(closed_at, workspace)
     return heights.measure_grasp(_map(before, workspace), _map(after, workspace), tips)
@@ -125,20 +124,19 @@ def place_height(
     gap: float,
     workspace: Limits = WORKSPACES[OPEN_LOOP],
 ) -> float:
-    """Return the height (m) of the fingertips at a place whose action has no z.
+    """Return the height (m, world) of the fingertips at a place whose action has no z.
 
-    :param heightmap: (1, n, n), the last one, without the grasped object
-    :param target: pose of the fingertips in the world, of any z
+    :param heightmap: (1, n, n), last heightmap, without the grasped object
+    :param target: pose (world) of the fingertips, with any z
     :param grasp: measurements at the pick, see :func:`measure_grasp`
-    :param gap: gap (m) from the object to the highest point under it, ``grasp_params.place_offset``
-    :param workspace: the environment's
-    :return: z of the target in the world
+    :param gap: distance (m) of the object from the highest point below it, ``grasp_params.place_offset``
+    :param workspace: limits of the workspace
     """
     return workspace[2][0] + heights.place_height(_map(heightmap, workspace), target, grasp, gap)
 
 
 def _map(heightmap: Heights, workspace: Limits) -> ElevationMap:
-    frame = _workspace_frame(workspace)
+    frame = _frame(workspace)
     return ElevationMap(heightmap[0], frame.centre, frame.extent)
 
 
@@ -146,18 +144,21 @@ def _above_floor(pose: Pose, workspace: Limits) -> Pose:
     return Pose((0.0, 0.0, -workspace[2][0])).compose(pose)
 
 
-def _workspace_frame(workspace: Limits) -> Frame:
+def _frame(workspace: Limits) -> Frame:
     (x0, x1), (y0, y1), (floor, _) = workspace
     return Frame(Pose(((x0 + x1) / 2.0, (y0 + y1) / 2.0, floor)), x1 - x0)
 
 
-def _shown(points: ArrayLike, frame: Frame, ceiling: float, size: int) -> Heights:
-    cloud = _checked(points)
+def _heightmap(points: ArrayLike, frame: Frame, ceiling: float, size: int) -> Heights:
+    cloud = np.asarray(points, np.float64)
+    if cloud.ndim != 2 or cloud.shape[1] != 3:
+        raise ValueError(f"points must be an array of shape (n, 3), got {cloud.shape}")
+    cloud = cloud[np.isfinite(cloud).all(axis=1)]
     if not (np.abs(cloud[:, :2] - frame.centre) < frame.extent / 2.0).all(axis=1).any():
         x, y = frame.centre
         raise ValueError(
-            f"points: got {len(cloud)}, none in the square of {frame.extent:g} m about x = {x:g}, y = {y:g}; "
-            "takes points of the world, in metres"
+            f"points must be world coordinates (m), some in the square of {frame.extent:g} m around "
+            f"x = {x:g}, y = {y:g}, got {len(cloud)} outside"
         )
     return heightmap(project_points(cloud, Window(frame.centre, frame.extent, size), ceiling), frame)
 

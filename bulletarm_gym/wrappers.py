@@ -1,41 +1,43 @@
-"""Wrappers that make an environment fit what other libraries take."""
+"""Wrappers that adapt environments to other libraries."""
 
+import sys
+from dataclasses import replace
 from typing import Any
 
 import gymnasium
 import numpy as np
 from gymnasium import spaces
 from gymnasium.utils import RecordConstructorArgs
+from gymnasium.wrappers import TimeLimit
 from numpy.typing import NDArray
 from PIL import Image
 
-from bulletarm_gym.values import check_argument, integer, optional
-
-Picture = NDArray[np.uint8]
+from bulletarm_gym.config_checks import check_argument, integer, optional
+from bulletarm_gym.registry import time_limit_spec
 
 WHITE = 255
-"""Greatest value of a channel."""
+"""Maximum value of a channel."""
 IMAGE_AXES = 3
-"""Of an observed image: channels, rows, columns."""
+"""Number of axes of an observed image: channels, rows, columns."""
+UNLIMITED = 2**31 - 1
+"""Limit (steps) of an environment made with ``max_episode_steps=-1``."""
 
 
 class ImageObservation(
-    gymnasium.ObservationWrapper[Picture, Any, dict[str, NDArray[Any]]], RecordConstructorArgs
+    gymnasium.ObservationWrapper[NDArray[np.uint8], Any, dict[str, NDArray[Any]]], RecordConstructorArgs
 ):
-    """Everything observed as one image of bytes: what libraries for Atari games take.
+    """Combine all observations into one uint8 image, as in libraries for Atari games.
 
-    Each channel of each image becomes a channel, in the order of the observation space; then each number,
-    such as ``holding``, one that has the number in every pixel. A channel spans the bounds of its space:
-    ``low`` becomes 0, ``high`` 255, what is between them the nearest of 254 others. Of a heightmap, 0 to
-    0.4 m, a count is 1.6 mm, so the greatest error 0.8 mm. Images of another size are brought to ``size`` by
-    linear interpolation, over all the pixels that one replaces where they get smaller.
+    Each channel of each image becomes a channel, in the order of the observation space. Then each number,
+    such as ``holding``, becomes a constant channel. The bounds of its space are mapped to 0 and 255 and
+    values between them are rounded: 1.6 mm per count for heightmaps from 0 to 0.4 m. Images of other sizes
+    are resized to ``size`` by linear interpolation, with averaging if they become smaller.
 
-    :param env: environment with a ``Dict`` of images (channels, rows, columns) and vectors of numbers, all of
-        them with finite bounds
-    :param size: side of the image in pixels; default: of the largest image
-    :param channels_last: (size, size, channels), as RLlib takes images, instead of (channels, size, size)
-    :raises ValueError: ``env`` observes something that is no part of an image, such as
-        ``observation="state"``; ``size`` is not positive
+    :param env: environment with a ``Dict`` of images (channels, rows, columns) and vectors, all of them
+        bounded
+    :param size: side length (pixels) of the image, by default that of the largest image
+    :param channels_last: return (size, size, channels), as in RLlib, instead of (channels, size, size)
+    :raises ValueError: an observation of ``env`` cannot be part of an image; ``size`` is not positive
     """
 
     def __init__(
@@ -46,10 +48,9 @@ class ImageObservation(
     ) -> None:
         RecordConstructorArgs.__init__(self, size=size, channels_last=channels_last)
         gymnasium.ObservationWrapper.__init__(self, env)
-        self._parts = _parts(env.observation_space)
-        sides = [side for box in self._parts.values() for side in box.shape[1:]]
-        check_argument("size", size, optional(integer(1)))
-        self.size = max(sides) if size is None else size
+        self._boxes = _image_boxes(env.observation_space)
+        sides = [side for box in self._boxes.values() for side in box.shape[1:]]
+        self.size = check_argument("size", size, optional(integer(1))) or max(sides)
         count = len(self.channels)
         self._axis = -1 if channels_last else 0
         self._shape = (self.size, self.size, count) if channels_last else (count, self.size, self.size)
@@ -57,59 +58,84 @@ class ImageObservation(
 
     @property
     def channels(self) -> tuple[str, ...]:
-        """What each channel shows: ``"heightmap"``, or ``"in_hand_0"`` where there are several of one."""
-        counts = [(name, box.shape[0]) for name, box in self._parts.items()]
+        """Names of the channels: ``"heightmap"``, or ``"in_hand_0"`` if an observation has several."""
+        counts = [(name, box.shape[0]) for name, box in self._boxes.items()]
         return tuple(
             name if count == 1 else f"{name}_{number}" for name, count in counts for number in range(count)
         )
 
-    def observation(self, observation: dict[str, NDArray[Any]]) -> Picture:
-        """Return the image, (channels, size, size) or, where asked for, (size, size, channels)."""
+    def observation(self, observation: dict[str, NDArray[Any]]) -> NDArray[np.uint8]:
+        """Return the image, (channels, size, size) or, with ``channels_last``, (size, size, channels)."""
         image = np.empty(self._shape, np.uint8)
-        values = (layer for name, box in self._parts.items() for layer in _shares(observation[name], box))
-        for channel, layer in zip(np.moveaxis(image, self._axis, 0), values, strict=True):
-            channel[:] = np.rint(WHITE * self._to_size(layer))
+        layers = (layer for name, box in self._boxes.items() for layer in _scaled(observation[name], box))
+        for channel, layer in zip(np.moveaxis(image, self._axis, 0), layers, strict=True):
+            channel[:] = np.rint(WHITE * self._resized(layer))
         return image
 
-    def images(self, observations: dict[str, NDArray[Any]]) -> Picture:
-        """Return the images of n observations, such as a demonstrated episode's.
+    def images(self, observations: dict[str, NDArray[Any]]) -> NDArray[np.uint8]:
+        """Return the images of n observations, such as a demonstrated episode.
 
-        :param observations: for each key (n, ...)
+        :param observations: an array (n, ...) for each key
         """
         rows = zip(*observations.values(), strict=True)
         return np.stack([self.observation(dict(zip(observations, row, strict=True))) for row in rows])
 
-    def _to_size(self, layer: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Bring a channel to the size of the image; a number fits as it is."""
+    def _resized(self, layer: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return a channel in the size of the image; a number is returned as it is."""
         if layer.ndim == 0 or layer.shape == (self.size, self.size):
             return layer
         resized = Image.fromarray(layer).resize((self.size, self.size), Image.Resampling.BILINEAR)
         return np.asarray(resized)
 
 
-def _parts(space: spaces.Space[Any]) -> dict[str, spaces.Box]:
-    """Return what the image is made of: images, then numbers.
+def _image_boxes(space: spaces.Space[Any]) -> dict[str, spaces.Box]:
+    """Return the spaces that are combined: images, then vectors.
 
-    :raises ValueError: there is no image, or something that is no part of one
+    :raises ValueError: the space has no image, or a part that cannot be a channel
     """
     named = dict(space.items()) if isinstance(space, spaces.Dict) else {}
-    boxes = {name: box for name, box in named.items() if isinstance(box, spaces.Box) and _fits(box)}
+    boxes = {
+        name: box
+        for name, box in named.items()
+        if isinstance(box, spaces.Box) and len(box.shape) in (1, IMAGE_AXES) and box.is_bounded()
+    }
     images = {name: box for name, box in boxes.items() if len(box.shape) == IMAGE_AXES}
     if not images or boxes.keys() != named.keys():
         other = next((f"{name!r}: {part}" for name, part in named.items() if name not in boxes), str(space))
         raise ValueError(
-            f"env: got one that observes {other}, takes a Dict of images (channels, rows, columns) "
-            "and vectors of numbers with finite bounds"
+            "env must observe a Dict of images (channels, rows, columns) and vectors of numbers with finite "
+            f"bounds, got {other}"
         )
     return {**images, **boxes}
 
 
-def _fits(box: spaces.Box) -> bool:
-    return len(box.shape) in (1, IMAGE_AXES) and box.is_bounded()
-
-
-def _shares(value: NDArray[Any], box: spaces.Box) -> NDArray[np.float32]:
-    """Return where values lie between their bounds, 0 to 1."""
+def _scaled(value: NDArray[Any], box: spaces.Box) -> NDArray[np.float32]:
+    """Return values relative to their bounds, from 0 to 1."""
     low, high = box.low.astype(np.float32), box.high.astype(np.float32)
-    shares: NDArray[np.float32] = (np.asarray(value, np.float32) - low) / (high - low)
-    return shares
+    scaled: NDArray[np.float32] = (np.asarray(value, np.float32) - low) / (high - low)
+    return scaled
+
+
+def own_time_limit(env: gymnasium.Env[Any, Any], known: int | None) -> gymnasium.Env[Any, Any]:
+    """Replace Gymnasium's ``TimeLimit`` by the environment's own limit, and return the environment.
+
+    ``TimeLimit`` cannot extend the limit, also truncates a success at the limit, and does not follow
+    ``set_state()``. Every id names this function as its first wrapper.
+
+    :param known: limit in the spec of another environment, which is kept unless a limit is passed to
+        ``make()``
+    """
+    core: Any = env.unwrapped
+    spec, limit = core.spec, known
+    if isinstance(env, TimeLimit):
+        limit, env = env._max_episode_steps, env.env
+    elif sys._getframe(1).f_locals.get("max_episode_steps") == -1:  # make() leaves no other trace of it
+        limit = UNLIMITED
+    if limit is not None and limit != known:
+        core.limit_steps(limit)
+        spec = replace(spec, kwargs={**spec.kwargs, "max_steps": limit})
+    if env is not core:
+        # LeRobot calls hasattr() on the outermost wrapper only, and else passes no task.
+        env.task_description = core.task_description  # type: ignore[attr-defined]
+    core.spec = replace(spec, additional_wrappers=(time_limit_spec(core.config.max_steps),))
+    return env

@@ -15,7 +15,7 @@ from collections.abc import Iterator  # noqa: E402
 import gymnasium  # noqa: E402
 import pytest  # noqa: E402
 
-from bulletarm_gym.inheritance import VARIABLE  # noqa: E402
+from bulletarm_gym.registry import VARIABLE  # noqa: E402
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -13,29 +13,21 @@ ROOT = Path(__file__).resolve().parent.parent
 
 # A room (module or subpackage of bulletarm_gym) may import rooms of its own layer and of those before it.
 LAYERS = (
-    {
-        "geometry",
-        "inheritance",
-        "config",
-        "extensions",
-        "machine",
-        "rehearsal",
-        "time_limit",
-        "values",
-    },
+    {"config_checks"},
+    {"registry"},
+    {"geometry", "config"},
     {"simulation"},
     {"robots", "objects", "surfaces"},
-    {"scene", "state"},
+    {"scene"},
     {"observations"},
     {"control"},
     {"experts"},
     {"tasks"},
-    {"assembly", "copies", "feasibility", "viewer", "wrapped_expert"},
+    {"wrappers"},
     {"env"},
-    {"demonstrations", "registration"},
-    {"benchmarks", "real_arm", "vector", "wrappers", "__init__"},
-    {"selfcheck"},
-    {"check_robot"},
+    {"demonstrations"},
+    {"benchmarks", "real_arm", "vector", "__init__"},
+    {"check"},
 )
 LEVEL = {room: level for level, layer in enumerate(LAYERS) for room in layer}
 
@@ -58,8 +50,7 @@ DOORS: dict[str, tuple[str, ...]] = {
     "zoo_configs": (
         "bulletarm_gym.benchmarks",
         "bulletarm_gym.demonstrations",
-        "bulletarm_gym.machine",
-        "bulletarm_gym.selfcheck",
+        "bulletarm_gym.check",
     ),
 }
 ENGINE = {"pybullet", "pybullet_utils"}

@@ -1,9 +1,8 @@
-"""Demonstrations of the experts, collected, kept in files and handed on (paper, Expert Demonstrations)."""
+"""Demonstrations of experts: collection, files, replay and exports (paper, Expert Demonstrations)."""
 
-from bulletarm_gym.demonstrations.collecting import check_planner, collect
+from bulletarm_gym.demonstrations.collecting import collect
 from bulletarm_gym.demonstrations.episodes import Demonstrations, Episode, load
-from bulletarm_gym.demonstrations.exporting import export_minari
-from bulletarm_gym.demonstrations.lerobot_format import export_lerobot
+from bulletarm_gym.demonstrations.exports import export_lerobot, export_minari
 from bulletarm_gym.demonstrations.recording import RecordDemonstrations
 from bulletarm_gym.demonstrations.replaying import ReplayError, replay
 
@@ -12,7 +11,6 @@ __all__ = [
     "Episode",
     "RecordDemonstrations",
     "ReplayError",
-    "check_planner",
     "collect",
     "export_lerobot",
     "export_minari",

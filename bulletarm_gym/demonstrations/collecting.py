@@ -1,8 +1,8 @@
-"""Collecting episodes of the experts (paper, Expert Demonstrations)."""
+"""Collection of episodes of experts (paper, Expert Demonstrations)."""
 
 import itertools
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -11,20 +11,20 @@ import gymnasium
 import numpy as np
 from tqdm import tqdm
 
-from bulletarm_gym.config import OPEN_LOOP
-from bulletarm_gym.demonstrations import plain
-from bulletarm_gym.demonstrations.episodes import Demonstrations, Episode, Recorder, assemble
+from bulletarm_gym.config import OPEN_LOOP, ParameterError, with_effect
+from bulletarm_gym.config_checks import check_argument, choice, integer, mapping, number, optional
+from bulletarm_gym.demonstrations import json_state
+from bulletarm_gym.demonstrations.episodes import Demonstrations, Episode, Recorder, Step
 from bulletarm_gym.env import Action, ManipulationEnv, Observation
 from bulletarm_gym.experts.deconstruction import deconstruct
 from bulletarm_gym.geometry import PlacementError
-from bulletarm_gym.values import check_argument, integer, mapping, optional
 
 WAYPOINT = "waypoint"
 DECONSTRUCTION = "deconstruction"
 ATTEMPTS_PER_EPISODE = 4
-"""An expert that fails three times in four is broken: those of the paper succeed in nine of ten."""
-TAKING_APART = 1
-"""Stream of an episode's seed that is drawn from when a structure is taken apart."""
+"""Default maximum number of attempts per successful episode."""
+TAKING_APART, NOISE = 1, 2
+"""Streams of random numbers of an episode's seed."""
 
 
 def collect(
@@ -33,6 +33,7 @@ def collect(
     planner: str = WAYPOINT,
     *,
     seed: int | None = None,
+    noise: float = 0.0,
     env_kwargs: Mapping[str, Any] | None = None,
     path: str | os.PathLike[str] | None = None,
     max_attempts: int | None = None,
@@ -40,85 +41,91 @@ def collect(
 ) -> Demonstrations:
     """Collect successful episodes of an expert.
 
-    The waypoint planner acts from the start. The deconstruction planner takes a finished structure apart; the
-    actions that put it together again are then carried out, and these episodes are what is kept.
+    The waypoint planner acts from the start. The deconstruction planner takes a finished structure apart, and
+    the reversed actions build it again in the environment.
 
-    :param env_id: of the environment
-    :param episodes: how many successful ones
-    :param planner: ``"waypoint"``, or ``"deconstruction"`` where a structure is built by pick and place
-    :param seed: the same seed gives the same episodes; without one it is drawn, and recorded
+    :param env_id: id of the environment
+    :param episodes: number of successful episodes
+    :param planner: ``"waypoint"``, or ``"deconstruction"`` if the task builds a structure by pick and place
+    :param seed: determines the episodes; without one it is sampled and stored
+    :param noise: standard deviation of normal noise on each number of the waypoint planner's actions, in
+        units of the action space. The noisy actions are stored
     :param env_kwargs: parameters of the environment
-    :param path: a file to write them to as well, whole or not at all
-    :param max_attempts: episodes begun at most; by default four for each successful one
-    :param progress: show a progress bar; by default on a terminal
-    :raises ValueError: a parameter has a value it cannot take, or the planner cannot be used with this
-        environment, with the reason
+    :param path: file to which the episodes are also written, atomically
+    :param max_attempts: maximum number of episodes to begin, by default four for each successful one
+    :param progress: show a progress bar, by default on a terminal
+    :raises ValueError: a parameter has an invalid value, or the planner cannot be used with this environment
     :raises RuntimeError: too few attempts succeeded
     """
     check_argument("episodes", episodes, integer(1))
     check_argument("seed", seed, optional(integer(0)))
     check_argument("max_attempts", max_attempts, optional(integer(1)))
     check_argument("env_kwargs", env_kwargs, optional(mapping))
-    target = None if path is None else writable(Path(path))
+    noise = check_argument("noise", noise, number(0.0, 1.0, "a number from 0 to 1"))
+    target = None if path is None else writable_path(Path(path))
     seed = int(np.random.SeedSequence().generate_state(1)[0]) if seed is None else seed
     most = ATTEMPTS_PER_EPISODE * episodes if max_attempts is None else max_attempts
     with closing(_make(env_id, env_kwargs or {})) as env:
-        check_planner(planner, env)
-        recorder = Recorder(describe(env))
-        silent = None if progress is None else not progress
-        with tqdm(desc=planner, total=episodes, unit="episode", disable=silent) as bar:
-            for episode in itertools.islice(_attempts(env, planner, seed), most):
+        _check_planner(planner, env, noise)
+        rng = np.random.default_rng(seed)
+        recorder = Recorder({**describe(env), "planner": planner, "seed": seed, "noise": noise})
+        with tqdm(desc=planner, total=episodes, unit="episode", disable=is_silent(progress)) as bar:
+            while len(recorder) < episodes and recorder.attempts < most:
+                episode = PLANNERS[planner](env, int(rng.integers(2**31)), noise)
                 recorder.add(episode)
                 bar.update(episode is not None)
-                if len(recorder) == episodes:
-                    break
     if len(recorder) < episodes:
         raise RuntimeError(
             f"{planner} expert of {env_id}: {len(recorder)} of {most} attempts succeeded, {episodes} needed"
         )
-    demonstrations = recorder.finish(planner=planner, seed=seed)
+    demonstrations = recorder.finish()
     if target is not None:
         demonstrations.save(target)
     return demonstrations
 
 
-def check_planner(planner: str, env: ManipulationEnv) -> None:
+def is_silent(progress: bool | None) -> bool | None:
+    """Return the argument ``disable`` of a progress bar."""
+    return None if progress is None else not progress
+
+
+def _check_planner(planner: str, env: ManipulationEnv, noise: float = 0.0) -> None:
     """Check that a planner can be used with an environment.
 
     :raises ValueError: it cannot, with the reason
     """
-    if planner not in PLANNERS:
-        raise ValueError(f"planner: got {planner!r}, takes one of {tuple(PLANNERS)}")
-    if planner == DECONSTRUCTION and (reason := _obstacle(env)) is not None:
-        raise ValueError(f"planner: got {planner!r}, but {reason}")
+    check_argument("planner", planner, choice(*PLANNERS))
+    if planner == DECONSTRUCTION:
+        obstacles = {
+            "only pick and place can be reversed, and this environment is close-loop": env.config.control
+            != OPEN_LOOP,
+            f"{type(env.task).__name__} builds no structure: it has no arrange_goal()": (
+                not env.task.has_goal_structure
+            ),
+            "on this surface blocks do not stay where they are placed": not env.scene.surface.keeps_poses,
+            "noise must be 0": noise > 0.0,
+        }
+        if reason := next((text for text, applies in obstacles.items() if applies), ""):
+            raise ParameterError.of("planner", planner, repr(WAYPOINT), reason)
 
 
-def _obstacle(env: ManipulationEnv) -> str | None:
-    """Return what keeps an environment's goal from being taken apart."""
-    if env.config.control != OPEN_LOOP:
-        return "only pick and place can be reversed, and this environment is close-loop"
-    if not env.task.has_goal_structure:
-        return f"{type(env.task).__name__} builds no structure: it has no arrange_goal()"
-    if not env.scene.surface.keeps_poses:
-        return "on this ground blocks do not stay as they are laid"
-    return None
-
-
-def _attempts(env: ManipulationEnv, planner: str, seed: int) -> Iterator[Episode | None]:
-    """Yield the episode of each attempt, or None where it fails."""
-    rng = np.random.default_rng(seed)
-    while True:
-        yield PLANNERS[planner](env, int(rng.integers(2**31)))
-
-
-def _follow_plan(env: ManipulationEnv, seed: int) -> Episode | None:
-    """Let the task's expert act."""
+def _follow_plan(env: ManipulationEnv, seed: int, noise: float) -> Episode | None:
+    """Run an episode of the task's expert."""
     observation, _ = env.reset(seed=seed)
-    return _play(env, seed, observation, (env.expert_action() for _ in itertools.count()))
+    rng = np.random.default_rng((seed, NOISE))
+
+    def act() -> Action:
+        action = env.expert_action()
+        if not noise:
+            return action
+        noisy: Action = (action + noise * rng.standard_normal(action.shape)).clip(-1.0, 1.0)
+        return noisy.astype(np.float32)
+
+    return _play(env, seed, observation, (act() for _ in itertools.count()))
 
 
-def _rebuild(env: ManipulationEnv, seed: int) -> Episode | None:
-    """Take the finished structure apart, and put it together again."""
+def _rebuild(env: ManipulationEnv, seed: int, noise: float) -> Episode | None:
+    """Take the finished structure apart, and run an episode that builds it again."""
     _, info = env.reset(seed=seed, options={"start": "goal"})
     try:
         waypoints = deconstruct(env.scene, np.random.default_rng((seed, TAKING_APART)))
@@ -126,20 +133,24 @@ def _rebuild(env: ManipulationEnv, seed: int) -> Episode | None:
         return None
     env.scene.begin()
     env.scene.settle()
-    moves = (env.tracker.next_move(iter([waypoint])) for waypoint in waypoints)
-    actions = (env.encode_action(move) for move in moves)
+    actions = (env.encode_action(env.tracker.next_move(iter([waypoint]))) for waypoint in waypoints)
     return _play(env, seed, env.observe(), actions) if info["is_success"] else None
 
 
-PLANNERS = {WAYPOINT: _follow_plan, DECONSTRUCTION: _rebuild}
+PLANNERS: dict[str, Callable[[ManipulationEnv, int, float], Episode | None]] = {
+    WAYPOINT: _follow_plan,
+    DECONSTRUCTION: _rebuild,
+}
+"""Functions that return the episode of an attempt, or None if it fails."""
 
 
 def _play(
-    env: ManipulationEnv, seed: int, observation: Observation, actions: Iterator[Action]
+    env: ManipulationEnv, seed: int, observation: Observation, actions: Iterable[Action]
 ) -> Episode | None:
-    """Act until the episode ends, or the actions do; return it if it succeeds."""
-    initial_state = plain.dumps(env.get_state())
-    observations, steps, succeeds = [observation], [], False
+    """Act until the episode or the actions end; return the episode if it succeeds."""
+    initial_state = json_state.dumps(env.get_state())
+    observations, succeeds = [observation], False
+    steps: list[Step] = []
     for action in actions:
         observation, reward, terminated, truncated, info = env.step(action)
         observations.append(observation)
@@ -147,26 +158,23 @@ def _play(
         succeeds = info["is_success"]
         if terminated or truncated:
             break
-    if not succeeds:
-        return None
-    return assemble(observations, steps, seed, initial_state)
+    return Episode.of(observations, steps, seed, initial_state) if succeeds else None
 
 
 def describe(env: ManipulationEnv) -> dict[str, Any]:
-    """Return the description of an environment in a file: its id, parts, parameters and action ranges.
+    """Return the description of an environment in a file: its id, components, parameters and action ranges.
 
     :raises ValueError: an object in the parameters has no import path
     """
     assert env.spec is not None
     for name, thing in env.objects.items():
-        raise ValueError(
-            f"env_kwargs: {name}={thing!r} has no import path 'module:name' to be kept in a file"
-        )
-    parameters = env.config.parameters()
+        raise ValueError(f"env_kwargs must have import paths 'module:attribute', got {name}={thing!r}")
     return {
         "env_id": env.spec.id,
         "recipe": env.recipe,
-        "configuration": {name: parameters[name] for name in parameters if not name.startswith("render_")},
+        "configuration": {
+            n: v for n, v in env.config.parameters().items() if n not in with_effect("rendering")
+        },
         "action_ranges": env.action_ranges,
     }
 
@@ -174,12 +182,12 @@ def describe(env: ManipulationEnv) -> dict[str, Any]:
 def _make(env_id: str, env_kwargs: Mapping[str, Any]) -> ManipulationEnv:
     env = gymnasium.make(env_id, **env_kwargs).unwrapped
     if not isinstance(env, ManipulationEnv):
-        raise ValueError(f"env_id: got {env_id!r}, takes an id of this package or of a registered task")
+        raise ValueError(f"env_id must be an id of this package or of a registered task, got {env_id!r}")
     return env
 
 
-def writable(path: Path) -> Path:
-    """Return a path that a file can be written to; asked before an hour of collecting, not after.
+def writable_path(path: Path) -> Path:
+    """Return a path after a check, before the collection, that a file can be written to it.
 
     :raises ValueError: it is a folder
     :raises OSError: its folder cannot be made or written to
@@ -188,5 +196,5 @@ def writable(path: Path) -> Path:
         raise ValueError(f"path must be a file such as {path / 'demonstrations.h5'}, got the folder {path}")
     path.parent.mkdir(parents=True, exist_ok=True)
     if not os.access(path.parent, os.W_OK):
-        raise PermissionError(f"path: {path.parent} cannot be written to")
+        raise PermissionError(f"path must be in a writable folder, got {path}")
     return path

@@ -1,10 +1,10 @@
-"""Episodes, and the HDF5 files they are kept in.
+"""Episodes and the HDF5 files that hold them.
 
-A file holds, compressed, ``episodes/0``, ``episodes/1``, ...: each with ``observations`` (n + 1 of each key),
+A file holds, compressed, ``episodes/0``, ``episodes/1``, ... Each has ``observations`` (n + 1 for each key),
 ``actions``, ``rewards``, ``terminations``, ``truncations``, the ``seed`` of its reset if it had one, and as
-JSON the ``initial_state`` (see :mod:`~bulletarm_gym.plain`), the ``configuration`` of its environment and
-the ``versions`` of what it was recorded with. Heights are counts of 0.1 mm. Before it, in HDF5's user block,
-is a checksum of all that.
+JSON the ``initial_state`` (see :mod:`~bulletarm_gym.demonstrations.json_state`), the ``configuration`` of its
+environment and the ``versions`` of libraries. Heights are counts of 0.1 mm. HDF5's user block holds a
+checksum of the content.
 """
 
 import io
@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, overload
 
 import gymnasium
 import h5py
@@ -26,36 +26,39 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from bulletarm_gym.demonstrations import plain
-from bulletarm_gym.registration import register
-from bulletarm_gym.state import EnvState
+from bulletarm_gym.demonstrations import json_state
+from bulletarm_gym.registry import register
+from bulletarm_gym.scene.state import EnvState
 
 FORMAT = 1
-"""Of the file; raised when older readers could no longer read it."""
+"""Version of the file format."""
 HEIGHT = 1e-4
-"""Metres a count of what is stored of a height: 0.1 mm."""
+"""Length (m) of a count of stored heights."""
 HEIGHTS = ("heightmap", "in_hand")
 """Observations in metres."""
 STEPS = ("actions", "rewards", "terminations", "truncations")
 LIBRARIES = ("bulletarm-gym", "gymnasium", "h5py", "numba", "numpy", "pybullet")
 USER_BLOCK = 512
-"""Bytes before the HDF5 content proper: HDF5's smallest block for other things than its own."""
-LARGEST_SEED = 2**63 - 1
+"""Size (bytes) of HDF5's user block, before its content."""
+MAX_INTEGER = 2**63 - 1
 """Largest seed that HDF5 stores as an integer; larger seeds are decimal text."""
 MAGIC = b"bulletarm-gym demonstrations"
 PACKED = {"compression": "gzip", "compression_opts": 4, "shuffle": True}
 
+Step = tuple[NDArray[np.float32], float, bool, bool]
+"""Action, reward, termination and truncation of a step."""
+
 
 @dataclass(frozen=True)
 class Episode:
-    """An episode of n steps, its parts named as Minari names them.
+    """Episode of n steps, with Minari's names.
 
-    :param observations: for each key (n + 1, ...) observations
+    :param observations: (n + 1, ...) for each key
     :param actions: (n, action dimensions)
     :param rewards: (n,)
-    :param terminations: (n,) whether it terminated
-    :param truncations: (n,) whether it was truncated
-    :param seed: of the reset it began with; None if it began without a seed or at a state
+    :param terminations: (n,)
+    :param truncations: (n,)
+    :param seed: seed of its reset; None if it had none or began at a state
     :param initial_state: as JSON
     """
 
@@ -73,42 +76,38 @@ class Episode:
 
     @cached_property
     def state(self) -> EnvState:
-        """The state before the first action, for an environment's ``set_state()``."""
-        state: EnvState = plain.loads(self.initial_state)
+        """State before the first action, for an environment's ``set_state()``."""
+        state: EnvState = json_state.loads(self.initial_state)
         return state
 
-
-Step = tuple[NDArray[np.float32], float, bool, bool]
-"""Action, reward, whether it terminated, whether it was truncated."""
-
-
-def assemble(
-    observations: Sequence[Mapping[str, NDArray[np.float32]]],
-    steps: Sequence[Step],
-    seed: int | None,
-    initial_state: str,
-) -> Episode:
-    """Put an episode together from what was observed, n + 1 times, and done, n times."""
-    stacked = {key: np.stack([entry[key] for entry in observations]) for key in observations[0]}
-    actions, rewards, terminations, truncations = map(np.array, zip(*steps, strict=True))
-    rewards = rewards.astype(np.float32)
-    return Episode(stacked, actions, rewards, terminations, truncations, seed, initial_state)
+    @classmethod
+    def of(
+        cls,
+        observations: Sequence[Mapping[str, NDArray[Any]]],
+        steps: Sequence[Step],
+        seed: int | None,
+        initial_state: str,
+    ) -> "Episode":
+        """Return the episode of n + 1 observations and n steps."""
+        stacked = {key: np.stack([entry[key] for entry in observations]) for key in observations[0]}
+        actions, rewards, terminations, truncations = map(np.array, zip(*steps, strict=True))
+        rewards = rewards.astype(np.float32)
+        return cls(stacked, actions, rewards, terminations, truncations, seed, initial_state)
 
 
-class Demonstrations:
-    """Episodes of one environment, as they are in a file; read one at a time.
+class Demonstrations(Sequence[Episode]):
+    """Episodes of one environment, in the format of a file; each is decompressed when it is read.
 
-    :param image: the content of the file
-    :param name: of the file, for errors
-    :param object_set: folder of the objects, if it is not where it was when they were recorded
-    :raises ValueError: it is of another kind, or damaged
+    :param image: content of the file
+    :param name: name of the file, for errors
+    :param object_set: folder of the objects, if it has moved since they were recorded
+    :raises ValueError: the file is of another kind or damaged
     """
 
     def __init__(
         self, image: bytes, name: str = "demonstrations", object_set: str | os.PathLike[str] | None = None
     ) -> None:
         self.image = image
-        self._name = name
         self._changed = {} if object_set is None else {"object_set": os.path.abspath(object_set)}
         if not image.startswith(MAGIC):
             raise ValueError(f"{name}: not a file of demonstrations")
@@ -116,20 +115,16 @@ class Demonstrations:
             raise ValueError(f"{name}: a file of demonstrations, but damaged: its checksum is wrong")
         with self._file() as file:
             self.about: dict[str, Any] = json.loads(file["about"][()])
+            self.attempts = int(file["attempts"][()])
+            """Number of episodes that were begun to collect these."""
             self._count = len(file["episodes"])
-            version = self.about["format"]
-        if version != FORMAT:
-            raise ValueError(f"{name}: its format is {version}, this version reads {FORMAT}")
+        if self.about["format"] != FORMAT:
+            raise ValueError(f"{name}: the format must be {FORMAT}, got {self.about['format']}")
 
     @property
     def env_id(self) -> str:
         """Id of the environment."""
         return str(self.about["env_id"])
-
-    @property
-    def attempts(self) -> int:
-        """Number of episodes begun for those that are here."""
-        return int(self.about["attempts"])
 
     @property
     def action_sequence(self) -> str:
@@ -142,18 +137,17 @@ class Demonstrations:
         return spaces.Box(-1.0, 1.0, (len(self.action_sequence),), np.float32)
 
     @property
-    def action_ranges(self) -> dict[str, tuple[float, float]] | None:
-        """Values (m, rad) of -1 and 1 in an action, by name; None in older files."""
-        ranges = self.about.get("action_ranges")
-        return ranges and {name: (low, high) for name, (low, high) in ranges.items()}
+    def action_ranges(self) -> dict[str, tuple[float, float]]:
+        """Values (m, rad) of -1 and 1 in an action, by name."""
+        return {name: (low, high) for name, (low, high) in self.about["action_ranges"].items()}
 
     def make_env(self, **parameters: Any) -> gymnasium.Env[Any, Any]:
-        """Make an environment like the one they were recorded in; the module of a user's task is imported.
+        """Make the environment of the episodes; the module of a user's task is imported.
 
         :param parameters: parameters with other values
         :raises ValueError: the folder of the objects does not exist
         """
-        if self.env_id not in gymnasium.registry and "recipe" in self.about:
+        if self.env_id not in gymnasium.registry:
             register(self.env_id, self.about["recipe"])
         parameters = {**self.about["configuration"], **self._changed, **parameters}
         folder = parameters.get("object_set")
@@ -165,99 +159,108 @@ class Demonstrations:
         return gymnasium.make(self.env_id, **parameters)
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the file, whole or not at all; its folder is made."""
-        with whole_file(Path(path)) as partial:
+        """Write the file atomically; its folder is made."""
+        with atomic_path(Path(path)) as partial:
             partial.write_bytes(self.image)
 
     def __len__(self) -> int:
         """Return the number of episodes."""
         return self._count
 
-    def __getitem__(self, index: int) -> Episode:
-        """Return an episode.
+    @overload
+    def __getitem__(self, index: int) -> Episode: ...
+    @overload
+    def __getitem__(self, index: slice) -> "Demonstrations": ...
 
-        :raises ValueError: the file lacks a part of it
-        """
+    def __getitem__(self, index: int | slice) -> "Episode | Demonstrations":
+        """Return an episode, or the demonstrations of a slice, whose ``attempts`` are its episodes."""
+        if isinstance(index, slice):
+            return self._subset(range(self._count)[index])
         if not -self._count <= index < self._count:
-            raise IndexError(f"there are {self._count} episodes, no number {index}")
+            raise IndexError(f"index must be from {-self._count} to {self._count - 1}, got {index}")
         with self._file() as file:
             return _read(file["episodes"][str(index % self._count)])
 
-    def __iter__(self) -> Iterator[Episode]:
-        """Iterate over the episodes."""
-        return (self[index] for index in range(self._count))
+    def _subset(self, numbers: range) -> "Demonstrations":
+        recorder = Recorder(self.about)
+        with self._file() as file:
+            for number in numbers:
+                recorder.copy(file["episodes"][str(number)])
+        found = recorder.finish()
+        found._changed = self._changed
+        return found
 
-    @contextmanager
-    def _file(self) -> Iterator[h5py.File]:
-        """Open the file.
-
-        :raises ValueError: there is not in it what should be
-        """
-        try:
-            with h5py.File(io.BytesIO(self.image), "r") as file:
-                yield file
-        except (AttributeError, LookupError, OSError, RuntimeError, TypeError, ValueError) as error:
-            raise ValueError(f"{self._name}: not a file of demonstrations, or damaged: {error}") from error
+    def _file(self) -> h5py.File:
+        return h5py.File(io.BytesIO(self.image), "r")
 
 
 class Recorder:
-    """Makes the file, episode by episode, in memory: until it is whole there is none on the disk.
+    """Writer of the content of a file, in memory.
 
-    :param environment: description of the environment, with its parameters as ``configuration``
+    :param about: description of the environment and of the collection, which an existing file has already
+    :param image: content of an existing file, to which episodes are added
     """
 
-    def __init__(self, environment: Mapping[str, Any]) -> None:
-        self._about = {"format": FORMAT, **environment, "versions": versions()}
-        self.attempts = 0
-        """Number of episodes begun."""
-        self._buffer = io.BytesIO()
-        self._file = h5py.File(self._buffer, "w", userblock_size=USER_BLOCK)
-        self._episodes = self._file.create_group("episodes", track_order=True)
-        for name in ("configuration", "versions"):
-            self._file[name] = json.dumps(self._about[name])
+    def __init__(self, about: Mapping[str, Any], image: bytes | None = None) -> None:
+        self._versions = json.dumps(versions())
+        self._buffer = io.BytesIO(image or b"")
+        if image is not None:
+            self._file = h5py.File(self._buffer, "r+")
+        else:
+            self._file = h5py.File(self._buffer, "w", userblock_size=USER_BLOCK)
+            about = {"format": FORMAT, "versions": versions(), **about}
+            self._file.create_group("episodes", track_order=True)
+            self._file["attempts"] = 0
+            self._file["about"] = json.dumps(about)
+            self._file["configuration"] = json.dumps(about["configuration"])
+            self._file["versions"] = json.dumps(about["versions"])
+        self._episodes = self._file["episodes"]
+        self.attempts = int(self._file["attempts"][()])
+        """Number of episodes that were begun."""
 
     def __len__(self) -> int:
-        """Return the number of episodes so far."""
+        """Return the number of episodes."""
         return len(self._episodes)
 
     def add(self, episode: Episode | None) -> None:
-        """Add the episode of an attempt; None counts as one that failed."""
+        """Add the episode of an attempt; None counts as a failed attempt."""
         self.attempts += 1
-        if episode is not None:
-            self._write(episode)
-
-    def _write(self, episode: Episode) -> None:
-        group = self._episodes.create_group(str(len(self._episodes)))
+        if episode is None:
+            return
+        group = self._episodes.create_group(str(len(self)))
         for key, values in episode.observations.items():
             _write_observations(group.require_group("observations"), key, values)
         for name in STEPS:
             group[name] = getattr(episode, name)
         if episode.seed is not None:
-            group["seed"] = episode.seed if episode.seed <= LARGEST_SEED else str(episode.seed)
+            group["seed"] = episode.seed if episode.seed <= MAX_INTEGER else str(episode.seed)
         state = np.frombuffer(episode.initial_state.encode(), np.uint8)
         group.create_dataset("initial_state", data=state, **PACKED)
-        for name in ("configuration", "versions"):
-            group[name] = self._file[name]  # a second name of the same thing, not a copy
+        group["configuration"] = self._file["configuration"]  # a second name of the same data, not a copy
+        is_same = self._file["versions"][()].decode() == self._versions
+        group["versions"] = self._file["versions"] if is_same else self._versions
 
-    def finish(self, **about: Any) -> Demonstrations:
-        """Return what was recorded.
+    def copy(self, group: h5py.Group) -> None:
+        """Add an episode of another file without decompressing it."""
+        self.attempts += 1
+        self._file.copy(group, self._episodes, str(len(self)))
 
-        :param about: what else is to be known of it; JSON values
-        """
-        self._file["about"] = json.dumps({**self._about, "attempts": self.attempts, **about})
+    def finish(self) -> Demonstrations:
+        """Return the demonstrations."""
+        self._file["attempts"][()] = self.attempts
         self._file.close()
         content = self._buffer.getvalue()[USER_BLOCK:]
         return Demonstrations(_user_block(content) + content)
 
 
 def versions() -> dict[str, str]:
-    """Return what an episode's last digits depend on."""
+    """Return the versions on which the last digits of an episode depend."""
     found = {library: version(library) for library in LIBRARIES}
     return {"python": platform.python_version(), "platform": platform.platform(), **found}
 
 
 def _user_block(content: bytes) -> bytes:
-    """Return what comes before the content: its checksum, for HDF5 itself meets damages late or never."""
+    """Return the user block with the checksum of the content."""
     return (MAGIC + f" crc32 {zlib.crc32(content):08x}\n".encode()).ljust(USER_BLOCK, b"\0")
 
 
@@ -266,10 +269,10 @@ def _remove(path: Path) -> None:
 
 
 @contextmanager
-def whole_file(path: Path, discard: Callable[[Path], None] = _remove) -> Iterator[Path]:
-    """Give a temporary path beside ``path``, which takes its place if the block succeeds, and else goes.
+def atomic_path(path: Path, discard: Callable[[Path], None] = _remove) -> Iterator[Path]:
+    """Yield a temporary path next to ``path``, which replaces ``path`` if the block succeeds.
 
-    :param discard: removes what stands at the temporary path, if anything does
+    :param discard: function that removes the temporary path if it exists
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(f".{path.name}-{os.getpid()}")
@@ -309,8 +312,8 @@ def _read_observations(dataset: h5py.Dataset) -> NDArray[Any]:
 def load(path: str | os.PathLike[str], object_set: str | os.PathLike[str] | None = None) -> Demonstrations:
     """Return the demonstrations in a file.
 
-    :param object_set: folder of the objects, if it is not where it was when they were recorded
-    :raises OSError: it cannot be opened
-    :raises ValueError: it is of another kind, or damaged; so it may turn out when an episode is read
+    :param object_set: folder of the objects, if it has moved since they were recorded
+    :raises OSError: the file cannot be opened
+    :raises ValueError: the file is of another kind or damaged
     """
     return Demonstrations(Path(path).read_bytes(), os.fspath(path), object_set)

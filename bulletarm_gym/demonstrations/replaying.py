@@ -1,4 +1,4 @@
-"""Episodes once more, step by step, for what was not recorded: pictures, poses."""
+"""Replay of episodes, for values that were not recorded."""
 
 from collections.abc import Iterator
 
@@ -7,22 +7,20 @@ import numpy as np
 from bulletarm_gym.demonstrations.episodes import HEIGHT, HEIGHTS, Demonstrations, Episode, versions
 from bulletarm_gym.env import ManipulationEnv, Observation
 
-ROUNDING = HEIGHT / 2.0 + 1e-6
-"""How far (m) what is stored of a height is from it: half a count, and what float32 adds."""
+TOLERANCE = HEIGHT / 2.0 + 1e-6
+"""Maximum error (m) of a stored height: half a count, and rounding to float32."""
 
 
 class ReplayError(RuntimeError):
-    """An episode does not go as it was recorded."""
+    """A replayed episode differs from the recorded one."""
 
 
 def replay(demonstrations: Demonstrations, number: int, env: ManipulationEnv) -> Iterator[int]:
-    """Repeat an episode in an environment; yield, with it at each of the n + 1 moments, the moment's number.
+    """Repeat an episode, and yield the number of each of its n + 1 states when the environment is in it.
 
-    What is observed is compared with what was recorded.
-
-    :param number: of the episode
-    :param env: of the same parameters
-    :raises ReplayError: something else is observed, as it may be with other versions or on another machine
+    :param number: number of the episode
+    :param env: environment with the same parameters
+    :raises ReplayError: an observation differs from the recorded one, for example with other versions
     """
     episode = demonstrations[number]
     env.set_state(episode.state)
@@ -32,7 +30,8 @@ def replay(demonstrations: Demonstrations, number: int, env: ManipulationEnv) ->
             observation = env.step(episode.actions[moment - 1])[0]
         if (key := _difference(episode, moment, observation)) is not None:
             raise ReplayError(
-                f"episode {number}, step {moment}: {key} is not what was recorded{_reason(demonstrations)}"
+                f"episode {number}, step {moment}: {key} differs from the recorded one"
+                f"{_changed_versions(demonstrations)}"
             )
         yield moment
 
@@ -40,14 +39,13 @@ def replay(demonstrations: Demonstrations, number: int, env: ManipulationEnv) ->
 def _difference(episode: Episode, moment: int, observation: Observation) -> str | None:
     """Return the first key whose values differ from those recorded."""
     for key, recorded in episode.observations.items():
-        tolerance = ROUNDING if key in HEIGHTS else 0.0
+        tolerance = TOLERANCE if key in HEIGHTS else 0.0
         if not np.allclose(observation[key], recorded[moment], rtol=0.0, atol=tolerance, equal_nan=True):
             return key
     return None
 
 
-def _reason(demonstrations: Demonstrations) -> str:
-    """Return what differs from when it was recorded."""
+def _changed_versions(demonstrations: Demonstrations) -> str:
     ours = versions()
     changed = [
         f"{name} {theirs}, here {ours.get(name)}"

@@ -4,11 +4,11 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 
-from bulletarm_gym.extensions import OBJECT_PATHS, load
 from bulletarm_gym.objects import blocks, bottles, containers
 from bulletarm_gym.objects.files import load_folder
 from bulletarm_gym.objects.graspables import graspables
 from bulletarm_gym.objects.solids import laid_flat
+from bulletarm_gym.registry import OBJECTS
 from bulletarm_gym.simulation.shapes import BodySpec
 
 Make = Callable[[str, float], BodySpec]
@@ -52,12 +52,8 @@ def create(kind: str, name: str, scale: float = 1.0) -> BodySpec:
     :param scale: factor on its nominal size
     :raises ValueError: the kind is unknown, or its function does not return a body with a volume
     """
-    path = OBJECT_PATHS.get(kind, kind)
-    if kind not in KINDS and ":" not in path:
-        known = ", ".join(repr(other) for other in (*KINDS, *OBJECT_PATHS))
-        raise ValueError(f"kind must be one of {known}, or 'module:function', got {kind!r}")
-    make = KINDS[kind] if kind in KINDS else load(path)
-    made = make(name, scale)
+    path = OBJECTS.path(kind)
+    made = OBJECTS.find(kind, "kind")(name, scale)
     if not isinstance(made, BodySpec):
         raise ValueError(f"object {kind!r}: {path} must return a BodySpec, got a {type(made).__name__}")
     if not made.pieces:

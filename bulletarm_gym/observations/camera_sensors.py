@@ -6,13 +6,21 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
+from bulletarm_gym.config_checks import (
+    check_argument,
+    choice,
+    field_of_view,
+    integer,
+    optional,
+    point,
+    render_size,
+)
 from bulletarm_gym.geometry import FloatArray, Vector, rotate
 from bulletarm_gym.observations.cameras import look_at, side_cameras, viewpoint
 from bulletarm_gym.observations.sensor import Sensor
 from bulletarm_gym.observations.view import View
 from bulletarm_gym.scene import Scene
 from bulletarm_gym.simulation import Camera
-from bulletarm_gym.values import FIELD_OF_VIEW, check_argument, choice, integer, optional, point, render_size
 
 EYE, TARGET = (0.55, -0.45, 0.6), (0.0, 0.0, 0.05)
 """Default position and target (m) of a fixed camera, relative to the centre of a default workspace."""
@@ -55,7 +63,7 @@ class CameraSensor(Sensor):
         defaults = (WRIST_EYE, WRIST_TARGET) if self._on_wrist else viewpoint(scene, EYE, TARGET)
         self._eye: Vector = tuple(check_argument("position", position, optional(point)) or defaults[0])
         self._target: Vector = tuple(check_argument("target", target, optional(point)) or defaults[1])
-        self._lens = (check_argument("fov", fov, FIELD_OF_VIEW), check_argument("size", size, render_size))
+        self._lens = (check_argument("fov", fov, field_of_view), check_argument("size", size, render_size))
         self._fixed = look_at(self._eye, self._target, *self._lens)
 
     @property

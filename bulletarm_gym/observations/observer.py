@@ -10,7 +10,6 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from bulletarm_gym.config import ORTHOGRAPHIC, EnvConfig, ParameterError
-from bulletarm_gym.extensions import load
 from bulletarm_gym.geometry import Pose
 from bulletarm_gym.observations.camera_sensors import Depth, PointCloud, Rgb
 from bulletarm_gym.observations.cameras import RENDER, SceneCamera, render_camera
@@ -19,6 +18,7 @@ from bulletarm_gym.observations.in_hand import InHand
 from bulletarm_gym.observations.sensor import Sensor
 from bulletarm_gym.observations.state import Holding, JointState, State
 from bulletarm_gym.observations.view import View
+from bulletarm_gym.registry import SENSORS as REGISTRY
 from bulletarm_gym.scene import Scene
 from bulletarm_gym.simulation import Camera
 
@@ -34,7 +34,7 @@ SENSORS: dict[str, type[Sensor]] = {
     "point_cloud": PointCloud,
     "joint_state": JointState,
 }
-"""Built-in sensors by name, see :data:`~bulletarm_gym.config.SENSORS`."""
+"""Built-in sensors, by name."""
 
 
 class Observer:
@@ -102,7 +102,7 @@ def _make(config: EnvConfig, name: str, source: str, parameters: Mapping[str, An
     :param source: name of the sensor or its import path
     :raises ParameterError: the sensor is unknown, does not fit, or has wrong parameters
     """
-    kind = SENSORS.get(source) or _load(name, source)
+    kind = REGISTRY.find(source, "observation")
     takes = _mismatch(config, name, source, kind, parameters)
     if takes is not None:
         raise ParameterError.of("observation", config.observation, takes)
@@ -119,8 +119,8 @@ def _mismatch(
     config: EnvConfig, name: str, source: str, kind: Any, parameters: Mapping[str, Any]
 ) -> str | None:
     """Return the constraint that a sensor violates, or None."""
-    if not (isinstance(kind, type) and issubclass(kind, Sensor)) or inspect.isabstract(kind):
-        return f"sensors; {source!r} is none"
+    if inspect.isabstract(kind):
+        return f"a list without the abstract {source!r}"
     if config.control not in kind.controls:
         belongs = " or ".join(control.replace("_", "-") for control in kind.controls)
         return f"what can be seen here: {name!r} belongs to {belongs} environments"
@@ -133,13 +133,6 @@ def _mismatch(
     if unknown:
         return f"for {name!r} {', '.join(known) or 'no parameters'}, not {', '.join(unknown)}"
     return None
-
-
-def _load(name: str, path: str) -> Any:
-    try:
-        return load(path)
-    except ValueError as error:
-        raise ParameterError(f"observation: {name}: {error}") from error
 
 
 def _checked(name: str, found: Any, space: spaces.Space[Any]) -> NDArray[Any]:

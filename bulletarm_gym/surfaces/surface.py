@@ -142,5 +142,7 @@ class Surface(ABC):
     def _uniform_position(self, rng: np.random.Generator, margin: float) -> Point:
         (x0, x1), (y0, y1) = self.workspace[:2]
         if x1 - x0 < 2.0 * margin:
-            raise ValueError(f"workspace: {self.workspace[:2]} leaves nothing {margin:.3f} m from its border")
+            raise PlacementError(
+                f"workspace: {self.workspace[:2]} has no point {margin:.3f} m from its border"
+            )
         return float(rng.uniform(x0 + margin, x1 - margin)), float(rng.uniform(y0 + margin, y1 - margin))

@@ -14,7 +14,7 @@ from bulletarm_gym.objects.blocks import CUBE_SIZE
 from bulletarm_gym.observations import Overlay
 from bulletarm_gym.scene import ObjectSlot, Scene, SceneObject
 from bulletarm_gym.scene.predicates import loose_objects
-from bulletarm_gym.state import declare_state_types
+from bulletarm_gym.scene.state import declare_state_types
 from bulletarm_gym.surfaces.surface import SITE, Point
 
 
@@ -32,8 +32,6 @@ class Task(ABC):
     """Kinds of controls that can solve the task."""
     single_step: ClassVar[bool] = False
     """Whether every action ends the episode."""
-    feasibility_trials: ClassVar[int] = 8
-    """Largest number of arrangements in the constructor that check sizes and workspaces set by the user."""
     memory_types: ClassVar[tuple[type, ...]] = ()
     """Dataclasses and named tuples in :attr:`memory`, for files of states; plain values need none."""
     site: Point = SITE

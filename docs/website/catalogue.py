@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
-from bulletarm_gym.extensions import load
-from bulletarm_gym.registration import COMPOSED, ENTRIES, OWN, Entry
+from bulletarm_gym.registry import COMPOSED, ENTRIES, OWN, Entry, load
 from bulletarm_gym.tasks import Task
 from website.docstrings import LABEL, LABELS
 

@@ -5,9 +5,8 @@ from collections.abc import Iterable, Sequence
 import gymnasium
 from gymnasium import spaces
 
-from bulletarm_gym.config import CLOSE_LOOP, EnvConfig, accepted
+from bulletarm_gym.config import CLOSE_LOOP, Context, EnvConfig, accepted
 from bulletarm_gym.env import ManipulationEnv
-from bulletarm_gym.robots import ROBOTS
 from website import actions, figures
 from website.catalogue import Shown, relatives
 from website.docstrings import parameters
@@ -97,10 +96,10 @@ def _box(space: spaces.Box) -> str:
 
 
 def _parameters(env: ManipulationEnv) -> str:
-    takes = accepted(env.config.control, env.task.defaults, tuple(ROBOTS))
+    takes = accepted(Context(env.config.control, env.task.defaults))
     meaning = parameters(EnvConfig)
     rows = [
         [f"`{name}`", f"`{value!r}`", meaning[name], takes[name]]
         for name, value in env.config.parameters().items()
     ]
-    return table(["name", "default", "meaning", "takes"], rows) + MORE_PARAMETERS
+    return table(["name", "default", "meaning", "accepted values"], rows) + MORE_PARAMETERS

@@ -17,7 +17,7 @@ class Rangefinder(Sensor):
     def __init__(self, scene: Scene, reach: float = 0.3) -> None:
         super().__init__(scene)
         if not 0.0 < reach <= 2.0:
-            raise ValueError(f"reach: got {reach!r}, takes metres up to 2")
+            raise ValueError(f"reach must be at most 2 m, got {reach!r}")
         self.reach = reach
 
     @property

@@ -17,7 +17,7 @@ import numpy as np
 
 import bulletarm_gym
 from bulletarm_gym.env import ManipulationEnv
-from bulletarm_gym.state import EnvState
+from bulletarm_gym.scene.state import EnvState
 
 EXPERT_SHARE = 0.7
 """Share of expert actions among random ones: enough for grasps, pushes and successes to happen."""

@@ -9,7 +9,8 @@ import pytest
 from PIL import Image
 from small_arm import PARAMETERS, SMALL
 
-from bulletarm_gym.check_robot import check_robot, main
+from bulletarm_gym.check.__main__ import main
+from bulletarm_gym.check.robot import check_robot
 from bulletarm_gym.geometry import Pose, euler_pose
 from bulletarm_gym.robots import KUKA, ROBOTS, ParallelJaw, RobotModel
 from bulletarm_gym.robots.kuka import FLANGE, JAW
@@ -83,20 +84,20 @@ def test_a_broken_model_is_recognised(what: str) -> None:
 
 def test_command_writes_an_image_with_the_tool_frame(tmp_path: Path) -> None:
     path = tmp_path / "arm.png"
-    assert main(["kuka", "--image", str(path)]) == 0
+    assert main(["--robot", "kuka", "--image", str(path)]) == 0
     colours = {colour for _, colour in Image.open(path).getcolors(1 << 20)}
     assert {(255, 0, 0), (0, 128, 0), (0, 0, 255)} <= colours
 
 
 def test_command_checks_a_workspace(capsys: pytest.CaptureFixture[str]) -> None:
     limits = [str(limit) for side in WORKSPACE for limit in side]
-    assert main(["small_arm:SMALL", "--workspace", *limits]) == 0
-    assert main(["small_arm:SMALL"]) == 2
+    assert main(["--robot", "small_arm:SMALL", "--workspace", *limits]) == 0
+    assert main(["--robot", "small_arm:SMALL"]) == 2
     assert "largest workspace" in capsys.readouterr().out
 
 
 def test_unknown_arm_is_one_line_and_exit_status_2(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["ur10"]) == 2
+    assert main(["--robot", "ur10"]) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert "ur10" in line and "kuka" in line
 
@@ -109,6 +110,6 @@ def test_an_image_that_cannot_be_written_is_refused_before_the_check(
     image: str, must: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with pytest.raises(SystemExit) as stop:
-        main(["kuka", "--image", str(tmp_path / image)])
+        main(["--robot", "kuka", "--image", str(tmp_path / image)])
     assert stop.value.code == 2
     assert f"--image must be {must}, got" in capsys.readouterr().err

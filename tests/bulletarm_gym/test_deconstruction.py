@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from rollouts import digest
 
-from bulletarm_gym.config import ParameterError
 from bulletarm_gym.demonstrations import collect
 from bulletarm_gym.env import ManipulationEnv
 from bulletarm_gym.experts.deconstruction import GRASP_CLEARANCE, deconstruct
@@ -45,7 +44,7 @@ def test_tasks_without_a_structure_refuse_and_go_on(make: Make) -> None:
     env = make("BulletArm/CloseLoopBlockPicking-v0")
     env.reset(seed=0)
     before = env.get_state()
-    with pytest.raises(ValueError, match="BlockPicking builds no structure"):
+    with pytest.raises(ValueError, match=r"BlockPicking has no arrange_goal"):
         env.reset(seed=1, options=GOAL)
     assert env.get_state() == before
 
@@ -114,5 +113,5 @@ def test_no_room_to_lay_a_block_is_a_failed_attempt(monkeypatch: pytest.MonkeyPa
 
 def test_a_workspace_too_small_is_refused() -> None:
     small = {"workspace": [[0.4, 0.52], [-0.06, 0.06], [0.0, 1.0]]}
-    with pytest.raises(ParameterError, match=r"^workspace: .* room"):
-        collect(STACKING, 1, "deconstruction", seed=0, env_kwargs=small)
+    with pytest.raises(PlacementError, match=r"^workspace must leave room"):
+        collect(STACKING, 1, seed=0, env_kwargs=small)

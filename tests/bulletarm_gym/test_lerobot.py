@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from bulletarm_gym.demonstrations import Demonstrations, ReplayError, collect, export_lerobot, replay
-from bulletarm_gym.demonstrations import lerobot_format as lerobot
+from bulletarm_gym.demonstrations import exports as lerobot
 from bulletarm_gym.env import ManipulationEnv
 
 PICKING = "BulletArm/CloseLoopBlockPicking-v0"
@@ -31,7 +31,7 @@ def env_of() -> Iterator[Callable[[Demonstrations], ManipulationEnv]]:
     made: list[ManipulationEnv] = []
 
     def make(demonstrations: Demonstrations) -> ManipulationEnv:
-        made.append(lerobot.inner(demonstrations))
+        made.append(lerobot.unwrapped_env(demonstrations))
         return made[-1]
 
     yield make
@@ -102,7 +102,7 @@ def test_an_episode_that_goes_otherwise_is_refused(
     monkeypatch.setattr(Demonstrations, "__getitem__", lambda self, index: other)
     monkeypatch.setitem(picking.about["versions"], "numpy", "0.1")
     with pytest.raises(
-        ReplayError, match=r"episode 0, step \d+: heightmap is not .*recorded with numpy 0\.1, here"
+        ReplayError, match=r"episode 0, step \d+: heightmap differs .*recorded with numpy 0\.1, here"
     ):
         list(replay(picking, 0, env))
 
@@ -159,13 +159,13 @@ def test_two_features_of_one_name(env_of: Callable[[Demonstrations], Manipulatio
 
 
 def test_folders_are_whole_or_not_at_all(tmp_path: Path) -> None:
-    with lerobot.whole_folder(tmp_path / "new" / "set") as partial:
+    with lerobot.atomic_folder(tmp_path / "new" / "set") as partial:
         partial.mkdir()
         (partial / "file").touch()
     assert [path.name for path in (tmp_path / "new" / "set").iterdir()] == ["file"]
-    with pytest.raises(FileExistsError, match="there already"), lerobot.whole_folder(tmp_path / "new"):
+    with pytest.raises(FileExistsError, match="which exists"), lerobot.atomic_folder(tmp_path / "new"):
         pass
-    with pytest.raises(KeyError), lerobot.whole_folder(tmp_path / "failed") as partial:
+    with pytest.raises(KeyError), lerobot.atomic_folder(tmp_path / "failed") as partial:
         partial.mkdir()
         raise KeyError
     assert [path.name for path in tmp_path.iterdir()] == ["new"]

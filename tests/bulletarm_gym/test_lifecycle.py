@@ -12,7 +12,7 @@ from gymnasium.vector import AutoresetMode
 from rollouts import idle, make_env
 
 from bulletarm_gym.env import ManipulationEnv
-from bulletarm_gym.state import EnvState
+from bulletarm_gym.scene.state import EnvState
 
 Make = Callable[..., ManipulationEnv]
 

@@ -248,7 +248,7 @@ def test_name_of_a_material_may_have_an_apostrophe(tmp_path: Path) -> None:
 
 def test_a_folder_that_does_not_exist_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     env_id = "BulletArm/CloseLoopObjectGrasping-v0"
-    with pytest.raises(ValueError, match=f"'{tmp_path}/none', takes None, an existing folder or a list"):
+    with pytest.raises(ValueError, match=f"^object_set must be .*existing folder.*, got '{tmp_path}/none'"):
         gymnasium.make(env_id, object_set=f"{tmp_path}/none")
     monkeypatch.chdir(tmp_path)
     with pytest.raises(ValueError, match=f"an existing folder in the working directory {tmp_path} or a list"):
@@ -356,8 +356,6 @@ def test_objects_wider_than_the_stroke_are_refused_by_name(
     if is_spanned:
         make("BulletArm/CloseLoopObjectGrasping-v0", **parameters)
         return
-    with pytest.raises(
-        ValueError, match=r"object_set: .* spans: it opens to 0\.085 m, other\.obj is 0\.12 m wide$"
-    ):
+    with pytest.raises(ValueError, match=r"^object_set must be .* other\.obj is 0\.12 m wide$"):
         make("BulletArm/CloseLoopObjectGrasping-v0", **parameters)
     make("BulletArm/CloseLoopObjectGrasping-v0", object_scale_range=0.5, **parameters)

@@ -13,7 +13,6 @@ import pytest
 import bulletarm_gym
 from bulletarm_gym.demonstrations import collect
 from bulletarm_gym.env import ManipulationEnv
-from bulletarm_gym.extensions import SENSOR_PATHS
 from bulletarm_gym.observations import Sensor
 
 PICKING = "BulletArm/CloseLoopBlockPicking-v0"
@@ -56,7 +55,7 @@ def module(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
     yield __import__("my_counting")
     sys.path.remove(str(folder))
     del sys.modules["my_counting"]
-    SENSOR_PATHS.pop("count", None)
+    SENSORS.paths.pop("count", None)
 
 
 @pytest.fixture
@@ -90,7 +89,7 @@ def test_its_memory_is_part_of_the_state(env: ManipulationEnv) -> None:
 def test_the_spec_names_its_path(env: ManipulationEnv) -> None:
     entry = {"name": "count", "sensor": "my_counting:Count"}
     assert env.spec.kwargs["observation"] == [entry, "holding"]
-    SENSOR_PATHS.pop("count")
+    SENSORS.paths.pop("count")
     copy = gymnasium.make(env.spec)
     assert copy.observation_space == env.observation_space
     copy.close()
@@ -116,9 +115,9 @@ def test_demonstrations_keep_what_it_read(env: ManipulationEnv) -> None:
 @pytest.mark.parametrize(
     ("name", "sensor", "words"),
     [
-        ("color", "my_counting:Count", "is one of ours"),
-        ("count", "my_counting:Unfinished", "is taken by my_counting:Count"),
-        ("two words", "my_counting:Count", "no identifier"),
+        ("color", "my_counting:Count", "^name must be unused, got 'color'"),
+        ("count", "my_counting:Unfinished", "^name must be unused, got 'count'"),
+        ("two words", "my_counting:Count", "^name must be an identifier"),
         ("other", lambda scene: None, "lambda"),
         ("other", "my_counting:Missing", "cannot be imported"),
     ],
@@ -138,7 +137,7 @@ def test_a_class_local_to_a_function_is_refused() -> None:
 
 @pytest.mark.parametrize("path", ["my_counting:Unfinished", "my_counting:spaces", Path.__module__ + ":Path"])
 def test_what_is_no_whole_sensor_is_refused(path: str) -> None:
-    with pytest.raises(ValueError, match=r"^observation: .* is none"):
+    with pytest.raises(ValueError, match=r"^observation must be "):
         gymnasium.make(PICKING, observation=[{"name": "mine", "sensor": path}])
 
 

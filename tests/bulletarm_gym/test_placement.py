@@ -10,7 +10,7 @@ import pytest
 from bulletarm_gym.env import ManipulationEnv
 from bulletarm_gym.geometry import PlacementError, Pose
 from bulletarm_gym.objects import create
-from bulletarm_gym.robots import find_robot
+from bulletarm_gym.robots import ROBOTS
 from bulletarm_gym.scene import ObjectSlot, Scene
 from bulletarm_gym.scene.sampling import (
     free_pose,
@@ -20,7 +20,7 @@ from bulletarm_gym.scene.sampling import (
     sample_until,
     scatter,
 )
-from bulletarm_gym.surfaces import make_surface
+from bulletarm_gym.surfaces import SURFACES
 
 Make = Callable[..., ManipulationEnv]
 
@@ -45,7 +45,7 @@ PACKING = [(f"packing_{number}", f"packing_block_{number % 7}", 0.8) for number 
 def _scene(make: Make, surface: str, kinds: list[tuple[str, str, float]]) -> Scene:
     config = replace(make("BulletArm/CloseLoopBlockStacking-v0").config, workspace=WORKSPACE)
     roles = [ObjectSlot(name, (create(kind, name, scale),)) for name, kind, scale in kinds]
-    return Scene(config, find_robot("kuka"), make_surface(surface, WORKSPACE, (0.03, 0.03)), roles)
+    return Scene(config, ROBOTS["kuka"], SURFACES[surface](WORKSPACE, (0.03, 0.03)), roles)
 
 
 def _assert_apart_and_inside(scene: Scene, least: float) -> None:
@@ -140,7 +140,7 @@ def test_search_is_bounded(scene: Scene) -> None:
 
 
 def test_too_wide_a_margin_is_refused(scene: Scene) -> None:
-    with pytest.raises(ValueError, match="workspace"):
+    with pytest.raises(PlacementError, match="workspace"):
         scatter(scene, np.random.default_rng(0), [0.16], 0.0)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from rollouts import digest, mixed_action, step_on, transcript
 
-from bulletarm_gym.demonstrations import plain
+from bulletarm_gym.demonstrations import json_state
 from bulletarm_gym.env import ManipulationEnv
 from bulletarm_gym.scene import Scene
 from bulletarm_gym.simulation.state import Properties
@@ -80,7 +80,7 @@ def test_state_keeps_properties() -> None:
         step_on(env, env.expert_action())
     state = env.get_state()
     assert state.world.properties
-    assert plain.loads(plain.dumps(state)) == state == pickle.loads(pickle.dumps(state))
+    assert json_state.loads(plain.dumps(state)) == state == pickle.loads(pickle.dumps(state))
 
     def rollout(env: ManipulationEnv) -> list[str]:
         env.set_state(state)

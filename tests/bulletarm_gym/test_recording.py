@@ -315,7 +315,7 @@ def test_file_of_other_parameters_is_refused_with_their_names(tmp_path: Path) ->
 
 
 OWN_TASK = """
-from bulletarm_gym.registration import register_task
+from bulletarm_gym import register_task
 from bulletarm_gym.tasks.picking import BlockReaching
 
 class OwnReaching(BlockReaching):

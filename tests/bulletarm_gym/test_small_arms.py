@@ -46,7 +46,7 @@ def test_default_home_height_is_within_the_workspace() -> None:
     ids=str,
 )
 def test_heights_that_do_not_fit_are_named(env_id: str, parameters: dict[str, Any], name: str) -> None:
-    with pytest.raises(ParameterError, match=f"^{name}: got .*{parameters[name]}"):
+    with pytest.raises(ParameterError, match=f"^{name} must .*, got .*{parameters[name]}"):
         make_env(env_id, **parameters)
 
 

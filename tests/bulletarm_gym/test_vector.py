@@ -1,8 +1,5 @@
-"""Parallel environments: equal to single ones, and well-behaved when a worker fails."""
+"""Vector environments equal single ones, and their members begin at states."""
 
-import multiprocessing
-import os
-import signal
 from functools import partial
 from typing import Any
 
@@ -14,21 +11,15 @@ from gymnasium.wrappers import FlattenObservation, RescaleAction
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 import bulletarm_gym
-from bulletarm_gym.vector import ParallelEnv, WorkerError, reset_to_states
+from bulletarm_gym.vector import reset_to_states
 
 ENV_ID = "BulletArm/CloseLoopBlockPicking-v0"
-ACTION = np.zeros((2, 5), np.float32)
-
-
-def parallel(num_envs: int = 2, **options: Any) -> ParallelEnv:
-    parameters = {name: options.pop(name) for name in ("max_steps",) if name in options}
-    make = partial(gymnasium.make, f"bulletarm_gym:{ENV_ID}", obs_size=32, **parameters)
-    return ParallelEnv([make] * num_envs, **options)
 
 
 @pytest.mark.parametrize("context", ["fork", "forkserver", "spawn"])
 def test_equals_single_environments(context: str) -> None:
-    vector = parallel(context=context)
+    make = partial(gymnasium.make, f"bulletarm_gym:{ENV_ID}", obs_size=32)
+    vector = AsyncVectorEnv([make] * 2, context=context)
     singles = [gymnasium.make(ENV_ID, obs_size=32) for _ in range(2)]
     observations, _ = vector.reset(seed=[3, 4])
     for number, env in enumerate(singles):
@@ -71,8 +62,6 @@ def test_make_vec_takes_what_gymnasium_says(mode: str | None, kind: type) -> Non
 
 
 def make_vector(mode: str, **options: Any) -> Any:
-    if mode == "parallel":
-        return parallel(3, **options)
     return gymnasium.make_vec(ENV_ID, 3, mode, vector_kwargs=options, obs_size=32)
 
 
@@ -90,7 +79,7 @@ def states_and_observations() -> tuple[list[Any], list[Any]]:
     return states, observations
 
 
-@pytest.mark.parametrize("mode", ["sync", "async", "parallel"])
+@pytest.mark.parametrize("mode", ["sync", "async"])
 def test_members_begin_at_states_of_their_own(mode: str) -> None:
     states, expected = states_and_observations()
     vector = make_vector(mode)
@@ -105,7 +94,7 @@ def test_members_begin_at_states_of_their_own(mode: str) -> None:
     vector.close()
 
 
-@pytest.mark.parametrize("mode", ["sync", "async", "parallel"])
+@pytest.mark.parametrize("mode", ["sync", "async"])
 def test_members_begin_at_states_after_the_end_of_their_episodes(mode: str) -> None:
     states, _ = states_and_observations()
     vector = make_vector(mode)
@@ -150,56 +139,3 @@ def test_expert_of_wrapped_members_acts_in_their_action_space(mode: str) -> None
         successes |= infos["is_success"]
     assert successes.all()
     vector.close()
-
-
-def test_autoreset_mode() -> None:
-    vector = parallel(1, max_steps=1, autoreset_mode="SameStep")
-    assert vector.metadata["autoreset_mode"] == AutoresetMode.SAME_STEP
-    vector.reset(seed=0)
-    *_, truncations, infos = vector.step(ACTION[:1])
-    assert truncations[0]
-    assert "final_obs" in infos
-    vector.close()
-
-
-def test_error_of_a_worker_arrives_with_its_traceback() -> None:
-    vector = parallel()
-    vector.reset(seed=0)
-    with pytest.raises(WorkerError, match=r"worker 1 failed: .*finite") as caught:
-        vector.step(ACTION + np.array([[0.0], [np.nan]], np.float32))
-    assert "decode_action" in str(caught.value.__cause__)
-    assert not any(process.is_alive() for process in vector.processes)
-
-
-def make_here(pid: int) -> gymnasium.Env[Any, Any]:
-    if os.getpid() != pid:
-        raise OSError("no licence in a worker")
-    return gymnasium.make(ENV_ID, obs_size=32)
-
-
-def test_error_while_a_worker_makes_its_environment_arrives_too() -> None:
-    with pytest.raises(WorkerError, match=r"worker [01] failed: no licence in a worker") as caught:
-        ParallelEnv([partial(make_here, os.getpid())] * 2)
-    assert "make_here" in str(caught.value.__cause__)
-    assert not multiprocessing.active_children()
-
-
-@pytest.mark.parametrize("context", ["fork", "spawn"])
-def test_killed_worker_is_named(context: str) -> None:
-    vector = parallel(context=context)
-    vector.reset(seed=0)
-    pid = vector.processes[1].pid
-    assert pid is not None
-    os.kill(pid, signal.SIGKILL)
-    with pytest.raises(RuntimeError, match=r"Worker<ParallelEnv>-1 ended with exit code -9"):
-        for _ in range(3):
-            vector.step(ACTION)
-    assert not multiprocessing.active_children()
-    vector.close()
-
-
-def test_bad_parameter_is_named_before_any_process_starts() -> None:
-    with pytest.raises(ValueError, match="obs_size"):
-        ParallelEnv([partial(gymnasium.make, ENV_ID, obs_size=-1)])
-    with pytest.raises(ValueError, match="env_fns"):
-        ParallelEnv([])

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import bulletarm_gym  # noqa: F401
+from bulletarm_gym.observations.viewer import Viewer
 from bulletarm_gym.simulation import window
-from bulletarm_gym.viewer import Viewer
 
 ENV_ID = "BulletArm/CloseLoopBlockPicking-v0"
 
@@ -64,7 +64,7 @@ def test_looking_changes_nothing() -> None:
 
 def test_keys_need_a_window() -> None:
     env: Any = gymnasium.make(ENV_ID).unwrapped
-    with pytest.raises(RuntimeError, match='render_mode="human"'):
+    with pytest.raises(RuntimeError, match=r"^render_mode must be 'human'"):
         env.viewer.pressed_keys()
 
 

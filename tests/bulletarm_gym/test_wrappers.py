@@ -102,7 +102,7 @@ def test_spec_makes_it_again() -> None:
 @pytest.mark.parametrize(
     ("parameters", "size", "message"),
     [
-        ({"observation": "state"}, None, "env: got one that observes .*'state'"),
+        ({"observation": "state"}, None, "^env must observe a Dict of images .*, got 'state'"),
         ({}, 0, "^size must be an integer of at least 1, got 0"),
         ({}, "large", "^size must be an integer of at least 1, got 'large'"),
     ],

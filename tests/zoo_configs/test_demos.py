@@ -51,7 +51,7 @@ def test_a_file_is_written_and_named(
     ("arguments", "reason"),
     [
         (["--env", PICKING, "--planner", "deconstruction"], "only pick and place can be reversed"),
-        (["--env", PICKING, "--planner", "magic"], "takes one of"),
+        (["--env", PICKING, "--planner", "magic"], "must be one of"),
         (["--env", PICKING, "--env-kwargs", "obs_sise:3"], "obs_size"),
         (["--env", PICKING, "-o", "no/folder/.h5/"], "must end in .h5"),
         (["--env", "BulletArm/CloseLoopBlockPecking-v0"], "BlockPicking"),

@@ -1,11 +1,11 @@
-"""``bulletarm-zoo doctor`` looks at the learners, then at what ``bulletarm_gym.selfcheck`` looks at."""
+"""``bulletarm-zoo doctor`` looks at the learners, then at what ``bulletarm_gym.check`` looks at."""
 
 from __future__ import annotations
 
 import pytest
 
-from bulletarm_gym import selfcheck
-from bulletarm_gym.selfcheck import Finding
+from bulletarm_gym.check import environments
+from bulletarm_gym.check.machine import Finding
 from zoo_configs.cli import main
 from zoo_configs.measuring import health
 
@@ -20,7 +20,7 @@ def test_looks_at_the_learners_then_at_the_environments(
         asked.append(seconds)
         return [Finding("legs", "two", "walk", fails)]
 
-    monkeypatch.setattr(selfcheck, "look_at", look_at)
+    monkeypatch.setattr(environments, "check_environments", look_at)
     assert main(["doctor", "--seconds", "0.1"]) == (2 if fails else 0)
     out, err = capsys.readouterr()
     looked_at = [line[8:].partition(":")[0] for line in out.splitlines()]
@@ -30,9 +30,9 @@ def test_looks_at_the_learners_then_at_the_environments(
 
 def test_threads_are_advised_where_they_are_not_set(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("torch.get_num_threads", lambda: 8)
-    monkeypatch.setenv(selfcheck.THREADS, "2")
+    monkeypatch.setenv(environments.THREADS, "2")
     assert health.compute_threads() == Finding("PyTorch", "8 threads")
-    monkeypatch.delenv(selfcheck.THREADS)
+    monkeypatch.delenv(environments.THREADS)
     assert "--num-threads 1" in health.compute_threads().advice
 
 

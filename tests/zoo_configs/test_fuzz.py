@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bulletarm_gym import selfcheck
-from bulletarm_gym.selfcheck import Yardstick
+from bulletarm_gym.check import environments
+from bulletarm_gym.check.environments import Yardstick
 from zoo_configs.cli import main
 
 REACHING = "BulletArm/CloseLoopBlockReaching-v0"
@@ -200,7 +200,7 @@ def follow(
     toy_id: str, trained: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: Any
 ) -> Follow:
     """Runs a command line in a folder of its own and looks at what it did."""
-    monkeypatch.setattr(selfcheck, "measure_yardstick", lambda: Yardstick(step_us=48, render_ms=4.2))
+    monkeypatch.setattr(environments, "measure_yardstick", lambda: Yardstick(step_us=48, render_ms=4.2))
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
     [run] = trained.glob("sacfd/*_1")

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from bulletarm_gym.machine import describe_processor
+from bulletarm_gym.check.machine import describe_processor
 from zoo_configs.cli import main
 from zoo_configs.errors import CommandError
 from zoo_configs.measuring import provenance

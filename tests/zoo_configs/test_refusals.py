@@ -96,10 +96,10 @@ NO_FOLDER = "/dev/null/folder"  # /dev/null is none
         ),
         ([*TRAIN, "-params", "gamma:0.9", "gamma:0.99"], "-params must have each key once, got gamma"),
         (["demos", "--env", REACHING, "--env-kwargs", "robot:panda"], "name 'panda' is not defined"),
-        (["demos", "--env", REACHING, "--env-kwargs", "robot:'x'"], "takes one of 'kuka'"),
+        (["demos", "--env", REACHING, "--env-kwargs", "robot:'x'"], "robot must be one of 'kuka'"),
         (["demos", "--env", REACHING, "-o", f"{NO_FOLDER}/a.h5"], "cannot be written"),
         (["demos", "--env", REACHING, "-n", "0"], "at least 1, got '0'"),
-        (["check", REACHING, "--env-kwargs", "obs_size:2"], "obs_size: got 2"),
+        (["check", REACHING, "--env-kwargs", "obs_size:2"], "got 2"),
         (["check", REACHING, "-f", NO_FOLDER], "cannot be written"),
         (
             ["train", "--baseline", "sdqfd_fcn", "--env", STACKING, "--preset", "quick"],
@@ -238,4 +238,4 @@ def test_version(capsys: pytest.CaptureFixture[str]) -> None:
 
 def test_unknown_parameter_is_named_without_all_parameters(refuse: Refuse) -> None:
     message = refuse("demos", "--env", REACHING, "--env-kwargs", "obssize:64")
-    assert message.strip().endswith("did you mean 'obs_size'?")
+    assert message.strip().endswith("Did you mean 'obs_size'?")

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from gymnasium import spaces
 
-from bulletarm_gym import selfcheck
-from bulletarm_gym.selfcheck import Yardstick
+from bulletarm_gym.check import environments
+from bulletarm_gym.check.environments import Yardstick
 from zoo_configs.cells.cell import Cell
 from zoo_configs.cli import main
 from zoo_configs.drawing.curves import LearningCurve, draw_curves, load_curve, mean_curve
@@ -31,7 +31,7 @@ REACHING = "BulletArm/CloseLoopBlockReaching-v0"
 def test_speed_compares_with_the_reference(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(selfcheck, "measure_yardstick", lambda: Yardstick(step_us=48, render_ms=4.2))
+    monkeypatch.setattr(environments, "measure_yardstick", lambda: Yardstick(step_us=48, render_ms=4.2))
     data = DataFile(tmp_path / "speed.csv", SPEED)
     kept = ["--data", str(data.path), "--markdown"]
     assert main(["speed", "--env", REACHING, "--seconds", "0.1", "--reference", *kept]) == 0

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from bulletarm_gym.machine import load_average
+from bulletarm_gym.check.machine import load_average
 from zoo_configs.arguments import Parser, add_env_kwargs, add_packages, add_progress, positive_int, seed
 from zoo_configs.cells.rules import task_name
 from zoo_configs.environments import demonstrations, known_env_id, register_environments, try_env

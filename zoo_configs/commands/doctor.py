@@ -28,7 +28,7 @@ def main(argv: Sequence[str]) -> None:
     if not 0 < args.seconds < math.inf:
         parser.error(f"--seconds must be positive, got {args.seconds}")
     register_environments()
-    from bulletarm_gym.selfcheck import report
+    from bulletarm_gym.check.machine import report
     from zoo_configs.measuring import health
 
     if failed := report(health.look_at(args.seconds)):

@@ -12,7 +12,7 @@ from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from bulletarm_gym.machine import describe_machine
+from bulletarm_gym.check.machine import describe_machine
 from zoo_configs.arguments import (
     Parser,
     add_env_kwargs,

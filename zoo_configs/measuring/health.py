@@ -5,9 +5,8 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 
-from bulletarm_gym import selfcheck
-from bulletarm_gym.machine import versions
-from bulletarm_gym.selfcheck import Finding
+from bulletarm_gym.check import environments
+from bulletarm_gym.check.machine import Finding, versions
 
 PACKAGES = ("torch", "stable-baselines3", "sb3-contrib", "rl_zoo3", "optuna")
 
@@ -23,7 +22,7 @@ def look_at(seconds: float) -> Iterator[Finding]:
     yield Finding("learners", ", ".join(f"{name} {found[name]}" for name in PACKAGES))
     yield compute_threads()
     yield gpu()
-    yield from selfcheck.look_at(seconds)
+    yield from environments.check_environments(seconds)
 
 
 def compute_threads() -> Finding:
@@ -34,7 +33,7 @@ def compute_threads() -> Finding:
     """
     import torch
 
-    number, asked = torch.get_num_threads(), os.environ.get(selfcheck.THREADS)
+    number, asked = torch.get_num_threads(), os.environ.get(environments.THREADS)
     advice = "give train --num-threads 1 before several trainings run at once: each takes all cores otherwise"
     return Finding("PyTorch", f"{number} threads", "" if asked or number == 1 else advice)
 

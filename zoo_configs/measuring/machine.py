@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from bulletarm_gym import machine
+from bulletarm_gym.check import machine
 
 PACKAGES = ("bulletarm-gym", "torch", "stable-baselines3", "gymnasium", "pybullet", "numpy")
 

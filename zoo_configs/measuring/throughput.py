@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING, Any
 
 import gymnasium as gym
 
-from bulletarm_gym.machine import load_average
+from bulletarm_gym.check.machine import load_average
 from zoo_configs.environments import make_env
 from zoo_configs.errors import CommandError
 
 if TYPE_CHECKING:
-    from bulletarm_gym.selfcheck import Yardstick
+    from bulletarm_gym.check.environments import Yardstick
 
 REFERENCE_FIELDS = ("env_id", "yardstick_step_us", "yardstick_render_ms", "steps_per_second", "reset_ms")
 
@@ -87,7 +87,7 @@ def measure_env(
     :return: What was measured
     :raises CommandError: if the environment has no expert
     """
-    from bulletarm_gym.selfcheck import measure_yardstick  # loads the engine
+    from bulletarm_gym.check.environments import measure_yardstick  # loads the engine
 
     busy, yardstick = load_average(), measure_yardstick()
     env = make_env(env_id, env_kwargs)
@@ -204,7 +204,7 @@ def load_reference(path: Path) -> dict[str, ReferenceRate]:
 
 
 def _reference_rate(row: dict[str, str]) -> ReferenceRate:
-    from bulletarm_gym.selfcheck import Yardstick
+    from bulletarm_gym.check.environments import Yardstick
 
     yardstick = Yardstick(float(row["yardstick_step_us"]), float(row["yardstick_render_ms"]))
     return ReferenceRate(yardstick, float(row["steps_per_second"]), float(row["reset_ms"]))

@@ -17,7 +17,7 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from torch import nn
 from torch.profiler import profile
 
-from bulletarm_gym.machine import load_average
+from bulletarm_gym.check.machine import load_average
 from sb3_extensions.encoders.cnn import precision
 from sb3_extensions.equivariant.convolution import PlainConv2d
 from sb3_extensions.equivariant.layers import EquivariantConv2d

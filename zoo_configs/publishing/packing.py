@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from bulletarm_gym.machine import describe_processor
+from bulletarm_gym.check.machine import describe_processor
 from zoo_configs.agents import Agent, load_published
 from zoo_configs.benchmarking.results import wilson_interval
 from zoo_configs.drawing.curves import SUCCESS, load_curve

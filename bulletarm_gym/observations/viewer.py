@@ -1,4 +1,4 @@
-"""What people need to look at a scene and to play in it."""
+"""Close-up images of a scene, and the keys and marks of its window."""
 
 import math
 
@@ -12,21 +12,21 @@ from bulletarm_gym.simulation import Camera
 from bulletarm_gym.simulation.window import Keyboard, draw_segments, look
 
 EYE_OFFSET = (0.56, -0.4, 0.62)
-"""From the middle of the workspace's floor to the camera of close-ups (m) ..."""
+"""Position (m) of the camera of close-ups, relative to the centre of the workspace's floor."""
 TARGET_HEIGHT = 0.03
-"""... which looks at a point this high (m) over it ..."""
+"""Height (m) above the workspace's floor of the point at which that camera looks."""
 FIELD_OF_VIEW = 32.0
-"""... with this field of view (degrees)."""
+"""Field of view (degrees) of that camera."""
 MARK_HEIGHT = 0.3
-"""Length (m) of the line that stands on a target."""
+"""Length (m) of the vertical line of a mark."""
 MARK_REACH = 0.04
-"""Length (m) of the lines to where the fingers come down."""
+"""Distance (m) from a mark to the ends of its horizontal line."""
 
 
 class Viewer:
-    """A person's eyes and hands on an environment.
+    """Images and user input for playing.
 
-    :param scene: what is looked at
+    :param scene: the scene to show
     """
 
     def __init__(self, scene: Scene) -> None:
@@ -35,7 +35,7 @@ class Viewer:
         self._keyboard: Keyboard | None = None
 
     def close_up(self, pixels: int = 240) -> NDArray[np.uint8]:
-        """Return a picture of the workspace from the front and above, (pixels, pixels, 3)."""
+        """Return an image of the workspace from the front and above, (pixels, pixels, 3)."""
         return Camera(*self._sight, FIELD_OF_VIEW, pixels, pixels).color(self._scene.world)
 
     def face_workspace(self) -> None:
@@ -52,21 +52,22 @@ class Viewer:
         return viewpoint(self._scene, (ahead, left, floor + up), (0.0, 0.0, floor + TARGET_HEIGHT))
 
     def pressed_keys(self) -> list[str]:
-        """Return the characters whose keys went down in the window since the last call.
+        """Return the characters of the keys that were pressed in the window since the last call.
 
-        :raises RuntimeError: there is no window: the environment's ``render_mode`` is not ``"human"``
+        :raises RuntimeError: the environment's ``render_mode`` is not ``"human"``
         """
-        if self._scene.config.render_mode != "human":
-            raise RuntimeError('pressed_keys: keys are pressed in a window; use render_mode="human"')
+        mode = self._scene.config.render_mode
+        if mode != "human":
+            raise RuntimeError(f"render_mode must be 'human' for pressed_keys(), got {mode!r}")
         if self._keyboard is None:
             self._keyboard = Keyboard(self._scene.world)
         return self._keyboard.pressed()
 
     def mark(self, position: Vector, yaw: float = 0.0) -> None:
-        """Show in the window where the gripper would go.
+        """Draw a target pose of the gripper in the window.
 
-        :param position: of the fingertips (m, world)
-        :param yaw: of the gripper (rad): the fingers come down along this direction
+        :param position: position (m) of the fingertips in the world
+        :param yaw: yaw (rad) of the gripper, whose fingers open along this direction
         """
         x, y, z = position
         right, ahead = MARK_REACH * math.cos(yaw), MARK_REACH * math.sin(yaw)

@@ -1,4 +1,4 @@
-"""Short episodes in which numba compiles everything, so that a user waits in ``make()`` alone."""
+"""Compilation of all numba functions when a process makes its first environment."""
 
 from collections.abc import Callable
 from contextlib import closing
@@ -7,7 +7,7 @@ from typing import Any
 from bulletarm_gym.geometry.compilation import MONITOR
 
 STEPS = 4
-"""Steps of the expert in each episode: a pick and a place, two times."""
+"""Number of the expert's steps in each episode: two picks and places."""
 TASKS = "bulletarm_gym.tasks."
 EPISODES: tuple[dict[str, Any], ...] = (
     {"task": "picking:BlockPicking", "control": "close_loop", "view": "point_cloud"},
@@ -20,17 +20,17 @@ EPISODES: tuple[dict[str, Any], ...] = (
     {"task": "stacking:BlockStacking", "control": "open_loop"},
     {"task": "stacking:BlockStacking", "control": "open_loop", "surface": "ramp"},
 )
-"""Environments that together call every compiled function."""
+"""Arguments of environments that together call every compiled function."""
 
 
-class Rehearsal:
-    """Runs the episodes if this process has compiled a function."""
+class WarmUp:
+    """Runs episodes if this process has compiled a function."""
 
     def __init__(self) -> None:
         self._is_running = False
 
     def run(self, make: Callable[..., Any]) -> None:
-        """Run the episodes, unless they are running already or everything was read from the cache.
+        """Run the episodes, unless they are running or all functions came from the cache.
 
         :param make: constructor of an environment
         """
@@ -39,18 +39,19 @@ class Rehearsal:
         self._is_running = True
         try:
             for parameters in EPISODES:
-                self._run(make(**{**parameters, "task": TASKS + parameters["task"], "obs_size": 32}))
+                _run(make(**{**parameters, "task": TASKS + parameters["task"], "obs_size": 32}))
         finally:
             self._is_running, MONITOR.count = False, 0
 
-    def _run(self, env: Any) -> None:
-        with closing(env):
-            env.reset(seed=0)
-            for _ in range(STEPS):
-                *_, terminated, truncated, _ = env.step(env.expert_action())
-                if terminated or truncated:
-                    break
+
+def _run(env: Any) -> None:
+    with closing(env):
+        env.reset(seed=0)
+        for _ in range(STEPS):
+            *_, terminated, truncated, _ = env.step(env.expert_action())
+            if terminated or truncated:
+                break
 
 
-REHEARSAL = Rehearsal()
-"""Rehearsal of this process."""
+WARM_UP = WarmUp()
+"""The warm-up of this process."""

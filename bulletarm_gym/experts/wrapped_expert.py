@@ -15,7 +15,7 @@ Inverse = Callable[[Any], Any]
 def querying_wrappers(env: gymnasium.Env[Any, Any]) -> list[Wrapper]:
     """Return the wrappers whose ``get_wrapper_attr()`` called that of an environment, the innermost first.
 
-    Gymnasium gives an environment no reference to its wrappers: they are read from the call stack.
+    An environment of Gymnasium has no reference to its wrappers, so they are read from the call stack.
     """
     wrappers: list[Wrapper] = []
     inner: Any = env
@@ -32,14 +32,12 @@ def querying_wrappers(env: gymnasium.Env[Any, Any]) -> list[Wrapper]:
 
 
 def wrapped_expert(expert: Callable[[], Any], wrappers: Sequence[Wrapper]) -> Callable[[], Any]:
-    """Return an expert whose actions are those of the outermost wrapper's action space.
+    """Return an expert with actions in the action space of the outermost wrapper.
 
-    :param wrappers: the innermost first
+    :param wrappers: wrappers, the innermost first
     :raises ValueError: a wrapper changes actions in a way that cannot be inverted
     """
     inverses = [inverse for wrapper in wrappers if (inverse := _inverse(wrapper)) is not None]
-    if not inverses:
-        return expert
 
     def act() -> Any:
         action = expert()
@@ -47,7 +45,7 @@ def wrapped_expert(expert: Callable[[], Any], wrappers: Sequence[Wrapper]) -> Ca
             action = inverse(action)
         return action
 
-    return act
+    return act if inverses else expert
 
 
 def _inverse(wrapper: Wrapper) -> Inverse | None:
@@ -56,7 +54,7 @@ def _inverse(wrapper: Wrapper) -> Inverse | None:
     :raises ValueError: the change cannot be inverted
     """
     own: Inverse | None = getattr(wrapper, "revert_action", None)
-    if own is not None and not isinstance(wrapper, DiscretizeAction):  # its own is the nearest bin
+    if own is not None and not isinstance(wrapper, DiscretizeAction):  # which returns the nearest bin
         return own
     if isinstance(wrapper, RescaleAction):
         return _rescaled(wrapper)

@@ -1,12 +1,7 @@
-"""Check an arm: ``python -m bulletarm_gym.check_robot NAME``.
+"""Checks of a robot model."""
 
-NAME is a built-in arm or the import path ``module:attribute`` of a model, as for the parameter ``robot``.
-"""
-
-import argparse
 import itertools
 import math
-import sys
 from collections.abc import Iterator, Sequence
 from contextlib import closing
 from pathlib import Path
@@ -17,11 +12,12 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 import bulletarm_gym  # noqa: F401 (registers the environments)
+from bulletarm_gym.check.machine import Finding
 from bulletarm_gym.config import CLOSE_LOOP, OPEN_LOOP, WORKSPACES, ParameterError, default_home_height
 from bulletarm_gym.control.control import MIN_REACH, MIN_TILTED_REACH
 from bulletarm_gym.env import ManipulationEnv
 from bulletarm_gym.geometry import Pose, Vector, conjugate, rotate
-from bulletarm_gym.robots import Robot, RobotModel, find_robot
+from bulletarm_gym.robots import Robot, RobotModel
 from bulletarm_gym.robots.reach import (
     TILT,
     Limits,
@@ -31,7 +27,6 @@ from bulletarm_gym.robots.reach import (
     pose_error,
     study_reach,
 )
-from bulletarm_gym.selfcheck import Finding, report
 from bulletarm_gym.simulation import Camera, World
 from bulletarm_gym.simulation.world import TIME_STEP
 
@@ -43,36 +38,43 @@ HEIGHTS = {CLOSE_LOOP: (0.01, 0.13, 0.25), OPEN_LOOP: (0.02, 0.1, 0.25)}
 LOAD = 0.2
 """Mass (kg) of the object in the checks of torques and tracking."""
 CUBE = 0.05
-"""Side length (m) of a cube of scale 1; the grasped cube takes at most :data:`CUBE_SHARE` of the stroke."""
+"""Side length (m) of a cube of scale 1."""
 CUBE_SHARE = 0.6
+"""Maximum side length of the grasped cube, as a fraction of the stroke."""
 MAX_ERROR = 1e-3
 """Maximum error (m or rad) of inverse kinematics."""
-MIN_ROOM = 0.2
-"""Minimum distance (rad) of a joint from its limits at home."""
-MAX_COLLISION = 5e-3
+MIN_MARGIN = 0.2
+"""Minimum distance (rad) of a joint from its limits at the home pose."""
+MAX_OVERLAP = 5e-3
 """Maximum overlap (m) of links that are not neighbours."""
 MAX_TIP_ERROR = 5e-3
 """Maximum distance (m) between the tool frame and the lowest point of the fingers."""
-MAX_TRACKING = 5e-3
+MAX_TRACKING_ERROR = 5e-3
 """Maximum distance (m) between a commanded and a reached tool position."""
 MAX_STATIC = 0.8
-"""Maximum share of a joint's torque that gravity may take."""
+"""Maximum fraction of a joint's torque that holds the robot against gravity."""
 MAX_GAP = 5e-3
 """Maximum error (m) of the distance between closed and between open fingers."""
 MAX_ANGLE = 0.05
 """Maximum angle (rad) between the opening direction and the x axis of the tool frame."""
 STEP = 0.05
-"""Length (m) of the closed-loop step whose speed is reported; shorter in a lower workspace."""
+"""Length (m) of the motion whose speed is reported; shorter in a lower workspace."""
 
 
 def check_robot(model: RobotModel, workspace: Limits | None = None) -> Iterator[Finding]:
-    """Yield the findings on an arm; the last one says why no environment can be made with it, if so.
+    """Yield the findings on a robot, until one prevents the others.
 
-    :param model: the arm
-    :param workspace: limits (m) along x, y and z; the default workspaces of both controls by default
+    :param workspace: limits (m) along x, y and z, by default the workspaces of both controls
     """
+    spaces = {control: (WORKSPACES[control], HEIGHTS[control]) for control in HEIGHTS}
+    if workspace is not None:
+        low, high = workspace[2]
+        spaces = {"workspace": (workspace, (low, (low + high) / 2.0, high))}  # type: ignore[dict-item]
     try:
-        surveys = _surveys(model, workspace)
+        surveys = {
+            name: (study_reach(model, grid(*where, POINTS)), study_reach(model, grid(*where, POINTS, TILT)))
+            for name, where in spaces.items()
+        }
     except ValueError as error:  # a joint is missing, or a number of joint positions or torques is wrong
         yield Finding("model", " ".join(str(error).split()), "correct the model or its URDF", fails=True)
         return
@@ -88,27 +90,12 @@ def check_robot(model: RobotModel, workspace: Limits | None = None) -> Iterator[
         yield Finding("environment", " ".join(str(error).split()), "see the lines above", fails=True)
         return
     with closing(env):
-        yield collisions(env, solved)
-        yield from (check(env) for check in (fingertips, fingers))
+        yield self_collision(env, solved)
+        yield fingertips(env)
+        yield fingers(env)
         yield static_torques(env, solved)
     for mode, load in itertools.product(("fast", "slow"), (0.0, LOAD)):
         yield tracking(model, workspace, mode, load)
-
-
-def _surveys(model: RobotModel, workspace: Limits | None) -> dict[str, tuple[ReachStudy, ReachStudy]]:
-    """Return the poses in reach, upright and tilted, by the name of the workspace."""
-    asked = {control: (WORKSPACES[control], HEIGHTS[control]) for control in (CLOSE_LOOP, OPEN_LOOP)}
-    if workspace is not None:
-        asked = {"workspace": (workspace, _heights(workspace))}  # type: ignore[dict-item]
-    return {
-        name: (study_reach(model, grid(*where, POINTS)), study_reach(model, grid(*where, POINTS, TILT)))
-        for name, where in asked.items()
-    }
-
-
-def _heights(workspace: Limits) -> tuple[float, ...]:
-    low, high = workspace[2]
-    return (low, (low + high) / 2.0, high)
 
 
 def _home(workspace: Limits | None) -> Pose:
@@ -126,9 +113,17 @@ def _make(model: RobotModel, workspace: Limits | None, **parameters: Any) -> Man
     return env  # type: ignore[return-value]
 
 
+def _finding(what: str, value: str, advice: str, is_bad: bool) -> Finding:
+    """Return a finding that fails, with advice, if a value is beyond its threshold."""
+    return Finding(what, value, advice if is_bad else "", is_bad)
+
+
 def reach(name: str, upright: ReachStudy, tilted: ReachStudy) -> Finding:
-    """Check the share of a workspace that is in reach."""
-    value = f"{upright.share:.0%} in reach upright, {tilted.share:.0%} tilted by 30 degrees"
+    """Check the fraction of a workspace that is in reach."""
+    value = (
+        f"{upright.share:.0%} in reach upright (at least {MIN_REACH:.0%}), {tilted.share:.0%} tilted by 30 "
+        f"degrees (at least {MIN_TILTED_REACH:.0%})"
+    )
     advice = "change base or posture (tools/reach.py compares bases), or pass a smaller workspace"
     is_small = upright.share < MIN_REACH or tilted.share < MIN_TILTED_REACH
     return Finding(f"reach, {name}", value, advice if is_small else "", upright.share < MIN_REACH)
@@ -138,31 +133,31 @@ def accuracy(model: RobotModel, solved: Sequence[tuple[Pose, Any]]) -> Finding:
     """Check that forward kinematics returns the poses that inverse kinematics was solved for."""
     errors = [max(pose_error(model.chain.forward(joints), pose)) for pose, joints in solved]
     worst = max(errors, default=0.0)
+    value = f"error of {worst:.1e} m or rad (at most {MAX_ERROR:g})"
     advice = "check the axes and frames of the joints in the URDF"
-    bad = worst > MAX_ERROR
-    return Finding("inverse kinematics", f"error of at most {worst:.1e} m or rad", advice if bad else "", bad)
+    return _finding("inverse kinematics", value, advice, worst > MAX_ERROR)
 
 
 def limits(model: RobotModel, surveys: Sequence[ReachStudy], home: Pose) -> Finding:
-    """Report the joint limits that are met, and the room that the joints have at home."""
+    """Report the poses beyond joint limits, and the distance of the joints from their limits at home."""
     joints, _ = model.inverse(home)
     lower, upper = model.chain.limits.T
-    rooms = np.minimum(joints - lower, upper - joints)
-    nearest = int(rooms.argmin())
-    met = sum((found.limited for found in surveys), start=type(surveys[0].limited)())
-    count = sum(found.count for found in surveys)
+    margins = np.minimum(joints - lower, upper - joints)
+    nearest = int(margins.argmin())
+    limited = sum((found.limited for found in surveys), start=type(surveys[0].limited)())
     value = (
-        f"{met.total()} of {count} poses are beyond one; at home {model.joints[nearest]} has the least room"
+        f"{limited.total()} of {sum(found.count for found in surveys)} poses are beyond one; at home "
+        f"{model.joints[nearest]} is {margins[nearest]:.2f} rad from its limit (at least {MIN_MARGIN:g})"
     )
     advice = ""
-    if rooms[nearest] < MIN_ROOM:
-        advice = f"change posture, or rotate the tool, so that {model.joints[nearest]} has room at home"
-    elif met:
-        advice = f"{met.most_common(1)[0][0]} is beyond its limit most often: change base or workspace"
-    return Finding("joint limits", f"{value}, {rooms[nearest]:.2f} rad", advice)
+    if margins[nearest] < MIN_MARGIN:
+        advice = f"change posture, or rotate the tool, so that {model.joints[nearest]} is farther from it"
+    elif limited:
+        advice = f"{limited.most_common(1)[0][0]} is beyond its limit most often: change base or workspace"
+    return Finding("joint limits", value, advice)
 
 
-def collisions(env: ManipulationEnv, solved: Sequence[tuple[Pose, Any]]) -> Finding:
+def self_collision(env: ManipulationEnv, solved: Sequence[tuple[Pose, Any]]) -> Finding:
     """Check that links that are not neighbours stay apart, at the posture and over the workspaces."""
     robot, world = env.scene.robot, env.scene.world
     body = robot.body
@@ -176,17 +171,17 @@ def collisions(env: ManipulationEnv, solved: Sequence[tuple[Pose, Any]]) -> Find
     worst, where = 0.0, ""
     for pose, joints in [(None, np.array(robot.model.posture)), *solved[::POINTS]]:
         robot.show_joints(joints.tolist())
+        place = "the posture" if pose is None else f"{np.round(pose.position, 2).tolist()} m"
         for one, two in pairs:
             points = world.closest_points(body, body, 0.0, one, two)
             depth = max((-point.distance for point in points), default=0)
             if depth > worst:
-                place = "the posture" if pose is None else f"{np.round(pose.position, 2).tolist()} m"
                 worst, where = depth, f" between {names[one]} and {names[two]} at {place}"
     env.scene.begin()
+    is_bad = worst > MAX_OVERLAP
+    value = f"{1e3 * worst:.1f} mm{where if is_bad else ''} (at most {1e3 * MAX_OVERLAP:g})"
     advice = "check posture, and that the gripper points away from the arm (flange and tool)"
-    bad = worst > MAX_COLLISION
-    value = f"{1e3 * worst:.1f} mm{where if bad else ''}"
-    return Finding("self-collision", value, advice if bad else "", bad)
+    return _finding("self-collision", value, advice, is_bad)
 
 
 def fingertips(env: ManipulationEnv) -> Finding:
@@ -194,10 +189,10 @@ def fingertips(env: ManipulationEnv) -> Finding:
     robot, world = env.scene.robot, env.scene.world
     tips = min(world.bounds(robot.body, finger)[0][2] for finger in robot.finger_links)
     error = tips - robot.pose.z
+    value = f"{1e3 * error:+.1f} mm above the tool frame (at most {1e3 * MAX_TIP_ERROR:g})"
     direction = "back to the arm" if error > 0.0 else "along the approach"
     advice = f"move the tool frame by {1e3 * abs(error):.0f} mm {direction}"
-    bad = abs(error) > MAX_TIP_ERROR
-    return Finding("fingertips", f"{1e3 * error:+.1f} mm above the tool frame", advice if bad else "", bad)
+    return _finding("fingertips", value, advice, abs(error) > MAX_TIP_ERROR)
 
 
 def fingers(env: ManipulationEnv) -> Finding:
@@ -211,15 +206,16 @@ def fingers(env: ManipulationEnv) -> Finding:
     closed, _ = _between(robot, world)
     robot.set_opening(1.0)
     value = (
-        f"open {1e3 * opened:.1f} mm, closed {1e3 * closed:.1f} mm, "
-        f"{math.degrees(angle):.0f} degrees from the x axis of the tool frame"
+        f"open {1e3 * opened:.1f} mm, closed {1e3 * closed:.1f} mm (errors at most {1e3 * MAX_GAP:g}), "
+        f"{math.degrees(angle):.0f} degrees from the x axis of the tool frame "
+        f"(at most {math.degrees(MAX_ANGLE):.0f})"
     )
     errors = {
         "rotate the tool frame about z until its x axis is the opening direction": angle > MAX_ANGLE,
         "the fingers' joints must be at 0 where the fingers meet": closed > MAX_GAP,
         "correct gripper.stroke": abs(opened - robot.model.gripper.stroke) > MAX_GAP,
     }
-    advice = next((text for text, wrong in errors.items() if wrong), "")
+    advice = next((text for text, is_wrong in errors.items() if is_wrong), "")
     return Finding("fingers", value, advice, bool(advice))
 
 
@@ -231,17 +227,17 @@ def _between(robot: Robot, world: World) -> tuple[float, Vector]:
 
 
 def static_torques(env: ManipulationEnv, solved: Sequence[tuple[Pose, Any]]) -> Finding:
-    """Check the share of the torques that gravity takes over the workspaces, with a load."""
+    """Check the fractions of the torques that hold the robot with a load against gravity."""
     robot = env.scene.robot
     still = np.zeros(len(robot.model.joints))
-    shares = [
-        np.abs(robot.dynamics.torques(joints, still, still, LOAD)) / robot.model.torques
-        for _, joints in solved
-    ]
-    most = np.max(shares, axis=0) if shares else still
-    number, bad = int(most.argmax()), bool(most.max() > MAX_STATIC)
-    value = f"gravity and {LOAD} kg take {most[number]:.0%} of the torque of {robot.model.joints[number]}"
-    return Finding("torques", value, "check force and the masses in the URDF" if bad else "", bad)
+    torques = [robot.dynamics.torques(joints, still, still, LOAD) for _, joints in solved] or [still]
+    most = np.max(np.abs(torques) / robot.model.torques, axis=0)
+    number = int(most.argmax())
+    value = (
+        f"gravity and {LOAD} kg need {most[number]:.0%} of the torque of {robot.model.joints[number]} "
+        f"(at most {MAX_STATIC:.0%})"
+    )
+    return _finding("torques", value, "check force and the masses in the URDF", bool(most.max() > MAX_STATIC))
 
 
 def tracking(model: RobotModel, workspace: Limits | None, mode: str, load: float) -> Finding:
@@ -265,16 +261,16 @@ def tracking(model: RobotModel, workspace: Limits | None, mode: str, load: float
             scene.begin()
             steps, rise = robot.duration([robot.inverse_kinematics(goal)], step, in_contact=False)
             seconds = steps * TIME_STEP
-            speed, acceleration = (
-                max(speed, 2.0 * step / seconds),
-                max(acceleration, 2.0 * step / (rise * seconds**2)),
-            )
+            speed = max(speed, 2.0 * step / seconds)
+            acceleration = max(acceleration, 2.0 * step / (rise * seconds**2))
             robot.move_to(goal, in_contact=False)
             worst = max(worst, math.dist(robot.pose.position, goal.position))
-    bad = worst > MAX_TRACKING
+    value = (
+        f"error of {1e3 * worst:.1f} mm (at most {1e3 * MAX_TRACKING_ERROR:g}); "
+        f"up to {speed:.2f} m/s, {acceleration:.0f} m/s^2"
+    )
     advice = "increase force to the torques of the data sheet, or check the masses in the URDF"
-    value = f"error of at most {1e3 * worst:.1f} mm; up to {speed:.2f} m/s, {acceleration:.0f} m/s^2"
-    return Finding(name, value, advice if bad else "", bad)
+    return _finding(name, value, advice, worst > MAX_TRACKING_ERROR)
 
 
 def _grasp(env: ManipulationEnv, load: float) -> None:
@@ -290,7 +286,7 @@ def _grasp(env: ManipulationEnv, load: float) -> None:
 
 
 def draw(model: RobotModel, workspace: Limits | None, path: Path) -> None:
-    """Write an image of the arm at home with the axes of the tool frame, x red, y green, z blue."""
+    """Write an image of the robot at home with the axes of the tool frame, x red, y green, z blue."""
     with closing(_make(model, workspace)) as env:
         pose, camera = env.scene.robot.pose, Camera()
         image = Image.fromarray(camera.color(env.scene.world))
@@ -299,38 +295,3 @@ def draw(model: RobotModel, workspace: Limits | None, path: Path) -> None:
             tip = pose.transform(tuple(0.1 * (axis == number) for number in range(3)))  # type: ignore[arg-type]
             lines.line([*camera.project(pose.position), *camera.project(tip)], fill=colour, width=3)
         image.save(path)
-
-
-def main(argv: Sequence[str] | None = None) -> int:
-    """Check an arm; return the exit status, 2 if something fails."""
-    parser = argparse.ArgumentParser("python -m bulletarm_gym.check_robot", description=__doc__)
-    parser.add_argument("robot", metavar="NAME", help="a built-in arm or module:attribute")
-    parser.add_argument(
-        "--workspace", type=float, nargs=6, metavar=("X0", "X1", "Y0", "Y1", "Z0", "Z1"), help="limits (m)"
-    )
-    parser.add_argument("--image", type=Path, metavar="FILE", help="where to write an image of the arm")
-    args = parser.parse_args(argv)
-    if args.image is not None:
-        _check_image(parser, args.image)
-    workspace = None if args.workspace is None else np.reshape(args.workspace, (3, 2)).tolist()
-    try:
-        model = find_robot(args.robot)
-        failed = report(check_robot(model, workspace))
-        if args.image is not None:
-            draw(model, workspace, args.image)
-    except (ParameterError, ValueError) as error:
-        print(" ".join(str(error).split()), file=sys.stderr)
-        return 2
-    return 2 if failed else 0
-
-
-def _check_image(parser: argparse.ArgumentParser, path: Path) -> None:
-    """End the program with a message if no image can be written to a path."""
-    if path.suffix.lower() not in Image.registered_extensions():
-        parser.error(f"--image must be a file name with the extension of an image, got {path}. Use .png.")
-    if not path.absolute().parent.is_dir():
-        parser.error(f"--image must be in an existing folder, got {path}")
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -1,4 +1,4 @@
-"""Processes that are started find what was registered by name."""
+"""Worker processes find registered components by name."""
 
 import sys
 from collections.abc import Iterator
@@ -9,12 +9,12 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
+from gymnasium.vector import AsyncVectorEnv
 from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.vec_env import SubprocVecEnv
 
 import bulletarm_gym
-from bulletarm_gym import extensions, inheritance
-from bulletarm_gym.vector import ParallelEnv
+from bulletarm_gym import registry
 
 PARTS = """
 import dataclasses
@@ -65,10 +65,9 @@ def registered(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]
     bulletarm_gym.register_control("backwards", "my_parts:Backwards")
     yield bulletarm_gym.register_task("Mine", "my_parts:Picking", "backwards", "raised")
     sys.modules.pop("my_parts", None)
-    for kind in ("ROBOT", "OBJECT", "SENSOR", "SURFACE", "CONTROL"):
-        table = getattr(extensions, f"{kind}_PATHS")
-        for name in [name for name, path in table.items() if path.startswith("my_parts:")]:
-            del table[name]
+    for one in (registry.ROBOTS, registry.OBJECTS, registry.SENSORS, registry.SURFACES, registry.CONTROLS):
+        for name in [name for name, path in one.paths.items() if path.startswith("my_parts:")]:
+            del one.paths[name]
 
 
 PARAMETERS: tuple[tuple[str, dict[str, Any]], ...] = (
@@ -85,7 +84,7 @@ def test_spawned_workers_find_what_is_registered() -> None:
         partial(gymnasium.make, f"{PREFIX}{env_id}", obs_size=16, **more) for env_id, more in PARAMETERS
     ]
     for make in makers:
-        vector = ParallelEnv([make], context="spawn")
+        vector = AsyncVectorEnv([make], context="spawn")
         observations, _ = vector.reset(seed=0)
         with make() as env:
             expected, _ = env.reset(seed=0)
@@ -109,5 +108,5 @@ def test_those_of_sb3_too(registered: str) -> None:
 
 def test_what_somebody_else_has_put_there_is_no_harm(monkeypatch: pytest.MonkeyPatch) -> None:
     for text in ("not JSON", "[1]"):
-        monkeypatch.setenv(inheritance.VARIABLE, text)
-        assert inheritance.announced("robot") == {}
+        monkeypatch.setenv(registry.VARIABLE, text)
+        assert registry.published("robot") == {}

@@ -1,9 +1,9 @@
-"""States as plain JSON: any program can read them, and loading one imports and runs nothing.
+"""States as plain JSON, which any program can read; loading one imports and runs nothing.
 
-An array of JSON is a tuple, and each other thing an object with one key: ``{"list": [...]}``,
-``{"dict": [[key, value], ...]}``, ``{"bytes": "base64"}``, or for a dataclass or named tuple the name of its
-type and its values, ``{"Pose": [[x, y, z], [x, y, z, w]]}``. The names are those of
-:data:`~bulletarm_gym.state.STATE_TYPES`.
+A JSON array is a tuple. Other values are objects with one key: ``{"list": [...]}``,
+``{"dict": [[key, value], ...]}``, ``{"bytes": "base64"}``, or the name and the fields of a dataclass or named
+tuple, ``{"Pose": [[x, y, z], [x, y, z, w]]}``. The names are the keys of
+:data:`~bulletarm_gym.scene.state.STATE_TYPES`.
 """
 
 import base64
@@ -12,20 +12,20 @@ from typing import Any
 
 import numpy as np
 
-from bulletarm_gym.state import STATE_TYPES, field_names
+from bulletarm_gym.scene.state import STATE_TYPES, field_names
 
 
 def dumps(value: Any) -> str:
     """Return a value as JSON.
 
-    :raises ValueError: something in it is neither a number, text, bytes or None nor a tuple, list, dict or
-        declared type of such things
+    :raises ValueError: it contains something other than numbers, text, bytes, None, and tuples, lists, dicts
+        and declared types of them
     """
     return json.dumps(_encoded(value), separators=(",", ":"))
 
 
 def loads(text: str | bytes) -> Any:
-    """Return the value that :func:`dumps` has written, exactly.
+    """Return exactly the value that :func:`dumps` has written.
 
     :raises ValueError: the text is not from :func:`dumps`, or has a type that no imported task declares
     """

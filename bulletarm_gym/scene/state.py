@@ -7,33 +7,33 @@ from typing import Any
 
 import numpy as np
 
+from bulletarm_gym.config import with_effect
 from bulletarm_gym.geometry import Pose
 from bulletarm_gym.robots import ROBOTS, RobotModel, RobotState
-from bulletarm_gym.scene import Scene
+from bulletarm_gym.scene.scene import Scene
 from bulletarm_gym.simulation import WorldState
 from bulletarm_gym.simulation.shapes import BodySpec
 from bulletarm_gym.simulation.state import Properties
 from bulletarm_gym.simulation.urdf import mass_of
 
-SCENE_PARAMETERS = ("workspace", "object_scale_range", "num_objects", "close_loop_tray")
-"""Parameters that determine the bodies of a scene and where they can be."""
-FILE_FACTS = ("arm", "object_files")
-"""Checksums of an arm and of objects that come from files of users."""
+CHECKSUMS = ("arm", "object_files")
+"""Checksums of a user's robot and object files."""
 DECIMALS = 5
-"""Number of decimals of the numbers (m, rad, kg) that are compared between files."""
+"""Number of decimals of the numbers (m, rad, kg) in checksums."""
 
 
 @dataclasses.dataclass(frozen=True)
 class EnvState:
     """State of an environment, from which it continues exactly; picklable.
 
+    :param cast: index of the variant of each object slot
     :param sensors: memories of the sensors, by name
     :param memory: the task's memory
     :param control: the control's memory
     :param steps: number of steps since the reset
     :param ended: whether the episode has terminated or been truncated
     :param generator: state of the generator that seeds later episodes
-    :param made_of: task, arm, sizes and whatever else an environment must have in common with the state
+    :param made_of: task, robot, sizes and other values that the environment and the state must have in common
     """
 
     world: WorldState
@@ -50,7 +50,7 @@ class EnvState:
 
 
 def check_fits(state: Any, made_of: dict[str, Any]) -> None:
-    """Check that a state belongs to an environment of the same task, arm and objects.
+    """Check that a state belongs to an environment of the same task, robot and objects.
 
     :param made_of: values that the environment and the state must have in common, by name
     :raises ValueError: they differ, or ``state`` is not an :class:`EnvState`
@@ -61,40 +61,17 @@ def check_fits(state: Any, made_of: dict[str, Any]) -> None:
             f"state must be an EnvState from get_state(), got a {type(state).__name__}"
             f"{advice if isinstance(state, list | tuple) else ''}"
         )
-    names = [*made_of, *(name for name in FILE_FACTS if name not in made_of)]
+    names = [*made_of, *(name for name in CHECKSUMS if name not in made_of)]
     other = [name for name in names if state.made_of.get(name) != made_of.get(name)]
     if other:
         needed, got = (", ".join(f"{n}={made.get(n)!r}" for n in other) for made in (made_of, state.made_of))
         raise ValueError(f"state must be of an environment with {needed}, got one with {got}")
 
 
-STATE_TYPES: dict[str, type] = {
-    kind.__name__: kind for kind in (bytes, list, dict, Pose, Properties, WorldState, RobotState, EnvState)
-}
-"""Types that files of states name, by name: the fixed ones and those that imported tasks declare."""
-
-
-def declare_state_types(kinds: tuple[type, ...]) -> None:
-    """Add the types of a task's memory to :data:`STATE_TYPES`.
-
-    :param kinds: dataclasses and named tuples, made from their fields alone
-    :raises ValueError: an entry is something else, or another type has its name
-    """
-    if not (isinstance(kinds, tuple) and all(map(_is_record, kinds))):
-        raise ValueError(f"memory_types must be a tuple of dataclasses and named tuples, got {kinds!r}")
-    for kind in kinds:
-        known = STATE_TYPES.setdefault(kind.__name__, kind)
-        if _path(known) != _path(kind):
-            raise ValueError(
-                f"memory_types must have names of their own, got {_path(kind)} next to {_path(known)}. "
-                "Rename one of them."
-            )
-        STATE_TYPES[kind.__name__] = kind  # a module that is reloaded replaces its types
-
-
 def scene_facts(scene: Scene) -> dict[str, Any]:
     """Return names and JSON values that a state must have in common with a scene."""
-    names, model = [body.spec.name for body in scene.world.bodies], scene.robot.model
+    bodies, model = [body.spec.name for body in scene.world.bodies], scene.robot.model
+    names = [name for name in with_effect("scene") if name != "object_set"]  # a folder may have moved
     files = {}
     if (arm := _arm_checksum(model)) != _arm_checksum(ROBOTS.get(model.name)):
         files["arm"] = arm
@@ -102,30 +79,28 @@ def scene_facts(scene: Scene) -> dict[str, Any]:
         specs = (spec for item in scene.objects for spec in item.slot.variants)
         files["object_files"] = _checksum(map(_object_numbers, specs))
     return {
-        **{name: getattr(scene.config, name) for name in SCENE_PARAMETERS},
+        **{name: getattr(scene.config, name) for name in names},
         "robot": model.name,
-        "bodies": f"{len(names)}, crc {zlib.crc32(repr(names).encode()):08x}",
+        "bodies": f"{len(bodies)}, crc {zlib.crc32(repr(bodies).encode()):08x}",
         **files,
     }
 
 
-def _arm_checksum(model: RobotModel | None) -> str:
-    return "" if model is None else _checksum(_arm_numbers(model))
-
-
 def _checksum(parts: Iterable[Any]) -> str:
-    """Return a checksum of numbers, without their last decimals."""
+    """Return a checksum of rounded numbers."""
     rounded = [np.round(np.asarray(part, np.float64), DECIMALS) + 0.0 for part in parts]  # -0.0 becomes 0.0
     return f"crc {zlib.crc32(b''.join(part.tobytes() for part in rounded)):08x}"
 
 
-def _arm_numbers(model: RobotModel) -> list[Any]:
-    """Return the numbers of an arm on which motions depend."""
+def _arm_checksum(model: RobotModel | None) -> str:
+    """Return a checksum of the numbers of a robot on which motions depend."""
+    if model is None:
+        return ""
     chain, gripper = model.chain, model.gripper
     masses = [mass_of(link) for link in model.urdf.findall("link")]
     fingers = (gripper.stroke, gripper.force, gripper.speed, gripper.friction)
     frames = (chain.rotations, chain.translations, chain.axes, chain.limits)
-    return [*frames, model.posture, model.torques, masses, fingers]
+    return _checksum([*frames, model.posture, model.torques, masses, fingers])
 
 
 def _object_numbers(spec: BodySpec) -> list[float]:
@@ -135,8 +110,31 @@ def _object_numbers(spec: BodySpec) -> list[float]:
     return [*spec.extents, *frame.position, spec.mass, *frictions]
 
 
+STATE_TYPES: dict[str, type] = {
+    kind.__name__: kind for kind in (bytes, list, dict, Pose, Properties, WorldState, RobotState, EnvState)
+}
+"""Types in files of states, by name: built-in types and types that imported tasks declare."""
+
+
+def declare_state_types(kinds: tuple[type, ...]) -> None:
+    """Add the types of a task's memory to :data:`STATE_TYPES`.
+
+    :param kinds: dataclasses and named tuples that can be constructed from their fields
+    :raises ValueError: an entry is something else, or another type has its name
+    """
+    if not (isinstance(kinds, tuple) and all(map(_is_record, kinds))):
+        raise ValueError(f"memory_types must be a tuple of dataclasses and named tuples, got {kinds!r}")
+    for kind in kinds:
+        known = STATE_TYPES.setdefault(kind.__name__, kind)
+        if _path(known) != _path(kind):
+            raise ValueError(
+                f"memory_types must have distinct names, got {_path(kind)} and {_path(known)}. Rename one."
+            )
+        STATE_TYPES[kind.__name__] = kind  # a module that is reloaded replaces its types
+
+
 def field_names(kind: type) -> tuple[str, ...]:
-    """Return the names of a dataclass's or named tuple's fields, in the order of the constructor."""
+    """Return the names of the fields of a dataclass or named tuple, in the order of the constructor."""
     if dataclasses.is_dataclass(kind):
         return tuple(field.name for field in dataclasses.fields(kind))
     names: tuple[str, ...] = getattr(kind, "_fields", ())

@@ -1,0 +1,64 @@
+"""The processor, its load, the versions of packages, and findings about them."""
+
+import math
+import os
+import platform
+from collections.abc import Iterable
+from importlib import metadata
+from pathlib import Path
+from typing import NamedTuple
+
+PACKAGES = ("bulletarm-gym", "gymnasium", "pybullet", "numpy", "numba")
+"""Packages on which environments depend."""
+
+
+class Finding(NamedTuple):
+    """Result of a check.
+
+    :param what: subject of the check
+    :param value: measured value, with the threshold if there is one
+    :param advice: advice if the value is beyond the threshold, or empty
+    :param fails: whether environments do not work
+    """
+
+    what: str
+    value: str
+    advice: str = ""
+    fails: bool = False
+
+
+def report(findings: Iterable[Finding]) -> list[str]:
+    """Print findings and advice, and return the subjects of failed checks."""
+    failed = []
+    for finding in findings:
+        mark = "FAILED" if finding.fails else "note" if finding.advice else "ok"
+        print(f"{mark:<6}  {finding.what}: {finding.value}", flush=True)
+        if finding.advice:
+            print(f"        -> {finding.advice}")
+        failed += [finding.what] * finding.fails
+    return failed
+
+
+def describe_machine() -> str:
+    """Return model and cores of the processor, and the load average over one minute if known."""
+    load = load_average()
+    return describe_processor() + ("" if math.isnan(load) else f", load average {load:.2f}")
+
+
+def describe_processor() -> str:
+    """Return model and cores of the processor."""
+    info = Path("/proc/cpuinfo")
+    lines = info.read_text(encoding="utf-8").splitlines() if info.exists() else []
+    models = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    model = models[0] if models else platform.processor() or platform.machine()
+    return f"{model}, {os.cpu_count()} cores"
+
+
+def load_average() -> float:
+    """Return the load average over one minute, or NaN if the system has none."""
+    return os.getloadavg()[0] if hasattr(os, "getloadavg") else math.nan
+
+
+def versions(packages: Iterable[str] = PACKAGES) -> dict[str, str]:
+    """Return the versions of Python and of packages, by name."""
+    return {"python": platform.python_version(), **{name: metadata.version(name) for name in packages}}

@@ -1,0 +1,252 @@
+"""Checks of parameters: each returns a valid value as a plain Python value, or raises :class:`Refused`."""
+
+import json
+import math
+import os
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+Check = Callable[[Any], Any]
+
+MIN_WORKSPACE = 0.04
+"""Minimum side length (m) of a workspace, which has room for a cube of 1.5 cm."""
+ROUNDING = 1e-9
+"""Tolerance (m) of differences of decimal fractions."""
+MAX_SCALE = 2.0
+"""Maximum scale of objects; a cube of twice the nominal size (10 cm) fits no gripper."""
+RENDER_SIZES = (16, 4096)
+"""Minimum and maximum side length (pixels) of rendered images."""
+
+
+class ParameterError(ValueError):
+    """A parameter is unknown or has an invalid value.
+
+    Its only argument is the text, so that other processes and Gymnasium can construct it again.
+    """
+
+    @classmethod
+    def of(cls, name: str, got: object, must: str, reason: str = "") -> "ParameterError":
+        """Return the error of a parameter.
+
+        :param must: constraint on the value
+        :param reason: why the value is not valid
+        """
+        return cls(f"{name} must be {must}, got {got!r}{': ' if reason else ''}{reason}")
+
+
+class Refused(Exception):
+    """A value is not valid; the text is the constraint."""
+
+
+def check_argument(name: str, value: Any, check: Check) -> Any:
+    """Return an argument of a function as a check returns it.
+
+    :raises ParameterError: the value is not valid
+    """
+    try:
+        return check(value)
+    except Refused as refused:
+        raise ParameterError.of(name, value, str(refused)) from None
+
+
+def describe(check: Check) -> str:
+    """Return the description of the accepted values that error messages show."""
+    try:
+        check(object())
+    except Refused as refused:
+        return str(refused)
+    raise AssertionError(f"{check} accepts every value")
+
+
+def _plain(value: Any) -> Any:
+    return value.item() if isinstance(value, np.generic) else value
+
+
+def _is_number(value: Any) -> bool:
+    return type(_plain(value)) in (int, float)
+
+
+def _float(value: Any) -> float:
+    if not _is_number(value):
+        raise TypeError
+    return float(value)
+
+
+def _floats(*shape: int) -> Callable[[Any], Any]:
+    """Return a conversion of array-likes of finite numbers to lists."""
+
+    def convert(value: Any) -> Any:
+        array = np.array(value, np.float64)
+        if array.shape != shape or not np.isfinite(array).all():
+            raise ValueError
+        return array.tolist()
+
+    return convert
+
+
+def rule(must: str, accepts: Callable[[Any], bool], convert: Callable[[Any], Any] = _plain) -> Check:
+    """Return a check.
+
+    :param must: description of the accepted values
+    :param accepts: function that returns True for valid converted values
+    :param convert: conversion to plain Python values; raises ``TypeError`` or ``ValueError`` for invalid ones
+    """
+
+    def check(value: Any) -> Any:
+        try:
+            converted = convert(value)
+            is_valid = accepts(converted)
+        except (TypeError, ValueError):
+            is_valid = False
+        if not is_valid:
+            raise Refused(must)
+        return converted
+
+    return check
+
+
+def optional(inner: Check) -> Check:
+    """Accept None and the values of another check."""
+    return lambda value: None if value is None else inner(value)
+
+
+def choice(*choices: Any, must: str = "") -> Check:
+    """Accept some values, of exactly their types."""
+    text = must or "one of " + ", ".join(map(repr, choices))
+    return rule(text, lambda value: any(type(value) is type(one) and value == one for one in choices))
+
+
+def integer(low: int, high: int | None = None) -> Check:
+    """Accept integers between limits, both included."""
+    text = f"an integer of at least {low}" + ("" if high is None else f" and at most {high}")
+    most = math.inf if high is None else high
+    return rule(text, lambda value: type(value) is int and low <= value <= most)
+
+
+def number(low: float, high: float, must: str) -> Check:
+    """Accept finite numbers between limits, both included."""
+    return rule(must, lambda value: low <= value <= high and math.isfinite(value), _float)
+
+
+def action_sequence(known: Sequence[str]) -> Check:
+    """Accept words, their characters in any order."""
+    words = " or ".join(filter(None, (", ".join(map(repr, known[:-1])), repr(known[-1]))))
+    text = f"{words}, the characters in any order"
+    return rule(text, lambda value: isinstance(value, str) and sorted(value) in map(sorted, known))
+
+
+def robot(names: Sequence[str]) -> Check:
+    """Accept text; whether a robot with that name or import path exists is checked when it is loaded."""
+    text = f"one of {', '.join(map(repr, names))}, a RobotModel or 'module:attribute'"
+    return rule(text, lambda value: isinstance(value, str))
+
+
+boolean = rule("True or False", lambda value: isinstance(value, bool))
+mapping = rule("a dict", lambda value: isinstance(value, Mapping))
+positive = number(math.nextafter(0.0, 1.0), math.inf, "a positive number of metres")
+field_of_view = number(1.0, 170.0, "a number of degrees from 1 to 170")
+point = rule("[x, y, z] in metres", bool, _floats(3))
+
+
+def _is_workspace(limits: list[list[float]]) -> bool:
+    x, y, z = (high - low for low, high in limits)
+    is_square = math.isclose(x, y, abs_tol=ROUNDING)
+    return x >= MIN_WORKSPACE - ROUNDING and is_square and z > 0.0 and limits[2][0] >= 0.0
+
+
+workspace = rule(
+    "[[x low, x high], [y low, y high], [z low, z high]] in metres, square in x and y with sides "
+    f"of at least {MIN_WORKSPACE:g}, z low not below 0",
+    _is_workspace,
+    _floats(3, 2),
+)
+scale_range = rule(
+    f"a positive number or [low, high], at most {MAX_SCALE}",
+    lambda limits: 0.0 < limits[0] <= limits[1] <= MAX_SCALE,
+    lambda value: _floats(2)([value, value] if _is_number(value) else value),
+)
+render_size = rule(
+    "a number of pixels or [width, height], each from {} to {}".format(*RENDER_SIZES),
+    lambda sides: len(sides) == 2 and all(isinstance(integer(*RENDER_SIZES)(side), int) for side in sides),
+    lambda value: [_plain(side) for side in ([value, value] if _is_number(value) else value)],
+)
+function_path = rule(
+    'None or "module:function"',
+    lambda value: (
+        isinstance(value, str)
+        and value.count(":") == 1
+        and all(part.isidentifier() for part in value.replace(":", ".").split("."))
+    ),
+)
+
+
+def camera(value: Any) -> dict[str, Any]:
+    """Accept a dict with some of the position, target and field of view of a camera."""
+    checks: dict[str, Check] = {"position": point, "target": point, "fov": field_of_view}
+    if not isinstance(value, Mapping) or not value.keys() <= checks.keys():
+        raise Refused(f"None or a dict with some of {', '.join(map(repr, checks))}")
+    try:
+        return {name: checks[name](entry) for name, entry in value.items()}
+    except Refused as refused:
+        raise Refused(f"a dict in which each of {', '.join(value)} is valid: {refused}") from None
+
+
+def object_set(value: Any) -> str | list[str]:
+    """Accept an existing folder, as an absolute path, or a list of kinds of objects."""
+    if isinstance(value, list | tuple) and value and all(isinstance(kind, str) for kind in value):
+        return [str(kind) for kind in value]
+    if not isinstance(value, str | os.PathLike):
+        raise Refused("None, a folder of OBJ, STL or URDF files, or a list of kinds of objects")
+    if not os.path.isdir(value):
+        where = "" if os.path.isabs(value) else f" in the working directory {os.getcwd()}"
+        raise Refused(f"None, an existing folder{where} or a list of kinds of objects")
+    return os.path.abspath(os.fspath(value))
+
+
+def observation(presets: Sequence[str], builtin: Sequence[str]) -> Check:
+    """Accept the name of a preset, or a list of sensors: names, or dicts with a name and parameters.
+
+    :param presets: names of lists of sensors
+    :param builtin: names of built-in sensors, which other sensors cannot have
+    """
+    text = f"{' or '.join(map(repr, presets))}, or a list of some of {', '.join(builtin)}"
+
+    def check(value: Any) -> str | list[Any]:
+        if isinstance(value, str) and value in presets:
+            return value
+        if not isinstance(value, list | tuple) or not value:
+            raise Refused(text)
+        entries = [_sensor(entry, builtin) for entry in value]
+        names = [entry if isinstance(entry, str) else entry["name"] for entry in entries]
+        if twice := sorted({name for name in names if names.count(name) > 1}):
+            raise Refused(f"a list with distinct names, without {', '.join(twice)} more than once")
+        return entries
+
+    return check
+
+
+def _sensor(entry: Any, builtin: Sequence[str]) -> str | dict[str, Any]:
+    """Accept the name of a sensor, or a dict with its name, parameters and, for a user's, import path."""
+    if isinstance(entry, str):
+        return entry
+    name = entry.get("name") if isinstance(entry, Mapping) else None
+    if not (isinstance(name, str) and name.isidentifier()):
+        raise Refused(
+            f'a list of names and dicts {{"name": identifier, parameter: value}}, without {entry!r}'
+        )
+    if name in builtin and entry.get("sensor", name) != name:
+        raise Refused(f"a list in which other sensors have new names, not {name!r}")
+    try:
+        plain: dict[str, Any] = json.loads(json.dumps(dict(entry), default=_to_list))
+    except (TypeError, ValueError):
+        raise Refused(f"a list in which parameters are JSON values, without {entry!r}") from None
+    return plain
+
+
+def _to_list(value: Any) -> Any:
+    """Return NumPy's arrays and numbers as Python's."""
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    raise TypeError(f"{type(value).__name__} is not a JSON value")

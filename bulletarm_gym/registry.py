@@ -1,0 +1,401 @@
+"""Tasks, robots, objects, surfaces, sensors and controls by name, and the table of environment ids."""
+
+import importlib
+import json
+import os
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import gymnasium
+from gymnasium.envs.registration import WrapperSpec
+
+from bulletarm_gym.config_checks import ParameterError
+
+VARIABLE = "BULLETARM_GYM_REGISTERED"
+"""Environment variable in which a process publishes its registrations, as JSON, for child processes."""
+
+
+def published(kind: str) -> dict[str, Any]:
+    """Return the registrations of a kind, by name, of this process and of the process that started it."""
+    return dict(_published().get(kind, {}))
+
+
+def _published() -> dict[str, dict[str, Any]]:
+    found: Any = None
+    with suppress(ValueError):  # another program may have set the variable
+        found = json.loads(os.environ.get(VARIABLE, "{}"))
+    return found if isinstance(found, dict) else {}
+
+
+def _publish(kind: str, name: str, registered: Any) -> None:
+    everything = _published()
+    everything.setdefault(kind, {})[name] = registered
+    os.environ[VARIABLE] = json.dumps(everything)
+
+
+def load(path: str) -> Any:
+    """Import ``"module:attribute"``.
+
+    :raises ValueError: the module or the attribute does not exist
+    """
+    module, _, name = path.partition(":")
+    try:
+        found = importlib.import_module(module)
+        for part in name.split("."):
+            found = getattr(found, part)
+    except (ImportError, AttributeError, ValueError) as error:
+        advice = ". Define it in a module that this process can import" if module == "__main__" else ""
+        raise ValueError(f"{path!r} cannot be imported: {error}{advice}") from error
+    return found
+
+
+def import_path(component: Any) -> str:
+    """Return the path ``"module:attribute"`` under which a class or function can be imported.
+
+    A path in ``__main__``, such as that of a class in a notebook, is valid in this process only.
+
+    :raises ValueError: no such path exists, with the reason
+    """
+    if isinstance(component, str):
+        load(component)
+        return component
+    module, name = (getattr(component, key, None) for key in ("__module__", "__qualname__"))
+    if module is None or name is None:
+        raise ValueError(f"{component!r} is neither a class, a function nor a path 'module:attribute'")
+    if "<lambda>" in name or "<locals>" in name:
+        reason = "a lambda" if "<lambda>" in name else "local to a function"
+        raise ValueError(f"{name} cannot be imported: it is {reason}. Define it at the top level of a module")
+    path = f"{module}:{name}"
+    if load(path) is not component:
+        raise ValueError(f"importing {path!r} returns another object")
+    return path
+
+
+@dataclass
+class Registry:
+    """Components of one kind, found by name or by import path ``"module:attribute"``.
+
+    A registered component is kept as its import path, so that worker processes can import it.
+
+    :param kind: name of the kind, the parameter of environments that selects a component
+    :param convert: returns the component for an imported object; raises ``ValueError`` with the constraint
+    :param source: import path of the built-in components by name, or ``""`` if there are none
+    """
+
+    kind: str
+    convert: Callable[[Any], Any]
+    source: str = ""
+    paths: dict[str, str] = field(init=False)
+    """Import paths of the registered components, by name."""
+
+    def __post_init__(self) -> None:
+        """Begin with the registrations of the process that started this one."""
+        self.paths = published(self.kind)
+
+    @cached_property
+    def builtin(self) -> Mapping[str, Any]:
+        """The components of this package, by name."""
+        found: Mapping[str, Any] = load(self.source) if self.source else {}
+        return found
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of all components, the built-in ones first."""
+        return (*self.builtin, *self.paths)
+
+    def register(self, name: str, component: Any) -> None:
+        """Add a component.
+
+        :raises ValueError: the name is not an identifier or is in use, or the component has no import path
+        """
+        if not (isinstance(name, str) and name.isidentifier()):
+            raise ValueError(f"name must be an identifier, got {name!r}")
+        if name in self.builtin:
+            raise ValueError(f"name must be unused, got {name!r}, a built-in {self.kind}")
+        path = import_path(component)
+        if self.paths.setdefault(name, path) != path:
+            raise ValueError(f"name must be unused, got {name!r}, the name of {self.paths[name]}")
+        _publish(self.kind, name, path)
+
+    def path(self, name: Any) -> Any:
+        """Return the import path of a registered component; other values are returned as they are."""
+        return self.paths.get(name, name) if isinstance(name, str) else name
+
+    def find(self, source: Any, parameter: str | None = None) -> Any:
+        """Return a component.
+
+        :param source: its name or import path
+        :param parameter: name of the parameter in errors, by default the kind
+        :raises ParameterError: the component does not exist
+        """
+        if isinstance(source, str) and source in self.builtin:
+            return self.builtin[source]
+        path, names = self.path(source), "".join(f"{name!r}, " for name in self.names)
+        try:
+            if not (isinstance(path, str) and ":" in path):
+                raise ValueError
+            found = load(path)
+        except ValueError as error:
+            must = f"one of {names}or 'module:attribute'" if names else "'module:attribute'"
+            raise ParameterError.of(parameter or self.kind, source, must, str(error)) from error
+        try:
+            return self.convert(found)
+        except ValueError as error:
+            raise ParameterError.of(parameter or self.kind, source, str(error)) from error
+
+
+def _subclass_of(path: str) -> Callable[[Any], Any]:
+    """Return a function that checks that an object is a subclass of the class at an import path."""
+
+    def convert(found: Any) -> Any:
+        base = load(path)
+        if not (isinstance(found, type) and issubclass(found, base)):
+            raise ValueError(f"a subclass of {base.__name__}")
+        return found
+
+    return convert
+
+
+def _robot_model(found: Any) -> Any:
+    """Return a robot model, or the model that a function without arguments returns."""
+    base = load("bulletarm_gym.robots.model:RobotModel")
+    try:
+        model = found() if callable(found) else found
+    except TypeError as error:
+        raise ValueError(f"a RobotModel or a function without arguments ({error})") from error
+    if not isinstance(model, base):
+        raise ValueError(f"a RobotModel or a function that returns one, not a {type(model).__name__}")
+    return model
+
+
+def _function(found: Any) -> Any:
+    if not callable(found):
+        raise ValueError(f"a function, not a {type(found).__name__}")
+    return found
+
+
+TASKS = Registry("task", _subclass_of("bulletarm_gym.tasks.task:Task"))
+REWARDS = Registry("reward", _function)
+ROBOTS = Registry("robot", _robot_model, "bulletarm_gym.robots:ROBOTS")
+OBJECTS = Registry("object", _function, "bulletarm_gym.objects.catalogue:KINDS")
+SURFACES = Registry(
+    "surface", _subclass_of("bulletarm_gym.surfaces.surface:Surface"), "bulletarm_gym.surfaces:SURFACES"
+)
+SENSORS = Registry(
+    "sensor",
+    _subclass_of("bulletarm_gym.observations.sensor:Sensor"),
+    "bulletarm_gym.observations.observer:SENSORS",
+)
+CONTROLS = Registry(
+    "control", _subclass_of("bulletarm_gym.control.control:Control"), "bulletarm_gym.control:CONTROLS"
+)
+
+
+def register_robot(name: str, model: Any) -> None:
+    """Make a robot available as ``robot=name``; raises as :meth:`Registry.register`.
+
+    :param model: function without arguments that returns a :class:`~bulletarm_gym.robots.RobotModel`, or the
+        import path of such a function or of a model
+    """
+    ROBOTS.register(name, model)
+
+
+def register_object(name: str, make: Any) -> None:
+    """Make a kind of object available as ``objects.create(name, ...)``; raises as :meth:`Registry.register`.
+
+    :param make: function ``make(name, scale)`` that returns a :class:`~bulletarm_gym.objects.BodySpec`, or
+        its import path
+    """
+    OBJECTS.register(name, make)
+
+
+def register_surface(name: str, surface: Any) -> None:
+    """Make a surface available as ``surface=name``; raises as :meth:`Registry.register`.
+
+    :param surface: subclass of :class:`~bulletarm_gym.surfaces.Surface`, or its import path
+    """
+    SURFACES.register(name, surface)
+
+
+def register_sensor(name: str, sensor: Any) -> None:
+    """Make a sensor available in the lists of ``observation``; raises as :meth:`Registry.register`.
+
+    :param sensor: subclass of :class:`~bulletarm_gym.observations.Sensor`, or its import path
+    """
+    SENSORS.register(name, sensor)
+
+
+def register_control(name: str, control: Any) -> None:
+    """Make a control available as ``control=name``; raises as :meth:`Registry.register`.
+
+    :param control: subclass of :class:`~bulletarm_gym.control.Control`, or its import path
+    """
+    CONTROLS.register(name, control)
+
+
+def by_path(parameters: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the parameters of an environment with import paths instead of registered names and functions.
+
+    Functions without an import path, such as lambdas, are returned as they are.
+    """
+    found = dict(parameters)
+    for name in ("robot", "reward"):
+        if callable(found.get(name)):
+            with suppress(ValueError):
+                found[name] = import_path(found[name])
+    for registry in (ROBOTS, SURFACES, CONTROLS):
+        if registry.kind in found:
+            found[registry.kind] = registry.path(found[registry.kind])
+    for name, convert in (("object_set", OBJECTS.path), ("observation", _sensor_by_path)):
+        if isinstance(found.get(name), list | tuple):
+            found[name] = [convert(entry) for entry in found[name]]
+    return found
+
+
+def _sensor_by_path(entry: Any) -> Any:
+    """Return an entry of a list of sensors with the import path of a registered sensor."""
+    described = {"name": entry} if isinstance(entry, str) else entry
+    if not isinstance(described, Mapping):
+        return entry
+    source = described.get("sensor", described.get("name"))
+    path = SENSORS.path(source)
+    return entry if path == source else {**described, "sensor": path}
+
+
+# Ids
+
+NAMESPACE = "BulletArm"
+ENTRY_POINT = "bulletarm_gym.env:ManipulationEnv"
+PAIR = {"num_objects": 2, "object_scale_range": 1.0, "max_steps": 50}
+"""Parameters of the paper's closed-loop Block Stacking and House Building: two blocks of 5 cm."""
+
+
+@dataclass(frozen=True)
+class Entry:
+    """Components of a registered environment.
+
+    :param name: name in the id
+    :param task: import path of the task
+    :param defaults: JSON values that replace the task's defaults of parameters
+    """
+
+    name: str
+    task: str
+    control: str
+    surface: str = "flat"
+    defaults: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def env_id(self) -> str:
+        """Id of the environment."""
+        return f"{NAMESPACE}/{self.name}-v0"
+
+    @property
+    def kwargs(self) -> dict[str, Any]:
+        """Arguments of the constructor of the environment."""
+        defaults = {"defaults": dict(self.defaults)} if self.defaults else {}
+        return {"task": self.task, "control": self.control, "surface": self.surface, **defaults}
+
+
+def _prefix(control: str, surface: str) -> str:
+    """Return the beginning of the name in an id, such as ``"OpenLoopRamp"``; ``"flat"`` is not named."""
+    words = f"{control}_{'' if surface == 'flat' else surface}".split("_")
+    return "".join(word[:1].upper() + word[1:] for word in words)
+
+
+def _entries(
+    paths: str, control: str, surface: str = "flat", defaults: Mapping[str, Any] | None = None
+) -> tuple[Entry, ...]:
+    """Return the entries of tasks, each by its module in :data:`TASK_PACKAGE` and its class."""
+    prefix, names = _prefix(control, surface), (path.partition(":")[2] for path in paths.split())
+    return tuple(
+        Entry(prefix + name, TASK_PACKAGE + path, control, surface, defaults or {})
+        for path, name in zip(paths.split(), names, strict=True)
+    )
+
+
+TASK_PACKAGE = "bulletarm_gym.tasks."
+HOUSES = (
+    "house:HouseBuilding1 house:HouseBuilding2 house:HouseBuilding3 house:HouseBuilding4 "
+    "house:ImproviseHouseBuilding2 house:ImproviseHouseBuilding3"
+)
+PACKAGING = "packing:BinPacking packing:BottleArrangement palletizing:BoxPalletizing covid:CovidTest"
+BLOCKS = "picking:BlockReaching picking:BlockPicking pushing:BlockPushing pushing:BlockPulling"
+
+PAPER = (
+    *_entries(f"stacking:BlockStacking {HOUSES} {PACKAGING}", "open_loop"),
+    Entry("OpenLoopObjectGrasping", TASK_PACKAGE + "clutter:OpenLoopObjectGrasping", "open_loop"),
+    *_entries(f"stacking:BlockStacking {HOUSES}", "open_loop", "ramp"),
+    *_entries("house:HouseBuilding4 palletizing:BoxPalletizing", "open_loop", "bump"),
+    *_entries(f"{BLOCKS} picking:BlockInBowl", "close_loop"),
+    *_entries("stacking:BlockStacking", "close_loop", defaults=PAIR),
+    Entry("CloseLoopHouseBuilding", TASK_PACKAGE + "house:HouseBuilding1", "close_loop", defaults=PAIR),
+    *_entries("picking:CornerPicking drawer:DrawerOpening clutter:ObjectGrasping", "close_loop"),
+)
+"""Environments of the paper."""
+COMPOSED = (
+    *_entries(f"{HOUSES} {PACKAGING}", "close_loop"),
+    *_entries("picking:BlockPicking", "close_loop", "ramp"),
+    *_entries("picking:BlockPicking picking:BlockInBowl", "close_loop", "bump"),
+)
+"""Other combinations of the paper's tasks, if the expert succeeds in at least 95 % of episodes."""
+OWN = (
+    *_entries("sorting:BlockSorting", "open_loop"),
+    *_entries("sorting:BlockSorting", "close_loop"),
+)
+"""Environments that are not in the paper."""
+ENTRIES = (*PAPER, *COMPOSED, *OWN)
+
+PAPER_IDS: tuple[str, ...] = tuple(entry.env_id for entry in PAPER)
+ENV_IDS: tuple[str, ...] = tuple(entry.env_id for entry in ENTRIES)
+
+
+def register_all() -> None:
+    """Register the ids of the package, and the registrations of the process that started this one."""
+    for entry in (*ENTRIES, *(Entry(**recipe) for recipe in published(TASKS.kind).values())):
+        if entry.env_id not in gymnasium.registry:
+            register(entry.env_id, entry.kwargs)
+
+
+def register_task(name: str, task: Any, control: str = "close_loop", surface: str = "flat") -> str:
+    """Register an environment id for a task.
+
+    :param name: name in the id, such as ``"BlockShaking"``
+    :param task: subclass of :class:`~bulletarm_gym.tasks.Task`, or its import path
+    :param control: name of a built-in or registered control
+    :param surface: name of a built-in or registered surface
+    :return: the id, such as ``"BulletArm/CloseLoopBlockShaking-v0"``
+    :raises ValueError: the name is not an identifier or is in use, the control or surface is unknown, or the
+        class has no import path
+    """
+    if not (isinstance(name, str) and name.isidentifier()):
+        raise ValueError(f"name must be an identifier such as 'BlockShaking', got {name!r}")
+    for registry, chosen in ((CONTROLS, control), (SURFACES, surface)):
+        if chosen not in registry.names:
+            raise ParameterError.of(registry.kind, chosen, f"one of {', '.join(map(repr, registry.names))}")
+    recipe = by_path({"control": control, "surface": surface})
+    entry = Entry(_prefix(control, surface) + name, import_path(task), **recipe)
+    known_spec = gymnasium.registry.get(entry.env_id)
+    if known_spec is None:
+        register(entry.env_id, entry.kwargs)
+    elif known_spec.kwargs != entry.kwargs:
+        raise ValueError(f"name must be unused, got {name!r}: {entry.env_id} has {known_spec.kwargs}")
+    _publish(TASKS.kind, entry.env_id, {"name": entry.name, "task": entry.task, **recipe})
+    return entry.env_id
+
+
+def register(env_id: str, recipe: Mapping[str, Any]) -> None:
+    """Register an id with Gymnasium.
+
+    :param recipe: task, control, surface and defaults, as arguments of the constructor
+    """
+    wrappers = (time_limit_spec(None),)
+    gymnasium.register(env_id, entry_point=ENTRY_POINT, kwargs=dict(recipe), additional_wrappers=wrappers)
+
+
+def time_limit_spec(known: int | None) -> WrapperSpec:
+    """Return the spec of :func:`~bulletarm_gym.wrappers.own_time_limit`."""
+    return WrapperSpec("own_time_limit", "bulletarm_gym.wrappers:own_time_limit", {"known": known})
