@@ -67,6 +67,18 @@ def test_a_file_grows(tmp_path: Path) -> None:
     assert [episode.seed for episode in load(tmp_path / "own.h5")] == [3, 4]
 
 
+def test_long_files_are_written_less_often(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("bulletarm_gym.demonstrations.recording.EPISODES_PER_WRITE", 1.0)
+    env, saved = record(tmp_path / "own.h5"), []
+    for seed in range(5):
+        play(env, seed)
+        saved.append(len(load(tmp_path / "own.h5")))
+    assert saved == [1, 2, 2, 4, 4] and len(env) == 5
+    env.close()
+    assert [episode.seed for episode in load(tmp_path / "own.h5")] == list(range(5))
+    assert load(tmp_path / "own.h5").attempts == 5
+
+
 # States
 
 
