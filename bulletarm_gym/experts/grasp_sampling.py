@@ -88,16 +88,11 @@ class ElevationMap:
 
     def top_between(self, first: Sequence[float], second: Sequence[float], reach: float) -> float:
         """Return the largest height (m) of an object in the box of two points, extended by ``reach`` (m)."""
-        rows, columns = (self._span(first[axis], second[axis], reach, axis) for axis in (0, 1))
-        return float(self.layers[:, rows, columns].max())
-
-    def _span(self, first: float, second: float, reach: float, axis: int) -> slice:
-        low, high = min(first, second) - reach, max(first, second) + reach
-        return slice(self._pixel(low, axis), self._pixel(high, axis) + 1)
-
-    def _pixel(self, value: float, axis: int) -> int:
-        size = len(self.ground)
-        return min(max(int((value - self.centre[axis] + self.extent / 2.0) / self.pitch), 0), size - 1)
+        box = np.sort([first[:2], second[:2]], axis=0)
+        box += np.array([[-reach], [reach]])
+        corners = (box - self.centre + self.extent / 2.0) / self.pitch
+        (row, column), (last_row, last_column) = corners.astype(int).clip(0, len(self.ground) - 1)
+        return float(self.layers[:, row : last_row + 1, column : last_column + 1].max())
 
 
 def find_grasps(
