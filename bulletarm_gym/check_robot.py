@@ -72,16 +72,16 @@ def check_robot(model: RobotModel, workspace: Limits | None = None) -> Iterator[
     :param workspace: limits (m) along x, y and z; the default workspaces of both controls by default
     """
     try:
-        surveys = _surveys(model, workspace)
+        studies = _studies(model, workspace)
     except ValueError as error:  # a joint is missing, or a number of joint positions or torques is wrong
         yield Finding("model", " ".join(str(error).split()), "correct the model or its URDF", fails=True)
         return
-    for name, (upright, tilted) in surveys.items():
+    for name, (upright, tilted) in studies.items():
         yield reach(name, upright, tilted)
     yield Finding("largest workspace", f"in reach upright: {largest_workspace(model)}")
-    solved = [one for upright, _ in surveys.values() for one in upright.solved]
+    solved = [one for upright, _ in studies.values() for one in upright.solved]
     yield accuracy(model, solved)
-    yield limits(model, [upright for upright, _ in surveys.values()], _home(workspace))
+    yield limits(model, [upright for upright, _ in studies.values()], _home(workspace))
     try:
         env = _make(model, workspace)
     except ParameterError as error:
@@ -95,7 +95,7 @@ def check_robot(model: RobotModel, workspace: Limits | None = None) -> Iterator[
         yield tracking(model, workspace, mode, load)
 
 
-def _surveys(model: RobotModel, workspace: Limits | None) -> dict[str, tuple[ReachStudy, ReachStudy]]:
+def _studies(model: RobotModel, workspace: Limits | None) -> dict[str, tuple[ReachStudy, ReachStudy]]:
     """Return the poses in reach, upright and tilted, by the name of the workspace."""
     asked = {control: (WORKSPACES[control], HEIGHTS[control]) for control in (CLOSE_LOOP, OPEN_LOOP)}
     if workspace is not None:
@@ -143,14 +143,14 @@ def accuracy(model: RobotModel, solved: Sequence[tuple[Pose, Any]]) -> Finding:
     return Finding("inverse kinematics", f"error of at most {worst:.1e} m or rad", advice if bad else "", bad)
 
 
-def limits(model: RobotModel, surveys: Sequence[ReachStudy], home: Pose) -> Finding:
+def limits(model: RobotModel, studies: Sequence[ReachStudy], home: Pose) -> Finding:
     """Report the joint limits that are met, and the room that the joints have at home."""
     joints, _ = model.inverse(home)
     lower, upper = model.chain.limits.T
     rooms = np.minimum(joints - lower, upper - joints)
     nearest = int(rooms.argmin())
-    met = sum((found.limited for found in surveys), start=type(surveys[0].limited)())
-    count = sum(found.count for found in surveys)
+    met = sum((found.limited for found in studies), start=type(studies[0].limited)())
+    count = sum(found.count for found in studies)
     value = (
         f"{met.total()} of {count} poses are beyond one; at home {model.joints[nearest]} has the least room"
     )
