@@ -58,6 +58,7 @@ class World:
         self.joints: list[tuple[float, ...]] = []
         self.joint_rates: list[tuple[float, ...]] = []
         self.unsettled: set[int] = set()
+        self._by_id: dict[int, Body] = {}
         self._changed: dict[int, Properties] = {}
         self._ground: Body | None = None
         self._solids: list[Body] = []
@@ -109,6 +110,7 @@ class World:
 
     def _register(self, body: Body, pose: Pose | None) -> Body:
         self.bodies.append(body)
+        self._by_id[body.id] = body
         self.poses.append(pose or Pose((float(body.index), 0.0, PARKING_HEIGHT)))
         self.twists.append(STILL)
         self.active.append(pose is not None)
@@ -356,8 +358,8 @@ class World:
         return self._contacts(self.client.getClosestPoints(body.id, other.id, limit, link, other_link))
 
     def _contacts(self, points: Sequence[Any]) -> list[Contact]:
-        bodies = {body.id: body for body in self.bodies} if points else {}
-        return [Contact(p[3], bodies[p[2]], p[7], p[8], p[9]) for p in points]
+        bodies = self._by_id  # without bodies that were added by the client
+        return [Contact(p[3], bodies[p[2]], p[7], p[8], p[9]) for p in points if p[2] in bodies]
 
     def distance(self, first: Body, second: Body, limit: float) -> float:
         """Return the gap (m) between two bodies, negative if they overlap, infinite beyond ``limit``."""
