@@ -71,19 +71,19 @@ def check_robot(model: RobotModel, workspace: Limits | None = None) -> Iterator[
         low, high = workspace[2]
         spaces = {"workspace": (workspace, (low, (low + high) / 2.0, high))}  # type: ignore[dict-item]
     try:
-        surveys = {
+        studies = {
             name: (study_reach(model, grid(*where, POINTS)), study_reach(model, grid(*where, POINTS, TILT)))
             for name, where in spaces.items()
         }
     except ValueError as error:  # a joint is missing, or a number of joint positions or torques is wrong
         yield Finding("model", " ".join(str(error).split()), "correct the model or its URDF", fails=True)
         return
-    for name, (upright, tilted) in surveys.items():
+    for name, (upright, tilted) in studies.items():
         yield reach(name, upright, tilted)
     yield Finding("largest workspace", f"in reach upright: {largest_workspace(model)}")
-    solved = [one for upright, _ in surveys.values() for one in upright.solved]
+    solved = [one for upright, _ in studies.values() for one in upright.solved]
     yield accuracy(model, solved)
-    yield limits(model, [upright for upright, _ in surveys.values()], _home(workspace))
+    yield limits(model, [upright for upright, _ in studies.values()], _home(workspace))
     try:
         env = _make(model, workspace)
     except ParameterError as error:

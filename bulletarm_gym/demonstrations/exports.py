@@ -17,6 +17,7 @@ from bulletarm_gym.demonstrations.episodes import Demonstrations, Episode, atomi
 from bulletarm_gym.demonstrations.replaying import replay
 from bulletarm_gym.env import ManipulationEnv
 from bulletarm_gym.observations import Holding, Rgb, Sensor, State, View
+from bulletarm_gym.observations.state import GRIPPER_SIZE
 
 if TYPE_CHECKING:
     from lerobot.datasets.lerobot_dataset import LeRobotDataset

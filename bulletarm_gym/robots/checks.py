@@ -39,10 +39,7 @@ def convert_fields(model: Any, prefix: str, fields: dict[str, tuple[str, Convert
 
 
 def check_element(name: str, value: Any) -> None:
-    """Check that a value is the root element of a URDF.
-
-    :raises ValueError: it is not
-    """
+    """Raise ValueError if a value is not the root element of a URDF."""
     if not (isinstance(value, Element) and value.tag == "robot"):
         got = f"<{value.tag}>" if isinstance(value, Element) else type(value).__name__
         raise ValueError(f"{name} must be the element <robot> of a URDF, got {got}. Use read_urdf().")

@@ -76,10 +76,7 @@ def attach(root: Element, link: str, other: Element, mount: Pose) -> Element:
 
 
 def check_tree(root: Element) -> None:
-    """Check that a model is a tree of links with distinct names.
-
-    :raises ValueError: it is not
-    """
+    """Raise ValueError if a model is not a tree of links with distinct names."""
     for kind in ("link", "joint"):
         if repeated := _repeated([element.get("name", "") for element in root.findall(kind)]):
             raise ValueError(f"names of {kind}s must be distinct, got {repeated} twice")

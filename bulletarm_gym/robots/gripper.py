@@ -132,10 +132,7 @@ class ParallelJaw(Gripper):
 
 
 def _check_free(root: Element, link: str) -> None:
-    """Check that no joint moves a link attached to ``link``.
-
-    :raises ValueError: a joint does, as on a flange that carries a gripper
-    """
+    """Raise ValueError if a joint moves a link attached to ``link``, as on a flange with a gripper."""
     attached = [link]
     for name in attached:
         for joint in children_of(root, name):

@@ -16,12 +16,10 @@ from bulletarm_gym.robots.gripper import Gripper
 from bulletarm_gym.robots.kinematics import Chain
 from bulletarm_gym.robots.primitives import DARK, cylinder
 from bulletarm_gym.robots.structure import check_merged, prepare
-from bulletarm_gym.simulation.urdf import find_joint, find_root, limits_of, to_text
+from bulletarm_gym.simulation.urdf import find_joint, find_root, to_text
 
 PLINTH_RADIUS = 0.09
 """Radius (m) of the stand under an arm whose base is above the ground, outside the workspaces."""
-TRAVEL_TOLERANCE = 1e-4
-"""Tolerance (m) of the comparison between the gripper's stroke and the fingers' joint limits."""
 FRONT = math.pi / 2.0
 """Angle (rad) about the base between the posture and the front, above which the posture is rotated."""
 LINE_POINTS = 1000
@@ -83,25 +81,14 @@ class RobotModel:
             checks.check_element("load()", root)
             prepare(root, self.joints, self.gripper.joints)
             merge_fixed(root)
-            check_merged(root, self.joints, self.gripper.joints, self.tool)
+            check_merged(root, self.joints, self.gripper, self.tool)
         except ValueError as error:
             raise ValueError(f"robot {self.name!r}: {error}") from error
-        for name in self.gripper.joints:
-            self._check_travel(find_joint(root, name))
         if self.base.z > 0.0:
             # Not solid, because ramps reach under the arm, and a robot in contact moves by simulation only.
             plinth = cylinder(PLINTH_RADIUS, self.base.z, (0.0, 0.0, -self.base.z / 2.0), DARK, solid=False)
             plinth.add_to(find_root(root))
         return root
-
-    def _check_travel(self, finger: Element) -> None:
-        """Check that the limits of a finger joint allow the gripper's stroke."""
-        _, upper = limits_of(finger)
-        if upper < self.gripper.travel - TRAVEL_TOLERANCE:
-            raise ValueError(
-                f"robot {self.name!r}: the gripper's stroke of {self.gripper.stroke:g} m takes each finger "
-                f"{self.gripper.travel:g} m, but {finger.get('name')!r} ends at {upper:g} m in the model"
-            )
 
     @cached_property
     def chain(self) -> Chain:
@@ -111,8 +98,12 @@ class RobotModel:
             outside the joint limits
         """
         chain = Chain.from_urdf(self.urdf, self.joints, self.base, self.tool)
-        self._check_count("posture", self.posture)
-        self._check_count("force", self.torques)
+        for parameter, values in (("posture", self.posture), ("force", self.torques)):
+            if len(values) != len(self.joints):
+                raise ValueError(
+                    f"robot {self.name!r}: {parameter} must have {len(self.joints)} values, one for each "
+                    f"joint, got {len(values)}"
+                )
         for name, position, (lower, upper) in zip(self.joints, self.posture, chain.limits, strict=True):
             if not lower <= position <= upper:
                 raise ValueError(
@@ -120,13 +111,6 @@ class RobotModel:
                     f"for {name!r} with the limits {lower:g} and {upper:g} rad"
                 )
         return chain
-
-    def _check_count(self, parameter: str, values: tuple[float, ...]) -> None:
-        if len(values) != len(self.joints):
-            raise ValueError(
-                f"robot {self.name!r}: {parameter} must have {len(self.joints)} values, one for each joint, "
-                f"got {len(values)}"
-            )
 
     @property
     def torques(self) -> tuple[float, ...]:

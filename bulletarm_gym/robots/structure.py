@@ -6,6 +6,7 @@ from xml.etree.ElementTree import Element
 
 from bulletarm_gym.geometry import Pose, Vector, rotate
 from bulletarm_gym.robots.editing import check_tree
+from bulletarm_gym.robots.gripper import Gripper
 from bulletarm_gym.simulation.urdf import (
     axis_of,
     end_of,
@@ -126,20 +127,20 @@ def _open_upwards(finger: Element) -> None:
         put(finger, "axis", xyz=text_of([-part for part in axis_of(finger)]))
 
 
-def check_merged(root: Element, joints: Sequence[str], fingers: Sequence[str], tool: Pose) -> None:
+def check_merged(root: Element, joints: Sequence[str], gripper: Gripper, tool: Pose) -> None:
     """Check a model without fixed joints.
 
     :param tool: tool frame in the link of the last joint
     :raises ValueError: the joints are not a chain that carries the fingers, a moving link has no mass, or the
-        fingers do not fit the tool frame
+        fingers do not fit the gripper or the tool frame
     """
-    _check_chain(root, joints, fingers)
+    _check_chain(root, joints, gripper.joints)
     for joint in root.findall("joint"):
         link = find_link(root, end_of(joint, "child"))
         if not 0.0 < mass_of(link) < math.inf:
             got = f"{mass_of(link):g}" if link.find("inertial/mass") is not None else "no <inertial>"
             raise ValueError(f"the mass of link {link.get('name')!r} must be a positive number, got {got}")
-    _check_fingers([find_joint(root, name) for name in fingers], tool)
+    _check_fingers([find_joint(root, name) for name in gripper.joints], gripper, tool)
 
 
 def _check_chain(root: Element, joints: Sequence[str], fingers: Sequence[str]) -> None:
@@ -165,14 +166,19 @@ def _check_chain(root: Element, joints: Sequence[str], fingers: Sequence[str]) -
             raise ValueError(f"fingers must have a collision shape, got none for link {child!r}")
 
 
-def _check_fingers(fingers: Sequence[Element], tool: Pose) -> None:
-    """Check that fingers meet at 0 and open in opposite directions along the x axis of the tool frame."""
+def _check_fingers(fingers: Sequence[Element], gripper: Gripper, tool: Pose) -> None:
+    """Check that fingers open from 0 over the stroke, in opposite directions along x of the tool frame."""
     for finger in fingers:
-        lower, _ = limits_of(finger)
+        name, (lower, upper) = finger.get("name"), limits_of(finger)
         if lower > LIMIT_TOLERANCE:
             raise ValueError(
-                f"gripper.joints must reach 0, where the fingers meet, got {finger.get('name')!r} with the "
-                f"lower limit {lower:g} m. Use on_slides()."
+                f"gripper.joints must reach 0, where the fingers meet, got {name!r} with the lower limit "
+                f"{lower:g} m. Use on_slides()."
+            )
+        if upper < gripper.travel - LIMIT_TOLERANCE:
+            raise ValueError(
+                f"the limits of {name!r} must allow a stroke of {gripper.stroke:g} m, got {upper:g} m for "
+                f"a travel of {gripper.travel:g} m"
             )
     one, other = (rotate(frame_of(finger).orientation, axis_of(finger)) for finger in fingers)
     if _cosine(one, other) > OPPOSITE:

@@ -13,8 +13,9 @@ from bulletarm_gym.simulation.state import Body
 from bulletarm_gym.simulation.world import World
 
 LIGHT = (0.6, -0.9, 1.6)
+"""Direction to the light (world)."""
 VERTICAL = 1e-3
-"""Slope from the vertical (m per metre) below which a camera looks straight down or up."""
+"""Slope from the vertical (m per metre) below which the optical axis is vertical."""
 
 
 @dataclass(frozen=True)
@@ -24,8 +25,8 @@ class Camera:
     :param eye: position (m, world)
     :param target: a point on the optical axis (m, world)
     :param fov: vertical field of view (degrees)
-    :param width: of the image (pixels)
-    :param height: of the image (pixels)
+    :param width: width of the image (pixels)
+    :param height: height of the image (pixels)
     :param near: smallest visible distance (m)
     :param far: largest visible distance (m)
     :param up: upward direction of the image in the world; by default z, or -x if the camera looks straight
@@ -67,21 +68,21 @@ class Camera:
         return matrix
 
     def color(self, world: World) -> NDArray[np.uint8]:
-        """Return an image, (height, width, 3)."""
-        pixels = np.asarray(self._shoot(world, shadow=True)[2], dtype=np.uint8)
+        """Return the color image, (height, width, 3)."""
+        pixels = np.asarray(self._render(world, shadow=True)[2], dtype=np.uint8)
         return pixels.reshape(self.height, self.width, 4)[:, :, :3].copy()
 
     def depth(self, world: World) -> NDArray[np.float32]:
         """Return distances (m) along the optical axis, (height, width)."""
-        return self._distances(self._shoot(world)).astype(np.float32)
+        return self._distances(self._render(world)).astype(np.float32)
 
     def points(self, world: World, without: Sequence[Body]) -> FloatArray:
-        """Return the visible points (n, 3) of the world (m), without those on some bodies."""
-        image = self._shoot(world)
+        """Return the visible points (n, 3) in the world (m), without the points on some bodies."""
+        image = self._render(world)
         distances = self._distances(image)
         shown = np.asarray(image[4]).reshape(distances.shape)
-        seen = ~np.isin(shown, [body.id for body in without]) & (distances < self.far * 0.99)
-        rows, columns = np.nonzero(seen)
+        visible = ~np.isin(shown, [body.id for body in without]) & (distances < self.far * 0.99)
+        rows, columns = np.nonzero(visible)
         pixels = np.stack([columns, rows, np.ones(len(rows))])
         to_rays: Any = np.linalg.inv(self.intrinsics)
         offsets = to_rays @ pixels * distances[rows, columns]
@@ -89,7 +90,7 @@ class Camera:
         return points
 
     def project(self, point: Vector) -> tuple[float, float]:
-        """Return the column and row (pixels) of a point of the world (m)."""
+        """Return the column and row (pixels) of a point (m, world)."""
         column, row, scale = self.intrinsics @ (self.extrinsics @ [*point, 1.0])[:3]
         return float(column / scale), float(row / scale)
 
@@ -118,7 +119,7 @@ class Camera:
         matrix[9] += 1.0 / self.height
         return matrix
 
-    def _shoot(self, world: World, shadow: bool = False) -> tuple[Any, ...]:
+    def _render(self, world: World, shadow: bool = False) -> tuple[Any, ...]:
         client = world.client
         image: tuple[Any, ...] = client.getCameraImage(
             self.width,

@@ -79,10 +79,7 @@ class Client:
         return bound
 
     def check_open(self) -> None:
-        """Check that the server is not released.
-
-        :raises ClosedEnvironmentError: it is released
-        """
+        """Raise ClosedEnvironmentError if the server is released."""
         if not self._release.alive:
             raise ClosedEnvironmentError("the environment is closed. Make a new one with gymnasium.make().")
 

@@ -4,7 +4,6 @@ Bullet ignores a mesh that it cannot read, and some broken files end the process
 """
 
 import re
-from collections.abc import Iterator
 from functools import lru_cache
 from pathlib import Path
 from xml.etree import ElementTree
@@ -69,10 +68,7 @@ def _is_binary(data: bytes) -> bool:
 
 
 def stl_corners(path: Path) -> FloatArray:
-    """Return the corners (3 n, 3) of the facets of a binary or ASCII STL file.
-
-    :raises ValueError: the file is neither
-    """
+    """Return the corners (3 n, 3) of the facets of a binary or ASCII STL file, or raise ValueError."""
     data = path.read_bytes()
     if _is_binary(data):
         facets = np.frombuffer(data[STL_HEADER:], np.uint8).reshape(-1, STL_FACET)[:, 12:48]
@@ -89,7 +85,9 @@ def _obj_parts(path: Path) -> list[tuple[str, FloatArray]]:
     """Return the parts of an OBJ file that have faces."""
     vertices: list[list[float]] = []
     parts: list[tuple[str, list[int]]] = [(path.stem, [])]
-    for line in _lines(path):
+    text = path.read_text(encoding="utf-8-sig", errors="replace")
+    # A backslash at the end of a line continues it.
+    for line in text.replace("\\\r\n", " ").replace("\\\n", " ").splitlines():
         kind, *words = line.split() or [""]
         if kind in ("o", "g"):
             parts.append((" ".join(words), []))
@@ -100,12 +98,6 @@ def _obj_parts(path: Path) -> list[tuple[str, FloatArray]]:
             parts[-1][1].extend(_vertex(word, len(vertices)) for word in words)
     points = np.array(vertices, dtype=np.float64).reshape(-1, 3)
     return [(name, points[indices]) for name, indices in parts if indices]
-
-
-def _lines(path: Path) -> Iterator[str]:
-    """Yield the lines of an OBJ file. A backslash at the end of a line continues it."""
-    text = path.read_text(encoding="utf-8-sig", errors="replace")
-    yield from text.replace("\\\r\n", " ").replace("\\\n", " ").splitlines()
 
 
 def _vertex(word: str, count: int) -> int:

@@ -124,18 +124,12 @@ def to_text(root: Element) -> str:
 
 
 def find_link(root: Element, name: str) -> Element:
-    """Return a link.
-
-    :raises ValueError: the model has no link of this name
-    """
+    """Return a link by name, or raise ValueError."""
     return _find(root, "link", name)
 
 
 def find_joint(root: Element, name: str) -> Element:
-    """Return a joint.
-
-    :raises ValueError: the model has no joint of this name
-    """
+    """Return a joint by name, or raise ValueError."""
     return _find(root, "joint", name)
 
 
@@ -147,10 +141,7 @@ def _find(root: Element, tag: str, name: str) -> Element:
 
 
 def find_root(root: Element) -> Element:
-    """Return the link that is not the child of a joint.
-
-    :raises ValueError: the number of such links is not 1
-    """
+    """Return the only link that is not the child of a joint, or raise ValueError."""
     children = {end_of(joint, "child") for joint in root.findall("joint")}
     found = [link for link in root.findall("link") if link.get("name") not in children]
     if len(found) != 1:
@@ -160,10 +151,7 @@ def find_root(root: Element) -> Element:
 
 
 def end_of(joint: Element, end: str) -> str:
-    """Return the name of a joint's ``"parent"`` or ``"child"`` link.
-
-    :raises ValueError: the joint has none
-    """
+    """Return the name of a joint's ``"parent"`` or ``"child"`` link, or raise ValueError."""
     element = joint.find(end)
     if element is None:
         raise ValueError(f"joint {joint.get('name')!r} must have a <{end}>")
@@ -176,10 +164,7 @@ def children_of(root: Element, link: str) -> list[Element]:
 
 
 def number_of(element: Element, key: str, default: str = "0") -> float:
-    """Return the value of an attribute.
-
-    :raises ValueError: it is not a number
-    """
+    """Return the number in an attribute, or raise ValueError."""
     text = element.get(key, default)
     try:
         return float(text)
@@ -188,10 +173,7 @@ def number_of(element: Element, key: str, default: str = "0") -> float:
 
 
 def vector_of(element: Element | None, key: str, default: str = "0 0 0") -> Vector:
-    """Return the three values of an attribute.
-
-    :raises ValueError: it is not three numbers
-    """
+    """Return the three numbers in an attribute, or raise ValueError."""
     text = default if element is None else element.get(key, default)
     try:
         x, y, z = (float(value) for value in text.split())

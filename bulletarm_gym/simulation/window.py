@@ -41,14 +41,11 @@ class Keyboard:
     def pressed(self) -> list[str]:
         """Return the characters of the keys pressed since the last call; empty without a window."""
         events = self._client.getKeyboardEvents()
-        pressed = [key for key, event in sorted(events.items()) if self._is_pressed(key, event)]
+        triggered = {key for key, event in events.items() if event & self._client.KEY_WAS_TRIGGERED}
         released = {key for key, event in events.items() if event & self._client.KEY_WAS_RELEASED}
+        pressed = sorted(triggered | (released - self._down))
         self._down = (self._down | set(events)) - released
         return [chr(key) for key in pressed if chr(key).isascii() and chr(key).isprintable()]
-
-    def _is_pressed(self, key: int, event: int) -> bool:
-        released = event & self._client.KEY_WAS_RELEASED and key not in self._down
-        return bool(event & self._client.KEY_WAS_TRIGGERED or released)
 
 
 def draw_segments(world: World, segments: Sequence[Segment], replaced: Sequence[int] = ()) -> list[int]:

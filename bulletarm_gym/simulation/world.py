@@ -58,9 +58,9 @@ class World:
         self.joints: list[tuple[float, ...]] = []
         self.joint_rates: list[tuple[float, ...]] = []
         self.unsettled: set[int] = set()
+        self._by_id: dict[int, Body] = {}
         self._changed: dict[int, Properties] = {}
         self._ground: Body | None = None
-        self._near: dict[tuple[int, int, float], tuple[Any, bool]] = {}
         self._solids: list[Body] = []
         self._snapshot: int | None = None
         # The default broad phase orders contacts by memory address, the simple one in the order of loading.
@@ -110,6 +110,7 @@ class World:
 
     def _register(self, body: Body, pose: Pose | None) -> Body:
         self.bodies.append(body)
+        self._by_id[body.id] = body
         self.poses.append(pose or Pose((float(body.index), 0.0, PARKING_HEIGHT)))
         self.twists.append(STILL)
         self.active.append(pose is not None)
@@ -270,7 +271,10 @@ class World:
         """Read the simulation into the state. Velocities below :data:`REST_SPEED` become 0."""
         for body in self.bodies:
             if body.joints:
-                self._read_joints(body)
+                states = self.client.getJointStates(body.id, body.joints)
+                self.joints[body.index] = tuple(state[0] for state in states)
+                rates = (state[1] for state in states)
+                self.joint_rates[body.index] = tuple(r if abs(r) >= REST_SPEED else 0.0 for r in rates)
             if self.active[body.index] and body.spec.mass > 0.0:
                 self._read(body)
 
@@ -283,12 +287,6 @@ class World:
         linear, angular = self.client.getBaseVelocity(body.id)
         at_rest = surface_speed(linear, angular) < REST_SPEED
         self.twists[body.index] = STILL if at_rest else (linear, angular)
-
-    def _read_joints(self, body: Body) -> None:
-        states = self.client.getJointStates(body.id, body.joints)
-        self.joints[body.index] = tuple(state[0] for state in states)
-        rates = (state[1] for state in states)
-        self.joint_rates[body.index] = tuple(rate if abs(rate) >= REST_SPEED else 0.0 for rate in rates)
 
     def get_state(self) -> WorldState:
         """Return a copy of the state."""
@@ -360,8 +358,8 @@ class World:
         return self._contacts(self.client.getClosestPoints(body.id, other.id, limit, link, other_link))
 
     def _contacts(self, points: Sequence[Any]) -> list[Contact]:
-        bodies = {body.id: body for body in self.bodies} if points else {}
-        return [Contact(p[3], bodies[p[2]], p[7], p[8], p[9]) for p in points]
+        bodies = self._by_id  # without bodies that were added by the client
+        return [Contact(p[3], bodies[p[2]], p[7], p[8], p[9]) for p in points if p[2] in bodies]
 
     def distance(self, first: Body, second: Body, limit: float) -> float:
         """Return the gap (m) between two bodies, negative if they overlap, infinite beyond ``limit``."""
@@ -369,21 +367,12 @@ class World:
         return min((point[8] for point in points), default=math.inf)
 
     def are_near(self, first: Body, second: Body, limit: float) -> bool:
-        """Return True if the gap between two bodies is at most ``limit`` (m); cached until one moves."""
-        one, two = first.index, second.index
-        now = (self.poses[one], self.poses[two], self.joints[one], self.joints[two])
-        known = self._near.get((one, two, limit))
-        if known is None or known[0] != now:
-            near = self._may_be_near(first, second, limit) and self.distance(first, second, limit) <= limit
-            known = self._near[one, two, limit] = (now, near)
-        return known[1]
-
-    def _may_be_near(self, first: Body, second: Body, limit: float) -> bool:
-        """Return False if the bounding spheres of two bodies are apart."""
-        if not (first.spec.pieces and second.spec.pieces) or first.joints or second.joints:
-            return True
-        apart = math.dist(self.poses[first.index].position, self.poses[second.index].position)
-        return apart <= first.spec.radius + second.spec.radius + limit + SPHERE_GAP
+        """Return True if the gap between two bodies is at most ``limit`` (m)."""
+        if first.spec.pieces and second.spec.pieces and not (first.joints or second.joints):
+            apart = math.dist(self.poses[first.index].position, self.poses[second.index].position)
+            if apart > first.spec.radius + second.spec.radius + limit + SPHERE_GAP:
+                return False
+        return self.distance(first, second, limit) <= limit
 
     def bounds(self, body: Body, link: int = -1) -> tuple[Vector, Vector]:
         """Return the lowest and the highest corner (m) of the bounding box of a body's base or of a link."""

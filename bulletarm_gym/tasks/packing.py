@@ -9,13 +9,12 @@ from scipy.ndimage import maximum_filter1d
 
 from bulletarm_gym.config import CLOSE_LOOP, OPEN_LOOP, WIDE, EnvConfig, TaskDefaults, TrayUse
 from bulletarm_gym.control import GraspParams
-from bulletarm_gym.demonstrations.episodes import HEIGHT
 from bulletarm_gym.experts import CLOSED, OPEN, Waypoint
 from bulletarm_gym.experts.approach import RELEASE, place_pose, rotates
 from bulletarm_gym.experts.pick_place import pick, resting_frame
 from bulletarm_gym.geometry import FloatArray, Footprint, Pose, matrix, planar_distance, wrap_angle
 from bulletarm_gym.objects.blocks import SHAPES, packing_block
-from bulletarm_gym.objects.bottles import BOTTLES, bottle
+from bulletarm_gym.objects.bottles import BOTTLE_HEIGHT, BOTTLES, bottle
 from bulletarm_gym.objects.containers import BIN, BIN_WALL, TRAY, TRAY_FLOOR, bottle_tray, packing_bin
 from bulletarm_gym.observations import HeightRenderer, Window
 from bulletarm_gym.scene import ObjectSlot, Scene, SceneObject, shaped
@@ -254,7 +253,7 @@ class BottleArrangement(Task):
     @property
     def height(self) -> float:
         """Height (m) of the middle of a bottle in the tray."""
-        return TRAY_FLOOR + HEIGHT * max(self.config.scales) / 2.0
+        return TRAY_FLOOR + BOTTLE_HEIGHT * max(self.config.scales) / 2.0
 
     @property
     def grasp_params(self) -> GraspParams:

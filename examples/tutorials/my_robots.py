@@ -15,7 +15,7 @@ JAW = ParallelJaw(stroke=0.10, palm=(0.12, 0.06, 0.06), finger=(0.012, 0.02, 0.0
 
 
 def xarm6() -> RobotModel:
-    """An xArm 6 with a jaw that opens by 10 cm."""
+    """Return an xArm 6 with a jaw that opens by 10 cm."""
     return RobotModel(
         name="xarm6",
         load=partial(JAW.fitted, partial(read_urdf, URDF), "link6", FLANGE),

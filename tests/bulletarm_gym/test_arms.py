@@ -427,7 +427,7 @@ def test_what_is_no_urdf_is_named(tmp_path: Path) -> None:
 @pytest.mark.parametrize("source", [KUKA, PANDA], ids=["jaw", "own hand"])
 def test_fingers_that_end_before_the_stroke_are_refused(source: RobotModel) -> None:
     wider = replace(source.gripper, stroke=0.1)
-    with pytest.raises(ValueError, match=r"stroke of 0.1 m takes each finger 0.05 m, but .* ends at 0.04"):
+    with pytest.raises(ValueError, match=r"stroke of 0\.1 m, got 0\.04"):
         make_env(PICKING, robot=replace(source, name="wide", gripper=wider))
 
 

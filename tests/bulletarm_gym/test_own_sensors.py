@@ -14,6 +14,7 @@ import bulletarm_gym
 from bulletarm_gym.demonstrations import collect
 from bulletarm_gym.env import ManipulationEnv
 from bulletarm_gym.observations import Sensor
+from bulletarm_gym.registry import SENSORS
 
 PICKING = "BulletArm/CloseLoopBlockPicking-v0"
 SOURCE = '''

@@ -80,7 +80,7 @@ def test_state_keeps_properties() -> None:
         step_on(env, env.expert_action())
     state = env.get_state()
     assert state.world.properties
-    assert json_state.loads(plain.dumps(state)) == state == pickle.loads(pickle.dumps(state))
+    assert json_state.loads(json_state.dumps(state)) == state == pickle.loads(pickle.dumps(state))
 
     def rollout(env: ManipulationEnv) -> list[str]:
         env.set_state(state)
