@@ -104,7 +104,7 @@ def measure(scene: Scene) -> dict[str, float]:
     """
     seconds = {"physics": 0.0, "rendering": 0.0}
     renderer = HeightRenderer.of(scene)
-    scene.world.client.replace("stepSimulation", partial(partial, _timed, seconds, "physics"))
+    scene.world.wrap_step(partial(partial, _timed, seconds, "physics"))
     renderer.draw = partial(_timed, seconds, "rendering", renderer.draw)
     return seconds
 

@@ -8,7 +8,6 @@ from typing import ClassVar
 import numpy as np
 
 from bulletarm_gym.config import CLOSE_LOOP, EnvConfig, TaskDefaults, TrayUse
-from bulletarm_gym.demonstrations.episodes import HEIGHT
 from bulletarm_gym.experts import CLOSED, OPEN, Waypoint
 from bulletarm_gym.experts.approach import (
     HOVER,
@@ -23,7 +22,7 @@ from bulletarm_gym.experts.approach import (
 from bulletarm_gym.geometry import Pose, planar_distance, wrap_angle
 from bulletarm_gym.objects import bowl, corner, cube
 from bulletarm_gym.objects.blocks import CUBE_SIZE
-from bulletarm_gym.objects.containers import CORNER_INSIDE, CORNER_PLATE, CORNER_SIDE
+from bulletarm_gym.objects.containers import BOWL_HEIGHT, CORNER_INSIDE, CORNER_PLATE, CORNER_SIDE
 from bulletarm_gym.scene import ObjectSlot, Scene, SceneObject, scaled
 from bulletarm_gym.scene.predicates import is_empty, is_held, success_at_rest, touching, upright
 from bulletarm_gym.scene.sampling import is_within, sample_until, scatter, stand
@@ -167,7 +166,7 @@ class BlockInBowl(Task):
     @property
     def height(self) -> float:
         """Height (m) of the fingertips above the rim with half a cube below them."""
-        return (HEIGHT + CUBE_SIZE / 2.0) * max(self.config.scales)
+        return (BOWL_HEIGHT + CUBE_SIZE / 2.0) * max(self.config.scales)
 
     def bodies(self, config: EnvConfig) -> list[ObjectSlot]:
         """Return cube and bowl."""
