@@ -1,4 +1,4 @@
-"""The card of an agent: what it is, what it can do, and what made it, in JSON."""
+"""Card of an agent in JSON: its training and its test."""
 
 from __future__ import annotations
 
@@ -19,38 +19,37 @@ SUCCEEDED, FAILED = "1", "0"
 @dataclass(frozen=True)
 class Card:
     """
-    What an agent is and can do.
+    Description of an agent.
 
     :param env: Id of the environment
-    :param env_kwargs: Its parameters
-    :param algo: Algorithm, by its name on the command line
-    :param baseline: Row of a benchmark; None for an algorithm with hyperparameters of one's own
-    :param preset: Size of the run
+    :param env_kwargs: Parameters of the environment
+    :param algo: Name of the algorithm
+    :param baseline: Baseline; None for other hyperparameters
+    :param preset: Preset
     :param benchmark: Benchmark whose parameters the task has
-    :param seed: Of the training
-    :param model: ``"best"`` of the run's own evaluations, or ``"last"``
-    :param timesteps: How many time steps it was trained for
-    :param file: Name of its file
-    :param weights: What they are stored as
-    :param success: Share of successful episodes of the agent in that file, its deterministic policy, on
-        scenes unseen in training
-    :param episodes: How many they were
-    :param interval: Wilson's 95 % interval of the success
-    :param mean_return: Mean of the episodes' sums of rewards
-    :param std_return: Its standard deviation over the episodes
-    :param test_seed: Seed of these scenes, ``enjoy --seed``
-    :param outcomes: Of each episode, in order, 1 for success and 0
-    :param evaluations: The run's own evaluations: lists ``timesteps`` and ``success``
-    :param minutes: Of training; None if the run does not say
-    :param command: Trains it again
-    :param commit: It was trained with; empty if the run does not say
-    :param date: Of the end of the training
-    :param machine: It was trained on
-    :param versions: It was trained with
-    :param measured: ``date``, ``commit``, ``machine``, ``arithmetic`` and ``versions`` of the evaluation;
-        with the last two the same, the outcomes are the same
-    :param hyperparams: As resolved
-    :param gym_packages: Packages that register the environment, besides our own
+    :param seed: Seed of the training
+    :param model: ``"best"`` (by the evaluations of the run) or ``"last"``
+    :param timesteps: Time steps of the training
+    :param file: Name of the model file
+    :param weights: Data type of the stored weights
+    :param success: Success rate of the stored agent with its deterministic policy on test scenes
+    :param episodes: Number of test episodes
+    :param interval: Wilson's 95 % interval of the success rate
+    :param mean_return: Mean return of the test episodes
+    :param std_return: Standard deviation of the returns
+    :param test_seed: Seed of the test scenes (``enjoy --seed``)
+    :param outcomes: One character for each test episode: 1 for success, 0 for failure
+    :param evaluations: Evaluations of the run: ``episodes`` and lists ``timesteps`` and ``success``
+    :param minutes: Duration of the training; None if unknown
+    :param command: Command line that repeats the training
+    :param commit: Commit of the training; empty if unknown
+    :param date: Date on which the training ended
+    :param machine: Machine of the training
+    :param versions: Package versions of the training
+    :param measured: ``date``, ``commit``, ``machine``, ``arithmetic`` and ``versions`` of the test; if
+        ``arithmetic`` and ``versions`` are equal, so are the outcomes
+    :param hyperparams: Hyperparameters of the training
+    :param gym_packages: Packages that register the environment, in addition to ours
     """
 
     env: str
@@ -84,12 +83,12 @@ class Card:
 
     @property
     def label(self) -> str:
-        """The baseline, or else the algorithm."""
+        """Baseline or, without one, algorithm."""
         return self.baseline or self.algo
 
     def write(self, folder: Path) -> None:
         """
-        Write the card.
+        Write the card atomically.
 
         :param folder: Folder of the agent
         """
@@ -103,11 +102,11 @@ def read_card(folder: Path) -> Card:
 
     :param folder: Folder of the agent
     :return: The card
-    :raises CommandError: if there is none, or it lacks something
+    :raises CommandError: if it is missing or incomplete
     """
     path = folder / CARD_FILE
     if not path.is_file():
-        raise CommandError(f"{folder} is no folder of an agent: it has no {CARD_FILE}")
+        raise CommandError(f"{folder} is not a folder of an agent: {CARD_FILE} is missing")
     with refused(f"{path} cannot be read"):
         content = json.loads(path.read_text(encoding="utf-8"))
         content["gym_packages"] = tuple(content.get("gym_packages", ()))

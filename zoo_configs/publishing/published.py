@@ -1,25 +1,25 @@
-"""Agents that come with the package: ``zoo_configs/published/<task>/<baseline>/``."""
+"""Agents of the package: ``zoo_configs/published/<task>/<baseline>/``."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 from zoo_configs.cells.rules import task_name
-from zoo_configs.errors import CommandError
+from zoo_configs.environments import id_core
+from zoo_configs.errors import unknown_name
 from zoo_configs.publishing.card import CARD_FILE, Card, read_card
 
 PUBLISHED_FOLDER = Path(__file__).resolve().parents[1] / "published"
-SEE = "see bulletarm-zoo list --published"
 
 
 class Published(NamedTuple):
     """
-    An agent to load.
+    Published agent.
 
-    :param folder: Where it stands
-    :param card: What it is and can do
+    :param folder: Its folder
+    :param card: Its card
     """
 
     folder: Path
@@ -27,34 +27,31 @@ class Published(NamedTuple):
 
     @property
     def model_file(self) -> Path:
-        """What its algorithm's ``load`` takes."""
+        """Model file that ``load()`` of the algorithm reads."""
         return self.folder / self.card.file
 
 
 def published_agents(folder: Path = PUBLISHED_FOLDER) -> list[Published]:
     """
-    Agents that come with the package.
+    Return the published agents.
 
-    :param folder: Where they stand
-    :return: The agents, by task and baseline
+    :param folder: Folder that contains them
+    :return: The agents, sorted by task and baseline
     :raises CommandError: if a card cannot be read
     """
-    return [Published(card.parent, read_card(card.parent)) for card in sorted(_cards(folder))]
-
-
-def _cards(folder: Path) -> Iterator[Path]:
-    return folder.glob(f"*/*/{CARD_FILE}")
+    cards = sorted(folder.glob(f"*/*/{CARD_FILE}"))
+    return [Published(card.parent, read_card(card.parent)) for card in cards]
 
 
 def find_published(name: str, baseline: str | None = None) -> Published:
     """
     Find a published agent.
 
-    :param name: Id of an environment, or what it is called without namespace and version; or a folder that
-        ``push --folder`` wrote, or that was downloaded from a hub
-    :param baseline: Its baseline; None takes the one that succeeded most often
+    :param name: Id of an environment, also without namespace and version; or a folder that ``push --folder``
+        wrote or that was downloaded from the hub
+    :param baseline: Its baseline; None selects the agent with the highest success rate
     :return: The agent
-    :raises CommandError: if there is none, with those that there are
+    :raises CommandError: for an unknown name; suggests the nearest one
     """
     if (Path(name) / CARD_FILE).is_file():
         return _of_baseline([Published(Path(name), read_card(Path(name)))], name, baseline)
@@ -63,14 +60,13 @@ def find_published(name: str, baseline: str | None = None) -> Published:
     env_id = names.get(name, name.rpartition(":")[2])
     of_env = [agent for agent in agents if agent.card.env == env_id]
     if not of_env:
-        there = ", ".join(sorted(names)) or "none"
-        raise CommandError(f"no published agent on {name!r}, there are: {there}")
+        raise unknown_name("published agent", name, names, id_core)
     return _of_baseline(of_env, name, baseline)
 
 
 def _of_baseline(agents: Sequence[Published], name: str, baseline: str | None) -> Published:
     fitting = [agent for agent in agents if baseline in (None, agent.card.label)]
     if not fitting:
-        there = ", ".join(agent.card.label for agent in agents)
-        raise CommandError(f"no published agent of {baseline!r} on {name}, there is {there}; {SEE}")
+        labels = [agent.card.label for agent in agents]
+        raise unknown_name(f"baseline of the published agents on {name}:", str(baseline), labels)
     return max(fitting, key=lambda agent: agent.card.success)

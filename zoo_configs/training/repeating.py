@@ -7,7 +7,7 @@ from typing import Any
 
 from zoo_configs.cells.cell import Cell, resolve
 from zoo_configs.errors import CommandError
-from zoo_configs.measuring.provenance import command_line, env_kwargs_words, key_values
+from zoo_configs.provenance import command_line, env_kwargs_words, key_values
 from zoo_configs.training.options import TrainingOptions
 from zoo_configs.training.runs import Run
 

@@ -15,8 +15,7 @@ from rl_zoo3.utils import get_latest_run_id, get_saved_hyperparams
 from zoo_configs.cells.cell import Cell
 from zoo_configs.errors import CommandError, reason, refused
 from zoo_configs.files import remove_empty, whole_file
-from zoo_configs.measuring.machine import describe_hardware, versions
-from zoo_configs.measuring.provenance import commit
+from zoo_configs.provenance import commit, describe_hardware, versions
 from zoo_configs.training.options import TrainingOptions
 from zoo_configs.training.state import Standing, standing
 

@@ -1,0 +1,183 @@
+"""Status of the runs of a benchmark, read from their folders."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from enum import Enum
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+from zoo_configs.benchmarking.plan import Job
+from zoo_configs.errors import CommandError
+from zoo_configs.training.runs import EVALUATIONS_FILE
+from zoo_configs.training.state import State, standing
+
+if TYPE_CHECKING:
+    from rich.console import Group
+    from rich.table import Table
+
+INTERVAL = 2.0  # seconds between two readings of the folders
+MAX_ROWS = 30  # of the table on a terminal
+
+
+class Status(Enum):
+    """Status of a run. A killed run waits to be resumed."""
+
+    DONE = "done"
+    RUNNING = "running"
+    WAITING = "waiting"
+    FAILED = "failed"
+
+
+class Entry(NamedTuple):
+    """
+    Status of one run.
+
+    :param name: Its folder within that of the benchmark
+    :param status: Its status
+    :param timesteps: Time steps at its last evaluation, None before the first
+    :param success: Success in its last evaluation
+    :param host: Machine that trains it, or did
+    :param error: Error of a failed run
+    """
+
+    name: str
+    status: Status
+    timesteps: int | None = None
+    success: float | None = None
+    host: str = ""
+    error: str = ""
+
+    def __str__(self) -> str:
+        parts = [f"{self.status.value} {self.name}"]
+        if self.success is not None:
+            parts.append(f"success {self.success:.2f} at {self.timesteps}")
+        if self.status is Status.RUNNING:
+            parts.append(f"on {self.host}")
+        return ", ".join(parts) + (f": {self.error}" if self.error else "")
+
+
+class Overview:
+    """
+    Status of all runs.
+
+    :param jobs: The runs
+    :param folder: Folder of the benchmark
+    """
+
+    def __init__(self, jobs: Sequence[Job], folder: Path) -> None:
+        self.folder = folder
+        self.entries = {job.name: Entry(job.name, Status.WAITING) for job in jobs}
+
+    def update(self) -> list[Entry]:
+        """
+        Read the folders of all runs that were not done.
+
+        :return: The entries that have changed
+        """
+        before = dict(self.entries)
+        for name, entry in before.items():
+            if entry.status is not Status.DONE:
+                self.entries[name] = read_entry(self.folder, name)
+        return [entry for name, entry in self.entries.items() if entry != before[name]]
+
+    def of(self, status: Status) -> list[Entry]:
+        """Return the runs with a status."""
+        return [entry for entry in self.entries.values() if entry.status is status]
+
+    def counts(self) -> str:
+        """Return the number of runs with each status."""
+        counts = Counter(entry.status for entry in self.entries.values())
+        return ", ".join(f"{counts[status]} {status.value}" for status in Status)
+
+    def table(self) -> Table:
+        """Return a table of the running and the failed runs."""
+        from rich.table import Table
+
+        table = Table("run", "steps", "success", "", box=None)
+        entries = [*self.of(Status.RUNNING), *self.of(Status.FAILED)]
+        for entry in entries[:MAX_ROWS]:
+            success = "" if entry.success is None else f"{entry.success:.2f}"
+            steps = "" if entry.timesteps is None else str(entry.timesteps)
+            table.add_row(entry.name, steps, success, entry.error or f"on {entry.host}")
+        if len(entries) > MAX_ROWS:
+            table.add_row(f"... and {len(entries) - MAX_ROWS} more", "", "", "")
+        return table
+
+
+def read_entry(folder: Path, name: str) -> Entry:
+    """
+    Read the status of one run.
+
+    :param folder: Folder of the benchmark
+    :param name: Folder of the run within it
+    :return: Its entry
+    """
+    from zoo_configs.drawing.curves import load_curve
+
+    try:
+        found = standing(folder / name)
+    except CommandError as error:
+        return Entry(name, Status.FAILED, error=str(error))
+    if found is None:
+        return Entry(name, Status.WAITING)
+    status = Status.WAITING if found.state is State.KILLED else Status(found.state.value)
+    error = found.error if status is Status.FAILED else ""
+    try:
+        curve = load_curve(folder / name / EVALUATIONS_FILE)
+    except (CommandError, OSError):  # missing, or not yet visible in a shared folder
+        return Entry(name, status, host=found.host, error=error)
+    return Entry(name, status, int(curve.timesteps[-1]), float(curve.success[-1]), found.host, error)
+
+
+@contextmanager
+def shown(overview: Overview, live: bool) -> Iterator[Callable[[], None]]:
+    """
+    Show an overview during the training.
+
+    :param overview: The overview
+    :param live: Whether to show a table that is updated, instead of a line for each change
+    :return: Context manager of the function that updates it; it is to be called often
+    """
+    if not live:
+        yield _at_intervals(lambda: _print_changes(overview))
+        return
+    from rich.console import Console
+    from rich.live import Live
+
+    console = Console(stderr=True)
+    with Live(_render(overview), console=console, auto_refresh=False, transient=True) as display:
+
+        def update() -> None:
+            overview.update()
+            display.update(_render(overview), refresh=True)
+
+        yield _at_intervals(update)
+
+
+def _render(overview: Overview) -> Group:
+    from rich.console import Group
+    from rich.text import Text
+
+    return Group(Text(overview.counts()), overview.table())
+
+
+def _print_changes(overview: Overview) -> None:
+    for entry in overview.update():
+        print(f"[{overview.counts()}] {entry}", file=sys.stderr, flush=True)
+
+
+def _at_intervals(update: Callable[[], None]) -> Callable[[], None]:
+    last = -INTERVAL
+
+    def maybe_update() -> None:
+        nonlocal last
+        if time.monotonic() - last >= INTERVAL:
+            last = time.monotonic()
+            update()
+
+    return maybe_update
