@@ -171,13 +171,13 @@ def _agent_of_file(path: Path, query: AgentQuery) -> Agent:
         return _agent_of_run(run, path, query.device)
     if query.env is None:
         raise CommandError(f"pass --env with {path}: a model file does not contain the environment id")
-    algo = query.algo or algorithm_of(path)
-    return Agent(load_model(path, algo, query.device), path, algo, known_env_id(query.env))
+    env_id, algo = known_env_id(query.env), query.algo or algorithm_of(path)
+    return Agent(load_model(path, algo, query.device), path, query.algo or path.stem, env_id)
 
 
 def algorithm_of(path: Path) -> str:
     """
-    Return the algorithm of a model file by its policy class and the arguments that it contains.
+    Return an algorithm that can load a model file, by the policy class and the arguments in the file.
 
     :param path: File that ``save()`` wrote
     :return: Name of the algorithm
