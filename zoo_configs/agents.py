@@ -32,7 +32,7 @@ class Agent:
 
     :param model: The model
     :param path: File of the model
-    :param label: Baseline or algorithm
+    :param label: Baseline, algorithm or name of the file
     :param env_id: Id of the environment
     :param env_kwargs: Parameters of the environment
     :param run: Run of the agent; None for a published agent or a file without a run
@@ -81,13 +81,7 @@ class AgentQuery:
 
 
 def find_agent(query: AgentQuery) -> Agent:
-    """
-    Find and load an agent.
-
-    :param query: Description of the agent
-    :return: The agent
-    :raises CommandError: if no agent fits, or its file is damaged
-    """
+    """Find and load the agent that a query describes; raise ``CommandError`` if there is none."""
     register_environments(query.gym_packages)
     if query.published is not None:
         return _published_agent(query)
@@ -97,25 +91,14 @@ def find_agent(query: AgentQuery) -> Agent:
 
 
 def find_run(query: AgentQuery) -> Run:
-    """
-    Find the run that a query describes, and register its environment.
-
-    :param query: Description of the run
-    :return: The run
-    :raises CommandError: if no run fits
-    """
+    """Find the run that a query describes and register its environment."""
     run = load_run(query.path) if query.path is not None else _newest_run(query)
     register_run(run)
     return run
 
 
 def register_run(run: Run) -> None:
-    """
-    Register the environment of a run.
-
-    :param run: The run
-    :raises CommandError: if its packages cannot be imported or do not register it
-    """
+    """Register the environment of a run."""
     register_environments(run.gym_packages)
     known_env_id(run.cell.env_id)
 
@@ -141,15 +124,7 @@ def _newest_run(query: AgentQuery) -> Run:
 
 
 def agent_of(run: Run, best: bool = True, device: str = "auto") -> Agent:
-    """
-    Load the agent of a run.
-
-    :param run: The run
-    :param best: Whether to load the best model, if there is one, instead of the last one
-    :param device: PyTorch device
-    :return: The agent
-    :raises CommandError: if the run has no model yet, or the file is damaged
-    """
+    """Load the best or the last model of a run; a run without evaluations has only the last one."""
     path = run.best_model if best and run.best_model.is_file() else run.last_model
     if not path.is_file():
         raise CommandError(f"{run.folder} has no model yet")
@@ -176,13 +151,7 @@ def _agent_of_file(path: Path, query: AgentQuery) -> Agent:
 
 
 def algorithm_of(path: Path) -> str:
-    """
-    Return an algorithm that can load a model file, by the policy class and the arguments in the file.
-
-    :param path: File that ``save()`` wrote
-    :return: Name of the algorithm
-    :raises CommandError: if the file is damaged, or no known algorithm fits
-    """
+    """Return an algorithm that can load a model file, by the policy class and the arguments in the file."""
     with refused(f"{path} cannot be read as a model of Stable-Baselines3"):
         data, _, _ = load_from_zip_file(path, device="cpu", custom_objects=UNUSED_OBJECTS)
         assert data is not None, "it contains no data"
@@ -203,15 +172,7 @@ def _agreement(algorithm: type[Any], data: Mapping[str, Any]) -> int:
 
 
 def load_model(path: Path, algo: str, device: str = "auto") -> BaseAlgorithm:
-    """
-    Load a model for acting.
-
-    :param path: File that ``save()`` wrote
-    :param algo: Name of its algorithm
-    :param device: PyTorch device
-    :return: The model, without a replay buffer
-    :raises CommandError: if the file is missing, damaged or of another algorithm
-    """
+    """Load a model file for acting, without a replay buffer."""
     algorithms = register_algorithms()
     if algo not in algorithms:
         raise unknown_name("algorithm", algo, algorithms)
@@ -238,14 +199,7 @@ def _published_agent(query: AgentQuery) -> Agent:
 
 
 def load_published(found: Published, device: str = "auto") -> BaseAlgorithm:
-    """
-    Load a published agent.
-
-    :param found: The agent
-    :param device: PyTorch device
-    :return: The model, without the states of its optimizers
-    :raises CommandError: if its file is damaged
-    """
+    """Load a published agent."""
     with refused(f"{found.model_file} is damaged or from another version"):
         model: BaseAlgorithm = register_algorithms()[found.card.algo].load(found.model_file, device=device)
     return model

@@ -114,11 +114,7 @@ def _report(name: str, error: Exception) -> int:
 
 
 def usage() -> str:
-    """
-    Return the help page.
-
-    :return: Its text
-    """
+    """Return the help page."""
     lines = [f"usage: {PROGRAM} [--version] [{TRACEBACK}] COMMAND [ARGUMENTS]", "", "commands:"]
     lines += [f"  {name:<9} {summary}" for name, summary in COMMANDS.items()]
     lines += ["", f"{PROGRAM} COMMAND --help shows the arguments of a command."]

@@ -43,7 +43,6 @@ def reason(error: BaseException) -> str:
     """
     Return the message of an error in one line.
 
-    :param error: The error
     :return: Its message, with the name of its class if the message alone is not a sentence for users
     """
     if isinstance(error, OSError) and error.strerror:
@@ -54,12 +53,7 @@ def reason(error: BaseException) -> str:
 
 
 def reason_and_place(error: BaseException) -> str:
-    """
-    Return the message of an error and the line of code that raised it.
-
-    :param error: The error, as it was caught
-    :return: One line, without the colours of Gymnasium's warnings
-    """
+    """Return the message of an error, without colours, and the line of code that raised it."""
     *_, last = traceback.extract_tb(error.__traceback__)
     message = " ".join(COLOURS.sub("", f"{type(error).__name__}: {error}").split())
     return f"{message} ({last.filename}, line {last.lineno})"
@@ -88,12 +82,11 @@ def unknown_name(
 
 def nearest_name(got: str, valid: Iterable[str], core: Callable[[str], str] = str.lower) -> str | None:
     """
-    Return the valid name that is most similar to another, regardless of case.
+    Return the valid name that is most similar to another, regardless of case, None if no name is similar.
 
     :param got: The other name
     :param valid: The valid names
     :param core: Function that returns the characteristic part of a name; the whole decides between equals
-    :return: The nearest name, None if no name is similar
     """
     names = list(valid)
     near = difflib.get_close_matches(core(got), {core(name) for name in names}, n=1)

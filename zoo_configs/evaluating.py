@@ -45,12 +45,7 @@ class EvalOptions:
 
 
 class Outcome(NamedTuple):
-    """
-    Outcome of an evaluation.
-
-    :param successes: Success of each episode
-    :param returns: Sum of rewards of each episode
-    """
+    """Success and return (sum of rewards) of each episode of an evaluation."""
 
     successes: list[bool]
     returns: list[float]
@@ -79,9 +74,6 @@ def build_test_env(agent: Agent, options: EvalOptions) -> VecEnv:
     """
     Build the environments of an agent with the parameters of its training.
 
-    :param agent: The agent
-    :param options: Options of the evaluation
-    :return: The wrapped environments
     :raises CommandError: if the environment rejects its parameters, or a window needs a display
     """
     from rl_zoo3.utils import create_test_env
@@ -132,8 +124,6 @@ def evaluate_agent(agent: Agent, options: EvalOptions) -> Outcome:
     """
     Evaluate an agent in its own environment.
 
-    :param agent: The agent
-    :param options: Options of the evaluation
     :return: Outcome of all episodes
     :raises CommandError: if the environment cannot be built, or does not fit the agent
     :raises KeyboardInterrupt: after Ctrl-C
@@ -147,24 +137,17 @@ def evaluate_agent(agent: Agent, options: EvalOptions) -> Outcome:
 
 
 def check_fits(env: Any, agent: Agent) -> None:
-    """
-    Check that an environment has the spaces of an agent.
-
-    :param env: Environment or vector environment
-    :param agent: The agent
-    :raises CommandError: if it has not
-    """
+    """Raise ``CommandError`` if an environment or a vector environment has other spaces than an agent."""
     check_alike(env, agent.model, "the agent cannot act here")
 
 
 def check_unwrapped(hyperparams: Mapping[str, Any], names: tuple[str, ...], reason: str) -> None:
     """
-    Check that an agent was trained without some wrappers.
+    Raise ``CommandError`` if an agent was trained with some wrappers.
 
     :param hyperparams: Hyperparameters of its training
     :param names: Hyperparameters that must not be set
     :param reason: End of the message
-    :raises CommandError: if one of them is set
     """
     if wrapped := [name for name in names if hyperparams.get(name)]:
         raise CommandError(f"the agent was trained with {', '.join(wrapped)}, {reason}")

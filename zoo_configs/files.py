@@ -38,13 +38,7 @@ def whole_file(path: Path) -> Iterator[Path]:
 
 
 def check_writable(path: Path, name: str) -> None:
-    """
-    Check that a file can be written, without leaving one.
-
-    :param path: The file; its folder need not exist
-    :param name: Argument that the path comes from
-    :raises CommandError: if it cannot be written
-    """
+    """Raise ``CommandError`` if a file cannot be written; ``name`` is the argument that it comes from."""
     if path.is_dir():
         raise CommandError(f"{name} must be a file, got the folder {path}")
     folder = next(parent for parent in path.absolute().parents if parent.exists())
@@ -55,30 +49,17 @@ def check_writable(path: Path, name: str) -> None:
 
 
 def print_written(*paths: Path) -> None:
-    """
-    Print the files that a command has written.
-
-    :param paths: The files
-    """
+    """Print the files that a command has written."""
     print("\n".join(["Written:", *(f"  {path}" for path in paths)]))
 
 
 def missing_folders(path: Path) -> list[Path]:
-    """
-    Return the folders of a path that do not exist.
-
-    :param path: A folder
-    :return: The folder and its parents, innermost first
-    """
+    """Return the folders of a path that do not exist, innermost first."""
     return [folder for folder in (path, *path.parents) if not folder.exists()]
 
 
 def remove_empty(folders: Iterable[Path]) -> None:
-    """
-    Remove empty folders.
-
-    :param folders: The folders, innermost first
-    """
+    """Remove empty folders, innermost first."""
     with contextlib.suppress(OSError):  # not empty, so neither are its parents
         for folder in folders:
             folder.rmdir()

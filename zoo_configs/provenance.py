@@ -20,20 +20,12 @@ GIT_SECONDS = 10.0
 
 
 def versions() -> dict[str, str]:
-    """
-    Return the versions that a result depends on.
-
-    :return: Version of each package of ``PACKAGES`` and of Python
-    """
+    """Return the version of each package of ``PACKAGES`` and of Python."""
     return machine.versions(PACKAGES)
 
 
 def describe_arithmetic() -> str:
-    """
-    Return what the floating-point results depend on in addition to the versions.
-
-    :return: Processor type and number of PyTorch threads
-    """
+    """Return the processor type and the number of threads, which floating-point results depend on."""
     import llvmlite.binding
     import torch
 
@@ -41,12 +33,7 @@ def describe_arithmetic() -> str:
 
 
 def describe_hardware(device: str = "cpu") -> str:
-    """
-    Return the processor, its number of cores and the GPU in use.
-
-    :param device: PyTorch device
-    :return: One line
-    """
+    """Return the processor, its number of cores and the GPU that a PyTorch device uses."""
     processor = machine.describe_processor()
     if device == "cpu":
         return processor  # without importing PyTorch
@@ -83,12 +70,7 @@ def _git(*words: str) -> str | None:
 
 
 def command_line(words: Sequence[str]) -> str:
-    """
-    Join words for a shell, with double quotes around single ones, as in ``"robot:'panda'"``.
-
-    :param words: Arguments
-    :return: Command line
-    """
+    """Join words for a shell, with double quotes around single ones, as in ``"robot:'panda'"``."""
     return " ".join(map(_quoted, words))
 
 
@@ -97,20 +79,10 @@ def _quoted(word: str) -> str:
 
 
 def key_values(values: Mapping[str, Any]) -> list[str]:
-    """
-    Format parameters for the command line.
-
-    :param values: Parameters by name
-    :return: One ``name:value`` for each, sorted by name
-    """
+    """Return one word ``name:value`` for each parameter, sorted by name."""
     return [f"{name}:{value!r}" for name, value in sorted(values.items())]
 
 
 def env_kwargs_words(env_kwargs: Mapping[str, Any]) -> list[str]:
-    """
-    Format environment parameters as a flag.
-
-    :param env_kwargs: Parameters of the environment
-    :return: ``--env-kwargs`` and its values; an empty list without parameters
-    """
+    """Return parameters of an environment as the flag ``--env-kwargs``, an empty list without any."""
     return ["--env-kwargs", *key_values(env_kwargs)] if env_kwargs else []

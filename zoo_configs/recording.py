@@ -48,14 +48,7 @@ class Actor(NamedTuple):
 
 
 def expert_actor(env_id: str, env_kwargs: Mapping[str, Any]) -> Actor:
-    """
-    Return the expert of an environment.
-
-    :param env_id: Id of the environment
-    :param env_kwargs: Parameters of the environment
-    :return: The expert
-    :raises CommandError: if the environment has no expert, or rejects its parameters
-    """
+    """Return the expert of an environment; raise ``CommandError`` if it has none."""
     env_id = known_env_id(env_id)
     env = make_env(env_id, env_kwargs, RENDER_MODE)
     if not hasattr(env.unwrapped, "expert_action"):
@@ -71,7 +64,6 @@ def agent_actor(agent: Agent, env_kwargs: Mapping[str, Any]) -> Actor:
 
     :param agent: The agent
     :param env_kwargs: Parameters of the environment that replace those of the training
-    :return: The agent
     :raises CommandError: if the environment rejects its parameters, or does not fit the agent
     """
     from rl_zoo3.utils import get_wrapper_class
@@ -117,7 +109,6 @@ def record(
     :param seed: Seed of the scenes
     :param fps: Steps per second
     :param progress: Whether to show a progress bar; None shows it on a terminal
-    :return: The frames
     """
     first_seed, successes = stream_seed(seed, SeedStream.TEST), 0
     for episode in trange(episodes, unit="episode", disable=hides_progress(progress)):

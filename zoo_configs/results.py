@@ -35,8 +35,8 @@ HEADS = ("task", "baseline", "success", "by seed", "done", "steps", "minutes")
 BASELINE_HEADS = ("baseline", "interquartile mean", "by seed", "mean", "tasks", "runs")
 RUN_HEADS = ("env", "baseline", "seed", "success", "steps", "done", "minutes", "machine", "command")
 EXPLANATION = """Success: success rate in the last evaluation, mean over the seeds and by seed. Minutes: mean
-duration of a run. Over all tasks: interquartile mean over the runs of all tasks, and by seed over the tasks. The
-tables show each seed instead of a confidence interval, for which two to five seeds are too few."""
+duration of a run. Over all tasks: interquartile mean over the runs of all tasks, and by seed over the tasks.
+The tables show each seed instead of a confidence interval, for which two to five seeds are too few."""
 
 
 @dataclass(frozen=True)
@@ -96,7 +96,6 @@ def read_experiments(
     :param log_folder: Folder of all runs, or of a benchmark
     :param env_ids: Ids of environments, None for all
     :param baselines: Baselines, None for all
-    :return: The experiments, sorted by environment and label
     :raises CommandError: if there is no such run
     """
     runs = [
@@ -114,12 +113,7 @@ def read_experiments(
 
 
 def settings_of(run: Run) -> dict[str, Any]:
-    """
-    Return what defines the experiment of a run, except environment and seed.
-
-    :param run: The run
-    :return: Values by dotted name
-    """
+    """Return what defines the experiment of a run, except environment and seed, by dotted name."""
     cell, options = run.cell, run.options.plain()
     kept = {name: value for name, value in options.items() if name not in NOT_OF_THE_EXPERIMENT}
     hyperparams = dict(cell.hyperparams)
@@ -140,10 +134,9 @@ def _flat(values: Mapping[str, Any], prefix: str = "") -> Iterable[tuple[str, An
 
 def group(results: Iterable[Result]) -> list[Experiment]:
     """
-    Group results by experiment. Of runs with the same experiment and seed, the longest one counts.
+    Group results by experiment, sorted by environment and label.
 
-    :param results: The results, oldest first
-    :return: The experiments, sorted by environment and label
+    Of runs with the same experiment and seed, the longest one counts.
     """
     groups: defaultdict[tuple[str, str], list[list[Result]]] = defaultdict(list)
     for result in results:
@@ -194,27 +187,13 @@ def _differ(name: str, settings: Sequence[Mapping[str, Any]]) -> bool:
 
 
 def interquartile_mean(values: Sequence[float]) -> float:
-    """
-    Return the mean without the lowest and the highest quarter of the values (Agarwal et al. 2021).
-
-    :param values: At least one value
-    :return: The mean
-    """
+    """Return the mean without the lowest and the highest quarter of the values (Agarwal et al. 2021)."""
     omitted = len(values) // TRIMMED
     return float(np.mean(sorted(values)[omitted : len(values) - omitted]))
 
 
-def experiment_rows(experiments: Iterable[Experiment]) -> list[list[str]]:
-    """
-    Return the table of experiments.
-
-    :param experiments: The experiments
-    :return: Rows with the columns ``HEADS``
-    """
-    return [_experiment_row(experiment) for experiment in experiments]
-
-
-def _experiment_row(experiment: Experiment) -> list[str]:
+def experiment_row(experiment: Experiment) -> list[str]:
+    """Return the row of an experiment with the columns ``HEADS``."""
     results, success = experiment.results, experiment.success
     minutes = [result.origin.minutes for result in results if result.origin.minutes is not None]
     return [
@@ -229,12 +208,7 @@ def _experiment_row(experiment: Experiment) -> list[str]:
 
 
 def baseline_rows(experiments: Iterable[Experiment]) -> list[list[str]]:
-    """
-    Return the table of baselines over all tasks.
-
-    :param experiments: The experiments
-    :return: Rows with the columns ``BASELINE_HEADS``
-    """
+    """Return the rows of the table of baselines over all tasks, with the columns ``BASELINE_HEADS``."""
     groups: defaultdict[str, list[Experiment]] = defaultdict(list)
     for experiment in experiments:
         groups[experiment.label].append(experiment)
@@ -260,15 +234,13 @@ def write_tables(experiments: Sequence[Experiment], picture: Path) -> list[Path]
     """
     Write the results next to a figure, with the same name.
 
-    :param experiments: The experiments
-    :param picture: The figure
     :return: A Markdown file with figure, tables, commands and machines, and a CSV file with one row a run
     """
     page, table = picture.with_suffix(".md"), picture.with_suffix(".csv")
     commands = [experiment.results[0].origin.command for experiment in experiments]
     parts = [
         f"![Success in the evaluations, mean over the seeds and its standard error]({picture.name})",
-        markdown_table(HEADS, experiment_rows(experiments)),
+        markdown_table(HEADS, list(map(experiment_row, experiments))),
         markdown_table(BASELINE_HEADS, baseline_rows(experiments)),
         EXPLANATION,
         "Commands that repeat the first seed of each experiment:",

@@ -136,13 +136,6 @@ def test_an_upload_can_be_named_and_go_without_a_film(
     assert json.loads(hub.uploaded["files"]["card.json"])["model"] == "last"
 
 
-def test_pictures_are_drawn(run_folder: Path, tmp_path: Path) -> None:
-    words = ["push", str(run_folder), "--folder", str(tmp_path / "toy"), "-n", "1", "--device", "cpu"]
-    assert main([*words, "--pictures", str(tmp_path / "pictures")]) == 0
-    names = {"CloseLoopToy-equi_sacfd.gif", "CloseLoopToy-equi_sacfd-curve.png"}
-    assert {path.name for path in (tmp_path / "pictures").iterdir()} == names
-
-
 def test_an_agent_is_replaced_and_nothing_else(pushed: Path, run_folder: Path, tmp_path: Path) -> None:
     folder = tmp_path / "toy"
     shutil.copytree(pushed, folder)

@@ -19,7 +19,7 @@ from zoo_configs.drawing.curves import load_curve, mean_curve
 from zoo_configs.results import (
     EXPLANATION,
     baseline_rows,
-    experiment_rows,
+    experiment_row,
     interquartile_mean,
     read_experiments,
 )
@@ -117,7 +117,7 @@ def test_an_unfinished_run_shortens_no_curve(folder: Path) -> None:
 def test_tables_show_every_seed(folder: Path) -> None:
     experiments = read_experiments(folder)
     row = ["CloseLoopBlockPicking", "equi_sacfd", "0.88", "0: 1.00, 1: 0.75", "2 of 2", "30"]
-    assert experiment_rows(experiments)[0][:6] == row
+    assert experiment_row(experiments[0])[:6] == row
     assert baseline_rows(experiments)[0] == ["equi_sacfd", "0.88", "0: 1.00, 1: 0.75", "0.88", "2", "4"]
     assert "instead of a confidence interval" in EXPLANATION
 
@@ -169,12 +169,12 @@ def test_a_failed_run_is_not_done(tmp_path: Path) -> None:
     note(run.folder, State.FAILED, "the block is lost")
     assert standing(run.folder).state is State.FAILED  # type: ignore[union-attr]
     [experiment] = read_experiments(tmp_path)
-    assert experiment_rows([experiment])[0][4] == "0 of 1"
+    assert experiment_row(experiment)[4] == "0 of 1"
 
 
 def test_returns_are_plotted_too(tmp_path: Path) -> None:
     run = add_run(tmp_path, REACHING, "sacfd", 0, GOOD)
     np.savez(run.evaluations_file, timesteps=[10], results=[[3.0, 5.0]])
     [experiment] = read_experiments(tmp_path)
-    assert experiment_rows([experiment])[0][2:4] == ["4.00", "0: 4.00"]
+    assert experiment_row(experiment)[2:4] == ["4.00", "0: 4.00"]
     assert replace(experiment.results[0].curve).measure == "evaluation return"

@@ -11,7 +11,6 @@ import time
 import uuid
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -34,84 +33,48 @@ SETTLING_SECONDS = 10.0
 """Duration until the other machines see a new file: NFS caches folders."""
 PACKAGES = ("bulletarm-gym", "torch", "stable-baselines3", "gymnasium", "pybullet", "numpy")
 """Packages that must have the same version on all machines, because a run may move to another one."""
-
-
-@dataclass(frozen=True)
-class Resources:
-    """
-    Resources of one run.
-
-    :param cpus: Number of cores, which is also the number of threads
-    :param gpus: Number of GPUs; runs share a GPU if it is a fraction
-    :param memory: Gigabytes
-    """
-
-    cpus: float
-    gpus: float
-    memory: float
-
-    def as_options(self) -> dict[str, Any]:
-        """Return the options of a Ray task."""
-        return {"num_cpus": self.cpus, "num_gpus": self.gpus, "memory": int(self.memory * GIGABYTE)}
-
-    def fits(self, node: Mapping[str, float]) -> bool:
-        """Return True if a machine with Ray's resources can train the run."""
-        available = (node.get("CPU", 0.0), node.get("GPU", 0.0), node.get("memory", 0.0) / GIGABYTE)
-        needed = (self.cpus, self.gpus, self.memory)
-        return all(part <= whole for part, whole in zip(needed, available, strict=True))
-
-
-class NotShared(Exception):
-    """A machine cannot read the folder of the benchmark."""
+RESOURCES = {"CPU": "num_cpus", "GPU": "num_gpus", "memory": "memory"}
+"""Option of a Ray task, by resource of a machine."""
+Resources = Mapping[str, float]
+"""Options of a Ray task: ``num_cpus``, ``num_gpus`` and ``memory`` (bytes)."""
 
 
 @contextmanager
-def connected(address: str | None) -> Iterator[None]:
+def connected(address: str) -> Iterator[None]:
     """
     Connect to a Ray cluster.
 
-    :param address: Its address, None for the cluster of this machine
-    :return: Context manager
+    :param address: Its address, ``"auto"`` for the cluster of this machine
     :raises CommandError: if Ray is not installed, or no cluster answers within ``CONNECTING_SECONDS``
     """
     try:
         import ray
     except ImportError as error:
         raise CommandError("--ray needs Ray: pip install 'bulletarm-gym[cluster]'") from error
-    _check_address(address or "auto")
-    ray.init(address=address or "auto", log_to_driver=False, logging_level=logging.ERROR)
+    if why := _connection_error(address):
+        advice = "Start one with `ray start --head`. If it asks for a token, set RAY_AUTH_MODE=token"
+        raise CommandError(f"--ray: no Ray cluster at {address} ({why}). {advice}")
+    ray.init(address=address, log_to_driver=False, logging_level=logging.ERROR)
     try:
         yield
     finally:
         ray.shutdown()
 
 
-def _check_address(address: str) -> None:
+def _connection_error(address: str) -> str:
     """Connect in another process, because ``ray.init`` retries a dead address for many minutes."""
     try:
         command = [sys.executable, "-c", CONNECT, address]
         subprocess.run(command, capture_output=True, text=True, timeout=CONNECTING_SECONDS, check=True)
-    except subprocess.TimeoutExpired as error:
-        why = f"no answer within {CONNECTING_SECONDS:g} s"
-        raise CommandError(_no_cluster(address, why)) from error
+    except subprocess.TimeoutExpired:
+        return f"no answer within {CONNECTING_SECONDS:g} s"
     except subprocess.CalledProcessError as error:
-        why = (error.stderr.strip().splitlines() or [f"exit code {error.returncode}"])[-1]
-        raise CommandError(_no_cluster(address, why)) from error
-
-
-def _no_cluster(address: str, why: str) -> str:
-    return (
-        f"--ray: no Ray cluster at {address} ({why}). Start one with `ray start --head`. If it asks for a "
-        "token, set RAY_AUTH_MODE=token"
-    )
+        return (str(error.stderr).strip().splitlines() or [f"exit code {error.returncode}"])[-1]
+    return ""
 
 
 def machines() -> list[dict[str, Any]]:
-    """
-    Return the machines of the cluster that can train.
-
-    :return: Ray's description of each
-    """
+    """Return Ray's descriptions of the machines that can train."""
     import ray
 
     found: list[dict[str, Any]] = ray.nodes()  # type: ignore[no-untyped-call]
@@ -125,12 +88,14 @@ def check_resources(resources: Mapping[str, Resources]) -> None:
     :param resources: Resources of each run by its name
     :raises CommandError: if no machine is large enough
     """
-    available = [node["Resources"] for node in machines()]
+    nodes = [node["Resources"] for node in machines()]
     for name, needed in resources.items():
-        if not any(needed.fits(node) for node in available):
+        if not any(
+            all(needed[key] <= node.get(part, 0.0) for part, key in RESOURCES.items()) for node in nodes
+        ):
             raise CommandError(
-                f"no machine of the cluster is large enough for {name}: {needed.cpus:g} CPU, "
-                f"{needed.gpus:g} GPU, {needed.memory:.1f} GB (--cpus, --gpus, --memory)"
+                f"no machine of the cluster is large enough for {name}: {needed['num_cpus']:g} CPU, "
+                f"{needed['num_gpus']:g} GPU, {needed['memory'] / GIGABYTE:.1f} GB (--cpus, --gpus, --memory)"
             )
 
 
@@ -184,9 +149,8 @@ def find_fault(
     """
     from zoo_configs.environments import register_environments
 
-    if not _appears(folder / token):
-        return f"cannot read {folder}: all machines must mount it at this path"
     try:
+        _check_shared(folder, token)
         (folder / seen).touch()
         register_environments(gym_packages)
     except (CommandError, OSError) as error:
@@ -200,6 +164,11 @@ def find_fault(
 
 def _versions() -> dict[str, str]:
     return {name: metadata.version(name) for name in PACKAGES}
+
+
+def _check_shared(folder: Path, token: str) -> None:
+    if not _appears(folder / token):
+        raise CommandError(f"{socket.gethostname()} must mount {folder} at this path, as all machines")
 
 
 def _appears(path: Path) -> bool:
@@ -220,12 +189,9 @@ def train(job: Job, folder: Path, token: str) -> int:
     :param folder: Folder of the benchmark
     :param token: Name of the file of :func:`shared_folder`
     :return: Exit code
-    :raises NotShared: if the machine cannot read the folder
+    :raises CommandError: if the machine cannot read the folder
     """
-    if not _appears(folder / token):
-        raise NotShared(
-            f"{socket.gethostname()} cannot read {folder}: all machines must mount it at this path"
-        )
+    _check_shared(folder, token)
     if _starts(folder / job.name, token) > MAX_STARTS:
         error = f"lost {MAX_STARTS} times at the same checkpoint. It may need more memory"
         note(folder / job.name, State.FAILED, error)
@@ -272,10 +238,9 @@ def run_on_ray(
     import ray
 
     remote = ray.remote(max_retries=-1, retry_exceptions=False)(train)
-    running = {}
-    for job in jobs:
-        options = remote.options(**resources[job.name].as_options(), name=job.name)
-        running[options.remote(job, folder, token)] = job
+    running = {
+        remote.options(**resources[job.name], name=job.name).remote(job, folder, token): job for job in jobs
+    }
     try:
         while running:
             ended, _ = ray.wait(list(running), num_returns=1, timeout=POLL)
@@ -294,7 +259,5 @@ def _exit_code(reference: Any, job: Job) -> ExitCode:
 
     try:
         return ExitCode(ray.get(reference))
-    except ray.exceptions.RayTaskError as error:
-        raise CommandError(f"{job.name}: {reason(error.cause or error)}") from error
     except ray.exceptions.RayError as error:
-        raise CommandError(f"{job.name}: the connection to the cluster is lost: {reason(error)}") from error
+        raise CommandError(f"{job.name}: {reason(getattr(error, 'cause', None) or error)}") from error

@@ -30,7 +30,7 @@ NOT_IN_PAPER = {"tqc", "tqcfd", "state"}
 @dataclass(frozen=True)
 class Plan:
     """
-    Content of a YAML file of a benchmark, with the same keys.
+    Content of a YAML file of a benchmark, whose keys are these fields.
 
     :param tasks: Ids, names without namespace and version, or shell patterns
     :param baselines: Baselines or shell patterns
@@ -80,17 +80,15 @@ class Job:
 
 
 def read_plan(name: str) -> Plan:
-    """
-    Return the plan of a benchmark.
-
-    :param name: Name of one of the paper's benchmarks, or a YAML file
-    :return: The plan
-    :raises CommandError: if the name is unknown or the file is not valid
-    """
+    """Return the plan of one of the paper's benchmarks, or of a YAML file."""
     from bulletarm_gym.benchmarks import BENCHMARKS
 
     if Path(name).suffix in SUFFIXES:
-        return parse_plan(name, _read(Path(name)))
+        if not Path(name).is_file():
+            raise CommandError(f"{name} does not exist")
+        with refused(f"{name} is not valid YAML"):
+            content = yaml.safe_load(Path(name).read_text(encoding="utf-8"))
+        return parse_plan(name, content)
     if name not in BENCHMARKS:
         see = f"choose from {', '.join(BENCHMARKS)}, or pass a YAML file"
         raise unknown_name("benchmark", name, BENCHMARKS, see=see)
@@ -104,22 +102,8 @@ def read_plan(name: str) -> Plan:
     return Plan(tasks, baselines, benchmark=name)
 
 
-def _read(path: Path) -> Any:
-    if not path.is_file():
-        raise CommandError(f"{path} does not exist")
-    with refused(f"{path} is not valid YAML"):
-        return yaml.safe_load(path.read_text(encoding="utf-8"))
-
-
 def parse_plan(where: str, content: Any) -> Plan:
-    """
-    Check the content of a YAML file.
-
-    :param where: Name of the file in messages
-    :param content: The content
-    :return: The plan
-    :raises CommandError: for an unknown key or an invalid value
-    """
+    """Return the plan that a YAML file contains; ``where`` is its name in messages."""
     if not isinstance(content, dict):
         raise CommandError(f"{where} must contain a mapping, got {content!r}")
     keys = [item.name for item in fields(Plan)]
@@ -146,7 +130,7 @@ def build_jobs(
     only once.
 
     :param plan: The plan
-    :param gym_packages: Packages that register environments, in addition to ours
+    :param gym_packages: Packages that register environments
     :param device: PyTorch device
     :param num_threads: Number of PyTorch threads of a run, unless the options of the plan define it
     :return: The runs in the order in which they start
@@ -219,14 +203,11 @@ def _is_pattern(name: str) -> bool:
 
 
 def _seeds(wanted: Any) -> list[int]:
-    seeds = list(range(wanted)) if isinstance(wanted, int) and not isinstance(wanted, bool) else wanted
-    if not isinstance(seeds, list | tuple) or not seeds or not all(_is_seed(seed) for seed in seeds):
+    seeds = list(range(wanted)) if type(wanted) is int else wanted
+    is_list = isinstance(seeds, list | tuple) and len(seeds) > 0
+    if not is_list or not all(type(seed) is int and 0 <= seed <= MAX_SEED for seed in seeds):
         raise CommandError(f"seeds must be a positive number of seeds, or a list of seeds, got {wanted!r}")
     return list(dict.fromkeys(seeds))
-
-
-def _is_seed(value: Any) -> bool:
-    return isinstance(value, int) and not isinstance(value, bool) and 0 <= value <= MAX_SEED
 
 
 def _check_folders(jobs: Iterable[Job]) -> None:

@@ -61,28 +61,15 @@ class JobProcess:
         arguments = (job, folder, dict(environ or {}))
         self._process: BaseProcess = context.Process(target=_work, args=arguments, name=job.name)
         self._process.start()
-
-    @property
-    def sentinel(self) -> int:
-        """Handle for ``multiprocessing.connection.wait``."""
-        return self._process.sentinel
+        self.sentinel = self._process.sentinel
 
     def wait(self, timeout: float | None = None) -> bool:
-        """
-        Wait for the end of the process.
-
-        :param timeout: Maximum duration in seconds
-        :return: Whether it has ended
-        """
+        """Wait for the end, at most ``timeout`` seconds, and return True if the process has ended."""
         self._process.join(timeout)
         return self._process.exitcode is not None
 
     def exit_code(self) -> ExitCode:
-        """
-        Return the exit code of an ended process, and record in its folder if a signal has ended it.
-
-        :return: The exit code
-        """
+        """Return the exit code after the end; if a signal has ended the process, record it in the folder."""
         code = self._process.exitcode
         if code in tuple(ExitCode):
             return ExitCode(code)
@@ -132,23 +119,13 @@ def run_here(jobs: Sequence[Job], folder: Path, n_jobs: int, look: Callable[[], 
 
 
 def check_storage(code: ExitCode, folder: Path) -> None:
-    """
-    Raise an error if a run has ended because nothing can be written.
-
-    :param code: Exit code of the run
-    :param folder: Folder of the benchmark
-    :raises CommandError: if the storage is full or not writable
-    """
+    """Raise an error if a run has ended because its folder is full or not writable."""
     if code is ExitCode.STORAGE:
         raise CommandError(f"{folder} is full or not writable. Free some space and start the command again")
 
 
 def stop(running: Sequence[JobProcess]) -> None:
-    """
-    Interrupt runs, wait until they have saved their state, and kill the remaining ones.
-
-    :param running: Their processes
-    """
+    """Interrupt runs, wait until they have saved their state, and kill the remaining ones."""
     last = time.monotonic() + GRACE
     try:
         for process in running:
@@ -210,12 +187,7 @@ def _record_failure(run_folder: Path, error: Exception) -> ExitCode:
 
 
 def is_storage_error(error: BaseException | None) -> bool:
-    """
-    Return True if an error, or one that caused it, is an error of the storage.
-
-    :param error: The error
-    :return: Whether the disk is full or not writable
-    """
+    """Return True if an error, or one that caused it, is an error of the storage."""
     while error is not None:
         if isinstance(error, OSError) and error.errno in STORAGE_ERRORS:
             return True

@@ -30,25 +30,14 @@ CHECKPOINTS = 3
 
 
 class Size(NamedTuple):
-    """
-    Size of one run.
-
-    :param memory: Gigabytes of main memory
-    :param disk: Gigabytes of its checkpoints
-    """
+    """Gigabytes of main memory and of the checkpoints of one run."""
 
     memory: float
     disk: float
 
 
 def size_of(job: Job) -> Size:
-    """
-    Return the size of a run, which depends mainly on its replay buffer.
-
-    :param job: The run
-    :return: Its size
-    :raises CommandError: if environment or buffer reject their parameters
-    """
+    """Return the size of a run, which depends mainly on its replay buffer."""
     buffer = _buffer_gigabytes(job)
     return Size(PROCESS_GIGABYTES + buffer, CHECKPOINTS * buffer if job.options.save_freq > 0 else 0.0)
 

@@ -74,11 +74,7 @@ class Overview:
         self.entries = {job.name: Entry(job.name, Status.WAITING) for job in jobs}
 
     def update(self) -> list[Entry]:
-        """
-        Read the folders of all runs that were not done.
-
-        :return: The entries that have changed
-        """
+        """Read the folders of all runs that were not done, and return the entries that have changed."""
         before = dict(self.entries)
         for name, entry in before.items():
             if entry.status is not Status.DONE:
@@ -110,13 +106,7 @@ class Overview:
 
 
 def read_entry(folder: Path, name: str) -> Entry:
-    """
-    Read the status of one run.
-
-    :param folder: Folder of the benchmark
-    :param name: Folder of the run within it
-    :return: Its entry
-    """
+    """Read the status of one run; ``name`` is its folder within that of the benchmark."""
     from zoo_configs.drawing.curves import load_curve
 
     try:
@@ -141,7 +131,7 @@ def shown(overview: Overview, live: bool) -> Iterator[Callable[[], None]]:
 
     :param overview: The overview
     :param live: Whether to show a table that is updated, instead of a line for each change
-    :return: Context manager of the function that updates it; it is to be called often
+    :return: Context manager of a function to call often, which updates the overview
     """
     if not live:
         yield _at_intervals(lambda: _print_changes(overview))

@@ -13,12 +13,7 @@ if TYPE_CHECKING:
 
 
 def add_agent_flags(parser: argparse.ArgumentParser, is_run: bool = False) -> None:
-    """
-    Add the flags that describe an agent.
-
-    :param parser: Parser of the command
-    :param is_run: Whether the agent must be that of a run
-    """
+    """Add the flags that describe an agent; with ``is_run`` it must be that of a run."""
     add = parser.add_argument
     if is_run:
         add("path", nargs="?", type=Path, metavar="RUN_FOLDER", help="run folder, as train prints it")
@@ -42,12 +37,7 @@ def add_agent_flags(parser: argparse.ArgumentParser, is_run: bool = False) -> No
 
 
 def query_of(args: argparse.Namespace) -> AgentQuery:
-    """
-    Return the query that the flags describe.
-
-    :param args: Parsed flags of :func:`add_agent_flags`
-    :return: The query
-    """
+    """Return the query that the flags of :func:`add_agent_flags` describe."""
     from zoo_configs.agents import AgentQuery
 
     return AgentQuery(

@@ -26,7 +26,6 @@ from zoo_configs.errors import CommandError
 from zoo_configs.files import missing_folders, print_written, remove_empty
 
 if TYPE_CHECKING:
-    from zoo_configs.benchmarking.cluster import Resources
     from zoo_configs.benchmarking.plan import Job, Plan
     from zoo_configs.benchmarking.run import Runner, Size
     from zoo_configs.benchmarking.status import Overview
@@ -35,7 +34,6 @@ DESCRIPTION = """Train all experiments of a benchmark with all seeds, in process
 cluster. The same command resumes a benchmark: runs that are done are kept, interrupted runs resume from their
 last checkpoint."""
 EPILOG = "bulletarm-zoo benchmark close_loop_4d --env 'CloseLoopBlock*' --baseline sacfd equi_sacfd -j 2"
-THIS_CLUSTER = ""
 GPUS_A_RUN = 0.25
 
 
@@ -114,7 +112,7 @@ def _add_resources(parser: Parser) -> None:
     add("--cpus", type=_positive, default=1.0, help="cores and threads of a run (default: 1)")
     add("--gpus", type=_positive, help=gpus)
     add("--memory", type=_positive, help=memory)
-    add("--ray", nargs="?", const=THIS_CLUSTER, metavar="ADDRESS", help=cluster)
+    add("--ray", nargs="?", const="auto", metavar="ADDRESS", help=cluster)
 
 
 def _positive(text: str) -> float:
@@ -156,19 +154,20 @@ def _runner(
         return
     from zoo_configs.benchmarking.cluster import check_resources, connected, run_on_ray, shared_folder
 
-    with connected(args.ray or None):
+    with connected(args.ray):
         resources = {job.name: _resources(args, sizes[job.experiment]) for job in jobs}
         check_resources(resources)
         with shared_folder(folder.absolute(), args.gym_packages) as token:
             yield lambda waiting, look: run_on_ray(waiting, folder.absolute(), resources, token, look)
 
 
-def _resources(args: argparse.Namespace, size: Size) -> Resources:
-    from zoo_configs.benchmarking.cluster import Resources, machines
+def _resources(args: argparse.Namespace, size: Size) -> dict[str, float]:
+    from zoo_configs.benchmarking.cluster import GIGABYTE, machines
 
     has_gpus = args.device != "cpu" and any("GPU" in node["Resources"] for node in machines())
-    gpus = GPUS_A_RUN if has_gpus else 0.0
-    return Resources(args.cpus, gpus if args.gpus is None else args.gpus, args.memory or size.memory)
+    gpus = args.gpus if args.gpus is not None else GPUS_A_RUN if has_gpus else 0.0
+    memory = int((args.memory or size.memory) * GIGABYTE)
+    return {"num_cpus": args.cpus, "num_gpus": gpus, "memory": memory}
 
 
 def _report(overview: Overview) -> None:

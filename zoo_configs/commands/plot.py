@@ -16,11 +16,10 @@ from zoo_configs.files import check_writable, print_written
 if TYPE_CHECKING:
     from zoo_configs.results import Experiment
 
-DESCRIPTION = """Draw the evaluations of all runs in a log folder or in the folder of a benchmark: a panel for
-each environment and a curve for each experiment, with the mean over the seeds and its standard error. The runs of
-an experiment differ only in their seeds. Experiments with the same baseline are labelled with the settings that
-differ. Print a table of the experiments and one of the baselines over all tasks, and write them next to the
-figure."""
+DESCRIPTION = """Draw the evaluations of all runs in a log folder: a panel for each environment and a curve
+for each experiment, with the mean over the seeds and its standard error. The runs of an experiment differ only
+in their seeds; experiments with the same baseline are labelled with the settings that differ. Print a table of
+the experiments and one of the baselines over all tasks, and write them next to the figure."""
 PICTURE, TRAINING_PICTURE = "learning_curves.png", "training_curves.png"
 FORMATS = (".png", ".pdf", ".svg")
 
@@ -59,21 +58,16 @@ def _parse(argv: Sequence[str]) -> argparse.Namespace:
 
 
 def _plot_success(experiments: Sequence[Experiment], output: Path) -> list[Path]:
-    from zoo_configs.results import BASELINE_HEADS, HEADS, baseline_rows, experiment_rows, write_tables
+    from zoo_configs.results import BASELINE_HEADS, HEADS, baseline_rows, experiment_row, write_tables
 
-    print_table(HEADS, experiment_rows(experiments))
+    print_table(HEADS, list(map(experiment_row, experiments)))
     print_table(BASELINE_HEADS, baseline_rows(experiments))
     draw_panels(experiments, output)
     return [output, *write_tables(experiments, output)]
 
 
 def draw_panels(experiments: Iterable[Experiment], output: Path) -> None:
-    """
-    Draw the mean curve of each experiment.
-
-    :param experiments: The experiments
-    :param output: The figure
-    """
+    """Draw the mean curve of each experiment."""
     from zoo_configs.drawing.curves import LearningCurve, draw_curves, mean_curve
 
     panels: defaultdict[str, dict[str, LearningCurve]] = defaultdict(dict)

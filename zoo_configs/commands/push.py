@@ -47,8 +47,6 @@ def main(argv: Sequence[str]) -> None:
         _to_hub(agent, args)
     else:
         _to_folder(agent, args)
-    if args.pictures is not None:
-        _draw(agent, args)
 
 
 def _parse(argv: Sequence[str]) -> argparse.Namespace:
@@ -64,7 +62,6 @@ def _parse(argv: Sequence[str]) -> argparse.Namespace:
     add("-n", "--episodes", type=positive_int, default=100, help="number of test episodes (default: 100)")
     add("--seed", type=seed, default=0, help="seed of the test scenes (default: 0)")
     add("--full-precision", action="store_true", help="store the weights in float32")
-    add("--pictures", type=Path, help="also write a video (GIF) and the learning curve to this folder")
     add_progress(parser)
     args = parser.parse_args(argv)
     if (args.organization is None) == (args.folder is None):
@@ -104,20 +101,6 @@ def _pack(agent: Agent, folder: Path, args: argparse.Namespace, repo_id: str | N
     full = args.full_precision
     card = pack(agent, folder, options, device=args.device, full_precision=full, repo_id=repo_id)
     print(f"success_rate={card.success:.2f} episodes={card.episodes}")
-
-
-def _draw(agent: Agent, args: argparse.Namespace) -> None:
-    """Write a video and the learning curve."""
-    from zoo_configs.cells.rules import task_name
-    from zoo_configs.drawing.curves import draw_curves, load_curve
-
-    name = f"{task_name(agent.env_id)}-{agent.label}"
-    written = [args.pictures / f"{name}.gif"]
-    _record(agent, written[0], args)
-    if agent.run is not None and agent.run.evaluations_file.is_file():
-        written.append(args.pictures / f"{name}-curve.png")
-        draw_curves({agent.env_id: {agent.label: load_curve(agent.run.evaluations_file)}}, written[1])
-    print_written(*written)
 
 
 def _record(agent: Agent, path: Path, args: argparse.Namespace) -> None:

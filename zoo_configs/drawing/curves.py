@@ -45,13 +45,7 @@ class LearningCurve:
 
 
 def load_curve(path: Path) -> LearningCurve:
-    """
-    Read the evaluations of a run.
-
-    :param path: ``evaluations.npz`` in Stable-Baselines3's format
-    :return: The curve
-    :raises CommandError: if the file cannot be read
-    """
+    """Read ``evaluations.npz`` of a run, which has Stable-Baselines3's format."""
     with refused(f"{path} is damaged"), np.load(path) as saved:
         has_success = "successes" in saved
         episodes = np.asarray(saved["successes" if has_success else "results"], dtype=np.float64)
@@ -83,12 +77,7 @@ def mean_curve(curves: Sequence[LearningCurve]) -> LearningCurve:
 
 
 def draw_run(run: Run) -> Path:
-    """
-    Draw the learning curve of a run into its folder.
-
-    :param run: A run with at least one evaluation
-    :return: The figure
-    """
+    """Draw the learning curve of an evaluated run into its folder and return the figure."""
     path = run.folder / CURVE_FILE
     draw_curves({run.cell.env_id: {run.cell.label: load_curve(run.evaluations_file)}}, path)
     return path

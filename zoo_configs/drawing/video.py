@@ -86,9 +86,6 @@ def draw_value_map(value_map: ValueMap) -> Image.Image:
     """
     Draw the values of all pixels, bright where high, and a ring around the selected pixel with a line in the
     direction in which the fingers close.
-
-    :param value_map: The values
-    :return: A panel
     """
     values, (row, column), yaw = value_map
     low, high = float(values.min()), float(values.max())
@@ -121,8 +118,6 @@ def observed_images(observation: Any, space: spaces.Space[Any]) -> list[npt.NDAr
     """
     Return the single-channel images of an observation.
 
-    :param observation: An array, or a mapping of arrays
-    :param space: Observation space
     :return: The images, each of shape (height, width), scaled to [0, 1] over the bounds of their spaces
     """
     if isinstance(space, spaces.Dict):
@@ -134,13 +129,7 @@ def observed_images(observation: Any, space: spaces.Space[Any]) -> list[npt.NDAr
 
 
 def write_video(frames: Sequence[Frame], path: Path, frames_per_second: float) -> None:
-    """
-    Write a video atomically.
-
-    :param frames: Frames of one shape
-    :param path: The file, whose suffix, ``.gif`` or ``.mp4``, is the format
-    :param frames_per_second: Frame rate
-    """
+    """Write frames of one shape atomically as ``.gif`` or ``.mp4``."""
     if path.suffix == ".gif":
         with whole_file(path) as partial:
             partial.write_bytes(_gif(frames, round(1000 / frames_per_second)))
@@ -149,13 +138,7 @@ def write_video(frames: Sequence[Frame], path: Path, frames_per_second: float) -
 
 
 def _gif(frames: Sequence[Frame], duration: int) -> bytes:
-    """
-    Encode with one palette for all frames and without dithering, so that static pixels need no space.
-
-    :param frames: Frames of one shape
-    :param duration: Duration of a frame (ms)
-    :return: Content of the file
-    """
+    """Encode with one palette and no dithering, so that static pixels need no space; ``duration`` in ms."""
     palette = Image.fromarray(np.concatenate([frames[0], frames[-1]])).quantize(GIF_COLOURS)
     images = [Image.fromarray(frame).quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames]
     first, *others = images
@@ -165,12 +148,7 @@ def _gif(frames: Sequence[Frame], duration: int) -> bytes:
 
 
 def write_picture(frame: Frame, path: Path) -> None:
-    """
-    Write one frame atomically.
-
-    :param frame: The frame, shape (height, width, 3)
-    :param path: The file, whose suffix, ``.png`` or ``.webp``, is the format
-    """
+    """Write one frame atomically as ``.png`` or ``.webp``."""
     _write(frame, path)
 
 

@@ -87,23 +87,13 @@ class Card:
         return self.baseline or self.algo
 
     def write(self, folder: Path) -> None:
-        """
-        Write the card atomically.
-
-        :param folder: Folder of the agent
-        """
+        """Write the card atomically to a folder."""
         with whole_file(folder / CARD_FILE) as partial:
             partial.write_text(json.dumps(dataclasses.asdict(self), indent=1) + "\n", encoding="utf-8")
 
 
 def read_card(folder: Path) -> Card:
-    """
-    Read a card.
-
-    :param folder: Folder of the agent
-    :return: The card
-    :raises CommandError: if it is missing or incomplete
-    """
+    """Read the card in a folder; raise ``CommandError`` if it is missing or incomplete."""
     path = folder / CARD_FILE
     if not path.is_file():
         raise CommandError(f"{folder} is not a folder of an agent: {CARD_FILE} is missing")

@@ -12,12 +12,7 @@ if TYPE_CHECKING:
 
 
 def connect() -> HfApi:
-    """
-    Log in to the hub.
-
-    :return: The hub
-    :raises CommandError: if there is no token, or the hub rejects it
-    """
+    """Log in to the hub; raise ``CommandError`` if there is no token, or the hub rejects it."""
     from huggingface_hub import HfApi, get_token
 
     token = get_token()
@@ -32,14 +27,7 @@ def connect() -> HfApi:
 
 
 def repository(organization: str, name: str) -> str:
-    """
-    Return the id of a repository.
-
-    :param organization: Organization or user
-    :param name: Name of the repository
-    :return: The id
-    :raises CommandError: if the hub does not allow such a name
-    """
+    """Return the id of a repository; raise ``CommandError`` if the hub does not allow the names."""
     from huggingface_hub.utils import validate_repo_id  # type: ignore[attr-defined]
 
     repo_id = f"{organization}/{name}"
@@ -49,16 +37,7 @@ def repository(organization: str, name: str) -> str:
 
 
 def upload(hub: HfApi, folder: Path, repo_id: str, message: str) -> str:
-    """
-    Upload the files of a folder to a repository, which is created if needed.
-
-    :param hub: The hub
-    :param folder: The folder
-    :param repo_id: Id of the repository
-    :param message: Message of the commit
-    :return: Address of the repository
-    :raises CommandError: if the upload fails
-    """
+    """Upload the files of a folder to a repository, which is created if needed, and return its address."""
     with refused(f"{repo_id} cannot be written"):
         url = hub.create_repo(repo_id=repo_id, exist_ok=True)
         hub.upload_folder(repo_id=repo_id, folder_path=folder, commit_message=message)

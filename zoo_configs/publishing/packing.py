@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from bulletarm_gym.machine import describe_processor
-from zoo_configs.agents import Agent, load_published
+from zoo_configs.agents import Agent, load_model
 from zoo_configs.drawing.curves import SUCCESS, load_curve
 from zoo_configs.errors import CommandError
 from zoo_configs.evaluating import EvalOptions, Outcome, check_unwrapped, evaluate_agent
@@ -19,7 +19,6 @@ from zoo_configs.files import whole_file
 from zoo_configs.provenance import commit, describe_arithmetic, versions
 from zoo_configs.publishing.card import FAILED, SUCCEEDED, Card
 from zoo_configs.publishing.compact import save_compact
-from zoo_configs.publishing.published import Published
 from zoo_configs.publishing.readme import README_FILE, render_readme
 from zoo_configs.training.origin import day, origin_of
 from zoo_configs.training.runs import Run, env_folder_name
@@ -28,12 +27,7 @@ WRAPPERS = ("normalize", "frame_stack", "vec_env_wrapper", "env_wrapper")
 
 
 def check_publishable(run: Run) -> None:
-    """
-    Check that the model file of a run is a complete agent, and that its success can be measured.
-
-    :param run: The run
-    :raises CommandError: if not
-    """
+    """Raise ``CommandError`` if a model file is not the complete agent, or its success is unknown."""
     check_unwrapped(run.cell.hyperparams, WRAPPERS, "which a model file does not contain")
     if run.evaluations_file.is_file() and load_curve(run.evaluations_file).measure != SUCCESS:
         raise CommandError(f"{run.cell.env_id} does not report is_success, which a card needs")
@@ -64,27 +58,28 @@ def pack(
     :raises CommandError: if the agent cannot be tested
     """
     assert agent.run is not None
-    name = f"{agent.run.cell.algo}-{env_folder_name(agent.env_id)}.zip"  # huggingface_sb3's ModelName
-    card = _untested_card(agent, agent.run, name, options)
+    path = (
+        folder / f"{agent.run.cell.algo}-{env_folder_name(agent.env_id)}.zip"
+    )  # huggingface_sb3's ModelName
 
-    def store(half: bool) -> tuple[str, Outcome]:
-        weights = save_compact(agent.model, folder / name, half)
-        stored = load_published(Published(folder, card), device)
-        return weights, evaluate_agent(replace(agent, model=stored), options)
+    def store(run: Run, half: bool) -> tuple[str, Outcome]:
+        weights = save_compact(agent.model, path, half)
+        return weights, evaluate_agent(replace(agent, model=load_model(path, run.cell.algo, device)), options)
 
-    weights, outcome = store(not full_precision)
+    weights, outcome = store(agent.run, not full_precision)
     if not full_precision and outcome.success_rate < evaluate_agent(agent, options).interval[0]:
         print("half precision lowers the success rate: the weights are stored in float32")
-        weights, outcome = store(False)
-    card = replace(card, weights=weights, **_measurements(outcome))
+        weights, outcome = store(agent.run, False)
+    card = _card(agent, agent.run, options, outcome, path.name, weights)
     card.write(folder)
     with whole_file(folder / README_FILE) as partial:
         partial.write_text(render_readme(card, repo_id), encoding="utf-8")
     return card
 
 
-def _untested_card(agent: Agent, run: Run, file: str, options: EvalOptions) -> Card:
-    """Return the card without the results of the test."""
+def _card(agent: Agent, run: Run, options: EvalOptions, outcome: Outcome, file: str, weights: str) -> Card:
+    low, high = outcome.interval
+    here = {"commit": commit(), "machine": describe_processor(), **arithmetic()}
     return Card(
         env=agent.env_id,
         env_kwargs={**agent.env_kwargs, **options.env_kwargs},
@@ -96,16 +91,16 @@ def _untested_card(agent: Agent, run: Run, file: str, options: EvalOptions) -> C
         model="best" if agent.path == run.best_model else "last",
         timesteps=agent.model.num_timesteps,
         file=file,
-        weights="",
-        success=0.0,
-        episodes=0,
-        interval=(0.0, 1.0),
-        mean_return=0.0,
-        std_return=0.0,
+        weights=weights,
+        success=round(outcome.success_rate, 4),
+        episodes=outcome.episodes,
+        interval=(round(low, 4), round(high, 4)),
+        mean_return=round(float(np.mean(outcome.returns)), 4),
+        std_return=round(float(np.std(outcome.returns)), 4),
         test_seed=options.seed,
-        outcomes="",
+        outcomes="".join(SUCCEEDED if success else FAILED for success in outcome.successes),
         evaluations=_evaluations(run),
-        measured={},
+        measured={"date": day(time.time()), **here},
         hyperparams=run.cell.hyperparams,
         gym_packages=run.gym_packages,
         **origin_of(run)._asdict(),
@@ -124,23 +119,5 @@ def _evaluations(run: Run) -> Mapping[str, Any]:
 
 
 def arithmetic() -> dict[str, Any]:
-    """
-    Return what must be equal for a test to repeat exactly.
-
-    :return: ``arithmetic`` and ``versions`` of this machine, as in a card
-    """
+    """Return what must be equal for a test to repeat exactly: ``arithmetic`` and ``versions`` of a card."""
     return {"arithmetic": describe_arithmetic(), "versions": versions()}
-
-
-def _measurements(outcome: Outcome) -> dict[str, Any]:
-    here = {"commit": commit(), "machine": describe_processor(), **arithmetic()}
-    low, high = outcome.interval
-    return {
-        "success": round(outcome.success_rate, 4),
-        "episodes": outcome.episodes,
-        "interval": (round(low, 4), round(high, 4)),
-        "mean_return": round(float(np.mean(outcome.returns)), 4),
-        "std_return": round(float(np.std(outcome.returns)), 4),
-        "outcomes": "".join(SUCCEEDED if success else FAILED for success in outcome.successes),
-        "measured": {"date": day(time.time()), **here},
-    }

@@ -15,12 +15,7 @@ PUBLISHED_FOLDER = Path(__file__).resolve().parents[1] / "published"
 
 
 class Published(NamedTuple):
-    """
-    Published agent.
-
-    :param folder: Its folder
-    :param card: Its card
-    """
+    """Folder and card of a published agent."""
 
     folder: Path
     card: Card
@@ -32,13 +27,7 @@ class Published(NamedTuple):
 
 
 def published_agents(folder: Path = PUBLISHED_FOLDER) -> list[Published]:
-    """
-    Return the published agents.
-
-    :param folder: Folder that contains them
-    :return: The agents, sorted by task and baseline
-    :raises CommandError: if a card cannot be read
-    """
+    """Return the published agents in a folder, sorted by task and baseline."""
     cards = sorted(folder.glob(f"*/*/{CARD_FILE}"))
     return [Published(card.parent, read_card(card.parent)) for card in cards]
 

@@ -21,8 +21,8 @@ PAGE = """---
 This is a trained model of a **{name}** agent ({label}) on **{card.env}**, for
 [Stable-Baselines3](https://github.com/DLR-RM/stable-baselines3) and BulletArm Gym.
 
-Success rate **{card.success:.2f}** over {card.episodes} episodes on scenes that it was not trained on, with its
-deterministic policy (Wilson's 95 % interval {card.interval[0]:.2f} to {card.interval[1]:.2f}).
+Success rate **{card.success:.2f}** over {card.episodes} episodes on scenes that it was not trained on,
+with its deterministic policy (Wilson's 95 % interval {card.interval[0]:.2f} to {card.interval[1]:.2f}).
 
 ## Usage
 
@@ -31,8 +31,8 @@ deterministic policy (Wilson's 95 % interval {card.interval[0]:.2f} to {card.int
 
 Or run `bulletarm-zoo enjoy --published FOLDER` with this folder.
 
-The file contains the networks (weights: {card.weights}) without the states of the optimizers. The loaded agent
-acts and can be trained further.
+The file contains the networks (weights: {card.weights}) without the states of the optimizers.
+The loaded agent acts and can be trained further.
 
 ## Training
 
@@ -71,13 +71,7 @@ print(info["is_success"])
 
 
 def render_readme(card: Card, repo_id: str | None = None) -> str:
-    """
-    Return the page of an agent.
-
-    :param card: Its card
-    :param repo_id: Its repository on the hub; None for a folder
-    :return: Markdown with a header of metadata
-    """
+    """Return the page of an agent, for a repository on the hub or for a folder."""
     algorithm = register_algorithms()[card.algo]
     labels = [card.baseline or card.algo, *([f"preset {card.preset}"] if card.preset else [])]
     return PAGE.format(
