@@ -10,7 +10,7 @@ from typing import Any
 from stable_baselines3.common.base_class import BaseAlgorithm
 
 from sb3_extensions.common.env_metadata import constructor_keys
-from zoo_configs.algorithms import ALGORITHMS, register_algorithms
+from zoo_configs.algorithms import ALGORITHMS, algorithm_classes
 from zoo_configs.environments import known_env_id, register_environments
 from zoo_configs.errors import CommandError, refused
 from zoo_configs.publishing.published import Published, find_published
@@ -48,15 +48,6 @@ class Agent:
     def folder(self) -> Path:
         """Where films of it go by default."""
         return Path() if self.run is None else self.run.folder
-
-    def env_hyperparams(self) -> tuple[dict[str, Any], str | None]:
-        """
-        What rl_zoo3 rebuilds its environment from.
-
-        :return: Hyperparameters, and the folder of normalisation statistics
-        :raises CommandError: if the run has lost them
-        """
-        return ({}, None) if self.run is None else self.run.saved_hyperparams()
 
     def check_plain(self, what: str) -> None:
         """
@@ -121,7 +112,7 @@ def load_published(found: Published, device: str = "auto") -> BaseAlgorithm:
     :raises CommandError: if its file is damaged
     """
     with refused(f"{found.model_file} is damaged, or of another version"):
-        model: BaseAlgorithm = register_algorithms()[found.card.algo].load(found.model_file, device=device)
+        model: BaseAlgorithm = algorithm_classes()[found.card.algo].load(found.model_file, device=device)
     return model
 
 
@@ -174,7 +165,7 @@ def load_agent(run: Run, best: bool, device: str) -> tuple[BaseAlgorithm, Path]:
     path = run.best_model if best and run.best_model.is_file() else run.last_model
     if not path.is_file():
         raise CommandError(f"{run.folder} has no model yet")
-    algorithm = register_algorithms()[run.cell.algo]
+    algorithm = algorithm_classes()[run.cell.algo]
     # An agent that only acts needs no memory; our buffers allocate none before their first transition.
     takes_buffer = run.cell.algo not in ALGORITHMS and "buffer_size" in constructor_keys(algorithm)
     buffer = {"buffer_size": 1} if takes_buffer else {}

@@ -7,7 +7,7 @@ import contextlib
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from zoo_configs.arguments import hides_progress
-from zoo_configs.errors import refused
+from zoo_configs.errors import CommandError, refused
 from zoo_configs.training.seeds import SeedStream, stream_seed
 
 if TYPE_CHECKING:
@@ -41,30 +41,34 @@ class Outcome(NamedTuple):
 
 def build_test_env(agent: Agent, args: argparse.Namespace) -> VecEnv:
     """
-    Rebuild the environment of an agent, with the parameters it was trained with.
+    Build the environments of an agent with the parameters of its training.
 
     :param agent: The agent
-    :param args: Flags: how many copies, in processes of their own if more than one, seed of the test scenes,
-        parameters that are to differ, whether to open a window
+    :param args: Flags: number of environments (in processes of their own if more than one), seed of the test
+        scenes, changed parameters, whether to open a window
     :return: The wrapped environments
-    :raises CommandError: if it refuses its parameters, or there is no screen
+    :raises CommandError: if the environment rejects its parameters, or there is no display
     """
-    from rl_zoo3.utils import create_test_env
-
     from zoo_configs.environments import try_env
+    from zoo_configs.training.vec_envs import build_vec_env
 
-    hyperparams, stats_path = agent.env_hyperparams()
     env_kwargs = {**agent.env_kwargs, **args.env_kwargs}
-    try_env(agent.env_id, env_kwargs, "human" if args.render else None)
+    mode = "human" if args.render else None
+    try_env(agent.env_id, env_kwargs, mode)
+    rendering = {} if mode is None else {"render_mode": mode}
+    hyperparams = {} if agent.run is None else agent.run.cell.hyperparams
+    statistics = None if agent.run is None else agent.run.statistics_file
+    if hyperparams.get("normalize") and statistics is not None and not statistics.is_file():
+        raise CommandError(f"{statistics} is missing, with which {agent.path} was trained")
     with refused(f"{agent.env_id} cannot be made as {agent.path} was trained"):
-        return create_test_env(
+        return build_vec_env(
             agent.env_id,
-            n_envs=args.n_envs,
-            stats_path=stats_path,
-            seed=stream_seed(args.seed, SeedStream.TEST),
-            should_render=args.render,
-            hyperparams=hyperparams,
-            env_kwargs=env_kwargs,
+            {**hyperparams, "env_kwargs": {**rendering, **env_kwargs}},
+            args.n_envs,
+            stream_seed(args.seed, SeedStream.TEST),
+            vec_env="subproc" if args.n_envs > 1 else "dummy",
+            for_evaluation=True,
+            statistics=statistics,
         )
 
 

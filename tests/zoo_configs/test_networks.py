@@ -18,7 +18,7 @@ from zoo_configs.cells.rules import family_of
 from zoo_configs.cli import main
 from zoo_configs.environments import register_environments
 from zoo_configs.measuring.update_speed import make_model
-from zoo_configs.training.manager import ZooManager
+from zoo_configs.training.objects import ZooManager
 
 register_environments()
 STACKING = "BulletArm/CloseLoopBlockStacking-v0"

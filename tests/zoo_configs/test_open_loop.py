@@ -18,7 +18,7 @@ from zoo_configs.cli import main
 from zoo_configs.drawing.video import PANEL_SIZE
 from zoo_configs.environments import register_environments
 from zoo_configs.errors import CommandError
-from zoo_configs.training.manager import ZooManager
+from zoo_configs.training.objects import ZooManager
 
 register_environments()
 STACKING = "BulletArm/OpenLoopBlockStacking-v0"

@@ -21,7 +21,7 @@ from zoo_configs.cells.validation import check_cell
 from zoo_configs.commands.train import build_parser
 from zoo_configs.environments import make_env, our_env_ids, register_environments
 from zoo_configs.errors import CommandError, nearest_name
-from zoo_configs.training.manager import import_classes
+from zoo_configs.training.objects import import_classes
 
 register_environments()
 CELLS = [

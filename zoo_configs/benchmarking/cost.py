@@ -8,7 +8,7 @@ from contextlib import closing
 from importlib import resources
 from typing import Any, NamedTuple
 
-from zoo_configs.algorithms import class_from_path, register_algorithms
+from zoo_configs.algorithms import class_from_path, algorithm_classes
 from zoo_configs.cells.cell import Cell
 from zoo_configs.cells.rules import family_of, task_name
 from zoo_configs.environments import make_env
@@ -59,10 +59,10 @@ def estimate(cell: Cell, options: TrainingOptions, device: str) -> Cost:
 def _buffer_bytes(cell: Cell, steps: int) -> float:
     """What a run of so many time steps fills of its replay buffer; the rest takes no memory."""
     from sb3_extensions.replay.buffer import ExpertReplayBuffer
-    from zoo_configs.training.manager import import_classes
+    from zoo_configs.training.objects import import_classes
 
     hyperparams = cell.hyperparams
-    algorithm = register_algorithms()[cell.algo]
+    algorithm = algorithm_classes()[cell.algo]
     wanted = hyperparams.get("replay_buffer_class")
     cls = class_from_path(wanted) if wanted else getattr(algorithm, "default_replay_buffer_class", None)
     if cls is None or not issubclass(cls, ExpertReplayBuffer):

@@ -33,6 +33,7 @@ class Cell:
     :param env_id: Id of the environment
     :param hyperparams: The section of rl_zoo3's YAML for this environment
     :param flags: Defaults for flags of ``rl_zoo3.train``, named as in its namespace
+    :param overrides: Hyperparameters that replace those of the baseline
     :param baseline: The row of the benchmark, None for hyperparameters from elsewhere
     :param preset: The size of the run, None for hyperparameters from elsewhere
     :param benchmark: The benchmark whose parameters the task has, None for a task of none
@@ -45,6 +46,7 @@ class Cell:
     baseline: str | None = None
     preset: str | None = None
     benchmark: str | None = None
+    overrides: dict[str, Any] = field(default_factory=dict)
 
     @property
     def label(self) -> str:
@@ -80,7 +82,8 @@ def resolve(
     _share_bounds(hyperparams)
     _fit_image_size(hyperparams, overrides or {})
     algo = next(rule.algo for rule in reversed(rules) if rule.algo is not None)
-    return Cell(algo, env_id, hyperparams, flags, baseline, preset, case.benchmark)
+    kept = copy.deepcopy(dict(overrides or {}))
+    return Cell(algo, env_id, hyperparams, flags, baseline, preset, case.benchmark, kept)
 
 
 def explain(
@@ -204,8 +207,8 @@ def _share_action_sequence(hyperparams: dict[str, Any]) -> None:
 
 def _share_bounds(hyperparams: dict[str, Any]) -> None:
     """A grid of actions lies over what the environment's range over, unless it is told otherwise."""
-    codec_kwargs = hyperparams.get("policy_kwargs", {}).get("codec_kwargs")
-    if not isinstance(codec_kwargs, dict):
+    codec_kwargs: Any = _at(hyperparams, GRID)
+    if codec_kwargs is None:
         return
     env_kwargs = hyperparams.get("env_kwargs", {})
     if env_kwargs.get("half_rotation") is False:

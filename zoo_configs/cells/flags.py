@@ -13,10 +13,13 @@ from zoo_configs.cells.cell import Cell, merge, resolve
 from zoo_configs.cells.ranges import check_values
 from zoo_configs.cells.rules import Family, families
 from zoo_configs.errors import CommandError, unknown_name
+from zoo_configs.yaml_files import read_yaml
 
 EXTRACTOR = "sb3_extensions.encoders.extractors.CnnExtractor"
 """Features extractor of stock algorithms for images."""
 PRESETS = "cpu, paper, or in close loop quick"
+DEFAULT_TIMESTEPS = 1_000_000
+"""Length of a training without baseline or file, as in rl_zoo3."""
 
 
 def add_cell_flags(parser: argparse.ArgumentParser) -> None:
@@ -38,7 +41,7 @@ def add_cell_flags(parser: argparse.ArgumentParser) -> None:
 
 def find_cell(args: argparse.Namespace, env_id: str) -> Cell:
     """
-    The cell that the flags name: from ``--conf-file``, else from the baseline, else what rl_zoo3 ships.
+    The cell that the flags name: from ``--conf-file``, else from the baseline, else the algorithm's defaults.
 
     :param args: The parsed flags
     :param env_id: Id of the environment
@@ -59,7 +62,7 @@ def _find_cell(args: argparse.Namespace, env_id: str) -> Cell:
         return _cell_from_file(args.conf_file, _required_algo(args), env_id)
     baseline = _baseline_of(args, env_id)
     if baseline is None:
-        return _cell_from_rl_zoo3(_required_algo(args), env_id)
+        return _default_cell(_required_algo(args), env_id)
     preset = _default_preset(args.device or "auto") if args.preset is None else args.preset
     cell = resolve(baseline, preset, env_id, benchmark=args.benchmark)
     if args.algo not in (None, baseline, cell.algo):
@@ -103,25 +106,27 @@ def _default_preset(device: str) -> str:
     return "paper" if device != "cpu" and torch.cuda.is_available() else "cpu"
 
 
-def _cell_from_rl_zoo3(algo: str, env_id: str) -> Cell:
-    import rl_zoo3
+def _default_cell(algo: str, env_id: str) -> Cell:
+    """
+    Return an experiment with an algorithm's own defaults.
 
-    from zoo_configs.algorithms import register_algorithms
+    :raises CommandError: for an unknown algorithm, or one of ours, which have baselines instead
+    """
+    from zoo_configs.algorithms import ALGORITHMS, OTHERS
 
-    algorithms = register_algorithms()
-    if algo not in algorithms:
-        raise unknown_name("algorithm", algo, algorithms)
-    path = Path(rl_zoo3.__file__).parent / "hyperparams" / f"{algo}.yml"
-    if not path.is_file():
-        raise CommandError(f"no hyperparameters for {algo} on {env_id}: give --baseline or --conf-file")
-    return _cell_from_file(path, algo, env_id)
+    if algo in ALGORITHMS:
+        raise CommandError(f"no baseline of {algo} for {env_id}. Use --baseline or --conf-file.")
+    if algo not in OTHERS:
+        raise unknown_name("algorithm", algo, [*ALGORITHMS, *OTHERS])
+    policy = "LinearPolicy" if algo == "ars" else "MlpPolicy"
+    return Cell(algo, env_id, {"n_timesteps": DEFAULT_TIMESTEPS, "policy": policy})
 
 
 def _with_policy_for_dicts(cell: Cell) -> Cell:
-    """Replace rl_zoo3's default policy, for vectors, by one for the observations of our environments."""
-    from zoo_configs.algorithms import register_algorithms
+    """Replace the default policy, for vectors, by one for the observations of our environments."""
+    from zoo_configs.algorithms import algorithm_classes
 
-    aliases = register_algorithms()[cell.algo].policy_aliases
+    aliases = algorithm_classes()[cell.algo].policy_aliases
     policies = [name for name in ("MultiInputPolicy", "MultiInputLstmPolicy") if name in aliases]
     if not policies:
         return cell
@@ -146,14 +151,9 @@ def _has_images(observation: Any) -> bool:
 
 
 def _cell_from_file(path: Path, algo: str, env_id: str) -> Cell:
-    import yaml
-
     if path.suffix not in (".yml", ".yaml") or not path.is_file():
-        raise CommandError(f"--conf-file takes a YAML file, got {path}")
-    try:
-        sections = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except yaml.YAMLError as error:
-        raise CommandError(f"{path} is not valid YAML: {error}") from error
+        raise CommandError(f"--conf-file must be a YAML file, got {path}")
+    sections = read_yaml(path, "--conf-file")
     section = sections.get(env_id, sections.get("default")) if isinstance(sections, dict) else None
     if not isinstance(section, dict):
         raise CommandError(f"{path} has neither a section {env_id!r} nor 'default'")

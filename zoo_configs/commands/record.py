@@ -144,13 +144,13 @@ def acting(agent: Agent, env_kwargs: Mapping[str, Any] | None = None) -> Actor:
     :return: Who is filmed
     :raises CommandError: if the environment cannot be made so, or the agent cannot act there
     """
-    from rl_zoo3.utils import get_wrapper_class
+    from zoo_configs.training.objects import wrapper
 
     agent.check_plain("which cannot be filmed")
     kwargs = {**agent.env_kwargs, "render_mode": RENDER_MODE, **(env_kwargs or {})}
     try_env(agent.env_id, kwargs, RENDER_MODE)
     env = make_env(agent.env_id, kwargs, RENDER_MODE)
-    wrap = get_wrapper_class({} if agent.run is None else agent.run.cell.hyperparams)
+    wrap = wrapper(None if agent.run is None else agent.run.cell.hyperparams.get("env_wrapper"))
     env = wrap(env) if wrap is not None else env
     check_alike(env, agent.model, "the agent cannot act here")
     model = agent.model

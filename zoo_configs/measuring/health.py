@@ -9,7 +9,7 @@ from bulletarm_gym import selfcheck
 from bulletarm_gym.machine import versions
 from bulletarm_gym.selfcheck import Finding
 
-PACKAGES = ("torch", "stable-baselines3", "sb3-contrib", "rl_zoo3", "optuna")
+PACKAGES = ("torch", "stable-baselines3", "sb3-contrib", "optuna")
 
 
 def look_at(seconds: float) -> Iterator[Finding]:

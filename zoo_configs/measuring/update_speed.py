@@ -12,7 +12,6 @@ from typing import Any
 
 import gymnasium as gym
 import torch as th
-from rl_zoo3.exp_manager import ExperimentManager
 from stable_baselines3.common.base_class import BaseAlgorithm
 from torch import nn
 from torch.profiler import profile
@@ -22,9 +21,9 @@ from sb3_extensions.encoders.cnn import precision
 from sb3_extensions.equivariant.convolution import PlainConv2d
 from sb3_extensions.equivariant.layers import EquivariantConv2d
 from sb3_extensions.spatial_dqn import SpatialDQN
-from zoo_configs.algorithms import register_algorithms
+from zoo_configs.algorithms import algorithm_classes
 from zoo_configs.cells.cell import Cell
-from zoo_configs.training.manager import import_classes
+from zoo_configs.training.objects import parsed
 
 # Parts of an update, by what names of PyTorch's operators contain; the first that fits counts.
 PARTS = {
@@ -101,12 +100,12 @@ def make_model(cell: Cell, device: str = "auto", **changes: Any) -> BaseAlgorith
     :param changes: Hyperparameters that win over the cell's, those that the algorithm has
     :return: The untrained model
     """
-    hyperparams = ExperimentManager._preprocess_schedules(import_classes(cell.hyperparams))
+    hyperparams = parsed(cell.hyperparams)
     env = gym.make(cell.env_id, **hyperparams.pop("env_kwargs"))
     for key in RUN_KEYS:
         hyperparams.pop(key, None)
     hyperparams.update(changes)
-    model: BaseAlgorithm = register_algorithms()[cell.algo](env=env, seed=0, device=device, **hyperparams)
+    model: BaseAlgorithm = algorithm_classes()[cell.algo](env=env, seed=0, device=device, **hyperparams)
     return model
 
 

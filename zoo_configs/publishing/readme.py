@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import yaml
 
-from zoo_configs.algorithms import ALGORITHMS, register_algorithms
+from zoo_configs.algorithms import ALGORITHMS, algorithm_classes
 from zoo_configs.publishing.card import Card
 
 if TYPE_CHECKING:
@@ -68,7 +68,7 @@ def render_readme(card: Card, repo_id: str | None = None) -> str:
     :param repo_id: Its repository on the hub; None for a folder
     :return: Markdown, with a head of metadata
     """
-    name = register_algorithms()[card.algo].__name__
+    name = algorithm_classes()[card.algo].__name__
     minutes = "" if card.minutes is None else f", {card.minutes:.0f} minutes"
     return PAGE.format(
         metadata=_metadata(card, name).to_yaml(),
@@ -156,4 +156,4 @@ def _literal(value: Any) -> str:
 
 def _package(algo: str) -> str:
     """``stable_baselines3`` or ``sb3_contrib``, whose algorithms stand at the top."""
-    return register_algorithms()[algo].__module__.partition(".")[0]
+    return algorithm_classes()[algo].__module__.partition(".")[0]
