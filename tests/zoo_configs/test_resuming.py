@@ -19,7 +19,6 @@ from sb3_extensions.replay.buffer import ExpertReplayBuffer
 from sb3_extensions.sacfd import SACfD
 from zoo_configs.cli import main
 from zoo_configs.training.evaluation import PeriodicEvaluation
-from zoo_configs.training.runs import RESOLVED_FILE
 
 RUN_NAME = "BulletArm-CloseLoopToy-v0_1"
 Train = Callable[..., int]

@@ -8,7 +8,7 @@ from contextlib import closing
 from importlib import resources
 from typing import Any, NamedTuple
 
-from zoo_configs.algorithms import class_from_path, algorithm_classes
+from zoo_configs.algorithms import algorithm_classes, class_from_path
 from zoo_configs.cells.cell import Cell
 from zoo_configs.cells.rules import family_of, task_name
 from zoo_configs.environments import make_env

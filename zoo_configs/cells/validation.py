@@ -11,7 +11,7 @@ import gymnasium as gym
 from sb3_extensions.common.env_metadata import constructor_keys
 from sb3_extensions.replay.augmentations import make_augmentation
 from sb3_extensions.replay.sampling import make_sampler
-from zoo_configs.algorithms import class_from_path, algorithm_classes
+from zoo_configs.algorithms import algorithm_classes, class_from_path
 from zoo_configs.cells.cell import Cell
 from zoo_configs.cells.ranges import check_values
 from zoo_configs.environments import load_expert_data
