@@ -34,13 +34,13 @@ from sb3_extensions.encoders.cnn import precision
 from sb3_extensions.equivariant.convolution import PlainConv2d
 from sb3_extensions.equivariant.layers import EquivariantConv2d
 from sb3_extensions.spatial_dqn import SpatialDQN
-from zoo_configs.algorithms import register_algorithms
+from zoo_configs.algorithms import algorithm_classes
 from zoo_configs.arguments import Parser, add_env_kwargs, device, positive_int
 from zoo_configs.cells.cell import Cell, resolve
 from zoo_configs.cells.rules import family_of, task_name
 from zoo_configs.environments import known_env_id, register_environments
 from zoo_configs.training.cell import train_cell
-from zoo_configs.training.manager import import_classes
+from zoo_configs.training.objects import parsed
 from zoo_configs.training.options import TrainingOptions
 
 KEY = ("baseline", "preset", "env", "env_kwargs", "device")
@@ -107,12 +107,11 @@ def make_model(cell: Cell, device: str = "auto", **changes: Any) -> Any:
     :param device: PyTorch device
     :param changes: hyperparameters that replace those of the experiment
     """
-    hyperparams = {**import_classes(cell.hyperparams), **changes}
-    hyperparams["learning_rate"] = float(str(hyperparams["learning_rate"]).removeprefix("lin_"))
+    hyperparams = {**parsed(cell.hyperparams), **changes}
     env = gym.make(cell.env_id, **hyperparams.pop("env_kwargs"))
     for name in NOT_OF_THE_MODEL:
         hyperparams.pop(name, None)
-    return register_algorithms()[cell.algo](env=env, seed=0, device=device, **hyperparams)
+    return algorithm_classes()[cell.algo](env=env, seed=0, device=device, **hyperparams)
 
 
 def update(cell: Cell, args: argparse.Namespace) -> Row:

@@ -11,7 +11,7 @@ from typing import Any
 
 from zoo_configs.drawing.tables import print_table
 from zoo_configs.files import whole_file
-from zoo_configs.provenance import command_line, commit, describe_hardware, key_values
+from zoo_configs.provenance import command_line, commit, describe_hardware
 
 ROOT = Path(__file__).resolve().parent.parent
 DATA = ROOT / "docs" / "data"
@@ -81,7 +81,7 @@ def number(value: float, digits: int) -> str:
 
 def words(env_kwargs: Mapping[str, Any]) -> str:
     """Format an environment's parameters for a column."""
-    return " ".join(key_values(env_kwargs))
+    return " ".join(f"{name}:{value!r}" for name, value in sorted(env_kwargs.items()))
 
 
 def show(rows: Iterable[Row]) -> None:

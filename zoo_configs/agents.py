@@ -11,7 +11,7 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.save_util import load_from_zip_file
 
 from sb3_extensions.common.env_metadata import constructor_keys
-from zoo_configs.algorithms import ALGORITHMS, register_algorithms
+from zoo_configs.algorithms import ALGORITHMS, algorithm_classes
 from zoo_configs.environments import known_env_id, register_environments
 from zoo_configs.errors import CommandError, refused, unknown_name
 from zoo_configs.publishing.published import Published, find_published
@@ -158,7 +158,7 @@ def algorithm_of(path: Path) -> str:
     policy = data.get("policy_class")
     scores = {
         name: _agreement(algorithm, data)
-        for name, algorithm in register_algorithms().items()
+        for name, algorithm in algorithm_classes().items()
         if policy in algorithm.policy_aliases.values()
     }
     if not scores:
@@ -173,7 +173,7 @@ def _agreement(algorithm: type[Any], data: Mapping[str, Any]) -> int:
 
 def load_model(path: Path, algo: str, device: str = "auto") -> BaseAlgorithm:
     """Load a model file for acting, without a replay buffer."""
-    algorithms = register_algorithms()
+    algorithms = algorithm_classes()
     if algo not in algorithms:
         raise unknown_name("algorithm", algo, algorithms)
     if not path.is_file():
@@ -201,5 +201,5 @@ def _published_agent(query: AgentQuery) -> Agent:
 def load_published(found: Published, device: str = "auto") -> BaseAlgorithm:
     """Load a published agent."""
     with refused(f"{found.model_file} is damaged or from another version"):
-        model: BaseAlgorithm = register_algorithms()[found.card.algo].load(found.model_file, device=device)
+        model: BaseAlgorithm = algorithm_classes()[found.card.algo].load(found.model_file, device=device)
     return model

@@ -3,31 +3,34 @@
 from __future__ import annotations
 
 import argparse
-import json
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, NoReturn
 
-from zoo_configs.errors import CommandError, reason
+import yaml
 
-ALWAYS_THERE = ("auto", "cpu")  # devices
+from zoo_configs.errors import CommandError, reason
+from zoo_configs.yaml_files import format_yaml, parse_yaml
+
+ALWAYS_AVAILABLE = ("auto", "cpu")
+"""Devices that need no check, which would import PyTorch."""
 MAX_SEED = 2**31 - 1
 
 
 class Parser(argparse.ArgumentParser):
-    """A parser whose errors are one line, as all errors of the command line."""
+    """Parser whose errors are one line."""
 
     def error(self, message: str) -> NoReturn:
         """
-        Refuse the arguments.
+        Reject the arguments.
 
-        :param message: Why
+        :param message: The reason
         :raises CommandError: always
         """
         raise CommandError(message)
 
 
 class KeyValues(argparse.Action):
-    """``key:value ...``, evaluated by rl_zoo3; only values that YAML can hold."""
+    """Flag with ``key:value ...``, whose values are YAML. A repeated flag adds keys."""
 
     def __call__(
         self,
@@ -37,13 +40,13 @@ class KeyValues(argparse.Action):
         option_string: str | None = None,
     ) -> None:
         """
-        Take the pairs behind a flag; what it is given again it adds.
+        Parse the pairs of a flag.
 
         :param parser: The parser
-        :param namespace: Where they go
-        :param values: Words
+        :param namespace: The parsed arguments
+        :param values: The pairs
         :param option_string: The flag
-        :raises CommandError: if one is no such pair, or a key comes twice behind one flag
+        :raises CommandError: for an invalid pair or a repeated key
         """
         pairs = [_key_value(str(option_string), pair) for pair in values]
         keys = [key for key, _ in pairs]
@@ -53,39 +56,44 @@ class KeyValues(argparse.Action):
 
 
 def _key_value(flag: str, pair: str) -> tuple[str, Any]:
-    from rl_zoo3.utils import StoreDict
-
-    namespace = argparse.Namespace()
-    key, _, value = pair.partition(":")
+    key, _, text = pair.partition(":")
+    if not key or not text:
+        raise CommandError(f"{flag} must be key:value ..., got {pair!r}")
     try:
-        if not key or not value:
-            raise ValueError("there is no key, no colon or no value")
-        store: argparse.Action = StoreDict([flag], "values")  # type: ignore[no-untyped-call]
-        store(argparse.ArgumentParser(), namespace, [pair])
-        return key, json.loads(json.dumps(namespace.values[key]))
-    except (Exception, SystemExit) as error:  # a value may be any expression
+        return key, parse_yaml(text)
+    except yaml.YAMLError as error:
         raise CommandError(
-            f"{flag} takes key:value with a Python value (text in quotes: robot:\"'panda'\"), "
-            f"got {pair!r}: {reason(error)}"
+            f"{flag} must be key:value with a YAML value, got {pair!r}: {reason(error)}"
         ) from error
+
+
+def key_value_words(values: Mapping[str, Any]) -> list[str]:
+    """
+    Write parameters as the command line reads them.
+
+    :param values: The parameters by name
+    :return: One word ``key:value`` each, sorted
+    """
+    return [f"{name}:{format_yaml(value, inline=True)}" for name, value in sorted(values.items())]
 
 
 def device(text: str) -> str:
     """
     Argument type for a PyTorch device.
 
-    :param text: What was given
-    :return: The same
-    :raises argparse.ArgumentTypeError: if there is no such device
+    :param text: Its name
+    :return: Its name
+    :raises argparse.ArgumentTypeError: if the device is not available
     """
-    if text in ALWAYS_THERE:
+    if text in ALWAYS_AVAILABLE:
         return text
     import torch
 
     try:
         torch.zeros(1, device=text).cpu()
     except (RuntimeError, AssertionError) as error:  # AssertionError: PyTorch was built without it
-        raise argparse.ArgumentTypeError(f"{text!r} is no device of this machine: {reason(error)}") from error
+        message = f"must be an available PyTorch device, got {text!r}: {reason(error)}"
+        raise argparse.ArgumentTypeError(message) from error
     return text
 
 
@@ -93,8 +101,8 @@ def check_device(text: str) -> None:
     """
     Check a PyTorch device.
 
-    :param text: What was given
-    :raises CommandError: if there is no such device
+    :param text: Its name
+    :raises CommandError: if the device is not available
     """
     try:
         device(text)
@@ -104,22 +112,22 @@ def check_device(text: str) -> None:
 
 def whole_number(least: int, most: int | None = None) -> Callable[[str], int]:
     """
-    Argument type for whole numbers.
+    Return an argument type for whole numbers.
 
-    :param least: The least that is taken
-    :param most: The greatest, None sets no limit
-    :return: The type, which raises ``argparse.ArgumentTypeError`` for anything else
+    :param least: Lower limit
+    :param most: Upper limit, None for none
+    :return: The type, which raises ``argparse.ArgumentTypeError`` for other values
     """
 
     def number(text: str) -> int:
-        """Read a number that is within the limits."""
+        """Parse a number within the limits."""
         try:
             value = int(text)
         except ValueError:
             value = least - 1
         if value < least or (most is not None and value > most):
-            takes = f"at least {least}" if most is None else f"at least {least} and at most {most}"
-            raise argparse.ArgumentTypeError(f"must be a whole number of {takes}, got {text!r}")
+            limits = f"at least {least}" if most is None else f"at least {least} and at most {most}"
+            raise argparse.ArgumentTypeError(f"must be a whole number of {limits}, got {text!r}")
         return value
 
     return number
@@ -131,12 +139,18 @@ seed = whole_number(0, MAX_SEED)
 
 def add_packages(parser: argparse.ArgumentParser) -> None:
     """
-    Add the flag for packages of a user's own.
+    Add the flag for packages of the user.
 
     :param parser: Parser of the command
     """
-    help_text = "packages that register further environments, from the working directory too"
-    parser.add_argument("--gym-packages", nargs="+", default=[], help=help_text)
+    parser.add_argument(
+        "--gym-packages",
+        action="extend",
+        type=lambda text: text.split(","),
+        default=[],
+        metavar="PACKAGE[,PACKAGE]",
+        help="packages that register further environments, also from the working directory",
+    )
 
 
 def add_env_kwargs(parser: argparse.ArgumentParser) -> None:
@@ -145,23 +159,23 @@ def add_env_kwargs(parser: argparse.ArgumentParser) -> None:
 
     :param parser: Parser of the command
     """
-    add_key_values(parser, "--env-kwargs", help="parameters of the environment; text: robot:\"'panda'\"")
+    add_key_values(parser, "--env-kwargs", help="parameters of the environment, for example robot:panda")
 
 
 def add_key_values(parser: argparse.ArgumentParser, *flags: str, **kwargs: Any) -> None:
     """
-    Add a flag that takes ``key:value ...``.
+    Add a flag with ``key:value ...``.
 
     :param parser: Parser of the command
     :param flags: Its names
-    :param kwargs: More for ``add_argument``
+    :param kwargs: Further arguments of ``add_argument``
     """
     parser.add_argument(*flags, nargs="+", action=KeyValues, default={}, metavar="KEY:VALUE", **kwargs)
 
 
 def add_progress(parser: argparse.ArgumentParser) -> None:
     """
-    Add the flags for progress bars: ``args.progress`` is None where neither is given.
+    Add the flags for progress bars. ``args.progress`` is None if neither is passed.
 
     :param parser: Parser of the command
     """
@@ -173,9 +187,9 @@ def add_progress(parser: argparse.ArgumentParser) -> None:
 
 def hides_progress(progress: bool | None) -> bool | None:
     """
-    What tqdm takes as ``disable``.
+    Return tqdm's argument ``disable``.
 
     :param progress: As from :func:`add_progress`
-    :return: Whether to hide the bar, None hides it where there is no terminal
+    :return: Whether to hide the bar; None hides it without a terminal
     """
     return None if progress is None else not progress

@@ -76,20 +76,24 @@ def build_test_env(agent: Agent, options: EvalOptions) -> VecEnv:
 
     :raises CommandError: if the environment rejects its parameters, or a window needs a display
     """
-    from rl_zoo3.utils import create_test_env
+    from zoo_configs.training.vec_envs import build_vec_env
 
-    hyperparams, stats_path = ({}, None) if agent.run is None else agent.run.saved_hyperparams()
+    mode = "human" if options.render else None
     env_kwargs = {**agent.env_kwargs, **options.env_kwargs}
-    try_env(agent.env_id, env_kwargs, "human" if options.render else None)
+    try_env(agent.env_id, env_kwargs, mode)
+    statistics = None if agent.run is None else agent.run.statistics_file
+    if agent.hyperparams.get("normalize") and statistics is not None and not statistics.is_file():
+        raise CommandError(f"{statistics} is missing: {agent.path} was trained with it")
+    rendering = {} if mode is None else {"render_mode": mode}
     with refused(f"{agent.env_id} cannot be made as in the training of {agent.path}"):
-        return create_test_env(
+        return build_vec_env(
             agent.env_id,
-            n_envs=options.n_envs,
-            stats_path=stats_path,
-            seed=stream_seed(options.seed, SeedStream.TEST),
-            should_render=options.render,
-            hyperparams=hyperparams,
-            env_kwargs=env_kwargs,
+            {**agent.hyperparams, "env_kwargs": {**rendering, **env_kwargs}},
+            options.n_envs,
+            stream_seed(options.seed, SeedStream.TEST),
+            vec_env="subproc" if options.n_envs > 1 else "dummy",
+            for_evaluation=True,
+            statistics=statistics,
         )
 
 

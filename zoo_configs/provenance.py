@@ -5,10 +5,9 @@ from __future__ import annotations
 import functools
 import shlex
 import subprocess
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from importlib import metadata
 from pathlib import Path
-from typing import Any
 
 from bulletarm_gym import machine
 
@@ -76,13 +75,3 @@ def command_line(words: Sequence[str]) -> str:
 
 def _quoted(word: str) -> str:
     return f'"{word}"' if "'" in word and not set(word) & set('"$`\\!') else shlex.quote(word)
-
-
-def key_values(values: Mapping[str, Any]) -> list[str]:
-    """Return one word ``name:value`` for each parameter, sorted by name."""
-    return [f"{name}:{value!r}" for name, value in sorted(values.items())]
-
-
-def env_kwargs_words(env_kwargs: Mapping[str, Any]) -> list[str]:
-    """Return parameters of an environment as the flag ``--env-kwargs``, an empty list without any."""
-    return ["--env-kwargs", *key_values(env_kwargs)] if env_kwargs else []

@@ -66,13 +66,13 @@ def agent_actor(agent: Agent, env_kwargs: Mapping[str, Any]) -> Actor:
     :param env_kwargs: Parameters of the environment that replace those of the training
     :raises CommandError: if the environment rejects its parameters, or does not fit the agent
     """
-    from rl_zoo3.utils import get_wrapper_class
+    from zoo_configs.training.objects import wrapper
 
     check_unwrapped(agent.hyperparams, WRAPPERS, "which record does not support")
     kwargs = {**agent.env_kwargs, "render_mode": RENDER_MODE, **env_kwargs}
     try_env(agent.env_id, kwargs, RENDER_MODE)
     env = make_env(agent.env_id, kwargs, RENDER_MODE)
-    wrap = get_wrapper_class(agent.hyperparams)
+    wrap = wrapper(agent.hyperparams.get("env_wrapper"))
     env = wrap(env) if wrap is not None else env
     check_fits(env, agent)
 

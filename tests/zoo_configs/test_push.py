@@ -169,7 +169,7 @@ def test_weights_that_change_too_much_are_not_halved(
         (["RUN"], "either --organization or --folder"),
         (["RUN", "-orga", "a", "--folder", "b"], "either --organization or --folder"),
         (["RUN", "--folder", "b", "-name", "c"], "--repo-name"),
-        (["nowhere", "--folder", "b"], "nowhere is no run folder"),
+        (["nowhere", "--folder", "b"], "nowhere is not a run folder"),
         (["--env", "TOY", "--baseline", "sac", "--folder", "b"], "no run of sac"),
         (["RUN", "--folder", "RUN"], "card.json"),
         (["RUN", "--folder", "/dev/null/b"], "cannot be written"),

@@ -101,12 +101,12 @@ def test_two_runs_never_share_a_folder(tmp_path: Path, toy_id: str) -> None:
 
 
 def test_claiming_survives_a_race(tmp_path: Path, toy_id: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Another process takes the number between the look and the claim."""
-    from zoo_configs.training import runs
+    """Another process creates the folder between the listing and the claim."""
+    from zoo_configs.training.runs import claim_run_folder
 
     (tmp_path / "BulletArm-CloseLoopToy-v0_1").mkdir()
-    monkeypatch.setattr(runs, "get_latest_run_id", lambda *_: 0)
-    assert runs.claim_run_folder(tmp_path, toy_id).name == "BulletArm-CloseLoopToy-v0_2"
+    monkeypatch.setattr(Path, "iterdir", lambda _: iter(()))
+    assert claim_run_folder(tmp_path, toy_id).name == "BulletArm-CloseLoopToy-v0_2"
 
 
 @pytest.mark.parametrize("model", ["--load-best", "--load-last"])

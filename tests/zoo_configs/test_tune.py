@@ -15,7 +15,7 @@ import yaml
 from optuna.storages.journal import JournalFileBackend, JournalStorage
 from optuna.trial import FixedTrial, FrozenTrial
 
-from zoo_configs.algorithms import register_algorithms
+from zoo_configs.algorithms import algorithm_classes
 from zoo_configs.cells.cell import resolve
 from zoo_configs.cli import main
 from zoo_configs.errors import CommandError
@@ -217,7 +217,7 @@ def test_a_study_of_another_program_is_refused_unchanged(
 
 
 @pytest.mark.parametrize(
-    "algo", [name for name in register_algorithms() if name not in ("ars", "dqn", "qrdqn")]
+    "algo", [name for name in algorithm_classes() if name not in ("ars", "dqn", "qrdqn")]
 )
 def test_every_algorithm_takes_what_its_space_moves(algo: str) -> None:
     """All that act in a box; but the recurrent one, whose policies have no heightmaps."""
@@ -226,7 +226,7 @@ def test_every_algorithm_takes_what_its_space_moves(algo: str) -> None:
             load_space(algo)
         return
     space = load_space(algo)
-    check_space(space, register_algorithms()[algo])
+    check_space(space, algorithm_classes()[algo])
     assert len({parameter.name for parameter in space}) == len(space) >= 4
 
 
@@ -234,7 +234,7 @@ def test_every_algorithm_takes_what_its_space_moves(algo: str) -> None:
 def test_the_first_trial_is_the_baseline(baseline: str) -> None:
     cell = resolve(baseline, "cpu", PICKING)
     space = load_space(cell.algo)
-    values = first_values(space, cell, register_algorithms()[cell.algo])
+    values = first_values(space, cell, algorithm_classes()[cell.algo])
     assert values.keys() >= {"learning_rate", "gamma", "batch_size", "tau", "bc_weight", "n_steps"}
     known = tuple(parameter for parameter in space if parameter.name in values)
     same = moved(cell, known, FixedTrial(values))  # type: ignore[arg-type]
@@ -247,7 +247,7 @@ def test_what_is_given_is_not_searched() -> None:
     cell = resolve("sacfd", "quick", PICKING, given)
     space = fit_space(load_space("sacfd"), cell, given, is_own=False)
     assert {"pretrain_steps", "n_steps"}.isdisjoint(parameter.name for parameter in space)
-    first = first_values(space, cell, register_algorithms()["sacfd"])
+    first = first_values(space, cell, algorithm_classes()["sacfd"])
     assert first.keys() == {parameter.name for parameter in space}
     same = moved(cell, space, FixedTrial(first))  # type: ignore[arg-type]
     kept = same.keys() & cell.hyperparams.keys()
@@ -271,7 +271,7 @@ def test_choices_hold_the_baselines_value() -> None:
     space = fit_space(load_space("sacfd"), stacking, {}, is_own=False)
     steps = next(parameter for parameter in space if parameter.name == "pretrain_steps")
     assert steps.choices == (4000, 0, 500, 1000, 2000)
-    assert "pretrain_steps" in first_values(space, stacking, register_algorithms()["sacfd"])
+    assert "pretrain_steps" in first_values(space, stacking, algorithm_classes()["sacfd"])
 
 
 def test_what_is_moved_keeps_the_rest() -> None:
@@ -302,7 +302,7 @@ def test_a_space_that_makes_no_sense_is_told(space: str, message: str) -> None:
 
 def test_an_unknown_hyperparameter_is_told() -> None:
     with pytest.raises(CommandError, match="'bc_wight', did you mean 'bc_weight'"):
-        check_space((Parameter("bc_wight", 0, 1),), register_algorithms()["sacfd"])
+        check_space((Parameter("bc_wight", 0, 1),), algorithm_classes()["sacfd"])
 
 
 def test_trials_that_were_taken_up_do_not_count() -> None:

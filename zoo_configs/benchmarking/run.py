@@ -9,7 +9,7 @@ from contextlib import closing
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from zoo_configs.algorithms import class_from_path, register_algorithms
+from zoo_configs.algorithms import algorithm_classes, class_from_path
 from zoo_configs.benchmarking.plan import Job
 from zoo_configs.benchmarking.status import Overview, Status, shown
 from zoo_configs.cells.validation import check_cell
@@ -45,11 +45,11 @@ def size_of(job: Job) -> Size:
 def _buffer_gigabytes(job: Job) -> float:
     """Return the size of the part of the replay buffer that the run fills."""
     from sb3_extensions.replay.buffer import ExpertReplayBuffer
-    from zoo_configs.training.manager import import_classes
+    from zoo_configs.training.objects import import_classes
 
     hyperparams = job.cell.hyperparams
     path = hyperparams.get("replay_buffer_class")
-    default = getattr(register_algorithms()[job.cell.algo], "default_replay_buffer_class", None)
+    default = getattr(algorithm_classes()[job.cell.algo], "default_replay_buffer_class", None)
     cls = class_from_path(path) if path else default
     if cls is None or not issubclass(cls, ExpertReplayBuffer):
         return 0.0

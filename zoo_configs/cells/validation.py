@@ -11,28 +11,14 @@ import gymnasium as gym
 from sb3_extensions.common.env_metadata import constructor_keys
 from sb3_extensions.replay.augmentations import make_augmentation
 from sb3_extensions.replay.sampling import make_sampler
-from zoo_configs.algorithms import class_from_path, register_algorithms
+from zoo_configs.algorithms import algorithm_classes, class_from_path
 from zoo_configs.cells.cell import Cell
 from zoo_configs.cells.ranges import check_values
 from zoo_configs.environments import load_expert_data
 from zoo_configs.errors import CommandError, refused, unknown_name
+from zoo_configs.training.objects import TRAINER_KEYS
 
-# Keys that rl_zoo3's manager takes for itself; every other key goes to the algorithm.
-MANAGER_KEYS = (
-    "callback",
-    "env_kwargs",
-    "env_wrapper",
-    "frame_stack",
-    "monitor_kwargs",
-    "n_envs",
-    "n_timesteps",
-    "noise_std",
-    "noise_type",
-    "normalize",
-    "policy",
-    "vec_env_wrapper",
-)
-# What the manager passes to every algorithm itself.
+# Arguments that the trainer passes to every algorithm.
 RESERVED_KEYS = ("_init_setup_model", "device", "env", "seed", "tensorboard_log", "verbose")
 
 
@@ -43,12 +29,12 @@ def check_cell(cell: Cell) -> None:
     :param cell: The cell
     :raises CommandError: for a name that does not exist; names the nearest one that does
     """
-    algorithms = register_algorithms()
+    algorithms = algorithm_classes()
     if cell.algo not in algorithms:
         raise unknown_name("algorithm", cell.algo, algorithms)
     check_values(cell.hyperparams)
     algorithm = algorithms[cell.algo]
-    valid = {*MANAGER_KEYS, *constructor_keys(algorithm)} - set(RESERVED_KEYS)
+    valid = {"policy", *TRAINER_KEYS, *constructor_keys(algorithm)} - set(RESERVED_KEYS)
     _check_names(f"hyperparameter of {cell.algo}", cell.hyperparams, valid)
     for key in ("n_timesteps", "policy"):
         if key not in cell.hyperparams:

@@ -17,9 +17,9 @@ if TYPE_CHECKING:
     from zoo_configs.results import Experiment
 
 DESCRIPTION = """Draw the evaluations of all runs in a log folder: a panel for each environment and a curve
-for each experiment, with the mean over the seeds and its standard error. The runs of an experiment differ only
-in their seeds; experiments with the same baseline are labelled with the settings that differ. Print a table of
-the experiments and one of the baselines over all tasks, and write them next to the figure."""
+for each experiment, with the mean over the seeds and its standard error. Runs of an experiment differ only
+in their seeds. Experiments with the same baseline are labelled with the settings that differ. Print tables of
+the experiments and of the baselines over all tasks, and write them next to the figure."""
 PICTURE, TRAINING_PICTURE = "learning_curves.png", "training_curves.png"
 FORMATS = (".png", ".pdf", ".svg")
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import yaml
 
-from zoo_configs.algorithms import ALGORITHMS, register_algorithms
+from zoo_configs.algorithms import ALGORITHMS, algorithm_classes
 from zoo_configs.publishing.card import Card
 
 README_FILE = "README.md"
@@ -72,7 +72,7 @@ print(info["is_success"])
 
 def render_readme(card: Card, repo_id: str | None = None) -> str:
     """Return the page of an agent, for a repository on the hub or for a folder."""
-    algorithm = register_algorithms()[card.algo]
+    algorithm = algorithm_classes()[card.algo]
     labels = [card.baseline or card.algo, *([f"preset {card.preset}"] if card.preset else [])]
     return PAGE.format(
         card=card,

@@ -1,4 +1,4 @@
-"""Where an agent comes from: what its run says of itself."""
+"""How an agent was trained, from its run folder."""
 
 from __future__ import annotations
 
@@ -7,11 +7,10 @@ from collections.abc import Mapping
 from datetime import datetime, timezone
 from typing import Any, NamedTuple
 
-import yaml
-
 from zoo_configs.errors import refused
 from zoo_configs.training.repeating import repeating_command
 from zoo_configs.training.runs import RUN_KEY, Run
+from zoo_configs.yaml_files import read_yaml
 
 SECONDS_A_MINUTE = 60.0
 
@@ -20,12 +19,12 @@ class Origin(NamedTuple):
     """
     How an agent was trained.
 
-    :param minutes: How long; None if the run does not say
-    :param command: Trains it again
-    :param commit: It was trained with; empty if the run does not say
-    :param date: Of the end of the training
-    :param machine: It was trained on
-    :param versions: It was trained with
+    :param minutes: Training time, None if unknown
+    :param command: Command line that trains it again
+    :param commit: Commit of the code, empty if unknown
+    :param date: Date of the end of the training
+    :param machine: Processor and GPU
+    :param versions: Versions of packages
     """
 
     minutes: float | None
@@ -38,15 +37,15 @@ class Origin(NamedTuple):
 
 def origin_of(run: Run, commit: str = "") -> Origin:
     """
-    What a run says of itself.
+    Read how a run was trained.
 
     :param run: The run
-    :param commit: It was trained with, for runs that do not say it
+    :param commit: Commit of the code, for runs that do not record it
     :return: How it was trained
     :raises CommandError: if its folder cannot be read
     """
     with refused(f"{run.resolved_file} cannot be read"):
-        about: dict[str, Any] = yaml.safe_load(run.resolved_file.read_text(encoding="utf-8"))[RUN_KEY]
+        about: dict[str, Any] = read_yaml(run.resolved_file)[RUN_KEY]
     how = run.standing
     return Origin(
         minutes=None if how is None else round(how.seconds / SECONDS_A_MINUTE, 1),
@@ -60,9 +59,9 @@ def origin_of(run: Run, commit: str = "") -> Origin:
 
 def day(seconds: float) -> str:
     """
-    A date.
+    Return a date.
 
-    :param seconds: Since 1970
+    :param seconds: Seconds since 1970
     :return: Year, month and day, in UTC
     """
     return datetime.fromtimestamp(seconds, timezone.utc).date().isoformat()

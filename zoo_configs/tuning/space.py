@@ -130,9 +130,9 @@ def check_space(space: tuple[Parameter, ...], algorithm: type[Any]) -> None:
     :raises CommandError: for a hyperparameter that it does not have
     """
     from sb3_extensions.common.env_metadata import constructor_keys
-    from zoo_configs.cells.validation import MANAGER_KEYS
+    from zoo_configs.training.objects import TRAINER_KEYS
 
-    valid = {*MANAGER_KEYS, *constructor_keys(algorithm)}
+    valid = {*TRAINER_KEYS, *constructor_keys(algorithm)}
     for parameter in space:
         if (name := parameter.name.partition(".")[0]) not in valid:
             raise unknown_name(f"hyperparameter of {algorithm.__name__} in the search space", name, valid)

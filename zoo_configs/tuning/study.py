@@ -20,7 +20,7 @@ from optuna.study import StudyDirection
 from optuna.trial import FrozenTrial, TrialState
 from tqdm import tqdm
 
-from zoo_configs.algorithms import register_algorithms
+from zoo_configs.algorithms import algorithm_classes
 from zoo_configs.arguments import hides_progress
 from zoo_configs.cells.cell import Cell
 from zoo_configs.errors import CommandError, reason, refused
@@ -103,7 +103,7 @@ def open_study(search: Search) -> optuna.Study:
     :raises CommandError: if the storage cannot be opened, has a study of that name about something else, or
         one that another program has begun or that was begun in another folder
     """
-    algorithm = register_algorithms()[search.cell.algo]
+    algorithm = algorithm_classes()[search.cell.algo]
     check_space(search.space, algorithm)
     search.folder.mkdir(parents=True, exist_ok=True)
     with _alone(search.folder):
