@@ -9,10 +9,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib import colormaps
+from PIL import Image
 from tqdm import tqdm
 
 from zoo_configs.arguments import Parser, add_env_kwargs, add_packages, positive_int, seed
-from zoo_configs.drawing.video import draw_image, write_picture
 from zoo_configs.environments import known_env_id, make_env, our_env_ids, register_environments
 
 HEIGHTMAP = "heightmap"
@@ -53,7 +54,8 @@ def draw(env_id: str, args: argparse.Namespace) -> None:
     for suffix, pair in images.items():
         gap = np.full((args.pixels, GAP, 3), 255, np.uint8)
         path = args.output / f"{env_id.rpartition('/')[2]}{suffix}.webp"
-        write_picture(np.concatenate([pair[0], gap, pair[1]], axis=1), path)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        Image.fromarray(np.concatenate([pair[0], gap, pair[1]], axis=1)).save(path)
 
 
 def solve(env: Any, seed: int, pixels: int) -> list[tuple[Any, Any]]:
@@ -72,9 +74,10 @@ def solve(env: Any, seed: int, pixels: int) -> list[tuple[Any, Any]]:
 
 def heightmaps(observations: list[Any], pixels: int) -> list[Any]:
     """Return images of two heightmaps with the same colour scale."""
-    images = [observation[HEIGHTMAP][0] for observation in observations]
-    limits = min(map(np.min, images)), max(map(np.max, images))
-    return [draw_image(image, limits, pixels) for image in images]
+    images = np.array([observation[HEIGHTMAP][0] for observation in observations])
+    colours = colormaps["viridis"]((images - images.min()) / np.ptp(images), bytes=True)[..., :3]
+    resized = [Image.fromarray(image).resize((pixels, pixels), Image.Resampling.NEAREST) for image in colours]
+    return [np.asarray(image) for image in resized]
 
 
 if __name__ == "__main__":

@@ -53,10 +53,9 @@ def measure(run: Run, args: argparse.Namespace) -> Row:
 
 def row(run: Run, args: argparse.Namespace, rates: Row) -> Row:
     """Return the row of a run."""
-    origin, hyperparams, options = origin_of(run, args.commit), run.cell.hyperparams, run.options
+    origin, hyperparams = origin_of(run, args.commit), run.cell.hyperparams
     success = load_curve(run.evaluations_file).success if run.evaluations_file.is_file() else ()
     half = success[len(success) // 2 :]
-    steps = options.n_timesteps if options.n_timesteps > 0 else hyperparams["n_timesteps"]
     return {
         "env": task_name(run.cell.env_id),
         "options": changes(run.cell, shlex.split(origin.command)),
@@ -68,7 +67,7 @@ def row(run: Run, args: argparse.Namespace, rates: Row) -> Row:
         "noise": str(hyperparams.get("expert_noise", "")),
         "dagger": "yes" if hyperparams.get("dagger") else "",
         "updates": str(hyperparams.get("pretrain_steps", 0)),
-        "steps": str(int(steps)),
+        "steps": str(run.n_timesteps),
         **rates,
         "episodes": str(args.episodes),
         "least": number(min(half, default=float("nan")), 4),

@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import shlex
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -100,7 +99,7 @@ def test_an_equal_run_counts_once(tmp_path: Path, capsys: pytest.CaptureFixture[
     longer = add_run(tmp_path, REACHING, "sacfd", 0, GOOD)
     shorter = add_run(tmp_path, REACHING, "sacfd", 0, GOOD[:2])
     [experiment] = read_experiments(tmp_path)
-    assert [result.run.folder for result in experiment.results] == [longer.folder]
+    assert [result.run.folder for result in experiment.results.values()] == [longer.folder]
     assert str(shorter.folder) in capsys.readouterr().err
 
 
@@ -177,4 +176,4 @@ def test_returns_are_plotted_too(tmp_path: Path) -> None:
     np.savez(run.evaluations_file, timesteps=[10], results=[[3.0, 5.0]])
     [experiment] = read_experiments(tmp_path)
     assert experiment_row(experiment)[2:4] == ["4.00", "0: 4.00"]
-    assert replace(experiment.results[0].curve).measure == "evaluation return"
+    assert experiment.results[0].curve.measure == "evaluation return"

@@ -72,7 +72,7 @@ def draw_panels(experiments: Iterable[Experiment], output: Path) -> None:
 
     panels: defaultdict[str, dict[str, LearningCurve]] = defaultdict(dict)
     for experiment in experiments:
-        curves = [result.curve for result in experiment.results]
+        curves = [result.curve for result in experiment.results.values()]
         panels[experiment.env_id][experiment.label] = mean_curve(curves)
     draw_curves(panels, output)
 
@@ -82,7 +82,7 @@ def _plot_training(experiments: Iterable[Experiment], output: Path) -> list[Path
 
     panels: defaultdict[str, dict[str, list[Path]]] = defaultdict(dict)
     for experiment in experiments:
-        logs = [result.run.training_log for result in experiment.results]
+        logs = [result.run.training_log for result in experiment.results.values()]
         if existing := [path for path in logs if path.is_file()]:
             panels[experiment.env_id][experiment.label] = existing
     if not panels:

@@ -100,20 +100,6 @@ def draw_value_map(value_map: ValueMap) -> Image.Image:
     return panel
 
 
-def draw_image(image: npt.NDArray[np.floating], limits: tuple[float, float], pixels: int) -> Frame:
-    """
-    Draw a single-channel image, bright where its values are high.
-
-    :param image: Image, shape (height, width)
-    :param limits: Values of the darkest and of the brightest colour
-    :param pixels: Side of the result
-    :return: The drawn image, shape (pixels, pixels, 3)
-    """
-    low, high = limits
-    picture = _colour((image - low) / max(high - low, SMALLEST_SPAN), VALUE_COLOURS)
-    return np.asarray(picture.resize((pixels, pixels), NEAREST))
-
-
 def observed_images(observation: Any, space: spaces.Space[Any]) -> list[npt.NDArray[np.float64]]:
     """
     Return the single-channel images of an observation.
@@ -131,10 +117,19 @@ def observed_images(observation: Any, space: spaces.Space[Any]) -> list[npt.NDAr
 def write_video(frames: Sequence[Frame], path: Path, frames_per_second: float) -> None:
     """Write frames of one shape atomically as ``.gif`` or ``.mp4``."""
     if path.suffix == ".gif":
-        with whole_file(path) as partial:
-            partial.write_bytes(_gif(frames, round(1000 / frames_per_second)))
+        content = _gif(frames, round(1000 / frames_per_second))
     else:
-        _write(np.stack(frames), path, fps=frames_per_second)
+        content = _encode(frames, path, frames_per_second)
+    with whole_file(path) as partial:
+        partial.write_bytes(content)
+
+
+def _encode(frames: Sequence[Frame], path: Path, frames_per_second: float) -> bytes:
+    """Encode in memory, because imageio reports a full disk only when it is garbage-collected."""
+    try:
+        return bytes(iio.imwrite("<bytes>", np.stack(frames), extension=path.suffix, fps=frames_per_second))
+    except OSError as error:  # of ffmpeg
+        raise CommandError(f"{path} cannot be encoded: {reason(error)}") from error
 
 
 def _gif(frames: Sequence[Frame], duration: int) -> bytes:
@@ -145,21 +140,6 @@ def _gif(frames: Sequence[Frame], duration: int) -> bytes:
     file = io.BytesIO()
     first.save(file, "GIF", save_all=True, append_images=others, duration=duration, loop=0, optimize=True)
     return file.getvalue()
-
-
-def write_picture(frame: Frame, path: Path) -> None:
-    """Write one frame atomically as ``.png`` or ``.webp``."""
-    _write(frame, path)
-
-
-def _write(images: Frame, path: Path, **options: Any) -> None:
-    """Encode in memory, because imageio reports a full disk only when it is garbage-collected."""
-    try:
-        content: bytes = iio.imwrite("<bytes>", images, extension=path.suffix, **options)
-    except OSError as error:  # of ffmpeg
-        raise CommandError(f"{path} cannot be encoded: {reason(error)}") from error
-    with whole_file(path) as partial:
-        partial.write_bytes(content)
 
 
 def _resize(image: Image.Image, resampling: Image.Resampling) -> Image.Image:
