@@ -105,7 +105,7 @@ def make_model(cell: Cell, device: str = "auto", **changes: Any) -> Any:
 
     :param cell: experiment
     :param device: PyTorch device
-    :param changes: hyperparameters that replace those of the experiment
+    :param changes: changed hyperparameters
     """
     hyperparams = {**parsed(cell.hyperparams), **changes}
     env = gym.make(cell.env_id, **hyperparams.pop("env_kwargs"))
@@ -243,7 +243,7 @@ def one_pass(module: nn.Module, features: th.Tensor, autocast: str | None) -> Ca
 
 
 def overhead(cell: Cell, args: argparse.Namespace) -> Row:
-    """Compare the CPU seconds of ``train_cell`` with those of ``model.learn()`` in one environment."""
+    """Compare the CPU seconds of ``train_cell`` and ``model.learn()`` in one environment."""
     if args.num_threads:
         th.set_num_threads(args.num_threads)
     cell = replace(cell, hyperparams={**cell.hyperparams, "n_envs": 1})

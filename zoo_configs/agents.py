@@ -104,7 +104,7 @@ def register_run(run: Run) -> None:
 
 
 def _newest_run(query: AgentQuery) -> Run:
-    """Return the newest run with a model among those that fit, else the newest one."""
+    """Return the newest fitting run with a model, else the newest fitting run."""
     if query.env is None or (query.baseline is None and query.algo is None):
         raise CommandError("pass a run folder, a model file, or --env with --baseline or --algo")
     env_id = query.env.rpartition(":")[2]
@@ -167,7 +167,7 @@ def algorithm_of(path: Path) -> str:
 
 
 def _agreement(algorithm: type[Any], data: Mapping[str, Any]) -> int:
-    """Return the number of constructor arguments that a model file contains, minus those that it lacks."""
+    """Return the number of constructor arguments in a model file, minus the number of missing ones."""
     return sum(1 if key in data else -1 for key in constructor_keys(algorithm))
 
 

@@ -24,7 +24,7 @@ def refused(what: str, kinds: type[Exception] | tuple[type[Exception], ...] = Ex
     """
     Convert errors that arguments of the user cause into errors of the command.
 
-    :param what: What is not possible, the start of the message
+    :param what: Start of the message
     :param kinds: Errors to convert
     :return: Context manager
     :raises CommandError: instead of one of them

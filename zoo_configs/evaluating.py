@@ -31,7 +31,7 @@ class EvalOptions:
     :param episodes: Number of episodes
     :param seed: Seed of the test scenes
     :param n_envs: Number of environments; more than one run in processes
-    :param env_kwargs: Parameters of the environment that replace those of the training
+    :param env_kwargs: Changed parameters of the environment
     :param render: Whether to open a window
     :param progress: Whether to show a progress bar; None shows it on a terminal
     """

@@ -63,7 +63,7 @@ def agent_actor(agent: Agent, env_kwargs: Mapping[str, Any]) -> Actor:
     Return an agent in its environment.
 
     :param agent: The agent
-    :param env_kwargs: Parameters of the environment that replace those of the training
+    :param env_kwargs: Changed parameters of the environment
     :raises CommandError: if the environment rejects its parameters, or does not fit the agent
     """
     from zoo_configs.training.objects import wrapper

@@ -92,7 +92,7 @@ def read_experiments(
     :param env_ids: Ids of environments, None for all
     :param baselines: Baselines, None for all
     :return: The experiments, sorted by environment and label
-    :raises CommandError: if there is no such run
+    :raises CommandError: if no run fits
     """
     experiments: list[Experiment] = []
     for run in find_runs(log_folder):
@@ -148,7 +148,7 @@ def _flat(values: Mapping[str, Any], prefix: str = "") -> Iterable[tuple[str, An
 
 
 def _label(own: Experiment, others: Iterable[Experiment]) -> str:
-    """Return the baseline with the settings that differ from others: those of ``AXES`` first."""
+    """Return the baseline with the settings that differ from others, first the settings in ``AXES``."""
     alike = [other.settings for other in others]
     named: list[str] = []
     for names in (AXES, sorted({name for one in alike for name in one})):

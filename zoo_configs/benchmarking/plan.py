@@ -8,16 +8,15 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from zoo_configs.arguments import MAX_SEED
 from zoo_configs.cells.benchmarks import choose_benchmark
 from zoo_configs.cells.cell import Cell, resolve
 from zoo_configs.cells.rules import family_of, task_name
 from zoo_configs.environments import known_env_id, our_env_ids, register_environments
-from zoo_configs.errors import CommandError, refused, unknown_name
+from zoo_configs.errors import CommandError, unknown_name
 from zoo_configs.training.options import TrainingOptions
 from zoo_configs.training.runs import SEED_PREFIX
+from zoo_configs.yaml_files import read_yaml
 
 SEEDS = 4  # paper: the captions of its learning curves
 PATTERN = "*?["
@@ -38,7 +37,7 @@ class Plan:
     :param seeds: Number of seeds (0, 1, ...), or a list of seeds
     :param benchmark: Benchmark whose parameters the tasks have; None selects the first that has the task
     :param options: Fields of ``TrainingOptions``
-    :param hyperparams: Hyperparameters that replace those of the baselines
+    :param hyperparams: Hyperparameters that replace the values of the baselines
     """
 
     tasks: Sequence[str] = ()
@@ -86,9 +85,7 @@ def read_plan(name: str) -> Plan:
     if Path(name).suffix in SUFFIXES:
         if not Path(name).is_file():
             raise CommandError(f"{name} does not exist")
-        with refused(f"{name} is not valid YAML"):
-            content = yaml.safe_load(Path(name).read_text(encoding="utf-8"))
-        return parse_plan(name, content)
+        return parse_plan(name, read_yaml(Path(name)))
     if name not in BENCHMARKS:
         see = f"choose from {', '.join(BENCHMARKS)}, or pass a YAML file"
         raise unknown_name("benchmark", name, BENCHMARKS, see=see)
@@ -167,7 +164,7 @@ def _tasks(wanted: str, benchmark: str | None) -> list[str]:
     found = [
         env_id for name, env_id in named.items() if fnmatchcase(name, wanted) or fnmatchcase(env_id, wanted)
     ]
-    if benchmark in BENCHMARKS:
+    if benchmark is not None and benchmark in BENCHMARKS:
         tasks = {row.env_id for row in BENCHMARKS[benchmark].environments}
         found = [env_id for env_id in found if env_id in tasks]
     if not found:

@@ -116,12 +116,12 @@ def read_entry(folder: Path, name: str) -> Entry:
     if found is None:
         return Entry(name, Status.WAITING)
     status = Status.WAITING if found.state is State.KILLED else Status(found.state.value)
-    error = found.error if status is Status.FAILED else ""
+    message = found.error if status is Status.FAILED else ""
     try:
         curve = load_curve(folder / name / EVALUATIONS_FILE)
     except (CommandError, OSError):  # missing, or not yet visible in a shared folder
-        return Entry(name, status, host=found.host, error=error)
-    return Entry(name, status, int(curve.timesteps[-1]), float(curve.success[-1]), found.host, error)
+        return Entry(name, status, host=found.host, error=message)
+    return Entry(name, status, int(curve.timesteps[-1]), float(curve.success[-1]), found.host, message)
 
 
 @contextmanager

@@ -94,8 +94,8 @@ def _parse(argv: Sequence[str]) -> argparse.Namespace:
 def _add_experiments(parser: Parser) -> None:
     group = parser.add_argument_group("experiments")
     add, a_seed = group.add_argument, whole_number(0, MAX_SEED)
-    add("--env", nargs="+", help="tasks or shell patterns (default: those of the benchmark)")
-    add("--baseline", nargs="+", help="baselines or shell patterns (default: those of the benchmark)")
+    add("--env", nargs="+", help="tasks or shell patterns (default: all of the benchmark)")
+    add("--baseline", nargs="+", help="baselines or shell patterns (default: all of the benchmark)")
     add("--preset", help=f"{PRESETS} (default: cpu)")
     add("--seeds", "--seed", nargs="+", type=a_seed, help="seeds (default: 0 1 2 3, as in the paper)")
     add("--device", default="auto", help="PyTorch device (default: auto)")

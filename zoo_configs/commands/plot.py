@@ -29,7 +29,7 @@ def main(argv: Sequence[str]) -> None:
     Run the command.
 
     :param argv: Its arguments
-    :raises CommandError: if there is no run to draw
+    :raises CommandError: if no run fits
     """
     args = _parse(argv)
     from zoo_configs.results import read_experiments

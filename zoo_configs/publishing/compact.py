@@ -73,7 +73,7 @@ def stored_weights(policy: nn.Module, half: bool) -> dict[str, th.Tensor]:
     Return the parameters and buffers of a policy under all their names.
 
     :param policy: The policy
-    :param half: Whether to store those of two and more dimensions in a smaller type
+    :param half: Whether to store tensors of two and more dimensions in a smaller type
     :return: Tensors; shared parameters and target networks share their storage
     """
     state = _with_average(policy)

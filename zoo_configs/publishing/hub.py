@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 
 def connect() -> HfApi:
-    """Log in to the hub; raise ``CommandError`` if there is no token, or the hub rejects it."""
+    """Log in to the hub; raise ``CommandError`` without a token that the hub accepts."""
     from huggingface_hub import HfApi, get_token
 
     token = get_token()
