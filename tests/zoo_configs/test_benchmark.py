@@ -195,7 +195,7 @@ def test_a_folder_with_other_runs_is_refused(bench: Bench, tmp_path: Path, capsy
     [job] = jobs_of(seeds=1)
     write_resolved(Run(tmp_path / "out" / job.name, job.cell, 0))
     assert bench(hyperparams={**TINY["hyperparams"], "gamma": 0.5}) == 2
-    assert "holds a run with other hyperparams" in capsys.readouterr().err
+    assert "hyperparams" in capsys.readouterr().err
 
 
 def test_one_benchmark_at_a_time_works_in_a_folder(bench: Bench, tmp_path: Path, capsys: Any) -> None:
@@ -225,14 +225,12 @@ def test_the_overview_is_read_from_the_folders(tmp_path: Path, capsys: Any) -> N
     with held(third):
         pass
     first.mkdir()
-    with held(first), shown(overview, live=False) as look:
+    with held(first), shown(overview) as look:
         results = [[0.0, 1.0]]
         np.savez(first / "evaluations.npz", timesteps=[6], results=results, successes=results)
         look()
         told = capsys.readouterr().err
         assert overview.counts() == "1 done, 1 running, 1 waiting, 1 failed"
-        table = overview.table()
-        assert table.row_count == 2
     assert "running CloseLoopToy/sacfd/seed_0, success 0.50 at 6" in told
     assert "failed CloseLoopToy/sacfd/seed_1: the block is lost" in told
     note(third, State.FAILED, "what is done stays done")
@@ -241,11 +239,9 @@ def test_the_overview_is_read_from_the_folders(tmp_path: Path, capsys: Any) -> N
     assert [entry.name for entry in overview.of(Status.DONE)] == [m.name for m in jobs if m.seed in (0, 2)]
 
 
-def test_a_terminal_shows_a_table(tmp_path: Path, capsys: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("FORCE_COLOR", "1")  # rich writes no changing table where there is no terminal
-    overview = Overview(jobs_of(), tmp_path)
-    with shown(overview, live=True) as look:
-        look()
+def test_a_progress_bar_shows_the_counts(tmp_path: Path, capsys: Any) -> None:
+    with shown(Overview(jobs_of(), tmp_path), progress=True) as update:
+        update()
     assert "2 waiting" in capsys.readouterr().err
 
 

@@ -13,7 +13,7 @@ import pytest
 import yaml
 
 from zoo_configs.cli import main
-from zoo_configs.publishing.card import read_card
+from zoo_configs.publishing.published import read_card
 
 Refuse = Callable[..., str]
 FILE = "sacfd-BulletArm-CloseLoopToy-v0.zip"

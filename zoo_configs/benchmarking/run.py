@@ -92,7 +92,11 @@ def check_jobs(jobs: Sequence[Job], folder: Path) -> None:
 
 
 def train_jobs(
-    jobs: Sequence[Job], folder: Path, runner: Runner, retry_failed: bool = False, live: bool = False
+    jobs: Sequence[Job],
+    folder: Path,
+    runner: Runner,
+    retry_failed: bool = False,
+    progress: bool | None = None,
 ) -> Overview:
     """
     Train the runs that are not done. The folder is locked meanwhile.
@@ -101,7 +105,7 @@ def train_jobs(
     :param folder: Existing folder of the benchmark
     :param runner: Function that trains runs
     :param retry_failed: Whether to resume failed runs
-    :param live: Whether to show the status as a table that is updated, for a terminal
+    :param progress: Whether to show a progress bar; None shows it on a terminal
     :return: Status of the runs
     :raises CommandError: if the runner cannot continue; the runs can be resumed
     """
@@ -114,7 +118,7 @@ def train_jobs(
             overview.update()
         ended = {entry.name for status in (Status.DONE, Status.FAILED) for entry in overview.of(status)}
         print(f"{folder}: {overview.counts()}", file=sys.stderr)
-        with shown(overview, live) as look:
+        with shown(overview, progress) as look:
             runner([job for job in jobs if job.name not in ended], look)
     overview.update()
     return overview

@@ -9,19 +9,17 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from enum import Enum
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
+from tqdm import tqdm
+
+from zoo_configs.arguments import hides_progress
 from zoo_configs.benchmarking.plan import Job
 from zoo_configs.errors import CommandError
 from zoo_configs.training.runs import EVALUATIONS_FILE
 from zoo_configs.training.state import State, standing
 
-if TYPE_CHECKING:
-    from rich.console import Group
-    from rich.table import Table
-
 INTERVAL = 2.0  # seconds between two readings of the folders
-MAX_ROWS = 30  # of the table on a terminal
 
 
 class Status(Enum):
@@ -90,20 +88,6 @@ class Overview:
         counts = Counter(entry.status for entry in self.entries.values())
         return ", ".join(f"{counts[status]} {status.value}" for status in Status)
 
-    def table(self) -> Table:
-        """Return a table of the running and the failed runs."""
-        from rich.table import Table
-
-        table = Table("run", "steps", "success", "", box=None)
-        entries = [*self.of(Status.RUNNING), *self.of(Status.FAILED)]
-        for entry in entries[:MAX_ROWS]:
-            success = "" if entry.success is None else f"{entry.success:.2f}"
-            steps = "" if entry.timesteps is None else str(entry.timesteps)
-            table.add_row(entry.name, steps, success, entry.error or f"on {entry.host}")
-        if len(entries) > MAX_ROWS:
-            table.add_row(f"... and {len(entries) - MAX_ROWS} more", "", "", "")
-        return table
-
 
 def read_entry(folder: Path, name: str) -> Entry:
     """Read the status of one run; ``name`` is its folder within that of the benchmark."""
@@ -125,49 +109,25 @@ def read_entry(folder: Path, name: str) -> Entry:
 
 
 @contextmanager
-def shown(overview: Overview, live: bool) -> Iterator[Callable[[], None]]:
+def shown(overview: Overview, progress: bool | None = None) -> Iterator[Callable[[], None]]:
     """
-    Show an overview during the training.
+    Print each change of an overview, above a progress bar with the counts.
 
     :param overview: The overview
-    :param live: Whether to show a table that is updated, instead of a line for each change
+    :param progress: Whether to show the bar; None shows it on a terminal
     :return: Context manager of a function to call often, which updates the overview
     """
-    if not live:
-        yield _at_intervals(lambda: _print_changes(overview))
-        return
-    from rich.console import Console
-    from rich.live import Live
-
-    console = Console(stderr=True)
-    with Live(_render(overview), console=console, auto_refresh=False, transient=True) as display:
+    last = -INTERVAL
+    with tqdm(total=len(overview.entries), unit="run", disable=hides_progress(progress)) as bar:
 
         def update() -> None:
-            overview.update()
-            display.update(_render(overview), refresh=True)
-
-        yield _at_intervals(update)
-
-
-def _render(overview: Overview) -> Group:
-    from rich.console import Group
-    from rich.text import Text
-
-    return Group(Text(overview.counts()), overview.table())
-
-
-def _print_changes(overview: Overview) -> None:
-    for entry in overview.update():
-        print(f"[{overview.counts()}] {entry}", file=sys.stderr, flush=True)
-
-
-def _at_intervals(update: Callable[[], None]) -> Callable[[], None]:
-    last = -INTERVAL
-
-    def maybe_update() -> None:
-        nonlocal last
-        if time.monotonic() - last >= INTERVAL:
+            nonlocal last
+            if time.monotonic() - last < INTERVAL:
+                return
             last = time.monotonic()
-            update()
+            for entry in overview.update():
+                bar.write(f"[{overview.counts()}] {entry}", file=sys.stderr)
+            bar.n = len(overview.of(Status.DONE)) + len(overview.of(Status.FAILED))
+            bar.set_postfix_str(overview.counts())
 
-    return maybe_update
+        yield update

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import os
-import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
@@ -64,8 +63,7 @@ def main(argv: Sequence[str]) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     try:
         with _runner(jobs, size, folder, args) as runner:
-            live = args.progress if args.progress is not None else sys.stderr.isatty()
-            overview = train_jobs(jobs, folder, runner, args.retry_failed, live)
+            overview = train_jobs(jobs, folder, runner, args.retry_failed, args.progress)
     finally:
         remove_empty(made)
     _report(overview)

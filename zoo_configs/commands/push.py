@@ -118,7 +118,7 @@ def _record(agent: Agent, path: Path, args: argparse.Namespace) -> None:
 
 def _check_replaceable(folder: Path) -> None:
     """Check that a folder can be written: only an empty folder or that of an agent is replaced."""
-    from zoo_configs.publishing.card import CARD_FILE
+    from zoo_configs.publishing.published import CARD_FILE
 
     is_empty = folder.is_dir() and not any(folder.iterdir())
     if folder.exists() and not is_empty and not (folder / CARD_FILE).is_file():

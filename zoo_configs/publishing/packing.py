@@ -17,8 +17,8 @@ from zoo_configs.errors import CommandError
 from zoo_configs.evaluating import EvalOptions, Outcome, check_unwrapped, evaluate_agent
 from zoo_configs.files import whole_file
 from zoo_configs.provenance import commit, describe_arithmetic, versions
-from zoo_configs.publishing.card import FAILED, SUCCEEDED, Card
 from zoo_configs.publishing.compact import save_compact
+from zoo_configs.publishing.published import FAILED, SUCCEEDED, Card
 from zoo_configs.publishing.readme import README_FILE, render_readme
 from zoo_configs.training.origin import day, origin_of
 from zoo_configs.training.runs import Run, env_folder_name

@@ -8,7 +8,7 @@ from typing import Any
 import yaml
 
 from zoo_configs.algorithms import ALGORITHMS, algorithm_classes
-from zoo_configs.publishing.card import Card
+from zoo_configs.publishing.published import Card
 
 README_FILE = "README.md"
 REINFORCEMENT_LEARNING = "reinforcement-learning"
