@@ -88,8 +88,7 @@ def explain(
     :param env_id: As for :func:`resolve`
     :param overrides: As for :func:`resolve`
     :param benchmark: As for :func:`resolve`
-    :return: The experiment, and the layer of each value by dotted name; a nested name without a layer of its own
-        has that of the name around it
+    :return: The experiment, and the layer of each value by dotted name
     :raises CommandError: as :func:`resolve`
     """
     family = family_of(env_id)
@@ -99,8 +98,9 @@ def explain(
     merged: dict[str, Any] = {"hyperparams": {}, "flags": {}}
     sources: dict[str, Layer] = {}
     for layer in layers:
-        values = {"hyperparams": layer.hyperparams, "flags": layer.flags}
-        values = values if layer.algo is None else {**values, "algo": layer.algo}
+        values: dict[str, Any] = {"hyperparams": layer.hyperparams, "flags": layer.flags}
+        if layer.algo is not None:
+            values["algo"] = layer.algo
         _merge_into(merged, values)
         sources.update({name: layer for name, _ in _leaves(values)})
     hyperparams, flags = merged["hyperparams"], merged["flags"]
@@ -185,7 +185,7 @@ def _follow_environment(
 
 
 def _grid_bounds(env_kwargs: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
-    """Return arguments of a codec with which the grid of actions covers the environment's yaws and workspace."""
+    """Return arguments of a codec for which the actions cover the environment's yaws and workspace."""
     if env_kwargs.get("half_rotation") is False:
         yield "theta_bounds", list(WHOLE_TURN)
     match env_kwargs.get("workspace"):

@@ -99,14 +99,19 @@ def load_space(cell: Cell, path: Path | None = None) -> tuple[Parameter, ...]:
     if path is not None:
         space = parse_space(str(path), read_yaml(path, "--space"))
     else:
-        folder = resources.files("zoo_configs") / "hyperparams" / "spaces"
-        spaces = parse_yaml((folder / SHIPPED).read_text(encoding="utf-8"))
+        spaces = _shipped_spaces()
         names = [name for name in spaces if not name.startswith("_")]
         if cell.algo not in names:
             raise unknown_name("search space", cell.algo, names, see="use --space")
         space = parse_space(f"the space of {cell.algo}", spaces[cell.algo])
     _check_names(space, cell)
     return tuple(parameter._replace(integer=_is_integer(parameter, cell)) for parameter in space)
+
+
+@functools.cache
+def _shipped_spaces() -> dict[str, Any]:
+    folder = resources.files("zoo_configs") / "hyperparams" / "spaces"
+    return dict(parse_yaml((folder / SHIPPED).read_text(encoding="utf-8")))
 
 
 def parse_space(where: str, data: Any) -> tuple[Parameter, ...]:
@@ -134,7 +139,8 @@ def _parse_parameter(where: str, name: str, given: Any) -> Parameter:
         if given.keys() - {"choices", "needs"} or not isinstance(choices, list) or not choices:
             raise CommandError(f"{name} of {where}: choices must be a list without bounds, got {dict(given)}")
         return Parameter(name, choices=tuple(choices), needs=given.get("needs", ""))
-    low, high = given.get("low"), given.get("high")
+    low: Any = given.get("low")
+    high: Any = given.get("high")
     least = 0 if given.get("log") else -math.inf
     if not (_is_number(low) and _is_number(high) and least < low < high):
         positive = "positive " if given.get("log") else ""

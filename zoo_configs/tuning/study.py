@@ -35,7 +35,7 @@ JOURNAL = "journal.log"
 STUDY, FOLDER = "study", "folder"
 """Attributes of a study: its subject and its folder."""
 ERROR, REPEATS = "error", "repeats"
-"""Attributes of a trial: the reason for its failure, and the numbers of the trials that it repeats, oldest first."""
+"""Attributes of a trial: the reason for its failure, and the numbers of the trials that it repeats."""
 WARMUP = 2
 """Evaluations before a trial is pruned; the first ones precede the agent's own steps."""
 
@@ -54,8 +54,8 @@ class Search:
     :param n_trials: Number of trials of all processes
     :param sampler: ``"tpe"``, ``"random"`` or ``"gp"``
     :param pruner: ``"median"``, ``"halving"`` or ``"none"``
-    :param n_startup_trials: Number of trials that are sampled at random, and of complete trials before the first
-        one is pruned
+    :param n_startup_trials: Number of trials that are sampled at random, and of complete trials before
+        another one is pruned
     :param storage: URL of a database, None for a journal in the folder
     :param device: PyTorch device
     :param gym_packages: Packages that register the environment, in addition to ours
