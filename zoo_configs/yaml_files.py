@@ -21,7 +21,7 @@ SCALARS = {
     ),
     "merge": (r"<<", "<"),
 }
-"""Plain scalars that are not text: a pattern and the first characters, by tag. ``None`` is null as in Python."""
+"""Plain scalars that are not text: pattern and first characters by tag. ``None`` is null as in Python."""
 
 
 class Loader(yaml.SafeLoader):
@@ -76,7 +76,7 @@ def format_yaml(value: Any, inline: bool = False) -> str:
     :param inline: Whether to write it in one line
     :return: The text, without a line break at its end
     """
-    style = {"default_flow_style": True, "width": float("inf")} if inline else {}
+    style: dict[str, Any] = {"default_flow_style": True, "width": float("inf")} if inline else {}
     text: str = yaml.dump(value, Dumper=Dumper, sort_keys=False, allow_unicode=True, **style)
     return text.removesuffix("\n...\n").rstrip("\n")
 

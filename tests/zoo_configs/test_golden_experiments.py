@@ -1,4 +1,4 @@
-"""Resolved experiments, compared with ``golden_experiments.yml``: a change of the configuration is a readable diff."""
+"""Resolved experiments equal ``golden_experiments.yml``, where a changed value is a readable diff."""
 
 from __future__ import annotations
 

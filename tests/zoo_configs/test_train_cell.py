@@ -161,7 +161,7 @@ def test_what_fails_at_once_leaves_no_folder(cell: Cell, tmp_path: Path) -> None
 def test_options_that_do_not_exist_are_told(cell: Cell) -> None:
     with pytest.raises(CommandError, match="'eval_frq', did you mean 'eval_freq'"):
         TrainingOptions.of(cell, {"eval_frq": 3})
-    with pytest.raises(CommandError, match="--eval-episodes: .*got '0'"):
+    with pytest.raises(CommandError, match=r"--eval-episodes: .*got '0'"):
         TrainingOptions.of(cell, {"eval_episodes": 0})
 
 

@@ -88,20 +88,20 @@ def explain(
     :param env_id: As for :func:`resolve`
     :param overrides: As for :func:`resolve`
     :param benchmark: As for :func:`resolve`
-    :return: The experiment, and the layer of each value by dotted name; a nested name without a layer of its own
-        has that of the name around it
+    :return: The experiment, and the layer of each value by dotted name
     :raises CommandError: as :func:`resolve`
     """
     family = family_of(env_id)
     case = _case(family, baseline, preset, env_id, benchmark)
     overrides = copy.deepcopy(dict(overrides or {}))
     layers = [*family.layers(case, _benchmark_layers(case)), Layer(OVERRIDES.source, hyperparams=overrides)]
-    merged: dict[str, Any] = {}
+    merged: dict[str, Any] = {"hyperparams": {}, "flags": {}}
     sources: dict[str, Layer] = {}
     for layer in layers:
-        values = {"hyperparams": layer.hyperparams, "flags": layer.flags}
-        values = values if layer.algo is None else {**values, "algo": layer.algo}
-        merged = merge(merged, values)
+        values: dict[str, Any] = {"hyperparams": layer.hyperparams, "flags": layer.flags}
+        if layer.algo is not None:
+            values["algo"] = layer.algo
+        _merge_into(merged, values)
         sources.update({name: layer for name, _ in _leaves(values)})
     hyperparams, flags = merged["hyperparams"], merged["flags"]
     for name, parameter in _follow_environment(hyperparams, overrides):
@@ -149,11 +149,17 @@ def merge(base: Mapping[str, Any], update: Mapping[str, Any]) -> dict[str, Any]:
     :return: A new mapping that shares nothing with the two
     """
     merged = copy.deepcopy(dict(base))
-    for key, value in update.items():
-        below = merged.get(key)
-        both = isinstance(below, Mapping) and isinstance(value, Mapping)
-        merged[key] = merge(below, value) if both else copy.deepcopy(value)  # type: ignore[arg-type]
+    _merge_into(merged, update)
     return merged
+
+
+def _merge_into(target: dict[str, Any], update: Mapping[str, Any]) -> None:
+    for key, value in update.items():
+        below = target.get(key)
+        if isinstance(below, dict) and isinstance(value, Mapping):
+            _merge_into(below, value)
+        else:
+            target[key] = copy.deepcopy(value)
 
 
 def _follow_environment(
@@ -179,7 +185,7 @@ def _follow_environment(
 
 
 def _grid_bounds(env_kwargs: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
-    """Return arguments of a codec with which the grid of actions covers the environment's yaws and workspace."""
+    """Return arguments of a codec for which the actions cover the environment's yaws and workspace."""
     if env_kwargs.get("half_rotation") is False:
         yield "theta_bounds", list(WHOLE_TURN)
     match env_kwargs.get("workspace"):

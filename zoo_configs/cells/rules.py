@@ -96,7 +96,7 @@ class Family:
     :param envs: Shell pattern of the ids
     :param benchmarks: Networks by benchmark; without a choice, the first benchmark with the task applies
     :param baselines: Baselines by name
-    :param algorithms: Baselines for an algorithm that is no baseline's name; the first one that serves the task applies
+    :param algorithms: Baselines for an algorithm without one of its name; the first for the task applies
     :param sections: The sections by key
     """
 

@@ -21,10 +21,9 @@ class PeriodicEvaluation(BaseCallback):
     """
     Evaluates the policy on new scenes every ``eval_freq`` time steps and saves the best model.
 
-    The scenes depend only on the seed and the time step, so that a resumed run has the same ones. Of two
-    equally good models the later one is kept. Files have Stable-Baselines3's format, are written atomically and
-    keep the evaluations before the checkpoint that a run is resumed from. The pretraining is evaluated as
-    well, with a negative time step: minus the number of its remaining gradient steps.
+    The scenes depend only on the seed and the time step, so that a resumed run has the same ones. Of two equally
+    good models the later one is kept. Files have Stable-Baselines3's format and are written atomically. A resumed run keeps the evaluations before its checkpoint. The pretraining is evaluated as well, with a
+    negative time step: minus the number of its remaining gradient steps.
 
     :param run: The run
     :param env: Environments for evaluation
@@ -114,4 +113,4 @@ class PeriodicEvaluation(BaseCallback):
 
 def _write(path: Path, arrays: dict[str, list[Any]]) -> None:
     with whole_file(path) as partial:
-        np.savez(partial, **{name: np.asarray(values) for name, values in arrays.items()})
+        np.savez(partial, **{name: np.asarray(values) for name, values in arrays.items()})  # type: ignore[arg-type]

@@ -1,4 +1,4 @@
-"""Python objects that YAML hyperparameters describe: schedules, classes, wrappers, callbacks and action noise."""
+"""Python objects for YAML hyperparameters: schedules, classes, wrappers, callbacks and action noise."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ EVALUATED = ("policy_kwargs", "replay_buffer_class", "replay_buffer_kwargs", "mo
 NAMES = {"__builtins__": {}, "dict": dict, "nn": th.nn, "th": th}
 """Names that such an expression can use."""
 DOTTED_PATH = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)+")
-NOISES = {"normal": NormalActionNoise, "ornstein-uhlenbeck": OrnsteinUhlenbeckActionNoise}
+NOISES: dict[str, Any] = {"normal": NormalActionNoise, "ornstein-uhlenbeck": OrnsteinUhlenbeckActionNoise}
 
 
 class LinearSchedule:
@@ -41,6 +41,7 @@ class LinearSchedule:
         self.initial_value = float(initial_value)
 
     def __call__(self, progress_remaining: float) -> float:
+        """Return the value at a fraction of the training that remains."""
         return progress_remaining * self.initial_value
 
 
@@ -138,4 +139,5 @@ def action_noise(noise_type: str, std: float, action_space: spaces.Space[Any]) -
             f"got {noise_type!r} and {action_space}"
         )
     ones = np.ones(action_space.shape)
-    return NOISES[noise_type](mean=0 * ones, sigma=std * ones)
+    noise: ActionNoise = NOISES[noise_type](mean=0 * ones, sigma=std * ones)
+    return noise

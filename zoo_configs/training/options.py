@@ -1,4 +1,4 @@
-"""Options of a training: the flags of rl_zoo3's ``train`` as a dataclass, and as flags of our own commands."""
+"""Options of a training: flags of rl_zoo3's ``train`` as a dataclass and as flags of our commands."""
 
 from __future__ import annotations
 

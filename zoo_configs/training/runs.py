@@ -1,4 +1,4 @@
-"""Run folders in rl_zoo3's layout, ``<log folder>/<algo>/<env>_<number>``, each with its resolved configuration."""
+"""Run folders in rl_zoo3's layout, ``<log folder>/<algo>/<env>_<number>``."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class Run:
 
     @property
     def number(self) -> int:
-        """Number of the run among those of its algorithm and environment, 0 for a folder with another name."""
+        """Number of the run for its algorithm and environment, 0 for a folder with another name."""
         return _run_number(self.folder, self.cell.env_id)
 
     @property
@@ -234,7 +234,7 @@ def discard_if_empty(run: Run, created: Iterable[Path]) -> None:
     Remove the folder of a run that failed before it had a model or a checkpoint.
 
     :param run: The run
-    :param created: Folders around it that were created for it, innermost first; empty ones are removed as well
+    :param created: Folders around it that were created for it, innermost first, which are removed if empty
     """
     from sb3_extensions.common.checkpoint import latest_checkpoint  # loads PyTorch
 

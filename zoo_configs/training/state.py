@@ -19,7 +19,7 @@ from zoo_configs.yaml_files import read_yaml, write_yaml
 STATE_FILE = "state.yml"
 LOCK_FILE = ".lock"
 TRIES, TRY_SECONDS = 10, 0.05
-"""Attempts to lock a run, and seconds between two. A process that asks for the status locks it for a moment."""
+"""Attempts to lock a run, and seconds between two. Reading the status locks a run for a moment."""
 
 
 class State(str, Enum):

@@ -17,7 +17,7 @@ def tracked(run: Run) -> Iterator[Run]:
     """
     Log a run to Weights & Biases while it is trained.
 
-    Its environment variables apply, for example ``WANDB_PROJECT``, ``WANDB_ENTITY`` and ``WANDB_MODE=offline``.
+    Its environment variables apply, such as ``WANDB_PROJECT``, ``WANDB_ENTITY`` and ``WANDB_MODE=offline``.
 
     :param run: The run
     :return: Context manager of the run with a TensorBoard folder, which Weights & Biases reads

@@ -1,4 +1,4 @@
-"""Training of one run: environments, model and callbacks from its hyperparameters, on public Stable-Baselines3."""
+"""Training of one run: environments, model and callbacks from its hyperparameters."""
 
 from __future__ import annotations
 

@@ -21,7 +21,7 @@ from stable_baselines3.common.vec_env import (
 
 from zoo_configs.training.objects import parsed, wrapper
 
-VEC_ENVS = {"dummy": DummyVecEnv, "subproc": SubprocVecEnv}
+VEC_ENVS: dict[str, type[DummyVecEnv | SubprocVecEnv]] = {"dummy": DummyVecEnv, "subproc": SubprocVecEnv}
 
 
 def build_vec_env(
@@ -61,7 +61,7 @@ def build_vec_env(
         monitor_dir=None if monitor_dir is None else str(monitor_dir),
         wrapper_class=wrapper(values.get("env_wrapper")),
         env_kwargs=dict(values.get("env_kwargs", {})),
-        vec_env_cls=VEC_ENVS[vec_env],
+        vec_env_cls=VEC_ENVS[vec_env],  # type: ignore[arg-type]
         monitor_kwargs=monitor_kwargs,
     )
     if (wrap := wrapper(values.get("vec_env_wrapper"))) is not None:
@@ -75,7 +75,7 @@ def build_vec_env(
 def _normalized(
     env: VecEnv, values: Mapping[str, Any], for_evaluation: bool, statistics: Path | None
 ) -> VecEnv:
-    """Return the environments in a ``VecNormalize`` if the hyperparameters or a file of statistics ask for it."""
+    """Wrap the environments in ``VecNormalize`` with ``normalize`` or a file of statistics."""
     normalize = values.get("normalize")
     if statistics is not None and statistics.is_file():
         normalized = VecNormalize.load(str(statistics), env)
