@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
+import fnmatch
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
-from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
 
 from zoo_configs.arguments import MAX_SEED
-from zoo_configs.cells.benchmarks import choose_benchmark
+from zoo_configs.cells.benchmarks import is_served
 from zoo_configs.cells.cell import Cell, resolve
 from zoo_configs.cells.rules import family_of, task_name
 from zoo_configs.environments import known_env_id, our_env_ids, register_environments
@@ -161,9 +161,8 @@ def _tasks(wanted: str, benchmark: str | None) -> list[str]:
         return [named[wanted]]
     if not _is_pattern(wanted):
         return [known_env_id(wanted)]
-    found = [
-        env_id for name, env_id in named.items() if fnmatchcase(name, wanted) or fnmatchcase(env_id, wanted)
-    ]
+    found = [named[name] for name in fnmatch.filter(named, wanted)]
+    found += [env_id for env_id in fnmatch.filter(named.values(), wanted) if env_id not in found]
     if benchmark is not None and benchmark in BENCHMARKS:
         tasks = {row.env_id for row in BENCHMARKS[benchmark].environments}
         found = [env_id for env_id in found if env_id in tasks]
@@ -174,25 +173,19 @@ def _tasks(wanted: str, benchmark: str | None) -> list[str]:
 
 def _baselines(plan: Plan, env_id: str) -> list[str]:
     """Return the baselines of a plan for a task. Patterns select only baselines that the task has."""
+    family = family_of(env_id)
+    available = [
+        name
+        for name, baseline in family.baselines.items()
+        if is_served(family.benchmarks, env_id, baseline.network, plan.benchmark)
+    ]
     found: dict[str, None] = {}
     for wanted in plan.baselines:
-        if _is_pattern(wanted):
-            found |= {name: None for name in _available(env_id, plan.benchmark) if fnmatchcase(name, wanted)}
-        else:
-            found[wanted] = None
+        matching = fnmatch.filter(available, wanted) if _is_pattern(wanted) else [wanted]
+        found |= dict.fromkeys(matching)
     if not found:
         raise CommandError(f"no baseline of {env_id} fits {' or '.join(plan.baselines)}")
     return list(found)
-
-
-def _available(env_id: str, benchmark: str | None) -> Iterable[str]:
-    family = family_of(env_id)
-    for name, baseline in family.baselines.items():
-        try:
-            choose_benchmark(family.benchmarks, env_id, baseline.network, benchmark)
-        except CommandError:
-            continue
-        yield name
 
 
 def _is_pattern(name: str) -> bool:

@@ -15,7 +15,7 @@ from zoo_configs.arguments import Parser, add_progress, positive_int, seed
 from zoo_configs.commands.agent_flags import add_agent_flags, query_of
 from zoo_configs.environments import register_environments
 from zoo_configs.errors import CommandError
-from zoo_configs.files import print_written
+from zoo_configs.files import check_writable, print_written
 
 if TYPE_CHECKING:
     from zoo_configs.agents import Agent
@@ -23,7 +23,6 @@ if TYPE_CHECKING:
 DESCRIPTION = """Upload a trained agent to the Hugging Face hub, or write it to a folder (--folder): a small
 model file, tested as it was written, and a card. The token is that of `hf auth login` or HF_TOKEN."""
 VIDEO_FILE = "replay.mp4"  # name that the hub shows
-SHORT = 24  # frames of an episode up to which a video has two episodes
 
 
 def main(argv: Sequence[str]) -> None:
@@ -104,15 +103,13 @@ def _pack(agent: Agent, folder: Path, args: argparse.Namespace, repo_id: str | N
 
 
 def _record(agent: Agent, path: Path, args: argparse.Namespace) -> None:
-    """Record two short episodes or one long episode."""
+    """Record two episodes."""
     from zoo_configs.drawing.video import write_video
     from zoo_configs.recording import FRAMES_PER_SECOND, agent_actor, record
 
     actor = agent_actor(agent, args.env_kwargs)
     with closing(actor.env):
-        frames = list(record(actor, 1, args.seed, progress=args.progress))
-        if len(frames) <= SHORT:
-            frames = list(record(actor, 2, args.seed, progress=args.progress))
+        frames = list(record(actor, 2, args.seed, progress=args.progress))
     write_video(frames, path, FRAMES_PER_SECOND)
 
 
@@ -123,9 +120,7 @@ def _check_replaceable(folder: Path) -> None:
     is_empty = folder.is_dir() and not any(folder.iterdir())
     if folder.exists() and not is_empty and not (folder / CARD_FILE).is_file():
         raise CommandError(f"--folder must be new, empty or an agent's ({CARD_FILE}), got {folder}")
-    above = next(parent for parent in folder.absolute().parents if parent.exists())
-    if not above.is_dir() or not os.access(above, os.W_OK):
-        raise CommandError(f"--folder: {folder} cannot be written")
+    check_writable(folder / CARD_FILE, "--folder")
 
 
 @contextmanager
