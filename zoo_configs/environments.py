@@ -154,7 +154,7 @@ class CheckedDemonstrations:
     """
     Demonstrations whose environment ``check_expert_data`` has compared with that of the run.
 
-    They have no id of an environment, so that a learner accepts those that ``--any-demonstrations`` accepts.
+    They have no id of an environment, so that a learner accepts those that ``--allow-mismatched-demos`` accepts.
 
     :param episodes: The demonstrations
     """

@@ -176,7 +176,7 @@ def test_weights_that_change_too_much_are_not_halved(
         (["RUN"], "say where it goes"),
         (["RUN", "-orga", "a", "--folder", "b"], "say where it goes"),
         (["RUN", "--folder", "b", "-name", "c"], "are for the hub"),
-        (["nowhere", "--folder", "b"], "nowhere is no run folder"),
+        (["nowhere", "--folder", "b"], "nowhere is not a run folder"),
         (["--env", "TOY", "--baseline", "sac", "--folder", "b"], "logs has no such run"),
         (["RUN", "--folder", "RUN"], "holds no agent"),
         (["RUN", "--folder", "/dev/null/b"], "cannot be written"),

@@ -46,13 +46,13 @@ def check_cell(cell: Cell) -> None:
         make_augmentation(cell.hyperparams.get("augmentation"))
 
 
-def check_expert_data(cell: Cell, env: gym.Env[Any, Any], any_demonstrations: bool = False) -> None:
+def check_expert_data(cell: Cell, env: gym.Env[Any, Any], allow_mismatched_demos: bool = False) -> None:
     """
     Look whether a file of demonstrations is of an environment like the one to train on.
 
     :param cell: Its hyperparameters may name a file as ``expert_data``
     :param env: The environment
-    :param any_demonstrations: Whether it may be another task or have other parameters
+    :param allow_mismatched_demos: Whether it may be another task or have other parameters
     :raises CommandError: if there is no such file, or it is of another environment
     """
     path = cell.hyperparams.get("expert_data")
@@ -62,7 +62,7 @@ def check_expert_data(cell: Cell, env: gym.Env[Any, Any], any_demonstrations: bo
     with refused(f"expert_data: {path} cannot be read"):
         for episode in episodes:
             _check_shapes(path, episode, env)
-    if not any_demonstrations:
+    if not allow_mismatched_demos:
         _check_origin(path, episodes.about, cell.env_id, env)
 
 
@@ -86,7 +86,7 @@ def _check_origin(path: str, about: Mapping[str, Any], env_id: str, env: gym.Env
     if config is None or not other:
         return
     theirs, ours = ({name: values.get(name) for name in other} for values in (shown, wanted))
-    advice = "to take it nevertheless: --any-demonstrations"
+    advice = "to take it nevertheless: --allow-mismatched-demos"
     raise CommandError(f"expert_data: {path} is of {theirs}, this run of {ours}; {advice}")
 
 
