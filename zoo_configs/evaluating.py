@@ -1,4 +1,4 @@
-"""Evaluating an agent on scenes that it has never met."""
+"""Evaluation of an agent on scenes that it was not trained on."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ if TYPE_CHECKING:
 
 class Outcome(NamedTuple):
     """
-    What came of an evaluation.
+    Result of an evaluation.
 
-    :param successes: Of each episode whether it succeeded
-    :param returns: Of each episode the sum of its rewards
+    :param successes: Success of each episode
+    :param returns: Sum of rewards of each episode
     """
 
     successes: list[bool]
@@ -30,12 +30,12 @@ class Outcome(NamedTuple):
 
     @property
     def episodes(self) -> int:
-        """How many there were."""
+        """Number of episodes."""
         return len(self.successes)
 
     @property
     def rate(self) -> float:
-        """Share that succeeded, in [0, 1]; 0 without any."""
+        """Fraction of successful episodes, 0 without episodes."""
         return sum(self.successes) / max(self.episodes, 1)
 
 
@@ -74,13 +74,13 @@ def build_test_env(agent: Agent, args: argparse.Namespace) -> VecEnv:
 
 def evaluate(model: BaseAlgorithm, env: VecEnv, args: argparse.Namespace) -> Outcome:
     """
-    Let an agent act under a progress bar; Ctrl-C ends the evaluation with the episodes so far.
+    Evaluate an agent with a progress bar. Ctrl-C ends the evaluation after the episodes so far.
 
     :param model: The agent
-    :param env: The environments; their info reports ``is_success`` at the end of an episode
-    :param args: Flags: how many episodes, spread evenly over the environments, whether to sample actions
-        instead of taking the policy's mean, whether to show the bar
-    :return: What came of it
+    :param env: The environments, whose info has ``is_success`` at the end of an episode
+    :param args: Flags: number of episodes, distributed evenly over the environments; whether to sample
+        actions; whether to show the bar
+    :return: The result
     """
     from stable_baselines3.common.evaluation import evaluate_policy
     from tqdm import tqdm
