@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import importlib
+import inspect
 from collections.abc import Mapping
 from typing import Any
 
@@ -46,6 +47,21 @@ def class_from_path(path: str) -> type[Any]:
     found = getattr(importlib.import_module(module), name, None)
     if not isinstance(found, type):
         raise ImportError(f"{module} has no class {name}")
+    return found
+
+
+@functools.cache
+def constructor_arguments(cls: type[Any]) -> Mapping[str, inspect.Parameter]:
+    """
+    Return the arguments of a constructor and of those of its parents.
+
+    :param cls: The class
+    :return: The arguments by name
+    """
+    found: dict[str, inspect.Parameter] = {}
+    for parent in reversed(cls.__mro__[:-1]):
+        if "__init__" in vars(parent):
+            found.update(inspect.signature(vars(parent)["__init__"]).parameters)
     return found
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 import re
 import traceback
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import contextmanager
 
 NEARLY_EQUAL = 0.95
@@ -78,6 +78,20 @@ def unknown_name(
         return CommandError(f"unknown {kind} {got!r}, did you mean {nearest!r}?")
     choices = f"choose from {', '.join(names) or 'nothing: none exists'}"
     return CommandError(f"unknown {kind} {got!r}, {see or choices}")
+
+
+def check_names(kind: str, given: Iterable[str], valid: Collection[str]) -> None:
+    """
+    Check names.
+
+    :param kind: Their kind in the error
+    :param given: The names
+    :param valid: The valid names
+    :raises CommandError: for the first unknown name
+    """
+    for name in given:
+        if name not in valid:
+            raise unknown_name(kind, name, valid)
 
 
 def nearest_name(got: str, valid: Iterable[str], core: Callable[[str], str] = str.lower) -> str | None:

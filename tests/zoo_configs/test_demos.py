@@ -97,9 +97,9 @@ def test_demonstrations_of_another_task_or_other_parameters_are_refused(
     ):
         assert train(tmp_path, picking, *SMALL, *more) == 2
         message = capsys.readouterr().err
-        assert theirs in message and ours in message and "--any-demonstrations" in message
+        assert theirs in message and ours in message and "--allow-mismatched-demos" in message
     assert not list(tmp_path.iterdir())
-    assert train(tmp_path, picking, *SMALL, "--env", REACHING, "--any-demonstrations") == 0
+    assert train(tmp_path, picking, *SMALL, "--env", REACHING, "--allow-mismatched-demos") == 0
 
 
 @pytest.mark.parametrize("damage", ["cut", "empty", "foreign", "flipped", "hollow"])

@@ -73,7 +73,7 @@ FLAGS: dict[str, Choices] = {
         "--save-freq": ["1", "-3"],
         "--log-interval": ["1", "-4"],
         "--verbose": ["0", "2"],
-        "--any-demonstrations": None,
+        "--allow-mismatched-demos": None,
         "-tb": ["logs"],
         "--track": None,
         "-optimize": None,

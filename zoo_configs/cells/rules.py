@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import functools
 import itertools
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 from importlib import resources
 from typing import Any, NamedTuple
 
 from zoo_configs.algorithms import ALGORITHMS
-from zoo_configs.errors import CommandError, refused, unknown_name
+from zoo_configs.errors import CommandError, check_names, refused
 from zoo_configs.yaml_files import parse_yaml
 
 AXES = ("benchmarks", "networks", "learners", "additions", "tasks")
@@ -202,7 +202,7 @@ def parse_family(name: str, text: str) -> Family:
     file = f"{name}.yml"
     with refused(f"{file} cannot be read"):
         data = parse_yaml(text)
-    _check_names(f"key of {file}", data, FAMILY_KEYS)
+    check_names(f"key of {file}", data, FAMILY_KEYS)
     baselines = {**_products(data.get("product", {})), **_baselines(file, data.get("baselines", {}))}
     benchmarks = {key: tuple(networks) for key, networks in data.get("serves", {}).items()}
     algorithms = _algorithms(file, data.get("algorithms", {}), baselines)
@@ -229,10 +229,10 @@ def _baselines(file: str, given: Mapping[str, Any]) -> dict[str, Baseline]:
 def _algorithms(
     file: str, given: Mapping[str, Any], baselines: Mapping[str, Baseline]
 ) -> dict[str, tuple[str, ...]]:
-    _check_names(f"algorithm of {file}", given, ALGORITHMS)
+    check_names(f"algorithm of {file}", given, ALGORITHMS)
     algorithms = {key: (names,) if isinstance(names, str) else tuple(names) for key, names in given.items()}
     for algo, names in algorithms.items():
-        _check_names(f"baseline of {file}, algorithm {algo}", names, baselines)
+        check_names(f"baseline of {file}, algorithm {algo}", names, baselines)
     return algorithms
 
 
@@ -255,20 +255,14 @@ def _check_sections(family: Family) -> None:
             for part in section:
                 check(part, where)
             return
-        _check_names(f"key of {where}", section, (*VALUE_KEYS, *AXES))
-        _check_names(f"flag of {where}", section.get("flags", {}), FLAGS)
+        check_names(f"key of {where}", section, (*VALUE_KEYS, *AXES))
+        check_names(f"flag of {where}", section.get("flags", {}), FLAGS)
         for axis in AXES:
             for name, inner in section.get(axis, {}).items():
-                _check_names(f"name of {where}.{axis}", [name], valid.get(axis, {name}))
+                check_names(f"name of {where}.{axis}", [name], valid.get(axis, {name}))
                 check(inner, f"{where}.{axis}.{name}")
 
     check(family.sections.get("defaults", {}), f"{family.name}.yml, defaults")
     check({axis: family.sections.get(axis, {}) for axis in AXES}, f"{family.name}.yml")
     for preset, section in family.sections["presets"].items():
         check(section, f"{family.name}.yml, presets.{preset}")
-
-
-def _check_names(kind: str, given: Iterable[str], valid: Collection[str]) -> None:
-    for name in given:
-        if name not in valid:
-            raise unknown_name(kind, name, valid)

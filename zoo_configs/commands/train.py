@@ -31,7 +31,7 @@ FIXED = {
     "--conf-file": "conf_file",
     "--seed": "seed",
     "--log-folder": "log_folder",
-    "--any-demonstrations": "any_demonstrations",
+    "--allow-mismatched-demos": "allow_mismatched_demos",
     "--trained-agent": "trained_agent",
     "--dry-run": "dry_run",
 }
@@ -79,7 +79,7 @@ def build_parser() -> argparse.ArgumentParser:
     add("--seed", type=whole_number(-1, MAX_SEED), help="seed of the run (default, and -1: sampled)")
     add("--device", help="PyTorch device (default: auto; with --resume that of the run)")
     add("-f", "--log-folder", type=Path, help="folder for run folders (default: logs)")
-    add("--any-demonstrations", action="store_true", help="accept expert_data from another environment")
+    add("--allow-mismatched-demos", action="store_true", help="accept expert_data from another environment")
     add_packages(parser)
     add_progress(parser)
     add_options(parser)
@@ -115,7 +115,7 @@ def _begin(args: argparse.Namespace, progress: bool) -> Run:
         args.log_folder or Path("logs"),
         options=TrainingOptions.of(cell, given_options(args)),
         gym_packages=tuple(dict.fromkeys([*args.gym_packages, *package_of(args.env)])),
-        any_demonstrations=args.any_demonstrations,
+        allow_mismatched_demos=args.allow_mismatched_demos,
         progress=progress,
     )
 

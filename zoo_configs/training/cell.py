@@ -47,7 +47,7 @@ def train_cell(
     options: TrainingOptions | None = None,
     at: str | Path | None = None,
     gym_packages: Sequence[str] = (),
-    any_demonstrations: bool = False,
+    allow_mismatched_demos: bool = False,
     callbacks: Sequence[BaseCallback] = (),
     progress: bool = False,
 ) -> Run:
@@ -65,7 +65,7 @@ def train_cell(
     :param options: Options of the training, None for those of the preset
     :param at: Run folder
     :param gym_packages: Packages that register the environment, in addition to ours
-    :param any_demonstrations: Whether ``expert_data`` may come from another environment
+    :param allow_mismatched_demos: Whether ``expert_data`` may come from another environment
     :param callbacks: Callbacks in addition to those of the options
     :param progress: Whether to show a progress bar
     :return: The trained run
@@ -74,7 +74,7 @@ def train_cell(
     """
     register_environments(gym_packages)
     run = Run(Path(), cell, seed, device, options or TrainingOptions.of(cell), tuple(gym_packages))
-    check_run(run, any_demonstrations)
+    check_run(run, allow_mismatched_demos)
     if at is not None:
         return _train_at(replace(run, folder=Path(at)), callbacks, progress)
     logs = Path(folder) / cell.algo
@@ -113,12 +113,12 @@ def resume_run(run: Run, callbacks: Sequence[BaseCallback] = (), progress: bool 
     return _train(run, checkpoint, callbacks, progress)
 
 
-def check_run(run: Run, any_demonstrations: bool = False, resumed: bool = False) -> None:
+def check_run(run: Run, allow_mismatched_demos: bool = False, resumed: bool = False) -> None:
     """
     Check that a run can be trained, before anything is built.
 
     :param run: The run
-    :param any_demonstrations: Whether ``expert_data`` may come from another environment
+    :param allow_mismatched_demos: Whether ``expert_data`` may come from another environment
     :param resumed: Whether its replay buffer already contains the demonstrations
     :raises CommandError: if it cannot
     """
@@ -128,7 +128,7 @@ def check_run(run: Run, any_demonstrations: bool = False, resumed: bool = False)
     try_env(run.cell.env_id, env_kwargs)
     if not resumed:
         with closing(make_env(run.cell.env_id, env_kwargs)) as env:
-            check_expert_data(run.cell, env, any_demonstrations)
+            check_expert_data(run.cell, env, allow_mismatched_demos)
 
 
 def check_same(found: Run, wanted: Run) -> None:

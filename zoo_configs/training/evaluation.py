@@ -21,9 +21,10 @@ class PeriodicEvaluation(BaseCallback):
     """
     Evaluates the policy on new scenes every ``eval_freq`` time steps and saves the best model.
 
-    The scenes depend only on the seed and the time step, so that a resumed run has the same ones. Of two equally
-    good models the later one is kept. Files have Stable-Baselines3's format and are written atomically. A resumed run keeps the evaluations before its checkpoint. The pretraining is evaluated as well, with a
-    negative time step: minus the number of its remaining gradient steps.
+    The scenes depend only on the seed and the time step, so that a resumed run has the same ones. Of two
+    equally good models the later one is kept. Files have Stable-Baselines3's format and are written
+    atomically. A resumed run keeps the evaluations before its checkpoint. The pretraining is evaluated as
+    well, with a negative time step: minus the number of its remaining gradient steps.
 
     :param run: The run
     :param env: Environments for evaluation

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from zoo_configs.arguments import whole_number
-from zoo_configs.errors import CommandError, unknown_name
+from zoo_configs.errors import CommandError, check_names
 
 if TYPE_CHECKING:
     from zoo_configs.cells.cell import Cell
@@ -78,9 +78,7 @@ class TrainingOptions:
         :raises CommandError: for an unknown option or an invalid value
         """
         values = {**cell.flags, **(given or {})}
-        for name in values:
-            if name not in (names := [item.name for item in fields(cls)]):
-                raise unknown_name("option of training", name, names)
+        check_names("option of the training", values, [item.name for item in fields(cls)])
         return cls(**values)
 
     def plain(self) -> dict[str, Any]:
@@ -97,8 +95,7 @@ def _check(item: Field[Any], value: Any) -> None:
     kwargs = item.metadata["kwargs"]
     if value == item.default:
         return
-    if value not in kwargs.get("choices", (value,)):
-        raise unknown_name(_flag(item.name), value, kwargs["choices"])
+    check_names(_flag(item.name), [value], kwargs.get("choices", [value]))
     try:
         kwargs.get("type", str)(str(value))
     except (ValueError, argparse.ArgumentTypeError) as error:

@@ -75,7 +75,7 @@ class Trainer:
         """
         updates = getattr(self.model, "_n_updates", 0)
         steps = self.run.n_timesteps - (self.model.num_timesteps if self.checkpoint else 0)
-        # Ours show bars for demonstrations and pretraining on a terminal unless told not to.
+        # By default our algorithms show bars for demonstrations and pretraining on a terminal.
         options: dict[str, Any] = {} if self.progress else {"progress_bar": False}
         if self.options.log_interval != -1:
             options["log_interval"] = max(self.options.log_interval, 0) or None

@@ -13,9 +13,9 @@ from typing import Any, NamedTuple
 
 import optuna
 
-from zoo_configs.algorithms import algorithm_classes
+from zoo_configs.algorithms import algorithm_classes, constructor_arguments
 from zoo_configs.cells.cell import Cell, merge
-from zoo_configs.errors import CommandError, unknown_name
+from zoo_configs.errors import CommandError, check_names, unknown_name
 from zoo_configs.training.objects import SCHEDULE, TRAINER_KEYS
 from zoo_configs.yaml_files import parse_yaml, read_yaml
 
@@ -131,9 +131,7 @@ def parse_space(where: str, data: Any) -> tuple[Parameter, ...]:
 def _parse_parameter(where: str, name: str, given: Any) -> Parameter:
     if not isinstance(given, Mapping):
         raise CommandError(f"{name} of {where} must have low and high, or choices, got {given!r}")
-    for key in given:
-        if key not in KEYS:
-            raise unknown_name(f"key of {name} of {where}", str(key), KEYS)
+    check_names(f"key of {name} of {where}", map(str, given), KEYS)
     if "choices" in given:
         choices = given["choices"]
         if given.keys() - {"choices", "needs"} or not isinstance(choices, list) or not choices:
@@ -157,9 +155,8 @@ def _check_names(space: tuple[Parameter, ...], cell: Cell) -> None:
     from sb3_extensions.common.env_metadata import constructor_keys
 
     valid = {"policy", *TRAINER_KEYS, *constructor_keys(algorithm_classes()[cell.algo])}
-    for parameter in space:
-        if (name := parameter.name.partition(".")[0]) not in valid:
-            raise unknown_name(f"hyperparameter of {cell.algo} in the search space", name, valid)
+    names = [parameter.name.partition(".")[0] for parameter in space]
+    check_names(f"hyperparameter of {cell.algo} in the search space", names, valid)
 
 
 def _is_integer(parameter: Parameter, cell: Cell) -> bool:
@@ -212,17 +209,7 @@ def baseline_value(name: str, cell: Cell) -> Any:
 
 def _argument(name: str, cell: Cell) -> inspect.Parameter | None:
     """Return the constructor's argument of a hyperparameter, None if it has none."""
-    return _arguments(cell.algo).get(name)
-
-
-@functools.cache
-def _arguments(algo: str) -> dict[str, inspect.Parameter]:
-    """Return all arguments of an algorithm's constructor and of those of its parents."""
-    found: dict[str, inspect.Parameter] = {}
-    for parent in reversed(algorithm_classes()[algo].__mro__):
-        if "__init__" in vars(parent):
-            found.update(inspect.signature(vars(parent)["__init__"]).parameters)
-    return found
+    return constructor_arguments(algorithm_classes()[cell.algo]).get(name)
 
 
 def first_values(space: tuple[Parameter, ...], cell: Cell) -> dict[str, Any]:
