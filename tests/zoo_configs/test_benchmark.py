@@ -150,7 +150,7 @@ def test_seeds_are_given_by_either_name(flag: str, bench: Bench, capsys: pytest.
         ({**TINY, "options": {"eval_frq": 1}}, "did you mean 'eval_freq'?"),
         ({**TINY, "options": 3}, "options of bench.yml must be a mapping, got 3"),
         ({**TINY, "hyperparams": {"gama": 1}}, "did you mean 'gamma'?"),
-        ({**TINY, "hyperparams": {"gamma": 2}}, "gamma takes a number from 0 to 1, got 2"),
+        ({**TINY, "hyperparams": {"gamma": 2}}, "gamma must be a number from 0 to 1, got 2"),
         ({**TINY, "hyperparams": {"env_kwargs": {"obs_size": 8}}}, "obs_size must be at least 48, got 8"),
         (["CloseLoopToy"], "bench.yml must contain a mapping"),
         ("tasks: [", "bench.yml cannot be read"),

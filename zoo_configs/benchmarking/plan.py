@@ -11,6 +11,7 @@ from typing import Any
 from zoo_configs.arguments import MAX_SEED
 from zoo_configs.cells.benchmarks import is_served
 from zoo_configs.cells.cell import Cell, resolve
+from zoo_configs.cells.flags import default_preset
 from zoo_configs.cells.rules import family_of, task_name
 from zoo_configs.environments import known_env_id, our_env_ids, register_environments
 from zoo_configs.errors import CommandError, unknown_name
@@ -33,7 +34,7 @@ class Plan:
 
     :param tasks: Ids, names without namespace and version, or shell patterns
     :param baselines: Baselines or shell patterns
-    :param preset: Preset
+    :param preset: Preset; None selects ``paper`` for a GPU, else ``cpu``
     :param seeds: Number of seeds (0, 1, ...), or a list of seeds
     :param benchmark: Benchmark whose parameters the tasks have; None selects the first that has the task
     :param options: Fields of ``TrainingOptions``
@@ -42,7 +43,7 @@ class Plan:
 
     tasks: Sequence[str] = ()
     baselines: Sequence[str] = ()
-    preset: str = "cpu"
+    preset: str | None = None
     seeds: int | Sequence[int] = SEEDS
     benchmark: str | None = None
     options: Mapping[str, Any] = field(default_factory=dict)
@@ -136,7 +137,7 @@ def build_jobs(
     register_environments(gym_packages)
     tasks = dict.fromkeys(env_id for wanted in plan.tasks for env_id in _tasks(wanted, plan.benchmark))
     cells = [
-        resolve(label, plan.preset, task, plan.hyperparams, plan.benchmark)
+        resolve(label, plan.preset or default_preset(device), task, plan.hyperparams, plan.benchmark)
         for task in tasks
         for label in _baselines(plan, task)
     ]

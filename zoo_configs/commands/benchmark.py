@@ -94,7 +94,7 @@ def _add_experiments(parser: Parser) -> None:
     add, a_seed = group.add_argument, whole_number(0, MAX_SEED)
     add("--env", nargs="+", help="tasks or shell patterns (default: all of the benchmark)")
     add("--baseline", nargs="+", help="baselines or shell patterns (default: all of the benchmark)")
-    add("--preset", help=f"{PRESETS} (default: cpu)")
+    add("--preset", help=f"{PRESETS} (default: paper with a GPU, else cpu)")
     add("--seeds", "--seed", nargs="+", type=a_seed, help="seeds (default: 0 1 2 3, as in the paper)")
     add("--device", default="auto", help="PyTorch device (default: auto)")
 
