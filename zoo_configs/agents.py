@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -62,7 +62,7 @@ class AgentQuery:
     :param algo: Algorithm, or the baseline of this name
     :param preset: Preset
     :param log_folder: Folder of all runs
-    :param best: Whether to load the best model instead of the last one
+    :param load_best: Whether to load the best model instead of the last one
     :param device: PyTorch device
     :param published: Task or folder of a published agent
     :param gym_packages: Packages that register environments
@@ -74,10 +74,10 @@ class AgentQuery:
     algo: str | None = None
     preset: str | None = None
     log_folder: Path = Path("logs")
-    best: bool = True
+    load_best: bool = True
     device: str = "auto"
     published: str | None = None
-    gym_packages: tuple[str, ...] = ()
+    gym_packages: Sequence[str] = ()
 
 
 def find_agent(query: AgentQuery) -> Agent:
@@ -87,7 +87,7 @@ def find_agent(query: AgentQuery) -> Agent:
         return _published_agent(query)
     if query.path is not None and query.path.suffix == ".zip":
         return _agent_of_file(query.path, query)
-    return agent_of(find_run(query), query.best, query.device)
+    return agent_of(find_run(query), query.load_best, query.device)
 
 
 def find_run(query: AgentQuery) -> Run:

@@ -12,6 +12,7 @@ import uuid
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from importlib import metadata
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +23,7 @@ from zoo_configs.training.runs import CHECKPOINT_FOLDER
 from zoo_configs.training.state import State, note
 
 GIGABYTE = 1e9
-CONNECTING_SECONDS = 25.0
+CONNECTING_SECONDS = 15.0
 CONNECT = "import logging, ray, sys; ray.init(address=sys.argv[1], logging_level=logging.ERROR)"
 TOKEN = ".benchmark-"
 """Prefix of the files by which machines find out whether they share a folder."""
@@ -39,38 +40,35 @@ Resources = Mapping[str, float]
 """Options of a Ray task: ``num_cpus``, ``num_gpus`` and ``memory`` (bytes)."""
 
 
-@contextmanager
-def connected(address: str) -> Iterator[None]:
+def check_address(address: str) -> None:
     """
-    Connect to a Ray cluster.
+    Connect to a Ray cluster in another process, because ``ray.init`` retries a dead address for many minutes.
 
     :param address: Its address, ``"auto"`` for the cluster of this machine
     :raises CommandError: if Ray is not installed, or no cluster answers within ``CONNECTING_SECONDS``
     """
+    if find_spec("ray") is None:
+        raise CommandError("--ray needs Ray: pip install 'bulletarm-gym[cluster]'")
+    command, why = [sys.executable, "-c", CONNECT, address], f"no answer within {CONNECTING_SECONDS:g} s"
     try:
-        import ray
-    except ImportError as error:
-        raise CommandError("--ray needs Ray: pip install 'bulletarm-gym[cluster]'") from error
-    if why := _connection_error(address):
+        subprocess.run(command, capture_output=True, text=True, timeout=CONNECTING_SECONDS, check=True)
+    except subprocess.SubprocessError as error:
+        if isinstance(error, subprocess.CalledProcessError):
+            why = (error.stderr.strip().splitlines() or [f"exit code {error.returncode}"])[-1]
         advice = "Start one with `ray start --head`. If it asks for a token, set RAY_AUTH_MODE=token"
-        raise CommandError(f"--ray: no Ray cluster at {address} ({why}). {advice}")
+        raise CommandError(f"--ray: no Ray cluster at {address} ({why}). {advice}") from error
+
+
+@contextmanager
+def connected(address: str) -> Iterator[None]:
+    """Connect to a Ray cluster, whose address :func:`check_address` has checked."""
+    import ray
+
     ray.init(address=address, log_to_driver=False, logging_level=logging.ERROR)
     try:
         yield
     finally:
         ray.shutdown()
-
-
-def _connection_error(address: str) -> str:
-    """Connect in another process, because ``ray.init`` retries a dead address for many minutes."""
-    try:
-        command = [sys.executable, "-c", CONNECT, address]
-        subprocess.run(command, capture_output=True, text=True, timeout=CONNECTING_SECONDS, check=True)
-    except subprocess.TimeoutExpired:
-        return f"no answer within {CONNECTING_SECONDS:g} s"
-    except subprocess.CalledProcessError as error:
-        return (str(error.stderr).strip().splitlines() or [f"exit code {error.returncode}"])[-1]
-    return ""
 
 
 def machines() -> list[dict[str, Any]]:

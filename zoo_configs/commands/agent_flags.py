@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -40,15 +41,5 @@ def query_of(args: argparse.Namespace) -> AgentQuery:
     """Return the query that the flags of :func:`add_agent_flags` describe."""
     from zoo_configs.agents import AgentQuery
 
-    return AgentQuery(
-        path=args.path,
-        env=args.env,
-        baseline=args.baseline,
-        algo=args.algo,
-        preset=args.preset,
-        log_folder=args.log_folder,
-        best=args.load_best,
-        device=args.device,
-        published=getattr(args, "published", None),
-        gym_packages=tuple(args.gym_packages),
-    )
+    names = [item.name for item in fields(AgentQuery) if hasattr(args, item.name)]
+    return AgentQuery(**{name: getattr(args, name) for name in names})

@@ -45,6 +45,10 @@ def main(argv: Sequence[str]) -> None:
     :raises KeyboardInterrupt: after Ctrl-C, when all runs have stopped
     """
     args = _parse(argv)
+    if args.ray is not None and not args.dry_run:
+        from zoo_configs.benchmarking.cluster import check_address
+
+        check_address(args.ray)
     from zoo_configs.benchmarking.plan import build_jobs, read_plan
     from zoo_configs.benchmarking.run import check_jobs, size_of, train_jobs
 
