@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable, Mapping
-from pathlib import Path
 from typing import Any, NoReturn
 
 import yaml
@@ -134,23 +133,6 @@ def whole_number(least: int, most: int | None = None) -> Callable[[str], int]:
     return number
 
 
-def fraction(text: str) -> float:
-    """
-    Argument type for a number from 0 to 1.
-
-    :param text: The argument
-    :return: The number
-    :raises argparse.ArgumentTypeError: for other values
-    """
-    try:
-        value = float(text)
-    except ValueError:
-        value = -1.0
-    if not 0.0 <= value <= 1.0:
-        raise argparse.ArgumentTypeError(f"must be a number from 0 to 1, got {text!r}")
-    return value
-
-
 positive_int = whole_number(1)
 seed = whole_number(0, MAX_SEED)
 
@@ -211,35 +193,3 @@ def hides_progress(progress: bool | None) -> bool | None:
     :return: Whether to hide the bar; None hides it without a terminal
     """
     return None if progress is None else not progress
-
-
-def add_run_arguments(parser: argparse.ArgumentParser) -> None:
-    """
-    Add the flags that name a trained agent.
-
-    :param parser: Parser of the command
-    """
-    add = parser.add_argument
-    add("run", nargs="?", type=Path, metavar="RUN_FOLDER", help="a run folder, as printed by train")
-    add("--env", help="instead of a folder: the newest run on this environment")
-    add("--baseline", help="... of this baseline")
-    add("--algo", help="... of this algorithm, or of the baseline with its name")
-    add("--preset", help="... of this preset")
-    add("--exp-id", type=whole_number(0), default=0, help="... with this number (default: 0, the newest)")
-    add("-f", "--log-folder", type=Path, default=Path("logs"), help="folder of all runs (default: logs)")
-    add("--device", type=device, default="auto", help="PyTorch device (default: auto)")
-    add_packages(parser)
-    add_env_kwargs(parser)
-    model = parser.add_mutually_exclusive_group()
-    model.add_argument("--load-best", action="store_true", default=True, help="load the best model (default)")
-    model.add_argument("--load-last", action="store_false", dest="load_best", help="load the last model")
-
-
-def add_published(parser: argparse.ArgumentParser) -> None:
-    """
-    Add the flag that names a published agent.
-
-    :param parser: Parser of the command, with the flags of :func:`add_run_arguments`
-    """
-    what = "instead of a run: the published agent of this task, or a folder written by push"
-    parser.add_argument("--published", metavar="ENV", help=what)

@@ -54,7 +54,7 @@ def known_env_id(env_id: str) -> str:
     register_environments(package_of(env_id))
     name = env_id.rpartition(":")[2]
     if name not in gym.registry:
-        raise unknown_name("environment", name, gym.registry, _core, "see bulletarm-zoo list")
+        raise unknown_name("environment", name, gym.registry, id_core, "see bulletarm-zoo list")
     return name
 
 
@@ -69,8 +69,8 @@ def package_of(env_id: str) -> list[str]:
     return [package] if package else []
 
 
-def _core(env_id: str) -> str:
-    """Return ``blockpicking`` for ``BulletArm/CloseLoopBlockPicking-v0``."""
+def id_core(env_id: str) -> str:
+    """Return the characteristic part of an id, such as ``blockpicking``."""
     core = ENV_ID.fullmatch(env_id)
     return core[1].lower() if core else env_id
 

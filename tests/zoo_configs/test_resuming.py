@@ -139,7 +139,7 @@ def test_a_run_without_a_model_is_passed_over(
     [line] = printed.err.splitlines()
     assert line.startswith("skipped: ") and str(garbled) in line
     shutil.rmtree(garbled)
-    assert "has no model yet" in refuse("enjoy", *named, "--exp-id", "2")
+    assert "has no model yet" in refuse("enjoy", str(killed))
 
 
 @pytest.mark.parametrize("command", ["enjoy", "record"])

@@ -61,7 +61,7 @@ def find_cell(args: argparse.Namespace, env_id: str) -> Cell:
     baseline = _baseline_of(args, env_id)
     if baseline is None:
         return _default_cell(_required_algo(args), env_id, overrides)
-    preset = _default_preset(args.device or "auto") if args.preset is None else args.preset
+    preset = default_preset(args.device or "auto") if args.preset is None else args.preset
     cell = resolve(baseline, preset, env_id, overrides, args.benchmark)
     if args.algo not in (None, baseline, cell.algo):
         raise CommandError(f"--algo must be {cell.algo} for baseline {baseline!r}, got {args.algo}")
@@ -105,7 +105,8 @@ def _default_baseline(family: Family, args: argparse.Namespace, env_id: str) -> 
     return next(fitting, names[0] if names else None)
 
 
-def _default_preset(device: str) -> str:
+def default_preset(device: str) -> str:
+    """Return ``"paper"`` for a GPU, else ``"cpu"``."""
     import torch
 
     return "paper" if device != "cpu" and torch.cuda.is_available() else "cpu"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from zoo_configs.arguments import key_value_words
-from zoo_configs.measuring.provenance import command_line
+from zoo_configs.provenance import command_line
 from zoo_configs.training.options import TrainingOptions
 from zoo_configs.training.runs import Run
 

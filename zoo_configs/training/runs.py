@@ -12,8 +12,7 @@ from pathlib import Path
 from zoo_configs.cells.cell import Cell
 from zoo_configs.errors import CommandError, reason, refused
 from zoo_configs.files import remove_empty
-from zoo_configs.measuring.machine import describe_hardware, versions
-from zoo_configs.measuring.provenance import commit
+from zoo_configs.provenance import commit, describe_hardware, versions
 from zoo_configs.training.options import TrainingOptions
 from zoo_configs.training.state import Standing, standing
 from zoo_configs.yaml_files import read_yaml, write_yaml
