@@ -51,7 +51,7 @@ def class_from_path(path: str) -> type[Any]:
 
 
 @functools.cache
-def constructor_arguments(cls: type[Any]) -> Mapping[str, inspect.Parameter]:
+def constructor_arguments(cls: Any) -> Mapping[str, inspect.Parameter]:
     """
     Return the arguments of a constructor and of those of its parents.
 

@@ -104,7 +104,7 @@ def policy_class(algorithm: type[Any], policy: str) -> type[Any]:
     return _imported("policy", policy)
 
 
-def _check_policy_kwargs(policy: type[Any], policy_kwargs: Any) -> None:
+def _check_policy_kwargs(policy: Any, policy_kwargs: Any) -> None:
     """Check the names of arguments, unless they are a Python expression."""
     if not isinstance(policy_kwargs, Mapping):
         return

@@ -141,7 +141,7 @@ def check_same(found: Run, wanted: Run) -> None:
     """
     for name in ("algo", "env_id", "hyperparams", "benchmark"):
         if getattr(found.cell, name) != getattr(wanted.cell, name):
-            raise CommandError(f"{found.folder} has a run with another {name}. Use another folder.")
+            raise CommandError(f"{found.folder} has a run with different {name}. Use another folder.")
     if found.seed != wanted.seed:
         raise CommandError(f"{found.folder} has a run with seed {found.seed}, not {wanted.seed}")
 

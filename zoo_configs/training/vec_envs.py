@@ -61,7 +61,7 @@ def build_vec_env(
         monitor_dir=None if monitor_dir is None else str(monitor_dir),
         wrapper_class=wrapper(values.get("env_wrapper")),
         env_kwargs=dict(values.get("env_kwargs", {})),
-        vec_env_cls=VEC_ENVS[vec_env],  # type: ignore[arg-type]
+        vec_env_cls=VEC_ENVS[vec_env],
         monitor_kwargs=monitor_kwargs,
     )
     if (wrap := wrapper(values.get("vec_env_wrapper"))) is not None:

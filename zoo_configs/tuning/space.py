@@ -209,7 +209,8 @@ def baseline_value(name: str, cell: Cell) -> Any:
 
 def _argument(name: str, cell: Cell) -> inspect.Parameter | None:
     """Return the constructor's argument of a hyperparameter, None if it has none."""
-    return constructor_arguments(algorithm_classes()[cell.algo]).get(name)
+    algorithm: Any = algorithm_classes()[cell.algo]
+    return constructor_arguments(algorithm).get(name)
 
 
 def first_values(space: tuple[Parameter, ...], cell: Cell) -> dict[str, Any]:
