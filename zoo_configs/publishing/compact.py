@@ -14,7 +14,6 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.save_util import save_to_zip_file
 from torch import nn
 
-from zoo_configs.algorithms import ALGORITHMS
 from zoo_configs.files import whole_file
 
 POLICY = "policy"
@@ -55,12 +54,13 @@ def save_compact(model: BaseAlgorithm, path: Path, half: bool = True) -> str:
     weights = stored_weights(model.policy, half)
     params[POLICY] = weights
     names, variables = model._get_torch_save_params()
-    left_out = (*model._excluded_save_params(), *names, *variables, *SCHEDULES)
-    data = {name: value for name, value in vars(model).items() if name not in _roots(left_out)}
+    left_out = {*model._excluded_save_params(), *names, *variables, *SCHEDULES}
+    roots = {name.partition(".")[0] for name in left_out}
+    data = {name: value for name, value in vars(model).items() if name not in roots}
     data.update({name: value for name, value in BLANKS.items() if name in data})
     data.update({name: _initial(data[name]) for name in CONSTANTS if name in data})
     data.update({name: _unseeded(data[name]) for name in ("observation_space", "action_space")})
-    if type(model).__module__.split(".")[0] not in _our_packages() and "buffer_size" in data:
+    if not type(model).__module__.startswith("sb3_extensions.") and "buffer_size" in data:
         data["buffer_size"] = 1  # our buffers allocate no memory before the first transition
     file = io.BytesIO()
     save_to_zip_file(file, data, params, {name: getattr(model, name) for name in variables})
@@ -134,14 +134,6 @@ def _unseeded(space: Any) -> Any:
     for part in getattr(fresh, "spaces", {}).values():
         part._np_random = None
     return fresh
-
-
-def _roots(names: tuple[str, ...]) -> set[str]:
-    return {name.split(".")[0] for name in names}
-
-
-def _our_packages() -> set[str]:
-    return _roots(tuple(ALGORITHMS.values()))
 
 
 def _pack(stored: io.BytesIO, path: Path) -> None:
