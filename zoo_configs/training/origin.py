@@ -46,7 +46,7 @@ def origin_of(run: Run, commit: str = "") -> Origin:
     """
     with refused(f"{run.resolved_file} cannot be read"):
         about: dict[str, Any] = read_yaml(run.resolved_file)[RUN_KEY]
-    how = run.standing
+    how = run.status
     return Origin(
         minutes=None if how is None else round(how.seconds / SECONDS_A_MINUTE, 1),
         command=repeating_command(run),
