@@ -23,7 +23,7 @@ from zoo_configs.results import (
     read_experiments,
 )
 from zoo_configs.training.options import TrainingOptions, given_options
-from zoo_configs.training.repeating import repeating_command
+from zoo_configs.training.origin import repeating_command
 from zoo_configs.training.runs import Run, find_runs, write_resolved
 from zoo_configs.training.state import State, run_lock, run_status, set_status
 
