@@ -40,7 +40,7 @@ def main() -> None:
 
 def to_row(run: Run) -> Row:
     """Return the row of a run."""
-    curve, origin, status = load_curve(run.evaluations_file), origin_of(run), run.standing
+    curve, origin, status = load_curve(run.evaluations_file), origin_of(run), run.status
     evaluations = zip(curve.timesteps, curve.success, strict=True)
     return {
         "env": run.cell.env_id,

@@ -52,7 +52,7 @@ class Result:
     @property
     def is_done(self) -> bool:
         """Whether the run is done."""
-        status = self.run.standing
+        status = self.run.status
         return status is not None and status.state is State.DONE
 
 

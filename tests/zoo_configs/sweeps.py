@@ -16,7 +16,7 @@ import yaml
 from stable_baselines3.common.save_util import load_from_zip_file
 
 from zoo_configs.benchmarking.plan import Job, build_jobs, parse_plan
-from zoo_configs.training.state import State, standing
+from zoo_configs.training.state import State, run_status
 
 HERE = Path(__file__).parent
 ROOT = HERE.parent.parent
@@ -74,5 +74,5 @@ def start(folder: Path, plan: dict[str, Any], *flags: str) -> subprocess.Popen[b
 
 
 def is_running(folder: Path) -> bool:
-    how = standing(folder)
+    how = run_status(folder)
     return how is not None and how.state is State.RUNNING

@@ -25,7 +25,7 @@ from zoo_configs.benchmarking.run import size_of
 from zoo_configs.benchmarking.status import Overview, Status, shown
 from zoo_configs.cli import main
 from zoo_configs.training.runs import find_runs
-from zoo_configs.training.state import State, held, note, standing
+from zoo_configs.training.state import State, run_lock, run_status, set_status
 
 ROOT = Path(__file__).parents[2]
 EXAMPLES = ROOT / "examples" / "benchmarks"
@@ -200,7 +200,7 @@ def test_a_folder_with_other_runs_is_refused(bench: Bench, tmp_path: Path, capsy
 
 def test_one_benchmark_at_a_time_works_in_a_folder(bench: Bench, tmp_path: Path, capsys: Any) -> None:
     (tmp_path / "out").mkdir()
-    with held(tmp_path / "out"):
+    with run_lock(tmp_path / "out"):
         assert bench() == 2
     assert "is being trained by another process" in capsys.readouterr().err
 
@@ -220,12 +220,12 @@ def test_the_overview_is_read_from_the_folders(tmp_path: Path, capsys: Any) -> N
     jobs = jobs_of(seeds=4)
     overview = Overview(jobs, tmp_path)
     first, second, third, _ = (tmp_path / job.name for job in jobs)
-    note(second, State.FAILED, "the block is lost")
+    set_status(second, State.FAILED, "the block is lost")
     third.mkdir()
-    with held(third):
+    with run_lock(third):
         pass
     first.mkdir()
-    with held(first), shown(overview) as look:
+    with run_lock(first), shown(overview) as look:
         results = [[0.0, 1.0]]
         np.savez(first / "evaluations.npz", timesteps=[6], results=results, successes=results)
         look()
@@ -233,7 +233,7 @@ def test_the_overview_is_read_from_the_folders(tmp_path: Path, capsys: Any) -> N
         assert overview.counts() == "1 done, 1 running, 1 waiting, 1 failed"
     assert "running CloseLoopToy/sacfd/seed_0, success 0.50 at 6" in told
     assert "failed CloseLoopToy/sacfd/seed_1: the block is lost" in told
-    note(third, State.FAILED, "what is done stays done")
+    set_status(third, State.FAILED, "what is done stays done")
     assert [entry.name for entry in Overview(jobs, tmp_path).of(Status.DONE)] == []
     overview.update()
     assert [entry.name for entry in overview.of(Status.DONE)] == [m.name for m in jobs if m.seed in (0, 2)]
@@ -255,8 +255,8 @@ def test_runs_that_fail_do_not_stop_the_others(bench: Bench, tmp_path: Path, cap
     assert out.splitlines()[0] == "1 done, 0 running, 0 waiting, 2 failed"
     assert "2 of 3 runs failed. Use --retry-failed to restart; CloseLoopToyFailing/" in err.splitlines()[-1]
     failing, crashing, good = (tmp_path / "out" / task / "sacfd" / "seed_0" for task in tasks)
-    assert "the block is lost" in standing(failing).error  # type: ignore[union-attr]
-    assert standing(crashing).error == "its process was ended by SIGSEGV, see log.txt"  # type: ignore[union-attr]
+    assert "the block is lost" in run_status(failing).error  # type: ignore[union-attr]
+    assert run_status(crashing).error == "its process was ended by SIGSEGV, see log.txt"  # type: ignore[union-attr]
     assert "RuntimeError: the block is lost" in (failing / "log.txt").read_text()
     # A second start leaves both what is done and what has failed
     before = {path: path.stat().st_mtime_ns for path in (good / "state.yml", failing / "state.yml")}
@@ -284,7 +284,7 @@ def test_an_interrupted_run_goes_on(tmp_path: Path) -> None:
     wait_for(lambda: any(folder.glob("checkpoints/checkpoint_*")))
     process.interrupt()
     assert process.wait(60) and process.exit_code() is ExitCode.INTERRUPTED
-    assert standing(folder).state is State.KILLED  # type: ignore[union-attr]
+    assert run_status(folder).state is State.KILLED  # type: ignore[union-attr]
 
 
 def kill_at_random(bench: Bench, tmp_path: Path, plan: dict[str, Any], kills: int, seed: int) -> None:
@@ -306,7 +306,7 @@ def kill_at_random(bench: Bench, tmp_path: Path, plan: dict[str, Any], kills: in
     whole = main(["benchmark", str(tmp_path / "tiny.yml"), "-f", str(tmp_path / "whole"), *FLAGS, "-j", "2"])
     assert whole == 0
     for run in runs:
-        assert run.standing.state is State.DONE  # type: ignore[union-attr]
+        assert run.status.state is State.DONE  # type: ignore[union-attr]
         assert same(run.folder, tmp_path / "whole" / run.folder.relative_to(out))
 
 

@@ -23,7 +23,7 @@ from zoo_configs.benchmarking.process import ExitCode
 from zoo_configs.benchmarking.status import Overview
 from zoo_configs.cli import main
 from zoo_configs.errors import CommandError
-from zoo_configs.training.state import State, standing
+from zoo_configs.training.state import State, run_status
 
 pytest.importorskip("ray")
 Bench = Callable[..., int]
@@ -83,7 +83,7 @@ def test_a_run_that_is_lost_again_and_again_fails(tmp_path: Path, monkeypatch: p
     codes = [cluster.train(job, tmp_path, "token") for _ in range(4)]
     assert codes == [ExitCode.INTERRUPTED] * 3 + [ExitCode.FAILED]
     assert len(trained) == 3
-    assert "lost 3 times" in standing(tmp_path / job.name).error  # type: ignore[union-attr]
+    assert "lost 3 times" in run_status(tmp_path / job.name).error  # type: ignore[union-attr]
     (tmp_path / job.name / "checkpoints" / "checkpoint_6").mkdir(parents=True)
     assert cluster.train(job, tmp_path, "token") == ExitCode.INTERRUPTED  # it has progressed
 
@@ -129,7 +129,7 @@ def test_a_node_killed_in_the_middle_loses_nothing(
     assert bench("--ray", ray_cluster.address, **plan) == 2
     killer.join()
     assert "2 done, 0 running, 0 waiting, 2 failed" in capsys.readouterr().out.splitlines()
-    assert standing(out / "CloseLoopToyFailing/sac/seed_0").state is State.FAILED  # type: ignore[union-attr]
+    assert run_status(out / "CloseLoopToyFailing/sac/seed_0").state is State.FAILED  # type: ignore[union-attr]
     assert not list(out.glob(".benchmark-*"))
     # What is done is the same as without a cluster, and is not done again
     (tmp_path / "tiny.yml").write_text(yaml.safe_dump({**TINY, **plan, "tasks": ["CloseLoopToySlow"]}))

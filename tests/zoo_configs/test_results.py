@@ -23,9 +23,9 @@ from zoo_configs.results import (
     read_experiments,
 )
 from zoo_configs.training.options import TrainingOptions, given_options
-from zoo_configs.training.repeating import repeating_command
+from zoo_configs.training.origin import repeating_command
 from zoo_configs.training.runs import Run, find_runs, write_resolved
-from zoo_configs.training.state import State, held, note, standing
+from zoo_configs.training.state import State, run_lock, run_status, set_status
 
 PICKING, REACHING = "BulletArm/CloseLoopBlockPicking-v0", "BulletArm/CloseLoopBlockReaching-v0"
 OVERRIDES = {
@@ -46,7 +46,7 @@ def add_run(
     place = folder / f"{task}_{len(list(folder.glob('*')))}" / baseline / f"seed_{seed}"
     run = Run(place, cell, seed, "cpu", TrainingOptions.of(cell, options))
     write_resolved(run)
-    with held(run.folder):
+    with run_lock(run.folder):
         steps = np.arange(1, len(successes) + 1) * 10
         np.savez(run.evaluations_file, timesteps=steps, results=successes, successes=successes)
     return run
@@ -165,8 +165,8 @@ def test_plot_selects_environments_and_baselines(
 def test_a_failed_run_is_not_done(tmp_path: Path) -> None:
     run = add_run(tmp_path, REACHING, "sacfd", 0, GOOD)
     (run.folder / "state.yml").unlink()
-    note(run.folder, State.FAILED, "the block is lost")
-    assert standing(run.folder).state is State.FAILED  # type: ignore[union-attr]
+    set_status(run.folder, State.FAILED, "the block is lost")
+    assert run_status(run.folder).state is State.FAILED  # type: ignore[union-attr]
     [experiment] = read_experiments(tmp_path)
     assert experiment_row(experiment)[4] == "0 of 1"
 

@@ -24,7 +24,7 @@ from zoo_configs.errors import CommandError
 from zoo_configs.training.cell import train_cell
 from zoo_configs.training.options import TrainingOptions, add_options
 from zoo_configs.training.runs import Run, load_run
-from zoo_configs.training.state import LOCK_FILE, State, held, standing
+from zoo_configs.training.state import LOCK_FILE, State, run_lock, run_status
 
 TINY = {"expert_episodes": 2, "pretrain_steps": 2, "batch_size": 4, "buffer_size": 100, "n_envs": 1}
 SHORT = {"n_timesteps": 12, "eval_freq": 6, "eval_episodes": 2, "save_freq": 6, "verbose": 0}
@@ -90,7 +90,7 @@ def test_a_run_says_all_about_itself(cell: Cell, options: TrainingOptions, tmp_p
     assert "cores" in about["machine"]
     loaded = load_run(run.folder)
     assert (loaded.seed, loaded.options, loaded.cell.hyperparams) == (3, options, cell.hyperparams)
-    how = loaded.standing
+    how = loaded.status
     assert how is not None and how.state is State.DONE and how.pid == os.getpid() and how.seconds > 0
 
 
@@ -104,7 +104,7 @@ def test_a_chosen_folder_goes_on_from_its_checkpoint(
 
     with pytest.raises(RuntimeError, match="pulled"):
         train(Stop(10, RuntimeError("the plug was pulled")))
-    how = standing(there)
+    how = run_status(there)
     assert how is not None and how.state is State.FAILED and how.error == "the plug was pulled"
     run = train()
     assert same(run, train_cell(cell, 0, "cpu", tmp_path, options=options))
@@ -135,10 +135,10 @@ def test_a_run_that_was_killed_at_its_very_end_is_done(
     run = train_cell(cell, 0, "cpu", tmp_path, options=options, at=tmp_path / "a")
     before, state = weights(run), run.folder / "state.yml"
     state.write_text(state.read_text().replace("state: done", "state: running"))
-    assert run.standing is not None and run.standing.state is State.KILLED
+    assert run.status is not None and run.status.state is State.KILLED
     run.last_model.write_bytes(b"of an earlier interruption")
     again = train_cell(cell, 0, "cpu", tmp_path, options=options, at=tmp_path / "a")
-    assert again.standing is not None and again.standing.state is State.DONE
+    assert again.status is not None and again.status.state is State.DONE
     assert all(bool((weights(again)[key] == before[key]).all()) for key in before)
 
 
@@ -205,21 +205,21 @@ def test_rl_zoo3_evaluates_our_runs(
 
 
 def test_who_trains_a_run_keeps_others_out(tmp_path: Path) -> None:
-    with held(tmp_path):
-        how = standing(tmp_path)
+    with run_lock(tmp_path):
+        how = run_status(tmp_path)
         assert how is not None and how.state is State.RUNNING
-        with pytest.raises(CommandError, match="is being trained by another process"), held(tmp_path):
+        with pytest.raises(CommandError, match="is being trained by another process"), run_lock(tmp_path):
             pass
-    assert standing(tmp_path).state is State.DONE  # type: ignore[union-attr]
+    assert run_status(tmp_path).state is State.DONE  # type: ignore[union-attr]
 
 
 def test_ctrl_c_during_a_save_counts_as_killed(tmp_path: Path) -> None:
-    with pytest.raises(RuntimeError), held(tmp_path):
+    with pytest.raises(RuntimeError), run_lock(tmp_path):
         try:
             raise KeyboardInterrupt
         finally:
             raise RuntimeError("unexpected pos 64 vs 0")  # as from torch.save
-    how = standing(tmp_path)
+    how = run_status(tmp_path)
     assert how is not None and how.state is State.KILLED
 
 
@@ -227,31 +227,31 @@ def test_who_is_killed_leaves_a_killed_run(tmp_path: Path) -> None:
     code = f"""
 import os, signal
 from pathlib import Path
-from zoo_configs.training.state import held
-with held(Path({str(tmp_path)!r})):
+from zoo_configs.training.state import run_lock
+with run_lock(Path({str(tmp_path)!r})):
     os.kill(os.getpid(), signal.SIGKILL)
 """
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == -9
     assert (tmp_path / LOCK_FILE).is_file()
-    how = standing(tmp_path)
+    how = run_status(tmp_path)
     assert how is not None and how.state is State.KILLED
     (tmp_path / "state.yml").write_text("state: dancing")
     with pytest.raises(CommandError, match="cannot be read"):
-        standing(tmp_path)
+        run_status(tmp_path)
 
 
 @pytest.mark.parametrize("killed", [True, False])
 def test_the_time_of_who_was_killed_counts_up_to_the_checkpoint(killed: bool, tmp_path: Path) -> None:
-    with held(tmp_path):
+    with run_lock(tmp_path):
         (checkpoint := tmp_path / "checkpoint").mkdir()
-    how = standing(tmp_path)
+    how = run_status(tmp_path)
     assert how is not None and how.until == how.since + how.seconds
     if killed:
         how = how._replace(state=State.RUNNING, until=0.0, seconds=5.0)
         os.utime(checkpoint, (how.since + 100.0, how.since + 100.0))
         (tmp_path / "state.yml").write_text(yaml.safe_dump({**how._asdict(), "state": how.state.value}))
-    with held(tmp_path, checkpoint):
-        again = standing(tmp_path)
+    with run_lock(tmp_path, checkpoint):
+        again = run_status(tmp_path)
     assert again is not None
     assert again.seconds == pytest.approx(105.0 if killed else how.seconds)
 
@@ -260,6 +260,6 @@ def test_ctrl_c_counts_as_killed(cell: Cell, options: TrainingOptions, tmp_path:
     with pytest.raises(KeyboardInterrupt) as stop:
         train_cell(cell, 0, "cpu", tmp_path, options=options, callbacks=[Stop(8, KeyboardInterrupt())])
     run = stop.value.run  # type: ignore[attr-defined]
-    how = standing(run.folder)
+    how = run_status(run.folder)
     assert how is not None and how.state is State.KILLED
     assert run.last_model.is_file() and np.any([weights(run)])

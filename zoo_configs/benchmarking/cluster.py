@@ -20,7 +20,7 @@ from zoo_configs.benchmarking.plan import Job
 from zoo_configs.benchmarking.process import GRACE, POLL, ExitCode, JobProcess, check_storage, stop
 from zoo_configs.errors import CommandError, reason
 from zoo_configs.training.runs import CHECKPOINT_FOLDER
-from zoo_configs.training.state import State, note
+from zoo_configs.training.state import State, set_status
 
 GIGABYTE = 1e9
 CONNECTING_SECONDS = 15.0
@@ -192,7 +192,7 @@ def train(job: Job, folder: Path, token: str) -> int:
     _check_shared(folder, token)
     if _starts(folder / job.name, token) > MAX_STARTS:
         error = f"lost {MAX_STARTS} times at the same checkpoint. It may need more memory"
-        note(folder / job.name, State.FAILED, error)
+        set_status(folder / job.name, State.FAILED, error)
         return int(ExitCode.FAILED)
     visible = {name: os.environ[name] for name in ("CUDA_VISIBLE_DEVICES",) if name in os.environ}
     process = JobProcess(job, folder, visible)

@@ -19,7 +19,7 @@ from pathlib import Path
 
 from zoo_configs.benchmarking.plan import Job
 from zoo_configs.errors import CommandError, reason
-from zoo_configs.training.state import State, is_held, note, standing
+from zoo_configs.training.state import State, is_training, run_status, set_status
 
 LOG_FILE = "log.txt"
 LOCK_SECONDS, LOCK_POLL = 180.0, 0.2
@@ -74,7 +74,7 @@ class JobProcess:
         if code in tuple(ExitCode):
             return ExitCode(code)
         how = signal.Signals(-code).name if code is not None and code < 0 else f"exit code {code}"
-        note(self.run_folder, State.FAILED, f"its process was ended by {how}, see {LOG_FILE}")
+        set_status(self.run_folder, State.FAILED, f"its process was ended by {how}, see {LOG_FILE}")
         return ExitCode.FAILED
 
     def interrupt(self) -> None:
@@ -168,7 +168,7 @@ def _train(job: Job, run_folder: Path) -> None:
             stream.flush()
             os.dup2(file.fileno(), stream.fileno())
     last = time.monotonic() + LOCK_SECONDS
-    while is_held(run_folder) and time.monotonic() < last:
+    while is_training(run_folder) and time.monotonic() < last:
         time.sleep(LOCK_POLL)
     train_cell(
         job.cell, job.seed, job.device, options=job.options, at=run_folder, gym_packages=job.gym_packages
@@ -178,11 +178,11 @@ def _train(job: Job, run_folder: Path) -> None:
 def _record_failure(run_folder: Path, error: Exception) -> ExitCode:
     """Record an error in the run folder. A run without storage has not failed: it can be resumed."""
     if is_storage_error(error) or shutil.disk_usage(run_folder).free < LEAST_FREE:
-        status = standing(run_folder)
+        status = run_status(run_folder)
         if status is not None and status.state is State.FAILED:
-            note(run_folder, State.KILLED)
+            set_status(run_folder, State.KILLED)
         return ExitCode.STORAGE
-    note(run_folder, State.FAILED, reason(error))
+    set_status(run_folder, State.FAILED, reason(error))
     return ExitCode.FAILED
 
 

@@ -18,7 +18,7 @@ from zoo_configs.errors import CommandError, refused
 from zoo_configs.files import check_writable
 from zoo_configs.training.cell import check_same
 from zoo_configs.training.runs import RESOLVED_FILE, Run, load_run
-from zoo_configs.training.state import LOCK_FILE, State, held, note
+from zoo_configs.training.state import LOCK_FILE, State, run_lock, set_status
 
 Runner = Callable[[Sequence[Job], Callable[[], None]], None]
 """Function that trains runs and regularly calls another function."""
@@ -110,11 +110,11 @@ def train_jobs(
     :raises CommandError: if the runner cannot continue; the runs can be resumed
     """
     overview = Overview(jobs, folder)
-    with held(folder):
+    with run_lock(folder):
         overview.update()
         if retry_failed:
             for entry in overview.of(Status.FAILED):
-                note(folder / entry.name, State.KILLED)
+                set_status(folder / entry.name, State.KILLED)
             overview.update()
         ended = {entry.name for status in (Status.DONE, Status.FAILED) for entry in overview.of(status)}
         print(f"{folder}: {overview.counts()}", file=sys.stderr)

@@ -17,7 +17,7 @@ from zoo_configs.arguments import hides_progress
 from zoo_configs.benchmarking.plan import Job
 from zoo_configs.errors import CommandError
 from zoo_configs.training.runs import EVALUATIONS_FILE
-from zoo_configs.training.state import State, standing
+from zoo_configs.training.state import State, run_status
 
 INTERVAL = 2.0  # seconds between two readings of the folders
 
@@ -94,7 +94,7 @@ def read_entry(folder: Path, name: str) -> Entry:
     from zoo_configs.drawing.curves import load_curve
 
     try:
-        found = standing(folder / name)
+        found = run_status(folder / name)
     except CommandError as error:
         return Entry(name, Status.FAILED, error=str(error))
     if found is None:

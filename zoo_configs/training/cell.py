@@ -21,7 +21,7 @@ from zoo_configs.errors import CommandError
 from zoo_configs.files import missing_folders
 from zoo_configs.training.options import TrainingOptions
 from zoo_configs.training.runs import Run, claim_run_folder, clear, discard_if_empty, load_run, write_resolved
-from zoo_configs.training.state import State, held
+from zoo_configs.training.state import State, run_lock
 from zoo_configs.training.tracking import tracked
 from zoo_configs.training.trainer import Trainer
 
@@ -106,7 +106,7 @@ def resume_run(run: Run, callbacks: Sequence[BaseCallback] = (), progress: bool 
         raise CommandError(f"eval_episodes must be {begun} as at the start, got {run.options.eval_episodes}")
     check_run(run, resumed=True)
     checkpoint = _latest_checkpoint(run)
-    status, steps = run.standing, _timesteps(checkpoint)
+    status, steps = run.status, _timesteps(checkpoint)
     if status is not None and status.state is State.DONE and steps >= run.n_timesteps:
         done = f"run {run.folder} is already finished ({steps} of {run.n_timesteps} steps)"
         raise CommandError(f"{done}. Pass a larger -n to continue.")
@@ -150,7 +150,7 @@ def _train_at(run: Run, callbacks: Sequence[BaseCallback], progress: bool) -> Ru
     """Start or resume a run in its folder, or return a finished one."""
     if run.resolved_file.is_file():
         check_same(load_run(run.folder), run)
-    status = run.standing
+    status = run.status
     if status is not None and status.state is State.DONE:
         return run
     run.folder.mkdir(parents=True, exist_ok=True)
@@ -182,7 +182,7 @@ def _timesteps(checkpoint: Path) -> int:
 
 def _train(run: Run, checkpoint: Path | None, callbacks: Sequence[BaseCallback], progress: bool) -> Run:
     tracking = tracked(run) if run.options.track else nullcontext(run)
-    with held(run.folder, checkpoint), _threads(run.options.num_threads), tracking as logged:
+    with run_lock(run.folder, checkpoint), _threads(run.options.num_threads), tracking as logged:
         if checkpoint is None:
             clear(run)
         set_random_seed(run.seed)

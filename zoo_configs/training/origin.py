@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from datetime import datetime, timezone
 from typing import Any, NamedTuple
 
+from zoo_configs.arguments import key_value_words
 from zoo_configs.errors import refused
-from zoo_configs.training.repeating import repeating_command
+from zoo_configs.provenance import command_line
+from zoo_configs.training.options import TrainingOptions
 from zoo_configs.training.runs import RUN_KEY, Run
 from zoo_configs.yaml_files import read_yaml
 
@@ -46,7 +48,7 @@ def origin_of(run: Run, commit: str = "") -> Origin:
     """
     with refused(f"{run.resolved_file} cannot be read"):
         about: dict[str, Any] = read_yaml(run.resolved_file)[RUN_KEY]
-    how = run.standing
+    how = run.status
     return Origin(
         minutes=None if how is None else round(how.seconds / SECONDS_A_MINUTE, 1),
         command=repeating_command(run),
@@ -55,6 +57,39 @@ def origin_of(run: Run, commit: str = "") -> Origin:
         machine=about.get("machine", ""),
         versions=about.get("versions", {}),
     )
+
+
+def repeating_command(run: Run) -> str:
+    """
+    Return the command line that trains a run again.
+
+    :param run: The run
+    :return: The command line
+    """
+    cell = run.cell
+    words = ["bulletarm-zoo", "train", "--env", cell.env_id, "--seed", str(run.seed)]
+    if cell.baseline is None:
+        words += ["--conf-file", str(run.resolved_file), "--algo", cell.algo]
+    else:
+        words += ["--baseline", cell.baseline, "--preset", str(cell.preset)]
+        words += ["--benchmark", cell.benchmark] if cell.benchmark else []
+    words += [] if run.device == "auto" else ["--device", run.device]
+    words += ["--gym-packages", ",".join(run.gym_packages)] if run.gym_packages else []
+    words += _options(run)
+    env_kwargs = cell.overrides.get("env_kwargs", {})
+    others = {name: value for name, value in cell.overrides.items() if name != "env_kwargs"}
+    words += ["--env-kwargs", *key_value_words(env_kwargs)] if env_kwargs else []
+    words += ["-params", *key_value_words(others)] if others else []
+    return command_line(words)
+
+
+def _options(run: Run) -> Iterator[str]:
+    """Options that differ from the preset's."""
+    preset = TrainingOptions.of(run.cell).plain()
+    for name, value in run.options.plain().items():
+        if value != preset[name]:
+            yield f"--{name.replace('_', '-')}"
+            yield from () if value is True else (str(value),)
 
 
 def day(seconds: float) -> str:

@@ -14,7 +14,7 @@ from zoo_configs.errors import CommandError, reason, refused
 from zoo_configs.files import remove_empty
 from zoo_configs.provenance import commit, describe_hardware, versions
 from zoo_configs.training.options import TrainingOptions
-from zoo_configs.training.state import Standing, standing
+from zoo_configs.training.state import RunStatus, run_status
 from zoo_configs.yaml_files import read_yaml, write_yaml
 
 RESOLVED_FILE = "hyperparams.yml"
@@ -111,9 +111,9 @@ class Run:
         return self.folder / TRAINING_LOG_FILE
 
     @property
-    def standing(self) -> Standing | None:
+    def status(self) -> RunStatus | None:
         """Its status, None before the training."""
-        return standing(self.folder)
+        return run_status(self.folder)
 
 
 def env_folder_name(env_id: str) -> str:

@@ -31,7 +31,7 @@ class State(str, Enum):
     KILLED = "killed"
 
 
-class Standing(NamedTuple):
+class RunStatus(NamedTuple):
     """
     Status of a run.
 
@@ -53,7 +53,7 @@ class Standing(NamedTuple):
     until: float = 0.0
 
 
-def standing(folder: Path) -> Standing | None:
+def run_status(folder: Path) -> RunStatus | None:
     """
     Read the status of a run. A run that is recorded as running without a process was killed.
 
@@ -62,21 +62,21 @@ def standing(folder: Path) -> Standing | None:
     :raises CommandError: if the file of the status is damaged
     """
     found = _read(folder)
-    if found is not None and found.state is State.RUNNING and not is_held(folder):
+    if found is not None and found.state is State.RUNNING and not is_training(folder):
         return found._replace(state=State.KILLED)
     return found
 
 
-def _read(folder: Path) -> Standing | None:
+def _read(folder: Path) -> RunStatus | None:
     path = folder / STATE_FILE
     if not path.is_file():
         return None
     content = read_yaml(path)
     with refused(f"{path} cannot be read"):
-        return Standing(**{**content, "state": State(content["state"])})
+        return RunStatus(**{**content, "state": State(content["state"])})
 
 
-def is_held(folder: Path) -> bool:
+def is_training(folder: Path) -> bool:
     """
     Return True if a process is training a run, on shared storage on any machine.
 
@@ -111,7 +111,7 @@ def lock(file: IO[str]) -> bool:
     return True
 
 
-def note(folder: Path, state: State, error: str = "") -> None:
+def set_status(folder: Path, state: State, error: str = "") -> None:
     """
     Set the status of a run whose process could not do so. A run that is running or done keeps its status.
 
@@ -119,15 +119,15 @@ def note(folder: Path, state: State, error: str = "") -> None:
     :param state: Its state
     :param error: Reason for a failure
     """
-    if is_held(folder):
+    if is_training(folder):
         return
-    found = _read(folder) or Standing(State.KILLED, socket.gethostname(), os.getpid(), time.time())
+    found = _read(folder) or RunStatus(State.KILLED, socket.gethostname(), os.getpid(), time.time())
     if found.state is not State.DONE:
         _write(folder, found._replace(state=state, error=error))
 
 
 @contextmanager
-def held(folder: Path, checkpoint: Path | None = None) -> Iterator[None]:
+def run_lock(folder: Path, checkpoint: Path | None = None) -> Iterator[None]:
     """
     Lock a run while it is trained, and keep its status up to date. A run that Ctrl-C ends counts as killed.
 
@@ -140,7 +140,7 @@ def held(folder: Path, checkpoint: Path | None = None) -> Iterator[None]:
         if not _lock_soon(file):
             raise CommandError(f"{folder} is being trained by another process")
         spent = _spent(_read(folder), checkpoint)
-        begun = Standing(State.RUNNING, socket.gethostname(), os.getpid(), time.time(), spent)
+        begun = RunStatus(State.RUNNING, socket.gethostname(), os.getpid(), time.time(), spent)
         _write(folder, begun)
         try:
             yield
@@ -159,7 +159,7 @@ def _is_interrupt(error: BaseException | None) -> bool:
     return error is not None
 
 
-def _spent(before: Standing | None, checkpoint: Path | None) -> float:
+def _spent(before: RunStatus | None, checkpoint: Path | None) -> float:
     """Return the earlier training time, that of a killed process up to its last checkpoint."""
     if before is None:
         return 0.0
@@ -168,7 +168,7 @@ def _spent(before: Standing | None, checkpoint: Path | None) -> float:
     return before.seconds + max(0.0, checkpoint.stat().st_mtime - before.since)
 
 
-def _ended(begun: Standing, state: State, error: str = "") -> Standing:
+def _ended(begun: RunStatus, state: State, error: str = "") -> RunStatus:
     now = time.time()
     return begun._replace(state=state, seconds=begun.seconds + now - begun.since, error=error, until=now)
 
@@ -181,5 +181,5 @@ def _lock_soon(file: IO[str]) -> bool:
     return False
 
 
-def _write(folder: Path, how: Standing) -> None:
+def _write(folder: Path, how: RunStatus) -> None:
     write_yaml(folder / STATE_FILE, {**how._asdict(), "state": how.state.value})
