@@ -25,10 +25,8 @@ demo: venv
 	$(BIN)/bulletarm-zoo record $(DEMO) --load-last -n 4 -o $(DEMO_LOGS)/demo.gif
 	$(BIN)/bulletarm-zoo enjoy $(DEMO) --load-last -n 50
 
-# Estimates of a benchmark's hours read copies of two of the files.
 tables: venv
-	$(BIN)/bulletarm-zoo report --docs docs README.md CONTRIBUTING.md
-	cp docs/data/speed.csv docs/data/updates.csv zoo_configs/data/
+	$(BIN)/python tools/fill_tables.py docs README.md CONTRIBUTING.md
 
 # The self-check compiles the numeric code once, beside the type checker; both of pytest's workers would. The last
 # line printed is pytest's own summary.
@@ -55,8 +53,7 @@ docs: $(VENV)/installed-docs
 
 # The documentation's pictures of all tasks, as they are in docs/images/tasks.
 pictures: venv
-	$(BIN)/bulletarm-zoo gallery -o docs/images/tasks --heightmap --format webp --pixels 480
-	rm docs/images/tasks/index.html
+	$(BIN)/python tools/draw_gallery.py -o docs/images/tasks --heightmap --pixels 480
 
 clean:
 	rm -rf $(VENV) build dist *.egg-info .mypy_cache .pytest_cache .ruff_cache site

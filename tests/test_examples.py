@@ -96,14 +96,3 @@ def _without_types(code: str) -> list[str]:
             node.annotation = None
     statements = [node for node in tree.body if not isinstance(node, ast.Import | ast.ImportFrom)]
     return [ast.unparse(node) for node in statements]
-
-
-def test_the_size_of_code_is_measured() -> None:
-    measured = runpy.run_path(str(EXAMPLES / "measure_code.py"))
-    one = 'def one():\n    """Docs\n    """\n    # why\n    a = 1\n\n    return a\n'
-    text = one + '\ndef none():\n    """Docs"""\n'
-    assert sorted(measured["body_lengths"](text)) == [0, 3]
-    sources = [measured["Source"]("a.py", text), measured["Source"]("b.py", "def f():\n    pass\n")]
-    figures = measured["measure"](sources)
-    assert (figures["files"], figures["lines"], figures["functions"]) == ("2", "12", "3")
-    assert (figures["median_body"], figures["p90_body"], figures["longest_file"]) == ("1", "3", "10")

@@ -41,7 +41,7 @@ FORBIDDEN = {
         "rl_zoo3",
     },
     "sb3_extensions": {"bulletarm_gym", "zoo_configs", "pybullet", "rl_zoo3"},
-    "zoo_configs": {"bulletarm_gym", "pybullet"},
+    "zoo_configs": {"bulletarm_gym", "pybullet", "rl_zoo3"},
 }
 # What the command line may know of the environments: data of the paper, files of episodes, how machine and
 # environments are.

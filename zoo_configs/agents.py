@@ -1,183 +1,205 @@
-"""Trained agents: finding them on disk and loading them."""
+"""Trained agents: finding and loading them."""
 
 from __future__ import annotations
 
-import argparse
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.save_util import load_from_zip_file
 
 from sb3_extensions.common.env_metadata import constructor_keys
-from zoo_configs.algorithms import ALGORITHMS, register_algorithms
+from zoo_configs.algorithms import ALGORITHMS, algorithm_classes
 from zoo_configs.environments import known_env_id, register_environments
-from zoo_configs.errors import CommandError, refused
+from zoo_configs.errors import CommandError, refused, unknown_name
 from zoo_configs.publishing.published import Published, find_published
-from zoo_configs.training.runs import Run, find_runs, load_run
+from zoo_configs.training.runs import RESOLVED_FILE, Run, find_runs, load_run
 
-# Schedules are of no use to a model that is not trained, and need not be loadable.
 UNUSED_OBJECTS: dict[str, Any] = {
     "learning_rate": 0.0,
     "lr_schedule": lambda _: 0.0,
     "clip_range": lambda _: 0.0,
 }
+"""Schedules that an agent does not need for acting, so that they need not be loadable."""
 
 
 @dataclass(frozen=True)
 class Agent:
     """
-    A trained agent and where it comes from.
+    Trained agent and its origin.
 
-    :param model: The agent
-    :param path: Its file
-    :param label: Its baseline, or algorithm
-    :param env_id: Id of the environment that it was trained on
-    :param env_kwargs: Parameters of that environment
-    :param run: Its run; None for one that is published
+    :param model: The model
+    :param path: File of the model
+    :param label: Baseline, algorithm or name of the file
+    :param env_id: Id of the environment
+    :param env_kwargs: Parameters of the environment
+    :param run: Run of the agent; None for a published agent or a file without a run
     """
 
     model: BaseAlgorithm
     path: Path
     label: str
     env_id: str
-    env_kwargs: dict[str, Any]
+    env_kwargs: dict[str, Any] = field(default_factory=dict)
     run: Run | None = None
 
     @property
-    def folder(self) -> Path:
-        """Where films of it go by default."""
-        return Path() if self.run is None else self.run.folder
-
-    def env_hyperparams(self) -> tuple[dict[str, Any], str | None]:
-        """
-        What rl_zoo3 rebuilds its environment from.
-
-        :return: Hyperparameters, and the folder of normalisation statistics
-        :raises CommandError: if the run has lost them
-        """
-        return ({}, None) if self.run is None else self.run.saved_hyperparams()
-
-    def check_plain(self, what: str) -> None:
-        """
-        Ask whether it acts on observations as the environment gives them.
-
-        :param what: What cannot be done if not
-        :raises CommandError: if they are normalised, stacked or wrapped
-        """
-        hyperparams = {} if self.run is None else self.run.cell.hyperparams
-        if any(hyperparams.get(key) for key in ("normalize", "frame_stack", "vec_env_wrapper")):
-            raise CommandError(f"{self.path} acts on normalised or stacked observations, {what}")
+    def hyperparams(self) -> dict[str, Any]:
+        """Hyperparameters of the run, an empty dictionary without one."""
+        return {} if self.run is None else self.run.cell.hyperparams
 
 
-def agent_from_arguments(args: argparse.Namespace) -> Agent:
+@dataclass(frozen=True)
+class AgentQuery:
     """
-    Load the agent that the flags of :func:`zoo_configs.arguments.add_run_arguments` name, a run's or, with
-    :func:`zoo_configs.arguments.add_published`, a published one.
+    Description of an agent to load: a path, or the newest run with some properties.
 
-    :param args: The parsed flags
-    :return: The agent
-    :raises CommandError: if there is none
-    """
-    if getattr(args, "published", None) is not None:
-        return _published_agent(args)
-    return agent_of(run_from_arguments(args), args.load_best, args.device)
-
-
-def agent_of(run: Run, best: bool, device: str) -> Agent:
-    """
-    Load the agent of a run.
-
-    :param run: The run
-    :param best: Whether to prefer the model that did best in a periodic evaluation
+    :param path: Run folder, or a model file that ``save()`` wrote
+    :param env: Id of the environment
+    :param baseline: Baseline
+    :param algo: Algorithm, or the baseline of this name
+    :param preset: Preset
+    :param log_folder: Folder of all runs
+    :param load_best: Whether to load the best model instead of the last one
     :param device: PyTorch device
-    :return: The agent
-    :raises CommandError: if the run has saved no model yet, or the file is damaged
+    :param published: Task or folder of a published agent
+    :param gym_packages: Packages that register environments
     """
-    model, path = load_agent(run, best, device)
+
+    path: Path | None = None
+    env: str | None = None
+    baseline: str | None = None
+    algo: str | None = None
+    preset: str | None = None
+    log_folder: Path = Path("logs")
+    load_best: bool = True
+    device: str = "auto"
+    published: str | None = None
+    gym_packages: Sequence[str] = ()
+
+
+def find_agent(query: AgentQuery) -> Agent:
+    """Find and load the agent that a query describes; raise ``CommandError`` if there is none."""
+    register_environments(query.gym_packages)
+    if query.published is not None:
+        return _published_agent(query)
+    if query.path is not None and query.path.suffix == ".zip":
+        return _agent_of_file(query.path, query)
+    return agent_of(find_run(query), query.load_best, query.device)
+
+
+def find_run(query: AgentQuery) -> Run:
+    """Find the run that a query describes and register its environment."""
+    run = load_run(query.path) if query.path is not None else _newest_run(query)
+    register_run(run)
+    return run
+
+
+def register_run(run: Run) -> None:
+    """Register the environment of a run."""
+    register_environments(run.gym_packages)
+    known_env_id(run.cell.env_id)
+
+
+def _newest_run(query: AgentQuery) -> Run:
+    """Return the newest fitting run with a model, else the newest fitting run."""
+    if query.env is None or (query.baseline is None and query.algo is None):
+        raise CommandError("pass a run folder, a model file, or --env with --baseline or --algo")
+    env_id = query.env.rpartition(":")[2]
+    of_env = find_runs(query.log_folder, env_id)
+    if not of_env:
+        known_env_id(query.env)  # an unknown id explains the missing run
+    runs = [
+        run
+        for run in of_env
+        if query.algo in (None, run.cell.algo, run.cell.baseline)
+        and query.baseline in (None, run.cell.baseline)
+        and query.preset in (None, run.cell.preset)
+    ]
+    if not runs:
+        raise CommandError(f"no run of {query.baseline or query.algo} on {env_id} in {query.log_folder}")
+    return next((run for run in reversed(runs) if run.has_model), runs[-1])
+
+
+def agent_of(run: Run, best: bool = True, device: str = "auto") -> Agent:
+    """Load the best or the last model of a run; a run without evaluations has only the last one."""
+    path = run.best_model if best and run.best_model.is_file() else run.last_model
+    if not path.is_file():
+        raise CommandError(f"{run.folder} has no model yet")
+    return _agent_of_run(run, path, device)
+
+
+def _agent_of_run(run: Run, path: Path, device: str) -> Agent:
     env_kwargs = dict(run.cell.hyperparams.get("env_kwargs", {}))
     env_kwargs.pop("render_mode", None)
+    model = load_model(path, run.cell.algo, device)
     return Agent(model, path, run.cell.label, run.cell.env_id, env_kwargs, run)
 
 
-def _published_agent(args: argparse.Namespace) -> Agent:
-    if args.run is not None or args.env is not None:
-        raise CommandError("--published names an agent by itself: give neither a run folder nor --env")
-    register_environments(args.gym_packages)
-    found = find_published(args.published, args.baseline)
+def _agent_of_file(path: Path, query: AgentQuery) -> Agent:
+    """Load a model file, with the environment of its run or of ``--env``."""
+    if (path.parent / RESOLVED_FILE).is_file() and query.env is None:
+        run = load_run(path.parent)
+        register_run(run)
+        return _agent_of_run(run, path, query.device)
+    if query.env is None:
+        raise CommandError(f"pass --env with {path}: a model file does not contain the environment id")
+    env_id, algo = known_env_id(query.env), query.algo or algorithm_of(path)
+    return Agent(load_model(path, algo, query.device), path, query.algo or path.stem, env_id)
+
+
+def algorithm_of(path: Path) -> str:
+    """Return an algorithm that can load a model file, by the policy class and the arguments in the file."""
+    with refused(f"{path} cannot be read as a model of Stable-Baselines3"):
+        data, _, _ = load_from_zip_file(path, device="cpu", custom_objects=UNUSED_OBJECTS)
+        assert data is not None, "it contains no data"
+    policy = data.get("policy_class")
+    scores = {
+        name: _agreement(algorithm, data)
+        for name, algorithm in algorithm_classes().items()
+        if policy in algorithm.policy_aliases.values()
+    }
+    if not scores:
+        raise CommandError(f"pass --algo with {path}: no known algorithm has the policy class {policy}")
+    return max(scores, key=lambda name: scores[name])
+
+
+def _agreement(algorithm: type[Any], data: Mapping[str, Any]) -> int:
+    """Return the number of constructor arguments in a model file, minus the number of missing ones."""
+    return sum(1 if key in data else -1 for key in constructor_keys(algorithm))
+
+
+def load_model(path: Path, algo: str, device: str = "auto") -> BaseAlgorithm:
+    """Load a model file for acting, without a replay buffer."""
+    algorithms = algorithm_classes()
+    if algo not in algorithms:
+        raise unknown_name("algorithm", algo, algorithms)
+    if not path.is_file():
+        raise CommandError(f"{path} does not exist")
+    # Our replay buffers allocate no memory before the first transition.
+    has_buffer = algo not in ALGORITHMS and "buffer_size" in constructor_keys(algorithms[algo])
+    buffer = {"buffer_size": 1} if has_buffer else {}
+    with refused(f"{path} is damaged or from another version"):
+        model: BaseAlgorithm = algorithms[algo].load(
+            path, device=device, custom_objects=UNUSED_OBJECTS, **buffer
+        )
+    return model
+
+
+def _published_agent(query: AgentQuery) -> Agent:
+    if query.path is not None or query.env is not None:
+        raise CommandError("--published names an agent: pass neither a path nor --env")
+    found = find_published(str(query.published), query.baseline)
     register_environments(found.card.gym_packages)
     known_env_id(found.card.env)
-    model = load_published(found, args.device)
+    model = load_published(found, query.device)
     return Agent(model, found.model_file, found.card.label, found.card.env, dict(found.card.env_kwargs))
 
 
 def load_published(found: Published, device: str = "auto") -> BaseAlgorithm:
-    """
-    Load a published agent.
-
-    :param found: The agent
-    :param device: PyTorch device
-    :return: The model; what of it does not act is NaN
-    :raises CommandError: if its file is damaged
-    """
-    with refused(f"{found.model_file} is damaged, or of another version"):
-        model: BaseAlgorithm = register_algorithms()[found.card.algo].load(found.model_file, device=device)
+    """Load a published agent."""
+    with refused(f"{found.model_file} is damaged or from another version"):
+        model: BaseAlgorithm = algorithm_classes()[found.card.algo].load(found.model_file, device=device)
     return model
-
-
-def run_from_arguments(args: argparse.Namespace) -> Run:
-    """
-    Find the run that the flags of :func:`zoo_configs.arguments.add_run_arguments` name, and register what it
-    was trained on.
-
-    :param args: The parsed flags
-    :return: The run
-    :raises CommandError: if there is none
-    """
-    run = load_run(args.run) if args.run is not None else _newest_run(args)
-    register_environments(run.gym_packages)
-    known_env_id(run.cell.env_id)
-    return run
-
-
-def _newest_run(args: argparse.Namespace) -> Run:
-    """The newest one that has a model, among those that are named."""
-    if args.env is None or (args.baseline is None and args.algo is None):
-        raise CommandError("name a run folder, or --env with --baseline or --algo")
-    env_id = args.env.rpartition(":")[2]
-    of_env = find_runs(args.log_folder, env_id)
-    if not of_env:
-        known_env_id(args.env)  # a name that does not exist is the nearer reason
-    runs = [
-        run
-        for run in of_env
-        if args.algo in (None, run.cell.algo, run.cell.baseline)
-        and args.baseline in (None, run.cell.baseline)
-        and args.preset in (None, run.cell.preset)
-        and args.exp_id in (0, run.number)
-    ]
-    if not runs:
-        raise CommandError(f"{args.log_folder} has no such run of {args.baseline or args.algo} on {env_id}")
-    return next((run for run in reversed(runs) if run.has_model), runs[-1])
-
-
-def load_agent(run: Run, best: bool, device: str) -> tuple[BaseAlgorithm, Path]:
-    """
-    Load the model of a run.
-
-    :param run: The run
-    :param best: Whether to prefer the model that did best in a periodic evaluation
-    :param device: PyTorch device
-    :return: The model, and the file it comes from
-    :raises CommandError: if the run has saved no model yet, or the file is damaged
-    """
-    path = run.best_model if best and run.best_model.is_file() else run.last_model
-    if not path.is_file():
-        raise CommandError(f"{run.folder} has no model yet")
-    algorithm = register_algorithms()[run.cell.algo]
-    # An agent that only acts needs no memory; our buffers allocate none before their first transition.
-    takes_buffer = run.cell.algo not in ALGORITHMS and "buffer_size" in constructor_keys(algorithm)
-    buffer = {"buffer_size": 1} if takes_buffer else {}
-    with refused(f"{path} is damaged, or of another version"):
-        model: BaseAlgorithm = algorithm.load(path, device=device, custom_objects=UNUSED_OBJECTS, **buffer)
-    return model, path

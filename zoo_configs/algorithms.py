@@ -1,11 +1,13 @@
-"""The algorithms that the command line knows besides those of rl_zoo3."""
+"""Algorithms by name: ours, Stable-Baselines3's and sb3-contrib's."""
 
 from __future__ import annotations
 
+import functools
 import importlib
+import inspect
+from collections.abc import Mapping
 from typing import Any
 
-# Named by path, so that listing them does not load PyTorch.
 ALGORITHMS = {
     "adet": "sb3_extensions.spatial_dqn.ADET",
     "dqfd": "sb3_extensions.spatial_dqn.DQfD",
@@ -15,15 +17,31 @@ ALGORITHMS = {
     "spatial_dqn": "sb3_extensions.spatial_dqn.SpatialDQN",
     "tqcfd": "sb3_extensions.tqcfd.TQCfD",
 }
+"""Import paths of our algorithms, so that listing their names does not import PyTorch."""
+OTHERS = {
+    "a2c": "stable_baselines3.A2C",
+    "ars": "sb3_contrib.ARS",
+    "crossq": "sb3_contrib.CrossQ",
+    "ddpg": "stable_baselines3.DDPG",
+    "dqn": "stable_baselines3.DQN",
+    "ppo": "stable_baselines3.PPO",
+    "ppo_lstm": "sb3_contrib.RecurrentPPO",
+    "qrdqn": "sb3_contrib.QRDQN",
+    "sac": "stable_baselines3.SAC",
+    "td3": "stable_baselines3.TD3",
+    "tqc": "sb3_contrib.TQC",
+    "trpo": "sb3_contrib.TRPO",
+}
+"""Import paths of the other algorithms, with rl_zoo3's names."""
 
 
 def class_from_path(path: str) -> type[Any]:
     """
     Import a class.
 
-    :param path: Dotted path, ``package.module.Class``
+    :param path: Import path, ``package.module.Class``
     :return: The class
-    :raises ImportError: if there is no such module, or no such class in it
+    :raises ImportError: if the module or the class does not exist
     """
     module, _, name = path.rpartition(".")
     found = getattr(importlib.import_module(module), name, None)
@@ -32,14 +50,26 @@ def class_from_path(path: str) -> type[Any]:
     return found
 
 
-def register_algorithms() -> dict[str, type[Any]]:
+@functools.cache
+def constructor_arguments(cls: Any) -> Mapping[str, inspect.Parameter]:
     """
-    Make our algorithms known to rl_zoo3, whose modules share one table of algorithms.
+    Return the arguments of a constructor and of those of its parents.
 
-    :return: That table, from name to class
+    :param cls: The class
+    :return: The arguments by name
     """
-    from rl_zoo3.utils import ALGOS
+    found: dict[str, inspect.Parameter] = {}
+    for parent in reversed(cls.__mro__[:-1]):
+        if "__init__" in vars(parent):
+            found.update(inspect.signature(vars(parent)["__init__"]).parameters)
+    return found
 
-    for name, path in ALGORITHMS.items():
-        ALGOS.setdefault(name, class_from_path(path))
-    return ALGOS
+
+@functools.cache
+def algorithm_classes() -> Mapping[str, type[Any]]:
+    """
+    Import all algorithms.
+
+    :return: The classes by name
+    """
+    return {name: class_from_path(path) for name, path in {**ALGORITHMS, **OTHERS}.items()}

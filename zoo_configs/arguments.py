@@ -3,32 +3,34 @@
 from __future__ import annotations
 
 import argparse
-import json
-from collections.abc import Callable
-from pathlib import Path
+from collections.abc import Callable, Mapping
 from typing import Any, NoReturn
 
-from zoo_configs.errors import CommandError, reason
+import yaml
 
-ALWAYS_THERE = ("auto", "cpu")  # devices
+from zoo_configs.errors import CommandError, reason
+from zoo_configs.yaml_files import format_yaml, parse_yaml
+
+ALWAYS_AVAILABLE = ("auto", "cpu")
+"""Devices that need no check, which would import PyTorch."""
 MAX_SEED = 2**31 - 1
 
 
 class Parser(argparse.ArgumentParser):
-    """A parser whose errors are one line, as all errors of the command line."""
+    """Parser whose errors are one line."""
 
     def error(self, message: str) -> NoReturn:
         """
-        Refuse the arguments.
+        Reject the arguments.
 
-        :param message: Why
+        :param message: The reason
         :raises CommandError: always
         """
         raise CommandError(message)
 
 
 class KeyValues(argparse.Action):
-    """``key:value ...``, evaluated by rl_zoo3; only values that YAML can hold."""
+    """Flag with ``key:value ...``, whose values are YAML. A repeated flag adds keys."""
 
     def __call__(
         self,
@@ -38,13 +40,13 @@ class KeyValues(argparse.Action):
         option_string: str | None = None,
     ) -> None:
         """
-        Take the pairs behind a flag; what it is given again it adds.
+        Parse the pairs of a flag.
 
         :param parser: The parser
-        :param namespace: Where they go
-        :param values: Words
+        :param namespace: The parsed arguments
+        :param values: The pairs
         :param option_string: The flag
-        :raises CommandError: if one is no such pair, or a key comes twice behind one flag
+        :raises CommandError: for an invalid pair or a repeated key
         """
         pairs = [_key_value(str(option_string), pair) for pair in values]
         keys = [key for key, _ in pairs]
@@ -54,39 +56,44 @@ class KeyValues(argparse.Action):
 
 
 def _key_value(flag: str, pair: str) -> tuple[str, Any]:
-    from rl_zoo3.utils import StoreDict
-
-    namespace = argparse.Namespace()
-    key, _, value = pair.partition(":")
+    key, _, text = pair.partition(":")
+    if not key or not text:
+        raise CommandError(f"{flag} must be key:value ..., got {pair!r}")
     try:
-        if not key or not value:
-            raise ValueError("there is no key, no colon or no value")
-        store: argparse.Action = StoreDict([flag], "values")  # type: ignore[no-untyped-call]
-        store(argparse.ArgumentParser(), namespace, [pair])
-        return key, json.loads(json.dumps(namespace.values[key]))
-    except (Exception, SystemExit) as error:  # a value may be any expression
+        return key, parse_yaml(text)
+    except yaml.YAMLError as error:
         raise CommandError(
-            f"{flag} takes key:value with a Python value (text in quotes: robot:\"'panda'\"), "
-            f"got {pair!r}: {reason(error)}"
+            f"{flag} must be key:value with a YAML value, got {pair!r}: {reason(error)}"
         ) from error
+
+
+def key_value_words(values: Mapping[str, Any]) -> list[str]:
+    """
+    Write parameters as the command line reads them.
+
+    :param values: The parameters by name
+    :return: One word ``key:value`` each, sorted
+    """
+    return [f"{name}:{format_yaml(value, inline=True)}" for name, value in sorted(values.items())]
 
 
 def device(text: str) -> str:
     """
     Argument type for a PyTorch device.
 
-    :param text: What was given
-    :return: The same
-    :raises argparse.ArgumentTypeError: if there is no such device
+    :param text: Its name
+    :return: Its name
+    :raises argparse.ArgumentTypeError: if the device is not available
     """
-    if text in ALWAYS_THERE:
+    if text in ALWAYS_AVAILABLE:
         return text
     import torch
 
     try:
         torch.zeros(1, device=text).cpu()
     except (RuntimeError, AssertionError) as error:  # AssertionError: PyTorch was built without it
-        raise argparse.ArgumentTypeError(f"{text!r} is no device of this machine: {reason(error)}") from error
+        message = f"must be an available PyTorch device, got {text!r}: {reason(error)}"
+        raise argparse.ArgumentTypeError(message) from error
     return text
 
 
@@ -94,8 +101,8 @@ def check_device(text: str) -> None:
     """
     Check a PyTorch device.
 
-    :param text: What was given
-    :raises CommandError: if there is no such device
+    :param text: Its name
+    :raises CommandError: if the device is not available
     """
     try:
         device(text)
@@ -105,42 +112,25 @@ def check_device(text: str) -> None:
 
 def whole_number(least: int, most: int | None = None) -> Callable[[str], int]:
     """
-    Argument type for whole numbers.
+    Return an argument type for whole numbers.
 
-    :param least: The least that is taken
-    :param most: The greatest, None sets no limit
-    :return: The type, which raises ``argparse.ArgumentTypeError`` for anything else
+    :param least: Lower limit
+    :param most: Upper limit, None for none
+    :return: The type, which raises ``argparse.ArgumentTypeError`` for other values
     """
 
     def number(text: str) -> int:
-        """Read a number that is within the limits."""
+        """Parse a number within the limits."""
         try:
             value = int(text)
         except ValueError:
             value = least - 1
         if value < least or (most is not None and value > most):
-            takes = f"at least {least}" if most is None else f"at least {least} and at most {most}"
-            raise argparse.ArgumentTypeError(f"must be a whole number of {takes}, got {text!r}")
+            limits = f"at least {least}" if most is None else f"at least {least} and at most {most}"
+            raise argparse.ArgumentTypeError(f"must be a whole number of {limits}, got {text!r}")
         return value
 
     return number
-
-
-def fraction(text: str) -> float:
-    """
-    Argument type for a number from 0 to 1.
-
-    :param text: What was given
-    :return: The number
-    :raises argparse.ArgumentTypeError: if it is none
-    """
-    try:
-        value = float(text)
-    except ValueError:
-        value = -1.0
-    if not 0.0 <= value <= 1.0:
-        raise argparse.ArgumentTypeError(f"must be a number from 0 to 1, got {text!r}")
-    return value
 
 
 positive_int = whole_number(1)
@@ -149,12 +139,18 @@ seed = whole_number(0, MAX_SEED)
 
 def add_packages(parser: argparse.ArgumentParser) -> None:
     """
-    Add the flag for packages of a user's own.
+    Add the flag for packages of the user.
 
     :param parser: Parser of the command
     """
-    help_text = "packages that register further environments, from the working directory too"
-    parser.add_argument("--gym-packages", nargs="+", default=[], help=help_text)
+    parser.add_argument(
+        "--gym-packages",
+        action="extend",
+        type=lambda text: text.split(","),
+        default=[],
+        metavar="PACKAGE[,PACKAGE]",
+        help="packages that register further environments, also from the working directory",
+    )
 
 
 def add_env_kwargs(parser: argparse.ArgumentParser) -> None:
@@ -163,23 +159,23 @@ def add_env_kwargs(parser: argparse.ArgumentParser) -> None:
 
     :param parser: Parser of the command
     """
-    add_key_values(parser, "--env-kwargs", help="parameters of the environment; text: robot:\"'panda'\"")
+    add_key_values(parser, "--env-kwargs", help="parameters of the environment, for example robot:panda")
 
 
 def add_key_values(parser: argparse.ArgumentParser, *flags: str, **kwargs: Any) -> None:
     """
-    Add a flag that takes ``key:value ...``.
+    Add a flag with ``key:value ...``.
 
     :param parser: Parser of the command
     :param flags: Its names
-    :param kwargs: More for ``add_argument``
+    :param kwargs: Further arguments of ``add_argument``
     """
     parser.add_argument(*flags, nargs="+", action=KeyValues, default={}, metavar="KEY:VALUE", **kwargs)
 
 
 def add_progress(parser: argparse.ArgumentParser) -> None:
     """
-    Add the flags for progress bars: ``args.progress`` is None where neither is given.
+    Add the flags for progress bars. ``args.progress`` is None if neither is passed.
 
     :param parser: Parser of the command
     """
@@ -191,41 +187,9 @@ def add_progress(parser: argparse.ArgumentParser) -> None:
 
 def hides_progress(progress: bool | None) -> bool | None:
     """
-    What tqdm takes as ``disable``.
+    Return tqdm's argument ``disable``.
 
     :param progress: As from :func:`add_progress`
-    :return: Whether to hide the bar, None hides it where there is no terminal
+    :return: Whether to hide the bar; None hides it without a terminal
     """
     return None if progress is None else not progress
-
-
-def add_run_arguments(parser: argparse.ArgumentParser) -> None:
-    """
-    Add the flags by which commands find a trained agent.
-
-    :param parser: Parser of the command
-    """
-    add = parser.add_argument
-    add("run", nargs="?", type=Path, metavar="RUN_FOLDER", help="a run folder, as train names it at its end")
-    add("--env", help="instead of a folder: newest run on this environment")
-    add("--baseline", help="... of this baseline")
-    add("--algo", help="... of this algorithm, or of the baseline of its name")
-    add("--preset", help="... of this preset")
-    add("--exp-id", type=whole_number(0), default=0, help="... with this number (default: 0, the newest)")
-    add("-f", "--log-folder", type=Path, default=Path("logs"), help="folder of all runs (default: logs)")
-    add("--device", type=device, default="auto", help="PyTorch device (default: auto)")
-    add_packages(parser)
-    add_env_kwargs(parser)
-    model = parser.add_mutually_exclusive_group()
-    model.add_argument("--load-best", action="store_true", default=True, help="take the best model (default)")
-    model.add_argument("--load-last", action="store_false", dest="load_best", help="take the last model")
-
-
-def add_published(parser: argparse.ArgumentParser) -> None:
-    """
-    Add the flag that names an agent which comes with the package.
-
-    :param parser: Parser of the command, with the flags of :func:`add_run_arguments`
-    """
-    what = "instead of a run: the agent that comes with the package for this task, or a folder of push's"
-    parser.add_argument("--published", metavar="ENV", help=what)

@@ -1,4 +1,4 @@
-"""The command line ``bulletarm-zoo``: picks a command, and turns its errors into clear messages."""
+"""The command line ``bulletarm-zoo``: runs a command and prints its errors in one line."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from importlib import metadata
-from typing import NamedTuple
 
 from zoo_configs.errors import CommandError, reason, reason_and_place, unknown_name
 
@@ -20,42 +19,18 @@ EXIT_OK = 0
 EXIT_USAGE = 2
 EXIT_INTERRUPTED = 130  # 128 + SIGINT, the shell's convention
 EXIT_UNREAD = 141  # 128 + SIGPIPE
-
-
-class Command(NamedTuple):
-    """
-    A command.
-
-    :param module: Module with a ``main(argv)``, imported when the command is called
-    :param summary: What it does
-    """
-
-    module: str
-    summary: str
-
-
 COMMANDS = {
-    "train": Command("zoo_configs.commands.train", "train an agent, or go on with an interrupted training"),
-    "tune": Command("zoo_configs.commands.tune", "search hyperparameters with Optuna"),
-    "enjoy": Command("zoo_configs.commands.enjoy", "evaluate a trained agent"),
-    "record": Command("zoo_configs.commands.record", "film a trained agent or the expert"),
-    "push": Command(
-        "zoo_configs.commands.push", "put a trained agent on the Hugging Face hub, or into a folder"
-    ),
-    "gallery": Command("zoo_configs.commands.gallery", "draw tasks, as they begin and solved"),
-    "play": Command("zoo_configs.commands.play", "move the gripper yourself, by keys, and record it"),
-    "benchmark": Command(
-        "zoo_configs.commands.benchmark", "train all cells of a benchmark, also on a cluster"
-    ),
-    "results": Command("zoo_configs.commands.results", "evaluate runs and keep a table of what they reached"),
-    "report": Command("zoo_configs.commands.report", "put the results of a benchmark on one page"),
-    "plot": Command("zoo_configs.commands.plot", "draw the learning curves of many runs"),
-    "demos": Command("zoo_configs.commands.demos", "collect episodes of an expert"),
-    "speed": Command("zoo_configs.commands.speed", "measure how fast environments step"),
-    "check": Command("zoo_configs.commands.check", "check environments, a user's own above all"),
-    "doctor": Command("zoo_configs.commands.doctor", "look whether all is well on this machine"),
-    "list": Command("zoo_configs.commands.listing", "list environments, or baselines and presets"),
+    "train": "train an agent, or resume a training",
+    "tune": "search hyperparameters with Optuna",
+    "enjoy": "evaluate a trained agent",
+    "record": "record a video of a trained agent or of the expert",
+    "push": "upload a trained agent to the Hugging Face hub, or write it to a folder",
+    "benchmark": "train all experiments of a benchmark, on one machine or on a cluster",
+    "plot": "draw the learning curves and print the results of many runs",
+    "demos": "collect demonstrations of an expert",
+    "list": "list environments, baselines, presets or published agents",
 }
+MODULES = {"list": "listing"}  # modules that are not named as their commands
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -63,7 +38,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     Run a command.
 
     :param argv: Name of the command and its arguments, default ``sys.argv[1:]``
-    :return: Exit code: 0, 2 for what cannot be done, 130 after Ctrl-C, 141 if nobody reads what is printed
+    :return: Exit code: 0; 2 for an error; 130 after Ctrl-C; 141 if the reader of the output has gone
     """
     words = list(sys.argv[1:] if argv is None else argv)
     raises = words[:1] == [TRACEBACK]
@@ -72,17 +47,13 @@ def main(argv: Sequence[str] | None = None) -> int:
         with _working_directory_on_path():
             _run(name, arguments)
         sys.stdout.flush()
-    except (CommandError, OSError) as error:
-        if raises or not _is_told(error):
-            raise
-        return _tell(name, error)
-    except Exception as error:  # of a user's task or policy, most likely
-        if raises:
-            raise
-        return _tell_where(name, error)
     except KeyboardInterrupt:
         print(f"\n{PROGRAM} {name}: interrupted", file=sys.stderr)
         return EXIT_INTERRUPTED
+    except Exception as error:
+        if raises or _is_between_processes(error):
+            raise
+        return _report(name, error)
     return EXIT_OK
 
 
@@ -92,14 +63,14 @@ def _run(name: str, arguments: Sequence[str]) -> None:
     elif name == "--version":
         print(f"{PROGRAM} {metadata.version(DISTRIBUTION)}")
     elif name in COMMANDS:
-        importlib.import_module(COMMANDS[name].module).main(arguments)
+        importlib.import_module(f"zoo_configs.commands.{MODULES.get(name, name)}").main(arguments)
     else:
         raise unknown_name("command", name, COMMANDS)
 
 
 @contextmanager
 def _working_directory_on_path() -> Iterator[None]:
-    """As with ``python -m``: a user's tasks beside which the command is called can be imported."""
+    """Make modules in the working directory importable, as ``python -m`` does."""
     here = os.getcwd()
     if here in sys.path or getattr(sys.flags, "safe_path", False):  # the flag is of Python 3.11
         yield
@@ -111,49 +82,43 @@ def _working_directory_on_path() -> Iterator[None]:
         sys.path.remove(here)
 
 
-def _is_told(error: Exception) -> bool:
-    """Whether a line says enough of an error: a full disk, but not trouble between our own processes."""
-    if isinstance(error, BrokenPipeError):
-        return _is_unread()
-    of_system = isinstance(error, OSError) and error.errno is not None
-    return isinstance(error, CommandError) or (of_system and not isinstance(error, ConnectionError))
+def _is_between_processes(error: Exception) -> bool:
+    """Return True for a broken connection between our own processes, which needs a traceback."""
+    return isinstance(error, ConnectionError) and not _is_unread(error)
 
 
-def _is_unread() -> bool:
-    """Whether who read the output, such as ``head``, has gone."""
+def _is_unread(error: Exception) -> bool:
+    """Return True if the reader of the output, such as ``head``, has gone."""
+    if not isinstance(error, BrokenPipeError):
+        return False
     poll = select.poll()
     try:
         poll.register(sys.stdout, select.POLLOUT)
-    except OSError:  # it is no file
+    except OSError:  # not a file
         return False
     return any(event & select.POLLERR for _, event in poll.poll(0))
 
 
-def _tell(name: str, error: Exception) -> int:
-    if isinstance(error, BrokenPipeError):
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # for what is still to be printed
+def _report(name: str, error: Exception) -> int:
+    """Print an error in one line and return the exit code."""
+    if _is_unread(error):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # for the remaining output
         return EXIT_UNREAD
-    print(f"{PROGRAM} {name}: error: {reason(error)}", file=sys.stderr)
-    return EXIT_USAGE
-
-
-def _tell_where(name: str, error: Exception) -> int:
-    """In one line what went wrong, in which line of which file, and how to see all that led there."""
-    asks = f"{PROGRAM} {TRACEBACK} {name} ... shows how it came about"
-    print(f"{PROGRAM} {name}: error: {reason_and_place(error)}; {asks}", file=sys.stderr)
+    if isinstance(error, CommandError) or (isinstance(error, OSError) and error.errno is not None):
+        message = reason(error)
+    else:  # most likely in a user's task or policy
+        hint = f"{PROGRAM} {TRACEBACK} {name} ... shows the traceback"
+        message = f"{reason_and_place(error)}; {hint}"
+    print(f"{PROGRAM} {name}: error: {message}", file=sys.stderr)
     return EXIT_USAGE
 
 
 def usage() -> str:
-    """
-    The help page.
-
-    :return: Its text
-    """
+    """Return the help page."""
     lines = [f"usage: {PROGRAM} [--version] [{TRACEBACK}] COMMAND [ARGUMENTS]", "", "commands:"]
-    lines += [f"  {name:<9} {command.summary}" for name, command in COMMANDS.items()]
-    lines += ["", f"{PROGRAM} COMMAND --help tells the arguments of a command."]
-    lines += [f"{TRACEBACK} shows where an error arose, for those who extend the program."]
+    lines += [f"  {name:<9} {summary}" for name, summary in COMMANDS.items()]
+    lines += ["", f"{PROGRAM} COMMAND --help shows the arguments of a command."]
+    lines += [f"{TRACEBACK} shows the traceback of an error."]
     return "\n".join(lines)
 
 

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 ENV_PACKAGES = ("bulletarm_gym",)
 NAMESPACE = "BulletArm/"
-# An id, and in it what tells ours apart.
+# An id, with the part that distinguishes our ids as its group.
 ENV_ID = re.compile(r"(?:.*/)?(?:(?:close|open)loop)?(.*?)(?:-v\d+)?", re.IGNORECASE)
 
 
@@ -26,8 +26,8 @@ def register_environments(packages: Iterable[str] = ()) -> None:
     """
     Import the packages that register environments.
 
-    :param packages: Packages besides our own, as in rl_zoo3's ``--gym-packages``
-    :raises CommandError: if one of them cannot be imported
+    :param packages: Packages in addition to ours, as in rl_zoo3's ``--gym-packages``
+    :raises CommandError: if a package cannot be imported
     """
     for package in (*ENV_PACKAGES, *packages):
         with refused(f"package {package!r} cannot be imported"):
@@ -36,41 +36,41 @@ def register_environments(packages: Iterable[str] = ()) -> None:
 
 def our_env_ids() -> list[str]:
     """
-    Ids of this project's environments.
+    Return the ids of this project's environments.
 
-    :return: The ids in order of registration
+    :return: The ids in the order of registration
     """
     return [env_id for env_id in gym.registry if env_id.startswith(NAMESPACE)]
 
 
 def known_env_id(env_id: str) -> str:
     """
-    Check an id given by the user.
+    Return a registered id.
 
-    :param env_id: ``"BulletArm/CloseLoopBlockPicking-v0"``, also with a ``"package:"`` in front
-    :return: The id as Gymnasium's registry knows it
-    :raises CommandError: if it is not registered; names the nearest id
+    :param env_id: ``"BulletArm/CloseLoopBlockPicking-v0"``, also after ``"package:"``
+    :return: The id in Gymnasium's registry
+    :raises CommandError: if it is not registered, with the nearest id
     """
     register_environments(package_of(env_id))
     name = env_id.rpartition(":")[2]
     if name not in gym.registry:
-        raise unknown_name("environment", name, gym.registry, _core, "see bulletarm-zoo list")
+        raise unknown_name("environment", name, gym.registry, id_core, "see bulletarm-zoo list")
     return name
 
 
 def package_of(env_id: str) -> list[str]:
     """
-    The package that registers an environment, as far as its id says it.
+    Return the package in front of an id.
 
-    :param env_id: ``"BulletArm/CloseLoopBlockPicking-v0"``, also with a ``"package:"`` in front
-    :return: That package, or nothing
+    :param env_id: ``"BulletArm/CloseLoopBlockPicking-v0"``, also after ``"package:"``
+    :return: The package, or an empty list
     """
     package = env_id.rpartition(":")[0]
     return [package] if package else []
 
 
-def _core(env_id: str) -> str:
-    """``blockpicking`` for ``BulletArm/CloseLoopBlockPicking-v0``."""
+def id_core(env_id: str) -> str:
+    """Return the characteristic part of an id, such as ``blockpicking``."""
     core = ENV_ID.fullmatch(env_id)
     return core[1].lower() if core else env_id
 
@@ -81,27 +81,27 @@ def make_env(env_id: str, env_kwargs: Mapping[str, Any], render_mode: str | None
 
     :param env_id: Its id
     :param env_kwargs: Its parameters
-    :param render_mode: How it is to render; None leaves it to the parameters
+    :param render_mode: Its render mode, None for that of the parameters
     :return: The environment
-    :raises CommandError: if it refuses its parameters, with the reason that it gives
+    :raises CommandError: if the environment rejects its parameters, with its reason
     """
     rendering = {} if render_mode is None else {"render_mode": render_mode}
     if (wanted := env_kwargs.get("render_mode", render_mode)) != render_mode and rendering:
-        raise CommandError(f"render_mode is {render_mode!r} here, got {wanted!r}")
+        raise CommandError(f"render_mode must be {render_mode!r}, got {wanted!r}")
     with refused(f"{env_id} cannot be made"):
         return gym.make(env_id, **{**env_kwargs, **rendering})
 
 
 def try_env(env_id: str, env_kwargs: Mapping[str, Any], render_mode: str | None = None) -> None:
     """
-    Make an environment and begin an episode, so that what it refuses is told before the work begins.
+    Make an environment and reset it, so that it rejects its parameters before the work starts.
 
     :param env_id: Its id
     :param env_kwargs: Its parameters
-    :param render_mode: How it is to render; None leaves it to the parameters
-    :raises CommandError: if it refuses its parameters, or cannot begin with them
+    :param render_mode: Its render mode, None for that of the parameters
+    :raises CommandError: if the environment rejects its parameters or cannot be reset
     """
-    with closing(make_env(env_id, env_kwargs, render_mode)) as env, refused(f"{env_id} cannot begin"):
+    with closing(make_env(env_id, env_kwargs, render_mode)) as env, refused(f"{env_id} cannot be reset"):
         env.reset()
         if render_mode is not None:
             env.render()
@@ -109,12 +109,12 @@ def try_env(env_id: str, env_kwargs: Mapping[str, Any], render_mode: str | None 
 
 def check_alike(env: gym.Env[Any, Any] | VecEnv, like: Any, what: str) -> None:
     """
-    Look whether an environment shows and takes the same as another, or as an agent knows it.
+    Check that an environment has the spaces of another one, or of an agent.
 
     :param env: The environment
-    :param like: The other, or the agent: it has an ``observation_space`` and an ``action_space``
-    :param what: What cannot be done if not
-    :raises CommandError: if its observations or actions are of other shapes or bounds
+    :param like: The other environment or agent, with ``observation_space`` and ``action_space``
+    :param what: Beginning of the error
+    :raises CommandError: if observations or actions have other shapes or bounds
     """
     from stable_baselines3.common.utils import check_for_correct_spaces
 
@@ -124,7 +124,7 @@ def check_alike(env: gym.Env[Any, Any] | VecEnv, like: Any, what: str) -> None:
 
 def demonstrations() -> ModuleType:
     """
-    Our environments' collection of experts' episodes.
+    Import the collection of demonstrations.
 
     :return: The module, with ``collect`` and ``load``
     """
@@ -135,26 +135,26 @@ def demonstrations() -> ModuleType:
 
 def load_expert_data(hyperparams: Mapping[str, Any]) -> dict[str, Any]:
     """
-    Replace the path of a file of demonstrations by what is in it.
+    Replace the path of a file of demonstrations by its episodes.
 
     :param hyperparams: Hyperparameters of an algorithm
-    :return: The same, with episodes for ``expert_data``
-    :raises CommandError: if there is no such file
+    :return: The hyperparameters with episodes as ``expert_data``
+    :raises CommandError: if the file cannot be read
     """
     path = hyperparams.get("expert_data")
     if not isinstance(path, str):
         return dict(hyperparams)
     try:
         return {**hyperparams, "expert_data": demonstrations().load(path)}
-    except Exception as error:  # whatever a file of unknown content raises
+    except Exception as error:  # a damaged file can raise any error
         raise CommandError(f"expert_data: {path} cannot be read: {reason(error)}") from error
 
 
 class CheckedDemonstrations:
     """
-    Demonstrations whose environment ``check_expert_data`` has compared with that of the run.
+    Demonstrations whose environment ``check_expert_data`` has checked.
 
-    They have no id of an environment, so that a learner accepts those that ``--any-demonstrations`` accepts.
+    They have no environment id, so that a learner accepts those of ``--allow-mismatched-demos`` as well.
 
     :param episodes: The demonstrations
     """

@@ -1,13 +1,17 @@
-"""Evaluating an agent on scenes that it has never met."""
+"""Evaluation of agents on scenes that they were not trained on."""
 
 from __future__ import annotations
 
-import argparse
 import contextlib
+import math
+from collections.abc import Mapping
+from contextlib import closing
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from zoo_configs.arguments import hides_progress
-from zoo_configs.errors import refused
+from zoo_configs.environments import check_alike, try_env
+from zoo_configs.errors import CommandError, refused
 from zoo_configs.training.seeds import SeedStream, stream_seed
 
 if TYPE_CHECKING:
@@ -16,82 +20,138 @@ if TYPE_CHECKING:
 
     from zoo_configs.agents import Agent
 
+Z95 = 1.959964  # 97.5th percentile of the standard normal distribution
+
+
+@dataclass(frozen=True)
+class EvalOptions:
+    """
+    Options of an evaluation.
+
+    :param episodes: Number of episodes
+    :param seed: Seed of the test scenes
+    :param n_envs: Number of environments; more than one run in processes
+    :param env_kwargs: Changed parameters of the environment
+    :param render: Whether to open a window
+    :param progress: Whether to show a progress bar; None shows it on a terminal
+    """
+
+    episodes: int = 50
+    seed: int = 0
+    n_envs: int = 1
+    env_kwargs: Mapping[str, Any] = field(default_factory=dict)
+    render: bool = False
+    progress: bool | None = None
+
 
 class Outcome(NamedTuple):
-    """
-    What came of an evaluation.
-
-    :param successes: Of each episode whether it succeeded
-    :param returns: Of each episode the sum of its rewards
-    """
+    """Success and return (sum of rewards) of each episode of an evaluation."""
 
     successes: list[bool]
     returns: list[float]
 
     @property
     def episodes(self) -> int:
-        """How many there were."""
+        """Number of episodes."""
         return len(self.successes)
 
     @property
-    def rate(self) -> float:
-        """Share that succeeded, in [0, 1]; 0 without any."""
+    def success_rate(self) -> float:
+        """Fraction of successful episodes in [0, 1]; 0 without episodes."""
         return sum(self.successes) / max(self.episodes, 1)
 
+    @property
+    def interval(self) -> tuple[float, float]:
+        """Wilson's 95 % interval of the success rate of this agent."""
+        n, rate = self.episodes, self.success_rate
+        middle = rate + Z95**2 / (2 * n)
+        half = Z95 * math.sqrt(rate * (1 - rate) / n + Z95**2 / (4 * n**2))
+        low, high = ((middle + sign * half) / (1 + Z95**2 / n) for sign in (-1, 1))
+        return max(low, 0.0), min(high, 1.0)
 
-def build_test_env(agent: Agent, args: argparse.Namespace) -> VecEnv:
+
+def build_test_env(agent: Agent, options: EvalOptions) -> VecEnv:
     """
-    Rebuild the environment of an agent, with the parameters it was trained with.
+    Build the environments of an agent with the parameters of its training.
 
-    :param agent: The agent
-    :param args: Flags: how many copies, in processes of their own if more than one, seed of the test scenes,
-        parameters that are to differ, whether to open a window
-    :return: The wrapped environments
-    :raises CommandError: if it refuses its parameters, or there is no screen
+    :raises CommandError: if the environment rejects its parameters, or a window needs a display
     """
-    from rl_zoo3.utils import create_test_env
+    from zoo_configs.training.vec_envs import build_vec_env
 
-    from zoo_configs.environments import try_env
-
-    hyperparams, stats_path = agent.env_hyperparams()
-    env_kwargs = {**agent.env_kwargs, **args.env_kwargs}
-    try_env(agent.env_id, env_kwargs, "human" if args.render else None)
-    with refused(f"{agent.env_id} cannot be made as {agent.path} was trained"):
-        return create_test_env(
+    mode = "human" if options.render else None
+    env_kwargs = {**agent.env_kwargs, **options.env_kwargs}
+    try_env(agent.env_id, env_kwargs, mode)
+    statistics = None if agent.run is None else agent.run.statistics_file
+    if agent.hyperparams.get("normalize") and statistics is not None and not statistics.is_file():
+        raise CommandError(f"{statistics} is missing: {agent.path} was trained with it")
+    rendering = {} if mode is None else {"render_mode": mode}
+    with refused(f"{agent.env_id} cannot be made as in the training of {agent.path}"):
+        return build_vec_env(
             agent.env_id,
-            n_envs=args.n_envs,
-            stats_path=stats_path,
-            seed=stream_seed(args.seed, SeedStream.TEST),
-            should_render=args.render,
-            hyperparams=hyperparams,
-            env_kwargs=env_kwargs,
+            {**agent.hyperparams, "env_kwargs": {**rendering, **env_kwargs}},
+            options.n_envs,
+            stream_seed(options.seed, SeedStream.TEST),
+            vec_env="subproc" if options.n_envs > 1 else "dummy",
+            for_evaluation=True,
+            statistics=statistics,
         )
 
 
-def evaluate(model: BaseAlgorithm, env: VecEnv, args: argparse.Namespace) -> Outcome:
+def evaluate(model: BaseAlgorithm, env: VecEnv, options: EvalOptions) -> Outcome:
     """
-    Let an agent act under a progress bar; Ctrl-C ends the evaluation with the episodes so far.
+    Evaluate a model with its deterministic policy. Ctrl-C ends the evaluation early.
 
-    :param model: The agent
-    :param env: The environments; their info reports ``is_success`` at the end of an episode
-    :param args: Flags: how many episodes, spread evenly over the environments, whether to sample actions
-        instead of taking the policy's mean, whether to show the bar
-    :return: What came of it
+    :param model: The model
+    :param env: Environments that report ``is_success`` at the end of an episode
+    :param options: Options of the evaluation
+    :return: Outcome of the finished episodes
     """
     from stable_baselines3.common.evaluation import evaluate_policy
     from tqdm import tqdm
 
-    episodes, deterministic = args.episodes, not args.stochastic
     outcome = Outcome([], [])
-    with tqdm(total=episodes, unit="episode", disable=hides_progress(args.progress)) as bar:
+    with tqdm(total=options.episodes, unit="episode", disable=hides_progress(options.progress)) as bar:
 
         def note(local: dict[str, Any], _: dict[str, Any]) -> None:
             if local["done"]:
                 outcome.successes.append(bool(local["info"].get("is_success", False)))
                 outcome.returns.append(float(local["current_rewards"][local["i"]]))
                 bar.update()
-                bar.set_postfix(success=f"{outcome.rate:.2f}")
+                bar.set_postfix(success=f"{outcome.success_rate:.2f}")
 
         with contextlib.suppress(KeyboardInterrupt):
-            evaluate_policy(model, env, episodes, deterministic=deterministic, callback=note)
+            evaluate_policy(model, env, options.episodes, callback=note)
     return outcome
+
+
+def evaluate_agent(agent: Agent, options: EvalOptions) -> Outcome:
+    """
+    Evaluate an agent in its own environment.
+
+    :return: Outcome of all episodes
+    :raises CommandError: if the environment cannot be built, or does not fit the agent
+    :raises KeyboardInterrupt: after Ctrl-C
+    """
+    with closing(build_test_env(agent, options)) as env:
+        check_fits(env, agent)
+        outcome = evaluate(agent.model, env, options)
+    if outcome.episodes < options.episodes:
+        raise KeyboardInterrupt
+    return outcome
+
+
+def check_fits(env: Any, agent: Agent) -> None:
+    """Raise ``CommandError`` if an environment or a vector environment has other spaces than an agent."""
+    check_alike(env, agent.model, "the agent cannot act here")
+
+
+def check_unwrapped(hyperparams: Mapping[str, Any], names: tuple[str, ...], reason: str) -> None:
+    """
+    Raise ``CommandError`` if an agent was trained with some wrappers.
+
+    :param hyperparams: Hyperparameters of its training
+    :param names: Hyperparameters that must not be set
+    :param reason: End of the message
+    """
+    if wrapped := [name for name in names if hyperparams.get(name)]:
+        raise CommandError(f"the agent was trained with {', '.join(wrapped)}, {reason}")

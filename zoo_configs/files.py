@@ -1,4 +1,4 @@
-"""Files that are written whole or not at all."""
+"""Files that are written atomically."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from zoo_configs.errors import CommandError
 @contextmanager
 def whole_file(path: Path) -> Iterator[Path]:
     """
-    Give a temporary path beside ``path``; if the block succeeds it takes the place of ``path``, else it goes.
+    Provide a temporary file that replaces ``path`` if the block succeeds, and is removed otherwise.
 
-    :param path: The file to be; its folder is created
-    :return: Context manager of the path to write to, with the same suffix
+    :param path: The file to write; its folder is created
+    :return: Context manager of the temporary file, which has the same suffix
     """
     made = missing_folders(path.parent)
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -30,7 +30,7 @@ def whole_file(path: Path) -> Iterator[Path]:
         partial.chmod(0o666 & ~_umask())
         os.replace(partial, path)
     except OSError as error:
-        error.filename = error.filename or str(path)  # a full disk does not say whose
+        error.filename = error.filename or str(path)  # the error of a full disk has no file name
         raise
     finally:
         partial.unlink(missing_ok=True)
@@ -38,15 +38,9 @@ def whole_file(path: Path) -> Iterator[Path]:
 
 
 def check_writable(path: Path, name: str) -> None:
-    """
-    Ask whether a file can be written, before the work that fills it begins. Leaves nothing.
-
-    :param path: The file to be; its folder need not be there yet
-    :param name: Which argument it comes from
-    :raises CommandError: if it cannot, with the reason
-    """
+    """Raise ``CommandError`` if a file cannot be written; ``name`` is the argument that it comes from."""
     if path.is_dir():
-        raise CommandError(f"{name}: {path} is a folder, it takes a file")
+        raise CommandError(f"{name} must be a file, got the folder {path}")
     folder = next(parent for parent in path.absolute().parents if parent.exists())
     try:
         tempfile.TemporaryFile(dir=folder).close()
@@ -54,29 +48,25 @@ def check_writable(path: Path, name: str) -> None:
         raise CommandError(f"{name}: {path} cannot be written: {error.strerror}") from error
 
 
-def missing_folders(path: Path) -> list[Path]:
-    """
-    Folders that would have to be made for a path.
+def print_written(*paths: Path) -> None:
+    """Print the files that a command has written."""
+    print("\n".join(["Written:", *(f"  {path}" for path in paths)]))
 
-    :param path: A folder
-    :return: It and its parents that are not there, innermost first
-    """
+
+def missing_folders(path: Path) -> list[Path]:
+    """Return the folders of a path that do not exist, innermost first."""
     return [folder for folder in (path, *path.parents) if not folder.exists()]
 
 
 def remove_empty(folders: Iterable[Path]) -> None:
-    """
-    Remove folders as far as there is nothing in them.
-
-    :param folders: Each stands in the next
-    """
-    with contextlib.suppress(OSError):  # not empty: those around it are not, either
+    """Remove empty folders, innermost first."""
+    with contextlib.suppress(OSError):  # not empty, so neither are its parents
         for folder in folders:
             folder.rmdir()
 
 
 def _umask() -> int:
-    """The process's file mode mask, which can only be read by setting it."""
+    """Return the file mode mask of the process, which can only be read by setting it."""
     mask = os.umask(0)
     os.umask(mask)
     return mask

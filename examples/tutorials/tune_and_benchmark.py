@@ -56,7 +56,7 @@ def benchmark(name: str, hyperparams: dict[str, Any]) -> None:
     }
     Path(f"{name}.yml").write_text(yaml.safe_dump(content), encoding="utf-8")
     command(f"benchmark {name}.yml")
-    command(f"report benchmarks/{name}")
+    command(f"plot -f benchmarks/{name}")
 
 
 # A benchmark's processes import this file, too, and must not begin it anew.

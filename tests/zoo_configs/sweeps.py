@@ -15,8 +15,8 @@ import torch as th
 import yaml
 from stable_baselines3.common.save_util import load_from_zip_file
 
-from zoo_configs.benchmarking.sweep import Sweep, build_sweep, parse_plan
-from zoo_configs.training.state import State, standing
+from zoo_configs.benchmarking.plan import Job, build_jobs, parse_plan
+from zoo_configs.training.state import State, run_status
 
 HERE = Path(__file__).parent
 ROOT = HERE.parent.parent
@@ -38,8 +38,8 @@ FLAGS = ("--gym-packages", "toy_tasks", "--device", "cpu", "--no-progress")
 Bench = Callable[..., int]
 
 
-def sweep_of(**keys: Any) -> Sweep:
-    return build_sweep("tiny", parse_plan("tiny.yml", {**TINY, **keys}), ["toy_tasks"], "cpu")
+def jobs_of(**keys: Any) -> list[Job]:
+    return build_jobs(parse_plan("tiny.yml", {**TINY, **keys}), ["toy_tasks"], "cpu")
 
 
 def weights(folder: Path) -> dict[str, th.Tensor]:
@@ -74,5 +74,5 @@ def start(folder: Path, plan: dict[str, Any], *flags: str) -> subprocess.Popen[b
 
 
 def is_running(folder: Path) -> bool:
-    how = standing(folder)
+    how = run_status(folder)
     return how is not None and how.state is State.RUNNING

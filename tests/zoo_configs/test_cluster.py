@@ -6,6 +6,7 @@ import os
 import signal
 import socket
 import threading
+import time
 from collections.abc import Callable, Iterator
 from importlib import metadata
 from pathlib import Path
@@ -15,20 +16,19 @@ from typing import Any
 import pytest
 import sweeps
 import yaml
-from sweeps import FLAGS, TINY, is_running, same, start, sweep_of, wait_for
+from sweeps import FLAGS, TINY, is_running, jobs_of, same, start, wait_for
 
 from zoo_configs.benchmarking import cluster
-from zoo_configs.benchmarking.child import Ending, Task
-from zoo_configs.benchmarking.overview import Overview
+from zoo_configs.benchmarking.process import ExitCode
+from zoo_configs.benchmarking.status import Overview
 from zoo_configs.cli import main
 from zoo_configs.errors import CommandError
-from zoo_configs.training.state import State, standing
+from zoo_configs.training.state import State, run_status
 
 pytest.importorskip("ray")
 Bench = Callable[..., int]
 pytestmark = pytest.mark.usefixtures("toys")
 NODE = {"num_cpus": 1, "object_store_memory": 80 * 2**20, "memory": 4 * 10**9}
-LOCAL = {"NodeID": "n1", "NodeManagerHostname": "there", "NodeManagerAddress": "192.0.2.7"}
 SLOW = {"tasks": ["CloseLoopToySlow", "CloseLoopToyFailing"], "seeds": 1, "baselines": ["sacfd", "sac"]}
 
 
@@ -46,80 +46,69 @@ def ray_cluster() -> Iterator[Any]:
     os.environ.update(before)
 
 
-# ---- What is asked of machines
+# ---- Checks of machines
 
 
-def answers(**others: str) -> dict[str, str]:
-    return {**{name: metadata.version(name) for name in cluster.ALIKE}, **others}
-
-
-def test_a_machine_must_see_the_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(cluster, "SETTLING", 0.0)
+def test_a_machine_must_read_the_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cluster, "SETTLING_SECONDS", 0.0)
     (tmp_path / "token").touch()
-    assert cluster.answer(tmp_path, "token", "n1", ()) == answers()
-    cluster.check_answer(tmp_path, "token", LOCAL, answers())
-    for said, message in (
-        (cluster.answer(tmp_path, "other", "n1", ()), "does not see .* mounted at this path"),
-        (cluster.answer(tmp_path, "token", "n1", ["frobnicate"]), "'frobnicate' cannot be imported"),
-        (answers(torch="0.1"), "other versions: torch 0.1"),
-    ):
-        with pytest.raises(CommandError, match=rf"^there \(192.0.2.7\) .*{message}"):
-            cluster.check_answer(tmp_path, "token", LOCAL, said)
-    (tmp_path / "token-n1").unlink()  # it has written into a folder of its own
-    with pytest.raises(CommandError, match=r"has a folder .* of its own"):
-        cluster.check_answer(tmp_path, "token", LOCAL, answers())
+    versions = {name: metadata.version(name) for name in cluster.PACKAGES}
+    assert cluster.find_fault(tmp_path, "token", "seen", (), versions) == ""
+    assert (tmp_path / "seen").exists()
+    assert str(tmp_path) in cluster.find_fault(tmp_path, "other", "seen", (), versions)
+    assert "'frobnicate'" in cluster.find_fault(tmp_path, "token", "seen", ["frobnicate"], versions)
+    others = {**versions, "torch": "0.1"}
+    assert "torch" in (fault := cluster.find_fault(tmp_path, "token", "seen", (), others)) and "0.1" in fault
 
 
-def test_a_machine_that_joins_late_must_see_it_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(cluster, "SETTLING", 0.0)
-    [member, _] = sweep_of().members
-    with pytest.raises(cluster.NotShared, match=f"{socket.gethostname()} does not see"):
-        cluster.train(Task(member, tmp_path), "token")
+def test_a_machine_that_joins_late_must_read_it_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cluster, "SETTLING_SECONDS", 0.0)
+    with pytest.raises(CommandError, match=socket.gethostname()):
+        cluster.train(jobs_of()[0], tmp_path, "token")
     assert not list(tmp_path.iterdir())
 
 
 def test_a_run_that_is_lost_again_and_again_fails(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    trained: list[Task] = []
+    trained: list[Any] = []
 
-    def lost(task: Task) -> Any:
-        trained.append(task)
-        ended = {"wait": lambda _=None: True, "ending": lambda: Ending.INTERRUPTED}
+    def lost(*arguments: Any) -> Any:
+        trained.append(arguments)
+        ended = {"wait": lambda _=None: True, "exit_code": lambda: ExitCode.INTERRUPTED}
         return SimpleNamespace(**ended, interrupt=lambda: None, kill=lambda: None)
 
-    monkeypatch.setattr(cluster, "RunProcess", lost)
-    monkeypatch.setattr(cluster, "MOST_LOST", 3)
+    monkeypatch.setattr(cluster, "JobProcess", lost)
+    monkeypatch.setattr(cluster, "MAX_STARTS", 3)
     (tmp_path / "token").touch()
-    task = Task(sweep_of().members[0], tmp_path)
-    assert [cluster.train(task, "token") for _ in range(4)] == [Ending.INTERRUPTED] * 3 + [Ending.FAILED]
+    job = jobs_of()[0]
+    codes = [cluster.train(job, tmp_path, "token") for _ in range(4)]
+    assert codes == [ExitCode.INTERRUPTED] * 3 + [ExitCode.FAILED]
     assert len(trained) == 3
-    assert "lost 3 times" in standing(task.place).error  # type: ignore[union-attr]
-    (task.place / "checkpoints" / "checkpoint_6").mkdir(parents=True)
-    assert cluster.train(task, "token") == Ending.INTERRUPTED  # it has got further
+    assert "lost 3 times" in run_status(tmp_path / job.name).error  # type: ignore[union-attr]
+    (tmp_path / job.name / "checkpoints" / "checkpoint_6").mkdir(parents=True)
+    assert cluster.train(job, tmp_path, "token") == ExitCode.INTERRUPTED  # it has progressed
 
 
 # ---- Clusters
 
 
-def test_no_cluster_is_told(
+def test_a_dead_address_is_reported_soon(
     bench: Bench, tmp_path: Path, capsys: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    import ray
-
-    def refuse(**_: Any) -> None:
-        raise ConnectionError("Could not find any running Ray instance.")
-
-    monkeypatch.setattr(ray, "init", refuse)
-    assert bench("--ray") == 2
-    assert "--ray: no Ray cluster on this machine (ConnectionError: Could not find" in capsys.readouterr().err
+    """Nothing listens on port 9; a listener that never answers is a hang."""
+    monkeypatch.setattr(cluster, "CONNECTING_SECONDS", 6.0)
+    with socket.create_server(("127.0.0.1", 0)) as silent:
+        for address in ("127.0.0.1:9", f"127.0.0.1:{silent.getsockname()[1]}"):
+            begin = time.monotonic()
+            assert bench("--ray", address) == 2
+            assert address in capsys.readouterr().err
+            assert time.monotonic() - begin < 30.0
     assert not (tmp_path / "out").exists()
 
 
 def test_a_share_that_no_machine_has(ray_cluster: Any, bench: Bench, tmp_path: Path, capsys: Any) -> None:
     assert bench("--ray", ray_cluster.address, "--memory", "1000") == 2
     told = capsys.readouterr().err.splitlines()[-1]
-    assert (
-        "no machine of the cluster has what CloseLoopToy/sacfd/seed_0 takes: 1 CPU, 0 GPU, 1000.0 GB" in told
-    )
+    assert "CloseLoopToy/sacfd/seed_0: 1 CPU, 0 GPU, 1000.0 GB" in told
     assert not (tmp_path / "out").exists()
 
 
@@ -140,7 +129,7 @@ def test_a_node_killed_in_the_middle_loses_nothing(
     assert bench("--ray", ray_cluster.address, **plan) == 2
     killer.join()
     assert "2 done, 0 running, 0 waiting, 2 failed" in capsys.readouterr().out.splitlines()
-    assert standing(out / "CloseLoopToyFailing/sac/seed_0").state is State.FAILED  # type: ignore[union-attr]
+    assert run_status(out / "CloseLoopToyFailing/sac/seed_0").state is State.FAILED  # type: ignore[union-attr]
     assert not list(out.glob(".benchmark-*"))
     # What is done is the same as without a cluster, and is not done again
     (tmp_path / "tiny.yml").write_text(yaml.safe_dump({**TINY, **plan, "tasks": ["CloseLoopToySlow"]}))
@@ -180,6 +169,6 @@ def test_two_hundred_runs_while_nodes_are_lost(ray_cluster: Any, bench: Bench, t
     loser.start()
     assert bench("--ray", ray_cluster.address, **keys) == 2  # half of them fail
     loser.join()
-    overview = Overview(sweep_of(**keys).members, tmp_path / "out")
-    overview.look()
+    overview = Overview(jobs_of(**keys), tmp_path / "out")
+    overview.update()
     assert overview.counts() == "100 done, 0 running, 0 waiting, 100 failed"

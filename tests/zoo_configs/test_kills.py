@@ -19,7 +19,7 @@ from zoo_configs.cli import main
 from zoo_configs.training.cell import train_cell
 from zoo_configs.training.options import TrainingOptions
 from zoo_configs.training.runs import Run
-from zoo_configs.training.state import State, standing
+from zoo_configs.training.state import State, run_status
 
 # Registers a toy that counts its steps, and the files that appear, and kills its process at one of them.
 DYING = f"""
@@ -114,7 +114,7 @@ def check_killed_training(toy_id: str, folder: Path, moment: int) -> None:
     code = f"import dying, test_kills; test_kills.train({toy_id!r}, test_kills.Path({str(folder)!r}))"
     ended = run_dying(folder, moment, code)
     assert ended in (0, -9)
-    how = standing(folder / "run")
+    how = run_status(folder / "run")
     assert how is None or how.state is (State.DONE if ended == 0 else State.KILLED) or how.state is State.DONE
     resumed, whole = train(toy_id, folder), train(toy_id, folder / "whole")
     left, right = policy(resumed), policy(whole)

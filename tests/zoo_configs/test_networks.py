@@ -13,19 +13,19 @@ import pytest
 import torch as th
 from stable_baselines3.common.base_class import BaseAlgorithm
 
+from measure_updates import make_model
 from zoo_configs.cells.cell import resolve
 from zoo_configs.cells.rules import family_of
 from zoo_configs.cli import main
 from zoo_configs.environments import register_environments
-from zoo_configs.measuring.update_speed import make_model
-from zoo_configs.training.manager import ZooManager
+from zoo_configs.training.trainer import Trainer
 
 register_environments()
 STACKING = "BulletArm/CloseLoopBlockStacking-v0"
 SCALES = {
     "plain": {"standardise": None, "above_ground": None},
-    "centimetres": {"standardise": (0.1, 0.01), "above_ground": None},
-    "heights": {"standardise": (0.0, 0.1), "above_ground": (0.2, 0.1)},
+    "centimetres": {"standardise": [0.1, 0.01], "above_ground": None},
+    "heights": {"standardise": [0.0, 0.1], "above_ground": [0.2, 0.1]},
 }
 FAMILY = family_of(STACKING)
 SEEING = [name for name, row in FAMILY.baselines.items() if row.network != "state"]
@@ -36,7 +36,7 @@ Build = Callable[..., Any]
 def build(toy_id: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Build:
     """Runs `bulletarm-zoo train` up to the first step: ``build(baseline, preset, *hyperparameters)``."""
     built: list[BaseAlgorithm] = []
-    monkeypatch.setattr(ZooManager, "learn", lambda manager, model: built.append(model))
+    monkeypatch.setattr(Trainer, "learn", lambda trainer: not built.append(trainer.model))
 
     def run(baseline: str, preset: str, *params: str) -> BaseAlgorithm:
         arguments = ["train", "--baseline", baseline, "--preset", preset, "--env", toy_id, "--seed", "0"]

@@ -18,7 +18,7 @@ from zoo_configs.cli import main
 from zoo_configs.drawing.video import PANEL_SIZE
 from zoo_configs.environments import register_environments
 from zoo_configs.errors import CommandError
-from zoo_configs.training.manager import ZooManager
+from zoo_configs.training.trainer import Trainer
 
 register_environments()
 STACKING = "BulletArm/OpenLoopBlockStacking-v0"
@@ -144,7 +144,7 @@ def test_every_network_is_built_and_expects_nothing(
 ) -> None:
     """True values lie in [0, 1]; the paper's networks, which take a GPU, are built and not run."""
     built: list[Any] = []
-    monkeypatch.setattr(ZooManager, "learn", lambda manager, model: built.append(model))
+    monkeypatch.setattr(Trainer, "learn", lambda trainer: not built.append(trainer.model))
     arguments = ["train", "--baseline", f"sdqfd_{network}", "--preset", preset, "--env", env_id]
     arguments += ["--benchmark", benchmark, "--seed", "0", "-f", str(tmp_path), "--device", "cpu"]
     arguments += ["--vec-env", "dummy", "--no-progress", "--eval-freq", "-1"]

@@ -72,8 +72,6 @@ def test_a_run_remembers_where_its_task_comes_from(
 
 def test_commands_find_tasks_and_rewards(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     small = ["--env-kwargs", "obs_size:32"]
-    assert main(["check", ENV_ID, "--gym-packages", MODULE, "-n", "1", *small]) == 0
-    forget()
     assert main(["demos", "--env", f"{MODULE}:{ENV_ID}", "-n", "1", *small]) == 0
     forget()
     reaching = "BulletArm/CloseLoopBlockReaching-v0"
@@ -87,6 +85,6 @@ def test_commands_find_tasks_and_rewards(folder: Path, capsys: pytest.CaptureFix
 
 def test_a_module_that_fails_is_told(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (folder / f"{MODULE}.py").write_text("def")
-    assert main(["check", "--gym-packages", MODULE]) == 2
+    assert main(["enjoy", "--gym-packages", MODULE]) == 2
     [line] = capsys.readouterr().err.splitlines()
     assert f"package '{MODULE}' cannot be imported: SyntaxError: invalid syntax" in line

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Callable
 
 import pytest
 from scipy import stats
 
-from zoo_configs.agents import agent_from_arguments
+from zoo_configs.agents import AgentQuery, find_agent
 from zoo_configs.cells.rules import task_name
 from zoo_configs.cli import main
-from zoo_configs.evaluating import Outcome
-from zoo_configs.publishing.packing import arithmetic, evaluate_agent
+from zoo_configs.evaluating import EvalOptions, Outcome, evaluate_agent
+from zoo_configs.publishing.packing import arithmetic
 from zoo_configs.publishing.published import Published, published_agents
 from zoo_configs.publishing.readme import render_readme
 
@@ -35,22 +34,8 @@ every_agent = pytest.mark.parametrize("agent", AGENTS.values(), ids=AGENTS)
 
 def evaluate(agent: Published, episodes: int) -> Outcome:
     """As ``enjoy --published`` does, on the scenes of the card."""
-    args = argparse.Namespace(
-        published=agent.card.env,
-        baseline=agent.card.label,
-        run=None,
-        env=None,
-        gym_packages=[],
-        env_kwargs={},
-        device="cpu",
-        seed=agent.card.test_seed,
-        episodes=episodes,
-        n_envs=1,
-        stochastic=False,
-        render=False,
-        progress=False,
-    )
-    return evaluate_agent(agent_from_arguments(args), args)
+    query = AgentQuery(published=agent.card.env, baseline=agent.card.label, device="cpu")
+    return evaluate_agent(find_agent(query), EvalOptions(episodes, agent.card.test_seed, progress=False))
 
 
 def repeats(agent: Published) -> bool:
@@ -103,7 +88,7 @@ def test_success_is_that_of_the_card(agent: Published) -> None:
     outcome, card = evaluate(agent, agent.card.episodes), agent.card
     if repeats(agent):
         assert "".join("01"[success] for success in outcome.successes) == card.outcomes
-    assert abs(outcome.rate - card.success) <= card.interval[1] - card.interval[0]
+    assert abs(outcome.success_rate - card.success) <= card.interval[1] - card.interval[0]
 
 
 def test_the_list_tells_success(capsys: pytest.CaptureFixture[str]) -> None:
@@ -116,10 +101,11 @@ def test_the_list_tells_success(capsys: pytest.CaptureFixture[str]) -> None:
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["Frobnication"], "no published agent on 'Frobnication', there are: "),
-        (["BulletArm/OpenLoopRampBlockStacking-v0"], "there are: "),
-        (["CloseLoopBlockReaching", "--baseline", "frobnicate"], "there is equi_sacfd"),
-        (["CloseLoopBlockReaching", "--env", "TOY"], "neither a run folder nor --env"),
+        (["Frobnication"], "'Frobnication', choose from CloseLoopBlockInBowl"),
+        (["CloseLoopBlockPickin"], "did you mean 'CloseLoopBlockPicking'?"),
+        (["blockreaching"], "did you mean 'CloseLoopBlockReaching'?"),
+        (["CloseLoopBlockReaching", "--baseline", "frobnicate"], "'frobnicate', choose from equi_sacfd"),
+        (["CloseLoopBlockReaching", "--env", "TOY"], "neither a path nor --env"),
     ],
 )
 def test_what_is_not_published(words: list[str], message: str, refuse: Refuse) -> None:

@@ -4,106 +4,21 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 from gymnasium import spaces
 
-from bulletarm_gym.check import environments
-from bulletarm_gym.check.environments import Yardstick
 from zoo_configs.cells.cell import Cell
 from zoo_configs.cli import main
 from zoo_configs.drawing.curves import LearningCurve, draw_curves, load_curve, mean_curve
 from zoo_configs.drawing.video import compose_frame, observed_images
-from zoo_configs.errors import CommandError
 from zoo_configs.files import whole_file
-from zoo_configs.measuring import overhead
-from zoo_configs.measuring.data_files import OVERHEAD, SPEED, UPDATES, DataFile, number
-from zoo_configs.measuring.throughput import ReferenceRate, load_reference
 from zoo_configs.training.runs import Run, claim_run_folder, write_resolved
 from zoo_configs.training.seeds import SeedStream, stream_seed
 
 REACHING = "BulletArm/CloseLoopBlockReaching-v0"
-
-
-def test_speed_compares_with_the_reference(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(environments, "measure_yardstick", lambda: Yardstick(step_us=48, render_ms=4.2))
-    data = DataFile(tmp_path / "speed.csv", SPEED)
-    kept = ["--data", str(data.path), "--markdown"]
-    assert main(["speed", "--env", REACHING, "--seconds", "0.1", "--reference", *kept]) == 0
-    machine, head, _, row, summary = capsys.readouterr().out.splitlines()
-    assert "load average" in machine
-    cells = dict(zip(_cells(head), _cells(row), strict=True))
-    assert cells["environment"] == REACHING
-    parts = sum(float(cells[part]) for part in ("physics", "rendering", "rest"))
-    assert parts == pytest.approx(float(cells["ms/step"]), abs=0.02)
-    assert 0 < float(cells["without expert"]) <= float(cells["ms/step"])
-    assert float(cells["ratio"]) > 0
-    assert summary.startswith("ratio: geometric mean")
-    [row] = data.read()
-    assert row["env"] == "CloseLoopBlockReaching" and row["times_reference"] == number(
-        float(cells["ratio"]), 1
-    )
-    assert row["step_ms"] == number(float(cells["ms/step"]), 2)
-    assert row["command"].endswith(f"--env {REACHING} --seconds 0.1 --seed 0 --reference")
-    assert main(["speed", "--baseline", "sacfd", "--env", REACHING, *kept]) == 2
-    assert "speed.csv is no such file of measurements" in capsys.readouterr().err
-
-
-def test_speed_splits_an_update(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    data = DataFile(tmp_path / "updates.csv", UPDATES)
-    command = [
-        "speed",
-        "--baseline",
-        "equi_sacfd",
-        "sacfd",
-        "sacfd_state",
-        "--env",
-        REACHING,
-        "--seconds",
-        "0.5",
-        "--data",
-        str(data.path),
-        "--markdown",
-    ]
-    assert main(command) == 0
-    machine, head, _, *rows = [
-        line for line in capsys.readouterr().out.splitlines() if "|" in line or "load" in line
-    ]
-    assert REACHING in machine
-    equivariant, plain, state = (dict(zip(_cells(head), _cells(row), strict=True)) for row in rows)
-    assert float(equivariant["ms/update"]) > 0
-    assert float(equivariant["equivariant/plain"]) > 0
-    assert plain["equivariant/plain"] == state["equivariant/plain"] == ""
-    shares = [float(value.rstrip("%")) for value in equivariant.values() if value.endswith("%")]
-    assert sum(shares) == pytest.approx(100, abs=3)
-    assert len(shares) == 4 and min(shares) >= 0  # each part is named
-    first, second, third = data.read()
-    assert [row["network"] for row in (first, second, third)] == ["equivariant", "cnn", "state"]
-    assert first["update_ms"] == number(float(equivariant["ms/update"]), 1)
-    kept = [first[part] for part in ("gradients_of_convolutions", "convolutions", "pooling", "rest")]
-    assert [float(share) * 100 for share in kept] == pytest.approx(shares, abs=0.6)
-    assert second["equivariant_over_plain"] == "" and second["device"] in ("cpu", "cuda")
-
-
-def _cells(line: str) -> list[str]:
-    return [cell.strip() for cell in line.strip("|").split("|")]
-
-
-def test_a_reference_is_scaled_by_the_yardstick() -> None:
-    rate = ReferenceRate(Yardstick(step_us=50, render_ms=4), steps_per_second=40, reset_ms=30)
-    assert rate.scaled_to(Yardstick(step_us=100, render_ms=8)) == 20
-
-
-def test_a_foreign_file_is_no_reference(tmp_path: Path) -> None:
-    path = tmp_path / "rates.csv"
-    path.write_text("a,b\n1,2\n")
-    with pytest.raises(CommandError, match="columns env_id,"):
-        load_reference(path)
 
 
 def test_list_names_ids_parameters_and_baselines(capsys: pytest.CaptureFixture[str]) -> None:
@@ -139,7 +54,7 @@ def test_help_is_quick() -> None:
     """Neither PyTorch nor the engine is loaded to tell what a command takes."""
     code = (
         "import sys; from zoo_configs.cli import main\n"
-        "for command in ('enjoy', 'record', 'plot', 'speed', 'list'):\n"
+        "for command in ('enjoy', 'record', 'plot', 'benchmark', 'list'):\n"
         "    try: main([command, '--help'])\n"
         "    except SystemExit: pass\n"
         "assert not {'torch', 'pybullet', 'matplotlib'} & set(sys.modules), 'heavy'"
@@ -169,25 +84,10 @@ def test_a_mean_curve_takes_at_each_step_the_runs_that_have_it() -> None:
     assert mean_curve([long]) is long
 
 
-def test_plot_draws_a_panel_an_environment(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    for env_id in (REACHING, "BulletArm/CloseLoopBlockPicking-v0"):
-        for seed in range(2):
-            folder = claim_run_folder(tmp_path / "sacfd", env_id)
-            run = Run(folder, Cell("sacfd", env_id, {}, {}, "equi_sacfd", "cpu"), ())
-            write_resolved(run)
-            successes = [[False, False], [seed == 0, True]]
-            np.savez(run.evaluations_file, timesteps=[5, 10], results=successes, successes=successes)
-    assert main(["plot", "-f", str(tmp_path), "--markdown"]) == 0
-    _, _, picking, reaching, *others = capsys.readouterr().out.splitlines()
-    assert _cells(reaching)[:5] == ["CloseLoopBlockReaching", "equi_sacfd", "0.75", "0.25", "0.30 to 0.95"]
-    assert "BlockPicking" in picking
-    assert others[-3].strip() == str(tmp_path / "learning_curves.png")
-    assert (tmp_path / "learning_curves.png").read_bytes().startswith(b"\x89PNG")
-
-
 def evaluated_run(log_folder: Path, env_id: str, timesteps: list[int]) -> None:
     folder = claim_run_folder(log_folder / "sacfd", env_id)
-    run = Run(folder, Cell("sacfd", env_id, {}, {}, "sacfd", "cpu"), ())
+    cell = Cell("sacfd", env_id, {"n_timesteps": 10}, {}, "sacfd", "cpu")
+    run = Run(folder, cell, len(list(log_folder.glob("*/*"))))
     write_resolved(run)
     results = np.zeros((len(timesteps), 2))
     np.savez(run.evaluations_file, timesteps=timesteps, results=results, successes=results)
@@ -249,21 +149,3 @@ def test_seed_streams_are_apart() -> None:
     }
     assert len(seeds) == 4 * len(SeedStream) * 9
     assert stream_seed(1, SeedStream.TEST) == stream_seed(1, SeedStream.TEST)
-
-
-def test_speed_tells_what_train_adds(
-    toy_id: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(overhead, "measure_overhead", partial(overhead.measure_overhead, pairs=2))
-    data = DataFile(tmp_path / "overhead.csv", OVERHEAD)
-    # The paper's preset has no updates before the first step.
-    command = ["speed", "--baseline", "sacfd", "--env", toy_id, "--preset", "paper", "--device", "cpu"]
-    command += ["--env-kwargs", "obs_size:128", "--overhead", "2", "--data", str(data.path), "--markdown"]
-    assert main(command) == 0
-    *_, head, _, row = capsys.readouterr().out.splitlines()
-    measured = dict(zip(_cells(head), _cells(row), strict=True))
-    assert measured["time steps"] == "2" and measured["overhead"].endswith("%")
-    assert float(measured["model.learn() CPU s"]) > 0 and float(measured["train CPU s"]) > 0
-    [row] = data.read()
-    assert row["timesteps"] == "2" and row["env_kwargs"] == "obs_size:128"
-    assert float(row["least"]) <= float(row["overhead"]) <= float(row["greatest"])

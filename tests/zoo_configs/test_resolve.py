@@ -15,13 +15,16 @@ from sb3_extensions.encoders.cnn import plan_stages
 from sb3_extensions.replay.sampling import PrioritizedSampler, make_sampler
 from sb3_extensions.spatial_dqn.codec import SpatialActionCodec
 from zoo_configs.cells.cell import Cell, explain, merge, resolve
+from zoo_configs.cells.explanation import explained_yaml
 from zoo_configs.cells.flags import find_cell
-from zoo_configs.cells.rules import Family, families, family_of, parse_family, task_name
+from zoo_configs.cells.rules import Case, Family, families, family_of, parse_family, task_name
 from zoo_configs.cells.validation import check_cell
 from zoo_configs.commands.train import build_parser
 from zoo_configs.environments import make_env, our_env_ids, register_environments
 from zoo_configs.errors import CommandError, nearest_name
-from zoo_configs.training.manager import import_classes
+from zoo_configs.training.objects import import_classes
+from zoo_configs.training.options import TrainingOptions
+from zoo_configs.yaml_files import parse_yaml
 
 register_environments()
 CELLS = [
@@ -154,77 +157,73 @@ def test_a_task_may_say_more_of_policies_and_baselines() -> None:
     assert [cell["bc_weight"] for cell in (equivariant, plain, unguided)] == [30, 30, 0]
 
 
-RULES = {
+SECTIONS = {
     "envs": "*",
     "baselines": {"sacfd": ["sacfd", "cnn"], "rad_sac": ["sac", "cnn", "rad"]},
-    "rules": [{"when": {"preset": "cpu"}, "set": {"gamma": 0.9}}],
+    "defaults": {"set": {"gamma": 0.9, "env_kwargs": {"obs_size": 64}}},
+    "presets": {"cpu": {"set": {"gamma": 0.8}}},
 }
-
-
-@pytest.mark.parametrize(
-    ("rule", "message"),
-    [
-        ({"when": {"network": "ccn"}}, "unknown network of mine.yml, rule 2 'ccn', did you mean 'cnn'"),
-        ({"when": {"learner": ["sac", "sacdf"]}}, "learner of mine.yml, rule 2 'sacdf', .*'sacfd'"),
-        ({"when": {"addition": "drq"}}, "addition of mine.yml, rule 2 'drq'"),
-        ({"when": {"benchmark": "open_loop"}}, "benchmark of mine.yml, rule 2 'open_loop'"),
-        ({"when": {"pre": "cpu"}}, "axis of mine.yml, rule 2 'pre'"),
-        ({"sets": {}}, "key of mine.yml, rule 2 'sets', did you mean 'set'"),
-        ({"flags": {"eval_frq": 3}}, "flag of mine.yml, rule 2 'eval_frq', did you mean 'eval_freq'"),
-    ],
-)
-def test_what_a_rule_misspells_is_told(rule: dict[str, Any], message: str) -> None:
-    with pytest.raises(CommandError, match=message):
-        parse_family("mine", yaml.safe_dump({**RULES, "rules": [*RULES["rules"], rule]}))
 
 
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"tasks": {}}, "key of mine.yml 'tasks'"),
-        ({"algorithms": {"frem": "sacfd"}}, "algorithm of mine.yml 'frem', did you mean 'ferm'"),
-        ({"algorithms": {"ferm": ["sacdf"]}}, "baseline of mine.yml, algorithm ferm 'sacdf', .*'sacfd'"),
-        ({"baselines": {"sac": ["sac"]}}, "'sac' of mine.yml takes .learner, network, additions."),
+        ({"networks": {"ccn": {}}}, "'ccn', did you mean 'cnn'"),
+        ({"learners": {"sacdf": {}}}, "'sacdf', .*'sacfd'"),
+        ({"additions": {"drq": {}}}, "'drq'"),
+        ({"benchmarks": {"open_loop": {}}}, "'open_loop'"),
+        ({"network": {"cnn": {}}}, "'network'"),
+        ({"defaults": [{"set": {}}, {"sets": {}}]}, "'sets', did you mean 'set'"),
+        ({"presets": {"cpu": {"flags": {"eval_frq": 3}}}}, "'eval_frq', did you mean 'eval_freq'"),
+        ({"presets": {"cpu": {"tasks": {"Any": {"networks": {"ccn": {}}}}}}}, "'ccn', did you mean 'cnn'"),
+        ({"algorithms": {"frem": "sacfd"}}, "'frem', did you mean 'ferm'"),
+        ({"algorithms": {"ferm": ["sacdf"]}}, "'sacdf', .*'sacfd'"),
+        ({"baselines": {"sac": ["sac"]}}, "'sac' .*additions"),
     ],
 )
-def test_what_a_file_of_rules_misspells_is_told(change: dict[str, Any], message: str) -> None:
+def test_unknown_names_in_a_file_raise(change: dict[str, Any], message: str) -> None:
     with pytest.raises(CommandError, match=message):
-        parse_family("mine", yaml.safe_dump({**RULES, **change}))
+        parse_family("mine", yaml.safe_dump({**SECTIONS, **change}))
 
 
-def test_rules_are_applied_in_order_where_they_hold() -> None:
-    family = parse_family("mine", yaml.safe_dump(RULES))
-    assert family.presets == ("cpu",)
-    assert family.baselines["rad_sac"].additions == ("rad",)
-    first = families()[0].rules[0]
-    assert not first.when and str(first) == "close_loop.yml, rule 1"
-
-
-@pytest.mark.parametrize("preset", ["cpu", "paper"])
-@pytest.mark.parametrize("baseline", ["equi_sacfd_per_aug", "ferm_sac"])
-def test_every_value_is_explained(baseline: str, preset: str) -> None:
-    explained = explain(baseline, preset, PICKING, {"gamma": 0.5})
-    hyperparams = resolve(baseline, preset, PICKING, {"gamma": 0.5}).hyperparams
-    by = {name: rule for rule, values in explained for name in values}
-    values = {name: value for _, values in explained for name, value in values.items()}
-    assert values["gamma"] == 0.5 and str(by["gamma"]) == "overrides"
-    assert values["env_kwargs.obs_size"] == hyperparams["env_kwargs"]["obs_size"]
-    assert by["expert_episodes"].where == "bulletarm_gym.benchmarks: close_loop_4d"
-    assert by["flags.eval_freq"].when == {"preset": (preset,)}
-    assert {name.partition(".")[0] for name in values} == {"algo", "flags", *hyperparams}
-    assert len(values) == sum(len(values) for _, values in explained)  # each is set by one rule
+def test_layers_have_a_fixed_order() -> None:
+    """The order of the keys in a file does not matter."""
+    values = [{"set": {"gamma": number / 10}} for number in range(9)]
+    tasks = {"tasks": {"Toy": {**values[7], "networks": {"cnn": values[8]}}}}
+    preset = {**tasks, "additions": {"rad": values[6]}, "networks": {"cnn": values[5]}, **values[4]}
+    content = {
+        **SECTIONS,
+        "presets": {"cpu": preset},
+        "tasks": {"Toy": values[3]},
+        "learners": {"sac": values[2]},
+        "networks": {"cnn": values[1]},
+        "defaults": [values[0]],
+    }
+    family = parse_family("mine", yaml.safe_dump(content, sort_keys=False))
+    layers = list(family.layers(Case("cpu", "Any/Toy-v0", None, family.baselines["rad_sac"])))
+    assert [layer.hyperparams["gamma"] for layer in layers[1:]] == [number / 10 for number in range(9)]
+    assert layers[-1].source == "mine.yml, presets.cpu.tasks.Toy.networks.cnn"
+    other = list(family.layers(Case("cpu", "Any/Other-v0", None, family.baselines["sacfd"])))
+    assert [layer.hyperparams["gamma"] for layer in other[1:]] == [0.0, 0.1, 0.4, 0.5]
 
 
 @pytest.mark.parametrize("family", families(), ids=lambda family: family.name)
-def test_cells_of_all_baselines_are_explained(family: Family) -> None:
+def test_every_value_has_a_source(family: Family) -> None:
     env_id = PICKING if family.serves(PICKING) else STACKING
-    for baseline, row in family.baselines.items():
-        if row.network.endswith(("6d", "deictic_asr")):
+    for baseline, parts in family.baselines.items():
+        if parts.network.endswith(("6d", "deictic_asr")):
             continue
-        overrides = {"env_kwargs": {"half_rotation": False}} if env_id == STACKING else {}
-        explained = explain(baseline, "cpu", env_id, overrides)
-        values = {name: value for _, values in explained for name, value in values.items()}
-        assert values["algo"] == resolve(baseline, "cpu", env_id, overrides).algo
+        overrides = {"gamma": 0.5, "env_kwargs": {"half_rotation": False} if env_id == STACKING else {}}
+        cell, sources = explain(baseline, "cpu", env_id, overrides)
+        assert cell == resolve(baseline, "cpu", env_id, overrides)
+        assert sources["hyperparams.gamma"].source == "command line"
+        assert sources["hyperparams.expert_episodes"].source.startswith("bulletarm_gym.benchmarks")
+        assert sources["flags.eval_freq"].source.endswith("presets.cpu")
+        lines = explained_yaml(cell, TrainingOptions.of(cell).plain(), {}).splitlines()
+        assert all("  # " in line or line.endswith(":") for line in lines)
+        content = parse_yaml("\n".join(lines))
+        assert (content["algo"], content[env_id]) == (cell.algo, cell.hyperparams)
+        assert content["options"] == TrainingOptions.of(cell).plain()
 
 
 def test_a_grid_of_actions_lies_over_what_the_environments_range_over() -> None:
@@ -439,12 +438,11 @@ def test_presets_fit_the_image_size(baseline: str, size: int) -> None:
     assert set(encoder["channels"]) == set(own["channels"]) and (size != 64 or encoder == own)
 
 
-def test_a_fitted_value_comes_from_the_image_size() -> None:
-    found = explain("sacfd", "cpu", PICKING, {"env_kwargs": {"obs_size": 128}})
-    where = {name: rule.where for rule, values in found for name in values}
-    name = "policy_kwargs.features_extractor_kwargs"
-    assert where[f"{name}.channels"] == where["env_kwargs.obs_size"] == "overrides"
-    assert where[f"{name}.autocast"].startswith("close_loop.yml")
+def test_a_fitted_value_has_the_source_of_the_image_size() -> None:
+    _, sources = explain("sacfd", "cpu", PICKING, {"env_kwargs": {"obs_size": 128}})
+    name = "hyperparams.policy_kwargs.features_extractor_kwargs"
+    assert sources[f"{name}.channels"] is sources["hyperparams.env_kwargs.obs_size"]
+    assert sources[f"{name}.autocast"].source.startswith("close_loop.yml")
 
 
 def test_chosen_arguments_of_the_encoder_are_kept() -> None:

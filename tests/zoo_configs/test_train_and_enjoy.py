@@ -101,12 +101,12 @@ def test_two_runs_never_share_a_folder(tmp_path: Path, toy_id: str) -> None:
 
 
 def test_claiming_survives_a_race(tmp_path: Path, toy_id: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Another process takes the number between the look and the claim."""
-    from zoo_configs.training import runs
+    """Another process creates the folder between the listing and the claim."""
+    from zoo_configs.training.runs import claim_run_folder
 
     (tmp_path / "BulletArm-CloseLoopToy-v0_1").mkdir()
-    monkeypatch.setattr(runs, "get_latest_run_id", lambda *_: 0)
-    assert runs.claim_run_folder(tmp_path, toy_id).name == "BulletArm-CloseLoopToy-v0_2"
+    monkeypatch.setattr(Path, "iterdir", lambda _: iter(()))
+    assert claim_run_folder(tmp_path, toy_id).name == "BulletArm-CloseLoopToy-v0_2"
 
 
 @pytest.mark.parametrize("model", ["--load-best", "--load-last"])
@@ -131,7 +131,7 @@ def test_enjoy_finds_no_run_of_another_baseline(
     trained: Path, toy_id: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["enjoy", "--baseline", "sacfd", "--env", toy_id, "-f", str(trained)]) == 2
-    assert "no such run of sacfd" in capsys.readouterr().err
+    assert "no run of sacfd" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("algo", ["sac", "tqc"])
@@ -147,7 +147,7 @@ def test_enjoy_finds_what_train_trained_by_the_name_of_an_algorithm(
     assert main(["enjoy", *named, "-n", "1"]) == 0
     assert "success_rate=" in capsys.readouterr().out
     assert main(["enjoy", *named, "--algo", "ppo"]) == 2
-    assert "no such run of ppo" in capsys.readouterr().err
+    assert "no run of ppo" in capsys.readouterr().err
 
 
 def test_record_films_the_agent(run_folder: Path, tmp_path: Path) -> None:
@@ -241,4 +241,4 @@ def test_progress_bars_are_for_terminals(
 def test_help_names_every_command(capsys: pytest.CaptureFixture[str]) -> None:
     assert main([]) == 0
     printed = capsys.readouterr().out
-    assert all(name in printed for name in ("train", "enjoy", "record", "speed", "list"))
+    assert all(name in printed for name in ("train", "enjoy", "record", "plot", "list"))

@@ -15,23 +15,39 @@ import yaml
 from optuna.storages.journal import JournalFileBackend, JournalStorage
 from optuna.trial import FixedTrial, FrozenTrial
 
-from zoo_configs.algorithms import register_algorithms
-from zoo_configs.cells.cell import resolve
+from zoo_configs.algorithms import algorithm_classes
+from zoo_configs.cells.benchmarks import is_served
+from zoo_configs.cells.cell import Cell, merge, resolve
+from zoo_configs.cells.rules import families
 from zoo_configs.cli import main
+from zoo_configs.environments import our_env_ids, register_environments
 from zoo_configs.errors import CommandError
 from zoo_configs.tuning import trial as trial_module
 from zoo_configs.tuning.space import (
+    BASELINE,
     Parameter,
-    check_space,
+    baseline_value,
     first_values,
     fit_space,
     load_space,
-    moved,
     parse_space,
+    sample_params,
 )
-from zoo_configs.tuning.study import ERROR, retried
+from zoo_configs.tuning.study import ERROR, StartupPruner, retried
+from zoo_configs.yaml_files import parse_yaml
 
 PICKING = "BulletArm/CloseLoopBlockPicking-v0"
+register_environments()
+CELLS = [
+    (baseline, preset, env_id)
+    for env_id in our_env_ids()
+    for family in families()
+    if family.serves(env_id)
+    for baseline, parts in family.baselines.items()
+    for preset in family.presets
+    if is_served(family.benchmarks, env_id, parts.network, None)
+]
+"""All experiments."""
 SPACE = "learning_rate: {low: 1.0e-4, high: 1.0e-2, log: true}\nbatch_size: {choices: [4, 8]}\n"
 NAME = "sacfd_CloseLoopToy"
 CELL = ["--baseline", "sacfd", "--preset", "quick", "--env-kwargs", "obs_size:48"]
@@ -128,11 +144,13 @@ def test_a_worker_that_dies_leaves_its_trial_to_be_taken_up(tune: Tune, toy_id: 
     words += ["--space", str(tmp_path / "space.yml"), *SIZE, "--n-trials", "2", *TINY]
     code = f"import sys; from zoo_configs.cli import main; sys.exit(main({words!r}))"
     with subprocess.Popen([sys.executable, "-c", code], cwd=tmp_path, stdout=subprocess.DEVNULL) as worker:
-        while not list(tmp_path.glob("studies/*/trial_0000/checkpoints/*/model.zip")):
-            assert worker.poll() is None
-            time.sleep(0.1)
-        assert tune("--n-trials", "1") == 0  # it is in work
-        worker.kill()
+        try:
+            while not list(tmp_path.glob("studies/*/trial_0000/checkpoints/*/model.zip")):
+                assert worker.poll() is None
+                time.sleep(0.1)
+            assert tune("--n-trials", "1") == 0  # the worker trains it
+        finally:
+            worker.kill()
     assert [trial.state.name for trial in trials(tmp_path)] == ["RUNNING"]
     assert tune("--n-trials", "2") == 0
     assert tune("--n-trials", "2", "--study-name", "whole") == 0
@@ -144,12 +162,15 @@ def test_a_worker_that_dies_leaves_its_trial_to_be_taken_up(tune: Tune, toy_id: 
     assert folders == {"trial_0000", "trial_0002"}
 
 
-def test_a_failed_trial_is_no_pruned_one(tune: Tune, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_study_without_a_complete_trial_fails(
+    tune: Tune, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     def fail(*args: Any) -> float:
         raise ValueError("a loss that is not a number")
 
     monkeypatch.setattr("zoo_configs.tuning.study.score", fail)
-    assert tune("--n-trials", "2") == 0
+    assert tune("--n-trials", "2") == 2
+    assert "a loss that is not a number" in capsys.readouterr().err
     assert [trial.state.name for trial in trials(tmp_path)] == ["FAIL", "FAIL"]
     assert trials(tmp_path)[0].user_attrs[ERROR] == "a loss that is not a number"
     assert not (tmp_path / "studies" / NAME / "best.yml").exists()
@@ -193,7 +214,7 @@ def test_a_study_stays_in_its_folder(tune: Tune, tmp_path: Path, capsys: pytest.
     assert tune("--n-trials", "2", "--storage", database) == 0
     capsys.readouterr()
     assert tune("--n-trials", "2", "--storage", database, "-f", str(tmp_path / "elsewhere")) == 2
-    assert "was begun in another folder" in capsys.readouterr().err
+    assert "has another folder" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("begun", ["trial", "attribute", "direction"])
@@ -217,92 +238,155 @@ def test_a_study_of_another_program_is_refused_unchanged(
 
 
 @pytest.mark.parametrize(
-    "algo", [name for name in register_algorithms() if name not in ("ars", "dqn", "qrdqn")]
+    "algo", [name for name in algorithm_classes() if name not in ("ars", "dqn", "qrdqn")]
 )
-def test_every_algorithm_takes_what_its_space_moves(algo: str) -> None:
-    """All that act in a box; but the recurrent one, whose policies have no heightmaps."""
+def test_every_algorithm_has_the_hyperparameters_of_its_space(algo: str) -> None:
+    """All for a box of actions, except the recurrent one, whose policies have no heightmaps."""
+    cell = Cell(algo, "Pendulum-v1", {})
     if algo == "ppo_lstm":
         with pytest.raises(CommandError, match="unknown search space 'ppo_lstm'"):
-            load_space(algo)
+            load_space(cell)
         return
-    space = load_space(algo)
-    check_space(space, register_algorithms()[algo])
+    space = load_space(cell)
     assert len({parameter.name for parameter in space}) == len(space) >= 4
 
 
+def fitted(cell: Cell, given: dict[str, Any] | None = None) -> tuple[Parameter, ...]:
+    """The shipped space of an experiment."""
+    return fit_space(load_space(cell), cell, given or {}, is_own=False)
+
+
+def first_trial(cell: Cell, space: tuple[Parameter, ...]) -> FixedTrial:
+    trial = FixedTrial(first_values(space, cell))
+    trial.set_user_attr(BASELINE, True)
+    return trial
+
+
+def test_the_first_trial_of_every_experiment_is_the_baseline() -> None:
+    """And the space contains its values, and nothing that it does not use."""
+    for baseline, preset, env_id in CELLS:
+        cell = resolve(baseline, preset, env_id)
+        space = fitted(cell)
+        first = first_values(space, cell)
+        assert first.keys() == {parameter.name for parameter in space}, cell
+        assert sample_params(cell, space, first_trial(cell, space)) == {}  # type: ignore[arg-type]
+        imitates = cell.hyperparams.get("bc_weight", 0) != 0
+        assert imitates == ("bc_weight" in first) == ("bc_limit" in first), cell
+
+
 @pytest.mark.parametrize("baseline", ["equi_sacfd", "ferm_sacfd", "tqcfd"])
-def test_the_first_trial_is_the_baseline(baseline: str) -> None:
+def test_sampled_values_replace_those_of_the_baseline(baseline: str) -> None:
     cell = resolve(baseline, "cpu", PICKING)
-    space = load_space(cell.algo)
-    values = first_values(space, cell, register_algorithms()[cell.algo])
+    space = fitted(cell)
+    values = first_values(space, cell)
     assert values.keys() >= {"learning_rate", "gamma", "batch_size", "tau", "bc_weight", "n_steps"}
-    known = tuple(parameter for parameter in space if parameter.name in values)
-    same = moved(cell, known, FixedTrial(values))  # type: ignore[arg-type]
-    assert float(same.pop("learning_rate").removeprefix("lin_")) == 1e-3
-    assert all(same[key] == value for key, value in cell.hyperparams.items() if key != "learning_rate")
+    sampled = sample_params(cell, space, FixedTrial(values))  # type: ignore[arg-type]
+    assert sampled.pop("learning_rate") == "lin_0.001"
+    assert all(value == baseline_value(name, cell) for name, value in sampled.items())
 
 
-def test_what_is_given_is_not_searched() -> None:
+def test_values_of_the_command_line_are_not_searched() -> None:
     given = {"pretrain_steps": 4, "n_steps": 2}
     cell = resolve("sacfd", "quick", PICKING, given)
-    space = fit_space(load_space("sacfd"), cell, given, is_own=False)
+    space = fitted(cell, given)
     assert {"pretrain_steps", "n_steps"}.isdisjoint(parameter.name for parameter in space)
-    first = first_values(space, cell, register_algorithms()["sacfd"])
-    assert first.keys() == {parameter.name for parameter in space}
-    same = moved(cell, space, FixedTrial(first))  # type: ignore[arg-type]
-    kept = same.keys() & cell.hyperparams.keys()
-    assert {name for name in kept if same[name] != cell.hyperparams[name]} == {"learning_rate"}
-    assert (same["learning_rate"], same["pretrain_steps"]) == ("lin_0.001", 4)
     everything = dict.fromkeys((parameter.name for parameter in space), 0.5) | given
-    with pytest.raises(CommandError, match="nothing is left"):
-        fit_space(load_space("sacfd"), cell, everything, is_own=False)
+    with pytest.raises(CommandError, match="no hyperparameter left"):
+        fitted(cell, everything)
 
 
-def test_a_space_of_ones_own_begins_with_what_is_given() -> None:
-    space = parse_space("own", {"pretrain_steps": {"choices": [0, 4]}})
-    cell = resolve("sacfd", "quick", PICKING, {"pretrain_steps": 4})
-    assert fit_space(space, cell, {"pretrain_steps": 4}, is_own=True) == space
-    with pytest.raises(CommandError, match="pretrain_steps is 3, which the search space"):
-        fit_space(space, cell, {"pretrain_steps": 3}, is_own=True)
+@pytest.mark.parametrize(
+    ("space", "value", "stored"),
+    [
+        ("{pretrain_steps: {choices: [0, 4]}}", 3, ("3", (3, 0, 4))),
+        ("{bc_weight: {choices: [10.0, 30.0]}}", 30, ("30.0", (10.0, 30.0))),
+        ("{backup_entropy: {choices: [true, false]}}", 1, ("1", (1, True, False))),
+        ("{learning_rate: {choices: [1e-4, 1e-3]}}", 0.001, ("0.001", (1e-4, 1e-3))),
+        ("{tau: {low: 1e-2, high: 1e-1}}", 0.005, (0.005, ())),
+    ],
+)
+def test_a_space_is_extended_by_the_value_of_the_command_line(
+    space: str, value: Any, stored: tuple[Any, Any], tmp_path: Path
+) -> None:
+    [name] = parse_yaml(space)
+    (file := tmp_path / "space.yml").write_text(space)
+    cell = resolve("sacfd", "quick", PICKING, {name: value})
+    [parameter] = fit_space(load_space(cell, file), cell, {name: value}, is_own=True)
+    assert (parameter.optuna_value(value), parameter.choices) == stored
+    assert first_values((parameter,), cell) == {name: stored[0]}
 
 
-def test_choices_hold_the_baselines_value() -> None:
-    stacking = resolve("sacfd", "quick", "BulletArm/CloseLoopBlockStacking-v0")
-    space = fit_space(load_space("sacfd"), stacking, {}, is_own=False)
-    steps = next(parameter for parameter in space if parameter.name == "pretrain_steps")
-    assert steps.choices == (4000, 0, 500, 1000, 2000)
-    assert "pretrain_steps" in first_values(space, stacking, register_algorithms()["sacfd"])
+@pytest.mark.parametrize(
+    ("name", "integer"), [("batch_size", True), ("n_envs", True), ("gamma", False), ("bc_weight", False)]
+)
+def test_whole_number_bounds_mean_whole_numbers_except_for_floats(
+    name: str, integer: bool, tmp_path: Path
+) -> None:
+    (file := tmp_path / "space.yml").write_text(f"{name}: {{low: 1, high: 9}}")
+    cell = resolve("sacfd", "quick", PICKING, {"bc_weight": 3})
+    [parameter] = load_space(cell, file)
+    study = optuna.create_study(sampler=optuna.samplers.RandomSampler(seed=0))
+    assert isinstance(parameter.suggest(study.ask()), int) == integer
 
 
-def test_what_is_moved_keeps_the_rest() -> None:
+def test_the_second_trial_differs_from_the_first_in_every_parameter(tune: Tune, tmp_path: Path) -> None:
+    """Also in one that the baseline has no value of, which the first trial leaves out."""
+    (tmp_path / "space.yml").write_text(
+        "tau: {low: 0.1, high: 0.2}\npolicy_kwargs.n_critics: {low: 1, high: 9}"
+    )
+    assert tune("--n-trials", "3") == 0
+    first, second, third = trials(tmp_path)
+    assert first.params == {"tau": 0.01}
+    assert second.params.keys() == third.params.keys() == {"tau", "policy_kwargs.n_critics"}
+    assert second.params != third.params
+
+
+class PruneAlways(optuna.pruners.BasePruner):
+    def prune(self, study: optuna.Study, trial: FrozenTrial) -> bool:
+        return True
+
+
+def test_no_trial_is_pruned_before_the_startup_trials_are_complete() -> None:
+    study = optuna.create_study(direction="maximize", pruner=StartupPruner(PruneAlways(), 3))
+    pruned = []
+    for number in range(5):
+        trial = study.ask()
+        trial.report(-float(number), 1)
+        pruned.append(trial.should_prune())
+        study.tell(trial, -float(number))
+    assert pruned == [False, False, False, True, True]
+
+
+def test_a_nested_value_keeps_the_others() -> None:
     cell = resolve("equi_sacfd", "cpu", PICKING)
     space = (Parameter("policy_kwargs.net_arch.qf", choices=([32], [64, 64])), Parameter("tau", 0.001, 0.1))
-    hyperparams = moved(cell, space, FixedTrial({"policy_kwargs.net_arch.qf": "[64, 64]", "tau": 0.02}))  # type: ignore[arg-type]
+    trial = FixedTrial({"policy_kwargs.net_arch.qf": "[64, 64]", "tau": 0.02})
+    hyperparams = merge(cell.hyperparams, sample_params(cell, space, trial))  # type: ignore[arg-type]
     assert hyperparams["policy_kwargs"]["net_arch"] == {"pi": [32], "qf": [64, 64]}
     assert hyperparams["policy_kwargs"]["features_extractor_kwargs"]["n"] == 4
-    assert cell.hyperparams["tau"] == 0.01
 
 
 @pytest.mark.parametrize(
     ("space", "message"),
     [
-        ("[]", "takes a mapping of parameters"),
-        ("{}", "takes a mapping of parameters"),
-        ("{gamma: 0.9}", "gamma of mine takes low and high, or choices, got 0.9"),
+        ("[]", "mapping of parameters"),
+        ("{}", "mapping of parameters"),
+        ("{gamma: 0.9}", "gamma of mine must have .*got 0.9"),
         ("{gamma: {lo: 0.1, high: 1}}", "unknown key of gamma of mine 'lo'"),
-        ("{gamma: {low: 1, high: 0}}", "gamma of mine takes numbers low < high"),
-        ("{gamma: {low: 0, high: 1, log: true}}", "gamma of mine takes positive numbers low < high"),
-        ("{gamma: {choices: [], low: 1}}", "choices takes a list and stands alone"),
+        ("{gamma: {low: 1, high: 0}}", "gamma of mine must have numbers low < high"),
+        ("{gamma: {low: 0, high: 1, log: true}}", "gamma of mine must have positive numbers"),
+        ("{gamma: {choices: [], low: 1}}", "choices must be a list"),
     ],
 )
-def test_a_space_that_makes_no_sense_is_told(space: str, message: str) -> None:
+def test_an_invalid_space_raises(space: str, message: str) -> None:
     with pytest.raises(CommandError, match=message):
         parse_space("mine", yaml.safe_load(space))
 
 
-def test_an_unknown_hyperparameter_is_told() -> None:
+def test_an_unknown_hyperparameter_raises(tmp_path: Path) -> None:
+    (file := tmp_path / "space.yml").write_text("bc_wight: {low: 0, high: 1}")
     with pytest.raises(CommandError, match="'bc_wight', did you mean 'bc_weight'"):
-        check_space((Parameter("bc_wight", 0, 1),), register_algorithms()["sacfd"])
+        load_space(resolve("sacfd", "cpu", PICKING), file)
 
 
 def test_trials_that_were_taken_up_do_not_count() -> None:

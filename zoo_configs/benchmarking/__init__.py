@@ -1,1 +1,1 @@
-"""Benchmarks: many cells with many seeds, on this machine or on a cluster, and what came of them."""
+"""Training of many experiments on one machine or on a Ray cluster."""

@@ -1,85 +1,70 @@
-"""A benchmark on a Ray cluster: a run is a Ray task, and the folder is storage that all machines share."""
+"""A benchmark on a Ray cluster: each run is a Ray task; all machines share the folder."""
 
 from __future__ import annotations
 
 import logging
 import os
 import socket
+import subprocess
+import sys
 import time
 import uuid
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
 from importlib import metadata
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from zoo_configs.benchmarking.child import Ending, RunProcess, Task
-from zoo_configs.benchmarking.local import GRACE, POLL, check_storage, stop
+from zoo_configs.benchmarking.plan import Job
+from zoo_configs.benchmarking.process import GRACE, POLL, ExitCode, JobProcess, check_storage, stop
 from zoo_configs.errors import CommandError, reason
 from zoo_configs.training.runs import CHECKPOINT_FOLDER
-from zoo_configs.training.state import State, note
+from zoo_configs.training.state import State, set_status
 
 GIGABYTE = 1e9
-TOKEN = ".benchmark-"  # begins the names of the files by which machines find out whether they share a folder
-BEGINNINGS_FILE = ".beginnings"
-MOST_LOST = 10  # beginnings of a run from one checkpoint
-SETTLING = 10.0  # seconds until what one machine has written is seen by others (NFS caches folders for some)
-# What must be of one version on all machines: a run may begin on one and go on on another.
-ALIKE = ("bulletarm-gym", "torch", "stable-baselines3", "gymnasium", "pybullet", "numpy")
+CONNECTING_SECONDS = 15.0
+CONNECT = "import logging, ray, sys; ray.init(address=sys.argv[1], logging_level=logging.ERROR)"
+TOKEN = ".benchmark-"
+"""Prefix of the files by which machines find out whether they share a folder."""
+STARTS_FILE = ".starts"
+MAX_STARTS = 10
+"""Number of times that a run starts from the same checkpoint."""
+SETTLING_SECONDS = 10.0
+"""Duration until the other machines see a new file: NFS caches folders."""
+PACKAGES = ("bulletarm-gym", "torch", "stable-baselines3", "gymnasium", "pybullet", "numpy")
+"""Packages that must have the same version on all machines, because a run may move to another one."""
+RESOURCES = {"CPU": "num_cpus", "GPU": "num_gpus", "memory": "memory"}
+"""Option of a Ray task, by resource of a machine."""
+Resources = Mapping[str, float]
+"""Options of a Ray task: ``num_cpus``, ``num_gpus`` and ``memory`` (bytes)."""
 
 
-@dataclass(frozen=True)
-class Share:
+def check_address(address: str) -> None:
     """
-    What a run takes of a machine.
+    Connect to a Ray cluster in another process, because ``ray.init`` retries a dead address for many minutes.
 
-    :param cpus: Cores, the threads of a run
-    :param gpus: GPUs; a fraction lets runs share one
-    :param memory: Gigabytes
+    :param address: Its address, ``"auto"`` for the cluster of this machine
+    :raises CommandError: if Ray is not installed, or no cluster answers within ``CONNECTING_SECONDS``
     """
-
-    cpus: float
-    gpus: float
-    memory: float
-
-    def as_options(self) -> dict[str, Any]:
-        """As Ray takes it."""
-        return {"num_cpus": self.cpus, "num_gpus": self.gpus, "memory": int(self.memory * GIGABYTE)}
-
-    def fits(self, resources: Mapping[str, float]) -> bool:
-        """Whether a machine has as much."""
-        memory = resources.get("memory", 0.0) / GIGABYTE
-        return (
-            self.cpus <= resources.get("CPU", 0.0)
-            and self.gpus <= resources.get("GPU", 0.0)
-            and self.memory <= memory
-        )
-
-
-class NotShared(Exception):
-    """A machine does not see the benchmark's folder."""
+    if find_spec("ray") is None:
+        raise CommandError("--ray needs Ray: pip install 'bulletarm-gym[cluster]'")
+    command, why = [sys.executable, "-c", CONNECT, address], f"no answer within {CONNECTING_SECONDS:g} s"
+    try:
+        subprocess.run(command, capture_output=True, text=True, timeout=CONNECTING_SECONDS, check=True)
+    except subprocess.SubprocessError as error:
+        if isinstance(error, subprocess.CalledProcessError):
+            why = (error.stderr.strip().splitlines() or [f"exit code {error.returncode}"])[-1]
+        advice = "Start one with `ray start --head`. If it asks for a token, set RAY_AUTH_MODE=token"
+        raise CommandError(f"--ray: no Ray cluster at {address} ({why}). {advice}") from error
 
 
 @contextmanager
-def connected(address: str | None) -> Iterator[None]:
-    """
-    Join a Ray cluster.
+def connected(address: str) -> Iterator[None]:
+    """Connect to a Ray cluster, whose address :func:`check_address` has checked."""
+    import ray
 
-    :param address: Its address, None for the one that this machine belongs to
-    :return: Context manager
-    :raises CommandError: if Ray is not installed, or there is no cluster
-    """
-    try:
-        import ray
-    except ImportError as error:
-        raise CommandError("--ray needs Ray: pip install 'bulletarm-gym[cluster]'") from error
-    try:
-        ray.init(address=address or "auto", log_to_driver=False, logging_level=logging.ERROR)
-    except (ConnectionError, RuntimeError, ValueError) as error:
-        where = f"at {address}" if address else "on this machine"
-        advice = "ray start --head begins one; where it asks for a token, set RAY_AUTH_MODE=token"
-        raise CommandError(f"--ray: no Ray cluster {where} ({reason(error)}); {advice}") from error
+    ray.init(address=address, log_to_driver=False, logging_level=logging.ERROR)
     try:
         yield
     finally:
@@ -87,111 +72,105 @@ def connected(address: str | None) -> Iterator[None]:
 
 
 def machines() -> list[dict[str, Any]]:
-    """
-    The machines of the cluster that can train.
-
-    :return: What Ray says of each
-    """
+    """Return Ray's descriptions of the machines that can train."""
     import ray
 
     found: list[dict[str, Any]] = ray.nodes()  # type: ignore[no-untyped-call]
     return [node for node in found if node["Alive"] and node["Resources"].get("CPU", 0) > 0]
 
 
-def check_shares(shares: Mapping[str, Share]) -> None:
+def check_resources(resources: Mapping[str, Resources]) -> None:
     """
-    Look whether every run finds a machine; one that does not would wait for ever.
+    Check that some machine is large enough for each run; other runs would wait forever.
 
-    :param shares: What each run takes, by its name
-    :raises CommandError: if there is none that is large enough
+    :param resources: Resources of each run by its name
+    :raises CommandError: if no machine is large enough
     """
-    resources = [node["Resources"] for node in machines()]
-    for name, share in shares.items():
-        if not any(share.fits(of_node) for of_node in resources):
+    nodes = [node["Resources"] for node in machines()]
+    for name, needed in resources.items():
+        if not any(
+            all(needed[key] <= node.get(part, 0.0) for part, key in RESOURCES.items()) for node in nodes
+        ):
             raise CommandError(
-                f"no machine of the cluster has what {name} takes: {share.cpus:g} CPU, "
-                f"{share.gpus:g} GPU, {share.memory:.1f} GB (--cpus, --gpus, --memory)"
+                f"no machine of the cluster is large enough for {name}: {needed['num_cpus']:g} CPU, "
+                f"{needed['num_gpus']:g} GPU, {needed['memory'] / GIGABYTE:.1f} GB (--cpus, --gpus, --memory)"
             )
 
 
 @contextmanager
 def shared_folder(folder: Path, gym_packages: Sequence[str]) -> Iterator[str]:
     """
-    Look on every machine whether it shares the folder, and has the same versions.
+    Check that all machines share a folder and have the same versions.
 
-    :param folder: The benchmark's folder
-    :param gym_packages: Packages that must be found there as well
-    :return: Context manager of the name of a file in it, by which machines that join later know it
-    :raises CommandError: if one does not, naming it
+    :param folder: Folder of the benchmark
+    :param gym_packages: Packages that all machines must be able to import
+    :return: Context manager of the name of a file by which machines recognize the folder
+    :raises CommandError: if a machine does not
     """
     import ray
     from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
-
-    def ask(node: Mapping[str, Any]) -> Any:
-        strategy = NodeAffinitySchedulingStrategy(node["NodeID"], soft=False)
-        remote = ray.remote(num_cpus=0, max_retries=3)(answer).options(scheduling_strategy=strategy)
-        try:
-            return ray.get(remote.remote(folder, token, node["NodeID"], tuple(gym_packages)))
-        except ray.exceptions.RayError as error:
-            return f"cannot work: {reason(getattr(error, 'cause', None) or error)}"
 
     token = f"{TOKEN}{uuid.uuid4().hex}"
     (folder / token).touch()
     try:
         for node in machines():
-            check_answer(folder, token, node, ask(node))
+            strategy = NodeAffinitySchedulingStrategy(node["NodeID"], soft=False)
+            remote = ray.remote(num_cpus=0, max_retries=3)(find_fault).options(scheduling_strategy=strategy)
+            seen = f"{token}-{node['NodeID']}"
+            try:
+                fault = ray.get(remote.remote(folder, token, seen, tuple(gym_packages), _versions()))
+            except ray.exceptions.RayError as error:
+                fault = f"cannot run a task: {reason(getattr(error, 'cause', None) or error)}"
+            if not fault and not _appears(folder / seen):
+                fault = f"has another folder at {folder}: all machines must share one"
+            if fault:
+                where = f"{node['NodeManagerHostname']} ({node['NodeManagerAddress']})"
+                raise CommandError(f"{where} {fault}")
         yield token
     finally:
         for path in folder.glob(f"{token}*"):
             path.unlink(missing_ok=True)
 
 
-def answer(folder: Path, token: str, node: str, gym_packages: Sequence[str]) -> dict[str, str] | str:
+def find_fault(
+    folder: Path, token: str, seen: str, gym_packages: Sequence[str], versions: Mapping[str, str]
+) -> str:
     """
-    On a machine of the cluster: say whether the folder is seen, by a file in it.
+    Check on a machine of the cluster whether it can train.
 
-    :param folder: The benchmark's folder
-    :param token: The file that stands in it
-    :param node: What the machine is called
-    :param gym_packages: Packages that must be found
-    :return: Versions, or what is wrong
+    :param folder: Folder of the benchmark
+    :param token: Name of a file that must exist in it
+    :param seen: Name of a file to create in it
+    :param gym_packages: Packages that must be importable
+    :param versions: Required versions by package
+    :return: Description of the fault, an empty string if there is none
     """
     from zoo_configs.environments import register_environments
 
-    if not _appears(folder / token):
-        return f"does not see {folder} as this machine does"
     try:
-        (folder / f"{token}-{node}").touch()
+        _check_shared(folder, token)
+        (folder / seen).touch()
         register_environments(gym_packages)
     except (CommandError, OSError) as error:
-        return reason(error)
-    return {name: metadata.version(name) for name in ALIKE}
+        return f"has a fault: {reason(error)}"
+    own = _versions()
+    others = [
+        f"{name} {own[name]} (required: {versions[name]})" for name in own if own[name] != versions[name]
+    ]
+    return f"has other versions: {', '.join(others)}" if others else ""
 
 
-def check_answer(folder: Path, token: str, node: Mapping[str, Any], said: Any) -> None:
-    """
-    Judge what a machine has answered.
+def _versions() -> dict[str, str]:
+    return {name: metadata.version(name) for name in PACKAGES}
 
-    :param folder: The benchmark's folder
-    :param token: The file that stands in it
-    :param node: What Ray says of the machine
-    :param said: Its answer
-    :raises CommandError: if it cannot train here
-    """
-    where = f"{node['NodeManagerHostname']} ({node['NodeManagerAddress']})"
-    if isinstance(said, str):
-        advice = "all machines must have it mounted at this path" if "does not see" in said else ""
-        raise CommandError(f"{where} {said}" + (f": {advice}" if advice else ""))
-    if not _appears(folder / f"{token}-{node['NodeID']}"):
-        raise CommandError(f"{where} has a folder {folder} of its own: all machines must share one")
-    ours = {name: metadata.version(name) for name in ALIKE}
-    if other := [name for name in ALIKE if said[name] != ours[name]]:
-        theirs = ", ".join(f"{name} {said[name]} (here {ours[name]})" for name in other)
-        raise CommandError(f"{where} has other versions: {theirs}")
+
+def _check_shared(folder: Path, token: str) -> None:
+    if not _appears(folder / token):
+        raise CommandError(f"{socket.gethostname()} must mount {folder} at this path, as all machines")
 
 
 def _appears(path: Path) -> bool:
-    last = time.monotonic() + SETTLING
+    last = time.monotonic() + SETTLING_SECONDS
     while not path.exists():
         if time.monotonic() > last:
             return False
@@ -199,73 +178,72 @@ def _appears(path: Path) -> bool:
     return True
 
 
-def train(task: Task, token: str) -> int:
+def train(job: Job, folder: Path, token: str) -> int:
     """
-    On a machine of the cluster: train one run in a process of its own. What the run does wrong is in its
-    folder and no error of this task, which Ray would repeat.
+    Train one run on a machine of the cluster. An error of the run is recorded in its folder and does not fail
+    the Ray task, which Ray would repeat.
 
-    :param task: The run
-    :param token: The file that stands in the benchmark's folder
-    :return: How it ended
-    :raises NotShared: if the folder is not to be seen
+    :param job: The run
+    :param folder: Folder of the benchmark
+    :param token: Name of the file of :func:`shared_folder`
+    :return: Exit code
+    :raises CommandError: if the machine cannot read the folder
     """
-    if not _appears(task.folder / token):
-        raise NotShared(
-            f"{socket.gethostname()} does not see {task.folder}: all machines must have it mounted there"
-        )
-    if not _gets_on(task, token):
-        note(task.place, State.FAILED, f"lost {MOST_LOST} times at the same place: does it need more memory?")
-        return int(Ending.FAILED)
+    _check_shared(folder, token)
+    if _starts(folder / job.name, token) > MAX_STARTS:
+        error = f"lost {MAX_STARTS} times at the same checkpoint. It may need more memory"
+        set_status(folder / job.name, State.FAILED, error)
+        return int(ExitCode.FAILED)
     visible = {name: os.environ[name] for name in ("CUDA_VISIBLE_DEVICES",) if name in os.environ}
-    process = RunProcess(replace(task, environ=visible))
+    process = JobProcess(job, folder, visible)
     try:
-        while not process.wait(POLL):  # in short waits, between which Ray can interrupt
+        while not process.wait(POLL):  # Ray can interrupt between short waits
             pass
     finally:
         stop([process])
-    return int(process.ending())
+    return int(process.exit_code())
 
 
-def _gets_on(task: Task, token: str) -> bool:
-    """
-    Count how often a run has begun at the same checkpoint in one benchmark. Ray repeats for ever what is lost
-    for ever, such as a run that takes more memory than there is.
-    """
-    checkpoints = task.place / CHECKPOINT_FOLDER
-    newest = " ".join(sorted(path.name for path in checkpoints.glob("[!.]*")))
-    task.place.mkdir(parents=True, exist_ok=True)
-    with (task.place / BEGINNINGS_FILE).open("a+", encoding="utf-8") as file:
+def _starts(run_folder: Path, token: str) -> int:
+    """Count the starts of a run from its newest checkpoint in this benchmark."""
+    newest = " ".join(sorted(path.name for path in (run_folder / CHECKPOINT_FOLDER).glob("[!.]*")))
+    run_folder.mkdir(parents=True, exist_ok=True)
+    with (run_folder / STARTS_FILE).open("a+", encoding="utf-8") as file:
         file.write(f"{token} {newest}\n")
         file.seek(0)
-        return file.read().splitlines().count(f"{token} {newest}") <= MOST_LOST
+        return file.read().splitlines().count(f"{token} {newest}")
 
 
 def run_on_ray(
-    tasks: Sequence[Task], shares: Mapping[str, Share], token: str, look: Callable[[], None]
+    jobs: Sequence[Job],
+    folder: Path,
+    resources: Mapping[str, Resources],
+    token: str,
+    look: Callable[[], None],
 ) -> None:
     """
-    Train runs on the cluster that is connected. One whose worker or machine is lost begins again elsewhere,
-    from its last checkpoint; one that fails for itself does not stop the others.
+    Train runs on the connected cluster. A run whose worker or machine is lost resumes on another machine from
+    its last checkpoint. A failed run does not stop the others.
 
-    :param tasks: The runs, in the order in which they are begun
-    :param shares: What each takes, by its name
-    :param token: From :func:`shared_folder`
-    :param look: Called now and then
-    :raises CommandError: if the storage is full, or a machine does not see it; the runs can go on
+    :param jobs: The runs in the order in which they start
+    :param folder: Folder of the benchmark
+    :param resources: Resources of each run by its name
+    :param token: Name of the file of :func:`shared_folder`
+    :param look: Function that is called regularly
+    :raises CommandError: if the storage is full, or a machine cannot read it; the runs are interrupted
     :raises KeyboardInterrupt: after Ctrl-C, when the runs have stopped
     """
     import ray
 
     remote = ray.remote(max_retries=-1, retry_exceptions=False)(train)
-    running = {}
-    for task in tasks:
-        name = task.member.name
-        running[remote.options(**shares[name].as_options(), name=name).remote(task, token)] = task
+    running = {
+        remote.options(**resources[job.name], name=job.name).remote(job, folder, token): job for job in jobs
+    }
     try:
         while running:
             ended, _ = ray.wait(list(running), num_returns=1, timeout=POLL)
             for reference in ended:
-                _take(reference, running.pop(reference))
+                check_storage(_exit_code(reference, running.pop(reference)), folder)
             look()
     finally:
         for reference in running:
@@ -274,12 +252,10 @@ def run_on_ray(
             ray.wait(list(running), num_returns=len(running), timeout=GRACE)
 
 
-def _take(reference: Any, task: Task) -> None:
+def _exit_code(reference: Any, job: Job) -> ExitCode:
     import ray
 
     try:
-        check_storage(Ending(ray.get(reference)), task)
-    except ray.exceptions.RayTaskError as error:
-        raise CommandError(f"{task.member.name}: {reason(error.cause or error)}") from error
+        return ExitCode(ray.get(reference))
     except ray.exceptions.RayError as error:
-        raise CommandError(f"{task.member.name}: the cluster is lost: {reason(error)}") from error
+        raise CommandError(f"{job.name}: {reason(getattr(error, 'cause', None) or error)}") from error

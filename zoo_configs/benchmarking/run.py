@@ -1,108 +1,124 @@
-"""From the runs of a benchmark to their folders, by whatever runner."""
+"""Checks, size and training of the runs of a benchmark."""
 
 from __future__ import annotations
 
 import json
 import sys
 from collections.abc import Callable, Sequence
+from contextlib import closing
 from pathlib import Path
+from typing import Any, NamedTuple
 
-import yaml
-
-from zoo_configs.benchmarking.child import Task
-from zoo_configs.benchmarking.overview import BENCHMARK_FILE, Overview, Status, shown
-from zoo_configs.benchmarking.sweep import Member, Sweep
+from zoo_configs.algorithms import algorithm_classes, class_from_path
+from zoo_configs.benchmarking.plan import Job
+from zoo_configs.benchmarking.status import Overview, Status, shown
 from zoo_configs.cells.validation import check_cell
-from zoo_configs.environments import try_env
-from zoo_configs.errors import CommandError
-from zoo_configs.files import check_writable, whole_file
+from zoo_configs.environments import make_env, try_env
+from zoo_configs.errors import CommandError, refused
+from zoo_configs.files import check_writable
 from zoo_configs.training.cell import check_same
 from zoo_configs.training.runs import RESOLVED_FILE, Run, load_run
-from zoo_configs.training.state import State, held, note
+from zoo_configs.training.state import LOCK_FILE, State, run_lock, set_status
 
-# Trains runs and looks around now and then; what becomes of each run stands in its folder.
-Runner = Callable[[Sequence[Task], Callable[[], None]], None]
+Runner = Callable[[Sequence[Job], Callable[[], None]], None]
+"""Function that trains runs and regularly calls another function."""
+GIGABYTE = 1e9
+PROCESS_GIGABYTES = 1.0
+"""Memory of a process without its replay buffer."""
+CHECKPOINTS = 3
+"""Number of checkpoints on disk: two, and the one that is being written."""
 
 
-def check_cells(sweep: Sweep) -> None:
+class Size(NamedTuple):
+    """Gigabytes of main memory and of the checkpoints of one run."""
+
+    memory: float
+    disk: float
+
+
+def size_of(job: Job) -> Size:
+    """Return the size of a run, which depends mainly on its replay buffer."""
+    buffer = _buffer_gigabytes(job)
+    return Size(PROCESS_GIGABYTES + buffer, CHECKPOINTS * buffer if job.options.save_freq > 0 else 0.0)
+
+
+def _buffer_gigabytes(job: Job) -> float:
+    """Return the size of the part of the replay buffer that the run fills."""
+    from sb3_extensions.replay.buffer import ExpertReplayBuffer
+    from zoo_configs.training.objects import import_classes
+
+    hyperparams = job.cell.hyperparams
+    path = hyperparams.get("replay_buffer_class")
+    default = getattr(algorithm_classes()[job.cell.algo], "default_replay_buffer_class", None)
+    cls = class_from_path(path) if path else default
+    if cls is None or not issubclass(cls, ExpertReplayBuffer):
+        return 0.0
+    kwargs: dict[str, Any] = dict(import_classes(hyperparams.get("replay_buffer_kwargs", {})))
+    capacity, n_envs = int(hyperparams["buffer_size"]), int(hyperparams.get("n_envs", 1))
+    env_kwargs = hyperparams.get("env_kwargs", {})
+    with closing(make_env(job.cell.env_id, env_kwargs)) as env, refused("replay buffer"):
+        spaces = env.observation_space, env.action_space
+        longest = int(getattr(getattr(env.unwrapped, "config", None), "max_steps", 0))
+        # The buffer allocates no memory before the first transition.
+        buffer = cls(capacity, *spaces, "cpu", n_envs=n_envs, gamma=0.99, seed=0, **kwargs)
+    steps = job.options.n_timesteps if job.options.n_timesteps > 0 else int(hyperparams["n_timesteps"])
+    steps += int(hyperparams.get("expert_episodes", 0)) * longest
+    return float(buffer.table.nbytes) * min(1.0, steps / capacity) / GIGABYTE
+
+
+def check_jobs(jobs: Sequence[Job], folder: Path) -> None:
     """
-    Check the names and values of each cell, and try each environment once.
+    Check names and values of each experiment, each environment, and the folder of the benchmark.
 
-    :param sweep: The benchmark
-    :raises CommandError: for what cannot be trained
+    :param jobs: The runs
+    :param folder: Folder of the benchmark
+    :raises CommandError: if a run cannot be trained, or the folder contains other runs
     """
     tried = set()
-    for cell in sweep.cells:
-        check_cell(cell)
-        env_kwargs = cell.hyperparams.get("env_kwargs", {})
-        key = (cell.env_id, json.dumps(env_kwargs, sort_keys=True, default=str))
+    for job in {job.experiment: job for job in jobs}.values():
+        check_cell(job.cell)
+        env_kwargs = job.cell.hyperparams.get("env_kwargs", {})
+        key = job.cell.env_id, json.dumps(env_kwargs, sort_keys=True, default=str)
         if key not in tried:
-            try_env(cell.env_id, env_kwargs)
+            try_env(job.cell.env_id, env_kwargs)
             tried.add(key)
-
-
-def check_folder(sweep: Sweep, folder: Path) -> None:
-    """
-    Look whether runs can be put into a folder, and whether those that are there belong to this benchmark.
-
-    :param sweep: The benchmark
-    :param folder: Its folder
-    :raises CommandError: if not
-    """
     if folder.exists() and not folder.is_dir():
-        raise CommandError(f"--log-folder: {folder} is a file, it takes a folder")
-    check_writable(folder / BENCHMARK_FILE, "--log-folder")
-    for member in sweep.members:
-        place = folder / member.name
+        raise CommandError(f"--log-folder must be a folder, got the file {folder}")
+    check_writable(folder / LOCK_FILE, "--log-folder")
+    for job in jobs:
+        place = folder / job.name
         if (place / RESOLVED_FILE).is_file():
-            check_same(load_run(place), Run(place, member.cell, member.seed))
+            check_same(load_run(place), Run(place, job.cell, job.seed))
 
 
-def run_sweep(
-    sweep: Sweep,
+def train_jobs(
+    jobs: Sequence[Job],
     folder: Path,
     runner: Runner,
-    command: str = "",
     retry_failed: bool = False,
-    live: bool = False,
+    progress: bool | None = None,
 ) -> Overview:
     """
-    Train the runs that are not done; nobody else may work on the benchmark meanwhile.
+    Train the runs that are not done. The folder is locked meanwhile.
 
-    :param sweep: The benchmark
-    :param folder: Its folder; it is there
-    :param runner: What trains
-    :param command: The command line, for the page of the results
-    :param retry_failed: Whether runs that have failed are begun again
-    :param live: Whether to show the overview as a table that changes, for a terminal
-    :return: How the runs stand
-    :raises CommandError: if the runner cannot go on; the runs can
+    :param jobs: The runs
+    :param folder: Existing folder of the benchmark
+    :param runner: Function that trains runs
+    :param retry_failed: Whether to resume failed runs
+    :param progress: Whether to show a progress bar; None shows it on a terminal
+    :return: Status of the runs
+    :raises CommandError: if the runner cannot continue; the runs can be resumed
     """
-    overview = Overview(sweep.members, folder)
-    with held(folder):
-        _write_about(sweep, folder, command)
-        waiting = _waiting(sweep, overview, retry_failed)
+    overview = Overview(jobs, folder)
+    with run_lock(folder):
+        overview.update()
+        if retry_failed:
+            for entry in overview.of(Status.FAILED):
+                set_status(folder / entry.name, State.KILLED)
+            overview.update()
+        ended = {entry.name for status in (Status.DONE, Status.FAILED) for entry in overview.of(status)}
         print(f"{folder}: {overview.counts()}", file=sys.stderr)
-        tasks = [Task(member, folder.absolute(), sweep.gym_packages, sweep.device) for member in waiting]
-        with shown(overview, live) as look:
-            runner(tasks, look)
-    overview.look()
+        with shown(overview, progress) as look:
+            runner([job for job in jobs if job.name not in ended], look)
+    overview.update()
     return overview
-
-
-def _write_about(sweep: Sweep, folder: Path, command: str) -> None:
-    """What the page of the results begins with."""
-    about = {"name": sweep.name, "command": command, "runs": [member.name for member in sweep.members]}
-    with whole_file(folder / BENCHMARK_FILE) as partial, partial.open("w", encoding="utf-8") as file:
-        yaml.safe_dump(about, file, sort_keys=False)
-
-
-def _waiting(sweep: Sweep, overview: Overview, retry_failed: bool) -> list[Member]:
-    """The runs that are to be trained; those that have failed only if that is wanted."""
-    overview.look()
-    if retry_failed:
-        for entry in overview.of(Status.FAILED):
-            note(overview.folder / entry.name, State.KILLED)
-        overview.look()
-    ended = (Status.DONE, Status.FAILED)
-    return [member for member in sweep.members if overview.entries[member.name].status not in ended]

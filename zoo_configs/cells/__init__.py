@@ -1,1 +1,1 @@
-"""Hyperparameters: axes, rules, and the cells that they make."""
+"""Experiments and their hyperparameters."""

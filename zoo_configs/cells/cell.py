@@ -1,4 +1,4 @@
-"""From the name of a baseline, a preset and an environment to one set of hyperparameters."""
+"""The hyperparameters of an experiment, from a baseline, a preset and an environment."""
 
 from __future__ import annotations
 
@@ -9,33 +9,32 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from zoo_configs.cells.benchmarks import choose_benchmark, task_parameters
-from zoo_configs.cells.rules import Case, Family, Rule, families, family_of
+from zoo_configs.cells.rules import Case, Family, Layer, families, family_of
 from zoo_configs.errors import CommandError, unknown_name
 
-OVERRIDES = "overrides"
-FOLLOWING = ("policy_kwargs",)
-"""Arguments whose action sequence follows the environment's."""
+OVERRIDES = Layer("command line")
+"""Source of the values that replace those of the configuration files."""
 GRID = "policy_kwargs.codec_kwargs"
-# Arguments of a codec, and the environment's parameter that each follows.
 GRID_FOLLOWS = {"theta_bounds": "half_rotation", "workspace_size": "workspace"}
+"""Arguments of a codec, and the environment's parameter that each follows."""
 EXTRACTOR = "policy_kwargs.features_extractor_kwargs"
-CHANNELS = f"{EXTRACTOR}.channels"
-"""Argument of an encoder that follows the size of the image."""
-WHOLE_TURN = (-math.pi, math.pi)  # rad, what -1 and 1 stand for without half_rotation
+WHOLE_TURN = (-math.pi, math.pi)
+"""Yaws (rad) of the actions -1 and 1 without ``half_rotation``."""
 
 
 @dataclass(frozen=True)
 class Cell:
     """
-    One cell of a benchmark: everything rl_zoo3 needs to train one agent.
+    An experiment without its seed: everything that training needs.
 
-    :param algo: Name of the algorithm's class in rl_zoo3's table
+    :param algo: Name of the algorithm
     :param env_id: Id of the environment
-    :param hyperparams: The section of rl_zoo3's YAML for this environment
-    :param flags: Defaults for flags of ``rl_zoo3.train``, named as in its namespace
-    :param baseline: The row of the benchmark, None for hyperparameters from elsewhere
-    :param preset: The size of the run, None for hyperparameters from elsewhere
-    :param benchmark: The benchmark whose parameters the task has, None for a task of none
+    :param hyperparams: Hyperparameters, as in a section of rl_zoo3's YAML files
+    :param flags: Defaults for flags of ``train``, by option name
+    :param baseline: The baseline, None for hyperparameters from elsewhere
+    :param preset: The preset, None for hyperparameters from elsewhere
+    :param benchmark: The benchmark that defines the task's parameters, None for another task
+    :param overrides: Hyperparameters that replace those of the baseline
     """
 
     algo: str
@@ -45,6 +44,7 @@ class Cell:
     baseline: str | None = None
     preset: str | None = None
     benchmark: str | None = None
+    overrides: dict[str, Any] = field(default_factory=dict)
 
     @property
     def label(self) -> str:
@@ -60,27 +60,17 @@ def resolve(
     benchmark: str | None = None,
 ) -> Cell:
     """
-    Look up the hyperparameters of one cell.
+    Return the hyperparameters of an experiment.
 
-    :param baseline: Row of a benchmark, for example ``"equi_sacfd"``
-    :param preset: ``"cpu"`` or ``"paper"``
+    :param baseline: A baseline, for example ``"equi_sacfd"``
+    :param preset: ``"cpu"``, ``"paper"`` or, for closed-loop tasks, ``"quick"``
     :param env_id: Id of the environment
-    :param overrides: Hyperparameters that win over all rules; mappings are merged, other values replaced
-    :param benchmark: Benchmark whose parameters the task has; None takes the first that fits
-    :return: The cell, its hyperparameters not shared with any other
-    :raises CommandError: for an unknown name, naming the nearest valid one, or a benchmark that does not have
-        the task or the network
+    :param overrides: Hyperparameters that replace all others; mappings are merged
+    :param benchmark: The benchmark that defines the task's parameters; None for the first that fits
+    :return: The experiment
+    :raises CommandError: for an unknown name, or a benchmark without the task or the network
     """
-    case, rules = _applied(baseline, preset, env_id, overrides, benchmark)
-    hyperparams: dict[str, Any] = {}
-    flags: dict[str, Any] = {}
-    for rule in rules:
-        hyperparams, flags = merge(hyperparams, rule.hyperparams), merge(flags, rule.flags)
-    _share_action_sequence(hyperparams)
-    _share_bounds(hyperparams)
-    _fit_image_size(hyperparams, overrides or {})
-    algo = next(rule.algo for rule in reversed(rules) if rule.algo is not None)
-    return Cell(algo, env_id, hyperparams, flags, baseline, preset, case.benchmark)
+    return explain(baseline, preset, env_id, overrides, benchmark)[0]
 
 
 def explain(
@@ -89,62 +79,41 @@ def explain(
     env_id: str,
     overrides: Mapping[str, Any] | None = None,
     benchmark: str | None = None,
-) -> list[tuple[Rule, dict[str, Any]]]:
+) -> tuple[Cell, dict[str, Layer]]:
     """
-    Tell where the values of a cell come from.
+    Return an experiment, and where its values come from.
 
     :param baseline: As for :func:`resolve`
     :param preset: As for :func:`resolve`
     :param env_id: As for :func:`resolve`
     :param overrides: As for :func:`resolve`
     :param benchmark: As for :func:`resolve`
-    :return: The rules that hold, in their order, each with the values that it set and no later one changed;
-        names with dots lead into mappings
+    :return: The experiment, and the layer of each value by dotted name
     :raises CommandError: as :func:`resolve`
     """
-    cell = resolve(baseline, preset, env_id, overrides, benchmark)
-    _, rules = _applied(baseline, preset, env_id, overrides, benchmark)
-    sources = {}
-    for rule in rules:
-        sources.update({name: rule for name, _ in _leaves(_said(rule.algo, rule.hyperparams, rule.flags))})
-    for follower in (f"{key}.action_sequence" for key in FOLLOWING):
-        if follower in sources:
-            sources[follower] = sources.get("env_kwargs.action_sequence", sources[follower])
-    for argument, parameter in GRID_FOLLOWS.items():
-        if f"env_kwargs.{parameter}" in sources:
-            sources.setdefault(f"{GRID}.{argument}", sources[f"env_kwargs.{parameter}"])
-    said = dict(_leaves(_said(cell.algo, cell.hyperparams, cell.flags)))
-    if CHANNELS in sources and dict(_leaves(sources[CHANNELS].hyperparams))[CHANNELS] != said[CHANNELS]:
-        sources[CHANNELS] = sources["env_kwargs.obs_size"]
-    kept = [(rule, {name: said[name] for name in said if sources[name] is rule}) for rule in rules]
-    return [(rule, values) for rule, values in kept if values]
-
-
-def _said(algo: str | None, hyperparams: Mapping[str, Any], flags: Mapping[str, Any]) -> dict[str, Any]:
-    """All that a rule or a cell says, without what it leaves open."""
-    return {
-        **({} if algo is None else {"algo": algo}),
-        **hyperparams,
-        **({"flags": flags} if flags else {}),
-    }
-
-
-def _applied(
-    baseline: str,
-    preset: str,
-    env_id: str,
-    overrides: Mapping[str, Any] | None,
-    benchmark: str | None,
-) -> tuple[Case, list[Rule]]:
-    """The case, and the rules that hold in it, in their order."""
     family = family_of(env_id)
     case = _case(family, baseline, preset, env_id, benchmark)
-    rules = [rule for rule in family.rules if rule.holds(case)]
+    overrides = copy.deepcopy(dict(overrides or {}))
+    layers = [*family.layers(case, _benchmark_layers(case)), Layer(OVERRIDES.source, hyperparams=overrides)]
+    merged: dict[str, Any] = {"hyperparams": {}, "flags": {}}
+    sources: dict[str, Layer] = {}
+    for layer in layers:
+        values: dict[str, Any] = {"hyperparams": layer.hyperparams, "flags": layer.flags}
+        if layer.algo is not None:
+            values["algo"] = layer.algo
+        _merge_into(merged, values)
+        sources.update({name: layer for name, _ in _leaves(values)})
+    hyperparams, flags = merged["hyperparams"], merged["flags"]
+    for name, parameter in _follow_environment(hyperparams, overrides):
+        sources[f"hyperparams.{name}"] = sources[f"hyperparams.env_kwargs.{parameter}"]
+    cell = Cell(merged["algo"], env_id, hyperparams, flags, baseline, preset, case.benchmark, overrides)
+    return cell, sources
+
+
+def _benchmark_layers(case: Case) -> Iterator[Layer]:
     if case.benchmark is not None:
-        where = f"bulletarm_gym.benchmarks: {case.benchmark}"
-        rules.insert(0, Rule(where, hyperparams=task_parameters(case.benchmark, env_id)))
-    rules.insert(0, Rule("name of the baseline", algo=case.baseline.learner))
-    return case, [*rules, Rule(OVERRIDES, hyperparams=overrides or {})]
+        source = f"bulletarm_gym.benchmarks, {case.benchmark}"
+        yield Layer(source, hyperparams=task_parameters(case.benchmark, case.env_id))
 
 
 def _case(family: Family, baseline: str, preset: str, env_id: str, benchmark: str | None) -> Case:
@@ -152,24 +121,18 @@ def _case(family: Family, baseline: str, preset: str, env_id: str, benchmark: st
         if others := [other.envs for other in families() if baseline in other.baselines]:
             raise CommandError(f"baseline {baseline!r} is for {' or '.join(others)}, not for {env_id}")
         raise unknown_name("baseline", baseline, family.baselines)
-    _check_preset(family, preset, env_id)
-    row = family.baselines[baseline]
-    chosen = choose_benchmark(family.benchmarks, env_id, row.network, benchmark)
-    return Case(preset, env_id, chosen, row)
-
-
-def _check_preset(family: Family, preset: str, env_id: str) -> None:
-    if preset in family.presets:
-        return
-    if others := [other.envs for other in families() if preset in other.presets]:
-        valid = ", ".join(sorted(family.presets))
-        whose = " or ".join(others)
-        raise CommandError(f"preset {preset!r} is for {whose}, not for {env_id}: choose from {valid}")
-    raise unknown_name("preset", preset, family.presets)
+    if preset not in family.presets:
+        if others := [other.envs for other in families() if preset in other.presets]:
+            names, where = ", ".join(sorted(family.presets)), " or ".join(others)
+            raise CommandError(f"preset must be one of {names} for {env_id}, got {preset!r} for {where}")
+        raise unknown_name("preset", preset, family.presets)
+    parts = family.baselines[baseline]
+    chosen = choose_benchmark(family.benchmarks, env_id, parts.network, benchmark)
+    return Case(preset, env_id, chosen, parts)
 
 
 def _leaves(mapping: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """Values with dotted names; a mapping of nothing is a value, too."""
+    """Return the values with dotted names; an empty mapping is a value."""
     for key, value in mapping.items():
         if isinstance(value, Mapping) and value:
             yield from _leaves(value, f"{prefix}{key}.")
@@ -182,58 +145,74 @@ def merge(base: Mapping[str, Any], update: Mapping[str, Any]) -> dict[str, Any]:
     Merge two nested mappings.
 
     :param base: The values below
-    :param update: The values on top; a mapping on a mapping is merged, anything else replaces
+    :param update: The values on top; a mapping is merged with a mapping, anything else replaces
     :return: A new mapping that shares nothing with the two
     """
     merged = copy.deepcopy(dict(base))
-    for key, value in update.items():
-        below = merged.get(key)
-        both = isinstance(below, Mapping) and isinstance(value, Mapping)
-        merged[key] = merge(below, value) if both else copy.deepcopy(value)  # type: ignore[arg-type]
+    _merge_into(merged, update)
     return merged
 
 
-def _share_action_sequence(hyperparams: dict[str, Any]) -> None:
-    """What turns with the scene must know which numbers are dx and dy: the environment's sequence says so."""
-    sequence = hyperparams.get("env_kwargs", {}).get("action_sequence")
-    for key in FOLLOWING:
-        kwargs = hyperparams.get(key, {})
-        if isinstance(kwargs, dict) and "action_sequence" in kwargs and sequence is not None:
-            kwargs["action_sequence"] = sequence
+def _merge_into(target: dict[str, Any], update: Mapping[str, Any]) -> None:
+    for key, value in update.items():
+        below = target.get(key)
+        if isinstance(below, dict) and isinstance(value, Mapping):
+            _merge_into(below, value)
+        else:
+            target[key] = copy.deepcopy(value)
 
 
-def _share_bounds(hyperparams: dict[str, Any]) -> None:
-    """A grid of actions lies over what the environment's range over, unless it is told otherwise."""
-    codec_kwargs = hyperparams.get("policy_kwargs", {}).get("codec_kwargs")
-    if not isinstance(codec_kwargs, dict):
-        return
-    env_kwargs = hyperparams.get("env_kwargs", {})
+def _follow_environment(
+    hyperparams: dict[str, Any], overrides: Mapping[str, Any]
+) -> Iterator[tuple[str, str]]:
+    """
+    Derive arguments of the policy from the environment's parameters.
+
+    :return: The dotted name of each derived value, and the parameter that it follows
+    """
+    env_kwargs = _at(hyperparams, "env_kwargs") or {}
+    policy_kwargs = _at(hyperparams, "policy_kwargs") or {}
+    if "action_sequence" in policy_kwargs and (sequence := env_kwargs.get("action_sequence")) is not None:
+        policy_kwargs["action_sequence"] = sequence
+        yield "policy_kwargs.action_sequence", "action_sequence"
+    for name, value in _grid_bounds(env_kwargs):
+        grid = _at(hyperparams, GRID)
+        if grid is not None and name not in grid:
+            grid[name] = value
+            yield f"{GRID}.{name}", GRID_FOLLOWS[name]
+    if _fit_image_size(hyperparams, overrides):
+        yield f"{EXTRACTOR}.channels", "obs_size"
+
+
+def _grid_bounds(env_kwargs: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+    """Return arguments of a codec for which the actions cover the environment's yaws and workspace."""
     if env_kwargs.get("half_rotation") is False:
-        codec_kwargs.setdefault("theta_bounds", list(WHOLE_TURN))
+        yield "theta_bounds", list(WHOLE_TURN)
     match env_kwargs.get("workspace"):
         case [[int() | float() as low, int() | float() as high], *_]:
-            codec_kwargs.setdefault("workspace_size", high - low)
+            yield "workspace_size", high - low
 
 
-def _fit_image_size(hyperparams: dict[str, Any], overrides: Mapping[str, Any]) -> None:
-    """Fit a preset's encoder to the ``obs_size`` of the overrides: more halvings for a larger image."""
+def _fit_image_size(hyperparams: dict[str, Any], overrides: Mapping[str, Any]) -> bool:
+    """Give the encoder of a preset as many channels as the overridden ``obs_size`` needs halvings."""
     size = (_at(overrides, "env_kwargs") or {}).get("obs_size")
-    encoder = _at(hyperparams, EXTRACTOR)
-    if type(size) is not int or size < 1 or encoder is None:
-        return
+    encoder = _at(hyperparams, EXTRACTOR) or {}
+    if type(size) is not int or size < 1 or "channels" not in encoder:
+        return False
+    if "channels" in (_at(overrides, EXTRACTOR) or {}):
+        return False
     from sb3_extensions.encoders.cnn import count_halvings
 
-    rad = _at(hyperparams, "augmentation.rad") or {}
-    halvings = count_halvings(rad.get("size", size))
-    if "channels" in encoder and "channels" not in (_at(overrides, EXTRACTOR) or {}):
-        *halving, widest, last, features = encoder["channels"]
-        missing = max(halvings - len(halving) - 1, 0)
-        encoder["channels"] = [*halving, *[widest] * (missing + 1), last, features]
+    crop = (_at(hyperparams, "augmentation.rad") or {}).get("size", size)
+    *halving, widest, last, features = before = encoder["channels"]
+    missing = max(count_halvings(crop) - len(halving) - 1, 0)
+    encoder["channels"] = [*halving, *[widest] * (missing + 1), last, features]
+    return bool(encoder["channels"] != before)
 
 
-def _at(mapping: Mapping[str, Any], name: str) -> Any:
+def _at(mapping: Mapping[str, Any], name: str) -> dict[str, Any] | None:
     """Return the mapping at a dotted name, None if there is none."""
     found: Any = mapping
     for key in name.split("."):
         found = found.get(key) if isinstance(found, Mapping) else None
-    return found if isinstance(found, Mapping) else None
+    return found if isinstance(found, dict) else None

@@ -1,26 +1,14 @@
-"""What values hyperparameters take, whatever the algorithm: those that would fail late, or never."""
+"""Valid values of hyperparameters for which an algorithm fails late, or not at all."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
 from zoo_configs.errors import CommandError
 
-SCHEDULE = "lin_"  # rl_zoo3's prefix of a rate that falls to 0
-
-
-class Range(NamedTuple):
-    """
-    What a hyperparameter takes.
-
-    :param takes: In words
-    :param holds: Whether a value is such
-    """
-
-    takes: str
-    holds: Callable[[Any], bool]
+SCHEDULE_PREFIX = "lin_"
 
 
 def _is_number(value: Any) -> bool:
@@ -28,67 +16,53 @@ def _is_number(value: Any) -> bool:
 
 
 def _is_rate(value: Any) -> bool:
-    if isinstance(value, str) and value.startswith(SCHEDULE):
+    if isinstance(value, str) and value.startswith(SCHEDULE_PREFIX):
         try:
-            value = float(value.removeprefix(SCHEDULE))
+            value = float(value.removeprefix(SCHEDULE_PREFIX))
         except ValueError:
             return False
     return _is_number(value) and value >= 0
 
 
-def _whole(least: int) -> Range:
-    def holds(value: Any) -> bool:
+def _whole(least: int) -> tuple[str, Callable[[Any], bool]]:
+    def is_valid(value: Any) -> bool:
         return isinstance(value, int) and not isinstance(value, bool) and value >= least
 
-    return Range(f"a whole number of at least {least}", holds)
+    return f"a whole number of at least {least}", is_valid
 
 
 def _is_period(value: Any) -> bool:
     number, unit = value if isinstance(value, list | tuple) and len(value) == 2 else (value, "step")
-    return COUNT.holds(number) and unit in ("step", "episode")
+    return COUNT[1](number) and unit in ("step", "episode")
 
 
 COUNT = _whole(1)
-TIMESTEPS = Range("a number of at least 1", lambda value: _is_number(value) and value >= 1)
-SHARE = Range("a number from 0 to 1", lambda value: _is_number(value) and 0 <= value <= 1)
-RATE = Range(f"a number of at least 0, or {SCHEDULE}NUMBER", _is_rate)
-UPDATES = _whole(-1)
-PERIOD = Range("a whole number of at least 1, or [number, 'step' or 'episode']", _is_period)
-NO_NOISE = Range("None: what noise there is say noise_type and noise_std", lambda value: value is None)
-ARGUMENTS = Range("a mapping of arguments", lambda value: isinstance(value, Mapping | str | None))
-NAME = Range("a name", lambda value: isinstance(value, str))
-
-RANGES = {
-    "action_noise": NO_NOISE,
-    "batch_size": COUNT,
-    "buffer_size": COUNT,
-    "env_kwargs": Range("a mapping of parameters", lambda value: isinstance(value, Mapping)),
-    "frame_stack": COUNT,
-    "gamma": SHARE,
-    "gradient_steps": UPDATES,
-    "learning_rate": RATE,
+SHARE = ("a number from 0 to 1", lambda value: _is_number(value) and 0 <= value <= 1)
+ARGUMENTS = ("a mapping of arguments", lambda value: isinstance(value, Mapping | str | None))
+RANGES: dict[str, tuple[str, Callable[[Any], bool]]] = {
+    "action_noise": ("None (set noise_type and noise_std instead)", lambda value: value is None),
+    "env_kwargs": ("a mapping of parameters", lambda value: isinstance(value, Mapping)),
+    "gradient_steps": _whole(-1),
+    "learning_rate": (f"a number of at least 0, or {SCHEDULE_PREFIX}NUMBER", _is_rate),
     "learning_starts": _whole(0),
-    "monitor_kwargs": ARGUMENTS,
-    "n_envs": COUNT,
-    "n_epochs": COUNT,
-    "n_steps": COUNT,
-    "n_timesteps": TIMESTEPS,
-    "policy": NAME,
-    "policy_kwargs": ARGUMENTS,
-    "replay_buffer_kwargs": ARGUMENTS,
+    "n_timesteps": ("a number of at least 1", lambda value: _is_number(value) and value >= 1),
+    "policy": ("a name", lambda value: isinstance(value, str)),
+    "train_freq": ("a whole number of at least 1, or [number, 'step' or 'episode']", _is_period),
+    **dict.fromkeys(("batch_size", "buffer_size", "frame_stack", "n_envs", "n_epochs", "n_steps"), COUNT),
     "target_update_interval": COUNT,
-    "tau": SHARE,
-    "train_freq": PERIOD,
+    **dict.fromkeys(("gamma", "tau"), SHARE),
+    **dict.fromkeys(("monitor_kwargs", "policy_kwargs", "replay_buffer_kwargs"), ARGUMENTS),
 }
+"""Description and check of valid values, by hyperparameter."""
 
 
 def check_values(hyperparams: Mapping[str, Any]) -> None:
     """
-    Check the values of hyperparameters that have a range.
+    Check the values of hyperparameters.
 
-    :param hyperparams: Hyperparameters, as in rl_zoo3's YAML
-    :raises CommandError: for a value out of its range
+    :param hyperparams: Hyperparameters, as in rl_zoo3's YAML files
+    :raises CommandError: for an invalid value
     """
-    for name, range_of_name in RANGES.items():
-        if name in hyperparams and not range_of_name.holds(hyperparams[name]):
-            raise CommandError(f"{name} takes {range_of_name.takes}, got {hyperparams[name]!r}")
+    for name, (constraint, is_valid) in RANGES.items():
+        if name in hyperparams and not is_valid(hyperparams[name]):
+            raise CommandError(f"{name} must be {constraint}, got {hyperparams[name]!r}")

@@ -1,35 +1,35 @@
-"""Hyperparameters as axes and rules: what baselines are made of, and what holds when."""
+"""Configuration files: baselines, presets, and the layers of hyperparameters of an experiment."""
 
 from __future__ import annotations
 
 import functools
 import itertools
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 from importlib import resources
 from typing import Any, NamedTuple
 
-import yaml
-
 from zoo_configs.algorithms import ALGORITHMS
-from zoo_configs.errors import CommandError, refused, unknown_name
+from zoo_configs.errors import CommandError, check_names, refused
+from zoo_configs.yaml_files import parse_yaml
 
-FAMILY_KEYS = ("envs", "benchmarks", "baselines", "product", "algorithms", "rules")
-AXES = ("preset", "task", "benchmark", "learner", "network", "addition")
-RULE_KEYS = ("when", "why", "algo", "set", "flags")
-# Flags of rl_zoo3.train for which a rule may choose the default.
-RULE_FLAGS = ("eval_freq", "eval_episodes", "n_eval_envs", "save_freq", "vec_env", "log_interval")
+AXES = ("benchmarks", "networks", "learners", "additions", "tasks")
+"""Keys below which a section has sections by name, in the order of merging."""
+VALUE_KEYS = ("why", "algo", "set", "flags")
+FAMILY_KEYS = ("envs", "serves", "baselines", "product", "algorithms", "defaults", *AXES, "presets")
+FLAGS = ("eval_freq", "eval_episodes", "n_eval_envs", "save_freq", "vec_env", "log_interval")
+"""Flags of ``train`` for which a section can define a default."""
 NO_BENCHMARK = "none"
 
 
 class Baseline(NamedTuple):
     """
-    A row of a benchmark.
+    A baseline of the benchmarks.
 
-    :param learner: What is learned by
-    :param network: On which network
-    :param additions: With what besides, for example an augmentation
+    :param learner: The learner, for example ``"sacfd"``
+    :param network: The network, for example ``"equivariant"``
+    :param additions: Additions, for example augmentations
     """
 
     learner: str
@@ -39,12 +39,12 @@ class Baseline(NamedTuple):
 
 class Case(NamedTuple):
     """
-    What rules are asked about.
+    The names that select the layers of an experiment.
 
-    :param preset: Size of the run
+    :param preset: The preset
     :param env_id: Id of the environment
-    :param benchmark: The benchmark whose parameters it has, None for a task of none
-    :param baseline: The row
+    :param benchmark: The benchmark that defines the task's parameters, None for another task
+    :param baseline: The baseline
     """
 
     preset: str
@@ -54,69 +54,50 @@ class Case(NamedTuple):
 
     def names(self, axis: str) -> tuple[str, ...]:
         """
-        What a case is called along an axis.
+        Return the names on an axis.
 
         :param axis: One of ``AXES``
-        :return: Its names there, several only along "addition"
         """
-        learner, network, additions = self.baseline
         names: dict[str, tuple[str, ...]] = {
-            "preset": (self.preset,),
-            "task": (task_name(self.env_id),),
-            "benchmark": (self.benchmark or NO_BENCHMARK,),
-            "learner": (learner,),
-            "network": (network,),
-            "addition": additions,
+            "benchmarks": (self.benchmark or NO_BENCHMARK,),
+            "networks": (self.baseline.network,),
+            "learners": (self.baseline.learner,),
+            "additions": self.baseline.additions,
+            "tasks": (task_name(self.env_id),),
         }
         return names[axis]
 
 
 @dataclass(frozen=True)
-class Rule:
+class Layer:
     """
-    What holds in some cases.
+    Values of one section of a configuration file.
 
-    :param where: The file and the rule's place in it
-    :param when: From axis to the names, or shell patterns, of which one must fit; an axis that is not named
-        may be anything
+    :param source: The file and the section
     :param why: The reason, or the source of the numbers
-    :param algo: The algorithm, as rl_zoo3's table names it; None leaves it to other rules
-    :param hyperparams: Hyperparameters; mappings are merged with those of earlier rules
+    :param algo: Name of the algorithm, None if another layer defines it
+    :param hyperparams: Hyperparameters; mappings are merged with those of earlier layers
     :param flags: Defaults for flags of ``train``
     """
 
-    where: str
-    when: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    source: str
     why: str = ""
     algo: str | None = None
     hyperparams: Mapping[str, Any] = field(default_factory=dict)
     flags: Mapping[str, Any] = field(default_factory=dict)
 
-    def holds(self, case: Case) -> bool:
-        """Whether it says something about a case."""
-        return all(
-            any(fnmatchcase(name, pattern) for name in case.names(axis) for pattern in patterns)
-            for axis, patterns in self.when.items()
-        )
-
-    def __str__(self) -> str:
-        given = [f"{axis} is {' or '.join(patterns)}" for axis, patterns in self.when.items()]
-        return f"{self.where}: {', '.join(given)}" if given else self.where
-
 
 @dataclass(frozen=True)
 class Family:
     """
-    One file of rules: the baselines and presets of a family of environments.
+    One configuration file: baselines and presets of a family of environments.
 
     :param name: Name of the file without its suffix
-    :param envs: Shell pattern of the ids it serves
-    :param benchmarks: From benchmark to the networks that serve it; a task is trained as in the first that
-        has it and the network, unless another is named
-    :param baselines: From name to learner, network and additions
-    :param algorithms: From algorithm to the baselines that it alone stands for; the first that serves the
-        task is taken
-    :param rules: In the order in which they are applied; later ones win
+    :param envs: Shell pattern of the ids
+    :param benchmarks: Networks by benchmark; without a choice, the first benchmark with the task applies
+    :param baselines: Baselines by name
+    :param algorithms: Baselines for an algorithm without one of its name; the first for the task applies
+    :param sections: The sections by key
     """
 
     name: str
@@ -124,22 +105,55 @@ class Family:
     benchmarks: Mapping[str, tuple[str, ...]]
     baselines: Mapping[str, Baseline]
     algorithms: Mapping[str, tuple[str, ...]]
-    rules: tuple[Rule, ...]
+    sections: Mapping[str, Any]
 
     @property
     def presets(self) -> tuple[str, ...]:
-        """The presets that rules speak of."""
-        named = itertools.chain.from_iterable(rule.when.get("preset", ()) for rule in self.rules)
-        return tuple(dict.fromkeys(named))
+        """Names of the presets."""
+        return tuple(self.sections["presets"])
 
     def serves(self, env_id: str) -> bool:
-        """Whether the family has hyperparameters for an id."""
+        """
+        Return True if the family has hyperparameters for an environment.
+
+        :param env_id: Id of the environment
+        """
         return fnmatchcase(env_id, self.envs)
+
+    def layers(self, case: Case, benchmark: Iterable[Layer] = ()) -> Iterator[Layer]:
+        """
+        Return the layers of an experiment in the order of merging.
+
+        :param case: The experiment
+        :param benchmark: Layers of the task's benchmark
+        """
+        yield Layer("name of the baseline", algo=case.baseline.learner)
+        yield from _layers(self.sections.get("defaults", {}), case, f"{self.name}.yml, defaults")
+        yield from benchmark
+        yield from _layers({axis: self.sections.get(axis, {}) for axis in AXES}, case, f"{self.name}.yml, ")
+        preset = self.sections["presets"][case.preset]
+        yield from _layers(preset, case, f"{self.name}.yml, presets.{case.preset}")
+
+
+def _layers(section: Any, case: Case, source: str) -> Iterator[Layer]:
+    """Return the layers of a section, or of a list of sections, in the order of merging."""
+    if isinstance(section, list):
+        for part in section:
+            yield from _layers(part, case, source)
+        return
+    if section.keys() & {"algo", "set", "flags"}:
+        why = " ".join(section.get("why", "").split())
+        yield Layer(source, why, section.get("algo"), section.get("set", {}), section.get("flags", {}))
+    for axis in AXES:
+        for name in case.names(axis):
+            if name in section.get(axis, {}):
+                inner = f"{source}.{axis}.{name}".replace(", .", ", ")
+                yield from _layers(section[axis][name], case, inner)
 
 
 def task_name(env_id: str) -> str:
     """
-    An id without its namespace and version.
+    Return an id without its namespace and version.
 
     :param env_id: ``"BulletArm/CloseLoopBlockPicking-v0"``
     :return: ``"CloseLoopBlockPicking"``
@@ -150,10 +164,10 @@ def task_name(env_id: str) -> str:
 @functools.cache
 def families() -> tuple[Family, ...]:
     """
-    Load all files of rules.
+    Load all configuration files.
 
-    :return: The families in order of their file names
-    :raises CommandError: if a file has a key or a name that means nothing
+    :return: The families in the order of their file names
+    :raises CommandError: for an unknown key or name in a file
     """
     folder = resources.files("zoo_configs") / "hyperparams"
     texts = {
@@ -164,108 +178,91 @@ def families() -> tuple[Family, ...]:
 
 def family_of(env_id: str) -> Family:
     """
-    The family that serves an environment.
+    Return the family of an environment.
 
     :param env_id: Id of the environment
-    :return: The family
-    :raises CommandError: if no baselines exist for it
+    :raises CommandError: if it has no baselines
     """
     for family in families():
         if family.serves(env_id):
             return family
-    served = ", ".join(family.envs for family in families())
-    raise CommandError(f"no baselines for {env_id!r}, only for {served}; use --algo and --conf-file")
+    patterns = ", ".join(family.envs for family in families())
+    raise CommandError(f"no baselines for {env_id!r}, only for {patterns}. Use --algo and --conf-file.")
 
 
 def parse_family(name: str, text: str) -> Family:
     """
-    Read a file of rules.
+    Parse a configuration file.
 
     :param name: Name of the file without its suffix
-    :param text: What it says, in YAML
+    :param text: Its content
     :return: The family
-    :raises CommandError: if a key or a name means nothing; names the nearest one that does
+    :raises CommandError: for an unknown key or name
     """
-    where = f"{name}.yml"
-    with refused(f"{where} cannot be read"):
-        data = yaml.safe_load(text)
-    _check_names(f"key of {where}", data, FAMILY_KEYS)
-    baselines = {**_products(data.get("product", {})), **_rows(where, data.get("baselines", {}))}
-    rules = tuple(
-        parse_rule(f"{where}, rule {number}", rule) for number, rule in enumerate(data["rules"], start=1)
-    )
-    benchmarks = {key: tuple(networks) for key, networks in data.get("benchmarks", {}).items()}
-    algorithms = _algorithms(where, data.get("algorithms", {}), baselines)
-    family = Family(name, data["envs"], benchmarks, baselines, algorithms, rules)
-    _check_axes(family)
+    file = f"{name}.yml"
+    with refused(f"{file} cannot be read"):
+        data = parse_yaml(text)
+    check_names(f"key of {file}", data, FAMILY_KEYS)
+    baselines = {**_products(data.get("product", {})), **_baselines(file, data.get("baselines", {}))}
+    benchmarks = {key: tuple(networks) for key, networks in data.get("serves", {}).items()}
+    algorithms = _algorithms(file, data.get("algorithms", {}), baselines)
+    sections = {key: data[key] for key in ("defaults", *AXES, "presets") if key in data}
+    family = Family(name, data["envs"], benchmarks, baselines, algorithms, sections)
+    _check_sections(family)
     return family
 
 
-def parse_rule(where: str, data: Mapping[str, Any]) -> Rule:
-    """
-    Read a rule.
-
-    :param where: What its errors call it
-    :param data: Its keys: when, why, algo, set, flags
-    :return: The rule
-    :raises CommandError: for a key that means nothing
-    """
-    _check_names(f"key of {where}", data, RULE_KEYS)
-    _check_names(f"axis of {where}", data.get("when", {}), AXES)
-    _check_names(f"flag of {where}", data.get("flags", {}), RULE_FLAGS)
-    when = _lists(data.get("when", {}))
-    why = " ".join(data.get("why", "").split())
-    return Rule(where, when, why, data.get("algo"), data.get("set", {}), data.get("flags", {}))
-
-
 def _products(product: Mapping[str, Any]) -> dict[str, Baseline]:
-    """A baseline of every learner on every network."""
     pairs = itertools.product(product.get("learners", ()), product.get("networks", ()))
     return {f"{learner}_{network}": Baseline(learner, network) for learner, network in pairs}
 
 
-def _rows(where: str, rows: Mapping[str, Any]) -> dict[str, Baseline]:
-    baselines = {}
-    for name, row in rows.items():
-        if not isinstance(row, list) or len(row) < 2:
-            raise CommandError(f"{name!r} of {where} takes [learner, network, additions], got {row!r}")
-        learner, network, *additions = row
-        baselines[name] = Baseline(learner, network, tuple(additions))
-    return baselines
+def _baselines(file: str, given: Mapping[str, Any]) -> dict[str, Baseline]:
+    for name, parts in given.items():
+        if not isinstance(parts, list) or len(parts) < 2:
+            raise CommandError(f"{name!r} of {file} must be [learner, network, additions], got {parts!r}")
+    return {
+        name: Baseline(learner, network, tuple(rest)) for name, (learner, network, *rest) in given.items()
+    }
 
 
 def _algorithms(
-    where: str, given: Mapping[str, Any], baselines: Mapping[str, Baseline]
+    file: str, given: Mapping[str, Any], baselines: Mapping[str, Baseline]
 ) -> dict[str, tuple[str, ...]]:
-    _check_names(f"algorithm of {where}", given, ALGORITHMS)
-    algorithms = _lists(given)
+    check_names(f"algorithm of {file}", given, ALGORITHMS)
+    algorithms = {key: (names,) if isinstance(names, str) else tuple(names) for key, names in given.items()}
     for algo, names in algorithms.items():
-        _check_names(f"baseline of {where}, algorithm {algo}", names, baselines)
+        check_names(f"baseline of {file}, algorithm {algo}", names, baselines)
     return algorithms
 
 
-def _lists(given: Mapping[str, Any]) -> dict[str, tuple[str, ...]]:
-    """A name stands for a list of one."""
-    return {key: (names,) if isinstance(names, str) else tuple(names) for key, names in given.items()}
+def _check_sections(family: Family) -> None:
+    """
+    Check the keys of all sections, and the names below them. Any name of a task is valid.
 
-
-def _check_axes(family: Family) -> None:
-    """A name in a rule that no baseline has would never hold: a misspelling."""
-    rows = family.baselines.values()
-    names = {
-        "learner": {row.learner for row in rows},
-        "network": {row.network for row in rows},
-        "addition": {addition for row in rows for addition in row.additions},
-        "benchmark": {*family.benchmarks, NO_BENCHMARK},
+    :raises CommandError: for an unknown key or name
+    """
+    baselines = family.baselines.values()
+    valid = {
+        "benchmarks": {*family.benchmarks, NO_BENCHMARK},
+        "networks": {baseline.network for baseline in baselines},
+        "learners": {baseline.learner for baseline in baselines},
+        "additions": {addition for baseline in baselines for addition in baseline.additions},
     }
-    for rule in family.rules:
-        for axis, valid in names.items():
-            for pattern in rule.when.get(axis, ()):
-                if not any(fnmatchcase(name, pattern) for name in valid):
-                    raise unknown_name(f"{axis} of {rule.where}", pattern, valid)
 
+    def check(section: Any, where: str) -> None:
+        if isinstance(section, list):
+            for part in section:
+                check(part, where)
+            return
+        check_names(f"key of {where}", section, (*VALUE_KEYS, *AXES))
+        check_names(f"flag of {where}", section.get("flags", {}), FLAGS)
+        for axis in AXES:
+            for name, inner in section.get(axis, {}).items():
+                check_names(f"name of {where}.{axis}", [name], valid.get(axis, {name}))
+                check(inner, f"{where}.{axis}.{name}")
 
-def _check_names(kind: str, given: Iterable[str], valid: Collection[str]) -> None:
-    for name in given:
-        if name not in valid:
-            raise unknown_name(kind, name, valid)
+    check(family.sections.get("defaults", {}), f"{family.name}.yml, defaults")
+    check({axis: family.sections.get(axis, {}) for axis in AXES}, f"{family.name}.yml")
+    for preset, section in family.sections["presets"].items():
+        check(section, f"{family.name}.yml, presets.{preset}")

@@ -1,8 +1,7 @@
-"""Checks hyperparameters against the signatures of what they will be given to, before anything is built."""
+"""Checks of an experiment before anything is built: names of arguments, policies and files."""
 
 from __future__ import annotations
 
-import inspect
 from collections.abc import Mapping
 from typing import Any
 
@@ -11,45 +10,30 @@ import gymnasium as gym
 from sb3_extensions.common.env_metadata import constructor_keys
 from sb3_extensions.replay.augmentations import make_augmentation
 from sb3_extensions.replay.sampling import make_sampler
-from zoo_configs.algorithms import class_from_path, register_algorithms
+from zoo_configs.algorithms import algorithm_classes, class_from_path, constructor_arguments
 from zoo_configs.cells.cell import Cell
 from zoo_configs.cells.ranges import check_values
 from zoo_configs.environments import load_expert_data
-from zoo_configs.errors import CommandError, refused, unknown_name
+from zoo_configs.errors import CommandError, check_names, refused, unknown_name
+from zoo_configs.training.objects import TRAINER_KEYS
 
-# Keys that rl_zoo3's manager takes for itself; every other key goes to the algorithm.
-MANAGER_KEYS = (
-    "callback",
-    "env_kwargs",
-    "env_wrapper",
-    "frame_stack",
-    "monitor_kwargs",
-    "n_envs",
-    "n_timesteps",
-    "noise_std",
-    "noise_type",
-    "normalize",
-    "policy",
-    "vec_env_wrapper",
-)
-# What the manager passes to every algorithm itself.
-RESERVED_KEYS = ("_init_setup_model", "device", "env", "seed", "tensorboard_log", "verbose")
+RESERVED_KEYS = {"_init_setup_model", "device", "env", "seed", "tensorboard_log", "verbose"}
+"""Constructor arguments that the trainer passes to every algorithm."""
 
 
 def check_cell(cell: Cell) -> None:
     """
-    Check the names in a cell: its algorithm, hyperparameters, policy, and what they are given.
+    Check the algorithm and the hyperparameters of an experiment.
 
-    :param cell: The cell
-    :raises CommandError: for a name that does not exist; names the nearest one that does
+    :param cell: The experiment
+    :raises CommandError: for an unknown name, with the nearest valid one, or an invalid value
     """
-    algorithms = register_algorithms()
-    if cell.algo not in algorithms:
-        raise unknown_name("algorithm", cell.algo, algorithms)
+    algorithms = algorithm_classes()
+    check_names("algorithm", [cell.algo], algorithms)
     check_values(cell.hyperparams)
     algorithm = algorithms[cell.algo]
-    valid = {*MANAGER_KEYS, *constructor_keys(algorithm)} - set(RESERVED_KEYS)
-    _check_names(f"hyperparameter of {cell.algo}", cell.hyperparams, valid)
+    valid = {"policy", *TRAINER_KEYS, *constructor_keys(algorithm)} - RESERVED_KEYS
+    check_names(f"hyperparameter of {cell.algo}", cell.hyperparams, valid)
     for key in ("n_timesteps", "policy"):
         if key not in cell.hyperparams:
             raise CommandError(f"hyperparameter {key!r} is missing for {cell.env_id}")
@@ -60,14 +44,14 @@ def check_cell(cell: Cell) -> None:
         make_augmentation(cell.hyperparams.get("augmentation"))
 
 
-def check_expert_data(cell: Cell, env: gym.Env[Any, Any], any_demonstrations: bool = False) -> None:
+def check_expert_data(cell: Cell, env: gym.Env[Any, Any], allow_mismatched_demos: bool = False) -> None:
     """
-    Look whether a file of demonstrations is of an environment like the one to train on.
+    Check that a file of demonstrations fits the environment.
 
-    :param cell: Its hyperparameters may name a file as ``expert_data``
+    :param cell: The experiment, which can have a file as ``expert_data``
     :param env: The environment
-    :param any_demonstrations: Whether it may be another task or have other parameters
-    :raises CommandError: if there is no such file, or it is of another environment
+    :param allow_mismatched_demos: Whether the task and its parameters can differ
+    :raises CommandError: if the file cannot be read, or comes from another environment
     """
     path = cell.hyperparams.get("expert_data")
     episodes = load_expert_data(cell.hyperparams).get("expert_data")
@@ -76,7 +60,7 @@ def check_expert_data(cell: Cell, env: gym.Env[Any, Any], any_demonstrations: bo
     with refused(f"expert_data: {path} cannot be read"):
         for episode in episodes:
             _check_shapes(path, episode, env)
-    if not any_demonstrations:
+    if not allow_mismatched_demos:
         _check_origin(path, episodes.about, cell.env_id, env)
 
 
@@ -91,27 +75,26 @@ def _check_shapes(path: str, episode: Any, env: gym.Env[Any, Any]) -> None:
 
 
 def _check_origin(path: str, about: Mapping[str, Any], env_id: str, env: gym.Env[Any, Any]) -> None:
-    """Compare the task, its action sequence and its parameters with those of the demonstrations."""
+    """Compare the task and its parameters with those of the demonstrations."""
     config: Any = getattr(env.unwrapped, "config", None)
     wanted = {} if config is None else {"env": env_id, **config.parameters()}
-    shown = {"env": about.get("env_id"), **about.get("configuration", {})}
+    found = {"env": about.get("env_id"), **about.get("configuration", {})}
     compared = [name for name in wanted if not name.startswith("render_")]
-    other = [name for name in compared if shown.get(name) != wanted[name]]
-    if config is None or not other:
-        return
-    theirs, ours = ({name: values.get(name) for name in other} for values in (shown, wanted))
-    advice = "to take it nevertheless: --any-demonstrations"
-    raise CommandError(f"expert_data: {path} is of {theirs}, this run of {ours}; {advice}")
+    if other := [name for name in compared if found.get(name) != wanted[name]]:
+        theirs, ours = ({name: values.get(name) for name in other} for values in (found, wanted))
+        raise CommandError(
+            f"expert_data: {path} has {theirs}, this run {ours}. Use --allow-mismatched-demos to accept it."
+        )
 
 
 def policy_class(algorithm: type[Any], policy: str) -> type[Any]:
     """
-    The class behind a policy's name.
+    Return the class of a policy.
 
     :param algorithm: Class of the algorithm
-    :param policy: One of its aliases, or a dotted path
+    :param policy: One of its aliases, or an import path
     :return: Class of the policy
-    :raises CommandError: if there is no such policy
+    :raises CommandError: for an unknown policy
     """
     aliases: dict[str, type[Any]] = algorithm.policy_aliases
     if policy in aliases:
@@ -121,51 +104,38 @@ def policy_class(algorithm: type[Any], policy: str) -> type[Any]:
     return _imported("policy", policy)
 
 
-def _check_policy_kwargs(policy: type[Any], policy_kwargs: Any) -> None:
-    """Python code in a string is left to rl_zoo3, which evaluates it."""
+def _check_policy_kwargs(policy: Any, policy_kwargs: Any) -> None:
+    """Check the names of arguments, unless they are a Python expression."""
     if not isinstance(policy_kwargs, Mapping):
         return
-    _check_names(f"policy_kwargs of {policy.__name__}", policy_kwargs, constructor_keys(policy))
-    extractor = policy_kwargs.get("features_extractor_class", _default(policy, "features_extractor_class"))
+    check_names(f"policy_kwargs of {policy.__name__}", policy_kwargs, constructor_keys(policy))
+    default = constructor_arguments(policy).get("features_extractor_class")
+    extractor = policy_kwargs.get("features_extractor_class", object if default is None else default.default)
     if isinstance(extractor, str):
         extractor = _imported("features extractor", extractor)
     given = policy_kwargs.get("features_extractor_kwargs", {})
     if not isinstance(extractor, type):
-        raise CommandError(f"features_extractor_class takes the dotted path of a class, got {extractor!r}")
+        raise CommandError(f"features_extractor_class must be the import path of a class, got {extractor!r}")
     if not isinstance(given, Mapping):
-        raise CommandError(f"features_extractor_kwargs takes a mapping of arguments, got {given!r}")
-    _check_names(f"features_extractor_kwargs of {extractor.__name__}", given, constructor_keys(extractor))
+        raise CommandError(f"features_extractor_kwargs must be a mapping of arguments, got {given!r}")
+    check_names(f"features_extractor_kwargs of {extractor.__name__}", given, constructor_keys(extractor))
 
 
 def _check_replay_buffer(algorithm: type[Any], hyperparams: Mapping[str, Any]) -> None:
-    """What a buffer is given is known where it is named, or where the algorithm has one of its own."""
+    """Check the names of arguments of a named buffer, or of the algorithm's own."""
     path, kwargs = hyperparams.get("replay_buffer_class"), hyperparams.get("replay_buffer_kwargs", {})
     buffer = getattr(algorithm, "default_replay_buffer_class", None)
     if isinstance(path, str):
         buffer = _imported("replay buffer", path)
     if buffer is not None and isinstance(kwargs, Mapping):
         valid = constructor_keys(buffer) - set(getattr(algorithm, "own_buffer_arguments", ()))
-        _check_names(f"replay_buffer_kwargs of {buffer.__name__}", kwargs, valid)
+        check_names(f"replay_buffer_kwargs of {buffer.__name__}", kwargs, valid)
         with refused("replay_buffer_kwargs"):
             make_sampler(kwargs.get("sampler"))
-
-
-def _default(cls: type[Any], parameter: str) -> Any:
-    for parent in cls.__mro__:
-        parameters = inspect.signature(vars(parent).get("__init__", object)).parameters
-        if parameter in parameters:
-            return parameters[parameter].default
-    return object
 
 
 def _imported(kind: str, path: str) -> type[Any]:
     try:
         return class_from_path(path)
-    except (ImportError, ValueError) as error:  # ValueError: no module in front of the name
+    except (ImportError, ValueError) as error:  # ValueError for a name without module
         raise CommandError(f"{kind} {path!r} cannot be imported: {error}") from error
-
-
-def _check_names(kind: str, given: Mapping[str, Any], valid: set[str]) -> None:
-    for name in given:
-        if name not in valid:
-            raise unknown_name(kind, name, valid)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import textwrap
 from collections import defaultdict
 from collections.abc import Sequence
 from typing import Any
@@ -14,11 +13,9 @@ from gymnasium import spaces
 from zoo_configs.arguments import Parser, add_packages
 from zoo_configs.drawing.tables import print_table
 from zoo_configs.environments import known_env_id, make_env, our_env_ids, register_environments
-from zoo_configs.errors import CommandError
 
-WIDTH = 74  # characters of text, beside its indent
-DESCRIPTION = """List environments with their spaces; with --env the parameters of one; with --baselines the
-baselines and presets that train takes; with --published the trained agents that come with the package."""
+DESCRIPTION = """List environments with their spaces. --env lists the parameters of one environment,
+--baselines the baselines and presets of train, --published the published agents."""
 
 
 def main(argv: Sequence[str]) -> None:
@@ -30,9 +27,7 @@ def main(argv: Sequence[str]) -> None:
     """
     args = _parse(argv)
     register_environments(args.gym_packages)
-    if args.explain:
-        _explain(args)
-    elif args.published:
+    if args.published:
         _list_published(args.markdown)
     elif args.baselines:
         _list_baselines(args.markdown)
@@ -45,24 +40,16 @@ def main(argv: Sequence[str]) -> None:
 def _parse(argv: Sequence[str]) -> argparse.Namespace:
     parser = Parser("bulletarm-zoo list", description=DESCRIPTION)
     add = parser.add_argument
-    add("--env", help="id of an environment: list its parameters and their defaults")
+    add("--env", help="id of an environment, to list its parameters and defaults")
     add("--baselines", action="store_true", help="list baselines and presets")
-    add("--published", action="store_true", help="list the trained agents that come with the package")
-    add("--explain", action="store_true", help="list every value of a cell and the rule that set it")
-    add("--baseline", help="with --explain: row of a benchmark")
-    add("--preset", default="cpu", help="with --explain: size of the run (default: cpu)")
-    add("--benchmark", help="with --explain: benchmark whose parameters the task has")
+    add("--published", action="store_true", help="list the published agents")
     add("--markdown", action="store_true", help="print tables for a Markdown page")
     add_packages(parser)
-    args = parser.parse_args(argv)
-    for name in ("baseline", "benchmark"):
-        if getattr(args, name) is not None and not args.explain:
-            parser.error(f"--{name} goes with --explain; --baselines lists all baselines")
-    return args
+    return parser.parse_args(argv)
 
 
 def _list_environments(markdown: bool) -> None:
-    """A table for each kind of observation: an id and its observation are too wide for one line."""
+    """Print a table for each observation space, because ids and spaces are too wide for one line."""
     tables: defaultdict[str, list[list[str]]] = defaultdict(list)
     for env_id in our_env_ids():
         env = make_env(env_id, {})
@@ -103,7 +90,7 @@ def _list_baselines(markdown: bool) -> None:
 
 
 def _list_published(markdown: bool) -> None:
-    """Trained agents, with the success that their cards tell."""
+    """Print the published agents with the success on their cards."""
     from zoo_configs.publishing.published import published_agents
 
     rows = [
@@ -122,21 +109,8 @@ def _list_published(markdown: bool) -> None:
     print_table(heads, rows, markdown)
 
 
-def _explain(args: argparse.Namespace) -> None:
-    """Rule by rule, in their order: its reason, and what it set and no later one changed."""
-    from zoo_configs.cells.cell import explain
-
-    if args.env is None or args.baseline is None:
-        raise CommandError("--explain takes a cell: name it with --env and --baseline")
-    for rule, values in explain(args.baseline, args.preset, known_env_id(args.env), benchmark=args.benchmark):
-        print(rule)
-        if rule.why:
-            print(textwrap.indent(textwrap.fill(rule.why, width=WIDTH), "    # "))
-        print("".join(f"    {name}: {value}\n" for name, value in values.items()))
-
-
 def _parameters(env: gym.Env[Any, Any]) -> dict[str, Any]:
-    """Parameters of one of our environments, with their values; its id says which control and surface."""
+    """Return the parameters of one of our environments, with control and surface."""
     config: Any = getattr(env.unwrapped, "config", None)
     spec = env.spec.kwargs if env.spec is not None else {}
     recipe = {name: spec.get(name) for name in ("control", "surface")}
@@ -144,7 +118,7 @@ def _parameters(env: gym.Env[Any, Any]) -> dict[str, Any]:
 
 
 def _describe(space: spaces.Space[Any], bounds: bool = True) -> str:
-    """Shapes in a line, with the bounds of boxes where asked for."""
+    """Return the shapes of a space in one line, with the bounds of boxes if wanted."""
     if isinstance(space, spaces.Dict):
         return ", ".join(f"{name} {_describe(part, bounds)}" for name, part in space.items())
     if not isinstance(space, spaces.Box):

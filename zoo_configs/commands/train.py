@@ -1,4 +1,4 @@
-"""``bulletarm-zoo train``: finds the cell that the flags name, and trains it."""
+"""``bulletarm-zoo train``: trains the experiment that the flags name."""
 
 from __future__ import annotations
 
@@ -10,13 +10,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from zoo_configs.arguments import (
-    MAX_SEED,
-    Parser,
-    add_packages,
-    add_progress,
-    whole_number,
-)
+from zoo_configs.arguments import MAX_SEED, Parser, add_packages, add_progress, whole_number
+from zoo_configs.cells.cell import Cell
 from zoo_configs.cells.flags import add_cell_flags, find_cell
 from zoo_configs.environments import known_env_id, package_of, register_environments
 from zoo_configs.errors import CommandError
@@ -25,8 +20,6 @@ from zoo_configs.training.options import TrainingOptions, add_options, given_opt
 if TYPE_CHECKING:
     from zoo_configs.training.runs import Run
 
-PROG = "bulletarm-zoo train"
-# What a resumed run was begun with and keeps.
 FIXED = {
     "--baseline": "baseline",
     "--preset": "preset",
@@ -38,11 +31,13 @@ FIXED = {
     "--conf-file": "conf_file",
     "--seed": "seed",
     "--log-folder": "log_folder",
-    "--any-demonstrations": "any_demonstrations",
+    "--allow-mismatched-demos": "allow_mismatched_demos",
     "--trained-agent": "trained_agent",
+    "--dry-run": "dry_run",
 }
-DESCRIPTION = """Train an agent. --baseline, --preset and --env name one cell of a benchmark; its
-hyperparameters are written to the run folder as one YAML. The flags of rl_zoo3.train win over the preset."""
+"""Flags that a resumed run cannot change, and their names as arguments."""
+DESCRIPTION = """Train an agent. --baseline, --preset and --env name an experiment, whose hyperparameters are
+written to the run folder. The options of the training replace the preset's."""
 EPILOG = "bulletarm-zoo train --baseline equi_sacfd --env BulletArm/CloseLoopBlockPicking-v0 --preset quick"
 
 
@@ -51,51 +46,68 @@ def main(argv: Sequence[str]) -> None:
     Run the command.
 
     :param argv: Its arguments
-    :raises CommandError: for arguments that cannot be followed
-    :raises KeyboardInterrupt: after Ctrl-C, once the model is saved
+    :raises CommandError: for invalid arguments
+    :raises KeyboardInterrupt: after Ctrl-C, when the model is saved
     """
     args = build_parser().parse_args(argv)
     register_environments(args.gym_packages)
+    if args.dry_run and not args.resume:
+        _print_experiment(_find_cell(args), args)
+        return
     progress = args.progress if args.progress is not None else sys.stderr.isatty()
     from zoo_configs.training.cell import TrainingInterrupted
 
     try:
         _report(_resume(args, progress) if args.resume else _begin(args, progress))
     except TrainingInterrupted as stop:
-        print(f"Stopped early; to go on: bulletarm-zoo train --resume {stop.run.folder}")
+        print(f"Interrupted. To continue: bulletarm-zoo train --resume {stop.run.folder}")
         _report(stop.run)
         raise
 
 
 def build_parser() -> argparse.ArgumentParser:
     """
-    Parser of the command's own flags and of those of rl_zoo3.
+    Build the parser of the command.
 
     :return: The parser
     """
-    parser = Parser(PROG, description=DESCRIPTION, epilog=EPILOG, allow_abbrev=False)
+    parser = Parser("bulletarm-zoo train", description=DESCRIPTION, epilog=EPILOG, allow_abbrev=False)
     add_cell_flags(parser)
     add = parser.add_argument
-    add("--resume", type=Path, metavar="RUN_FOLDER", help="go on from the last checkpoint of an earlier run")
-    add("--seed", type=whole_number(-1, MAX_SEED), help="seed of the run (default, and -1: drawn)")
-    add("--device", help="PyTorch device (default: auto; that of the run with --resume)")
+    add("--resume", type=Path, metavar="RUN_FOLDER", help="resume a run from its last checkpoint")
+    add("--dry-run", action="store_true", help="print the configuration and the source of each value")
+    add("--seed", type=whole_number(-1, MAX_SEED), help="seed of the run (default, and -1: sampled)")
+    add("--device", help="PyTorch device (default: auto; with --resume that of the run)")
     add("-f", "--log-folder", type=Path, help="folder for run folders (default: logs)")
-    add("--any-demonstrations", action="store_true", help="take an expert_data file of other parameters, too")
+    add("--allow-mismatched-demos", action="store_true", help="accept expert_data from another environment")
     add_packages(parser)
     add_progress(parser)
     add_options(parser)
     return parser
 
 
+def _find_cell(args: argparse.Namespace) -> Cell:
+    if args.env is None:
+        raise CommandError("name an environment with --env, see bulletarm-zoo list")
+    return find_cell(args, known_env_id(args.env))
+
+
+def _print_experiment(cell: Cell, args: argparse.Namespace) -> None:
+    from zoo_configs.cells.explanation import explained_yaml
+    from zoo_configs.cells.validation import check_cell
+
+    check_cell(cell)
+    given = given_options(args)
+    print(explained_yaml(cell, TrainingOptions.of(cell, given).plain(), given))
+
+
 def _begin(args: argparse.Namespace, progress: bool) -> Run:
     from zoo_configs.training.cell import train_cell
 
-    if args.env is None:
-        raise CommandError("name an environment with --env, see bulletarm-zoo list")
-    cell = find_cell(args, known_env_id(args.env))
+    cell = _find_cell(args)
     seed = secrets.randbelow(MAX_SEED + 1) if args.seed in (None, -1) else args.seed
-    taken = f", baseline {cell.baseline} of --algo {args.algo}" if cell.baseline != args.baseline else ""
-    print(f"{cell.env_id}, seed {seed}{taken}")
+    default = f", baseline {cell.baseline} of --algo {args.algo}" if cell.baseline != args.baseline else ""
+    print(f"{cell.env_id}, seed {seed}{default}")
     return train_cell(
         cell,
         seed,
@@ -103,7 +115,7 @@ def _begin(args: argparse.Namespace, progress: bool) -> Run:
         args.log_folder or Path("logs"),
         options=TrainingOptions.of(cell, given_options(args)),
         gym_packages=tuple(dict.fromkeys([*args.gym_packages, *package_of(args.env)])),
-        any_demonstrations=args.any_demonstrations,
+        allow_mismatched_demos=args.allow_mismatched_demos,
         progress=progress,
     )
 
@@ -115,7 +127,7 @@ def _resume(args: argparse.Namespace, progress: bool) -> Run:
     unset = build_parser().parse_args([])
     changed = {name for name in FIXED.values() if getattr(args, name, None) != getattr(unset, name, None)}
     if others := [flag for flag, name in FIXED.items() if name in changed]:
-        raise CommandError(f"--resume goes on with what the run has: leave out {', '.join(others)}")
+        raise CommandError(f"cannot be changed when resuming: {', '.join(others)}")
     run = load_run(args.resume)
     options = replace(run.options, **given_options(args))
     return resume_run(replace(run, options=options, device=args.device or run.device), progress=progress)

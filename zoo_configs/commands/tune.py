@@ -1,4 +1,4 @@
-"""``bulletarm-zoo tune``: searches hyperparameters with Optuna, in as many processes as start it."""
+"""``bulletarm-zoo tune``: searches hyperparameters with Optuna, in one or several processes."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ STUDIES_FOLDER = "studies"
 SAMPLERS = ("tpe", "random", "gp")
 PRUNERS = ("median", "halving", "none")
 N_TRIALS, N_STARTUP_TRIALS, N_EVALUATIONS = 100, 10, 8
-DESCRIPTION = """Search hyperparameters. The cell is named as for train; its values are the first trial. As
-many processes as start the same command, on machines that share the log folder, work on one study; a
-trial whose process dies is taken up by another. Start it again to go on."""
+DESCRIPTION = """Search hyperparameters. The experiment is named as for train, and its values are the first
+trial. Processes with the same command, on machines that share the log folder, work on one study. A trial
+whose process dies is continued by another process. The same command continues a study."""
 EPILOG = "bulletarm-zoo tune --baseline sacfd --env BulletArm/CloseLoopBlockReaching-v0 --n-trials 20"
 
 
@@ -32,7 +32,7 @@ def main(argv: Sequence[str]) -> None:
     Run the command.
 
     :param argv: Its arguments
-    :raises CommandError: for arguments that cannot be followed
+    :raises CommandError: for invalid arguments, or if no trial is complete
     """
     args = build_parser().parse_args(argv)
     register_environments(args.gym_packages)
@@ -40,7 +40,7 @@ def main(argv: Sequence[str]) -> None:
 
     import optuna
 
-    from zoo_configs.tuning.report import summary, write_report
+    from zoo_configs.tuning.report import check_complete, summary, write_report
     from zoo_configs.tuning.study import open_study, work
 
     optuna.logging.set_verbosity(optuna.logging.WARNING)
@@ -50,38 +50,48 @@ def main(argv: Sequence[str]) -> None:
     finally:
         print(f"study {search.name}: {summary(study)}")
         files = write_report(search, study, plots=not args.no_optim_plots)
-        written = "\n".join(["Written:", *(f"  {path}" for path in files)])
-        print(written if files else "No trial is complete yet.")
-    print(f"To train with the best: {_train_command(search)}")
-    print(f"To look at the study: optuna-dashboard {search.storage_name}")
+        print("\n".join(["Written:", *(f"  {path}" for path in files)]) if files else "no trial is complete")
+    check_complete(search, study)
+    print(f"To train with the best values: {_train_command(search)}")
+    print(f"To view the study: optuna-dashboard {search.storage_name}")
 
 
 def build_parser() -> argparse.ArgumentParser:
     """
-    Parser of the command's flags.
+    Build the parser of the command.
 
     :return: The parser
     """
     parser = Parser("bulletarm-zoo tune", description=DESCRIPTION, epilog=EPILOG, allow_abbrev=False)
     add_cell_flags(parser)
     add, a_seed = parser.add_argument, whole_number(0, MAX_SEED)
-    folder = "the study stands in its studies/ (default: logs)"
-    startup = f"drawn at random (default: {N_STARTUP_TRIALS})"
-    add("--seed", type=a_seed, default=0, help="of all trials and the sampler (default: 0)")
+    folder = "folder of studies/, which has a folder for each study (default: logs)"
+    startup = f"trials that are sampled at random and not pruned (default: {N_STARTUP_TRIALS})"
+    add("--seed", type=a_seed, default=0, help="seed of all trials and the sampler (default: 0)")
     add("--device", default="auto", help="PyTorch device (default: auto)")
     add("-f", "--log-folder", type=Path, default=Path("logs"), help=folder)
     add("--space", type=Path, help="YAML with the search space (default: that of the algorithm)")
-    add("--n-trials", type=positive_int, default=N_TRIALS, help=f"over all processes (default: {N_TRIALS})")
+    add(
+        "--n-trials",
+        type=positive_int,
+        default=N_TRIALS,
+        help=f"trials of all processes (default: {N_TRIALS})",
+    )
     add("--n-startup-trials", type=whole_number(0), default=N_STARTUP_TRIALS, help=startup)
-    add("--n-evaluations", type=positive_int, default=N_EVALUATIONS, help="of a trial (default: 8)")
+    add(
+        "--n-evaluations",
+        type=positive_int,
+        default=N_EVALUATIONS,
+        help="evaluations of a trial (default: 8)",
+    )
     add("--sampler", choices=SAMPLERS, default="tpe", help="default: tpe")
     add("--pruner", choices=PRUNERS, default="median", help="default: median")
     add("--storage", help="URL of a database, or a journal file (default: a journal in the study's folder)")
     add("--study-name", help="default: the baseline and the task")
-    add("--no-optim-plots", action="store_true", help="draw no pictures")
+    add("--no-optim-plots", action="store_true", help="draw no plots")
     add_packages(parser)
     add_progress(parser)
-    add_options(parser, tuning=False)
+    add_options(parser)
     return parser
 
 
@@ -96,14 +106,14 @@ def _search(args: argparse.Namespace) -> Search:
     check_cell(cell)
     name = args.study_name or f"{cell.label}_{task_name(cell.env_id)}"
     given = {"verbose": 0, "save_freq": 0, **given_options(args)}
-    n_timesteps = given.get("n_timesteps", cell.hyperparams["n_timesteps"])
+    n_timesteps = int(given.get("n_timesteps", cell.hyperparams["n_timesteps"]))
     spacing = {"n_timesteps": n_timesteps, "eval_freq": max(n_timesteps // args.n_evaluations, 1)}
     given = {**given, **spacing, "save_freq": given["save_freq"] or spacing["eval_freq"]}
     return Search(
         name,
         args.log_folder / STUDIES_FOLDER / name,
         cell,
-        fit_space(load_space(cell.algo, args.space), cell, args.hyperparams, args.space is not None),
+        fit_space(load_space(cell, args.space), cell, args.hyperparams, args.space is not None),
         args.seed,
         TrainingOptions.of(cell, given),
         args.n_trials,

@@ -1,1 +1,1 @@
-"""Curves, films and tables."""
+"""Figures, videos and tables."""

@@ -1,4 +1,4 @@
-"""Learning curves: evaluation success over time steps."""
+"""Learning curves: success in the evaluations over time steps."""
 
 from __future__ import annotations
 
@@ -9,32 +9,31 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import pandas as pd
 
 from zoo_configs.errors import refused
 from zoo_configs.files import whole_file
 from zoo_configs.training.runs import CURVE_FILE, Run
 
 PANEL_SIZE = (6.4, 4.0)  # inches
-CURVES_BESIDE_LEGEND = 1  # a legend of more would cover them: it stands outside
+CURVES_WITH_LEGEND_INSIDE = 1  # a legend of more curves would cover them
 PANELS_A_ROW = 2
 DOTS_PER_INCH = 150
-COLORS, STYLES = 10, ("-", "--", ":", "-.")  # matplotlib's colours, then the next style of line
+COLORS, STYLES = 10, ("-", "--", ":", "-.")  # the number of matplotlib's colours, then the next line style
 SUCCESS, RETURN = "evaluation success rate", "evaluation return"
 
 
 @dataclass(frozen=True)
 class LearningCurve:
     """
-    What the periodic evaluations of a run, or of several on the mean, measured.
+    Evaluations of a run, or their mean over several runs.
 
-    :param timesteps: When they took place, shape (n,)
-    :param success: Mean success, in [0, 1], shape (n,); mean return where the environment reports no success
-    :param error: Standard error of that mean, over the episodes of one run or over runs, shape (n,); NaN
-        where only one of several runs has been evaluated
-    :param measure: What ``success`` holds, for the axis
-    :param runs: How many runs were evaluated then, shape (n,)
-    :param episodes: Of an evaluation of one run
+    :param timesteps: Time steps of the evaluations, shape (n,)
+    :param success: Mean success in [0, 1], shape (n,); mean return if the environment reports no success
+    :param error: Standard error of that mean over the episodes of one run or over runs, shape (n,); NaN if
+        only one of several runs was evaluated
+    :param measure: Label of the axis
+    :param runs: Number of runs that were evaluated, shape (n,)
+    :param episodes: Number of episodes of each evaluation of one run
     """
 
     timesteps: npt.NDArray[np.int64]
@@ -46,13 +45,7 @@ class LearningCurve:
 
 
 def load_curve(path: Path) -> LearningCurve:
-    """
-    Read the evaluations of a run.
-
-    :param path: Its ``evaluations.npz``, as Stable-Baselines3 writes it
-    :return: The curve
-    :raises CommandError: if it cannot be read
-    """
+    """Read ``evaluations.npz`` of a run, which has Stable-Baselines3's format."""
     with refused(f"{path} is damaged"), np.load(path) as saved:
         has_success = "successes" in saved
         episodes = np.asarray(saved["successes" if has_success else "results"], dtype=np.float64)
@@ -65,26 +58,26 @@ def load_curve(path: Path) -> LearningCurve:
 
 def mean_curve(curves: Sequence[LearningCurve]) -> LearningCurve:
     """
-    The mean of runs, at each evaluation of those that have it: one that is not finished shortens no curve.
+    Return the mean of runs, at each time step over the runs that were evaluated then.
 
-    :param curves: One a run, at least one, of one measure
-    :return: The mean; its error is the standard error over runs, that over episodes if there is only one
+    :param curves: At least one curve; all have the same measure
+    :return: The mean and its standard error over runs; a single curve is returned unchanged
     """
     if len(curves) == 1:
         return curves[0]
-    points = [pd.Series(curve.success, curve.timesteps) for curve in curves]
-    table = pd.concat(points).groupby(level=0).agg(["mean", "sem", "count"])
-    mean, error, runs = (table[name].to_numpy() for name in ("mean", "sem", "count"))
-    return LearningCurve(table.index.to_numpy(), mean, error, curves[0].measure, runs, curves[0].episodes)
+    steps = np.unique(np.concatenate([curve.timesteps for curve in curves]))
+    values = np.full((len(curves), len(steps)), np.nan)
+    for row, curve in zip(values, curves, strict=True):
+        row[np.searchsorted(steps, curve.timesteps)] = curve.success
+    runs = np.sum(~np.isnan(values), axis=0)
+    mean = np.nanmean(values, axis=0)
+    squares = np.nansum((values - mean) ** 2, axis=0)
+    error = np.sqrt(squares / np.where(runs > 1, runs - 1, np.nan) / runs)
+    return LearningCurve(steps, mean, error, curves[0].measure, runs, curves[0].episodes)
 
 
 def draw_run(run: Run) -> Path:
-    """
-    Draw the learning curve of a run into its folder.
-
-    :param run: The run; it has at least one evaluation
-    :return: The picture
-    """
+    """Draw the learning curve of an evaluated run into its folder and return the figure."""
     path = run.folder / CURVE_FILE
     draw_curves({run.cell.env_id: {run.cell.label: load_curve(run.evaluations_file)}}, path)
     return path
@@ -92,12 +85,12 @@ def draw_run(run: Run) -> Path:
 
 def draw_curves(panels: Mapping[str, Mapping[str, LearningCurve]], path: Path) -> None:
     """
-    Draw learning curves into one picture, a panel an environment; shading denotes the standard error.
+    Draw learning curves into one figure with a panel for each environment; shading is the standard error.
 
-    :param panels: Of each environment the curves by their names in the legend
-    :param path: The PNG to write
+    :param panels: Curves by environment and by label in the legend
+    :param path: File to write
     """
-    from matplotlib.figure import Figure  # not pyplot: needs no display and keeps no state
+    from matplotlib.figure import Figure  # unlike pyplot, it needs no display and keeps no state
 
     columns = min(len(panels), PANELS_A_ROW)
     rows = -(-len(panels) // columns)
@@ -114,15 +107,15 @@ def draw_curves(panels: Mapping[str, Mapping[str, LearningCurve]], path: Path) -
 
 def _draw_panel(axes: Any, title: str, curves: Mapping[str, LearningCurve], names: Sequence[str]) -> None:
     for name, curve in curves.items():
-        _draw(axes, name, curve, names.index(name))  # looks the same in all panels
+        _draw(axes, name, curve, names.index(name))  # the same colour in all panels
     axes.set(title=title, xlabel="time steps", ylabel=next(iter(curves.values())).measure)
     if all(curve.measure == SUCCESS for curve in curves.values()):
         axes.set_ylim(-0.02, 1.02)
     axes.grid(alpha=0.3)
-    if len(curves) > CURVES_BESIDE_LEGEND:
+    if len(curves) > CURVES_WITH_LEGEND_INSIDE:
         axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
     else:
-        # "best" may lie on the curves
+        # matplotlib's "best" can cover the curve
         axes.legend(loc="upper right" if _all_end_low(curves.values()) else "lower right")
 
 

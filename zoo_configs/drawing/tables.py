@@ -14,10 +14,10 @@ def print_table(
     """
     Print a table.
 
-    :param columns: Heads of the columns
-    :param rows: One cell a column
+    :param columns: Column heads
+    :param rows: Rows with one cell for each column
     :param markdown: Whether to print Markdown
-    :param wrap: Whether cells are text, aligned left and wrapped to the terminal's width, not numbers
+    :param wrap: Whether the cells are text, aligned left and wrapped to the width of the terminal
     """
     if markdown:
         print(markdown_table(columns, rows, "---" if wrap else "---:"))
@@ -38,13 +38,13 @@ def markdown_table(
     columns: Sequence[str], rows: Sequence[Sequence[str]], rule: str = "---:", text_columns: int = 1
 ) -> str:
     """
-    Write a table for a Markdown page.
+    Return a Markdown table.
 
-    :param columns: Heads of the columns
-    :param rows: One cell a column
-    :param rule: What aligns the other columns: by default to the right, as numbers
-    :param text_columns: How many columns from the left are text
-    :return: Its lines
+    :param columns: Column heads
+    :param rows: Rows with one cell for each column
+    :param rule: Alignment of the other columns, by default to the right
+    :param text_columns: Number of columns from the left that are aligned left
+    :return: The table
     """
     rules = ["---"] * text_columns + [rule] * (len(columns) - text_columns)
     return "\n".join(f"| {' | '.join(cells)} |" for cells in (columns, rules, *rows))

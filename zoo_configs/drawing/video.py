@@ -1,4 +1,4 @@
-"""Films of episodes: what a person sees beside what the agent sees, with a caption."""
+"""Frames and videos of episodes: the rendered scene, the observed images and a caption."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from zoo_configs.files import whole_file
 Frame = npt.NDArray[np.uint8]
 
 PANEL_SIZE = 320  # pixels a side
-CAPTION_HEIGHT = 32  # pixels; with the panels a multiple of 16, as video codecs want
+CAPTION_HEIGHT = 32  # pixels; with the panels a multiple of 16, which video codecs need
 FONT_SIZE = 15
 BACKGROUND = (24, 26, 30)
 FOREGROUND = (235, 235, 235)
@@ -29,7 +29,7 @@ SUCCESS_COLOUR = (110, 200, 120)
 COLOUR_MAP = "magma_r"
 GIF_COLOURS = 160
 VALUE_COLOURS = "viridis"
-SMALLEST_SPAN = 1e-6  # of values, so that equal ones can be drawn
+SMALLEST_SPAN = 1e-6  # of values; avoids a division by zero
 MARK = (255, 90, 60)
 RING = 7  # pixels
 NEAREST = Image.Resampling.NEAREST
@@ -37,11 +37,11 @@ NEAREST = Image.Resampling.NEAREST
 
 class ValueMap(NamedTuple):
     """
-    What an agent thinks of the places that it sees.
+    Values that a policy computes for the pixels of a heightmap.
 
-    :param values: Of every pixel, shape (size, size)
-    :param pixel: Row and column of the one that it chooses
-    :param yaw: Of the gripper there, rad; None where it has none
+    :param values: Value of each pixel, shape (size, size)
+    :param pixel: Row and column of the selected pixel
+    :param yaw: Yaw (rad) of the gripper there; None for actions without a yaw
     """
 
     values: npt.NDArray[np.float32]
@@ -58,14 +58,14 @@ def compose_frame(
     value_map: ValueMap | None = None,
 ) -> Frame:
     """
-    Put a rendered picture, the images of an observation and a caption side by side.
+    Compose a frame of a rendered image, the observed images and a caption.
 
-    :param picture: What ``render()`` gave, shape (height, width, 3)
-    :param observation: What the agent sees; single-channel images in it become panels, near is bright
-    :param space: Space of the observation; colours span its bounds
+    :param picture: Rendered image, shape (height, width, 3)
+    :param observation: Observation; each of its single-channel images becomes a panel, bright where near
+    :param space: Observation space, whose bounds the colours span
     :param caption: Text below the panels
-    :param success: Whether to write the caption in the colour of success
-    :param value_map: What the agent thinks of it, one more panel
+    :param success: Whether the caption has the colour of success
+    :param value_map: Values to draw in another panel
     :return: The frame, shape (height, width, 3)
     """
     panels = [_resize(Image.fromarray(picture), Image.Resampling.LANCZOS)]
@@ -84,11 +84,8 @@ def compose_frame(
 
 def draw_value_map(value_map: ValueMap) -> Image.Image:
     """
-    Draw the values of all pixels, bright where high, and a ring around the chosen one with a line through it
-    along the way that the fingers close.
-
-    :param value_map: The values
-    :return: A panel
+    Draw the values of all pixels, bright where high, and a ring around the selected pixel with a line in the
+    direction in which the fingers close.
     """
     values, (row, column), yaw = value_map
     low, high = float(values.min()), float(values.max())
@@ -103,26 +100,10 @@ def draw_value_map(value_map: ValueMap) -> Image.Image:
     return panel
 
 
-def draw_image(image: npt.NDArray[np.floating], limits: tuple[float, float], pixels: int) -> Frame:
-    """
-    Draw an image of one channel, bright where its values are high.
-
-    :param image: Shape (height, width)
-    :param limits: What the colours span
-    :param pixels: Side of the picture
-    :return: Shape (pixels, pixels, 3)
-    """
-    low, high = limits
-    picture = _colour((image - low) / max(high - low, SMALLEST_SPAN), VALUE_COLOURS)
-    return np.asarray(picture.resize((pixels, pixels), NEAREST))
-
-
 def observed_images(observation: Any, space: spaces.Space[Any]) -> list[npt.NDArray[np.float64]]:
     """
-    Single-channel images in an observation.
+    Return the single-channel images of an observation.
 
-    :param observation: An array, or a mapping of arrays
-    :param space: Its space
     :return: The images, each of shape (height, width), scaled to [0, 1] over the bounds of their spaces
     """
     if isinstance(space, spaces.Dict):
@@ -134,54 +115,31 @@ def observed_images(observation: Any, space: spaces.Space[Any]) -> list[npt.NDAr
 
 
 def write_video(frames: Sequence[Frame], path: Path, frames_per_second: float) -> None:
-    """
-    Write a film, whole or not at all.
-
-    :param frames: Frames of one shape
-    :param path: The file; its suffix, ``.gif`` or ``.mp4``, is the format
-    :param frames_per_second: Speed
-    """
+    """Write frames of one shape atomically as ``.gif`` or ``.mp4``."""
     if path.suffix == ".gif":
-        with whole_file(path) as partial:
-            partial.write_bytes(_gif(frames, round(1000 / frames_per_second)))
+        content = _gif(frames, round(1000 / frames_per_second))
     else:
-        _write(np.stack(frames), path, fps=frames_per_second)
+        content = _encode(frames, path, frames_per_second)
+    with whole_file(path) as partial:
+        partial.write_bytes(content)
+
+
+def _encode(frames: Sequence[Frame], path: Path, frames_per_second: float) -> bytes:
+    """Encode in memory, because imageio reports a full disk only when it is garbage-collected."""
+    try:
+        return bytes(iio.imwrite("<bytes>", np.stack(frames), extension=path.suffix, fps=frames_per_second))
+    except OSError as error:  # of ffmpeg
+        raise CommandError(f"{path} cannot be encoded: {reason(error)}") from error
 
 
 def _gif(frames: Sequence[Frame], duration: int) -> bytes:
-    """
-    Encode with one palette for all frames and no dithering: what stays as it is costs nothing.
-
-    :param frames: Frames of one shape
-    :param duration: Of a frame, ms
-    :return: What is to stand in the file
-    """
+    """Encode with one palette and no dithering, so that static pixels need no space; ``duration`` in ms."""
     palette = Image.fromarray(np.concatenate([frames[0], frames[-1]])).quantize(GIF_COLOURS)
     images = [Image.fromarray(frame).quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames]
     first, *others = images
     file = io.BytesIO()
     first.save(file, "GIF", save_all=True, append_images=others, duration=duration, loop=0, optimize=True)
     return file.getvalue()
-
-
-def write_picture(frame: Frame, path: Path) -> None:
-    """
-    Write one frame, whole or not at all.
-
-    :param frame: Shape (height, width, 3)
-    :param path: The file; its suffix, ``.png`` or ``.webp``, is the format
-    """
-    _write(frame, path)
-
-
-def _write(images: Frame, path: Path, **options: Any) -> None:
-    """Encode first: where the disk is full imageio complains when it is collected as garbage."""
-    try:
-        content: bytes = iio.imwrite("<bytes>", images, extension=path.suffix, **options)
-    except OSError as error:  # ffmpeg's own words
-        raise CommandError(f"{path} cannot be encoded: {reason(error)}") from error
-    with whole_file(path) as partial:
-        partial.write_bytes(content)
 
 
 def _resize(image: Image.Image, resampling: Image.Resampling) -> Image.Image:

@@ -1,1 +1,1 @@
-"""Agents to load: small files with a card of what they are and can do, in the package or on a hub."""
+"""Published agents: small model files with a card, in the package or on the Hugging Face hub."""

@@ -1,4 +1,4 @@
-"""Small files of trained agents, which their algorithm's own ``load`` reads."""
+"""Small model files that ``load()`` of the algorithm reads."""
 
 from __future__ import annotations
 
@@ -14,13 +14,11 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.save_util import save_to_zip_file
 from torch import nn
 
-from zoo_configs.algorithms import ALGORITHMS
 from zoo_configs.files import whole_file
 
 POLICY = "policy"
-ACTOR, AVERAGE = "actor", "actor_average"  # of an SACfDPolicy
+ACTOR, AVERAGE = "actor", "actor_average"  # submodules of an SACfDPolicy
 SMALLER = {th.float16: "float16", th.bfloat16: "bfloat16"}
-# What an agent that only acts has no use for, and paths of the machine that trained it.
 BLANKS: dict[str, Any] = {
     "_last_obs": None,
     "_last_original_obs": None,
@@ -33,6 +31,7 @@ BLANKS: dict[str, Any] = {
     "start_time": 0,
     "verbose": 0,
 }
+"""Values that replace the state of the training and paths of its machine."""
 CONSTANTS = ("learning_rate", "clip_range")
 """Schedules that are stored by their first value, because a function can contain paths of the machine."""
 SCHEDULES = ("lr_schedule", "exploration_schedule")  # created by load()
@@ -42,26 +41,27 @@ TARGETS = {"critic_target": "critic", "q_net_target": "q_net", "actor_target": "
 
 def save_compact(model: BaseAlgorithm, path: Path, half: bool = True) -> str:
     """
-    Write an agent without the states of its optimizers. The loaded agent acts and trains further.
+    Write a model without the states of its optimizers. The loaded model acts and can be trained further.
 
     Target networks are stored as the networks that they follow, an actor with an average as its average.
 
     :param model: The agent
     :param path: The file, ``.zip``
-    :param half: Whether to halve the weights: bfloat16 where the network computes in it anyway, else float16
-    :return: What the weights are stored as
+    :param half: Whether to store weights in bfloat16, if the network computes in it, or else in float16
+    :return: Data type of the stored weights
     """
     params = {name: _without_state(state) for name, state in model.get_parameters().items()}
     weights = stored_weights(model.policy, half)
     params[POLICY] = weights
     names, variables = model._get_torch_save_params()
-    left_out = (*model._excluded_save_params(), *names, *variables, *SCHEDULES)
-    data = {name: value for name, value in vars(model).items() if name not in _roots(left_out)}
+    left_out = {*model._excluded_save_params(), *names, *variables, *SCHEDULES}
+    roots = {name.partition(".")[0] for name in left_out}
+    data = {name: value for name, value in vars(model).items() if name not in roots}
     data.update({name: value for name, value in BLANKS.items() if name in data})
     data.update({name: _initial(data[name]) for name in CONSTANTS if name in data})
     data.update({name: _unseeded(data[name]) for name in ("observation_space", "action_space")})
-    if type(model).__module__.split(".")[0] not in _our_packages() and "buffer_size" in data:
-        data["buffer_size"] = 1  # ours allocate nothing before their first transition
+    if not type(model).__module__.startswith("sb3_extensions.") and "buffer_size" in data:
+        data["buffer_size"] = 1  # our buffers allocate no memory before the first transition
     file = io.BytesIO()
     save_to_zip_file(file, data, params, {name: getattr(model, name) for name in variables})
     _pack(file, path)
@@ -73,7 +73,7 @@ def stored_weights(policy: nn.Module, half: bool) -> dict[str, th.Tensor]:
     Return the parameters and buffers of a policy under all their names.
 
     :param policy: The policy
-    :param half: Whether to halve those of two and more dimensions
+    :param half: Whether to store tensors of two and more dimensions in a smaller type
     :return: Tensors; shared parameters and target networks share their storage
     """
     state = _with_average(policy)
@@ -110,7 +110,7 @@ def _bf16_weights(policy: nn.Module) -> Iterator[th.Tensor]:
 
 
 def _shrunk(tensor: th.Tensor, dtype: th.dtype, half: bool) -> th.Tensor:
-    """Halved, unless it is small or does not fit."""
+    """Return a tensor in a smaller type, unchanged if it is a vector or its values do not fit."""
     if not half or not tensor.is_floating_point() or tensor.ndim < 2:
         return tensor
     smaller = tensor.to(dtype)
@@ -123,12 +123,12 @@ def _initial(schedule: Any) -> Any:
 
 
 def _without_state(state: dict[str, Any]) -> dict[str, Any]:
-    """An optimizer's, as before its first step; others as they are."""
+    """Return the state of an optimizer as before its first step, other states unchanged."""
     return {**state, "state": {}} if set(state) == {"state", "param_groups"} else state
 
 
 def _unseeded(space: Any) -> Any:
-    """A copy without a generator's state, which other versions of NumPy may not read."""
+    """Return a copy without a random generator, which other versions of NumPy may not read."""
     fresh = copy.deepcopy(space)
     fresh._np_random = None
     for part in getattr(fresh, "spaces", {}).values():
@@ -136,16 +136,8 @@ def _unseeded(space: Any) -> Any:
     return fresh
 
 
-def _roots(names: tuple[str, ...]) -> set[str]:
-    return {name.split(".")[0] for name in names}
-
-
-def _our_packages() -> set[str]:
-    return _roots(tuple(ALGORITHMS.values()))
-
-
 def _pack(stored: io.BytesIO, path: Path) -> None:
-    """Compress what Stable-Baselines3 stores as it is; the same agent gives the same bytes."""
+    """Write the archive compressed and without times, so that equal agents give equal files."""
     with (
         zipfile.ZipFile(stored) as source,
         whole_file(path) as partial,

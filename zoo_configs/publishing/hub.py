@@ -1,4 +1,4 @@
-"""The Hugging Face hub: putting a folder into a repository of its own."""
+"""Upload of a folder to the Hugging Face hub."""
 
 from __future__ import annotations
 
@@ -12,18 +12,13 @@ if TYPE_CHECKING:
 
 
 def connect() -> HfApi:
-    """
-    Log in, before the work whose result is to be uploaded.
-
-    :return: The hub
-    :raises CommandError: if there is no token, or the hub does not answer to it
-    """
+    """Log in to the hub; raise ``CommandError`` without a token that the hub accepts."""
     from huggingface_hub import HfApi, get_token
 
     token = get_token()
     if not token:
         raise CommandError(
-            "no token of the Hugging Face hub: run `hf auth login`, set HF_TOKEN, or write a --folder"
+            "no token of the Hugging Face hub. Run `hf auth login`, set HF_TOKEN, or pass --folder"
         )
     hub = HfApi(token=token)
     with refused("the Hugging Face hub cannot be used"):
@@ -32,33 +27,17 @@ def connect() -> HfApi:
 
 
 def repository(organization: str, name: str) -> str:
-    """
-    The id of a repository.
-
-    :param organization: Organisation, or user
-    :param name: Its name
-    :return: Both
-    :raises CommandError: if the hub takes no such names
-    """
+    """Return the id of a repository; raise ``CommandError`` if the hub does not allow the names."""
     from huggingface_hub.utils import validate_repo_id  # type: ignore[attr-defined]
 
     repo_id = f"{organization}/{name}"
-    with refused(f"--organization, --repo-name: {repo_id} is no repository"):
+    with refused("--organization and --repo-name must be names of the hub"):
         validate_repo_id(repo_id)
     return repo_id
 
 
 def upload(hub: HfApi, folder: Path, repo_id: str, message: str) -> str:
-    """
-    Put what is in a folder into a repository, which is made if it is not there.
-
-    :param hub: The hub
-    :param folder: The folder
-    :param repo_id: The repository
-    :param message: Of the commit
-    :return: The repository's address
-    :raises CommandError: if the hub refuses it, or cannot be reached any more
-    """
+    """Upload the files of a folder to a repository, which is created if needed, and return its address."""
     with refused(f"{repo_id} cannot be written"):
         url = hub.create_repo(repo_id=repo_id, exist_ok=True)
         hub.upload_folder(repo_id=repo_id, folder_path=folder, commit_message=message)

@@ -1,60 +1,138 @@
-"""Agents that come with the package: ``zoo_configs/published/<task>/<baseline>/``."""
+"""Published agents and their cards, in ``zoo_configs/published/<task>/<baseline>/`` or another folder."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import dataclasses
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from zoo_configs.cells.rules import task_name
-from zoo_configs.errors import CommandError
-from zoo_configs.publishing.card import CARD_FILE, Card, read_card
+from zoo_configs.environments import id_core
+from zoo_configs.errors import CommandError, refused, unknown_name
+from zoo_configs.files import whole_file
 
 PUBLISHED_FOLDER = Path(__file__).resolve().parents[1] / "published"
-SEE = "see bulletarm-zoo list --published"
+CARD_FILE = "card.json"
+SUCCEEDED, FAILED = "1", "0"
+
+
+@dataclass(frozen=True)
+class Card:
+    """
+    Description of an agent.
+
+    :param env: Id of the environment
+    :param env_kwargs: Parameters of the environment
+    :param algo: Name of the algorithm
+    :param baseline: Baseline; None for other hyperparameters
+    :param preset: Preset
+    :param benchmark: Benchmark whose parameters the task has
+    :param seed: Seed of the training
+    :param model: ``"best"`` (by the evaluations of the run) or ``"last"``
+    :param timesteps: Time steps of the training
+    :param file: Name of the model file
+    :param weights: Data type of the stored weights
+    :param success: Success rate of the stored agent with its deterministic policy on test scenes
+    :param episodes: Number of test episodes
+    :param interval: Wilson's 95 % interval of the success rate
+    :param mean_return: Mean return of the test episodes
+    :param std_return: Standard deviation of the returns
+    :param test_seed: Seed of the test scenes (``enjoy --seed``)
+    :param outcomes: One character for each test episode: 1 for success, 0 for failure
+    :param evaluations: Evaluations of the run: ``episodes`` and lists ``timesteps`` and ``success``
+    :param minutes: Duration of the training; None if unknown
+    :param command: Command line that repeats the training
+    :param commit: Commit of the training; empty if unknown
+    :param date: Date on which the training ended
+    :param machine: Machine of the training
+    :param versions: Package versions of the training
+    :param measured: ``date``, ``commit``, ``machine``, ``arithmetic`` and ``versions`` of the test; if
+        ``arithmetic`` and ``versions`` are equal, so are the outcomes
+    :param hyperparams: Hyperparameters of the training
+    :param gym_packages: Packages that register the environment, in addition to ours
+    """
+
+    env: str
+    env_kwargs: Mapping[str, Any]
+    algo: str
+    baseline: str | None
+    preset: str | None
+    benchmark: str | None
+    seed: int
+    model: str
+    timesteps: int
+    file: str
+    weights: str
+    success: float
+    episodes: int
+    interval: tuple[float, float]
+    mean_return: float
+    std_return: float
+    test_seed: int
+    outcomes: str
+    evaluations: Mapping[str, Any]
+    minutes: float | None
+    command: str
+    commit: str
+    date: str
+    machine: str
+    versions: Mapping[str, str]
+    measured: Mapping[str, Any]
+    hyperparams: Mapping[str, Any]
+    gym_packages: tuple[str, ...] = ()
+
+    @property
+    def label(self) -> str:
+        """Baseline or, without one, algorithm."""
+        return self.baseline or self.algo
+
+    def write(self, folder: Path) -> None:
+        """Write the card atomically to a folder."""
+        with whole_file(folder / CARD_FILE) as partial:
+            partial.write_text(json.dumps(dataclasses.asdict(self), indent=1) + "\n", encoding="utf-8")
+
+
+def read_card(folder: Path) -> Card:
+    """Read the card in a folder; raise ``CommandError`` if it is missing or incomplete."""
+    path = folder / CARD_FILE
+    if not path.is_file():
+        raise CommandError(f"{folder} is not a folder of an agent: {CARD_FILE} is missing")
+    with refused(f"{path} cannot be read"):
+        content = json.loads(path.read_text(encoding="utf-8"))
+        content["gym_packages"] = tuple(content.get("gym_packages", ()))
+        return Card(**{**content, "interval": tuple(content["interval"])})
 
 
 class Published(NamedTuple):
-    """
-    An agent to load.
-
-    :param folder: Where it stands
-    :param card: What it is and can do
-    """
+    """Folder and card of a published agent."""
 
     folder: Path
     card: Card
 
     @property
     def model_file(self) -> Path:
-        """What its algorithm's ``load`` takes."""
+        """Model file that ``load()`` of the algorithm reads."""
         return self.folder / self.card.file
 
 
 def published_agents(folder: Path = PUBLISHED_FOLDER) -> list[Published]:
-    """
-    Agents that come with the package.
-
-    :param folder: Where they stand
-    :return: The agents, by task and baseline
-    :raises CommandError: if a card cannot be read
-    """
-    return [Published(card.parent, read_card(card.parent)) for card in sorted(_cards(folder))]
-
-
-def _cards(folder: Path) -> Iterator[Path]:
-    return folder.glob(f"*/*/{CARD_FILE}")
+    """Return the published agents in a folder, sorted by task and baseline."""
+    cards = sorted(folder.glob(f"*/*/{CARD_FILE}"))
+    return [Published(card.parent, read_card(card.parent)) for card in cards]
 
 
 def find_published(name: str, baseline: str | None = None) -> Published:
     """
     Find a published agent.
 
-    :param name: Id of an environment, or what it is called without namespace and version; or a folder that
-        ``push --folder`` wrote, or that was downloaded from a hub
-    :param baseline: Its baseline; None takes the one that succeeded most often
+    :param name: Id of an environment, also without namespace and version; or a folder that ``push --folder``
+        wrote or that was downloaded from the hub
+    :param baseline: Its baseline; None selects the agent with the highest success rate
     :return: The agent
-    :raises CommandError: if there is none, with those that there are
+    :raises CommandError: for an unknown name; suggests the nearest one
     """
     if (Path(name) / CARD_FILE).is_file():
         return _of_baseline([Published(Path(name), read_card(Path(name)))], name, baseline)
@@ -63,14 +141,13 @@ def find_published(name: str, baseline: str | None = None) -> Published:
     env_id = names.get(name, name.rpartition(":")[2])
     of_env = [agent for agent in agents if agent.card.env == env_id]
     if not of_env:
-        there = ", ".join(sorted(names)) or "none"
-        raise CommandError(f"no published agent on {name!r}, there are: {there}")
+        raise unknown_name("published agent", name, names, id_core)
     return _of_baseline(of_env, name, baseline)
 
 
 def _of_baseline(agents: Sequence[Published], name: str, baseline: str | None) -> Published:
     fitting = [agent for agent in agents if baseline in (None, agent.card.label)]
     if not fitting:
-        there = ", ".join(agent.card.label for agent in agents)
-        raise CommandError(f"no published agent of {baseline!r} on {name}, there is {there}; {SEE}")
+        labels = [agent.card.label for agent in agents]
+        raise unknown_name(f"baseline of the published agents on {name}:", str(baseline), labels)
     return max(fitting, key=lambda agent: agent.card.success)

@@ -1,1 +1,1 @@
-"""Training one cell: its run folder, rl_zoo3's manager, evaluation and logs."""
+"""Training of one experiment: run folder, trainer, evaluation and logs."""

@@ -1,4 +1,4 @@
-"""One way to train: ``train``, a trial of ``tune`` and a cell of ``benchmark`` all come through here."""
+"""Training of one experiment: the common path of ``train``, ``tune`` and ``benchmark``."""
 
 from __future__ import annotations
 
@@ -7,39 +7,30 @@ from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager, nullcontext
 from dataclasses import replace
 from pathlib import Path
-from uuid import uuid4
 
 import torch as th
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.utils import set_random_seed
 
 from sb3_extensions.common.checkpoint import CheckpointError, latest_checkpoint, latest_valid_checkpoint
-from zoo_configs.algorithms import register_algorithms
 from zoo_configs.arguments import check_device
 from zoo_configs.cells.cell import Cell
 from zoo_configs.cells.validation import check_cell, check_expert_data
-from zoo_configs.environments import check_alike, known_env_id, make_env, register_environments, try_env
+from zoo_configs.environments import known_env_id, make_env, register_environments, try_env
 from zoo_configs.errors import CommandError
 from zoo_configs.files import missing_folders
-from zoo_configs.training.manager import ZooManager
 from zoo_configs.training.options import TrainingOptions
-from zoo_configs.training.runs import (
-    Run,
-    claim_run_folder,
-    clear,
-    discard_if_fruitless,
-    load_run,
-    write_resolved,
-)
-from zoo_configs.training.state import State, held
+from zoo_configs.training.runs import Run, claim_run_folder, clear, discard_if_empty, load_run, write_resolved
+from zoo_configs.training.state import State, run_lock
 from zoo_configs.training.tracking import tracked
+from zoo_configs.training.trainer import Trainer
 
 
 class TrainingInterrupted(KeyboardInterrupt):
     """
-    Ctrl-C has ended a training, whose model is saved.
+    Ctrl-C ended a training, and its model is saved.
 
-    :param run: The run, which can go on
+    :param run: The run, which can be resumed
     """
 
     def __init__(self, run: Run) -> None:
@@ -56,147 +47,159 @@ def train_cell(
     options: TrainingOptions | None = None,
     at: str | Path | None = None,
     gym_packages: Sequence[str] = (),
-    any_demonstrations: bool = False,
+    allow_mismatched_demos: bool = False,
     callbacks: Sequence[BaseCallback] = (),
     progress: bool = False,
 ) -> Run:
     """
-    Train one cell in a run folder.
+    Train one experiment in a run folder.
 
-    With ``at`` the run folder is chosen, and calling again goes on: what is done there is returned, what was
-    killed goes on from its last checkpoint or begins anew. Without it a new folder is claimed, of which
-    nothing is left if the run fails before it has a model or a checkpoint.
+    With ``at``, a repeated call continues: a finished run is returned, and a killed one resumes from its last
+    checkpoint or starts again. Without ``at``, a new folder is created, which is removed if the run fails
+    before it has a model or a checkpoint.
 
-    :param cell: The cell, as from :func:`zoo_configs.cells.cell.resolve`
+    :param cell: The experiment, as from :func:`zoo_configs.cells.cell.resolve`
     :param seed: Seed of model and environments
     :param device: PyTorch device
     :param folder: Log folder
-    :param options: How it is trained, default what the cell says
+    :param options: Options of the training, None for those of the preset
     :param at: Run folder
-    :param gym_packages: Packages that register the environment, besides our own
-    :param any_demonstrations: Whether a file of demonstrations may be of another environment
-    :param callbacks: At work beside checkpoints and evaluation
+    :param gym_packages: Packages that register the environment, in addition to ours
+    :param allow_mismatched_demos: Whether ``expert_data`` may come from another environment
+    :param callbacks: Callbacks in addition to those of the options
     :param progress: Whether to show a progress bar
-    :return: The run, trained
-    :raises CommandError: for what cannot be trained; nothing is changed then
-    :raises KeyboardInterrupt: after Ctrl-C, once the model is saved
+    :return: The trained run
+    :raises CommandError: for an experiment that cannot be trained; no file has changed then
+    :raises KeyboardInterrupt: after Ctrl-C, when the model is saved
     """
     register_environments(gym_packages)
     run = Run(Path(), cell, seed, device, options or TrainingOptions.of(cell), tuple(gym_packages))
-    check_run(run, any_demonstrations)
+    check_run(run, allow_mismatched_demos)
     if at is not None:
         return _train_at(replace(run, folder=Path(at)), callbacks, progress)
     logs = Path(folder) / cell.algo
-    made = missing_folders(logs)
-    claimed = claim_run_folder(logs, cell.env_id, f"_{uuid4()}" if run.options.uuid else "")
-    run = replace(run, folder=claimed)
+    created = missing_folders(logs)
+    run = replace(run, folder=claim_run_folder(logs, cell.env_id))
     try:
         write_resolved(run)
         return _train(run, None, callbacks, progress)
     except BaseException:
-        discard_if_fruitless(run, made)
+        discard_if_empty(run, created)
         raise
 
 
 def resume_run(run: Run, callbacks: Sequence[BaseCallback] = (), progress: bool = False) -> Run:
     """
-    Go on with a run from its newest whole checkpoint.
+    Resume a run from its latest valid checkpoint.
 
-    :param run: The run; its options and device may differ from those that it was begun with
-    :param callbacks: At work beside checkpoints and evaluation
+    :param run: The run; its options and device can differ from those at the start
+    :param callbacks: Callbacks in addition to those of the options
     :param progress: Whether to show a progress bar
-    :return: The run, trained
-    :raises CommandError: if there is no whole checkpoint, or the run is done
-    :raises KeyboardInterrupt: after Ctrl-C, once the model is saved
+    :return: The trained run
+    :raises CommandError: if there is no valid checkpoint, or the run is finished
+    :raises KeyboardInterrupt: after Ctrl-C, when the model is saved
     """
     register_environments(run.gym_packages)
     known_env_id(run.cell.env_id)
+    begun = load_run(run.folder).options.eval_episodes
+    if run.evaluations_file.is_file() and run.options.eval_episodes != begun:
+        raise CommandError(f"eval_episodes must be {begun} as at the start, got {run.options.eval_episodes}")
     check_run(run, resumed=True)
-    return _train(run, _newest_checkpoint(run), callbacks, progress)
+    checkpoint = _latest_checkpoint(run)
+    status, steps = run.status, _timesteps(checkpoint)
+    if status is not None and status.state is State.DONE and steps >= run.n_timesteps:
+        done = f"run {run.folder} is already finished ({steps} of {run.n_timesteps} steps)"
+        raise CommandError(f"{done}. Pass a larger -n to continue.")
+    return _train(run, checkpoint, callbacks, progress)
 
 
-def check_run(run: Run, any_demonstrations: bool = False, resumed: bool = False) -> None:
+def check_run(run: Run, allow_mismatched_demos: bool = False, resumed: bool = False) -> None:
     """
-    Look whether a run can be trained, before anything is built.
+    Check that a run can be trained, before anything is built.
 
     :param run: The run
-    :param any_demonstrations: Whether a file of demonstrations may be of another environment
-    :param resumed: Whether it has its demonstrations already
-    :raises CommandError: if not, with the reason
+    :param allow_mismatched_demos: Whether ``expert_data`` may come from another environment
+    :param resumed: Whether its replay buffer already contains the demonstrations
+    :raises CommandError: if it cannot
     """
-    cell, options = run.cell, run.options
-    check_cell(cell)
+    check_cell(run.cell)
     check_device(run.device)
-    env_kwargs = cell.hyperparams.get("env_kwargs", {})
-    try_env(cell.env_id, env_kwargs)
-    with closing(make_env(cell.env_id, env_kwargs)) as env:
-        if options.eval_env_kwargs:
-            with closing(make_env(cell.env_id, {**env_kwargs, **options.eval_env_kwargs})) as eval_env:
-                check_alike(eval_env, env, "--eval-env-kwargs")
-        if not resumed:
-            check_expert_data(cell, env, any_demonstrations)
-
-
-def _train_at(run: Run, callbacks: Sequence[BaseCallback], progress: bool) -> Run:
-    """Begin, go on, or return what is done."""
-    if run.resolved_file.is_file():
-        check_same(load_run(run.folder), run)
-    standing = run.standing
-    if standing is not None and standing.state is State.DONE:
-        return run
-    run.folder.mkdir(parents=True, exist_ok=True)
-    if latest_checkpoint(run.checkpoint_folder) is not None:
-        return _train(run, _newest_checkpoint(run), callbacks, progress)
-    write_resolved(run)
-    return _train(run, None, callbacks, progress)
+    env_kwargs = run.cell.hyperparams.get("env_kwargs", {})
+    try_env(run.cell.env_id, env_kwargs)
+    if not resumed:
+        with closing(make_env(run.cell.env_id, env_kwargs)) as env:
+            check_expert_data(run.cell, env, allow_mismatched_demos)
 
 
 def check_same(found: Run, wanted: Run) -> None:
     """
-    Look whether what is in a folder is a part of the run that is to be trained there.
+    Check that a run folder contains the run that is to be trained there.
 
-    :param found: What is there
-    :param wanted: What is to be trained
-    :raises CommandError: if its cell or its seed is another
+    :param found: The run in the folder
+    :param wanted: The run to train
+    :raises CommandError: if the experiment or the seed differs
     """
     for name in ("algo", "env_id", "hyperparams", "benchmark"):
         if getattr(found.cell, name) != getattr(wanted.cell, name):
-            raise CommandError(f"{found.folder} holds a run with other {name}: take another folder")
+            raise CommandError(f"{found.folder} has a run with different {name}. Use another folder.")
     if found.seed != wanted.seed:
-        raise CommandError(f"{found.folder} holds a run with seed {found.seed}, not {wanted.seed}")
+        raise CommandError(f"{found.folder} has a run with seed {found.seed}, not {wanted.seed}")
 
 
-def _newest_checkpoint(run: Run) -> Path:
-    """The newest checkpoint that is whole."""
+def _train_at(run: Run, callbacks: Sequence[BaseCallback], progress: bool) -> Run:
+    """Start or resume a run in its folder, or return a finished one."""
+    if run.resolved_file.is_file():
+        check_same(load_run(run.folder), run)
+    status = run.status
+    if status is not None and status.state is State.DONE:
+        return run
+    run.folder.mkdir(parents=True, exist_ok=True)
+    if latest_checkpoint(run.checkpoint_folder) is not None:
+        return _train(run, _latest_checkpoint(run), callbacks, progress)
+    write_resolved(run)
+    return _train(run, None, callbacks, progress)
+
+
+def _latest_checkpoint(run: Run) -> Path:
+    """
+    Return the latest valid checkpoint, and report damaged later ones.
+
+    :raises CommandError: if there is none
+    """
     try:
         checkpoint, damaged = latest_valid_checkpoint(run.checkpoint_folder)
     except CheckpointError as error:
         raise CommandError(str(error)) from error
     for damage in damaged:
-        print(f"{damage}; going on from {checkpoint}", file=sys.stderr)
+        print(f"{damage}. Resuming from {checkpoint}", file=sys.stderr)
     return checkpoint
 
 
+def _timesteps(checkpoint: Path) -> int:
+    """Return the time steps of a checkpoint, from its name."""
+    return int(checkpoint.name.split("_")[1])
+
+
 def _train(run: Run, checkpoint: Path | None, callbacks: Sequence[BaseCallback], progress: bool) -> Run:
-    register_algorithms()
-    logging = tracked(run) if run.options.track else nullcontext(run)
-    with held(run.folder, checkpoint) as done, _threads(run.options.num_threads), logging as logged:
+    tracking = tracked(run) if run.options.track else nullcontext(run)
+    with run_lock(run.folder, checkpoint), _threads(run.options.num_threads), tracking as logged:
         if checkpoint is None:
             clear(run)
         set_random_seed(run.seed)
-        manager = ZooManager(logged, checkpoint, callbacks, progress, done)
-        built = manager.setup_experiment()
-        assert built is not None  # it is only where rl_zoo3 searches for hyperparameters
-        manager.learn(built[0])
-        manager.save_trained_model(built[0])
-        if manager.interrupted:
+        with closing(Trainer(logged, checkpoint, callbacks, progress)) as trainer:
+            trainer.write_configuration()
+            if run.options.verbose:
+                print(f"Training in {run.folder}", flush=True)
+            finished = trainer.learn()
+            trainer.save()
+        if not finished:
             raise TrainingInterrupted(run)
     return run
 
 
 @contextmanager
 def _threads(number: int) -> Iterator[None]:
-    """Threads of PyTorch while a run is trained."""
+    """Set the number of PyTorch's threads for a training."""
     before = th.get_num_threads()
     if number > 0:
         th.set_num_threads(number)

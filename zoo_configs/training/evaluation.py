@@ -2,100 +2,116 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from stable_baselines3.common.callbacks import EvalCallback
-from stable_baselines3.common.vec_env import VecEnv
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.evaluation import evaluate_policy
+from stable_baselines3.common.vec_env import VecEnv, sync_envs_normalization
 
 from sb3_extensions.equivariant.layers import expanded_filters
-from zoo_configs.training.runs import BEST_MODEL_FILE, EVALUATIONS_FILE
+from zoo_configs.files import whole_file
+from zoo_configs.training.runs import Run
 from zoo_configs.training.seeds import SeedStream, stream_seed
 from zoo_configs.training.training_log import training_time
 
-# Files are written here first, then moved into the run folder.
-SCRATCH_FOLDER = ".evaluation"
 
-
-class PeriodicEvaluation(EvalCallback):
+class PeriodicEvaluation(BaseCallback):
     """
-    Evaluates on scenes of its own, fresh at every evaluation, and keeps the best model.
+    Evaluates the policy on new scenes every ``eval_freq`` time steps and saves the best model.
 
-    The scenes depend on the seed and the time step alone: a resumed run is evaluated on the same ones. Of two
-    equally good models the later one is kept. Files appear whole in the run folder; what an earlier part of
-    the run evaluated is carried on. Pretraining is evaluated as well, at as many time steps before 0 as
-    gradient steps of it are left.
+    The scenes depend only on the seed and the time step, so that a resumed run has the same ones. Of two
+    equally good models the later one is kept. Files have Stable-Baselines3's format and are written
+    atomically. A resumed run keeps the evaluations before its checkpoint. The pretraining is evaluated as
+    well, with a negative time step: minus the number of its remaining gradient steps.
 
-    :param eval_env: Environments for evaluation
-    :param run_folder: Folder for ``evaluations.npz`` and ``best_model.zip``
-    :param seed: Seed of the run
-    :param kwargs: Passed on to Stable-Baselines3's ``EvalCallback``
+    :param run: The run
+    :param env: Environments for evaluation
+    :param verbose: 1 prints a line for each evaluation
     """
 
-    def __init__(self, eval_env: VecEnv, run_folder: Path, seed: int, **kwargs: Any) -> None:
-        scratch = run_folder / SCRATCH_FOLDER
-        super().__init__(eval_env, log_path=str(scratch), best_model_save_path=str(scratch), **kwargs)
-        self.run_folder = run_folder
-        self.seed = seed
-        self._evaluated_pretraining = 0  # gradient steps at the latest evaluation of the pretraining
+    def __init__(self, run: Run, env: VecEnv, verbose: int = 0) -> None:
+        super().__init__(verbose)
+        self.run, self.env = run, env
+        self.episodes, self.freq = run.options.eval_episodes, run.options.eval_freq
+        self._arrays: dict[str, list[Any]] = {"timesteps": [], "results": [], "ep_lengths": []}
+        self._best = -np.inf
+        self._evaluated_pretraining = 0
+        """Gradient steps of the pretraining at its latest evaluation."""
 
     def _init_callback(self) -> None:
-        super()._init_callback()
-        self.n_calls = self.model.num_timesteps // self.training_env.num_envs
-        self._carry_on()
-
-    def _carry_on(self) -> None:
-        """Take over the evaluations made before the checkpoint that training goes on from."""
-        path = self.run_folder / EVALUATIONS_FILE
-        if not path.is_file():
+        self._calls = max(self.freq // self.training_env.num_envs, 1)
+        if not self.run.evaluations_file.is_file():
             return
-        with np.load(path) as saved:
+        with np.load(self.run.evaluations_file) as saved:
             known = saved["timesteps"] <= training_time(self)
-            self.evaluations_timesteps = saved["timesteps"][known].tolist()
-            self.evaluations_results = saved["results"][known].tolist()
-            self.evaluations_length = saved["ep_lengths"][known].tolist()
-            if "successes" in saved:
-                self.evaluations_successes = saved["successes"][known].tolist()
-        if self.evaluations_timesteps and self.evaluations_timesteps[-1] == training_time(self):
+            self._arrays = {name: list(saved[name][known]) for name in saved}
+        if self._arrays["timesteps"] and self._arrays["timesteps"][-1] == training_time(self):
             self._evaluated_pretraining = getattr(self.model, "n_pretrained", 0)
-        if self.evaluations_results:
-            self.best_mean_reward = float(np.mean(self.evaluations_results, axis=1).max())
+        self._best = max((float(np.mean(returns)) for returns in self._arrays["results"]), default=-np.inf)
 
     def _on_step(self) -> bool:
-        if self.eval_freq <= 0 or self.n_calls % self.eval_freq != 0:
-            return True
-        return self._evaluate(stream_seed(self.seed, SeedStream.EVALUATION, self.num_timesteps))
+        if (self.num_timesteps // self.training_env.num_envs) % self._calls == 0:
+            self._evaluate(stream_seed(self.run.seed, SeedStream.EVALUATION, self.num_timesteps))
+        return True
 
     def _on_rollout_start(self) -> None:
         pretrained: int = getattr(self.model, "n_pretrained", 0)
         if self.model.num_timesteps or not pretrained or pretrained == self._evaluated_pretraining:
             return
-        if pretrained % self.eval_freq == 0 or training_time(self) == 0:
+        if pretrained % self._calls == 0 or training_time(self) == 0:
             self._evaluated_pretraining = pretrained
-            self.num_timesteps = training_time(self)
-            self._evaluate(stream_seed(self.seed, SeedStream.PRETRAINING, pretrained))
-            self.num_timesteps = 0
+            self._evaluate(stream_seed(self.run.seed, SeedStream.PRETRAINING, pretrained))
 
-    def _evaluate(self, seed: int) -> bool:
-        """Evaluate now, on the scenes of a seed; returns whether training shall go on."""
-        self.eval_env.seed(seed)
-        self.best_mean_reward = float(np.nextafter(self.best_mean_reward, -np.inf))  # a tie is a new best
-        calls, self.n_calls = self.n_calls, 0  # the parent evaluates when the calls divide by its frequency
+    def _evaluate(self, seed: int) -> None:
+        self.env.seed(seed)
+        if self.model.get_vec_normalize_env() is not None:
+            sync_envs_normalization(self.training_env, self.env)
+        successes: list[bool] = []
+
+        def note(local: dict[str, Any], _: dict[str, Any]) -> None:
+            if local["done"] and "is_success" in local["info"]:
+                successes.append(bool(local["info"]["is_success"]))
+
         with expanded_filters(self.model.policy):
-            proceed = super()._on_step()
-        self.n_calls = calls
-        for name in (EVALUATIONS_FILE, BEST_MODEL_FILE):
-            self._publish(name)
-        return proceed
+            returns, lengths = evaluate_policy(
+                self.model, self.env, self.episodes, return_episode_rewards=True, callback=note
+            )
+        assert isinstance(returns, list) and isinstance(lengths, list)
+        self._record(returns, lengths, successes)
 
-    def _publish(self, name: str) -> None:
-        written = self.run_folder / SCRATCH_FOLDER / name
-        if written.exists():
-            os.replace(written, self.run_folder / name)
+    def _record(self, returns: list[float], lengths: list[int], successes: list[bool]) -> None:
+        """Log an evaluation, append it to the file, and save the model if it is the best."""
+        time, mean = training_time(self), float(np.mean(returns))
+        row = {"timesteps": time, "results": returns, "ep_lengths": lengths}
+        figures = {"mean_reward": mean, "mean_ep_length": float(np.mean(lengths))}
+        if successes:
+            row["successes"] = successes
+            figures["success_rate"] = float(np.mean(successes))
+        for name, value in row.items():
+            self._arrays.setdefault(name, []).append(value)
+        _write(self.run.evaluations_file, self._arrays)
+        for name, value in figures.items():
+            self.logger.record(f"eval/{name}", value)
+        self.logger.record("time/total_timesteps", time, exclude="tensorboard")
+        self.logger.dump(time)
+        is_best = mean >= self._best
+        if self.verbose >= 1:
+            text = ", ".join(f"{name} {value:.2f}" for name, value in figures.items())
+            print(f"Evaluation at time step {time}: {text}{', the best so far' if is_best else ''}")
+        if is_best:
+            self._best = mean
+            self._save_best()
 
-    def _on_training_end(self) -> None:
-        scratch = self.run_folder / SCRATCH_FOLDER
-        if scratch.is_dir() and not any(scratch.iterdir()):
-            scratch.rmdir()
+    def _save_best(self) -> None:
+        with whole_file(self.run.best_model) as partial:
+            self.model.save(partial)
+        if (statistics := self.model.get_vec_normalize_env()) is not None:
+            with whole_file(self.run.statistics_file) as partial:
+                statistics.save(str(partial))
+
+
+def _write(path: Path, arrays: dict[str, list[Any]]) -> None:
+    with whole_file(path) as partial:
+        np.savez(partial, **{name: np.asarray(values) for name, values in arrays.items()})  # type: ignore[arg-type]

@@ -1,17 +1,18 @@
-"""Where an agent comes from: what its run says of itself."""
+"""How an agent was trained, from its run folder."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from datetime import datetime, timezone
 from typing import Any, NamedTuple
 
-import yaml
-
+from zoo_configs.arguments import key_value_words
 from zoo_configs.errors import refused
-from zoo_configs.training.repeating import repeating_command
+from zoo_configs.provenance import command_line
+from zoo_configs.training.options import TrainingOptions
 from zoo_configs.training.runs import RUN_KEY, Run
+from zoo_configs.yaml_files import read_yaml
 
 SECONDS_A_MINUTE = 60.0
 
@@ -20,12 +21,12 @@ class Origin(NamedTuple):
     """
     How an agent was trained.
 
-    :param minutes: How long; None if the run does not say
-    :param command: Trains it again
-    :param commit: It was trained with; empty if the run does not say
-    :param date: Of the end of the training
-    :param machine: It was trained on
-    :param versions: It was trained with
+    :param minutes: Training time, None if unknown
+    :param command: Command line that trains it again
+    :param commit: Commit of the code, empty if unknown
+    :param date: Date of the end of the training
+    :param machine: Processor and GPU
+    :param versions: Versions of packages
     """
 
     minutes: float | None
@@ -38,16 +39,16 @@ class Origin(NamedTuple):
 
 def origin_of(run: Run, commit: str = "") -> Origin:
     """
-    What a run says of itself.
+    Read how a run was trained.
 
     :param run: The run
-    :param commit: It was trained with, for runs that do not say it
+    :param commit: Commit of the code, for runs that do not record it
     :return: How it was trained
     :raises CommandError: if its folder cannot be read
     """
     with refused(f"{run.resolved_file} cannot be read"):
-        about: dict[str, Any] = yaml.safe_load(run.resolved_file.read_text(encoding="utf-8"))[RUN_KEY]
-    how = run.standing
+        about: dict[str, Any] = read_yaml(run.resolved_file)[RUN_KEY]
+    how = run.status
     return Origin(
         minutes=None if how is None else round(how.seconds / SECONDS_A_MINUTE, 1),
         command=repeating_command(run),
@@ -58,11 +59,44 @@ def origin_of(run: Run, commit: str = "") -> Origin:
     )
 
 
+def repeating_command(run: Run) -> str:
+    """
+    Return the command line that trains a run again.
+
+    :param run: The run
+    :return: The command line
+    """
+    cell = run.cell
+    words = ["bulletarm-zoo", "train", "--env", cell.env_id, "--seed", str(run.seed)]
+    if cell.baseline is None:
+        words += ["--conf-file", str(run.resolved_file), "--algo", cell.algo]
+    else:
+        words += ["--baseline", cell.baseline, "--preset", str(cell.preset)]
+        words += ["--benchmark", cell.benchmark] if cell.benchmark else []
+    words += [] if run.device == "auto" else ["--device", run.device]
+    words += ["--gym-packages", ",".join(run.gym_packages)] if run.gym_packages else []
+    words += _options(run)
+    env_kwargs = cell.overrides.get("env_kwargs", {})
+    others = {name: value for name, value in cell.overrides.items() if name != "env_kwargs"}
+    words += ["--env-kwargs", *key_value_words(env_kwargs)] if env_kwargs else []
+    words += ["-params", *key_value_words(others)] if others else []
+    return command_line(words)
+
+
+def _options(run: Run) -> Iterator[str]:
+    """Options that differ from the preset's."""
+    preset = TrainingOptions.of(run.cell).plain()
+    for name, value in run.options.plain().items():
+        if value != preset[name]:
+            yield f"--{name.replace('_', '-')}"
+            yield from () if value is True else (str(value),)
+
+
 def day(seconds: float) -> str:
     """
-    A date.
+    Return a date.
 
-    :param seconds: Since 1970
+    :param seconds: Seconds since 1970
     :return: Year, month and day, in UTC
     """
     return datetime.fromtimestamp(seconds, timezone.utc).date().isoformat()

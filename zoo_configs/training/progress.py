@@ -1,4 +1,4 @@
-"""The progress bar of a training."""
+"""Progress bar of a training."""
 
 from __future__ import annotations
 
@@ -10,10 +10,15 @@ from tqdm.rich import tqdm
 
 
 class TrainingBar(ProgressBarCallback):
-    """Stable-Baselines3's bar on the error output, as all other bars: the output may be a file."""
+    """Stable-Baselines3's progress bar on the standard error."""
 
     def _on_training_start(self) -> None:
-        # Above the bar is what is printed meanwhile, where both are on one terminal.
+        # On a terminal, printed lines appear above the bar.
         options = {"console": Console(stderr=True), "redirect_stdout": sys.stdout.isatty()}
         left = self.locals["total_timesteps"] - self.model.num_timesteps
         self.pbar = tqdm(total=left, options=options)
+
+    def close(self) -> None:
+        """Remove the bar after an interruption."""
+        if hasattr(self, "pbar"):
+            self.pbar.close()

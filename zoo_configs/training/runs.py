@@ -1,37 +1,32 @@
-"""Run folders, laid out as rl_zoo3 does: ``<log folder>/<algo>/<env>_<number>``, with one resolved YAML."""
+"""Run folders in rl_zoo3's layout, ``<log folder>/<algo>/<env>_<number>``."""
 
 from __future__ import annotations
 
+import re
 import shutil
 import sys
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
-
-import yaml
-from rl_zoo3.utils import get_latest_run_id, get_saved_hyperparams
 
 from zoo_configs.cells.cell import Cell
 from zoo_configs.errors import CommandError, reason, refused
-from zoo_configs.files import remove_empty, whole_file
-from zoo_configs.measuring.machine import describe_hardware, versions
-from zoo_configs.measuring.provenance import commit
+from zoo_configs.files import remove_empty
+from zoo_configs.provenance import commit, describe_hardware, versions
 from zoo_configs.training.options import TrainingOptions
-from zoo_configs.training.state import Standing, standing
+from zoo_configs.training.state import RunStatus, run_status
+from zoo_configs.yaml_files import read_yaml, write_yaml
 
 RESOLVED_FILE = "hyperparams.yml"
-CONFIG_FILE = "config.yml"  # rl_zoo3's
 EVALUATIONS_FILE = "evaluations.npz"
 TRAINING_LOG_FILE = "training.csv"
 BEST_MODEL_FILE = "best_model.zip"
 CHECKPOINT_FOLDER = "checkpoints"
-# In the log folder, for all its runs.
-# Of a benchmark's run folders, <folder>/<task>/<baseline>/seed_<n>.
 SEED_PREFIX = "seed_"
+"""Start of the names of a benchmark's run folders, ``<folder>/<task>/<baseline>/seed_<n>``."""
 CURVE_FILE = "learning_curve.png"
-# The key of the resolved file beside the environment's section; rl_zoo3 does not read it.
 RUN_KEY = "run"
+"""Key of the resolved file next to the environment's section; rl_zoo3 does not read it."""
 
 
 @dataclass(frozen=True)
@@ -40,11 +35,11 @@ class Run:
     A training run on disk.
 
     :param folder: Its folder
-    :param cell: What was trained
-    :param seed: Of model and environments
+    :param cell: The trained experiment
+    :param seed: Seed of model and environments
     :param device: PyTorch device
     :param options: How it was trained
-    :param gym_packages: Packages that register the environment, besides our own
+    :param gym_packages: Packages that register the environment, in addition to ours
     """
 
     folder: Path
@@ -56,38 +51,53 @@ class Run:
 
     @property
     def number(self) -> int:
-        """Number of the run among those of its algorithm and environment, 0 for a folder named otherwise."""
-        digits = self.folder.name.removeprefix(f"{env_folder_name(self.cell.env_id)}_").partition("_")[0]
-        return int(digits) if digits.isdigit() else 0
+        """Number of the run for its algorithm and environment, 0 for a folder with another name."""
+        return _run_number(self.folder, self.cell.env_id)
+
+    @property
+    def n_timesteps(self) -> int:
+        """Number of time steps to train."""
+        wanted = self.options.n_timesteps
+        return wanted if wanted > 0 else int(self.cell.hyperparams["n_timesteps"])
 
     @property
     def resolved_file(self) -> Path:
-        """The YAML that rl_zoo3 reads as its ``--conf-file``."""
+        """The YAML file that rl_zoo3 reads as its ``--conf-file``."""
         return self.folder / RESOLVED_FILE
 
     @property
     def params_folder(self) -> Path:
-        """Folder in which rl_zoo3 keeps the configuration."""
+        """Folder of rl_zoo3's configuration."""
         return self.folder / env_folder_name(self.cell.env_id)
 
     @property
+    def config_file(self) -> Path:
+        """Hyperparameters for rl_zoo3."""
+        return self.params_folder / "config.yml"
+
+    @property
+    def statistics_file(self) -> Path:
+        """Statistics of ``VecNormalize``."""
+        return self.params_folder / "vecnormalize.pkl"
+
+    @property
     def last_model(self) -> Path:
-        """The model as training left it."""
+        """The model at the end of the training."""
         return self.folder / f"{env_folder_name(self.cell.env_id)}.zip"
 
     @property
     def best_model(self) -> Path:
-        """The model that did best in a periodic evaluation."""
+        """The model of the best periodic evaluation."""
         return self.folder / BEST_MODEL_FILE
 
     @property
     def has_model(self) -> bool:
-        """Whether there is something to act with."""
+        """True if a model is saved."""
         return self.best_model.is_file() or self.last_model.is_file()
 
     @property
     def checkpoint_folder(self) -> Path:
-        """Folder of what training goes on from."""
+        """Folder of the checkpoints."""
         return self.folder / CHECKPOINT_FOLDER
 
     @property
@@ -97,53 +107,38 @@ class Run:
 
     @property
     def training_log(self) -> Path:
-        """What the algorithm logged of its updates."""
+        """Values that the algorithm logged with its updates."""
         return self.folder / TRAINING_LOG_FILE
 
     @property
-    def standing(self) -> Standing | None:
-        """How it stands: running, done, failed or killed; None if no training has begun."""
-        return standing(self.folder)
-
-    def saved_hyperparams(self) -> tuple[dict[str, Any], str | None]:
-        """
-        Hyperparameters as trained with, prepared by rl_zoo3 for rebuilding the environment.
-
-        :return: The hyperparameters and the folder of normalisation statistics
-        :raises CommandError: if they are missing
-        """
-        if not (self.params_folder / CONFIG_FILE).is_file():
-            raise CommandError(f"{self.folder} is not whole: {self.params_folder / CONFIG_FILE} is missing")
-        with refused(f"{self.params_folder / CONFIG_FILE} cannot be read"):
-            hyperparams, stats_path = get_saved_hyperparams(str(self.params_folder), test_mode=True)
-        return dict(hyperparams), stats_path
+    def status(self) -> RunStatus | None:
+        """Its status, None before the training."""
+        return run_status(self.folder)
 
 
 def env_folder_name(env_id: str) -> str:
     """
-    An id as part of a file name, as rl_zoo3 spells it.
+    Return an environment's id as part of a file name, as in rl_zoo3.
 
     :param env_id: Id of the environment
-    :return: The id with dashes for slashes
+    :return: The id with dashes instead of slashes
     """
     return env_id.replace("/", "-")
 
 
-def claim_run_folder(log_folder: Path, env_id: str, suffix: str = "") -> Path:
+def claim_run_folder(log_folder: Path, env_id: str) -> Path:
     """
-    Create the next numbered run folder; two runs that start together get different ones.
+    Create the next numbered run folder. Two runs that start at the same time get different folders.
 
     :param log_folder: Folder of the algorithm's runs
     :param env_id: Id of the environment
-    :param suffix: What follows the number
     :return: The new, empty folder
     """
     log_folder.mkdir(parents=True, exist_ok=True)
-    name = env_folder_name(env_id)
-    number = get_latest_run_id(str(log_folder), name)
+    number = max((_run_number(path, env_id) for path in log_folder.iterdir()), default=0)
     while True:
         number += 1
-        folder = log_folder / f"{name}_{number}{suffix}"
+        folder = log_folder / f"{env_folder_name(env_id)}_{number}"
         try:
             folder.mkdir()  # atomic: fails if another process was first
         except FileExistsError:
@@ -151,18 +146,25 @@ def claim_run_folder(log_folder: Path, env_id: str, suffix: str = "") -> Path:
         return folder
 
 
-def write_resolved(run: Run) -> Path:
+def _run_number(folder: Path, env_id: str) -> int:
+    found = re.fullmatch(rf"{re.escape(env_folder_name(env_id))}_(\d+)", folder.name)
+    return int(found[1]) if found else 0
+
+
+def write_resolved(run: Run) -> None:
     """
-    Write a run's resolved hyperparameters, in the form that rl_zoo3 takes as ``--conf-file``.
+    Write the configuration of a run, in the form of rl_zoo3's ``--conf-file``.
 
     :param run: The run
-    :return: The file
     """
+    cell = run.cell
     about = {
-        "algo": run.cell.algo,
-        "baseline": run.cell.baseline,
-        "preset": run.cell.preset,
-        "benchmark": run.cell.benchmark,
+        "algo": cell.algo,
+        "baseline": cell.baseline,
+        "preset": cell.preset,
+        "benchmark": cell.benchmark,
+        "overrides": cell.overrides,
+        "flags": cell.flags,
         "seed": run.seed,
         "device": run.device,
         "options": run.options.plain(),
@@ -171,10 +173,7 @@ def write_resolved(run: Run) -> Path:
         "versions": versions(),
         "machine": describe_hardware(run.device),
     }
-    path = run.resolved_file
-    with whole_file(path) as partial, partial.open("w", encoding="utf-8") as file:
-        yaml.safe_dump({RUN_KEY: about, run.cell.env_id: run.cell.hyperparams}, file, sort_keys=False)
-    return path
+    write_yaml(run.resolved_file, {RUN_KEY: about, cell.env_id: cell.hyperparams})
 
 
 def load_run(folder: Path) -> Run:
@@ -183,46 +182,44 @@ def load_run(folder: Path) -> Run:
 
     :param folder: The folder
     :return: The run
-    :raises CommandError: if it is not a run folder of this command line
+    :raises CommandError: if it is not a run folder of this version
     """
     path = folder / RESOLVED_FILE
     if not path.is_file():
-        raise CommandError(f"{folder} is no run folder: it has no {RESOLVED_FILE}")
+        raise CommandError(f"{folder} is not a run folder: it has no {RESOLVED_FILE}")
+    content = read_yaml(path)
     with refused(f"{path} cannot be read"):
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
         about = content.pop(RUN_KEY)
         ((env_id, hyperparams),) = content.items()
-        named = {key: about.get(key) for key in ("baseline", "preset", "benchmark")}
-        cell = Cell(about["algo"], env_id, dict(hyperparams), {}, **named)
-        options = TrainingOptions.from_plain(about["options"])
-        packages = tuple(about.get("gym_packages", ()))
+        named = {key: about[key] for key in ("baseline", "preset", "benchmark", "overrides", "flags")}
+        cell = Cell(about["algo"], env_id, dict(hyperparams), **named)
+        options, packages = TrainingOptions(**about["options"]), tuple(about["gym_packages"])
         return Run(folder, cell, about["seed"], about["device"], options, packages)
 
 
 def find_runs(log_folder: Path, env_id: str | None = None) -> list[Run]:
     """
-    Runs in a log folder; one that cannot be read is told and left out.
+    Find the runs in a log folder. A folder that cannot be read is skipped with a message.
 
-    :param log_folder: The folder given as ``-f`` to ``train`` or ``benchmark``
-    :param env_id: Id of the environment, default all
+    :param log_folder: The folder passed as ``-f`` to ``train`` or ``benchmark``
+    :param env_id: Id of the environment, None for all
     :return: The runs of all algorithms, oldest first
     """
     name = "*" if env_id is None else env_folder_name(env_id)
     patterns = (f"*/{name}_*/{RESOLVED_FILE}", f"*/*/{SEED_PREFIX}*/{RESOLVED_FILE}")
     files = [path for pattern in patterns for path in log_folder.glob(pattern)]
-    newest_last = sorted(files, key=lambda path: (path.stat().st_mtime_ns, path.parent.name))
     runs = []
-    for path in newest_last:
+    for path in sorted(files, key=lambda path: (path.stat().st_mtime_ns, path.parent.name)):
         try:
             runs.append(load_run(path.parent))
         except CommandError as error:
-            print(f"left out: {reason(error)}", file=sys.stderr)
+            print(f"skipped: {reason(error)}", file=sys.stderr)
     return [run for run in runs if env_id in (None, run.cell.env_id)]
 
 
 def clear(run: Run) -> None:
     """
-    Remove what a run has left that was killed before its first checkpoint, and begins anew.
+    Remove the files of a run that was killed before its first checkpoint and starts again.
 
     :param run: The run
     """
@@ -232,16 +229,16 @@ def clear(run: Run) -> None:
         path.unlink(missing_ok=True)
 
 
-def discard_if_fruitless(run: Run, made: Iterable[Path]) -> None:
+def discard_if_empty(run: Run, created: Iterable[Path]) -> None:
     """
     Remove the folder of a run that failed before it had a model or a checkpoint.
 
     :param run: The run
-    :param made: Folders above it that were made for it, innermost first; those that are empty go too
+    :param created: Folders around it that were created for it, innermost first, which are removed if empty
     """
     from sb3_extensions.common.checkpoint import latest_checkpoint  # loads PyTorch
 
     if run.has_model or latest_checkpoint(run.checkpoint_folder) is not None:
         return
     shutil.rmtree(run.folder, ignore_errors=True)
-    remove_empty(made)
+    remove_empty(created)

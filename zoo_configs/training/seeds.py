@@ -1,4 +1,4 @@
-"""Independent streams of environment seeds: an evaluation shows an agent no scene it was trained on."""
+"""Independent streams of seeds, so that evaluation scenes differ from training scenes."""
 
 from __future__ import annotations
 
@@ -8,21 +8,21 @@ import numpy as np
 
 
 class SeedStream(IntEnum):
-    """What the environments of a stream are for; training itself uses the run's seed as it is."""
+    """Purpose of a stream. Training itself uses the run's seed."""
 
     EVALUATION = 1
     TEST = 2
     PRETRAINING = 3
-    SAMPLER = 4  # of a study
+    SAMPLER = 4
 
 
 def stream_seed(seed: int, stream: SeedStream, index: int = 0) -> int:
     """
-    Seed of one stream of environments.
+    Return a seed of a stream.
 
     :param seed: Seed of the run, at least 0
-    :param stream: What the environments are for
-    :param index: Which use of the stream, for example the time step of a periodic evaluation
+    :param stream: The stream
+    :param index: Index in the stream, for example the time step of a periodic evaluation
     :return: A seed below 2**31
     """
     state = np.random.SeedSequence((seed, stream, index)).generate_state(1)

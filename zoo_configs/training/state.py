@@ -1,4 +1,4 @@
-"""What becomes of a run: who trains it, and whether it is running, done, failed or killed."""
+"""Status of a run: which process trains it, and whether it is running, done, failed or killed."""
 
 from __future__ import annotations
 
@@ -13,23 +13,17 @@ from enum import Enum
 from pathlib import Path
 from typing import IO, NamedTuple
 
-import yaml
-
-from zoo_configs.errors import CommandError, reason
-from zoo_configs.files import whole_file
+from zoo_configs.errors import CommandError, reason, refused
+from zoo_configs.yaml_files import read_yaml, write_yaml
 
 STATE_FILE = "state.yml"
 LOCK_FILE = ".lock"
-# Who asks whether a run is held takes its lock for a moment: look several times, with seconds between.
-LOOKS, LOOK = 10, 0.05
-
-
-class NothingToDo(CommandError):
-    """A run is done already: how it stands does not change."""
+TRIES, TRY_SECONDS = 10, 0.05
+"""Attempts to lock a run, and seconds between two. Reading the status locks a run for a moment."""
 
 
 class State(str, Enum):
-    """What a run is doing."""
+    """State of a run."""
 
     RUNNING = "running"
     DONE = "done"
@@ -37,17 +31,17 @@ class State(str, Enum):
     KILLED = "killed"
 
 
-class Standing(NamedTuple):
+class RunStatus(NamedTuple):
     """
-    How a run stands.
+    Status of a run.
 
-    :param state: What it is doing
-    :param host: The machine that trains it, or did
-    :param pid: The process
-    :param since: When that began, seconds since 1970
-    :param seconds: How long it has been trained before, by all processes together
-    :param error: Why it failed
-    :param until: When that ended, seconds since 1970; 0 while it goes on, and where the process was killed
+    :param state: Its state
+    :param host: Host name of the latest machine
+    :param pid: Id of the latest process
+    :param since: Start of that process, in seconds since 1970
+    :param seconds: Training time of all processes together
+    :param error: Reason for a failure
+    :param until: End of that process, in seconds since 1970; 0 while it runs or if it was killed
     """
 
     state: State
@@ -59,48 +53,43 @@ class Standing(NamedTuple):
     until: float = 0.0
 
 
-def standing(folder: Path) -> Standing | None:
+def run_status(folder: Path) -> RunStatus | None:
     """
-    Read how a run stands. One that is called running, but that no process holds, was killed.
+    Read the status of a run. A run that is recorded as running without a process was killed.
 
     :param folder: Run folder
-    :return: How it stands, None if no training has begun
-    :raises CommandError: if the folder says something else
+    :return: Its status, None before the training
+    :raises CommandError: if the file of the status is damaged
     """
     found = _read(folder)
-    if found is not None and found.state is State.RUNNING and not is_held(folder):
+    if found is not None and found.state is State.RUNNING and not is_training(folder):
         return found._replace(state=State.KILLED)
     return found
 
 
-def _read(folder: Path) -> Standing | None:
-    """What a folder says of itself."""
+def _read(folder: Path) -> RunStatus | None:
     path = folder / STATE_FILE
     if not path.is_file():
         return None
-    try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
-        return Standing(**{**content, "state": State(content["state"])})
-    except (KeyError, TypeError, ValueError, yaml.YAMLError) as error:
-        raise CommandError(f"{path} cannot be read: {reason(error)}") from error
+    content = read_yaml(path)
+    with refused(f"{path} cannot be read"):
+        return RunStatus(**{**content, "state": State(content["state"])})
 
 
-def is_held(folder: Path) -> bool:
+def is_training(folder: Path) -> bool:
     """
-    Whether a process is training a run; on shared storage on any machine.
+    Return True if a process is training a run, on shared storage on any machine.
 
     :param folder: Run folder
-    :return: Whether its lock is taken
     """
     return is_locked(folder / LOCK_FILE)
 
 
 def is_locked(path: Path) -> bool:
     """
-    Whether a process holds a lock.
+    Return True if a process has locked a file.
 
-    :param path: File of the lock
-    :return: Whether it is taken
+    :param path: The file
     """
     if not path.is_file():
         return False
@@ -110,10 +99,10 @@ def is_locked(path: Path) -> bool:
 
 def lock(file: IO[str]) -> bool:
     """
-    Take a lock that goes with the process, if it is free.
+    Lock a file until it is closed or the process ends.
 
-    :param file: Open file of the lock, which is free again when it is closed
-    :return: Whether it is ours now
+    :param file: The open file
+    :return: False if another process has locked it
     """
     try:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -122,55 +111,56 @@ def lock(file: IO[str]) -> bool:
     return True
 
 
-def note(folder: Path, state: State, error: str = "") -> None:
+def set_status(folder: Path, state: State, error: str = "") -> None:
     """
-    Say from outside how a run stands, for one that could not say it itself. What a process is training, or
-    is done, stays as it is.
+    Set the status of a run whose process could not do so. A run that is running or done keeps its status.
 
-    :param folder: Run folder, made if needed
-    :param state: How it stands
-    :param error: Why it failed
+    :param folder: Run folder, created if needed
+    :param state: Its state
+    :param error: Reason for a failure
     """
-    if is_held(folder):
+    if is_training(folder):
         return
-    found = _read(folder) or Standing(State.KILLED, socket.gethostname(), os.getpid(), time.time())
+    found = _read(folder) or RunStatus(State.KILLED, socket.gethostname(), os.getpid(), time.time())
     if found.state is not State.DONE:
         _write(folder, found._replace(state=state, error=error))
 
 
 @contextmanager
-def held(folder: Path, checkpoint: Path | None = None) -> Iterator[bool]:
+def run_lock(folder: Path, checkpoint: Path | None = None) -> Iterator[None]:
     """
-    Train a run: nobody else may meanwhile, and the folder says how it stands, whatever happens. What ends by
-    Ctrl-C counts as killed.
+    Lock a run while it is trained, and keep its status up to date. A run that Ctrl-C ends counts as killed.
 
     :param folder: Run folder
-    :param checkpoint: What it goes on from, None if it begins
-    :return: Context manager: whether the run was done before
-    :raises CommandError: if another process is training it
+    :param checkpoint: The checkpoint to resume from, None at the start
+    :return: Context manager
+    :raises CommandError: if another process is training the run
     """
     with (folder / LOCK_FILE).open("a") as file:
         if not _lock_soon(file):
             raise CommandError(f"{folder} is being trained by another process")
-        before = _read(folder)
-        begun = Standing(State.RUNNING, socket.gethostname(), os.getpid(), time.time())
-        begun = begun._replace(seconds=_spent(before, checkpoint))
+        spent = _spent(_read(folder), checkpoint)
+        begun = RunStatus(State.RUNNING, socket.gethostname(), os.getpid(), time.time(), spent)
         _write(folder, begun)
         try:
-            yield before is not None and before.state is State.DONE
-        except NothingToDo:
-            _write(folder, before or _ended(begun, State.DONE))
-            raise
+            yield
         except BaseException as error:
-            state = State.KILLED if isinstance(error, KeyboardInterrupt) else State.FAILED
-            with contextlib.suppress(OSError):  # a full disk may be the reason
+            state = State.KILLED if _is_interrupt(error) else State.FAILED
+            with contextlib.suppress(OSError):  # a full disk can be the reason
                 _write(folder, _ended(begun, state, reason(error)))
             raise
         _write(folder, _ended(begun, State.DONE))
 
 
-def _spent(before: Standing | None, checkpoint: Path | None) -> float:
-    """How long a run has been trained; who was killed could not say, and got as far as the checkpoint."""
+def _is_interrupt(error: BaseException | None) -> bool:
+    """Return True for Ctrl-C, also while a file was written, which PyTorch then reports as another error."""
+    while error is not None and not isinstance(error, KeyboardInterrupt):
+        error = error.__cause__ or error.__context__
+    return error is not None
+
+
+def _spent(before: RunStatus | None, checkpoint: Path | None) -> float:
+    """Return the earlier training time, that of a killed process up to its last checkpoint."""
     if before is None:
         return 0.0
     if before.until or before.state is State.DONE or checkpoint is None:
@@ -178,20 +168,18 @@ def _spent(before: Standing | None, checkpoint: Path | None) -> float:
     return before.seconds + max(0.0, checkpoint.stat().st_mtime - before.since)
 
 
-def _ended(begun: Standing, state: State, error: str = "") -> Standing:
+def _ended(begun: RunStatus, state: State, error: str = "") -> RunStatus:
     now = time.time()
     return begun._replace(state=state, seconds=begun.seconds + now - begun.since, error=error, until=now)
 
 
 def _lock_soon(file: IO[str]) -> bool:
-    for _ in range(LOOKS):
+    for _ in range(TRIES):
         if lock(file):
             return True
-        time.sleep(LOOK)
+        time.sleep(TRY_SECONDS)
     return False
 
 
-def _write(folder: Path, how: Standing) -> None:
-    content = {**how._asdict(), "state": how.state.value}
-    with whole_file(folder / STATE_FILE) as partial, partial.open("w", encoding="utf-8") as file:
-        yaml.safe_dump(content, file, sort_keys=False)
+def _write(folder: Path, how: RunStatus) -> None:
+    write_yaml(folder / STATE_FILE, {**how._asdict(), "state": how.state.value})

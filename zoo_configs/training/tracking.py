@@ -1,4 +1,4 @@
-"""Weights & Biases, as ``rl_zoo3.train --track`` uses it."""
+"""Weights & Biases, as with ``rl_zoo3.train --track``."""
 
 from __future__ import annotations
 
@@ -15,26 +15,24 @@ from zoo_configs.training.runs import Run
 @contextmanager
 def tracked(run: Run) -> Iterator[Run]:
     """
-    Log a run to Weights & Biases while it is trained; its own settings hold (``WANDB_MODE=offline``).
+    Log a run to Weights & Biases while it is trained.
+
+    Its environment variables apply, such as ``WANDB_PROJECT``, ``WANDB_ENTITY`` and ``WANDB_MODE=offline``.
 
     :param run: The run
-    :return: Context manager of the run, which logs to TensorBoard, from where the package takes it
+    :return: Context manager of the run with a TensorBoard folder, which Weights & Biases reads
     """
     import wandb
 
-    options = run.options
     name = f"{run.cell.env_id}__{run.cell.label}__{run.seed}__{int(time.time())}"
     session = wandb.init(
         name=name,
-        project=options.wandb_project_name,
-        entity=options.wandb_entity,
-        group=options.wandb_group,
-        tags=[*options.wandb_tags, f"v{sb3.__version__}"],
-        config={"seed": run.seed, **options.plain(), **run.cell.hyperparams},
+        tags=[f"v{sb3.__version__}"],
+        config={"seed": run.seed, **run.options.plain(), **run.cell.hyperparams},
         sync_tensorboard=True,
         save_code=True,
     )
     try:
-        yield replace(run, options=replace(options, tensorboard_log=f"runs/{name.replace('/', '-')}"))
+        yield replace(run, options=replace(run.options, tensorboard_log=f"runs/{name.replace('/', '-')}"))
     finally:
         session.finish()

@@ -1,4 +1,4 @@
-"""What an algorithm logs of its updates, kept in the run folder as a table."""
+"""Table of the values that an algorithm logs with its updates."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ TIMESTEPS = "timesteps"
 
 class TrainingLog(BaseCallback):
     """
-    Writes the means of all that was recorded under ``train/``, a row every so many time steps.
+    Callback that writes the means of all values logged under ``train/``.
 
-    The rows before time step 0 are of pretraining. The file is written whole at every row; what an earlier
-    part of the run logged is carried on.
+    Rows with a negative time step belong to the pretraining. The file is written atomically. A resumed run
+    keeps the rows before its checkpoint.
 
     :param path: The CSV file
-    :param freq: Time steps (of all environments together) from one row to the next
+    :param freq: Time steps of all environments between two rows
     """
 
     def __init__(self, path: Path, freq: int) -> None:
@@ -40,12 +40,12 @@ class TrainingLog(BaseCallback):
             self._rows = [{str(name): value for name, value in row.items()} for row in rows]
 
     def _on_rollout_start(self) -> None:
-        # Between two rollouts: what the updates since the last one have recorded is not dumped yet
+        # Between two rollouts, the logger still has the values of the latest updates.
         for name, value in self.logger.name_to_value.items():
             if name.startswith(PREFIX):
                 self._values[name.removeprefix(PREFIX)].append(float(value))
         now = training_time(self)
-        if self._last is None:  # only here are the demonstrations there, whose pretraining counts below 0
+        if self._last is None:  # only now the model has its number of pretraining steps
             self._last = now
         if now // self.freq > self._last // self.freq:
             self._write()
@@ -69,10 +69,10 @@ class TrainingLog(BaseCallback):
 
 def training_time(callback: BaseCallback) -> int:
     """
-    Time steps done, less the gradient steps of pretraining that are still to be done.
+    Return the time steps so far, minus the remaining gradient steps of the pretraining.
 
     :param callback: A callback of the training
-    :return: Below 0 while an algorithm of ours pretrains
+    :return: A negative number during the pretraining
     """
     left: int = getattr(callback.model, "pretraining_left", 0)
     return callback.model.num_timesteps - left
@@ -83,7 +83,7 @@ def read_training_log(path: Path) -> pd.DataFrame:
     Read the table of a run.
 
     :param path: The file
-    :return: A row every so many time steps
+    :return: The rows
     :raises CommandError: if it cannot be read
     """
     with refused(f"{path} is damaged"):

@@ -1,1 +1,1 @@
-"""Searching hyperparameters with Optuna."""
+"""Hyperparameter search with Optuna."""

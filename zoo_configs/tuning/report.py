@@ -1,4 +1,4 @@
-"""What a study has found: the best hyperparameters as YAML, and its pictures."""
+"""Results of a study: the best hyperparameters as YAML, and plots."""
 
 from __future__ import annotations
 
@@ -8,28 +8,32 @@ from pathlib import Path
 from typing import Any
 
 import optuna
-import yaml
 from optuna.exceptions import ExperimentalWarning
+from optuna.importance import PedAnovaImportanceEvaluator
 from optuna.trial import FrozenTrial, TrialState
 
+from zoo_configs.errors import CommandError
 from zoo_configs.files import whole_file
 from zoo_configs.training.runs import load_run
-from zoo_configs.tuning.study import Search, describe, retried, trial_folder
+from zoo_configs.tuning.study import ERROR, Search, describe, retried, trial_folder
+from zoo_configs.yaml_files import write_yaml
 
 BEST_FILE = "best.yml"
 DOTS_PER_INCH = 120
-PICTURE_SIZE = (9.0, 5.0)  # inches
-LEAST_TRIALS = 2  # that make a picture
+PLOT_SIZE = (9.0, 5.0)
+"""Width and height in inches."""
+LEAST_TRIALS = 2
+"""Complete trials that the plots need."""
 
 
 def write_report(search: Search, study: optuna.Study, plots: bool = True) -> list[Path]:
     """
-    Write what a study has found so far.
+    Write the results of a study so far.
 
-    :param search: What is searched
+    :param search: The study's subject and settings
     :param study: The study
-    :param plots: Whether to draw history, importances and parallel coordinates
-    :return: The files; none as long as no trial is complete
+    :param plots: Whether to plot history, importances and parallel coordinates
+    :return: The files; none without a complete trial
     """
     complete = study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,))
     if not complete:
@@ -43,7 +47,7 @@ def summary(study: optuna.Study) -> str:
     Count a study's trials.
 
     :param study: The study
-    :return: How many ended how; a trial that another has taken up is not counted
+    :return: Number of trials by state, without repeated ones
     """
     trials = study.get_trials(deepcopy=False)
     again = retried(trials)
@@ -52,14 +56,28 @@ def summary(study: optuna.Study) -> str:
 
 
 def _write_best(search: Search, trial: FrozenTrial) -> Path:
-    """In the form of ``train --conf-file``."""
+    """Write the hyperparameters of the best trial for ``train --conf-file``."""
     run = load_run(trial_folder(search, trial))
     path = search.folder / BEST_FILE
-    with whole_file(path) as partial, partial.open("w", encoding="utf-8") as file:
-        file.write(f"# {search.name}, {describe(trial)}\n")
-        hyperparams = {**run.cell.hyperparams, "n_timesteps": run.options.n_timesteps}
-        yaml.safe_dump({run.cell.env_id: hyperparams}, file, sort_keys=False)
+    hyperparams = {**run.cell.hyperparams, "n_timesteps": run.n_timesteps}
+    write_yaml(path, {run.cell.env_id: hyperparams}, f"{search.name}, {describe(trial)}")
     return path
+
+
+def check_complete(search: Search, study: optuna.Study) -> None:
+    """
+    Check that a study has a complete trial, or one that another process is training.
+
+    :param search: The study's subject and settings
+    :param study: The study
+    :raises CommandError: if it has neither
+    """
+    trials = study.get_trials(deepcopy=False)
+    if any(trial.state is TrialState.COMPLETE or not trial.state.is_finished() for trial in trials):
+        return
+    errors = [trial.user_attrs[ERROR] for trial in trials if ERROR in trial.user_attrs]
+    why = f". First error: {errors[0]}" if errors else ""
+    raise CommandError(f"study {search.name} has no complete trial of {len(trials)}{why}")
 
 
 def _draw(folder: Path, study: optuna.Study) -> list[Path]:
@@ -68,12 +86,17 @@ def _draw(folder: Path, study: optuna.Study) -> list[Path]:
     mpl.use("Agg")
     from optuna.visualization import matplotlib as visualization
 
-    pictures: dict[str, Callable[[optuna.Study], Any]] = {
+    def importances(study: optuna.Study) -> Any:
+        axes = visualization.plot_param_importances(study, evaluator=PedAnovaImportanceEvaluator())
+        axes.set_title("Hyperparameter importances (PED-ANOVA: what distinguishes the best trials)")
+        return axes
+
+    plots: dict[str, Callable[[optuna.Study], Any]] = {
         "history": visualization.plot_optimization_history,
-        "importances": visualization.plot_param_importances,
+        "importances": importances,
         "parallel_coordinates": visualization.plot_parallel_coordinate,
     }
-    return [_save(folder / f"{name}.png", draw, study) for name, draw in pictures.items()]
+    return [_save(folder / f"{name}.png", draw, study) for name, draw in plots.items()]
 
 
 def _save(path: Path, draw: Callable[[optuna.Study], Any], study: optuna.Study) -> Path:
@@ -82,7 +105,7 @@ def _save(path: Path, draw: Callable[[optuna.Study], Any], study: optuna.Study) 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ExperimentalWarning)
         axes = draw(study)
-    axes.figure.set_size_inches(PICTURE_SIZE)
+    axes.figure.set_size_inches(PLOT_SIZE)
     with whole_file(path) as partial:
         axes.figure.savefig(partial, dpi=DOTS_PER_INCH, bbox_inches="tight")
     plt.close(axes.figure)

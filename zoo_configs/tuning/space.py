@@ -1,38 +1,41 @@
-"""Search spaces as data: which hyperparameters a study moves, and between which values."""
+"""Search spaces: the hyperparameters that a study changes, and their values."""
 
 from __future__ import annotations
 
+import functools
 import inspect
 import json
 import math
-import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from importlib import resources
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import optuna
-import yaml
 
+from zoo_configs.algorithms import algorithm_classes, constructor_arguments
 from zoo_configs.cells.cell import Cell, merge
-from zoo_configs.errors import CommandError, refused, unknown_name
+from zoo_configs.errors import CommandError, check_names, unknown_name
+from zoo_configs.training.objects import SCHEDULE, TRAINER_KEYS
+from zoo_configs.yaml_files import parse_yaml, read_yaml
 
 SHIPPED = "algorithms.yml"
-KEYS = ("low", "high", "log", "integer", "choices")
-# A learning rate that falls linearly to zero, as rl_zoo3 spells it.
-SCHEDULE = re.compile(r"(lin_)(.+)")
+KEYS = ("low", "high", "log", "choices", "needs")
+BASELINE = "baseline"
+"""Attribute of the trial that trains the baseline itself."""
 
 
 class Parameter(NamedTuple):
     """
-    A hyperparameter to be searched.
+    A hyperparameter of a search space.
 
     :param name: Its name; dots lead into mappings
-    :param low: The least value of one with bounds
-    :param high: The greatest
+    :param low: Lower bound
+    :param high: Upper bound
     :param log: Whether the scale is logarithmic
-    :param integer: Whether only whole numbers are meant
-    :param choices: The values of one without bounds
+    :param integer: Whether the values are whole numbers
+    :param choices: The values of a parameter without bounds
+    :param needs: Hyperparameter that must not be 0 in the baseline, empty for none
     """
 
     name: str
@@ -41,190 +44,230 @@ class Parameter(NamedTuple):
     log: bool = False
     integer: bool = False
     choices: tuple[Any, ...] = ()
+    needs: str = ""
 
     def suggest(self, trial: optuna.Trial) -> Any:
         """
-        Draw a value.
+        Sample a value.
 
-        :param trial: The trial that is to have it
+        :param trial: The trial
         :return: The value
         """
         if self.choices:
-            return json.loads(
-                trial.suggest_categorical(self.name, [json.dumps(item) for item in self.choices])
-            )
+            return json.loads(trial.suggest_categorical(self.name, [json.dumps(c) for c in self.choices]))
         if self.integer:
             return trial.suggest_int(self.name, int(self.low), int(self.high), log=self.log)
         return trial.suggest_float(self.name, self.low, self.high, log=self.log)
 
-    def holds(self, value: Any) -> bool:
-        """Whether a value lies in the space."""
+    def optuna_value(self, value: Any) -> Any:
+        """
+        Return a value as Optuna stores it.
+
+        :param value: The value
+        :return: The stored value, None if the space does not contain it
+        """
         if self.choices:
-            return value in self.choices
-        number = isinstance(value, int | float) and not isinstance(value, bool)
-        return number and self.low <= value <= self.high
+            return next((json.dumps(choice) for choice in self.choices if _equal(choice, value)), None)
+        return value if _is_number(value) and self.low <= value <= self.high else None
 
-    def as_param(self, value: Any) -> Any:
-        """The value as Optuna keeps it."""
-        return json.dumps(value) if self.choices else value
+    def including(self, value: Any) -> Parameter:
+        """
+        Return the parameter with a value added to its choices or within its bounds.
+
+        :param value: The value, None for an unknown one
+        """
+        if value is None or self.optuna_value(value) is not None:
+            return self
+        if self.choices:
+            return self._replace(choices=(value, *self.choices))
+        if not _is_number(value) or (self.log and value <= 0):
+            return self
+        return self._replace(low=min(self.low, value), high=max(self.high, value))
 
 
-def load_space(algo: str, path: Path | None = None) -> tuple[Parameter, ...]:
+def load_space(cell: Cell, path: Path | None = None) -> tuple[Parameter, ...]:
     """
-    The search space of an algorithm.
+    Load the search space of an experiment.
 
-    :param algo: Name of the algorithm
-    :param path: A user's own space, in YAML: a mapping of parameters
+    Whole-number bounds mean whole numbers, unless the hyperparameter is a float.
+
+    :param cell: The experiment
+    :param path: A YAML file with a space, None for the one of the algorithm
     :return: Its parameters
-    :raises CommandError: if there is none, or the file says something else
+    :raises CommandError: for an invalid file, an algorithm without space, or an unknown hyperparameter
     """
     if path is not None:
-        with refused(f"--space: {path} cannot be read"):
-            return parse_space(str(path), yaml.safe_load(path.read_text(encoding="utf-8")))
+        space = parse_space(str(path), read_yaml(path, "--space"))
+    else:
+        spaces = _shipped_spaces()
+        names = [name for name in spaces if not name.startswith("_")]
+        if cell.algo not in names:
+            raise unknown_name("search space", cell.algo, names, see="use --space")
+        space = parse_space(f"the space of {cell.algo}", spaces[cell.algo])
+    _check_names(space, cell)
+    return tuple(parameter._replace(integer=_is_integer(parameter, cell)) for parameter in space)
+
+
+@functools.cache
+def _shipped_spaces() -> dict[str, Any]:
     folder = resources.files("zoo_configs") / "hyperparams" / "spaces"
-    spaces = yaml.safe_load((folder / SHIPPED).read_text(encoding="utf-8"))
-    names = [name for name in spaces if not name.startswith("_")]
-    if algo not in names:
-        raise unknown_name("search space", algo, names, see="give one by --space")
-    return parse_space(f"the space of {algo}", spaces[algo])
+    return dict(parse_yaml((folder / SHIPPED).read_text(encoding="utf-8")))
 
 
 def parse_space(where: str, data: Any) -> tuple[Parameter, ...]:
     """
-    Read a search space.
+    Parse a search space.
 
-    :param where: What its errors call it
-    :param data: From name to bounds or choices
+    :param where: Its name in errors
+    :param data: Bounds or choices by name
     :return: Its parameters
-    :raises CommandError: if it says something else
+    :raises CommandError: if it is invalid
     """
     if not isinstance(data, Mapping) or not data:
-        raise CommandError(f"{where} takes a mapping of parameters, got {data!r}")
+        raise CommandError(f"{where} must be a mapping of parameters, got {data!r}")
     return tuple(_parse_parameter(where, str(name), given) for name, given in data.items())
 
 
 def _parse_parameter(where: str, name: str, given: Any) -> Parameter:
     if not isinstance(given, Mapping):
-        raise CommandError(f"{name} of {where} takes low and high, or choices, got {given!r}")
-    for key in given:
-        if key not in KEYS:
-            raise unknown_name(f"key of {name} of {where}", str(key), KEYS)
+        raise CommandError(f"{name} of {where} must have low and high, or choices, got {given!r}")
+    check_names(f"key of {name} of {where}", map(str, given), KEYS)
     if "choices" in given:
-        if len(given) > 1 or not isinstance(given["choices"], list) or not given["choices"]:
-            raise CommandError(f"{name} of {where}: choices takes a list and stands alone, got {dict(given)}")
-        return Parameter(name, choices=tuple(given["choices"]))
-    low, high = given.get("low"), given.get("high")
+        choices = given["choices"]
+        if given.keys() - {"choices", "needs"} or not isinstance(choices, list) or not choices:
+            raise CommandError(f"{name} of {where}: choices must be a list without bounds, got {dict(given)}")
+        return Parameter(name, choices=tuple(choices), needs=given.get("needs", ""))
+    low: Any = given.get("low")
+    high: Any = given.get("high")
     least = 0 if given.get("log") else -math.inf
-    if not (isinstance(low, int | float) and isinstance(high, int | float) and least < low < high):
-        positive = " positive" if given.get("log") else ""
-        raise CommandError(f"{name} of {where} takes{positive} numbers low < high, got {dict(given)}")
+    if not (_is_number(low) and _is_number(high) and least < low < high):
+        positive = "positive " if given.get("log") else ""
+        raise CommandError(f"{name} of {where} must have {positive}numbers low < high, got {dict(given)}")
     return Parameter(name, **given)
 
 
-def check_space(space: tuple[Parameter, ...], algorithm: type[Any]) -> None:
+def _check_names(space: tuple[Parameter, ...], cell: Cell) -> None:
     """
-    Look whether an algorithm takes what a space moves.
+    Check that the algorithm has the hyperparameters of a space.
 
-    :param space: The space
-    :param algorithm: Class of the algorithm
-    :raises CommandError: for a hyperparameter that it does not have
+    :raises CommandError: for an unknown one
     """
     from sb3_extensions.common.env_metadata import constructor_keys
-    from zoo_configs.cells.validation import MANAGER_KEYS
 
-    valid = {*MANAGER_KEYS, *constructor_keys(algorithm)}
-    for parameter in space:
-        if (name := parameter.name.partition(".")[0]) not in valid:
-            raise unknown_name(f"hyperparameter of {algorithm.__name__} in the search space", name, valid)
+    valid = {"policy", *TRAINER_KEYS, *constructor_keys(algorithm_classes()[cell.algo])}
+    names = [parameter.name.partition(".")[0] for parameter in space]
+    check_names(f"hyperparameter of {cell.algo} in the search space", names, valid)
+
+
+def _is_integer(parameter: Parameter, cell: Cell) -> bool:
+    bounds = (parameter.low, parameter.high)
+    if parameter.choices or not all(isinstance(bound, int) for bound in bounds):
+        return False
+    argument = _argument(parameter.name, cell)
+    is_float = isinstance(baseline_value(parameter.name, cell), float)
+    return not is_float and (argument is None or "float" not in str(argument.annotation))
 
 
 def fit_space(
     space: tuple[Parameter, ...], cell: Cell, given: Mapping[str, Any], is_own: bool
 ) -> tuple[Parameter, ...]:
     """
-    Bring a space into line with the values that the user has given for a cell.
-
-    A shipped space leaves alone what was given; what it offers as choices, it offers besides the cell's own
-    value. A user's own space searches all that it names, beginning with what was given.
+    Fit a space to an experiment: it contains the baseline's values, and only hyperparameters that it uses.
 
     :param space: The space
-    :param cell: The cell, with what was given in it
-    :param given: Hyperparameters by name, as the user gave them
+    :param cell: The experiment
+    :param given: Hyperparameters of the command line, which only a user's own space changes
     :param is_own: Whether the space is the user's own
     :return: The space to search
-    :raises CommandError: if a user's own space does not have a value that was given, or nothing is left
+    :raises CommandError: if nothing is left to search
     """
-    if is_own:
-        for parameter in space:
-            value = _number(_look_up(given, parameter.name, None))
-            if value is not None and not parameter.holds(value):
-                raise CommandError(f"{parameter.name} is {value!r}, which the search space does not have")
-        return space
-    left = tuple(_with_own(p, cell) for p in space if p.name.partition(".")[0] not in given)
-    if not left:
-        raise CommandError("nothing is left to search: all that the space of the algorithm has is given")
-    return left
+    kept = [parameter for parameter in space if is_own or parameter.name.partition(".")[0] not in given]
+    used = [parameter for parameter in kept if not parameter.needs or baseline_value(parameter.needs, cell)]
+    if not used:
+        raise CommandError(
+            "the search space has no hyperparameter left: the command line defines all of them"
+        )
+    return tuple(parameter.including(baseline_value(parameter.name, cell)) for parameter in used)
 
 
-def _with_own(parameter: Parameter, cell: Cell) -> Parameter:
-    """Choices with the cell's value among them, so that the first trial is the cell."""
-    value = _look_up(cell.hyperparams, parameter.name, None)
-    if not parameter.choices or value is None or value in parameter.choices:
-        return parameter
-    return parameter._replace(choices=(value, *parameter.choices))
-
-
-def first_values(space: tuple[Parameter, ...], cell: Cell, algorithm: type[Any]) -> dict[str, Any]:
+def baseline_value(name: str, cell: Cell) -> Any:
     """
-    The baseline's values, as far as the space has them: the first trial.
+    Return the value of a hyperparameter, of a schedule its initial value.
 
-    :param space: The space
-    :param cell: The baseline
-    :param algorithm: Class of its algorithm, whose defaults hold where the cell says nothing
-    :return: From name to value, as Optuna keeps it
+    :param name: Its name; dots lead into mappings
+    :param cell: The experiment
+    :return: Its value, or the algorithm's default, None if unknown
     """
-    defaults = inspect.signature(algorithm).parameters
-    values = {}
-    for parameter in space:
-        default = defaults[parameter.name].default if parameter.name in defaults else None
-        value = _number(_look_up(cell.hyperparams, parameter.name, default))
-        if parameter.holds(value):
-            values[parameter.name] = parameter.as_param(value)
-    return values
-
-
-def moved(cell: Cell, space: tuple[Parameter, ...], trial: optuna.Trial) -> dict[str, Any]:
-    """
-    The hyperparameters of a trial.
-
-    :param cell: The baseline
-    :param space: What of it is searched
-    :param trial: The trial
-    :return: The baseline's hyperparameters with the trial's values in them
-    """
-    hyperparams = cell.hyperparams
-    for parameter in space:
-        value = parameter.suggest(trial)
-        before = _look_up(hyperparams, parameter.name, None)
-        if isinstance(before, str) and (schedule := SCHEDULE.fullmatch(before)) and not parameter.choices:
-            value = f"{schedule[1]}{value}"
-        for key in reversed(parameter.name.split(".")):
-            value = {key: value}
-        hyperparams = merge(hyperparams, value)
-    return hyperparams
-
-
-def _look_up(mapping: Mapping[str, Any], name: str, default: Any) -> Any:
-    found: Any = mapping
-    for key in name.split("."):
-        if not isinstance(found, Mapping) or key not in found:
-            return default
-        found = found[key]
-    return found
-
-
-def _number(value: Any) -> Any:
-    """What is searched of a schedule."""
+    value = _look_up(cell.hyperparams, name)
+    argument = _argument(name, cell)
+    if value is None and argument is not None and argument.default is not argument.empty:
+        value = argument.default
     if isinstance(value, str) and (schedule := SCHEDULE.fullmatch(value)):
         return float(schedule[2])
     return value
+
+
+def _argument(name: str, cell: Cell) -> inspect.Parameter | None:
+    """Return the constructor's argument of a hyperparameter, None if it has none."""
+    algorithm: Any = algorithm_classes()[cell.algo]
+    return constructor_arguments(algorithm).get(name)
+
+
+def first_values(space: tuple[Parameter, ...], cell: Cell) -> dict[str, Any]:
+    """
+    Return the baseline's values, as far as they are known: the parameters of the first trial.
+
+    :param space: The space
+    :param cell: The experiment
+    :return: The values by name, as Optuna stores them
+    """
+    pairs = ((p.name, p.optuna_value(baseline_value(p.name, cell))) for p in space)
+    return {name: value for name, value in pairs if value is not None}
+
+
+def sample_params(cell: Cell, space: tuple[Parameter, ...], trial: optuna.Trial) -> dict[str, Any]:
+    """
+    Sample the hyperparameters of a trial.
+
+    :param cell: The experiment
+    :param space: Its search space
+    :param trial: The trial
+    :return: Values that replace those of the experiment; none in the trial of the baseline
+    """
+    if trial.user_attrs.get(BASELINE):
+        known = first_values(space, cell)
+        for parameter in space:
+            if parameter.name in known:
+                parameter.suggest(trial)
+        return {}
+    sampled: dict[str, Any] = {}
+    for name, value in _sampled(cell, space, trial):
+        for key in reversed(name.split(".")):
+            value = {key: value}
+        sampled = merge(sampled, value)
+    return sampled
+
+
+def _sampled(cell: Cell, space: tuple[Parameter, ...], trial: optuna.Trial) -> Iterator[tuple[str, Any]]:
+    """Return the sampled values by name; a schedule keeps its form."""
+    for parameter in space:
+        value, before = parameter.suggest(trial), _look_up(cell.hyperparams, parameter.name)
+        if isinstance(before, str) and (schedule := SCHEDULE.fullmatch(before)) and not parameter.choices:
+            value = f"{schedule[1]}{value}"
+        yield parameter.name, value
+
+
+def _look_up(mapping: Mapping[str, Any], name: str) -> Any:
+    found: Any = mapping
+    for key in name.split("."):
+        found = found.get(key) if isinstance(found, Mapping) else None
+    return found
+
+
+def _equal(left: Any, right: Any) -> bool:
+    """Return True for equal values: 1 equals 1.0, but not true."""
+    return bool(left == right) and isinstance(left, bool) == isinstance(right, bool)
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)

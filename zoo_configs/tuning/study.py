@@ -1,4 +1,4 @@
-"""A study: trials in a storage that any number of processes share."""
+"""A study: trials in a storage that several processes share."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import fcntl
 import json
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import IO, Any
 from uuid import uuid4
@@ -20,43 +20,45 @@ from optuna.study import StudyDirection
 from optuna.trial import FrozenTrial, TrialState
 from tqdm import tqdm
 
-from zoo_configs.algorithms import register_algorithms
 from zoo_configs.arguments import hides_progress
-from zoo_configs.cells.cell import Cell
+from zoo_configs.cells.cell import Cell, merge
 from zoo_configs.errors import CommandError, reason, refused
 from zoo_configs.files import whole_file
 from zoo_configs.training.cell import train_cell
 from zoo_configs.training.options import TrainingOptions
 from zoo_configs.training.seeds import SeedStream, stream_seed
 from zoo_configs.training.state import is_locked, lock
-from zoo_configs.tuning.space import Parameter, check_space, first_values, moved
+from zoo_configs.tuning.space import BASELINE, Parameter, first_values, sample_params
 from zoo_configs.tuning.trial import PRUNED, ReportToTrial, score
 
 JOURNAL = "journal.log"
-STUDY, FOLDER = "study", "folder"  # attributes of a study: what it is about, and where
-# Attributes of a trial: why it failed, and the numbers of those that it takes up, the oldest first.
+STUDY, FOLDER = "study", "folder"
+"""Attributes of a study: its subject and its folder."""
 ERROR, REPEATS = "error", "repeats"
-WARMUP = 2  # evaluations before a trial is pruned: the first come before the agent acts
+"""Attributes of a trial: the reason for its failure, and the numbers of the trials that it repeats."""
+WARMUP = 2
+"""Evaluations before a trial is pruned; the first ones precede the agent's own steps."""
 
 
 @dataclass(frozen=True)
 class Search:
     """
-    What a study searches, and how.
+    Subject and settings of a study.
 
     :param name: Name of the study
-    :param folder: Its folder, shared by all who work on it: trials, demonstrations, by default the storage
-    :param cell: The baseline; its values are the first trial
-    :param space: What of it is searched
-    :param seed: Of models, environments and sampler
-    :param options: How a trial is trained
-    :param n_trials: How many trials, over all processes
+    :param folder: Its folder, shared by all processes: trials, demonstrations and by default the storage
+    :param cell: The experiment; its values are the first trial
+    :param space: Its search space
+    :param seed: Seed of models, environments and sampler
+    :param options: Options of a trial's training
+    :param n_trials: Number of trials of all processes
     :param sampler: ``"tpe"``, ``"random"`` or ``"gp"``
     :param pruner: ``"median"``, ``"halving"`` or ``"none"``
-    :param n_startup_trials: Trials drawn at random, and not pruned, before the sampler and the pruner begin
-    :param storage: URL of a database, None keeps a journal in the folder
+    :param n_startup_trials: Number of trials that are sampled at random, and of complete trials before
+        another one is pruned
+    :param storage: URL of a database, None for a journal in the folder
     :param device: PyTorch device
-    :param gym_packages: Packages that register the environment, besides our own
+    :param gym_packages: Packages that register the environment, in addition to ours
     """
 
     name: str
@@ -71,15 +73,15 @@ class Search:
     n_startup_trials: int = 10
     storage: str | None = None
     device: str = "auto"
-    gym_packages: tuple[str, ...] = field(default=())
+    gym_packages: tuple[str, ...] = ()
 
     @property
     def storage_name(self) -> str:
-        """What ``optuna-dashboard`` opens."""
+        """Name of the storage for ``optuna-dashboard``."""
         return self.storage or str(self.folder / JOURNAL)
 
     def about(self) -> str:
-        """All on which the meaning of a trial depends."""
+        """Return everything that the meaning of a trial depends on, as JSON."""
         content = {
             "env": self.cell.env_id,
             "algo": self.cell.algo,
@@ -96,15 +98,13 @@ class Search:
 
 def open_study(search: Search) -> optuna.Study:
     """
-    Begin a study, or join it.
+    Create a study, or join it.
 
-    :param search: What is searched
+    :param search: The study's subject and settings
     :return: The study
-    :raises CommandError: if the storage cannot be opened, has a study of that name about something else, or
-        one that another program has begun or that was begun in another folder
+    :raises CommandError: if the storage cannot be opened, or its study has another subject, another folder or
+        belongs to another program
     """
-    algorithm = register_algorithms()[search.cell.algo]
-    check_space(search.space, algorithm)
     search.folder.mkdir(parents=True, exist_ok=True)
     with _alone(search.folder):
         with refused(f"--storage: {search.storage_name} cannot be opened"):
@@ -118,15 +118,13 @@ def open_study(search: Search) -> optuna.Study:
         if STUDY not in study.user_attrs:
             _check_new(search, study)
             study.set_user_attr(FOLDER, _identify(search.folder))
-            study.enqueue_trial(first_values(search.space, search.cell, algorithm))
+            study.enqueue_trial(first_values(search.space, search.cell), {BASELINE: True})
             study.set_user_attr(STUDY, search.about())
     if others := _differences(study.user_attrs[STUDY], search.about()):
-        advice = "take another --study-name, or the same arguments"
-        raise CommandError(f"study {search.name} exists with other {', '.join(others)}: {advice}")
+        names = ", ".join(others)
+        raise CommandError(f"study {search.name} exists with other {names}. Use another --study-name.")
     if study.user_attrs[FOLDER] != _identify(search.folder):
-        raise CommandError(
-            f"study {search.name} was begun in another folder than {search.folder}: share that one"
-        )
+        raise CommandError(f"study {search.name} has another folder than {search.folder}. Share that folder.")
     return study
 
 
@@ -137,7 +135,7 @@ def _check_new(search: Search, study: optuna.Study) -> None:
     :raises CommandError: if another program has begun it
     """
     trials = len(study.get_trials(deepcopy=False))
-    if FOLDER in study.user_attrs:  # begun by a process that was killed
+    if FOLDER in study.user_attrs:  # created by a process that was killed
         return
     if trials or study.user_attrs or study.directions != [StudyDirection.MAXIMIZE]:
         directions = [direction.name.lower() for direction in study.directions]
@@ -149,11 +147,11 @@ def _check_new(search: Search, study: optuna.Study) -> None:
 
 def work(search: Search, study: optuna.Study, progress: bool | None = False) -> None:
     """
-    Train trials until the study has as many as it is to have; others may do so as well.
+    Train trials until the study has ``n_trials``. Other processes can do so at the same time.
 
-    :param search: What is searched
+    :param search: The study's subject and settings
     :param study: The study
-    :param progress: Whether to show a bar of the study's finished trials, None shows it on a terminal
+    :param progress: Whether to show a bar of the study's finished trials; None shows it on a terminal
     """
     number, hidden, done = search.n_trials, hides_progress(progress), _count_finished(study)
     with tqdm(total=number, initial=done, unit="trial", disable=hidden) as bar:
@@ -166,25 +164,25 @@ def work(search: Search, study: optuna.Study, progress: bool | None = False) -> 
 
 def retried(trials: Iterable[FrozenTrial]) -> set[int]:
     """
-    Numbers of the trials that another has taken up.
+    Return the numbers of the trials that another one repeats.
 
     :param trials: All trials of a study
-    :return: Those that do not count
+    :return: The trials that do not count
     """
     return {number for trial in trials for number in trial.user_attrs.get(REPEATS, ())}
 
 
 def _count_finished(study: optuna.Study) -> int:
-    """Trials that count and have ended, of all processes."""
+    """Return the number of finished trials of all processes."""
     trials = study.get_trials(deepcopy=False)
     return len({trial.number for trial in trials if trial.state.is_finished()} - retried(trials))
 
 
 def trial_folder(search: Search, trial: FrozenTrial) -> Path:
     """
-    Run folder of a trial; one that is taken up goes on in its folder.
+    Return the run folder of a trial, which a repeated trial shares with the first one.
 
-    :param search: What is searched
+    :param search: The study's subject and settings
     :param trial: The trial
     :return: The folder
     """
@@ -193,7 +191,7 @@ def trial_folder(search: Search, trial: FrozenTrial) -> Path:
 
 
 def _next_trial(search: Search, study: optuna.Study) -> tuple[optuna.Trial, IO[str]] | None:
-    """The next trial, and the open file by which others see that it is in work; None if there are enough."""
+    """Return the next trial and its locked file, None if there are enough trials."""
     with _alone(search.folder):
         _retry_stale(search, study)
         trials = study.get_trials(deepcopy=False)
@@ -201,7 +199,7 @@ def _next_trial(search: Search, study: optuna.Study) -> tuple[optuna.Trial, IO[s
         again = len(retried(trials))
         if len(begun) - again >= search.n_trials:
             return None
-        study.sampler = _sampler(search, len(trials) - again)
+        study.sampler = _sampler(search, len(begun) - again)
         trial = study.ask()
         claim = _claim_file(search, study.get_trials(deepcopy=False)[trial.number]).open("a")
         lock(claim)
@@ -209,7 +207,7 @@ def _next_trial(search: Search, study: optuna.Study) -> tuple[optuna.Trial, IO[s
 
 
 def _retry_stale(search: Search, study: optuna.Study) -> None:
-    """Queue the trials again that nobody works on, though they are called running: their process has died."""
+    """Queue running trials again whose process has died, which leaves their file unlocked."""
     for trial in study.get_trials(deepcopy=False, states=(TrialState.RUNNING,)):
         if not is_locked(_claim_file(search, trial)):
             study.tell(trial.number, state=TrialState.FAIL)
@@ -230,7 +228,12 @@ def _claim_file(search: Search, trial: FrozenTrial) -> Path:
 def _run(search: Search, study: optuna.Study, trial: optuna.Trial) -> None:
     folder = trial_folder(search, study.get_trials(deepcopy=False)[trial.number])
     try:
-        cell = replace(search.cell, hyperparams=moved(search.cell, search.space, trial))
+        sampled = sample_params(search.cell, search.space, trial)
+        cell = replace(
+            search.cell,
+            hyperparams=merge(search.cell.hyperparams, sampled),
+            overrides=merge(search.cell.overrides, sampled),
+        )
         run = train_cell(
             cell,
             search.seed,
@@ -245,7 +248,7 @@ def _run(search: Search, study: optuna.Study, trial: optuna.Trial) -> None:
             study.tell(trial, state=TrialState.PRUNED)
         else:
             study.tell(trial, score(run))
-    except Exception as error:  # whatever a drawn value makes an algorithm raise
+    except Exception as error:  # an algorithm can raise any error for sampled values
         trial.set_user_attr(ERROR, reason(error))
         study.tell(trial, state=TrialState.FAIL)
     with tqdm.external_write_mode():  # above the bar
@@ -254,10 +257,10 @@ def _run(search: Search, study: optuna.Study, trial: optuna.Trial) -> None:
 
 def describe(trial: FrozenTrial) -> str:
     """
-    A trial in a line.
+    Describe a trial in one line.
 
     :param trial: The trial
-    :return: Its number, how it ended, and its values
+    :return: Its number, result and values
     """
     ended = f"{trial.value:.3f}" if trial.value is not None else trial.user_attrs.get(ERROR, "")
     values = ", ".join(f"{name} {_short(value)}" for name, value in trial.params.items())
@@ -275,7 +278,7 @@ def _storage(search: Search) -> BaseStorage:
 
 
 def _sampler(search: Search, number: int) -> BaseSampler:
-    """Of a seed of its own for each trial: who draws the trial does not matter."""
+    """Build the sampler of a trial. Its seed depends on the number of the trial, not on the process."""
     seed = stream_seed(search.seed, SeedStream.SAMPLER, number)
     if search.sampler == "random" or number < search.n_startup_trials:
         return RandomSampler(seed=seed)
@@ -284,12 +287,33 @@ def _sampler(search: Search, number: int) -> BaseSampler:
     return TPESampler(seed=seed, n_startup_trials=search.n_startup_trials, constant_liar=True)
 
 
+class StartupPruner(BasePruner):
+    """
+    Pruner that waits for a number of complete trials.
+
+    :param pruner: The pruner that decides then
+    :param n_startup_trials: Number of complete trials
+    """
+
+    def __init__(self, pruner: BasePruner, n_startup_trials: int) -> None:
+        self.pruner, self.n_startup_trials = pruner, n_startup_trials
+
+    def prune(self, study: optuna.Study, trial: FrozenTrial) -> bool:
+        """
+        Return True if a trial is to be pruned.
+
+        :param study: Its study
+        :param trial: The trial
+        """
+        complete = study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,))
+        return len(complete) >= self.n_startup_trials and self.pruner.prune(study, trial)
+
+
 def _pruner(search: Search) -> BasePruner:
     if search.pruner == "none":
         return NopPruner()
-    if search.pruner == "halving":
-        return SuccessiveHalvingPruner()
-    return MedianPruner(n_startup_trials=search.n_startup_trials, n_warmup_steps=WARMUP)
+    halving, median = SuccessiveHalvingPruner(), MedianPruner(n_startup_trials=0, n_warmup_steps=WARMUP)
+    return StartupPruner(halving if search.pruner == "halving" else median, search.n_startup_trials)
 
 
 def _differences(begun: str, wanted: str) -> list[str]:
@@ -298,7 +322,7 @@ def _differences(begun: str, wanted: str) -> list[str]:
 
 
 def _identify(folder: Path) -> str:
-    """What tells a folder from others of the same path on other machines."""
+    """Return an identifier that distinguishes a folder from one with the same path on another machine."""
     path = folder / ".identity"
     if not path.is_file():
         with whole_file(path) as partial:
@@ -308,7 +332,7 @@ def _identify(folder: Path) -> str:
 
 @contextmanager
 def _alone(folder: Path) -> Iterator[None]:
-    """Keep others that work on the study waiting for a moment."""
+    """Let other processes of the study wait."""
     with (folder / ".lock").open("a") as file:
         fcntl.flock(file, fcntl.LOCK_EX)
         yield

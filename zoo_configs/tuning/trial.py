@@ -1,4 +1,4 @@
-"""One trial of a study: a cell trained in a folder of its own, compared with others while it is trained."""
+"""Reports of a trial's evaluations to its study, and its score."""
 
 from __future__ import annotations
 
@@ -11,12 +11,13 @@ from stable_baselines3.common.callbacks import BaseCallback
 from zoo_configs.drawing.curves import LearningCurve, load_curve
 from zoo_configs.training.runs import EVALUATIONS_FILE, Run
 
-PRUNED = "pruned"  # attribute of a trial that was stopped early
+PRUNED = "pruned"
+"""Attribute of a pruned trial."""
 
 
 class ReportToTrial(BaseCallback):
     """
-    Tells a trial every evaluation of its run, and ends the training if the trial is to be pruned.
+    Callback that reports each evaluation of a run to its trial, and ends the training of a pruned trial.
 
     :param trial: The trial
     :param folder: Run folder
@@ -26,17 +27,17 @@ class ReportToTrial(BaseCallback):
         super().__init__()
         self.trial = trial
         self.path = folder / EVALUATIONS_FILE
-        self._seen = 0  # time of the file's last change
-        self._told = 0  # evaluations
+        self._changed = 0  # time of the file's last change
+        self._reported = 0  # number of evaluations
 
     def _on_step(self) -> bool:
-        if not self.path.is_file() or (changed := self.path.stat().st_mtime_ns) == self._seen:
+        if not self.path.is_file() or (changed := self.path.stat().st_mtime_ns) == self._changed:
             return True
-        self._seen = changed
+        self._changed = changed
         values = load_curve(self.path).success
-        for step in range(self._told, len(values)):
+        for step in range(self._reported, len(values)):
             self.trial.report(float(values[step]), step)
-        self._told = len(values)
+        self._reported = len(values)
         if self.trial.should_prune():
             self.trial.set_user_attr(PRUNED, True)
             return False
@@ -45,10 +46,10 @@ class ReportToTrial(BaseCallback):
 
 def score(run: Run) -> float:
     """
-    What a study looks for: success that is high and stays.
+    Return the score of a run, which is high for success that lasts.
 
-    :param run: A run that has been evaluated
-    :return: Mean success of the second half of its evaluations, mean return where there is no success
+    :param run: An evaluated run
+    :return: Mean success of the second half of its evaluations, or mean return without success
     """
     curve: LearningCurve = load_curve(run.evaluations_file)
     return float(np.mean(curve.success[len(curve.success) // 2 :]))

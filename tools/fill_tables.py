@@ -1,0 +1,272 @@
+"""Fill the tables and sentences of Markdown pages from the files in docs/data.
+
+python tools/fill_tables.py docs README.md
+
+The text between <!-- data: NAME --> and <!-- end of data --> is replaced. FIGURES lists the names.
+"""
+
+import argparse
+import difflib
+import math
+import re
+import sys
+from collections.abc import Callable, Sequence
+from fnmatch import fnmatchcase
+from functools import partial
+from pathlib import Path
+from statistics import fmean
+
+from expert_tables import (
+    ID,
+    OPEN_LOOP,
+    UNEVEN,
+    Source,
+    expert_table,
+    grid_table,
+    is_level,
+    is_of_paper,
+    origins,
+    other_experts,
+)
+from measurements import DATA, Row
+from zoo_configs.drawing.tables import markdown_table
+from zoo_configs.files import whole_file
+
+BEGIN = r"(?<!`)<!-- data: "
+"""Start of a marker outside backticks."""
+PLACE = re.compile(rf"({BEGIN}(?P<name>[^>]*?) -->).*?(<!-- end of data -->)", re.DOTALL)
+
+
+SPEED_HEADS = {
+    "yardstick_us": ("yardstick us", 1),
+    "steps_per_second": ("steps/s", 0),
+    "step_ms": ("ms/step", 2),
+    "physics_ms": ("physics", 2),
+    "rendering_ms": ("rendering", 2),
+    "rest_ms": ("rest", 2),
+    "without_expert_ms": ("without expert", 2),
+    "unsimulated": ("steps without simulation", 2),
+    "reset_ms": ("reset ms", 1),
+    "reference_steps_per_second": ("reference steps/s", 1),
+    "times_reference": ("ratio", 1),
+}
+"""Column of the page and digits, by column of the file."""
+PARTS = ("gradients_of_convolutions", "convolutions", "pooling", "rest")
+
+
+def speed_table(source: Source) -> str:
+    """Return the speed of the environments with default parameters."""
+    rows = [row for row in source.read("speed") if not row["env_kwargs"]]
+    lines = [
+        [
+            f"`{row['env']}`",
+            *(
+                f"{float(row[name]):.{digits}f}" if row[name] else ""
+                for name, (_, digits) in SPEED_HEADS.items()
+            ),
+            f"{float(row['success']):.2f} of {row['episodes']}",
+        ]
+        for row in rows
+    ]
+    table = markdown_table(["environment", *(head for head, _ in SPEED_HEADS.values()), "expert"], lines)
+    load = f"load average when a row began at most {max(float(row['load']) for row in rows):.1f}"
+    return f"{table}\n\n{origins(rows)}, {load} ({source.link('speed')})."
+
+
+def ratio_sentence(source: Source) -> str:
+    """Return the comparison of the speed with the reference."""
+    parts = [
+        f"{_geometric_mean(ratios):.1f} for {tasks.format(len(ratios))} (the least {min(ratios):.1f})"
+        for ratios, tasks in zip(
+            _ratios(source),
+            ("the {} close-loop tasks of the paper", "its {} open-loop tasks"),
+            strict=True,
+        )
+    ]
+    return f"The geometric mean of the ratios is {' and '.join(parts)}."
+
+
+def ratio_summary(source: Source) -> str:
+    """Return the comparison of the speed with the reference in short."""
+    closed, opened = _ratios(source)
+    both = (*closed, *opened)
+    return (
+        f"Steps {min(both):.0f} to {max(both):.0f} times as fast as the original release's; "
+        f"on the geometric mean {_geometric_mean(closed):.0f} times in close loop, "
+        f"{_geometric_mean(opened):.0f} times in open loop"
+    )
+
+
+def _ratios(source: Source) -> list[list[float]]:
+    rows = [row for row in source.read("speed") if row["times_reference"] and not row["env_kwargs"]]
+    return [
+        [float(row["times_reference"]) for row in rows if row["env"].startswith(control)]
+        for control in ("CloseLoop", OPEN_LOOP)
+    ]
+
+
+def _geometric_mean(ratios: Sequence[float]) -> float:
+    return math.exp(fmean(map(math.log, ratios)))
+
+
+def update_table(source: Source, control: str) -> str:
+    """Return the durations of updates and of their parts."""
+    rows = [row for row in source.read("updates") if row["env"].startswith(control)]
+    heads = ["baseline", "preset", "device", "ms an update", "peak GB"]
+    heads += [*(part.replace("_", " ") for part in PARTS), "equivariant over plain"]
+    lines = [
+        [
+            *(f"`{row['baseline']}`", f"`{row['preset']}`", row["device"], f"{float(row['update_ms']):,.1f}"),
+            *(row["peak_gigabytes"], *(_percent(row[part]) for part in PARTS), row["equivariant_over_plain"]),
+        ]
+        for row in rows
+    ]
+    return source.table("updates", heads, lines, rows)
+
+
+def overhead_table(source: Source) -> str:
+    """Return the overhead of ``train``."""
+    rows = source.read("overhead")
+    heads = ["baseline", "time steps", "model.learn() CPU s", "train CPU s", "overhead", "its range"]
+    lines = [
+        [
+            *(f"`{row['baseline']}`", row["timesteps"], row["bare_seconds"], row["train_seconds"]),
+            *(_percent(row["overhead"], 1), f"{_percent(row['least'], 1)} to {_percent(row['greatest'], 1)}"),
+        ]
+        for row in rows
+    ]
+    return source.table("overhead", heads, lines, rows)
+
+
+def _percent(share: str, digits: int = 0) -> str:
+    return f"{float(share) * 100:.{digits}f} %" if share else ""
+
+
+def deconstruction_table(source: Source) -> str:
+    """Return the rates at which structures are collected by deconstruction."""
+    rows = [row for row in source.read("collecting") if row["planner"] == "deconstruction"]
+    figures = ("episodes", "attempts", "mean_steps", "episodes_per_minute", "load")
+    lines = [[f"`{row['env']}`", *(row[column] for column in figures)] for row in rows]
+    heads = (ID, "episodes", "attempts", "steps", "a minute", "load")
+    return source.table("collecting", heads, lines, rows)
+
+
+RESULT_HEADS = (
+    *("task", "baseline", "demonstrations, updates on them, steps", "seeds", "best", "last"),
+    *("second half: least to greatest", "minutes", "commit, date"),
+)
+TRAINING = ("env", "options", "baseline", "demonstrations", "noise", "dagger", "updates", "steps", "earlier")
+"""Columns that runs with different seeds share."""
+
+
+def results_table(source: Source, preset: str, tasks: str) -> str:
+    """Return the results of runs; seeds share a row, earlier measurements come last."""
+    trainings: dict[tuple[str, ...], list[Row]] = {}
+    for run in source.read("results"):
+        if run["preset"] == preset and fnmatchcase(run["env"], tasks):
+            trainings.setdefault(tuple(run[name] for name in TRAINING), []).append(run)
+    in_order = sorted(trainings.values(), key=lambda runs: (runs[0]["earlier"], runs[0]["env"]))
+    lines = [_result(sorted(runs, key=lambda run: int(run["seed"]))) for runs in in_order]
+    return markdown_table(RESULT_HEADS, lines, text_columns=4)
+
+
+def _result(runs: Sequence[Row]) -> list[str]:
+    first = runs[0]
+    task = first["env"].removeprefix("CloseLoop").removeprefix(OPEN_LOOP)
+    demonstrations, updates, steps = (
+        f"{int(first[name]):,}" for name in ("demonstrations", "updates", "steps")
+    )
+    noise, dagger = (" with noise" if first["noise"] else ""), (" with DAgger" if first["dagger"] else "")
+    minutes = [float(run["minutes"]) for run in runs if run["minutes"]]
+    return [
+        f"{task} (`{first['options']}`)" if first["options"] else task,
+        f"`{first['baseline']}`",
+        f"{demonstrations}{noise}, {updates}, {steps}{dagger}",
+        ", ".join(run["seed"] for run in runs),
+        *(_mean([float(run[name]) for run in runs if run[name]]) for name in ("best", "last")),
+        "; ".join(
+            f"{float(run['least']):.2f} to {float(run['greatest']):.2f}" for run in runs if run["least"]
+        ),
+        f"{fmean(minutes):.0f}" if minutes else "",
+        "; ".join(dict.fromkeys(map(_date, runs))),
+    ]
+
+
+def _mean(rates: Sequence[float]) -> str:
+    """Return the mean, followed by the values if there are several."""
+    values = ", ".join(f"{rate:.2f}" for rate in rates)
+    return f"{fmean(rates):.2f} ({values})" if len(rates) > 1 else values
+
+
+def _date(run: Row) -> str:
+    parts = run["commit"], run["date"], "earlier" if run["earlier"] else ""
+    return ", ".join(part for part in parts if part)
+
+
+FIGURES: dict[str, Callable[[Source], str]] = {
+    "experts, open loop": partial(expert_table, belongs=is_level),
+    "experts, open loop, ramps and bumps": partial(
+        expert_table, belongs=lambda name: name.startswith(UNEVEN)
+    ),
+    "experts, close loop": partial(
+        expert_table, belongs=lambda name: is_of_paper(name) and not name.startswith(OPEN_LOOP)
+    ),
+    "experts, composed": partial(
+        expert_table, belongs=lambda name: not is_of_paper(name) and not name.startswith(OPEN_LOOP)
+    ),
+    "experts, elsewhere": other_experts,
+    "experts on the grid": grid_table,
+    "speed": speed_table,
+    "speed, means": ratio_sentence,
+    "speed, in short": ratio_summary,
+    "updates, close loop": partial(update_table, control="CloseLoop"),
+    "updates, open loop": partial(update_table, control=OPEN_LOOP),
+    "overhead": overhead_table,
+    "deconstruction": deconstruction_table,
+    "results, close loop": partial(results_table, preset="cpu", tasks="CloseLoop*"),
+    "results, open loop": partial(results_table, preset="cpu", tasks="OpenLoop*"),
+    "results, many demonstrations": partial(results_table, preset="quick", tasks="CloseLoop*"),
+}
+"""Functions that return the text of a place, by name."""
+
+
+def filled(page: Path, folder: Path = DATA) -> str:
+    """Return the text of a page with its places filled.
+
+    :param page: Markdown file
+    :param folder: folder of the data files
+    """
+    source, text = Source(folder, page), page.read_text(encoding="utf-8")
+
+    def fill(place: re.Match[str]) -> str:
+        if place["name"] not in FIGURES:
+            near = difflib.get_close_matches(place["name"], FIGURES, 1)
+            sys.exit(
+                f"{page}: unknown data {place['name']!r}" + (f", did you mean {near[0]!r}?" if near else "")
+            )
+        content = FIGURES[place["name"]](source)
+        around = "\n\n" if "\n" in content else ""  # a table is a paragraph, a sentence is part of one
+        return f"{place[1]}{around}{content}{around}{place[3]}"
+
+    if len(re.findall(BEGIN, text)) != len(PLACE.findall(text)):
+        sys.exit(f"{page}: <!-- end of data --> is missing")
+    return PLACE.sub(fill, text)
+
+
+def main() -> None:
+    """Run the program."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("page", type=Path, nargs="+", help="Markdown files, or folders of them")
+    parser.add_argument("--data", type=Path, default=DATA, help="folder of the data (default: docs/data)")
+    args = parser.parse_args()
+    pages = [page for path in args.page for page in (sorted(path.rglob("*.md")) if path.is_dir() else [path])]
+    texts = {page: filled(page, args.data) for page in pages}  # before any page is written
+    for page, text in texts.items():
+        if text != page.read_text(encoding="utf-8"):
+            with whole_file(page) as partial_file:
+                partial_file.write_text(text, encoding="utf-8")
+            print(page)
+
+
+if __name__ == "__main__":
+    main()

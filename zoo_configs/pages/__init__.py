@@ -1,1 +1,0 @@
-"""Tables and sentences of the documentation that files of measurements fill."""

@@ -1,0 +1,77 @@
+"""Where a result comes from: machine, versions, commit and command line."""
+
+from __future__ import annotations
+
+import functools
+import shlex
+import subprocess
+from collections.abc import Sequence
+from importlib import metadata
+from pathlib import Path
+
+from bulletarm_gym.check import machine
+
+DISTRIBUTION = "bulletarm-gym"
+PACKAGES = (DISTRIBUTION, "torch", "stable-baselines3", "gymnasium", "pybullet", "numpy")
+COMMIT_DIGITS = 7
+HERE = Path(__file__).resolve()
+GIT_SECONDS = 10.0
+
+
+def versions() -> dict[str, str]:
+    """Return the version of each package of ``PACKAGES`` and of Python."""
+    return machine.versions(PACKAGES)
+
+
+def describe_arithmetic() -> str:
+    """Return the processor type and the number of threads, which floating-point results depend on."""
+    import llvmlite.binding
+    import torch
+
+    return f"{llvmlite.binding.get_host_cpu_name()}, {torch.get_num_threads()} threads"
+
+
+def describe_hardware(device: str = "cpu") -> str:
+    """Return the processor, its number of cores and the GPU that a PyTorch device uses."""
+    processor = machine.describe_processor()
+    if device == "cpu":
+        return processor  # without importing PyTorch
+
+    import torch
+    from stable_baselines3.common.utils import get_device
+
+    where = get_device(device)
+    return f"{processor}, {torch.cuda.get_device_name(where)}" if where.type == "cuda" else processor
+
+
+@functools.cache
+def commit() -> str:
+    """
+    Return the commit of the running code. The first call determines the result for the process.
+
+    :return: Abbreviated commit of the checkout, with ``-dirty`` if tracked files were changed; outside a
+        checkout the version of the package
+    """
+    words = ("describe", "--always", f"--abbrev={COMMIT_DIGITS}", "--dirty", "--exclude=*")
+    if _git("ls-files", "--error-unmatch", HERE.name) is not None and (found := _git(*words)):
+        return found
+    return f"version {metadata.version(DISTRIBUTION)}"
+
+
+def _git(*words: str) -> str | None:
+    """Return the output of a git command in this folder, None without git or a checkout."""
+    command = ["git", "-C", str(HERE.parent), *words]
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, timeout=GIT_SECONDS, check=True)
+    except (OSError, subprocess.SubprocessError):
+        return None
+    return done.stdout.strip()
+
+
+def command_line(words: Sequence[str]) -> str:
+    """Join words for a shell, with double quotes around single ones, as in ``"robot:'panda'"``."""
+    return " ".join(map(_quoted, words))
+
+
+def _quoted(word: str) -> str:
+    return f'"{word}"' if "'" in word and not set(word) & set('"$`\\!') else shlex.quote(word)

@@ -1,0 +1,137 @@
+"""Videos of agents and experts: rendered episodes next to the observations."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import gymnasium as gym
+from tqdm import trange
+
+from zoo_configs.agents import Agent
+from zoo_configs.arguments import hides_progress
+from zoo_configs.drawing.video import Frame, ValueMap, compose_frame
+from zoo_configs.environments import known_env_id, make_env, try_env
+from zoo_configs.errors import CommandError
+from zoo_configs.evaluating import check_fits, check_unwrapped
+from zoo_configs.training.seeds import SeedStream, stream_seed
+
+FRAMES_PER_SECOND = 5.0
+RENDER_MODE = "rgb_array"
+FINAL_SECONDS = 1.0  # duration of the last frame of an episode
+WRAPPERS = ("normalize", "frame_stack", "vec_env_wrapper")  # hyperparameters that change observations
+
+
+class Actor(NamedTuple):
+    """
+    Policy and environment to record.
+
+    :param name: Name in the caption
+    :param env: Environment with ``render_mode="rgb_array"``
+    :param act: Function from observation to action
+    :param folder: Default folder of the video
+    :param evaluate_pixels: Function from observation to the values of its pixels; None for other policies
+    """
+
+    name: str
+    env: gym.Env[Any, Any]
+    act: Callable[[Any], Any]
+    folder: Path = Path()
+    evaluate_pixels: Callable[[Any], ValueMap] | None = None
+
+    @property
+    def task(self) -> str:
+        """Name of the environment without namespace and version."""
+        assert self.env.spec is not None
+        return self.env.spec.name
+
+
+def expert_actor(env_id: str, env_kwargs: Mapping[str, Any]) -> Actor:
+    """Return the expert of an environment; raise ``CommandError`` if it has none."""
+    env_id = known_env_id(env_id)
+    env = make_env(env_id, env_kwargs, RENDER_MODE)
+    if not hasattr(env.unwrapped, "expert_action"):
+        raise CommandError(f"{env_id} has no expert")
+    try_env(env_id, env_kwargs, RENDER_MODE)
+    expert = env.unwrapped.expert_action
+    return Actor("expert", env, lambda _: expert())
+
+
+def agent_actor(agent: Agent, env_kwargs: Mapping[str, Any]) -> Actor:
+    """
+    Return an agent in its environment.
+
+    :param agent: The agent
+    :param env_kwargs: Changed parameters of the environment
+    :raises CommandError: if the environment rejects its parameters, or does not fit the agent
+    """
+    from zoo_configs.training.objects import wrapper
+
+    check_unwrapped(agent.hyperparams, WRAPPERS, "which record does not support")
+    kwargs = {**agent.env_kwargs, "render_mode": RENDER_MODE, **env_kwargs}
+    try_env(agent.env_id, kwargs, RENDER_MODE)
+    env = make_env(agent.env_id, kwargs, RENDER_MODE)
+    wrap = wrapper(agent.hyperparams.get("env_wrapper"))
+    env = wrap(env) if wrap is not None else env
+    check_fits(env, agent)
+
+    def act(observation: Any) -> Any:
+        return agent.model.predict(observation, deterministic=True)[0]
+
+    folder = Path() if agent.run is None else agent.run.folder
+    return Actor(agent.label, env, act, folder, _pixel_values(agent.model.policy))
+
+
+def _pixel_values(policy: Any) -> Callable[[Any], ValueMap] | None:
+    """Return the values that a policy over the pixels of a heightmap computes, None for other policies."""
+    from sb3_extensions.spatial_dqn.policies import SpatialPolicy
+
+    if not isinstance(policy, SpatialPolicy):
+        return None
+    yaws = policy.codec.grids.get("theta")
+
+    def evaluate(observation: Any) -> ValueMap:
+        values, (row, column, *others) = policy.value_map(observation)
+        return ValueMap(values, (row, column), None if yaws is None else float(yaws[others[0]]))
+
+    return evaluate
+
+
+def record(
+    actor: Actor, episodes: int, seed: int, fps: float = FRAMES_PER_SECOND, progress: bool | None = None
+) -> Iterator[Frame]:
+    """
+    Play episodes and yield their frames.
+
+    :param actor: The actor, whose environment stays open
+    :param episodes: Number of episodes
+    :param seed: Seed of the scenes
+    :param fps: Steps per second
+    :param progress: Whether to show a progress bar; None shows it on a terminal
+    """
+    first_seed, successes = stream_seed(seed, SeedStream.TEST), 0
+    for episode in trange(episodes, unit="episode", disable=hides_progress(progress)):
+        title = f"episode {episode + 1} of {episodes}"
+        *frames, (last, success) = _record_episode(actor, first_seed + episode, title)
+        yield from (frame for frame, _ in frames)
+        yield from [last] * max(1, round(FINAL_SECONDS * fps))
+        successes += success
+    print(f"{successes} of {episodes} episodes succeeded")
+
+
+def _record_episode(actor: Actor, seed: int, title: str) -> Iterator[tuple[Frame, bool]]:
+    """Yield the frames of an episode, each with the success at that time."""
+    seen, info = actor.env.reset(seed=seed)
+    step, over = 0, False
+    while True:
+        success = bool(info.get("is_success", False))
+        outcome = "success" if success else "failure" if over else f"step {step}"
+        image: Any = actor.env.render()
+        values = actor.evaluate_pixels(seen) if actor.evaluate_pixels else None
+        caption = f"{actor.task}, {actor.name}, {title}: {outcome}"
+        yield compose_frame(image, seen, actor.env.observation_space, caption, success, values), success
+        if over:
+            return
+        seen, _, terminated, truncated, info = actor.env.step(actor.act(seen))
+        step, over = step + 1, terminated or truncated

@@ -1,0 +1,242 @@
+"""Results of many runs: experiments, success by seed, and tables."""
+
+from __future__ import annotations
+
+import csv
+import sys
+from collections import defaultdict
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from zoo_configs.cells.rules import task_name
+from zoo_configs.drawing.curves import LearningCurve, load_curve
+from zoo_configs.drawing.tables import markdown_table
+from zoo_configs.errors import CommandError
+from zoo_configs.files import whole_file
+from zoo_configs.training.origin import Origin, origin_of
+from zoo_configs.training.runs import Run, find_runs
+from zoo_configs.training.state import State
+
+AXES = ("preset", "benchmark")
+"""Settings that label an experiment before any hyperparameter does."""
+HEADS = ("task", "baseline", "success", "by seed", "done", "steps", "minutes")
+BASELINE_HEADS = ("baseline", "interquartile mean", "by seed", "mean", "tasks", "runs")
+RUN_HEADS = ("env", "baseline", "seed", "success", "steps", "done", "minutes", "machine", "command")
+EXPLANATION = """Success: success rate in the last evaluation, mean over the seeds and by seed. Minutes: mean
+duration of a run. Over all tasks: interquartile mean over the runs of all tasks, and by seed over the tasks.
+The tables show each seed instead of a confidence interval, for which two to five seeds are too few."""
+
+
+@dataclass(frozen=True)
+class Result:
+    """Evaluations and origin of one run."""
+
+    run: Run
+    curve: LearningCurve
+    origin: Origin
+
+    @property
+    def success(self) -> float:
+        """Mean of the last evaluation."""
+        return float(self.curve.success[-1])
+
+    @property
+    def steps(self) -> int:
+        """Time step of the last evaluation."""
+        return int(self.curve.timesteps[-1])
+
+    @property
+    def is_done(self) -> bool:
+        """Whether the run is done."""
+        status = self.run.status
+        return status is not None and status.state is State.DONE
+
+
+@dataclass
+class Experiment:
+    """
+    Runs that differ only in their seeds.
+
+    :param env_id: Id of the environment
+    :param baseline: Baseline or algorithm
+    :param settings: Everything else that defines the experiment, by dotted name
+    :param label: Baseline, with the settings that distinguish it from other experiments on this environment
+    :param results: Results by seed
+    """
+
+    env_id: str
+    baseline: str
+    settings: Mapping[str, Any]
+    label: str = ""
+    results: dict[int, Result] = field(default_factory=dict)
+
+    @property
+    def success(self) -> dict[int, float]:
+        """Success in the last evaluation, by seed."""
+        return {seed: self.results[seed].success for seed in sorted(self.results)}
+
+
+def read_experiments(
+    log_folder: Path, env_ids: Sequence[str] | None = None, baselines: Sequence[str] | None = None
+) -> list[Experiment]:
+    """
+    Read the evaluated runs in a folder, and group them by experiment.
+
+    Of runs with the same experiment and seed, the longest one counts.
+
+    :param log_folder: Folder of all runs, or of a benchmark
+    :param env_ids: Ids of environments, None for all
+    :param baselines: Baselines, None for all
+    :return: The experiments, sorted by environment and label
+    :raises CommandError: if no run fits
+    """
+    experiments: list[Experiment] = []
+    for run in find_runs(log_folder):
+        is_wanted = env_ids is None or run.cell.env_id in env_ids
+        if (
+            is_wanted
+            and run.evaluations_file.is_file()
+            and (baselines is None or run.cell.baseline in baselines)
+        ):
+            _add(experiments, Result(run, load_curve(run.evaluations_file), origin_of(run)))
+    if not experiments:
+        raise CommandError(f"no evaluated run of these environments and baselines in {log_folder}")
+    for one in experiments:
+        one.label = _label(one, [other for other in experiments if _name(other) == _name(one)])
+    return sorted(experiments, key=lambda one: (one.env_id, one.label))
+
+
+def _name(experiment: Experiment) -> tuple[str, str]:
+    return experiment.env_id, experiment.baseline
+
+
+def _add(experiments: list[Experiment], result: Result) -> None:
+    """Add a result to its experiment."""
+    run = result.run
+    new = Experiment(run.cell.env_id, run.cell.label, settings_of(run))
+    found = next(
+        (one for one in experiments if (_name(one), one.settings) == (_name(new), new.settings)), new
+    )
+    if found is new:
+        experiments.append(new)
+    other = found.results.get(run.seed, result)
+    left, kept = sorted((other, result), key=lambda one: one.steps)
+    found.results[run.seed] = kept
+    if left is not kept:
+        print(f"left out: {left.run.folder} repeats {kept.run.folder}", file=sys.stderr)
+
+
+def settings_of(run: Run) -> dict[str, Any]:
+    """Return what defines the experiment of a run, except environment and seed, by dotted name."""
+    cell = run.cell
+    axes = {"algo": cell.algo, "preset": cell.preset, "benchmark": cell.benchmark}
+    options = {"trained_agent": run.options.trained_agent, "n_timesteps": run.n_timesteps}
+    return {**axes, **dict(_flat(cell.hyperparams)), **options}
+
+
+def _flat(values: Mapping[str, Any], prefix: str = "") -> Iterable[tuple[str, Any]]:
+    """Yield the values of nested mappings by dotted name; parameters of the environment have no prefix."""
+    for name, value in values.items():
+        if isinstance(value, Mapping):
+            yield from _flat(value, "" if name == "env_kwargs" else f"{prefix}{name}.")
+        else:
+            yield f"{prefix}{name}", value
+
+
+def _label(own: Experiment, others: Iterable[Experiment]) -> str:
+    """Return the baseline with the settings that differ from others, first the settings in ``AXES``."""
+    alike = [other.settings for other in others]
+    named: list[str] = []
+    for names in (AXES, sorted({name for one in alike for name in one})):
+        alike = [one for one in alike if all(one[name] == own.settings[name] for name in named)]
+        differing = [name for name in names if any(one.get(name) != own.settings.get(name) for one in alike)]
+        named += [name for name in differing if name not in named]
+    return ", ".join([own.baseline, *(f"{name}={own.settings.get(name)}" for name in named)])
+
+
+def interquartile_mean(values: Sequence[float]) -> float:
+    """Return the mean without the lowest and the highest quarter of the values (Agarwal et al. 2021)."""
+    omitted = len(values) // 4
+    return float(np.mean(sorted(values)[omitted : len(values) - omitted]))
+
+
+def experiment_row(experiment: Experiment) -> list[str]:
+    """Return the row of an experiment with the columns ``HEADS``."""
+    results, success = experiment.results.values(), experiment.success
+    minutes = [result.origin.minutes for result in results if result.origin.minutes is not None]
+    return [
+        task_name(experiment.env_id),
+        experiment.label,
+        f"{np.mean(list(success.values())):.2f}",
+        _by_seed(success),
+        f"{sum(result.is_done for result in results)} of {len(results)}",
+        str(max(result.steps for result in results)),
+        f"{np.mean(minutes):.1f}" if minutes else "",
+    ]
+
+
+def baseline_rows(experiments: Iterable[Experiment]) -> list[list[str]]:
+    """Return the rows of the table of baselines over all tasks, with the columns ``BASELINE_HEADS``."""
+    groups: defaultdict[str, list[dict[int, float]]] = defaultdict(list)
+    for experiment in experiments:
+        groups[experiment.label].append(experiment.success)
+    return [_baseline_row(label, tasks) for label, tasks in sorted(groups.items())]
+
+
+def _baseline_row(label: str, tasks: Sequence[Mapping[int, float]]) -> list[str]:
+    values = [value for task in tasks for value in task.values()]
+    seeds = sorted({seed for task in tasks for seed in task})
+    by_seed = {seed: interquartile_mean([task[seed] for task in tasks if seed in task]) for seed in seeds}
+    means = f"{interquartile_mean(values):.2f}", _by_seed(by_seed), f"{np.mean(values):.2f}"
+    return [label, *means, str(len(tasks)), str(len(values))]
+
+
+def _by_seed(values: Mapping[int, float]) -> str:
+    return ", ".join(f"{seed}: {value:.2f}" for seed, value in values.items())
+
+
+def write_tables(experiments: Sequence[Experiment], picture: Path) -> list[Path]:
+    """
+    Write the results next to a figure, with the same name.
+
+    :return: A Markdown file with figure, tables, commands and machines, and a CSV file with one row a run
+    """
+    page, table = picture.with_suffix(".md"), picture.with_suffix(".csv")
+    firsts = [_results([experiment])[0] for experiment in experiments]
+    parts = [
+        f"![Success in the evaluations, mean over the seeds and its standard error]({picture.name})",
+        markdown_table(HEADS, list(map(experiment_row, experiments))),
+        markdown_table(BASELINE_HEADS, baseline_rows(experiments)),
+        EXPLANATION,
+        "Commands that repeat the first seed of each experiment:",
+        "\n".join(f"    {result.origin.command}" for result in firsts),
+        "Machines:",
+        "\n".join(dict.fromkeys(map(_machine, _results(experiments)))),
+    ]
+    with whole_file(page) as partial:
+        partial.write_text("\n\n".join(parts) + "\n", encoding="utf-8")
+    with whole_file(table) as partial, partial.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(RUN_HEADS)
+        writer.writerows(_run_row(one, result) for one in experiments for result in _results([one]))
+    return [page, table]
+
+
+def _results(experiments: Iterable[Experiment]) -> list[Result]:
+    return [experiment.results[seed] for experiment in experiments for seed in sorted(experiment.results)]
+
+
+def _run_row(experiment: Experiment, result: Result) -> list[Any]:
+    origin, done = result.origin, "yes" if result.is_done else "no"
+    last = result.success, result.steps, done, origin.minutes
+    return [experiment.env_id, experiment.label, result.run.seed, *last, origin.machine, origin.command]
+
+
+def _machine(result: Result) -> str:
+    origin = result.origin
+    versions = ", ".join(f"{name} {version}" for name, version in origin.versions.items())
+    return f"- {origin.machine}, device {result.run.device}, commit {origin.commit}; {versions}"

@@ -1,0 +1,212 @@
+"""Training of one run: environments, model and callbacks from its hyperparameters."""
+
+from __future__ import annotations
+
+import contextlib
+import shlex
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.save_util import load_from_zip_file
+from stable_baselines3.common.vec_env import VecEnv
+
+from sb3_extensions.common.checkpoint import DirectoryCheckpointCallback, resume, save_checkpoint
+from zoo_configs.algorithms import algorithm_classes
+from zoo_configs.cells.validation import policy_class
+from zoo_configs.environments import CheckedDemonstrations, load_expert_data
+from zoo_configs.errors import CommandError, reason, refused
+from zoo_configs.files import whole_file
+from zoo_configs.training.evaluation import PeriodicEvaluation
+from zoo_configs.training.objects import TRAINER_KEYS, action_noise, callbacks, parsed
+from zoo_configs.training.progress import TrainingBar
+from zoo_configs.training.runs import Run, env_folder_name
+from zoo_configs.training.seeds import SeedStream, stream_seed
+from zoo_configs.training.training_log import TrainingLog
+from zoo_configs.training.vec_envs import build_vec_env
+from zoo_configs.yaml_files import write_yaml
+
+REJECTIONS = (AssertionError, MemoryError, RuntimeError, TypeError, ValueError)
+"""Errors of algorithms for arguments, or environments, with which they cannot learn."""
+
+
+class Trainer:
+    """
+    Environments, model and callbacks of one run.
+
+    :param run: The run; its folder exists
+    :param checkpoint: The checkpoint to resume from, None for a new run
+    :param more_callbacks: Callbacks in addition to those of the options
+    :param progress: Whether to show a progress bar instead of tables
+    :raises CommandError: if the algorithm, the environment or a callback rejects its arguments
+    """
+
+    def __init__(
+        self,
+        run: Run,
+        checkpoint: Path | None = None,
+        more_callbacks: Sequence[BaseCallback] = (),
+        progress: bool = False,
+    ) -> None:
+        self.run, self.checkpoint, self.progress = run, checkpoint, progress
+        self.options, self.hyperparams = run.options, run.cell.hyperparams
+        self.algorithm = algorithm_classes()[run.cell.algo]
+        self.verbose = 0 if progress and self.options.verbose == 1 else self.options.verbose
+        self.evaluation_env: VecEnv | None = None
+        self.env: VecEnv | None = None
+        try:
+            with refused(f"{run.cell.algo} cannot be built for {run.cell.env_id}"):
+                self.callbacks = [*self._callbacks(), *more_callbacks]
+                self.env = self._training_env()
+                self.model = self._model(self.env)
+        except BaseException:
+            self.close()
+            raise
+
+    def learn(self) -> bool:
+        """
+        Train, and save a last checkpoint.
+
+        :return: False if Ctrl-C ended the training
+        :raises CommandError: for an error before the first update, because the arguments are its reason
+        """
+        updates = getattr(self.model, "_n_updates", 0)
+        steps = self.run.n_timesteps - (self.model.num_timesteps if self.checkpoint else 0)
+        # By default our algorithms show bars for demonstrations and pretraining on a terminal.
+        options: dict[str, Any] = {} if self.progress else {"progress_bar": False}
+        if self.options.log_interval != -1:
+            options["log_interval"] = max(self.options.log_interval, 0) or None
+        try:
+            self.model.learn(
+                steps, callback=self.callbacks, reset_num_timesteps=self.checkpoint is None, **options
+            )
+            if self.options.save_freq > 0:
+                save_checkpoint(self.model, self.run.checkpoint_folder)
+        except KeyboardInterrupt:
+            for callback in self.callbacks:
+                if isinstance(callback, TrainingBar):
+                    callback.close()
+            return False
+        except REJECTIONS as error:
+            if getattr(self.model, "_n_updates", 0) > updates:
+                raise
+            where = f"{self.run.cell.algo} cannot train on {self.run.cell.env_id}"
+            raise CommandError(f"{where}: {reason(error)}") from error
+        return True
+
+    def save(self) -> None:
+        """Save the model and the normalisation statistics atomically."""
+        with whole_file(self.run.last_model) as partial:
+            self.model.save(partial)
+        if (statistics := self.model.get_vec_normalize_env()) is not None:
+            with whole_file(self.run.statistics_file) as partial:
+                statistics.save(str(partial))
+
+    def write_configuration(self) -> None:
+        """Write the files from which rl_zoo3 loads a run."""
+        run, folder = self.run, self.run.params_folder
+        where = {"algo": run.cell.algo, "env": run.cell.env_id, "seed": run.seed, "device": run.device}
+        arguments = {
+            **where,
+            "log_folder": str(run.folder.parent),
+            "env_kwargs": None,
+            **self.options.plain(),
+        }
+        write_yaml(run.config_file, dict(sorted(self.hyperparams.items())))
+        write_yaml(folder / "args.yml", dict(sorted(arguments.items())))
+        with whole_file(folder / "command.txt") as partial:
+            partial.write_text(shlex.join(getattr(sys, "orig_argv", sys.argv)), encoding="utf-8")
+
+    def close(self) -> None:
+        """Close all environments."""
+        for env in (self.env, self.evaluation_env):
+            if env is not None:
+                with contextlib.suppress(EOFError, BrokenPipeError):  # Ctrl-C has ended a worker process
+                    env.close()
+
+    def _training_env(self) -> VecEnv:
+        return self._build_env(
+            self.hyperparams.get("n_envs", 1),
+            monitor_dir=self.run.folder,
+            override_existing=self.checkpoint is None,
+        )
+
+    def _build_env(self, n_envs: int, **kwargs: Any) -> VecEnv:
+        return build_vec_env(
+            self.run.cell.env_id,
+            self.hyperparams,
+            n_envs,
+            self.run.seed,
+            vec_env=self.options.vec_env,
+            statistics=self._trained_agent_statistics(),
+            **kwargs,
+        )
+
+    def _trained_agent_statistics(self) -> Path | None:
+        """Return the file with the statistics of the model that training starts from."""
+        if not self.options.trained_agent:
+            return None
+        folder = Path(self.options.trained_agent).parent
+        return folder / env_folder_name(self.run.cell.env_id) / self.run.statistics_file.name
+
+    def _callbacks(self) -> list[BaseCallback]:
+        """Build the callbacks of the hyperparameters, then progress bar, log, evaluation and checkpoints."""
+        options, found = self.options, callbacks(self.hyperparams.get("callback"))
+        if self.progress:
+            found.append(TrainingBar())
+        if options.eval_freq > 0:
+            self.evaluation_env = self._build_env(options.n_eval_envs, for_evaluation=True)
+            self.evaluation_env.seed(stream_seed(self.run.seed, SeedStream.EVALUATION))
+            found.append(TrainingLog(self.run.training_log, options.eval_freq))
+            found.append(PeriodicEvaluation(self.run, self.evaluation_env, self.verbose))
+        if options.save_freq > 0:
+            found.append(DirectoryCheckpointCallback(options.save_freq, self.run.checkpoint_folder))
+        return found
+
+    def _model(self, env: VecEnv) -> BaseAlgorithm:
+        """Load the model of a checkpoint or file, or build a new one."""
+        if self.checkpoint is not None:
+            return resume(self.checkpoint, env, self.run.device)
+        kwargs = self._constructor_kwargs(env)
+        if not self.options.trained_agent:
+            model: BaseAlgorithm = self.algorithm(env=env, **kwargs)
+            return model
+        _check_policy(self.algorithm, self.options.trained_agent, kwargs.pop("policy"))
+        kwargs.pop("policy_kwargs", None)
+        # Arguments that are not named would be the file's, but those of the buffer are the run's.
+        if (default := getattr(self.algorithm, "default_replay_buffer_class", None)) is not None:
+            kwargs.setdefault("replay_buffer_class", default)
+        loaded: BaseAlgorithm = self.algorithm.load(self.options.trained_agent, env=env, **kwargs)
+        return loaded
+
+    def _constructor_kwargs(self, env: VecEnv) -> dict[str, Any]:
+        values = load_expert_data(parsed(self.hyperparams))
+        if (episodes := values.get("expert_data")) is not None:
+            values["expert_data"] = CheckedDemonstrations(episodes)
+        if values.get("noise_type") is not None:
+            values["action_noise"] = action_noise(values["noise_type"], values["noise_std"], env.action_space)
+        folder = self.options.tensorboard_log
+        return {
+            **{key: value for key, value in values.items() if key not in TRAINER_KEYS},
+            "seed": self.run.seed,
+            "device": self.run.device,
+            "verbose": self.verbose,
+            "tensorboard_log": str(Path(folder) / env_folder_name(self.run.cell.env_id)) if folder else None,
+        }
+
+
+def _check_policy(algorithm: type[Any], file: str, policy: str | type[Any]) -> None:
+    """
+    Check that a model file has the policy of the hyperparameters.
+
+    :raises CommandError: if it has another one
+    """
+    data: Mapping[str, Any] = load_from_zip_file(file, device="cpu")[0] or {}
+    wanted = policy_class(algorithm, policy) if isinstance(policy, str) else policy
+    found = data.get("policy_class", type(None))
+    if found is not wanted:
+        names = [f"{cls.__module__}.{cls.__qualname__}" for cls in (found, wanted)]
+        raise CommandError(f"the policy in {file} is {names[0]}, this run's {names[1]}")
