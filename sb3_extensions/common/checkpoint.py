@@ -1,19 +1,10 @@
 """
-Checkpoints from which training continues exactly.
-
-A checkpoint is a directory with the algorithm (``model.zip``) and its replay buffer (``replay_buffer.pkl``).
-It also has the states of random generators, environments and wrappers (``state.pkl``), and the checksums of
-these files (``manifest.json``). The directory is written under a temporary name and then renamed, so that an
-interrupted write leaves no incomplete checkpoint.
+Checkpoints: directories with algorithm, replay buffer, checksums, and states of environments and generators.
 
 A resumed run equals an uninterrupted one bit for bit on the CPU with a ``DummyVecEnv``. This requires
 environments with ``get_state()`` and ``set_state(state)`` whose state includes the random generator. Other
-environments start a new episode. Two things are not stored: the state of callbacks (the best result of an
-``EvalCallback``), and the state of an Ornstein-Uhlenbeck ``action_noise``, which Stable-Baselines3 resets in
-each ``learn()``.
+environments start a new episode. The state of callbacks is not stored.
 """
-
-from __future__ import annotations
 
 import json
 import os
@@ -39,9 +30,6 @@ MANIFEST, MODEL, REPLAY_BUFFER, STATE = "manifest.json", "model.zip", "replay_bu
 FORMAT = 6
 """Version of the format of a checkpoint."""
 PREFIX, TEMPORARY_PREFIX = "checkpoint_", ".incomplete_"
-CHUNK = 1 << 20
-"""Bytes that are read at once for a checksum."""
-
 WRAPPER_STATE = ("rewards", "_elapsed_steps")
 """Attributes of ``Monitor`` and ``TimeLimit`` that change in an episode."""
 VEC_WRAPPER_STATE = (
@@ -60,8 +48,7 @@ class DirectoryCheckpointCallback(BaseCallback):
     """
     Callback that saves a checkpoint directory every ``save_freq`` timesteps and keeps the latest ones.
 
-    A checkpoint is saved between two rollouts, after the gradient steps. A gradient step of the pretraining
-    counts as one timestep.
+    A gradient step of the pretraining counts as one timestep.
 
     :param save_freq: number of timesteps of all environments between two checkpoints
     :param path: directory of the checkpoints, created if it does not exist
@@ -137,12 +124,7 @@ def save_checkpoint(model: BaseAlgorithm, path: str | os.PathLike[str], keep: in
 
 
 def latest_checkpoint(path: str | os.PathLike[str]) -> Path | None:
-    """
-    Return the latest checkpoint, without reading it.
-
-    :param path: directory of checkpoints
-    :return: the checkpoint, None if there is none
-    """
+    """Return the latest checkpoint in a directory, without reading it, None if there is none."""
     return next(reversed(_checkpoints(Path(path))), None)
 
 
@@ -178,19 +160,20 @@ def resume(path: str | os.PathLike[str], env: GymEnv, device: th.device | str = 
     :raises CheckpointError: if the checkpoint is missing or damaged
     :raises ValueError: if the environment does not fit
     """
-    checkpoint = Path(path)
-    if not (checkpoint / MANIFEST).is_file():
+    checkpoint, errors = Path(path), []
+    if (checkpoint / MANIFEST).is_file():
+        _check_files(checkpoint)
+    else:
         checkpoint, errors = latest_valid_checkpoint(path)
-        for error in errors:
-            warnings.warn(f"{error}. Resuming from {checkpoint}", stacklevel=2)
-    files = _check_files(checkpoint)
+    for error in errors:
+        warnings.warn(f"{error}. Resuming from {checkpoint}", stacklevel=2)
     try:
         state = pickle.loads((checkpoint / STATE).read_bytes())
         model: BaseAlgorithm = state["algorithm"].load(
             checkpoint / MODEL, env=env, device=device, force_reset=False
         )
         _check_env(model, state["envs"])  # before the replay buffer, whose errors are less clear
-        if isinstance(model, OffPolicyAlgorithm) and REPLAY_BUFFER in files:
+        if isinstance(model, OffPolicyAlgorithm) and (checkpoint / REPLAY_BUFFER).exists():
             model.load_replay_buffer(checkpoint / REPLAY_BUFFER, truncate_last_traj=False)
     except (pickle.UnpicklingError, EOFError, ImportError, AttributeError, zipfile.BadZipFile) as error:
         raise CheckpointError(f"{checkpoint} cannot be read: {error}") from error
@@ -216,8 +199,8 @@ def _write_files(model: BaseAlgorithm, directory: Path) -> None:
         _sync(file)
 
 
-def _check_files(checkpoint: Path) -> set[str]:
-    """Return the names of the files of a checkpoint after a comparison with their checksums."""
+def _check_files(checkpoint: Path) -> None:
+    """Raise a CheckpointError if a file of a checkpoint is missing or has another checksum."""
     try:
         manifest = json.loads((checkpoint / MANIFEST).read_text(encoding="utf-8"))
         version, checksums = manifest["format"], manifest["crc32"]
@@ -230,7 +213,6 @@ def _check_files(checkpoint: Path) -> set[str]:
             raise CheckpointError(f"{checkpoint} is damaged: {name} is missing")
         if _crc32(checkpoint / name) != checksum:
             raise CheckpointError(f"{checkpoint} is damaged: {name} has another checksum")
-    return set(checksums)
 
 
 def _generator_state(model: BaseAlgorithm) -> dict[str, Any]:
@@ -333,11 +315,8 @@ def _number(checkpoint: Path) -> int:
 
 
 def _crc32(file: Path) -> int:
-    checksum = 0
-    with file.open("rb") as stream:
-        while chunk := stream.read(CHUNK):
-            checksum = zlib.crc32(chunk, checksum)
-    return checksum
+    size = file.stat().st_size
+    return zlib.crc32(np.memmap(file, mode="r") if size else b"")  # does not read the whole file at once
 
 
 def _sync(path: Path) -> None:

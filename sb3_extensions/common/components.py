@@ -1,7 +1,5 @@
 """Components from Python objects or from YAML, and checks of arguments."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import TypeVar
 
@@ -13,10 +11,8 @@ def make_component(parameter: str, spec: object, classes: Mapping[str, type[Comp
     Create a component from its specification.
 
     :param parameter: name of the parameter, for messages
-    :param spec: a component, None, a name (``"drq"``), or a name with its arguments (``{"rad": {"size":
-        64}}``)
+    :param spec: a component, None, a name (``"drq"``), or a name with arguments (``{"rad": {"size": 64}}``)
     :param classes: classes by name
-    :return: the component, None for None
     :raises ValueError: if the specification is something else
     """
     if spec is None or isinstance(spec, tuple(classes.values())):
@@ -39,6 +35,13 @@ def check_fraction(**arguments: float) -> None:
     for name, value in arguments.items():
         if not 0 <= value <= 1:
             raise ValueError(f"{name} must be between 0 and 1, got {value}")
+
+
+def check_positive(**arguments: float) -> None:
+    """Raise a ValueError that names the argument if a value is not positive."""
+    for name, value in arguments.items():
+        if value <= 0:
+            raise ValueError(f"{name} must be positive, got {value}")
 
 
 def check_not_negative(**arguments: float) -> None:

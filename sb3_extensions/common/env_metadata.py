@@ -1,7 +1,5 @@
 """Metadata of an environment's actions: defaults for the arguments of policies, buffers and augmentations."""
 
-from __future__ import annotations
-
 import inspect
 from collections.abc import Mapping
 from typing import Any

@@ -1,7 +1,5 @@
 """Seeds of the independent random streams of an algorithm."""
 
-from __future__ import annotations
-
 from enum import IntEnum
 
 import numpy as np

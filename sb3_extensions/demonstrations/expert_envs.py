@@ -1,7 +1,5 @@
 """Environments of the expert: copies of the training environments."""
 
-from __future__ import annotations
-
 import copy
 import dataclasses
 from typing import Any

@@ -1,7 +1,5 @@
 """Equivariant encoder of a square image to a vector: the paper's closed-loop encoder."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

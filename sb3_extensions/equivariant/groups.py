@@ -79,8 +79,7 @@ class Group:
         """Return the representation with one number for each coset of the subgroup C_m of rotations.
 
         Number ``i < n / m`` is the coset of the rotation by ``2 pi i / n``. The numbers of the reflected
-        elements of a dihedral group follow in the same order. For C_32 with ``m = 2``, number ``i`` is a yaw
-        of ``i pi / 16`` modulo pi.
+        elements of a dihedral group follow in the same order.
 
         :param m: order of the subgroup, a divisor of n
         :raises ValueError: if m does not divide n
@@ -92,10 +91,7 @@ class Group:
     def irrep(self, frequency: int) -> Representation:
         """Return the representation of two numbers that rotate by ``frequency`` times the angle.
 
-        Frequency 1 is a vector (x, y). For frequencies of 0 or n / 2 modulo n the representation is
-        reducible.
-
-        :param frequency: at least 0
+        Frequency 1 is a vector (x, y). Frequencies of 0 or n / 2 modulo n are reducible.
         """
         return Representation(self, "irrep", frequency)
 

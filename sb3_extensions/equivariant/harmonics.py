@@ -6,8 +6,6 @@ degrees. For example, a harmonic of frequency 4 responds to a constant image, on
 :func:`harmonic_basis` suppresses the part of each sampled harmonic that responds to other frequencies.
 """
 
-from __future__ import annotations
-
 import math
 from functools import cache
 
@@ -24,8 +22,7 @@ CORRELATION_LENGTH = 3.0
 PLANE_VARIANCE = 1e3
 """Variance of the constant and of the slope in the random images. Both are suppressed exactly."""
 SUPPRESSION = 1e-5
-"""Weight of the distance from the sampled ring relative to the response to other frequencies. Smaller weights
-hardly lower the error of one layer, and make the harmonics of neighbouring rings more similar."""
+"""Weight of the distance from the sampled ring relative to the response to other frequencies."""
 GRID_ROTATIONS = 4
 """Number of rotations that map the pixel grid to itself."""
 QUADRATURE_ANGLES = 64

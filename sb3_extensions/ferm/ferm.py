@@ -1,7 +1,5 @@
 """Framework for efficient robotic manipulation."""
 
-from __future__ import annotations
-
 from typing import Any, ClassVar
 
 import torch as th
@@ -19,12 +17,11 @@ from sb3_extensions.sacfd import SACfD
 
 class FERM(SACfD):
     """
-    Framework for efficient robotic manipulation (FERM).
+    Framework for efficient robotic manipulation (FERM): SACfD with a contrastive loss of random crops.
 
-    SACfD on random crops of the images with a contrastive loss. The encoder learns to identify two crops of
-    the same observation, first on the demonstrations alone, then in every update. The critic's features
-    extractor computes the queries, and the target critic's the keys. ``encoder_tau`` is the coefficient of
-    this target. With ``bc_weight=0`` it is FERM SAC.
+    The encoder learns to identify two crops of the same observation, first on the demonstrations alone, then
+    in every update. The critic's features extractor computes the queries, and the target critic's the keys.
+    With ``bc_weight=0`` it is FERM SAC.
 
     Paper: https://arxiv.org/abs/2012.07975; defaults: BulletArm,
     https://arxiv.org/abs/2205.14292, appendix "Benchmark Details", and its authors' code.
@@ -77,13 +74,7 @@ class FERM(SACfD):
         self.contrast = self.policy.contrast
 
     def train(self, gradient_steps: int, batch_size: int = 64) -> None:
-        """
-        Sample the replay buffer and do the updates
-        (gradient descent and update target networks)
-
-        :param gradient_steps: number of updates
-        :param batch_size: number of steps in each batch
-        """
+        """Update all networks, see :class:`~sb3_extensions.sacfd.SACfD`."""
         self._update_learning_rate(self.contrast.optimizer)
         super().train(gradient_steps, batch_size)
 

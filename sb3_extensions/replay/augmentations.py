@@ -1,7 +1,5 @@
 """Creation of augmentations from their names, for arguments and YAML files."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 
@@ -21,7 +19,6 @@ def make_augmentation(spec: AugmentationSpec, action_sequence: str | None = None
     :param spec: an augmentation, None, a name (``"drq"``), or names with their arguments in the order of
         application (``{"rotation": {}, "rad": {"size": 64}}``)
     :param action_sequence: default ``action_sequence`` of a rotation
-    :return: the augmentation
     :raises ValueError: if the specification is something else
     """
     if isinstance(spec, Augmentation) or spec is None:

@@ -1,7 +1,5 @@
 """Quantisation of images for the replay buffer. Networks apply the same rounding when acting."""
 
-from __future__ import annotations
-
 import numpy as np
 import numpy.typing as npt
 import torch as th
@@ -40,12 +38,7 @@ class Quantiser:
         )
 
     def encode(self, values: npt.NDArray[np.floating]) -> npt.NDArray[np.unsignedinteger]:
-        """
-        Round values to the nearest levels, halves to even. Values outside the bounds are clipped.
-
-        :param values: last axes of the shape of the space, in its units
-        :return: levels of the type ``dtype``, same shape
-        """
+        """Return the nearest levels of values, halves to even. Values outside the bounds are clipped."""
         tensor = th.from_numpy(np.array(values, dtype=np.float32))
         levels: npt.NDArray[np.unsignedinteger] = self._to_levels(tensor).numpy().astype(self.dtype)
         return levels

@@ -1,15 +1,16 @@
 """Base class of the policies of SACfD."""
 
-from __future__ import annotations
-
-from typing import Any
+from typing import Any, ClassVar
 
 import torch as th
+from stable_baselines3.common.policies import ContinuousCritic
+from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from stable_baselines3.common.type_aliases import PyTorchObs, Schedule
 from stable_baselines3.sac.policies import SACPolicy
 from torch.optim.swa_utils import AveragedModel
 
 from sb3_extensions.encoders.extractors import ImageExtractor
+from sb3_extensions.sacfd.actor_critic import MultiHeadCritic, NetArch
 
 
 class SACfDPolicy(SACPolicy):
@@ -19,6 +20,7 @@ class SACfDPolicy(SACPolicy):
     The encoders of images pool as the paper's do, unless ``features_extractor_kwargs`` has ``strided``.
 
     :param args: arguments of :class:`stable_baselines3.sac.policies.SACPolicy`
+    :param net_arch: hidden layers behind the encoders, by default those of the subclass
     :param normalise: normalise the critic's features and hidden layers (https://arxiv.org/abs/2302.02948),
         scale the actions in its input to the features, and start actor and critic with outputs near 0
     :param actor_tau: soft update coefficient of an average of the actor's weights that deterministic actions
@@ -30,23 +32,37 @@ class SACfDPolicy(SACPolicy):
     :raises ValueError: if ``actor_tau`` is out of its range
     """
 
+    default_extractor: ClassVar[type[BaseFeaturesExtractor]]
+    default_net_arch: ClassVar[NetArch]
+    critic_class: ClassVar[type[MultiHeadCritic]] = MultiHeadCritic
     actor_average: AveragedModel | None
 
     def __init__(
-        self, *args: Any, normalise: bool = False, actor_tau: float | None = None, **kwargs: Any
+        self,
+        *args: Any,
+        net_arch: NetArch | None = None,
+        normalise: bool = False,
+        actor_tau: float | None = None,
+        **kwargs: Any,
     ) -> None:
         if actor_tau is not None and not 0 < actor_tau <= 1:
             raise ValueError(f"actor_tau must be None or greater than 0 and at most 1, got {actor_tau}")
-        if issubclass(kwargs.get("features_extractor_class", object), ImageExtractor):
+        kwargs.setdefault("features_extractor_class", self.default_extractor)
+        if issubclass(kwargs["features_extractor_class"], ImageExtractor):
             extractor_kwargs = kwargs.get("features_extractor_kwargs") or {}
             kwargs["features_extractor_kwargs"] = {"strided": 0, **extractor_kwargs}
         self.normalise = normalise
         self.actor_tau = actor_tau
-        super().__init__(*args, **kwargs)
+        super().__init__(*args, net_arch=self.default_net_arch if net_arch is None else net_arch, **kwargs)
 
     def _build(self, lr_schedule: Schedule) -> None:
         super()._build(lr_schedule)
         self.build_average()
+
+    def make_critic(self, features_extractor: BaseFeaturesExtractor | None = None) -> ContinuousCritic:
+        """Create the critic."""
+        kwargs = self._update_features_extractor(self.critic_kwargs, features_extractor)
+        return self.critic_class(normalise=self.normalise, **kwargs).to(self.device)
 
     def build_average(self) -> None:
         """Create the average from the actor's present weights."""

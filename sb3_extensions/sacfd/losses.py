@@ -1,7 +1,5 @@
 """Terms of the actor's loss."""
 
-from __future__ import annotations
-
 import torch as th
 
 from sb3_extensions.replay.samples import ExpertReplayBufferSamples

@@ -1,19 +1,15 @@
 """Augmentation by random rigid motions of scenes and actions."""
 
-from __future__ import annotations
-
 import math
-from typing import Any
 
 import torch as th
-from gymnasium import spaces
 from stable_baselines3.common.type_aliases import TensorDict
 from torch.nn import functional as F
 
-from sb3_extensions.common.exploration import EXPLORED_HEIGHT
 from sb3_extensions.replay.augmentation import Augmentation
 from sb3_extensions.replay.samples import ExpertReplayBufferSamples
 from sb3_extensions.spatial_dqn.codec import PIXEL, SpatialActionCodec
+from sb3_extensions.spatial_dqn.exploration import EXPLORED_HEIGHT
 
 SHIFT = 1 / 20
 """Standard deviation of a shift as a fraction of the side of the image (the authors' code)."""
@@ -40,11 +36,6 @@ class RigidMotion(Augmentation):
         self.codec, self.image_key = codec, image_key
         self.names = [*PIXEL, *codec.grids]
 
-    def check(self, space: spaces.Space[Any]) -> None:
-        """Check that there is a heightmap to move."""
-        if not isinstance(space, spaces.Dict) or self.image_key not in space.spaces:
-            raise ValueError(f"observation_space must have an image {self.image_key!r}, got {space}")
-
     def __call__(
         self, samples: ExpertReplayBufferSamples, generator: th.Generator
     ) -> ExpertReplayBufferSamples:
@@ -58,14 +49,7 @@ class RigidMotion(Augmentation):
     def move(
         self, samples: ExpertReplayBufferSamples, indices: th.Tensor, generator: th.Generator
     ) -> tuple[ExpertReplayBufferSamples, th.Tensor]:
-        """
-        Move heightmaps and indices of actions on the grid.
-
-        :param samples: sample of the replay buffer
-        :param indices: indices of the actions, int64 (batch, indices)
-        :param generator: random generator on the CPU
-        :return: samples with moved heightmaps, moved indices
-        """
+        """Return samples with moved heightmaps, and the moved indices of their actions."""
         before, after = samples.observations, samples.next_observations
         assert isinstance(before, dict) and isinstance(after, dict)
         steps, shifts = self._sample_motions(before, after, indices, generator)

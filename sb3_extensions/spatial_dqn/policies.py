@@ -1,7 +1,5 @@
 """Policies of spatial Q algorithms: the paper's networks for its Open-Loop 2D, 3D and 6D benchmarks."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any, ClassVar
 
@@ -46,18 +44,16 @@ class SpatialPolicy(BasePolicy):
     """
     Base class of the policies: greedy actions of a Q function over an action grid, and its target network.
 
+    See :class:`~sb3_extensions.encoders.observation.SceneView` for the parameters ``quantise``,
+    ``standardise``, ``image_key``, ``in_hand_key`` and ``holding_key``.
+
     :param observation_space: Observation space, see :class:`~sb3_extensions.encoders.observation.SceneView`
     :param action_space: Action space, one number for each character of ``action_sequence``
     :param lr_schedule: Learning rate schedule (could be constant)
     :param action_sequence: see :class:`~sb3_extensions.spatial_dqn.codec.SpatialActionCodec`
     :param codec_kwargs: further parameters of :class:`~sb3_extensions.spatial_dqn.codec.SpatialActionCodec`
     :param network_kwargs: channels and fields of the networks, see the subclass
-    :param quantise: see :class:`~sb3_extensions.encoders.observation.SceneView`
-    :param standardise: see :class:`~sb3_extensions.encoders.observation.SceneView`
     :param autocast: see :class:`~sb3_extensions.spatial_dqn.q_network.SpatialQNetwork`
-    :param image_key: see :class:`~sb3_extensions.encoders.observation.SceneView`
-    :param in_hand_key: see :class:`~sb3_extensions.encoders.observation.SceneView`
-    :param holding_key: see :class:`~sb3_extensions.encoders.observation.SceneView`
     :param optimizer_class: The optimizer to use, ``th.optim.Adam`` by default
     :param optimizer_kwargs: Additional keyword arguments, excluding the learning rate
     :raises ValueError: if the action space does not match the sequence or is not bounded, or the networks do
@@ -124,13 +120,7 @@ class SpatialPolicy(BasePolicy):
         return network.to(self.device)
 
     def make_levels(self, view: SceneView, **kwargs: Any) -> tuple[PixelMaps, list[Level]]:
-        """
-        Make the networks.
-
-        :param view: conversion of the observations
-        :param kwargs: ``network_kwargs`` of the constructor
-        :return: first level, further levels
-        """
+        """Make the first level and the further levels; ``kwargs`` are the ``network_kwargs``."""
         raise NotImplementedError
 
     @property
@@ -139,13 +129,7 @@ class SpatialPolicy(BasePolicy):
         return len(self.codec.grids.get("theta", [0.0]))
 
     def forward(self, obs: PyTorchObs, deterministic: bool = True) -> th.Tensor:
-        """
-        Return the greedy actions.
-
-        :param obs: a batch
-        :param deterministic: has no effect, because the algorithm explores
-        :return: in [-1, 1], (batch, numbers)
-        """
+        """Return the greedy actions of a batch, in [-1, 1]; ``deterministic`` has no effect."""
         return self._predict(obs, deterministic)
 
     def _predict(self, observation: PyTorchObs, deterministic: bool = True) -> th.Tensor:
@@ -153,28 +137,6 @@ class SpatialPolicy(BasePolicy):
         indices, _ = self.q_net.greedy(observation)
         places = self.q_net.scene_view(observation).places
         return self.codec.decode_tensor(indices, places)
-
-    def parameters_to_vector(self) -> npt.NDArray[Any]:
-        """
-        Convert the parameters to a 1D vector.
-
-        SB3's method does not support the memory format ``channels_last``.
-        """
-        flat = [parameter.detach().reshape(-1) for parameter in self.parameters()]
-        vector: npt.NDArray[Any] = th.cat(flat).cpu().numpy()
-        return vector
-
-    @th.no_grad()
-    def load_from_vector(self, vector: npt.NDArray[Any]) -> None:
-        """
-        Load parameters from a 1D vector.
-
-        :param vector: as returned by :meth:`parameters_to_vector`
-        """
-        sizes = [parameter.numel() for parameter in self.parameters()]
-        parts = th.as_tensor(vector, dtype=th.float32, device=self.device).split(sizes)
-        for parameter, part in zip(self.parameters(), parts, strict=True):
-            parameter.copy_(part.view(parameter.shape))
 
     def value_map(
         self, observation: dict[str, npt.NDArray[Any]]
@@ -193,11 +155,7 @@ class SpatialPolicy(BasePolicy):
         return values.amax(dim=0).cpu().numpy(), tuple(indices[0].tolist())
 
     def set_training_mode(self, mode: bool) -> None:
-        """
-        Put the policy in either training or evaluation mode.
-
-        :param mode: if true, set to training mode, else set to evaluation mode
-        """
+        """Set the training mode of the Q network; its target is always in evaluation mode."""
         self.q_net.train(mode)
         self.training = mode
 

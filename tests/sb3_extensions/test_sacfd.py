@@ -11,12 +11,12 @@ from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.vec_env import VecNormalize
 from stable_baselines3.sac.policies import MultiInputPolicy as StockPolicy
 
-from sb3_extensions.common.exploration import replace_one_number
 from sb3_extensions.demonstrations.collection import collect_episodes
 from sb3_extensions.demonstrations.dagger import DaggerCallback
 from sb3_extensions.demonstrations.expert_envs import make_expert_envs
 from sb3_extensions.replay.buffer import ExpertReplayBuffer
 from sb3_extensions.sacfd import SACfD
+from sb3_extensions.sacfd.exploration import replace_one_number
 from sb3_extensions.sacfd.losses import imitation_loss, self_imitation_weights
 
 SMALL_STOCK = {"net_arch": [16], "features_extractor_kwargs": {"cnn_output_dim": 8}}
@@ -432,18 +432,6 @@ def test_save_and_load(policy: Any, make_toy: Any, tmp_path: Any) -> None:
     expert_size = loaded.replay_buffer.expert_size
     loaded.learn(10, reset_num_timesteps=False)
     assert loaded.replay_buffer.expert_size == expert_size
-
-
-@pytest.mark.parametrize("name", ["CnnPolicy", "unknown"])
-def test_an_unknown_policy_is_refused_with_the_known_ones(name: str, make_toy: Any) -> None:
-    with pytest.raises(ValueError, match=f"policy must be one of .*EquivariantPolicy.*, got '{name}'"):
-        SACfD(name, make_toy())
-
-
-def test_episodic_training_of_several_environments_is_refused_at_once(make_toy: Any) -> None:
-    with pytest.raises(ValueError, match=r"train_freq must be a number of steps .* got \(1, 'episode'\)"):
-        make_model(make_toy(2), train_freq=(1, "episode"))
-    make_model(make_toy(1), train_freq=(1, "episode"), pretrain_steps=0)
 
 
 def test_an_equivariant_actor_is_refused_in_open_loop(monkeypatch: pytest.MonkeyPatch, make_toy: Any) -> None:

@@ -126,7 +126,8 @@ def _check_policy_kwargs(policy: type[Any], policy_kwargs: Any) -> None:
     if not isinstance(policy_kwargs, Mapping):
         return
     _check_names(f"policy_kwargs of {policy.__name__}", policy_kwargs, constructor_keys(policy))
-    extractor = policy_kwargs.get("features_extractor_class", _default(policy, "features_extractor_class"))
+    default = getattr(policy, "default_extractor", _default(policy, "features_extractor_class"))
+    extractor = policy_kwargs.get("features_extractor_class", default)
     if isinstance(extractor, str):
         extractor = _imported("features extractor", extractor)
     given = policy_kwargs.get("features_extractor_kwargs", {})

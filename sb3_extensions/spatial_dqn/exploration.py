@@ -1,6 +1,4 @@
-"""Exploratory actions."""
-
-from __future__ import annotations
+"""Exploratory actions on the grid of a spatial Q algorithm."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -9,38 +7,19 @@ import numpy as np
 import numpy.typing as npt
 import torch as th
 
+from sb3_extensions.spatial_dqn.codec import Indices
+
 EXPLORED_HEIGHT = 0.01
 """Minimum height (m) of pixels with objects to pick (the authors' code)."""
 
 
-def replace_one_number(
-    actions: npt.NDArray[Any], probability: float, generator: th.Generator
-) -> npt.NDArray[Any]:
-    """
-    Replace one random number of some actions by a uniform sample from [-1, 1].
-
-    The other numbers do not change, so that for example the gripper opens at the intended position.
-
-    :param actions: in the policy's units [-1, 1], shape (n, action dimensions)
-    :param probability: probability that an action is changed
-    :param generator: random generator on the CPU
-    :return: actions of the same shape and type
-    """
-    n, action_dim = actions.shape
-    changed = th.rand(n, generator=generator) < probability
-    chosen = th.randint(action_dim, (n,), generator=generator)
-    sampled = th.rand(n, 1, generator=generator) * 2 - 1
-    replaced = changed[:, None] & (chosen[:, None] == th.arange(action_dim))
-    return np.where(replaced, sampled, actions).astype(actions.dtype)
-
-
 def explore_on_grid(
-    indices: npt.NDArray[np.int64],
+    indices: Indices,
     heights: npt.NDArray[Any],
     probability: float,
     shape: Sequence[int],
     generator: th.Generator,
-) -> npt.NDArray[np.int64]:
+) -> Indices:
     """
     Replace some actions on a grid by random ones.
 

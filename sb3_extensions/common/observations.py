@@ -1,16 +1,24 @@
-"""Classification of the entries of an observation by their shapes."""
-
-from __future__ import annotations
+"""Entries of observations by key, with and without a Dict space."""
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
+from gymnasium import spaces
+
+KEY = "observation"
+"""Name of the only entry of observations without a Dict space."""
 IMAGE_AXES = 3
 """Number of axes of an image: channels, rows, columns."""
 
 
-def is_point_cloud(shape: Sequence[int]) -> bool:
-    """Return True for the shape (n, 3) of a point cloud."""
-    return len(shape) == 2 and shape[-1] == 3
+def space_parts(space: spaces.Space[Any]) -> dict[str, spaces.Space[Any]]:
+    """Return the space of each entry of observations."""
+    return dict(space.spaces) if isinstance(space, spaces.Dict) else {KEY: space}
+
+
+def as_parts(observations: Any) -> dict[str, Any]:
+    """Return the entries of observations, a copy of a dictionary."""
+    return dict(observations) if isinstance(observations, dict) else {KEY: observations}
 
 
 def scene_images(shapes: Mapping[str, Sequence[int]]) -> list[str]:
