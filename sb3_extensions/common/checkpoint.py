@@ -53,12 +53,11 @@ class DirectoryCheckpointCallback(BaseCallback):
     :param save_freq: number of timesteps of all environments between two checkpoints
     :param path: directory of the checkpoints, created if it does not exist
     :param keep: number of checkpoints to keep
-    :param verbose: Verbosity level: 0 for no output, 2 for indicating when saving a checkpoint
     :raises ValueError: if ``save_freq`` or ``keep`` is not positive
     """
 
-    def __init__(self, save_freq: int, path: str | os.PathLike[str], keep: int = 2, verbose: int = 0) -> None:
-        super().__init__(verbose)
+    def __init__(self, save_freq: int, path: str | os.PathLike[str], keep: int = 2) -> None:
+        super().__init__()
         if save_freq < 1 or keep < 1:
             raise ValueError(f"save_freq and keep must be at least 1, got {save_freq} and {keep}")
         self.save_freq = save_freq
@@ -79,9 +78,7 @@ class DirectoryCheckpointCallback(BaseCallback):
         if self._progress - self._last_save < self.save_freq:
             return
         self._last_save = self._progress
-        checkpoint = save_checkpoint(self.model, self.path, self.keep)
-        if self.verbose >= 2:
-            print(f"Saved checkpoint {checkpoint}")
+        save_checkpoint(self.model, self.path, self.keep)
 
     def _on_step(self) -> bool:
         return True
@@ -130,10 +127,8 @@ def latest_checkpoint(path: str | os.PathLike[str]) -> Path | None:
 
 def latest_valid_checkpoint(path: str | os.PathLike[str]) -> tuple[Path, list[CheckpointError]]:
     """
-    Return the latest checkpoint whose files match their checksums.
+    Return the latest checkpoint whose files match their checksums, and the errors of later ones.
 
-    :param path: directory of checkpoints
-    :return: the checkpoint, and the errors of later ones
     :raises CheckpointError: if there is none; the error is that of the latest checkpoint
     """
     errors: list[CheckpointError] = []

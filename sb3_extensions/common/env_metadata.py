@@ -52,7 +52,6 @@ def with_action_metadata(
     :param kwargs: arguments of the user, which take precedence
     :param env: vector environment, or None
     :param space: action space
-    :return: a copy of the arguments
     :raises ValueError: if the policy rotates actions with the scene, but the actions have an absolute yaw
     """
     keys, passed = constructor_keys(policy_class), dict(kwargs or {})

@@ -23,12 +23,9 @@ def as_parts(observations: Any) -> dict[str, Any]:
 
 def scene_images(shapes: Mapping[str, Sequence[int]]) -> list[str]:
     """
-    Return the keys of the images of the scene, the images of the largest size.
+    Return the keys of the images of the scene, the images of the largest size, given all shapes.
 
     Smaller images, such as the in-hand image, do not rotate or shift with the scene.
-
-    :param shapes: shape of each entry of an observation, images (channels, rows, columns)
-    :return: keys in the order of the shapes
     """
     sides = {key: max(shape[1:]) for key, shape in shapes.items() if len(shape) == IMAGE_AXES}
     return [key for key, side in sides.items() if side == max(sides.values())]

@@ -41,14 +41,12 @@ def make_expert_envs(vec_env: VecEnv) -> list[tuple[VecEnv, int]]:
         environments that each of them represents
     :raises ValueError: if an environment cannot be copied or created
     """
-    base = vec_env.unwrapped
-    if isinstance(base, DummyVecEnv):
-        counts = _count_specs([env.spec for env in base.envs])
-        envs = [_copy(base.envs[index]) for index in counts]
-    else:
-        specs = base.get_attr("spec")
-        counts = _count_specs(specs)
-        envs = [_from_spec(specs[index]) for index in counts]
+    base, specs = vec_env.unwrapped, vec_env.get_attr("spec")
+    counts = _count_specs(specs)
+    envs = [
+        _copy(base.envs[index]) if isinstance(base, DummyVecEnv) else _from_spec(specs[index])
+        for index in counts
+    ]
     wrapped = [_wrap(env, vec_env) for env in envs]
     for env in wrapped:
         _check_spaces(env, vec_env)

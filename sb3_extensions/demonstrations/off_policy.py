@@ -13,7 +13,6 @@ from stable_baselines3.common.vec_env import VecEnv
 
 from sb3_extensions.common.components import check_not_negative
 from sb3_extensions.common.env_metadata import action_sequence, with_action_metadata
-from sb3_extensions.common.seeds import SeedKey, derive_seed
 from sb3_extensions.demonstrations.collection import make_progress_bar
 from sb3_extensions.demonstrations.source import DemonstrationSource, ExpertData, load_episodes
 from sb3_extensions.encoders.observation import StackedImage
@@ -21,6 +20,8 @@ from sb3_extensions.replay.augmentation import Augmentation
 from sb3_extensions.replay.augmentations import make_augmentation
 from sb3_extensions.replay.buffer import ExpertReplayBuffer
 
+AUGMENTATION_KEY, EXPERT_KEY, EXPLORATION_KEY = 0xA6, 0xE9, 0xE8
+"""Keys of the independent random streams of an algorithm."""
 PRETRAINING_LOG_INTERVAL = 100
 """Gradient steps of the pretraining between two entries of the log."""
 
@@ -47,7 +48,6 @@ class OffPolicyFromDemonstrations(OffPolicyAlgorithm):
     expert_data: ExpertData | None
     pretrain_steps: int
     augmentation: Augmentation | None
-    augmentation_generator: th.Generator
     _progress_bar: bool | None = None
     """Argument of the latest ``learn()``."""
     n_pretrained: int = 0
@@ -90,6 +90,8 @@ class OffPolicyFromDemonstrations(OffPolicyAlgorithm):
         if quantise := self.policy_kwargs.get("quantise", extractor_kwargs.get("quantise")):
             defaults["image_dtype"] = quantise
         self.replay_buffer_kwargs = {**defaults, **self.replay_buffer_kwargs}
+        self.augmentation_generator = th.Generator().manual_seed(th.initial_seed())
+        self.exploration_generator = th.Generator().manual_seed(th.initial_seed())
         # The base class does not pass n_steps and gamma to a custom buffer class and warns, see GH #2274.
         n_steps, self.n_steps = self.n_steps, 1
         super()._setup_model()
@@ -131,7 +133,8 @@ class OffPolicyFromDemonstrations(OffPolicyAlgorithm):
 
     def _seed_samplers(self, seed: int | None) -> None:
         if seed is not None:
-            self.augmentation_generator.manual_seed(derive_seed(seed, SeedKey.AUGMENTATION))
+            self.augmentation_generator.manual_seed(_derive_seed(seed, AUGMENTATION_KEY))
+            self.exploration_generator.manual_seed(_derive_seed(seed, EXPLORATION_KEY))
             if self.replay_buffer is not None:
                 self.replay_buffer.seed(seed)
 
@@ -190,7 +193,7 @@ class OffPolicyFromDemonstrations(OffPolicyAlgorithm):
         return super().collect_rollouts(env, callback, *args, **kwargs)
 
     def _collect_demonstrations(self, replay_buffer: ExpertReplayBuffer, env: VecEnv) -> None:
-        seed = None if self.seed is None else derive_seed(self.seed, SeedKey.EXPERT)
+        seed = None if self.seed is None else _derive_seed(self.seed, EXPERT_KEY)
         source = self._demonstrations(progress_bar=self._progress_bar)
         self.n_pretrained = 0  # A model that was loaded with another environment is pretrained again.
         try:
@@ -244,5 +247,10 @@ class OffPolicyFromDemonstrations(OffPolicyAlgorithm):
         return self.policy.scale_action(np.clip(actions, space.low, space.high))  # type: ignore[attr-defined]
 
     def _excluded_save_params(self) -> list[str]:
-        own = ["expert_data", "augmentation_generator", "_progress_bar"]
+        own = ["expert_data", "augmentation_generator", "exploration_generator", "_progress_bar"]
         return [*super()._excluded_save_params(), *own]
+
+
+def _derive_seed(seed: int, key: int) -> int:
+    """Return the seed, 32 bits, of a random stream."""
+    return int(np.random.SeedSequence([seed, key]).generate_state(1)[0])

@@ -87,12 +87,7 @@ def plan_stages(size: int, n_stages: int, strided: int | None = None) -> list[St
 
 
 def scale_channels(size: int, halving: Sequence[int], last: Sequence[int]) -> tuple[int, ...]:
-    """Return the channels of an encoder for a size of the image.
-
-    :param size: side of the image, pixels
-    :param halving: channels of the halving stages. The last entry is repeated for further halvings
-    :param last: channels of the stages after the halvings
-    """
+    """Return the channels of the halving stages, whose last entry may be repeated, and of the last stages."""
     return (*(halving[min(i, len(halving) - 1)] for i in range(count_halvings(size))), *last)
 
 
@@ -116,11 +111,7 @@ def check_autocast(autocast: str | None) -> None:
 
 
 def precision(autocast: str | None, device_type: str) -> AbstractContextManager[object]:
-    """Return the context in which layers run.
-
-    :param autocast: ``"bf16"`` for bfloat16 if the device supports it, ``None`` for float32
-    :param device_type: as in ``torch.device.type``
-    """
+    """Return the context in which layers run: ``"bf16"`` if the device supports it, ``None`` for float32."""
     if autocast is None or not has_bf16(device_type):
         return nullcontext()
     return th.autocast(device_type, dtype=th.bfloat16)

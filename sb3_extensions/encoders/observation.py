@@ -92,7 +92,6 @@ def square_images(parts: Mapping[str, gym.Space[Any]]) -> dict[str, spaces.Box]:
     """
     Return the spaces of the images of an observation, in order.
 
-    :param parts: space of each part of the observation
     :raises ValueError: if there is no image, or one that is not (channels, size, size)
     """
     images = {

@@ -76,10 +76,8 @@ def _wave(positions: Complex, frequency: int) -> Complex:
 def _suppression(positions: Complex, frequency: int) -> Complex:
     """Return the matrix of the linear system that suppresses the response to other frequencies.
 
-    The solution minimises the mean square response to the parts of random images with other frequencies,
-    plus :data:`SUPPRESSION` times the squared distance from the sampled harmonic. The random images are
-    Gaussian and isotropic. Their part of one frequency is the mean of the rotated images times the conjugate
-    wave.
+    The solution minimises the mean square response to the parts of isotropic Gaussian images with other
+    frequencies, plus :data:`SUPPRESSION` times the squared distance from the sampled harmonic.
     """
     total = _covariance(positions, positions)
     own = np.zeros_like(total)

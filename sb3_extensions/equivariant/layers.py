@@ -24,12 +24,9 @@ HE_GAIN = math.sqrt(2.0)
 
 @contextmanager
 def expanded_filters(*modules: nn.Module) -> Iterator[None]:
-    """Expand the filters once, for all forward passes without gradient inside the context.
+    """Expand the filters of all layers once, for all forward passes without gradient inside the context.
 
-    The weights must not change inside the context. Forward passes with gradient expand the filters
-    themselves.
-
-    :param modules: modules with equivariant layers at any depth
+    The weights must not change inside the context.
     """
     layers = [layer for module in modules for layer in module.modules() if isinstance(layer, SteerableMap)]
     previous = [layer.expanded for layer in layers]
@@ -119,11 +116,6 @@ class EquivariantConv2d(SteerableMap):
 
 class EquivariantLinear(SteerableMap):
     """Linear map of feature vectors, (batch, in channels), see :class:`SteerableMap` for the parameters."""
-
-    def __init__(
-        self, in_type: FieldType, out_type: FieldType, bias: bool = True, gain: float = HE_GAIN
-    ) -> None:
-        super().__init__(in_type, out_type, 1, bias, gain)
 
     def forward(self, features: th.Tensor) -> th.Tensor:
         """:return: (batch, out channels)"""

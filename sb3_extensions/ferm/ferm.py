@@ -33,7 +33,6 @@ class FERM(SACfD):
         demonstrations, before the first step in the environment
     :param encoder_tau: the soft update coefficient of the target critic's features extractor. ``tau`` is the
         coefficient of its heads
-    :param _init_setup_model: Whether or not to build the network at the creation of the instance
     :param kwargs: keyword arguments of :class:`~sb3_extensions.sacfd.SACfD`
     :raises ValueError: if an argument is out of its range, ``augmentation`` has no crops, or ``policy`` is
         not FERM's
@@ -73,11 +72,6 @@ class FERM(SACfD):
         super()._create_aliases()
         self.contrast = self.policy.contrast
 
-    def train(self, gradient_steps: int, batch_size: int = 64) -> None:
-        """Update all networks, see :class:`~sb3_extensions.sacfd.SACfD`."""
-        self._update_learning_rate(self.contrast.optimizer)
-        super().train(gradient_steps, batch_size)
-
     @property
     def _pretraining_total(self) -> int:
         return self.contrastive_steps + super()._pretraining_total
@@ -103,6 +97,7 @@ class FERM(SACfD):
         with th.no_grad():
             keys = self.policy.extract_features(positives, self.critic_target.features_extractor)
         loss = self.contrast(queries, keys)
+        self._update_learning_rate(self.contrast.optimizer)
         self.contrast.optimizer.zero_grad()
         loss.backward()
         self.contrast.optimizer.step()

@@ -94,7 +94,7 @@ class MultiInputPolicy(sacfd.MultiInputPolicy):
     Actor and critic use the convolutions of the critic, which the actor's loss does not train. Each has its
     own linear layer and normalisation. The contrastive loss trains the critic's features extractor with a
     separate optimizer; its keys come from the target critic. By default actor and critic have two hidden
-    layers of 1,024 units. See :class:`~sb3_extensions.sacfd.base_policy.SACfDPolicy` for the parameters.
+    layers of 1,024 units. See :class:`~sb3_extensions.sacfd.policies.SACfDPolicy` for the parameters.
 
     :raises ValueError: with ``share_features_extractor``, or without a :class:`ContrastiveExtractor`
     """

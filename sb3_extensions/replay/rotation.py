@@ -41,13 +41,7 @@ def rotate_images(images: th.Tensor, angles: th.Tensor) -> th.Tensor:
 
 
 def rotate_actions(actions: th.Tensor, angles: th.Tensor, action_sequence: ActionSequence) -> th.Tensor:
-    """
-    Rotate (dx, dy) of actions, and the x and y components of rotation vectors.
-
-    :param actions: in the policy's units, shape (..., action dimensions)
-    :param angles: from x towards y, rad, shape (...)
-    :param action_sequence: meaning of the numbers
-    """
+    """Rotate (dx, dy) of actions, and the x and y components of rotation vectors, by angles (rad)."""
     rotated = actions.clone()
     cos, sin = angles.cos().to(actions.dtype), angles.sin().to(actions.dtype)
     for pair in ("xy", "uv"):

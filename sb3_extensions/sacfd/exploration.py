@@ -8,7 +8,6 @@ import torch as th
 from stable_baselines3.common.buffers import ReplayBuffer
 from stable_baselines3.common.noise import ActionNoise
 
-from sb3_extensions.common.seeds import SeedKey, derive_seed
 from sb3_extensions.demonstrations.off_policy import OffPolicyFromDemonstrations
 from sb3_extensions.replay.buffer import EXPLORED
 
@@ -19,12 +18,9 @@ def replace_one_number(
     """
     Replace one random number of some actions by a uniform sample from [-1, 1].
 
-    The other numbers do not change, so that for example the gripper opens at the intended position.
-
     :param actions: in the policy's units [-1, 1], shape (n, action dimensions)
     :param probability: probability that an action is changed
     :param generator: random generator on the CPU
-    :return: actions of the same shape and type
     """
     n, action_dim = actions.shape
     changed = th.rand(n, generator=generator) < probability
@@ -44,7 +40,6 @@ class Exploration(OffPolicyFromDemonstrations):
 
     exploration: float
     deterministic_fraction: float
-    exploration_generator: th.Generator
     _is_deterministic: npt.NDArray[np.bool_] | None = None
     """Whether the present episode of each environment has deterministic actions."""
 
@@ -90,10 +85,5 @@ class Exploration(OffPolicyFromDemonstrations):
         super()._store_transition(replay_buffer, buffer_action, new_obs, reward, dones, annotated)
         self._last_episode_starts = dones  # SB3's off-policy algorithms leave it as reset() set it
 
-    def _seed_samplers(self, seed: int | None) -> None:
-        super()._seed_samplers(seed)
-        if seed is not None:
-            self.exploration_generator.manual_seed(derive_seed(seed, SeedKey.EXPLORATION))
-
     def _excluded_save_params(self) -> list[str]:
-        return [*super()._excluded_save_params(), "exploration_generator", "_explored"]
+        return [*super()._excluded_save_params(), "_explored"]

@@ -86,10 +86,9 @@ class InvariantValue(nn.Module):
     """
     Head of a critic that is invariant to a rotation of features and action together.
 
-    It consists of equivariant hidden layers, the maximum over each field, and a linear layer.
+    It consists of equivariant hidden layers, the maximum over each field, and a linear layer. See
+    :class:`EquivariantMean` for the other parameters.
 
-    :param in_type: field type of the features, regular fields that trivial ones may follow
-    :param action: names of the action dimensions
     :param net_arch: regular fields of each hidden layer, at least one layer
     :param outputs: number of outputs, 1 for a Q-value, more for quantiles
     :param activation_fn: pointwise activation function
@@ -136,9 +135,6 @@ class InputNormalisation(nn.Module):
 
     The features get mean 0 and variance 1 over each observation. Without the scale, an untrained critic is
     insensitive to the action input.
-
-    :param features_dim: number of features
-    :param action_dim: number of action dimensions, in [-1, 1]
     """
 
     def __init__(self, features_dim: int, action_dim: int) -> None:
@@ -156,12 +152,9 @@ def equivariant_mlp(
     in_type: FieldType, net_arch: Sequence[int], activation_fn: type[nn.Module], normalise: bool = False
 ) -> nn.Sequential:
     """
-    Create an equivariant multi-layer perceptron with regular fields.
+    Create an equivariant multi-layer perceptron with ``net_arch`` regular fields, [] for the identity.
 
-    :param in_type: input field type
-    :param net_arch: regular fields of each layer, [] for the identity
-    :param activation_fn: pointwise activation function
-    :param normalise: whether to normalise the output of each layer, without learned parameters
+    With ``normalise`` the outputs of all layers are normalised without learned parameters.
     """
     types = [in_type] + [FieldType.of((in_type.group.regular, count)) for count in net_arch]
     layers: list[nn.Module] = []

@@ -170,8 +170,6 @@ class SACfD(ActorPretraining, SAC):
         self.value_range = value_range
         self.exploration = exploration
         self.deterministic_fraction = deterministic_fraction
-        self.exploration_generator = th.Generator().manual_seed(th.initial_seed())
-        self.augmentation_generator = th.Generator().manual_seed(th.initial_seed())
         self._check_arguments()
 
         if _init_setup_model:

@@ -8,8 +8,7 @@ from torch.nn import functional as F
 
 from sb3_extensions.replay.augmentation import Augmentation
 from sb3_extensions.replay.samples import ExpertReplayBufferSamples
-from sb3_extensions.spatial_dqn.codec import PIXEL, SpatialActionCodec
-from sb3_extensions.spatial_dqn.exploration import EXPLORED_HEIGHT
+from sb3_extensions.spatial_dqn.codec import EXPLORED_HEIGHT, PIXEL, SpatialActionCodec
 
 SHIFT = 1 / 20
 """Standard deviation of a shift as a fraction of the side of the image (the authors' code)."""
@@ -24,9 +23,8 @@ class RigidMotion(Augmentation):
     Random rotation and shift of each sampled step.
 
     Heightmaps rotate by a multiple of the difference of two yaws of the grid (if actions have a yaw) and
-    shift by a normal error. Pixels and yaws of the actions move with them. The in-hand image is unchanged,
-    because it is in the frame of the gripper. A motion is valid if the pixel and everything higher than one
-    centimetre stay in the image.
+    shift by a normal error. Pixels and yaws of the actions move with them, the in-hand image does not. A
+    motion is valid if the pixel and everything higher than one centimetre stay in the image.
 
     :param codec: conversion of the actions to the grid
     :param image_key: name of the heightmap

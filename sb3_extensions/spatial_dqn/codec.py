@@ -1,7 +1,9 @@
 """Conversion between Box actions and indices on the action grid of spatial Q networks."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -14,6 +16,8 @@ Actions = npt.NDArray[np.float32]
 Indices = npt.NDArray[np.int64]
 
 DEFAULT_SEQUENCE = "pxyr"
+EXPLORED_HEIGHT = 0.01
+"""Minimum height (m) of pixels with objects to pick (the authors' code)."""
 PIXEL = ("row", "column")
 ANGLES = ("theta", "phi", "psi")
 INDEX_ORDER = ("theta", "z", "phi", "psi")
@@ -27,10 +31,8 @@ class SpatialActionCodec:
 
     The indices are ``(row, column, theta, z, phi, psi)`` without those that the action sequence lacks. The
     centre of pixel (i, j) of the heightmap is x = (2 i + 1) / size - 1, y = (2 j + 1) / size - 1. A rotation
-    of the gripper by pi with inverted tilts is the same pose, so yaws are modulo pi. Actions between grid
-    points are rounded to the nearest.
-
-    The default grid is the paper's (appendix "Benchmark Details").
+    of the gripper by pi with inverted tilts is the same pose, so yaws are modulo pi. The default grid is the
+    paper's (appendix "Benchmark Details").
 
     :param size: side of the heightmap, pixels
     :param action_sequence: one character for each number of an action: p primitive (-1 pick, 1 place), x and
@@ -105,12 +107,7 @@ class SpatialActionCodec:
         return self.workspace_size / self.size
 
     def encode(self, actions: npt.NDArray[np.floating]) -> Indices:
-        """
-        Return the nearest grid points of actions.
-
-        :param actions: in [-1, 1], (n, numbers of an action)
-        :return: (n, indices)
-        """
+        """Return the nearest grid points (n, indices) of actions in [-1, 1], (n, numbers of an action)."""
         values = dict(zip(self.numbers, np.asarray(actions, dtype=np.float64).T, strict=True))
         fractions = [(values[name] + 1.0) / 2.0 for name in ("x", "y")]
         columns = [np.floor(fraction * self.size).clip(0, self.size - 1) for fraction in fractions]
@@ -172,3 +169,31 @@ class SpatialActionCodec:
             return np.zeros(len(actions), dtype=bool)
         places: npt.NDArray[np.bool_] = np.asarray(actions)[:, self.numbers.index("p")] >= 0.0
         return places
+
+
+def explore_on_grid(
+    indices: Indices,
+    heights: npt.NDArray[Any],
+    probability: float,
+    shape: Sequence[int],
+    generator: th.Generator,
+) -> Indices:
+    """
+    Replace some actions on a grid by random ones.
+
+    The pixel is sampled from the pixels higher than :data:`EXPLORED_HEIGHT`, if the image has any.
+
+    :param indices: row, column and further indices, (n, indices)
+    :param heights: heightmaps in m, (n, size, size)
+    :param probability: probability that an action is replaced
+    :param shape: number of values of each index
+    :param generator: random generator on the CPU
+    """
+    replaced = th.rand(len(indices), generator=generator) < probability
+    sampled = th.stack([th.randint(count, (len(indices),), generator=generator) for count in shape], dim=1)
+    shares = th.rand(len(indices), generator=generator, dtype=th.float64).numpy()
+    for index, (image, share) in enumerate(zip(heights, shares, strict=True)):
+        high = np.argwhere(image > EXPLORED_HEIGHT)
+        if len(high):
+            sampled[index, :2] = th.from_numpy(high[int(share * len(high))])
+    return np.where(replaced[:, None], sampled, indices)

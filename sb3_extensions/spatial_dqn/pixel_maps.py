@@ -127,8 +127,8 @@ class EquivariantPixelMaps(PixelMaps):
     With one yaw the maps rotate with the heightmap. With n yaws (group C_2n) they rotate and are permuted,
     because a rotation of the gripper by pi is the same pose.
 
-    :param size: side of the heightmap, pixels
-    :param in_hand: shape of the in-hand image
+    See :class:`PlainPixelMaps` for the other parameters.
+
     :param group: symmetry group
     :param fields: regular fields of each level, see :func:`~sb3_extensions.encoders.unet.equivariant_unet`
     :param in_hand_channels: channels of the convolutions on the in-hand image

@@ -14,12 +14,11 @@ from stable_baselines3.common.utils import LinearSchedule, polyak_update
 from torch.nn import functional as F
 
 from sb3_extensions.common.components import check_fraction, check_not_negative, check_positive
-from sb3_extensions.common.seeds import SeedKey, derive_seed
 from sb3_extensions.demonstrations.off_policy import Logs, OffPolicyFromDemonstrations
 from sb3_extensions.demonstrations.source import DemonstrationSource, ExpertData
 from sb3_extensions.replay.samples import compute_next_values
 from sb3_extensions.spatial_dqn.augmentation import RigidMotion
-from sb3_extensions.spatial_dqn.exploration import explore_on_grid
+from sb3_extensions.spatial_dqn.codec import explore_on_grid
 from sb3_extensions.spatial_dqn.losses import ImitationLoss, cross_entropy, large_margin, strict_margin
 from sb3_extensions.spatial_dqn.policies import (
     ASRPolicy,
@@ -154,14 +153,12 @@ class SpatialDQN(OffPolicyFromDemonstrations):
         self.exploration_initial_eps = exploration_initial_eps
         self.exploration_final_eps = exploration_final_eps
         self.exploration_rate = 0.0  # "epsilon" for the epsilon-greedy exploration
-        self.exploration_generator = th.Generator().manual_seed(th.initial_seed())
         self.max_grad_value = max_grad_value
         self.expert_episodes = expert_episodes
         self.expert_data = expert_data
         if augmentation not in (None, "rigid_motion"):
             raise ValueError(f"augmentation must be None or 'rigid_motion', got {augmentation!r}")
         self.augmentation = augmentation  # type: ignore[assignment]  # _setup_model() creates the object
-        self.augmentation_generator = th.Generator().manual_seed(th.initial_seed())
         self.pretrain_steps = pretrain_steps
         self._check_arguments()
 
@@ -299,14 +296,8 @@ class SpatialDQN(OffPolicyFromDemonstrations):
         """Convert actions to the policy's units and move them to the grid."""
         return self.codec.snap(super().as_policy_actions(actions))
 
-    def _seed_samplers(self, seed: int | None) -> None:
-        super()._seed_samplers(seed)
-        if seed is not None:
-            self.exploration_generator.manual_seed(derive_seed(seed, SeedKey.EXPLORATION))
-
     def _excluded_save_params(self) -> list[str]:
-        own = ["q_net", "q_net_target", "codec", "exploration_generator"]
-        return [*super()._excluded_save_params(), *own]
+        return [*super()._excluded_save_params(), "q_net", "q_net_target", "codec"]
 
     def _get_torch_save_params(self) -> tuple[list[str], list[str]]:
         return ["policy", "policy.optimizer"], []

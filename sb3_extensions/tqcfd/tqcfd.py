@@ -28,7 +28,6 @@ class TQCfD(SACfD):
     :param env: The environment to learn from (if registered in Gym, can be str)
     :param top_quantiles_to_drop_per_net: number of quantiles to drop per network, of its ``n_quantiles`` (in
         ``policy_kwargs``, 25 by default)
-    :param _init_setup_model: Whether or not to build the network at the creation of the instance
     :param kwargs: keyword arguments of :class:`~sb3_extensions.sacfd.SACfD`
     :raises ValueError: if all quantiles are dropped
     """

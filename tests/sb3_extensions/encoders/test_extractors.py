@@ -7,8 +7,7 @@ from sb3_contrib import TQC, CrossQ
 from stable_baselines3 import PPO, SAC
 
 from sb3_extensions.encoders.cnn import CnnEncoder
-from sb3_extensions.encoders.equivariant import EquivariantEncoder
-from sb3_extensions.encoders.extractors import CnnExtractor, EquivariantExtractor
+from sb3_extensions.encoders.extractors import CnnExtractor, EquivariantEncoder, EquivariantExtractor
 from sb3_extensions.encoders.observation import StackedImage
 from sb3_extensions.equivariant.groups import Group
 from sb3_extensions.replay.buffer import ExpertReplayBuffer
