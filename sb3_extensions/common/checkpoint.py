@@ -145,17 +145,16 @@ def resume(path: str | os.PathLike[str], env: GymEnv, device: th.device | str = 
     """
     Load an algorithm from a checkpoint. Continue with ``learn(..., reset_num_timesteps=False)``.
 
-    This sets the global generators of Python, NumPy and PyTorch. Only open files that you trust, because
-    loading a pickle can run code.
+    This sets all global generators. Only open files that you trust, because a pickle can run code.
 
     :param path: a checkpoint, or a directory of checkpoints, of which the latest valid one is loaded
     :param env: environment with the arguments, wrappers and number of copies of the interrupted run
     :param device: device on which the algorithm should run
-    :return: the algorithm
     :raises CheckpointError: if the checkpoint is missing or damaged
     :raises ValueError: if the environment does not fit
     """
-    checkpoint, errors = Path(path), []
+    checkpoint = Path(path)
+    errors: list[CheckpointError] = []
     if (checkpoint / MANIFEST).is_file():
         _check_files(checkpoint)
     else:
@@ -167,23 +166,23 @@ def resume(path: str | os.PathLike[str], env: GymEnv, device: th.device | str = 
         model: BaseAlgorithm = state["algorithm"].load(
             checkpoint / MODEL, env=env, device=device, force_reset=False
         )
-        _check_env(model, state["envs"])  # before the replay buffer, whose errors are less clear
+        vec_env = model.get_env()
+        assert vec_env is not None
+        _check_env(vec_env, state["envs"])  # before the replay buffer, whose errors are less clear
         if isinstance(model, OffPolicyAlgorithm) and (checkpoint / REPLAY_BUFFER).exists():
             model.load_replay_buffer(checkpoint / REPLAY_BUFFER, truncate_last_traj=False)
     except (pickle.UnpicklingError, EOFError, ImportError, AttributeError, zipfile.BadZipFile) as error:
         raise CheckpointError(f"{checkpoint} cannot be read: {error}") from error
-    _set_env_state(model, state["envs"])
+    _set_env_state(model, vec_env, state["envs"])
     _set_generator_state(model, state["generators"])  # last, because the calls above can sample numbers
     return model
 
 
 def _write_files(model: BaseAlgorithm, directory: Path) -> None:
     """Write all files of a checkpoint to the disk."""
-    state = {
-        "algorithm": type(model),
-        "envs": _env_state(model),
-        "generators": _generator_state(model),
-    }
+    env = model.get_env()
+    assert env is not None, "You must set the environment before saving a checkpoint"
+    state = {"algorithm": type(model), "envs": _env_state(env), "generators": _generator_state(model)}
     (directory / STATE).write_bytes(pickle.dumps(state, protocol=pickle.HIGHEST_PROTOCOL))
     model.save(directory / MODEL)
     if isinstance(model, OffPolicyAlgorithm) and model.replay_buffer is not None:
@@ -237,9 +236,8 @@ def _own_generators(model: BaseAlgorithm) -> dict[str, th.Generator]:
     return {name: value for name, value in vars(model).items() if isinstance(value, th.Generator)}
 
 
-def _env_state(model: BaseAlgorithm) -> dict[str, Any]:
+def _env_state(env: VecEnv) -> dict[str, Any]:
     """Return the states of the environments, None without ``get_state()``, and of their wrappers."""
-    env = _env_of(model)
     return {
         "num_envs": env.num_envs,
         "envs": env.env_method("get_state") if env.has_attr("get_state") else None,
@@ -252,16 +250,14 @@ def _env_state(model: BaseAlgorithm) -> dict[str, Any]:
     }
 
 
-def _check_env(model: BaseAlgorithm, state: dict[str, Any]) -> None:
-    env = _env_of(model)
+def _check_env(env: VecEnv, state: dict[str, Any]) -> None:
     if state["num_envs"] != env.num_envs:
         raise ValueError(f"env must have {state['num_envs']} environments, got {env.num_envs}")
     if state["vec_wrapper_names"] != (names := _vec_wrapper_names(env)):
         raise ValueError(f"env must be wrapped in {state['vec_wrapper_names']}, got {names}")
 
 
-def _set_env_state(model: BaseAlgorithm, state: dict[str, Any]) -> None:
-    env = _env_of(model)
+def _set_env_state(model: BaseAlgorithm, env: VecEnv, state: dict[str, Any]) -> None:
     if state["envs"] is None:
         _start_new_episodes(model, env)
     else:
@@ -282,12 +278,6 @@ def _start_new_episodes(model: BaseAlgorithm, env: VecEnv) -> None:
         env.seed(int(np.random.SeedSequence([model.seed, model.num_timesteps]).generate_state(1)[0] >> 1))
 
 
-def _env_of(model: BaseAlgorithm) -> VecEnv:
-    env = model.get_env()
-    assert env is not None, "You must set the environment before saving a checkpoint"
-    return env
-
-
 def _vec_wrappers(env: VecEnv) -> Iterator[VecEnvWrapper]:
     while isinstance(env, VecEnvWrapper):
         yield env
@@ -295,7 +285,6 @@ def _vec_wrappers(env: VecEnv) -> Iterator[VecEnvWrapper]:
 
 
 def _vec_wrapper_names(env: VecEnv) -> list[str]:
-    """Return the names of the vector wrappers, the outermost first."""
     return [type(wrapper).__name__ for wrapper in _vec_wrappers(env)]
 
 
@@ -310,8 +299,8 @@ def _number(checkpoint: Path) -> int:
 
 
 def _crc32(file: Path) -> int:
-    size = file.stat().st_size
-    return zlib.crc32(np.memmap(file, mode="r") if size else b"")  # does not read the whole file at once
+    contents: Any = np.memmap(file, mode="r") if file.stat().st_size else b""
+    return zlib.crc32(contents)
 
 
 def _sync(path: Path) -> None:

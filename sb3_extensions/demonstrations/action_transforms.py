@@ -23,8 +23,7 @@ class GaussianExpertNoise:
     """
     Add Gaussian noise to actions, clipped to the bounds of the action space.
 
-    The episodes then contain states that result from errors of an agent. The intended action is imitated,
-    not the noisy one. Source: DART, https://arxiv.org/abs/1703.09327
+    The intended action is imitated, not the noisy one. Source: DART, https://arxiv.org/abs/1703.09327
 
     :param action_space: action space of the environment, a bounded Box
     :param std: standard deviation, in half the range of each number of an action

@@ -35,13 +35,11 @@ def collect_episodes(
     the environment has a true attribute ``keeps_scene``, the episode after a success starts in the scene that
     the success has left.
 
-    :param env: environment with a method ``expert_action()``, or a vector environment with one such
-        environment
+    :param env: environment with a method ``expert_action()``, or a vector environment with one of them
     :param episodes: number of successful episodes
     :param seed: seed of the generator of the attempts' seeds and of the transformation
     :param progress_bar: whether to show progress, by default on a terminal
     :param action_transform: transformation of the expert's actions before they are executed
-    :return: the episodes
     :raises ValueError: if the environment has no expert or no ``is_success``
     :raises RuntimeError: if too few attempts succeeded
     """

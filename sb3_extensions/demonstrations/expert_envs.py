@@ -36,7 +36,6 @@ def make_expert_envs(vec_env: VecEnv) -> list[tuple[VecEnv, int]]:
     Environments in this process are copied with all their wrappers except monitors and video recorders.
     Environments in other processes are created from their spec.
 
-    :param vec_env: training environment
     :return: vector environments with one environment each, wrapped as ``vec_env``, and the number of training
         environments that each of them represents
     :raises ValueError: if an environment cannot be copied or created

@@ -143,7 +143,7 @@ class OffPolicyFromDemonstrations(OffPolicyAlgorithm):
         if self.replay_buffer is not None:
             self.replay_buffer.sampler.progress_remaining = self._current_progress_remaining
 
-    def learn(  # type: ignore[override]
+    def learn(
         self: SelfOffPolicy,
         total_timesteps: int,
         *args: Any,
@@ -154,13 +154,12 @@ class OffPolicyFromDemonstrations(OffPolicyAlgorithm):
         """
         Return a trained model. The first call starts with demonstrations and pretraining.
 
+        See Stable-Baselines3's ``learn()`` for the other parameters.
+
         :param total_timesteps: The total number of samples (env steps) to train on, without demonstrations
-        :param args: arguments of Stable-Baselines3's ``learn()``: ``callback`` and ``log_interval``
         :param tb_log_name: the name of the run for TensorBoard logging; that of the class if ``None``
         :param progress_bar: Display a progress bar using tqdm and rich, and one each for demonstrations and
             pretraining. None displays the last two on a terminal, and no other.
-        :param kwargs: further keyword arguments of Stable-Baselines3's ``learn()``
-        :return: the trained model
         :raises ValueError: if a loaded model's ``expert_data`` is missing, or images are normalised
         """
         self._progress_bar = progress_bar
@@ -214,7 +213,6 @@ class OffPolicyFromDemonstrations(OffPolicyAlgorithm):
                     self.logger.dump(step=-self.pretraining_left)
 
     def _pretrain_once(self) -> None:
-        """Do one gradient step of the pretraining."""
         self.train(gradient_steps=1, batch_size=self.batch_size)
 
     def _log_updates(self, gradient_steps: int, logs: Logs) -> None:
@@ -252,5 +250,4 @@ class OffPolicyFromDemonstrations(OffPolicyAlgorithm):
 
 
 def _derive_seed(seed: int, key: int) -> int:
-    """Return the seed, 32 bits, of a random stream."""
     return int(np.random.SeedSequence([seed, key]).generate_state(1)[0])

@@ -53,8 +53,7 @@ class DemonstrationSource:
 
     :param episodes: number of successful episodes of the expert, if ``data`` is None. Different environments
         contribute in proportion
-    :param noise: standard deviation of Gaussian noise on the expert's executed actions, see
-        :class:`~sb3_extensions.demonstrations.action_transforms.GaussianExpertNoise`
+    :param noise: standard deviation of Gaussian noise on the expert's executed actions, in the policy's units
     :param data: episodes in the environment's units, with Minari's attributes
     :param snap: grid to which the expert's actions are moved before they are executed, instead of noise
     :param progress_bar: whether to show progress; None shows it on a terminal only

@@ -26,7 +26,6 @@ def validate_episodes(data: Iterable[EpisodeData], env: VecEnv) -> Iterator[Epis
     :param data: episodes. The attributes ``env_id``, ``action_sequence``, ``action_ranges`` and
         ``action_space`` are optional. A Minari data set has them in its ``env_spec``
     :param env: training environment
-    :return: the episodes
     :raises ValueError: if an attribute differs, or an episode has other shapes, values outside the bounds, or
         numbers that are not finite
     """

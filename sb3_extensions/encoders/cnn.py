@@ -1,7 +1,4 @@
-"""Convolutional encoders of a square image to a vector.
-
-All stages keep the centre of the image, so rotations by 90 degrees are exact.
-"""
+"""Convolutional encoders of a square image to a vector. Rotations by 90 degrees are exact."""
 
 import warnings
 from collections.abc import Callable, Sequence
@@ -19,7 +16,6 @@ from sb3_extensions.equivariant.convolution import PlainConv2d
 
 LAST_SIZES = (6, 8)
 """Sides (pixels) at which halving stops. The last two stages reduce these sides to one pixel."""
-AUTOCAST_OPTIONS = (None, "bf16")
 
 
 class Stage(NamedTuple):
@@ -50,7 +46,7 @@ def encoded_size(size: int) -> int:
 
 
 def count_halvings(size: int) -> int:
-    """Return the number of halvings of an image of a side (pixels) until 6 or 8 pixels remain."""
+    """Return the number of halvings of an image with the side ``size`` until 6 or 8 pixels remain."""
     return (encoded_size(size) // LAST_SIZES[0]).bit_length() - 1
 
 
@@ -106,8 +102,8 @@ def has_bf16(device_type: str) -> bool:
 
 def check_autocast(autocast: str | None) -> None:
     """Raise a ValueError if the precision of a network is neither ``"bf16"`` nor None."""
-    if autocast not in AUTOCAST_OPTIONS:
-        raise ValueError(f"autocast must be one of {AUTOCAST_OPTIONS}, got {autocast!r}")
+    if autocast not in (None, "bf16"):
+        raise ValueError(f"autocast must be None or 'bf16', got {autocast!r}")
 
 
 def precision(autocast: str | None, device_type: str) -> AbstractContextManager[object]:
@@ -149,10 +145,9 @@ def stack_stages(
 class Encoder(nn.Module):
     """Base class of the encoders: a sequence of stages, (batch, channels, size, size) to (batch, features).
 
-    :param layer_class: see :func:`stack_stages`
-    :param types: see :func:`stack_stages`
+    See :func:`stack_stages` and :func:`plan_stages` for the other parameters.
+
     :param size: side of the image, pixels; resized if it is not 6 or 8 times a power of two
-    :param strided: see :func:`plan_stages`
     :param autocast: ``"bf16"`` for bfloat16 if the device supports it (otherwise float32 and a warning),
         ``None`` for float32
     :raises ValueError: if size, number of stages and ``strided`` do not match, or ``autocast`` is unknown

@@ -19,7 +19,6 @@ from sb3_extensions.encoders.observation import StackedImage, square_images
 from sb3_extensions.equivariant.groups import FieldType, Group
 from sb3_extensions.equivariant.layers import EquivariantConv2d, GroupMaxPool
 
-OUTPUTS = ("regular", "invariant")
 SMALL_IMAGE_CHANNELS = (16, 32, 64)
 """Channels of the halving stages of the encoders of smaller images."""
 
@@ -47,8 +46,8 @@ class EquivariantEncoder(Encoder):
         output: str = "regular",
         **kwargs: Any,
     ) -> None:
-        if output not in OUTPUTS:
-            raise ValueError(f"output must be one of {OUTPUTS}, got {output!r}")
+        if output not in ("regular", "invariant"):
+            raise ValueError(f"output must be 'regular' or 'invariant', got {output!r}")
         channels = channels or scale_channels(size, self.HALVING, self.LAST)
         image = FieldType.of((group.trivial, in_channels))
         types = [image, *(FieldType.of((group.regular, count)) for count in channels)]
@@ -68,15 +67,15 @@ class ImageExtractor(BaseFeaturesExtractor):
 
     Smaller images, such as ``in_hand``, have plain encoders, one for each size. Their features are appended.
 
-    The parameters ``quantise`` and ``standardise`` apply to all images. See
-    :class:`~sb3_extensions.encoders.observation.StackedImage` for those that are not documented here.
+    ``quantise`` and ``standardise`` apply to all images. See
+    :class:`~sb3_extensions.encoders.observation.StackedImage` for the other parameters.
 
     :param channels: channels or regular fields after each stage; by default the paper's, for the size
     :param strided: number of halvings without pooling, None for all, see
         :func:`~sb3_extensions.encoders.cnn.plan_stages`
     :param autocast: ``None`` or ``"bf16"``, see :class:`~sb3_extensions.encoders.cnn.Encoder`
     :param small_image_features: number of features of the smaller images of one size
-    :param compile: whether to compile the encoder with ``torch.compile``, which takes one to two minutes
+    :param compile: whether to compile the encoder with ``torch.compile`` (one to two minutes)
     :raises ValueError: if the encoder does not match the images, or ``compile`` has no C++ compiler
     """
 
@@ -142,17 +141,14 @@ class CnnExtractor(ImageExtractor):
 class EquivariantExtractor(ImageExtractor):
     """Equivariant encoder of a Dict observation of images and numbers.
 
-    The largest images rotate with the scene, smaller images and numbers do not. With ``output="regular"`` the
-    features are regular fields, which equivariant heads need. With ``output="invariant"`` each field is
-    reduced to its maximum. Any head is then invariant, which suits values but not directions of motion.
-
     Features of smaller images are trivial fields, which is correct for images in the frame of the gripper. A
     reflection mirrors these images, so with a dihedral group the features are equivariant to rotations only.
 
     :param observation_space: see :class:`~sb3_extensions.encoders.observation.StackedImage`
     :param group: ``"cyclic"`` (rotations) or ``"dihedral"`` (rotations and reflections)
     :param n: number of rotations
-    :param output: ``"regular"`` or ``"invariant"``
+    :param output: ``"regular"`` for regular fields, which equivariant heads need, or ``"invariant"`` for the
+        maximum of each field. Any head is then invariant, which suits values but not directions of motion
     :param kwargs: further parameters of :class:`ImageExtractor`
     :raises ValueError: if ``group``, ``n`` or ``output`` is unknown, or the encoder does not match the images
     """

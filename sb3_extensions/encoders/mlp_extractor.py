@@ -22,8 +22,7 @@ class MlpExtractor(BaseFeaturesExtractor):
     :param layers: units of each layer; the output of the last layer is the features
     :param standardise: (mean, standard deviation): numbers become (number - mean) / standard deviation. For
         metres, (0.0, 0.1) gives tenths of a metre. ``None`` leaves the numbers unchanged
-    :raises ValueError: if there are images or spaces other than Boxes, ``layers`` is empty, or
-        ``standardise`` is invalid
+    :raises ValueError: if there are images or spaces other than Boxes, or an argument is invalid
     """
 
     def __init__(

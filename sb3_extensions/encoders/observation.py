@@ -79,7 +79,8 @@ class StackedImage(nn.Module):
 
     def forward(self, observations: PyTorchObs) -> th.Tensor:
         """:return: (batch, channels, size, size)"""
-        parts, channels = as_parts(observations), []
+        parts = as_parts(observations)
+        channels: list[th.Tensor] = []
         for key, scale in self.scales.items():
             image = parts[key]
             start = (image.shape[-1] - self.size) // 2
@@ -92,7 +93,7 @@ def square_images(parts: Mapping[str, gym.Space[Any]]) -> dict[str, spaces.Box]:
     """
     Return the spaces of the images of an observation, in order.
 
-    :raises ValueError: if there is no image, or one that is not (channels, size, size)
+    :raises ValueError: if not all images are (channels, size, size), or there are none
     """
     images = {
         key: space
@@ -219,20 +220,14 @@ class SceneView(nn.Module):
             return StackedImage(spaces.Dict({key: parts[key]}), quantise, standardise=standardise)
 
         self.heightmap = stack(image_key)
+        self.size = self.heightmap.size
+        """Side of the heightmap, pixels."""
         self.in_hand = stack(in_hand_key) if in_hand_key in parts else None
+        self.in_hand_shape = None if self.in_hand is None else (self.in_hand.channels, self.in_hand.size)
+        """Number of channels and side (pixels) of the in-hand image, None without one."""
         self.standardise = standardise
         self.image_key = image_key
         self.holding_key = holding_key if holding_key in parts else None
-
-    @property
-    def size(self) -> int:
-        """Side of the heightmap, pixels."""
-        return self.heightmap.size
-
-    @property
-    def in_hand_shape(self) -> tuple[int, int] | None:
-        """Number of channels and side (pixels) of the in-hand image, None without one."""
-        return None if self.in_hand is None else (self.in_hand.channels, self.in_hand.size)
 
     def forward(self, observations: TensorDict) -> View:
         """:return: view of a batch of observations"""

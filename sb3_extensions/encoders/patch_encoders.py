@@ -44,14 +44,12 @@ class PatchMap(nn.Sequential):
 
     def forward(self, image: th.Tensor) -> th.Tensor:
         """:return: (batch, channels[-1], side, side), see :meth:`side`"""
-        features = resize(image, max(image.shape[-1], SMALLEST_SIDE))
-        for layer in self:
-            features = layer(features)
+        features: th.Tensor = super().forward(resize(image, max(image.shape[-1], SMALLEST_SIDE)))
         return features
 
     @staticmethod
     def side(size: int) -> int:
-        """Return the side (pixels) of the map of an image of a side."""
+        """Return the side (pixels) of the map of an image with the side ``size``."""
         return (max(size, SMALLEST_SIDE) - 4) // 2 - 2
 
 
@@ -59,8 +57,7 @@ class PatchVector(nn.Sequential):
     """
     Convolutions with padding and linear layers: (batch, channels, size, size) to (batch, hidden[-1]).
 
-    Max-pooling precedes each of the last convolutions, as often as the map is larger than ``last_side``. It
-    never precedes the first convolution, so the last map may be larger.
+    Max-pooling precedes each of the last convolutions, as often as the map is larger than ``last_side``.
 
     :param in_channels: channels of the image
     :param size: side of the image, pixels

@@ -1,8 +1,4 @@
-"""U-Nets from an image to a feature map of the same size: plain and equivariant (paper).
-
-Max-pooling halves the image at each level and bilinear interpolation doubles it again. All steps keep the
-centre of an image of an even side, so rotations by 90 degrees are exact.
-"""
+"""U-Nets from an image to a feature map of the same size: plain and equivariant (paper)."""
 
 from collections.abc import Sequence
 from itertools import pairwise
@@ -20,6 +16,8 @@ from sb3_extensions.equivariant.layers import EquivariantConv2d
 class UNet(nn.Module):
     """
     Encoder and decoder with skip connections: (batch, channels, size, size) to a map of the same size.
+
+    All steps keep the centre of an image of an even side, so rotations by 90 degrees are exact.
 
     :param downs: blocks of the encoder, one for each level; each level has half the side of the previous one
     :param ups: blocks of the decoder, from the lowest level. The input is the features of the level and the
@@ -107,8 +105,6 @@ def _equivariant_block(inputs: FieldType, outputs: FieldType) -> ResidualBlock:
 def plain_unet(in_channels: int, channels: Sequence[int], other_channels: int) -> UNet:
     """
     Make the U-Net of the paper's plain networks (the authors' code), with Xavier normal weights.
-
-    The lowest blocks have twice the channels.
 
     :param in_channels: channels of the image
     :param channels: channels of each level, from the image down; at least two levels

@@ -19,8 +19,6 @@ from scipy.linalg import block_diag
 
 Matrices = npt.NDArray[np.float64]
 
-GROUP_FAMILIES = ("cyclic", "dihedral")
-
 
 @dataclass(frozen=True)
 class Group:
@@ -37,8 +35,8 @@ class Group:
     n: int
 
     def __post_init__(self) -> None:
-        if self.family not in GROUP_FAMILIES:
-            raise ValueError(f"group must be one of {GROUP_FAMILIES}, got {self.family!r}")
+        if self.family not in ("cyclic", "dihedral"):
+            raise ValueError(f"group must be 'cyclic' or 'dihedral', got {self.family!r}")
         if self.n < 1:
             raise ValueError(f"n, the number of rotations, must be at least 1, got {self.n}")
 

@@ -1,9 +1,7 @@
 """Circular harmonics on the pixel grid of a filter.
 
-A harmonic of frequency f should only respond to the part of an image that rotates with frequency f. Samples
-of Gaussian rings times circular harmonics violate this condition, because the grid only has rotations by 90
-degrees. For example, a harmonic of frequency 4 responds to a constant image, one of frequency 3 to a ramp.
-:func:`harmonic_basis` suppresses the part of each sampled harmonic that responds to other frequencies.
+A sampled harmonic of one frequency also responds to parts of an image with other frequencies, because
+the grid only has rotations by 90 degrees. :func:`harmonic_basis` suppresses this response.
 """
 
 import math
@@ -42,7 +40,8 @@ def harmonic_basis(kernel_size: int, rotations: int) -> tuple[Samples, tuple[int
     :return: samples (number of functions, kernel_size, kernel_size), each frequency's of unit energy, and
         the frequency of each cosine (or constant), in order
     """
-    positions = _pixel_positions(kernel_size)
+    offsets = np.arange(kernel_size) - (kernel_size - 1) / 2
+    positions: Complex = np.add.outer(offsets, 1j * offsets).ravel()  # row + i column
     parts: dict[int, Complex] = {}
     samples, frequencies = [], []
     for ring in np.unique(abs(positions.real)):
@@ -58,13 +57,6 @@ def harmonic_basis(kernel_size: int, rotations: int) -> tuple[Samples, tuple[int
             samples.append(pair.reshape(-1, kernel_size, kernel_size))
             frequencies.append(frequency)
     return np.concatenate(samples), tuple(frequencies)
-
-
-def _pixel_positions(kernel_size: int) -> Complex:
-    """Return the positions of all pixels relative to the centre, as complex numbers row + i column."""
-    offsets = np.arange(kernel_size) - (kernel_size - 1) / 2
-    positions: Complex = np.add.outer(offsets, 1j * offsets).ravel()
-    return positions
 
 
 def _wave(positions: Complex, frequency: int) -> Complex:

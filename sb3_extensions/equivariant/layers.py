@@ -135,15 +135,11 @@ class DynamicEquivariantConv2d(nn.Module):
         self, in_type: FieldType, out_type: FieldType, kernel_size: int = 3, padding: int = 0
     ) -> None:
         super().__init__()
-        self.in_type, self.out_type = in_type, out_type
-        self.kernel_size, self.padding = kernel_size, padding
+        self.out_type, self.padding = out_type, padding
         self.space = FilterSpace(in_type, out_type, kernel_size)
         self._sizes = [*map(math.prod, self.space.shapes.values()), self.space.num_biases]
-
-    @property
-    def num_coefficients(self) -> int:
+        self.num_coefficients = sum(self._sizes)
         """Number of coefficients of a sample: weights, then one bias for each field that has one."""
-        return sum(self._sizes)
 
     def filters(self, coefficients: th.Tensor) -> tuple[th.Tensor, th.Tensor]:
         """Return a filter and a bias for each sample, first axis of length batch."""
@@ -157,7 +153,6 @@ class DynamicEquivariantConv2d(nn.Module):
 
     def forward(self, features: th.Tensor, coefficients: th.Tensor) -> th.Tensor:
         """
-        :param features: (batch, in channels, height, width)
         :param coefficients: (batch, num_coefficients)
         :return: (batch, out channels, height, width)
         :raises ValueError: if the coefficients have another shape

@@ -60,11 +60,8 @@ class FilterSpace(nn.Module):
         if not self.shapes:
             raise ValueError(f"no map from {in_type} to {out_type} commutes with the group")
         self.register_buffer("bias_basis", _invariants(out_type), persistent=False)
-
-    @property
-    def num_biases(self) -> int:
+        self.num_biases = len(self.bias_basis)
         """Number of fields that can have a bias (regular, quotient, trivial)."""
-        return len(self.bias_basis)
 
     def std(self, key: str, gain: float) -> float:
         """Return the standard deviation of initial coefficients.
@@ -136,10 +133,7 @@ class _WholeBasis(_Basis):
 
 
 class _ColumnBasis(_Basis):
-    """Basis for regular inputs of which one column is stored.
-
-    The column of the first channel of a regular field is arbitrary. The column of element g is the first
-    column rotated by g.
+    """Basis for regular inputs of which one column is stored; element g rotates it by g.
 
     :param actions: matrices of the output representation, (elements, out size, out size)
     :param waves: rotated harmonics, (elements, harmonics, side, side)

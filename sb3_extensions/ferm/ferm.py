@@ -20,8 +20,7 @@ class FERM(SACfD):
     Framework for efficient robotic manipulation (FERM): SACfD with a contrastive loss of random crops.
 
     The encoder learns to identify two crops of the same observation, first on the demonstrations alone, then
-    in every update. The critic's features extractor computes the queries, and the target critic's the keys.
-    With ``bc_weight=0`` it is FERM SAC.
+    in every update. With ``bc_weight=0`` it is FERM SAC.
 
     Paper: https://arxiv.org/abs/2012.07975; defaults: BulletArm,
     https://arxiv.org/abs/2205.14292, appendix "Benchmark Details", and its authors' code.

@@ -36,23 +36,19 @@ class ExpertReplayBuffer(ReplayBuffer):
     also replace ``ReplayBuffer`` and ``DictReplayBuffer`` in SAC, TQC and CrossQ. It warns if its full size
     exceeds the available memory.
 
+    See Stable-Baselines3's ``ReplayBuffer`` for the parameters that are not documented here.
+
     :param buffer_size: number of rows for the steps of all environments; an episode of n steps occupies n + 1
     :param observation_space: Box space, or Dict space of Box spaces
-    :param action_space: action space
-    :param device: PyTorch device of the samples
-    :param n_envs: number of parallel environments
     :param optimize_memory_usage: must be False, observations are always stored once
     :param handle_timeout_termination: bootstrap from the last observation of a truncated episode
-    :param n_steps: maximum number of rewards in a return before the bootstrap. A return ends at the end of
-        the episode and before an exploratory action (https://arxiv.org/abs/1606.02647, traces of Watkins's
-        Q(lambda))
-    :param gamma: discount factor per step, required if ``n_steps > 1``. With None the samples have no
-        discounts
+    :param n_steps: maximum number of rewards in a return before the bootstrap. A return also ends before an
+        exploratory action (traces of Watkins's Q(lambda), https://arxiv.org/abs/1606.02647)
+    :param gamma: discount factor per step, required if ``n_steps > 1``
     :param image_dtype: ``"uint8"`` or ``"uint16"``, type of the stored images
     :param sampler: sampler of the steps: ``"uniform"``, ``"shares"``, ``"prioritized"``, one of them with its
         arguments, or an object, see :mod:`sb3_extensions.replay.sampling`
-    :param seed: seed of the sampling. With None it is drawn from NumPy's global generator, which the ``seed``
-        of a Stable-Baselines3 algorithm sets before it creates its buffer
+    :param seed: seed of the sampling, None to sample it from NumPy's global generator
     :raises ValueError: if an argument is out of its range
     """
 
@@ -180,11 +176,8 @@ class ExpertReplayBuffer(ReplayBuffer):
         """
         Add one step of every environment.
 
-        :param obs: observations, first axis of length ``n_envs``
-        :param next_obs: next observations; the last ones of episodes that ended
-        :param action: actions in the policy's units
-        :param reward: rewards, shape (n_envs,)
-        :param done: whether the episode ended, shape (n_envs,)
+        See Stable-Baselines3's ``ReplayBuffer`` for the other parameters.
+
         :param infos: ``"TimeLimit.truncated"`` is True if the episode was truncated, ``"is_success"`` if it
             succeeded. :data:`EXPERT_ACTION` is the expert's action, :data:`EXPLORED` marks an exploratory
             action
@@ -244,10 +237,8 @@ class ExpertReplayBuffer(ReplayBuffer):
         self, batch_size: int, env: VecNormalize | None = None
     ) -> ExpertReplayBufferSamples:
         """
-        Sample steps.
+        Sample steps, see Stable-Baselines3's ``ReplayBuffer`` for the parameters.
 
-        :param batch_size: number of steps
-        :param env: normalization to apply to observations and rewards
         :raises ValueError: if the buffer is empty
         """
         if not self.size():

@@ -5,7 +5,6 @@ import numpy.typing as npt
 import torch as th
 from gymnasium import spaces
 
-DTYPES = ("uint8", "uint16")
 MAX_FLOAT32_ERROR = 0.25
 """Maximum error of float32 arithmetic, in quantisation steps, for which rounding returns the right level."""
 
@@ -23,8 +22,8 @@ class Quantiser:
     """
 
     def __init__(self, space: spaces.Box, dtype: str = "uint8") -> None:
-        if dtype not in DTYPES:
-            raise ValueError(f"dtype must be one of {DTYPES}, got {dtype!r}")
+        if dtype not in ("uint8", "uint16"):
+            raise ValueError(f"dtype must be 'uint8' or 'uint16', got {dtype!r}")
         low, high = space.low.astype(np.float64), space.high.astype(np.float64)
         if not (np.isfinite(low).all() and np.isfinite(high).all() and (low < high).all()):
             raise ValueError(f"space must have finite bounds with low < high, got {space}")

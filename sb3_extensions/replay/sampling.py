@@ -10,7 +10,7 @@ from sb3_extensions.common.components import (
     check_fraction,
     check_not_negative,
     check_positive,
-    make_component,
+    make_components,
 )
 from sb3_extensions.replay.step_table import Rows, StepTable
 
@@ -157,19 +157,16 @@ class PrioritizedSampler(UniformSampler):
         self.masses[rows] = priorities**self.exponent
 
 
-SAMPLERS: dict[str, type[UniformSampler]] = {
-    "uniform": UniformSampler,
-    "shares": ShareSampler,
-    "prioritized": PrioritizedSampler,
-}
-
-
 def make_sampler(spec: Any) -> UniformSampler:
     """
-    Create a sampler from its specification.
+    Create a sampler from its specification, see :class:`~sb3_extensions.replay.buffer.ExpertReplayBuffer`.
 
-    :param spec: a sampler, None (uniform), a name, or one name with arguments
-        (``{"shares": {"expert_fraction": 0.5}}``)
     :raises ValueError: if the specification is something else
     """
-    return make_component("sampler", spec, SAMPLERS) or UniformSampler()
+    if isinstance(spec, UniformSampler):
+        return spec
+    classes = {"uniform": UniformSampler, "shares": ShareSampler, "prioritized": PrioritizedSampler}
+    samplers = make_components("sampler", spec, classes)
+    if len(samplers) > 1:
+        raise ValueError(f"sampler must be one sampler, got {spec!r}")
+    return samplers[0] if samplers else UniformSampler()

@@ -27,11 +27,7 @@ NetArch = list[int] | dict[str, list[int]]
 
 
 def initialise_actor(actor: Actor) -> Actor:
-    """
-    Initialise the linear layers of an actor with Xavier uniform weights, small ones in the last layers.
-
-    The means start near 0 and the standard deviations near 1.
-    """
+    """Initialise an actor with Xavier uniform weights, so that means start near 0 and deviations near 1."""
     for layer in actor.latent_pi.modules():
         if isinstance(layer, nn.Linear):
             nn.init.xavier_uniform_(layer.weight)
@@ -46,9 +42,8 @@ class MultiHeadCritic(ContinuousCritic):
     """
     Critic whose heads share one encoder.
 
-    With ``normalise`` features and hidden layers are normalised, which bounds the values of actions outside
-    the data (RLPD, https://arxiv.org/abs/2302.02948), and values start near 0, because a wrong initial value
-    that bootstraps from itself decays slowly.
+    Normalised features and hidden layers bound the values of actions outside the data (RLPD,
+    https://arxiv.org/abs/2302.02948).
 
     :param n_critics: Number of heads
     :param n_outputs: number of outputs of a head, 1 for a Q-value, more for quantiles
@@ -98,17 +93,14 @@ class EquivariantActor(Actor):
     The Gaussian before squashing is equivariant under the whole group. Squashing acts on x and y separately,
     so it commutes only with rotations by 90 degrees and with reflections.
 
-    :param observation_space: Observation space
-    :param action_space: Action space
+    See Stable-Baselines3's ``Actor`` for the parameters that are not documented here.
+
     :param net_arch: regular fields of each hidden layer behind the encoder
     :param features_extractor: network with regular features that trivial ones may follow
-    :param features_dim: Number of features
     :param action_sequence: one character for each number of the action, see
         :class:`~sb3_extensions.common.action_sequence.ActionSequence`
     :param normalise: whether means start near 0 and standard deviations near 1
-    :param activation_fn: Activation function
     :param use_sde: must be False
-    :param normalize_images: Whether to divide ``uint8`` images by 255
     :param kwargs: arguments of state-dependent exploration, without effect
     :raises ValueError: if features or ``action_sequence`` do not fit, or with ``use_sde``
     """

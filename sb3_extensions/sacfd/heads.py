@@ -131,10 +131,9 @@ class InvariantValue(nn.Module):
 
 class InputNormalisation(nn.Module):
     """
-    Normalise the features of a critic's input and scale its actions to their norm.
+    Normalise the features of each observation to mean 0 and variance 1, and scale the actions to their norm.
 
-    The features get mean 0 and variance 1 over each observation. Without the scale, an untrained critic is
-    insensitive to the action input.
+    Without the scale, an untrained critic is insensitive to the action input.
     """
 
     def __init__(self, features_dim: int, action_dim: int) -> None:

@@ -24,18 +24,16 @@ class SACfDPolicy(SACPolicy):
     """
     SAC policy with additions, all off by default.
 
-    The encoders of images pool as the paper's do, unless ``features_extractor_kwargs`` has ``strided``.
+    The encoders of images pool as the paper's do, unless ``features_extractor_kwargs`` has ``strided``. With
+    ``share_features_extractor`` the sum of both losses trains one features extractor, in contrast to SAC. See
+    Stable-Baselines3's ``SACPolicy`` for the other parameters.
 
-    :param args: arguments of :class:`stable_baselines3.sac.policies.SACPolicy`
-    :param net_arch: hidden layers behind the encoders, by default those of the subclass
+    :param net_arch: hidden layers behind the encoders, None for the default of the subclass
     :param normalise: normalise the critic's features and hidden layers (https://arxiv.org/abs/2302.02948),
         scale the actions in its input to the features, and start actor and critic with outputs near 0
     :param actor_tau: soft update coefficient of an average of the actor's weights that deterministic actions
         use (own addition), greater than 0 and at most 1. The first ``1 / actor_tau`` weights have equal
         shares. None for no average
-    :param kwargs: keyword arguments of :class:`stable_baselines3.sac.policies.SACPolicy`. With
-        ``share_features_extractor`` the sum of both losses trains one features extractor. In
-        Stable-Baselines3's SAC, the actor's loss alone trains it
     :raises ValueError: if ``actor_tau`` is out of its range
     """
 
@@ -60,7 +58,8 @@ class SACfDPolicy(SACPolicy):
             kwargs["features_extractor_kwargs"] = {"strided": 0, **extractor_kwargs}
         self.normalise = normalise
         self.actor_tau = actor_tau
-        super().__init__(*args, net_arch=self.default_net_arch if net_arch is None else net_arch, **kwargs)
+        kwargs["net_arch"] = self.default_net_arch if net_arch is None else net_arch
+        super().__init__(*args, **kwargs)
 
     def _build(self, lr_schedule: Schedule) -> None:
         super()._build(lr_schedule)

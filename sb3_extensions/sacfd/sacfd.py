@@ -47,7 +47,7 @@ class SACfD(ActorPretraining, SAC):
         :class:`~sb3_extensions.replay.buffer.ExpertReplayBuffer`
     :param replay_buffer_class: Replay buffer class, ``ExpertReplayBuffer`` (the default) or a subclass
     :param replay_buffer_kwargs: Keyword arguments to pass to the replay buffer on creation. ``n_steps`` and
-        ``gamma`` are those of the algorithm, ``image_dtype`` is by default that of the features extractor
+        ``gamma`` are arguments of the algorithm, ``image_dtype`` is by default as in the extractor
     :param n_steps: maximum number of rewards in a return before the bootstrap
     :param bc_weight: weight of the imitation term in the actor's loss
     :param expert_episodes: number of successful episodes of the expert, if ``expert_data`` is None
@@ -67,9 +67,8 @@ class SACfD(ActorPretraining, SAC):
         Gaussian grows without bound towards 1 (own addition)
     :param expert_q_weight: weight of the critic's value in the actor's loss at expert steps; 1 at the other
         steps. With 0 the actor only imitates there (own addition)
-    :param self_imitation_temperature: temperature with which the actor also imitates successful steps of the
-        agent, see
-        :func:`~sb3_extensions.sacfd.losses.self_imitation_weights`. None for the expert alone
+    :param self_imitation_temperature: temperature with which the actor also imitates the agent's successes,
+        see :func:`~sb3_extensions.sacfd.losses.self_imitation_weights`. None for the expert alone
     :param backup_entropy: whether the critic's target includes the entropy of the next action. Source of
         False: https://arxiv.org/abs/2302.02948
     :param value_range: minimum and maximum possible return; values in targets are clipped to it. Source:
@@ -291,9 +290,7 @@ class SACfD(ActorPretraining, SAC):
         """Update the entropy coefficient if it is learned; return the value before."""
         if self.ent_coef_optimizer is None or self.log_ent_coef is None:
             return self.ent_coef_tensor
-        # Important: detach the variable from the graph
-        # so we don't change it with other losses
-        # see https://github.com/rail-berkeley/softlearning/issues/60
+        # Important: detach the variable from the graph so we don't change it with other losses
         ent_coef = th.exp(self.log_ent_coef.detach())
         assert isinstance(self.target_entropy, float)
         ent_coef_loss = -(self.log_ent_coef * (log_prob + self.target_entropy).detach()).mean()

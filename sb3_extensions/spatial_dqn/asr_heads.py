@@ -74,8 +74,6 @@ class Level(nn.Module):
         """
         Return the scene around the gripper at the pixel, along its three axes, and the in-hand image.
 
-        :param view: batch of inputs
-        :param indices: numbers chosen so far
         :param candidates: values of numbers that replace the chosen ones, m or rad, (1, candidates)
         :return: standardised, (batch * candidates, channels, side, side)
         """

@@ -33,6 +33,8 @@ class RigidMotion(Augmentation):
     def __init__(self, codec: SpatialActionCodec, image_key: str) -> None:
         self.codec, self.image_key = codec, image_key
         self.names = [*PIXEL, *codec.grids]
+        self.rotations = len(codec.grids.get("theta", []))
+        """Number of yaws in a range of pi; 0 if actions have no yaw and heightmaps do not rotate."""
 
     def __call__(
         self, samples: ExpertReplayBufferSamples, generator: th.Generator
@@ -56,11 +58,6 @@ class RigidMotion(Augmentation):
             next_observations=self._move_heightmap(after, steps, shifts),
         )
         return moved, self._move_indices(indices, steps, shifts)
-
-    @property
-    def rotations(self) -> int:
-        """Number of yaws in a range of pi; 0 if actions have no yaw and heightmaps do not rotate."""
-        return len(self.codec.grids.get("theta", []))
 
     def _sample_motions(
         self, before: TensorDict, after: TensorDict, indices: th.Tensor, generator: th.Generator

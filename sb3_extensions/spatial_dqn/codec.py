@@ -29,7 +29,7 @@ class SpatialActionCodec:
     """
     Conversion between normalised actions, [-1, 1], and indices of pixel, yaw, height and tilts.
 
-    The indices are ``(row, column, theta, z, phi, psi)`` without those that the action sequence lacks. The
+    The indices are ``(row, column, theta, z, phi, psi)``, or fewer if the action sequence lacks numbers. The
     centre of pixel (i, j) of the heightmap is x = (2 i + 1) / size - 1, y = (2 j + 1) / size - 1. A rotation
     of the gripper by pi with inverted tilts is the same pose, so yaws are modulo pi. The default grid is the
     paper's (appendix "Benchmark Details").
@@ -46,8 +46,7 @@ class SpatialActionCodec:
     :param z_bounds: heights of the actions -1 and 1, m
     :param theta_bounds: yaws of the actions -1 and 1, rad
     :param tilt_bound: tilt of the action 1, rad; the action -1 is the opposite
-    :raises ValueError: if the sequence is invalid or has no x and y, a number is not positive, or the grid is
-        outside the bounds
+    :raises ValueError: if the sequence has no x and y, a number is not positive, or a value is out of bounds
     """
 
     size: int
@@ -94,17 +93,11 @@ class SpatialActionCodec:
             )
         self.grids = {name: grids[name] for name in INDEX_ORDER if name in self.numbers}
         """Values of each index after the pixel, m or rad."""
-        self._tables = self._make_tables()
-
-    @property
-    def shape(self) -> tuple[int, ...]:
+        self.shape = (self.size, self.size, *map(len, self.grids.values()))
         """Number of values of each index."""
-        return (self.size, self.size, *map(len, self.grids.values()))
-
-    @property
-    def resolution(self) -> float:
+        self.resolution = self.workspace_size / self.size
         """Side of a pixel, m."""
-        return self.workspace_size / self.size
+        self._tables = self._make_tables()
 
     def encode(self, actions: npt.NDArray[np.floating]) -> Indices:
         """Return the nearest grid points (n, indices) of actions in [-1, 1], (n, numbers of an action)."""
@@ -131,11 +124,10 @@ class SpatialActionCodec:
 
     def decode_tensor(self, indices: th.Tensor, places: th.Tensor) -> th.Tensor:
         """
-        Return the actions of indices. This method can be exported with the network.
+        Return the actions of indices, in [-1, 1], float32, (n, numbers of an action).
 
         :param indices: int64, (n, indices)
         :param places: True to place, False to pick, bool (n,)
-        :return: in [-1, 1], float32, (n, numbers of an action)
         """
         columns = dict(zip((*PIXEL, *self.grids), indices.unbind(1), strict=True))
         values = {"p": th.where(places, 1.0, -1.0), "x": self._lookup("x", columns["row"])}

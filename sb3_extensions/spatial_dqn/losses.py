@@ -61,5 +61,4 @@ def cross_entropy(
 
 
 def _expert_mean(losses: th.Tensor, is_expert: th.Tensor) -> th.Tensor:
-    """Return the mean over the expert steps, 0 if there are none."""
     return th.where(is_expert, losses, 0.0).sum() / is_expert.sum().clamp(min=1)

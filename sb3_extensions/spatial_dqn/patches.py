@@ -1,7 +1,4 @@
-"""Patches of images around pixels, and rotated images, for batches on any device.
-
-Rotations are as in :mod:`sb3_extensions.equivariant.groups`.
-"""
+"""Patches of images around pixels, and images rotated as in :mod:`sb3_extensions.equivariant.groups`."""
 
 import math
 

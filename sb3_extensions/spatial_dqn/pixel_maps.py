@@ -218,8 +218,7 @@ def coefficient_layer(dynamic: DynamicEquivariantConv2d, features: int) -> nn.Li
     """
     Return a layer from a number of features to the coefficients of a dynamic filter.
 
-    The initial bias is a random filter of the size of other filters, which the input changes a little. A
-    layer with outputs near zero would learn slowly, because the filtered features would be near zero.
+    The initial bias is a random filter, because a filter near zero would learn slowly.
     """
     layer = nn.Linear(features, dynamic.num_coefficients)
     nn.init.normal_(layer.bias)

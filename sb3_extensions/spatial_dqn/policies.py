@@ -101,6 +101,8 @@ class SpatialPolicy(BasePolicy):
         }
         size = SceneView(observation_space, **self.view_kwargs).size
         self.codec = SpatialActionCodec(size, action_sequence, **self.codec_kwargs)
+        self.rotations = len(self.codec.grids.get("theta", [0.0]))
+        """Number of yaws of the grid, 1 if actions have none."""
         self.q_net = self.make_q_net()
         self.q_net_target = self.make_q_net()
         self.q_net_target.load_state_dict(self.q_net.state_dict())
@@ -123,11 +125,6 @@ class SpatialPolicy(BasePolicy):
         """Make the first level and the further levels; ``kwargs`` are the ``network_kwargs``."""
         raise NotImplementedError
 
-    @property
-    def rotations(self) -> int:
-        """Number of yaws of the grid, 1 if actions have none."""
-        return len(self.codec.grids.get("theta", [0.0]))
-
     def forward(self, obs: PyTorchObs, deterministic: bool = True) -> th.Tensor:
         """Return the greedy actions of a batch, in [-1, 1]; ``deterministic`` has no effect."""
         return self._predict(obs, deterministic)
@@ -142,10 +139,9 @@ class SpatialPolicy(BasePolicy):
         self, observation: dict[str, npt.NDArray[Any]]
     ) -> tuple[npt.NDArray[np.float32], tuple[int, ...]]:
         """
-        Return the values of all pixels for one observation.
+        Return the value of every pixel with its best yaw, (size, size), and the indices of the greedy action.
 
         :param observation: observation of the environment, not a batch
-        :return: value of every pixel with its best yaw, (size, size), and the indices of the greedy action
         """
         batch, _ = self.obs_to_tensor(observation)
         assert isinstance(batch, dict)
@@ -245,18 +241,14 @@ class ASRPolicy(SpatialPolicy):
 
 class EquivariantASRPolicy(SpatialPolicy):
     """
-    Equivariant networks that choose the numbers of an action in order (Equivariant ASR; in 6D Equivariant
-    Deictic ASR).
+    Equivariant networks that choose the numbers of an action in order (ASR; in 6D Deictic ASR).
 
     The network of the pixel is equivariant to D_4, the network of n yaws to C_2n. Height and tilts are valued
     from projections around the gripper. Parameters of ``network_kwargs``:
 
-    - ``fields``: regular fields of the levels of the U-Net
-    - ``patch_fields``: regular fields of the convolutions on the patch around the pixel
-    - ``in_hand_channels``: channels of the convolutions on the in-hand image
-    - ``hidden``: units of the two linear layers on the in-hand image and the encoding
-    - ``dynamic_fields``: see :class:`~sb3_extensions.spatial_dqn.pixel_maps.EquivariantPixelMaps`
-    - ``pool_encoding``: see :class:`~sb3_extensions.spatial_dqn.asr_heads.EquivariantRotations`
+    - ``fields``, ``dynamic_fields``: see :class:`~sb3_extensions.spatial_dqn.pixel_maps.EquivariantPixelMaps`
+    - ``patch_fields`` (the ``fields``), ``in_hand_channels``, ``hidden`` and ``pool_encoding``: see
+      :class:`~sb3_extensions.spatial_dqn.asr_heads.EquivariantRotations`
     - ``patch_channels``, ``patch_hidden``: channels and units of the levels after the yaw (6D)
     """
 

@@ -29,9 +29,6 @@ from sb3_extensions.spatial_dqn.policies import (
     SpatialPolicy,
 )
 
-EXPERT_FRACTION = 0.5
-"""Fraction of expert steps in each batch (paper, appendix "Benchmark Details")."""
-
 
 class SpatialDQN(OffPolicyFromDemonstrations):
     """
@@ -176,7 +173,8 @@ class SpatialDQN(OffPolicyFromDemonstrations):
         check_positive(target_update_interval=self.target_update_interval, max_grad_value=self.max_grad_value)
 
     def _setup_model(self) -> None:
-        shares = {"expert_fraction": EXPERT_FRACTION, "balanced_from": max(1, self.batch_size // 2)}
+        # Paper, appendix "Benchmark Details"
+        shares = {"expert_fraction": 0.5, "balanced_from": max(1, self.batch_size // 2)}
         self.replay_buffer_kwargs = {"sampler": {"shares": shares}, **self.replay_buffer_kwargs}
         is_augmented, self.augmentation = self.augmentation is not None, None
         super()._setup_model()
@@ -261,7 +259,6 @@ class SpatialDQN(OffPolicyFromDemonstrations):
         return self.q_net_target.greedy(next_observations)[1][:, None]
 
     def _on_step(self) -> None:
-        """Update the exploration rate after each step of ``collect_rollouts()``."""
         self.exploration_rate = self.exploration_schedule(self._current_progress_remaining)
         self.logger.record("rollout/exploration_rate", self.exploration_rate)
 

@@ -7,9 +7,6 @@ from stable_baselines3.sac.policies import SACPolicy
 
 from sb3_extensions.sacfd import policies as sacfd
 
-DEFAULT_QUANTILES = 25
-"""Number of quantiles of each head, as in sb3-contrib's TQC."""
-
 
 class QuantilePolicy(SACPolicy):
     """
@@ -20,7 +17,7 @@ class QuantilePolicy(SACPolicy):
     :param kwargs: keyword arguments of the policy of SACfD with the same name
     """
 
-    def __init__(self, *args: Any, n_quantiles: int = DEFAULT_QUANTILES, **kwargs: Any) -> None:
+    def __init__(self, *args: Any, n_quantiles: int = 25, **kwargs: Any) -> None:
         self.n_quantiles = n_quantiles
         super().__init__(*args, **kwargs)
 

@@ -10,12 +10,7 @@ from stable_baselines3.common.type_aliases import GymEnv
 from stable_baselines3.sac.policies import SACPolicy
 
 from sb3_extensions.sacfd import SACfD
-from sb3_extensions.tqcfd.policies import (
-    DEFAULT_QUANTILES,
-    EquivariantPolicy,
-    MultiInputPolicy,
-    StatePolicy,
-)
+from sb3_extensions.tqcfd.policies import EquivariantPolicy, MultiInputPolicy, StatePolicy
 
 
 class TQCfD(SACfD):
@@ -47,7 +42,7 @@ class TQCfD(SACfD):
         **kwargs: Any,
     ) -> None:
         super().__init__(policy, env, _init_setup_model=False, **kwargs)
-        n_quantiles = self.policy_kwargs.get("n_quantiles", DEFAULT_QUANTILES)
+        n_quantiles = self.policy_kwargs.get("n_quantiles", 25)
         if not 0 <= top_quantiles_to_drop_per_net < n_quantiles:
             raise ValueError(
                 f"top_quantiles_to_drop_per_net must be at least 0 and less than n_quantiles={n_quantiles}, "
