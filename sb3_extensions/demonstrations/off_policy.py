@@ -38,8 +38,7 @@ class OffPolicyFromDemonstrations(OffPolicyAlgorithm):
     called before every gradient step of the pretraining. A checkpoint of the pretraining continues in it.
 
     A subclass is an algorithm or precedes an algorithm of Stable-Baselines3 in the bases. Its constructor
-    sets the attributes that are annotated below, see :class:`~sb3_extensions.sacfd.SACfD`, and calls
-    :meth:`_check_demonstrations` before ``_setup_model()``.
+    sets the annotated attributes and calls :meth:`_check_demonstrations` before ``_setup_model()``.
     """
 
     replay_buffer: ExpertReplayBuffer | None
@@ -105,10 +104,12 @@ class OffPolicyFromDemonstrations(OffPolicyAlgorithm):
         """
         Set the buffer's discount, which can have changed, and compare the rounding of images.
 
-        :raises ValueError: if buffer and policy round images differently, or the environment normalises
-            images that the policy rounds
+        :raises ValueError: if buffer and policy round images differently, the environment normalises images
+            that the policy rounds, or a loaded buffer has another number of environments
         """
         assert self.replay_buffer is not None
+        if self.replay_buffer.n_envs != self.n_envs:
+            raise ValueError(f"n_envs of the buffer must be {self.n_envs}, got {self.replay_buffer.n_envs}")
         self.replay_buffer.set_discount(self.gamma, self.n_steps)
         env, image_dtype = self.get_vec_normalize_env(), self.replay_buffer.image_dtype
         for stack in (module for module in self.policy.modules() if isinstance(module, StackedImage)):

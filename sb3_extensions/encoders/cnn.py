@@ -107,14 +107,14 @@ def check_autocast(autocast: str | None) -> None:
 
 
 def precision(autocast: str | None, device_type: str) -> AbstractContextManager[object]:
-    """Return the context in which layers run: ``"bf16"`` if the device supports it, ``None`` for float32."""
+    """Return the context for bfloat16 if ``autocast`` is ``"bf16"`` and the device supports it."""
     if autocast is None or not has_bf16(device_type):
         return nullcontext()
     return th.autocast(device_type, dtype=th.bfloat16)
 
 
 class HalvingMaxPool(nn.Module):
-    """Max-pooling of 2 x 2 pixels, for images of an even size. Three times as fast without gradients."""
+    """Max-pooling of 2 x 2 pixels for even sizes, three times as fast as PyTorch's without gradients."""
 
     def forward(self, features: th.Tensor) -> th.Tensor:
         """:return: (batch, channels, size / 2, size / 2)"""

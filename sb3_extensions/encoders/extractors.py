@@ -160,12 +160,13 @@ class EquivariantExtractor(ImageExtractor):
         observation_space: gym.Space[Any],
         group: str = "cyclic",
         n: int = 8,
+        channels: Sequence[int] | None = None,
         output: str = "regular",
         **kwargs: Any,
     ) -> None:
         symmetry = Group(group, n)
         self.encoder_class = partial(EquivariantEncoder, group=symmetry, output=output)
-        super().__init__(observation_space, **kwargs)
+        super().__init__(observation_space, channels, **kwargs)
         scene_type = self.encoder.out_type
         small_dim = self.features_dim - scene_type.size
         self.out_type = FieldType((*scene_type.fields, (symmetry.trivial, small_dim)))

@@ -135,7 +135,7 @@ class DynamicEquivariantConv2d(nn.Module):
         self, in_type: FieldType, out_type: FieldType, kernel_size: int = 3, padding: int = 0
     ) -> None:
         super().__init__()
-        self.out_type, self.padding = out_type, padding
+        self.in_type, self.out_type, self.padding = in_type, out_type, padding
         self.space = FilterSpace(in_type, out_type, kernel_size)
         self._sizes = [*map(math.prod, self.space.shapes.values()), self.space.num_biases]
         self.num_coefficients = sum(self._sizes)

@@ -133,7 +133,7 @@ class _WholeBasis(_Basis):
 
 
 class _ColumnBasis(_Basis):
-    """Basis for regular inputs of which one column is stored; element g rotates it by g.
+    """Basis for regular inputs. The column of element g is the stored column rotated by g.
 
     :param actions: matrices of the output representation, (elements, out size, out size)
     :param waves: rotated harmonics, (elements, harmonics, side, side)

@@ -34,8 +34,8 @@ class Exploration(OffPolicyFromDemonstrations):
     """
     Random replacement of numbers of actions, and episodes of deterministic actions.
 
-    A subclass precedes an algorithm of Stable-Baselines3 in the bases. Its constructor sets the attributes
-    that are annotated below, see :class:`~sb3_extensions.sacfd.SACfD`.
+    A subclass precedes an algorithm of Stable-Baselines3 in the bases. Its constructor sets the annotated
+    attributes.
     """
 
     exploration: float

@@ -18,9 +18,7 @@ class ActorPretraining(Exploration):
     """
     Pretraining that updates the actor alone by the imitation term, then everything.
 
-    A subclass precedes Stable-Baselines3's SAC in the bases. Its constructor sets the attributes
-    ``pretrain_steps``, ``critic_warmup_steps``, ``bc_weight`` and ``bc_limit``, see
-    :class:`~sb3_extensions.sacfd.SACfD`.
+    A subclass precedes Stable-Baselines3's SAC in the bases. Its constructor sets the annotated attributes.
     """
 
     actor: Actor

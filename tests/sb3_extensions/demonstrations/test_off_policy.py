@@ -195,14 +195,19 @@ def test_loaded_model_requires_expert_data_again(make_toy: Any, tmp_path: Path) 
     assert loaded.learn(2).replay_buffer.expert_size == model.replay_buffer.expert_size
 
 
-def test_a_loaded_replay_buffer_with_other_rounding_is_rejected(make_toy: Any, tmp_path: Path) -> None:
-    other = make_model(
-        make_toy(), policy_kwargs={"features_extractor_kwargs": {"channels": [4, 8, 8], "quantise": "uint16"}}
-    )
+@pytest.mark.parametrize(
+    ("n_envs", "quantise", "message"),
+    [(1, "uint16", "image_dtype='uint16'"), (2, "uint8", "n_envs of the buffer must be 1, got 2")],
+)
+def test_a_replay_buffer_of_another_kind_is_rejected(
+    n_envs: int, quantise: str, message: str, make_toy: Any, tmp_path: Path
+) -> None:
+    extractor = {"channels": [4, 8, 8], "quantise": quantise}
+    other = make_model(make_toy(n_envs), policy_kwargs={"features_extractor_kwargs": extractor})
     other.save_replay_buffer(tmp_path / "buffer")
     model = make_model(make_toy())
     model.load_replay_buffer(tmp_path / "buffer")
-    with pytest.raises(ValueError, match="image_dtype='uint16'"):
+    with pytest.raises(ValueError, match=message):
         model.learn(1)
 
 
