@@ -44,7 +44,8 @@ class PatchMap(nn.Sequential):
 
     def forward(self, image: th.Tensor) -> th.Tensor:
         """:return: (batch, channels[-1], side, side), see :meth:`side`"""
-        features: th.Tensor = super().forward(resize(image, max(image.shape[-1], SMALLEST_SIDE)))
+        resized = resize(image, max(image.shape[-1], SMALLEST_SIDE))
+        features: th.Tensor = super().forward(resized)  # type: ignore[no-untyped-call]
         return features
 
     @staticmethod
