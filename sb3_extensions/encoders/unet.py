@@ -60,6 +60,8 @@ class UNet(nn.Module):
 
 def lowest_shape(size: int, channels: Sequence[int]) -> tuple[int, int, int]:
     """Return the shape (channels, side, side) of the lowest features of a U-Net."""
+    if len(channels) < 2:
+        raise ValueError(f"channels and fields must have at least two levels, got {channels}")
     side = -(-size // 2 ** (len(channels) - 1))
     return channels[-1], side, side
 

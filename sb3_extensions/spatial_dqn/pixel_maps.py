@@ -7,6 +7,7 @@ import torch as th
 from torch import nn
 from torch.nn import functional as F
 
+from sb3_extensions.common.components import check_positive
 from sb3_extensions.encoders.initialisation import OUTPUT_GAIN, scale_down
 from sb3_extensions.encoders.observation import View
 from sb3_extensions.encoders.patch_encoders import LAST_SIDE_OF_PIXELS, PatchMap, PatchVector
@@ -136,7 +137,7 @@ class EquivariantPixelMaps(PixelMaps):
     :param rotations: number of yaws: 1, or half of the group's rotations
     :param dynamic_fields: regular fields after the predicted filter, by default ``fields[0]`` (the authors'
         code). With one or two fields the ReLU may be inactive everywhere, forever
-    :raises ValueError: if the yaws do not match the group
+    :raises ValueError: if the yaws do not match the group, or ``dynamic_fields`` is not positive
     """
 
     def __init__(
@@ -154,6 +155,8 @@ class EquivariantPixelMaps(PixelMaps):
             raise ValueError(
                 f"group must be cyclic with {2 * rotations} rotations for {rotations} yaws, got {group}"
             )
+        dynamic_fields = fields[0] if dynamic_fields is None else dynamic_fields
+        check_positive(dynamic_fields=dynamic_fields)
         super().__init__(rotations, lowest_shape(size, fields))
         regular, lowest = (FieldType.of((group.regular, fields[level])) for level in (0, -1))
         self.unet = equivariant_unet(1, group, fields)
@@ -161,7 +164,7 @@ class EquivariantPixelMaps(PixelMaps):
         self.dynamic: DynamicEquivariantConv2d | None = None
         placed = regular
         if in_hand is not None:
-            placed = FieldType.of((group.regular, fields[0] if dynamic_fields is None else dynamic_fields))
+            placed = FieldType.of((group.regular, dynamic_fields))
             self.dynamic = DynamicEquivariantConv2d(regular, placed, 3, padding=1)
             encoder = PatchVector(*in_hand, in_hand_channels, [hidden], LAST_SIDE_OF_PIXELS)
             self.coefficients = nn.Sequential(encoder, coefficient_layer(self.dynamic, hidden))

@@ -135,6 +135,16 @@ class SpatialPolicy(BasePolicy):
         places = self.q_net.scene_view(observation).places
         return self.codec.decode_tensor(indices, places)
 
+    def parameters_to_vector(self) -> npt.NDArray[Any]:
+        """Convert the parameters to a 1D vector. SB3's method does not support ``channels_last``."""
+        vector: npt.NDArray[Any] = th.cat([p.detach().flatten() for p in self.parameters()]).cpu().numpy()
+        return vector
+
+    def load_from_vector(self, vector: npt.NDArray[Any]) -> None:
+        """Load parameters from a 1D vector, as returned by :meth:`parameters_to_vector`."""
+        super().load_from_vector(vector)
+        self.to(memory_format=th.channels_last)  # type: ignore[call-overload]
+
     def value_map(
         self, observation: dict[str, npt.NDArray[Any]]
     ) -> tuple[npt.NDArray[np.float32], tuple[int, ...]]:

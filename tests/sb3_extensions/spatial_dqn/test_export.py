@@ -68,3 +68,14 @@ def test_onnx_model_has_the_actions_of_the_policy(policy: SpatialPolicy, tmp_pat
             inputs = dict(zip(names, (value.numpy() for value in scene.values()), strict=True))
             [action] = session.run(None, inputs)
             np.testing.assert_allclose(action, policy(scene).numpy(), atol=1e-6)
+
+
+def test_parameters_are_restored_from_a_vector(policy: SpatialPolicy) -> None:
+    vector = policy.parameters_to_vector()
+    assert vector.shape == (sum(parameter.numel() for parameter in policy.parameters()),)
+    policy.load_from_vector(np.arange(len(vector), dtype=np.float32))
+    np.testing.assert_array_equal(policy.parameters_to_vector(), np.arange(len(vector)))
+    policy.load_from_vector(vector)
+    np.testing.assert_array_equal(policy.parameters_to_vector(), vector)
+    for parameter in policy.parameters():
+        assert parameter.dim() != 4 or parameter.is_contiguous(memory_format=th.channels_last)

@@ -231,10 +231,18 @@ def test_widths_are_the_authors() -> None:
 @pytest.mark.parametrize(
     ("make", "message"),
     [
+        (lambda: PlainPixelMaps(32, None, [8]), r"must have at least two levels, got \[8\]"),
+        (lambda: EquivariantPixelMaps(32, None, Group("cyclic", 4), [2]), "must have at least two levels"),
         (lambda: PlainPixelMaps(32, (1, 12), CHANNELS, [4, 4]), "in_hand_channels must have 3 entries"),
         (
             lambda: EquivariantPixelMaps(32, None, Group("cyclic", 4), FIELDS, IN_HAND, HIDDEN, 4),
             "group must be cyclic with 8 rotations for 4 yaws, got Group",
+        ),
+        (
+            lambda: EquivariantPixelMaps(
+                32, None, Group("cyclic", 4), FIELDS, IN_HAND, HIDDEN, dynamic_fields=0
+            ),
+            "dynamic_fields must be positive, got 0",
         ),
     ],
 )
