@@ -8,7 +8,8 @@ import numpy.typing as npt
 import torch as th
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
-from stable_baselines3.common.type_aliases import RolloutReturn
+from stable_baselines3.common.policies import BasePolicy
+from stable_baselines3.common.type_aliases import RolloutReturn, TrainFreq, TrainFrequencyUnit
 from stable_baselines3.common.vec_env import VecEnv
 
 from sb3_extensions.common.components import check_not_negative
@@ -95,21 +96,35 @@ class OffPolicyFromDemonstrations(OffPolicyAlgorithm):
         n_steps, self.n_steps = self.n_steps, 1
         super()._setup_model()
         self.n_steps = n_steps
-        self._check_buffer()
+        self._check_setup()
         self._had_expert_data |= self.expert_data is not None
         # The base class sets the seed before it creates the buffer.
         self._seed_samplers(self.seed)
 
-    def _check_buffer(self) -> None:
-        """
-        Set the buffer's discount, which can have changed, and compare the rounding of images.
+    def _get_policy_from_name(self, policy_name: str) -> type[BasePolicy]:
+        if policy_name not in self.policy_aliases:
+            raise ValueError(f"policy must be one of {', '.join(self.policy_aliases)}, got {policy_name!r}")
+        return self.policy_aliases[policy_name]
 
-        :raises ValueError: if buffer and policy round images differently, the environment normalises images
-            that the policy rounds, or a loaded buffer has another number of environments
+    def _check_setup(self) -> None:
         """
-        assert self.replay_buffer is not None
-        if self.replay_buffer.n_envs != self.n_envs:
-            raise ValueError(f"n_envs of the buffer must be {self.n_envs}, got {self.replay_buffer.n_envs}")
+        Set the buffer's discount, which can have changed, and check the arguments before any work.
+
+        :raises ValueError: if ``train_freq`` does not fit the number of environments, a loaded buffer has
+            other spaces or another number of environments, buffer and policy round images differently, or
+            the environment normalises images that the policy rounds
+        """
+        assert isinstance(self.train_freq, TrainFreq)
+        frequency, unit = self.train_freq
+        if frequency < 1 or (self.n_envs > 1 and unit == TrainFrequencyUnit.EPISODE):
+            raise ValueError(
+                "train_freq must be positive, and a number of steps with several environments, got "
+                f"({frequency}, {unit.value!r}) with n_envs={self.n_envs}"
+            )
+        assert isinstance(self.replay_buffer, ExpertReplayBuffer), "You must load an ExpertReplayBuffer"
+        for name in ("observation_space", "action_space", "n_envs"):
+            if (stored := getattr(self.replay_buffer, name)) != (own := getattr(self, name)):
+                raise ValueError(f"{name} of the buffer must be {own}, got {stored}")
         self.replay_buffer.set_discount(self.gamma, self.n_steps)
         env, image_dtype = self.get_vec_normalize_env(), self.replay_buffer.image_dtype
         for stack in (module for module in self.policy.modules() if isinstance(module, StackedImage)):
@@ -168,7 +183,7 @@ class OffPolicyFromDemonstrations(OffPolicyAlgorithm):
         return super().learn(total_timesteps, *args, **kwargs)
 
     def _setup_learn(self, *args: Any, **kwargs: Any) -> tuple[int, BaseCallback]:
-        self._check_buffer()
+        self._check_setup()
         assert self.replay_buffer is not None
         if self._had_expert_data and self.expert_data is None and not self.replay_buffer.size():
             raise ValueError(

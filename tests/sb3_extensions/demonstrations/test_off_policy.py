@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from gymnasium import spaces
+from stable_baselines3 import SAC
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import VecNormalize
 
@@ -17,6 +20,7 @@ from sb3_extensions.ferm import FERM
 from sb3_extensions.sacfd import SACfD
 
 SMALL = {"features_extractor_kwargs": {"channels": [4, 8, 8]}, "net_arch": [16]}
+BOX = spaces.Box(0.0, 1.0, (1, 16, 16))
 
 
 def make_model(env: Any, algorithm: type[SACfD] = SACfD, **kwargs: Any) -> SACfD:
@@ -208,6 +212,31 @@ def test_a_replay_buffer_of_another_kind_is_rejected(
     model = make_model(make_toy())
     model.load_replay_buffer(tmp_path / "buffer")
     with pytest.raises(ValueError, match=message):
+        model.learn(1)
+
+
+@pytest.mark.parametrize(
+    ("name", "space"),
+    [("observation_space", spaces.Dict({"rgb": BOX})), ("action_space", spaces.Box(-2.0, 2.0, (5,)))],
+)
+def test_a_replay_buffer_of_another_environment_is_rejected(
+    name: str, space: spaces.Space[Any], make_toy: Any, tmp_path: Path
+) -> None:
+    other, model = make_model(make_toy()), make_model(make_toy())
+    setattr(other.replay_buffer, name, space)
+    other.save_replay_buffer(tmp_path / "buffer")
+    model.load_replay_buffer(tmp_path / "buffer")
+    message = f"{name} of the buffer must be {getattr(model, name)}, got {space}"
+    with pytest.raises(ValueError, match=re.escape(message)):
+        model.learn(1)
+
+
+def test_a_replay_buffer_of_another_class_is_rejected(make_toy: Any, tmp_path: Path) -> None:
+    stock = SAC("MultiInputPolicy", make_toy(), buffer_size=50, policy_kwargs={"net_arch": [4]})
+    stock.save_replay_buffer(tmp_path / "buffer")
+    model = make_model(make_toy())
+    model.load_replay_buffer(tmp_path / "buffer")
+    with pytest.raises(AssertionError, match="ExpertReplayBuffer"):
         model.learn(1)
 
 
