@@ -2,6 +2,7 @@
 
 import copy
 import dataclasses
+from itertools import product
 from typing import Any
 
 import gymnasium as gym
@@ -47,8 +48,12 @@ def make_expert_envs(vec_env: VecEnv) -> list[tuple[VecEnv, int]]:
         for index in counts
     ]
     wrapped = [_wrap(env, vec_env) for env in envs]
-    for env in wrapped:
-        _check_spaces(env, vec_env)
+    for env, name in product(wrapped, ("observation_space", "action_space")):
+        theirs, ours = getattr(env, name), getattr(vec_env, name)
+        if theirs != ours:
+            raise ValueError(
+                f"env must have {name}={ours} after it was created again, got {theirs}. {INSTEAD}"
+            )
     return list(zip(wrapped, counts.values(), strict=True))
 
 
@@ -120,12 +125,3 @@ def _channels_order(stacked: Any) -> Any:
     if isinstance(stacked.observation_space, spaces.Dict):
         return {key: _channels_order(part) for key, part in stacked.sub_stacked_observations.items()}
     return "first" if stacked.channels_first else "last"
-
-
-def _check_spaces(expert_env: VecEnv, vec_env: VecEnv) -> None:
-    for name in ("observation_space", "action_space"):
-        theirs, ours = getattr(expert_env, name), getattr(vec_env, name)
-        if theirs != ours:
-            raise ValueError(
-                f"env must have {name}={ours} after it was created again, got {theirs}. {INSTEAD}"
-            )

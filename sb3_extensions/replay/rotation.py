@@ -66,8 +66,7 @@ class Rotation(Augmentation):
     each step.
 
     :param probability: probability of a rotation; 0.8 is the share of four copies next to the original step
-    :param action_sequence: one character for each number of the action, see
-        :class:`~sb3_extensions.common.action_sequence.ActionSequence`
+    :param action_sequence: see :class:`~sb3_extensions.common.action_sequence.ActionSequence`
     :raises ValueError: if an argument is out of its range
     """
 

@@ -97,8 +97,7 @@ class EquivariantActor(Actor):
 
     :param net_arch: regular fields of each hidden layer behind the encoder
     :param features_extractor: network with regular features that trivial ones may follow
-    :param action_sequence: one character for each number of the action, see
-        :class:`~sb3_extensions.common.action_sequence.ActionSequence`
+    :param action_sequence: see :class:`~sb3_extensions.common.action_sequence.ActionSequence`
     :param normalise: whether means start near 0 and standard deviations near 1
     :param use_sde: must be False
     :param kwargs: arguments of state-dependent exploration, without effect
@@ -146,8 +145,7 @@ class EquivariantCritic(MultiHeadCritic):
     """
     Critic that is invariant to a rotation of the images together with (x, y) of the action.
 
-    :param action_sequence: one character for each number of the action, see
-        :class:`~sb3_extensions.common.action_sequence.ActionSequence`
+    :param action_sequence: see :class:`~sb3_extensions.common.action_sequence.ActionSequence`
     :param kwargs: parameters of :class:`MultiHeadCritic`. ``net_arch`` and the features are regular fields.
         An empty ``net_arch`` is replaced by one layer with the number of fields of the features
     :raises ValueError: if features or ``action_sequence`` do not fit

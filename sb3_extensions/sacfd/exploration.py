@@ -31,12 +31,7 @@ def replace_one_number(
 
 
 class Exploration(OffPolicyFromDemonstrations):
-    """
-    Random replacement of numbers of actions, and episodes of deterministic actions.
-
-    A subclass precedes an algorithm of Stable-Baselines3 in the bases. Its constructor sets the annotated
-    attributes.
-    """
+    """Random replacement of numbers of actions, and episodes of deterministic actions."""
 
     exploration: float
     deterministic_fraction: float

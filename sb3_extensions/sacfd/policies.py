@@ -147,8 +147,7 @@ class EquivariantPolicy(SACfDPolicy):
     layer with the encoder's number of fields.
 
     :param args: arguments of :class:`SACfDPolicy`
-    :param action_sequence: One character for each number of the action: ``p`` (gripper), ``x``, ``y``, ``z``,
-        ``r`` (rotation about z), in any order
+    :param action_sequence: see :class:`~sb3_extensions.common.action_sequence.ActionSequence`
     :param kwargs: keyword arguments of :class:`SACfDPolicy`
     :raises ValueError: if features or ``action_sequence`` do not fit, or with ``use_sde``
     """

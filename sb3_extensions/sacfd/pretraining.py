@@ -15,11 +15,7 @@ from sb3_extensions.sacfd.policies import SACfDPolicy
 
 
 class ActorPretraining(Exploration):
-    """
-    Pretraining that updates the actor alone by the imitation term, then everything.
-
-    A subclass precedes Stable-Baselines3's SAC in the bases. Its constructor sets the annotated attributes.
-    """
+    """Pretraining that updates the actor alone by the imitation term, then everything."""
 
     actor: Actor
     critic_warmup_steps: int | None

@@ -48,7 +48,6 @@ class SpatialDQN(OffPolicyFromDemonstrations):
 
     See Stable-Baselines3's ``DQN`` for the parameters that are not documented here.
 
-    :param policy: The policy model to use (alias or class)
     :param env: The environment to learn from (if registered in Gym, can be str), with Dict observations that
         contain a heightmap and Box actions
     :param replay_buffer_class: Replay buffer class, ``ExpertReplayBuffer`` (the default) or a subclass
@@ -270,21 +269,12 @@ class SpatialDQN(OffPolicyFromDemonstrations):
         scaled = self.as_policy_actions(greedy)
         probability = 1.0 if self.num_timesteps < learning_starts else self.exploration_rate
         if probability > 0:
-            scaled = self._explore(scaled, self._last_obs, probability)
+            # Random actions have the same primitives.
+            indices, places = self.codec.encode(scaled), self.codec.places(scaled)
+            heights, generator = self._last_obs[self.q_net.scene_view.image_key], self.exploration_generator
+            indices = explore_on_grid(indices, heights[:, 0], probability, self.codec.shape, generator)
+            scaled = self.codec.decode(indices, places)
         return self.policy.unscale_action(scaled), scaled
-
-    def _explore(
-        self, actions: npt.NDArray[Any], observations: dict[str, npt.NDArray[Any]], probability: float
-    ) -> npt.NDArray[Any]:
-        """Replace some actions by random actions of the same primitive."""
-        indices = explore_on_grid(
-            self.codec.encode(actions),
-            observations[self.q_net.scene_view.image_key][:, 0],
-            probability,
-            self.codec.shape,
-            self.exploration_generator,
-        )
-        return self.codec.decode(indices, self.codec.places(actions))
 
     def _demonstrations(self, **kwargs: Any) -> DemonstrationSource:
         return super()._demonstrations(snap=getattr(self, "codec", None), **kwargs)

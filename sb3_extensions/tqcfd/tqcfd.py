@@ -17,13 +17,10 @@ class TQCfD(SACfD):
     """
     Truncated quantile critics from demonstrations (TQCfD): SACfD with the critics of sb3-contrib's TQC.
 
-    TQC: https://arxiv.org/abs/2005.04269
+    TQC: https://arxiv.org/abs/2005.04269. See :class:`~sb3_extensions.sacfd.SACfD` for the other parameters.
 
-    :param policy: The policy model to use (one of the aliases, or a class)
-    :param env: The environment to learn from (if registered in Gym, can be str)
     :param top_quantiles_to_drop_per_net: number of quantiles to drop per network, of its ``n_quantiles`` (in
         ``policy_kwargs``, 25 by default)
-    :param kwargs: keyword arguments of :class:`~sb3_extensions.sacfd.SACfD`
     :raises ValueError: if all quantiles are dropped
     """
 
