@@ -26,12 +26,21 @@ from sb3_extensions.sacfd.heads import (
 NetArch = list[int] | dict[str, list[int]]
 
 
-def initialise_actor(actor: Actor) -> Actor:
-    """Initialise an actor with Xavier uniform weights, so that means start near 0 and deviations near 1."""
-    for layer in actor.latent_pi.modules():
+def normalised_mlp(*args: Any) -> list[nn.Module]:
+    """Return the layers of ``create_mlp(*args)`` with layer normalisation and Xavier uniform weights."""
+    norm: Any = partial(nn.LayerNorm, elementwise_affine=False)
+    layers = create_mlp(*args, post_linear_modules=[norm])
+    for layer in layers:
         if isinstance(layer, nn.Linear):
             nn.init.xavier_uniform_(layer.weight)
             nn.init.zeros_(layer.bias)
+    return layers
+
+
+def normalise_actor(actor: Actor) -> Actor:
+    """Normalise hidden layers; start with means near 0 and standard deviations near 1."""
+    layers = normalised_mlp(actor.features_dim, -1, actor.net_arch, actor.activation_fn)
+    actor.latent_pi = nn.Sequential(*layers)
     for output in (actor.mu, actor.log_std):
         if isinstance(output, nn.Linear):
             scale_down(output)
@@ -41,9 +50,6 @@ def initialise_actor(actor: Actor) -> Actor:
 class MultiHeadCritic(ContinuousCritic):
     """
     Critic whose heads share one encoder.
-
-    Normalised features and hidden layers bound the values of actions outside the data (RLPD,
-    https://arxiv.org/abs/2302.02948).
 
     :param n_critics: Number of heads
     :param n_outputs: number of outputs of a head, 1 for a Q-value, more for quantiles
@@ -76,13 +82,8 @@ class MultiHeadCritic(ContinuousCritic):
         arguments = (self.features_dim + action_dim, self.n_outputs, self.net_arch, self.activation_fn)
         if not self.normalise:
             return nn.Sequential(*create_mlp(*arguments))
-        norm: Any = partial(nn.LayerNorm, elementwise_affine=False)
-        layers = create_mlp(*arguments, post_linear_modules=[norm])
-        hidden_and_output = [layer for layer in layers if isinstance(layer, nn.Linear)]
-        for hidden in hidden_and_output:
-            nn.init.xavier_uniform_(hidden.weight)
-            nn.init.zeros_(hidden.bias)
-        scale_down(hidden_and_output[-1])
+        layers = normalised_mlp(*arguments)
+        scale_down(layers[-1])  # type: ignore[arg-type]
         return nn.Sequential(InputNormalisation(self.features_dim, action_dim), *layers)
 
 
@@ -98,7 +99,7 @@ class EquivariantActor(Actor):
     :param net_arch: regular fields of each hidden layer behind the encoder
     :param features_extractor: network with regular features that trivial ones may follow
     :param action_sequence: see :class:`~sb3_extensions.common.action_sequence.ActionSequence`
-    :param normalise: whether means start near 0 and standard deviations near 1
+    :param normalise: whether to normalise hidden layers and start with means near 0 and deviations near 1
     :param use_sde: must be False
     :param kwargs: arguments of state-dependent exploration, without effect
     :raises ValueError: if features or ``action_sequence`` do not fit, or with ``use_sde``
@@ -135,7 +136,7 @@ class EquivariantActor(Actor):
         hidden_type = in_type = features_type(features_extractor)
         if net_arch:
             hidden_type = FieldType.of((in_type.group.regular, net_arch[-1]))
-        self.latent_pi = equivariant_mlp(in_type, net_arch, activation_fn)
+        self.latent_pi = equivariant_mlp(in_type, net_arch, activation_fn, normalise)
         self.action_dist = SquashedDiagGaussianDistribution(action_dim)  # type: ignore[assignment]
         self.mu = EquivariantMean(hidden_type, action, gain)
         self.log_std = EquivariantLogStd(hidden_type, action, gain)  # type: ignore[assignment]

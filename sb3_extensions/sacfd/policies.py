@@ -16,7 +16,7 @@ from sb3_extensions.sacfd.actor_critic import (
     EquivariantCritic,
     MultiHeadCritic,
     NetArch,
-    initialise_actor,
+    normalise_actor,
 )
 
 
@@ -29,8 +29,9 @@ class SACfDPolicy(SACPolicy):
     Stable-Baselines3's ``SACPolicy`` for the other parameters.
 
     :param net_arch: hidden layers behind the encoders, None for the default of the subclass
-    :param normalise: normalise the critic's features and hidden layers (https://arxiv.org/abs/2302.02948),
-        scale the actions in its input to the features, and start actor and critic with outputs near 0
+    :param normalise: normalise the critic's features and all hidden layers, which bounds values and means of
+        unknown inputs (https://arxiv.org/abs/2302.02948), scale the actions in the critic's input to the
+        features, and start actor and critic with outputs near 0
     :param actor_tau: soft update coefficient of an average of the actor's weights that deterministic actions
         use (own addition), greater than 0 and at most 1. The first ``1 / actor_tau`` weights have equal
         shares. None for no average
@@ -122,7 +123,7 @@ class MultiInputPolicy(SACfDPolicy):
     def make_actor(self, features_extractor: BaseFeaturesExtractor | None = None) -> Actor:
         """Create the actor."""
         actor = super().make_actor(features_extractor)
-        return initialise_actor(actor) if self.normalise else actor
+        return normalise_actor(actor) if self.normalise else actor
 
 
 class StatePolicy(MultiInputPolicy):

@@ -253,6 +253,18 @@ def test_stock_sac_trains_saves_and_loads(policy_class, policy_kwargs, tmp_path)
     loaded.learn(6)
 
 
+@pytest.mark.parametrize(
+    ("policy_class", "extractor", "hidden"),
+    [(EquivariantPolicy, SMALL, [4]), (MultiInputPolicy, {"channels": [4, 4, 4]}, [16])],
+)
+def test_outputs_of_a_normalised_actor_do_not_grow_with_its_features(policy_class, extractor, hidden):
+    net_arch = {"pi": hidden, "qf": hidden}
+    policy = make_policy(policy_class=policy_class, extractor=extractor, net_arch=net_arch, normalise=True)
+    features = th.rand(8, policy.actor.features_extractor.features_dim)
+    small, large = (policy.actor.mu(policy.actor.latent_pi(scale * features)) for scale in (1.0, 1e3))
+    assert large.abs().max() < 2.0 * small.abs().max()
+
+
 def test_same_seed_same_weights_and_actions():
     def run():
         model = SAC(
