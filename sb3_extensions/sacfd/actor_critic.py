@@ -29,7 +29,7 @@ NetArch = list[int] | dict[str, list[int]]
 def normalised_mlp(*args: Any) -> list[nn.Module]:
     """Return the layers of ``create_mlp(*args)`` with layer normalisation and Xavier uniform weights."""
     norm: Any = partial(nn.LayerNorm, elementwise_affine=False)
-    layers = create_mlp(*args, post_linear_modules=[norm])
+    layers = create_mlp(*args, post_linear_modules=[norm])  # type: ignore[misc]
     for layer in layers:
         if isinstance(layer, nn.Linear):
             nn.init.xavier_uniform_(layer.weight)
