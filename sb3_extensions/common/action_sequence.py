@@ -1,10 +1,7 @@
 """Meaning of the numbers of an action, one character for each number."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
-ACTION_SYMBOLS = "pxyzr"
 ROTATION_VECTOR = "uvr"
 """Names of three r's: the components of a rotation vector about the world's x, y and z axes."""
 
@@ -17,28 +14,20 @@ class ActionSequence:
 
     :param symbols: at most one each of ``pxyz``, and zero, one or three ``r``, in any order; x requires y
     :param action_dim: length of an action
-    :raises ValueError: if ``symbols`` has another length, or unknown, repeated or missing characters
+    :raises ValueError: if ``symbols`` is another sequence
     """
 
     symbols: str
     action_dim: int
 
     def __post_init__(self) -> None:
-        counts = {symbol: self.symbols.count(symbol) for symbol in ACTION_SYMBOLS}
-        rotations = counts.pop("r")
-        problem = None
-        if len(self.symbols) != self.action_dim:
-            problem = f"have {self.action_dim} characters, the length of an action"
-        elif not set(self.symbols) <= set(ACTION_SYMBOLS):
-            problem = f"contain the characters of {ACTION_SYMBOLS!r} only"
-        elif max(counts.values()) > 1:
-            problem = "not repeat a character of 'pxyz'"
-        elif rotations not in (0, 1, 3):
-            problem = "contain zero, one or three r"
-        elif counts["x"] != counts["y"]:
-            problem = "contain both x and y, or neither"
-        if problem is not None:
-            raise ValueError(f"action_sequence must {problem}, got {self.symbols!r}")
+        p, x, y, z, rotations = (self.symbols.count(symbol) for symbol in "pxyzr")
+        is_complete = p + x + y + z + rotations == len(self.symbols) == self.action_dim
+        if not (is_complete and max(p, x, y, z) <= 1 and x == y and rotations in (0, 1, 3)):
+            raise ValueError(
+                f"action_sequence must have {self.action_dim} characters: at most one each of p, x, y and z, "
+                f"both x and y or neither, zero, one or three r, got {self.symbols!r}"
+            )
 
     @property
     def names(self) -> str:

@@ -1,19 +1,10 @@
 """
-Checkpoints from which training continues exactly.
-
-A checkpoint is a directory with the algorithm (``model.zip``) and its replay buffer (``replay_buffer.pkl``).
-It also has the states of random generators, environments and wrappers (``state.pkl``), and the checksums of
-these files (``manifest.json``). The directory is written under a temporary name and then renamed, so that an
-interrupted write leaves no incomplete checkpoint.
+Checkpoints: directories with algorithm, replay buffer, checksums, and states of environments and generators.
 
 A resumed run equals an uninterrupted one bit for bit on the CPU with a ``DummyVecEnv``. This requires
 environments with ``get_state()`` and ``set_state(state)`` whose state includes the random generator. Other
-environments start a new episode. Two things are not stored: the state of callbacks (the best result of an
-``EvalCallback``), and the state of an Ornstein-Uhlenbeck ``action_noise``, which Stable-Baselines3 resets in
-each ``learn()``.
+environments start a new episode. The state of callbacks is not stored.
 """
-
-from __future__ import annotations
 
 import json
 import os
@@ -39,9 +30,6 @@ MANIFEST, MODEL, REPLAY_BUFFER, STATE = "manifest.json", "model.zip", "replay_bu
 FORMAT = 6
 """Version of the format of a checkpoint."""
 PREFIX, TEMPORARY_PREFIX = "checkpoint_", ".incomplete_"
-CHUNK = 1 << 20
-"""Bytes that are read at once for a checksum."""
-
 WRAPPER_STATE = ("rewards", "_elapsed_steps")
 """Attributes of ``Monitor`` and ``TimeLimit`` that change in an episode."""
 VEC_WRAPPER_STATE = (
@@ -60,18 +48,16 @@ class DirectoryCheckpointCallback(BaseCallback):
     """
     Callback that saves a checkpoint directory every ``save_freq`` timesteps and keeps the latest ones.
 
-    A checkpoint is saved between two rollouts, after the gradient steps. A gradient step of the pretraining
-    counts as one timestep.
+    A gradient step of the pretraining counts as one timestep.
 
     :param save_freq: number of timesteps of all environments between two checkpoints
     :param path: directory of the checkpoints, created if it does not exist
     :param keep: number of checkpoints to keep
-    :param verbose: Verbosity level: 0 for no output, 2 for indicating when saving a checkpoint
     :raises ValueError: if ``save_freq`` or ``keep`` is not positive
     """
 
-    def __init__(self, save_freq: int, path: str | os.PathLike[str], keep: int = 2, verbose: int = 0) -> None:
-        super().__init__(verbose)
+    def __init__(self, save_freq: int, path: str | os.PathLike[str], keep: int = 2) -> None:
+        super().__init__()
         if save_freq < 1 or keep < 1:
             raise ValueError(f"save_freq and keep must be at least 1, got {save_freq} and {keep}")
         self.save_freq = save_freq
@@ -92,9 +78,7 @@ class DirectoryCheckpointCallback(BaseCallback):
         if self._progress - self._last_save < self.save_freq:
             return
         self._last_save = self._progress
-        checkpoint = save_checkpoint(self.model, self.path, self.keep)
-        if self.verbose >= 2:
-            print(f"Saved checkpoint {checkpoint}")
+        save_checkpoint(self.model, self.path, self.keep)
 
     def _on_step(self) -> bool:
         return True
@@ -137,21 +121,14 @@ def save_checkpoint(model: BaseAlgorithm, path: str | os.PathLike[str], keep: in
 
 
 def latest_checkpoint(path: str | os.PathLike[str]) -> Path | None:
-    """
-    Return the latest checkpoint, without reading it.
-
-    :param path: directory of checkpoints
-    :return: the checkpoint, None if there is none
-    """
+    """Return the latest checkpoint in a directory, without reading it, None if there is none."""
     return next(reversed(_checkpoints(Path(path))), None)
 
 
 def latest_valid_checkpoint(path: str | os.PathLike[str]) -> tuple[Path, list[CheckpointError]]:
     """
-    Return the latest checkpoint whose files match their checksums.
+    Return the latest checkpoint whose files match their checksums, and the errors of later ones.
 
-    :param path: directory of checkpoints
-    :return: the checkpoint, and the errors of later ones
     :raises CheckpointError: if there is none; the error is that of the latest checkpoint
     """
     errors: list[CheckpointError] = []
@@ -168,44 +145,44 @@ def resume(path: str | os.PathLike[str], env: GymEnv, device: th.device | str = 
     """
     Load an algorithm from a checkpoint. Continue with ``learn(..., reset_num_timesteps=False)``.
 
-    This sets the global generators of Python, NumPy and PyTorch. Only open files that you trust, because
-    loading a pickle can run code.
+    This sets all global generators. Only open files that you trust, because a pickle can run code.
 
     :param path: a checkpoint, or a directory of checkpoints, of which the latest valid one is loaded
     :param env: environment with the arguments, wrappers and number of copies of the interrupted run
     :param device: device on which the algorithm should run
-    :return: the algorithm
     :raises CheckpointError: if the checkpoint is missing or damaged
     :raises ValueError: if the environment does not fit
     """
     checkpoint = Path(path)
-    if not (checkpoint / MANIFEST).is_file():
+    errors: list[CheckpointError] = []
+    if (checkpoint / MANIFEST).is_file():
+        _check_files(checkpoint)
+    else:
         checkpoint, errors = latest_valid_checkpoint(path)
-        for error in errors:
-            warnings.warn(f"{error}. Resuming from {checkpoint}", stacklevel=2)
-    files = _check_files(checkpoint)
+    for error in errors:
+        warnings.warn(f"{error}. Resuming from {checkpoint}", stacklevel=2)
     try:
         state = pickle.loads((checkpoint / STATE).read_bytes())
         model: BaseAlgorithm = state["algorithm"].load(
             checkpoint / MODEL, env=env, device=device, force_reset=False
         )
-        _check_env(model, state["envs"])  # before the replay buffer, whose errors are less clear
-        if isinstance(model, OffPolicyAlgorithm) and REPLAY_BUFFER in files:
+        vec_env = model.get_env()
+        assert vec_env is not None
+        _check_env(vec_env, state["envs"])  # before the replay buffer, whose errors are less clear
+        if isinstance(model, OffPolicyAlgorithm) and (checkpoint / REPLAY_BUFFER).exists():
             model.load_replay_buffer(checkpoint / REPLAY_BUFFER, truncate_last_traj=False)
     except (pickle.UnpicklingError, EOFError, ImportError, AttributeError, zipfile.BadZipFile) as error:
         raise CheckpointError(f"{checkpoint} cannot be read: {error}") from error
-    _set_env_state(model, state["envs"])
+    _set_env_state(model, vec_env, state["envs"])
     _set_generator_state(model, state["generators"])  # last, because the calls above can sample numbers
     return model
 
 
 def _write_files(model: BaseAlgorithm, directory: Path) -> None:
     """Write all files of a checkpoint to the disk."""
-    state = {
-        "algorithm": type(model),
-        "envs": _env_state(model),
-        "generators": _generator_state(model),
-    }
+    env = model.get_env()
+    assert env is not None, "You must set the environment before saving a checkpoint"
+    state = {"algorithm": type(model), "envs": _env_state(env), "generators": _generator_state(model)}
     (directory / STATE).write_bytes(pickle.dumps(state, protocol=pickle.HIGHEST_PROTOCOL))
     model.save(directory / MODEL)
     if isinstance(model, OffPolicyAlgorithm) and model.replay_buffer is not None:
@@ -216,8 +193,8 @@ def _write_files(model: BaseAlgorithm, directory: Path) -> None:
         _sync(file)
 
 
-def _check_files(checkpoint: Path) -> set[str]:
-    """Return the names of the files of a checkpoint after a comparison with their checksums."""
+def _check_files(checkpoint: Path) -> None:
+    """Raise a CheckpointError if a file of a checkpoint is missing or has another checksum."""
     try:
         manifest = json.loads((checkpoint / MANIFEST).read_text(encoding="utf-8"))
         version, checksums = manifest["format"], manifest["crc32"]
@@ -230,7 +207,6 @@ def _check_files(checkpoint: Path) -> set[str]:
             raise CheckpointError(f"{checkpoint} is damaged: {name} is missing")
         if _crc32(checkpoint / name) != checksum:
             raise CheckpointError(f"{checkpoint} is damaged: {name} has another checksum")
-    return set(checksums)
 
 
 def _generator_state(model: BaseAlgorithm) -> dict[str, Any]:
@@ -260,9 +236,8 @@ def _own_generators(model: BaseAlgorithm) -> dict[str, th.Generator]:
     return {name: value for name, value in vars(model).items() if isinstance(value, th.Generator)}
 
 
-def _env_state(model: BaseAlgorithm) -> dict[str, Any]:
+def _env_state(env: VecEnv) -> dict[str, Any]:
     """Return the states of the environments, None without ``get_state()``, and of their wrappers."""
-    env = _env_of(model)
     return {
         "num_envs": env.num_envs,
         "envs": env.env_method("get_state") if env.has_attr("get_state") else None,
@@ -275,16 +250,14 @@ def _env_state(model: BaseAlgorithm) -> dict[str, Any]:
     }
 
 
-def _check_env(model: BaseAlgorithm, state: dict[str, Any]) -> None:
-    env = _env_of(model)
+def _check_env(env: VecEnv, state: dict[str, Any]) -> None:
     if state["num_envs"] != env.num_envs:
         raise ValueError(f"env must have {state['num_envs']} environments, got {env.num_envs}")
     if state["vec_wrapper_names"] != (names := _vec_wrapper_names(env)):
         raise ValueError(f"env must be wrapped in {state['vec_wrapper_names']}, got {names}")
 
 
-def _set_env_state(model: BaseAlgorithm, state: dict[str, Any]) -> None:
-    env = _env_of(model)
+def _set_env_state(model: BaseAlgorithm, env: VecEnv, state: dict[str, Any]) -> None:
     if state["envs"] is None:
         _start_new_episodes(model, env)
     else:
@@ -305,12 +278,6 @@ def _start_new_episodes(model: BaseAlgorithm, env: VecEnv) -> None:
         env.seed(int(np.random.SeedSequence([model.seed, model.num_timesteps]).generate_state(1)[0] >> 1))
 
 
-def _env_of(model: BaseAlgorithm) -> VecEnv:
-    env = model.get_env()
-    assert env is not None, "You must set the environment before saving a checkpoint"
-    return env
-
-
 def _vec_wrappers(env: VecEnv) -> Iterator[VecEnvWrapper]:
     while isinstance(env, VecEnvWrapper):
         yield env
@@ -318,7 +285,6 @@ def _vec_wrappers(env: VecEnv) -> Iterator[VecEnvWrapper]:
 
 
 def _vec_wrapper_names(env: VecEnv) -> list[str]:
-    """Return the names of the vector wrappers, the outermost first."""
     return [type(wrapper).__name__ for wrapper in _vec_wrappers(env)]
 
 
@@ -333,11 +299,8 @@ def _number(checkpoint: Path) -> int:
 
 
 def _crc32(file: Path) -> int:
-    checksum = 0
-    with file.open("rb") as stream:
-        while chunk := stream.read(CHUNK):
-            checksum = zlib.crc32(chunk, checksum)
-    return checksum
+    contents: Any = np.memmap(file, mode="r") if file.stat().st_size else b""
+    return zlib.crc32(contents)
 
 
 def _sync(path: Path) -> None:

@@ -1,35 +1,29 @@
 """Components from Python objects or from YAML, and checks of arguments."""
 
-from __future__ import annotations
-
-from collections.abc import Mapping
-from typing import TypeVar
+from collections.abc import Callable, Mapping
+from typing import Any, TypeVar
 
 Component = TypeVar("Component")
 
 
-def make_component(parameter: str, spec: object, classes: Mapping[str, type[Component]]) -> Component | None:
+def make_components(
+    parameter: str, spec: Any, classes: Mapping[str, Callable[..., Component]]
+) -> list[Component]:
     """
-    Create a component from its specification.
+    Create components from their specification.
 
     :param parameter: name of the parameter, for messages
-    :param spec: a component, None, a name (``"drq"``), or a name with its arguments (``{"rad": {"size":
-        64}}``)
+    :param spec: None, a name (``"drq"``), or names with arguments (``{"rad": {"size": 64}}``)
     :param classes: classes by name
-    :return: the component, None for None
     :raises ValueError: if the specification is something else
     """
-    if spec is None or isinstance(spec, tuple(classes.values())):
-        return spec  # type: ignore[return-value]
-    named = {spec: None} if isinstance(spec, str) else spec
-    if not isinstance(named, Mapping) or len(named) != 1 or not named.keys() <= classes.keys():
+    named = {spec: None} if isinstance(spec, str) else {} if spec is None else spec
+    if not isinstance(named, Mapping) or not named.keys() <= classes.keys():
         raise ValueError(
-            f"{parameter} must be None, one of {', '.join(classes)}, or one of them with its arguments, "
-            f"got {spec!r}"
+            f"{parameter} must be None, one of {', '.join(classes)}, or names with arguments, got {spec!r}"
         )
-    [(name, arguments)] = named.items()
     try:
-        return classes[name](**(arguments or {}))
+        return [classes[name](**(arguments or {})) for name, arguments in named.items()]
     except TypeError as error:
         raise ValueError(f"{parameter} must have valid arguments, got {spec!r}: {error}") from error
 
@@ -39,6 +33,13 @@ def check_fraction(**arguments: float) -> None:
     for name, value in arguments.items():
         if not 0 <= value <= 1:
             raise ValueError(f"{name} must be between 0 and 1, got {value}")
+
+
+def check_positive(**arguments: float) -> None:
+    """Raise a ValueError that names the argument if a value is not positive."""
+    for name, value in arguments.items():
+        if value <= 0:
+            raise ValueError(f"{name} must be positive, got {value}")
 
 
 def check_not_negative(**arguments: float) -> None:

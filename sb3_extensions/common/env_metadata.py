@@ -1,7 +1,5 @@
 """Metadata of an environment's actions: defaults for the arguments of policies, buffers and augmentations."""
 
-from __future__ import annotations
-
 import inspect
 from collections.abc import Mapping
 from typing import Any
@@ -48,13 +46,8 @@ def with_action_metadata(
     Add metadata of the environment's actions to the arguments of a policy that lack them.
 
     These are ``action_sequence`` and, for a policy with a grid of actions, the side of the workspace (m) and
-    the bounds of theta and of the tilt (rad).
+    the bounds of theta and of the tilt (rad). The arguments of the user take precedence.
 
-    :param policy_class: class of the policy
-    :param kwargs: arguments of the user, which take precedence
-    :param env: vector environment, or None
-    :param space: action space
-    :return: a copy of the arguments
     :raises ValueError: if the policy rotates actions with the scene, but the actions have an absolute yaw
     """
     keys, passed = constructor_keys(policy_class), dict(kwargs or {})

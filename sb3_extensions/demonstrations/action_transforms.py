@@ -23,8 +23,7 @@ class GaussianExpertNoise:
     """
     Add Gaussian noise to actions, clipped to the bounds of the action space.
 
-    The episodes then contain states that result from errors of an agent. The intended action is imitated,
-    not the noisy one. Source: DART, https://arxiv.org/abs/1703.09327
+    The intended action is imitated, not the noisy one. Source: DART, https://arxiv.org/abs/1703.09327
 
     :param action_space: action space of the environment, a bounded Box
     :param std: standard deviation, in half the range of each number of an action
@@ -46,23 +45,18 @@ class GridSnapping:
     """
     Move actions to the nearest cell of a grid.
 
-    The expert observes the result and continues from there.
-
     :param action_space: action space of the environment, a bounded Box
     :param codec: grid
-    :param before: transformation to apply first, or None
     """
 
     action_space: gym.Space[Actions]
     codec: SpatialActionCodec
-    before: ActionTransform | None = None
 
     def __call__(self, action: Actions, rng: np.random.Generator) -> Actions:
         """Return the action of the nearest cell."""
         space: Any = self.action_space
         # float64, so that the action of a cell is exact in a space from -1 to 1
         low, high = space.low.astype(np.float64), space.high.astype(np.float64)
-        intended = np.clip(action if self.before is None else self.before(action, rng), low, high)
-        snapped = self.codec.snap(2.0 * ((intended - low) / (high - low))[None] - 1.0)[0]
+        snapped = self.codec.snap(2.0 * ((np.clip(action, low, high) - low) / (high - low))[None] - 1.0)[0]
         executed: Actions = low + (snapped.astype(np.float64) + 1.0) / 2.0 * (high - low)
         return executed.clip(low, high).astype(space.dtype)

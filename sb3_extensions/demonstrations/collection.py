@@ -11,9 +11,10 @@ import numpy as np
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
 from tqdm import tqdm
 
+from sb3_extensions.common.observations import as_parts
 from sb3_extensions.demonstrations.action_transforms import ActionTransform
 from sb3_extensions.demonstrations.episodes import Episode
-from sb3_extensions.replay.buffer import KEY, SUCCESS
+from sb3_extensions.replay.buffer import SUCCESS
 
 ATTEMPTS_PER_EPISODE = 4
 """Maximum number of attempts for each successful episode. The paper's experts succeed in 9 of 10 attempts."""
@@ -34,51 +35,35 @@ def collect_episodes(
     the environment has a true attribute ``keeps_scene``, the episode after a success starts in the scene that
     the success has left.
 
-    :param env: environment with a method ``expert_action()``, or a vector environment with one such
-        environment
+    :param env: environment with a method ``expert_action()``, or a vector environment with one of them
     :param episodes: number of successful episodes
     :param seed: seed of the generator of the attempts' seeds and of the transformation
     :param progress_bar: whether to show progress, by default on a terminal
-    :param action_transform: transformation of the expert's actions before they are executed, such as
-        :class:`~sb3_extensions.demonstrations.action_transforms.GaussianExpertNoise`
-    :return: the episodes
-    :raises ValueError: if the environment has no expert, or ``episodes`` is negative
-    :raises RuntimeError: while iterating, if too few attempts succeeded
+    :param action_transform: transformation of the expert's actions before they are executed
+    :raises ValueError: if the environment has no expert or no ``is_success``
+    :raises RuntimeError: if too few attempts succeeded
     """
-    if episodes < 0:
-        raise ValueError(f"episodes must not be negative, got {episodes}")
     vec_env = env if isinstance(env, VecEnv) else DummyVecEnv([lambda: env])
     if not vec_env.has_attr("expert_action"):
         raise ValueError(
             f"env must have expert_action(), got {vec_env.get_attr('unwrapped')[0]}. Pass "
             "expert_episodes=0 to train without demonstrations, or expert_data"
         )
-    return _successful_episodes(
-        vec_env, action_transform, episodes, np.random.default_rng(seed), progress_bar
-    )
-
-
-def _successful_episodes(
-    env: VecEnv,
-    action_transform: ActionTransform | None,
-    episodes: int,
-    rng: np.random.Generator,
-    progress_bar: bool | None,
-) -> Iterator[Episode]:
     attempts, successes, observation = ATTEMPTS_PER_EPISODE * episodes, 0, None
+    rng = np.random.default_rng(seed)
     transform_rng = rng.spawn(1)[0]
-    keeps_scene = env.has_attr(KEEPS_SCENE) and env.get_attr(KEEPS_SCENE)[0]
+    keeps_scene = vec_env.has_attr(KEEPS_SCENE) and vec_env.get_attr(KEEPS_SCENE)[0]
     with make_progress_bar(episodes, "expert episodes", progress_bar) as progress:
         for _ in range(attempts):
             if successes == episodes:
                 return
-            seed = None
+            attempt_seed = None
             if observation is None:
-                seed = int(rng.integers(2**31))
-                env.seed(seed)
-                observation = env.reset()
+                attempt_seed = int(rng.integers(2**31))
+                vec_env.seed(attempt_seed)
+                observation = vec_env.reset()
             episode, success, observation = _run_episode(
-                env, observation, action_transform, transform_rng, seed
+                vec_env, observation, action_transform, transform_rng, attempt_seed
             )
             if success:
                 successes += 1
@@ -88,8 +73,8 @@ def _successful_episodes(
                 observation = None
     if successes < episodes:
         raise RuntimeError(
-            f"the expert succeeded in {successes} of {attempts} episodes of {env.get_attr('unwrapped')[0]}, "
-            f"{episodes} needed"
+            f"the expert succeeded in {successes} of {attempts} episodes of "
+            f"{vec_env.get_attr('unwrapped')[0]}, {episodes} needed"
         )
 
 
@@ -113,9 +98,8 @@ def _run_episode(
         observation, rewards, dones, infos = env.step(np.asarray(action)[None])
         done, info = bool(dones[0]), infos[0]
         # The vector environment has already reset the environment.
-        observations.append(
-            _as_dict(copy.deepcopy(info["terminal_observation"])) if done else _first(observation)
-        )
+        last = copy.deepcopy(as_parts(info["terminal_observation"])) if done else _first(observation)
+        observations.append(last)
         truncated = info.get("TimeLimit.truncated", False)
         steps.append((action, intended, rewards[0], done and not truncated, done and truncated))
     if SUCCESS not in info:
@@ -135,10 +119,6 @@ def _run_episode(
     return episode, bool(info[SUCCESS]), observation
 
 
-def _first(observation: Any) -> Any:
+def _first(observation: Any) -> dict[str, Any]:
     """Return a copy of the observation of the first environment."""
-    return {key: values[0].copy() for key, values in _as_dict(observation).items()}
-
-
-def _as_dict(observation: Any) -> dict[str, Any]:
-    return observation if isinstance(observation, dict) else {KEY: observation}
+    return {key: values[0].copy() for key, values in as_parts(observation).items()}

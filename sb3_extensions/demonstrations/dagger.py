@@ -1,7 +1,5 @@
 """Labels of the expert in the states that the agent visits."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -14,21 +12,15 @@ from sb3_extensions.replay.buffer import EXPERT_ACTION
 
 class DaggerCallback(BaseCallback):
     """
-    Query the expert of the training environment before every step, so that SACfD imitates it in online steps,
-    too.
+    Query the expert before every step, so that SACfD with ``bc_weight`` also imitates it in online steps.
 
-    The agent's action is executed. Use it with ``bc_weight`` greater than 0. Source: DAgger,
-    https://arxiv.org/abs/1011.0686
+    The agent's action is executed. Source: DAgger, https://arxiv.org/abs/1011.0686
 
-    :param verbose: verbosity level
     :raises ValueError: at the start of ``learn()``, if the environment has no ``expert_action()``
     """
 
     model: OffPolicyFromDemonstrations
-
-    def __init__(self, verbose: int = 0) -> None:
-        super().__init__(verbose)
-        self._actions: npt.NDArray[Any] | None = None
+    _actions: npt.NDArray[Any] | None = None
 
     def _on_training_start(self) -> None:
         if not self.training_env.has_attr("expert_action"):

@@ -1,7 +1,5 @@
 """Episodes of an expert."""
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Any, Protocol
 
@@ -13,8 +11,7 @@ class EpisodeData(Protocol):
     """
     An episode of n steps with the attributes of ``minari.EpisodeData``.
 
-    If the expert intended other actions than the executed ones, the episode has ``expert_actions`` of the
-    same shape.
+    The attribute ``expert_actions`` is optional: actions that the expert intended, if others were executed.
     """
 
     @property
@@ -37,14 +34,10 @@ class EpisodeData(Protocol):
 @dataclasses.dataclass(frozen=True)
 class Episode:
     """
-    Episode of n steps.
+    Collected episode of n steps, see :class:`EpisodeData` for the other parameters.
 
-    :param observations: for each key an array of n + 1 observations
-    :param actions: executed actions in the environment's units, shape (n, action dimensions)
-    :param expert_actions: actions that the expert intended, same shape
-    :param rewards: shape (n,)
-    :param terminations: shape (n,)
-    :param truncations: shape (n,)
+    :param expert_actions: actions that the expert intended, shape (n, action dimensions)
+    :param truncations: whether the episode was truncated, shape (n,)
     :param seed: seed of the reset, None if the episode continued with the scene of the one before
     """
 

@@ -1,9 +1,8 @@
 """Environments of the expert: copies of the training environments."""
 
-from __future__ import annotations
-
 import copy
 import dataclasses
+from itertools import product
 from typing import Any
 
 import gymnasium as gym
@@ -38,22 +37,23 @@ def make_expert_envs(vec_env: VecEnv) -> list[tuple[VecEnv, int]]:
     Environments in this process are copied with all their wrappers except monitors and video recorders.
     Environments in other processes are created from their spec.
 
-    :param vec_env: training environment
     :return: vector environments with one environment each, wrapped as ``vec_env``, and the number of training
         environments that each of them represents
     :raises ValueError: if an environment cannot be copied or created
     """
-    base = vec_env.unwrapped
-    if isinstance(base, DummyVecEnv):
-        counts = _count_specs([env.spec for env in base.envs])
-        envs = [_copy(base.envs[index]) for index in counts]
-    else:
-        specs = base.get_attr("spec")
-        counts = _count_specs(specs)
-        envs = [_from_spec(specs[index]) for index in counts]
+    base, specs = vec_env.unwrapped, vec_env.get_attr("spec")
+    counts = _count_specs(specs)
+    envs = [
+        _copy(base.envs[index]) if isinstance(base, DummyVecEnv) else _from_spec(specs[index])
+        for index in counts
+    ]
     wrapped = [_wrap(env, vec_env) for env in envs]
-    for env in wrapped:
-        _check_spaces(env, vec_env)
+    for env, name in product(wrapped, ("observation_space", "action_space")):
+        theirs, ours = getattr(env, name), getattr(vec_env, name)
+        if theirs != ours:
+            raise ValueError(
+                f"env must have {name}={ours} after it was created again, got {theirs}. {INSTEAD}"
+            )
     return list(zip(wrapped, counts.values(), strict=True))
 
 
@@ -125,12 +125,3 @@ def _channels_order(stacked: Any) -> Any:
     if isinstance(stacked.observation_space, spaces.Dict):
         return {key: _channels_order(part) for key, part in stacked.sub_stacked_observations.items()}
     return "first" if stacked.channels_first else "last"
-
-
-def _check_spaces(expert_env: VecEnv, vec_env: VecEnv) -> None:
-    for name in ("observation_space", "action_space"):
-        theirs, ours = getattr(expert_env, name), getattr(vec_env, name)
-        if theirs != ours:
-            raise ValueError(
-                f"env must have {name}={ours} after it was created again, got {theirs}. {INSTEAD}"
-            )

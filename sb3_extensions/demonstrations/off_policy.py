@@ -1,9 +1,6 @@
 """Base class of off-policy algorithms that learn from demonstrations."""
 
-from __future__ import annotations
-
-import io
-import os
+from collections import defaultdict
 from typing import Any, ClassVar, TypeVar
 
 import numpy as np
@@ -12,22 +9,25 @@ import torch as th
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.policies import BasePolicy
-from stable_baselines3.common.type_aliases import MaybeCallback, RolloutReturn, TrainFreq, TrainFrequencyUnit
+from stable_baselines3.common.type_aliases import RolloutReturn, TrainFreq, TrainFrequencyUnit
 from stable_baselines3.common.vec_env import VecEnv
 
 from sb3_extensions.common.components import check_not_negative
 from sb3_extensions.common.env_metadata import action_sequence, with_action_metadata
-from sb3_extensions.common.rounding import check_rounding, with_image_dtype
-from sb3_extensions.common.seeds import SeedKey, derive_seed
 from sb3_extensions.demonstrations.collection import make_progress_bar
 from sb3_extensions.demonstrations.source import DemonstrationSource, ExpertData, load_episodes
+from sb3_extensions.encoders.observation import StackedImage
 from sb3_extensions.replay.augmentation import Augmentation
 from sb3_extensions.replay.augmentations import make_augmentation
-from sb3_extensions.replay.buffer import ExpertReplayBuffer, check_compatible
+from sb3_extensions.replay.buffer import ExpertReplayBuffer
 
+AUGMENTATION_KEY, EXPERT_KEY, EXPLORATION_KEY = 0xA6, 0xE9, 0xE8
+"""Keys of the independent random streams of an algorithm."""
 PRETRAINING_LOG_INTERVAL = 100
 """Gradient steps of the pretraining between two entries of the log."""
 
+Logs = defaultdict[str, list[th.Tensor]]
+"""Values of the gradient steps of one call of ``train()``, by name."""
 SelfOffPolicy = TypeVar("SelfOffPolicy", bound="OffPolicyFromDemonstrations")
 
 
@@ -39,13 +39,7 @@ class OffPolicyFromDemonstrations(OffPolicyAlgorithm):
     called before every gradient step of the pretraining. A checkpoint of the pretraining continues in it.
 
     A subclass is an algorithm or precedes an algorithm of Stable-Baselines3 in the bases. Its constructor
-    sets the attributes below and calls :meth:`_check_demonstrations` before ``_setup_model()``.
-
-    - ``expert_episodes``, ``expert_noise``: see
-      :class:`~sb3_extensions.demonstrations.source.DemonstrationSource`
-    - ``expert_data``: see :func:`~sb3_extensions.demonstrations.source.load_episodes`
-    - ``pretrain_steps``: number of gradient steps before the first step in the environment
-    - ``augmentation``: augmentation of the sampled steps, or None
+    sets the annotated attributes and calls :meth:`_check_demonstrations` before ``_setup_model()``.
     """
 
     replay_buffer: ExpertReplayBuffer | None
@@ -54,7 +48,6 @@ class OffPolicyFromDemonstrations(OffPolicyAlgorithm):
     expert_data: ExpertData | None
     pretrain_steps: int
     augmentation: Augmentation | None
-    augmentation_generator: th.Generator
     _progress_bar: bool | None = None
     """Argument of the latest ``learn()``."""
     n_pretrained: int = 0
@@ -63,7 +56,7 @@ class OffPolicyFromDemonstrations(OffPolicyAlgorithm):
     """Whether ``expert_data``, which is not saved, was set."""
 
     default_replay_buffer_class: ClassVar[type[ExpertReplayBuffer]] = ExpertReplayBuffer
-    own_buffer_arguments: ClassVar[tuple[str, ...]] = ("gamma", "n_steps")
+    own_buffer_arguments: ClassVar[set[str]] = {"gamma", "n_steps"}
     """Arguments of the replay buffer that are arguments of the algorithm."""
 
     def _check_demonstrations(self) -> None:
@@ -77,9 +70,8 @@ class OffPolicyFromDemonstrations(OffPolicyAlgorithm):
         buffer_class = self.replay_buffer_class
         if buffer_class is None or not issubclass(buffer_class, ExpertReplayBuffer):
             raise ValueError(f"replay_buffer_class must be an ExpertReplayBuffer, got {buffer_class}")
-        for name in self.own_buffer_arguments:
-            if name in self.replay_buffer_kwargs:
-                raise ValueError(f"{name} must be an argument of the algorithm, not of replay_buffer_kwargs")
+        for name in self.replay_buffer_kwargs.keys() & self.own_buffer_arguments:
+            raise ValueError(f"{name} must be an argument of the algorithm, not of replay_buffer_kwargs")
 
     def _demonstrations(self, **kwargs: Any) -> DemonstrationSource:
         data = load_episodes(self.expert_data)
@@ -93,16 +85,18 @@ class OffPolicyFromDemonstrations(OffPolicyAlgorithm):
             self.augmentation.check(self.observation_space)
             self.policy_kwargs = self.augmentation.with_crop(self.policy_kwargs)
         # The paper's targets do not bootstrap from truncated episodes (the authors' code).
-        buffer_kwargs = {"handle_timeout_termination": False, **self.replay_buffer_kwargs}
-        self.replay_buffer_kwargs = with_image_dtype(buffer_kwargs, self.policy_kwargs)
+        defaults: dict[str, Any] = {"handle_timeout_termination": False}
+        extractor_kwargs = self.policy_kwargs.get("features_extractor_kwargs") or {}
+        if quantise := self.policy_kwargs.get("quantise", extractor_kwargs.get("quantise")):
+            defaults["image_dtype"] = quantise
+        self.replay_buffer_kwargs = {**defaults, **self.replay_buffer_kwargs}
+        self.augmentation_generator = th.Generator().manual_seed(th.initial_seed())
+        self.exploration_generator = th.Generator().manual_seed(th.initial_seed())
         # The base class does not pass n_steps and gamma to a custom buffer class and warns, see GH #2274.
         n_steps, self.n_steps = self.n_steps, 1
         super()._setup_model()
         self.n_steps = n_steps
-        self._check_train_freq()
-        self._set_discount()
-        assert self.replay_buffer is not None
-        check_rounding(self.replay_buffer, self.policy)
+        self._check_setup()
         self._had_expert_data |= self.expert_data is not None
         # The base class sets the seed before it creates the buffer.
         self._seed_samplers(self.seed)
@@ -112,33 +106,51 @@ class OffPolicyFromDemonstrations(OffPolicyAlgorithm):
             raise ValueError(f"policy must be one of {', '.join(self.policy_aliases)}, got {policy_name!r}")
         return self.policy_aliases[policy_name]
 
-    def _check_train_freq(self) -> None:
-        """Raise an error before the demonstrations, not at the first step in the environment."""
-        assert isinstance(self.train_freq, TrainFreq)
-        if self.train_freq.unit == TrainFrequencyUnit.EPISODE and self.n_envs > 1:
-            raise ValueError(
-                f"train_freq must be a number of steps with {self.n_envs} environments, got "
-                f"({self.train_freq.frequency}, 'episode')"
-            )
+    def _check_setup(self) -> None:
+        """
+        Set the buffer's discount, which can have changed, and check the arguments before any work.
 
-    def _set_discount(self) -> None:
-        """Set the buffer's discount to that of the algorithm, which a user or load() can have changed."""
-        assert self.replay_buffer is not None
+        :raises ValueError: if ``train_freq`` does not fit the number of environments, a loaded buffer has
+            other spaces or another number of environments, buffer and policy round images differently, or
+            the environment normalises images that the policy rounds
+        """
+        assert isinstance(self.train_freq, TrainFreq)
+        frequency, unit = self.train_freq
+        if frequency < 1 or (self.n_envs > 1 and unit == TrainFrequencyUnit.EPISODE):
+            raise ValueError(
+                "train_freq must be positive, and a number of steps with several environments, got "
+                f"({frequency}, {unit.value!r}) with n_envs={self.n_envs}"
+            )
+        assert isinstance(self.replay_buffer, ExpertReplayBuffer), "You must load an ExpertReplayBuffer"
+        for name in ("observation_space", "action_space", "n_envs"):
+            if (stored := getattr(self.replay_buffer, name)) != (own := getattr(self, name)):
+                raise ValueError(f"{name} of the buffer must be {own}, got {stored}")
         self.replay_buffer.set_discount(self.gamma, self.n_steps)
+        env, image_dtype = self.get_vec_normalize_env(), self.replay_buffer.image_dtype
+        for stack in (module for module in self.policy.modules() if isinstance(module, StackedImage)):
+            if stack.has_float_images and stack.quantise != image_dtype:
+                raise ValueError(
+                    f"quantise of the policy must be the buffer's image_dtype={image_dtype!r}, got "
+                    f"quantise={stack.quantise!r}"
+                )
+            if env is None or not env.norm_obs or not stack.quantise:
+                continue
+            normalised = stack.scales if env.norm_obs_keys is None else env.norm_obs_keys
+            if images := stack.scales.keys() & set(normalised):
+                raise ValueError(
+                    f"VecNormalize must not normalise the images {sorted(images)}, which the policy rounds. "
+                    "Use norm_obs_keys without them, or norm_obs=False"
+                )
 
     def set_random_seed(self, seed: int | None = None) -> None:
-        """
-        Set the seed of the pseudo-random generators
-        (python, numpy, pytorch, gym, action_space, replay buffer, augmentation)
-
-        :param seed: seed
-        """
+        """Set the seed of all pseudo-random generators, of replay buffer and augmentation too."""
         super().set_random_seed(seed)
         self._seed_samplers(seed)
 
     def _seed_samplers(self, seed: int | None) -> None:
         if seed is not None:
-            self.augmentation_generator.manual_seed(derive_seed(seed, SeedKey.AUGMENTATION))
+            self.augmentation_generator.manual_seed(_derive_seed(seed, AUGMENTATION_KEY))
+            self.exploration_generator.manual_seed(_derive_seed(seed, EXPLORATION_KEY))
             if self.replay_buffer is not None:
                 self.replay_buffer.seed(seed)
 
@@ -150,44 +162,34 @@ class OffPolicyFromDemonstrations(OffPolicyAlgorithm):
     def learn(
         self: SelfOffPolicy,
         total_timesteps: int,
-        callback: MaybeCallback = None,
-        log_interval: int = 4,
+        *args: Any,
         tb_log_name: str | None = None,
-        reset_num_timesteps: bool = True,
         progress_bar: bool | None = None,
+        **kwargs: Any,
     ) -> SelfOffPolicy:
         """
         Return a trained model. The first call starts with demonstrations and pretraining.
 
+        See Stable-Baselines3's ``learn()`` for the other parameters.
+
         :param total_timesteps: The total number of samples (env steps) to train on, without demonstrations
-        :param callback: callback(s) called at every step with state of the algorithm.
-        :param log_interval: the number of episodes before logging
         :param tb_log_name: the name of the run for TensorBoard logging; that of the class if ``None``
-        :param reset_num_timesteps: whether or not to reset the current timestep number (used in logging)
         :param progress_bar: Display a progress bar using tqdm and rich, and one each for demonstrations and
             pretraining. None displays the last two on a terminal, and no other.
-        :return: the trained model
         :raises ValueError: if a loaded model's ``expert_data`` is missing, or images are normalised
         """
         self._progress_bar = progress_bar
-        return super().learn(
-            total_timesteps=total_timesteps,
-            callback=callback,
-            log_interval=log_interval,
-            tb_log_name=tb_log_name or type(self).__name__,
-            reset_num_timesteps=reset_num_timesteps,
-            progress_bar=bool(progress_bar),
-        )
+        kwargs |= {"tb_log_name": tb_log_name or type(self).__name__, "progress_bar": bool(progress_bar)}
+        return super().learn(total_timesteps, *args, **kwargs)
 
     def _setup_learn(self, *args: Any, **kwargs: Any) -> tuple[int, BaseCallback]:
-        self._set_discount()
+        self._check_setup()
         assert self.replay_buffer is not None
         if self._had_expert_data and self.expert_data is None and not self.replay_buffer.size():
             raise ValueError(
                 "expert_data must be set after load(), got None: a model does not store its "
                 "demonstrations. Set model.expert_data, or load the replay buffer"
             )
-        check_rounding(self.replay_buffer, self.policy, self.get_vec_normalize_env())
         return super()._setup_learn(*args, **kwargs)
 
     def collect_rollouts(
@@ -196,12 +198,7 @@ class OffPolicyFromDemonstrations(OffPolicyAlgorithm):
         """
         Collect experiences and store them. The first call begins with demonstrations and pretraining.
 
-        :param env: The training environment
-        :param callback: Callback that will be called at each step
-            (and at the beginning and end of the rollout)
-        :param args: arguments of ``OffPolicyAlgorithm.collect_rollouts()``
-        :param kwargs: keyword arguments of ``OffPolicyAlgorithm.collect_rollouts()``
-        :return: collected experience
+        See Stable-Baselines3's ``OffPolicyAlgorithm.collect_rollouts()`` for the parameters.
         """
         assert self.replay_buffer is not None
         if not self.replay_buffer.size():
@@ -211,7 +208,7 @@ class OffPolicyFromDemonstrations(OffPolicyAlgorithm):
         return super().collect_rollouts(env, callback, *args, **kwargs)
 
     def _collect_demonstrations(self, replay_buffer: ExpertReplayBuffer, env: VecEnv) -> None:
-        seed = None if self.seed is None else derive_seed(self.seed, SeedKey.EXPERT)
+        seed = None if self.seed is None else _derive_seed(self.seed, EXPERT_KEY)
         source = self._demonstrations(progress_bar=self._progress_bar)
         self.n_pretrained = 0  # A model that was loaded with another environment is pretrained again.
         try:
@@ -232,8 +229,14 @@ class OffPolicyFromDemonstrations(OffPolicyAlgorithm):
                     self.logger.dump(step=-self.pretraining_left)
 
     def _pretrain_once(self) -> None:
-        """Do one gradient step of the pretraining."""
         self.train(gradient_steps=1, batch_size=self.batch_size)
+
+    def _log_updates(self, gradient_steps: int, logs: Logs) -> None:
+        self._n_updates += gradient_steps
+        self.logger.record("train/n_updates", self._n_updates, exclude="tensorboard")
+        for name, values in logs.items():
+            if len(numbers := th.cat([value.reshape(-1) for value in values])):
+                self.logger.record(f"train/{name}", numbers.mean().item())
 
     @property
     def _pretraining_total(self) -> int:
@@ -245,25 +248,6 @@ class OffPolicyFromDemonstrations(OffPolicyAlgorithm):
         assert self.replay_buffer is not None
         has_only_demonstrations = 0 < self.replay_buffer.size() == self.replay_buffer.expert_size
         return self._pretraining_total - self.n_pretrained if has_only_demonstrations else 0
-
-    def load_replay_buffer(
-        self, path: str | os.PathLike[str] | io.BufferedIOBase, truncate_last_traj: bool = True
-    ) -> None:
-        """
-        Load a replay buffer from a pickle file.
-
-        :param path: Path to the pickled replay buffer
-        :param truncate_last_traj: without effect, see Stable-Baselines3's ``HerReplayBuffer``
-        :raises ValueError: if it does not fit the algorithm. The algorithm then keeps its present buffer
-        """
-        own = self.replay_buffer
-        assert own is not None
-        super().load_replay_buffer(path, truncate_last_traj)  # type: ignore[arg-type]
-        try:
-            check_rounding(check_compatible(self.replay_buffer, own), self.policy)
-        except ValueError:
-            self.replay_buffer = own
-            raise
 
     def as_policy_actions(self, actions: npt.NDArray[Any]) -> npt.NDArray[Any]:
         """
@@ -277,5 +261,9 @@ class OffPolicyFromDemonstrations(OffPolicyAlgorithm):
         return self.policy.scale_action(np.clip(actions, space.low, space.high))  # type: ignore[attr-defined]
 
     def _excluded_save_params(self) -> list[str]:
-        own = ["expert_data", "augmentation_generator", "_progress_bar"]
+        own = ["expert_data", "augmentation_generator", "exploration_generator", "_progress_bar"]
         return [*super()._excluded_save_params(), *own]
+
+
+def _derive_seed(seed: int, key: int) -> int:
+    return int(np.random.SeedSequence([seed, key]).generate_state(1)[0])

@@ -25,15 +25,12 @@ if TYPE_CHECKING:  # the codec's package imports this one
 
 ExpertData = Iterable[EpisodeData] | str | os.PathLike[str]
 """Episodes, or the path of a file of ``bulletarm_gym.demonstrations``."""
-Rescale = Callable[[npt.NDArray[Any]], npt.NDArray[Any]]
 
 
 def load_episodes(data: ExpertData | None) -> Iterable[EpisodeData] | None:
     """
-    Return episodes that were passed or that are in a file.
+    Return episodes that were passed or that are in a file, or None.
 
-    :param data: episodes, the path of a file of ``bulletarm_gym.demonstrations``, or None
-    :return: the episodes, or None
     :raises ImportError: if ``data`` is a path and bulletarm-gym is not installed
     :raises OSError: if the file cannot be opened
     :raises ValueError: if the file is not a file of demonstrations, or ``data`` is something else
@@ -56,10 +53,9 @@ class DemonstrationSource:
 
     :param episodes: number of successful episodes of the expert, if ``data`` is None. Different environments
         contribute in proportion
-    :param noise: standard deviation of Gaussian noise on the expert's executed actions, see
-        :class:`~sb3_extensions.demonstrations.action_transforms.GaussianExpertNoise`
+    :param noise: standard deviation of Gaussian noise on the expert's executed actions, in the policy's units
     :param data: episodes in the environment's units, with Minari's attributes
-    :param snap: grid to which the expert's actions are moved before they are executed, or None
+    :param snap: grid to which the expert's actions are moved before they are executed, instead of noise
     :param progress_bar: whether to show progress; None shows it on a terminal only
     :raises ValueError: if ``episodes`` or ``noise`` is negative
     """
@@ -78,7 +74,13 @@ class DemonstrationSource:
         """True without any demonstrations."""
         return self.data is None and self.episodes == 0
 
-    def fill(self, buffer: ExpertReplayBuffer, env: VecEnv, seed: int | None, rescale: Rescale) -> None:
+    def fill(
+        self,
+        buffer: ExpertReplayBuffer,
+        env: VecEnv,
+        seed: int | None,
+        rescale: Callable[[npt.NDArray[Any]], npt.NDArray[Any]],
+    ) -> None:
         """
         Add all episodes to a replay buffer.
 
@@ -115,14 +117,9 @@ class DemonstrationSource:
         for index, ((env, _), share) in enumerate(zip(expert_envs, shares, strict=True)):
             env_seed = None if seed is None else seed + index
             with contextlib.closing(env):
-                yield from collect_episodes(
-                    env,
-                    share,
-                    env_seed,
-                    progress_bar=self.progress_bar,
-                    action_transform=self._transform(env),
-                )
+                yield from collect_episodes(env, share, env_seed, self.progress_bar, self._transform(env))
 
     def _transform(self, env: VecEnv) -> ActionTransform | None:
-        noise = GaussianExpertNoise(env.action_space, self.noise) if self.noise else None
-        return noise if self.snap is None else GridSnapping(env.action_space, self.snap, noise)
+        if self.snap is not None:
+            return GridSnapping(env.action_space, self.snap)
+        return GaussianExpertNoise(env.action_space, self.noise) if self.noise else None

@@ -1,7 +1,5 @@
 """Validation of demonstrations against the training environment."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
@@ -10,8 +8,8 @@ from gymnasium import spaces
 from stable_baselines3.common.vec_env import VecEnv
 
 from sb3_extensions.common.env_metadata import RANGES, SEQUENCE, env_attribute
+from sb3_extensions.common.observations import space_parts
 from sb3_extensions.demonstrations.episodes import EpisodeData
-from sb3_extensions.replay.buffer import KEY
 
 ACTION_SPACE = "action_space"
 RELATIVE_TOLERANCE = 1e-5
@@ -25,12 +23,9 @@ def validate_episodes(data: Iterable[EpisodeData], env: VecEnv) -> Iterator[Epis
     """
     Yield episodes that fit an environment.
 
-    The attributes ``env_id``, ``action_sequence``, ``action_ranges`` and ``action_space`` of the data are
-    optional. A Minari data set has them in its ``env_spec``.
-
-    :param data: episodes
+    :param data: episodes. The attributes ``env_id``, ``action_sequence``, ``action_ranges`` and
+        ``action_space`` are optional. A Minari data set has them in its ``env_spec``
     :param env: training environment
-    :return: the episodes
     :raises ValueError: if an attribute differs, or an episode has other shapes, values outside the bounds, or
         numbers that are not finite
     """
@@ -41,14 +36,12 @@ def validate_episodes(data: Iterable[EpisodeData], env: VecEnv) -> Iterator[Epis
         if theirs is not None and ours is not None and theirs != ours:
             raise ValueError(f"expert_data must have {name}={ours!r}, as the environment, got {theirs!r}")
     for number, episode in enumerate(data):
-        validate_episode(episode, env, number)
+        _validate_episode(episode, env, number)
         yield episode
 
 
-def validate_episode(episode: EpisodeData, env: VecEnv, number: int) -> None:
-    """Raise a ValueError that names the episode's number if a shape or value does not fit an environment."""
-    space, observations = env.observation_space, episode.observations
-    entries: Mapping[str, Any] = space.spaces if isinstance(space, spaces.Dict) else {KEY: space}
+def _validate_episode(episode: EpisodeData, env: VecEnv, number: int) -> None:
+    entries, observations = space_parts(env.observation_space), episode.observations
     if not isinstance(observations, Mapping) or not entries.keys() <= observations.keys():
         found = sorted(observations) if isinstance(observations, Mapping) else type(observations).__name__
         raise ValueError(

@@ -1,10 +1,4 @@
-"""Convolutional encoders of a square image to a vector.
-
-An encoder halves the image until 6 or 8 pixels a side remain. Two further stages end in one pixel. Each stage
-keeps the centre of the image, so rotations by 90 degrees are exact.
-"""
-
-from __future__ import annotations
+"""Convolutional encoders of a square image to a vector. Rotations by 90 degrees are exact."""
 
 import warnings
 from collections.abc import Callable, Sequence
@@ -22,7 +16,6 @@ from sb3_extensions.equivariant.convolution import PlainConv2d
 
 LAST_SIZES = (6, 8)
 """Sides (pixels) at which halving stops. The last two stages reduce these sides to one pixel."""
-AUTOCAST_OPTIONS = (None, "bf16")
 
 
 class Stage(NamedTuple):
@@ -46,33 +39,19 @@ STRIDED_HALVING = Stage(kernel_size=4, stride=2)
 
 
 def encoded_size(size: int) -> int:
-    """Return the side to which an encoder resizes an image: the next side that halves to 6 or 8 pixels.
-
-    For example 64 for 64 pixels, 96 for 84, 256 for 224.
-
-    :param size: side of the image, pixels
-    :raises ValueError: if the side is not positive
-    """
+    """Return the side (pixels) to which an encoder resizes an image: the next that halves to 6 or 8."""
     if size < 1:
         raise ValueError(f"image size must be at least 1, got {size}")
     return next(side << k for k in count() for side in LAST_SIZES if side << k >= size)
 
 
 def count_halvings(size: int) -> int:
-    """Return the number of halvings of an image until 6 or 8 pixels a side remain.
-
-    :param size: side of the image, pixels; resized first, see :func:`encoded_size`
-    """
+    """Return the number of halvings of an image with the side ``size`` until 6 or 8 pixels remain."""
     return (encoded_size(size) // LAST_SIZES[0]).bit_length() - 1
 
 
 def resize(images: th.Tensor, side: int) -> th.Tensor:
-    """Resize square images by bilinear interpolation, which commutes with rotations by 90 degrees.
-
-    :param images: (batch, channels, size, size)
-    :param side: side of the result, pixels
-    :return: (batch, channels, side, side), the same tensor if the images have this side
-    """
+    """Resize square images (batch, channels, size, size) by bilinear interpolation, if the side differs."""
     if images.shape[-1] == side:
         return images
     return F.interpolate(images, size=(side, side), mode="bilinear", align_corners=False)
@@ -86,8 +65,7 @@ def plan_stages(size: int, n_stages: int, strided: int | None = None) -> list[St
     :param size: side of the image, pixels
     :param n_stages: number of stages
     :param strided: number of halvings, from the first, that use a stride of 2 instead of pooling; None for
-        all, which takes a CPU a third to a half of the time. The step from 6 or 8 pixels to 3 counts as the
-        last halving
+        all. The step from 6 or 8 pixels to 3 counts as the last halving
     :raises ValueError: if ``n_stages`` is too small for the size, or ``strided`` is too large
     """
     halvings = count_halvings(size)
@@ -105,21 +83,13 @@ def plan_stages(size: int, n_stages: int, strided: int | None = None) -> list[St
 
 
 def scale_channels(size: int, halving: Sequence[int], last: Sequence[int]) -> tuple[int, ...]:
-    """Return the channels of an encoder for a size of the image.
-
-    :param size: side of the image, pixels
-    :param halving: channels of the halving stages. The last entry is repeated for further halvings
-    :param last: channels of the stages after the halvings
-    """
+    """Return the channels of the halving stages, whose last entry may be repeated, and of the last stages."""
     return (*(halving[min(i, len(halving) - 1)] for i in range(count_halvings(size))), *last)
 
 
 @cache
 def has_bf16(device_type: str) -> bool:
-    """Return True if a kind of device computes in bfloat16. Otherwise warn once that float32 is used.
-
-    :param device_type: as in ``torch.device.type``
-    """
+    """Return True if a type of device computes in bfloat16. Otherwise warn once that float32 is used."""
     if device_type == "cuda":
         available = th.cuda.is_bf16_supported()
     else:
@@ -131,32 +101,20 @@ def has_bf16(device_type: str) -> bool:
 
 
 def check_autocast(autocast: str | None) -> None:
-    """Check the precision of a network.
-
-    :param autocast: ``"bf16"`` or None
-    :raises ValueError: if it is another value
-    """
-    if autocast not in AUTOCAST_OPTIONS:
-        raise ValueError(f"autocast must be one of {AUTOCAST_OPTIONS}, got {autocast!r}")
+    """Raise a ValueError if the precision of a network is neither ``"bf16"`` nor None."""
+    if autocast not in (None, "bf16"):
+        raise ValueError(f"autocast must be None or 'bf16', got {autocast!r}")
 
 
 def precision(autocast: str | None, device_type: str) -> AbstractContextManager[object]:
-    """Return the context in which layers run.
-
-    :param autocast: ``"bf16"`` for bfloat16 if the device supports it, ``None`` for float32
-    :param device_type: as in ``torch.device.type``
-    """
+    """Return the context for bfloat16 if ``autocast`` is ``"bf16"`` and the device supports it."""
     if autocast is None or not has_bf16(device_type):
         return nullcontext()
     return th.autocast(device_type, dtype=th.bfloat16)
 
 
 class HalvingMaxPool(nn.Module):
-    """Max-pooling of 2 x 2 pixels, for images of an even size.
-
-    PyTorch's max-pooling also stores the index of each maximum. Without gradients, two maxima are three times
-    as fast on a CPU.
-    """
+    """Max-pooling of 2 x 2 pixels for even sizes, three times as fast as PyTorch's without gradients."""
 
     def forward(self, features: th.Tensor) -> th.Tensor:
         """:return: (batch, channels, size / 2, size / 2)"""
@@ -187,10 +145,9 @@ def stack_stages(
 class Encoder(nn.Module):
     """Base class of the encoders: a sequence of stages, (batch, channels, size, size) to (batch, features).
 
-    :param layer_class: class of the convolutions
-    :param types: input and output of each convolution in order: channels or field types
+    See :func:`stack_stages` and :func:`plan_stages` for the other parameters.
+
     :param size: side of the image, pixels; resized if it is not 6 or 8 times a power of two
-    :param strided: see :func:`plan_stages`
     :param autocast: ``"bf16"`` for bfloat16 if the device supports it (otherwise float32 and a warning),
         ``None`` for float32
     :raises ValueError: if size, number of stages and ``strided`` do not match, or ``autocast`` is unknown

@@ -1,7 +1,5 @@
 """Features extractors for Dict observations of images and numbers, for any Stable-Baselines3 algorithm."""
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -15,13 +13,53 @@ from stable_baselines3.common.type_aliases import PyTorchObs
 from torch import nn
 from torch.utils.cpp_extension import get_cxx_compiler
 
+from sb3_extensions.common.observations import space_parts
 from sb3_extensions.encoders.cnn import CnnEncoder, Encoder, scale_channels
-from sb3_extensions.encoders.equivariant import EquivariantEncoder
 from sb3_extensions.encoders.observation import StackedImage, square_images
 from sb3_extensions.equivariant.groups import FieldType, Group
+from sb3_extensions.equivariant.layers import EquivariantConv2d, GroupMaxPool
 
 SMALL_IMAGE_CHANNELS = (16, 32, 64)
 """Channels of the halving stages of the encoders of smaller images."""
+
+
+class EquivariantEncoder(Encoder):
+    """Encoder to regular fields: a rotation of the image permutes the numbers of each field.
+
+    See :class:`~sb3_extensions.encoders.cnn.CnnEncoder` for the other parameters.
+
+    :param group: symmetry group
+    :param channels: regular fields after each stage; by default the paper's, for the size
+    :param output: ``"regular"``, or ``"invariant"`` to reduce each field to its maximum
+    :raises ValueError: if ``output`` is unknown, or see :class:`~sb3_extensions.encoders.cnn.Encoder`
+    """
+
+    # Close-loop equivariant baseline of the paper, 128 x 128 pixels.
+    HALVING, LAST = (8, 16, 32, 64), (128, 64, 64)
+
+    def __init__(
+        self,
+        in_channels: int,
+        size: int,
+        group: Group,
+        channels: Sequence[int] | None = None,
+        output: str = "regular",
+        **kwargs: Any,
+    ) -> None:
+        if output not in ("regular", "invariant"):
+            raise ValueError(f"output must be 'regular' or 'invariant', got {output!r}")
+        channels = channels or scale_channels(size, self.HALVING, self.LAST)
+        image = FieldType.of((group.trivial, in_channels))
+        types = [image, *(FieldType.of((group.regular, count)) for count in channels)]
+        super().__init__(EquivariantConv2d, types, size, **kwargs)
+        self.pool = GroupMaxPool(types[-1]) if output == "invariant" else None
+        self.out_type = types[-1] if self.pool is None else self.pool.out_type
+        self.features_dim = self.out_type.size
+
+    def forward(self, image: th.Tensor) -> th.Tensor:
+        """:return: float32 features, (batch, features)"""
+        features = super().forward(image)
+        return features if self.pool is None else self.pool(features)
 
 
 class ImageExtractor(BaseFeaturesExtractor):
@@ -29,26 +67,23 @@ class ImageExtractor(BaseFeaturesExtractor):
 
     Smaller images, such as ``in_hand``, have plain encoders, one for each size. Their features are appended.
 
-    :param make_encoder: makes the encoder of the largest images
-    :param observation_space: see :class:`~sb3_extensions.encoders.observation.StackedImage`
+    ``quantise`` and ``standardise`` apply to all images. See
+    :class:`~sb3_extensions.encoders.observation.StackedImage` for the other parameters.
+
     :param channels: channels or regular fields after each stage; by default the paper's, for the size
     :param strided: number of halvings without pooling, None for all, see
         :func:`~sb3_extensions.encoders.cnn.plan_stages`
-    :param quantise: see :class:`~sb3_extensions.encoders.observation.StackedImage`; holds for all images
     :param autocast: ``None`` or ``"bf16"``, see :class:`~sb3_extensions.encoders.cnn.Encoder`
-    :param crop: see :class:`~sb3_extensions.encoders.observation.StackedImage`
-    :param standardise: see :class:`~sb3_extensions.encoders.observation.StackedImage`; holds for all images
-    :param above_ground: see :class:`~sb3_extensions.encoders.observation.StackedImage`
     :param small_image_features: number of features of the smaller images of one size
-    :param compile: whether to compile the encoder with ``torch.compile``, which takes one to two minutes
+    :param compile: whether to compile the encoder with ``torch.compile`` (one to two minutes)
     :raises ValueError: if the encoder does not match the images, or ``compile`` has no C++ compiler
     """
 
+    encoder_class: Callable[..., Encoder]
+
     def __init__(
         self,
-        make_encoder: Callable[..., Encoder],
         observation_space: gym.Space[Any],
-        /,
         channels: Sequence[int] | None = None,
         strided: int | None = None,
         quantise: str | None = "uint8",
@@ -62,7 +97,7 @@ class ImageExtractor(BaseFeaturesExtractor):
         if small_image_features < 1:
             raise ValueError(f"small_image_features must be at least 1, got {small_image_features}")
         stack = StackedImage(observation_space, quantise, crop, standardise, above_ground)
-        encoder = make_encoder(
+        encoder = self.encoder_class(
             stack.channels, stack.size, channels=channels, strided=strided, autocast=autocast
         )
         small_images = nn.ModuleList()
@@ -75,7 +110,10 @@ class ImageExtractor(BaseFeaturesExtractor):
         super().__init__(observation_space, encoder.features_dim + small_dim)
         self.stack, self.encoder, self.small_images = stack, encoder, small_images
         if compile:
-            check_compiler()
+            if shutil.which(compiler := get_cxx_compiler()) is None:
+                raise ValueError(
+                    f"compile must be False without a C++ compiler, got True. Install {compiler}, or set CXX"
+                )
             self.encoder.compile(dynamic=True)
 
     def forward(self, observations: PyTorchObs) -> th.Tensor:
@@ -84,23 +122,9 @@ class ImageExtractor(BaseFeaturesExtractor):
         return th.cat([features, *(encoder(observations) for encoder in self.small_images)], dim=1)
 
 
-def check_compiler() -> None:
-    """Check that PyTorch finds a C++ compiler.
-
-    :raises ValueError: if there is none
-    """
-    name = get_cxx_compiler()
-    if shutil.which(name) is None:
-        raise ValueError(
-            f"compile must be False without a C++ compiler, got True. Install {name}, or set CXX"
-        )
-
-
 def _small_images_by_size(observation_space: gym.Space[Any]) -> list[spaces.Dict]:
     """Return the images of each size except the largest, larger ones first."""
-    if not isinstance(observation_space, spaces.Dict):
-        return []
-    images = square_images(observation_space.spaces)
+    images = square_images(space_parts(observation_space))
     sizes = sorted({space.shape[1] for space in images.values()}, reverse=True)
     return [
         spaces.Dict({key: space for key, space in images.items() if space.shape[1] == size})
@@ -109,35 +133,22 @@ def _small_images_by_size(observation_space: gym.Space[Any]) -> list[spaces.Dict
 
 
 class CnnExtractor(ImageExtractor):
-    """Plain convolutional encoder of a Dict observation of images and numbers.
+    """Plain convolutional encoder of images and numbers, see :class:`ImageExtractor` for the parameters."""
 
-    :param observation_space: see :class:`~sb3_extensions.encoders.observation.StackedImage`
-    :param channels: output channels of each stage
-    :param kwargs: further parameters of :class:`ImageExtractor`
-    """
-
-    def __init__(
-        self, observation_space: gym.Space[Any], channels: Sequence[int] | None = None, **kwargs: Any
-    ) -> None:
-        super().__init__(CnnEncoder, observation_space, channels, **kwargs)
+    encoder_class = CnnEncoder
 
 
 class EquivariantExtractor(ImageExtractor):
     """Equivariant encoder of a Dict observation of images and numbers.
 
-    The largest images rotate with the scene, smaller images and numbers do not. With ``output="regular"`` the
-    features are regular fields, which equivariant heads need. With ``output="invariant"`` each field is
-    reduced to its maximum. Any head is then invariant, which suits values but not directions of motion.
-
-    Features of smaller images are trivial fields. This is correct for images in the frame of the gripper,
-    such as ``in_hand``. With a dihedral group the features are then equivariant to rotations only, because a
-    reflection mirrors these images.
+    Features of smaller images are trivial fields, which is correct for images in the frame of the gripper. A
+    reflection mirrors these images, so with a dihedral group the features are equivariant to rotations only.
 
     :param observation_space: see :class:`~sb3_extensions.encoders.observation.StackedImage`
     :param group: ``"cyclic"`` (rotations) or ``"dihedral"`` (rotations and reflections)
     :param n: number of rotations
-    :param channels: regular fields after each stage
-    :param output: ``"regular"`` or ``"invariant"``
+    :param output: ``"regular"`` for regular fields, which equivariant heads need, or ``"invariant"`` for the
+        maximum of each field. Any head is then invariant, which suits values but not directions of motion
     :param kwargs: further parameters of :class:`ImageExtractor`
     :raises ValueError: if ``group``, ``n`` or ``output`` is unknown, or the encoder does not match the images
     """
@@ -154,8 +165,8 @@ class EquivariantExtractor(ImageExtractor):
         **kwargs: Any,
     ) -> None:
         symmetry = Group(group, n)
-        make_encoder = partial(EquivariantEncoder, group=symmetry, output=output)
-        super().__init__(make_encoder, observation_space, channels, **kwargs)
+        self.encoder_class = partial(EquivariantEncoder, group=symmetry, output=output)
+        super().__init__(observation_space, channels, **kwargs)
         scene_type = self.encoder.out_type
         small_dim = self.features_dim - scene_type.size
         self.out_type = FieldType((*scene_type.fields, (symmetry.trivial, small_dim)))

@@ -1,7 +1,5 @@
 """Initial weights of plain layers."""
 
-from __future__ import annotations
-
 from torch import nn
 
 OUTPUT_GAIN = 0.01
@@ -10,11 +8,7 @@ means near 0 and standard deviations near 1, and an untrained critic has values 
 
 
 def initialise_xavier(module: nn.Module) -> None:
-    """
-    Initialise a convolution or a linear layer with Xavier normal weights and zero biases.
-
-    :param module: any module; other layers are unchanged
-    """
+    """Initialise a convolution or a linear layer with Xavier normal weights and zero biases."""
     if isinstance(module, nn.Conv2d | nn.Linear):
         nn.init.xavier_normal_(module.weight)
         if module.bias is not None:
@@ -22,11 +16,7 @@ def initialise_xavier(module: nn.Module) -> None:
 
 
 def scale_down(layer: nn.Linear | nn.Conv2d) -> None:
-    """
-    Initialise an output layer near zero: Xavier uniform weights times :data:`OUTPUT_GAIN`, zero biases.
-
-    :param layer: last layer of a network
-    """
+    """Initialise an output layer near zero: Xavier uniform weights times :data:`OUTPUT_GAIN`, zero biases."""
     nn.init.xavier_uniform_(layer.weight, gain=OUTPUT_GAIN)
     if layer.bias is not None:
         nn.init.zeros_(layer.bias)

@@ -1,8 +1,6 @@
 """Features extractor for observations of numbers, for any Stable-Baselines3 algorithm."""
 
-from __future__ import annotations
-
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import gymnasium as gym
@@ -13,11 +11,8 @@ from stable_baselines3.common.torch_layers import BaseFeaturesExtractor, create_
 from stable_baselines3.common.type_aliases import PyTorchObs
 from torch import nn
 
-from sb3_extensions.common.images import IMAGE_AXES
+from sb3_extensions.common.observations import IMAGE_AXES, as_parts, space_parts
 from sb3_extensions.encoders.observation import check_standardise
-
-KEY = "observation"
-"""Name of the only part if the observation is not a Dict."""
 
 
 class MlpExtractor(BaseFeaturesExtractor):
@@ -27,8 +22,7 @@ class MlpExtractor(BaseFeaturesExtractor):
     :param layers: units of each layer; the output of the last layer is the features
     :param standardise: (mean, standard deviation): numbers become (number - mean) / standard deviation. For
         metres, (0.0, 0.1) gives tenths of a metre. ``None`` leaves the numbers unchanged
-    :raises ValueError: if there are images or spaces other than Boxes, ``layers`` is empty, or
-        ``standardise`` is invalid
+    :raises ValueError: if there are images or spaces other than Boxes, or an argument is invalid
     """
 
     def __init__(
@@ -40,9 +34,7 @@ class MlpExtractor(BaseFeaturesExtractor):
         if not layers or min(layers) < 1:
             raise ValueError(f"layers must be positive numbers of units, at least one, got {layers}")
         check_standardise("standardise", standardise)
-        parts: Mapping[str, gym.Space[Any]] = {KEY: observation_space}
-        if isinstance(observation_space, spaces.Dict):
-            parts = observation_space.spaces
+        parts = space_parts(observation_space)
         for key, space in parts.items():
             if not isinstance(space, spaces.Box) or len(space.shape) == IMAGE_AXES:
                 raise ValueError(
@@ -60,9 +52,7 @@ class MlpExtractor(BaseFeaturesExtractor):
 
     def forward(self, observations: PyTorchObs) -> th.Tensor:
         """:return: (batch, features_dim)"""
-        parts = (
-            [observations] if isinstance(observations, th.Tensor) else [observations[k] for k in self.keys]
-        )
-        numbers = th.cat([part.flatten(1) for part in parts], dim=1)
+        parts = as_parts(observations)
+        numbers = th.cat([parts[key].flatten(1) for key in self.keys], dim=1)
         features: th.Tensor = self.encoder((numbers - self.mean) / self.std)
         return features

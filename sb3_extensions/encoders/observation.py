@@ -13,36 +13,30 @@ from stable_baselines3.common.preprocessing import get_flattened_obs_dim, is_ima
 from stable_baselines3.common.type_aliases import PyTorchObs, TensorDict
 from torch import nn
 
-from sb3_extensions.common.images import IMAGE_AXES, is_point_cloud, scene_images
+from sb3_extensions.common.observations import IMAGE_AXES, as_parts, scene_images, space_parts
 from sb3_extensions.replay.quantisation import Quantiser
 
 HOLDING_THRESHOLD = 0.5
 """The gripper holds an object if the value of ``holding`` is larger."""
-IMAGE_KEY = "image"
-"""Name of the image if the observation is not a Dict."""
 
 
 class StackedImage(nn.Module):
-    """One image of an observation: the channels of the largest images, and a constant channel for each
-    number.
+    """One image of an observation: the largest images, and a constant channel for each number.
 
     Float images (such as heights in metres) are rounded to the levels that the replay buffer stores, and
-    mapped from the bounds of their space to [0, 1]. ``uint8`` images are in [0, 1] already, because
-    Stable-Baselines3 normalises them. Numbers, and images without finite bounds, are unchanged.
+    mapped from the bounds of their space to [0, 1]. Numbers, and images without finite bounds, are unchanged.
 
     :param observation_space: an image (channels, size, size), or a Dict with at least one
     :param quantise: ``"uint8"`` or ``"uint16"``, the type in which the replay buffer stores float images;
         ``None`` for a buffer of floats
-    :param crop: side (pixels) of the central part of larger images. Images of this size, such as random crops
-        in training, are used whole. ``None`` uses all images whole
+    :param crop: side (pixels) of the central part of larger images. ``None`` uses all images whole
     :param standardise: (mean, standard deviation) in the units of the images ([0, 1] for ``uint8``). Images
-        become (image - mean) / standard deviation instead of [0, 1]. Small differences of height are then
-        learned in fewer updates. ``uint8`` images next to float images stay in [0, 1]
+        become (image - mean) / standard deviation instead of [0, 1]. ``uint8`` images next to float images
+        stay in [0, 1]
     :param above_ground: (mean, standard deviation) of the distance of the ground from the camera, in the
-        units of the images. Float images that contain distances below a camera become heights above the most
-        distant point of each image, which do not depend on the height of the camera. The distance of that
-        point becomes a constant channel, standardised with ``above_ground``. ``standardise`` then applies to
-        the heights
+        units of the images. Float images, distances below a camera, become heights above the most distant
+        point of each image. The distance of that point becomes a constant channel, standardised with
+        ``above_ground``. ``standardise`` then applies to the heights
     :raises ValueError: if there is no image, there is a point cloud, an image is not square or has bounds
         that cannot be quantised, ``crop`` is larger than the images, or an argument is invalid
     """
@@ -56,9 +50,7 @@ class StackedImage(nn.Module):
         above_ground: Sequence[float] | None = None,
     ) -> None:
         super().__init__()
-        parts: Mapping[str, gym.Space[Any]] = {IMAGE_KEY: observation_space}
-        if isinstance(observation_space, spaces.Dict):
-            parts = observation_space.spaces
+        parts = space_parts(observation_space)
         all_images = square_images(parts)
         largest = scene_images({key: space.shape for key, space in all_images.items()})
         side = int(all_images[largest[0]].shape[1])
@@ -74,9 +66,10 @@ class StackedImage(nn.Module):
             # Colours next to heights have other units.
             is_colour = self.has_float_images and is_image_space(all_images[key])
             units = (None, None) if is_colour else (standardise, above_ground)
-            self.scales[key] = ImageScale(key, all_images[key], quantise, *units)
+            self.scales[key] = ImageScale(all_images[key], quantise, *units)
         self.number_keys = [key for key in parts if key not in all_images]
-        if clouds := [key for key in self.number_keys if is_point_cloud(parts[key].shape or ())]:
+        shapes = {key: parts[key].shape or () for key in self.number_keys}
+        if clouds := [key for key, shape in shapes.items() if len(shape) == 2 and shape[-1] == 3]:
             raise ValueError(
                 f"observation_space must not have point clouds (n, 3), got {clouds}. "
                 "Remove them with gymnasium.wrappers.FilterObservation"
@@ -84,30 +77,23 @@ class StackedImage(nn.Module):
         self.channels = sum(scale.channels for scale in self.scales.values())
         self.channels += sum(get_flattened_obs_dim(parts[key]) for key in self.number_keys)
 
-    @property
-    def image_keys(self) -> set[str]:
-        """Names of the images."""
-        return set(self.scales)
-
     def forward(self, observations: PyTorchObs) -> th.Tensor:
         """:return: (batch, channels, size, size)"""
-        if isinstance(observations, th.Tensor):
-            observations = {IMAGE_KEY: observations}
-        parts: list[th.Tensor] = []
+        parts = as_parts(observations)
+        channels: list[th.Tensor] = []
         for key, scale in self.scales.items():
-            image = observations[key]
+            image = parts[key]
             start = (image.shape[-1] - self.size) // 2
-            parts += scale(image[..., start : start + self.size, start : start + self.size])
-        parts += [observations[key].flatten(1)[..., None, None] for key in self.number_keys]
-        return th.cat([part.expand(-1, -1, self.size, self.size) for part in parts], dim=1)
+            channels += scale(image[..., start : start + self.size, start : start + self.size])
+        channels += [parts[key].flatten(1)[..., None, None] for key in self.number_keys]
+        return th.cat([channel.expand(-1, -1, self.size, self.size) for channel in channels], dim=1)
 
 
 def square_images(parts: Mapping[str, gym.Space[Any]]) -> dict[str, spaces.Box]:
     """
     Return the spaces of the images of an observation, in order.
 
-    :param parts: space of each part of the observation
-    :raises ValueError: if there is no image, or one that is not (channels, size, size)
+    :raises ValueError: if not all images are (channels, size, size), or there are none
     """
     images = {
         key: space
@@ -128,27 +114,16 @@ def square_images(parts: Mapping[str, gym.Space[Any]]) -> dict[str, spaces.Box]:
 
 
 def check_standardise(name: str, value: Sequence[float] | None) -> None:
-    """
-    Check a mean and a standard deviation.
-
-    :param name: name of the argument
-    :param value: (mean, standard deviation), or None
-    :raises ValueError: if there are not two numbers, or the standard deviation is not positive
-    """
+    """Raise a ValueError that names the argument unless it is None or (mean, positive deviation)."""
     if value is not None and not (len(value) == 2 and value[1] > 0.0):
         raise ValueError(f"{name} must be (mean, standard deviation above 0), got {value}")
 
 
 class ImageScale:
-    """Rounding and scaling of one image of an observation, see :class:`StackedImage` for the parameters.
-
-    :param key: name of the image, for the error
-    :param space: space of the image
-    """
+    """Rounding and scaling of one image of an observation, see :class:`StackedImage` for the parameters."""
 
     def __init__(
         self,
-        key: str,
         space: spaces.Box,
         quantise: str | None,
         standardise: Sequence[float] | None = None,
@@ -163,12 +138,7 @@ class ImageScale:
         if is_image_space(space):
             return
         if quantise is not None:
-            try:
-                self.quantiser = Quantiser(space, quantise)
-            except ValueError as error:
-                raise ValueError(
-                    f"quantise={quantise!r} does not fit observation {key!r}: {error}"
-                ) from error
+            self.quantiser = Quantiser(space, quantise)
         low, high = float(space.low.min()), float(space.high.max())
         if math.isfinite(high - low) and high > low:
             self.low, self.span = low, high - low
@@ -209,11 +179,7 @@ class View(NamedTuple):
     places: th.Tensor
 
     def of(self, samples: th.Tensor) -> View:
-        """
-        Return a part of the batch.
-
-        :param samples: indices or a mask, (batch,)
-        """
+        """Return a part of the batch, of which ``samples`` are indices or a mask, (batch,)."""
         in_hand = None if self.in_hand is None else self.in_hand[samples]
         return View(self.image[samples], self.heights[samples], in_hand, self.places[samples])
 
@@ -254,20 +220,14 @@ class SceneView(nn.Module):
             return StackedImage(spaces.Dict({key: parts[key]}), quantise, standardise=standardise)
 
         self.heightmap = stack(image_key)
+        self.size = self.heightmap.size
+        """Side of the heightmap, pixels."""
         self.in_hand = stack(in_hand_key) if in_hand_key in parts else None
+        self.in_hand_shape = None if self.in_hand is None else (self.in_hand.channels, self.in_hand.size)
+        """Number of channels and side (pixels) of the in-hand image, None without one."""
         self.standardise = standardise
         self.image_key = image_key
         self.holding_key = holding_key if holding_key in parts else None
-
-    @property
-    def size(self) -> int:
-        """Side of the heightmap, pixels."""
-        return self.heightmap.size
-
-    @property
-    def in_hand_shape(self) -> tuple[int, int] | None:
-        """Number of channels and side (pixels) of the in-hand image, None without one."""
-        return None if self.in_hand is None else (self.in_hand.channels, self.in_hand.size)
 
     def forward(self, observations: TensorDict) -> View:
         """:return: view of a batch of observations"""

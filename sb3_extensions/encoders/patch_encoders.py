@@ -1,11 +1,10 @@
 """Encoders of patches and in-hand images of 10 to 40 pixels a side (the authors' code)."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from itertools import pairwise
 
 import torch as th
+from stable_baselines3.common.torch_layers import create_mlp
 from torch import nn
 
 from sb3_extensions.encoders.cnn import resize
@@ -15,8 +14,6 @@ LAST_SIDE = 8
 """Maximum side (pixels) of the map before the linear layers: 6 for images of 24 pixels, 5 for 40 pixels."""
 LAST_SIDE_OF_PIXELS = 10
 """As :data:`LAST_SIDE`, for the in-hand image of the equivariant pixel maps."""
-CONVOLUTIONS = 3
-"""Number of convolutions of :class:`PatchMap`."""
 SMALLEST_SIDE = 10
 """Side (pixels) of the smallest image that :class:`PatchMap` reduces. Smaller images are resized to it."""
 
@@ -31,8 +28,8 @@ class PatchMap(nn.Sequential):
     """
 
     def __init__(self, in_channels: int, channels: Sequence[int]) -> None:
-        if len(channels) != CONVOLUTIONS:
-            raise ValueError(f"in_hand_channels must have {CONVOLUTIONS} entries, got {channels}")
+        if len(channels) != 3:
+            raise ValueError(f"in_hand_channels must have 3 entries, got {channels}")
         first, second, third = channels
         super().__init__(
             nn.Conv2d(in_channels, first, 3),
@@ -47,18 +44,13 @@ class PatchMap(nn.Sequential):
 
     def forward(self, image: th.Tensor) -> th.Tensor:
         """:return: (batch, channels[-1], side, side), see :meth:`side`"""
-        features = resize(image, max(image.shape[-1], SMALLEST_SIDE))
-        for layer in self:
-            features = layer(features)
+        resized = resize(image, max(image.shape[-1], SMALLEST_SIDE))
+        features: th.Tensor = super().forward(resized)  # type: ignore[no-untyped-call]
         return features
 
     @staticmethod
     def side(size: int) -> int:
-        """
-        Return the side of the map, pixels.
-
-        :param size: side of the image, pixels
-        """
+        """Return the side (pixels) of the map of an image with the side ``size``."""
         return (max(size, SMALLEST_SIDE) - 4) // 2 - 2
 
 
@@ -66,8 +58,7 @@ class PatchVector(nn.Sequential):
     """
     Convolutions with padding and linear layers: (batch, channels, size, size) to (batch, hidden[-1]).
 
-    Max-pooling precedes each of the last convolutions, as often as the map is larger than ``last_side``. It
-    never precedes the first convolution, so the last map may be larger.
+    Max-pooling precedes each of the last convolutions, as often as the map is larger than ``last_side``.
 
     :param in_channels: channels of the image
     :param size: side of the image, pixels
@@ -92,18 +83,5 @@ class PatchVector(nn.Sequential):
         for index, (inputs, outputs) in enumerate(pairwise((in_channels, *channels))):
             layers += [nn.MaxPool2d(2)] if index >= first_halved else []
             layers += [nn.Conv2d(inputs, outputs, 3, padding=1), nn.ReLU(inplace=True)]
-        super().__init__(*layers, nn.Flatten(), *mlp(channels[-1] * sides[-1] ** 2, hidden))
+        super().__init__(*layers, nn.Flatten(), *create_mlp(channels[-1] * sides[-1] ** 2, -1, list(hidden)))
         self.apply(initialise_xavier)
-
-
-def mlp(features: int, hidden: Sequence[int]) -> list[nn.Module]:
-    """
-    Return linear layers, each followed by a ReLU.
-
-    :param features: number of inputs
-    :param hidden: units of each layer
-    """
-    layers: list[nn.Module] = []
-    for inputs, outputs in pairwise((features, *hidden)):
-        layers += [nn.Linear(inputs, outputs), nn.ReLU(inplace=True)]
-    return layers

@@ -1,10 +1,4 @@
-"""U-Nets from an image to a feature map of the same size: plain and equivariant (paper).
-
-Max-pooling halves the image at each level and bilinear interpolation doubles it again. All steps keep the
-centre of an image of an even side, so rotations by 90 degrees are exact.
-"""
-
-from __future__ import annotations
+"""U-Nets from an image to a feature map of the same size: plain and equivariant (paper)."""
 
 from collections.abc import Sequence
 from itertools import pairwise
@@ -23,6 +17,8 @@ class UNet(nn.Module):
     """
     Encoder and decoder with skip connections: (batch, channels, size, size) to a map of the same size.
 
+    All steps keep the centre of an image of an even side, so rotations by 90 degrees are exact.
+
     :param downs: blocks of the encoder, one for each level; each level has half the side of the previous one
     :param ups: blocks of the decoder, from the lowest level. The input is the features of the level and the
         doubled features of the level below
@@ -37,11 +33,6 @@ class UNet(nn.Module):
         self.pool = HalvingMaxPool()
         self.fuse = fuse
 
-    @property
-    def multiple(self) -> int:
-        """Number of pixels to a multiple of which images are padded."""
-        return int(2 ** (len(self.downs) - 1))
-
     def forward(self, image: th.Tensor, other: th.Tensor | None = None) -> tuple[th.Tensor, th.Tensor]:
         """
         :param image: (batch, channels, size, size)
@@ -49,7 +40,7 @@ class UNet(nn.Module):
         :return: map of the size of the image, (batch, channels, size, size), and the lowest features
         """
         size = image.shape[-1]
-        missing = -size % self.multiple
+        missing = -size % int(2 ** (len(self.downs) - 1))
         before, after = missing // 2, missing - missing // 2
         features = F.pad(image, (before, after, before, after))
         levels = []
@@ -68,23 +59,15 @@ class UNet(nn.Module):
 
 
 def lowest_shape(size: int, channels: Sequence[int]) -> tuple[int, int, int]:
-    """
-    Return the shape (channels, side, side) of the lowest features of a U-Net.
-
-    :param size: side of the image, pixels
-    :param channels: channels of each level
-    """
+    """Return the shape (channels, side, side) of the lowest features of a U-Net."""
+    if len(channels) < 2:
+        raise ValueError(f"channels and fields must have at least two levels, got {channels}")
     side = -(-size // 2 ** (len(channels) - 1))
     return channels[-1], side, side
 
 
 def double(features: th.Tensor) -> th.Tensor:
-    """
-    Double the side of feature maps by bilinear interpolation.
-
-    :param features: (batch, channels, side, side)
-    :return: (batch, channels, 2 side, 2 side)
-    """
+    """Double the side of feature maps by bilinear interpolation."""
     doubled = F.interpolate(features, scale_factor=2.0, mode="bilinear", align_corners=False)
     if doubled.requires_grad:
         # The gradient of a concatenation is a slice. PyTorch is ten times as fast on contiguous memory.
@@ -93,13 +76,7 @@ def double(features: th.Tensor) -> th.Tensor:
 
 
 class ResidualBlock(nn.Module):
-    """
-    Two convolutions with a shortcut.
-
-    :param first: 3 x 3 convolution
-    :param second: 3 x 3 convolution
-    :param skip: shortcut: the identity, or a 1 x 1 convolution if the channels change
-    """
+    """Two 3 x 3 convolutions with a shortcut: the identity, or a 1 x 1 convolution."""
 
     def __init__(self, first: nn.Module, second: nn.Module, skip: nn.Module) -> None:
         super().__init__()
@@ -131,13 +108,10 @@ def plain_unet(in_channels: int, channels: Sequence[int], other_channels: int) -
     """
     Make the U-Net of the paper's plain networks (the authors' code), with Xavier normal weights.
 
-    The lowest blocks have twice the channels.
-
     :param in_channels: channels of the image
     :param channels: channels of each level, from the image down; at least two levels
     :param other_channels: channels of the features of a second image, 0 without one
     """
-    _check_levels("channels", channels)
     stem = nn.Sequential(nn.Conv2d(in_channels, channels[0], 3, padding=1), nn.ReLU(inplace=True))
     downs: list[nn.Module] = [nn.Sequential(stem, _plain_block(channels[0], channels[0]))]
     downs += [_plain_block(above, below) for above, below in pairwise(channels[:-1])]
@@ -169,7 +143,6 @@ def equivariant_unet(in_channels: int, group: Group, fields: Sequence[int]) -> U
     :param group: symmetry group
     :param fields: regular fields of each level, from the image down; at least two levels
     """
-    _check_levels("fields", fields)
 
     def regular(count: int) -> FieldType:
         return FieldType.of((group.regular, count))
@@ -183,8 +156,3 @@ def equivariant_unet(in_channels: int, group: Group, fields: Sequence[int]) -> U
         for side, below, above in _decoder_channels(fields)
     ]
     return UNet(downs, ups)
-
-
-def _check_levels(name: str, widths: Sequence[int]) -> None:
-    if len(widths) < 2:
-        raise ValueError(f"{name} must have at least two levels, got {widths}")

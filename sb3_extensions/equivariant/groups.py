@@ -19,8 +19,6 @@ from scipy.linalg import block_diag
 
 Matrices = npt.NDArray[np.float64]
 
-GROUP_FAMILIES = ("cyclic", "dihedral")
-
 
 @dataclass(frozen=True)
 class Group:
@@ -37,8 +35,8 @@ class Group:
     n: int
 
     def __post_init__(self) -> None:
-        if self.family not in GROUP_FAMILIES:
-            raise ValueError(f"group must be one of {GROUP_FAMILIES}, got {self.family!r}")
+        if self.family not in ("cyclic", "dihedral"):
+            raise ValueError(f"group must be 'cyclic' or 'dihedral', got {self.family!r}")
         if self.n < 1:
             raise ValueError(f"n, the number of rotations, must be at least 1, got {self.n}")
 
@@ -79,8 +77,7 @@ class Group:
         """Return the representation with one number for each coset of the subgroup C_m of rotations.
 
         Number ``i < n / m`` is the coset of the rotation by ``2 pi i / n``. The numbers of the reflected
-        elements of a dihedral group follow in the same order. For C_32 with ``m = 2``, number ``i`` is a yaw
-        of ``i pi / 16`` modulo pi.
+        elements of a dihedral group follow in the same order.
 
         :param m: order of the subgroup, a divisor of n
         :raises ValueError: if m does not divide n
@@ -92,10 +89,7 @@ class Group:
     def irrep(self, frequency: int) -> Representation:
         """Return the representation of two numbers that rotate by ``frequency`` times the angle.
 
-        Frequency 1 is a vector (x, y). For frequencies of 0 or n / 2 modulo n the representation is
-        reducible.
-
-        :param frequency: at least 0
+        Frequency 1 is a vector (x, y). Frequencies of 0 or n / 2 modulo n are reducible.
         """
         return Representation(self, "irrep", frequency)
 

@@ -1,12 +1,8 @@
 """Circular harmonics on the pixel grid of a filter.
 
-A harmonic of frequency f should only respond to the part of an image that rotates with frequency f. Samples
-of Gaussian rings times circular harmonics violate this condition, because the grid only has rotations by 90
-degrees. For example, a harmonic of frequency 4 responds to a constant image, one of frequency 3 to a ramp.
-:func:`harmonic_basis` suppresses the part of each sampled harmonic that responds to other frequencies.
+A sampled harmonic of one frequency also responds to parts of an image with other frequencies, because
+the grid only has rotations by 90 degrees. :func:`harmonic_basis` suppresses this response.
 """
-
-from __future__ import annotations
 
 import math
 from functools import cache
@@ -24,8 +20,7 @@ CORRELATION_LENGTH = 3.0
 PLANE_VARIANCE = 1e3
 """Variance of the constant and of the slope in the random images. Both are suppressed exactly."""
 SUPPRESSION = 1e-5
-"""Weight of the distance from the sampled ring relative to the response to other frequencies. Smaller weights
-hardly lower the error of one layer, and make the harmonics of neighbouring rings more similar."""
+"""Weight of the distance from the sampled ring relative to the response to other frequencies."""
 GRID_ROTATIONS = 4
 """Number of rotations that map the pixel grid to itself."""
 QUADRATURE_ANGLES = 64
@@ -45,7 +40,8 @@ def harmonic_basis(kernel_size: int, rotations: int) -> tuple[Samples, tuple[int
     :return: samples (number of functions, kernel_size, kernel_size), each frequency's of unit energy, and
         the frequency of each cosine (or constant), in order
     """
-    positions = _pixel_positions(kernel_size)
+    offsets = np.arange(kernel_size) - (kernel_size - 1) / 2
+    positions: Complex = np.add.outer(offsets, 1j * offsets).ravel()  # row + i column
     parts: dict[int, Complex] = {}
     samples, frequencies = [], []
     for ring in np.unique(abs(positions.real)):
@@ -63,13 +59,6 @@ def harmonic_basis(kernel_size: int, rotations: int) -> tuple[Samples, tuple[int
     return np.concatenate(samples), tuple(frequencies)
 
 
-def _pixel_positions(kernel_size: int) -> Complex:
-    """Return the positions of all pixels relative to the centre, as complex numbers row + i column."""
-    offsets = np.arange(kernel_size) - (kernel_size - 1) / 2
-    positions: Complex = np.add.outer(offsets, 1j * offsets).ravel()
-    return positions
-
-
 def _wave(positions: Complex, frequency: int) -> Complex:
     """Return the samples of exp(i frequency angle), 0 at the centre for frequencies above 0."""
     wave: Complex = np.exp(1j * frequency * np.angle(positions))
@@ -79,10 +68,8 @@ def _wave(positions: Complex, frequency: int) -> Complex:
 def _suppression(positions: Complex, frequency: int) -> Complex:
     """Return the matrix of the linear system that suppresses the response to other frequencies.
 
-    The solution minimises the mean square response to the parts of random images with other frequencies,
-    plus :data:`SUPPRESSION` times the squared distance from the sampled harmonic. The random images are
-    Gaussian and isotropic. Their part of one frequency is the mean of the rotated images times the conjugate
-    wave.
+    The solution minimises the mean square response to the parts of isotropic Gaussian images with other
+    frequencies, plus :data:`SUPPRESSION` times the squared distance from the sampled harmonic.
     """
     total = _covariance(positions, positions)
     own = np.zeros_like(total)

@@ -1,13 +1,9 @@
 """Layers that commute with the rotations (and reflections) of a finite group, in plain PyTorch.
 
-Rotations by 90 degrees and reflections map the pixel grid to itself, and the layers are exact under them.
-Under other rotations there is a sampling error, see :mod:`~sb3_extensions.equivariant.harmonics`.
-
-Filters are expanded from their weights in every forward pass, or once inside :func:`expanded_filters`. They
-are not cached beyond that, because a Polyak update writes through ``.data``, which a cache cannot detect.
+The layers are exact under rotations by 90 degrees and reflections. Under other rotations there is a sampling
+error, see :mod:`~sb3_extensions.equivariant.harmonics`. Filters are expanded in every forward pass and not
+cached, because a Polyak update writes through ``.data``, which a cache cannot detect.
 """
-
-from __future__ import annotations
 
 import math
 from collections.abc import Iterator
@@ -28,12 +24,9 @@ HE_GAIN = math.sqrt(2.0)
 
 @contextmanager
 def expanded_filters(*modules: nn.Module) -> Iterator[None]:
-    """Expand the filters once, for all forward passes without gradient inside the context.
+    """Expand the filters of all layers once, for all forward passes without gradient inside the context.
 
-    Use it for several forward passes with the same weights, such as an evaluation. The weights must not
-    change inside the context. Forward passes with gradient expand the filters themselves.
-
-    :param modules: modules with equivariant layers at any depth
+    The weights must not change inside the context.
     """
     layers = [layer for module in modules for layer in module.modules() if isinstance(layer, SteerableMap)]
     previous = [layer.expanded for layer in layers]
@@ -96,6 +89,7 @@ class EquivariantConv2d(SteerableMap):
     """Convolution of feature maps, (batch, in channels, height, width), that commutes with the group.
 
     With a stride it is exact under 90 degrees only if the stride divides ``side + 2 padding - kernel_size``.
+    See :class:`SteerableMap` for the other parameters.
 
     :param stride: distance of two outputs, pixels
     :param padding: zeros on each side, pixels
@@ -121,12 +115,7 @@ class EquivariantConv2d(SteerableMap):
 
 
 class EquivariantLinear(SteerableMap):
-    """Linear map of feature vectors, (batch, in channels), that commutes with the group."""
-
-    def __init__(
-        self, in_type: FieldType, out_type: FieldType, bias: bool = True, gain: float = HE_GAIN
-    ) -> None:
-        super().__init__(in_type, out_type, 1, bias, gain)
+    """Linear map of feature vectors, (batch, in channels), see :class:`SteerableMap` for the parameters."""
 
     def forward(self, features: th.Tensor) -> th.Tensor:
         """:return: (batch, out channels)"""
@@ -138,35 +127,22 @@ class DynamicEquivariantConv2d(nn.Module):
     """Convolution that commutes with the group, with a separate filter for each sample of a batch.
 
     The coefficients of the filters come from another network and must be invariant. Coefficients of variance
-    1 make filters of the size of the initial filters of :class:`EquivariantConv2d`. Biases are in units of
-    the features.
-
-    :param in_type: input fields
-    :param out_type: output fields
-    :param kernel_size: side of the filter, pixels
-    :param padding: zeros on each side, pixels
-    :raises ValueError: if the groups differ or no such map exists
+    1 make filters of the size of the initial filters of :class:`EquivariantConv2d`. See that class for the
+    parameters and errors.
     """
 
     def __init__(
         self, in_type: FieldType, out_type: FieldType, kernel_size: int = 3, padding: int = 0
     ) -> None:
         super().__init__()
-        self.in_type, self.out_type = in_type, out_type
-        self.kernel_size, self.padding = kernel_size, padding
+        self.in_type, self.out_type, self.padding = in_type, out_type, padding
         self.space = FilterSpace(in_type, out_type, kernel_size)
         self._sizes = [*map(math.prod, self.space.shapes.values()), self.space.num_biases]
-
-    @property
-    def num_coefficients(self) -> int:
+        self.num_coefficients = sum(self._sizes)
         """Number of coefficients of a sample: weights, then one bias for each field that has one."""
-        return sum(self._sizes)
 
     def filters(self, coefficients: th.Tensor) -> tuple[th.Tensor, th.Tensor]:
-        """Return filters, (batch, out channels, in channels, side, side), and biases, (batch, out channels).
-
-        :param coefficients: (batch, num_coefficients)
-        """
+        """Return a filter and a bias for each sample, first axis of length batch."""
         with full_precision(coefficients.device.type):
             *parts, bias = coefficients.float().split(self._sizes, dim=1)
             weights = {
@@ -177,7 +153,6 @@ class DynamicEquivariantConv2d(nn.Module):
 
     def forward(self, features: th.Tensor, coefficients: th.Tensor) -> th.Tensor:
         """
-        :param features: (batch, in channels, height, width)
         :param coefficients: (batch, num_coefficients)
         :return: (batch, out channels, height, width)
         :raises ValueError: if the coefficients have another shape
@@ -199,7 +174,6 @@ class DynamicEquivariantConv2d(nn.Module):
 class GroupMaxPool(nn.Module):
     """Maximum of each regular field: (batch, fields x order, ...) to invariant (batch, fields, ...).
 
-    :param in_type: regular fields
     :raises ValueError: if there are other fields
     """
 

@@ -4,8 +4,6 @@ A filter is a combination of steerable filters: Gaussian rings times circular ha
 grid (Weiler and Cesa, "General E(2)-equivariant steerable CNNs", 2019).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from functools import cache
@@ -62,19 +60,14 @@ class FilterSpace(nn.Module):
         if not self.shapes:
             raise ValueError(f"no map from {in_type} to {out_type} commutes with the group")
         self.register_buffer("bias_basis", _invariants(out_type), persistent=False)
-
-    @property
-    def num_biases(self) -> int:
+        self.num_biases = len(self.bias_basis)
         """Number of fields that can have a bias (regular, quotient, trivial)."""
-        return len(self.bias_basis)
 
     def std(self, key: str, gain: float) -> float:
-        """Return the standard deviation of initial coefficients that scale a signal's mean square by ``gain
-        ** 2``.
+        """Return the standard deviation of initial coefficients.
 
         This is He's rule for the stronger of two signals: white noise, and a signal that is constant over
-        pixels and fields. Steerable filters are smooth and amplify constant signals more. Images and features
-        after ReLUs are mostly constant, so the rule for noise alone would amplify them in every layer.
+        pixels and fields. Steerable filters are smooth and amplify constant signals more.
 
         :param key: pair of representations, see :attr:`shapes`
         :param gain: ``sqrt(2)`` (He) before a ReLU, 1 without ReLU
@@ -87,8 +80,9 @@ class FilterSpace(nn.Module):
         :param weights: coefficients of each pair of representations, (..., out fields, in fields, basis)
         :return: (..., out channels, in channels, side, side)
         """
+        columns = range(len(self.in_type.fields))
         rows = [
-            [self._expand_block(weights, row, column) for column in range(len(self.in_type.fields))]
+            [self._expand_block(weights, row, column) for column in columns]
             for row in range(len(self.out_type.fields))
         ]
         joined = [blocks[0] if len(blocks) == 1 else th.cat(blocks, dim=-3) for blocks in rows]
@@ -106,27 +100,21 @@ class FilterSpace(nn.Module):
 
 
 class _Basis(nn.Module):
-    """Basis of the filters between two fields.
+    """Basis of ``size`` filters between two fields.
 
-    :param size: number of filters
-    :param noise: sum of squares of all filters
-    :param constant: sum of squares of the responses of all filters to a constant signal
-    :param plain_size: number of entries of a filter
+    The sums of squares of all filters, and of their responses to a constant signal, are ``noise`` and
+    ``constant``. A filter has ``plain_size`` entries.
     """
 
     def __init__(self, size: int, noise: float, constant: float, plain_size: int) -> None:
         super().__init__()
         self.size = size
         self.passed = max(noise, constant) / plain_size
-        """Mean square after random filters relative to a plain filter, for the stronger of white noise and a
-        constant signal."""
+        """Mean square after random filters relative to a plain filter, for the stronger of both signals."""
 
 
 class _WholeBasis(_Basis):
-    """Stored basis of any two representations.
-
-    :param filters: (basis, out size, in size, side, side)
-    """
+    """Stored basis of any two representations, (basis, out size, in size, side, side)."""
 
     filters: th.Tensor
 
@@ -145,10 +133,7 @@ class _WholeBasis(_Basis):
 
 
 class _ColumnBasis(_Basis):
-    """Basis for regular inputs of which one column is stored.
-
-    The column of the first channel of a regular field is arbitrary. The column of element g is the first
-    column rotated by g.
+    """Basis for regular inputs. The column of element g is the stored column rotated by g.
 
     :param actions: matrices of the output representation, (elements, out size, out size)
     :param waves: rotated harmonics, (elements, harmonics, side, side)
@@ -190,12 +175,8 @@ def _make_basis(in_rep: Representation, out_rep: Representation, kernel_size: in
 def steerable_basis(in_rep: Representation, out_rep: Representation, kernel_size: int) -> Matrices:
     """Return a basis of the filters K with ``K(g x) = out_rep(g) K(x) in_rep(g)^-1`` for all g of the group.
 
-    Each filter has the energy of one output channel of unit energy for any group. A learning rate then has a
-    similar effect for all groups and for plain convolutions.
+    Each filter has the energy of one output channel of unit energy for any group.
 
-    :param in_rep: representation of an input field
-    :param out_rep: representation of an output field
-    :param kernel_size: side of the filter, pixels
     :return: (number of filters, out size, in size, kernel_size, kernel_size), read-only
     """
     filters: Matrices
@@ -215,8 +196,6 @@ def steerable_basis(in_rep: Representation, out_rep: Representation, kernel_size
 def rotated_harmonics(group: Group, kernel_size: int) -> Matrices:
     """Return the functions of :func:`harmonic_basis`, rotated by each element without interpolation.
 
-    :param group: symmetry group
-    :param kernel_size: side of the filter, pixels
     :return: (elements, number of functions, kernel_size, kernel_size), read-only
     """
     harmonics, frequencies = harmonic_basis(kernel_size, group.n)

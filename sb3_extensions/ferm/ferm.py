@@ -1,7 +1,5 @@
 """Framework for efficient robotic manipulation."""
 
-from __future__ import annotations
-
 from typing import Any, ClassVar
 
 import torch as th
@@ -19,12 +17,10 @@ from sb3_extensions.sacfd import SACfD
 
 class FERM(SACfD):
     """
-    Framework for efficient robotic manipulation (FERM).
+    Framework for efficient robotic manipulation (FERM): SACfD with a contrastive loss of random crops.
 
-    SACfD on random crops of the images with a contrastive loss. The encoder learns to identify two crops of
-    the same observation, first on the demonstrations alone, then in every update. The critic's features
-    extractor computes the queries, and the target critic's the keys. ``encoder_tau`` is the coefficient of
-    this target. With ``bc_weight=0`` it is FERM SAC.
+    The encoder learns to identify two crops of the same observation, first on the demonstrations alone, then
+    in every update. With ``bc_weight=0`` it is FERM SAC.
 
     Paper: https://arxiv.org/abs/2012.07975; defaults: BulletArm,
     https://arxiv.org/abs/2205.14292, appendix "Benchmark Details", and its authors' code.
@@ -36,7 +32,6 @@ class FERM(SACfD):
         demonstrations, before the first step in the environment
     :param encoder_tau: the soft update coefficient of the target critic's features extractor. ``tau`` is the
         coefficient of its heads
-    :param _init_setup_model: Whether or not to build the network at the creation of the instance
     :param kwargs: keyword arguments of :class:`~sb3_extensions.sacfd.SACfD`
     :raises ValueError: if an argument is out of its range, ``augmentation`` has no crops, or ``policy`` is
         not FERM's
@@ -76,17 +71,6 @@ class FERM(SACfD):
         super()._create_aliases()
         self.contrast = self.policy.contrast
 
-    def train(self, gradient_steps: int, batch_size: int = 64) -> None:
-        """
-        Sample the replay buffer and do the updates
-        (gradient descent and update target networks)
-
-        :param gradient_steps: number of updates
-        :param batch_size: number of steps in each batch
-        """
-        self._update_learning_rate(self.contrast.optimizer)
-        super().train(gradient_steps, batch_size)
-
     @property
     def _pretraining_total(self) -> int:
         return self.contrastive_steps + super()._pretraining_total
@@ -112,6 +96,7 @@ class FERM(SACfD):
         with th.no_grad():
             keys = self.policy.extract_features(positives, self.critic_target.features_extractor)
         loss = self.contrast(queries, keys)
+        self._update_learning_rate(self.contrast.optimizer)
         self.contrast.optimizer.zero_grad()
         loss.backward()
         self.contrast.optimizer.step()

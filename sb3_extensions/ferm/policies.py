@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, ClassVar
 
 import gymnasium as gym
 import torch as th
@@ -18,9 +18,6 @@ from sb3_extensions.encoders.observation import StackedImage
 from sb3_extensions.sacfd import policies as sacfd
 from sb3_extensions.sacfd.actor_critic import NetArch
 
-NET_ARCH = [1024, 1024]
-"""Units of the hidden layers of actor and critic (BulletArm, FERM)."""
-
 
 class ContrastiveExtractor(CnnExtractor):
     """
@@ -28,8 +25,7 @@ class ContrastiveExtractor(CnnExtractor):
 
     :param observation_space: see :class:`~sb3_extensions.encoders.observation.StackedImage`
     :param features_dim: number of features
-    :param channels: output channels of each stage, see :class:`~sb3_extensions.encoders.cnn.CnnEncoder`. None
-        for BulletArm's, adapted to the image size
+    :param channels: output channels of each stage. None for BulletArm's, adapted to the image size
     :param kwargs: further parameters of :class:`~sb3_extensions.encoders.extractors.CnnExtractor`
     """
 
@@ -54,16 +50,12 @@ class ContrastiveExtractor(CnnExtractor):
         self.trains_encoder = True
 
     def borrow_encoder(self, owner: ContrastiveExtractor) -> None:
-        """
-        Use the convolutions of another extractor without training them.
-
-        :param owner: the other extractor
-        """
+        """Use the convolutions of another extractor without training them."""
         self.encoder, self.small_images = owner.encoder, owner.small_images
         self.trains_encoder = False
 
     def forward(self, observations: PyTorchObs) -> th.Tensor:
-        """Return features of shape (batch, features_dim)."""
+        """:return: (batch, features_dim)"""
         with th.set_grad_enabled(th.is_grad_enabled() and self.trains_encoder):
             image_features = super().forward(observations)
         features: th.Tensor = self.projection(image_features)
@@ -87,11 +79,10 @@ class BilinearContrast(nn.Module):
 
     def forward(self, queries: th.Tensor, keys: th.Tensor) -> th.Tensor:
         """
-        Return the loss of a batch.
+        Return the mean cross-entropy of the classification of each query's key among all keys.
 
         :param queries: features of one view of each observation, (batch, features_dim)
         :param keys: features of the other views, (batch, features_dim)
-        :return: mean cross-entropy of the classification of each query's key among all keys
         """
         return F.cross_entropy(queries @ self.weight @ keys.T, th.arange(len(keys), device=keys.device))
 
@@ -102,38 +93,22 @@ class MultiInputPolicy(sacfd.MultiInputPolicy):
 
     Actor and critic use the convolutions of the critic, which the actor's loss does not train. Each has its
     own linear layer and normalisation. The contrastive loss trains the critic's features extractor with a
-    separate optimizer; its keys come from the target critic.
+    separate optimizer; its keys come from the target critic. By default actor and critic have two hidden
+    layers of 1,024 units. See :class:`~sb3_extensions.sacfd.policies.SACfDPolicy` for the parameters.
 
-    :param args: arguments of :class:`sb3_extensions.sacfd.policies.MultiInputPolicy`
-    :param net_arch: hidden layers after the features extractors, None for BulletArm's
-    :param features_extractor_class: a :class:`ContrastiveExtractor`
-    :param kwargs: keyword arguments of :class:`sb3_extensions.sacfd.policies.MultiInputPolicy`
-    :raises ValueError: with ``share_features_extractor`` or another features extractor
+    :raises ValueError: with ``share_features_extractor``, or without a :class:`ContrastiveExtractor`
     """
 
-    def __init__(
-        self,
-        *args: Any,
-        net_arch: NetArch | None = None,
-        features_extractor_class: type[BaseFeaturesExtractor] = ContrastiveExtractor,
-        **kwargs: Any,
-    ) -> None:
-        if kwargs.get("share_features_extractor"):
-            raise ValueError("share_features_extractor must be False for FERM, got True")
-        if not issubclass(features_extractor_class, ContrastiveExtractor):
-            raise ValueError(
-                f"features_extractor_class must be a ContrastiveExtractor, got {features_extractor_class}"
-            )
-        kwargs |= {
-            "net_arch": NET_ARCH if net_arch is None else net_arch,
-            "features_extractor_class": features_extractor_class,
-        }
-        super().__init__(*args, **kwargs)
+    default_extractor: ClassVar[type[BaseFeaturesExtractor]] = ContrastiveExtractor
+    default_net_arch: ClassVar[NetArch] = [1024, 1024]
 
     def _build(self, lr_schedule: Schedule) -> None:
+        if self.share_features_extractor:
+            raise ValueError("share_features_extractor must be False for FERM, got True")
         super()._build(lr_schedule)
         borrower, owner = self.actor.features_extractor, self.critic.features_extractor
-        assert isinstance(borrower, ContrastiveExtractor) and isinstance(owner, ContrastiveExtractor)
+        if not isinstance(borrower, ContrastiveExtractor) or not isinstance(owner, ContrastiveExtractor):
+            raise ValueError(f"features_extractor_class must be a ContrastiveExtractor, got {type(owner)}")
         borrower.borrow_encoder(owner)
         self.build_average()
         borrowed = set(owner.parameters()) & set(borrower.parameters())

@@ -10,13 +10,11 @@ import torch as th
 from gymnasium import spaces
 from stable_baselines3.common.type_aliases import TensorDict
 
-from sb3_extensions.common.images import scene_images
+from sb3_extensions.common.components import check_positive
+from sb3_extensions.common.observations import as_parts, scene_images, space_parts
 from sb3_extensions.replay.samples import ExpertReplayBufferSamples
 
 Observations = TensorDict | th.Tensor
-
-IMAGE = "image"
-"""Key of an observation without a Dict space."""
 
 
 class Augmentation(ABC):
@@ -27,15 +25,13 @@ class Augmentation(ABC):
         self, samples: ExpertReplayBufferSamples, generator: th.Generator
     ) -> ExpertReplayBufferSamples:
         """
-        Transform a sample. Several views of each observation make the sample longer.
+        Return an augmented sample. Several views of each observation make the sample longer.
 
         :param samples: sample of the replay buffer
         :param generator: random generator on the CPU
-        :return: augmented sample
         """
 
-    @abstractmethod
-    def check(self, space: spaces.Space[Any]) -> None:
+    def check(self, space: spaces.Space[Any]) -> None:  # noqa: B027
         """Raise a ValueError if observations of a space cannot be augmented."""
 
     @property
@@ -156,13 +152,13 @@ class RAD(RandomWindow):
     "Benchmark Details").
 
     :param size: side of the crop in pixels; the images must be larger
-    :raises ValueError: if the size is not a positive integer
+    :raises ValueError: if the size is not positive
     """
 
     size: int = 128
 
     def __post_init__(self) -> None:
-        _check_positive(size=self.size)
+        check_positive(size=self.size)
 
     def __call__(
         self, samples: ExpertReplayBufferSamples, generator: th.Generator
@@ -188,7 +184,7 @@ class DrQ(RandomWindow):
     :param K: number of views of a next observation
     :param M: number of views of an observation
     :param pad: maximum shift along an axis in pixels
-    :raises ValueError: if an argument is not a positive integer
+    :raises ValueError: if an argument is not positive
     """
 
     K: int = 2
@@ -196,7 +192,7 @@ class DrQ(RandomWindow):
     pad: int = 4
 
     def __post_init__(self) -> None:
-        _check_positive(K=self.K, M=self.M, pad=self.pad)
+        check_positive(K=self.K, M=self.M, pad=self.pad)
 
     def __call__(
         self, samples: ExpertReplayBufferSamples, generator: th.Generator
@@ -221,11 +217,6 @@ def repeat(values: th.Tensor, copies: int) -> th.Tensor:
     return values if copies == 1 else values.repeat(copies, *[1] * (values.dim() - 1))
 
 
-def as_parts(observations: Observations) -> TensorDict:
-    """Return the entries of observations by key, a copy of a dictionary."""
-    return {IMAGE: observations} if isinstance(observations, th.Tensor) else dict(observations)
-
-
 def scene_keys(parts: TensorDict) -> list[str]:
     """Return the keys of the images of the scene in a batch."""
     return scene_images({key: part.shape[1:] for key, part in parts.items()})
@@ -233,12 +224,5 @@ def scene_keys(parts: TensorDict) -> list[str]:
 
 def scene_shapes(space: spaces.Space[Any]) -> dict[str, tuple[int, ...]]:
     """Return the shapes of the images of the scene in an observation space."""
-    parts = space.spaces if isinstance(space, spaces.Dict) else {IMAGE: space}
-    shapes = {key: part.shape or () for key, part in parts.items()}
+    shapes = {key: part.shape or () for key, part in space_parts(space).items()}
     return {key: shapes[key] for key in scene_images(shapes)}
-
-
-def _check_positive(**arguments: Any) -> None:
-    for name, value in arguments.items():
-        if not isinstance(value, int) or value < 1:
-            raise ValueError(f"{name} must be a positive integer, got {value!r}")

@@ -1,15 +1,12 @@
 """Creation of augmentations from their names, for arguments and YAML files."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
+from functools import partial
 from typing import Any
 
-from sb3_extensions.common.components import make_component
+from sb3_extensions.common.components import make_components
 from sb3_extensions.replay.augmentation import RAD, Augmentation, DrQ, Sequence
 from sb3_extensions.replay.rotation import Rotation
-
-AUGMENTATIONS: dict[str, type[Augmentation]] = {"rotation": Rotation, "rad": RAD, "drq": DrQ}
 
 AugmentationSpec = Augmentation | str | Mapping[str, Mapping[str, Any] | None] | None
 
@@ -21,17 +18,10 @@ def make_augmentation(spec: AugmentationSpec, action_sequence: str | None = None
     :param spec: an augmentation, None, a name (``"drq"``), or names with their arguments in the order of
         application (``{"rotation": {}, "rad": {"size": 64}}``)
     :param action_sequence: default ``action_sequence`` of a rotation
-    :return: the augmentation
     :raises ValueError: if the specification is something else
     """
-    if isinstance(spec, Augmentation) or spec is None:
+    if isinstance(spec, Augmentation):
         return spec
-    named = {spec: None} if isinstance(spec, str) else spec
-    if not isinstance(named, Mapping) or not named:
-        raise ValueError(f"augmentation must be None, a name, or names with arguments, got {spec!r}")
-    steps = []
-    for name, arguments in named.items():
-        default = {"action_sequence": action_sequence} if name == "rotation" and action_sequence else {}
-        step = make_component("augmentation", {name: {**default, **(arguments or {})}}, AUGMENTATIONS)
-        steps += [] if step is None else [step]
-    return steps[0] if len(steps) == 1 else Sequence(tuple(steps))
+    rotation = partial(Rotation, action_sequence=action_sequence) if action_sequence else Rotation
+    steps = make_components("augmentation", spec, {"rotation": rotation, "rad": RAD, "drq": DrQ})
+    return Sequence(tuple(steps)) if len(steps) > 1 else next(iter(steps), None)

@@ -1,7 +1,5 @@
 """Replay buffer with expert steps: one table of steps, a sampler, n-step returns."""
 
-from __future__ import annotations
-
 import warnings
 from typing import Any
 
@@ -14,13 +12,12 @@ from stable_baselines3.common.buffers import BaseBuffer, ReplayBuffer
 from stable_baselines3.common.type_aliases import TensorDict
 from stable_baselines3.common.vec_env import VecNormalize
 
+from sb3_extensions.common.observations import KEY, as_parts, space_parts
 from sb3_extensions.replay.samples import ExpertReplayBufferSamples
 from sb3_extensions.replay.sampling import make_sampler
 from sb3_extensions.replay.step_table import MIN_RING, Layout, Observations, Rows, StepTable
 
 GIGABYTE = 1e9
-KEY = "observation"
-"""Name of the only entry of observations without a Dict space."""
 EXPERT_ACTION = "sb3_extensions.expert_action"
 """Key in the info of a step: the expert's action in the state before the step, in the policy's units."""
 EXPLORED = "sb3_extensions.explored"
@@ -35,27 +32,23 @@ class ExpertReplayBuffer(ReplayBuffer):
     Replay buffer that stores each observation once and keeps expert steps.
 
     The episodes of an expert come first (:meth:`add_episode`) and are never overwritten. Floating-point
-    images are stored as integers over the bounds of their space; the error is at most half a step, see
-    :class:`~sb3_extensions.replay.quantisation.Quantiser`. The buffer can also replace ``ReplayBuffer`` and
-    ``DictReplayBuffer`` in SAC, TQC and CrossQ. It warns if its full size exceeds the available memory.
+    images are stored as integers, see :class:`~sb3_extensions.replay.quantisation.Quantiser`. The buffer can
+    also replace ``ReplayBuffer`` and ``DictReplayBuffer`` in SAC, TQC and CrossQ. It warns if its full size
+    exceeds the available memory.
+
+    See Stable-Baselines3's ``ReplayBuffer`` for the parameters that are not documented here.
 
     :param buffer_size: number of rows for the steps of all environments; an episode of n steps occupies n + 1
     :param observation_space: Box space, or Dict space of Box spaces
-    :param action_space: action space
-    :param device: PyTorch device of the samples
-    :param n_envs: number of parallel environments
     :param optimize_memory_usage: must be False, observations are always stored once
     :param handle_timeout_termination: bootstrap from the last observation of a truncated episode
-    :param n_steps: maximum number of rewards in a return before the bootstrap. A return ends at the end of
-        the episode and before an exploratory action (https://arxiv.org/abs/1606.02647, traces of Watkins's
-        Q(lambda))
-    :param gamma: discount factor per step, required if ``n_steps > 1``. With None the samples have no
-        discounts
+    :param n_steps: maximum number of rewards in a return before the bootstrap. A return also ends before an
+        exploratory action (traces of Watkins's Q(lambda), https://arxiv.org/abs/1606.02647)
+    :param gamma: discount factor per step, required if ``n_steps > 1``
     :param image_dtype: ``"uint8"`` or ``"uint16"``, type of the stored images
     :param sampler: sampler of the steps: ``"uniform"``, ``"shares"``, ``"prioritized"``, one of them with its
         arguments, or an object, see :mod:`sb3_extensions.replay.sampling`
-    :param seed: seed of the sampling. With None it is drawn from NumPy's global generator, which the ``seed``
-        of a Stable-Baselines3 algorithm sets before it creates its buffer
+    :param seed: seed of the sampling, None to sample it from NumPy's global generator
     :raises ValueError: if an argument is out of its range
     """
 
@@ -83,8 +76,6 @@ class ExpertReplayBuffer(ReplayBuffer):
         self.handle_timeout_termination = handle_timeout_termination
         self.image_dtype = image_dtype
         self.set_discount(gamma, n_steps)
-        self._is_dict = isinstance(observation_space, spaces.Dict)
-        keyed = dict(observation_space.items()) if isinstance(observation_space, spaces.Dict) else {}
         columns: Layout = {
             "action": ((self.action_dim,), np.dtype(self._maybe_cast_dtype(action_space.dtype))),
             "expert_action": ((self.action_dim,), np.float32),  # NaN if unknown
@@ -93,7 +84,7 @@ class ExpertReplayBuffer(ReplayBuffer):
             "reward": ((), np.float32),
             "done": ((), np.float32),
         }
-        self.table = StepTable(buffer_size, n_envs, keyed or {KEY: observation_space}, columns, image_dtype)
+        self.table = StepTable(buffer_size, n_envs, space_parts(observation_space), columns, image_dtype)
         size, available = self.table.nbytes / GIGABYTE, psutil.virtual_memory().available / GIGABYTE
         if size > available:
             warnings.warn(f"The replay buffer needs {size:.2f} GB, {available:.2f} GB are free", stacklevel=2)
@@ -132,12 +123,7 @@ class ExpertReplayBuffer(ReplayBuffer):
         return int(np.count_nonzero(self.table.columns["valid"]))
 
     def steps(self, name: str) -> npt.NDArray[Any]:
-        """
-        Return a column of all steps, expert steps first.
-
-        :param name: "action", "expert_action", "explored", "succeeded", "reward" or "done"
-        :return: one entry for each step
-        """
+        """Return a column of the table, such as "action" or "reward", of all steps, expert steps first."""
         column: npt.NDArray[Any] = self.table.columns[name][self.table.columns["valid"]]
         return column
 
@@ -190,16 +176,13 @@ class ExpertReplayBuffer(ReplayBuffer):
         """
         Add one step of every environment.
 
-        :param obs: observations, first axis of length ``n_envs``
-        :param next_obs: next observations; the last ones of episodes that ended
-        :param action: actions in the policy's units
-        :param reward: rewards, shape (n_envs,)
-        :param done: whether the episode ended, shape (n_envs,)
+        See Stable-Baselines3's ``ReplayBuffer`` for the other parameters.
+
         :param infos: ``"TimeLimit.truncated"`` is True if the episode was truncated, ``"is_success"`` if it
             succeeded. :data:`EXPERT_ACTION` is the expert's action, :data:`EXPLORED` marks an exploratory
             action
         """
-        obs, next_obs = self._as_dict(obs), self._as_dict(next_obs)
+        obs, next_obs = as_parts(obs), as_parts(next_obs)
         done, table = np.asarray(done, dtype=bool), self.table
         starts = ~self._continues(obs)
         # The head of an interrupted episode holds its last observation.
@@ -250,17 +233,12 @@ class ExpertReplayBuffer(ReplayBuffer):
             if done[env]:
                 self.table.columns["succeeded"][steps] = bool(infos[env].get(SUCCESS, False))
 
-    def _as_dict(self, obs: AnyObservations) -> Observations:
-        return obs if isinstance(obs, dict) else {KEY: obs}
-
     def sample(  # type: ignore[override]
         self, batch_size: int, env: VecNormalize | None = None
     ) -> ExpertReplayBufferSamples:
         """
-        Sample steps.
+        Sample steps, see Stable-Baselines3's ``ReplayBuffer`` for the parameters.
 
-        :param batch_size: number of steps
-        :param env: normalization to apply to observations and rewards
         :raises ValueError: if the buffer is empty
         """
         if not self.size():
@@ -297,10 +275,10 @@ class ExpertReplayBuffer(ReplayBuffer):
 
     def _observations(self, rows: Rows, env: VecNormalize | None) -> TensorDict | th.Tensor:
         arrays = self.table.read_observations(rows)
-        values = self._normalize_obs(arrays if self._is_dict else arrays[KEY], env)
-        if not isinstance(values, dict):
-            return self.to_torch(values, copy=False)
-        return {key: self.to_torch(value, copy=False) for key, value in values.items()}
+        is_dict = isinstance(self.observation_space, spaces.Dict)
+        values = self._normalize_obs(arrays if is_dict else arrays[KEY], env)
+        tensors = {key: self.to_torch(value, copy=False) for key, value in as_parts(values).items()}
+        return tensors if is_dict else tensors[KEY]
 
     def _column(self, values: npt.NDArray[Any]) -> th.Tensor:
         return self.to_torch(values.reshape(-1, 1), copy=False)
@@ -322,22 +300,3 @@ class ExpertReplayBuffer(ReplayBuffer):
             rewards = rewards + np.where(continues, discounts * reward, np.float32(0))
             discounts = np.where(continues, discounts * np.float32(self.gamma), discounts)
         return rows, rewards, discounts
-
-
-def check_compatible(loaded: ReplayBuffer | None, own: ExpertReplayBuffer) -> ExpertReplayBuffer:
-    """
-    Check that a loaded buffer fits an algorithm.
-
-    :param loaded: loaded buffer
-    :param own: buffer that the algorithm created
-    :return: the loaded buffer
-    :raises ValueError: if class, spaces or the number of environments differ
-    """
-    if not isinstance(loaded, ExpertReplayBuffer):
-        raise ValueError(f"the replay buffer must be an ExpertReplayBuffer, got {type(loaded).__name__}")
-    for name in ("observation_space", "action_space", "n_envs"):
-        if getattr(loaded, name) != getattr(own, name):
-            raise ValueError(
-                f"the replay buffer's {name} must be {getattr(own, name)}, got {getattr(loaded, name)}"
-            )
-    return loaded

@@ -1,13 +1,10 @@
 """Quantisation of images for the replay buffer. Networks apply the same rounding when acting."""
 
-from __future__ import annotations
-
 import numpy as np
 import numpy.typing as npt
 import torch as th
 from gymnasium import spaces
 
-DTYPES = ("uint8", "uint16")
 MAX_FLOAT32_ERROR = 0.25
 """Maximum error of float32 arithmetic, in quantisation steps, for which rounding returns the right level."""
 
@@ -25,8 +22,8 @@ class Quantiser:
     """
 
     def __init__(self, space: spaces.Box, dtype: str = "uint8") -> None:
-        if dtype not in DTYPES:
-            raise ValueError(f"dtype must be one of {DTYPES}, got {dtype!r}")
+        if dtype not in ("uint8", "uint16"):
+            raise ValueError(f"dtype must be 'uint8' or 'uint16', got {dtype!r}")
         low, high = space.low.astype(np.float64), space.high.astype(np.float64)
         if not (np.isfinite(low).all() and np.isfinite(high).all() and (low < high).all()):
             raise ValueError(f"space must have finite bounds with low < high, got {space}")
@@ -40,12 +37,7 @@ class Quantiser:
         )
 
     def encode(self, values: npt.NDArray[np.floating]) -> npt.NDArray[np.unsignedinteger]:
-        """
-        Round values to the nearest levels, halves to even. Values outside the bounds are clipped.
-
-        :param values: last axes of the shape of the space, in its units
-        :return: levels of the type ``dtype``, same shape
-        """
+        """Return the nearest levels of values, halves to even. Values outside the bounds are clipped."""
         tensor = th.from_numpy(np.array(values, dtype=np.float32))
         levels: npt.NDArray[np.unsignedinteger] = self._to_levels(tensor).numpy().astype(self.dtype)
         return levels

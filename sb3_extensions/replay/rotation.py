@@ -1,6 +1,4 @@
-"""Rotation of images, point clouds and actions of a sampled step by one angle."""
-
-from __future__ import annotations
+"""Rotation of images and actions of a sampled step by one angle."""
 
 import math
 from dataclasses import dataclass
@@ -11,8 +9,8 @@ from torch.nn import functional as F
 
 from sb3_extensions.common.action_sequence import ActionSequence
 from sb3_extensions.common.components import check_fraction
-from sb3_extensions.common.images import is_point_cloud
-from sb3_extensions.replay.augmentation import IMAGE, Augmentation, as_parts, scene_keys, scene_shapes
+from sb3_extensions.common.observations import KEY, as_parts
+from sb3_extensions.replay.augmentation import Augmentation, scene_keys, scene_shapes
 from sb3_extensions.replay.samples import ExpertReplayBufferSamples
 
 N_CANDIDATES = 8
@@ -42,28 +40,16 @@ def rotate_images(images: th.Tensor, angles: th.Tensor) -> th.Tensor:
     return rotated if images.is_floating_point() else rotated.round().to(images.dtype)
 
 
-def rotate_pairs(values: th.Tensor, columns: list[int], angles: th.Tensor) -> th.Tensor:
-    """Return a copy with two columns of the last axis rotated as the coordinates (x, y) of a vector."""
-    rotated = values.clone()
-    x, y = values[..., columns[0]], values[..., columns[1]]
-    cos, sin = angles.cos().to(values.dtype), angles.sin().to(values.dtype)
-    rotated[..., columns[0]] = cos * x - sin * y
-    rotated[..., columns[1]] = sin * x + cos * y
-    return rotated
-
-
 def rotate_actions(actions: th.Tensor, angles: th.Tensor, action_sequence: ActionSequence) -> th.Tensor:
-    """
-    Rotate (dx, dy) of actions, and the x and y components of rotation vectors.
-
-    :param actions: in the policy's units, shape (batch, action dimensions)
-    :param angles: from x towards y, rad, shape (batch,)
-    :param action_sequence: meaning of the numbers
-    """
+    """Rotate (dx, dy) of actions, and the x and y components of rotation vectors, by angles (rad)."""
+    rotated = actions.clone()
+    cos, sin = angles.cos().to(actions.dtype), angles.sin().to(actions.dtype)
     for pair in ("xy", "uv"):
         if columns := action_sequence.places(pair):
-            actions = rotate_pairs(actions, columns, angles)
-    return actions
+            x, y = actions[..., columns[0]], actions[..., columns[1]]
+            rotated[..., columns[0]] = cos * x - sin * y
+            rotated[..., columns[1]] = sin * x + cos * y
+    return rotated
 
 
 @dataclass(frozen=True)
@@ -71,18 +57,16 @@ class Rotation(Augmentation):
     """
     Rotate both observations, the action and the expert's action of a step by one random angle.
 
-    The images of the largest size and point clouds are rotated. Smaller images, such as the in-hand image,
-    rotate with the gripper and do not change. The r of an action must be a rotation relative to the
-    gripper (closed loop). Angles are uniform in [0, 2 pi) among those for which the rotated actions are
-    within [-1, 1]. If none of :data:`N_CANDIDATES` sampled angles is, a random multiple of pi / 2 is used.
-    To save time, the next observation is rotated only if the target bootstraps from it.
+    Only the images of the largest size rotate. The r of an action must be a rotation relative to the gripper
+    (closed loop). Angles are uniform in [0, 2 pi) among those for which the rotated actions are within
+    [-1, 1]. If none of :data:`N_CANDIDATES` sampled angles is, a random multiple of pi / 2 is used. To save
+    time, the next observation is rotated only if the target bootstraps from it.
 
     Source: https://arxiv.org/abs/2205.14292, "Equi SACfD + PER + Aug", which stores four rotated copies of
     each step.
 
     :param probability: probability of a rotation; 0.8 is the share of four copies next to the original step
-    :param action_sequence: one character for each number of the action, see
-        :class:`~sb3_extensions.common.action_sequence.ActionSequence`
+    :param action_sequence: see :class:`~sb3_extensions.common.action_sequence.ActionSequence`
     :raises ValueError: if an argument is out of its range
     """
 
@@ -112,13 +96,10 @@ class Rotation(Augmentation):
         for key in scene_keys(before):
             before[key] = rotate_images(before[key], angles)
             after[key] = after[key].index_copy(0, rows, rotate_images(after[key][rows], angles[rows]))
-        for key in [key for key, part in before.items() if is_point_cloud(part.shape[1:])]:
-            for parts in (before, after):
-                parts[key] = rotate_pairs(parts[key], [0, 1], angles[:, None])
         is_image = isinstance(samples.observations, th.Tensor)
         return samples._replace(
-            observations=before[IMAGE] if is_image else before,
-            next_observations=after[IMAGE] if is_image else after,
+            observations=before[KEY] if is_image else before,
+            next_observations=after[KEY] if is_image else after,
             actions=rotate_actions(samples.actions, angles, sequence).clamp(-1, 1),
             expert_actions=rotate_actions(samples.expert_actions, angles, sequence).clamp(-1, 1),
         )

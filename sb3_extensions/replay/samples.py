@@ -1,13 +1,12 @@
 """Samples of the replay buffer."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import NamedTuple
 
 import torch as th
 from stable_baselines3.common.type_aliases import TensorDict
 
+from sb3_extensions.common.observations import KEY, as_parts
 from sb3_extensions.replay.step_table import Rows
 
 
@@ -39,34 +38,21 @@ class ExpertReplayBufferSamples(NamedTuple):
     succeeded: th.Tensor
 
 
-def count_rows(observations: TensorDict | th.Tensor) -> int:
-    """Return the batch size of observations."""
-    first = next(iter(observations.values())) if isinstance(observations, dict) else observations
-    return len(first)
-
-
-def select_rows(observations: TensorDict | th.Tensor, rows: th.Tensor) -> TensorDict | th.Tensor:
-    """Return the observations of ``rows``, indices of shape (n,)."""
-    if isinstance(observations, th.Tensor):
-        return observations[rows]
-    return {key: values[rows] for key, values in observations.items()}
-
-
 def compute_next_values(
     samples: ExpertReplayBufferSamples, compute: Callable[[TensorDict | th.Tensor], th.Tensor]
 ) -> th.Tensor:
     """
     Compute values of the next observations, only of those from which the target bootstraps.
 
-    Most steps of sparse tasks with n-step returns end the episode.
-
     :param samples: sample of the replay buffer
     :param compute: function of observations that returns values, (rows, values)
     :return: shape (next observations, values), 0 without a bootstrap
     """
-    n_next, continues = count_rows(samples.next_observations), samples.dones[: len(samples.indices), 0] == 0
+    parts, continues = as_parts(samples.next_observations), samples.dones[: len(samples.indices), 0] == 0
+    n_next = len(next(iter(parts.values())))
     rows = continues.repeat(n_next // len(continues)).nonzero()[:, 0]
     if not len(rows):
         return samples.rewards.new_zeros(n_next, 1)
-    values = compute(select_rows(samples.next_observations, rows))
+    selected = {key: part[rows] for key, part in parts.items()}
+    values = compute(selected if isinstance(samples.next_observations, dict) else selected[KEY])
     return values.new_zeros(n_next, values.shape[1]).index_put((rows,), values)

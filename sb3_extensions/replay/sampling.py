@@ -1,13 +1,17 @@
 """Samplers of the replay buffer: they return rows and importance weights."""
 
-from __future__ import annotations
-
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from sb3_extensions.common.components import check_fraction, check_not_negative, make_component
+from sb3_extensions.common.components import (
+    check_fraction,
+    check_not_negative,
+    check_positive,
+    make_components,
+)
 from sb3_extensions.replay.step_table import Rows, StepTable
 
 Weights = npt.NDArray[np.float32]
@@ -18,12 +22,7 @@ MIN_PRIORITY = 1e-6
 
 
 class UniformSampler:
-    """
-    Sample all steps with equal probability.
-
-    With the weights of a sampler, a weighted mean is an unbiased estimate for the distribution that its
-    docstring names.
-    """
+    """Sample all steps with equal probability."""
 
     progress_remaining = 1.0
     """Remaining fraction of the training, from 1 to 0. The algorithm updates it."""
@@ -49,6 +48,7 @@ class UniformSampler:
         """Update priorities of rows by absolute temporal-difference errors, if the sampler has priorities."""
 
 
+@dataclass(eq=False)
 class ShareSampler(UniformSampler):
     """
     Sample fixed shares of expert steps and of successful online steps.
@@ -65,20 +65,18 @@ class ShareSampler(UniformSampler):
     :raises ValueError: if an argument is out of its range
     """
 
-    def __init__(
-        self, expert_fraction: float = 0.5, success_fraction: float = 0.0, balanced_from: int = 1
-    ) -> None:
-        check_fraction(expert_fraction=expert_fraction, success_fraction=success_fraction)
-        if expert_fraction + success_fraction > 1:
+    expert_fraction: float = 0.5
+    success_fraction: float = 0.0
+    balanced_from: int = 1
+
+    def __post_init__(self) -> None:
+        check_fraction(expert_fraction=self.expert_fraction, success_fraction=self.success_fraction)
+        if self.expert_fraction + self.success_fraction > 1:
             raise ValueError(
                 "expert_fraction + success_fraction must be at most 1, got "
-                f"{expert_fraction} + {success_fraction}"
+                f"{self.expert_fraction} + {self.success_fraction}"
             )
-        if balanced_from < 1:
-            raise ValueError(f"balanced_from must be at least 1, got {balanced_from}")
-        self.expert_fraction = expert_fraction
-        self.success_fraction = success_fraction
-        self.balanced_from = balanced_from
+        check_positive(balanced_from=self.balanced_from)
 
     def sample(self, batch_size: int, rng: np.random.Generator) -> tuple[Rows, Weights]:
         """Return sampled rows and importance weights."""
@@ -105,17 +103,14 @@ class ShareSampler(UniformSampler):
         return rows, weights
 
 
+@dataclass(eq=False)
 class PrioritizedSampler(UniformSampler):
     """
     Sample steps in proportion to ``priority ** exponent``.
 
     The priority is the absolute temporal-difference error of the last update plus a bonus for expert steps. A
-    new step gets the maximum of the present priorities. A batch has one step from each of ``batch_size``
-    equal parts of the sum of priorities.
-
-    The weights ``(size * probability) ** -beta``, divided by their maximum in the batch, correct the bias
-    towards the uniform distribution fully when ``beta`` is 1. ``beta`` grows from ``beta_start`` to 1 during
-    the training.
+    new step gets the maximum of the present priorities. The weights are ``(size * probability) ** -beta``,
+    divided by their maximum in the batch. ``beta`` grows from ``beta_start`` to 1 during the training.
 
     Source: https://arxiv.org/abs/1511.05952; defaults: https://arxiv.org/abs/2205.14292, appendix "Benchmark
     Details".
@@ -126,12 +121,13 @@ class PrioritizedSampler(UniformSampler):
     :raises ValueError: if an argument is out of its range
     """
 
-    def __init__(self, exponent: float = 0.6, beta_start: float = 0.4, expert_bonus: float = 1.0) -> None:
-        check_fraction(exponent=exponent, beta_start=beta_start)
-        check_not_negative(expert_bonus=expert_bonus)
-        self.exponent = exponent
-        self.beta_start = beta_start
-        self.expert_bonus = expert_bonus
+    exponent: float = 0.6
+    beta_start: float = 0.4
+    expert_bonus: float = 1.0
+
+    def __post_init__(self) -> None:
+        check_fraction(exponent=self.exponent, beta_start=self.beta_start)
+        check_not_negative(expert_bonus=self.expert_bonus)
 
     def setup(self, table: StepTable) -> None:
         """Prepare for sampling from a table, which is empty."""
@@ -161,20 +157,16 @@ class PrioritizedSampler(UniformSampler):
         self.masses[rows] = priorities**self.exponent
 
 
-SAMPLERS: dict[str, type[UniformSampler]] = {
-    "uniform": UniformSampler,
-    "shares": ShareSampler,
-    "prioritized": PrioritizedSampler,
-}
-
-
 def make_sampler(spec: Any) -> UniformSampler:
     """
-    Create a sampler from its specification.
+    Create a sampler from its specification, see :class:`~sb3_extensions.replay.buffer.ExpertReplayBuffer`.
 
-    :param spec: a sampler, None (uniform), a name, or one name with arguments
-        (``{"shares": {"expert_fraction": 0.5}}``)
-    :return: the sampler
     :raises ValueError: if the specification is something else
     """
-    return make_component("sampler", spec, SAMPLERS) or UniformSampler()
+    if isinstance(spec, UniformSampler):
+        return spec
+    classes = {"uniform": UniformSampler, "shares": ShareSampler, "prioritized": PrioritizedSampler}
+    samplers = make_components("sampler", spec, classes)
+    if len(samplers) > 1:
+        raise ValueError(f"sampler must be one sampler, got {spec!r}")
+    return samplers[0] if samplers else UniformSampler()

@@ -1,7 +1,5 @@
 """Storage of the replay buffer: one row for each step, in rings after pinned rows."""
 
-from __future__ import annotations
-
 from functools import cached_property
 from typing import Any
 
@@ -9,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
-from sb3_extensions.common.images import IMAGE_AXES
+from sb3_extensions.common.observations import IMAGE_AXES
 from sb3_extensions.replay.quantisation import Quantiser
 
 Rows = npt.NDArray[np.int64]
@@ -27,8 +25,7 @@ class StepTable:
     observation only.
 
     The pinned rows come first and are never overwritten. The other rows are divided into one ring for each
-    environment. In an episode the row after row i is ``next(i)``. A row is valid if it holds a step and
-    ``next(i)`` holds the observation that followed.
+    environment. A row is valid if it holds a step and the next row holds the observation that followed.
 
     Floating-point images with finite bounds are stored as integers, float64 as float32, other types
     unchanged. The arrays are allocated when they are first used.

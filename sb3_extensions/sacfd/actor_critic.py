@@ -1,7 +1,6 @@
 """Actors and critics of the policies: the paper's CNN and its equivariant network."""
 
-from __future__ import annotations
-
+from functools import partial
 from typing import Any
 
 from gymnasium import spaces
@@ -27,19 +26,21 @@ from sb3_extensions.sacfd.heads import (
 NetArch = list[int] | dict[str, list[int]]
 
 
-def initialise_actor(actor: Actor) -> Actor:
-    """
-    Initialise the linear layers of an actor with Xavier uniform weights, small ones in the last layers.
-
-    The means start near 0 and the standard deviations near 1.
-
-    :param actor: an actor without state-dependent exploration
-    :return: the same actor
-    """
-    for layer in actor.latent_pi.modules():
+def normalised_mlp(*args: Any) -> list[nn.Module]:
+    """Return the layers of ``create_mlp(*args)`` with layer normalisation and Xavier uniform weights."""
+    norm: Any = partial(nn.LayerNorm, elementwise_affine=False)
+    layers = create_mlp(*args, post_linear_modules=[norm])  # type: ignore[misc]
+    for layer in layers:
         if isinstance(layer, nn.Linear):
             nn.init.xavier_uniform_(layer.weight)
             nn.init.zeros_(layer.bias)
+    return layers
+
+
+def normalise_actor(actor: Actor) -> Actor:
+    """Normalise hidden layers; start with means near 0 and standard deviations near 1."""
+    layers = normalised_mlp(actor.features_dim, -1, actor.net_arch, actor.activation_fn)
+    actor.latent_pi = nn.Sequential(*layers)
     for output in (actor.mu, actor.log_std):
         if isinstance(output, nn.Linear):
             scale_down(output)
@@ -50,48 +51,27 @@ class MultiHeadCritic(ContinuousCritic):
     """
     Critic whose heads share one encoder.
 
-    With ``normalise`` features and hidden layers are normalised, which bounds the values of actions outside
-    the data (RLPD, https://arxiv.org/abs/2302.02948), and values start near 0, because a wrong initial value
-    that bootstraps from itself decays slowly.
-
-    :param observation_space: Observation space
-    :param action_space: Action space
-    :param net_arch: units of each hidden layer of a head
-    :param features_extractor: Network to extract features
-    :param features_dim: Number of features
-    :param activation_fn: Activation function
-    :param normalize_images: Whether to divide ``uint8`` images by 255
     :param n_critics: Number of heads
-    :param share_features_extractor: Whether the features extractor is the actor's
     :param n_outputs: number of outputs of a head, 1 for a Q-value, more for quantiles
     :param normalise: whether to normalise features and hidden layers, scale actions, and start near 0
+    :param kwargs: further parameters of Stable-Baselines3's ``ContinuousCritic``
     """
 
     def __init__(
         self,
-        observation_space: spaces.Space[Any],
-        action_space: spaces.Box,
-        net_arch: list[int],
-        features_extractor: BaseFeaturesExtractor,
-        features_dim: int,
-        activation_fn: type[nn.Module] = nn.ReLU,
-        normalize_images: bool = True,
+        *,
         n_critics: int = 2,
-        share_features_extractor: bool = False,
         n_outputs: int = 1,
         normalise: bool = False,
+        net_arch: list[int],
+        features_dim: int,
+        activation_fn: type[nn.Module] = nn.ReLU,
+        **kwargs: Any,
     ) -> None:
-        # ContinuousCritic's own constructor would build other heads
-        super(ContinuousCritic, self).__init__(
-            observation_space,
-            action_space,
-            features_extractor=features_extractor,
-            normalize_images=normalize_images,
-        )
+        # Without the heads of ContinuousCritic
+        super().__init__(net_arch=net_arch, features_dim=features_dim, n_critics=0, **kwargs)
         self.net_arch, self.features_dim, self.activation_fn = net_arch, features_dim, activation_fn
-        self.share_features_extractor = share_features_extractor
         self.n_critics, self.n_outputs, self.normalise = n_critics, n_outputs, normalise
-        self.q_networks: list[nn.Module] = []
         for idx in range(n_critics):
             q_net = self._make_head()
             self.add_module(f"qf{idx}", q_net)
@@ -102,20 +82,9 @@ class MultiHeadCritic(ContinuousCritic):
         arguments = (self.features_dim + action_dim, self.n_outputs, self.net_arch, self.activation_fn)
         if not self.normalise:
             return nn.Sequential(*create_mlp(*arguments))
-        layers = create_mlp(*arguments, post_linear_modules=[_FixedLayerNorm])
-        hidden_and_output = [layer for layer in layers if isinstance(layer, nn.Linear)]
-        for hidden in hidden_and_output:
-            nn.init.xavier_uniform_(hidden.weight)
-            nn.init.zeros_(hidden.bias)
-        scale_down(hidden_and_output[-1])
+        layers = normalised_mlp(*arguments)
+        scale_down(layers[-1])  # type: ignore[arg-type]
         return nn.Sequential(InputNormalisation(self.features_dim, action_dim), *layers)
-
-
-class _FixedLayerNorm(nn.LayerNorm):
-    """Layer normalisation without learned scale and offset."""
-
-    def __init__(self, size: int) -> None:
-        super().__init__(size, elementwise_affine=False)
 
 
 class EquivariantActor(Actor):
@@ -125,20 +94,14 @@ class EquivariantActor(Actor):
     The Gaussian before squashing is equivariant under the whole group. Squashing acts on x and y separately,
     so it commutes only with rotations by 90 degrees and with reflections.
 
-    :param observation_space: Observation space
-    :param action_space: Action space
+    See Stable-Baselines3's ``Actor`` for the parameters that are not documented here.
+
     :param net_arch: regular fields of each hidden layer behind the encoder
     :param features_extractor: network with regular features that trivial ones may follow
-    :param features_dim: Number of features
-    :param action_sequence: one character for each number of the action, see
-        :class:`~sb3_extensions.common.action_sequence.ActionSequence`
-    :param normalise: whether means start near 0 and standard deviations near 1
-    :param activation_fn: Activation function
+    :param action_sequence: see :class:`~sb3_extensions.common.action_sequence.ActionSequence`
+    :param normalise: whether to normalise hidden layers and start with means near 0 and deviations near 1
     :param use_sde: must be False
-    :param log_std_init: of state-dependent exploration, not used
-    :param use_expln: of state-dependent exploration, not used
-    :param clip_mean: of state-dependent exploration, not used
-    :param normalize_images: Whether to divide ``uint8`` images by 255
+    :param kwargs: arguments of state-dependent exploration, without effect
     :raises ValueError: if features or ``action_sequence`` do not fit, or with ``use_sde``
     """
 
@@ -153,10 +116,8 @@ class EquivariantActor(Actor):
         normalise: bool = False,
         activation_fn: type[nn.Module] = nn.ReLU,
         use_sde: bool = False,
-        log_std_init: float = -3,
-        use_expln: bool = False,
-        clip_mean: float = 2.0,
         normalize_images: bool = True,
+        **kwargs: Any,
     ) -> None:
         if use_sde:
             raise ValueError("use_sde=True: the noise of state-dependent exploration is not equivariant")
@@ -168,47 +129,35 @@ class EquivariantActor(Actor):
             normalize_images=normalize_images,
             squash_output=True,
         )
-        self.use_sde, self.sde_features_extractor = False, None
-        self.net_arch, self.features_dim, self.activation_fn = net_arch, features_dim, activation_fn
-        self.log_std_init, self.use_expln, self.clip_mean = log_std_init, use_expln, clip_mean
-        self.full_std = True
-        self.action_sequence, self.normalise = action_sequence, normalise
+        self.use_sde = False
         action_dim = get_action_dim(action_space)
         action = ActionSequence(action_sequence, action_dim)
         gain = OUTPUT_GAIN if normalise else 1.0
         hidden_type = in_type = features_type(features_extractor)
         if net_arch:
             hidden_type = FieldType.of((in_type.group.regular, net_arch[-1]))
-        self.latent_pi = equivariant_mlp(in_type, net_arch, activation_fn)
+        self.latent_pi = equivariant_mlp(in_type, net_arch, activation_fn, normalise)
         self.action_dist = SquashedDiagGaussianDistribution(action_dim)  # type: ignore[assignment]
         self.mu = EquivariantMean(hidden_type, action, gain)
         self.log_std = EquivariantLogStd(hidden_type, action, gain)  # type: ignore[assignment]
-
-    def _get_constructor_parameters(self) -> dict[str, Any]:
-        data = super()._get_constructor_parameters()
-        data.pop("full_std")
-        data.update(action_sequence=self.action_sequence, normalise=self.normalise)
-        return data
 
 
 class EquivariantCritic(MultiHeadCritic):
     """
     Critic that is invariant to a rotation of the images together with (x, y) of the action.
 
-    :param args: arguments of :class:`MultiHeadCritic`. ``net_arch`` and the features are regular fields
-    :param action_sequence: one character for each number of the action, see
-        :class:`~sb3_extensions.common.action_sequence.ActionSequence`
-    :param kwargs: keyword arguments of :class:`MultiHeadCritic`
+    :param action_sequence: see :class:`~sb3_extensions.common.action_sequence.ActionSequence`
+    :param kwargs: parameters of :class:`MultiHeadCritic`. ``net_arch`` and the features are regular fields.
+        An empty ``net_arch`` is replaced by one layer with the number of fields of the features
     :raises ValueError: if features or ``action_sequence`` do not fit
     """
 
-    def __init__(self, *args: Any, action_sequence: str, **kwargs: Any) -> None:
+    def __init__(self, action_sequence: str, **kwargs: Any) -> None:
         self.action_sequence = action_sequence
-        super().__init__(*args, **kwargs)
+        super().__init__(**kwargs)
 
     def _make_head(self) -> nn.Module:
         in_type = features_type(self.features_extractor)
         action = ActionSequence(self.action_sequence, get_action_dim(self.action_space))
-        return InvariantValue(
-            in_type, action, self.net_arch, self.n_outputs, self.activation_fn, self.normalise
-        )
+        net_arch = self.net_arch or [in_type.fields[0][1]]
+        return InvariantValue(in_type, action, net_arch, self.n_outputs, self.activation_fn, self.normalise)

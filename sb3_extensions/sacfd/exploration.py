@@ -1,7 +1,5 @@
 """Exploration of SACfD in addition to the sampling of its policy."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -10,30 +8,33 @@ import torch as th
 from stable_baselines3.common.buffers import ReplayBuffer
 from stable_baselines3.common.noise import ActionNoise
 
-from sb3_extensions.common.exploration import replace_one_number
-from sb3_extensions.common.seeds import SeedKey, derive_seed
 from sb3_extensions.demonstrations.off_policy import OffPolicyFromDemonstrations
 from sb3_extensions.replay.buffer import EXPLORED
 
 
+def replace_one_number(
+    actions: npt.NDArray[Any], probability: float, generator: th.Generator
+) -> npt.NDArray[Any]:
+    """
+    Replace one random number of some actions by a uniform sample from [-1, 1].
+
+    :param actions: in the policy's units [-1, 1], shape (n, action dimensions)
+    :param probability: probability that an action is changed
+    :param generator: random generator on the CPU
+    """
+    n, action_dim = actions.shape
+    changed = th.rand(n, generator=generator) < probability
+    chosen = th.randint(action_dim, (n,), generator=generator)
+    sampled = th.rand(n, 1, generator=generator) * 2 - 1
+    replaced = changed[:, None] & (chosen[:, None] == th.arange(action_dim))
+    return np.where(replaced, sampled, actions).astype(actions.dtype)
+
+
 class Exploration(OffPolicyFromDemonstrations):
-    """
-    Random replacement of numbers of actions, and episodes of deterministic actions.
-
-    Deterministic policies get stuck in states that sampled actions leave. Episodes of deterministic actions
-    put these states into the replay buffer.
-
-    A subclass precedes an algorithm of Stable-Baselines3 in the bases. Its constructor sets the attributes.
-
-    - ``exploration``: probability of a replacement, see
-      :func:`~sb3_extensions.common.exploration.replace_one_number`
-    - ``deterministic_fraction``: probability that an episode has deterministic actions
-    - ``exploration_generator``: random generator on the CPU
-    """
+    """Random replacement of numbers of actions, and episodes of deterministic actions."""
 
     exploration: float
     deterministic_fraction: float
-    exploration_generator: th.Generator
     _is_deterministic: npt.NDArray[np.bool_] | None = None
     """Whether the present episode of each environment has deterministic actions."""
 
@@ -47,7 +48,9 @@ class Exploration(OffPolicyFromDemonstrations):
         self._explored = (buffer_action != sampled).any(axis=1)
         if self.deterministic_fraction > 0 and self.num_timesteps >= learning_starts:
             deterministic = self._sample_deterministic(n_envs)
-            buffer_action = np.where(deterministic[:, None], self._deterministic_actions(), buffer_action)
+            assert self._last_obs is not None
+            greedy = self.policy.scale_action(self.predict(self._last_obs, deterministic=True)[0])
+            buffer_action = np.where(deterministic[:, None], greedy, buffer_action)
             self._explored &= ~deterministic
         if buffer_action is sampled:
             return action, sampled
@@ -61,12 +64,6 @@ class Exploration(OffPolicyFromDemonstrations):
         else:
             self._is_deterministic = np.where(self._last_episode_starts, sampled, self._is_deterministic)
         return self._is_deterministic
-
-    def _deterministic_actions(self) -> npt.NDArray[Any]:
-        assert self._last_obs is not None
-        actions, _ = self.predict(self._last_obs, deterministic=True)
-        scaled: npt.NDArray[Any] = self.policy.scale_action(actions)
-        return scaled
 
     def _store_transition(
         self,
@@ -83,10 +80,5 @@ class Exploration(OffPolicyFromDemonstrations):
         super()._store_transition(replay_buffer, buffer_action, new_obs, reward, dones, annotated)
         self._last_episode_starts = dones  # SB3's off-policy algorithms leave it as reset() set it
 
-    def _seed_samplers(self, seed: int | None) -> None:
-        super()._seed_samplers(seed)
-        if seed is not None:
-            self.exploration_generator.manual_seed(derive_seed(seed, SeedKey.EXPLORATION))
-
     def _excluded_save_params(self) -> list[str]:
-        return [*super()._excluded_save_params(), "exploration_generator", "_explored"]
+        return [*super()._excluded_save_params(), "_explored"]

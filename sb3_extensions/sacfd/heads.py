@@ -1,7 +1,5 @@
 """Equivariant output layers of actors and critics, for features of regular fields."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from itertools import pairwise
@@ -16,22 +14,14 @@ from sb3_extensions.encoders.initialisation import scale_down
 from sb3_extensions.equivariant.groups import FieldType, Group
 from sb3_extensions.equivariant.layers import EquivariantLinear, GroupMaxPool
 
-# Order of the action dimensions in their field type: vectors, sign fields, invariant ones. The rotations u
-# and v about x and y transform as the vector (v, -u), the horizontal direction in which the gripper tilts.
 FIELD_ORDER = "xyvurpz"
+"""Order of the action dimensions in their field type: vectors, sign fields, invariant ones. The rotations u
+and v about x and y transform as the vector (v, -u), the horizontal direction in which the gripper tilts."""
 NEGATED = "u"
 
 
 def action_type(action: ActionSequence, group: Group) -> FieldType:
-    """
-    Return the field type of an action, in the order of :data:`FIELD_ORDER`.
-
-    (x, y) is a vector, and so is (v, -u) of the rotations about y and x. r, the rotation about z, changes its
-    sign under reflections. p and z are invariant.
-
-    :param action: names of the action dimensions
-    :param group: symmetry group
-    """
+    """Return the field type of an action, in the order of :data:`FIELD_ORDER`."""
     vectors, signs = ("x" in action) + ("u" in action), int("r" in action)
     rest = action.action_dim - 2 * vectors - signs
     return FieldType.of((group.irrep(1), vectors), (group.sign, signs), (group.trivial, rest))
@@ -61,12 +51,7 @@ class EquivariantMean(nn.Module):
         self.register_buffer("signs", _signs(action), persistent=False)
 
     def forward(self, features: th.Tensor) -> th.Tensor:
-        """
-        Compute the means.
-
-        :param features: shape (batch, in_type.size)
-        :return: shape (batch, action dimensions)
-        """
+        """:return: means, shape (batch, action dimensions)"""
         fields: th.Tensor = self.linear(features)
         return fields[:, self.index] * self.signs
 
@@ -76,11 +61,8 @@ class EquivariantLogStd(nn.Module):
     Invariant linear layer for the logarithms of an action's standard deviations.
 
     x and y share one standard deviation, because a rotated Gaussian with two different ones is not diagonal.
-    For the same reason the rotations about x and y share one.
-
-    :param in_type: field type of the features, regular fields that trivial ones may follow
-    :param action: names of the action dimensions
-    :param gain: factor of the initial weights
+    For the same reason the rotations about x and y share one. See :class:`EquivariantMean` for the
+    parameters.
     """
 
     index: th.Tensor
@@ -95,12 +77,7 @@ class EquivariantLogStd(nn.Module):
         self.register_buffer("index", index, persistent=False)
 
     def forward(self, features: th.Tensor) -> th.Tensor:
-        """
-        Compute the logarithms.
-
-        :param features: shape (batch, in_type.size)
-        :return: shape (batch, action dimensions)
-        """
+        """:return: logarithms, shape (batch, action dimensions)"""
         log_std: th.Tensor = self.linear(features)
         return log_std[:, self.index]
 
@@ -109,16 +86,14 @@ class InvariantValue(nn.Module):
     """
     Head of a critic that is invariant to a rotation of features and action together.
 
-    It consists of equivariant hidden layers, the maximum over each field, and a linear layer.
+    It consists of equivariant hidden layers, the maximum over each field, and a linear layer. See
+    :class:`EquivariantMean` for the other parameters.
 
-    :param in_type: field type of the features, regular fields that trivial ones may follow
-    :param action: names of the action dimensions
     :param net_arch: regular fields of each hidden layer, at least one layer
     :param outputs: number of outputs, 1 for a Q-value, more for quantiles
     :param activation_fn: pointwise activation function
     :param normalise: whether to normalise features and hidden layers, scale the action to the norm of the
         features, and start with values near 0
-    :raises ValueError: if ``net_arch`` is empty
     """
 
     index: th.Tensor
@@ -134,10 +109,6 @@ class InvariantValue(nn.Module):
         normalise: bool = False,
     ) -> None:
         super().__init__()
-        if not net_arch:
-            raise ValueError(
-                "net_arch (qf) must have at least one hidden layer in an equivariant critic, got []"
-            )
         joint_type = in_type + action_type(action, in_type.group)
         self.hidden = equivariant_mlp(joint_type, net_arch, activation_fn, normalise)
         self.pool = GroupMaxPool(FieldType.of((in_type.group.regular, net_arch[-1])))
@@ -152,12 +123,7 @@ class InvariantValue(nn.Module):
         self.register_buffer("signs", signs, persistent=False)
 
     def forward(self, features_and_action: th.Tensor) -> th.Tensor:
-        """
-        Compute the values.
-
-        :param features_and_action: shape (batch, in_type.size + action dimensions)
-        :return: shape (batch, outputs)
-        """
+        """:return: values, shape (batch, outputs)"""
         joint = (self.normalisation(features_and_action) * self.signs)[:, self.index]
         values: th.Tensor = self.value(self.pool(self.hidden(joint)))
         return values
@@ -165,14 +131,9 @@ class InvariantValue(nn.Module):
 
 class InputNormalisation(nn.Module):
     """
-    Normalise the features of a critic's input and scale its actions to their norm.
+    Normalise the features of each observation to mean 0 and variance 1, and scale the actions to their norm.
 
-    The features get mean 0 and variance 1 over each observation. Without the scale, 5 numbers next to 128
-    features contribute one hundredth of a hidden unit's variance, and an untrained critic is insensitive to
-    the action input.
-
-    :param features_dim: number of features
-    :param action_dim: number of action dimensions, in [-1, 1]
+    Without the scale, an untrained critic is insensitive to the action input.
     """
 
     def __init__(self, features_dim: int, action_dim: int) -> None:
@@ -181,12 +142,7 @@ class InputNormalisation(nn.Module):
         self.gain = math.sqrt(features_dim / action_dim)
 
     def forward(self, features_and_action: th.Tensor) -> th.Tensor:
-        """
-        Normalise a batch.
-
-        :param features_and_action: shape (batch, features_dim + action_dim)
-        :return: the same shape
-        """
+        """:return: normalised input, the same shape"""
         features, actions = features_and_action.split(self.sizes, dim=1)
         return th.cat([F.layer_norm(features, features.shape[1:]), actions * self.gain], dim=1)
 
@@ -195,12 +151,9 @@ def equivariant_mlp(
     in_type: FieldType, net_arch: Sequence[int], activation_fn: type[nn.Module], normalise: bool = False
 ) -> nn.Sequential:
     """
-    Create an equivariant multi-layer perceptron with regular fields.
+    Create an equivariant multi-layer perceptron with ``net_arch`` regular fields, [] for the identity.
 
-    :param in_type: input field type
-    :param net_arch: regular fields of each layer, [] for the identity
-    :param activation_fn: pointwise activation function
-    :param normalise: whether to normalise the output of each layer, without learned parameters
+    With ``normalise`` the outputs of all layers are normalised without learned parameters.
     """
     types = [in_type] + [FieldType.of((in_type.group.regular, count)) for count in net_arch]
     layers: list[nn.Module] = []
@@ -212,11 +165,9 @@ def equivariant_mlp(
 
 def features_type(features_extractor: BaseFeaturesExtractor) -> FieldType:
     """
-    Return the field type of the features of an extractor.
+    Return the field type of the features of an extractor, its attribute ``out_type``.
 
-    :param features_extractor: an :class:`~sb3_extensions.encoders.extractors.EquivariantExtractor`, or
-        another one with an attribute ``out_type``
-    :raises ValueError: if its features are not regular fields that trivial ones may follow
+    :raises ValueError: if the features are not regular fields that trivial ones may follow
     """
     out_type = getattr(features_extractor, "out_type", None)
     kinds = [rep.kind for rep, _ in out_type.fields] if isinstance(out_type, FieldType) else []

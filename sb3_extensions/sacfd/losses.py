@@ -1,7 +1,5 @@
 """Terms of the actor's loss."""
 
-from __future__ import annotations
-
 import torch as th
 
 from sb3_extensions.replay.samples import ExpertReplayBufferSamples
@@ -33,10 +31,7 @@ def self_imitation_weights(
     advantages: th.Tensor, succeeded: th.Tensor, temperature: float | None
 ) -> th.Tensor:
     """
-    Weights with which the agent imitates its own successful steps.
-
-    A weight is at most that of an expert step, 1: an action that the critic prefers is often better by chance
-    only.
+    Weights with which the agent imitates its own successful steps, at most 1, the weight of an expert step.
 
     Source: self-imitation learning, https://arxiv.org/abs/1806.05635; weights: critic-regularised regression,
     https://arxiv.org/abs/2006.15134

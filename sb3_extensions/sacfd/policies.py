@@ -1,162 +1,175 @@
 """Policies of SACfD: the paper's CNN, its equivariant network, and a multi-layer perceptron."""
 
-from __future__ import annotations
-
 from typing import Any, ClassVar
 
-from gymnasium import spaces
+import torch as th
 from stable_baselines3.common.policies import ContinuousCritic
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
-from stable_baselines3.common.type_aliases import Schedule
-from stable_baselines3.sac.policies import Actor
+from stable_baselines3.common.type_aliases import PyTorchObs, Schedule
+from stable_baselines3.sac.policies import Actor, SACPolicy
+from torch.optim.swa_utils import AveragedModel
 
-from sb3_extensions.encoders.extractors import CnnExtractor, EquivariantExtractor
+from sb3_extensions.encoders.extractors import CnnExtractor, EquivariantExtractor, ImageExtractor
 from sb3_extensions.encoders.mlp_extractor import MlpExtractor
 from sb3_extensions.sacfd.actor_critic import (
     EquivariantActor,
     EquivariantCritic,
     MultiHeadCritic,
     NetArch,
-    initialise_actor,
+    normalise_actor,
 )
-from sb3_extensions.sacfd.base_policy import SACfDPolicy
-from sb3_extensions.sacfd.heads import features_type
-
-# Hidden layers of the paper's close-loop CNN baseline: none in the actor, 128 units in each head of the
-# critic.
-CNN_NET_ARCH: dict[str, list[int]] = {"pi": [], "qf": [128]}
-STATE_NET_ARCH: dict[str, list[int]] = {"pi": [], "qf": [256]}
 
 
-class MultiInputPolicy(SACfDPolicy):
+class SACfDPolicy(SACPolicy):
     """
-    CNN policy of the paper, with an encoder for the actor and one for all heads of the critic.
+    SAC policy with additions, all off by default.
 
-    :param observation_space: Dict of images and numbers, see
-        :class:`~sb3_extensions.encoders.observation.StackedImage`
-    :param action_space: Action space
-    :param lr_schedule: Learning rate schedule (could be constant)
-    :param net_arch: Hidden layers behind the encoders, the paper's if ``None``
-    :param features_extractor_class: Features extractor to use
-    :param kwargs: further parameters of :class:`~sb3_extensions.sacfd.base_policy.SACfDPolicy`
+    The encoders of images pool as the paper's do, unless ``features_extractor_kwargs`` has ``strided``. With
+    ``share_features_extractor`` the sum of both losses trains one features extractor, in contrast to SAC. See
+    Stable-Baselines3's ``SACPolicy`` for the other parameters.
+
+    :param net_arch: hidden layers behind the encoders, None for the default of the subclass
+    :param normalise: normalise the critic's features and all hidden layers, which bounds values and means of
+        unknown inputs (https://arxiv.org/abs/2302.02948), scale the actions in the critic's input to the
+        features, and start actor and critic with outputs near 0
+    :param actor_tau: soft update coefficient of an average of the actor's weights that deterministic actions
+        use (own addition), greater than 0 and at most 1. The first ``1 / actor_tau`` weights have equal
+        shares. None for no average
+    :raises ValueError: if ``actor_tau`` is out of its range
     """
 
+    default_extractor: ClassVar[type[BaseFeaturesExtractor]]
+    default_net_arch: ClassVar[NetArch]
     critic_class: ClassVar[type[MultiHeadCritic]] = MultiHeadCritic
+    actor_average: AveragedModel | None
 
     def __init__(
         self,
-        observation_space: spaces.Space[Any],
-        action_space: spaces.Box,
-        lr_schedule: Schedule,
+        *args: Any,
         net_arch: NetArch | None = None,
-        features_extractor_class: type[BaseFeaturesExtractor] = CnnExtractor,
+        normalise: bool = False,
+        actor_tau: float | None = None,
         **kwargs: Any,
     ) -> None:
-        super().__init__(
-            observation_space,
-            action_space,
-            lr_schedule,
-            net_arch=CNN_NET_ARCH if net_arch is None else net_arch,
-            features_extractor_class=features_extractor_class,
-            **kwargs,
-        )
+        if actor_tau is not None and not 0 < actor_tau <= 1:
+            raise ValueError(f"actor_tau must be None or greater than 0 and at most 1, got {actor_tau}")
+        kwargs.setdefault("features_extractor_class", self.default_extractor)
+        if issubclass(kwargs["features_extractor_class"], ImageExtractor):
+            extractor_kwargs = kwargs.get("features_extractor_kwargs") or {}
+            kwargs["features_extractor_kwargs"] = {"strided": 0, **extractor_kwargs}
+        self.normalise = normalise
+        self.actor_tau = actor_tau
+        kwargs["net_arch"] = self.default_net_arch if net_arch is None else net_arch
+        super().__init__(*args, **kwargs)
 
-    def make_actor(self, features_extractor: BaseFeaturesExtractor | None = None) -> Actor:
-        """Create the actor."""
-        actor = super().make_actor(features_extractor)
-        return initialise_actor(actor) if self.normalise else actor
+    def _build(self, lr_schedule: Schedule) -> None:
+        super()._build(lr_schedule)
+        self.build_average()
 
     def make_critic(self, features_extractor: BaseFeaturesExtractor | None = None) -> ContinuousCritic:
         """Create the critic."""
         kwargs = self._update_features_extractor(self.critic_kwargs, features_extractor)
         return self.critic_class(normalise=self.normalise, **kwargs).to(self.device)
 
+    def build_average(self) -> None:
+        """Create the average from the actor's present weights."""
+        self.actor_average = None
+        if (tau := self.actor_tau) is None:
+            return
+
+        def average(averaged: Any, current: Any, n_averaged: Any) -> None:
+            th._foreach_lerp_(averaged, current, max(tau, 1 / (int(n_averaged) + 1)))
+
+        self.actor_average = AveragedModel(self.actor, multi_avg_fn=average).requires_grad_(False)
+
+    def update_average(self) -> None:
+        """Update the average by the actor's weights."""
+        if self.actor_average is not None:
+            self.actor_average.update_parameters(self.actor)
+
+    def set_training_mode(self, mode: bool) -> None:
+        """Set the training mode if it changes; walking through all modules takes milliseconds."""
+        if mode != self.training:
+            super().set_training_mode(mode)
+
+    def _predict(self, observation: PyTorchObs, deterministic: bool = False) -> th.Tensor:
+        if deterministic and self.actor_average is not None:
+            averaged: th.Tensor = self.actor_average(observation, deterministic)
+            return averaged
+        return super()._predict(observation, deterministic)
+
+    def _get_constructor_parameters(self) -> dict[str, Any]:
+        data = super()._get_constructor_parameters()
+        data.update(
+            normalise=self.normalise,
+            actor_tau=self.actor_tau,
+            share_features_extractor=self.share_features_extractor,
+        )
+        return data
+
+
+class MultiInputPolicy(SACfDPolicy):
+    """
+    CNN policy of the paper, with an encoder for the actor and one for all heads of the critic.
+
+    By default the actor has no hidden layer, and each head of the critic has one of 128 units. See
+    :class:`SACfDPolicy` for the parameters and
+    :class:`~sb3_extensions.encoders.observation.StackedImage` for the observations.
+    """
+
+    default_extractor: ClassVar[type[BaseFeaturesExtractor]] = CnnExtractor
+    default_net_arch: ClassVar[NetArch] = {"pi": [], "qf": [128]}
+
+    def make_actor(self, features_extractor: BaseFeaturesExtractor | None = None) -> Actor:
+        """Create the actor."""
+        actor = super().make_actor(features_extractor)
+        return normalise_actor(actor) if self.normalise else actor
+
 
 class StatePolicy(MultiInputPolicy):
     """
     Policy without images, for vectors such as object poses.
 
-    :param observation_space: see :class:`~sb3_extensions.encoders.mlp_extractor.MlpExtractor`
-    :param action_space: Action space
-    :param lr_schedule: Learning rate schedule (could be constant)
-    :param net_arch: Hidden layers behind the encoders, by default none in the actor and 256 units in each
-        head of the critic
-    :param features_extractor_class: Features extractor to use
-    :param kwargs: further parameters of :class:`MultiInputPolicy`
+    By default the actor has no hidden layer behind its encoder, and each head of the critic has one of 256
+    units. See :class:`SACfDPolicy` for the parameters and
+    :class:`~sb3_extensions.encoders.mlp_extractor.MlpExtractor` for the observations.
     """
 
-    def __init__(
-        self,
-        observation_space: spaces.Space[Any],
-        action_space: spaces.Box,
-        lr_schedule: Schedule,
-        net_arch: NetArch | None = None,
-        features_extractor_class: type[BaseFeaturesExtractor] = MlpExtractor,
-        **kwargs: Any,
-    ) -> None:
-        super().__init__(
-            observation_space,
-            action_space,
-            lr_schedule,
-            net_arch=STATE_NET_ARCH if net_arch is None else net_arch,
-            features_extractor_class=features_extractor_class,
-            **kwargs,
-        )
+    default_extractor: ClassVar[type[BaseFeaturesExtractor]] = MlpExtractor
+    default_net_arch: ClassVar[NetArch] = {"pi": [], "qf": [256]}
 
 
 class EquivariantPolicy(SACfDPolicy):
     """
     Equivariant policy of the paper, with an encoder for the actor and one for all heads of the critic.
 
-    :param observation_space: Dict of images and numbers, see
-        :class:`~sb3_extensions.encoders.observation.StackedImage`
-    :param action_space: Action space
-    :param lr_schedule: Learning rate schedule (could be constant)
-    :param net_arch: Regular fields of the hidden layers behind the encoders. By default the actor has none,
-        and each head of the critic has one layer with the encoder's number of fields
-    :param features_extractor_class: Features extractor with regular features that trivial ones may follow
-    :param action_sequence: One character for each number of the action: ``p`` (gripper), ``x``, ``y``, ``z``,
-        ``r`` (rotation about z), in any order
-    :param kwargs: further parameters of :class:`~sb3_extensions.sacfd.base_policy.SACfDPolicy`
+    The features extractor must have regular features that trivial ones may follow. ``net_arch`` has the
+    regular fields of the hidden layers. By default the actor has none, and each head of the critic has one
+    layer with the encoder's number of fields.
+
+    :param args: arguments of :class:`SACfDPolicy`
+    :param action_sequence: see :class:`~sb3_extensions.common.action_sequence.ActionSequence`
+    :param kwargs: keyword arguments of :class:`SACfDPolicy`
     :raises ValueError: if features or ``action_sequence`` do not fit, or with ``use_sde``
     """
 
-    critic_class: ClassVar[type[EquivariantCritic]] = EquivariantCritic
+    default_extractor: ClassVar[type[BaseFeaturesExtractor]] = EquivariantExtractor
+    default_net_arch: ClassVar[NetArch] = {"pi": [], "qf": []}
+    critic_class: ClassVar[type[MultiHeadCritic]] = EquivariantCritic
 
-    def __init__(
-        self,
-        observation_space: spaces.Space[Any],
-        action_space: spaces.Box,
-        lr_schedule: Schedule,
-        net_arch: NetArch | None = None,
-        features_extractor_class: type[BaseFeaturesExtractor] = EquivariantExtractor,
-        action_sequence: str = "pxyzr",
-        **kwargs: Any,
-    ) -> None:
+    def __init__(self, *args: Any, action_sequence: str = "pxyzr", **kwargs: Any) -> None:
         self.action_sequence = action_sequence
-        super().__init__(
-            observation_space,
-            action_space,
-            lr_schedule,
-            net_arch={"pi": [], "qf": []} if net_arch is None else net_arch,
-            features_extractor_class=features_extractor_class,
-            **kwargs,
-        )
+        super().__init__(*args, **kwargs)
+
+    def _build(self, lr_schedule: Schedule) -> None:
+        self.critic_kwargs["action_sequence"] = self.action_sequence
+        super()._build(lr_schedule)
 
     def make_actor(self, features_extractor: BaseFeaturesExtractor | None = None) -> Actor:
         """Create the actor, equivariant under the group."""
         kwargs = self._update_features_extractor(self.actor_kwargs, features_extractor)
-        return EquivariantActor(action_sequence=self.action_sequence, normalise=self.normalise, **kwargs).to(
-            self.device
-        )
-
-    def make_critic(self, features_extractor: BaseFeaturesExtractor | None = None) -> ContinuousCritic:
-        """Create the critic, invariant under the group."""
-        kwargs = self._update_features_extractor(self.critic_kwargs, features_extractor)
-        kwargs["net_arch"] = kwargs["net_arch"] or [features_type(kwargs["features_extractor"]).fields[0][1]]
-        return self.critic_class(action_sequence=self.action_sequence, normalise=self.normalise, **kwargs).to(
-            self.device
-        )
+        actor = EquivariantActor(action_sequence=self.action_sequence, normalise=self.normalise, **kwargs)
+        return actor.to(self.device)
 
     def _get_constructor_parameters(self) -> dict[str, Any]:
         data = super()._get_constructor_parameters()

@@ -1,7 +1,5 @@
 """Pretraining of SACfD's actor, and the parts of an update that it shares with ``train()``."""
 
-from __future__ import annotations
-
 from collections import defaultdict
 from typing import Any
 
@@ -9,36 +7,20 @@ import torch as th
 from stable_baselines3.common.type_aliases import PyTorchObs
 from stable_baselines3.sac.policies import LOG_STD_MAX, LOG_STD_MIN, Actor
 
-from sb3_extensions.common.components import check_not_negative
+from sb3_extensions.demonstrations.off_policy import Logs
 from sb3_extensions.replay.samples import ExpertReplayBufferSamples
-from sb3_extensions.sacfd.base_policy import SACfDPolicy
 from sb3_extensions.sacfd.exploration import Exploration
 from sb3_extensions.sacfd.losses import imitation_loss
-
-Logs = defaultdict[str, list[th.Tensor]]
+from sb3_extensions.sacfd.policies import SACfDPolicy
 
 
 class ActorPretraining(Exploration):
-    """
-    Pretraining that updates the actor alone by the imitation term, then everything.
-
-    A subclass precedes Stable-Baselines3's SAC in the bases. Its constructor sets the attributes
-    ``pretrain_steps``, ``critic_warmup_steps``, ``bc_weight`` and ``bc_limit``, see
-    :class:`~sb3_extensions.sacfd.SACfD`.
-    """
+    """Pretraining that updates the actor alone by the imitation term, then everything."""
 
     actor: Actor
     critic_warmup_steps: int | None
     bc_weight: float
     bc_limit: float
-
-    def _check_pretraining(self) -> None:
-        check_not_negative(critic_warmup_steps=self._warmup_steps)
-        if self.bc_weight == 0 and self.pretrain_steps > self._warmup_steps:
-            raise ValueError(
-                "critic_warmup_steps must be None or at least pretrain_steps with bc_weight=0, got "
-                f"{self.critic_warmup_steps}"
-            )
 
     @property
     def _warmup_steps(self) -> int:
@@ -88,13 +70,6 @@ class ActorPretraining(Exploration):
         if self.augmentation is not None:
             replay_data = self.augmentation(replay_data, self.augmentation_generator)
         return replay_data
-
-    def _log_updates(self, gradient_steps: int, logs: Logs) -> None:
-        self._n_updates += gradient_steps
-        self.logger.record("train/n_updates", self._n_updates, exclude="tensorboard")
-        for name, losses in logs.items():
-            if len(numbers := th.cat([loss.reshape(-1) for loss in losses])):
-                self.logger.record(f"train/{name}", numbers.mean().item())
 
     def _update_encoder(self, observations: PyTorchObs) -> dict[str, th.Tensor]:
         """Train an encoder on observations alone; return the losses by name. SACfD trains none."""

@@ -1,7 +1,5 @@
 """Soft actor-critic from demonstrations."""
 
-from __future__ import annotations
-
 from collections import defaultdict
 from functools import partial
 from typing import Any, ClassVar
@@ -15,15 +13,16 @@ from stable_baselines3.common.type_aliases import GymEnv, PyTorchObs, Schedule
 from stable_baselines3.common.utils import polyak_update
 from stable_baselines3.sac.policies import SACPolicy
 from stable_baselines3.sac.sac import SAC
+from torch import nn
 
 from sb3_extensions.common.components import check_fraction, check_not_negative
-from sb3_extensions.common.gradients import frozen
+from sb3_extensions.demonstrations.off_policy import Logs
 from sb3_extensions.demonstrations.source import ExpertData
 from sb3_extensions.replay.augmentations import AugmentationSpec
 from sb3_extensions.replay.samples import ExpertReplayBufferSamples, compute_next_values
 from sb3_extensions.sacfd.losses import imitation_loss, self_imitation_weights
 from sb3_extensions.sacfd.policies import EquivariantPolicy, MultiInputPolicy, StatePolicy
-from sb3_extensions.sacfd.pretraining import ActorPretraining, Logs
+from sb3_extensions.sacfd.pretraining import ActorPretraining
 
 
 class SACfD(ActorPretraining, SAC):
@@ -40,28 +39,16 @@ class SACfD(ActorPretraining, SAC):
 
     Paper: https://arxiv.org/abs/2205.14292 (Close-Loop 4D Benchmark); SAC: https://arxiv.org/abs/1801.01290
 
+    See Stable-Baselines3's ``SAC`` for the parameters that are not documented here.
+
     :param policy: The policy model to use (one of the aliases, or a class)
     :param env: The environment to learn from (if registered in Gym, can be str)
-    :param learning_rate: learning rate for adam optimizer, the same for all networks (Q-Values, Actor and
-        entropy coefficient); it can be a function of the current progress remaining (from 1 to 0)
     :param buffer_size: number of rows of the replay buffer, demonstrations included, see
         :class:`~sb3_extensions.replay.buffer.ExpertReplayBuffer`
-    :param learning_starts: how many random steps to take before learning starts
-    :param batch_size: Minibatch size for each gradient update
-    :param tau: the soft update coefficient ("Polyak update", between 0 and 1)
-    :param gamma: the discount factor
-    :param train_freq: Update the model every ``train_freq`` steps, or ``(2, "episode")``
-    :param gradient_steps: How many gradient steps to do after each rollout; ``-1`` for one each step of the
-        rollout
-    :param action_noise: the action noise type (None by default), see SB3's common.noise
     :param replay_buffer_class: Replay buffer class, ``ExpertReplayBuffer`` (the default) or a subclass
     :param replay_buffer_kwargs: Keyword arguments to pass to the replay buffer on creation. ``n_steps`` and
-        ``gamma`` are those of the algorithm, ``image_dtype`` is by default that of the features extractor
+        ``gamma`` are arguments of the algorithm, ``image_dtype`` is by default as in the extractor
     :param n_steps: maximum number of rewards in a return before the bootstrap
-    :param ent_coef: Entropy regularization coefficient, controlling exploration/exploitation trade-off;
-        'auto' learns it ('auto_0.1' from an initial value of 0.1)
-    :param target_update_interval: update the target network every ``target_update_interval`` gradient steps.
-    :param target_entropy: when learning ``ent_coef``; 'auto' is minus the number of action dimensions
     :param bc_weight: weight of the imitation term in the actor's loss
     :param expert_episodes: number of successful episodes of the expert, if ``expert_data`` is None
     :param expert_data: episodes in the environment's units instead, or the path of a file of
@@ -80,23 +67,16 @@ class SACfD(ActorPretraining, SAC):
         Gaussian grows without bound towards 1 (own addition)
     :param expert_q_weight: weight of the critic's value in the actor's loss at expert steps; 1 at the other
         steps. With 0 the actor only imitates there (own addition)
-    :param self_imitation_temperature: temperature with which the actor also imitates successful steps of the
-        agent, see
-        :func:`~sb3_extensions.sacfd.losses.self_imitation_weights`. None for the expert alone
+    :param self_imitation_temperature: temperature with which the actor also imitates the agent's successes,
+        see :func:`~sb3_extensions.sacfd.losses.self_imitation_weights`. None for the expert alone
     :param backup_entropy: whether the critic's target includes the entropy of the next action. Source of
         False: https://arxiv.org/abs/2302.02948
     :param value_range: minimum and maximum possible return; values in targets are clipped to it. Source:
         https://arxiv.org/abs/1707.01495, appendix A
     :param exploration: probability that one number of an action is replaced by a uniform sample (own
         addition)
-    :param deterministic_fraction: fraction of episodes with deterministic actions (own addition)
-    :param stats_window_size: number of episodes over which the rollout logging averages
-    :param tensorboard_log: the log location for tensorboard (if None, no logging)
-    :param policy_kwargs: arguments of the policy
-    :param verbose: Verbosity level: 0 for no output, 1 for info messages, 2 for debug messages
-    :param seed: Seed for the pseudo random generators
-    :param device: Device (cpu, cuda, ...) on which the code should be run; auto uses a GPU if possible
-    :param _init_setup_model: Whether or not to build the network at the creation of the instance
+    :param deterministic_fraction: fraction of episodes with deterministic actions, because deterministic
+        policies get stuck in states that sampled actions leave (own addition)
     :raises ValueError: if an argument is out of its range, there is pretraining without demonstrations or
         without ``bc_weight``, or replay buffer and policy round images differently
     """
@@ -189,8 +169,6 @@ class SACfD(ActorPretraining, SAC):
         self.value_range = value_range
         self.exploration = exploration
         self.deterministic_fraction = deterministic_fraction
-        self.exploration_generator = th.Generator().manual_seed(th.initial_seed())
-        self.augmentation_generator = th.Generator().manual_seed(th.initial_seed())
         self._check_arguments()
 
         if _init_setup_model:
@@ -198,8 +176,16 @@ class SACfD(ActorPretraining, SAC):
 
     def _check_arguments(self) -> None:
         self._check_demonstrations()
-        self._check_pretraining()
-        check_not_negative(bc_weight=self.bc_weight, expert_q_weight=self.expert_q_weight)
+        check_not_negative(
+            bc_weight=self.bc_weight,
+            expert_q_weight=self.expert_q_weight,
+            critic_warmup_steps=self._warmup_steps,
+        )
+        if self.bc_weight == 0 and self.pretrain_steps > self._warmup_steps:
+            raise ValueError(
+                "critic_warmup_steps must be None or at least pretrain_steps with bc_weight=0, got "
+                f"{self.critic_warmup_steps}"
+            )
         check_fraction(
             bc_limit=self.bc_limit,
             exploration=self.exploration,
@@ -259,9 +245,10 @@ class SACfD(ActorPretraining, SAC):
             td_errors = td_errors.view(-1, len(replay_data.indices), 1).mean(dim=0)
             self.replay_buffer.update_priorities(replay_data.indices, td_errors)
 
-            # Only the gradient with respect to the actions is needed: freeze the critic.
-            with frozen(self.critic):
-                q_values_pi = self._q_values(self.critic, features.detach(), actions_pi)
+            # Only the gradient with respect to the actions is needed: freeze the critic's heads.
+            heads = nn.ModuleList(self.critic.q_networks).requires_grad_(False)
+            q_values_pi = self._q_values(self.critic, features.detach(), actions_pi)
+            heads.requires_grad_(True)
             min_q_pi = self._min_q(q_values_pi)
             q_weights = th.where(replay_data.is_expert, self.expert_q_weight, 1.0)
             actor_loss = (ent_coef * log_prob - q_weights * min_q_pi).mean()
@@ -303,9 +290,7 @@ class SACfD(ActorPretraining, SAC):
         """Update the entropy coefficient if it is learned; return the value before."""
         if self.ent_coef_optimizer is None or self.log_ent_coef is None:
             return self.ent_coef_tensor
-        # Important: detach the variable from the graph
-        # so we don't change it with other losses
-        # see https://github.com/rail-berkeley/softlearning/issues/60
+        # Important: detach the variable from the graph so we don't change it with other losses
         ent_coef = th.exp(self.log_ent_coef.detach())
         assert isinstance(self.target_entropy, float)
         ent_coef_loss = -(self.log_ent_coef * (log_prob + self.target_entropy).detach()).mean()

@@ -1,20 +1,17 @@
-"""Networks that choose the numbers of an action after the pixel: yaw, height and tilts of the gripper (ASR,
-https://arxiv.org/abs/2010.02798).
-"""
-
-from __future__ import annotations
+"""Networks of yaw, height and tilts, which are chosen after the pixel (ASR, https://arxiv.org/abs/2010.02798)."""
 
 import math
 from collections.abc import Mapping, Sequence
 
 import torch as th
+from stable_baselines3.common.torch_layers import create_mlp
 from torch import nn
 from torch.nn import functional as F
 
 from sb3_extensions.encoders.cnn import Stage, resize, stack_stages
 from sb3_extensions.encoders.initialisation import OUTPUT_GAIN, initialise_xavier, scale_down
 from sb3_extensions.encoders.observation import SceneView, View
-from sb3_extensions.encoders.patch_encoders import PatchMap, PatchVector, mlp
+from sb3_extensions.encoders.patch_encoders import PatchMap, PatchVector
 from sb3_extensions.equivariant.convolution import apply_in_float32
 from sb3_extensions.equivariant.groups import FieldType, Group
 from sb3_extensions.equivariant.layers import DynamicEquivariantConv2d, EquivariantConv2d
@@ -47,8 +44,7 @@ class Level(nn.Module):
 
     :param codec: conversion of the actions to the grid
     :param name: name of the number
-    :param scene_view: conversion of the observations, for the shape of the in-hand image and the
-        standardisation
+    :param scene_view: conversion of the observations
     """
 
     def __init__(self, codec: SpatialActionCodec, name: str, scene_view: SceneView) -> None:
@@ -78,8 +74,6 @@ class Level(nn.Module):
         """
         Return the scene around the gripper at the pixel, along its three axes, and the in-hand image.
 
-        :param view: batch of inputs
-        :param indices: numbers chosen so far
         :param candidates: values of numbers that replace the chosen ones, m or rad, (1, candidates)
         :return: standardised, (batch * candidates, channels, side, side)
         """
@@ -119,8 +113,8 @@ class PlainRotations(Level):
     """
     Values of yaws from the patch around the pixel, the in-hand image and the encoding of the scene.
 
-    :param codec: see :class:`Level`
-    :param scene_view: see :class:`Level`
+    See :class:`Level` for the other parameters.
+
     :param encoding_shape: (channels, side, side)
     :param channels: channels of the three convolutions on the patch
     :param hidden: units of the hidden layer
@@ -138,7 +132,7 @@ class PlainRotations(Level):
         self.encoder = PatchMap(1 + self.in_hand_channels, channels)
         features = channels[-1] * PatchMap.side(self.patch_size) ** 2 + math.prod(encoding_shape)
         last = nn.Linear(hidden, PRIMITIVES * self.choices)
-        self.head = nn.Sequential(*mlp(features, [hidden]), last)
+        self.head = nn.Sequential(*create_mlp(features, -1, [hidden]), last)
         self.head.apply(initialise_xavier)
         scale_down(last)
 
@@ -153,10 +147,9 @@ class EquivariantRotations(Level):
     """
     Values of n yaws that shift when the patch rotates (group C_2n).
 
-    The coefficients of one filter come from the encoding of the scene and the in-hand image.
+    The coefficients of one filter come from the encoding of the scene and the in-hand image. Patches are
+    resized to the next side of 12, 16, 24 or 40 pixels. See :class:`Level` for the other parameters.
 
-    :param codec: see :class:`Level`
-    :param scene_view: see :class:`Level`. Patches are resized to the next side of 12, 16, 24 or 40 pixels
     :param encoding_shape: (channels, side, side)
     :param fields: regular fields of each convolution on the patch
     :param in_hand_channels: channels of the convolutions on the in-hand image
@@ -191,7 +184,7 @@ class EquivariantRotations(Level):
         self.encoder = stack_stages(EquivariantConv2d, types, stages)
         self.dynamic = DynamicEquivariantConv2d(types[-1], types[-1], 1)
         scene_features = encoding_shape[0] if pool_encoding else math.prod(encoding_shape)
-        self.scene = nn.Sequential(*mlp(scene_features, hidden))
+        self.scene = nn.Sequential(*create_mlp(scene_features, -1, list(hidden)))
         self.scene.apply(initialise_xavier)
         self.in_hand: PatchVector | None = None
         if scene_view.in_hand_shape is not None:
@@ -218,11 +211,9 @@ class PlainLevel(Level):
     Values of one number from the encoding of the scene and a patch (the authors' code).
 
     The patch of yaw and height is the heightmap around the pixel, for the height rotated by the yaw. The
-    patch of the tilts is the three projections around the gripper in the pose chosen so far.
+    patch of the tilts is the three projections around the gripper in the pose chosen so far. See
+    :class:`Level` for the other parameters.
 
-    :param codec: see :class:`Level`
-    :param name: see :class:`Level`
-    :param scene_view: see :class:`Level`
     :param encoding_shape: (channels, side, side)
     :param channels: channels of the convolutions on the patch
     :param hidden: units of the two linear layers on each, the patch and the encoding
@@ -248,7 +239,7 @@ class PlainLevel(Level):
             nn.ReLU(inplace=True),
             nn.MaxPool2d(2, ceil_mode=True),
             nn.Flatten(),
-            *mlp(narrow * (-(-side // 2)) ** 2, hidden),
+            *create_mlp(narrow * (-(-side // 2)) ** 2, -1, list(hidden)),
         )
         self.scene.apply(initialise_xavier)
         self.head = nn.Linear(2 * hidden[-1], PRIMITIVES * self.choices)
@@ -269,13 +260,7 @@ class PlainLevel(Level):
 class DeicticLevel(Level):
     """
     Values of one number after the yaw, each from its own projections and the in-hand image
-    (https://arxiv.org/abs/2110.15443).
-
-    :param codec: see :class:`Level`
-    :param name: see :class:`Level`
-    :param scene_view: see :class:`Level`
-    :param channels: see :class:`PlainLevel`
-    :param hidden: see :class:`PlainLevel`
+    (https://arxiv.org/abs/2110.15443). See :class:`PlainLevel` for the parameters.
     """
 
     def __init__(

@@ -1,19 +1,14 @@
 """Augmentation by random rigid motions of scenes and actions."""
 
-from __future__ import annotations
-
 import math
-from typing import Any
 
 import torch as th
-from gymnasium import spaces
 from stable_baselines3.common.type_aliases import TensorDict
 from torch.nn import functional as F
 
-from sb3_extensions.common.exploration import EXPLORED_HEIGHT
 from sb3_extensions.replay.augmentation import Augmentation
 from sb3_extensions.replay.samples import ExpertReplayBufferSamples
-from sb3_extensions.spatial_dqn.codec import PIXEL, SpatialActionCodec
+from sb3_extensions.spatial_dqn.codec import EXPLORED_HEIGHT, PIXEL, SpatialActionCodec
 
 SHIFT = 1 / 20
 """Standard deviation of a shift as a fraction of the side of the image (the authors' code)."""
@@ -28,9 +23,8 @@ class RigidMotion(Augmentation):
     Random rotation and shift of each sampled step.
 
     Heightmaps rotate by a multiple of the difference of two yaws of the grid (if actions have a yaw) and
-    shift by a normal error. Pixels and yaws of the actions move with them. The in-hand image is unchanged,
-    because it is in the frame of the gripper. A motion is valid if the pixel and everything higher than one
-    centimetre stay in the image.
+    shift by a normal error. Pixels and yaws of the actions move with them, the in-hand image does not. A
+    motion is valid if the pixel and everything higher than one centimetre stay in the image.
 
     :param codec: conversion of the actions to the grid
     :param image_key: name of the heightmap
@@ -39,11 +33,8 @@ class RigidMotion(Augmentation):
     def __init__(self, codec: SpatialActionCodec, image_key: str) -> None:
         self.codec, self.image_key = codec, image_key
         self.names = [*PIXEL, *codec.grids]
-
-    def check(self, space: spaces.Space[Any]) -> None:
-        """Check that there is a heightmap to move."""
-        if not isinstance(space, spaces.Dict) or self.image_key not in space.spaces:
-            raise ValueError(f"observation_space must have an image {self.image_key!r}, got {space}")
+        self.rotations = len(codec.grids.get("theta", []))
+        """Number of yaws in a range of pi; 0 if actions have no yaw and heightmaps do not rotate."""
 
     def __call__(
         self, samples: ExpertReplayBufferSamples, generator: th.Generator
@@ -58,14 +49,7 @@ class RigidMotion(Augmentation):
     def move(
         self, samples: ExpertReplayBufferSamples, indices: th.Tensor, generator: th.Generator
     ) -> tuple[ExpertReplayBufferSamples, th.Tensor]:
-        """
-        Move heightmaps and indices of actions on the grid.
-
-        :param samples: sample of the replay buffer
-        :param indices: indices of the actions, int64 (batch, indices)
-        :param generator: random generator on the CPU
-        :return: samples with moved heightmaps, moved indices
-        """
+        """Return samples with moved heightmaps, and the moved indices of their actions."""
         before, after = samples.observations, samples.next_observations
         assert isinstance(before, dict) and isinstance(after, dict)
         steps, shifts = self._sample_motions(before, after, indices, generator)
@@ -74,11 +58,6 @@ class RigidMotion(Augmentation):
             next_observations=self._move_heightmap(after, steps, shifts),
         )
         return moved, self._move_indices(indices, steps, shifts)
-
-    @property
-    def rotations(self) -> int:
-        """Number of yaws in a range of pi; 0 if actions have no yaw and heightmaps do not rotate."""
-        return len(self.codec.grids.get("theta", []))
 
     def _sample_motions(
         self, before: TensorDict, after: TensorDict, indices: th.Tensor, generator: th.Generator

@@ -1,35 +1,38 @@
 """Conversion between Box actions and indices on the action grid of spatial Q networks."""
 
-from __future__ import annotations
-
 import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import torch as th
 
 from sb3_extensions.common.action_sequence import ActionSequence
+from sb3_extensions.common.components import check_positive
 
 Actions = npt.NDArray[np.float32]
 Indices = npt.NDArray[np.int64]
 
 DEFAULT_SEQUENCE = "pxyr"
+EXPLORED_HEIGHT = 0.01
+"""Minimum height (m) of pixels with objects to pick (the authors' code)."""
 PIXEL = ("row", "column")
 ANGLES = ("theta", "phi", "psi")
 INDEX_ORDER = ("theta", "z", "phi", "psi")
 """Order of the indices after the pixel."""
 
 
+@dataclass(eq=False)
 class SpatialActionCodec:
     """
     Conversion between normalised actions, [-1, 1], and indices of pixel, yaw, height and tilts.
 
-    The indices are ``(row, column, theta, z, phi, psi)`` without those that the action sequence lacks. The
+    The indices are ``(row, column, theta, z, phi, psi)``, or fewer if the action sequence lacks numbers. The
     centre of pixel (i, j) of the heightmap is x = (2 i + 1) / size - 1, y = (2 j + 1) / size - 1. A rotation
-    of the gripper by pi with inverted tilts is the same pose, so yaws are modulo pi. Actions between grid
-    points are rounded to the nearest.
-
-    The default grid is the paper's (appendix "Benchmark Details").
+    of the gripper by pi with inverted tilts is the same pose, so yaws are modulo pi. The default grid is the
+    paper's (appendix "Benchmark Details").
 
     :param size: side of the heightmap, pixels
     :param action_sequence: one character for each number of an action: p primitive (-1 pick, 1 place), x and
@@ -43,76 +46,61 @@ class SpatialActionCodec:
     :param z_bounds: heights of the actions -1 and 1, m
     :param theta_bounds: yaws of the actions -1 and 1, rad
     :param tilt_bound: tilt of the action 1, rad; the action -1 is the opposite
-    :raises ValueError: if the sequence is invalid or has no x and y, a number is not positive, or the grid is
-        outside the bounds
+    :raises ValueError: if the sequence has no x and y, a number is not positive, or a value is out of bounds
     """
 
-    def __init__(
-        self,
-        size: int,
-        action_sequence: str = DEFAULT_SEQUENCE,
-        num_rotations: int = 16,
-        num_heights: int = 36,
-        heights: tuple[float, float] = (0.02, 0.20),
-        num_tilts: int = 7,
-        tilt: float = math.pi / 6.0,
-        workspace_size: float = 0.4,
-        z_bounds: tuple[float, float] = (0.0, 0.3),
-        theta_bounds: tuple[float, float] = (0.0, math.pi),
-        tilt_bound: float = math.pi / 4.0,
-    ) -> None:
-        for name, number in {
-            "size": size,
-            "num_rotations": num_rotations,
-            "num_heights": num_heights,
-            "num_tilts": num_tilts,
-            "workspace_size": workspace_size,
-        }.items():
-            if number <= 0:
-                raise ValueError(f"{name} must be positive, got {number}")
-        if not z_bounds[0] <= heights[0] <= heights[1] <= z_bounds[1]:
-            raise ValueError(f"heights must be within z_bounds={z_bounds}, in order, got {heights}")
-        if not 0 <= tilt <= tilt_bound:
-            raise ValueError(f"tilt must be from 0 to tilt_bound={tilt_bound}, got {tilt}")
-        self.size = size
-        self.action_sequence = action_sequence
-        self.numbers = _name_numbers(action_sequence)
-        self.workspace_size = workspace_size
-        self.theta_bounds = theta_bounds
-        tilts = np.linspace(-tilt, tilt, num_tilts) if num_tilts > 1 else np.zeros(1)
-        yaws = np.arange(num_rotations) * math.pi / num_rotations
-        grids = {"theta": yaws, "z": np.linspace(*heights, num_heights), "phi": tilts, "psi": tilts}
-        tilt_bounds = (-tilt_bound, tilt_bound)
-        self._bounds = {"z": z_bounds, "theta": theta_bounds, "phi": tilt_bounds, "psi": tilt_bounds}
+    size: int
+    action_sequence: str = DEFAULT_SEQUENCE
+    num_rotations: int = 16
+    num_heights: int = 36
+    heights: tuple[float, float] = (0.02, 0.20)
+    num_tilts: int = 7
+    tilt: float = math.pi / 6.0
+    workspace_size: float = 0.4
+    z_bounds: tuple[float, float] = (0.0, 0.3)
+    theta_bounds: tuple[float, float] = (0.0, math.pi)
+    tilt_bound: float = math.pi / 4.0
+
+    def __post_init__(self) -> None:
+        check_positive(
+            size=self.size,
+            num_rotations=self.num_rotations,
+            num_heights=self.num_heights,
+            num_tilts=self.num_tilts,
+            workspace_size=self.workspace_size,
+        )
+        (low, high), z_bounds, tilt = self.heights, self.z_bounds, self.tilt
+        if not z_bounds[0] <= low <= high <= z_bounds[1]:
+            raise ValueError(f"heights must be within z_bounds={z_bounds}, in order, got {self.heights}")
+        if not 0 <= tilt <= self.tilt_bound:
+            raise ValueError(f"tilt must be from 0 to tilt_bound={self.tilt_bound}, got {tilt}")
+        if "x" not in ActionSequence(self.action_sequence, len(self.action_sequence)):
+            raise ValueError(f"action_sequence must contain x and y, got {self.action_sequence!r}")
+        angles = iter(ANGLES)
+        self.numbers = tuple(next(angles) if name == "r" else name for name in self.action_sequence)
+        tilts = np.linspace(-tilt, tilt, self.num_tilts) if self.num_tilts > 1 else np.zeros(1)
+        yaws = np.arange(self.num_rotations) * math.pi / self.num_rotations
+        heights, tilt_bounds = np.linspace(low, high, self.num_heights), (-self.tilt_bound, self.tilt_bound)
+        grids = {"theta": yaws, "z": heights, "phi": tilts, "psi": tilts}
+        self._bounds = {"z": z_bounds, "theta": self.theta_bounds, "phi": tilt_bounds, "psi": tilt_bounds}
         # Number of rotations by pi that move each yaw into the bounds.
-        low, high = theta_bounds
+        low, high = self.theta_bounds
         outside = (yaws < low) | (yaws > high)
         self._half_turns = np.where(outside, np.ceil((low - yaws) / math.pi), 0.0)
         if (yaws + self._half_turns * math.pi > high).any():
             raise ValueError(
-                f"theta_bounds must contain {num_rotations} yaws of a range of pi, got {theta_bounds}"
+                f"theta_bounds must contain {len(yaws)} yaws of a range of pi, got {self.theta_bounds}"
             )
         self.grids = {name: grids[name] for name in INDEX_ORDER if name in self.numbers}
         """Values of each index after the pixel, m or rad."""
+        self.shape = (self.size, self.size, *map(len, self.grids.values()))
+        """Number of values of each index."""
+        self.resolution = self.workspace_size / self.size
+        """Side of a pixel, m."""
         self._tables = self._make_tables()
 
-    @property
-    def shape(self) -> tuple[int, ...]:
-        """Number of values of each index."""
-        return (self.size, self.size, *map(len, self.grids.values()))
-
-    @property
-    def resolution(self) -> float:
-        """Side of a pixel, m."""
-        return self.workspace_size / self.size
-
     def encode(self, actions: npt.NDArray[np.floating]) -> Indices:
-        """
-        Return the nearest grid points of actions.
-
-        :param actions: in [-1, 1], (n, numbers of an action)
-        :return: (n, indices)
-        """
+        """Return the nearest grid points (n, indices) of actions in [-1, 1], (n, numbers of an action)."""
         values = dict(zip(self.numbers, np.asarray(actions, dtype=np.float64).T, strict=True))
         fractions = [(values[name] + 1.0) / 2.0 for name in ("x", "y")]
         columns = [np.floor(fraction * self.size).clip(0, self.size - 1) for fraction in fractions]
@@ -136,11 +124,10 @@ class SpatialActionCodec:
 
     def decode_tensor(self, indices: th.Tensor, places: th.Tensor) -> th.Tensor:
         """
-        Return the actions of indices. This method can be exported with the network.
+        Return the actions of indices, in [-1, 1], float32, (n, numbers of an action).
 
         :param indices: int64, (n, indices)
         :param places: True to place, False to pick, bool (n,)
-        :return: in [-1, 1], float32, (n, numbers of an action)
         """
         columns = dict(zip((*PIXEL, *self.grids), indices.unbind(1), strict=True))
         values = {"p": th.where(places, 1.0, -1.0), "x": self._lookup("x", columns["row"])}
@@ -165,30 +152,40 @@ class SpatialActionCodec:
         return {name: th.tensor(table, dtype=th.float32) for name, table in tables.items()}
 
     def snap(self, actions: npt.NDArray[np.floating]) -> Actions:
-        """
-        Return the nearest actions on the grid with the same primitives.
-
-        :param actions: in [-1, 1], (n, numbers of an action)
-        :return: the same shape
-        """
+        """Return the nearest actions on the grid with the same primitives, in [-1, 1]."""
         return self.decode(self.encode(actions), self.places(actions))
 
     def places(self, actions: npt.NDArray[np.floating]) -> npt.NDArray[np.bool_]:
-        """
-        Return whether each action is a place; without p in the sequence all are picks.
-
-        :param actions: in [-1, 1], (n, numbers of an action)
-        :return: (n,)
-        """
+        """Return whether each action is a place, (n,). Without p in the sequence all are picks."""
         if "p" not in self.numbers:
             return np.zeros(len(actions), dtype=bool)
         places: npt.NDArray[np.bool_] = np.asarray(actions)[:, self.numbers.index("p")] >= 0.0
         return places
 
 
-def _name_numbers(symbols: str) -> tuple[str, ...]:
-    """Return the name of each number of an action; the r's are theta, phi and psi in order."""
-    if "x" not in ActionSequence(symbols, len(symbols)):
-        raise ValueError(f"action_sequence must contain x and y, got {symbols!r}")
-    angles = iter(ANGLES)
-    return tuple(next(angles) if symbol == "r" else symbol for symbol in symbols)
+def explore_on_grid(
+    indices: Indices,
+    heights: npt.NDArray[Any],
+    probability: float,
+    shape: Sequence[int],
+    generator: th.Generator,
+) -> Indices:
+    """
+    Replace some actions on a grid by random ones.
+
+    The pixel is sampled from the pixels higher than :data:`EXPLORED_HEIGHT`, if the image has any.
+
+    :param indices: row, column and further indices, (n, indices)
+    :param heights: heightmaps in m, (n, size, size)
+    :param probability: probability that an action is replaced
+    :param shape: number of values of each index
+    :param generator: random generator on the CPU
+    """
+    replaced = th.rand(len(indices), generator=generator) < probability
+    sampled = th.stack([th.randint(count, (len(indices),), generator=generator) for count in shape], dim=1)
+    shares = th.rand(len(indices), generator=generator, dtype=th.float64).numpy()
+    for index, (image, share) in enumerate(zip(heights, shares, strict=True)):
+        high = np.argwhere(image > EXPLORED_HEIGHT)
+        if len(high):
+            sampled[index, :2] = th.from_numpy(high[int(share * len(high))])
+    return np.where(replaced[:, None], sampled, indices)

@@ -1,7 +1,5 @@
 """Imitation losses of the spatial Q algorithms, one term for each level (paper, appendix; authors' code)."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import torch as th
@@ -42,8 +40,8 @@ def large_margin(
     """
     Return the loss of DQfD (https://arxiv.org/abs/1704.03732), see :func:`strict_margin` for the parameters.
 
-    The difference of the best choice, with the margin added to all but the expert's, and the expert's choice.
-    It is averaged over the expert steps.
+    It is the mean over the expert steps of the difference of the best choice, with the margin added to all
+    but the expert's, and the expert's choice.
     """
     chosen = values.gather(1, choices[:, None])
     raised = (values + margin).scatter(1, choices[:, None], chosen)
@@ -56,13 +54,11 @@ def cross_entropy(
     """
     Return the loss of ADET, see :func:`strict_margin` for the parameters; the margin has no effect.
 
-    The cross entropy of the expert's choices with values as logits, averaged over the expert steps.
-    Lakshminarayanan, Ozair and Bengio, "Reinforcement Learning with Few Expert Demonstrations", 2016.
+    It is the cross entropy of the expert's choices with values as logits, averaged over the expert steps.
     """
     temperature = PIXEL_TEMPERATURE if level == 0 else 1.0
     return _expert_mean(F.cross_entropy(temperature * values, choices, reduction="none"), is_expert)
 
 
 def _expert_mean(losses: th.Tensor, is_expert: th.Tensor) -> th.Tensor:
-    """Return the mean over the expert steps, 0 if there are none."""
     return th.where(is_expert, losses, 0.0).sum() / is_expert.sum().clamp(min=1)

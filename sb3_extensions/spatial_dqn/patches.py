@@ -1,11 +1,4 @@
-"""Patches of images around pixels, and rotated images, for batches on any device.
-
-Rows grow with world x, columns with world y. Pixel (i, j) covers [i, i + 1) x [j, j + 1). Rotations are as in
-:mod:`sb3_extensions.equivariant.groups`: pi / 2 is ``torch.rot90(image, k=1, dims=(-2, -1))``. All functions
-    are linear in the images and differentiable.
-"""
-
-from __future__ import annotations
+"""Patches of images around pixels, and images rotated as in :mod:`sb3_extensions.equivariant.groups`."""
 
 import math
 
@@ -19,14 +12,13 @@ def crop_patches(
     """
     Crop a square patch around the centre of one pixel of each image, with zeros outside the image.
 
-    Interpolation is bilinear. With an even ``size`` and no rotation, each cell is the mean of four pixels.
+    Interpolation is bilinear.
 
     :param images: (batch, channels, rows, columns), floating point
     :param rows: row of each pixel, int64 (batch,)
     :param columns: column of each pixel, int64 (batch,)
     :param size: cells a side, each as large as a pixel
-    :param angles: yaw of the gripper, rad, (batch,): the rows of a patch grow along the gripper's x axis, its
-        columns along the y axis. None for 0. Needs a device with double precision
+    :param angles: yaw of the gripper, rad, (batch,); None for 0. Needs a device with double precision
     :return: (batch, channels, size, size)
     """
     if angles is None:
@@ -44,8 +36,7 @@ def rotate_images(images: th.Tensor, angles: th.Tensor, size: int | None = None)
 
     :param images: (batch, channels, side, side), floating point
     :param angles: from x towards y, rad, (batch,)
-    :param size: side of the result, pixels, by default that of the images. The centre is the same, so pixels
-        are shifted by half a pixel if ``size - side`` is odd
+    :param size: side of the result with the same centre, pixels, by default that of the images
     :return: (batch, channels, size, size)
     """
     side = images.shape[-1]
@@ -65,9 +56,8 @@ def gather_windows(
     """
     Return the pixels around one pixel of each image.
 
-    :param images: (batch, channels, rows, columns)
-    :param rows: row of each pixel, int64 (batch,)
-    :param columns: column of each pixel, int64 (batch,)
+    See :func:`crop_patches` for the other parameters.
+
     :param reach: number of pixels on each side
     :param outside: value outside the image
     :return: (batch, channels, 2 reach + 1, 2 reach + 1)

@@ -1,11 +1,4 @@
-"""Networks that value a pick or a place at every pixel of a heightmap (paper, Open-Loop 3D Benchmark).
-
-The input is a :class:`~sb3_extensions.encoders.observation.View`. The outputs are the values of all pixels,
-(batch, yaws, size, size), for the next primitive and one or several yaws, and an encoding of the scene for
-the other levels.
-"""
-
-from __future__ import annotations
+"""Networks that value a pick or a place at every pixel of a heightmap (paper, Open-Loop 3D Benchmark)."""
 
 import math
 from collections.abc import Sequence
@@ -14,6 +7,7 @@ import torch as th
 from torch import nn
 from torch.nn import functional as F
 
+from sb3_extensions.common.components import check_positive
 from sb3_extensions.encoders.initialisation import OUTPUT_GAIN, scale_down
 from sb3_extensions.encoders.observation import View
 from sb3_extensions.encoders.patch_encoders import LAST_SIDE_OF_PIXELS, PatchMap, PatchVector
@@ -26,8 +20,7 @@ from sb3_extensions.spatial_dqn.patches import rotate_images
 PRIMITIVES = 2
 """Number of primitives: pick and place."""
 HEAD_CHANNELS = 16
-"""Channels of the head for one yaw (the authors' code). With few channels all ReLUs may be inactive
-forever."""
+"""Channels of the head for one yaw (the authors' code)."""
 
 # Channels and fields of the authors' code, for 128 x 128 pixels.
 CHANNELS = (32, 64, 128, 256, 256)
@@ -52,7 +45,7 @@ class PixelMaps(nn.Module):
         self.rotations, self.encoding_shape = rotations, encoding_shape
 
     def forward(self, view: View) -> tuple[th.Tensor, th.Tensor]:
-        """:return: values (batch, yaws, size, size), encoding"""
+        """:return: values of the next primitive (batch, yaws, size, size), encoding of the scene"""
         raise NotImplementedError
 
 
@@ -94,10 +87,8 @@ class RotatedPixelMaps(PixelMaps):
     One network on the heightmap rotated by each negative yaw, with its maps rotated back (Rot FCN,
     https://arxiv.org/abs/1803.09956).
 
-    :param size: see :class:`PlainPixelMaps`
-    :param in_hand: see :class:`PlainPixelMaps`
-    :param channels: see :class:`PlainPixelMaps`
-    :param in_hand_channels: see :class:`PlainPixelMaps`
+    See :class:`PlainPixelMaps` for the other parameters.
+
     :param rotations: number of yaws in a range of pi
     """
 
@@ -137,8 +128,8 @@ class EquivariantPixelMaps(PixelMaps):
     With one yaw the maps rotate with the heightmap. With n yaws (group C_2n) they rotate and are permuted,
     because a rotation of the gripper by pi is the same pose.
 
-    :param size: see :class:`PlainPixelMaps`
-    :param in_hand: see :class:`PlainPixelMaps`
+    See :class:`PlainPixelMaps` for the other parameters.
+
     :param group: symmetry group
     :param fields: regular fields of each level, see :func:`~sb3_extensions.encoders.unet.equivariant_unet`
     :param in_hand_channels: channels of the convolutions on the in-hand image
@@ -146,7 +137,7 @@ class EquivariantPixelMaps(PixelMaps):
     :param rotations: number of yaws: 1, or half of the group's rotations
     :param dynamic_fields: regular fields after the predicted filter, by default ``fields[0]`` (the authors'
         code). With one or two fields the ReLU may be inactive everywhere, forever
-    :raises ValueError: if the yaws do not match the group, or ``dynamic_fields`` is less than 1
+    :raises ValueError: if the yaws do not match the group, or ``dynamic_fields`` is not positive
     """
 
     def __init__(
@@ -164,8 +155,8 @@ class EquivariantPixelMaps(PixelMaps):
             raise ValueError(
                 f"group must be cyclic with {2 * rotations} rotations for {rotations} yaws, got {group}"
             )
-        if dynamic_fields is not None and dynamic_fields < 1:
-            raise ValueError(f"dynamic_fields must be at least 1, got {dynamic_fields}")
+        dynamic_fields = fields[0] if dynamic_fields is None else dynamic_fields
+        check_positive(dynamic_fields=dynamic_fields)
         super().__init__(rotations, lowest_shape(size, fields))
         regular, lowest = (FieldType.of((group.regular, fields[level])) for level in (0, -1))
         self.unet = equivariant_unet(1, group, fields)
@@ -173,7 +164,7 @@ class EquivariantPixelMaps(PixelMaps):
         self.dynamic: DynamicEquivariantConv2d | None = None
         placed = regular
         if in_hand is not None:
-            placed = FieldType.of((group.regular, dynamic_fields or fields[0]))
+            placed = FieldType.of((group.regular, dynamic_fields))
             self.dynamic = DynamicEquivariantConv2d(regular, placed, 3, padding=1)
             encoder = PatchVector(*in_hand, in_hand_channels, [hidden], LAST_SIDE_OF_PIXELS)
             self.coefficients = nn.Sequential(encoder, coefficient_layer(self.dynamic, hidden))
@@ -188,18 +179,15 @@ class EquivariantPixelMaps(PixelMaps):
         """Return the values of the next primitive, (batch, yaws, size, size)."""
         if th.compiler.is_compiling() or th._C._get_tracing_state() is not None:
             # An exported graph has no branches that depend on data.
-            picks, places = self._pick_values(features), self._place_values(features, view.in_hand)
+            picks, places = _apply_head(self.heads[0], features), self._place_values(features, view.in_hand)
             return th.where(view.places[:, None, None, None], places, picks)
         values = features.new_zeros(len(features), self.rotations, *features.shape[2:], dtype=th.float32)
         if (~view.places).any():
-            values[~view.places] = self._pick_values(features[~view.places])
+            values[~view.places] = _apply_head(self.heads[0], features[~view.places])
         if view.places.any():
             placed = view.of(view.places)
             values[view.places] = self._place_values(features[view.places], placed.in_hand)
         return values
-
-    def _pick_values(self, features: th.Tensor) -> th.Tensor:
-        return _apply_head(self.heads[0], features)
 
     def _place_values(self, features: th.Tensor, in_hand: th.Tensor | None) -> th.Tensor:
         if self.dynamic is not None:
@@ -231,13 +219,9 @@ def _head(regular: FieldType, rotations: int) -> nn.Sequential:
 
 def coefficient_layer(dynamic: DynamicEquivariantConv2d, features: int) -> nn.Linear:
     """
-    Return a layer that predicts the coefficients of a dynamic filter.
+    Return a layer from a number of features to the coefficients of a dynamic filter.
 
-    The initial bias is a random filter of the size of other filters, which the input changes a little. A
-    layer with outputs near zero would learn slowly, because the filtered features would be near zero.
-
-    :param dynamic: convolution with that filter
-    :param features: number of inputs
+    The initial bias is a random filter, because a filter near zero would learn slowly.
     """
     layer = nn.Linear(features, dynamic.num_coefficients)
     nn.init.normal_(layer.bias)
@@ -248,11 +232,10 @@ def coefficient_layer(dynamic: DynamicEquivariantConv2d, features: int) -> nn.Li
 
 def of_primitive(values: th.Tensor, places: th.Tensor) -> th.Tensor:
     """
-    Select the values of the next primitive.
+    Return the values of the next primitive, (batch, ...), float32.
 
     :param values: values of pick and place, (batch, 2, ...)
     :param places: whether the next primitive is a place, bool (batch,)
-    :return: (batch, ...), float32
     """
     samples = th.arange(len(values), device=values.device)
     return values[samples, places.long()].float()

@@ -1,7 +1,5 @@
 """Policies of spatial Q algorithms: the paper's networks for its Open-Loop 2D, 3D and 6D benchmarks."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any, ClassVar
 
@@ -46,18 +44,16 @@ class SpatialPolicy(BasePolicy):
     """
     Base class of the policies: greedy actions of a Q function over an action grid, and its target network.
 
+    See :class:`~sb3_extensions.encoders.observation.SceneView` for the parameters ``quantise``,
+    ``standardise``, ``image_key``, ``in_hand_key`` and ``holding_key``.
+
     :param observation_space: Observation space, see :class:`~sb3_extensions.encoders.observation.SceneView`
     :param action_space: Action space, one number for each character of ``action_sequence``
     :param lr_schedule: Learning rate schedule (could be constant)
     :param action_sequence: see :class:`~sb3_extensions.spatial_dqn.codec.SpatialActionCodec`
     :param codec_kwargs: further parameters of :class:`~sb3_extensions.spatial_dqn.codec.SpatialActionCodec`
     :param network_kwargs: channels and fields of the networks, see the subclass
-    :param quantise: see :class:`~sb3_extensions.encoders.observation.SceneView`
-    :param standardise: see :class:`~sb3_extensions.encoders.observation.SceneView`
     :param autocast: see :class:`~sb3_extensions.spatial_dqn.q_network.SpatialQNetwork`
-    :param image_key: see :class:`~sb3_extensions.encoders.observation.SceneView`
-    :param in_hand_key: see :class:`~sb3_extensions.encoders.observation.SceneView`
-    :param holding_key: see :class:`~sb3_extensions.encoders.observation.SceneView`
     :param optimizer_class: The optimizer to use, ``th.optim.Adam`` by default
     :param optimizer_kwargs: Additional keyword arguments, excluding the learning rate
     :raises ValueError: if the action space does not match the sequence or is not bounded, or the networks do
@@ -105,6 +101,8 @@ class SpatialPolicy(BasePolicy):
         }
         size = SceneView(observation_space, **self.view_kwargs).size
         self.codec = SpatialActionCodec(size, action_sequence, **self.codec_kwargs)
+        self.rotations = len(self.codec.grids.get("theta", [0.0]))
+        """Number of yaws of the grid, 1 if actions have none."""
         self.q_net = self.make_q_net()
         self.q_net_target = self.make_q_net()
         self.q_net_target.load_state_dict(self.q_net.state_dict())
@@ -124,28 +122,11 @@ class SpatialPolicy(BasePolicy):
         return network.to(self.device)
 
     def make_levels(self, view: SceneView, **kwargs: Any) -> tuple[PixelMaps, list[Level]]:
-        """
-        Make the networks.
-
-        :param view: conversion of the observations
-        :param kwargs: ``network_kwargs`` of the constructor
-        :return: first level, further levels
-        """
+        """Make the first level and the further levels; ``kwargs`` are the ``network_kwargs``."""
         raise NotImplementedError
 
-    @property
-    def rotations(self) -> int:
-        """Number of yaws of the grid, 1 if actions have none."""
-        return len(self.codec.grids.get("theta", [0.0]))
-
     def forward(self, obs: PyTorchObs, deterministic: bool = True) -> th.Tensor:
-        """
-        Return the greedy actions.
-
-        :param obs: a batch
-        :param deterministic: has no effect, because the algorithm explores
-        :return: in [-1, 1], (batch, numbers)
-        """
+        """Return the greedy actions of a batch, in [-1, 1]; ``deterministic`` has no effect."""
         return self._predict(obs, deterministic)
 
     def _predict(self, observation: PyTorchObs, deterministic: bool = True) -> th.Tensor:
@@ -155,35 +136,22 @@ class SpatialPolicy(BasePolicy):
         return self.codec.decode_tensor(indices, places)
 
     def parameters_to_vector(self) -> npt.NDArray[Any]:
-        """
-        Convert the parameters to a 1D vector.
-
-        SB3's method does not support the memory format ``channels_last``.
-        """
-        flat = [parameter.detach().reshape(-1) for parameter in self.parameters()]
-        vector: npt.NDArray[Any] = th.cat(flat).cpu().numpy()
+        """Convert the parameters to a 1D vector. SB3's method does not support ``channels_last``."""
+        vector: npt.NDArray[Any] = th.cat([p.detach().flatten() for p in self.parameters()]).cpu().numpy()
         return vector
 
-    @th.no_grad()
     def load_from_vector(self, vector: npt.NDArray[Any]) -> None:
-        """
-        Load parameters from a 1D vector.
-
-        :param vector: as returned by :meth:`parameters_to_vector`
-        """
-        sizes = [parameter.numel() for parameter in self.parameters()]
-        parts = th.as_tensor(vector, dtype=th.float32, device=self.device).split(sizes)
-        for parameter, part in zip(self.parameters(), parts, strict=True):
-            parameter.copy_(part.view(parameter.shape))
+        """Load parameters from a 1D vector, as returned by :meth:`parameters_to_vector`."""
+        super().load_from_vector(vector)
+        self.to(memory_format=th.channels_last)  # type: ignore[call-overload]
 
     def value_map(
         self, observation: dict[str, npt.NDArray[Any]]
     ) -> tuple[npt.NDArray[np.float32], tuple[int, ...]]:
         """
-        Return the values of all pixels for one observation.
+        Return the value of every pixel with its best yaw, (size, size), and the indices of the greedy action.
 
         :param observation: observation of the environment, not a batch
-        :return: value of every pixel with its best yaw, (size, size), and the indices of the greedy action
         """
         batch, _ = self.obs_to_tensor(observation)
         assert isinstance(batch, dict)
@@ -193,11 +161,7 @@ class SpatialPolicy(BasePolicy):
         return values.amax(dim=0).cpu().numpy(), tuple(indices[0].tolist())
 
     def set_training_mode(self, mode: bool) -> None:
-        """
-        Put the policy in either training or evaluation mode.
-
-        :param mode: if true, set to training mode, else set to evaluation mode
-        """
+        """Set the training mode of the Q network; its target is always in evaluation mode."""
         self.q_net.train(mode)
         self.training = mode
 
@@ -287,18 +251,14 @@ class ASRPolicy(SpatialPolicy):
 
 class EquivariantASRPolicy(SpatialPolicy):
     """
-    Equivariant networks that choose the numbers of an action in order (Equivariant ASR; in 6D Equivariant
-    Deictic ASR).
+    Equivariant networks that choose the numbers of an action in order (ASR; in 6D Deictic ASR).
 
     The network of the pixel is equivariant to D_4, the network of n yaws to C_2n. Height and tilts are valued
     from projections around the gripper. Parameters of ``network_kwargs``:
 
-    - ``fields``: regular fields of the levels of the U-Net
-    - ``patch_fields``: regular fields of the convolutions on the patch around the pixel
-    - ``in_hand_channels``: channels of the convolutions on the in-hand image
-    - ``hidden``: units of the two linear layers on the in-hand image and the encoding
-    - ``dynamic_fields``: see :class:`~sb3_extensions.spatial_dqn.pixel_maps.EquivariantPixelMaps`
-    - ``pool_encoding``: see :class:`~sb3_extensions.spatial_dqn.asr_heads.EquivariantRotations`
+    - ``fields``, ``dynamic_fields``: see :class:`~sb3_extensions.spatial_dqn.pixel_maps.EquivariantPixelMaps`
+    - ``patch_fields`` (the ``fields``), ``in_hand_channels``, ``hidden`` and ``pool_encoding``: see
+      :class:`~sb3_extensions.spatial_dqn.asr_heads.EquivariantRotations`
     - ``patch_channels``, ``patch_hidden``: channels and units of the levels after the yaw (6D)
     """
 

@@ -1,7 +1,5 @@
 """Orthographic projections of the scene around a gripper along its three axes, for batches of poses."""
 
-from __future__ import annotations
-
 import math
 
 import torch as th
@@ -9,24 +7,18 @@ import torch as th
 from sb3_extensions.spatial_dqn.patches import gather_windows
 
 MAX_VOXELS = 1 << 18
-"""Number of voxels (30 bytes each) in one chunk. Larger chunks are not faster on a CPU, because of its
-caches."""
+"""Number of voxels (30 bytes each) in one chunk. Larger chunks are not faster on a CPU."""
 FRACTION_BITS = 20
-"""Binary places of positions in pixels. Sums are then exact, so that a voxel on the border of two pixels
-belongs to the same pixel in all rows and columns."""
+"""Binary places of positions in pixels, so that sums are exact."""
 PIXEL = 1 << FRACTION_BITS
 TIE = 1e-5
-"""Shift (pixels) of voxels along the gripper's x and y axes. Without it, the voxels of a cube of an even size
-are on the borders of pixels after rotations by 90 degrees, and rounding would assign them arbitrarily."""
+"""Shift (pixels) of voxels along the gripper's x and y axes, so that none is on the border of two pixels."""
 
 
 def rotation_matrices(theta: th.Tensor, phi: th.Tensor, psi: th.Tensor) -> th.Tensor:
     """
     Return intrinsic rotations about z, y and x: Rz(theta) Ry(phi) Rx(psi).
 
-    :param theta: rad, about z
-    :param phi: rad, about y
-    :param psi: rad, about x; the shapes of the three are broadcast
     :return: (..., 3, 3), the columns are the rotated axes
     """
     angles = th.broadcast_tensors(theta, phi, psi)
@@ -51,12 +43,11 @@ def orthographic_projections(
     max_voxels: int = MAX_VOXELS,
 ) -> th.Tensor:
     """
-    Return the length of the full part of a cube around the gripper, along its axes, for several poses an
-    image.
+    Return the full length of a cube around the gripper, along its axes, for several poses an image.
 
     A voxel is full if its centre is below the height of its pixel. Voxels outside the heightmap are empty.
 
-    :param heights: heightmaps, m, (batch, rows, columns), floating point
+    :param heights: heightmaps, m, (batch, rows, columns)
     :param rows: row of the pixel below the gripper, int64 (batch,)
     :param columns: column of the pixel, int64 (batch,)
     :param z: height of the gripper, m, (batch, candidates)
@@ -81,14 +72,7 @@ def orthographic_projections(
 def _count_full(
     windows: th.Tensor, z: th.Tensor, rotations: th.Tensor, size: int, resolution: float
 ) -> th.Tensor:
-    """
-    Return the number of full voxels along the axes of n grippers.
-
-    :param windows: heights around the gripper, m, (n, side * side)
-    :param z: m, (n,)
-    :param rotations: (n, 3, 3)
-    :return: (n, 3, size, size)
-    """
+    """Return the number of full voxels along the axes of n grippers, (n, 3, size, size)."""
     line = th.arange(size, dtype=z.dtype, device=z.device) - (size - 1) / 2.0
     # World positions of voxels in pixels: (n, axis of the world, axis of the gripper, cell along it).
     steps = rotations[..., None] * line
@@ -99,13 +83,7 @@ def _count_full(
 
 
 def _pixels(steps: th.Tensor, shifts: th.Tensor) -> th.Tensor:
-    """
-    Return the index in its window of the pixel below each voxel.
-
-    :param steps: pixels, (n, 2, 3, size)
-    :param shifts: shift of all voxels, pixels, (n, 2)
-    :return: int64, (n, size ** 3)
-    """
+    """Return the index in its window of the pixel below each voxel, int64 (n, size ** 3)."""
     side = 2 * _reach(steps.shape[-1]) + 1
     steps, shifts = ((values * PIXEL).round_().to(th.int32) for values in (steps, shifts))
     shifts += side * PIXEL // 2  # from the centre of the window to its corner
@@ -116,13 +94,7 @@ def _pixels(steps: th.Tensor, shifts: th.Tensor) -> th.Tensor:
 
 
 def _add_axes(steps: th.Tensor, start: th.Tensor) -> th.Tensor:
-    """
-    Add the steps along three axes for all cells of a cube.
-
-    :param steps: (n, 3, size)
-    :param start: (n,)
-    :return: (n, size, size, size)
-    """
+    """Add the steps (n, 3, size) along three axes for all cells of a cube, (n, size, size, size)."""
     x, y, z = steps.unbind(1)
     return (x[:, :, None] + (y + start[:, None])[:, None, :])[..., None] + z[:, None, None, :]
 

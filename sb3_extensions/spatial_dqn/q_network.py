@@ -1,7 +1,5 @@
 """Q function over the action grid, in one level or in several levels that choose one after the other."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import torch as th
@@ -70,12 +68,7 @@ class SpatialQNetwork(nn.Module):
         return [maps.flatten(1), *further]
 
     def choices(self, indices: th.Tensor) -> list[th.Tensor]:
-        """
-        Return the choice of an action at every level.
-
-        :param indices: int64 (batch, indices)
-        :return: (batch,) for each level
-        """
+        """Return the choices (batch,) of actions at every level, from their indices (batch, indices)."""
         size = self.codec.size
         pixels = indices[:, 0] * size + indices[:, 1]
         if self.pixel_maps.rotations > 1:
@@ -84,24 +77,16 @@ class SpatialQNetwork(nn.Module):
 
     @th.no_grad()
     def greedy(self, observations: TensorDict) -> tuple[th.Tensor, th.Tensor]:
-        """
-        Return the best choices, level by level.
-
-        :param observations: a batch
-        :return: indices, int64 (batch, indices), and their values at the last level, (batch,)
-        """
+        """Return the best indices, int64 (batch, indices), and their values at the last level, (batch,)."""
         view = self.scene_view(observations)
         with precision(self.autocast, view.image.device.type):
             maps, encoding = self.pixel_maps(view)
             values, best = maps.flatten(1).max(dim=1)
-            indices = self._first_indices(best)
+            size = self.codec.size
+            pixel = best % size**2
+            first = [pixel // size, pixel % size, best // size**2]
+            indices = th.stack(first[: self._n_first], dim=1)
             for level in self.levels:
                 values, best = level(view, encoding, indices).max(dim=1)
                 indices = th.cat([indices, best[:, None]], dim=1)
         return indices, values
-
-    def _first_indices(self, best: th.Tensor) -> th.Tensor:
-        size = self.codec.size
-        pixel = best % size**2
-        indices = [pixel // size, pixel % size, best // size**2]
-        return th.stack(indices[: self._n_first], dim=1)

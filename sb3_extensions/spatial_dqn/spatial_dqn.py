@@ -1,7 +1,5 @@
 """Deep Q-learning over spatial action maps, from demonstrations."""
 
-from __future__ import annotations
-
 from collections import defaultdict
 from typing import Any, ClassVar
 
@@ -15,13 +13,12 @@ from stable_baselines3.common.type_aliases import GymEnv, PyTorchObs, Schedule
 from stable_baselines3.common.utils import LinearSchedule, polyak_update
 from torch.nn import functional as F
 
-from sb3_extensions.common.components import check_fraction, check_not_negative
-from sb3_extensions.common.exploration import explore_on_grid
-from sb3_extensions.common.seeds import SeedKey, derive_seed
-from sb3_extensions.demonstrations.off_policy import OffPolicyFromDemonstrations
+from sb3_extensions.common.components import check_fraction, check_not_negative, check_positive
+from sb3_extensions.demonstrations.off_policy import Logs, OffPolicyFromDemonstrations
 from sb3_extensions.demonstrations.source import DemonstrationSource, ExpertData
 from sb3_extensions.replay.samples import compute_next_values
 from sb3_extensions.spatial_dqn.augmentation import RigidMotion
+from sb3_extensions.spatial_dqn.codec import explore_on_grid
 from sb3_extensions.spatial_dqn.losses import ImitationLoss, cross_entropy, large_margin, strict_margin
 from sb3_extensions.spatial_dqn.policies import (
     ASRPolicy,
@@ -31,9 +28,6 @@ from sb3_extensions.spatial_dqn.policies import (
     RotFCNPolicy,
     SpatialPolicy,
 )
-
-EXPERT_FRACTION = 0.5
-"""Fraction of expert steps in each batch (paper, appendix "Benchmark Details")."""
 
 
 class SpatialDQN(OffPolicyFromDemonstrations):
@@ -47,25 +41,15 @@ class SpatialDQN(OffPolicyFromDemonstrations):
 
     Half of each batch are expert steps, as soon as there is half a batch of expert and of online steps.
     Before, all steps are sampled with equal probability. This class does not imitate the expert steps;
-    :class:`ADET`,
-    :class:`DQfD` and :class:`SDQfD` do.
+    :class:`ADET`, :class:`DQfD` and :class:`SDQfD` do.
 
     Paper: https://arxiv.org/abs/2205.14292, Section "Open-Loop 3D Benchmark", and
     https://arxiv.org/abs/2010.02798
 
-    :param policy: The policy model to use (alias or class)
+    See Stable-Baselines3's ``DQN`` for the parameters that are not documented here.
+
     :param env: The environment to learn from (if registered in Gym, can be str), with Dict observations that
         contain a heightmap and Box actions
-    :param learning_rate: The learning rate, it can be a function of the current progress remaining (from 1 to
-        0)
-    :param buffer_size: number of transitions in the replay buffer, including demonstrations
-    :param learning_starts: number of random steps on the grid before learning starts
-    :param batch_size: Minibatch size for each gradient update
-    :param tau: the soft update coefficient ("Polyak update", between 0 and 1) default 1 for hard update
-    :param gamma: the discount factor
-    :param train_freq: number of steps between updates of the model, or a tuple such as ``(2, "episode")``
-    :param gradient_steps: How many gradient steps to do after each rollout (see ``train_freq``); ``-1`` for
-        the number of environment steps of the rollout
     :param replay_buffer_class: Replay buffer class, ``ExpertReplayBuffer`` (the default) or a subclass
     :param replay_buffer_kwargs: Keyword arguments to pass to the replay buffer on creation, except
         ``n_steps`` and ``gamma``. ``image_dtype`` defaults to the policy's ``quantise``, ``sampler`` to half
@@ -75,24 +59,12 @@ class SpatialDQN(OffPolicyFromDemonstrations):
     :param imitation_weight: weight of the imitation loss of a subclass. None for the paper's: 0.01 for
         :class:`ADET`, otherwise 0.1
     :param margin: margin of the imitation loss of :class:`DQfD` and :class:`SDQfD`
-    :param exploration_fraction: fraction of entire training period over which the exploration rate is reduced
-    :param exploration_initial_eps: initial value of random action probability
-    :param exploration_final_eps: final value of random action probability
     :param max_grad_value: maximum absolute value of each number of the gradient
     :param expert_episodes: number of successful expert episodes to collect, without ``expert_data``
-    :param expert_data: episodes in the environment's units instead, or the path of a file of
-        ``bulletarm_gym.demonstrations``, not saved with the model. See
-        :class:`~sb3_extensions.demonstrations.episodes.EpisodeData`
+    :param expert_data: see :class:`~sb3_extensions.sacfd.SACfD`
     :param augmentation: augmentation of the sampled steps: None or ``"rigid_motion"``, see
         :class:`~sb3_extensions.spatial_dqn.augmentation.RigidMotion`
     :param pretrain_steps: number of gradient steps before the first step in the environment
-    :param stats_window_size: number of episodes over which the rollout logging averages
-    :param tensorboard_log: the log location for tensorboard (if None, no logging)
-    :param policy_kwargs: arguments of the policy
-    :param verbose: Verbosity level: 0 for no output, 1 for info messages, 2 for debug messages
-    :param seed: Seed for the pseudo random generators
-    :param device: Device (cpu, cuda, ...) on which the code should be run; auto for a GPU if available
-    :param _init_setup_model: Whether or not to build the network at the creation of the instance
     :raises ValueError: if an argument is out of its range, ``pretrain_steps`` is positive without
         demonstrations, or ``replay_buffer_class`` is not an ``ExpertReplayBuffer``
     """
@@ -177,14 +149,12 @@ class SpatialDQN(OffPolicyFromDemonstrations):
         self.exploration_initial_eps = exploration_initial_eps
         self.exploration_final_eps = exploration_final_eps
         self.exploration_rate = 0.0  # "epsilon" for the epsilon-greedy exploration
-        self.exploration_generator = th.Generator().manual_seed(th.initial_seed())
         self.max_grad_value = max_grad_value
         self.expert_episodes = expert_episodes
         self.expert_data = expert_data
         if augmentation not in (None, "rigid_motion"):
             raise ValueError(f"augmentation must be None or 'rigid_motion', got {augmentation!r}")
         self.augmentation = augmentation  # type: ignore[assignment]  # _setup_model() creates the object
-        self.augmentation_generator = th.Generator().manual_seed(th.initial_seed())
         self.pretrain_steps = pretrain_steps
         self._check_arguments()
 
@@ -199,12 +169,11 @@ class SpatialDQN(OffPolicyFromDemonstrations):
             exploration_initial_eps=self.exploration_initial_eps,
             exploration_final_eps=self.exploration_final_eps,
         )
-        for name in ("target_update_interval", "max_grad_value"):
-            if getattr(self, name) <= 0:
-                raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
+        check_positive(target_update_interval=self.target_update_interval, max_grad_value=self.max_grad_value)
 
     def _setup_model(self) -> None:
-        shares = {"expert_fraction": EXPERT_FRACTION, "balanced_from": max(1, self.batch_size // 2)}
+        # Paper, appendix "Benchmark Details"
+        shares = {"expert_fraction": 0.5, "balanced_from": max(1, self.batch_size // 2)}
         self.replay_buffer_kwargs = {"sampler": {"shares": shares}, **self.replay_buffer_kwargs}
         is_augmented, self.augmentation = self.augmentation is not None, None
         super()._setup_model()
@@ -230,9 +199,9 @@ class SpatialDQN(OffPolicyFromDemonstrations):
         self._update_learning_rate(self.policy.optimizer)
 
         assert self.replay_buffer is not None
-        logs: defaultdict[str, list[th.Tensor]] = defaultdict(list)
+        logs: Logs = defaultdict(list)
 
-        for _ in range(gradient_steps):
+        for gradient_step in range(1, gradient_steps + 1):
             replay_data = self.replay_buffer.sample(batch_size, env=self._vec_normalize_env)
             if self.augmentation is not None:
                 replay_data = self.augmentation(replay_data, self.augmentation_generator)
@@ -273,8 +242,7 @@ class SpatialDQN(OffPolicyFromDemonstrations):
             self.policy.optimizer.step()
 
             # Update target networks
-            self._n_updates += 1
-            if self._n_updates % self.target_update_interval == 0:
+            if (self._n_updates + gradient_step) % self.target_update_interval == 0:
                 polyak_update(self.q_net.parameters(), self.q_net_target.parameters(), self.tau)
 
             logs["loss"].append(loss.detach())
@@ -282,10 +250,7 @@ class SpatialDQN(OffPolicyFromDemonstrations):
             logs["value_expert"].append(current_q_values.detach()[replay_data.is_expert])
             logs["value_online"].append(current_q_values.detach()[~replay_data.is_expert])
 
-        self.logger.record("train/n_updates", self._n_updates, exclude="tensorboard")
-        for name, losses in logs.items():
-            if len(numbers := th.cat([entry.reshape(-1) for entry in losses])):
-                self.logger.record(f"train/{name}", numbers.mean().item())
+        self._log_updates(gradient_steps, logs)
 
     def _next_values(self, next_observations: PyTorchObs) -> th.Tensor:
         """Return the target network's value of its best action at its last level, (batch, 1)."""
@@ -293,7 +258,6 @@ class SpatialDQN(OffPolicyFromDemonstrations):
         return self.q_net_target.greedy(next_observations)[1][:, None]
 
     def _on_step(self) -> None:
-        """Update the exploration rate after each step of ``collect_rollouts()``."""
         self.exploration_rate = self.exploration_schedule(self._current_progress_remaining)
         self.logger.record("rollout/exploration_rate", self.exploration_rate)
 
@@ -305,21 +269,12 @@ class SpatialDQN(OffPolicyFromDemonstrations):
         scaled = self.as_policy_actions(greedy)
         probability = 1.0 if self.num_timesteps < learning_starts else self.exploration_rate
         if probability > 0:
-            scaled = self._explore(scaled, self._last_obs, probability)
+            # Random actions have the same primitives.
+            indices, places = self.codec.encode(scaled), self.codec.places(scaled)
+            heights, generator = self._last_obs[self.q_net.scene_view.image_key], self.exploration_generator
+            indices = explore_on_grid(indices, heights[:, 0], probability, self.codec.shape, generator)
+            scaled = self.codec.decode(indices, places)
         return self.policy.unscale_action(scaled), scaled
-
-    def _explore(
-        self, actions: npt.NDArray[Any], observations: dict[str, npt.NDArray[Any]], probability: float
-    ) -> npt.NDArray[Any]:
-        """Replace some actions by random actions of the same primitive."""
-        indices = explore_on_grid(
-            self.codec.encode(actions),
-            observations[self.q_net.scene_view.image_key][:, 0],
-            probability,
-            self.codec.shape,
-            self.exploration_generator,
-        )
-        return self.codec.decode(indices, self.codec.places(actions))
 
     def _demonstrations(self, **kwargs: Any) -> DemonstrationSource:
         return super()._demonstrations(snap=getattr(self, "codec", None), **kwargs)
@@ -328,14 +283,8 @@ class SpatialDQN(OffPolicyFromDemonstrations):
         """Convert actions to the policy's units and move them to the grid."""
         return self.codec.snap(super().as_policy_actions(actions))
 
-    def _seed_samplers(self, seed: int | None) -> None:
-        super()._seed_samplers(seed)
-        if seed is not None:
-            self.exploration_generator.manual_seed(derive_seed(seed, SeedKey.EXPLORATION))
-
     def _excluded_save_params(self) -> list[str]:
-        own = ["q_net", "q_net_target", "codec", "exploration_generator"]
-        return [*super()._excluded_save_params(), *own]
+        return [*super()._excluded_save_params(), "q_net", "q_net_target", "codec"]
 
     def _get_torch_save_params(self) -> tuple[list[str], list[str]]:
         return ["policy", "policy.optimizer"], []
@@ -343,10 +292,9 @@ class SpatialDQN(OffPolicyFromDemonstrations):
 
 class SDQfD(SpatialDQN):
     """
-    Strict deep Q-learning from demonstrations (https://arxiv.org/abs/2010.02798).
+    Strict deep Q-learning from demonstrations, see :class:`SpatialDQN` for the parameters.
 
-    Imitates with :func:`~sb3_extensions.spatial_dqn.losses.strict_margin`. See :class:`SpatialDQN` for the
-    parameters.
+    It imitates with :func:`~sb3_extensions.spatial_dqn.losses.strict_margin`.
     """
 
     imitation_loss = staticmethod(strict_margin)
@@ -354,10 +302,9 @@ class SDQfD(SpatialDQN):
 
 class DQfD(SpatialDQN):
     """
-    Deep Q-learning from demonstrations (https://arxiv.org/abs/1704.03732).
+    Deep Q-learning from demonstrations, see :class:`SpatialDQN` for the parameters.
 
-    Imitates with :func:`~sb3_extensions.spatial_dqn.losses.large_margin`. See :class:`SpatialDQN` for the
-    parameters.
+    It imitates with :func:`~sb3_extensions.spatial_dqn.losses.large_margin`.
     """
 
     imitation_loss = staticmethod(large_margin)
@@ -366,10 +313,9 @@ class DQfD(SpatialDQN):
 class ADET(SpatialDQN):
     """
     Accelerated DQN with expert trajectories (Lakshminarayanan, Ozair and Bengio, "Reinforcement Learning with
-    Few Expert Demonstrations", 2016).
+    Few Expert Demonstrations", 2016), see :class:`SpatialDQN` for the parameters.
 
-    Imitates with :func:`~sb3_extensions.spatial_dqn.losses.cross_entropy`. See :class:`SpatialDQN` for the
-    parameters.
+    It imitates with :func:`~sb3_extensions.spatial_dqn.losses.cross_entropy`.
     """
 
     default_imitation_weight: ClassVar[float] = 0.01

@@ -1,13 +1,10 @@
 """Truncated quantile critics from demonstrations."""
 
-from __future__ import annotations
-
 from functools import partial
 from typing import Any, ClassVar
 
 import torch as th
 from sb3_contrib.common.utils import quantile_huber_loss
-from sb3_contrib.tqc.policies import Critic
 from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.type_aliases import GymEnv
 from stable_baselines3.sac.policies import SACPolicy
@@ -18,18 +15,12 @@ from sb3_extensions.tqcfd.policies import EquivariantPolicy, MultiInputPolicy, S
 
 class TQCfD(SACfD):
     """
-    Truncated quantile critics from demonstrations (TQCfD).
+    Truncated quantile critics from demonstrations (TQCfD): SACfD with the critics of sb3-contrib's TQC.
 
-    :class:`~sb3_extensions.sacfd.SACfD` with the critics of sb3-contrib's TQC.
+    TQC: https://arxiv.org/abs/2005.04269. See :class:`~sb3_extensions.sacfd.SACfD` for the other parameters.
 
-    TQC: https://arxiv.org/abs/2005.04269
-
-    :param policy: The policy model to use (one of the aliases, or a class)
-    :param env: The environment to learn from (if registered in Gym, can be str)
     :param top_quantiles_to_drop_per_net: number of quantiles to drop per network, of its ``n_quantiles`` (in
         ``policy_kwargs``, 25 by default)
-    :param _init_setup_model: Whether or not to build the network at the creation of the instance
-    :param kwargs: keyword arguments of :class:`~sb3_extensions.sacfd.SACfD`
     :raises ValueError: if all quantiles are dropped
     """
 
@@ -38,7 +29,6 @@ class TQCfD(SACfD):
         "EquivariantPolicy": EquivariantPolicy,
         "StatePolicy": StatePolicy,
     }
-    critic: Critic  # type: ignore[assignment]
 
     def __init__(
         self,
@@ -49,18 +39,16 @@ class TQCfD(SACfD):
         **kwargs: Any,
     ) -> None:
         super().__init__(policy, env, _init_setup_model=False, **kwargs)
+        n_quantiles = self.policy_kwargs.get("n_quantiles", 25)
+        if not 0 <= top_quantiles_to_drop_per_net < n_quantiles:
+            raise ValueError(
+                f"top_quantiles_to_drop_per_net must be at least 0 and less than n_quantiles={n_quantiles}, "
+                f"got {top_quantiles_to_drop_per_net}"
+            )
         self.top_quantiles_to_drop_per_net = top_quantiles_to_drop_per_net
 
         if _init_setup_model:
             self._setup_model()
-
-    def _setup_model(self) -> None:
-        super()._setup_model()
-        if not 0 <= self.top_quantiles_to_drop_per_net < self.critic.n_quantiles:
-            raise ValueError(
-                f"top_quantiles_to_drop_per_net must be at least 0 and less than n_quantiles="
-                f"{self.critic.n_quantiles}, got {self.top_quantiles_to_drop_per_net}"
-            )
 
     def _q_values(self, critic: Any, features: th.Tensor, actions: th.Tensor) -> Any:
         """Return the quantiles of all heads, (batch, heads, quantiles)."""
@@ -69,8 +57,8 @@ class TQCfD(SACfD):
     def _target_values(self, q_values: Any) -> th.Tensor:
         # Sort the quantiles of all critics and drop the top ones, to control overestimation
         quantiles = q_values.flatten(1).sort(dim=1).values
-        dropped = self.top_quantiles_to_drop_per_net * self.critic.n_critics
-        kept: th.Tensor = quantiles[:, : self.critic.quantiles_total - dropped]
+        dropped = self.top_quantiles_to_drop_per_net * q_values.shape[1]
+        kept: th.Tensor = quantiles[:, : quantiles.shape[1] - dropped]
         return kept
 
     def _critic_loss(

@@ -10,6 +10,7 @@ from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.logger import Logger
 
 from sb3_extensions.common.checkpoint import resume, save_checkpoint
+from sb3_extensions.encoders.extractors import CnnExtractor
 from sb3_extensions.ferm import FERM
 from sb3_extensions.ferm.policies import BilinearContrast
 from sb3_extensions.replay.augmentation import RAD, DrQ
@@ -220,7 +221,7 @@ def test_the_papers_networks(make_toy: Any) -> None:
         ({"encoder_tau": 0.0}, "encoder_tau must be greater than 0 and at most 1, got 0.0"),
         ({"policy": SacfdPolicy}, "policy must be FERM's MultiInputPolicy"),
         ({"policy_kwargs": {"share_features_extractor": True}}, "share_features_extractor"),
-        ({"policy_kwargs": {"features_extractor_class": th.nn.Flatten}}, "ContrastiveExtractor"),
+        ({"policy_kwargs": {"features_extractor_class": CnnExtractor}}, "ContrastiveExtractor"),
     ],
 )
 def test_bad_arguments(kwargs: dict[str, Any], message: str, make_toy: Any) -> None:

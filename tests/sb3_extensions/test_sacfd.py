@@ -11,13 +11,16 @@ from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.vec_env import VecNormalize
 from stable_baselines3.sac.policies import MultiInputPolicy as StockPolicy
 
-from sb3_extensions.common.exploration import replace_one_number
 from sb3_extensions.demonstrations.collection import collect_episodes
 from sb3_extensions.demonstrations.dagger import DaggerCallback
 from sb3_extensions.demonstrations.expert_envs import make_expert_envs
+from sb3_extensions.ferm import FERM
 from sb3_extensions.replay.buffer import ExpertReplayBuffer
 from sb3_extensions.sacfd import SACfD
+from sb3_extensions.sacfd.exploration import replace_one_number
 from sb3_extensions.sacfd.losses import imitation_loss, self_imitation_weights
+from sb3_extensions.spatial_dqn import SDQfD, SpatialDQN
+from sb3_extensions.tqcfd import TQCfD
 
 SMALL_STOCK = {"net_arch": [16], "features_extractor_kwargs": {"cnn_output_dim": 8}}
 
@@ -435,15 +438,25 @@ def test_save_and_load(policy: Any, make_toy: Any, tmp_path: Any) -> None:
 
 
 @pytest.mark.parametrize("name", ["CnnPolicy", "unknown"])
-def test_an_unknown_policy_is_refused_with_the_known_ones(name: str, make_toy: Any) -> None:
-    with pytest.raises(ValueError, match=f"policy must be one of .*EquivariantPolicy.*, got '{name}'"):
-        SACfD(name, make_toy())
+@pytest.mark.parametrize("algorithm", [SACfD, TQCfD, FERM, SpatialDQN, SDQfD])
+def test_an_unknown_policy_is_refused_with_the_known_ones(algorithm: Any, name: str, make_toy: Any) -> None:
+    known = ", ".join(algorithm.policy_aliases)
+    with pytest.raises(ValueError, match=f"policy must be one of {known}, got '{name}'"):
+        algorithm(name, make_toy())
 
 
-def test_episodic_training_of_several_environments_is_refused_at_once(make_toy: Any) -> None:
-    with pytest.raises(ValueError, match=r"train_freq must be a number of steps .* got \(1, 'episode'\)"):
-        make_model(make_toy(2), train_freq=(1, "episode"))
-    make_model(make_toy(1), train_freq=(1, "episode"), pretrain_steps=0)
+@pytest.mark.parametrize(("n_envs", "train_freq"), [(2, (1, "episode")), (1, (0, "episode")), (2, 0)])
+def test_an_impossible_train_freq_is_refused_at_once(n_envs: int, train_freq: Any, make_toy: Any) -> None:
+    with pytest.raises(ValueError, match=rf"train_freq must be positive, .* with n_envs={n_envs}"):
+        make_model(make_toy(n_envs), train_freq=train_freq)
+
+
+def test_episodic_training_is_refused_for_a_model_loaded_with_two_environments(
+    make_toy: Any, tmp_path: Any
+) -> None:
+    make_model(make_toy(), train_freq=(1, "episode")).save(tmp_path / "model")
+    with pytest.raises(ValueError, match=r"got \(1, 'episode'\) with n_envs=2"):
+        SACfD.load(tmp_path / "model", env=make_toy(2))
 
 
 def test_an_equivariant_actor_is_refused_in_open_loop(monkeypatch: pytest.MonkeyPatch, make_toy: Any) -> None:

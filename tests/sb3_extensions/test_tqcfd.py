@@ -44,7 +44,7 @@ def test_run(policy: Any, kwargs: dict[str, Any], make_toy: Any) -> None:
     model = make_model(make_toy(2), policy, **kwargs).learn(12)
     assert model._n_updates == 6
     assert model.replay_buffer.expert_size > 0
-    assert model.critic.n_quantiles == 25
+    assert model.policy.n_quantiles == 25
     assert all(np.isfinite(value).all() for value in parameters(model).values())
 
 
@@ -166,8 +166,8 @@ def test_equivariant_networks(make_toy: Any) -> None:
     p, x, y, z, r = sample.actions.unbind(1)
     turned = {**sample.observations, "heightmap": th.rot90(sample.observations["heightmap"], 1, (2, 3))}
     with th.no_grad():
-        quantiles = model.critic(sample.observations, sample.actions)
-        turned_quantiles = model.critic(turned, th.stack([p, -y, x, z, r], dim=1))
+        quantiles = th.stack(model.critic(sample.observations, sample.actions), dim=1)
+        turned_quantiles = th.stack(model.critic(turned, th.stack([p, -y, x, z, r], dim=1)), dim=1)
         p, x, y, z, r = model.actor(sample.observations, deterministic=True).unbind(1)
         turned_actions = model.actor(turned, deterministic=True)
     assert quantiles.shape == (8, 2, N_QUANTILES) and quantiles.std() > 1e-3

@@ -345,7 +345,7 @@ def test_unknown_names_are_told(names: tuple[str, str, str], message: str) -> No
             {"replay_buffer_class": "no_package.Buffer"},
             "replay buffer 'no_package.Buffer' cannot be imported",
         ),
-        ({"augmentation": "rda"}, "one of rotation, rad, drq, or one of them"),
+        ({"augmentation": "rda"}, "one of rotation, rad, drq, or names"),
         ({"policy_kwargs": {"net_arc": []}}, "did you mean 'net_arch'?"),
         ({"policy_kwargs": {"features_extractor_kwargs": {"chanels": []}}}, "did you mean 'channels'?"),
     ],

@@ -109,8 +109,9 @@ def _check_policy_kwargs(policy: Any, policy_kwargs: Any) -> None:
     if not isinstance(policy_kwargs, Mapping):
         return
     check_names(f"policy_kwargs of {policy.__name__}", policy_kwargs, constructor_keys(policy))
-    default = constructor_arguments(policy).get("features_extractor_class")
-    extractor = policy_kwargs.get("features_extractor_class", object if default is None else default.default)
+    parameter = constructor_arguments(policy).get("features_extractor_class")
+    default = getattr(policy, "default_extractor", object if parameter is None else parameter.default)
+    extractor = policy_kwargs.get("features_extractor_class", default)
     if isinstance(extractor, str):
         extractor = _imported("features extractor", extractor)
     given = policy_kwargs.get("features_extractor_kwargs", {})

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from gymnasium import spaces
 from stable_baselines3 import SAC
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import VecNormalize
@@ -18,6 +20,7 @@ from sb3_extensions.ferm import FERM
 from sb3_extensions.sacfd import SACfD
 
 SMALL = {"features_extractor_kwargs": {"channels": [4, 8, 8]}, "net_arch": [16]}
+BOX = spaces.Box(0.0, 1.0, (1, 16, 16))
 
 
 def make_model(env: Any, algorithm: type[SACfD] = SACfD, **kwargs: Any) -> SACfD:
@@ -197,29 +200,44 @@ def test_loaded_model_requires_expert_data_again(make_toy: Any, tmp_path: Path) 
 
 
 @pytest.mark.parametrize(
-    ("other", "message"),
-    [
-        ({"n_envs": 2}, "n_envs must be 1, got 2"),
-        ({"replay_buffer_kwargs": {"image_dtype": "uint16"}, "quantise": "uint16"}, "image_dtype='uint16'"),
-        ({"stock": True}, "must be an ExpertReplayBuffer, got DictReplayBuffer"),
-    ],
+    ("n_envs", "quantise", "message"),
+    [(1, "uint16", "image_dtype='uint16'"), (2, "uint8", "n_envs of the buffer must be 1, got 2")],
 )
-def test_a_replay_buffer_of_another_kind_is_refused(
-    other: dict[str, Any], message: str, make_toy: Any, tmp_path: Path
+def test_a_replay_buffer_of_another_kind_is_rejected(
+    n_envs: int, quantise: str, message: str, make_toy: Any, tmp_path: Path
 ) -> None:
-    env = make_toy(other.pop("n_envs", 1))
-    if other.pop("stock", False):
-        model: Any = SAC("MultiInputPolicy", env, buffer_size=50, policy_kwargs={"net_arch": [4]})
-    else:
-        quantise = other.pop("quantise", "uint8")
-        extractor = {"channels": [4, 8, 8], "quantise": quantise}
-        model = make_model(env, policy_kwargs={"features_extractor_kwargs": extractor}, **other)
-    model.save_replay_buffer(tmp_path / "buffer")
-    ours = make_model(make_toy())
-    own = ours.replay_buffer
+    extractor = {"channels": [4, 8, 8], "quantise": quantise}
+    other = make_model(make_toy(n_envs), policy_kwargs={"features_extractor_kwargs": extractor})
+    other.save_replay_buffer(tmp_path / "buffer")
+    model = make_model(make_toy())
+    model.load_replay_buffer(tmp_path / "buffer")
     with pytest.raises(ValueError, match=message):
-        ours.load_replay_buffer(tmp_path / "buffer")
-    assert ours.replay_buffer is own
+        model.learn(1)
+
+
+@pytest.mark.parametrize(
+    ("name", "space"),
+    [("observation_space", spaces.Dict({"rgb": BOX})), ("action_space", spaces.Box(-2.0, 2.0, (5,)))],
+)
+def test_a_replay_buffer_of_another_environment_is_rejected(
+    name: str, space: spaces.Space[Any], make_toy: Any, tmp_path: Path
+) -> None:
+    other, model = make_model(make_toy()), make_model(make_toy())
+    setattr(other.replay_buffer, name, space)
+    other.save_replay_buffer(tmp_path / "buffer")
+    model.load_replay_buffer(tmp_path / "buffer")
+    message = f"{name} of the buffer must be {getattr(model, name)}, got {space}"
+    with pytest.raises(ValueError, match=re.escape(message)):
+        model.learn(1)
+
+
+def test_a_replay_buffer_of_another_class_is_rejected(make_toy: Any, tmp_path: Path) -> None:
+    stock = SAC("MultiInputPolicy", make_toy(), buffer_size=50, policy_kwargs={"net_arch": [4]})
+    stock.save_replay_buffer(tmp_path / "buffer")
+    model = make_model(make_toy())
+    model.load_replay_buffer(tmp_path / "buffer")
+    with pytest.raises(AssertionError, match="ExpertReplayBuffer"):
+        model.learn(1)
 
 
 def test_normalised_images_are_refused(make_toy: Any) -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from gymnasium import spaces
 
-from sb3_extensions.demonstrations.action_transforms import GaussianExpertNoise, GridSnapping
+from sb3_extensions.demonstrations.action_transforms import GridSnapping
 from sb3_extensions.demonstrations.collection import collect_episodes
 from sb3_extensions.demonstrations.expert_envs import make_expert_envs
 from sb3_extensions.demonstrations.source import DemonstrationSource
@@ -36,15 +36,6 @@ def test_nearest_actions_in_the_units_of_the_environment(space: Any) -> None:
         np.testing.assert_allclose(transform(done, rng), done, atol=1e-6)
     beyond = transform(space.high + 1, rng)
     np.testing.assert_array_equal(beyond, transform(space.high, rng))
-
-
-def test_noise_is_snapped_to_the_grid() -> None:
-    space = spaces.Box(-1.0, 1.0, (4,), np.float32)
-    transform = GridSnapping(space, CODEC, GaussianExpertNoise(space, 0.2))
-    wanted, rng = np.array([-1.0, 0.1, 0.2, 0.3], np.float32), np.random.default_rng(0)
-    done = np.stack([transform(wanted, rng) for _ in range(30)])
-    np.testing.assert_array_equal(CODEC.snap(done), done)
-    assert len(np.unique(done, axis=0)) > 10
 
 
 def test_expert_continues_from_the_snapped_action(make_picking: Any) -> None:

@@ -166,7 +166,7 @@ def test_action_sequence_of_a_minari_data_set_is_compared(reaching: Demonstratio
 @pytest.mark.parametrize(
     ("wrapper", "got"),
     [
-        (FlattenObservation, r"\{'image': \(2305,\)\}"),
+        (FlattenObservation, r"\{'observation': \(2305,\)\}"),
         (
             lambda env: FrameStackObservation(env, 2),
             r"\{'heightmap': \(2, 1, 48, 48\), 'holding': \(2, 1\)\}",

@@ -3,7 +3,7 @@ import torch as th
 from torch import nn
 
 from sb3_extensions.encoders.cnn import CnnEncoder, count_halvings, encoded_size, plan_stages
-from sb3_extensions.encoders.equivariant import EquivariantEncoder
+from sb3_extensions.encoders.extractors import EquivariantEncoder
 from sb3_extensions.equivariant.groups import Group
 from sb3_extensions.equivariant.layers import EquivariantConv2d
 

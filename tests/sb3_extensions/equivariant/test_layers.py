@@ -10,7 +10,7 @@ from stable_baselines3.common.utils import polyak_update
 from torch import nn
 
 from sb3_extensions.encoders.cnn import count_halvings
-from sb3_extensions.encoders.equivariant import EquivariantEncoder
+from sb3_extensions.encoders.extractors import EquivariantEncoder
 from sb3_extensions.equivariant.groups import FieldType, Group
 from sb3_extensions.equivariant.harmonics import harmonic_basis
 from sb3_extensions.equivariant.layers import (

@@ -5,7 +5,7 @@ import pytest
 import torch as th
 from scipy.linalg import block_diag
 
-from sb3_extensions.encoders.equivariant import EquivariantEncoder
+from sb3_extensions.encoders.extractors import EquivariantEncoder
 from sb3_extensions.equivariant.groups import FieldType, Group
 from sb3_extensions.equivariant.layers import EquivariantConv2d, EquivariantLinear
 from sb3_extensions.equivariant.steerable import WHOLE_BASIS_LIMIT, FilterSpace, harmonic_basis

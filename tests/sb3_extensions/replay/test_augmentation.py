@@ -198,10 +198,10 @@ def test_make_augmentation_from_names_and_arguments(spec: Any, expected: Any) ->
     ("spec", "message"),
     [
         ("rda", "one of rotation, rad, drq, .* got"),
-        (3, "augmentation must be None, a name"),
+        (3, "augmentation must be None, one of rotation"),
         ({"rad": {"sise": 3}}, "unexpected keyword argument 'sise'"),
-        ({"rad": {"size": 0}}, "size must be a positive integer, got 0"),
-        ({"drq": {"K": 1.5}}, "K must be a positive integer, got 1.5"),
+        ({"rad": {"size": 0}}, "size must be positive, got 0"),
+        ({"drq": {"K": -1}}, "K must be positive, got -1"),
     ],
 )
 def test_make_augmentation_rejects_wrong_names_and_arguments(spec: Any, message: str) -> None:

@@ -203,7 +203,7 @@ def test_sacfd_updates_the_priorities(n_steps: int, make_toy: Any) -> None:
     [
         (ShareSampler, {"expert_fraction": 0.7, "success_fraction": 0.4}, r"at most 1, got 0\.7 \+ 0\.4"),
         (ShareSampler, {"success_fraction": -0.1}, "success_fraction must be between 0 and 1"),
-        (ShareSampler, {"balanced_from": 0}, "balanced_from must be at least 1, got 0"),
+        (ShareSampler, {"balanced_from": 0}, "balanced_from must be positive, got 0"),
         (PrioritizedSampler, {"exponent": 1.5}, "exponent must be between 0 and 1, got 1.5"),
         (PrioritizedSampler, {"beta_start": -0.1}, "beta_start"),
         (PrioritizedSampler, {"expert_bonus": -1.0}, "expert_bonus must not be negative, got -1"),

@@ -77,3 +77,5 @@ def test_parameters_are_restored_from_a_vector(policy: SpatialPolicy) -> None:
     np.testing.assert_array_equal(policy.parameters_to_vector(), np.arange(len(vector)))
     policy.load_from_vector(vector)
     np.testing.assert_array_equal(policy.parameters_to_vector(), vector)
+    for parameter in policy.parameters():
+        assert parameter.dim() != 4 or parameter.is_contiguous(memory_format=th.channels_last)

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 import torch as th
 
-from sb3_extensions.common.exploration import EXPLORED_HEIGHT, explore_on_grid
 from sb3_extensions.demonstrations.collection import collect_episodes
 from sb3_extensions.demonstrations.expert_envs import make_expert_envs
 from sb3_extensions.spatial_dqn import SpatialDQN
+from sb3_extensions.spatial_dqn.codec import EXPLORED_HEIGHT, explore_on_grid
 
 
 def is_on_grid(model: SpatialDQN, actions: np.ndarray) -> bool:

@@ -200,7 +200,7 @@ def test_padding_does_not_change_maps(size: int) -> None:
     """A U-Net of another size than a multiple sees zeros around the image."""
     network = plain_unet(1, CHANNELS, 0)
     image = th.rand(2, 1, size, size)
-    missing = -size % network.multiple
+    missing = -size % 2 ** (len(network.downs) - 1)
     before, after = missing // 2, missing - missing // 2
     features, lowest = network(image)
     padded, padded_lowest = network(F.pad(image, (before, after, before, after)))
@@ -231,8 +231,8 @@ def test_widths_are_the_authors() -> None:
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: plain_unet(1, [8], 0), r"channels must have at least two levels, got \[8\]"),
-        (lambda: equivariant_unet(1, Group("cyclic", 4), [2]), "fields must have at least two levels"),
+        (lambda: PlainPixelMaps(32, None, [8]), r"must have at least two levels, got \[8\]"),
+        (lambda: EquivariantPixelMaps(32, None, Group("cyclic", 4), [2]), "must have at least two levels"),
         (lambda: PlainPixelMaps(32, (1, 12), CHANNELS, [4, 4]), "in_hand_channels must have 3 entries"),
         (
             lambda: EquivariantPixelMaps(32, None, Group("cyclic", 4), FIELDS, IN_HAND, HIDDEN, 4),
@@ -242,7 +242,7 @@ def test_widths_are_the_authors() -> None:
             lambda: EquivariantPixelMaps(
                 32, None, Group("cyclic", 4), FIELDS, IN_HAND, HIDDEN, dynamic_fields=0
             ),
-            "dynamic_fields must be at least 1, got 0",
+            "dynamic_fields must be positive, got 0",
         ),
     ],
 )

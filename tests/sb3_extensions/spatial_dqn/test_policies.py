@@ -179,7 +179,7 @@ BOX = spaces.Box(-1.0, 1.0, (4,), np.float32)
         ("FCNPolicy", {"action_space": spaces.Box(-1.0, 1.0, (2, 2))}, "must be a bounded Box of 4 numbers"),
         ("FCNPolicy", {"observation_space": BOX}, r"a Dict with a heightmap \(1, size, size\)"),
         ("FCNPolicy", {"image_key": "depth"}, "under 'depth'"),
-        ("FCNPolicy", {"autocast": "fp16"}, "autocast must be one of"),
+        ("FCNPolicy", {"autocast": "fp16"}, "autocast must be None or"),
         ("FCNPolicy", {"codec_kwargs": {"num_tilts": 0}}, "num_tilts must be positive"),
         ("EquivariantASRPolicy", {"in_hand_size": 20}, "patch_fields must have 5 entries .* 20 pixels"),
         ("FCNPolicy", {"sequence": "pxyzrrr"}, r"got levels for \['theta'\]"),

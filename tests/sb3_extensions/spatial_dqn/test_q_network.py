@@ -340,5 +340,5 @@ def test_invalid_observation_spaces_are_rejected(space: Any, kwargs: dict[str, A
 
 
 def test_unknown_precision_is_rejected() -> None:
-    with pytest.raises(ValueError, match="autocast must be one of"):
+    with pytest.raises(ValueError, match="autocast must be None or"):
         make_network("FCN", autocast="fp8")

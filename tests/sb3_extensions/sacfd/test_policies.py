@@ -10,8 +10,7 @@ from stable_baselines3.sac.policies import Actor
 
 from sb3_extensions.ferm import FERM
 from sb3_extensions.sacfd import SACfD
-from sb3_extensions.sacfd.base_policy import SACfDPolicy
-from sb3_extensions.sacfd.policies import EquivariantPolicy
+from sb3_extensions.sacfd.policies import EquivariantPolicy, SACfDPolicy
 from sb3_extensions.tqcfd import TQCfD
 
 CNN = {"features_extractor_kwargs": {"channels": [8, 16, 32]}, "net_arch": [32]}
