@@ -25,7 +25,7 @@ GRIPPER = "g"
 STEP = 0.4
 """Size of a closed-loop action: 2 cm or 18 degrees."""
 STRIDE = {"x": 0.05, "y": 0.05, "z": 0.05, "r": 0.25}
-"""Motion of an open-loop target for each key: 1 cm in a workspace of 0.4 m, 22.5 degrees of 180."""
+"""Motion of an open-loop target as a fraction of half a range: 1 cm of a workspace of 0.4 m, 22.5 degrees."""
 START_Z = -0.8
 """Initial height of an open-loop target: 3 cm above the floor."""
 
@@ -63,20 +63,23 @@ class Teleoperation:
 
     def press(self, key: str) -> Action | None:
         """Return the action of an accepted key, or None if the key moves the target."""
-        if self.has_target:
-            return self.target() if key == GRIPPER else self._move_target(key)
-        opening = 1.0 if self._last[self._is_primitive] > 0.0 else -1.0
+        if not self.has_target:
+            return self._move_gripper(key)
+        if key == GRIPPER:
+            return self.target()
+        character, _, direction = BINDINGS[key]
+        index = self._index(key)
+        self._last[index] = np.clip(self._last[index] + STRIDE[character] * direction, -1.0, 1.0)
+        return None
+
+    def _move_gripper(self, key: str) -> Action:
+        opening = 1.0 if (self._last[self._is_primitive] > 0.0).any() else -1.0
         action = np.zeros(len(self._sequence), np.float32)
         action[self._is_primitive] = -opening if key == GRIPPER else opening
         if key != GRIPPER:
             action[self._index(key)] = STEP * BINDINGS[key][2]
         self.follow(action)
         return action
-
-    def _move_target(self, key: str) -> None:
-        character, _, direction = BINDINGS[key]
-        index = self._index(key)
-        self._last[index] = np.clip(self._last[index] + STRIDE[character] * direction, -1.0, 1.0)
 
     def follow(self, action: Action) -> None:
         """Continue from the opening or the target of an action."""
