@@ -5,6 +5,7 @@ the standard input, and writes an image after each key.
 """
 
 import argparse
+import math
 import sys
 import time
 from collections.abc import Iterator, Sequence
@@ -131,7 +132,7 @@ class Game:
             self.images += 1
             message += f"  {path}"
         elif self.teleoperation.has_target:
-            target = self.core.decode_action(self.teleoperation.target())
+            target = self._target()
             self.core.viewer.mark(target.position, target.rotation[0])
         print(message, flush=True)
 
@@ -144,10 +145,18 @@ class Game:
         gray = np.uint8(255 * heights / max(heights.max(), 1e-6))
         panel = Image.fromarray(gray).resize((PIXELS, PIXELS), Image.Resampling.NEAREST).convert("RGB")
         if self.teleoperation.has_target:
-            y, x = self.teleoperation.pixel(PIXELS)
-            box = (x - RADIUS, y - RADIUS, x + RADIUS, y + RADIUS)
-            ImageDraw.Draw(panel).ellipse(box, outline="red", width=2)
+            self._draw_target(ImageDraw.Draw(panel))
         return Image.fromarray(np.hstack([scene, np.asarray(panel)]))
+
+    def _draw_target(self, draw: ImageDraw.ImageDraw) -> None:
+        """Draw a circle at the target, and a line in the direction in which the fingers open."""
+        (y, x), yaw = self.teleoperation.pixel(PIXELS), self._target().rotation[0]
+        down, right = 2 * RADIUS * math.cos(yaw), 2 * RADIUS * math.sin(yaw)
+        draw.ellipse((x - RADIUS, y - RADIUS, x + RADIUS, y + RADIUS), outline="red", width=2)
+        draw.line((x - right, y - down, x + right, y + down), fill="red", width=2)
+
+    def _target(self) -> Any:
+        return self.core.decode_action(self.teleoperation.target())
 
     def _window_keys(self) -> Iterator[str]:
         while True:
