@@ -27,7 +27,8 @@ LAYERS = (
     {"env"},
     {"demonstrations"},
     {"benchmarks", "real_arm", "vector", "__init__"},
-    {"check"},
+    {"command_line"},
+    {"check", "play"},
 )
 LEVEL = {room: level for level, layer in enumerate(LAYERS) for room in layer}
 

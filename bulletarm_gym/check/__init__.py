@@ -1,1 +1,1 @@
-"""Checks of the machine and of robots: ``python -m bulletarm_gym.check``."""
+"""Checks of the machine, of environments and of robots: ``python -m bulletarm_gym.check``."""

@@ -1,4 +1,7 @@
-"""Check this machine, or with ``--robot`` a robot. The exit status is 2 if a check fails."""
+"""Check this machine, the environments with the passed ids, or with ``--robot`` a robot.
+
+The exit status is 2 if a check fails.
+"""
 
 import argparse
 import sys
@@ -8,13 +11,18 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
+from bulletarm_gym.check.conformance import check_environment, draw_episode
 from bulletarm_gym.check.environments import check_environments
 from bulletarm_gym.check.machine import report
 from bulletarm_gym.check.robot import check_robot, draw
+from bulletarm_gym.command_line import add_environment_arguments, make_env, positive_int, reported_errors
+from bulletarm_gym.env import ManipulationEnv
 from bulletarm_gym.registry import ROBOTS
 
 SECONDS = 2.0
 """Default duration (s) of each speed measurement."""
+EPISODES = 20
+"""Default number of episodes of an expert."""
 FAILED = 2
 
 
@@ -22,24 +30,61 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run the checks and return the exit status."""
     parser = argparse.ArgumentParser("python -m bulletarm_gym.check", description=__doc__)
     add = parser.add_argument
+    add("env", nargs="*", metavar="ID", help="ids of environments to check with their experts")
+    add("-n", "--episodes", type=positive_int, default=EPISODES, help=f"episodes per expert ({EPISODES})")
+    add_environment_arguments(parser)
     add("--seconds", type=float, default=SECONDS, help=f"duration of each speed measurement ({SECONDS:g} s)")
     add("--robot", metavar="NAME", help="name of a robot, or module:attribute of a RobotModel")
     add("--workspace", type=float, nargs=6, metavar=("X0", "X1", "Y0", "Y1", "Z0", "Z1"), help="limits (m)")
-    add("--image", type=Path, metavar="FILE", help="image of the robot to write")
+    add("--image", type=Path, metavar="FILE", help="image to write of the robot, or of an expert's episode")
     args = parser.parse_args(argv)
-    if not 0.0 < args.seconds < float("inf"):
-        parser.error(f"--seconds must be positive, got {args.seconds}")
-    if args.robot is None and (args.workspace or args.image):
-        parser.error("--robot must be passed with --workspace and --image")
-    if args.image is not None:
-        _check_image(parser, args.image)
+    _check_arguments(parser, args)
+    with reported_errors(parser):
+        for env_id in args.env:
+            make_env(env_id, args).close()
     try:
-        failed = _check_robot(args) if args.robot else report(check_environments(args.seconds))
+        failed = _check(args)
     except ValueError as error:
         failed = [" ".join(str(error).split())]
     if failed:
         print(f"failed: {', '.join(failed)}", file=sys.stderr)
     return FAILED if failed else 0
+
+
+def _check_arguments(parser: argparse.ArgumentParser, args: argparse.Namespace) -> None:
+    """Exit with a message if arguments are invalid or do not fit together."""
+    if not 0.0 < args.seconds < float("inf"):
+        parser.error(f"--seconds must be positive, got {args.seconds}")
+    if args.robot is not None and args.env:
+        parser.error("--robot must be passed without ids. Use --env-kwargs robot:NAME.")
+    if args.robot is None and args.workspace:
+        parser.error("--robot must be passed with --workspace")
+    if args.image is not None:
+        if args.robot is None and len(args.env) != 1:
+            parser.error("--robot or one id must be passed with --image")
+        _check_image(parser, args.image)
+
+
+def _check(args: argparse.Namespace) -> list[str]:
+    """Run the checks that the arguments select; return the subjects of failed checks."""
+    if args.robot is not None:
+        return _check_robot(args)
+    if args.env:
+        return [env_id for env_id in args.env if _check_environment(env_id, args)]
+    return report(check_environments(args.seconds))
+
+
+def _check_environment(env_id: str, args: argparse.Namespace) -> list[str]:
+    """Report on an environment and write its image; return the subjects of failed checks."""
+
+    def make() -> ManipulationEnv:
+        return make_env(env_id, args).unwrapped  # type: ignore[return-value]
+
+    print(env_id, flush=True)
+    failed = report(check_environment(make, args.episodes, args.seed))
+    if args.image is not None:
+        draw_episode(make, args.seed, args.image)
+    return failed
 
 
 def _check_robot(args: argparse.Namespace) -> list[str]:

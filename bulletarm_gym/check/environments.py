@@ -68,7 +68,7 @@ def robot(name: str) -> Finding:
     try:
         with closing(gymnasium.make(CLOSE_LOOP, robot=name)) as env:
             for seed in range(EPISODES):
-                steps, _, success = _play(env, seed)
+                steps, _, success = play_episode(env, seed)
                 if success:
                     return Finding(name, f"picked a block in {steps} steps")
     except Exception as error:  # every error is a finding
@@ -76,12 +76,13 @@ def robot(name: str) -> Finding:
     return Finding(name, f"failed in {EPISODES} of {EPISODES} episodes", advice, fails=True)
 
 
-def _play(env: Any, seed: int) -> tuple[int, float, bool]:
+def play_episode(env: gymnasium.Env[Any, Any], seed: int) -> tuple[int, float, bool]:
     """Run an episode of the expert; return the number of steps, their duration (s), and the success."""
     env.reset(seed=seed)
     start, steps, is_over = time.perf_counter(), 0, False
     while not is_over:
-        _, _, terminated, truncated, info = env.step(env.unwrapped.expert_action())
+        action = env.unwrapped.expert_action()  # type: ignore[attr-defined]
+        _, _, terminated, truncated, info = env.step(action)
         steps, is_over = steps + 1, terminated or truncated
     return steps, time.perf_counter() - start, bool(info["is_success"])
 
@@ -115,11 +116,11 @@ def step_ms(env_id: str, seconds: float) -> float:
     :param seconds: minimum duration (s) of the measurement, in whole episodes
     """
     with closing(gymnasium.make(env_id)) as env:
-        _play(env, 0)  # compiles, fills caches
+        play_episode(env, 0)  # compiles, fills caches
         steps, duration, seed = 0, 0.0, 0
         while duration < seconds:
             seed += 1
-            more, longer, _ = _play(env, seed)
+            more, longer, _ = play_episode(env, seed)
             steps, duration = steps + more, duration + longer
     return 1e3 * duration / steps
 

@@ -8,8 +8,8 @@ from importlib import metadata
 from pathlib import Path
 from typing import NamedTuple
 
-PACKAGES = ("bulletarm-gym", "gymnasium", "pybullet", "numpy", "numba")
-"""Packages on which environments depend."""
+PACKAGES = ("bulletarm-gym", "gymnasium", "pybullet", "numpy", "numba", "torch", "stable-baselines3")
+"""Packages of environments and learners whose versions are reported."""
 
 
 class Finding(NamedTuple):
@@ -61,4 +61,11 @@ def load_average() -> float:
 
 def versions(packages: Iterable[str] = PACKAGES) -> dict[str, str]:
     """Return the versions of Python and of packages, by name."""
-    return {"python": platform.python_version(), **{name: metadata.version(name) for name in packages}}
+    return {"python": platform.python_version(), **{name: _version(name) for name in packages}}
+
+
+def _version(package: str) -> str:
+    try:
+        return metadata.version(package)
+    except metadata.PackageNotFoundError:
+        return "not installed"

@@ -1,0 +1,145 @@
+"""Checks that an environment fits the Gymnasium interface, is deterministic and has a working expert."""
+
+import importlib
+import traceback
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import closing
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from gymnasium.utils.env_checker import check_env, data_equivalence
+from PIL import Image
+
+from bulletarm_gym.check.environments import play_episode
+from bulletarm_gym.check.machine import Finding
+from bulletarm_gym.env import ManipulationEnv
+
+MIN_SUCCESS = 0.95
+"""Minimum success rate of an expert."""
+MAX_STEPS = 25
+"""Maximum number of steps of an episode that are compared between two environments."""
+COMPARED_EPISODES = 2
+"""Number of episodes that are compared between two environments."""
+PIXELS = 320
+"""Side length of an image of the scene."""
+UNBOUNDED = r".*A Box observation space m(in|ax)imum value is -?infinity"
+"""Warning of Gymnasium about sensors whose values have no limits, such as poses and points."""
+SB3_CHECKER = "stable_baselines3.common.env_checker"
+"""Module of a library that this package does not require."""
+
+Make = Callable[[], ManipulationEnv]
+
+
+def check_environment(make: Make, episodes: int, seed: int) -> Iterator[Finding]:
+    """Yield the findings on an environment and its expert.
+
+    :param make: function that makes the environment
+    :param episodes: number of episodes of the expert
+    :param seed: seed of the first episode
+    """
+    checks: dict[str, Callable[[], str]] = {
+        "Gymnasium's check_env": partial(_check_gymnasium, make),
+        "Stable-Baselines3's check_env": partial(_check_sb3, make),
+        "equal episodes from equal seeds": partial(_check_determinism, make, seed),
+        "equal steps from equal states": partial(_check_states, make, seed),
+        "expert": partial(_check_expert, make, episodes, seed),
+    }
+    for name, check in checks.items():
+        try:
+            yield Finding(name, check())
+        except Exception as error:  # every error of a user's task is a finding
+            yield Finding(name, _describe(error), fails=True)
+
+
+def _describe(error: Exception) -> str:
+    """Return the message of an error in one line, with its place in the code if it is outside this module."""
+    *_, place = traceback.extract_tb(error.__traceback__)
+    if place.filename == __file__:
+        return str(error)
+    return " ".join(f"{type(error).__name__}: {error} ({place.filename}, line {place.lineno})".split())
+
+
+def _check_gymnasium(make: Make) -> str:
+    with closing(make()) as env, warnings.catch_warnings():
+        warnings.simplefilter("error")
+        warnings.filterwarnings("ignore", message=UNBOUNDED)
+        check_env(env, skip_render_check=True)
+    return "passed"
+
+
+def _check_sb3(make: Make) -> str:
+    try:
+        checker = importlib.import_module(SB3_CHECKER)
+    except ImportError:
+        return "Stable-Baselines3 is not installed"
+    with closing(make()) as env:
+        checker.check_env(env, warn=False)
+    return "passed"
+
+
+def _check_determinism(make: Make, seed: int) -> str:
+    with closing(make()) as first, closing(make()) as second:
+        for episode in range(COMPARED_EPISODES):
+            start, other = first.reset(seed=seed + episode), second.reset(seed=seed + episode)
+            _require_equal(start, other, f"reset(seed={seed + episode}) differs between two environments")
+            for step in range(MAX_STEPS):
+                if _step_both(first, second, f"differs in step {step} between two environments"):
+                    break
+    return "passed"
+
+
+def _check_states(make: Make, seed: int) -> str:
+    """Continue from each state in an environment in which no episode has begun."""
+    with closing(make()) as played, closing(make()) as restored:
+        for episode in range(COMPARED_EPISODES):
+            played.reset(seed=seed + episode)
+            for step in range(MAX_STEPS):
+                restored.set_state(played.get_state())
+                where = (
+                    f"differs after set_state() with the state before step {step} in another environment. "
+                    "Use SceneObject.set_properties() and Task.memory for all changes in an episode"
+                )
+                if _step_both(played, restored, where):
+                    break
+    return "passed"
+
+
+def _step_both(first: ManipulationEnv, second: ManipulationEnv, where: str) -> bool:
+    """Carry out an expert action in two environments, and return True if the episode is over.
+
+    :param where: end of the message of an error
+    :raises AssertionError: actions, poses or results differ
+    """
+    action = first.expert_action()
+    _require_equal(action, second.expert_action(), f"the expert's action {where}")
+    result, other = first.step(action), second.step(action)
+    worlds = first.scene.world, second.scene.world
+    for pose, other_pose, body in zip(worlds[0].poses, worlds[1].poses, worlds[0].bodies, strict=True):
+        assert pose == other_pose, f"the pose of {body.spec.name!r} {where}"
+    _require_equal(result, other, f"the return value of step() {where}")
+    return result[2] or result[3]
+
+
+def _require_equal(first: Any, second: Any, message: str) -> None:
+    assert data_equivalence(first, second, exact=True), message
+
+
+def _check_expert(make: Make, episodes: int, seed: int) -> str:
+    with closing(make()) as env:
+        played = [play_episode(env, seed + episode) for episode in range(episodes)]
+    lengths = [steps for steps, _, success in played if success]
+    value = f"success in {len(lengths)} of {episodes} episodes (at least {MIN_SUCCESS:.0%})"
+    assert len(lengths) >= MIN_SUCCESS * episodes, value
+    return f"{value}, {np.mean(lengths):.2f} steps per success"
+
+
+def draw_episode(make: Make, seed: int, path: Path) -> None:
+    """Write an image of the start and the end of an episode of the expert."""
+    with closing(make()) as env:
+        env.reset(seed=seed)
+        start = env.viewer.close_up(PIXELS)
+        play_episode(env, seed)
+        Image.fromarray(np.hstack([start, env.viewer.close_up(PIXELS)])).save(path)

@@ -1,0 +1,76 @@
+"""Arguments that the programs of this package share."""
+
+import argparse
+import importlib
+import json
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import gymnasium
+
+from bulletarm_gym.env import ManipulationEnv
+
+
+def add_environment_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments that :func:`make_env` and the seeds of episodes need."""
+    add = parser.add_argument
+    add("--seed", type=int, default=0, help="seed of the first episode; each further episode adds 1 (0)")
+    add(
+        "--env-kwargs",
+        nargs="+",
+        action="extend",
+        type=_key_value,
+        default=[],
+        metavar="KEY:VALUE",
+        help="parameters of the environment; a value is JSON, or else text",
+    )
+    add(
+        "--gym-packages",
+        nargs="+",
+        action="extend",
+        default=[],
+        metavar="MODULE",
+        help="modules to import, which register your own tasks and components",
+    )
+
+
+def _key_value(text: str) -> tuple[str, Any]:
+    key, _, value = text.partition(":")
+    if not key or not value:
+        raise argparse.ArgumentTypeError(f"must be KEY:VALUE, got {text!r}")
+    try:
+        return key, json.loads(value)
+    except ValueError:
+        return key, value
+
+
+def positive_int(text: str) -> int:
+    """Return the positive integer that an argument contains."""
+    if (value := int(text)) < 1:
+        raise argparse.ArgumentTypeError(f"must be at least 1, got {value}")
+    return value
+
+
+@contextmanager
+def reported_errors(parser: argparse.ArgumentParser) -> Iterator[None]:
+    """Exit with one line and status 2 if an argument causes an error."""
+    try:
+        yield
+    except (ImportError, OSError, ValueError, gymnasium.error.Error) as error:
+        parser.error(" ".join(str(error).split()))
+
+
+def make_env(env_id: str, args: argparse.Namespace, **parameters: Any) -> gymnasium.Env[Any, Any]:
+    """Make an environment with the parameters of ``--env-kwargs``.
+
+    :param parameters: default values of further parameters
+    :raises ValueError: it is of another package, or a parameter is invalid
+    """
+    for module in args.gym_packages:
+        importlib.import_module(module)
+    env = gymnasium.make(env_id, **{**parameters, **dict(args.env_kwargs)})
+    if not isinstance(env.unwrapped, ManipulationEnv):
+        env.close()
+        raise ValueError(f"ID must be an environment of this package or of a registered task, got {env_id}")
+    return env

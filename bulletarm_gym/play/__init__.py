@@ -1,0 +1,1 @@
+"""Environments played with keys: ``python -m bulletarm_gym.play``."""

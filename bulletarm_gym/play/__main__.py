@@ -1,0 +1,178 @@
+"""Play an environment: move its gripper with keys, or let the expert act.
+
+Press the keys in the window. Without a display, or with --no-window, the program reads keys as letters from
+the standard input, and writes an image after each key.
+"""
+
+import argparse
+import math
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+from PIL import Image, ImageDraw
+
+import bulletarm_gym  # noqa: F401 (registers the environments)
+from bulletarm_gym.command_line import add_environment_arguments, make_env, positive_int, reported_errors
+from bulletarm_gym.demonstrations import RecordDemonstrations
+from bulletarm_gym.env import Action, ManipulationEnv
+from bulletarm_gym.play.teleoperation import Teleoperation
+from bulletarm_gym.simulation import has_display
+
+EXPERT, NEW_EPISODE, QUIT = "xn."
+"""Keys that are not part of an action."""
+HELP = """keys:
+  w s  along x      a d  along y      r f  up and down
+  q e  yaw          i k, j l  tilt    g    close or open; with an open-loop control pick or place
+  x    step of the expert             n    new episode     .    quit"""
+PIXELS = 320
+"""Side length of an image of the scene."""
+RADIUS = 7
+"""Radius (pixels) of the mark of an open-loop target."""
+POLL = 0.02
+"""Time (s) between two queries of the keys of the window."""
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Play, and return the exit status."""
+    parser = argparse.ArgumentParser(
+        "python -m bulletarm_gym.play",
+        description=__doc__,
+        epilog=HELP,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    add = parser.add_argument
+    add("env", metavar="ID", help="id of the environment")
+    add("--record", type=Path, metavar="FILE", help="file of demonstrations; successful episodes are added")
+    add("-n", "--episodes", type=positive_int, help="number of episodes (no limit)")
+    add("--no-window", action="store_true", help="read letters and write images, even if there is a display")
+    add("-f", "--folder", type=Path, default=Path("play"), help="folder of the images (play)")
+    add_environment_arguments(parser)
+    args = parser.parse_args(argv)
+    mode = "rgb_array" if args.no_window or not has_display() else "human"
+    with reported_errors(parser):
+        env = make_env(args.env, args, render_mode=mode)
+        if args.record:
+            env = RecordDemonstrations(env, args.record)
+    print(f"{args.env}\n{HELP}", flush=True)
+    with closing(env):
+        Game(env, args.folder, args.seed).play(args.episodes)
+    if isinstance(env, RecordDemonstrations):
+        print(f"{len(env)} episodes in {args.record}")
+    return 0
+
+
+class Game:
+    """Episodes that a person plays.
+
+    :param env: environment; ``render_mode`` "human" selects the keys of the window instead of letters
+    :param folder: folder of the images that are written without a window
+    :param seed: seed of the first episode
+    """
+
+    def __init__(self, env: gymnasium.Env[Any, Any], folder: Path, seed: int) -> None:
+        self.env, self.folder, self.seed = env, folder, seed
+        self.core: ManipulationEnv = env.unwrapped  # type: ignore[assignment]
+        self.has_window = env.render_mode == "human"
+        self.teleoperation = Teleoperation(self.core)
+        self.episode = 0
+
+    def play(self, episodes: int | None = None) -> None:
+        """Play until the last episode, the quit key or the end of the keys."""
+        self._begin()
+        for key in self._window_keys() if self.has_window else _letters():
+            if key == QUIT:
+                return
+            if key == NEW_EPISODE or self._act(key):
+                if self.episode == episodes:
+                    return
+                self._begin()
+
+    def _begin(self) -> None:
+        self.observation, _ = self.env.reset(seed=self.seed + self.episode)
+        self.episode, self.step, self.images = self.episode + 1, 0, 0
+        self.teleoperation.reset()
+        self._show("begins")
+
+    def _act(self, key: str) -> bool:
+        """Carry out a key, and return True if the episode is over."""
+        if key != EXPERT and not self.teleoperation.accepts(key):
+            print(f"{key!r} has no function in this environment\n{HELP}", flush=True)
+            return False
+        action = self._expert_action() if key == EXPERT else self.teleoperation.press(key)
+        if action is None:
+            self._show("target moved")
+            return False
+        self.observation, _, terminated, truncated, info = self.env.step(action)
+        self.step += 1
+        if terminated or truncated:
+            self._show("success" if info["is_success"] else "failure")
+        else:
+            holding = self.core.scene.held is not None
+            self._show("holding an object" if holding else "ignored" if info["ignored"] else "done")
+        return terminated or truncated
+
+    def _expert_action(self) -> Action:
+        action = self.core.expert_action()
+        self.teleoperation.follow(action)
+        return action
+
+    def _show(self, event: str) -> None:
+        """Print an event; mark the target in the window, or write an image."""
+        message = f"episode {self.episode}, step {self.step}: {event}"
+        if not self.has_window:
+            path = self.folder / f"episode_{self.episode:02d}" / f"{self.images:03d}.png"
+            path.parent.mkdir(parents=True, exist_ok=True)
+            self._image().save(path)
+            self.images += 1
+            message += f"  {path}"
+        elif self.teleoperation.has_target:
+            target = self._target()
+            self.core.viewer.mark(target.position, target.rotation[0])
+        print(message, flush=True)
+
+    def _image(self) -> Image.Image:
+        """Return an image of the scene, with the heightmap and the target in it if there are any."""
+        scene = self.core.viewer.close_up(PIXELS)
+        if "heightmap" not in self.observation:
+            return Image.fromarray(scene)
+        heights = self.observation["heightmap"][0]
+        gray = np.uint8(255 * heights / max(heights.max(), 1e-6))
+        panel = Image.fromarray(gray).resize((PIXELS, PIXELS), Image.Resampling.NEAREST).convert("RGB")
+        if self.teleoperation.has_target:
+            self._draw_target(ImageDraw.Draw(panel))
+        return Image.fromarray(np.hstack([scene, np.asarray(panel)]))
+
+    def _draw_target(self, draw: ImageDraw.ImageDraw) -> None:
+        """Draw a circle at the target, and a line in the direction in which the fingers open."""
+        (y, x), yaw = self.teleoperation.pixel(PIXELS), self._target().rotation[0]
+        down, right = 2 * RADIUS * math.cos(yaw), 2 * RADIUS * math.sin(yaw)
+        draw.ellipse((x - RADIUS, y - RADIUS, x + RADIUS, y + RADIUS), outline="red", width=2)
+        draw.line((x - right, y - down, x + right, y + down), fill="red", width=2)
+
+    def _target(self) -> Any:
+        return self.core.decode_action(self.teleoperation.target())
+
+    def _window_keys(self) -> Iterator[str]:
+        while True:
+            try:
+                yield from self.core.viewer.pressed_keys()
+            except Exception as error:  # PyBullet's error after the window was closed
+                print(f"the window was closed ({error})")
+                return
+            time.sleep(POLL)
+
+
+def _letters() -> Iterator[str]:
+    """Yield the characters of the standard input, without white space."""
+    for line in sys.stdin:
+        yield from "".join(line.split())
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,116 @@
+"""``python -m bulletarm_gym.play`` converts keys to actions and records demonstrations."""
+
+import io
+import itertools
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from bulletarm_gym import demonstrations
+from bulletarm_gym.env import ManipulationEnv
+from bulletarm_gym.play.__main__ import main
+from bulletarm_gym.play.teleoperation import BINDINGS, Teleoperation
+
+PICKING = "BulletArm/CloseLoopBlockPicking-v0"
+STACKING = "BulletArm/OpenLoopBlockStacking-v0"
+TWO = ["--env-kwargs", "num_objects:2", "obs_size:48"]
+
+Play = Callable[..., int]
+
+
+@pytest.fixture
+def play(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Play:
+    """Play with letters in an empty working directory, without a display."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+
+    def run(letters: str, *arguments: str) -> int:
+        monkeypatch.setattr("sys.stdin", io.StringIO(letters))
+        return main(arguments)
+
+    return run
+
+
+def test_letters_move_the_gripper_and_images_are_written(play: Play, tmp_path: Path) -> None:
+    assert play("w d\ng?n.q", PICKING) == 0
+    images = sorted(tmp_path.rglob("*.png"))
+    first = [f"play/episode_01/{number:03d}.png" for number in range(4)]
+    assert [str(path.relative_to(tmp_path)) for path in images] == [*first, "play/episode_02/000.png"]
+    arrays = [np.asarray(Image.open(path)) for path in images]
+    assert all((one != other).any() for one, other in itertools.pairwise(arrays))
+
+
+def test_images_of_an_environment_without_a_heightmap_are_written(play: Play, tmp_path: Path) -> None:
+    assert play("w", PICKING, "--folder", "images", "--env-kwargs", 'observation:["state"]') == 0
+    assert len(list((tmp_path / "images").rglob("*.png"))) == 2
+
+
+def test_successful_episodes_are_recorded(play: Play) -> None:
+    assert play("xxn", STACKING, "--record", "own.h5", *TWO) == 0
+    assert play("wxx", STACKING, "--record", "own.h5", "--seed", "5", *TWO) == 0
+    found = demonstrations.load("own.h5")
+    assert [episode.seed for episode in found] == [0, 5] and found.about["planner"] == "human"
+    assert found[0].observations["heightmap"].shape == (3, 1, 48, 48)
+
+
+def test_episodes_limit_the_number_of_episodes(play: Play, tmp_path: Path) -> None:
+    assert play("nnnn", PICKING, "-n", "2") == 0
+    assert len(list((tmp_path / "play").iterdir())) == 2
+
+
+def test_file_of_another_environment_is_rejected(play: Play, capsys: pytest.CaptureFixture[str]) -> None:
+    play("xx", STACKING, "--record", "own.h5", *TWO)
+    with pytest.raises(SystemExit, match="2"):
+        play("", PICKING, "--record", "own.h5")
+    assert "path must be a file of demonstrations with env_id=" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "reason"),
+    [
+        (["CartPole-v1"], "ID must be an environment of this package"),
+        (["BulletArm/CloseLoopBlockPiking-v0"], "CloseLoopBlockPicking"),
+        ([PICKING, "--env-kwargs", "obs_size"], "must be KEY:VALUE"),
+        ([PICKING, "--env-kwargs", "robot:octopus"], "octopus"),
+        ([PICKING, "--gym-packages", "missing_module"], "missing_module"),
+        ([PICKING, "-n", "0"], "must be at least 1"),
+    ],
+)
+def test_invalid_argument_is_rejected(
+    play: Play, tmp_path: Path, arguments: list[str], reason: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit, match="2"):
+        play("", *arguments)
+    assert reason in capsys.readouterr().err.splitlines()[-1]
+    assert not list(tmp_path.iterdir())
+
+
+def test_closed_loop_keys_move_the_gripper(picking: ManipulationEnv) -> None:
+    keys = Teleoperation(picking)
+    np.testing.assert_allclose(keys.press("w"), [1, -0.4, 0, 0, 0])
+    np.testing.assert_allclose(keys.press("g"), [-1, 0, 0, 0, 0])
+    np.testing.assert_allclose(keys.press("q"), [-1, 0, 0, 0, 0.4])
+    keys.follow(np.array([1, 0, 0, 0, 0], np.float32))
+    np.testing.assert_allclose(keys.press("r"), [1, 0, 0, 0.4, 0])
+    assert not keys.accepts("i") and not keys.accepts("?")
+
+
+def test_open_loop_keys_move_a_target(make: Callable[..., ManipulationEnv]) -> None:
+    env = make("BulletArm/OpenLoopRampBlockStacking-v0", num_objects=2)
+    env.reset(seed=0)
+    keys = Teleoperation(env)
+    assert all(keys.accepts(key) for key in BINDINGS)
+    for key in "ssdi":
+        assert keys.press(key) is None
+    target = [0.1, 0.05, -0.8, 0, 0.25, 0]
+    np.testing.assert_allclose(keys.press("g"), [-1, *target], atol=1e-6)
+    assert keys.pixel(100) == (55, 52)
+    env.step(env.expert_action())
+    np.testing.assert_allclose(keys.press("g"), [1, *target], atol=1e-6)
+    for _ in range(50):
+        keys.press("w")
+    assert keys.pixel(100)[0] == 0
