@@ -105,7 +105,7 @@ class Meter:
     def __init__(self, env: gym.Env[Any, Any]) -> None:
         self.env = env
         self.unwrapped: Any = env.unwrapped
-        self.parts: Mapping[str, float] = self.unwrapped.measure().seconds
+        self.parts: Mapping[str, float] = self.unwrapped.measure()
         self.stepping = self.resetting = self.expert = self.physics = self.rendering = 0.0
         self.steps = self.unsimulated = self.episodes = self.successes = 0
 
