@@ -144,16 +144,21 @@ def test_every_network_is_built_and_expects_nothing(
 ) -> None:
     """True values lie in [0, 1]; the paper's networks, which take a GPU, are built and not run."""
     built: list[Any] = []
-    monkeypatch.setattr(Trainer, "learn", lambda trainer: not built.append(trainer.model))
+
+    def learn(trainer: Any) -> bool:
+        built.append((trainer.model, trainer.model.get_env().reset()))
+        return True
+
+    monkeypatch.setattr(Trainer, "learn", learn)
     arguments = ["train", "--baseline", f"sdqfd_{network}", "--preset", preset, "--env", env_id]
     arguments += ["--benchmark", benchmark, "--seed", "0", "-f", str(tmp_path), "--device", "cpu"]
     arguments += ["--vec-env", "dummy", "--no-progress", "--eval-freq", "-1"]
     assert main([*arguments, "-params", "n_envs:1"]) == 0
-    [model] = built
+    [(model, first)] = built
     assert model.policy.action_sequence == BENCHMARKS[benchmark].action_sequence
     if preset == "paper":
         return
-    observations, _ = model.policy.obs_to_tensor(model.get_env().reset())
+    observations, _ = model.policy.obs_to_tensor(first)
     indices, _ = model.q_net.greedy(observations)
     with th.no_grad():
         values = model.q_net.values(observations, indices)
