@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import ArrayLike
 
-from bulletarm_gym.geometry import FloatArray, Footprint, Pose, Vector
+from bulletarm_gym.geometry import FloatArray, Footprint, PlacementError, Pose, Vector
 from bulletarm_gym.objects.containers import FLOOR_HEIGHT, RIM, tray_floor, tray_walls
 from bulletarm_gym.simulation import BodySpec, Box, Piece, World
 from bulletarm_gym.surfaces.surface import COVERED_SHARE, SITE, UP, Point, Surface
@@ -62,11 +62,11 @@ class TraySurface(FlatSurface):
     def sample_position(self, rng: np.random.Generator, margin: float) -> Point:
         """Sample a point at which an object with this margin (m) to the workspace's border is on the floor.
 
-        :raises ValueError: the floor is too small for the object
+        :raises PlacementError: the floor is too small for the object
         """
         reach = self._side / 2.0 - COVERED_SHARE * margin
         if reach < 0.0:
-            raise ValueError(
+            raise PlacementError(
                 f"workspace: its tray of {self._side:.3f} m has no room for a margin of {margin:.3f} m"
             )
         dx, dy = rng.uniform(-reach, reach, 2).tolist()

@@ -126,8 +126,7 @@ class Surface(ABC):
     def sample_position(self, rng: np.random.Generator, margin: float) -> Point:
         """Sample a point at least ``margin`` (m) from the workspace's border and clear of obstacles.
 
-        :raises ValueError: the workspace is narrower than twice the margin
-        :raises PlacementError: the obstacles leave no such point
+        :raises PlacementError: the workspace is too narrow, or the obstacles leave no such point
         """
         for _ in range(ATTEMPTS):
             point = self._uniform_position(rng, margin)

@@ -365,7 +365,7 @@ def test_a_robot_may_be_a_model_or_a_function(given: str) -> None:
     other.set_state(state)
     env.close()
     other.close()
-    with pytest.raises(ValueError, match="not a RobotModel"):
+    with pytest.raises(ValueError, match="robot must be a RobotModel"):
         make_env(PICKING, robot=dict)
 
 

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from bulletarm_gym.geometry import Mesh, join
-from bulletarm_gym.geometry.compilation import compiled
 from bulletarm_gym.observations.rasterizer import Window, ZBuffer
 
 EXTENT, SIZE = 0.45, 128
@@ -377,9 +376,3 @@ def test_agrees_with_a_software_renderer(seed: int) -> None:
     assert np.count_nonzero(wanted) > 2000
     assert np.mean(error > 5e-4) < 0.01  # outlines, where a ray of the distant camera is not quite vertical
     assert np.mean(error) < 1e-4
-
-
-def test_compiles_without_a_folder_to_cache_in() -> None:
-    scope: dict[str, Callable[[int], int]] = {}
-    exec("def successor(x):\n    return x + 1", scope)  # numba has nowhere to keep a function without a file
-    assert compiled(scope["successor"])(1) == 2

@@ -11,6 +11,7 @@ import pytest
 from rollouts import digest, transcript
 
 import bulletarm_gym
+from bulletarm_gym.config import Context, EnvConfig
 from bulletarm_gym.control import PickPlace
 from bulletarm_gym.env import ManipulationEnv
 from bulletarm_gym.experts import CLOSED, OPEN, Waypoint
@@ -60,9 +61,8 @@ def pick_place(env: ManipulationEnv, primitive: str, position: Any, rotation: An
 def test_encode_inverts_decode(make: Make, sequence: str, half: bool) -> None:
     env = make(STACKING)
     env.reset(seed=0)
-    config = type(env.config).of(
-        "open_loop", env.task.defaults, ("kuka",), {"action_sequence": sequence, "half_rotation": half}
-    )
+    context = Context("open_loop", env.task.defaults)
+    config = EnvConfig.of(context, {"action_sequence": sequence, "half_rotation": half})
     control, view = type(env.control)(config, env.control.robot, env.task.grasp_params), env.look()
     rng = np.random.default_rng(0)
     corners = [np.full(len(sequence), sign) for sign in (-1.0, 0.0, 1.0)]

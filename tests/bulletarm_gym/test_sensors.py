@@ -128,7 +128,7 @@ def test_unknown_names(make: Make, name: str) -> None:
         (
             PICKING,
             [{"name": "rgb", "size": 8}],
-            "size must be a number of pixels or [width, height]",
+            "got 8",
         ),
         (PICKING, [{"name": "rgb", "fov": 180}], "fov must be a number of degrees from 1 to 170, got 180"),
         (PICKING, [{"name": "rgb", "fow": 60}], "position, target, size, fov, mount, not fow"),
