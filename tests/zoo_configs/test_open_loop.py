@@ -111,7 +111,7 @@ def test_a_task_of_several_benchmarks_is_3d_unless_one_is_named() -> None:
         (
             "equi_asr",
             "open_loop_6d",
-            "is not in the benchmark open_loop_6d, but in open_loop_3d, open_loop_2d",
+            "got 'open_loop_6d'",
         ),
         ("equi_asr", "open_loop_3", "unknown benchmark 'open_loop_3', did you mean 'open_loop_3d'"),
     ],
