@@ -235,9 +235,7 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
 
     @property
     def action_ranges(self) -> dict[str, tuple[float, float]]:
-        """Values (m, rad) of -1 and 1 in an action, by name, without p: x, y, z and r in closed-loop control;
-        x, y, z, theta, phi and psi in open-loop control. Empty for a user's control without ranges.
-        """
+        """Values (m, rad) of -1 and 1 in an action, by name without p; empty for a control without ranges."""
         return dict(self.control.ranges)
 
     @cached_property
@@ -253,9 +251,8 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
     def look(self) -> View:
         """Return the current view of the scene from above."""
         self.scene.world.check_open()
-        return View(
-            self.scene, self.control.frame(), self.task.overlays(self.scene), self._observer.needs_labels
-        )
+        overlays = self.task.overlays(self.scene)
+        return View(self.scene, self.control.frame(), overlays, self._observer.needs_labels)
 
     def decode_action(self, action: ArrayLike) -> Any:
         """Return an action in metres and radians: a ``DeltaMove``, a ``PickPlace``, or the control's own."""
@@ -360,8 +357,6 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         if self._episode_seed is None:
             raise gymnasium.error.ResetNeeded("no episode has begun. Call reset() first.")
 
-    # Copies
-
     @property
     def spec(self) -> EnvSpec | None:
         """Spec of the environment, with ``max_steps`` as its ``max_episode_steps``."""
@@ -371,7 +366,7 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
     def spec(self, spec: EnvSpec | None) -> None:
         """Keep a spec with the parameters as JSON values."""
         if spec is not None:
-            known = {**self.recipe, **self._parameters}
+            known = self._arguments
             kwargs = {name: known.get(name, value) for name, value in spec.kwargs.items()}
             spec = replace(spec, kwargs=kwargs, max_episode_steps=self.config.max_steps)
         self._spec = spec
@@ -384,7 +379,7 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
     def __getstate__(self) -> dict[str, Any]:
         """Return the parameters, the generators and, within an episode, the state."""
         return {
-            "arguments": {**self.recipe, **self._parameters},
+            "arguments": self._arguments,
             "spec": self.spec,
             "state": None if self._episode_seed is None else self.get_state(),
             "kept": {name: vars(self)[name] for name in KEPT if name in vars(self)},
@@ -399,6 +394,6 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         vars(self).update(deepcopy(copied["kept"]))  # copy.copy() passes the generators of the original
 
     @property
-    def _parameters(self) -> dict[str, Any]:
-        """Parameters by name: JSON values, and objects without an import path."""
-        return {**self.config.parameters(), **self.objects}
+    def _arguments(self) -> dict[str, Any]:
+        """Arguments of the constructor by name: JSON values, and objects without an import path."""
+        return {**self.recipe, **self.config.parameters(), **self.objects}

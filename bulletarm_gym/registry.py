@@ -24,10 +24,10 @@ def published(kind: str) -> dict[str, Any]:
 
 
 def _published() -> dict[str, dict[str, Any]]:
-    found: Any = None
     with suppress(ValueError):  # another program may have set the variable
-        found = json.loads(os.environ.get(VARIABLE, "{}"))
-    return found if isinstance(found, dict) else {}
+        if isinstance(found := json.loads(os.environ.get(VARIABLE, "{}")), dict):
+            return found
+    return {}
 
 
 def _publish(kind: str, name: str, registered: Any) -> None:
@@ -342,10 +342,7 @@ COMPOSED = (
     *_entries("picking:BlockPicking picking:BlockInBowl", "close_loop", "bump"),
 )
 """Other combinations of the paper's tasks, if the expert succeeds in at least 95 % of episodes."""
-OWN = (
-    *_entries("sorting:BlockSorting", "open_loop"),
-    *_entries("sorting:BlockSorting", "close_loop"),
-)
+OWN = (*_entries("sorting:BlockSorting", "open_loop"), *_entries("sorting:BlockSorting", "close_loop"))
 """Environments that are not in the paper."""
 ENTRIES = (*PAPER, *COMPOSED, *OWN)
 

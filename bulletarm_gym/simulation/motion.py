@@ -14,6 +14,8 @@ from bulletarm_gym.geometry.compilation import compiled
 from bulletarm_gym.simulation.state import Body
 from bulletarm_gym.simulation.world import World
 
+OTHER, DISTANCE, FORCE = 2, 8, 9
+"""Indices in Bullet's contact points: the other body, the gap (m) and the normal force (N)."""
 RISE = 0.5
 """Fraction of a motion with positive acceleration. One half needs the smallest torque."""
 CONTACT_RISE = 0.25
@@ -189,12 +191,13 @@ def contact_load(world: World, body: Body, held: Body | None) -> tuple[float, fl
 
     :param held: the grasped object, which counts only if it is deeper than :data:`MAX_SQUEEZE`
     """
-    contacts = world.contacts(body)
+    # Bullet's tuples: this is called in every simulation step, where Contact objects double its time.
+    points = world.client.getContactPoints(body.id)
     if held is not None:
-        contacts = [one for one in contacts if one.other is not held or -one.distance > MAX_SQUEEZE]
-    if not contacts:
+        points = [point for point in points if point[OTHER] != held.id or -point[DISTANCE] > MAX_SQUEEZE]
+    if not points:
         return 0.0, 0.0
-    return sum([one.force for one in contacts]), -min([one.distance for one in contacts])
+    return sum([point[FORCE] for point in points]), -min([point[DISTANCE] for point in points])
 
 
 def _retreat(world: World, group: JointGroup, path: Sequence[Sequence[float]], held: Body | None) -> None:
