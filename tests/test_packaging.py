@@ -1,33 +1,38 @@
-"""The built wheel is complete: installed away from the checkout, it runs an environment."""
+"""The built wheel is complete, and each extra installs what its part of the package imports."""
 
 import os
 import shutil
 import subprocess
 import sys
 import zipfile
+from collections.abc import Callable
 from importlib import metadata
 from pathlib import Path
 
 import pytest
 from packaging.requirements import Requirement
 from packaging.specifiers import SpecifierSet
+from packaging.utils import canonicalize_name
 
 ROOT = Path(__file__).resolve().parent.parent
+Run = Callable[..., subprocess.CompletedProcess[str]]
 PACKAGES = ("bulletarm_gym", "sb3_extensions", "zoo_configs")
 METADATA = ("pyproject.toml", "README.md", "LICENSE")
-
-# The first line of the child proves that it runs the installed copy, not the checkout.
-RUN_AN_ENVIRONMENT = """
-import sys, pathlib, gymnasium, bulletarm_gym, sb3_extensions, zoo_configs
-for package in (bulletarm_gym, sb3_extensions, zoo_configs):
-    assert pathlib.Path(sys.argv[1]) in pathlib.Path(package.__file__).parents, package.__file__
-env = gymnasium.make("BulletArm/CloseLoopBlockPicking-v0")
-observation, info = env.reset(seed=0)
-for _ in range(3):
-    observation, *_ = env.step(env.unwrapped.expert_action())
-assert observation in env.observation_space
-env.close()
-print("ran")
+MAX_BASE_PACKAGES = 25
+"""Packages that somebody who only wants the environments should have to install at most."""
+IMPORT_ALL_AND_RUN_FIVE_IDS = """
+import importlib, pkgutil, gymnasium, bulletarm_gym
+for module in pkgutil.walk_packages(bulletarm_gym.__path__, "bulletarm_gym."):
+    if not module.name.endswith("__main__"):
+        importlib.import_module(module.name)
+for name in ("BlockReaching", "BlockPicking", "BlockPushing", "BlockInBowl", "DrawerOpening"):
+    env = gymnasium.make(f"BulletArm/CloseLoop{name}-v0", obs_size=32)
+    observation, info = env.reset(seed=0)
+    for _ in range(3):
+        observation, *_ = env.step(env.unwrapped.expert_action())
+    assert observation in env.observation_space
+    env.close()
+print(bulletarm_gym.__file__)
 """
 
 
@@ -39,22 +44,13 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
         shutil.copytree(ROOT / package, source / package, ignore=shutil.ignore_patterns("__pycache__"))
     for name in METADATA:
         shutil.copy(ROOT / name, source)
-    command = [
-        sys.executable,
-        "-m",
-        "build",
-        "--wheel",
-        "--no-isolation",
-        "--outdir",
-        str(output),
-        str(source),
-    ]
-    subprocess.run(command, check=True, capture_output=True, text=True)
+    command = [sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", output, source]
+    subprocess.run(command, check=True, capture_output=True)
     (built,) = output.glob("*.whl")
     return built
 
 
-def test_wheel_holds_every_file(wheel: Path) -> None:
+def test_wheel_holds_the_files_of_the_packages_and_nothing_else(wheel: Path) -> None:
     held = set(zipfile.ZipFile(wheel).namelist())
     suffixes = {".py", ".typed", ".yml", ".csv", ".urdf", ".obj", ".zip", ".json", ".md"}
     wanted = {
@@ -65,50 +61,80 @@ def test_wheel_holds_every_file(wheel: Path) -> None:
     }
     assert {f"{package}/py.typed" for package in PACKAGES} <= wanted
     assert wanted <= held, sorted(wanted - held)
-
-
-def test_wheel_holds_nothing_else(wheel: Path) -> None:
-    roots = {name.split("/")[0] for name in zipfile.ZipFile(wheel).namelist()}
+    roots = {name.split("/")[0] for name in held}
     assert roots - set(PACKAGES) == {root for root in roots if root.endswith(".dist-info")}
 
 
 @pytest.fixture(scope="module")
-def installed(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The wheel unpacked away from the checkout."""
-    target = tmp_path_factory.mktemp("installed")
-    install = [
-        sys.executable,
-        "-m",
-        "pip",
-        "install",
-        "--quiet",
-        "--no-deps",
-        "--target",
-        str(target),
-        str(wheel),
-    ]
-    subprocess.run(install, check=True, capture_output=True)
-    return target
+def unpacked(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("unpacked")
+    zipfile.ZipFile(wheel).extractall(folder)
+    return folder
 
 
-def _run(installed: Path, folder: Path, *words: str) -> str:
-    environment = {**os.environ, "PYTHONPATH": str(installed)}
-    child = [sys.executable, *words]
-    result = subprocess.run(child, cwd=folder, env=environment, capture_output=True, text=True)
-    assert result.returncode == 0, result.stderr
-    return result.stdout.strip()
+@pytest.fixture(scope="module")
+def run(unpacked: Path, tmp_path_factory: pytest.TempPathFactory) -> Run:
+    """Runs Python with the unpacked wheel and what an extra of it requires, and with no other package."""
+    (info,) = unpacked.glob("*.dist-info")
+
+    def run(extra: str, *words: str) -> subprocess.CompletedProcess[str]:
+        links = tmp_path_factory.mktemp("links")
+        for dependency in required(metadata.Distribution.at(info).requires or [], extra):
+            distribution = metadata.distribution(dependency)
+            for top in {file.parts[0] for file in distribution.files or []} - {"..", "__pycache__"}:
+                if not (links / top).exists():
+                    (links / top).symlink_to(str(distribution.locate_file(top)))
+        path = f"{unpacked}{os.pathsep}{links}"
+        variables = {**os.environ, "PYTHONPATH": path, "NUMBA_DISABLE_JIT": "1"}  # compiling takes a minute
+        child = [sys.executable, "-S", *words]  # -S: without the packages of this interpreter
+        return subprocess.run(child, cwd=links, env=variables, capture_output=True, text=True)
+
+    return run
 
 
-def test_installed_wheel_runs_an_environment(installed: Path, tmp_path: Path) -> None:
-    assert _run(installed, tmp_path, "-c", RUN_AN_ENVIRONMENT, str(installed)) == "ran"
+def required(requirements: list[str], extra: str) -> set[str]:
+    """Return the names of the installed distributions that requirements need."""
+    found: dict[str, set[str]] = {}
+    waiting = [(requirements, {extra})]
+    while waiting:
+        lines, extras = waiting.pop()
+        for requirement in map(Requirement, lines):
+            marker, name = requirement.marker, canonicalize_name(requirement.name)
+            applies = marker is None or any(marker.evaluate({"extra": item}) for item in extras | {""})
+            if applies and (name not in found or requirement.extras - found[name]):
+                found[name] = found.get(name, set()) | requirement.extras
+                waiting.append((metadata.requires(name) or [], found[name]))
+    return set(found) - {"bulletarm-gym"}
 
 
-def test_installed_wheel_runs_a_published_agent(installed: Path, tmp_path: Path) -> None:
-    command = ["-m", "zoo_configs.cli", "enjoy", "--published", "CloseLoopBlockReaching", "-n", "1"]
-    printed = _run(installed, tmp_path, *command)
-    assert str(installed) in printed  # that agent, not the checkout's
-    assert printed.endswith("success_rate=1.00 episodes=1")
-    assert not list(tmp_path.iterdir())
+def test_environments_run_with_the_base_alone(run: Run, unpacked: Path) -> None:
+    (info,) = unpacked.glob("*.dist-info")
+    packages = required(metadata.Distribution.at(info).requires or [], "")
+    assert len(packages) <= MAX_BASE_PACKAGES and "torch" not in packages
+    ran = run("", "-c", IMPORT_ALL_AND_RUN_FIVE_IDS)
+    assert ran.returncode == 0, ran.stderr
+    assert ran.stdout.strip() == str(unpacked / "bulletarm_gym" / "__init__.py")
+
+
+@pytest.mark.parametrize("extra", ["", "sb3", "zoo"])
+def test_what_is_not_installed_names_its_extra(run: Run, extra: str) -> None:
+    learners = run(extra, "-c", "import sb3_extensions.sacfd.sacfd")
+    command = run(extra, "-m", "zoo_configs.cli", "list", "--baselines")
+    assert (learners.returncode == 0) == (extra in ("sb3", "zoo")), learners.stderr
+    assert (command.returncode == 0) == (extra == "zoo"), command.stderr
+    if learners.returncode:
+        assert "bulletarm-gym[sb3]" in learners.stderr.splitlines()[-1]
+    if command.returncode:
+        assert command.returncode == 2 and len(command.stderr.splitlines()) == 1
+        assert "bulletarm-gym[zoo]" in command.stderr
+
+
+def test_command_line_runs_a_published_agent_with_its_extra_alone(run: Run, unpacked: Path) -> None:
+    command = ("-m", "zoo_configs.cli", "enjoy", "--published", "CloseLoopBlockReaching", "-n", "1")
+    ran = run("zoo", *command)
+    assert ran.returncode == 0, ran.stderr
+    assert str(unpacked) in ran.stdout  # that agent, not the checkout's
+    assert ran.stdout.strip().endswith("success_rate=1.00 episodes=1")
 
 
 def test_tested_versions_take_every_python_3_11() -> None:

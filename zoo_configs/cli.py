@@ -9,6 +9,7 @@ import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from importlib import metadata
+from importlib.util import find_spec
 
 from zoo_configs.errors import CommandError, reason, reason_and_place, unknown_name
 
@@ -31,6 +32,8 @@ COMMANDS = {
     "list": "list environments, baselines, presets or published agents",
 }
 MODULES = {"list": "listing"}  # modules that are not named as their commands
+REQUIRED = ("stable_baselines3", "torch", "optuna", "yaml", "rich", "matplotlib", "imageio", "huggingface_hub")
+"""Modules of packages that the extra ``zoo`` installs."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -63,6 +66,8 @@ def _run(name: str, arguments: Sequence[str]) -> None:
     elif name == "--version":
         print(f"{PROGRAM} {metadata.version(DISTRIBUTION)}")
     elif name in COMMANDS:
+        if missing := [module for module in REQUIRED if find_spec(module) is None]:
+            raise CommandError(f"{', '.join(missing)} not installed: pip install 'bulletarm-gym[zoo]'")
         importlib.import_module(f"zoo_configs.commands.{MODULES.get(name, name)}").main(arguments)
     else:
         raise unknown_name("command", name, COMMANDS)
