@@ -38,7 +38,7 @@ PLACE = re.compile(rf"({BEGIN}(?P<name>[^>]*?) -->).*?(<!-- end of data -->)", r
 
 
 SPEED_HEADS = {
-    "yardstick_us": ("yardstick us", 1),
+    "yardstick_us": ("calibration us", 1),
     "steps_per_second": ("steps/s", 0),
     "step_ms": ("ms/step", 2),
     "physics_ms": ("physics", 2),
@@ -76,10 +76,10 @@ def speed_table(source: Source) -> str:
 def ratio_sentence(source: Source) -> str:
     """Return the comparison of the speed with the reference."""
     parts = [
-        f"{_geometric_mean(ratios):.1f} for {tasks.format(len(ratios))} (the least {min(ratios):.1f})"
+        f"{_geometric_mean(ratios):.1f} for {tasks.format(len(ratios))} (minimum {min(ratios):.1f})"
         for ratios, tasks in zip(
             _ratios(source),
-            ("the {} close-loop tasks of the paper", "its {} open-loop tasks"),
+            ("the {} closed-loop tasks of the paper", "its {} open-loop tasks"),
             strict=True,
         )
     ]
@@ -92,7 +92,7 @@ def ratio_summary(source: Source) -> str:
     both = (*closed, *opened)
     return (
         f"Steps {min(both):.0f} to {max(both):.0f} times as fast as the original release's; "
-        f"on the geometric mean {_geometric_mean(closed):.0f} times in close loop, "
+        f"on the geometric mean {_geometric_mean(closed):.0f} times in closed loop, "
         f"{_geometric_mean(opened):.0f} times in open loop"
     )
 
@@ -127,7 +127,7 @@ def update_table(source: Source, control: str) -> str:
 def overhead_table(source: Source) -> str:
     """Return the overhead of ``train``."""
     rows = source.read("overhead")
-    heads = ["baseline", "time steps", "model.learn() CPU s", "train CPU s", "overhead", "its range"]
+    heads = ["baseline", "time steps", "model.learn() CPU s", "train CPU s", "overhead", "range"]
     lines = [
         [
             *(f"`{row['baseline']}`", row["timesteps"], row["bare_seconds"], row["train_seconds"]),
