@@ -92,7 +92,7 @@ def ratio_summary(source: Source) -> str:
     both = (*closed, *opened)
     return (
         f"Steps {min(both):.0f} to {max(both):.0f} times as fast as the original release's; "
-        f"on the geometric mean {_geometric_mean(closed):.0f} times in closed loop, "
+        f"on the geometric mean {_geometric_mean(closed):.0f} times in close loop, "
         f"{_geometric_mean(opened):.0f} times in open loop"
     )
 
