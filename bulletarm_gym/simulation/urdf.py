@@ -163,23 +163,28 @@ def children_of(root: Element, link: str) -> list[Element]:
     return [joint for joint in root.findall("joint") if end_of(joint, "parent") == link]
 
 
+def numbers_of(element: Element | None, key: str, count: int, default: str = "") -> list[float]:
+    """Return the ``count`` numbers in an attribute, or raise ValueError."""
+    text = default if element is None else element.get(key, default)
+    try:
+        values = [float(word) for word in text.split()]
+    except ValueError:
+        values = []
+    if len(values) != count:
+        wanted = "a number" if count == 1 else f"{count} numbers"
+        tag = "" if element is None else element.tag
+        raise ValueError(f"{key} of <{tag}> must be {wanted}, got {text!r}")
+    return values
+
+
 def number_of(element: Element, key: str, default: str = "0") -> float:
     """Return the number in an attribute, or raise ValueError."""
-    text = element.get(key, default)
-    try:
-        return float(text)
-    except ValueError:
-        raise ValueError(f"{key} of <{element.tag}> must be a number, got {text!r}") from None
+    return numbers_of(element, key, 1, default)[0]
 
 
 def vector_of(element: Element | None, key: str, default: str = "0 0 0") -> Vector:
     """Return the three numbers in an attribute, or raise ValueError."""
-    text = default if element is None else element.get(key, default)
-    try:
-        x, y, z = (float(value) for value in text.split())
-    except ValueError:
-        tag = "" if element is None else element.tag
-        raise ValueError(f"{key} of <{tag}> must be three numbers, got {text!r}") from None
+    x, y, z = numbers_of(element, key, 3, default)
     return (x, y, z)
 
 
