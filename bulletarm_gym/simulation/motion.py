@@ -181,9 +181,11 @@ def follow(
         if depth > before and (force > MAX_FORCE or depth > MAX_DEPTH):
             _retreat(world, group, path[:number], held)
             return
-        if number % LAG_CHECK == 0 and _lag(world, group, path[number]) > MAX_LAG:
-            _stop(world, group)
-            return
+        if number % LAG_CHECK == 0:
+            lags = [abs(now - goal) for now, goal in zip(_measure(world, group), path[number], strict=True)]
+            if max(lags) > MAX_LAG:
+                _stop(world, group)
+                return
 
 
 def contact_load(world: World, body: Body, held: Body | None) -> tuple[float, float]:
@@ -201,7 +203,6 @@ def contact_load(world: World, body: Body, held: Body | None) -> tuple[float, fl
 
 
 def _retreat(world: World, group: JointGroup, path: Sequence[Sequence[float]], held: Body | None) -> None:
-    """Move back on a path until the contact forces are small, and stop."""
     back, calm = len(path) - 1, 0
     for _ in range(RETREAT_LIMIT):
         hold(world, group, path[back])
@@ -215,17 +216,12 @@ def _retreat(world: World, group: JointGroup, path: Sequence[Sequence[float]], h
 
 
 def _measure(world: World, group: JointGroup) -> list[float]:
-    """Return the joint positions in the simulation."""
     return [state[0] for state in world.client.getJointStates(group.body.id, group.joints)]
 
 
 def _stop(world: World, group: JointGroup) -> None:
     hold(world, group, _measure(world, group))
     world.step()
-
-
-def _lag(world: World, group: JointGroup, target: Sequence[float]) -> float:
-    return max(abs(now - goal) for now, goal in zip(_measure(world, group), target, strict=True))
 
 
 def send_fingers(world: World, group: JointGroup, goal: float, speed: float) -> None:

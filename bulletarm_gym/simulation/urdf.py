@@ -13,8 +13,6 @@ from bulletarm_gym.simulation.meshes import check_mesh
 
 PACKAGE, FILE = "package://", "file://"
 """Prefixes of file names in ROS: of a file in a package, and of any file."""
-OTHER_FORMATS = {"mujoco": "an MJCF file", "mujocoinclude": "an MJCF file", "sdf": "an SDF file"}
-"""Formats of other model files by the name of the root element."""
 
 
 # Files
@@ -52,10 +50,8 @@ def parse_urdf(path: Path) -> Element:
         raise ValueError(f"{must}which is not XML: {error}") from error
     if any(element.tag.startswith("xacro:") for element in root.iter()):
         raise ValueError(f"{must}a xacro file. Run `xacro FILE > robot.urdf`.")
-    if root.tag in OTHER_FORMATS:
-        raise ValueError(f"{must}{OTHER_FORMATS[root.tag]}. Convert it to URDF.")
     if root.tag != "robot":
-        raise ValueError(f"{must}whose root element is <{root.tag}>")
+        raise ValueError(f"{must}whose root element is <{root.tag}>. Convert it to URDF.")
     if any("quat_xyzw" in element.attrib for element in root.iter("origin")):
         raise ValueError(f"origins must have rpy angles, got quat_xyzw of URDF 1.1 in {path}")
     _remove_extensions(root)
@@ -63,7 +59,7 @@ def parse_urdf(path: Path) -> Element:
 
 
 def _remove_extensions(element: Element) -> None:
-    """Remove the elements and attributes of other programs, which have a prefix such as ``drake:``."""
+    """Remove elements and attributes with a prefix, such as ``drake:``."""
     for name in [name for name in element.attrib if ":" in name]:
         del element.attrib[name]
     for child in list(element):
@@ -105,13 +101,11 @@ def mesh_path(name: str, folder: Path) -> Path:
     :param folder: absolute path of the folder of the URDF
     :raises ValueError: the file does not exist
     """
-    folders = [folder, *folder.parents] if name.startswith(PACKAGE) else [folder]
-    for place in folders:
+    for place in [folder, *folder.parents] if name.startswith(PACKAGE) else [folder]:
         found = place / name.removeprefix(PACKAGE).removeprefix(FILE)
         if found.is_file():
             return found
-    where = "there or in the folders above" if len(folders) > 1 else "there"
-    raise ValueError(f"the mesh {name!r} of a model in {folder} is not {where}")
+    raise ValueError(f"the mesh {name!r} of a model in {folder} is not there")
 
 
 def to_text(root: Element) -> str:

@@ -30,8 +30,6 @@ PLATFORM_CLEARANCE = 0.04
 """Gap (m) between objects on the ground and the platform, wide enough for an open finger."""
 MIN_PLATFORM_CLEARANCE = 0.002
 """Gap (m) next to a platform wider than :data:`PLATFORM`, which leaves no space for fingers."""
-LIGHT, GREY = (0.86, 0.86, 0.87, 1.0), (0.74, 0.74, 0.76, 1.0)
-"""Colours of the platform and of the pyramids."""
 
 
 def pyramid(name: str, side: float, slope: float) -> BodySpec:
@@ -39,7 +37,7 @@ def pyramid(name: str, side: float, slope: float) -> BodySpec:
     height = math.tan(slope) * side / 2.0
     rings = [(side / 2.0, -DEPTH), (side / 2.0, 0.0), (PEAK / 2.0, height)]
     corners = [[(-h, -h, z), (h, -h, z), (h, h, z), (-h, h, z)] for h, z in rings]
-    return BodySpec(name, (Piece(loft(corners)),), 0.0, FRICTION, colour=GREY)
+    return BodySpec(name, (Piece(loft(corners)),), 0.0, FRICTION, colour=(0.74, 0.74, 0.76, 1.0))
 
 
 class BumpSurface(Surface):
@@ -71,7 +69,7 @@ class BumpSurface(Surface):
             for number, slope in enumerate(slopes.tolist())
         ]
         piece = block((*self.platform_size, self.level), (0.0, 0.0, -self.level / 2.0))
-        self._platform = world.add(BodySpec("platform", (piece,), 0.0, colour=LIGHT))
+        self._platform = world.add(BodySpec("platform", (piece,), 0.0, colour=(0.86, 0.86, 0.87, 1.0)))
         self.bodies += [*self._pyramids, self._platform]
 
     def arrange(self, rng: np.random.Generator) -> None:
@@ -106,7 +104,6 @@ class BumpSurface(Surface):
 
     @property
     def _numbers(self) -> list[int]:
-        """Numbers of the nine pyramids."""
         return [n for n, body in enumerate(self._pyramids) if self._world.active[body.index]]
 
     def _local(self, points: ArrayLike) -> FloatArray:
@@ -130,7 +127,6 @@ class BumpSurface(Surface):
         return within
 
     def _gap(self, footprint: Footprint) -> float:
-        """Return the gap (m) between a footprint and the platform."""
         return footprint.gap(Footprint.rectangle(self.platform_size, self.platform))
 
     def heights(self, points: ArrayLike) -> FloatArray:
@@ -177,7 +173,6 @@ class BumpSurface(Surface):
         return bool(self._on_platform(footprint.points).min() >= -1e-9)
 
     def _sites(self, size: Point, rng: np.random.Generator, max_yaw: float) -> Iterator[Pose]:
-        """Sample a frame on the platform with its yaw."""
         x, y = ((a - b) / 2.0 for a, b in zip(self.platform_size, size, strict=True))
         if x >= 0.0 and y >= 0.0:
             offset = Pose((float(rng.uniform(-x, x)), float(rng.uniform(-y, y)), 0.0))

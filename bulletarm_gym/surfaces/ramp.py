@@ -21,7 +21,7 @@ SLOPE = math.pi / 6.0
 EDGE_HEIGHT = 0.01
 """Largest height (m) of a ramp's lower edge (paper, Open-Loop 6DoF Environments)."""
 NEAREST_EDGE, FARTHEST_EDGE = STRIP_WIDTHS[0] / 2.0, STRIP_WIDTHS[1] / 2.0
-"""Range of the distance (m) of an edge from the workspace's centre, which lies in the strip."""
+"""Range of the distance (m) of an edge from the workspace's centre, which is in the strip."""
 THICKNESS = 0.01
 """Thickness (m) of a plate."""
 PLATE_OVERHANG = 0.005
@@ -32,8 +32,6 @@ CUT = 2.0 - math.sqrt(2.0)
 """Part of half a square's side that is outside the inscribed circle at each corner."""
 STEPS = 4
 """Number of steps in which a plate becomes shorter."""
-COLOUR = (0.82, 0.68, 0.47, 1.0)
-"""Colour of the plates."""
 
 
 def plate(name: str, length: float, width: float) -> BodySpec:
@@ -48,7 +46,7 @@ def plate(name: str, length: float, width: float) -> BodySpec:
     for step, depth in enumerate(depths):
         middle = sum(depths[:step]) + depth / 2.0
         rows.append(block((length - 2.0 * cut * step, depth, THICKNESS), (0.0, middle, -THICKNESS / 2.0)))
-    return BodySpec(name, tuple(rows), 0.0, colour=COLOUR)
+    return BodySpec(name, tuple(rows), 0.0, colour=(0.82, 0.68, 0.47, 1.0))
 
 
 @dataclass(frozen=True)
@@ -163,7 +161,6 @@ class RampSurface(Surface):
         return between and super().fits(footprint)
 
     def _sites(self, size: Point, rng: np.random.Generator, max_yaw: float) -> Iterator[Pose]:
-        """Sample frames in the strip with their y axis along it."""
         first, second = self.ramps
         room, half = (self.gap - size[0]) / 2.0, self._half_diagonal
         middle = np.add(first.edge[:2], second.edge[:2]) / 2.0

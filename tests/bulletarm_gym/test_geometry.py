@@ -18,7 +18,6 @@ from bulletarm_gym.geometry import (
     join,
     matrix,
     multiply,
-    planar_distance,
     quaternion,
     rotate,
     wrap_angle,
@@ -58,14 +57,6 @@ def test_rotation_vectors_agree_with_scipy() -> None:
         np.testing.assert_allclose(as_rotvec(tuple(-part for part in q)), vector, atol=1e-12)
 
 
-@pytest.mark.parametrize("yaw", [-3.1, -math.pi / 2, 0.0, 0.4, 3.1])
-def test_planar_pose(yaw: float) -> None:
-    pose = Pose.planar(0.1, 0.2, 0.3, yaw)
-    assert pose.yaw == pytest.approx(yaw) and pose.tilt == pytest.approx(0.0, abs=1e-7)
-    assert (pose.x, pose.y, pose.z) == (0.1, 0.2, 0.3)
-    assert pose.transform((1.0, 0.0, 0.0)) == pytest.approx((0.1 + math.cos(yaw), 0.2 + math.sin(yaw), 0.3))
-
-
 def test_poses_are_composed_and_inverted() -> None:
     for one, other in itertools.pairwise(random_poses(5)):
         point = (0.3, -0.2, 0.5)
@@ -82,10 +73,6 @@ def test_wrap_angle(period: float) -> None:
         wrapped = wrap_angle(angle, period)
         assert -period / 2 <= wrapped < period / 2
         assert math.remainder(wrapped - angle, period) == pytest.approx(0.0, abs=1e-9)
-
-
-def test_planar_distance_ignores_height() -> None:
-    assert planar_distance((0.0, 0.0, 5.0), (3.0, 4.0, -5.0)) == 5.0
 
 
 def volume(mesh: Mesh) -> float:

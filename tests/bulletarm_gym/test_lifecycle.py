@@ -7,11 +7,9 @@ from collections.abc import Callable
 from typing import Any
 
 import gymnasium
-import numpy as np
 import psutil
 import pybullet
 import pytest
-from gymnasium.vector import AutoresetMode
 from rollouts import idle, make_env
 
 from bulletarm_gym.env import ManipulationEnv
@@ -64,15 +62,6 @@ def test_no_step_after_the_time_limit(make: Make) -> None:
         with pytest.raises(gymnasium.error.ResetNeeded, match=ENDED):
             instance.step(idle(instance))
     copy.close()
-
-
-@pytest.mark.parametrize("mode", [AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP])
-def test_vectors_reset_environments_that_have_ended(mode: AutoresetMode) -> None:
-    options = {"autoreset_mode": mode}
-    vector = gymnasium.make_vec(PICKING, 2, "sync", vector_kwargs=options, obs_size=16, max_steps=2)
-    vector.reset(seed=0)
-    assert sum(vector.step(np.zeros((2, 5), np.float32))[3].all() for _ in range(6)) >= 2
-    vector.close()
 
 
 def test_environment_needs_a_reset_and_is_closed_twice(typical_id: str) -> None:
@@ -133,25 +122,17 @@ def used() -> int:
     return int(psutil.Process().memory_info().rss)
 
 
-def test_resets_do_not_grow(typical_env: ManipulationEnv) -> None:
+def test_resets_and_states_do_not_grow(typical_env: ManipulationEnv) -> None:
     def play(episodes: int) -> None:
         for _ in range(episodes):
             typical_env.reset()
             typical_env.step(typical_env.expert_action())
+            typical_env.set_state(typical_env.get_state())
 
     play(10)
     before = used()
     play(20)
     assert used() - before < 2.5 * MEGABYTE
-
-
-def test_states_do_not_grow(picking: ManipulationEnv) -> None:
-    picking.reset(seed=0)
-    for count in (50, 500):
-        before = used()
-        for _ in range(count):
-            picking.set_state(picking.get_state())
-    assert used() - before < 4 * MEGABYTE
 
 
 def test_server_is_released_by_close_by_the_collector_and_after_an_error() -> None:

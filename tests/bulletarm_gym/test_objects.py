@@ -11,7 +11,6 @@ from bulletarm_gym.geometry import FloatArray, Pose, euler_pose, mass_properties
 from bulletarm_gym.objects import BodySpec, create
 from bulletarm_gym.objects.blocks import DRAWINGS, improvise_blocks, improvise_bricks
 from bulletarm_gym.objects.catalogue import KINDS, object_set
-from bulletarm_gym.objects.containers import FLOOR_HEIGHT, WALL_HEIGHT, tray_floor, tray_walls
 from bulletarm_gym.objects.files import convex_hull
 from bulletarm_gym.objects.graspables import graspables
 from bulletarm_gym.simulation import World
@@ -98,14 +97,6 @@ def test_86_objects_to_grasp_fit_gripper_and_tray() -> None:
     assert np.abs(np.median(sides, axis=0) - (0.042, 0.055, 0.095)).max() < 0.01
 
 
-def test_tray_floor_meets_its_walls() -> None:
-    floor, walls = tray_floor(0.25), tray_walls(0.25)
-    assert floor.extents == pytest.approx((0.22, 0.22, FLOOR_HEIGHT)) and walls.friction == 0.0
-    vertices = walls.mesh.vertices
-    assert vertices[:, 2].max() == pytest.approx(WALL_HEIGHT)
-    assert np.abs(vertices[:, :2]).max(axis=1).min() == pytest.approx(0.11)
-
-
 @pytest.mark.parametrize("specs", [SPECS, graspables()], ids=["catalogue", "to grasp"])
 def test_pieces_are_convex_closed_and_few(specs: list[BodySpec]) -> None:
     for spec in specs:
@@ -177,22 +168,3 @@ def test_hull_of_a_box_with_divided_faces_has_the_box_inertia(size: Any, noise: 
         assert sorted(moments) == pytest.approx(
             sorted(0.1 / 12.0 * pair for pair in (y + z, x + z, x + y)), rel=tolerance
         )
-
-
-def test_hull_does_not_depend_on_the_unit() -> None:
-    points = np.random.default_rng(0).normal(size=(60, 3))
-    metres, millimetres = (mass_properties([convex_hull(unit * points)], 0.1)[1] for unit in (1.0, 1000.0))
-    assert millimetres == pytest.approx([1e6 * moment for moment in metres], rel=1e-6)
-
-
-@pytest.mark.parametrize(
-    ("points", "reason"),
-    [
-        ([[0, 0, 0]] * 5, "volume"),
-        ([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]], "plane"),
-        ([[0, 0, np.nan]] * 4, "finite"),
-    ],
-)
-def test_hull_without_a_volume_is_refused(points: list[list[float]], reason: str) -> None:
-    with pytest.raises(ValueError, match=reason):
-        convex_hull(points)

@@ -34,20 +34,16 @@ class Arranged(Task):
     layout: dict[int, Pose]
 
     def bodies(self, config: Any) -> list[ObjectSlot]:
-        """Return the cubes."""
         return [scaled(config, f"cube {number}", cube) for number in range(3)]
 
     def arrange(self, scene: Scene, rng: np.random.Generator) -> None:
-        """Put the cubes at the poses of the test, relative to the middle of the workspace."""
         for number, pose in self.layout.items():
             scene[f"cube {number}"].place(Pose((*self.config.centre, scene.surface.level)).compose(pose))
 
     def evaluate(self, scene: Scene) -> dict[str, bool]:
-        """Return whether the cubes that are present form one stack."""
         return {"success": stacked(scene, list(scene)), "is_at_rest": at_rest(scene)}
 
     def plan(self, scene: Scene, rng: np.random.Generator) -> Iterator[Waypoint]:
-        """Yield no move of interest."""
         yield Waypoint(scene.robot.pose, 1.0)
 
 
