@@ -7,7 +7,7 @@ import math
 
 from bulletarm_gym.geometry import Pose, Vector
 from bulletarm_gym.objects.bottles import ALONG_X
-from bulletarm_gym.objects.solids import Kind, block, container, cylinder, fixed, loft, vessel, wall
+from bulletarm_gym.objects.solids import Kind, block, container, cylinder, loft, vessel, wall
 from bulletarm_gym.simulation.shapes import YELLOW, BodySpec, Colour, Piece, Slide
 
 GREY: Colour = (0.78, 0.78, 0.80, 1.0)
@@ -71,17 +71,17 @@ def _pallet() -> list[Piece]:
     ]
 
 
-bottle_tray = fixed(container(TRAY, TRAY_WALL, TRAY_FLOOR), (0.80, 0.80, 0.82, 1.0))
+bottle_tray = Kind(container(TRAY, TRAY_WALL, TRAY_FLOOR), 0.0, colour=(0.80, 0.80, 0.82, 1.0))
 """Tray for bottles, long along x."""
-packing_bin = fixed(container(BIN, BIN_WALL, BIN_WALL), GREY)
+packing_bin = Kind(container(BIN, BIN_WALL, BIN_WALL), 0.0, colour=GREY)
 """Bin, long along x."""
-new_tube_box = fixed(container(NEW_TUBE_BOX, BOX_WALL, BOX_FLOOR), (0.70, 0.62, 0.85, 1.0))
+new_tube_box = Kind(container(NEW_TUBE_BOX, BOX_WALL, BOX_FLOOR), 0.0, colour=(0.70, 0.62, 0.85, 1.0))
 """Box for new swabs and tubes."""
-test_area = fixed(container(TEST_AREA, BOX_WALL, BOX_FLOOR), (0.72, 0.72, 0.74, 1.0))
+test_area = Kind(container(TEST_AREA, BOX_WALL, BOX_FLOOR), 0.0, colour=(0.72, 0.72, 0.74, 1.0))
 """Area for the test of a swab and a tube."""
-used_tube_box = fixed(container(USED_TUBE_BOX, BOX_WALL, BOX_FLOOR), (0.90, 0.82, 0.25, 1.0))
+used_tube_box = Kind(container(USED_TUBE_BOX, BOX_WALL, BOX_FLOOR), 0.0, colour=(0.90, 0.82, 0.25, 1.0))
 """Box for used tubes."""
-pallet = fixed(_pallet(), (0.82, 0.66, 0.44, 1.0))
+pallet = Kind(_pallet(), 0.0, colour=(0.82, 0.66, 0.44, 1.0))
 """Pallet, long along x."""
 
 # The corner of Corner Picking
@@ -106,7 +106,7 @@ def _corner() -> list[Piece]:
     ]
 
 
-corner = fixed(_corner(), GREY, friction=0.2)
+corner = Kind(_corner(), 0.0, 0.2, GREY)
 """Two walls on a plate, open towards +x and +y; a finger pressed on a block can drag it over the plate."""
 
 # The drawer of Drawer Opening

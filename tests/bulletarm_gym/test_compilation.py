@@ -48,37 +48,36 @@ NAMES += [
 ]
 
 
-def run(folder: Path, code: str, **variables: str) -> subprocess.CompletedProcess[str]:
+def run(folder: Path, code: str, **variables: str) -> tuple[str, list[str]]:
+    """Return the output and the lines of the log of a process."""
     path = folder / "script.py"
     path.write_text(code)
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "PYTHONDONTWRITEBYTECODE": "1", **variables}
     command = [sys.executable, str(path)]
     child = subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
     assert child.returncode == 0, child.stderr
-    return child
+    return child.stdout, child.stderr.splitlines()
 
 
 def test_one_line_is_logged_while_a_function_is_compiled(tmp_path: Path) -> None:
     cache = str(tmp_path / "cache")
-    first, second = (run(tmp_path, LOOP, NUMBA_CACHE_DIR=cache) for _ in range(2))
-    (line,) = first.stderr.splitlines()
-    assert cache in line and second.stderr == "" and second.stdout == first.stdout
+    (output, (line,)), second = (run(tmp_path, LOOP, NUMBA_CACHE_DIR=cache) for _ in range(2))
+    assert cache in line and second == (output, [])
 
 
 @pytest.mark.slow
 def test_compiled_code_is_kept_in_a_temporary_folder_without_a_writable_one(tmp_path: Path) -> None:
     (tmp_path / "__pycache__").touch()  # in place of the folder, which root could write
-    temporary = tmp_path / "temporary"
-    temporary.mkdir()
-    nowhere = {"HOME": "/dev/null", "XDG_CACHE_HOME": "/dev/null/cache", "NUMBA_CACHE_DIR": ""}
-    first, second = (run(tmp_path, LOOP, TMPDIR=str(temporary), **nowhere) for _ in range(2))
-    advice, _ = first.stderr.splitlines()
-    assert "NUMBA_CACHE_DIR" in advice and str(temporary) in advice and str(temporary) in first.stdout
-    assert second.stderr.splitlines() == [advice], "the second process reads the compiled code"
+    (tmp_path / "temporary").mkdir()
+    variables = {"TMPDIR": str(tmp_path / "temporary"), "HOME": "/dev/null", "NUMBA_CACHE_DIR": ""}
+    variables["XDG_CACHE_HOME"] = "/dev/null/cache"
+    (output, (advice, _)), second = (run(tmp_path, LOOP, **variables) for _ in range(2))
+    assert "NUMBA_CACHE_DIR" in advice and variables["TMPDIR"] in advice and variables["TMPDIR"] in output
+    assert second == (output, [advice]), "the second process reads the compiled code"
 
 
 @pytest.mark.slow
 def test_only_make_compiles(tmp_path: Path) -> None:
-    answer = run(tmp_path, EPISODES.replace("NAMES", repr(NAMES)), NUMBA_CACHE_DIR=str(tmp_path / "cache"))
-    counts = dict(line.split() for line in answer.stdout.splitlines())
-    assert counts == dict.fromkeys(NAMES, "0") and len(answer.stderr.splitlines()) == 1, answer.stderr
+    cache = str(tmp_path / "cache")
+    output, log = run(tmp_path, EPISODES.replace("NAMES", repr(NAMES)), NUMBA_CACHE_DIR=cache)
+    assert output.splitlines() == [f"{name} 0" for name in NAMES] and len(log) == 1, log

@@ -32,8 +32,9 @@ def test_reset_rejects_other_options(picking: ManipulationEnv, options: Any) -> 
     picking.reset(options={})
 
 
-def test_no_step_after_the_end(typical_env: ManipulationEnv) -> None:
-    env, over = typical_env, False
+@pytest.mark.parametrize("env_id", [PICKING, "BulletArm/OpenLoopHouseBuilding2-v0"])
+def test_no_step_after_the_end(make: Make, env_id: str) -> None:
+    env, over = make(env_id), False
     env.reset(seed=0)
     while not over:
         before_the_end = env.get_state()
@@ -129,9 +130,9 @@ def test_resets_and_states_do_not_grow(typical_env: ManipulationEnv) -> None:
             typical_env.step(typical_env.expert_action())
             typical_env.set_state(typical_env.get_state())
 
-    play(10)
+    play(5)
     before = used()
-    play(20)
+    play(15)
     assert used() - before < 2.5 * MEGABYTE
 
 
