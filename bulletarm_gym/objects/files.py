@@ -10,7 +10,7 @@ from collections import defaultdict
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import TypeAlias
+from typing import Any, TypeAlias
 from xml.etree.ElementTree import Element
 
 import numpy as np
@@ -42,10 +42,10 @@ OTHER_MODELS = (
 )
 """File name extensions, in lower case, of models in formats that are not read."""
 PARAMETERS = {
-    "inertial/mass": "mass",
-    "contact/lateral_friction": "friction",
-    "contact/rolling_friction": "rolling_friction",
-    "contact/spinning_friction": "spinning_friction",
+    "mass": "mass",
+    "lateral_friction": "friction",
+    "rolling_friction": "rolling_friction",
+    "spinning_friction": "spinning_friction",
 }
 """Elements of a URDF's link and the parameters of :class:`BodySpec` that they set."""
 SOLVER_ELEMENTS = {"contact_cfm", "contact_erp", "inertia_scaling"}
@@ -63,7 +63,7 @@ def load_folder(folder: str) -> tuple[BodySpec, ...]:
     followed. One warning names the files that cannot be loaded, with the reasons, the models and elements
     that have no effect, and the concave meshes.
 
-    :raises ValueError: there is no such file, or none can be loaded; the message names files and reasons
+    :raises ValueError: the folder has no such file, or none can be loaded; the message names the reasons
     """
     root = Path(folder)
     files = list(_walk(root))
@@ -197,22 +197,16 @@ def _from_urdf(path: Path, name: str, notes: Notes) -> BodySpec:
     if not collisions:
         raise ValueError("its link has no collision geometry")
     pieces = [piece for collision in collisions for piece in _collision_pieces(collision, folder, notes)]
-    found = {tag: links[0].find(tag) for tag in PARAMETERS}
-    values = {
-        PARAMETERS[tag]: number_of(element, "value", "")
-        for tag, element in found.items()
-        if element is not None
-    }
-    spec = replace(graspable(name, pieces, _colour(root)), **values)
-    unused = {
-        element.tag
-        for element in links[0].iterfind("contact/*")
-        if f"contact/{element.tag}" not in PARAMETERS
-    }
-    unused |= {element.tag for element in root.iter("texture")}
-    if unused := unused - SOLVER_ELEMENTS:
+    values: dict[str, Any] = {}
+    unused = {element.tag for element in root.iter("texture")}
+    for element in (*links[0].iterfind("inertial/mass"), *links[0].iterfind("contact/*")):
+        if element.tag in PARAMETERS:
+            values[PARAMETERS[element.tag]] = number_of(element, "value", "")
+        elif element.tag not in SOLVER_ELEMENTS:
+            unused.add(element.tag)
+    if unused:
         notes[NO_EFFECT] |= unused
-    return spec
+    return replace(graspable(name, pieces, _colour(root)), **values)
 
 
 def _collision_pieces(collision: Element, folder: Path, notes: Notes) -> list[Piece]:
