@@ -80,8 +80,9 @@ def load_folder(folder: str) -> tuple[BodySpec, ...]:
         raise ValueError("; ".join(faults))
     if faults:
         notes[f"{len(faults)} of {len(paths)} files are left out"].update(faults)
-    if unused := _unused_models(root, files, paths):
-        notes["files that are not used (OBJ and STL files, and the meshes that a URDF names, are)"] = unused
+    if unused := _unused_models(files, paths):
+        names = {str(path.relative_to(root)) for path in unused}
+        notes["files that are not used (OBJ and STL files, and the meshes that a URDF names, are)"] = names
     if any(b"map_Kd" in path.read_bytes() for path in files if path.suffix.lower() == ".mtl"):
         notes[NO_EFFECT].add("map_Kd")
     if notes:
@@ -108,12 +109,12 @@ def _object_files(files: Iterable[Path]) -> Iterator[Path]:
             yield path
 
 
-def _unused_models(folder: Path, files: Iterable[Path], paths: Iterable[Path]) -> set[str]:
-    """Return the names of models that are neither loaded nor named by a URDF."""
-    texts = [path.read_text(errors="replace") for path in paths if path.suffix.lower() == ".urdf"]
-    models = (path for path in files if path.suffix.lower() in (*MESHES, *OTHER_MODELS))
-    unused = (path for path in models if not any(path.name in text for text in texts))
-    return {str(path.relative_to(folder)) for path in unused if path not in paths}
+def _unused_models(files: Iterable[Path], loaded: Iterable[Path]) -> set[Path]:
+    """Return the models that are neither loaded nor named by a URDF."""
+    urdfs = [path for path in loaded if path.suffix.lower() == ".urdf"]
+    text = "\n".join(path.read_text(errors="replace") for path in urdfs)
+    models = {path for path in files if path.suffix.lower() in (*MESHES, *OTHER_MODELS)}
+    return {path for path in models.difference(loaded) if path.name not in text}
 
 
 def load_object(path: Path, name: str, notes: Notes) -> BodySpec:

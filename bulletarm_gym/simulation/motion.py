@@ -42,10 +42,6 @@ FINGER_TOLERANCE = 2e-4
 """Distance (m) from the goal at which a finger has arrived."""
 FINGER_LIMIT = 60
 """Maximum number of simulation steps of a gripper motion."""
-FINGER_START = 2
-"""Number of simulation steps in which a finger accelerates."""
-SETTLING_STEPS = 3
-"""Number of simulation steps in which a stopped finger builds up its force."""
 GEAR_FORCE = 200.0
 """Maximum force (N) that keeps the positions of the fingers equal, well above the gripper's force."""
 SPINNING_FRICTION = 0.1
@@ -246,6 +242,7 @@ def drive_fingers(world: World, group: JointGroup, goal: float, speed: float) ->
     for number in range(FINGER_LIMIT):
         world.step()
         before, left = left, max(abs(position - goal) for position in _measure(world, group))
-        if left < FINGER_TOLERANCE or (number >= FINGER_START and before - left < STALL_PROGRESS):
+        has_started = number >= 2
+        if left < FINGER_TOLERANCE or (has_started and before - left < STALL_PROGRESS):
             break
-    world.step(SETTLING_STEPS)
+    world.step(3)  # a stopped finger builds up its force

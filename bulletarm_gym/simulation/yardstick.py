@@ -7,18 +7,11 @@ import pybullet_data
 
 from bulletarm_gym.simulation.client import Client
 
-CUBES = 4
-"""Number of resting cubes."""
-UNTIL_REST = 300
-"""Number of simulation steps until the cubes rest."""
-REPETITIONS = 5
-"""Number of measurements, of which the median is the result."""
-
 
 def measure_yardstick(steps: int = 2000) -> float:
     """Return the duration (microseconds) of a simulation step with a KUKA arm and four resting cubes.
 
-    :param steps: number of simulation steps in each measurement
+    :param steps: number of simulation steps in each of five measurements, of which the median is returned
     """
     client = Client()
     try:
@@ -26,10 +19,10 @@ def measure_yardstick(steps: int = 2000) -> float:
         client.setGravity(0, 0, -10)
         client.loadURDF("plane.urdf")
         client.loadSDF("kuka_iiwa/kuka_with_gripper2.sdf")
-        for index in range(CUBES):
+        for index in range(4):
             client.loadURDF("cube_small.urdf", [0.4 + 0.08 * index, 0.08 * index, 0.03])
-        for _ in range(UNTIL_REST):
+        for _ in range(300):  # until the cubes rest
             client.stepSimulation()
-        return 1e6 * median(timeit.repeat(client.stepSimulation, number=steps, repeat=REPETITIONS)) / steps
+        return 1e6 * median(timeit.repeat(client.stepSimulation, number=steps, repeat=5)) / steps
     finally:
         client.close()

@@ -22,20 +22,13 @@ PLATFORM = 0.13
 """Smallest side (m) of the platform."""
 FRICTION = 100.0
 """Friction coefficient that keeps objects from sliding into the valleys."""
-DEPTH = 0.01
-"""Depth (m) of pyramids below the ground, which gives every convex hull a volume."""
-PEAK = 1e-6
-"""Side (m) of the square at the top of a pyramid, because the last ring of a loft must not be a point."""
-PLATFORM_CLEARANCE = 0.04
-"""Gap (m) between objects on the ground and the platform, wide enough for an open finger."""
-MIN_PLATFORM_CLEARANCE = 0.002
-"""Gap (m) next to a platform wider than :data:`PLATFORM`, which leaves no space for fingers."""
 
 
 def pyramid(name: str, side: float, slope: float) -> BodySpec:
     """Return a square pyramid with its axis along z, its frame on the ground."""
     height = math.tan(slope) * side / 2.0
-    rings = [(side / 2.0, -DEPTH), (side / 2.0, 0.0), (PEAK / 2.0, height)]
+    # The lowest ring gives flat pyramids a volume. The last ring of a loft must not be a point.
+    rings = [(side / 2.0, -0.01), (side / 2.0, 0.0), (5e-7, height)]
     corners = [[(-h, -h, z), (h, -h, z), (h, h, z), (-h, h, z)] for h, z in rings]
     return BodySpec(name, (Piece(loft(corners)),), 0.0, FRICTION, colour=(0.74, 0.74, 0.76, 1.0))
 
@@ -55,8 +48,8 @@ class BumpSurface(Surface):
         super().__init__(workspace, site)
         self.pitch = (workspace[0][1] - workspace[0][0]) / 2.0
         self.platform_size = (max(PLATFORM, site[0]), max(PLATFORM, site[1]))
-        is_wide = max(self.platform_size) > PLATFORM
-        self._clearance = MIN_PLATFORM_CLEARANCE if is_wide else PLATFORM_CLEARANCE
+        # An open finger fits next to the usual platform. A wider one leaves no space for fingers.
+        self._clearance = 0.002 if max(self.platform_size) > PLATFORM else 0.04
 
     def load(self, world: World) -> None:
         """Load the ground plane, a pyramid of every slope and the platform."""

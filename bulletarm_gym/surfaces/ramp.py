@@ -28,8 +28,6 @@ PLATE_OVERHANG = 0.005
 """Length (m) by which plates exceed the workspace."""
 WIDTHS = 4
 """Number of plates of different widths; the narrowest that covers the workspace is clear of the arm."""
-CUT = 2.0 - math.sqrt(2.0)
-"""Part of half a square's side that is outside the inscribed circle at each corner."""
 STEPS = 4
 """Number of steps in which a plate becomes shorter."""
 
@@ -40,7 +38,7 @@ def plate(name: str, length: float, width: float) -> BodySpec:
     It becomes shorter in steps towards its upper side, where corners outside the workspace would touch the
     arm.
     """
-    cut = CUT * length / 2.0 / STEPS
+    cut = (2.0 - math.sqrt(2.0)) * length / 2.0 / STEPS  # the corners outside the inscribed circle
     depths = [width - (STEPS - 1) * cut, *[cut] * (STEPS - 1)]
     rows = []
     for step, depth in enumerate(depths):
