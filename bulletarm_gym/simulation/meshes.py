@@ -33,11 +33,8 @@ def check_mesh(path: Path) -> None:
 
 @lru_cache(maxsize=1024)
 def _check_version(path: Path, modified: int, size: int) -> None:
-    """Check a version of a file once."""
-    if path.suffix.lower() == ".dae":
-        _check_collada(path)
-    else:
-        mesh_parts(path)
+    check = _check_collada if path.suffix.lower() == ".dae" else mesh_parts
+    check(path)
 
 
 def mesh_parts(path: Path) -> list[tuple[str, FloatArray]]:

@@ -18,12 +18,8 @@ PACKAGE, FILE = "package://", "file://"
 # Files
 
 
-def parse_xml(path: Path) -> Element:
-    """Return the root element of an XML file. Prefixes stay part of names and need no declaration.
-
-    :raises ParseError: the file is not XML
-    :raises OSError: the file cannot be read
-    """
+def _parse_xml(path: Path) -> Element:
+    """Return the root element of an XML file. Prefixes stay part of names and need no declaration."""
     builder = ElementTree.TreeBuilder()
     parser = expat.ParserCreate()
     parser.buffer_text = True
@@ -45,7 +41,7 @@ def parse_urdf(path: Path) -> Element:
     """
     must = f"model must be a URDF file, got {path}, "
     try:
-        root = parse_xml(path)
+        root = _parse_xml(path)
     except ParseError as error:
         raise ValueError(f"{must}which is not XML: {error}") from error
     if any(element.tag.startswith("xacro:") for element in root.iter()):
