@@ -76,7 +76,7 @@ def measure(env_id: str, args: argparse.Namespace, reference: float | None = Non
     :param args: command line
     :param reference: steps per second of the reference times the time (us) of a simulation step
     """
-    load, step_us = load_average(), measure_yardstick().step_us
+    load, step_us = load_average(), measure_yardstick()
     with closing(make_env(env_id, args.env_kwargs)) as env:
         Meter(env).play(args.seed)  # compiles and fills caches
         meter = Meter(env)

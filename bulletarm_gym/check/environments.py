@@ -13,9 +13,7 @@ import bulletarm_gym  # noqa: F401 (registers the environments)
 from bulletarm_gym.check.machine import Finding, describe_machine, load_average, versions
 from bulletarm_gym.registry import ROBOTS
 from bulletarm_gym.simulation import has_display
-from bulletarm_gym.simulation.yardstick import Yardstick, measure_yardstick
-
-__all__ = ["Yardstick", "check_environments", "measure_yardstick"]
+from bulletarm_gym.simulation.yardstick import measure_yardstick
 
 CLOSE_LOOP = "BulletArm/CloseLoopBlockPicking-v0"
 OPEN_LOOP = "BulletArm/OpenLoopBlockStacking-v0"
@@ -37,9 +35,9 @@ def check_environments(seconds: float) -> Iterator[Finding]:
     yield display()
     yield from map(robot, ROBOTS.builtin)
     yield compiled_code()
-    yardstick = measure_yardstick()
+    yardstick_us = measure_yardstick()
     for env_id in MAX_RATIO:
-        yield speed(env_id, step_ms(env_id, seconds), yardstick)
+        yield speed(env_id, step_ms(env_id, seconds), yardstick_us)
 
 
 def processor() -> Finding:
@@ -125,12 +123,12 @@ def step_ms(env_id: str, seconds: float) -> float:
     return 1e3 * duration / steps
 
 
-def speed(env_id: str, step_ms: float, yardstick: Yardstick) -> Finding:
+def speed(env_id: str, step_ms: float, yardstick_us: float) -> Finding:
     """Compare a step of an environment with a simulation step of PyBullet on this machine."""
-    ratio, limit = 1e3 * step_ms / yardstick.step_us, MAX_RATIO[env_id]
+    ratio, limit = 1e3 * step_ms / yardstick_us, MAX_RATIO[env_id]
     value = (
         f"{1e3 / step_ms:.0f} steps/s, {ratio:.0f} simulation steps of PyBullet per step "
-        f"(at most {limit:.0f}, {yardstick.step_us:.0f} us each)"
+        f"(at most {limit:.0f}, {yardstick_us:.0f} us each)"
     )
     advice = "see processor, threads and numba cache above" if ratio > limit else ""
     return Finding(env_id.rpartition("/")[2], value, advice)

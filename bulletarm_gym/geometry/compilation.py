@@ -22,25 +22,23 @@ CONFIG: Any = numba.config
 class CompileMonitor(event.Listener):
     """Counter of the functions of :func:`compiled` that Numba compiles; cached functions do not count.
 
-    A line is logged before the first compilation of a process.
+    A line is logged before the first compilation.
     """
 
     def __init__(self) -> None:
         self.count = 0
         self.functions: set[Any] = set()
-        self._announced = False
 
     def on_start(self, event: Any) -> None:
         """Count a function that is about to be compiled."""
         function = event.data["dispatcher"]
         if function.py_func not in self.functions:
             return
-        self.count += 1
-        if not self._announced:
-            self._announced = True
+        if not self.count:
             folder = function.stats.cache_path
             where = f"once and stores the code in {folder}" if folder else "in every process"
             LOGGER.warning("bulletarm_gym compiles its numeric loops (up to a minute) %s", where)
+        self.count += 1
 
     def on_end(self, event: Any) -> None:
         """Do nothing."""

@@ -9,9 +9,6 @@ from numpy.typing import ArrayLike
 
 from bulletarm_gym.geometry.poses import FloatArray, IntArray, Pose, Vector, quaternion
 
-TETRAHEDRON_MOMENTS = (np.ones((3, 3)) + np.eye(3)) / 120.0
-"""Second moments of the tetrahedron between the origin and the three unit vectors, at density 1."""
-
 
 @dataclass(frozen=True)
 class Mesh:
@@ -70,7 +67,8 @@ def mass_properties(meshes: Sequence[Mesh], mass: float) -> tuple[Pose, Vector]:
     if volume <= 0.0:
         raise ValueError("meshes must be closed with outward faces, got an enclosed volume of 0 or less")
     centre = (six_volumes[:, None] * corners.sum(axis=1)).sum(axis=0) / (24.0 * volume)
-    moments = np.einsum("n,nij,jk,nlk->il", six_volumes, jacobians, TETRAHEDRON_MOMENTS, jacobians)
+    unit = (np.ones((3, 3)) + np.eye(3)) / 120.0  # of the tetrahedron between origin and unit vectors
+    moments = np.einsum("n,nij,jk,nlk->il", six_volumes, jacobians, unit, jacobians)
     covariance = (moments / volume - np.outer(centre, centre)) * mass
     values, axes = np.linalg.eigh(np.trace(covariance) * np.eye(3) - covariance)
     axes = axes * np.array([1.0, 1.0, float(np.sign(np.linalg.det(axes)))])  # right-handed

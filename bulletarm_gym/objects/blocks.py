@@ -11,7 +11,7 @@ from itertools import pairwise
 import numpy as np
 
 from bulletarm_gym.geometry import Pose, Vector
-from bulletarm_gym.objects.solids import Kind, block, corner_radius, cuboid, cylinder, loft, prism
+from bulletarm_gym.objects.solids import Kind, block, corner_radius, cylinder, loft, prism
 from bulletarm_gym.simulation.shapes import BLUE, RED, YELLOW, BodySpec, Box, Colour, Piece
 
 MASS = 0.1
@@ -42,9 +42,9 @@ MARK_THICKNESS = 1e-3
 """Height (m) of marks on the ground, which makes them visible to cameras."""
 
 
-def _wedge(length: float, scale: float) -> list[Piece]:
+def _wedge(length: float) -> list[Piece]:
     """Return an upright prism of triangles whose ridge runs along x, ``length`` (m) along y."""
-    half, end = CUBE_SIZE * scale / 2.0, length * scale / 2.0
+    half, end = CUBE_SIZE / 2.0, length / 2.0
     return [Piece(loft([[(x, -end, -half), (x, end, -half), (x, 0.0, half)] for x in (-half, half)]))]
 
 
@@ -57,19 +57,19 @@ def _flat_block(scale: float) -> list[Piece]:
     return [block((FLAT_BLOCK_SIDE * scale, FLAT_BLOCK_SIDE * scale, FLAT_BLOCK_HEIGHT))]
 
 
-cube = Kind(cuboid(CUBE_SIZE, CUBE_SIZE, CUBE_SIZE), MASS, colour=RED)
+cube = Kind([block((CUBE_SIZE, CUBE_SIZE, CUBE_SIZE))], MASS, colour=RED)
 """Cube."""
-brick = Kind(cuboid(CUBE_SIZE, BRICK_LENGTH, CUBE_SIZE), MASS, colour=BLUE)
+brick = Kind([block((CUBE_SIZE, BRICK_LENGTH, CUBE_SIZE))], MASS, colour=BLUE)
 """Cuboid, four times as long, along y, as it is wide and high."""
-triangle = Kind(lambda scale: _wedge(CUBE_SIZE, scale), MASS, colour=YELLOW)
+triangle = Kind(_wedge(CUBE_SIZE), MASS, colour=YELLOW)
 """Upright triangular prism whose ridge runs along x."""
-roof = Kind(lambda scale: _wedge(BRICK_LENGTH, scale), MASS, colour=YELLOW)
+roof = Kind(_wedge(BRICK_LENGTH), MASS, colour=YELLOW)
 """Upright triangular prism as long, along y, as a brick, whose ridge runs along x."""
 upright_cylinder = Kind(_cylinder, MASS, colour=RED)
 """Upright cylinder."""
 flat_block = Kind(_flat_block, mass=0.5, friction=0.5, colour=BLUE)
 """Square block lower than it is wide."""
-palletizing_box = Kind(cuboid(*BOX), MASS, colour=(0.58, 0.40, 0.26, 1.0))
+palletizing_box = Kind([block(BOX)], MASS, colour=(0.58, 0.40, 0.26, 1.0))
 """Box to palletize, longest along y."""
 
 
@@ -83,13 +83,11 @@ def improvise_bricks(name: str, scale: float, count: int) -> tuple[BodySpec, ...
     """Return bricks of random sizes, the same in every process (paper, Improvise House Building 3)."""
     rng = np.random.default_rng(3)
     planes, heights = rng.uniform(*IMPROVISE_WIDTH, (count, 2)), rng.uniform(*IMPROVISE_HEIGHT, count)
-    side, length = CUBE_SIZE * scale, BRICK_LENGTH
-    extents = [
-        (x * side, y * length * scale, z * side)
-        for (x, y), z in zip(planes.tolist(), heights.tolist(), strict=True)
-    ]
+    side, lengths = CUBE_SIZE * scale, planes[:, 1] * BRICK_LENGTH * scale
+    extents = np.stack([planes[:, 0] * side, lengths, heights * side], axis=1).tolist()
+    pieces = [block((x, y, z)) for x, y, z in extents]
     return tuple(
-        BodySpec(f"{name} {number}", (block(size),), MASS, colour=BLUE) for number, size in enumerate(extents)
+        BodySpec(f"{name} {number}", (piece,), MASS, colour=BLUE) for number, piece in enumerate(pieces)
     )
 
 

@@ -5,9 +5,9 @@ All but the bowl are fixed, and their frame is on the ground at their centre.
 
 import math
 
-from bulletarm_gym.geometry import Pose, Quaternion, Vector
+from bulletarm_gym.geometry import Pose, Vector
 from bulletarm_gym.objects.bottles import ALONG_X
-from bulletarm_gym.objects.solids import Kind, block, container, cylinder, fixed, loft, vessel, wall
+from bulletarm_gym.objects.solids import Kind, block, container, cylinder, loft, vessel, wall
 from bulletarm_gym.simulation.shapes import YELLOW, BodySpec, Colour, Piece, Slide
 
 GREY: Colour = (0.78, 0.78, 0.80, 1.0)
@@ -19,18 +19,16 @@ BOWL_HEIGHT = 0.07
 """Height (m) of the bowl at scale 1 (paper, Block in Bowl)."""
 BOWL_THICKNESS = 0.006
 """Thickness (m) of the bowl's wall and base."""
-BOWL_PROFILE = ((0.048, 0.0), (0.072, 0.03), (BOWL_DIAMETER / 2.0, BOWL_HEIGHT))
-"""Outer radius and height (m) of foot, belly and rim; a cube of 5 cm lies flat inside the foot."""
-BOWL_SECTORS = 12
-"""Sectors of the bowl's wall, a multiple of 4, so that the bounding box is as wide as the circle."""
 
 
 def _bowl(scale: float) -> list[Piece]:
+    """Return the pieces between foot, belly and rim. A cube of 5 cm lies flat inside the foot."""
+    sectors = 12  # a multiple of 4, so that the bounding box is as wide as the circle
     foot, belly, rim = (
         ((radius - BOWL_THICKNESS) * scale, radius * scale, (height - BOWL_HEIGHT / 2.0) * scale)
-        for radius, height in BOWL_PROFILE
+        for radius, height in ((0.048, 0.0), (0.072, 0.03), (BOWL_DIAMETER / 2.0, BOWL_HEIGHT))
     )
-    return [*vessel(foot, belly, BOWL_THICKNESS * scale, BOWL_SECTORS), *wall(belly, rim, BOWL_SECTORS)]
+    return [*vessel(foot, belly, BOWL_THICKNESS * scale, sectors), *wall(belly, rim, sectors)]
 
 
 bowl = Kind(_bowl, mass=0.1, colour=YELLOW)
@@ -50,10 +48,10 @@ BIN_WALL = 0.004
 """Thickness (m) of its walls and floor."""
 NEW_TUBE_BOX: Vector = (0.17, 0.2, 0.005)
 """Outer side lengths (m) of the box for new swabs and tubes."""
-TEST_AREA: Vector = (0.125, 0.3, 0.01)
-"""Outer side lengths (m) of the area for the test of a swab and a tube."""
 USED_TUBE_BOX: Vector = (0.12, 0.1, 0.04)
 """Outer side lengths (m) of the box for used tubes."""
+TEST_AREA: Vector = (0.125, 0.3, 0.01)
+"""Outer side lengths (m) of the area for the test of a swab and a tube."""
 BOX_WALL, BOX_FLOOR = 0.004, 0.002
 """Thickness (m) of the walls and of the floor of these three."""
 PALLET: Vector = (0.232, 0.192, 0.03)
@@ -73,17 +71,17 @@ def _pallet() -> list[Piece]:
     ]
 
 
-bottle_tray = fixed(container(TRAY, TRAY_WALL, TRAY_FLOOR), (0.80, 0.80, 0.82, 1.0))
+bottle_tray = Kind(container(TRAY, TRAY_WALL, TRAY_FLOOR), 0.0, colour=(0.80, 0.80, 0.82, 1.0))
 """Tray for bottles, long along x."""
-packing_bin = fixed(container(BIN, BIN_WALL, BIN_WALL), GREY)
+packing_bin = Kind(container(BIN, BIN_WALL, BIN_WALL), 0.0, colour=GREY)
 """Bin, long along x."""
-new_tube_box = fixed(container(NEW_TUBE_BOX, BOX_WALL, BOX_FLOOR), (0.70, 0.62, 0.85, 1.0))
+new_tube_box = Kind(container(NEW_TUBE_BOX, BOX_WALL, BOX_FLOOR), 0.0, colour=(0.70, 0.62, 0.85, 1.0))
 """Box for new swabs and tubes."""
-test_area = fixed(container(TEST_AREA, BOX_WALL, BOX_FLOOR), (0.72, 0.72, 0.74, 1.0))
+test_area = Kind(container(TEST_AREA, BOX_WALL, BOX_FLOOR), 0.0, colour=(0.72, 0.72, 0.74, 1.0))
 """Area for the test of a swab and a tube."""
-used_tube_box = fixed(container(USED_TUBE_BOX, BOX_WALL, BOX_FLOOR), (0.90, 0.82, 0.25, 1.0))
+used_tube_box = Kind(container(USED_TUBE_BOX, BOX_WALL, BOX_FLOOR), 0.0, colour=(0.90, 0.82, 0.25, 1.0))
 """Box for used tubes."""
-pallet = fixed(_pallet(), (0.82, 0.66, 0.44, 1.0))
+pallet = Kind(_pallet(), 0.0, colour=(0.82, 0.66, 0.44, 1.0))
 """Pallet, long along x."""
 
 # The corner of Corner Picking
@@ -92,32 +90,29 @@ CORNER_SIDE = 0.2
 """Side (m) of the corner's plate and walls."""
 CORNER_PLATE = 0.01
 """Thickness (m) of the plate. A finger would push a block through a thinner one onto the ground."""
-CORNER_HEIGHT = 0.09
-"""Height (m) of the walls, over which the widest gripper, the Panda's, reaches the cube."""
-CORNER_WALL = 0.03
-"""Thickness (m) of the walls, too thick to be grasped together with the cube."""
 CORNER_INSIDE = -0.09
 """Position (m) along x and y of the walls' inner faces in the corner's frame."""
 
 
 def _corner() -> list[Piece]:
-    middle, height = CORNER_INSIDE - CORNER_WALL / 2.0, CORNER_HEIGHT / 2.0
+    # The Panda, whose gripper is the widest, reaches the cube over this height, and cannot grasp such thick
+    # walls together with the cube.
+    side, height, thick = CORNER_SIDE, 0.09, 0.03
+    middle = CORNER_INSIDE - thick / 2.0
     return [
-        block((CORNER_SIDE, CORNER_SIDE, CORNER_PLATE), (0.0, 0.0, CORNER_PLATE / 2.0)),
-        block((CORNER_WALL, CORNER_SIDE, CORNER_HEIGHT), (middle, 0.0, height)),
-        block((CORNER_SIDE, CORNER_WALL, CORNER_HEIGHT), (0.0, middle, height)),
+        block((side, side, CORNER_PLATE), (0.0, 0.0, CORNER_PLATE / 2.0)),
+        block((thick, side, height), (middle, 0.0, height / 2.0)),
+        block((side, thick, height), (0.0, middle, height / 2.0)),
     ]
 
 
-corner = fixed(_corner(), GREY, friction=0.2)
+corner = Kind(_corner(), 0.0, 0.2, GREY)
 """Two walls on a plate, open towards +x and +y; a finger pressed on a block can drag it over the plate."""
 
 # The drawer of Drawer Opening
 
 CABINET: Vector = (0.213, 0.228, 0.108)
 """Side lengths (m) of the cabinet."""
-DRAWER: Vector = (0.2, 0.21, 0.09)
-"""Side lengths (m) of the drawer."""
 CABINET_WALL = 0.006
 """Thickness (m) of all walls of cabinet and drawer."""
 FRONT = -CABINET[0] / 2.0
@@ -130,8 +125,6 @@ STRUT_SPACING = 0.07
 """Distance (m) between the two struts of the bar."""
 HANDLE: Vector = (FRONT - HANDLE_DISTANCE, 0.0, 0.054)
 """Centre (m) of the bar of the closed drawer in the cabinet's frame."""
-ALONG_Y: Quaternion = (-math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5))
-"""Rotation of the z axis to the y axis."""
 
 
 def drawer(name: str) -> BodySpec:
@@ -156,12 +149,10 @@ def _cabinet() -> tuple[Piece, ...]:
 
 
 def _drawer() -> tuple[Piece, ...]:
-    (x, y, z), thick = DRAWER, CABINET_WALL
-    middle, low = FRONT + x / 2.0, (CABINET[2] - z) / 2.0
+    (x, y, z), thick = (0.2, 0.21, 0.09), CABINET_WALL
+    middle, low, inset = FRONT + x / 2.0, (CABINET[2] - z) / 2.0, thick / 2.0
     height = low + z / 2.0
-    ends = [
-        block((thick, y, z), (end, 0.0, height)) for end in (FRONT + thick / 2.0, FRONT + x - thick / 2.0)
-    ]
+    ends = [block((thick, y, z), (end, 0.0, height)) for end in (FRONT + inset, FRONT + x - inset)]
     sides = [block((x, thick, z), (middle, sign * (y - thick) / 2.0, height)) for sign in (1.0, -1.0)]
     return (*ends, *sides, block((x, y, thick), (middle, 0.0, low + thick / 2.0)))
 
@@ -170,7 +161,8 @@ def _handle() -> tuple[Piece, ...]:
     middle, height = FRONT - HANDLE_DISTANCE / 2.0, HANDLE[2]
     ends = [(middle, sign * STRUT_SPACING / 2.0, height) for sign in (1.0, -1.0)]
     struts = [cylinder(0.005, HANDLE_DISTANCE, pose=Pose(end, ALONG_X)) for end in ends]
-    return (cylinder(HANDLE_RADIUS, 0.1, pose=Pose(HANDLE, ALONG_Y)), *struts)
+    along_y = (-math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5))
+    return (cylinder(HANDLE_RADIUS, 0.1, pose=Pose(HANDLE, along_y)), *struts)
 
 
 # The tray of Object Grasping: a flat floor within four walls that lead dropped objects back to it
@@ -193,8 +185,8 @@ def tray_floor(size: float) -> BodySpec:
 
 def tray_walls(size: float) -> BodySpec:
     """Return the walls of a tray of nominal side ``size`` (m), without friction, so that objects slide."""
-    inner, thickness = (size - RIM) / 2.0, 0.008
     # The walls would meet the ground at foot. The strip rises from the floor until it meets the wall.
+    inner, thickness = (size - RIM) / 2.0, 0.008
     foot = inner + 0.015
     meet = (foot - FILLET_SLOPE * inner + FLOOR_HEIGHT) / (1.0 - FILLET_SLOPE)
     top = foot + WALL_HEIGHT
@@ -207,10 +199,7 @@ def tray_walls(size: float) -> BodySpec:
 def _side(section: tuple[tuple[float, float], ...], quarter: int) -> Piece:
     """Return one of four mitred sides; ``section`` has the distance from the centre and the height (m)."""
     ends = [[(r, sign * r, z) for r, z in section] for sign in (1.0, -1.0)]
-    return Piece(loft([[_rotated(point, quarter) for point in end] for end in ends]))
-
-
-def _rotated(point: Vector, quarters: int) -> Vector:
-    """Rotate a point by quarter turns about z, without rounding."""
-    x, y, z = point
-    return ((x, y, z), (-y, x, z), (-x, -y, z), (y, -x, z))[quarters]
+    # Quarter turns about z without rounding.
+    return Piece(
+        loft([[((x, y, z), (-y, x, z), (-x, -y, z), (y, -x, z))[quarter] for x, y, z in end] for end in ends])
+    )

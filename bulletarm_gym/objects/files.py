@@ -6,28 +6,30 @@ colour, mass and friction of one rigid link. Its inertia is not used: it follows
 
 import os
 import warnings
+from collections import defaultdict
 from collections.abc import Iterable, Iterator
-from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 from xml.etree.ElementTree import Element
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial import ConvexHull, QhullError
 
-from bulletarm_gym.geometry import Mesh, Pose, Vector, euler_pose
+from bulletarm_gym.geometry import FloatArray, Mesh, Pose, Vector
 from bulletarm_gym.objects.graspables import graspable
 from bulletarm_gym.objects.solids import corner_radius, cylinder
 from bulletarm_gym.simulation.meshes import mesh_parts
 from bulletarm_gym.simulation.shapes import ORIGIN, BodySpec, Box, Colour, Convex, Piece
-from bulletarm_gym.simulation.urdf import mesh_path, parse_urdf
+from bulletarm_gym.simulation.urdf import frame_of, mesh_path, number_of, numbers_of, parse_urdf, vector_of
 
 SIDES = (0.005, 0.3)
 """Range of the sides (m) of a bounding box, which detects a wrong unit."""
 MASSES = (1e-3, 5.0)
 """Range of the mass (kg) of an object, which detects a wrong unit."""
+CONCAVITY = 0.02
+"""Depth of a face in the convex hull, relative to its longest side, above which a part is concave."""
 CYLINDER_SIDES = 16
 """Corners of the polygon that approximates the circle of a cylinder."""
 GREY: Colour = (0.7, 0.7, 0.7, 1.0)
@@ -40,49 +42,52 @@ OTHER_MODELS = (
 )
 """File name extensions, in lower case, of models in formats that are not read."""
 PARAMETERS = {
-    "inertial/mass": "mass",
-    "contact/lateral_friction": "friction",
-    "contact/rolling_friction": "rolling_friction",
-    "contact/spinning_friction": "spinning_friction",
+    "mass": "mass",
+    "lateral_friction": "friction",
+    "rolling_friction": "rolling_friction",
+    "spinning_friction": "spinning_friction",
 }
 """Elements of a URDF's link and the parameters of :class:`BodySpec` that they set."""
-SOLVER_ELEMENTS = ("contact/contact_cfm", "contact/contact_erp", "contact/inertia_scaling")
-"""Elements of a URDF's link that configure the solver of the contacts, without a warning."""
+SOLVER_ELEMENTS = {"contact_cfm", "contact_erp", "inertia_scaling"}
+"""Elements of a URDF's ``<contact>`` that configure the solver of the contacts, without a warning."""
+NO_EFFECT = "elements that have no effect"
+
+Notes: TypeAlias = defaultdict[str, set[str]]
+"""Parts of a warning: what happened, and the names that it happened to."""
 
 
 def load_folder(folder: str) -> tuple[BodySpec, ...]:
     """Return the objects of all files in a folder and its subfolders, sorted by path.
 
     If a folder has URDF files, the meshes in it and in its subfolders are parts of them. Symbolic links are
-    followed. One warning names the files that cannot be loaded, with the reasons, and the models and elements
-    that have no effect.
+    followed. One warning names the files that cannot be loaded, with the reasons, the models and elements
+    that have no effect, and the concave meshes.
 
-    :raises ValueError: there is no such file, or none can be loaded; the message names files and reasons
+    :raises ValueError: the folder has no such file, or none can be loaded; the message names the reasons
     """
     root = Path(folder)
     files = list(_walk(root))
     paths = sorted(_object_files(files))
     if not paths:
         raise ValueError(f"object_set: {folder!r} holds no .obj, no .stl and no .urdf file")
-    specs, faults = [], []
-    used, unused = set(paths), set[str]()
+    specs, faults, notes = [], [], Notes(set)
     for path in paths:
         try:
-            specs.append(load_object(path, str(path.relative_to(root)), used, unused))
+            specs.append(load_object(path, str(path.relative_to(root)), notes))
         except ValueError as error:
             faults.append(str(error))
     if not specs:
         raise ValueError("; ".join(faults))
-    lost = [f"{len(faults)} of {len(paths)} files are left out: {'; '.join(faults)}"] if faults else []
-    lost += _unused_models(root, files, used)
-    if any(
-        b"map_Kd" in path.read_bytes() for path in files if path.suffix.lower() == ".mtl" and path.is_file()
-    ):
-        unused.add("map_Kd")
-    if unused:
-        lost.append(f"object_set: elements that have no effect: {', '.join(sorted(unused))}")
-    if lost:
-        warnings.warn("; ".join(lost), stacklevel=2)
+    if faults:
+        notes[f"{len(faults)} of {len(paths)} files are left out"].update(faults)
+    if unused := _unused_models(files, paths):
+        names = {str(path.relative_to(root)) for path in unused}
+        notes["files that are not used (OBJ and STL files, and the meshes that a URDF names, are)"] = names
+    if any(b"map_Kd" in path.read_bytes() for path in files if path.suffix.lower() == ".mtl"):
+        notes[NO_EFFECT].add("map_Kd")
+    if notes:
+        parts = [f"{what}: {', '.join(sorted(names))}" for what, names in notes.items()]
+        warnings.warn("object_set: " + "; ".join(parts), stacklevel=2)
     return tuple(specs)
 
 
@@ -92,12 +97,11 @@ def _walk(folder: Path) -> Iterator[Path]:
     for parent, folders, names in os.walk(folder, followlinks=True):
         known.add(os.path.realpath(parent))
         folders[:] = [name for name in sorted(folders) if os.path.realpath(Path(parent, name)) not in known]
-        yield from (Path(parent, name) for name in names)
+        yield from (path for name in names if (path := Path(parent, name)).is_file())
 
 
 def _object_files(files: Iterable[Path]) -> Iterator[Path]:
     """Yield URDF files, and the meshes that are not in a folder with URDF files or below it."""
-    files = list(files)
     described = {path.parent for path in files if path.suffix.lower() == ".urdf"}
     for path in files:
         is_part = path.suffix.lower() in MESHES and described.intersection(path.parents)
@@ -105,30 +109,25 @@ def _object_files(files: Iterable[Path]) -> Iterator[Path]:
             yield path
 
 
-def _unused_models(folder: Path, files: Iterable[Path], used: Iterable[Path]) -> list[str]:
-    """Return a sentence that names the models without effect, if there are any."""
-    real = {os.path.realpath(path) for path in used}
-    models = (path for path in files if path.suffix.lower() in (*MESHES, *OTHER_MODELS))
-    names = sorted(str(path.relative_to(folder)) for path in models if os.path.realpath(path) not in real)
-    reason = (
-        "OBJ, STL and URDF files are read; in a folder with URDF files and its subfolders, only the meshes "
-        "that they name"
-    )
-    return [f"object_set: {len(names)} files are not used: {', '.join(names)} ({reason})"] if names else []
+def _unused_models(files: Iterable[Path], loaded: Iterable[Path]) -> set[Path]:
+    """Return the models that are neither loaded nor named by a URDF."""
+    urdfs = [path for path in loaded if path.suffix.lower() == ".urdf"]
+    text = "\n".join(path.read_text(errors="replace") for path in urdfs)
+    models = {path for path in files if path.suffix.lower() in (*MESHES, *OTHER_MODELS)}
+    return {path for path in models.difference(loaded) if path.name not in text}
 
 
-def load_object(path: Path, name: str, used: set[Path], unused: set[str]) -> BodySpec:
+def load_object(path: Path, name: str, notes: Notes) -> BodySpec:
     """Return the object of a file; omitted properties are those of the built-in objects to grasp.
 
-    :param used: set that the meshes of a URDF are added to
-    :param unused: set that the elements without effect are added to
+    :param notes: receives the elements without effect and the concave meshes
     :raises ValueError: the file cannot be loaded; the message names it and the reason
     """
     try:
         if path.suffix.lower() == ".urdf":
-            spec = _from_urdf(path, name, used, unused)
+            spec = _from_urdf(path, name, notes)
         else:
-            spec = graspable(name, _hulls(path), GREY)
+            spec = graspable(name, _hulls(path, notes), GREY)
         if not (SIDES[0] <= min(spec.extents) and max(spec.extents) <= SIDES[1]):
             sides = " x ".join(f"{side:.4g}" for side in spec.extents)
             raise ValueError(f"its sides must be {SIDES[0]} to {SIDES[1]} m, got {sides}")
@@ -165,18 +164,31 @@ def convex_hull(points: ArrayLike) -> Mesh:
     return Mesh.of(cloud[used], faces[np.linalg.norm(normals, axis=1) > 0.0])
 
 
-def _hulls(path: Path, scale: Vector = (1.0, 1.0, 1.0), pose: Pose = ORIGIN) -> list[Piece]:
+def _is_concave(corners: FloatArray, hull: Mesh) -> bool:
+    """Return True if the centre of a triangle is clearly inside the convex hull of all corners."""
+    centres = corners.reshape(-1, 3, 3).mean(axis=1)
+    depths = np.full(len(centres), np.inf)
+    for a, b, c in hull.vertices[hull.faces]:
+        normal = np.cross(b - a, c - a)
+        depths = np.minimum(depths, (a - centres) @ (normal / np.linalg.norm(normal)))
+    return bool(depths.max() > CONCAVITY * np.ptp(hull.vertices, axis=0).max())
+
+
+def _hulls(path: Path, notes: Notes, scale: Vector = (1.0, 1.0, 1.0), pose: Pose = ORIGIN) -> list[Piece]:
     """Return the convex hull of every part of a mesh."""
     pieces = []
-    for name, points in mesh_parts(path):
+    for name, corners in mesh_parts(path):
         try:
-            pieces.append(Piece(Convex(convex_hull(points * np.array(scale))), pose))
+            hull = convex_hull(corners * np.array(scale))
         except ValueError as error:
             raise ValueError(f"{error} (part {name!r})") from error
+        if _is_concave(corners * np.array(scale), hull):
+            notes["concave parts, replaced by their convex hulls"].add(f"{path} (part {name!r})")
+        pieces.append(Piece(Convex(hull), pose))
     return pieces
 
 
-def _from_urdf(path: Path, name: str, used: set[Path], unused: set[str]) -> BodySpec:
+def _from_urdf(path: Path, name: str, notes: Notes) -> BodySpec:
     """Return the object of a URDF's one link."""
     root, folder = parse_urdf(path), path.parent.absolute()
     links = root.findall("link")
@@ -185,62 +197,32 @@ def _from_urdf(path: Path, name: str, used: set[Path], unused: set[str]) -> Body
     collisions = links[0].findall("collision")
     if not collisions:
         raise ValueError("its link has no collision geometry")
-    pieces = [piece for collision in collisions for piece in _collision_pieces(collision, folder)]
+    pieces = [piece for collision in collisions for piece in _collision_pieces(collision, folder, notes)]
     values: dict[str, Any] = {}
-    for tag, parameter in PARAMETERS.items():
-        if (element := links[0].find(tag)) is not None:
-            (values[parameter],) = _numbers(element, "value", 1)
-    spec = replace(graspable(name, pieces, _colour(root)), **values)
-    known = {*PARAMETERS, *SOLVER_ELEMENTS}
-    unused |= {
-        element.tag for element in links[0].iterfind("contact/*") if f"contact/{element.tag}" not in known
-    }
-    unused |= {element.tag for element in root.iter("texture")}
-    for mesh in root.iter("mesh"):
-        with suppress(ValueError):  # the mesh of a visual, which is not used, may be missing
-            used.add(mesh_path(mesh.get("filename", ""), folder))
-    return spec
+    unused = {element.tag for element in root.iter("texture")}
+    for element in (*links[0].iterfind("inertial/mass"), *links[0].iterfind("contact/*")):
+        if element.tag in PARAMETERS:
+            values[PARAMETERS[element.tag]] = number_of(element, "value", "")
+        elif element.tag not in SOLVER_ELEMENTS:
+            unused.add(element.tag)
+    if unused:
+        notes[NO_EFFECT] |= unused
+    return replace(graspable(name, pieces, _colour(root)), **values)
 
 
-def _collision_pieces(collision: Element, folder: Path) -> list[Piece]:
-    pose, shape = _origin(collision.find("origin")), collision.find("geometry/*")
+def _collision_pieces(collision: Element, folder: Path, notes: Notes) -> list[Piece]:
+    pose, shape = frame_of(collision), collision.find("geometry/*")
     tag = None if shape is None else shape.tag
     if shape is not None and tag == "box":
-        return [Piece(Box(_vector(shape, "size")), pose)]
+        return [Piece(Box(vector_of(shape, "size", "")), pose)]
     if shape is not None and tag == "cylinder":
-        (radius,), (length,) = _numbers(shape, "radius", 1), _numbers(shape, "length", 1)
+        radius, length = number_of(shape, "radius", ""), number_of(shape, "length", "")
         return [cylinder(corner_radius(2.0 * radius, CYLINDER_SIDES), length, CYLINDER_SIDES, pose)]
     if shape is None or tag != "mesh":
         raise ValueError(f"its collision geometry must be a mesh, a box or a cylinder, got {tag}")
-    return _hulls(mesh_path(shape.get("filename", ""), folder), _vector(shape, "scale", "1 1 1"), pose)
-
-
-def _origin(origin: Element | None) -> Pose:
-    """Return the pose of a URDF origin."""
-    if origin is None:
-        return ORIGIN
-    return euler_pose(_vector(origin, "xyz", "0 0 0"), _vector(origin, "rpy", "0 0 0"))
-
-
-def _vector(element: Element, key: str, default: str = "") -> Vector:
-    x, y, z = _numbers(element, key, 3, default)
-    return (x, y, z)
-
-
-def _numbers(element: Element, key: str, count: int, default: str = "") -> list[float]:
-    """Return the numbers of an attribute.
-
-    :raises ValueError: it does not consist of ``count`` numbers
-    """
-    text = element.get(key, default)
-    try:
-        values = [float(word) for word in text.split()]
-    except ValueError:
-        values = []
-    if len(values) != count:
-        wanted = "a number" if count == 1 else f"{count} numbers"
-        raise ValueError(f"{key} of <{element.tag}> must be {wanted}, got {text!r}")
-    return values
+    return _hulls(
+        mesh_path(shape.get("filename", ""), folder), notes, vector_of(shape, "scale", "1 1 1"), pose
+    )
 
 
 def _colour(root: Element) -> Colour:
@@ -252,7 +234,7 @@ def _colour(root: Element) -> Colour:
     colours = [colour for one in (material, *named) if (colour := one.find("color")) is not None]
     if not colours:
         return GREY
-    red, green, blue, alpha = _numbers(colours[0], "rgba", 4)
+    red, green, blue, alpha = numbers_of(colours[0], "rgba", 4)
     if not all(0.0 <= value <= 1.0 for value in (red, green, blue, alpha)):
         raise ValueError(f"rgba of <color> must be from 0 to 1, got {colours[0].get('rgba')!r}")
     return (red, green, blue, alpha)

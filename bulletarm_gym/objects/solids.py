@@ -32,14 +32,14 @@ Ring = tuple[float, float, float]
 class Kind:
     """Kind of object; a call ``kind(name, scale)`` returns its body.
 
-    :param pieces: function that returns the pieces at a scale
+    :param pieces: the pieces at scale 1, or a function that returns them at a scale
     :param mass: kg at every scale; 0 fixes the body to the world
     :param friction: lateral friction coefficient
     :param colour: red, green, blue and opacity, 0 to 1
     :param angular_damping: see :class:`~bulletarm_gym.simulation.shapes.BodySpec`
     """
 
-    pieces: Callable[[float], Iterable[Piece]]
+    pieces: Sequence[Piece] | Callable[[float], Iterable[Piece]]
     mass: float
     friction: float = 1.0
     colour: Colour = RED
@@ -51,19 +51,10 @@ class Kind:
         :param name: name of the body, unique in its scene
         :param scale: factor on its nominal size
         """
-        pieces, damping = tuple(self.pieces(scale)), self.angular_damping
-        return BodySpec(name, pieces, self.mass, self.friction, angular_damping=damping, colour=self.colour)
-
-
-def fixed(pieces: Iterable[Piece], colour: Colour, friction: float = 1.0) -> Kind:
-    """Return a kind that is fixed to the world, from its pieces at scale 1."""
-    made = tuple(pieces)
-    return Kind(lambda scale: [piece.scaled(scale) for piece in made], 0.0, friction, colour)
-
-
-def cuboid(x: float, y: float, z: float) -> Callable[[float], list[Piece]]:
-    """Return a function from a scale to a box with these side lengths (m) at scale 1."""
-    return lambda scale: [block((x * scale, y * scale, z * scale))]
+        made = self.pieces
+        pieces = made(scale) if callable(made) else (piece.scaled(scale) for piece in made)
+        damping, colour = self.angular_damping, self.colour
+        return BodySpec(name, tuple(pieces), self.mass, self.friction, angular_damping=damping, colour=colour)
 
 
 def block(extents: Vector, centre: Vector = (0.0, 0.0, 0.0)) -> Piece:

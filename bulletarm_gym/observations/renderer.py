@@ -72,7 +72,10 @@ class HeightRenderer:
         return [
             colour
             for body in self._world.visible
-            for colour in (self._world.get_properties(body).colour, *body.spec.part_colours[1:])
+            for colour in (
+                self._world.get_properties(body).colour,
+                *(part.colour for part in body.spec.parts),
+            )
         ]
 
     def _present(self, without: Body | None = None) -> NDArray[np.bool_]:

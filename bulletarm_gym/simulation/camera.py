@@ -112,9 +112,8 @@ class Camera:
         TinyRenderer samples pixel (column, row) at (column, row + 1) of an image whose first pixel spans 0
         to 1. The projection shifts the image by half a pixel, so that it samples the centre of each pixel.
         """
-        matrix = list(
-            world.client.computeProjectionMatrixFOV(self.fov, self.width / self.height, self.near, self.far)
-        )
+        aspect = self.width / self.height
+        matrix = list(world.client.computeProjectionMatrixFOV(self.fov, aspect, self.near, self.far))
         matrix[8] += 1.0 / self.width
         matrix[9] += 1.0 / self.height
         return matrix

@@ -14,14 +14,10 @@ from gymnasium.error import ClosedEnvironmentError
 
 __all__ = ["Client", "has_display", "pybullet"]
 
-BANNER = b"pybullet build time:"
-"""Beginning of the line that PyBullet prints when it is imported."""
-STDOUT, STDERR = 1, 2
-
 
 @contextmanager
 def _without_banner(descriptor: int) -> Iterator[None]:
-    """Write to a file descriptor without the banner. C code writes past Python's ``sys.stderr``."""
+    """Leave out the line that PyBullet prints when it is imported. C code writes past ``sys.stderr``."""
     try:
         original = os.dup(descriptor)
     except OSError:  # the descriptor is closed, as in a daemon
@@ -36,11 +32,10 @@ def _without_banner(descriptor: int) -> Iterator[None]:
                 ctypes.CDLL(None).fflush(None)  # the buffers of C's stdout
             os.dup2(stream.fileno(), descriptor)
             buffer.seek(0)
-            stream.writelines(line for line in buffer if not line.startswith(BANNER))
+            stream.writelines(line for line in buffer if not line.startswith(b"pybullet build"))
 
 
-# Releases of PyBullet differ in the stream that they print to.
-with _without_banner(STDOUT), _without_banner(STDERR):
+with _without_banner(1), _without_banner(2):  # releases of PyBullet differ in the stream
     import pybullet
 
 

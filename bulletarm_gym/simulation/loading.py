@@ -136,13 +136,7 @@ def _set_base_dynamics(client: Client, body_id: int, spec: BodySpec, damping: fl
 
 @contextmanager
 def _temporary_file(text: str, suffix: str) -> Iterator[str]:
-    """Write a text to a temporary file, from which Bullet reads meshes and models.
-
-    A single file is removed faster than a folder, which takes milliseconds.
-
-    :param suffix: end of the file name, from which Bullet infers the format
-    :return: a context with the path
-    """
+    """Write a text to a file that Bullet reads. A folder would take milliseconds to remove."""
     with tempfile.NamedTemporaryFile("w", prefix="bulletarm_", suffix=suffix) as file:
         file.write(text)
         file.flush()

@@ -5,6 +5,7 @@ Bullet ignores a mesh that it cannot read, and some broken files end the process
 
 import re
 from functools import lru_cache
+from itertools import pairwise
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -32,17 +33,14 @@ def check_mesh(path: Path) -> None:
 
 @lru_cache(maxsize=1024)
 def _check_version(path: Path, modified: int, size: int) -> None:
-    """Check a version of a file once."""
-    if path.suffix.lower() == ".dae":
-        _check_collada(path)
-    else:
-        mesh_parts(path)
+    check = _check_collada if path.suffix.lower() == ".dae" else mesh_parts
+    check(path)
 
 
 def mesh_parts(path: Path) -> list[tuple[str, FloatArray]]:
     """Return the parts of an OBJ file that have faces, or the only part of an STL file.
 
-    :return: name of each part and the corners (n, 3) of its faces in the unit of the file
+    :return: name of each part and the corners (3 n, 3) of its triangles in the unit of the file
     :raises ValueError: the file has no faces, a face has a vertex that does not exist, or one is not finite
     :raises OSError: the file cannot be read
     """
@@ -95,7 +93,8 @@ def _obj_parts(path: Path) -> list[tuple[str, FloatArray]]:
             x, y, z = (float(word) for word in words[:3])
             vertices.append([x, y, z])
         elif kind == "f":
-            parts[-1][1].extend(_vertex(word, len(vertices)) for word in words)
+            first, *others = (_vertex(word, len(vertices)) for word in words)
+            parts[-1][1].extend(corner for pair in pairwise(others) for corner in (first, *pair))
     points = np.array(vertices, dtype=np.float64).reshape(-1, 3)
     return [(name, points[indices]) for name, indices in parts if indices]
 

@@ -42,10 +42,6 @@ FINGER_TOLERANCE = 2e-4
 """Distance (m) from the goal at which a finger has arrived."""
 FINGER_LIMIT = 60
 """Maximum number of simulation steps of a gripper motion."""
-FINGER_START = 2
-"""Number of simulation steps in which a finger accelerates."""
-SETTLING_STEPS = 3
-"""Number of simulation steps in which a stopped finger builds up its force."""
 GEAR_FORCE = 200.0
 """Maximum force (N) that keeps the positions of the fingers equal, well above the gripper's force."""
 SPINNING_FRICTION = 0.1
@@ -181,9 +177,11 @@ def follow(
         if depth > before and (force > MAX_FORCE or depth > MAX_DEPTH):
             _retreat(world, group, path[:number], held)
             return
-        if number % LAG_CHECK == 0 and _lag(world, group, path[number]) > MAX_LAG:
-            _stop(world, group)
-            return
+        if number % LAG_CHECK == 0:
+            lags = [abs(now - goal) for now, goal in zip(_measure(world, group), path[number], strict=True)]
+            if max(lags) > MAX_LAG:
+                _stop(world, group)
+                return
 
 
 def contact_load(world: World, body: Body, held: Body | None) -> tuple[float, float]:
@@ -201,7 +199,6 @@ def contact_load(world: World, body: Body, held: Body | None) -> tuple[float, fl
 
 
 def _retreat(world: World, group: JointGroup, path: Sequence[Sequence[float]], held: Body | None) -> None:
-    """Move back on a path until the contact forces are small, and stop."""
     back, calm = len(path) - 1, 0
     for _ in range(RETREAT_LIMIT):
         hold(world, group, path[back])
@@ -215,17 +212,12 @@ def _retreat(world: World, group: JointGroup, path: Sequence[Sequence[float]], h
 
 
 def _measure(world: World, group: JointGroup) -> list[float]:
-    """Return the joint positions in the simulation."""
     return [state[0] for state in world.client.getJointStates(group.body.id, group.joints)]
 
 
 def _stop(world: World, group: JointGroup) -> None:
     hold(world, group, _measure(world, group))
     world.step()
-
-
-def _lag(world: World, group: JointGroup, target: Sequence[float]) -> float:
-    return max(abs(now - goal) for now, goal in zip(_measure(world, group), target, strict=True))
 
 
 def send_fingers(world: World, group: JointGroup, goal: float, speed: float) -> None:
@@ -250,6 +242,7 @@ def drive_fingers(world: World, group: JointGroup, goal: float, speed: float) ->
     for number in range(FINGER_LIMIT):
         world.step()
         before, left = left, max(abs(position - goal) for position in _measure(world, group))
-        if left < FINGER_TOLERANCE or (number >= FINGER_START and before - left < STALL_PROGRESS):
+        has_started = number >= 2
+        if left < FINGER_TOLERANCE or (has_started and before - left < STALL_PROGRESS):
             break
-    world.step(SETTLING_STEPS)
+    world.step(3)  # a stopped finger builds up its force

@@ -31,21 +31,12 @@ class Box:
         """The box's triangles in its frame."""
         return Mesh.box(self.extents)
 
-    def scaled(self, factor: float) -> "Box":
-        """Return a box ``factor`` times as large."""
-        x, y, z = (extent * factor for extent in self.extents)
-        return Box((x, y, z))
-
 
 @dataclass(frozen=True)
 class Convex:
     """The convex hull of a mesh's vertices. Only a convex mesh is rendered as it collides."""
 
     mesh: Mesh
-
-    def scaled(self, factor: float) -> "Convex":
-        """Return a shape ``factor`` times as large."""
-        return Convex(Mesh.of(self.mesh.vertices * factor, self.mesh.faces))
 
 
 Shape: TypeAlias = Box | Convex
@@ -65,8 +56,11 @@ class Piece:
 
     def scaled(self, factor: float) -> "Piece":
         """Return the piece of a body ``factor`` times as large."""
-        x, y, z = (value * factor for value in self.pose.position)
-        return Piece(self.shape.scaled(factor), Pose((x, y, z), self.pose.orientation))
+        pose = self.pose._replace(position=_scaled(self.pose.position, factor))
+        if isinstance(self.shape, Box):
+            return Piece(Box(_scaled(self.shape.extents, factor)), pose)
+        mesh = self.shape.mesh
+        return Piece(Convex(Mesh.of(mesh.vertices * factor, mesh.faces)), pose)
 
 
 @dataclass(frozen=True)
@@ -102,7 +96,7 @@ class Slide(MovingPart):
 
     def moved(self, distance: float) -> Pose:
         """Return the pose in the body's frame of the body's origin, displaced with the part (m)."""
-        return Pose((self.axis[0] * distance, self.axis[1] * distance, self.axis[2] * distance))
+        return Pose(_scaled(self.axis, distance))
 
 
 @dataclass(frozen=True)
@@ -150,13 +144,9 @@ class BodySpec:
     is_mark: bool = False
 
     def __post_init__(self) -> None:
-        """Check the numbers.
-
-        :raises ValueError: one is not finite or negative, or the colour is not four numbers
-        """
+        """Raise ValueError if a number is negative or not finite, or the colour is not four numbers."""
         for name in ("mass", "friction", "rolling_friction", "spinning_friction", "angular_damping"):
-            value = getattr(self, name)
-            if not 0.0 <= value < math.inf:
+            if not 0.0 <= (value := getattr(self, name)) < math.inf:
                 raise ValueError(
                     f"{name} of {self.name!r} must be a finite number of at least 0, got {value}"
                 )
@@ -177,11 +167,6 @@ class BodySpec:
     def part_meshes(self) -> list[Mesh]:
         """Meshes of the body and of its moving parts."""
         return [self.mesh, *(part.mesh for part in self.parts)]
-
-    @property
-    def part_colours(self) -> list[Colour]:
-        """Colours of the body and of its moving parts."""
-        return [self.colour, *(part.colour for part in self.parts)]
 
     @cached_property
     def piece_bounds(self) -> FloatArray:
@@ -214,6 +199,11 @@ class BodySpec:
             factor = self.mass / 12.0
             return ORIGIN, (factor * (y + z), factor * (x + z), factor * (x + y))
         return mass_properties([piece.mesh for piece in self.pieces], self.mass)
+
+
+def _scaled(vector: Vector, factor: float) -> Vector:
+    x, y, z = vector
+    return (x * factor, y * factor, z * factor)
 
 
 def wavefront(pieces: Sequence[Piece]) -> str:

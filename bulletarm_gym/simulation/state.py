@@ -128,8 +128,7 @@ class Properties:
         :raises ValueError: one of them is out of range
         """
         for name in NUMBERS:
-            value = getattr(self, name)
-            if not 0.0 <= value < math.inf:
+            if not 0.0 <= (value := getattr(self, name)) < math.inf:
                 raise ValueError(f"{name} must be a finite number of at least 0, got {value!r}")
         if (spec.mass > 0.0) != (self.mass > 0.0):
             must = "a positive number" if spec.mass > 0.0 else "0 for a fixed body"

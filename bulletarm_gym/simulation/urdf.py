@@ -13,19 +13,13 @@ from bulletarm_gym.simulation.meshes import check_mesh
 
 PACKAGE, FILE = "package://", "file://"
 """Prefixes of file names in ROS: of a file in a package, and of any file."""
-OTHER_FORMATS = {"mujoco": "an MJCF file", "mujocoinclude": "an MJCF file", "sdf": "an SDF file"}
-"""Formats of other model files by the name of the root element."""
 
 
 # Files
 
 
-def parse_xml(path: Path) -> Element:
-    """Return the root element of an XML file. Prefixes stay part of names and need no declaration.
-
-    :raises ParseError: the file is not XML
-    :raises OSError: the file cannot be read
-    """
+def _parse_xml(path: Path) -> Element:
+    """Return the root element of an XML file. Prefixes stay part of names and need no declaration."""
     builder = ElementTree.TreeBuilder()
     parser = expat.ParserCreate()
     parser.buffer_text = True
@@ -47,15 +41,13 @@ def parse_urdf(path: Path) -> Element:
     """
     must = f"model must be a URDF file, got {path}, "
     try:
-        root = parse_xml(path)
+        root = _parse_xml(path)
     except ParseError as error:
         raise ValueError(f"{must}which is not XML: {error}") from error
     if any(element.tag.startswith("xacro:") for element in root.iter()):
         raise ValueError(f"{must}a xacro file. Run `xacro FILE > robot.urdf`.")
-    if root.tag in OTHER_FORMATS:
-        raise ValueError(f"{must}{OTHER_FORMATS[root.tag]}. Convert it to URDF.")
     if root.tag != "robot":
-        raise ValueError(f"{must}whose root element is <{root.tag}>")
+        raise ValueError(f"{must}whose root element is <{root.tag}>. Convert it to URDF.")
     if any("quat_xyzw" in element.attrib for element in root.iter("origin")):
         raise ValueError(f"origins must have rpy angles, got quat_xyzw of URDF 1.1 in {path}")
     _remove_extensions(root)
@@ -63,7 +55,7 @@ def parse_urdf(path: Path) -> Element:
 
 
 def _remove_extensions(element: Element) -> None:
-    """Remove the elements and attributes of other programs, which have a prefix such as ``drake:``."""
+    """Remove elements and attributes with a prefix, such as ``drake:``."""
     for name in [name for name in element.attrib if ":" in name]:
         del element.attrib[name]
     for child in list(element):
@@ -105,13 +97,11 @@ def mesh_path(name: str, folder: Path) -> Path:
     :param folder: absolute path of the folder of the URDF
     :raises ValueError: the file does not exist
     """
-    folders = [folder, *folder.parents] if name.startswith(PACKAGE) else [folder]
-    for place in folders:
+    for place in [folder, *folder.parents] if name.startswith(PACKAGE) else [folder]:
         found = place / name.removeprefix(PACKAGE).removeprefix(FILE)
         if found.is_file():
             return found
-    where = "there or in the folders above" if len(folders) > 1 else "there"
-    raise ValueError(f"the mesh {name!r} of a model in {folder} is not {where}")
+    raise ValueError(f"the mesh {name!r} of a model in {folder} is not there")
 
 
 def to_text(root: Element) -> str:
@@ -163,23 +153,28 @@ def children_of(root: Element, link: str) -> list[Element]:
     return [joint for joint in root.findall("joint") if end_of(joint, "parent") == link]
 
 
+def numbers_of(element: Element | None, key: str, count: int, default: str = "") -> list[float]:
+    """Return the ``count`` numbers in an attribute, or raise ValueError."""
+    text = default if element is None else element.get(key, default)
+    try:
+        values = [float(word) for word in text.split()]
+    except ValueError:
+        values = []
+    if len(values) != count:
+        wanted = "a number" if count == 1 else f"{count} numbers"
+        tag = "" if element is None else element.tag
+        raise ValueError(f"{key} of <{tag}> must be {wanted}, got {text!r}")
+    return values
+
+
 def number_of(element: Element, key: str, default: str = "0") -> float:
     """Return the number in an attribute, or raise ValueError."""
-    text = element.get(key, default)
-    try:
-        return float(text)
-    except ValueError:
-        raise ValueError(f"{key} of <{element.tag}> must be a number, got {text!r}") from None
+    return numbers_of(element, key, 1, default)[0]
 
 
 def vector_of(element: Element | None, key: str, default: str = "0 0 0") -> Vector:
     """Return the three numbers in an attribute, or raise ValueError."""
-    text = default if element is None else element.get(key, default)
-    try:
-        x, y, z = (float(value) for value in text.split())
-    except ValueError:
-        tag = "" if element is None else element.tag
-        raise ValueError(f"{key} of <{tag}> must be three numbers, got {text!r}") from None
+    x, y, z = numbers_of(element, key, 3, default)
     return (x, y, z)
 
 

@@ -6,10 +6,6 @@ from collections.abc import Sequence
 from bulletarm_gym.geometry import Vector
 from bulletarm_gym.simulation.world import World
 
-MARK_WIDTH = 3.0
-"""Width of a mark (pixels)."""
-MARK_COLOUR = (1.0, 0.35, 0.2)
-
 Segment = tuple[Vector, Vector]
 """Start and end (m) of a line."""
 
@@ -49,13 +45,13 @@ class Keyboard:
 
 
 def draw_segments(world: World, segments: Sequence[Segment], replaced: Sequence[int] = ()) -> list[int]:
-    """Draw lines (m, world) in the window, in place of earlier lines.
+    """Draw orange lines (m, world), 3 pixels wide, in the window, in place of earlier lines.
 
     :param replaced: return value of the last call
     :return: numbers of the lines
     """
     options = [{"replaceItemUniqueId": item} for item in replaced] or [{}] * len(segments)
     return [
-        world.client.addUserDebugLine(start, end, MARK_COLOUR, MARK_WIDTH, **option)
+        world.client.addUserDebugLine(start, end, (1.0, 0.35, 0.2), 3.0, **option)
         for (start, end), option in zip(segments, options, strict=True)
     ]

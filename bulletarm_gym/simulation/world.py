@@ -279,10 +279,8 @@ class World:
                 self._read(body)
 
     def _read(self, body: Body) -> None:
-        pose, principal = (
-            Pose(*self.client.getBasePositionAndOrientation(body.id)),
-            body.spec.mass_properties[0],
-        )
+        pose = Pose(*self.client.getBasePositionAndOrientation(body.id))
+        principal = body.spec.mass_properties[0]
         self.poses[body.index] = pose if principal is ORIGIN else pose.compose(principal.inverse())
         linear, angular = self.client.getBaseVelocity(body.id)
         at_rest = surface_speed(linear, angular) < REST_SPEED

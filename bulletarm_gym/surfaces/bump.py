@@ -22,24 +22,15 @@ PLATFORM = 0.13
 """Smallest side (m) of the platform."""
 FRICTION = 100.0
 """Friction coefficient that keeps objects from sliding into the valleys."""
-DEPTH = 0.01
-"""Depth (m) of pyramids below the ground, which gives every convex hull a volume."""
-PEAK = 1e-6
-"""Side (m) of the square at the top of a pyramid, because the last ring of a loft must not be a point."""
-PLATFORM_CLEARANCE = 0.04
-"""Gap (m) between objects on the ground and the platform, wide enough for an open finger."""
-MIN_PLATFORM_CLEARANCE = 0.002
-"""Gap (m) next to a platform wider than :data:`PLATFORM`, which leaves no space for fingers."""
-LIGHT, GREY = (0.86, 0.86, 0.87, 1.0), (0.74, 0.74, 0.76, 1.0)
-"""Colours of the platform and of the pyramids."""
 
 
 def pyramid(name: str, side: float, slope: float) -> BodySpec:
     """Return a square pyramid with its axis along z, its frame on the ground."""
     height = math.tan(slope) * side / 2.0
-    rings = [(side / 2.0, -DEPTH), (side / 2.0, 0.0), (PEAK / 2.0, height)]
+    # The lowest ring gives flat pyramids a volume. The last ring of a loft must not be a point.
+    rings = [(side / 2.0, -0.01), (side / 2.0, 0.0), (5e-7, height)]
     corners = [[(-h, -h, z), (h, -h, z), (h, h, z), (-h, h, z)] for h, z in rings]
-    return BodySpec(name, (Piece(loft(corners)),), 0.0, FRICTION, colour=GREY)
+    return BodySpec(name, (Piece(loft(corners)),), 0.0, FRICTION, colour=(0.74, 0.74, 0.76, 1.0))
 
 
 class BumpSurface(Surface):
@@ -57,8 +48,8 @@ class BumpSurface(Surface):
         super().__init__(workspace, site)
         self.pitch = (workspace[0][1] - workspace[0][0]) / 2.0
         self.platform_size = (max(PLATFORM, site[0]), max(PLATFORM, site[1]))
-        is_wide = max(self.platform_size) > PLATFORM
-        self._clearance = MIN_PLATFORM_CLEARANCE if is_wide else PLATFORM_CLEARANCE
+        # An open finger fits next to the usual platform. A wider one leaves no space for fingers.
+        self._clearance = 0.002 if max(self.platform_size) > PLATFORM else 0.04
 
     def load(self, world: World) -> None:
         """Load the ground plane, a pyramid of every slope and the platform."""
@@ -71,7 +62,7 @@ class BumpSurface(Surface):
             for number, slope in enumerate(slopes.tolist())
         ]
         piece = block((*self.platform_size, self.level), (0.0, 0.0, -self.level / 2.0))
-        self._platform = world.add(BodySpec("platform", (piece,), 0.0, colour=LIGHT))
+        self._platform = world.add(BodySpec("platform", (piece,), 0.0, colour=(0.86, 0.86, 0.87, 1.0)))
         self.bodies += [*self._pyramids, self._platform]
 
     def arrange(self, rng: np.random.Generator) -> None:
@@ -106,7 +97,6 @@ class BumpSurface(Surface):
 
     @property
     def _numbers(self) -> list[int]:
-        """Numbers of the nine pyramids."""
         return [n for n, body in enumerate(self._pyramids) if self._world.active[body.index]]
 
     def _local(self, points: ArrayLike) -> FloatArray:
@@ -130,7 +120,6 @@ class BumpSurface(Surface):
         return within
 
     def _gap(self, footprint: Footprint) -> float:
-        """Return the gap (m) between a footprint and the platform."""
         return footprint.gap(Footprint.rectangle(self.platform_size, self.platform))
 
     def heights(self, points: ArrayLike) -> FloatArray:
@@ -177,7 +166,6 @@ class BumpSurface(Surface):
         return bool(self._on_platform(footprint.points).min() >= -1e-9)
 
     def _sites(self, size: Point, rng: np.random.Generator, max_yaw: float) -> Iterator[Pose]:
-        """Sample a frame on the platform with its yaw."""
         x, y = ((a - b) / 2.0 for a, b in zip(self.platform_size, size, strict=True))
         if x >= 0.0 and y >= 0.0:
             offset = Pose((float(rng.uniform(-x, x)), float(rng.uniform(-y, y)), 0.0))

@@ -15,8 +15,6 @@ FLOOR = BodySpec(
     colour=(0.79, 0.84, 0.89, 1.0),
 )
 """Visible part of the ground plane z = 0."""
-TRAY_SIZE = 5.0 / 6.0
-"""Nominal side of the tray relative to the workspace: 25 cm for the close-loop 30 cm."""
 
 
 class FlatSurface(Surface):
@@ -40,7 +38,7 @@ class TraySurface(FlatSurface):
 
     def __init__(self, workspace: list[list[float]], site: Point = SITE) -> None:
         super().__init__(workspace, site)
-        self._size = TRAY_SIZE * (workspace[0][1] - workspace[0][0])
+        self._size = 5.0 / 6.0 * (workspace[0][1] - workspace[0][0])  # 25 cm in the close-loop 30 cm
         self._side = self._size - RIM
 
     def load(self, world: World) -> None:

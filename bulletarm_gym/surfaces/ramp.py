@@ -21,19 +21,15 @@ SLOPE = math.pi / 6.0
 EDGE_HEIGHT = 0.01
 """Largest height (m) of a ramp's lower edge (paper, Open-Loop 6DoF Environments)."""
 NEAREST_EDGE, FARTHEST_EDGE = STRIP_WIDTHS[0] / 2.0, STRIP_WIDTHS[1] / 2.0
-"""Range of the distance (m) of an edge from the workspace's centre, which lies in the strip."""
+"""Range of the distance (m) of an edge from the workspace's centre, which is in the strip."""
 THICKNESS = 0.01
 """Thickness (m) of a plate."""
 PLATE_OVERHANG = 0.005
 """Length (m) by which plates exceed the workspace."""
 WIDTHS = 4
 """Number of plates of different widths; the narrowest that covers the workspace is clear of the arm."""
-CUT = 2.0 - math.sqrt(2.0)
-"""Part of half a square's side that is outside the inscribed circle at each corner."""
 STEPS = 4
 """Number of steps in which a plate becomes shorter."""
-COLOUR = (0.82, 0.68, 0.47, 1.0)
-"""Colour of the plates."""
 
 
 def plate(name: str, length: float, width: float) -> BodySpec:
@@ -42,13 +38,13 @@ def plate(name: str, length: float, width: float) -> BodySpec:
     It becomes shorter in steps towards its upper side, where corners outside the workspace would touch the
     arm.
     """
-    cut = CUT * length / 2.0 / STEPS
+    cut = (2.0 - math.sqrt(2.0)) * length / 2.0 / STEPS  # the corners outside the inscribed circle
     depths = [width - (STEPS - 1) * cut, *[cut] * (STEPS - 1)]
     rows = []
     for step, depth in enumerate(depths):
         middle = sum(depths[:step]) + depth / 2.0
         rows.append(block((length - 2.0 * cut * step, depth, THICKNESS), (0.0, middle, -THICKNESS / 2.0)))
-    return BodySpec(name, tuple(rows), 0.0, colour=COLOUR)
+    return BodySpec(name, tuple(rows), 0.0, colour=(0.82, 0.68, 0.47, 1.0))
 
 
 @dataclass(frozen=True)
@@ -163,7 +159,6 @@ class RampSurface(Surface):
         return between and super().fits(footprint)
 
     def _sites(self, size: Point, rng: np.random.Generator, max_yaw: float) -> Iterator[Pose]:
-        """Sample frames in the strip with their y axis along it."""
         first, second = self.ramps
         room, half = (self.gap - size[0]) / 2.0, self._half_diagonal
         middle = np.add(first.edge[:2], second.edge[:2]) / 2.0

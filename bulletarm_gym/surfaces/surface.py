@@ -135,7 +135,6 @@ class Surface(ABC):
         raise PlacementError(f"workspace: the surface leaves no room for a margin of {margin:.3f} m")
 
     def _is_clear(self, point: Point, distance: float) -> bool:
-        """Return True if a point has at least a distance (m) from edges and other obstacles."""
         return True
 
     def _uniform_position(self, rng: np.random.Generator, margin: float) -> Point:

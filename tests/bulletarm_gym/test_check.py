@@ -9,7 +9,6 @@ import pytest
 
 from bulletarm_gym.check import __main__ as command
 from bulletarm_gym.check import environments
-from bulletarm_gym.check.environments import Yardstick
 from bulletarm_gym.check.machine import Finding
 from bulletarm_gym.robots import ROBOTS
 
@@ -65,14 +64,9 @@ def test_a_busy_machine_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.parametrize(("step_ms", "is_slow"), [(0.01, False), (1000.0, True)])
 def test_speed_is_beside_the_yardstick(step_ms: float, is_slow: bool) -> None:
-    found = environments.speed(environments.CLOSE_LOOP, step_ms, Yardstick(50.0, 1.0))
+    found = environments.speed(environments.CLOSE_LOOP, step_ms, 50.0)
     assert f"{step_ms * 20:.0f} simulation steps" in found.value
     assert bool(found.advice) == is_slow
-
-
-def test_the_yardstick_measures_steps_and_pictures() -> None:
-    yardstick = environments.measure_yardstick(steps=20, pictures=1)
-    assert 1 < yardstick.step_us < 1000 * yardstick.render_ms
 
 
 def test_compiled_code_without_a_cache_is_advised(monkeypatch: pytest.MonkeyPatch) -> None:

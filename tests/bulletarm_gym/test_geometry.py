@@ -1,4 +1,4 @@
-"""Poses and meshes against simple facts and against SciPy."""
+"""Poses and meshes compared with SciPy and formulas, and footprints with NumPy."""
 
 import itertools
 import math
@@ -8,95 +8,62 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from bulletarm_gym.geometry import (
-    IDENTITY,
+    Footprint,
     Mesh,
     Pose,
     as_rotvec,
-    conjugate,
+    euler_angles,
+    euler_pose,
     from_rotvec,
     join,
+    matrix,
     multiply,
-    planar_distance,
+    quaternion,
     rotate,
     wrap_angle,
-    yaw_quaternion,
 )
-
-ORIGIN = (0.0, 0.0, 0.0)
-
-
-def random_quaternion(rng: np.random.Generator) -> tuple[float, float, float, float]:
-    x, y, z, w = (lambda q: q / np.linalg.norm(q))(rng.standard_normal(4)).tolist()
-    return (x, y, z, w)
-
-
-def random_pose(rng: np.random.Generator) -> Pose:
-    x, y, z = rng.uniform(-1, 1, 3).tolist()
-    return Pose((x, y, z), random_quaternion(rng))
+from bulletarm_gym.geometry.footprint import DIRECTIONS
 
 
 def random_poses(count: int) -> list[Pose]:
     rng = np.random.default_rng(0)
-    return [random_pose(rng) for _ in range(count)]
-
-
-def test_quarter_turn() -> None:
-    turn = yaw_quaternion(math.pi / 2)
-    assert rotate(turn, (1.0, 0.0, 0.0)) == pytest.approx((0.0, 1.0, 0.0))
-    assert rotate(turn, (0.0, 1.0, 0.0)) == pytest.approx((-1.0, 0.0, 0.0))
-    assert rotate(turn, (0.0, 0.0, 1.0)) == pytest.approx((0.0, 0.0, 1.0))
+    return [
+        Pose(
+            tuple(rng.uniform(-1, 1, 3).tolist()), tuple(Rotation.random(random_state=rng).as_quat().tolist())
+        )
+        for _ in range(count)
+    ]
 
 
 def test_rotations_agree_with_scipy() -> None:
-    rotations = pytest.importorskip("scipy.spatial.transform").Rotation
-    poses = random_poses(20)
-    for one, other in itertools.pairwise(poses):
-        mine = multiply(one.orientation, other.orientation)
-        theirs = rotations.from_quat(one.orientation) * rotations.from_quat(other.orientation)
-        assert np.abs(np.dot(mine, theirs.as_quat())) == pytest.approx(1.0)
-        np.testing.assert_allclose(
-            rotate(one.orientation, other.position),
-            rotations.from_quat(one.orientation).apply(other.position),
-            atol=1e-12,
-        )
-        assert one.yaw == pytest.approx(rotations.from_quat(one.orientation).as_euler("xyz")[2])
-        axis = rotations.from_quat(one.orientation).apply([0, 0, 1])
-        assert one.tilt == pytest.approx(math.acos(axis[2]), abs=1e-6)
+    for one, other in itertools.pairwise(random_poses(20)):
+        theirs = Rotation.from_quat(one.orientation)
+        both = theirs * Rotation.from_quat(other.orientation)
+        assert abs(np.dot(multiply(one.orientation, other.orientation), both.as_quat())) == pytest.approx(1.0)
+        assert np.allclose(matrix(one.compose(other)), both.as_matrix())
+        assert rotate(one.orientation, other.position) == pytest.approx(theirs.apply(other.position))
+        assert one.yaw == pytest.approx(theirs.as_euler("xyz")[2])
+        assert euler_angles(one.orientation) == pytest.approx(theirs.as_euler("xyz"))
+        assert one.tilt == pytest.approx(math.acos(theirs.apply([0, 0, 1])[2]), abs=1e-6)
+        assert abs(np.dot(quaternion(theirs.as_matrix()), one.orientation)) == pytest.approx(1.0)
 
 
-def test_conjugate_undoes() -> None:
-    for pose in random_poses(5):
-        undone = multiply(pose.orientation, conjugate(pose.orientation))
-        assert undone == pytest.approx(IDENTITY)
+def test_rotation_vectors_agree_with_scipy() -> None:
+    vectors = np.random.default_rng(0).uniform(-1.5, 1.5, (50, 3))
+    for vector in (*vectors, np.zeros(3), np.array([1e-9, 0, 0])):
+        q = from_rotvec(vector.tolist())
+        np.testing.assert_allclose(q, Rotation.from_rotvec(vector).as_quat(), atol=1e-12)
+        np.testing.assert_allclose(as_rotvec(q), vector, atol=1e-12)
+        np.testing.assert_allclose(as_rotvec(tuple(-part for part in q)), vector, atol=1e-12)
 
 
-@pytest.mark.parametrize("yaw", [-3.1, -math.pi / 2, 0.0, 0.4, math.pi / 2, 3.1])
-def test_planar_pose(yaw: float) -> None:
-    pose = Pose.planar(0.1, 0.2, 0.3, yaw)
-    assert pose.yaw == pytest.approx(yaw) and pose.tilt == pytest.approx(0.0, abs=1e-7)
-    assert (pose.x, pose.y, pose.z) == (0.1, 0.2, 0.3)
-    assert pose.transform((1.0, 0.0, 0.0)) == pytest.approx((0.1 + math.cos(yaw), 0.2 + math.sin(yaw), 0.3))
-
-
-def test_tilt_of_a_pose_that_lies() -> None:
-    lying = Pose(ORIGIN, (math.sin(math.pi / 4), 0.0, 0.0, math.cos(math.pi / 4)))
-    assert lying.tilt == pytest.approx(math.pi / 2)
-    assert Pose(ORIGIN, (1.0, 0.0, 0.0, 0.0)).tilt == pytest.approx(math.pi)
-
-
-def test_compose_transforms_in_turn() -> None:
-    one, other, third = random_poses(3)
-    point = (0.3, -0.2, 0.5)
-    assert one.compose(other).transform(point) == pytest.approx(one.transform(other.transform(point)))
-    left = one.compose(other).compose(third)
-    assert left.position == pytest.approx(one.compose(other.compose(third)).position)
-
-
-def test_inverse_undoes() -> None:
-    for pose in random_poses(5):
-        for both in (pose.compose(pose.inverse()), pose.inverse().compose(pose)):
-            assert both.position == pytest.approx(ORIGIN, abs=1e-12)
-            assert both.tilt == pytest.approx(0.0, abs=1e-6) and both.yaw == pytest.approx(0.0, abs=1e-12)
+def test_poses_are_composed_and_inverted() -> None:
+    for one, other in itertools.pairwise(random_poses(5)):
+        point = (0.3, -0.2, 0.5)
+        assert one.compose(other).transform(point) == pytest.approx(one.transform(other.transform(point)))
+        for both in (one.compose(one.inverse()), one.inverse().compose(one)):
+            assert both.position == pytest.approx((0.0, 0.0, 0.0), abs=1e-12)
+            assert abs(both.orientation[3]) == pytest.approx(1.0)
 
 
 @pytest.mark.parametrize("period", [2 * math.pi, math.pi, math.pi / 2])
@@ -108,57 +75,59 @@ def test_wrap_angle(period: float) -> None:
         assert math.remainder(wrapped - angle, period) == pytest.approx(0.0, abs=1e-9)
 
 
-def test_planar_distance_ignores_height() -> None:
-    assert planar_distance((0.0, 0.0, 5.0), (3.0, 4.0, -5.0)) == 5.0
-
-
 def volume(mesh: Mesh) -> float:
-    """Signed volume: positive where all faces look out of a closed mesh."""
-    a, b, c = (mesh.vertices[mesh.faces[:, corner]] for corner in range(3))
-    return float((a * np.cross(b, c)).sum() / 6.0)
+    """Return the volume of a closed mesh, positive if all faces look outward."""
+    return float(np.linalg.det(mesh.vertices[mesh.faces]).sum() / 6.0)
 
 
-def test_box_is_closed_and_looks_out() -> None:
-    box = Mesh.box((0.1, 0.2, 0.3), (1.0, 2.0, 3.0))
+def test_meshes_are_moved_and_joined() -> None:
+    box, (pose,) = Mesh.box((0.1, 0.2, 0.3), (1.0, 2.0, 3.0)), random_poses(1)
     np.testing.assert_allclose(box.bounds, [[0.95, 1.9, 2.85], [1.05, 2.1, 3.15]])
-    assert volume(box) == pytest.approx(0.1 * 0.2 * 0.3)
-    assert len(box.vertices) == 8 and len(box.faces) == 12
-    edges = {(int(f[i]), int(f[(i + 1) % 3])) for f in box.faces for i in range(3)}
-    assert len(edges) == 36 and {(b, a) for a, b in edges} == edges
-
-
-def test_moved_mesh() -> None:
-    pose = random_poses(1)[0]
-    box = Mesh.box((0.1, 0.2, 0.3))
+    assert len(box.vertices) == 8 and volume(box) == pytest.approx(0.1 * 0.2 * 0.3)
     moved = box.moved(pose)
-    assert volume(moved) == pytest.approx(volume(box))
     assert moved.vertices[3] == pytest.approx(pose.transform(tuple(box.vertices[3])))
-    np.testing.assert_array_equal(box.vertices, Mesh.box((0.1, 0.2, 0.3)).vertices)
+    joined = join([box, moved])
+    assert volume(joined) == pytest.approx(2.0 * volume(box)) and len(joined.faces) == 24
+    lists = Mesh.of([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [0, 1, 2])
+    assert (
+        lists.vertices.dtype == np.float64 and lists.faces.dtype == np.int32 and lists.faces.shape == (1, 3)
+    )
 
 
-def test_join() -> None:
-    boxes = [Mesh.box((0.1, 0.1, 0.1), (x, 0.0, 0.0)) for x in (0.0, 1.0, 2.0)]
-    joined = join(boxes)
-    assert volume(joined) == pytest.approx(sum(map(volume, boxes)))
-    np.testing.assert_allclose(joined.bounds, [[-0.05, -0.05, -0.05], [2.05, 0.05, 0.05]])
-    np.testing.assert_array_equal(join(boxes[:1]).faces, boxes[0].faces)
+@pytest.mark.parametrize("count", [4, 12, 50])
+def test_footprints_agree_with_numpy(count: int) -> None:
+    rng = np.random.default_rng(count)
+    x, y, z, *angles = rng.uniform(-0.5, 0.5, 6).tolist()
+    pose, vertices = euler_pose((x, y, z), tuple(angles)), rng.uniform(-0.1, 0.1, (count, 3))
+    footprint = Footprint.of(vertices, pose)
+    expected = vertices @ matrix(pose)[:2].T + pose.position[:2]
+    assert footprint.points == pytest.approx(expected, abs=1e-15)
+    turns = 2.0 * math.pi * np.arange(DIRECTIONS) / DIRECTIONS
+    along = expected @ np.stack([np.cos(turns), np.sin(turns)])
+    assert footprint.reach == pytest.approx(along.max(axis=0), abs=1e-15)
+    low, high = expected.min(axis=0), expected.max(axis=0)
+    assert footprint.centre == pytest.approx((low + high) / 2.0)
+    assert footprint.mean == pytest.approx(expected.mean(axis=0))
+    border = np.stack([low, high], axis=1)
+    assert footprint.is_inside(border) and not footprint.is_inside(border, 1e-6)
+    assert footprint.is_inside(border + np.array([-0.01, 0.01]), 0.009)
 
 
-def test_mesh_of_lists_has_fixed_types() -> None:
-    mesh = Mesh.of([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [0, 1, 2])
-    assert mesh.vertices.dtype == np.float64 and mesh.faces.dtype == np.int32 and mesh.faces.shape == (1, 3)
+@pytest.mark.parametrize("margin", [0.01, -0.002])
+def test_grown_footprint_has_its_corners_farther_out(margin: float) -> None:
+    rectangle = Footprint.rectangle((0.06, 0.02), Pose.planar(0.4, 0.1, 0.0, 0.7))
+    sides = np.linalg.norm(np.roll(rectangle.points, -1, axis=0) - rectangle.points, axis=1)
+    assert sides == pytest.approx([0.06, 0.02, 0.06, 0.02]) and rectangle.centre == pytest.approx((0.4, 0.1))
+    outwards = rectangle.points - rectangle.points.mean(axis=0)
+    outwards /= np.linalg.norm(outwards, axis=1, keepdims=True)
+    assert rectangle.grown(margin).points == pytest.approx(rectangle.points + margin * outwards)
+    assert Footprint(np.zeros((1, 2))).grown(margin).points.tolist() == [[0.0, 0.0]]
 
 
-def test_turns_are_vectors() -> None:
-    """Against SciPy; and what is turned by a turned vector is the turned result."""
-    rng = np.random.default_rng(0)
-    for vector in (*rng.uniform(-1.5, 1.5, (50, 3)), np.zeros(3), np.array([1e-9, 0, 0])):
-        q = from_rotvec(vector.tolist())
-        np.testing.assert_allclose(q, Rotation.from_rotvec(vector).as_quat(), atol=1e-12)
-        np.testing.assert_allclose(as_rotvec(q), vector, atol=1e-12)
-        np.testing.assert_allclose(as_rotvec(tuple(-part for part in q)), vector, atol=1e-12)
-        about_z, hand = yaw_quaternion(rng.uniform(-3, 3)), random_quaternion(rng)
-        turned = from_rotvec(rotate(about_z, tuple(vector.tolist())))
-        np.testing.assert_allclose(
-            multiply(turned, multiply(about_z, hand)), multiply(about_z, multiply(q, hand)), atol=1e-12
-        )
+def test_gap_of_footprints() -> None:
+    square = Footprint.rectangle((0.1, 0.1), Pose((0.0, 0.0, 0.0)))
+    for degrees in range(0, 360, 7):
+        other = Footprint.rectangle((0.1, 0.1), Pose.planar(0.3, 0.0, 0.0, math.radians(degrees)))
+        clear = other.points[:, 0].min() - 0.05
+        assert clear - 0.002 < square.gap(other) == other.gap(square) <= math.hypot(clear, 0.1)
+    assert square.gap(Footprint.rectangle((0.1, 0.1), Pose.planar(0.09, 0.0, 0.0))) < 0.0

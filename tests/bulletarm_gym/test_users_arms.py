@@ -559,7 +559,7 @@ def test_an_origin_without_three_numbers_is_refused(text: str) -> None:
     def change(root: Element) -> None:
         find_joint(root, KUKA.joints[3]).findall("origin")[0].set("xyz", text)
 
-    with pytest.raises(ValueError, match="xyz of <origin> must be three numbers, got '0 0"):
+    with pytest.raises(ValueError, match="xyz of <origin> must be 3 numbers, got '0 0"):
         _ = changed_kuka(change).chain
 
 
