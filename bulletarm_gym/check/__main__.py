@@ -9,7 +9,6 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from PIL import Image
 
 from bulletarm_gym.check.conformance import check_environment, draw_episode
 from bulletarm_gym.check.environments import check_environments
@@ -44,7 +43,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             make_env(env_id, args).close()
     try:
         failed = _check(args)
-    except ValueError as error:
+    except (OSError, ValueError) as error:
         failed = [" ".join(str(error).split())]
     if failed:
         print(f"failed: {', '.join(failed)}", file=sys.stderr)
@@ -53,29 +52,30 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _check_arguments(parser: argparse.ArgumentParser, args: argparse.Namespace) -> None:
     """Exit with a message if arguments are invalid or do not fit together."""
-    if not 0.0 < args.seconds < float("inf"):
-        parser.error(f"--seconds must be positive, got {args.seconds}")
     if args.robot is not None and args.env:
         parser.error("--robot must be passed without ids. Use --env-kwargs robot:NAME.")
     if args.robot is None and args.workspace:
         parser.error("--robot must be passed with --workspace")
-    if args.image is not None:
-        if args.robot is None and len(args.env) != 1:
-            parser.error("--robot or one id must be passed with --image")
-        _check_image(parser, args.image)
+    if args.image is not None and args.robot is None and len(args.env) != 1:
+        parser.error("--robot or one id must be passed with --image")
 
 
 def _check(args: argparse.Namespace) -> list[str]:
-    """Run the checks that the arguments select; return the subjects of failed checks."""
+    """Run the checks that the arguments select, and write an image; return the subjects of failed checks."""
     if args.robot is not None:
-        return _check_robot(args)
-    if args.env:
-        return [env_id for env_id in args.env if _check_environment(env_id, args)]
-    return report(check_environments(args.seconds))
+        model = ROBOTS.find(args.robot)
+        workspace = None if args.workspace is None else np.reshape(args.workspace, (3, 2)).tolist()
+        failed = report(check_robot(model, workspace))
+        if args.image is not None:
+            draw(model, workspace, args.image)
+        return failed
+    if not args.env:
+        return report(check_environments(args.seconds))
+    return [env_id for env_id in args.env if _check_environment(env_id, args)]
 
 
-def _check_environment(env_id: str, args: argparse.Namespace) -> list[str]:
-    """Report on an environment and write its image; return the subjects of failed checks."""
+def _check_environment(env_id: str, args: argparse.Namespace) -> bool:
+    """Report on an environment and write an image; return True if a check failed."""
 
     def make() -> ManipulationEnv:
         return make_env(env_id, args).unwrapped  # type: ignore[return-value]
@@ -84,25 +84,7 @@ def _check_environment(env_id: str, args: argparse.Namespace) -> list[str]:
     failed = report(check_environment(make, args.episodes, args.seed))
     if args.image is not None:
         draw_episode(make, args.seed, args.image)
-    return failed
-
-
-def _check_robot(args: argparse.Namespace) -> list[str]:
-    """Report on a robot and write its image; return the subjects of failed checks."""
-    model = ROBOTS.find(args.robot)
-    workspace = None if args.workspace is None else np.reshape(args.workspace, (3, 2)).tolist()
-    failed = report(check_robot(model, workspace))
-    if args.image is not None:
-        draw(model, workspace, args.image)
-    return failed
-
-
-def _check_image(parser: argparse.ArgumentParser, path: Path) -> None:
-    """Exit with a message if no image can be written to a path."""
-    if path.suffix.lower() not in Image.registered_extensions():
-        parser.error(f"--image must be a file name with the extension of an image, got {path}. Use .png.")
-    if not path.absolute().parent.is_dir():
-        parser.error(f"--image must be in an existing folder, got {path}")
+    return bool(failed)
 
 
 if __name__ == "__main__":

@@ -7,8 +7,8 @@ import math
 from collections.abc import Iterable, Sequence
 
 from bulletarm_gym.geometry import Pose, Vector, matrix, rotate
-from bulletarm_gym.robots.gripper import Gripper
-from bulletarm_gym.simulation import Body, Contact, World
+from bulletarm_gym.robots.arm import Arm
+from bulletarm_gym.simulation import Body, Contact
 from bulletarm_gym.simulation.motion import MAX_DEPTH
 from bulletarm_gym.simulation.world import NEAR
 
@@ -29,88 +29,84 @@ MAX_SHIFTS = 4
 
 
 class Collisions:
-    """Collision tests of a robot.
+    """Collision tests of an arm and its grasped object."""
 
-    :param robot: the robot's body
-    """
-
-    def __init__(self, world: World, robot: Body, gripper: Gripper) -> None:
-        self._world = world
-        self._robot = robot
-        self._gripper = gripper
+    def __init__(self, arm: Arm) -> None:
+        self._arm = arm
+        self._world = arm.world
 
     @property
-    def is_static(self) -> bool:
-        """Whether all bodies are at rest, as the tests require."""
-        return not self._world.unsettled and not self._world.has_motion
+    def _movers(self) -> list[Body]:
+        return [self._arm.body] if self._arm.held is None else [self._arm.body, self._arm.held]
 
     def bodies_above(self, height: float) -> list[Body]:
         """Return the bodies that extend above a height (m)."""
         return [body for body in self._world.obstacles if self._world.top(body) > height]
 
+    def can_skip_simulation(self) -> bool:
+        """Return True if the gripper is empty and all bodies are at rest."""
+        return self._arm.held is None and not self._world.unsettled and not self._world.has_motion
+
     def is_free(self, samples: Iterable[Sequence[float]], bodies: Sequence[Body]) -> bool:
         """Return True if the robot touches none of some bodies at all samples of its joint positions."""
+        robot = self._arm.body
         free = not bodies or all(self._is_free(sample, bodies) for sample in samples)
-        self._world.set_joints(self._robot, self._world.joints[self._robot.index])
+        self._world.set_joints(robot, self._world.joints[robot.index])
         return free
 
     def _is_free(self, joints: Sequence[float], bodies: Sequence[Body]) -> bool:
-        self._world.show_joints(self._robot, joints)
-        return not any(self._is_near(self._robot, body) for body in bodies)
+        self._world.show_joints(self._arm.body, joints)
+        return not any(self._is_near(self._arm.body, body) for body in bodies)
 
     def _is_near(self, mover: Body, body: Body) -> bool:
         return not math.isinf(self._world.distance(mover, body, FREE_CLEARANCE))
 
-    def is_apart(self, pose: Pose, held: Body | None) -> bool:
-        """Return True if the robot and the grasped object touch no other body.
-
-        :param pose: tool pose
-        :param held: the grasped object
-        """
-        lowest = self._gripper.lowest(pose)
+    def is_apart(self) -> bool:
+        """Return True if the robot and the grasped object touch no other body."""
+        lowest, held = self._arm.model.gripper.lowest(self._arm.pose), self._arm.held
         if held is not None:
             place = self._world.poses[held.index]
             lowest = min(lowest, place.z + float((held.spec.mesh.vertices @ matrix(place)[2]).min()))
         if lowest <= FREE_CLEARANCE:
             return False
-        movers = [self._robot] if held is None else [self._robot, held]
         others = [body for body in self.bodies_above(lowest - FREE_CLEARANCE) if body is not held]
-        return not any(self._is_near(mover, body) for body in others for mover in movers)
+        return not any(self._is_near(mover, body) for body in others for mover in self._movers)
 
-    def touched(self, pose: Pose, held: Body | None, bodies: Sequence[Body]) -> list[Body]:
-        """Return the bodies that the robot holds or touches at a tool pose."""
-        low = self._gripper.lowest(pose) - CLEAR_ABOVE
+    def touched(self, bodies: Sequence[Body]) -> list[Body]:
+        """Return the bodies that the robot holds or touches."""
+        low = self._arm.model.gripper.lowest(self._arm.pose) - CLEAR_ABOVE
         near = (body for body in bodies if self._world.top(body) > low)
-        return [body for body in near if body is held or self._world.are_near(self._robot, body, NEAR)]
+        robot, held = self._arm.body, self._arm.held
+        return [body for body in near if body is held or self._world.are_near(robot, body, NEAR)]
 
-    def presses(self, finger: int, body: Body, tool: Pose) -> bool:
-        """Return True if the inner side of a finger presses on a body.
+    def grips(self, body: Body) -> bool:
+        """Return True if the inner sides of both fingers press on a body.
 
         Contacts of the last step show whether there is a force. Their normals may be older than a rotation.
-
-        :param finger: index of the finger's joint in Bullet
-        :param tool: tool pose
         """
-        if not self._world.contacts(self._robot, body, finger):
+        axis = rotate(self._arm.pose.orientation, (1.0, 0.0, 0.0))
+        return all(self._presses(finger, body, axis) for finger in self._arm.finger_links)
+
+    def _presses(self, finger: int, body: Body, axis: Vector) -> bool:
+        if not self._world.contacts(self._arm.body, body, finger):
             return False
-        points = self._world.closest_points(self._robot, body, GRIP_DISTANCE, finger)
-        x, y, z = rotate(tool.orientation, (1.0, 0.0, 0.0))
+        x, y, z = axis
+        points = self._world.closest_points(self._arm.body, body, GRIP_DISTANCE, finger)
         normals = [point.normal for point in points]
         return any(abs(n[0] * x + n[1] * y + n[2] * z) > GRIP_ALIGNMENT for n in normals)
 
     # Penetrations
 
-    def shift_out(self, held: Body | None) -> Vector | None:
+    def shift_out(self) -> Vector | None:
         """Return the shift (m) of the robot with the grasped object out of the deepest penetration.
 
         The result is None if no penetration is too deep. Those between the two do not count.
         """
-        movers = [self._robot] if held is None else [self._robot, held]
         points = [
             point
-            for mover in movers
+            for mover in self._movers
             for other in self._penetrated(mover)
-            if other not in movers
+            if other not in self._movers
             for point in self._world.closest_points(mover, other)
         ]
         deepest = _deepest(points)
@@ -121,8 +117,9 @@ class Collisions:
         found = {c.other.index for c in self._world.contacts(mover) if c.distance < -REMAINING_DEPTH}
         return [self._world.bodies[index] for index in sorted(found)]
 
-    def push_out(self, held: Body | None) -> bool:
+    def push_out(self) -> bool:
         """Move the grasped object out of a finger; return True if it is too deep in neither finger."""
+        held = self._arm.held
         for _ in range(MAX_SHIFTS):
             if held is None or (shift := self._held_shift(held)) is None:
                 return True
@@ -134,21 +131,18 @@ class Collisions:
 
         It is at most half of the depth, because the other finger is opposite.
         """
-        deepest = _deepest(self._world.closest_points(self._robot, held))
-        pressed = any(c.distance < -MAX_DEPTH for c in self._world.contacts(self._robot, held))
+        deepest = _deepest(self._world.closest_points(self._arm.body, held))
+        pressed = any(c.distance < -MAX_DEPTH for c in self._world.contacts(self._arm.body, held))
         if deepest is None or not (pressed or -deepest.distance > MAX_HELD_DEPTH):
             return None
         return _along(deepest, max(MAX_DEPTH + deepest.distance, deepest.distance / 2.0))
 
-    def missing_opening(self, fingers: Sequence[int], held: Body | None) -> float:
-        """Return the distance (m) by which the fingers must open so that no body is too deep in both.
-
-        :param fingers: indices of the finger joints in Bullet
-        """
-        widths = [0.0]
-        for other in self._penetrated(self._robot):
-            sides = [self._world.closest_points(self._robot, other, 0.0, finger) for finger in fingers]
-            left = MAX_DEPTH if other is held else REMAINING_DEPTH
+    def missing_opening(self) -> float:
+        """Return the distance (m) by which the fingers must open so that no body is too deep in both."""
+        robot, widths = self._arm.body, [0.0]
+        for other in self._penetrated(robot):
+            sides = [self._world.closest_points(robot, other, 0.0, f) for f in self._arm.finger_links]
+            left = MAX_DEPTH if other is self._arm.held else REMAINING_DEPTH
             if all(sides):
                 depth = -sum(min(point.distance for point in side) for side in sides)
                 widths.append(depth - len(sides) * left)

@@ -65,13 +65,15 @@ class Chain:
         :raises ValueError: the model has no joint of a name
         """
         elements = [find_joint(root, name) for name in joints]
-        frames = [frame_of(element) for element in elements]
-        frames = [base.compose(frames[0]), *frames[1:], tool]
-        axes = [np.array(axis_of(element)) for element in elements]
-        rotations = np.stack([matrix(frame) for frame in frames])
-        axes = [axis / np.linalg.norm(axis) for axis in axes]
-        limits = np.array([limits_of(element) for element in elements])
-        return cls(rotations, np.array([f.position for f in frames]), np.array(axes), limits)
+        first, *others = map(frame_of, elements)
+        frames = [base.compose(first), *others, tool]
+        axes = np.array([axis_of(element) for element in elements])
+        return cls(
+            np.stack([matrix(frame) for frame in frames]),
+            np.array([frame.position for frame in frames]),
+            np.array([axis / np.linalg.norm(axis) for axis in axes]),
+            np.array([limits_of(element) for element in elements]),
+        )
 
     def forward(self, joints: FloatArray) -> Pose:
         """Return the tool's pose in the world at joint positions (n,) rad."""
@@ -221,11 +223,7 @@ def dot(a: FloatArray, b: FloatArray) -> float:
 
 @compiled
 def _solve(a: FloatArray, x: FloatArray, low: FloatArray) -> None:
-    """Solve a symmetric positive definite system in place by Cholesky decomposition.
-
-    :param x: right side, replaced by the solution
-    :param low: memory for the decomposition
-    """
+    """Replace ``x`` by the solution of ``a @ y = x``; ``low`` is memory for the Cholesky decomposition."""
     n = len(x)
     for i in range(n):
         for j in range(i + 1):
@@ -259,12 +257,7 @@ def _beyond(joints: FloatArray, limits: FloatArray, out: FloatArray) -> float:
 def _null_step(
     jacobian: FloatArray, square: FloatArray, beyond: FloatArray, weights: FloatArray, low: FloatArray
 ) -> FloatArray:
-    """Return the step (n,) in the null space that moves joints towards their limits.
-
-    :param beyond: change (n,) rad that moves each joint inside its limits
-    :param weights: memory for 6 numbers
-    :param low: memory for the decomposition of ``square``
-    """
+    """Return the step (n,) in the null space that moves joints towards their limits."""
     for i in range(6):
         weights[i] = dot(jacobian[i], beyond)
     _solve(square, weights, low)

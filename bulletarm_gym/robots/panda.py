@@ -50,7 +50,7 @@ def _use_boxes(finger: Element, frame: Pose) -> None:
     for element in [*finger.findall("collision"), *finger.findall("contact")]:
         finger.remove(element)
     for part in (PAD, ROOT):
-        part.moved(frame).add_to(finger, visible=False)
+        part.add_to(finger, frame, visible=False)
 
 
 PANDA = RobotModel(
