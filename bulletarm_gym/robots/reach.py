@@ -21,8 +21,10 @@ DIRECTIONS = tuple(np.linspace(-math.pi, math.pi, 8, endpoint=False).tolist())
 """Directions (rad) of the tilt."""
 FLOOR, TOPS = 0.01, (0.25, 0.18, 0.12, 0.08)
 """Lower limit and candidates for the upper limit (m) of the largest workspace."""
-SIDES = tuple(np.arange(0.8, 0.09, -0.02).round(2).tolist())
+SIDES = tuple(np.arange(0.8, 0.09, -0.04).round(2).tolist())
 """Candidates (m) for the side length of the largest workspace."""
+STEP = 0.04
+"""Distance (m) between two candidates for its position."""
 
 
 def reaches(model: RobotModel, pose: Pose) -> bool:
@@ -51,9 +53,9 @@ def grid(limits: Limits, heights: Sequence[float], points: int, tilt: float = 0.
 def largest_workspace(model: RobotModel) -> Limits | None:
     """Return the limits (m) of the largest workspace in front of the base in reach of the upright gripper."""
     length = float(np.linalg.norm(model.chain.translations[1:], axis=1).sum())
-    (x, y, _), step = model.base.position, min(np.diff(SIDES[::-1]))
+    x, y, _ = model.base.position
     for top, side in itertools.product(TOPS, SIDES):
-        for near in np.arange(x + step, x + length - side, step).round(3).tolist():
+        for near in np.arange(x + STEP, x + length - side, STEP).round(3).tolist():
             limits = [[near, near + side], [y - side / 2.0, y + side / 2.0], [FLOOR, top]]
             heights = (FLOOR, (FLOOR + top) / 2.0, top)
             if all(reaches(model, pose) for pose in grid(limits, heights, 3)):
