@@ -48,17 +48,12 @@ STEP = 0.05
 
 
 class Solution(NamedTuple):
-    """Result of inverse kinematics.
-
-    :param joints: joint positions (n,) rad
-    :param error: remaining error (m or rad), also beyond joint limits
-    :param miss: distance (m or rad) between the pose and the pose at the joint positions
-    """
+    """Joint positions (n,) rad for a pose, and their error (m or rad) with and without the joint limits."""
 
     pose: Pose
     joints: FloatArray
     error: float
-    miss: float
+    pose_error: float
 
     @property
     def is_solved(self) -> bool:
@@ -87,9 +82,9 @@ def check_robot(model: RobotModel, workspace: Limits | None = None) -> Iterator[
         yield Finding("model", " ".join(str(error).split()), "correct the model or its URDF", fails=True)
         return
     solved = [one for one in solutions if one.is_solved]
-    worst = max((one.miss for one in solved), default=0.0)
-    value, advice = f"error of {worst:.1e} m or rad (at most {MAX_ERROR:g})", "check the joints in the URDF"
-    yield _finding("inverse kinematics", value, advice, worst > MAX_ERROR)
+    worst = max((one.pose_error for one in solved), default=0.0)
+    advice = "check the joints in the URDF"
+    yield _measured("inverse kinematics", worst, MAX_ERROR, "m or rad", advice)
     yield _limits(model, solutions, _home(workspace))
     try:
         env = _make(model, workspace)
@@ -131,9 +126,10 @@ def _make(model: RobotModel, workspace: Limits | None, **parameters: Any) -> Man
     return env  # type: ignore[return-value]
 
 
-def _finding(what: str, value: str, advice: str, is_bad: bool) -> Finding:
-    """Return a finding that fails, with advice, if a value is beyond its threshold."""
-    return Finding(what, value, advice if is_bad else "", is_bad)
+def _measured(what: str, value: float, limit: float, unit: str, advice: str) -> Finding:
+    """Return a finding that fails, with advice, if a value is above its limit."""
+    is_bad = bool(value > limit)
+    return Finding(what, f"{value:.2g} {unit} (at most {limit:g})", advice if is_bad else "", is_bad)
 
 
 def _reach(name: str, upright: list[Solution], tilted: list[Solution]) -> Finding:
@@ -150,18 +146,17 @@ def _reach(name: str, upright: list[Solution], tilted: list[Solution]) -> Findin
 def _limits(model: RobotModel, solutions: list[Solution], home: Pose) -> Finding:
     """Report the poses beyond joint limits, and the distance of the joints from their limits at home."""
     (lower, upper), (low, high) = model.chain.limits.T, model.chain.solution_limits.T
-    beyond = [one.joints for one in solutions if not one.is_solved and one.miss <= POSITION_TOLERANCE]
+    beyond = [one.joints for one in solutions if not one.is_solved and one.pose_error <= POSITION_TOLERANCE]
     limited = Counter(int(np.maximum(low - joints, joints - high).argmax()) for joints in beyond)
     joints, _ = model.inverse(home)
     margins = np.minimum(joints - lower, upper - joints)
-    nearest = model.joints[int(margins.argmin())]
     value = (
-        f"{len(beyond)} of {len(solutions)} poses are beyond one; at home {nearest} is "
-        f"{margins.min():.2f} rad from its limit (at least {MIN_MARGIN:g})"
+        f"{len(beyond)} of {len(solutions)} poses are beyond one; at home "
+        f"{model.joints[int(margins.argmin())]} is {margins.min():.2f} rad from its limit"
     )
     advice = ""
     if margins.min() < MIN_MARGIN:
-        advice = f"change posture, or rotate the tool, so that {nearest} is farther from it"
+        advice = f"change posture or rotate the tool, so that the distance is at least {MIN_MARGIN:g} rad"
     elif limited:
         most = model.joints[limited.most_common(1)[0][0]]
         advice = f"{most} is beyond its limit most often: change base or workspace"
@@ -187,20 +182,17 @@ def _self_collision(env: ManipulationEnv, solved: Sequence[Solution]) -> Finding
             if depth > worst:
                 worst, where = depth, f" between {names[one]} and {names[two]} at {place}"
     env.scene.begin()
-    is_bad = worst > MAX_DEVIATION
-    value = f"{1e3 * worst:.1f} mm{where if is_bad else ''} (at most {1e3 * MAX_DEVIATION:g})"
     advice = "check posture, and that the gripper points away from the arm (flange and tool)"
-    return _finding("self-collision", value, advice, is_bad)
+    return _measured("self-collision", worst, MAX_DEVIATION, f"m{where}", advice)
 
 
 def _fingertips(env: ManipulationEnv) -> Finding:
     """Check that the fingers end at the tool frame."""
     robot, world = env.scene.robot, env.scene.world
     error = min(world.bounds(robot.body, finger)[0][2] for finger in robot.finger_links) - robot.pose.z
-    value = f"{1e3 * error:+.1f} mm above the tool frame (at most {1e3 * MAX_DEVIATION:g})"
     direction = "back to the arm" if error > 0.0 else "along the approach"
     advice = f"move the tool frame by {1e3 * abs(error):.0f} mm {direction}"
-    return _finding("fingertips", value, advice, abs(error) > MAX_DEVIATION)
+    return _measured("fingertips", abs(error), MAX_DEVIATION, "m from the tool frame", advice)
 
 
 def _fingers(env: ManipulationEnv) -> Finding:
@@ -213,18 +205,13 @@ def _fingers(env: ManipulationEnv) -> Finding:
     robot.set_opening(0.0)
     closed, _ = _between(robot)
     robot.set_opening(1.0)
-    value = (
-        f"open {1e3 * opened:.1f} mm, closed {1e3 * closed:.1f} mm (errors at most "
-        f"{1e3 * MAX_DEVIATION:g}), {math.degrees(angle):.0f} degrees from the x axis of the tool frame "
-        f"(at most {math.degrees(MAX_ANGLE):.0f})"
-    )
-    errors = {
-        "rotate the tool frame about z until its x axis is the opening direction": angle > MAX_ANGLE,
-        "the fingers' joints must be at 0 where the fingers meet": closed > MAX_DEVIATION,
-        "correct gripper.stroke": abs(opened - robot.model.gripper.stroke) > MAX_DEVIATION,
-    }
-    advice = next((text for text, is_wrong in errors.items() if is_wrong), "")
-    return Finding("fingers", value, advice, bool(advice))
+    if angle > MAX_ANGLE:
+        advice = "rotate the tool frame about z until its x axis is the opening direction"
+        return _measured("fingers", angle, MAX_ANGLE, "rad between opening direction and x of tool", advice)
+    advice = "correct gripper.stroke, or let the fingers meet where their joints are at 0"
+    unit = f"m of error: open {1e3 * opened:.1f} mm, closed {1e3 * closed:.1f} mm"
+    error = max(closed, abs(opened - robot.model.gripper.stroke))
+    return _measured("fingers", error, MAX_DEVIATION, unit, advice)
 
 
 def _between(robot: Robot) -> tuple[float, Vector]:
@@ -239,9 +226,8 @@ def _static_torques(robot: Robot, solved: Sequence[Solution]) -> Finding:
     still = np.zeros(len(robot.model.joints))
     torques = [robot.dynamics.torques(one.joints, still, still, LOAD) for one in solved] or [still]
     most = np.max(np.abs(torques) / robot.model.torques, axis=0)
-    name = robot.model.joints[int(most.argmax())]
-    value = f"gravity and {LOAD} kg need {most.max():.0%} of the torque of {name} (at most {MAX_STATIC:.0%})"
-    return _finding("torques", value, "check force and the masses in the URDF", bool(most.max() > MAX_STATIC))
+    unit = f"of the torque of {robot.model.joints[int(most.argmax())]} for gravity and {LOAD} kg"
+    return _measured("torques", most.max(), MAX_STATIC, unit, "check force and the masses in the URDF")
 
 
 def _tracking(model: RobotModel, workspace: Limits | None, mode: str, load: float) -> Finding:
@@ -269,12 +255,9 @@ def _tracking(model: RobotModel, workspace: Limits | None, mode: str, load: floa
             acceleration = max(acceleration, 2.0 * step / (rise * seconds**2))
             robot.move_to(goal, in_contact=False)
             worst = max(worst, math.dist(robot.pose.position, goal.position))
-    value = (
-        f"error of {1e3 * worst:.1f} mm (at most {1e3 * MAX_DEVIATION:g}); "
-        f"up to {speed:.2f} m/s, {acceleration:.0f} m/s^2"
-    )
     advice = "increase force to the torques of the data sheet, or check the masses in the URDF"
-    return _finding(name, value, advice, worst > MAX_DEVIATION)
+    unit = f"m of error at up to {speed:.2f} m/s and {acceleration:.0f} m/s^2"
+    return _measured(name, worst, MAX_DEVIATION, unit, advice)
 
 
 def _grasp(env: ManipulationEnv, load: float) -> None:

@@ -96,11 +96,12 @@ def on_slides(
     :raises ValueError: a joint or the carrier is missing or not attached, or ``opened`` does not open the
         fingers
     """
-    met = [_finger_pose(root, carrier, name, closed) for name in fingers]
-    apart = [_finger_pose(root, carrier, name, opened) for name in fingers]
+    find_link(root, carrier)
+    children = tuple(end_of(find_joint(root, name), "child") for name in fingers)
+    met = [_pose_in(root, carrier, child, closed) for child in children]
+    apart = [_pose_in(root, carrier, child, opened) for child in children]
     across = np.subtract(apart[0].position, apart[1].position)
     across /= max(float(np.linalg.norm(across)), 1e-9)
-    children = tuple(end_of(find_joint(root, name), "child") for name in fingers)
     _remove_attached(root, carrier, kept=children)
     for index, outwards in enumerate((across, -across)):
         x, y, z = outwards.tolist()
@@ -117,23 +118,14 @@ def on_slides(
     return root
 
 
-def _finger_pose(root: Element, carrier: str, finger: str, driven: float) -> Pose:
-    """Return the pose of a finger in its carrier at a position (rad or m) of the driving joint."""
-    find_link(root, carrier)
-    parents = {end_of(joint, "child"): joint for joint in root.findall("joint")}
-    joint = find_joint(root, finger)
-    pose = pose_at(joint, _position(joint, driven))
-    while (parent := end_of(joint, "parent")) != carrier:
-        if parent not in parents:
-            raise ValueError(f"the joint {finger!r} is not attached to the link {carrier!r}")
-        joint = parents[parent]
-        pose = pose_at(joint, _position(joint, driven)).compose(pose)
-    return pose
-
-
-def _position(joint: Element, driven: float) -> float:
-    """Return the position of a joint that follows the driving joint by ``<mimic>``."""
-    mimic = joint.find("mimic")
-    if mimic is None:
-        return driven
-    return number_of(mimic, "multiplier", "1") * driven + number_of(mimic, "offset")
+def _pose_in(root: Element, carrier: str, link: str, driven: float) -> Pose:
+    """Return the pose of a link in a carrier at a position (rad or m) of the driving joint."""
+    if link == carrier:
+        return Pose((0.0, 0.0, 0.0))
+    joint = next((joint for joint in root.findall("joint") if end_of(joint, "child") == link), None)
+    if joint is None:
+        raise ValueError(f"fingers must be attached to the link {carrier!r}, got one attached to {link!r}")
+    mimic, position = joint.find("mimic"), driven
+    if mimic is not None:
+        position = number_of(mimic, "multiplier", "1") * driven + number_of(mimic, "offset")
+    return _pose_in(root, carrier, end_of(joint, "parent"), driven).compose(pose_at(joint, position))

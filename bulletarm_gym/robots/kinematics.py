@@ -275,15 +275,11 @@ def _null_step(
 
 
 @compiled
-def _unwind(joints: FloatArray, limits: FloatArray) -> None:
+def _unwind(joints: FloatArray, limits: FloatArray, beyond: FloatArray) -> None:
     """Add multiples of 2 pi to joints outside their limits if the result is inside."""
     for j in range(len(joints)):
-        turns = 0.0
-        if joints[j] > limits[j, 1]:
-            turns = -math.ceil((joints[j] - limits[j, 1]) / (2.0 * math.pi))
-        elif joints[j] < limits[j, 0]:
-            turns = math.ceil((limits[j, 0] - joints[j]) / (2.0 * math.pi))
-        turned = joints[j] + 2.0 * math.pi * turns
+        turns = math.ceil(abs(beyond[j]) / (2.0 * math.pi))
+        turned = joints[j] + math.copysign(2.0 * math.pi * turns, beyond[j])
         if limits[j, 0] <= turned <= limits[j, 1]:
             joints[j] = turned
 
@@ -301,11 +297,12 @@ def _inverse(
         _jacobian(frames, joints, rotation, position, jacobian, spare)
         error[:3] = target[1] - position
         _rotation_vector(target[0], rotation, error[3:], spare[0])
-        if dot(error, error) < TOLERANCE**2:
-            _unwind(joints, limits)
         outside = _beyond(joints, limits, beyond)
-        is_solved = dot(error, error) < TOLERANCE**2 and (outside < TOLERANCE or n <= 6)
-        if is_solved or iteration == MAX_ITERATIONS:
+        is_solved = dot(error, error) < TOLERANCE**2
+        if is_solved and outside > 0.0:
+            _unwind(joints, limits, beyond)
+            outside = _beyond(joints, limits, beyond)
+        if iteration == MAX_ITERATIONS or (is_solved and (outside < TOLERANCE or n <= 6)):
             break
         for i in range(6):
             for j in range(i + 1):  # the solver reads the lower triangle

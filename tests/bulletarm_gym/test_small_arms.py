@@ -53,10 +53,6 @@ SMALLEST = {"workspace": [[0.4, 0.44], [-0.02, 0.02], [0.005, 0.12]], "object_sc
     ("task", "parameters"),
     [
         ("CloseLoopBlockPicking", {**SMALLEST, "home_height": 0.1, "lift_height": 0.08}),
-        ("CloseLoopBlockReaching", {"robot": SMALL, **PARAMETERS}),
-        ("CloseLoopBlockPicking", {"robot": SMALL, **PARAMETERS, "lift_height": 0.08}),
-        ("CloseLoopBlockPushing", {"robot": SMALL, **PARAMETERS}),
-        ("CloseLoopBlockStacking", {"robot": SMALL, **PARAMETERS, "num_objects": 2}),
         ("OpenLoopBlockStacking", {"robot": SMALL, **PARAMETERS, "num_objects": 2}),
     ],
     ids=str,
