@@ -39,10 +39,10 @@ class Teleoperation:
         self._is_primitive = np.array([name == "p" for name in self._sequence])
         self.has_target = env.config.control == OPEN_LOOP
         self._keys: dict[str, tuple[int, float]] = {}
-        for (raises, lowers), (character, number) in BINDINGS.items():
+        for keys, (character, number) in BINDINGS.items():
             indices = [index for index, name in enumerate(self._sequence) if name == character]
             if number < len(indices):
-                self._keys |= {raises: (indices[number], 1.0), lowers: (indices[number], -1.0)}
+                self._keys |= {keys[0]: (indices[number], 1.0), keys[1]: (indices[number], -1.0)}
         self.reset()
 
     def reset(self) -> None:

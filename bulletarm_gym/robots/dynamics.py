@@ -53,7 +53,8 @@ class Dynamics:
         :param load: mass (kg) of the grasped object
         """
         motion = [np.append(values, 0.0) for values in (positions, rates, accelerations)]
-        return _torques(self._model(load), *motion)[:-1]
+        torques: FloatArray = _torques(self._model(load), *motion)[:-1]
+        return torques
 
     def least_steps(self, path: FloatArray, limits: FloatArray, load: float, rise: float = RISE) -> int:
         """Return the minimum number of simulation steps of a motion along a path.
