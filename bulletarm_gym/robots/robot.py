@@ -7,12 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from bulletarm_gym.geometry import Pose, interpolate
-from bulletarm_gym.robots.arm import Arm
-from bulletarm_gym.robots.collisions import CLEAR_ABOVE, FREE_CLEARANCE, MAX_SHIFTS, Collisions
+from bulletarm_gym.robots.collisions import CLEAR_ABOVE, FREE_CLEARANCE, MAX_SHIFTS, CollidingArm
 from bulletarm_gym.robots.kinematics import POSITION_TOLERANCE
 from bulletarm_gym.robots.model import RobotModel
 from bulletarm_gym.robots.paths import motion_steps, path_length, transfer_stops
-from bulletarm_gym.simulation import Body, World
+from bulletarm_gym.simulation import World
 from bulletarm_gym.simulation.motion import (
     CONTACT_RISE,
     RISE,
@@ -55,7 +54,7 @@ class RobotState:
     opening: float
 
 
-class Robot(Arm):
+class Robot(CollidingArm):
     """An arm with its gripper that moves and grasps.
 
     :param fast: move without simulation where the robot touches nothing
@@ -65,7 +64,6 @@ class Robot(Arm):
         super().__init__(model, world)
         self.fast = fast
         self._command = model.gripper.stroke
-        self._collisions = Collisions(self)
 
     def get_state(self) -> RobotState:
         """Return the state that is not part of the world's state."""
@@ -185,10 +183,6 @@ class Robot(Arm):
         drive_fingers(self.world, self._fingers, command / 2.0, self.model.gripper.speed)
         self._finish()
 
-    def touched(self, bodies: Sequence[Body]) -> list[Body]:
-        """Return the bodies that the robot holds or touches."""
-        return self._collisions.touched(bodies)
-
     def _release(self) -> None:
         """Record that the bodies that the robot holds or touches lose their support."""
         self.world.unsettled.update(body.index for body in self.touched(self.world.loose_bodies))
@@ -205,7 +199,7 @@ class Robot(Arm):
         # An object between the fingers keeps the opening above the command.
         is_squeezing = self.opening - self._command > OPENING_TOLERANCE
         bodies = [body for body in world.loose_bodies if is_squeezing and body.spec.mass > 0.0]
-        before, self.held = self.held, next(filter(self._collisions.grips, bodies), None)
+        before, self.held = self.held, next(filter(self._grips, bodies), None)
         if before is not None and before is not self.held:
             world.unsettled.add(before.index)
         if self.held is not None:
@@ -220,16 +214,16 @@ class Robot(Arm):
         """
         travel = self.model.gripper.travel
         for _ in range(2):
-            if self._shift_out() and self._collisions.push_out():
+            if self._shift_out() and self._push_out():
                 return
-            wider = self._collisions.missing_opening() / 2.0
+            wider = self._missing_opening() / 2.0
             fingers = self._fingers.positions(self.world)
             self._place(self._fingers, [min(joint + wider, travel) for joint in fingers])
 
     def _shift_out(self) -> bool:
         """Move robot and grasped object out of other bodies; return True if that succeeds."""
         for _ in range(MAX_SHIFTS):
-            shift = self._collisions.shift_out()
+            shift = self._shift()
             goal = None if shift is None else Pose(shift).compose(self.pose)
             if goal is None or not self.reaches(goal):
                 return shift is None
@@ -248,17 +242,9 @@ class Robot(Arm):
 
     # Motions without simulation
 
-    def is_free_at(self, pose: Pose, bodies: Sequence[Body]) -> bool:
-        """Return True if the robot at a pose in reach would touch none of some bodies."""
-        return self._collisions.is_free([self._arm.moved(self.world, self._solve(pose))], bodies)
-
-    def is_apart(self) -> bool:
-        """Return True if the robot and the grasped object touch no other body."""
-        return self._collisions.is_apart()
-
     def _is_clear(self, start: Pose, end: Pose, stops: Sequence[Sequence[float]], length: float) -> bool:
         """Return True if nothing moves and the empty gripper touches nothing along a motion."""
-        if not self._collisions.can_skip_simulation():
+        if not self._can_skip_simulation:
             return False
         lowest = min(self.model.gripper.lowest(start), self.model.gripper.lowest(end))
         if lowest < FREE_CLEARANCE:
@@ -266,7 +252,7 @@ class Robot(Arm):
         count = math.ceil(length / SAMPLE_DISTANCE)
         samples = interpolate_path([self.joint_positions, *stops], np.arange(1, count + 1) / count).tolist()
         joints = (self._arm.moved(self.world, sample) for sample in samples)
-        return self._collisions.is_free(joints, self._collisions.bodies_above(lowest - CLEAR_ABOVE))
+        return self._is_free(joints, self._bodies_above(lowest - CLEAR_ABOVE))
 
     def _jump(self, goal: Sequence[float]) -> bool:
         """Set the joint positions, unless robot or grasped object then touch something else."""
@@ -282,9 +268,9 @@ class Robot(Arm):
 
     def _can_jump(self, command: float) -> bool:
         """Return True if the fingers touch nothing on the way to a new opening."""
-        if not self._collisions.can_skip_simulation():
+        if not self._can_skip_simulation:
             return False
-        near = self._collisions.bodies_above(self.model.gripper.lowest(self.pose) - CLEAR_ABOVE)
+        near = self._bodies_above(self.model.gripper.lowest(self.pose) - CLEAR_ABOVE)
         openings = np.linspace(self.opening, command, OPENING_SAMPLES + 1).tolist()
         joints = (self._fingers.moved(self.world, [opening / 2.0] * 2) for opening in openings)
-        return self._collisions.is_free(joints, near)
+        return self._is_free(joints, near)

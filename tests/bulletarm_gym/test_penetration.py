@@ -92,20 +92,26 @@ def test_finger_pressed_onto_a_cube_stops_above_it(make: Make, robot: str, openi
 
 
 @pytest.mark.parametrize("robot", ROBOTS)
-def test_blocked_arm_presses_little(make: Make, robot: str) -> None:
+@pytest.mark.parametrize("x, top, goal", [(0.45, 0.05, 0.02), (0.33, 0.0, -0.1)], ids=["cube", "ground"])
+def test_blocked_arm_presses_little(make: Make, robot: str, x: float, top: float, goal: float) -> None:
     """It retreats until the object that it pressed into the ground has recovered."""
     env = make(PICKING, robot=robot, fast_mode=False)
     env.reset(seed=0)
-    env.scene["cube"].place(Pose((0.45, 0.0, 0.025)))
+    env.scene["cube"].place(Pose((x, 0.0, 0.025)))
     arm, world = env.scene.robot, env.scene.world
     arm.home(Pose.planar(0.45, 0.0, 0.08))
     arm.set_opening(0.0)
-    env.scene.begin()
-    arm.move_to(Pose.planar(0.45, 0.0, 0.02))
+    for _ in range(2):
+        env.scene.begin()
+        arm.move_to(Pose.planar(0.45, 0.0, goal))
+        assert -0.03 < arm.pose.z - top < 0.02
     world.step(20)
     points = world.client.getContactPoints(arm.body.id)
     assert sum(p[9] for p in points) < 25.0
     assert max((-p[8] for p in points), default=0.0) < DEEPEST
+    env.scene.begin()
+    arm.move_to(Pose.planar(0.45, 0.0, 0.1))
+    assert arm.pose.z == pytest.approx(0.1, abs=2e-3)
 
 
 def test_blocked_pick_retreats_on_its_path(make: Make, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -241,20 +241,6 @@ def solve(env: ManipulationEnv) -> int:
     return steps
 
 
-def test_blocked_motion_stops(make: Make, model: RobotModel) -> None:
-    """Closed fingers that move into the floor stay on it, and the arm is free to go up again."""
-    env = at_rest(make, model, fast=False)
-    robot = env.scene.robot
-    robot.set_opening(0.0)
-    for _ in range(2):
-        env.scene.begin()
-        robot.move_to(Pose.planar(0.45, 0.0, -0.1))
-        assert -0.03 < robot.pose.z < 0.02
-    env.scene.begin()
-    robot.move_to(Pose.planar(0.45, 0.0, 0.1))
-    assert robot.pose.z == pytest.approx(0.1, abs=2e-3)
-
-
 @pytest.mark.parametrize("task", ["BlockPicking", "BlockPulling"])
 def test_expert_solves_tasks_with_each_arm(make: Make, model: RobotModel, task: str) -> None:
     env = make(f"BulletArm/CloseLoop{task}-v0", robot=model.name)

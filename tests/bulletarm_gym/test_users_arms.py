@@ -13,7 +13,7 @@ import gymnasium
 import numpy as np
 import pytest
 
-from bulletarm_gym.config import ParameterError
+from bulletarm_gym.config import WORKSPACES, ParameterError
 from bulletarm_gym.geometry import Pose, conjugate, euler_pose, multiply
 from bulletarm_gym.robots import (
     KUKA,
@@ -118,21 +118,23 @@ def test_arm_hangs_from_the_ceiling() -> None:
         assert model.inverse(Pose.planar(x, y, 0.15))[1] < 1e-4
 
 
-@pytest.mark.parametrize(("robot", "x"), [("kuka", 0.45), ("ur5", 0.45), ("panda", 1.0)])
-def test_workspace_around_or_behind_the_base_is_refused(robot: str, x: float) -> None:
-    """There the first joint of neighbouring positions differs by up to a turn, and motions get stuck."""
-    base = euler_pose((x, 0.0, 1.3), (math.pi, 0.0, 0.0)) if x < 0.6 else Pose((x, 0.0, 0.0))
-    with pytest.raises(ParameterError, match=rf"workspace.*{robot}.*\({x:g}, 0\)"):
-        gymnasium.make("BulletArm/CloseLoopBlockReaching-v0", robot=replace(ROBOTS[robot], base=base))
-
-
 @pytest.mark.parametrize(
-    ("robot", "x", "yaw"), [("kuka", 0.3, 0.0), ("panda", 1.0, math.pi), ("ur5", 1.0, 0.0)]
+    ("robot", "base", "is_refused"),
+    [
+        ("kuka", euler_pose((0.45, 0.0, 1.3), (math.pi, 0.0, 0.0)), True),
+        ("panda", Pose((1.0, 0.0, 0.0)), True),
+        ("panda", Pose.planar(1.0, 0.0, 0.0, math.pi), False),
+        ("kuka", Pose((0.3, 0.0, 0.0)), False),
+        ("ur5", Pose((1.0, 0.0, 0.0)), False),  # its first joint makes whole turns
+    ],
 )
-def test_workspace_next_to_the_base_is_accepted(robot: str, x: float, yaw: float) -> None:
-    """Also behind an arm whose first joint makes whole turns."""
-    model = replace(ROBOTS[robot], base=Pose.planar(x, 0.0, 0.0, yaw))
-    assert not model.jumps_inside([[0.3, 0.6], [-0.15, 0.15]])
+def test_workspace_around_or_behind_the_base_is_refused(robot: str, base: Pose, is_refused: bool) -> None:
+    """There the first joint of neighbouring positions differs by up to a turn, and motions get stuck."""
+    model = replace(ROBOTS[robot], base=base)
+    assert model.jumps_inside(WORKSPACES["close_loop"]) == is_refused
+    if is_refused:
+        with pytest.raises(ParameterError, match=rf"workspace.*{robot}.*\({base.x:g}, 0\)"):
+            gymnasium.make("BulletArm/CloseLoopBlockReaching-v0", robot=model)
 
 
 # Structure
