@@ -109,11 +109,23 @@ class RobotModel:
         azimuth, radius = math.remainder(math.atan2(y, x) - yaw, math.tau), math.hypot(x, y)
         front = (self.base.x + radius * math.cos(yaw), self.base.y + radius * math.sin(yaw))
         upright = Pose.planar(*front, pose.z, yaw)
-        start, _ = self.chain.inverse(upright, np.array(self.posture))
+        start, _ = self.chain.inverse(upright, self._start.copy())
         first, last = self._directions
         start[0] += first * azimuth
         start[-1] += last * (pose.yaw - yaw - azimuth)
         return self.chain.inverse(pose, start)
+
+    @cached_property
+    def _start(self) -> FloatArray:
+        """Posture (n,) rad, rotated about the base if it is behind it."""
+        start, yaw = np.array(self.posture), self.base.yaw
+        tool = self.chain.forward(start)
+        azimuth = math.remainder(math.atan2(tool.y - self.base.y, tool.x - self.base.x) - yaw, math.tau)
+        if abs(azimuth) > math.pi / 2.0:
+            first, last = self._directions
+            start[0] -= first * azimuth
+            start[-1] += last * math.remainder(yaw + azimuth - tool.yaw, math.tau)
+        return start
 
     def jumps_inside(self, workspace: Sequence[Sequence[float]]) -> bool:
         """Return True if the solution for the first joint is discontinuous in a workspace.

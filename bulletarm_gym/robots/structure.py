@@ -33,6 +33,8 @@ LIMIT_TOLERANCE = 1e-4
 """Tolerance (m) of the lower and upper limits of a finger."""
 ALIGNED = 0.8
 """Minimum cosine between the opening direction of the fingers and the x axis of the tool frame."""
+SHAPES = {"box", "cylinder", "sphere", "capsule", "mesh"}
+"""Elements of a ``<geometry>`` that Bullet reads for a robot."""
 
 
 def prepare(root: Element, joints: Sequence[str], gripper: Gripper, tool: Pose) -> None:
@@ -41,13 +43,17 @@ def prepare(root: Element, joints: Sequence[str], gripper: Gripper, tool: Pose) 
     :param joints: names of the arm's joints
     :param tool: tool frame in the link of the last joint
     :raises ValueError: names are not distinct; the joints are not a chain of rotating joints that carries two
-        sliding fingers; a limit, coupling or mass is not supported; the fingers do not fit the gripper or the
-        tool frame
+        sliding fingers; a shape, limit, coupling or mass is not supported; the fingers do not fit the gripper
+        or the tool frame
     """
     for kind in ("link", "joint"):
         names = [element.get("name", "") for element in root.findall(kind)]
         repeated = {name for name in names if names.count(name) > 1}
         _require(not repeated, f"names of {kind}s must be distinct, got {repeated} more than once")
+    for link in root.findall("link"):
+        unknown = {shape.tag for shape in link.iterfind("*/geometry/*")} - SHAPES
+        got = f"{unknown} in link {link.get('name')!r}"
+        _require(not unknown, f"<geometry> must be one of {', '.join(sorted(SHAPES))}, got {got}")
     kinds = {**dict.fromkeys(joints, ROTATING), **dict.fromkeys(gripper.joints, SLIDING)}
     for name, allowed in kinds.items():
         _check_joint(find_joint(root, name), allowed)

@@ -118,6 +118,13 @@ def test_arm_hangs_from_the_ceiling() -> None:
         assert model.inverse(Pose.planar(x, y, 0.15))[1] < 1e-4
 
 
+@pytest.mark.parametrize("azimuth", [2.9, -2.5, 2.0])
+def test_posture_may_be_behind_the_base(azimuth: float) -> None:
+    pose, behind = Pose.planar(0.5, 0.1, 0.2, 0.4), replace(KUKA, posture=(azimuth, *KUKA.posture[1:]))
+    joints, error = behind.inverse(pose)
+    assert error < 1e-4 and joints == pytest.approx(KUKA.inverse(pose)[0], abs=1e-6)
+
+
 @pytest.mark.parametrize(
     ("robot", "base", "is_refused"),
     [
@@ -166,6 +173,10 @@ def mimic(name: str, source: str) -> Change:
     return lambda root: SubElement(find_joint(root, name), "mimic", joint=source, multiplier="0.5")
 
 
+def cone(root: Element) -> None:
+    SubElement(find_link(root, "lbr_iiwa_link_3").findall("collision/geometry")[0], "cone")
+
+
 def rod(root: Element) -> None:
     """Add a rod that keeps a link level, as palletizing arms have it."""
     add_link(root, "rod", 0.1, [PART])
@@ -180,6 +191,7 @@ def rod(root: Element) -> None:
         (partial(add_link, name="loose", mass=1.0, primitives=[PART]), ("one root link", "loose")),
         (drop("lbr_iiwa_link_3", "inertial"), ("mass", "lbr_iiwa_link_3")),
         (put("lbr_iiwa_link_3", "inertial/mass", value="5kg"), ("<mass>", "5kg")),
+        (cone, ("<geometry>", "cone", "lbr_iiwa_link_3")),
         (put(KUKA.joints[2], "axis", xyz="0 0 0"), ("axis", KUKA.joints[2])),
         (put(KUKA.joints[3], "origin", xyz="0 0 ${height}"), ("<origin>", "${height}")),
         (drop(KUKA.joints[1], "limit"), ("<limit>", KUKA.joints[1])),
