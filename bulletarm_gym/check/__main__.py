@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from PIL import Image
 
 from bulletarm_gym.check.conformance import check_environment, draw_episode
 from bulletarm_gym.check.environments import check_environments
@@ -35,7 +36,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     add("--seconds", type=float, default=SECONDS, help=f"duration of each speed measurement ({SECONDS:g} s)")
     add("--robot", metavar="NAME", help="name of a robot, or module:attribute of a RobotModel")
     add("--workspace", type=float, nargs=6, metavar=("X0", "X1", "Y0", "Y1", "Z0", "Z1"), help="limits (m)")
-    add("--image", type=Path, metavar="FILE", help="image to write of the robot, or of an expert's episode")
+    text = "image to write of the robot, or of an expert's episode"
+    add("--image", type=_image_path, metavar="FILE", help=text)
     args = parser.parse_args(argv)
     _check_arguments(parser, args)
     with reported_errors(parser):
@@ -43,11 +45,18 @@ def main(argv: Sequence[str] | None = None) -> int:
             make_env(env_id, args).close()
     try:
         failed = _check(args)
-    except (OSError, ValueError) as error:
+    except ValueError as error:
         failed = [" ".join(str(error).split())]
     if failed:
         print(f"failed: {', '.join(failed)}", file=sys.stderr)
     return FAILED if failed else 0
+
+
+def _image_path(text: str) -> Path:
+    path = Path(text)
+    if path.suffix.lower() not in Image.registered_extensions() or not path.absolute().parent.is_dir():
+        raise argparse.ArgumentTypeError(f"must be an image in an existing folder, got {text}. Use .png.")
+    return path
 
 
 def _check_arguments(parser: argparse.ArgumentParser, args: argparse.Namespace) -> None:

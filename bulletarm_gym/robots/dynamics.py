@@ -87,7 +87,8 @@ def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
 @compiled
 def _acceleration(linear: FloatArray, alpha: FloatArray, omega: FloatArray, offset: FloatArray) -> FloatArray:
     """Return the linear acceleration of a rotating body at an offset (m)."""
-    return linear + _cross(alpha, offset) + _cross(omega, _cross(omega, offset))
+    found: FloatArray = linear + _cross(alpha, offset) + _cross(omega, _cross(omega, offset))
+    return found
 
 
 @compiled

@@ -117,10 +117,11 @@ def test_stable_baselines3_is_not_required(
 @pytest.mark.parametrize(
     ("arguments", "word"),
     [
-        (["CartPole-v1"], "CartPole-v1"),
         ([REACHING, "--env-kwargs", "obs_size:-1"], "obs_size"),
         ([REACHING, "--robot", "kuka"], "--robot"),
         (["--image", "arm.png"], "--image"),
+        (["--robot", "kuka", "--image", "arm.xyz"], "arm.xyz"),
+        (["--robot", "kuka", "--image", "missing/arm.png"], "missing/arm.png"),
     ],
 )
 def test_invalid_argument_is_rejected_before_the_checks(
