@@ -15,24 +15,12 @@ from bulletarm_gym.env import ManipulationEnv
 def add_environment_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments that :func:`make_env` and the seeds of episodes need."""
     add = parser.add_argument
+    many: dict[str, Any] = {"nargs": "+", "action": "extend", "default": []}
     add("--seed", type=int, default=0, help="seed of the first episode; each further episode adds 1 (0)")
-    add(
-        "--env-kwargs",
-        nargs="+",
-        action="extend",
-        type=_key_value,
-        default=[],
-        metavar="KEY:VALUE",
-        help="parameters of the environment; a value is JSON, or else text",
-    )
-    add(
-        "--gym-packages",
-        nargs="+",
-        action="extend",
-        default=[],
-        metavar="MODULE",
-        help="modules to import, which register your own tasks and components",
-    )
+    text = "parameters of the environment; a value is JSON, or else text"
+    add("--env-kwargs", type=_key_value, metavar="KEY:VALUE", help=text, **many)
+    text = "modules to import, which register your own tasks and components"
+    add("--gym-packages", metavar="MODULE", help=text, **many)
 
 
 def _key_value(text: str) -> tuple[str, Any]:

@@ -15,7 +15,7 @@ import numpy as np
 from bulletarm_gym.config import CLOSE_LOOP, OPEN_LOOP, WORKSPACES
 from bulletarm_gym.geometry import Pose
 from bulletarm_gym.robots import ROBOTS, RobotModel
-from bulletarm_gym.robots.reach import TILT, grid, study_reach
+from bulletarm_gym.robots.reach import TILT, grid, reach_share
 
 FORMER = {
     "kuka": Pose((0.0, 0.0, 0.0)),
@@ -35,7 +35,7 @@ TILTED_HEIGHTS = (0.02, 0.1, 0.2)
 def share(model: RobotModel, control: str, tilt: float = 0.0) -> float:
     """Return the share of the poses of a workspace that an arm reaches inside its joint limits."""
     heights = HEIGHTS[control] if tilt == 0.0 else TILTED_HEIGHTS
-    return study_reach(model, grid(WORKSPACES[control], heights, POINTS, tilt)).share
+    return reach_share(model, grid(WORKSPACES[control], heights, POINTS, tilt))
 
 
 def shares(model: RobotModel) -> tuple[float, ...]:

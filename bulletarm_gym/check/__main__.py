@@ -36,7 +36,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     add("--seconds", type=float, default=SECONDS, help=f"duration of each speed measurement ({SECONDS:g} s)")
     add("--robot", metavar="NAME", help="name of a robot, or module:attribute of a RobotModel")
     add("--workspace", type=float, nargs=6, metavar=("X0", "X1", "Y0", "Y1", "Z0", "Z1"), help="limits (m)")
-    add("--image", type=Path, metavar="FILE", help="image to write of the robot, or of an expert's episode")
+    text = "image to write of the robot, or of an expert's episode"
+    add("--image", type=_image_path, metavar="FILE", help=text)
     args = parser.parse_args(argv)
     _check_arguments(parser, args)
     with reported_errors(parser):
@@ -51,31 +52,39 @@ def main(argv: Sequence[str] | None = None) -> int:
     return FAILED if failed else 0
 
 
+def _image_path(text: str) -> Path:
+    path = Path(text)
+    if path.suffix.lower() not in Image.registered_extensions() or not path.absolute().parent.is_dir():
+        raise argparse.ArgumentTypeError(f"must be an image in an existing folder, got {text}. Use .png.")
+    return path
+
+
 def _check_arguments(parser: argparse.ArgumentParser, args: argparse.Namespace) -> None:
     """Exit with a message if arguments are invalid or do not fit together."""
-    if not 0.0 < args.seconds < float("inf"):
-        parser.error(f"--seconds must be positive, got {args.seconds}")
     if args.robot is not None and args.env:
         parser.error("--robot must be passed without ids. Use --env-kwargs robot:NAME.")
     if args.robot is None and args.workspace:
         parser.error("--robot must be passed with --workspace")
-    if args.image is not None:
-        if args.robot is None and len(args.env) != 1:
-            parser.error("--robot or one id must be passed with --image")
-        _check_image(parser, args.image)
+    if args.image is not None and args.robot is None and len(args.env) != 1:
+        parser.error("--robot or one id must be passed with --image")
 
 
 def _check(args: argparse.Namespace) -> list[str]:
-    """Run the checks that the arguments select; return the subjects of failed checks."""
+    """Run the checks that the arguments select, and write an image; return the subjects of failed checks."""
     if args.robot is not None:
-        return _check_robot(args)
-    if args.env:
-        return [env_id for env_id in args.env if _check_environment(env_id, args)]
-    return report(check_environments(args.seconds))
+        model = ROBOTS.find(args.robot)
+        workspace = None if args.workspace is None else np.reshape(args.workspace, (3, 2)).tolist()
+        failed = report(check_robot(model, workspace))
+        if args.image is not None:
+            draw(model, workspace, args.image)
+        return failed
+    if not args.env:
+        return report(check_environments(args.seconds))
+    return [env_id for env_id in args.env if _check_environment(env_id, args)]
 
 
-def _check_environment(env_id: str, args: argparse.Namespace) -> list[str]:
-    """Report on an environment and write its image; return the subjects of failed checks."""
+def _check_environment(env_id: str, args: argparse.Namespace) -> bool:
+    """Report on an environment and write an image; return True if a check failed."""
 
     def make() -> ManipulationEnv:
         return make_env(env_id, args).unwrapped  # type: ignore[return-value]
@@ -84,25 +93,7 @@ def _check_environment(env_id: str, args: argparse.Namespace) -> list[str]:
     failed = report(check_environment(make, args.episodes, args.seed))
     if args.image is not None:
         draw_episode(make, args.seed, args.image)
-    return failed
-
-
-def _check_robot(args: argparse.Namespace) -> list[str]:
-    """Report on a robot and write its image; return the subjects of failed checks."""
-    model = ROBOTS.find(args.robot)
-    workspace = None if args.workspace is None else np.reshape(args.workspace, (3, 2)).tolist()
-    failed = report(check_robot(model, workspace))
-    if args.image is not None:
-        draw(model, workspace, args.image)
-    return failed
-
-
-def _check_image(parser: argparse.ArgumentParser, path: Path) -> None:
-    """Exit with a message if no image can be written to a path."""
-    if path.suffix.lower() not in Image.registered_extensions():
-        parser.error(f"--image must be a file name with the extension of an image, got {path}. Use .png.")
-    if not path.absolute().parent.is_dir():
-        parser.error(f"--image must be in an existing folder, got {path}")
+    return bool(failed)
 
 
 if __name__ == "__main__":

@@ -43,8 +43,8 @@ def check_environment(make: Make, episodes: int, seed: int) -> Iterator[Finding]
     checks: dict[str, Callable[[], str]] = {
         "Gymnasium's check_env": partial(_check_gymnasium, make),
         "Stable-Baselines3's check_env": partial(_check_sb3, make),
-        "equal episodes from equal seeds": partial(_check_determinism, make, seed),
-        "equal steps from equal states": partial(_check_states, make, seed),
+        "equal episodes from equal seeds": partial(_check_copies, make, seed, restores=False),
+        "equal steps from equal states": partial(_check_copies, make, seed, restores=True),
         "expert": partial(_check_expert, make, episodes, seed),
     }
     for name, check in checks.items():
@@ -80,39 +80,33 @@ def _check_sb3(make: Make) -> str:
     return "passed"
 
 
-def _check_determinism(make: Make, seed: int) -> str:
+def _check_copies(make: Make, seed: int, restores: bool) -> str:
+    """Compare episodes of two environments.
+
+    :param restores: continue from each state in an environment in which no episode has begun, instead of
+        beginning with equal seeds
+    """
+    where = "between two environments"
+    if restores:
+        where = (
+            "after set_state() in another environment. "
+            "Use SceneObject.set_properties() and Task.memory for all changes in an episode"
+        )
     with closing(make()) as first, closing(make()) as second:
-        for episode in range(COMPARED_EPISODES):
-            start, other = first.reset(seed=seed + episode), second.reset(seed=seed + episode)
-            _require_equal(start, other, f"reset(seed={seed + episode}) differs between two environments")
+        for number in range(COMPARED_EPISODES):
+            start = first.reset(seed=seed + number)
+            if not restores:
+                _require_equal(start, second.reset(seed=seed + number), f"reset(seed) differs {where}")
             for step in range(MAX_STEPS):
-                if _step_both(first, second, f"differs in step {step} between two environments"):
-                    break
-    return "passed"
-
-
-def _check_states(make: Make, seed: int) -> str:
-    """Continue from each state in an environment in which no episode has begun."""
-    with closing(make()) as played, closing(make()) as restored:
-        for episode in range(COMPARED_EPISODES):
-            played.reset(seed=seed + episode)
-            for step in range(MAX_STEPS):
-                restored.set_state(played.get_state())
-                where = (
-                    f"differs after set_state() with the state before step {step} in another environment. "
-                    "Use SceneObject.set_properties() and Task.memory for all changes in an episode"
-                )
-                if _step_both(played, restored, where):
+                if restores:
+                    second.set_state(first.get_state())
+                if _step_both(first, second, f"differs in step {step} {where}"):
                     break
     return "passed"
 
 
 def _step_both(first: ManipulationEnv, second: ManipulationEnv, where: str) -> bool:
-    """Carry out an expert action in two environments, and return True if the episode is over.
-
-    :param where: end of the message of an error
-    :raises AssertionError: actions, poses or results differ
-    """
+    """Carry out an expert action in two environments, and return True if the episode is over."""
     action = first.expert_action()
     _require_equal(action, second.expert_action(), f"the expert's action {where}")
     result, other = first.step(action), second.step(action)

@@ -8,6 +8,7 @@ from contextlib import closing
 from typing import Any
 
 import gymnasium
+from numba.core.registry import CPUDispatcher
 
 import bulletarm_gym  # noqa: F401 (registers the environments)
 from bulletarm_gym.check.machine import Finding, describe_machine, load_average, versions
@@ -30,39 +31,24 @@ def check_environments(seconds: float) -> Iterator[Finding]:
     :param seconds: duration (s) of the speed measurement of each environment
     """
     yield Finding("versions", ", ".join(f"{name} {version}" for name, version in versions().items()))
-    yield processor()
-    yield threads()
-    yield display()
+    advice = "the load average must be at most the number of cores. Trainings and this check are slower"
+    is_busy = load_average() > (os.cpu_count() or 1)
+    yield Finding("processor", describe_machine(), advice if is_busy else "")
+    threads = os.environ.get(THREADS)
+    advice = f"export {THREADS}=1 before you run several trainings or worker processes at the same time"
+    yield Finding("threads", f"{THREADS}={threads or 'not set'}", "" if threads else advice)
+    missing = "none: render_mode='rgb_array' works, 'human' does not"
+    yield Finding("display", "found" if has_display() else missing)
     yield from map(robot, ROBOTS.builtin)
     yield compiled_code()
-    yardstick_us = measure_yardstick()
+    step_us = measure_yardstick()
     for env_id in MAX_RATIO:
-        yield speed(env_id, step_ms(env_id, seconds), yardstick_us)
-
-
-def processor() -> Finding:
-    """Check whether other programs keep the processor busy."""
-    is_busy = load_average() > (os.cpu_count() or 1)
-    advice = "the load average must be at most the number of cores. Trainings and this check are slower"
-    return Finding("processor", describe_machine(), advice if is_busy else "")
-
-
-def threads() -> Finding:
-    """Check the environment variable that sets the number of threads of each process."""
-    value = os.environ.get(THREADS)
-    advice = f"export {THREADS}=1 before you run several trainings or worker processes at the same time"
-    return Finding("threads", f"{THREADS}={value or 'not set'}", "" if value else advice)
-
-
-def display() -> Finding:
-    """Check whether windows can be opened."""
-    missing = "none: render_mode='rgb_array' works, 'human' does not"
-    return Finding("display", "found" if has_display() else missing)
+        yield speed(env_id, seconds, step_us)
 
 
 def robot(name: str) -> Finding:
     """Check that the expert picks a block with a robot."""
-    advice = "report this output to the maintainers"
+    value = f"failed in {EPISODES} of {EPISODES} episodes"
     try:
         with closing(gymnasium.make(CLOSE_LOOP, robot=name)) as env:
             for seed in range(EPISODES):
@@ -70,8 +56,8 @@ def robot(name: str) -> Finding:
                 if success:
                     return Finding(name, f"picked a block in {steps} steps")
     except Exception as error:  # every error is a finding
-        return Finding(name, f"{type(error).__name__}: {' '.join(str(error).split())}", advice, fails=True)
-    return Finding(name, f"failed in {EPISODES} of {EPISODES} episodes", advice, fails=True)
+        value = f"{type(error).__name__}: {' '.join(str(error).split())}"
+    return Finding(name, value, "report this output to the maintainers", fails=True)
 
 
 def play_episode(env: gymnasium.Env[Any, Any], seed: int) -> tuple[int, float, bool]:
@@ -87,48 +73,38 @@ def play_episode(env: gymnasium.Env[Any, Any], seed: int) -> tuple[int, float, b
 
 def compiled_code() -> Finding:
     """Check where the compiled functions that this process has called are cached."""
-    statistics = [function.stats for function in _compiled_functions()]
-    folders = {stats.cache_path for stats in statistics if stats.cache_path}
-    hits = sum(sum(stats.cache_hits.values()) for stats in statistics)
-    misses = sum(sum(stats.cache_misses.values()) for stats in statistics)
+    modules = [module for name, module in sys.modules.items() if name.startswith("bulletarm_gym.")]
+    members = {id(value): value for module in modules for value in vars(module).values()}
+    statistics = [value.stats for value in members.values() if isinstance(value, CPUDispatcher)]
+    folders = sorted({stats.cache_path for stats in statistics if stats.cache_path})
     if not folders:
         advice = "set NUMBA_CACHE_DIR to a writable folder, or every process compiles again"
         return Finding("numba cache", "none", advice)
+    hits = sum(sum(stats.cache_hits.values()) for stats in statistics)
+    misses = sum(sum(stats.cache_misses.values()) for stats in statistics)
+    value = f"{hits} read, {misses} compiled, {os.path.commonpath(folders)}"
     advice = "compiled now, once for this machine. Run this check again to see that the cache is used"
-    parent = os.path.commonpath(sorted(folders))
-    return Finding("numba cache", f"{hits} read, {misses} compiled, {parent}", advice if misses else "")
+    return Finding("numba cache", value, advice if misses else "")
 
 
-def _compiled_functions() -> Iterator[Any]:
-    """Yield the functions of the environments that numba has compiled, each once."""
-    from numba.core.registry import CPUDispatcher
-
-    modules = [module for name, module in sys.modules.items() if name.startswith("bulletarm_gym.")]
-    members = {id(value): value for module in modules for value in vars(module).values()}
-    return (value for value in members.values() if isinstance(value, CPUDispatcher))
-
-
-def step_ms(env_id: str, seconds: float) -> float:
-    """Return the duration (ms) of a step with the expert's action, without resets.
+def speed(env_id: str, seconds: float, step_us: float) -> Finding:
+    """Compare a step with the expert's action, without resets, with a simulation step of PyBullet.
 
     :param seconds: minimum duration (s) of the measurement, in whole episodes
+    :param step_us: duration of a simulation step on this machine (microseconds)
     """
     with closing(gymnasium.make(env_id)) as env:
         play_episode(env, 0)  # compiles, fills caches
-        steps, duration, seed = 0, 0.0, 0
+        steps, duration, _ = play_episode(env, 1)
+        seed = 1
         while duration < seconds:
             seed += 1
             more, longer, _ = play_episode(env, seed)
             steps, duration = steps + more, duration + longer
-    return 1e3 * duration / steps
-
-
-def speed(env_id: str, step_ms: float, yardstick_us: float) -> Finding:
-    """Compare a step of an environment with a simulation step of PyBullet on this machine."""
-    ratio, limit = 1e3 * step_ms / yardstick_us, MAX_RATIO[env_id]
+    ratio, limit = 1e6 * duration / steps / step_us, MAX_RATIO[env_id]
     value = (
-        f"{1e3 / step_ms:.0f} steps/s, {ratio:.0f} simulation steps of PyBullet per step "
-        f"(at most {limit:.0f}, {yardstick_us:.0f} us each)"
+        f"{steps / duration:.0f} steps/s, {ratio:.0f} simulation steps of PyBullet per step "
+        f"(at most {limit:.0f}, {step_us:.0f} us each)"
     )
     advice = "see processor, threads and numba cache above" if ratio > limit else ""
     return Finding(env_id.rpartition("/")[2], value, advice)

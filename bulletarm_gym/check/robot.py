@@ -2,10 +2,11 @@
 
 import itertools
 import math
-from collections.abc import Iterator, Sequence
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import closing
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import gymnasium
 import numpy as np
@@ -16,18 +17,11 @@ from bulletarm_gym.check.machine import Finding
 from bulletarm_gym.config import CLOSE_LOOP, OPEN_LOOP, WORKSPACES, ParameterError, default_home_height
 from bulletarm_gym.control.control import MIN_REACH, MIN_TILTED_REACH
 from bulletarm_gym.env import ManipulationEnv
-from bulletarm_gym.geometry import Pose, Vector, conjugate, rotate
+from bulletarm_gym.geometry import FloatArray, Pose, Vector, conjugate, multiply, rotate
 from bulletarm_gym.robots import Robot, RobotModel
-from bulletarm_gym.robots.reach import (
-    TILT,
-    Limits,
-    ReachStudy,
-    grid,
-    largest_workspace,
-    pose_error,
-    study_reach,
-)
-from bulletarm_gym.simulation import Camera, World
+from bulletarm_gym.robots.kinematics import POSITION_TOLERANCE
+from bulletarm_gym.robots.reach import TILT, Limits, grid, largest_workspace
+from bulletarm_gym.simulation import Camera
 from bulletarm_gym.simulation.world import TIME_STEP
 
 REACHING = "BulletArm/CloseLoopBlockReaching-v0"
@@ -37,28 +31,34 @@ HEIGHTS = {CLOSE_LOOP: (0.01, 0.13, 0.25), OPEN_LOOP: (0.02, 0.1, 0.25)}
 """Heights (m) of the fingertips in the default workspaces."""
 LOAD = 0.2
 """Mass (kg) of the object in the checks of torques and tracking."""
-CUBE = 0.05
-"""Side length (m) of a cube of scale 1."""
-CUBE_SHARE = 0.6
-"""Maximum side length of the grasped cube, as a fraction of the stroke."""
+CUBE, CUBE_SHARE = 0.05, 0.6
+"""Side length (m) of a cube of scale 1, and its maximum as a fraction of the stroke."""
 MAX_ERROR = 1e-3
 """Maximum error (m or rad) of inverse kinematics."""
 MIN_MARGIN = 0.2
 """Minimum distance (rad) of a joint from its limits at the home pose."""
-MAX_OVERLAP = 5e-3
-"""Maximum overlap (m) of links that are not neighbours."""
-MAX_TIP_ERROR = 5e-3
-"""Maximum distance (m) between the tool frame and the lowest point of the fingers."""
-MAX_TRACKING_ERROR = 5e-3
-"""Maximum distance (m) between a commanded and a reached tool position."""
+MAX_DEVIATION = 5e-3
+"""Maximum overlap of links, and error of the fingertips, of their distances and of a motion (m)."""
 MAX_STATIC = 0.8
 """Maximum fraction of a joint's torque that holds the robot against gravity."""
-MAX_GAP = 5e-3
-"""Maximum error (m) of the distance between closed and between open fingers."""
 MAX_ANGLE = 0.05
 """Maximum angle (rad) between the opening direction and the x axis of the tool frame."""
 STEP = 0.05
 """Length (m) of the motion whose speed is reported; shorter in a lower workspace."""
+
+
+class Solution(NamedTuple):
+    """Joint positions (n,) rad for a pose, and their error (m or rad) with and without the joint limits."""
+
+    pose: Pose
+    joints: FloatArray
+    error: float
+    pose_error: float
+
+    @property
+    def is_solved(self) -> bool:
+        """Whether the pose is in reach."""
+        return self.error <= POSITION_TOLERANCE
 
 
 def check_robot(model: RobotModel, workspace: Limits | None = None) -> Iterator[Finding]:
@@ -66,36 +66,49 @@ def check_robot(model: RobotModel, workspace: Limits | None = None) -> Iterator[
 
     :param workspace: limits (m) along x, y and z, by default the workspaces of both controls
     """
+    spaces: dict[str, tuple[Limits, Sequence[float]]]
     spaces = {control: (WORKSPACES[control], HEIGHTS[control]) for control in HEIGHTS}
     if workspace is not None:
         low, high = workspace[2]
-        spaces = {"workspace": (workspace, (low, (low + high) / 2.0, high))}  # type: ignore[dict-item]
+        spaces = {"workspace": (workspace, (low, (low + high) / 2.0, high))}
+    solutions = []
     try:
-        studies = {
-            name: (study_reach(model, grid(*where, POINTS)), study_reach(model, grid(*where, POINTS, TILT)))
-            for name, where in spaces.items()
-        }
-    except ValueError as error:  # a joint is missing, or a number of joint positions or torques is wrong
+        for name, where in spaces.items():
+            upright, tilted = (_solve(model, grid(*where, POINTS, tilt)) for tilt in (0.0, TILT))
+            yield _reach(name, upright, tilted)
+            solutions += upright
+        yield Finding("largest workspace", f"in reach upright: {largest_workspace(model) or 'none'}")
+    except ValueError as error:  # a joint is missing, or the URDF cannot be simulated
         yield Finding("model", " ".join(str(error).split()), "correct the model or its URDF", fails=True)
         return
-    for name, (upright, tilted) in studies.items():
-        yield reach(name, upright, tilted)
-    yield Finding("largest workspace", f"in reach upright: {largest_workspace(model)}")
-    solved = [one for upright, _ in studies.values() for one in upright.solved]
-    yield accuracy(model, solved)
-    yield limits(model, [upright for upright, _ in studies.values()], _home(workspace))
+    solved = [one for one in solutions if one.is_solved]
+    worst = max((one.pose_error for one in solved), default=0.0)
+    advice = "check the joints in the URDF"
+    yield _measured("inverse kinematics", worst, MAX_ERROR, "m or rad", advice)
+    yield _limits(model, solutions, _home(workspace))
     try:
         env = _make(model, workspace)
     except ParameterError as error:
         yield Finding("environment", " ".join(str(error).split()), "see the lines above", fails=True)
         return
     with closing(env):
-        yield self_collision(env, solved)
-        yield fingertips(env)
-        yield fingers(env)
-        yield static_torques(env, solved)
+        yield _self_collision(env, solved)
+        yield _fingertips(env)
+        yield _fingers(env)
+        yield _static_torques(env.scene.robot, solved)
     for mode, load in itertools.product(("fast", "slow"), (0.0, LOAD)):
-        yield tracking(model, workspace, mode, load)
+        yield _tracking(model, workspace, mode, load)
+
+
+def _solve(model: RobotModel, poses: Iterable[Pose]) -> list[Solution]:
+    found = []
+    for pose in poses:
+        joints, error = model.inverse(pose)
+        reached = model.chain.forward(joints)
+        x, y, z, w = multiply(conjugate(pose.orientation), reached.orientation)
+        angle = 2.0 * math.atan2(math.hypot(x, y, z), abs(w))
+        found.append(Solution(pose, joints, error, max(math.dist(pose.position, reached.position), angle)))
+    return found
 
 
 def _home(workspace: Limits | None) -> Pose:
@@ -113,54 +126,46 @@ def _make(model: RobotModel, workspace: Limits | None, **parameters: Any) -> Man
     return env  # type: ignore[return-value]
 
 
-def _finding(what: str, value: str, advice: str, is_bad: bool) -> Finding:
-    """Return a finding that fails, with advice, if a value is beyond its threshold."""
-    return Finding(what, value, advice if is_bad else "", is_bad)
+def _measured(what: str, value: float, limit: float, unit: str, advice: str) -> Finding:
+    """Return a finding that fails, with advice, if a value is above its limit."""
+    is_bad = bool(value > limit)
+    return Finding(what, f"{value:.2g} {unit} (at most {limit:g})", advice if is_bad else "", is_bad)
 
 
-def reach(name: str, upright: ReachStudy, tilted: ReachStudy) -> Finding:
-    """Check the fraction of a workspace that is in reach."""
+def _reach(name: str, upright: list[Solution], tilted: list[Solution]) -> Finding:
+    share, tilted_share = (np.mean([one.is_solved for one in found]) for found in (upright, tilted))
     value = (
-        f"{upright.share:.0%} in reach upright (at least {MIN_REACH:.0%}), {tilted.share:.0%} tilted by 30 "
+        f"{share:.0%} in reach upright (at least {MIN_REACH:.0%}), {tilted_share:.0%} tilted by 30 "
         f"degrees (at least {MIN_TILTED_REACH:.0%})"
     )
     advice = "change base or posture (tools/reach.py compares bases), or pass a smaller workspace"
-    is_small = upright.share < MIN_REACH or tilted.share < MIN_TILTED_REACH
-    return Finding(f"reach, {name}", value, advice if is_small else "", upright.share < MIN_REACH)
+    is_small = share < MIN_REACH or tilted_share < MIN_TILTED_REACH
+    return Finding(f"reach, {name}", value, advice if is_small else "", bool(share < MIN_REACH))
 
 
-def accuracy(model: RobotModel, solved: Sequence[tuple[Pose, Any]]) -> Finding:
-    """Check that forward kinematics returns the poses that inverse kinematics was solved for."""
-    errors = [max(pose_error(model.chain.forward(joints), pose)) for pose, joints in solved]
-    worst = max(errors, default=0.0)
-    value = f"error of {worst:.1e} m or rad (at most {MAX_ERROR:g})"
-    advice = "check the axes and frames of the joints in the URDF"
-    return _finding("inverse kinematics", value, advice, worst > MAX_ERROR)
-
-
-def limits(model: RobotModel, surveys: Sequence[ReachStudy], home: Pose) -> Finding:
+def _limits(model: RobotModel, solutions: list[Solution], home: Pose) -> Finding:
     """Report the poses beyond joint limits, and the distance of the joints from their limits at home."""
+    (lower, upper), (low, high) = model.chain.limits.T, model.chain.solution_limits.T
+    beyond = [one.joints for one in solutions if not one.is_solved and one.pose_error <= POSITION_TOLERANCE]
+    limited = Counter(int(np.maximum(low - joints, joints - high).argmax()) for joints in beyond)
     joints, _ = model.inverse(home)
-    lower, upper = model.chain.limits.T
     margins = np.minimum(joints - lower, upper - joints)
-    nearest = int(margins.argmin())
-    limited = sum((found.limited for found in surveys), start=type(surveys[0].limited)())
     value = (
-        f"{limited.total()} of {sum(found.count for found in surveys)} poses are beyond one; at home "
-        f"{model.joints[nearest]} is {margins[nearest]:.2f} rad from its limit (at least {MIN_MARGIN:g})"
+        f"{len(beyond)} of {len(solutions)} poses are beyond one; at home "
+        f"{model.joints[int(margins.argmin())]} is {margins.min():.2f} rad from its limit"
     )
     advice = ""
-    if margins[nearest] < MIN_MARGIN:
-        advice = f"change posture, or rotate the tool, so that {model.joints[nearest]} is farther from it"
+    if margins.min() < MIN_MARGIN:
+        advice = f"change posture or rotate the tool, so that the distance is at least {MIN_MARGIN:g} rad"
     elif limited:
-        advice = f"{limited.most_common(1)[0][0]} is beyond its limit most often: change base or workspace"
+        most = model.joints[limited.most_common(1)[0][0]]
+        advice = f"{most} is beyond its limit most often: change base or workspace"
     return Finding("joint limits", value, advice)
 
 
-def self_collision(env: ManipulationEnv, solved: Sequence[tuple[Pose, Any]]) -> Finding:
+def _self_collision(env: ManipulationEnv, solved: Sequence[Solution]) -> Finding:
     """Check that links that are not neighbours stay apart, at the posture and over the workspaces."""
-    robot, world = env.scene.robot, env.scene.world
-    body = robot.body
+    robot, body, worst, where = env.scene.robot, env.scene.robot.body, 0.0, ""
     names = {-1: "the base", **{index: link.name for index, link in enumerate(body.links)}}
     parents = {index: link.parent for index, link in enumerate(body.links)}
     pairs = [
@@ -168,84 +173,69 @@ def self_collision(env: ManipulationEnv, solved: Sequence[tuple[Pose, Any]]) -> 
         for one, two in itertools.combinations(names, 2)
         if not {one, parents.get(one)} & {parents[two], parents.get(parents[two])}
     ]
-    worst, where = 0.0, ""
-    for pose, joints in [(None, np.array(robot.model.posture)), *solved[::POINTS]]:
+    places = {f"{np.round(one.pose.position, 2).tolist()} m": one.joints for one in solved[::POINTS]}
+    for place, joints in {"the posture": np.array(robot.model.posture), **places}.items():
         robot.show_joints(joints.tolist())
-        place = "the posture" if pose is None else f"{np.round(pose.position, 2).tolist()} m"
         for one, two in pairs:
-            points = world.closest_points(body, body, 0.0, one, two)
+            points = env.scene.world.closest_points(body, body, 0.0, one, two)
             depth = max((-point.distance for point in points), default=0)
             if depth > worst:
                 worst, where = depth, f" between {names[one]} and {names[two]} at {place}"
     env.scene.begin()
-    is_bad = worst > MAX_OVERLAP
-    value = f"{1e3 * worst:.1f} mm{where if is_bad else ''} (at most {1e3 * MAX_OVERLAP:g})"
     advice = "check posture, and that the gripper points away from the arm (flange and tool)"
-    return _finding("self-collision", value, advice, is_bad)
+    return _measured("self-collision", worst, MAX_DEVIATION, f"m{where}", advice)
 
 
-def fingertips(env: ManipulationEnv) -> Finding:
+def _fingertips(env: ManipulationEnv) -> Finding:
     """Check that the fingers end at the tool frame."""
     robot, world = env.scene.robot, env.scene.world
-    tips = min(world.bounds(robot.body, finger)[0][2] for finger in robot.finger_links)
-    error = tips - robot.pose.z
-    value = f"{1e3 * error:+.1f} mm above the tool frame (at most {1e3 * MAX_TIP_ERROR:g})"
+    error = min(world.bounds(robot.body, finger)[0][2] for finger in robot.finger_links) - robot.pose.z
     direction = "back to the arm" if error > 0.0 else "along the approach"
     advice = f"move the tool frame by {1e3 * abs(error):.0f} mm {direction}"
-    return _finding("fingertips", value, advice, abs(error) > MAX_TIP_ERROR)
+    return _measured("fingertips", abs(error), MAX_DEVIATION, "m from the tool frame", advice)
 
 
-def fingers(env: ManipulationEnv) -> Finding:
+def _fingers(env: ManipulationEnv) -> Finding:
     """Check the direction in which the fingers open, and the distances between them, closed and open."""
-    robot, world = env.scene.robot, env.scene.world
-    opened, direction = _between(robot, world)
+    robot = env.scene.robot
+    opened, direction = _between(robot)
     x, y, z = rotate(conjugate(robot.pose.orientation), direction)
     angle = math.atan2(math.hypot(y, z), abs(x))
     env.scene.begin()
     robot.set_opening(0.0)
-    closed, _ = _between(robot, world)
+    closed, _ = _between(robot)
     robot.set_opening(1.0)
-    value = (
-        f"open {1e3 * opened:.1f} mm, closed {1e3 * closed:.1f} mm (errors at most {1e3 * MAX_GAP:g}), "
-        f"{math.degrees(angle):.0f} degrees from the x axis of the tool frame "
-        f"(at most {math.degrees(MAX_ANGLE):.0f})"
-    )
-    errors = {
-        "rotate the tool frame about z until its x axis is the opening direction": angle > MAX_ANGLE,
-        "the fingers' joints must be at 0 where the fingers meet": closed > MAX_GAP,
-        "correct gripper.stroke": abs(opened - robot.model.gripper.stroke) > MAX_GAP,
-    }
-    advice = next((text for text, is_wrong in errors.items() if is_wrong), "")
-    return Finding("fingers", value, advice, bool(advice))
+    if angle > MAX_ANGLE:
+        advice = "rotate the tool frame about z until its x axis is the opening direction"
+        return _measured("fingers", angle, MAX_ANGLE, "rad between opening direction and x of tool", advice)
+    advice = "correct gripper.stroke, or let the fingers meet where their joints are at 0"
+    unit = f"m of error: open {1e3 * opened:.1f} mm, closed {1e3 * closed:.1f} mm"
+    error = max(closed, abs(opened - robot.model.gripper.stroke))
+    return _measured("fingers", error, MAX_DEVIATION, unit, advice)
 
 
-def _between(robot: Robot, world: World) -> tuple[float, Vector]:
+def _between(robot: Robot) -> tuple[float, Vector]:
     """Return the distance (m) between the fingers and the direction from one to the other."""
-    points = world.closest_points(robot.body, robot.body, 1.0, *robot.finger_links)
+    points = robot.world.closest_points(robot.body, robot.body, 1.0, *robot.finger_links)
     nearest = min(points, key=lambda point: point.distance)
     return max(nearest.distance, 0.0), nearest.normal
 
 
-def static_torques(env: ManipulationEnv, solved: Sequence[tuple[Pose, Any]]) -> Finding:
+def _static_torques(robot: Robot, solved: Sequence[Solution]) -> Finding:
     """Check the fractions of the torques that hold the robot with a load against gravity."""
-    robot = env.scene.robot
     still = np.zeros(len(robot.model.joints))
-    torques = [robot.dynamics.torques(joints, still, still, LOAD) for _, joints in solved] or [still]
+    torques = [robot.dynamics.torques(one.joints, still, still, LOAD) for one in solved] or [still]
     most = np.max(np.abs(torques) / robot.model.torques, axis=0)
-    number = int(most.argmax())
-    value = (
-        f"gravity and {LOAD} kg need {most[number]:.0%} of the torque of {robot.model.joints[number]} "
-        f"(at most {MAX_STATIC:.0%})"
-    )
-    return _finding("torques", value, "check force and the masses in the URDF", bool(most.max() > MAX_STATIC))
+    unit = f"of the torque of {robot.model.joints[int(most.argmax())]} for gravity and {LOAD} kg"
+    return _measured("torques", most.max(), MAX_STATIC, unit, "check force and the masses in the URDF")
 
 
-def tracking(model: RobotModel, workspace: Limits | None, mode: str, load: float) -> Finding:
+def _tracking(model: RobotModel, workspace: Limits | None, mode: str, load: float) -> Finding:
     """Check the distance between commanded and reached tool positions in simulated moves; report speeds."""
     name = f"tracking, {mode}, " + (f"{load} kg" if load else "empty")
     with closing(_make(model, workspace, physics_mode=mode, fast_mode=False)) as env:
         scene, robot, home = env.scene, env.scene.robot, _home(workspace)
-        (low, high), (left, right) = scene.config.workspace[2], scene.config.workspace[0]
+        (left, right), _, (low, high) = scene.config.workspace
         if load:
             _grasp(env, load)
         step = min(STEP, (high - low) / 2.0, (right - left) / 2.0)
@@ -265,12 +255,9 @@ def tracking(model: RobotModel, workspace: Limits | None, mode: str, load: float
             acceleration = max(acceleration, 2.0 * step / (rise * seconds**2))
             robot.move_to(goal, in_contact=False)
             worst = max(worst, math.dist(robot.pose.position, goal.position))
-    value = (
-        f"error of {1e3 * worst:.1f} mm (at most {1e3 * MAX_TRACKING_ERROR:g}); "
-        f"up to {speed:.2f} m/s, {acceleration:.0f} m/s^2"
-    )
     advice = "increase force to the torques of the data sheet, or check the masses in the URDF"
-    return _finding(name, value, advice, worst > MAX_TRACKING_ERROR)
+    unit = f"m of error at up to {speed:.2f} m/s and {acceleration:.0f} m/s^2"
+    return _measured(name, worst, MAX_DEVIATION, unit, advice)
 
 
 def _grasp(env: ManipulationEnv, load: float) -> None:
@@ -291,7 +278,7 @@ def draw(model: RobotModel, workspace: Limits | None, path: Path) -> None:
         pose, camera = env.scene.robot.pose, Camera()
         image = Image.fromarray(camera.color(env.scene.world))
         lines = ImageDraw.Draw(image)
-        for axis, colour in enumerate(("red", "green", "blue")):
-            tip = pose.transform(tuple(0.1 * (axis == number) for number in range(3)))  # type: ignore[arg-type]
-            lines.line([*camera.project(pose.position), *camera.project(tip)], fill=colour, width=3)
+        for colour, (x, y, z) in zip(("red", "green", "blue"), (0.1 * np.eye(3)).tolist(), strict=True):
+            ends = pose.position, pose.transform((x, y, z))
+            lines.line([*map(camera.project, ends)], fill=colour, width=3)
         image.save(path)

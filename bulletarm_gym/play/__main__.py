@@ -20,7 +20,7 @@ from PIL import Image, ImageDraw
 import bulletarm_gym  # noqa: F401 (registers the environments)
 from bulletarm_gym.command_line import add_environment_arguments, make_env, positive_int, reported_errors
 from bulletarm_gym.demonstrations import RecordDemonstrations
-from bulletarm_gym.env import Action, ManipulationEnv
+from bulletarm_gym.env import ManipulationEnv
 from bulletarm_gym.play.teleoperation import Teleoperation
 from bulletarm_gym.simulation import has_display
 
@@ -104,23 +104,20 @@ class Game:
         if key != EXPERT and not self.teleoperation.accepts(key):
             print(f"{key!r} has no function in this environment\n{HELP}", flush=True)
             return False
-        action = self._expert_action() if key == EXPERT else self.teleoperation.press(key)
+        action = self.core.expert_action() if key == EXPERT else self.teleoperation.press(key)
         if action is None:
             self._show("target moved")
             return False
+        self.teleoperation.follow(action)
         self.observation, _, terminated, truncated, info = self.env.step(action)
         self.step += 1
-        if terminated or truncated:
+        is_over = terminated or truncated
+        if is_over:
             self._show("success" if info["is_success"] else "failure")
         else:
             holding = self.core.scene.held is not None
             self._show("holding an object" if holding else "ignored" if info["ignored"] else "done")
-        return terminated or truncated
-
-    def _expert_action(self) -> Action:
-        action = self.core.expert_action()
-        self.teleoperation.follow(action)
-        return action
+        return is_over
 
     def _show(self, event: str) -> None:
         """Print an event; mark the target in the window, or write an image."""
@@ -132,7 +129,7 @@ class Game:
             self.images += 1
             message += f"  {path}"
         elif self.teleoperation.has_target:
-            target = self._target()
+            target: Any = self.core.decode_action(self.teleoperation.target())
             self.core.viewer.mark(target.position, target.rotation[0])
         print(message, flush=True)
 
@@ -150,13 +147,11 @@ class Game:
 
     def _draw_target(self, draw: ImageDraw.ImageDraw) -> None:
         """Draw a circle at the target, and a line in the direction in which the fingers open."""
-        (y, x), yaw = self.teleoperation.pixel(PIXELS), self._target().rotation[0]
+        target: Any = self.core.decode_action(self.teleoperation.target())
+        (y, x), yaw = self.teleoperation.pixel(PIXELS), target.rotation[0]
         down, right = 2 * RADIUS * math.cos(yaw), 2 * RADIUS * math.sin(yaw)
         draw.ellipse((x - RADIUS, y - RADIUS, x + RADIUS, y + RADIUS), outline="red", width=2)
         draw.line((x - right, y - down, x + right, y + down), fill="red", width=2)
-
-    def _target(self) -> Any:
-        return self.core.decode_action(self.teleoperation.target())
 
     def _window_keys(self) -> Iterator[str]:
         while True:

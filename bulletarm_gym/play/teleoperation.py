@@ -6,20 +6,14 @@ from bulletarm_gym.config import OPEN_LOOP
 from bulletarm_gym.env import Action, ManipulationEnv
 
 BINDINGS = {
-    "w": ("x", 0, -1.0),
-    "s": ("x", 0, 1.0),
-    "a": ("y", 0, -1.0),
-    "d": ("y", 0, 1.0),
-    "r": ("z", 0, 1.0),
-    "f": ("z", 0, -1.0),
-    "q": ("r", 0, 1.0),
-    "e": ("r", 0, -1.0),
-    "i": ("r", 1, 1.0),
-    "k": ("r", 1, -1.0),
-    "j": ("r", 2, 1.0),
-    "l": ("r", 2, -1.0),
+    "sw": ("x", 0),
+    "da": ("y", 0),
+    "rf": ("z", 0),
+    "qe": ("r", 0),
+    "ik": ("r", 1),
+    "jl": ("r", 2),
 }
-"""Character of the action sequence, its number among equal characters, and direction, for each key."""
+"""Character of the action sequence, and its number among equal characters, that two keys raise and lower."""
 GRIPPER = "g"
 """Key that closes or opens the gripper; with an open-loop control it picks or places."""
 STEP = 0.4
@@ -44,6 +38,11 @@ class Teleoperation:
         self._sequence = env.config.action_sequence
         self._is_primitive = np.array([name == "p" for name in self._sequence])
         self.has_target = env.config.control == OPEN_LOOP
+        self._keys: dict[str, tuple[int, float]] = {}
+        for keys, (character, number) in BINDINGS.items():
+            indices = [index for index, name in enumerate(self._sequence) if name == character]
+            if number < len(indices):
+                self._keys |= {keys[0]: (indices[number], 1.0), keys[1]: (indices[number], -1.0)}
         self.reset()
 
     def reset(self) -> None:
@@ -53,31 +52,21 @@ class Teleoperation:
 
     def accepts(self, key: str) -> bool:
         """Return True if a key has a function in this environment."""
-        return key == GRIPPER or self._index(key) is not None
-
-    def _index(self, key: str) -> int | None:
-        """Return the index of the number in an action that a key changes, or None."""
-        character, number, _ = BINDINGS.get(key, ("", 0, 0.0))
-        found = [index for index, name in enumerate(self._sequence) if name == character]
-        return found[number] if number < len(found) else None
+        return key == GRIPPER or key in self._keys
 
     def press(self, key: str) -> Action | None:
         """Return the action of an accepted key, or None if the key moves the target."""
-        if not self.has_target:
-            return self._move_gripper(key)
-        if key == GRIPPER:
+        if self.has_target and key == GRIPPER:
             return self.target()
-        character, _, direction = BINDINGS[key]
-        index = self._index(key)
-        self._last[index] = np.clip(self._last[index] + STRIDE[character] * direction, -1.0, 1.0)
-        return None
-
-    def _move_gripper(self, key: str) -> Action:
+        index, direction = self._keys.get(key, (0, 0.0))
+        if self.has_target:
+            stride = STRIDE[self._sequence[index]]
+            self._last[index] = np.clip(self._last[index] + stride * direction, -1.0, 1.0)
+            return None
         opening = 1.0 if (self._last[self._is_primitive] > 0.0).any() else -1.0
         action = np.zeros(len(self._sequence), np.float32)
+        action[index] = STEP * direction
         action[self._is_primitive] = -opening if key == GRIPPER else opening
-        if key != GRIPPER:
-            action[self._index(key)] = STEP * BINDINGS[key][2]
         self.follow(action)
         return action
 

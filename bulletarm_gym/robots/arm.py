@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from functools import cached_property, lru_cache
+from functools import lru_cache
 
 import numpy as np
 
@@ -14,7 +14,6 @@ from bulletarm_gym.robots.paths import is_straight
 from bulletarm_gym.simulation import Body, BodySpec, Contact, World
 from bulletarm_gym.simulation.motion import JointGroup, add_gear_constraint
 
-FULL_TURN = 2.0 * math.pi
 MAX_JOINT_CHANGE = math.pi
 """Change (rad) of a joint from which a motion is a detour around a joint limit."""
 STRAIGHT_JOINT_CHANGE = 0.3
@@ -36,38 +35,39 @@ class Arm:
 
     def __init__(self, model: RobotModel, world: World) -> None:
         self.model = model
-        self._world = world
+        self.world = world
         self.body = world.add_urdf(BodySpec(model.name, (), 0.0), model.xml, model.base)
         names = [link.joint for link in self.body.links]
         self._arm = JointGroup(self.body, tuple(names.index(name) for name in model.joints), model.torques)
         fingers = tuple(names.index(name) for name in model.gripper.joints)
         self._fingers = JointGroup(self.body, fingers, (model.gripper.force,) * 2)
         add_gear_constraint(world, self._fingers, model.gripper.friction)
-        self.dynamics = Dynamics.of(self.body, self._arm.joints, model.chain)
+        self.dynamics = Dynamics(self.body, self._arm.joints, model.chain)
         self.held: Body | None = None
         self._inverse = lru_cache(maxsize=CACHE_SIZE)(model.inverse)
-        self._wrist_limits: list[float] = model.chain.solution_limits[-1].tolist()
-        self._pose_cache: tuple[tuple[float, ...], Pose] = ((), Pose((0.0, 0.0, 0.0)))
+        self._forward = lru_cache(maxsize=1)(lambda joints: model.chain.forward(np.array(joints)))
+        limits = model.chain.solution_limits.tolist()
+        self._wrist_limits: list[float] = limits[-1]
+        self._turning_joints = [
+            (j, low, high) for j, (low, high) in enumerate(limits) if high - low >= math.tau
+        ]
 
     # Measurements
 
     @property
     def pose(self) -> Pose:
         """Tool pose."""
-        joints = self.joint_positions
-        if joints != self._pose_cache[0]:
-            self._pose_cache = (joints, self.model.chain.forward(np.array(joints)))
-        return self._pose_cache[1]
+        return self._forward(self.joint_positions)
 
     @property
     def joint_positions(self) -> tuple[float, ...]:
         """Positions (rad) of the arm joints, in the order of ``model.joints``."""
-        return self._arm.positions(self._world)
+        return self._arm.positions(self.world)
 
     @property
     def joint_velocities(self) -> tuple[float, ...]:
         """Velocities (rad/s) of the arm joints in the state, 0 between actions."""
-        rates = self._world.joint_rates[self.body.index]
+        rates = self.world.joint_rates[self.body.index]
         return tuple(rates[slot] for slot in self._arm.slots)
 
     @property
@@ -86,7 +86,7 @@ class Arm:
     @property
     def contacts(self) -> list[Contact]:
         """Contacts of the robot in the last simulation step; empty after a motion without simulation."""
-        return self._world.contacts(self.body)
+        return self.world.contacts(self.body)
 
     @property
     def finger_links(self) -> list[int]:
@@ -96,7 +96,7 @@ class Arm:
     @property
     def opening(self) -> float:
         """Distance (m) between the fingers."""
-        return sum(self._fingers.positions(self._world))
+        return sum(self._fingers.positions(self.world))
 
     @property
     def opening_ratio(self) -> float:
@@ -106,11 +106,11 @@ class Arm:
     @property
     def _load(self) -> float:
         """Mass (kg) of the grasped object."""
-        return 0.0 if self.held is None else self._world.get_properties(self.held).mass
+        return 0.0 if self.held is None else self.world.get_properties(self.held).mass
 
     def show_joints(self, positions: Sequence[float]) -> None:
         """Set the arm joints (rad) for a query of the world, until the next motion begins."""
-        self._world.show_joints(self.body, self._arm.moved(self._world, positions))
+        self.world.show_joints(self.body, self._arm.moved(self.world, positions))
 
     # Inverse kinematics
 
@@ -122,18 +122,19 @@ class Arm:
         :raises OutOfReachError: no solution is inside the joint limits
         """
         solution = self._solve(pose)
-        for joint, (low, high) in self._turning_joints:
-            turns = round((self.joint_positions[joint] - solution[joint]) / FULL_TURN)
-            least = math.ceil((low - solution[joint]) / FULL_TURN)
-            most = math.floor((high - solution[joint]) / FULL_TURN)
-            solution[joint] += FULL_TURN * min(max(turns, least), most)
+        for joint, low, high in self._turning_joints:
+            turns = round((self.joint_positions[joint] - solution[joint]) / math.tau)
+            least = math.ceil((low - solution[joint]) / math.tau)
+            most = math.floor((high - solution[joint]) / math.tau)
+            solution[joint] += math.tau * min(max(turns, least), most)
         return tuple(solution)
 
-    @cached_property
-    def _turning_joints(self) -> list[tuple[int, tuple[float, float]]]:
-        """Index and limits (rad) of the joints with a range of at least 2 pi."""
-        limits = self.model.chain.solution_limits.tolist()
-        return [(joint, (low, high)) for joint, (low, high) in enumerate(limits) if high - low >= FULL_TURN]
+    def _solve(self, pose: Pose) -> list[float]:
+        joints, error = self._inverse(pose)
+        if error > POSITION_TOLERANCE:
+            raise OutOfReachError(f"robot {self.model.name!r} cannot reach {pose}, the error is {error:.4f}")
+        solution: list[float] = joints.tolist()
+        return solution
 
     def reaches(self, pose: Pose) -> bool:
         """Return True if a tool pose is in reach."""
@@ -152,7 +153,6 @@ class Arm:
         return self._is_straight(pose, goal) or self.wrist_room(pose) > self.wrist_room()
 
     def _is_straight(self, pose: Pose, goal: Sequence[float]) -> bool:
-        """Return True if a joint motion to a pose is near the straight line."""
         now = self.joint_positions
         if max(_changes(now[:-1], goal[:-1])) < STRAIGHT_JOINT_CHANGE:
             return True
@@ -164,14 +164,6 @@ class Arm:
         low, high = self._wrist_limits
         return min(joints[-1] - low, high - joints[-1])
 
-    def _solve(self, pose: Pose) -> list[float]:
-        joints, error = self._inverse(pose)
-        if error > POSITION_TOLERANCE:
-            raise OutOfReachError(f"robot {self.model.name!r} cannot reach {pose}, the error is {error:.4f}")
-        solution: list[float] = joints.tolist()
-        return solution
-
 
 def _changes(start: Sequence[float], end: Sequence[float]) -> list[float]:
-    """Return the absolute change of each joint."""
     return [abs(after - before) for before, after in zip(start, end, strict=True)]

@@ -1,8 +1,6 @@
 """Inverse dynamics of a serial arm, and the duration of a motion within the torques of its joints."""
 
 import math
-from dataclasses import dataclass
-from functools import cache
 
 import numpy as np
 
@@ -13,8 +11,8 @@ from bulletarm_gym.simulation import Body
 from bulletarm_gym.simulation.motion import RISE
 from bulletarm_gym.simulation.world import GRAVITY, TIME_STEP
 
-Model = tuple[Frames, FloatArray, FloatArray, FloatArray, float]
-"""Frames of a chain; masses, centres and inertias of its links; mass at the tool."""
+Model = tuple[Frames, FloatArray, FloatArray, FloatArray]
+"""Frames of a chain; masses, centres and inertias of its links and of the tool, which has a joint at 0."""
 
 TORQUE_SHARE = 0.9
 """Fraction of the maximum torque for motions in free space. The rest is for contacts."""
@@ -24,39 +22,25 @@ MAX_STEPS = 480
 """Maximum number of simulation steps of a motion (2 s)."""
 
 
-@dataclass(frozen=True)
 class Dynamics:
-    """Masses and inertias of the links of a chain.
+    """Inverse dynamics of a loaded arm. Fingers and grasped object are a point mass at the tool.
 
-    :param chain: kinematics
-    :param masses: (n,) kg
-    :param centres: (n, 3) centre of mass (m) of each link in the frame of its joint
-    :param inertias: (n, 3, 3) inertia (kg m^2) about the centre of mass, along the axes of this frame
-    :param tip_mass: mass (kg) of the fingers, a point at the tool
+    :param joints: indices of the chain's joints in Bullet
     """
 
-    chain: Chain
-    masses: FloatArray
-    centres: FloatArray
-    inertias: FloatArray
-    tip_mass: float
-
-    @classmethod
-    def of(cls, arm: Body, joints: list[int], chain: Chain) -> "Dynamics":
-        """Return the dynamics of a loaded arm.
-
-        :param joints: indices of the chain's joints in Bullet
-        """
+    def __init__(self, arm: Body, joints: list[int], chain: Chain) -> None:
         moved = [arm.links[joint] for joint in joints]
-        axes = [matrix(link.frame) for link in moved]
-        inertias = [axis @ np.diag(link.inertia) @ axis.T for axis, link in zip(axes, moved, strict=True)]
         tip = {joints[-1]}
         for index, link in enumerate(arm.links):  # a link comes after its parent
             if link.parent in tip:
                 tip.add(index)
         tip_mass = sum(arm.links[index].mass for index in sorted(tip - {joints[-1]}))
-        masses, centres = np.array([link.mass for link in moved]), [link.frame.position for link in moved]
-        return cls(chain, masses, np.array(centres), np.array(inertias), tip_mass)
+        axes = [matrix(link.frame) for link in moved]
+        inertias = [axis @ np.diag(link.inertia) @ axis.T for axis, link in zip(axes, moved, strict=True)]
+        self._masses = np.array([*(link.mass for link in moved), tip_mass])
+        self._centres = np.array([*(link.frame.position for link in moved), (0.0, 0.0, 0.0)])
+        self._inertias = np.array([*inertias, np.zeros((3, 3))])
+        self._frames = (chain.rotations, chain.translations, np.vstack([chain.axes, (0.0, 0.0, 1.0)]))
 
     def torques(
         self, positions: FloatArray, rates: FloatArray, accelerations: FloatArray, load: float = 0.0
@@ -66,33 +50,33 @@ class Dynamics:
         :param positions: joint positions (n,) rad
         :param rates: joint velocities (n,) rad/s
         :param accelerations: joint accelerations (n,) rad/s^2
-        :param load: mass (kg) of the grasped object, a point at the tool
+        :param load: mass (kg) of the grasped object
         """
-        return _torques(self._model(load), positions, rates, accelerations)
+        motion = [np.append(values, 0.0) for values in (positions, rates, accelerations)]
+        torques: FloatArray = _torques(self._model(load), *motion)[:-1]
+        return torques
 
     def least_steps(self, path: FloatArray, limits: FloatArray, load: float, rise: float = RISE) -> int:
         """Return the minimum number of simulation steps of a motion along a path.
 
         The torque is the static torque plus a part inversely proportional to the square of the duration. Both
-        are computed at the phases with the largest torques, see :func:`phases`.
+        are computed at the start, at the maximum speed and at the end, where torques are largest.
 
         :param path: (k, n) joint positions (rad) at equal distances along the path
         :param limits: (n,) maximum torques (N m)
         :param load: mass (kg) of the grasped object
         :param rise: fraction of the motion with positive acceleration
         """
-        seconds = math.sqrt(_least_square(self._model(load), path, TORQUE_SHARE * limits, phases(rise)))
-        return min(math.ceil(seconds / TIME_STEP), MAX_STEPS)
+        rising, braking = 2.0 / rise, -2.0 / (1.0 - rise)  # of a motion of length 1 in one second
+        phases = ((0.0, 0.0, rising), (rise, 2.0, rising), (rise, 2.0, braking), (1.0, 0.0, braking))
+        path = np.pad(path, ((0, 0), (0, 1)))
+        square = _least_square(self._model(load), path, TORQUE_SHARE * limits, np.array(phases))
+        return min(math.ceil(math.sqrt(square) / TIME_STEP), MAX_STEPS)
 
     def _model(self, load: float) -> Model:
-        return (self.chain.frames, self.masses, self.centres, self.inertias, self.tip_mass + load)
-
-
-@cache
-def phases(rise: float) -> FloatArray:
-    """Return share, speed and acceleration of a motion of one second at the start, maximum speed and end."""
-    rising, braking = 2.0 / rise, -2.0 / (1.0 - rise)
-    return np.array(((0.0, 0.0, rising), (rise, 2.0, rising), (rise, 2.0, braking), (1.0, 0.0, braking)))
+        masses = self._masses.copy()
+        masses[-1] += load
+        return self._frames, masses, self._centres, self._inertias
 
 
 @compiled
@@ -101,52 +85,48 @@ def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
 
 
 @compiled
+def _acceleration(linear: FloatArray, alpha: FloatArray, omega: FloatArray, offset: FloatArray) -> FloatArray:
+    """Return the linear acceleration of a rotating body at an offset (m)."""
+    found: FloatArray = linear + _cross(alpha, offset) + _cross(omega, _cross(omega, offset))
+    return found
+
+
+@compiled
 def _torques(model: Model, positions: FloatArray, rates: FloatArray, accelerations: FloatArray) -> FloatArray:
-    """Return the torques (n,) N m by the recursive Newton-Euler algorithm, in world coordinates."""
-    frames, masses, centres, inertias, tip_mass = model
-    _, translations, axes = frames
+    """Return the torques (n + 1,) N m by the recursive Newton-Euler algorithm, in world coordinates."""
+    frames, masses, centres, inertias = model
     n = len(positions)
     rotation, origin, spare = np.eye(3), np.zeros(3), np.empty((2, 3, 3))
     omega, alpha, linear = np.zeros(3), np.zeros(3), np.array((0.0, 0.0, -GRAVITY))
-    origins, directions, torques = np.empty((n, 3)), np.empty((n, 3)), np.zeros(n)
-    direction, arm = np.empty(3), np.empty(3)
-    for j in range(n + 1):
+    origins, axes, torques = np.empty((n, 3)), np.empty((n, 3)), np.zeros(n)
+    arm, spin, moment = np.empty(3), np.empty(3), np.empty(3)
+    for j in range(n):
         before = origin.copy()
-        if j < n:
-            advance(rotation, origin, frames, j, positions[j], spare)
-        else:
-            apply(rotation, translations[n], arm)
-            origin += arm
-        offset = origin - before
-        linear = linear + _cross(alpha, offset) + _cross(omega, _cross(omega, offset))
-        if j == n:
-            force, moment, point = tip_mass * linear, np.zeros(3), origin
-        else:
-            apply(rotation, axes[j], direction)
-            alpha = alpha + direction * accelerations[j] + _cross(omega, direction * rates[j])
-            omega = omega + direction * rates[j]
-            origins[j], directions[j] = origin, direction
-            apply(rotation, centres[j], arm)
-            point = origin + arm
-            force = masses[j] * (linear + _cross(alpha, arm) + _cross(omega, _cross(omega, arm)))
-            product(rotation, inertias[j], spare[0])
-            product(spare[0], rotation.T, spare[1])
-            spin = np.empty(3)
-            apply(spare[1], omega, spin)
-            moment = _cross(omega, spin)
-            apply(spare[1], alpha, spin)
-            moment = moment + spin
-        for k in range(min(j + 1, n)):
-            lever = moment + _cross(point - origins[k], force)
-            torques[k] += dot(directions[k], lever)
+        advance(rotation, origin, frames, j, positions[j], spare)
+        linear = _acceleration(linear, alpha, omega, origin - before)
+        apply(rotation, frames[2][j], axes[j])
+        alpha = alpha + axes[j] * accelerations[j] + _cross(omega, axes[j] * rates[j])
+        omega = omega + axes[j] * rates[j]
+        apply(rotation, centres[j], arm)
+        force = masses[j] * _acceleration(linear, alpha, omega, arm)
+        product(rotation, inertias[j], spare[0])
+        product(spare[0], rotation.T, spare[1])
+        apply(spare[1], omega, spin)
+        apply(spare[1], alpha, moment)
+        moment += _cross(omega, spin)
+        origins[j] = origin
+        for k in range(j + 1):
+            torques[k] += dot(axes[k], moment + _cross(origin + arm - origins[k], force))
     return torques
 
 
 @compiled
 def _least_square(model: Model, path: FloatArray, limits: FloatArray, phases: FloatArray) -> float:
-    """Return the square of the shortest duration (s) of a motion along a path."""
-    pieces, n = len(path) - 1, path.shape[1]
-    still, square = np.zeros(n), 0.0
+    """Return the square of the shortest duration (s) of a motion along a path.
+
+    :param phases: (k, 3) share of the path, speed and acceleration of a motion of one second
+    """
+    pieces, still, square = len(path) - 1, np.zeros(path.shape[1]), 0.0
     for phase in range(len(phases)):
         share, rate, acceleration = phases[phase]
         piece = min(int(share * pieces), pieces - 1)
@@ -154,7 +134,7 @@ def _least_square(model: Model, path: FloatArray, limits: FloatArray, phases: Fl
         here = path[piece] + slope * (share - piece / pieces)
         static = _torques(model, here, still, still)
         total = _torques(model, here, slope * rate, slope * acceleration)
-        for j in range(n):
+        for j in range(len(limits)):
             room = max(limits[j] - abs(static[j]), MIN_ACCELERATION_SHARE * limits[j])
             square = max(square, abs(total[j] - static[j]) / room)
     return square

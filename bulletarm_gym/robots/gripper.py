@@ -7,16 +7,35 @@ down. Its x axis is the opening direction.
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import partial
+from typing import Any
 from xml.etree.ElementTree import Element
 
+import numpy as np
+
 from bulletarm_gym.geometry import Pose, Vector, euler_pose
-from bulletarm_gym.robots import checks
+from bulletarm_gym.robots.editing import joints_below
 from bulletarm_gym.robots.primitives import DARK, LIGHT, RGB, Primitive, add_link, box
-from bulletarm_gym.simulation.urdf import add_joint, children_of, end_of, find_link
+from bulletarm_gym.simulation.urdf import add_joint, find_link
 
 FINGER_MASS = 0.05
 """Mass (kg) of a finger of a :class:`ParallelJaw`."""
+
+
+def set_numbers(model: Any, name: str, shape: tuple[int, ...], sign: str = "positive") -> None:
+    """Convert a field of a frozen dataclass to a float, or to a tuple of floats.
+
+    :param shape: required shape, () for one number
+    :param sign: ``"positive"``, ``"non-negative"`` or ``"finite"``
+    :raises ValueError: the field has another shape, or a number is not finite or has another sign
+    """
+    value, low = getattr(model, name), {"positive": math.ulp(0.0), "non-negative": 0.0}.get(sign, -math.inf)
+    try:
+        numbers = np.array(value, np.float64)
+    except (TypeError, ValueError):
+        numbers = np.array(math.nan)
+    if numbers.shape != shape or not (np.isfinite(numbers) & (numbers >= low)).all():
+        raise ValueError(f"{name} must be {sign} numbers of shape {shape}, got {value!r}")
+    object.__setattr__(model, name, tuple(numbers.tolist()) if shape else numbers.item())
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,19 +65,13 @@ class Gripper:
     shoulder: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
-        """Check the values."""
-        lengths = ("three lengths (m) of at least 0", partial(checks.numbers, count=3, low=0.0))
-        fields: dict[str, tuple[str, checks.Converter]] = {
-            **dict.fromkeys(("stroke", "force", "speed", "friction"), ("a positive number", checks.positive)),
-            "finger": lengths,
-            "palm": lengths,
-            "shoulder": (
-                "a thickness and a height (m) of at least 0",
-                partial(checks.numbers, count=2, low=0.0),
-            ),
-            "joints": ("a tuple of 2 names", partial(checks.names, count=2)),
-        }
-        checks.convert_fields(self, "gripper.", fields)
+        """Check the values and convert them to floats."""
+        for name in ("stroke", "force", "speed", "friction"):
+            set_numbers(self, name, ())
+        for name, count in (("finger", 3), ("palm", 3), ("shoulder", 2)):
+            set_numbers(self, name, (count,), "non-negative")
+        if len(self.joints) != 2:
+            raise ValueError(f"joints must be the names of two joints, got {self.joints!r}")
 
     @property
     def travel(self) -> float:
@@ -96,14 +109,10 @@ class ParallelJaw(Gripper):
     housing: tuple[Primitive, ...] = ()
     trim: tuple[Primitive, ...] = ()
 
-    @property
-    def length(self) -> float:
-        """Distance (m) from the flange to the fingertips."""
-        return self.palm[2] + self.finger[2]
-
     def tool(self, flange: Pose) -> Pose:
         """Return the tool frame in the link that contains the flange."""
-        return flange.compose(euler_pose((0.0, 0.0, self.length), (math.pi, 0.0, 0.0)))
+        length = self.palm[2] + self.finger[2]
+        return flange.compose(euler_pose((0.0, 0.0, length), (math.pi, 0.0, 0.0)))
 
     def fitted(self, arm: Callable[[], Element], link: str, flange: Pose) -> Element:
         """Return the URDF of an arm with the palm as part of a link and the fingers as further links.
@@ -113,33 +122,21 @@ class ParallelJaw(Gripper):
         :raises ValueError: the model has no such link, or the link carries a gripper
         """
         root = arm()
-        _check_free(root, link)
-        palm = box(self.palm, (0.0, 0.0, self.palm[2] / 2.0), DARK)
         carrier = find_link(root, link)
-        for primitive in (palm, *self.housing):
-            primitive.moved(flange).add_to(carrier)
-        for name, yaw in zip(self.joints, (0.0, math.pi), strict=True):
-            self._add_finger(root, name, link, flange.compose(Pose.planar(0.0, 0.0, self.palm[2], yaw)))
-        return root
-
-    def _add_finger(self, root: Element, joint: str, parent: str, mount: Pose) -> None:
-        thickness, _, length = self.finger
-        child = joint.removesuffix("_joint")
-        pad = box(self.finger, (thickness / 2.0, 0.0, length / 2.0), self.colour)
-        add_link(root, child, FINGER_MASS, (pad, *self.trim))
-        limits, axis = (0.0, self.travel), (1.0, 0.0, 0.0)
-        add_joint(root, "prismatic", joint, (parent, child), mount, axis, limits, self.force, self.speed)
-
-
-def _check_free(root: Element, link: str) -> None:
-    """Raise ValueError if a joint moves a link attached to ``link``, as on a flange with a gripper."""
-    attached = [link]
-    for name in attached:
-        for joint in children_of(root, name):
+        for joint in joints_below(root, link):
             if joint.get("type") != "fixed":
                 raise ValueError(
                     f"link must carry no gripper, got {link!r} with the joint {joint.get('name')!r}. "
-                    f"Use without(model, {name!r}) in load."
+                    "Use without(model, LINK) in load."
                 )
-            if (child := end_of(joint, "child")) not in attached:
-                attached.append(child)
+        for primitive in (box(self.palm, (0.0, 0.0, self.palm[2] / 2.0), DARK), *self.housing):
+            primitive.add_to(carrier, flange)
+        thickness, _, length = self.finger
+        pad = box(self.finger, (thickness / 2.0, 0.0, length / 2.0), self.colour)
+        for joint_name, yaw in zip(self.joints, (0.0, math.pi), strict=True):
+            finger, mount = joint_name.removesuffix("_joint"), Pose.planar(0.0, 0.0, self.palm[2], yaw)
+            add_link(root, finger, FINGER_MASS, (pad, *self.trim))
+            ends, pose, axis = (link, finger), flange.compose(mount), (1.0, 0.0, 0.0)
+            limits = (0.0, self.travel)
+            add_joint(root, "prismatic", joint_name, ends, pose, axis, limits, self.force, self.speed)
+        return root

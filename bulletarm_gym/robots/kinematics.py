@@ -65,13 +65,15 @@ class Chain:
         :raises ValueError: the model has no joint of a name
         """
         elements = [find_joint(root, name) for name in joints]
-        frames = [frame_of(element) for element in elements]
-        frames = [base.compose(frames[0]), *frames[1:], tool]
-        axes = [np.array(axis_of(element)) for element in elements]
-        rotations = np.stack([matrix(frame) for frame in frames])
-        axes = [axis / np.linalg.norm(axis) for axis in axes]
-        limits = np.array([limits_of(element) for element in elements])
-        return cls(rotations, np.array([f.position for f in frames]), np.array(axes), limits)
+        first, *others = map(frame_of, elements)
+        frames = [base.compose(first), *others, tool]
+        axes = np.array([axis_of(element) for element in elements])
+        return cls(
+            np.stack([matrix(frame) for frame in frames]),
+            np.array([frame.position for frame in frames]),
+            np.array([axis / np.linalg.norm(axis) for axis in axes]),
+            np.array([limits_of(element) for element in elements]),
+        )
 
     def forward(self, joints: FloatArray) -> Pose:
         """Return the tool's pose in the world at joint positions (n,) rad."""
@@ -221,11 +223,7 @@ def dot(a: FloatArray, b: FloatArray) -> float:
 
 @compiled
 def _solve(a: FloatArray, x: FloatArray, low: FloatArray) -> None:
-    """Solve a symmetric positive definite system in place by Cholesky decomposition.
-
-    :param x: right side, replaced by the solution
-    :param low: memory for the decomposition
-    """
+    """Replace ``x`` by the solution of ``a @ y = x``; ``low`` is memory for the Cholesky decomposition."""
     n = len(x)
     for i in range(n):
         for j in range(i + 1):
@@ -259,12 +257,7 @@ def _beyond(joints: FloatArray, limits: FloatArray, out: FloatArray) -> float:
 def _null_step(
     jacobian: FloatArray, square: FloatArray, beyond: FloatArray, weights: FloatArray, low: FloatArray
 ) -> FloatArray:
-    """Return the step (n,) in the null space that moves joints towards their limits.
-
-    :param beyond: change (n,) rad that moves each joint inside its limits
-    :param weights: memory for 6 numbers
-    :param low: memory for the decomposition of ``square``
-    """
+    """Return the step (n,) in the null space that moves joints towards their limits."""
     for i in range(6):
         weights[i] = dot(jacobian[i], beyond)
     _solve(square, weights, low)
@@ -282,15 +275,11 @@ def _null_step(
 
 
 @compiled
-def _unwind(joints: FloatArray, limits: FloatArray) -> None:
+def _unwind(joints: FloatArray, limits: FloatArray, beyond: FloatArray) -> None:
     """Add multiples of 2 pi to joints outside their limits if the result is inside."""
     for j in range(len(joints)):
-        turns = 0.0
-        if joints[j] > limits[j, 1]:
-            turns = -math.ceil((joints[j] - limits[j, 1]) / (2.0 * math.pi))
-        elif joints[j] < limits[j, 0]:
-            turns = math.ceil((limits[j, 0] - joints[j]) / (2.0 * math.pi))
-        turned = joints[j] + 2.0 * math.pi * turns
+        turns = math.ceil(abs(beyond[j]) / (2.0 * math.pi))
+        turned = joints[j] + math.copysign(2.0 * math.pi * turns, beyond[j])
         if limits[j, 0] <= turned <= limits[j, 1]:
             joints[j] = turned
 
@@ -308,11 +297,12 @@ def _inverse(
         _jacobian(frames, joints, rotation, position, jacobian, spare)
         error[:3] = target[1] - position
         _rotation_vector(target[0], rotation, error[3:], spare[0])
-        if dot(error, error) < TOLERANCE**2:
-            _unwind(joints, limits)
         outside = _beyond(joints, limits, beyond)
-        is_solved = dot(error, error) < TOLERANCE**2 and (outside < TOLERANCE or n <= 6)
-        if is_solved or iteration == MAX_ITERATIONS:
+        is_solved = dot(error, error) < TOLERANCE**2
+        if is_solved and outside > 0.0:
+            _unwind(joints, limits, beyond)
+            outside = _beyond(joints, limits, beyond)
+        if iteration == MAX_ITERATIONS or (is_solved and (outside < TOLERANCE or n <= 6)):
             break
         for i in range(6):
             for j in range(i + 1):  # the solver reads the lower triangle

@@ -10,18 +10,15 @@ from xml.etree.ElementTree import Element
 import numpy as np
 
 from bulletarm_gym.geometry import FloatArray, Pose
-from bulletarm_gym.robots import checks
-from bulletarm_gym.robots.editing import merge_fixed
-from bulletarm_gym.robots.gripper import Gripper
+from bulletarm_gym.robots.editing import check_element
+from bulletarm_gym.robots.gripper import Gripper, set_numbers
 from bulletarm_gym.robots.kinematics import Chain
 from bulletarm_gym.robots.primitives import DARK, cylinder
-from bulletarm_gym.robots.structure import check_merged, prepare
+from bulletarm_gym.robots.structure import prepare
 from bulletarm_gym.simulation.urdf import find_joint, find_root, to_text
 
 PLINTH_RADIUS = 0.09
 """Radius (m) of the stand under an arm whose base is above the ground, outside the workspaces."""
-FRONT = math.pi / 2.0
-"""Angle (rad) about the base between the posture and the front, above which the posture is rotated."""
 LINE_POINTS = 1000
 """Number of points of the line behind the base in the test of a workspace."""
 VERTICAL = 0.9
@@ -43,7 +40,7 @@ class RobotModel:
     :param posture: joint positions (rad) from which inverse kinematics starts: gripper down, elbow up, in
         front of the base
     :param force: maximum torque (N m) of each joint, or one value for all joints
-    :raises ValueError: a value has another type, or a number is not finite or not positive
+    :raises ValueError: a value has another type or length, or a number is not finite or not positive
     """
 
     name: str
@@ -57,16 +54,9 @@ class RobotModel:
 
     def __post_init__(self) -> None:
         """Check the values and convert sequences to tuples."""
-        fields: dict[str, tuple[str, checks.Converter]] = {
-            "load": ("a function that returns the URDF", checks.function),
-            "joints": ("a tuple with the name of each joint", checks.names),
-            "tool": ("a Pose", Pose),
-            "gripper": ("a Gripper", Gripper),
-            "base": ("a Pose", Pose),
-            "posture": ("numbers (rad), one for each joint", checks.numbers),
-            "force": ("a positive number (N m), or a tuple with one for each joint", checks.torques),
-        }
-        checks.convert_fields(self, f"robot {self.name!r}: ", fields)
+        object.__setattr__(self, "joints", tuple(self.joints))
+        set_numbers(self, "posture", (len(self.joints),), "finite")
+        set_numbers(self, "force", (len(self.joints),) if np.ndim(self.force) else ())
 
     @cached_property
     def urdf(self) -> Element:
@@ -78,10 +68,8 @@ class RobotModel:
         """
         root = self.load()
         try:
-            checks.check_element("load()", root)
-            prepare(root, self.joints, self.gripper.joints)
-            merge_fixed(root)
-            check_merged(root, self.joints, self.gripper, self.tool)
+            check_element("load()", root)
+            prepare(root, self.joints, self.gripper, self.tool)
         except ValueError as error:
             raise ValueError(f"robot {self.name!r}: {error}") from error
         if self.base.z > 0.0:
@@ -94,16 +82,9 @@ class RobotModel:
     def chain(self) -> Chain:
         """Kinematics from the world to the fingertips.
 
-        :raises ValueError: ``posture`` or ``force`` does not have one value for each joint, or ``posture`` is
-            outside the joint limits
+        :raises ValueError: ``posture`` is outside the joint limits
         """
         chain = Chain.from_urdf(self.urdf, self.joints, self.base, self.tool)
-        for parameter, values in (("posture", self.posture), ("force", self.torques)):
-            if len(values) != len(self.joints):
-                raise ValueError(
-                    f"robot {self.name!r}: {parameter} must have {len(self.joints)} values, one for each "
-                    f"joint, got {len(values)}"
-                )
         for name, position, (lower, upper) in zip(self.joints, self.posture, chain.limits, strict=True):
             if not lower <= position <= upper:
                 raise ValueError(
@@ -134,6 +115,18 @@ class RobotModel:
         start[-1] += last * (pose.yaw - yaw - azimuth)
         return self.chain.inverse(pose, start)
 
+    @cached_property
+    def _start(self) -> FloatArray:
+        """Posture (n,) rad, rotated about the base if it is behind it."""
+        start, yaw = np.array(self.posture), self.base.yaw
+        tool = self.chain.forward(start)
+        azimuth = math.remainder(math.atan2(tool.y - self.base.y, tool.x - self.base.x) - yaw, math.tau)
+        if abs(azimuth) > math.pi / 2.0:
+            first, last = self._directions
+            start[0] -= first * azimuth
+            start[-1] += last * math.remainder(yaw + azimuth - tool.yaw, math.tau)
+        return start
+
     def jumps_inside(self, workspace: Sequence[Sequence[float]]) -> bool:
         """Return True if the solution for the first joint is discontinuous in a workspace.
 
@@ -150,18 +143,6 @@ class RobotModel:
         lengths = np.linspace(0.0, reach, LINE_POINTS)[:, None]
         line = base - lengths * [math.cos(self.base.yaw), math.sin(self.base.yaw)]
         return bool(((low < line) & (line < high)).all(axis=1).any())
-
-    @cached_property
-    def _start(self) -> FloatArray:
-        """Posture (n,) rad, rotated about the base if its angle to the front exceeds :data:`FRONT`."""
-        start, yaw = np.array(self.posture), self.base.yaw
-        tool = self.chain.forward(start)
-        azimuth = math.remainder(math.atan2(tool.y - self.base.y, tool.x - self.base.x) - yaw, math.tau)
-        if abs(azimuth) > FRONT:
-            first, last = self._directions
-            start[0] -= first * azimuth
-            start[-1] += last * math.remainder(yaw + azimuth - tool.yaw, math.tau)
-        return start
 
     @cached_property
     def _directions(self) -> tuple[float, float]:

@@ -22,35 +22,24 @@ PALM = (0.204, 0.063, 0.092)
 """Side lengths (m) of the hull of the palm's mesh, which ends 46.2 mm above the fingertips."""
 JOINTS = tuple(f"panda_joint{number}" for number in range(1, 8))
 LIMITS = (
-    (-2.8973, 2.8973),
-    (-1.7628, 1.7628),
-    (-2.8973, 2.8973),
-    (-3.0718, -0.0698),
-    (-2.8973, 2.8973),
-    (-0.0175, 3.7525),
-    (-2.8973, 2.8973),
+    (-2.8973, -1.7628, -2.8973, -3.0718, -2.8973, -0.0175, -2.8973),
+    (2.8973, 1.7628, 2.8973, -0.0698, 2.8973, 3.7525, 2.8973),
 )
 """Joint limits (rad; Franka Control Interface documentation). The limits in pybullet_data are wider."""
 
 
 def _load() -> Element:
     root = load_model("franka_panda/panda.urdf")
-    for name, (lower, upper) in zip(JOINTS, LIMITS, strict=True):
+    for name, lower, upper in zip(JOINTS, *LIMITS, strict=True):
         find_joint(root, name).findall("limit")[0].attrib.update(lower=repr(lower), upper=repr(upper))
     for name, yaw in zip(FINGERS, (0.0, math.pi), strict=True):
-        _use_boxes(find_link(root, name), Pose.planar(0.0, 0.0, 0.0, yaw))
+        finger = find_link(root, name)
+        # Boxes have four contact points a face, and no soft contacts, as the grippers of the other arms.
+        for element in [*finger.findall("collision"), *finger.findall("contact")]:
+            finger.remove(element)
+        for part in (PAD, ROOT):
+            part.add_to(finger, Pose.planar(0.0, 0.0, 0.0, yaw), visible=False)
     return root
-
-
-def _use_boxes(finger: Element, frame: Pose) -> None:
-    """Replace the collision mesh of a finger by boxes, with four contact points a face.
-
-    The soft contacts of the model are removed, so that the grippers of all arms have the same contacts.
-    """
-    for element in [*finger.findall("collision"), *finger.findall("contact")]:
-        finger.remove(element)
-    for part in (PAD, ROOT):
-        part.moved(frame).add_to(finger, visible=False)
 
 
 PANDA = RobotModel(

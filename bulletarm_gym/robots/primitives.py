@@ -1,7 +1,7 @@
 """Links of boxes and cylinders for robots whose shapes are not in a file."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TypeAlias
 from xml.etree.ElementTree import Element, SubElement
 
@@ -33,22 +33,20 @@ class Primitive:
     colour: RGB
     solid: bool = True
 
-    def moved(self, frame: Pose) -> "Primitive":
-        """Return the primitive in the outer frame of ``frame``."""
-        return replace(self, pose=frame.compose(self.pose))
+    def add_to(self, link: Element, frame: Pose | None = None, visible: bool = True) -> None:
+        """Add the visual and the collision element to a link.
 
-    def add_to(self, link: Element, visible: bool = True) -> None:
-        """Add the visual and the collision element to a link."""
+        :param frame: pose in the link of the frame that the primitive is in, by default the link's frame
+        """
+        pose = self.pose if frame is None else frame.compose(self.pose)
         x, _, z = self.extents
-        sizes = {
-            "box": {"size": text_of(self.extents)},
-            "cylinder": {"radius": repr(x / 2.0), "length": repr(z)},
-        }
+        size = {"radius": repr(x / 2.0), "length": repr(z)}
+        if self.kind == "box":
+            size = {"size": text_of(self.extents)}
         if visible:
-            visual = add_geometry(link, "visual", self.kind, self.pose, **sizes[self.kind])
-            add_material(visual, (*self.colour, 1.0))
+            add_material(add_geometry(link, "visual", self.kind, pose, **size), (*self.colour, 1.0))
         if self.solid:
-            add_geometry(link, "collision", self.kind, self.pose, **sizes[self.kind])
+            add_geometry(link, "collision", self.kind, pose, **size)
 
 
 def box(extents: Vector, centre: Vector, colour: RGB, tilt: float = 0.0, solid: bool = True) -> Primitive:
@@ -58,18 +56,15 @@ def box(extents: Vector, centre: Vector, colour: RGB, tilt: float = 0.0, solid: 
 
 def cylinder(radius: float, length: float, centre: Vector, colour: RGB, solid: bool = True) -> Primitive:
     """Return a cylinder (m) along the z axis of the link."""
-    diameter = 2.0 * radius
-    return Primitive("cylinder", (diameter, diameter, length), Pose(centre), colour, solid)
+    return Primitive("cylinder", (2.0 * radius, 2.0 * radius, length), Pose(centre), colour, solid)
 
 
 def add_link(root: Element, name: str, mass: float, primitives: Sequence[Primitive]) -> None:
     """Add a link of primitives with its mass (kg) at the centre of the first one.
 
-    The inertia is that of the first one's bounding box. Bullet computes it from the collision shapes instead.
+    Bullet computes the inertia from the collision shapes.
     """
     link = SubElement(root, "link", name=name)
-    x, y, z = (side * side for side in primitives[0].extents)
-    moments = [mass / 12.0 * (y + z), mass / 12.0 * (x + z), mass / 12.0 * (x + y)]
-    add_inertial(link, primitives[0].pose, mass, np.diag(moments).tolist())
+    add_inertial(link, primitives[0].pose, mass, np.eye(3).tolist())
     for primitive in primitives:
         primitive.add_to(link)

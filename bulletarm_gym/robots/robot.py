@@ -7,12 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from bulletarm_gym.geometry import Pose, interpolate
-from bulletarm_gym.robots.arm import Arm
-from bulletarm_gym.robots.collisions import CLEAR_ABOVE, FREE_CLEARANCE, MAX_SHIFTS, Collisions
+from bulletarm_gym.robots.collisions import CLEAR_ABOVE, FREE_CLEARANCE, MAX_SHIFTS, CollidingArm
 from bulletarm_gym.robots.kinematics import POSITION_TOLERANCE
 from bulletarm_gym.robots.model import RobotModel
 from bulletarm_gym.robots.paths import motion_steps, path_length, transfer_stops
-from bulletarm_gym.simulation import Body, World
+from bulletarm_gym.simulation import World
 from bulletarm_gym.simulation.motion import (
     CONTACT_RISE,
     RISE,
@@ -55,7 +54,7 @@ class RobotState:
     opening: float
 
 
-class Robot(Arm):
+class Robot(CollidingArm):
     """An arm with its gripper that moves and grasps.
 
     :param fast: move without simulation where the robot touches nothing
@@ -65,7 +64,6 @@ class Robot(Arm):
         super().__init__(model, world)
         self.fast = fast
         self._command = model.gripper.stroke
-        self._collisions = Collisions(world, self.body, model.gripper)
 
     def get_state(self) -> RobotState:
         """Return the state that is not part of the world's state."""
@@ -73,7 +71,7 @@ class Robot(Arm):
 
     def set_state(self, state: RobotState) -> None:
         """Set the state that is not part of the world's state."""
-        self.held = None if state.held is None else self._world.bodies[state.held]
+        self.held = None if state.held is None else self.world.bodies[state.held]
         self._command = state.opening
 
     # Motions
@@ -88,12 +86,12 @@ class Robot(Arm):
 
     def begin(self) -> None:
         """Start a motion: restore the snapshot of the world, without old contacts, and set the motors."""
-        self._world.begin()
+        self.world.begin()
         self._send_targets()
 
     def _send_targets(self) -> None:
-        hold(self._world, self._arm, self.joint_positions)
-        send_fingers(self._world, self._fingers, self._command / 2.0, self.model.gripper.speed)
+        hold(self.world, self._arm, self.joint_positions)
+        send_fingers(self.world, self._fingers, self._command / 2.0, self.model.gripper.speed)
 
     def move_to(self, pose: Pose, in_contact: bool = True) -> None:
         """Move to a tool pose. A blocked arm stops.
@@ -120,19 +118,16 @@ class Robot(Arm):
         :param in_contact: move slowly, because the robot may push an object
         :raises ValueError: the number of positions is wrong, or one is outside its limits
         """
-        goal, limits = np.array(positions, dtype=np.float64), self.model.chain.limits.T
-        if goal.shape != limits[0].shape or not ((limits[0] <= goal) & (goal <= limits[1])).all():
-            raise ValueError(
-                f"positions must be {len(limits[0])} joint positions (rad) within {limits.T.tolist()}, "
-                f"got {positions}"
-            )
-        self._follow(
-            [tuple(goal.tolist())], path_length(self.pose, self.model.chain.forward(goal)), in_contact
-        )
+        goal, limits = np.array(positions, dtype=np.float64), self.model.chain.limits
+        if goal.shape != limits.shape[:1] or not ((limits[:, 0] <= goal) & (goal <= limits[:, 1])).all():
+            must = f"{len(limits)} joint positions (rad) within {limits.tolist()}"
+            raise ValueError(f"positions must be {must}, got {positions}")
+        length = path_length(self.pose, self.model.chain.forward(goal))
+        self._follow([tuple(goal.tolist())], length, in_contact)
 
     def _follow(self, stops: Sequence[Sequence[float]], length: float, in_contact: bool) -> None:
         steps, rise = self.duration(stops, length, in_contact and self.held is None)
-        follow(self._world, self._arm, stops, steps, self.held, rise)
+        follow(self.world, self._arm, stops, steps, self.held, rise)
         self._finish()
 
     def duration(
@@ -148,7 +143,7 @@ class Robot(Arm):
         pace, rise = (CONTACT_STEPS, CONTACT_RISE) if in_contact else (FREE_STEPS, RISE)
         path = np.array([self.joint_positions, *stops])
         least = self.dynamics.least_steps(path, np.array(self._arm.forces), self._load, rise)
-        return max(round(motion_steps(length, pace) * self._world.physics.pace), least), rise
+        return max(round(motion_steps(length, pace) * self.world.physics.pace), least), rise
 
     def _line(self, start: Pose, end: Pose) -> list[tuple[float, ...]]:
         """Return intermediate joint positions (rad) that keep the tool on the line between two poses.
@@ -185,39 +180,32 @@ class Robot(Arm):
         if self.fast and self._can_jump(command):
             self._place(self._fingers, [command / 2.0] * 2)
             return
-        drive_fingers(self._world, self._fingers, command / 2.0, self.model.gripper.speed)
+        drive_fingers(self.world, self._fingers, command / 2.0, self.model.gripper.speed)
         self._finish()
-
-    def touched(self, bodies: Sequence[Body]) -> list[Body]:
-        """Return the bodies that the robot holds or touches."""
-        return self._collisions.touched(self.pose, self.held, bodies)
 
     def _release(self) -> None:
         """Record that the bodies that the robot holds or touches lose their support."""
-        self._world.unsettled.update(body.index for body in self.touched(self._world.loose_bodies))
+        self.world.unsettled.update(body.index for body in self.touched(self.world.loose_bodies))
 
     def _place(self, group: JointGroup, positions: Sequence[float]) -> None:
-        self._world.set_joints(self.body, group.moved(self._world, positions))
+        self.world.set_joints(self.body, group.moved(self.world, positions))
         self._send_targets()
 
     def _finish(self) -> None:
         """Read the world and the grasped object, and stop both: the robot does not move between motions."""
-        world = self._world
+        world = self.world
         world.end()
         world.set_joints(self.body, world.joints[self.body.index])
         # An object between the fingers keeps the opening above the command.
         is_squeezing = self.opening - self._command > OPENING_TOLERANCE
         bodies = [body for body in world.loose_bodies if is_squeezing and body.spec.mass > 0.0]
-        before, self.held = self.held, next((body for body in bodies if self._grips(body)), None)
+        before, self.held = self.held, next(filter(self._grips, bodies), None)
         if before is not None and before is not self.held:
             world.unsettled.add(before.index)
         if self.held is not None:
             world.twists[self.held.index] = STILL
             world.joint_rates[self.held.index] = (0.0,) * len(self.held.joints)
         self._shift_out()
-
-    def _grips(self, body: Body) -> bool:
-        return all(self._collisions.presses(joint, body, self.pose) for joint in self._fingers.joints)
 
     def resolve_penetration(self) -> None:
         """Move the robot out of other bodies, and the grasped object out of the fingers.
@@ -226,16 +214,16 @@ class Robot(Arm):
         """
         travel = self.model.gripper.travel
         for _ in range(2):
-            if self._shift_out() and self._collisions.push_out(self.held):
+            if self._shift_out() and self._push_out():
                 return
-            wider = self._collisions.missing_opening(self._fingers.joints, self.held) / 2.0
-            fingers = self._fingers.positions(self._world)
+            wider = self._missing_opening() / 2.0
+            fingers = self._fingers.positions(self.world)
             self._place(self._fingers, [min(joint + wider, travel) for joint in fingers])
 
     def _shift_out(self) -> bool:
         """Move robot and grasped object out of other bodies; return True if that succeeds."""
         for _ in range(MAX_SHIFTS):
-            shift = self._collisions.shift_out(self.held)
+            shift = self._shift()
             goal = None if shift is None else Pose(shift).compose(self.pose)
             if goal is None or not self.reaches(goal):
                 return shift is None
@@ -249,48 +237,40 @@ class Robot(Arm):
         tool = self.pose
         self._place(self._arm, goal)
         if self.held is not None:
-            before = self._world.poses[self.held.index]
-            self._world.carry(self.held, self.pose.compose(tool.inverse().compose(before)))
+            before = self.world.poses[self.held.index]
+            self.world.carry(self.held, self.pose.compose(tool.inverse().compose(before)))
 
     # Motions without simulation
 
-    def is_free_at(self, pose: Pose, bodies: Sequence[Body]) -> bool:
-        """Return True if the robot at a pose in reach would touch none of some bodies."""
-        return self._collisions.is_free([self._arm.moved(self._world, self._solve(pose))], bodies)
-
-    def is_apart(self) -> bool:
-        """Return True if the robot and the grasped object touch no other body."""
-        return self._collisions.is_apart(self.pose, self.held)
-
     def _is_clear(self, start: Pose, end: Pose, stops: Sequence[Sequence[float]], length: float) -> bool:
         """Return True if nothing moves and the empty gripper touches nothing along a motion."""
-        if self.held is not None or not self._collisions.is_static:
+        if not self._can_skip_simulation:
             return False
         lowest = min(self.model.gripper.lowest(start), self.model.gripper.lowest(end))
         if lowest < FREE_CLEARANCE:
             return False
         count = math.ceil(length / SAMPLE_DISTANCE)
         samples = interpolate_path([self.joint_positions, *stops], np.arange(1, count + 1) / count).tolist()
-        joints = (self._arm.moved(self._world, sample) for sample in samples)
-        return self._collisions.is_free(joints, self._collisions.bodies_above(lowest - CLEAR_ABOVE))
+        joints = (self._arm.moved(self.world, sample) for sample in samples)
+        return self._is_free(joints, self._bodies_above(lowest - CLEAR_ABOVE))
 
     def _jump(self, goal: Sequence[float]) -> bool:
         """Set the joint positions, unless robot or grasped object then touch something else."""
         joints, held = self.joint_positions, self.held
-        before = None if held is None else self._world.poses[held.index]
+        before = None if held is None else self.world.poses[held.index]
         self._carry(goal)
         if self.is_apart():
             return True
         self._place(self._arm, joints)
         if held is not None and before is not None:
-            self._world.carry(held, before)
+            self.world.carry(held, before)
         return False
 
     def _can_jump(self, command: float) -> bool:
         """Return True if the fingers touch nothing on the way to a new opening."""
-        if self.held is not None or not self._collisions.is_static:
+        if not self._can_skip_simulation:
             return False
-        near = self._collisions.bodies_above(self.model.gripper.lowest(self.pose) - CLEAR_ABOVE)
+        near = self._bodies_above(self.model.gripper.lowest(self.pose) - CLEAR_ABOVE)
         openings = np.linspace(self.opening, command, OPENING_SAMPLES + 1).tolist()
-        joints = (self._fingers.moved(self._world, [opening / 2.0] * 2) for opening in openings)
-        return self._collisions.is_free(joints, near)
+        joints = (self._fingers.moved(self.world, [opening / 2.0] * 2) for opening in openings)
+        return self._is_free(joints, near)

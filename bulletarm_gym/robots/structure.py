@@ -4,11 +4,14 @@ import math
 from collections.abc import Sequence
 from xml.etree.ElementTree import Element
 
-from bulletarm_gym.geometry import Pose, Vector, rotate
-from bulletarm_gym.robots.editing import check_tree
+import numpy as np
+
+from bulletarm_gym.geometry import Pose, rotate
 from bulletarm_gym.robots.gripper import Gripper
 from bulletarm_gym.simulation.urdf import (
+    add_inertial,
     axis_of,
+    children_of,
     end_of,
     find_joint,
     find_link,
@@ -23,54 +26,61 @@ from bulletarm_gym.simulation.urdf import (
     text_of,
 )
 
-ROTATING = ("revolute", "continuous")
-UNIT_TOLERANCE = 1e-9
-"""Maximum deviation of the length of an axis from 1 without a change."""
+ROTATING, SLIDING = ("revolute", "continuous"), ("prismatic",)
 OPPOSITE = -0.99
 """Maximum cosine between the opening directions of the two fingers."""
 LIMIT_TOLERANCE = 1e-4
 """Tolerance (m) of the lower and upper limits of a finger."""
 ALIGNED = 0.8
 """Minimum cosine between the opening direction of the fingers and the x axis of the tool frame."""
-SHAPES = ("box", "cylinder", "sphere", "capsule", "mesh")
+SHAPES = {"box", "cylinder", "sphere", "capsule", "mesh"}
 """Elements of a ``<geometry>`` that Bullet reads for a robot."""
 
 
-def prepare(root: Element, joints: Sequence[str], fingers: Sequence[str]) -> None:
-    """Check the structure of a model and fix the joints that are neither the arm's nor the fingers'.
+def prepare(root: Element, joints: Sequence[str], gripper: Gripper, tool: Pose) -> None:
+    """Check a model, fix the joints that are neither the arm's nor the fingers', and merge fixed links.
 
-    :raises ValueError: the model is not a tree of links with distinct names; a joint is missing, without
-        limits, coupled to another joint or of a type that is not supported; Bullet does not read a shape
+    :param joints: names of the arm's joints
+    :param tool: tool frame in the link of the last joint
+    :raises ValueError: names are not distinct; the joints are not a chain of rotating joints that carries two
+        sliding fingers; a shape, limit, coupling or mass is not supported; the fingers do not fit the gripper
+        or the tool frame
     """
-    check_tree(root)
-    _check_shapes(root)
-    for name in joints:
-        _check_joint("joints", find_joint(root, name), ROTATING)
-    for name in fingers:
-        _check_joint("gripper.joints", find_joint(root, name), ("prismatic",))
+    for kind in ("link", "joint"):
+        names = [element.get("name", "") for element in root.findall(kind)]
+        repeated = {name for name in names if names.count(name) > 1}
+        _require(not repeated, f"names of {kind}s must be distinct, got {repeated} more than once")
+    for link in root.findall("link"):
+        unknown = {shape.tag for shape in link.iterfind("*/geometry/*")} - SHAPES
+        got = f"{unknown} in link {link.get('name')!r}"
+        _require(not unknown, f"<geometry> must be one of {', '.join(sorted(SHAPES))}, got {got}")
+    kinds = {**dict.fromkeys(joints, ROTATING), **dict.fromkeys(gripper.joints, SLIDING)}
+    for name, allowed in kinds.items():
+        _check_joint(find_joint(root, name), allowed)
     for joint in root.findall("joint"):
-        _check_coupling(joint, joints, fingers)
-    for joint in root.findall("joint"):
-        if joint.get("name") not in {*joints, *fingers}:
-            _fix(joint)
-        else:
+        _check_coupling(joint, joints, gripper.joints)
+        if joint.get("name") in kinds:
             _normalize_axis(joint)
-    for name in fingers:
-        _open_upwards(find_joint(root, name))
+        else:
+            _fix(joint)
+    merge_fixed(root)
+    _check_chain(root, joints, gripper.joints)
+    _check_fingers([find_joint(root, name) for name in gripper.joints], gripper, tool)
 
 
-def _check_joint(parameter: str, joint: Element, kinds: Sequence[str]) -> None:
-    """Check the type and the limits of a joint."""
-    kind, name = joint.get("type"), joint.get("name")
-    if kind not in kinds:
-        hint = "Use on_slides()." if "prismatic" in kinds else "An omitted joint is fixed."
-        must = " or ".join(kinds)
-        raise ValueError(f"{parameter} must be {must}, got the {kind} joint {name!r}. {hint}")
-    lower, upper = limits_of(joint)
-    if kind != "continuous" and not -math.inf < lower < upper < math.inf:
-        got = "no <limit>" if joint.find("limit") is None else f"{lower:g} and {upper:g}"
-        hint = " Use the type continuous for a joint without limits." if kind == "revolute" else ""
-        raise ValueError(f"{parameter} must have a <limit> with lower < upper, got {got} for {name!r}.{hint}")
+def _require(is_valid: bool, message: str) -> None:
+    if not is_valid:
+        raise ValueError(message)
+
+
+def _check_joint(joint: Element, kinds: Sequence[str]) -> None:
+    kind, name, (lower, upper) = joint.get("type"), joint.get("name"), limits_of(joint)
+    parameter, hint = ("joints", "") if kinds == ROTATING else ("gripper.joints", " Use on_slides().")
+    must = f"{parameter} must be {' or '.join(kinds)}"
+    _require(kind in kinds, f"{must}, got the {kind} joint {name!r}.{hint}")
+    is_limited = kind == "continuous" or -math.inf < lower < upper < math.inf
+    got = f"{lower:g} and {upper:g} for the {kind} joint {name!r}"
+    _require(is_limited, f"{parameter} must have a <limit> with lower < upper, got {got}")
 
 
 def _check_coupling(joint: Element, joints: Sequence[str], fingers: Sequence[str]) -> None:
@@ -79,119 +89,92 @@ def _check_coupling(joint: Element, joints: Sequence[str], fingers: Sequence[str
     if mimic is None:
         return
     source = mimic.get("joint")
-    if name in joints or source in joints:
-        raise ValueError(
-            f"joints must move independently, got {name!r}, which follows {source!r} by <mimic>. "
-            "Couplings of arm joints are not simulated."
-        )
-    multiplier, offset = number_of(mimic, "multiplier", "1"), number_of(mimic, "offset")
-    if name in fingers and source in fingers and (abs(multiplier) != 1.0 or offset != 0.0):
-        raise ValueError(
-            f"gripper.joints must move equally, got {name!r}, which follows {source!r} with the multiplier "
-            f"{multiplier:g} and the offset {offset:g}"
-        )
-
-
-def _check_shapes(root: Element) -> None:
-    for link in root.findall("link"):
-        for geometry in link.iterfind("*/geometry"):
-            found = [shape.tag for shape in geometry]
-            if len(found) != 1 or found[0] not in SHAPES:
-                got = f"{', '.join(found) or 'nothing'} in link {link.get('name')!r}"
-                raise ValueError(f"<geometry> must hold one of {', '.join(SHAPES)}, got {got}")
+    got = f"{name!r}, which follows {source!r} by <mimic>"
+    _require(not {name, source} & {*joints}, f"joints must move independently, got {got}")
+    is_equal = abs(number_of(mimic, "multiplier", "1")) == 1.0 and number_of(mimic, "offset") == 0.0
+    _require(is_equal or not {name, source} <= {*fingers}, f"gripper.joints must move equally, got {got}")
 
 
 def _fix(joint: Element) -> None:
     """Fix a joint at 0, or at its limit nearest to 0."""
-    if joint.get("type") in (*ROTATING, "prismatic"):
+    if joint.get("type") in (*ROTATING, *SLIDING):
         lower, upper = limits_of(joint)
         put_origin(joint, pose_at(joint, min(max(0.0, lower), upper)))
     joint.set("type", "fixed")
 
 
 def _normalize_axis(joint: Element) -> None:
-    """Set the length of an axis to 1. Bullet multiplies the position of a prismatic joint by the length."""
-    axis = axis_of(joint)
-    length = math.hypot(*axis)
-    if length == 0.0:
-        raise ValueError(f"the axis of joint {joint.get('name')!r} must have a length, got 0 0 0")
-    if abs(length - 1.0) > UNIT_TOLERANCE:
-        put(joint, "axis", xyz=text_of([part / length for part in axis]))
+    """Set the length of the axis to 1, by which Bullet multiplies positions; let fingers open upwards."""
+    length, (lower, upper) = math.hypot(*axis_of(joint)), limits_of(joint)
+    _require(length > 0.0, f"the axis of joint {joint.get('name')!r} must have a length, got 0 0 0")
+    if joint.get("type") in SLIDING and lower < -LIMIT_TOLERANCE and upper < LIMIT_TOLERANCE:
+        joint.findall("limit")[0].attrib.update(lower=repr(-upper), upper=repr(-lower))
+        length = -length
+    put(joint, "axis", xyz=text_of([part / length for part in axis_of(joint)]))
 
 
-def _open_upwards(finger: Element) -> None:
-    """Reverse the axis of a finger that opens to negative positions."""
-    lower, upper = limits_of(finger)
-    if lower < -LIMIT_TOLERANCE and upper < LIMIT_TOLERANCE:
-        finger.findall("limit")[0].attrib.update(lower=repr(-upper), upper=repr(-lower))
-        put(finger, "axis", xyz=text_of([-part for part in axis_of(finger)]))
+def merge_fixed(root: Element) -> None:
+    """Merge links on fixed joints into their parents. Bullet simulates them as slowly as moving links."""
+    for joint in root.findall("joint[@type='fixed']"):
+        parent, child = (find_link(root, end_of(joint, end)) for end in ("parent", "child"))
+        mount = frame_of(joint)
+        _add_mass(parent, child, mount)
+        shapes = [*child.findall("visual"), *child.findall("collision")]
+        attached = children_of(root, child.get("name", ""))
+        for element in [*shapes, *attached]:
+            put_origin(element, mount.compose(frame_of(element)))
+        parent.extend(shapes)
+        for other in attached:
+            other.findall("parent")[0].set("link", end_of(joint, "parent"))
+        root.remove(joint)
+        root.remove(child)
 
 
-def check_merged(root: Element, joints: Sequence[str], gripper: Gripper, tool: Pose) -> None:
-    """Check a model without fixed joints.
+def _add_mass(link: Element, other: Element, mount: Pose) -> None:
+    """Add the mass of another link at the common centre of mass.
 
-    :param tool: tool frame in the link of the last joint
-    :raises ValueError: the joints are not a chain that carries the fingers, a moving link has no mass, or the
-        fingers do not fit the gripper or the tool frame
+    A link without ``<inertial>`` has no mass here, and 1 kg in Bullet.
     """
-    _check_chain(root, joints, gripper.joints)
-    for joint in root.findall("joint"):
-        link = find_link(root, end_of(joint, "child"))
-        if not 0.0 < mass_of(link) < math.inf:
-            got = f"{mass_of(link):g}" if link.find("inertial/mass") is not None else "no <inertial>"
-            raise ValueError(f"the mass of link {link.get('name')!r} must be a positive number, got {got}")
-    _check_fingers([find_joint(root, name) for name in gripper.joints], gripper, tool)
+    added = other.find("inertial")
+    if added is None or mass_of(other) == 0.0:
+        return
+    if link.find("inertial") is None:
+        add_inertial(link, Pose((0.0, 0.0, 0.0)), 0.0, np.eye(3).tolist())
+    own = link.findall("inertial")[0]
+    total = mass_of(link) + mass_of(other)
+    share = mass_of(other) / total
+    pairs = zip(frame_of(own).position, mount.transform(frame_of(added).position), strict=True)
+    x, y, z = ((1.0 - share) * first + share * second for first, second in pairs)
+    own.findall("mass")[0].set("value", repr(total))
+    put_origin(own, Pose((x, y, z)))
 
 
 def _check_chain(root: Element, joints: Sequence[str], fingers: Sequence[str]) -> None:
     """Check that the joints form a chain from the base to a link that carries the fingers."""
-    link = find_root(root).get("name", "")
-    for name in joints:
+    last = find_root(root).get("name", "")
+    for name in (*joints, *fingers):
         joint = find_joint(root, name)
-        if (parent := end_of(joint, "parent")) != link:
-            raise ValueError(
-                f"joints must be a chain from the base to the gripper, got {name!r}, which is attached to "
-                f"the link {parent!r} instead of {link!r}"
-            )
-        link = end_of(joint, "child")
-    for name in fingers:
-        finger = find_joint(root, name)
-        if (parent := end_of(finger, "parent")) != link:
-            raise ValueError(
-                f"gripper.joints must be attached to the link {link!r} of the last joint, got {name!r}, "
-                f"which is attached to {parent!r}"
-            )
-        child = end_of(finger, "child")
-        if find_link(root, child).find("collision") is None:
-            raise ValueError(f"fingers must have a collision shape, got none for link {child!r}")
+        parent, link = end_of(joint, "parent"), find_link(root, end_of(joint, "child"))
+        got = f"{name!r}, which is attached to the link {parent!r} instead of {last!r}"
+        _require(parent == last, f"joints must be a chain from the base to the gripper, got {got}")
+        mass, of = mass_of(link), f"of link {link.get('name')!r}"
+        _require(0.0 < mass < math.inf, f"the mass {of} must be a positive number, got {mass:g}")
+        has_shape = name in joints or link.find("collision") is not None
+        _require(has_shape, f"fingers must have a <collision> shape, got none {of}")
+        last = link.get("name", "") if name in joints else last
 
 
 def _check_fingers(fingers: Sequence[Element], gripper: Gripper, tool: Pose) -> None:
     """Check that fingers open from 0 over the stroke, in opposite directions along x of the tool frame."""
     for finger in fingers:
-        name, (lower, upper) = finger.get("name"), limits_of(finger)
-        if lower > LIMIT_TOLERANCE:
-            raise ValueError(
-                f"gripper.joints must reach 0, where the fingers meet, got {name!r} with the lower limit "
-                f"{lower:g} m. Use on_slides()."
-            )
-        if upper < gripper.travel - LIMIT_TOLERANCE:
-            raise ValueError(
-                f"the limits of {name!r} must allow a stroke of {gripper.stroke:g} m, got {upper:g} m for "
-                f"a travel of {gripper.travel:g} m"
-            )
+        lower, upper = limits_of(finger)
+        is_wide = lower <= LIMIT_TOLERANCE and upper >= gripper.travel - LIMIT_TOLERANCE
+        must = f"move from 0, where the fingers meet, by half the stroke of {gripper.stroke:g} m"
+        got = f"{finger.get('name')!r} from {lower:g} to {upper:g} m. Use on_slides() or another stroke."
+        _require(is_wide, f"gripper.joints must {must}, got {got}")
     one, other = (rotate(frame_of(finger).orientation, axis_of(finger)) for finger in fingers)
-    if _cosine(one, other) > OPPOSITE:
-        names = " and ".join(repr(finger.get("name")) for finger in fingers)
-        raise ValueError(f"gripper.joints must open in opposite directions, got {names}")
-    cosine = abs(_cosine(rotate(tool.orientation, (1.0, 0.0, 0.0)), one))
-    if cosine < ALIGNED:
-        raise ValueError(
-            "tool must have its x axis along the opening direction of the fingers, got an angle of "
-            f"{math.degrees(math.acos(cosine)):.0f} degrees. Rotate it about its z axis."
-        )
-
-
-def _cosine(one: Vector, other: Vector) -> float:
-    """Return the cosine of the angle between unit vectors."""
-    return sum(a * b for a, b in zip(one, other, strict=True))
+    is_opposite = float(np.dot(one, other)) < OPPOSITE
+    _require(is_opposite, f"gripper.joints must open in opposite directions, got {gripper.joints}")
+    cosine = abs(float(np.dot(rotate(tool.orientation, (1.0, 0.0, 0.0)), one)))
+    angle = f"{math.degrees(math.acos(min(cosine, 1.0))):.0f} degrees"
+    _require(cosine > ALIGNED, f"tool must have x along the opening direction of the fingers, got {angle}")

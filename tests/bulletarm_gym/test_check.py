@@ -1,84 +1,214 @@
-"""``python -m bulletarm_gym.check`` reports findings with advice."""
+"""``python -m bulletarm_gym.check`` checks the machine, environments with their experts, and robots."""
 
+import math
 import os
 import subprocess
 import sys
+import textwrap
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
+from xml.etree.ElementTree import Element
 
 import pytest
+from PIL import Image
+from small_arm import FLANGE, JAW, PARAMETERS, SMALL, bare_arm
 
-from bulletarm_gym.check import __main__ as command
-from bulletarm_gym.check import environments
-from bulletarm_gym.check.machine import Finding
-from bulletarm_gym.robots import ROBOTS
+from bulletarm_gym.check import conformance, environments
+from bulletarm_gym.check.__main__ import main
+from bulletarm_gym.check.robot import check_robot
+from bulletarm_gym.geometry import Pose, euler_pose
+from bulletarm_gym.robots import ROBOTS, RobotModel
+from bulletarm_gym.robots.primitives import LIGHT, box
+from bulletarm_gym.robots.reach import grid, largest_workspace, reach_share
+from bulletarm_gym.simulation.urdf import find_link
 
 ROOT = Path(__file__).parents[2]
+REACHING = "BulletArm/CloseLoopBlockReaching-v0"
+
+# Machine
 
 
-def test_looks_at_everything_without_the_learners() -> None:
-    """In a process of its own, in which nothing but the environments can be imported."""
+def test_check_of_the_machine_needs_no_learners() -> None:
+    """In a process in which only the environments can be imported."""
     code = (
         "import sys; blocked = ('torch', 'stable_baselines3', 'rl_zoo3', 'zoo_configs', 'sb3_extensions');"
         "sys.modules.update(dict.fromkeys(blocked));"
         "from bulletarm_gym.check.__main__ import main; sys.exit(main(['--seconds', '0.1']))"
     )
-    result = subprocess.run(
-        [sys.executable, "-c", code],
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-        capture_output=True,
-        text=True,
-    )
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    command = [sys.executable, "-c", code]
+    result = subprocess.run(command, env=environment, capture_output=True, text=True)
     assert result.returncode == 0, result.stderr
-    looked_at = [line.split(":")[0].split()[-1] for line in result.stdout.splitlines() if "->" not in line]
+    subjects = [line.split(":")[0].split()[-1] for line in result.stdout.splitlines() if "->" not in line]
     names = [env_id.rpartition("/")[2] for env_id in environments.MAX_RATIO]
-    before = ["versions", "processor", "threads", "display"]
-    assert looked_at == [*before, *ROBOTS, "cache", *names]
+    assert subjects == ["versions", "processor", "threads", "display", *ROBOTS, "cache", *names]
     assert result.stdout.count("picked a block in") == len(ROBOTS)
 
 
-def test_what_does_not_work_fails(
+def test_robot_that_cannot_be_made_fails() -> None:
+    finding = environments.robot("octopus")
+    assert finding.fails and finding.advice and "octopus" in finding.value
+
+
+@pytest.mark.parametrize(("step_us", "is_slow"), [(1e6, False), (1e-3, True)])
+def test_speed_is_compared_with_plain_pybullet(step_us: float, is_slow: bool) -> None:
+    finding = environments.speed(environments.CLOSE_LOOP, 0.0, step_us)
+    assert "steps/s" in finding.value and bool(finding.advice) == is_slow
+
+
+# Environments
+
+TASKS = """
+    import bulletarm_gym
+    from bulletarm_gym.tasks.picking import BlockPicking, BlockReaching
+
+    class NoPlan(BlockReaching):
+        def plan(self, scene, rng):
+            raise RuntimeError("no plan")
+            yield
+
+    def changed(name, change):
+        class Changed(BlockPicking):
+            def arrange(self, scene, rng):
+                super().arrange(scene, rng)
+                change(scene["cube"], scene.world.client)
+
+        Changed.__qualname__ = Changed.__name__ = name
+        globals()[name] = Changed
+        bulletarm_gym.register_task(name, Changed)
+
+    bulletarm_gym.register_task("NoPlan", NoPlan)
+    changed("Properties", lambda item, _: item.set_properties(mass=0.08, friction=0.8))
+    changed("Mass", lambda item, client: client.changeDynamics(item.body.id, -1, mass=0.08))
+    changed("Friction", lambda item, client: client.changeDynamics(item.body.id, -1, lateralFriction=0.1))
+    changed("Gravity", lambda _, client: client.setGravity(0.0, 0.0, -5.0))
+"""
+
+
+def test_built_in_environment_passes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    image = tmp_path / "reaching.png"
+    assert main([REACHING, "-n", "2", "--env-kwargs", "obs_size:32", "--image", str(image)]) == 0
+    printed = capsys.readouterr().out
+    assert printed.count("passed") == 4 and "success in 2 of 2 episodes" in printed
+    assert len(Image.open(image).getcolors(1 << 20)) > 100
+    assert main([REACHING, "-n", "1", "--env-kwargs", 'observation:["point_cloud"]']) == 0
+
+
+def test_expert_below_the_minimum_success_rate_fails(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([REACHING, "-n", "1", "--env-kwargs", "max_steps:2"]) == 2
+    out, err = capsys.readouterr()
+    assert out.count("FAILED") == 1 and "0 of 1 episodes" in out and REACHING in err
+
+
+def test_stable_baselines3_is_not_required(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def look_at(_: float) -> list[Finding]:
-        return [Finding("legs", "two"), environments.robot("octopus")]
-
-    monkeypatch.setattr(command, "check_environments", look_at)
-    assert command.main([]) == 2
-    out, err = capsys.readouterr()
-    assert out.startswith("ok      legs: two\nFAILED  octopus: ") and "got 'octopus'" in out
-    assert "octopus" in err
+    monkeypatch.setattr(conformance, "SB3_CHECKER", "missing_library.env_checker")
+    assert main([REACHING, "-n", "1"]) == 0
+    assert "not installed" in capsys.readouterr().out
 
 
-def test_threads_are_advised_where_they_are_not_set(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv(environments.THREADS, "2")
-    assert environments.threads() == Finding("threads", "OMP_NUM_THREADS=2")
-    monkeypatch.delenv(environments.THREADS)
-    assert "export OMP_NUM_THREADS=1" in environments.threads().advice
-
-
-def test_a_busy_machine_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    for load, is_told in ((0.0, False), (1e6, True)):
-        monkeypatch.setattr("os.getloadavg", lambda load=load: (load, load, load))
-        assert bool(environments.processor().advice) == is_told
-
-
-@pytest.mark.parametrize(("step_ms", "is_slow"), [(0.01, False), (1000.0, True)])
-def test_speed_is_beside_the_yardstick(step_ms: float, is_slow: bool) -> None:
-    found = environments.speed(environments.CLOSE_LOOP, step_ms, 50.0)
-    assert f"{step_ms * 20:.0f} simulation steps" in found.value
-    assert bool(found.advice) == is_slow
-
-
-def test_compiled_code_without_a_cache_is_advised(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert environments.robot("kuka").value.startswith("picked a block")
-    kept = environments.compiled_code()
-    assert kept.what == "numba cache" and "read" in kept.value
-    monkeypatch.setattr(environments, "_compiled_functions", lambda: iter(()))
-    assert "NUMBA_CACHE_DIR" in environments.compiled_code().advice
-
-
-@pytest.mark.parametrize("seconds", ["0", "nan", "inf"])
-def test_seconds_must_be_positive(seconds: str, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize(
+    ("arguments", "word"),
+    [
+        ([REACHING, "--env-kwargs", "obs_size:-1"], "obs_size"),
+        ([REACHING, "--robot", "kuka"], "--robot"),
+        (["--image", "arm.png"], "--image"),
+        (["--robot", "kuka", "--image", "arm.xyz"], "arm.xyz"),
+        (["--robot", "kuka", "--image", "missing/arm.png"], "missing/arm.png"),
+    ],
+)
+def test_invalid_argument_is_rejected_before_the_checks(
+    arguments: list[str], word: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     with pytest.raises(SystemExit, match="2"):
-        command.main(["--seconds", seconds])
-    assert "--seconds must be positive" in capsys.readouterr().err
+        main(arguments)
+    out, err = capsys.readouterr()
+    assert not out and word in err.splitlines()[-1]
+
+
+@pytest.mark.usefixtures("own_registrations")
+def test_faults_of_a_users_task_are_found(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """An error is reported with its place. Changes that are missing in the state make steps differ."""
+    (tmp_path / "my_checked_tasks.py").write_text(textwrap.dedent(TASKS))
+    monkeypatch.syspath_prepend(str(tmp_path))
+    names = ("NoPlan", "Properties", "Mass", "Friction", "Gravity")
+    ids = [f"BulletArm/CloseLoop{name}-v0" for name in names]
+    assert main([*ids, "--gym-packages", "my_checked_tasks", "-n", "1"]) == 2
+    out, err = capsys.readouterr()
+    reports = dict(zip(names, out.split("BulletArm/CloseLoop")[1:], strict=True))
+    assert reports["NoPlan"].count(f"no plan ({tmp_path / 'my_checked_tasks.py'}, line ") == 3
+    assert "success in 1 of 1" in reports["Properties"] and "FAILED" not in reports["Properties"]
+    for name in names[2:]:
+        assert reports[name].count("FAILED") == 1 and "equal states: the pose of 'cube" in reports[name]
+    assert err == f"failed: {', '.join([ids[0], *ids[2:]])}\n"
+
+
+# Robots
+
+WORKSPACE = PARAMETERS["workspace"]
+
+
+def flipped() -> RobotModel:
+    """Return the small arm with its jaw rotated, so that the fingers point back to the arm."""
+    flange = FLANGE.compose(euler_pose((0.0, 0.0, 0.0), (math.pi, 0.0, 0.0)))
+    return replace(SMALL, load=partial(JAW.fitted, bare_arm, "roll", flange), tool=JAW.tool(flange))
+
+
+def bulky() -> Element:
+    """Return the URDF of the small arm with a box on the gripper that reaches the upper arm."""
+    root = SMALL.load()
+    box((0.4, 0.4, 0.2), (0.0, 0.0, -0.1), LIGHT).add_to(find_link(root, "roll"))
+    return root
+
+
+BROKEN = {
+    "model": replace(SMALL, joints=(*SMALL.joints[:-1], "tilt_joint")),
+    "reach, workspace": replace(SMALL, base=Pose((-0.2, 0.0, 0.05))),
+    "environment": flipped(),
+    "self-collision": replace(SMALL, load=bulky),
+    "fingertips": replace(SMALL, tool=SMALL.tool.compose(Pose((0.0, 0.0, 0.01)))),
+    "fingers": replace(SMALL, tool=SMALL.tool.compose(Pose.planar(0.0, 0.0, 0.0, 0.3))),
+    "torques": replace(SMALL, force=1.0),
+    "tracking, fast, 0.2 kg": replace(SMALL, gripper=replace(SMALL.gripper, force=0.2)),
+}
+
+
+@pytest.mark.parametrize("model", ROBOTS.values(), ids=lambda model: model.name)
+def test_built_in_arm_passes(model: RobotModel) -> None:
+    assert [finding for finding in check_robot(model) if finding.fails] == []
+
+
+def test_small_arm_passes_in_its_workspace(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The image shows the axes of the tool frame."""
+    limits, image = [str(limit) for side in WORKSPACE for limit in side], tmp_path / "arm.png"
+    assert main(["--robot", "small_arm:SMALL", "--workspace", *limits, "--image", str(image)]) == 0
+    assert len(capsys.readouterr().out.splitlines()) >= 12
+    colours = {colour for _, colour in Image.open(image).getcolors(1 << 20)}
+    assert {(255, 0, 0), (0, 128, 0), (0, 0, 255)} <= colours
+    assert main(["--robot", "small_arm:SMALL"]) == 2
+    assert "largest workspace" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(("what", "model"), BROKEN.items())
+def test_broken_arm_is_recognised(what: str, model: RobotModel) -> None:
+    (finding,) = (finding for finding in check_robot(model, WORKSPACE) if finding.what == what)
+    assert finding.fails and finding.advice
+
+
+@pytest.mark.parametrize("model", [*ROBOTS.values(), SMALL], ids=lambda model: model.name)
+def test_largest_workspace_is_in_reach(model: RobotModel) -> None:
+    limits = largest_workspace(model)
+    assert limits is not None
+    (x0, x1), (y0, y1), (low, high) = limits
+    assert x1 - x0 >= 0.1 and y1 - y0 >= 0.1
+    assert reach_share(model, grid(limits, (low, (low + high) / 2.0, high), 5)) > 0.99
+
+
+def test_unknown_arm_is_one_line_and_exit_status_2(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--robot", "ur10"]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "ur10" in line and "kuka" in line

@@ -12,7 +12,7 @@ from PIL import Image
 from bulletarm_gym import demonstrations
 from bulletarm_gym.env import ManipulationEnv
 from bulletarm_gym.play.__main__ import main
-from bulletarm_gym.play.teleoperation import BINDINGS, Teleoperation
+from bulletarm_gym.play.teleoperation import Teleoperation
 
 PICKING = "BulletArm/CloseLoopBlockPicking-v0"
 STACKING = "BulletArm/OpenLoopBlockStacking-v0"
@@ -44,48 +44,40 @@ def test_letters_move_the_gripper_and_images_are_written(play: Play, tmp_path: P
     assert all((one != other).any() for one, other in itertools.pairwise(arrays))
 
 
-def test_images_of_an_environment_without_a_heightmap_are_written(play: Play, tmp_path: Path) -> None:
-    assert play("w", PICKING, "--folder", "images", "--env-kwargs", 'observation:["state"]') == 0
-    assert len(list((tmp_path / "images").rglob("*.png"))) == 2
+def test_episodes_and_observations_without_a_heightmap(play: Play, tmp_path: Path) -> None:
+    arguments = ["-n", "2", "--folder", "images", "--env-kwargs", 'observation:["state"]']
+    assert play("wnnnn", PICKING, *arguments) == 0
+    assert len(list((tmp_path / "images").rglob("*.png"))) == 3
 
 
-def test_successful_episodes_are_recorded(play: Play) -> None:
+def test_successful_episodes_are_recorded(play: Play, capsys: pytest.CaptureFixture[str]) -> None:
     assert play("xxn", STACKING, "--record", "own.h5", *TWO) == 0
     assert play("wxx", STACKING, "--record", "own.h5", "--seed", "5", *TWO) == 0
     found = demonstrations.load("own.h5")
     assert [episode.seed for episode in found] == [0, 5] and found.about["planner"] == "human"
     assert found[0].observations["heightmap"].shape == (3, 1, 48, 48)
-
-
-def test_episodes_limit_the_number_of_episodes(play: Play, tmp_path: Path) -> None:
-    assert play("nnnn", PICKING, "-n", "2") == 0
-    assert len(list((tmp_path / "play").iterdir())) == 2
-
-
-def test_file_of_another_environment_is_rejected(play: Play, capsys: pytest.CaptureFixture[str]) -> None:
-    play("xx", STACKING, "--record", "own.h5", *TWO)
     with pytest.raises(SystemExit, match="2"):
         play("", PICKING, "--record", "own.h5")
-    assert "path must be a file of demonstrations with env_id=" in capsys.readouterr().err
+    assert "env_id" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
-    ("arguments", "reason"),
+    ("arguments", "word"),
     [
-        (["CartPole-v1"], "ID must be an environment of this package"),
+        (["CartPole-v1"], "CartPole-v1"),
         (["BulletArm/CloseLoopBlockPiking-v0"], "CloseLoopBlockPicking"),
-        ([PICKING, "--env-kwargs", "obs_size"], "must be KEY:VALUE"),
+        ([PICKING, "--env-kwargs", "obs_size"], "KEY:VALUE"),
         ([PICKING, "--env-kwargs", "robot:octopus"], "octopus"),
         ([PICKING, "--gym-packages", "missing_module"], "missing_module"),
-        ([PICKING, "-n", "0"], "must be at least 1"),
+        ([PICKING, "-n", "0"], "--episodes"),
     ],
 )
 def test_invalid_argument_is_rejected(
-    play: Play, tmp_path: Path, arguments: list[str], reason: str, capsys: pytest.CaptureFixture[str]
+    play: Play, tmp_path: Path, arguments: list[str], word: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with pytest.raises(SystemExit, match="2"):
         play("", *arguments)
-    assert reason in capsys.readouterr().err.splitlines()[-1]
+    assert word in capsys.readouterr().err.splitlines()[-1]
     assert not list(tmp_path.iterdir())
 
 
@@ -103,9 +95,7 @@ def test_open_loop_keys_move_a_target(make: Callable[..., ManipulationEnv]) -> N
     env = make("BulletArm/OpenLoopRampBlockStacking-v0", num_objects=2)
     env.reset(seed=0)
     keys = Teleoperation(env)
-    assert all(keys.accepts(key) for key in BINDINGS)
-    for key in "ssdi":
-        assert keys.press(key) is None
+    assert [keys.press(key) for key in "ssdi"] == [None] * 4
     target = [0.1, 0.05, -0.8, 0, 0.25, 0]
     np.testing.assert_allclose(keys.press("g"), [-1, *target], atol=1e-6)
     assert keys.pixel(100) == (55, 52)

@@ -1,30 +1,29 @@
-"""Arms reach all they should, move as told, and hold what they grasp."""
+"""Built-in arms: inverse kinematics, motions, grasps and torques."""
 
 import itertools
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
-from rollouts import step_on
+from rollouts import TYPICAL, step_on, transcript
 
+from bulletarm_gym.config import WORKSPACES
 from bulletarm_gym.env import ManipulationEnv
-from bulletarm_gym.geometry import (
-    Pose,
-    Quaternion,
-    conjugate,
-    euler_pose,
-    multiply,
-    wrap_angle,
-    yaw_quaternion,
-)
-from bulletarm_gym.robots import ROBOTS, RobotModel
+from bulletarm_gym.geometry import FloatArray, Pose, conjugate, euler_pose, multiply, wrap_angle
+from bulletarm_gym.robots import ROBOTS, OutOfReachError, Robot, RobotModel
+from bulletarm_gym.robots.kinematics import POSITION_TOLERANCE
+from bulletarm_gym.robots.reach import TILT, grid
 from bulletarm_gym.simulation.motion import interpolate_path
 
-Make = Callable[..., ManipulationEnv]
-
 PICKING = "BulletArm/CloseLoopBlockPicking-v0"
-TILT = math.radians(30.0)
+CORNER = Pose((0.33, -0.12, 0.025))
+"""Pose of the cube out of the way of the gripper."""
+SHARES = {"kuka": (0.91, 0.74), "panda": (1.0, 0.9), "ur5": (1.0, 1.0), "ur5_robotiq": (1.0, 1.0)}
+"""Share of the open-loop workspace that is in reach, upright and tilted by 30 degrees."""
+
+Make = Callable[..., ManipulationEnv]
 
 
 @pytest.fixture(params=ROBOTS.values(), ids=lambda model: model.name)
@@ -32,169 +31,190 @@ def model(request: pytest.FixtureRequest) -> RobotModel:
     return request.param
 
 
-@pytest.fixture
-def armed(make: Make, model: RobotModel) -> ManipulationEnv:
-    """The picking task with each arm, at rest over a far cube."""
-    env = make(PICKING, robot=model.name)
+def at_rest(make: Make, model: RobotModel, fast: bool = True) -> ManipulationEnv:
+    env = make(PICKING, robot=model.name, fast_mode=fast)
     env.reset(seed=0)
-    env.scene["cube"].place(Pose((0.33, -0.12, 0.025)))
+    env.scene["cube"].place(CORNER)
     return env
 
 
-def test_models_are_written_in_lines_that_bullet_reads_whole(model: RobotModel) -> None:
-    assert max(map(len, model.xml.splitlines())) < 1024
+@pytest.fixture
+def armed(make: Make, model: RobotModel) -> ManipulationEnv:
+    return at_rest(make, model)
 
 
-def angle_between(one: Quaternion, other: Quaternion) -> float:
-    x, y, z, w = multiply(one, conjugate(other))
-    return 2.0 * math.atan2(math.hypot(x, y, z), abs(w))
+@pytest.fixture
+def robot(armed: ManipulationEnv) -> Robot:
+    return armed.scene.robot
 
 
-def tilted(yaw: float, direction: float) -> Quaternion:
-    """Upright, turned by ``yaw``, then tilted towards a direction."""
-    axis = (-math.sin(direction), math.cos(direction))
-    half = TILT / 2.0
-    tilt = (axis[0] * math.sin(half), axis[1] * math.sin(half), 0.0, math.cos(half))
-    return multiply(tilt, yaw_quaternion(yaw))
+def far(first: Pose, second: Pose) -> float:
+    """Return the distance (m) or the angle (rad) between two poses, whichever is larger."""
+    x, y, z, w = multiply(conjugate(first.orientation), second.orientation)
+    return max(math.dist(first.position, second.position), 2.0 * math.atan2(math.hypot(x, y, z), abs(w)))
 
 
-def test_inverse_depends_on_the_pose_alone(armed: ManipulationEnv) -> None:
-    robot, goal = armed.scene.robot, Pose.planar(0.5, 0.1, 0.12, 0.4)
-    robot.home(Pose.planar(0.45, 0.0, 0.2))
-    from_home = robot.inverse_kinematics(goal)
+# Kinematics
+
+
+def reached(model: RobotModel, heights: Sequence[float], control: str, tilt: float = 0.0) -> float:
+    """Return the share of poses in reach; their solutions must be exact and inside the limits."""
+    (lower, upper), found = model.chain.limits.T, []
+    for pose in grid(WORKSPACES[control], heights, 5 if tilt else 7, tilt):
+        joints, error = model.inverse(pose)
+        found.append(error <= POSITION_TOLERANCE)
+        if found[-1]:
+            assert far(model.chain.forward(joints), pose) < 1e-3, pose
+            assert (lower < joints).all() and (joints < upper).all(), pose
+    return float(np.mean(found))
+
+
+def test_inverse_kinematics_is_exact_within_the_limits(model: RobotModel) -> None:
+    upright, tilted = SHARES[model.name]
+    assert reached(model, (0.01, 0.07, 0.13, 0.19, 0.25), "close_loop") == 1.0
+    assert reached(model, (0.02, 0.1, 0.25), "open_loop") >= upright
+    assert reached(model, (0.02, 0.1, 0.2), "open_loop", TILT) >= tilted
+
+
+def test_solutions_are_exact_from_rotated_postures(model: RobotModel) -> None:
+    """A rotation error of half a turn is not mistaken for none."""
+    poses = list(grid(WORKSPACES["close_loop"], (0.05, 0.2), 3))
+    for joint, angle in itertools.product(range(len(model.joints)), (math.pi, math.pi / 2.0, -math.pi / 2.0)):
+        start = np.array(model.posture)
+        start[joint] += angle
+        for pose in poses[::3]:
+            joints, error = model.chain.inverse(pose, start)
+            assert error > POSITION_TOLERANCE or far(model.chain.forward(joints), pose) < 1e-3
+
+
+def test_joints_depend_on_the_pose_alone(robot: Robot) -> None:
+    goal = Pose.planar(0.5, 0.1, 0.12, 0.4)
+    first = robot.inverse_kinematics(goal)
     robot.home(Pose.planar(0.35, -0.1, 0.24, -1.0))
-    from_afar = robot.inverse_kinematics(goal)
-    assert from_afar[:-1] == from_home[:-1]
-    assert wrap_angle(from_afar[-1] - from_home[-1]) == pytest.approx(0.0, abs=1e-9)
+    assert [wrap_angle(a - b) for a, b in zip(first, robot.inverse_kinematics(goal), strict=True)] == (
+        pytest.approx([0.0] * len(first))
+    )
+    with pytest.raises(OutOfReachError, match=robot.model.name):
+        robot.move_to(Pose.planar(1.6, 0.0, 0.2))
 
 
-def test_out_of_reach_is_refused(armed: ManipulationEnv) -> None:
-    before = armed.scene.robot.pose
-    with pytest.raises(ValueError, match="reach"):
-        armed.scene.robot.move_to(Pose.planar(1.6, 0.0, 0.2))
-    assert armed.scene.robot.pose == before
+def test_neighbouring_poses_have_neighbouring_joints(model: RobotModel) -> None:
+    """A straight line in the joints is nearly one at the fingertips, over the largest closed-loop moves."""
+    rng, low, high = np.random.default_rng(0), (0.3, -0.15, 0.02), (0.6, 0.15, 0.25)
+    for _ in range(100):
+        start = rng.uniform((*low, -0.8), (*high, 0.8))
+        end = start + rng.uniform(-1.0, 1.0, 4) * (0.05, 0.05, 0.05, math.pi / 4.0)
+        end[:3] = end[:3].clip(low, high)
+        first, last = (model.inverse(Pose.planar(*pose.tolist()))[0] for pose in (start, end))
+        change = np.array([wrap_angle(turn) for turn in (last - first).tolist()])
+        assert np.abs(change).max() < 1.0 and np.abs(change[:-1]).max() < 0.5
+        middle = model.chain.forward(first + 0.5 * change).position
+        assert math.dist(middle, (start[:3] + end[:3]) / 2.0) < 0.006
 
 
-def test_kinematics_agree_with_the_simulator(armed: ManipulationEnv) -> None:
-    world, robot = armed.scene.world, armed.scene.robot
-    indices = range(world.client.getNumJoints(robot.body.id))
-    names = {world.client.getJointInfo(robot.body.id, index)[1].decode(): index for index in indices}
-    for pose in (Pose.planar(0.45, 0.0, 0.2), Pose((0.5, -0.1, 0.15), tilted(0.7, 2.0))):
+def test_rotated_base_has_the_same_joint_positions(model: RobotModel) -> None:
+    turn = Pose.planar(0.0, 0.0, 0.0, math.pi / 3.0)
+    turned = replace(model, base=turn.compose(model.base))
+    for x, y, z in itertools.product((0.35, 0.55), (-0.15, 0.15), (0.05, 0.2)):
+        pose = Pose.planar(x, y, z, 0.3)
+        np.testing.assert_allclose(turned.inverse(turn.compose(pose))[0], model.inverse(pose)[0], atol=1e-6)
+
+
+def test_kinematics_agree_with_the_simulator(armed: ManipulationEnv, robot: Robot) -> None:
+    client, body = armed.scene.world.client, robot.body
+    last = [link.joint for link in body.links].index(robot.model.joints[-1])
+    for pose in (Pose.planar(0.45, 0.0, 0.2), euler_pose((0.5, -0.1, 0.15), (TILT, 0.2, 0.7))):
         robot.home(pose)
-        link = world.client.getLinkState(
-            robot.body.id, names[robot.model.joints[-1]], computeForwardKinematics=True
-        )
-        simulated = Pose(link[4], link[5]).compose(robot.model.tool)
-        assert simulated.position == pytest.approx(pose.position, abs=1e-5)
-        assert angle_between(simulated.orientation, pose.orientation) < 1e-4
-        assert robot.pose.position == pytest.approx(pose.position, abs=1e-6)
+        link = client.getLinkState(body.id, last, computeForwardKinematics=True)
+        assert far(Pose(link[4], link[5]).compose(robot.model.tool), pose) < 1e-4
+        assert far(robot.pose, pose) < 1e-4
+    assert max(map(len, robot.model.xml.splitlines())) < 1024, "Bullet breaks longer lines"
+
+
+def test_elbow_is_up_and_no_link_is_below_the_ground(armed: ManipulationEnv, robot: Robot) -> None:
+    client, body = armed.scene.world.client, robot.body.id
+    for x, y, height in itertools.product((0.3, 0.6), (-0.15, 0.15), (0.02, 0.25)):
+        robot.home(Pose.planar(x, y, height, 0.8))
+        lowest = [client.getAABB(body, link)[0][2] for link in range(client.getNumJoints(body))]
+        assert min(lowest) > -0.01 and client.getLinkState(body, 2)[4][2] > height + 0.1
+
+
+# Motions
 
 
 @pytest.mark.parametrize("fast", [True, False])
-def test_moves_arrive(make: Make, fast: bool) -> None:
-    env = make(PICKING, fast_mode=fast)
-    env.reset(seed=0)
-    env.scene["cube"].place(Pose((0.33, -0.12, 0.025)))
-    rng, robot = np.random.default_rng(0), env.scene.robot
-    for _ in range(15):
-        x, y, z, yaw = rng.uniform([0.42, -0.05, 0.1, -1.5], [0.58, 0.13, 0.25, 1.5]).tolist()
+def test_motions_arrive(make: Make, model: RobotModel, fast: bool) -> None:
+    env = at_rest(make, model, fast)
+    robot, tilted = env.scene.robot, euler_pose((0.5, 0.08, 0.2), (TILT, 0.2, 0.6))
+    for goal in (Pose.planar(0.5, 0.08, 0.2, 0.6), tilted, Pose.planar(0.45, 0.0, 0.15)):
         env.scene.begin()
-        robot.move_to(Pose.planar(x, y, z, yaw))
-        assert math.dist(robot.pose.position, (x, y, z)) < 2e-3
-        assert abs(wrap_angle(robot.pose.yaw - yaw)) < 0.01 and robot.pose.tilt < 0.01
-
-
-@pytest.mark.parametrize("fast", [True, False])
-def test_opening_follows_the_command(make: Make, model: RobotModel, fast: bool) -> None:
-    env = make(PICKING, robot=model.name, fast_mode=fast)
-    env.reset(seed=0)
-    env.scene["cube"].place(Pose((0.33, -0.12, 0.025)))
-    assert env.scene.robot.opening_ratio == pytest.approx(1.0, abs=0.02)
+        robot.move_to(goal)
+        assert far(robot.pose, goal) < 2e-3
+    assert robot.opening_ratio == pytest.approx(1.0, abs=0.02)
     for ratio in (0.0, 0.5, 0.2, 1.0):
-        env.step([2.0 * ratio - 1.0, 0, 0, 0, 0])
-        assert env.scene.robot.opening_ratio == pytest.approx(ratio, abs=0.03)
+        env.scene.begin()
+        robot.set_opening(ratio)
+        assert robot.opening == pytest.approx(ratio * model.gripper.stroke, abs=2e-3)
+        assert robot.opening_ratio == pytest.approx(ratio, abs=0.03) and robot.held is None
 
 
-def test_joints_move_to_positions_and_are_measured(armed: ManipulationEnv) -> None:
-    robot = armed.scene.robot
+def test_motions_keep_to_the_straight_line(robot: Robot) -> None:
+    """Near a joint limit of the wrist the elbow would swing by centimetres: such a motion is refused."""
+    rng, tried = np.random.default_rng(0), 0
+    for _ in range(100):
+        position = rng.uniform((0.32, -0.13, 0.03), (0.58, 0.13, 0.23))
+        start = Pose.planar(*position, rng.uniform(-math.pi, math.pi))
+        shift, turn = rng.uniform(-0.03, 0.03, 3), rng.uniform(-0.7, 0.7)
+        end = Pose.planar(*(position + shift), start.yaw + turn)
+        if not robot.reaches(start):
+            continue
+        robot.home(start)
+        if robot.can_move_to(end):
+            leaves = robot.wrist_room(end) > robot.wrist_room()
+            assert deviation(robot, start, end) < (0.03 if leaves else 0.012)
+            tried += 1
+    assert tried > 60
+    for tilt, yaw in ((0.4, 1.5), (0.4, -1.5), (-0.4, 0.3)):
+        end = euler_pose((0.45, 0.12, 0.047), (0.0, tilt, yaw))
+        start = end.compose(Pose((0.0, 0.0, 0.1)))
+        robot.home(start)
+        assert deviation(robot, start, end) < 4e-3
+
+
+def deviation(robot: Robot, start: Pose, end: Pose) -> float:
+    """Return the maximum distance (m) of a motion from the line between two poses."""
+    stops = [robot.joint_positions, *robot._line(start, end), robot.inverse_kinematics(end)]
+    path = interpolate_path(stops, np.linspace(0.0, 1.0, 41))
+    first, last = np.array(start.position), np.array(end.position)
+    return max(off_line(np.array(robot.model.chain.forward(j).position), first, last) for j in path)
+
+
+def off_line(point: FloatArray, start: FloatArray, end: FloatArray) -> float:
+    way = end - start
+    return math.dist(point, start + way * np.clip((point - start) @ way / (way @ way), 0.0, 1.0))
+
+
+def test_joints_move_to_positions_and_are_measured(armed: ManipulationEnv, robot: Robot) -> None:
     goal = np.add(robot.joint_positions, 0.1)
     armed.scene.begin()
     robot.move_joints(goal)
     np.testing.assert_allclose(robot.joint_positions, goal, atol=2e-3)
     assert not any(robot.joint_velocities) and not robot.contacts
     assert 0.0 < np.abs(robot.joint_torques).max() < max(robot.model.torques)
+    centre = robot.camera_pose.transform((0.0, 0.0, robot.model.gripper.finger[2]))
+    assert centre == pytest.approx(robot.pose.position)
     for wrong in (goal[:-1], goal + 10.0):
-        with pytest.raises(ValueError, match="positions must be"):
+        with pytest.raises(ValueError, match="positions"):
             robot.move_joints(wrong)
 
 
-def test_contacts_name_the_touched_body(armed: ManipulationEnv) -> None:
-    grasp(armed)
-    robot, cube = armed.scene.robot, armed.scene["cube"].body
-    armed.scene.begin()
-    robot.move_to(robot.pose.compose(Pose((0.0, 0.0, 0.01))))
-    contacts = [contact for contact in robot.contacts if contact.other == cube]
-    assert {contact.link for contact in contacts} == set(robot.finger_links)
-    assert all(contact.force >= 0.0 and contact.distance < 0.01 for contact in contacts)
-
-
-def test_the_wrist_camera_is_directed_at_the_fingertips(armed: ManipulationEnv) -> None:
-    robot = armed.scene.robot
-    centre = robot.camera_pose.transform((0.0, 0.0, robot.model.gripper.finger[2]))
-    assert centre == pytest.approx(robot.pose.position)
-
-
-def test_close_and_open(armed: ManipulationEnv) -> None:
-    armed.scene.begin()
-    armed.scene.robot.set_opening(0.0)
-    assert armed.scene.robot.opening_ratio < 0.03 and armed.scene.robot.held is None
-    armed.scene.robot.set_opening(1.0)
-    assert armed.scene.robot.opening_ratio > 0.97
-
-
-def grasp(env: ManipulationEnv, seed: int = 3) -> Pose:
-    """Let the expert grasp the cube; return the cube's pose in the gripper."""
-    env.reset(seed=seed)
-    for _ in range(8):
-        env.step(env.expert_action())
-        if env.scene.held is not None and env.scene.robot.pose.z > 0.1:
-            return in_hand(env)
-    raise AssertionError("nothing grasped")
-
-
-def in_hand(env: ManipulationEnv) -> Pose:
-    return env.scene.robot.pose.inverse().compose(env.scene["cube"].pose)
-
-
-def test_holds_a_cube_through_random_moves(make: Make, model: RobotModel) -> None:
-    env = make(PICKING, robot=model.name)
-    start, rng = grasp(env), np.random.default_rng(0)
-    for _ in range(30):
-        action = rng.uniform(-1, 1, 5)
-        action[0] = -1.0
-        action[3] = max(action[3], (0.1 - env.scene.robot.pose.z) / 0.05)  # stay off the floor
-        observation, *_ = step_on(env, action)
-        assert env.scene.held is not None and observation["holding"] == [1.0]
-    end = in_hand(env)
-    assert math.dist(start.position, end.position) < 5e-3
-    assert angle_between(start.orientation, end.orientation) < 0.1
-
-
-def test_lets_go_when_opened(make: Make, model: RobotModel) -> None:
-    env = make(PICKING, robot=model.name)
-    grasp(env)
-    observation, *_ = env.step([1.0, 0, 0, 0, 0])
-    assert env.scene.held is None and observation["holding"] == [0.0]
-    assert env.scene["cube"].pose.z == pytest.approx(0.025, abs=2e-3)
-
-
 @pytest.mark.parametrize("direction", [1.0, -1.0])
-def test_rotation_stops_at_the_joint_limits(armed: ManipulationEnv, direction: float) -> None:
-    robot, (lower, upper) = armed.scene.robot, armed.scene.robot.model.chain.limits.T
+def test_rotation_stops_at_the_joint_limits(armed: ManipulationEnv, robot: Robot, direction: float) -> None:
+    lower, upper = robot.model.chain.limits.T
     armed.step([1.0, 0.6, 0.4, -0.5, 0.0])
     start = robot.pose
     for _ in range(24):
-        _, _, _, _, info = armed.step([1.0, 0.0, 0.0, 0.0, direction])
+        *_, info = armed.step([1.0, 0.0, 0.0, 0.0, direction])
         joints = np.array(robot.joint_positions)
         assert not info["ignored"] and (lower <= joints).all() and (joints <= upper).all()
     assert math.dist(robot.pose.position, start.position) < 2e-3
@@ -203,64 +223,110 @@ def test_rotation_stops_at_the_joint_limits(armed: ManipulationEnv, direction: f
     assert wrap_angle(robot.pose.yaw - stopped) == pytest.approx(-direction * math.pi / 4.0, abs=0.02)
 
 
-def test_the_expert_rotates_away_from_a_joint_limit(make: Make, model: RobotModel) -> None:
-    env = make(PICKING, robot=model.name)
-    for direction in (1.0, -1.0):
-        env.reset(seed=0)
-        for _ in range(10):
-            env.step([1.0, 0.0, 0.0, 0.0, direction])
-        for _ in range(20):
-            *_, terminated, _, info = env.step(env.expert_action())
-            if terminated:
-                break
-        assert info["is_success"]
-
-
-def test_blocked_motion_stops(make: Make, model: RobotModel) -> None:
-    """Closed fingers sent into the floor stay on it, and the arm is free to go up again."""
-    armed = make(PICKING, robot=model.name, fast_mode=False)
+@pytest.mark.parametrize("direction", [1.0, -1.0])
+def test_expert_rotates_away_from_a_joint_limit(armed: ManipulationEnv, direction: float) -> None:
     armed.reset(seed=0)
-    armed.scene["cube"].place(Pose((0.33, -0.12, 0.025)))
-    robot = armed.scene.robot
-    robot.set_opening(0.0)
-    for _ in range(2):
-        armed.scene.begin()
-        robot.move_to(Pose.planar(0.45, 0.0, -0.1))
-        assert -0.03 < robot.pose.z < 0.02
-    armed.scene.begin()
-    robot.move_to(Pose.planar(0.45, 0.0, 0.1))
-    assert robot.pose.z == pytest.approx(0.1, abs=2e-3)
+    for _ in range(10):
+        armed.step([1.0, 0.0, 0.0, 0.0, direction])
+    assert solve(armed) <= 20
 
 
-def test_pressing_on_a_cube_does_not_drive_it_through_the_floor(armed: ManipulationEnv) -> None:
-    armed.scene["cube"].place(Pose((0.45, 0.0, 0.025)))
-    for _ in range(8):
-        *_, info = armed.step([-1.0, 0.0, 0.0, -1.0, 0.0])
-    assert info["is_valid"] and armed.scene["cube"].pose.z > 0.02
-    armed.step([-1.0, 0.0, 0.0, 1.0, 0.0])
-    assert armed.scene.robot.pose.z > 0.05
+def solve(env: ManipulationEnv) -> int:
+    """Let the expert finish an episode, and return the number of its steps."""
+    steps, is_over = 0, False
+    while not is_over:
+        *_, terminated, truncated, info = env.step(env.expert_action())
+        steps, is_over = steps + 1, terminated or truncated
+    assert info["is_success"]
+    return steps
 
 
-def test_gripper_stays_inside_the_workspace(picking: ManipulationEnv) -> None:
-    for direction in itertools.product((-1.0, 1.0), repeat=3):
-        picking.reset(seed=0)
-        picking.scene["cube"].place(Pose((0.45, 0.0, 0.025)))
-        for _ in range(6):
-            picking.step([1.0, *direction, 0.0])
-        hand = picking.scene.robot.pose.position
-        for value, (low, high) in zip(hand, picking.config.workspace, strict=True):
-            assert low - 3e-3 < value < high + 3e-3
+@pytest.mark.parametrize("task", ["BlockPicking", "BlockPulling"])
+def test_expert_solves_tasks_with_each_arm(make: Make, model: RobotModel, task: str) -> None:
+    env = make(f"BulletArm/CloseLoop{task}-v0", robot=model.name)
+    for seed in range(3):
+        env.reset(seed=seed)
+        assert solve(env) <= 12
 
 
-def test_tilted_gripper_keeps_to_the_line(armed: ManipulationEnv) -> None:
-    """Between neighbouring tilted poses joints may turn far; the fingertips must not swing meanwhile."""
-    robot = armed.scene.robot
-    for tilt, yaw in ((0.4, 1.5), (0.4, -1.5), (-0.4, 0.3)):
-        end = euler_pose((0.45, 0.12, 0.047), (0.0, tilt, yaw))
-        start = end.compose(Pose((0.0, 0.0, 0.1)))
-        ends = [robot.inverse_kinematics(pose) for pose in (start, end)]
-        stops = [ends[0], *robot._line(start, end), ends[1]]
-        shares = np.linspace(0.0, 1.0, 21)
-        for share, joints in zip(shares, interpolate_path(stops, shares), strict=True):
-            straight = end.compose(Pose((0.0, 0.0, 0.1 * (1.0 - share)))).position
-            assert math.dist(robot.model.chain.forward(joints).position, straight) < 4e-3
+def test_episodes_repeat_exactly(make: Make, model: RobotModel) -> None:
+    env = make(PICKING, robot=model.name)
+    first = transcript(env, 10, seed=0)
+    transcript(env, 10, seed=99, action_seed=5)
+    assert transcript(env, 10, seed=0) == first == transcript(make(PICKING, 1, robot=model.name), 10, seed=0)
+
+
+@pytest.mark.parametrize("env_id", [env_id for env_id in TYPICAL if "Grasping" not in env_id])
+def test_initial_poses_do_not_depend_on_the_arm(make: Make, env_id: str) -> None:
+    starts = set()
+    for name in ("kuka", "panda", "ur5"):
+        env = make(env_id, robot=name, obs_size=16)
+        env.reset(seed=0)
+        starts.add(tuple(item.pose for item in env.scene))
+    assert len(starts) == 1
+
+
+# Grasps
+
+
+def grasp(env: ManipulationEnv, seed: int = 3) -> Pose:
+    """Let the expert grasp the cube; return the cube's pose in the gripper."""
+    env.reset(seed=seed)
+    while env.scene.held is None or env.scene.robot.pose.z <= 0.1:
+        *_, truncated, _ = env.step(env.expert_action())
+        assert not truncated
+    return in_hand(env)
+
+
+def in_hand(env: ManipulationEnv) -> Pose:
+    return env.scene.robot.pose.inverse().compose(env.scene["cube"].pose)
+
+
+def test_gripper_holds_a_cube_until_it_opens(make: Make, model: RobotModel) -> None:
+    env = make(PICKING, robot=model.name)
+    start, rng, robot = grasp(env), np.random.default_rng(0), env.scene.robot
+    cube = env.scene["cube"].body
+    assert robot.opening == pytest.approx(cube.spec.extents[0], abs=3e-3)
+    for _ in range(30):
+        action = rng.uniform(-1, 1, 5)
+        action[0] = -1.0
+        action[3] = max(action[3], (0.1 - robot.pose.z) / 0.05)  # stay above the floor
+        observation, *_ = step_on(env, action)
+        assert robot.held is cube and observation["holding"] == [1.0]
+    end = in_hand(env)
+    assert math.dist(start.position, end.position) < 5e-3 and far(start, end) < 0.1
+    env.scene.begin()
+    robot.move_to(euler_pose((0.45, 0.0, 0.15), (TILT, 0.0, robot.pose.yaw)))
+    assert robot.held is cube
+    contacts = [contact for contact in robot.contacts if contact.other == cube]
+    assert {contact.link for contact in contacts} == set(robot.finger_links)
+    assert all(contact.force >= 0.0 and contact.distance < 0.01 for contact in contacts)
+    observation, *_ = step_on(env, [1.0, 0, 0, 0, 0])
+    assert robot.held is None and observation["holding"] == [0.0]
+    assert env.scene["cube"].pose.z == pytest.approx(0.025, abs=2e-3)
+
+
+# Torques
+
+
+def test_torques_agree_with_the_simulator(armed: ManipulationEnv, robot: Robot) -> None:
+    """Bullet's inverse dynamics counts the fingers where they are, ours at the tool."""
+    world, slots = armed.scene.world, list(robot._arm.slots)
+    rng, count = np.random.default_rng(0), len(robot.body.joints)
+    for _ in range(10):
+        positions, rates, accelerations = np.array(world.joints[robot.body.index]), *np.zeros((2, count))
+        positions[slots] += rng.uniform(-0.3, 0.3, len(slots))
+        rates[slots], accelerations[slots] = rng.uniform((-1.0, -5.0), (1.0, 5.0), (len(slots), 2)).T
+        motion = (positions, rates, accelerations)
+        expected = world.client.calculateInverseDynamics(robot.body.id, *(part.tolist() for part in motion))
+        torques = robot.dynamics.torques(*(part[slots] for part in motion))
+        assert torques == pytest.approx(np.array(expected)[slots], abs=0.1)
+
+
+def test_motions_take_longer_with_less_torque_or_more_load(robot: Robot) -> None:
+    path = np.array([robot.joint_positions, robot.inverse_kinematics(Pose.planar(0.45, 0.0, 0.25))])
+    limits = np.array(robot.model.torques)
+    fastest = robot.dynamics.least_steps(path, limits, 0.0)
+    assert fastest < robot.dynamics.least_steps(path, 0.5 * limits, 0.0)
+    assert fastest < robot.dynamics.least_steps(path, limits, 2.0)
+    assert fastest < robot.dynamics.least_steps(path, limits, 0.0, rise=0.25)
