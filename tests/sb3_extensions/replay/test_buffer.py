@@ -216,7 +216,7 @@ def test_timeouts_bootstrap_by_default():
 
 
 def test_pickles_have_used_rows_only_and_give_equal_samples():
-    buffer = make_buffer(size=10_000, n_steps=2, gamma=GAMMA, sampler="prioritized")
+    buffer = make_buffer(size=10_000, n_steps=2, gamma=GAMMA)
     buffer.add_episode(*expert_episode(4))
     Player(buffer).step()
     data = pickle.dumps(buffer)
