@@ -45,8 +45,8 @@ class ToyReach(Restorable):
     """
     Moves a point to a target in a square of 2 m. The heightmap, centred on the point, has a bump there.
 
-    In the first ``expert_failures`` episodes the expert stands still. ``in_hand`` is the middle of the
-    heightmap. With ``observation="state"`` only the target's place is observed.
+    In the first ``expert_failures`` episodes the expert does not move. ``in_hand`` is the centre of the
+    heightmap. With ``observation="state"`` only the position of the target is observed.
     """
 
     metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"]}
@@ -115,15 +115,16 @@ class ToyReach(Restorable):
 
 class ToyPicking(Restorable):
     """
-    A bar is to be gripped across its width, anywhere along it, and put onto a pad; a pick or place elsewhere
-    changes nothing. A place may have any yaw. Images show 0.4 m. Actions are from ``low`` to ``high``.
+    A bar must be grasped across its width and placed on a pad. Other picks and places change nothing.
+
+    A place may have any yaw. Images show 0.4 m. Actions are from ``low`` to ``high``.
     """
 
     metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"]}
     STATE = ("bar", "pad", "yaw", "in_hand", "holding", "steps")
     BAR, PAD = (0.03, 0.10, 0.05), (0.08, 0.08, 0.02)  # width, length, height, m
-    AT_BAR, AT_PAD = 0.02, 0.03  # farthest from their middles, m
-    TURNED = 0.5  # farthest from the bar's yaw, rad: the nearest of four yaws is near enough, not of two
+    AT_BAR, AT_PAD = 0.02, 0.03  # maximum distance from their centres, m
+    TURNED = 0.5  # maximum error of the yaw, rad: four yaws on the grid suffice, two do not
     TILTED = 0.2  # greatest tilt, rad
     RANGES: ClassVar[dict[str, tuple[float, float]]] = {
         **{"p": (-1.0, 1.0), "x": (0.0, 0.4), "y": (0.0, 0.4), "z": (0.0, 0.3), "theta": (0.0, math.pi)},
@@ -200,7 +201,7 @@ class ToyPicking(Restorable):
         return bool(near and abs(turn) < self.TURNED and tilt < self.TILTED)
 
     def _look(self, middle: Any, yaw: float, shape: tuple[int, ...]) -> np.ndarray:
-        """Heights (m) around a point, rows and columns turned by a yaw."""
+        """Return heights (m) around a point in a frame rotated by a yaw."""
         line = (np.arange(shape[-1]) - (shape[-1] - 1) / 2) * 0.4 / self.size
         x, y = np.meshgrid(line, line, indexing="ij")
         cos, sin = np.cos(yaw), np.sin(yaw)

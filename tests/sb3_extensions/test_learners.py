@@ -52,7 +52,7 @@ def optimizer_states(model) -> list[th.Tensor]:
     return [value for each in optimizers for state in each.state.values() for value in state.values()]
 
 
-def test_loaded_model_equals_the_saved_one(learner, trained, make_toy, make_learner, tmp_path):
+def test_loaded_model_equals_the_saved_one(learner, make_toy, make_learner, tmp_path):
     env = make_toy(2)
     kwargs = {"bc_weight": 0.3, "n_steps": 2, "gamma": 0.9}
     model = make_learner(env, *learner, **kwargs).learn(10)
@@ -127,9 +127,6 @@ def test_at_most_twelve_additions_and_all_off():
         assert name in on or not PARAMETERS[name].default
 
 
-EXTRACTORS = "features_extractor_kwargs"
-
-
 @pytest.mark.parametrize(
     ("kwargs", "named"),
     [
@@ -140,7 +137,7 @@ EXTRACTORS = "features_extractor_kwargs"
         ({"replay_buffer_kwargs": {"gamma": 0.9}}, "gamma"),
         ({"replay_buffer_kwargs": {"n_steps": 3}}, "n_steps"),
         ({"replay_buffer_kwargs": {"image_dtype": "uint16"}}, "image_dtype='uint16'.*quantise='uint8'"),
-        ({"policy_kwargs": {EXTRACTORS: {"channels": [4, 8, 8], "quantise": None}}}, "quantise=None"),
+        ({"policy_kwargs": {"features_extractor_kwargs": {"quantise": None}}}, "quantise=None"),
         ({"pretrain_steps": 5, "bc_weight": 0}, "critic_warmup_steps"),
         ({"n_steps": 0}, "n_steps"),
         ({"bc_limit": 1.5}, "bc_limit .* got 1.5"),

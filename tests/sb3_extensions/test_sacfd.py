@@ -37,7 +37,7 @@ def copies(model: SACfD) -> list[Any]:
 
 @pytest.mark.parametrize(("learner", "stock"), [(SACfD, SAC), (TQCfD, TQC)])
 def test_without_imitation_it_is_the_stock_algorithm(learner, stock, make_toy):
-    """But for the actor's loss, which uses the critic before its step: equal if the critic stands still."""
+    """But for the actor's loss, which uses the critic before its step: equal with a constant critic."""
     kwargs = {"learning_rate": 1e-3, "buffer_size": 500, "learning_starts": 10, "tau": 0.02}
     kwargs |= {"batch_size": 16, "gamma": 0.9, "ent_coef": "auto_0.01", "seed": 0, "device": "cpu"}
     kwargs |= {"policy_kwargs": {"net_arch": [16]}, "policy": stock.policy_aliases["MultiInputPolicy"]}
@@ -227,7 +227,7 @@ def test_dagger_imitates_in_online_steps(make_toy, make_learner):
         model.learn(5, callback=DaggerCallback())
 
 
-def test_exploration_draws_one_number_of_an_action(make_learner):
+def test_exploration_draws_one_number_of_an_action():
     actions = np.full((4000, 5), 0.25, np.float32)
     disturbed = replace_one_number(actions, 0.3, th.Generator().manual_seed(0))
     changed = disturbed != actions

@@ -295,3 +295,5 @@ def test_the_action_sequence_is_the_environments(make_toy, make_learner, monkeyp
     model = make_learner(env, augmentation={"rotation": {}, "rad": {"size": 12}})
     assert model.augmentation.steps[0] == Rotation(action_sequence="zxypr")
     assert model.augmentation.with_crop({}) == {"features_extractor_kwargs": {"crop": 12}}
+    cropped = model.augmentation(make_samples(np.zeros((4, 5), np.float32)), generator())
+    assert cropped.observations["heightmap"].shape == (4, 1, 12, 12)

@@ -99,6 +99,12 @@ def test_rotated_maps_equal_the_network_on_rotated_images():
                 th.testing.assert_close(encoding[sample], seen[0], atol=1e-6, rtol=1e-4)
 
 
+def test_places_without_an_in_hand_image_have_values():
+    view = make_view(16)._replace(in_hand=None)
+    for network in (PlainPixelMaps(16, None, CHANNELS, PATCH_MAP, 3), equivariant(16, in_hand=None)):
+        assert network(view)[0].shape == (4, network.rotations, 16, 16)
+
+
 def test_widths_are_the_authors():
     plain = plain_unet(1, (32, 64, 128, 256, 256), 256)
     convolutions = [(m.in_channels, m.out_channels) for m in plain.modules() if isinstance(m, th.nn.Conv2d)]

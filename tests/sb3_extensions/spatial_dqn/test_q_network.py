@@ -13,7 +13,6 @@ from sb3_extensions.spatial_dqn.asr_heads import PATCH_STAGES, DeicticLevel
 from sb3_extensions.spatial_dqn.codec import SpatialActionCodec
 
 SIZE, SIDE = 32, 12
-Scenes = dict[str, th.Tensor]
 
 
 def random_indices(codec: SpatialActionCodec, count: int = 20) -> th.Tensor:

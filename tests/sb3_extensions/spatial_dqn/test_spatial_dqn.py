@@ -242,7 +242,7 @@ def test_exploration_stays_on_the_grid(units, make_picking, make_model):
     assert set(model.codec.encode(actions)[:20, 2]) == {0, 1, 2, 3}
 
 
-def test_random_actions_are_at_objects(make_model):
+def test_random_actions_are_at_objects():
     heights = np.zeros((600, 8, 8), np.float32)
     heights[:300, 2, 3:5] = 2 * EXPLORED_HEIGHT
     heights[:300, 6, 6] = 0.5 * EXPLORED_HEIGHT
