@@ -2,6 +2,9 @@
 picking and placing, open loop.
 """
 
+import copy
+import functools
+import itertools
 import math
 from collections.abc import Callable
 from typing import Any, ClassVar
@@ -13,41 +16,54 @@ from gymnasium import spaces
 from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.vec_env import VecEnv
 
+from sb3_extensions.ferm import FERM
+from sb3_extensions.sacfd import SACfD
+from sb3_extensions.tqcfd import TQCfD
+
 ENV_ID, PICKING_ID = "ToyReach-v0", "ToyPicking-v0"
-SIZE = 16  # pixels
 REACH = 0.15  # m
 STEP = 0.3  # m at an action of 1
 MAX_HEIGHT = 0.4  # m
 
 
-class ToyReach(gym.Env[dict[str, np.ndarray], np.ndarray]):
+class Restorable(gym.Env[dict[str, np.ndarray], np.ndarray]):
+    """Environment whose state is its generator and the attributes that ``STATE`` names."""
+
+    STATE: tuple[str, ...] = ()
+
+    def get_state(self) -> dict[str, Any]:
+        state = {name: copy.copy(getattr(self, name)) for name in self.STATE}
+        return {"rng": self.np_random.bit_generator.state, **state}
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        self.np_random.bit_generator.state = state["rng"]
+        for name in self.STATE:
+            setattr(self, name, copy.copy(state[name]))
+
+
+class ToyReach(Restorable):
     """
     Moves a point to a target in a square of 2 m. The heightmap, centred on the point, has a bump there.
 
-    :param max_steps: episodes are truncated after as many steps
-    :param size: pixels a side of the heightmap
-    :param render_mode: not used
-    :param expert_failures: in how many of the first episodes the expert stands still
-    :param in_hand_size: pixels a side of a smaller image, of what is at the point; 0: there is none
-    :param observation: "image", or "state": two numbers, where the target is
+    In the first ``expert_failures`` episodes the expert does not move. ``in_hand`` is the centre of the
+    heightmap. With ``observation="state"`` only the position of the target is observed.
     """
 
     metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"]}
     action_space = spaces.Box(-1.0, 1.0, (5,), np.float32)  # p, x, y, z, r: only x and y move
+    STATE = ("episodes", "steps", "offset")
 
     def __init__(
         self,
         max_steps: int = 10,
         expert_failures: int = 0,
         render_mode: str | None = None,
-        size: int = SIZE,
+        size: int = 16,
         in_hand_size: int = 0,
         observation: str = "image",
     ) -> None:
-        self.render_mode = render_mode
-        self.size = size
-        self.in_hand_size = in_hand_size
-        self.observation = observation
+        self.render_mode, self.size, self.in_hand_size = render_mode, size, in_hand_size
+        self.max_steps, self.expert_failures = max_steps, expert_failures
         parts = {
             "heightmap": spaces.Box(0.0, MAX_HEIGHT, (1, size, size), np.float32),
             "holding": spaces.Box(0.0, 1.0, (1,), np.float32),
@@ -57,10 +73,7 @@ class ToyReach(gym.Env[dict[str, np.ndarray], np.ndarray]):
         if observation == "state":
             parts = {"state": spaces.Box(-1.0, 1.0, (2,), np.float32)}
         self.observation_space = spaces.Dict(parts)
-        self.max_steps = max_steps
-        self.expert_failures = expert_failures
-        self.episodes = 0
-        self.steps = 0
+        self.episodes = self.steps = 0
         self.offset = np.zeros(2)  # from the point to the target, m
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> Any:
@@ -81,17 +94,17 @@ class ToyReach(gym.Env[dict[str, np.ndarray], np.ndarray]):
         return {"is_success": bool(np.abs(self.offset).max() < REACH)}
 
     def _observation(self) -> dict[str, np.ndarray]:
-        if self.observation == "state":
-            return {"state": self.offset.astype(np.float32)}
-        grid = np.linspace(-1, 1, self.size)
-        x, y = np.meshgrid(grid, grid, indexing="ij")
+        x, y = np.meshgrid(*[np.linspace(-1, 1, self.size)] * 2, indexing="ij")
         squared_distance = (x - self.offset[0]) ** 2 + (y - self.offset[1]) ** 2
         heightmap = MAX_HEIGHT * np.exp(-squared_distance / 0.1)[None].astype(np.float32)
-        observation = {"heightmap": heightmap, "holding": np.array([self.steps % 2], dtype=np.float32)}
-        if self.in_hand_size:
-            middle = slice((self.size - self.in_hand_size) // 2, (self.size + self.in_hand_size) // 2)
-            observation["in_hand"] = heightmap[:, middle, middle]
-        return observation
+        middle = slice((self.size - self.in_hand_size) // 2, (self.size + self.in_hand_size) // 2)
+        parts = {
+            "heightmap": heightmap,
+            "holding": np.array([self.steps % 2], dtype=np.float32),
+            "in_hand": heightmap[:, middle, middle],
+            "state": self.offset.astype(np.float32),
+        }
+        return {name: part for name, part in parts.items() if name in self.observation_space.spaces}
 
     def expert_action(self) -> np.ndarray:
         action = np.zeros(5, dtype=np.float32)
@@ -99,38 +112,19 @@ class ToyReach(gym.Env[dict[str, np.ndarray], np.ndarray]):
             action[1:3] = np.clip(self.offset / STEP, -1, 1)
         return action
 
-    def get_state(self) -> dict[str, Any]:
-        return {
-            "rng": self.np_random.bit_generator.state,
-            "episodes": self.episodes,
-            "steps": self.steps,
-            "offset": self.offset.copy(),
-        }
 
-    def set_state(self, state: dict[str, Any]) -> None:
-        self.np_random.bit_generator.state = state["rng"]
-        self.episodes, self.steps = state["episodes"], state["steps"]
-        self.offset = state["offset"].copy()
-
-
-class ToyPicking(gym.Env[dict[str, np.ndarray], np.ndarray]):
+class ToyPicking(Restorable):
     """
-    A bar is to be gripped across its width, anywhere along it, and put onto a pad; a pick or place elsewhere
-    changes nothing. A place may have any yaw.
+    A bar must be grasped across its width and placed on a pad. Other picks and places change nothing.
 
-    :param max_steps: episodes are truncated after as many steps
-    :param size: pixels a side of the heightmap, of 0.4 m
-    :param in_hand_size: pixels a side of what was where the bar was gripped
-    :param action_sequence: one character for each number of an action; three r's are yaw and tilts
-    :param low: what -1 is elsewhere, of each number of an action
-    :param high: what 1 is elsewhere
-    :param render_mode: not used
+    A place may have any yaw. Images show 0.4 m. Actions are from ``low`` to ``high``.
     """
 
     metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"]}
+    STATE = ("bar", "pad", "yaw", "in_hand", "holding", "steps")
     BAR, PAD = (0.03, 0.10, 0.05), (0.08, 0.08, 0.02)  # width, length, height, m
-    AT_BAR, AT_PAD = 0.02, 0.03  # farthest from their middles, m
-    TURNED = 0.5  # farthest from the bar's yaw, rad: the nearest of four yaws is near enough, not of two
+    AT_BAR, AT_PAD = 0.02, 0.03  # maximum distance from their centres, m
+    TURNED = 0.5  # maximum error of the yaw, rad: four yaws on the grid suffice, two do not
     TILTED = 0.2  # greatest tilt, rad
     RANGES: ClassVar[dict[str, tuple[float, float]]] = {
         **{"p": (-1.0, 1.0), "x": (0.0, 0.4), "y": (0.0, 0.4), "z": (0.0, 0.3), "theta": (0.0, math.pi)},
@@ -174,14 +168,17 @@ class ToyPicking(gym.Env[dict[str, np.ndarray], np.ndarray]):
         self.yaw = float(self.np_random.uniform(0, math.pi))
         return self._observation(), {"is_success": False}
 
-    def decode_action(self, action: np.ndarray) -> dict[str, float]:
-        """In m and rad."""
+    def _from_units(self, numbers: np.ndarray, inverse: bool = False) -> np.ndarray:
+        """Convert from the units of the action space to m and rad, or back."""
         low, high = self.action_space.low, self.action_space.high
-        shares = (np.clip(action, low, high) - low) / (high - low)
-        ends = [self.RANGES[name] for name in self.names]
-        return {
-            name: a + share * (b - a) for name, share, (a, b) in zip(self.names, shares, ends, strict=True)
-        }
+        a, b = np.transpose([self.RANGES[name] for name in self.names])
+        if inverse:
+            return (low + (numbers - a) / (b - a) * (high - low)).astype(np.float32)
+        result: np.ndarray = a + (np.clip(numbers, low, high) - low) / (high - low) * (b - a)
+        return result
+
+    def decode_action(self, action: np.ndarray) -> dict[str, float]:
+        return dict(zip(self.names, self._from_units(action).tolist(), strict=True))
 
     def step(self, action: np.ndarray) -> Any:
         self.steps += 1
@@ -203,22 +200,20 @@ class ToyPicking(gym.Env[dict[str, np.ndarray], np.ndarray]):
         near = np.linalg.norm(point - self.bar) < self.AT_BAR and to.get("z", 0.0) < self.BAR[2]
         return bool(near and abs(turn) < self.TURNED and tilt < self.TILTED)
 
-    def _heights(self, points: np.ndarray) -> np.ndarray:
-        """Height at points (..., 2), m."""
-        heights = np.zeros(points.shape[:-1], np.float32)
-        things = [(self.pad, 0.0, self.PAD)] + [(self.bar, self.yaw, self.BAR)] * (not self.holding)
-        for middle, yaw, (width, length, height) in things:
-            x, y = np.moveaxis(points - middle, -1, 0)
-            across, along = np.cos(yaw) * x + np.sin(yaw) * y, np.cos(yaw) * y - np.sin(yaw) * x
-            heights[(np.abs(across) < width / 2) & (np.abs(along) < length / 2)] = height
-        return heights
-
     def _look(self, middle: Any, yaw: float, shape: tuple[int, ...]) -> np.ndarray:
-        """Heights around a point, rows and columns turned by a yaw."""
+        """Return heights (m) around a point in a frame rotated by a yaw."""
         line = (np.arange(shape[-1]) - (shape[-1] - 1) / 2) * 0.4 / self.size
         x, y = np.meshgrid(line, line, indexing="ij")
         cos, sin = np.cos(yaw), np.sin(yaw)
-        heights = self._heights(np.stack([cos * x - sin * y, sin * x + cos * y], axis=-1) + middle)
+        points = np.stack([cos * x - sin * y, sin * x + cos * y], axis=-1) + middle
+        heights = np.zeros(points.shape[:-1], np.float32)
+        for at, angle, (width, length, height) in [
+            (self.pad, 0.0, self.PAD),
+            *[(self.bar, self.yaw, self.BAR)] * (not self.holding),
+        ]:
+            x, y = np.moveaxis(points - at, -1, 0)
+            across, along = np.cos(angle) * x + np.sin(angle) * y, np.cos(angle) * y - np.sin(angle) * x
+            heights[(np.abs(across) < width / 2) & (np.abs(along) < length / 2)] = height
         return np.broadcast_to(heights, shape).copy()
 
     def _observation(self) -> dict[str, np.ndarray]:
@@ -232,31 +227,7 @@ class ToyPicking(gym.Env[dict[str, np.ndarray], np.ndarray]):
         x, y = self.pad if self.holding else self.bar
         to = {"p": 1.0 if self.holding else -1.0, "x": x, "y": y, "z": 0.025, "phi": 0.0, "psi": 0.0}
         to["theta"] = 0.0 if self.holding else self.yaw
-        ends = [self.RANGES[name] for name in self.names]
-        shares = [(to[name] - a) / (b - a) for name, (a, b) in zip(self.names, ends, strict=True)]
-        low, high = self.action_space.low, self.action_space.high
-        return (low + np.array(shares) * (high - low)).astype(np.float32)
-
-    def get_state(self) -> dict[str, Any]:
-        names = ("bar", "pad", "yaw", "in_hand", "holding", "steps")
-        return {"rng": self.np_random.bit_generator.state, **{name: getattr(self, name) for name in names}}
-
-    def set_state(self, state: dict[str, Any]) -> None:
-        values = dict(state)
-        self.np_random.bit_generator.state = values.pop("rng")
-        for name, value in values.items():
-            setattr(self, name, value)
-
-
-class ImageOnly(gym.ObservationWrapper):
-    """Leaves nothing but the heightmap."""
-
-    def __init__(self, env: gym.Env[Any, Any]) -> None:
-        super().__init__(env)
-        self.observation_space = env.observation_space["heightmap"]
-
-    def observation(self, observation: dict[str, np.ndarray]) -> np.ndarray:
-        return observation["heightmap"]
+        return self._from_units(np.array([to[name] for name in self.names]), inverse=True)
 
 
 class WithoutTermination(gym.Wrapper):
@@ -272,39 +243,66 @@ if ENV_ID not in gym.registry:
     gym.register(PICKING_ID, entry_point=ToyPicking)
 
 MakeEnv = Callable[..., VecEnv]
-# Encoder and head small enough for tests that learn.
-SMALL_CNN: dict[str, Any] = {"features_extractor_kwargs": {"channels": [8, 16, 32]}, "net_arch": [32]}
-SMALL_EQUIVARIANT: dict[str, Any] = {"features_extractor_kwargs": {"n": 4, "channels": [2, 4, 8]}}
+MakeLearner = Callable[..., SACfD]
+# Encoders and heads small enough for tests that learn.
+SMALL: dict[str, dict[str, Any]] = {
+    "MultiInputPolicy": {"features_extractor_kwargs": {"channels": [4, 8, 8]}, "net_arch": [16]},
+    "EquivariantPolicy": {"features_extractor_kwargs": {"n": 4, "channels": [2, 4, 8]}},
+    "StatePolicy": {"features_extractor_kwargs": {"layers": [32, 32]}, "net_arch": {"pi": [], "qf": [32]}},
+}
+POLICIES = ("MultiInputPolicy", "EquivariantPolicy")
+LEARNERS = [*itertools.product((SACfD, TQCfD), POLICIES), (FERM, "MultiInputPolicy")]
 
 
-@pytest.fixture
+def make_envs(
+    env_id: str, n_envs: int = 1, seed: int | None = 0, endless: bool = False, **kwargs: Any
+) -> VecEnv:
+    wrapper = WithoutTermination if endless else None
+    return make_vec_env(env_id, n_envs, seed, env_kwargs=kwargs, wrapper_class=wrapper)
+
+
+@pytest.fixture(scope="session")
 def make_toy() -> MakeEnv:
-    """Makes a vector environment of the toy task: ``make_toy(n_envs, seed, image_only, **env_kwargs)``."""
-
-    def make(
-        n_envs: int = 1,
-        seed: int | None = 0,
-        image_only: bool = False,
-        endless: bool = False,
-        **env_kwargs: Any,
-    ) -> VecEnv:
-        wrapper = ImageOnly if image_only else (WithoutTermination if endless else None)
-        return make_vec_env(ENV_ID, n_envs, seed, env_kwargs=env_kwargs, wrapper_class=wrapper)
-
-    return make
+    """Makes a vector environment of reaching: ``make_toy(n_envs, seed, endless, **env_kwargs)``."""
+    return functools.partial(make_envs, ENV_ID)
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def make_picking() -> MakeEnv:
     """Makes a vector environment of picking and placing: ``make_picking(n_envs, seed, **env_kwargs)``."""
+    return functools.partial(make_envs, PICKING_ID)
 
-    def make(n_envs: int = 1, seed: int | None = 0, **env_kwargs: Any) -> VecEnv:
-        return make_vec_env(PICKING_ID, n_envs, seed, env_kwargs=env_kwargs)
+
+@pytest.fixture(scope="session")
+def make_learner(make_toy: MakeEnv) -> MakeLearner:
+    """Makes a small learner of the toy task: ``make_learner(env, learner, policy, **kwargs)``."""
+
+    def make(
+        env: Any = None,
+        learner: type[SACfD] = SACfD,
+        policy: Any = "MultiInputPolicy",
+        policy_kwargs: dict[str, Any] | None = None,
+        **kwargs: Any,
+    ) -> SACfD:
+        settings: dict[str, Any] = {"expert_episodes": 5, "batch_size": 16, "buffer_size": 500, "seed": 0}
+        if learner is FERM:
+            settings |= {"augmentation": {"drq": {"pad": 1}}, "contrastive_steps": 3}
+        network = {**SMALL.get(policy, {"net_arch": [16]}), **(policy_kwargs or {})}
+        if env is None:
+            env = make_toy()
+        return learner(policy, env, policy_kwargs=network, device="cpu", **{**settings, **kwargs})
 
     return make
 
 
-@pytest.fixture(params=["MultiInputPolicy", "EquivariantPolicy"])
-def policy(request: pytest.FixtureRequest) -> tuple[str, dict[str, Any]]:
-    """Name and small ``policy_kwargs`` of each policy."""
-    return request.param, SMALL_CNN if request.param == "MultiInputPolicy" else SMALL_EQUIVARIANT
+@pytest.fixture(scope="session", params=LEARNERS, ids=lambda pair: f"{pair[0].__name__}-{pair[1]}")
+def learner(request: pytest.FixtureRequest) -> tuple[type[SACfD], str]:
+    """Each learner of the closed loop with the name of each of its policies."""
+    assert isinstance(request.param, tuple)
+    return request.param
+
+
+@pytest.fixture(scope="session")
+def trained(learner: tuple[type[SACfD], str], make_toy: MakeEnv, make_learner: MakeLearner) -> SACfD:
+    """Model of each learner after 20 steps in two environments; tests leave it as it is."""
+    return make_learner(make_toy(2), *learner).learn(20)

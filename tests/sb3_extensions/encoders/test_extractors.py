@@ -1,69 +1,55 @@
+"""Encoders and feature extractors of images, of numbers, and of images with numbers and smaller images."""
+
+from typing import Any
+
 import gymnasium as gym
 import numpy as np
 import pytest
 import torch as th
 from gymnasium import spaces
-from sb3_contrib import TQC, CrossQ
+from sb3_contrib import CrossQ
 from stable_baselines3 import PPO, SAC
+from torch import nn
 
-from sb3_extensions.encoders.cnn import CnnEncoder
+from sb3_extensions.encoders.cnn import CnnEncoder, count_halvings, encoded_size
 from sb3_extensions.encoders.extractors import CnnExtractor, EquivariantEncoder, EquivariantExtractor
+from sb3_extensions.encoders.mlp_extractor import MlpExtractor
 from sb3_extensions.encoders.observation import StackedImage
 from sb3_extensions.equivariant.groups import Group
+from sb3_extensions.equivariant.layers import EquivariantConv2d
 from sb3_extensions.replay.buffer import ExpertReplayBuffer
 from sb3_extensions.replay.quantisation import Quantiser
+from sb3_extensions.sacfd.policies import EquivariantPolicy, MultiInputPolicy
 
 SIZE = 16
 CNN = (CnnExtractor, {"channels": [4, 8, 8]})
 REGULAR = (EquivariantExtractor, {"n": 4, "channels": [2, 4, 4]})
 INVARIANT = (EquivariantExtractor, {"n": 4, "channels": [2, 4, 4], "output": "invariant"})
+each_extractor = pytest.mark.parametrize(
+    "extractor_class, kwargs", [CNN, REGULAR, INVARIANT], ids=["cnn", "regular", "invariant"]
+)
 
 
-def observation_space(size=SIZE, **others):
-    heightmap = spaces.Box(0, 0.4, (1, size, size), np.float32)
-    return spaces.Dict({"heightmap": heightmap, "holding": spaces.Box(0, 1, (1,), np.float32), **others})
+def heights(*shape: int, high: float = 0.4) -> spaces.Box:
+    return spaces.Box(0, high, shape, np.float32)
 
 
-def sample(space, batch=3, seed=0):
-    space.seed(seed)
-    observations = [space.sample() for _ in range(batch)]
-    return {key: th.from_numpy(np.stack([each[key] for each in observations])).float() for key in space}
+def observation_space(**others) -> spaces.Dict:
+    return spaces.Dict({"heightmap": heights(1, SIZE, SIZE), "holding": heights(1, high=1), **others})
 
 
-def with_small_images(size=SIZE, **others):
+def with_small_images() -> spaces.Dict:
     """Return a space with an in-hand image, and a float and a uint8 image of a third size."""
-    return observation_space(
-        size,
-        in_hand=spaces.Box(0, 0.4, (3, 10, 10), np.float32),
-        touch=spaces.Box(0, 1, (1, 8, 8), np.float32),
-        colour=spaces.Box(0, 255, (3, 8, 8), np.uint8),
-        **others,
-    )
+    colour = spaces.Box(0, 255, (3, 8, 8), np.uint8)
+    return observation_space(in_hand=heights(3, 10, 10), touch=heights(1, 8, 8, high=1), colour=colour)
 
 
-class NoiseEnv(gym.Env):
-    """Random images and rewards."""
-
-    observation_space = observation_space()
-    action_space = spaces.Box(-1, 1, (5,), np.float32)
-
-    def reset(self, *, seed=None, options=None):
-        super().reset(seed=seed)
-        if seed is not None:
-            self.observation_space.seed(seed)
-        self.steps = 0
-        return self.observation_space.sample(), {}
-
-    def step(self, action):
-        self.steps += 1
-        return self.observation_space.sample(), float(action.sum()), False, self.steps == 8, {}
-
-
-class ImageNoiseEnv(NoiseEnv):
-    """The same with all numbers in one image: CrossQ takes no Dict observations."""
-
-    bounds = np.float32([[[0.4]], [[1.0]]]) * np.ones((2, SIZE, SIZE), np.float32)
-    observation_space = spaces.Box(0 * bounds, bounds, dtype=np.float32)
+def sample(space, batch: int = 3):
+    """Return observations as Stable-Baselines3 passes them to extractors: uint8 images are in [0, 1]."""
+    space.seed(0)
+    drawn = [space.sample() for _ in range(batch)]
+    stacked = {key: th.from_numpy(np.stack([each[key] for each in drawn])).float() for key in space}
+    return {key: stacked[key] / 255 if space[key].dtype == np.uint8 else stacked[key] for key in space}
 
 
 @pytest.fixture(autouse=True)
@@ -71,35 +57,63 @@ def _seed():
     th.manual_seed(0)
 
 
-def test_stack_scales_images_and_repeats_numbers():
-    space = observation_space(
-        extra=spaces.Box(-5, 5, (2,), np.float32), colour=spaces.Box(0, 255, (3, SIZE, SIZE), np.uint8)
-    )
-    observations = sample(space)
-    observations["colour"] /= 255  # as Stable-Baselines3 does before it calls an extractor
-    stack = StackedImage(space, "uint8")
-    image = stack(observations)
-    assert image.shape == (3, 7, SIZE, SIZE) and stack.channels == 7 and stack.size == SIZE
-    order = ["colour", "heightmap", "extra", "holding"]
-    assert th.equal(image[:, :3], observations["colour"])
-    assert th.allclose(image[:, 3:4], observations["heightmap"] / 0.4, atol=0.5 / 255 + 1e-6)
-    for channel, key, number in ((4, "extra", 0), (5, "extra", 1), (6, "holding", 0)):
-        assert th.equal(image[:, channel], observations[key][:, number, None, None].expand(3, SIZE, SIZE))
-    assert sorted(observations) == sorted(order)
+def test_default_channels_are_the_papers():
+    """128 pixels: 16 to 256 channels, 8 to 128 regular fields; a smaller image drops the widest halvings."""
+    cnn = [layer.out_channels for layer in CnnEncoder(2, 128).layers if isinstance(layer, nn.Conv2d)]
+    assert cnn == [16, 32, 64, 128, 256, 256, 128]
+    for size, expected in ((128, [8, 16, 32, 64, 128, 64, 64]), (64, [8, 16, 32, 128, 64, 64])):
+        layers = EquivariantEncoder(2, size, Group("cyclic", 8)).layers
+        assert [x.out_type.size // 8 for x in layers if isinstance(x, EquivariantConv2d)] == expected
 
 
-def test_stack_accepts_a_single_image():
-    space = ImageNoiseEnv.observation_space
-    space.seed(0)
-    image = th.from_numpy(np.stack([space.sample() for _ in range(3)]))
-    assert th.allclose(
-        StackedImage(space, "uint8")(image) * th.from_numpy(space.high), image, atol=0.51 / 255
-    )
+@pytest.mark.parametrize("size, encoded", [(5, 6), (20, 24), (25, 32), (84, 96), (224, 256)])
+def test_images_of_any_size_are_resized_and_encoded_equivariantly(size, encoded):
+    assert encoded_size(size) == encoded
+    channels = (8,) * (count_halvings(size) + 2)
+    image = th.rand(2, 3, size, size)
+    with th.no_grad():
+        plain = CnnEncoder(3, size, channels)(image)
+        encoder = EquivariantEncoder(3, size, Group("cyclic", 4), channels)
+        features = encoder(image).unflatten(1, (8, 4))
+        turned = encoder(th.rot90(image, 1, (-2, -1))).unflatten(1, (8, 4))
+    assert plain.shape == (2, 8) and plain.std() > 0 and features.std() > 0
+    th.testing.assert_close(turned, features.roll(1, dims=2), atol=1e-5, rtol=1e-5)
 
 
-def test_stack_accepts_one_hot_numbers():
-    space = observation_space(stage=spaces.Discrete(4))
-    assert StackedImage(space, None).channels == 1 + 1 + 4
+@pytest.mark.parametrize("quantise, levels", [(None, 1e6), ("uint8", 255), ("uint16", 65535)])
+@pytest.mark.parametrize("above_ground", [None, (0.2, 0.1)])
+@pytest.mark.parametrize("standardise", [None, (0.1, 0.03)])
+def test_stack_scales_images_and_repeats_numbers(standardise, above_ground, quantise, levels):
+    others = {"extra": spaces.Box(-5, 5, (2,), np.float32), "stage": spaces.Discrete(4)}
+    space = observation_space(**others, colour=spaces.Box(0, 255, (3, SIZE, SIZE), np.uint8))
+    stack = StackedImage(space, quantise, standardise=standardise, above_ground=above_ground)
+    observations = {**sample(space), "stage": th.eye(4)[:3]}
+    image, expected = stack(observations), [observations["colour"]]
+    seen = observations["heightmap"]
+    farthest = seen.amax(dim=(1, 2, 3), keepdim=True)
+    if above_ground:
+        seen = farthest - seen
+    mean, deviation = standardise or (0.0, 0.4)
+    expected.append((seen - mean) / deviation)
+    if above_ground:
+        expected.append(((farthest - 0.2) / 0.1).expand_as(seen))
+    for key in ("extra", "holding", "stage"):
+        expected.append(observations[key][..., None, None].expand(-1, -1, SIZE, SIZE))
+    assert stack.channels == image.shape[1]
+    th.testing.assert_close(image, th.cat(expected, dim=1), atol=0.4 / levels / 0.03 + 1e-5, rtol=0)
+
+
+def test_single_images_and_images_without_bounds_are_accepted():
+    image = th.rand(2, 3, SIZE, SIZE)
+    bounds = np.float32([[[0.4]], [[1.0]]]) * np.ones((2, SIZE, SIZE), np.float32)
+    single = StackedImage(spaces.Box(0 * bounds, bounds, dtype=np.float32), "uint8")
+    heightmap = image[:, :2] * th.tensor(bounds)
+    th.testing.assert_close(single(heightmap), image[:, :2], atol=0.51 / 255, rtol=0)
+    colour = StackedImage(spaces.Box(0, 255, (3, SIZE, SIZE), np.uint8), "uint8", standardise=(0.5, 0.25))
+    th.testing.assert_close(colour(image), (image - 0.5) / 0.25)
+    unbounded = observation_space(heightmap=heights(1, SIZE, SIZE, high=np.inf))
+    observations = sample(observation_space())
+    assert th.equal(StackedImage(unbounded, None)(observations)[:, :1], observations["heightmap"])
 
 
 @pytest.mark.parametrize("dtype", ["uint8", "uint16"])
@@ -111,73 +125,22 @@ def test_features_equal_those_of_stored_images(dtype):
         Quantiser(space["heightmap"], dtype),
     )
     seen = sample(space)
-    stored = {
-        **seen,
-        "heightmap": th.from_numpy(quantiser.decode(quantiser.encode(seen["heightmap"].numpy()))),
-    }
+    levels = quantiser.encode(seen["heightmap"].numpy())
+    stored = {**seen, "heightmap": th.from_numpy(quantiser.decode(levels))}
     assert not th.equal(seen["heightmap"], stored["heightmap"])
     assert th.equal(extractor(seen), extractor(stored))
 
 
-def test_without_quantisation_heights_are_only_scaled():
-    observations = sample(observation_space())
-    image = StackedImage(observation_space(), None)(observations)
-    assert th.allclose(image[:, :1], observations["heightmap"] / 0.4)
-    unbounded = observation_space(heightmap=spaces.Box(-np.inf, np.inf, (1, SIZE, SIZE), np.float32))
-    assert th.equal(StackedImage(unbounded, None)(observations)[:, :1], observations["heightmap"])
-
-
-@pytest.mark.parametrize("quantise, error", [(None, 1e-6), ("uint8", 0.2 / 255), ("uint16", 0.2 / 65535)])
-def test_standardised_heights(quantise, error):
-    observations = sample(observation_space())
-    image = StackedImage(observation_space(), quantise, standardise=(0.1, 0.01))(observations)
-    assert th.allclose(image[:, :1], (observations["heightmap"] - 0.1) / 0.01, atol=(error + 1e-6) / 0.01)
-    assert th.equal(image[:, 1:], observations["holding"][..., None, None].expand(-1, -1, SIZE, SIZE))
-
-
-def test_standardised_uint8_images_are_in_unit_range():
-    space = spaces.Box(0, 255, (3, SIZE, SIZE), np.uint8)
-    image = th.rand(2, 3, SIZE, SIZE)
-    assert th.allclose(StackedImage(space, "uint8", standardise=(0.5, 0.25))(image), (image - 0.5) / 0.25)
-
-
-@pytest.mark.parametrize("quantise, error", [(None, 1e-6), ("uint8", 0.4 / 255), ("uint16", 0.4 / 65535)])
-def test_heights_above_the_ground(quantise, error):
-    observations = sample(observation_space())
-    stack = StackedImage(observation_space(), quantise, standardise=(0.01, 0.03), above_ground=(0.2, 0.1))
-    image = stack(observations)
-    farthest = observations["heightmap"].amax(dim=(1, 2, 3), keepdim=True)
-    heights = farthest - observations["heightmap"]
-    assert image.shape[1] == stack.channels == 3
-    assert th.allclose(image[:, :1], (heights - 0.01) / 0.03, atol=(error + 1e-6) / 0.03)
-    distances = ((farthest - 0.2) / 0.1).expand_as(heights)
-    assert th.allclose(image[:, 1:2], distances, atol=(error + 1e-6) / 0.1)
-    assert th.equal(image[:, 2:], observations["holding"][..., None, None].expand(-1, -1, SIZE, SIZE))
-
-
-def test_heights_above_the_ground_do_not_depend_on_the_camera_height():
-    stack = StackedImage(observation_space(), None, crop=SIZE - 4, above_ground=(0.0, 1.0))
-    near = {"heightmap": th.rand(3, 1, SIZE, SIZE) * 0.2, "holding": th.zeros(3, 1)}
-    near["heightmap"][:, :, 0, 0] = 0.3  # outside the crop, so it is not the ground
-    far = {**near, "heightmap": near["heightmap"] + 0.1}
-    seen = stack(near), stack(far)
-    th.testing.assert_close(seen[0][:, 0], seen[1][:, 0])
-    th.testing.assert_close(seen[0][:, 1] + 0.1, seen[1][:, 1])
-    assert seen[0][:, 0].min() == 0.0 and 0.4 < seen[0][:, 0].max() < 0.5  # of a range of 0.4 m
-
-
 @pytest.mark.parametrize("group, n", [("cyclic", 4), ("cyclic", 8), ("dihedral", 4)])
-def test_outputs_are_equivariant_or_invariant(group, n):
-    space = observation_space()
+@pytest.mark.parametrize("space", [observation_space(), with_small_images()], ids=["scene", "small images"])
+def test_outputs_are_equivariant_or_invariant(space, group, n):
     regular = EquivariantExtractor(space, group, n, [4, 4, 4])
     invariant = EquivariantExtractor(space, group, n, [4, 4, 4], output="invariant")
     invariant.load_state_dict(regular.state_dict())
-    order = regular.out_type.group.order
-    assert regular.features_dim == 4 * order and invariant.features_dim == 4
     observations = sample(space)
     features = regular(observations)
-    assert features.std() > 0
-    for element in (e for e in range(order) if e % n % (n // 4) == 0):
+    assert features.shape == (3, regular.features_dim) and features.std() > 0
+    for element in (e for e in range(regular.out_type.group.order) if e % n % (n // 4) == 0):
         image = observations["heightmap"]
         image = image.flip(-1) if element >= n else image
         turned = {**observations, "heightmap": th.rot90(image, element % n // (n // 4), (-2, -1))}
@@ -186,170 +149,114 @@ def test_outputs_are_equivariant_or_invariant(group, n):
         assert th.allclose(invariant(turned), invariant(observations), atol=1e-5)
 
 
-@pytest.mark.parametrize("output", ["regular", "invariant"])
-@pytest.mark.parametrize(
-    "space", [observation_space(), ImageNoiseEnv.observation_space], ids=["dict", "image"]
-)
-def test_extractor_without_small_images_equals_its_encoder(space, output):
-    """Weights, features and later random numbers equal those of the encoder."""
-    channels = StackedImage(space, "uint8").channels
-    for make_encoder, make_extractor in (
-        (
-            lambda: CnnEncoder(channels, SIZE, [4, 8, 8]),
-            lambda: CnnExtractor(space, [4, 8, 8]),
-        ),
-        (
-            lambda: EquivariantEncoder(channels, SIZE, Group("cyclic", 4), [2, 4, 4], output),
-            lambda: EquivariantExtractor(space, n=4, channels=[2, 4, 4], output=output),
-        ),
-    ):
-        th.manual_seed(3)
-        encoder, drawn = make_encoder(), th.rand(3)
-        th.manual_seed(3)
-        extractor = make_extractor()
-        assert th.equal(th.rand(3), drawn)
-        weights = {f"encoder.{key}": value for key, value in encoder.state_dict().items()}
-        assert extractor.state_dict().keys() == weights.keys()
-        assert all(th.equal(value, weights[key]) for key, value in extractor.state_dict().items())
-        is_dict = isinstance(space, spaces.Dict)
-        observations = sample(space) if is_dict else th.rand(3, 2, SIZE, SIZE) * 0.4
-        features = encoder(extractor.stack(observations))
-        assert th.equal(extractor(observations), features)
-
-
-@pytest.mark.parametrize(
-    "extractor_class, kwargs", [CNN, REGULAR, INVARIANT], ids=["cnn", "regular", "invariant"]
-)
+@each_extractor
 def test_features_of_small_images_are_appended(extractor_class, kwargs):
+    """They are rounded and standardised, and never cropped."""
+    options = {"quantise": "uint16", "standardise": (0.1, 0.05), **kwargs}
+    plain = extractor_class(observation_space(), **options)
     space = with_small_images()
-    plain = extractor_class(observation_space(), **kwargs)
-    extractor = extractor_class(space, small_image_features=5, **kwargs)
+    extractor = extractor_class(space, small_image_features=5, **options)
     extractor.load_state_dict(plain.state_dict(), strict=False)
     assert extractor.features_dim == plain.features_dim + 2 * 5  # two sizes
     assert [stack.channels for stack, _ in extractor.small_images] == [3, 1 + 3]
     observations = sample(space)
-    observations["colour"] /= 255
+    rounded = Quantiser(space["in_hand"], "uint16").round_trip(observations["in_hand"])
+    assert th.allclose(extractor.small_images[0][0](observations), (rounded - 0.1) / 0.05, atol=1e-6)
     features = extractor(observations)
-    assert features.shape == (3, extractor.features_dim)
-    scene = {key: observations[key] for key in observation_space()}
-    assert th.equal(features[:, :-10], plain(scene))
+    assert th.equal(features[:, :-10], plain({key: observations[key] for key in observation_space()}))
     for key, places in (("in_hand", slice(-10, -5)), ("touch", slice(-5, None)), ("colour", slice(-5, None))):
         other = extractor({**observations, key: observations[key].flip(-1)})
         changed = ~th.isclose(other, features, atol=1e-7).all(dim=0)
         assert changed[places].any()
         changed[places] = False
         assert not changed.any()
+    if extractor_class is CnnExtractor:
+        cropped = CnnExtractor(space, [4, 8, 8, 8], crop=12)
+        assert (cropped.stack.size, cropped.small_images[0][0].size) == (12, 10)
 
 
-def test_small_images_are_rounded_standardised_and_never_cropped():
-    space = with_small_images()
-    extractor = CnnExtractor(space, [4, 8, 8, 8], quantise="uint16", standardise=(0.1, 0.05), crop=12)
-    stack = extractor.small_images[0][0]
-    observations = sample(space)
-    rounded = Quantiser(space["in_hand"], "uint16").round_trip(observations["in_hand"])
-    assert extractor.stack.size == 12 and stack.size == 10
-    assert th.allclose(stack(observations), (rounded - 0.1) / 0.05, atol=1e-6)
-    assert not th.equal(rounded, observations["in_hand"])
+class NoiseEnv(gym.Env):
+    """Random images and rewards."""
+
+    action_space = spaces.Box(-1, 1, (5,), np.float32)
+
+    def __init__(self, space):
+        self.observation_space = space
+
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        self.steps = 0
+        return self.observation_space.sample(), {}
+
+    def step(self, action):
+        self.steps += 1
+        return self.observation_space.sample(), float(action.sum()), False, self.steps == 8, {}
 
 
-@pytest.mark.parametrize("output", ["regular", "invariant"])
-def test_features_of_small_images_are_invariant(output):
-    space = with_small_images()
-    extractor = EquivariantExtractor(space, n=4, channels=[4, 4, 4], output=output, small_image_features=6)
-    fields = extractor.out_type.fields
-    kinds = [(rep.kind, count) for rep, count in fields]
-    assert kinds == ([("regular", 4), ("trivial", 12)] if output == "regular" else [("trivial", 4 + 12)])
-    observations = sample(space)
-    features = extractor(observations)
-    assert features[:, -12:].std() > 0 and features[:, :-12].std() > 0
-    for turns in range(1, 4):
-        turned = {**observations, "heightmap": th.rot90(observations["heightmap"], turns, (-2, -1))}
-        matrix = th.tensor(extractor.out_type.matrix(turns)).float()
-        assert th.allclose(extractor(turned), features @ matrix.T, atol=1e-5)
+STACKING = "bulletarm_gym:BulletArm/OpenLoopBlockStacking-v0"
+CLOSED_LOOP = {"features_extractor_kwargs": {"n": 4, "channels": [4, 4, 4]}}
+
+
+def with_extractor(extractor_class, kwargs) -> dict[str, Any]:
+    classes = {"features_extractor_class": extractor_class, "features_extractor_kwargs": kwargs}
+    return {**classes, "net_arch": [8]}
 
 
 @pytest.mark.parametrize(
-    "extractor_class, kwargs",
-    [(CnnExtractor, {"channels": [4, 8, 8, 8, 8, 8]}), (EquivariantExtractor, {"n": 4, "channels": [2] * 6})],
-    ids=["cnn", "equivariant"],
+    "algorithm, policy, policy_kwargs, env",
+    [
+        (PPO, "MultiInputPolicy", with_extractor(CnnExtractor, {"channels": [4] * 6}), STACKING),
+        (
+            SAC,
+            "MultiInputPolicy",
+            with_extractor(EquivariantExtractor, {"n": 4, "channels": [2] * 6}),
+            STACKING,
+        ),
+        (CrossQ, "MlpPolicy", with_extractor(*REGULAR), heights(2, SIZE, SIZE)),  # takes no Dict observations
+        (PPO, "MlpPolicy", with_extractor(*INVARIANT), heights(2, SIZE, SIZE)),
+        (SAC, MultiInputPolicy, {"features_extractor_kwargs": CNN[1], "net_arch": [16]}, observation_space()),
+        (
+            SAC,
+            EquivariantPolicy,
+            {**CLOSED_LOOP, "action_sequence": "ryxzp", "n_critics": 3},
+            observation_space(),
+        ),
+        (SAC, EquivariantPolicy, {**CLOSED_LOOP, "share_features_extractor": True}, observation_space()),
+    ],
 )
-@pytest.mark.parametrize("algorithm", [PPO, SAC])
-def test_open_loop_observations(algorithm, extractor_class, kwargs):
-    settings = {"n_steps": 4, "n_epochs": 1}
-    if algorithm is SAC:
-        settings = {"learning_starts": 4, "buffer_size": 16, "replay_buffer_class": ExpertReplayBuffer}
+def test_extractors_and_policies_serve_other_algorithms(algorithm, policy, policy_kwargs, env, tmp_path):
+    settings = {"learning_starts": 4, "buffer_size": 16}
+    settings = {"n_steps": 4, "n_epochs": 1} if algorithm is PPO else settings
+    if algorithm is not PPO:
+        settings["replay_buffer_class"] = ExpertReplayBuffer
+    env = env if env == STACKING else NoiseEnv(env)
     model = algorithm(
-        "MultiInputPolicy",
-        "bulletarm_gym:BulletArm/OpenLoopBlockStacking-v0",
-        policy_kwargs={
-            "features_extractor_class": extractor_class,
-            "features_extractor_kwargs": kwargs,
-            "net_arch": [8],
-        },
-        batch_size=4,
-        seed=0,
-        device="cpu",
-        **settings,
+        policy, env, policy_kwargs=policy_kwargs, batch_size=4, seed=0, device="cpu", **settings
     )
     before = model.policy.parameters_to_vector()
-    model.learn(6)
+    model.learn(8)
     after = model.policy.parameters_to_vector()
     assert np.isfinite(after).all() and not np.array_equal(after, before)
-    vec_env = model.get_env()
-    vec_env.reset()
-    observation, *_ = vec_env.step(np.stack(vec_env.env_method("expert_action")))
-    extractor = next(module for module in model.policy.modules() if isinstance(module, extractor_class))
-    seen = {key: th.from_numpy(value) for key, value in observation.items()}
-    features = extractor(seen) - extractor({**seen, "in_hand": 0 * seen["in_hand"]})
-    assert (features[:, :-32] == 0).all() and (features[:, -32:] != 0).any()
-    vec_env.close()
-
-
-@pytest.mark.parametrize(
-    "extractor_class, kwargs", [CNN, REGULAR, INVARIANT], ids=["cnn", "regular", "invariant"]
-)
-@pytest.mark.parametrize("algorithm", [PPO, TQC, CrossQ])
-def test_extractors_serve_other_algorithms(algorithm, extractor_class, kwargs, tmp_path):
-    on_policy = (
-        {"n_steps": 8, "n_epochs": 1} if algorithm is PPO else {"learning_starts": 4, "buffer_size": 64}
-    )
-    policy_kwargs = {
-        "features_extractor_class": extractor_class,
-        "features_extractor_kwargs": kwargs,
-        "net_arch": [8],
-    }
-    model = algorithm(
-        "MlpPolicy" if algorithm is CrossQ else "MultiInputPolicy",
-        ImageNoiseEnv() if algorithm is CrossQ else NoiseEnv(),
-        policy_kwargs=policy_kwargs,
-        batch_size=4,
-        seed=0,
-        device="cpu",
-        **on_policy,
-    )
-    before = model.policy.parameters_to_vector()
-    model.learn(12)
-    assert not np.array_equal(model.policy.parameters_to_vector(), before)
-    assert np.isfinite(model.policy.parameters_to_vector()).all()
     model.save(tmp_path / "model")
     observation = model.get_env().reset()
     loaded = algorithm.load(tmp_path / "model", device="cpu")
-    np.testing.assert_array_equal(
-        loaded.predict(observation, deterministic=True)[0], model.predict(observation, deterministic=True)[0]
-    )
+    actions = [each.predict(observation, deterministic=True)[0] for each in (model, loaded)]
+    np.testing.assert_array_equal(*actions)
+    model.get_env().close()
 
 
 @pytest.mark.parametrize(
     "space, kwargs, named",
     [
-        (spaces.Box(0, 0.4, (16, 16), np.float32), {}, "must have images"),
-        (spaces.Box(0, 0.4, (1, 16, 18), np.float32), {}, "must have images"),
-        (spaces.Dict({"holding": spaces.Box(0, 1, (1,), np.float32)}), {}, "must have images"),
-        (observation_space(in_hand=spaces.Box(0, 0.4, (1, 8, 10), np.float32)), {}, "must have images"),
-        (observation_space(heightmap=spaces.Box(0, 0.4, (1, 16, 24), np.float32)), {}, "must have images"),
-        (observation_space(in_hand=spaces.Box(0, np.inf, (1, 8, 8), np.float32)), {}, "finite bounds"),
+        (heights(16, 16), {}, "must have images"),
+        (heights(1, 16, 18), {}, "must have images"),
+        (spaces.Dict({"holding": heights(1)}), {}, "must have images.*StatePolicy"),
+        (observation_space(in_hand=heights(1, 8, 10)), {}, "must have images"),
+        (observation_space(heightmap=heights(1, 16, 24)), {}, "must have images"),
+        (observation_space(in_hand=heights(1, 8, 8, high=np.inf)), {}, "finite bounds"),
+        (observation_space(heightmap=heights(1, 16, 16, high=np.inf)), {}, "finite bounds"),
+        (observation_space(points=heights(100, 3)), {}, "points"),
         (observation_space(), {"small_image_features": 0}, "small_image_features"),
-        (observation_space(heightmap=spaces.Box(0, np.inf, (1, 16, 16), np.float32)), {}, "finite bounds"),
         (observation_space(), {"quantise": "int4"}, "got 'int4'"),
         (observation_space(), {"channels": [4]}, "channels"),
         (observation_space(), {"strided": 3}, "strided"),
@@ -357,39 +264,63 @@ def test_extractors_serve_other_algorithms(algorithm, extractor_class, kwargs, t
         (observation_space(), {"group": "square"}, "group"),
         (observation_space(), {"n": 0}, "n"),
         (observation_space(), {"output": "both"}, "output"),
+        (observation_space(), {"crop": 0}, "crop .* got 0"),
+        (observation_space(), {"crop": 20}, "crop .* got 20"),
         (observation_space(), {"standardise": (0.1, 0.0)}, "standardise"),
         (observation_space(), {"standardise": [0.1]}, "standardise"),
         (observation_space(), {"above_ground": [0.1]}, "above_ground"),
         (observation_space(), {"above_ground": (0.1, 0.0)}, "above_ground"),
         (spaces.Box(0, 255, (3, 16, 16), np.uint8), {"above_ground": (0.1, 0.1)}, "above_ground"),
+        (observation_space(), {"compile": True}, "compile.*no-such-compiler"),
     ],
 )
-def test_extractor_rejects_invalid_arguments(space, kwargs, named):
+def test_extractor_rejects_invalid_arguments(space, kwargs, named, monkeypatch):
+    monkeypatch.setenv("CXX", "no-such-compiler")
     with pytest.raises(ValueError, match=named):
         EquivariantExtractor(space, **kwargs)
-
-
-def test_point_clouds_are_rejected():
-    points = spaces.Box(-1, 1, (100, 3), np.float32)
-    space = spaces.Dict({"heightmap": spaces.Box(0, 0.4, (1, 16, 16), np.float32), "points": points})
-    with pytest.raises(ValueError, match="points"):
-        CnnExtractor(space)
-
-
-def test_compile_without_a_compiler_is_rejected(monkeypatch):
-    monkeypatch.setenv("CXX", "no-such-compiler")
-    with pytest.raises(ValueError, match=r"compile.*no-such-compiler"):
-        CnnExtractor(observation_space(), compile=True)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("extractor_class", [CnnExtractor, EquivariantExtractor])
 def test_compiled_extractor_has_the_same_features(extractor_class):
-    th.manual_seed(0)
     extractor = extractor_class(observation_space(), channels=[4, 4, 4])
     compiled = extractor_class(observation_space(), channels=[4, 4, 4], compile=True)
     compiled.load_state_dict(extractor.state_dict())
     for batch in (4, 7):
         observations = sample(observation_space(), batch)
-        features = extractor(observations)
-        assert th.allclose(compiled(observations), features, atol=1e-4)
+        assert th.allclose(compiled(observations), extractor(observations), atol=1e-4)
+
+
+STATE = spaces.Box(-np.inf, np.inf, (7,), np.float32)
+NUMBERS = spaces.Dict({"state": STATE, "holding": heights(1)})
+
+
+def test_features_of_numbers_depend_on_every_number():
+    extractor = MlpExtractor(NUMBERS, layers=[32, 16])
+    observations = {"state": th.randn(3, 7), "holding": th.ones(3, 1)}
+    features = extractor(observations)
+    assert features.shape == (3, extractor.features_dim) == (3, 16)
+    for key, values in observations.items():
+        for column in th.eye(values.shape[1]):
+            assert not th.equal(extractor({**observations, key: values + column}), features)
+    assert th.equal(extractor(dict(reversed(observations.items()))), features)
+    plain, standardised = MlpExtractor(STATE), MlpExtractor(STATE, standardise=[0.5, 0.1])
+    standardised.load_state_dict(plain.state_dict())
+    numbers = th.rand(4, 7)
+    th.testing.assert_close(standardised(numbers), plain((numbers - 0.5) / 0.1))
+
+
+@pytest.mark.parametrize(
+    ("space", "kwargs", "named"),
+    [
+        (observation_space(), {}, "'heightmap'"),
+        (spaces.Dict({"kind": spaces.Discrete(3)}), {}, "'kind' is Discrete"),
+        (NUMBERS, {"layers": []}, "layers"),
+        (NUMBERS, {"layers": [64, 0]}, "layers"),
+        (NUMBERS, {"standardise": [0.0, 0.0]}, "standardise"),
+        (NUMBERS, {"standardise": [0.1]}, "standardise"),
+    ],
+)
+def test_extractor_of_numbers_rejects_invalid_arguments(space, kwargs, named):
+    with pytest.raises(ValueError, match=named):
+        MlpExtractor(space, **kwargs)

@@ -1,18 +1,18 @@
-"""RAD and DrQ compared with slow references."""
+"""Random crops, shifts and rotations of sampled steps, compared with slow references."""
 
-from typing import Any
+import math
 
 import numpy as np
 import pytest
 import torch as th
 from gymnasium import spaces
-from stable_baselines3.common.evaluation import evaluate_policy
 
-from sb3_extensions.encoders.extractors import CnnExtractor
-from sb3_extensions.replay.augmentation import RAD, DrQ
+from sb3_extensions.common.action_sequence import ActionSequence
+from sb3_extensions.replay.augmentation import RAD, DrQ, Sequence
 from sb3_extensions.replay.augmentations import make_augmentation
+from sb3_extensions.replay.buffer import ExpertReplayBuffer
+from sb3_extensions.replay.rotation import Rotation, rotate_actions
 from sb3_extensions.replay.samples import ExpertReplayBufferSamples
-from sb3_extensions.sacfd import SACfD
 
 SIDE, CROP, BATCH = 19, 16, 6
 OBSERVATIONS = ("observations", "next_observations")
@@ -24,88 +24,69 @@ SPACE = spaces.Dict(
 )
 
 
-def observations(seed: int, batch: int = BATCH) -> dict[str, th.Tensor]:
-    """Return observations with a different number in every pixel, to identify windows."""
-    pixels = np.random.default_rng(seed).permutation(batch * 2 * SIDE * SIDE).reshape(batch, 2, SIDE, SIDE)
-    return {"heightmap": th.from_numpy(pixels.astype(np.float32)), "holding": th.arange(batch)[:, None] % 2.0}
-
-
-def samples() -> ExpertReplayBufferSamples:
-    def column(first: float) -> th.Tensor:
-        return th.arange(BATCH, dtype=th.float32)[:, None] + first
-
-    return ExpertReplayBufferSamples(
-        observations=observations(0),
-        actions=th.rand(BATCH, 5),
-        next_observations=observations(1),
-        dones=column(0) % 2,
-        rewards=column(10),
-        discounts=column(20),
-        expert_actions=th.rand(BATCH, 5),
-        succeeded=column(40) > 41,
-        is_expert=column(0) > 2,
-        weights=column(30),
-        indices=np.arange(BATCH),
-    )
-
-
-def slow_window(image: np.ndarray, row: int, column: int, size: int) -> np.ndarray:
-    """Return a window pixel by pixel, with the border of the image repeated outwards."""
-    window = np.empty((len(image), size, size), np.float32)
-    for c in range(len(image)):
-        for i in range(size):
-            for j in range(size):
-                window[c, i, j] = image[c, min(max(row + i, 0), SIDE - 1), min(max(column + j, 0), SIDE - 1)]
-    return window
-
-
-def find_offset(image: np.ndarray, window: np.ndarray, places: range) -> tuple[int, int]:
-    found = [
-        (row, column)
-        for row in places
-        for column in places
-        if np.array_equal(slow_window(image, row, column, window.shape[-1]), window)
-    ]
-    assert len(found) == 1
-    return found[0]
-
-
 def generator(seed: int = 0) -> th.Generator:
     return th.Generator().manual_seed(seed)
 
 
-def test_rad_crops_both_observations_of_a_step_equally() -> None:
+def observations(seed: int) -> dict[str, th.Tensor]:
+    """Return observations with a different number in every pixel, to identify windows."""
+    pixels = th.randperm(BATCH * 2 * SIDE * SIDE, generator=generator(seed)).float()
+    return {"heightmap": pixels.view(BATCH, 2, SIDE, SIDE), "holding": th.arange(BATCH)[:, None] % 2.0}
+
+
+def samples() -> ExpertReplayBufferSamples:
+    column = th.arange(BATCH, dtype=th.float32)[:, None]
+    return ExpertReplayBufferSamples(
+        observations=observations(0),
+        actions=th.rand(BATCH, 5),
+        next_observations=observations(1),
+        dones=column % 2,
+        rewards=column + 10,
+        discounts=column + 20,
+        expert_actions=th.rand(BATCH, 5),
+        succeeded=column > 1,
+        is_expert=column > 2,
+        weights=column + 30,
+        indices=np.arange(BATCH),
+    )
+
+
+def find_offset(image: th.Tensor, window: th.Tensor) -> tuple[int, int]:
+    """Return the offset of a window in an image whose border is repeated outwards, by 4 pixels."""
+    padded = np.pad(image.numpy(), ((0, 0), (4, 4), (4, 4)), mode="edge")
+    views = np.lib.stride_tricks.sliding_window_view(padded, window.shape)[0]
+    [(row, column)] = np.argwhere((views == window.numpy()).all(axis=(2, 3, 4)))
+    return row - 4, column - 4
+
+
+def test_rad_crops_both_observations_of_a_step_equally():
     before = samples()
     after = RAD(CROP)(before, generator())
-    offsets = []
-    for k in range(BATCH):
-        pair = [
-            find_offset(old["heightmap"][k].numpy(), new["heightmap"][k].numpy(), range(SIDE - CROP + 1))
-            for old, new in (
-                (before.observations, after.observations),
-                (before.next_observations, after.next_observations),
-            )
+    offsets = [
+        [
+            find_offset(getattr(before, field)["heightmap"][k], getattr(after, field)["heightmap"][k])
+            for k in range(BATCH)
         ]
-        assert pair[0] == pair[1]
-        offsets.append(pair[0])
-    assert len(set(offsets)) > 3
+        for field in OBSERVATIONS
+    ]
+    assert offsets[0] == offsets[1] and len(set(offsets[0])) > 3
+    assert min(map(min, offsets[0])) >= 0 and max(map(max, offsets[0])) <= SIDE - CROP
     assert after.observations["heightmap"].shape == (BATCH, 2, CROP, CROP)
     assert th.equal(after.observations["holding"], before.observations["holding"])
     assert all(after[i] is before[i] for i in range(len(before)) if after._fields[i] not in OBSERVATIONS)
 
 
 @pytest.mark.parametrize(("k", "m"), [(2, 2), (3, 1), (1, 2)])
-def test_drq_shifts_each_view_independently(k: int, m: int) -> None:
+def test_drq_shifts_each_view_independently(k, m):
     before = samples()
     after = DrQ(k, m)(before, generator())
     for field, copies in (("observations", m), ("next_observations", k)):
         old, new = getattr(before, field), getattr(after, field)
         assert new["heightmap"].shape == (copies * BATCH, 2, SIDE, SIDE)
-        offsets = [
-            find_offset(old["heightmap"][i % BATCH].numpy(), new["heightmap"][i].numpy(), range(-4, 5))
-            for i in range(copies * BATCH)
-        ]
-        assert len(set(offsets)) > copies * BATCH // 2
+        offsets = {
+            find_offset(old["heightmap"][i % BATCH], new["heightmap"][i]) for i in range(copies * BATCH)
+        }
+        assert len(offsets) > copies * BATCH // 2
         assert th.equal(new["holding"], th.cat([old["holding"]] * copies))
     for field in ("actions", "dones", "rewards", "discounts", "expert_actions", "is_expert", "weights"):
         assert th.equal(getattr(after, field), th.cat([getattr(before, field)] * m)), field
@@ -114,15 +95,12 @@ def test_drq_shifts_each_view_independently(k: int, m: int) -> None:
 
 @pytest.mark.parametrize("augmentation", [RAD(CROP), RAD(5), DrQ(K=3, M=2)])
 @pytest.mark.parametrize("first", [True, False])
-def test_smaller_images_do_not_change(augmentation: Any, first: bool) -> None:
+def test_smaller_images_do_not_change(augmentation, first):
     """Smaller images have no effect on the windows of the scene, in any order of the entries."""
     before, in_hand = samples(), {"in_hand": th.rand(BATCH, 3, 8, 8)}
-    joined = before._replace(
-        **{
-            field: {**in_hand, **getattr(before, field)} if first else {**getattr(before, field), **in_hand}
-            for field in OBSERVATIONS
-        }
-    )
+    parts = [(in_hand, getattr(before, field)) for field in OBSERVATIONS]
+    both = [{**a, **b} if first else {**b, **a} for a, b in parts]
+    joined = before._replace(**dict(zip(OBSERVATIONS, both, strict=True)))
     after, without = augmentation(joined, generator()), augmentation(before, generator())
     for field in OBSERVATIONS:
         seen, expected = getattr(after, field), getattr(without, field)
@@ -131,18 +109,21 @@ def test_smaller_images_do_not_change(augmentation: Any, first: bool) -> None:
         assert th.equal(seen["in_hand"], th.cat([in_hand["in_hand"]] * copies))
 
 
-def test_only_the_largest_images_must_be_larger_than_the_crop() -> None:
-    in_hand = spaces.Box(0.0, 0.4, (1, 8, 8), np.float32)
-    space = spaces.Dict({**SPACE, "in_hand": in_hand})
+def test_only_the_largest_images_must_be_larger_than_the_crop():
+    space = spaces.Dict({**SPACE, "in_hand": spaces.Box(0.0, 0.4, (1, 8, 8), np.float32)})
     for augmentation in (RAD(18), RAD(8), RAD(5), DrQ()):
         augmentation.check(space)
-    with pytest.raises(ValueError, match="larger than 19 x 19"):
+    with pytest.raises(ValueError, match="19 x 19"):
         RAD(19).check(space)
+
+
+@pytest.mark.parametrize("window, shape", [(DrQ(), (3,)), (Rotation(), (3,)), (Rotation(), (1, 4, 5))])
+def test_observations_without_square_images_are_refused(window, shape):
     with pytest.raises(ValueError, match="must have images"):
-        DrQ().check(SPACE["holding"])
+        window.check(spaces.Dict({"entry": spaces.Box(0.0, 1.0, shape)}))
 
 
-def test_targets_are_means_over_the_views_of_a_next_observation() -> None:
+def test_targets_are_means_over_the_views_of_a_next_observation():
     values = th.tensor([1.0, 2.0, 3.0, 5.0, 7.0, 9.0])[:, None]
     expected = [[(1 + 5) / 2], [(2 + 7) / 2], [(3 + 9) / 2]]
     assert DrQ(2, 2).average_targets(values).tolist() == expected * 2
@@ -150,32 +131,17 @@ def test_targets_are_means_over_the_views_of_a_next_observation() -> None:
 
 
 @pytest.mark.parametrize(("augmentation", "places"), [(RAD(CROP), 4), (DrQ(pad=4), 9)])
-def test_window_positions_are_uniform_up_to_the_edges(augmentation: Any, places: int) -> None:
-    rows, columns = np.divmod(np.arange(SIDE * SIDE, dtype=np.float32).reshape(1, 1, SIDE, SIDE), SIDE)
-    image = th.from_numpy(np.concatenate([rows, columns], axis=1)).expand(9_000, -1, -1, -1)
+def test_window_positions_are_uniform_up_to_the_edges(augmentation, places):
+    image = th.stack(th.meshgrid(*[th.arange(float(SIDE))] * 2, indexing="ij")).expand(9_000, -1, -1, -1)
     view = augmentation.view(image, generator())
     # The middle pixel, which no shift moves onto the repeated edge, identifies the position.
     middle = view[:, :, view.shape[-1] // 2, view.shape[-1] // 2].numpy()
-    counts = np.stack([np.unique(axis, return_counts=True)[1] for axis in middle.T])
-    assert counts.shape == (2, places)
-    expected = 9_000 / places
-    assert (abs(counts - expected) < 5 * np.sqrt(expected)).all()
-    pairs = np.unique(middle, axis=0)
+    pairs, counts = np.unique(middle, axis=0, return_counts=True)
     assert len(pairs) == places**2  # rows and columns are drawn independently
-
-
-def test_views_of_uint8_images_without_a_dict() -> None:
-    image = th.randint(256, (BATCH, 1, SIDE, SIDE), dtype=th.uint8)
-    view = DrQ().view(image, generator(), copies=2)
-    assert view.dtype == th.uint8 and view.shape == (2 * BATCH, 1, SIDE, SIDE)
-    assert th.equal(view, DrQ().view({"image": image}, generator(), copies=2)["image"])
-
-
-def test_views_depend_on_the_generator_only() -> None:
-    first, again, other = (
-        RAD(CROP).view(observations(0), generator(seed))["heightmap"] for seed in (3, 3, 4)
-    )
-    assert th.equal(first, again) and not th.equal(first, other)
+    expected = 9_000 / places**2
+    assert (abs(counts - expected) < 5 * np.sqrt(expected)).all()
+    again, other = (augmentation.view(image, generator(seed)) for seed in (0, 1))
+    assert th.equal(view, again) and not th.equal(view, other)
 
 
 @pytest.mark.parametrize(
@@ -183,91 +149,37 @@ def test_views_depend_on_the_generator_only() -> None:
     [
         (None, None),
         ("rad", RAD(128)),
-        ("drq", DrQ(2, 2)),
         ({"rad": {"size": 64}}, RAD(64)),
         ({"drq": {"K": 1, "M": 3}}, DrQ(1, 3)),
-        ({"drq": None}, DrQ()),
+        ({"drq": None}, DrQ(2, 2)),
         (RAD(32), RAD(32)),
+        ({"rotation": {}, "rad": {"size": 12}}, Sequence((Rotation(action_sequence="xyzrp"), RAD(12)))),
     ],
 )
-def test_make_augmentation_from_names_and_arguments(spec: Any, expected: Any) -> None:
-    assert make_augmentation(spec) == expected
+def test_make_augmentation_from_names_and_arguments(spec, expected):
+    assert make_augmentation(spec, action_sequence="xyzrp") == expected
 
 
 @pytest.mark.parametrize(
-    ("spec", "message"),
+    ("make", "named"),
     [
-        ("rda", "one of rotation, rad, drq, .* got"),
-        (3, "augmentation must be None, one of rotation"),
-        ({"rad": {"sise": 3}}, "unexpected keyword argument 'sise'"),
-        ({"rad": {"size": 0}}, "size must be positive, got 0"),
-        ({"drq": {"K": -1}}, "K must be positive, got -1"),
+        (lambda: make_augmentation("rda"), "augmentation .*rotation, rad, drq, .* got"),
+        (lambda: make_augmentation(3), "augmentation .*rotation"),
+        (lambda: make_augmentation({"rad": {"sise": 3}}), "sise"),
+        (lambda: make_augmentation({"rad": {"size": 0}}), "size .* got 0"),
+        (lambda: make_augmentation({"drq": {"K": -1}}), "K .* got -1"),
+        (lambda: Rotation(probability=1.5), "probability .* got 1.5"),
+        (lambda: Rotation(action_sequence="pz"), "action_sequence .* got 'pz'"),
     ],
 )
-def test_make_augmentation_rejects_wrong_names_and_arguments(spec: Any, message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        make_augmentation(spec)
+def test_invalid_arguments_are_rejected(make, named):
+    with pytest.raises(ValueError, match=named):
+        make()
 
 
-@pytest.mark.parametrize(
-    ("augmentation", "message"), [(RAD(16), "larger than 16 x 16"), ("rad", "128 x 128")]
-)
-def test_images_must_be_larger_than_the_crop(augmentation: Any, message: str, make_toy: Any) -> None:
-    with pytest.raises(ValueError, match=message):
-        SACfD("MultiInputPolicy", make_toy(), augmentation=augmentation)
-
-
-@pytest.mark.parametrize("crop", [0, 20])
-def test_extractor_rejects_crop_larger_than_the_images(crop: int) -> None:
-    with pytest.raises(ValueError, match=f"crop must be from 1 to the images' size, 19, got {crop}"):
-        CnnExtractor(SPACE, crop=crop)
-
-
-def test_extractor_crops_the_centre_of_an_image_and_keeps_a_crop() -> None:
-    th.manual_seed(0)
-    extractor = CnnExtractor(SPACE, [4, 8, 8], crop=CROP)
-    whole = {"heightmap": th.rand(3, 2, SIDE, SIDE) * 0.4, "holding": th.ones(3, 1)}
-    centre = {**whole, "heightmap": whole["heightmap"][..., 1:17, 1:17]}
-    assert extractor.stack.size == CROP
-    assert th.equal(extractor(whole), extractor(centre))
-    assert not th.equal(
-        extractor({**whole, "heightmap": whole["heightmap"][..., 2:18, 2:18]}), extractor(centre)
-    )
-
-
-SMALL: dict[str, Any] = {"features_extractor_kwargs": {"channels": [8, 16, 32]}, "net_arch": [32]}
-# With the side of the toy's images: networks see 16 pixels, moved by at most one.
-AUGMENTATIONS = [(RAD(CROP), 18), (DrQ(K=3, M=2, pad=1), 16)]
-
-
-def make_model(
-    env: Any, augmentation: Any, policy: Any = ("MultiInputPolicy", SMALL), **kwargs: Any
-) -> SACfD:
-    name, policy_kwargs = policy
-    kwargs = {"expert_episodes": 5, "batch_size": 16, "buffer_size": 500, "seed": 0, **kwargs}
-    return SACfD(name, env, policy_kwargs=policy_kwargs, augmentation=augmentation, device="cpu", **kwargs)
-
-
-@pytest.mark.parametrize("in_hand_size", [0, 8])
-@pytest.mark.parametrize(("augmentation", "side"), AUGMENTATIONS)
-def test_run_with_every_policy(
-    augmentation: Any, side: int, in_hand_size: int, policy: Any, make_toy: Any, tmp_path: Any
-) -> None:
-    env = make_toy(2, size=side, in_hand_size=in_hand_size)
-    model = make_model(env, augmentation, policy, n_steps=2).learn(8)
-    assert model._n_updates == 4
-    assert "crop" not in policy[1]["features_extractor_kwargs"]  # the user's mapping stays as it is
-    observation = env.reset()
-    action, _ = model.predict(observation, deterministic=True)
-    model.save(tmp_path / "model")
-    loaded = SACfD.load(tmp_path / "model", env=env, device="cpu")
-    assert loaded.augmentation == augmentation
-    np.testing.assert_array_equal(loaded.predict(observation, deterministic=True)[0], action)
-
-
-def test_policy_acts_on_the_centre_of_an_image(make_toy: Any) -> None:
+def test_policy_acts_on_the_centre_of_an_image(make_toy, make_learner):
     env = make_toy(3, size=18)
-    model = make_model(env, RAD(CROP))
+    model = make_learner(env, augmentation=RAD(CROP))
     observation = env.reset()
     centre = {**observation, "heightmap": observation["heightmap"][..., 1:17, 1:17]}
     tensors = {key: th.from_numpy(value) for key, value in centre.items()}
@@ -276,73 +188,112 @@ def test_policy_acts_on_the_centre_of_an_image(make_toy: Any) -> None:
     np.testing.assert_array_equal(model.predict(observation, deterministic=True)[0], trained_on)
 
 
-@pytest.mark.parametrize(("augmentation", "side"), AUGMENTATIONS)
-def test_losses_are_means_over_views(augmentation: Any, side: int, make_toy: Any) -> None:
-    kwargs = {"bc_weight": 0.7, "gamma": 0.9}
-    model = make_model(make_toy(size=side), augmentation, **kwargs).learn(10)
-    sample = model.replay_buffer.sample(16)
-    sample = sample._replace(weights=th.linspace(0.1, 1, 16)[:, None], dones=th.zeros(16, 1))
-    model.replay_buffer.sample = lambda *args, **kwargs: sample  # type: ignore[method-assign]
-    priorities: list[Any] = []
-    model.replay_buffer.update_priorities = lambda *args: priorities.append(args)  # type: ignore[method-assign]
-    state, alpha = model.augmentation_generator.get_state(), model.log_ent_coef.exp().item()
-    critic, target = (clone(model, name) for name in ("critic", "critic_target"))
-    th.manual_seed(3)
-    views = augmentation(sample, th.Generator().set_state(state))
-    k_views, m_views = (len(obs["holding"]) // 16 for obs in (views.next_observations, views.observations))
-    with th.no_grad():
-        actions, log_prob = (x.numpy() for x in model.actor.action_log_prob(views.observations))
-        next_actions, next_log_prob = model.actor.action_log_prob(views.next_observations)
-        next_q = th.stack(target(views.next_observations, next_actions)).numpy()
-        q = th.stack(critic(views.observations, sample.actions.repeat(m_views, 1))).numpy()
-    th.manual_seed(3)
-    model.train(1, 16)
-    logged = model.logger.name_to_value
+# Rotations.
 
-    critic_loss = bc_loss = 0.0
-    errors = np.zeros((16, 1))
-    experts = int(sample.is_expert.sum())
-    assert 0 < experts < 16
-    for b in range(16):
-        values = [
-            next_q[:, k * 16 + b, 0].min() - alpha * next_log_prob[k * 16 + b].item() for k in range(k_views)
-        ]
-        y = sample.rewards[b].item() + 0.9 * (1 - sample.dones[b].item()) * sum(values) / k_views
-        for m in range(m_views):
-            for head in range(2):
-                error = q[head, m * 16 + b, 0] - y
-                errors[b] += abs(error) / (2 * m_views)
-                critic_loss += 0.5 * sample.weights[b].item() * error**2 / (16 * m_views)
-            if sample.is_expert[b]:
-                squares = (actions[m * 16 + b] - sample.actions[b].numpy()) ** 2
-                bc_loss += squares.sum() / (5 * experts * m_views)
-    np.testing.assert_allclose(logged["train/critic_loss"], critic_loss, rtol=1e-4)
-    np.testing.assert_allclose(logged["train/bc_loss"], bc_loss, rtol=1e-4)
-    np.testing.assert_array_equal(priorities[0][0], sample.indices)
-    np.testing.assert_allclose(priorities[0][1], errors, rtol=1e-3)
-    with th.no_grad():  # the actor's loss uses the critic before its step
-        q_pi = th.stack(critic(views.observations, th.as_tensor(actions))).numpy()
-    expected = np.mean([alpha * log_prob[i] - q_pi[:, i, 0].min() for i in range(16 * m_views)])
-    np.testing.assert_allclose(logged["train/actor_loss"], expected, rtol=1e-4)
-
-
-def clone(model: SACfD, name: str) -> Any:
-    copy = type(model.policy)(
-        model.observation_space, model.action_space, lambda _: 0.0, **model.policy_kwargs
-    )
-    copy.load_state_dict(model.policy.state_dict())
-    return getattr(copy, name)
-
-
-@pytest.mark.parametrize(("augmentation", "side"), AUGMENTATIONS)
-def test_learns_to_reach(augmentation: Any, side: int, make_toy: Any) -> None:
-    kwargs = {
-        "expert_episodes": 20,
-        "bc_weight": 10.0,
-        "pretrain_steps": 100,
-        "learning_rate": 3e-3,
-        "batch_size": 32,
+SIZE = 17
+SHAPES = {"heightmap": (1, SIZE, SIZE), "points": (4, 3), "in_hand": (1, 8, 8), "holding": (1,)}
+LEVELS = {"labels": (1, SIZE, SIZE), "rgb": (3, SIZE, SIZE)}
+DRAWN = spaces.Dict(
+    {
+        **{name: spaces.Box(-1.0, 1.0, shape, np.float32) for name, shape in SHAPES.items()},
+        **{name: spaces.Box(0, 255, shape, np.uint8) for name, shape in LEVELS.items()},
     }
-    model = make_model(make_toy(2, size=side), augmentation, **kwargs).learn(100)
-    trained, _ = evaluate_policy(model, make_toy(seed=9, size=side), 30)
-    assert trained >= 0.9
+)
+
+
+def draw(x: float, y: float) -> dict[str, np.ndarray]:
+    """Return the observation of a bump in a square of 2 m, wide enough for bilinear interpolation."""
+    rows, columns = np.meshgrid(*[np.linspace(-1, 1, SIZE)] * 2, indexing="ij")
+    image = 0.3 * np.exp(-((rows - x) ** 2 + (columns - y) ** 2) / 0.2)[None].astype(np.float32)
+    return {
+        "heightmap": image,
+        "labels": (image > 0.15).astype(np.uint8) * 7,
+        "rgb": np.repeat(np.rint(image * 600), 3, axis=0).astype(np.uint8),
+        "points": np.tile(np.array([x, y, 0.5], np.float32), (4, 1)),
+        "in_hand": image[:, 2:10, 2:10],
+        "holding": np.array([x], np.float32),
+    }
+
+
+def rotate(x: float, y: float, angle: float) -> tuple[float, float]:
+    return math.cos(angle) * x - math.sin(angle) * y, math.sin(angle) * x + math.cos(angle) * y
+
+
+def make_samples(actions: np.ndarray, place: tuple[float, float] = (0.4, -0.3)):
+    """Return all steps of an episode in which a bump moves by a tenth of the action's x and y."""
+    buffer = ExpertReplayBuffer(200, DRAWN, spaces.Box(-1, 1, actions.shape[1:]), device="cpu", seed=0)
+    places = np.cumsum([place, *(0.1 * actions[:, 1:3])], axis=0)
+    drawn = [draw(*xy) for xy in places]
+    stacked = {key: np.stack([entry[key] for entry in drawn]) for key in drawn[0]}
+    buffer.add_episode(stacked, actions, np.zeros(len(actions)), np.arange(len(actions)) == len(actions) - 1)
+    return buffer._get_samples(np.arange(len(actions)), None)
+
+
+def rotated(samples, probability: float = 1.0):
+    return Rotation(probability=probability)(samples, generator())
+
+
+def test_rotation_vectors_rotate():
+    """A quarter turn maps a rotation about x to one about y."""
+    action = th.tensor([[0.5, 1, 0, 0.1, 0.3, 0.2, 0.4]])
+    turned = rotate_actions(action, th.tensor([math.pi / 2]), ActionSequence("pxyzrrr", 7))
+    np.testing.assert_allclose(turned, [[0.5, 0, 1, 0.1, -0.2, 0.3, 0.4]], atol=1e-6)
+
+
+def test_observations_and_actions_of_a_step_rotate_by_one_angle():
+    before = make_samples(np.tile(np.array([0.2, 0.6, -0.5, 0.3, -0.6], np.float32), (6, 1)), (-0.3, 0.2))
+    after = rotated(before)
+    angles = []
+    for k in range(6):
+        vectors = [before.actions[k, 1:3], after.actions[k, 1:3]]
+        assert th.equal(after.actions[k, [0, 3, 4]], before.actions[k, [0, 3, 4]])
+        angles.append(float(th.atan2(*vectors[1].flip(0)) - th.atan2(*vectors[0].flip(0))))
+        pairs = [(before.observations, after.observations)]
+        if before.dones[k] == 0:
+            pairs.append((before.next_observations, after.next_observations))
+        for old, new in pairs:
+            expected = draw(*rotate(*old["points"][k, 0, :2].tolist(), angles[-1]))
+            assert np.abs(new["heightmap"][k].numpy() - expected["heightmap"]).max() < 0.03
+            assert np.abs(new["rgb"][k].numpy().astype(int) - expected["rgb"]).max() < 20
+            assert set(new["labels"][k].unique().tolist()) == {0, 7}
+            assert all(th.equal(new[name][k], old[name][k]) for name in ("in_hand", "holding"))
+    assert len({round(angle % (2 * math.pi), 3) for angle in angles}) == 6
+    np.testing.assert_allclose(after.expert_actions, after.actions)  # both were equal before
+    for field in ("dones", "rewards", "weights", "is_expert"):
+        assert th.equal(getattr(before, field), getattr(after, field))
+
+
+def test_rotated_actions_stay_within_their_bounds_and_keep_their_length():
+    """An unknown expert action stays unknown; a corner rotates by quarter turns."""
+    actions = np.random.default_rng(0).uniform(-1, 1, (150, 5)).astype(np.float32)
+    actions[100:] = [0, 1, 1, 0, 0]
+    before = make_samples(actions)
+    before = before._replace(expert_actions=th.roll(before.actions, 1, 0))
+    before.expert_actions[:10] = math.nan
+    after = rotated(before)
+    for name in ("actions", "expert_actions"):
+        old, new = getattr(before, name)[10:], getattr(after, name)[10:]
+        assert new.abs().max() <= 1
+        np.testing.assert_allclose(new[:, 1:3].norm(dim=1), old[:, 1:3].norm(dim=1), atol=1e-5)
+    assert after.expert_actions[:10, 1:3].isnan().all()
+    assert ((after.actions - before.actions).abs().amax(dim=1) > 1e-3).float().mean() > 0.6
+    corners = after.actions[100:, 1:3].numpy()
+    assert len(np.unique(corners.round(3), axis=0)) == 4
+    np.testing.assert_allclose(np.abs(corners), 1, atol=1e-5)
+
+
+def test_the_probability_is_the_share_of_rotated_steps():
+    before = make_samples(np.tile(np.array([0, 0.5, 0, 0, 0], np.float32), (190, 1)), (-0.9, 0))
+    for probability in (0.0, 0.8):
+        moved = (rotated(before, probability).actions != before.actions).any(dim=1).float().mean().item()
+        assert moved == pytest.approx(probability, abs=0.08)
+
+
+def test_the_action_sequence_is_the_environments(make_toy, make_learner, monkeypatch):
+    env = make_toy()
+    monkeypatch.setattr(type(env.envs[0].unwrapped), "action_sequence", "zxypr", raising=False)
+    model = make_learner(env, augmentation={"rotation": {}, "rad": {"size": 12}})
+    assert model.augmentation.steps[0] == Rotation(action_sequence="zxypr")
+    assert model.augmentation.with_crop({}) == {"features_extractor_kwargs": {"crop": 12}}
+    cropped = model.augmentation(make_samples(np.zeros((4, 5), np.float32)), generator())
+    assert cropped.observations["heightmap"].shape == (4, 1, 12, 12)

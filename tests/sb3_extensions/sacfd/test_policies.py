@@ -1,160 +1,247 @@
-"""The average of an actor's weights."""
+"""Policies of SACfD: they rotate with the scene, serve SAC, and may average the actor's weights."""
 
-from typing import Any
+import itertools
 
 import numpy as np
 import pytest
 import torch as th
-from stable_baselines3.common.callbacks import BaseCallback
-from stable_baselines3.sac.policies import Actor
+from gymnasium import spaces
+from stable_baselines3.common.utils import polyak_update
+from torch import nn
 
-from sb3_extensions.ferm import FERM
-from sb3_extensions.sacfd import SACfD
-from sb3_extensions.sacfd.policies import EquivariantPolicy, SACfDPolicy
-from sb3_extensions.tqcfd import TQCfD
+from sb3_extensions.common.action_sequence import ActionSequence
+from sb3_extensions.encoders.extractors import CnnExtractor
+from sb3_extensions.sacfd.policies import EquivariantPolicy, MultiInputPolicy
+from sb3_extensions.tqcfd.policies import EquivariantPolicy as EquivariantTQCPolicy
 
-CNN = {"features_extractor_kwargs": {"channels": [8, 16, 32]}, "net_arch": [32]}
-EQUIVARIANT = {"features_extractor_kwargs": {"n": 4, "channels": [2, 4, 8]}}
-CONTRASTIVE = {"features_extractor_kwargs": {"channels": [4, 8, 8], "features_dim": 6}, "net_arch": [16]}
-LEARNERS = [
-    pytest.param(SACfD, "MultiInputPolicy", CNN, {}, id="cnn"),
-    pytest.param(SACfD, "EquivariantPolicy", EQUIVARIANT, {}, id="equivariant"),
-    pytest.param(
-        SACfD, "EquivariantPolicy", {**EQUIVARIANT, "share_features_extractor": True}, {}, id="shared"
-    ),
-    pytest.param(TQCfD, "EquivariantPolicy", EQUIVARIANT, {}, id="tqcfd"),
-    pytest.param(
-        FERM, "MultiInputPolicy", CONTRASTIVE, {"augmentation": "drq", "contrastive_steps": 2}, id="ferm"
-    ),
-]
+EXACT = 2e-6
+SMALL = {"n": 4, "channels": [4, 4, 4]}
+SCENE = spaces.Dict(
+    {
+        "heightmap": spaces.Box(0, 0.4, (1, 16, 16), np.float32),
+        "holding": spaces.Box(0, 1, (1,), np.float32),
+    }
+)
+IN_HAND = spaces.Dict({**SCENE, "in_hand": spaces.Box(0, 0.4, (1, 8, 8), np.float32)})
+POLICIES = [(MultiInputPolicy, {"channels": [4, 4, 4]}), (EquivariantPolicy, SMALL)]
+each_policy = pytest.mark.parametrize(("policy_class", "extractor"), POLICIES, ids=["cnn", "equivariant"])
 
 
-def make_model(
-    env: Any,
-    learner: type[SACfD] = SACfD,
-    name: str = "EquivariantPolicy",
-    policy_kwargs: dict[str, Any] = EQUIVARIANT,
-    actor_tau: float | None = 0.25,
-    **kwargs: Any,
-) -> SACfD:
-    defaults = {"expert_episodes": 5, "batch_size": 16, "buffer_size": 500, "seed": 0}
-    averaged = {**policy_kwargs, "actor_tau": actor_tau}
-    return learner(name, env, policy_kwargs=averaged, device="cpu", **{**defaults, **kwargs})
+@pytest.fixture(autouse=True)
+def _seed():
+    th.manual_seed(0)
 
 
-def weights(module: th.nn.Module) -> np.ndarray:
+def make_policy(
+    action_dim: int = 5,
+    policy_class=EquivariantPolicy,
+    extractor=SMALL,
+    space=SCENE,
+    **kwargs,
+):
+    """Biases differ from zero, so that a small network has no dead features."""
+    action_space = spaces.Box(-1, 1, (action_dim,), np.float32)
+    policy = policy_class(
+        space, action_space, lambda _: 1e-3, features_extractor_kwargs=dict(extractor), **kwargs
+    )
+    for parameter in policy.parameters():
+        if parameter.dim() == 1:
+            nn.init.uniform_(parameter, 0.1, 0.5)
+    return policy
+
+
+def sample(space=SCENE) -> dict[str, th.Tensor]:
+    space.seed(0)
+    observations = [space.sample() for _ in range(4)]
+    return {key: th.from_numpy(np.stack([each[key] for each in observations])) for key in space}
+
+
+def grid_elements(group: str):
+    """(quarter turns, reflected) of the elements that map the grid of pixels to itself."""
+    return itertools.product(range(4), (False, True) if group == "dihedral" else (False,))
+
+
+def turn_observations(observations: dict[str, th.Tensor], turns: int, mirror: bool) -> dict[str, th.Tensor]:
+    image = observations["heightmap"]
+    return {**observations, "heightmap": th.rot90(image.flip(-1) if mirror else image, turns, (-2, -1))}
+
+
+def turn_actions(actions: th.Tensor, sequence: str, turns: int, mirror: bool) -> th.Tensor:
+    """A quarter turn takes (x, y) to (-y, x); the reflection, which comes first, to (x, -y), and r to -r.
+
+    Of three r's, the turns (u, v) about x and y go to (-v, u) by the turn, to (-u, v) by the reflection.
+    """
+    names = ActionSequence(sequence, len(sequence)).names
+    numbers = dict(zip(names, actions.unbind(1), strict=True))
+    for name in "yur" * mirror:
+        if name in numbers:
+            numbers[name] = -numbers[name]
+    for _ in range(turns):
+        numbers["x"], numbers["y"] = -numbers["y"], numbers["x"]
+        if "u" in numbers:
+            numbers["u"], numbers["v"] = -numbers["v"], numbers["u"]
+    return th.stack([numbers[name] for name in names], dim=1)
+
+
+@pytest.mark.parametrize(
+    "group, n, policy_class",
+    [
+        ("cyclic", 4, EquivariantPolicy),
+        ("cyclic", 8, EquivariantPolicy),
+        ("dihedral", 4, EquivariantPolicy),
+        ("cyclic", 4, EquivariantTQCPolicy),
+    ],
+)
+@pytest.mark.parametrize("sequence", ["pxyzr", "pxyz", "ryzxp", "rpxryzr"])
+@pytest.mark.parametrize("hidden, space", [([], SCENE), ([8], IN_HAND)])
+def test_actor_and_critic_rotate_with_the_scene(group, n, policy_class, sequence, hidden, space):
+    policy = make_policy(
+        len(sequence),
+        policy_class,
+        extractor={**SMALL, "group": group, "n": n},
+        action_sequence=sequence,
+        net_arch={"pi": hidden, "qf": hidden or [4]},
+        space=space,
+    )
+    observations, actions = sample(space), th.rand(4, len(sequence)) * 2 - 1
+
+    def q_values(*inputs) -> th.Tensor:
+        return th.stack(list(policy.critic(*inputs))).flatten(1)
+
+    with th.no_grad():
+        mean, log_std, _ = policy.actor.get_action_dist_params(observations)
+        action = policy.actor(observations, deterministic=True)
+        values = q_values(observations, actions)
+        assert mean.abs().max(dim=0).values.min() > 100 * EXACT and values.std() > 1e-3
+        for turns, mirror in grid_elements(group):
+            turned = turn_observations(observations, turns, mirror)
+            turned_mean, turned_log_std, _ = policy.actor.get_action_dist_params(turned)
+            rounding = EXACT * max(1.0, mean.abs().max().item())  # of float32, relative to the largest mean
+            assert th.allclose(turned_mean, turn_actions(mean, sequence, turns, mirror), atol=rounding)
+            assert th.allclose(turned_log_std, log_std, atol=rounding)
+            squashed = policy.actor(turned, deterministic=True)
+            assert th.allclose(squashed, turn_actions(action, sequence, turns, mirror), atol=rounding)
+            found = q_values(turned, turn_actions(actions, sequence, turns, mirror))
+            assert th.allclose(found, values, atol=EXACT * max(1.0, values.abs().max().item()))
+        assert not th.allclose(q_values(observations, -actions), values, atol=1e-3)
+    names = ActionSequence(sequence, len(sequence)).names
+    columns = {name: log_std[:, names.index(name)] for name in names}
+    for first, second in itertools.combinations(names, 2):
+        assert th.equal(columns[first], columns[second]) == ({first, second} in ({"x", "y"}, {"u", "v"}))
+
+
+def test_cnn_policy_is_the_papers():
+    actions = spaces.Box(-1, 1, (5,), np.float32)
+    policy = MultiInputPolicy(SCENE, actions, lambda _: 1e-3)
+    assert isinstance(policy.actor.features_extractor, CnnExtractor)
+    widths = {}
+    for name, network in (("actor", policy.actor), ("critic", policy.critic)):
+        layers = [layer for layer in network.modules() if isinstance(layer, nn.Linear)]
+        widths[name] = [(layer.in_features, layer.out_features) for layer in layers]
+        for layer in layers:
+            bound = layer.in_features**-0.5  # PyTorch's initialisation
+            assert 0.8 * bound < layer.weight.abs().max() <= bound
+    assert widths == {"actor": [(128, 5), (128, 5)], "critic": [(133, 128), (128, 1)] * 2}
+
+
+@each_policy
+@pytest.mark.parametrize("space", [SCENE, IN_HAND], ids=["scene", "in_hand"])
+def test_actor_and_critic_have_encoders_of_their_own(policy_class, extractor, space):
+    policy = make_policy(policy_class=policy_class, extractor=extractor, space=space)
+    assert policy.actor.features_extractor is not policy.critic.features_extractor
+    observations, actions = sample(space), th.rand(4, 5)
+    th.cat(policy.critic(observations, actions), dim=1).sum().backward()
+    action, log_prob = policy.actor.action_log_prob(observations)
+    (action.square().sum() + log_prob.sum()).backward()
+    for name, parameter in (*policy.critic.named_parameters(), *policy.actor.named_parameters()):
+        assert parameter.grad is not None and parameter.grad.abs().sum() > 0, name
+    with th.no_grad():
+        before = th.cat(policy.critic_target(observations, actions), dim=1)
+        polyak_update(policy.critic.parameters(), policy.critic_target.parameters(), tau=1.0)
+        after = th.cat(policy.critic_target(observations, actions), dim=1)
+        assert not policy.critic_target.training and not th.allclose(after, before, atol=1e-3)
+        assert th.equal(after, th.cat(policy.critic(observations, actions), dim=1))
+
+
+@each_policy
+def test_outputs_of_a_normalised_actor_do_not_grow_with_its_features(policy_class, extractor):
+    options = {"net_arch": {"pi": [8], "qf": [8]}, "normalise": True}
+    policy = make_policy(policy_class=policy_class, extractor=extractor, **options)
+    features = th.rand(8, policy.actor.features_extractor.features_dim)
+    small, large = (policy.actor.mu(policy.actor.latent_pi(scale * features)) for scale in (1.0, 1e3))
+    assert large.abs().max() < 2.0 * small.abs().max()
+
+
+@pytest.mark.parametrize(
+    "action_dim, kwargs, named",
+    [
+        (4, {"action_sequence": "pxyzr"}, "action_sequence .* 4 .* got 'pxyzr'"),
+        (5, {"action_sequence": "pxyzq"}, "action_sequence .* got 'pxyzq'"),
+        (5, {"action_sequence": "pxxyz"}, "action_sequence .* got 'pxxyz'"),
+        (6, {"action_sequence": "pxyzrr"}, "action_sequence .* got 'pxyzrr'"),
+        (4, {"action_sequence": "pxzr"}, "action_sequence .* got 'pxzr'"),
+        (5, {"extractor": {**SMALL, "output": "invariant"}}, "output='regular'"),
+        (5, {"extractor": {}, "features_extractor_class": CnnExtractor}, "features_extractor_class"),
+        (5, {"use_sde": True}, "use_sde"),
+    ],
+)
+def test_invalid_arguments_are_rejected(action_dim, kwargs, named):
+    with pytest.raises(ValueError, match=named):
+        make_policy(action_dim, **kwargs)
+
+
+def test_actions_without_a_vector_or_of_one_alone():
+    for sequence in ("pzr", "xy"):
+        extractor = {**SMALL, "group": "dihedral"}
+        policy = make_policy(len(sequence), action_sequence=sequence, extractor=extractor)
+        assert policy.actor(sample()).shape == (4, len(sequence))
+        assert policy.critic(sample(), th.rand(4, len(sequence)))[0].shape == (4, 1)
+
+
+# The average of an actor's weights.
+
+
+def weights(module: nn.Module) -> np.ndarray:
     return th.nn.utils.parameters_to_vector(module.parameters()).detach().numpy().copy()
 
 
-def average(model: SACfD) -> Actor:
-    assert isinstance(model.policy, SACfDPolicy) and model.policy.actor_average is not None
-    return model.policy.actor_average.module
-
-
-def batch(env: Any) -> dict[str, np.ndarray]:
-    obs: dict[str, np.ndarray] = env.reset()
-    return obs
-
-
-class Actors(BaseCallback):
-    """Keeps the actor's weights before every gradient step and after the last."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.history: list[np.ndarray] = []
-
-    def _on_rollout_start(self) -> None:
-        self.history.append(weights(self.model.actor))  # type: ignore[attr-defined]
-
-    def _on_step(self) -> bool:
-        return True
-
-
-def test_first_updates_count_alike_then_the_latest_most(make_toy: Any) -> None:
-    model, actors = make_model(make_toy(), pretrain_steps=3), Actors()
-    model.learn(5, callback=actors)
-    after = [*actors.history[1:], weights(model.actor)]
-    assert len(after) == 3 + 5 and (after[0] != after[-1]).any()
+def test_first_updates_count_alike_then_the_latest_most(make_learner):
+    model = make_learner(policy_kwargs={"actor_tau": 0.25}).learn(1)
+    after = [weights(model.actor)]
+    for _ in range(7):
+        model.train(1, 16)
+        after.append(weights(model.actor))
     expected = np.mean(after[:4], axis=0)
     for latest in after[4:]:
         expected = 0.75 * expected + 0.25 * latest
-    np.testing.assert_allclose(weights(average(model)), expected, atol=1e-5)
+    assert (after[0] != after[-1]).any()
+    np.testing.assert_allclose(weights(model.policy.actor_average.module), expected, atol=1e-5)
 
 
-@pytest.mark.parametrize(("learner", "name", "policy_kwargs", "kwargs"), LEARNERS)
-def test_acts_where_actions_are_not_sampled(
-    learner: type[SACfD], name: str, policy_kwargs: dict[str, Any], kwargs: dict[str, Any], make_toy: Any
-) -> None:
-    env = make_toy(3)
-    model = make_model(env, learner, name, policy_kwargs, **kwargs)
-    obs = batch(env)
-    tensors, _ = model.policy.obs_to_tensor(obs)
-
-    def means(actor: Any) -> np.ndarray:
-        with th.no_grad():
-            actions: np.ndarray = actor(tensors, deterministic=True).numpy()
-        return model.policy.unscale_action(actions)
-
-    np.testing.assert_array_equal(model.predict(obs, deterministic=True)[0], means(model.actor))
-    model.learn(30)
+def test_average_acts_where_actions_are_not_sampled(learner, trained, make_toy, make_learner, tmp_path):
+    """The average is saved and not trained, and learning is the same with it."""
+    model = make_learner(make_toy(2), *learner, policy_kwargs={"actor_tau": 0.25}).learn(20)
     model.policy.set_training_mode(False)
-    assert (means(model.actor) != means(average(model))).any()
-    np.testing.assert_array_equal(model.predict(obs, deterministic=True)[0], means(average(model)))
-    th.manual_seed(0)
-    sampled = model.predict(obs)[0]
-    th.manual_seed(0)
-    with th.no_grad():
-        expected = model.policy.unscale_action(model.actor(tensors).numpy())
-    np.testing.assert_array_equal(sampled, expected)
-
-
-@pytest.mark.parametrize(("learner", "name", "policy_kwargs", "kwargs"), LEARNERS)
-def test_is_saved_and_not_trained(
-    learner: type[SACfD],
-    name: str,
-    policy_kwargs: dict[str, Any],
-    kwargs: dict[str, Any],
-    make_toy: Any,
-    tmp_path: Any,
-) -> None:
-    env = make_toy()
-    model = make_model(env, learner, name, policy_kwargs, **kwargs).learn(10)
-    averages = list(average(model).parameters())
-    optimizers = [model.actor.optimizer, model.critic.optimizer]
-    trained = {p for optimizer in optimizers for group in optimizer.param_groups for p in group["params"]}
-    assert trained.isdisjoint(averages) and not any(p.requires_grad for p in averages)
+    observation = make_toy(3).reset()
+    tensors, _ = model.policy.obs_to_tensor(observation)
+    average = model.policy.actor_average.module
+    for actor, deterministic in ((average, True), (model.actor, False)):
+        th.manual_seed(0)
+        with th.no_grad():
+            expected = model.policy.unscale_action(actor(tensors, deterministic).numpy())
+        th.manual_seed(0)
+        found, _ = model.predict(observation, deterministic=deterministic)
+        np.testing.assert_array_equal(found, expected)
+    assert (weights(average) != weights(model.actor)).any()
+    assert not any(parameter.requires_grad for parameter in average.parameters())
+    assert not any("average" in name for name in trained.policy.state_dict())
+    for name in ("actor", "critic"):
+        np.testing.assert_array_equal(weights(getattr(model, name)), weights(getattr(trained, name)))
+    expected, _ = model.predict(observation, deterministic=True)
     model.save(tmp_path / "model")
     model.policy.save(tmp_path / "policy")
-    obs = batch(env)
-    expected, _ = model.predict(obs, deterministic=True)
     for loaded in (
-        learner.load(tmp_path / "model", device="cpu"),
+        learner[0].load(tmp_path / "model", device="cpu"),
         type(model.policy).load(tmp_path / "policy", device="cpu"),
     ):
-        np.testing.assert_array_equal(loaded.predict(obs, deterministic=True)[0], expected)
-
-
-def test_there_is_none_without_a_coefficient(make_toy: Any) -> None:
-    env = make_toy()
-    model = make_model(env, actor_tau=None).learn(5)
-    assert isinstance(model.policy, EquivariantPolicy) and model.policy.actor_average is None
-    assert not any("average" in name for name in model.policy.state_dict())
-    assert model._n_updates == 5
-
-
-def test_learning_is_the_same_with_it(make_toy: Any) -> None:
-    averaged, plain = (make_model(make_toy(), actor_tau=tau) for tau in (0.1, None))
-    plain.policy.load_state_dict(averaged.policy.state_dict(), strict=False)
-    for model in (averaged, plain):
-        model.set_random_seed(3)
-        model.learn(10)
-    np.testing.assert_array_equal(weights(averaged.actor), weights(plain.actor))
-    np.testing.assert_array_equal(weights(averaged.critic), weights(plain.critic))
-
-
-@pytest.mark.parametrize("actor_tau", [0.0, 1.5])
-def test_bad_coefficients(actor_tau: float, make_toy: Any) -> None:
-    with pytest.raises(
-        ValueError, match=f"actor_tau must be None or greater than 0 and at most 1, got {actor_tau}"
-    ):
-        make_model(make_toy(), actor_tau=actor_tau)
+        np.testing.assert_array_equal(loaded.predict(observation, deterministic=True)[0], expected)

@@ -4,9 +4,11 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
+import torch as th
 from stable_baselines3.common.vec_env import VecEnv
 
 from sb3_extensions.spatial_dqn import SDQfD, SpatialDQN
+from sb3_extensions.spatial_dqn.policies import SpatialPolicy
 
 PLAIN: dict[str, Any] = {"channels": [4, 8, 8], "in_hand_channels": [4, 4, 8]}
 EQUIVARIANT: dict[str, Any] = {"fields": [4, 4, 6], "in_hand_channels": [4, 4, 8, 8]}
@@ -27,6 +29,7 @@ CASES = [
 Case = tuple[str, str]
 MakeModel = Callable[..., SpatialDQN]
 MakeKwargs = Callable[..., dict[str, Any]]
+MakePolicy = Callable[..., SpatialPolicy]
 
 
 @pytest.fixture(params=CASES, ids="-".join)
@@ -46,6 +49,46 @@ def make_policy_kwargs() -> MakeKwargs:
         return {**own, "standardise": (0.0, 0.03), **kwargs}
 
     return make
+
+
+@pytest.fixture
+def make_policy(make_picking: Callable[..., VecEnv], make_policy_kwargs: MakeKwargs) -> MakePolicy:
+    """Makes a policy: ``make_policy(name, sequence, env, network_kwargs, **kwargs)``."""
+
+    def make(
+        name: str,
+        sequence: str = "pxyr",
+        env: Any = None,
+        network_kwargs: dict[str, Any] | None = None,
+        **kwargs: Any,
+    ) -> SpatialPolicy:
+        th.manual_seed(0)
+        env = make_picking(action_sequence=sequence) if env is None else env
+        arguments = make_policy_kwargs(name, sequence)
+        arguments["network_kwargs"] = {**arguments["network_kwargs"], **(network_kwargs or {})}
+        arguments |= {"observation_space": env.observation_space, "action_space": env.action_space}
+        policy = SpatialDQN.policy_aliases[name](lr_schedule=lambda _: 1e-3, **{**arguments, **kwargs})
+        assert isinstance(policy, SpatialPolicy)
+        return policy
+
+    return make
+
+
+@pytest.fixture
+def policy(case: Case, make_policy: MakePolicy) -> SpatialPolicy:
+    """Small policy of each case."""
+    return make_policy(*case)
+
+
+@pytest.fixture
+def scenes(case: Case) -> dict[str, th.Tensor]:
+    """Twenty observations of blocks; every other gripper holds something."""
+    generator = th.Generator().manual_seed(0)
+    heightmap = 0.1 * th.rand(20, 1, 32, 32, generator=generator)
+    heightmap[:, :, 6:26, 6:26] += 0.05
+    in_hand = 0.1 * th.rand(20, 3 if "rrr" in case[1] else 1, 12, 12, generator=generator)
+    holding = (th.arange(20) % 2).float()[:, None]
+    return {"heightmap": heightmap, "in_hand": in_hand, "holding": holding}
 
 
 @pytest.fixture

@@ -1,7 +1,4 @@
-"""SpatialDQN, ADET, DQfD and SDQfD, tested like the algorithms of Stable-Baselines3."""
-
-from pathlib import Path
-from typing import Any
+"""SpatialDQN, ADET, DQfD and SDQfD: training, losses, actions on the grid, and files."""
 
 import gymnasium as gym
 import numpy as np
@@ -11,18 +8,22 @@ from stable_baselines3.common.buffers import ReplayBuffer
 from stable_baselines3.common.evaluation import evaluate_policy
 
 import bulletarm_gym  # noqa: F401  registers the environments
+from sb3_extensions.common.checkpoint import DirectoryCheckpointCallback, resume
+from sb3_extensions.demonstrations.collection import collect_episodes
+from sb3_extensions.demonstrations.expert_envs import make_expert_envs
 from sb3_extensions.spatial_dqn import ADET, DQfD, SDQfD, SpatialDQN
+from sb3_extensions.spatial_dqn.codec import EXPLORED_HEIGHT, explore_on_grid
 from sb3_extensions.spatial_dqn.losses import cross_entropy, large_margin, strict_margin
 
 ALGORITHMS = [SpatialDQN, ADET, DQfD, SDQfD]
 ASR, ASR_6D = ("ASRPolicy", "pxyr"), ("EquivariantASRPolicy", "pxyzrrr")
 
 
-def parameters(module: Any) -> dict[str, np.ndarray]:
+def parameters(module) -> dict[str, np.ndarray]:
     return {name: value.detach().numpy().copy() for name, value in module.named_parameters()}
 
 
-def assert_equal(first: Any, second: Any) -> None:
+def assert_equal(first, second):
     assert first.keys() == second.keys()
     for name, value in first.items():
         np.testing.assert_array_equal(value, second[name], err_msg=name)
@@ -32,78 +33,64 @@ def is_on_grid(model: SpatialDQN, actions: np.ndarray) -> bool:
     return np.array_equal(model.codec.snap(actions), actions)
 
 
-@pytest.mark.parametrize("algorithm", ALGORITHMS)
-def test_training_runs(algorithm: Any, case: Any, make_model: Any) -> None:
+@pytest.mark.parametrize("algorithm", [ADET, SDQfD])
+def test_training_runs(algorithm, case, make_model):
     model = make_model(case, algorithm, expert_episodes=2).learn(2)
     assert model.num_timesteps == model._n_updates == 2
     assert model.replay_buffer.size() == model.replay_buffer.expert_size + 2
-    for name, value in parameters(model.q_net).items():
-        assert np.isfinite(value).all(), name
-    levels = len(model.q_net.levels) + 1
+    assert all(np.isfinite(value).all() for value in parameters(model.q_net).values())
     logged = [name for name in model.logger.name_to_value if "imitation_loss" in name]
-    assert len(logged) == (0 if algorithm is SpatialDQN else levels)
+    assert len(logged) == len(model.q_net.levels) + 1
     assert is_on_grid(model, model.replay_buffer.steps("action"))
+    assert all(parameter.grad is None for parameter in model.q_net_target.parameters())
 
 
-@pytest.mark.parametrize(
-    "kwargs",
-    [
-        {"train_freq": (1, "episode")},
-        {"gradient_steps": -1, "tau": 0.5, "target_update_interval": 1},
-        {"n_steps": 2, "augmentation": "rigid_motion"},
-        {"expert_episodes": 0, "learning_starts": 4, "batch_size": 1},
-        {"pretrain_steps": 2, "expert_episodes": 1},
-        {"replay_buffer_kwargs": {"sampler": "prioritized"}},
-        {"policy_kwargs": {"optimizer_kwargs": {"weight_decay": 1e-5}, "quantise": "uint16"}},
-    ],
-)
-def test_training_runs_with_options(kwargs: dict[str, Any], make_model: Any) -> None:
-    assert make_model(**kwargs).learn(8)._n_updates >= 2
-
-
-@pytest.mark.parametrize(
-    ("env_id", "policy", "sequence"),
-    [
-        ("BulletArm/OpenLoopBlockStacking-v0", "EquivariantASRPolicy", "pxyr"),
-        ("BulletArm/OpenLoopRampBlockStacking-v0", "EquivariantASRPolicy", "pxyzrrr"),
-    ],
-)
-def test_training_runs_in_the_simulator(env_id: str, policy: str, sequence: str, make_model: Any) -> None:
-    env = gym.make(env_id, obs_size=32, in_hand_size=12, num_objects=2)
+@pytest.mark.parametrize(("env_id", "which"), [("BlockStacking", ASR), ("RampBlockStacking", ASR_6D)])
+def test_training_runs_in_the_simulator(env_id, which, make_model):
+    env = gym.make(f"BulletArm/OpenLoop{env_id}-v0", obs_size=32, in_hand_size=12, num_objects=2)
     # As many yaws and tilts as the expert needs to succeed on the grid
     grid = {"num_rotations": 16, "num_heights": 36, "num_tilts": 7}
-    model = make_model((policy, sequence), SDQfD, env, {"codec_kwargs": grid}, expert_episodes=1)
-    model.learn(3)
-    assert model._n_updates == 3
-    stored = model.replay_buffer.steps("action")
-    assert is_on_grid(model, stored)
+    model = make_model(which, SDQfD, env, {"codec_kwargs": grid}, expert_episodes=1).learn(2)
+    assert model._n_updates == 2
+    assert is_on_grid(model, model.replay_buffer.steps("action"))
     rewards = model.replay_buffer.steps("reward")[: model.replay_buffer.expert_size]
     assert rewards[-1] == 1.0 and rewards[:-1].sum() == 0.0
     env.close()
 
 
-def test_training_runs_with_several_environments(make_picking: Any, make_model: Any) -> None:
-    model = make_model(env=make_picking(3, size=24)).learn(9)
-    assert model.num_timesteps == 9 and model._n_updates == 3
+@pytest.mark.parametrize(
+    "kwargs",
+    [
+        {"exploration_initial_eps": 0.5, "exploration_final_eps": 0.2, "augmentation": "rigid_motion"},
+        {"learning_starts": 10, "algorithm": ADET, "case": ASR_6D},
+        {"replay_buffer_kwargs": {"sampler": "prioritized"}, "n_steps": 2},
+    ],
+)
+def test_training_is_deterministic_and_can_be_resumed(kwargs, make_picking, make_model, tmp_path):
+    def make_env(seed: int):
+        return make_picking(2, seed, size=24, action_sequence=kwargs.get("case", ASR)[1])
 
+    def make(**changes):
+        return make_model(env=make_env(0), target_update_interval=3, **{**kwargs, **changes})
 
-def test_training_is_deterministic(make_picking: Any, make_model: Any) -> None:
-    kwargs = {"augmentation": "rigid_motion", "exploration_initial_eps": 0.5, "exploration_final_eps": 0.5}
-    first, second = (make_model(env=make_picking(2, size=24), **kwargs).learn(8) for _ in range(2))
-    assert_equal(parameters(first.policy), parameters(second.policy))
+    whole = make().learn(26)
     np.random.seed(1)  # what happened before does not matter
-    third = make_model(env=make_picking(2, size=24), **kwargs).learn(8)
-    assert_equal(parameters(first.policy), parameters(third.policy))
-    other = make_model(env=make_picking(2, size=24), **{**kwargs, "seed": 1}).learn(8)
-    assert any(
-        (value != parameters(other.policy)[name]).any() for name, value in parameters(first.policy).items()
-    )
+    saving = make().learn(26, callback=DirectoryCheckpointCallback(14, tmp_path))
+    env = make_env(123)
+    resumed = resume(min(tmp_path.iterdir()), env, device="cpu")
+    assert env.get_attr("steps") != [0, 0]  # mid-episode
+    resumed.learn(12, reset_num_timesteps=False)
+    for model in (saving, resumed):
+        assert (whole._n_updates, whole.exploration_rate) == (model._n_updates, model.exploration_rate)
+        assert_equal(parameters(whole.policy), parameters(model.policy))
+    samples = [model.replay_buffer.sample(50).indices for model in (whole, resumed)]
+    np.testing.assert_array_equal(*samples)
+    other = parameters(make(seed=1).learn(2).q_net)
+    assert any((value != other[name]).any() for name, value in parameters(whole.q_net).items())
 
 
 @pytest.mark.parametrize("which", [ASR, ASR_6D])
-def test_loaded_model_equals_the_saved_one(
-    which: Any, make_picking: Any, make_model: Any, tmp_path: Path
-) -> None:
+def test_loaded_model_equals_the_saved_one(which, make_picking, make_model, tmp_path):
     kwargs = {"exploration_initial_eps": 0.5, "margin": 0.2, "policy_kwargs": {"quantise": "uint16"}}
     model = make_model(which, DQfD, **kwargs).learn(4)
     env = make_picking(6, seed=3, action_sequence=which[1], size=24)
@@ -118,15 +105,14 @@ def test_loaded_model_equals_the_saved_one(
     assert loaded.codec.shape == model.codec.shape
     assert loaded.q_net is loaded.policy.q_net and loaded.replay_buffer.image_dtype == "uint16"
     assert loaded.margin == 0.2 and loaded.exploration_rate == model.exploration_rate
-    loaded.learn(12)
-    assert loaded._n_updates > model._n_updates
+    assert loaded.learn(12)._n_updates > model._n_updates
 
 
-def one_update(model: SpatialDQN, **changes: Any) -> Any:
+def one_update(model: SpatialDQN, **changes):
     """One gradient step on one sample, which it returns."""
     assert model.replay_buffer is not None
     sample = model.replay_buffer.sample(8)._replace(**changes)
-    model.replay_buffer.sample = lambda *args, **kwargs: sample  # type: ignore[method-assign]
+    model.replay_buffer.sample = lambda *args, **kwargs: sample
     model.train(1, 8)
     return sample
 
@@ -135,11 +121,17 @@ def huber(error: float) -> float:
     return 0.5 * error**2 if abs(error) < 1 else abs(error) - 0.5
 
 
+def copy_of(model: SpatialDQN, name: str):
+    network = model.policy.make_q_net()
+    network.load_state_dict(getattr(model, name).state_dict())
+    return network
+
+
 @pytest.mark.parametrize(
     ("algorithm", "which"),
     [*((algorithm, ASR) for algorithm in ALGORITHMS), (SDQfD, ("FCNPolicy", "pxyr")), (SDQfD, ASR_6D)],
 )
-def test_losses_equal_a_slow_reference(algorithm: Any, which: Any, make_model: Any) -> None:
+def test_losses_equal_a_slow_reference(algorithm, which, make_model):
     """All levels have one target: the value of the greedy action at the last level of the target network."""
     model = make_model(which, algorithm, gamma=0.9, learning_rate=0.05, target_update_interval=2).learn(5)
     rewards = th.tensor([0.0, 3.0, -2.0, 0.5, 1.0, 0.0, 0.0, 0.0])[:, None]  # on both sides of Huber's delta
@@ -149,66 +141,49 @@ def test_losses_equal_a_slow_reference(algorithm: Any, which: Any, make_model: A
     network, target = (copy_of(model, name) for name in ("q_net", "q_net_target"))
     assert not all(th.equal(*pair) for pair in zip(network.parameters(), target.parameters(), strict=True))
     sample = one_update(model, rewards=rewards, dones=dones, weights=weights, is_expert=is_expert)
-    logged = model.logger.name_to_value
 
+    best = target.greedy(sample.next_observations)[1].tolist()
+    np.testing.assert_allclose(sample.discounts, 0.9, rtol=1e-6)
+    targets = [rewards[k].item() + (1 - dones[k].item()) * 0.9 * best[k] for k in range(8)]
     with th.no_grad():
-        view = target.scene_view(sample.next_observations)
-        maps, encoding = target.pixel_maps(view)
-        chosen, best = [], [maps[k].max().item() for k in range(8)]
-        for k in range(8):
-            yaw, row, column = np.unravel_index(maps[k].numpy().argmax(), maps[k].shape)
-            chosen.append([row, column, yaw][: 2 + (len(maps[k]) > 1)])
-        for level in target.levels:
-            found = level(view, encoding, th.tensor(np.array(chosen))).numpy()
-            for k in range(8):
-                chosen[k], best[k] = [*chosen[k], found[k].argmax()], found[k].max()
-        np.testing.assert_allclose(sample.discounts, 0.9, rtol=1e-6)
-        targets = [rewards[k].item() + (1 - dones[k].item()) * 0.9 * best[k] for k in range(8)]
         indices = th.as_tensor(model.codec.encode(sample.actions.numpy()))
         levels = network.values(sample.observations, indices)
-    total = 0.0
+    expected = {"loss": 0.0}
     imitation = {ADET: cross_entropy, DQfD: large_margin, SDQfD: strict_margin}.get(algorithm)
     for place, (values, choices) in enumerate(zip(levels, network.choices(indices), strict=True)):
         errors = [values[k, choices[k]].item() - targets[k] for k in range(8)]
         td_loss = np.mean([w * huber(error) for w, error in zip(weights[:, 0].tolist(), errors, strict=True)])
-        np.testing.assert_allclose(logged[f"train/td_loss_{place}"], td_loss, rtol=1e-4)
-        total += td_loss
+        expected[f"td_loss_{place}"] = td_loss
+        expected["loss"] += td_loss
         if imitation is not None:
-            expected = imitation(values, choices, is_expert[:, 0], place, 0.1).item()
-            np.testing.assert_allclose(
-                logged[f"train/imitation_loss_{place}"], expected, rtol=1e-4, atol=1e-9
-            )
-            total += model.imitation_weight * expected
-    np.testing.assert_allclose(logged["train/loss"], total, rtol=1e-4)
+            term = imitation(values, choices, is_expert[:, 0], place, 0.1).item()
+            expected[f"imitation_loss_{place}"] = term
+            expected["loss"] += model.imitation_weight * term
     last = levels[-1].gather(1, network.choices(indices)[-1][:, None])
-    np.testing.assert_allclose(logged["train/value_expert"], last[is_expert].mean(), rtol=1e-3, atol=1e-6)
-    np.testing.assert_allclose(logged["train/value_online"], last[~is_expert].mean(), rtol=1e-3, atol=1e-6)
+    expected |= {"value_expert": last[is_expert].mean(), "value_online": last[~is_expert].mean()}
+    logged = model.logger.name_to_value
+    for name, value in expected.items():
+        np.testing.assert_allclose(logged[f"train/{name}"], value, rtol=1e-3, atol=1e-6, err_msg=name)
+    assert any("imitation" in name for name in logged) == (imitation is not None)
 
 
-def copy_of(model: SpatialDQN, name: str) -> Any:
-    network = model.policy.make_q_net()
-    network.load_state_dict(getattr(model, name).state_dict())
-    return network
-
-
-def test_target_is_copied_every_target_update_interval(make_model: Any) -> None:
+def test_target_is_copied_every_target_update_interval(make_model):
     model = make_model(target_update_interval=3, learning_rate=1e-2).learn(1)
     for update in range(2, 8):
         before = parameters(model.q_net_target)
         model.train(1, 4)
-        assert model._n_updates == update
         target = parameters(model.q_net_target)
         assert_equal(target, parameters(model.q_net) if update % 3 == 0 else before)
         moved = [name for name, value in parameters(model.q_net).items() if (value != target[name]).any()]
         assert bool(moved) == (update % 3 != 0)
 
 
-def test_gradients_are_clipped_by_value(make_model: Any) -> None:
+def test_gradients_are_clipped_by_value(make_model):
     gradients = []
     for limit in (1e-2, 1e9):
         model = make_model(max_grad_value=limit).learn(1)
 
-        def step(*args: Any, q_net: Any = model.q_net) -> None:
+        def step(*args, q_net=model.q_net):
             gradients.append([parameter.grad.clone() for parameter in q_net.parameters()])
 
         model.policy.optimizer.step = step
@@ -219,70 +194,128 @@ def test_gradients_are_clipped_by_value(make_model: Any) -> None:
         th.testing.assert_close(first, second.clamp(-1e-2, 1e-2))
 
 
-def test_target_and_sample_have_no_gradient(make_model: Any) -> None:
-    model = make_model().learn(2)
-    assert all(parameter.grad is None for parameter in model.q_net_target.parameters())
-
-
-def test_augmented_samples_are_trained_on(make_model: Any) -> None:
+def test_augmented_samples_are_trained_on(make_model):
     losses = []
-    for moves in (False, True):
-        model = make_model(augmentation="rigid_motion" if moves else None).learn(1)
-        state = model.augmentation_generator.get_state()
+    for augmentation in (None, "rigid_motion"):
+        model = make_model(augmentation=augmentation).learn(1)
         one_update(model)
         losses.append(model.logger.name_to_value["train/loss"])
-        assert th.equal(state, model.augmentation_generator.get_state()) != moves
     assert losses[0] != losses[1]
 
 
+# Actions and demonstrations on the grid.
+
+
+def test_half_of_each_batch_are_demonstrations(make_model):
+    """If there are as many as half a batch."""
+    model = make_model(batch_size=8, learning_starts=100, expert_episodes=3)
+    for steps, divided in ((3, False), (1, True), (5, True)):
+        model.learn(steps, reset_num_timesteps=False)
+        shares = [model.replay_buffer.sample(8).is_expert.float().mean().item() for _ in range(20)]
+        assert (set(shares) == {0.5}) == divided
+    few = make_model(batch_size=32, learning_starts=100, expert_episodes=1).learn(40).replay_buffer
+    assert 2 <= few.expert_size < 16 and few.sample(400).is_expert.float().mean() < 0.4
+
+
+@pytest.mark.parametrize("units", [(-1.0, 1.0), (2.0, 5.0)])
+def test_exploration_stays_on_the_grid(units, make_picking, make_model):
+    low, high = units
+    kwargs = {"expert_episodes": 0, "learning_starts": 40, "exploration_initial_eps": 0.5}
+    env = make_picking(2, size=24, low=low, high=high)
+    model = make_model(env=env, exploration_final_eps=0.5, gradient_steps=0, **kwargs).learn(80)
+    actions = model.replay_buffer.steps("action")[:80]
+    assert is_on_grid(model, actions)
+    sample = model.replay_buffer.sample(300)
+    observations = {key: value.numpy() for key, value in sample.observations.items()}
+    stored = sample.actions.numpy()
+    np.testing.assert_array_equal(model.codec.places(stored), observations["holding"][:, 0] > 0.5)
+    scaled = 2 * (model.predict(observations)[0] - low) / (high - low) - 1
+    is_greedy = np.isclose(scaled, stored, atol=1e-5).all(axis=1)
+    ring_length = model.replay_buffer.table.ring_length
+    warming_up = np.zeros(2 * ring_length, bool)
+    for start in (0, ring_length):  # the first 20 steps of each environment
+        valid = np.flatnonzero(model.replay_buffer.table.columns["valid"][start : start + ring_length])
+        warming_up[start + valid[:20]] = True
+    warming_up = warming_up[sample.indices]
+    assert is_greedy[warming_up].mean() < 0.1
+    assert 0.25 < is_greedy[~warming_up].mean() < 0.75
+    assert set(model.codec.encode(actions)[:20, 2]) == {0, 1, 2, 3}
+
+
+def test_random_actions_are_at_objects():
+    heights = np.zeros((600, 8, 8), np.float32)
+    heights[:300, 2, 3:5] = 2 * EXPLORED_HEIGHT
+    heights[:300, 6, 6] = 0.5 * EXPLORED_HEIGHT
+    greedy = np.full((600, 4), 7)
+    shape, generator = (8, 8, 3, 5), th.Generator().manual_seed(0)
+    explored = explore_on_grid(greedy, heights, 0.5, shape, generator)
+    assert explored.dtype == np.int64 and isinstance(explored, np.ndarray)
+    changed = (explored[:, 2] != 7) | (explored[:, 3] != 7)
+    np.testing.assert_allclose(changed.mean(), 0.5, atol=0.06)
+    assert (explored[~changed] == 7).all()
+    found = explored[:300][changed[:300]]
+    assert {tuple(pixel) for pixel in found[:, :2].tolist()} == {(2, 3), (2, 4)}
+    assert len(np.unique(explored[300:][changed[300:], :2], axis=0)) > 50  # nothing stands: anywhere
+    for place, count in ((2, 3), (3, 5)):
+        assert set(explored[changed, place]) == set(range(count))
+    np.testing.assert_array_equal(explore_on_grid(greedy, heights, 0.0, shape, generator), greedy)
+
+
+def test_exploration_rate_decreases(make_model):
+    rates = []
+    kwargs = {"exploration_initial_eps": 1.0, "exploration_final_eps": 0.2, "exploration_fraction": 0.5}
+    model = make_model(gradient_steps=0, **kwargs)
+    model.learn(10, callback=lambda *args: rates.append(model.exploration_rate) or True)
+    np.testing.assert_allclose(rates, [0.0, 0.84, 0.68, 0.52, 0.36, *[0.2] * 5], atol=1e-9)
+
+
+def test_demonstrations_are_executed_on_the_grid(make_picking, make_model):
+    """Where they fail so, they are not kept: two yaws are too few for some bars."""
+    few = {"codec_kwargs": {"num_rotations": 2, "num_heights": 4, "num_tilts": 3}}
+    env = make_picking(size=24, max_steps=2)
+    model = make_model(env=env, policy_kwargs=few, expert_episodes=6, gradient_steps=0).learn(1)
+    assert model.replay_buffer.expert_size == 12
+    assert is_on_grid(model, model.replay_buffer.steps("action")[:12])
+    for name in ("reward", "done"):
+        assert model.replay_buffer.steps(name)[:12].tolist() == [0.0, 1.0] * 6
+
+
+@pytest.mark.parametrize("units", [(-1.0, 1.0), (2.0, 5.0)])
+def test_expert_data_is_snapped_to_the_grid(units, make_picking, make_model):
+    low, high = units
+    env = make_picking(size=24, low=low, high=high)
+    episodes = list(collect_episodes(make_expert_envs(env)[0][0], 3, seed=0, progress_bar=False))
+    model = make_model(env=env, expert_data=iter(episodes), gradient_steps=0).learn(1)
+    stored = model.replay_buffer.steps("action")[: model.replay_buffer.expert_size]
+    given = 2 * (np.concatenate([episode.actions for episode in episodes]) - low) / (high - low) - 1
+    assert is_on_grid(model, stored) and not is_on_grid(model, given)
+    np.testing.assert_allclose(stored, model.codec.snap(given), atol=1e-6)
+
+
 @pytest.mark.parametrize(
-    ("kwargs", "message"),
+    ("kwargs", "named"),
     [
-        ({"imitation_weight": -1.0}, "imitation_weight must not be negative, got -1.0"),
-        ({"margin": -0.1}, "margin must not be negative"),
-        ({"exploration_fraction": 1.5}, "exploration_fraction must be between 0 and 1, got 1.5"),
-        ({"exploration_initial_eps": -0.1}, "exploration_initial_eps must be between 0 and 1"),
-        ({"exploration_final_eps": 2.0}, "exploration_final_eps must be between 0 and 1"),
-        ({"target_update_interval": 0}, "target_update_interval must be positive, got 0"),
-        ({"max_grad_value": 0.0}, "max_grad_value must be positive"),
-        ({"augmentation": "rad"}, "augmentation must be .*, got .rad."),
-        ({"expert_episodes": -1}, "expert_episodes must not be negative"),
-        ({"pretrain_steps": 5, "expert_episodes": 0}, "must be 0 without demonstrations"),
-        ({"replay_buffer_class": ReplayBuffer}, "replay_buffer_class must be an ExpertReplayBuffer"),
-        ({"replay_buffer_kwargs": {"gamma": 0.9}}, "gamma must be an argument of the algorithm"),
+        ({"imitation_weight": -1.0}, "imitation_weight .* got -1.0"),
+        ({"exploration_fraction": 1.5}, "exploration_fraction .* got 1.5"),
+        ({"target_update_interval": 0}, "target_update_interval .* got 0"),
+        ({"max_grad_value": 0.0}, "max_grad_value"),
+        ({"augmentation": "rad"}, "augmentation .*, got .rad."),
+        ({"pretrain_steps": 5, "expert_episodes": 0}, "demonstrations"),
+        ({"replay_buffer_class": ReplayBuffer}, "replay_buffer_class"),
         ({"replay_buffer_kwargs": {"image_dtype": "uint16"}}, "image_dtype='uint16', got quantise='uint8'"),
-        ({"replay_buffer_kwargs": {"sampler": "best"}}, "sampler must be None, one of"),
-        ({"n_steps": 0}, "n_steps must be at least 1"),
-        ({"case": ("ASRPolicy", "pxy")}, "Box of 3 numbers for action_sequence='pxy'"),
-        ({"case": ("FCNPolicy", "pxyz")}, r"needs levels for \['z'\]"),
+        ({"case": ("ASRPolicy", "pxy")}, "3 numbers for action_sequence='pxy'"),
     ],
 )
-def test_invalid_arguments_are_rejected(
-    kwargs: dict[str, Any], message: str, make_picking: Any, make_model: Any
-) -> None:
-    kwargs = dict(kwargs)
-    env = make_picking(action_sequence="pxyz" if kwargs.get("case", ASR)[1] == "pxyz" else "pxyr")
-    with pytest.raises(ValueError, match=message):
-        make_model(env=env, **kwargs)
+def test_invalid_arguments_are_rejected(kwargs, named, make_picking, make_model):
+    with pytest.raises(ValueError, match=named):
+        make_model(env=make_picking(), **kwargs)
 
 
-def test_environment_without_a_heightmap_is_rejected(make_toy: Any) -> None:
-    with pytest.raises(ValueError, match=r"a Dict with a heightmap \(1, size, size\)"):
-        kwargs = {"policy_kwargs": {"action_sequence": "pxyzr"}}
-        SpatialDQN("FCNPolicy", make_toy(image_only=True), device="cpu", **kwargs)
-
-
-def test_agent_learns_to_pick_and_place(make_picking: Any, make_model: Any) -> None:
+def test_agent_learns_to_pick_and_place(make_picking, make_model):
     """From 40 demonstrations, in some two hundred updates."""
     networks = {"channels": [4, 8, 8], "in_hand_channels": [8, 16, 16], "hidden": 32}
-    kwargs = {
-        "expert_episodes": 40,
-        "buffer_size": 500,
-        "batch_size": 16,
-        "learning_rate": 3e-3,
-        "gamma": 0.9,
-    }
-    kwargs |= {"policy_kwargs": {"network_kwargs": networks}, "pretrain_steps": 160}
+    kwargs = {"expert_episodes": 40, "buffer_size": 500, "batch_size": 16, "learning_rate": 3e-3}
+    kwargs |= {"gamma": 0.9, "policy_kwargs": {"network_kwargs": networks}, "pretrain_steps": 160}
     model = make_model(ASR, SDQfD, make_picking(size=24), **kwargs)
     untrained, _ = evaluate_policy(model, make_picking(10, seed=9, size=24), 40)
     model.learn(20)
@@ -292,5 +325,5 @@ def test_agent_learns_to_pick_and_place(make_picking: Any, make_model: Any) -> N
 
 
 @pytest.mark.parametrize(("algorithm", "weight"), [(ADET, 0.01), (DQfD, 0.1), (SDQfD, 0.1)])
-def test_each_learner_imitates_with_the_papers_weight(algorithm: Any, weight: float, make_model: Any) -> None:
+def test_each_learner_imitates_with_the_papers_weight(algorithm, weight, make_model):
     assert make_model(algorithm=algorithm).imitation_weight == weight

@@ -1,0 +1,269 @@
+"""Groups, and filters: harmonics on the grid of pixels, expansion from weights, rotations off the grid."""
+
+import copy
+import itertools
+import math
+
+import numpy as np
+import pytest
+import torch as th
+from scipy.linalg import block_diag
+
+from sb3_extensions.encoders.extractors import EquivariantEncoder
+from sb3_extensions.equivariant.groups import FieldType, Group, Representation
+from sb3_extensions.equivariant.harmonics import harmonic_basis
+from sb3_extensions.equivariant.layers import EquivariantConv2d, EquivariantLinear, expanded_filters
+from sb3_extensions.equivariant.steerable import WHOLE_BASIS_LIMIT, FilterSpace
+
+C4, C8, C16 = (Group("cyclic", n) for n in (4, 8, 16))
+D4, D8 = (Group("dihedral", n) for n in (4, 8))
+GROUPS = [*(Group("cyclic", n) for n in (1, 2)), C4, C8, *(Group("dihedral", n) for n in (1, 2, 6)), D4]
+
+
+@pytest.mark.parametrize("group", GROUPS, ids=str)
+def test_representations_are_orthogonal_homomorphisms(group):
+    quotients = [group.quotient(m) for m in range(1, group.n + 1) if group.n % m == 0]
+    np.testing.assert_array_equal(quotients[0].matrices, group.regular.matrices)
+    for rep in (group.trivial, group.sign, group.regular, group.irrep(1), group.irrep(2), *quotients):
+        assert rep.matrices.shape == (group.order, rep.size, rep.size)
+        for first, second in itertools.product(range(group.order), repeat=2):
+            product = rep.matrices[group.product(first, second)]
+            np.testing.assert_allclose(rep.matrices[first] @ rep.matrices[second], product, atol=1e-12)
+        inverses = rep.matrices.transpose(0, 2, 1)
+        np.testing.assert_allclose(rep.matrices @ inverses, [np.eye(rep.size)] * group.order, atol=1e-12)
+
+
+def test_vectors_rotate_with_the_world_and_as_points_of_an_image():
+    """A rotation by 90 degrees maps (x, y) to (-y, x) and an image to np.rot90(image, k=1)."""
+    turn, reflection = D4.irrep(1).matrices[[1, 4]]
+    np.testing.assert_allclose(turn @ (0.3, 0.7), (-0.7, 0.3), atol=1e-12)
+    np.testing.assert_allclose(reflection @ (0.3, 0.7), (0.3, -0.7), atol=1e-12)
+    assert [rep.matrices[4].item() for rep in (D4.sign, D4.trivial)] == [-1, 1]
+    assert C4.sign == C4.trivial
+    image = np.zeros((8, 8))
+    image[6, 3] = 1
+    point, turned = (np.argwhere(each)[0] - 3.5 for each in (image, np.rot90(image, k=1)))
+    np.testing.assert_allclose(turned, turn @ point, atol=1e-12)
+
+
+def test_quotient_is_a_yaw_modulo_pi():
+    group = Group("cyclic", 32)
+    rep = group.quotient(2)
+    assert (rep.size, rep.kind, rep.is_permutation) == (16, "quotient", True)
+    yaws = np.arange(16) * np.pi / 16
+    for element in range(group.order):
+        turned = (yaws + group.angle(element)) % np.pi
+        images = rep.matrices[element].argmax(axis=0)
+        np.testing.assert_allclose(np.exp(2j * yaws[images]), np.exp(2j * turned), atol=1e-12)
+    turn, reflection = (D4.quotient(2).matrices[element].argmax(axis=0).tolist() for element in (1, 4))
+    assert turn == [1, 0, 3, 2] and reflection == [2, 3, 0, 1]
+
+
+def test_field_type_joins_neighbours_and_drops_empty_fields():
+    fields = FieldType.of((C4.regular, 2), (C4.trivial, 0), (C4.regular, 1), (C4.irrep(1), 1))
+    assert fields.fields == ((C4.regular, 3), (C4.irrep(1), 1))
+    assert fields.size == 14 and fields.matrix(1).shape == (14, 14)
+    assert (fields + fields).size == 28
+
+
+@pytest.mark.parametrize(
+    ("make", "named"),
+    [
+        (lambda: Group("square", 4), "square"),
+        (lambda: Group("cyclic", 0), "0"),
+        (lambda: FieldType.of((C4.regular, 1), (C8.regular, 1)), "same group"),
+        (lambda: FieldType.of((C4.regular, 0)), "at least one field"),
+        (lambda: FieldType.of((C4.regular, -1)), "at least one field"),
+        *[(lambda m=m: D4.quotient(m), f"m, .* n = 4, got {m}") for m in (0, -2, 3, 16)],
+    ],
+)
+def test_invalid_arguments_are_rejected(make, named):
+    with pytest.raises(ValueError, match=named):
+        make()
+
+
+# Filters.
+
+SIZES = range(3, 9)
+FIELDS = 8
+# escnn 1.0.11 with PyTorch 2.13: R2Conv(trivial -> 8 regular fields, bias=False), default initialisation and
+# basis, seeds 0 to 2, in place of our layer in layer_error(). One row for each group and width of the blobs
+# (pixels), one column for each filter of 3 to 8 pixels.
+ESCNN = {
+    (8, 5.0): (0.00177, 0.00025, 0.00054, 0.03958, 0.00143, 0.08275),
+    (16, 5.0): (0.00145, 0.00020, 0.00044, 0.03232, 0.00117, 0.09598),
+    (32, 5.0): (0.00134, 0.00019, 0.00041, 0.02992, 0.00108, 0.08886),
+    (8, 2.0): (0.01305, 0.00405, 0.00741, 0.07386, 0.01181, 0.07756),
+    (16, 2.0): (0.01068, 0.00332, 0.00606, 0.06036, 0.00968, 0.09265),
+    (32, 2.0): (0.00989, 0.00308, 0.00561, 0.05589, 0.00896, 0.08577),
+    (8, 1.0): (0.04005, 0.04156, 0.03753, 0.07810, 0.03297, 0.06789),
+    (32, 1.0): (0.02980, 0.03134, 0.02882, 0.05963, 0.02531, 0.07857),
+}
+
+
+def blobs(side: int, angle: float, width: float, seed: int, images: int = 16) -> th.Tensor:
+    """Random images of four Gaussian blobs, rotated about their centre without interpolation."""
+    generator = th.Generator().manual_seed(seed)
+    radius, turn = (th.rand(images, 4, generator=generator) for _ in range(2))
+    radius, turn = radius.sqrt() * 0.35 * side, turn * 2 * math.pi + angle
+    heights = th.randn(images, 4, generator=generator)
+    axis = th.arange(side).double() - (side - 1) / 2
+    rows, columns = ((radius * wave)[..., None, None] for wave in (turn.cos(), turn.sin()))
+    squared = (axis[:, None] - rows) ** 2 + (axis - columns) ** 2
+    return (heights[..., None, None] * th.exp(-squared / (2 * width**2))).sum(1)[:, None].float()
+
+
+def make_layer(n: int, kernel_size: int) -> EquivariantConv2d:
+    group = Group("cyclic", n)
+    scalar, regular = FieldType.of((group.trivial, 1)), FieldType.of((group.regular, FIELDS))
+    return EquivariantConv2d(scalar, regular, kernel_size, bias=False)
+
+
+@th.no_grad()
+def layer_error(n: int, kernel_size: int, width: float) -> float:
+    """Relative error at the image's centre, over all rotations that are not multiples of 90 degrees."""
+    error = norm = 0.0
+    side = 25 if kernel_size % 2 else 26
+    middle = slice((side - kernel_size) // 2, (side + kernel_size) // 2)
+    for seed in range(3):
+        th.manual_seed(seed)
+        layer = make_layer(n, kernel_size)
+        images = [blobs(side, 2 * math.pi * element / n, width, seed) for element in range(n)]
+        with expanded_filters(layer):
+            values = [layer(image[..., middle, middle]).unflatten(1, (FIELDS, n)) for image in images]
+        for element in (element for element in range(n) if 4 * element % n):
+            error += float((values[element] - values[0].roll(element, dims=2)).square().sum())
+            norm += float(values[element].square().sum())
+    return math.sqrt(error / norm)
+
+
+@pytest.mark.parametrize(("n", "width"), ESCNN)
+def test_one_layer_is_at_least_as_exact_as_escnn(n, width):
+    for size, escnn in zip(SIZES, ESCNN[n, width], strict=True):
+        assert layer_error(n, size, width) < escnn, size
+
+
+@pytest.mark.parametrize("n", [8, 16, 32])
+@pytest.mark.parametrize("size", SIZES)
+def test_constant_image_has_no_direction(n, size):
+    layer = make_layer(n, size)
+    out = layer(th.ones(1, 1, size, size)).detach().unflatten(1, (FIELDS, n))[..., 0, 0]
+    assert out.abs().max() > 0.1
+    assert out.std(dim=2).max() < 1e-6
+
+
+@pytest.mark.parametrize("size", range(1, 10))
+def test_harmonics_do_not_respond_to_constants_and_ramps_of_other_frequencies(size):
+    """They are independent."""
+    samples, frequencies = harmonic_basis(size, 8)
+    functions = np.repeat(frequencies, [1 + (frequency > 0) for frequency in frequencies])
+    assert len(functions) == len(samples)
+    axis = np.arange(size) - (size - 1) / 2
+    for image, own in ((np.ones((size, size)), 0), (axis[:, None], 1), (axis[None, :], 1)):
+        responses = (samples * image).sum(axis=(1, 2))
+        np.testing.assert_allclose(responses[functions != own], 0.0, atol=1e-6)
+    values = np.linalg.svd(samples.reshape(len(samples), -1), compute_uv=False)
+    assert size not in SIZES or values[-1] > 0.25 * values[0]
+
+
+# Output representation and side of filters from regular fields, and whether the whole basis is kept.
+FROM_REGULAR = [
+    (C8.regular, 4, True),
+    (D4.regular, 3, True),
+    (D4.irrep(1), 3, True),
+    (D4.sign, 5, True),
+    (D4.quotient(2), 3, True),
+    (C8.regular, 5, False),
+    (D8.regular, 3, False),
+    (C16.quotient(2), 5, False),
+    (C4.irrep(1), 9, False),
+]
+
+
+def projected_basis(out_rep: Representation, kernel_size: int) -> np.ndarray:
+    """Project every tensor (harmonics x out) of the first channel of a regular field."""
+    group = out_rep.group
+    harmonics, frequencies = harmonic_basis(kernel_size, group.n)
+    reps = [group.irrep(frequency) if frequency else group.trivial for frequency in frequencies]
+    turns = np.stack([block_diag(*(rep.matrices[g] for rep in reps)) for g in range(group.order)])
+    mean = np.einsum("gab,gcd,gef->acebdf", turns, out_rep.matrices, group.regular.matrices) / group.order
+    coefficients = mean[..., 0].reshape(*mean.shape[:3], -1) * math.sqrt(group.order * out_rep.size)
+    basis = np.einsum("hoip,hxy->poixy", coefficients, harmonics)
+    return basis
+
+
+@pytest.mark.parametrize("out_rep, kernel_size, whole", FROM_REGULAR, ids=str)
+def test_expansion_equals_the_projected_basis(out_rep, kernel_size, whole):
+    th.manual_seed(0)
+    basis = projected_basis(out_rep, kernel_size)
+    assert (len(basis) <= WHOLE_BASIS_LIMIT) == whole
+    in_type, out_type = FieldType.of((out_rep.group.regular, 2)), FieldType.of((out_rep, 3))
+    layer = EquivariantConv2d(in_type, out_type, kernel_size)
+    (weights,) = layer.weights.values()
+    assert weights.shape == (3, 2, len(basis))
+    expected = np.einsum("OIp,poixy->OoIixy", weights.detach().numpy(), basis)
+    found = layer.expand().detach().numpy()
+    np.testing.assert_allclose(found, expected.reshape(found.shape), atol=1e-6)
+    noise, constant = np.square(basis).sum(), np.square(basis.sum(axis=(2, 3, 4))).sum()
+    std = math.sqrt(2 * basis[0].size / max(noise, constant) / (in_type.size * kernel_size**2))
+    assert layer.space.std("0_0", math.sqrt(2)) == pytest.approx(std)
+
+
+def test_gradients_equal_those_of_a_linear_map():
+    """Of the expansion from one column; its derivative along a direction is the direction's expansion."""
+    th.manual_seed(0)
+    fields = FieldType.of((D8.regular, 2))
+    space = FilterSpace(fields, fields, 3)
+    weight = th.randn(space.shapes["0_0"], requires_grad=True)
+    direction, cotangent = th.randn_like(weight), th.randn(fields.size, fields.size, 3, 3)
+    (space.expand({"0_0": weight}) * cotangent).sum().backward()
+    expected = (space.expand({"0_0": direction}) * cotangent).sum()
+    th.testing.assert_close((weight.grad * direction).sum(), expected, rtol=1e-4, atol=1e-4)
+
+
+def test_largest_layers_need_little_memory():
+    """Buffers and tensors saved for the backward pass do not grow with the basis of 704 filters a field."""
+    group = Group("cyclic", 32)
+    layer = EquivariantConv2d(FieldType.of((group.regular, 8)), FieldType.of((group.regular, 16)), 7)
+    assert max(buffer.numel() for buffer in layer.buffers()) < 40_000  # 160 kB
+    # Filters are on the device of the weights: here on that without memory, which mixes with no other
+    assert copy.deepcopy(layer).to("meta").expand().device.type == "meta"
+    saved = []
+    with th.autograd.graph.saved_tensors_hooks(lambda x: saved.append(x.numel()) or x, lambda x: x):
+        weight = layer.expand()
+    assert weight.shape == (16 * 32, 8 * 32, 7, 7) and sum(saved) < weight.numel()
+    # A field's first column may be anything, so its filters are as many as there are harmonics and numbers.
+    assert [parameter.shape for parameter in layer.weights.values()] == [(16, 8, 22 * 32)]
+
+
+# Action and values (two fields) of a small actor and critic behind an encoder.
+STORED = {
+    C4: (
+        [-0.000908, -0.100342, -0.074992, -0.201935, -0.177302],
+        [[0.011417, 0.446298, 0.046876, 0.486022], [-0.324128, -0.456022, -0.336141, -0.412275]],
+    ),
+    D4: (
+        [-0.435788, -0.049708, 0.050491, 0.034773, -0.225637],
+        [
+            [-0.229093, -0.097067, -0.176883, -0.918404, -0.09694, -0.825089, -0.281316, -0.324952],
+            [-0.006162, -0.250437, 0.205073, -0.113424, 0.294541, -0.475133, 0.057585, 0.079482],
+        ],
+    ),
+}
+
+
+@pytest.mark.parametrize("group", STORED, ids=str)
+def test_networks_of_a_seed_have_stored_outputs(group):
+    th.manual_seed(3)
+    encoder = EquivariantEncoder(2, 16, group, (4, 4, 4), strided=1)
+    action_type = FieldType.of((group.irrep(1), 1), (group.sign, 1), (group.trivial, 2))
+    actor = EquivariantLinear(encoder.out_type, action_type)
+    critic = EquivariantLinear(encoder.out_type + action_type, FieldType.of((group.regular, 2)))
+    image = th.linspace(0, 40, 512).sin().reshape(1, 2, 16, 16)
+    with th.no_grad():
+        features = encoder(image)
+        action = actor(features)
+        values = critic(th.cat([features, action], dim=1))
+    stored_action, stored_values = STORED[group]
+    np.testing.assert_allclose(action[0], stored_action, atol=1e-5)
+    np.testing.assert_allclose(values[0], np.ravel(stored_values), atol=1e-5)

@@ -1,0 +1,184 @@
+"""Contract of the closed-loop learners: SACfD, TQCfD and FERM with each of their policies."""
+
+import copy
+import inspect
+
+import numpy as np
+import pytest
+import torch as th
+from stable_baselines3 import SAC
+from stable_baselines3.common.buffers import ReplayBuffer
+from stable_baselines3.common.evaluation import evaluate_policy
+from stable_baselines3.common.vec_env import VecNormalize
+
+from sb3_extensions.common.env_metadata import constructor_keys
+from sb3_extensions.encoders.extractors import CnnExtractor
+from sb3_extensions.ferm import FERM
+from sb3_extensions.sacfd import SACfD
+from sb3_extensions.sacfd.policies import MultiInputPolicy
+from sb3_extensions.spatial_dqn import SDQfD, SpatialDQN
+from sb3_extensions.tqcfd import TQCfD
+
+PARAMETERS = inspect.signature(SACfD).parameters
+
+
+def assert_equal_parameters(first, second):
+    theirs = second.policy.state_dict()
+    for name, value in first.policy.state_dict().items():
+        np.testing.assert_array_equal(value, theirs[name], err_msg=name)
+
+
+def test_training_is_deterministic(learner, trained, make_toy, make_learner):
+    assert (trained.num_timesteps, trained._n_updates) == (20, 10)
+    assert trained.replay_buffer.size() == trained.replay_buffer.expert_size + 20 > 20
+    assert all(th.isfinite(value).all() for value in trained.policy.parameters())
+    np.random.seed(1)  # global generators have no effect
+    again = make_learner(make_toy(2), *learner).learn(20)
+    assert_equal_parameters(trained, again)
+    samples = [copy.deepcopy(model.replay_buffer).sample(16).indices for model in (trained, again)]
+    np.testing.assert_array_equal(*samples)
+
+
+def test_environments_by_id_and_normalised_environments(make_toy, make_learner):
+    make_learner("ToyReach-v0").learn(3)
+    for kwargs in ({"norm_obs": False}, {"norm_obs_keys": ["holding"]}):
+        make_learner(VecNormalize(make_toy(), **kwargs)).learn(3)
+    with pytest.raises(ValueError, match="heightmap"):
+        make_learner(VecNormalize(make_toy())).learn(1)
+
+
+def optimizer_states(model) -> list[th.Tensor]:
+    optimizers = [model.actor.optimizer, model.critic.optimizer, model.ent_coef_optimizer]
+    return [value for each in optimizers for state in each.state.values() for value in state.values()]
+
+
+def test_loaded_model_equals_the_saved_one(learner, make_toy, make_learner, tmp_path):
+    env = make_toy(2)
+    kwargs = {"bc_weight": 0.3, "n_steps": 2, "gamma": 0.9}
+    model = make_learner(env, *learner, **kwargs).learn(10)
+    model.save(tmp_path / "model")
+    model.save_replay_buffer(tmp_path / "buffer")
+    loaded = learner[0].load(tmp_path / "model", env=env, device="cpu")
+    assert_equal_parameters(model, loaded)
+    assert (loaded.bc_weight, loaded.replay_buffer.n_steps, loaded.replay_buffer.gamma) == (0.3, 2, 0.9)
+    states = [optimizer_states(each) for each in (model, loaded)]
+    assert states[0] and all(th.equal(*pair) for pair in zip(*states, strict=True))
+    observation = env.reset()
+    actions = [each.predict(observation, deterministic=True)[0] for each in (model, loaded)]
+    np.testing.assert_array_equal(*actions)
+    loaded.load_replay_buffer(tmp_path / "buffer")
+    ours, theirs = model.replay_buffer.sample(32), loaded.replay_buffer.sample(32)
+    np.testing.assert_array_equal(ours.indices, theirs.indices)
+    np.testing.assert_array_equal(ours.observations["heightmap"], theirs.observations["heightmap"])
+    loaded.learn(10, reset_num_timesteps=False)
+    assert loaded.replay_buffer.expert_size == model.replay_buffer.expert_size
+
+
+IMITATION = {"expert_episodes": 20, "bc_weight": 10.0, "pretrain_steps": 100, "buffer_size": 1500}
+
+
+@pytest.mark.parametrize(
+    ("learner", "policy", "kwargs"),
+    [
+        (SACfD, "MultiInputPolicy", {"augmentation": {"rad": {"size": 15}}}),
+        (SACfD, "StatePolicy", {}),
+        (TQCfD, "StatePolicy", {}),
+        (
+            SACfD,
+            "EquivariantPolicy",
+            {"augmentation": "rotation", "replay_buffer_kwargs": {"sampler": "prioritized"}},
+        ),
+        (TQCfD, "EquivariantPolicy", {"augmentation": {"drq": {"K": 3, "M": 2, "pad": 1}}}),
+        (FERM, "MultiInputPolicy", {"contrastive_steps": 50}),
+    ],
+)
+def test_learns_to_reach(learner, policy, kwargs, make_toy, make_learner):
+    observation = "state" if policy == "StatePolicy" else "image"
+    networks = {"features_extractor_kwargs": {"channels": [8, 16, 32]}, "net_arch": [32]}
+    kwargs = {"learning_rate": 3e-3, "batch_size": 32, **IMITATION, **kwargs}
+    if policy == "MultiInputPolicy":
+        kwargs["policy_kwargs"] = networks
+    model = make_learner(make_toy(2, observation=observation), learner, policy, **kwargs)
+    test_env = make_toy(seed=9, observation=observation)
+    untrained, _ = evaluate_policy(model, test_env, 20)
+    model.learn(60)
+    trained, _ = evaluate_policy(model, test_env, 20)
+    assert untrained < 0.6
+    assert trained >= 0.9
+
+
+@pytest.mark.parametrize("learner", [FERM, TQCfD])
+def test_learners_accept_the_arguments_of_sacfd_only(learner, make_learner):
+    assert constructor_keys(learner) >= PARAMETERS.keys()
+    model = make_learner(None, learner, gamma=0.5, exploration=0.25, augmentation={"rad": {"size": 12}})
+    assert (model.gamma, model.exploration) == (0.5, 0.25)
+    with pytest.raises(TypeError, match="gama"):
+        make_learner(None, learner, gama=0.9)
+
+
+def test_at_most_twelve_additions_and_all_off():
+    """Arguments in addition to those of SAC and of the paper's SACfD."""
+    papers = {"bc_weight", "expert_episodes", "expert_data", "augmentation"}
+    additions = PARAMETERS.keys() - inspect.signature(SAC).parameters.keys() - papers
+    assert len(additions) <= 12
+    on = {"backup_entropy": True, "bc_limit": 1.0, "expert_q_weight": 1.0}
+    for name in additions:
+        assert PARAMETERS[name].default == on.get(name, PARAMETERS[name].default)
+        assert name in on or not PARAMETERS[name].default
+
+
+@pytest.mark.parametrize(
+    ("kwargs", "named"),
+    [
+        ({"bc_weight": -1}, "bc_weight .* got -1"),
+        ({"expert_episodes": -1}, "expert_episodes .* got -1"),
+        ({"pretrain_steps": 5, "expert_episodes": 0}, "pretrain_steps"),
+        ({"replay_buffer_class": ReplayBuffer}, "replay_buffer_class"),
+        ({"replay_buffer_kwargs": {"gamma": 0.9}}, "gamma"),
+        ({"replay_buffer_kwargs": {"n_steps": 3}}, "n_steps"),
+        ({"replay_buffer_kwargs": {"image_dtype": "uint16"}}, "image_dtype='uint16'.*quantise='uint8'"),
+        ({"policy_kwargs": {"features_extractor_kwargs": {"quantise": None}}}, "quantise=None"),
+        ({"pretrain_steps": 5, "bc_weight": 0}, "critic_warmup_steps"),
+        ({"n_steps": 0}, "n_steps"),
+        ({"bc_limit": 1.5}, "bc_limit .* got 1.5"),
+        ({"self_imitation_temperature": 0.0}, "self_imitation_temperature"),
+        ({"value_range": (1.0, 0.0)}, "value_range"),
+        ({"policy_kwargs": {"actor_tau": 1.5}}, "actor_tau .* got 1.5"),
+        ({"augmentation": {"rad": {"size": 16}}}, "16 x 16"),
+        ({"train_freq": 0}, "train_freq .* n_envs=1"),
+        ({"learner": TQCfD, "top_quantiles_to_drop_per_net": -1}, "top_quantiles_to_drop_per_net"),
+        ({"learner": TQCfD, "top_quantiles_to_drop_per_net": 25}, "top_quantiles_to_drop_per_net"),
+        ({"learner": FERM, "augmentation": None}, "augmentation .* got None"),
+        ({"learner": FERM, "contrastive_steps": -1}, "contrastive_steps .* got -1"),
+        ({"learner": FERM, "encoder_tau": 0.0}, "encoder_tau .* got 0.0"),
+        ({"learner": FERM, "policy": MultiInputPolicy}, "policy must be FERM's MultiInputPolicy"),
+        ({"learner": FERM, "policy_kwargs": {"share_features_extractor": True}}, "share_features_extractor"),
+        ({"learner": FERM, "policy_kwargs": {"features_extractor_class": CnnExtractor}}, "Contrastive"),
+    ],
+)
+def test_invalid_arguments_are_rejected(kwargs, named, make_learner):
+    with pytest.raises(ValueError, match=named):
+        make_learner(**kwargs)
+
+
+@pytest.mark.parametrize("name", ["CnnPolicy", "unknown"])
+@pytest.mark.parametrize("algorithm", [SACfD, TQCfD, FERM, SpatialDQN, SDQfD])
+def test_an_unknown_policy_is_refused_with_the_known_ones(algorithm, name, make_toy):
+    with pytest.raises(ValueError, match=f"policy .*{', '.join(algorithm.policy_aliases)}, got '{name}'"):
+        algorithm(name, make_toy())
+
+
+def test_episodic_training_with_two_environments_is_refused(make_toy, make_learner, tmp_path):
+    with pytest.raises(ValueError, match=r"train_freq .* n_envs=2"):
+        make_learner(make_toy(2), train_freq=(1, "episode"))
+    make_learner(train_freq=(1, "episode")).save(tmp_path / "model")
+    with pytest.raises(ValueError, match=r"got \(1, 'episode'\) with n_envs=2"):
+        SACfD.load(tmp_path / "model", env=make_toy(2))
+
+
+def test_an_equivariant_actor_is_refused_in_open_loop(monkeypatch, make_toy, make_learner):
+    env = make_toy()
+    monkeypatch.setattr(type(env.envs[0].unwrapped), "action_ranges", {"theta": (0.0, 3.1)}, raising=False)
+    with pytest.raises(ValueError, match=r"policy .*got EquivariantPolicy"):
+        make_learner(env, policy="EquivariantPolicy")
+    make_learner(env)

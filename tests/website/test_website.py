@@ -1,0 +1,188 @@
+"""The website: links in docstrings, pages that are made from the environments, and the built site."""
+
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import griffe
+import pytest
+
+import bulletarm_gym
+from bulletarm_gym.config import PARAMETERS
+from website import agents, figures, gallery, hooks, measured, task_page
+from website.catalogue import SHOWN, grouped, relatives
+from website.docstring_extensions import Markup, NamedTuples
+from website.docstrings import LABELS
+from website.markdown import table
+
+ROOT = Path(__file__).parents[2]
+BY_NAME = {one.name: one for one in SHOWN}
+PICKING = "CloseLoopBlockPicking"
+MODULE = '''"""A module."""
+
+from typing import NamedTuple
+
+
+class Shape(NamedTuple):
+    """A shape, as :func:`draw` draws it, by :class:`_Pen` and :class:`~numpy.ndarray`.
+
+    :param width: how wide (m)
+    """
+
+    width: float
+    height: float = 1.0
+
+    @property
+    def area(self) -> float:
+        """Its area (m^2), of a :class:`~shapes.Shape`."""
+        return self.width * self.height
+
+
+class _Pen:
+    """A pen.
+
+    Description: it is
+    blue.
+    Success: it draws.
+    """
+
+
+def draw() -> None:
+    """Draw."""
+'''
+
+
+def test_docstrings_get_links_and_paragraphs_and_named_tuples_a_constructor(tmp_path):
+    (tmp_path / "shapes.py").write_text(MODULE)
+    extensions = griffe.load_extensions(NamedTuples(), Markup())
+    shapes = griffe.load("shapes", search_paths=[tmp_path], extensions=extensions)
+    first = shapes["Shape"].docstring.value
+    assert first.startswith("A shape, as [`draw`][shapes.draw] draws it, by `_Pen` and `ndarray`.")
+    assert "of a [`Shape`][shapes.Shape]." in shapes["Shape.area"].docstring.value
+    pen = shapes["_Pen"].docstring.value
+    assert pen == "A pen.\n\n\n**Description:** it is\nblue.\n\n**Success:** it draws."
+    parameters = shapes["Shape"].parameters
+    assert [parameter.name for parameter in parameters] == ["self", "width", "height"]
+    assert str(parameters["width"].annotation) == "float" and str(parameters["height"].default) == "1.0"
+
+
+@pytest.mark.parametrize(
+    ("origin", "address"),
+    [
+        ("git@example.org:someone/arms.git", "https://example.org/someone/arms"),
+        ("https://example.org/someone/arms.git", "https://example.org/someone/arms"),
+        ("https://token@example.org/someone/arms", None),
+        ("/home/someone/arms", None),
+    ],
+)
+def test_repository_is_what_was_cloned_if_public(origin, address, tmp_path, monkeypatch):
+    monkeypatch.setattr(hooks, "ROOT", tmp_path)
+    for command in (["init", "--quiet"], ["remote", "add", "origin", origin]):
+        subprocess.run(["git", "-C", str(tmp_path), *command], check=True)
+    assert hooks.repository({}) == address
+    assert hooks.repository({"urls": {"Repository": "https://example.org/x"}}) == "https://example.org/x"
+
+
+def test_every_environment_has_images_and_a_page_in_navigation_and_gallery():
+    assert [one.entry.env_id for one in SHOWN] == list(bulletarm_gym.ENV_IDS)
+    folder = ROOT / "docs" / "images" / "tasks"
+    wanted = {f"{one.picture}{suffix}.webp" for one in SHOWN for suffix in ("", "-heightmap")}
+    assert {path.name for path in folder.iterdir()} == wanted
+    home = (ROOT / "docs" / "index.md").read_text(encoding="utf-8")
+    assert f"{len(bulletarm_gym.ENV_IDS)} tasks," in home
+    first, *groups = hooks.navigation()
+    entries = [entry for group in groups for members in group.values() for entry in members]
+    pages = [page for entry in entries for page in entry.values()]
+    assert first == "tasks/index.md" and sorted(pages) == sorted(f"tasks/{name}.md" for name in BY_NAME)
+    assert sorted(re.findall(r"\]\((\w+)\.md\)", gallery.page())) == sorted(BY_NAME)
+    members = [one.name for group in grouped().values() for one in group]
+    assert sorted(members) == sorted(BY_NAME)
+
+
+@pytest.mark.parametrize("name", BY_NAME)
+def test_page_of_every_environment(name):
+    text = task_page.page(BY_NAME[name])
+    heads = re.findall(r"^## (.*)$", text, re.MULTILINE)
+    assert heads[:4] == ["Task", "Observation", "Action", "Parameters"]
+    assert BY_NAME[name].entry.env_id in text and ":class:" not in text and ":attr:" not in text
+    for target in re.findall(r"\]\(([\w./-]+)(?:#[\w-]+)?\)", text):
+        known = target.removesuffix(".md") in BY_NAME or (ROOT / "docs" / "tasks" / target).resolve().exists()
+        assert known, target
+
+
+def test_pages_describe_the_class_the_spaces_and_the_parameters():
+    text = task_page.page(BY_NAME["OpenLoopRampHouseBuilding2"])
+    facts = BY_NAME["OpenLoopRampHouseBuilding2"].facts
+    assert tuple(facts) == LABELS and "roof" in facts["Description"]
+    assert "at least 4.2 cm" in facts["Randomisation"]  # from the class that it extends
+    assert "`Box(0, 0.4, (3, 24, 24), float32)`" in text and "`Box(-1, 1, (7,), float32)`" in text
+    assert "| 5 | `r` | tilt about its turned y axis | -0.785 rad (-45°) | 0.785 rad (45°) |" in text
+    assert "| 0 | `p` | pick below 0, place from 0 on | pick | place |" in text
+    assert all(f"| `{parameter}` |" in text for parameter in ("in_hand_size", "half_rotation"))
+    assert "| `view` |" not in text and {"in_hand_size", "view"} <= set(PARAMETERS)
+    grasping = task_page.page(BY_NAME["CloseLoopObjectGrasping"])
+    assert re.search(r"\| `close_loop_tray` \| `True` \| .* \| True with this task: ", grasping)
+    names = {other.name for other in relatives(BY_NAME["CloseLoopHouseBuilding"])}
+    assert names == {"OpenLoopHouseBuilding1", "OpenLoopRampHouseBuilding1", "CloseLoopHouseBuilding1"}
+    assert not relatives(BY_NAME["CloseLoopDrawerOpening"])
+    cells = table(["a", "b"], [["x | y", "1\n2"]], numbers=1)
+    assert cells == "| a | b |\n| --- | ---: |\n| x \\| y | 1 2 |\n"
+
+
+CARD = {
+    **{"env": f"BulletArm/{PICKING}-v0", "baseline": "equi_sacfd", "preset": "quick", "seed": 3},
+    **{"success": 0.97, "episodes": 100, "interval": [0.916, 0.99], "command": "bulletarm-zoo train"},
+    **{"machine": "a laptop", "date": "2026-01-31", "commit": "0123456"},
+}
+
+
+def test_results_are_read_from_tables_and_cards(tmp_path, monkeypatch):
+    monkeypatch.setattr(measured, "DATA", tmp_path)
+    monkeypatch.setattr(measured, "AGENTS", tmp_path / "published")
+    assert not [*figures.expert(PICKING), *figures.speed(PICKING), *figures.agents(PICKING)]
+    assert agents.filled("a\n<!-- agents: * -->\nb") == "a\n\nb"
+    source = "a laptop,2026-01-31,0123456,bulletarm-zoo check"
+    (tmp_path / "experts.csv").write_text(
+        "env,robot,env_kwargs,snap,episodes,first_seed,success,mean_steps,machine,date,commit,command\n"
+        f"{PICKING},panda,,,50,0,0.98,7.04,{source}\n{PICKING},kuka,,,200,0,1.0,7,{source}\n"
+        f"{PICKING},kuka,obs_size:64,,10,0,0.9,,{source}\n{PICKING},kuka,,yes,10,0,0.4,,{source}\n"
+        f"OpenLoopBinPacking,kuka,,,200,0,0.5,16,{source}\n"
+    )
+    (tmp_path / "speed.csv").write_text(
+        f"env,steps_per_second,times_reference,machine,date,commit,command\n{PICKING},1234.5,29.31,{source}\n"
+    )
+    folder = tmp_path / "published" / PICKING / "equi_sacfd"
+    folder.mkdir(parents=True)
+    (folder / "card.json").write_text(json.dumps(CARD))
+    text = "\n".join(figures.expert(PICKING))
+    assert text.index("| KUKA |  | 1.000 | 7.0 | 200 |") < text.index("| Panda |  | 0.98 | 7.0 | 50 |")
+    assert "| KUKA | `obs_size:64` | 0.90 |  | 10 |" in text
+    assert "0.40" not in text and "0.500" not in text and text.count("commit 0123456") == 1
+    rate = "**1,234 steps a second** in one process, the expert acting, 29.3 times"
+    assert rate in "\n".join(figures.speed(PICKING))
+    text = "\n".join(figures.agents(PICKING))
+    assert "success **0.97** over 100 episodes (0.92 to 0.99)" in text
+    assert f"bulletarm-zoo enjoy --published BulletArm/{PICKING}-v0 --baseline equi_sacfd" in text
+    assert not figures.agents("CloseLoopBlockPulling")
+    link = f"[{PICKING}](../tasks/{PICKING}.md#trained-agents)"
+    assert link in agents.filled("<!-- agents: sacfd, equi_* -->")
+    assert agents.filled("<!-- agents: ferm_* -->") == ""
+
+
+@pytest.mark.slow
+def test_site_is_built_strictly(tmp_path):
+    """Every link, anchor and reference leads somewhere."""
+    pytest.importorskip("mkdocs_api_autonav", reason="the extra docs")
+    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(tmp_path)]
+    result = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+    assert result.returncode == 0, result.stderr
+    page = (tmp_path / "tasks" / "OpenLoopBlockStacking" / "index.html").read_text(encoding="utf-8")
+    assert 'href="../../api/bulletarm_gym/tasks/stacking/#bulletarm_gym.tasks.stacking.BlockStacking"' in page
+    home = (tmp_path / "index.html").read_text(encoding="utf-8")
+    assert "fonts.googleapis.com" not in home and "fonts.gstatic.com" not in home
+    role = re.compile(":(?:attr|class|data|exc|func|meth|mod):[`<]")
+    pages = (tmp_path / "api").rglob("*.html")
+    left = [path for path in pages if role.search(path.read_text(encoding="utf-8"))]
+    assert not left, "roles that Markdown does not know"
