@@ -5,12 +5,11 @@ import math
 from collections.abc import Callable, Iterator
 from typing import Any
 
-import numpy as np
 import pytest
 
 from bulletarm_gym.control import CloseLoop, Control, DeltaMove, RobotInterface
 from bulletarm_gym.env import ManipulationEnv
-from bulletarm_gym.experts import CLOSED, OPEN, Waypoint
+from bulletarm_gym.experts import CLOSED, Waypoint
 from bulletarm_gym.experts.tracking import Tracker
 from bulletarm_gym.geometry import Pose
 from bulletarm_gym.observations import View
@@ -29,15 +28,6 @@ class SmallSteps(CloseLoop):
 
     max_translation = 0.01
     max_rotation = math.pi / 20.0
-
-
-class Shifted(CloseLoop):
-    """Closed-loop control that tracks waypoints 1 cm above them."""
-
-    def towards(self, waypoint: Waypoint) -> DeltaMove:
-        """Return the move towards 1 cm above a waypoint."""
-        x, y, z = np.subtract(waypoint.pose.position, self.robot.pose.position).tolist()
-        return DeltaMove(waypoint.gripper, (x, y, z + 0.01))
 
 
 def reachable(thing: Any, seen: set[int]) -> Iterator[Any]:
@@ -77,13 +67,6 @@ def test_expert_respects_the_limits_of_the_control(make: Make) -> None:
         assert abs(move.rotation) <= math.pi / 20.0 + 1e-9
         *_, terminated, truncated, info = env.step(env.encode_action(move))
     assert info["is_success"]
-
-
-def test_control_may_track_waypoints_itself(make: Make) -> None:
-    env = make(PICKING, control=f"{__name__}:Shifted")
-    env.reset(seed=0)
-    move = env.tracker.towards(Waypoint(env.scene.robot.pose, OPEN))
-    assert move.translation == pytest.approx((0.0, 0.0, 0.01))
 
 
 def test_tracker_rejects_a_control_without_towards(picking: ManipulationEnv) -> None:

@@ -141,18 +141,6 @@ def test_pick_while_holding_and_place_while_empty_change_nothing(env: Manipulati
     assert digest(observation) == digest(before)
 
 
-def test_targets_out_of_reach_are_ignored(make: Make) -> None:
-    env = make(STACKING, action_sequence="pxyzrrr", half_rotation=False)
-    env.reset(seed=0)
-    ignored = []
-    for x, theta in itertools.product((0.25, 0.65), np.linspace(-3.0, 3.0, 5).tolist()):
-        state = env.scene.world.get_state()
-        *_, info = act(env, "pick", (x, 0.2, 0.3), (theta, math.pi / 4, math.pi / 4))
-        ignored.append(info["ignored"])
-        assert not info["ignored"] or env.scene.world.get_state() == state
-    assert 0 < sum(ignored) < len(ignored)
-
-
 # Motion
 
 
@@ -193,19 +181,6 @@ def test_tilted_pick_holds_a_cube_upright(make: Make, fast: bool) -> None:
     assert cube.pose.tilt < 0.01
 
 
-def test_a_grasped_cube_is_not_moved_through_a_tower(env: ManipulationEnv) -> None:
-    """Motions that are not simulated must not pass through objects."""
-    lay_out(env, Pose.planar(0.5, 0.1, CUBE / 2))
-    held = pick(env, 0.5, 0.1)
-    for number, obj in enumerate(obj for obj in env.scene if obj is not held):
-        obj.place(Pose.planar(0.4, 0.0, CUBE * (number + 0.5)))
-    env.scene.begin()
-    robot = env.scene.robot
-    start = robot.pose
-    assert not robot._jump(robot.inverse_kinematics(Pose.planar(0.4, 0.02, 0.06))) and robot.pose == start
-    assert robot._jump(robot.inverse_kinematics(Pose.planar(0.4, 0.1, 0.06)))
-
-
 @pytest.mark.parametrize("half", [True, False])
 def test_waypoints_become_actions(make: Make, half: bool) -> None:
     """The first with a finish counts; the grasped object has the same target with the fingers exchanged."""
@@ -223,25 +198,6 @@ def test_waypoints_become_actions(make: Make, half: bool) -> None:
     goal, wanted = env.control.executed(place).compose(carried), spot.compose(carried)
     assert place.primitive == "place" and goal.position == pytest.approx(wanted.position)
     assert wrap_angle(goal.yaw - wanted.yaw, math.pi) == pytest.approx(0.0, abs=1e-9)
-
-
-@pytest.mark.parametrize(
-    "parameters",
-    [
-        {"action_sequence": "xyzrrr"},
-        {"half_rotation": False},
-        {"object_scale_range": [0.5, 0.8], "num_objects": 3},
-        {"workspace": [[0.3, 0.6], [-0.1, 0.2], [0.0, 0.5]]},
-    ],
-    ids=str,
-)
-def test_expert_solves_in_the_papers_steps(make: Make, parameters: dict[str, Any]) -> None:
-    env = make(HOUSE, **parameters)
-    optimal = 2 * (env.config.num_objects - 1)
-    for seed in range(2):
-        env.reset(seed=seed)
-        results = [env.step(env.expert_action())[1:3] for _ in range(optimal)]
-        assert results == [(0.0, False)] * (optimal - 1) + [(1.0, True)]
 
 
 # Heights of actions without z

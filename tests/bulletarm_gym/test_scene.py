@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from rollouts import advance, transcript
 
 from bulletarm_gym.env import ManipulationEnv
 from bulletarm_gym.geometry import PlacementError, Pose
@@ -26,8 +25,7 @@ from bulletarm_gym.scene.sampling import (
     sample_until,
     scatter,
 )
-from bulletarm_gym.scene.scene import MAX_BODIES, subsample_variants
-from bulletarm_gym.simulation import BodySpec
+from bulletarm_gym.scene.scene import MAX_BODIES
 from bulletarm_gym.surfaces import SURFACES
 
 Make = Callable[..., ManipulationEnv]
@@ -135,29 +133,6 @@ def test_a_range_of_sizes_keeps_all_sizes_and_shapes_in_few_bodies(make: Make) -
     assert len(pairs) == len(SHAPES) * len(env.config.scales)
 
 
-def test_states_are_exact_with_many_sizes(make: Make) -> None:
-    env, other = (make(PACKING, instance, **RANGE) for instance in range(2))
-    state = advance(env, 3, 3)
-    expected = transcript(env, 4)
-    other.reset(seed=5)
-    other.set_state(state)
-    assert transcript(other, 4) == expected
-
-
-@pytest.mark.parametrize("most", [1, 8, 29, 120, 1000])
-def test_variants_are_spread(most: int) -> None:
-    counts = (1, 4, 77, 77, 38)
-    slots = [ObjectSlot("", tuple(BodySpec(str(n), (), 1.0) for n in range(count))) for count in counts]
-    chosen = subsample_variants(slots, most)
-    lengths = [len(places) for places in chosen]
-    assert lengths == [min(count, max(lengths)) for count in counts] and sum(lengths) <= max(most, 5)
-    for places, count in zip(chosen, counts, strict=True):
-        assert places == sorted(set(places)) and set(places) <= set(range(count))
-    if max(lengths) < 38:
-        assert not set(chosen[2]) & set(chosen[3])  # the second continues where the first ended
-    assert (max(lengths) == 77) == (most == 1000)
-
-
 # Values that are computed once a pose
 
 
@@ -181,12 +156,3 @@ def test_relations_and_heightmaps_follow_the_poses(make: Make) -> None:
     np.testing.assert_array_equal(renderer.heights_of([first.body], window), alone)
     first.park()
     assert renderer.heights_of([first.body], window).max() == 0.0
-
-
-def test_are_near_equals_the_distance(make: Make) -> None:
-    env = make("BulletArm/OpenLoopImproviseHouseBuilding3-v0")
-    world = env.scene.world
-    env.reset(seed=0)
-    for first, second in itertools.combinations([obj.body for obj in env.scene], 2):
-        for limit in (0.002, 0.05, 0.1):
-            assert world.are_near(first, second, limit) == (world.distance(first, second, limit) <= limit)
