@@ -152,10 +152,8 @@ class BoxPalletizing(Task):
         if held is None:
             yield pick(scene, self._next(scene), rng)
             return
-        free = self._free(scene, held)
-        if not free:
-            free = [self._aside(scene, rng, held)]
-        yield put(scene, held, free[:1])
+        free = self._free(scene, held) or [self._aside(scene, rng, held)]
+        yield put(scene, held, free[0])
 
     def _aside(self, scene: Scene, rng: np.random.Generator, held: SceneObject) -> Pose:
         """Return the frame of a free place on the surface, or of the most free one."""
