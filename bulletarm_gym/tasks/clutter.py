@@ -3,35 +3,20 @@
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from itertools import cycle
 
 import numpy as np
 
-from bulletarm_gym.config import (
-    MAX_ROTATION,
-    MAX_TRANSLATION,
-    OPEN_LOOP,
-    EnvConfig,
-    TaskDefaults,
-    TrayUse,
-)
+from bulletarm_gym.config import MAX_ROTATION, MAX_TRANSLATION, OPEN_LOOP, EnvConfig, TaskDefaults
 from bulletarm_gym.control import GraspParams
 from bulletarm_gym.experts import CLOSED, OPEN, Waypoint
 from bulletarm_gym.experts.approach import ALIGNED, ALIGNED_YAW, HOVER, rotates
 from bulletarm_gym.experts.grasp_sampling import DEPTHS, YAWS, ElevationMap, find_grasps
 from bulletarm_gym.experts.pushing import singulate
-from bulletarm_gym.geometry import (
-    IDENTITY,
-    FloatArray,
-    Mesh,
-    PlacementError,
-    Pose,
-    planar_distance,
-    wrap_angle,
-)
+from bulletarm_gym.geometry import FloatArray, Mesh, PlacementError, Pose, planar_distance, wrap_angle
 from bulletarm_gym.objects.blocks import CUBE_SIZE
 from bulletarm_gym.objects.catalogue import object_set
 from bulletarm_gym.scene import ObjectSlot, Scene, SceneObject
-from bulletarm_gym.scene.sampling import ARRANGEMENTS
 from bulletarm_gym.scene.stability import settle
 from bulletarm_gym.simulation import BodySpec, Convex, Piece
 from bulletarm_gym.tasks.picking import Lift
@@ -51,7 +36,7 @@ MAX_OBJECTS = 15
 DEFAULTS = TaskDefaults(
     num_objects=5,
     allowed_objects=tuple(range(1, MAX_OBJECTS + 1)),
-    tray=TrayUse((True,), "without it the objects would roll out of the workspace"),
+    needs_tray="without it the objects would roll out of the workspace",
     takes_object_set=True,
     lifts=True,
 )
@@ -106,38 +91,29 @@ class ObjectGrasping(Lift):
     """
 
     defaults = DEFAULTS
-    feasibility_trials = 1  # each drops all objects, several times if necessary
+    grasps = False
 
     def bodies(self, config: EnvConfig) -> list[ObjectSlot]:
         """Return all objects of the set, each in one size.
 
         :raises ValueError: the set has fewer than ``num_objects`` objects, or unknown kinds
         """
-        specs, scales = object_set(config.object_set), config.scales
+        specs = object_set(config.object_set)
         if len(specs) < config.num_objects:
-            raise ValueError(
-                f"num_objects must be at most {len(specs)} with this object_set, got {config.num_objects}"
-            )
-        return [
-            ObjectSlot(spec.name, (resized(spec, scales[n % len(scales)]),)) for n, spec in enumerate(specs)
-        ]
-
-    def grasped(self, scene: Scene) -> list[SceneObject]:
-        """Return nothing: objects that are too large for the gripper stay in the tray."""
-        return []
+            must = f"at most {len(specs)} with this object_set, got {config.num_objects}"
+            raise ValueError(f"num_objects must be {must}")
+        sized = zip(specs, cycle(config.scales), strict=False)
+        return [ObjectSlot(spec.name, (_resized(spec, scale),)) for spec, scale in sized]
 
     def arrange(self, scene: Scene, rng: np.random.Generator) -> None:
         """Drop objects into the tray.
 
         :raises PlacementError: they do not stay in it
         """
-        for _ in range(ARRANGEMENTS):
-            chosen = rng.choice(len(scene.objects), self.config.num_objects, replace=False)
-            self.drop(scene, [scene.objects[index] for index in chosen], rng)
-            if self.is_valid(scene):
-                return
-            scene.clear(rng)
-        raise PlacementError(f"num_objects: {self.config.num_objects} objects do not stay in the tray")
+        chosen = rng.choice(len(scene.objects), self.config.num_objects, replace=False)
+        self.drop(scene, [scene.objects[index] for index in chosen], rng)
+        if not self.is_valid(scene):
+            raise PlacementError(f"num_objects: {self.config.num_objects} objects do not stay in the tray")
 
     def drop(self, scene: Scene, objects: Sequence[SceneObject], rng: np.random.Generator) -> None:
         """Drop objects into the tray one by one and simulate until they rest, with the arm raised."""
@@ -157,9 +133,10 @@ class ObjectGrasping(Lift):
         point = scene.surface.sample_position(rng, DROP_MARGIN)
         x, y, z, w = rng.standard_normal(4).tolist()
         norm = math.hypot(x, y, z, w)
-        orientation = (x / norm, y / norm, z / norm, w / norm)
         position = (*point, scene.surface.height(point) + DROP_HEIGHT)
-        return Pose(position, orientation if self.config.random_orientation else IDENTITY)
+        if not self.config.random_orientation:
+            return Pose(position)
+        return Pose(position, (x / norm, y / norm, z / norm, w / norm))
 
     def continue_scene(self, scene: Scene, rng: np.random.Generator) -> bool:
         """Remove the lifted object and keep the others; return False if none is left or one is outside."""
@@ -170,7 +147,7 @@ class ObjectGrasping(Lift):
 
     def after_action(self, scene: Scene, rng: np.random.Generator) -> None:
         """Remember the tool pose of a failed grasp."""
-        tool, failed = scene.robot.pose, self._failed
+        tool, failed = scene.robot.pose, self.memory or ()
         closed = scene.robot.get_state().opening < 0.5 * scene.robot.model.gripper.stroke
         known = (
             failed
@@ -179,11 +156,6 @@ class ObjectGrasping(Lift):
         )
         if closed and scene.robot.held is None and not known:
             self.memory = (*failed, tool)[-MAX_FAILURES:]
-
-    @property
-    def _failed(self) -> tuple[Pose, ...]:
-        """Tool poses of this episode's failed grasps."""
-        return self.memory or ()
 
     def plan_grasp(self, scene: Scene, rng: np.random.Generator) -> Iterator[Waypoint]:
         """Execute the best grasp, or push an object if no grasp is possible."""
@@ -203,7 +175,7 @@ class ObjectGrasping(Lift):
         grasps = self._grasps(scene, elevation, DEPTHS)
         x, y, _, yaw, quality = grasps.T
         value = quality.copy()
-        for failed in self._failed:
+        for failed in self.memory or ():
             near = np.hypot(x - failed.x, y - failed.y) < NEAR_FAILURE
             value -= FAILURE_COST * near * (1.0 + (np.abs(_half_turns(yaw - failed.yaw)) < SAME_YAW))
         good = value > 0.0
@@ -289,19 +261,13 @@ def _approach(scene: Scene, elevation: ElevationMap, target: Pose) -> Waypoint:
     if distance < ALIGNED and abs(rotation) < ALIGNED_YAW and abs(target.z - tool.z) < DEEP:
         return Waypoint(Pose.planar(*target.position, tool.yaw + rotation), OPEN, finish=CLOSED)
     # The distance that remains after this step limits the descent.
-    dx, dy = (
-        _excess(goal - now, scene.max_translation) for goal, now in ((target.x, tool.x), (target.y, tool.y))
-    )
-    left = max(math.hypot(dx, dy), FUNNEL_ROTATION * _excess(rotation, scene.max_rotation))
+    dx = max(0.0, abs(target.x - tool.x) - scene.max_translation)
+    dy = max(0.0, abs(target.y - tool.y) - scene.max_translation)
+    left = max(math.hypot(dx, dy), FUNNEL_ROTATION * max(0.0, abs(rotation) - scene.max_rotation))
     apart = max(left, max(distance, FUNNEL_ROTATION * abs(rotation)) / 2.0 - ALIGNED)
     top = max(target.z, elevation.top_between(tool.position, target.position, reach) + HOVER)
     height = target.z + (top - target.z) * min(1.0, max(0.0, apart / FUNNEL))
     return Waypoint(Pose.planar(target.x, target.y, height, tool.yaw + rotation), OPEN)
-
-
-def _excess(distance: float, limit: float) -> float:
-    """Return the part of an absolute distance that exceeds a limit."""
-    return max(0.0, abs(distance) - limit)
 
 
 def _pose(grasp: FloatArray) -> Pose:
@@ -313,8 +279,7 @@ def _half_turns(angles: FloatArray) -> FloatArray:
     return (angles + math.pi / 2.0) % math.pi - math.pi / 2.0
 
 
-def resized(spec: BodySpec, scale: float) -> BodySpec:
-    """Return an object with all lengths times ``scale``."""
+def _resized(spec: BodySpec, scale: float) -> BodySpec:
     if scale == 1.0:
         return spec
     meshes = [Mesh.of(piece.mesh.vertices * scale, piece.mesh.faces) for piece in spec.pieces]

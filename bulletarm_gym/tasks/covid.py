@@ -5,7 +5,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from bulletarm_gym.config import CLOSE_LOOP, OPEN_LOOP, WIDE, EnvConfig, ParameterError, TaskDefaults, TrayUse
+from bulletarm_gym.config import CLOSE_LOOP, OPEN_LOOP, WIDE, EnvConfig, ParameterError, TaskDefaults
 from bulletarm_gym.control import GraspParams
 from bulletarm_gym.experts import CLOSED, OPEN, Waypoint
 from bulletarm_gym.experts.approach import RELEASE, place_pose
@@ -73,7 +73,7 @@ class CovidTest(Task):
         max_steps=30,
         object_scale=bottles.COVID_SCALE,
         allowed_objects=(2 * ROUNDS,),
-        tray=TrayUse((False,), "the three places do not fit into the tray"),
+        no_tray="the three places do not fit into the tray",
         level_ground="the three places need 30 x 30 cm of level ground",
         close_loop={"max_steps": 300, "workspace": WIDE},
     )

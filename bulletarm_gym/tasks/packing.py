@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 from scipy.ndimage import maximum_filter1d
 
-from bulletarm_gym.config import CLOSE_LOOP, OPEN_LOOP, WIDE, EnvConfig, TaskDefaults, TrayUse
+from bulletarm_gym.config import CLOSE_LOOP, OPEN_LOOP, WIDE, EnvConfig, TaskDefaults
 from bulletarm_gym.control import GraspParams
 from bulletarm_gym.experts import CLOSED, OPEN, Waypoint
 from bulletarm_gym.experts.approach import RELEASE, place_pose, rotates
@@ -73,7 +73,7 @@ class BinPacking(Task):
         max_steps=20,
         object_scale=0.8,
         allowed_objects=tuple(range(1, MAX_BLOCKS + 1)),
-        tray=TrayUse((False,), "the bin and its blocks do not fit into the tray"),
+        no_tray="the bin and its blocks do not fit into the tray",
         close_loop={"max_steps": 200, "workspace": WIDE},
     )
     controls = (OPEN_LOOP, CLOSE_LOOP)
@@ -100,7 +100,7 @@ class BinPacking(Task):
 
         site = goal_site(scene, rng, self.site)
         scene["bin"].place(site.compose(Pose.planar(0.0, 0.0, 0.0, math.pi / 2.0)))
-        place_apart(scene, rng, self.grasped(scene), BLOCK_SPACING, allows=is_graspable)
+        place_apart(scene, rng, scene.objects[1:], BLOCK_SPACING, allows=is_graspable)
 
     def evaluate(self, scene: Scene) -> dict[str, bool]:
         """Return whether all blocks are in the bin, the gripper is empty and nothing moves."""
@@ -243,7 +243,7 @@ class BottleArrangement(Task):
         max_steps=20,
         object_scale=0.8,
         allowed_objects=tuple(range(1, MAX_BOTTLES + 1)),
-        tray=TrayUse((False,), "the bottles and their own tray do not fit into the tray"),
+        no_tray="the bottles and their own tray do not fit into the tray",
         level_ground="bottles fall over on a slope",
         close_loop={"max_steps": 240, "workspace": WIDE},
     )
@@ -270,7 +270,7 @@ class BottleArrangement(Task):
     def arrange(self, scene: Scene, rng: np.random.Generator) -> None:
         """Place the tray, and the bottles next to it."""
         scene["tray"].place(goal_site(scene, rng, self.site))
-        place_apart(scene, rng, self.grasped(scene), BOTTLE_SPACING)
+        place_apart(scene, rng, scene.objects[1:], BOTTLE_SPACING)
 
     def evaluate(self, scene: Scene) -> dict[str, bool]:
         """Return whether all bottles are in the tray, the gripper is empty and nothing moves."""

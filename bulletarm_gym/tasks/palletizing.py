@@ -5,7 +5,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from bulletarm_gym.config import CLOSE_LOOP, OPEN_LOOP, WIDE, EnvConfig, TaskDefaults, TrayUse
+from bulletarm_gym.config import CLOSE_LOOP, OPEN_LOOP, WIDE, EnvConfig, TaskDefaults
 from bulletarm_gym.control import GraspParams
 from bulletarm_gym.experts import Waypoint
 from bulletarm_gym.experts.approach import rotates
@@ -73,7 +73,7 @@ class BoxPalletizing(Task):
         max_steps=40,
         object_scale=0.8,
         allowed_objects=(LAYER, 2 * LAYER, 3 * LAYER),
-        tray=TrayUse((False,), "the pallet and a box next to it do not fit into the tray"),
+        no_tray="the pallet and a box next to it do not fit into the tray",
         close_loop={"max_steps": 400, "workspace": WIDE},
     )
     controls = (OPEN_LOOP, CLOSE_LOOP)

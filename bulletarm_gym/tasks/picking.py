@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from bulletarm_gym.config import CLOSE_LOOP, EnvConfig, TaskDefaults, TrayUse
+from bulletarm_gym.config import CLOSE_LOOP, EnvConfig, TaskDefaults
 from bulletarm_gym.experts import CLOSED, OPEN, Waypoint
 from bulletarm_gym.experts.approach import (
     HOVER,
@@ -23,7 +23,7 @@ from bulletarm_gym.geometry import Pose, planar_distance, wrap_angle
 from bulletarm_gym.objects import bowl, corner, cube
 from bulletarm_gym.objects.blocks import CUBE_SIZE
 from bulletarm_gym.objects.containers import BOWL_HEIGHT, CORNER_INSIDE, CORNER_PLATE, CORNER_SIDE
-from bulletarm_gym.scene import ObjectSlot, Scene, SceneObject, scaled
+from bulletarm_gym.scene import ObjectSlot, Scene, scaled
 from bulletarm_gym.scene.predicates import is_empty, is_held, success_at_rest, touching, upright
 from bulletarm_gym.scene.sampling import is_within, sample_until, scatter, stand
 from bulletarm_gym.tasks.task import Task
@@ -172,10 +172,6 @@ class BlockInBowl(Task):
         """Return cube and bowl."""
         return [scaled(config, "cube", cube), scaled(config, "bowl", bowl)]
 
-    def grasped(self, scene: Scene) -> list[SceneObject]:
-        """Return the cube, not the bowl."""
-        return [scene["cube"]]
-
     def arrange(self, scene: Scene, rng: np.random.Generator) -> None:
         """Place cube and bowl apart."""
         block, vessel = scene["cube"], scene["bowl"]
@@ -216,7 +212,7 @@ class CornerPicking(Lift):
     defaults = TaskDefaults(
         num_objects=1,
         lifts=True,
-        tray=TrayUse((False,), "the corner does not fit into the tray"),
+        no_tray="the corner does not fit into the tray",
         level_ground="the corner's plate lies on level ground",
     )
 
@@ -231,18 +227,16 @@ class CornerPicking(Lift):
         place = Pose((inset, inset, CORNER_PLATE + block.spec.extents[2] / 2.0))
 
         def draw() -> Pose:
-            return scene.surface.pose(scene.surface.sample_position(rng, CORNER_SIDE / 2.0), self._yaw(rng))
+            point = scene.surface.sample_position(rng, CORNER_SIDE / 2.0)
+            if self.config.random_orientation:
+                return scene.surface.pose(point, float(rng.uniform(-math.pi, math.pi)))
+            return scene.surface.pose(point, int(rng.integers(4)) * math.pi / 2.0)
 
         pose = sample_until(
             draw, lambda frame: is_within(scene, frame.transform(place.position), block.spec.planar_radius)
         )
         walls.place(pose)
         block.place(pose.compose(place))
-
-    def _yaw(self, rng: np.random.Generator) -> float:
-        if self.config.random_orientation:
-            return float(rng.uniform(-math.pi, math.pi))
-        return int(rng.integers(4)) * math.pi / 2.0
 
     def plan_grasp(self, scene: Scene, rng: np.random.Generator) -> Iterator[Waypoint]:
         """Draw the cube out of the corner first, if it is still there."""
