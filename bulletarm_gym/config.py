@@ -338,11 +338,12 @@ def accepted(context: Context) -> dict[str, str]:
 
 def _check_surface(context: Context, in_tray: bool) -> None:
     """Check that the task can be placed on the surface."""
-    reason = context.task.no_tray if context.surface == "tray" else ""
-    if context.is_sloping:
-        reason = context.task.level_ground or ("its tray is placed on level ground" if in_tray else "")
-    if reason:
-        raise ParameterError.of("surface", context.surface, "another one with this task", reason)
+    level = context.task.level_ground or ("its tray is placed on a level surface" if in_tray else "")
+    reasons = {name: level if kind.sloping else "" for name, kind in SURFACES.builtin.items()}
+    reasons["tray"] = context.task.no_tray
+    if reason := level if context.is_sloping else reasons.get(context.surface, ""):
+        others = " or ".join(repr(name) for name, refused in reasons.items() if not refused)
+        raise ParameterError.of("surface", context.surface, f"{others} with this task", reason)
 
 
 def _unknown(name: str, value: object, control: str) -> str:

@@ -62,9 +62,17 @@ def _plain(value: Any) -> Any:
     return value.item() if isinstance(value, np.generic) else value
 
 
+def _is_number(value: Any) -> bool:
+    return type(_plain(value)) in (int, float)
+
+
+def _float(value: Any) -> float:
+    return float(value) if _is_number(value) else math.nan
+
+
 def _pair(value: Any) -> Any:
     """Return a number twice; return other values as they are."""
-    return [value, value] if type(_plain(value)) in (int, float) else value
+    return [value, value] if _is_number(value) else value
 
 
 def _floats(*shape: int) -> Callable[[Any], Any]:
@@ -120,9 +128,7 @@ def integer(low: int, high: int | None = None) -> Check:
 
 def number(low: float, high: float, must: str) -> Check:
     """Accept finite numbers between limits, both included."""
-    return rule(
-        must, lambda value: type(value) in (int, float) and low <= value <= high and math.isfinite(value)
-    )
+    return rule(must, lambda value: low <= value <= high and math.isfinite(value), _float)
 
 
 def action_sequence(known: Sequence[str]) -> Check:
