@@ -167,10 +167,8 @@ class ObjectGrasping(Lift):
             yield _approach(scene, elevation, target)
 
     def _target(self, scene: Scene, elevation: ElevationMap) -> Pose | None:
-        """Return the grasp with the best quality minus distance cost, if any grasp is good enough.
-
-        The distance decreases fastest for the chosen grasp, so that the choice does not change.
-        """
+        """Return the grasp with the best quality minus distance cost, if any grasp is good enough."""
+        # The distance decreases fastest for the chosen grasp, so that the choice does not change.
         tool = scene.robot.pose
         grasps = self._grasps(scene, elevation, DEPTHS)
         x, y, _, yaw, quality = grasps.T
@@ -186,13 +184,12 @@ class ObjectGrasping(Lift):
         return _pose(grasps[int(np.where(good, value - DISTANCE_COST * distance, -np.inf).argmax())])
 
     def _grasps(self, scene: Scene, elevation: ElevationMap, depths: Sequence[float]) -> FloatArray:
-        """Return the grasps in the workspace without collisions, see :func:`find_grasps`."""
+        """Return the grasps in the workspace, see :func:`find_grasps`."""
         yaws = [math.pi * step / YAWS for step in range(YAWS)] if rotates(scene) else [scene.robot.pose.yaw]
-        (x0, x1), (y0, y1), (floor, _) = self.config.workspace
-        lowest = max(scene.surface.level + FLOOR_CLEARANCE, floor)
+        low, high = np.array(self.config.workspace).T
+        lowest = max(scene.surface.level + FLOOR_CLEARANCE, low[2])
         grasps = find_grasps(elevation, scene.robot.model.gripper, yaws, lowest, depths)
-        x, y = grasps[:, 0], grasps[:, 1]
-        return grasps[(x > x0) & (x < x1) & (y > y0) & (y < y1)]
+        return grasps[((low[:2] < grasps[:, :2]) & (grasps[:, :2] < high[:2])).all(axis=1)]
 
 
 class OpenLoopObjectGrasping(ObjectGrasping):
@@ -249,8 +246,7 @@ class OpenLoopObjectGrasping(ObjectGrasping):
 def _approach(scene: Scene, elevation: ElevationMap, target: Pose) -> Waypoint:
     """Return the next waypoint of a grasp: open, move towards it, descend in a funnel, close.
 
-    Except for opening and closing the waypoint is continuous in the tool pose, so that the plan corrects the
-    errors of an agent that imitates it.
+    It is continuous in the tool pose, so that the plan corrects the errors of an agent that imitates it.
     """
     tool, reach = scene.robot.pose, scene.robot.model.gripper.stroke / 2.0
     if scene.robot.opening_ratio < SHUT:

@@ -93,13 +93,14 @@ class BinPacking(Task):
 
     def arrange(self, scene: Scene, rng: np.random.Generator) -> None:
         """Place the bin, and the blocks next to it."""
+        site = goal_site(scene, rng, self.site)
+        scene["bin"].place(site.compose(Pose.planar(0.0, 0.0, 0.0, math.pi / 2.0)))
+        base = footprint(scene["bin"])
 
         def is_graspable(pose: Pose) -> bool:
             area = Footprint.rectangle(GRASP_AREA, pose)
-            return not self.config.random_orientation or area.gap(footprint(scene["bin"])) > 0.0
+            return not self.config.random_orientation or area.gap(base) > 0.0
 
-        site = goal_site(scene, rng, self.site)
-        scene["bin"].place(site.compose(Pose.planar(0.0, 0.0, 0.0, math.pi / 2.0)))
         place_apart(scene, rng, scene.objects[1:], BLOCK_SPACING, allows=is_graspable)
 
     def evaluate(self, scene: Scene) -> dict[str, bool]:
@@ -140,11 +141,10 @@ class FreeSpace:
 
     def best(self) -> Pose:
         """Return the tool pose in the world that releases the block as low as possible, close to a corner."""
-        for needs_fingers in (True, False):
-            found = [option for yaw in self._yaws() if (option := self._lowest(yaw, needs_fingers))]
-            if found:
-                return min(found, key=lambda option: option[0])[1]
-        return self._bin.compose(Pose.planar(0.0, 0.0, 2.0 * BIN[2], self._yaws()[0]))
+        above = Pose.planar(0.0, 0.0, 2.0 * BIN[2], self._yaws()[0])
+        found = [option for yaw in self._yaws() if (option := self._lowest(yaw))]
+        _, pose = min(found, key=lambda option: option[0], default=((), above))
+        return self._bin.compose(pose)
 
     def _yaws(self) -> list[float]:
         """Return the gripper's yaws with the block's long side along the bin's x and y axes."""
@@ -154,11 +154,10 @@ class FreeSpace:
         across = yaw - (resting_frame(self._held).yaw - self._bin.yaw)
         return [across + math.pi / 2.0, across]
 
-    def _lowest(self, yaw: float, needs_fingers: bool) -> tuple[tuple[float, ...], Pose] | None:
+    def _lowest(self, yaw: float) -> tuple[tuple[float, ...], Pose] | None:
         """Return a key for comparison and the pose of the lowest release at a yaw.
 
-        :param needs_fingers: require space for the fingers; if False, the block is released higher if they
-            would touch an object
+        Without space for the fingers the block is released higher, so that they touch nothing.
         """
         low, high = self._outline(yaw)
         rest = self._highest(low, high, math.inf)
@@ -168,15 +167,16 @@ class FreeSpace:
         tips = lowest
         for outline, height in self._fingers(yaw):
             tips = np.maximum(tips, self._highest(*outline, 0.0) + PACKING_CLEARANCE - height)
-        if needs_fingers:
-            fits &= tips <= lowest
         if not fits.any():
             return None
-        steps = np.where(fits, np.round((rest if needs_fingers else tips) / PITCH), np.inf)
+        free = fits & (tips <= lowest)
+        steps = np.round(np.where(free, rest, np.inf) / PITCH)
+        if not free.any():
+            steps = np.round(np.where(fits, tips, np.inf) / PITCH)
         cost = self._xs[:, None] - ROW_WEIGHT * np.abs(self._ys)
         row, column = np.unravel_index(np.where(steps == steps.min(), cost, np.inf).argmin(), steps.shape)
         pose = Pose.planar(self._xs[row], self._ys[column], tips[row, column], yaw)
-        return (float(steps[row, column]), yaw != self._yaws()[0]), self._bin.compose(pose)
+        return (not free.any(), float(steps[row, column]), yaw != self._yaws()[0]), pose
 
     def _outline(self, yaw: float) -> tuple[FloatArray, FloatArray]:
         """Return the lowest and the highest corner (m) of the block relative to the fingertips at a yaw."""
@@ -211,10 +211,7 @@ class FreeSpace:
         return np.where(inside, heights, BIN[2])
 
     def _highest(self, low: FloatArray, high: FloatArray, outside: float) -> FloatArray:
-        """Return the largest height (m) within an outline around each position.
-
-        :param outside: height (m) outside the bin
-        """
+        """Return the largest height (m) in an outline around each position, with a height next to the bin."""
         found = self._heights
         for axis in (0, 1):
             first, last = math.floor(low[axis] / PITCH), math.ceil(high[axis] / PITCH)
