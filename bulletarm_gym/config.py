@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass, field, fields
 from typing import Any, Literal, NamedTuple
 
 from bulletarm_gym import config_checks as checks
-from bulletarm_gym.config_checks import Check, ParameterError, check_argument, describe
+from bulletarm_gym.config_checks import Check, ParameterError, check_argument
 from bulletarm_gym.registry import ROBOTS, SENSORS, SURFACES
 
 __all__ = ["Context", "EnvConfig", "ParameterError", "TaskDefaults", "UnknownParameterError"]
@@ -325,15 +325,6 @@ def default_home_height(control: str, workspace: list[list[float]]) -> float:
     low, high = workspace[2]
     height = HOME_HEIGHTS[control]
     return low + height if control == OPEN_LOOP else min(max(height, low), high)
-
-
-def accepted(context: Context) -> dict[str, str]:
-    """Return the description of the accepted values of each parameter, by name."""
-    return {
-        name: describe(_resolve(entry["check"], context))
-        for name, entry in PARAMETERS.items()
-        if belongs(name, context.control)
-    }
 
 
 def _check_surface(context: Context, in_tray: bool) -> None:

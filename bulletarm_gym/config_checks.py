@@ -49,15 +49,6 @@ def check_argument(name: str, value: Any, check: Check) -> Any:
         raise ParameterError.of(name, value, str(refused)) from None
 
 
-def describe(check: Check) -> str:
-    """Return the description of the accepted values that error messages show."""
-    try:
-        check(object())
-    except Refused as refused:
-        return str(refused)
-    raise AssertionError(f"{check} accepts every value")
-
-
 def _plain(value: Any) -> Any:
     return value.item() if isinstance(value, np.generic) else value
 

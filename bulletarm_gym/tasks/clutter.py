@@ -31,11 +31,9 @@ SETTLE_STEPS = 480
 """Largest number of simulation steps (2 s) in which new clutter comes to rest."""
 ARM_AWAY = 0.4
 """Height (m) of the fingertips while objects are dropped, if it is in reach."""
-MAX_OBJECTS = 15
-"""Largest number of objects (paper, Object Grasping)."""
 DEFAULTS = TaskDefaults(
     num_objects=5,
-    allowed_objects=tuple(range(1, MAX_OBJECTS + 1)),
+    allowed_objects=tuple(range(1, 16)),
     needs_tray="without it the objects would roll out of the workspace",
     takes_object_set=True,
     lifts=True,
@@ -56,10 +54,8 @@ DEEP = 0.025
 """Height (m) above a grasp within which the fingers close at the end of the step."""
 SHUT = 0.7
 """Opening ratio below which the gripper opens before it descends."""
-SAME_PLACE = 0.02
-"""Distance (m) to a failed grasp within which the gripper has not tried again."""
 NEAR_FAILURE = 0.02
-"""Distance (m) to a failed grasp within which a grasp loses quality."""
+"""Distance (m) to a failed grasp within which a grasp is the same and loses quality."""
 FAILURE_COST = 0.25
 """Decrease of the quality near a failed grasp, twice for a similar yaw."""
 SAME_YAW = 0.3
@@ -151,7 +147,7 @@ class ObjectGrasping(Lift):
         closed = scene.robot.get_state().opening < 0.5 * scene.robot.model.gripper.stroke
         known = (
             failed
-            and planar_distance(failed[-1].position, tool.position) < SAME_PLACE
+            and planar_distance(failed[-1].position, tool.position) < NEAR_FAILURE
             and abs(wrap_angle(failed[-1].yaw - tool.yaw, math.pi)) < SAME_YAW
         )
         if closed and scene.robot.held is None and not known:
@@ -202,7 +198,7 @@ class OpenLoopObjectGrasping(ObjectGrasping):
     before a failed grasp.
     """
 
-    defaults = replace(DEFAULTS, num_objects=MAX_OBJECTS, max_steps=1, lifts=False)
+    defaults = replace(DEFAULTS, num_objects=15, max_steps=1, lifts=False)
     controls = (OPEN_LOOP,)
     single_step = True
 

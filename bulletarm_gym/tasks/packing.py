@@ -22,8 +22,6 @@ from bulletarm_gym.scene.predicates import inside, is_top, loose_objects, succes
 from bulletarm_gym.scene.sampling import GRASP_AREA, footprint, goal_site, place_apart
 from bulletarm_gym.tasks.task import Task
 
-MAX_BLOCKS = 8
-"""Largest number of blocks (paper, Bin Packing)."""
 BLOCK_SPACING = 0.025
 """Smallest gap (m) between blocks at the start."""
 PICK_OFFSET = 0.0125
@@ -43,8 +41,6 @@ VIEW = 0.24
 PITCH = 0.001
 """Side (m) of a pixel of the elevation map of the bin."""
 
-MAX_BOTTLES = 6
-"""Largest number of bottles (paper, Bottle Arrangement), and number of positions in the tray."""
 ROWS, COLUMNS = 2, 3
 BOTTLE_SPACING = 0.024
 """Smallest gap (m) around a bottle at the start, for the fingers at its neck."""
@@ -69,10 +65,10 @@ class BinPacking(Task):
     """
 
     defaults = TaskDefaults(
-        num_objects=MAX_BLOCKS,
+        num_objects=8,
         max_steps=20,
         object_scale=0.8,
-        allowed_objects=tuple(range(1, MAX_BLOCKS + 1)),
+        allowed_objects=tuple(range(1, 9)),
         no_tray="the bin and its blocks do not fit into the tray",
         close_loop={"max_steps": 200, "workspace": WIDE},
     )
@@ -236,10 +232,10 @@ class BottleArrangement(Task):
     """
 
     defaults = TaskDefaults(
-        num_objects=MAX_BOTTLES,
+        num_objects=6,
         max_steps=20,
         object_scale=0.8,
-        allowed_objects=tuple(range(1, MAX_BOTTLES + 1)),
+        allowed_objects=tuple(range(1, 7)),
         no_tray="the bottles and their own tray do not fit into the tray",
         level_ground="bottles fall over on a slope",
         close_loop={"max_steps": 240, "workspace": WIDE},

@@ -115,15 +115,6 @@ def test_expert_clears_the_tray(make: Make, parameters: dict[str, Any], noise: f
     assert np.mean(outcomes) >= 0.9
 
 
-def test_fingers_that_were_pushed_closed_open_again(env: ManipulationEnv) -> None:
-    env.reset(seed=0)
-    robot = env.scene.robot
-    robot._place(robot._fingers, [0.004, 0.004])
-    assert robot.opening_ratio < 0.2
-    env.step(np.array([1.0, 0.0, 0.0, 0.0, 0.0]))
-    assert robot.opening_ratio > 0.9
-
-
 def test_round_objects_are_pushed_towards_the_centre(env: ManipulationEnv) -> None:
     env.reset(seed=0)
     bowl = next(item for item in env.scene.objects if item.slot.name == "bowl_3")
