@@ -96,12 +96,14 @@ CloseLoopObjectGrasping 5 7 50 100
 """Environments of the paper's Close-Loop 3D and 4D Benchmarks."""
 
 
+def _environment(row: str, in_hand_size: int | None) -> BenchmarkEnv:
+    name, *numbers = row.split()
+    objects, optimal, most, episodes = map(int, numbers)
+    return BenchmarkEnv(f"{NAMESPACE}/{name}-v0", objects, optimal, most, episodes, in_hand_size)
+
+
 def _environments(table: str, in_hand_size: int | None = None) -> tuple[BenchmarkEnv, ...]:
-    rows = map(str.split, table.strip().splitlines())
-    return tuple(
-        BenchmarkEnv(f"{NAMESPACE}/{name}-v0", *map(int, numbers), in_hand_size=in_hand_size)
-        for name, *numbers in rows
-    )
+    return tuple(_environment(row, in_hand_size) for row in table.strip().splitlines())
 
 
 _BASIC, _DELTA = _environments(OPEN_LOOP, IN_HAND), _environments(CLOSE_LOOP)

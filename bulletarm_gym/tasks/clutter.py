@@ -6,6 +6,7 @@ from dataclasses import replace
 from itertools import cycle
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bulletarm_gym.config import MAX_ROTATION, MAX_TRANSLATION, OPEN_LOOP, EnvConfig, TaskDefaults
 from bulletarm_gym.control import GraspParams
@@ -182,10 +183,12 @@ class ObjectGrasping(Lift):
     def _grasps(self, scene: Scene, elevation: ElevationMap, depths: Sequence[float]) -> FloatArray:
         """Return the grasps in the workspace, see :func:`find_grasps`."""
         yaws = [math.pi * step / YAWS for step in range(YAWS)] if rotates(scene) else [scene.robot.pose.yaw]
-        low, high = np.array(self.config.workspace).T
+        limits: FloatArray = np.array(self.config.workspace)
+        low, high = limits.T
         lowest = max(scene.surface.level + FLOOR_CLEARANCE, low[2])
         grasps = find_grasps(elevation, scene.robot.model.gripper, yaws, lowest, depths)
-        return grasps[((low[:2] < grasps[:, :2]) & (grasps[:, :2] < high[:2])).all(axis=1)]
+        inside: NDArray[np.bool_] = ((low[:2] < grasps[:, :2]) & (grasps[:, :2] < high[:2])).all(axis=1)
+        return grasps[inside]
 
 
 class OpenLoopObjectGrasping(ObjectGrasping):

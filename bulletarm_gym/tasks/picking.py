@@ -8,17 +8,8 @@ from typing import ClassVar
 import numpy as np
 
 from bulletarm_gym.config import CLOSE_LOOP, EnvConfig, TaskDefaults
-from bulletarm_gym.experts import CLOSED, OPEN, Waypoint
-from bulletarm_gym.experts.approach import (
-    HOVER,
-    grasp,
-    grasp_object,
-    highest_between,
-    pass_above,
-    place_object,
-    side_symmetry,
-    side_yaw,
-)
+from bulletarm_gym.experts import CLOSED, OPEN, Waypoint, approach
+from bulletarm_gym.experts.approach import grasp, grasp_object, pass_above, place_object, side_yaw
 from bulletarm_gym.geometry import Pose, planar_distance, wrap_angle
 from bulletarm_gym.objects import bowl, corner, cube
 from bulletarm_gym.objects.blocks import CUBE_SIZE
@@ -43,10 +34,7 @@ RELEASE_HEIGHT = 0.35
 WALL_CLEARANCE = 2e-4
 """Gap (m) between the cube and the walls at the start, so that they exert no force."""
 PRESS = 1e-3
-"""Depth (m) of the fingertips' target below the cube's upper side.
-
-Half and twice this depth move the cube too; from twice this depth on the arm may be blocked.
-"""
+"""Depth (m) of the fingertips' target below the cube's upper side; twice this depth may block the arm."""
 FREE = 0.05
 """Distance (m) of the cube from the walls at which the fingers of any gripper fit in between."""
 DRAWN = 0.07
@@ -99,10 +87,7 @@ class BlockReaching(Task):
 
 
 class Lift(Task):
-    """Base class of tasks in which an object is lifted.
-
-    Success: the gripper holds an object and is higher than ``lift_height``, 15 cm.
-    """
+    """Base class of tasks in which the gripper lifts an object higher than ``lift_height``."""
 
     controls = (CLOSE_LOOP,)
 
@@ -144,7 +129,7 @@ class BlockPicking(Lift, BlockReaching):
     def plan_grasp(self, scene: Scene, rng: np.random.Generator) -> Iterator[Waypoint]:
         """Grasp the cube along its sides."""
         block = scene["cube"]
-        symmetry = side_symmetry(block.pose)
+        symmetry = approach.side_symmetry(block.pose)
         yaw = block.pose.yaw if symmetry < math.pi else side_yaw(block.pose)
         target = Pose.planar(*block.pose.position, yaw)
         yield from grasp(scene, target, scene.world.top(block.body), symmetry)
@@ -249,7 +234,8 @@ class CornerPicking(Lift):
             closed = scene.robot.opening_ratio < SHUT
             if not (closed and apart < PRESSING_RADIUS and tool.z < top):
                 if apart > DESCENT_RADIUS or not closed:
-                    over = max(top, highest_between(scene, tool.position, block.pose.position, block)) + HOVER
+                    highest = approach.highest_between(scene, tool.position, block.pose.position, block)
+                    over = max(top, highest) + approach.HOVER
                     yield from pass_above(tool, Pose.planar(x, y, over, tool.yaw), over)
                 yield Waypoint(Pose.planar(x, y, top - PRESS, tool.yaw), CLOSED)
             drawn = CORNER_INSIDE + half + DRAWN - OFFSET

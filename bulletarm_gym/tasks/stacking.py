@@ -34,13 +34,8 @@ BRICKS = 19
 class Stack(Structure):
     """A stack of cubes, with a different block on top or without.
 
-    Open-loop control: as in :class:`~bulletarm_gym.tasks.structure.Structure`. Closed-loop control:
-
-    Randomisation: the blocks' positions in the workspace, at least 2.4 sides apart, and their yaws.
-    Success: the blocks form one stack, the top block upright and above all others; the gripper is empty and
-    nothing moves.
-    Expert: repeat until solved: grasp the next block (the top block last), lift, move above the stack, lower,
-    open.
+    Open-loop control has the arrangement, the success and the expert of
+    :class:`~bulletarm_gym.tasks.structure.Structure`.
 
     :param config: the environment's parameters
     """
@@ -53,7 +48,8 @@ class Stack(Structure):
 
     def __init__(self, config: EnvConfig) -> None:
         self._is_close_loop = config.control == CLOSE_LOOP
-        self.layers = [("cube",)] * (config.num_objects - bool(self.top)) + [(self.top,)] * bool(self.top)
+        tops = [(self.top,)] if self.top else []
+        self.layers = [("cube",)] * (config.num_objects - len(tops)) + tops
         if self._is_close_loop:
             self.upright = ()  # an invalid scene would end the episode
         super().__init__(config)

@@ -109,10 +109,10 @@ def test_remaining_objects_are_part_of_the_state(make: Make) -> None:
 def test_expert_clears_the_tray(make: Make, parameters: dict[str, Any], noise: float) -> None:
     env, outcomes = make(ENV_ID, **parameters), []
     env.reset(seed=0)
-    for _ in range(10):
+    for _ in range(8):
         outcomes.append(_solve(env, noise))
         env.reset()
-    assert np.mean(outcomes) >= 0.9
+    assert sum(outcomes) >= 7
 
 
 def test_round_objects_are_pushed_towards_the_centre(env: ManipulationEnv) -> None:

@@ -180,20 +180,19 @@ def test_smallest_workspace_is_accepted_despite_rounding() -> None:
         assert config(workspace=[x, [-0.02, 0.02], [0.01, 0.25]]).workspace[0] == x
 
 
+TINY = [[0.4, 0.5], [-0.05, 0.05], [0, 1]]
 NARROW = [[0.36, 0.6], [-0.09, 0.15], [0.01, 0.25]]
 ROOM: list[tuple[str, dict[str, Any], str | None]] = [
     ("CloseLoopBlockPulling", {"object_scale_range": [0.8, 0.96]}, None),
-    ("CloseLoopBlockPulling", {"object_scale_range": 1.2}, "object_scale_range"),
     ("CloseLoopBlockPulling", {"workspace": NARROW}, None),
     ("CloseLoopBlockStacking", {"num_objects": 4, "object_scale_range": [0.8, 1.1]}, None),
     ("CloseLoopHouseBuilding", {"num_objects": 4, "object_scale_range": 1.2}, "object_scale_range"),
     ("CloseLoopHouseBuilding", {"num_objects": 3, "object_scale_range": 1.2}, None),
     ("CloseLoopBlockInBowl", {"object_scale_range": 1.2}, None),
-    ("CloseLoopBlockInBowl", {"workspace": NARROW}, "workspace"),
     ("OpenLoopCovidTest", {"workspace": [[0.35, 0.6], [-0.1, 0.15], [0.0, 1.0]]}, "workspace"),
     (
         "OpenLoopObjectGrasping",
-        {"num_objects": 4, "workspace": [[0.4, 0.5], [-0.05, 0.05], [0, 1]]},
+        {"workspace": [[0.4, 0.5], [-0.05, 0.05], [0, 1]], "num_objects": 4},
         "num_objects",
     ),
     ("OpenLoopRampBlockStacking", {"object_scale_range": [0.6, 1.0]}, None),
@@ -206,7 +205,7 @@ def test_reset_finds_space_or_names_the_parameter(
 ) -> None:
     env = make_env(f"BulletArm/{name}-v0", obs_size=16, **parameters)
     if refused is None:
-        for seed in range(20):
+        for seed in range(10):
             env.reset(seed=seed)
     else:
         with pytest.raises(PlacementError, match=rf"^.*{refused}.* must leave room .*, got "):

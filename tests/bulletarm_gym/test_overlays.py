@@ -45,17 +45,6 @@ def test_edges_through_pixel_centres_belong_to_the_rectangle() -> None:
         assert sorted([np.ptp(rows) + 1, np.ptp(columns) + 1]) == [5, 7]
 
 
-@pytest.mark.parametrize("size", [64, 75, 128])
-def test_rotation_of_the_world_by_90_degrees_is_rot90(size: int) -> None:
-    side = 6 * RESOLUTION
-    symmetric = [Rectangle(0.45 + k * RESOLUTION, 0.0, side, side, 0.0) for k in range(5)]
-    for before in symmetric + random_rectangles(2, 15):
-        after = before._replace(x=-before.y, y=before.x, yaw=before.yaw + math.pi / 2)
-        mask = rectangle_mask(Window(CENTRE, EXTENT, size), [before])
-        again = rectangle_mask(Window((-CENTRE[1], CENTRE[0]), EXTENT, size), [after])
-        np.testing.assert_array_equal(again, np.rot90(mask, k=1))
-
-
 def test_rectangle_outside_or_without_area_is_not_drawn() -> None:
     window = Window(CENTRE, EXTENT, 128)
     for numbers in ((9, 9, 0.1, 0.1, 0), (0.45, 0, 0, 0.1, 0), (math.nan, 0, 0.1, 0.1, 0)):

@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bulletarm_gym.config import ParameterError
 from bulletarm_gym.env import ManipulationEnv
 from bulletarm_gym.experts import CLOSED, OPEN, Waypoint
 from bulletarm_gym.experts.approach import PRECISE
@@ -322,19 +321,3 @@ def test_cube_next_to_its_bowl_is_not_sorted_and_a_fallen_bowl_is_invalid(make: 
     assert not env.task.evaluate(env.scene)["is_sorted"]
     env.scene["red bowl"].place(Pose(env.scene["red bowl"].pose.position, (1.0, 0.0, 0.0, 0.0)))
     assert not env.task.is_valid(env.scene)
-
-
-@pytest.mark.parametrize("env_id", SORTING)
-def test_expert_sorts_with_a_fixed_orientation(make: Make, env_id: str) -> None:
-    env = make(env_id, action_sequence="pxyz", random_orientation=False)
-    env.reset(seed=0)
-    ended = False
-    while not ended:
-        *_, terminated, truncated, info = env.step(env.expert_action())
-        ended = terminated or truncated
-    assert info["is_success"]
-
-
-def test_sorting_needs_level_ground(make: Make) -> None:
-    with pytest.raises(ParameterError, match=r"^surface must .*'ramp'"):
-        make(SORTING[1], surface="ramp")
