@@ -1,12 +1,11 @@
 """Benchmarks: the numbers of the paper's tables, and the defaults of the registered environments."""
 
-from collections.abc import Callable
-
 import pytest
 
 import bulletarm_gym
 from bulletarm_gym.benchmarks import BENCHMARKS
-from bulletarm_gym.env import ManipulationEnv
+from bulletarm_gym.config import Context, EnvConfig
+from bulletarm_gym.registry import PAPER, load
 
 # The paper's tables, transcribed by column: number of objects, optimal and maximum number of steps.
 OPEN_LOOP_3D = """
@@ -49,8 +48,8 @@ ROWS["open_loop_6d"] = _rows(OPEN_LOOP_3D, "OpenLoopRamp")[:7] + BUMPS
 
 
 @pytest.mark.parametrize("name", PARAMETERS)
-def test_benchmarks_have_the_papers_numbers(make: Callable[..., ManipulationEnv], name: str) -> None:
-    benchmark = BENCHMARKS[name]
+def test_benchmarks_have_the_papers_numbers(name: str) -> None:
+    benchmark, entries = BENCHMARKS[name], {entry.env_id: entry for entry in PAPER}
     assert (benchmark.action_sequence, benchmark.random_orientation) == PARAMETERS[name]
     rows = benchmark.environments
     assert [(row.env_id, row.num_objects, row.optimal_steps, row.max_steps) for row in rows] == ROWS[name]
@@ -58,7 +57,9 @@ def test_benchmarks_have_the_papers_numbers(make: Callable[..., ManipulationEnv]
         assert row.expert_episodes == next(count for word, count in EPISODES.items() if word in row.env_id)
         size = 40 if "Bump" in row.env_id else 24 if "OpenLoop" in row.env_id else None
         assert benchmark.make_kwargs(row).get("in_hand_size") == size
-        config = make(row.env_id, **benchmark.make_kwargs(row)).config
+        entry = entries[row.env_id]
+        context = Context(entry.control, load(entry.task).defaults, entry.surface)
+        config = EnvConfig.of(context, benchmark.make_kwargs(row), entry.defaults)
         assert (config.num_objects, config.max_steps) == (row.num_objects, row.max_steps)
 
 
