@@ -30,6 +30,7 @@ def test_training_examples(
     assert re.search(r"^success rate [01]\.\d\d$", capsys.readouterr().out, re.MULTILINE)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("command", "output"),
     [

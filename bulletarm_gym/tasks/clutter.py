@@ -18,6 +18,7 @@ from bulletarm_gym.geometry import FloatArray, Mesh, PlacementError, Pose, plana
 from bulletarm_gym.objects.blocks import CUBE_SIZE
 from bulletarm_gym.objects.catalogue import object_set
 from bulletarm_gym.scene import ObjectSlot, Scene, SceneObject
+from bulletarm_gym.scene.sampling import ARRANGEMENTS
 from bulletarm_gym.scene.stability import settle
 from bulletarm_gym.simulation import BodySpec, Convex, Piece
 from bulletarm_gym.tasks.picking import Lift
@@ -107,10 +108,13 @@ class ObjectGrasping(Lift):
 
         :raises PlacementError: they do not stay in it
         """
-        chosen = rng.choice(len(scene.objects), self.config.num_objects, replace=False)
-        self.drop(scene, [scene.objects[index] for index in chosen], rng)
-        if not self.is_valid(scene):
-            raise PlacementError(f"num_objects: {self.config.num_objects} objects do not stay in the tray")
+        for _ in range(ARRANGEMENTS):
+            chosen = rng.choice(len(scene.objects), self.config.num_objects, replace=False)
+            self.drop(scene, [scene.objects[index] for index in chosen], rng)
+            if self.is_valid(scene):
+                return
+            scene.clear(rng)
+        raise PlacementError(f"num_objects: {self.config.num_objects} objects do not stay in the tray")
 
     def drop(self, scene: Scene, objects: Sequence[SceneObject], rng: np.random.Generator) -> None:
         """Drop objects into the tray one by one and simulate until they rest, with the arm raised."""
