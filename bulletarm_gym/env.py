@@ -26,8 +26,8 @@ from bulletarm_gym.scene import Scene
 from bulletarm_gym.scene.state import EnvState, check_fits, scene_facts
 from bulletarm_gym.simulation import has_display
 from bulletarm_gym.tasks import Task, checks
-from bulletarm_gym.tasks.arrangement import arrange_scene
-from bulletarm_gym.tasks.warm_up import WARM_UP
+from bulletarm_gym.tasks.task import arrange_scene
+from bulletarm_gym.tasks.warm_up import warm_up
 
 Observation = dict[str, NDArray[Any]]
 Action = NDArray[np.float32]
@@ -98,7 +98,7 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         self._episode_seed: int | None = None
         if self.render_mode == "human":
             self.viewer.face_workspace()
-        WARM_UP.run(ManipulationEnv)
+        warm_up(ManipulationEnv)
 
     def _make_scene(self, task_type: Any, model: RobotModel, surface: str, default: EnvConfig) -> None:
         """Make the task and load its bodies."""

@@ -106,7 +106,7 @@ def test_unknown_names(make: Make, name: str) -> None:
     [
         (PICKING, [], "a list of some of"),
         (PICKING, "heightmap", "a list of some of"),
-        (PICKING, ["holding", "holding"], "without holding more than once"),
+        (PICKING, ["holding", "holding"], "distinct names"),
         (PICKING, [3], "names and dicts"),
         (PICKING, [{"sensor": "holding"}], "names and dicts"),
         (PICKING, ["holding", {"name": "a b", "sensor": "state"}], "identifier"),
@@ -114,7 +114,7 @@ def test_unknown_names(make: Make, name: str) -> None:
         (PICKING, [{"name": "holding", "size": {3}}], "JSON values"),
         (PICKING, [{"name": "mine", "sensor": "json:dumps"}], "subclass of Sensor"),
         (PICKING, [{"name": "mine", "sensor": "no_such_module:Sensor"}], "cannot be imported"),
-        (PICKING, [{"name": "rgb", "sensor": "state"}], "not 'rgb'"),
+        (PICKING, [{"name": "rgb", "sensor": "state"}], "distinct names"),
         (
             PICKING,
             [{"name": "rgb", "position": [1.0, 2.0]}],
