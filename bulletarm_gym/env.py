@@ -17,7 +17,7 @@ from bulletarm_gym.control import Control, RobotInterface
 from bulletarm_gym.experts.tracking import Tracker
 from bulletarm_gym.experts.wrapped_expert import querying_wrappers, wrapped_expert
 from bulletarm_gym.observations import Observer, View
-from bulletarm_gym.observations.cameras import RENDER, render_frame
+from bulletarm_gym.observations.cameras import RENDER
 from bulletarm_gym.observations.renderer import measure
 from bulletarm_gym.observations.viewer import Viewer
 from bulletarm_gym.registry import CONTROLS, REWARDS, ROBOTS, SURFACES, TASKS, by_path
@@ -205,7 +205,7 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
     def render(self) -> Any:
         """Return an image (height, width, 3) uint8, distances (height, width) float32 in metres, or None."""
         self.scene.world.check_open()
-        return render_frame(self.cameras[RENDER], self.render_mode, self.spec.id if self.spec else "ID")
+        return self.cameras[RENDER].render(self.render_mode, self.spec.id if self.spec else "ID")
 
     def close(self) -> None:
         """Release the simulation; a second call does nothing."""
@@ -252,7 +252,7 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         """Return the current view of the scene from above."""
         self.scene.world.check_open()
         overlays = self.task.overlays(self.scene)
-        return View(self.scene, self.control.frame(), overlays, self._observer.needs_labels)
+        return View(self.scene, self.control.frame(), overlays)
 
     def decode_action(self, action: ArrayLike) -> Any:
         """Return an action in metres and radians: a ``DeltaMove``, a ``PickPlace``, or the control's own."""
@@ -338,7 +338,9 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
     @cached_property
     def _made_of(self) -> dict[str, Any]:
         """Names and JSON values that a state and the environment must have in common."""
-        return {**self.recipe, **scene_facts(self.scene), **self._observer.shapes(["in_hand"])}
+        spaces = self.observation_space.items()  # type: ignore[attr-defined]
+        in_hand = {name: list(space.shape) for name, space in spaces if name == "in_hand"}
+        return {**self.recipe, **scene_facts(self.scene), **in_hand}
 
     def _evaluate(self, ignored: bool) -> dict[str, bool]:
         """Return the info; ``is_success`` is the task's success in a valid scene."""

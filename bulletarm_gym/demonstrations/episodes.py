@@ -11,8 +11,9 @@ import io
 import json
 import os
 import platform
+import shutil
 import zlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
@@ -40,8 +41,6 @@ STEPS = ("actions", "rewards", "terminations", "truncations")
 LIBRARIES = ("bulletarm-gym", "gymnasium", "h5py", "numba", "numpy", "pybullet")
 USER_BLOCK = 512
 """Size (bytes) of HDF5's user block, before its content."""
-MAX_INTEGER = 2**63 - 1
-"""Largest seed that HDF5 stores as an integer; larger seeds are decimal text."""
 MAGIC = b"bulletarm-gym demonstrations"
 PACKED = {"compression": "gzip", "compression_opts": 4, "shuffle": True}
 
@@ -160,8 +159,8 @@ class Demonstrations(Sequence[Episode]):
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the file atomically; its folder is made."""
-        with atomic_path(Path(path)) as partial:
-            partial.write_bytes(self.image)
+        with atomic_path(Path(path)) as temporary:
+            temporary.write_bytes(self.image)
 
     def __len__(self) -> int:
         """Return the number of episodes."""
@@ -174,21 +173,16 @@ class Demonstrations(Sequence[Episode]):
 
     def __getitem__(self, index: int | slice) -> "Episode | Demonstrations":
         """Return an episode, or the demonstrations of a slice, whose ``attempts`` are its episodes."""
-        if isinstance(index, slice):
-            return self._subset(range(self._count)[index])
-        if not -self._count <= index < self._count:
-            raise IndexError(f"index must be from {-self._count} to {self._count - 1}, got {index}")
+        chosen = range(self._count)[index]
         with self._file() as file:
-            return _read(file["episodes"][str(index % self._count)])
-
-    def _subset(self, numbers: range) -> "Demonstrations":
-        recorder = Recorder(self.about)
-        with self._file() as file:
-            for number in numbers:
+            if isinstance(chosen, int):
+                return _read(file["episodes"][str(chosen)])
+            recorder = Recorder(self.about)
+            for number in chosen:
                 recorder.copy(file["episodes"][str(number)])
-        found = recorder.finish()
-        found._changed = self._changed
-        return found
+        part = recorder.finish()
+        part._changed = self._changed
+        return part
 
     def _file(self) -> h5py.File:
         return h5py.File(io.BytesIO(self.image), "r")
@@ -212,8 +206,8 @@ class Recorder:
             self._file.create_group("episodes", track_order=True)
             self._file["attempts"] = 0
             self._file["about"] = json.dumps(about)
-            self._file["configuration"] = json.dumps(about["configuration"])
-            self._file["versions"] = json.dumps(about["versions"])
+            for name in ("configuration", "versions"):
+                self._file[name] = json.dumps(about[name])
         self._episodes = self._file["episodes"]
         self.attempts = int(self._file["attempts"][()])
         """Number of episodes that were begun."""
@@ -233,7 +227,7 @@ class Recorder:
         for name in STEPS:
             group[name] = getattr(episode, name)
         if episode.seed is not None:
-            group["seed"] = episode.seed if episode.seed <= MAX_INTEGER else str(episode.seed)
+            group["seed"] = str(episode.seed)  # seeds may exceed 64 bits
         state = np.frombuffer(episode.initial_state.encode(), np.uint8)
         group.create_dataset("initial_state", data=state, **PACKED)
         group["configuration"] = self._file["configuration"]  # a second name of the same data, not a copy
@@ -264,40 +258,31 @@ def _user_block(content: bytes) -> bytes:
     return (MAGIC + f" crc32 {zlib.crc32(content):08x}\n".encode()).ljust(USER_BLOCK, b"\0")
 
 
-def _remove(path: Path) -> None:
-    path.unlink(missing_ok=True)
-
-
 @contextmanager
-def atomic_path(path: Path, discard: Callable[[Path], None] = _remove) -> Iterator[Path]:
-    """Yield a temporary path next to ``path``, which replaces ``path`` if the block succeeds.
-
-    :param discard: function that removes the temporary path if it exists
-    """
+def atomic_path(path: Path) -> Iterator[Path]:
+    """Yield a temporary path for a file or folder, which becomes ``path`` if the block succeeds."""
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(f".{path.name}-{os.getpid()}")
     try:
         yield temporary
         os.replace(temporary, path)
     finally:
-        discard(temporary)
+        shutil.rmtree(temporary, ignore_errors=True)  # does nothing to a file
+        temporary.unlink(missing_ok=True)
 
 
 def _write_observations(group: h5py.Group, key: str, values: NDArray[Any]) -> None:
-    unit = HEIGHT if key in HEIGHTS else None
-    stored = values if unit is None else np.rint(values / unit).astype(np.uint16)
-    dataset = group.create_dataset(key, data=stored, **PACKED)
-    if unit is not None:
-        dataset.attrs["metres_per_count"] = unit
+    if key not in HEIGHTS:
+        group.create_dataset(key, data=values, **PACKED)
+        return
+    counts = np.rint(values / HEIGHT).astype(np.uint16)
+    group.create_dataset(key, data=counts, **PACKED).attrs["metres_per_count"] = HEIGHT
 
 
 def _read(group: h5py.Group) -> Episode:
     return Episode(
         {key: _read_observations(dataset) for key, dataset in group["observations"].items()},
-        group["actions"][()],
-        group["rewards"][()],
-        group["terminations"][()],
-        group["truncations"][()],
+        *(group[name][()] for name in STEPS),
         int(group["seed"][()]) if "seed" in group else None,
         group["initial_state"][()].tobytes().decode(),
     )

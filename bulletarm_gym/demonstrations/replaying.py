@@ -4,8 +4,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from bulletarm_gym.demonstrations.episodes import HEIGHT, HEIGHTS, Demonstrations, Episode, versions
-from bulletarm_gym.env import ManipulationEnv, Observation
+from bulletarm_gym.demonstrations.episodes import HEIGHT, HEIGHTS, Demonstrations, versions
+from bulletarm_gym.env import ManipulationEnv
 
 TOLERANCE = HEIGHT / 2.0 + 1e-6
 """Maximum error (m) of a stored height: half a count, and rounding to float32."""
@@ -28,21 +28,14 @@ def replay(demonstrations: Demonstrations, number: int, env: ManipulationEnv) ->
     for moment in range(len(episode) + 1):
         if moment:
             observation = env.step(episode.actions[moment - 1])[0]
-        if (key := _difference(episode, moment, observation)) is not None:
-            raise ReplayError(
-                f"episode {number}, step {moment}: {key} differs from the recorded one"
-                f"{_changed_versions(demonstrations)}"
-            )
+        for key, recorded in episode.observations.items():
+            tolerance = TOLERANCE if key in HEIGHTS else 0.0
+            if not np.allclose(observation[key], recorded[moment], rtol=0.0, atol=tolerance, equal_nan=True):
+                changed = _changed_versions(demonstrations)
+                raise ReplayError(
+                    f"episode {number}, step {moment}: {key} differs from the recorded one{changed}"
+                )
         yield moment
-
-
-def _difference(episode: Episode, moment: int, observation: Observation) -> str | None:
-    """Return the first key whose values differ from those recorded."""
-    for key, recorded in episode.observations.items():
-        tolerance = TOLERANCE if key in HEIGHTS else 0.0
-        if not np.allclose(observation[key], recorded[moment], rtol=0.0, atol=tolerance, equal_nan=True):
-            return key
-    return None
 
 
 def _changed_versions(demonstrations: Demonstrations) -> str:

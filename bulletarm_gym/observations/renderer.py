@@ -42,29 +42,32 @@ class HeightRenderer:
         """Return the renderer of a scene."""
         return scene.cached(cls)
 
-    def heights(
-        self, window: Window, without: Body | None = None, labels: Labels | None = None
-    ) -> NDArray[np.float32]:
+    def heights(self, window: Window, without: Body | None = None) -> NDArray[np.float32]:
         """Return the height (m) of the highest surface over each pixel, (size, size), in the configured view.
 
         :param without: body that the orthographic view omits
-        :param labels: (size, size) zeros, set to 1 + the index in :attr:`bodies` of the visible mesh of each
-            pixel of an orthographic view. Marks on the ground have no height, but a label
         """
-        if labels is None and self._config.view != ORTHOGRAPHIC:
-            cameras = side_cameras(self._config, SIDE_PIXELS)
-            cloud = np.concatenate([camera.points(self._world, [self._arm]) for camera in cameras])
-            return project_points(cloud, window, self._config.workspace[2][1])
-        present = self._present(without)
-        if labels is not None and (present & self._marks).any():
-            self._draw(present & self._marks, window, labels)
-        return self._draw(present & ~self._marks, window, labels)
+        if self._config.view == ORTHOGRAPHIC:
+            return self._draw(self._present(without) & ~self._marks, window)
+        cameras = side_cameras(self._config, SIDE_PIXELS)
+        cloud = np.concatenate([camera.points(self._world, [self._arm]) for camera in cameras])
+        return project_points(cloud, window, self._config.workspace[2][1])
 
     def heights_of(self, bodies: Sequence[Body], window: Window) -> NDArray[np.float32]:
         """Return orthographic heights as :meth:`heights` of some bodies alone, 0 where there is none."""
         wanted = np.zeros(len(self._world.bodies), np.bool_)
         wanted[[body.index for body in bodies]] = True
         return self._draw(self._present() & wanted[self._owners], window)
+
+    def labels(self, window: Window, without: Body | None = None) -> Labels:
+        """Return 1 + the index in :attr:`bodies` of the highest mesh of each pixel, (size, size).
+
+        It is 0 where no mesh is. Marks on the ground are below all other meshes.
+        """
+        labels = np.zeros((window.size, window.size), np.int16)
+        for layer in (self._marks, ~self._marks):
+            self._draw(self._present(without) & layer, window, labels)
+        return labels
 
     @property
     def colours(self) -> list[Colour]:

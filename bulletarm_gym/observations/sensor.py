@@ -25,8 +25,6 @@ class Sensor(ABC):
 
     controls: ClassVar[tuple[str, ...]] = (CLOSE_LOOP, OPEN_LOOP)
     """Names of the controls that the sensor works with."""
-    needs_labels: ClassVar[bool] = False
-    """Whether :meth:`read` uses ``view.labels``, which are then rendered together with the heights."""
 
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
@@ -53,7 +51,7 @@ class Sensor(ABC):
     def follow(self, before: View, pick: Pose | None) -> None:  # noqa: B027 (most have no memory)
         """Update :attr:`memory` after an action that was not ignored.
 
-        :param before: view before the action
+        :param before: view before the action; its labels can no longer be read
         :param pick: target pose of the fingertips, if the action was an open-loop pick
         """
 

@@ -11,6 +11,7 @@ from bulletarm_gym.geometry import FloatArray, Pose, Rectangle
 from bulletarm_gym.observations.rasterizer import Labels, Window, rectangle_mask
 from bulletarm_gym.observations.renderer import HeightRenderer
 from bulletarm_gym.scene import Scene
+from bulletarm_gym.simulation import Body
 
 MAX_HEIGHT = 0.4
 """Largest value (m) of a heightmap or in-hand image."""
@@ -96,17 +97,13 @@ class View:
     :param scene: scene that is shown
     :param frame: square that is shown
     :param overlays: overlays of the heightmap
-    :param labelled: render the labels together with the heights
     """
 
-    def __init__(
-        self, scene: Scene, frame: Frame, overlays: Sequence[Overlay] = (), labelled: bool = False
-    ) -> None:
+    def __init__(self, scene: Scene, frame: Frame, overlays: Sequence[Overlay] = ()) -> None:
         self._scene = scene
         self.frame = frame
         self.window = Window(frame.centre, frame.extent, scene.config.obs_size)
         self.overlays = tuple(overlays)
-        self._labelled = labelled
         self._moment = self._present()
 
     @property
@@ -126,21 +123,21 @@ class View:
     @cached_property
     def heights(self) -> Heights:
         """Heights (m), (size, size), above the world's z = 0; read-only."""
-        return self._with_labels[0] if self._labelled else self._render()
-
-    @property
-    def labels(self) -> Labels:
-        """Number of the visible mesh of each pixel, (size, size), see :meth:`HeightRenderer.heights`."""
-        return self._with_labels[1]
+        return HeightRenderer.of(self._scene).heights(self.window, self._hidden)
 
     @cached_property
-    def _with_labels(self) -> tuple[Heights, Labels]:
-        labels = np.zeros((self.window.size, self.window.size), np.int16)
-        return self._render(labels), labels
+    def labels(self) -> Labels:
+        """Number of the visible mesh of each pixel, (size, size), see :meth:`HeightRenderer.labels`.
 
-    def _render(self, labels: Labels | None = None) -> Heights:
-        hidden = self._scene.robot.held if self.frame.hides_grasped else None
-        return HeightRenderer.of(self._scene).heights(self.window, hidden, labels)
+        :raises RuntimeError: a body has moved since
+        """
+        if not self.is_current:
+            raise RuntimeError("labels must be read before the scene changes")
+        return HeightRenderer.of(self._scene).labels(self.window, self._hidden)
+
+    @property
+    def _hidden(self) -> Body | None:
+        return self._scene.robot.held if self.frame.hides_grasped else None
 
     @cached_property
     def fingers(self) -> NDArray[np.bool_]:

@@ -1,7 +1,6 @@
-"""The heightmap against geometry on paper and against two independent renderers."""
+"""The rasterizer of heightmaps against exact geometry and against a ray caster."""
 
 import math
-from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -16,7 +15,6 @@ UPRIGHT = (0.0, 0.0, 0.0, 1.0)
 QUARTER_TURN = (0.0, 0.0, math.sqrt(0.5), math.sqrt(0.5))
 
 Poses = tuple[np.ndarray, np.ndarray]
-Surface = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 
 def draw(meshes, positions, quaternions=None, centre=CENTRE, extent=EXTENT, size=SIZE, visible=None):
@@ -49,8 +47,9 @@ def random_poses(rng: np.random.Generator, count: int) -> Poses:
     return positions + np.array([*CENTRE, 0.0]), random_quaternions(rng, count)
 
 
-def tube(profile: np.ndarray, sides: int) -> Mesh:
-    """Sweep a closed polygon of (radius, height), counter-clockwise, around z."""
+def bowl(sides: int = 24) -> Mesh:
+    """Not convex: a flat-bottomed ring with a sloping inside, closed around its hole."""
+    profile = [(0.02, -0.02), (0.05, -0.02), (0.06, 0.03), (0.052, 0.03), (0.03, -0.01)]
     angles = 2 * np.pi * np.arange(sides) / sides
     ring = np.stack([np.cos(angles), np.sin(angles)], axis=1)
     vertices = [(r * c, r * s, z) for c, s in ring for r, z in profile]
@@ -61,11 +60,6 @@ def tube(profile: np.ndarray, sides: int) -> Mesh:
             c, d = (side + 1) % sides * count + k, (side + 1) % sides * count + (k + 1) % count
             faces += [(a, c, b), (b, c, d)]
     return Mesh.of(vertices, faces)
-
-
-def bowl(sides: int = 24) -> Mesh:
-    """Not convex: a flat-bottomed ring with a sloping inside, closed around its hole."""
-    return tube(np.array([(0.02, -0.02), (0.05, -0.02), (0.06, 0.03), (0.052, 0.03), (0.03, -0.01)]), sides)
 
 
 def pyramid(half: float, apex: float) -> Mesh:
@@ -82,25 +76,6 @@ def wedge(length: float, width: float, height: float) -> Mesh:
     )
 
 
-def convex_height(mesh: Mesh, position, quaternion) -> np.ndarray:
-    """Height of a convex body over every pixel centre, from the half-spaces of its faces; NaN beside it."""
-    points = mesh.vertices @ rotation_matrix(quaternion).T + position
-    x, y = pixel_centres()
-    top, bottom = np.full(x.shape, np.inf), np.full(x.shape, -np.inf)
-    beside = np.zeros(x.shape, bool)
-    for a, b, c in points[mesh.faces]:
-        normal = np.cross(b - a, c - a)
-        normal /= np.linalg.norm(normal)
-        rest = normal @ a - normal[0] * x - normal[1] * y
-        if abs(normal[2]) < 1e-9:
-            beside |= rest < 0
-        elif normal[2] > 0:
-            top = np.minimum(top, rest / normal[2])
-        else:
-            bottom = np.maximum(bottom, rest / normal[2])
-    return np.where(beside | (top < bottom), np.nan, top)
-
-
 @pytest.mark.parametrize("size", [1, 2, 15, 64, 128])
 def test_box(size: int) -> None:
     image = draw([Mesh.box((0.06, 0.1, 0.04))], (0.47, 0.03, 0.02), size=size)
@@ -108,32 +83,6 @@ def test_box(size: int) -> None:
     inside = (np.abs(x - 0.47) < 0.03) & (np.abs(y - 0.03) < 0.05)
     assert image.shape == (size, size) and image.dtype == np.float32
     np.testing.assert_array_equal(image, np.where(inside, np.float32(0.04), 0))
-
-
-def test_rows_are_x_and_columns_are_y() -> None:
-    image = draw([Mesh.box((0.02, 0.02, 0.02))], (CENTRE[0] + 0.1, CENTRE[1] - 0.05, 0.01))
-    rows, columns = np.nonzero(image)
-    assert abs((rows.mean() - (SIZE - 1) / 2) * RESOLUTION - 0.1) < RESOLUTION / 2
-    assert abs((columns.mean() - (SIZE - 1) / 2) * RESOLUTION + 0.05) < RESOLUTION / 2
-
-
-def test_pyramid() -> None:
-    image = draw([pyramid(0.08, 0.05)], (0.44, 0.01, 0.02))
-    x, y = pixel_centres()
-    rise = 0.05 * (1 - np.maximum(np.abs(x - 0.44), np.abs(y - 0.01)) / 0.08)
-    np.testing.assert_allclose(image, np.where(rise >= 0, 0.02 + rise, 0), atol=1e-7)
-
-
-@pytest.mark.parametrize("mesh", [Mesh.box((0.1, 0.06, 0.04)), wedge(0.12, 0.15, 0.05), pyramid(0.07, 0.08)])
-def test_slanted_convex_bodies(mesh: Mesh) -> None:
-    rng = np.random.default_rng(0)
-    for quaternion in random_quaternions(rng, 20):
-        position = np.array([0.45, 0.0, 0.2]) + rng.uniform(-0.02, 0.02, 3)
-        wanted = convex_height(mesh, position, quaternion)
-        image = draw([mesh], position, quaternion)
-        assert np.count_nonzero(image) > 200
-        # Snapping moves corners by 50 nm: a thousand times that on the steepest slope drawn.
-        np.testing.assert_allclose(image, np.nan_to_num(wanted), atol=1e-5)
 
 
 def test_highest_part_is_seen_in_any_order() -> None:
@@ -208,15 +157,11 @@ def test_no_holes_between_triangles(tilt: float) -> None:
     np.testing.assert_allclose(seen, 0.2 - math.tan(tilt) * (x - CENTRE[0])[8:-8, 5:-5], atol=1e-6)
 
 
-def test_triangles_without_area_are_not_drawn() -> None:
+def test_faces_that_look_down_or_have_no_area_are_not_drawn() -> None:
     line = Mesh.of([(0, 0, 0.1), (0.1, 0.1, 0.1), (0.2, 0.2, 0.1)], [(0, 1, 2), (0, 0, 1), (2, 2, 2)])
-    assert not draw([line], (*CENTRE, 0)).any()
-
-
-def test_faces_that_look_down_are_not_drawn() -> None:
     box = Mesh.box((0.1, 0.1, 0.1))
     lid_off = Mesh.of(box.vertices, [f for f in box.faces if box.vertices[f, 2].min() < 0])
-    assert not draw([lid_off], (*CENTRE, 0.2)).any()
+    assert not draw([line, lid_off], [(*CENTRE, 0), (*CENTRE, 0.2)]).any()
 
 
 @pytest.mark.parametrize("shift", [(0, 0), (20, -7), (32, -32)])
@@ -248,62 +193,42 @@ def test_parts_outside_the_window_or_not_finite_leave_no_trace() -> None:
     assert draw([box], (0.15, 0, 0)).any()  # what the last two would show with a pose that is one
 
 
-def test_invisible_parts() -> None:
+def test_invisible_parts_are_not_drawn() -> None:
     boxes = [Mesh.box((0.05, 0.05, 0.04)), Mesh.box((0.1, 0.1, 0.02))]
     positions = [(*CENTRE, 0.02), (*CENTRE, 0.01)]
-    np.testing.assert_array_equal(
-        draw(boxes, positions, visible=[False, True]), draw(boxes[1:], positions[1:])
-    )
+    second = draw(boxes, positions, visible=[False, True])
+    np.testing.assert_array_equal(second, draw(boxes[1:], positions[1:]))
     assert not draw(boxes, positions, visible=[False, False]).any()
-
-
-def test_empty_scene_has_zero_height() -> None:
     assert not draw([], np.empty((0, 3)), np.empty((0, 4))).any()
 
 
-def test_same_input_gives_the_same_new_image() -> None:
-    rng = np.random.default_rng(5)
-    meshes = [bowl(), wedge(0.06, 0.12, 0.03), Mesh.box((0.05, 0.05, 0.05))]
-    positions, quaternions = random_poses(rng, len(meshes))
-    sensor, flags = ZBuffer(meshes), np.ones(len(meshes), bool)
-    first = sensor.draw(positions, quaternions, flags, Window(CENTRE, EXTENT, SIZE))
+def test_equal_input_gives_an_equal_new_image() -> None:
+    meshes, positions, quaternions = clutter(5)
+    first = draw(meshes, positions, quaternions)
     kept = first.copy()
-    sensor.draw(positions + 0.01, quaternions, flags, Window(CENTRE, EXTENT, SIZE))
-    again = sensor.draw(
-        positions.astype(object).astype(float), quaternions, flags, Window(CENTRE, EXTENT, SIZE)
-    )
+    draw(meshes, positions + 0.01, quaternions)
     np.testing.assert_array_equal(first, kept)
-    np.testing.assert_array_equal(again, kept)
     np.testing.assert_array_equal(draw(meshes, positions, quaternions), kept)
 
 
-def test_bad_input_is_refused() -> None:
-    box = Mesh.box((0.1, 0.1, 0.1))
-    with pytest.raises(ValueError, match="vertex indices of mesh 1 must be from 0 to 7"):
-        ZBuffer([box, Mesh.of(box.vertices, [(0, 1, 8)])])
-    with pytest.raises(ValueError, match="vertices of mesh 0 must be finite"):
-        ZBuffer([Mesh.of([(0, 0, math.nan)], [(0, 0, 0)])])
-    sensor = ZBuffer([box])
-    for extent, size in ((0.0, SIZE), (math.nan, SIZE), (EXTENT, 0)):
-        with pytest.raises(ValueError, match="extent and size must be positive"):
-            sensor.draw(np.zeros((1, 3)), np.zeros((1, 4)), np.ones(1, bool), Window(CENTRE, extent, size))
+@pytest.mark.parametrize(("extent", "size"), [(0.0, SIZE), (math.nan, SIZE), (EXTENT, 0)])
+def test_window_must_not_be_empty(extent: float, size: int) -> None:
+    with pytest.raises(ValueError, match="extent and size must be positive"):
+        draw([Mesh.box((0.1, 0.1, 0.1))], (0, 0, 0), extent=extent, size=size)
 
 
 def clutter(seed: int) -> tuple[list[Mesh], np.ndarray, np.ndarray]:
     """Convex and hollow bodies, lying in each other at random."""
-    rng = np.random.default_rng(seed)
-    meshes = [bowl(), bowl(9), wedge(0.06, 0.12, 0.03), pyramid(0.05, 0.06), Mesh.box((0.05, 0.05, 0.05))]
-    meshes += [
-        Mesh.of(tube(bowl_profile(rng), 16).vertices, tube(bowl_profile(rng), 16).faces) for _ in range(2)
+    handle = join([Mesh.box((0.08, 0.03, 0.03)), Mesh.box((0.03, 0.03, 0.1), centre=(0.03, 0, 0.02))])
+    meshes = [
+        bowl(),
+        bowl(9),
+        wedge(0.06, 0.12, 0.03),
+        pyramid(0.05, 0.06),
+        Mesh.box((0.05, 0.05, 0.05)),
+        handle,
     ]
-    meshes.append(join([Mesh.box((0.08, 0.03, 0.03)), Mesh.box((0.03, 0.03, 0.1), centre=(0.03, 0, 0.02))]))
-    return (meshes, *random_poses(rng, len(meshes)))
-
-
-def bowl_profile(rng: np.random.Generator) -> np.ndarray:
-    angles = 2 * np.pi * np.arange(11) / 11
-    radii = rng.uniform(0.008, 0.02, 11)
-    return np.stack([0.03 + radii * np.cos(angles), radii * np.sin(angles)], axis=1)
+    return (meshes, *random_poses(np.random.default_rng(seed), len(meshes)))
 
 
 def ray_cast(meshes, positions, quaternions) -> np.ndarray:
@@ -323,7 +248,7 @@ def ray_cast(meshes, positions, quaternions) -> np.ndarray:
     return np.maximum(1 - distance.astype(np.float64), 0)
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_agrees_with_a_ray_caster(seed: int) -> None:
     meshes, positions, quaternions = clutter(seed)
     wanted = ray_cast(meshes, positions, quaternions)
@@ -332,47 +257,3 @@ def test_agrees_with_a_ray_caster(seed: int) -> None:
     assert np.count_nonzero(wanted) > 2000
     assert np.mean(error > 1e-5) < 1e-3
     assert np.median(error[wanted > 0]) < 2e-7
-
-
-def telephoto(meshes, positions, quaternions) -> np.ndarray:
-    """Heights by PyBullet's software renderer through a perspective camera 100 m up.
-
-    Its orthographic depth is wrong, hence the long lens. It samples pixels at a corner, half a
-    pixel towards +x and -y of the centre, hence the camera moved by as much.
-    """
-    pybullet = pytest.importorskip("pybullet")
-    distance, near, far = 100.0, 99.0, 101.0
-    client = pybullet.connect(pybullet.DIRECT)
-    try:
-        for mesh, position, quaternion in zip(meshes, positions, quaternions, strict=True):
-            shape = pybullet.createVisualShape(
-                pybullet.GEOM_MESH,
-                vertices=mesh.vertices.tolist(),
-                indices=mesh.faces.ravel().tolist(),
-                physicsClientId=client,
-            )
-            pybullet.createMultiBody(
-                0, -1, shape, position.tolist(), quaternion.tolist(), physicsClientId=client
-            )
-        x, y = CENTRE[0] - RESOLUTION / 2, CENTRE[1] + RESOLUTION / 2
-        view = pybullet.computeViewMatrix([x, y, distance], [x, y, 0], [-1, 0, 0])
-        angle = math.degrees(2 * math.atan(EXTENT / 2 / distance))
-        lens = pybullet.computeProjectionMatrixFOV(angle, 1.0, near, far)
-        depth = pybullet.getCameraImage(
-            SIZE, SIZE, view, lens, renderer=pybullet.ER_TINY_RENDERER, physicsClientId=client
-        )[3]
-    finally:
-        pybullet.disconnect(client)
-    depth = np.asarray(depth, float).reshape(SIZE, SIZE)
-    metres = distance - far * near / (far - (far - near) * depth)
-    return np.where(depth < 1, np.maximum(metres, 0), 0)
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_agrees_with_a_software_renderer(seed: int) -> None:
-    meshes, positions, quaternions = clutter(seed)
-    wanted = telephoto(meshes, positions, quaternions)
-    error = np.abs(draw(meshes, positions, quaternions) - wanted)
-    assert np.count_nonzero(wanted) > 2000
-    assert np.mean(error > 5e-4) < 0.01  # outlines, where a ray of the distant camera is not quite vertical
-    assert np.mean(error) < 1e-4
