@@ -17,9 +17,8 @@ from bulletarm_gym.control import Control, RobotInterface
 from bulletarm_gym.experts.tracking import Tracker
 from bulletarm_gym.experts.wrapped_expert import querying_wrappers, wrapped_expert
 from bulletarm_gym.observations import Observer, View
-from bulletarm_gym.observations.cameras import RENDER
-from bulletarm_gym.observations.renderer import measure
-from bulletarm_gym.observations.viewer import Viewer
+from bulletarm_gym.observations.cameras import RENDER, Viewer
+from bulletarm_gym.observations.view import measure
 from bulletarm_gym.registry import CONTROLS, REWARDS, ROBOTS, SURFACES, TASKS, by_path
 from bulletarm_gym.robots import RobotModel
 from bulletarm_gym.scene import Scene
@@ -104,6 +103,10 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         """Make the task and load its bodies."""
         config = self.config
         self.task: Task = task_type(config)
+        self.task_description = self.task.description
+        """One sentence that describes the task, for policies with language inputs."""
+        self.keeps_scene = self.task.keeps_scene
+        """Whether an episode without a seed begins with the objects that the previous one left."""
         # Making a generator is as slow as an image, and most tasks need none after an action.
         self._acts_after = task_type.after_action is not Task.after_action
         checks.check_heights(config, default, self.task)
@@ -121,6 +124,10 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         self.control: Control[Any] = control_type(self.config, robot, params)
         self.tracker = Tracker(self.control, self.scene, params.opening if self.task.plans_moves else None)
         self.action_space = self.control.action_space
+        self.action_sequence = self.config.action_sequence
+        """Meaning of each number of an action, one character each."""
+        self.action_ranges = dict(self.control.ranges)
+        """Values (m, rad) of -1 and 1 in an action, by name without p; empty for a control without ranges."""
         self._observer = Observer(self.config, self.scene)
         self.cameras = self._observer.cameras
         """Cameras by name: ``"render"``, and the cameras of sensors by the names of the sensors."""
@@ -214,29 +221,9 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
     # Manipulation
 
     @property
-    def task_description(self) -> str:
-        """One sentence that describes the task, for policies with language inputs."""
-        return self.task.description
-
-    @property
-    def keeps_scene(self) -> bool:
-        """Whether an episode without a seed begins with the objects that the previous one left."""
-        return self.task.keeps_scene
-
-    @property
     def _max_episode_steps(self) -> int:
         """Number of steps after which episodes are truncated; LeRobot's evaluation reads this name."""
         return self.config.max_steps
-
-    @property
-    def action_sequence(self) -> str:
-        """Meaning of each number of an action, one character each."""
-        return self.config.action_sequence
-
-    @property
-    def action_ranges(self) -> dict[str, tuple[float, float]]:
-        """Values (m, rad) of -1 and 1 in an action, by name without p; empty for a control without ranges."""
-        return dict(self.control.ranges)
 
     @cached_property
     def viewer(self) -> Viewer:

@@ -1,4 +1,4 @@
-"""Episodes and the HDF5 files that hold them.
+"""Episodes, the HDF5 files that hold them, and their replay.
 
 A file holds, compressed, ``episodes/0``, ``episodes/1``, ... Each has ``observations`` (n + 1 for each key),
 ``actions``, ``rewards``, ``terminations``, ``truncations``, the ``seed`` of its reset if it had one, and as
@@ -28,6 +28,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from bulletarm_gym.demonstrations import json_state
+from bulletarm_gym.env import ManipulationEnv
 from bulletarm_gym.registry import register
 from bulletarm_gym.scene.state import EnvState
 
@@ -37,6 +38,8 @@ HEIGHT = 1e-4
 """Length (m) of a count of stored heights."""
 HEIGHTS = ("heightmap", "in_hand")
 """Observations in metres."""
+TOLERANCE = HEIGHT / 2.0 + 1e-6
+"""Maximum error (m) of a stored height: half a count, and rounding to float32."""
 STEPS = ("actions", "rewards", "terminations", "truncations")
 LIBRARIES = ("bulletarm-gym", "gymnasium", "h5py", "numba", "numpy", "pybullet")
 USER_BLOCK = 512
@@ -119,26 +122,14 @@ class Demonstrations(Sequence[Episode]):
             self._count = len(file["episodes"])
         if self.about["format"] != FORMAT:
             raise ValueError(f"{name}: the format must be {FORMAT}, got {self.about['format']}")
-
-    @property
-    def env_id(self) -> str:
+        self.env_id: str = self.about["env_id"]
         """Id of the environment."""
-        return str(self.about["env_id"])
-
-    @property
-    def action_sequence(self) -> str:
+        self.action_sequence: str = self.about["configuration"]["action_sequence"]
         """Meaning of each number of an action, one character each."""
-        return str(self.about["configuration"]["action_sequence"])
-
-    @property
-    def action_space(self) -> spaces.Box:
+        self.action_space = spaces.Box(-1.0, 1.0, (len(self.action_sequence),), np.float32)
         """Action space of the environment."""
-        return spaces.Box(-1.0, 1.0, (len(self.action_sequence),), np.float32)
-
-    @property
-    def action_ranges(self) -> dict[str, tuple[float, float]]:
+        self.action_ranges = {n: (low, high) for n, (low, high) in self.about["action_ranges"].items()}
         """Values (m, rad) of -1 and 1 in an action, by name."""
-        return {name: (low, high) for name, (low, high) in self.about["action_ranges"].items()}
 
     def make_env(self, **parameters: Any) -> gymnasium.Env[Any, Any]:
         """Make the environment of the episodes; the module of a user's task is imported.
@@ -149,12 +140,6 @@ class Demonstrations(Sequence[Episode]):
         if self.env_id not in gymnasium.registry:
             register(self.env_id, self.about["recipe"])
         parameters = {**self.about["configuration"], **self._changed, **parameters}
-        folder = parameters.get("object_set")
-        if isinstance(folder, str) and not os.path.isdir(folder):
-            raise ValueError(
-                f"object_set must be the folder of the objects that were recorded, got {folder!r}, "
-                "which does not exist. Use load(path, object_set=FOLDER)."
-            )
         return gymnasium.make(self.env_id, **parameters)
 
     def save(self, path: str | os.PathLike[str]) -> None:
@@ -282,7 +267,10 @@ def _write_observations(group: h5py.Group, key: str, values: NDArray[Any]) -> No
 def _read(group: h5py.Group) -> Episode:
     return Episode(
         {key: _read_observations(dataset) for key, dataset in group["observations"].items()},
-        *(group[name][()] for name in STEPS),
+        group["actions"][()],
+        group["rewards"][()],
+        group["terminations"][()],
+        group["truncations"][()],
         int(group["seed"][()]) if "seed" in group else None,
         group["initial_state"][()].tobytes().decode(),
     )
@@ -302,3 +290,40 @@ def load(path: str | os.PathLike[str], object_set: str | os.PathLike[str] | None
     :raises ValueError: the file is of another kind or damaged
     """
     return Demonstrations(Path(path).read_bytes(), os.fspath(path), object_set)
+
+
+class ReplayError(RuntimeError):
+    """A replayed episode differs from the recorded one."""
+
+
+def replay(demonstrations: Demonstrations, number: int, env: ManipulationEnv) -> Iterator[int]:
+    """Repeat an episode, and yield the number of each of its n + 1 states when the environment is in it.
+
+    :param number: number of the episode
+    :param env: environment with the same parameters
+    :raises ReplayError: an observation differs from the recorded one, for example with other versions
+    """
+    episode = demonstrations[number]
+    env.set_state(episode.state)
+    observation = env.observe()
+    for moment in range(len(episode) + 1):
+        if moment:
+            observation = env.step(episode.actions[moment - 1])[0]
+        for key, recorded in episode.observations.items():
+            tolerance = TOLERANCE if key in HEIGHTS else 0.0
+            if not np.allclose(observation[key], recorded[moment], rtol=0.0, atol=tolerance, equal_nan=True):
+                changed = _changed_versions(demonstrations)
+                raise ReplayError(
+                    f"episode {number}, step {moment}: {key} differs from the recorded one{changed}"
+                )
+        yield moment
+
+
+def _changed_versions(demonstrations: Demonstrations) -> str:
+    ours = versions()
+    changed = [
+        f"{name} {theirs}, here {ours.get(name)}"
+        for name, theirs in demonstrations.about["versions"].items()
+        if theirs != ours.get(name)
+    ]
+    return f" (recorded with {'; '.join(changed)})" if changed else ""

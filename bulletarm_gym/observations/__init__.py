@@ -5,10 +5,16 @@ from bulletarm_gym.observations.images import Color, Heightmap, Segmentation
 from bulletarm_gym.observations.in_hand import InHand
 from bulletarm_gym.observations.observer import SENSORS, Observer
 from bulletarm_gym.observations.rasterizer import Window
-from bulletarm_gym.observations.renderer import HeightRenderer
-from bulletarm_gym.observations.sensor import Sensor
-from bulletarm_gym.observations.state import Holding, JointState, State
-from bulletarm_gym.observations.view import MAX_HEIGHT, ElevationMap, Frame, Heights, Overlay, View
+from bulletarm_gym.observations.sensor import Holding, JointState, Sensor, State
+from bulletarm_gym.observations.view import (
+    MAX_HEIGHT,
+    ElevationMap,
+    Frame,
+    HeightRenderer,
+    Heights,
+    Overlay,
+    View,
+)
 
 __all__ = [
     "MAX_HEIGHT",

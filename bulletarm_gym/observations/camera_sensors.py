@@ -147,7 +147,7 @@ class PointCloud(Sensor):
         points = np.concatenate([camera.points(world, hidden) for camera in self._cameras])
         points -= frame.origin.position
         points = points[(np.abs(points[:, :2]) <= frame.extent / 2.0).all(axis=1)]
-        if not len(points):
-            return np.zeros((self._count, 3), np.float32)
-        chosen = np.linspace(0, len(points) - 1, self._count).round().astype(np.int64)
-        return points[chosen].astype(np.float32)
+        reading = np.zeros((self._count, 3), np.float32)
+        if len(points):
+            reading[:] = points[np.linspace(0, len(points) - 1, self._count).round().astype(np.int64)]
+        return reading

@@ -1,8 +1,9 @@
-"""Default cameras, which show the configured workspace, and the cameras of an environment by name."""
+"""Default cameras, which show the configured workspace, cameras by name, and the window of an environment."""
 
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import gymnasium
@@ -13,6 +14,7 @@ from bulletarm_gym.config import EnvConfig, ParameterError
 from bulletarm_gym.geometry import FloatArray, Pose, Vector
 from bulletarm_gym.scene import Scene
 from bulletarm_gym.simulation import Camera, World
+from bulletarm_gym.simulation.window import Keyboard, draw_segments, look
 
 RENDER = "render"
 """Name of the camera of ``render()``."""
@@ -22,6 +24,12 @@ CLOSE_UP = ((0.56, -0.4, 0.62), (0.0, 0.0, 0.03))
 """Position and target (m) of the camera of close-ups, relative to the centre of a default workspace."""
 CLOSE_UP_FOV = 32.0
 """Field of view (degrees) of that camera."""
+PIXELS = 240
+"""Default pixels a side of close-ups."""
+MARK_HEIGHT = 0.3
+"""Length (m) of the vertical line of a mark."""
+MARK_REACH = 0.04
+"""Distance (m) from a mark to the ends of its horizontal line."""
 SIZES = (0.3, 0.4)
 """Sides (m) of the default workspaces. Camera distances scale with smaller and larger ones."""
 REACHES = (0.45, 0.65)
@@ -152,3 +160,52 @@ def close_up_camera(scene: Scene, pixels: int) -> Camera:
 def _beyond(value: float, limits: tuple[float, float]) -> float:
     """Return the factor by which a value is below or above limits, 1 between them."""
     return value / min(max(value, limits[0]), limits[1])
+
+
+class Viewer:
+    """Images and user input for playing.
+
+    :param scene: the scene to show
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        self._scene = scene
+        self._mark: list[int] = []
+
+    def close_up(self, pixels: int = PIXELS) -> NDArray[np.uint8]:
+        """Return an image of the workspace from the front and above, (pixels, pixels, 3)."""
+        return close_up_camera(self._scene, pixels).color(self._scene.world)
+
+    def face_workspace(self) -> None:
+        """Show the workspace in the window, from the configured camera or from that of close-ups."""
+        scene = self._scene
+        camera = render_camera(scene) if scene.config.render_camera else close_up_camera(scene, PIXELS)
+        look(scene.world, camera.eye, camera.target)
+
+    def pressed_keys(self) -> list[str]:
+        """Return the characters of the keys that were pressed in the window since the last call.
+
+        :raises RuntimeError: the environment's ``render_mode`` is not ``"human"``
+        """
+        mode = self._scene.config.render_mode
+        if mode != "human":
+            raise RuntimeError(f"render_mode must be 'human' for pressed_keys(), got {mode!r}")
+        return self._keyboard.pressed()
+
+    @cached_property
+    def _keyboard(self) -> Keyboard:
+        return Keyboard(self._scene.world)
+
+    def mark(self, position: Vector, yaw: float = 0.0) -> None:
+        """Draw a target pose of the gripper in the window.
+
+        :param position: position (m) of the fingertips in the world
+        :param yaw: yaw (rad) of the gripper, whose fingers open along this direction
+        """
+        x, y, z = position
+        right, ahead = MARK_REACH * math.cos(yaw), MARK_REACH * math.sin(yaw)
+        lines = [
+            (position, (x, y, z + MARK_HEIGHT)),
+            ((x - right, y - ahead, z), (x + right, y + ahead, z)),
+        ]
+        self._mark = draw_segments(self._scene.world, lines, self._mark)

@@ -11,9 +11,8 @@ from bulletarm_gym.config import ORTHOGRAPHIC
 from bulletarm_gym.config_checks import check_argument, choice
 from bulletarm_gym.observations.cameras import SIDE_PIXELS, side_cameras
 from bulletarm_gym.observations.rasterizer import Window, rectangle_mask
-from bulletarm_gym.observations.renderer import HeightRenderer
 from bulletarm_gym.observations.sensor import Sensor
-from bulletarm_gym.observations.view import MAX_HEIGHT, Frame, Heights, View
+from bulletarm_gym.observations.view import MAX_HEIGHT, Frame, HeightRenderer, Heights, View
 from bulletarm_gym.scene import Scene
 from bulletarm_gym.simulation import Camera
 

@@ -55,18 +55,6 @@ def _snap(value: float, steps: float) -> float:
 
 
 @compiled
-def _rotation(quaternion: FloatArray) -> FloatArray:
-    """Return the (3, 3) rotation matrix of an ``(x, y, z, w)`` quaternion, normalised or not."""
-    x, y, z, w = quaternion
-    s = 2.0 / (x * x + y * y + z * z + w * w)
-    matrix = np.empty((3, 3))
-    matrix[0] = 1.0 - s * (y * y + z * z), s * (x * y - z * w), s * (x * z + y * w)
-    matrix[1] = s * (x * y + z * w), 1.0 - s * (x * x + z * z), s * (y * z - x * w)
-    matrix[2] = s * (x * z - y * w), s * (y * z + x * w), 1.0 - s * (x * x + y * y)
-    return matrix
-
-
-@compiled
 def _pixels(low: float, high: float, size: int) -> tuple[int, int]:
     """Return the half-open index range of the pixels whose centre is in [low, high]."""
     middle = 0.5 * (size - 1)
@@ -141,7 +129,7 @@ def _draw_meshes(
     faces: IntArray,
     ranges: NDArray[np.int64],
     positions: FloatArray,
-    quaternions: FloatArray,
+    rotations: FloatArray,
     visible: NDArray[np.bool_],
     square: tuple[float, float, float],
     size: int,
@@ -159,9 +147,8 @@ def _draw_meshes(
             continue
         x, y, z = positions[index]
         origin = (x - square[0], y - square[1], z)
-        matrix = _rotation(quaternions[index])
         start, first_face, end, end_face = ranges[index]
-        _project(vertices[start:end], matrix, origin, size / square[2], corners)
+        _project(vertices[start:end], rotations[index], origin, size / square[2], corners)
         for face in range(first_face, end_face):
             _draw_triangle(image, labels, index + 1, corners, faces[face, 0], faces[face, 1], faces[face, 2])
     return image
@@ -243,7 +230,7 @@ class ZBuffer:
     def draw(
         self,
         positions: FloatArray,
-        quaternions: FloatArray,
+        rotations: FloatArray,
         visible: NDArray[np.bool_],
         window: Window,
         labels: Labels | None = None,
@@ -253,7 +240,7 @@ class ZBuffer:
         A mesh whose pose is not finite is not drawn.
 
         :param positions: (n, 3) float64, world positions of the meshes' frames (m)
-        :param quaternions: (n, 4) float64, world orientations of the meshes' frames, ``(x, y, z, w)``
+        :param rotations: (n, 3, 3) float64, rotation matrices of the meshes' frames
         :param visible: (n,) mask of the meshes to draw
         :param labels: (size, size), in which the number of a mesh, from 1 on, is set where it is visible
         :return: (size, size) height above world z = 0 (m)
@@ -262,4 +249,4 @@ class ZBuffer:
         if not (window.extent > 0.0 and window.size > 0):
             raise ValueError(f"extent and size must be positive, got {window.extent} and {window.size}")
         meshes = (self._vertices, self._faces, self._ranges)
-        return _draw_meshes(labels, *meshes, positions, quaternions, visible, window.square, window.size)
+        return _draw_meshes(labels, *meshes, positions, rotations, visible, window.square, window.size)

@@ -1,6 +1,5 @@
 """Recorded files hold what the environment did: states, actions, seeds and attempts."""
 
-import multiprocessing
 import subprocess
 import sys
 from functools import partial
@@ -11,7 +10,7 @@ import gymnasium
 import numpy as np
 import pytest
 from gymnasium.vector import AsyncVectorEnv
-from gymnasium.wrappers import ClipAction, RecordEpisodeStatistics, RescaleAction, TimeLimit, TransformAction
+from gymnasium.wrappers import ClipAction, RecordEpisodeStatistics, RescaleAction, TimeLimit
 from stable_baselines3.common.monitor import Monitor
 
 from bulletarm_gym.demonstrations import Demonstrations, RecordDemonstrations, collect, load, replay
@@ -77,7 +76,7 @@ def test_recording_changes_nothing(path: Path) -> None:
         first, second = (each.reset(seed=seed)[0] for each in (bare, env))
         np.testing.assert_array_equal(first["heightmap"], second["heightmap"])
         assert finish(bare) == finish(env)
-    assert bare.unwrapped.get_state() == env.unwrapped.get_state()  # type: ignore[attr-defined]
+    assert bare.unwrapped.get_state() == env.unwrapped.get_state()
 
 
 # States
@@ -129,7 +128,7 @@ def test_recorded_actions_are_inside_the_action_space(path: Path) -> None:
             env.step(action)
     over = False
     while not over:
-        action = env.unwrapped.expert_action().astype(np.float64)  # type: ignore[attr-defined]
+        action = env.unwrapped.expert_action().astype(np.float64)
         action[np.abs(action) == 1.0] *= 3.0
         over = any(env.step(action)[2:4])
     assert all(action in env.action_space for action in replayed(path)[0].actions)
@@ -142,34 +141,19 @@ def test_outer_wrappers_do_not_change_recorded_actions(path: Path) -> None:
     np.testing.assert_allclose(own, bare, atol=1e-6)
 
 
-WRAPPERS: dict[str, Any] = {
-    "RescaleAction": partial(RescaleAction, min_action=np.float32(0.0), max_action=np.float32(1.0)),
-    "TransformAction": partial(TransformAction, func=np.negative, action_space=None),
-    "ClipAction": ClipAction,
-    "ImageObservation": ImageObservation,
-    "TimeLimit": partial(TimeLimit, max_episode_steps=3),
-}
-
-
-@pytest.mark.parametrize("name", WRAPPERS)
-def test_recorder_rejects_inner_wrappers_that_change_episodes(name: str, path: Path) -> None:
-    env = WRAPPERS[name](gymnasium.make(ENV_ID, **PARAMETERS))
-    with pytest.raises(ValueError, match=rf"got \w*{name}\. Put the recorder inside: \w*{name}\("):
+@pytest.mark.parametrize(
+    "wrap", [ClipAction, ImageObservation, partial(TimeLimit, max_episode_steps=3)], ids=str
+)
+def test_recorder_rejects_inner_wrappers_that_change_episodes(wrap: Any, path: Path) -> None:
+    env = wrap(gymnasium.make(ENV_ID, **PARAMETERS))
+    name = type(env).__name__
+    with pytest.raises(ValueError, match=rf"got {name}\. Put the recorder inside: {name}\("):
         RecordDemonstrations(env, path)
 
 
 def test_recorder_accepts_inner_wrappers_that_only_observe(path: Path) -> None:
     env = Monitor(RecordEpisodeStatistics(gymnasium.make(ENV_ID, **PARAMETERS)))
     assert play(RecordDemonstrations(env, path), 0)
-
-
-def test_step_after_the_end_is_rejected(path: Path) -> None:
-    env = record(path)
-    for played in (True, False):
-        with pytest.raises(gymnasium.error.ResetNeeded):
-            env.step(IDLE)
-        assert not played or play(env, 0)
-    assert len(env) == len(load(path)) == 1
 
 
 # Files
@@ -204,28 +188,10 @@ def test_long_files_are_written_less_often(path: Path, monkeypatch: pytest.Monke
 def test_spec_makes_a_recorder_of_the_same_file(path: Path) -> None:
     env = record(path)
     assert play(env, 0)
-    again = gymnasium.make(env.spec)  # type: ignore[arg-type]
+    again = gymnasium.make(env.spec)
     assert isinstance(again, RecordDemonstrations) and len(again) == 1
     assert play(again, 1)
     assert seeds(path) == [0, 1]
-
-
-def work(path: Path, numbers: range) -> None:
-    env = record(path)
-    for seed in numbers:
-        assert play(env, seed)
-    env.close()
-
-
-def test_recorders_of_several_processes_keep_all_episodes(path: Path) -> None:
-    context = multiprocessing.get_context("fork")
-    workers = [context.Process(target=work, args=(path, range(4 * n, 4 * n + 4))) for n in range(2)]
-    for worker in workers:
-        worker.start()
-    for worker in workers:
-        worker.join()
-        assert worker.exitcode == 0
-    assert sorted(seed or 0 for seed in seeds(path)) == list(range(8)) and load(path).attempts == 8
 
 
 def test_recorders_of_a_vector_environment_keep_all_episodes(path: Path) -> None:
@@ -236,7 +202,7 @@ def test_recorders_of_a_vector_environment_keep_all_episodes(path: Path) -> None
         *_, infos = envs.step(np.stack(envs.call("expert_action")))
         successes += int(np.sum(infos["is_success"]))
     envs.close()
-    assert len(load(path)) == successes > 2
+    assert len(load(path)) == successes > 2 and load(path).attempts >= successes
 
 
 def test_failed_write_keeps_the_episode(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -263,7 +229,7 @@ def test_recorder_rejects_a_file_of_other_parameters(path: Path) -> None:
     with pytest.raises(ValueError, match="env_id='BulletArm/CloseLoopBlockPicking-v0'"):
         RecordDemonstrations(other, path)
     with pytest.raises(ValueError, match=r"^env must be .*CartPole"):
-        RecordDemonstrations(gymnasium.make("CartPole-v1"), path)  # type: ignore[arg-type]
+        RecordDemonstrations(gymnasium.make("CartPole-v1"), path)
     assert path.read_bytes() == before
 
 

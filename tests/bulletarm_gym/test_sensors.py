@@ -58,7 +58,7 @@ def test_lists_are_json_and_keep_their_order(make: Make) -> None:
 def test_spaces_and_states_of_all_sensors(make: Make, env_id: str) -> None:
     env, other = (make(env_id, instance, observation=ALL) for instance in range(2))
     check_env(env, skip_render_check=True)
-    shapes = {name: space.shape for name, space in env.observation_space.items()}  # type: ignore[attr-defined]
+    shapes = {name: space.shape for name, space in env.observation_space.items()}
     assert shapes == {
         "heightmap": (1, 128, 128), "color": (3, 128, 128), "segmentation": (1, 128, 128),
         "rgb": (3, 32, 32), "point_cloud": (200, 3), "joint_state": (8,), "holding": (1,),
@@ -232,15 +232,15 @@ def module(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
 @pytest.fixture
 def counting(module: Any) -> Iterator[Any]:
     bulletarm_gym.register_sensor("count", module.Count)
-    made = gymnasium.make(PICKING, observation=["count", "holding"], obs_size=16)
+    made = gymnasium.make(PICKING, observation=[{"name": "count", "start": 5}, "holding"], obs_size=16)
     yield made.unwrapped
     made.close()
 
 
 def test_own_sensor_reads_and_remembers(counting: Any) -> None:
     for _ in range(2):
-        assert counting.reset(seed=0)[0]["count"].tolist() == [0.0, 0.0]
-        for number in (1, 2):
+        assert counting.reset(seed=0)[0]["count"].tolist() == [5.0, 0.0]
+        for number in (6, 7):
             observation, *_ = counting.step(DOWN)
             np.testing.assert_allclose(observation["count"], [number, -0.025], atol=1e-4)
     state = counting.get_state()
@@ -253,18 +253,12 @@ def test_own_sensor_reads_and_remembers(counting: Any) -> None:
 
 
 def test_spec_has_the_path_of_an_own_sensor(counting: Any) -> None:
-    entry = {"name": "count", "sensor": "my_counting:Count"}
+    entry = {"name": "count", "start": 5, "sensor": "my_counting:Count"}
     assert counting.spec.kwargs["observation"] == [entry, "holding"]
     SENSORS.paths.pop("count")
     copy = gymnasium.make(counting.spec)
     assert copy.observation_space == counting.observation_space
     copy.close()
-
-
-def test_own_sensor_gets_its_parameters(counting: Any) -> None:
-    other = gymnasium.make(PICKING, observation=[{"name": "count", "start": 5}])
-    assert other.reset(seed=0)[0]["count"][0] == 5
-    other.close()
 
 
 def test_demonstrations_keep_own_sensors(counting: Any) -> None:

@@ -10,10 +10,7 @@ import pytest
 from gymnasium import spaces
 from gymnasium.utils.env_checker import check_env as check_gymnasium
 from gymnasium.wrappers import FrameStackObservation
-from sb3_contrib import CrossQ
-from stable_baselines3 import PPO, SAC
 from stable_baselines3.common.env_checker import check_env as check_sb3
-from stable_baselines3.common.torch_layers import NatureCNN
 
 import bulletarm_gym  # noqa: F401
 from bulletarm_gym.wrappers import ImageObservation
@@ -77,7 +74,7 @@ def test_resizing_keeps_means_and_positions() -> None:
     blocks = observation["heightmap"][0].reshape(32, 4, 32, 4).mean(axis=(1, 3)) / 0.4
     assert np.corrcoef(blocks.ravel(), image[0].ravel())[0, 1] > 0.98
     assert abs(blocks.mean() - image[0].mean() / 255) < HALF_A_COUNT
-    again = gymnasium.make(small.spec)  # type: ignore[arg-type]
+    again = gymnasium.make(small.spec)
     assert again.observation_space == small.observation_space
     assert pickle.loads(pickle.dumps(again)).observation_space == small.observation_space
 
@@ -89,23 +86,3 @@ def test_resizing_keeps_means_and_positions() -> None:
 def test_image_must_be_possible(parameters: dict[str, Any], size: Any, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         ImageObservation(gymnasium.make(CLOSE, **parameters), size)
-
-
-@pytest.mark.parametrize(
-    ("algorithm", "options"),
-    [
-        (PPO, {"n_steps": 8, "batch_size": 8, "n_epochs": 1}),
-        (SAC, {"learning_starts": 4, "buffer_size": 20, "batch_size": 4}),
-        (CrossQ, {"learning_starts": 4, "buffer_size": 20, "batch_size": 4, "policy": "MlpPolicy"}),
-    ],
-)
-def test_stock_algorithms_learn_from_images(algorithm: Any, options: dict[str, Any]) -> None:
-    """CrossQ has no policy for images, so that it needs the name of the extractor."""
-    env = ImageObservation(gymnasium.make(CLOSE, obs_size=40))
-    narrow = {"net_arch": [16], **({"features_extractor_class": NatureCNN} if algorithm is CrossQ else {})}
-    model = algorithm(**{"policy": "CnnPolicy", "env": env, "seed": 0, "policy_kwargs": narrow, **options})
-    before = [parameter.clone() for parameter in model.policy.parameters()]
-    model.learn(8)
-    assert any(isinstance(module, NatureCNN) for module in model.policy.modules())
-    assert any((old != new).any() for old, new in zip(before, model.policy.parameters(), strict=True))
-    env.close()
