@@ -19,8 +19,6 @@ from bulletarm_gym.experts.deconstruction import deconstruct
 from bulletarm_gym.geometry import PlacementError
 
 WAYPOINT, DECONSTRUCTION = "waypoint", "deconstruction"
-ATTEMPTS_PER_EPISODE = 4
-"""Default maximum number of attempts per successful episode."""
 TAKING_APART, NOISE = 1, 2
 """Streams of random numbers of an episode's seed."""
 
@@ -62,7 +60,7 @@ def collect(
     noise = check_argument("noise", noise, number(0.0, 1.0, "a number from 0 to 1"))
     target = None if path is None else writable_path(Path(path))
     seed = int(np.random.SeedSequence().generate_state(1)[0]) if seed is None else seed
-    most = max_attempts or ATTEMPTS_PER_EPISODE * episodes
+    most = max_attempts or 4 * episodes
     is_silent = None if progress is None else not progress
     with closing(gymnasium.make(env_id, **(env_kwargs or {}))) as env:
         core = checked_env(env, "env_id")

@@ -27,10 +27,6 @@ EYE, TARGET = (0.55, -0.45, 0.6), (0.0, 0.0, 0.05)
 """Default position and target (m) of a fixed camera, relative to the centre of a default workspace."""
 WRIST_EYE, WRIST_TARGET = (0.0, -0.1, 0.1), (0.0, 0.0, -0.03)
 """Default position and target (m) of a wrist camera, in the frame of the fingertips."""
-IMAGE_SIZE = 84
-"""Default pixels a side; learners treat images with the size of the heightmap as views of its square."""
-MAX_POINTS = 65536
-"""Largest number of points of a point cloud."""
 CLOUD_PIXELS = 128
 """Pixels a side of the depth images behind a point cloud."""
 
@@ -54,7 +50,7 @@ class CameraSensor(Sensor):
         scene: Scene,
         position: Sequence[float] | None = None,
         target: Sequence[float] | None = None,
-        size: int | Sequence[int] = IMAGE_SIZE,
+        size: int | Sequence[int] = 84,
         fov: float = Camera.fov,
         mount: str = "world",
     ) -> None:
@@ -123,7 +119,7 @@ class PointCloud(Sensor):
 
     def __init__(self, scene: Scene, points: int = 1024) -> None:
         super().__init__(scene)
-        self._count = check_argument("points", points, integer(1, MAX_POINTS))
+        self._count = check_argument("points", points, integer(1, 65536))
         self._cameras = side_cameras(scene.config, CLOUD_PIXELS)
 
     @property

@@ -244,18 +244,17 @@ def measure(scene: Scene) -> dict[str, float]:
     Its keys are ``"physics"`` and ``"rendering"``.
     """
     seconds = {"physics": 0.0, "rendering": 0.0}
+
+    def timed(part: str, function: Callable[..., Any]) -> Callable[..., Any]:
+        def call(*args: Any, **options: Any) -> Any:
+            start = time.perf_counter()
+            result = function(*args, **options)
+            seconds[part] += time.perf_counter() - start
+            return result
+
+        return call
+
     renderer = HeightRenderer.of(scene)
-    scene.world.wrap_step(partial(partial, _timed, seconds, "physics"))
-    renderer.draw = partial(_timed, seconds, "rendering", renderer.draw)
+    scene.world.wrap_step(partial(timed, "physics"))
+    renderer.draw = timed("rendering", renderer.draw)
     return seconds
-
-
-def _timed(
-    seconds: dict[str, float], part: str, function: Callable[..., Any], *args: Any, **options: Any
-) -> Any:
-    """Call a function and add its duration to a part."""
-    start = time.perf_counter()
-    try:
-        return function(*args, **options)
-    finally:
-        seconds[part] += time.perf_counter() - start

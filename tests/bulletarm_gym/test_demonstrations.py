@@ -282,7 +282,7 @@ def test_replay_notices_another_course(picked: Demonstrations, monkeypatch: pyte
             list(replay(picked, 0, env))
 
 
-# Minari
+# Exports
 
 
 def test_exports_name_missing_libraries(picked: Demonstrations, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -291,19 +291,6 @@ def test_exports_name_missing_libraries(picked: Demonstrations, monkeypatch: pyt
         monkeypatch.setitem(sys.modules, library, None)
         with pytest.raises(ImportError, match=rf"bulletarm-gym\[{library}\]"):
             export(picked, "bulletarm/picking/expert-v0")
-
-
-def test_minari_dataset(picked: Demonstrations, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    pytest.importorskip("minari")
-    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
-    dataset = export_minari(picked, "bulletarm/picking/expert-v0", description="Picks a block")
-    for ours, theirs in zip(picked, dataset, strict=True):
-        np.testing.assert_array_equal(ours.actions, theirs.actions)
-        for key, values in ours.observations.items():
-            np.testing.assert_array_equal(values, theirs.observations[key])
-
-
-# LeRobot
 
 
 def test_frames_hold_what_sensors_of_the_environment_read(picked: Demonstrations) -> None:
