@@ -115,6 +115,6 @@ def _checked(name: str, found: Any, space: spaces.Space[Any]) -> NDArray[Any]:
     if got != (space.dtype, space.shape) or not isinstance(found, np.ndarray):
         raise ValueError(
             f"observation: {name}: read() must return an array of {space.dtype} of the shape {space.shape}, "
-            f"got {got[0] or type(found).__name__} of the shape {got[1]}"
+            f"got {type(found).__name__} {got[0]} {got[1]}"
         )
     return found

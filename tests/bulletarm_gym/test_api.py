@@ -49,7 +49,8 @@ def place(env: ManipulationEnv, role: str, *position: float) -> None:
 def test_contract(env_id: str) -> None:
     """Gymnasium's checks, an episode that the expert solves, equal seeds, exact states and an image."""
     assert gymnasium.spec(env_id).max_episode_steps is None and json.dumps(gymnasium.spec(env_id).kwargs)
-    env = gymnasium.make(env_id, render_mode="rgb_array", render_size=64)
+    few = {"num_objects": 5} if "ObjectGrasping" in env_id else {}  # 15 take long to fall
+    env = gymnasium.make(env_id, render_mode="rgb_array", render_size=64, **few)
     core: Any = env.unwrapped
     check_env(core, skip_render_check=True)
     assert any(solves(env, seed) for seed in range(3)), "the expert may fail once"
@@ -60,7 +61,8 @@ def test_contract(env_id: str) -> None:
     expected = digest(core.observe(), core.expert_action()), transcript(core, 2)
     core.set_state(state)
     assert (digest(core.observe(), core.expert_action()), transcript(core, 2)) == expected
-    assert transcript(core, 1, seed=5) == transcript(core, 1, seed=5)
+    first = digest(*core.reset(seed=5)), digest(*core.step(core.expert_action()))
+    assert (digest(*core.reset(seed=5)), digest(*core.step(core.expert_action()))) == first
     env.close()
 
 

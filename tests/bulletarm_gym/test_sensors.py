@@ -294,8 +294,8 @@ def test_registered_sensors_need_a_new_name_and_a_path(
     [
         ("my_counting:Unfinished", "mine: .*abstract"),
         ("my_counting:spaces", "must be .*'my_counting:spaces'"),
-        ("my_counting:Shape", r"mine: .*float32 of the shape \(2,\), got float32 of the shape \(3,\)"),
-        ("my_counting:Type", r"mine: .*float32 .* got float64 of the shape \(2,\)"),
+        ("my_counting:Shape", r"mine: .*float32 of the shape \(2,\), got ndarray float32 \(3,\)"),
+        ("my_counting:Type", r"mine: .*float32 .* got ndarray float64 \(2,\)"),
         ("my_counting:List", "mine: .*float32 .* got list"),
         ("my_counting:Discrete", "mine: space must be a Box, got Discrete"),
     ],
