@@ -32,7 +32,16 @@ COMMANDS = {
     "list": "list environments, baselines, presets or published agents",
 }
 MODULES = {"list": "listing"}  # modules that are not named as their commands
-REQUIRED = ("stable_baselines3", "torch", "optuna", "yaml", "rich", "matplotlib", "imageio", "huggingface_hub")
+REQUIRED = (
+    "stable_baselines3",
+    "torch",
+    "optuna",
+    "yaml",
+    "rich",
+    "matplotlib",
+    "imageio",
+    "huggingface_hub",
+)
 """Modules of packages that the extra ``zoo`` installs."""
 
 
