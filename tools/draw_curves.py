@@ -43,8 +43,8 @@ def to_row(run: Run) -> Row:
     curve, origin, status = load_curve(run.evaluations_file), origin_of(run), run.status
     evaluations = zip(curve.timesteps, curve.success, strict=True)
     return {
-        "env": run.cell.env_id,
-        "baseline": run.cell.label,
+        "env": run.experiment.env_id,
+        "baseline": run.experiment.label,
         "seed": str(run.seed),
         "measure": curve.measure,
         "episodes": str(curve.episodes),

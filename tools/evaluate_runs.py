@@ -13,10 +13,10 @@ from pathlib import Path
 from measurements import Row, keep, number, show
 from zoo_configs.agents import agent_of, register_run
 from zoo_configs.arguments import Parser, device, positive_int, seed
-from zoo_configs.cells.cell import Cell, resolve
-from zoo_configs.cells.rules import task_name
 from zoo_configs.drawing.curves import load_curve
 from zoo_configs.evaluating import EvalOptions, evaluate_agent
+from zoo_configs.experiments.config import ExperimentConfig, resolve
+from zoo_configs.experiments.rules import task_name
 from zoo_configs.training.origin import origin_of
 from zoo_configs.training.runs import Run, load_run
 
@@ -53,14 +53,14 @@ def measure(run: Run, args: argparse.Namespace) -> Row:
 
 def row(run: Run, args: argparse.Namespace, rates: Row) -> Row:
     """Return the row of a run."""
-    origin, hyperparams = origin_of(run, args.commit), run.cell.hyperparams
+    origin, hyperparams = origin_of(run, args.commit), run.experiment.hyperparams
     success = load_curve(run.evaluations_file).success if run.evaluations_file.is_file() else ()
     half = success[len(success) // 2 :]
     return {
-        "env": task_name(run.cell.env_id),
-        "options": changes(run.cell, shlex.split(origin.command)),
-        "baseline": run.cell.label,
-        "preset": run.cell.preset or "",
+        "env": task_name(run.experiment.env_id),
+        "options": changes(run.experiment, shlex.split(origin.command)),
+        "baseline": run.experiment.label,
+        "preset": run.experiment.preset or "",
         "seed": str(run.seed),
         "earlier": "",
         "demonstrations": str(hyperparams.get("expert_episodes", 0)),
@@ -77,12 +77,15 @@ def row(run: Run, args: argparse.Namespace, rates: Row) -> Row:
     }
 
 
-def changes(cell: Cell, command: list[str]) -> str:
+def changes(experiment: ExperimentConfig, command: list[str]) -> str:
     """Return the flags by which an experiment differs from its baseline and preset on its task."""
     words = [*itertools.dropwhile(lambda word: word not in OVERRIDES, command)]
-    if cell.benchmark and "--benchmark" in command and cell.baseline and cell.preset:
-        if cell.benchmark != resolve(cell.baseline, cell.preset, cell.env_id).benchmark:
-            words = ["--benchmark", cell.benchmark, *words]
+    if experiment.benchmark and "--benchmark" in command and experiment.baseline and experiment.preset:
+        if (
+            experiment.benchmark
+            != resolve(experiment.baseline, experiment.preset, experiment.env_id).benchmark
+        ):
+            words = ["--benchmark", experiment.benchmark, *words]
     return " ".join(words)
 
 

@@ -48,7 +48,7 @@ class Agent:
     @property
     def hyperparams(self) -> dict[str, Any]:
         """Hyperparameters of the run, an empty dictionary without one."""
-        return {} if self.run is None else self.run.cell.hyperparams
+        return {} if self.run is None else self.run.experiment.hyperparams
 
 
 @dataclass(frozen=True)
@@ -100,7 +100,7 @@ def find_run(query: AgentQuery) -> Run:
 def register_run(run: Run) -> None:
     """Register the environment of a run."""
     register_environments(run.gym_packages)
-    known_env_id(run.cell.env_id)
+    known_env_id(run.experiment.env_id)
 
 
 def _newest_run(query: AgentQuery) -> Run:
@@ -114,9 +114,9 @@ def _newest_run(query: AgentQuery) -> Run:
     runs = [
         run
         for run in of_env
-        if query.algo in (None, run.cell.algo, run.cell.baseline)
-        and query.baseline in (None, run.cell.baseline)
-        and query.preset in (None, run.cell.preset)
+        if query.algo in (None, run.experiment.algo, run.experiment.baseline)
+        and query.baseline in (None, run.experiment.baseline)
+        and query.preset in (None, run.experiment.preset)
     ]
     if not runs:
         raise CommandError(f"no run of {query.baseline or query.algo} on {env_id} in {query.log_folder}")
@@ -132,10 +132,10 @@ def agent_of(run: Run, best: bool = True, device: str = "auto") -> Agent:
 
 
 def _agent_of_run(run: Run, path: Path, device: str) -> Agent:
-    env_kwargs = dict(run.cell.hyperparams.get("env_kwargs", {}))
+    env_kwargs = dict(run.experiment.hyperparams.get("env_kwargs", {}))
     env_kwargs.pop("render_mode", None)
-    model = load_model(path, run.cell.algo, device)
-    return Agent(model, path, run.cell.label, run.cell.env_id, env_kwargs, run)
+    model = load_model(path, run.experiment.algo, device)
+    return Agent(model, path, run.experiment.label, run.experiment.env_id, env_kwargs, run)
 
 
 def _agent_of_file(path: Path, query: AgentQuery) -> Agent:

@@ -12,10 +12,10 @@ from typing import Any
 
 import numpy as np
 
-from zoo_configs.cells.rules import task_name
 from zoo_configs.drawing.curves import LearningCurve, load_curve
 from zoo_configs.drawing.tables import markdown_table
 from zoo_configs.errors import CommandError
+from zoo_configs.experiments.rules import task_name
 from zoo_configs.files import whole_file
 from zoo_configs.training.origin import Origin, origin_of
 from zoo_configs.training.runs import Run, find_runs
@@ -57,7 +57,7 @@ class Result:
 
 
 @dataclass
-class Experiment:
+class ExperimentResults:
     """
     Runs that differ only in their seeds.
 
@@ -82,7 +82,7 @@ class Experiment:
 
 def read_experiments(
     log_folder: Path, env_ids: Sequence[str] | None = None, baselines: Sequence[str] | None = None
-) -> list[Experiment]:
+) -> list[ExperimentResults]:
     """
     Read the evaluated runs in a folder, and group them by experiment.
 
@@ -94,13 +94,13 @@ def read_experiments(
     :return: The experiments, sorted by environment and label
     :raises CommandError: if no run fits
     """
-    experiments: list[Experiment] = []
+    experiments: list[ExperimentResults] = []
     for run in find_runs(log_folder):
-        is_wanted = env_ids is None or run.cell.env_id in env_ids
+        is_wanted = env_ids is None or run.experiment.env_id in env_ids
         if (
             is_wanted
             and run.evaluations_file.is_file()
-            and (baselines is None or run.cell.baseline in baselines)
+            and (baselines is None or run.experiment.baseline in baselines)
         ):
             _add(experiments, Result(run, load_curve(run.evaluations_file), origin_of(run)))
     if not experiments:
@@ -110,14 +110,14 @@ def read_experiments(
     return sorted(experiments, key=lambda one: (one.env_id, one.label))
 
 
-def _name(experiment: Experiment) -> tuple[str, str]:
+def _name(experiment: ExperimentResults) -> tuple[str, str]:
     return experiment.env_id, experiment.baseline
 
 
-def _add(experiments: list[Experiment], result: Result) -> None:
+def _add(experiments: list[ExperimentResults], result: Result) -> None:
     """Add a result to its experiment."""
     run = result.run
-    new = Experiment(run.cell.env_id, run.cell.label, settings_of(run))
+    new = ExperimentResults(run.experiment.env_id, run.experiment.label, settings_of(run))
     found = next(
         (one for one in experiments if (_name(one), one.settings) == (_name(new), new.settings)), new
     )
@@ -132,10 +132,10 @@ def _add(experiments: list[Experiment], result: Result) -> None:
 
 def settings_of(run: Run) -> dict[str, Any]:
     """Return what defines the experiment of a run, except environment and seed, by dotted name."""
-    cell = run.cell
-    axes = {"algo": cell.algo, "preset": cell.preset, "benchmark": cell.benchmark}
+    experiment = run.experiment
+    axes = {"algo": experiment.algo, "preset": experiment.preset, "benchmark": experiment.benchmark}
     options = {"trained_agent": run.options.trained_agent, "n_timesteps": run.n_timesteps}
-    return {**axes, **dict(_flat(cell.hyperparams)), **options}
+    return {**axes, **dict(_flat(experiment.hyperparams)), **options}
 
 
 def _flat(values: Mapping[str, Any], prefix: str = "") -> Iterable[tuple[str, Any]]:
@@ -147,7 +147,7 @@ def _flat(values: Mapping[str, Any], prefix: str = "") -> Iterable[tuple[str, An
             yield f"{prefix}{name}", value
 
 
-def _label(own: Experiment, others: Iterable[Experiment]) -> str:
+def _label(own: ExperimentResults, others: Iterable[ExperimentResults]) -> str:
     """Return the baseline with the settings that differ from others, first the settings in ``AXES``."""
     alike = [other.settings for other in others]
     named: list[str] = []
@@ -164,7 +164,7 @@ def interquartile_mean(values: Sequence[float]) -> float:
     return float(np.mean(sorted(values)[omitted : len(values) - omitted]))
 
 
-def experiment_row(experiment: Experiment) -> list[str]:
+def experiment_row(experiment: ExperimentResults) -> list[str]:
     """Return the row of an experiment with the columns ``HEADS``."""
     results, success = experiment.results.values(), experiment.success
     minutes = [result.origin.minutes for result in results if result.origin.minutes is not None]
@@ -179,7 +179,7 @@ def experiment_row(experiment: Experiment) -> list[str]:
     ]
 
 
-def baseline_rows(experiments: Iterable[Experiment]) -> list[list[str]]:
+def baseline_rows(experiments: Iterable[ExperimentResults]) -> list[list[str]]:
     """Return the rows of the table of baselines over all tasks, with the columns ``BASELINE_HEADS``."""
     groups: defaultdict[str, list[dict[int, float]]] = defaultdict(list)
     for experiment in experiments:
@@ -199,7 +199,7 @@ def _by_seed(values: Mapping[int, float]) -> str:
     return ", ".join(f"{seed}: {value:.2f}" for seed, value in values.items())
 
 
-def write_tables(experiments: Sequence[Experiment], picture: Path) -> list[Path]:
+def write_tables(experiments: Sequence[ExperimentResults], picture: Path) -> list[Path]:
     """
     Write the results next to a figure, with the same name.
 
@@ -226,11 +226,11 @@ def write_tables(experiments: Sequence[Experiment], picture: Path) -> list[Path]
     return [page, table]
 
 
-def _results(experiments: Iterable[Experiment]) -> list[Result]:
+def _results(experiments: Iterable[ExperimentResults]) -> list[Result]:
     return [experiment.results[seed] for experiment in experiments for seed in sorted(experiment.results)]
 
 
-def _run_row(experiment: Experiment, result: Result) -> list[Any]:
+def _run_row(experiment: ExperimentResults, result: Result) -> list[Any]:
     origin, done = result.origin, "yes" if result.is_done else "no"
     last = result.success, result.steps, done, origin.minutes
     return [experiment.env_id, experiment.label, result.run.seed, *last, origin.machine, origin.command]

@@ -1,4 +1,4 @@
-"""``benchmark``: what its cells are and cost, what it refuses, and runs in processes of this machine."""
+"""``benchmark``: what its experiments are and cost, what it refuses, and runs in processes of this machine."""
 
 from __future__ import annotations
 
@@ -39,8 +39,8 @@ pytestmark = pytest.mark.usefixtures("toys")
 def test_files_of_the_examples_can_be_followed(path: Path) -> None:
     plan = read_plan(str(path))
     jobs = build_jobs(plan)
-    assert {job.cell.label for job in jobs} == set(plan.baselines)
-    assert {f"BulletArm/{task}-v0" for task in plan.tasks} == {job.cell.env_id for job in jobs}
+    assert {job.experiment.label for job in jobs} == set(plan.baselines)
+    assert {f"BulletArm/{task}-v0" for task in plan.tasks} == {job.experiment.env_id for job in jobs}
 
 
 def test_the_papers_benchmarks_have_its_rows() -> None:
@@ -49,7 +49,7 @@ def test_the_papers_benchmarks_have_its_rows() -> None:
     assert len(plan.baselines) == 11 and "equi_tqc" not in plan.baselines
     jobs = build_jobs(plan)
     assert len(jobs) == 10 * 11 * 4
-    assert {job.cell.benchmark for job in jobs} == {"close_loop_4d"}
+    assert {job.experiment.benchmark for job in jobs} == {"close_loop_4d"}
     assert jobs[0].name == "CloseLoopBlockReaching/sac/seed_0"
     six = read_plan("open_loop_6d")
     assert len(six.tasks) == 9 and len(six.baselines) == 8
@@ -58,9 +58,9 @@ def test_the_papers_benchmarks_have_its_rows() -> None:
 def test_a_yaml_names_tasks_by_id_name_or_pattern() -> None:
     plan = Plan([PICKING, "CloseLoopBlockReaching", "CloseLoop*Pu[ls]*"], ["*equi_sacfd", "sac"], seeds=[3])
     jobs = build_jobs(plan)
-    tasks = {job.cell.env_id.removeprefix("BulletArm/CloseLoop") for job in jobs}
+    tasks = {job.experiment.env_id.removeprefix("BulletArm/CloseLoop") for job in jobs}
     assert tasks == {"BlockPicking-v0", "BlockReaching-v0", "BlockPushing-v0", "BlockPulling-v0"}
-    assert {job.cell.label for job in jobs} == {"equi_sacfd", "sac"}
+    assert {job.experiment.label for job in jobs} == {"equi_sacfd", "sac"}
     assert {job.seed for job in jobs} == {3}
 
 
@@ -74,7 +74,7 @@ def test_numbers_have_exponents_without_a_point(tmp_path: Path) -> None:
 
 def test_a_pattern_takes_the_baselines_that_fit_the_task() -> None:
     plan = Plan(["OpenLoopBlockStacking", "OpenLoopRampBlockStacking"], ["sdqfd_*cnn_asr*"])
-    rows = {(job.cell.env_id[10:], job.cell.label) for job in build_jobs(plan)}
+    rows = {(job.experiment.env_id[10:], job.experiment.label) for job in build_jobs(plan)}
     assert rows == {
         ("OpenLoopBlockStacking-v0", "sdqfd_cnn_asr"),
         ("OpenLoopRampBlockStacking-v0", "sdqfd_cnn_asr_6d"),
@@ -83,7 +83,7 @@ def test_a_pattern_takes_the_baselines_that_fit_the_task() -> None:
 
 def test_runs_that_begin_together_do_not_share_demonstrations() -> None:
     jobs = jobs_of(baselines=["sacfd", "sac"], tasks=["CloseLoopToy", "CloseLoopToySlow"])
-    keys = [(job.cell.env_id, job.seed) for job in jobs]
+    keys = [(job.experiment.env_id, job.seed) for job in jobs]
     assert len(set(keys[:4])) == len(set(keys[4:])) == 4
 
 
@@ -103,7 +103,7 @@ def test_all_baselines_of_a_benchmark_have_a_size(benchmark: str) -> None:
 
 def test_a_pattern_takes_the_tasks_of_the_benchmark() -> None:
     plan = replace(read_plan("close_loop_4d"), tasks=["CloseLoopBlock*"], baselines=["sacfd"], seeds=1)
-    tasks = {job.cell.env_id for job in build_jobs(plan)}
+    tasks = {job.experiment.env_id for job in build_jobs(plan)}
     known = {row.env_id for row in BENCHMARKS["close_loop_4d"].environments}
     assert tasks == {env_id for env_id in known if "CloseLoopBlock" in env_id} != known
 
@@ -193,7 +193,7 @@ def test_a_folder_with_other_runs_is_refused(bench: Bench, tmp_path: Path, capsy
     from zoo_configs.training.runs import Run, write_resolved
 
     [job] = jobs_of(seeds=1)
-    write_resolved(Run(tmp_path / "out" / job.name, job.cell, 0))
+    write_resolved(Run(tmp_path / "out" / job.name, job.experiment, 0))
     assert bench(hyperparams={**TINY["hyperparams"], "gamma": 0.5}) == 2
     assert "hyperparams" in capsys.readouterr().err
 

@@ -9,9 +9,9 @@ from typing import Any
 import pytest
 import yaml
 
-from zoo_configs.cells.cell import resolve
-from zoo_configs.cells.rules import families
 from zoo_configs.environments import register_environments
+from zoo_configs.experiments.config import resolve
+from zoo_configs.experiments.rules import families
 
 register_environments()
 GOLDEN_FILE = Path(__file__).with_name("golden_experiments.yml")
@@ -50,8 +50,8 @@ EXPERIMENTS = [
 
 def resolved(baseline: str, preset: str, task: str, benchmark: str | None = None) -> dict[str, Any]:
     """Return all values of an experiment."""
-    cell = resolve(baseline, preset, f"BulletArm/{task}-v0", benchmark=benchmark)
-    return {"algo": cell.algo, "flags": cell.flags, "hyperparams": cell.hyperparams}
+    experiment = resolve(baseline, preset, f"BulletArm/{task}-v0", benchmark=benchmark)
+    return {"algo": experiment.algo, "flags": experiment.flags, "hyperparams": experiment.hyperparams}
 
 
 @pytest.fixture(scope="module")

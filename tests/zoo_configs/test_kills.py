@@ -14,12 +14,12 @@ import pytest
 from optuna.storages.journal import JournalFileBackend, JournalStorage
 from stable_baselines3.common.save_util import load_from_zip_file
 
-from zoo_configs.cells.cell import resolve
 from zoo_configs.cli import main
-from zoo_configs.training.cell import train_cell
+from zoo_configs.experiments.config import resolve
 from zoo_configs.training.options import TrainingOptions
 from zoo_configs.training.runs import Run
 from zoo_configs.training.state import State, run_status
+from zoo_configs.training.train import train_experiment
 
 # Registers a toy that counts its steps, and the files that appear, and kills its process at one of them.
 DYING = f"""
@@ -90,9 +90,11 @@ TRAINING_EVENTS, STUDY_EVENTS = 45, 60
 
 
 def train(toy_id: str, folder: Path, packages: tuple[str, ...] = ()) -> Run:
-    cell = resolve("sacfd", "quick", toy_id, OVERRIDES)
-    options = TrainingOptions.of(cell, OPTIONS)
-    return train_cell(cell, 0, "cpu", folder, options=options, at=folder / "run", gym_packages=packages)
+    experiment = resolve("sacfd", "quick", toy_id, OVERRIDES)
+    options = TrainingOptions.of(experiment, OPTIONS)
+    return train_experiment(
+        experiment, 0, "cpu", folder, options=options, at=folder / "run", gym_packages=packages
+    )
 
 
 def run_dying(folder: Path, moment: int, code: str) -> int:

@@ -14,10 +14,10 @@ import torch as th
 from stable_baselines3.common.base_class import BaseAlgorithm
 
 from measure_updates import make_model
-from zoo_configs.cells.cell import resolve
-from zoo_configs.cells.rules import family_of
 from zoo_configs.cli import main
 from zoo_configs.environments import register_environments
+from zoo_configs.experiments.config import resolve
+from zoo_configs.experiments.rules import family_of
 from zoo_configs.training.trainer import Trainer
 
 register_environments()

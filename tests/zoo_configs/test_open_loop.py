@@ -12,12 +12,12 @@ import torch as th
 import yaml
 
 from bulletarm_gym.benchmarks import BENCHMARKS
-from zoo_configs.cells.cell import resolve
-from zoo_configs.cells.rules import family_of
 from zoo_configs.cli import main
 from zoo_configs.drawing.video import PANEL_SIZE
 from zoo_configs.environments import register_environments
 from zoo_configs.errors import CommandError
+from zoo_configs.experiments.config import resolve
+from zoo_configs.experiments.rules import family_of
 from zoo_configs.training.trainer import Trainer
 
 register_environments()
@@ -56,7 +56,7 @@ def test_there_is_a_baseline_for_every_learner_and_network() -> None:
 )
 def test_the_paper_preset_is_the_papers(learner: str, own: dict[str, float]) -> None:
     """Appendix "Benchmark Details", Open-Loop Benchmark; the schedule of updates as its authors' code."""
-    cell = resolve(f"{learner}_equi_asr", "paper", STACKING)
+    experiment = resolve(f"{learner}_equi_asr", "paper", STACKING)
     expected = {
         "learning_rate": 1e-4,
         "gamma": 0.95,
@@ -72,11 +72,11 @@ def test_the_paper_preset_is_the_papers(learner: str, own: dict[str, float]) -> 
         "replay_buffer_kwargs": {"sampler": {"shares": {"expert_fraction": 0.5}}},
         **own,
     }
-    assert {key: cell.hyperparams[key] for key in expected} == expected
-    assert "pretrain_steps" not in cell.hyperparams
-    assert cell.hyperparams["policy_kwargs"]["optimizer_kwargs"] == {"weight_decay": 1e-5}
-    assert cell.hyperparams["env_kwargs"]["obs_size"] == 128
-    assert (cell.flags["eval_freq"], cell.flags["eval_episodes"]) == (5 * 500, 100)
+    assert {key: experiment.hyperparams[key] for key in expected} == expected
+    assert "pretrain_steps" not in experiment.hyperparams
+    assert experiment.hyperparams["policy_kwargs"]["optimizer_kwargs"] == {"weight_decay": 1e-5}
+    assert experiment.hyperparams["env_kwargs"]["obs_size"] == 128
+    assert (experiment.flags["eval_freq"], experiment.flags["eval_episodes"]) == (5 * 500, 100)
 
 
 def test_rot_fcn_sees_90_pixels() -> None:
@@ -86,16 +86,16 @@ def test_rot_fcn_sees_90_pixels() -> None:
 @pytest.mark.parametrize(("benchmark", "row"), FLAT + SE3)
 def test_the_benchmark_says_what_a_task_is_like(benchmark: str, row: Any) -> None:
     network = "equi_deictic_asr" if benchmark == "open_loop_6d" else "equi_fcn"
-    cell = resolve(f"sdqfd_{network}", "paper", row.env_id, benchmark=benchmark)
+    experiment = resolve(f"sdqfd_{network}", "paper", row.env_id, benchmark=benchmark)
     sequence = {"open_loop_2d": "pxy", "open_loop_3d": "pxyr", "open_loop_6d": "pxyzrrr"}[benchmark]
-    assert cell.benchmark == benchmark
-    assert cell.hyperparams["env_kwargs"]["action_sequence"] == sequence
-    assert cell.hyperparams["policy_kwargs"]["action_sequence"] == sequence
-    assert cell.hyperparams["env_kwargs"]["random_orientation"] is (benchmark != "open_loop_2d")
+    assert experiment.benchmark == benchmark
+    assert experiment.hyperparams["env_kwargs"]["action_sequence"] == sequence
+    assert experiment.hyperparams["policy_kwargs"]["action_sequence"] == sequence
+    assert experiment.hyperparams["env_kwargs"]["random_orientation"] is (benchmark != "open_loop_2d")
     on_bumps = "Bump" in row.env_id
-    assert cell.hyperparams["env_kwargs"]["in_hand_size"] == (40 if on_bumps else 24)
+    assert experiment.hyperparams["env_kwargs"]["in_hand_size"] == (40 if on_bumps else 24)
     episodes = 500 if "Covid" in row.env_id else 1000 if "Ramp" in row.env_id else 200
-    assert cell.hyperparams["expert_episodes"] == episodes
+    assert experiment.hyperparams["expert_episodes"] == episodes
 
 
 def test_a_task_of_several_benchmarks_is_3d_unless_one_is_named() -> None:

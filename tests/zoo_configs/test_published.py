@@ -8,9 +8,9 @@ import pytest
 from scipy import stats
 
 from zoo_configs.agents import AgentQuery, find_agent
-from zoo_configs.cells.rules import task_name
 from zoo_configs.cli import main
 from zoo_configs.evaluating import EvalOptions, Outcome, evaluate_agent
+from zoo_configs.experiments.rules import task_name
 from zoo_configs.publishing.packing import arithmetic
 from zoo_configs.publishing.published import Published, published_agents
 from zoo_configs.publishing.readme import render_readme

@@ -12,10 +12,10 @@ from typing import Any
 
 import pytest
 
-from zoo_configs.cells import ranges
 from zoo_configs.cli import main
 from zoo_configs.drawing import video
 from zoo_configs.errors import CommandError
+from zoo_configs.experiments import ranges
 from zoo_configs.training import options
 
 Refuse = Callable[..., str]

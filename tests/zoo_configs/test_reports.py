@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from gymnasium import spaces
 
-from zoo_configs.cells.cell import Cell
 from zoo_configs.cli import main
 from zoo_configs.drawing.curves import LearningCurve, draw_curves, load_curve, mean_curve
 from zoo_configs.drawing.video import compose_frame, observed_images
+from zoo_configs.experiments.config import ExperimentConfig
 from zoo_configs.files import whole_file
 from zoo_configs.training.runs import Run, claim_run_folder, write_resolved
 from zoo_configs.training.seeds import SeedStream, stream_seed
@@ -86,8 +86,8 @@ def test_a_mean_curve_takes_at_each_step_the_runs_that_have_it() -> None:
 
 def evaluated_run(log_folder: Path, env_id: str, timesteps: list[int]) -> None:
     folder = claim_run_folder(log_folder / "sacfd", env_id)
-    cell = Cell("sacfd", env_id, {"n_timesteps": 10}, {}, "sacfd", "cpu")
-    run = Run(folder, cell, len(list(log_folder.glob("*/*"))))
+    experiment = ExperimentConfig("sacfd", env_id, {"n_timesteps": 10}, {}, "sacfd", "cpu")
+    run = Run(folder, experiment, len(list(log_folder.glob("*/*"))))
     write_resolved(run)
     results = np.zeros((len(timesteps), 2))
     np.savez(run.evaluations_file, timesteps=timesteps, results=results, successes=results)

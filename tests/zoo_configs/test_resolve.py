@@ -14,20 +14,20 @@ from sb3_extensions.common.env_metadata import constructor_keys
 from sb3_extensions.encoders.cnn import plan_stages
 from sb3_extensions.replay.sampling import PrioritizedSampler, make_sampler
 from sb3_extensions.spatial_dqn.codec import SpatialActionCodec
-from zoo_configs.cells.cell import Cell, explain, merge, resolve
-from zoo_configs.cells.explanation import explained_yaml
-from zoo_configs.cells.flags import find_cell
-from zoo_configs.cells.rules import Case, Family, families, family_of, parse_family, task_name
-from zoo_configs.cells.validation import check_cell
 from zoo_configs.commands.train import build_parser
 from zoo_configs.environments import make_env, our_env_ids, register_environments
 from zoo_configs.errors import CommandError, nearest_name
+from zoo_configs.experiments.config import ExperimentConfig, explain, merge, resolve
+from zoo_configs.experiments.explanation import explained_yaml
+from zoo_configs.experiments.flags import find_experiment
+from zoo_configs.experiments.rules import Case, Family, families, family_of, parse_family, task_name
+from zoo_configs.experiments.validation import check_experiment
 from zoo_configs.training.objects import import_classes
 from zoo_configs.training.options import TrainingOptions
 from zoo_configs.yaml_files import parse_yaml
 
 register_environments()
-CELLS = [
+EXPERIMENTS = [
     (baseline, preset, env_id)
     for env_id in our_env_ids()
     for family in families()
@@ -44,15 +44,15 @@ STACKING = "BulletArm/OpenLoopBlockStacking-v0"
 CLOSE_LOOP = [row.env_id for row in BENCHMARKS["close_loop_4d"].environments]
 
 
-def cell_of(*words: str) -> Cell:
-    """The cell that the flags of ``train`` name."""
+def experiment_of(*words: str) -> ExperimentConfig:
+    """The experiment that the flags of ``train`` name."""
     args = build_parser().parse_args(words)
-    return find_cell(args, args.env)
+    return find_experiment(args, args.env)
 
 
-@pytest.mark.parametrize("cell", CELLS, ids="-".join)
-def test_every_cell_is_valid(cell: tuple[str, str, str]) -> None:
-    check_cell(resolve(*cell))
+@pytest.mark.parametrize("experiment", EXPERIMENTS, ids="-".join)
+def test_every_experiment_is_valid(experiment: tuple[str, str, str]) -> None:
+    check_experiment(resolve(*experiment))
 
 
 @pytest.mark.parametrize("env_id", our_env_ids())
@@ -60,7 +60,7 @@ def test_buffers_hold_all_demonstrations(env_id: str) -> None:
     """Be each as long as the time limit: they stay, and what the agent does needs room beside them."""
     with closing(make_env(env_id, {})) as env:
         limit = env.unwrapped.config.max_steps  # type: ignore[attr-defined]
-    for baseline, preset, _ in (cell for cell in CELLS if cell[2] == env_id):
+    for baseline, preset, _ in (experiment for experiment in EXPERIMENTS if experiment[2] == env_id):
         hyperparams = resolve(baseline, preset, env_id).hyperparams
         needed = hyperparams.get("expert_episodes", 0) * (limit + 1)
         assert hyperparams["buffer_size"] >= needed + 100, (baseline, preset)
@@ -68,7 +68,7 @@ def test_buffers_hold_all_demonstrations(env_id: str) -> None:
 
 def test_the_paper_preset_is_the_papers() -> None:
     """Appendix "Benchmark Details", Close-Loop Benchmark; Polyak and update schedule as its authors' code."""
-    cell = resolve("equi_sacfd", "paper", PICKING)
+    experiment = resolve("equi_sacfd", "paper", PICKING)
     expected = {
         "learning_rate": 1e-3,
         "ent_coef": "auto_0.01",
@@ -85,30 +85,30 @@ def test_the_paper_preset_is_the_papers() -> None:
         "bc_weight": 1.0,
     }
     additions = {"n_steps", "bc_limit", "exploration", "backup_entropy", "pretrain_steps", "value_range"}
-    assert not additions & cell.hyperparams.keys()  # their defaults are the paper's
-    assert {key: cell.hyperparams[key] for key in expected} == expected
-    assert cell.hyperparams["env_kwargs"]["obs_size"] == 128
-    assert cell.flags["eval_freq"] == 5 * 500
-    assert cell.flags["eval_episodes"] == 100
+    assert not additions & experiment.hyperparams.keys()  # their defaults are the paper's
+    assert {key: experiment.hyperparams[key] for key in expected} == expected
+    assert experiment.hyperparams["env_kwargs"]["obs_size"] == 128
+    assert experiment.flags["eval_freq"] == 5 * 500
+    assert experiment.flags["eval_episodes"] == 100
 
 
 def test_the_cpu_preset_keeps_to_the_papers_budget_with_one_set_of_hyperparameters() -> None:
     """At most 100 demonstrations without noise, 10,000 updates of five environment steps each, no DAgger."""
-    cells = [
+    experiments = [
         resolve(baseline, "cpu", env_id).hyperparams
         for env_id in CLOSE_LOOP
         for baseline in family_of(PICKING).baselines
         if "fd" in baseline
     ]
-    for cell in cells:
-        assert cell["expert_episodes"] <= 100
-        assert (cell["n_timesteps"] // cell["n_envs"]) + cell["pretrain_steps"] <= 10_000
-        assert "expert_noise" not in cell and "callback" not in cell
-        assert cell["gamma"] == 0.99
+    for experiment in experiments:
+        assert experiment["expert_episodes"] <= 100
+        assert (experiment["n_timesteps"] // experiment["n_envs"]) + experiment["pretrain_steps"] <= 10_000
+        assert "expert_noise" not in experiment and "callback" not in experiment
+        assert experiment["gamma"] == 0.99
     one_baseline = [resolve("equi_sacfd", "cpu", env_id).hyperparams for env_id in CLOSE_LOOP]
-    for cell in one_baseline:
-        cell.pop("n_timesteps")
-        assert cell == one_baseline[0]
+    for experiment in one_baseline:
+        experiment.pop("n_timesteps")
+        assert experiment == one_baseline[0]
 
 
 @pytest.mark.parametrize("baseline", [name for name in family_of(PICKING).baselines if "equi" in name])
@@ -136,9 +136,9 @@ def test_imitation_is_alike_for_all(preset: str) -> None:
     """What is compared differs in nothing but network, augmentation and buffer."""
     imitating = [name for name in family_of(PICKING).baselines if "fd" in name]
     assert len(imitating) == 9
-    cells = [resolve(name, preset, PICKING).hyperparams for name in imitating]
+    experiments = [resolve(name, preset, PICKING).hyperparams for name in imitating]
     names = ("bc_weight", "ent_coef", "self_imitation_temperature", "n_steps", "gamma", "exploration")
-    assert len({tuple(cell.get(name) for name in names) for cell in cells}) == 1
+    assert len({tuple(experiment.get(name) for name in names) for experiment in experiments}) == 1
 
 
 def test_a_task_may_say_more_of_policies_and_baselines() -> None:
@@ -154,7 +154,7 @@ def test_a_task_may_say_more_of_policies_and_baselines() -> None:
     assert channels != here.pop("channels")
     assert equivariant["policy_kwargs"]["features_extractor_kwargs"] == here
     assert plain["policy_kwargs"]["features_extractor_kwargs"] == there
-    assert [cell["bc_weight"] for cell in (equivariant, plain, unguided)] == [30, 30, 0]
+    assert [experiment["bc_weight"] for experiment in (equivariant, plain, unguided)] == [30, 30, 0]
 
 
 SECTIONS = {
@@ -214,16 +214,16 @@ def test_every_value_has_a_source(family: Family) -> None:
         if parts.network.endswith(("6d", "deictic_asr")):
             continue
         overrides = {"gamma": 0.5, "env_kwargs": {"half_rotation": False} if env_id == STACKING else {}}
-        cell, sources = explain(baseline, "cpu", env_id, overrides)
-        assert cell == resolve(baseline, "cpu", env_id, overrides)
+        experiment, sources = explain(baseline, "cpu", env_id, overrides)
+        assert experiment == resolve(baseline, "cpu", env_id, overrides)
         assert sources["hyperparams.gamma"].source == "command line"
         assert sources["hyperparams.expert_episodes"].source.startswith("bulletarm_gym.benchmarks")
         assert sources["flags.eval_freq"].source.endswith("presets.cpu")
-        lines = explained_yaml(cell, TrainingOptions.of(cell).plain(), {}).splitlines()
+        lines = explained_yaml(experiment, TrainingOptions.of(experiment).plain(), {}).splitlines()
         assert all("  # " in line or line.endswith(":") for line in lines)
         content = parse_yaml("\n".join(lines))
-        assert (content["algo"], content[env_id]) == (cell.algo, cell.hyperparams)
-        assert content["options"] == TrainingOptions.of(cell).plain()
+        assert (content["algo"], content[env_id]) == (experiment.algo, experiment.hyperparams)
+        assert content["options"] == TrainingOptions.of(experiment).plain()
 
 
 def test_a_grid_of_actions_lies_over_what_the_environments_range_over() -> None:
@@ -247,8 +247,8 @@ def test_an_algorithm_alone_stands_for_a_baseline_of_its_own(family: Family) -> 
     assert family.algorithms
     for algo in family.algorithms:
         for env_id in filter(family.serves, our_env_ids()):
-            cell = cell_of("--algo", algo, "--env", env_id)
-            assert cell.algo == algo and cell.baseline in family.algorithms[algo]
+            experiment = experiment_of("--algo", algo, "--env", env_id)
+            assert experiment.algo == algo and experiment.baseline in family.algorithms[algo]
 
 
 @pytest.mark.parametrize(
@@ -267,7 +267,7 @@ def test_an_algorithm_alone_stands_for_a_baseline_of_its_own(family: Family) -> 
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",
 )
 def test_the_baseline_of_an_algorithm_serves_the_task(words: list[str], baseline: str) -> None:
-    assert cell_of("--algo", *words).baseline == baseline
+    assert experiment_of("--algo", *words).baseline == baseline
 
 
 def test_the_name_of_a_task() -> None:
@@ -306,7 +306,7 @@ def test_the_policy_follows_the_action_sequence() -> None:
     assert hyperparams["policy_kwargs"]["action_sequence"] == "xyzp"
 
 
-def test_cells_share_nothing() -> None:
+def test_experiments_share_nothing() -> None:
     resolve("sacfd", "cpu", PICKING).hyperparams["env_kwargs"]["obs_size"] = 1
     assert resolve("sacfd", "cpu", PICKING).hyperparams["env_kwargs"]["obs_size"] == 64
 
@@ -352,13 +352,13 @@ def test_unknown_names_are_told(names: tuple[str, str, str], message: str) -> No
 )
 def test_unknown_keys_are_told(overrides: dict[str, object], message: str) -> None:
     with pytest.raises(CommandError) as error:
-        check_cell(resolve("equi_sacfd", "cpu", PICKING, overrides))
+        check_experiment(resolve("equi_sacfd", "cpu", PICKING, overrides))
     assert message in str(error.value)
 
 
 def test_missing_keys_are_told() -> None:
     with pytest.raises(CommandError, match="'n_timesteps' is missing"):
-        check_cell(Cell("sacfd", PICKING, {"policy": "MultiInputPolicy"}))
+        check_experiment(ExperimentConfig("sacfd", PICKING, {"policy": "MultiInputPolicy"}))
 
 
 def test_merge_copies_and_replaces_lists() -> None:
@@ -401,38 +401,41 @@ def test_family_of_an_id() -> None:
 @pytest.mark.parametrize("algo", ["ppo", "a2c", "sac", "td3", "ddpg", "tqc", "trpo"])
 def test_stock_algorithms_take_a_policy_for_images_on_our_ids(algo: str) -> None:
     for size in (128, 64, 32):
-        cell = cell_of("--algo", algo, "--env", STACKING, "--env-kwargs", f"obs_size:{size}")
-        check_cell(cell)
-        assert cell.hyperparams["policy"] == "MultiInputPolicy"
-        extractor = cell.hyperparams["policy_kwargs"]
+        experiment = experiment_of("--algo", algo, "--env", STACKING, "--env-kwargs", f"obs_size:{size}")
+        check_experiment(experiment)
+        assert experiment.hyperparams["policy"] == "MultiInputPolicy"
+        extractor = experiment.hyperparams["policy_kwargs"]
         assert extractor["features_extractor_class"].endswith(".CnnExtractor")
 
 
 def test_stock_algorithms_take_no_extractor_for_images_on_states() -> None:
     words = ["--algo", "ppo", "--env", PICKING, "--env-kwargs", "observation:'state'"]
-    cell = cell_of(*words)
-    assert cell.hyperparams["policy"] == "MultiInputPolicy" and "policy_kwargs" not in cell.hyperparams
+    experiment = experiment_of(*words)
+    assert (
+        experiment.hyperparams["policy"] == "MultiInputPolicy"
+        and "policy_kwargs" not in experiment.hyperparams
+    )
 
 
 def test_a_chosen_policy_and_its_arguments_win() -> None:
     words = ["--algo", "ppo", "--env", PICKING, "-params"]
-    assert cell_of(*words, "policy:'CnnPolicy'").hyperparams["policy"] == "CnnPolicy"
-    chosen = cell_of(*words, "policy_kwargs:{'features_extractor_kwargs': {'strided': 2}}").hyperparams
+    assert experiment_of(*words, "policy:'CnnPolicy'").hyperparams["policy"] == "CnnPolicy"
+    chosen = experiment_of(*words, "policy_kwargs:{'features_extractor_kwargs': {'strided': 2}}").hyperparams
     assert chosen["policy_kwargs"]["features_extractor_kwargs"] == {"strided": 2}
     assert chosen["policy_kwargs"]["features_extractor_class"].endswith(".CnnExtractor")
 
 
 def test_stock_algorithms_keep_their_policy_on_other_ids() -> None:
-    assert cell_of("--algo", "ppo", "--env", "Pendulum-v1").hyperparams["policy"] == "MlpPolicy"
+    assert experiment_of("--algo", "ppo", "--env", "Pendulum-v1").hyperparams["policy"] == "MlpPolicy"
 
 
 @pytest.mark.parametrize("size", [16, 32, 48, 64, 84, 128, 224])
 @pytest.mark.parametrize("baseline", ["sacfd", "equi_sacfd", "drq_sac"])
 def test_presets_fit_the_image_size(baseline: str, size: int) -> None:
     words = ["--baseline", baseline, "--env", PICKING, "--preset", "cpu", "--env-kwargs", f"obs_size:{size}"]
-    cell = cell_of(*words)
-    check_cell(cell)
-    encoder = cell.hyperparams["policy_kwargs"]["features_extractor_kwargs"]
+    experiment = experiment_of(*words)
+    check_experiment(experiment)
+    encoder = experiment.hyperparams["policy_kwargs"]["features_extractor_kwargs"]
     plan_stages(size, len(encoder["channels"]), encoder["strided"])
     own = resolve(baseline, "cpu", PICKING).hyperparams["policy_kwargs"]["features_extractor_kwargs"]
     assert set(encoder["channels"]) == set(own["channels"]) and (size != 64 or encoder == own)
@@ -447,6 +450,6 @@ def test_a_fitted_value_has_the_source_of_the_image_size() -> None:
 
 def test_chosen_arguments_of_the_encoder_are_kept() -> None:
     chosen = {"policy_kwargs": {"features_extractor_kwargs": {"strided": 2, "channels": [8, 8, 8, 8]}}}
-    cell = resolve("sacfd", "cpu", PICKING, {"env_kwargs": {"obs_size": 128}, **chosen})
-    encoder = cell.hyperparams["policy_kwargs"]["features_extractor_kwargs"]
+    experiment = resolve("sacfd", "cpu", PICKING, {"env_kwargs": {"obs_size": 128}, **chosen})
+    encoder = experiment.hyperparams["policy_kwargs"]["features_extractor_kwargs"]
     assert (encoder["strided"], encoder["channels"]) == (2, [8, 8, 8, 8])

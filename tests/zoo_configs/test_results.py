@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from zoo_configs.cells.cell import resolve
 from zoo_configs.cli import main
-from zoo_configs.commands.train import build_parser, find_cell
+from zoo_configs.commands.train import build_parser, find_experiment
 from zoo_configs.drawing.curves import load_curve, mean_curve
+from zoo_configs.experiments.config import resolve
 from zoo_configs.results import (
     EXPLANATION,
     baseline_rows,
@@ -41,10 +41,10 @@ def add_run(
 ) -> Run:
     """A run that was evaluated every 10 time steps; it gets the next free folder."""
     options = {"n_timesteps": 30, "eval_freq": 10, "num_threads": 1, **changes.pop("options", {})}
-    cell = resolve(baseline, changes.pop("preset", "cpu"), env_id, {**OVERRIDES, **changes})
+    experiment = resolve(baseline, changes.pop("preset", "cpu"), env_id, {**OVERRIDES, **changes})
     task = env_id.partition("/")[2].partition("-")[0]
     place = folder / f"{task}_{len(list(folder.glob('*')))}" / baseline / f"seed_{seed}"
-    run = Run(place, cell, seed, "cpu", TrainingOptions.of(cell, options))
+    run = Run(place, experiment, seed, "cpu", TrainingOptions.of(experiment, options))
     write_resolved(run)
     with run_lock(run.folder):
         steps = np.arange(1, len(successes) + 1) * 10
@@ -105,7 +105,7 @@ def test_an_equal_run_counts_once(tmp_path: Path, capsys: pytest.CaptureFixture[
 
 def test_an_unfinished_run_shortens_no_curve(folder: Path) -> None:
     add_run(folder, PICKING, "equi_sacfd", 2, [[True] * 4])
-    runs = [run for run in find_runs(folder, PICKING) if run.cell.label == "equi_sacfd"]
+    runs = [run for run in find_runs(folder, PICKING) if run.experiment.label == "equi_sacfd"]
     mean = mean_curve([load_curve(run.evaluations_file) for run in runs])
     assert mean.timesteps.tolist() == [10, 20, 30]
     assert mean.runs.tolist() == [3, 2, 2]
@@ -132,8 +132,8 @@ def test_the_command_of_a_run_repeats_it(folder: Path) -> None:
     words = shlex.split(repeating_command(run))
     assert words[:2] == ["bulletarm-zoo", "train"]
     args = build_parser().parse_args(words[2:])
-    again = find_cell(args, args.env)
-    assert again.hyperparams == run.cell.hyperparams and args.seed == 1 and args.device == "cpu"
+    again = find_experiment(args, args.env)
+    assert again.hyperparams == run.experiment.hyperparams and args.seed == 1 and args.device == "cpu"
     assert TrainingOptions.of(again, given_options(args)) == run.options
 
 

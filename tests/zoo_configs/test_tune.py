@@ -16,12 +16,12 @@ from optuna.storages.journal import JournalFileBackend, JournalStorage
 from optuna.trial import FixedTrial, FrozenTrial
 
 from zoo_configs.algorithms import algorithm_classes
-from zoo_configs.cells.benchmarks import is_served
-from zoo_configs.cells.cell import Cell, merge, resolve
-from zoo_configs.cells.rules import families
 from zoo_configs.cli import main
 from zoo_configs.environments import our_env_ids, register_environments
 from zoo_configs.errors import CommandError
+from zoo_configs.experiments.benchmarks import is_served
+from zoo_configs.experiments.config import ExperimentConfig, merge, resolve
+from zoo_configs.experiments.rules import families
 from zoo_configs.tuning import trial as trial_module
 from zoo_configs.tuning.space import (
     BASELINE,
@@ -38,7 +38,7 @@ from zoo_configs.yaml_files import parse_yaml
 
 PICKING = "BulletArm/CloseLoopBlockPicking-v0"
 register_environments()
-CELLS = [
+EXPERIMENTS = [
     (baseline, preset, env_id)
     for env_id in our_env_ids()
     for family in families()
@@ -50,7 +50,7 @@ CELLS = [
 """All experiments."""
 SPACE = "learning_rate: {low: 1.0e-4, high: 1.0e-2, log: true}\nbatch_size: {choices: [4, 8]}\n"
 NAME = "sacfd_CloseLoopToy"
-CELL = ["--baseline", "sacfd", "--preset", "quick", "--env-kwargs", "obs_size:48"]
+EXPERIMENT = ["--baseline", "sacfd", "--preset", "quick", "--env-kwargs", "obs_size:48"]
 SIZE = ["-n", "6", "--eval-episodes", "1", "--n-evaluations", "2", "--n-startup-trials", "2"]
 TINY = ["-params", "expert_episodes:2", "pretrain_steps:1", "batch_size:4", "buffer_size:100", "n_envs:1"]
 Tune = Callable[..., int]
@@ -73,12 +73,12 @@ gymnasium.register(toy_env.TOY_ID, Hanging)
 
 @pytest.fixture
 def tune(toy_id: str, tmp_path: Path) -> Tune:
-    """Searches two hyperparameters of a tiny cell: ``tune(*more)`` returns the exit code."""
+    """Searches two hyperparameters of a tiny experiment: ``tune(*more)`` returns the exit code."""
     space = tmp_path / "space.yml"
     space.write_text(SPACE)
 
     def run(*more: str) -> int:
-        named = ["tune", *CELL, "--env", toy_id, "-f", str(tmp_path), "--space", str(space)]
+        named = ["tune", *EXPERIMENT, "--env", toy_id, "-f", str(tmp_path), "--space", str(space)]
         return main([*named, *SIZE, "--num-threads", "1", *more, *TINY])
 
     return run
@@ -140,7 +140,7 @@ def test_a_study_of_a_seed_is_one_study(tune: Tune, tmp_path: Path) -> None:
 
 def test_a_worker_that_dies_leaves_its_trial_to_be_taken_up(tune: Tune, toy_id: str, tmp_path: Path) -> None:
     (tmp_path / "hanging.py").write_text(HANGING)
-    words = ["tune", *CELL, "--env", f"hanging:{toy_id}", "-f", str(tmp_path), "--num-threads", "1"]
+    words = ["tune", *EXPERIMENT, "--env", f"hanging:{toy_id}", "-f", str(tmp_path), "--num-threads", "1"]
     words += ["--space", str(tmp_path / "space.yml"), *SIZE, "--n-trials", "2", *TINY]
     code = f"import sys; from zoo_configs.cli import main; sys.exit(main({words!r}))"
     with subprocess.Popen([sys.executable, "-c", code], cwd=tmp_path, stdout=subprocess.DEVNULL) as worker:
@@ -242,57 +242,57 @@ def test_a_study_of_another_program_is_refused_unchanged(
 )
 def test_every_algorithm_has_the_hyperparameters_of_its_space(algo: str) -> None:
     """All for a box of actions, except the recurrent one, whose policies have no heightmaps."""
-    cell = Cell(algo, "Pendulum-v1", {})
+    experiment = ExperimentConfig(algo, "Pendulum-v1", {})
     if algo == "ppo_lstm":
         with pytest.raises(CommandError, match="unknown search space 'ppo_lstm'"):
-            load_space(cell)
+            load_space(experiment)
         return
-    space = load_space(cell)
+    space = load_space(experiment)
     assert len({parameter.name for parameter in space}) == len(space) >= 4
 
 
-def fitted(cell: Cell, given: dict[str, Any] | None = None) -> tuple[Parameter, ...]:
+def fitted(experiment: ExperimentConfig, given: dict[str, Any] | None = None) -> tuple[Parameter, ...]:
     """The shipped space of an experiment."""
-    return fit_space(load_space(cell), cell, given or {}, is_own=False)
+    return fit_space(load_space(experiment), experiment, given or {}, is_own=False)
 
 
-def first_trial(cell: Cell, space: tuple[Parameter, ...]) -> FixedTrial:
-    trial = FixedTrial(first_values(space, cell))
+def first_trial(experiment: ExperimentConfig, space: tuple[Parameter, ...]) -> FixedTrial:
+    trial = FixedTrial(first_values(space, experiment))
     trial.set_user_attr(BASELINE, True)
     return trial
 
 
 def test_the_first_trial_of_every_experiment_is_the_baseline() -> None:
     """And the space contains its values, and nothing that it does not use."""
-    for baseline, preset, env_id in CELLS:
-        cell = resolve(baseline, preset, env_id)
-        space = fitted(cell)
-        first = first_values(space, cell)
-        assert first.keys() == {parameter.name for parameter in space}, cell
-        assert sample_params(cell, space, first_trial(cell, space)) == {}  # type: ignore[arg-type]
-        imitates = cell.hyperparams.get("bc_weight", 0) != 0
-        assert imitates == ("bc_weight" in first) == ("bc_limit" in first), cell
+    for baseline, preset, env_id in EXPERIMENTS:
+        experiment = resolve(baseline, preset, env_id)
+        space = fitted(experiment)
+        first = first_values(space, experiment)
+        assert first.keys() == {parameter.name for parameter in space}, experiment
+        assert sample_params(experiment, space, first_trial(experiment, space)) == {}  # type: ignore[arg-type]
+        imitates = experiment.hyperparams.get("bc_weight", 0) != 0
+        assert imitates == ("bc_weight" in first) == ("bc_limit" in first), experiment
 
 
 @pytest.mark.parametrize("baseline", ["equi_sacfd", "ferm_sacfd", "tqcfd"])
 def test_sampled_values_replace_those_of_the_baseline(baseline: str) -> None:
-    cell = resolve(baseline, "cpu", PICKING)
-    space = fitted(cell)
-    values = first_values(space, cell)
+    experiment = resolve(baseline, "cpu", PICKING)
+    space = fitted(experiment)
+    values = first_values(space, experiment)
     assert values.keys() >= {"learning_rate", "gamma", "batch_size", "tau", "bc_weight", "n_steps"}
-    sampled = sample_params(cell, space, FixedTrial(values))  # type: ignore[arg-type]
+    sampled = sample_params(experiment, space, FixedTrial(values))  # type: ignore[arg-type]
     assert sampled.pop("learning_rate") == "lin_0.001"
-    assert all(value == baseline_value(name, cell) for name, value in sampled.items())
+    assert all(value == baseline_value(name, experiment) for name, value in sampled.items())
 
 
 def test_values_of_the_command_line_are_not_searched() -> None:
     given = {"pretrain_steps": 4, "n_steps": 2}
-    cell = resolve("sacfd", "quick", PICKING, given)
-    space = fitted(cell, given)
+    experiment = resolve("sacfd", "quick", PICKING, given)
+    space = fitted(experiment, given)
     assert {"pretrain_steps", "n_steps"}.isdisjoint(parameter.name for parameter in space)
     everything = dict.fromkeys((parameter.name for parameter in space), 0.5) | given
     with pytest.raises(CommandError, match="no hyperparameter left"):
-        fitted(cell, everything)
+        fitted(experiment, everything)
 
 
 @pytest.mark.parametrize(
@@ -310,10 +310,10 @@ def test_a_space_is_extended_by_the_value_of_the_command_line(
 ) -> None:
     [name] = parse_yaml(space)
     (file := tmp_path / "space.yml").write_text(space)
-    cell = resolve("sacfd", "quick", PICKING, {name: value})
-    [parameter] = fit_space(load_space(cell, file), cell, {name: value}, is_own=True)
+    experiment = resolve("sacfd", "quick", PICKING, {name: value})
+    [parameter] = fit_space(load_space(experiment, file), experiment, {name: value}, is_own=True)
     assert (parameter.optuna_value(value), parameter.choices) == stored
-    assert first_values((parameter,), cell) == {name: stored[0]}
+    assert first_values((parameter,), experiment) == {name: stored[0]}
 
 
 @pytest.mark.parametrize(
@@ -323,8 +323,8 @@ def test_whole_number_bounds_mean_whole_numbers_except_for_floats(
     name: str, integer: bool, tmp_path: Path
 ) -> None:
     (file := tmp_path / "space.yml").write_text(f"{name}: {{low: 1, high: 9}}")
-    cell = resolve("sacfd", "quick", PICKING, {"bc_weight": 3})
-    [parameter] = load_space(cell, file)
+    experiment = resolve("sacfd", "quick", PICKING, {"bc_weight": 3})
+    [parameter] = load_space(experiment, file)
     study = optuna.create_study(sampler=optuna.samplers.RandomSampler(seed=0))
     assert isinstance(parameter.suggest(study.ask()), int) == integer
 
@@ -358,10 +358,10 @@ def test_no_trial_is_pruned_before_the_startup_trials_are_complete() -> None:
 
 
 def test_a_nested_value_keeps_the_others() -> None:
-    cell = resolve("equi_sacfd", "cpu", PICKING)
+    experiment = resolve("equi_sacfd", "cpu", PICKING)
     space = (Parameter("policy_kwargs.net_arch.qf", choices=([32], [64, 64])), Parameter("tau", 0.001, 0.1))
     trial = FixedTrial({"policy_kwargs.net_arch.qf": "[64, 64]", "tau": 0.02})
-    hyperparams = merge(cell.hyperparams, sample_params(cell, space, trial))  # type: ignore[arg-type]
+    hyperparams = merge(experiment.hyperparams, sample_params(experiment, space, trial))  # type: ignore[arg-type]
     assert hyperparams["policy_kwargs"]["net_arch"] == {"pi": [32], "qf": [64, 64]}
     assert hyperparams["policy_kwargs"]["features_extractor_kwargs"]["n"] == 4
 

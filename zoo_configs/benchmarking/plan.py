@@ -9,12 +9,12 @@ from pathlib import Path
 from typing import Any
 
 from zoo_configs.arguments import MAX_SEED
-from zoo_configs.cells.benchmarks import is_served
-from zoo_configs.cells.cell import Cell, resolve
-from zoo_configs.cells.flags import default_preset
-from zoo_configs.cells.rules import family_of, task_name
 from zoo_configs.environments import known_env_id, our_env_ids, register_environments
 from zoo_configs.errors import CommandError, unknown_name
+from zoo_configs.experiments.benchmarks import is_served
+from zoo_configs.experiments.config import ExperimentConfig, resolve
+from zoo_configs.experiments.flags import default_preset
+from zoo_configs.experiments.rules import family_of, task_name
 from zoo_configs.training.options import TrainingOptions
 from zoo_configs.training.runs import SEED_PREFIX
 from zoo_configs.yaml_files import read_yaml
@@ -55,28 +55,28 @@ class Job:
     """
     One run of a benchmark.
 
-    :param cell: The experiment
+    :param experiment: The experiment
     :param seed: Seed of model and environments
     :param options: Options of the training
     :param gym_packages: Packages that register the environment, in addition to ours
     :param device: PyTorch device
     """
 
-    cell: Cell
+    experiment: ExperimentConfig
     seed: int
     options: TrainingOptions
     gym_packages: tuple[str, ...] = ()
     device: str = "auto"
 
     @property
-    def experiment(self) -> str:
+    def experiment_name(self) -> str:
         """Task and baseline."""
-        return f"{task_name(self.cell.env_id)}/{self.cell.label}"
+        return f"{task_name(self.experiment.env_id)}/{self.experiment.label}"
 
     @property
     def name(self) -> str:
         """Folder of the run within that of the benchmark: task, baseline, seed."""
-        return f"{self.experiment}/{SEED_PREFIX}{self.seed}"
+        return f"{self.experiment_name}/{SEED_PREFIX}{self.seed}"
 
 
 def read_plan(name: str) -> Plan:
@@ -136,18 +136,18 @@ def build_jobs(
     """
     register_environments(gym_packages)
     tasks = dict.fromkeys(env_id for wanted in plan.tasks for env_id in _tasks(wanted, plan.benchmark))
-    cells = [
+    experiments = [
         resolve(label, plan.preset or default_preset(device), task, plan.hyperparams, plan.benchmark)
         for task in tasks
         for label in _baselines(plan, task)
     ]
     options = {"num_threads": num_threads, **plan.options}
     jobs = [
-        Job(cell, seed, TrainingOptions.of(cell, options), tuple(gym_packages), device)
-        for label in dict.fromkeys(cell.label for cell in cells)
+        Job(experiment, seed, TrainingOptions.of(experiment, options), tuple(gym_packages), device)
+        for label in dict.fromkeys(experiment.label for experiment in experiments)
         for seed in _seeds(plan.seeds)
-        for cell in cells
-        if cell.label == label
+        for experiment in experiments
+        if experiment.label == label
     ]
     _check_folders(jobs)
     return jobs
@@ -205,6 +205,6 @@ def _check_folders(jobs: Iterable[Job]) -> None:
     """Check that no two runs share a folder."""
     found: dict[str, str] = {}
     for job in jobs:
-        other = found.setdefault(job.name, job.cell.env_id)
-        if other != job.cell.env_id:
-            raise CommandError(f"{other} and {job.cell.env_id} would share the folder {job.name}")
+        other = found.setdefault(job.name, job.experiment.env_id)
+        if other != job.experiment.env_id:
+            raise CommandError(f"{other} and {job.experiment.env_id} would share the folder {job.name}")

@@ -27,7 +27,12 @@ LOCK_SECONDS, LOCK_POLL = 180.0, 0.2
 STORAGE_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.ESTALE)
 """Errors that affect all runs."""
 LEAST_FREE = 1 << 20  # bytes
-PRELOADED = ("zoo_configs.training.cell", "zoo_configs.environments", "sb3_extensions.sacfd", "torch._dynamo")
+PRELOADED = (
+    "zoo_configs.training.train",
+    "zoo_configs.environments",
+    "sb3_extensions.sacfd",
+    "torch._dynamo",
+)
 """Modules that the fork server imports once for all processes."""
 POLL = 0.5  # seconds
 GRACE = 60.0  # seconds in which interrupted runs save their state
@@ -160,7 +165,7 @@ def _end_with_parent() -> None:
 
 
 def _train(job: Job, run_folder: Path) -> None:
-    from zoo_configs.training.cell import train_cell
+    from zoo_configs.training.train import train_experiment
 
     run_folder.mkdir(parents=True, exist_ok=True)
     with (run_folder / LOG_FILE).open("a", encoding="utf-8") as file:
@@ -170,8 +175,13 @@ def _train(job: Job, run_folder: Path) -> None:
     last = time.monotonic() + LOCK_SECONDS
     while is_training(run_folder) and time.monotonic() < last:
         time.sleep(LOCK_POLL)
-    train_cell(
-        job.cell, job.seed, job.device, options=job.options, at=run_folder, gym_packages=job.gym_packages
+    train_experiment(
+        job.experiment,
+        job.seed,
+        job.device,
+        options=job.options,
+        at=run_folder,
+        gym_packages=job.gym_packages,
     )
 
 

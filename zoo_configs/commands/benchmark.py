@@ -19,9 +19,9 @@ from zoo_configs.arguments import (
     positive_int,
     whole_number,
 )
-from zoo_configs.cells.flags import PRESETS
 from zoo_configs.drawing.tables import print_table
 from zoo_configs.errors import CommandError
+from zoo_configs.experiments.flags import PRESETS
 from zoo_configs.files import missing_folders, print_written, remove_empty
 
 if TYPE_CHECKING:
@@ -58,7 +58,7 @@ def main(argv: Sequence[str]) -> None:
         check_device(args.device)
     folder = args.log_folder or Path("benchmarks") / Path(args.name).stem
     check_jobs(jobs, folder)
-    sizes = {job.experiment: job for job in reversed(jobs)}
+    sizes = {job.experiment_name: job for job in reversed(jobs)}
     size = {name: size_of(job) for name, job in sizes.items()}
     if args.dry_run:
         _print_sizes(jobs, size)
@@ -133,13 +133,13 @@ def _narrowed(plan: Plan, args: argparse.Namespace) -> Plan:
 
 
 def _print_sizes(jobs: Sequence[Job], sizes: Mapping[str, Size]) -> None:
-    seeds = {name: [job.seed for job in jobs if job.experiment == name] for name in sorted(sizes)}
+    seeds = {name: [job.seed for job in jobs if job.experiment_name == name] for name in sorted(sizes)}
     rows = [
         [name, " ".join(map(str, own)), f"{sizes[name].memory:.1f}", f"{sizes[name].disk:.2f}"]
         for name, own in seeds.items()
     ]
     print_table(["experiment", "seeds", "GB of memory", "GB of disk"], rows)
-    disk = sum(sizes[job.experiment].disk for job in jobs)
+    disk = sum(sizes[job.experiment_name].disk for job in jobs)
     print(f"{len(rows)} experiments, {len(jobs)} runs, {disk:.2f} GB of disk")
 
 
@@ -157,7 +157,7 @@ def _runner(
     from zoo_configs.benchmarking.cluster import check_resources, connected, run_on_ray, shared_folder
 
     with connected(args.ray):
-        resources = {job.name: _resources(args, sizes[job.experiment]) for job in jobs}
+        resources = {job.name: _resources(args, sizes[job.experiment_name]) for job in jobs}
         check_resources(resources)
         with shared_folder(folder.absolute(), args.gym_packages) as token:
             yield lambda waiting, look: run_on_ray(waiting, folder.absolute(), resources, token, look)

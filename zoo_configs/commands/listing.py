@@ -77,7 +77,7 @@ def _list_parameters(env_id: str, markdown: bool) -> None:
 
 
 def _list_baselines(markdown: bool) -> None:
-    from zoo_configs.cells.rules import families
+    from zoo_configs.experiments.rules import families
 
     for family in families():
         print(f"{family.envs}, presets {', '.join(family.presets)}\n")

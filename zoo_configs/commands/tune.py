@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from zoo_configs.arguments import MAX_SEED, Parser, add_packages, add_progress, positive_int, whole_number
-from zoo_configs.cells.flags import add_cell_flags, find_cell
-from zoo_configs.cells.rules import task_name
 from zoo_configs.environments import known_env_id, package_of, register_environments
 from zoo_configs.errors import CommandError
+from zoo_configs.experiments.flags import add_experiment_flags, find_experiment
+from zoo_configs.experiments.rules import task_name
 from zoo_configs.training.options import TrainingOptions, add_options, given_options
 
 if TYPE_CHECKING:
@@ -63,7 +63,7 @@ def build_parser() -> argparse.ArgumentParser:
     :return: The parser
     """
     parser = Parser("bulletarm-zoo tune", description=DESCRIPTION, epilog=EPILOG, allow_abbrev=False)
-    add_cell_flags(parser)
+    add_experiment_flags(parser)
     add, a_seed = parser.add_argument, whole_number(0, MAX_SEED)
     folder = "folder of studies/, which has a folder for each study (default: logs)"
     startup = f"trials that are sampled at random and not pruned (default: {N_STARTUP_TRIALS})"
@@ -96,26 +96,26 @@ def build_parser() -> argparse.ArgumentParser:
 
 
 def _search(args: argparse.Namespace) -> Search:
-    from zoo_configs.cells.validation import check_cell
+    from zoo_configs.experiments.validation import check_experiment
     from zoo_configs.tuning.space import fit_space, load_space
     from zoo_configs.tuning.study import Search
 
     if args.env is None:
         raise CommandError("name an environment with --env, see bulletarm-zoo list")
-    cell = find_cell(args, known_env_id(args.env))
-    check_cell(cell)
-    name = args.study_name or f"{cell.label}_{task_name(cell.env_id)}"
+    experiment = find_experiment(args, known_env_id(args.env))
+    check_experiment(experiment)
+    name = args.study_name or f"{experiment.label}_{task_name(experiment.env_id)}"
     given = {"verbose": 0, "save_freq": 0, **given_options(args)}
-    n_timesteps = int(given.get("n_timesteps", cell.hyperparams["n_timesteps"]))
+    n_timesteps = int(given.get("n_timesteps", experiment.hyperparams["n_timesteps"]))
     spacing = {"n_timesteps": n_timesteps, "eval_freq": max(n_timesteps // args.n_evaluations, 1)}
     given = {**given, **spacing, "save_freq": given["save_freq"] or spacing["eval_freq"]}
     return Search(
         name,
         args.log_folder / STUDIES_FOLDER / name,
-        cell,
-        fit_space(load_space(cell, args.space), cell, args.hyperparams, args.space is not None),
+        experiment,
+        fit_space(load_space(experiment, args.space), experiment, args.hyperparams, args.space is not None),
         args.seed,
-        TrainingOptions.of(cell, given),
+        TrainingOptions.of(experiment, given),
         args.n_trials,
         args.sampler,
         args.pruner,
@@ -129,5 +129,5 @@ def _search(args: argparse.Namespace) -> Search:
 def _train_command(search: Search) -> str:
     from zoo_configs.tuning.report import BEST_FILE
 
-    named = f"--algo {search.cell.algo} --env {search.cell.env_id} --conf-file {search.folder / BEST_FILE}"
+    named = f"--algo {search.experiment.algo} --env {search.experiment.env_id} --conf-file {search.folder / BEST_FILE}"
     return f"bulletarm-zoo train {named} --seed {search.seed + 1}"

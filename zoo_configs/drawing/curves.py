@@ -79,7 +79,7 @@ def mean_curve(curves: Sequence[LearningCurve]) -> LearningCurve:
 def draw_run(run: Run) -> Path:
     """Draw the learning curve of an evaluated run into its folder and return the figure."""
     path = run.folder / CURVE_FILE
-    draw_curves({run.cell.env_id: {run.cell.label: load_curve(run.evaluations_file)}}, path)
+    draw_curves({run.experiment.env_id: {run.experiment.label: load_curve(run.evaluations_file)}}, path)
     return path
 
 

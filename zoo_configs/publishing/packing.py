@@ -28,9 +28,9 @@ WRAPPERS = ("normalize", "frame_stack", "vec_env_wrapper", "env_wrapper")
 
 def check_publishable(run: Run) -> None:
     """Raise ``CommandError`` if a model file is not the complete agent, or its success is unknown."""
-    check_unwrapped(run.cell.hyperparams, WRAPPERS, "which a model file does not contain")
+    check_unwrapped(run.experiment.hyperparams, WRAPPERS, "which a model file does not contain")
     if run.evaluations_file.is_file() and load_curve(run.evaluations_file).measure != SUCCESS:
-        raise CommandError(f"{run.cell.env_id} does not report is_success, which a card needs")
+        raise CommandError(f"{run.experiment.env_id} does not report is_success, which a card needs")
 
 
 def pack(
@@ -59,12 +59,14 @@ def pack(
     """
     assert agent.run is not None
     path = (
-        folder / f"{agent.run.cell.algo}-{env_folder_name(agent.env_id)}.zip"
+        folder / f"{agent.run.experiment.algo}-{env_folder_name(agent.env_id)}.zip"
     )  # huggingface_sb3's ModelName
 
     def store(run: Run, half: bool) -> tuple[str, Outcome]:
         weights = save_compact(agent.model, path, half)
-        return weights, evaluate_agent(replace(agent, model=load_model(path, run.cell.algo, device)), options)
+        return weights, evaluate_agent(
+            replace(agent, model=load_model(path, run.experiment.algo, device)), options
+        )
 
     weights, outcome = store(agent.run, not full_precision)
     if not full_precision and outcome.success_rate < evaluate_agent(agent, options).interval[0]:
@@ -83,10 +85,10 @@ def _card(agent: Agent, run: Run, options: EvalOptions, outcome: Outcome, file: 
     return Card(
         env=agent.env_id,
         env_kwargs={**agent.env_kwargs, **options.env_kwargs},
-        algo=run.cell.algo,
-        baseline=run.cell.baseline,
-        preset=run.cell.preset,
-        benchmark=run.cell.benchmark,
+        algo=run.experiment.algo,
+        baseline=run.experiment.baseline,
+        preset=run.experiment.preset,
+        benchmark=run.experiment.benchmark,
         seed=run.seed,
         model="best" if agent.path == run.best_model else "last",
         timesteps=agent.model.num_timesteps,
@@ -101,7 +103,7 @@ def _card(agent: Agent, run: Run, options: EvalOptions, outcome: Outcome, file: 
         outcomes="".join(SUCCEEDED if success else FAILED for success in outcome.successes),
         evaluations=_evaluations(run),
         measured={"date": day(time.time()), **here},
-        hyperparams=run.cell.hyperparams,
+        hyperparams=run.experiment.hyperparams,
         gym_packages=run.gym_packages,
         **origin_of(run)._asdict(),
     )

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from zoo_configs.cells.rules import task_name
 from zoo_configs.environments import id_core
 from zoo_configs.errors import CommandError, refused, unknown_name
+from zoo_configs.experiments.rules import task_name
 from zoo_configs.files import whole_file
 
 PUBLISHED_FOLDER = Path(__file__).resolve().parents[1] / "published"

@@ -13,7 +13,7 @@ from zoo_configs.arguments import whole_number
 from zoo_configs.errors import CommandError, check_names
 
 if TYPE_CHECKING:
-    from zoo_configs.cells.cell import Cell
+    from zoo_configs.experiments.config import ExperimentConfig
 
 VEC_ENVS = ("dummy", "subproc")
 PACKAGES = {"tensorboard_log": ("tensorboard",), "track": ("wandb", "tensorboard")}
@@ -68,16 +68,16 @@ class TrainingOptions:
             raise CommandError(f"--trained-agent must be an existing .zip file, got {file}")
 
     @classmethod
-    def of(cls, cell: Cell, given: Mapping[str, Any] | None = None) -> TrainingOptions:
+    def of(cls, experiment: ExperimentConfig, given: Mapping[str, Any] | None = None) -> TrainingOptions:
         """
         Return the options of an experiment.
 
-        :param cell: The experiment, whose preset defines defaults
+        :param experiment: The experiment, whose preset defines defaults
         :param given: Options that replace them
         :return: The options
         :raises CommandError: for an unknown option or an invalid value
         """
-        values = {**cell.flags, **(given or {})}
+        values = {**experiment.flags, **(given or {})}
         check_names("option of the training", values, [item.name for item in fields(cls)])
         return cls(**values)
 

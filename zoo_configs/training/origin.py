@@ -66,18 +66,18 @@ def repeating_command(run: Run) -> str:
     :param run: The run
     :return: The command line
     """
-    cell = run.cell
-    words = ["bulletarm-zoo", "train", "--env", cell.env_id, "--seed", str(run.seed)]
-    if cell.baseline is None:
-        words += ["--conf-file", str(run.resolved_file), "--algo", cell.algo]
+    experiment = run.experiment
+    words = ["bulletarm-zoo", "train", "--env", experiment.env_id, "--seed", str(run.seed)]
+    if experiment.baseline is None:
+        words += ["--conf-file", str(run.resolved_file), "--algo", experiment.algo]
     else:
-        words += ["--baseline", cell.baseline, "--preset", str(cell.preset)]
-        words += ["--benchmark", cell.benchmark] if cell.benchmark else []
+        words += ["--baseline", experiment.baseline, "--preset", str(experiment.preset)]
+        words += ["--benchmark", experiment.benchmark] if experiment.benchmark else []
     words += [] if run.device == "auto" else ["--device", run.device]
     words += ["--gym-packages", ",".join(run.gym_packages)] if run.gym_packages else []
     words += _options(run)
-    env_kwargs = cell.overrides.get("env_kwargs", {})
-    others = {name: value for name, value in cell.overrides.items() if name != "env_kwargs"}
+    env_kwargs = experiment.overrides.get("env_kwargs", {})
+    others = {name: value for name, value in experiment.overrides.items() if name != "env_kwargs"}
     words += ["--env-kwargs", *key_value_words(env_kwargs)] if env_kwargs else []
     words += ["-params", *key_value_words(others)] if others else []
     return command_line(words)
@@ -85,7 +85,7 @@ def repeating_command(run: Run) -> str:
 
 def _options(run: Run) -> Iterator[str]:
     """Options that differ from the preset's."""
-    preset = TrainingOptions.of(run.cell).plain()
+    preset = TrainingOptions.of(run.experiment).plain()
     for name, value in run.options.plain().items():
         if value != preset[name]:
             yield f"--{name.replace('_', '-')}"

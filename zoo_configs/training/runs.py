@@ -9,8 +9,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from zoo_configs.cells.cell import Cell
 from zoo_configs.errors import CommandError, reason, refused
+from zoo_configs.experiments.config import ExperimentConfig
 from zoo_configs.files import remove_empty
 from zoo_configs.provenance import commit, describe_hardware, versions
 from zoo_configs.training.options import TrainingOptions
@@ -35,7 +35,7 @@ class Run:
     A training run on disk.
 
     :param folder: Its folder
-    :param cell: The trained experiment
+    :param experiment: The trained experiment
     :param seed: Seed of model and environments
     :param device: PyTorch device
     :param options: How it was trained
@@ -43,7 +43,7 @@ class Run:
     """
 
     folder: Path
-    cell: Cell
+    experiment: ExperimentConfig
     seed: int = 0
     device: str = "auto"
     options: TrainingOptions = field(default_factory=TrainingOptions)
@@ -52,13 +52,13 @@ class Run:
     @property
     def number(self) -> int:
         """Number of the run for its algorithm and environment, 0 for a folder with another name."""
-        return _run_number(self.folder, self.cell.env_id)
+        return _run_number(self.folder, self.experiment.env_id)
 
     @property
     def n_timesteps(self) -> int:
         """Number of time steps to train."""
         wanted = self.options.n_timesteps
-        return wanted if wanted > 0 else int(self.cell.hyperparams["n_timesteps"])
+        return wanted if wanted > 0 else int(self.experiment.hyperparams["n_timesteps"])
 
     @property
     def resolved_file(self) -> Path:
@@ -68,7 +68,7 @@ class Run:
     @property
     def params_folder(self) -> Path:
         """Folder of rl_zoo3's configuration."""
-        return self.folder / env_folder_name(self.cell.env_id)
+        return self.folder / env_folder_name(self.experiment.env_id)
 
     @property
     def config_file(self) -> Path:
@@ -83,7 +83,7 @@ class Run:
     @property
     def last_model(self) -> Path:
         """The model at the end of the training."""
-        return self.folder / f"{env_folder_name(self.cell.env_id)}.zip"
+        return self.folder / f"{env_folder_name(self.experiment.env_id)}.zip"
 
     @property
     def best_model(self) -> Path:
@@ -157,14 +157,14 @@ def write_resolved(run: Run) -> None:
 
     :param run: The run
     """
-    cell = run.cell
+    experiment = run.experiment
     about = {
-        "algo": cell.algo,
-        "baseline": cell.baseline,
-        "preset": cell.preset,
-        "benchmark": cell.benchmark,
-        "overrides": cell.overrides,
-        "flags": cell.flags,
+        "algo": experiment.algo,
+        "baseline": experiment.baseline,
+        "preset": experiment.preset,
+        "benchmark": experiment.benchmark,
+        "overrides": experiment.overrides,
+        "flags": experiment.flags,
         "seed": run.seed,
         "device": run.device,
         "options": run.options.plain(),
@@ -173,7 +173,7 @@ def write_resolved(run: Run) -> None:
         "versions": versions(),
         "machine": describe_hardware(run.device),
     }
-    write_yaml(run.resolved_file, {RUN_KEY: about, cell.env_id: cell.hyperparams})
+    write_yaml(run.resolved_file, {RUN_KEY: about, experiment.env_id: experiment.hyperparams})
 
 
 def load_run(folder: Path) -> Run:
@@ -192,9 +192,9 @@ def load_run(folder: Path) -> Run:
         about = content.pop(RUN_KEY)
         ((env_id, hyperparams),) = content.items()
         named = {key: about[key] for key in ("baseline", "preset", "benchmark", "overrides", "flags")}
-        cell = Cell(about["algo"], env_id, dict(hyperparams), **named)
+        experiment = ExperimentConfig(about["algo"], env_id, dict(hyperparams), **named)
         options, packages = TrainingOptions(**about["options"]), tuple(about["gym_packages"])
-        return Run(folder, cell, about["seed"], about["device"], options, packages)
+        return Run(folder, experiment, about["seed"], about["device"], options, packages)
 
 
 def find_runs(log_folder: Path, env_id: str | None = None) -> list[Run]:
@@ -214,7 +214,7 @@ def find_runs(log_folder: Path, env_id: str | None = None) -> list[Run]:
             runs.append(load_run(path.parent))
         except CommandError as error:
             print(f"skipped: {reason(error)}", file=sys.stderr)
-    return [run for run in runs if env_id in (None, run.cell.env_id)]
+    return [run for run in runs if env_id in (None, run.experiment.env_id)]
 
 
 def clear(run: Run) -> None:

@@ -24,11 +24,11 @@ def tracked(run: Run) -> Iterator[Run]:
     """
     import wandb
 
-    name = f"{run.cell.env_id}__{run.cell.label}__{run.seed}__{int(time.time())}"
+    name = f"{run.experiment.env_id}__{run.experiment.label}__{run.seed}__{int(time.time())}"
     session = wandb.init(
         name=name,
         tags=[f"v{sb3.__version__}"],
-        config={"seed": run.seed, **run.options.plain(), **run.cell.hyperparams},
+        config={"seed": run.seed, **run.options.plain(), **run.experiment.hyperparams},
         sync_tensorboard=True,
         save_code=True,
     )

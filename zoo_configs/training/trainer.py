@@ -16,9 +16,9 @@ from stable_baselines3.common.vec_env import VecEnv
 
 from sb3_extensions.common.checkpoint import DirectoryCheckpointCallback, resume, save_checkpoint
 from zoo_configs.algorithms import algorithm_classes
-from zoo_configs.cells.validation import policy_class
 from zoo_configs.environments import CheckedDemonstrations, load_expert_data
 from zoo_configs.errors import CommandError, reason, refused
+from zoo_configs.experiments.validation import policy_class
 from zoo_configs.files import whole_file
 from zoo_configs.training.evaluation import PeriodicEvaluation
 from zoo_configs.training.objects import TRAINER_KEYS, action_noise, callbacks, parsed
@@ -52,13 +52,13 @@ class Trainer:
         progress: bool = False,
     ) -> None:
         self.run, self.checkpoint, self.progress = run, checkpoint, progress
-        self.options, self.hyperparams = run.options, run.cell.hyperparams
-        self.algorithm = algorithm_classes()[run.cell.algo]
+        self.options, self.hyperparams = run.options, run.experiment.hyperparams
+        self.algorithm = algorithm_classes()[run.experiment.algo]
         self.verbose = 0 if progress and self.options.verbose == 1 else self.options.verbose
         self.evaluation_env: VecEnv | None = None
         self.env: VecEnv | None = None
         try:
-            with refused(f"{run.cell.algo} cannot be built for {run.cell.env_id}"):
+            with refused(f"{run.experiment.algo} cannot be built for {run.experiment.env_id}"):
                 self.callbacks = [*self._callbacks(), *more_callbacks]
                 self.env = self._training_env()
                 self.model = self._model(self.env)
@@ -93,7 +93,7 @@ class Trainer:
         except REJECTIONS as error:
             if getattr(self.model, "_n_updates", 0) > updates:
                 raise
-            where = f"{self.run.cell.algo} cannot train on {self.run.cell.env_id}"
+            where = f"{self.run.experiment.algo} cannot train on {self.run.experiment.env_id}"
             raise CommandError(f"{where}: {reason(error)}") from error
         return True
 
@@ -108,7 +108,12 @@ class Trainer:
     def write_configuration(self) -> None:
         """Write the files from which rl_zoo3 loads a run."""
         run, folder = self.run, self.run.params_folder
-        where = {"algo": run.cell.algo, "env": run.cell.env_id, "seed": run.seed, "device": run.device}
+        where = {
+            "algo": run.experiment.algo,
+            "env": run.experiment.env_id,
+            "seed": run.seed,
+            "device": run.device,
+        }
         arguments = {
             **where,
             "log_folder": str(run.folder.parent),
@@ -136,7 +141,7 @@ class Trainer:
 
     def _build_env(self, n_envs: int, **kwargs: Any) -> VecEnv:
         return build_vec_env(
-            self.run.cell.env_id,
+            self.run.experiment.env_id,
             self.hyperparams,
             n_envs,
             self.run.seed,
@@ -150,7 +155,7 @@ class Trainer:
         if not self.options.trained_agent:
             return None
         folder = Path(self.options.trained_agent).parent
-        return folder / env_folder_name(self.run.cell.env_id) / self.run.statistics_file.name
+        return folder / env_folder_name(self.run.experiment.env_id) / self.run.statistics_file.name
 
     def _callbacks(self) -> list[BaseCallback]:
         """Build the callbacks of the hyperparameters, then progress bar, log, evaluation and checkpoints."""
@@ -194,7 +199,9 @@ class Trainer:
             "seed": self.run.seed,
             "device": self.run.device,
             "verbose": self.verbose,
-            "tensorboard_log": str(Path(folder) / env_folder_name(self.run.cell.env_id)) if folder else None,
+            "tensorboard_log": str(Path(folder) / env_folder_name(self.run.experiment.env_id))
+            if folder
+            else None,
         }
 
 

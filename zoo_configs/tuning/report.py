@@ -59,8 +59,8 @@ def _write_best(search: Search, trial: FrozenTrial) -> Path:
     """Write the hyperparameters of the best trial for ``train --conf-file``."""
     run = load_run(trial_folder(search, trial))
     path = search.folder / BEST_FILE
-    hyperparams = {**run.cell.hyperparams, "n_timesteps": run.n_timesteps}
-    write_yaml(path, {run.cell.env_id: hyperparams}, f"{search.name}, {describe(trial)}")
+    hyperparams = {**run.experiment.hyperparams, "n_timesteps": run.n_timesteps}
+    write_yaml(path, {run.experiment.env_id: hyperparams}, f"{search.name}, {describe(trial)}")
     return path
 
 

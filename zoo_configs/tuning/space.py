@@ -14,8 +14,8 @@ from typing import Any, NamedTuple
 import optuna
 
 from zoo_configs.algorithms import algorithm_classes, constructor_arguments
-from zoo_configs.cells.cell import Cell, merge
 from zoo_configs.errors import CommandError, check_names, unknown_name
+from zoo_configs.experiments.config import ExperimentConfig, merge
 from zoo_configs.training.objects import SCHEDULE, TRAINER_KEYS
 from zoo_configs.yaml_files import parse_yaml, read_yaml
 
@@ -85,13 +85,13 @@ class Parameter(NamedTuple):
         return self._replace(low=min(self.low, value), high=max(self.high, value))
 
 
-def load_space(cell: Cell, path: Path | None = None) -> tuple[Parameter, ...]:
+def load_space(experiment: ExperimentConfig, path: Path | None = None) -> tuple[Parameter, ...]:
     """
     Load the search space of an experiment.
 
     Whole-number bounds mean whole numbers, unless the hyperparameter is a float.
 
-    :param cell: The experiment
+    :param experiment: The experiment
     :param path: A YAML file with a space, None for the one of the algorithm
     :return: Its parameters
     :raises CommandError: for an invalid file, an algorithm without space, or an unknown hyperparameter
@@ -101,11 +101,11 @@ def load_space(cell: Cell, path: Path | None = None) -> tuple[Parameter, ...]:
     else:
         spaces = _shipped_spaces()
         names = [name for name in spaces if not name.startswith("_")]
-        if cell.algo not in names:
-            raise unknown_name("search space", cell.algo, names, see="use --space")
-        space = parse_space(f"the space of {cell.algo}", spaces[cell.algo])
-    _check_names(space, cell)
-    return tuple(parameter._replace(integer=_is_integer(parameter, cell)) for parameter in space)
+        if experiment.algo not in names:
+            raise unknown_name("search space", experiment.algo, names, see="use --space")
+        space = parse_space(f"the space of {experiment.algo}", spaces[experiment.algo])
+    _check_names(space, experiment)
+    return tuple(parameter._replace(integer=_is_integer(parameter, experiment)) for parameter in space)
 
 
 @functools.cache
@@ -146,7 +146,7 @@ def _parse_parameter(where: str, name: str, given: Any) -> Parameter:
     return Parameter(name, **given)
 
 
-def _check_names(space: tuple[Parameter, ...], cell: Cell) -> None:
+def _check_names(space: tuple[Parameter, ...], experiment: ExperimentConfig) -> None:
     """
     Check that the algorithm has the hyperparameters of a space.
 
@@ -154,52 +154,54 @@ def _check_names(space: tuple[Parameter, ...], cell: Cell) -> None:
     """
     from sb3_extensions.common.env_metadata import constructor_keys
 
-    valid = {"policy", *TRAINER_KEYS, *constructor_keys(algorithm_classes()[cell.algo])}
+    valid = {"policy", *TRAINER_KEYS, *constructor_keys(algorithm_classes()[experiment.algo])}
     names = [parameter.name.partition(".")[0] for parameter in space]
-    check_names(f"hyperparameter of {cell.algo} in the search space", names, valid)
+    check_names(f"hyperparameter of {experiment.algo} in the search space", names, valid)
 
 
-def _is_integer(parameter: Parameter, cell: Cell) -> bool:
+def _is_integer(parameter: Parameter, experiment: ExperimentConfig) -> bool:
     bounds = (parameter.low, parameter.high)
     if parameter.choices or not all(isinstance(bound, int) for bound in bounds):
         return False
-    argument = _argument(parameter.name, cell)
-    is_float = isinstance(baseline_value(parameter.name, cell), float)
+    argument = _argument(parameter.name, experiment)
+    is_float = isinstance(baseline_value(parameter.name, experiment), float)
     return not is_float and (argument is None or "float" not in str(argument.annotation))
 
 
 def fit_space(
-    space: tuple[Parameter, ...], cell: Cell, given: Mapping[str, Any], is_own: bool
+    space: tuple[Parameter, ...], experiment: ExperimentConfig, given: Mapping[str, Any], is_own: bool
 ) -> tuple[Parameter, ...]:
     """
     Fit a space to an experiment: it contains the baseline's values, and only hyperparameters that it uses.
 
     :param space: The space
-    :param cell: The experiment
+    :param experiment: The experiment
     :param given: Hyperparameters of the command line, which only a user's own space changes
     :param is_own: Whether the space is the user's own
     :return: The space to search
     :raises CommandError: if nothing is left to search
     """
     kept = [parameter for parameter in space if is_own or parameter.name.partition(".")[0] not in given]
-    used = [parameter for parameter in kept if not parameter.needs or baseline_value(parameter.needs, cell)]
+    used = [
+        parameter for parameter in kept if not parameter.needs or baseline_value(parameter.needs, experiment)
+    ]
     if not used:
         raise CommandError(
             "the search space has no hyperparameter left: the command line defines all of them"
         )
-    return tuple(parameter.including(baseline_value(parameter.name, cell)) for parameter in used)
+    return tuple(parameter.including(baseline_value(parameter.name, experiment)) for parameter in used)
 
 
-def baseline_value(name: str, cell: Cell) -> Any:
+def baseline_value(name: str, experiment: ExperimentConfig) -> Any:
     """
     Return the value of a hyperparameter, of a schedule its initial value.
 
     :param name: Its name; dots lead into mappings
-    :param cell: The experiment
+    :param experiment: The experiment
     :return: Its value, or the algorithm's default, None if unknown
     """
-    value = _look_up(cell.hyperparams, name)
-    argument = _argument(name, cell)
+    value = _look_up(experiment.hyperparams, name)
+    argument = _argument(name, experiment)
     if value is None and argument is not None and argument.default is not argument.empty:
         value = argument.default
     if isinstance(value, str) and (schedule := SCHEDULE.fullmatch(value)):
@@ -207,51 +209,55 @@ def baseline_value(name: str, cell: Cell) -> Any:
     return value
 
 
-def _argument(name: str, cell: Cell) -> inspect.Parameter | None:
+def _argument(name: str, experiment: ExperimentConfig) -> inspect.Parameter | None:
     """Return the constructor's argument of a hyperparameter, None if it has none."""
-    algorithm: Any = algorithm_classes()[cell.algo]
+    algorithm: Any = algorithm_classes()[experiment.algo]
     return constructor_arguments(algorithm).get(name)
 
 
-def first_values(space: tuple[Parameter, ...], cell: Cell) -> dict[str, Any]:
+def first_values(space: tuple[Parameter, ...], experiment: ExperimentConfig) -> dict[str, Any]:
     """
     Return the baseline's values, as far as they are known: the parameters of the first trial.
 
     :param space: The space
-    :param cell: The experiment
+    :param experiment: The experiment
     :return: The values by name, as Optuna stores them
     """
-    pairs = ((p.name, p.optuna_value(baseline_value(p.name, cell))) for p in space)
+    pairs = ((p.name, p.optuna_value(baseline_value(p.name, experiment))) for p in space)
     return {name: value for name, value in pairs if value is not None}
 
 
-def sample_params(cell: Cell, space: tuple[Parameter, ...], trial: optuna.Trial) -> dict[str, Any]:
+def sample_params(
+    experiment: ExperimentConfig, space: tuple[Parameter, ...], trial: optuna.Trial
+) -> dict[str, Any]:
     """
     Sample the hyperparameters of a trial.
 
-    :param cell: The experiment
+    :param experiment: The experiment
     :param space: Its search space
     :param trial: The trial
     :return: Values that replace those of the experiment; none in the trial of the baseline
     """
     if trial.user_attrs.get(BASELINE):
-        known = first_values(space, cell)
+        known = first_values(space, experiment)
         for parameter in space:
             if parameter.name in known:
                 parameter.suggest(trial)
         return {}
     sampled: dict[str, Any] = {}
-    for name, value in _sampled(cell, space, trial):
+    for name, value in _sampled(experiment, space, trial):
         for key in reversed(name.split(".")):
             value = {key: value}
         sampled = merge(sampled, value)
     return sampled
 
 
-def _sampled(cell: Cell, space: tuple[Parameter, ...], trial: optuna.Trial) -> Iterator[tuple[str, Any]]:
+def _sampled(
+    experiment: ExperimentConfig, space: tuple[Parameter, ...], trial: optuna.Trial
+) -> Iterator[tuple[str, Any]]:
     """Return the sampled values by name; a schedule keeps its form."""
     for parameter in space:
-        value, before = parameter.suggest(trial), _look_up(cell.hyperparams, parameter.name)
+        value, before = parameter.suggest(trial), _look_up(experiment.hyperparams, parameter.name)
         if isinstance(before, str) and (schedule := SCHEDULE.fullmatch(before)) and not parameter.choices:
             value = f"{schedule[1]}{value}"
         yield parameter.name, value

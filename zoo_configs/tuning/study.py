@@ -21,13 +21,13 @@ from optuna.trial import FrozenTrial, TrialState
 from tqdm import tqdm
 
 from zoo_configs.arguments import hides_progress
-from zoo_configs.cells.cell import Cell, merge
 from zoo_configs.errors import CommandError, reason, refused
+from zoo_configs.experiments.config import ExperimentConfig, merge
 from zoo_configs.files import whole_file
-from zoo_configs.training.cell import train_cell
 from zoo_configs.training.options import TrainingOptions
 from zoo_configs.training.seeds import SeedStream, stream_seed
 from zoo_configs.training.state import is_locked, lock
+from zoo_configs.training.train import train_experiment
 from zoo_configs.tuning.space import BASELINE, Parameter, first_values, sample_params
 from zoo_configs.tuning.trial import PRUNED, ReportToTrial, score
 
@@ -47,7 +47,7 @@ class Search:
 
     :param name: Name of the study
     :param folder: Its folder, shared by all processes: trials, demonstrations and by default the storage
-    :param cell: The experiment; its values are the first trial
+    :param experiment: The experiment; its values are the first trial
     :param space: Its search space
     :param seed: Seed of models, environments and sampler
     :param options: Options of a trial's training
@@ -63,7 +63,7 @@ class Search:
 
     name: str
     folder: Path
-    cell: Cell
+    experiment: ExperimentConfig
     space: tuple[Parameter, ...]
     seed: int
     options: TrainingOptions
@@ -83,12 +83,12 @@ class Search:
     def about(self) -> str:
         """Return everything that the meaning of a trial depends on, as JSON."""
         content = {
-            "env": self.cell.env_id,
-            "algo": self.cell.algo,
-            "baseline": self.cell.baseline,
-            "preset": self.cell.preset,
-            "benchmark": self.cell.benchmark,
-            "hyperparams": self.cell.hyperparams,
+            "env": self.experiment.env_id,
+            "algo": self.experiment.algo,
+            "baseline": self.experiment.baseline,
+            "preset": self.experiment.preset,
+            "benchmark": self.experiment.benchmark,
+            "hyperparams": self.experiment.hyperparams,
             "space": [list(parameter) for parameter in self.space],
             "seed": self.seed,
             "options": self.options.plain(),
@@ -118,7 +118,7 @@ def open_study(search: Search) -> optuna.Study:
         if STUDY not in study.user_attrs:
             _check_new(search, study)
             study.set_user_attr(FOLDER, _identify(search.folder))
-            study.enqueue_trial(first_values(search.space, search.cell), {BASELINE: True})
+            study.enqueue_trial(first_values(search.space, search.experiment), {BASELINE: True})
             study.set_user_attr(STUDY, search.about())
     if others := _differences(study.user_attrs[STUDY], search.about()):
         names = ", ".join(others)
@@ -228,14 +228,14 @@ def _claim_file(search: Search, trial: FrozenTrial) -> Path:
 def _run(search: Search, study: optuna.Study, trial: optuna.Trial) -> None:
     folder = trial_folder(search, study.get_trials(deepcopy=False)[trial.number])
     try:
-        sampled = sample_params(search.cell, search.space, trial)
-        cell = replace(
-            search.cell,
-            hyperparams=merge(search.cell.hyperparams, sampled),
-            overrides=merge(search.cell.overrides, sampled),
+        sampled = sample_params(search.experiment, search.space, trial)
+        experiment = replace(
+            search.experiment,
+            hyperparams=merge(search.experiment.hyperparams, sampled),
+            overrides=merge(search.experiment.overrides, sampled),
         )
-        run = train_cell(
-            cell,
+        run = train_experiment(
+            experiment,
             search.seed,
             search.device,
             search.folder,

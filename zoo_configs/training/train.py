@@ -14,10 +14,10 @@ from stable_baselines3.common.utils import set_random_seed
 
 from sb3_extensions.common.checkpoint import CheckpointError, latest_checkpoint, latest_valid_checkpoint
 from zoo_configs.arguments import check_device
-from zoo_configs.cells.cell import Cell
-from zoo_configs.cells.validation import check_cell, check_expert_data
 from zoo_configs.environments import known_env_id, make_env, register_environments, try_env
 from zoo_configs.errors import CommandError
+from zoo_configs.experiments.config import ExperimentConfig
+from zoo_configs.experiments.validation import check_experiment, check_expert_data
 from zoo_configs.files import missing_folders
 from zoo_configs.training.options import TrainingOptions
 from zoo_configs.training.runs import Run, claim_run_folder, clear, discard_if_empty, load_run, write_resolved
@@ -38,8 +38,8 @@ class TrainingInterrupted(KeyboardInterrupt):
         self.run = run
 
 
-def train_cell(
-    cell: Cell,
+def train_experiment(
+    experiment: ExperimentConfig,
     seed: int,
     device: str = "auto",
     folder: str | Path = "logs",
@@ -58,7 +58,7 @@ def train_cell(
     checkpoint or starts again. Without ``at``, a new folder is created, which is removed if the run fails
     before it has a model or a checkpoint.
 
-    :param cell: The experiment, as from :func:`zoo_configs.cells.cell.resolve`
+    :param experiment: The experiment, as from :func:`zoo_configs.experiments.config.resolve`
     :param seed: Seed of model and environments
     :param device: PyTorch device
     :param folder: Log folder
@@ -73,13 +73,15 @@ def train_cell(
     :raises KeyboardInterrupt: after Ctrl-C, when the model is saved
     """
     register_environments(gym_packages)
-    run = Run(Path(), cell, seed, device, options or TrainingOptions.of(cell), tuple(gym_packages))
+    run = Run(
+        Path(), experiment, seed, device, options or TrainingOptions.of(experiment), tuple(gym_packages)
+    )
     check_run(run, allow_mismatched_demos)
     if at is not None:
         return _train_at(replace(run, folder=Path(at)), callbacks, progress)
-    logs = Path(folder) / cell.algo
+    logs = Path(folder) / experiment.algo
     created = missing_folders(logs)
-    run = replace(run, folder=claim_run_folder(logs, cell.env_id))
+    run = replace(run, folder=claim_run_folder(logs, experiment.env_id))
     try:
         write_resolved(run)
         return _train(run, None, callbacks, progress)
@@ -100,7 +102,7 @@ def resume_run(run: Run, callbacks: Sequence[BaseCallback] = (), progress: bool 
     :raises KeyboardInterrupt: after Ctrl-C, when the model is saved
     """
     register_environments(run.gym_packages)
-    known_env_id(run.cell.env_id)
+    known_env_id(run.experiment.env_id)
     begun = load_run(run.folder).options.eval_episodes
     if run.evaluations_file.is_file() and run.options.eval_episodes != begun:
         raise CommandError(f"eval_episodes must be {begun} as at the start, got {run.options.eval_episodes}")
@@ -122,13 +124,13 @@ def check_run(run: Run, allow_mismatched_demos: bool = False, resumed: bool = Fa
     :param resumed: Whether its replay buffer already contains the demonstrations
     :raises CommandError: if it cannot
     """
-    check_cell(run.cell)
+    check_experiment(run.experiment)
     check_device(run.device)
-    env_kwargs = run.cell.hyperparams.get("env_kwargs", {})
-    try_env(run.cell.env_id, env_kwargs)
+    env_kwargs = run.experiment.hyperparams.get("env_kwargs", {})
+    try_env(run.experiment.env_id, env_kwargs)
     if not resumed:
-        with closing(make_env(run.cell.env_id, env_kwargs)) as env:
-            check_expert_data(run.cell, env, allow_mismatched_demos)
+        with closing(make_env(run.experiment.env_id, env_kwargs)) as env:
+            check_expert_data(run.experiment, env, allow_mismatched_demos)
 
 
 def check_same(found: Run, wanted: Run) -> None:
@@ -140,7 +142,7 @@ def check_same(found: Run, wanted: Run) -> None:
     :raises CommandError: if the experiment or the seed differs
     """
     for name in ("algo", "env_id", "hyperparams", "benchmark"):
-        if getattr(found.cell, name) != getattr(wanted.cell, name):
+        if getattr(found.experiment, name) != getattr(wanted.experiment, name):
             raise CommandError(f"{found.folder} has a run with different {name}. Use another folder.")
     if found.seed != wanted.seed:
         raise CommandError(f"{found.folder} has a run with seed {found.seed}, not {wanted.seed}")

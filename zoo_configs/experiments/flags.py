@@ -9,11 +9,11 @@ from typing import Any
 
 from zoo_configs.algorithms import ALGORITHMS, OTHERS, algorithm_classes
 from zoo_configs.arguments import add_env_kwargs, add_key_values
-from zoo_configs.cells.benchmarks import is_served
-from zoo_configs.cells.cell import Cell, merge, resolve
-from zoo_configs.cells.ranges import check_values
-from zoo_configs.cells.rules import Family, families
 from zoo_configs.errors import CommandError, unknown_name
+from zoo_configs.experiments.benchmarks import is_served
+from zoo_configs.experiments.config import ExperimentConfig, merge, resolve
+from zoo_configs.experiments.ranges import check_values
+from zoo_configs.experiments.rules import Family, families
 from zoo_configs.yaml_files import read_yaml
 
 EXTRACTOR = "sb3_extensions.encoders.extractors.CnnExtractor"
@@ -24,7 +24,7 @@ DEFAULT_TIMESTEPS = 1_000_000
 DICT_POLICIES = ("MultiInputPolicy", "MultiInputLstmPolicy")
 
 
-def add_cell_flags(parser: argparse.ArgumentParser) -> None:
+def add_experiment_flags(parser: argparse.ArgumentParser) -> None:
     """
     Add the flags that name an experiment.
 
@@ -41,7 +41,7 @@ def add_cell_flags(parser: argparse.ArgumentParser) -> None:
     add_env_kwargs(parser)
 
 
-def find_cell(args: argparse.Namespace, env_id: str) -> Cell:
+def find_experiment(args: argparse.Namespace, env_id: str) -> ExperimentConfig:
     """
     Return the experiment that the flags name: of a file, a baseline, or an algorithm's defaults.
 
@@ -57,19 +57,19 @@ def find_cell(args: argparse.Namespace, env_id: str) -> Cell:
     if args.conf_file is not None:
         if args.baseline is not None:
             raise CommandError("give --baseline or --conf-file, not both")
-        return _override(_cell_from_file(args.conf_file, _required_algo(args), env_id), overrides)
+        return _override(_experiment_from_file(args.conf_file, _required_algo(args), env_id), overrides)
     baseline = _baseline_of(args, env_id)
     if baseline is None:
-        return _default_cell(_required_algo(args), env_id, overrides)
+        return _default_experiment(_required_algo(args), env_id, overrides)
     preset = default_preset(args.device or "auto") if args.preset is None else args.preset
-    cell = resolve(baseline, preset, env_id, overrides, args.benchmark)
-    if args.algo not in (None, baseline, cell.algo):
-        raise CommandError(f"--algo must be {cell.algo} for baseline {baseline!r}, got {args.algo}")
-    return cell
+    experiment = resolve(baseline, preset, env_id, overrides, args.benchmark)
+    if args.algo not in (None, baseline, experiment.algo):
+        raise CommandError(f"--algo must be {experiment.algo} for baseline {baseline!r}, got {args.algo}")
+    return experiment
 
 
-def _override(cell: Cell, overrides: dict[str, Any]) -> Cell:
-    return replace(cell, hyperparams=merge(cell.hyperparams, overrides), overrides=overrides)
+def _override(experiment: ExperimentConfig, overrides: dict[str, Any]) -> ExperimentConfig:
+    return replace(experiment, hyperparams=merge(experiment.hyperparams, overrides), overrides=overrides)
 
 
 def _required_algo(args: argparse.Namespace) -> str:
@@ -112,7 +112,7 @@ def default_preset(device: str) -> str:
     return "paper" if device != "cpu" and torch.cuda.is_available() else "cpu"
 
 
-def _default_cell(algo: str, env_id: str, overrides: dict[str, Any]) -> Cell:
+def _default_experiment(algo: str, env_id: str, overrides: dict[str, Any]) -> ExperimentConfig:
     """
     Return an experiment with an algorithm's own defaults, and a policy for our environments' observations.
 
@@ -132,7 +132,7 @@ def _default_cell(algo: str, env_id: str, overrides: dict[str, Any]) -> Cell:
             hyperparams["policy"] = policies[0]
         if policies and _has_images(overrides.get("env_kwargs", {}).get("observation", "image")):
             hyperparams["policy_kwargs"] = {"features_extractor_class": EXTRACTOR}
-    return _override(Cell(algo, env_id, hyperparams), overrides)
+    return _override(ExperimentConfig(algo, env_id, hyperparams), overrides)
 
 
 def _has_images(observation: Any) -> bool:
@@ -143,11 +143,11 @@ def _has_images(observation: Any) -> bool:
     return any(name not in ("state", "holding", "point_cloud", "joint_state") for name in names)
 
 
-def _cell_from_file(path: Path, algo: str, env_id: str) -> Cell:
+def _experiment_from_file(path: Path, algo: str, env_id: str) -> ExperimentConfig:
     if path.suffix not in (".yml", ".yaml") or not path.is_file():
         raise CommandError(f"--conf-file must be a YAML file, got {path}")
     sections = read_yaml(path, "--conf-file")
     section = sections.get(env_id, sections.get("default")) if isinstance(sections, dict) else None
     if not isinstance(section, dict):
         raise CommandError(f"{path} must have a section {env_id!r} or 'default'")
-    return Cell(algo, env_id, section)
+    return ExperimentConfig(algo, env_id, section)

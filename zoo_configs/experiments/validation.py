@@ -11,57 +11,59 @@ from sb3_extensions.common.env_metadata import constructor_keys
 from sb3_extensions.replay.augmentations import make_augmentation
 from sb3_extensions.replay.sampling import make_sampler
 from zoo_configs.algorithms import algorithm_classes, class_from_path, constructor_arguments
-from zoo_configs.cells.cell import Cell
-from zoo_configs.cells.ranges import check_values
 from zoo_configs.environments import load_expert_data
 from zoo_configs.errors import CommandError, check_names, refused, unknown_name
+from zoo_configs.experiments.config import ExperimentConfig
+from zoo_configs.experiments.ranges import check_values
 from zoo_configs.training.objects import TRAINER_KEYS
 
 RESERVED_KEYS = {"_init_setup_model", "device", "env", "seed", "tensorboard_log", "verbose"}
 """Constructor arguments that the trainer passes to every algorithm."""
 
 
-def check_cell(cell: Cell) -> None:
+def check_experiment(experiment: ExperimentConfig) -> None:
     """
     Check the algorithm and the hyperparameters of an experiment.
 
-    :param cell: The experiment
+    :param experiment: The experiment
     :raises CommandError: for an unknown name, with the nearest valid one, or an invalid value
     """
     algorithms = algorithm_classes()
-    check_names("algorithm", [cell.algo], algorithms)
-    check_values(cell.hyperparams)
-    algorithm = algorithms[cell.algo]
+    check_names("algorithm", [experiment.algo], algorithms)
+    check_values(experiment.hyperparams)
+    algorithm = algorithms[experiment.algo]
     valid = {"policy", *TRAINER_KEYS, *constructor_keys(algorithm)} - RESERVED_KEYS
-    check_names(f"hyperparameter of {cell.algo}", cell.hyperparams, valid)
+    check_names(f"hyperparameter of {experiment.algo}", experiment.hyperparams, valid)
     for key in ("n_timesteps", "policy"):
-        if key not in cell.hyperparams:
-            raise CommandError(f"hyperparameter {key!r} is missing for {cell.env_id}")
-    policy = policy_class(algorithm, cell.hyperparams["policy"])
-    _check_policy_kwargs(policy, cell.hyperparams.get("policy_kwargs"))
-    _check_replay_buffer(algorithm, cell.hyperparams)
+        if key not in experiment.hyperparams:
+            raise CommandError(f"hyperparameter {key!r} is missing for {experiment.env_id}")
+    policy = policy_class(algorithm, experiment.hyperparams["policy"])
+    _check_policy_kwargs(policy, experiment.hyperparams.get("policy_kwargs"))
+    _check_replay_buffer(algorithm, experiment.hyperparams)
     with refused("augmentation"):
-        make_augmentation(cell.hyperparams.get("augmentation"))
+        make_augmentation(experiment.hyperparams.get("augmentation"))
 
 
-def check_expert_data(cell: Cell, env: gym.Env[Any, Any], allow_mismatched_demos: bool = False) -> None:
+def check_expert_data(
+    experiment: ExperimentConfig, env: gym.Env[Any, Any], allow_mismatched_demos: bool = False
+) -> None:
     """
     Check that a file of demonstrations fits the environment.
 
-    :param cell: The experiment, which can have a file as ``expert_data``
+    :param experiment: The experiment, which can have a file as ``expert_data``
     :param env: The environment
     :param allow_mismatched_demos: Whether the task and its parameters can differ
     :raises CommandError: if the file cannot be read, or comes from another environment
     """
-    path = cell.hyperparams.get("expert_data")
-    episodes = load_expert_data(cell.hyperparams).get("expert_data")
+    path = experiment.hyperparams.get("expert_data")
+    episodes = load_expert_data(experiment.hyperparams).get("expert_data")
     if not isinstance(path, str) or episodes is None:
         return
     with refused(f"expert_data: {path} cannot be read"):
         for episode in episodes:
             _check_shapes(path, episode, env)
     if not allow_mismatched_demos:
-        _check_origin(path, episodes.about, cell.env_id, env)
+        _check_origin(path, episodes.about, experiment.env_id, env)
 
 
 def _check_shapes(path: str, episode: Any, env: gym.Env[Any, Any]) -> None:

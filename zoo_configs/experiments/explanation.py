@@ -5,34 +5,40 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from zoo_configs.cells.cell import OVERRIDES, Cell, explain
-from zoo_configs.cells.rules import Layer
+from zoo_configs.experiments.config import OVERRIDES, ExperimentConfig, explain
+from zoo_configs.experiments.rules import Layer
 from zoo_configs.yaml_files import format_yaml
 
 DEFAULT = Layer("default")
 
 
-def explained_yaml(cell: Cell, options: Mapping[str, Any], given: Mapping[str, Any]) -> str:
+def explained_yaml(experiment: ExperimentConfig, options: Mapping[str, Any], given: Mapping[str, Any]) -> str:
     """
     Format an experiment with the sources of its values.
 
-    :param cell: The experiment
+    :param experiment: The experiment
     :param options: Options of the training by name
     :param given: Those that the command line defines
     :return: YAML, which ``train --conf-file`` reads as well
     """
     sources: dict[str, Layer] = {}
-    if cell.baseline is not None and cell.preset is not None:
-        names = (cell.baseline, cell.preset, cell.env_id, cell.overrides, cell.benchmark)
+    if experiment.baseline is not None and experiment.preset is not None:
+        names = (
+            experiment.baseline,
+            experiment.preset,
+            experiment.env_id,
+            experiment.overrides,
+            experiment.benchmark,
+        )
         _, sources = explain(*names)
-    elsewhere = {f"hyperparams.{name}": OVERRIDES for name in cell.overrides}
+    elsewhere = {f"hyperparams.{name}": OVERRIDES for name in experiment.overrides}
     flags = {
         f"flags.{name}": OVERRIDES if name in given else sources.get(f"flags.{name}", DEFAULT)
         for name in options
     }
     sources = {"hyperparams": DEFAULT, "algo": OVERRIDES, **elsewhere, **sources, **flags}
-    lines = [_line("algo", cell.algo, sources["algo"]), f"{cell.env_id}:"]
-    lines += _lines(cell.hyperparams, "hyperparams", sources)
+    lines = [_line("algo", experiment.algo, sources["algo"]), f"{experiment.env_id}:"]
+    lines += _lines(experiment.hyperparams, "hyperparams", sources)
     return "\n".join([*lines, "options:", *_lines(options, "flags", sources)])
 
 

@@ -8,9 +8,9 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from zoo_configs.cells.benchmarks import choose_benchmark, task_parameters
-from zoo_configs.cells.rules import Case, Family, Layer, families, family_of
 from zoo_configs.errors import CommandError, unknown_name
+from zoo_configs.experiments.benchmarks import choose_benchmark, task_parameters
+from zoo_configs.experiments.rules import Case, Family, Layer, families, family_of
 
 OVERRIDES = Layer("command line")
 """Source of the values that replace those of the configuration files."""
@@ -23,7 +23,7 @@ WHOLE_TURN = (-math.pi, math.pi)
 
 
 @dataclass(frozen=True)
-class Cell:
+class ExperimentConfig:
     """
     An experiment without its seed: everything that training needs.
 
@@ -58,7 +58,7 @@ def resolve(
     env_id: str,
     overrides: Mapping[str, Any] | None = None,
     benchmark: str | None = None,
-) -> Cell:
+) -> ExperimentConfig:
     """
     Return the hyperparameters of an experiment.
 
@@ -79,7 +79,7 @@ def explain(
     env_id: str,
     overrides: Mapping[str, Any] | None = None,
     benchmark: str | None = None,
-) -> tuple[Cell, dict[str, Layer]]:
+) -> tuple[ExperimentConfig, dict[str, Layer]]:
     """
     Return an experiment, and where its values come from.
 
@@ -106,8 +106,10 @@ def explain(
     hyperparams, flags = merged["hyperparams"], merged["flags"]
     for name, parameter in _follow_environment(hyperparams, overrides):
         sources[f"hyperparams.{name}"] = sources[f"hyperparams.env_kwargs.{parameter}"]
-    cell = Cell(merged["algo"], env_id, hyperparams, flags, baseline, preset, case.benchmark, overrides)
-    return cell, sources
+    experiment = ExperimentConfig(
+        merged["algo"], env_id, hyperparams, flags, baseline, preset, case.benchmark, overrides
+    )
+    return experiment, sources
 
 
 def _benchmark_layers(case: Case) -> Iterator[Layer]:

@@ -1,4 +1,4 @@
-"""``train_cell``: what a notebook, a study and a benchmark call."""
+"""``train_experiment``: what a notebook, a study and a benchmark call."""
 
 from __future__ import annotations
 
@@ -19,25 +19,25 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.save_util import load_from_zip_file
 
 from zoo_configs.algorithms import algorithm_classes
-from zoo_configs.cells.cell import Cell, resolve
 from zoo_configs.errors import CommandError
-from zoo_configs.training.cell import train_cell
+from zoo_configs.experiments.config import ExperimentConfig, resolve
 from zoo_configs.training.options import TrainingOptions, add_options
 from zoo_configs.training.runs import Run, load_run
 from zoo_configs.training.state import LOCK_FILE, State, run_lock, run_status
+from zoo_configs.training.train import train_experiment
 
 TINY = {"expert_episodes": 2, "pretrain_steps": 2, "batch_size": 4, "buffer_size": 100, "n_envs": 1}
 SHORT = {"n_timesteps": 12, "eval_freq": 6, "eval_episodes": 2, "save_freq": 6, "verbose": 0}
 
 
 @pytest.fixture
-def cell(toy_id: str) -> Cell:
+def experiment(toy_id: str) -> ExperimentConfig:
     return resolve("sacfd", "quick", toy_id, {**TINY, "env_kwargs": {"obs_size": 48}})
 
 
 @pytest.fixture
-def options(cell: Cell) -> TrainingOptions:
-    return TrainingOptions.of(cell, SHORT)
+def options(experiment: ExperimentConfig) -> TrainingOptions:
+    return TrainingOptions.of(experiment, SHORT)
 
 
 def weights(run: Run) -> dict[str, th.Tensor]:
@@ -63,63 +63,74 @@ class Stop(BaseCallback):
 
 
 def test_a_quiet_training_prints_nothing(
-    cell: Cell, options: TrainingOptions, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    experiment: ExperimentConfig, options: TrainingOptions, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    train_cell(cell, 0, "cpu", tmp_path, options=options)
+    train_experiment(experiment, 0, "cpu", tmp_path, options=options)
     assert capsys.readouterr().out == ""
 
 
 def test_two_trainings_in_a_process_do_not_disturb_each_other(
-    cell: Cell, options: TrainingOptions, tmp_path: Path
+    experiment: ExperimentConfig, options: TrainingOptions, tmp_path: Path
 ) -> None:
     threads = th.get_num_threads()
-    alone = train_cell(cell, 0, "cpu", tmp_path, options=options)
-    other = train_cell(cell, 1, "cpu", tmp_path, options=options)
-    again = train_cell(cell, 0, "cpu", tmp_path, options=options)
+    alone = train_experiment(experiment, 0, "cpu", tmp_path, options=options)
+    other = train_experiment(experiment, 1, "cpu", tmp_path, options=options)
+    again = train_experiment(experiment, 0, "cpu", tmp_path, options=options)
     assert same(alone, again) and not same(alone, other)
     assert {run.folder.name[-1] for run in (alone, other, again)} == {"1", "2", "3"}
     assert th.get_num_threads() == threads
 
 
-def test_a_run_says_all_about_itself(cell: Cell, options: TrainingOptions, tmp_path: Path) -> None:
-    run = train_cell(cell, 3, "cpu", tmp_path, options=options, at=tmp_path / "here")
+def test_a_run_says_all_about_itself(
+    experiment: ExperimentConfig, options: TrainingOptions, tmp_path: Path
+) -> None:
+    run = train_experiment(experiment, 3, "cpu", tmp_path, options=options, at=tmp_path / "here")
     about = yaml.safe_load(run.resolved_file.read_text())["run"]
     assert (about["seed"], about["baseline"], about["preset"]) == (3, "sacfd", "quick")
     assert about["versions"]["torch"] == th.__version__
     assert about["options"]["n_timesteps"] == 12
     assert "cores" in about["machine"]
     loaded = load_run(run.folder)
-    assert (loaded.seed, loaded.options, loaded.cell.hyperparams) == (3, options, cell.hyperparams)
+    assert (loaded.seed, loaded.options, loaded.experiment.hyperparams) == (
+        3,
+        options,
+        experiment.hyperparams,
+    )
     how = loaded.status
     assert how is not None and how.state is State.DONE and how.pid == os.getpid() and how.seconds > 0
 
 
 def test_a_chosen_folder_goes_on_from_its_checkpoint(
-    cell: Cell, options: TrainingOptions, tmp_path: Path
+    experiment: ExperimentConfig, options: TrainingOptions, tmp_path: Path
 ) -> None:
     there = tmp_path / "there"
 
     def train(*callbacks: BaseCallback) -> Run:
-        return train_cell(cell, 0, "cpu", tmp_path, options=options, at=there, callbacks=callbacks)
+        return train_experiment(
+            experiment, 0, "cpu", tmp_path, options=options, at=there, callbacks=callbacks
+        )
 
     with pytest.raises(RuntimeError, match="pulled"):
         train(Stop(10, RuntimeError("the plug was pulled")))
     how = run_status(there)
     assert how is not None and how.state is State.FAILED and how.error == "the plug was pulled"
     run = train()
-    assert same(run, train_cell(cell, 0, "cpu", tmp_path, options=options))
+    assert same(run, train_experiment(experiment, 0, "cpu", tmp_path, options=options))
     before = run.last_model.stat().st_mtime_ns
     assert train(Stop(1, RuntimeError("not reached"))).last_model.stat().st_mtime_ns == before
 
 
-def test_what_was_done_before_the_first_checkpoint_is_not_counted_twice(cell: Cell, tmp_path: Path) -> None:
-    options = TrainingOptions.of(cell, {**SHORT, "save_freq": 100})
+def test_what_was_done_before_the_first_checkpoint_is_not_counted_twice(
+    experiment: ExperimentConfig, tmp_path: Path
+) -> None:
+    options = TrainingOptions.of(experiment, {**SHORT, "save_freq": 100})
     there = tmp_path / "there"
     with pytest.raises(RuntimeError, match="pulled"):
         plug = Stop(8, RuntimeError("the plug was pulled"))
-        train_cell(cell, 0, "cpu", tmp_path, options=options, at=there, callbacks=[plug])
+        train_experiment(experiment, 0, "cpu", tmp_path, options=options, at=there, callbacks=[plug])
     runs = [
-        train_cell(cell, 0, "cpu", tmp_path, options=options, at=tmp_path / at) for at in ("there", "here")
+        train_experiment(experiment, 0, "cpu", tmp_path, options=options, at=tmp_path / at)
+        for at in ("there", "here")
     ]
     assert same(*runs)
     ours, theirs = (np.load(run.evaluations_file) for run in runs)
@@ -129,40 +140,44 @@ def test_what_was_done_before_the_first_checkpoint_is_not_counted_twice(cell: Ce
 
 
 def test_a_run_that_was_killed_at_its_very_end_is_done(
-    cell: Cell, options: TrainingOptions, tmp_path: Path
+    experiment: ExperimentConfig, options: TrainingOptions, tmp_path: Path
 ) -> None:
     """Its model and its last checkpoint are there, but the folder does not say that it is done."""
-    run = train_cell(cell, 0, "cpu", tmp_path, options=options, at=tmp_path / "a")
+    run = train_experiment(experiment, 0, "cpu", tmp_path, options=options, at=tmp_path / "a")
     before, state = weights(run), run.folder / "state.yml"
     state.write_text(state.read_text().replace("state: done", "state: running"))
     assert run.status is not None and run.status.state is State.KILLED
     run.last_model.write_bytes(b"of an earlier interruption")
-    again = train_cell(cell, 0, "cpu", tmp_path, options=options, at=tmp_path / "a")
+    again = train_experiment(experiment, 0, "cpu", tmp_path, options=options, at=tmp_path / "a")
     assert again.status is not None and again.status.state is State.DONE
     assert all(bool((weights(again)[key] == before[key]).all()) for key in before)
 
 
-def test_a_chosen_folder_is_of_one_run(cell: Cell, options: TrainingOptions, tmp_path: Path) -> None:
-    train_cell(cell, 0, "cpu", tmp_path, options=options, at=tmp_path / "a")
+def test_a_chosen_folder_is_of_one_run(
+    experiment: ExperimentConfig, options: TrainingOptions, tmp_path: Path
+) -> None:
+    train_experiment(experiment, 0, "cpu", tmp_path, options=options, at=tmp_path / "a")
     with pytest.raises(CommandError, match="seed 0, not 1"):
-        train_cell(cell, 1, "cpu", tmp_path, options=options, at=tmp_path / "a")
-    cell.hyperparams["gamma"] = 0.5
+        train_experiment(experiment, 1, "cpu", tmp_path, options=options, at=tmp_path / "a")
+    experiment.hyperparams["gamma"] = 0.5
     with pytest.raises(CommandError, match="hyperparams"):
-        train_cell(cell, 0, "cpu", tmp_path, options=options, at=tmp_path / "a")
+        train_experiment(experiment, 0, "cpu", tmp_path, options=options, at=tmp_path / "a")
 
 
-def test_what_fails_at_once_leaves_no_folder(cell: Cell, tmp_path: Path) -> None:
-    options = TrainingOptions.of(cell, {**SHORT, "eval_freq": 0, "save_freq": 0})
+def test_what_fails_at_once_leaves_no_folder(experiment: ExperimentConfig, tmp_path: Path) -> None:
+    options = TrainingOptions.of(experiment, {**SHORT, "eval_freq": 0, "save_freq": 0})
     with pytest.raises(RuntimeError):
-        train_cell(cell, 0, "cpu", tmp_path, options=options, callbacks=[Stop(1, RuntimeError("early"))])
+        train_experiment(
+            experiment, 0, "cpu", tmp_path, options=options, callbacks=[Stop(1, RuntimeError("early"))]
+        )
     assert not (tmp_path / "sacfd").exists()
 
 
-def test_options_that_do_not_exist_are_told(cell: Cell) -> None:
+def test_options_that_do_not_exist_are_told(experiment: ExperimentConfig) -> None:
     with pytest.raises(CommandError, match="'eval_frq', did you mean 'eval_freq'"):
-        TrainingOptions.of(cell, {"eval_frq": 3})
+        TrainingOptions.of(experiment, {"eval_frq": 3})
     with pytest.raises(CommandError, match=r"--eval-episodes: .*got '0'"):
-        TrainingOptions.of(cell, {"eval_episodes": 0})
+        TrainingOptions.of(experiment, {"eval_episodes": 0})
 
 
 def test_rl_zoo3_has_the_same_flags(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -196,8 +211,11 @@ def test_rl_zoo3_evaluates_our_runs(
     stock = {"policy": "MlpPolicy", "env_kwargs": {"g": 9.0}, "normalize": True}
     common = {"n_timesteps": 12, "buffer_size": 200, "learning_starts": 4, "learning_rate": "lin_1e-3"}
     env_id, hyperparams = (toy_id, own) if algo == "sacfd" else ("Pendulum-v1", stock)
-    cell, options = Cell(algo, env_id, {**hyperparams, **common}), TrainingOptions(eval_freq=6, verbose=0)
-    run = train_cell(cell, 0, "cpu", tmp_path, options=options)
+    experiment, options = (
+        ExperimentConfig(algo, env_id, {**hyperparams, **common}),
+        TrainingOptions(eval_freq=6, verbose=0),
+    )
+    run = train_experiment(experiment, 0, "cpu", tmp_path, options=options)
     assert run.statistics_file.is_file() == (algo == "sac")
     words = ["--algo", algo, "--env", env_id, "-f", str(tmp_path), "-n", "20", "--no-render", "--load-best"]
     monkeypatch.setattr(sys, "argv", ["enjoy", *words, "--device", "cpu"])
@@ -256,9 +274,13 @@ def test_the_time_of_who_was_killed_counts_up_to_the_checkpoint(killed: bool, tm
     assert again.seconds == pytest.approx(105.0 if killed else how.seconds)
 
 
-def test_ctrl_c_counts_as_killed(cell: Cell, options: TrainingOptions, tmp_path: Path) -> None:
+def test_ctrl_c_counts_as_killed(
+    experiment: ExperimentConfig, options: TrainingOptions, tmp_path: Path
+) -> None:
     with pytest.raises(KeyboardInterrupt) as stop:
-        train_cell(cell, 0, "cpu", tmp_path, options=options, callbacks=[Stop(8, KeyboardInterrupt())])
+        train_experiment(
+            experiment, 0, "cpu", tmp_path, options=options, callbacks=[Stop(8, KeyboardInterrupt())]
+        )
     run = stop.value.run  # type: ignore[attr-defined]
     how = run_status(run.folder)
     assert how is not None and how.state is State.KILLED
