@@ -11,8 +11,7 @@ import numpy as np
 
 from measurements import DataFile, Row, number
 from zoo_configs.drawing.curves import SUCCESS, LearningCurve, draw_curves, load_curve, mean_curve
-from zoo_configs.training.origin import origin_of
-from zoo_configs.training.runs import Run, find_runs
+from zoo_configs.training.runs import Run, find_runs, origin_of
 
 KEY = ("env", "baseline", "seed")
 

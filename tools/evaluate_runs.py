@@ -16,9 +16,8 @@ from zoo_configs.arguments import Parser, device, positive_int, seed
 from zoo_configs.drawing.curves import load_curve
 from zoo_configs.evaluating import EvalOptions, evaluate_agent
 from zoo_configs.experiments.config import ExperimentConfig, resolve
-from zoo_configs.experiments.rules import task_name
-from zoo_configs.training.origin import origin_of
-from zoo_configs.training.runs import Run, load_run
+from zoo_configs.experiments.families import task_name
+from zoo_configs.training.runs import Run, load_run, origin_of
 
 KEY = ("env", "options", "baseline", "preset", "seed", "earlier")
 OVERRIDES = ("--env-kwargs", "-params")

@@ -38,7 +38,7 @@ from zoo_configs.algorithms import algorithm_classes
 from zoo_configs.arguments import Parser, add_env_kwargs, device, positive_int
 from zoo_configs.environments import known_env_id, register_environments
 from zoo_configs.experiments.config import ExperimentConfig, resolve
-from zoo_configs.experiments.rules import family_of, task_name
+from zoo_configs.experiments.families import family_of, task_name
 from zoo_configs.training.objects import parsed
 from zoo_configs.training.options import TrainingOptions
 from zoo_configs.training.train import train_experiment

@@ -1,8 +1,6 @@
 """Trained agents: finding and loading them."""
 
-from __future__ import annotations
-
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -157,18 +155,13 @@ def algorithm_of(path: Path) -> str:
         assert data is not None, "it contains no data"
     policy = data.get("policy_class")
     scores = {
-        name: _agreement(algorithm, data)
+        name: sum(1 if key in data else -1 for key in constructor_keys(algorithm))
         for name, algorithm in algorithm_classes().items()
         if policy in algorithm.policy_aliases.values()
     }
     if not scores:
         raise CommandError(f"pass --algo with {path}: no known algorithm has the policy class {policy}")
     return max(scores, key=lambda name: scores[name])
-
-
-def _agreement(algorithm: type[Any], data: Mapping[str, Any]) -> int:
-    """Return the number of constructor arguments in a model file, minus the number of missing ones."""
-    return sum(1 if key in data else -1 for key in constructor_keys(algorithm))
 
 
 def load_model(path: Path, algo: str, device: str = "auto") -> BaseAlgorithm:

@@ -1,7 +1,5 @@
 """The command line ``bulletarm-zoo``: runs a command and prints its errors in one line."""
 
-from __future__ import annotations
-
 import importlib
 import os
 import select
@@ -35,9 +33,8 @@ MODULES = {"list": "listing"}  # modules that are not named as their commands
 
 def main(argv: Sequence[str] | None = None) -> int:
     """
-    Run a command.
+    Run a command, by default that of ``sys.argv``.
 
-    :param argv: Name of the command and its arguments, default ``sys.argv[1:]``
     :return: Exit code: 0; 2 for an error; 130 after Ctrl-C; 141 if the reader of the output has gone
     """
     words = list(sys.argv[1:] if argv is None else argv)
@@ -51,7 +48,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(f"\n{PROGRAM} {name}: interrupted", file=sys.stderr)
         return EXIT_INTERRUPTED
     except Exception as error:
-        if raises or _is_between_processes(error):
+        if raises:
             raise
         return _report(name, error)
     return EXIT_OK
@@ -80,11 +77,6 @@ def _working_directory_on_path() -> Iterator[None]:
         yield
     finally:
         sys.path.remove(here)
-
-
-def _is_between_processes(error: Exception) -> bool:
-    """Return True for a broken connection between our own processes, which needs a traceback."""
-    return isinstance(error, ConnectionError) and not _is_unread(error)
 
 
 def _is_unread(error: Exception) -> bool:

@@ -1,7 +1,5 @@
 """Videos of agents and experts: rendered episodes next to the observations."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -11,13 +9,12 @@ from tqdm import trange
 
 from zoo_configs.agents import Agent
 from zoo_configs.arguments import hides_progress
-from zoo_configs.drawing.video import Frame, ValueMap, compose_frame
+from zoo_configs.drawing.video import FRAMES_PER_SECOND, Frame, ValueMap, compose_frame
 from zoo_configs.environments import known_env_id, make_env, try_env
 from zoo_configs.errors import CommandError
 from zoo_configs.evaluating import check_fits, check_unwrapped
 from zoo_configs.training.seeds import SeedStream, stream_seed
 
-FRAMES_PER_SECOND = 5.0
 RENDER_MODE = "rgb_array"
 FINAL_SECONDS = 1.0  # duration of the last frame of an episode
 WRAPPERS = ("normalize", "frame_stack", "vec_env_wrapper")  # hyperparameters that change observations
@@ -59,13 +56,7 @@ def expert_actor(env_id: str, env_kwargs: Mapping[str, Any]) -> Actor:
 
 
 def agent_actor(agent: Agent, env_kwargs: Mapping[str, Any]) -> Actor:
-    """
-    Return an agent in its environment.
-
-    :param agent: The agent
-    :param env_kwargs: Changed parameters of the environment
-    :raises CommandError: if the environment rejects its parameters, or does not fit the agent
-    """
+    """Return an agent in its environment; raise ``CommandError`` if the environment does not fit it."""
     from zoo_configs.training.objects import wrapper
 
     check_unwrapped(agent.hyperparams, WRAPPERS, "which record does not support")
@@ -98,16 +89,11 @@ def _pixel_values(policy: Any) -> Callable[[Any], ValueMap] | None:
     return evaluate
 
 
-def record(
-    actor: Actor, episodes: int, seed: int, fps: float = FRAMES_PER_SECOND, progress: bool | None = None
-) -> Iterator[Frame]:
+def record(actor: Actor, episodes: int, seed: int, progress: bool | None = None) -> Iterator[Frame]:
     """
-    Play episodes and yield their frames.
+    Play episodes in an actor's environment, which stays open, and yield their frames.
 
-    :param actor: The actor, whose environment stays open
-    :param episodes: Number of episodes
     :param seed: Seed of the scenes
-    :param fps: Steps per second
     :param progress: Whether to show a progress bar; None shows it on a terminal
     """
     first_seed, successes = stream_seed(seed, SeedStream.TEST), 0
@@ -115,7 +101,7 @@ def record(
         title = f"episode {episode + 1} of {episodes}"
         *frames, (last, success) = _record_episode(actor, first_seed + episode, title)
         yield from (frame for frame, _ in frames)
-        yield from [last] * max(1, round(FINAL_SECONDS * fps))
+        yield from [last] * max(1, round(FINAL_SECONDS * FRAMES_PER_SECOND))
         successes += success
     print(f"{successes} of {episodes} episodes succeeded")
 

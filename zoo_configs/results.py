@@ -1,8 +1,7 @@
 """Results of many runs: experiments, success by seed, and tables."""
 
-from __future__ import annotations
-
 import csv
+import json
 import sys
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
@@ -15,10 +14,9 @@ import numpy as np
 from zoo_configs.drawing.curves import LearningCurve, load_curve
 from zoo_configs.drawing.tables import markdown_table
 from zoo_configs.errors import CommandError
-from zoo_configs.experiments.rules import task_name
+from zoo_configs.experiments.families import task_name
 from zoo_configs.files import whole_file
-from zoo_configs.training.origin import Origin, origin_of
-from zoo_configs.training.runs import Run, find_runs
+from zoo_configs.training.runs import Origin, Run, find_runs, origin_of
 from zoo_configs.training.state import State
 
 AXES = ("preset", "benchmark")
@@ -94,38 +92,30 @@ def read_experiments(
     :return: The experiments, sorted by environment and label
     :raises CommandError: if no run fits
     """
-    experiments: list[ExperimentResults] = []
+    found: dict[str, ExperimentResults] = {}
     for run in find_runs(log_folder):
         is_wanted = env_ids is None or run.experiment.env_id in env_ids
-        if (
-            is_wanted
-            and run.evaluations_file.is_file()
-            and (baselines is None or run.experiment.baseline in baselines)
-        ):
-            _add(experiments, Result(run, load_curve(run.evaluations_file), origin_of(run)))
-    if not experiments:
+        if is_wanted and (baselines is None or run.experiment.baseline in baselines):
+            if run.evaluations_file.is_file():
+                new = ExperimentResults(run.experiment.env_id, run.experiment.label, settings_of(run))
+                key = json.dumps([new.env_id, new.baseline, new.settings], default=str)
+                _add(found.setdefault(key, new), run)
+    if not found:
         raise CommandError(f"no evaluated run of these environments and baselines in {log_folder}")
-    for one in experiments:
-        one.label = _label(one, [other for other in experiments if _name(other) == _name(one)])
-    return sorted(experiments, key=lambda one: (one.env_id, one.label))
+    for one in found.values():
+        names = one.env_id, one.baseline
+        one.label = _label(
+            one, [other for other in found.values() if (other.env_id, other.baseline) == names]
+        )
+    return sorted(found.values(), key=lambda one: (one.env_id, one.label))
 
 
-def _name(experiment: ExperimentResults) -> tuple[str, str]:
-    return experiment.env_id, experiment.baseline
-
-
-def _add(experiments: list[ExperimentResults], result: Result) -> None:
-    """Add a result to its experiment."""
-    run = result.run
-    new = ExperimentResults(run.experiment.env_id, run.experiment.label, settings_of(run))
-    found = next(
-        (one for one in experiments if (_name(one), one.settings) == (_name(new), new.settings)), new
-    )
-    if found is new:
-        experiments.append(new)
-    other = found.results.get(run.seed, result)
+def _add(experiment: ExperimentResults, run: Run) -> None:
+    """Add the result of a run, unless that of a longer one with the same seed is known."""
+    result = Result(run, load_curve(run.evaluations_file), origin_of(run))
+    other = experiment.results.get(run.seed, result)
     left, kept = sorted((other, result), key=lambda one: one.steps)
-    found.results[run.seed] = kept
+    experiment.results[run.seed] = kept
     if left is not kept:
         print(f"left out: {left.run.folder} repeats {kept.run.folder}", file=sys.stderr)
 
@@ -184,15 +174,14 @@ def baseline_rows(experiments: Iterable[ExperimentResults]) -> list[list[str]]:
     groups: defaultdict[str, list[dict[int, float]]] = defaultdict(list)
     for experiment in experiments:
         groups[experiment.label].append(experiment.success)
-    return [_baseline_row(label, tasks) for label, tasks in sorted(groups.items())]
-
-
-def _baseline_row(label: str, tasks: Sequence[Mapping[int, float]]) -> list[str]:
-    values = [value for task in tasks for value in task.values()]
-    seeds = sorted({seed for task in tasks for seed in task})
-    by_seed = {seed: interquartile_mean([task[seed] for task in tasks if seed in task]) for seed in seeds}
-    means = f"{interquartile_mean(values):.2f}", _by_seed(by_seed), f"{np.mean(values):.2f}"
-    return [label, *means, str(len(tasks)), str(len(values))]
+    rows = []
+    for label, tasks in sorted(groups.items()):
+        values = [value for task in tasks for value in task.values()]
+        seeds = sorted({seed for task in tasks for seed in task})
+        by_seed = {seed: interquartile_mean([task[seed] for task in tasks if seed in task]) for seed in seeds}
+        means = f"{interquartile_mean(values):.2f}", _by_seed(by_seed), f"{np.mean(values):.2f}"
+        rows.append([label, *means, str(len(tasks)), str(len(values))])
+    return rows
 
 
 def _by_seed(values: Mapping[int, float]) -> str:

@@ -1,7 +1,5 @@
 """Trainings on a quick environment."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path

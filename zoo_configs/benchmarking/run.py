@@ -1,7 +1,5 @@
 """Checks, size and training of the runs of a benchmark."""
 
-from __future__ import annotations
-
 import json
 import sys
 from collections.abc import Callable, Sequence
@@ -11,7 +9,7 @@ from typing import Any, NamedTuple
 
 from zoo_configs.algorithms import algorithm_classes, class_from_path
 from zoo_configs.benchmarking.plan import Job
-from zoo_configs.benchmarking.status import Overview, Status, shown
+from zoo_configs.benchmarking.status import Overview, shown
 from zoo_configs.environments import make_env, try_env
 from zoo_configs.errors import CommandError, refused
 from zoo_configs.experiments.validation import check_experiment
@@ -70,8 +68,6 @@ def check_jobs(jobs: Sequence[Job], folder: Path) -> None:
     """
     Check names and values of each experiment, each environment, and the folder of the benchmark.
 
-    :param jobs: The runs
-    :param folder: Folder of the benchmark
     :raises CommandError: if a run cannot be trained, or the folder contains other runs
     """
     tried = set()
@@ -99,24 +95,21 @@ def train_jobs(
     progress: bool | None = None,
 ) -> Overview:
     """
-    Train the runs that are not done. The folder is locked meanwhile.
+    Train the runs that are not done, in a folder that is locked meanwhile, and return their status.
 
-    :param jobs: The runs
-    :param folder: Existing folder of the benchmark
     :param runner: Function that trains runs
     :param retry_failed: Whether to resume failed runs
     :param progress: Whether to show a progress bar; None shows it on a terminal
-    :return: Status of the runs
     :raises CommandError: if the runner cannot continue; the runs can be resumed
     """
     overview = Overview(jobs, folder)
     with run_lock(folder):
         overview.update()
         if retry_failed:
-            for entry in overview.of(Status.FAILED):
+            for entry in overview.of(State.FAILED.value):
                 set_status(folder / entry.name, State.KILLED)
             overview.update()
-        ended = {entry.name for status in (Status.DONE, Status.FAILED) for entry in overview.of(status)}
+        ended = {entry.name for state in (State.DONE, State.FAILED) for entry in overview.of(state.value)}
         print(f"{folder}: {overview.counts()}", file=sys.stderr)
         with shown(overview, progress) as look:
             runner([job for job in jobs if job.name not in ended], look)

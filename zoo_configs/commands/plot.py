@@ -25,12 +25,7 @@ FORMATS = (".png", ".pdf", ".svg")
 
 
 def main(argv: Sequence[str]) -> None:
-    """
-    Run the command.
-
-    :param argv: Its arguments
-    :raises CommandError: if no run fits
-    """
+    """Run the command."""
     args = _parse(argv)
     from zoo_configs.results import read_experiments
 
@@ -78,7 +73,7 @@ def draw_panels(experiments: Iterable[ExperimentResults], output: Path) -> None:
 
 
 def _plot_training(experiments: Iterable[ExperimentResults], output: Path) -> list[Path]:
-    from zoo_configs.drawing.training_curves import draw_training
+    from zoo_configs.drawing.curves import draw_training
 
     panels: defaultdict[str, dict[str, list[Path]]] = defaultdict(dict)
     for experiment in experiments:

@@ -11,48 +11,32 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from zoo_configs.arguments import MAX_SEED, Parser, add_packages, add_progress, whole_number
-from zoo_configs.environments import known_env_id, package_of, register_environments
+from zoo_configs.environments import package_of, register_environments
 from zoo_configs.errors import CommandError
 from zoo_configs.experiments.config import ExperimentConfig
 from zoo_configs.experiments.flags import add_experiment_flags, find_experiment
+from zoo_configs.files import print_written
 from zoo_configs.training.options import TrainingOptions, add_options, given_options
 
 if TYPE_CHECKING:
     from zoo_configs.training.runs import Run
 
-FIXED = {
-    "--baseline": "baseline",
-    "--preset": "preset",
-    "--benchmark": "benchmark",
-    "--algo": "algo",
-    "--env": "env",
-    "--env-kwargs": "env_kwargs",
-    "-params": "hyperparams",
-    "--conf-file": "conf_file",
-    "--seed": "seed",
-    "--log-folder": "log_folder",
-    "--allow-mismatched-demos": "allow_mismatched_demos",
-    "--trained-agent": "trained_agent",
-    "--dry-run": "dry_run",
-}
-"""Flags that a resumed run cannot change, and their names as arguments."""
+FIXED = (
+    *("baseline", "preset", "benchmark", "algo", "env", "env_kwargs", "hyperparams", "conf_file", "seed"),
+    *("log_folder", "allow_mismatched_demos", "trained_agent", "dry_run"),
+)
+"""Arguments that a resumed run cannot change."""
 DESCRIPTION = """Train an agent. --baseline, --preset and --env name an experiment, whose hyperparameters are
 written to the run folder. The options of the training replace the preset's."""
 EPILOG = "bulletarm-zoo train --baseline equi_sacfd --env BulletArm/CloseLoopBlockPicking-v0 --preset quick"
 
 
 def main(argv: Sequence[str]) -> None:
-    """
-    Run the command.
-
-    :param argv: Its arguments
-    :raises CommandError: for invalid arguments
-    :raises KeyboardInterrupt: after Ctrl-C, when the model is saved
-    """
+    """Run the command; raise ``KeyboardInterrupt`` after Ctrl-C, when the model is saved."""
     args = build_parser().parse_args(argv)
     register_environments(args.gym_packages)
     if args.dry_run and not args.resume:
-        _print_experiment(_find_experiment(args), args)
+        _print_experiment(find_experiment(args), args)
         return
     progress = args.progress if args.progress is not None else sys.stderr.isatty()
     from zoo_configs.training.train import TrainingInterrupted
@@ -66,11 +50,7 @@ def main(argv: Sequence[str]) -> None:
 
 
 def build_parser() -> argparse.ArgumentParser:
-    """
-    Build the parser of the command.
-
-    :return: The parser
-    """
+    """Return the parser of the command."""
     parser = Parser("bulletarm-zoo train", description=DESCRIPTION, epilog=EPILOG, allow_abbrev=False)
     add_experiment_flags(parser)
     add = parser.add_argument
@@ -86,14 +66,8 @@ def build_parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _find_experiment(args: argparse.Namespace) -> ExperimentConfig:
-    if args.env is None:
-        raise CommandError("name an environment with --env, see bulletarm-zoo list")
-    return find_experiment(args, known_env_id(args.env))
-
-
 def _print_experiment(experiment: ExperimentConfig, args: argparse.Namespace) -> None:
-    from zoo_configs.experiments.explanation import explained_yaml
+    from zoo_configs.experiments.config import explained_yaml
     from zoo_configs.experiments.validation import check_experiment
 
     check_experiment(experiment)
@@ -104,7 +78,7 @@ def _print_experiment(experiment: ExperimentConfig, args: argparse.Namespace) ->
 def _begin(args: argparse.Namespace, progress: bool) -> Run:
     from zoo_configs.training.train import train_experiment
 
-    experiment = _find_experiment(args)
+    experiment = find_experiment(args)
     seed = secrets.randbelow(MAX_SEED + 1) if args.seed in (None, -1) else args.seed
     default = (
         f", baseline {experiment.baseline} of --algo {args.algo}"
@@ -129,9 +103,10 @@ def _resume(args: argparse.Namespace, progress: bool) -> Run:
     from zoo_configs.training.train import resume_run
 
     unset = build_parser().parse_args([])
-    changed = {name for name in FIXED.values() if getattr(args, name, None) != getattr(unset, name, None)}
-    if others := [flag for flag, name in FIXED.items() if name in changed]:
-        raise CommandError(f"cannot be changed when resuming: {', '.join(others)}")
+    changed = [name for name in FIXED if getattr(args, name, None) != getattr(unset, name, None)]
+    if changed:
+        flags = ", ".join(f"--{name.replace('_', '-')}" for name in changed)
+        raise CommandError(f"cannot be changed when resuming: {flags}")
     run = load_run(args.resume)
     options = replace(run.options, **given_options(args))
     return resume_run(replace(run, options=options, device=args.device or run.device), progress=progress)
@@ -143,4 +118,4 @@ def _report(run: Run) -> None:
     files = [run.last_model, run.best_model, run.resolved_file]
     if run.evaluations_file.is_file():
         files.append(draw_run(run))
-    print("\n".join(["Written:", *(f"  {path}" for path in files if path.exists())]))
+    print_written(*(path for path in files if path.exists()))

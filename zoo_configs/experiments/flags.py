@@ -1,7 +1,5 @@
 """The flags that name an experiment."""
 
-from __future__ import annotations
-
 import argparse
 from dataclasses import replace
 from pathlib import Path
@@ -9,12 +7,12 @@ from typing import Any
 
 from zoo_configs.algorithms import ALGORITHMS, OTHERS, algorithm_classes
 from zoo_configs.arguments import add_env_kwargs, add_key_values
+from zoo_configs.environments import known_env_id
 from zoo_configs.errors import CommandError, unknown_name
-from zoo_configs.experiments.benchmarks import is_served
 from zoo_configs.experiments.config import ExperimentConfig, merge, resolve
+from zoo_configs.experiments.families import families
 from zoo_configs.experiments.ranges import check_values
-from zoo_configs.experiments.rules import Family, families
-from zoo_configs.yaml_files import read_yaml
+from zoo_configs.files import read_yaml
 
 EXTRACTOR = "sb3_extensions.encoders.extractors.CnnExtractor"
 """Features extractor for images with the algorithms of Stable-Baselines3 and sb3-contrib."""
@@ -25,11 +23,7 @@ DICT_POLICIES = ("MultiInputPolicy", "MultiInputLstmPolicy")
 
 
 def add_experiment_flags(parser: argparse.ArgumentParser) -> None:
-    """
-    Add the flags that name an experiment.
-
-    :param parser: Parser of a command
-    """
+    """Add the flags that name an experiment."""
     add = parser.add_argument
     add("--baseline", help="learner and network, see bulletarm-zoo list --baselines")
     add("--preset", help=f"{PRESETS} (default: paper with a GPU, else cpu)")
@@ -41,15 +35,15 @@ def add_experiment_flags(parser: argparse.ArgumentParser) -> None:
     add_env_kwargs(parser)
 
 
-def find_experiment(args: argparse.Namespace, env_id: str) -> ExperimentConfig:
+def find_experiment(args: argparse.Namespace) -> ExperimentConfig:
     """
     Return the experiment that the flags name: of a file, a baseline, or an algorithm's defaults.
 
-    :param args: The parsed flags
-    :param env_id: Id of the environment
-    :return: The experiment, with the hyperparameters of the command line
     :raises CommandError: if the flags name none
     """
+    if args.env is None:
+        raise CommandError("name an environment with --env, see bulletarm-zoo list")
+    env_id = known_env_id(args.env)
     check_values(args.hyperparams)
     overrides = dict(args.hyperparams)
     if args.env_kwargs:
@@ -73,11 +67,7 @@ def _override(experiment: ExperimentConfig, overrides: dict[str, Any]) -> Experi
 
 
 def _required_algo(args: argparse.Namespace) -> str:
-    """
-    Return the algorithm of an experiment without baseline.
-
-    :raises CommandError: without an algorithm, or with a flag that requires a baseline
-    """
+    """Return the algorithm of an experiment without baseline."""
     if args.algo is None:
         raise CommandError("name a baseline with --baseline, or an algorithm with --algo")
     for flag in ("preset", "benchmark"):
@@ -91,18 +81,13 @@ def _baseline_of(args: argparse.Namespace, env_id: str) -> str | None:
     if args.baseline is not None or args.algo is None:
         return args.baseline  # type: ignore[no-any-return]
     for family in families():
-        if family.serves(env_id):
-            by_name = args.algo in family.baselines
-            return str(args.algo) if by_name else _default_baseline(family, args, env_id)
+        if family.has_env(env_id):
+            if args.algo in family.baselines:
+                return str(args.algo)
+            names = family.algorithms.get(args.algo, ())
+            fitting = (name for name in names if family.has_experiment(name, env_id, args.benchmark))
+            return next(fitting, names[0] if names else None)  # an error follows for the first one
     return None
-
-
-def _default_baseline(family: Family, args: argparse.Namespace, env_id: str) -> str | None:
-    """Return the first baseline that serves the task, or the first one, for which an error follows."""
-    names = family.algorithms.get(args.algo, ())
-    networks = {name: family.baselines[name].network for name in names}
-    fitting = (n for n in names if is_served(family.benchmarks, env_id, networks[n], args.benchmark))
-    return next(fitting, names[0] if names else None)
 
 
 def default_preset(device: str) -> str:
@@ -113,11 +98,7 @@ def default_preset(device: str) -> str:
 
 
 def _default_experiment(algo: str, env_id: str, overrides: dict[str, Any]) -> ExperimentConfig:
-    """
-    Return an experiment with an algorithm's own defaults, and a policy for our environments' observations.
-
-    :raises CommandError: for an unknown algorithm, or one of ours, which have baselines
-    """
+    """Return an experiment with an algorithm's own defaults, and a policy for our observations."""
     if algo in ALGORITHMS:
         raise CommandError(f"no baseline of {algo} for {env_id}. Use --baseline or --conf-file.")
     if algo not in OTHERS:
@@ -125,7 +106,7 @@ def _default_experiment(algo: str, env_id: str, overrides: dict[str, Any]) -> Ex
     hyperparams: dict[str, Any] = {"n_timesteps": DEFAULT_TIMESTEPS, "policy": "MlpPolicy"}
     if algo == "ars":
         hyperparams["policy"] = "LinearPolicy"
-    if any(family.serves(env_id) for family in families()) and "policy" not in overrides:
+    if any(family.has_env(env_id) for family in families()) and "policy" not in overrides:
         aliases = algorithm_classes()[algo].policy_aliases
         policies = [name for name in DICT_POLICIES if name in aliases]
         if policies:

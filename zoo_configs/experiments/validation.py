@@ -1,7 +1,5 @@
 """Checks of an experiment before anything is built: names of arguments, policies and files."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 
@@ -22,12 +20,7 @@ RESERVED_KEYS = {"_init_setup_model", "device", "env", "seed", "tensorboard_log"
 
 
 def check_experiment(experiment: ExperimentConfig) -> None:
-    """
-    Check the algorithm and the hyperparameters of an experiment.
-
-    :param experiment: The experiment
-    :raises CommandError: for an unknown name, with the nearest valid one, or an invalid value
-    """
+    """Raise ``CommandError`` for an unknown name, with the nearest valid one, or an invalid value."""
     algorithms = algorithm_classes()
     check_names("algorithm", [experiment.algo], algorithms)
     check_values(experiment.hyperparams)
@@ -48,10 +41,8 @@ def check_expert_data(
     experiment: ExperimentConfig, env: gym.Env[Any, Any], allow_mismatched_demos: bool = False
 ) -> None:
     """
-    Check that a file of demonstrations fits the environment.
+    Check that a file of demonstrations, if there is one, fits the environment.
 
-    :param experiment: The experiment, which can have a file as ``expert_data``
-    :param env: The environment
     :param allow_mismatched_demos: Whether the task and its parameters can differ
     :raises CommandError: if the file cannot be read, or comes from another environment
     """
@@ -90,14 +81,7 @@ def _check_origin(path: str, about: Mapping[str, Any], env_id: str, env: gym.Env
 
 
 def policy_class(algorithm: type[Any], policy: str) -> type[Any]:
-    """
-    Return the class of a policy.
-
-    :param algorithm: Class of the algorithm
-    :param policy: One of its aliases, or an import path
-    :return: Class of the policy
-    :raises CommandError: for an unknown policy
-    """
+    """Return the class of a policy, named by an alias or an import path."""
     aliases: dict[str, type[Any]] = algorithm.policy_aliases
     if policy in aliases:
         return aliases[policy]
@@ -138,7 +122,5 @@ def _check_replay_buffer(algorithm: type[Any], hyperparams: Mapping[str, Any]) -
 
 
 def _imported(kind: str, path: str) -> type[Any]:
-    try:
+    with refused(f"{kind} {path!r} cannot be imported", (ImportError, ValueError)):
         return class_from_path(path)
-    except (ImportError, ValueError) as error:  # ValueError for a name without module
-        raise CommandError(f"{kind} {path!r} cannot be imported: {error}") from error

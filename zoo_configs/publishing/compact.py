@@ -1,8 +1,5 @@
 """Small model files that ``load()`` of the algorithm reads."""
 
-from __future__ import annotations
-
-import copy
 import io
 import zipfile
 from collections.abc import Iterator
@@ -11,7 +8,7 @@ from typing import Any
 
 import torch as th
 from stable_baselines3.common.base_class import BaseAlgorithm
-from stable_baselines3.common.save_util import save_to_zip_file
+from stable_baselines3.common.save_util import load_from_zip_file, save_to_zip_file
 from torch import nn
 
 from zoo_configs.files import whole_file
@@ -50,20 +47,24 @@ def save_compact(model: BaseAlgorithm, path: Path, half: bool = True) -> str:
     :param half: Whether to store weights in bfloat16, if the network computes in it, or else in float16
     :return: Data type of the stored weights
     """
-    params = {name: _without_state(state) for name, state in model.get_parameters().items()}
+    whole = io.BytesIO()
+    model.save(whole, exclude=SCHEDULES)
+    data, params, variables = load_from_zip_file(whole, device="cpu")
+    assert data is not None
     weights = stored_weights(model.policy, half)
-    params[POLICY] = weights
-    names, variables = model._get_torch_save_params()
-    left_out = {*model._excluded_save_params(), *names, *variables, *SCHEDULES}
-    roots = {name.partition(".")[0] for name in left_out}
-    data = {name: value for name, value in vars(model).items() if name not in roots}
+    for state in params.values():
+        if set(state) == {"state", "param_groups"}:  # an optimizer, as before its first step
+            state["state"] = {}
     data.update({name: value for name, value in BLANKS.items() if name in data})
-    data.update({name: _initial(data[name]) for name in CONSTANTS if name in data})
-    data.update({name: _unseeded(data[name]) for name in ("observation_space", "action_space")})
+    for name in CONSTANTS:
+        if callable(schedule := data.get(name)):
+            data[name] = float(schedule(1.0))
+    for name in ("observation_space", "action_space"):
+        _unseed(data[name])
     if not type(model).__module__.startswith("sb3_extensions.") and "buffer_size" in data:
         data["buffer_size"] = 1  # our buffers allocate no memory before the first transition
     file = io.BytesIO()
-    save_to_zip_file(file, data, params, {name: getattr(model, name) for name in variables})
+    save_to_zip_file(file, data, {**params, POLICY: weights}, variables)
     _pack(file, path)
     return ", ".join(sorted({SMALLER[t.dtype] for t in weights.values() if t.dtype in SMALLER})) or "float32"
 
@@ -72,9 +73,8 @@ def stored_weights(policy: nn.Module, half: bool) -> dict[str, th.Tensor]:
     """
     Return the parameters and buffers of a policy under all their names.
 
-    :param policy: The policy
-    :param half: Whether to store tensors of two and more dimensions in a smaller type
-    :return: Tensors; shared parameters and target networks share their storage
+    Shared parameters and target networks share their storage. With ``half``, tensors of two and more
+    dimensions have a smaller type.
     """
     state = _with_average(policy)
     computed_in_bf16 = {id(weight) for weight in _bf16_weights(policy)}
@@ -117,23 +117,10 @@ def _shrunk(tensor: th.Tensor, dtype: th.dtype, half: bool) -> th.Tensor:
     return smaller if smaller.isfinite().all() else tensor
 
 
-def _initial(schedule: Any) -> Any:
-    """Return the first value of a schedule, a number as it is."""
-    return float(schedule(1.0)) if callable(schedule) else schedule
-
-
-def _without_state(state: dict[str, Any]) -> dict[str, Any]:
-    """Return the state of an optimizer as before its first step, other states unchanged."""
-    return {**state, "state": {}} if set(state) == {"state", "param_groups"} else state
-
-
-def _unseeded(space: Any) -> Any:
-    """Return a copy without a random generator, which other versions of NumPy may not read."""
-    fresh = copy.deepcopy(space)
-    fresh._np_random = None
-    for part in getattr(fresh, "spaces", {}).values():
+def _unseed(space: Any) -> None:
+    """Remove the random generators of a space, which other versions of NumPy may not read."""
+    for part in (space, *getattr(space, "spaces", {}).values()):
         part._np_random = None
-    return fresh
 
 
 def _pack(stored: io.BytesIO, path: Path) -> None:

@@ -1,13 +1,13 @@
 """Training of one experiment: the common path of ``train``, ``tune`` and ``benchmark``."""
 
-from __future__ import annotations
-
 import sys
+import time
 from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager, nullcontext
 from dataclasses import replace
 from pathlib import Path
 
+import stable_baselines3 as sb3
 import torch as th
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.utils import set_random_seed
@@ -22,7 +22,6 @@ from zoo_configs.files import missing_folders
 from zoo_configs.training.options import TrainingOptions
 from zoo_configs.training.runs import Run, claim_run_folder, clear, discard_if_empty, load_run, write_resolved
 from zoo_configs.training.state import State, run_lock
-from zoo_configs.training.tracking import tracked
 from zoo_configs.training.trainer import Trainer
 
 
@@ -92,12 +91,10 @@ def train_experiment(
 
 def resume_run(run: Run, callbacks: Sequence[BaseCallback] = (), progress: bool = False) -> Run:
     """
-    Resume a run from its latest valid checkpoint.
+    Resume a run, whose options and device may have changed, from its latest valid checkpoint.
 
-    :param run: The run; its options and device can differ from those at the start
     :param callbacks: Callbacks in addition to those of the options
     :param progress: Whether to show a progress bar
-    :return: The trained run
     :raises CommandError: if there is no valid checkpoint, or the run is finished
     :raises KeyboardInterrupt: after Ctrl-C, when the model is saved
     """
@@ -119,7 +116,6 @@ def check_run(run: Run, allow_mismatched_demos: bool = False, resumed: bool = Fa
     """
     Check that a run can be trained, before anything is built.
 
-    :param run: The run
     :param allow_mismatched_demos: Whether ``expert_data`` may come from another environment
     :param resumed: Whether its replay buffer already contains the demonstrations
     :raises CommandError: if it cannot
@@ -134,13 +130,7 @@ def check_run(run: Run, allow_mismatched_demos: bool = False, resumed: bool = Fa
 
 
 def check_same(found: Run, wanted: Run) -> None:
-    """
-    Check that a run folder contains the run that is to be trained there.
-
-    :param found: The run in the folder
-    :param wanted: The run to train
-    :raises CommandError: if the experiment or the seed differs
-    """
+    """Raise ``CommandError`` if a run folder has another experiment or seed than the run to train there."""
     for name in ("algo", "env_id", "hyperparams", "benchmark"):
         if getattr(found.experiment, name) != getattr(wanted.experiment, name):
             raise CommandError(f"{found.folder} has a run with different {name}. Use another folder.")
@@ -163,11 +153,7 @@ def _train_at(run: Run, callbacks: Sequence[BaseCallback], progress: bool) -> Ru
 
 
 def _latest_checkpoint(run: Run) -> Path:
-    """
-    Return the latest valid checkpoint, and report damaged later ones.
-
-    :raises CommandError: if there is none
-    """
+    """Return the latest valid checkpoint, and report damaged later ones."""
     try:
         checkpoint, damaged = latest_valid_checkpoint(run.checkpoint_folder)
     except CheckpointError as error:
@@ -183,7 +169,7 @@ def _timesteps(checkpoint: Path) -> int:
 
 
 def _train(run: Run, checkpoint: Path | None, callbacks: Sequence[BaseCallback], progress: bool) -> Run:
-    tracking = tracked(run) if run.options.track else nullcontext(run)
+    tracking = _tracked(run) if run.options.track else nullcontext(run)
     with run_lock(run.folder, checkpoint), _threads(run.options.num_threads), tracking as logged:
         if checkpoint is None:
             clear(run)
@@ -209,3 +195,26 @@ def _threads(number: int) -> Iterator[None]:
         yield
     finally:
         th.set_num_threads(before)
+
+
+@contextmanager
+def _tracked(run: Run) -> Iterator[Run]:
+    """
+    Log a run to Weights & Biases, and provide the run with the TensorBoard folder that it reads.
+
+    Its environment variables apply, such as ``WANDB_PROJECT``, ``WANDB_ENTITY`` and ``WANDB_MODE=offline``.
+    """
+    import wandb
+
+    name = f"{run.experiment.env_id}__{run.experiment.label}__{run.seed}__{int(time.time())}"
+    session = wandb.init(
+        name=name,
+        tags=[f"v{sb3.__version__}"],
+        config={"seed": run.seed, **run.options.plain(), **run.experiment.hyperparams},
+        sync_tensorboard=True,
+        save_code=True,
+    )
+    try:
+        yield replace(run, options=replace(run.options, tensorboard_log=f"runs/{name.replace('/', '-')}"))
+    finally:
+        session.finish()
