@@ -12,7 +12,7 @@ from pathlib import Path
 
 from measurements import Row, keep, number, show
 from zoo_configs.agents import agent_of, register_run
-from zoo_configs.arguments import Parser, device, positive_int, seed
+from zoo_configs.arguments import Parser, positive_int, seed
 from zoo_configs.drawing.curves import load_curve
 from zoo_configs.evaluating import EvalOptions, evaluate_agent
 from zoo_configs.experiments.config import ExperimentConfig, resolve
@@ -33,7 +33,7 @@ def main() -> None:
     add("-n", "--episodes", type=positive_int, default=100, help="number of episodes (default: 100)")
     add("--seed", type=seed, default=0, help="seed of the test scenes (default: 0)")
     add("--commit", default="", help="commit of the training, for runs that do not name it")
-    add("--device", type=device, default="auto", help="PyTorch device (default: auto)")
+    add("--device", default="auto", help="PyTorch device (default: auto)")
     args = parser.parse_args()
     show([keep(measure(load_run(folder), args), args.data, KEY) for folder in args.run])
 

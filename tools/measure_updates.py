@@ -35,7 +35,7 @@ from sb3_extensions.equivariant.convolution import PlainConv2d
 from sb3_extensions.equivariant.layers import EquivariantConv2d
 from sb3_extensions.spatial_dqn import SpatialDQN
 from zoo_configs.algorithms import algorithm_classes
-from zoo_configs.arguments import Parser, add_env_kwargs, device, positive_int
+from zoo_configs.arguments import Parser, add_env_kwargs, positive_int
 from zoo_configs.environments import known_env_id, register_environments
 from zoo_configs.experiments.config import ExperimentConfig, resolve
 from zoo_configs.experiments.families import family_of, task_name
@@ -87,7 +87,7 @@ def parse() -> argparse.Namespace:
     add("--env", default=DEFAULT_ENV, help=f"environment id (default: {DEFAULT_ENV})")
     add("--seconds", type=float, default=5.0, help="duration of each measurement (default: 5)")
     add("--overhead", type=positive_int, metavar="N", help="measure the overhead of trainings of N steps")
-    add("--device", type=device, default="auto", help="PyTorch device (default: auto)")
+    add("--device", default="auto", help="PyTorch device (default: auto)")
     add("--num-threads", type=positive_int, help="number of PyTorch threads (default: PyTorch's)")
     add("--data", type=Path, metavar="FILE", help="CSV to add the measurements to")
     add_env_kwargs(parser)

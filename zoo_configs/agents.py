@@ -10,6 +10,7 @@ from stable_baselines3.common.save_util import load_from_zip_file
 
 from sb3_extensions.common.env_metadata import constructor_keys
 from zoo_configs.algorithms import ALGORITHMS, algorithm_classes
+from zoo_configs.arguments import check_device
 from zoo_configs.environments import known_env_id, register_environments
 from zoo_configs.errors import CommandError, refused, unknown_name
 from zoo_configs.publishing.published import Published, find_published
@@ -80,6 +81,7 @@ class AgentQuery:
 
 def find_agent(query: AgentQuery) -> Agent:
     """Find and load the agent that a query describes; raise ``CommandError`` if there is none."""
+    check_device(query.device)
     register_environments(query.gym_packages)
     if query.published is not None:
         return _published_agent(query)

@@ -57,26 +57,18 @@ def key_value_words(values: Mapping[str, Any]) -> list[str]:
     return [f"{name}:{format_yaml(value, inline=True)}" for name, value in sorted(values.items())]
 
 
-def device(text: str) -> str:
-    """Return the name of an available PyTorch device; raise ``argparse.ArgumentTypeError`` for another."""
-    if text in ALWAYS_AVAILABLE:
-        return text
+def check_device(name: str) -> None:
+    """Raise ``CommandError`` if a PyTorch device is not available."""
+    if name in ALWAYS_AVAILABLE:
+        return
     import torch
 
     try:
-        torch.zeros(1, device=text).cpu()
+        torch.zeros(1, device=name).cpu()
     except (RuntimeError, AssertionError) as error:  # AssertionError: PyTorch was built without it
-        message = f"must be an available PyTorch device, got {text!r}: {reason(error)}"
-        raise argparse.ArgumentTypeError(message) from error
-    return text
-
-
-def check_device(text: str) -> None:
-    """Raise ``CommandError`` if a PyTorch device is not available."""
-    try:
-        device(text)
-    except argparse.ArgumentTypeError as error:
-        raise CommandError(f"--device: {error}") from error
+        raise CommandError(
+            f"--device must be an available PyTorch device, got {name!r}: {reason(error)}"
+        ) from error
 
 
 def whole_number(least: int, most: int | None = None) -> Callable[[str], int]:

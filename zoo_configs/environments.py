@@ -1,8 +1,8 @@
 """Environment ids: the packages that register them, and their lookup by name."""
 
 import importlib
-from collections.abc import Iterable, Mapping
-from contextlib import closing
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import closing, contextmanager
 from types import ModuleType
 from typing import Any
 
@@ -45,31 +45,25 @@ def package_of(env_id: str) -> list[str]:
     return [package] if package else []
 
 
-def make_env(env_id: str, env_kwargs: Mapping[str, Any], render_mode: str | None = None) -> gym.Env[Any, Any]:
-    """
-    Make an environment with a user's parameters.
-
-    :param render_mode: Its render mode, None for that of the parameters
-    :raises CommandError: if the environment rejects its parameters, with its reason
-    """
-    rendering = {} if render_mode is None else {"render_mode": render_mode}
-    if (wanted := env_kwargs.get("render_mode", render_mode)) != render_mode and rendering:
-        raise CommandError(f"render_mode must be {render_mode!r}, got {wanted!r}")
+def make_env(env_id: str, env_kwargs: Mapping[str, Any]) -> gym.Env[Any, Any]:
+    """Make an environment; raise ``CommandError`` with its reason if it rejects its parameters."""
     with refused(f"{env_id} cannot be made"):
-        return gym.make(env_id, **{**env_kwargs, **rendering})
+        return gym.make(env_id, **env_kwargs)
 
 
-def try_env(env_id: str, env_kwargs: Mapping[str, Any], render_mode: str | None = None) -> None:
-    """
-    Make an environment and reset it, so that it rejects its parameters before the work starts.
+@contextmanager
+def tried_env(env_id: str, env_kwargs: Mapping[str, Any]) -> Iterator[gym.Env[Any, Any]]:
+    """Make and reset an environment, so that it rejects its parameters before the work starts; close it."""
+    with closing(make_env(env_id, env_kwargs)) as env:
+        with refused(f"{env_id} cannot be reset"):
+            env.reset()
+        yield env
 
-    :param render_mode: Its render mode, None for that of the parameters
-    :raises CommandError: if the environment rejects its parameters or cannot be reset
-    """
-    with closing(make_env(env_id, env_kwargs, render_mode)) as env, refused(f"{env_id} cannot be reset"):
-        env.reset()
-        if render_mode is not None:
-            env.render()
+
+def try_env(env_id: str, env_kwargs: Mapping[str, Any]) -> None:
+    """Raise ``CommandError`` if an environment rejects its parameters or cannot be reset."""
+    with tried_env(env_id, env_kwargs):
+        pass
 
 
 def demonstrations() -> ModuleType:

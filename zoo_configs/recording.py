@@ -10,8 +10,8 @@ from tqdm import trange
 from zoo_configs.agents import Agent
 from zoo_configs.arguments import hides_progress
 from zoo_configs.drawing.video import FRAMES_PER_SECOND, Frame, ValueMap, compose_frame
-from zoo_configs.environments import known_env_id, make_env, try_env
-from zoo_configs.errors import CommandError
+from zoo_configs.environments import known_env_id, make_env, tried_env
+from zoo_configs.errors import CommandError, refused
 from zoo_configs.evaluating import check_fits, check_unwrapped
 from zoo_configs.training.seeds import SeedStream, stream_seed
 
@@ -44,13 +44,21 @@ class Actor(NamedTuple):
         return self.env.spec.name
 
 
+def _make(env_id: str, env_kwargs: Mapping[str, Any]) -> gym.Env[Any, Any]:
+    """Make an environment that renders."""
+    if (mode := env_kwargs.get("render_mode", RENDER_MODE)) != RENDER_MODE:
+        raise CommandError(f"render_mode must be {RENDER_MODE!r}, got {mode!r}")
+    kwargs = {**env_kwargs, "render_mode": RENDER_MODE}
+    with tried_env(env_id, kwargs) as env, refused(f"{env_id} cannot be rendered"):
+        env.render()
+    return make_env(env_id, kwargs)
+
+
 def expert_actor(env_id: str, env_kwargs: Mapping[str, Any]) -> Actor:
     """Return the expert of an environment; raise ``CommandError`` if it has none."""
-    env_id = known_env_id(env_id)
-    env = make_env(env_id, env_kwargs, RENDER_MODE)
+    env = _make(known_env_id(env_id), env_kwargs)
     if not hasattr(env.unwrapped, "expert_action"):
         raise CommandError(f"{env_id} has no expert")
-    try_env(env_id, env_kwargs, RENDER_MODE)
     expert = env.unwrapped.expert_action
     return Actor("expert", env, lambda _: expert())
 
@@ -60,9 +68,7 @@ def agent_actor(agent: Agent, env_kwargs: Mapping[str, Any]) -> Actor:
     from zoo_configs.training.objects import wrapper
 
     check_unwrapped(agent.hyperparams, WRAPPERS, "which record does not support")
-    kwargs = {**agent.env_kwargs, "render_mode": RENDER_MODE, **env_kwargs}
-    try_env(agent.env_id, kwargs, RENDER_MODE)
-    env = make_env(agent.env_id, kwargs, RENDER_MODE)
+    env = _make(agent.env_id, {**agent.env_kwargs, **env_kwargs})
     wrap = wrapper(agent.hyperparams.get("env_wrapper"))
     env = wrap(env) if wrap is not None else env
     check_fits(env, agent)

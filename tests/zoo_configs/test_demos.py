@@ -59,7 +59,7 @@ def test_a_training_starts_with_the_file_and_resumes_without_it(
 @pytest.mark.parametrize(
     ("more", "texts"),
     [
-        ([], ("observations", "48")),
+        ([], ("'obs_size': 48", "'obs_size': 64")),
         ([*SMALL, "--env", REACHING], (PICKING, REACHING)),
         ([*SMALL, "--env-kwargs", "max_steps:9"], ("'max_steps': 50", "'max_steps': 9")),
         ([*SMALL, "--env-kwargs", "action_sequence:xyzrp"], ("'pxyzr'", "'xyzrp'")),

@@ -7,7 +7,7 @@ from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from zoo_configs.arguments import add_env_kwargs, add_packages, add_progress, device, seed
+from zoo_configs.arguments import add_env_kwargs, add_packages, add_progress, seed
 
 if TYPE_CHECKING:
     from zoo_configs.agents import AgentQuery
@@ -29,7 +29,7 @@ def add_agent_flags(parser: argparse.ArgumentParser, is_run: bool = False) -> No
     add("--algo", help="load the newest run of this algorithm, or of the baseline of this name")
     add("--preset", help="load the newest run with this preset")
     add("-f", "--log-folder", type=Path, default=Path("logs"), help="folder of all runs (default: logs)")
-    add("--device", type=device, default="auto", help="PyTorch device (default: auto)")
+    add("--device", default="auto", help="PyTorch device (default: auto)")
     add("--seed", type=seed, default=0, help="seed of the test scenes (default: 0)")
     last = "load the last model (default: the model with the best evaluation)"
     add("--load-last", action="store_false", dest="load_best", help=last)

@@ -11,7 +11,7 @@ from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from zoo_configs.arguments import Parser, positive_int
+from zoo_configs.arguments import Parser, check_device, positive_int
 from zoo_configs.commands.agent_flags import add_agent_flags, query_of
 from zoo_configs.environments import register_environments
 from zoo_configs.errors import CommandError, refused
@@ -34,6 +34,7 @@ def main(argv: Sequence[str]) -> None:
     from zoo_configs.publishing.packing import check_publishable
 
     register_environments(args.gym_packages)
+    check_device(args.device)
     if args.folder is not None:
         _check_replaceable(args.folder)
     run = find_run(query_of(args))

@@ -37,41 +37,18 @@ def check_experiment(experiment: ExperimentConfig) -> None:
         make_augmentation(experiment.hyperparams.get("augmentation"))
 
 
-def check_expert_data(
-    experiment: ExperimentConfig, env: gym.Env[Any, Any], allow_mismatched_demos: bool = False
-) -> None:
-    """
-    Check that a file of demonstrations, if there is one, fits the environment.
-
-    :param allow_mismatched_demos: Whether the task and its parameters can differ
-    :raises CommandError: if the file cannot be read, or comes from another environment
-    """
-    path = experiment.hyperparams.get("expert_data")
-    episodes = load_expert_data(experiment.hyperparams).get("expert_data")
-    if not isinstance(path, str) or episodes is None:
-        return
-    with refused(f"expert_data: {path} cannot be read"):
-        for episode in episodes:
-            _check_shapes(path, episode, env)
-    if not allow_mismatched_demos:
-        _check_origin(path, episodes.about, experiment.env_id, env)
-
-
-def _check_shapes(path: str, episode: Any, env: gym.Env[Any, Any]) -> None:
-    first = {key: values[0] for key, values in episode.observations.items()}
-    if first not in env.observation_space or episode.actions[0] not in env.action_space:
-        shapes = {key: values.shape for key, values in first.items()}
-        raise CommandError(
-            f"expert_data: {path} has observations {shapes} and actions {episode.actions[0].shape}, "
-            f"the environment has {env.observation_space} and {env.action_space}"
-        )
-
-
-def _check_origin(path: str, about: Mapping[str, Any], env_id: str, env: gym.Env[Any, Any]) -> None:
-    """Compare the task and its parameters with those of the demonstrations."""
+def check_expert_data(experiment: ExperimentConfig, env: gym.Env[Any, Any]) -> None:
+    """Raise ``CommandError`` if a file of demonstrations is damaged or has another task or parameters."""
+    path, episodes = (
+        values.get("expert_data")
+        for values in (experiment.hyperparams, load_expert_data(experiment.hyperparams))
+    )
     config: Any = getattr(env.unwrapped, "config", None)
-    wanted = {} if config is None else {"env": env_id, **config.parameters()}
-    found = {"env": about.get("env_id"), **about.get("configuration", {})}
+    if not isinstance(path, str) or episodes is None or config is None:
+        return
+    wanted = {"env": experiment.env_id, **config.parameters()}
+    with refused(f"expert_data: {path} cannot be read"):
+        found = {"env": episodes.about["env_id"], **episodes.about["configuration"]}
     compared = [name for name in wanted if not name.startswith("render_")]
     if other := [name for name in compared if found.get(name) != wanted[name]]:
         theirs, ours = ({name: values.get(name) for name in other} for values in (found, wanted))

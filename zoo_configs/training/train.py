@@ -14,7 +14,7 @@ from stable_baselines3.common.utils import set_random_seed
 
 from sb3_extensions.common.checkpoint import CheckpointError, latest_checkpoint, latest_valid_checkpoint
 from zoo_configs.arguments import check_device
-from zoo_configs.environments import known_env_id, make_env, register_environments, try_env
+from zoo_configs.environments import known_env_id, register_environments, tried_env
 from zoo_configs.errors import CommandError
 from zoo_configs.experiments.config import ExperimentConfig
 from zoo_configs.experiments.validation import check_experiment, check_expert_data
@@ -123,10 +123,9 @@ def check_run(run: Run, allow_mismatched_demos: bool = False, resumed: bool = Fa
     check_experiment(run.experiment)
     check_device(run.device)
     env_kwargs = run.experiment.hyperparams.get("env_kwargs", {})
-    try_env(run.experiment.env_id, env_kwargs)
-    if not resumed:
-        with closing(make_env(run.experiment.env_id, env_kwargs)) as env:
-            check_expert_data(run.experiment, env, allow_mismatched_demos)
+    with tried_env(run.experiment.env_id, env_kwargs) as env:
+        if not (resumed or allow_mismatched_demos):
+            check_expert_data(run.experiment, env)
 
 
 def check_same(found: Run, wanted: Run) -> None:

@@ -1,7 +1,6 @@
 """Training of one run: environments, model and callbacks from its hyperparameters."""
 
 import contextlib
-import shlex
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -19,7 +18,7 @@ from zoo_configs.algorithms import algorithm_classes
 from zoo_configs.environments import load_expert_data
 from zoo_configs.errors import CommandError, reason, refused
 from zoo_configs.experiments.validation import policy_class
-from zoo_configs.files import whole_file, write_yaml
+from zoo_configs.files import write_yaml
 from zoo_configs.training.evaluation import PeriodicEvaluation, save_model
 from zoo_configs.training.objects import TRAINER_KEYS, action_noise, build_vec_env, callbacks, parsed
 from zoo_configs.training.runs import Run, env_folder_name
@@ -112,24 +111,8 @@ class Trainer:
         save_model(self.run, self.model, self.run.last_model)
 
     def write_configuration(self) -> None:
-        """Write the files from which rl_zoo3 loads a run."""
-        run, folder = self.run, self.run.params_folder
-        where = {
-            "algo": run.experiment.algo,
-            "env": run.experiment.env_id,
-            "seed": run.seed,
-            "device": run.device,
-        }
-        arguments = {
-            **where,
-            "log_folder": str(run.folder.parent),
-            "env_kwargs": None,
-            **self.options.plain(),
-        }
-        write_yaml(run.config_file, dict(sorted(self.hyperparams.items())))
-        write_yaml(folder / "args.yml", dict(sorted(arguments.items())))
-        with whole_file(folder / "command.txt") as partial:
-            partial.write_text(shlex.join(getattr(sys, "orig_argv", sys.argv)), encoding="utf-8")
+        """Write the hyperparameters with which rl_zoo3 loads a run."""
+        write_yaml(self.run.config_file, dict(sorted(self.hyperparams.items())))
 
     def close(self) -> None:
         """Close all environments."""
