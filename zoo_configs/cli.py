@@ -28,7 +28,6 @@ COMMANDS = {
     "demos": "collect demonstrations of an expert",
     "list": "list environments, baselines, presets or published agents",
 }
-MODULES = {"list": "listing"}  # modules that are not named as their commands
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -60,7 +59,7 @@ def _run(name: str, arguments: Sequence[str]) -> None:
     elif name == "--version":
         print(f"{PROGRAM} {metadata.version(DISTRIBUTION)}")
     elif name in COMMANDS:
-        importlib.import_module(f"zoo_configs.commands.{MODULES.get(name, name)}").main(arguments)
+        importlib.import_module(f"zoo_configs.commands.{name}").main(arguments)
     else:
         raise unknown_name("command", name, COMMANDS)
 

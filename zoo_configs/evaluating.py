@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import math
 from collections.abc import Mapping
 from contextlib import closing
 from dataclasses import dataclass, field
@@ -19,8 +18,6 @@ if TYPE_CHECKING:
     from stable_baselines3.common.vec_env import VecEnv
 
     from zoo_configs.agents import Agent
-
-Z95 = 1.959964  # 97.5th percentile of the standard normal distribution
 
 
 @dataclass(frozen=True)
@@ -61,11 +58,10 @@ class Outcome(NamedTuple):
     @property
     def interval(self) -> tuple[float, float]:
         """Wilson's 95 % interval of the success rate of this agent."""
-        n, rate = self.episodes, self.success_rate
-        middle = rate + Z95**2 / (2 * n)
-        half = Z95 * math.sqrt(rate * (1 - rate) / n + Z95**2 / (4 * n**2))
-        low, high = ((middle + sign * half) / (1 + Z95**2 / n) for sign in (-1, 1))
-        return max(low, 0.0), min(high, 1.0)
+        from scipy.stats import binomtest
+
+        low, high = binomtest(sum(self.successes), self.episodes).proportion_ci(method="wilson")
+        return float(low), float(high)
 
 
 def build_test_env(agent: Agent, options: EvalOptions) -> VecEnv:

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.stats import trim_mean
 
 from zoo_configs.drawing.curves import LearningCurve, load_curve
 from zoo_configs.drawing.tables import markdown_table
@@ -150,8 +151,7 @@ def _label(own: ExperimentResults, others: Iterable[ExperimentResults]) -> str:
 
 def interquartile_mean(values: Sequence[float]) -> float:
     """Return the mean without the lowest and the highest quarter of the values (Agarwal et al. 2021)."""
-    omitted = len(values) // 4
-    return float(np.mean(sorted(values)[omitted : len(values) - omitted]))
+    return float(trim_mean(values, 0.25))
 
 
 def experiment_row(experiment: ExperimentResults) -> list[str]:

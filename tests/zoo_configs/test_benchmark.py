@@ -12,7 +12,6 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-import gymnasium as gym
 import numpy as np
 import pytest
 import sweeps
@@ -20,7 +19,6 @@ import yaml
 from sweeps import FLAGS, TINY, is_running, jobs_of, same, start, wait_for
 
 from bulletarm_gym.benchmarks import BENCHMARKS
-from sb3_extensions.replay.buffer import ExpertReplayBuffer
 from zoo_configs.benchmarking import cluster
 from zoo_configs.benchmarking.plan import Plan, build_jobs, read_plan
 from zoo_configs.benchmarking.process import ExitCode, JobProcess
@@ -88,16 +86,6 @@ def test_the_size_of_a_run_is_that_of_its_replay_buffer() -> None:
     assert size.disk == 0.0 or size.disk == pytest.approx(3 * (size.memory - 1.0))
     plan = read_plan("open_loop_3d")
     assert all(size_of(job).memory > 1.0 for job in build_jobs(replace(plan, tasks=plan.tasks[:1], seeds=1)))
-
-
-def test_a_buffer_has_its_size_before_it_is_filled() -> None:
-    space = gym.spaces.Box(0, 1, (1, 8, 8), np.float32)
-    buffer = ExpertReplayBuffer(100, space, gym.spaces.Box(-1, 1, (2,)), "cpu", seed=0)
-    announced = buffer.table.nbytes
-    image, action, one = np.zeros((1, 1, 8, 8), np.float32), np.zeros((1, 2), np.float32), np.zeros(1)
-    buffer.add(image, image, action, one, one, [{}])
-    arrays = (*buffer.table.columns.values(), *buffer.table.observations.values())
-    assert sum(array.nbytes for array in arrays) == announced
 
 
 @pytest.mark.parametrize("flag", ["--seeds", "--seed"])
@@ -374,23 +362,3 @@ def test_a_caller_that_is_interrupted_or_killed_loses_nothing(
         assert caller.wait(120) == code
         wait_for(lambda: not any(is_running(folder) for folder in out.glob("*/*/seed_*")))
     assert bench("--ray", ray_cluster.address, **plan) == 0
-
-
-@pytest.mark.slow
-def test_two_hundred_runs_while_nodes_are_lost(ray_cluster: Any, bench: Bench, tmp_path: Path) -> None:
-    keys = {"seeds": 50, "tasks": ["CloseLoopToy", "CloseLoopToyFailing"], "baselines": ["sacfd", "sac"]}
-    nodes = [ray_cluster.add_node(**NODE) for _ in range(3)]
-
-    def lose() -> None:
-        for number, node in enumerate(nodes, start=1):
-            at = 20 * number
-            wait_for(lambda at=at: len(list(tmp_path.glob("out/*/*/*/BulletArm-*.zip"))) >= at, 3600)
-            ray_cluster.remove_node(node, allow_graceful=False)
-
-    loser = threading.Thread(target=lose)
-    loser.start()
-    assert bench("--ray", ray_cluster.address, **keys) == 2  # half of them fail
-    loser.join()
-    overview = Overview(jobs_of(**keys), tmp_path / "out")
-    overview.update()
-    assert overview.counts() == "100 done, 0 running, 0 waiting, 100 failed"

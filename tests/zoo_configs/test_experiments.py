@@ -226,18 +226,6 @@ def test_the_cpu_preset_has_the_budget_of_the_paper_and_one_set_of_hyperparamete
     assert all({**found, "n_timesteps": 0} == {**one_baseline[0], "n_timesteps": 0} for found in one_baseline)
 
 
-@pytest.mark.parametrize("preset", ["cpu", "quick"])
-def test_baselines_differ_only_in_network_augmentation_and_buffer(preset: str) -> None:
-    names = ("bc_weight", "ent_coef", "self_imitation_temperature", "n_steps", "gamma", "exploration")
-    imitating = [hyperparams_of(name, preset, PICKING) for name in CLOSE_LOOP.baselines if "fd" in name]
-    assert len(imitating) == 9
-    assert len({tuple(found.get(name) for name in names) for found in imitating}) == 1
-    assert all(hyperparams_of(f"{network}sac", preset, PICKING)["bc_weight"] == 0 for network in ("", "rad_"))
-    for name, baseline in CLOSE_LOOP.baselines.items():
-        augmentation = hyperparams_of(name, "cpu", PICKING).get("augmentation", {})
-        assert ("rotation" in augmentation) == (baseline.network != "state"), name
-
-
 @pytest.mark.parametrize(("preset", "obs_size", "size"), [("paper", 142, 128), ("cpu", 71, 64)])
 def test_crops_and_priorities_are_those_of_the_paper(preset: str, obs_size: int, size: int) -> None:
     for baseline in ("rad_sac", "ferm_sacfd"):

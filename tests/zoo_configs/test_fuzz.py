@@ -10,71 +10,39 @@ import pytest
 from zoo_configs.cli import main
 
 Follow = Callable[[list[str]], bool]
-Choices = dict[str, list[str] | None]
 JUNK = "|0|-1|1.5|x|'|a:1|a:|{|☃|nowhere|/dev/null/x|nan|None|[]|lambda: 0".split("|")
 LEAST_SUCCESS = 0.3
-CHEAP = ["-n", "2", "--eval-freq", "0", "--device", "cpu", "--num-threads", "1", "--no-progress"]
 LEARNING = ["expert_episodes:1", "pretrain_steps:1", "batch_size:2", "n_envs:1", "buffer_size:50"]
 PARAMS = ["gamma:0.9", "learning_rate:lin_1e-3", "n_steps:2", "augmentation:rotation", "ent_coef:0.1"]
-SIZE = ["--env-kwargs", "obs_size:48"]
-AGENT: Choices = {"--device": ["cpu", "auto"], "--seed": ["3"], "--load-last": None, "-P": None}
-# Words that are always there, and flags with their valid values (None for a switch), by command.
-COMMANDS: dict[str, tuple[list[str], Choices]] = {
+CHEAP = "-n 2 --eval-freq 0 --device cpu --num-threads 1 --no-progress --env-kwargs obs_size:48"
+AGENT = "--device=cpu,auto --seed=3 --load-last -P"
+COMMANDS = {
     "train": (
-        ["--baseline", "sacfd", "--preset", "cpu", "--env", "TOY", *CHEAP, *SIZE],
-        {
-            "--baseline": ["equi_sacfd", "tqcfd", "sac", "drq_sacfd"],
-            "--preset": ["quick"],
-            "--seed": ["3", "-1", "99999999999"],
-            "-n": ["3", "1"],
-            "--eval-freq": ["1", "2"],
-            "--eval-episodes": ["1", "2"],
-            "--save-freq": ["1", "2"],
-            "--verbose": ["0", "2"],
-            "--allow-mismatched-demos": None,
-            "--dry-run": None,
-            "-i": ["RUN/best_model.zip"],
-            "--gym-packages": ["json"],
-        },
+        f"--baseline sacfd --preset cpu --env TOY {CHEAP}",
+        "--baseline=equi_sacfd,tqcfd,sac,drq_sacfd --preset=quick --seed=3,-1 -n=3,1 --eval-freq=1,2 "
+        "--eval-episodes=1,2 --save-freq=1,2 --verbose=0,2 --allow-mismatched-demos --dry-run "
+        "-i=RUN/best_model.zip --gym-packages=json",
     ),
-    "enjoy": (["RUN", "-n", "1"], {**AGENT, "--n-envs": ["1"], "-n": ["2"]}),
-    "record": (
-        ["RUN", "-n", "1"],
-        {**AGENT, "-o": ["video.gif", "new/video.mp4"], "--format": ["mp4", "gif"]},
-    ),
-    "plot": (
-        ["-f", "LOGS"],
-        {
-            "--env": ["TOY"],
-            "--baseline": ["equi_sacfd"],
-            "-o": ["curves.png", "new/curves.pdf"],
-            "--training": None,
-        },
-    ),
+    "enjoy": ("RUN -n 1", f"{AGENT} --n-envs=1 -n=2"),
+    "record": ("RUN -n 1", f"{AGENT} -o=video.gif,new/video.mp4 --format=mp4,gif"),
+    "plot": ("-f LOGS", "--env=TOY --baseline=equi_sacfd -o=curves.png,new/curves.pdf --training"),
     "demos": (
-        ["--env", "BulletArm/CloseLoopBlockReaching-v0", "-n", "1", "--env-kwargs", "obs_size:16"],
-        {"-o": ["demos.h5", "new/demos.hdf5"], "--seed": ["3"], "--no-progress": None},
+        "--env BulletArm/CloseLoopBlockReaching-v0 -n 1 --env-kwargs obs_size:16",
+        "-o=demos.h5,new/demos.hdf5 --seed=3 --no-progress",
     ),
-    "list": (
-        [],
-        {
-            "--env": ["TOY", "Pendulum-v1"],
-            "--baselines": None,
-            "--published": None,
-            "--gym-packages": ["json"],
-        },
-    ),
+    "list": ("", "--env=TOY,Pendulum-v1 --baselines --published --gym-packages=json"),
 }
+"""Words that are always there, and flags with their valid values, by command."""
 
 
 def draw(rng: np.random.Generator) -> list[str]:
     """Return a valid line, every other time with a junk word in the place of another one."""
     command = str(rng.choice(list(COMMANDS)))
     words, flags = COMMANDS[command]
-    line = [command, *words]
-    for flag in rng.choice(list(flags), size=rng.integers(4), replace=False):
-        values = flags[str(flag)]
-        line += [str(flag)] if values is None else [str(flag), str(rng.choice(values))]
+    line = [command, *words.split()]
+    for chosen in rng.choice(flags.split(), size=rng.integers(4), replace=False):
+        flag, _, values = str(chosen).partition("=")
+        line += [flag, str(rng.choice(values.split(",")))] if values else [flag]
     if command == "train":
         line += ["-params", *LEARNING, *rng.choice(PARAMS, size=rng.integers(3), replace=False).tolist()]
     if rng.random() < 0.5 and len(line) > 1:

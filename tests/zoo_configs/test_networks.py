@@ -125,7 +125,7 @@ def test_an_untrained_spatial_network_expects_nothing(
 
 
 def test_a_video_shows_the_values_of_a_spatial_policy(tmp_path: Path) -> None:
-    model = make_model(resolve("sdqfd_fcn", "cpu", STACKING), "cpu", expert_episodes=0)
+    model = make_model(resolve("sdqfd_fcn", "cpu", STACKING), "cpu", expert_episodes=0, pretrain_steps=0)
     model.save(tmp_path / "model")
     model.env.close()
     words = [str(tmp_path / "model.zip"), "--env", STACKING, "--env-kwargs", "obs_size:64", "in_hand_size:16"]

@@ -1,9 +1,7 @@
 """Training from Python and by the command line: run folder, logs, repeating, resuming, loading."""
 
-import errno
 import io
 import os
-import shutil
 import sys
 import textwrap
 from collections.abc import Callable, Iterator
@@ -19,8 +17,6 @@ import yaml
 from stable_baselines3.common.callbacks import BaseCallback
 from sweeps import same
 
-from sb3_extensions.common import checkpoint
-from sb3_extensions.sacfd import SACfD
 from zoo_configs.algorithms import algorithm_classes
 from zoo_configs.cli import main
 from zoo_configs.drawing.curves import read_training_log
@@ -310,167 +306,6 @@ def test_enjoy_repeats_itself(trained: Path, toy_id: str, capsys: pytest.Capture
         printed.append(capsys.readouterr().out.splitlines()[-1])
     assert printed[0] == printed[1]
     assert printed[0] in {f"success_rate={rate:.2f} episodes=4" for rate in (0, 0.25, 0.5, 0.75, 1)}
-
-
-# ---- Resuming
-
-
-def test_an_extended_run_equals_a_longer_one(train_tiny: Train, tmp_path: Path) -> None:
-    """At a constant learning rate: a schedule depends on the end of the training."""
-    extended, longer = (tmp_path / name / "sacfd" / RUN_NAME for name in ("a", "b"))
-    constant = "learning_rate:0.001"
-    assert train_tiny(tmp_path / "a", constant) == 0
-    assert main(["train", "--resume", str(extended), "-n", "18", "--no-progress"]) == 0
-    assert train_tiny(tmp_path / "b", constant, "-n", "18") == 0
-    assert same(extended, longer) and len(list(extended.parent.iterdir())) == 1
-
-
-def test_a_damaged_checkpoint_is_replaced_by_the_one_before(
-    train_tiny: Train, tmp_path: Path, capsys: pytest.CaptureFixture[str], refuse: Refuse
-) -> None:
-    damaged, whole = (tmp_path / name / "sacfd" / RUN_NAME for name in ("a", "b"))
-    constant = "learning_rate:0.001"
-    assert train_tiny(tmp_path / "a", constant) == 0
-    older, newest = sorted((damaged / "checkpoints").iterdir())
-    (newest / "model.zip").write_bytes(b"")
-    capsys.readouterr()
-    assert main(["train", "--resume", str(damaged), "-n", "18", "--no-progress"]) == 0
-    [line] = capsys.readouterr().err.splitlines()
-    assert str(newest) in line and str(older) in line
-    assert train_tiny(tmp_path / "b", constant, "-n", "18") == 0
-    assert same(damaged, whole)
-    for model in damaged.glob("checkpoints/*/model.zip"):
-        model.write_bytes(b"")
-    assert "model.zip" in refuse("train", "--resume", str(damaged), "-n", "24")
-
-
-@pytest.mark.parametrize(
-    ("words", "text"),
-    [
-        ("", "12 of 12 steps"),
-        ("-n 18 --eval-episodes 3", "eval_episodes must be 2"),
-        ("-n 18 --device cuda:99", "'cuda:99'"),
-        *((f"{flag} 0", flag) for flag in ("--seed", "--baseline", "--env", "--benchmark", "--log-folder")),
-        ("-params gamma:0.5", "--hyperparams"),
-        ("--env-kwargs obs_size:64", "--env-kwargs"),
-        ("-i model.zip", "--trained-agent"),
-    ],
-)
-def test_a_run_that_cannot_be_resumed_is_one_line(
-    words: str, text: str, run_folder: Path, refuse: Refuse, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert text in refuse("train", "--resume", str(run_folder), *words.split())
-    assert capsys.readouterr().out == ""
-
-
-def test_a_full_disk_leaves_no_half_checkpoint(
-    train_tiny: Train, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    def fill(path: Path) -> None:
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
-    monkeypatch.setattr(checkpoint, "_sync", fill)
-    assert train_tiny(tmp_path / "a") == 2
-    [line] = capsys.readouterr().err.splitlines()
-    assert "No space left on device" in line
-    [run] = (tmp_path / "a" / "sacfd").iterdir()
-    assert (run / "best_model.zip").is_file() and not list((run / "checkpoints").iterdir())
-    assert train_tiny(tmp_path / "b", "--eval-freq", "0") == 2
-    assert not (tmp_path / "b").exists()
-
-
-def test_a_run_without_a_model_is_skipped(
-    trained: Path, toy_id: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], refuse: Refuse
-) -> None:
-    shutil.copytree(trained, tmp_path / "logs")
-    runs = tmp_path / "logs" / "sacfd"
-    killed, garbled = runs / f"{RUN_NAME[:-1]}2", runs / f"{RUN_NAME[:-1]}3"
-    for folder, text in (killed, (runs / RUN_NAME / "hyperparams.yml").read_text()), (garbled, "run: ["):
-        folder.mkdir()
-        (folder / "hyperparams.yml").write_text(text)
-    named = ["--baseline", "equi_sacfd", "--env", toy_id, "-f", str(tmp_path / "logs")]
-    assert main(["enjoy", *named, "-n", "1", "--device", "cpu"]) == 0
-    printed = capsys.readouterr()
-    assert f"{RUN_NAME}/best_model.zip" in printed.out
-    [line] = printed.err.splitlines()
-    assert line.startswith("skipped: ") and str(garbled) in line
-    shutil.rmtree(garbled)
-    assert "has no model" in refuse("enjoy", str(killed))
-
-
-# ---- Models
-
-
-@pytest.mark.parametrize("damage", ["cut", "empty", "foreign"])
-def test_a_damaged_model_is_named(damage: str, run_folder: Path, tmp_path: Path, refuse: Refuse) -> None:
-    shutil.copytree(run_folder, folder := tmp_path / RUN_NAME)
-    content = (folder / "best_model.zip").read_bytes()
-    damaged = {"cut": content[: len(content) // 2], "empty": b"", "foreign": b"no archive"}
-    (folder / "best_model.zip").write_bytes(damaged[damage])
-    for command in ("enjoy", "record"):
-        assert "best_model.zip" in refuse(command, str(folder))
-
-
-def test_an_agent_needs_its_observations(run_folder: Path, refuse: Refuse) -> None:
-    for command in ("enjoy", "record"):
-        assert "agent" in refuse(command, str(run_folder), "--env-kwargs", "obs_size:64")
-
-
-def test_training_starts_from_a_model_with_other_hyperparameters(
-    train_tiny: Train, run_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    model = str(run_folder / "best_model.zip")
-    more = ["gamma:0.9", "n_steps:2", "replay_buffer_kwargs:{sampler: {shares: {expert_fraction: 0.25}}}"]
-    assert train_tiny(tmp_path, *more, "n_envs:2", "-i", model) == 0
-    trained = SACfD.load(tmp_path / "sacfd" / RUN_NAME / "best_model.zip", device="cpu")
-    assert (trained.gamma, trained.n_steps, trained.n_pretrained) == (0.9, 2, 2)
-    assert trained.replay_buffer_kwargs["sampler"]["shares"]["expert_fraction"] == 0.25
-    for baseline, wanted in ("sacfd", "sacfd.policies.MultiInputPolicy"), ("equi_tqcfd", "tqcfd.policies."):
-        assert train_tiny(tmp_path / "other", "-i", model, "--baseline", baseline) == 2
-        assert wanted in capsys.readouterr().err
-    assert not (tmp_path / "other").exists()
-
-
-@pytest.mark.parametrize(
-    ("name", "env_id", "policy"),
-    [
-        *(
-            (name, "Pendulum-v1", "MlpPolicy")
-            for name in ("a2c", "crossq", "ppo", "sac", "td3", "tqc", "trpo")
-        ),
-        *((name, "CartPole-v1", "MlpPolicy") for name in ("dqn", "qrdqn")),
-        ("ppo_lstm", "Pendulum-v1", "MlpLstmPolicy"),
-        *((name, "TOY", "MultiInputPolicy") for name in ("sacfd", "tqcfd", "ferm")),
-        ("sdqfd", STACKING, "FCNPolicy"),
-    ],
-)
-def test_a_model_file_is_recognized(
-    name: str, env_id: str, policy: str, toy_id: str, tmp_path: Path, refuse: Refuse
-) -> None:
-    from zoo_configs.agents import algorithm_of
-
-    kwargs: dict[str, Any] = {}
-    if env_id == "TOY":
-        extractor = {"channels": [4, 8, 8, 8, 8], **({"features_dim": 6} if name == "ferm" else {})}
-        kwargs["policy_kwargs"] = {"features_extractor_kwargs": extractor}
-        kwargs |= {"augmentation": "drq"} if name == "ferm" else {}
-    size = {"TOY": {"obs_size": 48}, STACKING: {"obs_size": 32}}.get(env_id, {})
-    env = gym.make(env_id.replace("TOY", toy_id), **size)
-    file = str(tmp_path / "model.zip")
-    algorithm_classes()[name](policy, env, **kwargs).save(file)
-    env.close()
-    # The open-loop algorithms differ in their losses only.
-    assert algorithm_of(Path(file)) in ({"adet", "dqfd", "sdqfd"} if name == "sdqfd" else {name})
-    if env_id in ("TOY", "CartPole-v1"):
-        words = [file, "--env", env_id.replace("TOY", toy_id), "-n", "1", "--device", "cpu"]
-        words += ["--env-kwargs", "obs_size:48"] if env_id == "TOY" else []
-        assert main(["enjoy", *words]) == main(["enjoy", *words, "--algo", name]) == 0
-        assert "'sacc'" in refuse("enjoy", *words, "--algo", "sacc")
-
-
-def test_a_model_of_a_run_needs_no_env(run_folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["enjoy", str(run_folder / "best_model.zip"), "-n", "1", "--device", "cpu"]) == 0
-    assert "success_rate=" in capsys.readouterr().out
 
 
 # ---- Tasks of a user

@@ -11,7 +11,6 @@ from zoo_configs.environments import known_env_id
 from zoo_configs.errors import CommandError, unknown_name
 from zoo_configs.experiments.config import ExperimentConfig, merge, resolve
 from zoo_configs.experiments.families import families
-from zoo_configs.experiments.ranges import check_values
 from zoo_configs.files import read_yaml
 
 EXTRACTOR = "sb3_extensions.encoders.extractors.CnnExtractor"
@@ -44,7 +43,6 @@ def find_experiment(args: argparse.Namespace) -> ExperimentConfig:
     if args.env is None:
         raise CommandError("name an environment with --env, see bulletarm-zoo list")
     env_id = known_env_id(args.env)
-    check_values(args.hyperparams)
     overrides = dict(args.hyperparams)
     if args.env_kwargs:
         overrides["env_kwargs"] = merge(overrides.get("env_kwargs", {}), args.env_kwargs)
