@@ -44,22 +44,22 @@ class Actor(NamedTuple):
         return self.env.spec.name
 
 
-def _make(env_id: str, env_kwargs: Mapping[str, Any]) -> gym.Env[Any, Any]:
-    """Make an environment that renders."""
+def _make(env_id: str, env_kwargs: Mapping[str, Any], is_expert: bool = False) -> gym.Env[Any, Any]:
+    """Make an environment that renders, and check that it has an expert if needed."""
     if (mode := env_kwargs.get("render_mode", RENDER_MODE)) != RENDER_MODE:
         raise CommandError(f"render_mode must be {RENDER_MODE!r}, got {mode!r}")
     kwargs = {**env_kwargs, "render_mode": RENDER_MODE}
     with tried_env(env_id, kwargs) as env, refused(f"{env_id} cannot be rendered"):
+        if is_expert and not hasattr(env.unwrapped, "expert_action"):
+            raise CommandError(f"{env_id} has no expert")
         env.render()
     return make_env(env_id, kwargs)
 
 
 def expert_actor(env_id: str, env_kwargs: Mapping[str, Any]) -> Actor:
     """Return the expert of an environment; raise ``CommandError`` if it has none."""
-    env = _make(known_env_id(env_id), env_kwargs)
-    if not hasattr(env.unwrapped, "expert_action"):
-        raise CommandError(f"{env_id} has no expert")
-    expert = env.unwrapped.expert_action
+    env = _make(known_env_id(env_id), env_kwargs, is_expert=True)
+    expert = env.unwrapped.expert_action  # type: ignore[attr-defined]
     return Actor("expert", env, lambda _: expert())
 
 

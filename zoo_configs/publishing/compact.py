@@ -1,5 +1,6 @@
 """Small model files that ``load()`` of the algorithm reads."""
 
+import copy
 import io
 import zipfile
 from collections.abc import Iterator
@@ -8,7 +9,7 @@ from typing import Any
 
 import torch as th
 from stable_baselines3.common.base_class import BaseAlgorithm
-from stable_baselines3.common.save_util import load_from_zip_file, save_to_zip_file
+from stable_baselines3.common.save_util import save_to_zip_file
 from torch import nn
 
 from zoo_configs.files import whole_file
@@ -47,24 +48,22 @@ def save_compact(model: BaseAlgorithm, path: Path, half: bool = True) -> str:
     :param half: Whether to store weights in bfloat16, if the network computes in it, or else in float16
     :return: Data type of the stored weights
     """
-    whole = io.BytesIO()
-    model.save(whole, exclude=SCHEDULES)
-    data, params, variables = load_from_zip_file(whole, device="cpu")
-    assert data is not None
-    weights = stored_weights(model.policy, half)
-    for state in params.values():
+    params = model.get_parameters()
+    for name, state in params.items():
         if set(state) == {"state", "param_groups"}:  # an optimizer, as before its first step
-            state["state"] = {}
+            params[name] = {**state, "state": {}}
+    params[POLICY] = weights = stored_weights(model.policy, half)
+    names, variables = model._get_torch_save_params()
+    left_out = {*model._excluded_save_params(), *names, *variables, *SCHEDULES}
+    roots = {name.partition(".")[0] for name in left_out}
+    data = {name: value for name, value in vars(model).items() if name not in roots}
     data.update({name: value for name, value in BLANKS.items() if name in data})
-    for name in CONSTANTS:
-        if callable(schedule := data.get(name)):
-            data[name] = float(schedule(1.0))
-    for name in ("observation_space", "action_space"):
-        _unseed(data[name])
+    data.update({name: float(data[name](1.0)) for name in CONSTANTS if callable(data.get(name))})
+    data.update({name: _unseeded(data[name]) for name in ("observation_space", "action_space")})
     if not type(model).__module__.startswith("sb3_extensions.") and "buffer_size" in data:
         data["buffer_size"] = 1  # our buffers allocate no memory before the first transition
     file = io.BytesIO()
-    save_to_zip_file(file, data, {**params, POLICY: weights}, variables)
+    save_to_zip_file(file, data, params, {name: getattr(model, name) for name in variables})
     _pack(file, path)
     return ", ".join(sorted({SMALLER[t.dtype] for t in weights.values() if t.dtype in SMALLER})) or "float32"
 
@@ -117,10 +116,13 @@ def _shrunk(tensor: th.Tensor, dtype: th.dtype, half: bool) -> th.Tensor:
     return smaller if smaller.isfinite().all() else tensor
 
 
-def _unseed(space: Any) -> None:
-    """Remove the random generators of a space, which other versions of NumPy may not read."""
-    for part in (space, *getattr(space, "spaces", {}).values()):
+def _unseeded(space: Any) -> Any:
+    """Return a copy without a random generator, which other versions of NumPy may not read."""
+    fresh = copy.deepcopy(space)
+    fresh._np_random = None
+    for part in getattr(fresh, "spaces", {}).values():
         part._np_random = None
+    return fresh
 
 
 def _pack(stored: io.BytesIO, path: Path) -> None:

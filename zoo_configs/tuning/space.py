@@ -26,17 +26,7 @@ BASELINE = "baseline"
 
 
 class Parameter(NamedTuple):
-    """
-    A hyperparameter of a search space.
-
-    :param name: Its name; dots lead into mappings
-    :param low: Lower bound
-    :param high: Upper bound
-    :param log: Whether the scale is logarithmic
-    :param integer: Whether the values are whole numbers
-    :param choices: The values of a parameter without bounds
-    :param needs: Hyperparameter that must not be 0 in the baseline, empty for none
-    """
+    """Bounds or choices of a hyperparameter; ``needs`` names one that must not be 0 in the baseline."""
 
     name: str
     low: float = 0.0
