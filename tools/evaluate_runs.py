@@ -32,7 +32,6 @@ def main() -> None:
     add("--data", type=Path, metavar="FILE", help="CSV to add the results to")
     add("-n", "--episodes", type=positive_int, default=100, help="number of episodes (default: 100)")
     add("--seed", type=seed, default=0, help="seed of the test scenes (default: 0)")
-    add("--commit", default="", help="commit of the training, for runs that do not name it")
     add("--device", default="auto", help="PyTorch device (default: auto)")
     args = parser.parse_args()
     show([keep(measure(load_run(folder), args), args.data, KEY) for folder in args.run])
@@ -52,7 +51,7 @@ def measure(run: Run, args: argparse.Namespace) -> Row:
 
 def row(run: Run, args: argparse.Namespace, rates: Row) -> Row:
     """Return the row of a run."""
-    origin, hyperparams = origin_of(run, args.commit), run.experiment.hyperparams
+    origin, hyperparams = origin_of(run), run.experiment.hyperparams
     success = load_curve(run.evaluations_file).success if run.evaluations_file.is_file() else ()
     half = success[len(success) // 2 :]
     return {

@@ -234,18 +234,18 @@ class Origin:
     versions: Mapping[str, str]
 
 
-def origin_of(run: Run, commit: str = "") -> Origin:
-    """Read how a run was trained; ``commit`` is for runs that do not record theirs."""
+def origin_of(run: Run) -> Origin:
+    """Read how a run was trained; raise ``CommandError`` if its folder cannot be read."""
     with refused(f"{run.resolved_file} cannot be read"):
         about: dict[str, Any] = read_yaml(run.resolved_file)[RUN_KEY]
     how = run.status
     return Origin(
         minutes=None if how is None else round(how.seconds / 60, 1),
         command=repeating_command(run),
-        commit=commit or about.get("commit", ""),
+        commit=about["commit"],
         date=day(time.time() if how is None else how.until or how.since + how.seconds),
-        machine=about.get("machine", ""),
-        versions=about.get("versions", {}),
+        machine=about["machine"],
+        versions=about["versions"],
     )
 
 

@@ -89,11 +89,10 @@ def train_experiment(
         raise
 
 
-def resume_run(run: Run, callbacks: Sequence[BaseCallback] = (), progress: bool = False) -> Run:
+def resume_run(run: Run, progress: bool = False) -> Run:
     """
     Resume a run, whose options and device may have changed, from its latest valid checkpoint.
 
-    :param callbacks: Callbacks in addition to those of the options
     :param progress: Whether to show a progress bar
     :raises CommandError: if there is no valid checkpoint, or the run is finished
     :raises KeyboardInterrupt: after Ctrl-C, when the model is saved
@@ -109,7 +108,7 @@ def resume_run(run: Run, callbacks: Sequence[BaseCallback] = (), progress: bool 
     if status is not None and status.state is State.DONE and steps >= run.n_timesteps:
         done = f"run {run.folder} is already finished ({steps} of {run.n_timesteps} steps)"
         raise CommandError(f"{done}. Pass a larger -n to continue.")
-    return _train(run, checkpoint, callbacks, progress)
+    return _train(run, checkpoint, (), progress)
 
 
 def check_run(run: Run, allow_mismatched_demos: bool = False, resumed: bool = False) -> None:
