@@ -356,7 +356,7 @@ def test_a_run_stores_the_package_of_its_task(
         ["enjoy", "--published", "agent", *acting],
         ["enjoy", "--env", OWN_ID, "--baseline", "sacfd", *acting, "--n-envs", "2"],
         ["record", str(run), *acting, "-o", "video.gif"],
-        ["train", "--resume", str(run), "-n", "14", "--no-progress"],
+        ["train", "--resume", str(run), "-n", "20", "--no-progress"],
     ):
         forget()
         assert main(command) == 0, capsys.readouterr().err
