@@ -1,10 +1,9 @@
 """``bulletarm-zoo list``: environments with their spaces and parameters, or baselines and presets."""
 
-from __future__ import annotations
-
 import argparse
 from collections import defaultdict
 from collections.abc import Sequence
+from contextlib import closing
 from typing import Any
 
 import gymnasium as gym
@@ -19,65 +18,54 @@ DESCRIPTION = """List environments with their spaces. --env lists the parameters
 
 
 def main(argv: Sequence[str]) -> None:
-    """
-    Run the command.
-
-    :param argv: Its arguments
-    :raises CommandError: for an unknown id
-    """
+    """Run the command."""
     args = _parse(argv)
     register_environments(args.gym_packages)
     if args.published:
-        _list_published(args.markdown)
+        _list_published()
     elif args.baselines:
-        _list_baselines(args.markdown)
+        _list_baselines()
     elif args.env is not None:
-        _list_parameters(known_env_id(args.env), args.markdown)
+        _list_parameters(known_env_id(args.env))
     else:
-        _list_environments(args.markdown)
+        _list_environments()
 
 
 def _parse(argv: Sequence[str]) -> argparse.Namespace:
-    parser = Parser("bulletarm-zoo list", description=DESCRIPTION)
+    parser = Parser("bulletarm-zoo list", description=DESCRIPTION, allow_abbrev=False)
     add = parser.add_argument
     add("--env", help="id of an environment, to list its parameters and defaults")
     add("--baselines", action="store_true", help="list baselines and presets")
     add("--published", action="store_true", help="list the published agents")
-    add("--markdown", action="store_true", help="print tables for a Markdown page")
     add_packages(parser)
     return parser.parse_args(argv)
 
 
-def _list_environments(markdown: bool) -> None:
+def _list_environments() -> None:
     """Print a table for each observation space, because ids and spaces are too wide for one line."""
     tables: defaultdict[str, list[list[str]]] = defaultdict(list)
     for env_id in our_env_ids():
-        env = make_env(env_id, {})
-        parameters = _parameters(env)
-        limits = [str(parameters.get(name, "")) for name in ("num_objects", "max_steps")]
-        observation, action = (
-            _describe(space, bounds=False) for space in (env.observation_space, env.action_space)
-        )
-        tables[observation].append([env_id, action, *limits])
-        env.close()
+        with closing(make_env(env_id, {})) as env:
+            parameters = _parameters(env)
+            limits = [str(parameters.get(name, "")) for name in ("num_objects", "max_steps")]
+            row = [env_id, _describe(env.action_space, bounds=False), *limits]
+            tables[_describe(env.observation_space, bounds=False)].append(row)
     for observation, rows in tables.items():
         print(f"observation: {observation}\n")
-        print_table(["environment", "action", "objects", "max steps"], rows, markdown)
+        print_table(["environment", "action", "objects", "max steps"], rows)
         print()
 
 
-def _list_parameters(env_id: str, markdown: bool) -> None:
-    env = make_env(env_id, {})
-    print(
-        f"{env_id}\nobservation: {_describe(env.observation_space)}\naction: {_describe(env.action_space)}\n"
-    )
-    rows = [[name, repr(value)] for name, value in _parameters(env).items()]
-    env.close()
-    print_table(["parameter", "default"], rows, markdown, wrap=True)
+def _list_parameters(env_id: str) -> None:
+    with closing(make_env(env_id, {})) as env:
+        print(f"{env_id}\nobservation: {_describe(env.observation_space)}")
+        print(f"action: {_describe(env.action_space)}\n")
+        rows = [[name, repr(value)] for name, value in _parameters(env).items()]
+    print_table(["parameter", "default"], rows, wrap=True)
 
 
-def _list_baselines(markdown: bool) -> None:
-    from zoo_configs.cells.rules import families
+def _list_baselines() -> None:
+    from zoo_configs.experiments.families import families
 
     for family in families():
         print(f"{family.envs}, presets {', '.join(family.presets)}\n")
@@ -85,28 +73,22 @@ def _list_baselines(markdown: bool) -> None:
             [name, row.learner, row.network, ", ".join(row.additions)]
             for name, row in family.baselines.items()
         ]
-        print_table(["baseline", "learner", "network", "additions"], rows, markdown, wrap=True)
+        print_table(["baseline", "learner", "network", "additions"], rows, wrap=True)
         print()
 
 
-def _list_published(markdown: bool) -> None:
+def _list_published() -> None:
     """Print the published agents with the success on their cards."""
     from zoo_configs.publishing.published import published_agents
 
-    rows = [
-        [
-            card.env,
-            card.label,
-            card.preset or "",
-            f"{card.success:.2f}",
-            f"{card.interval[0]:.2f} to {card.interval[1]:.2f}",
-            str(card.episodes),
-            ", ".join(f"{name}={value!r}" for name, value in card.env_kwargs.items()),
-        ]
-        for _, card in published_agents()
-    ]
+    rows = []
+    for _, card in published_agents():
+        low, high = card.interval
+        parameters = ", ".join(f"{name}={value!r}" for name, value in card.env_kwargs.items())
+        figures = [f"{card.success:.2f}", f"{low:.2f} to {high:.2f}", str(card.episodes)]
+        rows.append([card.env, card.label, card.preset or "", *figures, parameters])
     heads = ["environment", "baseline", "preset", "success", "95 % interval", "episodes", "parameters"]
-    print_table(heads, rows, markdown)
+    print_table(heads, rows)
 
 
 def _parameters(env: gym.Env[Any, Any]) -> dict[str, Any]:
