@@ -36,6 +36,7 @@ REQUIRED = (
     "yaml",
     "rich",
     "matplotlib",
+    "pandas",
     "imageio",
     "huggingface_hub",
 )

@@ -141,7 +141,6 @@ def test_noise_changes_actions(picked: Demonstrations) -> None:
         ((PICKING, 1), {"env_kwargs": {"reward": lambda s, o: 0.0}}, "^env_kwargs must .*reward=<function"),
         ((PICKING, 1), {"noise": -0.1}, "^noise must be .*, got -0.1"),
     ],
-    ids=str,
 )
 def test_collect_rejects_other_arguments(arguments: Any, options: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):

@@ -1,4 +1,4 @@
-"""``bulletarm-zoo list``: environments with their spaces and parameters, or baselines and presets."""
+"""``bulletarm-zoo list``: environments, the parameters of one, baselines and presets, or published agents."""
 
 import argparse
 from collections import defaultdict
@@ -13,7 +13,7 @@ from zoo_configs.arguments import Parser, add_packages
 from zoo_configs.drawing.tables import print_table
 from zoo_configs.environments import known_env_id, make_env, our_env_ids, register_environments
 
-DESCRIPTION = """List environments with their spaces. --env lists the parameters of one environment,
+DESCRIPTION = """List environments. --env lists the spaces and parameters of one environment,
 --baselines the baselines and presets of train, --published the published agents."""
 
 
@@ -42,18 +42,14 @@ def _parse(argv: Sequence[str]) -> argparse.Namespace:
 
 
 def _list_environments() -> None:
-    """Print a table for each observation space, because ids and spaces are too wide for one line."""
-    tables: defaultdict[str, list[list[str]]] = defaultdict(list)
+    """Print the ids by control and surface, without making an environment."""
+    groups: defaultdict[str, list[str]] = defaultdict(list)
     for env_id in our_env_ids():
-        with closing(make_env(env_id, {})) as env:
-            parameters = _parameters(env)
-            limits = [str(parameters.get(name, "")) for name in ("num_objects", "max_steps")]
-            row = [env_id, _describe(env.action_space, bounds=False), *limits]
-            tables[_describe(env.observation_space, bounds=False)].append(row)
-    for observation, rows in tables.items():
-        print(f"observation: {observation}\n")
-        print_table(["environment", "action", "objects", "max steps"], rows)
-        print()
+        parts = gym.spec(env_id).kwargs
+        groups[f"control {parts.get('control')}, surface {parts.get('surface')}"].append(env_id)
+    for group, ids in groups.items():
+        print(group, *ids, sep="\n  ", end="\n\n")
+    print("bulletarm-zoo list --env ID lists the spaces and parameters of one environment.")
 
 
 def _list_parameters(env_id: str) -> None:
@@ -99,11 +95,10 @@ def _parameters(env: gym.Env[Any, Any]) -> dict[str, Any]:
     return {**recipe, **config.parameters()} if config is not None else {}
 
 
-def _describe(space: spaces.Space[Any], bounds: bool = True) -> str:
-    """Return the shapes of a space in one line, with the bounds of boxes if wanted."""
+def _describe(space: spaces.Space[Any]) -> str:
+    """Return the shapes and bounds of a space in one line."""
     if isinstance(space, spaces.Dict):
-        return ", ".join(f"{name} {_describe(part, bounds)}" for name, part in space.items())
+        return ", ".join(f"{name} {_describe(part)}" for name, part in space.items())
     if not isinstance(space, spaces.Box):
         return str(space)
-    limits = f" in [{space.low.min():g}, {space.high.max():g}]" if bounds else ""
-    return f"{'x'.join(map(str, space.shape))}{limits}"
+    return f"{'x'.join(map(str, space.shape))} in [{space.low.min():g}, {space.high.max():g}]"
