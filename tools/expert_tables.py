@@ -88,7 +88,7 @@ def expert_table(source: Source, belongs: Belongs) -> str:
     lines = [[f"`{name}`", *(_expert(found.get(name)) for found in columns.values())] for name in names]
     table = markdown_table([ID, *(column.title for column in columns)], lines)
     notes = [f"- {column.title}: {_origins(list(found.values()))}" for column, found in columns.items()]
-    legend = f"Success rate, mean number of steps of the solved episodes; all of {source.link('experts')}:"
+    legend = f"Success rate and mean number of steps of the solved episodes, from {source.link('experts')}:"
     return "\n\n".join([table, legend, "\n".join(notes)])
 
 
@@ -100,7 +100,7 @@ def other_experts(source: Source) -> str:
         [f"`{row['env']}`", row["robot"], f"`{row['env_kwargs']}`", _expert(row), _origin(row)]
         for row in rows
     ]
-    heads = [ID, "arm", "parameters", "success, steps", f"of {source.link('experts')}"]
+    heads = [ID, "arm", "parameters", "success, steps", f"from {source.link('experts')}"]
     return markdown_table(heads, lines, "---")
 
 

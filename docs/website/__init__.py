@@ -1,1 +1,1 @@
-"""The documentation's generated pages: one a task, made from its class, and a gallery of them."""
+"""Generated pages of the documentation: one page for each task, and the gallery."""

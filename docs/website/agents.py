@@ -1,4 +1,4 @@
-"""Tables of trained agents, where pages ask for them: ``<!-- agents: sacfd, equi_sacfd -->``."""
+"""Tables of trained agents at marks in pages: ``<!-- agents: sacfd, equi_sacfd -->``."""
 
 import re
 from fnmatch import fnmatchcase
@@ -12,9 +12,9 @@ MARK = re.compile(r"<!-- agents: ([\w*, ]+) -->")
 
 
 def filled(markdown: str) -> str:
-    """Return a page with tables of the agents in the place of its marks.
+    """Return a page with tables of the agents instead of its marks.
 
-    A mark names baselines, ``*`` stands for any characters.
+    A mark lists names of baselines, in which ``*`` matches any characters.
     """
     return MARK.sub(lambda match: _table(match[1].split(", ")), markdown)
 

@@ -1,4 +1,4 @@
-"""What there is to show: the environments, in groups of kindred tasks."""
+"""The environments in groups of similar tasks."""
 
 import inspect
 import re
@@ -17,74 +17,75 @@ GROUPS = {
     "Pack and sort": ("packing", "palletizing", "covid", "sorting"),
     "Clutter": ("clutter",),
 }
-"""Headings of the gallery and the modules of their tasks."""
+"""Headings of the gallery, and the modules of their tasks."""
+CONTROL_NAMES = {"close_loop": "closed loop", "open_loop": "open loop"}
 PREFIX = re.compile(r"^(OpenLoop|CloseLoop)(Ramp|Bump)?")
 WORD = re.compile(r"(?<=[a-z])(?=[A-Z0-9])")
 
 
 @dataclass(frozen=True)
 class Shown:
-    """An environment that has a page.
+    """An environment with a page.
 
-    :param entry: its line in the table of environments
+    :param entry: components of the environment
     """
 
     entry: Entry
 
     @property
     def name(self) -> str:
-        """Its id without namespace and version; its page is called so."""
+        """Id without namespace and version, the name of the page."""
         return self.entry.name
 
     @property
-    def picture(self) -> str:
-        """What the names of its pictures begin with."""
+    def image(self) -> str:
+        """Prefix of the names of the image files."""
         return self.entry.env_id.rpartition("/")[2]
 
     @property
     def stem(self) -> str:
-        """The task in its name."""
+        """Name of the task."""
         return PREFIX.sub("", self.name)
 
     @property
     def setting(self) -> str:
-        """Control and surface, in words; the flat floor is not named."""
+        """Control and surface in words; the flat surface is omitted."""
         surface = "" if self.entry.surface == "flat" else f" on {self.entry.surface}s"
-        return self.entry.control.replace("_", " ") + surface
+        return CONTROL_NAMES[self.entry.control] + surface
 
     @property
     def title(self) -> str:
-        """Its task in words."""
+        """Name of the task in words."""
         return WORD.sub(" ", self.stem)
 
     @cached_property
     def task(self) -> type[Task]:
-        """Its class."""
+        """Class of the task."""
         return load(self.entry.task)  # type: ignore[no-any-return]
 
     @property
     def group(self) -> str:
-        """The heading it stands under."""
+        """Heading in the gallery."""
         module = self.task.__module__.rpartition(".")[2]
         return next(heading for heading, modules in GROUPS.items() if module in modules)
 
     @property
     def origin(self) -> str:
-        """Where the task comes from."""
+        """Source of the task."""
         if self.entry in OWN:
             return "not in the paper"
         if self.entry in COMPOSED:
-            return "a task of the paper under another control or on other ground"
-        return "the paper"
+            return "a task of the paper with another control or surface"
+        return "in the paper"
 
     @property
     def summary(self) -> str:
-        """What is to be done, in a sentence."""
+        """Goal of the task in one sentence."""
         return _clean(_docstring(self.task)[0].partition("\n\n")[0])
 
     @property
     def facts(self) -> dict[str, str]:
-        """What the docstring of its class tells under a label; where it tells nothing, that of its base."""
+        """Labelled paragraphs of the docstring of the class; a base class provides missing ones."""
         found: dict[str, str] = {}
         for base in self.task.__mro__[: self.task.__mro__.index(Task)]:
             found = {**_labelled(base), **found}
@@ -96,7 +97,7 @@ SHOWN = tuple(map(Shown, ENTRIES))
 
 
 def grouped() -> dict[str, list[Shown]]:
-    """Return the environments under their headings, those of one task side by side."""
+    """Return the environments by heading, the environments of one task next to each other."""
     groups: dict[str, list[Shown]] = {heading: [] for heading in GROUPS}
     for one in SHOWN:
         groups[one.group].append(one)
@@ -104,18 +105,18 @@ def grouped() -> dict[str, list[Shown]]:
 
 
 def relatives(one: Shown) -> Sequence[Shown]:
-    """Return the environments of the same task: another control, other ground or other defaults."""
+    """Return the other environments of the same task: with another control, surface or other defaults."""
     return [other for other in SHOWN if other != one and (other.stem == one.stem or other.task is one.task)]
 
 
 def _order(one: Shown) -> tuple[int, int]:
-    """Tasks in the order of the table, each with all its environments."""
+    """Return the position of an environment, next to the other environments of its task."""
     stems = [other.stem for other in SHOWN]
     return stems.index(one.stem), SHOWN.index(one)
 
 
 def _docstring(task: type[Any]) -> tuple[str, ...]:
-    """Return the docstring of a class, split at its labels: what precedes them, label, text, label ..."""
+    """Return the docstring of a class split at its labels: preceding text, label, text, label, ..."""
     return tuple(LABEL.split(inspect.cleandoc(task.__doc__ or "")))
 
 
@@ -125,13 +126,13 @@ def _labelled(task: type[Any]) -> dict[str, str]:
 
 
 def _text(text: str) -> str:
-    """Return the lines up to the next thing that is told, such as what all else is like."""
+    """Return the text of a label, up to a blank line or a sentence on the rest of the class."""
     own = re.split(r"\n\n|\nEverything else is", text)[0]
     return _clean(own)
 
 
 def _clean(text: str) -> str:
-    """Return text without roles, in Markdown's code."""
+    """Return text with roles and double backticks replaced by Markdown code."""
     return re.sub(r":\w+:`~?([\w.]+)`|``([^`]+)``", _code, text).strip()
 
 

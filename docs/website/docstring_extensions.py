@@ -1,4 +1,4 @@
-"""What Griffe, which reads the code for the API pages, has to be told of our docstrings."""
+"""Extensions of Griffe for the docstrings of this project, for the pages of the API."""
 
 import re
 from typing import Any
@@ -11,29 +11,29 @@ ROLE = re.compile(r":(?:attr|class|data|exc|func|meth|mod):`(~?)([\w.]+)`")
 
 
 class NamedTuples(griffe.Extension):
-    """Gives named tuples the constructor that their docstrings tell the parameters of."""
+    """Adds constructors to named tuples, whose docstrings document the parameters."""
 
     def on_class(self, *, cls: griffe.Class, **_: Any) -> None:
         """Add the constructor."""
         if not any(str(base).endswith("NamedTuple") for base in cls.bases):
             return
         kind = griffe.ParameterKind.positional_or_keyword
-        told = [griffe.Parameter("self", kind=kind)]
-        told += [
+        parameters = [griffe.Parameter("self", kind=kind)]
+        parameters += [
             griffe.Parameter(name, kind=kind, annotation=item.annotation, default=item.value)
             for name, item in cls.attributes.items()
             if item.annotation is not None and "property" not in item.labels
         ]
         cls.set_member(
-            "__init__", griffe.Function("__init__", parameters=griffe.Parameters(*told), parent=cls)
+            "__init__", griffe.Function("__init__", parameters=griffe.Parameters(*parameters), parent=cls)
         )
 
 
 class Markup(griffe.Extension):
-    """Makes links of the roles in a package's docstrings, ``:class:`Name```, which Markdown does not know.
+    """Replaces the roles in docstrings, such as ``:class:`Name```, which are not Markdown.
 
-    What has a heading of its own becomes a link, the rest code. What a task tells under a label becomes a
-    paragraph.
+    A role becomes a link if its target has a heading, else code. The text of a label in the docstring of a
+    task becomes a paragraph.
     """
 
     def on_package(self, *, pkg: griffe.Module, **_: Any) -> None:
@@ -42,10 +42,10 @@ class Markup(griffe.Extension):
 
     def _rewrite(self, item: griffe.Object) -> None:
         if item.docstring is not None:
-            told = LABEL.sub(r"\n**\1:** ", item.docstring.value)
-            item.docstring.value = ROLE.sub(lambda match: _link(item, *match.groups()), told)
+            text = LABEL.sub(r"\n**\1:** ", item.docstring.value)
+            item.docstring.value = ROLE.sub(lambda match: _link(item, *match.groups()), text)
         for member in item.members.values():
-            if isinstance(member, griffe.Object):  # what is imported is rewritten where it stands
+            if isinstance(member, griffe.Object):  # imported names are rewritten in their own module
                 self._rewrite(member)
 
 
@@ -56,7 +56,7 @@ def _link(item: griffe.Object, short: str, name: str) -> str:
 
 
 def _find(item: griffe.Object, name: str) -> str | None:
-    """Return the path under which something has a heading; None if it has none."""
+    """Return the path of an object with a heading, else None."""
     try:
         found = item.modules_collection[_path(item, name)]
         found = found.final_target if isinstance(found, griffe.Alias) else found

@@ -1,27 +1,34 @@
-"""What docs/environments.md tells, for the pages of the tasks."""
+"""Meanings of observations, from the tables in the documentation, for the pages of the tasks."""
 
 import re
 from functools import cache
 
 from website.measured import ROOT
 
-PAGE = "environments.md"
-SECTIONS = {"close_loop": "Close loop", "open_loop": "Open loop"}
-ROW = re.compile(r"^\| `(\w+)` \| `Box\(.*?\)`.*? \| (.*) \|$", re.MULTILINE)
-ANCHOR = re.compile(r"\]\(#")
+SECTIONS = {
+    "close_loop": ("environments.md", "Closed loop { #close-loop }"),
+    "open_loop": ("environments.md", "Open loop"),
+}
+"""Page and heading with the observations of each control."""
+SENSORS = ("observations.md", "Sensors")
+"""Page and heading with all sensors."""
+ROW = re.compile(r"^\| `(\w+)` \| `Box\(.*?\)` \| (.*) \|$", re.MULTILINE)
+LINK = re.compile(r"\]\(((?:\w+\.md)?)#")
 
 
 @cache
 def observed(control: str) -> dict[str, str]:
-    """Return what each part of an observation means, by its name.
+    """Return the meaning of each entry of an observation, by its name.
 
-    :param control: whose section counts; what it does not tell is taken from the section on sensors
+    :param control: control whose section has precedence over the section on sensors
     """
-    text = (ROOT / "docs" / PAGE).read_text(encoding="utf-8")
-    told = {**_rows(text, "Sensors"), **_rows(text, SECTIONS[control])}
-    return {name: ANCHOR.sub(f"](../{PAGE}#", meaning) for name, meaning in told.items()}
+    return {**_rows(*SENSORS), **_rows(*SECTIONS[control])}
 
 
-def _rows(text: str, section: str) -> dict[str, str]:
-    own = text.partition(f"\n## {section}\n")[2].partition("\n## ")[0]
-    return dict(ROW.findall(own))
+def _rows(page: str, section: str) -> dict[str, str]:
+    text = (ROOT / "docs" / page).read_text(encoding="utf-8")
+    _, heading, rest = text.partition(f"\n## {section}\n")
+    if not heading:
+        raise ValueError(f"{page} must have the section {section!r}")
+    rows = ROW.findall(rest.partition("\n## ")[0])
+    return {name: LINK.sub(lambda link: f"](../{link[1] or page}#", meaning) for name, meaning in rows}

@@ -1,4 +1,4 @@
-"""The gallery: a picture of every environment, which leads to its page."""
+"""The gallery: an image of every environment with a link to its page."""
 
 from website.catalogue import Shown, grouped
 
@@ -9,7 +9,9 @@ hide: [toc]
 
 # Tasks
 
-Every environment as an episode begins, and solved by its expert. A picture leads to the page of its task.
+Select a task to open its page. Each image shows the start of an episode and the scene solved by the expert.
+
+All tasks have [sparse rewards](../environments.md): 1 on success, else 0.
 
 """
 
@@ -26,5 +28,5 @@ def _group(heading: str, members: list[Shown]) -> str:
 
 
 def _card(one: Shown) -> str:
-    image = f"![{one.name}](../images/tasks/{one.picture}.webp){{ loading=lazy }}"
+    image = f"![{one.name}](../images/tasks/{one.image}.webp){{ loading=lazy }}"
     return f"[{image} **{one.title}** <span>{one.setting}</span>]({one.name}.md){{ .card }}\n"

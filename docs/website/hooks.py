@@ -1,4 +1,4 @@
-"""What MkDocs calls when it builds the site: pages of the tasks, version, and the repository's address."""
+"""Hooks of MkDocs: pages of the tasks, the version, and the address of the repository."""
 
 import re
 import subprocess
@@ -35,7 +35,7 @@ def on_config(config: MkDocsConfig) -> MkDocsConfig:
 
 
 def on_files(files: Files, *, config: MkDocsConfig) -> Files:
-    """Add the pages that are made from the environments."""
+    """Add the generated pages of the environments."""
     pages = {"index": gallery.page(), **{one.name: task_page.page(one) for one in SHOWN}}
     for name, content in pages.items():
         files.append(File.generated(config, f"{FOLDER}/{name}.md", content=content))
@@ -43,12 +43,12 @@ def on_files(files: Files, *, config: MkDocsConfig) -> Files:
 
 
 def on_page_markdown(markdown: str, **_: Any) -> str:
-    """Fill in the tables of trained agents that pages ask for."""
+    """Insert the tables of trained agents."""
     return agents.filled(markdown)
 
 
 def navigation() -> list[Any]:
-    """Return the gallery and, group by group, the tasks."""
+    """Return the gallery and the tasks of each group."""
     groups = {
         heading: [{f"{one.title}, {one.setting}": f"{FOLDER}/{one.name}.md"} for one in members]
         for heading, members in grouped().items()
@@ -57,9 +57,9 @@ def navigation() -> list[Any]:
 
 
 def repository(project: dict[str, Any]) -> str | None:
-    """Return the address of the repository: the project's, else what it was cloned from, if that is public.
+    """Return the address of the repository from pyproject.toml, else that of a public remote.
 
-    :param project: of pyproject.toml
+    :param project: table ``project`` of pyproject.toml
     """
     urls: dict[str, str] = project.get("urls", {})
     named = next((urls[name] for name in urls if name.lower() in ("repository", "source")), None)
@@ -67,9 +67,9 @@ def repository(project: dict[str, Any]) -> str | None:
 
 
 def _origin() -> str | None:
-    ask = ["git", "-C", str(ROOT), "remote", "get-url", "origin"]
+    command = ["git", "-C", str(ROOT), "remote", "get-url", "origin"]
     try:
-        url = subprocess.run(ask, capture_output=True, text=True, check=True).stdout.strip()
+        url = subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
     except (OSError, subprocess.CalledProcessError):
         return None
     url = SSH.sub(r"https://\1/\2", url).removesuffix(".git")

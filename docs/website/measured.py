@@ -1,4 +1,4 @@
-"""What was measured of environments: tables in ``docs/data``, and the cards of the trained agents."""
+"""Measurements of environments: tables in ``docs/data``, and the cards of the trained agents."""
 
 import csv
 import json
@@ -10,22 +10,22 @@ ROOT = Path(__file__).resolve().parents[2]
 DATA = ROOT / "docs" / "data"
 AGENTS = ROOT / "zoo_configs" / "published"
 MANY = 100
-"""Episodes beyond which a third digit says something."""
+"""Number of episodes above which success rates have three digits."""
 Row = dict[str, str]
 
 
 def rows(table: str, env: str) -> list[Row]:
-    """Return the lines of a table about an environment.
+    """Return the rows of a table for an environment.
 
     :param table: name of the file in ``docs/data``, without its ending
-    :param env: the id without namespace and version
-    :return: the lines, none where there is no such table
+    :param env: id without namespace and version
+    :return: rows, empty if the table does not exist
     """
     return [row for row in _table(DATA / f"{table}.csv") if row["env"] == env]
 
 
 def cards() -> Iterator[dict[str, Any]]:
-    """Yield the cards of all trained agents, by environment and baseline, each with ``folder``, its name."""
+    """Yield the cards of all trained agents, each with the name of its ``folder``."""
     for path in sorted(AGENTS.glob("*/*/card.json")):
         card = json.loads(path.read_text(encoding="utf-8"))
         yield {**card, "folder": path.parent.parent.name}
@@ -37,7 +37,7 @@ def bare(env_id: str) -> str:
 
 
 def share(value: float | str, episodes: int | str) -> str:
-    """Return a success rate, with as many digits as its episodes are worth."""
+    """Return a success rate with two digits, or three if there are many episodes."""
     return f"{float(value):.{3 if int(episodes) > MANY else 2}f}"
 
 

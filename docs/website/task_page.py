@@ -1,4 +1,4 @@
-"""The page of a task, made from its class and from the environment."""
+"""The page of a task, generated from its class and its environment."""
 
 from collections.abc import Iterable, Sequence
 
@@ -8,14 +8,27 @@ from gymnasium import spaces
 from bulletarm_gym.config import CLOSE_LOOP, Context, EnvConfig, ParameterError
 from bulletarm_gym.env import ManipulationEnv
 from website import actions, figures
-from website.catalogue import Shown, relatives
+from website.catalogue import CONTROL_NAMES, Shown, relatives
 from website.docstrings import parameters
 from website.environments_page import observed
-from website.markdown import picture, section, table
+from website.markdown import image, section, table
 
 MORE_PARAMETERS = """
-`surface` puts the task on [other ground](../environments.md#surfaces), `control` under
+`surface` selects [another surface](../environments.md#surfaces), `control`
 [another control](../environments.md#parameters).
+"""
+
+
+SNIPPET = """```python
+import bulletarm_gym
+import gymnasium
+
+env = gymnasium.make("{env_id}")
+observation, info = env.reset(seed=0)
+action = env.unwrapped.expert_action()
+observation, reward, terminated, truncated, info = env.step(action)
+```
+
 """
 
 
@@ -31,8 +44,8 @@ def page(one: Shown) -> str:
 def _parts(one: Shown, env: ManipulationEnv) -> Iterable[str]:
     title = f"{one.title}, {one.setting}"
     yield f"---\ntitle: {title}\ndescription: {one.summary}\n---\n\n# {title}\n\n"
-    yield f"{one.summary}\n\n" + _pictures(one, "", "at reset and solved") + "\n"
-    yield _identity(one, env) + "\n" + _snippet(one)
+    yield f"{one.summary}\n\n" + SNIPPET.format(env_id=one.entry.env_id)
+    yield _images(one, "", "at the start and solved") + "\n" + _identity(one, env) + "\n"
     yield section("Task", *(f"**{label}:** {text}" for label, text in one.facts.items()))
     yield section("Observation", _observation(env), *_heightmaps(one))
     yield section("Action", *actions.describe(env))
@@ -42,15 +55,15 @@ def _parts(one: Shown, env: ManipulationEnv) -> Iterable[str]:
     yield section("Trained agents", *figures.agents(one.name))
 
 
-def _pictures(one: Shown, suffix: str, what: str) -> str:
-    path = f"../images/tasks/{one.picture}{suffix}.webp"
-    return picture(path, f"{one.name}: {what}", "pair") + "\n"
+def _images(one: Shown, suffix: str, what: str) -> str:
+    path = f"../images/tasks/{one.image}{suffix}.webp"
+    return image(path, f"{one.name}: {what}", "pair") + "\n"
 
 
 def _heightmaps(one: Shown) -> Sequence[str]:
-    bright = "far from the gripper" if one.entry.control == CLOSE_LOOP else "high"
-    told = f"The heightmap at reset and at the end; bright is {bright}."
-    return _pictures(one, "-heightmap", "the heightmap at reset and at the end"), told
+    bright = "far from the camera plane" if one.entry.control == CLOSE_LOOP else "high"
+    legend = f"The heightmap at the start and at the end. Bright pixels are {bright}."
+    return _images(one, "-heightmap", "the heightmap at the start and at the end"), legend
 
 
 def _identity(one: Shown, env: ManipulationEnv) -> str:
@@ -59,10 +72,12 @@ def _identity(one: Shown, env: ManipulationEnv) -> str:
     path = f"{one.task.__module__}.{one.task.__qualname__}"
     lines = {
         "Id": f"`{one.entry.env_id}`",
-        "Control": f"[{control.replace('_', ' ')}](../environments.md#{control.replace('_', '-')})",
+        "Control": f"[{CONTROL_NAMES[control]}](../environments.md#{control.replace('_', '-')})",
         "Surface": f"[{one.entry.surface}](../environments.md#surfaces)",
-        "From": one.origin,
-        "Ends": _ends(one, env),
+        "Source": one.origin,
+        "Reward": "1 on success, else 0 ([sparse](../environments.md))",
+        "End of an episode": _ends(one, env),
+        "`info`": ", ".join(f"`{key}`" for key in env.reset(seed=0)[1]),
         "Class": f"[`{one.task.__name__}`][{path}]",
         "Same task": "; ".join(others),
     }
@@ -71,13 +86,8 @@ def _identity(one: Shown, env: ManipulationEnv) -> str:
 
 def _ends(one: Shown, env: ManipulationEnv) -> str:
     if one.task.single_step:
-        return "after every action"
-    return f"at success, in an invalid scene, or after {env.config.max_steps} steps"
-
-
-def _snippet(one: Shown) -> str:
-    code = f'import bulletarm_gym, gymnasium\n\nenv = gymnasium.make("{one.entry.env_id}")'
-    return f"```python\n{code}\n```\n\n"
+        return "every action"
+    return f"success, an invalid scene, or {env.config.max_steps} steps"
 
 
 def _observation(env: ManipulationEnv) -> str:

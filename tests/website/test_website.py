@@ -88,7 +88,7 @@ def test_repository_is_what_was_cloned_if_public(origin, address, tmp_path, monk
 def test_every_environment_has_images_and_a_page_in_navigation_and_gallery():
     assert [one.entry.env_id for one in SHOWN] == list(bulletarm_gym.ENV_IDS)
     folder = ROOT / "docs" / "images" / "tasks"
-    wanted = {f"{one.picture}{suffix}.webp" for one in SHOWN for suffix in ("", "-heightmap")}
+    wanted = {f"{one.image}{suffix}.webp" for one in SHOWN for suffix in ("", "-heightmap")}
     assert {path.name for path in folder.iterdir()} == wanted
     home = (ROOT / "docs" / "index.md").read_text(encoding="utf-8")
     assert f"{len(bulletarm_gym.ENV_IDS)} tasks," in home
@@ -118,8 +118,8 @@ def test_pages_describe_the_class_the_spaces_and_the_parameters():
     assert tuple(facts) == LABELS and "roof" in facts["Description"]
     assert "at least 4.2 cm" in facts["Randomisation"]  # from the class that it extends
     assert "`Box(0, 0.4, (3, 24, 24), float32)`" in text and "`Box(-1, 1, (7,), float32)`" in text
-    assert "| 5 | `r` | tilt about its turned y axis | -0.785 rad (-45°) | 0.785 rad (45°) |" in text
-    assert "| 0 | `p` | pick below 0, place from 0 on | pick | place |" in text
+    assert "| 5 | `r` | rotation about the rotated y axis | -0.785 rad (-45°) | 0.785 rad (45°) |" in text
+    assert "| 0 | `p` | primitive: pick below 0, else place | pick | place |" in text
     assert all(f"| `{parameter}` |" in text for parameter in ("in_hand_size", "half_rotation"))
     assert "| `view` |" not in text and {"in_hand_size", "view"} <= set(PARAMETERS)
     grasping = task_page.page(BY_NAME["CloseLoopObjectGrasping"])
@@ -160,10 +160,10 @@ def test_results_are_read_from_tables_and_cards(tmp_path, monkeypatch):
     assert text.index("| KUKA |  | 1.000 | 7.0 | 200 |") < text.index("| Panda |  | 0.98 | 7.0 | 50 |")
     assert "| KUKA | `obs_size:64` | 0.90 |  | 10 |" in text
     assert "0.40" not in text and "0.500" not in text and text.count("commit 0123456") == 1
-    rate = "**1,234 steps a second** in one process, the expert acting, 29.3 times"
+    rate = "**1,234 steps per second** in one process with the actions of the expert, 29.3 times"
     assert rate in "\n".join(figures.speed(PICKING))
     text = "\n".join(figures.agents(PICKING))
-    assert "success **0.97** over 100 episodes (0.92 to 0.99)" in text
+    assert "success rate **0.97** in 100 episodes (95 % interval 0.92 to 0.99)" in text
     assert f"bulletarm-zoo enjoy --published BulletArm/{PICKING}-v0 --baseline equi_sacfd" in text
     assert not figures.agents("CloseLoopBlockPulling")
     link = f"[{PICKING}](../tasks/{PICKING}.md#trained-agents)"
