@@ -12,6 +12,12 @@ ARMS = {"kuka": "KUKA", "panda": "Panda", "ur5": "UR5, jaw", "ur5_robotiq": "UR5
 EXPERT = "Success rate and mean number of steps of the expert, which uses the poses of all objects."
 HEAD = ["arm", "parameters", "success", "steps", "episodes"]
 HOW = '??? info "How this was measured"'
+RENAMED = {
+    "bulletarm-zoo check ": "python tools/measure_experts.py --env ",
+    "bulletarm-zoo speed ": "python tools/measure_speed.py ",
+    " --reference": " --reference docs/data/reference_rates.csv",
+}
+"""Present commands for earlier ones in the data."""
 MEDIA = ((".gif", "video"), ("-curve.png", "curve"))
 """Endings of the image files of an agent, and their content."""
 
@@ -81,6 +87,13 @@ def _media(card: dict[str, Any], name: str) -> Sequence[str]:
 def _measurements(found: Iterable[Row]) -> Sequence[str]:
     """Return the commands, machines and dates of figures in a fold, each once."""
     sources = dict.fromkeys(
-        f"`{row['command']}`<br>{row['machine']}, {row['date']}, commit {row['commit']}" for row in found
+        f"`{_command(row)}`<br>{row['machine']}, {row['date']}, commit {row['commit']}" for row in found
     )
     return [HOW + "".join(f"\n\n    {source}" for source in sources)] if sources else []
+
+
+def _command(row: Row) -> str:
+    command = row["command"]
+    for earlier, present in RENAMED.items():
+        command = command.replace(earlier, present)
+    return command
