@@ -33,8 +33,11 @@ def announcements(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def own_registrations() -> Iterator[None]:
-    """Take the environments of a test's own modules (``my_...``) from Gymnasium's registry again."""
+    """Remove the environments of ``my_...`` modules and of ``door`` from Gymnasium's registry."""
     yield
     for env_id, spec in list(gymnasium.registry.items()):
-        if any(str(spec.kwargs.get(part, "")).startswith("my_") for part in ("task", "control", "surface")):
+        if any(
+            str(spec.kwargs.get(part, "")).startswith(("my_", "door:"))
+            for part in ("task", "control", "surface")
+        ):
             del gymnasium.registry[env_id]

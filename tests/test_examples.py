@@ -63,6 +63,22 @@ def test_small_arm(capsys: pytest.CaptureFixture[str]) -> None:
     assert re.findall(r"rate (\d\.\d\d)", capsys.readouterr().out) == ["1.00"] * 4
 
 
+@pytest.mark.parametrize(
+    "command",
+    [
+        "CloseLoopDoorOpening-v0 --gym-packages door",
+        "CloseLoopBlockPicking-v0 --gym-packages step_surface --env-kwargs surface:step",
+        "CloseLoopBlockPicking-v0 --gym-packages six_dof --env-kwargs control:six_dof",
+    ],
+)
+def test_examples_of_components_pass_the_check(command: str) -> None:
+    env_id, *flags = command.split()
+    check = [sys.executable, "-m", "bulletarm_gym.check", f"BulletArm/{env_id}", "-n", "3", *flags]
+    env = {**os.environ, "PYTHONPATH": str(EXAMPLES.parent)}
+    result = subprocess.run(check, cwd=EXAMPLES, env=env, capture_output=True, text=True)
+    assert result.returncode == 0, result.stdout + result.stderr
+
+
 @pytest.mark.parametrize("page", ["task", "robot", "object", "sensor"])
 def test_tutorials_modules_are_those_of_the_guides(page: str) -> None:
     guide = (EXAMPLES.parent / "docs" / "guides" / f"{page}.md").read_text(encoding="utf-8")

@@ -2,7 +2,6 @@
 
 import math
 import pickle
-import re
 import sys
 from collections.abc import Callable, Iterator
 from functools import partial
@@ -21,7 +20,7 @@ from bulletarm_gym.simulation import Body, BodySpec, Box, Hinge, Piece, Slide, W
 from bulletarm_gym.simulation.state import PHYSICS_MODES, REST_SPEED
 from bulletarm_gym.surfaces.flat import FLOOR
 
-GUIDE = Path(__file__).resolve().parents[2] / "docs" / "guides" / "joints.md"
+EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 CUBE = BodySpec("cube", (Piece(Box((0.04, 0.04, 0.04))),), 0.1)
 LID = Hinge(
     "lid",
@@ -168,18 +167,16 @@ def test_angles_of_a_urdf_describe_the_same_rotation(angles: tuple[float, float,
 
 
 @pytest.fixture
-def doors(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[], ManipulationEnv]]:
-    """The task of the guide in its own module."""
-    source = re.findall(r"```python\n(# my_doors\.py\n.*?)```", GUIDE.read_text(encoding="utf-8"), re.DOTALL)
-    (tmp_path / "my_doors.py").write_text(source[0], encoding="utf-8")
-    monkeypatch.syspath_prepend(str(tmp_path))
+def doors(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[], ManipulationEnv]]:
+    """The task of ``examples/door.py``."""
+    monkeypatch.syspath_prepend(str(EXAMPLES))
     parameters = {"control": "close_loop", "obs_size": 16, "observation": ["heightmap", "state"]}
-    yield partial(ManipulationEnv, task="my_doors:DoorOpening", **parameters)
-    sys.modules.pop("my_doors", None)
+    yield partial(ManipulationEnv, task="door:DoorOpening", **parameters)
+    sys.modules.pop("door", None)
 
 
 @pytest.mark.usefixtures("own_registrations")
-def test_door_of_the_guide_repeats_exactly_and_is_rendered(doors: Callable[[], ManipulationEnv]) -> None:
+def test_door_of_the_example_repeats_exactly_and_is_rendered(doors: Callable[[], ManipulationEnv]) -> None:
     first, second = doors(), doors()
     first.reset(seed=0)
     while first.scene["door"].joints[0] < 0.3:
