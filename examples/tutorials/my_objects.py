@@ -6,7 +6,7 @@ from bulletarm_gym.objects import BodySpec, Box, Piece
 
 
 def hammer(name: str, scale: float) -> BodySpec:
-    """A handle of 12 cm and a head across it."""
+    """Return a hammer with a handle of 12 cm."""
     handle = Piece(Box((0.02 * scale, 0.12 * scale, 0.02 * scale)))
     head = Piece(Box((0.06 * scale, 0.025 * scale, 0.025 * scale)), Pose((0.0, 0.07 * scale, 0.0)))
     return BodySpec(name, (handle, head), mass=0.2, friction=0.8, colour=(0.5, 0.4, 0.3, 1.0))
