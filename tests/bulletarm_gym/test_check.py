@@ -19,7 +19,7 @@ from bulletarm_gym.check.__main__ import main
 from bulletarm_gym.check.robot import check_robot
 from bulletarm_gym.geometry import Pose, euler_pose
 from bulletarm_gym.robots import ROBOTS, RobotModel
-from bulletarm_gym.robots.primitives import LIGHT, box
+from bulletarm_gym.robots.editing import LIGHT, box
 from bulletarm_gym.robots.reach import grid, largest_workspace, reach_share
 from bulletarm_gym.simulation.urdf import find_link
 

@@ -16,10 +16,10 @@ from bulletarm_gym.env import ManipulationEnv
 from bulletarm_gym.geometry import Pose, euler_angles, euler_pose
 from bulletarm_gym.objects.solids import block
 from bulletarm_gym.observations import HeightRenderer, Window
-from bulletarm_gym.scene.stability import settle
+from bulletarm_gym.scene.predicates import settle
 from bulletarm_gym.simulation import Body, BodySpec, Box, Hinge, Piece, Slide, World
 from bulletarm_gym.simulation.state import PHYSICS_MODES, REST_SPEED
-from bulletarm_gym.surfaces.flat import FLOOR
+from bulletarm_gym.surfaces.surface import FLOOR
 
 GUIDE = Path(__file__).resolve().parents[2] / "docs" / "guides" / "joints.md"
 CUBE = BodySpec("cube", (Piece(Box((0.04, 0.04, 0.04))),), 0.1)
