@@ -6,14 +6,6 @@ from typing import Any
 
 from bulletarm_gym.registry import NAMESPACE
 
-OPEN_LOOP_EPISODES = 200
-"""Number of expert episodes (paper, Open-Loop 3D and, on bumps, 6D Benchmark)."""
-COVID_EPISODES = 500
-"""Number of expert episodes of Covid Test (paper, Open-Loop 3D Benchmark)."""
-RAMP_EPISODES = 1000
-"""Number of expert episodes on ramps (paper, Open-Loop 6D Benchmark)."""
-CLOSE_LOOP_EPISODES = 100
-"""Number of expert episodes in closed-loop control (paper, Close-Loop 4D Benchmark)."""
 IN_HAND = 24
 """Side length (pixels) of the in-hand image (paper, Benchmark Details)."""
 BUMP_IN_HAND = 40
@@ -58,76 +50,70 @@ class Benchmark:
         return kwargs if size is None else {**kwargs, "in_hand_size": size}
 
 
+# Each line: name, number of objects, optimal and maximum number of steps, number of expert episodes.
 OPEN_LOOP = """
-BlockStacking 4 6 10
-HouseBuilding1 4 6 10
-HouseBuilding2 3 4 10
-HouseBuilding3 4 6 10
-HouseBuilding4 6 10 20
-ImproviseHouseBuilding2 3 4 10
-ImproviseHouseBuilding3 4 6 10
-BinPacking 8 16 20
-BottleArrangement 6 12 20
-BoxPalletizing 18 36 40
-CovidTest 6 18 30
-ObjectGrasping 15 1 1
+OpenLoopBlockStacking 4 6 10 200
+OpenLoopHouseBuilding1 4 6 10 200
+OpenLoopHouseBuilding2 3 4 10 200
+OpenLoopHouseBuilding3 4 6 10 200
+OpenLoopHouseBuilding4 6 10 20 200
+OpenLoopImproviseHouseBuilding2 3 4 10 200
+OpenLoopImproviseHouseBuilding3 4 6 10 200
+OpenLoopBinPacking 8 16 20 200
+OpenLoopBottleArrangement 6 12 20 200
+OpenLoopBoxPalletizing 18 36 40 200
+OpenLoopCovidTest 6 18 30 500
+OpenLoopObjectGrasping 15 1 1 200
 """
-"""Name, number of objects, optimal and maximum number of steps (paper, Open-Loop 3D Benchmark)."""
-CLOSE_LOOP = """
-BlockReaching 1 3 50
-BlockPicking 1 7 50
-BlockPushing 1 7 50
-BlockPulling 2 7 50
-BlockInBowl 2 11 50
-BlockStacking 2 12 50
-HouseBuilding 2 12 50
-CornerPicking 1 14 50
-DrawerOpening 1 9 50
-ObjectGrasping 5 7 50
+"""Environments of the paper's Open-Loop 2D and 3D Benchmarks."""
+RAMP = """
+OpenLoopRampBlockStacking 4 6 10 1000
+OpenLoopRampHouseBuilding1 4 6 10 1000
+OpenLoopRampHouseBuilding2 3 4 10 1000
+OpenLoopRampHouseBuilding3 4 6 10 1000
+OpenLoopRampHouseBuilding4 6 10 20 1000
+OpenLoopRampImproviseHouseBuilding2 3 4 10 1000
+OpenLoopRampImproviseHouseBuilding3 4 6 10 1000
 """
-"""Name, number of objects, optimal and maximum number of steps (paper, Close-Loop 4D Benchmark)."""
-RAMP = "\n".join(OPEN_LOOP.strip().splitlines()[:7])
-"""Block structure tasks, with the numbers of the 3D benchmark (paper, Open-Loop 6DoF Environments)."""
+"""Environments on ramps of the paper's Open-Loop 6D Benchmark."""
 BUMP = """
-HouseBuilding4 6 12 20
-BoxPalletizing 18 36 40
+OpenLoopBumpHouseBuilding4 6 12 20 200
+OpenLoopBumpBoxPalletizing 18 36 40 200
 """
-"""The same on bumps. House Building 4 has 12 steps, as no cube starts on the platform."""
+"""Environments on bumps of that benchmark. House Building 4 has 12 steps: no cube starts on the platform."""
+CLOSE_LOOP = """
+CloseLoopBlockReaching 1 3 50 100
+CloseLoopBlockPicking 1 7 50 100
+CloseLoopBlockPushing 1 7 50 100
+CloseLoopBlockPulling 2 7 50 100
+CloseLoopBlockInBowl 2 11 50 100
+CloseLoopBlockStacking 2 12 50 100
+CloseLoopHouseBuilding 2 12 50 100
+CloseLoopCornerPicking 1 14 50 100
+CloseLoopDrawerOpening 1 9 50 100
+CloseLoopObjectGrasping 5 7 50 100
+"""
+"""Environments of the paper's Close-Loop 3D and 4D Benchmarks."""
 
 
-def _environments(
-    prefix: str, table: str, episodes: int, in_hand_size: int | None = None
-) -> tuple[BenchmarkEnv, ...]:
-    found = []
-    for name, *numbers in map(str.split, table.strip().splitlines()):
-        objects, optimal, most = map(int, numbers)
-        experts = COVID_EPISODES if name == "CovidTest" else episodes
-        env_id = f"{NAMESPACE}/{prefix}{name}-v0"
-        found.append(BenchmarkEnv(env_id, objects, optimal, most, experts, in_hand_size))
-    return tuple(found)
+def _environment(row: str, in_hand_size: int | None) -> BenchmarkEnv:
+    name, *numbers = row.split()
+    objects, optimal, most, episodes = map(int, numbers)
+    return BenchmarkEnv(f"{NAMESPACE}/{name}-v0", objects, optimal, most, episodes, in_hand_size)
 
 
-_BASIC = _environments("OpenLoop", OPEN_LOOP, OPEN_LOOP_EPISODES, IN_HAND)
-_DELTA = _environments("CloseLoop", CLOSE_LOOP, CLOSE_LOOP_EPISODES)
-_SLOPING = (
-    *_environments("OpenLoopRamp", RAMP, RAMP_EPISODES, IN_HAND),
-    *_environments("OpenLoopBump", BUMP, OPEN_LOOP_EPISODES, BUMP_IN_HAND),
-)
+def _environments(table: str, in_hand_size: int | None = None) -> tuple[BenchmarkEnv, ...]:
+    return tuple(_environment(row, in_hand_size) for row in table.strip().splitlines())
+
+
+_BASIC, _DELTA = _environments(OPEN_LOOP, IN_HAND), _environments(CLOSE_LOOP)
+_SLOPING = _environments(RAMP, IN_HAND) + _environments(BUMP, BUMP_IN_HAND)
 
 open_loop_2d = Benchmark("open_loop_2d", _BASIC, "pxy", False)
-"""Twelve basic tasks, objects with fixed orientation, actions A_g x A^xy."""
-
 open_loop_3d = Benchmark("open_loop_3d", _BASIC, "pxyr", True)
-"""Twelve basic tasks, objects with random orientation, actions A_g x A^xytheta."""
-
 open_loop_6d = Benchmark("open_loop_6d", _SLOPING, "pxyzrrr", True)
-"""Seven tasks on ramps and two on bumps, actions A_g x A^SE(3)."""
-
 close_loop_3d = Benchmark("close_loop_3d", _DELTA, "pxyz", False)
-"""Ten closed-loop tasks, objects with fixed orientation, actions A_lambda x A_delta^xyz."""
-
 close_loop_4d = Benchmark("close_loop_4d", _DELTA, "pxyzr", True)
-"""Ten closed-loop tasks, objects with random orientation, actions A_lambda x A_delta^xyztheta."""
 
 BENCHMARKS: Mapping[str, Benchmark] = {
     made.name: made for made in (open_loop_2d, open_loop_3d, open_loop_6d, close_loop_3d, close_loop_4d)

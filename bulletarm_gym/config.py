@@ -9,10 +9,10 @@ from dataclasses import asdict, dataclass, field, fields
 from typing import Any, Literal, NamedTuple
 
 from bulletarm_gym import config_checks as checks
-from bulletarm_gym.config_checks import Check, ParameterError, check_argument, describe
+from bulletarm_gym.config_checks import Check, ParameterError, check_argument
 from bulletarm_gym.registry import ROBOTS, SENSORS, SURFACES
 
-__all__ = ["Context", "EnvConfig", "ParameterError", "TaskDefaults", "TrayUse", "UnknownParameterError"]
+__all__ = ["Context", "EnvConfig", "ParameterError", "TaskDefaults", "UnknownParameterError"]
 
 CLOSE_LOOP = "close_loop"
 OPEN_LOOP = "open_loop"
@@ -59,18 +59,6 @@ class UnknownParameterError(ParameterError, TypeError):
 
 
 @dataclass(frozen=True)
-class TrayUse:
-    """Values of ``close_loop_tray`` that a task accepts.
-
-    :param choices: the values, the default first
-    :param reason: why there is one value only
-    """
-
-    choices: tuple[bool, ...] = (False, True)
-    reason: str = ""
-
-
-@dataclass(frozen=True)
 class TaskDefaults:
     """Defaults and accepted values of the parameters of a task.
 
@@ -78,7 +66,8 @@ class TaskDefaults:
     :param max_steps: the paper's limit
     :param object_scale: scale that gives the paper's sizes
     :param allowed_objects: accepted values of ``num_objects``
-    :param tray: whether the task can be placed in a tray
+    :param needs_tray: why the task cannot be placed outside a tray, or empty if it can
+    :param no_tray: why the task cannot be placed in a tray, or empty if it can
     :param level_ground: why the task cannot be placed on ramps and bumps, or empty if it can
     :param takes_object_set: whether a user's objects can replace the task's objects
     :param lifts: whether the goal is to lift an object to ``lift_height``
@@ -90,7 +79,8 @@ class TaskDefaults:
     max_steps: int = 50
     object_scale: float = 1.0
     allowed_objects: tuple[int, ...] = (1,)
-    tray: TrayUse = TrayUse()
+    needs_tray: str = ""
+    no_tray: str = ""
     level_ground: str = ""
     takes_object_set: bool = False
     lifts: bool = False
@@ -136,18 +126,15 @@ def parameter(check: Any, default: Any, effect: Effect, control: str = "") -> An
 
 
 def _sequence(context: Context) -> str:
-    if context.sequences:
-        return context.sequences[0]
     if context.control == CLOSE_LOOP:
         return "pxyzr"
     return "pxyzrrr" if context.is_sloping else "pxyr"
 
 
-def _tray_check(context: Context) -> Check:
-    tray = context.task.tray
-    if len(tray.choices) > 1:
+def _tray_check(task: TaskDefaults) -> Check:
+    if not (reason := task.needs_tray or task.no_tray):
         return checks.boolean
-    return checks.choice(*tray.choices, must=f"{tray.choices[0]} with this task: {tray.reason}")
+    return checks.choice(bool(task.needs_tray), must=f"{bool(task.needs_tray)} with this task: {reason}")
 
 
 def _observation(context: Context) -> Any:
@@ -201,7 +188,7 @@ class EnvConfig:
     robot: str = parameter(Depends(lambda _: checks.robot(ROBOTS.names)), "kuka", "scene")
     action_sequence: str = parameter(
         Depends(lambda c: checks.action_sequence(c.sequences or SEQUENCES[c.control])),
-        Depends(_sequence),
+        Depends(lambda c: c.sequences[0] if c.sequences else _sequence(c)),
         "motion",
     )
     workspace: list[list[float]] = parameter(
@@ -226,7 +213,10 @@ class EnvConfig:
     )
     workspace_check: str = parameter(checks.choice("point", "bounding_box"), "point", "episode")
     close_loop_tray: bool = parameter(
-        Depends(_tray_check), Depends(lambda c: c.task.tray.choices[0]), "scene", CLOSE_LOOP
+        Depends(lambda c: _tray_check(c.task)),
+        Depends(lambda c: bool(c.task.needs_tray)),
+        "scene",
+        CLOSE_LOOP,
     )
     object_set: str | list[str] | None = parameter(
         Depends(lambda c: checks.optional(checks.object_set) if c.task.takes_object_set else NO_OBJECT_SET),
@@ -337,40 +327,21 @@ def default_home_height(control: str, workspace: list[list[float]]) -> float:
     return low + height if control == OPEN_LOOP else min(max(height, low), high)
 
 
-def accepted(context: Context) -> dict[str, str]:
-    """Return the description of the accepted values of each parameter, by name."""
-    return {
-        name: describe(_resolve(entry["check"], context))
-        for name, entry in PARAMETERS.items()
-        if belongs(name, context.control)
-    }
-
-
 def _check_surface(context: Context, in_tray: bool) -> None:
-    """Check that the task can be placed on the surface.
-
-    :raises ParameterError: it cannot, with the reason
-    """
-    task, surface = context.task, context.surface
-    refused = {} if True in task.tray.choices else {"tray": task.tray.reason}
-    if task.level_ground or in_tray:
-        sloping = [name for name, kind in SURFACES.builtin.items() if kind.sloping]
-        reason = task.level_ground or "its tray is placed on a level surface"
-        refused |= dict.fromkeys((*sloping, surface) if context.is_sloping else sloping, reason)
-    if surface in refused:
-        others = " or ".join(repr(other) for other in SURFACES.builtin if other not in refused)
-        raise ParameterError.of("surface", surface, f"{others} with this task", refused[surface])
+    """Check that the task can be placed on the surface."""
+    level = context.task.level_ground or ("its tray is placed on a level surface" if in_tray else "")
+    reasons = {name: level if kind.sloping else "" for name, kind in SURFACES.builtin.items()}
+    reasons["tray"] = context.task.no_tray
+    if reason := level if context.is_sloping else reasons.get(context.surface, ""):
+        others = " or ".join(repr(name) for name, refused in reasons.items() if not refused)
+        raise ParameterError.of("surface", context.surface, f"{others} with this task", reason)
 
 
 def _unknown(name: str, value: object, control: str) -> str:
     """Return the text of the error for an unknown parameter."""
-    if name == "render":
-        advice = 'Use render_mode="human".'
-    elif name in PARAMETERS:
-        other, own = (text.replace("_", "-") for text in (PARAMETERS[name]["control"], control))
-        advice = f"It belongs to {other} environments, this one is {own}."
-    else:
-        known = [*filter(lambda known: belongs(known, control), PARAMETERS), "surface"]
-        near = difflib.get_close_matches(name, known, n=1)
-        advice = f"Did you mean {near[0]!r}?" if near else f"Choose from {', '.join(known)}."
+    known = [*filter(lambda known: belongs(known, control), PARAMETERS), "surface"]
+    near = difflib.get_close_matches(name, known, n=1)
+    advice = f"Did you mean {near[0]!r}?" if near else f"Choose from {', '.join(known)}."
+    if name in PARAMETERS:
+        advice = f"It belongs to {PARAMETERS[name]['control'].replace('_', '-')} environments."
     return f"{name} must not be passed, got an unexpected keyword argument {name!r} ({value!r}). {advice}"

@@ -16,8 +16,6 @@ ROUNDING = 1e-9
 """Tolerance (m) of differences of decimal fractions."""
 MAX_SCALE = 2.0
 """Maximum scale of objects; a cube of twice the nominal size (10 cm) fits no gripper."""
-RENDER_SIZES = (16, 4096)
-"""Minimum and maximum side length (pixels) of rendered images."""
 
 
 class ParameterError(ValueError):
@@ -36,7 +34,7 @@ class ParameterError(ValueError):
         return cls(f"{name} must be {must}, got {got!r}{': ' if reason else ''}{reason}")
 
 
-class Refused(Exception):
+class Refused(ValueError):
     """A value is not valid; the text is the constraint."""
 
 
@@ -51,15 +49,6 @@ def check_argument(name: str, value: Any, check: Check) -> Any:
         raise ParameterError.of(name, value, str(refused)) from None
 
 
-def describe(check: Check) -> str:
-    """Return the description of the accepted values that error messages show."""
-    try:
-        check(object())
-    except Refused as refused:
-        return str(refused)
-    raise AssertionError(f"{check} accepts every value")
-
-
 def _plain(value: Any) -> Any:
     return value.item() if isinstance(value, np.generic) else value
 
@@ -69,9 +58,12 @@ def _is_number(value: Any) -> bool:
 
 
 def _float(value: Any) -> float:
-    if not _is_number(value):
-        raise TypeError
-    return float(value)
+    return float(value) if _is_number(value) else math.nan
+
+
+def _pair(value: Any) -> Any:
+    """Return a number twice; return other values as they are."""
+    return [value, value] if _is_number(value) else value
 
 
 def _floats(*shape: int) -> Callable[[Any], Any]:
@@ -91,14 +83,14 @@ def rule(must: str, accepts: Callable[[Any], bool], convert: Callable[[Any], Any
 
     :param must: description of the accepted values
     :param accepts: function that returns True for valid converted values
-    :param convert: conversion to plain Python values; raises ``TypeError`` or ``ValueError`` for invalid ones
+    :param convert: conversion to plain Python values; it may raise errors for invalid ones
     """
 
     def check(value: Any) -> Any:
         try:
             converted = convert(value)
             is_valid = accepts(converted)
-        except (TypeError, ValueError):
+        except (LookupError, TypeError, ValueError):
             is_valid = False
         if not is_valid:
             raise Refused(must)
@@ -165,12 +157,12 @@ workspace = rule(
 scale_range = rule(
     f"a positive number or [low, high], at most {MAX_SCALE}",
     lambda limits: 0.0 < limits[0] <= limits[1] <= MAX_SCALE,
-    lambda value: _floats(2)([value, value] if _is_number(value) else value),
+    lambda value: _floats(2)(_pair(value)),
 )
 render_size = rule(
-    "a number of pixels or [width, height], each from {} to {}".format(*RENDER_SIZES),
-    lambda sides: len(sides) == 2 and all(isinstance(integer(*RENDER_SIZES)(side), int) for side in sides),
-    lambda value: [_plain(side) for side in ([value, value] if _is_number(value) else value)],
+    "a number of pixels or [width, height], each from 16 to 4096",
+    lambda sides: len(sides) == 2,
+    lambda value: [integer(16, 4096)(side) for side in _pair(value)],
 )
 function_path = rule(
     'None or "module:function"',
@@ -182,15 +174,12 @@ function_path = rule(
 )
 
 
-def camera(value: Any) -> dict[str, Any]:
-    """Accept a dict with some of the position, target and field of view of a camera."""
-    checks: dict[str, Check] = {"position": point, "target": point, "fov": field_of_view}
-    if not isinstance(value, Mapping) or not value.keys() <= checks.keys():
-        raise Refused(f"None or a dict with some of {', '.join(map(repr, checks))}")
-    try:
-        return {name: checks[name](entry) for name, entry in value.items()}
-    except Refused as refused:
-        raise Refused(f"a dict in which each of {', '.join(value)} is valid: {refused}") from None
+CAMERA: dict[str, Check] = {"position": point, "target": point, "fov": field_of_view}
+camera = rule(
+    "None or a dict with some of 'position' and 'target', [x, y, z] in metres, and 'fov', 1 to 170 degrees",
+    lambda _: True,
+    lambda value: {name: CAMERA[name](entry) for name, entry in dict(value).items()},
+)
 
 
 def object_set(value: Any) -> str | list[str]:
@@ -211,37 +200,31 @@ def observation(presets: Sequence[str], builtin: Sequence[str]) -> Check:
     :param presets: names of lists of sensors
     :param builtin: names of built-in sensors, which other sensors cannot have
     """
-    text = f"{' or '.join(map(repr, presets))}, or a list of some of {', '.join(builtin)}"
+    text = (
+        f"{' or '.join(map(repr, presets))}, or a list of some of {', '.join(builtin)} and other sensors: "
+        'distinct names and dicts {"name": identifier, parameter: value} with JSON values'
+    )
 
-    def check(value: Any) -> str | list[Any]:
-        if isinstance(value, str) and value in presets:
-            return value
-        if not isinstance(value, list | tuple) or not value:
-            raise Refused(text)
-        entries = [_sensor(entry, builtin) for entry in value]
+    def convert(value: Any) -> str | list[Any]:
+        if isinstance(value, list | tuple):
+            return [_sensor(entry, builtin) for entry in value]
+        return presets[presets.index(value)]
+
+    def accepts(entries: str | list[Any]) -> bool:
         names = [entry if isinstance(entry, str) else entry["name"] for entry in entries]
-        if twice := sorted({name for name in names if names.count(name) > 1}):
-            raise Refused(f"a list with distinct names, without {', '.join(twice)} more than once")
-        return entries
+        return isinstance(entries, str) or 0 < len(set(names)) == len(names)
 
-    return check
+    return rule(text, accepts, convert)
 
 
 def _sensor(entry: Any, builtin: Sequence[str]) -> str | dict[str, Any]:
-    """Accept the name of a sensor, or a dict with its name, parameters and, for a user's, import path."""
+    """Return the name of a sensor, or a dict with its name, parameters and, for a user's, import path."""
     if isinstance(entry, str):
         return entry
-    name = entry.get("name") if isinstance(entry, Mapping) else None
-    if not (isinstance(name, str) and name.isidentifier()):
-        raise Refused(
-            f'a list of names and dicts {{"name": identifier, parameter: value}}, without {entry!r}'
-        )
-    if name in builtin and entry.get("sensor", name) != name:
-        raise Refused(f"a list in which other sensors have new names, not {name!r}")
-    try:
-        plain: dict[str, Any] = json.loads(json.dumps(dict(entry), default=_to_list))
-    except (TypeError, ValueError):
-        raise Refused(f"a list in which parameters are JSON values, without {entry!r}") from None
+    plain: dict[str, Any] = json.loads(json.dumps(dict(entry), default=_to_list))
+    name = plain["name"]
+    if not name.isidentifier() or (name in builtin and plain.get("sensor", name) != name):
+        raise ValueError
     return plain
 
 

@@ -17,17 +17,16 @@ from bulletarm_gym.control import Control, RobotInterface
 from bulletarm_gym.experts.tracking import Tracker
 from bulletarm_gym.experts.wrapped_expert import querying_wrappers, wrapped_expert
 from bulletarm_gym.observations import Observer, View
-from bulletarm_gym.observations.cameras import RENDER, render_frame
-from bulletarm_gym.observations.renderer import measure
-from bulletarm_gym.observations.viewer import Viewer
+from bulletarm_gym.observations.cameras import RENDER, Viewer
+from bulletarm_gym.observations.view import measure
 from bulletarm_gym.registry import CONTROLS, REWARDS, ROBOTS, SURFACES, TASKS, by_path
 from bulletarm_gym.robots import RobotModel
 from bulletarm_gym.scene import Scene
 from bulletarm_gym.scene.state import EnvState, check_fits, scene_facts
 from bulletarm_gym.simulation import has_display
 from bulletarm_gym.tasks import Task, checks
-from bulletarm_gym.tasks.arrangement import arrange_scene
-from bulletarm_gym.tasks.warm_up import WARM_UP
+from bulletarm_gym.tasks.task import arrange_scene
+from bulletarm_gym.tasks.warm_up import warm_up
 
 Observation = dict[str, NDArray[Any]]
 Action = NDArray[np.float32]
@@ -98,12 +97,16 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         self._episode_seed: int | None = None
         if self.render_mode == "human":
             self.viewer.face_workspace()
-        WARM_UP.run(ManipulationEnv)
+        warm_up(ManipulationEnv)
 
     def _make_scene(self, task_type: Any, model: RobotModel, surface: str, default: EnvConfig) -> None:
         """Make the task and load its bodies."""
         config = self.config
         self.task: Task = task_type(config)
+        self.task_description = self.task.description
+        """One sentence that describes the task, for policies with language inputs."""
+        self.keeps_scene = self.task.keeps_scene
+        """Whether an episode without a seed begins with the objects that the previous one left."""
         # Making a generator is as slow as an image, and most tasks need none after an action.
         self._acts_after = task_type.after_action is not Task.after_action
         checks.check_heights(config, default, self.task)
@@ -121,6 +124,10 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         self.control: Control[Any] = control_type(self.config, robot, params)
         self.tracker = Tracker(self.control, self.scene, params.opening if self.task.plans_moves else None)
         self.action_space = self.control.action_space
+        self.action_sequence = self.config.action_sequence
+        """Meaning of each number of an action, one character each."""
+        self.action_ranges = dict(self.control.ranges)
+        """Values (m, rad) of -1 and 1 in an action, by name without p; empty for a control without ranges."""
         self._observer = Observer(self.config, self.scene)
         self.cameras = self._observer.cameras
         """Cameras by name: ``"render"``, and the cameras of sensors by the names of the sensors."""
@@ -205,7 +212,7 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
     def render(self) -> Any:
         """Return an image (height, width, 3) uint8, distances (height, width) float32 in metres, or None."""
         self.scene.world.check_open()
-        return render_frame(self.cameras[RENDER], self.render_mode, self.spec.id if self.spec else "ID")
+        return self.cameras[RENDER].render(self.render_mode, self.spec.id if self.spec else "ID")
 
     def close(self) -> None:
         """Release the simulation; a second call does nothing."""
@@ -214,29 +221,9 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
     # Manipulation
 
     @property
-    def task_description(self) -> str:
-        """One sentence that describes the task, for policies with language inputs."""
-        return self.task.description
-
-    @property
-    def keeps_scene(self) -> bool:
-        """Whether an episode without a seed begins with the objects that the previous one left."""
-        return self.task.keeps_scene
-
-    @property
     def _max_episode_steps(self) -> int:
         """Number of steps after which episodes are truncated; LeRobot's evaluation reads this name."""
         return self.config.max_steps
-
-    @property
-    def action_sequence(self) -> str:
-        """Meaning of each number of an action, one character each."""
-        return self.config.action_sequence
-
-    @property
-    def action_ranges(self) -> dict[str, tuple[float, float]]:
-        """Values (m, rad) of -1 and 1 in an action, by name without p; empty for a control without ranges."""
-        return dict(self.control.ranges)
 
     @cached_property
     def viewer(self) -> Viewer:
@@ -252,7 +239,7 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         """Return the current view of the scene from above."""
         self.scene.world.check_open()
         overlays = self.task.overlays(self.scene)
-        return View(self.scene, self.control.frame(), overlays, self._observer.needs_labels)
+        return View(self.scene, self.control.frame(), overlays)
 
     def decode_action(self, action: ArrayLike) -> Any:
         """Return an action in metres and radians: a ``DeltaMove``, a ``PickPlace``, or the control's own."""
@@ -338,7 +325,9 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
     @cached_property
     def _made_of(self) -> dict[str, Any]:
         """Names and JSON values that a state and the environment must have in common."""
-        return {**self.recipe, **scene_facts(self.scene), **self._observer.shapes(["in_hand"])}
+        spaces = self.observation_space.items()  # type: ignore[attr-defined]
+        in_hand = {name: list(space.shape) for name, space in spaces if name == "in_hand"}
+        return {**self.recipe, **scene_facts(self.scene), **in_hand}
 
     def _evaluate(self, ignored: bool) -> dict[str, bool]:
         """Return the info; ``is_success`` is the task's success in a valid scene."""

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from bulletarm_gym.config import CLOSE_LOOP, OPEN_LOOP, WORKSPACES
 from bulletarm_gym.control import Grasp, heights
 from bulletarm_gym.control.close_loop import VIEW_SCALE, tool_frame
-from bulletarm_gym.geometry import FloatArray, Pose, Rectangle
+from bulletarm_gym.geometry import Pose
 from bulletarm_gym.observations import MAX_HEIGHT, ElevationMap, Frame, Heights, Window
 from bulletarm_gym.observations.images import heightmap
 from bulletarm_gym.observations.in_hand import projections, rotated_crop
@@ -99,8 +99,7 @@ def pick_height(
         square of twice the depth
     :param workspace: limits of the workspace
     """
-    between = Rectangle(target.x, target.y, *(area or (2.0 * depth, 2.0 * depth)), target.yaw)
-    return workspace[2][0] + heights.pick_height(_map(heightmap, workspace), between, depth)
+    return workspace[2][0] + heights.pick_height(_map(heightmap, workspace), target, depth, area)
 
 
 def measure_grasp(
@@ -161,10 +160,3 @@ def _heightmap(points: ArrayLike, frame: Frame, ceiling: float, size: int) -> He
             f"x = {x:g}, y = {y:g}, got {len(cloud)} outside"
         )
     return heightmap(project_points(cloud, Window(frame.centre, frame.extent, size), ceiling), frame)
-
-
-def _checked(points: ArrayLike) -> FloatArray:
-    cloud: FloatArray = np.asarray(points, np.float64)
-    if cloud.ndim != 2 or cloud.shape[1] != 3:
-        raise ValueError(f"points: got an array of shape {cloud.shape}, takes (n, 3)")
-    return cloud[np.isfinite(cloud).all(axis=1)]

@@ -6,7 +6,7 @@ import os
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import gymnasium
@@ -109,6 +109,8 @@ class Registry:
     def register(self, name: str, component: Any) -> None:
         """Add a component.
 
+        :param name: identifier
+        :param component: class or function at the top level of a module, or its import path
         :raises ValueError: the name is not an identifier or is in use, or the component has no import path
         """
         if not (isinstance(name, str) and name.isidentifier()):
@@ -147,26 +149,21 @@ class Registry:
             raise ParameterError.of(parameter or self.kind, source, str(error)) from error
 
 
-def _subclass_of(path: str) -> Callable[[Any], Any]:
-    """Return a function that checks that an object is a subclass of the class at an import path."""
-
-    def convert(found: Any) -> Any:
-        base = load(path)
-        if not (isinstance(found, type) and issubclass(found, base)):
-            raise ValueError(f"a subclass of {base.__name__}")
-        return found
-
-    return convert
+def _subclass(path: str, found: Any) -> Any:
+    """Return a class if it is a subclass of the class at an import path."""
+    base = load(path)
+    if not (isinstance(found, type) and issubclass(found, base)):
+        raise ValueError(f"a subclass of {base.__name__}")
+    return found
 
 
 def _robot_model(found: Any) -> Any:
     """Return a robot model, or the model that a function without arguments returns."""
-    base = load("bulletarm_gym.robots.model:RobotModel")
     try:
         model = found() if callable(found) else found
     except TypeError as error:
         raise ValueError(f"a RobotModel or a function without arguments ({error})") from error
-    if not isinstance(model, base):
+    if not isinstance(model, load("bulletarm_gym.robots.model:RobotModel")):
         raise ValueError(f"a RobotModel or a function that returns one, not a {type(model).__name__}")
     return model
 
@@ -177,63 +174,34 @@ def _function(found: Any) -> Any:
     return found
 
 
-TASKS = Registry("task", _subclass_of("bulletarm_gym.tasks.task:Task"))
+TASKS = Registry("task", partial(_subclass, "bulletarm_gym.tasks.task:Task"))
 REWARDS = Registry("reward", _function)
 ROBOTS = Registry("robot", _robot_model, "bulletarm_gym.robots:ROBOTS")
 OBJECTS = Registry("object", _function, "bulletarm_gym.objects.catalogue:KINDS")
-SURFACES = Registry(
-    "surface", _subclass_of("bulletarm_gym.surfaces.surface:Surface"), "bulletarm_gym.surfaces:SURFACES"
-)
-SENSORS = Registry(
-    "sensor",
-    _subclass_of("bulletarm_gym.observations.sensor:Sensor"),
-    "bulletarm_gym.observations.observer:SENSORS",
-)
-CONTROLS = Registry(
-    "control", _subclass_of("bulletarm_gym.control.control:Control"), "bulletarm_gym.control:CONTROLS"
-)
+_SURFACE = partial(_subclass, "bulletarm_gym.surfaces.surface:Surface")
+SURFACES = Registry("surface", _SURFACE, "bulletarm_gym.surfaces:SURFACES")
+_SENSOR = partial(_subclass, "bulletarm_gym.observations.sensor:Sensor")
+SENSORS = Registry("sensor", _SENSOR, "bulletarm_gym.observations.observer:SENSORS")
+_CONTROL = partial(_subclass, "bulletarm_gym.control.control:Control")
+CONTROLS = Registry("control", _CONTROL, "bulletarm_gym.control:CONTROLS")
 
+register_robot = ROBOTS.register
+"""Make a robot available as ``robot=name``.
 
-def register_robot(name: str, model: Any) -> None:
-    """Make a robot available as ``robot=name``; raises as :meth:`Registry.register`.
+The component is a function without arguments that returns a :class:`~bulletarm_gym.robots.RobotModel`, or the
+import path of such a function or of a model. Raises as :meth:`Registry.register`.
+"""
+register_object = OBJECTS.register
+"""Make a kind of object available as ``objects.create(name, ...)`` and in ``object_set``.
 
-    :param model: function without arguments that returns a :class:`~bulletarm_gym.robots.RobotModel`, or the
-        import path of such a function or of a model
-    """
-    ROBOTS.register(name, model)
-
-
-def register_object(name: str, make: Any) -> None:
-    """Make a kind of object available as ``objects.create(name, ...)``; raises as :meth:`Registry.register`.
-
-    :param make: function ``make(name, scale)`` that returns a :class:`~bulletarm_gym.objects.BodySpec`, or
-        its import path
-    """
-    OBJECTS.register(name, make)
-
-
-def register_surface(name: str, surface: Any) -> None:
-    """Make a surface available as ``surface=name``; raises as :meth:`Registry.register`.
-
-    :param surface: subclass of :class:`~bulletarm_gym.surfaces.Surface`, or its import path
-    """
-    SURFACES.register(name, surface)
-
-
-def register_sensor(name: str, sensor: Any) -> None:
-    """Make a sensor available in the lists of ``observation``; raises as :meth:`Registry.register`.
-
-    :param sensor: subclass of :class:`~bulletarm_gym.observations.Sensor`, or its import path
-    """
-    SENSORS.register(name, sensor)
-
-
-def register_control(name: str, control: Any) -> None:
-    """Make a control available as ``control=name``; raises as :meth:`Registry.register`.
-
-    :param control: subclass of :class:`~bulletarm_gym.control.Control`, or its import path
-    """
-    CONTROLS.register(name, control)
+The component is a function ``make(name, scale)`` that returns a :class:`~bulletarm_gym.objects.BodySpec`.
+"""
+register_surface = SURFACES.register
+"""Make a subclass of :class:`~bulletarm_gym.surfaces.Surface` available as ``surface=name``."""
+register_sensor = SENSORS.register
+"""Make a subclass of :class:`~bulletarm_gym.observations.Sensor` available in lists of ``observation``."""
+register_control = CONTROLS.register
+"""Make a subclass of :class:`~bulletarm_gym.control.Control` available as ``control=name``."""
 
 
 def by_path(parameters: Mapping[str, Any]) -> dict[str, Any]:
@@ -268,6 +236,7 @@ def _sensor_by_path(entry: Any) -> Any:
 # Ids
 
 NAMESPACE = "BulletArm"
+TASK_PACKAGE = "bulletarm_gym.tasks."
 ENTRY_POINT = "bulletarm_gym.env:ManipulationEnv"
 PAIR = {"num_objects": 2, "object_scale_range": 1.0, "max_steps": 50}
 """Parameters of the paper's closed-loop Block Stacking and House Building: two blocks of 5 cm."""
@@ -307,32 +276,31 @@ def _prefix(control: str, surface: str) -> str:
 
 
 def _entries(
-    paths: str, control: str, surface: str = "flat", defaults: Mapping[str, Any] | None = None
-) -> tuple[Entry, ...]:
-    """Return the entries of tasks, each by its module in :data:`TASK_PACKAGE` and its class."""
-    prefix, names = _prefix(control, surface), (path.partition(":")[2] for path in paths.split())
-    return tuple(
-        Entry(prefix + name, TASK_PACKAGE + path, control, surface, defaults or {})
-        for path, name in zip(paths.split(), names, strict=True)
-    )
+    tasks: str, control: str, surface: str = "flat", defaults: Mapping[str, Any] | None = None
+) -> list[Entry]:
+    """Return the entries of tasks, each ``"module:Class"`` in ``bulletarm_gym.tasks``."""
+    prefix = _prefix(control, surface)
+    names = {task: prefix + task.partition(":")[2].removeprefix(prefix) for task in tasks.split()}
+    return [
+        Entry(name, TASK_PACKAGE + task, control, surface, defaults or {}) for task, name in names.items()
+    ]
 
 
-TASK_PACKAGE = "bulletarm_gym.tasks."
 HOUSES = (
-    "house:HouseBuilding1 house:HouseBuilding2 house:HouseBuilding3 house:HouseBuilding4 "
-    "house:ImproviseHouseBuilding2 house:ImproviseHouseBuilding3"
+    "stacking:HouseBuilding1 stacking:HouseBuilding2 stacking:HouseBuilding3 stacking:HouseBuilding4 "
+    "stacking:ImproviseHouseBuilding2 stacking:ImproviseHouseBuilding3"
 )
+STRUCTURES = f"stacking:BlockStacking {HOUSES}"
 PACKAGING = "packing:BinPacking packing:BottleArrangement palletizing:BoxPalletizing covid:CovidTest"
 BLOCKS = "picking:BlockReaching picking:BlockPicking pushing:BlockPushing pushing:BlockPulling"
 
 PAPER = (
-    *_entries(f"stacking:BlockStacking {HOUSES} {PACKAGING}", "open_loop"),
-    Entry("OpenLoopObjectGrasping", TASK_PACKAGE + "clutter:OpenLoopObjectGrasping", "open_loop"),
-    *_entries(f"stacking:BlockStacking {HOUSES}", "open_loop", "ramp"),
-    *_entries("house:HouseBuilding4 palletizing:BoxPalletizing", "open_loop", "bump"),
+    *_entries(f"{STRUCTURES} {PACKAGING} clutter:OpenLoopObjectGrasping", "open_loop"),
+    *_entries(STRUCTURES, "open_loop", "ramp"),
+    *_entries("stacking:HouseBuilding4 palletizing:BoxPalletizing", "open_loop", "bump"),
     *_entries(f"{BLOCKS} picking:BlockInBowl", "close_loop"),
-    *_entries("stacking:BlockStacking", "close_loop", defaults=PAIR),
-    Entry("CloseLoopHouseBuilding", TASK_PACKAGE + "house:HouseBuilding1", "close_loop", defaults=PAIR),
+    *_entries("stacking:BlockStacking", "close_loop", "flat", PAIR),
+    Entry("CloseLoopHouseBuilding", TASK_PACKAGE + "stacking:HouseBuilding1", "close_loop", defaults=PAIR),
     *_entries("picking:CornerPicking drawer:DrawerOpening clutter:ObjectGrasping", "close_loop"),
 )
 """Environments of the paper."""

@@ -93,20 +93,17 @@ def _image_boxes(space: spaces.Space[Any]) -> dict[str, spaces.Box]:
 
     :raises ValueError: the space has no image, or a part that cannot be a channel
     """
-    named = dict(space.items()) if isinstance(space, spaces.Dict) else {}
-    boxes = {
-        name: box
+    named: dict[str, Any] = dict(space.items()) if isinstance(space, spaces.Dict) else {"": space}
+    kinds = {
+        name: len(box.shape) if isinstance(box, spaces.Box) and box.is_bounded() else 0
         for name, box in named.items()
-        if isinstance(box, spaces.Box) and len(box.shape) in (1, IMAGE_AXES) and box.is_bounded()
     }
-    images = {name: box for name, box in boxes.items() if len(box.shape) == IMAGE_AXES}
-    if not images or boxes.keys() != named.keys():
-        other = next((f"{name!r}: {part}" for name, part in named.items() if name not in boxes), str(space))
-        raise ValueError(
-            "env must observe a Dict of images (channels, rows, columns) and vectors of numbers with finite "
-            f"bounds, got {other}"
-        )
-    return {**images, **boxes}
+    images = {name: box for name, box in named.items() if kinds[name] == IMAGE_AXES}
+    other = [f"{name!r}: {box}" for name, box in named.items() if kinds[name] not in (1, IMAGE_AXES)]
+    if other or not images:
+        must = "a Dict of images (channels, rows, columns) and vectors of numbers with finite bounds"
+        raise ValueError(f"env must observe {must}, got {other[0] if other else space}")
+    return {**images, **named}
 
 
 def _scaled(value: NDArray[Any], box: spaces.Box) -> NDArray[np.float32]:

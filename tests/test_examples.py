@@ -1,4 +1,4 @@
-"""The examples that train run as their users run them, for some steps."""
+"""The examples run, for some steps, and their modules are those of the guides."""
 
 import ast
 import os
@@ -7,45 +7,30 @@ import runpy
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
 import pytest
-from sb3_contrib import CrossQ
-from stable_baselines3 import PPO
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 
 
 @pytest.mark.parametrize(
-    ("algorithm", "command", "updates"),
+    "command",
     [
-        (PPO, "train_ppo.py --steps 64 --rollout 16", 1),
-        (PPO, "train_ppo.py --steps 64 --rollout 16 --equivariant", 1),
-        (CrossQ, "train_crossq.py --steps 104", 3),  # the first 100 steps are taken at random
+        "train_ppo.py --steps 64 --rollout 16",
+        "train_ppo.py --steps 64 --rollout 16 --equivariant",
+        "train_crossq.py --steps 104",  # after 100 random steps
     ],
 )
 def test_training_examples(
-    algorithm: Any,
-    command: str,
-    updates: int,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    command: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    trained = []
-    train = algorithm.train
-
-    def count(model: Any, *args: Any, **kwargs: Any) -> None:
-        trained.append(model)
-        train(model, *args, **kwargs)
-
-    monkeypatch.setattr(algorithm, "train", count)
     script, *arguments = command.split()
     monkeypatch.setattr(sys, "argv", [script, *arguments, "--episodes", "1"])
     runpy.run_path(str(EXAMPLES / script), run_name="__main__")
-    assert len(trained) >= updates
     assert re.search(r"^success rate [01]\.\d\d$", capsys.readouterr().out, re.MULTILINE)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("command", "output"),
     [
@@ -60,7 +45,7 @@ def test_training_examples(
     ids=lambda value: value.split(".")[0] if ".py" in value else "",
 )
 def test_tutorials(command: str, output: str, tmp_path: Path) -> None:
-    """In a process and an empty folder of their own, as they register and write."""
+    """In a process and an empty folder of their own, because they register components and write files."""
     script, *arguments = command.split()
     result = subprocess.run(
         [sys.executable, EXAMPLES / "tutorials" / script, *arguments],
@@ -87,7 +72,7 @@ def test_tutorials_modules_are_those_of_the_guides(page: str) -> None:
 
 
 def _without_types(code: str) -> list[str]:
-    """Statements without annotations and imports: what a reader of a guide need not see."""
+    """Return the statements without annotations and imports."""
     tree = ast.parse(code)
     for node in ast.walk(tree):
         if isinstance(node, ast.FunctionDef):

@@ -1,4 +1,4 @@
-"""The scripts of docs/guides/libraries.md run: beside ours, or in an environment of their own."""
+"""The scripts of docs/guides/libraries.md run, with our packages or in a virtual environment."""
 
 import os
 import re
@@ -15,8 +15,7 @@ ROOT = Path(__file__).resolve().parent.parent
 SCRIPTS = ROOT / "examples" / "libraries"
 PAGE = ROOT / "docs" / "guides" / "libraries.md"
 ENVIRONMENTS = ("numpy", "gymnasium", "pybullet", "numba", "h5py", "pillow", "tqdm", "scipy")
-"""What the environments need; what our learners need besides clashes with some of the libraries."""
-
+"""Dependencies of the environments; those of the learners conflict with some of the libraries."""
 OFFLINE = {"HF_HUB_OFFLINE": "1", "HF_DATASETS_OFFLINE": "1"}
 OPERATORS = """import torch
 
@@ -28,13 +27,13 @@ for name in ("nms", "qnms"):
 
 @dataclass(frozen=True)
 class Library:
-    """What a script needs.
+    """Requirements and output of a script.
 
-    :param module: that it imports; of RLlib one that Ray alone comes without
-    :param output: pattern of what it prints
-    :param packages: to install for it
-    :param bare: to install without what they depend on
-    :param unpinned: packages of which they take other versions than ours
+    :param module: module that is missing if the library is not installed
+    :param output: pattern of its output
+    :param packages: requirements to install
+    :param bare: requirements to install without their dependencies
+    :param unpinned: packages in other versions than those of constraints.txt
     """
 
     module: str
@@ -73,15 +72,7 @@ LIBRARIES = {
     "lerobot_dataset": Library(
         "lerobot",
         r"3 episodes, kuka .*\n(.*\n)*observation.heightmap 64 64 1\n",
-        (
-            "accelerate<2",
-            "av<16",
-            "datasets<5",
-            "huggingface-hub<0.36",
-            "jsonlines",
-            "numpy<2.4",
-            "termcolor",
-        ),
+        tuple("accelerate<2 av<16 datasets<5 huggingface-hub<0.36 jsonlines numpy<2.4 termcolor".split()),
         bare=("lerobot==0.4.4", "torchvision==0.28.0"),  # that pin an older PyTorch
         unpinned=("huggingface_hub", "filelock", "fsspec", "numpy", "packaging"),
     ),
@@ -93,7 +84,6 @@ LIBRARIES = {
     ),
 }
 OF_THEIR_OWN = [script for script, library in LIBRARIES.items() if library.packages]
-REQUIRED = [script for script in LIBRARIES if script not in OF_THEIR_OWN]
 
 
 def test_page_includes_every_script() -> None:
@@ -106,16 +96,14 @@ def test_page_includes_every_script() -> None:
         assert docstring.startswith('"""') and docstring.endswith('"""') and not blank
 
 
-@pytest.mark.parametrize("script", REQUIRED)
-def test_script_with_what_is_required(script: str, capsys: pytest.CaptureFixture[str]) -> None:
-    runpy.run_path(str(SCRIPTS / f"{script}.py"), run_name="__main__")
-    assert re.search(LIBRARIES[script].output, capsys.readouterr().out)
-
-
-@pytest.mark.parametrize("script", OF_THEIR_OWN)
-def test_script_beside_ours(script: str, tmp_path: Path) -> None:
-    pytest.importorskip(LIBRARIES[script].module)
-    _run(script, sys.executable, tmp_path)
+@pytest.mark.parametrize("script", LIBRARIES)
+def test_script_with_our_packages(script: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    if script in OF_THEIR_OWN:
+        pytest.importorskip(LIBRARIES[script].module)
+        _run(script, sys.executable, tmp_path)
+    else:  # in this process, which has imported torch
+        runpy.run_path(str(SCRIPTS / f"{script}.py"), run_name="__main__")
+        assert re.search(LIBRARIES[script].output, capsys.readouterr().out)
 
 
 @pytest.mark.slow
@@ -137,9 +125,7 @@ def test_script_in_an_environment_of_its_own(script: str, tmp_path: Path) -> Non
 
 
 def _declare_operators(python: Path) -> None:
-    """Let torchvision be imported: PyPI's is built for CUDA, and misses its own operators beside PyTorch for
-    CPUs alone. Datasets need none of them.
-    """
+    """Declare the operators that PyPI's torchvision, built for CUDA, lacks with PyTorch for CPUs."""
     if subprocess.run([python, "-c", "import torchvision"], capture_output=True).returncode:
         where = [python, "-c", "import sysconfig; print(sysconfig.get_path('purelib'))"]
         folder = subprocess.run(where, check=True, capture_output=True, text=True).stdout.strip()
@@ -147,7 +133,6 @@ def _declare_operators(python: Path) -> None:
 
 
 def _run(script: str, python: str, folder: Path) -> None:
-    """Run a script in an empty folder, and look at what it says."""
     result = subprocess.run(
         [python, SCRIPTS / f"{script}.py"],
         cwd=folder,
@@ -155,6 +140,6 @@ def _run(script: str, python: str, folder: Path) -> None:
         capture_output=True,
         text=True,
     )
-    print(result.stdout)  # what the page shows; pytest -rP tells it
+    print(result.stdout)  # the output on the page; pytest -rP shows it
     assert result.returncode == 0, result.stderr
     assert re.search(LIBRARIES[script].output, result.stdout), result.stdout

@@ -1,6 +1,5 @@
-"""Policies on scenes of the simulator, turned and mirrored: where environments and learners meet."""
+"""Symmetries of policies, networks and samples on rotated and mirrored scenes of the simulator."""
 
-import functools
 import math
 from collections.abc import Iterator
 from typing import Any
@@ -9,103 +8,205 @@ import gymnasium as gym
 import numpy as np
 import pytest
 import torch as th
+from gymnasium import spaces
 
+import bulletarm_gym  # noqa: F401  registers the environments
 from bulletarm_gym.geometry import Pose
-from sb3_extensions.common.action_sequence import ActionSequence
-from sb3_extensions.replay.rotation import rotate_actions, rotate_images
+from sb3_extensions.replay.rotation import rotate_images
+from sb3_extensions.replay.samples import ExpertReplayBufferSamples
 from sb3_extensions.sacfd import SACfD
+from sb3_extensions.spatial_dqn import EquivariantASRPolicy, EquivariantFCNPolicy, RotFCNPolicy
+from sb3_extensions.spatial_dqn.augmentation import RigidMotion
+from sb3_extensions.spatial_dqn.codec import SpatialActionCodec
+from sb3_extensions.spatial_dqn.policies import SpatialPolicy
 
-SYMMETRIC = [f"BulletArm/CloseLoopBlock{name}-v0" for name in ("Picking", "Pulling")]
-SIZE = 64
-NETWORK = {"channels": [4, 4, 8, 8, 8]}
-TOLERANCE = 1e-4  # of a network's output, which is of the order of 0.1 to 1
+CLOSE_LOOP = [f"BulletArm/CloseLoopBlock{name}-v0" for name in ("Picking", "Pulling")]
+OPEN_LOOP = "BulletArm/OpenLoopHouseBuilding2-v0"
+SIZE, SIDE, YAWS = 48, 12, 4
+TOLERANCE = 1e-4
 ACTION = np.array([0.3, 0.7, -0.4, 0.2, 0.6], np.float32)
-Observation = dict[str, np.ndarray[Any, np.dtype[np.float32]]]
+EQUIVARIANT = {"fields": [4, 4, 6], "in_hand_channels": [4, 4, 6, 6]}
+NETWORKS: dict[str, tuple[type[SpatialPolicy], dict[str, Any]]] = {
+    "ASR": (
+        EquivariantASRPolicy,
+        {**EQUIVARIANT, "hidden": [16, 16], "patch_fields": [4, 4, 6, 4], "pool_encoding": True}
+        | {"patch_channels": [4, 4, 6, 6], "patch_hidden": [16, 8]},
+    ),
+    "FCN": (EquivariantFCNPolicy, {**EQUIVARIANT, "hidden": 16}),
+    "Rot FCN": (RotFCNPolicy, {"channels": [4, 6, 8], "in_hand_channels": [4, 4, 6]}),
+}
+Observation = dict[str, Any]
 
 
-@pytest.fixture(scope="module", params=SYMMETRIC)
-def env(request: pytest.FixtureRequest) -> Iterator[Any]:
-    made = gym.make(request.param, obs_size=SIZE).unwrapped
-    made.reset(seed=5)
+def make_env(env_id: str, **sizes: int) -> Iterator[Any]:
+    made = gym.make(env_id, **sizes).unwrapped
     yield made
     made.close()
+
+
+@pytest.fixture(scope="module", params=CLOSE_LOOP)
+def env(request: pytest.FixtureRequest) -> Iterator[Any]:
+    yield from make_env(request.param, obs_size=64)
+
+
+@pytest.fixture(scope="module")
+def open_loop() -> Iterator[Any]:
+    yield from make_env(OPEN_LOOP, obs_size=SIZE, in_hand_size=SIDE)
+
+
+def moved(pose: Pose, centre: Any, angle: float, mirror: bool) -> Pose:
+    """Rotate a pose about the vertical through a point, then mirror it along y."""
+    x, y = pose.x - centre[0], pose.y - centre[1]
+    x, y = math.cos(angle) * x - math.sin(angle) * y, math.sin(angle) * x + math.cos(angle) * y
+    sign = -1.0 if mirror else 1.0
+    return Pose.planar(centre[0] + x, centre[1] + sign * y, pose.z, sign * (pose.yaw + angle))
+
+
+def look_twice(env: Any, angle: float, mirror: bool = False) -> tuple[Observation, Observation]:
+    """Return the observations of a scene and of the moved scene; in closed loop the gripper moves, too."""
+    env.reset(seed=5)
+    is_closed = env.config.control == "close_loop"
+    tool = Pose.planar(*env.scene.robot.pose.position, 0.4)
+    centre = tool.position if is_closed else env.config.centre
+    if is_closed:
+        env.scene.robot.home(tool)
+    before = env.observe()
+    for obj in list(env.scene):
+        obj.place(moved(obj.pose, centre, angle, mirror))
+    if is_closed:
+        env.scene.robot.home(moved(tool, centre, angle, mirror))
+    return before, env.observe()
+
+
+# Actor and critic of closed-loop control
 
 
 @pytest.fixture(scope="module", params=[("cyclic", 4), ("cyclic", 8), ("dihedral", 4)], ids=str)
 def model(request: pytest.FixtureRequest) -> SACfD:
     group, n = request.param
-    kwargs = {"features_extractor_kwargs": {"group": group, "n": n, **NETWORK}}
-    made = gym.make("BulletArm/CloseLoopBlockPicking-v0", obs_size=SIZE)
+    kwargs = {"features_extractor_kwargs": {"group": group, "n": n, "channels": [4, 4, 8, 8, 8]}}
+    made = gym.make(CLOSE_LOOP[0], obs_size=64)
     return SACfD("EquivariantPolicy", made, buffer_size=100, seed=0, policy_kwargs=kwargs, device="cpu")
 
 
-def turned(pose: Pose, about: Pose, angle: float = math.pi / 2) -> Pose:
-    """About the vertical through a point."""
-    x, y = rotate_actions(
-        th.tensor([[pose.x - about.x, pose.y - about.y]], dtype=th.float64),
-        th.tensor([angle], dtype=th.float64),
-        ActionSequence("xy", 2),
-    )[0].tolist()
-    return Pose.planar(about.x + x, about.y + y, pose.z, pose.yaw + angle)
-
-
-def mirrored(pose: Pose, about: Pose) -> Pose:
-    """Left and right of the world's x axis exchanged."""
-    return Pose.planar(pose.x, 2.0 * about.y - pose.y, pose.z, -pose.yaw)
-
-
-def look_twice(env: Any, move: Any) -> tuple[Observation, Observation]:
-    """What is seen of a scene, and of the scene moved about the gripper."""
-    env.reset(seed=5)
-    hand = Pose.planar(*env.scene.robot.pose.position[:3], 0.4)
-    env.scene.robot.home(hand)
-    before = env.observe()
-    for item in list(env.scene):
-        item.place(move(item.pose, hand))
-    env.scene.robot.home(move(hand, hand))
-    return before, env.observe()
-
-
-def outputs(model: SACfD, observation: Observation, action: Any) -> tuple[Any, Any]:
-    """The actor's mean before it is squashed, and both Q-values of an action."""
-    seen, _ = model.policy.obs_to_tensor(observation)
+def outputs(model: SACfD, observation: Observation, action: Any) -> np.ndarray:
+    """Return the mean of the actor before the squashing, and both Q values of an action."""
+    tensors, _ = model.policy.obs_to_tensor(observation)
     with th.no_grad():
-        mean, _, _ = model.actor.get_action_dist_params(seen)
-        values = model.critic(seen, th.as_tensor(action)[None])
-    return mean[0].numpy(), th.cat(values).numpy().ravel()
+        mean, _, _ = model.actor.get_action_dist_params(tensors)
+        values = model.critic(tensors, th.as_tensor(action, dtype=th.float32)[None])
+    return th.cat([mean[0], *(value[0] for value in values)]).numpy()
 
 
-def test_turning_the_scene_turns_the_actor_and_not_the_critic(env: Any, model: SACfD) -> None:
-    before, after = look_twice(env, turned)
-    np.testing.assert_array_equal(np.rot90(before["heightmap"], 1, axes=(1, 2)), after["heightmap"])
-    p, x, y, z, r = ACTION
-    mean, values = outputs(model, before, ACTION)
-    turned_mean, turned_values = outputs(model, after, np.array([p, -y, x, z, r], np.float32))
-    expected = [mean[0], -mean[2], mean[1], mean[3], mean[4]]
-    np.testing.assert_allclose(turned_mean, expected, atol=TOLERANCE)
-    np.testing.assert_allclose(turned_values, values, atol=TOLERANCE)
+@pytest.mark.parametrize("mirror", [False, True])
+def test_actor_moves_with_the_scene_and_the_critic_is_invariant(env: Any, model: SACfD, mirror: bool) -> None:
+    before, after = look_twice(env, 0.0 if mirror else math.pi / 2, mirror)
+    if not mirror:
+        np.testing.assert_array_equal(np.rot90(before["heightmap"], 1, axes=(1, 2)), after["heightmap"])
 
+    def move(action: np.ndarray) -> list[float]:
+        p, x, y, z, r, *values = action
+        return [p, x, -y, z, -r, *values] if mirror else [p, -y, x, z, r, *values]
 
-def test_mirroring_the_scene_turns_the_sign_of_the_rotation(env: Any, model: SACfD) -> None:
-    before, after = look_twice(env, mirrored)
-    p, x, y, z, r = ACTION
-    mean, values = outputs(model, before, ACTION)
-    mirrored_mean, mirrored_values = outputs(model, after, np.array([p, x, -y, z, -r], np.float32))
-    expected = np.array([mean[0], mean[1], -mean[2], mean[3], -mean[4]])
-    holds = np.allclose(mirrored_mean, expected, atol=TOLERANCE)
-    holds &= np.allclose(mirrored_values, values, atol=TOLERANCE)
-    assert holds == (model.policy_kwargs["features_extractor_kwargs"]["group"] == "dihedral")
+    expected, found = move(outputs(model, before, ACTION)), outputs(model, after, move(ACTION))
+    is_symmetric = not mirror or model.policy_kwargs["features_extractor_kwargs"]["group"] == "dihedral"
+    assert np.allclose(found, expected, atol=TOLERANCE) == is_symmetric
 
 
 @pytest.mark.parametrize("angle", [0.5, 2.5, 4.0])
-def test_rotated_samples_are_what_a_turned_scene_shows(env: Any, angle: float) -> None:
-    before, after = look_twice(env, functools.partial(turned, angle=angle))
+def test_rotated_samples_equal_a_rotated_scene(env: Any, angle: float) -> None:
+    before, after = look_twice(env, angle)
     angles = np.arange(0, 2 * math.pi, 0.1)
     images = th.from_numpy(before["heightmap"]).expand(len(angles), -1, -1, -1)
     rotated = rotate_images(images, th.from_numpy(angles))[:, 0].numpy()
-    # Within the circle that no corner of the image turns into
-    rows, columns = np.indices((SIZE, SIZE)) - (SIZE - 1) / 2
-    inside = np.hypot(rows, columns) < SIZE / 2 - 1
+    rows, columns = np.indices(rotated.shape[1:]) - 31.5
+    inside = np.hypot(rows, columns) < 31.0  # no corner of the image moves there
     errors = np.abs(rotated - after["heightmap"])[:, inside].mean(axis=1)
-    assert math.isclose(angles[errors.argmin()], angle)
-    assert errors.min() < 0.4 * np.median(errors)
+    assert math.isclose(angles[errors.argmin()], angle) and errors.min() < 0.4 * np.median(errors)
+
+
+# Networks and samples of open-loop control
+
+
+def make_policy(env: Any, kind: str, sequence: str = "pxyr") -> SpatialPolicy:
+    """Return random networks for the observations of an environment."""
+    policy, network_kwargs = NETWORKS[kind]
+    parts = dict(env.observation_space.spaces)
+    parts["in_hand"] = spaces.Box(0.0, 0.4, (1 if sequence == "pxyr" else 3, SIDE, SIDE), np.float32)
+    kwargs: dict[str, Any] = {"codec_kwargs": {"num_rotations": YAWS}, "standardise": (0.0, 0.02)}
+    th.manual_seed(0)
+    actions = spaces.Box(-1.0, 1.0, (len(sequence),), np.float32)
+    kwargs |= {"action_sequence": sequence, "network_kwargs": network_kwargs, "quantise": None}
+    return policy(spaces.Dict(parts), actions, lambda _: 0.0, **kwargs)
+
+
+def batches(env: Any, angle: float, mirror: bool = False, channels: int = 1) -> list[dict[str, th.Tensor]]:
+    """Return two samples of each scene: with an empty and with a holding gripper."""
+    in_hand = 0.05 * th.rand(1, 3, SIDE, SIDE, generator=th.Generator().manual_seed(0))
+    shared = {"in_hand": in_hand.expand(2, -1, -1, -1)[:, :channels], "holding": th.tensor([[0.0], [1.0]])}
+    images = [seen["heightmap"] for seen in look_twice(env, angle, mirror)]
+    return [{"heightmap": th.as_tensor(image).expand(2, 1, SIZE, SIZE), **shared} for image in images]
+
+
+def assert_same(found: th.Tensor, expected: th.Tensor) -> None:
+    for sample, other in zip(expected, found, strict=True):
+        assert sample.std() > 0 and (other - sample).abs().max() < TOLERANCE * sample.std()
+
+
+@pytest.mark.parametrize(
+    ("kind", "quarters", "mirror"),
+    [("ASR", 1, False), ("ASR", 0, True), ("ASR", 3, True), ("FCN", 1, False), ("FCN", 2, False)],
+)
+def test_maps_rotate_with_the_scene(open_loop: Any, kind: str, quarters: int, mirror: bool) -> None:
+    """The yaws of a network with one map a yaw shift."""
+    before, after = maps(open_loop, kind, quarters, mirror)
+    expected = th.rot90(before, quarters, (2, 3)).roll(quarters * YAWS // 2 if kind == "FCN" else 0, dims=1)
+    assert_same(after, expected.flip(3) if mirror else expected)
+
+
+def test_network_with_rotated_input_shifts_half_of_its_yaws(open_loop: Any) -> None:
+    before, after = maps(open_loop, "Rot FCN", 1, mirror=False)
+    assert_same(after[:, YAWS // 2 :], th.rot90(before[:, : YAWS // 2], 1, (2, 3)))
+
+
+def maps(env: Any, kind: str, quarters: int, mirror: bool) -> list[th.Tensor]:
+    policy = make_policy(env, kind)
+    with th.no_grad():
+        views = [policy.q_net.scene_view(batch) for batch in batches(env, quarters * math.pi / 2, mirror)]
+        return [policy.q_net.pixel_maps(view)[0] for view in views]
+
+
+def test_all_levels_rotate_with_the_scene(open_loop: Any) -> None:
+    """Yaws shift; heights and tilts do not change if the gripper need not be rotated by pi."""
+    before, after = batches(open_loop, math.pi / 2, channels=3)
+    policy = make_policy(open_loop, "ASR", "pxyzrrr")
+    highest = before["heightmap"].flatten(1).argmax(dim=1)
+    indices = th.stack([highest // SIZE, highest % SIZE, *th.tensor([[1, 0], [3, 1], [5, 2], [1, 4]])], dim=1)
+    rotated = indices.clone()
+    rotated[:, 0], rotated[:, 1] = SIZE - 1 - indices[:, 1], indices[:, 0]
+    rotated[:, 2] += YAWS // 2
+    with th.no_grad():
+        first, second = policy.q_net.values(before, indices), policy.q_net.values(after, rotated)
+    assert_same(second[1], first[1].roll(YAWS // 2, dims=1))
+    for here, there in zip(first[2:], second[2:], strict=True):
+        assert_same(there, here)
+
+
+@pytest.mark.parametrize("turns", [1, 2, 7])
+def test_augmented_samples_equal_a_rotated_scene(
+    open_loop: Any, turns: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before, after = batches(open_loop, turns * math.pi / YAWS)
+    motion = RigidMotion(SpatialActionCodec(SIZE, "pxyr", num_rotations=YAWS), "heightmap")
+    samples: Any = ExpertReplayBufferSamples(before, None, before, *[None] * 8)  # type: ignore[arg-type]
+    errors = []
+    for number in range(2 * YAWS):
+        drawn = (th.full((2,), number), th.zeros(2, 2))
+        monkeypatch.setattr(motion, "_sample_motions", lambda *args, drawn=drawn: drawn)
+        found, _ = motion.move(samples, th.zeros(2, 3, dtype=th.int64), th.Generator())
+        image = found.observations["heightmap"]
+        assert th.equal(image, found.next_observations["heightmap"])
+        errors.append((image - after["heightmap"]).abs().mean().item())
+    least, second = sorted(errors)[:2]
+    assert errors.index(least) == turns and least < 0.4 * second
+    assert (least == 0.0) == (turns % (YAWS // 2) == 0)

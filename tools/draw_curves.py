@@ -11,8 +11,7 @@ import numpy as np
 
 from measurements import DataFile, Row, number
 from zoo_configs.drawing.curves import SUCCESS, LearningCurve, draw_curves, load_curve, mean_curve
-from zoo_configs.training.origin import origin_of
-from zoo_configs.training.runs import Run, find_runs
+from zoo_configs.training.runs import Run, find_runs, origin_of
 
 KEY = ("env", "baseline", "seed")
 
@@ -43,8 +42,8 @@ def to_row(run: Run) -> Row:
     curve, origin, status = load_curve(run.evaluations_file), origin_of(run), run.status
     evaluations = zip(curve.timesteps, curve.success, strict=True)
     return {
-        "env": run.cell.env_id,
-        "baseline": run.cell.label,
+        "env": run.experiment.env_id,
+        "baseline": run.experiment.label,
         "seed": str(run.seed),
         "measure": curve.measure,
         "episodes": str(curve.episodes),

@@ -12,13 +12,12 @@ from pathlib import Path
 
 from measurements import Row, keep, number, show
 from zoo_configs.agents import agent_of, register_run
-from zoo_configs.arguments import Parser, device, positive_int, seed
-from zoo_configs.cells.cell import Cell, resolve
-from zoo_configs.cells.rules import task_name
+from zoo_configs.arguments import Parser, positive_int, seed
 from zoo_configs.drawing.curves import load_curve
 from zoo_configs.evaluating import EvalOptions, evaluate_agent
-from zoo_configs.training.origin import origin_of
-from zoo_configs.training.runs import Run, load_run
+from zoo_configs.experiments.config import ExperimentConfig, resolve
+from zoo_configs.experiments.families import task_name
+from zoo_configs.training.runs import Run, load_run, origin_of
 
 KEY = ("env", "options", "baseline", "preset", "seed", "earlier")
 OVERRIDES = ("--env-kwargs", "-params")
@@ -33,8 +32,7 @@ def main() -> None:
     add("--data", type=Path, metavar="FILE", help="CSV to add the results to")
     add("-n", "--episodes", type=positive_int, default=100, help="number of episodes (default: 100)")
     add("--seed", type=seed, default=0, help="seed of the test scenes (default: 0)")
-    add("--commit", default="", help="commit of the training, for runs that do not name it")
-    add("--device", type=device, default="auto", help="PyTorch device (default: auto)")
+    add("--device", default="auto", help="PyTorch device (default: auto)")
     args = parser.parse_args()
     show([keep(measure(load_run(folder), args), args.data, KEY) for folder in args.run])
 
@@ -53,14 +51,14 @@ def measure(run: Run, args: argparse.Namespace) -> Row:
 
 def row(run: Run, args: argparse.Namespace, rates: Row) -> Row:
     """Return the row of a run."""
-    origin, hyperparams = origin_of(run, args.commit), run.cell.hyperparams
+    origin, hyperparams = origin_of(run), run.experiment.hyperparams
     success = load_curve(run.evaluations_file).success if run.evaluations_file.is_file() else ()
     half = success[len(success) // 2 :]
     return {
-        "env": task_name(run.cell.env_id),
-        "options": changes(run.cell, shlex.split(origin.command)),
-        "baseline": run.cell.label,
-        "preset": run.cell.preset or "",
+        "env": task_name(run.experiment.env_id),
+        "options": changes(run.experiment, shlex.split(origin.command)),
+        "baseline": run.experiment.label,
+        "preset": run.experiment.preset or "",
         "seed": str(run.seed),
         "earlier": "",
         "demonstrations": str(hyperparams.get("expert_episodes", 0)),
@@ -77,12 +75,15 @@ def row(run: Run, args: argparse.Namespace, rates: Row) -> Row:
     }
 
 
-def changes(cell: Cell, command: list[str]) -> str:
+def changes(experiment: ExperimentConfig, command: list[str]) -> str:
     """Return the flags by which an experiment differs from its baseline and preset on its task."""
     words = [*itertools.dropwhile(lambda word: word not in OVERRIDES, command)]
-    if cell.benchmark and "--benchmark" in command and cell.baseline and cell.preset:
-        if cell.benchmark != resolve(cell.baseline, cell.preset, cell.env_id).benchmark:
-            words = ["--benchmark", cell.benchmark, *words]
+    if experiment.benchmark and "--benchmark" in command and experiment.baseline and experiment.preset:
+        if (
+            experiment.benchmark
+            != resolve(experiment.baseline, experiment.preset, experiment.env_id).benchmark
+        ):
+            words = ["--benchmark", experiment.benchmark, *words]
     return " ".join(words)
 
 

@@ -11,9 +11,9 @@ import gymnasium as gym
 
 from bulletarm_gym.benchmarks import BENCHMARKS
 from measurements import DataFile, Row
-from zoo_configs.cells.rules import task_name
 from zoo_configs.drawing.tables import markdown_table
 from zoo_configs.environments import our_env_ids, register_environments
+from zoo_configs.experiments.families import task_name
 
 ID = "id `BulletArm/...-v0`"
 OPEN_LOOP = "OpenLoop"

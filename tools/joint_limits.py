@@ -53,7 +53,7 @@ def main() -> None:
                 found.setdefault(group(env_id), []).append(np.array([*rooms(env, args.episodes)]))
         for name, parts in found.items():
             steps = np.concatenate(parts)
-            cells = (
+            experiments = (
                 robot,
                 name,
                 len(parts),
@@ -61,7 +61,7 @@ def main() -> None:
                 f"{(steps < 0).mean():.1%}",
                 f"{steps.min():.3f}",
             )
-            print("| " + " | ".join(map(str, cells)) + " |", flush=True)
+            print("| " + " | ".join(map(str, experiments)) + " |", flush=True)
 
 
 if __name__ == "__main__":

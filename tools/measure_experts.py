@@ -25,8 +25,8 @@ from sb3_extensions.demonstrations.action_transforms import GridSnapping
 from sb3_extensions.encoders.observation import SceneView
 from sb3_extensions.spatial_dqn.codec import DEFAULT_SEQUENCE, SpatialActionCodec
 from zoo_configs.arguments import Parser, add_env_kwargs, add_packages, positive_int, seed
-from zoo_configs.cells.rules import task_name
 from zoo_configs.environments import known_env_id, make_env, our_env_ids, register_environments
+from zoo_configs.experiments.families import task_name
 
 KEY = ("env", "robot", "env_kwargs", "snap")
 COLLECTING_KEY = ("env", "env_kwargs", "planner")

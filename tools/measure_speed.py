@@ -20,8 +20,8 @@ from bulletarm_gym.check.machine import describe_machine, load_average
 from bulletarm_gym.simulation.yardstick import measure_yardstick
 from measurements import Row, keep, number, provenance, show, words
 from zoo_configs.arguments import Parser, add_env_kwargs, add_packages, seed
-from zoo_configs.cells.rules import task_name
 from zoo_configs.environments import known_env_id, make_env, our_env_ids, register_environments
+from zoo_configs.experiments.families import task_name
 
 KEY = ("env", "env_kwargs")
 

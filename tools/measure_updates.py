@@ -4,7 +4,7 @@ python tools/measure_updates.py --baseline equi_sacfd sacfd --preset cpu --data 
 python tools/measure_updates.py --baseline sacfd --preset quick --overhead 300 --data docs/data/overhead.csv
 
 With --overhead, the program trains each baseline five times with model.learn() and five times with
-train_cell(), alternately and without evaluations, and compares the CPU seconds of the process.
+train_experiment(), alternately and without evaluations, and compares the CPU seconds of the process.
 """
 
 import argparse
@@ -35,13 +35,13 @@ from sb3_extensions.equivariant.convolution import PlainConv2d
 from sb3_extensions.equivariant.layers import EquivariantConv2d
 from sb3_extensions.spatial_dqn import SpatialDQN
 from zoo_configs.algorithms import algorithm_classes
-from zoo_configs.arguments import Parser, add_env_kwargs, device, positive_int
-from zoo_configs.cells.cell import Cell, resolve
-from zoo_configs.cells.rules import family_of, task_name
+from zoo_configs.arguments import Parser, add_env_kwargs, positive_int
 from zoo_configs.environments import known_env_id, register_environments
-from zoo_configs.training.cell import train_cell
+from zoo_configs.experiments.config import ExperimentConfig, resolve
+from zoo_configs.experiments.families import family_of, task_name
 from zoo_configs.training.objects import parsed
 from zoo_configs.training.options import TrainingOptions
+from zoo_configs.training.train import train_experiment
 
 KEY = ("baseline", "preset", "env", "env_kwargs", "device")
 OVERHEAD_KEY = ("baseline", "preset", "env", "env_kwargs", "timesteps")
@@ -70,11 +70,11 @@ def main() -> None:
     print(f"{describe_machine()}; {env_id}, preset {args.preset}")
     rows = []
     for baseline in args.baseline:
-        cell = resolve(baseline, args.preset, env_id, overrides)
+        experiment = resolve(baseline, args.preset, env_id, overrides)
         if args.overhead:
-            rows.append(keep(overhead(cell, args), args.data, OVERHEAD_KEY))
+            rows.append(keep(overhead(experiment, args), args.data, OVERHEAD_KEY))
         else:
-            rows.append(keep(in_own_process(update, cell, args), args.data, KEY))
+            rows.append(keep(in_own_process(update, experiment, args), args.data, KEY))
     show(rows)
 
 
@@ -87,7 +87,7 @@ def parse() -> argparse.Namespace:
     add("--env", default=DEFAULT_ENV, help=f"environment id (default: {DEFAULT_ENV})")
     add("--seconds", type=float, default=5.0, help="duration of each measurement (default: 5)")
     add("--overhead", type=positive_int, metavar="N", help="measure the overhead of trainings of N steps")
-    add("--device", type=device, default="auto", help="PyTorch device (default: auto)")
+    add("--device", default="auto", help="PyTorch device (default: auto)")
     add("--num-threads", type=positive_int, help="number of PyTorch threads (default: PyTorch's)")
     add("--data", type=Path, metavar="FILE", help="CSV to add the measurements to")
     add_env_kwargs(parser)
@@ -100,28 +100,28 @@ def in_own_process(function: Callable[..., Row], *args: Any) -> Row:
         return pool.apply(function, args)
 
 
-def make_model(cell: Cell, device: str = "auto", **changes: Any) -> Any:
+def make_model(experiment: ExperimentConfig, device: str = "auto", **changes: Any) -> Any:
     """Return the untrained model of an experiment in one environment.
 
-    :param cell: experiment
+    :param experiment: experiment
     :param device: PyTorch device
     :param changes: changed hyperparameters
     """
-    hyperparams = {**parsed(cell.hyperparams), **changes}
-    env = gym.make(cell.env_id, **hyperparams.pop("env_kwargs"))
+    hyperparams = {**parsed(experiment.hyperparams), **changes}
+    env = gym.make(experiment.env_id, **hyperparams.pop("env_kwargs"))
     for name in NOT_OF_THE_MODEL:
         hyperparams.pop(name, None)
-    return algorithm_classes()[cell.algo](env=env, seed=0, device=device, **hyperparams)
+    return algorithm_classes()[experiment.algo](env=env, seed=0, device=device, **hyperparams)
 
 
-def update(cell: Cell, args: argparse.Namespace) -> Row:
+def update(experiment: ExperimentConfig, args: argparse.Namespace) -> Row:
     """Measure one update of a baseline."""
     register_environments()
     if args.num_threads:
         th.set_num_threads(args.num_threads)
     load = load_average()
-    skipped = {name: 0 for name in ("pretrain_steps", "contrastive_steps") if name in cell.hyperparams}
-    model = make_model(cell, args.device, expert_episodes=EXPERT_EPISODES, **skipped)
+    skipped = {name: 0 for name in ("pretrain_steps", "contrastive_steps") if name in experiment.hyperparams}
+    model = make_model(experiment, args.device, expert_episodes=EXPERT_EPISODES, **skipped)
     model.learn(1)
 
     def train() -> None:
@@ -131,9 +131,9 @@ def update(cell: Cell, args: argparse.Namespace) -> Row:
 
     update_ms = 1e3 * median_time(train, args.seconds)
     return {
-        **name_of(cell, args),
+        **name_of(experiment, args),
         "device": model.device.type,
-        "network": family_of(cell.env_id).baselines[cell.label].network,
+        "network": family_of(experiment.env_id).baselines[experiment.label].network,
         "threads": str(th.get_num_threads()),
         "update_ms": number(update_ms, 1),
         "peak_gigabytes": number(peak_gigabytes(model.device), 1),
@@ -144,9 +144,13 @@ def update(cell: Cell, args: argparse.Namespace) -> Row:
     }
 
 
-def name_of(cell: Cell, args: argparse.Namespace) -> Row:
+def name_of(experiment: ExperimentConfig, args: argparse.Namespace) -> Row:
     """Return the columns that identify an experiment."""
-    names = {"baseline": cell.label, "preset": str(cell.preset), "env": task_name(cell.env_id)}
+    names = {
+        "baseline": experiment.label,
+        "preset": str(experiment.preset),
+        "env": task_name(experiment.env_id),
+    }
     return {**names, "env_kwargs": words(args.env_kwargs)}
 
 
@@ -242,19 +246,19 @@ def one_pass(module: nn.Module, features: th.Tensor, autocast: str | None) -> Ca
     return run
 
 
-def overhead(cell: Cell, args: argparse.Namespace) -> Row:
-    """Compare the CPU seconds of ``train_cell`` and ``model.learn()`` in one environment."""
+def overhead(experiment: ExperimentConfig, args: argparse.Namespace) -> Row:
+    """Compare the CPU seconds of ``train_experiment`` and ``model.learn()`` in one environment."""
     if args.num_threads:
         th.set_num_threads(args.num_threads)
-    cell = replace(cell, hyperparams={**cell.hyperparams, "n_envs": 1})
-    options = TrainingOptions.of(cell, {"n_timesteps": args.overhead, "eval_freq": 0, "verbose": 0})
+    experiment = replace(experiment, hyperparams={**experiment.hyperparams, "n_envs": 1})
+    options = TrainingOptions.of(experiment, {"n_timesteps": args.overhead, "eval_freq": 0, "verbose": 0})
 
     def bare() -> None:
-        make_model(cell, args.device).learn(args.overhead).env.close()
+        make_model(experiment, args.device).learn(args.overhead).env.close()
 
     def zoo() -> None:
         with tempfile.TemporaryDirectory() as folder, contextlib.redirect_stdout(io.StringIO()):
-            train_cell(cell, 0, args.device, folder, options=options)
+            train_experiment(experiment, 0, args.device, folder, options=options)
 
     zoo()  # compiles and fills caches
     times: dict[Any, list[float]] = {bare: [], zoo: []}
@@ -263,7 +267,7 @@ def overhead(cell: Cell, args: argparse.Namespace) -> Row:
             times[train].append(duration(train, time.process_time))
     ratios = sorted(ours / theirs - 1 for ours, theirs in zip(times[zoo], times[bare], strict=True))
     return {
-        **name_of(cell, args),
+        **name_of(experiment, args),
         "timesteps": str(args.overhead),
         "bare_seconds": number(statistics.median(times[bare]), 1),
         "train_seconds": number(statistics.median(times[zoo]), 1),

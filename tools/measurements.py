@@ -3,6 +3,7 @@
 import csv
 import datetime
 import math
+import shlex
 import sys
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -11,7 +12,7 @@ from typing import Any
 
 from zoo_configs.drawing.tables import print_table
 from zoo_configs.files import whole_file
-from zoo_configs.provenance import command_line, commit, describe_hardware
+from zoo_configs.provenance import commit, describe_hardware
 
 ROOT = Path(__file__).resolve().parent.parent
 DATA = ROOT / "docs" / "data"
@@ -66,7 +67,7 @@ def provenance(device: str = "cpu") -> Row:
 
     :param device: PyTorch device that was measured
     """
-    command = command_line(["python", *sys.argv])
+    command = shlex.join(["python", *sys.argv])
     values = (describe_hardware(device), datetime.date.today().isoformat(), commit(), command)
     return dict(zip(PROVENANCE, values, strict=True))
 

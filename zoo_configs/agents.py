@@ -1,8 +1,6 @@
 """Trained agents: finding and loading them."""
 
-from __future__ import annotations
-
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -12,6 +10,7 @@ from stable_baselines3.common.save_util import load_from_zip_file
 
 from sb3_extensions.common.env_metadata import constructor_keys
 from zoo_configs.algorithms import ALGORITHMS, algorithm_classes
+from zoo_configs.arguments import check_device
 from zoo_configs.environments import known_env_id, register_environments
 from zoo_configs.errors import CommandError, refused, unknown_name
 from zoo_configs.publishing.published import Published, find_published
@@ -48,7 +47,7 @@ class Agent:
     @property
     def hyperparams(self) -> dict[str, Any]:
         """Hyperparameters of the run, an empty dictionary without one."""
-        return {} if self.run is None else self.run.cell.hyperparams
+        return {} if self.run is None else self.run.experiment.hyperparams
 
 
 @dataclass(frozen=True)
@@ -82,6 +81,7 @@ class AgentQuery:
 
 def find_agent(query: AgentQuery) -> Agent:
     """Find and load the agent that a query describes; raise ``CommandError`` if there is none."""
+    check_device(query.device)
     register_environments(query.gym_packages)
     if query.published is not None:
         return _published_agent(query)
@@ -100,7 +100,7 @@ def find_run(query: AgentQuery) -> Run:
 def register_run(run: Run) -> None:
     """Register the environment of a run."""
     register_environments(run.gym_packages)
-    known_env_id(run.cell.env_id)
+    known_env_id(run.experiment.env_id)
 
 
 def _newest_run(query: AgentQuery) -> Run:
@@ -114,9 +114,9 @@ def _newest_run(query: AgentQuery) -> Run:
     runs = [
         run
         for run in of_env
-        if query.algo in (None, run.cell.algo, run.cell.baseline)
-        and query.baseline in (None, run.cell.baseline)
-        and query.preset in (None, run.cell.preset)
+        if query.algo in (None, run.experiment.algo, run.experiment.baseline)
+        and query.baseline in (None, run.experiment.baseline)
+        and query.preset in (None, run.experiment.preset)
     ]
     if not runs:
         raise CommandError(f"no run of {query.baseline or query.algo} on {env_id} in {query.log_folder}")
@@ -132,10 +132,10 @@ def agent_of(run: Run, best: bool = True, device: str = "auto") -> Agent:
 
 
 def _agent_of_run(run: Run, path: Path, device: str) -> Agent:
-    env_kwargs = dict(run.cell.hyperparams.get("env_kwargs", {}))
+    env_kwargs = dict(run.experiment.hyperparams.get("env_kwargs", {}))
     env_kwargs.pop("render_mode", None)
-    model = load_model(path, run.cell.algo, device)
-    return Agent(model, path, run.cell.label, run.cell.env_id, env_kwargs, run)
+    model = load_model(path, run.experiment.algo, device)
+    return Agent(model, path, run.experiment.label, run.experiment.env_id, env_kwargs, run)
 
 
 def _agent_of_file(path: Path, query: AgentQuery) -> Agent:
@@ -157,18 +157,13 @@ def algorithm_of(path: Path) -> str:
         assert data is not None, "it contains no data"
     policy = data.get("policy_class")
     scores = {
-        name: _agreement(algorithm, data)
+        name: sum(1 if key in data else -1 for key in constructor_keys(algorithm))
         for name, algorithm in algorithm_classes().items()
         if policy in algorithm.policy_aliases.values()
     }
     if not scores:
         raise CommandError(f"pass --algo with {path}: no known algorithm has the policy class {policy}")
     return max(scores, key=lambda name: scores[name])
-
-
-def _agreement(algorithm: type[Any], data: Mapping[str, Any]) -> int:
-    """Return the number of constructor arguments in a model file, minus the number of missing ones."""
-    return sum(1 if key in data else -1 for key in constructor_keys(algorithm))
 
 
 def load_model(path: Path, algo: str, device: str = "auto") -> BaseAlgorithm:

@@ -1,7 +1,5 @@
 """Algorithms by name: ours, Stable-Baselines3's and sb3-contrib's."""
 
-from __future__ import annotations
-
 import functools
 import importlib
 import inspect
@@ -36,13 +34,7 @@ OTHERS = {
 
 
 def class_from_path(path: str) -> type[Any]:
-    """
-    Import a class.
-
-    :param path: Import path, ``package.module.Class``
-    :return: The class
-    :raises ImportError: if the module or the class does not exist
-    """
+    """Import a class from ``package.module.Class``; raise ``ImportError`` if it does not exist."""
     module, _, name = path.rpartition(".")
     found = getattr(importlib.import_module(module), name, None)
     if not isinstance(found, type):
@@ -52,12 +44,7 @@ def class_from_path(path: str) -> type[Any]:
 
 @functools.cache
 def constructor_arguments(cls: Any) -> Mapping[str, inspect.Parameter]:
-    """
-    Return the arguments of a constructor and of those of its parents.
-
-    :param cls: The class
-    :return: The arguments by name
-    """
+    """Return the arguments of a constructor and of those of its parents, by name."""
     found: dict[str, inspect.Parameter] = {}
     for parent in reversed(cls.__mro__[:-1]):
         if "__init__" in vars(parent):
@@ -67,9 +54,5 @@ def constructor_arguments(cls: Any) -> Mapping[str, inspect.Parameter]:
 
 @functools.cache
 def algorithm_classes() -> Mapping[str, type[Any]]:
-    """
-    Import all algorithms.
-
-    :return: The classes by name
-    """
+    """Import all algorithms and return their classes by name."""
     return {name: class_from_path(path) for name, path in {**ALGORITHMS, **OTHERS}.items()}

@@ -1,7 +1,5 @@
 """Flags that several commands share."""
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Callable, Mapping
 from typing import Any, NoReturn
@@ -9,7 +7,7 @@ from typing import Any, NoReturn
 import yaml
 
 from zoo_configs.errors import CommandError, reason
-from zoo_configs.yaml_files import format_yaml, parse_yaml
+from zoo_configs.files import format_yaml, parse_yaml
 
 ALWAYS_AVAILABLE = ("auto", "cpu")
 """Devices that need no check, which would import PyTorch."""
@@ -20,12 +18,7 @@ class Parser(argparse.ArgumentParser):
     """Parser whose errors are one line."""
 
     def error(self, message: str) -> NoReturn:
-        """
-        Reject the arguments.
-
-        :param message: The reason
-        :raises CommandError: always
-        """
+        """Raise ``CommandError`` with a message."""
         raise CommandError(message)
 
 
@@ -39,15 +32,7 @@ class KeyValues(argparse.Action):
         values: Any,
         option_string: str | None = None,
     ) -> None:
-        """
-        Parse the pairs of a flag.
-
-        :param parser: The parser
-        :param namespace: The parsed arguments
-        :param values: The pairs
-        :param option_string: The flag
-        :raises CommandError: for an invalid pair or a repeated key
-        """
+        """Parse the pairs of a flag; raise ``CommandError`` for an invalid pair or a repeated key."""
         pairs = [_key_value(str(option_string), pair) for pair in values]
         keys = [key for key, _ in pairs]
         if twice := sorted({key for key in keys if keys.count(key) > 1}):
@@ -68,56 +53,26 @@ def _key_value(flag: str, pair: str) -> tuple[str, Any]:
 
 
 def key_value_words(values: Mapping[str, Any]) -> list[str]:
-    """
-    Write parameters as the command line reads them.
-
-    :param values: The parameters by name
-    :return: One word ``key:value`` each, sorted
-    """
+    """Return one word ``key:value`` for each parameter, sorted, as the command line reads them."""
     return [f"{name}:{format_yaml(value, inline=True)}" for name, value in sorted(values.items())]
 
 
-def device(text: str) -> str:
-    """
-    Argument type for a PyTorch device.
-
-    :param text: Its name
-    :return: Its name
-    :raises argparse.ArgumentTypeError: if the device is not available
-    """
-    if text in ALWAYS_AVAILABLE:
-        return text
+def check_device(name: str) -> None:
+    """Raise ``CommandError`` if a PyTorch device is not available."""
+    if name in ALWAYS_AVAILABLE:
+        return
     import torch
 
     try:
-        torch.zeros(1, device=text).cpu()
+        torch.zeros(1, device=name).cpu()
     except (RuntimeError, AssertionError) as error:  # AssertionError: PyTorch was built without it
-        message = f"must be an available PyTorch device, got {text!r}: {reason(error)}"
-        raise argparse.ArgumentTypeError(message) from error
-    return text
-
-
-def check_device(text: str) -> None:
-    """
-    Check a PyTorch device.
-
-    :param text: Its name
-    :raises CommandError: if the device is not available
-    """
-    try:
-        device(text)
-    except argparse.ArgumentTypeError as error:
-        raise CommandError(f"--device: {error}") from error
+        raise CommandError(
+            f"--device must be an available PyTorch device, got {name!r}: {reason(error)}"
+        ) from error
 
 
 def whole_number(least: int, most: int | None = None) -> Callable[[str], int]:
-    """
-    Return an argument type for whole numbers.
-
-    :param least: Lower limit
-    :param most: Upper limit, None for none
-    :return: The type, which raises ``argparse.ArgumentTypeError`` for other values
-    """
+    """Return an argument type for whole numbers from ``least`` to ``most`` (None: unlimited)."""
 
     def number(text: str) -> int:
         """Parse a number within the limits."""
@@ -138,11 +93,7 @@ seed = whole_number(0, MAX_SEED)
 
 
 def add_packages(parser: argparse.ArgumentParser) -> None:
-    """
-    Add the flag for packages of the user.
-
-    :param parser: Parser of the command
-    """
+    """Add the flag for packages of the user."""
     parser.add_argument(
         "--gym-packages",
         action="extend",
@@ -154,42 +105,23 @@ def add_packages(parser: argparse.ArgumentParser) -> None:
 
 
 def add_env_kwargs(parser: argparse.ArgumentParser) -> None:
-    """
-    Add the flag for an environment's parameters.
-
-    :param parser: Parser of the command
-    """
+    """Add the flag for an environment's parameters."""
     add_key_values(parser, "--env-kwargs", help="parameters of the environment, for example robot:panda")
 
 
 def add_key_values(parser: argparse.ArgumentParser, *flags: str, **kwargs: Any) -> None:
-    """
-    Add a flag with ``key:value ...``.
-
-    :param parser: Parser of the command
-    :param flags: Its names
-    :param kwargs: Further arguments of ``add_argument``
-    """
+    """Add a flag with ``key:value ...``; ``kwargs`` are further arguments of ``add_argument``."""
     parser.add_argument(*flags, nargs="+", action=KeyValues, default={}, metavar="KEY:VALUE", **kwargs)
 
 
 def add_progress(parser: argparse.ArgumentParser) -> None:
-    """
-    Add the flags for progress bars. ``args.progress`` is None if neither is passed.
-
-    :param parser: Parser of the command
-    """
-    add = parser.add_mutually_exclusive_group().add_argument
-    on = "show a progress bar (default: on a terminal)"
-    add("-P", "--progress", action="store_true", default=None, help=on)
-    add("--no-progress", action="store_false", dest="progress", help="show no progress bar")
+    """Add the flags for progress bars. ``args.progress`` is None if neither is passed."""
+    on_off = argparse.BooleanOptionalAction
+    parser.add_argument(
+        "-P", "--progress", action=on_off, help="show a progress bar (default: on a terminal)"
+    )
 
 
 def hides_progress(progress: bool | None) -> bool | None:
-    """
-    Return tqdm's argument ``disable``.
-
-    :param progress: As from :func:`add_progress`
-    :return: Whether to hide the bar; None hides it without a terminal
-    """
+    """Return tqdm's argument ``disable`` for ``args.progress``; None hides the bar without a terminal."""
     return None if progress is None else not progress

@@ -1,7 +1,5 @@
 """The command line ``bulletarm-zoo``: runs a command and prints its errors in one line."""
 
-from __future__ import annotations
-
 import importlib
 import os
 import select
@@ -31,16 +29,24 @@ COMMANDS = {
     "demos": "collect demonstrations of an expert",
     "list": "list environments, baselines, presets or published agents",
 }
-MODULES = {"list": "listing"}  # modules that are not named as their commands
-REQUIRED = ("stable_baselines3", "torch", "optuna", "yaml", "rich", "matplotlib", "imageio", "huggingface_hub")
+REQUIRED = (
+    "stable_baselines3",
+    "torch",
+    "optuna",
+    "yaml",
+    "rich",
+    "matplotlib",
+    "pandas",
+    "imageio",
+    "huggingface_hub",
+)
 """Modules of packages that the extra ``zoo`` installs."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """
-    Run a command.
+    Run a command, by default that of ``sys.argv``.
 
-    :param argv: Name of the command and its arguments, default ``sys.argv[1:]``
     :return: Exit code: 0; 2 for an error; 130 after Ctrl-C; 141 if the reader of the output has gone
     """
     words = list(sys.argv[1:] if argv is None else argv)
@@ -54,7 +60,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(f"\n{PROGRAM} {name}: interrupted", file=sys.stderr)
         return EXIT_INTERRUPTED
     except Exception as error:
-        if raises or _is_between_processes(error):
+        if raises:
             raise
         return _report(name, error)
     return EXIT_OK
@@ -68,7 +74,7 @@ def _run(name: str, arguments: Sequence[str]) -> None:
     elif name in COMMANDS:
         if missing := [module for module in REQUIRED if find_spec(module) is None]:
             raise CommandError(f"{', '.join(missing)} not installed: pip install 'bulletarm-gym[zoo]'")
-        importlib.import_module(f"zoo_configs.commands.{MODULES.get(name, name)}").main(arguments)
+        importlib.import_module(f"zoo_configs.commands.{name}").main(arguments)
     else:
         raise unknown_name("command", name, COMMANDS)
 
@@ -85,11 +91,6 @@ def _working_directory_on_path() -> Iterator[None]:
         yield
     finally:
         sys.path.remove(here)
-
-
-def _is_between_processes(error: Exception) -> bool:
-    """Return True for a broken connection between our own processes, which needs a traceback."""
-    return isinstance(error, ConnectionError) and not _is_unread(error)
 
 
 def _is_unread(error: Exception) -> bool:

@@ -1,15 +1,13 @@
 """Errors in the user's arguments: one sentence, exit code 2, no traceback."""
 
-from __future__ import annotations
-
 import difflib
 import re
 import traceback
-from collections.abc import Callable, Collection, Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager
 
-NEARLY_EQUAL = 0.95
-"""Similarity of whole names that suffices if their characteristic parts differ."""
+SIMILAR = 0.65
+"""Least similarity (difflib's ratio) of a suggested name."""
 COLOURS = re.compile(r"\x1b\[\d+m")
 MADE_BY_GYMNASIUM = " was raised from the environment creator for "
 """Start of the text with all parameters that Gymnasium appends to a ``TypeError`` of an environment."""
@@ -21,14 +19,7 @@ class CommandError(Exception):
 
 @contextmanager
 def refused(what: str, kinds: type[Exception] | tuple[type[Exception], ...] = Exception) -> Iterator[None]:
-    """
-    Convert errors that arguments of the user cause into errors of the command.
-
-    :param what: Start of the message
-    :param kinds: Errors to convert
-    :return: Context manager
-    :raises CommandError: instead of one of them
-    """
+    """Convert errors that the user's arguments cause into ``CommandError`` that starts with ``what``."""
     try:
         yield
     except CommandError:
@@ -40,16 +31,19 @@ def refused(what: str, kinds: type[Exception] | tuple[type[Exception], ...] = Ex
 
 
 def reason(error: BaseException) -> str:
-    """
-    Return the message of an error in one line.
-
-    :return: Its message, with the name of its class if the message alone is not a sentence for users
-    """
+    """Return the message of an error in one line, with the name of its class if it is not one of ours."""
     if isinstance(error, OSError) and error.strerror:
         return f"{error.filename}: {error.strerror}" if error.filename else error.strerror
     message = " ".join(str(error).split()).partition(MADE_BY_GYMNASIUM)[0]
     explains = isinstance(error, AssertionError | CommandError | RuntimeError | ValueError) and message
     return message if explains else f"{type(error).__name__}: {message}".removesuffix(": ")
+
+
+def causes(error: BaseException | None) -> Iterator[BaseException]:
+    """Yield an error and the errors that caused it."""
+    while error is not None:
+        yield error
+        error = error.__cause__ or error.__context__
 
 
 def reason_and_place(error: BaseException) -> str:
@@ -59,52 +53,35 @@ def reason_and_place(error: BaseException) -> str:
     return f"{message} ({last.filename}, line {last.lineno})"
 
 
-def unknown_name(
-    kind: str, got: str, valid: Iterable[str], core: Callable[[str], str] = str.lower, see: str = ""
-) -> CommandError:
+def unknown_name(kind: str, got: str, valid: Iterable[str], see: str = "") -> CommandError:
     """
     Return the error for an unknown name, with the nearest valid name.
 
     :param kind: Kind of the name, for example ``"baseline"``
     :param got: The unknown name
     :param valid: The valid names
-    :param core: Function that returns the characteristic part of a name
     :param see: Where the valid names are listed, if there are too many for one line
-    :return: The error, which the caller raises
     """
     names = sorted(valid)
-    nearest = nearest_name(got, names, core)
-    if nearest is not None:
+    if (nearest := nearest_name(got, names)) is not None:
         return CommandError(f"unknown {kind} {got!r}, did you mean {nearest!r}?")
     choices = f"choose from {', '.join(names) or 'nothing: none exists'}"
     return CommandError(f"unknown {kind} {got!r}, {see or choices}")
 
 
 def check_names(kind: str, given: Iterable[str], valid: Collection[str]) -> None:
-    """
-    Check names.
-
-    :param kind: Their kind in the error
-    :param given: The names
-    :param valid: The valid names
-    :raises CommandError: for the first unknown name
-    """
+    """Raise ``CommandError`` for the first of some names that is not valid."""
     for name in given:
         if name not in valid:
             raise unknown_name(kind, name, valid)
 
 
-def nearest_name(got: str, valid: Iterable[str], core: Callable[[str], str] = str.lower) -> str | None:
-    """
-    Return the valid name that is most similar to another, regardless of case, None if no name is similar.
+def nearest_name(got: str, valid: Iterable[str]) -> str | None:
+    """Return the most similar name, regardless of case, namespace and version; None if none is similar."""
+    names = {_bare(name): name for name in valid}
+    found = difflib.get_close_matches(_bare(got), names, n=1, cutoff=SIMILAR)
+    return names[found[0]] if found else None
 
-    :param got: The other name
-    :param valid: The valid names
-    :param core: Function that returns the characteristic part of a name; the whole decides between equals
-    """
-    names = list(valid)
-    near = difflib.get_close_matches(core(got), {core(name) for name in names}, n=1)
-    similar = {name.lower(): name for name in names if core(name) in near} or {n.lower(): n for n in names}
-    cutoff = 0.0 if near else NEARLY_EQUAL
-    found = difflib.get_close_matches(got.lower(), similar, n=1, cutoff=cutoff)
-    return similar[found[0]] if found else None
+
+def _bare(name: str) -> str:
+    return name.lower().rpartition("/")[2].partition("-v")[0]

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import contextlib
-import math
 from collections.abc import Mapping
 from contextlib import closing
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from zoo_configs.arguments import hides_progress
-from zoo_configs.environments import check_alike, try_env
+from zoo_configs.environments import try_env
 from zoo_configs.errors import CommandError, refused
 from zoo_configs.training.seeds import SeedStream, stream_seed
 
@@ -19,8 +18,6 @@ if TYPE_CHECKING:
     from stable_baselines3.common.vec_env import VecEnv
 
     from zoo_configs.agents import Agent
-
-Z95 = 1.959964  # 97.5th percentile of the standard normal distribution
 
 
 @dataclass(frozen=True)
@@ -32,7 +29,6 @@ class EvalOptions:
     :param seed: Seed of the test scenes
     :param n_envs: Number of environments; more than one run in processes
     :param env_kwargs: Changed parameters of the environment
-    :param render: Whether to open a window
     :param progress: Whether to show a progress bar; None shows it on a terminal
     """
 
@@ -40,7 +36,6 @@ class EvalOptions:
     seed: int = 0
     n_envs: int = 1
     env_kwargs: Mapping[str, Any] = field(default_factory=dict)
-    render: bool = False
     progress: bool | None = None
 
 
@@ -63,32 +58,25 @@ class Outcome(NamedTuple):
     @property
     def interval(self) -> tuple[float, float]:
         """Wilson's 95 % interval of the success rate of this agent."""
-        n, rate = self.episodes, self.success_rate
-        middle = rate + Z95**2 / (2 * n)
-        half = Z95 * math.sqrt(rate * (1 - rate) / n + Z95**2 / (4 * n**2))
-        low, high = ((middle + sign * half) / (1 + Z95**2 / n) for sign in (-1, 1))
-        return max(low, 0.0), min(high, 1.0)
+        from scipy.stats import binomtest
+
+        low, high = binomtest(sum(self.successes), self.episodes).proportion_ci(method="wilson")
+        return float(low), float(high)
 
 
 def build_test_env(agent: Agent, options: EvalOptions) -> VecEnv:
-    """
-    Build the environments of an agent with the parameters of its training.
+    """Build the environments of an agent as in its training; raise ``CommandError`` on failure."""
+    from zoo_configs.training.objects import build_vec_env
 
-    :raises CommandError: if the environment rejects its parameters, or a window needs a display
-    """
-    from zoo_configs.training.vec_envs import build_vec_env
-
-    mode = "human" if options.render else None
     env_kwargs = {**agent.env_kwargs, **options.env_kwargs}
-    try_env(agent.env_id, env_kwargs, mode)
+    try_env(agent.env_id, env_kwargs)
     statistics = None if agent.run is None else agent.run.statistics_file
     if agent.hyperparams.get("normalize") and statistics is not None and not statistics.is_file():
         raise CommandError(f"{statistics} is missing: {agent.path} was trained with it")
-    rendering = {} if mode is None else {"render_mode": mode}
     with refused(f"{agent.env_id} cannot be made as in the training of {agent.path}"):
         return build_vec_env(
             agent.env_id,
-            {**agent.hyperparams, "env_kwargs": {**rendering, **env_kwargs}},
+            {**agent.hyperparams, "env_kwargs": env_kwargs},
             options.n_envs,
             stream_seed(options.seed, SeedStream.TEST),
             vec_env="subproc" if options.n_envs > 1 else "dummy",
@@ -99,12 +87,9 @@ def build_test_env(agent: Agent, options: EvalOptions) -> VecEnv:
 
 def evaluate(model: BaseAlgorithm, env: VecEnv, options: EvalOptions) -> Outcome:
     """
-    Evaluate a model with its deterministic policy. Ctrl-C ends the evaluation early.
+    Evaluate a model with its deterministic policy and return the outcome of the finished episodes.
 
-    :param model: The model
-    :param env: Environments that report ``is_success`` at the end of an episode
-    :param options: Options of the evaluation
-    :return: Outcome of the finished episodes
+    The environments report ``is_success`` at the end of an episode. Ctrl-C ends the evaluation early.
     """
     from stable_baselines3.common.evaluation import evaluate_policy
     from tqdm import tqdm
@@ -128,7 +113,6 @@ def evaluate_agent(agent: Agent, options: EvalOptions) -> Outcome:
     """
     Evaluate an agent in its own environment.
 
-    :return: Outcome of all episodes
     :raises CommandError: if the environment cannot be built, or does not fit the agent
     :raises KeyboardInterrupt: after Ctrl-C
     """
@@ -142,16 +126,13 @@ def evaluate_agent(agent: Agent, options: EvalOptions) -> Outcome:
 
 def check_fits(env: Any, agent: Agent) -> None:
     """Raise ``CommandError`` if an environment or a vector environment has other spaces than an agent."""
-    check_alike(env, agent.model, "the agent cannot act here")
+    from stable_baselines3.common.utils import check_for_correct_spaces
+
+    with refused("the agent cannot act here", ValueError):
+        check_for_correct_spaces(env, agent.model.observation_space, agent.model.action_space)
 
 
 def check_unwrapped(hyperparams: Mapping[str, Any], names: tuple[str, ...], reason: str) -> None:
-    """
-    Raise ``CommandError`` if an agent was trained with some wrappers.
-
-    :param hyperparams: Hyperparameters of its training
-    :param names: Hyperparameters that must not be set
-    :param reason: End of the message
-    """
+    """Raise ``CommandError``, ending in ``reason``, if one of some hyperparameters is set."""
     if wrapped := [name for name in names if hyperparams.get(name)]:
         raise CommandError(f"the agent was trained with {', '.join(wrapped)}, {reason}")

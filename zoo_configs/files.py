@@ -1,15 +1,18 @@
-"""Files that are written atomically."""
-
-from __future__ import annotations
+"""Files that are written atomically, and YAML 1.2: ``1e-3`` is a number, ``no`` and ``12:30`` are text."""
 
 import contextlib
 import os
+import re
 import tempfile
+import uuid
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
-from zoo_configs.errors import CommandError
+import yaml
+
+from zoo_configs.errors import CommandError, refused
 
 
 @contextmanager
@@ -22,12 +25,9 @@ def whole_file(path: Path) -> Iterator[Path]:
     """
     made = missing_folders(path.parent)
     path.parent.mkdir(parents=True, exist_ok=True)
-    handle, name = tempfile.mkstemp(prefix=f".{path.stem}-", suffix=path.suffix, dir=path.parent)
-    os.close(handle)
-    partial = Path(name)
+    partial = path.with_name(f".{path.stem}-{uuid.uuid4().hex}{path.suffix}")
     try:
         yield partial
-        partial.chmod(0o666 & ~_umask())
         os.replace(partial, path)
     except OSError as error:
         error.filename = error.filename or str(path)  # the error of a full disk has no file name
@@ -65,8 +65,59 @@ def remove_empty(folders: Iterable[Path]) -> None:
             folder.rmdir()
 
 
-def _umask() -> int:
-    """Return the file mode mask of the process, which can only be read by setting it."""
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask
+SCALARS = {
+    "null": (r"~|null|Null|NULL|None|", "~nN"),
+    "bool": (r"true|True|TRUE|false|False|FALSE", "tTfF"),
+    "int": (r"[-+]?[0-9]+", "-+0123456789"),
+    "float": (
+        r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?|[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)",
+        "-+0123456789.",
+    ),
+    "merge": (r"<<", "<"),
+}
+"""Plain scalars that are not text: pattern and first characters by tag. ``None`` is null as in Python."""
+
+
+class Loader(yaml.SafeLoader):
+    """Loader of plain data with the scalars of YAML 1.2."""
+
+    yaml_implicit_resolvers: dict[str, Any] = {}  # noqa: RUF012
+
+
+class Dumper(yaml.SafeDumper):
+    """Dumper of plain data that quotes text which a reader of YAML 1.1 or 1.2 would not read as text."""
+
+    def ignore_aliases(self, data: Any) -> bool:
+        """Repeat equal values instead of referring to them."""
+        return True
+
+
+for _tag, (_pattern, _first) in SCALARS.items():
+    for _class in (Loader, Dumper):
+        _characters = [*_first, ""] if _tag == "null" else [*_first]
+        _class.add_implicit_resolver(f"tag:yaml.org,2002:{_tag}", re.compile(f"(?:{_pattern})$"), _characters)
+
+
+def parse_yaml(text: str) -> Any:
+    """Return the plain data of a YAML document; raise ``yaml.YAMLError`` if it is not valid."""
+    return yaml.load(text, Loader)  # a subclass of SafeLoader
+
+
+def read_yaml(path: Path, name: str = "") -> Any:
+    """Read a YAML file; raise ``CommandError``, with the name of the argument, if it is not valid."""
+    with refused(f"{name}: {path} cannot be read".removeprefix(": ")):
+        return parse_yaml(path.read_text(encoding="utf-8"))
+
+
+def format_yaml(value: Any, inline: bool = False) -> str:
+    """Format plain data as YAML, in one line if ``inline``, without a line break at its end."""
+    style: dict[str, Any] = {"default_flow_style": True, "width": float("inf")} if inline else {}
+    text: str = yaml.dump(value, Dumper=Dumper, sort_keys=False, allow_unicode=True, **style)
+    return text.removesuffix("\n...\n").rstrip("\n")
+
+
+def write_yaml(path: Path, value: Any, comment: str = "") -> None:
+    """Write plain data to a YAML file atomically, after a comment as its first line."""
+    with whole_file(path) as partial:
+        header = f"# {comment}\n" if comment else ""
+        partial.write_text(f"{header}{format_yaml(value)}\n", encoding="utf-8")

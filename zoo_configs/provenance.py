@@ -1,11 +1,7 @@
-"""Where a result comes from: machine, versions, commit and command line."""
-
-from __future__ import annotations
+"""Where a result comes from: machine, versions and commit."""
 
 import functools
-import shlex
 import subprocess
-from collections.abc import Sequence
 from importlib import metadata
 from pathlib import Path
 
@@ -66,12 +62,3 @@ def _git(*words: str) -> str | None:
     except (OSError, subprocess.SubprocessError):
         return None
     return done.stdout.strip()
-
-
-def command_line(words: Sequence[str]) -> str:
-    """Join words for a shell, with double quotes around single ones, as in ``"robot:'panda'"``."""
-    return " ".join(map(_quoted, words))
-
-
-def _quoted(word: str) -> str:
-    return f'"{word}"' if "'" in word and not set(word) & set('"$`\\!') else shlex.quote(word)

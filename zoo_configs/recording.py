@@ -1,7 +1,5 @@
 """Videos of agents and experts: rendered episodes next to the observations."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -11,13 +9,12 @@ from tqdm import trange
 
 from zoo_configs.agents import Agent
 from zoo_configs.arguments import hides_progress
-from zoo_configs.drawing.video import Frame, ValueMap, compose_frame
-from zoo_configs.environments import known_env_id, make_env, try_env
-from zoo_configs.errors import CommandError
+from zoo_configs.drawing.video import FRAMES_PER_SECOND, Frame, ValueMap, compose_frame
+from zoo_configs.environments import known_env_id, make_env, tried_env
+from zoo_configs.errors import CommandError, refused
 from zoo_configs.evaluating import check_fits, check_unwrapped
 from zoo_configs.training.seeds import SeedStream, stream_seed
 
-FRAMES_PER_SECOND = 5.0
 RENDER_MODE = "rgb_array"
 FINAL_SECONDS = 1.0  # duration of the last frame of an episode
 WRAPPERS = ("normalize", "frame_stack", "vec_env_wrapper")  # hyperparameters that change observations
@@ -47,31 +44,31 @@ class Actor(NamedTuple):
         return self.env.spec.name
 
 
+def _make(env_id: str, env_kwargs: Mapping[str, Any], is_expert: bool = False) -> gym.Env[Any, Any]:
+    """Make an environment that renders, and check that it has an expert if needed."""
+    if (mode := env_kwargs.get("render_mode", RENDER_MODE)) != RENDER_MODE:
+        raise CommandError(f"render_mode must be {RENDER_MODE!r}, got {mode!r}")
+    kwargs = {**env_kwargs, "render_mode": RENDER_MODE}
+    with tried_env(env_id, kwargs) as env, refused(f"{env_id} cannot be rendered"):
+        if is_expert and not hasattr(env.unwrapped, "expert_action"):
+            raise CommandError(f"{env_id} has no expert")
+        env.render()
+    return make_env(env_id, kwargs)
+
+
 def expert_actor(env_id: str, env_kwargs: Mapping[str, Any]) -> Actor:
     """Return the expert of an environment; raise ``CommandError`` if it has none."""
-    env_id = known_env_id(env_id)
-    env = make_env(env_id, env_kwargs, RENDER_MODE)
-    if not hasattr(env.unwrapped, "expert_action"):
-        raise CommandError(f"{env_id} has no expert")
-    try_env(env_id, env_kwargs, RENDER_MODE)
-    expert = env.unwrapped.expert_action
+    env = _make(known_env_id(env_id), env_kwargs, is_expert=True)
+    expert = env.unwrapped.expert_action  # type: ignore[attr-defined]
     return Actor("expert", env, lambda _: expert())
 
 
 def agent_actor(agent: Agent, env_kwargs: Mapping[str, Any]) -> Actor:
-    """
-    Return an agent in its environment.
-
-    :param agent: The agent
-    :param env_kwargs: Changed parameters of the environment
-    :raises CommandError: if the environment rejects its parameters, or does not fit the agent
-    """
+    """Return an agent in its environment; raise ``CommandError`` if the environment does not fit it."""
     from zoo_configs.training.objects import wrapper
 
     check_unwrapped(agent.hyperparams, WRAPPERS, "which record does not support")
-    kwargs = {**agent.env_kwargs, "render_mode": RENDER_MODE, **env_kwargs}
-    try_env(agent.env_id, kwargs, RENDER_MODE)
-    env = make_env(agent.env_id, kwargs, RENDER_MODE)
+    env = _make(agent.env_id, {**agent.env_kwargs, **env_kwargs})
     wrap = wrapper(agent.hyperparams.get("env_wrapper"))
     env = wrap(env) if wrap is not None else env
     check_fits(env, agent)
@@ -98,16 +95,11 @@ def _pixel_values(policy: Any) -> Callable[[Any], ValueMap] | None:
     return evaluate
 
 
-def record(
-    actor: Actor, episodes: int, seed: int, fps: float = FRAMES_PER_SECOND, progress: bool | None = None
-) -> Iterator[Frame]:
+def record(actor: Actor, episodes: int, seed: int, progress: bool | None = None) -> Iterator[Frame]:
     """
-    Play episodes and yield their frames.
+    Play episodes in an actor's environment, which stays open, and yield their frames.
 
-    :param actor: The actor, whose environment stays open
-    :param episodes: Number of episodes
     :param seed: Seed of the scenes
-    :param fps: Steps per second
     :param progress: Whether to show a progress bar; None shows it on a terminal
     """
     first_seed, successes = stream_seed(seed, SeedStream.TEST), 0
@@ -115,7 +107,7 @@ def record(
         title = f"episode {episode + 1} of {episodes}"
         *frames, (last, success) = _record_episode(actor, first_seed + episode, title)
         yield from (frame for frame, _ in frames)
-        yield from [last] * max(1, round(FINAL_SECONDS * fps))
+        yield from [last] * max(1, round(FINAL_SECONDS * FRAMES_PER_SECOND))
         successes += success
     print(f"{successes} of {episodes} episodes succeeded")
 

@@ -1,8 +1,7 @@
 """Results of many runs: experiments, success by seed, and tables."""
 
-from __future__ import annotations
-
 import csv
+import json
 import sys
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
@@ -11,14 +10,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.stats import trim_mean
 
-from zoo_configs.cells.rules import task_name
 from zoo_configs.drawing.curves import LearningCurve, load_curve
 from zoo_configs.drawing.tables import markdown_table
 from zoo_configs.errors import CommandError
+from zoo_configs.experiments.families import task_name
 from zoo_configs.files import whole_file
-from zoo_configs.training.origin import Origin, origin_of
-from zoo_configs.training.runs import Run, find_runs
+from zoo_configs.training.runs import Origin, Run, find_runs, origin_of
 from zoo_configs.training.state import State
 
 AXES = ("preset", "benchmark")
@@ -57,7 +56,7 @@ class Result:
 
 
 @dataclass
-class Experiment:
+class ExperimentResults:
     """
     Runs that differ only in their seeds.
 
@@ -82,7 +81,7 @@ class Experiment:
 
 def read_experiments(
     log_folder: Path, env_ids: Sequence[str] | None = None, baselines: Sequence[str] | None = None
-) -> list[Experiment]:
+) -> list[ExperimentResults]:
     """
     Read the evaluated runs in a folder, and group them by experiment.
 
@@ -94,48 +93,40 @@ def read_experiments(
     :return: The experiments, sorted by environment and label
     :raises CommandError: if no run fits
     """
-    experiments: list[Experiment] = []
+    found: dict[str, ExperimentResults] = {}
     for run in find_runs(log_folder):
-        is_wanted = env_ids is None or run.cell.env_id in env_ids
-        if (
-            is_wanted
-            and run.evaluations_file.is_file()
-            and (baselines is None or run.cell.baseline in baselines)
-        ):
-            _add(experiments, Result(run, load_curve(run.evaluations_file), origin_of(run)))
-    if not experiments:
+        is_wanted = env_ids is None or run.experiment.env_id in env_ids
+        if is_wanted and (baselines is None or run.experiment.baseline in baselines):
+            if run.evaluations_file.is_file():
+                new = ExperimentResults(run.experiment.env_id, run.experiment.label, settings_of(run))
+                key = json.dumps([new.env_id, new.baseline, new.settings], default=str)
+                _add(found.setdefault(key, new), run)
+    if not found:
         raise CommandError(f"no evaluated run of these environments and baselines in {log_folder}")
-    for one in experiments:
-        one.label = _label(one, [other for other in experiments if _name(other) == _name(one)])
-    return sorted(experiments, key=lambda one: (one.env_id, one.label))
+    for one in found.values():
+        names = one.env_id, one.baseline
+        one.label = _label(
+            one, [other for other in found.values() if (other.env_id, other.baseline) == names]
+        )
+    return sorted(found.values(), key=lambda one: (one.env_id, one.label))
 
 
-def _name(experiment: Experiment) -> tuple[str, str]:
-    return experiment.env_id, experiment.baseline
-
-
-def _add(experiments: list[Experiment], result: Result) -> None:
-    """Add a result to its experiment."""
-    run = result.run
-    new = Experiment(run.cell.env_id, run.cell.label, settings_of(run))
-    found = next(
-        (one for one in experiments if (_name(one), one.settings) == (_name(new), new.settings)), new
-    )
-    if found is new:
-        experiments.append(new)
-    other = found.results.get(run.seed, result)
+def _add(experiment: ExperimentResults, run: Run) -> None:
+    """Add the result of a run, unless that of a longer one with the same seed is known."""
+    result = Result(run, load_curve(run.evaluations_file), origin_of(run))
+    other = experiment.results.get(run.seed, result)
     left, kept = sorted((other, result), key=lambda one: one.steps)
-    found.results[run.seed] = kept
+    experiment.results[run.seed] = kept
     if left is not kept:
         print(f"left out: {left.run.folder} repeats {kept.run.folder}", file=sys.stderr)
 
 
 def settings_of(run: Run) -> dict[str, Any]:
     """Return what defines the experiment of a run, except environment and seed, by dotted name."""
-    cell = run.cell
-    axes = {"algo": cell.algo, "preset": cell.preset, "benchmark": cell.benchmark}
+    experiment = run.experiment
+    axes = {"algo": experiment.algo, "preset": experiment.preset, "benchmark": experiment.benchmark}
     options = {"trained_agent": run.options.trained_agent, "n_timesteps": run.n_timesteps}
-    return {**axes, **dict(_flat(cell.hyperparams)), **options}
+    return {**axes, **dict(_flat(experiment.hyperparams)), **options}
 
 
 def _flat(values: Mapping[str, Any], prefix: str = "") -> Iterable[tuple[str, Any]]:
@@ -147,7 +138,7 @@ def _flat(values: Mapping[str, Any], prefix: str = "") -> Iterable[tuple[str, An
             yield f"{prefix}{name}", value
 
 
-def _label(own: Experiment, others: Iterable[Experiment]) -> str:
+def _label(own: ExperimentResults, others: Iterable[ExperimentResults]) -> str:
     """Return the baseline with the settings that differ from others, first the settings in ``AXES``."""
     alike = [other.settings for other in others]
     named: list[str] = []
@@ -160,11 +151,10 @@ def _label(own: Experiment, others: Iterable[Experiment]) -> str:
 
 def interquartile_mean(values: Sequence[float]) -> float:
     """Return the mean without the lowest and the highest quarter of the values (Agarwal et al. 2021)."""
-    omitted = len(values) // 4
-    return float(np.mean(sorted(values)[omitted : len(values) - omitted]))
+    return float(trim_mean(values, 0.25))
 
 
-def experiment_row(experiment: Experiment) -> list[str]:
+def experiment_row(experiment: ExperimentResults) -> list[str]:
     """Return the row of an experiment with the columns ``HEADS``."""
     results, success = experiment.results.values(), experiment.success
     minutes = [result.origin.minutes for result in results if result.origin.minutes is not None]
@@ -179,27 +169,26 @@ def experiment_row(experiment: Experiment) -> list[str]:
     ]
 
 
-def baseline_rows(experiments: Iterable[Experiment]) -> list[list[str]]:
+def baseline_rows(experiments: Iterable[ExperimentResults]) -> list[list[str]]:
     """Return the rows of the table of baselines over all tasks, with the columns ``BASELINE_HEADS``."""
     groups: defaultdict[str, list[dict[int, float]]] = defaultdict(list)
     for experiment in experiments:
         groups[experiment.label].append(experiment.success)
-    return [_baseline_row(label, tasks) for label, tasks in sorted(groups.items())]
-
-
-def _baseline_row(label: str, tasks: Sequence[Mapping[int, float]]) -> list[str]:
-    values = [value for task in tasks for value in task.values()]
-    seeds = sorted({seed for task in tasks for seed in task})
-    by_seed = {seed: interquartile_mean([task[seed] for task in tasks if seed in task]) for seed in seeds}
-    means = f"{interquartile_mean(values):.2f}", _by_seed(by_seed), f"{np.mean(values):.2f}"
-    return [label, *means, str(len(tasks)), str(len(values))]
+    rows = []
+    for label, tasks in sorted(groups.items()):
+        values = [value for task in tasks for value in task.values()]
+        seeds = sorted({seed for task in tasks for seed in task})
+        by_seed = {seed: interquartile_mean([task[seed] for task in tasks if seed in task]) for seed in seeds}
+        means = f"{interquartile_mean(values):.2f}", _by_seed(by_seed), f"{np.mean(values):.2f}"
+        rows.append([label, *means, str(len(tasks)), str(len(values))])
+    return rows
 
 
 def _by_seed(values: Mapping[int, float]) -> str:
     return ", ".join(f"{seed}: {value:.2f}" for seed, value in values.items())
 
 
-def write_tables(experiments: Sequence[Experiment], picture: Path) -> list[Path]:
+def write_tables(experiments: Sequence[ExperimentResults], picture: Path) -> list[Path]:
     """
     Write the results next to a figure, with the same name.
 
@@ -226,11 +215,11 @@ def write_tables(experiments: Sequence[Experiment], picture: Path) -> list[Path]
     return [page, table]
 
 
-def _results(experiments: Iterable[Experiment]) -> list[Result]:
+def _results(experiments: Iterable[ExperimentResults]) -> list[Result]:
     return [experiment.results[seed] for experiment in experiments for seed in sorted(experiment.results)]
 
 
-def _run_row(experiment: Experiment, result: Result) -> list[Any]:
+def _run_row(experiment: ExperimentResults, result: Result) -> list[Any]:
     origin, done = result.origin, "yes" if result.is_done else "no"
     last = result.success, result.steps, done, origin.minutes
     return [experiment.env_id, experiment.label, result.run.seed, *last, origin.machine, origin.command]

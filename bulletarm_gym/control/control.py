@@ -149,25 +149,21 @@ class Control(ABC, Generic[Move]):
 
 
 def _check_reach(config: EnvConfig, robot: RobotInterface, home: Pose, poses: list[Pose]) -> None:
-    """Check that the home pose and a minimum share of poses are in reach.
-
-    :raises ParameterError: they are not
-    """
     if not robot.reaches(home):
-        if home.z != default_home_height(config.control, config.workspace):
-            takes = f"a height that robot={config.robot!r} reaches in the middle of the workspace"
-            raise ParameterError.of("home_height", home.z, takes)
-        takes = f"one whose middle robot={config.robot!r} reaches at a height of {home.z:g} m"
-        raise ParameterError.of("workspace", config.workspace, takes)
-    upright = [pose for pose in poses if pose.tilt <= LEVEL_TILT]
-    tilted = [pose for pose in poses if pose.tilt > LEVEL_TILT]
-    for group, least, gripper in ((upright, MIN_REACH, "an upright"), (tilted, MIN_TILTED_REACH, "a tilted")):
+        is_default = home.z == default_home_height(config.control, config.workspace)
+        name = "workspace" if is_default else "home_height"
+        x, y, z = home.position
+        takes = f"such that robot={config.robot!r} reaches the home pose ({x:g}, {y:g}, {z:g})"
+        raise ParameterError.of(name, getattr(config, name), takes)
+    for is_tilted, least in ((False, MIN_REACH), (True, MIN_TILTED_REACH)):
+        group = [pose for pose in poses if (pose.tilt > LEVEL_TILT) == is_tilted]
         far = [pose for pose in group if not robot.reaches(pose)]
         if len(far) > (1.0 - least) * len(group):
             x, y, z = far[0].position
             takes = (
-                f"one of which robot={config.robot!r} reaches at least {least:.0%} with {gripper} gripper; "
-                f"it reaches {1.0 - len(far) / len(group):.0%}, for example not ({x:g}, {y:g}, {z:g})"
+                f"one of which robot={config.robot!r} reaches at least {least:.0%} with "
+                f"{'a tilted' if is_tilted else 'an upright'} gripper; it reaches "
+                f"{1.0 - len(far) / len(group):.0%}, for example not ({x:g}, {y:g}, {z:g})"
             )
             raise ParameterError.of("workspace", config.workspace, takes)
 

@@ -39,14 +39,18 @@ class Grasp(NamedTuple):
     width: float
 
 
-def pick_height(heights: ElevationMap, target: Rectangle, depth: float) -> float:
+def pick_height(
+    heights: ElevationMap, target: Pose, depth: float, area: tuple[float, float] | None = None
+) -> float:
     """Return the height (m) of the fingertips at a pick.
 
     :param heights: last heightmap
-    :param target: area between the fingers
+    :param target: pose of the fingertips; its z and tilt do not matter
     :param depth: depth (m) of the fingertips below the highest point of the area
+    :param area: length along the opening and width (m) of the area; by default a square of twice the depth
     """
-    return max(_highest(heights, target) - depth, MIN_PICK_HEIGHT)
+    between = Rectangle(target.x, target.y, *(area or (2.0 * depth, 2.0 * depth)), target.yaw)
+    return max(_highest(heights, between) - depth, MIN_PICK_HEIGHT)
 
 
 def measure_grasp(before: ElevationMap, after: ElevationMap, closed_at: Pose) -> Grasp | None:

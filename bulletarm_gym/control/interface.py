@@ -35,11 +35,6 @@ class RobotInterface:
         return self._robot.opening
 
     @property
-    def opening_ratio(self) -> float:
-        """Measured opening over the stroke, 0 closed to 1 open."""
-        return self._robot.opening_ratio
-
-    @property
     def is_holding(self) -> bool:
         """Whether the gripper holds an object."""
         return self._robot.held is not None

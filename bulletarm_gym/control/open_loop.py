@@ -12,7 +12,7 @@ from bulletarm_gym.config import OPEN_LOOP, EnvConfig
 from bulletarm_gym.control.control import Control, GraspParams, Outcome, grid_positions
 from bulletarm_gym.control.heights import Grasp, measure_grasp, pick_height, place_height
 from bulletarm_gym.control.interface import RobotInterface
-from bulletarm_gym.geometry import Pose, Rectangle, Vector, euler_pose
+from bulletarm_gym.geometry import Pose, Vector, euler_pose
 from bulletarm_gym.observations import Frame, View
 
 PICK = "pick"
@@ -32,6 +32,8 @@ ANGLES = ("theta", "phi", "psi")
 @dataclass(frozen=True)
 class PickPlaceMotion:
     """Distances (m) of the motion of a pick or place.
+
+    The opening is the task's (:class:`GraspParams`). The torques of the joints limit the speeds.
 
     :param stops: distances from the target to the poses at which the gripper stops; the first entry whose
         poses are in reach counts. An approach begins, and a retreat ends, at the first stop where the gripper
@@ -91,10 +93,13 @@ class OpenLoop(Control[PickPlace]):
     def __init__(self, config: EnvConfig, robot: RobotInterface, grasp_params: GraspParams) -> None:
         self._config = config
         self._grasp_params = grasp_params
-        self._floor = config.workspace[2][0]
+        x, y, (self._floor, _) = config.workspace
         angles = iter(ANGLES)
         self._names = [next(angles) if name == "r" else name for name in config.action_sequence]
-        self.ranges = {name: limits for name, limits in _ranges(config).items() if name in self._names}
+        ranges = {"x": (x[0], x[1]), "y": (y[0], y[1]), "z": (self._floor, self._floor + MAX_Z)}
+        ranges |= {"theta": (0.0 if config.half_rotation else -math.pi, math.pi)}
+        ranges |= dict.fromkeys(("phi", "psi"), (-MAX_TILT, MAX_TILT))
+        self.ranges = {name: limits for name, limits in ranges.items() if name in self._names}
         super().__init__(config, robot, _poses(config, self._floor))
 
     # Actions
@@ -137,16 +142,12 @@ class OpenLoop(Control[PickPlace]):
         return np.array([2.0 * share[name] - 1.0 for name in self._names], dtype=np.float32).clip(-1.0, 1.0)
 
     def _height(self, view: View, places: bool, target: Pose) -> float:
-        """Return the height (m) of a target whose action has no z."""
         params, depth = self._grasp_params, self._grasp_params.pick_offset
         if places and view.is_holding:
             # A task may start with a grasped object: without measurements it counts as a cube.
             grasp = Grasp(*(self.memory or (depth, 0.0, 0.0, 2.0 * depth, 2.0 * depth)))
             return self._floor + place_height(view.elevation_map, target, grasp, params.place_offset)
-        area = params.pick_area or (2.0 * depth, 2.0 * depth)
-        return self._floor + pick_height(
-            view.elevation_map, Rectangle(target.x, target.y, *area, target.yaw), depth
-        )
+        return self._floor + pick_height(view.elevation_map, target, depth, params.pick_area)
 
     def follow(self, before: View, after: View, outcome: Outcome) -> None:
         """Remember the measurements of the grasped object until the gripper is empty."""
@@ -237,16 +238,3 @@ def _poses(config: EnvConfig, floor: float) -> Iterator[Pose]:
             for theta, tilt in itertools.product((0.0, math.pi / 2.0), (-TILT, TILT)):
                 yield euler_pose(position, (tilt, 0.0, theta))
                 yield euler_pose(position, (0.0, tilt, theta))
-
-
-def _ranges(config: EnvConfig) -> dict[str, tuple[float, float]]:
-    """Return the ranges (m or rad) of all numbers that an action can have."""
-    (x0, x1), (y0, y1), (floor, _) = config.workspace
-    return {
-        "x": (x0, x1),
-        "y": (y0, y1),
-        "z": (floor, floor + MAX_Z),
-        "theta": (0.0 if config.half_rotation else -math.pi, math.pi),
-        "phi": (-MAX_TILT, MAX_TILT),
-        "psi": (-MAX_TILT, MAX_TILT),
-    }

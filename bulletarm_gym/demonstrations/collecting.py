@@ -1,8 +1,7 @@
 """Collection of episodes of experts (paper, Expert Demonstrations)."""
 
-import itertools
 import os
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -19,10 +18,7 @@ from bulletarm_gym.env import Action, ManipulationEnv, Observation
 from bulletarm_gym.experts.deconstruction import deconstruct
 from bulletarm_gym.geometry import PlacementError
 
-WAYPOINT = "waypoint"
-DECONSTRUCTION = "deconstruction"
-ATTEMPTS_PER_EPISODE = 4
-"""Default maximum number of attempts per successful episode."""
+WAYPOINT, DECONSTRUCTION = "waypoint", "deconstruction"
 TAKING_APART, NOISE = 1, 2
 """Streams of random numbers of an episode's seed."""
 
@@ -64,14 +60,16 @@ def collect(
     noise = check_argument("noise", noise, number(0.0, 1.0, "a number from 0 to 1"))
     target = None if path is None else writable_path(Path(path))
     seed = int(np.random.SeedSequence().generate_state(1)[0]) if seed is None else seed
-    most = ATTEMPTS_PER_EPISODE * episodes if max_attempts is None else max_attempts
-    with closing(_make(env_id, env_kwargs or {})) as env:
-        _check_planner(planner, env, noise)
+    most = max_attempts or 4 * episodes
+    is_silent = None if progress is None else not progress
+    with closing(gymnasium.make(env_id, **(env_kwargs or {}))) as env:
+        core = checked_env(env, "env_id")
+        _check_planner(planner, core, noise)
         rng = np.random.default_rng(seed)
-        recorder = Recorder({**describe(env), "planner": planner, "seed": seed, "noise": noise})
-        with tqdm(desc=planner, total=episodes, unit="episode", disable=is_silent(progress)) as bar:
+        recorder = Recorder({**describe(core), "planner": planner, "seed": seed, "noise": noise})
+        with tqdm(desc=planner, total=episodes, unit="episode", disable=is_silent) as bar:
             while len(recorder) < episodes and recorder.attempts < most:
-                episode = PLANNERS[planner](env, int(rng.integers(2**31)), noise)
+                episode = PLANNERS[planner](core, int(rng.integers(2**31)), noise)
                 recorder.add(episode)
                 bar.update(episode is not None)
     if len(recorder) < episodes:
@@ -84,44 +82,36 @@ def collect(
     return demonstrations
 
 
-def is_silent(progress: bool | None) -> bool | None:
-    """Return the argument ``disable`` of a progress bar."""
-    return None if progress is None else not progress
-
-
-def _check_planner(planner: str, env: ManipulationEnv, noise: float = 0.0) -> None:
+def _check_planner(planner: str, env: ManipulationEnv, noise: float) -> None:
     """Check that a planner can be used with an environment.
 
     :raises ValueError: it cannot, with the reason
     """
     check_argument("planner", planner, choice(*PLANNERS))
-    if planner == DECONSTRUCTION:
-        obstacles = {
-            "only pick and place can be reversed, and this environment is close-loop": env.config.control
-            != OPEN_LOOP,
-            f"{type(env.task).__name__} builds no structure: it has no arrange_goal()": (
-                not env.task.has_goal_structure
-            ),
-            "on this surface blocks do not stay where they are placed": not env.scene.surface.keeps_poses,
-            "noise must be 0": noise > 0.0,
-        }
-        if reason := next((text for text, applies in obstacles.items() if applies), ""):
-            raise ParameterError.of("planner", planner, repr(WAYPOINT), reason)
+    obstacles = {
+        "only pick and place can be reversed, not close-loop actions": env.config.control != OPEN_LOOP,
+        f"{type(env.task).__name__} has no arrange_goal()": not env.task.has_goal_structure,
+        "on this surface blocks do not stay where they are placed": not env.scene.surface.keeps_poses,
+        "noise must be 0": noise > 0.0,
+    }
+    reasons = [reason for reason, applies in obstacles.items() if applies]
+    if planner == DECONSTRUCTION and reasons:
+        raise ParameterError.of("planner", planner, repr(WAYPOINT), reasons[0])
 
 
 def _follow_plan(env: ManipulationEnv, seed: int, noise: float) -> Episode | None:
     """Run an episode of the task's expert."""
     observation, _ = env.reset(seed=seed)
-    rng = np.random.default_rng((seed, NOISE))
+    return _play(env, seed, observation, _expert_actions(env, np.random.default_rng((seed, NOISE)), noise))
 
-    def act() -> Action:
+
+def _expert_actions(env: ManipulationEnv, rng: np.random.Generator, noise: float) -> Iterator[Action]:
+    while True:
         action = env.expert_action()
-        if not noise:
-            return action
-        noisy: Action = (action + noise * rng.standard_normal(action.shape)).clip(-1.0, 1.0)
-        return noisy.astype(np.float32)
-
-    return _play(env, seed, observation, (act() for _ in itertools.count()))
+        if noise:
+            noisy = action + noise * rng.standard_normal(action.shape)
+            action = noisy.clip(-1.0, 1.0).astype(np.float32)
+        yield action
 
 
 def _rebuild(env: ManipulationEnv, seed: int, noise: float) -> Episode | None:
@@ -169,21 +159,26 @@ def describe(env: ManipulationEnv) -> dict[str, Any]:
     assert env.spec is not None
     for name, thing in env.objects.items():
         raise ValueError(f"env_kwargs must have import paths 'module:attribute', got {name}={thing!r}")
+    parameters = env.config.parameters()
     return {
         "env_id": env.spec.id,
         "recipe": env.recipe,
-        "configuration": {
-            n: v for n, v in env.config.parameters().items() if n not in with_effect("rendering")
-        },
+        "configuration": {n: v for n, v in parameters.items() if n not in with_effect("rendering")},
         "action_ranges": env.action_ranges,
     }
 
 
-def _make(env_id: str, env_kwargs: Mapping[str, Any]) -> ManipulationEnv:
-    env = gymnasium.make(env_id, **env_kwargs).unwrapped
-    if not isinstance(env, ManipulationEnv):
-        raise ValueError(f"env_id must be an id of this package or of a registered task, got {env_id!r}")
-    return env
+def checked_env(env: gymnasium.Env[Any, Any], argument: str) -> ManipulationEnv:
+    """Return the environment inside all wrappers.
+
+    :param argument: name of the argument in errors
+    :raises ValueError: it is of another package
+    """
+    core = env.unwrapped
+    if not isinstance(core, ManipulationEnv) or core.spec is None:
+        must = "of an environment of this package or of a registered task"
+        raise ValueError(f"{argument} must be {must}, got {env}")
+    return core
 
 
 def writable_path(path: Path) -> Path:

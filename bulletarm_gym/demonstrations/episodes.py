@@ -1,4 +1,4 @@
-"""Episodes and the HDF5 files that hold them.
+"""Episodes, the HDF5 files that hold them, and their replay.
 
 A file holds, compressed, ``episodes/0``, ``episodes/1``, ... Each has ``observations`` (n + 1 for each key),
 ``actions``, ``rewards``, ``terminations``, ``truncations``, the ``seed`` of its reset if it had one, and as
@@ -11,8 +11,9 @@ import io
 import json
 import os
 import platform
+import shutil
 import zlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
@@ -27,6 +28,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from bulletarm_gym.demonstrations import json_state
+from bulletarm_gym.env import ManipulationEnv
 from bulletarm_gym.registry import register
 from bulletarm_gym.scene.state import EnvState
 
@@ -36,12 +38,12 @@ HEIGHT = 1e-4
 """Length (m) of a count of stored heights."""
 HEIGHTS = ("heightmap", "in_hand")
 """Observations in metres."""
+TOLERANCE = HEIGHT / 2.0 + 1e-6
+"""Maximum error (m) of a stored height: half a count, and rounding to float32."""
 STEPS = ("actions", "rewards", "terminations", "truncations")
 LIBRARIES = ("bulletarm-gym", "gymnasium", "h5py", "numba", "numpy", "pybullet")
 USER_BLOCK = 512
 """Size (bytes) of HDF5's user block, before its content."""
-MAX_INTEGER = 2**63 - 1
-"""Largest seed that HDF5 stores as an integer; larger seeds are decimal text."""
 MAGIC = b"bulletarm-gym demonstrations"
 PACKED = {"compression": "gzip", "compression_opts": 4, "shuffle": True}
 
@@ -120,26 +122,14 @@ class Demonstrations(Sequence[Episode]):
             self._count = len(file["episodes"])
         if self.about["format"] != FORMAT:
             raise ValueError(f"{name}: the format must be {FORMAT}, got {self.about['format']}")
-
-    @property
-    def env_id(self) -> str:
+        self.env_id: str = self.about["env_id"]
         """Id of the environment."""
-        return str(self.about["env_id"])
-
-    @property
-    def action_sequence(self) -> str:
+        self.action_sequence: str = self.about["configuration"]["action_sequence"]
         """Meaning of each number of an action, one character each."""
-        return str(self.about["configuration"]["action_sequence"])
-
-    @property
-    def action_space(self) -> spaces.Box:
+        self.action_space = spaces.Box(-1.0, 1.0, (len(self.action_sequence),), np.float32)
         """Action space of the environment."""
-        return spaces.Box(-1.0, 1.0, (len(self.action_sequence),), np.float32)
-
-    @property
-    def action_ranges(self) -> dict[str, tuple[float, float]]:
+        self.action_ranges = {n: (low, high) for n, (low, high) in self.about["action_ranges"].items()}
         """Values (m, rad) of -1 and 1 in an action, by name."""
-        return {name: (low, high) for name, (low, high) in self.about["action_ranges"].items()}
 
     def make_env(self, **parameters: Any) -> gymnasium.Env[Any, Any]:
         """Make the environment of the episodes; the module of a user's task is imported.
@@ -150,18 +140,12 @@ class Demonstrations(Sequence[Episode]):
         if self.env_id not in gymnasium.registry:
             register(self.env_id, self.about["recipe"])
         parameters = {**self.about["configuration"], **self._changed, **parameters}
-        folder = parameters.get("object_set")
-        if isinstance(folder, str) and not os.path.isdir(folder):
-            raise ValueError(
-                f"object_set must be the folder of the objects that were recorded, got {folder!r}, "
-                "which does not exist. Use load(path, object_set=FOLDER)."
-            )
         return gymnasium.make(self.env_id, **parameters)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the file atomically; its folder is made."""
-        with atomic_path(Path(path)) as partial:
-            partial.write_bytes(self.image)
+        with atomic_path(Path(path)) as temporary:
+            temporary.write_bytes(self.image)
 
     def __len__(self) -> int:
         """Return the number of episodes."""
@@ -174,21 +158,16 @@ class Demonstrations(Sequence[Episode]):
 
     def __getitem__(self, index: int | slice) -> "Episode | Demonstrations":
         """Return an episode, or the demonstrations of a slice, whose ``attempts`` are its episodes."""
-        if isinstance(index, slice):
-            return self._subset(range(self._count)[index])
-        if not -self._count <= index < self._count:
-            raise IndexError(f"index must be from {-self._count} to {self._count - 1}, got {index}")
+        chosen = range(self._count)[index]
         with self._file() as file:
-            return _read(file["episodes"][str(index % self._count)])
-
-    def _subset(self, numbers: range) -> "Demonstrations":
-        recorder = Recorder(self.about)
-        with self._file() as file:
-            for number in numbers:
+            if isinstance(chosen, int):
+                return _read(file["episodes"][str(chosen)])
+            recorder = Recorder(self.about)
+            for number in chosen:
                 recorder.copy(file["episodes"][str(number)])
-        found = recorder.finish()
-        found._changed = self._changed
-        return found
+        part = recorder.finish()
+        part._changed = self._changed
+        return part
 
     def _file(self) -> h5py.File:
         return h5py.File(io.BytesIO(self.image), "r")
@@ -212,8 +191,8 @@ class Recorder:
             self._file.create_group("episodes", track_order=True)
             self._file["attempts"] = 0
             self._file["about"] = json.dumps(about)
-            self._file["configuration"] = json.dumps(about["configuration"])
-            self._file["versions"] = json.dumps(about["versions"])
+            for name in ("configuration", "versions"):
+                self._file[name] = json.dumps(about[name])
         self._episodes = self._file["episodes"]
         self.attempts = int(self._file["attempts"][()])
         """Number of episodes that were begun."""
@@ -233,7 +212,7 @@ class Recorder:
         for name in STEPS:
             group[name] = getattr(episode, name)
         if episode.seed is not None:
-            group["seed"] = episode.seed if episode.seed <= MAX_INTEGER else str(episode.seed)
+            group["seed"] = str(episode.seed)  # seeds may exceed 64 bits
         state = np.frombuffer(episode.initial_state.encode(), np.uint8)
         group.create_dataset("initial_state", data=state, **PACKED)
         group["configuration"] = self._file["configuration"]  # a second name of the same data, not a copy
@@ -264,31 +243,25 @@ def _user_block(content: bytes) -> bytes:
     return (MAGIC + f" crc32 {zlib.crc32(content):08x}\n".encode()).ljust(USER_BLOCK, b"\0")
 
 
-def _remove(path: Path) -> None:
-    path.unlink(missing_ok=True)
-
-
 @contextmanager
-def atomic_path(path: Path, discard: Callable[[Path], None] = _remove) -> Iterator[Path]:
-    """Yield a temporary path next to ``path``, which replaces ``path`` if the block succeeds.
-
-    :param discard: function that removes the temporary path if it exists
-    """
+def atomic_path(path: Path) -> Iterator[Path]:
+    """Yield a temporary path for a file or folder, which becomes ``path`` if the block succeeds."""
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(f".{path.name}-{os.getpid()}")
     try:
         yield temporary
         os.replace(temporary, path)
     finally:
-        discard(temporary)
+        shutil.rmtree(temporary, ignore_errors=True)  # does nothing to a file
+        temporary.unlink(missing_ok=True)
 
 
 def _write_observations(group: h5py.Group, key: str, values: NDArray[Any]) -> None:
-    unit = HEIGHT if key in HEIGHTS else None
-    stored = values if unit is None else np.rint(values / unit).astype(np.uint16)
-    dataset = group.create_dataset(key, data=stored, **PACKED)
-    if unit is not None:
-        dataset.attrs["metres_per_count"] = unit
+    if key not in HEIGHTS:
+        group.create_dataset(key, data=values, **PACKED)
+        return
+    counts = np.rint(values / HEIGHT).astype(np.uint16)
+    group.create_dataset(key, data=counts, **PACKED).attrs["metres_per_count"] = HEIGHT
 
 
 def _read(group: h5py.Group) -> Episode:
@@ -317,3 +290,40 @@ def load(path: str | os.PathLike[str], object_set: str | os.PathLike[str] | None
     :raises ValueError: the file is of another kind or damaged
     """
     return Demonstrations(Path(path).read_bytes(), os.fspath(path), object_set)
+
+
+class ReplayError(RuntimeError):
+    """A replayed episode differs from the recorded one."""
+
+
+def replay(demonstrations: Demonstrations, number: int, env: ManipulationEnv) -> Iterator[int]:
+    """Repeat an episode, and yield the number of each of its n + 1 states when the environment is in it.
+
+    :param number: number of the episode
+    :param env: environment with the same parameters
+    :raises ReplayError: an observation differs from the recorded one, for example with other versions
+    """
+    episode = demonstrations[number]
+    env.set_state(episode.state)
+    observation = env.observe()
+    for moment in range(len(episode) + 1):
+        if moment:
+            observation = env.step(episode.actions[moment - 1])[0]
+        for key, recorded in episode.observations.items():
+            tolerance = TOLERANCE if key in HEIGHTS else 0.0
+            if not np.allclose(observation[key], recorded[moment], rtol=0.0, atol=tolerance, equal_nan=True):
+                changed = _changed_versions(demonstrations)
+                raise ReplayError(
+                    f"episode {number}, step {moment}: {key} differs from the recorded one{changed}"
+                )
+        yield moment
+
+
+def _changed_versions(demonstrations: Demonstrations) -> str:
+    ours = versions()
+    changed = [
+        f"{name} {theirs}, here {ours.get(name)}"
+        for name, theirs in demonstrations.about["versions"].items()
+        if theirs != ours.get(name)
+    ]
+    return f" (recorded with {'; '.join(changed)})" if changed else ""

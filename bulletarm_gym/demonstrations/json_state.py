@@ -42,28 +42,23 @@ def _encoded(value: Any) -> Any:
         return value
     kind = type(value)
     if kind is tuple:
-        return [_encoded(entry) for entry in value]
+        return list(map(_encoded, value))
     if STATE_TYPES.get(kind.__name__) is not kind:
         raise ValueError(
             f"state must consist of plain values and declared types, got a {kind.__name__}: {value!r}. "
             "Add dataclasses and named tuples to the task's memory_types."
         )
-    return {kind.__name__: _content(value)}
-
-
-def _content(value: Any) -> Any:
-    if isinstance(value, bytes):
-        return base64.b64encode(value).decode()
-    if isinstance(value, dict):
-        return [[_encoded(key), _encoded(entry)] for key, entry in value.items()]
-    if isinstance(value, list):
-        return [_encoded(entry) for entry in value]
-    return [_encoded(getattr(value, name)) for name in field_names(type(value))]
+    if kind is bytes:
+        return {"bytes": base64.b64encode(value).decode()}
+    if kind is dict:
+        return {"dict": [list(map(_encoded, item)) for item in value.items()]}
+    fields = value if kind is list else [getattr(value, name) for name in field_names(kind)]
+    return {kind.__name__: list(map(_encoded, fields))}
 
 
 def _decoded(value: Any) -> Any:
     if isinstance(value, list):
-        return tuple(_decoded(entry) for entry in value)
+        return tuple(map(_decoded, value))
     if not isinstance(value, dict):
         return value
     ((name, content),) = value.items()

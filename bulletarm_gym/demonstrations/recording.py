@@ -10,25 +10,19 @@ from typing import Any
 
 import gymnasium
 import numpy as np
-from gymnasium import wrappers
 from gymnasium.utils import RecordConstructorArgs
 
 from bulletarm_gym.demonstrations import json_state
-from bulletarm_gym.demonstrations.collecting import describe, writable_path
+from bulletarm_gym.demonstrations.collecting import checked_env, describe, writable_path
 from bulletarm_gym.demonstrations.episodes import Demonstrations, Episode, Recorder, Step, load
 from bulletarm_gym.env import Action, ManipulationEnv, Observation
+from bulletarm_gym.scene.state import EnvState
 
 PASSIVE = (
-    wrappers.OrderEnforcing,
-    wrappers.PassiveEnvChecker,
-    wrappers.RecordEpisodeStatistics,
-    wrappers.RecordVideo,
-    wrappers.HumanRendering,
-    wrappers.RenderCollection,
+    *("OrderEnforcing", "PassiveEnvChecker", "RecordEpisodeStatistics", "RecordVideo", "HumanRendering"),
+    *("RenderCollection", "Monitor", "RecordDemonstrations"),
 )
-"""Wrappers that override ``step()`` and change neither actions nor observations."""
-MONITOR = "stable_baselines3.common.monitor.Monitor"
-"""Another such wrapper, of a library that this package does not import."""
+"""Wrappers that override ``step()`` and change neither actions nor observations; ``Monitor`` is of SB3."""
 EPISODES_PER_WRITE = 0.02
 """Number of unsaved episodes, relative to the saved ones, after which the file is written."""
 
@@ -64,7 +58,8 @@ class RecordDemonstrations(
         self._observations: list[Observation] = []
         self._steps: list[Step] = []
         self._seed: int | None = None
-        self._initial_state = self._state = ""
+        self._initial_state = ""
+        self._state: EnvState | None = None
 
     def __len__(self) -> int:
         """Return the number of episodes, including the episodes in the file at the last write."""
@@ -75,12 +70,12 @@ class RecordDemonstrations(
     ) -> tuple[Observation, dict[str, Any]]:
         """Begin an episode."""
         observation, info = self.env.reset(seed=seed, options=options)
-        at_state = "state" in (options or {})
-        self._begin(json_state.dumps(self._inner.get_state()), observation, None if at_state else seed)
+        self._begin(observation, None if "state" in (options or {}) else seed)
         return observation, info
 
-    def _begin(self, state: str, observation: Observation, seed: int | None) -> None:
-        self._initial_state = self._state = state
+    def _begin(self, observation: Observation, seed: int | None) -> None:
+        self._state = self._inner.get_state()
+        self._initial_state = json_state.dumps(self._state)
         self._observations, self._steps, self._seed = [observation], [], seed
         self._attempts += 1
 
@@ -89,14 +84,13 @@ class RecordDemonstrations(
 
         If the state has changed since the last step, as by ``set_state()``, the episode begins there.
         """
-        state = json_state.dumps(self._inner.get_state())
-        if state != self._state:
+        if self._inner.get_state() != self._state:
             if self._observations and not self._steps:
                 self._attempts -= 1  # this continues the attempt that the reset began
-            self._begin(state, self._inner.observe(), None)
-        action = self._clipped(action)
+            self._begin(self._inner.observe(), None)
+        action = np.asarray(action, np.float32).clip(-1.0, 1.0)
         observation, reward, terminated, truncated, info = self.env.step(action)
-        self._state = json_state.dumps(self._inner.get_state())
+        self._state = self._inner.get_state()
         self._observations.append(observation)
         self._steps.append((action, float(reward), terminated, truncated))
         if (terminated or truncated) and info["is_success"]:
@@ -105,12 +99,6 @@ class RecordDemonstrations(
             if len(self._unsaved) >= EPISODES_PER_WRITE * self._count:
                 self._write()
         return observation, float(reward), terminated, truncated, info
-
-    def _clipped(self, action: Action) -> Action:
-        """Return an action in the action space; one of another shape is returned as it is."""
-        space: Any = self._inner.action_space
-        array: Action = np.asarray(action, space.dtype)
-        return array.clip(space.low, space.high) if array.shape == space.shape else array
 
     def close(self) -> None:
         """Write the episodes and the number of attempts, and close the environment."""
@@ -140,9 +128,7 @@ class RecordDemonstrations(
         found = load(self._path)
         abouts = json.loads(json.dumps([self._about, found.about]))
         ours, theirs = ({"env_id": about["env_id"], **about["configuration"]} for about in abouts)
-        other = [name for name in ours if theirs.get(name) != ours[name]]
-        if other:
-            other = other if ours["env_id"] == theirs["env_id"] else ["env_id"]
+        if other := [name for name in ours if theirs.get(name) != ours[name]]:
             must, got = (", ".join(f"{n}={made.get(n)!r}" for n in other) for made in (ours, theirs))
             raise ValueError(
                 f"path must be a file of demonstrations with {must}, got {self._path} with {got}"
@@ -155,14 +141,11 @@ def _recorded_env(env: gymnasium.Env[Any, Any]) -> ManipulationEnv:
 
     :raises ValueError: it is of another package, or a wrapper changes actions or observations
     """
-    core = env.unwrapped
-    if not isinstance(core, ManipulationEnv) or core.spec is None:
-        raise ValueError(f"env must be an environment of this package or of a registered task, got {env}")
+    core = checked_env(env, "env")
     while isinstance(env, gymnasium.Wrapper):
         kind = type(env)
         overrides = kind.step is not gymnasium.Wrapper.step or kind.reset is not gymnasium.Wrapper.reset
-        passive = isinstance(env, (*PASSIVE, RecordDemonstrations))
-        if overrides and not passive and f"{kind.__module__}.{kind.__qualname__}" != MONITOR:
+        if overrides and kind.__name__ not in PASSIVE:
             raise ValueError(
                 "env must have no wrapper that changes actions or observations before they are recorded, "
                 f"got {kind.__name__}. Put the recorder inside: {kind.__name__}(RecordDemonstrations(...))."

@@ -20,14 +20,8 @@ HEIGHT_TOLERANCE = 5e-3
 """Height (m) below a waypoint at which the fingertips count as arrived."""
 HOVER = 0.03
 """Height (m) of the fingertips above an object while they are aligned with it."""
-NEARLY_DOWN = 0.01
-"""Height (m) above a target below which the fingers do not rise again to be aligned."""
-READY = 0.9
-"""Share of the commanded opening from which the gripper is ready to grasp."""
 PASSING = 0.03
 """Gap (m) between the grasped object and objects below its path; wide, for agents that imitate it."""
-SLANTED = math.radians(8.0)
-"""Slope (rad) of a side from which vertically descending fingers slip off."""
 RELEASE = 0.003
 """Gap (m) below an object at its release."""
 AT_LIMIT = 0.03
@@ -37,8 +31,6 @@ Inverse kinematics then ends up to 0.02 rad before the limit, and only at some h
 """
 WRIST_MARGIN = 1.0
 """Rotation (rad) of the last joint, in addition to the gripper's, as the arm moves across the workspace."""
-PASSING_ASIDE = 0.005
-"""Gap (m) next to the open gripper within which an object obstructs it."""
 
 
 def route(scene: Scene, move: Waypoint, opening: float) -> Iterator[Waypoint]:
@@ -105,8 +97,9 @@ def grasp(
     rotation = wrap_angle(goal.yaw - tool.yaw)
     apart = max(abs(goal.x - tool.x), abs(goal.y - tool.y))
     aligned = _is_aligned(goal, tool, rotation, near)
-    above = _stays_above(scene, apart, rotation, top)
-    ready = scene.robot.opening_ratio > READY * opening
+    moves = max(_moves(apart, scene.max_translation), _moves(abs(rotation), scene.max_rotation))
+    above = tool.z - scene.max_translation * moves >= top - 1e-3
+    ready = scene.robot.opening_ratio > 0.9 * opening
     hover = top + HOVER
     if tool.z < hover - HEIGHT_TOLERANCE and not ((aligned and ready) or above):
         width = opening if tool.z > top else scene.robot.opening_ratio
@@ -120,18 +113,15 @@ def grasp(
 def _is_aligned(goal: Pose, tool: Pose, rotation: float, near: float) -> bool:
     """Return True if the fingers can move straight to a goal from within a horizontal distance (m).
 
-    Close to the goal the distance may be larger, because contacts push the fingers.
+    Within 1 cm above the goal the distance may be larger, because contacts push the fingers.
     """
-    near = ALIGNED if tool.z < goal.z + NEARLY_DOWN else near
+    near = ALIGNED if tool.z < goal.z + 0.01 else near
     apart = planar_distance(goal.position, tool.position)
     return apart <= near and abs(rotation) <= ALIGNED_YAW * near / ALIGNED
 
 
-def _stays_above(scene: Scene, apart: float, rotation: float, top: float) -> bool:
-    """Return True if largest moves down leave the fingers above a height until they are aligned."""
-    step = scene.max_translation
-    moves = max(math.ceil(apart / step - 1e-6), math.ceil(abs(rotation) / scene.max_rotation - 1e-6))
-    return scene.robot.pose.z - step * moves >= top - 1e-3
+def _moves(distance: float, largest: float) -> int:
+    return math.ceil(distance / largest - 1e-6)
 
 
 def grasp_object(scene: Scene, obj: SceneObject, yaw: float, symmetry: float) -> Iterator[Waypoint]:
@@ -180,12 +170,7 @@ def place_pose(
 def _carry(
     scene: Scene, obj: SceneObject, goal: Pose, height: float, opening: float, near: float
 ) -> Iterator[Waypoint]:
-    """Yield the waypoints to the release of the grasped object.
-
-    :param height: height (m) of the object's lowest point at the release
-    :param opening: opening ratio of the release
-    :param near: horizontal distance (m) within which the object descends
-    """
+    """Yield the waypoints to the release of the grasped object, with its lowest point at a height (m)."""
     tool, goal = scene.robot.pose, avoid_limits(scene, goal)
     if not _is_aligned(goal, tool, wrap_angle(goal.yaw - tool.yaw), near):
         over = max(height, highest_between(scene, tool.position, goal.position, obj))
@@ -204,8 +189,11 @@ def pass_above(tool: Pose, goal: Pose, height: float) -> Iterator[Waypoint]:
 def highest_between(
     scene: Scene, start: Sequence[float], end: Sequence[float], ignored: SceneObject | None
 ) -> float:
-    """Return the height (m) of the highest object near a line except one, or of the surface at its end."""
-    reach = scene.robot.model.gripper.half_width() + PASSING_ASIDE
+    """Return the height (m) of the highest object near a line except one, or of the surface at its end.
+
+    An object is near if the gap between it and the open gripper would be less than 5 mm.
+    """
+    reach = scene.robot.model.gripper.half_width() + 0.005
     tops = [
         scene.world.top(obj.body)
         for obj in scene
@@ -217,7 +205,6 @@ def highest_between(
 
 
 def _distance_to_line(point: Sequence[float], start: Sequence[float], end: Sequence[float]) -> float:
-    """Return the horizontal distance (m) of a point to the line between two others."""
     dx, dy = end[0] - start[0], end[1] - start[1]
     square = dx * dx + dy * dy
     share = ((point[0] - start[0]) * dx + (point[1] - start[1]) * dy) / square if square > 0.0 else 0.0
@@ -228,19 +215,15 @@ def _distance_to_line(point: Sequence[float], start: Sequence[float], end: Seque
 def _is_clear(scene: Scene, obj: SceneObject, yaw: float) -> bool:
     """Return True if no other object is below the open fingers at an object."""
     gripper = scene.robot.model.gripper
-    reach = (gripper.stroke + gripper.finger[0]) / 2.0
-    margin = gripper.finger[1] / 2.0
+    reach, margin = (gripper.stroke + gripper.finger[0]) / 2.0, gripper.finger[1] / 2.0
     x, y, z = obj.centre_of_mass
     fingers = [(x + s * reach * math.cos(yaw), y + s * reach * math.sin(yaw), z) for s in (1.0, -1.0)]
-    others = [other for other in scene if other is not obj and not other.spec.is_mark]
-    return not any(_covers(other, finger, margin) for other in others for finger in fingers)
-
-
-def _covers(obj: SceneObject, point: tuple[float, float, float], margin: float) -> bool:
-    """Return True if a point is in the box of one of an object's pieces, extended by a margin (m)."""
-    inside = np.array(obj.pose.inverse().transform(point))
-    low, high = obj.spec.piece_bounds[:, 0] - margin, obj.spec.piece_bounds[:, 1] + margin
-    return bool(((low < inside) & (inside < high)).all(axis=1).any())
+    for other in (other for other in scene if other is not obj and not other.spec.is_mark):
+        points = np.array([other.pose.inverse().transform(finger) for finger in fingers])[:, None]
+        low, high = other.spec.piece_bounds[:, 0] - margin, other.spec.piece_bounds[:, 1] + margin
+        if ((low < points) & (points < high)).all(axis=2).any():
+            return False
+    return True
 
 
 def side_yaw(pose: Pose) -> float:
@@ -253,7 +236,7 @@ def side_yaw(pose: Pose) -> float:
 def side_symmetry(pose: Pose) -> float:
     """Return the angle (rad) between equivalent yaws of a gripper that grasps a cube along :func:`side_yaw`.
 
-    On a slope the fingers are square only to the most horizontal axis.
+    Vertical fingers slip off sides that are tilted by more than 8 degrees.
     """
     second = sorted(abs(matrix(pose)[2]).tolist())[1]
-    return math.pi / 2.0 if second < math.sin(SLANTED) else math.pi
+    return math.pi / 2.0 if second < math.sin(math.radians(8.0)) else math.pi

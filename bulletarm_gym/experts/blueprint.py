@@ -62,9 +62,18 @@ class Blueprint:
         self.side = side
         self._upright = upright
         self.layers: list[tuple[Position, ...]] = []
-        for layer in layers:
-            below = self.layers[-1] if self.layers else ()
-            self.layers.append(tuple(_positions(layer, len(self.layers), below)))
+        below: tuple[Position, ...] = ()
+        for number, layer in enumerate(layers):
+            shared = len(below) - len(layer) + 1  # number of blocks that support each block
+            if shared < 1 < len(below):
+                takes = "have the same number, fewer, or all on one block"
+                raise ValueError(f"layers must {takes}, got {len(layer)} on {len(below)}")
+            row = [
+                Position(kind, number, place, below[place : place + shared] if shared >= 1 else below)
+                for place, kind in enumerate(layer)
+            ]
+            below = tuple(row)
+            self.layers.append(below)
 
     @property
     def positions(self) -> list[Position]:
@@ -112,7 +121,6 @@ class Blueprint:
                 yield self._add_layers(scene, free, placed, accept)
 
     def _add_layers(self, scene: Scene, free: Blocks, placed: Placed, accept: Accept) -> Placed:
-        """Add the correctly placed blocks above a base."""
         for position in self.positions[len(self.layers[0]) :]:
             fitting = (
                 block
@@ -126,7 +134,6 @@ class Blueprint:
         return placed
 
     def _fits(self, scene: Scene, position: Position, block: SceneObject, placed: Placed) -> bool:
-        """Return True if a block is placed correctly at a position."""
         lies_on = predicates.on_top if len(position.below) == 1 else predicates.carries
         if not all(below in placed and lies_on(scene, placed[below], block) for below in position.below):
             return False
@@ -136,7 +143,7 @@ class Blueprint:
         if not line:
             return True
         return predicates.between(block, line, self.side) and (
-            not is_long(block) or (predicates.is_level(block) and predicates.in_line(block, line))
+            not is_long(block) or predicates.lies_along(block, line)
         )
 
     def _is_balanced(self, placed: Placed) -> bool:
@@ -175,14 +182,3 @@ class Blueprint:
 def is_long(block: SceneObject) -> bool:
     """Return True if a block is placed along a line."""
     return block.spec.extents[1] > LONG * block.spec.extents[0]
-
-
-def _positions(layer: Sequence[str], number: int, below: tuple[Position, ...]) -> Iterator[Position]:
-    """Yield a layer's positions above the layer below, if there is one."""
-    overlap = len(below) - len(layer) + 1
-    if below and overlap < 1 < len(below):
-        raise ValueError(
-            f"layers must have the same number, fewer, or all on one block, got {len(layer)} on {len(below)}"
-        )
-    for place, kind in enumerate(layer):
-        yield Position(kind, number, place, below[place : place + overlap] if overlap >= 1 else below)

@@ -1,28 +1,20 @@
 """Planning of the next block of a structure: the expert of all tasks with a blueprint."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from functools import cached_property
 
 import numpy as np
 
-from bulletarm_gym.experts import Waypoint
+from bulletarm_gym.experts import Waypoint, pick_place
 from bulletarm_gym.experts.approach import RELEASE, grasp_object, place_object, rotates, side_yaw
 from bulletarm_gym.experts.blueprint import BUILD_TOLERANCE, Blocks, Blueprint, Placed, Position, is_long
-from bulletarm_gym.experts.pick_place import (
-    SQUARENESS,
-    fingers_fit,
-    is_box,
-    palm_fits,
-    pick,
-    put,
-    resting_box,
-)
 from bulletarm_gym.geometry import Footprint, PlacementError, Pose, planar_distance, wrap_angle
-from bulletarm_gym.scene import Scene, SceneObject
-from bulletarm_gym.scene.predicates import IN_LINE, heading, is_held, middle, on_surface, on_top, rests_on
-from bulletarm_gym.scene.sampling import footprint, free_pose, free_site, goal_site, most_free_point
+from bulletarm_gym.scene import Scene, SceneObject, predicates, sampling
+from bulletarm_gym.scene.predicates import direction
+from bulletarm_gym.scene.sampling import footprint
+from bulletarm_gym.surfaces.surface import Point
 
 SPAN = 0.45
 """Largest gap between blocks that are built on, relative to the length of the block above them."""
@@ -49,6 +41,7 @@ class Builder:
 
     def __init__(self, scene: Scene, blueprint: Blueprint, blocks: Blocks, rng: np.random.Generator) -> None:
         self._scene = scene
+        self._held = scene.held
         self._blueprint = blueprint
         self._blocks = blocks
         self._rng = rng
@@ -56,30 +49,35 @@ class Builder:
 
     def plan(self) -> Iterator[Waypoint]:
         """Yield the next pick or place."""
-        held = self._scene.held
-        if held is None:
-            yield pick(self._scene, self._next, self._rng)
-        else:
-            position = self._open_position(held)
-            frame = self._aside(held) if position is None else self._support(position, held, self.placed)
-            yield put(self._scene, held, [frame])
+        if self._held is None:
+            yield pick_place.pick(self._scene, self._next, self._rng)
+            return
+        position = self._open_position
+        frame = self._aside(self._held) if position is None else self._support(position, self.placed)
+        yield pick_place.put(self._scene, self._held, frame)
 
     def finish(self) -> None:
         """Place every block at its final pose, in an empty scene."""
-        blocks = {kind: iter(same) for kind, same in self._blocks.items()}
-        chosen = {position: next(blocks[position.kind]) for position in self._blueprint.positions}
-        size, offsets = self._blueprint.base(
-            [chosen[position] for position in self._blueprint.layers[0]], self._blocks
-        )
-        site = goal_site(self._scene, self._rng, size)
+        size, offsets = self._base
+        site = sampling.goal_site(self._scene, self._rng, size)
         placed: Placed = {}
-        for position, block in chosen.items():
+        for position, block in self._chosen.items():
             if position.layer == 0:
                 frame = site.compose(Pose((0.0, offsets[position.place], 0.0)))
             else:
-                frame = self._support(position, block, placed)
+                frame = self._support(position, placed)
             block.place(frame.compose(_bottom(block).inverse()))
             placed[position] = block
+
+    @cached_property
+    def _chosen(self) -> Placed:
+        """A block for each position."""
+        blocks = {kind: iter(same) for kind, same in self._blocks.items()}
+        return {position: next(blocks[position.kind]) for position in self._blueprint.positions}
+
+    @property
+    def _base(self) -> tuple[Point, list[float]]:
+        return self._blueprint.base([self._chosen[one] for one in self._blueprint.layers[0]], self._blocks)
 
     @property
     def is_unbuilt(self) -> bool:
@@ -87,7 +85,7 @@ class Builder:
         base = self._blueprint.layers[0]
         if len(base) > 1 and any(True for _ in self._candidates(len(base))):
             return False
-        return bool(self.placed) or self._site(self._spare(base[0])[0]) is not None
+        return bool(self.placed) or self._site(self._spare(base[0], {})[0]) is not None
 
     # Placed blocks
 
@@ -98,113 +96,102 @@ class Builder:
     def placed(self) -> Placed:
         """The largest part of the structure that can be extended."""
         base = self._blueprint.layers[0]
-        for width in range(len(base), 0, -1):
-            candidates = self._candidates(width)
-            if width == len(base):
-                best = max(candidates, key=lambda placed: (len(placed), self._is_free(placed)), default=None)
-            else:
-                best = self._extendable(list(candidates), base[width])
-            if best is not None:
-                return best
-        return {}
+        complete = self._candidates(len(base))
+        best = max(complete, key=lambda placed: (len(placed), self._is_free(placed)), default=None)
+        for width in range(len(base) - 1, 0, -1):
+            best = best or self._extendable(list(self._candidates(width)), base[width])
+        return best or {}
 
     def _accepts(self, position: Position, block: SceneObject, placed: Placed) -> bool:
         """Return True if a block is close to the pose that the expert plans."""
         if position.layer > 0:
-            frame = self._support(position, block, placed)
+            frame = self._support(position, placed)
             return planar_distance(block.pose.position, frame.position) < self._blueprint.side / 2.0
         if position.place == 0:
             return True
         before = list(placed.values())
-        gap = footprint(before[-1]).gap(footprint(block))
+        first, last = before[0], before[-1]
+        angle = 0.0 if first is last else wrap_angle(direction(first, last) - direction(last, block))
+        length = self._blueprint.length_above(position, self._blocks)
         return (
-            gap < SPAN * self._blueprint.length_above(position, self._blocks)
-            and self._is_straight([*before, block])
-            and self._supports(footprint(before[0]), footprint(block))
+            footprint(last).gap(footprint(block)) < SPAN * length
+            and abs(angle) < predicates.IN_LINE
+            and self._supports(footprint(first), footprint(block))
         )
 
-    def _is_straight(self, blocks: Sequence[SceneObject]) -> bool:
-        a, b, c = blocks[0], blocks[-2], blocks[-1]
-        return a is b or abs(wrap_angle(_direction(a, b) - _direction(b, c))) < IN_LINE
-
     def _is_free(self, placed: Placed) -> bool:
-        """Return True if no misplaced block lies on the placed blocks."""
-        return not any(True for _ in self._misplaced(placed))
+        return self._misplaced(placed) is None
 
-    def _misplaced(self, placed: Placed) -> Iterator[SceneObject]:
-        """Yield the blocks that lie on the placed blocks and do not belong there."""
-        for obj in self._loose(placed):
-            if any(self._lies_on(below, obj) for below in placed.values()):
-                yield obj
+    def _misplaced(self, placed: Placed) -> SceneObject | None:
+        """Return a block that lies on the placed blocks and does not belong there."""
+        on_them = (obj for obj in self._loose(placed) if any(self._lies_on(b, obj) for b in placed.values()))
+        return next(on_them, None)
 
     def _loose(self, placed: Placed) -> list[SceneObject]:
-        there = placed.values()
-        return [obj for obj in self._scene if obj not in there and not is_held(self._scene, obj)]
+        return [obj for obj in self._scene if obj not in placed.values() and obj is not self._held]
 
     # Next block
 
     @property
     def _next(self) -> SceneObject:
         """The block to pick: a misplaced block, else one for the next open position, else the last one."""
-        misplaced = next(self._misplaced(self.placed), None)
-        if misplaced is not None:
-            return self._topmost(misplaced)
-        position = next((p for p in self._blueprint.positions if p not in self.placed), None)
-        loose = [] if position is None else self._spare(position)
-        return self._topmost(loose[0] if loose else list(self.placed.values())[-1])
-
-    def _spare(self, position: Position, placed: Placed | None = None) -> list[SceneObject]:
-        """Return the blocks that can be placed at a position, the best one first."""
-        there = list((self.placed if placed is None else placed).values())
-        if self._scene.held is not None and self._scene.held.slot.kind == position.kind:
-            return [self._scene.held]
-        loose = [block for block in self._blocks[position.kind] if block not in there]
-        return sorted(loose, key=lambda block: self._preference(block, there))
-
-    def _preference(self, block: SceneObject, there: Sequence[SceneObject]) -> tuple[float, ...]:
-        """Return the sort key of a block: blocks below others last, then by the distance to the structure."""
-        centre = middle(there) if there else self._scene.config.centre
-        return (self._above(block) is not None, planar_distance(block.pose.position, centre))
-
-    def _topmost(self, block: SceneObject) -> SceneObject:
+        block = self._misplaced(self.placed)
+        if block is None:
+            position = next((p for p in self._blueprint.positions if p not in self.placed), None)
+            spare = [] if position is None else self._spare(position, self.placed)
+            block = spare[0] if spare else list(self.placed.values())[-1]
         seen = [block]
         while (above := self._above(seen[-1])) is not None and above not in seen:
             seen.append(above)
         return seen[-1]
 
+    def _spare(self, position: Position, placed: Placed) -> list[SceneObject]:
+        """Return the blocks that can be placed at a position, the best one first."""
+        if self._held is not None and self._held.slot.kind == position.kind:
+            return [self._held]
+        there = list(placed.values())
+        loose = [block for block in self._blocks[position.kind] if block not in there]
+        return sorted(loose, key=lambda block: self._preference(block, there))
+
+    def _preference(self, block: SceneObject, there: Sequence[SceneObject]) -> tuple[float, ...]:
+        """Return the sort key of a block: blocks below others last, then by the distance to the structure."""
+        centre = predicates.middle(there) if there else self._scene.config.centre
+        return (self._above(block) is not None, planar_distance(block.pose.position, centre))
+
     def _above(self, block: SceneObject) -> SceneObject | None:
-        free = (other for other in self._scene if other is not block and not is_held(self._scene, other))
+        free = (other for other in self._scene if other is not block and other is not self._held)
         return next((other for other in free if self._lies_on(block, other)), None)
 
     def _lies_on(self, bottom: SceneObject, top: SceneObject) -> bool:
-        return rests_on(self._scene, bottom, top)
+        return predicates.rests_on(self._scene, bottom, top)
 
-    def _open_position(self, block: SceneObject) -> Position | None:
-        """Return the position at which the grasped block can be placed now."""
+    @property
+    def _open_position(self) -> Position | None:
+        """Position at which the grasped block can be placed now."""
+        assert self._held is not None
         if not self._is_free(self.placed):
             return None
-        missing = (position for position in self._blueprint.positions if position not in self.placed)
-        open_positions = (position for position in missing if self._is_open(position))
-        return next((position for position in open_positions if position.kind == block.slot.kind), None)
-
-    def _is_open(self, position: Position) -> bool:
-        if position.layer == 0:
-            return position.place == len(self.placed)
-        return all(below in self.placed for below in position.below)
+        for position in self._blueprint.positions:
+            supported = all(below in self.placed for below in position.below)
+            is_open = supported if position.layer else position.place == len(self.placed)
+            if position.kind == self._held.slot.kind and is_open and position not in self.placed:
+                return position
+        return None
 
     # Target frames
 
-    def _support(self, position: Position, block: SceneObject, placed: Placed) -> Pose:
+    def _support(self, position: Position, placed: Placed) -> Pose:
         """Return the level frame on which a block is placed, its y axis along the structure's line."""
         if position.layer == 0:
-            return self._next_base or self._site(block) or self._aside(block)
+            assert self._held is not None
+            return self._next_base or self._site(self._held) or self._aside(self._held)
         below = [placed[other] for other in position.below]
         line = [placed[other] for other in self._blueprint.line(position)]
-        yaw = _direction(line[0], line[-1]) if line else _long_axis(below[0])
+        yaw = direction(line[0], line[-1]) if line else _long_axis(below[0])
         row = self._blueprint.layers[position.layer]
         count = len(row) if len(below) == 1 and row[0].below == row[-1].below else 1
         offset = (position.place - (count - 1) / 2.0) * APART * self._blueprint.side if count > 1 else 0.0
-        x, y = middle(below)
+        x, y = predicates.middle(below)
         height = max(self._scene.world.top(other.body) for other in below)
         return Pose.planar(
             x + offset * math.cos(yaw), y + offset * math.sin(yaw), height, yaw - math.pi / 2.0
@@ -212,20 +199,16 @@ class Builder:
 
     def _aside(self, block: SceneObject) -> Pose:
         """Return the frame of a free place on the surface."""
-        for margin in MARGINS:
-            with suppress(PlacementError):
-                return free_pose(self._scene, self._rng, block, margin).compose(_bottom(block))
-        return self._scene.surface.pose(most_free_point(self._scene, block), 0.0)
+        pose = _sample(lambda margin: sampling.free_pose(self._scene, self._rng, block, margin))
+        if pose is None:
+            return self._scene.surface.pose(sampling.most_free_point(self._scene, block), 0.0)
+        return pose.compose(_bottom(block))
 
     def _site(self, block: SceneObject) -> Pose | None:
         """Return the frame of the first block of a base, with space for the other blocks."""
-        base = [self._blocks[position.kind][position.place] for position in self._blueprint.layers[0]]
-        size, offsets = self._blueprint.base(base, self._blocks)
-        for margin in MARGINS:
-            with suppress(PlacementError):
-                site = free_site(self._scene, self._rng, size, margin, [block])
-                return site.compose(Pose((0.0, offsets[0], 0.0)))
-        return None
+        size, offsets = self._base
+        site = _sample(lambda margin: sampling.free_site(self._scene, self._rng, size, margin, [block]))
+        return None if site is None else site.compose(Pose((0.0, offsets[0], 0.0)))
 
     # Next block of a base
 
@@ -246,25 +229,25 @@ class Builder:
         if not self._is_free(placed):
             return
         others = [footprint(other) for other in self._loose(placed) if other is not block]
-        covered = [footprint(other) for other in base]
-        width, length, _ = resting_box(block).sides
-        x, y = covered[-1].centre
+        first, last = footprint(base[0]), footprint(base[-1])
+        width, length, _ = pick_place.resting_box(block).sides
         half = length / 2.0
-        for direction in self._directions(base):
-            along = np.array([math.cos(direction), math.sin(direction)])
-            reach = float(((covered[-1].points - (x, y)) @ along).max())
+        for heading in self._headings(base):
+            along = np.array([math.cos(heading), math.sin(heading)])
+            reach = float(((last.points - last.centre) @ along).max())
             for gap in self._blueprint.gaps(position, 2.0 * (reach + half), self._blocks):
-                x1, y1 = (float(value) for value in (x, y) + (reach + gap + half) * along)
-                frame = Pose.planar(x1, y1, self._scene.surface.level, direction - math.pi / 2.0)
+                x, y = (float(value) for value in last.centre + (reach + gap + half) * along)
+                frame = Pose.planar(x, y, self._scene.surface.level, heading - math.pi / 2.0)
                 area = Footprint.rectangle((width, 2.0 * half), frame)
                 on_site = self._scene.surface.fits_site(area.grown(BUILD_TOLERANCE))
-                if on_site and self._supports(covered[0], area):
+                if on_site and self._supports(first, area):
                     free = min((area.gap(other) for other in others), default=MARGINS[0])
                     yield min(free, MARGINS[0]) - PREFERENCE * gap, frame
 
-    def _directions(self, base: Sequence[SceneObject]) -> list[float]:
+    def _headings(self, base: Sequence[SceneObject]) -> list[float]:
+        """Return the directions (rad) from the last block of a base to its next block."""
         if len(base) > 1:
-            return [_direction(base[0], base[-1])]
+            return [direction(base[0], base[-1])]
         if not rotates(self._scene):
             return [math.pi / 2.0, -math.pi / 2.0]
         side = self._blueprint.side
@@ -275,15 +258,15 @@ class Builder:
 
     def _can_put(self, frame: Pose, block: SceneObject) -> bool:
         """Return True if the gripper collides with nothing when it places a block on a frame."""
-        box = resting_box(block)
+        box = pick_place.resting_box(block)
         width, length, _ = box.sides
         tool = frame.compose(Pose((0.0, 0.0, RELEASE - box.bottom)))
-        square = is_box(block) and length < SQUARENESS * width and rotates(self._scene)
-        yaws = (0.0, math.pi / 2.0) if square else (0.0,)
-        poses = [tool.compose(Pose.planar(0.0, 0.0, 0.0, yaw)) for yaw in yaws]
-        return any(
-            fingers_fit(self._scene, pose, block) and palm_fits(self._scene, pose, block) for pose in poses
-        )
+        is_square = pick_place.is_box(block) and length < pick_place.SQUARENESS * width
+        for yaw in (0.0, math.pi / 2.0) if is_square and rotates(self._scene) else (0.0,):
+            pose = tool.compose(Pose.planar(0.0, 0.0, 0.0, yaw))
+            if all(fit(self._scene, pose, block) for fit in (pick_place.fingers_fit, pick_place.palm_fits)):
+                return True
+        return False
 
     def _supports(self, first: Footprint, last: Footprint) -> bool:
         """Return True if the block above a base does not touch the surface next to it.
@@ -292,11 +275,10 @@ class Builder:
         :param last: footprint of the last block of the base
         """
         surface, side = self._scene.surface, self._blueprint.side
+        length = self._blueprint.length_above(self._blueprint.layers[0][-1], self._blocks)
         (x0, y0), (x1, y1) = first.mean, last.mean
-        over = Footprint.rectangle(
-            (side, self._blueprint.length_above(self._blueprint.layers[0][-1], self._blocks)),
-            Pose.planar((x0 + x1) / 2.0, (y0 + y1) / 2.0, 0.0, math.atan2(y1 - y0, x1 - x0) - math.pi / 2.0),
-        )
+        yaw = math.atan2(y1 - y0, x1 - x0) - math.pi / 2.0
+        over = Footprint.rectangle((side, length), Pose.planar((x0 + x1) / 2.0, (y0 + y1) / 2.0, 0.0, yaw))
         return float(surface.heights(over.points).max()) < surface.level + 0.8 * side
 
 
@@ -309,25 +291,26 @@ class TowerBuilder(Builder):
 
     def plan(self) -> Iterator[Waypoint]:
         """Yield the waypoints of the next block."""
-        scene, held = self._scene, self._scene.held
+        scene, held = self._scene, self._held
         if held is None:
             block = self._next
-            yield from grasp_object(scene, block, self._yaw(block), self._symmetry(block))
-        elif self.placed and self._open_position(held) is not None:
+            symmetry = math.pi / 2.0 if block in self._cubes else math.pi
+            yield from grasp_object(scene, block, self._yaw(block), symmetry)
+        elif self.placed and self._open_position is not None:
             below = list(self.placed.values())[-1]
             rotation = wrap_angle(self._yaw(below) - self._yaw(held), math.pi / 2.0)
             height = scene.world.top(below.body) + RELEASE
             yield from place_object(scene, held, below.pose.position, height, rotation)
         else:
-            spot = most_free_point(scene, held)
+            spot = sampling.most_free_point(scene, held)
             yield from place_object(scene, held, spot, scene.surface.height(spot) + RELEASE)
 
     @cached_property
     def placed(self) -> Placed:
         """The highest tower; of equal ones the nearest while a block is grasped, else the most distant."""
         nearest_first = sorted(self._cubes, key=self._distance)
-        bases = nearest_first if self._scene.held is not None else reversed(nearest_first)
-        towers = (self._tower(cube) for cube in bases if not is_held(self._scene, cube))
+        bases = nearest_first if self._held is not None else reversed(nearest_first)
+        towers = (self._tower(cube) for cube in bases if cube is not self._held)
         best = max(towers, key=lambda tower: (len(tower), self._leaves_space(tower)), default=[])
         return dict(zip(self._blueprint.positions, best, strict=False))
 
@@ -338,7 +321,7 @@ class TowerBuilder(Builder):
     def _tower(self, base: SceneObject) -> list[SceneObject]:
         """Return a cube and, if it is on the surface, the cubes on it."""
         tower = [base]
-        above = self._above(base) if on_surface(self._scene, base) else None
+        above = self._above(base) if predicates.on_surface(self._scene, base) else None
         while above is not None and above in self._cubes:
             tower.append(above)
             above = self._above(above)
@@ -347,14 +330,14 @@ class TowerBuilder(Builder):
     def _leaves_space(self, tower: Sequence[SceneObject]) -> bool:
         """Return True if the block on top can be grasped next to a tower of any height."""
         top = self._blocks[self._blueprint.positions[-1].kind][0]
-        if top in self._cubes or is_held(self._scene, top):
+        if top in self._cubes or top is self._held:
             return True
         gripper = self._scene.robot.model.gripper
         reach = max(gripper.palm[0] / 2.0, gripper.half_width()) + tower[0].spec.planar_radius
         return planar_distance(tower[0].pose.position, top.pose.position) > reach
 
     def _lies_on(self, bottom: SceneObject, top: SceneObject) -> bool:
-        return on_top(self._scene, bottom, top)
+        return predicates.on_top(self._scene, bottom, top)
 
     def _preference(self, block: SceneObject, there: Sequence[SceneObject]) -> tuple[float, ...]:
         return (self._distance(block),)
@@ -365,8 +348,13 @@ class TowerBuilder(Builder):
     def _yaw(self, block: SceneObject) -> float:
         return side_yaw(block.pose) if block in self._cubes else block.pose.yaw
 
-    def _symmetry(self, block: SceneObject) -> float:
-        return math.pi / 2.0 if block in self._cubes else math.pi
+
+def _sample(place: Callable[[float], Pose]) -> Pose | None:
+    """Return a sample with the largest possible gap (m) to other blocks."""
+    for margin in MARGINS:
+        with suppress(PlacementError):
+            return place(margin)
+    return None
 
 
 def _bottom(block: SceneObject) -> Pose:
@@ -375,10 +363,6 @@ def _bottom(block: SceneObject) -> Pose:
     return Pose(((low[0] + high[0]) / 2.0, (low[1] + high[1]) / 2.0, low[2]))
 
 
-def _direction(first: SceneObject, second: SceneObject) -> float:
-    return math.atan2(second.pose.y - first.pose.y, second.pose.x - first.pose.x)
-
-
 def _long_axis(block: SceneObject) -> float:
     """Return the direction (rad) of the blocks above a block: along it if it is long, else along a side."""
-    return heading(block) if is_long(block) else side_yaw(block.pose) + math.pi / 2.0
+    return predicates.heading(block) if is_long(block) else side_yaw(block.pose) + math.pi / 2.0

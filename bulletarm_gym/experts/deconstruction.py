@@ -1,8 +1,4 @@
-"""Deconstruction planner: a structure is built by reversing how it is taken apart (paper, Expert
-Demonstrations).
-"""
-
-from collections.abc import Sequence
+"""Deconstruction planner (paper, Expert Demonstrations): the reversal of taking a structure apart."""
 
 import numpy as np
 
@@ -32,7 +28,10 @@ def deconstruct(scene: Scene, rng: np.random.Generator) -> list[Waypoint]:
     remaining = loose_objects(scene)
     plan: list[Waypoint] = []
     while len(remaining) > 1:
-        block = _next(remaining, rng)
+        free = [block for block in remaining if is_top(block, remaining)]
+        highest = max(block.pose.z for block in free)
+        level = [block for block in free if highest - block.pose.z < SAME_LEVEL * block.spec.extents[2]]
+        block = level[int(rng.integers(len(level)))]
         remaining.remove(block)
         plan = [*_relocate(scene, rng, block), *plan]
     return plan
@@ -55,11 +54,3 @@ def _relocate(scene: Scene, rng: np.random.Generator, block: SceneObject) -> tup
         Waypoint(after.compose(in_block), OPEN, finish=CLOSED),
         Waypoint(above.compose(in_block), CLOSED, finish=OPEN),
     )
-
-
-def _next(remaining: Sequence[SceneObject], rng: np.random.Generator) -> SceneObject:
-    """Sample one of the highest blocks that carry no other."""
-    free = [block for block in remaining if is_top(block, remaining)]
-    highest = max(block.pose.z for block in free)
-    level = [block for block in free if highest - block.pose.z < SAME_LEVEL * block.spec.extents[2]]
-    return level[int(rng.integers(len(level)))]

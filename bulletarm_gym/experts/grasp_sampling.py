@@ -33,22 +33,6 @@ BELOW = 0.002
 """Smallest gap (m) between the fingertips and the surface below them."""
 OVERLAP = 0.005
 """Height (m) above the fingertips from which a surface is between the fingers."""
-FRAGMENT = 0.5
-"""Smallest share of the fingers' width that touches the target."""
-SKEW = 0.7
-"""Largest slope of the target's sides relative to the fingers (35 degrees)."""
-EDGE = 0.007
-"""Smallest height (m) of the target's sides above the fingertips."""
-TALL = 0.03
-"""Height (m) of sides above which the quality does not increase."""
-QUALITY = 0.3
-"""Quality of a grasp without skew, edge and width."""
-SKEW_COST = 0.12
-"""Decrease of the quality per unit of skew."""
-EDGE_GAIN = 1.5
-"""Increase of the quality per metre of the sides' height."""
-WIDTH_GAIN = 0.02
-"""Increase of the quality for contact over the whole width of the fingers."""
 
 Image = NDArray[np.float32]
 GripFrame = tuple[float, float, float, float]
@@ -193,6 +177,10 @@ def _evaluate(
 ) -> tuple[float, float]:
     """Return the position of the target's middle along the opening, and the quality, 0 for no grasp.
 
+    The target must touch half of the fingers' width. Its sides must be 7 mm higher than the fingertips, and
+    their slope (skew) relative to the fingers at most 0.7. The quality decreases with the skew, and increases
+    with the height of the sides up to 3 cm and with the width.
+
     :param between: heights between the open fingers; above the tips only the target's
     """
     count, reach, filled = between.shape[0], between.shape[1] // 2, 0
@@ -207,16 +195,15 @@ def _evaluate(
         high, inmost_high = max(high, last - reach), min(inmost_high, last - reach)
         left += between[line, first] - tip
         right += between[line, last] - tip
-    if filled < FRAGMENT * count:
+    if filled < 0.5 * count:
         return 0.0, 0.0
     skew = (inmost_low - low + high - inmost_high) / (2.0 * filled)
     edge, middle = min(left / filled, right / filled), 0.5 * (low + high)
-    if high - low + 1.0 + 2.0 * size[3] > 2.0 * size[0] or skew > SKEW or edge < EDGE:
+    if high - low + 1.0 + 2.0 * size[3] > 2.0 * size[0] or skew > 0.7 or edge < 0.007:
         return 0.0, 0.0
     if not _fingers_pass(heights, frame, middle, size, tip - BELOW):
         return 0.0, 0.0
-    quality = QUALITY - SKEW_COST * skew + EDGE_GAIN * min(edge, TALL) + WIDTH_GAIN * filled / count
-    return middle, quality
+    return middle, 0.3 - 0.12 * skew + 1.5 * min(edge, 0.03) + 0.02 * filled / count
 
 
 @compiled

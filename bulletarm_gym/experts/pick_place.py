@@ -26,38 +26,22 @@ from bulletarm_gym.geometry import (
     rotate,
     wrap_angle,
 )
-from bulletarm_gym.scene import Scene, SceneObject
+from bulletarm_gym.scene import Scene, SceneObject, cached_by_pose
 from bulletarm_gym.scene.sampling import footprint
 from bulletarm_gym.simulation import Box
 
 SQUARENESS = 1.05
 """Largest ratio of a block's horizontal sides at which a rotation by pi/2 is a symmetry."""
-GRIP_POSITIONS = 25
-"""Number of positions along a block at which a grasp is evaluated."""
-FLUSH = 1e-3
-"""Distance (m) from the outermost face within which another face is touched, too."""
-OFF_CENTRE = 0.5
-"""Weight of the distance from the object's centre (per metre) relative to finger misalignment (per metre)."""
 FINGER_CLEARANCE = 0.002
 """Gap (m) between the open fingers and other objects."""
 TIP_CLEARANCE = 0.0015
 """Gap (m) between the fingertips and the surface below them."""
 OPENING_PLAY = 0.008
 """Smallest difference (m) between the stroke and the side of a block that is grasped along its length."""
-LIFTS = (0.0, 0.15, 0.3)
-"""Heights of grasps above a block's centre, relative to the block's height."""
 OVERHANG = 0.005
 """Distance (m) by which a palm may be wider than the open fingers without a collision check."""
 PALM_CLEARANCE = 0.004
 """Gap (m) between a palm and other objects or the surface."""
-LEANS = (0.0, -0.15, 0.15, -0.3, 0.3, -0.45, 0.45)
-"""Tilts (rad) of the gripper that are tried where an upright palm collides."""
-OFFSETS = (0.0, -0.25, 0.25)
-"""Offsets of tilted grasps from a block's centre, relative to the block's length."""
-LEANING_LIFTS = (-0.2, 0.0, 0.15)
-"""Heights of tilted grasps above a block's centre, relative to the block's height."""
-SKEWS = (0.0, 0.5, -0.5)
-"""Yaws (rad) of tilted grasps relative to the block's sides: the block rotates as the fingers close."""
 CANDIDATES = 4
 """Number of candidate grasps to sample from, so that a retry after a slip uses a different grasp."""
 ACROSS = np.linspace(-0.5, 0.5, 5)
@@ -68,8 +52,6 @@ FINGER_POINTS = np.array(
     [(side * x, y, 0.0) for y in ACROSS for side in (-1.0, 1.0) for x in np.linspace(0.3, 1.0, 12)]
 )
 """Points below the closing fingers, (n, 3), relative to the open fingers' outer side and width."""
-NEAREST_STOP = Pose((0.0, 0.0, MOTION.stops[-1][0]))
-"""Nearest pose from which open-loop control begins a pick or place, in the frame of its target."""
 
 
 class RestingBox(NamedTuple):
@@ -91,38 +73,34 @@ def is_box(obj: SceneObject) -> bool:
     return len(pieces) == 1 and isinstance(pieces[0].shape, Box)
 
 
+@cached_by_pose
 def resting_frame(obj: SceneObject) -> Pose:
     """Return an object's resting frame in the world.
 
     A box rests on any side. Other objects keep their axes, rotated by pi about x if they are upside down.
     """
-    return obj.cached_by_pose(_resting_frame)
-
-
-def _resting_frame(obj: SceneObject) -> Pose:
     rotation = matrix(obj.pose)
     if not is_box(obj):
         flip = np.diag([1.0, -1.0, -1.0]) if rotation[2, 2] < 0.0 else np.eye(3)
-        return Pose(obj.pose.transform(obj.cached_by_shape(_grip_point)), quaternion(rotation @ flip))
+        return Pose(obj.pose.transform(obj.cached(_grip_point, obj.variant)), quaternion(rotation @ flip))
     up = int(abs(rotation[2]).argmax())
     _, long = sorted({0, 1, 2} - {up}, key=lambda axis: (obj.spec.extents[axis], axis))
     z, y = math.copysign(1.0, rotation[2, up]) * rotation[:, up], rotation[:, long]
-    (y0, y1, y2), (z0, z1, z2) = y, z
-    x = (y1 * z2 - y2 * z1, y2 * z0 - y0 * z2, y0 * z1 - y1 * z0)
-    return Pose(obj.pose.position, quaternion(np.array([x, y, z]).T))
+    return Pose(obj.pose.position, quaternion(np.array([np.cross(y, z), y, z]).T))
 
 
 def _grip_point(obj: SceneObject) -> Vector:
     """Return the best point (m), in an object's frame, for fingers that close along x."""
     low, high = (obj.spec.piece_bounds[:, end, :2] for end in (0, 1))
     end = np.abs(obj.spec.mesh.bounds[:, 1]).max()
-    positions = np.linspace(-end, end, GRIP_POSITIONS).tolist()
-    _, x, y = min(_grip_cost(low, high, y, obj.pad_width) for y in positions)
+    _, x, y = min(_grip_cost(low, high, y, obj.pad_width) for y in np.linspace(-end, end, 25).tolist())
     return (x, y, 0.0)
 
 
 def _grip_cost(low: FloatArray, high: FloatArray, y: float, pad: float) -> tuple[float, float, float]:
     """Return the cost (m) of a grasp at y, and x and y (m) of the middle between the fingers.
+
+    The cost is the misalignment of the touched sides plus half the distance from the object's centre.
 
     :param low: smallest x and y of each piece, (n, 2) m
     :param high: largest x and y of each piece, (n, 2) m
@@ -133,30 +111,24 @@ def _grip_cost(low: FloatArray, high: FloatArray, y: float, pad: float) -> tuple
     if not between.any():
         return math.inf, 0.0, y
     left, right = float(low[between, 0].min()), float(high[between, 0].max())
-    touched = [between & (low[:, 0] < left + FLUSH), between & (high[:, 0] > right - FLUSH)]
+    touched = [between & (low[:, 0] < left + 1e-3), between & (high[:, 0] > right - 1e-3)]
     lengths = [float((stop - start)[pieces].sum()) for pieces in touched]
     middles = [float(((start + stop) / 2.0)[pieces].mean()) for pieces in touched]
-    cost = abs(middles[0] - middles[1]) + OFF_CENTRE * abs(y) - min(lengths)
+    cost = abs(middles[0] - middles[1]) + 0.5 * abs(y) - min(lengths)
     return cost, (left + right) / 2.0, y
 
 
+@cached_by_pose
 def resting_box(obj: SceneObject) -> RestingBox:
     """Return the bounding box of an object in its resting frame."""
-    return obj.cached_by_pose(_resting_box)
-
-
-def _resting_box(obj: SceneObject) -> RestingBox:
     inside = resting_frame(obj).inverse().compose(obj.pose)
     points = obj.spec.mesh.vertices @ matrix(inside).T + inside.position
     (x0, y0, z0), (x1, y1, z1) = points.min(axis=0).tolist(), points.max(axis=0).tolist()
     return RestingBox((x1 - x0, y1 - y0, z1 - z0), ((x0 + x1) / 2.0, (y0 + y1) / 2.0, 0.0), z0)
 
 
-# Picks
-
-
 def pick(scene: Scene, obj: SceneObject, rng: np.random.Generator) -> Waypoint:
-    """Return the pick of an object: at its centre, or higher if the fingers collide at the centre.
+    """Return the pick of an object: at its centre, or up to 0.3 of its height above it without a collision.
 
     The fingers close across the shorter side, or along it if they collide otherwise.
 
@@ -166,7 +138,7 @@ def pick(scene: Scene, obj: SceneObject, rng: np.random.Generator) -> Waypoint:
     _, length, height = resting_box(obj).sides
     gripper = scene.robot.model.gripper
     yaws = [0.0, math.pi / 2.0] if is_box(obj) and length + OPENING_PLAY <= gripper.stroke else [0.0]
-    lifts = [share * height for share in LIFTS]
+    lifts = [share * height for share in (0.0, 0.15, 0.3)]
     poses = [_feasible(scene, frame.compose(Pose.planar(0.0, 0.0, z, yaw))) for z in lifts for yaw in yaws]
     sampled = poses[int(rng.integers(len(poses)))]
     best = next((pose for pose in poses if _fits(scene, pose, obj)), None)
@@ -180,32 +152,40 @@ def pick(scene: Scene, obj: SceneObject, rng: np.random.Generator) -> Waypoint:
 
 
 def _leaning(scene: Scene, obj: SceneObject, yaws: Sequence[float]) -> list[Pose]:
-    """Return grasps that avoid collisions of a wide palm by tilts and offsets, the least tilted first."""
-    leans = LEANS if scene.config.action_sequence.count("r") == 3 else LEANS[:1]
+    """Return grasps that avoid collisions of a wide palm by tilts and offsets, the least tilted first.
+
+    In closed loop yaws are also skewed: the block rotates as the fingers close.
+    """
     width, length, height = resting_box(obj).sides
-    offsets = [share * length for share in OFFSETS] if is_box(obj) or length > 2.0 * width else [0.0]
-    skews = SKEWS if scene.config.control == CLOSE_LOOP else SKEWS[:1]
-    tilts = sorted(itertools.product(leans, leans), key=lambda tilt: math.hypot(*tilt))
+    tilts = (0.0, -0.15, 0.15, -0.3, 0.3, -0.45, 0.45)
+    leans = tilts if scene.config.action_sequence.count("r") == 3 else (0.0,)
+    pairs = sorted(itertools.product(leans, leans), key=lambda pair: math.hypot(*pair))
+    skews = (0.0, 0.5, -0.5) if scene.config.control == CLOSE_LOOP else (0.0,)
+    offsets = (0.0, -0.25, 0.25) if is_box(obj) or length > 2.0 * width else (0.0,)
     frame = resting_frame(obj)
     return [
-        _feasible(scene, frame.compose(euler_pose((0.0, y, lift * height), (*tilt, yaw + skew))))
-        for skew, tilt, y, lift, yaw in itertools.product(skews, tilts, offsets, LEANING_LIFTS, yaws)
+        _feasible(scene, frame.compose(euler_pose((0.0, y * length, z * height), (*pair, yaw + skew))))
+        for skew, pair, y, z, yaw in itertools.product(skews, pairs, offsets, (-0.2, 0.0, 0.15), yaws)
     ]
 
 
-# Places
-
-
-def put(scene: Scene, obj: SceneObject, frames: Sequence[Pose]) -> Waypoint:
+def put(scene: Scene, obj: SceneObject, frame: Pose) -> Waypoint:
     """Return the place of the grasped object.
 
-    :param frames: equivalent frames of the support; the object's centre is released above the origin of one
+    :param frame: frame of the support; the object's centre is released above its origin
     """
     tool, box = scene.robot.pose, resting_box(obj)
     in_frame = resting_frame(obj).inverse().compose(tool)
     middle = in_frame.inverse().transform(box.middle)
-    goals = (frame.compose(symmetric) for frame in frames for symmetric in _symmetric_frames(box))
-    poses = (_bring(scene, goal.compose(in_frame), middle, goal.transform(box.middle)) for goal in goals)
+    poses = []
+    for goal in map(frame.compose, _symmetric_frames(box)):
+        pose = goal.compose(in_frame)
+        feasible = _feasible(scene, pose)
+        if feasible is not pose:  # the object's centre must have the same position
+            ends = zip(goal.transform(box.middle), rotate(feasible.orientation, middle), strict=True)
+            x, y, z = (end - offset for end, offset in ends)
+            feasible = Pose((x, y, z), feasible.orientation)
+        poses.append(feasible)
     # Open-loop control rotates by up to pi/2 only, see half_rotation; closed-loop control by up to pi.
     period = math.pi if scene.config.control == OPEN_LOOP else 2.0 * math.pi
     best = max(
@@ -232,22 +212,6 @@ def _feasible(scene: Scene, pose: Pose) -> Pose:
     return Pose.planar(*pose.position, pose.yaw if rotations else scene.robot.pose.yaw)
 
 
-def _bring(scene: Scene, pose: Pose, middle: Vector, goal: Vector) -> Pose:
-    """Return the tool pose in the action space nearest to a pose that brings the grasped object to a point.
-
-    :param middle: centre of the grasped object in the tool frame (m)
-    :param goal: point for that centre (m)
-    """
-    feasible = _feasible(scene, pose)
-    if feasible is pose:
-        return pose
-    x, y, z = rotate(feasible.orientation, middle)
-    return Pose((goal[0] - x, goal[1] - y, goal[2] - z), feasible.orientation)
-
-
-# Collisions
-
-
 def _rank(scene: Scene, pose: Pose, obj: SceneObject) -> tuple[bool, bool, bool]:
     return _reaches(scene, pose), fingers_fit(scene, pose, obj), palm_fits(scene, pose, obj)
 
@@ -264,8 +228,8 @@ def _fits(scene: Scene, pose: Pose, obj: SceneObject) -> bool:
 
 def _reaches(scene: Scene, pose: Pose) -> bool:
     """Return True if a pick or place is in reach, with the nearest pose from which it can begin."""
-    pose = _nearest_symmetric(pose)
-    return scene.robot.reaches(pose) and scene.robot.reaches(pose.compose(NEAREST_STOP))
+    pose, nearest = _nearest_symmetric(pose), Pose((0.0, 0.0, MOTION.stops[-1][0]))
+    return scene.robot.reaches(pose) and scene.robot.reaches(pose.compose(nearest))
 
 
 def _nearest_symmetric(pose: Pose) -> Pose:
@@ -275,12 +239,9 @@ def _nearest_symmetric(pose: Pose) -> Pose:
 
 def _others(scene: Scene, obj: SceneObject, height: float) -> list[SceneObject]:
     """Return the objects that reach above a height (m), without one and without the grasped object."""
-    held = scene.held
-    return [
-        other
-        for other in scene
-        if other is not obj and other is not held and scene.world.top(other.body) > height
-    ]
+    ignored = (obj, scene.held)
+    others = (other for other in scene if other not in ignored)
+    return [other for other in others if scene.world.top(other.body) > height]
 
 
 def palm_fits(scene: Scene, pose: Pose, obj: SceneObject) -> bool:

@@ -58,18 +58,22 @@ class Drag:
     """
 
     def __init__(self, scene: Scene, obj: SceneObject, goal: Sequence[float], low: float) -> None:
-        self._tool = scene.robot.pose
+        self._tool = tool = scene.robot.pose
         self._half_width = scene.robot.model.gripper.half_width(HALF_OPEN)
-        self._goal = goal
-        self._block = block = obj.pose
-        self._behind = obj.spec.extents[0] / 2.0 + CLEARANCE
-        self._low = low
-        self._surface = scene.surface
+        self._surface, self._goal, self._low = scene.surface, goal, low
+        block, behind = obj.pose, obj.spec.extents[0] / 2.0 + CLEARANCE
         dx, dy = goal[0] - block.x, goal[1] - block.y
         length = math.hypot(dx, dy)
-        self._line = (dx / length, dy / length)
-        self._start = (block.x - self._behind * self._line[0], block.y - self._behind * self._line[1])
-        self._outside = _distance_outside(self._start, scene.config.workspace)
+        line = (dx / length, dy / length)
+        self._start = (block.x - behind * line[0], block.y - behind * line[1])
+        limits = zip(self._start, scene.config.workspace[:2], strict=True)
+        self._outside = max(max(low - value, value - high, 0.0) for value, (low, high) in limits)
+        dx, dy = tool.x - block.x, tool.y - block.y
+        self._is_behind = (
+            -2.0 * behind < dx * line[0] + dy * line[1] < 0.0
+            and abs(dx * line[1] - dy * line[0]) < OFF_LINE
+            and tool.z < self._drag_height(tool.position) + BAND
+        )
 
     @property
     def effort(self) -> float:
@@ -78,28 +82,7 @@ class Drag:
             return -1.0
         return 10.0 * self._outside + planar_distance(self._start, self._tool.position)
 
-    @property
-    def _is_behind(self) -> bool:
-        """Whether the gripper is at a pose from which the drag can start."""
-        dx, dy = self._tool.x - self._block.x, self._tool.y - self._block.y
-        along = dx * self._line[0] + dy * self._line[1]
-        aside = abs(dx * self._line[1] - dy * self._line[0])
-        return (
-            along < 0.0
-            and aside < OFF_LINE
-            and self._tool.z < self._drag_height(self._tool.position) + BAND
-            and -along < 2.0 * self._behind
-        )
-
-    @property
-    def _approach_height(self) -> float:
-        """Height (m) of the fingertips before the drag, lower near the start."""
-        apart = planar_distance(self._start, self._tool.position) - AT_START - self._outside
-        low = self._drag_height(self._start)
-        return min(DRAG_HOVER + low - self._low, low + SLOPE * max(0.0, apart))
-
     def _drag_height(self, point: Sequence[float]) -> float:
-        """Return the height (m) of the fingertips at a point of the drag."""
         aside = self._half_width * math.cos(self._tool.yaw), self._half_width * math.sin(self._tool.yaw)
         under = [(point[0] + share * aside[0], point[1] + share * aside[1]) for share in (-1.0, 0.0, 1.0)]
         return self._low + float(self._surface.heights(under).max())
@@ -108,9 +91,12 @@ class Drag:
         """Yield the remaining waypoints: above the start, down, to the goal."""
         tool = self._tool
         if not self._is_behind:
-            if tool.z < self._approach_height - HEIGHT_TOLERANCE:
+            apart = planar_distance(self._start, tool.position) - AT_START - self._outside
+            low = self._drag_height(self._start)
+            height = min(DRAG_HOVER + low - self._low, low + SLOPE * max(0.0, apart))
+            if tool.z < height - HEIGHT_TOLERANCE:
                 yield Waypoint(Pose.planar(tool.x, tool.y, DRAG_HOVER, tool.yaw), HALF_OPEN)
-            yield Waypoint(Pose.planar(*self._start, self._approach_height, tool.yaw), HALF_OPEN)
+            yield Waypoint(Pose.planar(*self._start, height, tool.yaw), HALF_OPEN)
         yield Waypoint(self._next(), HALF_OPEN, straight=True)
 
     def _next(self) -> Pose:
@@ -122,13 +108,6 @@ class Drag:
         if here == there == end:
             return Pose.planar(goal[0], goal[1], end, tool.yaw)
         return Pose.planar(*near, there, tool.yaw)
-
-
-def _distance_outside(point: Point, workspace: list[list[float]]) -> float:
-    """Return the distance (m) of a point beyond the border in x or y, 0 inside."""
-    return max(
-        max(low - value, value - high, 0.0) for value, (low, high) in zip(point, workspace, strict=False)
-    )
 
 
 def singulate(scene: Scene, obj: SceneObject, rng: np.random.Generator) -> Iterator[Waypoint]:
@@ -144,7 +123,9 @@ def singulate(scene: Scene, obj: SceneObject, rng: np.random.Generator) -> Itera
     is_low = tool.z < low + PUSH_HEIGHT
     if is_low and aside < SPREAD + TOLERANCE and RUN_UP - PUSH_LENGTH < ahead < 2.0 * RUN_UP:
         yield Waypoint(Pose.planar(x, y, low, tool.yaw), CLOSED, straight=True)
-    if tool.z > low + PUSH_HEIGHT and _is_in_contact(scene):
+    arm, world = scene.robot.body, scene.world
+    others = [body for body in world.obstacles if body is not arm]
+    if tool.z > low + PUSH_HEIGHT and any(world.distance(arm, body, CONTACT) < CONTACT for body in others):
         # The gripper slides over the object that blocks its descent.
         yield Waypoint(Pose.planar(x, y, tool.z, tool.yaw), CLOSED, straight=True)
     shift = float(rng.uniform(-SPREAD, SPREAD))
@@ -155,12 +136,6 @@ def singulate(scene: Scene, obj: SceneObject, rng: np.random.Generator) -> Itera
             yield Waypoint(Pose.planar(tool.x, tool.y, hover, tool.yaw), CLOSED)
         yield Waypoint(Pose.planar(*start, hover, tool.yaw), CLOSED)
     yield Waypoint(Pose.planar(tool.x, tool.y, low, tool.yaw), CLOSED)
-
-
-def _is_in_contact(scene: Scene) -> bool:
-    """Return True if the gripper touches an object or a wall."""
-    arm, world = scene.robot.body, scene.world
-    return any(world.distance(arm, body, CONTACT) < CONTACT for body in world.obstacles if body is not arm)
 
 
 def end_to_push(scene: Scene, obj: SceneObject) -> tuple[Point, Point]:

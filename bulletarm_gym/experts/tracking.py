@@ -74,7 +74,6 @@ class Tracker:
         return PickPlace(primitive, pose.position, (theta, phi, psi))
 
     def _delta_move(self, control: CloseLoop, waypoint: Waypoint) -> DeltaMove:
-        """Return the move towards a waypoint within the control's ranges."""
         tool, ranges, goal = control.robot.pose, control.ranges, avoid_limits(self._scene, waypoint.pose)
         target = control.within(goal.position)
         distances = [end - start for end, start in zip(target, tool.position, strict=True)]

@@ -5,8 +5,8 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import gymnasium
-import numpy as np
 from gymnasium.wrappers import ClipAction, DiscretizeAction, RescaleAction
+from gymnasium.wrappers.utils import rescale_box
 
 Wrapper = gymnasium.Wrapper[Any, Any, Any, Any]
 Inverse = Callable[[Any], Any]
@@ -49,15 +49,14 @@ def wrapped_expert(expert: Callable[[], Any], wrappers: Sequence[Wrapper]) -> Ca
 
 
 def _inverse(wrapper: Wrapper) -> Inverse | None:
-    """Return the inverse of a wrapper's change of actions, or None if it does not change them.
-
-    :raises ValueError: the change cannot be inverted
-    """
     own: Inverse | None = getattr(wrapper, "revert_action", None)
     if own is not None and not isinstance(wrapper, DiscretizeAction):  # which returns the nearest bin
         return own
     if isinstance(wrapper, RescaleAction):
-        return _rescaled(wrapper)
+        outer: Any = wrapper.action_space
+        inner: Any = wrapper.env.action_space
+        _, forward, _ = rescale_box(inner, outer.low, outer.high)
+        return lambda action: forward(action).clip(outer.low, outer.high)
     same_space = wrapper.action_space == wrapper.env.action_space
     if isinstance(wrapper, ClipAction) or (same_space and not isinstance(wrapper, gymnasium.ActionWrapper)):
         return None
@@ -65,16 +64,3 @@ def _inverse(wrapper: Wrapper) -> Inverse | None:
         "expert_action must be queried below wrappers whose change of actions has no known inverse, got "
         f"{type(wrapper).__name__}. Define revert_action(action) in the wrapper, or use env.unwrapped."
     )
-
-
-def _rescaled(wrapper: RescaleAction[Any, Any, Any]) -> Inverse:
-    """Return the affine map from the action space inside a ``RescaleAction`` to that outside it."""
-    inner: Any = wrapper.env.action_space
-    outer: Any = wrapper.action_space
-
-    def inverse(action: Any) -> Any:
-        share = (np.asarray(action, np.float64) - inner.low) / (inner.high.astype(np.float64) - inner.low)
-        rescaled = outer.low + share * (outer.high.astype(np.float64) - outer.low)
-        return rescaled.clip(outer.low, outer.high).astype(outer.dtype)
-
-    return inverse

@@ -1,6 +1,7 @@
 """Sensors with perspective cameras: color images, depth images and point clouds."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 from gymnasium import spaces
@@ -15,7 +16,7 @@ from bulletarm_gym.config_checks import (
     point,
     render_size,
 )
-from bulletarm_gym.geometry import FloatArray, Vector, rotate
+from bulletarm_gym.geometry import rotate
 from bulletarm_gym.observations.cameras import look_at, side_cameras, viewpoint
 from bulletarm_gym.observations.sensor import Sensor
 from bulletarm_gym.observations.view import View
@@ -26,13 +27,8 @@ EYE, TARGET = (0.55, -0.45, 0.6), (0.0, 0.0, 0.05)
 """Default position and target (m) of a fixed camera, relative to the centre of a default workspace."""
 WRIST_EYE, WRIST_TARGET = (0.0, -0.1, 0.1), (0.0, 0.0, -0.03)
 """Default position and target (m) of a wrist camera, in the frame of the fingertips."""
-IMAGE_SIZE = 84
-"""Default pixels a side; learners treat images with the size of the heightmap as views of its square."""
-MAX_POINTS = 65536
-"""Largest number of points of a point cloud."""
 CLOUD_PIXELS = 128
 """Pixels a side of the depth images behind a point cloud."""
-WORLD, WRIST = "world", "wrist"
 
 
 class CameraSensor(Sensor):
@@ -54,28 +50,28 @@ class CameraSensor(Sensor):
         scene: Scene,
         position: Sequence[float] | None = None,
         target: Sequence[float] | None = None,
-        size: int | Sequence[int] = IMAGE_SIZE,
+        size: int | Sequence[int] = 84,
         fov: float = Camera.fov,
-        mount: str = WORLD,
+        mount: str = "world",
     ) -> None:
         super().__init__(scene)
-        self._on_wrist = check_argument("mount", mount, choice(WORLD, WRIST)) == WRIST
+        self._on_wrist = check_argument("mount", mount, choice("world", "wrist")) == "wrist"
         defaults = (WRIST_EYE, WRIST_TARGET) if self._on_wrist else viewpoint(scene, EYE, TARGET)
-        self._eye: Vector = tuple(check_argument("position", position, optional(point)) or defaults[0])
-        self._target: Vector = tuple(check_argument("target", target, optional(point)) or defaults[1])
-        self._lens = (check_argument("fov", fov, field_of_view), check_argument("size", size, render_size))
-        self._fixed = look_at(self._eye, self._target, *self._lens)
+        self._mounted = look_at(
+            tuple(check_argument("position", position, optional(point)) or defaults[0]),
+            tuple(check_argument("target", target, optional(point)) or defaults[1]),
+            check_argument("fov", fov, field_of_view),
+            check_argument("size", size, render_size),
+        )
 
     @property
     def camera(self) -> Camera:
         """The camera at present."""
         if not self._on_wrist:
-            return self._fixed
-        tcp_pose = self.scene.robot.pose
-        is_vertical = self._eye[:2] == self._target[:2]
-        up = rotate(tcp_pose.orientation, (-1.0, 0.0, 0.0) if is_vertical else (0.0, 0.0, 1.0))
-        eye, target = tcp_pose.transform(self._eye), tcp_pose.transform(self._target)
-        return look_at(eye, target, *self._lens, up=up)
+            return self._mounted
+        tcp_pose, (eye, target) = self.scene.robot.pose, (self._mounted.eye, self._mounted.target)
+        up = rotate(tcp_pose.orientation, (-1.0, 0.0, 0.0) if eye[:2] == target[:2] else (0.0, 0.0, 1.0))
+        return replace(self._mounted, eye=tcp_pose.transform(eye), target=tcp_pose.transform(target), up=up)
 
     @property
     def cameras(self) -> Mapping[str, Camera]:
@@ -89,7 +85,7 @@ class Rgb(CameraSensor):
     @property
     def space(self) -> spaces.Box:
         """Red, green and blue, (3, height, width)."""
-        return spaces.Box(0, 255, (3, self._fixed.height, self._fixed.width), np.uint8)
+        return spaces.Box(0, 255, (3, self._mounted.height, self._mounted.width), np.uint8)
 
     def read(self, view: View) -> NDArray[np.uint8]:
         """Return the image."""
@@ -102,12 +98,12 @@ class Depth(CameraSensor):
     @property
     def space(self) -> spaces.Box:
         """Metres along the optical axis, (1, height, width)."""
-        shape = (1, self._fixed.height, self._fixed.width)
-        return spaces.Box(0.0, self._fixed.far, shape, np.float32)
+        camera = self._mounted
+        return spaces.Box(0.0, camera.far, (1, camera.height, camera.width), np.float32)
 
     def read(self, view: View) -> NDArray[np.float32]:
         """Return the distances (m)."""
-        return self.camera.depth(self.scene.world)[None].clip(0.0, self._fixed.far)
+        return self.camera.depth(self.scene.world)[None].clip(0.0, self._mounted.far)
 
 
 class PointCloud(Sensor):
@@ -123,7 +119,7 @@ class PointCloud(Sensor):
 
     def __init__(self, scene: Scene, points: int = 1024) -> None:
         super().__init__(scene)
-        self._count = check_argument("points", points, integer(1, MAX_POINTS))
+        self._count = check_argument("points", points, integer(1, 65536))
         self._cameras = side_cameras(scene.config, CLOUD_PIXELS)
 
     @property
@@ -141,18 +137,13 @@ class PointCloud(Sensor):
 
         The origin is at the fingertips or, in open loop, at the centre of the workspace's floor.
         """
-        points = self._measured(view)
-        if not len(points):
-            return np.zeros((self._count, 3), np.float32)
-        return points[np.linspace(0, len(points) - 1, self._count).round().astype(np.int64)].astype(
-            np.float32
-        )
-
-    def _measured(self, view: View) -> FloatArray:
         world, robot, frame = self.scene.world, self.scene.robot, view.frame
         grasped = [robot.held] if frame.hides_grasped and robot.held is not None else []
         hidden = [robot.body, world.ground, *grasped]
         points = np.concatenate([camera.points(world, hidden) for camera in self._cameras])
-        points = points - frame.origin.position
-        inside: FloatArray = points[(np.abs(points[:, :2]) <= frame.extent / 2.0).all(axis=1)]
-        return inside
+        points -= frame.origin.position
+        points = points[(np.abs(points[:, :2]) <= frame.extent / 2.0).all(axis=1)]
+        reading = np.zeros((self._count, 3), np.float32)
+        if len(points):
+            reading[:] = points[np.linspace(0, len(points) - 1, self._count).round().astype(np.int64)]
+        return reading

@@ -1,8 +1,9 @@
-"""Default cameras, which show the configured workspace, and the cameras of an environment by name."""
+"""Default cameras, which show the configured workspace, cameras by name, and the window of an environment."""
 
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import gymnasium
@@ -10,14 +11,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bulletarm_gym.config import EnvConfig, ParameterError
-from bulletarm_gym.geometry import FloatArray, Vector
+from bulletarm_gym.geometry import FloatArray, Pose, Vector
 from bulletarm_gym.scene import Scene
 from bulletarm_gym.simulation import Camera, World
+from bulletarm_gym.simulation.window import Keyboard, draw_segments, look
 
 RENDER = "render"
 """Name of the camera of ``render()``."""
 OVERVIEW = ((0.95, -0.95, 0.95), (-0.18, 0.0, 0.33))
 """Position and target (m) of the camera of ``render()``, relative to the centre of a default workspace."""
+CLOSE_UP = ((0.56, -0.4, 0.62), (0.0, 0.0, 0.03))
+"""Position and target (m) of the camera of close-ups, relative to the centre of a default workspace."""
+CLOSE_UP_FOV = 32.0
+"""Field of view (degrees) of that camera."""
+PIXELS = 240
+"""Default pixels a side of close-ups."""
+MARK_HEIGHT = 0.3
+"""Length (m) of the vertical line of a mark."""
+MARK_REACH = 0.04
+"""Distance (m) from a mark to the ends of its horizontal line."""
 SIZES = (0.3, 0.4)
 """Sides (m) of the default workspaces. Camera distances scale with smaller and larger ones."""
 REACHES = (0.45, 0.65)
@@ -68,6 +80,17 @@ class SceneCamera:
         """Return distances (m) along the optical axis, (height, width)."""
         return self.camera.depth(self.world)
 
+    def render(self, mode: str | None, env_id: str) -> Any:
+        """Return what ``render()`` of an environment returns in a render mode.
+
+        Without a mode a warning is logged, as in Gymnasium's environments.
+        """
+        if mode is None:
+            advice = f'Use gymnasium.make("{env_id}", render_mode="rgb_array").'
+            gymnasium.logger.warn(f"render_mode must be set for render(), got None. {advice}")
+        images = {"rgb_array": self.color, "depth_array": self.depth}
+        return images[mode]() if mode in images else None
+
 
 def viewpoint(scene: Scene, eye: Vector, target: Vector, scale: float | None = None) -> tuple[Vector, Vector]:
     """Return the position and the target (m, world) of a camera that shows the workspace.
@@ -77,30 +100,25 @@ def viewpoint(scene: Scene, eye: Vector, target: Vector, scale: float | None = N
     :param scale: factor on both, by default the size of the workspace relative to the default ones
     """
     (x, y), base = scene.config.centre, scene.robot.model.base
-    azimuth = math.atan2(y - base.y, x - base.x)
-    cosine, sine = math.cos(azimuth), math.sin(azimuth)
-    scale = _beyond(scene.config.workspace_size, SIZES) if scale is None else scale
+    frame = Pose.planar(x, y, 0.0, math.atan2(y - base.y, x - base.x))
+    factor = _beyond(scene.config.workspace_size, SIZES) if scale is None else scale
 
     def place(offset: Vector) -> Vector:
-        ahead, left, up = (scale * part for part in offset)
-        return (x + cosine * ahead - sine * left, y + sine * ahead + cosine * left, up)
+        return frame.transform((factor * offset[0], factor * offset[1], factor * offset[2]))
 
     return place(eye), place(target)
 
 
-def look_at(
-    position: Vector, target: Vector, fov: float, size: Sequence[int], up: Vector | None = None
-) -> Camera:
+def look_at(position: Vector, target: Vector, fov: float, size: Sequence[int]) -> Camera:
     """Return a camera at a position (m) whose optical axis leads through a target (m).
 
     :param size: width and height of the image (pixels)
-    :param up: upward direction of the image in the world; by default that of :class:`Camera`
     :raises ValueError: position and target are the same point
     """
     if position == target:
         raise ValueError(f"target must be another point than position, got {list(target)}")
     (width, height), far = size, max(Camera.far, 2.0 * math.dist(position, target))
-    return Camera(position, target, fov, width, height, far=far, up=up)
+    return Camera(position, target, fov, width, height, far=far)
 
 
 def side_cameras(config: EnvConfig, pixels: int) -> tuple[Camera, Camera]:
@@ -124,13 +142,19 @@ def render_camera(scene: Scene) -> Camera:
     distance = math.dist(config.centre, (base.x, base.y))
     scale = max(_beyond(config.workspace_size, SIZES), _beyond(distance, REACHES))
     position, target = viewpoint(scene, *OVERVIEW, scale)
-    chosen: dict[str, Any] = {"position": position, "target": target, "fov": Camera.fov}
-    chosen |= config.render_camera or {}
+    chosen = {"position": position, "target": target, "fov": Camera.fov, **(config.render_camera or {})}
     try:
-        position, target = tuple(chosen["position"]), tuple(chosen["target"])
-        return look_at(position, target, chosen["fov"], config.render_size)
+        return look_at(tuple(chosen["position"]), tuple(chosen["target"]), chosen["fov"], config.render_size)
     except ValueError as error:
         raise ParameterError(f"render_camera: {error}") from None
+
+
+def close_up_camera(scene: Scene, pixels: int) -> Camera:
+    """Return a camera that shows the workspace from the front and above.
+
+    :param pixels: pixels a side of its images
+    """
+    return Camera(*viewpoint(scene, *CLOSE_UP), CLOSE_UP_FOV, pixels, pixels)
 
 
 def _beyond(value: float, limits: tuple[float, float]) -> float:
@@ -138,16 +162,50 @@ def _beyond(value: float, limits: tuple[float, float]) -> float:
     return value / min(max(value, limits[0]), limits[1])
 
 
-def render_frame(camera: SceneCamera, mode: str | None, env_id: str) -> Any:
-    """Return an image (height, width, 3) uint8, distances (height, width) float32 in metres, or None.
+class Viewer:
+    """Images and user input for playing.
 
-    Without a mode a warning is logged, as in Gymnasium's environments.
+    :param scene: the scene to show
     """
-    if mode == "rgb_array":
-        return camera.color()
-    if mode == "depth_array":
-        return camera.depth()
-    if mode is None:
-        advice = f'Use gymnasium.make("{env_id}", render_mode="rgb_array").'
-        gymnasium.logger.warn(f"render_mode must be set for render(), got None. {advice}")
-    return None
+
+    def __init__(self, scene: Scene) -> None:
+        self._scene = scene
+        self._mark: list[int] = []
+
+    def close_up(self, pixels: int = PIXELS) -> NDArray[np.uint8]:
+        """Return an image of the workspace from the front and above, (pixels, pixels, 3)."""
+        return close_up_camera(self._scene, pixels).color(self._scene.world)
+
+    def face_workspace(self) -> None:
+        """Show the workspace in the window, from the configured camera or from that of close-ups."""
+        scene = self._scene
+        camera = render_camera(scene) if scene.config.render_camera else close_up_camera(scene, PIXELS)
+        look(scene.world, camera.eye, camera.target)
+
+    def pressed_keys(self) -> list[str]:
+        """Return the characters of the keys that were pressed in the window since the last call.
+
+        :raises RuntimeError: the environment's ``render_mode`` is not ``"human"``
+        """
+        mode = self._scene.config.render_mode
+        if mode != "human":
+            raise RuntimeError(f"render_mode must be 'human' for pressed_keys(), got {mode!r}")
+        return self._keyboard.pressed()
+
+    @cached_property
+    def _keyboard(self) -> Keyboard:
+        return Keyboard(self._scene.world)
+
+    def mark(self, position: Vector, yaw: float = 0.0) -> None:
+        """Draw a target pose of the gripper in the window.
+
+        :param position: position (m) of the fingertips in the world
+        :param yaw: yaw (rad) of the gripper, whose fingers open along this direction
+        """
+        x, y, z = position
+        right, ahead = MARK_REACH * math.cos(yaw), MARK_REACH * math.sin(yaw)
+        lines = [
+            (position, (x, y, z + MARK_HEIGHT)),
+            ((x - right, y - ahead, z), (x + right, y + ahead, z)),
+        ]
+        self._mark = draw_segments(self._scene.world, lines, self._mark)

@@ -8,11 +8,12 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from bulletarm_gym.config import ORTHOGRAPHIC
+from bulletarm_gym.config_checks import check_argument, choice
 from bulletarm_gym.observations.cameras import SIDE_PIXELS, side_cameras
 from bulletarm_gym.observations.rasterizer import Window, rectangle_mask
-from bulletarm_gym.observations.renderer import HeightRenderer
 from bulletarm_gym.observations.sensor import Sensor
-from bulletarm_gym.observations.view import MAX_HEIGHT, Frame, Heights, View
+from bulletarm_gym.observations.view import MAX_HEIGHT, Frame, HeightRenderer, Heights, View
+from bulletarm_gym.scene import Scene
 from bulletarm_gym.simulation import Camera
 
 FINGER_COLOUR = (40, 40, 40)
@@ -40,10 +41,10 @@ class Heightmap(Sensor):
 
     def read(self, view: View) -> NDArray[np.float32]:
         """Return heights above the workspace's floor, or depths below the camera plane."""
-        frame, heights = view.frame, view.heights.copy()
+        heights = view.heights.copy()
         for overlay in view.overlays:
             heights[rectangle_mask(view.window, [overlay.rectangle])] += np.float32(overlay.rise)
-        return heightmap(heights, frame)
+        return heightmap(heights, view.frame)
 
 
 def heightmap(heights: Heights, frame: Frame) -> Heights:
@@ -62,10 +63,16 @@ def heightmap(heights: Heights, frame: Frame) -> Heights:
 
 
 class LabelImage(Sensor):
-    """Image with one value per visible mesh, see :attr:`View.labels`."""
+    """Image with a value for each visible mesh, see :attr:`View.labels`.
 
-    needs_labels = True
+    :raises ValueError: the parameter ``view`` is not ``"orthographic"``
+    """
+
     channels = 1
+
+    def __init__(self, scene: Scene) -> None:
+        super().__init__(scene)
+        check_argument("view", scene.config.view, choice(ORTHOGRAPHIC))
 
     @property
     def space(self) -> spaces.Box:
@@ -81,16 +88,12 @@ class Color(LabelImage):
 
     def read(self, view: View) -> NDArray[np.uint8]:
         """Return the colour of the body under the centre of each pixel, or of the ground."""
-        image: NDArray[np.uint8] = np.take(self._palette, view.labels, axis=1)
-        image[:, view.fingers] = np.array(FINGER_COLOUR, np.uint8)[:, None]
-        return image
-
-    @property
-    def _palette(self) -> NDArray[np.uint8]:
-        """Colour of each label, (3, labels)."""
         world = self.scene.world
         colours = [world.get_properties(world.ground).colour, *HeightRenderer.of(self.scene).colours]
-        return np.rint(255.0 * np.array(colours)[:, :3].T).astype(np.uint8)
+        palette = np.rint(255.0 * np.array(colours)[:, :3].T).astype(np.uint8)
+        image: NDArray[np.uint8] = np.take(palette, view.labels, axis=1)
+        image[:, view.fingers] = np.array(FINGER_COLOUR, np.uint8)[:, None]
+        return image
 
 
 class Segmentation(LabelImage):

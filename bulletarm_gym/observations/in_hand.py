@@ -3,14 +3,12 @@
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
+from scipy.ndimage import map_coordinates
 
 from bulletarm_gym.config import OPEN_LOOP
 from bulletarm_gym.geometry import FloatArray, Pose, matrix
 from bulletarm_gym.observations.sensor import Sensor
 from bulletarm_gym.observations.view import MAX_HEIGHT, ElevationMap, Heights, View
-
-TILTING = 3
-"""Number of r's in the action sequence of a gripper that tilts."""
 
 
 class InHand(Sensor):
@@ -26,8 +24,8 @@ class InHand(Sensor):
     @property
     def _shape(self) -> tuple[int, int, int]:
         config = self.scene.config
-        tilts = config.action_sequence.count("r") == TILTING
-        return (3 if tilts else 1, config.in_hand_size, config.in_hand_size)
+        channels = 3 if config.action_sequence.count("r") == 3 else 1
+        return (channels, config.in_hand_size, config.in_hand_size)
 
     def read(self, view: View) -> NDArray[np.float32]:
         """Return the image of the last pick, whether or not it grasped an object, until a place."""
@@ -56,7 +54,11 @@ def rotated_crop(view: ElevationMap, tcp_pose: Pose, size: int) -> Heights:
     """
     offsets = _grid(size, 2) * view.resolution
     rotation = matrix(Pose.planar(0.0, 0.0, 0.0, tcp_pose.yaw))[:2, :2]
-    return _interpolated(view.heights, view.pixels(offsets @ rotation.T + tcp_pose.position[:2]))[None]
+    pixels = view.pixels(offsets @ rotation.T + tcp_pose.position[:2])
+    crop: Heights = map_coordinates(
+        view.heights, np.moveaxis(pixels, -1, 0), np.float32, order=1, mode="grid-constant"
+    )
+    return crop[None]
 
 
 def projections(view: ElevationMap, tcp_pose: Pose, size: int) -> Heights:
@@ -84,15 +86,3 @@ def _grid(size: int, dimensions: int) -> FloatArray:
     """Return the centres of cells, (size, ..., dimensions), in cells from the centre of all."""
     line = np.arange(size, dtype=np.float64) - (size - 1) / 2.0
     return np.stack(np.meshgrid(*[line] * dimensions, indexing="ij"), axis=-1)
-
-
-def _interpolated(image: Heights, pixels: FloatArray) -> Heights:
-    """Return bilinear interpolations of an image, which is 0 beyond its border."""
-    padded = np.pad(image, 1)
-    pixels = (pixels + 1.0).clip(0.0, len(padded) - 1.0)
-    low = np.minimum(pixels.astype(np.int64), len(padded) - 2)
-    (rows, columns), (down, right) = np.moveaxis(low, -1, 0), np.moveaxis(pixels - low, -1, 0)
-    upper = padded[rows, columns] * (1.0 - right) + padded[rows, columns + 1] * right
-    lower = padded[rows + 1, columns] * (1.0 - right) + padded[rows + 1, columns + 1] * right
-    values: Heights = (upper * (1.0 - down) + lower * down).astype(np.float32)
-    return values

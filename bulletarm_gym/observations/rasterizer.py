@@ -15,6 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt
 
 from bulletarm_gym.geometry import FloatArray, IntArray, Mesh, Rectangle
 from bulletarm_gym.geometry.compilation import compiled
@@ -27,9 +28,6 @@ HEIGHT_STEPS = float(2**30)
 
 Labels = NDArray[np.int16]
 """Number of the visible mesh of each pixel, from 1 on; 0 where no mesh is visible."""
-
-EMPTY = np.float32(-np.inf)
-"""Height of a pixel without points."""
 
 
 class Window(NamedTuple):
@@ -54,18 +52,6 @@ class Window(NamedTuple):
 def _snap(value: float, steps: float) -> float:
     """Round to a multiple of ``1 / steps``, symmetrically about zero."""
     return np.rint(value * steps) / steps  # type: ignore[no-any-return]
-
-
-@compiled
-def _rotation(quaternion: FloatArray) -> FloatArray:
-    """Return the (3, 3) rotation matrix of an ``(x, y, z, w)`` quaternion, normalised or not."""
-    x, y, z, w = quaternion
-    s = 2.0 / (x * x + y * y + z * z + w * w)
-    matrix = np.empty((3, 3))
-    matrix[0] = 1.0 - s * (y * y + z * z), s * (x * y - z * w), s * (x * z + y * w)
-    matrix[1] = s * (x * y + z * w), 1.0 - s * (x * x + z * z), s * (y * z - x * w)
-    matrix[2] = s * (x * z - y * w), s * (y * z + x * w), 1.0 - s * (x * x + y * y)
-    return matrix
 
 
 @compiled
@@ -118,16 +104,6 @@ def _draw_triangle(
 
 
 @compiled
-def _overlaps_window(
-    matrix: FloatArray, origin: tuple[float, float, float], sphere: FloatArray, half: float
-) -> bool:
-    """Return False if a bounding sphere is outside the window or its pose is not finite."""
-    x = origin[0] + matrix[0, 0] * sphere[0] + matrix[0, 1] * sphere[1] + matrix[0, 2] * sphere[2]
-    y = origin[1] + matrix[1, 0] * sphere[0] + matrix[1, 1] * sphere[1] + matrix[1, 2] * sphere[2]
-    return bool(abs(x) <= half + sphere[3] and abs(y) <= half + sphere[3])
-
-
-@compiled
 def _project(
     vertices: FloatArray,
     matrix: FloatArray,
@@ -152,9 +128,8 @@ def _draw_meshes(
     vertices: FloatArray,
     faces: IntArray,
     ranges: NDArray[np.int64],
-    spheres: FloatArray,
     positions: FloatArray,
-    quaternions: FloatArray,
+    rotations: FloatArray,
     visible: NDArray[np.bool_],
     square: tuple[float, float, float],
     size: int,
@@ -163,21 +138,17 @@ def _draw_meshes(
 
     :param vertices: (V, 3) vertices of all meshes in their own frames (m)
     :param faces: (F, 3) vertex indices, from the first vertex of the mesh on
-    :param ranges: (n, 4) first vertex, end of vertices, first face and end of faces of each mesh
-    :param spheres: (n, 4) centre in the frame of the mesh and radius of its bounding sphere (m)
+    :param ranges: (n, 4) first vertex, first face, end of vertices and end of faces of each mesh
     """
     image = np.zeros((size, size), np.float32)
     corners = np.empty_like(vertices)
-    for index in range(len(ranges)):
+    for index in range(len(visible)):
         if not visible[index]:
             continue
         x, y, z = positions[index]
         origin = (x - square[0], y - square[1], z)
-        matrix = _rotation(quaternions[index])
-        if not _overlaps_window(matrix, origin, spheres[index], 0.5 * square[2]):
-            continue
-        start, end, first_face, end_face = ranges[index]
-        _project(vertices[start:end], matrix, origin, size / square[2], corners)
+        start, first_face, end, end_face = ranges[index]
+        _project(vertices[start:end], rotations[index], origin, size / square[2], corners)
         for face in range(first_face, end_face):
             _draw_triangle(image, labels, index + 1, corners, faces[face, 0], faces[face, 1], faces[face, 2])
     return image
@@ -232,37 +203,10 @@ def project_points(points: FloatArray, window: Window, ceiling: float) -> NDArra
     inside = ((cells >= 0) & (cells < size)).all(axis=1) & (points[:, 2] <= ceiling)
     if not inside.any():
         return np.zeros((size, size), dtype=np.float32)
-    image = np.full((size, size), EMPTY, dtype=np.float32)
+    image = np.full((size, size), -np.inf, dtype=np.float32)
     np.maximum.at(image, tuple(cells[inside].T), points[inside, 2].astype(np.float32))
-    _fill(image)
-    return image
-
-
-@compiled
-def _fill(image: NDArray[np.float32]) -> None:
-    """Set empty pixels to the value of the nearest filled one, the first in rows and columns of several."""
-    size = image.shape[0]
-    source = image.copy()
-    for i in range(size):
-        for j in range(size):
-            if source[i, j] == EMPTY:
-                image[i, j] = _nearest(source, i, j, size)
-
-
-@compiled
-def _nearest(source: NDArray[np.float32], i: int, j: int, size: int) -> np.float32:
-    best, value = size * size * 2, source[i, j]
-    for radius in range(1, size):
-        if radius * radius > best:
-            break
-        for row in range(max(i - radius, 0), min(i + radius, size - 1) + 1):
-            step = 1 if abs(row - i) == radius else 2 * radius
-            for column in range(j - radius, j + radius + 1, step):
-                if 0 <= column < size and source[row, column] != EMPTY:
-                    distance = (row - i) ** 2 + (column - j) ** 2
-                    if distance < best:
-                        best, value = distance, source[row, column]
-    return value  # type: ignore[no-any-return]
+    columns, rows = distance_transform_edt(np.isneginf(image.T), return_distances=False, return_indices=True)
+    return np.ascontiguousarray(image[rows, columns].T)
 
 
 class ZBuffer:
@@ -274,26 +218,19 @@ class ZBuffer:
     ``(x, y) -> (-y, x)``, rotates the image by ``np.rot90(image, k=1)``, bit for bit.
 
     :param meshes: closed or open meshes; faces that look down are never drawn
-    :raises ValueError: a face has a vertex index out of range, or a vertex is not finite
     """
 
     def __init__(self, meshes: Sequence[Mesh]) -> None:
-        for index, mesh in enumerate(meshes):
-            _check(mesh, index)
         ends = np.cumsum([(len(mesh.vertices), len(mesh.faces)) for mesh in meshes] or [(0, 0)], axis=0)
         starts = ends - np.diff(ends, axis=0, prepend=0)
-        self._ranges = np.ascontiguousarray(
-            np.stack([starts[:, 0], ends[:, 0], starts[:, 1], ends[:, 1]], axis=1)[: len(meshes)],
-            dtype=np.int64,
-        )
+        self._ranges = np.hstack([starts, ends]).astype(np.int64)
         self._vertices = np.concatenate([np.empty((0, 3)), *(mesh.vertices for mesh in meshes)])
         self._faces = np.concatenate([np.empty((0, 3), np.int32), *(mesh.faces for mesh in meshes)])
-        self._spheres = np.array([_bounding_sphere(mesh) for mesh in meshes]).reshape(-1, 4)
 
     def draw(
         self,
         positions: FloatArray,
-        quaternions: FloatArray,
+        rotations: FloatArray,
         visible: NDArray[np.bool_],
         window: Window,
         labels: Labels | None = None,
@@ -303,7 +240,7 @@ class ZBuffer:
         A mesh whose pose is not finite is not drawn.
 
         :param positions: (n, 3) float64, world positions of the meshes' frames (m)
-        :param quaternions: (n, 4) float64, world orientations of the meshes' frames, ``(x, y, z, w)``
+        :param rotations: (n, 3, 3) float64, rotation matrices of the meshes' frames
         :param visible: (n,) mask of the meshes to draw
         :param labels: (size, size), in which the number of a mesh, from 1 on, is set where it is visible
         :return: (size, size) height above world z = 0 (m)
@@ -311,21 +248,5 @@ class ZBuffer:
         """
         if not (window.extent > 0.0 and window.size > 0):
             raise ValueError(f"extent and size must be positive, got {window.extent} and {window.size}")
-        meshes = (self._vertices, self._faces, self._ranges, self._spheres)
-        return _draw_meshes(labels, *meshes, positions, quaternions, visible, window.square, window.size)
-
-
-def _check(mesh: Mesh, index: int) -> None:
-    """Reject a mesh that the compiled code, which checks no bounds, cannot draw."""
-    if not np.isfinite(mesh.vertices).all():
-        raise ValueError(f"vertices of mesh {index} must be finite")
-    if mesh.faces.size and not 0 <= mesh.faces.min() <= mesh.faces.max() < len(mesh.vertices):
-        raise ValueError(f"vertex indices of mesh {index} must be from 0 to {len(mesh.vertices) - 1}")
-
-
-def _bounding_sphere(mesh: Mesh) -> FloatArray:
-    """Return centre and radius of a sphere around a mesh, (4,) metres."""
-    if not len(mesh.vertices):
-        return np.zeros(4)
-    centre = mesh.bounds.mean(axis=0)
-    return np.append(centre, np.linalg.norm(mesh.vertices - centre, axis=1).max())
+        meshes = (self._vertices, self._faces, self._ranges)
+        return _draw_meshes(labels, *meshes, positions, rotations, visible, window.square, window.size)

@@ -1,16 +1,21 @@
-"""View of the scene from straight above, which all sensors and the control share."""
+"""Heightmaps of a scene from straight above, and the view that all sensors and the control share."""
 
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bulletarm_gym.geometry import FloatArray, Pose, Rectangle
-from bulletarm_gym.observations.rasterizer import Labels, Window, rectangle_mask
-from bulletarm_gym.observations.renderer import HeightRenderer
+from bulletarm_gym.config import ORTHOGRAPHIC
+from bulletarm_gym.geometry import FloatArray, Pose, Rectangle, matrix
+from bulletarm_gym.observations.cameras import SIDE_PIXELS, side_cameras
+from bulletarm_gym.observations.rasterizer import Labels, Window, ZBuffer, project_points, rectangle_mask
 from bulletarm_gym.scene import Scene
+from bulletarm_gym.simulation import Body
+from bulletarm_gym.simulation.shapes import Colour
 
 MAX_HEIGHT = 0.4
 """Largest value (m) of a heightmap or in-hand image."""
@@ -88,6 +93,92 @@ class Frame:
         return (self.origin.x, self.origin.y)
 
 
+class HeightRenderer:
+    """Renderer of heightmaps, without the arm; :meth:`of` returns the one of a scene.
+
+    :param scene: scene with all bodies loaded
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        self._world, self._config, self._arm = scene.world, scene.config, scene.robot.body
+        visible = self._world.visible
+        self.bodies: list[Body] = [body for body in visible for _ in body.spec.part_meshes]
+        """Body of each rendered mesh; a body with moving parts has one mesh a part."""
+        self.draw = ZBuffer([mesh for body in visible for mesh in body.spec.part_meshes]).draw
+        self._owners = np.array([body.index for body in self.bodies], np.int64)
+        self._marks = np.array([body.spec.is_mark for body in self.bodies], np.bool_)
+        rows = np.searchsorted(self._owners, [body.index for body in visible]).tolist()
+        self._first_rows = list(zip(visible, rows, strict=True))
+        self._posed: list[Pose | None] = [None] * len(visible)
+        self._positions = np.zeros((len(self.bodies), 3))
+        self._rotations = np.zeros((len(self.bodies), 3, 3))
+
+    @classmethod
+    def of(cls, scene: Scene) -> "HeightRenderer":
+        """Return the renderer of a scene."""
+        return scene.cached(cls)
+
+    def heights(self, window: Window, without: Body | None = None) -> NDArray[np.float32]:
+        """Return the height (m) of the highest surface over each pixel, (size, size), in the configured view.
+
+        :param without: body that the orthographic view omits
+        """
+        if self._config.view == ORTHOGRAPHIC:
+            return self._draw(self._present(without) & ~self._marks, window)
+        cameras = side_cameras(self._config, SIDE_PIXELS)
+        cloud = np.concatenate([camera.points(self._world, [self._arm]) for camera in cameras])
+        return project_points(cloud, window, self._config.workspace[2][1])
+
+    def heights_of(self, bodies: Sequence[Body], window: Window) -> NDArray[np.float32]:
+        """Return orthographic heights as :meth:`heights` of some bodies alone, 0 where there is none."""
+        wanted = np.zeros(len(self._world.bodies), np.bool_)
+        wanted[[body.index for body in bodies]] = True
+        return self._draw(self._present() & wanted[self._owners], window)
+
+    def labels(self, window: Window, without: Body | None = None) -> Labels:
+        """Return 1 + the index in :attr:`bodies` of the highest mesh of each pixel, (size, size).
+
+        It is 0 where no mesh is. Marks on the ground are below all other meshes.
+        """
+        labels = np.zeros((window.size, window.size), np.int16)
+        for layer in (self._marks, ~self._marks):
+            self._draw(self._present(without) & layer, window, labels)
+        return labels
+
+    @property
+    def colours(self) -> list[Colour]:
+        """Present colour of each rendered mesh."""
+        return [
+            colour
+            for body in self._world.visible
+            for colour in (
+                self._world.get_properties(body).colour,
+                *(part.colour for part in body.spec.parts),
+            )
+        ]
+
+    def _present(self, without: Body | None = None) -> NDArray[np.bool_]:
+        """Return a mask of the meshes in the scene."""
+        present: NDArray[np.bool_] = np.array(self._world.active, np.bool_)[self._owners]
+        return present if without is None else present & (self._owners != without.index)
+
+    def _draw(
+        self, visible: NDArray[np.bool_], window: Window, labels: Labels | None = None
+    ) -> NDArray[np.float32]:
+        return self.draw(*self._poses(), visible, window, labels)
+
+    def _poses(self) -> tuple[FloatArray, FloatArray]:
+        """Return positions (n, 3) and rotations (n, 3, 3) of the meshes; poses that are the same are kept."""
+        for number, (body, row) in enumerate(self._first_rows):
+            pose = self._world.poses[body.index]
+            if pose is self._posed[number] and not body.joints:
+                continue
+            self._posed[number] = pose
+            for index, part in enumerate(self._world.part_poses(body), row):
+                self._positions[index], self._rotations[index] = part.position, matrix(part)
+        return self._positions, self._rotations
+
+
 class View:
     """View of the scene from straight above, rendered once at first access.
 
@@ -96,17 +187,13 @@ class View:
     :param scene: scene that is shown
     :param frame: square that is shown
     :param overlays: overlays of the heightmap
-    :param labelled: render the labels together with the heights
     """
 
-    def __init__(
-        self, scene: Scene, frame: Frame, overlays: Sequence[Overlay] = (), labelled: bool = False
-    ) -> None:
+    def __init__(self, scene: Scene, frame: Frame, overlays: Sequence[Overlay] = ()) -> None:
         self._scene = scene
         self.frame = frame
         self.window = Window(frame.centre, frame.extent, scene.config.obs_size)
         self.overlays = tuple(overlays)
-        self._labelled = labelled
         self._moment = self._present()
 
     @property
@@ -126,21 +213,21 @@ class View:
     @cached_property
     def heights(self) -> Heights:
         """Heights (m), (size, size), above the world's z = 0; read-only."""
-        return self._with_labels[0] if self._labelled else self._render()
-
-    @property
-    def labels(self) -> Labels:
-        """Number of the visible mesh of each pixel, (size, size), see :meth:`HeightRenderer.heights`."""
-        return self._with_labels[1]
+        return HeightRenderer.of(self._scene).heights(self.window, self._hidden)
 
     @cached_property
-    def _with_labels(self) -> tuple[Heights, Labels]:
-        labels = np.zeros((self.window.size, self.window.size), np.int16)
-        return self._render(labels), labels
+    def labels(self) -> Labels:
+        """Number of the visible mesh of each pixel, (size, size), see :meth:`HeightRenderer.labels`.
 
-    def _render(self, labels: Labels | None = None) -> Heights:
-        hidden = self._scene.robot.held if self.frame.hides_grasped else None
-        return HeightRenderer.of(self._scene).heights(self.window, hidden, labels)
+        :raises RuntimeError: a body has moved since
+        """
+        if not self.is_current:
+            raise RuntimeError("labels must be read before the scene changes")
+        return HeightRenderer.of(self._scene).labels(self.window, self._hidden)
+
+    @property
+    def _hidden(self) -> Body | None:
+        return self._scene.robot.held if self.frame.hides_grasped else None
 
     @cached_property
     def fingers(self) -> NDArray[np.bool_]:
@@ -152,3 +239,25 @@ class View:
         """Heights (m) above the frame's origin, within [0, 0.4], without overlays; read-only."""
         heights = (self.heights - np.float32(self.frame.origin.z)).clip(0.0, MAX_HEIGHT)
         return ElevationMap(heights, self.frame.centre, self.frame.extent)
+
+
+def measure(scene: Scene) -> dict[str, float]:
+    """Return a dict whose values grow by the seconds of simulation steps and of heightmaps from now on.
+
+    Its keys are ``"physics"`` and ``"rendering"``.
+    """
+    seconds = {"physics": 0.0, "rendering": 0.0}
+
+    def timed(part: str, function: Callable[..., Any]) -> Callable[..., Any]:
+        def call(*args: Any, **options: Any) -> Any:
+            start = time.perf_counter()
+            result = function(*args, **options)
+            seconds[part] += time.perf_counter() - start
+            return result
+
+        return call
+
+    renderer = HeightRenderer.of(scene)
+    scene.world.wrap_step(partial(timed, "physics"))
+    renderer.draw = timed("rendering", renderer.draw)
+    return seconds

@@ -4,7 +4,7 @@ import math
 from collections.abc import Iterable, Sequence
 
 from bulletarm_gym.geometry import FloatArray, Footprint, matrix, planar_distance, wrap_angle
-from bulletarm_gym.scene import Scene, SceneObject
+from bulletarm_gym.scene import Scene, SceneObject, cached_by_pose
 from bulletarm_gym.surfaces.surface import Point
 
 TOUCHING = 2e-3
@@ -61,9 +61,10 @@ def on_surface(scene: Scene, obj: SceneObject) -> bool:
 def on_site(scene: Scene, obj: SceneObject) -> bool:
     """Return True if an object stands on the level part of the surface where structures are built."""
     level = abs(obj.lowest - scene.surface.level) <= TOUCHING
-    return level and scene.surface.fits_site(obj.cached_by_pose(_inner_footprint))
+    return level and scene.surface.fits_site(_inner_footprint(obj))
 
 
+@cached_by_pose
 def _inner_footprint(obj: SceneObject) -> Footprint:
     return Footprint.of(obj.spec.mesh.vertices, obj.pose).grown(-TOUCHING)
 
@@ -125,32 +126,30 @@ def between(obj: SceneObject, others: Sequence[SceneObject], distance: float) ->
     return planar_distance(obj.pose.position, middle(others)) < distance
 
 
+def direction(first: SceneObject, last: SceneObject) -> float:
+    """Return the horizontal direction (rad) from an object to another."""
+    return math.atan2(last.pose.y - first.pose.y, last.pose.x - first.pose.x)
+
+
 def heading(obj: SceneObject) -> float:
     """Return the horizontal direction (rad) of an object's y axis, the long axis of a long block."""
-    rotation = obj.cached_by_pose(_rotation)
+    rotation = _rotation(obj)
     return math.atan2(rotation[1, 1], rotation[0, 1])
 
 
-def in_line(obj: SceneObject, others: Sequence[SceneObject]) -> bool:
-    """Return True if an object's y axis is along the line from the first to the last of the others."""
-    (x0, y0, _), (x1, y1, _) = others[0].pose.position, others[-1].pose.position
-    return abs(wrap_angle(heading(obj) - math.atan2(y1 - y0, x1 - x0), math.pi)) < IN_LINE
+def lies_along(obj: SceneObject, others: Sequence[SceneObject]) -> bool:
+    """Return True if an object's y axis is level and along the line from the first to the last of others."""
+    is_level = abs(float(_rotation(obj)[2, 1])) < math.sin(UPRIGHT)
+    angle = wrap_angle(heading(obj) - direction(others[0], others[-1]), math.pi)
+    return is_level and abs(angle) < IN_LINE
 
 
-def is_level(obj: SceneObject) -> bool:
-    """Return True if an object's y axis is nearly horizontal."""
-    return abs(float(obj.cached_by_pose(_rotation)[2, 1])) < math.sin(UPRIGHT)
-
-
+@cached_by_pose
 def lies_flat(obj: SceneObject) -> bool:
     """Return True if one of an object's axes is nearly vertical."""
-    return obj.cached_by_pose(_steepest) > math.cos(UPRIGHT)
+    return float(abs(_rotation(obj)[2]).max()) > math.cos(UPRIGHT)
 
 
+@cached_by_pose
 def _rotation(obj: SceneObject) -> FloatArray:
     return matrix(obj.pose)
-
-
-def _steepest(obj: SceneObject) -> float:
-    """Return the largest cosine between an axis of an object and the vertical."""
-    return float(abs(obj.cached_by_pose(_rotation)[2]).max())

@@ -2,12 +2,13 @@
 
 import math
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from typing import TypeVar
 
 import numpy as np
 
 from bulletarm_gym.geometry import Footprint, PlacementError, Pose
-from bulletarm_gym.scene import Scene, SceneObject
+from bulletarm_gym.scene import Scene, SceneObject, cached_by_pose
 from bulletarm_gym.surfaces.surface import Point
 
 T = TypeVar("T")
@@ -39,19 +40,13 @@ def sample_until(draw: Callable[[], T], fits: Callable[[T], bool], attempts: int
 
 
 def _sample_all(scene: Scene, count: int, gap: float, sample: Callable[[list[T]], T]) -> list[T]:
-    """Return samples that depend on the samples before them; start again where one does not fit.
-
-    :param gap: distance (m) between objects, for the error
-    :raises PlacementError: they do not fit together
-    """
+    """Return samples that depend on the samples before them; start again where one does not fit."""
     for _ in range(ARRANGEMENTS):
         samples: list[T] = []
-        try:
+        with suppress(_AttemptsExhausted):
             while len(samples) < count:
                 samples.append(sample(samples))
             return samples
-        except _AttemptsExhausted:
-            continue
     limits = scene.config.workspace[:2]
     raise PlacementError(f"workspace: found no room for {count} objects {gap:.3f} m apart in {limits}")
 
@@ -66,7 +61,6 @@ def scatter(
     :param aligned: all points have the same x
     :return: (x, y) of each
     :raises PlacementError: the points do not fit together
-    :raises ValueError: the workspace is narrower than twice a margin
     """
 
     def sample(points: list[Point]) -> Point:
@@ -118,7 +112,7 @@ def place_apart(
     def sample(poses: list[Pose]) -> Pose:
         placed = zip(largest_first, poses, strict=False)
         covered = [*others, *(footprint(obj, pose) for obj, pose in placed)]
-        return _sample_pose(scene, rng, largest_first[len(poses)], gap, covered, allows)
+        return _free_pose(scene, rng, largest_first[len(poses)], gap, covered, allows)
 
     for obj, pose in zip(largest_first, _sample_all(scene, len(objects), gap, sample), strict=True):
         obj.place(pose)
@@ -130,16 +124,16 @@ def free_pose(scene: Scene, rng: np.random.Generator, obj: SceneObject, gap: flo
     :param gap: smallest distance (m) between footprints
     :raises PlacementError: no sample fits
     """
-    return _sample_pose(scene, rng, obj, gap, footprints(scene, without=[obj]))
+    return _free_pose(scene, rng, obj, gap, footprints(scene, without=[obj]), lambda pose: True)
 
 
-def _sample_pose(
+def _free_pose(
     scene: Scene,
     rng: np.random.Generator,
     obj: SceneObject,
     gap: float,
     covered: Sequence[Footprint],
-    allows: Callable[[Pose], bool] = lambda pose: True,
+    allows: Callable[[Pose], bool],
 ) -> Pose:
     (x0, x1), (y0, y1), _ = scene.config.workspace
 
@@ -177,9 +171,10 @@ def free_site(
 
 def footprint(obj: SceneObject, pose: Pose | None = None) -> Footprint:
     """Return the footprint of an object at its present pose or at another pose."""
-    return Footprint.of(obj.spec.mesh.vertices, pose) if pose else obj.cached_by_pose(_present_footprint)
+    return Footprint.of(obj.spec.mesh.vertices, pose) if pose else _present_footprint(obj)
 
 
+@cached_by_pose
 def _present_footprint(obj: SceneObject) -> Footprint:
     return Footprint.of(obj.spec.mesh.vertices, obj.pose)
 

@@ -4,6 +4,7 @@ import math
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import wraps
 from typing import Any, TypeVar
 
 import numpy as np
@@ -56,13 +57,10 @@ def shaped(
 
 
 def subsample_variants(slots: Sequence[ObjectSlot], limit: int) -> list[list[int]]:
-    """Choose variants of slots, at least one a slot, so that their total is within a limit.
+    """Return the sorted indices of the chosen variants of each slot, at most ``limit`` if slots permit.
 
     Slots with few variants keep all. The others keep the same number, spread evenly over shapes and sizes. A
     slot continues where the previous one ended, so that together they keep many different variants.
-
-    :param limit: maximum total number of variants
-    :return: sorted indices of the chosen variants of each slot
     """
     counts = [len(slot.variants) for slot in slots]
     kept = max(counts, default=1)
@@ -78,6 +76,16 @@ def subsample_variants(slots: Sequence[ObjectSlot], limit: int) -> list[list[int
         chosen.append(sorted((first + number) * step % count for number in range(kept)))
         first += kept
     return chosen
+
+
+def cached_by_pose(compute: Callable[["SceneObject"], T]) -> Callable[["SceneObject"], T]:
+    """Return a function of an object's shape and pose alone that is computed once for each pose."""
+
+    @wraps(compute)
+    def cached(obj: SceneObject) -> T:
+        return obj.cached(compute, (obj.variant, obj.pose))
+
+    return cached
 
 
 class SceneObject:
@@ -97,8 +105,7 @@ class SceneObject:
         self.bodies: list[Body] = [world.add(slot.variants[index]) for index in choices]
         """Bodies of all loaded variants."""
         self._world = world
-        self._of_shapes: list[dict[Any, Any]] = [{} for _ in choices]
-        self._of_pose: tuple[int, Pose, dict[Any, Any]] = (-1, Pose((0.0, 0.0, 0.0)), {})
+        self._cache: dict[Any, tuple[Any, Any]] = {}
 
     @property
     def body(self) -> Body:
@@ -118,7 +125,7 @@ class SceneObject:
     @property
     def lowest(self) -> float:
         """Height (m) of the body's lowest point."""
-        return self.cached_by_pose(_lowest)
+        return _lowest(self)
 
     @property
     def bounds(self) -> FloatArray:
@@ -131,18 +138,12 @@ class SceneObject:
         """Position (m) of the body's centre of mass in the world."""
         return self.pose.transform(self.spec.mass_properties[0].position)
 
-    def cached_by_shape(self, compute: Callable[["SceneObject"], T]) -> T:
-        """Return the value of a function of the body's shape alone, computed once."""
-        return _cached(self._of_shapes[self.variant], compute, self)
-
-    def cached_by_pose(self, compute: Callable[["SceneObject"], T]) -> T:
-        """Return the value of a function of the body's shape and pose alone, computed once for each pose."""
-        pose = self.pose
-        variant, before, known = self._of_pose
-        if variant != self.variant or pose != before:
-            known = {}
-            self._of_pose = (self.variant, pose, known)
-        return _cached(known, compute, self)
+    def cached(self, compute: Callable[["SceneObject"], T], key: Any) -> T:
+        """Return the value of a function of the object, computed once until ``key`` changes."""
+        if self._cache.get(compute, (None, None))[0] != key:
+            self._cache[compute] = (key, compute(self))
+        value: T = self._cache[compute][1]
+        return value
 
     @property
     def is_present(self) -> bool:
@@ -183,13 +184,7 @@ class SceneObject:
                 self._world.park(body)
 
 
-def _cached(known: dict[Any, Any], compute: Callable[[Any], T], argument: Any) -> T:
-    if compute not in known:
-        known[compute] = compute(argument)
-    found: T = known[compute]
-    return found
-
-
+@cached_by_pose
 def _lowest(obj: SceneObject) -> float:
     heights = obj.spec.mesh.vertices @ matrix(obj.pose)[2]
     return obj.pose.z + float(heights.min())
@@ -244,7 +239,10 @@ class Scene:
 
     def cached(self, compute: Callable[["Scene"], T]) -> T:
         """Return the value of a function of the loaded bodies alone, computed once."""
-        return _cached(self._cache, compute, self)
+        if compute not in self._cache:
+            self._cache[compute] = compute(self)
+        value: T = self._cache[compute]
+        return value
 
     def clear(self, rng: np.random.Generator) -> None:
         """Remove all objects; sample the surface and the variants of the slots."""
@@ -261,20 +259,15 @@ class Scene:
 
     def settle(self) -> None:
         """Simulate until loose bodies are at rest, if one of them moves, was placed or lost its support."""
-        world, held = self.world, self.robot.held
-        loose = [body for body in world.loose_bodies if body is not held]
-        speeds = {body.index: world.speed(body) for body in loose}
-        doubtful = [
-            body for body in loose if body.index in world.unsettled or speeds[body.index] >= CREEP_SPEED
-        ]
-        slow = max(speeds.values(), default=0.0) < REST_SPEED
-        if doubtful and not (slow and self._are_stable(doubtful)):
+        world, robot = self.world, self.robot
+        loose = [body for body in world.loose_bodies if body is not robot.held]
+        slow = all(world.speed(body) < REST_SPEED for body in loose)
+        doubtful = [b for b in loose if b.index in world.unsettled or world.speed(b) >= CREEP_SPEED]
+        stable = slow and is_stable(world, self.surface, doubtful) and not robot.touched(doubtful)
+        if doubtful and not stable:
             settle(world, loose, SETTLE_LIMIT)
         world.unsettled.clear()
-        self.robot.resolve_penetration()
-
-    def _are_stable(self, bodies: Sequence[Body]) -> bool:
-        return is_stable(self.world, self.surface, bodies) and not self.robot.touched(bodies)
+        robot.resolve_penetration()
 
     def get_variants(self) -> tuple[int, ...]:
         """Return the present variant of each slot, an index in its choices."""

@@ -72,7 +72,11 @@ def _stands_alone(world: World, surface: Surface, body: Body) -> bool:
     return (
         _surrounds([math.atan2(v - y, u - x) for u, v, _ in contacts])
         and _resists_sliding(world, surface, body, (x, y))
-        and not any(_touches(world, surface, body, other) for other in world.obstacles if other is not body)
+        and not any(
+            world.are_near(body, other, -EMBEDDED if other in surface.bodies else APART)
+            for other in world.obstacles
+            if other is not body
+        )
     )
 
 
@@ -91,9 +95,3 @@ def _resists_sliding(world: World, surface: Surface, body: Body, point: tuple[fl
     ground = min(world.get_properties(other).friction for other in surface.bodies)
     friction = world.get_properties(body).friction * ground
     return math.hypot(normal[0], normal[1]) < GRIP * friction * normal[2]
-
-
-def _touches(world: World, surface: Surface, body: Body, other: Body) -> bool:
-    """Return True if another body may support this one or push it away."""
-    gap = -EMBEDDED if other in surface.bodies else APART
-    return world.are_near(body, other, gap)

@@ -16,10 +16,8 @@ from bulletarm_gym.simulation.shapes import BodySpec
 from bulletarm_gym.simulation.state import Properties
 from bulletarm_gym.simulation.urdf import mass_of
 
-CHECKSUMS = ("arm", "object_files")
-"""Checksums of a user's robot and object files."""
 DECIMALS = 5
-"""Number of decimals of the numbers (m, rad, kg) in checksums."""
+"""Number of decimals of the numbers (m, rad, kg) in checksums of a user's robot and object files."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -61,7 +59,7 @@ def check_fits(state: Any, made_of: dict[str, Any]) -> None:
             f"state must be an EnvState from get_state(), got a {type(state).__name__}"
             f"{advice if isinstance(state, list | tuple) else ''}"
         )
-    names = [*made_of, *(name for name in CHECKSUMS if name not in made_of)]
+    names = {**made_of, **state.made_of}
     other = [name for name in names if state.made_of.get(name) != made_of.get(name)]
     if other:
         needed, got = (", ".join(f"{n}={made.get(n)!r}" for n in other) for made in (made_of, state.made_of))
@@ -70,37 +68,33 @@ def check_fits(state: Any, made_of: dict[str, Any]) -> None:
 
 def scene_facts(scene: Scene) -> dict[str, Any]:
     """Return names and JSON values that a state must have in common with a scene."""
-    bodies, model = [body.spec.name for body in scene.world.bodies], scene.robot.model
+    config, model = scene.config, scene.robot.model
+    bodies = [body.spec.name for body in scene.world.bodies]
     names = [name for name in with_effect("scene") if name != "object_set"]  # a folder may have moved
-    files = {}
-    if (arm := _arm_checksum(model)) != _arm_checksum(ROBOTS.get(model.name)):
-        files["arm"] = arm
-    if isinstance(scene.config.object_set, str):
-        specs = (spec for item in scene.objects for spec in item.slot.variants)
-        files["object_files"] = _checksum(map(_object_numbers, specs))
-    return {
-        **{name: getattr(scene.config, name) for name in names},
-        "robot": model.name,
-        "bodies": f"{len(bodies)}, crc {zlib.crc32(repr(bodies).encode()):08x}",
-        **files,
-    }
+    facts = {name: getattr(config, name) for name in names}
+    facts |= {"robot": model.name, "bodies": f"{len(bodies)}, crc {zlib.crc32(repr(bodies).encode()):08x}"}
+    known = ROBOTS.get(model.name)
+    arm = _checksum(_arm_numbers(model))
+    if known is None or _checksum(_arm_numbers(known)) != arm:
+        facts["arm"] = arm
+    if isinstance(config.object_set, str):
+        specs = [spec for obj in scene.objects for spec in obj.slot.variants]
+        facts["object_files"] = _checksum(map(_object_numbers, specs))
+    return facts
 
 
 def _checksum(parts: Iterable[Any]) -> str:
-    """Return a checksum of rounded numbers."""
     rounded = [np.round(np.asarray(part, np.float64), DECIMALS) + 0.0 for part in parts]  # -0.0 becomes 0.0
     return f"crc {zlib.crc32(b''.join(part.tobytes() for part in rounded)):08x}"
 
 
-def _arm_checksum(model: RobotModel | None) -> str:
-    """Return a checksum of the numbers of a robot on which motions depend."""
-    if model is None:
-        return ""
+def _arm_numbers(model: RobotModel) -> list[Any]:
+    """Return the numbers of a robot on which motions depend."""
     chain, gripper = model.chain, model.gripper
     masses = [mass_of(link) for link in model.urdf.findall("link")]
     fingers = (gripper.stroke, gripper.force, gripper.speed, gripper.friction)
     frames = (chain.rotations, chain.translations, chain.axes, chain.limits)
-    return _checksum([*frames, model.posture, model.torques, masses, fingers])
+    return [*frames, model.posture, model.torques, masses, fingers]
 
 
 def _object_numbers(spec: BodySpec) -> list[float]:
@@ -126,19 +120,10 @@ def declare_state_types(kinds: tuple[type, ...]) -> None:
         raise ValueError(f"memory_types must be a tuple of dataclasses and named tuples, got {kinds!r}")
     for kind in kinds:
         known = STATE_TYPES.setdefault(kind.__name__, kind)
-        if _path(known) != _path(kind):
-            raise ValueError(
-                f"memory_types must have distinct names, got {_path(kind)} and {_path(known)}. Rename one."
-            )
+        paths = [f"{each.__module__}:{each.__qualname__}" for each in (kind, known)]
+        if paths[0] != paths[1]:
+            raise ValueError(f"memory_types must have distinct names, got {' and '.join(paths)}. Rename one.")
         STATE_TYPES[kind.__name__] = kind  # a module that is reloaded replaces its types
-
-
-def field_names(kind: type) -> tuple[str, ...]:
-    """Return the names of the fields of a dataclass or named tuple, in the order of the constructor."""
-    if dataclasses.is_dataclass(kind):
-        return tuple(field.name for field in dataclasses.fields(kind))
-    names: tuple[str, ...] = getattr(kind, "_fields", ())
-    return names
 
 
 def _is_record(kind: Any) -> bool:
@@ -147,5 +132,9 @@ def _is_record(kind: Any) -> bool:
     return isinstance(kind, type) and issubclass(kind, tuple) and hasattr(kind, "_fields")
 
 
-def _path(kind: type) -> str:
-    return f"{kind.__module__}:{kind.__qualname__}"
+def field_names(kind: type) -> tuple[str, ...]:
+    """Return the names of the fields of a dataclass or named tuple, in the order of the constructor."""
+    if dataclasses.is_dataclass(kind):
+        return tuple(field.name for field in dataclasses.fields(kind))
+    names: tuple[str, ...] = getattr(kind, "_fields", ())
+    return names

@@ -7,15 +7,11 @@ from typing import Any
 from bulletarm_gym.config import CLOSE_LOOP, EnvConfig, ParameterError, default_home_height
 from bulletarm_gym.geometry import Footprint, Pose
 from bulletarm_gym.objects.blocks import CUBE_SIZE
-from bulletarm_gym.robots import RobotModel
 from bulletarm_gym.scene import ObjectSlot, Scene
-from bulletarm_gym.simulation import BodySpec
 from bulletarm_gym.tasks.task import Task
 
 INFO = frozenset({"is_success", "is_valid", "ignored"})
 """Keys of ``info`` that the environment sets."""
-OPTIONS = {"new_scene": ((bool, True), (bool, False)), "start": ((str, "goal"),)}
-"""Types and values of the options of a reset; types, because 1 equals True."""
 CLEARANCE = 0.001
 """Clearance (m) that the open fingers need around an object."""
 
@@ -26,23 +22,15 @@ def check_scene(config: EnvConfig, default: EnvConfig, scene: Scene, task: Task)
     :param default: default parameters of the environment
     :raises ParameterError: they do not
     """
-    _check_base(config, scene.robot.model)
-    _check_home(config, scene)
-    if config.object_set is not None:
-        _check_widths(config, scene, "object_set", scene.objects)
-    if config.object_scale_range != default.object_scale_range:
-        _check_widths(config, scene, "object_scale_range", task.grasped(scene))
-
-
-def _check_base(config: EnvConfig, model: RobotModel) -> None:
-    """Check that the workspace is next to the base of the robot, and not behind it."""
+    model = scene.robot.model
     if model.jumps_inside(config.workspace):
-        x, y, yaw = model.base.x, model.base.y, model.base.yaw
-        must = f"without the base of robot={config.robot!r} and the line behind it"
-        reason = (
-            f"the base is at ({x:g}, {y:g}) with a yaw of {yaw:.4g} rad, where the first joint would jump"
-        )
-        raise ParameterError.of("workspace", config.workspace, must, reason)
+        base = f"its base at ({model.base.x:g}, {model.base.y:g}) and the line behind it, where it would jump"
+        raise ParameterError.of("workspace", config.workspace, f"outside of robot={config.robot!r}: {base}")
+    _check_home(config, scene)
+    scale = "object_scale_range"
+    name = scale if config.object_set is None else "object_set"
+    if config.object_set is not None or (task.grasps and getattr(config, scale) != getattr(default, scale)):
+        _check_widths(config, scene, name)
 
 
 def check_heights(config: EnvConfig, default: EnvConfig, task: Task) -> None:
@@ -52,19 +40,23 @@ def check_heights(config: EnvConfig, default: EnvConfig, task: Task) -> None:
     :raises ParameterError: it cannot
     """
     low, high = config.workspace[2]
-    if config.lift_height != default.lift_height and high <= task.height == config.lift_height:
-        must = f"below {high:g} m, the top of the workspace"
-        raise ParameterError.of("lift_height", config.lift_height, must)
-    if high <= task.height:
-        must = f"a workspace with z high above {task.height:.4g} m, to which this task lifts objects"
-        raise ParameterError.of("workspace", config.workspace, must)
     smallest = CUBE_SIZE * min(config.scales)
+    if high <= task.height:
+        names = ["lift_height"] if task.height == config.lift_height else []
+        names += ["workspace", "num_objects", "object_scale_range", "workspace"]
+        must = f"such that the height to lift objects to, {task.height:.4g} m, is below the top, {high:g} m"
+        raise _changed_error(config, default, names, must)
     if config.control == CLOSE_LOOP and low >= smallest:
-        if config.scales != default.scales and low < CUBE_SIZE * min(default.scales):
-            must = f"above {low / CUBE_SIZE:.4g}, as the gripper descends to {low:g} m"
-            raise ParameterError.of("object_scale_range", config.object_scale_range, must)
-        must = f"a workspace with z low below {smallest:.4g} m, so that the gripper reaches the objects"
-        raise ParameterError.of("workspace", config.workspace, must)
+        must = f"such that the height of objects, {smallest:.4g} m, is above the bottom, {low:g} m"
+        names = ["object_scale_range"] if low < CUBE_SIZE * min(default.scales) else []
+        raise _changed_error(config, default, [*names, "workspace"], must)
+
+
+def _changed_error(config: EnvConfig, default: EnvConfig, names: list[str], must: str) -> ParameterError:
+    """Return the error of the first parameter that differs from its default, or of the last one."""
+    changed = (name for name in names if getattr(config, name) != getattr(default, name))
+    name = next(changed, names[-1])
+    return ParameterError.of(name, getattr(config, name), must)
 
 
 def _check_home(config: EnvConfig, scene: Scene) -> None:
@@ -79,19 +71,16 @@ def _check_home(config: EnvConfig, scene: Scene) -> None:
         raise ParameterError.of("home_height", config.home_height, must)
 
 
-def _check_widths(config: EnvConfig, scene: Scene, parameter: str, objects: Sequence[Any]) -> None:
-    """Check that the narrowest pieces of objects fit between the fingers."""
-    stroke = scene.robot.model.gripper.stroke
-    widths = {obj.slot.name: max(map(_narrowest, obj.slot.variants)) for obj in objects}
-    wide = [f"{name} is {width:.4g} m wide" for name, width in widths.items() if width + CLEARANCE > stroke]
-    if wide:
-        must = f"such that objects fit between the fingers of robot={config.robot!r}, {stroke:.4g} m apart"
-        raise ParameterError.of(parameter, getattr(config, parameter), must, ", ".join(wide))
-
-
-def _narrowest(spec: BodySpec) -> float:
-    """Return the width (m) of the narrowest piece of a body, by which it can be grasped."""
-    return min(Footprint.of(piece.mesh.vertices, Pose((0.0, 0.0, 0.0))).width for piece in spec.pieces)
+def _check_widths(config: EnvConfig, scene: Scene, parameter: str) -> None:
+    """Check that the narrowest piece of every loose object fits between the fingers."""
+    stroke, origin = scene.robot.model.gripper.stroke, Pose((0.0, 0.0, 0.0))
+    for obj in scene.objects:
+        pieces = [[piece.mesh.vertices for piece in spec.pieces] for spec in obj.slot.variants]
+        width = max(min(Footprint.of(piece, origin).width for piece in body) for body in pieces)
+        if obj.spec.mass > 0.0 and width + CLEARANCE > stroke:
+            must = f"such that objects fit between the fingers of robot={config.robot!r}, {stroke:g} m apart"
+            reason = f"{obj.slot.name} is {width:.4g} m wide"
+            raise ParameterError.of(parameter, getattr(config, parameter), must, reason)
 
 
 def checked_options(options: Mapping[str, Any] | None, task: Task) -> dict[str, Any]:
@@ -105,12 +94,16 @@ def checked_options(options: Mapping[str, Any] | None, task: Task) -> dict[str, 
             raise ValueError(f"options must have no others next to 'state', got {sorted(given)}")
         if getattr(given["state"], "ended", False):
             raise ValueError("state must be before the end of its episode, got one after it")
-    elif not isinstance(given, Mapping) or not all(
-        (type(value), value) in OPTIONS.get(name, ()) for name, value in given.items()
+        return dict(given)
+    if (
+        not isinstance(given, Mapping)
+        or not given.keys() <= {"new_scene", "start"}
+        or not isinstance(given.get("new_scene", False), bool)
+        or given.get("start", "goal") != "goal"
     ):
         must = 'None or a dict with "new_scene": True or False and "start": "goal", or with "state"'
         raise ValueError(f"options must be {must}, got {options!r}")
-    elif "start" in given and not task.has_goal_structure:
+    if "start" in given and not task.has_goal_structure:
         must = f"without a start, as {type(task).__name__} has no arrange_goal()"
         raise ValueError(f"options must be {must}, got {options!r}")
     return dict(given)
@@ -121,14 +114,12 @@ def checked_slots(slots: Any, task: Task) -> Sequence[ObjectSlot]:
 
     :raises ValueError: they are something else, or two have the same name
     """
+    must = f"bodies() of {type(task).__name__} must return"
     if not isinstance(slots, Sequence) or not all(isinstance(slot, ObjectSlot) for slot in slots):
-        raise ValueError(f"bodies() of {type(task).__name__} must return a list of slots, got {slots!r}")
+        raise ValueError(f"{must} a list of slots, got {slots!r}")
     names = [slot.name for slot in slots]
-    if twice := sorted({name for name in names if names.count(name) > 1}):
-        raise ValueError(
-            f"bodies() of {type(task).__name__} must return slots with distinct names, "
-            f"got {', '.join(map(repr, twice))} more than once"
-        )
+    if len(set(names)) < len(names):
+        raise ValueError(f"{must} slots with distinct names, got {', '.join(map(repr, names))}")
     return slots
 
 
@@ -138,11 +129,8 @@ def checked_predicates(predicates: Any, task: Task) -> dict[str, bool]:
     :raises ValueError: ``"success"`` is missing, or a name is one of the environment's own
     """
     if not isinstance(predicates, Mapping) or "success" not in predicates or not INFO.isdisjoint(predicates):
-        got = list(predicates) if isinstance(predicates, Mapping) else predicates
-        raise ValueError(
-            f"evaluate() of {type(task).__name__} must return a dict with 'success' and without "
-            f"{', '.join(map(repr, sorted(INFO)))}, got {got!r}"
-        )
+        must = f"a dict with 'success' and without {', '.join(map(repr, sorted(INFO)))}"
+        raise ValueError(f"evaluate() of {type(task).__name__} must return {must}, got {predicates!r}")
     return {name: bool(value) for name, value in predicates.items()}
 
 

@@ -3,31 +3,18 @@
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from itertools import cycle
 
 import numpy as np
+from numpy.typing import NDArray
 
-from bulletarm_gym.config import (
-    MAX_ROTATION,
-    MAX_TRANSLATION,
-    OPEN_LOOP,
-    EnvConfig,
-    TaskDefaults,
-    TrayUse,
-)
+from bulletarm_gym.config import MAX_ROTATION, MAX_TRANSLATION, OPEN_LOOP, EnvConfig, TaskDefaults
 from bulletarm_gym.control import GraspParams
 from bulletarm_gym.experts import CLOSED, OPEN, Waypoint
 from bulletarm_gym.experts.approach import ALIGNED, ALIGNED_YAW, HOVER, rotates
 from bulletarm_gym.experts.grasp_sampling import DEPTHS, YAWS, ElevationMap, find_grasps
 from bulletarm_gym.experts.pushing import singulate
-from bulletarm_gym.geometry import (
-    IDENTITY,
-    FloatArray,
-    Mesh,
-    PlacementError,
-    Pose,
-    planar_distance,
-    wrap_angle,
-)
+from bulletarm_gym.geometry import FloatArray, Mesh, PlacementError, Pose, planar_distance, wrap_angle
 from bulletarm_gym.objects.blocks import CUBE_SIZE
 from bulletarm_gym.objects.catalogue import object_set
 from bulletarm_gym.scene import ObjectSlot, Scene, SceneObject
@@ -46,12 +33,10 @@ SETTLE_STEPS = 480
 """Largest number of simulation steps (2 s) in which new clutter comes to rest."""
 ARM_AWAY = 0.4
 """Height (m) of the fingertips while objects are dropped, if it is in reach."""
-MAX_OBJECTS = 15
-"""Largest number of objects (paper, Object Grasping)."""
 DEFAULTS = TaskDefaults(
     num_objects=5,
-    allowed_objects=tuple(range(1, MAX_OBJECTS + 1)),
-    tray=TrayUse((True,), "without it the objects would roll out of the workspace"),
+    allowed_objects=tuple(range(1, 16)),
+    needs_tray="without it the objects would roll out of the workspace",
     takes_object_set=True,
     lifts=True,
 )
@@ -71,10 +56,8 @@ DEEP = 0.025
 """Height (m) above a grasp within which the fingers close at the end of the step."""
 SHUT = 0.7
 """Opening ratio below which the gripper opens before it descends."""
-SAME_PLACE = 0.02
-"""Distance (m) to a failed grasp within which the gripper has not tried again."""
 NEAR_FAILURE = 0.02
-"""Distance (m) to a failed grasp within which a grasp loses quality."""
+"""Distance (m) to a failed grasp within which a grasp is the same and loses quality."""
 FAILURE_COST = 0.25
 """Decrease of the quality near a failed grasp, twice for a similar yaw."""
 SAME_YAW = 0.3
@@ -106,25 +89,19 @@ class ObjectGrasping(Lift):
     """
 
     defaults = DEFAULTS
-    feasibility_trials = 1  # each drops all objects, several times if necessary
+    grasps = False
 
     def bodies(self, config: EnvConfig) -> list[ObjectSlot]:
         """Return all objects of the set, each in one size.
 
         :raises ValueError: the set has fewer than ``num_objects`` objects, or unknown kinds
         """
-        specs, scales = object_set(config.object_set), config.scales
+        specs = object_set(config.object_set)
         if len(specs) < config.num_objects:
-            raise ValueError(
-                f"num_objects must be at most {len(specs)} with this object_set, got {config.num_objects}"
-            )
-        return [
-            ObjectSlot(spec.name, (resized(spec, scales[n % len(scales)]),)) for n, spec in enumerate(specs)
-        ]
-
-    def grasped(self, scene: Scene) -> list[SceneObject]:
-        """Return nothing: objects that are too large for the gripper stay in the tray."""
-        return []
+            must = f"at most {len(specs)} with this object_set, got {config.num_objects}"
+            raise ValueError(f"num_objects must be {must}")
+        sized = zip(specs, cycle(config.scales), strict=False)
+        return [ObjectSlot(spec.name, (_resized(spec, scale),)) for spec, scale in sized]
 
     def arrange(self, scene: Scene, rng: np.random.Generator) -> None:
         """Drop objects into the tray.
@@ -157,9 +134,10 @@ class ObjectGrasping(Lift):
         point = scene.surface.sample_position(rng, DROP_MARGIN)
         x, y, z, w = rng.standard_normal(4).tolist()
         norm = math.hypot(x, y, z, w)
-        orientation = (x / norm, y / norm, z / norm, w / norm)
         position = (*point, scene.surface.height(point) + DROP_HEIGHT)
-        return Pose(position, orientation if self.config.random_orientation else IDENTITY)
+        if not self.config.random_orientation:
+            return Pose(position)
+        return Pose(position, (x / norm, y / norm, z / norm, w / norm))
 
     def continue_scene(self, scene: Scene, rng: np.random.Generator) -> bool:
         """Remove the lifted object and keep the others; return False if none is left or one is outside."""
@@ -170,20 +148,15 @@ class ObjectGrasping(Lift):
 
     def after_action(self, scene: Scene, rng: np.random.Generator) -> None:
         """Remember the tool pose of a failed grasp."""
-        tool, failed = scene.robot.pose, self._failed
+        tool, failed = scene.robot.pose, self.memory or ()
         closed = scene.robot.get_state().opening < 0.5 * scene.robot.model.gripper.stroke
         known = (
             failed
-            and planar_distance(failed[-1].position, tool.position) < SAME_PLACE
+            and planar_distance(failed[-1].position, tool.position) < NEAR_FAILURE
             and abs(wrap_angle(failed[-1].yaw - tool.yaw, math.pi)) < SAME_YAW
         )
         if closed and scene.robot.held is None and not known:
             self.memory = (*failed, tool)[-MAX_FAILURES:]
-
-    @property
-    def _failed(self) -> tuple[Pose, ...]:
-        """Tool poses of this episode's failed grasps."""
-        return self.memory or ()
 
     def plan_grasp(self, scene: Scene, rng: np.random.Generator) -> Iterator[Waypoint]:
         """Execute the best grasp, or push an object if no grasp is possible."""
@@ -195,15 +168,13 @@ class ObjectGrasping(Lift):
             yield _approach(scene, elevation, target)
 
     def _target(self, scene: Scene, elevation: ElevationMap) -> Pose | None:
-        """Return the grasp with the best quality minus distance cost, if any grasp is good enough.
-
-        The distance decreases fastest for the chosen grasp, so that the choice does not change.
-        """
+        """Return the grasp with the best quality minus distance cost, if any grasp is good enough."""
+        # The distance decreases fastest for the chosen grasp, so that the choice does not change.
         tool = scene.robot.pose
         grasps = self._grasps(scene, elevation, DEPTHS)
         x, y, _, yaw, quality = grasps.T
         value = quality.copy()
-        for failed in self._failed:
+        for failed in self.memory or ():
             near = np.hypot(x - failed.x, y - failed.y) < NEAR_FAILURE
             value -= FAILURE_COST * near * (1.0 + (np.abs(_half_turns(yaw - failed.yaw)) < SAME_YAW))
         good = value > 0.0
@@ -214,13 +185,14 @@ class ObjectGrasping(Lift):
         return _pose(grasps[int(np.where(good, value - DISTANCE_COST * distance, -np.inf).argmax())])
 
     def _grasps(self, scene: Scene, elevation: ElevationMap, depths: Sequence[float]) -> FloatArray:
-        """Return the grasps in the workspace without collisions, see :func:`find_grasps`."""
+        """Return the grasps in the workspace, see :func:`find_grasps`."""
         yaws = [math.pi * step / YAWS for step in range(YAWS)] if rotates(scene) else [scene.robot.pose.yaw]
-        (x0, x1), (y0, y1), (floor, _) = self.config.workspace
-        lowest = max(scene.surface.level + FLOOR_CLEARANCE, floor)
+        limits: FloatArray = np.array(self.config.workspace)
+        low, high = limits.T
+        lowest = max(scene.surface.level + FLOOR_CLEARANCE, low[2])
         grasps = find_grasps(elevation, scene.robot.model.gripper, yaws, lowest, depths)
-        x, y = grasps[:, 0], grasps[:, 1]
-        return grasps[(x > x0) & (x < x1) & (y > y0) & (y < y1)]
+        inside: NDArray[np.bool_] = ((low[:2] < grasps[:, :2]) & (grasps[:, :2] < high[:2])).all(axis=1)
+        return grasps[inside]
 
 
 class OpenLoopObjectGrasping(ObjectGrasping):
@@ -233,7 +205,7 @@ class OpenLoopObjectGrasping(ObjectGrasping):
     before a failed grasp.
     """
 
-    defaults = replace(DEFAULTS, num_objects=MAX_OBJECTS, max_steps=1, lifts=False)
+    defaults = replace(DEFAULTS, num_objects=15, max_steps=1, lifts=False)
     controls = (OPEN_LOOP,)
     single_step = True
 
@@ -277,8 +249,7 @@ class OpenLoopObjectGrasping(ObjectGrasping):
 def _approach(scene: Scene, elevation: ElevationMap, target: Pose) -> Waypoint:
     """Return the next waypoint of a grasp: open, move towards it, descend in a funnel, close.
 
-    Except for opening and closing the waypoint is continuous in the tool pose, so that the plan corrects the
-    errors of an agent that imitates it.
+    It is continuous in the tool pose, so that the plan corrects the errors of an agent that imitates it.
     """
     tool, reach = scene.robot.pose, scene.robot.model.gripper.stroke / 2.0
     if scene.robot.opening_ratio < SHUT:
@@ -289,19 +260,13 @@ def _approach(scene: Scene, elevation: ElevationMap, target: Pose) -> Waypoint:
     if distance < ALIGNED and abs(rotation) < ALIGNED_YAW and abs(target.z - tool.z) < DEEP:
         return Waypoint(Pose.planar(*target.position, tool.yaw + rotation), OPEN, finish=CLOSED)
     # The distance that remains after this step limits the descent.
-    dx, dy = (
-        _excess(goal - now, scene.max_translation) for goal, now in ((target.x, tool.x), (target.y, tool.y))
-    )
-    left = max(math.hypot(dx, dy), FUNNEL_ROTATION * _excess(rotation, scene.max_rotation))
+    dx = max(0.0, abs(target.x - tool.x) - scene.max_translation)
+    dy = max(0.0, abs(target.y - tool.y) - scene.max_translation)
+    left = max(math.hypot(dx, dy), FUNNEL_ROTATION * max(0.0, abs(rotation) - scene.max_rotation))
     apart = max(left, max(distance, FUNNEL_ROTATION * abs(rotation)) / 2.0 - ALIGNED)
     top = max(target.z, elevation.top_between(tool.position, target.position, reach) + HOVER)
     height = target.z + (top - target.z) * min(1.0, max(0.0, apart / FUNNEL))
     return Waypoint(Pose.planar(target.x, target.y, height, tool.yaw + rotation), OPEN)
-
-
-def _excess(distance: float, limit: float) -> float:
-    """Return the part of an absolute distance that exceeds a limit."""
-    return max(0.0, abs(distance) - limit)
 
 
 def _pose(grasp: FloatArray) -> Pose:
@@ -313,8 +278,7 @@ def _half_turns(angles: FloatArray) -> FloatArray:
     return (angles + math.pi / 2.0) % math.pi - math.pi / 2.0
 
 
-def resized(spec: BodySpec, scale: float) -> BodySpec:
-    """Return an object with all lengths times ``scale``."""
+def _resized(spec: BodySpec, scale: float) -> BodySpec:
     if scale == 1.0:
         return spec
     meshes = [Mesh.of(piece.mesh.vertices * scale, piece.mesh.faces) for piece in spec.pieces]

@@ -5,7 +5,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from bulletarm_gym.config import CLOSE_LOOP, OPEN_LOOP, WIDE, EnvConfig, ParameterError, TaskDefaults, TrayUse
+from bulletarm_gym.config import CLOSE_LOOP, OPEN_LOOP, WIDE, EnvConfig, ParameterError, TaskDefaults
 from bulletarm_gym.control import GraspParams
 from bulletarm_gym.experts import CLOSED, OPEN, Waypoint
 from bulletarm_gym.experts.approach import RELEASE, place_pose
@@ -73,7 +73,7 @@ class CovidTest(Task):
         max_steps=30,
         object_scale=bottles.COVID_SCALE,
         allowed_objects=(2 * ROUNDS,),
-        tray=TrayUse((False,), "the three places do not fit into the tray"),
+        no_tray="the three places do not fit into the tray",
         level_ground="the three places need 30 x 30 cm of level ground",
         close_loop={"max_steps": 300, "workspace": WIDE},
     )
@@ -114,7 +114,7 @@ class CovidTest(Task):
                 self._lay(scene, f"{kind} {number}", "new box", (x, row), yaw)
 
     def _lay(self, scene: Scene, name: str, container: str, point: Sequence[float], yaw: float) -> None:
-        """Place an object on the floor of a container, at a point (m) and a yaw (rad) in its frame."""
+        """Place an object on the floor of a container, at a pose in its frame."""
         height = containers.BOX_FLOOR - float(scene[name].spec.mesh.bounds[0, 2])
         pose = Pose.planar(point[0], point[1], height, yaw)
         scene[name].place(scene[container].pose.compose(pose))
@@ -167,11 +167,10 @@ class CovidTest(Task):
         return max(loose_objects(scene), key=lambda obj: obj.pose.z)
 
     def _pick(self, scene: Scene, obj: SceneObject) -> Waypoint:
-        """Return the pick of an object across its length."""
         x, y, _ = obj.pose.position
         height = max(float(obj.bounds[1, 2]) - GRASP_DEPTH, obj.lowest + RELEASE)
         opening = (obj.spec.extents[1] + 2.0 * FINGER_GAP) / scene.robot.model.gripper.stroke
-        pose = Pose.planar(x, y, height, obj.pose.yaw + QUARTER)
+        pose = Pose.planar(x, y, height, obj.pose.yaw + QUARTER)  # across the object's length
         return Waypoint(pose, min(opening, OPEN), finish=CLOSED)
 
     def _of_kind(self, scene: Scene, kind: str) -> list[SceneObject]:

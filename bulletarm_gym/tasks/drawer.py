@@ -5,7 +5,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from bulletarm_gym.config import CLOSE_LOOP, EnvConfig, TaskDefaults, TrayUse
+from bulletarm_gym.config import CLOSE_LOOP, EnvConfig, TaskDefaults
 from bulletarm_gym.experts import CLOSED, Waypoint
 from bulletarm_gym.experts.approach import ALIGNED, ALIGNED_YAW, HOVER, pass_above, rotates
 from bulletarm_gym.geometry import Pose, planar_distance, wrap_angle
@@ -48,7 +48,7 @@ class DrawerOpening(Task):
 
     defaults = TaskDefaults(
         num_objects=1,
-        tray=TrayUse((False,), "the cabinet does not fit into the tray"),
+        no_tray="the cabinet does not fit into the tray",
         level_ground="the cabinet stands on level ground",
     )
     controls = (CLOSE_LOOP,)
@@ -65,7 +65,10 @@ class DrawerOpening(Task):
         def draw() -> Pose:
             distance = float(rng.uniform(*CABINET_DISTANCE))
             aside = float(rng.uniform(-CABINET_ASIDE, CABINET_ASIDE))
-            yaw = self._yaw(rng)
+            if self.config.random_orientation:
+                yaw = float(rng.uniform(-math.pi, math.pi))
+            else:
+                yaw = math.pi / 2.0 if rng.integers(2) else -math.pi / 2.0
             x, y, _ = Pose.planar(*scene.config.centre, 0.0, yaw).transform((distance, aside, 0.0))
             return scene.surface.pose((x, y), yaw)
 
@@ -74,11 +77,6 @@ class DrawerOpening(Task):
 
         scene["drawer"].place(sample_until(draw, fits))
         scene["drawer"].set_joints((0.0,))
-
-    def _yaw(self, rng: np.random.Generator) -> float:
-        if self.config.random_orientation:
-            return float(rng.uniform(-math.pi, math.pi))
-        return math.pi / 2.0 if rng.integers(2) else -math.pi / 2.0
 
     def evaluate(self, scene: Scene) -> dict[str, bool]:
         """Return whether the drawer is open."""

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 from scipy.ndimage import maximum_filter1d
 
-from bulletarm_gym.config import CLOSE_LOOP, OPEN_LOOP, WIDE, EnvConfig, TaskDefaults, TrayUse
+from bulletarm_gym.config import CLOSE_LOOP, OPEN_LOOP, WIDE, EnvConfig, TaskDefaults
 from bulletarm_gym.control import GraspParams
 from bulletarm_gym.experts import CLOSED, OPEN, Waypoint
 from bulletarm_gym.experts.approach import RELEASE, place_pose, rotates
@@ -22,8 +22,6 @@ from bulletarm_gym.scene.predicates import inside, is_top, loose_objects, succes
 from bulletarm_gym.scene.sampling import GRASP_AREA, footprint, goal_site, place_apart
 from bulletarm_gym.tasks.task import Task
 
-MAX_BLOCKS = 8
-"""Largest number of blocks (paper, Bin Packing)."""
 BLOCK_SPACING = 0.025
 """Smallest gap (m) between blocks at the start."""
 PICK_OFFSET = 0.0125
@@ -43,8 +41,6 @@ VIEW = 0.24
 PITCH = 0.001
 """Side (m) of a pixel of the elevation map of the bin."""
 
-MAX_BOTTLES = 6
-"""Largest number of bottles (paper, Bottle Arrangement), and number of positions in the tray."""
 ROWS, COLUMNS = 2, 3
 BOTTLE_SPACING = 0.024
 """Smallest gap (m) around a bottle at the start, for the fingers at its neck."""
@@ -69,11 +65,11 @@ class BinPacking(Task):
     """
 
     defaults = TaskDefaults(
-        num_objects=MAX_BLOCKS,
+        num_objects=8,
         max_steps=20,
         object_scale=0.8,
-        allowed_objects=tuple(range(1, MAX_BLOCKS + 1)),
-        tray=TrayUse((False,), "the bin and its blocks do not fit into the tray"),
+        allowed_objects=tuple(range(1, 9)),
+        no_tray="the bin and its blocks do not fit into the tray",
         close_loop={"max_steps": 200, "workspace": WIDE},
     )
     controls = (OPEN_LOOP, CLOSE_LOOP)
@@ -93,14 +89,15 @@ class BinPacking(Task):
 
     def arrange(self, scene: Scene, rng: np.random.Generator) -> None:
         """Place the bin, and the blocks next to it."""
+        site = goal_site(scene, rng, self.site)
+        scene["bin"].place(site.compose(Pose.planar(0.0, 0.0, 0.0, math.pi / 2.0)))
+        base = footprint(scene["bin"])
 
         def is_graspable(pose: Pose) -> bool:
             area = Footprint.rectangle(GRASP_AREA, pose)
-            return not self.config.random_orientation or area.gap(footprint(scene["bin"])) > 0.0
+            return not self.config.random_orientation or area.gap(base) > 0.0
 
-        site = goal_site(scene, rng, self.site)
-        scene["bin"].place(site.compose(Pose.planar(0.0, 0.0, 0.0, math.pi / 2.0)))
-        place_apart(scene, rng, self.grasped(scene), BLOCK_SPACING, allows=is_graspable)
+        place_apart(scene, rng, scene.objects[1:], BLOCK_SPACING, allows=is_graspable)
 
     def evaluate(self, scene: Scene) -> dict[str, bool]:
         """Return whether all blocks are in the bin, the gripper is empty and nothing moves."""
@@ -140,11 +137,10 @@ class FreeSpace:
 
     def best(self) -> Pose:
         """Return the tool pose in the world that releases the block as low as possible, close to a corner."""
-        for needs_fingers in (True, False):
-            found = [option for yaw in self._yaws() if (option := self._lowest(yaw, needs_fingers))]
-            if found:
-                return min(found, key=lambda option: option[0])[1]
-        return self._bin.compose(Pose.planar(0.0, 0.0, 2.0 * BIN[2], self._yaws()[0]))
+        above = Pose.planar(0.0, 0.0, 2.0 * BIN[2], self._yaws()[0])
+        found = [option for yaw in self._yaws() if (option := self._lowest(yaw))]
+        _, pose = min(found, key=lambda option: option[0], default=((), above))
+        return self._bin.compose(pose)
 
     def _yaws(self) -> list[float]:
         """Return the gripper's yaws with the block's long side along the bin's x and y axes."""
@@ -154,11 +150,10 @@ class FreeSpace:
         across = yaw - (resting_frame(self._held).yaw - self._bin.yaw)
         return [across + math.pi / 2.0, across]
 
-    def _lowest(self, yaw: float, needs_fingers: bool) -> tuple[tuple[float, ...], Pose] | None:
+    def _lowest(self, yaw: float) -> tuple[tuple[float, ...], Pose] | None:
         """Return a key for comparison and the pose of the lowest release at a yaw.
 
-        :param needs_fingers: require space for the fingers; if False, the block is released higher if they
-            would touch an object
+        Without space for the fingers the block is released higher, so that they touch nothing.
         """
         low, high = self._outline(yaw)
         rest = self._highest(low, high, math.inf)
@@ -168,15 +163,16 @@ class FreeSpace:
         tips = lowest
         for outline, height in self._fingers(yaw):
             tips = np.maximum(tips, self._highest(*outline, 0.0) + PACKING_CLEARANCE - height)
-        if needs_fingers:
-            fits &= tips <= lowest
         if not fits.any():
             return None
-        steps = np.where(fits, np.round((rest if needs_fingers else tips) / PITCH), np.inf)
+        free = fits & (tips <= lowest)
+        steps = np.round(np.where(free, rest, np.inf) / PITCH)
+        if not free.any():
+            steps = np.round(np.where(fits, tips, np.inf) / PITCH)
         cost = self._xs[:, None] - ROW_WEIGHT * np.abs(self._ys)
         row, column = np.unravel_index(np.where(steps == steps.min(), cost, np.inf).argmin(), steps.shape)
         pose = Pose.planar(self._xs[row], self._ys[column], tips[row, column], yaw)
-        return (float(steps[row, column]), yaw != self._yaws()[0]), self._bin.compose(pose)
+        return (not free.any(), float(steps[row, column]), yaw != self._yaws()[0]), pose
 
     def _outline(self, yaw: float) -> tuple[FloatArray, FloatArray]:
         """Return the lowest and the highest corner (m) of the block relative to the fingertips at a yaw."""
@@ -211,10 +207,7 @@ class FreeSpace:
         return np.where(inside, heights, BIN[2])
 
     def _highest(self, low: FloatArray, high: FloatArray, outside: float) -> FloatArray:
-        """Return the largest height (m) within an outline around each position.
-
-        :param outside: height (m) outside the bin
-        """
+        """Return the largest height (m) in an outline around each position, with a height next to the bin."""
         found = self._heights
         for axis in (0, 1):
             first, last = math.floor(low[axis] / PITCH), math.ceil(high[axis] / PITCH)
@@ -239,11 +232,11 @@ class BottleArrangement(Task):
     """
 
     defaults = TaskDefaults(
-        num_objects=MAX_BOTTLES,
+        num_objects=6,
         max_steps=20,
         object_scale=0.8,
-        allowed_objects=tuple(range(1, MAX_BOTTLES + 1)),
-        tray=TrayUse((False,), "the bottles and their own tray do not fit into the tray"),
+        allowed_objects=tuple(range(1, 7)),
+        no_tray="the bottles and their own tray do not fit into the tray",
         level_ground="bottles fall over on a slope",
         close_loop={"max_steps": 240, "workspace": WIDE},
     )
@@ -270,7 +263,7 @@ class BottleArrangement(Task):
     def arrange(self, scene: Scene, rng: np.random.Generator) -> None:
         """Place the tray, and the bottles next to it."""
         scene["tray"].place(goal_site(scene, rng, self.site))
-        place_apart(scene, rng, self.grasped(scene), BOTTLE_SPACING)
+        place_apart(scene, rng, scene.objects[1:], BOTTLE_SPACING)
 
     def evaluate(self, scene: Scene) -> dict[str, bool]:
         """Return whether all bottles are in the tray, the gripper is empty and nothing moves."""

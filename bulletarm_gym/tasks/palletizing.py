@@ -1,11 +1,12 @@
 """Stacking boxes on a pallet."""
 
+import itertools
 import math
 from collections.abc import Iterator
 
 import numpy as np
 
-from bulletarm_gym.config import CLOSE_LOOP, OPEN_LOOP, WIDE, EnvConfig, TaskDefaults, TrayUse
+from bulletarm_gym.config import CLOSE_LOOP, OPEN_LOOP, WIDE, EnvConfig, TaskDefaults
 from bulletarm_gym.control import GraspParams
 from bulletarm_gym.experts import Waypoint
 from bulletarm_gym.experts.approach import rotates
@@ -13,24 +14,9 @@ from bulletarm_gym.experts.pick_place import pick, put, resting_frame
 from bulletarm_gym.geometry import Footprint, PlacementError, Pose, wrap_angle
 from bulletarm_gym.objects.blocks import BOX, palletizing_box
 from bulletarm_gym.objects.containers import PALLET, pallet
-from bulletarm_gym.scene import ObjectSlot, Scene, SceneObject, scaled
-from bulletarm_gym.scene.predicates import (
-    UPRIGHT,
-    at_rest,
-    inside,
-    is_empty,
-    is_top,
-    loose_objects,
-    success_at_rest,
-)
-from bulletarm_gym.scene.sampling import (
-    GRASP_AREA,
-    footprint,
-    free_pose,
-    goal_site,
-    most_free_point,
-    sample_until,
-)
+from bulletarm_gym.scene import ObjectSlot, Scene, SceneObject, sampling, scaled
+from bulletarm_gym.scene.predicates import UPRIGHT, inside, is_top, loose_objects, success_at_rest
+from bulletarm_gym.scene.sampling import GRASP_AREA, footprint, goal_site, sample_until
 from bulletarm_gym.tasks.task import Task
 
 LAYER = 6
@@ -73,7 +59,7 @@ class BoxPalletizing(Task):
         max_steps=40,
         object_scale=0.8,
         allowed_objects=(LAYER, 2 * LAYER, 3 * LAYER),
-        tray=TrayUse((False,), "the pallet and a box next to it do not fit into the tray"),
+        no_tray="the pallet and a box next to it do not fit into the tray",
         close_loop={"max_steps": 400, "workspace": WIDE},
     )
     controls = (OPEN_LOOP, CLOSE_LOOP)
@@ -107,8 +93,8 @@ class BoxPalletizing(Task):
     def after_action(self, scene: Scene, rng: np.random.Generator) -> None:
         """Add the next box when all others are placed correctly; the episode ends if it has no free pose."""
         boxes = loose_objects(scene)
-        done = len(boxes) < self.config.num_objects and len(self._correct(scene)) == len(boxes)
-        if done and is_empty(scene) and at_rest(scene):
+        done = success_at_rest(scene, is_stacked=len(self._correct(scene)) == len(boxes))
+        if done["success"] and len(boxes) < self.config.num_objects:
             try:
                 self._add_box(scene, rng)
             except PlacementError:
@@ -119,10 +105,7 @@ class BoxPalletizing(Task):
         return super().is_valid(scene) and self.memory != NO_ROOM
 
     def _add_box(self, scene: Scene, rng: np.random.Generator) -> None:
-        """Place the next box on the surface, with space for the gripper next to the pallet.
-
-        :raises PlacementError: no such place exists
-        """
+        """Place the next box on the surface, with space for the gripper next to the pallet."""
         number = len(loose_objects(scene))
         box, base = scene[f"box {number}"], footprint(scene["pallet"])
         layer_direction = scene["pallet"].pose.yaw + layer_yaw(number // LAYER)
@@ -152,17 +135,14 @@ class BoxPalletizing(Task):
         if held is None:
             yield pick(scene, self._next(scene), rng)
             return
-        free = self._free(scene, held)
-        if not free:
-            free = [self._aside(scene, rng, held)]
-        yield put(scene, held, free[:1])
+        free = self._free(scene, held) or [self._aside(scene, rng, held)]
+        yield put(scene, held, free[0])
 
     def _aside(self, scene: Scene, rng: np.random.Generator, held: SceneObject) -> Pose:
-        """Return the frame of a free place on the surface, or of the most free one."""
         try:
-            aside = free_pose(scene, rng, held, ASIDE_CLEARANCE)
+            aside = sampling.free_pose(scene, rng, held, ASIDE_CLEARANCE)
         except PlacementError:
-            return scene.surface.pose(most_free_point(scene, held), 0.0)
+            return scene.surface.pose(sampling.most_free_point(scene, held), 0.0)
         return scene.surface.pose((aside.x, aside.y), aside.yaw)
 
     def _next(self, scene: Scene) -> SceneObject:
@@ -198,12 +178,10 @@ class BoxPalletizing(Task):
         base = scene["pallet"].pose.compose(Pose((0.0, 0.0, PALLET[2] + layer * height)))
         others = [box for box in loose_objects(scene) if box is not held]
         taken = [footprint(box) for box in others if scene.world.top(box.body) > base.z + height / 2.0]
-
-        def is_free(frame: Pose) -> bool:
-            place = Footprint.rectangle((width, length), frame)
-            return all(place.gap(other) > 0.0 for other in taken)
-
-        return [frame for frame in map(base.compose, places(layer, width, length)) if is_free(frame)]
+        frames = [base.compose(frame) for frame in places(layer, width, length)]
+        areas = [Footprint.rectangle((width, length), frame) for frame in frames]
+        are_free = [all(area.gap(other) > 0.0 for other in taken) for area in areas]
+        return list(itertools.compress(frames, are_free))
 
 
 def layer_yaw(layer: int) -> float:

@@ -7,23 +7,14 @@ from typing import ClassVar
 
 import numpy as np
 
-from bulletarm_gym.config import CLOSE_LOOP, EnvConfig, TaskDefaults, TrayUse
-from bulletarm_gym.experts import CLOSED, OPEN, Waypoint
-from bulletarm_gym.experts.approach import (
-    HOVER,
-    grasp,
-    grasp_object,
-    highest_between,
-    pass_above,
-    place_object,
-    side_symmetry,
-    side_yaw,
-)
+from bulletarm_gym.config import CLOSE_LOOP, EnvConfig, TaskDefaults
+from bulletarm_gym.experts import CLOSED, OPEN, Waypoint, approach
+from bulletarm_gym.experts.approach import grasp, grasp_object, pass_above, place_object, side_yaw
 from bulletarm_gym.geometry import Pose, planar_distance, wrap_angle
 from bulletarm_gym.objects import bowl, corner, cube
 from bulletarm_gym.objects.blocks import CUBE_SIZE
 from bulletarm_gym.objects.containers import BOWL_HEIGHT, CORNER_INSIDE, CORNER_PLATE, CORNER_SIDE
-from bulletarm_gym.scene import ObjectSlot, Scene, SceneObject, scaled
+from bulletarm_gym.scene import ObjectSlot, Scene, scaled
 from bulletarm_gym.scene.predicates import is_empty, is_held, success_at_rest, touching, upright
 from bulletarm_gym.scene.sampling import is_within, sample_until, scatter, stand
 from bulletarm_gym.tasks.task import Task
@@ -43,10 +34,7 @@ RELEASE_HEIGHT = 0.35
 WALL_CLEARANCE = 2e-4
 """Gap (m) between the cube and the walls at the start, so that they exert no force."""
 PRESS = 1e-3
-"""Depth (m) of the fingertips' target below the cube's upper side.
-
-Half and twice this depth move the cube too; from twice this depth on the arm may be blocked.
-"""
+"""Depth (m) of the fingertips' target below the cube's upper side; twice this depth may block the arm."""
 FREE = 0.05
 """Distance (m) of the cube from the walls at which the fingers of any gripper fit in between."""
 DRAWN = 0.07
@@ -99,10 +87,7 @@ class BlockReaching(Task):
 
 
 class Lift(Task):
-    """Base class of tasks in which an object is lifted.
-
-    Success: the gripper holds an object and is higher than ``lift_height``, 15 cm.
-    """
+    """Base class of tasks in which the gripper lifts an object higher than ``lift_height``."""
 
     controls = (CLOSE_LOOP,)
 
@@ -144,7 +129,7 @@ class BlockPicking(Lift, BlockReaching):
     def plan_grasp(self, scene: Scene, rng: np.random.Generator) -> Iterator[Waypoint]:
         """Grasp the cube along its sides."""
         block = scene["cube"]
-        symmetry = side_symmetry(block.pose)
+        symmetry = approach.side_symmetry(block.pose)
         yaw = block.pose.yaw if symmetry < math.pi else side_yaw(block.pose)
         target = Pose.planar(*block.pose.position, yaw)
         yield from grasp(scene, target, scene.world.top(block.body), symmetry)
@@ -171,10 +156,6 @@ class BlockInBowl(Task):
     def bodies(self, config: EnvConfig) -> list[ObjectSlot]:
         """Return cube and bowl."""
         return [scaled(config, "cube", cube), scaled(config, "bowl", bowl)]
-
-    def grasped(self, scene: Scene) -> list[SceneObject]:
-        """Return the cube, not the bowl."""
-        return [scene["cube"]]
 
     def arrange(self, scene: Scene, rng: np.random.Generator) -> None:
         """Place cube and bowl apart."""
@@ -216,7 +197,7 @@ class CornerPicking(Lift):
     defaults = TaskDefaults(
         num_objects=1,
         lifts=True,
-        tray=TrayUse((False,), "the corner does not fit into the tray"),
+        no_tray="the corner does not fit into the tray",
         level_ground="the corner's plate lies on level ground",
     )
 
@@ -231,18 +212,16 @@ class CornerPicking(Lift):
         place = Pose((inset, inset, CORNER_PLATE + block.spec.extents[2] / 2.0))
 
         def draw() -> Pose:
-            return scene.surface.pose(scene.surface.sample_position(rng, CORNER_SIDE / 2.0), self._yaw(rng))
+            point = scene.surface.sample_position(rng, CORNER_SIDE / 2.0)
+            if self.config.random_orientation:
+                return scene.surface.pose(point, float(rng.uniform(-math.pi, math.pi)))
+            return scene.surface.pose(point, int(rng.integers(4)) * math.pi / 2.0)
 
         pose = sample_until(
             draw, lambda frame: is_within(scene, frame.transform(place.position), block.spec.planar_radius)
         )
         walls.place(pose)
         block.place(pose.compose(place))
-
-    def _yaw(self, rng: np.random.Generator) -> float:
-        if self.config.random_orientation:
-            return float(rng.uniform(-math.pi, math.pi))
-        return int(rng.integers(4)) * math.pi / 2.0
 
     def plan_grasp(self, scene: Scene, rng: np.random.Generator) -> Iterator[Waypoint]:
         """Draw the cube out of the corner first, if it is still there."""
@@ -255,7 +234,8 @@ class CornerPicking(Lift):
             closed = scene.robot.opening_ratio < SHUT
             if not (closed and apart < PRESSING_RADIUS and tool.z < top):
                 if apart > DESCENT_RADIUS or not closed:
-                    over = max(top, highest_between(scene, tool.position, block.pose.position, block)) + HOVER
+                    highest = approach.highest_between(scene, tool.position, block.pose.position, block)
+                    over = max(top, highest) + approach.HOVER
                     yield from pass_above(tool, Pose.planar(x, y, over, tool.yaw), over)
                 yield Waypoint(Pose.planar(x, y, top - PRESS, tool.yaw), CLOSED)
             drawn = CORNER_INSIDE + half + DRAWN - OFFSET

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterator
+from itertools import permutations
 
 import numpy as np
 
@@ -11,7 +12,7 @@ from bulletarm_gym.experts.pushing import Drag
 from bulletarm_gym.geometry import Rectangle, planar_distance
 from bulletarm_gym.objects import cube, flat_block, goal_area
 from bulletarm_gym.observations.view import Overlay
-from bulletarm_gym.scene import ObjectSlot, Scene, SceneObject, scaled
+from bulletarm_gym.scene import ObjectSlot, Scene, scaled
 from bulletarm_gym.scene.predicates import touching
 from bulletarm_gym.scene.sampling import scatter, stand
 from bulletarm_gym.tasks.picking import BORDER_MARGIN
@@ -50,6 +51,7 @@ class BlockPushing(Task):
 
     defaults = TaskDefaults(num_objects=1)
     controls = (CLOSE_LOOP,)
+    grasps = False
 
     @property
     def _scale(self) -> float:
@@ -60,10 +62,6 @@ class BlockPushing(Task):
         """Return the cube and the mark of the goal area."""
         goal = goal_area("goal", self._scale * GOAL_SIDE)
         return [scaled(config, "cube", cube), ObjectSlot("goal", (goal,))]
-
-    def grasped(self, scene: Scene) -> list[SceneObject]:
-        """Return nothing: the cube is pushed."""
-        return []
 
     def arrange(self, scene: Scene, rng: np.random.Generator) -> None:
         """Place cube and goal apart."""
@@ -101,14 +99,11 @@ class BlockPulling(Task):
 
     defaults = TaskDefaults(num_objects=2, object_scale=0.8, allowed_objects=(2,))
     controls = (CLOSE_LOOP,)
+    grasps = False
 
     def bodies(self, config: EnvConfig) -> list[ObjectSlot]:
         """Return the two blocks."""
         return [scaled(config, name, flat_block) for name in ("near block", "far block")]
-
-    def grasped(self, scene: Scene) -> list[SceneObject]:
-        """Return nothing: the blocks are pulled from behind."""
-        return []
 
     def arrange(self, scene: Scene, rng: np.random.Generator) -> None:
         """Place the blocks apart."""
@@ -124,9 +119,6 @@ class BlockPulling(Task):
 
     def plan(self, scene: Scene, rng: np.random.Generator) -> Iterator[Waypoint]:
         """Pull the block with the shorter path to the other block."""
-        first, second = scene.objects
-        drags = [
-            Drag(scene, block, goal.pose.position, PULL_HEIGHT)
-            for block, goal in ((first, second), (second, first))
-        ]
+        pairs = permutations(scene.objects)
+        drags = [Drag(scene, block, goal.pose.position, PULL_HEIGHT) for block, goal in pairs]
         yield from min(drags, key=lambda drag: drag.effort).plan()

@@ -6,17 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from bulletarm_gym.config import CLOSE_LOOP, OPEN_LOOP, EnvConfig, TaskDefaults, TrayUse
-from bulletarm_gym.experts import HALF_OPEN, Waypoint
-from bulletarm_gym.experts.approach import (
-    ALIGNED,
-    RELEASE,
-    grasp,
-    highest_between,
-    place_object,
-    rotates,
-    side_yaw,
-)
+from bulletarm_gym.config import CLOSE_LOOP, OPEN_LOOP, EnvConfig, TaskDefaults
+from bulletarm_gym.experts import HALF_OPEN, Waypoint, approach
+from bulletarm_gym.experts.approach import grasp, highest_between, place_object, rotates, side_yaw
 from bulletarm_gym.experts.pick_place import fingers_fit
 from bulletarm_gym.geometry import Footprint, Pose, planar_distance, wrap_angle
 from bulletarm_gym.objects import BodySpec, Colour, bowl, cube
@@ -39,6 +31,8 @@ RELEASE_HEIGHT = 0.6
 """Height of a cube's lowest point at its release relative to the bowl's; the fingers are near the rim."""
 FINGER_AREA = (0.135, 0.03)
 """Length and width (m) of the free area around a cube at the start for the open fingers of any gripper."""
+OFFSETS = (0.0, -approach.ALIGNED, approach.ALIGNED)
+"""Offsets (m) of the descent from a cube's centre."""
 
 
 class BlockSorting(Task):
@@ -61,7 +55,7 @@ class BlockSorting(Task):
         max_steps=20,
         object_scale=SCALE,
         allowed_objects=(4, 6),
-        tray=TrayUse((False,), "two bowls and the cubes do not fit into it"),
+        no_tray="two bowls and the cubes do not fit into it",
         level_ground="bowls slide on a slope",
         sensors=("color",),
         close_loop={"max_steps": 100},
@@ -83,20 +77,16 @@ class BlockSorting(Task):
             for name, colour in COLOURS.items()
         ]
 
-    def grasped(self, scene: Scene) -> list[SceneObject]:
-        """Return the cubes, not the bowls."""
-        return self._cubes(scene)
-
     def arrange(self, scene: Scene, rng: np.random.Generator) -> None:
         """Place all objects apart, with space for the gripper around each cube."""
         sample_until(
             lambda: place_apart(scene, rng, scene.objects, SPACING),
-            lambda _: all(_has_space(scene, block) for block in self._cubes(scene)),
+            lambda _: all(_has_space(scene, block) for block in _cubes(scene)),
         )
 
     def evaluate(self, scene: Scene) -> dict[str, bool]:
         """Return whether the cubes are in their bowls, the gripper is empty and nothing moves."""
-        placed = all(_is_in(self._bowl_of(scene, block), block) for block in self._cubes(scene))
+        placed = all(_is_in(_bowl_of(scene, block), block) for block in _cubes(scene))
         return success_at_rest(scene, is_sorted=placed)
 
     def is_valid(self, scene: Scene) -> bool:
@@ -106,51 +96,54 @@ class BlockSorting(Task):
     def plan(self, scene: Scene, rng: np.random.Generator) -> Iterator[Waypoint]:
         """Grasp the next cube, or release it in its bowl."""
         held = scene.held
-        if held in self._cubes(scene):
-            yield from self._put(scene, held)
+        if held in _cubes(scene):
+            yield from _put(scene, held)
         elif held is not None:  # a bowl
             spot = held.pose.position
-            height = highest_between(scene, spot, spot, held) + RELEASE
+            height = highest_between(scene, spot, spot, held) + approach.RELEASE
             yield from place_object(scene, held, spot[:2], height)
         else:
-            yield from _take(scene, self._next(scene))
-
-    def _put(self, scene: Scene, held: SceneObject) -> Iterator[Waypoint]:
-        vessel = self._bowl_of(scene, held)
-        others = [block for block in self._cubes(scene) if block is not held and _is_in(vessel, block)]
-        x, y, _ = vessel.pose.position
-        # The cubes are in one line, the fingers on both sides of it.
-        line = scene.robot.pose.yaw + math.pi / 2.0
-        if others and planar_distance(others[0].pose.position, vessel.pose.position) > 0.0:
-            line = math.atan2(y - others[0].pose.y, x - others[0].pose.x)
-        offset = FROM_AXIS * held.spec.extents[0]
-        spot = (x + offset * math.cos(line), y + offset * math.sin(line))
-        rotation = wrap_angle(line + math.pi / 2.0 - scene.robot.pose.yaw, math.pi)
-        height = vessel.lowest + RELEASE_HEIGHT * vessel.spec.extents[2]
-        for waypoint in place_object(scene, held, spot, height, rotation):
-            # Completely open fingers would jam in the bowl.
-            yield waypoint if waypoint.finish is None else replace(waypoint, finish=HALF_OPEN)
-
-    def _next(self, scene: Scene) -> SceneObject:
-        """Return a cube outside its bowl, preferably one that the fingers can grasp, or any cube."""
-        cubes = self._cubes(scene)
-        remaining = [block for block in cubes if not _is_in(self._bowl_of(scene, block), block)]
-        free = (block for block in remaining if _yaws(scene, block)[1])
-        return next(free, next(iter(remaining or cubes)))
-
-    def _cubes(self, scene: Scene) -> list[SceneObject]:
-        return scene.objects[len(COLOURS) :]
-
-    def _bowl_of(self, scene: Scene, block: SceneObject) -> SceneObject:
-        return scene[f"{block.slot.kind} bowl"]
+            yield from _take(scene)
 
 
-def _take(scene: Scene, block: SceneObject) -> Iterator[Waypoint]:
-    """Yield the waypoints of a grasp of a cube along the sides where the open fingers fit."""
-    centre, tool = block.centre_of_mass, scene.robot.pose
+def _cubes(scene: Scene) -> list[SceneObject]:
+    return scene.objects[len(COLOURS) :]
+
+
+def _bowl_of(scene: Scene, block: SceneObject) -> SceneObject:
+    return scene[f"{block.slot.kind} bowl"]
+
+
+def _take(scene: Scene) -> Iterator[Waypoint]:
+    """Yield the waypoints of a grasp along the sides where the open fingers fit.
+
+    The cube is one outside its bowl, preferably one with such sides, or any cube.
+    """
+    cubes, tool = _cubes(scene), scene.robot.pose
+    remaining = [block for block in cubes if not _is_in(_bowl_of(scene, block), block)] or cubes
+    block = next((block for block in remaining if _yaws(scene, block)[1]), remaining[0])
+    centre = block.centre_of_mass
     yaws, fitting = _yaws(scene, block)
     top = max(scene.world.top(block.body), highest_between(scene, tool.position, centre, block))
     yield from grasp(scene, Pose.planar(*centre, (fitting or yaws)[0]), top, math.pi)
+
+
+def _put(scene: Scene, held: SceneObject) -> Iterator[Waypoint]:
+    """Yield the waypoints of a release in the bowl next to the other cube."""
+    vessel, tool = _bowl_of(scene, held), scene.robot.pose
+    others = [block for block in _cubes(scene) if block is not held and _is_in(vessel, block)]
+    x, y, _ = vessel.pose.position
+    # The cubes are in one line, the fingers on both sides of it.
+    line = tool.yaw + math.pi / 2.0
+    if others and planar_distance(others[0].pose.position, vessel.pose.position) > 0.0:
+        line = math.atan2(y - others[0].pose.y, x - others[0].pose.x)
+    offset = FROM_AXIS * held.spec.extents[0]
+    spot = (x + offset * math.cos(line), y + offset * math.sin(line))
+    rotation = wrap_angle(line + math.pi / 2.0 - tool.yaw, math.pi)
+    height = vessel.lowest + RELEASE_HEIGHT * vessel.spec.extents[2]
+    for waypoint in place_object(scene, held, spot, height, rotation):
+        # Completely open fingers would jam in the bowl.
+        yield waypoint if waypoint.finish is None else replace(waypoint, finish=HALF_OPEN)
 
 
 def _has_space(scene: Scene, block: SceneObject) -> bool:
@@ -167,24 +160,21 @@ def _yaws(scene: Scene, block: SceneObject) -> tuple[list[float], list[float]]:
     tool, side = scene.robot.pose, side_yaw(block.pose)
     rotations = sorted((wrap_angle(side + yaw - tool.yaw, math.pi) for yaw in (0.0, math.pi / 2.0)), key=abs)
     yaws = [tool.yaw + rotation for rotation in rotations[: 2 if rotates(scene) else 1]]
-    return yaws, [yaw for yaw in yaws if _fits(scene, block, yaw)]
 
+    def fits(yaw: float) -> bool:
+        target = Pose.planar(*block.centre_of_mass, yaw)
+        poses = (target.compose(Pose((offset, 0.0, 0.0))) for offset in OFFSETS)
+        return all(fingers_fit(scene, pose, block) for pose in poses)
 
-def _fits(scene: Scene, block: SceneObject, yaw: float) -> bool:
-    """Return True if the open fingers fit around a cube, also with the offset allowed for the descent."""
-    target = Pose.planar(*block.centre_of_mass, yaw)
-    poses = (target.compose(Pose((offset, 0.0, 0.0))) for offset in (0.0, -ALIGNED, ALIGNED))
-    return all(fingers_fit(scene, pose, block) for pose in poses)
+    return yaws, list(filter(fits, yaws))
 
 
 def _is_in(vessel: SceneObject, block: SceneObject) -> bool:
     """Return True if the centre of a block is inside a bowl, below its rim."""
     x, y, z = vessel.pose.inverse().transform(block.pose.position)
     scale = vessel.spec.extents[0] / BOWL_DIAMETER
-    return (
-        math.hypot(x, y) < (BOWL_DIAMETER / 2.0 - BOWL_THICKNESS) * scale
-        and abs(z) < BOWL_HEIGHT / 2.0 * scale
-    )
+    is_below = abs(z) < BOWL_HEIGHT / 2.0 * scale
+    return is_below and math.hypot(x, y) < (BOWL_DIAMETER / 2.0 - BOWL_THICKNESS) * scale
 
 
 def _bowl(name: str, scale: float) -> BodySpec:

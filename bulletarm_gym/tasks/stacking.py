@@ -1,16 +1,25 @@
-"""Stacking blocks."""
+"""Stacking blocks, and building houses of fixed blocks and of blocks with random shapes."""
 
 import math
+from collections.abc import Sequence
 from typing import ClassVar
 
 import numpy as np
 
-from bulletarm_gym.config import CLOSE_LOOP, EnvConfig, ParameterError
+from bulletarm_gym.config import CLOSE_LOOP, EnvConfig
 from bulletarm_gym.experts.approach import PASSING
 from bulletarm_gym.experts.builder import Builder, TowerBuilder
-from bulletarm_gym.objects import cube
-from bulletarm_gym.objects.blocks import CUBE_SIZE
-from bulletarm_gym.scene import Scene
+from bulletarm_gym.objects.blocks import (
+    CELL,
+    MAX_STRETCHED_CELLS,
+    brick,
+    cube,
+    improvise_blocks,
+    improvise_bricks,
+    roof,
+    triangle,
+)
+from bulletarm_gym.scene import ObjectSlot, Scene
 from bulletarm_gym.scene.predicates import is_top, stacked, success_at_rest, upright
 from bulletarm_gym.scene.sampling import scatter, stand
 from bulletarm_gym.tasks.picking import BORDER_MARGIN
@@ -18,18 +27,15 @@ from bulletarm_gym.tasks.structure import Structure, structure_defaults
 
 CENTRE_SPACING = 2.4
 """Smallest distance between the blocks' centres, relative to the largest block's side."""
+BRICKS = 19
+"""Number of sizes of bricks, the number of shapes of blocks."""
 
 
 class Stack(Structure):
     """A stack of cubes, with a different block on top or without.
 
-    Open-loop control: as in :class:`~bulletarm_gym.tasks.structure.Structure`. Closed-loop control:
-
-    Randomisation: the blocks' positions in the workspace, at least 2.4 sides apart, and their yaws.
-    Success: the blocks form one stack, the top block upright and above all others; the gripper is empty and
-    nothing moves.
-    Expert: repeat until solved: grasp the next block (the top block last), lift, move above the stack, lower,
-    open.
+    Open-loop control has the arrangement, the success and the expert of
+    :class:`~bulletarm_gym.tasks.structure.Structure`.
 
     :param config: the environment's parameters
     """
@@ -41,12 +47,17 @@ class Stack(Structure):
     """Kind of the block on the cubes; empty without one."""
 
     def __init__(self, config: EnvConfig) -> None:
-        _check_height(config)
         self._is_close_loop = config.control == CLOSE_LOOP
-        self.layers = [("cube",)] * (config.num_objects - bool(self.top)) + [(self.top,)] * bool(self.top)
+        tops = [(self.top,)] if self.top else []
+        self.layers = [("cube",)] * (config.num_objects - len(tops)) + tops
         if self._is_close_loop:
             self.upright = ()  # an invalid scene would end the episode
         super().__init__(config)
+
+    @property
+    def height(self) -> float:
+        """Height (m) of the middle of the last block as it passes above all others."""
+        return super().height + PASSING
 
     def arrange(self, scene: Scene, rng: np.random.Generator) -> None:
         """Place the blocks apart."""
@@ -90,16 +101,96 @@ class BlockStacking(Stack):
     spread = math.pi / 4.0
 
 
-def _check_height(config: EnvConfig) -> None:
-    """Check that the gripper can move the last block above all others.
+class HouseBuilding1(Stack):
+    """Stack the cubes, and put the triangle on top.
 
-    :raises ParameterError: it cannot
+    Description: three (one to five) 3 cm cubes and a triangle, 3 x 3 x 3 cm, lie on the surface; in the
+    paper's closed-loop House Building a cube of 5 cm and a triangle of the same size.
+    Randomisation: the blocks' positions and yaws; open-loop at least 4.2 cm between any two, closed-loop at
+    least 2.4 sides apart and yaws within 90 degrees.
+    Success: the cubes form a stack with the upright triangle on top; the gripper is empty and nothing moves.
+    Expert: repeat until solved: grasp the next block (the triangle last), lift, move above the highest stack,
+    lower, open.
+    Everything else is as in :class:`Stack`.
     """
-    side, top = CUBE_SIZE * max(config.scales), config.workspace[2][1]
-    most = int((top - PASSING) / side + 0.5)
-    if most < 2:
-        takes = f"one high enough to put one block of {side:.3f} m on another"
-        raise ParameterError.of("workspace", config.workspace, takes)
-    if config.num_objects > most:
-        takes = f"at most {most} blocks of {side:.3f} m in a workspace {top:.3f} m high"
-        raise ParameterError.of("num_objects", config.num_objects, takes)
+
+    kinds = {"cube": cube, "triangle": triangle}  # noqa: RUF012
+    upright = ("triangle",)
+    top = "triangle"
+    spread = math.pi / 2.0
+
+
+class HouseBuilding2(Structure):
+    """Put two cubes side by side, and the roof on both.
+
+    Description: two 3 cm cubes and a roof, 12 x 3 x 3 cm, lie on the surface.
+    Everything else is as in :class:`~bulletarm_gym.tasks.structure.Structure`.
+    """
+
+    defaults = structure_defaults(3)
+    kinds = {"cube": cube, "roof": roof}  # noqa: RUF012
+    layers: Sequence[Sequence[str]] = (("cube", "cube"), ("roof",))
+    upright = ("roof",)
+
+
+class HouseBuilding3(HouseBuilding2):
+    """Put two cubes side by side, the brick on both, and the roof on the brick.
+
+    Description: two 3 cm cubes, a brick and a roof, 12 x 3 x 3 cm each, lie on the surface.
+    Everything else is as in :class:`~bulletarm_gym.tasks.structure.Structure`.
+    """
+
+    defaults = structure_defaults(4)
+    kinds = {**HouseBuilding2.kinds, "brick": brick}  # noqa: RUF012
+    layers: Sequence[Sequence[str]] = (("cube", "cube"), ("brick",), ("roof",))
+
+
+class HouseBuilding4(HouseBuilding3):
+    """Put two cubes side by side, the brick on both, two more cubes on the brick, and the roof on those.
+
+    Description: four 3 cm cubes, a brick and a roof, 12 x 3 x 3 cm each, lie on the surface.
+    Everything else is as in :class:`~bulletarm_gym.tasks.structure.Structure`.
+    """
+
+    defaults = structure_defaults(6, max_steps=20)
+    layers = (("cube", "cube"), ("brick",), ("cube", "cube"), ("roof",))
+
+
+class ImproviseHouseBuilding2(Structure):
+    """Put two blocks of random shapes side by side, and the roof on both.
+
+    Description: two of 19 blocks of one layer, 3.6 to 9 cm wide and long, and a roof, 12 x 3 x 3 cm, lie on
+    the surface.
+    Randomisation: the shapes and sizes of the blocks; positions and yaws, at least 4.2 cm between any two.
+    Everything else is as in :class:`~bulletarm_gym.tasks.structure.Structure`.
+    """
+
+    defaults = structure_defaults(3)
+    kinds = {"roof": roof}  # noqa: RUF012
+    layers: Sequence[Sequence[str]] = (("block", "block"), ("roof",))
+    upright = ("roof",)
+    width = CELL * MAX_STRETCHED_CELLS
+
+    def block(self, config: EnvConfig, name: str, kind: str, number: int) -> ObjectSlot:
+        """Return the slot of a block with variants of all shapes and sizes."""
+        if kind == "roof":
+            return super().block(config, name, kind, number)
+        specs = (
+            improvise_blocks(name, scale, number)
+            if kind == "block"
+            else improvise_bricks(name, scale, BRICKS)
+            for scale in config.scales
+        )
+        return ObjectSlot(name, tuple(spec for variants in specs for spec in variants))
+
+
+class ImproviseHouseBuilding3(ImproviseHouseBuilding2):
+    """Put two blocks of random shapes side by side, a brick of random size on both, and the roof on it.
+
+    Description: two of 19 blocks of one layer, 3.6 to 9 cm wide and long, a brick 2.5 to 3.5 cm wide, 10 to
+    14 cm long and 2 to 3.5 cm high, and a roof, 12 x 3 x 3 cm, lie on the surface.
+    Everything else is as in :class:`ImproviseHouseBuilding2`.
+    """
+
+    defaults = structure_defaults(4)
+    layers = (("block", "block"), ("brick",), ("roof",))

@@ -136,7 +136,7 @@ class Structure(Task):
 
 
 def _has_fallen(scene: Scene, block: SceneObject) -> bool:
-    """Return True if a block that is not grasped is tilted relative to the vertical and to the surface."""
+    """Return True if a block is not grasped and tilted to the vertical and to the surface."""
     if block is scene.held or upright(block):
         return False
     ground = scene.surface.pose(block.pose.position[:2], 0.0)

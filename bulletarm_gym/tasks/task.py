@@ -1,21 +1,25 @@
-"""Base class of tasks."""
+"""Base class of tasks, and the arrangement of a scene at the start of an episode."""
 
 import re
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, ClassVar
 
 import numpy as np
 
 from bulletarm_gym.config import OPEN_LOOP, EnvConfig, TaskDefaults
-from bulletarm_gym.control import GraspParams
+from bulletarm_gym.control import Control, GraspParams
 from bulletarm_gym.experts import Waypoint
+from bulletarm_gym.geometry import PlacementError
 from bulletarm_gym.objects.blocks import CUBE_SIZE
 from bulletarm_gym.observations import Overlay
 from bulletarm_gym.scene import ObjectSlot, Scene, SceneObject
 from bulletarm_gym.scene.predicates import loose_objects
 from bulletarm_gym.scene.state import declare_state_types
 from bulletarm_gym.surfaces.surface import SITE, Point
+
+ARRANGEMENTS = 30
+"""Maximum number of arrangements that a reset tries."""
 
 
 class Task(ABC):
@@ -34,6 +38,8 @@ class Task(ABC):
     """Whether every action ends the episode."""
     memory_types: ClassVar[tuple[type, ...]] = ()
     """Dataclasses and named tuples in :attr:`memory`, for files of states; plain values need none."""
+    grasps: ClassVar[bool] = True
+    """Whether the loose objects must fit between the open fingers."""
     site: Point = SITE
     """Width and length (m) of the base of a structure, for which ramps and bumps have level ground."""
 
@@ -75,10 +81,6 @@ class Task(ABC):
     @abstractmethod
     def bodies(self, config: EnvConfig) -> list[ObjectSlot]:
         """Return the slots of all objects of the task."""
-
-    def grasped(self, scene: Scene) -> list[SceneObject]:
-        """Return the objects that must fit between the open fingers; by default all loose objects."""
-        return [obj for obj in scene.objects if obj.spec.mass > 0.0]
 
     @abstractmethod
     def arrange(self, scene: Scene, rng: np.random.Generator) -> None:
@@ -152,3 +154,28 @@ class Task(ABC):
             low = high = obj.pose.position
         inside = x0 <= low[0] and high[0] <= x1 and y0 <= low[1] and high[1] <= y1
         return inside and obj.pose.z >= 0.0 and high[2] <= top
+
+
+def arrange_scene(
+    scene: Scene,
+    control: Control[Any],
+    arrange: Callable[[Scene, np.random.Generator], None],
+    rng: np.random.Generator,
+    changed: Sequence[str],
+) -> None:
+    """Sample surfaces and arrangements until the objects fit.
+
+    :param arrange: arrangement of the task in an empty scene
+    :param changed: names of the parameters of the scene that differ from their defaults
+    :raises PlacementError: the objects do not fit; the text names these parameters
+    """
+    for attempt in range(1, ARRANGEMENTS + 1):
+        scene.clear(rng)
+        control.start()
+        try:
+            return arrange(scene, rng)
+        except PlacementError as error:
+            if attempt == ARRANGEMENTS:
+                values = ", ".join(repr(getattr(scene.config, name)) for name in changed)
+                must = f"{', '.join(changed)} must leave room for all objects, got {values}: "
+                raise PlacementError(f"{must if changed else ''}{error}") from error

@@ -13,7 +13,7 @@ from website.docstrings import LABEL, LABELS
 
 GROUPS = {
     "Reach, pick, push, open": ("picking", "pushing", "drawer"),
-    "Build": ("stacking", "house"),
+    "Build": ("stacking",),
     "Pack and sort": ("packing", "palletizing", "covid", "sorting"),
     "Clutter": ("clutter",),
 }

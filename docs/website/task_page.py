@@ -5,7 +5,7 @@ from collections.abc import Iterable, Sequence
 import gymnasium
 from gymnasium import spaces
 
-from bulletarm_gym.config import CLOSE_LOOP, Context, EnvConfig, accepted
+from bulletarm_gym.config import CLOSE_LOOP, Context, EnvConfig, ParameterError
 from bulletarm_gym.env import ManipulationEnv
 from website import actions, figures
 from website.catalogue import Shown, relatives
@@ -96,10 +96,18 @@ def _box(space: spaces.Box) -> str:
 
 
 def _parameters(env: ManipulationEnv) -> str:
-    takes = accepted(Context(env.config.control, env.task.defaults))
-    meaning = parameters(EnvConfig)
+    context, meaning = Context(env.config.control, env.task.defaults), parameters(EnvConfig)
     rows = [
-        [f"`{name}`", f"`{value!r}`", meaning[name], takes[name]]
+        [f"`{name}`", f"`{value!r}`", meaning[name], _accepted(name, context)]
         for name, value in env.config.parameters().items()
     ]
     return table(["name", "default", "meaning", "accepted values"], rows) + MORE_PARAMETERS
+
+
+def _accepted(name: str, context: Context) -> str:
+    """Return the description of the accepted values of a parameter, from the error for a wrong value."""
+    try:
+        EnvConfig.of(context, {name: object()})
+    except ParameterError as error:
+        return str(error).removeprefix(f"{name} must be ").partition(", got <object")[0]
+    raise AssertionError(f"{name} must not accept every value")

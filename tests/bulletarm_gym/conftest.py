@@ -1,4 +1,4 @@
-"""What the tests of the environments share: ids, instances that last the whole session, another process."""
+"""Fixtures of the environments' tests: ids, instances that last the whole session, another process."""
 
 import json
 import os
@@ -13,7 +13,7 @@ import pytest
 
 HERE = Path(__file__).resolve().parent
 KEPT = 12
-"""Shared environments that stay open: one takes some 40 MB, and the tests ask for hundreds."""
+"""Number of shared environments that stay open; one needs some 40 MB."""
 sys.path.insert(0, str(HERE))  # for the module of rollouts, which also runs as a script
 sys.path.insert(1, str(HERE.parents[1] / "examples"))  # for small_arm
 
@@ -31,22 +31,19 @@ def env_id(request: pytest.FixtureRequest) -> str:
 
 @pytest.fixture(scope="session", params=bulletarm_gym.PAPER_IDS, ids=lambda env_id: env_id.split("/")[1])
 def paper_id(request: pytest.FixtureRequest) -> str:
-    """Every id of the paper, for what takes long and depends on the task, not on how it is composed."""
+    """Every id of the paper."""
     return str(request.param)
 
 
 @pytest.fixture(scope="session", params=rollouts.TYPICAL, ids=lambda env_id: env_id.split("/")[1])
 def typical_id(request: pytest.FixtureRequest) -> str:
-    """An id of each kind, for what depends on the environment class and not on the task."""
+    """An id of each kind."""
     return str(request.param)
 
 
 @pytest.fixture(scope="session")
 def make() -> Iterator[Callable[..., ManipulationEnv]]:
-    """Make environments that are shared between tests; ``instance`` tells copies of the same one apart.
-
-    The least recently used are closed, so a test may use up to :data:`KEPT` of them at once.
-    """
+    """Make environments that tests share, up to :data:`KEPT` at once; ``instance`` tells equal ones apart."""
     made: dict[str, ManipulationEnv] = {}
 
     def get(env_id: str, instance: int = 0, **parameters: Any) -> ManipulationEnv:
@@ -82,7 +79,7 @@ def picking(make: Callable[..., ManipulationEnv]) -> ManipulationEnv:
 
 @pytest.fixture(scope="session")
 def in_another_process() -> Callable[[dict[str, Any]], dict[str, list[str]]]:
-    """Have a process of its own answer requests, see the module of rollouts."""
+    """Return the rollouts of another process, see the module of rollouts."""
 
     def ask(requests: dict[str, Any]) -> dict[str, list[str]]:
         command = [sys.executable, str(HERE / "rollouts.py")]

@@ -1,7 +1,7 @@
-"""Rollouts reduced to short digests, for exact comparison between instances, processes and days.
+"""Rollouts reduced to short digests, for exact comparison between instances, processes and versions.
 
 As a script it reads pickled requests, ``{name: (env_id, parameters, state or None)}``, from its input and
-prints the digests of the rollouts that follow, as JSON: how the tests look into another process.
+prints the digests of their rollouts, as JSON.
 """
 
 import dataclasses
@@ -20,7 +20,7 @@ from bulletarm_gym.env import ManipulationEnv
 from bulletarm_gym.scene.state import EnvState
 
 EXPERT_SHARE = 0.7
-"""Share of expert actions among random ones: enough for grasps, pushes and successes to happen."""
+"""Share of expert actions among random ones, with which grasps, pushes and successes happen."""
 TYPICAL = (
     "BulletArm/OpenLoopHouseBuilding2-v0",
     "BulletArm/OpenLoopObjectGrasping-v0",
@@ -35,8 +35,7 @@ TYPICAL = (
 def make_env(env_id: str, **parameters: Any) -> ManipulationEnv:
     """Make an environment without wrappers.
 
-    Tests of all ids give the action sequences of close loop; open loop's are the same without z, or on
-    sloping ground with all three angles.
+    An action sequence of close loop is replaced in open loop by one without z, or on slopes with three r's.
     """
     assert env_id in bulletarm_gym.ENV_IDS
     sequence = parameters.get("action_sequence")
@@ -49,12 +48,12 @@ def make_env(env_id: str, **parameters: Any) -> ManipulationEnv:
 
 
 def is_open_loop(env_id: str) -> bool:
-    """Whether an id's actions are whole picks and places."""
+    """Return True if the actions of an id are picks and places."""
     return "/OpenLoop" in env_id
 
 
 def is_sloping(env_id: str) -> bool:
-    """Whether things lie on ramps or bumps."""
+    """Return True if objects lie on ramps or bumps."""
     return "LoopRamp" in env_id or "LoopBump" in env_id
 
 
@@ -81,12 +80,12 @@ def transcript(
     action_seed: int = 0,
     before_step: Callable[[ManipulationEnv], object] = lambda env: None,
 ) -> list[str]:
-    """Act on an environment, experts' actions mixed with random ones, through as many episodes as it takes.
+    """Act on an environment, with expert actions among random ones, and reset it after each episode.
 
-    :param steps: by default fewer in open loop, where each of them is a whole pick or place
-    :param seed: of a first reset; without one the rollout goes on from the present state
-    :param before_step: called before every step
-    :return: one digest a step (and a reset) of the action and of all that came back
+    :param steps: number of steps, by default fewer in open loop
+    :param seed: seed of a first reset; without one the rollout begins at the present state
+    :param before_step: function that is called before every step
+    :return: one digest for each step and reset, of the action and all results
     """
     rng = np.random.default_rng(action_seed)
     steps = steps or (12 if is_open_loop(env.spec.id) else 50)
@@ -102,15 +101,15 @@ def transcript(
 
 
 def mixed_action(env: ManipulationEnv, rng: np.random.Generator) -> np.ndarray:
-    """Return the expert's action or, less often, any action, some of it outside the box."""
+    """Return the expert's action or, less often, a random action, partly outside the box."""
     anything = rng.uniform(-1.2, 1.2, env.action_space.shape).astype(np.float32)
     return env.expert_action() if rng.random() < EXPERT_SHARE else anything
 
 
 def advance(env: ManipulationEnv, seed: int, steps: int) -> EnvState:
-    """Return the state after some of the expert's steps; the episode must not have ended.
+    """Return the state after some steps of the expert; the episode must not have ended.
 
-    Where each is an episode of its own, further ones have begun.
+    If each step is an episode, the next one has begun.
     """
     env.reset(seed=seed)
     for _ in range(steps):
@@ -129,7 +128,7 @@ def step_on(env: ManipulationEnv, action: Any) -> Any:
 
 
 def answer(requests: dict[str, tuple[str, dict[str, Any], EnvState | None]]) -> dict[str, list[str]]:
-    """Return the rollout from each state, or from a seeded reset."""
+    """Return the rollouts from states, or from seeded resets."""
     answers = {}
     for name, (env_id, parameters, state) in requests.items():
         env = make_env(env_id, **parameters)

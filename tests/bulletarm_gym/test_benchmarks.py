@@ -1,16 +1,13 @@
-"""The benchmarks say what the paper's tables say, and the registered environments agree."""
+"""Benchmarks: the numbers of the paper's tables, and the defaults of the registered environments."""
 
-import dataclasses
-from collections.abc import Callable
-
-import gymnasium
 import pytest
 
 import bulletarm_gym
-from bulletarm_gym.benchmarks import BENCHMARKS, Benchmark
-from bulletarm_gym.env import ManipulationEnv
+from bulletarm_gym.benchmarks import BENCHMARKS
+from bulletarm_gym.config import Context, EnvConfig
+from bulletarm_gym.registry import PAPER, load
 
-# The paper's rows, transcribed: number of objects, optimal and maximal number of steps.
+# The paper's tables, transcribed by column: number of objects, optimal and maximum number of steps.
 OPEN_LOOP_3D = """
 BlockStacking HouseBuilding1 HouseBuilding2 HouseBuilding3 HouseBuilding4 ImproviseHouseBuilding2
 ImproviseHouseBuilding3 BinPacking BottleArrangement BoxPalletizing CovidTest ObjectGrasping
@@ -25,6 +22,8 @@ DrawerOpening ObjectGrasping
 3 7 7 7 11 12 12 14 9 7
 50 50 50 50 50 50 50 50 50 50
 """
+EPISODES = {"CovidTest": 500, "Ramp": 1000, "OpenLoop": 200, "CloseLoop": 100}
+"""Number of expert episodes by the first word that is in an id."""
 PARAMETERS = {
     "open_loop_2d": ("pxy", False),
     "open_loop_3d": ("pxyr", True),
@@ -34,91 +33,36 @@ PARAMETERS = {
 }
 
 
-def _rows(table: str) -> list[tuple[str, int, int, int]]:
+def _rows(table: str, prefix: str) -> list[tuple[str, int, int, int]]:
     words = table.split()
     count = len(words) // 4
     names, *numbers = (words[count * row : count * (row + 1)] for row in range(4))
-    return [(name, int(a), int(b), int(c)) for name, a, b, c in zip(names, *numbers, strict=True)]
+    columns = (map(int, column) for column in numbers)
+    return [(f"BulletArm/{prefix}{name}-v0", *row) for name, *row in zip(names, *columns, strict=True)]
 
 
-def _listed(benchmark: Benchmark, prefix: str) -> list[tuple[str, int, int, int]]:
-    chosen = [env for env in benchmark.environments if env.env_id.startswith(f"BulletArm/{prefix}")]
-    return [
-        (
-            env.env_id.removeprefix(f"BulletArm/{prefix}").removesuffix("-v0"),
-            env.num_objects,
-            env.optimal_steps,
-            env.max_steps,
-        )
-        for env in chosen
-    ]
+BUMPS = _rows("HouseBuilding4 BoxPalletizing 6 18 12 36 20 40", "OpenLoopBump")
+ROWS = {name: _rows(OPEN_LOOP_3D, "OpenLoop") for name in ("open_loop_2d", "open_loop_3d")}
+ROWS |= {name: _rows(CLOSE_LOOP_4D, "CloseLoop") for name in ("close_loop_3d", "close_loop_4d")}
+ROWS["open_loop_6d"] = _rows(OPEN_LOOP_3D, "OpenLoopRamp")[:7] + BUMPS
 
 
 @pytest.mark.parametrize("name", PARAMETERS)
-def test_action_spaces_and_orientations(name: str) -> None:
-    sequence, turned = PARAMETERS[name]
-    assert BENCHMARKS[name].name == name
-    assert (BENCHMARKS[name].action_sequence, BENCHMARKS[name].random_orientation) == (sequence, turned)
-
-
-def test_the_papers_tables() -> None:
-    for name in ("open_loop_2d", "open_loop_3d"):
-        assert _listed(BENCHMARKS[name], "OpenLoop") == _rows(OPEN_LOOP_3D)
-    for name in ("close_loop_3d", "close_loop_4d"):
-        assert _listed(BENCHMARKS[name], "CloseLoop") == _rows(CLOSE_LOOP_4D)
-    assert _listed(BENCHMARKS["open_loop_6d"], "OpenLoopRamp") == _rows(OPEN_LOOP_3D)[:7]
-    bumps = _listed(BENCHMARKS["open_loop_6d"], "OpenLoopBump")
-    assert bumps == [("HouseBuilding4", 6, 12, 20), ("BoxPalletizing", 18, 36, 40)]
-    assert len(BENCHMARKS["open_loop_6d"].environments) == 9
-
-
-def test_expert_episodes() -> None:
-    for benchmark in BENCHMARKS.values():
-        for env in benchmark.environments:
-            expected = next(
-                number
-                for part, number in (
-                    ("CovidTest", 500),
-                    ("Ramp", 1000),
-                    ("OpenLoop", 200),
-                    ("CloseLoop", 100),
-                )
-                if part in env.env_id
-            )
-            assert env.expert_episodes == expected
-
-
-def test_in_hand_images() -> None:
-    for benchmark in BENCHMARKS.values():
-        for env in benchmark.environments:
-            size = 40 if "Bump" in env.env_id else 24 if "OpenLoop" in env.env_id else None
-            assert benchmark.make_kwargs(env).get("in_hand_size") == size
-
-
-@pytest.mark.parametrize("name", BENCHMARKS)
-def test_registered_environments_have_these_defaults(make: Callable[..., ManipulationEnv], name: str) -> None:
-    benchmark = BENCHMARKS[name]
-    for row in benchmark.environments:
-        if row.env_id in bulletarm_gym.ENV_IDS:
-            config = make(row.env_id, **benchmark.make_kwargs(row)).config
-            assert (config.num_objects, config.max_steps) == (row.num_objects, row.max_steps)
+def test_benchmarks_have_the_papers_numbers(name: str) -> None:
+    benchmark, entries = BENCHMARKS[name], {entry.env_id: entry for entry in PAPER}
+    assert (benchmark.action_sequence, benchmark.random_orientation) == PARAMETERS[name]
+    rows = benchmark.environments
+    assert [(row.env_id, row.num_objects, row.optimal_steps, row.max_steps) for row in rows] == ROWS[name]
+    for row in rows:
+        assert row.expert_episodes == next(count for word, count in EPISODES.items() if word in row.env_id)
+        size = 40 if "Bump" in row.env_id else 24 if "OpenLoop" in row.env_id else None
+        assert benchmark.make_kwargs(row).get("in_hand_size") == size
+        entry = entries[row.env_id]
+        context = Context(entry.control, load(entry.task).defaults, entry.surface)
+        config = EnvConfig.of(context, benchmark.make_kwargs(row), entry.defaults)
+        assert (config.num_objects, config.max_steps) == (row.num_objects, row.max_steps)
 
 
 def test_every_environment_of_the_benchmarks_is_registered() -> None:
     listed = {env.env_id for benchmark in BENCHMARKS.values() for env in benchmark.environments}
     assert set(bulletarm_gym.PAPER_IDS) == listed and len(listed) == 31
-
-
-def test_they_cannot_be_changed() -> None:
-    benchmark = BENCHMARKS["close_loop_4d"]
-    with pytest.raises(dataclasses.FrozenInstanceError):
-        benchmark.name = "mine"  # type: ignore[misc]
-    with pytest.raises(dataclasses.FrozenInstanceError):
-        benchmark.environments[0].max_steps = 5  # type: ignore[misc]
-
-
-def test_make_takes_the_parameters() -> None:
-    benchmark = BENCHMARKS["close_loop_3d"]
-    env = gymnasium.make(benchmark.environments[0].env_id, **benchmark.make_kwargs(benchmark.environments[0]))
-    assert env.action_space.shape == (4,)
-    env.close()

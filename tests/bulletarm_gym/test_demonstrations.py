@@ -1,10 +1,10 @@
-"""Collections of expert episodes: true, repeatable, and kept whole or not at all."""
+"""Collections of expert episodes, their files, replays and exports."""
 
+import dataclasses
 import io
 import json
 import pickle
 import sys
-from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -19,194 +19,198 @@ from bulletarm_gym.demonstrations import (
     Demonstrations,
     Episode,
     RecordDemonstrations,
+    ReplayError,
     collect,
+    export_lerobot,
     export_minari,
+    exports,
     load,
     replay,
 )
-from bulletarm_gym.demonstrations import episodes as files
+from bulletarm_gym.demonstrations.episodes import HEIGHTS, atomic_path
 from bulletarm_gym.env import ManipulationEnv
 from bulletarm_gym.simulation.shapes import Box, Piece, wavefront
 
-Make = Callable[..., ManipulationEnv]
-
 PICKING = "BulletArm/CloseLoopBlockPicking-v0"
 STACKING = "BulletArm/OpenLoopBlockStacking-v0"
-PACKING = "BulletArm/OpenLoopBinPacking-v0"
-BUMPS = "BulletArm/OpenLoopBumpHouseBuilding4-v0"
-HOUSE = "BulletArm/OpenLoopHouseBuilding1-v0"
+DRAWER = "BulletArm/CloseLoopDrawerOpening-v0"
+RAMP = "BulletArm/OpenLoopRampBlockStacking-v0"
+GRASPING = "BulletArm/CloseLoopObjectGrasping-v0"
+SMALL = {"obs_size": 32}
 QUANTUM = 0.5e-4 + 1e-7
-"""Half of what is stored of a height (m), and what float32 adds to it."""
-BASKETS = {
-    "close loop": (PICKING, "waypoint", {"obs_size": 32}),
+"""Half of a count of stored heights (m), and the rounding to float32."""
+KINDS: dict[str, tuple[str, str, dict[str, Any]]] = {
+    "image": (PICKING, "waypoint", SMALL),
     "state": (PICKING, "waypoint", {"observation": "state"}),
-    "open loop": (STACKING, "waypoint", {"num_objects": 2}),
-    "deconstruction": (HOUSE, "deconstruction", {"num_objects": 3}),
+    "deconstruction": (STACKING, "deconstruction", {"num_objects": 2}),
 }
 
 
-@pytest.fixture(scope="module", params=BASKETS)
+@pytest.fixture(scope="module")
+def picked() -> Demonstrations:
+    """Two episodes with images."""
+    return collect(PICKING, 2, seed=3, env_kwargs=SMALL)
+
+
+@pytest.fixture(scope="module", params=KINDS)
 def basket(request: pytest.FixtureRequest) -> Demonstrations:
     """Two episodes of each kind."""
-    env_id, planner, env_kwargs = BASKETS[request.param]
+    env_id, planner, env_kwargs = KINDS[request.param]
     return collect(env_id, 2, planner, seed=3, env_kwargs=env_kwargs)
 
 
-def replayed(basket: Demonstrations, make: Make, episode: Episode) -> list[tuple[Any, ...]]:
-    """What the environment answers to an episode's actions from its first state."""
-    parameters = {name: value for name, value in basket.about["configuration"].items() if name != "robot"}
-    env = make(basket.env_id, **parameters)
-    env.set_state(episode.state)
-    return [env.step(action) for action in episode.actions]
+def core_of(demonstrations: Demonstrations) -> Any:
+    return demonstrations.make_env().unwrapped
 
 
-def test_a_function_that_no_file_can_name_is_refused() -> None:
-    with pytest.raises(ValueError, match=r"^env_kwargs must have import paths .*reward=<function"):
-        collect("BulletArm/CloseLoopBlockPicking-v0", 1, env_kwargs={"reward": lambda scene, outcome: 0.0})
+def content(episode: Episode) -> list[Any]:
+    arrays = [*episode.observations.values(), episode.actions, episode.rewards, episode.terminations]
+    return [episode.seed, episode.initial_state, *(array.tobytes() for array in arrays)]
 
 
-def test_episodes_are_what_the_environment_does(basket: Demonstrations, make: Make) -> None:
+# Collection
+
+
+def test_episodes_are_what_the_environment_does(basket: Demonstrations) -> None:
     assert len(basket) == 2 and basket.attempts >= 2
-    for episode in basket:
-        for k, (observation, reward, terminated, truncated, _) in enumerate(replayed(basket, make, episode)):
-            assert observation.keys() == episode.observations.keys()
-            for key, values in observation.items():
-                np.testing.assert_allclose(episode.observations[key][k + 1], values, rtol=0.0, atol=QUANTUM)
-            assert (reward, terminated, truncated) == (
-                episode.rewards[k],
-                episode.terminations[k],
-                episode.truncations[k],
-            )
+    with closing(core_of(basket)) as env:
+        for episode in basket:
+            n = len(episode)
+            assert episode.actions.shape == (n, len(basket.action_sequence))
+            assert episode.terminations.tolist() == [False] * (n - 1) + [True] and episode.rewards[-1] == 1.0
+            env.set_state(episode.state)
+            observations = [env.observe()]
+            for k, action in enumerate(episode.actions):
+                observation, reward, terminated, truncated, _ = env.step(action)
+                observations.append(observation)
+                outcome = (episode.rewards[k], episode.terminations[k], episode.truncations[k])
+                assert (reward, terminated, truncated) == outcome
+            for key, values in episode.observations.items():
+                expected = np.stack([observation[key] for observation in observations])
+                np.testing.assert_allclose(values, expected, rtol=0.0, atol=QUANTUM)
+                assert values.dtype == np.float32
 
 
-def test_shapes_and_success(basket: Demonstrations) -> None:
-    for episode in basket:
-        n = len(episode)
-        assert all(len(values) == n + 1 for values in episode.observations.values())
-        assert all(values.dtype == np.float32 for values in episode.observations.values())
-        assert episode.actions.shape == (n, len(basket.about["configuration"]["action_sequence"]))
-        assert episode.terminations[-1] and episode.rewards[-1] == 1.0
-        assert not episode.terminations[:-1].any() and not episode.truncations.any()
+def test_equal_seeds_give_equal_files(picked: Demonstrations) -> None:
+    assert collect(PICKING, 2, seed=3, env_kwargs=SMALL).image == picked.image
+    with closing(core_of(picked)) as env:
+        for episode in picked:
+            heights = env.reset(seed=episode.seed)[0]["heightmap"]
+            np.testing.assert_allclose(episode.observations["heightmap"][0], heights, rtol=0.0, atol=QUANTUM)
 
 
-def test_equal_seeds_give_equal_files() -> None:
-    first, second, other = (
-        collect(HOUSE, 1, "deconstruction", seed=seed, env_kwargs={"num_objects": 2, "obs_size": 32})
-        for seed in (5, 5, 6)
-    )
-    assert first.image == second.image != other.image
+def test_only_successes_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    expert, reset, resets = ManipulationEnv.expert_action, ManipulationEnv.reset, []
 
+    def counted(env: ManipulationEnv, **options: Any) -> Any:
+        resets.append(1)
+        return reset(env, **options)
 
-def test_episodes_begin_with_their_seeds(make: Make) -> None:
-    demonstrations = collect(PICKING, 2, seed=0, env_kwargs={"obs_size": 32})
-    env = make(PICKING, obs_size=32)
-    for episode in demonstrations:
-        observation, _ = env.reset(seed=episode.seed)
-        first = episode.observations["heightmap"][0]
-        np.testing.assert_allclose(first, observation["heightmap"], rtol=0.0, atol=QUANTUM)
-
-
-def test_only_successes_count(monkeypatch: pytest.MonkeyPatch) -> None:
-    expert, resets = ManipulationEnv.expert_action, []
-    monkeypatch.setattr(ManipulationEnv, "reset", _counting(ManipulationEnv.reset, resets))
-    monkeypatch.setattr(
-        ManipulationEnv, "expert_action", lambda env: idle(env) if len(resets) % 2 else expert(env)
-    )
-    demonstrations = collect(PICKING, 2, seed=0, env_kwargs={"max_steps": 20, "obs_size": 32})
-    assert (len(demonstrations), demonstrations.attempts) == (2, 4)
+    monkeypatch.setattr(ManipulationEnv, "reset", counted)
+    monkeypatch.setattr(ManipulationEnv, "expert_action", lambda e: idle(e) if len(resets) % 2 else expert(e))
+    found = collect(PICKING, 2, seed=0, env_kwargs={"max_steps": 20, "obs_size": 32})
+    assert (len(found), found.attempts) == (2, 4)
     monkeypatch.setattr(ManipulationEnv, "expert_action", idle)
     with pytest.raises(RuntimeError, match="0 of 3 attempts succeeded, 1 needed"):
         collect(PICKING, 1, seed=0, env_kwargs={"max_steps": 2}, max_attempts=3)
 
 
-def _counting(method: Callable[..., Any], calls: list[int]) -> Callable[..., Any]:
-    def counted(*args: Any, **kwargs: Any) -> Any:
-        calls.append(1)
-        return method(*args, **kwargs)
+def test_noise_changes_actions(picked: Demonstrations) -> None:
+    noisy = collect(PICKING, 1, seed=3, noise=0.2, env_kwargs=SMALL)
+    assert np.abs(noisy[0].actions).max() <= 1.0 and noisy[0].actions.dtype == np.float32
+    assert not np.array_equal(noisy[0].actions[0], picked[0].actions[0])
+    assert noisy[0].state == picked[0].state and noisy.about["noise"] == 0.2
+    with closing(core_of(noisy)) as env:
+        assert list(replay(noisy, 0, env))
 
-    return counted
+
+@pytest.mark.parametrize(
+    ("arguments", "options", "message"),
+    [
+        ((PICKING, 0), {}, "^episodes must be .*, got 0"),
+        ((PICKING, "3"), {}, "^episodes must be .*, got '3'"),
+        ((PICKING, 1, "magic"), {}, "^planner must be .*, got 'magic'"),
+        ((PICKING, 1, "deconstruction"), {}, "^planner must be .*close-loop"),
+        (("BulletArm/OpenLoopBinPacking-v0", 1, "deconstruction"), {}, "^planner must be .*BinPacking"),
+        (("BulletArm/OpenLoopBumpHouseBuilding4-v0", 1, "deconstruction"), {}, "^planner .*surface"),
+        ((STACKING, 1, "deconstruction"), {"noise": 0.1}, "noise must be 0"),
+        (("CartPole-v1", 1), {}, "^env_id must be .*CartPole"),
+        ((PICKING, 1), {"seed": -1}, "^seed must be .*, got -1"),
+        ((PICKING, 1), {"max_attempts": 0}, "^max_attempts must be .*, got 0"),
+        ((PICKING, 1), {"env_kwargs": "obs_size"}, "^env_kwargs must be .*, got 'obs_size'"),
+        ((PICKING, 1), {"env_kwargs": {"reward": lambda s, o: 0.0}}, "^env_kwargs must .*reward=<function"),
+        ((PICKING, 1), {"noise": -0.1}, "^noise must be .*, got -0.1"),
+    ],
+)
+def test_collect_rejects_other_arguments(arguments: Any, options: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        collect(*arguments, **options)
+
+
+def test_path_must_not_be_a_folder(tmp_path: Path) -> None:
+    must = f"^path must be a file such as .*, got the folder {tmp_path}"
+    with pytest.raises(ValueError, match=must):
+        collect(PICKING, 1, path=tmp_path)
+    with closing(gymnasium.make(PICKING, obs_size=16)) as env, pytest.raises(ValueError, match=must):
+        RecordDemonstrations(env, tmp_path)
 
 
 # Files
 
 
-def test_files_come_back_whole(basket: Demonstrations, tmp_path: Path) -> None:
+def test_files_keep_everything(basket: Demonstrations, tmp_path: Path) -> None:
     path = tmp_path / "new" / "demonstrations.h5"
     basket.save(path)
     assert [entry.name for entry in path.parent.iterdir()] == [path.name]
+    before = set(sys.modules)
     back = load(path)
+    assert all(episode.state.made_of for episode in back)
+    assert set(sys.modules) == before, "loading imports nothing"
     assert back.image == basket.image and back.about == basket.about
-    assert pickle.loads(pickle.dumps(back))[1].initial_state == basket[1].initial_state
-    assert basket[-1].seed == basket[1].seed
+    assert content(pickle.loads(pickle.dumps(back))[-1]) == content(basket[1])
     with pytest.raises(IndexError):
         basket[2]
 
 
-def test_any_reader_finds_everything(basket: Demonstrations) -> None:
-    with h5py.File(io.BytesIO(basket.image)) as file:
-        for number, episode in enumerate(basket):
-            group = file[f"episodes/{number}"]
-            assert group["seed"][()] == episode.seed
-            assert json.loads(group["configuration"][()]) == basket.about["configuration"]
-            assert "pybullet" in json.loads(group["versions"][()])
-            assert json.loads(bytes(group["initial_state"][:])) == json.loads(episode.initial_state)
-            for key in files.HEIGHTS:
-                if key in group["observations"]:
-                    stored = group["observations"][key]
-                    assert stored.dtype == np.uint16 and stored.attrs["metres_per_count"] == 1e-4
-                    assert stored.compression == "gzip"
-
-
-def test_a_slice_holds_its_episodes(basket: Demonstrations, tmp_path: Path) -> None:
+def test_slices_are_demonstrations(basket: Demonstrations, tmp_path: Path) -> None:
     part = basket[1:]
     part.save(tmp_path / "part.h5")
     (episode,) = load(tmp_path / "part.h5")
-    assert _content(episode) == _content(basket[1]) and part.attempts == 1
+    assert content(episode) == content(basket[1]) and part.attempts == 1
     assert part.about == basket.about and len(basket[:50]) == 2 and not len(basket[2:])
 
 
-def test_noise_changes_actions() -> None:
-    plain, noisy = (
-        collect(PICKING, 1, seed=0, noise=noise, env_kwargs={"obs_size": 32}) for noise in (0, 0.2)
-    )
-    assert np.abs(noisy[0].actions).max() <= 1.0 and noisy[0].actions.dtype == np.float32
-    assert not np.array_equal(noisy[0].actions[0], plain[0].actions[0])
-    assert noisy[0].state == plain[0].state and noisy.about["noise"] == 0.2
-    with closing(noisy.make_env()) as env:
-        assert list(replay(noisy, 0, env.unwrapped))  # type: ignore[arg-type]
-    with pytest.raises(ValueError, match="noise must be 0"):
-        collect(STACKING, 1, "deconstruction", noise=0.1)
+def test_any_reader_of_hdf5_finds_everything(basket: Demonstrations) -> None:
+    with h5py.File(io.BytesIO(basket.image)) as file:
+        for number, episode in enumerate(basket):
+            group = file[f"episodes/{number}"]
+            assert int(group["seed"][()]) == episode.seed
+            assert json.loads(group["configuration"][()]) == basket.about["configuration"]
+            assert "pybullet" in json.loads(group["versions"][()])
+            assert json.loads(bytes(group["initial_state"][:])) == json.loads(episode.initial_state)
+            for stored in (group["observations"][key] for key in HEIGHTS if key in group["observations"]):
+                assert stored.dtype == np.uint16 and stored.attrs["metres_per_count"] == 1e-4
+                assert stored.compression == "gzip"
 
 
-def test_environments_are_made_again(basket: Demonstrations) -> None:
-    env = basket.make_env(max_steps=7)
-    assert env.unwrapped.config.max_steps == 7
-    assert env.unwrapped.config.num_objects == basket.about["configuration"]["num_objects"]
-    env.close()
-
-
-def test_a_folder_of_objects_is_found_from_other_folders_and_after_a_move(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_files_find_a_folder_of_objects_after_a_move(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     objects = tmp_path / "objects"
     objects.mkdir()
     (objects / "box.obj").write_text(wavefront([Piece(Box((0.04, 0.05, 0.04)))]))
     monkeypatch.chdir(tmp_path)
     kwargs = {"object_set": "objects", "num_objects": 1, "obs_size": 16}
-    recorded = collect("BulletArm/CloseLoopObjectGrasping-v0", 1, seed=0, env_kwargs=kwargs)
-    recorded.save("episodes.h5")
+    recorded = collect(GRASPING, 1, seed=0, env_kwargs=kwargs, path="episodes.h5")
     monkeypatch.chdir("/")
-    recorded.make_env().close()
+    recorded.make_env(max_steps=7).close()
     objects.rename(tmp_path / "moved")
-    must = rf"^object_set must be .*, got '{objects}', .* load\(path, object_set="
-    with pytest.raises(ValueError, match=must):
+    with pytest.raises(ValueError, match=rf"^object_set must be .*, got '{objects}'"):
         recorded.make_env()
     moved = load(tmp_path / "episodes.h5", object_set=tmp_path / "moved")
-    with closing(moved.make_env()) as env:
-        assert list(replay(moved, 0, env.unwrapped))  # type: ignore[arg-type]
+    with closing(core_of(moved)) as env:
+        assert list(replay(moved, 0, env))
 
 
-def test_interrupted_collections_leave_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_interrupted_collections_write_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     step, calls = ManipulationEnv.step, []
 
     def interrupted(env: ManipulationEnv, action: Any) -> Any:
@@ -217,12 +221,11 @@ def test_interrupted_collections_leave_nothing(tmp_path: Path, monkeypatch: pyte
 
     monkeypatch.setattr(ManipulationEnv, "step", interrupted)
     with pytest.raises(KeyboardInterrupt):
-        collect(PICKING, 5, seed=0, path=tmp_path / "a.h5", env_kwargs={"obs_size": 32})
+        collect(PICKING, 5, seed=0, path=tmp_path / "a.h5", env_kwargs=SMALL)
     assert len(calls) > 10 and not list(tmp_path.iterdir())
 
 
-def test_interrupted_writes_leave_what_was_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    demonstrations = collect(PICKING, 1, seed=0, env_kwargs={"obs_size": 32})
+def test_writes_are_atomic(picked: Demonstrations, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "a.h5"
     path.write_bytes(b"older")
 
@@ -232,117 +235,138 @@ def test_interrupted_writes_leave_what_was_there(tmp_path: Path, monkeypatch: py
 
     monkeypatch.setattr(Path, "write_bytes", half)
     with pytest.raises(OSError, match="no space"):
-        demonstrations.save(path)
+        picked.save(path)
+    with pytest.raises(KeyError), atomic_path(tmp_path / "folder") as temporary:
+        temporary.mkdir()
+        (temporary / "file").touch()
+        raise KeyError
     assert path.read_bytes() == b"older" and list(tmp_path.iterdir()) == [path]
 
 
-def test_other_files_are_refused(tmp_path: Path) -> None:
+def test_load_rejects_other_files(picked: Demonstrations, tmp_path: Path) -> None:
     path = tmp_path / "a.h5"
-    path.write_text("text")
-    with pytest.raises(ValueError, match="not a file of demonstrations"):
-        load(path)
     with h5py.File(path, "w") as file:
         file["something"] = 1
-    with pytest.raises(ValueError, match="not a file of demonstrations"):
-        load(path)
+    for other in (b"text", path.read_bytes(), bytes(512) + picked.image[512:]):
+        path.write_bytes(other)
+        with pytest.raises(ValueError, match=f"^{path}: not a file of demonstrations"):
+            load(path)
 
 
-def test_a_flipped_bit_is_noticed(tmp_path: Path) -> None:
-    """Wherever it is, nothing else is read than was written, or the error names the file."""
-    whole = collect("BulletArm/CloseLoopBlockReaching-v0", 1, seed=0, env_kwargs={"obs_size": 16}).image
-    expected = _content(Demonstrations(whole)[0])
-    path, refused = tmp_path / "damaged.h5", 0
-    rng = np.random.default_rng(0)
-    for position in rng.integers(len(whole), size=300).tolist():
+def test_load_notices_a_flipped_bit(picked: Demonstrations, tmp_path: Path) -> None:
+    """Whichever it is, the content is the same or the error names the file."""
+    whole, expected = picked.image, content(picked[0])
+    path, refused, rng = tmp_path / "damaged.h5", 0, np.random.default_rng(0)
+    for position in rng.integers(len(whole), size=100).tolist():
         damaged = bytearray(whole)
         damaged[position] ^= 1 << int(rng.integers(8))
         path.write_bytes(damaged)
         try:
-            assert _content(load(path)[0]) == expected
+            assert content(load(path)[0]) == expected
         except ValueError as error:
             refused += 1
             assert str(error).startswith(f"{path}: a file of demonstrations, but damaged")
-    assert refused > 280
+    assert refused > 90
 
 
-def _content(episode: Episode) -> list[Any]:
-    arrays = [*episode.observations.values(), episode.actions, episode.rewards, episode.terminations]
-    return [episode.seed, episode.initial_state, *(array.tobytes() for array in arrays)]
+def test_replay_notices_another_course(picked: Demonstrations, monkeypatch: pytest.MonkeyPatch) -> None:
+    with closing(core_of(picked)) as env:
+        assert list(replay(picked, 0, env)) == list(range(len(picked[0]) + 1))
+        other = dataclasses.replace(picked[0], actions=picked[0].actions[::-1])
+        monkeypatch.setattr(Demonstrations, "__getitem__", lambda self, index: other)
+        monkeypatch.setitem(picked.about["versions"], "numpy", "0.1")
+        with pytest.raises(
+            ReplayError, match=r"episode 0, step \d+: heightmap .*recorded with numpy 0\.1, here"
+        ):
+            list(replay(picked, 0, env))
 
 
-def test_load_rejects_files_without_a_checksum(basket: Demonstrations) -> None:
-    with pytest.raises(ValueError, match=r"^other\.h5: not a file of demonstrations$"):
-        Demonstrations(bytes(512) + basket.image[512:], "other.h5")
+# Exports
 
 
-def test_loading_a_file_imports_nothing(basket: Demonstrations, tmp_path: Path) -> None:
-    basket.save(tmp_path / "a.h5")
-    before = set(sys.modules)
-    assert all(episode.state.made_of for episode in load(tmp_path / "a.h5"))
-    assert set(sys.modules) == before
+def test_exports_name_missing_libraries(picked: Demonstrations, monkeypatch: pytest.MonkeyPatch) -> None:
+    exporters: dict[str, Any] = {"minari": export_minari, "lerobot": export_lerobot}
+    for library, export in exporters.items():
+        monkeypatch.setitem(sys.modules, library, None)
+        with pytest.raises(ImportError, match=rf"bulletarm-gym\[{library}\]"):
+            export(picked, "bulletarm/picking/expert-v0")
 
 
-# Refusals
+def test_frames_hold_what_sensors_of_the_environment_read(picked: Demonstrations) -> None:
+    camera = {"size": 32, "position": [1.0, 0.2, 0.6]}
+    episode = picked[1]
+    with closing(core_of(picked)) as env:
+        frames = list(exports.frames(1, picked, env, {"side": camera}, object_poses=True))
+        plain = next(exports.frames(1, picked, env, {"side": camera}))
+    assert frames[0].keys() - plain.keys() == {"observation.environment_state"}
+    sensors = ["holding", "state", {"name": "side", "sensor": "rgb", **camera}]
+    with closing(gymnasium.make(PICKING, observation=sensors)) as other:
+        observation, _ = other.reset(seed=episode.seed)
+        for k, frame in enumerate(frames):
+            expected = {
+                "observation.images.side": observation["side"].transpose(1, 2, 0),
+                "observation.state": np.concatenate([observation["state"][:6], observation["holding"]]),
+                "observation.environment_state": observation["state"][6:],
+                "observation.heightmap": episode.observations["heightmap"][k].transpose(1, 2, 0),
+                "observation.holding": episode.observations["holding"][k],
+                "action": episode.actions[k],
+                "next.reward": episode.rewards[k, None],
+                "next.done": episode.terminations[k, None],
+                "next.success": episode.terminations[k, None],
+            }
+            assert frame.keys() == expected.keys()
+            for name, values in expected.items():
+                np.testing.assert_array_equal(frame[name], values)
+            observation, *_ = other.step(episode.actions[k])
 
 
-@pytest.mark.parametrize(
-    ("arguments", "reason"),
-    [
-        ((PICKING, 0), "^episodes must be an integer of at least 1, got 0"),
-        ((PICKING, "3"), "^episodes must be an integer of at least 1, got '3'"),
-        ((PICKING, 1, "magic"), "^planner must be one of .*, got 'magic'"),
-        ((PICKING, 1, "deconstruction"), "close-loop"),
-        ((PACKING, 1, "deconstruction"), "BinPacking builds no structure"),
-        ((BUMPS, 1, "deconstruction"), "blocks do not stay"),
-        (("CartPole-v1", 1), "env_id"),
-    ],
-    ids=str,
-)
-def test_wrong_arguments_are_refused(arguments: tuple[Any, ...], reason: str) -> None:
-    with pytest.raises(ValueError, match=reason):
-        collect(*arguments)
+def test_features_describe_the_frames() -> None:
+    sensors = ["state", "color", "segmentation", "holding"]
+    env_kwargs = {"observation": sensors, "obs_size": 32}
+    found = []
+    for env_id, kwargs in ((DRAWER, env_kwargs), (RAMP, {"num_objects": 2, "obs_size": 48})):
+        demonstrations = collect(env_id, 1, seed=0, env_kwargs=kwargs)
+        with closing(core_of(demonstrations)) as env:
+            frame = next(exports.frames(0, demonstrations, env, {"front": {"size": 16}}, True))
+            found.append(exports.features(env, frame))
+            if env_id == DRAWER:
+                with pytest.raises(ValueError, match=r"cameras must .*observation\.images\.color"):
+                    next(exports.frames(0, demonstrations, env, {"color": {}}))
+    drawer, ramp = found
+    assert drawer["observation.images.color"] == {
+        "dtype": "image", "shape": (32, 32, 3), "names": ["height", "width", "channels"]
+    }  # fmt: skip
+    assert drawer["observation.segmentation"]["dtype"] == "uint8"
+    assert drawer["observation.environment_state"]["names"][-1] == "drawer.joint_0"
+    assert ramp["action"]["names"] == ["p", "x", "y", "z", "theta", "phi", "psi"]
+    assert ramp["observation.in_hand"]["shape"] == (24, 24, 3) and ramp["next.done"]["dtype"] == "bool"
+    for feature in (*drawer.values(), *ramp.values()):
+        (*_, last), names = feature["shape"], feature["names"]
+        assert names is None or len(names) == (3 if len(feature["shape"]) == 3 else last)
 
 
-@pytest.mark.parametrize(
-    ("name", "value", "must"),
-    [
-        ("seed", -1, "an integer of at least 0"),
-        ("seed", "a", "an integer of at least 0"),
-        ("max_attempts", 0, "an integer of at least 1"),
-        ("env_kwargs", "obs_size", "a dict"),
-        ("noise", -0.1, "a number from 0 to 1"),
-    ],
-)
-def test_collect_names_the_wrong_argument(name: str, value: Any, must: str) -> None:
-    with pytest.raises(ValueError, match=rf"^{name} must be {must}, got {value!r}"):
-        collect(PICKING, 1, **{name: value})
+@pytest.mark.parametrize("parameters", [{"fov": 500}, {"zoom": 2}], ids=str)
+def test_cameras_of_exports_are_checked(picked: Demonstrations, parameters: dict[str, Any]) -> None:
+    with (
+        closing(core_of(picked)) as env,
+        pytest.raises(ValueError, match=f"cameras: top: .*{next(iter(parameters))}"),
+    ):
+        next(exports.frames(0, picked, env, {"top": parameters}))
 
 
-def test_folders_are_no_files(tmp_path: Path) -> None:
-    must = f"^path must be a file such as .*, got the folder {tmp_path}"
-    with pytest.raises(ValueError, match=must):
-        collect(PICKING, 1, path=tmp_path)
-    with closing(gymnasium.make(PICKING, obs_size=16)) as env, pytest.raises(ValueError, match=must):
-        RecordDemonstrations(env, tmp_path)
-
-
-# Minari
-
-
-def test_minari_missing(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "minari", None)
-    demonstrations = collect(PICKING, 1, seed=0, env_kwargs={"obs_size": 32})
-    with pytest.raises(ImportError, match=r"bulletarm-gym\[minari\]"):
-        export_minari(demonstrations, "bulletarm/picking/expert-v0")
-
-
-def test_minari_dataset(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    pytest.importorskip("minari")
-    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
-    demonstrations = collect(PICKING, 2, seed=0, env_kwargs={"obs_size": 32})
-    dataset = export_minari(demonstrations, "bulletarm/picking/expert-v0", description="Picks a block")
-    assert len(dataset) == 2
-    for ours, theirs in zip(demonstrations, dataset, strict=True):
-        np.testing.assert_array_equal(ours.actions, theirs.actions)
-        for key, values in ours.observations.items():
-            np.testing.assert_array_equal(values, theirs.observations[key])
+def test_lerobot_dataset(picked: Demonstrations, tmp_path: Path) -> None:
+    pytest.importorskip("lerobot")
+    dataset = export_lerobot(picked, "bulletarm/picking", tmp_path / "set", task="Pick it up", fps=10)
+    assert (len(dataset), dataset.num_episodes, dataset.fps) == (sum(map(len, picked)), 2, 10)
+    last = dataset[len(dataset) - 1]
+    assert last["task"] == "Pick it up" and bool(last["next.success"]) and float(last["next.reward"]) == 1.0
+    np.testing.assert_array_equal(last["action"], picked[1].actions[-1])
+    image = picked[1].observations["heightmap"][-2].transpose(1, 2, 0)
+    np.testing.assert_array_equal(last["observation.heightmap"], image)
+    assert last["observation.images.front"].shape == (3, 240, 240)
+    assert dataset.meta.stats["observation.heightmap"]["mean"].shape == (1,)
+    with pytest.raises(FileExistsError):
+        export_lerobot(picked, "bulletarm/picking", tmp_path / "set")
+    with pytest.raises(ValueError, match="cameras"):
+        export_lerobot(picked, "bulletarm/picking", tmp_path / "other", cameras={"top": {"zoom": 2}})
+    assert [path.name for path in tmp_path.iterdir()] == ["set"]

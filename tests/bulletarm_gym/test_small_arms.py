@@ -55,7 +55,7 @@ SMALLEST = {"workspace": [[0.4, 0.44], [-0.02, 0.02], [0.005, 0.12]], "object_sc
         ("CloseLoopBlockPicking", {**SMALLEST, "home_height": 0.1, "lift_height": 0.08}),
         ("OpenLoopBlockStacking", {"robot": SMALL, **PARAMETERS, "num_objects": 2}),
     ],
-    ids=str,
+    ids=["closed loop", "small arm"],
 )
 def test_expert_solves_tasks_in_a_small_workspace(task: str, parameters: dict[str, Any]) -> None:
     env, solved = make_env(f"BulletArm/{task}-v0", **parameters), 0

@@ -1,4 +1,4 @@
-"""One image of everything observed, and the libraries that take it as it is."""
+"""Observations as one image, for libraries that accept nothing else."""
 
 import pickle
 import warnings
@@ -10,12 +10,9 @@ import pytest
 from gymnasium import spaces
 from gymnasium.utils.env_checker import check_env as check_gymnasium
 from gymnasium.wrappers import FrameStackObservation
-from sb3_contrib import TQC, CrossQ
-from stable_baselines3 import PPO, SAC
 from stable_baselines3.common.env_checker import check_env as check_sb3
-from stable_baselines3.common.torch_layers import NatureCNN
 
-import bulletarm_gym
+import bulletarm_gym  # noqa: F401
 from bulletarm_gym.wrappers import ImageObservation
 
 CLOSE, OPEN = "BulletArm/CloseLoopBlockPicking-v0", "BulletArm/OpenLoopRampBlockStacking-v0"
@@ -23,7 +20,7 @@ HALF_A_COUNT = 0.5 / 255
 
 
 class Sensors(gymnasium.Env[dict[str, Any], Any]):
-    """Shows an image of bytes, a smaller one of numbers, and two numbers."""
+    """Observes an image of bytes, a smaller one of numbers, and two numbers."""
 
     observation_space: Any = spaces.Dict(
         colour=spaces.Box(0, 255, (3, 8, 8), np.uint8),
@@ -38,104 +35,54 @@ class Sensors(gymnasium.Env[dict[str, Any], Any]):
 
 
 def test_every_image_and_number_is_a_channel() -> None:
-    env = ImageObservation(Sensors())
+    env, last = ImageObservation(Sensors()), ImageObservation(Sensors(), channels_last=True)
     assert env.channels == ("colour_0", "colour_1", "colour_2", "depth", "pair_0", "pair_1")
-    image, _ = env.reset()
+    image, seen = env.reset()[0], Sensors().reset()[0]
     assert image in env.observation_space
-    np.testing.assert_array_equal(image[:3], Sensors().reset()[0]["colour"])
+    np.testing.assert_array_equal(image[:3], seen["colour"])
     np.testing.assert_array_equal(image[3:], np.broadcast_to([[[191]], [[255]], [[64]]], (3, 8, 8)))
-
-
-def test_channels_last() -> None:
-    first, last = ImageObservation(Sensors()), ImageObservation(Sensors(), channels_last=True)
-    image, _ = last.reset()
-    assert image in last.observation_space
-    np.testing.assert_array_equal(image, first.reset()[0].transpose(1, 2, 0))
-
-
-def test_images_of_an_episode() -> None:
-    env = ImageObservation(Sensors())
-    seen = Sensors().reset()[0]
+    assert last.reset()[0] in last.observation_space
+    np.testing.assert_array_equal(last.reset()[0], image.transpose(1, 2, 0))
     images = env.images({key: np.stack([value, 0 * value]) for key, value in seen.items()})
-    np.testing.assert_array_equal(images[0], env.observation(seen))
+    np.testing.assert_array_equal(images[0], image)
     np.testing.assert_array_equal(images[1][:, 0, 0], [0, 0, 0, 128, 0, 128])
 
 
-@pytest.mark.parametrize("env_id", bulletarm_gym.ENV_IDS)
-def test_every_id_as_an_image(env_id: str) -> None:
-    env = ImageObservation(gymnasium.make(env_id, obs_size=64))
-    image, _ = env.reset(seed=0)
-    assert image in env.observation_space and image.shape[1:] == (64, 64)
-    inner: Any = env.unwrapped
-    heightmap = inner.observe()["heightmap"][0]
-    assert np.abs(image[env.channels.index("heightmap")] / 255 - heightmap / 0.4).max() < 1.01 * HALF_A_COUNT
-    env.close()
-
-
-def test_resizing_keeps_means_and_places() -> None:
-    large = gymnasium.make(OPEN, obs_size=128)
-    small = ImageObservation(gymnasium.make(OPEN, obs_size=128), size=32)
-    observation, _ = large.reset(seed=3)
-    image, _ = small.reset(seed=3)
-    blocks = observation["heightmap"][0].reshape(32, 4, 32, 4).mean(axis=(1, 3)) / 0.4
-    assert np.corrcoef(blocks.ravel(), image[0].ravel())[0, 1] > 0.98
-    assert abs(blocks.mean() - image[0].mean() / 255) < HALF_A_COUNT
-
-
 @pytest.mark.parametrize("env_id", [CLOSE, OPEN])
-def test_checks_of_gymnasium_and_sb3(env_id: str) -> None:
+def test_image_of_an_environment(env_id: str) -> None:
     env = ImageObservation(gymnasium.make(env_id, obs_size=48))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         check_sb3(env)
         warnings.filterwarnings("ignore", message=".*different from the unwrapped version")
         check_gymnasium(env, skip_render_check=True)
+    image, _ = env.reset(seed=0)
+    inner: Any = env.unwrapped
+    heightmap = inner.observe()["heightmap"][0]
+    assert np.abs(image[env.channels.index("heightmap")] / 255 - heightmap / 0.4).max() < 1.01 * HALF_A_COUNT
+    assert FrameStackObservation(env, 2).reset(seed=0)[0].shape == (2, *image.shape)
+    env.close()
 
 
-def test_spec_makes_it_again() -> None:
-    env = ImageObservation(gymnasium.make(CLOSE), size=40)
-    again = gymnasium.make(env.spec)  # type: ignore[arg-type]
-    assert again.observation_space == env.observation_space
-    assert pickle.loads(pickle.dumps(again)).observation_space == env.observation_space
+def test_resizing_keeps_means_and_positions() -> None:
+    large, small = (
+        gymnasium.make(OPEN, obs_size=128),
+        ImageObservation(gymnasium.make(OPEN, obs_size=128), 32),
+    )
+    observation, _ = large.reset(seed=3)
+    image, _ = small.reset(seed=3)
+    blocks = observation["heightmap"][0].reshape(32, 4, 32, 4).mean(axis=(1, 3)) / 0.4
+    assert np.corrcoef(blocks.ravel(), image[0].ravel())[0, 1] > 0.98
+    assert abs(blocks.mean() - image[0].mean() / 255) < HALF_A_COUNT
+    again = gymnasium.make(small.spec)
+    assert again.observation_space == small.observation_space
+    assert pickle.loads(pickle.dumps(again)).observation_space == small.observation_space
 
 
 @pytest.mark.parametrize(
     ("parameters", "size", "message"),
-    [
-        ({"observation": "state"}, None, "^env must observe a Dict of images .*, got 'state'"),
-        ({}, 0, "^size must be an integer of at least 1, got 0"),
-        ({}, "large", "^size must be an integer of at least 1, got 'large'"),
-    ],
+    [({"observation": "state"}, None, "^env must .*, got 'state'"), ({}, 0, "^size must .*, got 0")],
 )
-def test_what_is_no_image_is_refused(parameters: dict[str, Any], size: Any, message: str) -> None:
+def test_image_must_be_possible(parameters: dict[str, Any], size: Any, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         ImageObservation(gymnasium.make(CLOSE, **parameters), size)
-
-
-@pytest.mark.parametrize("env_id", [CLOSE, OPEN])
-@pytest.mark.parametrize(
-    ("algorithm", "options"),
-    [
-        (PPO, {"n_steps": 8, "batch_size": 8, "n_epochs": 1}),
-        (SAC, {"learning_starts": 4, "buffer_size": 20, "batch_size": 4}),
-        (TQC, {"learning_starts": 4, "buffer_size": 20, "batch_size": 4}),
-        (CrossQ, {"learning_starts": 4, "buffer_size": 20, "batch_size": 4, "policy": "MlpPolicy"}),
-    ],
-)
-def test_stock_algorithms_learn_from_it(algorithm: Any, options: dict[str, Any], env_id: str) -> None:
-    """CrossQ has no policy for images; with the extractor named it has."""
-    env = ImageObservation(gymnasium.make(env_id, obs_size=40))
-    narrow: dict[str, Any] = {"net_arch": [16]}
-    if algorithm is CrossQ:
-        narrow["features_extractor_class"] = NatureCNN
-    model = algorithm(**{"policy": "CnnPolicy", "env": env, "seed": 0, "policy_kwargs": narrow, **options})
-    before = [parameter.clone() for parameter in model.policy.parameters()]
-    model.learn(8)
-    assert isinstance(next(m for m in model.policy.modules() if isinstance(m, NatureCNN)), NatureCNN)
-    assert any((old != new).any() for old, new in zip(before, model.policy.parameters(), strict=True))
-    env.close()
-
-
-def test_frames_stack() -> None:
-    env = FrameStackObservation(ImageObservation(gymnasium.make(CLOSE, obs_size=40)), 2)
-    assert env.reset(seed=0)[0].shape == (2, 2, 40, 40)

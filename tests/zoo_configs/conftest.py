@@ -1,7 +1,5 @@
 """Trainings on a quick environment."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -86,8 +84,8 @@ def refuse(
     toy_id: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> Refuse:
     """
-    Runs a command line that cannot be followed, with ``TOY`` for the toy's id, in an empty folder: checks
-    exit code and that nothing is left behind, and returns the one line that it says.
+    Runs a command line with a mistake in an empty folder, with ``TOY`` for the toy's id. Checks that the exit
+    status is 2 and that nothing is left behind, and returns the one line of the error output.
     """
 
     def run(*words: str) -> str:
@@ -95,7 +93,9 @@ def refuse(
         before = set(tmp_path.rglob("*"))
         capsys.readouterr()
         assert main([toy_id if word == "TOY" else word for word in words]) == 2
-        [line] = capsys.readouterr().err.splitlines()
+        printed = capsys.readouterr()
+        [line] = printed.err.splitlines()
+        assert len(printed.out.splitlines()) <= 3
         assert line.startswith(f"bulletarm-zoo {words[0]}: error: ")
         assert set(tmp_path.rglob("*")) == before
         return line

@@ -1,7 +1,5 @@
 """What the tests of benchmarks share: a tiny benchmark, and how its runs are compared."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

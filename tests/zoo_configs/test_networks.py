@@ -1,89 +1,83 @@
-"""Every network of every preset, built by what `train` runs: what it says before it has learned anything."""
-
-from __future__ import annotations
+"""Networks of the presets as ``train`` builds them, before they have learned anything."""
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
+import imageio.v3 as iio
 import numpy as np
 import pytest
 import torch as th
-from stable_baselines3.common.base_class import BaseAlgorithm
 
+from bulletarm_gym.benchmarks import BENCHMARKS
 from measure_updates import make_model
-from zoo_configs.cells.cell import resolve
-from zoo_configs.cells.rules import family_of
 from zoo_configs.cli import main
+from zoo_configs.drawing.video import PANEL_SIZE
 from zoo_configs.environments import register_environments
+from zoo_configs.experiments.config import resolve
 from zoo_configs.training.trainer import Trainer
 
 register_environments()
-STACKING = "BulletArm/CloseLoopBlockStacking-v0"
+BLOCKS, STACKING = "BulletArm/CloseLoopBlockStacking-v0", "BulletArm/OpenLoopBlockStacking-v0"
+RAMP = "BulletArm/OpenLoopRampBlockStacking-v0"
 SCALES = {
     "plain": {"standardise": None, "above_ground": None},
     "centimetres": {"standardise": [0.1, 0.01], "above_ground": None},
     "heights": {"standardise": [0.0, 0.1], "above_ground": [0.2, 0.1]},
 }
-FAMILY = family_of(STACKING)
-SEEING = [name for name, row in FAMILY.baselines.items() if row.network != "state"]
+CLOSED_LOOP = [
+    *((name, "heights") for name in ("rad_sac", "drq_sacfd", "ferm_sacfd", "equi_sacfd_per_aug", "equi_tqc")),
+    *((name, scale) for name in ("sacfd", "equi_sacfd") for scale in SCALES),
+]
+OPEN_LOOP = [
+    *(
+        (network, STACKING, "open_loop_3d")
+        for network in ("fcn", "equi_fcn", "rot_fcn", "cnn_asr", "equi_asr")
+    ),
+    ("equi_fcn", STACKING, "open_loop_2d"),
+    ("cnn_asr_6d", RAMP, "open_loop_6d"),
+    ("equi_deictic_asr", "BulletArm/OpenLoopBumpHouseBuilding4-v0", "open_loop_6d"),
+]
 Build = Callable[..., Any]
 
 
 @pytest.fixture
-def build(toy_id: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Build:
-    """Runs `bulletarm-zoo train` up to the first step: ``build(baseline, preset, *hyperparameters)``."""
-    built: list[BaseAlgorithm] = []
-    monkeypatch.setattr(Trainer, "learn", lambda trainer: not built.append(trainer.model))
+def build(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Build]:
+    """Runs ``bulletarm-zoo train`` up to the first step and returns the model and its first observation."""
+    built: list[Any] = []
 
-    def run(baseline: str, preset: str, *params: str) -> BaseAlgorithm:
-        arguments = ["train", "--baseline", baseline, "--preset", preset, "--env", toy_id, "--seed", "0"]
-        arguments += ["-f", str(tmp_path), "--device", "cpu", "--vec-env", "dummy", "--no-progress"]
-        assert main([*arguments, "--eval-freq", "-1", "-params", "buffer_size:100", *params]) == 0
+    def learn(trainer: Any) -> bool:
+        built.append((trainer.model, trainer.model.get_env().reset()))
+        return True
+
+    monkeypatch.setattr(Trainer, "learn", learn)
+
+    def run(baseline: str, preset: str, env_id: str, *more: str) -> Any:
+        words = ["train", "--baseline", baseline, "--preset", preset, "--env", env_id, "--seed", "0"]
+        words += ["-f", str(tmp_path), "--device", "cpu", "--vec-env", "dummy", "--no-progress"]
+        assert main([*words, "--eval-freq", "-1", *more, "n_envs:1"]) == 0
         return built[-1]
 
-    return run
+    yield run
 
 
 @functools.cache
 def real_observations(**env_kwargs: Any) -> dict[str, th.Tensor]:
-    """What is observed while blocks are stacked, (n, ...) each."""
-    env = gym.make(STACKING, **env_kwargs)
-    observations, ended = [env.reset(seed=0)[0]], False
-    while not ended:
+    """Return the observations while blocks are stacked, (n, ...) each."""
+    env = gym.make(BLOCKS, **env_kwargs)
+    observations, over = [env.reset(seed=0)[0]], False
+    while not over:
         observation, _, terminated, truncated, _ = env.step(env.unwrapped.expert_action())  # type: ignore[attr-defined]
         observations.append(observation)
-        ended = terminated or truncated
+        over = terminated or truncated
     env.close()
     return {key: th.as_tensor(np.stack([entry[key] for entry in observations])) for key in observations[0]}
 
 
-@pytest.mark.parametrize("scale", list(SCALES))
-@pytest.mark.parametrize("preset", [name for name in FAMILY.presets if name != "paper"])  # not normalised
-@pytest.mark.parametrize("baseline", SEEING)
-def test_an_untrained_agent_expects_nothing_and_tries_everything(
-    baseline: str, preset: str, scale: str, build: Build
-) -> None:
-    """
-    True values lie in [0, 1]: what a critic says wrongly at first, it says for long. An actor whose actions
-    are large at first explores a few of them only.
-    """
-    kwargs = {"features_extractor_kwargs": SCALES[scale]}
-    model = build(baseline, preset, f"policy_kwargs:{kwargs}")
-    assert_expects_nothing(model, real_observations(obs_size=model.observation_space["heightmap"].shape[-1]))
-
-
-@pytest.mark.parametrize("preset", [name for name in FAMILY.presets if name != "paper"])  # not normalised
-def test_an_untrained_agent_of_states_expects_nothing_and_tries_everything(preset: str) -> None:
-    model = make_model(resolve("sacfd_state", preset, STACKING), "cpu", expert_episodes=0, pretrain_steps=0)
-    assert set(model.observation_space.spaces) == {"state", "holding"}
-    assert_expects_nothing(model, real_observations(observation="state"))
-    model.env.close()
-
-
-def assert_expects_nothing(model: Any, observations: dict[str, th.Tensor]) -> None:
+def check_untrained(model: Any, observations: dict[str, th.Tensor]) -> None:
+    """Check that values lie in [0, 1], and that the actor explores all actions."""
     actions = th.rand(len(observations["holding"]), 5, generator=th.Generator().manual_seed(0)) * 2 - 1
     with th.no_grad():
         mean, log_std, _ = model.actor.get_action_dist_params(observations)
@@ -93,3 +87,50 @@ def assert_expects_nothing(model: Any, observations: dict[str, th.Tensor]) -> No
     assert 0.5 <= log_std.exp().min() and log_std.exp().max() <= 2
     first = {key: value[0].numpy() for key, value in observations.items()}
     assert model.predict(first, deterministic=True)[0].shape == model.action_space.shape
+
+
+@pytest.mark.parametrize("preset", ["cpu", "quick"])  # those of the paper are not normalised
+@pytest.mark.parametrize(("baseline", "scale"), CLOSED_LOOP)
+def test_an_untrained_agent_expects_nothing_and_explores(
+    baseline: str, scale: str, preset: str, build: Build, toy_id: str
+) -> None:
+    kwargs = f"policy_kwargs:{{features_extractor_kwargs: {SCALES[scale]}}}".replace("None", "null")
+    model, _ = build(baseline, preset, toy_id, "-params", "buffer_size:100", kwargs)
+    check_untrained(model, real_observations(obs_size=model.observation_space["heightmap"].shape[-1]))
+
+
+@pytest.mark.parametrize("preset", ["cpu", "quick"])
+def test_an_untrained_agent_of_states_expects_nothing_and_explores(preset: str) -> None:
+    model = make_model(resolve("sacfd_state", preset, BLOCKS), "cpu", expert_episodes=0, pretrain_steps=0)
+    assert set(model.observation_space.spaces) == {"state", "holding"}
+    check_untrained(model, real_observations(observation="state"))
+    model.env.close()
+
+
+@pytest.mark.parametrize("preset", ["cpu", pytest.param("paper", marks=pytest.mark.slow)])
+@pytest.mark.parametrize(("network", "env_id", "benchmark"), OPEN_LOOP)
+def test_an_untrained_spatial_network_expects_nothing(
+    network: str, env_id: str, benchmark: str, preset: str, build: Build
+) -> None:
+    """Networks of the paper, which need a GPU, are built but not evaluated."""
+    model, first = build(f"sdqfd_{network}", preset, env_id, "--benchmark", benchmark, "-params")
+    assert model.policy.action_sequence == BENCHMARKS[benchmark].action_sequence
+    if preset == "paper":
+        return
+    observations, _ = model.policy.obs_to_tensor(first)
+    indices, _ = model.q_net.greedy(observations)
+    with th.no_grad():
+        values = model.q_net.values(observations, indices)
+    assert all(level.isfinite().all() and level.abs().max() <= 1 for level in values)
+
+
+def test_a_video_shows_the_values_of_a_spatial_policy(tmp_path: Path) -> None:
+    model = make_model(resolve("sdqfd_fcn", "cpu", STACKING), "cpu", expert_episodes=0, pretrain_steps=0)
+    model.save(tmp_path / "model")
+    model.env.close()
+    words = [str(tmp_path / "model.zip"), "--env", STACKING, "--env-kwargs", "obs_size:64", "in_hand_size:16"]
+    video = tmp_path / "video.gif"
+    assert main(["record", *words, "max_steps:1", "-n", "1", "-o", str(video), "--device", "cpu"]) == 0
+    frames = iio.imread(video)
+    assert frames.shape[2] == 4 * PANEL_SIZE  # scene, heightmap, in-hand image, values
+    assert len(np.unique(frames[0][:PANEL_SIZE, -PANEL_SIZE:].reshape(-1, 3), axis=0)) > 2

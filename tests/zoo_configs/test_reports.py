@@ -1,65 +1,83 @@
-"""Tables, curves, films and files."""
+"""Lists, curves, tables, videos and files."""
 
-from __future__ import annotations
-
+import csv
+import shlex
+import shutil
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+import torch
 from gymnasium import spaces
+from PIL import Image
 
-from zoo_configs.cells.cell import Cell
+from bulletarm_gym.check.machine import describe_processor
+from zoo_configs import provenance
 from zoo_configs.cli import main
+from zoo_configs.commands.train import build_parser
+from zoo_configs.drawing import curves as drawing
 from zoo_configs.drawing.curves import LearningCurve, draw_curves, load_curve, mean_curve
 from zoo_configs.drawing.video import compose_frame, observed_images
+from zoo_configs.experiments.config import resolve
+from zoo_configs.experiments.flags import find_experiment
 from zoo_configs.files import whole_file
-from zoo_configs.training.runs import Run, claim_run_folder, write_resolved
+from zoo_configs.results import baseline_rows, experiment_row, interquartile_mean, read_experiments
+from zoo_configs.training.options import TrainingOptions, given_options
+from zoo_configs.training.runs import Run, find_runs, repeating_command, write_resolved
 from zoo_configs.training.seeds import SeedStream, stream_seed
+from zoo_configs.training.state import State, run_lock, set_status
 
-REACHING = "BulletArm/CloseLoopBlockReaching-v0"
+PICKING, REACHING = "BulletArm/CloseLoopBlockPicking-v0", "BulletArm/CloseLoopBlockReaching-v0"
+SMALL = {"obs_size": 48}
+OVERRIDES = {"expert_episodes": 7, "replay_buffer_kwargs": {"expert_fraction": 0.4}, "env_kwargs": SMALL}
+GOOD = [[False] * 4, [True, True, False, True], [True, True, True, False]]
+Refuse = Callable[..., str]
 
 
-def test_list_names_ids_parameters_and_baselines(capsys: pytest.CaptureFixture[str]) -> None:
-    for arguments, expected in (
-        ([], REACHING),
-        (["--env", REACHING], "obs_size"),
-        (["--baselines"], "equi_sacfd"),
-    ):
-        assert main(["list", *arguments]) == 0
-        assert expected in capsys.readouterr().out
+# ---- Lists
 
 
 @pytest.mark.parametrize(
-    ("env_id", "surface"), [(REACHING, "flat"), ("BulletArm/OpenLoopBumpHouseBuilding4-v0", "bump")]
+    ("words", "row"),
+    [
+        ([], REACHING),
+        (["--env", REACHING], "surface 'flat'"),
+        (["--env", "BulletArm/OpenLoopBumpHouseBuilding4-v0"], "surface 'bump'"),
+        (["--env", REACHING], "control 'close_loop'"),
+        (["--baselines"], "equi_sacfd_per_aug sacfd equivariant per_aug"),
+    ],
+    ids=str,
 )
-def test_list_tells_the_surface(env_id: str, surface: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["list", "--env", env_id, "--markdown"]) == 0
-    assert f"| surface | '{surface}' |" in capsys.readouterr().out
-
-
-@pytest.mark.parametrize("arguments", [[], ["--env", REACHING], ["--baselines"]], ids=" ".join)
 def test_lists_fit_80_columns(
-    arguments: list[str], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    words: list[str], row: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("COLUMNS", "80")
-    assert main(["list", *arguments]) == 0
+    assert main(["list", *words]) == 0
     lines = capsys.readouterr().out.splitlines()
-    assert max(map(len, lines)) <= 80
+    assert max(len(line) for line in lines if not line.startswith("observation")) <= 80
     assert "…" not in "".join(lines)
+    assert any(row in " ".join(line.split()) for line in lines)
 
 
-def test_help_is_quick() -> None:
-    """Neither PyTorch nor the engine is loaded to tell what a command takes."""
+def test_help_loads_neither_pytorch_nor_the_engine(capsys: pytest.CaptureFixture[str]) -> None:
     code = (
-        "import sys; from zoo_configs.cli import main\n"
-        "for command in ('enjoy', 'record', 'plot', 'benchmark', 'list'):\n"
+        "import sys; from zoo_configs.cli import COMMANDS, main\n"
+        "for command in COMMANDS:\n"
         "    try: main([command, '--help'])\n"
         "    except SystemExit: pass\n"
-        "assert not {'torch', 'pybullet', 'matplotlib'} & set(sys.modules), 'heavy'"
+        "assert not {'torch', 'pybullet', 'matplotlib'} & set(sys.modules)"
     )
     subprocess.run([sys.executable, "-c", code], check=True, capture_output=True)
+    assert main([]) == main(["--version"]) == 0
+    printed = capsys.readouterr().out
+    assert all(name in printed for name in ("train", "enjoy", "record", "plot", "list"))
+
+
+# ---- Curves
 
 
 def test_curves_read_success(tmp_path: Path) -> None:
@@ -72,65 +90,182 @@ def test_curves_read_success(tmp_path: Path) -> None:
     assert (tmp_path / "curve.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_a_mean_curve_takes_at_each_step_the_runs_that_have_it() -> None:
+def test_a_mean_curve_has_at_each_step_the_runs_that_were_evaluated() -> None:
     error, ones = np.full(3, 0.1), np.ones(3, dtype=np.int64)
     long = LearningCurve(np.array([5, 10, 15]), np.array([0.0, 0.5, 1.0]), error, "success", ones)
     short = LearningCurve(np.array([5, 10]), np.array([1.0, 1.0]), error[:2], "success", ones[:2])
     mean = mean_curve([long, short])
     assert mean.timesteps.tolist() == [5, 10, 15]
     assert mean.success.tolist() == [0.5, 0.75, 1.0]
-    assert mean.error == pytest.approx([0.5, 0.25, np.nan], nan_ok=True)  # over seeds, where there are two
+    assert mean.error == pytest.approx([0.5, 0.25, np.nan], nan_ok=True)
     assert mean.runs.tolist() == [2, 2, 1]
     assert mean_curve([long]) is long
 
 
-def evaluated_run(log_folder: Path, env_id: str, timesteps: list[int]) -> None:
-    folder = claim_run_folder(log_folder / "sacfd", env_id)
-    cell = Cell("sacfd", env_id, {"n_timesteps": 10}, {}, "sacfd", "cpu")
-    run = Run(folder, cell, len(list(log_folder.glob("*/*"))))
+def test_plot_draws_values_of_expert_and_online_transitions(
+    trained: Path, tmp_path: Path, refuse: Refuse, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drawn: list[Any] = []
+
+    def subplots(rows: int, columns: int, original: Any = drawing._subplots) -> Any:
+        drawn.append(original(rows, columns))
+        return drawn[-1]
+
+    monkeypatch.setattr(drawing, "_subplots", subplots)
+    assert main(["plot", "-f", str(trained), "--training", "-o", str(tmp_path / "a.png")]) == 0
+    [(_, grid)] = drawn
+    assert [len(axes.lines) for axes in grid.flat] == [2, 2]
+    with Image.open(tmp_path / "a.png") as image:
+        assert image.size[0] > 2 * image.size[1] * 0.9
+    [folder] = trained.glob("sacfd/*_1")
+    (copy := tmp_path / "logs" / "sacfd" / folder.name).mkdir(parents=True)
+    for name in ("hyperparams.yml", "evaluations.npz"):
+        shutil.copy(folder / name, copy / name)
+    assert "logged" in refuse("plot", "-f", str(tmp_path / "logs"), "--training")
+
+
+# ---- Results
+
+
+def add_run(
+    folder: Path, env_id: str, baseline: str, seed: int, successes: list[list[bool]], **changes: Any
+) -> Run:
+    """A run that was evaluated every 10 time steps; it gets the next free folder."""
+    options = {"n_timesteps": 30, "eval_freq": 10, "num_threads": 1, **changes.pop("options", {})}
+    experiment = resolve(baseline, changes.pop("preset", "cpu"), env_id, {**OVERRIDES, **changes})
+    task = env_id.partition("/")[2].partition("-")[0]
+    place = folder / f"{task}_{len(list(folder.glob('*')))}" / baseline / f"seed_{seed}"
+    run = Run(place, experiment, seed, "cpu", TrainingOptions.of(experiment, options))
     write_resolved(run)
-    results = np.zeros((len(timesteps), 2))
-    np.savez(run.evaluations_file, timesteps=timesteps, results=results, successes=results)
+    with run_lock(run.folder):
+        steps = np.arange(1, len(successes) + 1) * 10
+        np.savez(run.evaluations_file, timesteps=steps, results=successes, successes=successes)
+    return run
 
 
-def test_plot_takes_runs_of_different_evaluations(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    for timesteps in ([5, 10], [6, 12]):
-        evaluated_run(tmp_path, REACHING, timesteps)
-    assert main(["plot", "-f", str(tmp_path), "-o", str(tmp_path / "curves.svg")]) == 0
-    assert "CloseLoopBlockReaching" in capsys.readouterr().out
-    assert "<svg" in (tmp_path / "curves.svg").read_text()
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """Two tasks, two baselines, two seeds."""
+    for env_id in (PICKING, REACHING):
+        for seed in range(2):
+            good = [[False] * 4, [True, True, False, seed == 0], [True, True, True, seed == 0]]
+            add_run(tmp_path, env_id, "equi_sacfd", seed, good)
+            add_run(tmp_path, env_id, "sacfd", seed, [[False] * 4, [True] + [False] * 3])
+    return tmp_path
 
 
-def test_plot_tells_what_it_cannot_read_or_write(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    evaluated_run(tmp_path, REACHING, [5, 10])
-    for output, message in (("curves", "must end in .png"), ("/dev/null/a.png", "cannot be written")):
-        assert main(["plot", "-f", str(tmp_path), "-o", output]) == 2
-        assert message in capsys.readouterr().err
-    [evaluations] = tmp_path.glob("sacfd/*/evaluations.npz")
+@pytest.mark.parametrize(
+    ("changes", "label"),
+    [
+        ({"learning_rate": 0.002}, "learning_rate=0.002"),
+        ({"env_kwargs": {**SMALL, "robot": "panda"}}, "robot=panda"),
+        ({"env_kwargs": {**SMALL, "max_steps": 9}}, "max_steps=9"),
+        ({"preset": "quick"}, "preset=quick"),
+        ({"options": {"n_timesteps": 20}}, "n_timesteps=20"),
+        ({"options": {"eval_episodes": 3, "num_threads": 2}}, None),
+    ],
+    ids=str,
+)
+def test_runs_of_other_settings_are_other_experiments(
+    changes: dict[str, Any], label: str | None, tmp_path: Path
+) -> None:
+    """Evaluations and threads do not make an experiment."""
+    add_run(tmp_path, REACHING, "sacfd", 0, GOOD)
+    add_run(tmp_path, REACHING, "sacfd", 1, GOOD, **changes)
+    found = [experiment.label for experiment in read_experiments(tmp_path)]
+    if label is None:
+        assert found == ["sacfd"]
+    else:
+        assert len(found) == 2 and sum(label in one for one in found) == 1
+
+
+def test_an_equal_run_counts_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    longer = add_run(tmp_path, REACHING, "sacfd", 0, GOOD)
+    shorter = add_run(tmp_path, REACHING, "sacfd", 0, GOOD[:2])
+    [experiment] = read_experiments(tmp_path)
+    assert [result.run.folder for result in experiment.results.values()] == [longer.folder]
+    assert str(shorter.folder) in capsys.readouterr().err
+
+
+def test_tables_show_every_seed(folder: Path) -> None:
+    experiments = read_experiments(folder)
+    row = ["CloseLoopBlockPicking", "equi_sacfd", "0.88", "0: 1.00, 1: 0.75", "2 of 2", "30"]
+    assert experiment_row(experiments[0])[:6] == row
+    assert baseline_rows(experiments)[0] == ["equi_sacfd", "0.88", "0: 1.00, 1: 0.75", "0.88", "2", "4"]
+    means = [interquartile_mean(values) for values in ([0.0, 1.0, 0.4, 0.6], [0.0, 1.0, 0.5], [0.3])]
+    assert means == pytest.approx([0.5, 0.5, 0.3])
+
+
+def test_the_command_of_a_run_repeats_it(folder: Path) -> None:
+    run = next(run for run in find_runs(folder) if run.seed == 1)
+    words = shlex.split(repeating_command(run))
+    assert words[:2] == ["bulletarm-zoo", "train"]
+    args = build_parser().parse_args(words[2:])
+    again = find_experiment(args)
+    assert again.hyperparams == run.experiment.hyperparams and args.seed == 1 and args.device == "cpu"
+    assert TrainingOptions.of(again, given_options(args)) == run.options
+
+
+def test_plot_writes_figure_and_tables(
+    folder: Path, capsys: pytest.CaptureFixture[str], refuse: Refuse
+) -> None:
+    assert main(["plot", "-f", str(folder)]) == 0
+    out = capsys.readouterr().out
+    written = [folder / f"learning_curves.{suffix}" for suffix in ("png", "md", "csv")]
+    assert [line.strip() for line in out.splitlines()[-3:]] == [str(path) for path in written]
+    assert written[0].read_bytes().startswith(b"\x89PNG")
+    page = written[1].read_text()
+    assert "](learning_curves.png)" in page and "torch" in page and "interquartile mean" in page
+    assert page.count("    bulletarm-zoo train --env") == 4
+    with written[2].open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 8 and {row["done"] for row in rows} == {"yes"}
+    assert [row["success"] for row in rows[:2]] == ["1.0", "0.75"]
+    svg = str(folder / "curves.svg")
+    assert main(["plot", "-f", str(folder), "--env", PICKING, "--baseline", "sacfd", "-o", svg]) == 0
+    out = capsys.readouterr().out
+    assert "equi_sacfd" not in out and "BlockReaching" not in out
+    evaluations = next(folder.glob("*/*/*/evaluations.npz"))
     evaluations.write_bytes(evaluations.read_bytes()[:100])
-    assert main(["plot", "-f", str(tmp_path)]) == 2
-    assert f"{evaluations} is damaged" in capsys.readouterr().err
+    assert str(evaluations) in refuse("plot", "-f", str(folder))
 
 
-def test_plot_tells_that_there_is_nothing_to_draw(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["plot", "-f", str(tmp_path)]) == 2
-    assert "no evaluated run" in capsys.readouterr().err
+def test_returns_and_failed_runs_are_in_the_table(tmp_path: Path) -> None:
+    run = add_run(tmp_path, REACHING, "sacfd", 0, GOOD)
+    np.savez(run.evaluations_file, timesteps=[10], results=[[3.0, 5.0]])
+    (run.folder / "state.yml").unlink()
+    set_status(run.folder, State.FAILED, "the block is lost")
+    [experiment] = read_experiments(tmp_path)
+    assert experiment_row(experiment)[2:5] == ["4.00", "0: 4.00", "0 of 1"]
+    assert experiment.results[0].curve.measure == "evaluation return"
 
 
-def test_a_frame_shows_picture_and_heightmap() -> None:
+# ---- Videos, files, seeds, provenance
+
+
+def test_record_shows_agent_and_expert(run_folder: Path, toy_id: str, tmp_path: Path) -> None:
+    video = tmp_path / "agent.gif"
+    assert main(["record", str(run_folder), "-n", "2", "--device", "cpu", "-o", str(video)]) == 0
+    with Image.open(video) as image:
+        assert image.n_frames >= 4 and image.size == (640, 352)
+    video = tmp_path / "expert.mp4"
+    assert main(["record", "--expert", "--env", toy_id, "-n", "1", "-o", str(video)]) == 0
+    assert video.stat().st_size > 0
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["agent.gif", "expert.mp4"]
+
+
+def test_a_frame_shows_scene_and_heightmap() -> None:
     space = spaces.Dict({"heightmap": spaces.Box(0, 0.4, (1, 8, 8)), "holding": spaces.Box(0, 1, (1,))})
-    seen = {"heightmap": np.full((1, 8, 8), 0.2, np.float32), "holding": np.zeros(1, np.float32)}
-    (image,) = observed_images(seen, space)
+    observation = {"heightmap": np.full((1, 8, 8), 0.2, np.float32), "holding": np.zeros(1, np.float32)}
+    (image,) = observed_images(observation, space)
     assert image == pytest.approx(np.full((8, 8), 0.5))
-    picture = np.full((60, 80, 3), 7, np.uint8)
-    frame = compose_frame(picture, seen, space, "caption")
+    frame = compose_frame(np.full((60, 80, 3), 7, np.uint8), observation, space, "caption")
     assert frame.shape == (352, 640, 3)
-    assert (frame[:320, :320] == 7).all()
-    assert (frame[:320, 320:] != 7).all()
+    assert (frame[:320, :320] == 7).all() and (frame[:320, 320:] != 7).all()
     assert frame[320:].max() > 200  # there is a text
 
 
-def test_a_file_is_written_whole_or_not_at_all(tmp_path: Path) -> None:
+def test_a_file_is_written_atomically(tmp_path: Path) -> None:
     path = tmp_path / "file.txt"
     path.write_text("before")
     with pytest.raises(RuntimeError), whole_file(path) as partial:
@@ -139,13 +274,39 @@ def test_a_file_is_written_whole_or_not_at_all(tmp_path: Path) -> None:
     assert path.read_text() == "before"
     with whole_file(path) as partial:
         partial.write_text("after")
-    assert path.read_text() == "after"
-    assert list(tmp_path.iterdir()) == [path]
+    assert path.read_text() == "after" and list(tmp_path.iterdir()) == [path]
 
 
-def test_seed_streams_are_apart() -> None:
+def test_seed_streams_are_disjoint() -> None:
     seeds = {
         stream_seed(seed, stream, index) for seed in range(4) for stream in SeedStream for index in range(9)
     }
     assert len(seeds) == 4 * len(SeedStream) * 9
-    assert stream_seed(1, SeedStream.TEST) == stream_seed(1, SeedStream.TEST)
+
+
+def test_a_gpu_is_part_of_the_hardware(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
+    monkeypatch.setattr(torch.cuda, "get_device_name", lambda device: f"GPU {device.index or 0}")
+    processor = describe_processor()
+    machines = [provenance.describe_hardware(device) for device in ("cpu", "cuda:1")]
+    assert machines == [processor, f"{processor}, GPU 1"]
+
+
+def test_the_commit_is_that_of_the_running_code(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def git(*words: str) -> str:
+        who = ["-c", "user.name=a", "-c", "user.email=a@b", "-c", "commit.gpgsign=false"]
+        command = ["git", "-C", str(tmp_path), *who, *words]
+        return subprocess.run(command, check=True, capture_output=True, text=True).stdout.strip()
+
+    (code := tmp_path / "provenance.py").write_text("1")
+    monkeypatch.setattr(provenance, "HERE", code)
+    commit = provenance.commit.__wrapped__
+    assert commit().startswith("version ")  # no checkout
+    git("init", "-q")
+    git("commit", "-q", "--allow-empty", "-m", "another repository, in whose folder the package lies")
+    assert commit().startswith("version ")
+    git("add", ".")
+    git("commit", "-q", "-m", "ours")
+    assert commit() == git("rev-parse", "--short=7", "HEAD")
+    code.write_text("2")
+    assert commit() == git("rev-parse", "--short=7", "HEAD") + "-dirty"

@@ -1,6 +1,4 @@
-"""``bulletarm-zoo tune``: search spaces, trials, and what several processes make of a study."""
-
-from __future__ import annotations
+"""``bulletarm-zoo tune``: search spaces, trials, and studies of several processes."""
 
 import subprocess
 import sys
@@ -12,53 +10,40 @@ from typing import Any
 import optuna
 import pytest
 import yaml
+from experiments import ALL
 from optuna.storages.journal import JournalFileBackend, JournalStorage
 from optuna.trial import FixedTrial, FrozenTrial
+from sweeps import HERE
 
 from zoo_configs.algorithms import algorithm_classes
-from zoo_configs.cells.benchmarks import is_served
-from zoo_configs.cells.cell import Cell, merge, resolve
-from zoo_configs.cells.rules import families
 from zoo_configs.cli import main
-from zoo_configs.environments import our_env_ids, register_environments
 from zoo_configs.errors import CommandError
-from zoo_configs.tuning import trial as trial_module
+from zoo_configs.experiments.config import ExperimentConfig, merge, resolve
+from zoo_configs.files import parse_yaml
+from zoo_configs.tuning import study as study_module
+from zoo_configs.tuning.report import IMPORTANCES_TITLE
 from zoo_configs.tuning.space import (
     BASELINE,
     Parameter,
     baseline_value,
     first_values,
-    fit_space,
     load_space,
     parse_space,
     sample_params,
 )
-from zoo_configs.tuning.study import ERROR, StartupPruner, retried
-from zoo_configs.yaml_files import parse_yaml
 
 PICKING = "BulletArm/CloseLoopBlockPicking-v0"
-register_environments()
-CELLS = [
-    (baseline, preset, env_id)
-    for env_id in our_env_ids()
-    for family in families()
-    if family.serves(env_id)
-    for baseline, parts in family.baselines.items()
-    for preset in family.presets
-    if is_served(family.benchmarks, env_id, parts.network, None)
-]
-"""All experiments."""
 SPACE = "learning_rate: {low: 1.0e-4, high: 1.0e-2, log: true}\nbatch_size: {choices: [4, 8]}\n"
 NAME = "sacfd_CloseLoopToy"
-CELL = ["--baseline", "sacfd", "--preset", "quick", "--env-kwargs", "obs_size:48"]
+EXPERIMENT = ["--baseline", "sacfd", "--preset", "quick", "--env-kwargs", "obs_size:48"]
 SIZE = ["-n", "6", "--eval-episodes", "1", "--n-evaluations", "2", "--n-startup-trials", "2"]
 TINY = ["-params", "expert_episodes:2", "pretrain_steps:1", "batch_size:4", "buffer_size:100", "n_envs:1"]
 Tune = Callable[..., int]
-# Registers, in a process of its own, a toy that stops to move once there is a checkpoint.
+# Registers, in a process of its own, a toy that stops once there is a checkpoint.
 HANGING = f"""
 import sys, time
 from pathlib import Path
-sys.path.insert(0, {str(Path(__file__).parent)!r})
+sys.path.insert(0, {str(HERE)!r})
 import gymnasium, toy_env
 
 class Hanging(toy_env.ToyEnv):
@@ -73,12 +58,11 @@ gymnasium.register(toy_env.TOY_ID, Hanging)
 
 @pytest.fixture
 def tune(toy_id: str, tmp_path: Path) -> Tune:
-    """Searches two hyperparameters of a tiny cell: ``tune(*more)`` returns the exit code."""
-    space = tmp_path / "space.yml"
-    space.write_text(SPACE)
+    """Searches two hyperparameters of a tiny experiment: ``tune(*more)`` returns the exit code."""
+    (space := tmp_path / "space.yml").write_text(SPACE)
 
     def run(*more: str) -> int:
-        named = ["tune", *CELL, "--env", toy_id, "-f", str(tmp_path), "--space", str(space)]
+        named = ["tune", *EXPERIMENT, "--env", toy_id, "-f", str(tmp_path), "--space", str(space)]
         return main([*named, *SIZE, "--num-threads", "1", *more, *TINY])
 
     return run
@@ -89,58 +73,54 @@ def trials(folder: Path, name: str = NAME) -> list[FrozenTrial]:
     return optuna.load_study(study_name=name, storage=storage).trials
 
 
+def states(folder: Path) -> list[str]:
+    return [trial.state.name for trial in trials(folder)]
+
+
+# ---- Studies
+
+
 def test_a_study_begins_with_the_baseline_and_ends_with_the_best(
     tune: Tune, toy_id: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert tune("--n-trials", "3") == 0
-    printed = capsys.readouterr().out
-    study = tmp_path / "studies" / NAME
-    done = trials(tmp_path)
-    assert done[0].params == {"learning_rate": 1e-3, "batch_size": "4"}  # lin_1e-3
+    done, printed = trials(tmp_path), capsys.readouterr().out
+    folder = tmp_path / "studies" / NAME
+    assert done[0].params == {"learning_rate": 0.001, "batch_size": "4"}
     assert len(done) == 3 and all(0 <= trial.value <= 1 for trial in done if trial.value is not None)
     for picture in ("history", "importances", "parallel_coordinates"):
-        assert (study / f"{picture}.png").stat().st_size > 5000
-    best = yaml.safe_load((study / "best.yml").read_text())[toy_id]
+        assert (folder / f"{picture}.png").stat().st_size > 5000
+    assert "PED-ANOVA" in IMPORTANCES_TITLE
+    best = yaml.safe_load((folder / "best.yml").read_text())[toy_id]
     assert best["n_timesteps"] == 6 and best["learning_rate"].startswith("lin_")
-    assert f"optuna-dashboard {study / 'journal.log'}" in printed
-    command = ["train", "--algo", "sacfd", "--env", toy_id, "--conf-file", str(study / "best.yml")]
+    assert f"optuna-dashboard {folder / 'journal.log'}" in printed
+    command = ["train", "--algo", "sacfd", "--env", toy_id, "--conf-file", str(folder / "best.yml")]
     assert main([*command, "-f", str(tmp_path / "logs"), "--no-progress", "--eval-freq", "0"]) == 0
 
 
-def test_a_bar_counts_the_trials_of_the_study(
-    tune: Tune, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """Also those of other processes, and of an earlier start; on terminals, unless flags say."""
+def test_a_bar_counts_the_trials_of_all_processes(tune: Tune, capsys: pytest.CaptureFixture[str]) -> None:
     assert tune("--n-trials", "1") == 0
     assert "trial" not in capsys.readouterr().err
     assert tune("--n-trials", "2", "-P") == 0
     printed = capsys.readouterr()
     assert "1/2" in printed.err and "2/2" in printed.err and "0/2" not in printed.err
     assert "trial 1: " in printed.out
-    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
-    assert tune("--n-trials", "3", "--no-progress") == 0
-    assert "trial" not in capsys.readouterr().err
-    assert tune("--n-trials", "3") == 0
-    assert "3/3" in capsys.readouterr().err
 
 
-def test_a_study_of_a_seed_is_one_study(tune: Tune, tmp_path: Path) -> None:
-    """Also where it is stopped on the way; and a study that has its trials does nothing."""
+def test_a_study_of_a_seed_repeats_itself(tune: Tune, tmp_path: Path) -> None:
+    """Also if it is stopped in between."""
     assert tune("--study-name", "whole", "--n-trials", "4") == 0
-    assert tune("--study-name", "parts", "--n-trials", "2") == 0
-    assert tune("--study-name", "parts", "--n-trials", "4") == 0
-    assert tune("--study-name", "parts", "--n-trials", "4") == 0
-    whole, parts = trials(tmp_path, "whole"), trials(tmp_path, "parts")
-    assert [trial.params for trial in whole] == [trial.params for trial in parts]
-    assert [trial.value for trial in whole] == [trial.value for trial in parts]
-    assert len({str(trial.params) for trial in whole}) == 4
+    for number in ("2", "4", "4"):
+        assert tune("--study-name", "parts", "--n-trials", number) == 0
+    whole, parts = ([(t.params, t.value) for t in trials(tmp_path, name)] for name in ("whole", "parts"))
+    assert whole == parts and len({str(params) for params, _ in whole}) == 4
     assert tune("--study-name", "other", "--n-trials", "2", "--seed", "1") == 0
-    assert trials(tmp_path, "other")[1].params != whole[1].params
+    assert trials(tmp_path, "other")[1].params != whole[1][0]
 
 
-def test_a_worker_that_dies_leaves_its_trial_to_be_taken_up(tune: Tune, toy_id: str, tmp_path: Path) -> None:
+def test_a_trial_of_a_killed_process_is_continued(tune: Tune, toy_id: str, tmp_path: Path) -> None:
     (tmp_path / "hanging.py").write_text(HANGING)
-    words = ["tune", *CELL, "--env", f"hanging:{toy_id}", "-f", str(tmp_path), "--num-threads", "1"]
+    words = ["tune", *EXPERIMENT, "--env", f"hanging:{toy_id}", "-f", str(tmp_path), "--num-threads", "1"]
     words += ["--space", str(tmp_path / "space.yml"), *SIZE, "--n-trials", "2", *TINY]
     code = f"import sys; from zoo_configs.cli import main; sys.exit(main({words!r}))"
     with subprocess.Popen([sys.executable, "-c", code], cwd=tmp_path, stdout=subprocess.DEVNULL) as worker:
@@ -151,29 +131,26 @@ def test_a_worker_that_dies_leaves_its_trial_to_be_taken_up(tune: Tune, toy_id: 
             assert tune("--n-trials", "1") == 0  # the worker trains it
         finally:
             worker.kill()
-    assert [trial.state.name for trial in trials(tmp_path)] == ["RUNNING"]
-    assert tune("--n-trials", "2") == 0
-    assert tune("--n-trials", "2", "--study-name", "whole") == 0
+    assert states(tmp_path) == ["RUNNING"]
+    assert tune("--n-trials", "2") == tune("--n-trials", "2", "--study-name", "whole") == 0
     killed, *resumed = sorted(trials(tmp_path), key=lambda trial: trial.state.name != "FAIL")
-    whole = trials(tmp_path, "whole")
     assert killed.number == 0 and resumed[0].user_attrs["repeats"] == [0]
-    assert [(trial.params, trial.value) for trial in resumed] == [(t.params, t.value) for t in whole]
+    whole = [(trial.params, trial.value) for trial in trials(tmp_path, "whole")]
+    assert [(trial.params, trial.value) for trial in resumed] == whole
     folders = {path.name for path in (tmp_path / "studies" / NAME).glob("trial_*") if path.is_dir()}
     assert folders == {"trial_0000", "trial_0002"}
 
 
 def test_a_study_without_a_complete_trial_fails(
-    tune: Tune, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tune: Tune, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def fail(*args: Any) -> float:
-        raise ValueError("a loss that is not a number")
-
-    monkeypatch.setattr("zoo_configs.tuning.study.score", fail)
-    assert tune("--n-trials", "2") == 2
-    assert "a loss that is not a number" in capsys.readouterr().err
-    assert [trial.state.name for trial in trials(tmp_path)] == ["FAIL", "FAIL"]
-    assert trials(tmp_path)[0].user_attrs[ERROR] == "a loss that is not a number"
-    assert not (tmp_path / "studies" / NAME / "best.yml").exists()
+    (tmp_path / "space.yml").write_text("tau: {choices: [x, y]}")
+    assert tune("--n-trials", "2", "--pruner", "none") == 0  # the baseline
+    assert states(tmp_path) == ["COMPLETE", "FAIL"]
+    error = trials(tmp_path)[1].user_attrs[study_module.ERROR]
+    assert "tau" in error
+    assert tune("--n-trials", "1", "--study-name", "all", "-params", "tau:x") == 2
+    assert "tau" in capsys.readouterr().err
 
 
 def test_a_trial_that_falls_behind_is_pruned(
@@ -181,40 +158,33 @@ def test_a_trial_that_falls_behind_is_pruned(
 ) -> None:
     monkeypatch.setattr(optuna.Trial, "should_prune", lambda trial: trial.number == 1)
     assert tune("--n-trials", "2") == 0
-    assert [trial.state.name for trial in trials(tmp_path)] == ["COMPLETE", "PRUNED"]
+    assert states(tmp_path) == ["COMPLETE", "PRUNED"]
     assert trials(tmp_path)[1].last_step == 0  # stopped at its first evaluation
-    assert trial_module.PRUNED in trials(tmp_path)[1].user_attrs
 
 
 @pytest.mark.parametrize(
-    ("words", "message"),
+    ("words", "text"),
     [
-        (["--seed", "5"], "exists with other seed"),
-        (["-params", "gamma:0.5"], "exists with other hyperparams"),
-        (["--eval-episodes", "3"], "exists with other options"),
-        (["--storage", "magic://nowhere"], "--storage: magic://nowhere cannot be opened"),
-        (["--space", "nowhere.yml"], "nowhere.yml"),
-        (["--sampler", "tpee"], "invalid choice: 'tpee'"),
-        (["--n-trials", "0"], "at least 1, got '0'"),
+        (["--seed", "5"], "seed"),
+        (["--eval-episodes", "3"], "options"),
+        (["--storage", "magic://nowhere"], "magic://nowhere"),
     ],
 )
-def test_what_does_not_fit_is_told(
-    words: list[str], message: str, tune: Tune, capsys: pytest.CaptureFixture[str]
+def test_another_study_is_refused(
+    words: list[str], text: str, tune: Tune, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert tune("--n-trials", "1") == 0
     capsys.readouterr()
     assert tune(*words) == 2
     [line] = capsys.readouterr().err.splitlines()
-    assert message in line
+    assert text in line
 
 
 def test_a_study_stays_in_its_folder(tune: Tune, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     database = f"sqlite:///{tmp_path / 'study.db'}"
     assert tune("--n-trials", "1", "--storage", database) == 0
-    assert tune("--n-trials", "2", "--storage", database) == 0
-    capsys.readouterr()
     assert tune("--n-trials", "2", "--storage", database, "-f", str(tmp_path / "elsewhere")) == 2
-    assert "has another folder" in capsys.readouterr().err
+    assert "folder" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("begun", ["trial", "attribute", "direction"])
@@ -230,69 +200,70 @@ def test_a_study_of_another_program_is_refused_unchanged(
         foreign.set_user_attr("owner", "me")
     before = (foreign.trials, foreign.user_attrs)
     assert tune("--n-trials", "1", "--storage", database, "--study-name", "mine") == 2
-    assert (
-        "--study-name must be a new study or one of bulletarm-zoo tune, got mine" in capsys.readouterr().err
-    )
+    assert "--study-name" in capsys.readouterr().err
     again = optuna.load_study(storage=database, study_name="mine")
     assert (again.trials, again.user_attrs) == before
 
 
+def test_the_second_trial_differs_from_the_first_in_every_parameter(tune: Tune, tmp_path: Path) -> None:
+    """Also in one that the baseline has no value of, which the first trial leaves out."""
+    (tmp_path / "space.yml").write_text(
+        "tau: {low: 0.1, high: 0.2}\npolicy_kwargs.n_critics: {low: 1, high: 9}"
+    )
+    assert tune("--n-trials", "3") == 0
+    first, second, third = (trial.params for trial in trials(tmp_path))
+    assert first == {"tau": 0.01}
+    assert second.keys() == third.keys() == {"tau", "policy_kwargs.n_critics"} and second != third
+
+
+# ---- Search spaces
+
+
+def fitted(experiment: ExperimentConfig, given: dict[str, Any] | None = None) -> tuple[Parameter, ...]:
+    """The shipped space of an experiment."""
+    return load_space(experiment, given or {})
+
+
 @pytest.mark.parametrize(
-    "algo", [name for name in algorithm_classes() if name not in ("ars", "dqn", "qrdqn")]
+    "algo", [name for name in algorithm_classes() if name not in ("ars", "dqn", "qrdqn", "ppo_lstm")]
 )
-def test_every_algorithm_has_the_hyperparameters_of_its_space(algo: str) -> None:
-    """All for a box of actions, except the recurrent one, whose policies have no heightmaps."""
-    cell = Cell(algo, "Pendulum-v1", {})
-    if algo == "ppo_lstm":
-        with pytest.raises(CommandError, match="unknown search space 'ppo_lstm'"):
-            load_space(cell)
-        return
-    space = load_space(cell)
+def test_an_algorithm_has_the_hyperparameters_of_its_space(algo: str) -> None:
+    space = load_space(ExperimentConfig(algo, "Pendulum-v1", {}), {})
     assert len({parameter.name for parameter in space}) == len(space) >= 4
 
 
-def fitted(cell: Cell, given: dict[str, Any] | None = None) -> tuple[Parameter, ...]:
-    """The shipped space of an experiment."""
-    return fit_space(load_space(cell), cell, given or {}, is_own=False)
-
-
-def first_trial(cell: Cell, space: tuple[Parameter, ...]) -> FixedTrial:
-    trial = FixedTrial(first_values(space, cell))
-    trial.set_user_attr(BASELINE, True)
-    return trial
-
-
 def test_the_first_trial_of_every_experiment_is_the_baseline() -> None:
-    """And the space contains its values, and nothing that it does not use."""
-    for baseline, preset, env_id in CELLS:
-        cell = resolve(baseline, preset, env_id)
-        space = fitted(cell)
-        first = first_values(space, cell)
-        assert first.keys() == {parameter.name for parameter in space}, cell
-        assert sample_params(cell, space, first_trial(cell, space)) == {}  # type: ignore[arg-type]
-        imitates = cell.hyperparams.get("bc_weight", 0) != 0
-        assert imitates == ("bc_weight" in first) == ("bc_limit" in first), cell
+    """The space contains its values, and nothing that it does not use."""
+    for names in ALL:
+        experiment = resolve(*names)
+        space = fitted(experiment)
+        first = first_values(space, experiment)
+        assert first.keys() == {parameter.name for parameter in space}, names
+        trial: Any = FixedTrial(first)
+        trial.set_user_attr(BASELINE, True)
+        assert sample_params(experiment, space, trial) == {}
+        imitates = experiment.hyperparams.get("bc_weight", 0) != 0
+        assert imitates == ("bc_weight" in first) == ("bc_limit" in first), names
 
 
 @pytest.mark.parametrize("baseline", ["equi_sacfd", "ferm_sacfd", "tqcfd"])
 def test_sampled_values_replace_those_of_the_baseline(baseline: str) -> None:
-    cell = resolve(baseline, "cpu", PICKING)
-    space = fitted(cell)
-    values = first_values(space, cell)
+    experiment = resolve(baseline, "cpu", PICKING)
+    space = fitted(experiment)
+    values = first_values(space, experiment)
     assert values.keys() >= {"learning_rate", "gamma", "batch_size", "tau", "bc_weight", "n_steps"}
-    sampled = sample_params(cell, space, FixedTrial(values))  # type: ignore[arg-type]
+    sampled = sample_params(experiment, space, FixedTrial(values))  # type: ignore[arg-type]
     assert sampled.pop("learning_rate") == "lin_0.001"
-    assert all(value == baseline_value(name, cell) for name, value in sampled.items())
+    assert all(value == baseline_value(name, experiment) for name, value in sampled.items())
 
 
 def test_values_of_the_command_line_are_not_searched() -> None:
     given = {"pretrain_steps": 4, "n_steps": 2}
-    cell = resolve("sacfd", "quick", PICKING, given)
-    space = fitted(cell, given)
+    experiment = resolve("sacfd", "quick", PICKING, given)
+    space = fitted(experiment, given)
     assert {"pretrain_steps", "n_steps"}.isdisjoint(parameter.name for parameter in space)
-    everything = dict.fromkeys((parameter.name for parameter in space), 0.5) | given
-    with pytest.raises(CommandError, match="no hyperparameter left"):
-        fitted(cell, everything)
+    with pytest.raises(CommandError, match="search space"):
+        fitted(experiment, dict.fromkeys((parameter.name for parameter in space), 0.5) | given)
 
 
 @pytest.mark.parametrize(
@@ -310,10 +281,10 @@ def test_a_space_is_extended_by_the_value_of_the_command_line(
 ) -> None:
     [name] = parse_yaml(space)
     (file := tmp_path / "space.yml").write_text(space)
-    cell = resolve("sacfd", "quick", PICKING, {name: value})
-    [parameter] = fit_space(load_space(cell, file), cell, {name: value}, is_own=True)
+    experiment = resolve("sacfd", "quick", PICKING, {name: value})
+    [parameter] = load_space(experiment, {name: value}, file)
     assert (parameter.optuna_value(value), parameter.choices) == stored
-    assert first_values((parameter,), cell) == {name: stored[0]}
+    assert first_values((parameter,), experiment) == {name: stored[0]}
 
 
 @pytest.mark.parametrize(
@@ -323,73 +294,32 @@ def test_whole_number_bounds_mean_whole_numbers_except_for_floats(
     name: str, integer: bool, tmp_path: Path
 ) -> None:
     (file := tmp_path / "space.yml").write_text(f"{name}: {{low: 1, high: 9}}")
-    cell = resolve("sacfd", "quick", PICKING, {"bc_weight": 3})
-    [parameter] = load_space(cell, file)
+    [parameter] = load_space(resolve("sacfd", "quick", PICKING, {"bc_weight": 3}), {}, file)
     study = optuna.create_study(sampler=optuna.samplers.RandomSampler(seed=0))
     assert isinstance(parameter.suggest(study.ask()), int) == integer
 
 
-def test_the_second_trial_differs_from_the_first_in_every_parameter(tune: Tune, tmp_path: Path) -> None:
-    """Also in one that the baseline has no value of, which the first trial leaves out."""
-    (tmp_path / "space.yml").write_text(
-        "tau: {low: 0.1, high: 0.2}\npolicy_kwargs.n_critics: {low: 1, high: 9}"
-    )
-    assert tune("--n-trials", "3") == 0
-    first, second, third = trials(tmp_path)
-    assert first.params == {"tau": 0.01}
-    assert second.params.keys() == third.params.keys() == {"tau", "policy_kwargs.n_critics"}
-    assert second.params != third.params
-
-
-class PruneAlways(optuna.pruners.BasePruner):
-    def prune(self, study: optuna.Study, trial: FrozenTrial) -> bool:
-        return True
-
-
-def test_no_trial_is_pruned_before_the_startup_trials_are_complete() -> None:
-    study = optuna.create_study(direction="maximize", pruner=StartupPruner(PruneAlways(), 3))
-    pruned = []
-    for number in range(5):
-        trial = study.ask()
-        trial.report(-float(number), 1)
-        pruned.append(trial.should_prune())
-        study.tell(trial, -float(number))
-    assert pruned == [False, False, False, True, True]
-
-
 def test_a_nested_value_keeps_the_others() -> None:
-    cell = resolve("equi_sacfd", "cpu", PICKING)
+    experiment = resolve("equi_sacfd", "cpu", PICKING)
     space = (Parameter("policy_kwargs.net_arch.qf", choices=([32], [64, 64])), Parameter("tau", 0.001, 0.1))
-    trial = FixedTrial({"policy_kwargs.net_arch.qf": "[64, 64]", "tau": 0.02})
-    hyperparams = merge(cell.hyperparams, sample_params(cell, space, trial))  # type: ignore[arg-type]
+    trial: Any = FixedTrial({"policy_kwargs.net_arch.qf": "[64, 64]", "tau": 0.02})
+    hyperparams = merge(experiment.hyperparams, sample_params(experiment, space, trial))
     assert hyperparams["policy_kwargs"]["net_arch"] == {"pi": [32], "qf": [64, 64]}
     assert hyperparams["policy_kwargs"]["features_extractor_kwargs"]["n"] == 4
 
 
 @pytest.mark.parametrize(
-    ("space", "message"),
+    "space",
     [
-        ("[]", "mapping of parameters"),
-        ("{}", "mapping of parameters"),
-        ("{gamma: 0.9}", "gamma of mine must have .*got 0.9"),
-        ("{gamma: {lo: 0.1, high: 1}}", "unknown key of gamma of mine 'lo'"),
-        ("{gamma: {low: 1, high: 0}}", "gamma of mine must have numbers low < high"),
-        ("{gamma: {low: 0, high: 1, log: true}}", "gamma of mine must have positive numbers"),
-        ("{gamma: {choices: [], low: 1}}", "choices must be a list"),
+        "[]",
+        "{}",
+        "{gamma: 0.9}",
+        "{gamma: {lo: 0.1, high: 1}}",
+        "{gamma: {low: 1, high: 0}}",
+        "{gamma: {low: 0, high: 1, log: true}}",
+        "{gamma: {choices: [], low: 1}}",
     ],
 )
-def test_an_invalid_space_raises(space: str, message: str) -> None:
-    with pytest.raises(CommandError, match=message):
+def test_an_invalid_space_is_refused(space: str) -> None:
+    with pytest.raises(CommandError, match="mine"):
         parse_space("mine", yaml.safe_load(space))
-
-
-def test_an_unknown_hyperparameter_raises(tmp_path: Path) -> None:
-    (file := tmp_path / "space.yml").write_text("bc_wight: {low: 0, high: 1}")
-    with pytest.raises(CommandError, match="'bc_wight', did you mean 'bc_weight'"):
-        load_space(resolve("sacfd", "cpu", PICKING), file)
-
-
-def test_trials_that_were_taken_up_do_not_count() -> None:
-    first, second = (optuna.trial.create_trial(state=optuna.trial.TrialState.FAIL) for _ in range(2))
-    second.user_attrs = {"repeats": [0, 3]}
-    assert retried([first, second]) == {0, 3}

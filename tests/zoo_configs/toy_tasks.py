@@ -1,7 +1,5 @@
 """Toy tasks for processes that do not know the fixtures: ``--gym-packages toy_tasks``."""
 
-from __future__ import annotations
-
 import errno
 import os
 import signal

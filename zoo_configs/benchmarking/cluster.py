@@ -1,7 +1,5 @@
 """A benchmark on a Ray cluster: each run is a Ray task; all machines share the folder."""
 
-from __future__ import annotations
-
 import logging
 import os
 import socket
@@ -11,14 +9,16 @@ import time
 import uuid
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from importlib import metadata
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 from zoo_configs.benchmarking.plan import Job
 from zoo_configs.benchmarking.process import GRACE, POLL, ExitCode, JobProcess, check_storage, stop
+from zoo_configs.environments import register_environments
 from zoo_configs.errors import CommandError, reason
+from zoo_configs.files import check_writable
+from zoo_configs.provenance import versions
 from zoo_configs.training.runs import CHECKPOINT_FOLDER
 from zoo_configs.training.state import State, set_status
 
@@ -32,8 +32,6 @@ MAX_STARTS = 10
 """Number of times that a run starts from the same checkpoint."""
 SETTLING_SECONDS = 10.0
 """Duration until the other machines see a new file: NFS caches folders."""
-PACKAGES = ("bulletarm-gym", "torch", "stable-baselines3", "gymnasium", "pybullet", "numpy")
-"""Packages that must have the same version on all machines, because a run may move to another one."""
 RESOURCES = {"CPU": "num_cpus", "GPU": "num_gpus", "memory": "memory"}
 """Option of a Ray task, by resource of a machine."""
 Resources = Mapping[str, float]
@@ -44,7 +42,6 @@ def check_address(address: str) -> None:
     """
     Connect to a Ray cluster in another process, because ``ray.init`` retries a dead address for many minutes.
 
-    :param address: Its address, ``"auto"`` for the cluster of this machine
     :raises CommandError: if Ray is not installed, or no cluster answers within ``CONNECTING_SECONDS``
     """
     if find_spec("ray") is None:
@@ -80,12 +77,7 @@ def machines() -> list[dict[str, Any]]:
 
 
 def check_resources(resources: Mapping[str, Resources]) -> None:
-    """
-    Check that some machine is large enough for each run; other runs would wait forever.
-
-    :param resources: Resources of each run by its name
-    :raises CommandError: if no machine is large enough
-    """
+    """Raise ``CommandError`` if no machine is large enough for a run, which would wait forever."""
     nodes = [node["Resources"] for node in machines()]
     for name, needed in resources.items():
         if not any(
@@ -100,12 +92,9 @@ def check_resources(resources: Mapping[str, Resources]) -> None:
 @contextmanager
 def shared_folder(folder: Path, gym_packages: Sequence[str]) -> Iterator[str]:
     """
-    Check that all machines share a folder and have the same versions.
+    Check each machine with :func:`check_machine`.
 
-    :param folder: Folder of the benchmark
-    :param gym_packages: Packages that all machines must be able to import
-    :return: Context manager of the name of a file by which machines recognize the folder
-    :raises CommandError: if a machine does not
+    Provide the name of a file by which machines recognize the folder.
     """
     import ray
     from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
@@ -115,78 +104,58 @@ def shared_folder(folder: Path, gym_packages: Sequence[str]) -> Iterator[str]:
     try:
         for node in machines():
             strategy = NodeAffinitySchedulingStrategy(node["NodeID"], soft=False)
-            remote = ray.remote(num_cpus=0, max_retries=3)(find_fault).options(scheduling_strategy=strategy)
-            seen = f"{token}-{node['NodeID']}"
+            remote = ray.remote(num_cpus=0, max_retries=3)(check_machine).options(
+                scheduling_strategy=strategy
+            )
             try:
-                fault = ray.get(remote.remote(folder, token, seen, tuple(gym_packages), _versions()))
+                ray.get(remote.remote(folder, token, tuple(gym_packages), versions()))
             except ray.exceptions.RayError as error:
-                fault = f"cannot run a task: {reason(getattr(error, 'cause', None) or error)}"
-            if not fault and not _appears(folder / seen):
-                fault = f"has another folder at {folder}: all machines must share one"
-            if fault:
                 where = f"{node['NodeManagerHostname']} ({node['NodeManagerAddress']})"
-                raise CommandError(f"{where} {fault}")
+                raise CommandError(f"{where}: {_cause(error)}") from error
         yield token
     finally:
-        for path in folder.glob(f"{token}*"):
-            path.unlink(missing_ok=True)
+        (folder / token).unlink(missing_ok=True)
 
 
-def find_fault(
-    folder: Path, token: str, seen: str, gym_packages: Sequence[str], versions: Mapping[str, str]
-) -> str:
+def check_machine(folder: Path, token: str, gym_packages: Sequence[str], required: Mapping[str, str]) -> None:
     """
-    Check on a machine of the cluster whether it can train.
+    Check on a machine of the cluster that it can train.
 
-    :param folder: Folder of the benchmark
-    :param token: Name of a file that must exist in it
-    :param seen: Name of a file to create in it
+    :param token: Name of a file that must exist in the folder of the benchmark
     :param gym_packages: Packages that must be importable
-    :param versions: Required versions by package
-    :return: Description of the fault, an empty string if there is none
+    :param required: Required versions, because a run may move to another machine
+    :raises CommandError: if it cannot
     """
-    from zoo_configs.environments import register_environments
-
-    try:
-        _check_shared(folder, token)
-        (folder / seen).touch()
-        register_environments(gym_packages)
-    except (CommandError, OSError) as error:
-        return f"has a fault: {reason(error)}"
-    own = _versions()
-    others = [
-        f"{name} {own[name]} (required: {versions[name]})" for name in own if own[name] != versions[name]
-    ]
-    return f"has other versions: {', '.join(others)}" if others else ""
+    _check_shared(folder, token)
+    check_writable(folder / token, "--log-folder")
+    register_environments(gym_packages)
+    own = versions()
+    if others := [
+        f"{name} {own[name]}, required {required[name]}" for name in own if own[name] != required[name]
+    ]:
+        raise CommandError(f"other versions: {'; '.join(others)}")
 
 
-def _versions() -> dict[str, str]:
-    return {name: metadata.version(name) for name in PACKAGES}
+def _cause(error: Exception) -> str:
+    """Return the reason for an error of a Ray task."""
+    return reason(getattr(error, "cause", None) or error)
 
 
 def _check_shared(folder: Path, token: str) -> None:
-    if not _appears(folder / token):
-        raise CommandError(f"{socket.gethostname()} must mount {folder} at this path, as all machines")
-
-
-def _appears(path: Path) -> bool:
     last = time.monotonic() + SETTLING_SECONDS
-    while not path.exists():
+    while not (folder / token).exists():
         if time.monotonic() > last:
-            return False
+            raise CommandError(f"{socket.gethostname()} must mount {folder} at this path, as all machines")
         time.sleep(POLL)
-    return True
 
 
 def train(job: Job, folder: Path, token: str) -> int:
     """
-    Train one run on a machine of the cluster. An error of the run is recorded in its folder and does not fail
-    the Ray task, which Ray would repeat.
+    Train one run on a machine of the cluster and return the exit code.
 
-    :param job: The run
-    :param folder: Folder of the benchmark
+    An error of the run is recorded in its folder and does not fail the Ray task, which Ray would repeat.
+
     :param token: Name of the file of :func:`shared_folder`
-    :return: Exit code
     :raises CommandError: if the machine cannot read the folder
     """
     _check_shared(folder, token)
@@ -222,11 +191,8 @@ def run_on_ray(
     look: Callable[[], None],
 ) -> None:
     """
-    Train runs on the connected cluster. A run whose worker or machine is lost resumes on another machine from
-    its last checkpoint. A failed run does not stop the others.
+    Train runs on the connected cluster. A run that is lost with its machine resumes on another one.
 
-    :param jobs: The runs in the order in which they start
-    :param folder: Folder of the benchmark
     :param resources: Resources of each run by its name
     :param token: Name of the file of :func:`shared_folder`
     :param look: Function that is called regularly
@@ -258,4 +224,4 @@ def _exit_code(reference: Any, job: Job) -> ExitCode:
     try:
         return ExitCode(ray.get(reference))
     except ray.exceptions.RayError as error:
-        raise CommandError(f"{job.name}: {reason(getattr(error, 'cause', None) or error)}") from error
+        raise CommandError(f"{job.name}: {_cause(error)}") from error

@@ -1,23 +1,22 @@
 """Experiments of a benchmark: tasks x baselines x seeds, from the paper's tables or a YAML file."""
 
-from __future__ import annotations
-
-import fnmatch
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
+from fnmatch import filter as fnfilter
+from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
 
+from bulletarm_gym.benchmarks import BENCHMARKS
 from zoo_configs.arguments import MAX_SEED
-from zoo_configs.cells.benchmarks import is_served
-from zoo_configs.cells.cell import Cell, resolve
-from zoo_configs.cells.flags import default_preset
-from zoo_configs.cells.rules import family_of, task_name
 from zoo_configs.environments import known_env_id, our_env_ids, register_environments
-from zoo_configs.errors import CommandError, unknown_name
+from zoo_configs.errors import CommandError, check_names, unknown_name
+from zoo_configs.experiments.config import ExperimentConfig, resolve
+from zoo_configs.experiments.families import family_of, task_name
+from zoo_configs.experiments.flags import default_preset
+from zoo_configs.files import read_yaml
 from zoo_configs.training.options import TrainingOptions
 from zoo_configs.training.runs import SEED_PREFIX
-from zoo_configs.yaml_files import read_yaml
 
 SEEDS = 4  # paper: the captions of its learning curves
 PATTERN = "*?["
@@ -55,34 +54,32 @@ class Job:
     """
     One run of a benchmark.
 
-    :param cell: The experiment
+    :param experiment: The experiment
     :param seed: Seed of model and environments
     :param options: Options of the training
     :param gym_packages: Packages that register the environment, in addition to ours
     :param device: PyTorch device
     """
 
-    cell: Cell
+    experiment: ExperimentConfig
     seed: int
     options: TrainingOptions
     gym_packages: tuple[str, ...] = ()
     device: str = "auto"
 
     @property
-    def experiment(self) -> str:
+    def experiment_name(self) -> str:
         """Task and baseline."""
-        return f"{task_name(self.cell.env_id)}/{self.cell.label}"
+        return f"{task_name(self.experiment.env_id)}/{self.experiment.label}"
 
     @property
     def name(self) -> str:
         """Folder of the run within that of the benchmark: task, baseline, seed."""
-        return f"{self.experiment}/{SEED_PREFIX}{self.seed}"
+        return f"{self.experiment_name}/{SEED_PREFIX}{self.seed}"
 
 
 def read_plan(name: str) -> Plan:
     """Return the plan of one of the paper's benchmarks, or of a YAML file."""
-    from bulletarm_gym.benchmarks import BENCHMARKS
-
     if Path(name).suffix in SUFFIXES:
         if not Path(name).is_file():
             raise CommandError(f"{name} does not exist")
@@ -104,10 +101,7 @@ def parse_plan(where: str, content: Any) -> Plan:
     """Return the plan that a YAML file contains; ``where`` is its name in messages."""
     if not isinstance(content, dict):
         raise CommandError(f"{where} must contain a mapping, got {content!r}")
-    keys = [item.name for item in fields(Plan)]
-    for key in content:
-        if key not in keys:
-            raise unknown_name(f"key of {where}", str(key), keys)
+    check_names(f"key of {where}", map(str, content), [item.name for item in fields(Plan)])
     for key in ("tasks", "baselines"):
         names = content.get(key)
         if not isinstance(names, list) or not names or not all(isinstance(name, str) for name in names):
@@ -122,48 +116,39 @@ def build_jobs(
     plan: Plan, gym_packages: Sequence[str] = (), device: str = "auto", num_threads: int = 1
 ) -> list[Job]:
     """
-    Resolve the experiments of a plan.
+    Return the runs of a plan in the order in which they start.
 
     Runs that follow each other have different tasks or seeds, so that each set of demonstrations is collected
     only once.
 
-    :param plan: The plan
     :param gym_packages: Packages that register environments
     :param device: PyTorch device
     :param num_threads: Number of PyTorch threads of a run, unless the options of the plan define it
-    :return: The runs in the order in which they start
     :raises CommandError: for an unknown task, baseline, preset, option or seed
     """
     register_environments(gym_packages)
     tasks = dict.fromkeys(env_id for wanted in plan.tasks for env_id in _tasks(wanted, plan.benchmark))
-    cells = [
+    experiments = [
         resolve(label, plan.preset or default_preset(device), task, plan.hyperparams, plan.benchmark)
         for task in tasks
         for label in _baselines(plan, task)
     ]
     options = {"num_threads": num_threads, **plan.options}
-    jobs = [
-        Job(cell, seed, TrainingOptions.of(cell, options), tuple(gym_packages), device)
-        for label in dict.fromkeys(cell.label for cell in cells)
+    return [
+        Job(experiment, seed, TrainingOptions.of(experiment, options), tuple(gym_packages), device)
+        for label in dict.fromkeys(experiment.label for experiment in experiments)
         for seed in _seeds(plan.seeds)
-        for cell in cells
-        if cell.label == label
+        for experiment in experiments
+        if experiment.label == label
     ]
-    _check_folders(jobs)
-    return jobs
 
 
 def _tasks(wanted: str, benchmark: str | None) -> list[str]:
     """Return the ids of a name, or of a pattern within the benchmark."""
-    from bulletarm_gym.benchmarks import BENCHMARKS
-
-    named = {task_name(env_id): env_id for env_id in our_env_ids()}
-    if wanted in named:
-        return [named[wanted]]
+    ids = our_env_ids()
+    found = [name for name in ids if fnmatchcase(task_name(name), wanted) or fnmatchcase(name, wanted)]
     if not _is_pattern(wanted):
-        return [known_env_id(wanted)]
-    found = [named[name] for name in fnmatch.filter(named, wanted)]
-    found += [env_id for env_id in fnmatch.filter(named.values(), wanted) if env_id not in found]
+        return found or [known_env_id(wanted)]
     if benchmark is not None and benchmark in BENCHMARKS:
         tasks = {row.env_id for row in BENCHMARKS[benchmark].environments}
         found = [env_id for env_id in found if env_id in tasks]
@@ -175,14 +160,10 @@ def _tasks(wanted: str, benchmark: str | None) -> list[str]:
 def _baselines(plan: Plan, env_id: str) -> list[str]:
     """Return the baselines of a plan for a task. Patterns select only baselines that the task has."""
     family = family_of(env_id)
-    available = [
-        name
-        for name, baseline in family.baselines.items()
-        if is_served(family.benchmarks, env_id, baseline.network, plan.benchmark)
-    ]
+    available = [name for name in family.baselines if family.has_experiment(name, env_id, plan.benchmark)]
     found: dict[str, None] = {}
     for wanted in plan.baselines:
-        matching = fnmatch.filter(available, wanted) if _is_pattern(wanted) else [wanted]
+        matching = fnfilter(available, wanted) if _is_pattern(wanted) else [wanted]
         found |= dict.fromkeys(matching)
     if not found:
         raise CommandError(f"no baseline of {env_id} fits {' or '.join(plan.baselines)}")
@@ -199,12 +180,3 @@ def _seeds(wanted: Any) -> list[int]:
     if not is_list or not all(type(seed) is int and 0 <= seed <= MAX_SEED for seed in seeds):
         raise CommandError(f"seeds must be a positive number of seeds, or a list of seeds, got {wanted!r}")
     return list(dict.fromkeys(seeds))
-
-
-def _check_folders(jobs: Iterable[Job]) -> None:
-    """Check that no two runs share a folder."""
-    found: dict[str, str] = {}
-    for job in jobs:
-        other = found.setdefault(job.name, job.cell.env_id)
-        if other != job.cell.env_id:
-            raise CommandError(f"{other} and {job.cell.env_id} would share the folder {job.name}")

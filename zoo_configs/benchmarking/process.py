@@ -1,7 +1,5 @@
 """Runs in processes of this machine."""
 
-from __future__ import annotations
-
 import errno
 import multiprocessing
 import os
@@ -18,7 +16,7 @@ from multiprocessing.process import BaseProcess
 from pathlib import Path
 
 from zoo_configs.benchmarking.plan import Job
-from zoo_configs.errors import CommandError, reason
+from zoo_configs.errors import CommandError, causes, reason
 from zoo_configs.training.state import State, is_training, run_status, set_status
 
 LOG_FILE = "log.txt"
@@ -27,7 +25,12 @@ LOCK_SECONDS, LOCK_POLL = 180.0, 0.2
 STORAGE_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.ESTALE)
 """Errors that affect all runs."""
 LEAST_FREE = 1 << 20  # bytes
-PRELOADED = ("zoo_configs.training.cell", "zoo_configs.environments", "sb3_extensions.sacfd", "torch._dynamo")
+PRELOADED = (
+    "zoo_configs.training.train",
+    "zoo_configs.environments",
+    "sb3_extensions.sacfd",
+    "torch._dynamo",
+)
 """Modules that the fork server imports once for all processes."""
 POLL = 0.5  # seconds
 GRACE = 60.0  # seconds in which interrupted runs save their state
@@ -94,10 +97,8 @@ class JobProcess:
 
 def run_here(jobs: Sequence[Job], folder: Path, n_jobs: int, look: Callable[[], None]) -> None:
     """
-    Train runs in processes of this machine. A failed run does not stop the others.
+    Train runs in processes of this machine, in the order of ``jobs``. A failed run does not stop the others.
 
-    :param jobs: The runs in the order in which they start
-    :param folder: Folder of the benchmark
     :param n_jobs: Number of runs at the same time
     :param look: Function that is called regularly
     :raises CommandError: if the storage is full; the runs are interrupted
@@ -160,7 +161,7 @@ def _end_with_parent() -> None:
 
 
 def _train(job: Job, run_folder: Path) -> None:
-    from zoo_configs.training.cell import train_cell
+    from zoo_configs.training.train import train_experiment
 
     run_folder.mkdir(parents=True, exist_ok=True)
     with (run_folder / LOG_FILE).open("a", encoding="utf-8") as file:
@@ -170,26 +171,23 @@ def _train(job: Job, run_folder: Path) -> None:
     last = time.monotonic() + LOCK_SECONDS
     while is_training(run_folder) and time.monotonic() < last:
         time.sleep(LOCK_POLL)
-    train_cell(
-        job.cell, job.seed, job.device, options=job.options, at=run_folder, gym_packages=job.gym_packages
+    train_experiment(
+        job.experiment,
+        job.seed,
+        job.device,
+        options=job.options,
+        at=run_folder,
+        gym_packages=job.gym_packages,
     )
 
 
 def _record_failure(run_folder: Path, error: Exception) -> ExitCode:
     """Record an error in the run folder. A run without storage has not failed: it can be resumed."""
-    if is_storage_error(error) or shutil.disk_usage(run_folder).free < LEAST_FREE:
+    is_full = any(isinstance(cause, OSError) and cause.errno in STORAGE_ERRORS for cause in causes(error))
+    if is_full or shutil.disk_usage(run_folder).free < LEAST_FREE:
         status = run_status(run_folder)
         if status is not None and status.state is State.FAILED:
             set_status(run_folder, State.KILLED)
         return ExitCode.STORAGE
     set_status(run_folder, State.FAILED, reason(error))
     return ExitCode.FAILED
-
-
-def is_storage_error(error: BaseException | None) -> bool:
-    """Return True if an error, or one that caused it, is an error of the storage."""
-    while error is not None:
-        if isinstance(error, OSError) and error.errno in STORAGE_ERRORS:
-            return True
-        error = error.__cause__ or error.__context__
-    return False

@@ -1,7 +1,5 @@
 """Checks, size and training of the runs of a benchmark."""
 
-from __future__ import annotations
-
 import json
 import sys
 from collections.abc import Callable, Sequence
@@ -11,14 +9,14 @@ from typing import Any, NamedTuple
 
 from zoo_configs.algorithms import algorithm_classes, class_from_path
 from zoo_configs.benchmarking.plan import Job
-from zoo_configs.benchmarking.status import Overview, Status, shown
-from zoo_configs.cells.validation import check_cell
+from zoo_configs.benchmarking.status import Overview, shown
 from zoo_configs.environments import make_env, try_env
 from zoo_configs.errors import CommandError, refused
+from zoo_configs.experiments.validation import check_experiment
 from zoo_configs.files import check_writable
-from zoo_configs.training.cell import check_same
 from zoo_configs.training.runs import RESOLVED_FILE, Run, load_run
 from zoo_configs.training.state import LOCK_FILE, State, run_lock, set_status
+from zoo_configs.training.train import check_same
 
 Runner = Callable[[Sequence[Job], Callable[[], None]], None]
 """Function that trains runs and regularly calls another function."""
@@ -47,16 +45,16 @@ def _buffer_gigabytes(job: Job) -> float:
     from sb3_extensions.replay.buffer import ExpertReplayBuffer
     from zoo_configs.training.objects import import_classes
 
-    hyperparams = job.cell.hyperparams
+    hyperparams = job.experiment.hyperparams
     path = hyperparams.get("replay_buffer_class")
-    default = getattr(algorithm_classes()[job.cell.algo], "default_replay_buffer_class", None)
+    default = getattr(algorithm_classes()[job.experiment.algo], "default_replay_buffer_class", None)
     cls = class_from_path(path) if path else default
     if cls is None or not issubclass(cls, ExpertReplayBuffer):
         return 0.0
     kwargs: dict[str, Any] = dict(import_classes(hyperparams.get("replay_buffer_kwargs", {})))
     capacity, n_envs = int(hyperparams["buffer_size"]), int(hyperparams.get("n_envs", 1))
     env_kwargs = hyperparams.get("env_kwargs", {})
-    with closing(make_env(job.cell.env_id, env_kwargs)) as env, refused("replay buffer"):
+    with closing(make_env(job.experiment.env_id, env_kwargs)) as env, refused("replay buffer"):
         spaces = env.observation_space, env.action_space
         longest = int(getattr(getattr(env.unwrapped, "config", None), "max_steps", 0))
         # The buffer allocates no memory before the first transition.
@@ -70,17 +68,15 @@ def check_jobs(jobs: Sequence[Job], folder: Path) -> None:
     """
     Check names and values of each experiment, each environment, and the folder of the benchmark.
 
-    :param jobs: The runs
-    :param folder: Folder of the benchmark
     :raises CommandError: if a run cannot be trained, or the folder contains other runs
     """
     tried = set()
-    for job in {job.experiment: job for job in jobs}.values():
-        check_cell(job.cell)
-        env_kwargs = job.cell.hyperparams.get("env_kwargs", {})
-        key = job.cell.env_id, json.dumps(env_kwargs, sort_keys=True, default=str)
+    for job in {job.experiment_name: job for job in jobs}.values():
+        check_experiment(job.experiment)
+        env_kwargs = job.experiment.hyperparams.get("env_kwargs", {})
+        key = job.experiment.env_id, json.dumps(env_kwargs, sort_keys=True, default=str)
         if key not in tried:
-            try_env(job.cell.env_id, env_kwargs)
+            try_env(job.experiment.env_id, env_kwargs)
             tried.add(key)
     if folder.exists() and not folder.is_dir():
         raise CommandError(f"--log-folder must be a folder, got the file {folder}")
@@ -88,7 +84,7 @@ def check_jobs(jobs: Sequence[Job], folder: Path) -> None:
     for job in jobs:
         place = folder / job.name
         if (place / RESOLVED_FILE).is_file():
-            check_same(load_run(place), Run(place, job.cell, job.seed))
+            check_same(load_run(place), Run(place, job.experiment, job.seed))
 
 
 def train_jobs(
@@ -99,24 +95,21 @@ def train_jobs(
     progress: bool | None = None,
 ) -> Overview:
     """
-    Train the runs that are not done. The folder is locked meanwhile.
+    Train the runs that are not done, in a folder that is locked meanwhile, and return their status.
 
-    :param jobs: The runs
-    :param folder: Existing folder of the benchmark
     :param runner: Function that trains runs
     :param retry_failed: Whether to resume failed runs
     :param progress: Whether to show a progress bar; None shows it on a terminal
-    :return: Status of the runs
     :raises CommandError: if the runner cannot continue; the runs can be resumed
     """
     overview = Overview(jobs, folder)
     with run_lock(folder):
         overview.update()
         if retry_failed:
-            for entry in overview.of(Status.FAILED):
+            for entry in overview.of(State.FAILED.value):
                 set_status(folder / entry.name, State.KILLED)
             overview.update()
-        ended = {entry.name for status in (Status.DONE, Status.FAILED) for entry in overview.of(status)}
+        ended = {entry.name for state in (State.DONE, State.FAILED) for entry in overview.of(state.value)}
         print(f"{folder}: {overview.counts()}", file=sys.stderr)
         with shown(overview, progress) as look:
             runner([job for job in jobs if job.name not in ended], look)

@@ -1,13 +1,10 @@
 """Status of the runs of a benchmark, read from their folders."""
 
-from __future__ import annotations
-
 import sys
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from enum import Enum
 from pathlib import Path
 from typing import NamedTuple
 
@@ -20,48 +17,26 @@ from zoo_configs.training.runs import EVALUATIONS_FILE
 from zoo_configs.training.state import State, run_status
 
 INTERVAL = 2.0  # seconds between two readings of the folders
-
-
-class Status(Enum):
-    """Status of a run. A killed run waits to be resumed."""
-
-    DONE = "done"
-    RUNNING = "running"
-    WAITING = "waiting"
-    FAILED = "failed"
+WAITING = "waiting"
+STATES = (State.DONE.value, State.RUNNING.value, WAITING, State.FAILED.value)
+"""States of a run of a benchmark. A killed run waits to be resumed."""
 
 
 class Entry(NamedTuple):
-    """
-    Status of one run.
-
-    :param name: Its folder within that of the benchmark
-    :param status: Its status
-    :param timesteps: Time steps at its last evaluation, None before the first
-    :param success: Success in its last evaluation
-    :param host: Machine that trains it, or did
-    :param error: Error of a failed run
-    """
+    """State of one run, its latest success, and its machine or error."""
 
     name: str
-    status: Status
-    timesteps: int | None = None
-    success: float | None = None
-    host: str = ""
-    error: str = ""
+    state: str = WAITING
+    success: str = ""
+    detail: str = ""
 
     def __str__(self) -> str:
-        parts = [f"{self.status.value} {self.name}"]
-        if self.success is not None:
-            parts.append(f"success {self.success:.2f} at {self.timesteps}")
-        if self.status is Status.RUNNING:
-            parts.append(f"on {self.host}")
-        return ", ".join(parts) + (f": {self.error}" if self.error else "")
+        return ", ".join(filter(None, (f"{self.state} {self.name}", self.success, self.detail)))
 
 
 class Overview:
     """
-    Status of all runs.
+    States of all runs.
 
     :param jobs: The runs
     :param folder: Folder of the benchmark
@@ -69,43 +44,43 @@ class Overview:
 
     def __init__(self, jobs: Sequence[Job], folder: Path) -> None:
         self.folder = folder
-        self.entries = {job.name: Entry(job.name, Status.WAITING) for job in jobs}
+        self.entries = {job.name: Entry(job.name) for job in jobs}
 
     def update(self) -> list[Entry]:
         """Read the folders of all runs that were not done, and return the entries that have changed."""
         before = dict(self.entries)
         for name, entry in before.items():
-            if entry.status is not Status.DONE:
-                self.entries[name] = read_entry(self.folder, name)
+            if entry.state != State.DONE.value:
+                self.entries[name] = _read_entry(self.folder, name)
         return [entry for name, entry in self.entries.items() if entry != before[name]]
 
-    def of(self, status: Status) -> list[Entry]:
-        """Return the runs with a status."""
-        return [entry for entry in self.entries.values() if entry.status is status]
+    def of(self, state: str) -> list[Entry]:
+        """Return the runs with a state."""
+        return [entry for entry in self.entries.values() if entry.state == state]
 
     def counts(self) -> str:
-        """Return the number of runs with each status."""
-        counts = Counter(entry.status for entry in self.entries.values())
-        return ", ".join(f"{counts[status]} {status.value}" for status in Status)
+        """Return the number of runs with each state."""
+        counts = Counter(entry.state for entry in self.entries.values())
+        return ", ".join(f"{counts[state]} {state}" for state in STATES)
 
 
-def read_entry(folder: Path, name: str) -> Entry:
-    """Read the status of one run; ``name`` is its folder within that of the benchmark."""
+def _read_entry(folder: Path, name: str) -> Entry:
     from zoo_configs.drawing.curves import load_curve
 
     try:
         found = run_status(folder / name)
     except CommandError as error:
-        return Entry(name, Status.FAILED, error=str(error))
+        return Entry(name, State.FAILED.value, detail=str(error))
     if found is None:
-        return Entry(name, Status.WAITING)
-    status = Status.WAITING if found.state is State.KILLED else Status(found.state.value)
-    message = found.error if status is Status.FAILED else ""
+        return Entry(name)
+    state = WAITING if found.state is State.KILLED else found.state.value
+    details = {State.RUNNING: f"on {found.host}", State.FAILED: found.error}
     try:
         curve = load_curve(folder / name / EVALUATIONS_FILE)
+        success = f"success {curve.success[-1]:.2f} at {curve.timesteps[-1]}"
     except (CommandError, OSError):  # missing, or not yet visible in a shared folder
-        return Entry(name, status, host=found.host, error=message)
-    return Entry(name, status, int(curve.timesteps[-1]), float(curve.success[-1]), found.host, message)
+        success = ""
+    return Entry(name, state, success, details.get(found.state, ""))
 
 
 @contextmanager
@@ -113,9 +88,7 @@ def shown(overview: Overview, progress: bool | None = None) -> Iterator[Callable
     """
     Print each change of an overview, above a progress bar with the counts.
 
-    :param overview: The overview
-    :param progress: Whether to show the bar; None shows it on a terminal
-    :return: Context manager of a function to call often, which updates the overview
+    Provide a function to call often, which updates the overview. None shows the bar on a terminal.
     """
     last = -INTERVAL
     with tqdm(total=len(overview.entries), unit="run", disable=hides_progress(progress)) as bar:
@@ -127,7 +100,7 @@ def shown(overview: Overview, progress: bool | None = None) -> Iterator[Callable
             last = time.monotonic()
             for entry in overview.update():
                 bar.write(f"[{overview.counts()}] {entry}", file=sys.stderr)
-            bar.n = len(overview.of(Status.DONE)) + len(overview.of(Status.FAILED))
+            bar.n = len(overview.of(State.DONE.value)) + len(overview.of(State.FAILED.value))
             bar.set_postfix_str(overview.counts())
 
         yield update

@@ -7,19 +7,20 @@ from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from zoo_configs.arguments import add_env_kwargs, add_packages, device
+from zoo_configs.arguments import add_env_kwargs, add_packages, add_progress, seed
 
 if TYPE_CHECKING:
     from zoo_configs.agents import AgentQuery
 
 
 def add_agent_flags(parser: argparse.ArgumentParser, is_run: bool = False) -> None:
-    """Add the flags that describe an agent; with ``is_run`` it must be that of a run."""
+    """Add the flags that describe an agent, with ``is_run`` that of a run, and its test scenes."""
     add = parser.add_argument
+    folder = "run folder, as train prints it"
     if is_run:
-        add("path", nargs="?", type=Path, metavar="RUN_FOLDER", help="run folder, as train prints it")
+        add("path", nargs="?", type=Path, metavar="RUN_FOLDER", help=folder)
     else:
-        model = "run folder, as train prints it, or a model that save() wrote (with --env)"
+        model = f"{folder}, or a model that save() wrote (with --env)"
         add("path", nargs="?", type=Path, metavar="RUN_FOLDER|FILE.zip", help=model)
         published = "load the agent that the package contains for this task, or a folder written by push"
         add("--published", metavar="TASK", help=published)
@@ -28,13 +29,15 @@ def add_agent_flags(parser: argparse.ArgumentParser, is_run: bool = False) -> No
     add("--algo", help="load the newest run of this algorithm, or of the baseline of this name")
     add("--preset", help="load the newest run with this preset")
     add("-f", "--log-folder", type=Path, default=Path("logs"), help="folder of all runs (default: logs)")
-    add("--device", type=device, default="auto", help="PyTorch device (default: auto)")
+    add("--device", default="auto", help="PyTorch device (default: auto)")
+    add("--seed", type=seed, default=0, help="seed of the test scenes (default: 0)")
+    best = "load the model with the best evaluation (the default)"
+    model = parser.add_mutually_exclusive_group()
+    model.add_argument("--load-best", action="store_true", default=True, help=best)
+    model.add_argument("--load-last", action="store_false", dest="load_best", help="load the last model")
     add_packages(parser)
     add_env_kwargs(parser)
-    group = parser.add_mutually_exclusive_group()
-    best = "load the model with the best evaluation (default)"
-    group.add_argument("--load-best", action="store_true", default=True, help=best)
-    group.add_argument("--load-last", action="store_false", dest="load_best", help="load the last model")
+    add_progress(parser)
 
 
 def query_of(args: argparse.Namespace) -> AgentQuery:

@@ -19,13 +19,13 @@ from zoo_configs.arguments import (
     positive_int,
     whole_number,
 )
-from zoo_configs.cells.flags import PRESETS
 from zoo_configs.drawing.tables import print_table
 from zoo_configs.errors import CommandError
+from zoo_configs.experiments.flags import PRESETS
 from zoo_configs.files import missing_folders, print_written, remove_empty
 
 if TYPE_CHECKING:
-    from zoo_configs.benchmarking.plan import Job, Plan
+    from zoo_configs.benchmarking.plan import Job
     from zoo_configs.benchmarking.run import Runner, Size
     from zoo_configs.benchmarking.status import Overview
 
@@ -37,13 +37,7 @@ GPUS_A_RUN = 0.25
 
 
 def main(argv: Sequence[str]) -> None:
-    """
-    Run the command.
-
-    :param argv: Its arguments
-    :raises CommandError: for invalid arguments, before anything is written; at the end if runs have failed
-    :raises KeyboardInterrupt: after Ctrl-C, when all runs have stopped
-    """
+    """Run the command; raise ``CommandError`` before anything is written, or at the end if runs failed."""
     args = _parse(argv)
     if args.ray is not None and not args.dry_run:
         from zoo_configs.benchmarking.cluster import check_address
@@ -52,21 +46,23 @@ def main(argv: Sequence[str]) -> None:
     from zoo_configs.benchmarking.plan import build_jobs, read_plan
     from zoo_configs.benchmarking.run import check_jobs, size_of, train_jobs
 
-    plan = _narrowed(read_plan(args.name), args)
+    passed = {"tasks": args.env, "baselines": args.baseline, "preset": args.preset, "seeds": args.seeds}
+    plan = replace(
+        read_plan(args.name), **{name: value for name, value in passed.items() if value is not None}
+    )
     jobs = build_jobs(plan, args.gym_packages, args.device, max(1, int(args.cpus)))
     if args.ray is None:
         check_device(args.device)
     folder = args.log_folder or Path("benchmarks") / Path(args.name).stem
     check_jobs(jobs, folder)
-    sizes = {job.experiment: job for job in reversed(jobs)}
-    size = {name: size_of(job) for name, job in sizes.items()}
+    sizes = {name: size_of(job) for name, job in {job.experiment_name: job for job in reversed(jobs)}.items()}
     if args.dry_run:
-        _print_sizes(jobs, size)
+        _print_sizes(jobs, sizes)
         return
     made = missing_folders(folder)
     folder.mkdir(parents=True, exist_ok=True)
     try:
-        with _runner(jobs, size, folder, args) as runner:
+        with _runner(jobs, sizes, folder.absolute(), args) as runner:
             overview = train_jobs(jobs, folder, runner, args.retry_failed, args.progress)
     finally:
         remove_empty(made)
@@ -76,45 +72,34 @@ def main(argv: Sequence[str]) -> None:
 def _parse(argv: Sequence[str]) -> argparse.Namespace:
     parser = Parser("bulletarm-zoo benchmark", description=DESCRIPTION, epilog=EPILOG)
     names = "open_loop_2d, open_loop_3d, open_loop_6d, close_loop_3d, close_loop_4d or a YAML file"
-    add = parser.add_argument
+    add, a_seed = parser.add_argument, whole_number(0, MAX_SEED)
     add("name", metavar="NAME", help=names)
     add("-f", "--log-folder", type=Path, help="folder of all runs (default: benchmarks/NAME)")
     add("--dry-run", action="store_true", help="list experiments, memory and disk, and train nothing")
     add("--retry-failed", action="store_true", help="restart failed runs")
-    _add_experiments(parser)
-    _add_resources(parser)
     add_packages(parser)
     add_progress(parser)
+    add = parser.add_argument_group("experiments").add_argument
+    add("--env", nargs="+", help="tasks or shell patterns (default: all of the benchmark)")
+    add("--baseline", nargs="+", help="baselines or shell patterns (default: all of the benchmark)")
+    add("--preset", help=f"{PRESETS} (default: paper with a GPU, else cpu)")
+    add("--seeds", "--seed", nargs="+", type=a_seed, help="seeds (default: 0 1 2 3, as in the paper)")
+    add("--device", default="auto", help="PyTorch device (default: auto)")
+    add = parser.add_argument_group("resources").add_argument
+    jobs = "number of simultaneous runs on this machine (default: its cores divided by --cpus)"
+    gpus = f"with --ray: GPUs of a run (default: {GPUS_A_RUN} if the cluster has GPUs)"
+    cluster = "train on a Ray cluster (default: that of this machine)"
+    add("-j", "--jobs", type=positive_int, help=jobs)
+    add("--cpus", type=_positive, default=1.0, help="cores and threads of a run (default: 1)")
+    add("--gpus", type=_positive, help=gpus)
+    add("--memory", type=_positive, help="with --ray: gigabytes of a run (default: as listed by --dry-run)")
+    add("--ray", nargs="?", const="auto", metavar="ADDRESS", help=cluster)
     args = parser.parse_args(argv)
     if args.ray is None and (args.gpus is not None or args.memory is not None):
         parser.error("--gpus and --memory need --ray. Use -j for the number of runs on this machine")
     if args.ray is not None and args.jobs is not None:
         parser.error("-j cannot be combined with --ray. Use --cpus, --gpus and --memory")
     return args
-
-
-def _add_experiments(parser: Parser) -> None:
-    group = parser.add_argument_group("experiments")
-    add, a_seed = group.add_argument, whole_number(0, MAX_SEED)
-    add("--env", nargs="+", help="tasks or shell patterns (default: all of the benchmark)")
-    add("--baseline", nargs="+", help="baselines or shell patterns (default: all of the benchmark)")
-    add("--preset", help=f"{PRESETS} (default: paper with a GPU, else cpu)")
-    add("--seeds", "--seed", nargs="+", type=a_seed, help="seeds (default: 0 1 2 3, as in the paper)")
-    add("--device", default="auto", help="PyTorch device (default: auto)")
-
-
-def _add_resources(parser: Parser) -> None:
-    group = parser.add_argument_group("resources")
-    add = group.add_argument
-    jobs = "number of simultaneous runs on this machine (default: its cores divided by --cpus)"
-    gpus = f"with --ray: GPUs of a run (default: {GPUS_A_RUN} if the cluster has GPUs)"
-    memory = "with --ray: gigabytes of a run (default: as listed by --dry-run)"
-    cluster = "train on a Ray cluster (default: that of this machine)"
-    add("-j", "--jobs", type=positive_int, help=jobs)
-    add("--cpus", type=_positive, default=1.0, help="cores and threads of a run (default: 1)")
-    add("--gpus", type=_positive, help=gpus)
-    add("--memory", type=_positive, help=memory)
-    add("--ray", nargs="?", const="auto", metavar="ADDRESS", help=cluster)
 
 
 def _positive(text: str) -> float:
@@ -127,19 +112,13 @@ def _positive(text: str) -> float:
     return value
 
 
-def _narrowed(plan: Plan, args: argparse.Namespace) -> Plan:
-    passed = {"tasks": args.env, "baselines": args.baseline, "preset": args.preset, "seeds": args.seeds}
-    return replace(plan, **{name: value for name, value in passed.items() if value is not None})
-
-
 def _print_sizes(jobs: Sequence[Job], sizes: Mapping[str, Size]) -> None:
-    seeds = {name: [job.seed for job in jobs if job.experiment == name] for name in sorted(sizes)}
-    rows = [
-        [name, " ".join(map(str, own)), f"{sizes[name].memory:.1f}", f"{sizes[name].disk:.2f}"]
-        for name, own in seeds.items()
-    ]
+    rows = []
+    for name, size in sorted(sizes.items()):
+        seeds = " ".join(str(job.seed) for job in jobs if job.experiment_name == name)
+        rows.append([name, seeds, f"{size.memory:.1f}", f"{size.disk:.2f}"])
     print_table(["experiment", "seeds", "GB of memory", "GB of disk"], rows)
-    disk = sum(sizes[job.experiment].disk for job in jobs)
+    disk = sum(sizes[job.experiment_name].disk for job in jobs)
     print(f"{len(rows)} experiments, {len(jobs)} runs, {disk:.2f} GB of disk")
 
 
@@ -148,19 +127,19 @@ def _runner(
     jobs: Sequence[Job], sizes: Mapping[str, Size], folder: Path, args: argparse.Namespace
 ) -> Iterator[Runner]:
     """Prepare the machine or the cluster, and provide the function that trains runs."""
-    from zoo_configs.benchmarking.process import run_here
-
     if args.ray is None:
+        from zoo_configs.benchmarking.process import run_here
+
         n_jobs = int(args.jobs or max(1, (os.cpu_count() or 1) // max(1, int(args.cpus))))
-        yield lambda waiting, look: run_here(waiting, folder.absolute(), n_jobs, look)
+        yield lambda waiting, look: run_here(waiting, folder, n_jobs, look)
         return
     from zoo_configs.benchmarking.cluster import check_resources, connected, run_on_ray, shared_folder
 
     with connected(args.ray):
-        resources = {job.name: _resources(args, sizes[job.experiment]) for job in jobs}
+        resources = {job.name: _resources(args, sizes[job.experiment_name]) for job in jobs}
         check_resources(resources)
-        with shared_folder(folder.absolute(), args.gym_packages) as token:
-            yield lambda waiting, look: run_on_ray(waiting, folder.absolute(), resources, token, look)
+        with shared_folder(folder, args.gym_packages) as token:
+            yield lambda waiting, look: run_on_ray(waiting, folder, resources, token, look)
 
 
 def _resources(args: argparse.Namespace, size: Size) -> dict[str, float]:
@@ -174,13 +153,11 @@ def _resources(args: argparse.Namespace, size: Size) -> dict[str, float]:
 
 def _report(overview: Overview) -> None:
     """Print the status at the end."""
-    from zoo_configs.benchmarking.status import Status
-
     print(overview.counts())
     print_written(overview.folder)
-    failed, number = overview.of(Status.FAILED), len(overview.entries)
+    failed, number = overview.of("failed"), len(overview.entries)
     if failed:
-        first = f"{failed[0].name}: {failed[0].error}"
+        first = f"{failed[0].name}: {failed[0].detail}"
         raise CommandError(f"{len(failed)} of {number} runs failed. Use --retry-failed to restart; {first}")
-    if left := number - len(overview.of(Status.DONE)):
+    if left := number - len(overview.of("done")):
         raise CommandError(f"{left} of {number} runs are locked by other processes")

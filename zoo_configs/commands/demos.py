@@ -1,7 +1,5 @@
 """``bulletarm-zoo demos``: collects demonstrations of an expert."""
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Sequence
 from pathlib import Path
@@ -13,33 +11,21 @@ from zoo_configs.errors import refused
 from zoo_configs.files import check_writable, print_written
 
 DESCRIPTION = """Collect successful episodes of an expert into one HDF5 file, which is written at the end.
-To train with it: bulletarm-zoo train ... -params expert_data:"'FILE'"."""
+To train with it: bulletarm-zoo train ... -params expert_data:FILE."""
 SUFFIXES = (".h5", ".hdf5")
 
 
 def main(argv: Sequence[str]) -> None:
-    """
-    Run the command.
-
-    :param argv: Its arguments
-    :raises CommandError: if the planner does not support the environment, or fails too often
-    """
+    """Run the command."""
     args = _parse(argv)
     register_environments(args.gym_packages)
     env_id = known_env_id(args.env)
     path = args.output or Path(f"{env_id.rpartition('/')[2]}-{args.planner}.h5")
     check_writable(path, "--output")
     try_env(env_id, args.env_kwargs)
+    settings = {"seed": args.seed, "env_kwargs": args.env_kwargs, "path": path, "progress": args.progress}
     with refused(f"{env_id}: no demonstrations", (RuntimeError, ValueError)):
-        found = demonstrations().collect(
-            env_id,
-            args.episodes,
-            args.planner,
-            seed=args.seed,
-            env_kwargs=args.env_kwargs,
-            path=path,
-            progress=args.progress,
-        )
+        found = demonstrations().collect(env_id, args.episodes, args.planner, **settings)
     length = fmean(len(episode) for episode in found)
     print(f"{env_id}: {len(found)} of {found.attempts} attempts succeeded, mean_length={length:.2f}")
     print_written(path)
@@ -53,9 +39,9 @@ def _parse(argv: Sequence[str]) -> argparse.Namespace:
     add("-n", "--episodes", type=positive_int, default=100, help=episodes)
     add("--planner", default="waypoint", help="waypoint (default) or deconstruction")
     add("--seed", type=seed, default=0, help="seed of the collection (default: 0)")
+    add("-o", "--output", type=Path, help="file to write (default: ENV-PLANNER.h5)")
     add_env_kwargs(parser)
     add_packages(parser)
-    add("-o", "--output", type=Path, help="file to write (default: ENV-PLANNER.h5)")
     add_progress(parser)
     args = parser.parse_args(argv)
     if args.output is not None and args.output.suffix not in SUFFIXES:

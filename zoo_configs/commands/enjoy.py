@@ -1,13 +1,11 @@
 """``bulletarm-zoo enjoy``: evaluates a trained agent on new scenes."""
 
-from __future__ import annotations
-
 import argparse
 import sys
 from collections.abc import Sequence
 from contextlib import closing
 
-from zoo_configs.arguments import Parser, add_progress, positive_int, seed
+from zoo_configs.arguments import Parser, positive_int
 from zoo_configs.commands.agent_flags import add_agent_flags, query_of
 from zoo_configs.errors import CommandError, reason
 from zoo_configs.files import print_written
@@ -18,18 +16,13 @@ The last line is, for example, "success_rate=0.98 episodes=50"."""
 
 
 def main(argv: Sequence[str]) -> None:
-    """
-    Run the command.
-
-    :param argv: Its arguments
-    :raises CommandError: if no agent fits
-    """
+    """Run the command."""
     args = _parse(argv)
     from zoo_configs.agents import find_agent
     from zoo_configs.evaluating import EvalOptions, build_test_env, check_fits, evaluate
 
     agent = find_agent(query_of(args))
-    options = EvalOptions(args.episodes, args.seed, args.n_envs, args.env_kwargs, args.render, args.progress)
+    options = EvalOptions(args.episodes, args.seed, args.n_envs, args.env_kwargs, args.progress)
     with closing(build_test_env(agent, options)) as env:
         check_fits(env, agent)
         print(f"{agent.label} on {agent.env_id}, model {agent.path}")
@@ -49,8 +42,5 @@ def _parse(argv: Sequence[str]) -> argparse.Namespace:
     add_agent_flags(parser)
     add = parser.add_argument
     add("-n", "--episodes", type=positive_int, default=50, help="number of episodes (default: 50)")
-    add("--seed", type=seed, default=0, help="seed of the test scenes (default: 0)")
     add("--n-envs", type=positive_int, default=1, help="number of environments in processes (default: 1)")
-    add("--render", action="store_true", help="open a window")
-    add_progress(parser)
     return parser.parse_args(argv)

@@ -14,7 +14,7 @@ from zoo_configs.errors import CommandError
 from zoo_configs.files import check_writable, print_written
 
 if TYPE_CHECKING:
-    from zoo_configs.results import Experiment
+    from zoo_configs.results import ExperimentResults
 
 DESCRIPTION = """Draw the evaluations of all runs in a log folder: a panel for each environment and a curve
 for each experiment, with the mean over the seeds and its standard error. Runs of an experiment differ only
@@ -25,12 +25,7 @@ FORMATS = (".png", ".pdf", ".svg")
 
 
 def main(argv: Sequence[str]) -> None:
-    """
-    Run the command.
-
-    :param argv: Its arguments
-    :raises CommandError: if no run fits
-    """
+    """Run the command."""
     args = _parse(argv)
     from zoo_configs.results import read_experiments
 
@@ -57,7 +52,7 @@ def _parse(argv: Sequence[str]) -> argparse.Namespace:
     return args
 
 
-def _plot_success(experiments: Sequence[Experiment], output: Path) -> list[Path]:
+def _plot_success(experiments: Sequence[ExperimentResults], output: Path) -> list[Path]:
     from zoo_configs.results import BASELINE_HEADS, HEADS, baseline_rows, experiment_row, write_tables
 
     print_table(HEADS, list(map(experiment_row, experiments)))
@@ -66,7 +61,7 @@ def _plot_success(experiments: Sequence[Experiment], output: Path) -> list[Path]
     return [output, *write_tables(experiments, output)]
 
 
-def draw_panels(experiments: Iterable[Experiment], output: Path) -> None:
+def draw_panels(experiments: Iterable[ExperimentResults], output: Path) -> None:
     """Draw the mean curve of each experiment."""
     from zoo_configs.drawing.curves import LearningCurve, draw_curves, mean_curve
 
@@ -77,8 +72,8 @@ def draw_panels(experiments: Iterable[Experiment], output: Path) -> None:
     draw_curves(panels, output)
 
 
-def _plot_training(experiments: Iterable[Experiment], output: Path) -> list[Path]:
-    from zoo_configs.drawing.training_curves import draw_training
+def _plot_training(experiments: Iterable[ExperimentResults], output: Path) -> list[Path]:
+    from zoo_configs.drawing.curves import draw_training
 
     panels: defaultdict[str, dict[str, list[Path]]] = defaultdict(dict)
     for experiment in experiments:

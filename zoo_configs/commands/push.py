@@ -11,13 +11,15 @@ from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from zoo_configs.arguments import Parser, add_progress, positive_int, seed
+from zoo_configs.arguments import Parser, check_device, positive_int
 from zoo_configs.commands.agent_flags import add_agent_flags, query_of
 from zoo_configs.environments import register_environments
-from zoo_configs.errors import CommandError
+from zoo_configs.errors import CommandError, refused
 from zoo_configs.files import check_writable, print_written
 
 if TYPE_CHECKING:
+    from huggingface_hub import HfApi
+
     from zoo_configs.agents import Agent
 
 DESCRIPTION = """Upload a trained agent to the Hugging Face hub, or write it to a folder (--folder): a small
@@ -26,17 +28,13 @@ VIDEO_FILE = "replay.mp4"  # name that the hub shows
 
 
 def main(argv: Sequence[str]) -> None:
-    """
-    Run the command.
-
-    :param argv: Its arguments
-    :raises CommandError: if no run fits, it cannot be published, or the hub cannot be used
-    """
+    """Run the command."""
     args = _parse(argv)
     from zoo_configs.agents import agent_of, find_run
     from zoo_configs.publishing.packing import check_publishable
 
     register_environments(args.gym_packages)
+    check_device(args.device)
     if args.folder is not None:
         _check_replaceable(args.folder)
     run = find_run(query_of(args))
@@ -44,8 +42,10 @@ def main(argv: Sequence[str]) -> None:
     agent = agent_of(run, args.load_best, args.device)
     if args.folder is None:
         _to_hub(agent, args)
-    else:
-        _to_folder(agent, args)
+        return
+    with _whole_folder(args.folder) as partial:
+        _pack(agent, partial, args, None)
+    print_written(*sorted(args.folder.iterdir()))
 
 
 def _parse(argv: Sequence[str]) -> argparse.Namespace:
@@ -54,41 +54,50 @@ def _parse(argv: Sequence[str]) -> argparse.Namespace:
     add = parser.add_argument
     add("-orga", "--organization", help="organization or user of the repository on the hub")
     add("-name", "--repo-name", help="name of the repository (default: BASELINE-ENV)")
-    message = "message of the commit (default: %(default)s)"
-    add("-m", "--commit-message", default="Add the agent", help=message)
-    add("--no-render", action="store_true", help=f"upload no video ({VIDEO_FILE})")
     add("--folder", type=Path, help="write this folder instead; an existing agent is replaced")
     add("-n", "--episodes", type=positive_int, default=100, help="number of test episodes (default: 100)")
-    add("--seed", type=seed, default=0, help="seed of the test scenes (default: 0)")
     add("--full-precision", action="store_true", help="store the weights in float32")
-    add_progress(parser)
     args = parser.parse_args(argv)
     if (args.organization is None) == (args.folder is None):
         parser.error("pass either --organization or --folder")
-    if args.folder is not None and (args.repo_name is not None or args.no_render):
-        parser.error("--repo-name and --no-render need --organization")
+    if args.folder is not None and args.repo_name is not None:
+        parser.error("--repo-name needs --organization")
     return args
 
 
 def _to_hub(agent: Agent, args: argparse.Namespace) -> None:
-    from zoo_configs.publishing.hub import connect, repository, upload
+    from huggingface_hub.utils import validate_repo_id  # type: ignore[attr-defined]
+
     from zoo_configs.training.runs import env_folder_name
 
     name = args.repo_name or f"{agent.label}-{env_folder_name(agent.env_id)}"
-    repo_id = repository(args.organization, name)
-    hub = connect()
+    repo_id = f"{args.organization}/{name}"
+    with refused("--organization and --repo-name must be names of the hub"):
+        validate_repo_id(repo_id)
+    hub = _connect()
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch)
         _pack(agent, folder, args, repo_id)
-        if not args.no_render:
-            _record(agent, folder / VIDEO_FILE, args)
-        print(f"Uploaded to {upload(hub, folder, repo_id, args.commit_message)}")
+        _record(agent, folder / VIDEO_FILE, args)
+        with refused(f"{repo_id} cannot be written"):
+            url = hub.create_repo(repo_id=repo_id, exist_ok=True)
+            hub.upload_folder(repo_id=repo_id, folder_path=folder, commit_message="Add the agent")
+    print(f"Uploaded to {url}")
 
 
-def _to_folder(agent: Agent, args: argparse.Namespace) -> None:
-    with _whole_folder(args.folder) as partial:
-        _pack(agent, partial, args, None)
-    print_written(*sorted(args.folder.iterdir()))
+def _connect() -> HfApi:
+    """Log in to the hub."""
+    from huggingface_hub import HfApi, get_token
+
+    token = get_token()
+    if not token:
+        raise CommandError(
+            "no token of the Hugging Face hub. Run `hf auth login`, set HF_TOKEN, or pass --folder"
+        )
+    hub = HfApi(token=token)
+    with refused("the Hugging Face hub cannot be used"):
+        hub.whoami()
+    return hub
 
 
 def _pack(agent: Agent, folder: Path, args: argparse.Namespace, repo_id: str | None) -> None:
@@ -105,12 +114,11 @@ def _pack(agent: Agent, folder: Path, args: argparse.Namespace, repo_id: str | N
 def _record(agent: Agent, path: Path, args: argparse.Namespace) -> None:
     """Record two episodes."""
     from zoo_configs.drawing.video import write_video
-    from zoo_configs.recording import FRAMES_PER_SECOND, agent_actor, record
+    from zoo_configs.recording import agent_actor, record
 
     actor = agent_actor(agent, args.env_kwargs)
     with closing(actor.env):
-        frames = list(record(actor, 2, args.seed, progress=args.progress))
-    write_video(frames, path, FRAMES_PER_SECOND)
+        write_video(list(record(actor, 2, args.seed, args.progress)), path)
 
 
 def _check_replaceable(folder: Path) -> None:

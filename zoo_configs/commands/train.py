@@ -11,51 +11,35 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from zoo_configs.arguments import MAX_SEED, Parser, add_packages, add_progress, whole_number
-from zoo_configs.cells.cell import Cell
-from zoo_configs.cells.flags import add_cell_flags, find_cell
-from zoo_configs.environments import known_env_id, package_of, register_environments
+from zoo_configs.environments import package_of, register_environments
 from zoo_configs.errors import CommandError
+from zoo_configs.experiments.config import ExperimentConfig
+from zoo_configs.experiments.flags import add_experiment_flags, find_experiment
+from zoo_configs.files import print_written
 from zoo_configs.training.options import TrainingOptions, add_options, given_options
 
 if TYPE_CHECKING:
     from zoo_configs.training.runs import Run
 
-FIXED = {
-    "--baseline": "baseline",
-    "--preset": "preset",
-    "--benchmark": "benchmark",
-    "--algo": "algo",
-    "--env": "env",
-    "--env-kwargs": "env_kwargs",
-    "-params": "hyperparams",
-    "--conf-file": "conf_file",
-    "--seed": "seed",
-    "--log-folder": "log_folder",
-    "--allow-mismatched-demos": "allow_mismatched_demos",
-    "--trained-agent": "trained_agent",
-    "--dry-run": "dry_run",
-}
-"""Flags that a resumed run cannot change, and their names as arguments."""
+FIXED = (
+    *("baseline", "preset", "benchmark", "algo", "env", "env_kwargs", "hyperparams", "conf_file", "seed"),
+    *("log_folder", "allow_mismatched_demos", "trained_agent", "dry_run"),
+)
+"""Arguments that a resumed run cannot change."""
 DESCRIPTION = """Train an agent. --baseline, --preset and --env name an experiment, whose hyperparameters are
 written to the run folder. The options of the training replace the preset's."""
 EPILOG = "bulletarm-zoo train --baseline equi_sacfd --env BulletArm/CloseLoopBlockPicking-v0 --preset quick"
 
 
 def main(argv: Sequence[str]) -> None:
-    """
-    Run the command.
-
-    :param argv: Its arguments
-    :raises CommandError: for invalid arguments
-    :raises KeyboardInterrupt: after Ctrl-C, when the model is saved
-    """
+    """Run the command; raise ``KeyboardInterrupt`` after Ctrl-C, when the model is saved."""
     args = build_parser().parse_args(argv)
     register_environments(args.gym_packages)
     if args.dry_run and not args.resume:
-        _print_experiment(_find_cell(args), args)
+        _print_experiment(find_experiment(args), args)
         return
     progress = args.progress if args.progress is not None else sys.stderr.isatty()
-    from zoo_configs.training.cell import TrainingInterrupted
+    from zoo_configs.training.train import TrainingInterrupted
 
     try:
         _report(_resume(args, progress) if args.resume else _begin(args, progress))
@@ -66,13 +50,9 @@ def main(argv: Sequence[str]) -> None:
 
 
 def build_parser() -> argparse.ArgumentParser:
-    """
-    Build the parser of the command.
-
-    :return: The parser
-    """
+    """Return the parser of the command."""
     parser = Parser("bulletarm-zoo train", description=DESCRIPTION, epilog=EPILOG, allow_abbrev=False)
-    add_cell_flags(parser)
+    add_experiment_flags(parser)
     add = parser.add_argument
     add("--resume", type=Path, metavar="RUN_FOLDER", help="resume a run from its last checkpoint")
     add("--dry-run", action="store_true", help="print the configuration and the source of each value")
@@ -86,34 +66,32 @@ def build_parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _find_cell(args: argparse.Namespace) -> Cell:
-    if args.env is None:
-        raise CommandError("name an environment with --env, see bulletarm-zoo list")
-    return find_cell(args, known_env_id(args.env))
+def _print_experiment(experiment: ExperimentConfig, args: argparse.Namespace) -> None:
+    from zoo_configs.experiments.config import explained_yaml
+    from zoo_configs.experiments.validation import check_experiment
 
-
-def _print_experiment(cell: Cell, args: argparse.Namespace) -> None:
-    from zoo_configs.cells.explanation import explained_yaml
-    from zoo_configs.cells.validation import check_cell
-
-    check_cell(cell)
+    check_experiment(experiment)
     given = given_options(args)
-    print(explained_yaml(cell, TrainingOptions.of(cell, given).plain(), given))
+    print(explained_yaml(experiment, TrainingOptions.of(experiment, given).plain(), given))
 
 
 def _begin(args: argparse.Namespace, progress: bool) -> Run:
-    from zoo_configs.training.cell import train_cell
+    from zoo_configs.training.train import train_experiment
 
-    cell = _find_cell(args)
+    experiment = find_experiment(args)
     seed = secrets.randbelow(MAX_SEED + 1) if args.seed in (None, -1) else args.seed
-    default = f", baseline {cell.baseline} of --algo {args.algo}" if cell.baseline != args.baseline else ""
-    print(f"{cell.env_id}, seed {seed}{default}")
-    return train_cell(
-        cell,
+    default = (
+        f", baseline {experiment.baseline} of --algo {args.algo}"
+        if experiment.baseline != args.baseline
+        else ""
+    )
+    print(f"{experiment.env_id}, seed {seed}{default}")
+    return train_experiment(
+        experiment,
         seed,
         args.device or "auto",
         args.log_folder or Path("logs"),
-        options=TrainingOptions.of(cell, given_options(args)),
+        options=TrainingOptions.of(experiment, given_options(args)),
         gym_packages=tuple(dict.fromkeys([*args.gym_packages, *package_of(args.env)])),
         allow_mismatched_demos=args.allow_mismatched_demos,
         progress=progress,
@@ -121,13 +99,14 @@ def _begin(args: argparse.Namespace, progress: bool) -> Run:
 
 
 def _resume(args: argparse.Namespace, progress: bool) -> Run:
-    from zoo_configs.training.cell import resume_run
     from zoo_configs.training.runs import load_run
+    from zoo_configs.training.train import resume_run
 
     unset = build_parser().parse_args([])
-    changed = {name for name in FIXED.values() if getattr(args, name, None) != getattr(unset, name, None)}
-    if others := [flag for flag, name in FIXED.items() if name in changed]:
-        raise CommandError(f"cannot be changed when resuming: {', '.join(others)}")
+    changed = [name for name in FIXED if getattr(args, name, None) != getattr(unset, name, None)]
+    if changed:
+        flags = ", ".join(f"--{name.replace('_', '-')}" for name in changed)
+        raise CommandError(f"cannot be changed when resuming: {flags}")
     run = load_run(args.resume)
     options = replace(run.options, **given_options(args))
     return resume_run(replace(run, options=options, device=args.device or run.device), progress=progress)
@@ -139,4 +118,4 @@ def _report(run: Run) -> None:
     files = [run.last_model, run.best_model, run.resolved_file]
     if run.evaluations_file.is_file():
         files.append(draw_run(run))
-    print("\n".join(["Written:", *(f"  {path}" for path in files if path.exists())]))
+    print_written(*(path for path in files if path.exists()))

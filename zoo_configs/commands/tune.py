@@ -8,19 +8,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from zoo_configs.arguments import MAX_SEED, Parser, add_packages, add_progress, positive_int, whole_number
-from zoo_configs.cells.flags import add_cell_flags, find_cell
-from zoo_configs.cells.rules import task_name
-from zoo_configs.environments import known_env_id, package_of, register_environments
-from zoo_configs.errors import CommandError
+from zoo_configs.environments import package_of, register_environments
+from zoo_configs.experiments.families import task_name
+from zoo_configs.experiments.flags import add_experiment_flags, find_experiment
+from zoo_configs.files import print_written
 from zoo_configs.training.options import TrainingOptions, add_options, given_options
 
 if TYPE_CHECKING:
     from zoo_configs.tuning.study import Search
 
 STUDIES_FOLDER = "studies"
-SAMPLERS = ("tpe", "random", "gp")
-PRUNERS = ("median", "halving", "none")
-N_TRIALS, N_STARTUP_TRIALS, N_EVALUATIONS = 100, 10, 8
+PRUNERS = ("median", "none")
 DESCRIPTION = """Search hyperparameters. The experiment is named as for train, and its values are the first
 trial. Processes with the same command, on machines that share the log folder, work on one study. A trial
 whose process dies is continued by another process. The same command continues a study."""
@@ -28,67 +26,53 @@ EPILOG = "bulletarm-zoo tune --baseline sacfd --env BulletArm/CloseLoopBlockReac
 
 
 def main(argv: Sequence[str]) -> None:
-    """
-    Run the command.
-
-    :param argv: Its arguments
-    :raises CommandError: for invalid arguments, or if no trial is complete
-    """
+    """Run the command."""
     args = build_parser().parse_args(argv)
     register_environments(args.gym_packages)
     search = _search(args)
 
+    import matplotlib as mpl
     import optuna
 
-    from zoo_configs.tuning.report import check_complete, summary, write_report
+    from zoo_configs.tuning.report import BEST_FILE, check_complete, summary, write_report
     from zoo_configs.tuning.study import open_study, work
 
+    mpl.use("Agg")
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     study = open_study(search)
     try:
         work(search, study, args.progress)
     finally:
         print(f"study {search.name}: {summary(study)}")
-        files = write_report(search, study, plots=not args.no_optim_plots)
-        print("\n".join(["Written:", *(f"  {path}" for path in files)]) if files else "no trial is complete")
+        files = write_report(search, study)
+        print_written(*files) if files else print("no trial is complete")
     check_complete(search, study)
-    print(f"To train with the best values: {_train_command(search)}")
+    named = f"--algo {search.experiment.algo} --env {search.experiment.env_id} --seed {search.seed + 1}"
+    print(
+        f"To train with the best values: bulletarm-zoo train {named} --conf-file {search.folder / BEST_FILE}"
+    )
     print(f"To view the study: optuna-dashboard {search.storage_name}")
 
 
 def build_parser() -> argparse.ArgumentParser:
-    """
-    Build the parser of the command.
-
-    :return: The parser
-    """
+    """Return the parser of the command."""
     parser = Parser("bulletarm-zoo tune", description=DESCRIPTION, epilog=EPILOG, allow_abbrev=False)
-    add_cell_flags(parser)
+    add_experiment_flags(parser)
     add, a_seed = parser.add_argument, whole_number(0, MAX_SEED)
     folder = "folder of studies/, which has a folder for each study (default: logs)"
-    startup = f"trials that are sampled at random and not pruned (default: {N_STARTUP_TRIALS})"
+    startup = "trials that are sampled at random and not pruned (default: 10)"
+    trials, evaluations = "trials of all processes (default: 100)", "evaluations of a trial (default: 8)"
+    storage = "URL of a database, or a journal file (default: a journal in the study's folder)"
     add("--seed", type=a_seed, default=0, help="seed of all trials and the sampler (default: 0)")
     add("--device", default="auto", help="PyTorch device (default: auto)")
     add("-f", "--log-folder", type=Path, default=Path("logs"), help=folder)
     add("--space", type=Path, help="YAML with the search space (default: that of the algorithm)")
-    add(
-        "--n-trials",
-        type=positive_int,
-        default=N_TRIALS,
-        help=f"trials of all processes (default: {N_TRIALS})",
-    )
-    add("--n-startup-trials", type=whole_number(0), default=N_STARTUP_TRIALS, help=startup)
-    add(
-        "--n-evaluations",
-        type=positive_int,
-        default=N_EVALUATIONS,
-        help="evaluations of a trial (default: 8)",
-    )
-    add("--sampler", choices=SAMPLERS, default="tpe", help="default: tpe")
+    add("--n-trials", type=positive_int, default=100, help=trials)
+    add("--n-startup-trials", type=whole_number(0), default=10, help=startup)
+    add("--n-evaluations", type=positive_int, default=8, help=evaluations)
     add("--pruner", choices=PRUNERS, default="median", help="default: median")
-    add("--storage", help="URL of a database, or a journal file (default: a journal in the study's folder)")
+    add("--storage", help=storage)
     add("--study-name", help="default: the baseline and the task")
-    add("--no-optim-plots", action="store_true", help="draw no plots")
     add_packages(parser)
     add_progress(parser)
     add_options(parser)
@@ -96,38 +80,28 @@ def build_parser() -> argparse.ArgumentParser:
 
 
 def _search(args: argparse.Namespace) -> Search:
-    from zoo_configs.cells.validation import check_cell
-    from zoo_configs.tuning.space import fit_space, load_space
+    from zoo_configs.experiments.validation import check_experiment
+    from zoo_configs.tuning.space import load_space
     from zoo_configs.tuning.study import Search
 
-    if args.env is None:
-        raise CommandError("name an environment with --env, see bulletarm-zoo list")
-    cell = find_cell(args, known_env_id(args.env))
-    check_cell(cell)
-    name = args.study_name or f"{cell.label}_{task_name(cell.env_id)}"
+    experiment = find_experiment(args)
+    check_experiment(experiment)
+    name = args.study_name or f"{experiment.label}_{task_name(experiment.env_id)}"
     given = {"verbose": 0, "save_freq": 0, **given_options(args)}
-    n_timesteps = int(given.get("n_timesteps", cell.hyperparams["n_timesteps"]))
+    n_timesteps = int(given.get("n_timesteps", experiment.hyperparams["n_timesteps"]))
     spacing = {"n_timesteps": n_timesteps, "eval_freq": max(n_timesteps // args.n_evaluations, 1)}
     given = {**given, **spacing, "save_freq": given["save_freq"] or spacing["eval_freq"]}
     return Search(
         name,
         args.log_folder / STUDIES_FOLDER / name,
-        cell,
-        fit_space(load_space(cell, args.space), cell, args.hyperparams, args.space is not None),
+        experiment,
+        load_space(experiment, args.hyperparams, args.space),
         args.seed,
-        TrainingOptions.of(cell, given),
+        TrainingOptions.of(experiment, given),
         args.n_trials,
-        args.sampler,
         args.pruner,
         args.n_startup_trials,
         args.storage,
         args.device,
         tuple(dict.fromkeys([*args.gym_packages, *package_of(args.env)])),
     )
-
-
-def _train_command(search: Search) -> str:
-    from zoo_configs.tuning.report import BEST_FILE
-
-    named = f"--algo {search.cell.algo} --env {search.cell.env_id} --conf-file {search.folder / BEST_FILE}"
-    return f"bulletarm-zoo train {named} --seed {search.seed + 1}"

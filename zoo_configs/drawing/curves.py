@@ -1,14 +1,13 @@
 """Learning curves: success in the evaluations over time steps."""
 
-from __future__ import annotations
-
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import pandas as pd
 
 from zoo_configs.errors import refused
 from zoo_configs.files import whole_file
@@ -20,6 +19,10 @@ PANELS_A_ROW = 2
 DOTS_PER_INCH = 150
 COLORS, STYLES = 10, ("-", "--", ":", "-.")  # the number of matplotlib's colours, then the next line style
 SUCCESS, RETURN = "evaluation success rate", "evaluation return"
+TIMESTEPS = "timesteps"
+QUANTITIES = {"value": "critic value", "entropy": "policy entropy (nats)"}
+SIDES = {"expert": "-", "online": "--"}
+"""Line style by kind of transitions."""
 
 
 @dataclass(frozen=True)
@@ -56,6 +59,12 @@ def load_curve(path: Path) -> LearningCurve:
     return LearningCurve(timesteps, episodes.mean(axis=1), error, measure, ones, episodes.shape[1])
 
 
+def read_training_log(path: Path) -> pd.DataFrame:
+    """Read the table of a run; raise ``CommandError`` if it is damaged."""
+    with refused(f"{path} is damaged"):
+        return pd.read_csv(path)
+
+
 def mean_curve(curves: Sequence[LearningCurve]) -> LearningCurve:
     """
     Return the mean of runs, at each time step over the runs that were evaluated then.
@@ -65,21 +74,16 @@ def mean_curve(curves: Sequence[LearningCurve]) -> LearningCurve:
     """
     if len(curves) == 1:
         return curves[0]
-    steps = np.unique(np.concatenate([curve.timesteps for curve in curves]))
-    values = np.full((len(curves), len(steps)), np.nan)
-    for row, curve in zip(values, curves, strict=True):
-        row[np.searchsorted(steps, curve.timesteps)] = curve.success
-    runs = np.sum(~np.isnan(values), axis=0)
-    mean = np.nanmean(values, axis=0)
-    squares = np.nansum((values - mean) ** 2, axis=0)
-    error = np.sqrt(squares / np.where(runs > 1, runs - 1, np.nan) / runs)
-    return LearningCurve(steps, mean, error, curves[0].measure, runs, curves[0].episodes)
+    table = pd.concat([pd.Series(curve.success, curve.timesteps) for curve in curves], axis=1).sort_index()
+    columns: list[Any] = [table.mean(axis=1), table.sem(axis=1), table.count(axis=1)]
+    mean, error, runs = (column.to_numpy() for column in columns)
+    return LearningCurve(table.index.to_numpy(), mean, error, curves[0].measure, runs, curves[0].episodes)
 
 
 def draw_run(run: Run) -> Path:
     """Draw the learning curve of an evaluated run into its folder and return the figure."""
     path = run.folder / CURVE_FILE
-    draw_curves({run.cell.env_id: {run.cell.label: load_curve(run.evaluations_file)}}, path)
+    draw_curves({run.experiment.env_id: {run.experiment.label: load_curve(run.evaluations_file)}}, path)
     return path
 
 
@@ -90,19 +94,47 @@ def draw_curves(panels: Mapping[str, Mapping[str, LearningCurve]], path: Path) -
     :param panels: Curves by environment and by label in the legend
     :param path: File to write
     """
-    from matplotlib.figure import Figure  # unlike pyplot, it needs no display and keeps no state
-
     columns = min(len(panels), PANELS_A_ROW)
     rows = -(-len(panels) // columns)
-    figure = Figure(figsize=(columns * PANEL_SIZE[0], rows * PANEL_SIZE[1]), layout="constrained")
-    grid = figure.subplots(rows, columns, squeeze=False).flat
-    for axes in grid[len(panels) :]:
+    figure, grid = _subplots(rows, columns)
+    for axes in grid.flat[len(panels) :]:
         axes.set_axis_off()
     names = list(dict.fromkeys(name for curves in panels.values() for name in curves))
-    for axes, (title, curves) in zip(grid, panels.items(), strict=False):
+    for axes, (title, curves) in zip(grid.flat, panels.items(), strict=False):
         _draw_panel(axes, title, curves, names)
     with whole_file(path) as partial:
         figure.savefig(partial, dpi=DOTS_PER_INCH)
+
+
+def draw_training(panels: Mapping[str, Mapping[str, Sequence[Path]]], path: Path) -> None:
+    """
+    Draw the means over runs of values and entropy into one figure, a row for each environment.
+
+    :param panels: Training logs (CSV) by environment and label
+    """
+    figure, grid = _subplots(len(panels), len(QUANTITIES))
+    for row, (env_id, logs) in zip(grid, panels.items(), strict=True):
+        for axes, (quantity, label) in zip(row, QUANTITIES.items(), strict=True):
+            axes.set(title=env_id, xlabel="time steps", ylabel=label)
+            axes.grid(alpha=0.3)
+            for number, (name, files) in enumerate(logs.items()):
+                means = pd.concat(map(read_training_log, files)).groupby(TIMESTEPS).mean()
+                for side, style in SIDES.items():
+                    if (column := f"{quantity}_{side}") in means:
+                        values = means[column].dropna()
+                        text = f"{name}, {side} transitions"
+                        axes.plot(values.index, values, style, color=f"C{number % COLORS}", label=text)
+            axes.legend()
+    with whole_file(path) as partial:
+        figure.savefig(partial, dpi=DOTS_PER_INCH)
+
+
+def _subplots(rows: int, columns: int) -> tuple[Any, Any]:
+    from matplotlib.figure import Figure  # unlike pyplot, it needs no display and keeps no state
+
+    size = (columns * PANEL_SIZE[0], rows * PANEL_SIZE[1])
+    figure = Figure(figsize=size, layout="constrained")
+    return figure, figure.subplots(rows, columns, squeeze=False)
 
 
 def _draw_panel(axes: Any, title: str, curves: Mapping[str, LearningCurve], names: Sequence[str]) -> None:
@@ -116,11 +148,8 @@ def _draw_panel(axes: Any, title: str, curves: Mapping[str, LearningCurve], name
         axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
     else:
         # matplotlib's "best" can cover the curve
-        axes.legend(loc="upper right" if _all_end_low(curves.values()) else "lower right")
-
-
-def _all_end_low(curves: Iterable[LearningCurve]) -> bool:
-    return all(curve.measure == SUCCESS and curve.success[-1] < 0.5 for curve in curves)
+        low = all(curve.measure == SUCCESS and curve.success[-1] < 0.5 for curve in curves.values())
+        axes.legend(loc="upper right" if low else "lower right")
 
 
 def _draw(axes: Any, name: str, curve: LearningCurve, number: int) -> None:

@@ -1,27 +1,13 @@
 """Tables in the terminal and in Markdown."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Literal
 
 UNLIMITED = 1000  # characters, wider than any table of numbers
 
 
-def print_table(
-    columns: Sequence[str], rows: Sequence[Sequence[str]], markdown: bool = False, wrap: bool = False
-) -> None:
-    """
-    Print a table.
-
-    :param columns: Column heads
-    :param rows: Rows with one cell for each column
-    :param markdown: Whether to print Markdown
-    :param wrap: Whether the cells are text, aligned left and wrapped to the width of the terminal
-    """
-    if markdown:
-        print(markdown_table(columns, rows, "---" if wrap else "---:"))
-        return
+def print_table(columns: Sequence[str], rows: Sequence[Sequence[str]], wrap: bool = False) -> None:
+    """Print a table; with ``wrap`` it has text, aligned left and wrapped to the width of the terminal."""
     from rich.console import Console
     from rich.table import Table
 
@@ -40,11 +26,8 @@ def markdown_table(
     """
     Return a Markdown table.
 
-    :param columns: Column heads
-    :param rows: Rows with one cell for each column
     :param rule: Alignment of the other columns, by default to the right
     :param text_columns: Number of columns from the left that are aligned left
-    :return: The table
     """
     rules = ["---"] * text_columns + [rule] * (len(columns) - text_columns)
     return "\n".join(f"| {' | '.join(cells)} |" for cells in (columns, rules, *rows))

@@ -1,7 +1,5 @@
 """Frames and videos of episodes: the rendered scene, the observed images and a caption."""
 
-from __future__ import annotations
-
 import io
 import math
 from collections.abc import Sequence
@@ -15,11 +13,11 @@ from gymnasium import spaces
 from matplotlib import colormaps
 from PIL import Image, ImageDraw, ImageFont
 
-from zoo_configs.errors import CommandError, reason
 from zoo_configs.files import whole_file
 
 Frame = npt.NDArray[np.uint8]
 
+FRAMES_PER_SECOND = 5.0
 PANEL_SIZE = 320  # pixels a side
 CAPTION_HEIGHT = 32  # pixels; with the panels a multiple of 16, which video codecs need
 FONT_SIZE = 15
@@ -58,15 +56,13 @@ def compose_frame(
     value_map: ValueMap | None = None,
 ) -> Frame:
     """
-    Compose a frame of a rendered image, the observed images and a caption.
+    Compose a frame, shape (height, width, 3), of a rendered image, the observed images and a caption.
 
     :param picture: Rendered image, shape (height, width, 3)
     :param observation: Observation; each of its single-channel images becomes a panel, bright where near
     :param space: Observation space, whose bounds the colours span
-    :param caption: Text below the panels
     :param success: Whether the caption has the colour of success
     :param value_map: Values to draw in another panel
-    :return: The frame, shape (height, width, 3)
     """
     panels = [_resize(Image.fromarray(picture), Image.Resampling.LANCZOS)]
     panels += [_resize(_colour(image, COLOUR_MAP), NEAREST) for image in observed_images(observation, space)]
@@ -102,9 +98,7 @@ def draw_value_map(value_map: ValueMap) -> Image.Image:
 
 def observed_images(observation: Any, space: spaces.Space[Any]) -> list[npt.NDArray[np.float64]]:
     """
-    Return the single-channel images of an observation.
-
-    :return: The images, each of shape (height, width), scaled to [0, 1] over the bounds of their spaces
+    Return the single-channel images, (height, width) each, scaled to [0, 1] over the bounds of their spaces.
     """
     if isinstance(space, spaces.Dict):
         return [image for key, part in space.items() for image in observed_images(observation[key], part)]
@@ -114,26 +108,20 @@ def observed_images(observation: Any, space: spaces.Space[Any]) -> list[npt.NDAr
     return [(np.asarray(observation[0], np.float64) - low) / (high - low)]
 
 
-def write_video(frames: Sequence[Frame], path: Path, frames_per_second: float) -> None:
+def write_video(frames: Sequence[Frame], path: Path) -> None:
     """Write frames of one shape atomically as ``.gif`` or ``.mp4``."""
     if path.suffix == ".gif":
-        content = _gif(frames, round(1000 / frames_per_second))
-    else:
-        content = _encode(frames, path, frames_per_second)
+        content = _gif(frames)
+    else:  # in memory, because imageio reports a full disk only when it is garbage-collected
+        encoded = iio.imwrite("<bytes>", np.stack(frames), extension=path.suffix, fps=FRAMES_PER_SECOND)
+        content = bytes(encoded)
     with whole_file(path) as partial:
         partial.write_bytes(content)
 
 
-def _encode(frames: Sequence[Frame], path: Path, frames_per_second: float) -> bytes:
-    """Encode in memory, because imageio reports a full disk only when it is garbage-collected."""
-    try:
-        return bytes(iio.imwrite("<bytes>", np.stack(frames), extension=path.suffix, fps=frames_per_second))
-    except OSError as error:  # of ffmpeg
-        raise CommandError(f"{path} cannot be encoded: {reason(error)}") from error
-
-
-def _gif(frames: Sequence[Frame], duration: int) -> bytes:
-    """Encode with one palette and no dithering, so that static pixels need no space; ``duration`` in ms."""
+def _gif(frames: Sequence[Frame]) -> bytes:
+    """Encode with one palette and no dithering, so that static pixels need no space."""
+    duration = round(1000 / FRAMES_PER_SECOND)  # ms
     palette = Image.fromarray(np.concatenate([frames[0], frames[-1]])).quantize(GIF_COLOURS)
     images = [Image.fromarray(frame).quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames]
     first, *others = images

@@ -1,7 +1,5 @@
 """Small model files that ``load()`` of the algorithm reads."""
 
-from __future__ import annotations
-
 import copy
 import io
 import zipfile
@@ -50,15 +48,17 @@ def save_compact(model: BaseAlgorithm, path: Path, half: bool = True) -> str:
     :param half: Whether to store weights in bfloat16, if the network computes in it, or else in float16
     :return: Data type of the stored weights
     """
-    params = {name: _without_state(state) for name, state in model.get_parameters().items()}
-    weights = stored_weights(model.policy, half)
-    params[POLICY] = weights
+    params = model.get_parameters()
+    for name, state in params.items():
+        if set(state) == {"state", "param_groups"}:  # an optimizer, as before its first step
+            params[name] = {**state, "state": {}}
+    params[POLICY] = weights = stored_weights(model.policy, half)
     names, variables = model._get_torch_save_params()
     left_out = {*model._excluded_save_params(), *names, *variables, *SCHEDULES}
     roots = {name.partition(".")[0] for name in left_out}
     data = {name: value for name, value in vars(model).items() if name not in roots}
     data.update({name: value for name, value in BLANKS.items() if name in data})
-    data.update({name: _initial(data[name]) for name in CONSTANTS if name in data})
+    data.update({name: float(data[name](1.0)) for name in CONSTANTS if callable(data.get(name))})
     data.update({name: _unseeded(data[name]) for name in ("observation_space", "action_space")})
     if not type(model).__module__.startswith("sb3_extensions.") and "buffer_size" in data:
         data["buffer_size"] = 1  # our buffers allocate no memory before the first transition
@@ -72,9 +72,8 @@ def stored_weights(policy: nn.Module, half: bool) -> dict[str, th.Tensor]:
     """
     Return the parameters and buffers of a policy under all their names.
 
-    :param policy: The policy
-    :param half: Whether to store tensors of two and more dimensions in a smaller type
-    :return: Tensors; shared parameters and target networks share their storage
+    Shared parameters and target networks share their storage. With ``half``, tensors of two and more
+    dimensions have a smaller type.
     """
     state = _with_average(policy)
     computed_in_bf16 = {id(weight) for weight in _bf16_weights(policy)}
@@ -115,16 +114,6 @@ def _shrunk(tensor: th.Tensor, dtype: th.dtype, half: bool) -> th.Tensor:
         return tensor
     smaller = tensor.to(dtype)
     return smaller if smaller.isfinite().all() else tensor
-
-
-def _initial(schedule: Any) -> Any:
-    """Return the first value of a schedule, a number as it is."""
-    return float(schedule(1.0)) if callable(schedule) else schedule
-
-
-def _without_state(state: dict[str, Any]) -> dict[str, Any]:
-    """Return the state of an optimizer as before its first step, other states unchanged."""
-    return {**state, "state": {}} if set(state) == {"state", "param_groups"} else state
 
 
 def _unseeded(space: Any) -> Any:

@@ -1,7 +1,5 @@
 """Published agents and their cards, in ``zoo_configs/published/<task>/<baseline>/`` or another folder."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 from collections.abc import Mapping, Sequence
@@ -9,10 +7,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from zoo_configs.cells.rules import task_name
-from zoo_configs.environments import id_core
 from zoo_configs.errors import CommandError, refused, unknown_name
+from zoo_configs.experiments.families import task_name
 from zoo_configs.files import whole_file
+from zoo_configs.training.runs import Origin
 
 PUBLISHED_FOLDER = Path(__file__).resolve().parents[1] / "published"
 CARD_FILE = "card.json"
@@ -20,9 +18,9 @@ SUCCEEDED, FAILED = "1", "0"
 
 
 @dataclass(frozen=True)
-class Card:
+class Card(Origin):
     """
-    Description of an agent.
+    Description of an agent, and of the origin of its run.
 
     :param env: Id of the environment
     :param env_kwargs: Parameters of the environment
@@ -43,12 +41,6 @@ class Card:
     :param test_seed: Seed of the test scenes (``enjoy --seed``)
     :param outcomes: One character for each test episode: 1 for success, 0 for failure
     :param evaluations: Evaluations of the run: ``episodes`` and lists ``timesteps`` and ``success``
-    :param minutes: Duration of the training; None if unknown
-    :param command: Command line that repeats the training
-    :param commit: Commit of the training; empty if unknown
-    :param date: Date on which the training ended
-    :param machine: Machine of the training
-    :param versions: Package versions of the training
     :param measured: ``date``, ``commit``, ``machine``, ``arithmetic`` and ``versions`` of the test; if
         ``arithmetic`` and ``versions`` are equal, so are the outcomes
     :param hyperparams: Hyperparameters of the training
@@ -74,12 +66,6 @@ class Card:
     test_seed: int
     outcomes: str
     evaluations: Mapping[str, Any]
-    minutes: float | None
-    command: str
-    commit: str
-    date: str
-    machine: str
-    versions: Mapping[str, str]
     measured: Mapping[str, Any]
     hyperparams: Mapping[str, Any]
     gym_packages: tuple[str, ...] = ()
@@ -141,7 +127,7 @@ def find_published(name: str, baseline: str | None = None) -> Published:
     env_id = names.get(name, name.rpartition(":")[2])
     of_env = [agent for agent in agents if agent.card.env == env_id]
     if not of_env:
-        raise unknown_name("published agent", name, names, id_core)
+        raise unknown_name("published agent", name, names)
     return _of_baseline(of_env, name, baseline)
 
 

@@ -1,11 +1,10 @@
 """Periodic evaluation during training."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.vec_env import VecEnv, sync_envs_normalization
@@ -91,7 +90,9 @@ class PeriodicEvaluation(BaseCallback):
             figures["success_rate"] = float(np.mean(successes))
         for name, value in row.items():
             self._arrays.setdefault(name, []).append(value)
-        _write(self.run.evaluations_file, self._arrays)
+        with whole_file(self.run.evaluations_file) as partial:
+            arrays: dict[str, Any] = {name: np.asarray(values) for name, values in self._arrays.items()}
+            np.savez(partial, **arrays)
         for name, value in figures.items():
             self.logger.record(f"eval/{name}", value)
         self.logger.record("time/total_timesteps", time, exclude="tensorboard")
@@ -102,16 +103,13 @@ class PeriodicEvaluation(BaseCallback):
             print(f"Evaluation at time step {time}: {text}{', the best so far' if is_best else ''}")
         if is_best:
             self._best = mean
-            self._save_best()
-
-    def _save_best(self) -> None:
-        with whole_file(self.run.best_model) as partial:
-            self.model.save(partial)
-        if (statistics := self.model.get_vec_normalize_env()) is not None:
-            with whole_file(self.run.statistics_file) as partial:
-                statistics.save(str(partial))
+            save_model(self.run, self.model, self.run.best_model)
 
 
-def _write(path: Path, arrays: dict[str, list[Any]]) -> None:
+def save_model(run: Run, model: BaseAlgorithm, path: Path) -> None:
+    """Save a model, and its normalisation statistics to the run's file, atomically."""
     with whole_file(path) as partial:
-        np.savez(partial, **{name: np.asarray(values) for name, values in arrays.items()})  # type: ignore[arg-type]
+        model.save(partial)
+    if (statistics := model.get_vec_normalize_env()) is not None:
+        with whole_file(run.statistics_file) as partial:
+            statistics.save(str(partial))

@@ -1,16 +1,26 @@
-"""Python objects for YAML hyperparameters: schedules, classes, wrappers, callbacks and action noise."""
-
-from __future__ import annotations
+"""Python objects for YAML hyperparameters: schedules, classes, wrappers, callbacks, noise, environments."""
 
 import re
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any
 
+import gymnasium as gym
 import numpy as np
 import torch as th
 from gymnasium import spaces
 from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.noise import ActionNoise, NormalActionNoise, OrnsteinUhlenbeckActionNoise
+from stable_baselines3.common.preprocessing import is_image_space, is_image_space_channels_first
+from stable_baselines3.common.vec_env import (
+    DummyVecEnv,
+    SubprocVecEnv,
+    VecEnv,
+    VecFrameStack,
+    VecNormalize,
+    VecTransposeImage,
+)
 
 from zoo_configs.algorithms import class_from_path
 from zoo_configs.errors import CommandError
@@ -29,13 +39,11 @@ NAMES = {"__builtins__": {}, "dict": dict, "nn": th.nn, "th": th}
 DOTTED_PATH = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)+")
 NOISES: dict[str, Any] = {"normal": NormalActionNoise, "ornstein-uhlenbeck": OrnsteinUhlenbeckActionNoise}
 
+VEC_ENVS: dict[str, type[DummyVecEnv | SubprocVecEnv]] = {"dummy": DummyVecEnv, "subproc": SubprocVecEnv}
+
 
 class LinearSchedule:
-    """
-    Schedule that falls linearly to zero.
-
-    :param initial_value: Value at the start of the training
-    """
+    """Schedule that falls linearly from an initial value to zero."""
 
     def __init__(self, initial_value: float) -> None:
         self.initial_value = float(initial_value)
@@ -47,10 +55,9 @@ class LinearSchedule:
 
 def parsed(hyperparams: Mapping[str, Any]) -> dict[str, Any]:
     """
-    Replace descriptions by Python objects, except wrappers, callbacks and noise.
+    Return a copy of YAML hyperparameters with schedules, classes and tuples instead of their descriptions.
 
-    :param hyperparams: Hyperparameters as in a YAML file
-    :return: A copy with schedules, classes and tuples
+    Wrappers, callbacks and noise stay as they are.
     """
     values = {key: _evaluate(value) if key in EVALUATED else value for key, value in hyperparams.items()}
     for key in ("policy_kwargs", "replay_buffer_class", "replay_buffer_kwargs"):
@@ -74,13 +81,7 @@ def _evaluate(value: Any) -> Any:
 
 
 def import_classes(value: Any, is_class: bool = False) -> Any:
-    """
-    Replace import paths by classes wherever a key ends in ``_class``.
-
-    :param value: A value from a YAML file
-    :param is_class: Whether the value has such a key
-    :return: The value with classes
-    """
+    """Return a YAML value with classes instead of import paths wherever a key ends in ``_class``."""
     if isinstance(value, dict):
         return {key: import_classes(item, str(key).endswith("_class")) for key, item in value.items()}
     if is_class and isinstance(value, str) and DOTTED_PATH.fullmatch(value):
@@ -90,7 +91,7 @@ def import_classes(value: Any, is_class: bool = False) -> Any:
 
 def wrapper(description: Any) -> Callable[[Any], Any] | None:
     """
-    Build a function that wraps environments.
+    Return a function that wraps environments.
 
     :param description: None, an import path, a mapping from one path to arguments, or a list of these
     :return: The function, None if nothing is described
@@ -106,12 +107,7 @@ def wrapper(description: Any) -> Callable[[Any], Any] | None:
 
 
 def callbacks(description: Any) -> list[BaseCallback]:
-    """
-    Build the callbacks of the hyperparameter ``callback``.
-
-    :param description: As for :func:`wrapper`
-    :return: The callbacks
-    """
+    """Return the callbacks of the hyperparameter ``callback``, described as for :func:`wrapper`."""
     return [cls(**kwargs) for cls, kwargs in _described_classes(description)]
 
 
@@ -125,13 +121,9 @@ def _described_classes(description: Any) -> list[tuple[type[Any], dict[str, Any]
 
 def action_noise(noise_type: str, std: float, action_space: spaces.Space[Any]) -> ActionNoise:
     """
-    Build the noise of ``noise_type`` and ``noise_std``.
+    Return the noise of ``noise_type`` (normal or ornstein-uhlenbeck) and ``noise_std``.
 
-    :param noise_type: ``"normal"`` or ``"ornstein-uhlenbeck"``
-    :param std: Standard deviation
-    :param action_space: Action space of the environment
-    :return: The noise
-    :raises CommandError: for another noise type, or a space without a number of dimensions
+    :raises CommandError: for another noise type, or an action space that is not a Box
     """
     if noise_type not in NOISES or not isinstance(action_space, spaces.Box):
         raise CommandError(
@@ -141,3 +133,73 @@ def action_noise(noise_type: str, std: float, action_space: spaces.Space[Any]) -
     ones = np.ones(action_space.shape)
     noise: ActionNoise = NOISES[noise_type](mean=0 * ones, sigma=std * ones)
     return noise
+
+
+def build_vec_env(
+    env_id: str,
+    hyperparams: Mapping[str, Any],
+    n_envs: int,
+    seed: int,
+    *,
+    vec_env: str = "dummy",
+    for_evaluation: bool = False,
+    monitor_dir: Path | None = None,
+    override_existing: bool = True,
+    statistics: Path | None = None,
+) -> VecEnv:
+    """
+    Build the environments of an experiment.
+
+    :param env_id: Id of the environment
+    :param hyperparams: Hyperparameters of the experiment, of which those of the environments count
+    :param n_envs: Number of environments
+    :param seed: Seed of the first environment
+    :param vec_env: ``"dummy"`` or ``"subproc"``
+    :param for_evaluation: Whether normalisation keeps its statistics and leaves rewards as they are
+    :param monitor_dir: Folder of monitor files
+    :param override_existing: Whether new monitor files replace existing ones
+    :param statistics: File with normalisation statistics to load
+    :return: The wrapped environments
+    """
+    values = parsed(hyperparams)
+    monitor_kwargs = {**values.get("monitor_kwargs", {}), "override_existing": override_existing}
+    if "info_keywords" in monitor_kwargs:  # Monitor requires a tuple
+        monitor_kwargs["info_keywords"] = tuple(monitor_kwargs["info_keywords"])
+    env = make_vec_env(
+        gym.spec(env_id).make,  # worker processes need not have registered the id
+        n_envs=n_envs,
+        seed=seed,
+        monitor_dir=None if monitor_dir is None else str(monitor_dir),
+        wrapper_class=wrapper(values.get("env_wrapper")),
+        env_kwargs=dict(values.get("env_kwargs", {})),
+        vec_env_cls=VEC_ENVS[vec_env],
+        monitor_kwargs=monitor_kwargs,
+    )
+    if (wrap := wrapper(values.get("vec_env_wrapper"))) is not None:
+        env = wrap(env)
+    env = _normalized(env, values, for_evaluation, statistics)
+    if values.get("frame_stack"):
+        env = VecFrameStack(env, values["frame_stack"])
+    return VecTransposeImage(env) if _has_channels_last(env.observation_space) else env
+
+
+def _normalized(
+    env: VecEnv, values: Mapping[str, Any], for_evaluation: bool, statistics: Path | None
+) -> VecEnv:
+    """Wrap the environments in ``VecNormalize`` with ``normalize`` or a file of statistics."""
+    normalize = values.get("normalize")
+    if statistics is not None and statistics.is_file():
+        normalized = VecNormalize.load(str(statistics), env)
+    elif normalize:
+        gamma = {"gamma": values["gamma"]} if "gamma" in values else {}
+        normalized = VecNormalize(env, **{**(normalize if isinstance(normalize, dict) else {}), **gamma})
+    else:
+        return env
+    if for_evaluation:
+        normalized.training = normalized.norm_reward = False
+    return normalized
+
+
+def _has_channels_last(space: spaces.Space[Any]) -> bool:
+    parts = space.spaces.values() if isinstance(space, spaces.Dict) else [space]
+    return any(is_image_space(part) and not is_image_space_channels_first(part) for part in parts)  # type: ignore[arg-type]

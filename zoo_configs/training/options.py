@@ -13,7 +13,7 @@ from zoo_configs.arguments import whole_number
 from zoo_configs.errors import CommandError, check_names
 
 if TYPE_CHECKING:
-    from zoo_configs.cells.cell import Cell
+    from zoo_configs.experiments.config import ExperimentConfig
 
 VEC_ENVS = ("dummy", "subproc")
 PACKAGES = {"tensorboard_log": ("tensorboard",), "track": ("wandb", "tensorboard")}
@@ -21,15 +21,7 @@ PACKAGES = {"tensorboard_log": ("tensorboard",), "track": ("wandb", "tensorboard
 
 
 def _option(default: Any, help: str, *short: str, **kwargs: Any) -> Any:
-    """
-    Define an option.
-
-    :param default: Its default
-    :param help: Description for ``--help``
-    :param short: Short flags
-    :param kwargs: Further arguments of ``add_argument``
-    :return: Field of the dataclass
-    """
+    """Return a field of the dataclass; ``kwargs`` are further arguments of ``add_argument``."""
     return field(default=default, metadata={"help": help, "short": short, "kwargs": kwargs})
 
 
@@ -51,7 +43,6 @@ class TrainingOptions:
     save_freq: int = _option(-1, "time steps between two checkpoints, 0 for none", type=int)
     vec_env: str = _option("dummy", "all environments in one process, or one process each", choices=VEC_ENVS)
     num_threads: int = _option(-1, "threads of PyTorch (default: PyTorch's own number)", type=whole_number(1))
-    log_interval: int = _option(-1, "episodes between two log tables, -2 for none", type=int)
     trained_agent: str = _option("", "model file to start from", "-i")
     tensorboard_log: str = _option("", "folder for TensorBoard", "-tb")
     track: bool = _option(False, "log to Weights & Biases (set its project by WANDB_PROJECT)")
@@ -68,16 +59,13 @@ class TrainingOptions:
             raise CommandError(f"--trained-agent must be an existing .zip file, got {file}")
 
     @classmethod
-    def of(cls, cell: Cell, given: Mapping[str, Any] | None = None) -> TrainingOptions:
+    def of(cls, experiment: ExperimentConfig, given: Mapping[str, Any] | None = None) -> TrainingOptions:
         """
-        Return the options of an experiment.
+        Return the options of an experiment, whose preset defines defaults; ``given`` options replace them.
 
-        :param cell: The experiment, whose preset defines defaults
-        :param given: Options that replace them
-        :return: The options
         :raises CommandError: for an unknown option or an invalid value
         """
-        values = {**cell.flags, **(given or {})}
+        values = {**experiment.flags, **(given or {})}
         check_names("option of the training", values, [item.name for item in fields(cls)])
         return cls(**values)
 
@@ -87,11 +75,7 @@ class TrainingOptions:
 
 
 def _check(item: Field[Any], value: Any) -> None:
-    """
-    Check a value like the command line does.
-
-    :raises CommandError: if it is invalid
-    """
+    """Check a value as the command line does."""
     kwargs = item.metadata["kwargs"]
     if value == item.default:
         return
@@ -103,11 +87,7 @@ def _check(item: Field[Any], value: Any) -> None:
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """
-    Add the flags of a training. A flag that is not passed adds no attribute to the parsed arguments.
-
-    :param parser: Parser of a command
-    """
+    """Add the flags of a training. A flag that is not passed adds no attribute to the parsed arguments."""
     group = parser.add_argument_group("options of the training", argument_default=argparse.SUPPRESS)
     for item in fields(TrainingOptions):
         kwargs = item.metadata["kwargs"] or ({"action": "store_true"} if item.default is False else {})
@@ -115,12 +95,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 
 def given_options(args: argparse.Namespace) -> dict[str, Any]:
-    """
-    Return the options among parsed arguments.
-
-    :param args: Arguments of a parser with :func:`add_options`
-    :return: The passed options by name
-    """
+    """Return the options among the arguments of a parser with :func:`add_options`, by name."""
     names = [item.name for item in fields(TrainingOptions)]
     return {name: value for name, value in vars(args).items() if name in names}
 

@@ -1,21 +1,23 @@
 """Run folders in rl_zoo3's layout, ``<log folder>/<algo>/<env>_<number>``."""
 
-from __future__ import annotations
-
 import re
+import shlex
 import shutil
 import sys
-from collections.abc import Iterable
+import time
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
+from datetime import datetime, timezone
 from pathlib import Path
+from typing import Any
 
-from zoo_configs.cells.cell import Cell
+from zoo_configs.arguments import key_value_words
 from zoo_configs.errors import CommandError, reason, refused
-from zoo_configs.files import remove_empty
+from zoo_configs.experiments.config import ExperimentConfig
+from zoo_configs.files import read_yaml, remove_empty, write_yaml
 from zoo_configs.provenance import commit, describe_hardware, versions
 from zoo_configs.training.options import TrainingOptions
 from zoo_configs.training.state import RunStatus, run_status
-from zoo_configs.yaml_files import read_yaml, write_yaml
 
 RESOLVED_FILE = "hyperparams.yml"
 EVALUATIONS_FILE = "evaluations.npz"
@@ -35,7 +37,7 @@ class Run:
     A training run on disk.
 
     :param folder: Its folder
-    :param cell: The trained experiment
+    :param experiment: The trained experiment
     :param seed: Seed of model and environments
     :param device: PyTorch device
     :param options: How it was trained
@@ -43,22 +45,17 @@ class Run:
     """
 
     folder: Path
-    cell: Cell
+    experiment: ExperimentConfig
     seed: int = 0
     device: str = "auto"
     options: TrainingOptions = field(default_factory=TrainingOptions)
     gym_packages: tuple[str, ...] = ()
 
     @property
-    def number(self) -> int:
-        """Number of the run for its algorithm and environment, 0 for a folder with another name."""
-        return _run_number(self.folder, self.cell.env_id)
-
-    @property
     def n_timesteps(self) -> int:
         """Number of time steps to train."""
         wanted = self.options.n_timesteps
-        return wanted if wanted > 0 else int(self.cell.hyperparams["n_timesteps"])
+        return wanted if wanted > 0 else int(self.experiment.hyperparams["n_timesteps"])
 
     @property
     def resolved_file(self) -> Path:
@@ -68,7 +65,7 @@ class Run:
     @property
     def params_folder(self) -> Path:
         """Folder of rl_zoo3's configuration."""
-        return self.folder / env_folder_name(self.cell.env_id)
+        return self.folder / env_folder_name(self.experiment.env_id)
 
     @property
     def config_file(self) -> Path:
@@ -83,7 +80,7 @@ class Run:
     @property
     def last_model(self) -> Path:
         """The model at the end of the training."""
-        return self.folder / f"{env_folder_name(self.cell.env_id)}.zip"
+        return self.folder / f"{env_folder_name(self.experiment.env_id)}.zip"
 
     @property
     def best_model(self) -> Path:
@@ -117,23 +114,12 @@ class Run:
 
 
 def env_folder_name(env_id: str) -> str:
-    """
-    Return an environment's id as part of a file name, as in rl_zoo3.
-
-    :param env_id: Id of the environment
-    :return: The id with dashes instead of slashes
-    """
+    """Return an id as a part of file names, with dashes instead of slashes, as in rl_zoo3."""
     return env_id.replace("/", "-")
 
 
 def claim_run_folder(log_folder: Path, env_id: str) -> Path:
-    """
-    Create the next numbered run folder. Two runs that start at the same time get different folders.
-
-    :param log_folder: Folder of the algorithm's runs
-    :param env_id: Id of the environment
-    :return: The new, empty folder
-    """
+    """Create the next numbered folder in an algorithm's log folder. Simultaneous runs get different ones."""
     log_folder.mkdir(parents=True, exist_ok=True)
     number = max((_run_number(path, env_id) for path in log_folder.iterdir()), default=0)
     while True:
@@ -152,19 +138,15 @@ def _run_number(folder: Path, env_id: str) -> int:
 
 
 def write_resolved(run: Run) -> None:
-    """
-    Write the configuration of a run, in the form of rl_zoo3's ``--conf-file``.
-
-    :param run: The run
-    """
-    cell = run.cell
+    """Write the configuration of a run, in the form of rl_zoo3's ``--conf-file``."""
+    experiment = run.experiment
     about = {
-        "algo": cell.algo,
-        "baseline": cell.baseline,
-        "preset": cell.preset,
-        "benchmark": cell.benchmark,
-        "overrides": cell.overrides,
-        "flags": cell.flags,
+        "algo": experiment.algo,
+        "baseline": experiment.baseline,
+        "preset": experiment.preset,
+        "benchmark": experiment.benchmark,
+        "overrides": experiment.overrides,
+        "flags": experiment.flags,
         "seed": run.seed,
         "device": run.device,
         "options": run.options.plain(),
@@ -173,17 +155,11 @@ def write_resolved(run: Run) -> None:
         "versions": versions(),
         "machine": describe_hardware(run.device),
     }
-    write_yaml(run.resolved_file, {RUN_KEY: about, cell.env_id: cell.hyperparams})
+    write_yaml(run.resolved_file, {RUN_KEY: about, experiment.env_id: experiment.hyperparams})
 
 
 def load_run(folder: Path) -> Run:
-    """
-    Read a run folder.
-
-    :param folder: The folder
-    :return: The run
-    :raises CommandError: if it is not a run folder of this version
-    """
+    """Read a run folder; raise ``CommandError`` if it is not a run folder of this version."""
     path = folder / RESOLVED_FILE
     if not path.is_file():
         raise CommandError(f"{folder} is not a run folder: it has no {RESOLVED_FILE}")
@@ -192,18 +168,16 @@ def load_run(folder: Path) -> Run:
         about = content.pop(RUN_KEY)
         ((env_id, hyperparams),) = content.items()
         named = {key: about[key] for key in ("baseline", "preset", "benchmark", "overrides", "flags")}
-        cell = Cell(about["algo"], env_id, dict(hyperparams), **named)
+        experiment = ExperimentConfig(about["algo"], env_id, dict(hyperparams), **named)
         options, packages = TrainingOptions(**about["options"]), tuple(about["gym_packages"])
-        return Run(folder, cell, about["seed"], about["device"], options, packages)
+        return Run(folder, experiment, about["seed"], about["device"], options, packages)
 
 
 def find_runs(log_folder: Path, env_id: str | None = None) -> list[Run]:
     """
-    Find the runs in a log folder. A folder that cannot be read is skipped with a message.
+    Return the runs of all algorithms in a folder of ``train`` or ``benchmark``, oldest first.
 
-    :param log_folder: The folder passed as ``-f`` to ``train`` or ``benchmark``
-    :param env_id: Id of the environment, None for all
-    :return: The runs of all algorithms, oldest first
+    A folder that cannot be read is skipped with a message. ``env_id`` None selects all environments.
     """
     name = "*" if env_id is None else env_folder_name(env_id)
     patterns = (f"*/{name}_*/{RESOLVED_FILE}", f"*/*/{SEED_PREFIX}*/{RESOLVED_FILE}")
@@ -214,15 +188,11 @@ def find_runs(log_folder: Path, env_id: str | None = None) -> list[Run]:
             runs.append(load_run(path.parent))
         except CommandError as error:
             print(f"skipped: {reason(error)}", file=sys.stderr)
-    return [run for run in runs if env_id in (None, run.cell.env_id)]
+    return [run for run in runs if env_id in (None, run.experiment.env_id)]
 
 
 def clear(run: Run) -> None:
-    """
-    Remove the files of a run that was killed before its first checkpoint and starts again.
-
-    :param run: The run
-    """
+    """Remove the files of a run that was killed before its first checkpoint and starts again."""
     reports = [run.evaluations_file, run.training_log, run.folder / CURVE_FILE]
     monitors = run.folder.glob("*.monitor.csv")
     for path in (*reports, *monitors, run.best_model, run.last_model):
@@ -233,7 +203,6 @@ def discard_if_empty(run: Run, created: Iterable[Path]) -> None:
     """
     Remove the folder of a run that failed before it had a model or a checkpoint.
 
-    :param run: The run
     :param created: Folders around it that were created for it, innermost first, which are removed if empty
     """
     from sb3_extensions.common.checkpoint import latest_checkpoint  # loads PyTorch
@@ -242,3 +211,72 @@ def discard_if_empty(run: Run, created: Iterable[Path]) -> None:
         return
     shutil.rmtree(run.folder, ignore_errors=True)
     remove_empty(created)
+
+
+@dataclass(frozen=True)
+class Origin:
+    """
+    How an agent was trained.
+
+    :param minutes: Training time, None if unknown
+    :param command: Command line that trains it again
+    :param commit: Commit of the code, empty if unknown
+    :param date: Date of the end of the training
+    :param machine: Processor and GPU
+    :param versions: Versions of packages
+    """
+
+    minutes: float | None
+    command: str
+    commit: str
+    date: str
+    machine: str
+    versions: Mapping[str, str]
+
+
+def origin_of(run: Run) -> Origin:
+    """Read how a run was trained; raise ``CommandError`` if its folder cannot be read."""
+    with refused(f"{run.resolved_file} cannot be read"):
+        about: dict[str, Any] = read_yaml(run.resolved_file)[RUN_KEY]
+    how = run.status
+    return Origin(
+        minutes=None if how is None else round(how.seconds / 60, 1),
+        command=repeating_command(run),
+        commit=about["commit"],
+        date=day(time.time() if how is None else how.until or how.since + how.seconds),
+        machine=about["machine"],
+        versions=about["versions"],
+    )
+
+
+def repeating_command(run: Run) -> str:
+    """Return the command line that trains a run again."""
+    experiment = run.experiment
+    words = ["bulletarm-zoo", "train", "--env", experiment.env_id, "--seed", str(run.seed)]
+    if experiment.baseline is None:
+        words += ["--conf-file", str(run.resolved_file), "--algo", experiment.algo]
+    else:
+        words += ["--baseline", experiment.baseline, "--preset", str(experiment.preset)]
+        words += ["--benchmark", experiment.benchmark] if experiment.benchmark else []
+    words += [] if run.device == "auto" else ["--device", run.device]
+    words += ["--gym-packages", ",".join(run.gym_packages)] if run.gym_packages else []
+    words += _options(run)
+    env_kwargs = experiment.overrides.get("env_kwargs", {})
+    others = {name: value for name, value in experiment.overrides.items() if name != "env_kwargs"}
+    words += ["--env-kwargs", *key_value_words(env_kwargs)] if env_kwargs else []
+    words += ["-params", *key_value_words(others)] if others else []
+    return shlex.join(words)
+
+
+def _options(run: Run) -> Iterator[str]:
+    """Yield the options that differ from the preset's."""
+    preset = TrainingOptions.of(run.experiment).plain()
+    for name, value in run.options.plain().items():
+        if value != preset[name]:
+            yield f"--{name.replace('_', '-')}"
+            yield from () if value is True else (str(value),)
+
+
+def day(seconds: float) -> str:
+    """Return the date (UTC) of a time in seconds since 1970."""
+    return datetime.fromtimestamp(seconds, timezone.utc).date().isoformat()

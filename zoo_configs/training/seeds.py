@@ -1,7 +1,5 @@
 """Independent streams of seeds, so that evaluation scenes differ from training scenes."""
 
-from __future__ import annotations
-
 from enum import IntEnum
 
 import numpy as np
@@ -18,12 +16,10 @@ class SeedStream(IntEnum):
 
 def stream_seed(seed: int, stream: SeedStream, index: int = 0) -> int:
     """
-    Return a seed of a stream.
+    Return a seed below 2**31 of a stream.
 
     :param seed: Seed of the run, at least 0
-    :param stream: The stream
     :param index: Index in the stream, for example the time step of a periodic evaluation
-    :return: A seed below 2**31
     """
     state = np.random.SeedSequence((seed, stream, index)).generate_state(1)
     return int(state[0]) % 2**31

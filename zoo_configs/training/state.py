@@ -1,7 +1,5 @@
 """Status of a run: which process trains it, and whether it is running, done, failed or killed."""
 
-from __future__ import annotations
-
 import contextlib
 import fcntl
 import os
@@ -13,8 +11,8 @@ from enum import Enum
 from pathlib import Path
 from typing import IO, NamedTuple
 
-from zoo_configs.errors import CommandError, reason, refused
-from zoo_configs.yaml_files import read_yaml, write_yaml
+from zoo_configs.errors import CommandError, causes, reason, refused
+from zoo_configs.files import read_yaml, write_yaml
 
 STATE_FILE = "state.yml"
 LOCK_FILE = ".lock"
@@ -55,11 +53,9 @@ class RunStatus(NamedTuple):
 
 def run_status(folder: Path) -> RunStatus | None:
     """
-    Read the status of a run. A run that is recorded as running without a process was killed.
+    Return the status of a run, None before the training; raise ``CommandError`` if its file is damaged.
 
-    :param folder: Run folder
-    :return: Its status, None before the training
-    :raises CommandError: if the file of the status is damaged
+    A run that is recorded as running without a process was killed.
     """
     found = _read(folder)
     if found is not None and found.state is State.RUNNING and not is_training(folder):
@@ -77,20 +73,12 @@ def _read(folder: Path) -> RunStatus | None:
 
 
 def is_training(folder: Path) -> bool:
-    """
-    Return True if a process is training a run, on shared storage on any machine.
-
-    :param folder: Run folder
-    """
+    """Return True if a process is training a run, on shared storage on any machine."""
     return is_locked(folder / LOCK_FILE)
 
 
 def is_locked(path: Path) -> bool:
-    """
-    Return True if a process has locked a file.
-
-    :param path: The file
-    """
+    """Return True if a process has locked a file."""
     if not path.is_file():
         return False
     with path.open("a") as file:
@@ -98,12 +86,7 @@ def is_locked(path: Path) -> bool:
 
 
 def lock(file: IO[str]) -> bool:
-    """
-    Lock a file until it is closed or the process ends.
-
-    :param file: The open file
-    :return: False if another process has locked it
-    """
+    """Lock a file until it is closed or the process ends; return False if another process has locked it."""
     try:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
@@ -113,11 +96,9 @@ def lock(file: IO[str]) -> bool:
 
 def set_status(folder: Path, state: State, error: str = "") -> None:
     """
-    Set the status of a run whose process could not do so. A run that is running or done keeps its status.
+    Set the status of a run whose process could not do so, in a folder that is created if needed.
 
-    :param folder: Run folder, created if needed
-    :param state: Its state
-    :param error: Reason for a failure
+    A run that is running or done keeps its status.
     """
     if is_training(folder):
         return
@@ -131,32 +112,28 @@ def run_lock(folder: Path, checkpoint: Path | None = None) -> Iterator[None]:
     """
     Lock a run while it is trained, and keep its status up to date. A run that Ctrl-C ends counts as killed.
 
-    :param folder: Run folder
     :param checkpoint: The checkpoint to resume from, None at the start
-    :return: Context manager
     :raises CommandError: if another process is training the run
     """
     with (folder / LOCK_FILE).open("a") as file:
-        if not _lock_soon(file):
-            raise CommandError(f"{folder} is being trained by another process")
+        tries = iter(range(TRIES))
+        while not lock(file):
+            if next(tries, None) is None:
+                raise CommandError(f"{folder} is being trained by another process")
+            time.sleep(TRY_SECONDS)
         spent = _spent(_read(folder), checkpoint)
         begun = RunStatus(State.RUNNING, socket.gethostname(), os.getpid(), time.time(), spent)
         _write(folder, begun)
         try:
             yield
         except BaseException as error:
-            state = State.KILLED if _is_interrupt(error) else State.FAILED
+            # PyTorch reports Ctrl-C while it writes a file as another error.
+            is_interrupt = any(isinstance(cause, KeyboardInterrupt) for cause in causes(error))
+            state = State.KILLED if is_interrupt else State.FAILED
             with contextlib.suppress(OSError):  # a full disk can be the reason
                 _write(folder, _ended(begun, state, reason(error)))
             raise
         _write(folder, _ended(begun, State.DONE))
-
-
-def _is_interrupt(error: BaseException | None) -> bool:
-    """Return True for Ctrl-C, also while a file was written, which PyTorch then reports as another error."""
-    while error is not None and not isinstance(error, KeyboardInterrupt):
-        error = error.__cause__ or error.__context__
-    return error is not None
 
 
 def _spent(before: RunStatus | None, checkpoint: Path | None) -> float:
@@ -171,14 +148,6 @@ def _spent(before: RunStatus | None, checkpoint: Path | None) -> float:
 def _ended(begun: RunStatus, state: State, error: str = "") -> RunStatus:
     now = time.time()
     return begun._replace(state=state, seconds=begun.seconds + now - begun.since, error=error, until=now)
-
-
-def _lock_soon(file: IO[str]) -> bool:
-    for _ in range(TRIES):
-        if lock(file):
-            return True
-        time.sleep(TRY_SECONDS)
-    return False
 
 
 def _write(folder: Path, how: RunStatus) -> None:

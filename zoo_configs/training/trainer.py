@@ -1,36 +1,47 @@
 """Training of one run: environments, model and callbacks from its hyperparameters."""
 
-from __future__ import annotations
-
 import contextlib
-import shlex
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from rich.console import Console
 from stable_baselines3.common.base_class import BaseAlgorithm
-from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.callbacks import BaseCallback, ProgressBarCallback
 from stable_baselines3.common.save_util import load_from_zip_file
 from stable_baselines3.common.vec_env import VecEnv
+from tqdm.rich import tqdm
 
 from sb3_extensions.common.checkpoint import DirectoryCheckpointCallback, resume, save_checkpoint
 from zoo_configs.algorithms import algorithm_classes
-from zoo_configs.cells.validation import policy_class
-from zoo_configs.environments import CheckedDemonstrations, load_expert_data
+from zoo_configs.environments import load_expert_data
 from zoo_configs.errors import CommandError, reason, refused
-from zoo_configs.files import whole_file
-from zoo_configs.training.evaluation import PeriodicEvaluation
-from zoo_configs.training.objects import TRAINER_KEYS, action_noise, callbacks, parsed
-from zoo_configs.training.progress import TrainingBar
+from zoo_configs.experiments.validation import policy_class
+from zoo_configs.files import write_yaml
+from zoo_configs.training.evaluation import PeriodicEvaluation, save_model
+from zoo_configs.training.objects import TRAINER_KEYS, action_noise, build_vec_env, callbacks, parsed
 from zoo_configs.training.runs import Run, env_folder_name
 from zoo_configs.training.seeds import SeedStream, stream_seed
 from zoo_configs.training.training_log import TrainingLog
-from zoo_configs.training.vec_envs import build_vec_env
-from zoo_configs.yaml_files import write_yaml
 
 REJECTIONS = (AssertionError, MemoryError, RuntimeError, TypeError, ValueError)
 """Errors of algorithms for arguments, or environments, with which they cannot learn."""
+
+
+class TrainingBar(ProgressBarCallback):
+    """Stable-Baselines3's progress bar on the standard error."""
+
+    def _on_training_start(self) -> None:
+        # On a terminal, printed lines appear above the bar.
+        options = {"console": Console(stderr=True), "redirect_stdout": sys.stdout.isatty()}
+        left = self.locals["total_timesteps"] - self.model.num_timesteps
+        self.pbar = tqdm(total=left, options=options)
+
+    def close(self) -> None:
+        """Remove the bar after an interruption."""
+        if hasattr(self, "pbar"):
+            self.pbar.close()
 
 
 class Trainer:
@@ -52,15 +63,16 @@ class Trainer:
         progress: bool = False,
     ) -> None:
         self.run, self.checkpoint, self.progress = run, checkpoint, progress
-        self.options, self.hyperparams = run.options, run.cell.hyperparams
-        self.algorithm = algorithm_classes()[run.cell.algo]
+        self.options, self.hyperparams = run.options, run.experiment.hyperparams
+        self.algorithm = algorithm_classes()[run.experiment.algo]
         self.verbose = 0 if progress and self.options.verbose == 1 else self.options.verbose
         self.evaluation_env: VecEnv | None = None
         self.env: VecEnv | None = None
         try:
-            with refused(f"{run.cell.algo} cannot be built for {run.cell.env_id}"):
+            with refused(f"{run.experiment.algo} cannot be built for {run.experiment.env_id}"):
                 self.callbacks = [*self._callbacks(), *more_callbacks]
-                self.env = self._training_env()
+                n_envs, is_new = self.hyperparams.get("n_envs", 1), checkpoint is None
+                self.env = self._build_env(n_envs, monitor_dir=run.folder, override_existing=is_new)
                 self.model = self._model(self.env)
         except BaseException:
             self.close()
@@ -68,17 +80,14 @@ class Trainer:
 
     def learn(self) -> bool:
         """
-        Train, and save a last checkpoint.
+        Train, save a last checkpoint, and return False if Ctrl-C ended the training.
 
-        :return: False if Ctrl-C ended the training
         :raises CommandError: for an error before the first update, because the arguments are its reason
         """
         updates = getattr(self.model, "_n_updates", 0)
         steps = self.run.n_timesteps - (self.model.num_timesteps if self.checkpoint else 0)
         # By default our algorithms show bars for demonstrations and pretraining on a terminal.
         options: dict[str, Any] = {} if self.progress else {"progress_bar": False}
-        if self.options.log_interval != -1:
-            options["log_interval"] = max(self.options.log_interval, 0) or None
         try:
             self.model.learn(
                 steps, callback=self.callbacks, reset_num_timesteps=self.checkpoint is None, **options
@@ -93,32 +102,17 @@ class Trainer:
         except REJECTIONS as error:
             if getattr(self.model, "_n_updates", 0) > updates:
                 raise
-            where = f"{self.run.cell.algo} cannot train on {self.run.cell.env_id}"
+            where = f"{self.run.experiment.algo} cannot train on {self.run.experiment.env_id}"
             raise CommandError(f"{where}: {reason(error)}") from error
         return True
 
     def save(self) -> None:
         """Save the model and the normalisation statistics atomically."""
-        with whole_file(self.run.last_model) as partial:
-            self.model.save(partial)
-        if (statistics := self.model.get_vec_normalize_env()) is not None:
-            with whole_file(self.run.statistics_file) as partial:
-                statistics.save(str(partial))
+        save_model(self.run, self.model, self.run.last_model)
 
     def write_configuration(self) -> None:
-        """Write the files from which rl_zoo3 loads a run."""
-        run, folder = self.run, self.run.params_folder
-        where = {"algo": run.cell.algo, "env": run.cell.env_id, "seed": run.seed, "device": run.device}
-        arguments = {
-            **where,
-            "log_folder": str(run.folder.parent),
-            "env_kwargs": None,
-            **self.options.plain(),
-        }
-        write_yaml(run.config_file, dict(sorted(self.hyperparams.items())))
-        write_yaml(folder / "args.yml", dict(sorted(arguments.items())))
-        with whole_file(folder / "command.txt") as partial:
-            partial.write_text(shlex.join(getattr(sys, "orig_argv", sys.argv)), encoding="utf-8")
+        """Write the hyperparameters with which rl_zoo3 loads a run."""
+        write_yaml(self.run.config_file, dict(sorted(self.hyperparams.items())))
 
     def close(self) -> None:
         """Close all environments."""
@@ -127,30 +121,20 @@ class Trainer:
                 with contextlib.suppress(EOFError, BrokenPipeError):  # Ctrl-C has ended a worker process
                     env.close()
 
-    def _training_env(self) -> VecEnv:
-        return self._build_env(
-            self.hyperparams.get("n_envs", 1),
-            monitor_dir=self.run.folder,
-            override_existing=self.checkpoint is None,
-        )
-
     def _build_env(self, n_envs: int, **kwargs: Any) -> VecEnv:
+        statistics = None
+        if self.options.trained_agent:  # the statistics of the model that training starts from
+            folder = Path(self.options.trained_agent).parent
+            statistics = folder / env_folder_name(self.run.experiment.env_id) / self.run.statistics_file.name
         return build_vec_env(
-            self.run.cell.env_id,
+            self.run.experiment.env_id,
             self.hyperparams,
             n_envs,
             self.run.seed,
             vec_env=self.options.vec_env,
-            statistics=self._trained_agent_statistics(),
+            statistics=statistics,
             **kwargs,
         )
-
-    def _trained_agent_statistics(self) -> Path | None:
-        """Return the file with the statistics of the model that training starts from."""
-        if not self.options.trained_agent:
-            return None
-        folder = Path(self.options.trained_agent).parent
-        return folder / env_folder_name(self.run.cell.env_id) / self.run.statistics_file.name
 
     def _callbacks(self) -> list[BaseCallback]:
         """Build the callbacks of the hyperparameters, then progress bar, log, evaluation and checkpoints."""
@@ -185,7 +169,7 @@ class Trainer:
     def _constructor_kwargs(self, env: VecEnv) -> dict[str, Any]:
         values = load_expert_data(parsed(self.hyperparams))
         if (episodes := values.get("expert_data")) is not None:
-            values["expert_data"] = CheckedDemonstrations(episodes)
+            episodes.about["env_id"] = self.run.experiment.env_id  # checked, or allowed to differ
         if values.get("noise_type") is not None:
             values["action_noise"] = action_noise(values["noise_type"], values["noise_std"], env.action_space)
         folder = self.options.tensorboard_log
@@ -194,16 +178,14 @@ class Trainer:
             "seed": self.run.seed,
             "device": self.run.device,
             "verbose": self.verbose,
-            "tensorboard_log": str(Path(folder) / env_folder_name(self.run.cell.env_id)) if folder else None,
+            "tensorboard_log": str(Path(folder) / env_folder_name(self.run.experiment.env_id))
+            if folder
+            else None,
         }
 
 
 def _check_policy(algorithm: type[Any], file: str, policy: str | type[Any]) -> None:
-    """
-    Check that a model file has the policy of the hyperparameters.
-
-    :raises CommandError: if it has another one
-    """
+    """Check that a model file has the policy of the hyperparameters."""
     data: Mapping[str, Any] = load_from_zip_file(file, device="cpu")[0] or {}
     wanted = policy_class(algorithm, policy) if isinstance(policy, str) else policy
     found = data.get("policy_class", type(None))

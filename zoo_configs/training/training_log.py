@@ -1,18 +1,15 @@
 """Table of the values that an algorithm logs with its updates."""
 
-from __future__ import annotations
-
 from collections import defaultdict
 from pathlib import Path
 
 import pandas as pd
 from stable_baselines3.common.callbacks import BaseCallback
 
-from zoo_configs.errors import refused
+from zoo_configs.drawing.curves import TIMESTEPS, read_training_log
 from zoo_configs.files import whole_file
 
 PREFIX = "train/"
-TIMESTEPS = "timesteps"
 
 
 class TrainingLog(BaseCallback):
@@ -68,23 +65,6 @@ class TrainingLog(BaseCallback):
 
 
 def training_time(callback: BaseCallback) -> int:
-    """
-    Return the time steps so far, minus the remaining gradient steps of the pretraining.
-
-    :param callback: A callback of the training
-    :return: A negative number during the pretraining
-    """
+    """Return the time steps so far, minus the remaining gradient steps of the pretraining."""
     left: int = getattr(callback.model, "pretraining_left", 0)
     return callback.model.num_timesteps - left
-
-
-def read_training_log(path: Path) -> pd.DataFrame:
-    """
-    Read the table of a run.
-
-    :param path: The file
-    :return: The rows
-    :raises CommandError: if it cannot be read
-    """
-    with refused(f"{path} is damaged"):
-        return pd.read_csv(path)

@@ -6,7 +6,7 @@ import functools
 import inspect
 import json
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from importlib import resources
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -14,10 +14,10 @@ from typing import Any, NamedTuple
 import optuna
 
 from zoo_configs.algorithms import algorithm_classes, constructor_arguments
-from zoo_configs.cells.cell import Cell, merge
-from zoo_configs.errors import CommandError, check_names, unknown_name
+from zoo_configs.errors import CommandError, check_names
+from zoo_configs.experiments.config import ExperimentConfig, merge
+from zoo_configs.files import parse_yaml, read_yaml
 from zoo_configs.training.objects import SCHEDULE, TRAINER_KEYS
-from zoo_configs.yaml_files import parse_yaml, read_yaml
 
 SHIPPED = "algorithms.yml"
 KEYS = ("low", "high", "log", "choices", "needs")
@@ -26,17 +26,7 @@ BASELINE = "baseline"
 
 
 class Parameter(NamedTuple):
-    """
-    A hyperparameter of a search space.
-
-    :param name: Its name; dots lead into mappings
-    :param low: Lower bound
-    :param high: Upper bound
-    :param log: Whether the scale is logarithmic
-    :param integer: Whether the values are whole numbers
-    :param choices: The values of a parameter without bounds
-    :param needs: Hyperparameter that must not be 0 in the baseline, empty for none
-    """
+    """Bounds or choices of a hyperparameter; ``needs`` names one that must not be 0 in the baseline."""
 
     name: str
     low: float = 0.0
@@ -47,12 +37,7 @@ class Parameter(NamedTuple):
     needs: str = ""
 
     def suggest(self, trial: optuna.Trial) -> Any:
-        """
-        Sample a value.
-
-        :param trial: The trial
-        :return: The value
-        """
+        """Sample a value."""
         if self.choices:
             return json.loads(trial.suggest_categorical(self.name, [json.dumps(c) for c in self.choices]))
         if self.integer:
@@ -60,22 +45,13 @@ class Parameter(NamedTuple):
         return trial.suggest_float(self.name, self.low, self.high, log=self.log)
 
     def optuna_value(self, value: Any) -> Any:
-        """
-        Return a value as Optuna stores it.
-
-        :param value: The value
-        :return: The stored value, None if the space does not contain it
-        """
+        """Return a value as Optuna stores it, None if the space does not contain it."""
         if self.choices:
             return next((json.dumps(choice) for choice in self.choices if _equal(choice, value)), None)
         return value if _is_number(value) and self.low <= value <= self.high else None
 
     def including(self, value: Any) -> Parameter:
-        """
-        Return the parameter with a value added to its choices or within its bounds.
-
-        :param value: The value, None for an unknown one
-        """
+        """Return the parameter with a value, None for unknown, added to its choices or within its bounds."""
         if value is None or self.optuna_value(value) is not None:
             return self
         if self.choices:
@@ -85,27 +61,39 @@ class Parameter(NamedTuple):
         return self._replace(low=min(self.low, value), high=max(self.high, value))
 
 
-def load_space(cell: Cell, path: Path | None = None) -> tuple[Parameter, ...]:
+def load_space(
+    experiment: ExperimentConfig, given: Mapping[str, Any], path: Path | None = None
+) -> tuple[Parameter, ...]:
     """
-    Load the search space of an experiment.
+    Return the search space of an experiment, which contains the baseline's values.
 
+    The space of its algorithm has only hyperparameters that the baseline uses and the command line leaves.
     Whole-number bounds mean whole numbers, unless the hyperparameter is a float.
 
-    :param cell: The experiment
-    :param path: A YAML file with a space, None for the one of the algorithm
-    :return: Its parameters
-    :raises CommandError: for an invalid file, an algorithm without space, or an unknown hyperparameter
+    :param given: Hyperparameters of the command line
+    :param path: YAML file with a space of the user's, None for that of the algorithm
+    :raises CommandError: for an invalid file, an algorithm without space, an unknown hyperparameter, or if
+        nothing is left to search
     """
-    if path is not None:
-        space = parse_space(str(path), read_yaml(path, "--space"))
+    from sb3_extensions.common.env_metadata import constructor_keys
+
+    algo = experiment.algo
+    if path is None and algo not in _shipped_spaces():
+        raise CommandError(f"no search space for {algo}. Use --space.")
+    if path is None:
+        space = parse_space(f"the space of {algo}", _shipped_spaces()[algo])
+        space = [parameter for parameter in space if _root(parameter.name) not in given]
     else:
-        spaces = _shipped_spaces()
-        names = [name for name in spaces if not name.startswith("_")]
-        if cell.algo not in names:
-            raise unknown_name("search space", cell.algo, names, see="use --space")
-        space = parse_space(f"the space of {cell.algo}", spaces[cell.algo])
-    _check_names(space, cell)
-    return tuple(parameter._replace(integer=_is_integer(parameter, cell)) for parameter in space)
+        space = parse_space(str(path), read_yaml(path, "--space"))
+    valid = {"policy", *TRAINER_KEYS, *constructor_keys(algorithm_classes()[algo])}
+    check_names(f"hyperparameter of {algo} in the search space", (_root(item.name) for item in space), valid)
+    used = [item for item in space if not item.needs or baseline_value(item.needs, experiment)]
+    if not used:
+        raise CommandError("the search space is empty: the command line defines all of its hyperparameters")
+    return tuple(
+        item._replace(integer=_is_integer(item, experiment)).including(baseline_value(item.name, experiment))
+        for item in used
+    )
 
 
 @functools.cache
@@ -114,18 +102,11 @@ def _shipped_spaces() -> dict[str, Any]:
     return dict(parse_yaml((folder / SHIPPED).read_text(encoding="utf-8")))
 
 
-def parse_space(where: str, data: Any) -> tuple[Parameter, ...]:
-    """
-    Parse a search space.
-
-    :param where: Its name in errors
-    :param data: Bounds or choices by name
-    :return: Its parameters
-    :raises CommandError: if it is invalid
-    """
+def parse_space(where: str, data: Any) -> list[Parameter]:
+    """Return the parameters of a mapping; raise ``CommandError``, with ``where``, if it is invalid."""
     if not isinstance(data, Mapping) or not data:
         raise CommandError(f"{where} must be a mapping of parameters, got {data!r}")
-    return tuple(_parse_parameter(where, str(name), given) for name, given in data.items())
+    return [_parse_parameter(where, str(name), given) for name, given in data.items()]
 
 
 def _parse_parameter(where: str, name: str, given: Any) -> Parameter:
@@ -146,60 +127,22 @@ def _parse_parameter(where: str, name: str, given: Any) -> Parameter:
     return Parameter(name, **given)
 
 
-def _check_names(space: tuple[Parameter, ...], cell: Cell) -> None:
-    """
-    Check that the algorithm has the hyperparameters of a space.
-
-    :raises CommandError: for an unknown one
-    """
-    from sb3_extensions.common.env_metadata import constructor_keys
-
-    valid = {"policy", *TRAINER_KEYS, *constructor_keys(algorithm_classes()[cell.algo])}
-    names = [parameter.name.partition(".")[0] for parameter in space]
-    check_names(f"hyperparameter of {cell.algo} in the search space", names, valid)
+def _root(name: str) -> str:
+    return name.partition(".")[0]
 
 
-def _is_integer(parameter: Parameter, cell: Cell) -> bool:
-    bounds = (parameter.low, parameter.high)
-    if parameter.choices or not all(isinstance(bound, int) for bound in bounds):
+def _is_integer(parameter: Parameter, experiment: ExperimentConfig) -> bool:
+    if parameter.choices or not all(isinstance(bound, int) for bound in (parameter.low, parameter.high)):
         return False
-    argument = _argument(parameter.name, cell)
-    is_float = isinstance(baseline_value(parameter.name, cell), float)
+    argument = _argument(parameter.name, experiment)
+    is_float = isinstance(baseline_value(parameter.name, experiment), float)
     return not is_float and (argument is None or "float" not in str(argument.annotation))
 
 
-def fit_space(
-    space: tuple[Parameter, ...], cell: Cell, given: Mapping[str, Any], is_own: bool
-) -> tuple[Parameter, ...]:
-    """
-    Fit a space to an experiment: it contains the baseline's values, and only hyperparameters that it uses.
-
-    :param space: The space
-    :param cell: The experiment
-    :param given: Hyperparameters of the command line, which only a user's own space changes
-    :param is_own: Whether the space is the user's own
-    :return: The space to search
-    :raises CommandError: if nothing is left to search
-    """
-    kept = [parameter for parameter in space if is_own or parameter.name.partition(".")[0] not in given]
-    used = [parameter for parameter in kept if not parameter.needs or baseline_value(parameter.needs, cell)]
-    if not used:
-        raise CommandError(
-            "the search space has no hyperparameter left: the command line defines all of them"
-        )
-    return tuple(parameter.including(baseline_value(parameter.name, cell)) for parameter in used)
-
-
-def baseline_value(name: str, cell: Cell) -> Any:
-    """
-    Return the value of a hyperparameter, of a schedule its initial value.
-
-    :param name: Its name; dots lead into mappings
-    :param cell: The experiment
-    :return: Its value, or the algorithm's default, None if unknown
-    """
-    value = _look_up(cell.hyperparams, name)
-    argument = _argument(name, cell)
+def baseline_value(name: str, experiment: ExperimentConfig) -> Any:
+    """Return a hyperparameter's value, a schedule's first one, or the default; None if unknown."""
+    value = _look_up(experiment.hyperparams, name)
+    argument = _argument(name, experiment)
     if value is None and argument is not None and argument.default is not argument.empty:
         value = argument.default
     if isinstance(value, str) and (schedule := SCHEDULE.fullmatch(value)):
@@ -207,54 +150,37 @@ def baseline_value(name: str, cell: Cell) -> Any:
     return value
 
 
-def _argument(name: str, cell: Cell) -> inspect.Parameter | None:
+def _argument(name: str, experiment: ExperimentConfig) -> inspect.Parameter | None:
     """Return the constructor's argument of a hyperparameter, None if it has none."""
-    algorithm: Any = algorithm_classes()[cell.algo]
+    algorithm: Any = algorithm_classes()[experiment.algo]
     return constructor_arguments(algorithm).get(name)
 
 
-def first_values(space: tuple[Parameter, ...], cell: Cell) -> dict[str, Any]:
-    """
-    Return the baseline's values, as far as they are known: the parameters of the first trial.
-
-    :param space: The space
-    :param cell: The experiment
-    :return: The values by name, as Optuna stores them
-    """
-    pairs = ((p.name, p.optuna_value(baseline_value(p.name, cell))) for p in space)
+def first_values(space: tuple[Parameter, ...], experiment: ExperimentConfig) -> dict[str, Any]:
+    """Return the baseline's values, as far as they are known: the parameters of the first trial."""
+    pairs = ((p.name, p.optuna_value(baseline_value(p.name, experiment))) for p in space)
     return {name: value for name, value in pairs if value is not None}
 
 
-def sample_params(cell: Cell, space: tuple[Parameter, ...], trial: optuna.Trial) -> dict[str, Any]:
-    """
-    Sample the hyperparameters of a trial.
-
-    :param cell: The experiment
-    :param space: Its search space
-    :param trial: The trial
-    :return: Values that replace those of the experiment; none in the trial of the baseline
-    """
+def sample_params(
+    experiment: ExperimentConfig, space: tuple[Parameter, ...], trial: optuna.Trial
+) -> dict[str, Any]:
+    """Return sampled values that replace those of the experiment; none in the trial of the baseline."""
     if trial.user_attrs.get(BASELINE):
-        known = first_values(space, cell)
+        known = first_values(space, experiment)
         for parameter in space:
             if parameter.name in known:
                 parameter.suggest(trial)
         return {}
     sampled: dict[str, Any] = {}
-    for name, value in _sampled(cell, space, trial):
-        for key in reversed(name.split(".")):
+    for parameter in space:
+        value, before = parameter.suggest(trial), _look_up(experiment.hyperparams, parameter.name)
+        if isinstance(before, str) and (schedule := SCHEDULE.fullmatch(before)) and not parameter.choices:
+            value = f"{schedule[1]}{value}"  # a schedule keeps its form
+        for key in reversed(parameter.name.split(".")):
             value = {key: value}
         sampled = merge(sampled, value)
     return sampled
-
-
-def _sampled(cell: Cell, space: tuple[Parameter, ...], trial: optuna.Trial) -> Iterator[tuple[str, Any]]:
-    """Return the sampled values by name; a schedule keeps its form."""
-    for parameter in space:
-        value, before = parameter.suggest(trial), _look_up(cell.hyperparams, parameter.name)
-        if isinstance(before, str) and (schedule := SCHEDULE.fullmatch(before)) and not parameter.choices:
-            value = f"{schedule[1]}{value}"
-        yield parameter.name, value
 
 
 def _look_up(mapping: Mapping[str, Any], name: str) -> Any:

@@ -1,7 +1,5 @@
 """A study: trials in a storage that several processes share."""
 
-from __future__ import annotations
-
 import fcntl
 import json
 from collections.abc import Iterable, Iterator
@@ -11,31 +9,34 @@ from pathlib import Path
 from typing import IO, Any
 from uuid import uuid4
 
+import numpy as np
 import optuna
-from optuna.pruners import BasePruner, MedianPruner, NopPruner, SuccessiveHalvingPruner
-from optuna.samplers import BaseSampler, GPSampler, RandomSampler, TPESampler
+from optuna.pruners import MedianPruner, NopPruner
+from optuna.samplers import TPESampler
 from optuna.storages import BaseStorage, JournalStorage, RDBStorage
 from optuna.storages.journal import JournalFileBackend
 from optuna.study import StudyDirection
 from optuna.trial import FrozenTrial, TrialState
+from stable_baselines3.common.callbacks import BaseCallback
 from tqdm import tqdm
 
 from zoo_configs.arguments import hides_progress
-from zoo_configs.cells.cell import Cell, merge
+from zoo_configs.drawing.curves import load_curve
 from zoo_configs.errors import CommandError, reason, refused
+from zoo_configs.experiments.config import ExperimentConfig, merge
 from zoo_configs.files import whole_file
-from zoo_configs.training.cell import train_cell
 from zoo_configs.training.options import TrainingOptions
+from zoo_configs.training.runs import EVALUATIONS_FILE, Run
 from zoo_configs.training.seeds import SeedStream, stream_seed
 from zoo_configs.training.state import is_locked, lock
+from zoo_configs.training.train import train_experiment
 from zoo_configs.tuning.space import BASELINE, Parameter, first_values, sample_params
-from zoo_configs.tuning.trial import PRUNED, ReportToTrial, score
 
 JOURNAL = "journal.log"
 STUDY, FOLDER = "study", "folder"
 """Attributes of a study: its subject and its folder."""
-ERROR, REPEATS = "error", "repeats"
-"""Attributes of a trial: the reason for its failure, and the numbers of the trials that it repeats."""
+ERROR, REPEATS, PRUNED = "error", "repeats", "pruned"
+"""Attributes of a trial: the reason for its failure, the trials that it repeats, and that it was pruned."""
 WARMUP = 2
 """Evaluations before a trial is pruned; the first ones precede the agent's own steps."""
 
@@ -47,13 +48,12 @@ class Search:
 
     :param name: Name of the study
     :param folder: Its folder, shared by all processes: trials, demonstrations and by default the storage
-    :param cell: The experiment; its values are the first trial
+    :param experiment: The experiment; its values are the first trial
     :param space: Its search space
     :param seed: Seed of models, environments and sampler
     :param options: Options of a trial's training
     :param n_trials: Number of trials of all processes
-    :param sampler: ``"tpe"``, ``"random"`` or ``"gp"``
-    :param pruner: ``"median"``, ``"halving"`` or ``"none"``
+    :param pruner: ``"median"`` or ``"none"``
     :param n_startup_trials: Number of trials that are sampled at random, and of complete trials before
         another one is pruned
     :param storage: URL of a database, None for a journal in the folder
@@ -63,12 +63,11 @@ class Search:
 
     name: str
     folder: Path
-    cell: Cell
+    experiment: ExperimentConfig
     space: tuple[Parameter, ...]
     seed: int
     options: TrainingOptions
     n_trials: int
-    sampler: str = "tpe"
     pruner: str = "median"
     n_startup_trials: int = 10
     storage: str | None = None
@@ -80,28 +79,19 @@ class Search:
         """Name of the storage for ``optuna-dashboard``."""
         return self.storage or str(self.folder / JOURNAL)
 
-    def about(self) -> str:
-        """Return everything that the meaning of a trial depends on, as JSON."""
-        content = {
-            "env": self.cell.env_id,
-            "algo": self.cell.algo,
-            "baseline": self.cell.baseline,
-            "preset": self.cell.preset,
-            "benchmark": self.cell.benchmark,
-            "hyperparams": self.cell.hyperparams,
-            "space": [list(parameter) for parameter in self.space],
-            "seed": self.seed,
-            "options": self.options.plain(),
-        }
-        return json.dumps(content, sort_keys=True)
+    def about(self) -> dict[str, Any]:
+        """Return everything that the meaning of a trial depends on, as plain data."""
+        names = ("env_id", "algo", "baseline", "preset", "benchmark", "hyperparams")
+        experiment = {name: getattr(self.experiment, name) for name in names}
+        space = [list(parameter) for parameter in self.space]
+        content = {**experiment, "space": space, "seed": self.seed, "options": self.options.plain()}
+        return dict(json.loads(json.dumps(content)))
 
 
 def open_study(search: Search) -> optuna.Study:
     """
     Create a study, or join it.
 
-    :param search: The study's subject and settings
-    :return: The study
     :raises CommandError: if the storage cannot be opened, or its study has another subject, another folder or
         belongs to another program
     """
@@ -112,36 +102,34 @@ def open_study(search: Search) -> optuna.Study:
                 storage=_storage(search),
                 study_name=search.name,
                 direction="maximize",
-                pruner=_pruner(search),
+                pruner=MedianPruner(search.n_startup_trials, WARMUP)
+                if search.pruner == "median"
+                else NopPruner(),
                 load_if_exists=True,
             )
         if STUDY not in study.user_attrs:
             _check_new(search, study)
             study.set_user_attr(FOLDER, _identify(search.folder))
-            study.enqueue_trial(first_values(search.space, search.cell), {BASELINE: True})
+            study.enqueue_trial(first_values(search.space, search.experiment), {BASELINE: True})
             study.set_user_attr(STUDY, search.about())
-    if others := _differences(study.user_attrs[STUDY], search.about()):
-        names = ", ".join(others)
-        raise CommandError(f"study {search.name} exists with other {names}. Use another --study-name.")
+    begun = study.user_attrs[STUDY]
+    if others := [name for name, value in search.about().items() if begun.get(name) != value]:
+        raise CommandError(
+            f"study {search.name} exists with other {', '.join(others)}. Use another --study-name."
+        )
     if study.user_attrs[FOLDER] != _identify(search.folder):
         raise CommandError(f"study {search.name} has another folder than {search.folder}. Share that folder.")
     return study
 
 
 def _check_new(search: Search, study: optuna.Study) -> None:
-    """
-    Check that a study without our attributes is new.
-
-    :raises CommandError: if another program has begun it
-    """
+    """Check that no other program has begun a study without our attributes."""
     trials = len(study.get_trials(deepcopy=False))
-    if FOLDER in study.user_attrs:  # created by a process that was killed
-        return
-    if trials or study.user_attrs or study.directions != [StudyDirection.MAXIMIZE]:
-        directions = [direction.name.lower() for direction in study.directions]
+    is_new = not trials and not study.user_attrs and study.directions == [StudyDirection.MAXIMIZE]
+    if not is_new and FOLDER not in study.user_attrs:  # with it, a process of ours was killed
         raise CommandError(
             f"--study-name must be a new study or one of bulletarm-zoo tune, got {search.name} of another "
-            f"program ({trials} trials, directions {directions}). Use another --study-name."
+            f"program ({trials} trials). Use another --study-name."
         )
 
 
@@ -149,8 +137,6 @@ def work(search: Search, study: optuna.Study, progress: bool | None = False) -> 
     """
     Train trials until the study has ``n_trials``. Other processes can do so at the same time.
 
-    :param search: The study's subject and settings
-    :param study: The study
     :param progress: Whether to show a bar of the study's finished trials; None shows it on a terminal
     """
     number, hidden, done = search.n_trials, hides_progress(progress), _count_finished(study)
@@ -163,12 +149,7 @@ def work(search: Search, study: optuna.Study, progress: bool | None = False) -> 
 
 
 def retried(trials: Iterable[FrozenTrial]) -> set[int]:
-    """
-    Return the numbers of the trials that another one repeats.
-
-    :param trials: All trials of a study
-    :return: The trials that do not count
-    """
+    """Return the numbers of the trials that another one repeats, which do not count."""
     return {number for trial in trials for number in trial.user_attrs.get(REPEATS, ())}
 
 
@@ -179,13 +160,7 @@ def _count_finished(study: optuna.Study) -> int:
 
 
 def trial_folder(search: Search, trial: FrozenTrial) -> Path:
-    """
-    Return the run folder of a trial, which a repeated trial shares with the first one.
-
-    :param search: The study's subject and settings
-    :param trial: The trial
-    :return: The folder
-    """
+    """Return the run folder of a trial, which a repeated trial shares with the first one."""
     first = [*trial.user_attrs.get(REPEATS, ()), trial.number][0]
     return search.folder / f"trial_{first:04d}"
 
@@ -199,7 +174,8 @@ def _next_trial(search: Search, study: optuna.Study) -> tuple[optuna.Trial, IO[s
         again = len(retried(trials))
         if len(begun) - again >= search.n_trials:
             return None
-        study.sampler = _sampler(search, len(begun) - again)
+        seed = stream_seed(search.seed, SeedStream.SAMPLER, len(begun) - again)  # whatever the process
+        study.sampler = TPESampler(seed=seed, n_startup_trials=search.n_startup_trials, constant_liar=True)
         trial = study.ask()
         claim = _claim_file(search, study.get_trials(deepcopy=False)[trial.number]).open("a")
         lock(claim)
@@ -228,14 +204,14 @@ def _claim_file(search: Search, trial: FrozenTrial) -> Path:
 def _run(search: Search, study: optuna.Study, trial: optuna.Trial) -> None:
     folder = trial_folder(search, study.get_trials(deepcopy=False)[trial.number])
     try:
-        sampled = sample_params(search.cell, search.space, trial)
-        cell = replace(
-            search.cell,
-            hyperparams=merge(search.cell.hyperparams, sampled),
-            overrides=merge(search.cell.overrides, sampled),
+        sampled = sample_params(search.experiment, search.space, trial)
+        experiment = replace(
+            search.experiment,
+            hyperparams=merge(search.experiment.hyperparams, sampled),
+            overrides=merge(search.experiment.overrides, sampled),
         )
-        run = train_cell(
-            cell,
+        run = train_experiment(
+            experiment,
             search.seed,
             search.device,
             search.folder,
@@ -256,12 +232,7 @@ def _run(search: Search, study: optuna.Study, trial: optuna.Trial) -> None:
 
 
 def describe(trial: FrozenTrial) -> str:
-    """
-    Describe a trial in one line.
-
-    :param trial: The trial
-    :return: Its number, result and values
-    """
+    """Return number, result and values of a trial in one line."""
     ended = f"{trial.value:.3f}" if trial.value is not None else trial.user_attrs.get(ERROR, "")
     values = ", ".join(f"{name} {_short(value)}" for name, value in trial.params.items())
     return f"trial {trial.number}: {trial.state.name.lower()} {ended} ({values})"
@@ -275,50 +246,6 @@ def _storage(search: Search) -> BaseStorage:
     if search.storage is None or search.storage.endswith(".log"):
         return JournalStorage(JournalFileBackend(search.storage_name))
     return RDBStorage(search.storage)
-
-
-def _sampler(search: Search, number: int) -> BaseSampler:
-    """Build the sampler of a trial. Its seed depends on the number of the trial, not on the process."""
-    seed = stream_seed(search.seed, SeedStream.SAMPLER, number)
-    if search.sampler == "random" or number < search.n_startup_trials:
-        return RandomSampler(seed=seed)
-    if search.sampler == "gp":
-        return GPSampler(seed=seed, n_startup_trials=search.n_startup_trials)
-    return TPESampler(seed=seed, n_startup_trials=search.n_startup_trials, constant_liar=True)
-
-
-class StartupPruner(BasePruner):
-    """
-    Pruner that waits for a number of complete trials.
-
-    :param pruner: The pruner that decides then
-    :param n_startup_trials: Number of complete trials
-    """
-
-    def __init__(self, pruner: BasePruner, n_startup_trials: int) -> None:
-        self.pruner, self.n_startup_trials = pruner, n_startup_trials
-
-    def prune(self, study: optuna.Study, trial: FrozenTrial) -> bool:
-        """
-        Return True if a trial is to be pruned.
-
-        :param study: Its study
-        :param trial: The trial
-        """
-        complete = study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,))
-        return len(complete) >= self.n_startup_trials and self.pruner.prune(study, trial)
-
-
-def _pruner(search: Search) -> BasePruner:
-    if search.pruner == "none":
-        return NopPruner()
-    halving, median = SuccessiveHalvingPruner(), MedianPruner(n_startup_trials=0, n_warmup_steps=WARMUP)
-    return StartupPruner(halving if search.pruner == "halving" else median, search.n_startup_trials)
-
-
-def _differences(begun: str, wanted: str) -> list[str]:
-    left, right = json.loads(begun), json.loads(wanted)
-    return [name for name in left if left[name] != right.get(name)]
 
 
 def _identify(folder: Path) -> str:
@@ -336,3 +263,42 @@ def _alone(folder: Path) -> Iterator[None]:
     with (folder / ".lock").open("a") as file:
         fcntl.flock(file, fcntl.LOCK_EX)
         yield
+
+
+class ReportToTrial(BaseCallback):
+    """
+    Callback that reports each evaluation of a run to its trial, and ends the training of a pruned trial.
+
+    :param trial: The trial
+    :param folder: Run folder
+    """
+
+    def __init__(self, trial: optuna.Trial, folder: Path) -> None:
+        super().__init__()
+        self.trial = trial
+        self.path = folder / EVALUATIONS_FILE
+        self._changed = 0  # time of the file's last change
+        self._reported = 0  # number of evaluations
+
+    def _on_step(self) -> bool:
+        if not self.path.is_file() or (changed := self.path.stat().st_mtime_ns) == self._changed:
+            return True
+        self._changed = changed
+        values = load_curve(self.path).success
+        for step in range(self._reported, len(values)):
+            self.trial.report(float(values[step]), step)
+        self._reported = len(values)
+        if self.trial.should_prune():
+            self.trial.set_user_attr(PRUNED, True)
+            return False
+        return True
+
+
+def score(run: Run) -> float:
+    """
+    Return the score of a run, which is high for success that lasts.
+
+    It is the mean success of the second half of its evaluations, or the mean return without success.
+    """
+    success = load_curve(run.evaluations_file).success
+    return float(np.mean(success[len(success) // 2 :]))

@@ -131,7 +131,7 @@ def test_projections_equal_the_environments(heights, poses, size):
     assert np.sum(wrong) <= 3 * 2, "at most two voxels on the border of a pixel"
 
 
-@pytest.mark.parametrize(("size", "k"), itertools.product([7, 8], [1, 2, 3]))
+@pytest.mark.parametrize(("size", "k"), list(itertools.product([7, 8], [1, 2, 3])))
 @pytest.mark.parametrize("tilt", [(0.0, 0.0), (0.4, 0.0), (0.0, -0.3)])
 def test_projections_do_not_change_when_gripper_and_scene_rotate(heights, poses, size, k, tilt):
     """Nothing changes, not even where voxels lie between pixels."""

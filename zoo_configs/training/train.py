@@ -1,28 +1,27 @@
 """Training of one experiment: the common path of ``train``, ``tune`` and ``benchmark``."""
 
-from __future__ import annotations
-
 import sys
+import time
 from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager, nullcontext
 from dataclasses import replace
 from pathlib import Path
 
+import stable_baselines3 as sb3
 import torch as th
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.utils import set_random_seed
 
 from sb3_extensions.common.checkpoint import CheckpointError, latest_checkpoint, latest_valid_checkpoint
 from zoo_configs.arguments import check_device
-from zoo_configs.cells.cell import Cell
-from zoo_configs.cells.validation import check_cell, check_expert_data
-from zoo_configs.environments import known_env_id, make_env, register_environments, try_env
+from zoo_configs.environments import known_env_id, register_environments, tried_env
 from zoo_configs.errors import CommandError
+from zoo_configs.experiments.config import ExperimentConfig
+from zoo_configs.experiments.validation import check_experiment, check_expert_data
 from zoo_configs.files import missing_folders
 from zoo_configs.training.options import TrainingOptions
 from zoo_configs.training.runs import Run, claim_run_folder, clear, discard_if_empty, load_run, write_resolved
 from zoo_configs.training.state import State, run_lock
-from zoo_configs.training.tracking import tracked
 from zoo_configs.training.trainer import Trainer
 
 
@@ -38,8 +37,8 @@ class TrainingInterrupted(KeyboardInterrupt):
         self.run = run
 
 
-def train_cell(
-    cell: Cell,
+def train_experiment(
+    experiment: ExperimentConfig,
     seed: int,
     device: str = "auto",
     folder: str | Path = "logs",
@@ -58,7 +57,7 @@ def train_cell(
     checkpoint or starts again. Without ``at``, a new folder is created, which is removed if the run fails
     before it has a model or a checkpoint.
 
-    :param cell: The experiment, as from :func:`zoo_configs.cells.cell.resolve`
+    :param experiment: The experiment, as from :func:`zoo_configs.experiments.config.resolve`
     :param seed: Seed of model and environments
     :param device: PyTorch device
     :param folder: Log folder
@@ -73,13 +72,15 @@ def train_cell(
     :raises KeyboardInterrupt: after Ctrl-C, when the model is saved
     """
     register_environments(gym_packages)
-    run = Run(Path(), cell, seed, device, options or TrainingOptions.of(cell), tuple(gym_packages))
+    run = Run(
+        Path(), experiment, seed, device, options or TrainingOptions.of(experiment), tuple(gym_packages)
+    )
     check_run(run, allow_mismatched_demos)
     if at is not None:
         return _train_at(replace(run, folder=Path(at)), callbacks, progress)
-    logs = Path(folder) / cell.algo
+    logs = Path(folder) / experiment.algo
     created = missing_folders(logs)
-    run = replace(run, folder=claim_run_folder(logs, cell.env_id))
+    run = replace(run, folder=claim_run_folder(logs, experiment.env_id))
     try:
         write_resolved(run)
         return _train(run, None, callbacks, progress)
@@ -88,19 +89,16 @@ def train_cell(
         raise
 
 
-def resume_run(run: Run, callbacks: Sequence[BaseCallback] = (), progress: bool = False) -> Run:
+def resume_run(run: Run, progress: bool = False) -> Run:
     """
-    Resume a run from its latest valid checkpoint.
+    Resume a run, whose options and device may have changed, from its latest valid checkpoint.
 
-    :param run: The run; its options and device can differ from those at the start
-    :param callbacks: Callbacks in addition to those of the options
     :param progress: Whether to show a progress bar
-    :return: The trained run
     :raises CommandError: if there is no valid checkpoint, or the run is finished
     :raises KeyboardInterrupt: after Ctrl-C, when the model is saved
     """
     register_environments(run.gym_packages)
-    known_env_id(run.cell.env_id)
+    known_env_id(run.experiment.env_id)
     begun = load_run(run.folder).options.eval_episodes
     if run.evaluations_file.is_file() and run.options.eval_episodes != begun:
         raise CommandError(f"eval_episodes must be {begun} as at the start, got {run.options.eval_episodes}")
@@ -110,37 +108,29 @@ def resume_run(run: Run, callbacks: Sequence[BaseCallback] = (), progress: bool 
     if status is not None and status.state is State.DONE and steps >= run.n_timesteps:
         done = f"run {run.folder} is already finished ({steps} of {run.n_timesteps} steps)"
         raise CommandError(f"{done}. Pass a larger -n to continue.")
-    return _train(run, checkpoint, callbacks, progress)
+    return _train(run, checkpoint, (), progress)
 
 
 def check_run(run: Run, allow_mismatched_demos: bool = False, resumed: bool = False) -> None:
     """
     Check that a run can be trained, before anything is built.
 
-    :param run: The run
     :param allow_mismatched_demos: Whether ``expert_data`` may come from another environment
     :param resumed: Whether its replay buffer already contains the demonstrations
     :raises CommandError: if it cannot
     """
-    check_cell(run.cell)
+    check_experiment(run.experiment)
     check_device(run.device)
-    env_kwargs = run.cell.hyperparams.get("env_kwargs", {})
-    try_env(run.cell.env_id, env_kwargs)
-    if not resumed:
-        with closing(make_env(run.cell.env_id, env_kwargs)) as env:
-            check_expert_data(run.cell, env, allow_mismatched_demos)
+    env_kwargs = run.experiment.hyperparams.get("env_kwargs", {})
+    with tried_env(run.experiment.env_id, env_kwargs) as env:
+        if not (resumed or allow_mismatched_demos):
+            check_expert_data(run.experiment, env)
 
 
 def check_same(found: Run, wanted: Run) -> None:
-    """
-    Check that a run folder contains the run that is to be trained there.
-
-    :param found: The run in the folder
-    :param wanted: The run to train
-    :raises CommandError: if the experiment or the seed differs
-    """
+    """Raise ``CommandError`` if a run folder has another experiment or seed than the run to train there."""
     for name in ("algo", "env_id", "hyperparams", "benchmark"):
-        if getattr(found.cell, name) != getattr(wanted.cell, name):
+        if getattr(found.experiment, name) != getattr(wanted.experiment, name):
             raise CommandError(f"{found.folder} has a run with different {name}. Use another folder.")
     if found.seed != wanted.seed:
         raise CommandError(f"{found.folder} has a run with seed {found.seed}, not {wanted.seed}")
@@ -161,11 +151,7 @@ def _train_at(run: Run, callbacks: Sequence[BaseCallback], progress: bool) -> Ru
 
 
 def _latest_checkpoint(run: Run) -> Path:
-    """
-    Return the latest valid checkpoint, and report damaged later ones.
-
-    :raises CommandError: if there is none
-    """
+    """Return the latest valid checkpoint, and report damaged later ones."""
     try:
         checkpoint, damaged = latest_valid_checkpoint(run.checkpoint_folder)
     except CheckpointError as error:
@@ -181,7 +167,7 @@ def _timesteps(checkpoint: Path) -> int:
 
 
 def _train(run: Run, checkpoint: Path | None, callbacks: Sequence[BaseCallback], progress: bool) -> Run:
-    tracking = tracked(run) if run.options.track else nullcontext(run)
+    tracking = _tracked(run) if run.options.track else nullcontext(run)
     with run_lock(run.folder, checkpoint), _threads(run.options.num_threads), tracking as logged:
         if checkpoint is None:
             clear(run)
@@ -207,3 +193,26 @@ def _threads(number: int) -> Iterator[None]:
         yield
     finally:
         th.set_num_threads(before)
+
+
+@contextmanager
+def _tracked(run: Run) -> Iterator[Run]:
+    """
+    Log a run to Weights & Biases, and provide the run with the TensorBoard folder that it reads.
+
+    Its environment variables apply, such as ``WANDB_PROJECT``, ``WANDB_ENTITY`` and ``WANDB_MODE=offline``.
+    """
+    import wandb
+
+    name = f"{run.experiment.env_id}__{run.experiment.label}__{run.seed}__{int(time.time())}"
+    session = wandb.init(
+        name=name,
+        tags=[f"v{sb3.__version__}"],
+        config={"seed": run.seed, **run.options.plain(), **run.experiment.hyperparams},
+        sync_tensorboard=True,
+        save_code=True,
+    )
+    try:
+        yield replace(run, options=replace(run.options, tensorboard_log=f"runs/{name.replace('/', '-')}"))
+    finally:
+        session.finish()

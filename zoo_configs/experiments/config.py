@@ -1,19 +1,16 @@
 """The hyperparameters of an experiment, from a baseline, a preset and an environment."""
 
-from __future__ import annotations
-
 import copy
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from zoo_configs.cells.benchmarks import choose_benchmark, task_parameters
-from zoo_configs.cells.rules import Case, Family, Layer, families, family_of
-from zoo_configs.errors import CommandError, unknown_name
+from zoo_configs.experiments.families import Layer, family_of
+from zoo_configs.files import format_yaml
 
-OVERRIDES = Layer("command line")
-"""Source of the values that replace those of the configuration files."""
+DEFAULT, OVERRIDES = Layer("default"), Layer("command line")
+"""Sources of values that no configuration file defines."""
 GRID = "policy_kwargs.codec_kwargs"
 GRID_FOLLOWS = {"theta_bounds": "half_rotation", "workspace_size": "workspace"}
 """Arguments of a codec, and the environment's parameter that each follows."""
@@ -23,7 +20,7 @@ WHOLE_TURN = (-math.pi, math.pi)
 
 
 @dataclass(frozen=True)
-class Cell:
+class ExperimentConfig:
     """
     An experiment without its seed: everything that training needs.
 
@@ -58,7 +55,7 @@ def resolve(
     env_id: str,
     overrides: Mapping[str, Any] | None = None,
     benchmark: str | None = None,
-) -> Cell:
+) -> ExperimentConfig:
     """
     Return the hyperparameters of an experiment.
 
@@ -79,22 +76,12 @@ def explain(
     env_id: str,
     overrides: Mapping[str, Any] | None = None,
     benchmark: str | None = None,
-) -> tuple[Cell, dict[str, Layer]]:
-    """
-    Return an experiment, and where its values come from.
-
-    :param baseline: As for :func:`resolve`
-    :param preset: As for :func:`resolve`
-    :param env_id: As for :func:`resolve`
-    :param overrides: As for :func:`resolve`
-    :param benchmark: As for :func:`resolve`
-    :return: The experiment, and the layer of each value by dotted name
-    :raises CommandError: as :func:`resolve`
-    """
+) -> tuple[ExperimentConfig, dict[str, Layer]]:
+    """Return an experiment as :func:`resolve` does, and the layer of each value by dotted name."""
     family = family_of(env_id)
-    case = _case(family, baseline, preset, env_id, benchmark)
+    case = family.case(baseline, preset, env_id, benchmark)
     overrides = copy.deepcopy(dict(overrides or {}))
-    layers = [*family.layers(case, _benchmark_layers(case)), Layer(OVERRIDES.source, hyperparams=overrides)]
+    layers = [*family.layers(case), Layer(OVERRIDES.source, hyperparams=overrides)]
     merged: dict[str, Any] = {"hyperparams": {}, "flags": {}}
     sources: dict[str, Layer] = {}
     for layer in layers:
@@ -106,29 +93,10 @@ def explain(
     hyperparams, flags = merged["hyperparams"], merged["flags"]
     for name, parameter in _follow_environment(hyperparams, overrides):
         sources[f"hyperparams.{name}"] = sources[f"hyperparams.env_kwargs.{parameter}"]
-    cell = Cell(merged["algo"], env_id, hyperparams, flags, baseline, preset, case.benchmark, overrides)
-    return cell, sources
-
-
-def _benchmark_layers(case: Case) -> Iterator[Layer]:
-    if case.benchmark is not None:
-        source = f"bulletarm_gym.benchmarks, {case.benchmark}"
-        yield Layer(source, hyperparams=task_parameters(case.benchmark, case.env_id))
-
-
-def _case(family: Family, baseline: str, preset: str, env_id: str, benchmark: str | None) -> Case:
-    if baseline not in family.baselines:
-        if others := [other.envs for other in families() if baseline in other.baselines]:
-            raise CommandError(f"baseline {baseline!r} is for {' or '.join(others)}, not for {env_id}")
-        raise unknown_name("baseline", baseline, family.baselines)
-    if preset not in family.presets:
-        if others := [other.envs for other in families() if preset in other.presets]:
-            names, where = ", ".join(sorted(family.presets)), " or ".join(others)
-            raise CommandError(f"preset must be one of {names} for {env_id}, got {preset!r} for {where}")
-        raise unknown_name("preset", preset, family.presets)
-    parts = family.baselines[baseline]
-    chosen = choose_benchmark(family.benchmarks, env_id, parts.network, benchmark)
-    return Case(preset, env_id, chosen, parts)
+    experiment = ExperimentConfig(
+        merged["algo"], env_id, hyperparams, flags, baseline, preset, case.benchmark, overrides
+    )
+    return experiment, sources
 
 
 def _leaves(mapping: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
@@ -141,13 +109,7 @@ def _leaves(mapping: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str,
 
 
 def merge(base: Mapping[str, Any], update: Mapping[str, Any]) -> dict[str, Any]:
-    """
-    Merge two nested mappings.
-
-    :param base: The values below
-    :param update: The values on top; a mapping is merged with a mapping, anything else replaces
-    :return: A new mapping that shares nothing with the two
-    """
+    """Return two nested mappings merged; of the second, anything but a mapping replaces."""
     merged = copy.deepcopy(dict(base))
     _merge_into(merged, update)
     return merged
@@ -165,11 +127,7 @@ def _merge_into(target: dict[str, Any], update: Mapping[str, Any]) -> None:
 def _follow_environment(
     hyperparams: dict[str, Any], overrides: Mapping[str, Any]
 ) -> Iterator[tuple[str, str]]:
-    """
-    Derive arguments of the policy from the environment's parameters.
-
-    :return: The dotted name of each derived value, and the parameter that it follows
-    """
+    """Derive arguments of the policy from parameters, and yield the dotted name of both."""
     env_kwargs = _at(hyperparams, "env_kwargs") or {}
     policy_kwargs = _at(hyperparams, "policy_kwargs") or {}
     if "action_sequence" in policy_kwargs and (sequence := env_kwargs.get("action_sequence")) is not None:
@@ -216,3 +174,40 @@ def _at(mapping: Mapping[str, Any], name: str) -> dict[str, Any] | None:
     for key in name.split("."):
         found = found.get(key) if isinstance(found, Mapping) else None
     return found if isinstance(found, dict) else None
+
+
+def explained_yaml(experiment: ExperimentConfig, options: Mapping[str, Any], given: Mapping[str, Any]) -> str:
+    """
+    Return an experiment with the sources of its values, as YAML that ``train --conf-file`` reads as well.
+
+    :param options: Options of the training by name
+    :param given: Those that the command line defines
+    """
+    sources = {f"hyperparams.{name}": OVERRIDES for name in experiment.overrides}
+    if experiment.baseline is not None and experiment.preset is not None:
+        names = (experiment.baseline, experiment.preset, experiment.env_id)
+        _, sources = explain(*names, experiment.overrides, experiment.benchmark)
+    sources = {"hyperparams": DEFAULT, "algo": OVERRIDES, "flags": DEFAULT, **sources}
+    sources.update({f"flags.{name}": OVERRIDES for name in given})
+    lines = [_line("algo", experiment.algo, sources["algo"]), f"{experiment.env_id}:"]
+    lines += _lines(experiment.hyperparams, "hyperparams", sources)
+    return "\n".join([*lines, "options:", *_lines(options, "flags", sources)])
+
+
+def _lines(
+    values: Mapping[str, Any], name: str, sources: Mapping[str, Layer], indent: str = "  "
+) -> Iterator[str]:
+    for key, value in values.items():
+        inner = f"{name}.{key}"
+        if isinstance(value, Mapping) and value:
+            yield f"{indent}{key}:"
+            yield from _lines(value, inner, sources, f"{indent}  ")
+            continue
+        while inner not in sources:  # a mapping around the value has the source
+            inner = inner.rpartition(".")[0]
+        yield indent + _line(key, value, sources[inner])
+
+
+def _line(key: str, value: Any, layer: Layer) -> str:
+    text = f"{format_yaml({key: value}, inline=True)[1:-1]}  # {layer.source}"
+    return f"{text}: {layer.why}" if layer.why else text

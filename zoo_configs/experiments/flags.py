@@ -1,7 +1,5 @@
 """The flags that name an experiment."""
 
-from __future__ import annotations
-
 import argparse
 from dataclasses import replace
 from pathlib import Path
@@ -9,12 +7,11 @@ from typing import Any
 
 from zoo_configs.algorithms import ALGORITHMS, OTHERS, algorithm_classes
 from zoo_configs.arguments import add_env_kwargs, add_key_values
-from zoo_configs.cells.benchmarks import is_served
-from zoo_configs.cells.cell import Cell, merge, resolve
-from zoo_configs.cells.ranges import check_values
-from zoo_configs.cells.rules import Family, families
+from zoo_configs.environments import known_env_id
 from zoo_configs.errors import CommandError, unknown_name
-from zoo_configs.yaml_files import read_yaml
+from zoo_configs.experiments.config import ExperimentConfig, merge, resolve
+from zoo_configs.experiments.families import families
+from zoo_configs.files import read_yaml
 
 EXTRACTOR = "sb3_extensions.encoders.extractors.CnnExtractor"
 """Features extractor for images with the algorithms of Stable-Baselines3 and sb3-contrib."""
@@ -24,12 +21,8 @@ DEFAULT_TIMESTEPS = 1_000_000
 DICT_POLICIES = ("MultiInputPolicy", "MultiInputLstmPolicy")
 
 
-def add_cell_flags(parser: argparse.ArgumentParser) -> None:
-    """
-    Add the flags that name an experiment.
-
-    :param parser: Parser of a command
-    """
+def add_experiment_flags(parser: argparse.ArgumentParser) -> None:
+    """Add the flags that name an experiment."""
     add = parser.add_argument
     add("--baseline", help="learner and network, see bulletarm-zoo list --baselines")
     add("--preset", help=f"{PRESETS} (default: paper with a GPU, else cpu)")
@@ -41,43 +34,38 @@ def add_cell_flags(parser: argparse.ArgumentParser) -> None:
     add_env_kwargs(parser)
 
 
-def find_cell(args: argparse.Namespace, env_id: str) -> Cell:
+def find_experiment(args: argparse.Namespace) -> ExperimentConfig:
     """
     Return the experiment that the flags name: of a file, a baseline, or an algorithm's defaults.
 
-    :param args: The parsed flags
-    :param env_id: Id of the environment
-    :return: The experiment, with the hyperparameters of the command line
     :raises CommandError: if the flags name none
     """
-    check_values(args.hyperparams)
+    if args.env is None:
+        raise CommandError("name an environment with --env, see bulletarm-zoo list")
+    env_id = known_env_id(args.env)
     overrides = dict(args.hyperparams)
     if args.env_kwargs:
         overrides["env_kwargs"] = merge(overrides.get("env_kwargs", {}), args.env_kwargs)
     if args.conf_file is not None:
         if args.baseline is not None:
             raise CommandError("give --baseline or --conf-file, not both")
-        return _override(_cell_from_file(args.conf_file, _required_algo(args), env_id), overrides)
+        return _override(_experiment_from_file(args.conf_file, _required_algo(args), env_id), overrides)
     baseline = _baseline_of(args, env_id)
     if baseline is None:
-        return _default_cell(_required_algo(args), env_id, overrides)
+        return _default_experiment(_required_algo(args), env_id, overrides)
     preset = default_preset(args.device or "auto") if args.preset is None else args.preset
-    cell = resolve(baseline, preset, env_id, overrides, args.benchmark)
-    if args.algo not in (None, baseline, cell.algo):
-        raise CommandError(f"--algo must be {cell.algo} for baseline {baseline!r}, got {args.algo}")
-    return cell
+    experiment = resolve(baseline, preset, env_id, overrides, args.benchmark)
+    if args.algo not in (None, baseline, experiment.algo):
+        raise CommandError(f"--algo must be {experiment.algo} for baseline {baseline!r}, got {args.algo}")
+    return experiment
 
 
-def _override(cell: Cell, overrides: dict[str, Any]) -> Cell:
-    return replace(cell, hyperparams=merge(cell.hyperparams, overrides), overrides=overrides)
+def _override(experiment: ExperimentConfig, overrides: dict[str, Any]) -> ExperimentConfig:
+    return replace(experiment, hyperparams=merge(experiment.hyperparams, overrides), overrides=overrides)
 
 
 def _required_algo(args: argparse.Namespace) -> str:
-    """
-    Return the algorithm of an experiment without baseline.
-
-    :raises CommandError: without an algorithm, or with a flag that requires a baseline
-    """
+    """Return the algorithm of an experiment without baseline."""
     if args.algo is None:
         raise CommandError("name a baseline with --baseline, or an algorithm with --algo")
     for flag in ("preset", "benchmark"):
@@ -91,18 +79,13 @@ def _baseline_of(args: argparse.Namespace, env_id: str) -> str | None:
     if args.baseline is not None or args.algo is None:
         return args.baseline  # type: ignore[no-any-return]
     for family in families():
-        if family.serves(env_id):
-            by_name = args.algo in family.baselines
-            return str(args.algo) if by_name else _default_baseline(family, args, env_id)
+        if family.has_env(env_id):
+            if args.algo in family.baselines:
+                return str(args.algo)
+            names = family.algorithms.get(args.algo, ())
+            fitting = (name for name in names if family.has_experiment(name, env_id, args.benchmark))
+            return next(fitting, names[0] if names else None)  # an error follows for the first one
     return None
-
-
-def _default_baseline(family: Family, args: argparse.Namespace, env_id: str) -> str | None:
-    """Return the first baseline that serves the task, or the first one, for which an error follows."""
-    names = family.algorithms.get(args.algo, ())
-    networks = {name: family.baselines[name].network for name in names}
-    fitting = (n for n in names if is_served(family.benchmarks, env_id, networks[n], args.benchmark))
-    return next(fitting, names[0] if names else None)
 
 
 def default_preset(device: str) -> str:
@@ -112,12 +95,8 @@ def default_preset(device: str) -> str:
     return "paper" if device != "cpu" and torch.cuda.is_available() else "cpu"
 
 
-def _default_cell(algo: str, env_id: str, overrides: dict[str, Any]) -> Cell:
-    """
-    Return an experiment with an algorithm's own defaults, and a policy for our environments' observations.
-
-    :raises CommandError: for an unknown algorithm, or one of ours, which have baselines
-    """
+def _default_experiment(algo: str, env_id: str, overrides: dict[str, Any]) -> ExperimentConfig:
+    """Return an experiment with an algorithm's own defaults, and a policy for our observations."""
     if algo in ALGORITHMS:
         raise CommandError(f"no baseline of {algo} for {env_id}. Use --baseline or --conf-file.")
     if algo not in OTHERS:
@@ -125,14 +104,14 @@ def _default_cell(algo: str, env_id: str, overrides: dict[str, Any]) -> Cell:
     hyperparams: dict[str, Any] = {"n_timesteps": DEFAULT_TIMESTEPS, "policy": "MlpPolicy"}
     if algo == "ars":
         hyperparams["policy"] = "LinearPolicy"
-    if any(family.serves(env_id) for family in families()) and "policy" not in overrides:
+    if any(family.has_env(env_id) for family in families()) and "policy" not in overrides:
         aliases = algorithm_classes()[algo].policy_aliases
         policies = [name for name in DICT_POLICIES if name in aliases]
         if policies:
             hyperparams["policy"] = policies[0]
         if policies and _has_images(overrides.get("env_kwargs", {}).get("observation", "image")):
             hyperparams["policy_kwargs"] = {"features_extractor_class": EXTRACTOR}
-    return _override(Cell(algo, env_id, hyperparams), overrides)
+    return _override(ExperimentConfig(algo, env_id, hyperparams), overrides)
 
 
 def _has_images(observation: Any) -> bool:
@@ -143,11 +122,11 @@ def _has_images(observation: Any) -> bool:
     return any(name not in ("state", "holding", "point_cloud", "joint_state") for name in names)
 
 
-def _cell_from_file(path: Path, algo: str, env_id: str) -> Cell:
+def _experiment_from_file(path: Path, algo: str, env_id: str) -> ExperimentConfig:
     if path.suffix not in (".yml", ".yaml") or not path.is_file():
         raise CommandError(f"--conf-file must be a YAML file, got {path}")
     sections = read_yaml(path, "--conf-file")
     section = sections.get(env_id, sections.get("default")) if isinstance(sections, dict) else None
     if not isinstance(section, dict):
         raise CommandError(f"{path} must have a section {env_id!r} or 'default'")
-    return Cell(algo, env_id, section)
+    return ExperimentConfig(algo, env_id, section)

@@ -1,0 +1,242 @@
+"""Command lines that cannot be followed: one line on the error output, exit status 2, nothing left behind."""
+
+import errno
+import os
+import re
+import shlex
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from sweeps import PATH, TINY
+
+from zoo_configs.cli import main
+from zoo_configs.errors import CommandError, nearest_name
+from zoo_configs.training import options
+
+Refuse = Callable[..., str]
+TRAIN = "train --baseline sacfd --preset cpu --env TOY --device cpu"
+TUNE = "tune --baseline sacfd --preset quick --env TOY --env-kwargs obs_size:48"
+DEMOS = "demos --env REACHING"
+RECORD = "record --expert --env TOY -n 1"
+PUBLISHED = "enjoy --published CloseLoopBlockReaching"
+NAMES = {"TRAIN": TRAIN, "TUNE": TUNE, "DEMOS": DEMOS, "RECORD": RECORD, "PUBLISHED": PUBLISHED}
+NAMES["REACHING"] = "BulletArm/CloseLoopBlockReaching-v0"
+NAMES["STACKING"] = "BulletArm/OpenLoopBlockStacking-v0"
+MISTAKES = """
+tarin                                                             => 'train'
+frobnicate                                                        => frobnicate
+list --env xyzzy                                                  => 'xyzzy'
+list --baseline sacfd                                             => --baseline
+TRAIN --frobnicate                                                => --frobnicate
+TRAIN frobnicate                                                  => frobnicate
+TRAIN --vec-env frobnicate                                        => 'frobnicate'
+train --baseline sacfd                                            => --env
+train --baseline safcd --env TOY                                  => 'sacfd'
+train --baseline sacfd --env BulletArm/CloseLopToy-v0             => CloseLoopToy-v0
+train --baseline sacfd --env TOY --preset cpuu                    => 'cpu'
+train --baseline sacfd --env TOY --algo ppo                       => --algo
+train --baseline sdqfd_fcn --env REACHING                         => OpenLoop
+train --baseline sdqfd_fcn --env STACKING --preset quick          => 'quick'
+train --algo dqfd --env STACKING --benchmark open_loop_6d         => 'open_loop_6d'
+train --algo dqfd --env STACKING --benchmark open_loop_3          => 'open_loop_3d'
+train --algo ferm --env STACKING                                  => ferm
+train --algo pp0 --env TOY                                        => 'ppo'
+train --algo dqn --env Pendulum-v1                                => supports
+train --algo ppo --env TOY --conf-file none.yml                   => none.yml
+train --algo ppo --env TOY --conf-file broken.yml                 => broken.yml
+train --resume nowhere                                            => nowhere
+train --resume garbled                                            => garbled
+train --resume older                                              => older
+TRAIN -n 0                                                        => '0'
+TRAIN --eval-episodes 0                                           => --eval-episodes
+TRAIN --seed 1e9                                                  => --seed
+TRAIN --device cuda:99                                            => 'cuda:99'
+TRAIN -i none.zip                                                 => none.zip
+TRAIN -f /dev/null/folder                                         => /dev/null/folder
+TRAIN -f /proc/folder                                             => /proc/folder
+TRAIN --gym-packages frobnicate                                   => 'frobnicate'
+TRAIN --env-kwargs obs_size:8                                     => obs_size
+TRAIN --env-kwargs options:x                                      => options
+TRAIN -params gama:1                                              => 'gamma'
+TRAIN -params gamma:0.9 gamma:0.99                                => gamma
+TRAIN -params gamma:{                                             => gamma
+TRAIN -params learning_rate:lin_x                                 => lin_x
+TRAIN -params batch_size:0                                        => batch_size
+TRAIN -params n_envs:1.5                                          => n_envs
+TRAIN -params train_freq:[1,week]                                 => train_freq
+TRAIN -params action_noise:1                                      => noise_type
+TRAIN -params expert_episodes:-1                                  => expert_episodes
+TRAIN -params expert_data:none.h5                                 => none.h5
+TRAIN -params expert_data:damaged.h5                              => damaged.h5
+TRAIN -params policy:EquivarantPolicy                             => 'EquivariantPolicy'
+TRAIN -params policy:no_package.Policy                            => no_package
+TRAIN -params policy_kwargs:{net_arc:1}                           => policy_kwargs
+TRAIN -params "policy_kwargs:{net_arc: []}"                       => 'net_arch'
+TRAIN -params "policy_kwargs:{features_extractor_kwargs: {chanels: []}}" => 'channels'
+TRAIN -params "policy_kwargs:{features_extractor_class: 3}"       => features_extractor_class
+TRAIN -params "policy_kwargs:exit(3)"                             => exit
+TRAIN -params "replay_buffer_kwargs:{samplr: uniform}"            => 'sampler'
+TRAIN -params "replay_buffer_kwargs:{sampler: priority}"          => priority
+TRAIN -params replay_buffer_class:no_package.Buffer               => no_package
+TRAIN -params augmentation:rda                                    => rotation
+DEMOS --env-kwargs obs_size=64                                    => 'obs_size=64'
+DEMOS --env-kwargs obssize:64                                     => 'obs_size'
+DEMOS --env-kwargs robot:x                                        => 'kuka'
+DEMOS --planner magic                                             => magic
+DEMOS --planner deconstruction                                    => pick and place
+DEMOS -o /dev/null/a.h5                                           => /dev/null
+DEMOS -o a.txt                                                    => .h5
+record                                                            => run folder
+record --expert                                                   => --env
+record nowhere --expert --env TOY                                 => --expert
+record --expert --env Pendulum-v1                                 => expert
+RECORD --env-kwargs render_mode:human                             => 'human'
+RECORD -o /dev/null/a.gif                                         => /dev/null
+RECORD -o a.avi                                                   => a.avi
+enjoy nowhere                                                     => nowhere
+enjoy none.zip --env TOY --algo sac                               => none.zip
+enjoy none.zip                                                    => --env
+enjoy damaged.zip --env Pendulum-v1                               => damaged.zip
+enjoy --env TOY --baseline tqc                                    => tqc
+enjoy --published Frobnication                                    => Frobnication
+enjoy --published blockreaching                                   => CloseLoopBlockReaching
+PUBLISHED --baseline frobnicate                                   => equi_sacfd
+PUBLISHED --env TOY                                               => --env
+plot                                                              => logs
+plot -o curves                                                    => .png
+plot -o /dev/null/a.png                                           => /dev/null
+push nowhere --folder b                                           => nowhere
+push nowhere                                                      => --organization
+push nowhere -orga a --folder b                                   => --folder
+push nowhere --folder b -name c                                   => --repo-name
+TUNE --n-trials 0                                                 => '0'
+TUNE --pruner halving                                             => 'halving'
+TUNE --space none.yml                                             => none.yml
+TUNE --space broken.yml                                           => broken.yml
+TUNE --space space.yml                                            => 'bc_weight'
+benchmark close_loop_4 --dry-run                                  => 'close_loop_4d'
+benchmark none.yml                                                => none.yml
+benchmark broken.yml                                              => broken.yml
+benchmark tiny.yml -f tiny.yml                                    => --log-folder
+benchmark tiny.yml -f /proc/folder                                => /proc
+benchmark tiny.yml --cpus 0                                       => --cpus
+benchmark tiny.yml --gpus 1                                       => --ray
+benchmark tiny.yml --ray -j 2                                     => --ray
+benchmark tiny.yml --device gpu0                                  => 'gpu0'
+benchmark tiny.yml --baseline safcd                               => 'sacfd'
+"""
+CASES = [line.split("=>") for line in MISTAKES.strip().splitlines()]
+PLANS: list[tuple[Any, str]] = [
+    ({"task": ["a"]}, "'tasks'"),
+    ({**TINY, "tasks": "CloseLoopToy"}, "tasks"),
+    ({**TINY, "tasks": ["CloseLoopBlockPickin"]}, "CloseLoopBlockPicking"),
+    ({**TINY, "tasks": ["CloseLoopNothing*"]}, "CloseLoopNothing*"),
+    ({**TINY, "baselines": ["x*"]}, "x*"),
+    ({**TINY, "preset": "cpuu"}, "'cpu'"),
+    ({**TINY, "seeds": [-1]}, "seeds"),
+    ({**TINY, "options": {"eval_frq": 1}}, "'eval_freq'"),
+    ({**TINY, "options": 3}, "options"),
+    ({**TINY, "hyperparams": {"gamma": 2}}, "gamma"),
+    ({**TINY, "hyperparams": {"env_kwargs": {"obs_size": 8}}}, "obs_size"),
+]
+
+
+@pytest.fixture
+def files(tmp_path: Path) -> None:
+    """Files that command lines name."""
+    for name, content in {
+        "garbled/hyperparams.yml": "run: 3",
+        "older/hyperparams.yml": "run: {algo: sacfd}\nPendulum-v1: {}",
+        "broken.yml": "tasks: [",
+        "tiny.yml": yaml.safe_dump(TINY),
+        "space.yml": "bc_wight: {low: 0, high: 1}",
+        "damaged.zip": "x",
+        "damaged.h5": "x",
+    }.items():
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text(content)
+
+
+@pytest.mark.usefixtures("files")
+@pytest.mark.parametrize(("line", "text"), CASES, ids=[line.strip() for line, _ in CASES])
+def test_a_mistake_is_one_line_that_names_it(line: str, text: str, refuse: Refuse) -> None:
+    for name, meaning in NAMES.items():
+        line = re.sub(rf"\b{name}\b", meaning, line)
+    assert text.strip() in refuse(*shlex.split(line))
+
+
+@pytest.mark.parametrize(("plan", "text"), PLANS, ids=[text for _, text in PLANS])
+def test_a_plan_that_cannot_be_followed(plan: Any, text: str, refuse: Refuse, tmp_path: Path) -> None:
+    (tmp_path / "bench.yml").write_text(yaml.safe_dump(plan))
+    assert text in refuse("benchmark", "bench.yml", "--device", "cpu")
+
+
+@pytest.mark.parametrize("flag", ["--track", "-tb logs"])
+def test_a_missing_package_is_named(flag: str, refuse: Refuse, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(options, "find_spec", lambda name: None)
+    assert "pip install" in refuse(*TRAIN.split(), *flag.split())
+
+
+def test_a_learner_that_cannot_be_built_leaves_nothing(refuse: Refuse) -> None:
+    more = ["expert_episodes:0", "pretrain_steps:0", "n_envs:1", "learning_starts:0", "tau:1", "bc_limit:x"]
+    refuse(*TRAIN.split(), "-n", "20", "--eval-freq", "0", "-params", *more)
+
+
+def test_a_full_disk_is_one_line(refuse: Refuse, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fill(*_: Any) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(os, "replace", fill)
+    assert "No space left on device" in refuse(*RECORD.split(), "-o", "new/video.gif")
+    assert "No space left on device" in refuse(*TRAIN.split())
+
+
+def test_an_unwritable_home_is_one_line() -> None:
+    words = TRAIN.replace("TOY", "Pendulum-v1").replace("--baseline sacfd --preset cpu", "--algo sac").split()
+    command = [sys.executable, "-m", "zoo_configs.cli", *words, "-f", "/proc/home/logs"]
+    variables = {**os.environ, "HOME": "/proc/home", "PYTHONPATH": PATH}
+    done = subprocess.run(command, env=variables, capture_output=True, text=True, check=False)
+    [line] = done.stderr.splitlines()
+    assert done.returncode == 2 and "/proc/home" in line
+
+
+def test_an_error_in_a_users_code_has_its_place(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def fail(*_: Any) -> None:
+        raise KeyError("no item of that name")
+
+    monkeypatch.setattr("zoo_configs.commands.plot.main", fail)
+    assert main(["plot"]) == 2
+    [line] = capsys.readouterr().err.splitlines()
+    assert f"KeyError: 'no item of that name' ({__file__}, line " in line and "--traceback plot" in line
+    with pytest.raises(KeyError):
+        main(["--traceback", "plot"])
+
+
+def test_a_traceback_has_the_cause(toy_id: str) -> None:
+    with pytest.raises(CommandError, match="at least 48") as raised:
+        main(["--traceback", "record", "--expert", "--env", toy_id, "--env-kwargs", "obs_size:8"])
+    assert isinstance(raised.value.__cause__, ValueError)
+
+
+def test_a_reader_that_stops_gets_no_traceback() -> None:
+    command = [sys.executable, "-m", "zoo_configs.cli", "--help"]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    assert process.stdout is not None and process.stderr is not None
+    process.stdout.close()
+    with process.stderr as errors:
+        assert errors.read() == b""
+    assert process.wait() == 141
+
+
+def test_the_nearest_name_ignores_case_and_namespace() -> None:
+    picking = NAMES["REACHING"].replace("Reaching", "Picking")
+    assert nearest_name("bulletarm/closeloopblockpicking-v0", [picking, "CartPole-v1"]) == picking
+    assert nearest_name("CloseLoopBlockPecking", [picking, "CartPole-v1"]) == picking
+    assert nearest_name("qqq", [picking]) is None

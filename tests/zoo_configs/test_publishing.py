@@ -1,0 +1,325 @@
+"""Published agents: small files, cards and pages, in the package, in a folder or on a hub."""
+
+import json
+import re
+import shutil
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, ClassVar
+
+import gymnasium as gym
+import numpy as np
+import pytest
+import torch as th
+import yaml
+from scipy import stats
+from stable_baselines3 import SAC
+from stable_baselines3.common.base_class import BaseAlgorithm
+from torch import nn
+
+from sb3_extensions.ferm import FERM
+from sb3_extensions.sacfd import SACfD
+from zoo_configs.agents import AgentQuery, find_agent
+from zoo_configs.cli import main
+from zoo_configs.evaluating import EvalOptions, Outcome, evaluate_agent
+from zoo_configs.experiments.families import task_name
+from zoo_configs.publishing import packing
+from zoo_configs.publishing.compact import save_compact, stored_weights
+from zoo_configs.publishing.published import Published, published_agents, read_card
+
+Refuse = Callable[..., str]
+FILE = "sacfd-BulletArm-CloseLoopToy-v0.zip"
+FILES = {FILE, "card.json", "README.md"}
+SNIPPET = re.compile(r"```python\n(.*?)```", re.DOTALL)
+AGENTS = {f"{task_name(agent.card.env)}-{agent.card.label}": agent for agent in published_agents()}
+GOALS = dict.fromkeys(("CloseLoopBlockStacking", "CloseLoopHouseBuilding", "CloseLoopObjectGrasping"), 0.85)
+GOALS |= dict.fromkeys(("OpenLoopHouseBuilding4", "OpenLoopImproviseHouseBuilding3"), 0.8)
+GOALS |= dict.fromkeys(("OpenLoopCovidTest", "OpenLoopObjectGrasping"), 0.8)
+ONE, ALL = 1_000_000, 10_000_000  # bytes
+FEW = 4  # episodes
+UNLIKELY = 1e-4
+every_agent = pytest.mark.parametrize("agent", AGENTS.values(), ids=AGENTS)
+
+
+# ---- Small files
+
+
+class Bf16(nn.Module):
+    """Computes its plain layers in bfloat16."""
+
+    autocast = "bf16"
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.layer = nn.Linear(3, 2)
+
+
+class Policy(nn.Module):
+    """An actor that shares its encoder with the critic."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        encoder = Bf16()
+        self.actor = nn.ModuleDict({"encoder": encoder, "mean": nn.Linear(2, 2)})
+        self.critic = nn.ModuleDict({"encoder": encoder, "value": nn.Linear(2, 1)})
+        self.critic_target = nn.ModuleDict({"encoder": Bf16(), "value": nn.Linear(2, 1)})
+
+
+def test_weights_are_rounded_as_the_network_rounds_them_and_stored_once() -> None:
+    policy: Any = Policy()
+    weights = stored_weights(policy, half=True)
+    assert set(weights) == set(policy.state_dict())
+    encoder = policy.actor["encoder"].layer.weight
+    assert th.equal(weights["actor.encoder.layer.weight"], encoder.bfloat16())
+    assert weights["actor.mean.weight"].dtype == th.float16
+    assert weights["actor.mean.bias"].dtype == th.float32
+    assert weights["critic.encoder.layer.weight"] is weights["actor.encoder.layer.weight"]
+    assert weights["critic_target.value.weight"] is weights["critic.value.weight"]
+    with th.no_grad():
+        policy.actor["mean"].weight[0, 0] = 1e6  # too large for float16
+    assert stored_weights(policy, half=True)["actor.mean.weight"].dtype == th.float32
+
+
+def make_model(name: str, toy_id: str, **more: Any) -> BaseAlgorithm:
+    if name == "sac":
+        return SAC("MlpPolicy", "Pendulum-v1", seed=0)
+    env = gym.make(toy_id, obs_size=48)
+    if name == "ferm":
+        extractor = {"channels": [4, 8, 8, 8, 8], "features_dim": 6}
+        kwargs: dict[str, Any] = {"features_extractor_kwargs": extractor, "actor_tau": 0.1}
+        return FERM("MultiInputPolicy", env, seed=0, augmentation="drq", policy_kwargs=kwargs)
+    kwargs = {"features_extractor_kwargs": {"n": 4, "channels": [1, 2, 2, 2, 2]}, "actor_tau": None}
+    kwargs |= {"shared": {"share_features_extractor": True}, "average": {"actor_tau": 0.1}}.get(name, {})
+    return SACfD("EquivariantPolicy", env, policy_kwargs=kwargs, seed=0, **more)
+
+
+@pytest.mark.parametrize("name", ["sac", "sacfd", "shared", "average", "ferm"])
+@pytest.mark.parametrize("half", [False, True])
+def test_a_loaded_agent_acts_as_before(name: str, half: bool, toy_id: str, tmp_path: Path) -> None:
+    model = make_model(name, toy_id)
+    if getattr(model.policy, "actor_average", None) is not None:
+        with th.no_grad():  # an average that differs from the weights, as after a training
+            for parameter in model.policy.get_submodule("actor").parameters():
+                parameter.mul_(1.5)
+    assert save_compact(model, tmp_path / "agent.zip", half) == ("float16" if half else "float32")
+    save_compact(model, tmp_path / "again.zip", half)
+    assert (tmp_path / "agent.zip").read_bytes() == (tmp_path / "again.zip").read_bytes()
+    loaded = type(model).load(tmp_path / "agent.zip")
+    (space := model.observation_space).seed(0)
+    for observation in (space.sample() for _ in range(5)):
+        expected, _ = model.predict(observation, deterministic=True)
+        action, _ = loaded.predict(observation, deterministic=True)
+        np.testing.assert_allclose(action, expected, atol=0.01 if half else 0.0)
+        assert np.isfinite(loaded.predict(observation)[0]).all()
+
+
+def test_a_file_is_small_without_traces_of_the_machine_and_can_be_trained(
+    toy_id: str, tmp_path: Path
+) -> None:
+    schedule = {"learning_rate": lambda progress: 1e-3 * progress, "batch_size": 4}
+    model = make_model("sacfd", toy_id, expert_episodes=2, learning_starts=0, pretrain_steps=1, **schedule)
+    model.learn(2)
+    model.save(tmp_path / "whole.zip")
+    save_compact(model, tmp_path / "small.zip")
+    assert (tmp_path / "small.zip").stat().st_size < (tmp_path / "whole.zip").stat().st_size / 4
+    with zipfile.ZipFile(tmp_path / "small.zip") as archive:
+        data = archive.read("data").decode()
+    assert str(tmp_path) not in data and json.loads(data)["_last_obs"] is None
+    loaded = SACfD.load(tmp_path / "small.zip", env=gym.make(toy_id, obs_size=48))
+    assert not loaded.actor.optimizer.state_dict()["state"] and loaded.learning_rate == 1e-3
+    before = [parameter.detach().clone() for parameter in loaded.actor.parameters()]
+    loaded.learn(3)
+    assert all(weight.isfinite().all() for weight in loaded.policy.parameters())
+    assert any(not th.equal(old, new) for old, new in zip(before, loaded.actor.parameters(), strict=True))
+
+
+# ---- Agents of the package
+
+
+def evaluate(agent: Published, episodes: int) -> Outcome:
+    """As ``enjoy --published`` does, on the scenes of the card."""
+    query = AgentQuery(published=agent.card.env, baseline=agent.card.label, device="cpu")
+    return evaluate_agent(find_agent(query), EvalOptions(episodes, agent.card.test_seed, progress=False))
+
+
+def repeats(agent: Published) -> bool:
+    """Whether the card was measured with the same arithmetic and versions."""
+    return {key: agent.card.measured[key] for key in packing.arithmetic()} == packing.arithmetic()
+
+
+def test_agents_are_small_and_listed(capsys: pytest.CaptureFixture[str]) -> None:
+    files = {name: agent.model_file.stat().st_size for name, agent in AGENTS.items()}
+    assert files and max(files.values()) < ONE, files
+    assert sum(path.stat().st_size for agent in AGENTS.values() for path in agent.folder.iterdir()) < ALL
+    assert main(["list", "--published"]) == 0
+    printed = capsys.readouterr().out
+    assert all(agent.card.env in printed for agent in AGENTS.values())
+
+
+@every_agent
+def test_an_agent_reaches_its_goal_and_has_its_page(agent: Published) -> None:
+    card, task = agent.card, task_name(agent.card.env)
+    assert agent.model_file.is_file() and agent.folder.parts[-2:] == (task, card.label)
+    assert card.episodes == 100 and card.success == card.outcomes.count("1") / card.episodes
+    assert card.interval[0] <= card.success <= card.interval[1]
+    assert all(getattr(card, name) for name in ("command", "commit", "date", "machine", "versions"))
+    assert card.success >= GOALS.get(task, 0.95 if task.startswith("CloseLoop") else 0.9)
+    assert (agent.folder / "README.md").read_text(encoding="utf-8") == packing.render_readme(card)
+
+
+@pytest.mark.parametrize("name", ["CloseLoopBlockReaching-equi_sacfd", "CloseLoopBlockPicking-equi_sacfd"])
+def test_first_episodes_end_as_on_the_card(name: str) -> None:
+    """On another machine, the successes are not too few for the success rate of the card."""
+    agent = AGENTS[name]
+    successes = evaluate(agent, FEW).successes
+    if repeats(agent):
+        assert successes == [outcome == "1" for outcome in agent.card.outcomes[:FEW]]
+    assert stats.binom.cdf(sum(successes), FEW, agent.card.interval[0]) > UNLIKELY
+
+
+@pytest.mark.slow
+@every_agent
+def test_success_is_that_of_the_card(agent: Published) -> None:
+    outcome, card = evaluate(agent, agent.card.episodes), agent.card
+    if repeats(agent):
+        assert "".join("01"[success] for success in outcome.successes) == card.outcomes
+    assert abs(outcome.success_rate - card.success) <= card.interval[1] - card.interval[0]
+
+
+# ---- Push
+
+
+class Hub:
+    """Stand-in for ``huggingface_hub.HfApi``."""
+
+    uploaded: ClassVar[dict[str, Any]] = {}
+    reachable = True
+
+    def __init__(self, token: str) -> None:
+        self.token = token
+
+    def whoami(self) -> dict[str, str]:
+        if not self.reachable:
+            raise ConnectionError("Name or service not known")
+        return {"name": "someone"}
+
+    def create_repo(self, repo_id: str, exist_ok: bool) -> str:
+        assert exist_ok
+        return f"https://huggingface.co/{repo_id}"
+
+    def upload_folder(self, repo_id: str, folder_path: Path, commit_message: str) -> None:
+        files = {path.name: path.read_bytes() for path in Path(folder_path).iterdir()}
+        self.uploaded.update(repo_id=repo_id, message=commit_message, files=files)
+
+
+@pytest.fixture
+def hub(monkeypatch: pytest.MonkeyPatch) -> type[Hub]:
+    monkeypatch.setenv("HF_TOKEN", "hf_secret")
+    monkeypatch.setattr("huggingface_hub.HfApi", Hub)
+    monkeypatch.setattr(Hub, "uploaded", {})
+    return Hub
+
+
+@pytest.fixture(scope="module")
+def pushed(run_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("agents") / "toy"
+    words = ["push", str(run_folder), "--folder", str(folder), "-n", "4", "--device", "cpu"]
+    assert main([*words, "--no-progress"]) == 0
+    return folder
+
+
+def test_a_pushed_folder_has_agent_card_and_page(pushed: Path, toy_id: str) -> None:
+    assert {path.name for path in pushed.iterdir()} == FILES
+    assert [path.name for path in pushed.parent.iterdir()] == ["toy"]
+    card = read_card(pushed)
+    assert (card.env, card.env_kwargs) == (toy_id, {"action_sequence": "pxyzr", "obs_size": 48})
+    assert (card.baseline, card.algo, card.preset) == ("equi_sacfd", "sacfd", "quick")
+    assert (card.seed, card.episodes, len(card.outcomes)) == (0, 4, 4)
+    assert card.success == card.outcomes.count("1") / 4
+    assert card.interval[0] <= card.success <= card.interval[1]
+    assert card.evaluations["timesteps"] == [0, 6, 12] and card.versions["torch"]
+    assert card.command.startswith("bulletarm-zoo train ") and card.date <= card.measured["date"]
+    _, head, _ = (pushed / "README.md").read_text().split("---\n", 2)
+    metadata = yaml.safe_load(head)
+    assert {toy_id, "reinforcement-learning", "stable-baselines3"} <= set(metadata["tags"])
+    [result] = metadata["model-index"][0]["results"]
+    measured = {metric["type"]: metric["value"] for metric in result["metrics"]}
+    assert measured["success_rate"] == card.success and "+/-" in measured["mean_reward"]
+
+
+def test_a_pushed_agent_acts_as_that_of_the_run(
+    pushed: Path, run_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any
+) -> None:
+    printed = []
+    for source in ("--published", str(pushed)), (str(run_folder),):
+        assert main(["enjoy", *source, "-n", "4", "--device", "cpu"]) == 0
+        printed.append(capsys.readouterr().out.splitlines()[-1])
+    assert printed[0] == printed[1] == f"success_rate={read_card(pushed).success:.2f} episodes=4"
+    video = str(tmp_path / "video.gif")
+    assert main(["record", "--published", str(pushed), "-n", "1", "-o", video, "--device", "cpu"]) == 0
+    monkeypatch.chdir(pushed)
+    [snippet] = SNIPPET.findall((pushed / "README.md").read_text())
+    exec(compile(snippet, "README.md", "exec"), {})
+    assert capsys.readouterr().out.split()[-1] in ("True", "False")
+
+
+def test_an_upload_has_the_folder_and_a_video(
+    run_folder: Path, hub: type[Hub], capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["push", str(run_folder), "-orga", "arms", "-n", "2", "--device", "cpu"]
+    assert main(words) == 0
+    assert hub.uploaded["repo_id"] == "arms/equi_sacfd-BulletArm-CloseLoopToy-v0"
+    assert set(hub.uploaded["files"]) == {*FILES, "replay.mp4"}
+    page = hub.uploaded["files"]["README.md"].decode()
+    assert f'load_from_hub("{hub.uploaded["repo_id"]}", "{FILE}")' in page
+    assert main([*words, "-name", "toy", "--load-last"]) == 0
+    assert "https://huggingface.co/arms/toy" in capsys.readouterr().out
+    assert json.loads(hub.uploaded["files"]["card.json"])["model"] == "last"
+
+
+def test_only_the_folder_of_an_agent_is_replaced(
+    pushed: Path, run_folder: Path, tmp_path: Path, refuse: Refuse
+) -> None:
+    shutil.copytree(pushed, folder := tmp_path / "toy")
+    (folder / "old.txt").touch()
+    assert main(["push", str(run_folder), "--folder", str(folder), "-n", "1", "--device", "cpu"]) == 0
+    assert {path.name for path in folder.iterdir()} == FILES and read_card(folder).episodes == 1
+    assert "card.json" in refuse("push", str(run_folder), "--folder", str(run_folder))
+
+
+def test_weights_that_lower_the_success_are_not_halved(
+    run_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The written file always fails, the run's own model never."""
+
+    def evaluate(agent: Any, options: Any) -> Any:
+        rounded = agent.model.actor.mu.linear.weights["0_0"]
+        halved = bool((rounded == rounded.half().float()).all())
+        return Outcome([not halved] * 20, [0.0] * 20)
+
+    monkeypatch.setattr(packing, "evaluate_agent", evaluate)
+    assert main(["push", str(run_folder), "--folder", str(tmp_path / "toy"), "--device", "cpu"]) == 0
+    card = read_card(tmp_path / "toy")
+    assert (card.weights, card.success) == ("float32", 1.0)
+
+
+def test_a_hub_that_cannot_be_used_is_one_line(
+    run_folder: Path, refuse: Refuse, hub: type[Hub], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    words = ("push", str(run_folder), "-orga")
+    assert "--organization" in refuse(*words, "a/b")
+    monkeypatch.setattr(hub, "reachable", False)
+    assert "Hugging Face" in refuse(*words, "arms")
+    monkeypatch.setattr("huggingface_hub.get_token", lambda: None)
+    assert "token" in refuse(*words, "arms")
+    assert not hub.uploaded
+
+
+def test_an_agent_with_wrappers_is_refused(run_folder: Path, refuse: Refuse, tmp_path_factory: Any) -> None:
+    copy = tmp_path_factory.mktemp("logs") / run_folder.name
+    shutil.copytree(run_folder, copy)
+    content = yaml.safe_load((copy / "hyperparams.yml").read_text())
+    content["BulletArm/CloseLoopToy-v0"]["frame_stack"] = 2
+    (copy / "hyperparams.yml").write_text(yaml.safe_dump(content))
+    assert "frame_stack" in refuse("push", str(copy), "--folder", "b")

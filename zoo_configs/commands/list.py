@@ -1,0 +1,104 @@
+"""``bulletarm-zoo list``: environments, the parameters of one, baselines and presets, or published agents."""
+
+import argparse
+from collections import defaultdict
+from collections.abc import Sequence
+from contextlib import closing
+from typing import Any
+
+import gymnasium as gym
+from gymnasium import spaces
+
+from zoo_configs.arguments import Parser, add_packages
+from zoo_configs.drawing.tables import print_table
+from zoo_configs.environments import known_env_id, make_env, our_env_ids, register_environments
+
+DESCRIPTION = """List environments. --env lists the spaces and parameters of one environment,
+--baselines the baselines and presets of train, --published the published agents."""
+
+
+def main(argv: Sequence[str]) -> None:
+    """Run the command."""
+    args = _parse(argv)
+    register_environments(args.gym_packages)
+    if args.published:
+        _list_published()
+    elif args.baselines:
+        _list_baselines()
+    elif args.env is not None:
+        _list_parameters(known_env_id(args.env))
+    else:
+        _list_environments()
+
+
+def _parse(argv: Sequence[str]) -> argparse.Namespace:
+    parser = Parser("bulletarm-zoo list", description=DESCRIPTION, allow_abbrev=False)
+    add = parser.add_argument
+    add("--env", help="id of an environment, to list its parameters and defaults")
+    add("--baselines", action="store_true", help="list baselines and presets")
+    add("--published", action="store_true", help="list the published agents")
+    add_packages(parser)
+    return parser.parse_args(argv)
+
+
+def _list_environments() -> None:
+    """Print the ids by control and surface, without making an environment."""
+    groups: defaultdict[str, list[str]] = defaultdict(list)
+    for env_id in our_env_ids():
+        parts = gym.spec(env_id).kwargs
+        groups[f"control {parts.get('control')}, surface {parts.get('surface')}"].append(env_id)
+    for group, ids in groups.items():
+        print(group, *ids, sep="\n  ", end="\n\n")
+    print("bulletarm-zoo list --env ID lists the spaces and parameters of one environment.")
+
+
+def _list_parameters(env_id: str) -> None:
+    with closing(make_env(env_id, {})) as env:
+        print(f"{env_id}\nobservation: {_describe(env.observation_space)}")
+        print(f"action: {_describe(env.action_space)}\n")
+        rows = [[name, repr(value)] for name, value in _parameters(env).items()]
+    print_table(["parameter", "default"], rows, wrap=True)
+
+
+def _list_baselines() -> None:
+    from zoo_configs.experiments.families import families
+
+    for family in families():
+        print(f"{family.envs}, presets {', '.join(family.presets)}\n")
+        rows = [
+            [name, row.learner, row.network, ", ".join(row.additions)]
+            for name, row in family.baselines.items()
+        ]
+        print_table(["baseline", "learner", "network", "additions"], rows, wrap=True)
+        print()
+
+
+def _list_published() -> None:
+    """Print the published agents with the success on their cards."""
+    from zoo_configs.publishing.published import published_agents
+
+    rows = []
+    for _, card in published_agents():
+        low, high = card.interval
+        parameters = ", ".join(f"{name}={value!r}" for name, value in card.env_kwargs.items())
+        figures = [f"{card.success:.2f}", f"{low:.2f} to {high:.2f}", str(card.episodes)]
+        rows.append([card.env, card.label, card.preset or "", *figures, parameters])
+    heads = ["environment", "baseline", "preset", "success", "95 % interval", "episodes", "parameters"]
+    print_table(heads, rows)
+
+
+def _parameters(env: gym.Env[Any, Any]) -> dict[str, Any]:
+    """Return the parameters of one of our environments, with control and surface."""
+    config: Any = getattr(env.unwrapped, "config", None)
+    spec = env.spec.kwargs if env.spec is not None else {}
+    recipe = {name: spec.get(name) for name in ("control", "surface")}
+    return {**recipe, **config.parameters()} if config is not None else {}
+
+
+def _describe(space: spaces.Space[Any]) -> str:
+    """Return the shapes and bounds of a space in one line."""
+    if isinstance(space, spaces.Dict):
+        return ", ".join(f"{name} {_describe(part)}" for name, part in space.items())
+    if not isinstance(space, spaces.Box):
+        return str(space)
+    return f"{'x'.join(map(str, space.shape))} in [{space.low.min():g}, {space.high.max():g}]"

@@ -1,0 +1,156 @@
+"""Checks of an experiment before anything is built: names of arguments, policies and files."""
+
+import math
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import gymnasium as gym
+
+from sb3_extensions.common.env_metadata import constructor_keys
+from sb3_extensions.replay.augmentations import make_augmentation
+from sb3_extensions.replay.sampling import make_sampler
+from zoo_configs.algorithms import algorithm_classes, class_from_path, constructor_arguments
+from zoo_configs.environments import load_expert_data
+from zoo_configs.errors import CommandError, check_names, refused, unknown_name
+from zoo_configs.experiments.config import ExperimentConfig
+from zoo_configs.training.objects import TRAINER_KEYS
+
+RESERVED_KEYS = {"_init_setup_model", "device", "env", "seed", "tensorboard_log", "verbose"}
+"""Constructor arguments that the trainer passes to every algorithm."""
+
+SCHEDULE_PREFIX = "lin_"
+PERIOD_UNITS = ("step", "episode")
+
+
+def _is_number(value: Any, low: float = -math.inf, high: float = math.inf) -> bool:
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    return is_number and math.isfinite(value) and low <= value <= high
+
+
+def _is_whole(value: Any, low: int) -> bool:
+    return isinstance(value, int) and _is_number(value, low)
+
+
+def _is_rate(value: Any) -> bool:
+    if isinstance(value, str) and value.startswith(SCHEDULE_PREFIX):
+        try:
+            value = float(value.removeprefix(SCHEDULE_PREFIX))
+        except ValueError:
+            return False
+    return _is_number(value, 0)
+
+
+def _is_period(value: Any) -> bool:
+    number, unit = value if isinstance(value, list | tuple) and len(value) == 2 else (value, "step")
+    return _is_whole(number, 1) and unit in PERIOD_UNITS
+
+
+COUNT = ("a whole number of at least 1", lambda value: _is_whole(value, 1))
+SHARE = ("a number from 0 to 1", lambda value: _is_number(value, 0, 1))
+ARGUMENTS = ("a mapping of arguments", lambda value: isinstance(value, Mapping | str | None))
+RANGES: dict[str, tuple[str, Callable[[Any], bool]]] = {
+    "action_noise": ("None (set noise_type and noise_std instead)", lambda value: value is None),
+    "env_kwargs": ("a mapping of parameters", lambda value: isinstance(value, Mapping)),
+    "gradient_steps": ("a whole number of at least -1", lambda value: _is_whole(value, -1)),
+    "learning_rate": (f"a number of at least 0, or {SCHEDULE_PREFIX}NUMBER", _is_rate),
+    "learning_starts": ("a whole number of at least 0", lambda value: _is_whole(value, 0)),
+    "n_timesteps": ("a number of at least 1", lambda value: _is_number(value, 1)),
+    "policy": ("a name", lambda value: isinstance(value, str)),
+    "train_freq": ("a whole number of at least 1, or [number, 'step' or 'episode']", _is_period),
+    **dict.fromkeys(("batch_size", "buffer_size", "frame_stack", "n_envs", "n_epochs", "n_steps"), COUNT),
+    "target_update_interval": COUNT,
+    **dict.fromkeys(("gamma", "tau"), SHARE),
+    **dict.fromkeys(("monitor_kwargs", "policy_kwargs", "replay_buffer_kwargs"), ARGUMENTS),
+}
+"""Description and check of valid values, by hyperparameter."""
+
+
+def check_experiment(experiment: ExperimentConfig) -> None:
+    """Raise ``CommandError`` for an unknown name, with the nearest valid one, or an invalid value."""
+    algorithms = algorithm_classes()
+    check_names("algorithm", [experiment.algo], algorithms)
+    check_values(experiment.hyperparams)
+    algorithm = algorithms[experiment.algo]
+    valid = {"policy", *TRAINER_KEYS, *constructor_keys(algorithm)} - RESERVED_KEYS
+    check_names(f"hyperparameter of {experiment.algo}", experiment.hyperparams, valid)
+    for key in ("n_timesteps", "policy"):
+        if key not in experiment.hyperparams:
+            raise CommandError(f"hyperparameter {key!r} is missing for {experiment.env_id}")
+    policy = policy_class(algorithm, experiment.hyperparams["policy"])
+    _check_policy_kwargs(policy, experiment.hyperparams.get("policy_kwargs"))
+    _check_replay_buffer(algorithm, experiment.hyperparams)
+    with refused("augmentation"):
+        make_augmentation(experiment.hyperparams.get("augmentation"))
+
+
+def check_expert_data(experiment: ExperimentConfig, env: gym.Env[Any, Any]) -> None:
+    """Raise ``CommandError`` if a file of demonstrations is damaged or has another task or parameters."""
+    path, episodes = (
+        values.get("expert_data")
+        for values in (experiment.hyperparams, load_expert_data(experiment.hyperparams))
+    )
+    config: Any = getattr(env.unwrapped, "config", None)
+    if not isinstance(path, str) or episodes is None or config is None:
+        return
+    wanted = {"env": experiment.env_id, **config.parameters()}
+    with refused(f"expert_data: {path} cannot be read"):
+        found = {"env": episodes.about["env_id"], **episodes.about["configuration"]}
+    compared = [name for name in wanted if not name.startswith("render_")]
+    if other := [name for name in compared if found.get(name) != wanted[name]]:
+        theirs, ours = ({name: values.get(name) for name in other} for values in (found, wanted))
+        raise CommandError(
+            f"expert_data: {path} has {theirs}, this run {ours}. Use --allow-mismatched-demos to accept it."
+        )
+
+
+def policy_class(algorithm: type[Any], policy: str) -> type[Any]:
+    """Return the class of a policy, named by an alias or an import path."""
+    aliases: dict[str, type[Any]] = algorithm.policy_aliases
+    if policy in aliases:
+        return aliases[policy]
+    if "." not in policy:
+        raise unknown_name(f"policy of {algorithm.__name__}", policy, aliases)
+    return _imported("policy", policy)
+
+
+def _check_policy_kwargs(policy: Any, policy_kwargs: Any) -> None:
+    """Check the names of arguments, unless they are a Python expression."""
+    if not isinstance(policy_kwargs, Mapping):
+        return
+    check_names(f"policy_kwargs of {policy.__name__}", policy_kwargs, constructor_keys(policy))
+    parameter = constructor_arguments(policy).get("features_extractor_class")
+    default = getattr(policy, "default_extractor", object if parameter is None else parameter.default)
+    extractor = policy_kwargs.get("features_extractor_class", default)
+    if isinstance(extractor, str):
+        extractor = _imported("features extractor", extractor)
+    given = policy_kwargs.get("features_extractor_kwargs", {})
+    if not isinstance(extractor, type):
+        raise CommandError(f"features_extractor_class must be the import path of a class, got {extractor!r}")
+    if not isinstance(given, Mapping):
+        raise CommandError(f"features_extractor_kwargs must be a mapping of arguments, got {given!r}")
+    check_names(f"features_extractor_kwargs of {extractor.__name__}", given, constructor_keys(extractor))
+
+
+def _check_replay_buffer(algorithm: type[Any], hyperparams: Mapping[str, Any]) -> None:
+    """Check the names of arguments of a named buffer, or of the algorithm's own."""
+    path, kwargs = hyperparams.get("replay_buffer_class"), hyperparams.get("replay_buffer_kwargs", {})
+    buffer = getattr(algorithm, "default_replay_buffer_class", None)
+    if isinstance(path, str):
+        buffer = _imported("replay buffer", path)
+    if buffer is not None and isinstance(kwargs, Mapping):
+        valid = constructor_keys(buffer) - set(getattr(algorithm, "own_buffer_arguments", ()))
+        check_names(f"replay_buffer_kwargs of {buffer.__name__}", kwargs, valid)
+        with refused("replay_buffer_kwargs"):
+            make_sampler(kwargs.get("sampler"))
+
+
+def _imported(kind: str, path: str) -> type[Any]:
+    with refused(f"{kind} {path!r} cannot be imported", (ImportError, ValueError)):
+        return class_from_path(path)
+
+
+def check_values(hyperparams: Mapping[str, Any]) -> None:
+    """Raise ``CommandError`` for an invalid value of a hyperparameter."""
+    for name, (constraint, is_valid) in RANGES.items():
+        if name in hyperparams and not is_valid(hyperparams[name]):
+            raise CommandError(f"{name} must be {constraint}, got {hyperparams[name]!r}")
