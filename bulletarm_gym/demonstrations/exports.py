@@ -13,7 +13,7 @@ from tqdm import tqdm
 from bulletarm_gym.demonstrations.episodes import Demonstrations, Episode, atomic_path, replay
 from bulletarm_gym.env import ManipulationEnv
 from bulletarm_gym.observations import Rgb, Sensor, State
-from bulletarm_gym.observations.sensors import GRIPPER_SIZE
+from bulletarm_gym.observations.sensor import GRIPPER_SIZE
 
 if TYPE_CHECKING:
     from lerobot.datasets.lerobot_dataset import LeRobotDataset

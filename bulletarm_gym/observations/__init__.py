@@ -1,8 +1,9 @@
 """Observations: views of the scene, the sensors that read them, and cameras."""
 
 from bulletarm_gym.observations.camera_sensors import Rgb
+from bulletarm_gym.observations.observer import SENSORS, Observer
 from bulletarm_gym.observations.rasterizer import Window
-from bulletarm_gym.observations.sensors import SENSORS, Observer, Sensor, State
+from bulletarm_gym.observations.sensor import Sensor, State
 from bulletarm_gym.observations.view import (
     MAX_HEIGHT,
     ElevationMap,

@@ -18,7 +18,7 @@ from bulletarm_gym.config_checks import (
 )
 from bulletarm_gym.geometry import rotate
 from bulletarm_gym.observations.cameras import look_at, side_cameras, viewpoint
-from bulletarm_gym.observations.sensors import Sensor
+from bulletarm_gym.observations.sensor import Sensor
 from bulletarm_gym.observations.view import View
 from bulletarm_gym.scene import Scene
 from bulletarm_gym.simulation import Camera

@@ -13,7 +13,7 @@ from bulletarm_gym.config_checks import check_argument, choice
 from bulletarm_gym.geometry import FloatArray, Pose, matrix
 from bulletarm_gym.observations.cameras import SIDE_PIXELS, side_cameras
 from bulletarm_gym.observations.rasterizer import Window, rectangle_mask
-from bulletarm_gym.observations.sensors import Sensor
+from bulletarm_gym.observations.sensor import Sensor
 from bulletarm_gym.observations.view import MAX_HEIGHT, ElevationMap, Frame, HeightRenderer, Heights, View
 from bulletarm_gym.scene import Scene
 from bulletarm_gym.simulation import Camera

@@ -12,7 +12,7 @@ import numpy as np
 from bulletarm_gym.config import MAX_ROTATION, MAX_TRANSLATION, EnvConfig
 from bulletarm_gym.geometry import FloatArray, Pose, Vector, matrix
 from bulletarm_gym.robots import Robot, RobotModel
-from bulletarm_gym.scene.predicates import CREEP_SPEED, is_stable, settle
+from bulletarm_gym.scene.stability import CREEP_SPEED, is_stable, settle
 from bulletarm_gym.simulation import Body, BodySpec, World
 from bulletarm_gym.simulation.state import PHYSICS_MODES, REST_SPEED, STILL, Properties, Twist
 from bulletarm_gym.surfaces import Surface

@@ -18,8 +18,8 @@ from bulletarm_gym.geometry import FloatArray, Mesh, PlacementError, Pose, plana
 from bulletarm_gym.objects.blocks import CUBE_SIZE
 from bulletarm_gym.objects.catalogue import object_set
 from bulletarm_gym.scene import ObjectSlot, Scene, SceneObject
-from bulletarm_gym.scene.predicates import settle
 from bulletarm_gym.scene.sampling import ARRANGEMENTS
+from bulletarm_gym.scene.stability import settle
 from bulletarm_gym.simulation import BodySpec, Convex, Piece
 from bulletarm_gym.tasks.picking import Lift
 

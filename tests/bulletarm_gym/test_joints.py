@@ -16,7 +16,7 @@ from bulletarm_gym.env import ManipulationEnv
 from bulletarm_gym.geometry import Pose, euler_angles, euler_pose
 from bulletarm_gym.objects.solids import block
 from bulletarm_gym.observations import HeightRenderer, Window
-from bulletarm_gym.scene.predicates import settle
+from bulletarm_gym.scene.stability import settle
 from bulletarm_gym.simulation import Body, BodySpec, Box, Hinge, Piece, Slide, World
 from bulletarm_gym.simulation.state import PHYSICS_MODES, REST_SPEED
 from bulletarm_gym.surfaces.surface import FLOOR

@@ -14,7 +14,8 @@ from bulletarm_gym.env import ManipulationEnv
 from bulletarm_gym.geometry import Pose, euler_pose
 from bulletarm_gym.objects import cube
 from bulletarm_gym.scene import ObjectSlot, Scene, scaled
-from bulletarm_gym.scene.predicates import at_rest, is_stable, on_surface, stacked, touching
+from bulletarm_gym.scene.predicates import at_rest, on_surface, stacked, touching
+from bulletarm_gym.scene.stability import is_stable
 from bulletarm_gym.tasks import Task, Waypoint
 
 SIDE = 0.05
