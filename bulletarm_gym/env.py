@@ -15,6 +15,7 @@ from bulletarm_gym import config_checks
 from bulletarm_gym.config import CLOSE_LOOP, Context, EnvConfig, ParameterError
 from bulletarm_gym.control import Control, RobotInterface
 from bulletarm_gym.experts.approach import Tracker
+from bulletarm_gym.geometry.compilation import warm_up
 from bulletarm_gym.observations import Observer, View
 from bulletarm_gym.observations.cameras import RENDER, Viewer
 from bulletarm_gym.observations.view import measure
@@ -33,7 +34,6 @@ from bulletarm_gym.tasks.task import (
     checked_slots,
     finite_reward,
 )
-from bulletarm_gym.tasks.warm_up import warm_up
 from bulletarm_gym.wrappers import querying_wrappers, wrapped_expert
 
 Observation = dict[str, NDArray[Any]]
