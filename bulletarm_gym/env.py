@@ -14,8 +14,8 @@ from numpy.typing import ArrayLike, NDArray
 from bulletarm_gym import config_checks
 from bulletarm_gym.config import CLOSE_LOOP, Context, EnvConfig, ParameterError
 from bulletarm_gym.control import Control, RobotInterface
-from bulletarm_gym.experts.tracking import Tracker
-from bulletarm_gym.experts.wrapped_expert import querying_wrappers, wrapped_expert
+from bulletarm_gym.experts.approach import Tracker
+from bulletarm_gym.geometry.compilation import warm_up
 from bulletarm_gym.observations import Observer, View
 from bulletarm_gym.observations.cameras import RENDER, Viewer
 from bulletarm_gym.observations.view import measure
@@ -24,9 +24,17 @@ from bulletarm_gym.robots import RobotModel
 from bulletarm_gym.scene import Scene
 from bulletarm_gym.scene.state import EnvState, check_fits, scene_facts
 from bulletarm_gym.simulation import has_display
-from bulletarm_gym.tasks import Task, checks
-from bulletarm_gym.tasks.task import arrange_scene
-from bulletarm_gym.tasks.warm_up import warm_up
+from bulletarm_gym.tasks import Task
+from bulletarm_gym.tasks.task import (
+    arrange_scene,
+    check_heights,
+    check_scene,
+    checked_options,
+    checked_predicates,
+    checked_slots,
+    finite_reward,
+)
+from bulletarm_gym.wrappers import querying_wrappers, wrapped_expert
 
 Observation = dict[str, NDArray[Any]]
 Action = NDArray[np.float32]
@@ -109,13 +117,13 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         """Whether an episode without a seed begins with the objects that the previous one left."""
         # Making a generator is as slow as an image, and most tasks need none after an action.
         self._acts_after = task_type.after_action is not Task.after_action
-        checks.check_heights(config, default, self.task)
+        check_heights(config, default, self.task)
         path = config.reward
         self._reward = self.objects.get("reward") or (REWARDS.find(path) if path else self.task.reward)
         kind = SURFACES.find("tray" if config.close_loop_tray else surface)
-        slots = checks.checked_slots(self.task.bodies(config), self.task)
+        slots = checked_slots(self.task.bodies(config), self.task)
         self.scene = Scene(config, model, kind(config.workspace, self.task.site), slots)
-        checks.check_scene(config, default, self.scene, self.task)
+        check_scene(config, default, self.scene, self.task)
 
     def _make_control(self, control_type: Any) -> None:
         """Make the control, the expert's tracker and the sensors."""
@@ -150,7 +158,7 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         :raises gymnasium.error.ClosedEnvironmentError: the environment is closed
         """
         self.scene.world.check_open()
-        options = checks.checked_options(options, self.task)
+        options = checked_options(options, self.task)
         if "state" in options:
             self.set_state(options["state"])
             super().reset(seed=seed)  # decides the later episodes
@@ -200,7 +208,7 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
                 self.scene.settle()
         info = self._evaluate(outcome.ignored)
         success, valid = info["is_success"], info["is_valid"]
-        reward = checks.finite_reward(self._reward(self.scene, info), self._reward) if valid else 0.0
+        reward = finite_reward(self._reward(self.scene, info), self._reward) if valid else 0.0
         terminated = success or not valid or self.task.single_step
         truncated = not terminated and self._steps >= self.config.max_steps
         self._ended = terminated or truncated
@@ -331,7 +339,7 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
 
     def _evaluate(self, ignored: bool) -> dict[str, bool]:
         """Return the info; ``is_success`` is the task's success in a valid scene."""
-        predicates = checks.checked_predicates(self.task.evaluate(self.scene), self.task)
+        predicates = checked_predicates(self.task.evaluate(self.scene), self.task)
         valid = bool(self.task.is_valid(self.scene))
         success = predicates.pop("success") and valid
         return {"is_success": success, "is_valid": valid, "ignored": ignored, **predicates}

@@ -10,12 +10,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from bulletarm_gym.config import CLOSE_LOOP, OPEN_LOOP, WORKSPACES
-from bulletarm_gym.control import Grasp, heights
+from bulletarm_gym.control import Grasp, open_loop
 from bulletarm_gym.control.close_loop import VIEW_SCALE, tool_frame
 from bulletarm_gym.geometry import Pose
 from bulletarm_gym.observations import MAX_HEIGHT, ElevationMap, Frame, Heights, Window
-from bulletarm_gym.observations.images import heightmap
-from bulletarm_gym.observations.in_hand import projections, rotated_crop
+from bulletarm_gym.observations.images import heightmap, projections, rotated_crop
 from bulletarm_gym.observations.rasterizer import project_points
 
 Limits = Sequence[Sequence[float]]
@@ -99,7 +98,7 @@ def pick_height(
         square of twice the depth
     :param workspace: limits of the workspace
     """
-    return workspace[2][0] + heights.pick_height(_map(heightmap, workspace), target, depth, area)
+    return workspace[2][0] + open_loop.pick_height(_map(heightmap, workspace), target, depth, area)
 
 
 def measure_grasp(
@@ -113,7 +112,7 @@ def measure_grasp(
     :param workspace: limits of the workspace
     """
     tips = _above_floor(closed_at, workspace)
-    return heights.measure_grasp(_map(before, workspace), _map(after, workspace), tips)
+    return open_loop.measure_grasp(_map(before, workspace), _map(after, workspace), tips)
 
 
 def place_height(
@@ -131,7 +130,7 @@ def place_height(
     :param gap: distance (m) of the object from the highest point below it, ``grasp_params.place_offset``
     :param workspace: limits of the workspace
     """
-    return workspace[2][0] + heights.place_height(_map(heightmap, workspace), target, grasp, gap)
+    return workspace[2][0] + open_loop.place_height(_map(heightmap, workspace), target, grasp, gap)
 
 
 def _map(heightmap: Heights, workspace: Limits) -> ElevationMap:

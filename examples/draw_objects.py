@@ -9,11 +9,11 @@ import imageio.v3 as imageio
 from bulletarm_gym.geometry import Pose
 from bulletarm_gym.objects import BodySpec, create
 from bulletarm_gym.objects.blocks import SHAPES, improvise_blocks
-from bulletarm_gym.objects.bottles import BOTTLES
+from bulletarm_gym.objects.containers import BOTTLES
 from bulletarm_gym.objects.graspables import graspables
 from bulletarm_gym.simulation import Camera, World
 from bulletarm_gym.simulation.state import PHYSICS_MODES
-from bulletarm_gym.surfaces.flat import FLOOR
+from bulletarm_gym.surfaces.surface import FLOOR
 
 BLOCKS = ("cube", "brick", "triangle", "roof", "cylinder")
 COVID = ("swab", "tube", "used_tube", "new_tube_box", "used_tube_box", "test_area")

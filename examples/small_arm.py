@@ -12,7 +12,7 @@ import gymnasium
 
 from bulletarm_gym.geometry import Pose
 from bulletarm_gym.robots import ParallelJaw, RobotModel
-from bulletarm_gym.robots.primitives import DARK, LIGHT, add_link, box, cylinder
+from bulletarm_gym.robots.editing import DARK, LIGHT, add_link, box, cylinder
 from bulletarm_gym.simulation.urdf import add_joint
 
 TORQUE = 2.9

@@ -95,6 +95,7 @@ def test_the_migration_guide_has_every_environment_and_parameter_of_the_paper() 
 )
 def test_snippets_run(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.chdir(tmp_path)
     known = set(sys.modules)
     namespace = {"FOLDER": f"{tmp_path}/"}
     for snippet in _snippets(page):

@@ -16,8 +16,8 @@ from typing import Any
 import gymnasium as gym
 from tqdm import tqdm
 
+from bulletarm_gym.check.environments import measure_yardstick
 from bulletarm_gym.check.machine import describe_machine, load_average
-from bulletarm_gym.simulation.yardstick import measure_yardstick
 from measurements import Row, keep, number, provenance, show, words
 from zoo_configs.arguments import Parser, add_env_kwargs, add_packages, seed
 from zoo_configs.environments import known_env_id, make_env, our_env_ids, register_environments

@@ -12,10 +12,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from bulletarm_gym.check.robot import TILT, grid, reach_share
 from bulletarm_gym.config import CLOSE_LOOP, OPEN_LOOP, WORKSPACES
 from bulletarm_gym.geometry import Pose
 from bulletarm_gym.robots import ROBOTS, RobotModel
-from bulletarm_gym.robots.reach import TILT, grid, reach_share
 
 FORMER = {
     "kuka": Pose((0.0, 0.0, 0.0)),

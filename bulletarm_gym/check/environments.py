@@ -3,18 +3,42 @@
 import os
 import sys
 import time
+import timeit
 from collections.abc import Iterator
 from contextlib import closing
+from statistics import median
 from typing import Any
 
 import gymnasium
+import pybullet_data
 from numba.core.registry import CPUDispatcher
 
 import bulletarm_gym  # noqa: F401 (registers the environments)
 from bulletarm_gym.check.machine import Finding, describe_machine, load_average, versions
 from bulletarm_gym.registry import ROBOTS
 from bulletarm_gym.simulation import has_display
-from bulletarm_gym.simulation.yardstick import measure_yardstick
+from bulletarm_gym.simulation.client import Client
+
+
+def measure_yardstick(steps: int = 2000) -> float:
+    """Return the duration (microseconds) of a simulation step with a KUKA arm and four resting cubes.
+
+    :param steps: number of simulation steps in each of five measurements, of which the median is returned
+    """
+    client = Client()
+    try:
+        client.setAdditionalSearchPath(pybullet_data.getDataPath())
+        client.setGravity(0, 0, -10)
+        client.loadURDF("plane.urdf")
+        client.loadSDF("kuka_iiwa/kuka_with_gripper2.sdf")
+        for index in range(4):
+            client.loadURDF("cube_small.urdf", [0.4 + 0.08 * index, 0.08 * index, 0.03])
+        for _ in range(300):  # until the cubes rest
+            client.stepSimulation()
+        return 1e6 * median(timeit.repeat(client.stepSimulation, number=steps, repeat=5)) / steps
+    finally:
+        client.close()
+
 
 CLOSE_LOOP = "BulletArm/CloseLoopBlockPicking-v0"
 OPEN_LOOP = "BulletArm/OpenLoopBlockStacking-v0"

@@ -4,10 +4,8 @@ from typing import Any
 
 from bulletarm_gym.config import CLOSE_LOOP, OPEN_LOOP
 from bulletarm_gym.control.close_loop import CloseLoop, DeltaMove
-from bulletarm_gym.control.control import Control, GraspParams, Outcome
-from bulletarm_gym.control.heights import Grasp
-from bulletarm_gym.control.interface import RobotInterface
-from bulletarm_gym.control.open_loop import OpenLoop, PickPlace
+from bulletarm_gym.control.control import Control, GraspParams, Outcome, RobotInterface
+from bulletarm_gym.control.open_loop import Grasp, OpenLoop, PickPlace
 
 CONTROLS: dict[str, type[Any]] = {CLOSE_LOOP: CloseLoop, OPEN_LOOP: OpenLoop}
 

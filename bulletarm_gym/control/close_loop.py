@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from bulletarm_gym.config import CLOSE_LOOP, MAX_ROTATION, MAX_TRANSLATION, EnvConfig
-from bulletarm_gym.control.control import Control, GraspParams, Outcome, grid_positions
-from bulletarm_gym.control.interface import RobotInterface
+from bulletarm_gym.control.control import Control, GraspParams, Outcome, RobotInterface, grid_positions
 from bulletarm_gym.geometry import Pose, Rectangle, Vector
 from bulletarm_gym.observations import Frame, View
 

@@ -1,9 +1,8 @@
 """Demonstrations of experts: collection, files, replay and exports (paper, Expert Demonstrations)."""
 
-from bulletarm_gym.demonstrations.collecting import collect
+from bulletarm_gym.demonstrations.collecting import RecordDemonstrations, collect
 from bulletarm_gym.demonstrations.episodes import Demonstrations, Episode, ReplayError, load, replay
 from bulletarm_gym.demonstrations.exports import export_lerobot, export_minari
-from bulletarm_gym.demonstrations.recording import RecordDemonstrations
 
 __all__ = [
     "Demonstrations",

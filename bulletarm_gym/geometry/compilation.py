@@ -4,6 +4,7 @@ import logging
 import os
 import tempfile
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 from typing import Any, ParamSpec, TypeVar
 
@@ -87,3 +88,30 @@ def _emit_fma(typing_context: Any, a: Any, b: Any, c: Any) -> Any:
 
 fma: Callable[[float, float, float], float] = intrinsic(_emit_fma)  # type: ignore[assignment]
 """``a * b + c`` with one rounding, in compiled code, as in NumPy's matrix product."""
+
+
+SENSORS = ["heightmap", "color", "segmentation", "holding"]
+EPISODES: list[dict[str, Any]] = [
+    {"task": "picking:BlockPicking", "control": "close_loop", "view": "point_cloud"},
+    {"task": "pushing:BlockPushing", "control": "close_loop", "observation": SENSORS},
+    {"task": "clutter:ObjectGrasping", "control": "close_loop", "object_set": ["cube"] * 5},
+    {"task": "stacking:BlockStacking", "control": "open_loop"},
+    {"task": "stacking:BlockStacking", "control": "open_loop", "surface": "ramp"},
+]
+"""Arguments of environments that together call every compiled function."""
+
+
+def warm_up(make: Callable[..., Any]) -> None:
+    """Run one short episode of each environment, once, if this process has compiled a function.
+
+    :param make: constructor of an environment
+    """
+    while MONITOR.count and EPISODES:
+        parameters = EPISODES.pop()
+        task = f"bulletarm_gym.tasks.{parameters['task']}"
+        with closing(make(**{**parameters, "task": task, "obs_size": 32})) as env:
+            env.reset(seed=0)
+            for _ in range(4):  # two picks and places
+                *_, terminated, truncated, _ = env.step(env.expert_action())
+                if terminated or truncated:
+                    break

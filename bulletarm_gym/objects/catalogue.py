@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 
-from bulletarm_gym.objects import blocks, bottles, containers
+from bulletarm_gym.objects import blocks, containers
 from bulletarm_gym.objects.files import load_folder
 from bulletarm_gym.objects.graspables import graspables
 from bulletarm_gym.objects.solids import laid_flat
@@ -30,13 +30,13 @@ KINDS: Mapping[str, Make] = {
     "pallet": containers.pallet,
     "palletizing_box": blocks.palletizing_box,
     "roof": blocks.roof,
-    "swab": bottles.swab,
+    "swab": containers.swab,
     "test_area": containers.test_area,
     "triangle": blocks.triangle,
-    "tube": bottles.tube,
-    "used_tube": bottles.used_tube,
+    "tube": containers.tube,
+    "used_tube": containers.used_tube,
     "used_tube_box": containers.used_tube_box,
-    **_numbered("bottle", bottles.bottle, len(bottles.BOTTLES)),
+    **_numbered("bottle", containers.bottle, len(containers.BOTTLES)),
     **_numbered("improvise_block", blocks.improvise_block, len(blocks.DRAWINGS)),
     **_numbered("packing_block", blocks.packing_block, len(blocks.SHAPES)),
 }

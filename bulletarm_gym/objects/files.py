@@ -20,8 +20,7 @@ from scipy.spatial import ConvexHull, QhullError
 from bulletarm_gym.geometry import FloatArray, Mesh, Pose, Vector
 from bulletarm_gym.objects.graspables import graspable
 from bulletarm_gym.objects.solids import corner_radius, cylinder
-from bulletarm_gym.simulation.meshes import mesh_parts
-from bulletarm_gym.simulation.shapes import ORIGIN, BodySpec, Box, Colour, Convex, Piece
+from bulletarm_gym.simulation.shapes import ORIGIN, BodySpec, Box, Colour, Convex, Piece, mesh_parts
 from bulletarm_gym.simulation.urdf import frame_of, mesh_path, number_of, numbers_of, parse_urdf, vector_of
 
 SIDES = (0.005, 0.3)

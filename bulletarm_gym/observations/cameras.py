@@ -14,7 +14,7 @@ from bulletarm_gym.config import EnvConfig, ParameterError
 from bulletarm_gym.geometry import FloatArray, Pose, Vector
 from bulletarm_gym.scene import Scene
 from bulletarm_gym.simulation import Camera, World
-from bulletarm_gym.simulation.window import Keyboard, draw_segments, look
+from bulletarm_gym.simulation.camera import Keyboard, draw_segments, look
 
 RENDER = "render"
 """Name of the camera of ``render()``."""

@@ -12,8 +12,7 @@ from bulletarm_gym.config import EnvConfig, ParameterError
 from bulletarm_gym.geometry import Pose
 from bulletarm_gym.observations.camera_sensors import Depth, PointCloud, Rgb
 from bulletarm_gym.observations.cameras import RENDER, SceneCamera, render_camera
-from bulletarm_gym.observations.images import Color, Heightmap, Segmentation
-from bulletarm_gym.observations.in_hand import InHand
+from bulletarm_gym.observations.images import Color, Heightmap, InHand, Segmentation
 from bulletarm_gym.observations.sensor import Holding, JointState, Sensor, State
 from bulletarm_gym.observations.view import View
 from bulletarm_gym.registry import SENSORS as REGISTRY

@@ -13,8 +13,7 @@ from xml.etree.ElementTree import Element
 import numpy as np
 
 from bulletarm_gym.geometry import Pose, Vector, euler_pose
-from bulletarm_gym.robots.editing import joints_below
-from bulletarm_gym.robots.primitives import DARK, LIGHT, RGB, Primitive, add_link, box
+from bulletarm_gym.robots.editing import DARK, LIGHT, RGB, Primitive, add_link, box, joints_below
 from bulletarm_gym.simulation.urdf import add_joint, find_link
 
 FINGER_MASS = 0.05

@@ -4,9 +4,9 @@ import math
 from xml.etree.ElementTree import Element
 
 from bulletarm_gym.geometry import Pose, euler_pose
+from bulletarm_gym.robots.editing import LIGHT, box
 from bulletarm_gym.robots.gripper import Gripper
 from bulletarm_gym.robots.model import RobotModel
-from bulletarm_gym.robots.primitives import LIGHT, box
 from bulletarm_gym.simulation.urdf import find_joint, find_link, load_model
 
 FINGERTIPS = 0.107 + 0.0584 + 0.0538

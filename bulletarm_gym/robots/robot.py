@@ -7,10 +7,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from bulletarm_gym.geometry import Pose, interpolate
-from bulletarm_gym.robots.collisions import CLEAR_ABOVE, FREE_CLEARANCE, MAX_SHIFTS, CollidingArm
+from bulletarm_gym.robots.arm import (
+    CLEAR_ABOVE,
+    FREE_CLEARANCE,
+    MAX_SHIFTS,
+    CollidingArm,
+    motion_steps,
+    path_length,
+    transfer_stops,
+)
 from bulletarm_gym.robots.kinematics import POSITION_TOLERANCE
 from bulletarm_gym.robots.model import RobotModel
-from bulletarm_gym.robots.paths import motion_steps, path_length, transfer_stops
 from bulletarm_gym.simulation import World
 from bulletarm_gym.simulation.motion import (
     CONTACT_RISE,

@@ -5,9 +5,9 @@ from functools import partial
 from pathlib import Path
 
 from bulletarm_gym.geometry import Pose, euler_pose
+from bulletarm_gym.robots.editing import DARK, RGB, box, cylinder
 from bulletarm_gym.robots.gripper import ParallelJaw
 from bulletarm_gym.robots.model import RobotModel
-from bulletarm_gym.robots.primitives import DARK, RGB, box, cylinder
 from bulletarm_gym.simulation.urdf import read_urdf
 
 BLACK: RGB = (0.16, 0.16, 0.17)

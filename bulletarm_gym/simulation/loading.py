@@ -12,7 +12,6 @@ import numpy as np
 
 from bulletarm_gym.geometry import Mesh, Pose, matrix
 from bulletarm_gym.simulation.client import Client, pybullet
-from bulletarm_gym.simulation.meshes import is_ascii_stl, stl_corners
 from bulletarm_gym.simulation.shapes import (
     ORIGIN,
     BodySpec,
@@ -21,6 +20,8 @@ from bulletarm_gym.simulation.shapes import (
     Hinge,
     Piece,
     flat_normals,
+    is_ascii_stl,
+    stl_corners,
     wavefront,
 )
 from bulletarm_gym.simulation.state import Link, Properties

@@ -9,7 +9,7 @@ from xml.etree.ElementTree import Element, ParseError, SubElement
 from xml.parsers import expat
 
 from bulletarm_gym.geometry import Pose, Vector, euler_angles, euler_pose, from_rotvec
-from bulletarm_gym.simulation.meshes import check_mesh
+from bulletarm_gym.simulation.shapes import check_mesh
 
 PACKAGE, FILE = "package://", "file://"
 """Prefixes of file names in ROS: of a file in a package, and of any file."""

@@ -1,9 +1,8 @@
 """Surfaces: the ground of a workspace."""
 
 from bulletarm_gym.surfaces.bump import BumpSurface
-from bulletarm_gym.surfaces.flat import FlatSurface, TraySurface
 from bulletarm_gym.surfaces.ramp import RampSurface
-from bulletarm_gym.surfaces.surface import Point, Surface
+from bulletarm_gym.surfaces.surface import FlatSurface, Point, Surface, TraySurface
 
 SURFACES: dict[str, type[Surface]] = {
     "flat": FlatSurface,

@@ -9,8 +9,7 @@ from numpy.typing import ArrayLike
 from bulletarm_gym.geometry import FloatArray, Footprint, Pose, Vector, matrix
 from bulletarm_gym.objects.solids import block, loft
 from bulletarm_gym.simulation import BodySpec, Piece, World
-from bulletarm_gym.surfaces.flat import FLOOR
-from bulletarm_gym.surfaces.surface import SITE, UP, Point, Surface
+from bulletarm_gym.surfaces.surface import FLOOR, SITE, UP, Point, Surface
 
 SLOPE = math.pi / 12.0
 """Largest slope (rad) of a pyramid's sides (paper, Open-Loop 6DoF Environments)."""

@@ -11,8 +11,7 @@ from numpy.typing import ArrayLike
 from bulletarm_gym.geometry import FloatArray, Footprint, Pose, Vector, matrix
 from bulletarm_gym.objects.solids import block
 from bulletarm_gym.simulation import BodySpec, World
-from bulletarm_gym.surfaces.flat import FLOOR
-from bulletarm_gym.surfaces.surface import ATTEMPTS, UP, Point, Surface
+from bulletarm_gym.surfaces.surface import ATTEMPTS, FLOOR, UP, Point, Surface
 
 STRIP_WIDTHS = (0.04, 0.2)
 """Range of the strip's width (m; paper, Open-Loop 6DoF Environments)."""

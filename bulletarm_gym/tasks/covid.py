@@ -10,7 +10,7 @@ from bulletarm_gym.control import GraspParams
 from bulletarm_gym.experts import CLOSED, OPEN, Waypoint
 from bulletarm_gym.experts.approach import RELEASE, place_pose
 from bulletarm_gym.geometry import Pose, wrap_angle
-from bulletarm_gym.objects import bottles, containers
+from bulletarm_gym.objects import containers
 from bulletarm_gym.scene import ObjectSlot, Scene, SceneObject, scaled
 from bulletarm_gym.scene.predicates import inside, is_empty, loose_objects, success_at_rest
 from bulletarm_gym.scene.sampling import goal_site, random_yaw
@@ -45,7 +45,7 @@ CONTAINERS = {
     "used box": (containers.used_tube_box, containers.USED_TUBE_BOX, (-1.0, -1.0)),
 }
 """Function, side lengths (m) and corner of the square, in x and y, of each container."""
-KINDS = {"swab": bottles.swab, "tube": bottles.tube, "used tube": bottles.used_tube}
+KINDS = {"swab": containers.swab, "tube": containers.tube, "used tube": containers.used_tube}
 TARGETS = {
     "swab": ("test area", (0.0, 0.07), QUARTER),
     "tube": ("test area", (0.0, -0.05), QUARTER),
@@ -71,7 +71,7 @@ class CovidTest(Task):
     defaults = TaskDefaults(
         num_objects=2 * ROUNDS,
         max_steps=30,
-        object_scale=bottles.COVID_SCALE,
+        object_scale=containers.COVID_SCALE,
         allowed_objects=(2 * ROUNDS,),
         no_tray="the three places do not fit into the tray",
         level_ground="the three places need 30 x 30 cm of level ground",

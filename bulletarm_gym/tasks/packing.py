@@ -14,8 +14,17 @@ from bulletarm_gym.experts.approach import RELEASE, place_pose, rotates
 from bulletarm_gym.experts.pick_place import pick, resting_frame
 from bulletarm_gym.geometry import FloatArray, Footprint, Pose, matrix, planar_distance, wrap_angle
 from bulletarm_gym.objects.blocks import SHAPES, packing_block
-from bulletarm_gym.objects.bottles import BOTTLE_HEIGHT, BOTTLES, bottle
-from bulletarm_gym.objects.containers import BIN, BIN_WALL, TRAY, TRAY_FLOOR, bottle_tray, packing_bin
+from bulletarm_gym.objects.containers import (
+    BIN,
+    BIN_WALL,
+    BOTTLE_HEIGHT,
+    BOTTLES,
+    TRAY,
+    TRAY_FLOOR,
+    bottle,
+    bottle_tray,
+    packing_bin,
+)
 from bulletarm_gym.observations import HeightRenderer, Window
 from bulletarm_gym.scene import ObjectSlot, Scene, SceneObject, shaped
 from bulletarm_gym.scene.predicates import inside, is_top, loose_objects, success_at_rest, touching, upright

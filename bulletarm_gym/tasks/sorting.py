@@ -17,7 +17,7 @@ from bulletarm_gym.scene import ObjectSlot, Scene, SceneObject, scaled
 from bulletarm_gym.scene.predicates import success_at_rest, upright
 from bulletarm_gym.scene.sampling import footprint, place_apart, sample_until
 from bulletarm_gym.simulation.shapes import BLUE, RED
-from bulletarm_gym.tasks.structure import SCALE
+from bulletarm_gym.tasks.stacking import SCALE
 from bulletarm_gym.tasks.task import Task
 
 COLOURS = {"red": RED, "blue": BLUE}

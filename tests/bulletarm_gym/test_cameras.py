@@ -25,7 +25,7 @@ from bulletarm_gym.observations.images import FINGER_COLOUR, GRIPPER
 from bulletarm_gym.simulation import BodySpec, Camera, World
 from bulletarm_gym.simulation.shapes import BLUE, RED
 from bulletarm_gym.simulation.state import PHYSICS_MODES
-from bulletarm_gym.surfaces.flat import FLOOR
+from bulletarm_gym.surfaces.surface import FLOOR
 
 Make = Callable[..., ManipulationEnv]
 

@@ -16,11 +16,10 @@ from small_arm import FLANGE, JAW, PARAMETERS, SMALL, bare_arm
 
 from bulletarm_gym.check import conformance, environments
 from bulletarm_gym.check.__main__ import main
-from bulletarm_gym.check.robot import check_robot
+from bulletarm_gym.check.robot import check_robot, grid, largest_workspace, reach_share
 from bulletarm_gym.geometry import Pose, euler_pose
 from bulletarm_gym.robots import ROBOTS, RobotModel
-from bulletarm_gym.robots.primitives import LIGHT, box
-from bulletarm_gym.robots.reach import grid, largest_workspace, reach_share
+from bulletarm_gym.robots.editing import LIGHT, box
 from bulletarm_gym.simulation.urdf import find_link
 
 ROOT = Path(__file__).parents[2]

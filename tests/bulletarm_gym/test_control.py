@@ -10,7 +10,7 @@ import pytest
 from bulletarm_gym.control import CloseLoop, Control, DeltaMove, RobotInterface
 from bulletarm_gym.env import ManipulationEnv
 from bulletarm_gym.experts import CLOSED, Waypoint
-from bulletarm_gym.experts.tracking import Tracker
+from bulletarm_gym.experts.approach import Tracker
 from bulletarm_gym.geometry import Pose
 from bulletarm_gym.observations import View
 from bulletarm_gym.robots import Robot

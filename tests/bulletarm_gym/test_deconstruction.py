@@ -10,7 +10,7 @@ from rollouts import digest
 
 from bulletarm_gym.demonstrations import collect
 from bulletarm_gym.env import ManipulationEnv
-from bulletarm_gym.experts.deconstruction import GRASP_CLEARANCE, deconstruct
+from bulletarm_gym.experts.pick_place import GRASP_CLEARANCE, deconstruct
 from bulletarm_gym.scene.predicates import on_surface
 from bulletarm_gym.scene.sampling import footprint
 

@@ -18,7 +18,7 @@ from bulletarm_gym.observations import HeightRenderer, Window
 from bulletarm_gym.scene.stability import settle
 from bulletarm_gym.simulation import Body, BodySpec, Box, Hinge, Piece, Slide, World
 from bulletarm_gym.simulation.state import PHYSICS_MODES, REST_SPEED
-from bulletarm_gym.surfaces.flat import FLOOR
+from bulletarm_gym.surfaces.surface import FLOOR
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 CUBE = BodySpec("cube", (Piece(Box((0.04, 0.04, 0.04))),), 0.1)

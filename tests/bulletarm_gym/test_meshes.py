@@ -20,7 +20,7 @@ from bulletarm_gym.simulation.client import Client
 from bulletarm_gym.simulation.loading import load_urdf
 from bulletarm_gym.simulation.shapes import wavefront
 from bulletarm_gym.simulation.state import PHYSICS_MODES
-from bulletarm_gym.surfaces.flat import FLOOR
+from bulletarm_gym.surfaces.surface import FLOOR
 
 Make = Callable[..., ManipulationEnv]
 

@@ -15,7 +15,7 @@ from bulletarm_gym.objects.files import convex_hull
 from bulletarm_gym.objects.graspables import graspables
 from bulletarm_gym.simulation import World
 from bulletarm_gym.simulation.state import PHYSICS_MODES
-from bulletarm_gym.surfaces.flat import FLOOR
+from bulletarm_gym.surfaces.surface import FLOOR
 
 SIZES = {
     # Kind: default scale of its task, side lengths along x, y, z (m), mass (kg).

@@ -11,12 +11,12 @@ from rollouts import digest
 
 from bulletarm_gym.config import Context, EnvConfig
 from bulletarm_gym.control import Grasp, PickPlace
-from bulletarm_gym.control.heights import measure_grasp, place_height
+from bulletarm_gym.control.open_loop import measure_grasp, place_height
 from bulletarm_gym.env import ManipulationEnv
 from bulletarm_gym.experts import CLOSED, OPEN, Waypoint
 from bulletarm_gym.geometry import Pose, euler_angles, euler_pose, matrix, wrap_angle
 from bulletarm_gym.observations import ElevationMap
-from bulletarm_gym.observations.in_hand import projections, rotated_crop
+from bulletarm_gym.observations.images import projections, rotated_crop
 
 Make = Callable[..., ManipulationEnv]
 

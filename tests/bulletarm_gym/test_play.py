@@ -11,8 +11,7 @@ from PIL import Image
 
 from bulletarm_gym import demonstrations
 from bulletarm_gym.env import ManipulationEnv
-from bulletarm_gym.play.__main__ import main
-from bulletarm_gym.play.teleoperation import Teleoperation
+from bulletarm_gym.play.__main__ import Teleoperation, main
 
 PICKING = "BulletArm/CloseLoopBlockPicking-v0"
 STACKING = "BulletArm/OpenLoopBlockStacking-v0"

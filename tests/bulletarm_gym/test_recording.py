@@ -175,7 +175,7 @@ def test_attempts_count_failed_and_abandoned_episodes(path: Path) -> None:
 
 
 def test_long_files_are_written_less_often(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("bulletarm_gym.demonstrations.recording.EPISODES_PER_WRITE", 1.0)
+    monkeypatch.setattr("bulletarm_gym.demonstrations.collecting.EPISODES_PER_WRITE", 1.0)
     env, saved = record(path), []
     for seed in range(5):
         play(env, seed)

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from rollouts import TYPICAL, step_on, transcript
 
+from bulletarm_gym.check.robot import TILT, grid
 from bulletarm_gym.config import WORKSPACES
 from bulletarm_gym.env import ManipulationEnv
 from bulletarm_gym.geometry import FloatArray, Pose, conjugate, euler_pose, multiply, wrap_angle
 from bulletarm_gym.robots import ROBOTS, OutOfReachError, Robot, RobotModel
 from bulletarm_gym.robots.kinematics import POSITION_TOLERANCE
-from bulletarm_gym.robots.reach import TILT, grid
 from bulletarm_gym.simulation.motion import interpolate_path
 
 PICKING = "BulletArm/CloseLoopBlockPicking-v0"

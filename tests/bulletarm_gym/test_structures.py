@@ -15,7 +15,7 @@ from bulletarm_gym.geometry import Pose, euler_pose
 from bulletarm_gym.scene import Scene, SceneObject
 from bulletarm_gym.scene import predicates as are
 from bulletarm_gym.scene.sampling import footprint
-from bulletarm_gym.tasks.structure import BLOCK_SPACING, Structure
+from bulletarm_gym.tasks.stacking import BLOCK_SPACING, Structure
 
 Make = Callable[..., ManipulationEnv]
 

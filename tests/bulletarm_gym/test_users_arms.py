@@ -27,7 +27,7 @@ from bulletarm_gym.robots import (
     read_urdf,
     without,
 )
-from bulletarm_gym.robots.primitives import LIGHT, add_link, box
+from bulletarm_gym.robots.editing import LIGHT, add_link, box
 from bulletarm_gym.robots.structure import merge_fixed
 from bulletarm_gym.simulation.client import Client
 from bulletarm_gym.simulation.loading import load_urdf

@@ -48,10 +48,15 @@ def test_numbers_have_no_trailing_zeros() -> None:
 def test_places_are_filled_and_the_rest_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     figures = {"two": lambda _: "2", "table": lambda _: "| a |\n| - |"}
     monkeypatch.setattr(fill_tables, "FIGURES", figures)
-    text = "As in `<!-- data: NAME -->`.\n\nIt is {two} times.\n\n{table}\n\nEnd\n"
+    text = "As in `<!-- data: NAME -->`.\n\nIt is {two} times.\n\n{table}\n\n??? info\n\n    {fold}\n\nEnd\n"
     page = tmp_path / "page.md"
-    page.write_text(text.format(two=place("two", "3"), table=place("table", "\n\nold\n\n")))
-    wanted = text.format(two=place("two", "2"), table=place("table", "\n\n| a |\n| - |\n\n"))
+    old = {"table": place("table", "\n\nold\n\n"), "fold": place("table")}
+    page.write_text(text.format(two=place("two", "3"), **old))
+    table, fold = (
+        f"\n\n{indentation}| a |\n{indentation}| - |\n\n{indentation}" for indentation in ("", "    ")
+    )
+    new = {"table": place("table", table), "fold": place("table", fold)}
+    wanted = text.format(two=place("two", "2"), **new)
     monkeypatch.setattr(sys, "argv", ["fill_tables.py", str(page)])
     fill_tables.main()
     assert page.read_text() == wanted
@@ -97,3 +102,17 @@ def test_seeds_share_a_row(tmp_path: Path) -> None:
     _, _, line, other = fill_tables.results_table(source, "quick", "*").splitlines()
     assert "| 300 with noise, 500, 1,500 | 0, 2 | 0.75 (1.00, 0.50) | 0.90 (0.95, 0.85) |" in line
     assert "300 with noise, 500, 9 | 1 | 1.00 | 0.95 |" in other
+
+
+def test_summary_has_means_over_seeds_of_one_preset(tmp_path: Path) -> None:
+    columns = (measurements.DATA / "results.csv").read_text().splitlines()[0].split(",")
+    data = DataFile(tmp_path / "results.csv", ("env", "seed", "preset"))
+    for seed, last, preset, minutes in (
+        ("0", "1", "cpu", ""),
+        ("1", "0.5", "cpu", "3"),
+        ("2", "0", "quick", ""),
+    ):
+        run = dict(env="CloseLoopToy", seed=seed, last=last, preset=preset, minutes=minutes)
+        data.add({**dict.fromkeys(columns, ""), **run})
+    source = expert_tables.Source(tmp_path, tmp_path / "page.md")
+    assert fill_tables.results_summary(source).splitlines()[2:] == ["| `CloseLoopToy` | 0.75 | 3 |"]

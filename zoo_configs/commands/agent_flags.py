@@ -32,9 +32,9 @@ def add_agent_flags(parser: argparse.ArgumentParser, is_run: bool = False) -> No
     add("--device", default="auto", help="PyTorch device (default: auto)")
     add("--seed", type=seed, default=0, help="seed of the test scenes (default: 0)")
     best = "load the model with the best evaluation (the default)"
-    model = parser.add_mutually_exclusive_group()
-    model.add_argument("--load-best", action="store_true", default=True, help=best)
-    model.add_argument("--load-last", action="store_false", dest="load_best", help="load the last model")
+    group = parser.add_mutually_exclusive_group()
+    group.add_argument("--load-best", action="store_true", default=True, help=best)
+    group.add_argument("--load-last", action="store_false", dest="load_best", help="load the last model")
     add_packages(parser)
     add_env_kwargs(parser)
     add_progress(parser)

@@ -10,7 +10,7 @@ from torch.nn import functional as F
 
 from bulletarm_gym.geometry import Pose, euler_pose
 from bulletarm_gym.observations import ElevationMap
-from bulletarm_gym.observations.in_hand import projections, rotated_crop
+from bulletarm_gym.observations.images import projections, rotated_crop
 from sb3_extensions.encoders.patch_encoders import LAST_SIDE, LAST_SIDE_OF_PIXELS, PatchVector
 from sb3_extensions.spatial_dqn.patches import crop_patches, rotate_images
 from sb3_extensions.spatial_dqn.projections import orthographic_projections, rotation_matrices

@@ -7,7 +7,7 @@ from gymnasium import spaces
 
 from bulletarm_gym.geometry import euler_pose
 from bulletarm_gym.observations import ElevationMap
-from bulletarm_gym.observations.in_hand import projections
+from bulletarm_gym.observations.images import projections
 from sb3_extensions.encoders.observation import SceneView
 from sb3_extensions.spatial_dqn.asr_heads import PATCH_STAGES, DeicticLevel
 from sb3_extensions.spatial_dqn.codec import SpatialActionCodec
