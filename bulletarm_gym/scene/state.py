@@ -16,8 +16,10 @@ from bulletarm_gym.simulation.shapes import BodySpec
 from bulletarm_gym.simulation.state import Properties
 from bulletarm_gym.simulation.urdf import mass_of
 
+CHECKSUMS = ("arm", "object_files")
+"""Checksums of a user's robot and object files."""
 DECIMALS = 5
-"""Number of decimals of the numbers (m, rad, kg) in checksums of a user's robot and object files."""
+"""Number of decimals of the numbers (m, rad, kg) in checksums."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -59,7 +61,7 @@ def check_fits(state: Any, made_of: dict[str, Any]) -> None:
             f"state must be an EnvState from get_state(), got a {type(state).__name__}"
             f"{advice if isinstance(state, list | tuple) else ''}"
         )
-    names = {**made_of, **state.made_of}
+    names = [*made_of, *(name for name in CHECKSUMS if name not in made_of)]
     other = [name for name in names if state.made_of.get(name) != made_of.get(name)]
     if other:
         needed, got = (", ".join(f"{n}={made.get(n)!r}" for n in other) for made in (made_of, state.made_of))

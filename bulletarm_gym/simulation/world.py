@@ -378,8 +378,8 @@ class World:
         return low, high
 
     def top(self, body: Body) -> float:
-        """Return the height (m) of the highest point of a body's bounding box."""
-        return self.bounds(body)[1][2]
+        """Return the height (m) of the highest point of the bounding boxes of a body and its moving parts."""
+        return max(self.bounds(body, link)[1][2] for link in range(-1, len(body.spec.parts)))
 
     def cast_rays(self, starts: Sequence[Vector], ends: Sequence[Vector]) -> list[float]:
         """Return the fraction of each line (m, world) before its first hit of a body, 1 without a hit."""

@@ -85,6 +85,16 @@ def test_poses_of_parts_are_those_of_the_simulation(boxed: tuple[World, Body], a
             assert min(abs(point[8]) for point in points) < 1.5e-3
 
 
+@pytest.mark.parametrize(("angle", "top"), [(0.0, 0.07), (1.57, 0.14)])
+def test_moving_parts_count_for_the_height_of_a_body(
+    boxed: tuple[World, Body], angle: float, top: float
+) -> None:
+    """The gripper would pass through parts that are higher than the base."""
+    world, body = boxed
+    world.set_joints(body, (0.0, angle))
+    assert world.top(body) == pytest.approx(top, abs=5e-3)
+
+
 def test_lid_falls_shut_and_a_brake_holds_it(boxed: tuple[World, Body]) -> None:
     world, body = boxed
     world.set_joints(body, (0.02, 0.6))

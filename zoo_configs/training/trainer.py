@@ -169,7 +169,7 @@ class Trainer:
     def _constructor_kwargs(self, env: VecEnv) -> dict[str, Any]:
         values = load_expert_data(parsed(self.hyperparams))
         if (episodes := values.get("expert_data")) is not None:
-            episodes.about["env_id"] = self.run.experiment.env_id  # checked, or allowed to differ
+            episodes.env_id = self.run.experiment.env_id  # checked, or allowed to differ
         if values.get("noise_type") is not None:
             values["action_noise"] = action_noise(values["noise_type"], values["noise_std"], env.action_space)
         folder = self.options.tensorboard_log
