@@ -23,7 +23,7 @@ EXPERT_SHARE = 0.7
 """Share of expert actions among random ones, with which grasps, pushes and successes happen."""
 TYPICAL = (
     "BulletArm/OpenLoopHouseBuilding2-v0",
-    "BulletArm/OpenLoopObjectGrasping-v0",
+    "BulletArm/OpenLoopCovidTest-v0",
     "BulletArm/OpenLoopRampBlockStacking-v0",
     "BulletArm/OpenLoopBumpBoxPalletizing-v0",
     "BulletArm/CloseLoopBlockPicking-v0",

@@ -24,7 +24,7 @@ PARAMETERS = (
     {"action_sequence": "zpxy", "random_orientation": False, "obs_size": 64},
 )
 CASES: list[tuple[str, dict]] = [(env_id, {}) for env_id in TYPICAL]
-CASES += [(env_id, parameters) for parameters in PARAMETERS for env_id in TYPICAL[1::2]]
+CASES += [(env_id, parameters) for parameters in PARAMETERS for env_id in (TYPICAL[0], PICKING)]
 
 
 @pytest.fixture(scope="session")

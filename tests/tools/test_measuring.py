@@ -30,6 +30,7 @@ def test_speed_is_compared_with_a_reference(tmp_path: Path, monkeypatch: pytest.
     assert float(row["times_reference"]) > 0 and "measure_speed.py --env" in row["command"]
 
 
+@pytest.mark.slow
 def test_an_update_has_parts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     data = tmp_path / "updates.csv"
     words = ["--baseline", "equi_sacfd", "--env", REACHING, "--seconds", "0.3", "--data", str(data)]

@@ -318,6 +318,7 @@ def test_a_dead_address_is_reported_soon(
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 def test_a_node_killed_in_the_middle_loses_nothing(
     ray_cluster: Any, bench: Bench, tmp_path: Path, capsys: Any
 ) -> None:
