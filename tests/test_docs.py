@@ -27,6 +27,8 @@ PAPER_PARAMETERS = (
 ).split()
 SHORTER = {
     "learn(2_000": "learn(2",
+    "expert_episodes=200": "expert_episodes=2",
+    "pretrain_steps=800": "pretrain_steps=2",
     "expert_episodes=100": "expert_episodes=2",
     "pretrain_steps=500": "pretrain_steps=2",
     "save(": "save(FOLDER + ",

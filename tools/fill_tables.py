@@ -91,9 +91,8 @@ def ratio_summary(source: Source) -> str:
     closed, opened = _ratios(source)
     both = (*closed, *opened)
     return (
-        f"Steps {min(both):.0f} to {max(both):.0f} times as fast as the original release's; "
-        f"on the geometric mean {_geometric_mean(closed):.0f} times in close loop, "
-        f"{_geometric_mean(opened):.0f} times in open loop"
+        f"{min(both):.0f} to {max(both):.0f} times as fast as the original release (geometric mean "
+        f"{_geometric_mean(closed):.0f} in closed loop, {_geometric_mean(opened):.0f} in open loop)"
     )
 
 
