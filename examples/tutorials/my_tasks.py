@@ -1,4 +1,4 @@
-"""Tutorial 3: a task of one's own, in a module of its own."""
+"""Tutorial 3: a task of your own, in a module that processes can import."""
 
 import math
 from collections.abc import Iterator
