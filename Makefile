@@ -1,5 +1,5 @@
 # Everything runs in .venv, which the first target that needs it creates.
-#   make demo    train, evaluate and film an agent that picks blocks
+#   make demo    train, evaluate and record an agent that picks blocks
 #   make tables  fill the documentation's tables from docs/data
 #   make test    what continuous integration runs: lint, types, tests
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
@@ -14,7 +14,7 @@ PYTEST_FLAGS ?=
 
 venv: $(VENV)/installed-dev
 
-# One stamp file an extra: installed once, and again when the requirements change.
+# A stamp file for each extra: it is installed again when the requirements change.
 $(VENV)/installed-%: pyproject.toml constraints.txt
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e ".[$*]"
@@ -28,8 +28,8 @@ demo: venv
 tables: venv
 	$(BIN)/python tools/fill_tables.py docs README.md CONTRIBUTING.md
 
-# The self-check compiles the numeric code once, beside the type checker; both of pytest's workers would. The last
-# line printed is pytest's own summary.
+# The self-check compiles the numeric code once, so that the two workers of pytest do not. The last line of the output
+# is the summary of pytest.
 test: venv
 	@$(MAKE) --no-print-directory -j 2 lint type selfcheck
 	$(BIN)/python -m pytest -n 2 --dist worksteal -q $(PYTEST_FLAGS)
@@ -51,9 +51,10 @@ selfcheck: venv
 docs: $(VENV)/installed-docs
 	$(BIN)/mkdocs build --strict
 
-# The documentation's pictures of all tasks, as they are in docs/images/tasks.
+# Images of all tasks and chart of success rates in docs/images.
 pictures: venv
 	$(BIN)/python tools/draw_gallery.py -o docs/images/tasks --heightmap --pixels 480
+	$(BIN)/python tools/draw_success.py CloseLoop -o docs/images/success_closed_loop.png
 
 clean:
 	rm -rf $(VENV) build dist *.egg-info .mypy_cache .pytest_cache .ruff_cache site

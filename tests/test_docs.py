@@ -27,6 +27,10 @@ PAPER_PARAMETERS = (
 ).split()
 SHORTER = {
     "learn(2_000": "learn(2",
+    "expert_episodes=200": "expert_episodes=2",
+    "pretrain_steps=800": "pretrain_steps=2",
+    "critic_warmup_steps=100": "critic_warmup_steps=1",
+    "n_eval_episodes=50": "n_eval_episodes=1",
     "expert_episodes=100": "expert_episodes=2",
     "pretrain_steps=500": "pretrain_steps=2",
     "save(": "save(FOLDER + ",

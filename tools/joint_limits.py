@@ -14,11 +14,8 @@ from tqdm import tqdm
 
 import bulletarm_gym
 
-SLOPED = ("Ramp", "Bump")
-"""Words in the ids of tasks on surfaces that are not level."""
 
-
-def rooms(env: Any, episodes: int) -> Iterator[float]:
+def margins(env: Any, episodes: int) -> Iterator[float]:
     """Yield the distance (rad) to the nearest joint limit after each step of the expert."""
     robot = env.scene.robot
     lower, upper = robot.model.chain.limits.T
@@ -35,7 +32,7 @@ def rooms(env: Any, episodes: int) -> Iterator[float]:
 def group(env_id: str) -> str:
     """Return the row of the table that an environment belongs to."""
     control = "closed loop" if "CloseLoop" in env_id else "open loop"
-    return f"{control}, {'ramps and bumps' if any(word in env_id for word in SLOPED) else 'level surfaces'}"
+    return f"{control}, {'ramps and bumps' if 'Ramp' in env_id or 'Bump' in env_id else 'level surfaces'}"
 
 
 def main() -> None:
@@ -50,18 +47,11 @@ def main() -> None:
         found: dict[str, list[np.ndarray]] = {}
         for env_id in tqdm(bulletarm_gym.ENV_IDS, desc=robot, leave=False):
             with closing(gymnasium.make(env_id, robot=robot).unwrapped) as env:
-                found.setdefault(group(env_id), []).append(np.array([*rooms(env, args.episodes)]))
+                found.setdefault(group(env_id), []).append(np.array([*margins(env, args.episodes)]))
         for name, parts in found.items():
             steps = np.concatenate(parts)
-            experiments = (
-                robot,
-                name,
-                len(parts),
-                f"{len(steps):,}",
-                f"{(steps < 0).mean():.1%}",
-                f"{steps.min():.3f}",
-            )
-            print("| " + " | ".join(map(str, experiments)) + " |", flush=True)
+            figures = f"{len(steps):,}", f"{(steps < 0).mean():.1%}", f"{steps.min():.3f}"
+            print("| " + " | ".join((robot, name, str(len(parts)), *figures)) + " |", flush=True)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """Share of the default workspaces that each arm reaches inside its joint limits.
 
-python tools/reach.py                 a table of the built-in arms, at their bases and at the former ones
+python tools/reach.py                 print a table of the built-in arms
 python tools/reach.py --search kuka   compare bases over x, z and mounting yaw
 """
 
@@ -17,19 +17,12 @@ from bulletarm_gym.config import CLOSE_LOOP, OPEN_LOOP, WORKSPACES
 from bulletarm_gym.geometry import Pose
 from bulletarm_gym.robots import ROBOTS, RobotModel
 
-FORMER = {
-    "kuka": Pose((0.0, 0.0, 0.0)),
-    "panda": Pose((0.08, 0.0, 0.25)),
-    "ur5": Pose((-0.08, 0.0, 0.2)),
-    "ur5_robotiq": Pose((-0.08, 0.0, 0.2)),
-}
-"""Bases before joint limits were part of the models."""
 POINTS = 9
 """Number of positions along each side of a workspace."""
 HEIGHTS = {CLOSE_LOOP: (0.01, 0.07, 0.13, 0.19, 0.25), OPEN_LOOP: (0.02, 0.1, 0.2, 0.35)}
-"""Heights (m) of the fingertips ..."""
+"""Heights (m) of the upright fingertips."""
 TILTED_HEIGHTS = (0.02, 0.1, 0.2)
-"""... and of the tilted fingertips."""
+"""Heights (m) of the tilted fingertips."""
 
 
 def share(model: RobotModel, control: str, tilt: float = 0.0) -> float:
@@ -44,18 +37,12 @@ def shares(model: RobotModel) -> tuple[float, ...]:
 
 
 def table() -> None:
-    """Print the shares of all arms, at their bases and at the former ones."""
+    """Print the shares of all arms."""
     print("| arm | base (m) | closed loop | tilted 30 degrees | open loop | tilted 30 degrees |")
     print("|---|---|---:|---:|---:|---:|")
     for name, model in ROBOTS.items():
-        for base in dict.fromkeys((FORMER[name], model.base)):
-            print_row(replace(model, base=base))
-
-
-def print_row(model: RobotModel) -> None:
-    """Print a row of the table."""
-    position = ", ".join(f"{value:g}" for value in model.base.position)
-    print(f"| {model.name} | ({position}) | " + " | ".join(f"{value:.1%}" for value in shares(model)) + " |")
+        position = ", ".join(f"{value:g}" for value in model.base.position)
+        print(f"| {name} | ({position}) | " + " | ".join(f"{value:.1%}" for value in shares(model)) + " |")
 
 
 def search(name: str, xs: Sequence[float], zs: Sequence[float], yaws: Sequence[float]) -> None:

@@ -1,4 +1,4 @@
-"""Tutorial 5: an object of one's own, in a module of its own."""
+"""Tutorial 5: an object of your own, in a module that processes can import."""
 
 import bulletarm_gym
 from bulletarm_gym.geometry import Pose

@@ -1,4 +1,4 @@
-"""Tutorial 4: an arm of one's own, in a module of its own."""
+"""Tutorial 4: an arm of your own, in a module that processes can import."""
 
 from functools import partial
 from pathlib import Path

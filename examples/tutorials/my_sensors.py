@@ -1,4 +1,4 @@
-"""Tutorial 5: a sensor of one's own, in a module of its own."""
+"""Tutorial 5: a sensor of your own, in a module that processes can import."""
 
 import numpy as np
 from gymnasium import spaces

@@ -1,4 +1,4 @@
-"""Tutorial 3: a user's task in its own module."""
+"""Tutorial 3: a task of your own, in a module that processes can import."""
 
 import math
 from collections.abc import Iterator
@@ -17,7 +17,7 @@ from bulletarm_gym.tasks import CLOSED, Task, Waypoint
 
 
 class BlockCentring(Task):
-    """Carry a cube above the middle of the workspace."""
+    """Carry a cube over the middle of the workspace."""
 
     defaults = TaskDefaults(num_objects=1)
     controls = ("close_loop",)

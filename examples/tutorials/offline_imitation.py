@@ -1,4 +1,4 @@
-"""Tutorial 6: collect demonstrations, and imitate them with nothing but PyTorch."""
+"""Tutorial 6: collect demonstrations and imitate them with PyTorch alone."""
 
 import sys
 
@@ -16,7 +16,7 @@ UPDATES = 10 * EPISODES
 
 collect(ENV_ID, EPISODES, seed=0, env_kwargs={"obs_size": 64}, path="reaching.h5")
 
-# One image of bytes for every observation but the last of each episode, and what the expert did then.
+# A uint8 image of each observation except the last of an episode, and the action of the expert.
 env = ImageObservation(gymnasium.make(ENV_ID, obs_size=64))
 episodes = list(load("reaching.h5"))
 images = torch.as_tensor(np.concatenate([env.images(episode.observations)[:-1] for episode in episodes]))
@@ -28,7 +28,7 @@ policy = nn.Sequential(
     nn.Conv2d(2, 16, 5, 2), nn.ReLU(), nn.Conv2d(16, 32, 3, 2), nn.ReLU(), nn.Conv2d(32, 64, 3, 2), nn.ReLU(),
     nn.Flatten(), nn.LazyLinear(128), nn.ReLU(), nn.Linear(128, 5), nn.Tanh(),
 )  # fmt: skip
-policy(images[:1].float())  # gives the lazy layer its size
+policy(images[:1].float())  # sets the size of the lazy layer
 optimizer = torch.optim.Adam(policy.parameters(), 1e-3)
 for _ in range(UPDATES):
     rows = torch.randint(len(images), (64,))

@@ -1,4 +1,4 @@
-"""Tutorial 5: grasp what my_objects.py makes, and look at it with the sensor of my_sensors.py."""
+"""Tutorial 5: grasp the object of my_objects.py, and observe it with the sensor of my_sensors.py."""
 
 import gymnasium
 import imageio.v3 as imageio
@@ -20,7 +20,7 @@ print(my_sensors.Rangefinder.__name__, env.observation_space["rangefinder"])
 observation, _ = env.reset(seed=0)
 imageio.imwrite("hammers.png", env.unwrapped.viewer.close_up(320))
 
-# The distance shrinks as the fingers come down, jumps as they meet what they close on.
+# The distance decreases while the fingers move down, and changes abruptly when they close on the object.
 steps, over = 0, False
 while not over:
     left, right = 100 * observation["rangefinder"]

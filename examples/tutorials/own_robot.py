@@ -1,4 +1,4 @@
-"""Tutorial 4: put the arm of my_robots.py to work, beside the four that are there."""
+"""Tutorial 4: pick a block with the arm of my_robots.py and with the four built-in arms."""
 
 import gymnasium
 import my_robots

@@ -1,4 +1,4 @@
-"""Tutorial 3: check the task of my_tasks.py, and let its expert show how it is done."""
+"""Tutorial 3: check the task of my_tasks.py, and collect demonstrations of its expert."""
 
 import gymnasium
 import my_tasks

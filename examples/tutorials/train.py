@@ -10,7 +10,7 @@ import bulletarm_gym  # noqa: F401 (registers the environments)
 from sb3_extensions.sacfd import SACfD
 
 ENV_ID = "BulletArm/CloseLoopBlockReaching-v0"
-STEPS = int(sys.argv[1]) if len(sys.argv) > 1 else 500  # of the agent; the updates before them are as many
+STEPS = int(sys.argv[1]) if len(sys.argv) > 1 else 500  # also the number of updates before the first step
 
 model = SACfD(
     "EquivariantPolicy",
@@ -25,7 +25,7 @@ model = SACfD(
 model.learn(STEPS)
 model.save("reaching")
 
-# Episodes of other seeds than those of the training; the reward is 1 for success.
+# Episodes with other seeds than in the training. The return is 1 for success.
 env = make_vec_env(ENV_ID, 1, seed=1_000, env_kwargs={"obs_size": 64})
 episodes = min(20, STEPS)
 success, _ = evaluate_policy(SACfD.load("reaching"), env, episodes)

@@ -1,7 +1,7 @@
-"""Tutorial 7: search hyperparameters, and compare what is found with what was there, over seeds.
+"""Tutorial 7: search hyperparameters, and compare the best with the baseline over several seeds.
 
-Everything is a command of ``bulletarm-zoo``, given as it would be in a shell. Poses instead of images make it
-quick; with ``sacfd`` in place of ``sacfd_state`` it is the same from images.
+The script runs commands of ``bulletarm-zoo``. The agents learn from poses instead of images, which is faster.
+Replace ``sacfd_state`` by ``sacfd`` to learn from images.
 """
 
 import sys
@@ -13,11 +13,11 @@ import yaml
 from zoo_configs.cli import main
 
 ENV_ID = "BulletArm/CloseLoopBlockReaching-v0"
-STEPS = int(sys.argv[1]) if len(sys.argv) > 1 else 300  # of an agent; the updates before them are as many
+STEPS = int(sys.argv[1]) if len(sys.argv) > 1 else 300  # also the number of updates before the first step
 SEEDS = int(sys.argv[2]) if len(sys.argv) > 2 else 3
 GIVEN = {"expert_episodes": max(2, STEPS // 10), "pretrain_steps": STEPS}
 EPISODES = max(1, STEPS // 15)  # of an evaluation
-# What is searched. What is not named here stays as the baseline has it.
+# The search space. Other hyperparameters keep the values of the baseline.
 SPACE = {
     "learning_rate": {"low": 1e-4, "high": 1e-2, "log": True},
     "batch_size": {"choices": [32, 64, 256]},
@@ -25,14 +25,14 @@ SPACE = {
 
 
 def command(line: str) -> None:
-    """Run a command, and show it."""
+    """Print a command and run it."""
     print(f"$ bulletarm-zoo {line}", flush=True)
     if code := main(line.split()):
         sys.exit(code)
 
 
 def tune() -> dict[str, Any]:
-    """Return what a study of four trials finds best; the first trial is the baseline."""
+    """Return the best values of a study of four trials; the first trial is the baseline."""
     Path("space.yml").write_text(yaml.safe_dump(SPACE), encoding="utf-8")
     given = " ".join(f"{name}:{value}" for name, value in GIVEN.items())
     command(
@@ -45,7 +45,7 @@ def tune() -> dict[str, Any]:
 
 
 def benchmark(name: str, hyperparams: dict[str, Any]) -> None:
-    """Train with seeds that the study had not: what is best of a few trials of one is so by luck in part."""
+    """Train with other seeds than the study, because the best of a few trials is partly due to its seed."""
     content = {
         "tasks": [ENV_ID],
         "baselines": ["sacfd_state"],
@@ -59,7 +59,7 @@ def benchmark(name: str, hyperparams: dict[str, Any]) -> None:
     command(f"plot -f benchmarks/{name}")
 
 
-# A benchmark's processes import this file, too, and must not begin it anew.
+# The processes of the benchmark import this file and must not run it again.
 if __name__ == "__main__":
     found = tune()
     print("found:", found)
