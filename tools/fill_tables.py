@@ -15,6 +15,7 @@ from fnmatch import fnmatchcase
 from functools import partial
 from pathlib import Path
 from statistics import fmean
+from textwrap import indent
 
 from expert_tables import (
     ID,
@@ -152,7 +153,7 @@ def deconstruction_table(source: Source) -> str:
 
 RESULT_HEADS = (
     *("task", "baseline", "demonstrations, updates on them, steps", "seeds", "best", "last"),
-    *("second half: least to greatest", "minutes", "commit, date"),
+    *("range in the second half", "minutes", "commit, date"),
 )
 TRAINING = ("env", "options", "baseline", "demonstrations", "noise", "dagger", "updates", "steps", "earlier")
 """Columns that runs with different seeds share."""
@@ -167,6 +168,25 @@ def results_table(source: Source, preset: str, tasks: str) -> str:
     in_order = sorted(trainings.values(), key=lambda runs: (runs[0]["earlier"], runs[0]["env"]))
     lines = [_result(sorted(runs, key=lambda run: int(run["seed"]))) for runs in in_order]
     return markdown_table(RESULT_HEADS, lines, text_columns=4)
+
+
+def results_summary(source: Source) -> str:
+    """Return the success rate of each task's last agent, means over the seeds of the preset ``cpu``."""
+    runs_of: dict[str, list[Row]] = {}
+    for run in source.read("results"):
+        if run["preset"] == "cpu" and not run["earlier"] and "--benchmark" not in run["options"]:
+            runs_of.setdefault(run["env"], []).append(run)
+    lines = [
+        [f"`{task}`", *(f"{fmean(values):{form}}" if values else "" for values, form in _outcomes(runs))]
+        for task, runs in sorted(runs_of.items())
+    ]
+    return markdown_table(("task", "success", "minutes"), lines)
+
+
+def _outcomes(runs: Sequence[Row]) -> list[tuple[list[float], str]]:
+    """Return the success rates and durations of runs, each with a format."""
+    formats = {"last": ".2f", "minutes": ".0f"}
+    return [([float(run[name]) for run in runs if run[name]], form) for name, form in formats.items()]
 
 
 def _result(runs: Sequence[Row]) -> list[str]:
@@ -222,6 +242,7 @@ FIGURES: dict[str, Callable[[Source], str]] = {
     "updates, open loop": partial(update_table, control=OPEN_LOOP),
     "overhead": overhead_table,
     "deconstruction": deconstruction_table,
+    "results, in short": results_summary,
     "results, close loop": partial(results_table, preset="cpu", tasks="CloseLoop*"),
     "results, open loop": partial(results_table, preset="cpu", tasks="OpenLoop*"),
     "results, many demonstrations": partial(results_table, preset="quick", tasks="CloseLoop*"),
@@ -244,8 +265,11 @@ def filled(page: Path, folder: Path = DATA) -> str:
                 f"{page}: unknown data {place['name']!r}" + (f", did you mean {near[0]!r}?" if near else "")
             )
         content = FIGURES[place["name"]](source)
-        around = "\n\n" if "\n" in content else ""  # a table is a paragraph, a sentence is part of one
-        return f"{place[1]}{around}{content}{around}{place[3]}"
+        if "\n" not in content:  # a sentence is part of a paragraph
+            return f"{place[1]}{content}{place[3]}"
+        line = text[: place.start()].rpartition("\n")[2]
+        before = line if not line.strip() else ""  # indentation in a fold
+        return indent(f"{place[1]}\n\n{content}\n\n{place[3]}", before).removeprefix(before)
 
     if len(re.findall(BEGIN, text)) != len(PLACE.findall(text)):
         sys.exit(f"{page}: <!-- end of data --> is missing")

@@ -17,7 +17,7 @@ from bulletarm_gym.tasks import CLOSED, Task, Waypoint
 
 
 class BlockCentring(Task):
-    """Carry a cube over the middle of the workspace."""
+    """Carry a cube above the middle of the workspace."""
 
     defaults = TaskDefaults(num_objects=1)
     controls = ("close_loop",)
