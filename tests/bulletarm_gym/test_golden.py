@@ -1,29 +1,37 @@
-"""Recorded rollouts: what moves them is a change of the environments, and asks for a new version of the ids.
+"""Recorded rollouts: a change of the environments' results requires a new version of the ids.
 
-Bits depend on the machine and on library versions, so they are compared only where they were recorded.
-Record new environments with ``python tests/bulletarm_gym/test_golden.py``; what is recorded stays.
+Bits depend on the machine and on library versions, so digests are compared only where they were recorded. The
+first steps of the expert are compared everywhere, within a tolerance.
+Record new environments with ``python tests/bulletarm_gym/test_golden.py``. Present records are kept.
 """
 
 import json
 import os
 import platform
+from contextlib import closing
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import llvmlite.binding
+import numpy as np
 import pytest
 from rollouts import make_env, transcript
 
 import bulletarm_gym
 
-GOLDEN = Path(__file__).with_name("golden.json")
+DIGESTS = Path(__file__).with_name("golden.json")
+VALUES = Path(__file__).with_name("golden_values.json")
 SEEDS = range(3)
+STEPS = 4
+"""Number of steps of the expert whose values are recorded."""
+TOLERANCE = 0.01
+"""Largest difference of mean observations (m) and actions between processors."""
 LIBRARIES = ("numpy", "numba", "pybullet", "gymnasium")
 
 
 def here() -> dict[str, str]:
-    """What the bits depend on."""
+    """Return what the bits depend on."""
     return {
         "machine": platform.machine(),
         "processor": llvmlite.binding.get_host_cpu_name(),
@@ -32,50 +40,67 @@ def here() -> dict[str, str]:
     }
 
 
-def rollouts_of(env_id: str) -> list[list[str]]:
-    env = make_env(env_id)
-    lines = [transcript(env, 20, seed=seed, action_seed=seed) for seed in SEEDS]
-    env.close()
-    return lines
+def digests_of(env_id: str) -> list[list[str]]:
+    with closing(make_env(env_id)) as env:
+        return [transcript(env, 20, seed=seed, action_seed=seed) for seed in SEEDS]
+
+
+def values_of(env_id: str) -> list[list[float]]:
+    """Return mean observations, action and reward of the first steps of the expert."""
+    rows = []
+    with closing(make_env(env_id)) as env:
+        env.reset(seed=0)
+        for _ in range(STEPS):
+            action = env.expert_action()
+            observation, reward, terminated, truncated, _ = env.step(action)
+            means = [float(array.mean()) for _, array in sorted(observation.items())]
+            rows.append([round(number, 3) for number in (*means, *action.tolist(), reward)])
+            if terminated or truncated:
+                break
+    return rows
 
 
 def recordings() -> list[dict[str, Any]]:
-    """One for each machine that some were made on."""
-    return list(json.loads(GOLDEN.read_text())) if GOLDEN.exists() else []
+    """Return the digests of each machine on which some were recorded."""
+    return list(json.loads(DIGESTS.read_text())) if DIGESTS.exists() else []
 
 
-def recorded() -> dict[str, Any]:
-    found = [one for one in recordings() if one["recorded_on"] == here()]
-    if not found:
-        pytest.skip(f"recorded on {[one['recorded_on'] for one in recordings()]}, this is {here()}")
-    return dict(found[0]["rollouts"])
-
-
-def test_rollouts_are_those_recorded(env_id: str) -> None:
-    known = recorded()
+def test_digests_are_those_recorded_on_this_machine(env_id: str) -> None:
+    known = next((one["rollouts"] for one in recordings() if one["recorded_on"] == here()), {})
     if env_id not in known and any(env_id in one["rollouts"] for one in recordings()):
-        pytest.skip("changed since, and recorded on another machine only")
-    assert env_id in known, "record the new environment, see the head of this file"
-    assert rollouts_of(env_id) == known[env_id], (
-        f"{env_id} behaves otherwise than recorded: if that is meant, its version must change (-v1), "
-        "or before a release the recording; see the head of this file"
+        pytest.skip(f"recorded on {[one['recorded_on'] for one in recordings()]}, this is {here()}")
+    assert digests_of(env_id) == known[env_id], (
+        f"{env_id} has other results than recorded. Change its version (-v1), or before a release the record"
     )
 
 
-def renew() -> None:
-    """Record the rollouts of environments that have none yet on this machine, whole or not at all."""
+def test_values_are_those_recorded_on_any_machine(env_id: str) -> None:
+    expected = json.loads(VALUES.read_text())[env_id]
+    np.testing.assert_allclose(values_of(env_id), expected, atol=TOLERANCE)
+
+
+def write(path: Path, content: Any, indent: int | None = None) -> None:
+    temporary = path.with_suffix(".part")
+    temporary.write_text(json.dumps(content, indent=indent) + "\n")
+    os.replace(temporary, path)
+
+
+def record() -> None:
+    """Record the environments that have no digests on this machine, or no values."""
     content = recordings()
     mine = next((one for one in content if one["recorded_on"] == here()), None)
     if mine is None:
         mine = {"recorded_on": here(), "rollouts": {}}
         content.append(mine)
-    known = mine["rollouts"]
-    known |= {env_id: rollouts_of(env_id) for env_id in bulletarm_gym.ENV_IDS if env_id not in known}
-    temporary = GOLDEN.with_suffix(".part")
-    temporary.write_text(json.dumps(content, indent=1) + "\n")
-    os.replace(temporary, GOLDEN)
+    values = json.loads(VALUES.read_text()) if VALUES.exists() else {}
+    for env_id in bulletarm_gym.ENV_IDS:
+        if env_id not in mine["rollouts"]:
+            mine["rollouts"][env_id] = digests_of(env_id)
+        if env_id not in values:
+            values[env_id] = values_of(env_id)
+    write(DIGESTS, content, indent=1)
+    write(VALUES, values)
 
 
 if __name__ == "__main__":
-    renew()
-    print(GOLDEN)
+    record()
