@@ -70,8 +70,11 @@ def one_by_one(scenes: Scenes) -> list[Scenes]:
 
 
 EXPORTED = [("FCNPolicy", "pxy"), ("RotFCNPolicy", "pxyr"), ("EquivariantFCNPolicy", "pxyr")]
-EXPORTED += [("ASRPolicy", "pxyzrrr"), ("EquivariantASRPolicy", "pxyzrrr")]
-each_exported_policy = pytest.mark.parametrize("case", EXPORTED, indirect=True, ids="-".join)
+EXPORTED += [
+    ("ASRPolicy", "pxyzrrr"),
+    pytest.param(("EquivariantASRPolicy", "pxyzrrr"), marks=pytest.mark.slow),
+]
+each_exported_policy = pytest.mark.parametrize("case", EXPORTED, indirect=True, ids=str)
 
 
 @each_exported_policy
