@@ -27,7 +27,7 @@ IN_HAND_SIZE = 24
 
 def close_loop_heightmap(
     points: ArrayLike,
-    hand: Pose,
+    tool_pose: Pose,
     opening: float,
     workspace: Limits = WORKSPACES[CLOSE_LOOP],
     size: int = SIZE,
@@ -36,7 +36,7 @@ def close_loop_heightmap(
 
     :param points: (n, 3) points (m, world) with the table and the grasped object, without the robot. Points
         that are not finite or above the workspace are ignored
-    :param hand: tool pose, between the fingertips; its yaw is 0 if the fingers open along x
+    :param tool_pose: pose between the fingertips; its yaw is 0 if the fingers open along x
     :param opening: distance (m) between the inner sides of the fingers
     :param workspace: limits of the workspace; the heightmap is 1.5 times as large
     :param size: side length (pixels)
@@ -44,7 +44,7 @@ def close_loop_heightmap(
     :raises ValueError: no point is in the square, or ``points`` has another shape
     """
     (low, high), _, (_, top) = workspace
-    return _heightmap(points, tool_frame(hand, opening, VIEW_SCALE * (high - low)), top, size)
+    return _heightmap(points, tool_frame(tool_pose, opening, VIEW_SCALE * (high - low)), top, size)
 
 
 def open_loop_heightmap(
