@@ -18,8 +18,8 @@ from sb3_extensions.demonstrations.collection import make_progress_bar
 from sb3_extensions.demonstrations.source import DemonstrationSource, ExpertData, load_episodes
 from sb3_extensions.encoders.observation import StackedImage
 from sb3_extensions.replay.augmentation import Augmentation
-from sb3_extensions.replay.augmentations import make_augmentation
 from sb3_extensions.replay.buffer import ExpertReplayBuffer
+from sb3_extensions.replay.rotation import make_augmentation
 
 AUGMENTATION_KEY, EXPERT_KEY, EXPLORATION_KEY = 0xA6, 0xE9, 0xE8
 """Keys of the independent random streams of an algorithm."""

@@ -11,7 +11,7 @@ from torch import nn
 
 from sb3_extensions.common.components import check_not_negative
 from sb3_extensions.ferm.policies import MultiInputPolicy
-from sb3_extensions.replay.augmentations import AugmentationSpec
+from sb3_extensions.replay.rotation import AugmentationSpec
 from sb3_extensions.sacfd import SACfD
 
 

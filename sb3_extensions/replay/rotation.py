@@ -1,16 +1,19 @@
-"""Rotation of images and actions of a sampled step by one angle."""
+"""Rotation of images and actions of a sampled step by one angle, and augmentations by name."""
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
+from typing import Any
 
 import torch as th
 from gymnasium import spaces
 from torch.nn import functional as F
 
 from sb3_extensions.common.action_sequence import ActionSequence
-from sb3_extensions.common.components import check_fraction
+from sb3_extensions.common.components import check_fraction, make_components
 from sb3_extensions.common.observations import KEY, as_parts
-from sb3_extensions.replay.augmentation import Augmentation, scene_keys, scene_shapes
+from sb3_extensions.replay.augmentation import RAD, Augmentation, DrQ, Sequence, scene_keys, scene_shapes
 from sb3_extensions.replay.samples import ExpertReplayBufferSamples
 
 N_CANDIDATES = 8
@@ -121,3 +124,22 @@ class Rotation(Augmentation):
         fits[:, -1] = True
         first = fits.int().argmax(dim=1, keepdim=True)
         return candidates.gather(1, first)[:, 0].masked_fill(unchanged.to(actions.device), 0.0)
+
+
+AugmentationSpec = Augmentation | str | Mapping[str, Mapping[str, Any] | None] | None
+
+
+def make_augmentation(spec: AugmentationSpec, action_sequence: str | None = None) -> Augmentation | None:
+    """
+    Create an augmentation from its specification.
+
+    :param spec: an augmentation, None, a name (``"drq"``), or names with their arguments in the order of
+        application (``{"rotation": {}, "rad": {"size": 64}}``)
+    :param action_sequence: default ``action_sequence`` of a rotation
+    :raises ValueError: if the specification is something else
+    """
+    if isinstance(spec, Augmentation):
+        return spec
+    rotation = partial(Rotation, action_sequence=action_sequence) if action_sequence else Rotation
+    steps = make_components("augmentation", spec, {"rotation": rotation, "rad": RAD, "drq": DrQ})
+    return Sequence(tuple(steps)) if len(steps) > 1 else next(iter(steps), None)

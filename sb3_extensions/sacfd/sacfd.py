@@ -18,7 +18,7 @@ from torch import nn
 from sb3_extensions.common.components import check_fraction, check_not_negative
 from sb3_extensions.demonstrations.off_policy import Logs
 from sb3_extensions.demonstrations.source import ExpertData
-from sb3_extensions.replay.augmentations import AugmentationSpec
+from sb3_extensions.replay.rotation import AugmentationSpec
 from sb3_extensions.replay.samples import ExpertReplayBufferSamples, compute_next_values
 from sb3_extensions.sacfd.losses import imitation_loss, self_imitation_weights
 from sb3_extensions.sacfd.policies import EquivariantPolicy, MultiInputPolicy, StatePolicy

@@ -7,7 +7,7 @@ from typing import Any
 import gymnasium as gym
 
 from sb3_extensions.common.env_metadata import constructor_keys
-from sb3_extensions.replay.augmentations import make_augmentation
+from sb3_extensions.replay.rotation import make_augmentation
 from sb3_extensions.replay.sampling import make_sampler
 from zoo_configs.algorithms import algorithm_classes, class_from_path, constructor_arguments
 from zoo_configs.environments import load_expert_data

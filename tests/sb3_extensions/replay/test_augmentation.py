@@ -9,9 +9,8 @@ from gymnasium import spaces
 
 from sb3_extensions.common.action_sequence import ActionSequence
 from sb3_extensions.replay.augmentation import RAD, DrQ, Sequence
-from sb3_extensions.replay.augmentations import make_augmentation
 from sb3_extensions.replay.buffer import ExpertReplayBuffer
-from sb3_extensions.replay.rotation import Rotation, rotate_actions
+from sb3_extensions.replay.rotation import Rotation, make_augmentation, rotate_actions
 from sb3_extensions.replay.samples import ExpertReplayBufferSamples
 
 SIDE, CROP, BATCH = 19, 16, 6
