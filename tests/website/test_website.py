@@ -60,7 +60,9 @@ def test_docstrings_get_links_and_paragraphs_and_named_tuples_a_constructor(tmp_
     shapes = griffe.load("shapes", search_paths=[tmp_path], extensions=extensions)
     first = shapes["Shape"].docstring.value
     link = '<autoref optional identifier="shapes.{0}">`{0}`</autoref>'
-    assert first.startswith(f"A shape, as {link.format('draw')} draws it, by {link.format('_Pen')} and `ndarray`.")
+    assert first.startswith(
+        f"A shape, as {link.format('draw')} draws it, by {link.format('_Pen')} and `ndarray`."
+    )
     assert f"of a {link.format('Shape')}." in shapes["Shape.area"].docstring.value
     pen = shapes["_Pen"].docstring.value
     assert pen == "A pen.\n\n\n**Description:** it is\nblue.\n\n**Success:** it draws."
