@@ -139,7 +139,7 @@ def _record_episode(actor: Actor, seed: int, title: str) -> Iterator[tuple[Frame
 
 
 def _filmed(env: gym.Env[Any, Any]) -> AbstractContextManager[list[Any]]:
-    """Return a context that collects images of the motion in open-loop control, whose actions take seconds."""
+    """Return a context that collects images of the motion during an open-loop action."""
     if not _is_open_loop(env):
         return nullcontext([])
     return env.unwrapped.viewer.film(env.render)  # type: ignore[attr-defined, no-any-return]
