@@ -100,7 +100,7 @@ class CloseLoop(Control[DeltaMove]):
         return self._execute(pose, opening) if self.robot.can_move_to(pose) else Outcome(ignored=True)
 
     def _execute(self, pose: Pose, opening: float) -> Outcome:
-        self.robot.move_to(pose)
+        self.robot.move_to(pose, slides=True)
         self.robot.set_opening(opening)
         return Outcome(ignored=False)
 

@@ -80,13 +80,14 @@ class RobotInterface:
         """
         self._robot.home(pose)
 
-    def move_to(self, pose: Pose, in_contact: bool = True) -> None:
+    def move_to(self, pose: Pose, in_contact: bool = True, slides: bool = False) -> None:
         """Move to a pose; a blocked arm stops early.
 
         :param in_contact: move slowly where the gripper may push an object
+        :param slides: whether a blocked arm makes the part of the motion that leads along the contact
         :raises OutOfReachError: the pose is out of reach
         """
-        self._robot.move_to(pose, in_contact)
+        self._robot.move_to(pose, in_contact, slides)
 
     def transfer(self, *poses: Pose) -> None:
         """Move, above everything in between, to the first pose that touches nothing, or to the last pose.

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bulletarm_gym.geometry import Pose, interpolate
+from bulletarm_gym.geometry import Pose, Vector, interpolate
 from bulletarm_gym.robots.arm import (
     CLEAR_ABOVE,
     FREE_CLEARANCE,
@@ -45,6 +45,10 @@ OPENING_SAMPLES = 4
 """Number of intervals in the collision test of the fingers' path."""
 OPENING_TOLERANCE = 5e-4
 """Difference of openings (m) below which the fingers do not move, and below which they hold nothing."""
+MIN_SLIDE = 2e-3
+"""Length (m) below which a blocked arm does not slide."""
+SLIDE_GAP = 1e-3
+"""Distance (m) by which a sliding arm moves away from what blocked it, so that it presses less."""
 MAX_PUSHED_RATIO = 0.2
 """Fraction of the stroke by which fingers pushed closed by a contact stay closed until the next command."""
 
@@ -100,23 +104,46 @@ class Robot(CollidingArm):
         hold(self.world, self._arm, self.joint_positions)
         send_fingers(self.world, self._fingers, self._command / 2.0, self.model.gripper.speed)
 
-    def move_to(self, pose: Pose, in_contact: bool = True) -> None:
+    def move_to(self, pose: Pose, in_contact: bool = True, slides: bool = False) -> None:
         """Move to a tool pose. A blocked arm stops.
 
         :param in_contact: move slowly where the robot may push an object
+        :param slides: whether a blocked arm makes the part of the motion that leads along the contact
         :raises OutOfReachError: the pose is out of reach
         """
+        normal = self._move_to(pose, in_contact)
+        if slides and normal is not None and (beside := self._beside(pose, normal)) is not None:
+            self.begin()
+            self._move_to(beside, in_contact)
+
+    def _move_to(self, pose: Pose, in_contact: bool) -> Vector | None:
+        """Move to a tool pose; return the unit vector out of the body that blocks the arm, or None."""
         start, goal = self.pose, self.inverse_kinematics(pose)
         length = path_length(start, pose)
         if length < POSITION_TOLERANCE:
-            return
+            return None
         stops = [*self._line(start, pose), goal]
         is_clear = self._is_clear(start, pose, stops, length)
         if is_clear and self.fast:
             self._release()
             self._place(self._arm, goal)
-        else:
-            self._follow(stops, length, in_contact and not is_clear)
+            return None
+        return self._follow(stops, length, in_contact and not is_clear)
+
+    def _beside(self, pose: Pose, normal: Vector) -> Pose | None:
+        """Return the pose in reach to which a blocked arm slides, or None if it is too near.
+
+        A real arm yields to contact forces, so that only the part of a motion into the body is impossible.
+        """
+        position = np.array(self.pose.position)
+        way = np.array(pose.position) - position
+        along = way - (way @ normal) * np.array(normal)
+        along = along.clip(np.minimum(way, 0.0), np.maximum(way, 0.0))  # not where no motion was commanded
+        if np.linalg.norm(along) < MIN_SLIDE:
+            return None
+        x, y, z = (position + along + SLIDE_GAP * np.array(normal)).tolist()
+        beside = Pose((x, y, z), pose.orientation)
+        return beside if self.reaches(beside) else None
 
     def move_joints(self, positions: Sequence[float], in_contact: bool = True) -> None:
         """Move the arm joints by simulation. A blocked arm stops.
@@ -132,10 +159,11 @@ class Robot(CollidingArm):
         length = path_length(self.pose, self.model.chain.forward(goal))
         self._follow([tuple(goal.tolist())], length, in_contact)
 
-    def _follow(self, stops: Sequence[Sequence[float]], length: float, in_contact: bool) -> None:
+    def _follow(self, stops: Sequence[Sequence[float]], length: float, in_contact: bool) -> Vector | None:
         steps, rise = self.duration(stops, length, in_contact and self.held is None)
-        follow(self.world, self._arm, stops, steps, self.held, rise)
+        normal = follow(self.world, self._arm, stops, steps, self.held, rise)
         self._finish()
+        return normal
 
     def duration(
         self, stops: Sequence[Sequence[float]], length: float, in_contact: bool

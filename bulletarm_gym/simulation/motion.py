@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from bulletarm_gym.geometry import FloatArray
+from bulletarm_gym.geometry import FloatArray, Vector
 from bulletarm_gym.geometry.compilation import compiled
 from bulletarm_gym.simulation.state import Body
 from bulletarm_gym.simulation.world import World
@@ -161,11 +161,12 @@ def follow(
     steps: int,
     held: Body | None,
     rise: float = RISE,
-) -> None:
+) -> Vector | None:
     """Move joints through stops to the last one in a number of simulation steps. A blocked arm stops.
 
     :param held: the grasped object, which does not block the arm
     :param rise: fraction of the motion with positive acceleration
+    :return: unit vector out of the body that blocks the arm, world; None if no contact blocks it
     """
     start = group.positions(world)
     path = [start, *interpolate_path([start, *stops], velocity_profile(steps, rise)).tolist()]
@@ -175,13 +176,15 @@ def follow(
         world.step()
         before, (force, depth) = depth, contact_load(world, group.body, held)
         if depth > before and (force > MAX_FORCE or depth > MAX_DEPTH):
+            normal = min(world.contacts(group.body), key=lambda contact: contact.distance).normal
             _retreat(world, group, path[:number], held)
-            return
+            return normal
         if number % LAG_CHECK == 0:
             lags = [abs(now - goal) for now, goal in zip(_measure(world, group), path[number], strict=True)]
             if max(lags) > MAX_LAG:
                 _stop(world, group)
-                return
+                return None
+    return None
 
 
 def contact_load(world: World, body: Body, held: Body | None) -> tuple[float, float]:

@@ -125,8 +125,8 @@ def test_blocked_pick_retreats_on_its_path(make: Make, monkeypatch: pytest.Monke
     robot, heights = env.scene.robot, []
     move_to = robot.move_to
 
-    def watched(pose: Pose, in_contact: bool = True) -> None:
-        move_to(pose, in_contact)
+    def watched(pose: Pose, *options: bool) -> None:
+        move_to(pose, *options)
         heights.append(robot.pose.z)
 
     monkeypatch.setattr(robot, "move_to", watched)
@@ -134,3 +134,17 @@ def test_blocked_pick_retreats_on_its_path(make: Make, monkeypatch: pytest.Monke
     env.scene.begin()
     env.control.apply(PickPlace("pick", (0.45 - finger, 0.0, 0.02)))
     assert heights[0] > 3 * side - DEEPEST and heights == sorted(heights)
+
+
+def test_pressing_arm_slides_in_closed_loop(make: Make) -> None:
+    """As an arm that yields to contact forces; it would stand still for ever with a policy that presses."""
+    env = make(PICKING)
+    env.reset(seed=0)
+    env.scene["cube"].place(Pose((0.45, 0.0, 0.025)))
+    arm = env.scene.robot
+    arm.home(Pose.planar(0.45, 0.0, 0.08))
+    env.step([-1.0, 0.0, 0.0, -1.0, 0.0])
+    before = arm.pose
+    env.step([-1.0, 0.6, 0.0, -0.2, 0.0])
+    assert arm.pose.x - before.x > 0.02 and abs(arm.pose.y - before.y) < 2e-3
+    assert penetration(env) <= DEEPEST
