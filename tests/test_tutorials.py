@@ -25,7 +25,7 @@ RUNS = [
     (
         "7_tune_and_benchmark",
         "STEPS = 4\nTRIALS = 4\nSEEDS = [1]",
-        r"reaching: 4 complete\n(.*\n)+found: (.*\n)+ +found\.png",
+        r"reaching: 4 complete\n(.*\n)+.*found: (.*\n)+ +found\.png",
     ),
 ]
 """Name of each notebook, its shortened constants, and a pattern of its output."""
