@@ -18,6 +18,7 @@ from website import agents, gallery, task_page  # noqa: E402
 from website.catalogue import SHOWN, grouped  # noqa: E402
 
 FOLDER = "tasks"
+EXAMPLES = ROOT / "examples"
 SSH = re.compile(r"^(?:ssh://)?git@([\w.-]+)[:/](.+)$")
 
 
@@ -35,16 +36,19 @@ def on_config(config: MkDocsConfig) -> MkDocsConfig:
 
 
 def on_files(files: Files, *, config: MkDocsConfig) -> Files:
-    """Add the generated pages of the environments."""
+    """Add the generated pages of the environments and the notebooks."""
     pages = {"index": gallery.page(), **{one.name: task_page.page(one) for one in SHOWN}}
     for name, content in pages.items():
         files.append(File.generated(config, f"{FOLDER}/{name}.md", content=content))
+    for path in sorted(EXAMPLES.glob("tutorials/*.ipynb")):
+        name = path.relative_to(EXAMPLES).as_posix()
+        files.append(File(name, str(EXAMPLES), config.site_dir, config.use_directory_urls))
     return files
 
 
 def on_page_markdown(markdown: str, **_: Any) -> str:
-    """Insert the tables of trained agents."""
-    return agents.filled(markdown)
+    """Insert the tables of trained agents, and point links to notebooks at their copies in the site."""
+    return agents.filled(markdown).replace("](../examples/tutorials/", "](tutorials/")
 
 
 def navigation() -> list[Any]:
