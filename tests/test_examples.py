@@ -58,6 +58,16 @@ def test_tutorials(command: str, output: str, tmp_path: Path) -> None:
     assert re.search(output, result.stdout), result.stdout
 
 
+def test_multi_task_example(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    budget = "--steps 6 --pretrain 2 --expert-episodes 3 --episodes 1"
+    monkeypatch.setattr(sys, "argv", ["train_multi_task.py", *budget.split()])
+    runpy.run_path(str(EXAMPLES / "train_multi_task.py"), run_name="__main__")
+    rates = re.findall(
+        r"^BulletArm/CloseLoop(\w+)-v0: success rate [01]\.\d\d$", capsys.readouterr().out, re.M
+    )
+    assert rates == ["BlockReaching", "BlockPicking", "BlockPushing"]
+
+
 def test_small_arm(capsys: pytest.CaptureFixture[str]) -> None:
     runpy.run_path(str(EXAMPLES / "small_arm.py"), run_name="__main__")
     assert re.findall(r"rate (\d\.\d\d)", capsys.readouterr().out) == ["1.00"] * 4
