@@ -92,7 +92,8 @@ class CommonSpaces(gymnasium.Wrapper[Observation, Any, Observation, Any], Record
             self, observation_space=observation_space, action_sequence=action_sequence, task=task
         )
         gymnasium.Wrapper.__init__(self, env)
-        self.observation_space = deepcopy(observation_space)  # type: ignore[assignment]
+        space: Any = observation_space
+        self.observation_space = deepcopy(space)
         self.action_sequence = action_sequence
         self.action_space = spaces.Box(-1.0, 1.0, (len(action_sequence),), np.float32)
         self._places = _places(env.get_wrapper_attr("action_sequence"), action_sequence)
@@ -169,7 +170,7 @@ def _common_box(name: str, boxes: Sequence[Any]) -> spaces.Box:
     (shape, dtype) = max(kinds)
     empty: Any = spaces.Box(0, 0, shape, dtype)
     low, high = ([_padded(box and getattr(box, end), empty) for box in boxes] for end in ("low", "high"))
-    return spaces.Box(np.min(low, axis=0), np.max(high, axis=0), dtype=dtype)  # type: ignore[arg-type]
+    return spaces.Box(np.min(low, axis=0), np.max(high, axis=0), dtype=dtype)
 
 
 def _padded(values: NDArray[Any] | None, box: spaces.Box) -> NDArray[Any]:
