@@ -1,14 +1,17 @@
 """Vector environments of Gymnasium and Stable-Baselines3: equal to single ones, members begin at states."""
 
+import warnings
 from functools import partial
 from typing import Any
 
 import gymnasium
 import numpy as np
 import pytest
+from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv
 from gymnasium.wrappers import RescaleAction
 from rollouts import TYPICAL, make_env
+from stable_baselines3.common.env_checker import check_env as check_env_sb3
 from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv
 
 from bulletarm_gym.vector import make_multi_task_vec, reset_to_states
@@ -193,8 +196,12 @@ def test_members_of_several_tasks_run_in_processes() -> None:
     np.testing.assert_equal(first, second)
 
 
-def test_a_member_is_made_again_from_its_spec() -> None:
-    (env, _) = make_multi_task_vec(CLOSE[:2], obs_size=16).envs
+def test_a_member_passes_the_checks_and_is_made_again_from_its_spec() -> None:
+    (env, _) = make_multi_task_vec([CLOSE[0], CLOSE[2]], obs_size=36).envs
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        check_env(env, skip_render_check=True)
+        check_env_sb3(env)
     again: Any = gymnasium.make(env.spec)
     assert again.observation_space == env.observation_space and again.action_space == env.action_space
     np.testing.assert_equal(again.reset(seed=2)[0], env.reset(seed=2)[0])
