@@ -30,8 +30,8 @@ class AsymmetricPolicy(MultiInputPolicy):
 
 
 parser = argparse.ArgumentParser(description=__doc__)
-parser.add_argument("--steps", type=int, default=20_000)
-parser.add_argument("--expert-episodes", type=int, default=100)
+parser.add_argument("--steps", type=int, default=1_000)
+parser.add_argument("--expert-episodes", type=int, default=50)
 parser.add_argument("--episodes", type=int, default=50, help="episodes of the evaluation")
 args = parser.parse_args()
 env = gymnasium.make("BulletArm/CloseLoopBlockReaching-v0", observation=SENSORS)
