@@ -38,7 +38,7 @@ def main(path: Path) -> None:
         else:
             axis.imshow(
                 numbered(seen[0]) if seen.dtype == np.uint8 else seen[0],
-                cmap="tab10" if seen.dtype == np.uint8 else "magma_r",
+                cmap="tab10" if seen.dtype == np.uint8 else "viridis_r",
             )
         axis.set(title=name, xticks=[], yticks=[])
     figure.savefig(path, dpi=100)

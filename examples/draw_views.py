@@ -21,7 +21,7 @@ def main(path: Path) -> None:
     panels = [*images, np.abs(images[0] - images[1]) > 0.002]
     figure, axes = plt.subplots(1, 3, figsize=(10.5, 3.8), constrained_layout=True)
     for axis, title, panel in zip(axes, titles, panels, strict=True):
-        axis.imshow(panel, cmap="magma_r" if panel.dtype != bool else "gray")
+        axis.imshow(panel, cmap="viridis_r" if panel.dtype != bool else "gray")
         axis.set(title=title, xlabel="column, world y", ylabel="row, world x", xticks=[], yticks=[])
     figure.savefig(path, dpi=110)
 

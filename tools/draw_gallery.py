@@ -1,6 +1,6 @@
 """Draw the tasks at reset and solved by the expert, as in docs/images/tasks.
 
-python tools/draw_gallery.py -o docs/images/tasks --pixels 480 --heightmap
+python tools/draw_gallery.py -o docs/images/tasks --pixels 560 --heightmap
 """
 
 import argparse
@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib import colormaps
 from PIL import Image
 from tqdm import tqdm
 
 from zoo_configs.arguments import Parser, add_env_kwargs, add_packages, positive_int, seed
+from zoo_configs.drawing.video import colour, observed_images
 from zoo_configs.environments import known_env_id, make_env, our_env_ids, register_environments
 
 HEIGHTMAP = "heightmap"
@@ -22,6 +22,8 @@ ATTEMPTS = 10
 """Number of episodes until the expert must have solved one."""
 GAP = 4
 """Width (pixels) of the gap between the two images."""
+CROP = (0.16, 0.0, 0.92, 0.95)
+"""Left, top, right and bottom of the drawn part of an image, relative to its side."""
 FIRST_SEED = 4
 """Default seed, with which the drawer faces the camera."""
 
@@ -46,38 +48,46 @@ def main() -> None:
 
 def draw(env_id: str, args: argparse.Namespace) -> None:
     """Draw one task."""
-    with closing(make_env(env_id, args.env_kwargs)) as env:
-        views = solve(env, args.seed, args.pixels)
-    images = {"": [scene for scene, _ in views]}
+    kwargs = {"render_mode": "rgb_array", "render_size": [args.pixels, args.pixels], **args.env_kwargs}
+    with closing(make_env(env_id, kwargs)) as env:
+        views = solve(env, args.seed)
+    pairs = {"": [crop(scene) for scene, _ in views]}
     if args.heightmap:
-        images[f"-{HEIGHTMAP}"] = heightmaps([observation for _, observation in views], args.pixels)
-    for suffix, pair in images.items():
-        gap = np.full((args.pixels, GAP, 3), 255, np.uint8)
+        pairs[f"-{HEIGHTMAP}"] = [enlarged(image, args.pixels) for _, image in views]
+    for suffix, (before, after) in pairs.items():
+        gap = np.full((len(before), GAP, 3), 255, np.uint8)
         path = args.output / f"{env_id.rpartition('/')[2]}{suffix}.webp"
         path.parent.mkdir(parents=True, exist_ok=True)
-        Image.fromarray(np.concatenate([pair[0], gap, pair[1]], axis=1)).save(path)
+        Image.fromarray(np.concatenate([before, gap, after], axis=1)).save(path)
 
 
-def solve(env: Any, seed: int, pixels: int) -> list[tuple[Any, Any]]:
-    """Return image and observation at reset and at the end of the first episode that the expert solves."""
-    viewer, expert = (env.get_wrapper_attr(name) for name in ("viewer", "expert_action"))
+def solve(env: Any, seed: int) -> list[tuple[Any, Any]]:
+    """Return scene and heightmap at reset and at the end of the first episode that the expert solves."""
     for attempt in range(ATTEMPTS):
         observation, info = env.reset(seed=seed + attempt)
-        before, over = (viewer.close_up(pixels), observation), False
+        before, over = (env.render(), heights(observation, env)), False
         while not over:
-            observation, _, terminated, truncated, info = env.step(expert())
+            observation, _, terminated, truncated, info = env.step(env.unwrapped.expert_action())
             over = terminated or truncated
         if info["is_success"]:
-            return [before, (viewer.close_up(pixels), observation)]
+            return [before, (env.render(), heights(observation, env))]
     raise RuntimeError(f"the expert solved none of {ATTEMPTS} episodes of {env.spec.id}")
 
 
-def heightmaps(observations: list[Any], pixels: int) -> list[Any]:
-    """Return images of two heightmaps with the same colour scale."""
-    images = np.array([observation[HEIGHTMAP][0] for observation in observations])
-    colours = colormaps["viridis"]((images - images.min()) / np.ptp(images), bytes=True)[..., :3]
-    resized = [Image.fromarray(image).resize((pixels, pixels), Image.Resampling.NEAREST) for image in colours]
-    return [np.asarray(image) for image in resized]
+def heights(observation: Any, env: Any) -> Any:
+    """Return the drawing of the heightmap."""
+    return colour(next(observed_images(observation, env)))
+
+
+def crop(image: Any) -> Any:
+    """Return the part of a rendered image that shows arm and workspace."""
+    left, top, right, bottom = (round(share * len(image)) for share in CROP)
+    return image[top:bottom, left:right]
+
+
+def enlarged(image: Any, pixels: int) -> Any:
+    """Return an image with another number of pixels per side."""
+    return np.asarray(Image.fromarray(image).resize((pixels, pixels), Image.Resampling.NEAREST))
 
 
 if __name__ == "__main__":

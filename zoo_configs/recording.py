@@ -1,6 +1,8 @@
 """Videos of agents and experts: rendered episodes next to the observations."""
 
+import itertools
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -9,7 +11,7 @@ from tqdm import trange
 
 from zoo_configs.agents import Agent
 from zoo_configs.arguments import hides_progress
-from zoo_configs.drawing.video import FRAMES_PER_SECOND, Frame, ValueMap, compose_frame
+from zoo_configs.drawing.video import FRAMES_PER_SECOND, Frame, ValueMap, compose_frame, observed_images
 from zoo_configs.environments import known_env_id, make_env, tried_env
 from zoo_configs.errors import CommandError, refused
 from zoo_configs.evaluating import check_fits, check_unwrapped
@@ -53,7 +55,10 @@ def _make(env_id: str, env_kwargs: Mapping[str, Any], is_expert: bool = False) -
         if is_expert and not hasattr(env.unwrapped, "expert_action"):
             raise CommandError(f"{env_id} has no expert")
         env.render()
-    return make_env(env_id, kwargs)
+        slow = (
+            {"fast_mode": False} if _is_open_loop(env) else {}
+        )  # simulates all motions, which can be filmed
+    return make_env(env_id, {**slow, **kwargs})
 
 
 def expert_actor(env_id: str, env_kwargs: Mapping[str, Any]) -> Actor:
@@ -114,16 +119,31 @@ def record(actor: Actor, episodes: int, seed: int, progress: bool | None = None)
 
 def _record_episode(actor: Actor, seed: int, title: str) -> Iterator[tuple[Frame, bool]]:
     """Yield the frames of an episode, each with the success at that time."""
-    seen, info = actor.env.reset(seed=seed)
-    step, over = 0, False
-    while True:
+    env, over = actor.env, False
+    seen, info = env.reset(seed=seed)
+    for step in itertools.count():
         success = bool(info.get("is_success", False))
         outcome = "success" if success else "failure" if over else f"step {step}"
-        image: Any = actor.env.render()
-        values = actor.evaluate_pixels(seen) if actor.evaluate_pixels else None
         caption = f"{actor.task}, {actor.name}, {title}: {outcome}"
-        yield compose_frame(image, seen, actor.env.observation_space, caption, success, values), success
+        images = list(observed_images(seen, env))
+        values = actor.evaluate_pixels(seen) if actor.evaluate_pixels else None
+        picture: Any = env.render()
+        yield compose_frame(picture, images, caption, success, values), success
         if over:
             return
-        seen, _, terminated, truncated, info = actor.env.step(actor.act(seen))
-        step, over = step + 1, terminated or truncated
+        with _filmed(env) as pictures:
+            seen, _, terminated, truncated, info = env.step(actor.act(seen))
+        over = terminated or truncated
+        for picture in pictures:
+            yield compose_frame(picture, images, caption, success, values), success
+
+
+def _filmed(env: gym.Env[Any, Any]) -> AbstractContextManager[list[Any]]:
+    """Return a context that collects images of the motion during an open-loop action."""
+    if not _is_open_loop(env):
+        return nullcontext([])
+    return env.unwrapped.viewer.film(env.render)  # type: ignore[attr-defined, no-any-return]
+
+
+def _is_open_loop(env: gym.Env[Any, Any]) -> bool:
+    return getattr(getattr(env.unwrapped, "config", None), "control", None) == "open_loop"

@@ -1,7 +1,9 @@
 """Default cameras, which show the configured workspace, cameras by name, and the window of an environment."""
 
+import itertools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -24,6 +26,8 @@ CLOSE_UP = ((0.56, -0.4, 0.62), (0.0, 0.0, 0.03))
 """Position and target (m) of the camera of close-ups, relative to the centre of a default workspace."""
 CLOSE_UP_FOV = 32.0
 """Field of view (degrees) of that camera."""
+FILM_STEPS = 48
+"""Number of simulation steps of 1/240 s between two images of a film."""
 PIXELS = 240
 """Default pixels a side of close-ups."""
 MARK_HEIGHT = 0.3
@@ -175,6 +179,28 @@ class Viewer:
     def close_up(self, pixels: int = PIXELS) -> NDArray[np.uint8]:
         """Return an image of the workspace from the front and above, (pixels, pixels, 3)."""
         return close_up_camera(self._scene, pixels).color(self._scene.world)
+
+    @contextmanager
+    def film(self, render: Callable[[], Any], every: int = FILM_STEPS) -> Iterator[list[Any]]:
+        """Collect the images of the simulation inside the context.
+
+        :param render: function that returns an image
+        :param every: number of simulation steps between two images; by default 0.2 s
+        :return: context manager whose value is the growing list of images
+        """
+        images: list[Any] = []
+        count = itertools.count(1)
+
+        def filmed(step: Callable[..., Any]) -> Callable[..., Any]:
+            def step_and_render() -> None:
+                step()
+                if next(count) % every == 0:
+                    images.append(render())
+
+            return step_and_render
+
+        with self._scene.world.wrapped_step(filmed):
+            yield images
 
     def face_workspace(self) -> None:
         """Show the workspace in the window, from the configured camera or from that of close-ups."""

@@ -6,7 +6,8 @@ restores the snapshot and sets poses and velocities, which alone determine the l
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 from bulletarm_gym.geometry import Pose, Vector
@@ -320,6 +321,16 @@ class World:
     def wrap_step(self, wrap: Callable[[Callable[..., Any]], Callable[..., Any]]) -> None:
         """Replace the function that computes a simulation step, to measure its time for example."""
         vars(self.client)["stepSimulation"] = wrap(self.client.stepSimulation)
+
+    @contextmanager
+    def wrapped_step(self, wrap: Callable[[Callable[..., Any]], Callable[..., Any]]) -> Iterator[None]:
+        """Replace this function inside the context."""
+        before = self.client.stepSimulation
+        self.wrap_step(wrap)
+        try:
+            yield
+        finally:
+            vars(self.client)["stepSimulation"] = before
 
     # Queries
 

@@ -32,7 +32,7 @@ class NamedTuples(griffe.Extension):
 class Markup(griffe.Extension):
     """Replaces the roles in docstrings, such as ``:class:`Name```, which are not Markdown.
 
-    A role becomes a link if its target has a heading, else code. The text of a label in the docstring of a
+    A role becomes a link if its target is on a page, else code. The text of a label in the docstring of a
     task becomes a paragraph.
     """
 
@@ -50,20 +50,20 @@ class Markup(griffe.Extension):
 
 
 def _link(item: griffe.Object, short: str, name: str) -> str:
+    """Return a link that is code only if no page has the object."""
     shown = name.rpartition(".")[2] if short else name
     target = _find(item, name)
-    return f"[`{shown}`][{target}]" if target else f"`{shown}`"
+    return f'<autoref optional identifier="{target}">`{shown}`</autoref>' if target else f"`{shown}`"
 
 
 def _find(item: griffe.Object, name: str) -> str | None:
-    """Return the path of an object with a heading, else None."""
+    """Return the path of an object of the packages, else None."""
     try:
         found = item.modules_collection[_path(item, name)]
         found = found.final_target if isinstance(found, griffe.Alias) else found
     except (KeyError, griffe.AliasResolutionError, griffe.NameResolutionError):
         return None
-    has_heading = all(part.docstring and not part.is_private for part in (found, *_parents(found)))
-    return str(found.path) if has_heading else None
+    return str(found.path)
 
 
 def _path(item: griffe.Object, name: str) -> str:
@@ -71,7 +71,3 @@ def _path(item: griffe.Object, name: str) -> str:
     if first in item.modules_collection.members:
         return name
     return item.resolve(first) + dot + rest
-
-
-def _parents(item: griffe.Object) -> list[griffe.Object]:
-    return [] if item.parent is None else [item.parent, *_parents(item.parent)]

@@ -5,7 +5,7 @@ from collections.abc import Iterable, Sequence
 import gymnasium
 from gymnasium import spaces
 
-from bulletarm_gym.config import CLOSE_LOOP, Context, EnvConfig, ParameterError
+from bulletarm_gym.config import Context, EnvConfig, ParameterError
 from bulletarm_gym.env import ManipulationEnv
 from website import actions, figures
 from website.catalogue import CONTROL_NAMES, Shown, relatives
@@ -61,8 +61,7 @@ def _images(one: Shown, suffix: str, what: str) -> str:
 
 
 def _heightmaps(one: Shown) -> Sequence[str]:
-    bright = "far from the camera plane" if one.entry.control == CLOSE_LOOP else "high"
-    legend = f"The heightmap at the start and at the end. Bright pixels are {bright}."
+    legend = "The heightmap at the start and at the end: 0 (dark) to 0.2 m (bright) above the surface."
     return _images(one, "-heightmap", "the heightmap at the start and at the end"), legend
 
 

@@ -6,9 +6,11 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
+import gymnasium
 import numpy as np
 import pytest
 import torch
@@ -254,15 +256,33 @@ def test_record_shows_agent_and_expert(run_folder: Path, toy_id: str, tmp_path: 
     assert sorted(path.name for path in tmp_path.iterdir()) == ["agent.gif", "expert.mp4"]
 
 
-def test_a_frame_shows_scene_and_heightmap() -> None:
-    space = spaces.Dict({"heightmap": spaces.Box(0, 0.4, (1, 8, 8)), "holding": spaces.Box(0, 1, (1,))})
-    observation = {"heightmap": np.full((1, 8, 8), 0.2, np.float32), "holding": np.zeros(1, np.float32)}
-    (image,) = observed_images(observation, space)
-    assert image == pytest.approx(np.full((8, 8), 0.5))
-    frame = compose_frame(np.full((60, 80, 3), 7, np.uint8), observation, space, "caption")
+def test_a_frame_shows_scene_and_images() -> None:
+    frame = compose_frame(np.full((60, 80, 3), 7, np.uint8), [np.full((8, 8), 0.5)], "caption")
     assert frame.shape == (352, 640, 3)
     assert (frame[:320, :320] == 7).all() and (frame[:320, 320:] != 7).all()
     assert frame[320:].max() > 200  # there is a text
+
+
+def test_images_have_fixed_scales() -> None:
+    """The surface stays dark while the gripper moves, and a pixel of another image keeps its value."""
+    with closing(gymnasium.make("BulletArm/CloseLoopBlockPicking-v0", obs_size=32)) as env:
+        env.reset(seed=0)
+        for height in (0.0, 1.0):
+            observation, *_ = env.step(np.array([1, 0, 0, height, 0], np.float32))
+            (image,) = observed_images(observation, env)
+            assert np.median(image) == pytest.approx(0.0, abs=0.01) and 0.2 < image.max() <= 1.0
+    generic = gymnasium.make("CartPole-v1")
+    generic.observation_space = spaces.Box(0.0, 0.4, (1, 8, 8))
+    (image,) = observed_images(np.full((1, 8, 8), 0.1, np.float32), generic)
+    assert image == pytest.approx(np.full((8, 8), 0.25))
+
+
+def test_films_of_open_loop_show_the_motion(tmp_path: Path) -> None:
+    video = tmp_path / "stack.gif"
+    words = ["--env", "BulletArm/OpenLoopBlockStacking-v0", "--env-kwargs", "num_objects:2"]
+    assert main(["record", "--expert", *words, "-n", "1", "-o", str(video)]) == 0
+    with Image.open(video) as image:
+        assert image.n_frames > 10  # of two actions
 
 
 def test_a_file_is_written_atomically(tmp_path: Path) -> None:

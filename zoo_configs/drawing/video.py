@@ -2,10 +2,11 @@
 
 import io
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import gymnasium as gym
 import imageio.v3 as iio
 import numpy as np
 import numpy.typing as npt
@@ -16,6 +17,7 @@ from PIL import Image, ImageDraw, ImageFont
 from zoo_configs.files import whole_file
 
 Frame = npt.NDArray[np.uint8]
+Brightness = npt.NDArray[np.floating]
 
 FRAMES_PER_SECOND = 5.0
 PANEL_SIZE = 320  # pixels a side
@@ -24,9 +26,10 @@ FONT_SIZE = 15
 BACKGROUND = (24, 26, 30)
 FOREGROUND = (235, 235, 235)
 SUCCESS_COLOUR = (110, 200, 120)
-COLOUR_MAP = "magma_r"
+COLOUR_MAP = "viridis"
+HEIGHT_IMAGES = ("heightmap", "in_hand")
+HIGHEST = 0.2  # m; the brightest colour of a heightmap
 GIF_COLOURS = 160
-VALUE_COLOURS = "viridis"
 SMALLEST_SPAN = 1e-6  # of values; avoids a division by zero
 MARK = (255, 90, 60)
 RING = 7  # pixels
@@ -49,32 +52,30 @@ class ValueMap(NamedTuple):
 
 def compose_frame(
     picture: Frame,
-    observation: Any,
-    space: spaces.Space[Any],
+    images: Iterable[Brightness],
     caption: str,
     success: bool = False,
     value_map: ValueMap | None = None,
 ) -> Frame:
     """
-    Compose a frame, shape (height, width, 3), of a rendered image, the observed images and a caption.
+    Compose a frame, shape (height, width, 3), of a rendered image, observed images and a caption.
 
     :param picture: Rendered image, shape (height, width, 3)
-    :param observation: Observation; each of its single-channel images becomes a panel, bright where near
-    :param space: Observation space, whose bounds the colours span
+    :param images: Images with values in [0, 1], each of which becomes a panel
     :param success: Whether the caption has the colour of success
     :param value_map: Values to draw in another panel
     """
     panels = [_resize(Image.fromarray(picture), Image.Resampling.LANCZOS)]
-    panels += [_resize(_colour(image, COLOUR_MAP), NEAREST) for image in observed_images(observation, space)]
+    panels += [_resize(Image.fromarray(colour(image)), NEAREST) for image in images]
     if value_map is not None:
         panels.append(draw_value_map(value_map))
     frame = Image.new("RGB", (PANEL_SIZE * len(panels), PANEL_SIZE + CAPTION_HEIGHT), BACKGROUND)
     for column, panel in enumerate(panels):
         frame.paste(panel, (column * PANEL_SIZE, 0))
     draw = ImageDraw.Draw(frame)
-    colour = SUCCESS_COLOUR if success else FOREGROUND
+    fill = SUCCESS_COLOUR if success else FOREGROUND
     position = (10, PANEL_SIZE + CAPTION_HEIGHT // 2)
-    draw.text(position, caption, fill=colour, font=ImageFont.load_default(FONT_SIZE), anchor="lm")
+    draw.text(position, caption, fill=fill, font=ImageFont.load_default(FONT_SIZE), anchor="lm")
     return np.asarray(frame)
 
 
@@ -85,7 +86,7 @@ def draw_value_map(value_map: ValueMap) -> Image.Image:
     """
     values, (row, column), yaw = value_map
     low, high = float(values.min()), float(values.max())
-    panel = _resize(_colour((values - low) / max(high - low, SMALLEST_SPAN), VALUE_COLOURS), NEAREST)
+    panel = _resize(Image.fromarray(colour((values - low) / max(high - low, SMALLEST_SPAN))), NEAREST)
     draw = ImageDraw.Draw(panel)
     scale = PANEL_SIZE / len(values)
     x, y = (column + 0.5) * scale, (row + 0.5) * scale
@@ -96,16 +97,30 @@ def draw_value_map(value_map: ValueMap) -> Image.Image:
     return panel
 
 
-def observed_images(observation: Any, space: spaces.Space[Any]) -> list[npt.NDArray[np.float64]]:
+def observed_images(observation: Any, env: gym.Env[Any, Any]) -> Iterator[Brightness]:
     """
-    Return the single-channel images, (height, width) each, scaled to [0, 1] over the bounds of their spaces.
+    Yield the single-channel images of an observation, (height, width) each, with values in [0, 1].
+
+    Heightmaps of this package become heights above the surface, from 0 to 0.2 m, whatever the control. Other
+    images are scaled over the bounds of their spaces.
     """
-    if isinstance(space, spaces.Dict):
-        return [image for key, part in space.items() for image in observed_images(observation[key], part)]
-    if not isinstance(space, spaces.Box) or len(space.shape) != 3 or space.shape[0] != 1:
-        return []
-    low, high = float(space.low.min()), float(space.high.max())
-    return [(np.asarray(observation[0], np.float64) - low) / (high - low)]
+    control = getattr(env.unwrapped, "control", None)
+    plane = None if control is None else control.frame().plane
+    for key, space in _boxes(env.observation_space):
+        image = np.asarray(observation if key is None else observation[key], np.float64)[0]
+        if key in HEIGHT_IMAGES:
+            yield np.clip((image if plane is None else plane - image) / HIGHEST, 0.0, 1.0)
+        else:
+            low, high = float(space.low.min()), float(space.high.max())
+            yield (image - low) / (high - low)
+
+
+def _boxes(space: spaces.Space[Any]) -> Iterator[tuple[str | None, spaces.Box]]:
+    """Yield key and space of each single-channel image."""
+    parts = space.items() if isinstance(space, spaces.Dict) else [(None, space)]
+    for key, part in parts:
+        if isinstance(part, spaces.Box) and len(part.shape) == 3 and part.shape[0] == 1:
+            yield key, part
 
 
 def write_video(frames: Sequence[Frame], path: Path) -> None:
@@ -134,5 +149,6 @@ def _resize(image: Image.Image, resampling: Image.Resampling) -> Image.Image:
     return image.convert("RGB").resize((PANEL_SIZE, PANEL_SIZE), resampling)
 
 
-def _colour(image: npt.NDArray[np.floating], colour_map: str) -> Image.Image:
-    return Image.fromarray((colormaps[colour_map](image)[..., :3] * 255).astype(np.uint8))
+def colour(image: Brightness) -> Frame:
+    """Return an image, shape (height, width, 3), of values in [0, 1], dark to bright."""
+    return np.asarray(colormaps[COLOUR_MAP](image)[..., :3] * 255, np.uint8)
