@@ -36,7 +36,8 @@ def export_robomimic(
 
     - ``<camera>_image``: RGB image, (n, height, width, 3) uint8
     - ``state``, ``heightmap`` and so on, and ``environment_state`` with ``object_poses=True``, as
-      ``observation.state`` and so on of :func:`~bulletarm_gym.demonstrations.export_lerobot`
+      ``observation.state`` and so on of
+      :func:`~bulletarm_gym.demonstrations.exports.export_lerobot`
 
     The attribute ``ep_meta`` of a demonstration has ``task_description`` as ``lang``. The filter keys
     ``train`` and ``valid`` divide the demonstrations.
