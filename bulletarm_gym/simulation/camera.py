@@ -73,14 +73,14 @@ class Camera:
         """Return the color image, (height, width, 3)."""
         return self._color(self._render(world, self.shadow))
 
-    def depth(self, world: World) -> NDArray[np.float32]:
-        """Return distances (m) along the optical axis, (height, width)."""
-        return self._distances(self._render(world)).astype(np.float32)
-
     def color_and_depth(self, world: World) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
         """Return the color image without shadows and the distances (m) of one rendering."""
         image = self._render(world)
         return self._color(image), self._distances(image).astype(np.float32)
+
+    def depth(self, world: World) -> NDArray[np.float32]:
+        """Return distances (m) along the optical axis, (height, width)."""
+        return self._distances(self._render(world)).astype(np.float32)
 
     def points(self, world: World, without: Sequence[Body]) -> FloatArray:
         """Return the visible points (n, 3) in the world (m), without the points on some bodies."""
