@@ -29,6 +29,32 @@ def test_training_examples(
     assert re.search(r"^success rate [01]\.\d\d$", capsys.readouterr().out, re.MULTILINE)
 
 
+def test_multi_task_example(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    budget = "--steps 6 --pretrain 2 --expert-episodes 3 --episodes 1"
+    monkeypatch.setattr(sys, "argv", ["train_multi_task.py", *budget.split()])
+    runpy.run_path(str(EXAMPLES / "train_multi_task.py"), run_name="__main__")
+    rates = re.findall(
+        r"^BulletArm/CloseLoop(\w+)-v0: success rate [01]\.\d\d$", capsys.readouterr().out, re.M
+    )
+    assert rates == ["BlockReaching", "BlockPicking", "BlockPushing"]
+
+
+def test_asymmetric_example(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    """The actor's actions do not depend on the poses, the critic's values not on the images."""
+    budget = "--steps 3 --expert-episodes 1 --episodes 1"
+    monkeypatch.setattr(sys, "argv", ["train_asymmetric.py", *budget.split()])
+    names = runpy.run_path(str(EXAMPLES / "train_asymmetric.py"), run_name="__main__")
+    assert re.search(r"^success rate [01]\.\d\d$", capsys.readouterr().out, re.MULTILINE)
+    model, observation = names["model"], names["env"].reset(seed=0)[0]
+    for key, actor_differs in (("state", False), ("front", True), ("wrist", True)):
+        changed = {**observation, key: observation[key] // 2}
+        first, second = (model.policy.obs_to_tensor(entry)[0] for entry in (observation, changed))
+        actions = [model.actor(entry, deterministic=True) for entry in (first, second)]
+        values = [model.critic(entry, actions[0])[0] for entry in (first, second)]
+        assert bool((actions[0] != actions[1]).any()) == actor_differs
+        assert bool((values[0] != values[1]).any()) != actor_differs
+
+
 def test_small_arm(capsys: pytest.CaptureFixture[str]) -> None:
     runpy.run_path(str(EXAMPLES / "small_arm.py"), run_name="__main__")
     assert re.findall(r"rate (\d\.\d\d)", capsys.readouterr().out) == ["1.00"] * 4

@@ -129,6 +129,23 @@ def frames(
 ) -> Iterator[dict[str, NDArray[Any]]]:
     """Replay an episode, and yield the values of a frame before each action, by the names of features.
 
+    See :func:`observations` for the parameters.
+    """
+    episode = demonstrations[number]
+    found = observations(number, demonstrations, env, cameras, object_poses)
+    for observation, step in zip(found, range(len(episode)), strict=False):
+        yield {**observation, **_outcomes(episode, step)}
+
+
+def observations(
+    number: int,
+    demonstrations: Demonstrations,
+    env: ManipulationEnv,
+    cameras: Mapping[str, Mapping[str, Any]] = CAMERAS,
+    object_poses: bool = False,
+) -> Iterator[dict[str, NDArray[Any]]]:
+    """Replay an episode of n actions, and yield its n + 1 observations, by the names of features.
+
     :param number: number of the episode
     :param env: environment with the same parameters
     :raises ValueError: the parameters of a camera are invalid, or two features have the same name
@@ -137,8 +154,6 @@ def frames(
     sensors = {name: _camera(env, name, parameters) for name, parameters in cameras.items()}
     states = [name for name, source, _ in env.config.sensors if source == "state"]
     for step in replay(demonstrations, number, env):
-        if step == len(episode):
-            return
         view = env.look()
         poses = state.read(view)
         gripper = np.append(poses[:GRIPPER_SIZE], np.float32(view.is_holding))
@@ -147,7 +162,6 @@ def frames(
             ("observation.state", gripper),
             *([("observation.environment_state", poses[GRIPPER_SIZE:])] if object_poses else []),
             *(_recorded(name, v[step]) for name, v in episode.observations.items() if name not in states),
-            *_outcomes(episode, step),
         ]
         names = [name for name, _ in found]
         if taken := {name for name in names if names.count(name) > 1}:
@@ -194,16 +208,11 @@ def _recorded(name: str, values: NDArray[Any]) -> tuple[str, NDArray[Any]]:
     return prefix + name, np.moveaxis(values, 0, -1) if is_image else values
 
 
-def _outcomes(episode: Episode, step: int) -> list[tuple[str, NDArray[Any]]]:
+def _outcomes(episode: Episode, step: int) -> dict[str, NDArray[Any]]:
     """Return the action and its results; all episodes are successful."""
     end = np.array([step + 1 == len(episode)])
     rewards = episode.rewards[step, None]
-    return [
-        ("action", episode.actions[step]),
-        ("next.reward", rewards),
-        ("next.done", end),
-        ("next.success", end),
-    ]
+    return {"action": episode.actions[step], "next.reward": rewards, "next.done": end, "next.success": end}
 
 
 @contextmanager

@@ -2,12 +2,14 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
 from bulletarm_gym.config_checks import (
+    boolean,
     check_argument,
     choice,
     field_of_view,
@@ -80,7 +82,17 @@ class CameraSensor(Sensor):
 
 
 class Rgb(CameraSensor):
-    """Color image of a camera."""
+    """Color image of a camera.
+
+    :param shadow: render shadows. Without shadows, ``depth`` sensors with this camera share its rendering
+    :param kwargs: parameters of :class:`CameraSensor`
+    :raises ValueError: a parameter is out of range
+    """
+
+    def __init__(self, scene: Scene, shadow: bool = True, **kwargs: Any) -> None:
+        super().__init__(scene, **kwargs)
+        shadow = check_argument("shadow", shadow, boolean)
+        self._mounted = replace(self._mounted, shadow=shadow)
 
     @property
     def space(self) -> spaces.Box:
@@ -89,7 +101,9 @@ class Rgb(CameraSensor):
 
     def read(self, view: View) -> NDArray[np.uint8]:
         """Return the image."""
-        return np.ascontiguousarray(self.camera.color(self.scene.world).transpose(2, 0, 1))
+        camera = self.camera
+        image = camera.color(self.scene.world) if camera.shadow else view.images(camera)[0]
+        return np.ascontiguousarray(image.transpose(2, 0, 1))
 
 
 class Depth(CameraSensor):
@@ -103,7 +117,8 @@ class Depth(CameraSensor):
 
     def read(self, view: View) -> NDArray[np.float32]:
         """Return the distances (m)."""
-        return self.camera.depth(self.scene.world)[None].clip(0.0, self._mounted.far)
+        camera = replace(self.camera, shadow=False)
+        return view.images(camera)[1][None].clip(0.0, camera.far)
 
 
 class PointCloud(Sensor):

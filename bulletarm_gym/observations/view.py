@@ -14,7 +14,7 @@ from bulletarm_gym.geometry import FloatArray, Pose, Rectangle, matrix
 from bulletarm_gym.observations.cameras import SIDE_PIXELS, side_cameras
 from bulletarm_gym.observations.rasterizer import Labels, Window, ZBuffer, project_points, rectangle_mask
 from bulletarm_gym.scene import Scene
-from bulletarm_gym.simulation import Body
+from bulletarm_gym.simulation import Body, Camera
 from bulletarm_gym.simulation.shapes import Colour
 
 MAX_HEIGHT = 0.4
@@ -195,6 +195,7 @@ class View:
         self.window = Window(frame.centre, frame.extent, scene.config.obs_size)
         self.overlays = tuple(overlays)
         self._moment = self._present()
+        self._images: dict[Camera, tuple[NDArray[np.uint8], NDArray[np.float32]]] = {}
 
     @property
     def is_current(self) -> bool:
@@ -224,6 +225,12 @@ class View:
         if not self.is_current:
             raise RuntimeError("labels must be read before the scene changes")
         return HeightRenderer.of(self._scene).labels(self.window, self._hidden)
+
+    def images(self, camera: Camera) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
+        """Return the color image without shadows and the distances (m) of a camera, rendered once."""
+        if camera not in self._images:
+            self._images[camera] = camera.color_and_depth(self._scene.world)
+        return self._images[camera]
 
     @property
     def _hidden(self) -> Body | None:

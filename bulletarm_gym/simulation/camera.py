@@ -31,6 +31,7 @@ class Camera:
     :param far: largest visible distance (m)
     :param up: upward direction of the image in the world; by default z, or -x if the camera looks straight
         down, so that rows grow with world x and columns with y
+    :param shadow: render shadows in color images, which takes more than twice the time
     """
 
     eye: Vector = (1.4, -0.95, 0.95)
@@ -41,6 +42,7 @@ class Camera:
     near: float = 0.05
     far: float = 4.0
     up: Vector | None = None
+    shadow: bool = True
 
     @property
     def intrinsics(self) -> FloatArray:
@@ -69,8 +71,12 @@ class Camera:
 
     def color(self, world: World) -> NDArray[np.uint8]:
         """Return the color image, (height, width, 3)."""
-        pixels = np.asarray(self._render(world, shadow=True)[2], dtype=np.uint8)
-        return pixels.reshape(self.height, self.width, 4)[:, :, :3].copy()
+        return self._color(self._render(world, self.shadow))
+
+    def color_and_depth(self, world: World) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
+        """Return the color image without shadows and the distances (m) of one rendering."""
+        image = self._render(world)
+        return self._color(image), self._distances(image).astype(np.float32)
 
     def depth(self, world: World) -> NDArray[np.float32]:
         """Return distances (m) along the optical axis, (height, width)."""
@@ -100,6 +106,10 @@ class Camera:
             return self.up
         across = math.hypot(self.eye[0] - self.target[0], self.eye[1] - self.target[1])
         return (0.0, 0.0, 1.0) if across > VERTICAL * abs(self.eye[2] - self.target[2]) else (-1.0, 0.0, 0.0)
+
+    def _color(self, image: tuple[Any, ...]) -> NDArray[np.uint8]:
+        pixels = np.asarray(image[2], dtype=np.uint8)
+        return pixels.reshape(self.height, self.width, 4)[:, :, :3].copy()
 
     def _distances(self, image: tuple[Any, ...]) -> FloatArray:
         buffer = np.asarray(image[3], dtype=np.float64).reshape(self.height, self.width)

@@ -296,3 +296,24 @@ def test_pressed_keys_are_those_that_went_down() -> None:
         client.events = {shift: 3, **{ord(key): event for key, event in events.items()}}
         assert viewer.pressed_keys() == pressed
     assert client.options == [(client.COV_ENABLE_KEYBOARD_SHORTCUTS, 0)]
+
+
+def test_color_without_shadows_and_depth_share_a_rendering(
+    make: Make, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    front: dict[str, Any] = {"position": [0.9, -0.3, 0.5], "target": [0.45, 0.0, 0.0], "size": 48}
+    plain = {"name": "plain", "sensor": "rgb", "shadow": False, **front}
+    env = make(PICKING, observation=[{"name": "rgb", **front}, plain, {"name": "depth", **front}])
+    env.reset(seed=0)
+    calls: list[Camera] = []
+    render = Camera._render
+    monkeypatch.setattr(Camera, "_render", lambda self, *args: calls.append(self) or render(self, *args))
+    observation = env.observe()
+    assert len(calls) == 2
+    for name in ("rgb", "plain"):
+        np.testing.assert_array_equal(env.cameras[name].color().transpose(2, 0, 1), observation[name])
+    np.testing.assert_array_equal(env.cameras["depth"].depth(), observation["depth"][0])
+    darker = observation["plain"].astype(int) - observation["rgb"]
+    assert (darker >= 0).mean() > 0.99 and (darker.max(axis=0) > 10).mean() > 0.005
+    env.scene["cube"].place(Pose.planar(0.5, 0.1, 0.025))
+    assert (env.observe()["plain"] != observation["plain"]).any()

@@ -23,6 +23,7 @@ from bulletarm_gym.demonstrations import (
     collect,
     export_lerobot,
     export_minari,
+    export_robomimic,
     exports,
     load,
     replay,
@@ -352,6 +353,44 @@ def test_cameras_of_exports_are_checked(picked: Demonstrations, parameters: dict
         pytest.raises(ValueError, match=f"cameras: top: .*{next(iter(parameters))}"),
     ):
         next(exports.frames(0, picked, env, {"top": parameters}))
+
+
+def test_robomimic_file(picked: Demonstrations, tmp_path: Path) -> None:
+    """Structure of robomimic's documentation; obs and next_obs are shifted by a step."""
+    side = {"size": [32, 24], "position": [1.0, 0.2, 0.6]}
+    cameras: Any = {"side": side, "wrist": {"mount": "wrist", "size": 16}}
+    path = tmp_path / "picking.hdf5"
+    assert export_robomimic(picked, path, cameras=cameras, object_poses=True, valid_ratio=0.5) == path
+    with h5py.File(path, "r") as file, closing(core_of(picked)) as env:
+        data = file["data"]
+        assert sorted(data) == ["demo_0", "demo_1"]
+        assert [file[f"mask/{key}"][()].tolist() for key in ("train", "valid")] == [[b"demo_0"], [b"demo_1"]]
+        assert data.attrs["total"] == sum(map(len, picked))
+        env_args = json.loads(data.attrs["env_args"])
+        assert (env_args["env_name"], env_args["type"]) == (PICKING, 2)
+        with closing(gymnasium.make(PICKING, **env_args["env_kwargs"])) as again:
+            assert again.observation_space == env.observation_space
+        for number, episode in enumerate(picked):
+            demo = data[f"demo_{number}"]
+            n = demo.attrs["num_samples"]
+            assert n == len(episode) and json.loads(demo.attrs["ep_meta"]) == {"lang": env.task_description}
+            np.testing.assert_array_equal(demo["actions"], episode.actions)
+            np.testing.assert_array_equal(demo["rewards"], episode.rewards)
+            assert demo["dones"][()].tolist() == [False] * (n - 1) + [True]
+            names = {"side_image", "wrist_image", "state", "environment_state", "heightmap", "holding"}
+            assert demo["obs"].keys() == demo["next_obs"].keys() == names
+            for name in names:
+                np.testing.assert_array_equal(demo["obs"][name][1:], demo["next_obs"][name][:-1])
+            heightmaps = episode.observations["heightmap"].transpose(0, 2, 3, 1)
+            np.testing.assert_array_equal(demo["next_obs/heightmap"], heightmaps[1:])
+            assert demo["obs/side_image"].shape == (n, 24, 32, 3) and demo["obs/state"].shape == (n, 7)
+    with pytest.raises(FileExistsError):
+        export_robomimic(picked, path)
+    with pytest.raises(ValueError, match=r"valid_ratio must be a number from 0 to 1, got 2"):
+        export_robomimic(picked, tmp_path / "other", valid_ratio=2)
+    with pytest.raises(ValueError, match="cameras: top"):
+        export_robomimic(picked, tmp_path / "other", cameras={"top": {"zoom": 2}})
+    assert [path.name for path in tmp_path.iterdir()] == ["picking.hdf5"]
 
 
 def test_lerobot_dataset(picked: Demonstrations, tmp_path: Path) -> None:

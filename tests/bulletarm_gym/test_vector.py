@@ -1,19 +1,23 @@
 """Vector environments of Gymnasium and Stable-Baselines3: equal to single ones, members begin at states."""
 
+import warnings
 from functools import partial
 from typing import Any
 
 import gymnasium
 import numpy as np
 import pytest
+from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv
 from gymnasium.wrappers import RescaleAction
 from rollouts import TYPICAL, make_env
+from stable_baselines3.common.env_checker import check_env as check_env_sb3
 from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv
 
-from bulletarm_gym.vector import reset_to_states
+from bulletarm_gym.vector import make_multi_task_vec, reset_to_states
 
 ENV_ID = "BulletArm/CloseLoopBlockPicking-v0"
+SPAWNED = partial(AsyncVectorEnv, context="spawn")
 MAKE = partial(gymnasium.make, f"bulletarm_gym:{ENV_ID}", obs_size=32)
 
 
@@ -116,3 +120,112 @@ def test_members_of_stable_baselines3_begin_at_states(starts: tuple[list[Any], l
     observations: Any = vector.reset()
     np.testing.assert_array_equal(observations["heightmap"], expected)
     vector.close()
+
+
+# Several tasks
+
+CLOSE = [f"BulletArm/CloseLoop{name}-v0" for name in ("BlockPicking", "BlockStacking", "BlockSorting")]
+OPEN = ["BulletArm/OpenLoopBlockStacking-v0", "BulletArm/OpenLoopRampBlockStacking-v0"]
+
+
+@pytest.mark.parametrize(
+    ("ids", "kwargs", "sequence"),
+    [(CLOSE, {}, "pxyzr"), (OPEN, {"in_hand_size": 24, "observation": ["heightmap", "holding"]}, "pxyzrrr")],
+    ids=["close loop", "open loop"],
+)
+def test_experts_solve_several_tasks_in_common_spaces(ids: Any, kwargs: Any, sequence: str) -> None:
+    vector = make_multi_task_vec(ids, obs_size=32, **kwargs)
+    space: Any = vector.single_observation_space
+    assert vector.call("action_sequence") == (sequence,) * len(ids)
+    assert vector.single_action_space.shape == (len(sequence),)
+    observations, _ = vector.reset(seed=0)
+    np.testing.assert_array_equal(observations["task_id"], np.eye(len(ids)))
+    solved = np.zeros(len(ids), bool)
+    for _ in range(60):
+        actions = np.stack(vector.call("expert_action"))
+        observations, rewards, *_ = vector.step(actions)
+        assert actions in vector.action_space and observations in vector.observation_space
+        solved |= rewards == 1.0
+    vector.close()
+    assert solved.all()
+    if ids is CLOSE:
+        assert space["color"].shape == (3, 32, 32) and not observations["color"][:2].any()
+        assert observations["color"][2].any()
+
+
+def test_numbers_of_other_tasks_do_not_change_the_result() -> None:
+    """The flat task has pxyr, the ramp pxyzrrr; vectors are padded at the end."""
+    vector = make_multi_task_vec(OPEN, obs_size=32, observation=["heightmap", "holding"])
+    flat = vector.envs[0]
+    action = np.array([-1.0, 0.1, 0.2, 0.9, 0.3, 0.8, 0.7], np.float32)
+    results = []
+    for others in (0.0, 0.5):
+        flat.reset(seed=1)
+        action[[3, 5, 6]] = others
+        results.append(flat.step(action)[0])
+    np.testing.assert_equal(*results)
+    core = flat.unwrapped
+    core.reset(seed=1)
+    alone = core.step(action[[0, 1, 2, 4]])[0]
+    np.testing.assert_array_equal(alone["heightmap"], results[0]["heightmap"])
+    known = action[[0, 1, 2, 4]]
+    np.testing.assert_array_equal(flat.revert_action(known)[[0, 1, 2, 4]], known)
+    with pytest.raises(ValueError, match=r"^action must have the shape \(7,\), got \(4,\)"):
+        flat.step(action[[0, 1, 2, 4]])
+    vector.close()
+
+
+def test_vectors_of_tasks_are_padded() -> None:
+    vector = make_multi_task_vec(CLOSE[:2], 2, observation=["state"])
+    sizes = [env.unwrapped.observation_space["state"].shape[0] for env in vector.envs]
+    observations, _ = vector.reset(seed=0)
+    assert sizes[0] == sizes[1] < sizes[2] == sizes[3] == observations["state"].shape[1]
+    assert not observations["state"][:2, sizes[0] :].any() and observations["state"][2:, sizes[0] :].any()
+    vector.close()
+
+
+def test_members_of_several_tasks_run_in_processes() -> None:
+    made = [
+        make_multi_task_vec(CLOSE[:2], vec_env_cls=kind, obs_size=16) for kind in (SyncVectorEnv, SPAWNED)
+    ]
+    first, second = ([vector.reset(seed=5)[0]] for vector in made)
+    for vector, found in zip(made, (first, second), strict=True):
+        for _ in range(2):
+            found.append(vector.step(np.stack(vector.call("expert_action")))[0])
+        vector.close()
+    np.testing.assert_equal(first, second)
+
+
+def test_a_member_passes_the_checks_and_is_made_again_from_its_spec() -> None:
+    (env, _) = make_multi_task_vec([CLOSE[0], CLOSE[2]], obs_size=36).envs
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        check_env(env, skip_render_check=True)
+        check_env_sb3(env)
+    again: Any = gymnasium.make(env.spec)
+    assert again.observation_space == env.observation_space and again.action_space == env.action_space
+    np.testing.assert_equal(again.reset(seed=2)[0], env.reset(seed=2)[0])
+
+
+@pytest.mark.parametrize(
+    ("ids", "kwargs", "message"),
+    [
+        ([], {}, r"ids must be a list of at least one id, got \[\]"),
+        (ENV_ID, {}, "ids must be a list of at least one id, got 'BulletArm"),
+        ([CLOSE[0], OPEN[0]], {}, "ids must all have one kind of control, got close_loop, open_loop"),
+        (
+            OPEN,
+            {},
+            r"ids must observe 'in_hand' with one type and shape, got \[\(\(1, 24, 24\), 'float32'\), ",
+        ),
+        (CLOSE[:1], {"envs_per_task": 0}, "envs_per_task .*, got 0"),
+        (
+            CLOSE[:1],
+            {"observation": [{"name": "task_id", "sensor": "holding"}]},
+            "other names than 'task_id'",
+        ),
+    ],
+)
+def test_ids_without_common_spaces_are_rejected(ids: Any, kwargs: Any, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        make_multi_task_vec(ids, **kwargs)
