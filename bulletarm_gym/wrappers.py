@@ -1,7 +1,7 @@
 """Wrappers that adapt environments to other libraries."""
 
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -113,6 +113,35 @@ def _scaled(value: NDArray[Any], box: spaces.Box) -> NDArray[np.float32]:
     low, high = box.low.astype(np.float32), box.high.astype(np.float32)
     scaled: NDArray[np.float32] = (np.asarray(value, np.float32) - low) / (high - low)
     return scaled
+
+
+class ResetOptions(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
+    """Pass the same options to every reset, for a curriculum.
+
+    Vector environments reset their members at the end of episodes without options.
+
+    :param env: environment
+    :param options: options of resets, such as ``{"object_scale_range": 0.8}``
+    """
+
+    def __init__(self, env: gymnasium.Env[Any, Any], options: Mapping[str, Any] | None = None) -> None:
+        RecordConstructorArgs.__init__(self, options=options)
+        gymnasium.Wrapper.__init__(self, env)
+        self.set_reset_options(options or {})
+
+    def set_reset_options(self, options: Mapping[str, Any]) -> None:
+        """Replace the options from the next reset on."""
+        self._options = dict(options)
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
+        """Begin an episode.
+
+        :param options: options that replace those of this wrapper; a state replaces all of them
+        """
+        given = options or {}
+        return self.env.reset(seed=seed, options=given if "state" in given else {**self._options, **given})
 
 
 def own_time_limit(env: gymnasium.Env[Any, Any], known: int | None) -> gymnasium.Env[Any, Any]:

@@ -1,81 +1,40 @@
 """Scene of a task: its surface, robot and objects."""
 
-import math
 import sys
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import wraps
 from typing import Any, TypeVar
 
 import numpy as np
 
 from bulletarm_gym.config import MAX_ROTATION, MAX_TRANSLATION, EnvConfig
-from bulletarm_gym.geometry import FloatArray, Pose, Vector, matrix
+from bulletarm_gym.config_checks import ROUNDING
+from bulletarm_gym.geometry import FloatArray, Pose, Vector, from_rotvec, matrix
 from bulletarm_gym.robots import Robot, RobotModel
+from bulletarm_gym.scene.slots import ObjectSlot, matching_slots, subsample_variants
 from bulletarm_gym.scene.stability import CREEP_SPEED, is_stable, settle
 from bulletarm_gym.simulation import Body, BodySpec, World
-from bulletarm_gym.simulation.state import PHYSICS_MODES, REST_SPEED, STILL, Properties, Twist
+from bulletarm_gym.simulation.motion import set_resistance_factor
+from bulletarm_gym.simulation.shapes import ORIGIN
+from bulletarm_gym.simulation.state import (
+    NOMINAL,
+    PHYSICS_MODES,
+    REST_SPEED,
+    STILL,
+    Optics,
+    Properties,
+    Twist,
+)
 from bulletarm_gym.surfaces import Surface
 
 T = TypeVar("T")
 
 SETTLE_LIMIT = 240
 """Maximum number of simulation steps (1 s) for loose bodies to come to rest."""
+VECTORS = ("camera_position", "camera_rotation", "light_direction")
+"""Sampled quantities with three components."""
 MAX_BODIES = 120
 """Maximum number of loaded variants if sizes are sampled; every step costs time for each pair of bodies."""
-GOLDEN = (math.sqrt(5.0) - 1.0) / 2.0
-"""Golden ratio, whose multiples are spread evenly over the unit interval modulo 1."""
-
-
-@dataclass(frozen=True)
-class ObjectSlot:
-    """Slot of a task for one object, and the bodies that can fill it.
-
-    :param variants: bodies of different sizes or shapes, of which one is sampled at every reset; the smallest
-        size first, each size in all shapes, in the same order
-    :param kind: property that slots of a task share: the kind of block, the colour
-    """
-
-    name: str
-    variants: tuple[BodySpec, ...]
-    kind: str = ""
-
-
-def scaled(
-    config: EnvConfig, name: str, make: Callable[[str, float], BodySpec], kind: str = ""
-) -> ObjectSlot:
-    """Return a slot with one variant, ``make(name, scale)``, for every scale of the configuration."""
-    return ObjectSlot(name, tuple(make(f"{name} {scale:g}", scale) for scale in config.scales), kind)
-
-
-def shaped(
-    config: EnvConfig, name: str, make: Callable[[str, float, int], BodySpec], shapes: int
-) -> ObjectSlot:
-    """Return a slot with the variants ``make(name, scale, number)`` for every scale and number of a shape."""
-    kinds = [(scale, kind) for scale in config.scales for kind in range(shapes)]
-    return ObjectSlot(name, tuple(make(f"{name} {kind} {scale:g}", scale, kind) for scale, kind in kinds))
-
-
-def subsample_variants(slots: Sequence[ObjectSlot], limit: int) -> list[list[int]]:
-    """Return the sorted indices of the chosen variants of each slot, at most ``limit`` if slots permit.
-
-    Slots with few variants keep all. The others keep the same number, spread evenly over shapes and sizes. A
-    slot continues where the previous one ended, so that together they keep many different variants.
-    """
-    counts = [len(slot.variants) for slot in slots]
-    kept = max(counts, default=1)
-    while kept > 1 and sum(min(count, kept) for count in counts) > limit:
-        kept -= 1
-    chosen, first = [], 0
-    for count in counts:
-        if count <= kept:
-            chosen.append(list(range(count)))
-            continue
-        # A step coprime to the number of variants is coprime to that of shapes, so that these alternate.
-        step = next(s for s in range(round(GOLDEN * count), count) if math.gcd(s, count) == 1)
-        chosen.append(sorted((first + number) * step % count for number in range(kept)))
-        first += kept
-    return chosen
 
 
 def cached_by_pose(compute: Callable[["SceneObject"], T]) -> Callable[["SceneObject"], T]:
@@ -116,6 +75,17 @@ class SceneObject:
     def spec(self) -> BodySpec:
         """Specification of the body."""
         return self.body.spec
+
+    @property
+    def scales(self) -> list[float]:
+        """Scales of the loaded variants; empty if the object has one size."""
+        return [self.slot.scales[index] for index in self.choices] if self.slot.scales else []
+
+    def fitting(self, low: float, high: float) -> list[int]:
+        """Return the numbers of the loaded variants with scales in a range, or all if it has one size."""
+        if not self.slot.scales:
+            return list(range(len(self.choices)))
+        return [n for n, scale in enumerate(self.scales) if low - ROUNDING <= scale <= high + ROUNDING]
 
     @property
     def pose(self) -> Pose:
@@ -210,13 +180,18 @@ class Scene:
         self.world = World(PHYSICS_MODES[config.physics_mode], gui=config.render_mode == "human")
         surface.load(self.world)
         self.robot = Robot(model, self.world, config.fast_mode)
-        choices = subsample_variants(slots, MAX_BODIES if len(config.scales) > 1 else sys.maxsize)
+        limit = MAX_BODIES if len(config.scales) > 1 else sys.maxsize
+        names = [slot.name for slot in slots]
+        choices = dict(zip(names, subsample_variants(slots, limit), strict=True))
         self._objects = {
-            slot.name: SceneObject(slot, indices, self.world, model.gripper.finger[1])
-            for slot, indices in zip(slots, choices, strict=True)
+            slot.name: SceneObject(slot, choices[slot.like or slot.name], self.world, model.gripper.finger[1])
+            for slot in slots
         }
         self.world.seal()
         self._cache: dict[Any, Any] = {}
+        self.randomized: Mapping[str, float] = {}
+        """Sampled values of the episode by key, see :meth:`Randomization.sample`."""
+        self.narrow(config.object_scale_range)
 
     def __getitem__(self, name: str) -> SceneObject:
         """Return the object in a slot."""
@@ -228,7 +203,12 @@ class Scene:
 
     @property
     def objects(self) -> list[SceneObject]:
-        """Objects of all slots, in their order, absent ones included."""
+        """Objects of the slots that the episode uses, in their order, absent ones included."""
+        return list(self._used)
+
+    @property
+    def all_objects(self) -> list[SceneObject]:
+        """Objects of all slots, also of those that an episode with fewer objects does not use."""
         return list(self._objects.values())
 
     @property
@@ -251,7 +231,51 @@ class Scene:
         self.surface.arrange(rng)
         for obj in self._objects.values():
             obj.park()
-            obj.variant = int(rng.integers(len(obj.choices)))
+            fitting = self._fitting[obj.slot.name]
+            like = obj.slot.like
+            obj.variant = self[like].variant if like else fitting[int(rng.integers(len(fitting)))]
+
+    def narrow(self, scale_range: Sequence[float], slots: Sequence[ObjectSlot] | None = None) -> None:
+        """Set the scales and the slots of the following episodes.
+
+        :param scale_range: lowest and highest scale
+        :param slots: slots of the task with fewer objects; None for all slots
+        :raises ValueError: a slot of the task with fewer objects is not loaded
+        """
+        loaded = [obj.slot for obj in self._objects.values()]
+        names = list(self._objects) if slots is None else matching_slots(loaded, slots)
+        self._used = [self._objects[name] for name in names]
+        self._fitting = {name: obj.fitting(*scale_range) for name, obj in self._objects.items()}
+
+    def randomize(self, rng: np.random.Generator) -> None:
+        """Change the properties of all bodies by the sampled values; colours are sampled for each body."""
+        if not (values := self.randomized):
+            return
+        objects = [obj.body for obj in self._objects.values()]
+        for bodies, kind in ((objects, "object"), (self.surface.bodies, "surface")):
+            for body in bodies:
+                before = self.world.get_properties(body)
+                shift = values.get("colour", 0.0) * rng.uniform(-1.0, 1.0, 3)
+                colour = (*(before.colour[:3] + shift).clip(0.0, 1.0).tolist(), before.colour[3])
+                mass = before.mass * (values.get("object_mass", 1.0) if kind == "object" else 1.0)
+                friction = before.friction * values.get(f"{kind}_friction", 1.0)
+                changed = before.changed(mass=mass, friction=friction, colour=colour)
+                self.world.set_properties(body, changed)
+
+    def set_randomized(self, values: Mapping[str, float]) -> None:
+        """Set the sampled values that are not properties of bodies.
+
+        :param values: sampled values by key, see :meth:`Randomization.sample`
+        """
+        if values == self.randomized:
+            return
+        self.randomized = values
+        self.robot.set_force_factor(values.get("gripper_force", 1.0))
+        set_resistance_factor(self.world, values.get("joint_resistance", 1.0))
+        position, rotation, light = (_vector(values, name) for name in VECTORS)
+        error = Pose(position, from_rotvec(rotation)) if any(position + rotation) else ORIGIN
+        optics = Optics(error, light, values.get("light_brightness", 1.0))
+        self.world.optics = NOMINAL if optics == NOMINAL else optics
 
     def begin(self) -> None:
         """Start a move from the canonical world."""
@@ -277,3 +301,9 @@ class Scene:
         """Set the present variant of each slot; the poses of bodies do not change."""
         for obj, variant in zip(self._objects.values(), variants, strict=True):
             obj.variant = variant
+
+
+def _vector(values: Mapping[str, float], name: str) -> Vector:
+    """Return the three components of a sampled quantity, by default zeros."""
+    x, y, z = (values.get(f"{name}_{axis}", 0.0) for axis in "xyz")
+    return (x, y, z)

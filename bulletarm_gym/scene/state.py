@@ -23,6 +23,20 @@ DECIMALS = 5
 
 
 @dataclasses.dataclass(frozen=True)
+class EpisodeState:
+    """Parameters and sampled values of an episode.
+
+    :param narrowed: name and value of each parameter that options of the reset have narrowed
+    :param sampled: key and value of each sampled quantity, see :mod:`~bulletarm_gym.randomization`
+    :param last_action: numbers of the previous action, if actions have a delay
+    """
+
+    narrowed: tuple[tuple[str, Any], ...] = ()
+    sampled: tuple[tuple[str, float], ...] = ()
+    last_action: tuple[float, ...] = ()
+
+
+@dataclasses.dataclass(frozen=True)
 class EnvState:
     """State of an environment, from which it continues exactly; picklable.
 
@@ -34,6 +48,7 @@ class EnvState:
     :param ended: whether the episode has terminated or been truncated
     :param generator: state of the generator that seeds later episodes
     :param made_of: task, robot, sizes and other values that the environment and the state must have in common
+    :param episode: narrowed parameters and sampled values
     """
 
     world: WorldState
@@ -47,6 +62,7 @@ class EnvState:
     episode_seed: int
     generator: dict[str, Any]
     made_of: dict[str, Any]
+    episode: EpisodeState = EpisodeState()
 
 
 def check_fits(state: Any, made_of: dict[str, Any]) -> None:
@@ -80,7 +96,7 @@ def scene_facts(scene: Scene) -> dict[str, Any]:
     if known is None or _checksum(_arm_numbers(known)) != arm:
         facts["arm"] = arm
     if isinstance(config.object_set, str):
-        specs = [spec for obj in scene.objects for spec in obj.slot.variants]
+        specs = [spec for obj in scene.all_objects for spec in obj.slot.variants]
         facts["object_files"] = _checksum(map(_object_numbers, specs))
     return facts
 
@@ -107,7 +123,8 @@ def _object_numbers(spec: BodySpec) -> list[float]:
 
 
 STATE_TYPES: dict[str, type] = {
-    kind.__name__: kind for kind in (bytes, list, dict, Pose, Properties, WorldState, RobotState, EnvState)
+    kind.__name__: kind
+    for kind in (bytes, list, dict, Pose, Properties, WorldState, RobotState, EpisodeState, EnvState)
 }
 """Types in files of states, by name: built-in types and types that imported tasks declare."""
 

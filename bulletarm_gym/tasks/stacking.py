@@ -306,13 +306,17 @@ class ImproviseHouseBuilding2(Structure):
         """Return the slot of a block with variants of all shapes and sizes."""
         if kind == "roof":
             return super().block(config, name, kind, number)
-        specs = (
-            improvise_blocks(name, scale, number)
-            if kind == "block"
-            else improvise_bricks(name, scale, BRICKS)
+        specs = [
+            (spec, scale)
             for scale in config.scales
-        )
-        return ObjectSlot(name, tuple(spec for variants in specs for spec in variants))
+            for spec in (
+                improvise_blocks(name, scale, number)
+                if kind == "block"
+                else improvise_bricks(name, scale, BRICKS)
+            )
+        ]
+        variants, scales = zip(*specs, strict=True)
+        return ObjectSlot(name, variants, scales=scales)
 
 
 class ImproviseHouseBuilding3(ImproviseHouseBuilding2):
