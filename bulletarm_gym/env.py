@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from bulletarm_gym import config_checks
 from bulletarm_gym.config import CLOSE_LOOP, Context, EnvConfig, ParameterError
 from bulletarm_gym.control import Control, RobotInterface
-from bulletarm_gym.episode import Episode
+from bulletarm_gym.episode import EpisodeParameters
 from bulletarm_gym.experts.approach import Tracker
 from bulletarm_gym.geometry.compilation import warm_up
 from bulletarm_gym.observations import DepthNoise, Observer, View
@@ -102,7 +102,7 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
             self.metadata = {**self.metadata, "render_modes": ["rgb_array", "depth_array"]}
         self._make_scene(task_type, model or ROBOTS.find(self.config.robot), surface, default)
         self._make_control(control_type)
-        self._episode = Episode(self.config, self.task, self.scene, self.control)
+        self._episode = EpisodeParameters(self.config, self.task, self.scene, self.control)
         self._steps, self._ended = 0, False
         self._episode_seed: int | None = None
         if self.render_mode == "human":
@@ -258,7 +258,7 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
     def look(self) -> View:
         """Return the current view of the scene from above."""
         self.scene.world.check_open()
-        noise = DepthNoise(self.scene.randomized, (self._episode_seed or 0, self._steps, SENSING))
+        noise = DepthNoise(self.scene.sampled, (self._episode_seed or 0, self._steps, SENSING))
         return View(self.scene, self.control.frame(), self.task.overlays(self.scene), noise)
 
     def decode_action(self, action: ArrayLike) -> Any:

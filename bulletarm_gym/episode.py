@@ -20,7 +20,7 @@ INFO_PREFIX = "randomization/"
 """Beginning of the keys of sampled values in ``info``."""
 
 
-class Episode:
+class EpisodeParameters:
     """Parameters and sampled values of the current episode.
 
     :param config: the environment's parameters
@@ -99,7 +99,7 @@ class Episode:
     def state(self, state: EpisodeState) -> None:
         if state.narrowed != self._state.narrowed:
             self._narrow(dict(state.narrowed))
-        self._scene.set_randomized(dict(state.sampled))
+        self._scene.set_sampled(dict(state.sampled))
         self.info = {INFO_PREFIX + key: value for key, value in state.sampled}
         self._state = state
 
@@ -120,7 +120,7 @@ class Episode:
     @property
     def changes_actions(self) -> bool:
         """Whether actions have noise or a delay."""
-        values = self._scene.randomized
+        values = self._scene.sampled
         return bool(values.get("action_noise") or values.get("action_delay"))
 
     def executed(self, action: ArrayLike, rng: np.random.Generator) -> Action:
@@ -128,7 +128,7 @@ class Episode:
 
         :raises ValueError: the action has the wrong shape or is not finite
         """
-        values, sequence = self._scene.randomized, self._control.sequence
+        values, sequence = self._scene.sampled, self._control.sequence
         is_opening = np.array([name == "p" for name in sequence], np.float64)
         numbers = np.array(self._control.numbers(action))
         executed = numbers

@@ -23,9 +23,8 @@ def quantity(neutral: float, low: float, high: float, endings: Sequence[str] = (
     :param high: largest accepted value
     :param endings: endings of the keys of its components
     """
-    return field(
-        default=(neutral, neutral), metadata={"check": interval(low, high), "endings": tuple(endings)}
-    )
+    metadata = {"limits": (low, high), "check": interval(low, high), "endings": tuple(endings)}
+    return field(default=(neutral, neutral), metadata=metadata)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -189,7 +189,7 @@ class Scene:
         }
         self.world.seal()
         self._cache: dict[Any, Any] = {}
-        self.randomized: Mapping[str, float] = {}
+        self.sampled: Mapping[str, float] = {}
         """Sampled values of the episode by key, see :meth:`Randomization.sample`."""
         self.narrow(config.object_scale_range)
 
@@ -247,9 +247,19 @@ class Scene:
         self._used = [self._objects[name] for name in names]
         self._fitting = {name: obj.fitting(*scale_range) for name, obj in self._objects.items()}
 
+    def set_surface_properties(self, **changes: Any) -> None:
+        """Change properties of all bodies of the surface until the next reset.
+
+        :param changes: fields of :class:`~bulletarm_gym.simulation.state.Properties`
+        :raises ValueError: one of them is out of range
+        :raises TypeError: an unknown property
+        """
+        for body in self.surface.bodies:
+            self.world.set_properties(body, self.world.get_properties(body).changed(**changes))
+
     def randomize(self, rng: np.random.Generator) -> None:
         """Change the properties of all bodies by the sampled values; colours are sampled for each body."""
-        if not (values := self.randomized):
+        if not (values := self.sampled):
             return
         objects = [obj.body for obj in self._objects.values()]
         for bodies, kind in ((objects, "object"), (self.surface.bodies, "surface")):
@@ -262,14 +272,14 @@ class Scene:
                 changed = before.changed(mass=mass, friction=friction, colour=colour)
                 self.world.set_properties(body, changed)
 
-    def set_randomized(self, values: Mapping[str, float]) -> None:
+    def set_sampled(self, values: Mapping[str, float]) -> None:
         """Set the sampled values that are not properties of bodies.
 
         :param values: sampled values by key, see :meth:`Randomization.sample`
         """
-        if values == self.randomized:
+        if values == self.sampled:
             return
-        self.randomized = values
+        self.sampled = values
         self.robot.set_force_factor(values.get("gripper_force", 1.0))
         set_resistance_factor(self.world, values.get("joint_resistance", 1.0))
         position, rotation, light = (_vector(values, name) for name in VECTORS)
