@@ -167,9 +167,9 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
             self.set_state(options["state"])
             super().reset(seed=seed)  # decides the later episodes
             return self.observe(), self._evaluate(ignored=False)
-        narrowed = self._episode.narrowed(options)
+        narrowed = self._episode.checked(options)
         super().reset(seed=seed)
-        is_new = seed is not None or self._episode_seed is None or narrowed != self._episode.state.narrowed
+        is_new = seed is not None or self._episode_seed is None or narrowed != self._episode.narrowed
         is_new |= bool(options.get("new_scene")) or "start" in options
         arrange = self.task.arrange_goal if "start" in options else self.task.arrange
         self._episode_seed = int(self.np_random.integers(np.iinfo(np.int64).max))
@@ -182,7 +182,7 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
             arrange_scene(self.scene, self.control, arrange, rng, self._changed)
             self.scene.randomize(sampling)
         else:
-            self._episode.state = replace(self._episode.state, last_action=())
+            self._episode.last_action = ()
             self.control.start()
         self._observer.set_memory({})
         self.scene.begin()
@@ -202,9 +202,8 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         if self._ended:
             raise gymnasium.error.ResetNeeded("the episode has ended. Call reset() before the next step().")
         view = self._view if self._view is not None and self._view.is_current else self.look()
-        if self._episode.changes_actions:
-            action = self._episode.executed(action, self._rng(ACTUATION))
-        move = self.control.decode_action(action, view)
+        executed = self._episode.executed(action, lambda: self._rng(ACTUATION))
+        move = self.control.decode_action(executed, view)
         if self._observer.follows or self.control.follows:
             _ = view.heights  # computed before the move changes the scene
         self.scene.begin()
@@ -318,7 +317,9 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
             self._episode_seed,
             dict(self.np_random.bit_generator.state),
             dict(self._made_of),
-            self._episode.state,
+            self._episode.narrowed,
+            self._episode.sampled,
+            self._episode.last_action,
         )
 
     def set_state(self, state: EnvState) -> None:
@@ -335,7 +336,7 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         self.scene.world.set_state(state.world)
         self.scene.robot.set_state(state.robot)
         self.scene.set_variants(state.cast)
-        self._episode.state = state.episode
+        self._episode.set(state.narrowed, state.sampled, state.last_action)
         self._observer.set_memory(state.sensors)
         self.task.memory = state.memory
         self.control.memory = state.control

@@ -1,23 +1,24 @@
 """Parameters and sampled values of an episode, which options of a reset can narrow."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from bulletarm_gym.config import OPEN_LOOP, EnvConfig
 from bulletarm_gym.config_checks import Refused, check_argument, choice, scale_range
 from bulletarm_gym.control import Control
-from bulletarm_gym.randomization import Randomization, randomization
+from bulletarm_gym.randomization import Randomization
 from bulletarm_gym.scene import Scene
-from bulletarm_gym.scene.state import EpisodeState
 from bulletarm_gym.tasks import Task
 
-Action = NDArray[np.float64]
 INFO_PREFIX = "randomization/"
 """Beginning of the keys of sampled values in ``info``."""
+
+Narrowed = tuple[tuple[str, Any], ...]
+Sampled = tuple[tuple[str, float], ...]
 
 
 class EpisodeParameters:
@@ -31,110 +32,85 @@ class EpisodeParameters:
 
     def __init__(self, config: EnvConfig, task: Task, scene: Scene, control: Control[Any]) -> None:
         self._config, self._task, self._scene, self._control = config, task, scene, control
-        self._is_open_loop = config.control == OPEN_LOOP
-        self._limits = Randomization.of(config.randomization, self._is_open_loop)
-        self._state = EpisodeState()
+        self._limits = self._ranges(config.randomization)
+        self.narrowed: Narrowed = ()
+        self.sampled: Sampled = ()
+        self.last_action: tuple[float, ...] = ()
         self.info: dict[str, float] = {}
-        """Entries of ``info``: the sampled values."""
+        """Sampled values as entries of ``info``."""
 
-    # Options
-
-    def narrowed(self, options: Mapping[str, Any]) -> tuple[tuple[str, Any], ...]:
-        """Return the narrowed parameters in the options of a reset.
+    def checked(self, options: Mapping[str, Any]) -> Narrowed:
+        """Return names and values of the parameters that options of a reset narrow.
 
         :raises ValueError: a value is not valid or not within the parameter of the environment
         """
+        counts = (n for n in self._task.defaults.allowed_objects if n <= self._config.num_objects)
         checks = {
-            "object_scale_range": self._scale_range,
-            "num_objects": choice(
-                *(n for n in self._task.defaults.allowed_objects if n <= self._config.num_objects)
-            ),
-            "randomization": self._randomization,
+            "object_scale_range": self._check_scales,
+            "num_objects": choice(*counts),
+            "randomization": self._check_randomization,
         }
-        found = {
-            name: check_argument(name, options[name], checks[name]) for name in checks if name in options
-        }
-        return tuple((name, value) for name, value in found.items() if value != getattr(self._config, name))
+        chosen = {n: check_argument(n, options[n], check) for n, check in checks.items() if n in options}
+        return tuple((n, value) for n, value in chosen.items() if value != getattr(self._config, n))
 
-    def _scale_range(self, value: Any) -> Any:
-        low, high = self._config.object_scale_range
-        narrow = scale_range(value)
-        if not low <= narrow[0] <= narrow[1] <= high:
+    def _check_scales(self, value: Any) -> Any:
+        (low, high), (first, last) = self._config.object_scale_range, scale_range(value)
+        if not low <= first <= last <= high:
             raise Refused(f"a number or [low, high] within {[low, high]}")
         for obj in self._scene.all_objects:
-            if not obj.fitting(*narrow):
-                scales = ", ".join(f"{scale:g}" for scale in sorted({*obj.scales}))
+            if not obj.fitting(first, last):
+                scales = sorted({obj.slot.scales[index] for index in obj.choices})
                 raise Refused(f"a range with a loaded scale of {obj.slot.name!r}, one of {scales}")
-        return narrow
+        return [first, last]
 
-    def _randomization(self, value: Any) -> Any:
-        given = {**self._limits.varied, **value} if isinstance(value, Mapping) else value
-        plain = randomization(self._is_open_loop)(given)
-        if not Randomization.of(plain, self._is_open_loop).is_within(self._limits):
-            raise Refused(f"within the ranges of the environment, {self._limits.varied}")
-        return plain
+    def _check_randomization(self, value: Any) -> Any:
+        chosen = {**self._limits.varied, **value} if isinstance(value, Mapping) else value
+        ranges = self._ranges(chosen)
+        if name := ranges.beyond(self._limits):
+            limits = list(getattr(self._limits, name))
+            raise Refused(f"within the ranges of the environment, that of {name} within {limits}")
+        return ranges.varied if chosen != self._config.randomization else chosen
 
-    # Beginning
+    def _ranges(self, value: Any) -> Randomization:
+        return Randomization.of(value, self._config.control == OPEN_LOOP)
 
-    def begin(self, narrowed: tuple[tuple[str, Any], ...], rng: np.random.Generator) -> None:
-        """Set the parameters of an episode, and sample its values.
+    def begin(self, narrowed: Narrowed, rng: np.random.Generator) -> None:
+        """Sample the values of an episode with narrowed parameters."""
+        ranges = (
+            self._ranges(dict(narrowed)["randomization"])
+            if "randomization" in dict(narrowed)
+            else self._limits
+        )
+        self.set(narrowed, tuple(ranges.sample(rng, list(self._limits.varied)).items()), ())
 
-        :param narrowed: narrowed parameters, see :meth:`narrowed`
-        """
-        chosen = dict(narrowed).get("randomization", self._config.randomization)
-        is_same = chosen == self._config.randomization
-        ranges = self._limits if is_same else Randomization.of(chosen, self._is_open_loop)
-        values = ranges.sample(rng, list(self._limits.varied))
-        self.state = EpisodeState(narrowed, tuple(values.items()))
-
-    @property
-    def state(self) -> EpisodeState:
-        """Narrowed parameters, sampled values and the last action; setting it changes task and scene.
-
-        :raises ValueError: the scene has no objects of the narrowed sizes
-        """
-        return self._state
-
-    @state.setter
-    def state(self, state: EpisodeState) -> None:
-        if state.narrowed != self._state.narrowed:
-            self._narrow(dict(state.narrowed))
-        self._scene.set_sampled(dict(state.sampled))
-        self.info = {INFO_PREFIX + key: value for key, value in state.sampled}
-        self._state = state
-
-    def _narrow(self, parameters: Mapping[str, Any]) -> None:
-        config = replace(self._config, **parameters)
-        slots = type(self._task)(config).bodies(config) if "num_objects" in parameters else None
-        self._scene.narrow(config.object_scale_range, slots)
-        vars(self._task).clear()  # attributes depend on the parameters
-        self._task.__init__(config)  # type: ignore[misc]
+    def set(self, narrowed: Narrowed, sampled: Sampled, last_action: tuple[float, ...]) -> None:
+        """Set the parameters and values of an episode, also in the task and the scene."""
+        if narrowed != self.narrowed:
+            config = replace(self._config, **dict(narrowed))
+            vars(self._task).clear()  # attributes of a task depend on the parameters
+            self._task.__init__(config)  # type: ignore[misc]
+            self._scene.narrow(config.object_scale_range, self._task.bodies(config))
+        self.narrowed, self.sampled, self.last_action = narrowed, sampled, last_action
+        self.info = {INFO_PREFIX + key: value for key, value in sampled}
+        self._scene.set_sampled(dict(sampled))
 
     def limit_steps(self, config: EnvConfig) -> None:
-        """Set parameters that differ from the present ones in ``max_steps``."""
+        """Set parameters of the environment of which only ``max_steps`` differs."""
         self._config = config
-        self._task.config = replace(config, **dict(self._state.narrowed))
+        self._task.config = replace(config, **dict(self.narrowed))
 
-    # Actions
+    def executed(self, action: ArrayLike, generator: Callable[[], np.random.Generator]) -> ArrayLike:
+        """Return the action that the robot executes, with the delay and the noise.
 
-    @property
-    def changes_actions(self) -> bool:
-        """Whether actions have noise or a delay."""
-        values = self._scene.sampled
-        return bool(values.get("action_noise") or values.get("action_delay"))
-
-    def executed(self, action: ArrayLike, rng: np.random.Generator) -> Action:
-        """Return the action that the robot executes, with delay and noise.
-
+        :param generator: function that returns the generator of the noise
         :raises ValueError: the action has the wrong shape or is not finite
         """
-        values, sequence = self._scene.sampled, self._control.sequence
-        is_opening = np.array([name == "p" for name in sequence], np.float64)
+        delay, noise = (self._scene.sampled.get(f"action_{name}", 0.0) for name in ("delay", "noise"))
+        if not (delay or noise):
+            return action
         numbers = np.array(self._control.numbers(action))
-        executed = numbers
-        if delay := values.get("action_delay", 0.0):
-            before = np.array(self._state.last_action or is_opening)  # no motion, open gripper
-            executed = (1.0 - delay) * numbers + delay * before
-            self._state = replace(self._state, last_action=tuple(numbers.tolist()))
-        noise = values.get("action_noise", 0.0) * rng.standard_normal(len(numbers))
-        return executed + noise * (1.0 - is_opening)
+        opening = np.array([float(name == "p") for name in self._control.sequence])
+        before = np.array(self.last_action or opening)  # at the start, no motion and an open gripper
+        self.last_action = tuple(numbers.tolist()) if delay else ()
+        errors = noise * generator().standard_normal(len(numbers)) * (1.0 - opening)
+        return (1.0 - delay) * numbers + delay * before + errors

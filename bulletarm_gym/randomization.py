@@ -11,6 +11,11 @@ from bulletarm_gym.config_checks import Check, ParameterError, Refused, check_ar
 
 Range = tuple[float, float]
 
+LIGHT_SHARE = 1.0 / 3.0
+"""Share of the ranges of the preset ``"real"`` in the preset ``"light"``."""
+OPEN_LOOP_SHARE = 0.2
+"""Share of the presets' noise on actions in open-loop control, whose numbers stand for longer distances."""
+
 AXES = ("_x", "_y", "_z")
 """Endings of the keys of a quantity with three components."""
 
@@ -40,7 +45,7 @@ class Randomization:
     :param joint_resistance: factor on the resistance of sliding and rotating parts of objects
     :param camera_position: calibration error (m) of cameras along each axis of the camera frame, and of
         orthographic heightmaps along each axis of the world
-    :param camera_rotation: the same error (rad) about each axis; heightmaps rotate about their centre
+    :param camera_rotation: the same error (rad) about each axis; heightmaps rotate only about the vertical
     :param depth_noise: standard deviation (m) of normal noise on depths at a distance of 1 m; it grows with
         the square of the distance. Orthographic heightmaps have the noise of a camera 1 m above z = 0
     :param depth_step: difference (m) of neighbouring measurable depths at a distance of 1 m; it grows with
@@ -90,7 +95,9 @@ class Randomization:
         :raises ValueError: the value is not valid
         """
         if isinstance(value, str) and value in PRESETS:
-            return replace(PRESETS[value], **(OPEN_LOOP[value] if is_open_loop else {}))
+            noise = [end * OPEN_LOOP_SHARE for end in PRESETS[value].action_noise]
+            changes = {"action_noise": noise, "action_delay": 0.0} if is_open_loop else {}
+            return replace(PRESETS[value], **changes)
         if not (value is None or isinstance(value, Mapping | cls)):
             raise Refused(f"None, {', '.join(map(repr, PRESETS))}, a dict of ranges or a Randomization")
         try:
@@ -113,10 +120,20 @@ class Randomization:
             if getattr(self, entry.name) != entry.default
         }
 
-    def is_within(self, limits: "Randomization") -> bool:
-        """Return True if every range is inside the range of the same quantity of ``limits``."""
-        pairs = [(getattr(self, name), getattr(limits, name)) for name in NAMES]
-        return all(outer[0] <= low and high <= outer[1] for (low, high), outer in pairs)
+    def scaled(self, share: float) -> "Randomization":
+        """Return ranges whose ends have a share of the distance to the default."""
+        ranges = {
+            entry.name: [
+                entry.default[0] + share * (end - entry.default[0]) for end in getattr(self, entry.name)
+            ]
+            for entry in fields(self)
+        }
+        return Randomization(**ranges)
+
+    def beyond(self, limits: "Randomization") -> str:
+        """Return the first name of a quantity whose range is not inside that of ``limits``, or ``""``."""
+        ranges = [(name, *getattr(self, name), *getattr(limits, name)) for name in NAMES]
+        return next((name for name, low, high, least, most in ranges if low < least or most < high), "")
 
     def sample(self, rng: np.random.Generator, names: Sequence[str]) -> dict[str, float]:
         """Return a value for each component of some quantities, by key: the name, or name and axis."""
@@ -143,46 +160,26 @@ def randomization(is_open_loop: bool) -> Check:
     return check
 
 
-PRESETS = {
-    "light": Randomization(
-        object_friction=(0.9, 1.1),
-        surface_friction=(0.9, 1.1),
-        object_mass=(0.8, 1.2),
-        gripper_force=(0.9, 1.1),
-        joint_resistance=(0.8, 1.2),
-        camera_position=(-0.002, 0.002),
-        camera_rotation=(-0.003, 0.003),
-        depth_noise=(0.0, 0.001),
-        action_noise=(0.0, 0.02),
-        colour=(0.0, 0.1),
-        light_direction=(-0.2, 0.2),
-        light_brightness=(0.9, 1.1),
-    ),
-    "real": Randomization(
-        object_friction=(0.7, 1.3),
-        surface_friction=(0.7, 1.3),
-        object_mass=(0.5, 1.5),
-        gripper_force=(0.75, 1.5),
-        joint_resistance=(0.3, 3.0),
-        camera_position=(-0.004, 0.004),
-        camera_rotation=(-0.01, 0.01),
-        depth_noise=(0.0005, 0.0015),
-        depth_step=(0.001, 0.003),
-        depth_missing=(0.0, 0.01),
-        depth_edges=(0.0, 0.3),
-        action_noise=(0.0, 0.05),
-        action_delay=(0.0, 0.3),
-        colour=(0.0, 0.3),
-        light_direction=(-0.5, 0.5),
-        light_brightness=(0.7, 1.3),
-    ),
-}
-"""Presets by name. ``"real"`` has the ranges of OpenAI et al. 2018 (arXiv 1808.00177, Table 1) for frictions,
-masses, forces and joints, the random error and the resolution of a Kinect at 1 m (Khoshelham and Elberink
-2012: 1.4 and 2.9 mm), the pixel shifts of Handa et al. 2014, and the fill rate of 99 % in Intel's data sheet
-of the RealSense D400 series. ``"light"`` has about a third of them."""
-OPEN_LOOP: dict[str, dict[str, Range]] = {
-    "light": {"action_noise": (0.0, 0.005)},
-    "real": {"action_noise": (0.0, 0.01), "action_delay": (0.0, 0.0)},
-}
-"""Ranges of the presets in open-loop control: 0.01 is 2 mm along x and y of the default workspace."""
+REAL = Randomization(
+    object_friction=(0.7, 1.3),
+    surface_friction=(0.7, 1.3),
+    object_mass=(0.5, 1.5),
+    gripper_force=(0.75, 1.5),
+    joint_resistance=(0.3, 3.0),
+    camera_position=(-0.004, 0.004),
+    camera_rotation=(-0.01, 0.01),
+    depth_noise=(0.0, 0.0015),
+    depth_step=(0.0, 0.003),
+    depth_missing=(0.0, 0.01),
+    depth_edges=(0.0, 0.3),
+    action_noise=(0.0, 0.05),
+    action_delay=(0.0, 0.3),
+    colour=(0.0, 0.3),
+    light_direction=(-0.5, 0.5),
+    light_brightness=(0.7, 1.3),
+)
+"""Ranges of OpenAI et al. 2018 (arXiv 1808.00177, Table 1) for frictions, masses, forces and joints; of a
+Kinect at 1 m for noise and step (Khoshelham and Elberink 2012: 1.4 and 2.9 mm); of Handa et al. 2014 for
+edges; of Intel's data sheet of the RealSense D400 series for missing pixels (fill rate of 99 %)."""
+PRESETS = {"light": REAL.scaled(LIGHT_SHARE), "real": REAL}
+"""Presets by name."""

@@ -136,10 +136,7 @@ class ResetOptions(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstructorArgs)
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
-        """Begin an episode.
-
-        :param options: options that replace those of this wrapper; a state replaces all of them
-        """
+        """Begin an episode with the options of this wrapper and passed ones; a state replaces all others."""
         given = options or {}
         return self.env.reset(seed=seed, options=given if "state" in given else {**self._options, **given})
 

@@ -14,12 +14,12 @@ ENV_KWARGS = {"observation": "state", "object_scale_range": [0.6, 1.0], "randomi
 
 
 class Curriculum(BaseCallback):
-    """Extend the range of scales from 1.0 to [0.6, 1.0] in the first half of the training."""
+    """Extend the range of scales from 1 to [0.6, 1] in the first half of the training."""
 
     def _on_step(self) -> bool:
         share = min(1.0, 2.0 * self.num_timesteps / self.locals["total_timesteps"])
-        options = {"object_scale_range": [1.0 - 0.4 * share, 1.0]}
-        self.training_env.env_method("set_reset_options", options)
+        scales = [1.0 - 0.4 * share, 1.0]
+        self.training_env.env_method("set_reset_options", {"object_scale_range": scales})
         return True
 
 
@@ -32,7 +32,6 @@ def main() -> None:
     env = make_vec_env(ENV_ID, 2, seed=0, env_kwargs=ENV_KWARGS, wrapper_class=ResetOptions)
     model = SAC("MultiInputPolicy", env, learning_starts=100, verbose=1, seed=0)
     model.learn(args.steps, Curriculum())
-    env.env_method("set_reset_options", {})
     success, _ = evaluate_policy(model, env, args.episodes)
     print(f"success rate {success:.2f}")
 

@@ -128,7 +128,9 @@ class HeightRenderer:
         :param noise: errors of the depths
         """
         if self._config.view == ORTHOGRAPHIC:
-            heights = self._draw(self._present(without) & ~self._marks, window, error=self._error)
+            heights = self._draw(
+                self._present(without) & ~self._marks, window, error=self._world.optics.error
+            )
             return heights if noise.is_off else SIDE_HEIGHT - noise(SIDE_HEIGHT - heights)
         cameras = side_cameras(self._config, SIDE_PIXELS)
         cloud = np.concatenate([camera.points(self._world, [self._arm], noise) for camera in cameras])
@@ -147,7 +149,7 @@ class HeightRenderer:
         """
         labels = np.zeros((window.size, window.size), np.int16)
         for layer in (self._marks, ~self._marks):
-            self._draw(self._present(without) & layer, window, labels, self._error)
+            self._draw(self._present(without) & layer, window, labels, self._world.optics.error)
         return labels
 
     @property
@@ -167,11 +169,6 @@ class HeightRenderer:
         present: NDArray[np.bool_] = np.array(self._world.active, np.bool_)[self._owners]
         return present if without is None else present & (self._owners != without.index)
 
-    @property
-    def _error(self) -> Pose:
-        """Calibration error of the heightmap."""
-        return self._world.optics.error
-
     def _draw(
         self,
         visible: NDArray[np.bool_],
@@ -179,19 +176,18 @@ class HeightRenderer:
         labels: Labels | None = None,
         error: Pose = ORIGIN,
     ) -> NDArray[np.float32]:
+        """Draw meshes.
+
+        :param error: calibration error, of which heights show the translation and the rotation about z
+        """
         positions, rotations = self._poses()
         if error is ORIGIN:
             return self.draw(positions, rotations, visible, window, labels)
-        # Tilts of some mrad change heights. The shifts of the sides of objects are below a millimetre.
-        x, y, yaw = as_rotvec(error.orientation)
-        planar, centre = Pose.planar(*error.position[:2], 0.0, yaw), np.array([*window.centre, 0.0])
-        rotation = matrix(planar)
-        positions = (positions - centre) @ rotation.T + centre + planar.position
-        heights = self.draw(positions, rotation @ rotations, visible, window, labels)
-        offsets = (np.arange(window.size) - (window.size - 1) / 2.0) * (window.extent / window.size)
-        heights += (error.z - y * offsets).astype(np.float32)[:, None]
-        heights += (x * offsets).astype(np.float32)
-        return heights
+        shift, (_, _, yaw) = error.position, as_rotvec(error.orientation)
+        rotation = matrix(Pose.planar(0.0, 0.0, 0.0, yaw))
+        centre = np.array([*window.centre, 0.0])
+        positions = (positions - centre) @ rotation.T + centre + (shift[0], shift[1], 0.0)
+        return self.draw(positions, rotation @ rotations, visible, window, labels) + np.float32(shift[2])
 
     def _poses(self) -> tuple[FloatArray, FloatArray]:
         """Return positions (n, 3) and rotations (n, 3, 3) of the meshes; poses that are the same are kept."""

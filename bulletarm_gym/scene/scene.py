@@ -1,7 +1,10 @@
 """Scene of a task: its surface, robot and objects."""
 
+import math
 import sys
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from functools import wraps
 from typing import Any, TypeVar
 
@@ -11,7 +14,6 @@ from bulletarm_gym.config import MAX_ROTATION, MAX_TRANSLATION, EnvConfig
 from bulletarm_gym.config_checks import ROUNDING
 from bulletarm_gym.geometry import FloatArray, Pose, Vector, from_rotvec, matrix
 from bulletarm_gym.robots import Robot, RobotModel
-from bulletarm_gym.scene.slots import ObjectSlot, matching_slots, subsample_variants
 from bulletarm_gym.scene.stability import CREEP_SPEED, is_stable, settle
 from bulletarm_gym.simulation import Body, BodySpec, World
 from bulletarm_gym.simulation.motion import set_resistance_factor
@@ -35,6 +37,69 @@ VECTORS = ("camera_position", "camera_rotation", "light_direction")
 """Sampled quantities with three components."""
 MAX_BODIES = 120
 """Maximum number of loaded variants if sizes are sampled; every step costs time for each pair of bodies."""
+GOLDEN = (math.sqrt(5.0) - 1.0) / 2.0
+"""Golden ratio, whose multiples are spread evenly over the unit interval modulo 1."""
+
+
+@dataclass(frozen=True)
+class ObjectSlot:
+    """Slot of a task for one object, and the bodies that can fill it.
+
+    :param variants: bodies of different sizes or shapes, of which one is sampled at every reset; the smallest
+        size first, each size in all shapes, in the same order
+    :param kind: property that slots of a task share: the kind of block, the colour
+    :param scales: scale of each variant; empty if the object has one size
+    :param like: name of an earlier slot with the same number of variants. Both always have the same variant,
+        such as a peg and its socket
+    """
+
+    name: str
+    variants: tuple[BodySpec, ...]
+    kind: str = ""
+    scales: tuple[float, ...] = ()
+    like: str = ""
+
+
+def scaled(
+    config: EnvConfig, name: str, make: Callable[[str, float], BodySpec], kind: str = "", like: str = ""
+) -> ObjectSlot:
+    """Return a slot with one variant, ``make(name, scale)``, for every scale of the configuration.
+
+    :param like: name of an earlier slot that has the same scale
+    """
+    scales = tuple(config.scales)
+    return ObjectSlot(name, tuple(make(f"{name} {scale:g}", scale) for scale in scales), kind, scales, like)
+
+
+def shaped(
+    config: EnvConfig, name: str, make: Callable[[str, float, int], BodySpec], shapes: int
+) -> ObjectSlot:
+    """Return a slot with the variants ``make(name, scale, number)`` for every scale and number of a shape."""
+    kinds = [(scale, kind) for scale in config.scales for kind in range(shapes)]
+    variants = tuple(make(f"{name} {kind} {scale:g}", scale, kind) for scale, kind in kinds)
+    return ObjectSlot(name, variants, scales=tuple(scale for scale, _ in kinds))
+
+
+def subsample_variants(slots: Sequence[ObjectSlot], limit: int) -> list[list[int]]:
+    """Return the sorted indices of the chosen variants of each slot, at most ``limit`` if slots permit.
+
+    Slots with few variants keep all. The others keep the same number, spread evenly over shapes and sizes. A
+    slot continues where the previous one ended, so that together they keep many different variants.
+    """
+    counts = [len(slot.variants) for slot in slots]
+    kept = max(counts, default=1)
+    while kept > 1 and sum(min(count, kept) for count in counts) > limit:
+        kept -= 1
+    chosen, first = [], 0
+    for count in counts:
+        if count <= kept:
+            chosen.append(list(range(count)))
+            continue
+        # A step coprime to the number of variants is coprime to that of shapes, so that these alternate.
+        step = next(s for s in range(round(GOLDEN * count), count) if math.gcd(s, count) == 1)
+        chosen.append(sorted((first + number) * step % count for number in range(kept)))
+        first += kept
+    return chosen
 
 
 def cached_by_pose(compute: Callable[["SceneObject"], T]) -> Callable[["SceneObject"], T]:
@@ -76,16 +141,11 @@ class SceneObject:
         """Specification of the body."""
         return self.body.spec
 
-    @property
-    def scales(self) -> list[float]:
-        """Scales of the loaded variants; empty if the object has one size."""
-        return [self.slot.scales[index] for index in self.choices] if self.slot.scales else []
-
     def fitting(self, low: float, high: float) -> list[int]:
-        """Return the numbers of the loaded variants with scales in a range, or all if it has one size."""
-        if not self.slot.scales:
-            return list(range(len(self.choices)))
-        return [n for n, scale in enumerate(self.scales) if low - ROUNDING <= scale <= high + ROUNDING]
+        """Return the numbers of the loaded variants with scales in a range, or all without scales."""
+        scales = self.slot.scales
+        low, high = low - ROUNDING, high + ROUNDING
+        return [n for n, index in enumerate(self.choices) if not scales or low <= scales[index] <= high]
 
     @property
     def pose(self) -> Pose:
@@ -180,9 +240,8 @@ class Scene:
         self.world = World(PHYSICS_MODES[config.physics_mode], gui=config.render_mode == "human")
         surface.load(self.world)
         self.robot = Robot(model, self.world, config.fast_mode)
-        limit = MAX_BODIES if len(config.scales) > 1 else sys.maxsize
-        names = [slot.name for slot in slots]
-        choices = dict(zip(names, subsample_variants(slots, limit), strict=True))
+        indices = subsample_variants(slots, MAX_BODIES if len(config.scales) > 1 else sys.maxsize)
+        choices = {slot.name: chosen for slot, chosen in zip(slots, indices, strict=True)}
         self._objects = {
             slot.name: SceneObject(slot, choices[slot.like or slot.name], self.world, model.gripper.finger[1])
             for slot in slots
@@ -190,8 +249,8 @@ class Scene:
         self.world.seal()
         self._cache: dict[Any, Any] = {}
         self.sampled: Mapping[str, float] = {}
-        """Sampled values of the episode by key, see :meth:`Randomization.sample`."""
-        self.narrow(config.object_scale_range)
+        """Sampled values of the episode by key, see :class:`~bulletarm_gym.randomization.Randomization`."""
+        self.narrow(config.object_scale_range, slots)
 
     def __getitem__(self, name: str) -> SceneObject:
         """Return the object in a slot."""
@@ -229,22 +288,23 @@ class Scene:
         self.world.unsettled.update(body.index for body in self.world.loose_bodies)
         self.world.reset_properties()
         self.surface.arrange(rng)
-        for obj in self._objects.values():
+        for name, obj in self._objects.items():
             obj.park()
-            fitting = self._fitting[obj.slot.name]
-            like = obj.slot.like
+            fitting, like = self._fitting[name], obj.slot.like
             obj.variant = self[like].variant if like else fitting[int(rng.integers(len(fitting)))]
 
-    def narrow(self, scale_range: Sequence[float], slots: Sequence[ObjectSlot] | None = None) -> None:
-        """Set the scales and the slots of the following episodes.
+    def narrow(self, scale_range: Sequence[float], slots: Sequence[ObjectSlot]) -> None:
+        """Set the scales and the slots that the following episodes use.
 
         :param scale_range: lowest and highest scale
-        :param slots: slots of the task with fewer objects; None for all slots
-        :raises ValueError: a slot of the task with fewer objects is not loaded
+        :param slots: slots of the task, which may be fewer than the loaded ones of each name or kind
         """
-        loaded = [obj.slot for obj in self._objects.values()]
-        names = list(self._objects) if slots is None else matching_slots(loaded, slots)
-        self._used = [self._objects[name] for name in names]
+        wanted = Counter(slot.kind or slot.name for slot in slots)
+        self._used = []
+        for obj in self._objects.values():
+            kind = obj.slot.kind or obj.slot.name
+            self._used += [obj] * min(wanted[kind], 1)
+            wanted[kind] -= 1
         self._fitting = {name: obj.fitting(*scale_range) for name, obj in self._objects.items()}
 
     def set_surface_properties(self, **changes: Any) -> None:
@@ -252,31 +312,12 @@ class Scene:
 
         :param changes: fields of :class:`~bulletarm_gym.simulation.state.Properties`
         :raises ValueError: one of them is out of range
-        :raises TypeError: an unknown property
         """
         for body in self.surface.bodies:
             self.world.set_properties(body, self.world.get_properties(body).changed(**changes))
 
-    def randomize(self, rng: np.random.Generator) -> None:
-        """Change the properties of all bodies by the sampled values; colours are sampled for each body."""
-        if not (values := self.sampled):
-            return
-        objects = [obj.body for obj in self._objects.values()]
-        for bodies, kind in ((objects, "object"), (self.surface.bodies, "surface")):
-            for body in bodies:
-                before = self.world.get_properties(body)
-                shift = values.get("colour", 0.0) * rng.uniform(-1.0, 1.0, 3)
-                colour = (*(before.colour[:3] + shift).clip(0.0, 1.0).tolist(), before.colour[3])
-                mass = before.mass * (values.get("object_mass", 1.0) if kind == "object" else 1.0)
-                friction = before.friction * values.get(f"{kind}_friction", 1.0)
-                changed = before.changed(mass=mass, friction=friction, colour=colour)
-                self.world.set_properties(body, changed)
-
     def set_sampled(self, values: Mapping[str, float]) -> None:
-        """Set the sampled values that are not properties of bodies.
-
-        :param values: sampled values by key, see :meth:`Randomization.sample`
-        """
+        """Set the sampled values of an episode; :meth:`randomize` changes the properties of bodies."""
         if values == self.sampled:
             return
         self.sampled = values
@@ -286,6 +327,18 @@ class Scene:
         error = Pose(position, from_rotvec(rotation)) if any(position + rotation) else ORIGIN
         optics = Optics(error, light, values.get("light_brightness", 1.0))
         self.world.optics = NOMINAL if optics == NOMINAL else optics
+
+    def randomize(self, rng: np.random.Generator) -> None:
+        """Change the properties of all bodies by the sampled values; each body has a colour of its own."""
+        values, world = self.sampled, self.world
+        objects = [(obj.body, "object") for obj in self._objects.values()]
+        for body, kind in [*objects, *((body, "surface") for body in self.surface.bodies)] if values else ():
+            before = world.get_properties(body)
+            shift = values.get("colour", 0.0) * rng.uniform(-1.0, 1.0, 3)
+            colour = (*(before.colour[:3] + shift).clip(0.0, 1.0), before.colour[3])
+            mass = values.get(f"{kind}_mass", 1.0) * before.mass
+            friction = values.get(f"{kind}_friction", 1.0) * before.friction
+            world.set_properties(body, before.changed(mass=mass, friction=friction, colour=colour))
 
     def begin(self) -> None:
         """Start a move from the canonical world."""

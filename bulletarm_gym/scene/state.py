@@ -23,20 +23,6 @@ DECIMALS = 5
 
 
 @dataclasses.dataclass(frozen=True)
-class EpisodeState:
-    """Parameters and sampled values of an episode.
-
-    :param narrowed: name and value of each parameter that options of the reset have narrowed
-    :param sampled: key and value of each sampled quantity, see :mod:`~bulletarm_gym.randomization`
-    :param last_action: numbers of the previous action, if actions have a delay
-    """
-
-    narrowed: tuple[tuple[str, Any], ...] = ()
-    sampled: tuple[tuple[str, float], ...] = ()
-    last_action: tuple[float, ...] = ()
-
-
-@dataclasses.dataclass(frozen=True)
 class EnvState:
     """State of an environment, from which it continues exactly; picklable.
 
@@ -48,7 +34,9 @@ class EnvState:
     :param ended: whether the episode has terminated or been truncated
     :param generator: state of the generator that seeds later episodes
     :param made_of: task, robot, sizes and other values that the environment and the state must have in common
-    :param episode: narrowed parameters and sampled values
+    :param narrowed: names and values of the parameters that options of the reset have narrowed
+    :param sampled: keys and values of the sampled quantities, see :mod:`~bulletarm_gym.randomization`
+    :param last_action: numbers of the last action, if actions have a delay
     """
 
     world: WorldState
@@ -62,7 +50,9 @@ class EnvState:
     episode_seed: int
     generator: dict[str, Any]
     made_of: dict[str, Any]
-    episode: EpisodeState = EpisodeState()
+    narrowed: tuple[tuple[str, Any], ...] = ()
+    sampled: tuple[tuple[str, float], ...] = ()
+    last_action: tuple[float, ...] = ()
 
 
 def check_fits(state: Any, made_of: dict[str, Any]) -> None:
@@ -123,8 +113,7 @@ def _object_numbers(spec: BodySpec) -> list[float]:
 
 
 STATE_TYPES: dict[str, type] = {
-    kind.__name__: kind
-    for kind in (bytes, list, dict, Pose, Properties, WorldState, RobotState, EpisodeState, EnvState)
+    kind.__name__: kind for kind in (bytes, list, dict, Pose, Properties, WorldState, RobotState, EnvState)
 }
 """Types in files of states, by name: built-in types and types that imported tasks declare."""
 

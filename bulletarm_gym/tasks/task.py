@@ -304,12 +304,11 @@ def checked_slots(slots: Any, task: Task) -> Sequence[ObjectSlot]:
     names = [slot.name for slot in slots]
     if len(set(names)) < len(names):
         raise ValueError(f"{must} slots with distinct names, got {', '.join(map(repr, names))}")
-    counts: dict[str, int] = {}
-    for slot in slots:
-        if slot.like and counts.get(slot.like) != len(slot.variants):
-            rule = f"slots that are like an earlier slot with {len(slot.variants)} variants"
-            raise ValueError(f"{must} {rule}, got {slot.name!r} like {slot.like!r}")
-        counts |= {} if slot.like else {slot.name: len(slot.variants)}
+    for number, slot in enumerate(slots):
+        alike = [other for other in slots[:number] if other.name == slot.like and not other.like]
+        if slot.like and [len(other.variants) for other in alike] != [len(slot.variants)]:
+            reason = f"an earlier slot with {len(slot.variants)} variants as like of {slot.name!r}"
+            raise ValueError(f"{must} {reason}, got {slot.like!r}")
     return slots
 
 

@@ -122,11 +122,11 @@ def test_clutter_is_kept_while_the_number_is_the_same(make: Make) -> None:
             r"object_scale_range must be .* within \[0\.6, 1\.0\].*got \[0\.5",
         ),
         ({"object_scale_range": "small"}, "object_scale_range must be a positive number or .*got 'small'"),
-        ({"object_scale_range": 0.71}, r"object_scale_range must be .* 'cube', one of 0\.6, .*got 0\.71"),
+        ({"object_scale_range": 0.71}, r"object_scale_range must be .* 'cube', one of \[0\.6, .*got 0\.71"),
         ({"num_objects": 2}, "num_objects must be one of 1, got 2"),
         (
             {"randomization": {"object_mass": 1.1}},
-            r"randomization must be within .* \{\}, got \{'object_mass",
+            r"randomization must be .* object_mass within \[1.0, 1.0\], got \{'object_m",
         ),
         ({"randomization": "heavy"}, "randomization must be None, 'light', 'real'.*got 'heavy'"),
         ({"reward": None}, "options must be None or a dict with .*num_objects.*got {'reward'"),
@@ -172,8 +172,8 @@ def test_options_reach_the_members_of_gymnasium() -> None:
         **SIZES,
         randomization="light",
     )
-    _, infos = envs.reset(seed=0, options={"object_scale_range": 0.7, "randomization": {"object_mass": 1.2}})
-    assert infos["randomization/object_mass"].tolist() == [1.2, 1.2]
+    _, infos = envs.reset(seed=0, options={"object_scale_range": 0.7, "randomization": {"object_mass": 1.1}})
+    assert infos["randomization/object_mass"].tolist() == [1.1, 1.1]
     assert [side(env.unwrapped) for env in envs.envs] == [0.7, 0.7]
     envs.call("set_reset_options", {"randomization": None})
     _, infos = envs.reset()
@@ -199,7 +199,7 @@ def test_narrowed_episodes_are_recorded_and_replay(tmp_path: Path) -> None:
     other: Any = recorded.make_env().unwrapped
     assert len(recorded) == 3 and other.config.randomization == "real"
     for number, episode in enumerate(recorded):
-        assert dict(episode.state.episode.sampled)["object_mass"] == 0.6
+        assert dict(episode.state.sampled)["object_mass"] == 0.6
         assert len(list(replay(recorded, number, other))) == len(episode) + 1
         assert side(other) == 0.7
     other.close()
@@ -240,5 +240,5 @@ def test_coupled_objects_have_the_same_scale() -> None:
 
 
 def test_coupling_needs_an_earlier_slot_with_the_same_variants() -> None:
-    with pytest.raises(ValueError, match=r"slots that are like an earlier slot with 21 variants, got 'cube'"):
+    with pytest.raises(ValueError, match=r"an earlier slot with 21 variants as like of 'cube', got 'bowl'"):
         ManipulationEnv("test_curriculum:WronglyCoupled", "close_loop", **SIZES)
