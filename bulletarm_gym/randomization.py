@@ -28,7 +28,12 @@ def quantity(neutral: float, low: float, high: float, endings: Sequence[str] = (
     :param high: largest accepted value
     :param endings: endings of the keys of its components
     """
-    metadata = {"limits": (low, high), "check": interval(low, high), "endings": tuple(endings)}
+    metadata = {
+        "neutral": neutral,
+        "limits": (low, high),
+        "check": interval(low, high),
+        "endings": tuple(endings),
+    }
     return field(default=(neutral, neutral), metadata=metadata)
 
 
@@ -95,21 +100,29 @@ class Randomization:
         :raises ValueError: the value is not valid
         """
         if isinstance(value, str) and value in PRESETS:
-            noise = [end * OPEN_LOOP_SHARE for end in PRESETS[value].action_noise]
-            changes = {"action_noise": noise, "action_delay": 0.0} if is_open_loop else {}
-            return replace(PRESETS[value], **changes)
-        if not (value is None or isinstance(value, Mapping | cls)):
+            made = PRESETS[value]
+            low, high = (end * OPEN_LOOP_SHARE for end in made.action_noise)
+            delay, noise = (0.0, 0.0), (low, high)
+            return replace(made, action_delay=delay, action_noise=noise) if is_open_loop else made
+        if isinstance(value, cls):
+            made = value
+        elif value is None or isinstance(value, Mapping):
+            made = cls._of_dict(dict(value or {}))
+        else:
             raise Refused(f"None, {', '.join(map(repr, PRESETS))}, a dict of ranges or a Randomization")
-        try:
-            made = value if isinstance(value, cls) else cls(**(value or {}))
-        except TypeError:
-            raise Refused(f"a dict with keys from {', '.join(NAMES)}") from None
-        except ParameterError as error:
-            raise ParameterError(f"randomization: {error}") from None
         if is_open_loop and made.action_delay != (0.0, 0.0):
             got = list(made.action_delay)
             raise ParameterError(f"randomization: action_delay must be 0 in open-loop control, got {got}")
         return made
+
+    @classmethod
+    def _of_dict(cls, ranges: dict[str, Any]) -> "Randomization":
+        try:
+            return cls(**ranges)
+        except TypeError:
+            raise Refused(f"a dict with keys from {', '.join(NAMES)}") from None
+        except ParameterError as error:
+            raise ParameterError(f"randomization: {error}") from None
 
     @property
     def varied(self) -> dict[str, list[float]]:
@@ -122,12 +135,10 @@ class Randomization:
 
     def scaled(self, share: float) -> "Randomization":
         """Return ranges whose ends have a share of the distance to the default."""
-        ranges = {
-            entry.name: [
-                entry.default[0] + share * (end - entry.default[0]) for end in getattr(self, entry.name)
-            ]
-            for entry in fields(self)
-        }
+        ranges: dict[str, Any] = {}
+        for entry in fields(self):
+            neutral = entry.metadata["neutral"]
+            ranges[entry.name] = [neutral + share * (end - neutral) for end in getattr(self, entry.name)]
         return Randomization(**ranges)
 
     def beyond(self, limits: "Randomization") -> str:
