@@ -174,9 +174,9 @@ class EnvConfig:
     :param view: ``"orthographic"``, straight down, or ``"point_cloud"``, from the paper's two side cameras
     :param observation: ``"image"``, ``"state"`` (the poses of gripper and objects), or a list of sensors,
         each a name or ``{"name": ..., parameter: value, ...}``
-    :param physics_mode: ``"fast"`` (50 solver iterations) or ``"slow"`` (200, and slower motions)
     :param randomization: None, ``"light"``, ``"real"``, or a dict of ranges, see
         :class:`~bulletarm_gym.randomization.Randomization`; sampled at every reset
+    :param physics_mode: ``"fast"`` (50 solver iterations) or ``"slow"`` (200, and slower motions)
     :param reward: None for the task's reward, or ``"module:function"``, called as ``function(scene,
         outcome)``
     :param render_mode: None, ``"rgb_array"``, ``"depth_array"`` or ``"human"``
@@ -232,10 +232,10 @@ class EnvConfig:
         Depends(_observation),
         "observation",
     )
-    physics_mode: str = parameter(checks.choice("fast", "slow"), "fast", "motion")
     randomization: str | dict[str, list[float]] | None = parameter(
         Depends(lambda c: randomization(c.control == OPEN_LOOP)), None, "episode"
     )
+    physics_mode: str = parameter(checks.choice("fast", "slow"), "fast", "motion")
     reward: str | None = parameter(checks.optional(checks.function_path), None, "episode")
     render_mode: str | None = parameter(
         checks.choice(None, "rgb_array", "depth_array", "human"), None, "rendering"

@@ -177,10 +177,9 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         self.task.memory = self.control.memory = None
         rng = self._rng(ARRANGEMENT)
         if is_new or not self.task.continue_scene(self.scene, rng):
-            sampling = self._rng(RANDOMIZATION)
-            self._episode.begin(narrowed, sampling)
+            self._episode.begin(narrowed, lambda: self._rng(RANDOMIZATION))
             arrange_scene(self.scene, self.control, arrange, rng, self._changed)
-            self.scene.randomize(sampling)
+            self._episode.randomize()
         else:
             self._episode.last_action = ()
             self.control.start()

@@ -33,9 +33,11 @@ class EpisodeParameters:
     def __init__(self, config: EnvConfig, task: Task, scene: Scene, control: Control[Any]) -> None:
         self._config, self._task, self._scene, self._control = config, task, scene, control
         self._limits = self._ranges(config.randomization)
+        self._slots = [obj.slot for obj in scene.all_objects]
         self.narrowed: Narrowed = ()
         self.sampled: Sampled = ()
         self.last_action: tuple[float, ...] = ()
+        self._rng: np.random.Generator | None = None
         self.info: dict[str, float] = {}
         """Sampled values as entries of ``info``."""
 
@@ -44,6 +46,8 @@ class EpisodeParameters:
 
         :raises ValueError: a value is not valid or not within the parameter of the environment
         """
+        if not options:
+            return ()
         counts = (n for n in self._task.defaults.allowed_objects if n <= self._config.num_objects)
         checks = {
             "object_scale_range": self._check_scales,
@@ -74,22 +78,32 @@ class EpisodeParameters:
     def _ranges(self, value: Any) -> Randomization:
         return Randomization.of(value, self._config.control == OPEN_LOOP)
 
-    def begin(self, narrowed: Narrowed, rng: np.random.Generator) -> None:
-        """Sample the values of an episode with narrowed parameters."""
-        ranges = (
-            self._ranges(dict(narrowed)["randomization"])
-            if "randomization" in dict(narrowed)
-            else self._limits
-        )
-        self.set(narrowed, tuple(ranges.sample(rng, list(self._limits.varied)).items()), ())
+    def begin(self, narrowed: Narrowed, generator: Callable[[], np.random.Generator]) -> None:
+        """Sample the values of an episode with narrowed parameters, before its objects are arranged.
+
+        :param generator: function that returns the generator of the values
+        """
+        self._rng, chosen = generator() if self._limits.varied else None, dict(narrowed)
+        ranges = self._ranges(chosen["randomization"]) if "randomization" in chosen else self._limits
+        sampled = ranges.sample(self._rng, list(self._limits.varied)) if self._rng is not None else {}
+        self.set(narrowed, tuple(sampled.items()), ())
+
+    def randomize(self) -> None:
+        """Change the properties of the arranged bodies by the sampled values."""
+        if self._rng is not None:
+            self._scene.randomize(self._rng)
 
     def set(self, narrowed: Narrowed, sampled: Sampled, last_action: tuple[float, ...]) -> None:
         """Set the parameters and values of an episode, also in the task and the scene."""
         if narrowed != self.narrowed:
-            config = replace(self._config, **dict(narrowed))
-            vars(self._task).clear()  # attributes of a task depend on the parameters
-            self._task.__init__(config)  # type: ignore[misc]
-            self._scene.narrow(config.object_scale_range, self._task.bodies(config))
+            chosen = dict(narrowed)
+            count = chosen.get("num_objects", self._config.num_objects)
+            if count != self._task.config.num_objects:
+                vars(self._task).clear()  # attributes of a task depend on its parameters
+                self._task.__init__(replace(self._config, num_objects=count))  # type: ignore[misc]
+                self._slots = self._task.bodies(self._task.config)
+            scales = chosen.get("object_scale_range", self._config.object_scale_range)
+            self._scene.narrow(scales, self._slots)
         self.narrowed, self.sampled, self.last_action = narrowed, sampled, last_action
         self.info = {INFO_PREFIX + key: value for key, value in sampled}
         self._scene.set_sampled(dict(sampled))
@@ -97,7 +111,7 @@ class EpisodeParameters:
     def limit_steps(self, config: EnvConfig) -> None:
         """Set parameters of the environment of which only ``max_steps`` differs."""
         self._config = config
-        self._task.config = replace(config, **dict(self.narrowed))
+        self._task.config = replace(self._task.config, max_steps=config.max_steps)
 
     def executed(self, action: ArrayLike, generator: Callable[[], np.random.Generator]) -> ArrayLike:
         """Return the action that the robot executes, with the delay and the noise.

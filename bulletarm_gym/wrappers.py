@@ -115,6 +115,31 @@ def _scaled(value: NDArray[Any], box: spaces.Box) -> NDArray[np.float32]:
     return scaled
 
 
+def own_time_limit(env: gymnasium.Env[Any, Any], known: int | None) -> gymnasium.Env[Any, Any]:
+    """Replace Gymnasium's ``TimeLimit`` by the environment's own limit, and return the environment.
+
+    ``TimeLimit`` cannot extend the limit, also truncates a success at the limit, and does not follow
+    ``set_state()``. Every id names this function as its first wrapper.
+
+    :param known: limit in the spec of another environment, which is kept unless a limit is passed to
+        ``make()``
+    """
+    core: Any = env.unwrapped
+    spec, limit = core.spec, known
+    if isinstance(env, TimeLimit):
+        limit, env = env._max_episode_steps, env.env
+    elif sys._getframe(1).f_locals.get("max_episode_steps") == -1:  # make() leaves no other trace of it
+        limit = UNLIMITED
+    if limit is not None and limit != known:
+        core.limit_steps(limit)
+        spec = replace(spec, kwargs={**spec.kwargs, "max_steps": limit})
+    if env is not core:
+        # LeRobot calls hasattr() on the outermost wrapper only, and else passes no task.
+        env.task_description = core.task_description  # type: ignore[attr-defined]
+    core.spec = replace(spec, additional_wrappers=(time_limit_spec(core.config.max_steps),))
+    return env
+
+
 class ResetOptions(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
     """Pass the same options to every reset, for a curriculum.
 
@@ -139,31 +164,6 @@ class ResetOptions(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstructorArgs)
         """Begin an episode with the options of this wrapper and passed ones; a state replaces all others."""
         given = options or {}
         return self.env.reset(seed=seed, options=given if "state" in given else {**self._options, **given})
-
-
-def own_time_limit(env: gymnasium.Env[Any, Any], known: int | None) -> gymnasium.Env[Any, Any]:
-    """Replace Gymnasium's ``TimeLimit`` by the environment's own limit, and return the environment.
-
-    ``TimeLimit`` cannot extend the limit, also truncates a success at the limit, and does not follow
-    ``set_state()``. Every id names this function as its first wrapper.
-
-    :param known: limit in the spec of another environment, which is kept unless a limit is passed to
-        ``make()``
-    """
-    core: Any = env.unwrapped
-    spec, limit = core.spec, known
-    if isinstance(env, TimeLimit):
-        limit, env = env._max_episode_steps, env.env
-    elif sys._getframe(1).f_locals.get("max_episode_steps") == -1:  # make() leaves no other trace of it
-        limit = UNLIMITED
-    if limit is not None and limit != known:
-        core.limit_steps(limit)
-        spec = replace(spec, kwargs={**spec.kwargs, "max_steps": limit})
-    if env is not core:
-        # LeRobot calls hasattr() on the outermost wrapper only, and else passes no task.
-        env.task_description = core.task_description  # type: ignore[attr-defined]
-    core.spec = replace(spec, additional_wrappers=(time_limit_spec(core.config.max_steps),))
-    return env
 
 
 Wrapper = gymnasium.Wrapper[Any, Any, Any, Any]

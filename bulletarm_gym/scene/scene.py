@@ -332,7 +332,7 @@ class Scene:
         """Change the properties of all bodies by the sampled values; each body has a colour of its own."""
         values, world = self.sampled, self.world
         objects = [(obj.body, "object") for obj in self._objects.values()]
-        for body, kind in [*objects, *((body, "surface") for body in self.surface.bodies)] if values else ():
+        for body, kind in [*objects, *((body, "surface") for body in self.surface.bodies)]:
             before = world.get_properties(body)
             shift = values.get("colour", 0.0) * rng.uniform(-1.0, 1.0, 3)
             colour = (*(before.colour[:3] + shift).clip(0.0, 1.0), before.colour[3])
