@@ -14,7 +14,7 @@ Range = tuple[float, float]
 LIGHT_SHARE = 1.0 / 3.0
 """Share of the ranges of the preset ``"real"`` in the preset ``"light"``."""
 OPEN_LOOP_SHARE = 0.2
-"""Share of the presets' noise on actions in open-loop control, whose numbers stand for longer distances."""
+"""Share of the presets' noise on actions in open-loop control, where the same number is a longer distance."""
 
 AXES = ("_x", "_y", "_z")
 """Endings of the keys of a quantity with three components."""
@@ -28,13 +28,7 @@ def quantity(neutral: float, low: float, high: float, endings: Sequence[str] = (
     :param high: largest accepted value
     :param endings: endings of the keys of its components
     """
-    metadata = {
-        "neutral": neutral,
-        "limits": (low, high),
-        "check": interval(low, high),
-        "endings": tuple(endings),
-    }
-    return field(default=(neutral, neutral), metadata=metadata)
+    return field(default=(neutral, neutral), metadata={"limits": (low, high), "endings": endings})
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,8 +82,10 @@ class Randomization:
     def __post_init__(self) -> None:
         """Check the ranges and convert them to tuples."""
         for entry in fields(self):
-            ends = check_argument(entry.name, getattr(self, entry.name), entry.metadata["check"])
-            object.__setattr__(self, entry.name, tuple(ends))
+            check = interval(*entry.metadata["limits"])
+            object.__setattr__(
+                self, entry.name, tuple(check_argument(entry.name, getattr(self, entry.name), check))
+            )
 
     @classmethod
     def of(cls, value: Any, is_open_loop: bool) -> "Randomization":
@@ -100,46 +96,35 @@ class Randomization:
         :raises ValueError: the value is not valid
         """
         if isinstance(value, str) and value in PRESETS:
-            made = PRESETS[value]
-            low, high = (end * OPEN_LOOP_SHARE for end in made.action_noise)
-            delay, noise = (0.0, 0.0), (low, high)
-            return replace(made, action_delay=delay, action_noise=noise) if is_open_loop else made
-        if isinstance(value, cls):
-            made = value
-        elif value is None or isinstance(value, Mapping):
-            made = cls._of_dict(dict(value or {}))
-        else:
+            low, high = (end * OPEN_LOOP_SHARE for end in PRESETS[value].action_noise)
+            preset = PRESETS[value]
+            return replace(preset, action_delay=(0, 0), action_noise=(low, high)) if is_open_loop else preset
+        if not (value is None or isinstance(value, Mapping | cls)):
             raise Refused(f"None, {', '.join(map(repr, PRESETS))}, a dict of ranges or a Randomization")
+        ranges: Any = value or {}
+        try:
+            made = value if isinstance(value, cls) else cls(**ranges)
+        except TypeError:
+            raise Refused(f"a dict with keys from {', '.join(NAMES)}") from None
+        except ParameterError as error:
+            raise ParameterError(f"randomization: {error}") from None
         if is_open_loop and made.action_delay != (0.0, 0.0):
             got = list(made.action_delay)
             raise ParameterError(f"randomization: action_delay must be 0 in open-loop control, got {got}")
         return made
 
-    @classmethod
-    def _of_dict(cls, ranges: dict[str, Any]) -> "Randomization":
-        try:
-            return cls(**ranges)
-        except TypeError:
-            raise Refused(f"a dict with keys from {', '.join(NAMES)}") from None
-        except ParameterError as error:
-            raise ParameterError(f"randomization: {error}") from None
-
     @property
     def varied(self) -> dict[str, list[float]]:
         """Ranges that differ from the default, by name."""
-        return {
-            entry.name: list(getattr(self, entry.name))
-            for entry in fields(self)
-            if getattr(self, entry.name) != entry.default
-        }
+        names = (entry.name for entry in fields(self) if getattr(self, entry.name) != entry.default)
+        return {name: list(getattr(self, name)) for name in names}
 
-    def scaled(self, share: float) -> "Randomization":
-        """Return ranges whose ends have a share of the distance to the default."""
-        ranges: dict[str, Any] = {}
-        for entry in fields(self):
-            neutral = entry.metadata["neutral"]
-            ranges[entry.name] = [neutral + share * (end - neutral) for end in getattr(self, entry.name)]
-        return Randomization(**ranges)
+    def shrunk(self, share: float) -> "Randomization":
+        """Return ranges whose ends have a share of the present distance to the default."""
+        neutral: dict[str, Any] = vars(Randomization())
+        ends = {name: zip(neutral[name], getattr(self, name), strict=True) for name in NAMES}
+        ranges = {name: [n + share * (end - n) for n, end in pairs] for name, pairs in ends.items()}
+        return Randomization(**ranges)  # type: ignore[arg-type]
 
     def beyond(self, limits: "Randomization") -> str:
         """Return the first name of a quantity whose range is not inside that of ``limits``, or ``""``."""
@@ -189,8 +174,9 @@ REAL = Randomization(
     light_direction=(-0.5, 0.5),
     light_brightness=(0.7, 1.3),
 )
-"""Ranges of OpenAI et al. 2018 (arXiv 1808.00177, Table 1) for frictions, masses, forces and joints; of a
-Kinect at 1 m for noise and step (Khoshelham and Elberink 2012: 1.4 and 2.9 mm); of Handa et al. 2014 for
-edges; of Intel's data sheet of the RealSense D400 series for missing pixels (fill rate of 99 %)."""
-PRESETS = {"light": REAL.scaled(LIGHT_SHARE), "real": REAL}
+"""Preset ``"real"``. Frictions, masses, forces and joints: OpenAI et al. 2018 (arXiv 1808.00177, Table 1).
+Noise and step: a Kinect at 1 m has 1.4 and 2.9 mm (Khoshelham and Elberink 2012). Edges: Handa et al. 2014.
+Missing pixels: the fill rate in Intel's data sheet of the RealSense D400 series is 99 %. The ranges of camera
+poses, actions, colours and light are estimates."""
+PRESETS = {"light": REAL.shrunk(LIGHT_SHARE), "real": REAL}
 """Presets by name."""

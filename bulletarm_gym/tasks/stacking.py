@@ -306,17 +306,15 @@ class ImproviseHouseBuilding2(Structure):
         """Return the slot of a block with variants of all shapes and sizes."""
         if kind == "roof":
             return super().block(config, name, kind, number)
-        specs = [
-            (spec, scale)
+        specs = (
+            improvise_blocks(name, scale, number)
+            if kind == "block"
+            else improvise_bricks(name, scale, BRICKS)
             for scale in config.scales
-            for spec in (
-                improvise_blocks(name, scale, number)
-                if kind == "block"
-                else improvise_bricks(name, scale, BRICKS)
-            )
-        ]
-        variants, scales = zip(*specs, strict=True)
-        return ObjectSlot(name, variants, scales=scales)
+        )
+        variants = tuple(spec for variants in specs for spec in variants)
+        scales = np.repeat(config.scales, len(variants) // len(config.scales)).tolist()
+        return ObjectSlot(name, variants, scales=tuple(scales))
 
 
 class ImproviseHouseBuilding3(ImproviseHouseBuilding2):

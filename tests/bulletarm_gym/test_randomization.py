@@ -269,9 +269,10 @@ def test_action_noise_spares_the_opening(make: Make) -> None:
 # Exactness
 
 
-def check_exactness(make: Make, env_id: str) -> None:
+def check_exactness(make: Make, env_id: str, **parameters: Any) -> None:
     """Check determinism, states in another instance, JSON and pickles."""
-    env, other = (make(env_id, number, randomization="real", obs_size=32) for number in range(2))
+    parameters = {"obs_size": 32, **parameters}
+    env, other = (make(env_id, number, randomization="real", **parameters) for number in range(2))
     expected = transcript(env, 6, seed=3)
     transcript(other, 2, seed=8)
     assert transcript(other, 6, seed=3) == expected
@@ -283,7 +284,7 @@ def check_exactness(make: Make, env_id: str) -> None:
     other.set_state(json_state.loads(json_state.dumps(state)))
     for one in (other, copied):
         assert [digest(one.observe()), *transcript(one, 6)] == expected
-    plain = make_env(env_id, obs_size=32)
+    plain = make_env(env_id, **parameters)
     plain.set_state(state)
     assert [digest(plain.observe()), transcript(plain, 1)[0]] == expected[:2]
     plain.close()
@@ -301,6 +302,19 @@ def check_interface(env_id: str) -> None:
 def test_real_randomization_is_exact(make: Make, env_id: str) -> None:
     check_exactness(make, env_id)
     check_interface(env_id)
+
+
+def test_all_sensors_are_exact(make: Make) -> None:
+    cameras = ["heightmap", "rgb", "depth", "point_cloud"]
+    check_exactness(make, PICKING, view="point_cloud", observation=cameras)
+    check_exactness(make, PICKING, observation=["heightmap", "color", "segmentation", "state"])
+
+
+def test_states_are_exact_in_another_process(make: Make, in_another_process: Callable[..., Any]) -> None:
+    parameters = {"randomization": "real", "obs_size": 32}
+    env = make(PICKING, **parameters)
+    request = (PICKING, parameters, advance(env, 3, 4))
+    assert in_another_process({"picking": request}) == {"picking": transcript(env)}
 
 
 @pytest.mark.slow
