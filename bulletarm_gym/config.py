@@ -10,6 +10,7 @@ from typing import Any, Literal, NamedTuple
 
 from bulletarm_gym import config_checks as checks
 from bulletarm_gym.config_checks import Check, ParameterError, check_argument
+from bulletarm_gym.randomization import randomization
 from bulletarm_gym.registry import ROBOTS, SENSORS, SURFACES
 
 __all__ = ["Context", "EnvConfig", "ParameterError", "TaskDefaults", "UnknownParameterError"]
@@ -156,8 +157,8 @@ class EnvConfig:
     :param robot: name or import path of the robot
     :param action_sequence: one character for each number of the action, in its order
     :param workspace: [[x low, x high], [y low, y high], [z low, z high]] (m); square in x and y
-    :param object_scale_range: [low, high] scales relative to the nominal sizes; sampled from a grid of 0.02.
-        If a task's default is 0.8, 1.0 gives larger objects
+    :param object_scale_range: [low, high] scales relative to the nominal sizes; sampled from a grid of 0.02
+        for each object on its own. If a task's default is 0.8, 1.0 gives larger objects
     :param max_steps: maximum number of actions in an episode
     :param num_objects: number of objects in the scene
     :param obs_size: side length (pixels) of the heightmap
@@ -173,6 +174,8 @@ class EnvConfig:
     :param view: ``"orthographic"``, straight down, or ``"point_cloud"``, from the paper's two side cameras
     :param observation: ``"image"``, ``"state"`` (the poses of gripper and objects), or a list of sensors,
         each a name or ``{"name": ..., parameter: value, ...}``
+    :param randomization: None, ``"light"``, ``"real"``, or a dict of ranges, see
+        :class:`~bulletarm_gym.randomization.Randomization`; sampled at every reset
     :param physics_mode: ``"fast"`` (50 solver iterations) or ``"slow"`` (200, and slower motions)
     :param reward: None for the task's reward, or ``"module:function"``, called as ``function(scene,
         outcome)``
@@ -228,6 +231,9 @@ class EnvConfig:
         Depends(lambda c: checks.observation(tuple(PRESETS[c.control]), tuple(SENSORS.builtin))),
         Depends(_observation),
         "observation",
+    )
+    randomization: str | dict[str, list[float]] | None = parameter(
+        Depends(lambda c: randomization(c.control == OPEN_LOOP)), None, "episode"
     )
     physics_mode: str = parameter(checks.choice("fast", "slow"), "fast", "motion")
     reward: str | None = parameter(checks.optional(checks.function_path), None, "episode")

@@ -122,6 +122,15 @@ def number(low: float, high: float, must: str) -> Check:
     return rule(must, lambda value: low <= value <= high and math.isfinite(value), _float)
 
 
+def interval(low: float, high: float) -> Check:
+    """Accept numbers and [low, high] between limits, both included; return [low, high]."""
+    return rule(
+        f"a number or [low, high], from {low:g} to {high:g}",
+        lambda ends: low <= ends[0] <= ends[1] <= high,
+        lambda value: _floats(2)(_pair(value)),
+    )
+
+
 def action_sequence(known: Sequence[str]) -> Check:
     """Accept words, their characters in any order."""
     words = " or ".join(filter(None, (", ".join(map(repr, known[:-1])), repr(known[-1]))))

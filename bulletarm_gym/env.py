@@ -14,9 +14,10 @@ from numpy.typing import ArrayLike, NDArray
 from bulletarm_gym import config_checks
 from bulletarm_gym.config import CLOSE_LOOP, Context, EnvConfig, ParameterError
 from bulletarm_gym.control import Control, RobotInterface
+from bulletarm_gym.episode import EpisodeParameters
 from bulletarm_gym.experts.approach import Tracker
 from bulletarm_gym.geometry.compilation import warm_up
-from bulletarm_gym.observations import Observer, View
+from bulletarm_gym.observations import DepthNoise, Observer, View
 from bulletarm_gym.observations.cameras import RENDER, Viewer
 from bulletarm_gym.observations.view import measure
 from bulletarm_gym.registry import CONTROLS, REWARDS, ROBOTS, SURFACES, TASKS, by_path
@@ -41,7 +42,7 @@ Action = NDArray[np.float32]
 
 PLAN_STEPS = 10
 """Number of closed-loop steps in which a pick-and-place plan samples the same values and does not change."""
-ARRANGEMENT, AFTER_ACTION, PLAN = range(3)
+ARRANGEMENT, AFTER_ACTION, PLAN, RANDOMIZATION, ACTUATION, SENSING = range(6)
 """Independent streams of an episode's random numbers."""
 KEPT = ("action_space", "observation_space", "_np_random", "_np_random_seed")
 """Attributes with generators or seeds, which copies of an environment keep."""
@@ -101,6 +102,7 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
             self.metadata = {**self.metadata, "render_modes": ["rgb_array", "depth_array"]}
         self._make_scene(task_type, model or ROBOTS.find(self.config.robot), surface, default)
         self._make_control(control_type)
+        self._episode = EpisodeParameters(self.config, self.task, self.scene, self.control)
         self._steps, self._ended = 0, False
         self._episode_seed: int | None = None
         if self.render_mode == "human":
@@ -151,9 +153,11 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         :param seed: determines this episode and later ones
         :param options: ``{"new_scene": True}`` arranges a new scene if the task keeps the objects of the
             previous episode; a seed does, too. ``{"start": "goal"}`` arranges the task's finished structure,
-            to take it apart. ``{"state": state}`` begins at a state as :meth:`set_state` does
-        :raises ValueError: an option is unknown, the task has no structure, or the state is that of another
-            environment or of an episode that has ended
+            to take it apart. ``{"state": state}`` begins at a state as :meth:`set_state` does.
+            ``"object_scale_range"``, ``"num_objects"`` and ``"randomization"`` narrow these parameters for
+            this episode
+        :raises ValueError: an option is unknown or not within its parameter, the task has no structure, or
+            the state is that of another environment or of an episode that has ended
         :raises PlacementError: the objects do not fit into the workspace
         :raises gymnasium.error.ClosedEnvironmentError: the environment is closed
         """
@@ -163,16 +167,21 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
             self.set_state(options["state"])
             super().reset(seed=seed)  # decides the later episodes
             return self.observe(), self._evaluate(ignored=False)
+        narrowed = self._episode.checked(options)
         super().reset(seed=seed)
-        is_new = seed is not None or any(options.values()) or self._episode_seed is None
+        is_new = seed is not None or self._episode_seed is None or narrowed != self._episode.narrowed
+        is_new |= bool(options.get("new_scene")) or "start" in options
         arrange = self.task.arrange_goal if "start" in options else self.task.arrange
         self._episode_seed = int(self.np_random.integers(np.iinfo(np.int64).max))
         self._steps, self._ended = 0, False
         self.task.memory = self.control.memory = None
         rng = self._rng(ARRANGEMENT)
         if is_new or not self.task.continue_scene(self.scene, rng):
+            self._episode.begin(narrowed, lambda: self._rng(RANDOMIZATION))
             arrange_scene(self.scene, self.control, arrange, rng, self._changed)
+            self._episode.randomize()
         else:
+            self._episode.last_action = ()
             self.control.start()
         self._observer.set_memory({})
         self.scene.begin()
@@ -192,7 +201,8 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         if self._ended:
             raise gymnasium.error.ResetNeeded("the episode has ended. Call reset() before the next step().")
         view = self._view if self._view is not None and self._view.is_current else self.look()
-        move = self.control.decode_action(action, view)
+        executed = self._episode.executed(action, lambda: self._rng(ACTUATION))
+        move = self.control.decode_action(executed, view)
         if self._observer.follows or self.control.follows:
             _ = view.heights  # computed before the move changes the scene
         self.scene.begin()
@@ -246,8 +256,8 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
     def look(self) -> View:
         """Return the current view of the scene from above."""
         self.scene.world.check_open()
-        overlays = self.task.overlays(self.scene)
-        return View(self.scene, self.control.frame(), overlays)
+        noise = DepthNoise(self.scene.sampled, (self._episode_seed or 0, self._steps, SENSING))
+        return View(self.scene, self.control.frame(), self.task.overlays(self.scene), noise)
 
     def decode_action(self, action: ArrayLike) -> Any:
         """Return an action in metres and radians: a ``DeltaMove``, a ``PickPlace``, or the control's own."""
@@ -306,6 +316,9 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
             self._episode_seed,
             dict(self.np_random.bit_generator.state),
             dict(self._made_of),
+            self._episode.narrowed,
+            self._episode.sampled,
+            self._episode.last_action,
         )
 
     def set_state(self, state: EnvState) -> None:
@@ -322,10 +335,11 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         self.scene.world.set_state(state.world)
         self.scene.robot.set_state(state.robot)
         self.scene.set_variants(state.cast)
+        self._episode.set(state.narrowed, state.sampled, state.last_action)
         self._observer.set_memory(state.sensors)
         self.task.memory = state.memory
         self.control.memory = state.control
-        self._steps, self._ended = state.steps, state.ended
+        self._steps, self._ended, self._view = state.steps, state.ended, None
         self._episode_seed = state.episode_seed
         self.np_random.bit_generator.state = state.generator
         self._np_random_seed = -1  # Gymnasium's value for an unknown seed
@@ -337,12 +351,13 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         in_hand = {name: list(space.shape) for name, space in spaces if name == "in_hand"}
         return {**self.recipe, **scene_facts(self.scene), **in_hand}
 
-    def _evaluate(self, ignored: bool) -> dict[str, bool]:
+    def _evaluate(self, ignored: bool) -> dict[str, Any]:
         """Return the info; ``is_success`` is the task's success in a valid scene."""
         predicates = checked_predicates(self.task.evaluate(self.scene), self.task)
         valid = bool(self.task.is_valid(self.scene))
         success = predicates.pop("success") and valid
-        return {"is_success": success, "is_valid": valid, "ignored": ignored, **predicates}
+        facts = {"is_success": success, "is_valid": valid, "ignored": ignored, **predicates}
+        return {**facts, **self._episode.info}
 
     def _rng(self, stream: int, time: int | None = None) -> np.random.Generator:
         """Return the generator of a stream at a step of this episode, by default the current one."""
@@ -371,7 +386,8 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
     def limit_steps(self, max_steps: int) -> None:
         """Replace the parameter ``max_steps``."""
         self.config = replace(self.config, max_steps=max_steps)
-        self.task.config = self.scene.config = self.config
+        self.scene.config = self.config
+        self._episode.limit_steps(self.config)
 
     def __getstate__(self) -> dict[str, Any]:
         """Return the parameters, the generators and, within an episode, the state."""

@@ -1,7 +1,7 @@
 """Wrappers that adapt environments to other libraries."""
 
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -138,6 +138,32 @@ def own_time_limit(env: gymnasium.Env[Any, Any], known: int | None) -> gymnasium
         env.task_description = core.task_description  # type: ignore[attr-defined]
     core.spec = replace(spec, additional_wrappers=(time_limit_spec(core.config.max_steps),))
     return env
+
+
+class ResetOptions(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
+    """Pass the same options to every reset, for a curriculum.
+
+    Vector environments reset their members at the end of episodes without options.
+
+    :param env: environment
+    :param options: options of resets, such as ``{"object_scale_range": 0.8}``
+    """
+
+    def __init__(self, env: gymnasium.Env[Any, Any], options: Mapping[str, Any] | None = None) -> None:
+        RecordConstructorArgs.__init__(self, options=options)
+        gymnasium.Wrapper.__init__(self, env)
+        self.set_reset_options(options or {})
+
+    def set_reset_options(self, options: Mapping[str, Any]) -> None:
+        """Replace the options from the next reset on."""
+        self._options = dict(options)
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
+        """Begin an episode with the options of this wrapper and passed ones; a state replaces all others."""
+        given = options or {}
+        return self.env.reset(seed=seed, options=given if "state" in given else {**self._options, **given})
 
 
 Wrapper = gymnasium.Wrapper[Any, Any, Any, Any]

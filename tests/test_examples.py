@@ -18,6 +18,7 @@ EXAMPLES = Path(__file__).parents[1] / "examples"
         "train_ppo.py --steps 64 --rollout 16",
         "train_ppo.py --steps 64 --rollout 16 --equivariant",
         "train_crossq.py --steps 104",  # after 100 random steps
+        "train_curriculum.py --steps 110",
     ],
 )
 def test_training_examples(

@@ -17,7 +17,7 @@ GYM = ROOT / "bulletarm_gym"
 LAYERS = """
 config_checks
 registry
-geometry config
+geometry config randomization
 simulation
 robots objects surfaces
 scene
@@ -25,6 +25,7 @@ observations
 control
 experts
 tasks
+episode
 wrappers
 env
 demonstrations

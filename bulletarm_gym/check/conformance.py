@@ -90,7 +90,7 @@ def _check_copies(make: Make, seed: int, restores: bool) -> str:
     if restores:
         where = (
             "after set_state() in another environment. "
-            "Use SceneObject.set_properties() and Task.memory for all changes in an episode"
+            "Use SceneObject.set_properties(), Scene.set_surface_properties() and Task.memory for changes"
         )
     with closing(make()) as first, closing(make()) as second:
         for number in range(COMPARED_EPISODES):

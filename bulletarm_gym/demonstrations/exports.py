@@ -180,7 +180,7 @@ def features(env: ManipulationEnv, frame: Mapping[str, NDArray[Any]]) -> dict[st
         "observation.state": list(GRIPPER),
         "observation.environment_state": [
             f"{item.slot.name}.{part}"
-            for item in env.scene.objects
+            for item in env.scene.all_objects
             for part in (*POSE, *(f"joint_{number}" for number in range(len(item.spec.parts))))
         ],
     }

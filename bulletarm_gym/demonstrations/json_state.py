@@ -73,4 +73,7 @@ def _decoded(value: Any) -> Any:
     values = _decoded(content)
     if kind in (list, dict):
         return kind(values)
-    return kind(**dict(zip(field_names(kind), values, strict=True)))
+    names = field_names(kind)
+    if len(values) > len(names):
+        raise TypeError(f"{name} has {len(names)} fields, got {len(values)}")
+    return kind(**dict(zip(names, values, strict=False)))  # older files lack the last fields

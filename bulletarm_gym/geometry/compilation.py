@@ -93,7 +93,12 @@ fma: Callable[[float, float, float], float] = intrinsic(_emit_fma)  # type: igno
 SENSORS = ["heightmap", "color", "segmentation", "holding"]
 EPISODES: list[dict[str, Any]] = [
     {"task": "picking:BlockPicking", "control": "close_loop", "view": "point_cloud"},
-    {"task": "pushing:BlockPushing", "control": "close_loop", "observation": SENSORS},
+    {
+        "task": "pushing:BlockPushing",
+        "control": "close_loop",
+        "observation": SENSORS,
+        "randomization": "real",
+    },
     {"task": "clutter:ObjectGrasping", "control": "close_loop", "object_set": ["cube"] * 5},
     {"task": "stacking:BlockStacking", "control": "open_loop"},
     {"task": "stacking:BlockStacking", "control": "open_loop", "surface": "ramp"},

@@ -114,7 +114,7 @@ class Segmentation(LabelImage):
     @cached_property
     def _numbers(self) -> NDArray[np.uint8]:
         """Number of the object of each label."""
-        objects = enumerate(self.scene.objects, 1)
+        objects = enumerate(self.scene.all_objects, 1)
         number_of = {body.index: number for number, obj in objects for body in obj.bodies}
         bodies = HeightRenderer.of(self.scene).bodies
         return np.array([0, *(number_of.get(body.index, 0) for body in bodies)], np.uint8)

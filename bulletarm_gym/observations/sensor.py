@@ -103,7 +103,7 @@ class State(Sensor):
     @property
     def space(self) -> spaces.Box:
         """Metres and quaternions, without bounds."""
-        size = GRIPPER_SIZE + sum(OBJECT_SIZE + len(obj.spec.parts) for obj in self.scene.objects)
+        size = GRIPPER_SIZE + sum(OBJECT_SIZE + len(obj.spec.parts) for obj in self.scene.all_objects)
         return spaces.Box(-np.inf, np.inf, (size,), np.float32)
 
     def read(self, view: View) -> NDArray[np.float32]:
@@ -116,7 +116,7 @@ class State(Sensor):
         robot = self.scene.robot
         tcp_pose = robot.pose
         numbers = [robot.opening_ratio, *tcp_pose.position, math.cos(tcp_pose.yaw), math.sin(tcp_pose.yaw)]
-        for obj in self.scene.objects:
+        for obj in self.scene.all_objects:
             pose = obj.pose
             numbers += [1.0, *pose.position, *pose.orientation] if obj.is_present else [0.0] * OBJECT_SIZE
             numbers += obj.joints if obj.spec.parts else ()

@@ -10,12 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bulletarm_gym.config import ORTHOGRAPHIC
-from bulletarm_gym.geometry import FloatArray, Pose, Rectangle, matrix
-from bulletarm_gym.observations.cameras import SIDE_PIXELS, side_cameras
+from bulletarm_gym.geometry import FloatArray, Pose, Rectangle, as_rotvec, matrix
+from bulletarm_gym.observations.cameras import SIDE_HEIGHT, SIDE_PIXELS, side_cameras
+from bulletarm_gym.observations.depth_noise import NO_NOISE, DepthNoise
 from bulletarm_gym.observations.rasterizer import Labels, Window, ZBuffer, project_points, rectangle_mask
 from bulletarm_gym.scene import Scene
 from bulletarm_gym.simulation import Body, Camera
-from bulletarm_gym.simulation.shapes import Colour
+from bulletarm_gym.simulation.shapes import ORIGIN, Colour
 
 MAX_HEIGHT = 0.4
 """Largest value (m) of a heightmap or in-hand image."""
@@ -118,15 +119,21 @@ class HeightRenderer:
         """Return the renderer of a scene."""
         return scene.cached(cls)
 
-    def heights(self, window: Window, without: Body | None = None) -> NDArray[np.float32]:
+    def heights(
+        self, window: Window, without: Body | None = None, noise: DepthNoise = NO_NOISE
+    ) -> NDArray[np.float32]:
         """Return the height (m) of the highest surface over each pixel, (size, size), in the configured view.
 
         :param without: body that the orthographic view omits
+        :param noise: errors of the depths
         """
         if self._config.view == ORTHOGRAPHIC:
-            return self._draw(self._present(without) & ~self._marks, window)
+            heights = self._draw(
+                self._present(without) & ~self._marks, window, error=self._world.optics.error
+            )
+            return heights if noise.is_off else SIDE_HEIGHT - noise(SIDE_HEIGHT - heights)
         cameras = side_cameras(self._config, SIDE_PIXELS)
-        cloud = np.concatenate([camera.points(self._world, [self._arm]) for camera in cameras])
+        cloud = np.concatenate([camera.points(self._world, [self._arm], noise) for camera in cameras])
         return project_points(cloud, window, self._config.workspace[2][1])
 
     def heights_of(self, bodies: Sequence[Body], window: Window) -> NDArray[np.float32]:
@@ -142,7 +149,7 @@ class HeightRenderer:
         """
         labels = np.zeros((window.size, window.size), np.int16)
         for layer in (self._marks, ~self._marks):
-            self._draw(self._present(without) & layer, window, labels)
+            self._draw(self._present(without) & layer, window, labels, self._world.optics.error)
         return labels
 
     @property
@@ -163,9 +170,24 @@ class HeightRenderer:
         return present if without is None else present & (self._owners != without.index)
 
     def _draw(
-        self, visible: NDArray[np.bool_], window: Window, labels: Labels | None = None
+        self,
+        visible: NDArray[np.bool_],
+        window: Window,
+        labels: Labels | None = None,
+        error: Pose = ORIGIN,
     ) -> NDArray[np.float32]:
-        return self.draw(*self._poses(), visible, window, labels)
+        """Draw meshes.
+
+        :param error: calibration error, of which heights show the translation and the rotation about z
+        """
+        positions, rotations = self._poses()
+        if error is ORIGIN:
+            return self.draw(positions, rotations, visible, window, labels)
+        shift, (_, _, yaw) = error.position, as_rotvec(error.orientation)
+        rotation = matrix(Pose.planar(0.0, 0.0, 0.0, yaw))
+        centre = np.array([*window.centre, 0.0])
+        positions = (positions - centre) @ rotation.T + centre + (shift[0], shift[1], 0.0)
+        return self.draw(positions, rotation @ rotations, visible, window, labels) + np.float32(shift[2])
 
     def _poses(self) -> tuple[FloatArray, FloatArray]:
         """Return positions (n, 3) and rotations (n, 3, 3) of the meshes; poses that are the same are kept."""
@@ -187,10 +209,14 @@ class View:
     :param scene: scene that is shown
     :param frame: square that is shown
     :param overlays: overlays of the heightmap
+    :param noise: errors of depth cameras
     """
 
-    def __init__(self, scene: Scene, frame: Frame, overlays: Sequence[Overlay] = ()) -> None:
+    def __init__(
+        self, scene: Scene, frame: Frame, overlays: Sequence[Overlay] = (), noise: DepthNoise = NO_NOISE
+    ) -> None:
         self._scene = scene
+        self.noise = noise
         self.frame = frame
         self.window = Window(frame.centre, frame.extent, scene.config.obs_size)
         self.overlays = tuple(overlays)
@@ -214,7 +240,7 @@ class View:
     @cached_property
     def heights(self) -> Heights:
         """Heights (m), (size, size), above the world's z = 0; read-only."""
-        return HeightRenderer.of(self._scene).heights(self.window, self._hidden)
+        return HeightRenderer.of(self._scene).heights(self.window, self._hidden, self.noise)
 
     @cached_property
     def labels(self) -> Labels:

@@ -3,6 +3,7 @@
 import itertools
 import math
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -148,6 +149,10 @@ class Arm:
     def opening_ratio(self) -> float:
         """Opening relative to the gripper's stroke, 0 closed to 1 open."""
         return min(1.0, max(0.0, self.opening / self.model.gripper.stroke))
+
+    def set_force_factor(self, factor: float) -> None:
+        """Set the maximum force of the fingers to that of the gripper times a factor."""
+        self._fingers = replace(self._fingers, forces=(factor * self.model.gripper.force,) * 2)
 
     @property
     def _load(self) -> float:

@@ -2,7 +2,8 @@
 
 import math
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import wraps
 from typing import Any, TypeVar
@@ -10,17 +11,30 @@ from typing import Any, TypeVar
 import numpy as np
 
 from bulletarm_gym.config import MAX_ROTATION, MAX_TRANSLATION, EnvConfig
-from bulletarm_gym.geometry import FloatArray, Pose, Vector, matrix
+from bulletarm_gym.config_checks import ROUNDING
+from bulletarm_gym.geometry import FloatArray, Pose, Vector, from_rotvec, matrix
 from bulletarm_gym.robots import Robot, RobotModel
 from bulletarm_gym.scene.stability import CREEP_SPEED, is_stable, settle
 from bulletarm_gym.simulation import Body, BodySpec, World
-from bulletarm_gym.simulation.state import PHYSICS_MODES, REST_SPEED, STILL, Properties, Twist
+from bulletarm_gym.simulation.motion import set_resistance_factor
+from bulletarm_gym.simulation.shapes import ORIGIN
+from bulletarm_gym.simulation.state import (
+    NOMINAL,
+    PHYSICS_MODES,
+    REST_SPEED,
+    STILL,
+    Optics,
+    Properties,
+    Twist,
+)
 from bulletarm_gym.surfaces import Surface
 
 T = TypeVar("T")
 
 SETTLE_LIMIT = 240
 """Maximum number of simulation steps (1 s) for loose bodies to come to rest."""
+VECTORS = ("camera_position", "camera_rotation", "light_direction")
+"""Sampled quantities with three components."""
 MAX_BODIES = 120
 """Maximum number of loaded variants if sizes are sampled; every step costs time for each pair of bodies."""
 GOLDEN = (math.sqrt(5.0) - 1.0) / 2.0
@@ -34,18 +48,27 @@ class ObjectSlot:
     :param variants: bodies of different sizes or shapes, of which one is sampled at every reset; the smallest
         size first, each size in all shapes, in the same order
     :param kind: property that slots of a task share: the kind of block, the colour
+    :param scales: scale of each variant; empty if the object has one size
+    :param like: name of an earlier slot with the same number of variants. Both always have the same variant,
+        such as a peg and its socket
     """
 
     name: str
     variants: tuple[BodySpec, ...]
     kind: str = ""
+    scales: tuple[float, ...] = ()
+    like: str = ""
 
 
 def scaled(
-    config: EnvConfig, name: str, make: Callable[[str, float], BodySpec], kind: str = ""
+    config: EnvConfig, name: str, make: Callable[[str, float], BodySpec], kind: str = "", like: str = ""
 ) -> ObjectSlot:
-    """Return a slot with one variant, ``make(name, scale)``, for every scale of the configuration."""
-    return ObjectSlot(name, tuple(make(f"{name} {scale:g}", scale) for scale in config.scales), kind)
+    """Return a slot with one variant, ``make(name, scale)``, for every scale of the configuration.
+
+    :param like: name of an earlier slot that has the same scale
+    """
+    scales = tuple(config.scales)
+    return ObjectSlot(name, tuple(make(f"{name} {scale:g}", scale) for scale in scales), kind, scales, like)
 
 
 def shaped(
@@ -53,7 +76,8 @@ def shaped(
 ) -> ObjectSlot:
     """Return a slot with the variants ``make(name, scale, number)`` for every scale and number of a shape."""
     kinds = [(scale, kind) for scale in config.scales for kind in range(shapes)]
-    return ObjectSlot(name, tuple(make(f"{name} {kind} {scale:g}", scale, kind) for scale, kind in kinds))
+    variants = tuple(make(f"{name} {kind} {scale:g}", scale, kind) for scale, kind in kinds)
+    return ObjectSlot(name, variants, scales=tuple(scale for scale, _ in kinds))
 
 
 def subsample_variants(slots: Sequence[ObjectSlot], limit: int) -> list[list[int]]:
@@ -116,6 +140,12 @@ class SceneObject:
     def spec(self) -> BodySpec:
         """Specification of the body."""
         return self.body.spec
+
+    def fitting(self, low: float, high: float) -> list[int]:
+        """Return the numbers of the loaded variants with scales in a range, or all without scales."""
+        scales = self.slot.scales
+        low, high = low - ROUNDING, high + ROUNDING
+        return [n for n, index in enumerate(self.choices) if not scales or low <= scales[index] <= high]
 
     @property
     def pose(self) -> Pose:
@@ -210,13 +240,17 @@ class Scene:
         self.world = World(PHYSICS_MODES[config.physics_mode], gui=config.render_mode == "human")
         surface.load(self.world)
         self.robot = Robot(model, self.world, config.fast_mode)
-        choices = subsample_variants(slots, MAX_BODIES if len(config.scales) > 1 else sys.maxsize)
+        indices = subsample_variants(slots, MAX_BODIES if len(config.scales) > 1 else sys.maxsize)
+        choices = {slot.name: chosen for slot, chosen in zip(slots, indices, strict=True)}
         self._objects = {
-            slot.name: SceneObject(slot, indices, self.world, model.gripper.finger[1])
-            for slot, indices in zip(slots, choices, strict=True)
+            slot.name: SceneObject(slot, choices[slot.like or slot.name], self.world, model.gripper.finger[1])
+            for slot in slots
         }
         self.world.seal()
         self._cache: dict[Any, Any] = {}
+        self.sampled: Mapping[str, float] = {}
+        """Sampled values of the episode by key, see :class:`~bulletarm_gym.randomization.Randomization`."""
+        self.narrow(config.object_scale_range, slots)
 
     def __getitem__(self, name: str) -> SceneObject:
         """Return the object in a slot."""
@@ -228,7 +262,12 @@ class Scene:
 
     @property
     def objects(self) -> list[SceneObject]:
-        """Objects of all slots, in their order, absent ones included."""
+        """Objects of the slots that the episode uses, in their order, absent ones included."""
+        return list(self._used)
+
+    @property
+    def all_objects(self) -> list[SceneObject]:
+        """Objects of all slots, also of those that an episode with fewer objects does not use."""
         return list(self._objects.values())
 
     @property
@@ -249,9 +288,57 @@ class Scene:
         self.world.unsettled.update(body.index for body in self.world.loose_bodies)
         self.world.reset_properties()
         self.surface.arrange(rng)
-        for obj in self._objects.values():
+        for name, obj in self._objects.items():
             obj.park()
-            obj.variant = int(rng.integers(len(obj.choices)))
+            fitting, like = self._fitting[name], obj.slot.like
+            obj.variant = self[like].variant if like else fitting[int(rng.integers(len(fitting)))]
+
+    def narrow(self, scale_range: Sequence[float], slots: Sequence[ObjectSlot]) -> None:
+        """Set the scales and the slots that the following episodes use.
+
+        :param scale_range: lowest and highest scale
+        :param slots: slots of the task, which may be fewer than the loaded ones of each name or kind
+        """
+        wanted = Counter(slot.kind or slot.name for slot in slots)
+        self._used = []
+        for obj in self._objects.values():
+            kind = obj.slot.kind or obj.slot.name
+            self._used += [obj] * min(wanted[kind], 1)
+            wanted[kind] -= 1
+        self._fitting = {name: obj.fitting(*scale_range) for name, obj in self._objects.items()}
+
+    def set_surface_properties(self, **changes: Any) -> None:
+        """Change properties of all bodies of the surface until the next reset.
+
+        :param changes: fields of :class:`~bulletarm_gym.simulation.state.Properties`
+        :raises ValueError: one of them is out of range
+        """
+        for body in self.surface.bodies:
+            self.world.set_properties(body, self.world.get_properties(body).changed(**changes))
+
+    def set_sampled(self, values: Mapping[str, float]) -> None:
+        """Set the sampled values of an episode; :meth:`randomize` changes the properties of bodies."""
+        if values == self.sampled:
+            return
+        self.sampled = values
+        self.robot.set_force_factor(values.get("gripper_force", 1.0))
+        set_resistance_factor(self.world, values.get("joint_resistance", 1.0))
+        position, rotation, light = (_vector(values, name) for name in VECTORS)
+        error = Pose(position, from_rotvec(rotation)) if any(position + rotation) else ORIGIN
+        optics = Optics(error, light, values.get("light_brightness", 1.0))
+        self.world.optics = NOMINAL if optics == NOMINAL else optics
+
+    def randomize(self, rng: np.random.Generator) -> None:
+        """Change the properties of all bodies by the sampled values; each body has a colour of its own."""
+        values, world = self.sampled, self.world
+        objects = [(obj.body, "object") for obj in self._objects.values()]
+        for body, kind in [*objects, *((body, "surface") for body in self.surface.bodies)]:
+            before = world.get_properties(body)
+            shift = values.get("colour", 0.0) * rng.uniform(-1.0, 1.0, 3)
+            colour = (*(before.colour[:3] + shift).clip(0.0, 1.0), before.colour[3])
+            mass = values.get(f"{kind}_mass", 1.0) * before.mass
+            friction = values.get(f"{kind}_friction", 1.0) * before.friction
+            world.set_properties(body, before.changed(mass=mass, friction=friction, colour=colour))
 
     def begin(self) -> None:
         """Start a move from the canonical world."""
@@ -277,3 +364,9 @@ class Scene:
         """Set the present variant of each slot; the poses of bodies do not change."""
         for obj, variant in zip(self._objects.values(), variants, strict=True):
             obj.variant = variant
+
+
+def _vector(values: Mapping[str, float], name: str) -> Vector:
+    """Return the three components of a sampled quantity, by default zeros."""
+    x, y, z = (values.get(f"{name}_{axis}", 0.0) for axis in "xyz")
+    return (x, y, z)

@@ -34,6 +34,9 @@ class EnvState:
     :param ended: whether the episode has terminated or been truncated
     :param generator: state of the generator that seeds later episodes
     :param made_of: task, robot, sizes and other values that the environment and the state must have in common
+    :param narrowed: names and values of the parameters that options of the reset have narrowed
+    :param sampled: keys and values of the sampled quantities, see :mod:`~bulletarm_gym.randomization`
+    :param last_action: numbers of the last action, if actions have a delay
     """
 
     world: WorldState
@@ -47,6 +50,9 @@ class EnvState:
     episode_seed: int
     generator: dict[str, Any]
     made_of: dict[str, Any]
+    narrowed: tuple[tuple[str, Any], ...] = ()
+    sampled: tuple[tuple[str, float], ...] = ()
+    last_action: tuple[float, ...] = ()
 
 
 def check_fits(state: Any, made_of: dict[str, Any]) -> None:
@@ -80,7 +86,7 @@ def scene_facts(scene: Scene) -> dict[str, Any]:
     if known is None or _checksum(_arm_numbers(known)) != arm:
         facts["arm"] = arm
     if isinstance(config.object_set, str):
-        specs = [spec for obj in scene.objects for spec in obj.slot.variants]
+        specs = [spec for obj in scene.all_objects for spec in obj.slot.variants]
         facts["object_files"] = _checksum(map(_object_numbers, specs))
     return facts
 

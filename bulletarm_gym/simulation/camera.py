@@ -1,21 +1,24 @@
 """Cameras that render without a display, and the camera, keys and lines of PyBullet's window."""
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bulletarm_gym.geometry import FloatArray, Vector
-from bulletarm_gym.simulation.state import Body
+from bulletarm_gym.geometry import FloatArray, Pose, Vector, matrix
+from bulletarm_gym.simulation.state import NOMINAL, Body
 from bulletarm_gym.simulation.world import World
 
 LIGHT = (0.6, -0.9, 1.6)
 """Direction to the light (world)."""
 VERTICAL = 1e-3
 """Slope from the vertical (m per metre) below which the optical axis is vertical."""
+
+Measure = Callable[[Any, "Camera"], Any]
+"""Function of distances (height, width; m) and a camera that returns the measured distances."""
 
 
 @dataclass(frozen=True)
@@ -82,10 +85,15 @@ class Camera:
         """Return distances (m) along the optical axis, (height, width)."""
         return self._distances(self._render(world)).astype(np.float32)
 
-    def points(self, world: World, without: Sequence[Body]) -> FloatArray:
-        """Return the visible points (n, 3) in the world (m), without the points on some bodies."""
+    def points(
+        self, world: World, without: Sequence[Body], measure: Measure = lambda distances, _: distances
+    ) -> FloatArray:
+        """Return the visible points (n, 3) in the world (m), without the points on some bodies.
+
+        :param measure: function that returns measured distances (m) for the true ones
+        """
         image = self._render(world)
-        distances = self._distances(image)
+        distances = measure(self._distances(image), self)
         shown = np.asarray(image[4]).reshape(distances.shape)
         visible = ~np.isin(shown, [body.id for body in without]) & (distances < self.far * 0.99)
         rows, columns = np.nonzero(visible)
@@ -99,6 +107,13 @@ class Camera:
         """Return the column and row (pixels) of a point (m, world)."""
         column, row, scale = self.intrinsics @ (self.extrinsics @ [*point, 1.0])[:3]
         return float(column / scale), float(row / scale)
+
+    def moved(self, change: Pose) -> "Camera":
+        """Return the camera moved by a pose (m) in its own frame."""
+        axes = self.extrinsics[:3, :3].T @ matrix(change)
+        eye = np.add(self.eye, self.extrinsics[:3, :3].T @ change.position)
+        target = eye + axes[:, 2] * math.dist(self.eye, self.target)
+        return replace(self, eye=_vector(eye), target=_vector(target), up=_vector(-axes[:, 1]))
 
     @property
     def _up(self) -> Vector:
@@ -129,17 +144,24 @@ class Camera:
         return matrix
 
     def _render(self, world: World, shadow: bool = False) -> tuple[Any, ...]:
-        client = world.client
+        client, optics = world.client, world.optics
+        actual = self if optics is NOMINAL else self.moved(optics.error)
         image: tuple[Any, ...] = client.getCameraImage(
             self.width,
             self.height,
-            client.computeViewMatrix(self.eye, self.target, self._up),
+            client.computeViewMatrix(actual.eye, actual.target, actual._up),
             self._projection(world),
-            lightDirection=LIGHT,
+            **({} if optics is NOMINAL else {"lightColor": (optics.brightness,) * 3}),
+            lightDirection=[default + change for default, change in zip(LIGHT, optics.light, strict=True)],
             shadow=int(shadow),
             renderer=client.ER_TINY_RENDERER,
         )
         return image
+
+
+def _vector(values: FloatArray) -> Vector:
+    x, y, z = values.tolist()
+    return (x, y, z)
 
 
 Segment = tuple[Vector, Vector]

@@ -72,10 +72,16 @@ def load_jointed(client: Client, spec: BodySpec, damping: float) -> int:
     _set_base_dynamics(client, body_id, spec, damping)
     for joint, part in enumerate(spec.parts):
         client.changeDynamics(body_id, joint, lateralFriction=part.friction, jointDamping=0.0)
-        client.setJointMotorControl2(
-            body_id, joint, client.VELOCITY_CONTROL, targetVelocity=0.0, force=part.resistance
-        )
+    set_resistance(client, body_id, spec)
     return int(body_id)
+
+
+def set_resistance(client: Client, body_id: int, spec: BodySpec, factor: float = 1.0) -> None:
+    """Set the resistance of the moving parts of a body to that of its specification times a factor."""
+    for joint, part in enumerate(spec.parts):
+        client.setJointMotorControl2(
+            body_id, joint, client.VELOCITY_CONTROL, targetVelocity=0.0, force=factor * part.resistance
+        )
 
 
 def load_urdf(client: Client, name: str, xml: str, pose: Pose) -> tuple[int, tuple[Link, ...]]:

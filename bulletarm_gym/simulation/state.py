@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 from bulletarm_gym.geometry import Pose, Vector
-from bulletarm_gym.simulation.shapes import BodySpec, Colour
+from bulletarm_gym.simulation.shapes import ORIGIN, BodySpec, Colour
 
 Twist = tuple[Vector, Vector]
 """Linear (m/s) and angular (rad/s) velocity."""
@@ -34,6 +34,24 @@ class Physics:
 
 PHYSICS_MODES = {"fast": Physics(50, 0.0, 1.0), "slow": Physics(200, 0.04, 2.0)}
 """Values of the parameter ``physics_mode`` (the two physics modes of the paper)."""
+
+
+@dataclass(frozen=True)
+class Optics:
+    """Light of rendered images and calibration error of all cameras.
+
+    :param error: pose of each camera relative to its nominal pose, in the frame of the camera
+    :param light: change of the direction to the light (world)
+    :param brightness: factor on the brightness of the light
+    """
+
+    error: Pose = ORIGIN
+    light: Vector = (0.0, 0.0, 0.0)
+    brightness: float = 1.0
+
+
+NOMINAL = Optics()
+"""Light and cameras without an error."""
 
 
 class Link(NamedTuple):

@@ -15,6 +15,7 @@ from bulletarm_gym.simulation.client import Client
 from bulletarm_gym.simulation.loading import load_jointed, load_plane, load_rigid, load_urdf, set_dynamics
 from bulletarm_gym.simulation.shapes import ORIGIN, BodySpec
 from bulletarm_gym.simulation.state import (
+    NOMINAL,
     REST_SPEED,
     STILL,
     Body,
@@ -64,6 +65,7 @@ class World:
         self._ground: Body | None = None
         self._solids: list[Body] = []
         self._snapshot: int | None = None
+        self.optics = NOMINAL
         # The default broad phase orders contacts by memory address, the simple one in the order of loading.
         self.client.resetSimulation(self.client.RESET_USE_SIMPLE_BROADPHASE)
         self.client.setGravity(0.0, 0.0, GRAVITY)

@@ -101,7 +101,7 @@ class ObjectGrasping(Lift):
             must = f"at most {len(specs)} with this object_set, got {config.num_objects}"
             raise ValueError(f"num_objects must be {must}")
         sized = zip(specs, cycle(config.scales), strict=False)
-        return [ObjectSlot(spec.name, (_resized(spec, scale),)) for spec, scale in sized]
+        return [ObjectSlot(spec.name, (_resized(spec, scale),), scales=(scale,)) for spec, scale in sized]
 
     def arrange(self, scene: Scene, rng: np.random.Generator) -> None:
         """Drop objects into the tray.

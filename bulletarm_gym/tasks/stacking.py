@@ -312,7 +312,9 @@ class ImproviseHouseBuilding2(Structure):
             else improvise_bricks(name, scale, BRICKS)
             for scale in config.scales
         )
-        return ObjectSlot(name, tuple(spec for variants in specs for spec in variants))
+        variants = tuple(spec for variants in specs for spec in variants)
+        scales = np.repeat(config.scales, len(variants) // len(config.scales)).tolist()
+        return ObjectSlot(name, variants, scales=tuple(scales))
 
 
 class ImproviseHouseBuilding3(ImproviseHouseBuilding2):

@@ -189,6 +189,8 @@ def arrange_scene(
                 raise PlacementError(f"{must if changed else ''}{error}") from error
 
 
+NARROWED = ("object_scale_range", "num_objects", "randomization")
+"""Parameters that options of a reset can narrow."""
 INFO = frozenset({"is_success", "is_valid", "ignored"})
 """Keys of ``info`` that the environment sets."""
 CLEARANCE = 0.001
@@ -276,11 +278,14 @@ def checked_options(options: Mapping[str, Any] | None, task: Task) -> dict[str, 
         return dict(given)
     if (
         not isinstance(given, Mapping)
-        or not given.keys() <= {"new_scene", "start"}
+        or not given.keys() <= {"new_scene", "start", *NARROWED}
         or not isinstance(given.get("new_scene", False), bool)
         or given.get("start", "goal") != "goal"
     ):
-        must = 'None or a dict with "new_scene": True or False and "start": "goal", or with "state"'
+        others = ", ".join(f'"{name}"' for name in NARROWED)
+        must = (
+            f'None or a dict with "new_scene": True or False, "start": "goal" and {others}, or with "state"'
+        )
         raise ValueError(f"options must be {must}, got {options!r}")
     if "start" in given and not task.has_goal_structure:
         must = f"without a start, as {type(task).__name__} has no arrange_goal()"
@@ -299,6 +304,11 @@ def checked_slots(slots: Any, task: Task) -> Sequence[ObjectSlot]:
     names = [slot.name for slot in slots]
     if len(set(names)) < len(names):
         raise ValueError(f"{must} slots with distinct names, got {', '.join(map(repr, names))}")
+    for number, slot in enumerate(slots):
+        alike = [other for other in slots[:number] if other.name == slot.like and not other.like]
+        if slot.like and [len(other.variants) for other in alike] != [len(slot.variants)]:
+            reason = f"an earlier slot with {len(slot.variants)} variants as like of {slot.name!r}"
+            raise ValueError(f"{must} {reason}, got {slot.like!r}")
     return slots
 
 

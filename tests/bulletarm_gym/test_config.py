@@ -84,6 +84,7 @@ def test_unknown_parameter_is_a_value_and_a_type_error(name: str, hint: str) -> 
 
 WRONG: dict[str, list[Any]] = {
     "robot": [1, None],
+    "randomization": [1, "heavy", ["light"], {"weight": 1.0}, {1: 1.0}],
     "action_sequence": ["pxy", "pxyzrr", "", "PXYZR", 5, None, ["p", "x", "y", "z", "r"]],
     "workspace": [
         None,

@@ -142,3 +142,23 @@ def test_cube_with_less_friction_slides_down_a_ramp() -> None:
     step_on(env, np.zeros(env.action_space.shape))
     assert before.tilt >= 0.2 and item.pose.position != before.position
     env.close()
+
+
+def test_surface_without_friction_moves_a_resting_cube() -> None:
+    env, other = varied("ramp"), varied("ramp")
+    for seed in range(20):
+        env.reset(seed=seed)
+        if env.scene["cube"].pose.tilt >= 0.2:
+            break
+    env.scene.set_surface_properties(friction=0.0)
+    before, state = env.scene["cube"].pose, env.get_state()
+    assert {env.scene.world.get_properties(body).friction for body in env.scene.surface.bodies} == {0.0}
+    other.set_state(state)
+    results = [digest(*step_on(one, np.zeros(one.action_space.shape))) for one in (env, other)]
+    assert results[0] == results[1] and env.scene["cube"].pose.position != before.position
+    with pytest.raises(ValueError, match="friction must be "):
+        env.scene.set_surface_properties(friction=-1.0)
+    env.reset(seed=0)
+    assert {env.scene.world.get_properties(body).friction for body in env.scene.surface.bodies} == {1.0}
+    env.close()
+    other.close()

@@ -1,0 +1,244 @@
+"""Options of a reset narrow the sampled sizes, numbers and randomisation of its episode."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from rollouts import digest, transcript
+from stable_baselines3.common.env_util import make_vec_env
+
+from bulletarm_gym.demonstrations import RecordDemonstrations, json_state, load, replay
+from bulletarm_gym.env import ManipulationEnv
+from bulletarm_gym.objects import bowl, cube
+from bulletarm_gym.objects.containers import BOWL_DIAMETER
+from bulletarm_gym.scene import ObjectSlot, Scene, scaled
+from bulletarm_gym.tasks.picking import BlockInBowl
+from bulletarm_gym.wrappers import ResetOptions
+
+Make = Callable[..., ManipulationEnv]
+
+PICKING = "BulletArm/CloseLoopBlockPicking-v0"
+GRASPING = "BulletArm/CloseLoopObjectGrasping-v0"
+PALLETIZING = "BulletArm/OpenLoopBoxPalletizing-v0"
+SIZES = {"object_scale_range": [0.6, 1.0], "obs_size": 32}
+FEWER: list[tuple[str, dict[str, Any], int]] = [
+    ("BulletArm/OpenLoopBlockStacking-v0", {}, 2),
+    ("BulletArm/OpenLoopHouseBuilding1-v0", {"object_scale_range": [0.5, 0.6]}, 2),
+    ("BulletArm/CloseLoopBlockStacking-v0", {"num_objects": 3}, 2),
+    ("BulletArm/OpenLoopBinPacking-v0", {}, 3),
+    ("BulletArm/OpenLoopBottleArrangement-v0", {}, 1),
+    (PALLETIZING, {}, 6),
+    ("BulletArm/CloseLoopBlockSorting-v0", {}, 4),
+    (GRASPING, {}, 2),
+]
+"""Ids, parameters and smaller numbers of objects."""
+
+
+def side(env: ManipulationEnv) -> float:
+    """Return the scale of the cube."""
+    return round(env.scene["cube"].spec.extents[0] / 0.05, 3)
+
+
+def test_scales_are_narrowed_for_one_episode(make: Make) -> None:
+    env = make(PICKING, **SIZES)
+    env.reset(seed=0)
+    narrow = {side(env) for _ in range(15) if env.reset(options={"object_scale_range": [0.7, 0.74]})}
+    assert narrow == {0.7, 0.72, 0.74}
+    env.reset(options={"object_scale_range": 0.9})
+    assert side(env) == 0.9
+    wide = {side(env) for _ in range(15) if env.reset()}
+    assert min(wide) < 0.7 and max(wide) > 0.9
+
+
+def test_narrowing_to_the_range_of_the_environment_changes_nothing(make: Make) -> None:
+    env = make(PICKING, **SIZES)
+    expected = [digest(*env.reset(seed=3)), digest(*env.reset())]
+    options = {"object_scale_range": [0.6, 1.0], "num_objects": 1, "randomization": None}
+    assert [digest(*env.reset(seed=3, options=options)), digest(*env.reset(options=options))] == expected
+
+
+@pytest.mark.parametrize("case", FEWER, ids=lambda case: case[0].split("/")[1])
+def test_expert_solves_episodes_with_fewer_objects(make: Make, case: tuple[str, dict[str, Any], int]) -> None:
+    env_id, parameters, count = case
+    env = make(env_id, obs_size=32, **parameters)
+    before, _ = env.reset(seed=0)
+    total, solved = sum(1 for _ in env.scene), False
+    for seed in range(3):
+        observation, info = env.reset(seed=seed, options={"num_objects": count})
+        assert digest(*(array.shape for array in observation.values())) == digest(
+            *(array.shape for array in before.values())
+        )
+        if env_id != PALLETIZING:  # which adds the boxes one by one
+            assert sum(1 for _ in env.scene) == total - env.config.num_objects + count
+        for _ in range(60):
+            *_, terminated, truncated, info = env.step(env.expert_action())
+            if terminated or truncated:
+                break
+        solved |= info["is_success"]
+    assert solved
+    env.reset(seed=0)
+    assert sum(1 for _ in env.scene) == total
+
+
+@pytest.mark.parametrize("case", FEWER[:3], ids=lambda case: case[0].split("/")[1])
+def test_state_of_a_narrowed_episode_is_exact(make: Make, case: tuple[str, dict[str, Any], int]) -> None:
+    env_id, parameters, count = case
+    env, other = (make(env_id, number, obs_size=32, **parameters) for number in range(2))
+    low, high = env.config.object_scale_range
+    env.reset(seed=1, options={"num_objects": count, "object_scale_range": [low, (low + high) / 2.0]})
+    env.step(env.expert_action())
+    state = env.get_state()
+    assert json_state.loads(json_state.dumps(state)) == state
+    expected = transcript(env, 8)
+    other.reset(seed=5)
+    other.set_state(state)
+    assert other.get_state() == state and transcript(other, 8) == expected
+    other.set_state(state)
+    assert digest(*env.reset(seed=2)) == digest(*other.reset(seed=2))
+
+
+def test_clutter_is_kept_while_the_number_is_the_same(make: Make) -> None:
+    env = make(GRASPING, obs_size=32)
+    env.reset(seed=0)
+    options = {"num_objects": 2}
+    env.reset(options=options)
+    chosen = [obj.slot.name for obj in env.scene]
+    env.reset(options=options)
+    assert [obj.slot.name for obj in env.scene] == chosen
+    env.reset(options={**options, "new_scene": True})
+    assert len(chosen) == 2 and [obj.slot.name for obj in env.scene] != chosen
+    env.reset()
+    assert len(list(env.scene)) == 5
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (
+            {"object_scale_range": [0.5, 0.7]},
+            r"object_scale_range must be .* within \[0\.6, 1\.0\].*got \[0\.5",
+        ),
+        ({"object_scale_range": "small"}, "object_scale_range must be a positive number or .*got 'small'"),
+        ({"object_scale_range": 0.71}, r"object_scale_range must be .* 'cube', one of \[0\.6, .*got 0\.71"),
+        ({"num_objects": 2}, "num_objects must be one of 1, got 2"),
+        (
+            {"randomization": {"object_mass": 1.1}},
+            r"randomization must be .* object_mass within \[1.0, 1.0\], got \{'object_m",
+        ),
+        ({"randomization": "heavy"}, "randomization must be None, 'light', 'real'.*got 'heavy'"),
+        ({"reward": None}, "options must be None or a dict with .*num_objects.*got {'reward'"),
+        ({"object_scale_range": 0.8, "state": 3}, "options must have no others next to 'state'"),
+    ],
+    ids=str,
+)
+def test_invalid_options_are_rejected(make: Make, options: dict[str, Any], message: str) -> None:
+    env = make(PICKING, **SIZES)
+    env.reset(seed=0)
+    state = env.get_state()
+    with pytest.raises(ValueError, match=message):
+        env.reset(options=options)
+    assert env.get_state() == state
+
+
+# Vector environments
+
+
+def test_options_reach_the_members_of_sb3() -> None:
+    envs = make_vec_env(PICKING, n_envs=2, env_kwargs={**SIZES, "max_steps": 1}, wrapper_class=ResetOptions)
+    envs.set_options([{"object_scale_range": 0.7}, {"object_scale_range": 0.8}])
+    envs.reset()
+    cores = [env.unwrapped for env in envs.envs]
+    assert [side(core) for core in cores] == [0.7, 0.8]
+    envs.env_method("set_reset_options", {"object_scale_range": 0.62})
+    for _ in range(2):
+        envs.step(np.zeros((2, 5)))
+        assert [side(core) for core in cores] == [0.62, 0.62], "after the automatic reset"
+    state = cores[0].get_state()
+    envs.set_options({"state": state})
+    envs.reset()
+    assert cores[1].get_state() == state
+    envs.close()
+
+
+def test_options_reach_the_members_of_gymnasium() -> None:
+    envs = gymnasium.make_vec(
+        PICKING,
+        num_envs=2,
+        vectorization_mode="sync",
+        wrappers=[ResetOptions],
+        **SIZES,
+        randomization="light",
+    )
+    _, infos = envs.reset(seed=0, options={"object_scale_range": 0.7, "randomization": {"object_mass": 1.1}})
+    assert infos["randomization/object_mass"].tolist() == [1.1, 1.1]
+    assert [side(env.unwrapped) for env in envs.envs] == [0.7, 0.7]
+    envs.call("set_reset_options", {"randomization": None})
+    _, infos = envs.reset()
+    assert infos["randomization/object_mass"].tolist() == [1.0, 1.0]
+    envs.close()
+
+
+# Demonstrations
+
+
+def test_narrowed_episodes_are_recorded_and_replay(tmp_path: Path) -> None:
+    path = tmp_path / "picking.h5"
+    parameters = {**SIZES, "randomization": "real"}
+    env = RecordDemonstrations(gymnasium.make(PICKING, **parameters), path)
+    for seed in range(3):
+        env.reset(seed=seed, options={"object_scale_range": 0.7, "randomization": {"object_mass": 0.6}})
+        for _ in range(30):
+            *_, terminated, truncated, _ = env.step(env.get_wrapper_attr("expert_action")())
+            if terminated or truncated:
+                break
+    env.close()
+    recorded = load(path)
+    other: Any = recorded.make_env().unwrapped
+    assert len(recorded) == 3 and other.config.randomization == "real"
+    for number, episode in enumerate(recorded):
+        assert dict(episode.state.sampled)["object_mass"] == 0.6
+        assert len(list(replay(recorded, number, other))) == len(episode) + 1
+        assert side(other) == 0.7
+    other.close()
+
+
+# Coupled objects
+
+
+class CoupledInBowl(BlockInBowl):
+    """Put a cube into a bowl of the same scale."""
+
+    def bodies(self, config: Any) -> list[ObjectSlot]:
+        """Return a cube and a bowl that always have the same scale."""
+        block, _ = super().bodies(config)
+        return [block, scaled(config, "bowl", bowl, like="cube")]
+
+
+class WronglyCoupled(BlockInBowl):
+    """Task with a slot that is like a later one."""
+
+    def bodies(self, config: Any) -> list[ObjectSlot]:
+        """Return two slots."""
+        return [scaled(config, "cube", cube, like="bowl"), scaled(config, "bowl", cube)]
+
+    def arrange(self, scene: Scene, rng: np.random.Generator) -> None:
+        """Place nothing."""
+
+
+def test_coupled_objects_have_the_same_scale() -> None:
+    env = ManipulationEnv("test_curriculum:CoupledInBowl", "close_loop", **SIZES)
+    sizes = set()
+    for seed in range(10):
+        env.reset(seed=seed)
+        sizes.add(side(env))
+        assert env.scene["bowl"].spec.extents[0] == pytest.approx(BOWL_DIAMETER * side(env), rel=0.02)
+    assert len(sizes) > 3
+    env.close()
+
+
+def test_coupling_needs_an_earlier_slot_with_the_same_variants() -> None:
+    with pytest.raises(ValueError, match=r"an earlier slot with 21 variants as like of 'cube', got 'bowl'"):
+        ManipulationEnv("test_curriculum:WronglyCoupled", "close_loop", **SIZES)
