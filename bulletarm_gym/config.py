@@ -6,11 +6,12 @@ import math
 from collections.abc import Callable, Mapping
 from copy import deepcopy
 from dataclasses import asdict, dataclass, field, fields
+from functools import partial
 from typing import Any, Literal, NamedTuple
 
 from bulletarm_gym import config_checks as checks
 from bulletarm_gym.config_checks import Check, ParameterError, check_argument
-from bulletarm_gym.randomization import randomization
+from bulletarm_gym.randomization import json_ranges
 from bulletarm_gym.registry import ROBOTS, SENSORS, SURFACES
 
 __all__ = ["Context", "EnvConfig", "ParameterError", "TaskDefaults", "UnknownParameterError"]
@@ -233,7 +234,7 @@ class EnvConfig:
         "observation",
     )
     randomization: str | dict[str, list[float]] | None = parameter(
-        Depends(lambda c: randomization(c.control == OPEN_LOOP)), None, "episode"
+        Depends(lambda c: partial(json_ranges, is_open_loop=c.control == OPEN_LOOP)), None, "episode"
     )
     physics_mode: str = parameter(checks.choice("fast", "slow"), "fast", "motion")
     reward: str | None = parameter(checks.optional(checks.function_path), None, "episode")

@@ -14,10 +14,10 @@ from numpy.typing import ArrayLike, NDArray
 from bulletarm_gym import config_checks
 from bulletarm_gym.config import CLOSE_LOOP, Context, EnvConfig, ParameterError
 from bulletarm_gym.control import Control, RobotInterface
-from bulletarm_gym.episode import EpisodeParameters
+from bulletarm_gym.episode import AFTER_ACTION, ARRANGEMENT, PLAN, Episode
 from bulletarm_gym.experts.approach import Tracker
 from bulletarm_gym.geometry.compilation import warm_up
-from bulletarm_gym.observations import DepthNoise, Observer, View
+from bulletarm_gym.observations import Observer, View
 from bulletarm_gym.observations.cameras import RENDER, Viewer
 from bulletarm_gym.observations.view import measure
 from bulletarm_gym.registry import CONTROLS, REWARDS, ROBOTS, SURFACES, TASKS, by_path
@@ -31,8 +31,8 @@ from bulletarm_gym.tasks.task import (
     check_heights,
     check_scene,
     checked_options,
-    checked_predicates,
     checked_slots,
+    evaluated,
     finite_reward,
 )
 from bulletarm_gym.wrappers import querying_wrappers, wrapped_expert
@@ -42,8 +42,6 @@ Action = NDArray[np.float32]
 
 PLAN_STEPS = 10
 """Number of closed-loop steps in which a pick-and-place plan samples the same values and does not change."""
-ARRANGEMENT, AFTER_ACTION, PLAN, RANDOMIZATION, ACTUATION, SENSING = range(6)
-"""Independent streams of an episode's random numbers."""
 KEPT = ("action_space", "observation_space", "_np_random", "_np_random_seed")
 """Attributes with generators or seeds, which copies of an environment keep."""
 
@@ -102,9 +100,7 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
             self.metadata = {**self.metadata, "render_modes": ["rgb_array", "depth_array"]}
         self._make_scene(task_type, model or ROBOTS.find(self.config.robot), surface, default)
         self._make_control(control_type)
-        self._episode = EpisodeParameters(self.config, self.task, self.scene, self.control)
-        self._steps, self._ended = 0, False
-        self._episode_seed: int | None = None
+        self._episode = Episode(self.task, self.scene, self.control)
         if self.render_mode == "human":
             self.viewer.face_workspace()
         warm_up(ManipulationEnv)
@@ -162,26 +158,25 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         :raises gymnasium.error.ClosedEnvironmentError: the environment is closed
         """
         self.scene.world.check_open()
-        options = checked_options(options, self.task)
+        options, episode = checked_options(options, self.task), self._episode
         if "state" in options:
             self.set_state(options["state"])
             super().reset(seed=seed)  # decides the later episodes
             return self.observe(), self._evaluate(ignored=False)
-        narrowed = self._episode.checked(options)
+        narrowed = episode.checked(options)
         super().reset(seed=seed)
-        is_new = seed is not None or self._episode_seed is None or narrowed != self._episode.narrowed
+        is_new = seed is not None or episode.seed is None or narrowed != episode.narrowed
         is_new |= bool(options.get("new_scene")) or "start" in options
         arrange = self.task.arrange_goal if "start" in options else self.task.arrange
-        self._episode_seed = int(self.np_random.integers(np.iinfo(np.int64).max))
-        self._steps, self._ended = 0, False
+        episode.seed = int(self.np_random.integers(np.iinfo(np.int64).max))
+        episode.steps, episode.ended, episode.last_action = 0, False, ()
         self.task.memory = self.control.memory = None
-        rng = self._rng(ARRANGEMENT)
+        rng = episode.rng(ARRANGEMENT)
         if is_new or not self.task.continue_scene(self.scene, rng):
-            self._episode.begin(narrowed, lambda: self._rng(RANDOMIZATION))
+            episode.begin(narrowed)
             arrange_scene(self.scene, self.control, arrange, rng, self._changed)
-            self._episode.randomize()
+            episode.randomize()
         else:
-            self._episode.last_action = ()
             self.control.start()
         self._observer.set_memory({})
         self.scene.begin()
@@ -198,11 +193,11 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         :raises gymnasium.error.ClosedEnvironmentError: the environment is closed
         """
         self._check_running()
-        if self._ended:
+        episode = self._episode
+        if episode.ended:
             raise gymnasium.error.ResetNeeded("the episode has ended. Call reset() before the next step().")
         view = self._view if self._view is not None and self._view.is_current else self.look()
-        executed = self._episode.executed(action, lambda: self._rng(ACTUATION))
-        move = self.control.decode_action(executed, view)
+        move = self.control.decode_action(episode.executed(action), view)
         if self._observer.follows or self.control.follows:
             _ = view.heights  # computed before the move changes the scene
         self.scene.begin()
@@ -210,9 +205,9 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         self.scene.settle()
         if not outcome.ignored:
             self._observer.follow(view, outcome.pick)
-        self._steps += 1
+        episode.steps += 1
         if self._acts_after:
-            self.task.after_action(self.scene, self._rng(AFTER_ACTION))
+            self.task.after_action(self.scene, episode.rng(AFTER_ACTION))
             if self.scene.world.unsettled:
                 self.scene.begin()
                 self.scene.settle()
@@ -220,8 +215,8 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         success, valid = info["is_success"], info["is_valid"]
         reward = finite_reward(self._reward(self.scene, info), self._reward) if valid else 0.0
         terminated = success or not valid or self.task.single_step
-        truncated = not terminated and self._steps >= self.config.max_steps
-        self._ended = terminated or truncated
+        truncated = not terminated and episode.steps >= self.config.max_steps
+        episode.ended = terminated or truncated
         self._view = self.look()
         if not outcome.ignored:
             self.control.follow(view, self._view, outcome)
@@ -256,8 +251,7 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
     def look(self) -> View:
         """Return the current view of the scene from above."""
         self.scene.world.check_open()
-        noise = DepthNoise(self.scene.sampled, (self._episode_seed or 0, self._steps, SENSING))
-        return View(self.scene, self.control.frame(), self.task.overlays(self.scene), noise)
+        return View(self.scene, self.control.frame(), self.task.overlays(self.scene), self._episode.noise)
 
     def decode_action(self, action: ArrayLike) -> Any:
         """Return an action in metres and radians: a ``DeltaMove``, a ``PickPlace``, or the control's own."""
@@ -278,7 +272,8 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         """
         self._check_running()
         lasts = PLAN_STEPS if self.task.plans_moves and self.config.control == CLOSE_LOOP else 1
-        plan = iter(self.task.plan(self.scene, self._rng(PLAN, self._steps // lasts)) or ())
+        rng = self._episode.rng(PLAN, self._episode.steps // lasts)
+        plan = iter(self.task.plan(self.scene, rng) or ())
         return self.control.encode_action(self.tracker.next_move(plan))
 
     def get_wrapper_attr(self, name: str) -> Any:
@@ -303,7 +298,8 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         :raises gymnasium.error.ResetNeeded: no episode has begun
         """
         self._check_running()
-        assert self._episode_seed is not None
+        episode = self._episode
+        assert episode.seed is not None
         return EnvState(
             self.scene.world.get_state(),
             self.scene.robot.get_state(),
@@ -311,14 +307,14 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
             self._observer.get_memory(),
             self.task.memory,
             self.control.memory,
-            self._steps,
-            self._ended,
-            self._episode_seed,
+            episode.steps,
+            episode.ended,
+            episode.seed,
             dict(self.np_random.bit_generator.state),
             dict(self._made_of),
-            self._episode.narrowed,
-            self._episode.sampled,
-            self._episode.last_action,
+            episode.narrowed,
+            episode.sampled,
+            episode.last_action,
         )
 
     def set_state(self, state: EnvState) -> None:
@@ -339,8 +335,8 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         self._observer.set_memory(state.sensors)
         self.task.memory = state.memory
         self.control.memory = state.control
-        self._steps, self._ended, self._view = state.steps, state.ended, None
-        self._episode_seed = state.episode_seed
+        episode, self._view = self._episode, None
+        episode.seed, episode.steps, episode.ended = state.episode_seed, state.steps, state.ended
         self.np_random.bit_generator.state = state.generator
         self._np_random_seed = -1  # Gymnasium's value for an unknown seed
 
@@ -352,21 +348,11 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         return {**self.recipe, **scene_facts(self.scene), **in_hand}
 
     def _evaluate(self, ignored: bool) -> dict[str, Any]:
-        """Return the info; ``is_success`` is the task's success in a valid scene."""
-        predicates = checked_predicates(self.task.evaluate(self.scene), self.task)
-        valid = bool(self.task.is_valid(self.scene))
-        success = predicates.pop("success") and valid
-        facts = {"is_success": success, "is_valid": valid, "ignored": ignored, **predicates}
-        return {**facts, **self._episode.info}
-
-    def _rng(self, stream: int, time: int | None = None) -> np.random.Generator:
-        """Return the generator of a stream at a step of this episode, by default the current one."""
-        assert self._episode_seed is not None
-        return np.random.default_rng((self._episode_seed, self._steps if time is None else time, stream))
+        return {**evaluated(self.task, self.scene, ignored), **self._episode.info}
 
     def _check_running(self) -> None:
         self.scene.world.check_open()
-        if self._episode_seed is None:
+        if self._episode.seed is None:
             raise gymnasium.error.ResetNeeded("no episode has begun. Call reset() first.")
 
     @property
@@ -387,14 +373,14 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         """Replace the parameter ``max_steps``."""
         self.config = replace(self.config, max_steps=max_steps)
         self.scene.config = self.config
-        self._episode.limit_steps(self.config)
+        self.task.config = replace(self.task.config, max_steps=max_steps)  # may have fewer objects
 
     def __getstate__(self) -> dict[str, Any]:
         """Return the parameters, the generators and, within an episode, the state."""
         return {
             "arguments": self._arguments,
             "spec": self.spec,
-            "state": None if self._episode_seed is None else self.get_state(),
+            "state": None if self._episode.seed is None else self.get_state(),
             "kept": {name: vars(self)[name] for name in KEPT if name in vars(self)},
         }
 

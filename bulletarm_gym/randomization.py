@@ -7,28 +7,25 @@ from typing import Any
 
 import numpy as np
 
-from bulletarm_gym.config_checks import Check, ParameterError, Refused, check_argument, interval
+from bulletarm_gym.config_checks import ParameterError, Refused, check_argument, interval
 
 Range = tuple[float, float]
 
-LIGHT_SHARE = 1.0 / 3.0
-"""Share of the ranges of the preset ``"real"`` in the preset ``"light"``."""
 OPEN_LOOP_SHARE = 0.2
 """Share of the presets' noise on actions in open-loop control, where the same number is a longer distance."""
-
 AXES = ("_x", "_y", "_z")
 """Endings of the keys of a quantity with three components."""
 
 
-def quantity(neutral: float, low: float, high: float, endings: Sequence[str] = ("",)) -> Any:
+def quantity(neutral: float, limits: Range, real: Range, endings: Sequence[str] = ("",)) -> Any:
     """Return the dataclass field of a sampled quantity.
 
     :param neutral: value without an effect, the default
-    :param low: smallest accepted value
-    :param high: largest accepted value
+    :param limits: smallest and largest accepted value
+    :param real: range in the preset ``"real"``
     :param endings: endings of the keys of its components
     """
-    return field(default=(neutral, neutral), metadata={"limits": (low, high), "endings": endings})
+    return field(default=(neutral, neutral), metadata={"limits": limits, "real": real, "endings": endings})
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,30 +59,35 @@ class Randomization:
     :raises ValueError: a range is not valid
     """
 
-    object_friction: Range = quantity(1.0, 0.1, 10.0)
-    surface_friction: Range = quantity(1.0, 0.1, 10.0)
-    object_mass: Range = quantity(1.0, 0.1, 10.0)
-    gripper_force: Range = quantity(1.0, 0.1, 10.0)
-    joint_resistance: Range = quantity(1.0, 0.0, 10.0)
-    camera_position: Range = quantity(0.0, -0.1, 0.1, AXES)
-    camera_rotation: Range = quantity(0.0, -0.2, 0.2, AXES)
-    depth_noise: Range = quantity(0.0, 0.0, 0.1)
-    depth_step: Range = quantity(0.0, 0.0, 0.1)
-    depth_missing: Range = quantity(0.0, 0.0, 0.9)
-    depth_edges: Range = quantity(0.0, 0.0, 1.0)
-    action_noise: Range = quantity(0.0, 0.0, 1.0)
-    action_delay: Range = quantity(0.0, 0.0, 1.0)
-    colour: Range = quantity(0.0, 0.0, 1.0)
-    light_direction: Range = quantity(0.0, -0.5, 0.5, AXES)
-    light_brightness: Range = quantity(1.0, 0.1, 3.0)
+    # OpenAI et al. 2018 (arXiv 1808.00177, Table 1)
+    object_friction: Range = quantity(1.0, (0.1, 10.0), (0.7, 1.3))
+    surface_friction: Range = quantity(1.0, (0.1, 10.0), (0.7, 1.3))
+    object_mass: Range = quantity(1.0, (0.1, 10.0), (0.5, 1.5))
+    gripper_force: Range = quantity(1.0, (0.1, 10.0), (0.75, 1.5))
+    joint_resistance: Range = quantity(1.0, (0.0, 10.0), (0.3, 3.0))
+    # estimates
+    camera_position: Range = quantity(0.0, (-0.1, 0.1), (-0.004, 0.004), AXES)
+    camera_rotation: Range = quantity(0.0, (-0.2, 0.2), (-0.01, 0.01), AXES)
+    # a Kinect at 1 m has a noise of 1.4 mm and a step of 2.9 mm (Khoshelham and Elberink 2012)
+    depth_noise: Range = quantity(0.0, (0.0, 0.1), (0.0, 0.0015))
+    depth_step: Range = quantity(0.0, (0.0, 0.1), (0.0, 0.003))
+    # fill rate of 99 % in Intel's data sheet of the RealSense D400 series
+    depth_missing: Range = quantity(0.0, (0.0, 0.9), (0.0, 0.01))
+    # Handa et al. 2014
+    depth_edges: Range = quantity(0.0, (0.0, 1.0), (0.0, 0.3))
+    # estimates
+    action_noise: Range = quantity(0.0, (0.0, 1.0), (0.0, 0.05))
+    action_delay: Range = quantity(0.0, (0.0, 1.0), (0.0, 0.3))
+    colour: Range = quantity(0.0, (0.0, 1.0), (0.0, 0.3))
+    light_direction: Range = quantity(0.0, (-0.5, 0.5), (-0.5, 0.5), AXES)
+    light_brightness: Range = quantity(1.0, (0.1, 3.0), (0.7, 1.3))
 
     def __post_init__(self) -> None:
         """Check the ranges and convert them to tuples."""
         for entry in fields(self):
             check = interval(*entry.metadata["limits"])
-            object.__setattr__(
-                self, entry.name, tuple(check_argument(entry.name, getattr(self, entry.name), check))
-            )
+            ends = check_argument(entry.name, getattr(self, entry.name), check)
+            object.__setattr__(self, entry.name, tuple(ends))
 
     @classmethod
     def of(cls, value: Any, is_open_loop: bool) -> "Randomization":
@@ -96,87 +98,54 @@ class Randomization:
         :raises ValueError: the value is not valid
         """
         if isinstance(value, str) and value in PRESETS:
-            low, high = (end * OPEN_LOOP_SHARE for end in PRESETS[value].action_noise)
             preset = PRESETS[value]
-            return replace(preset, action_delay=(0, 0), action_noise=(low, high)) if is_open_loop else preset
-        if not (value is None or isinstance(value, Mapping | cls)):
-            raise Refused(f"None, {', '.join(map(repr, PRESETS))}, a dict of ranges or a Randomization")
-        ranges: Any = value or {}
+            noise = (0.0, preset.action_noise[1] * OPEN_LOOP_SHARE)
+            return replace(preset, action_delay=(0.0, 0.0), action_noise=noise) if is_open_loop else preset
+        ranges = value.varied if isinstance(value, cls) else {} if value is None else value
+        if not isinstance(ranges, Mapping) or not set(ranges) <= set(NAMES):
+            presets = ", ".join(map(repr, PRESETS))
+            raise Refused(f"None, {presets}, a Randomization or a dict with keys from {', '.join(NAMES)}")
         try:
-            made = value if isinstance(value, cls) else cls(**ranges)
-        except TypeError:
-            raise Refused(f"a dict with keys from {', '.join(NAMES)}") from None
+            made = cls(**ranges)
+            if is_open_loop and made.action_delay != (0.0, 0.0):
+                raise ParameterError.of("action_delay", list(made.action_delay), "0 in open-loop control")
         except ParameterError as error:
             raise ParameterError(f"randomization: {error}") from None
-        if is_open_loop and made.action_delay != (0.0, 0.0):
-            got = list(made.action_delay)
-            raise ParameterError(f"randomization: action_delay must be 0 in open-loop control, got {got}")
         return made
 
     @property
     def varied(self) -> dict[str, list[float]]:
         """Ranges that differ from the default, by name."""
-        names = (entry.name for entry in fields(self) if getattr(self, entry.name) != entry.default)
-        return {name: list(getattr(self, name)) for name in names}
-
-    def shrunk(self, share: float) -> "Randomization":
-        """Return ranges whose ends have a share of the present distance to the default."""
-        neutral: dict[str, Any] = vars(Randomization())
-        ends = {name: zip(neutral[name], getattr(self, name), strict=True) for name in NAMES}
-        ranges = {name: [n + share * (end - n) for n, end in pairs] for name, pairs in ends.items()}
-        return Randomization(**ranges)  # type: ignore[arg-type]
-
-    def beyond(self, limits: "Randomization") -> str:
-        """Return the first name of a quantity whose range is not inside that of ``limits``, or ``""``."""
-        ranges = [(name, *getattr(self, name), *getattr(limits, name)) for name in NAMES]
-        return next((name for name, low, high, least, most in ranges if low < least or most < high), "")
+        changed = (entry.name for entry in fields(self) if getattr(self, entry.name) != entry.default)
+        return {name: list(getattr(self, name)) for name in changed}
 
     def sample(self, rng: np.random.Generator, names: Sequence[str]) -> dict[str, float]:
         """Return a value for each component of some quantities, by key: the name, or name and axis."""
         return {
-            name + ending: float(rng.uniform(*getattr(self, name)))
-            for name in names
-            for ending in ENDINGS[name]
+            entry.name + ending: float(rng.uniform(*getattr(self, entry.name)))
+            for entry in fields(self)
+            if entry.name in names
+            for ending in entry.metadata["endings"]
         }
 
 
-ENDINGS = {entry.name: entry.metadata["endings"] for entry in fields(Randomization)}
-"""Endings of the keys of the components of each quantity, by name."""
-NAMES = tuple(ENDINGS)
+NAMES = tuple(entry.name for entry in fields(Randomization))
 """Names of the quantities."""
 
 
-def randomization(is_open_loop: bool) -> Check:
-    """Accept the values of the parameter ``randomization``; return None, a preset's name or a dict."""
-
-    def check(value: Any) -> Any:
-        made = Randomization.of(value, is_open_loop)
-        return value if value is None or isinstance(value, str) else made.varied
-
-    return check
+def _preset(share: float) -> Randomization:
+    """Return ranges between the defaults (0) and those of the preset ``"real"`` (1)."""
+    entries = {entry.name: (entry.default[0], entry.metadata["real"]) for entry in fields(Randomization)}
+    return Randomization(
+        **{name: [(1.0 - share) * n + share * end for end in ends] for name, (n, ends) in entries.items()}
+    )
 
 
-REAL = Randomization(
-    object_friction=(0.7, 1.3),
-    surface_friction=(0.7, 1.3),
-    object_mass=(0.5, 1.5),
-    gripper_force=(0.75, 1.5),
-    joint_resistance=(0.3, 3.0),
-    camera_position=(-0.004, 0.004),
-    camera_rotation=(-0.01, 0.01),
-    depth_noise=(0.0, 0.0015),
-    depth_step=(0.0, 0.003),
-    depth_missing=(0.0, 0.01),
-    depth_edges=(0.0, 0.3),
-    action_noise=(0.0, 0.05),
-    action_delay=(0.0, 0.3),
-    colour=(0.0, 0.3),
-    light_direction=(-0.5, 0.5),
-    light_brightness=(0.7, 1.3),
-)
-"""Preset ``"real"``. Frictions, masses, forces and joints: OpenAI et al. 2018 (arXiv 1808.00177, Table 1).
-Noise and step: a Kinect at 1 m has 1.4 and 2.9 mm (Khoshelham and Elberink 2012). Edges: Handa et al. 2014.
-Missing pixels: the fill rate in Intel's data sheet of the RealSense D400 series is 99 %. The ranges of camera
-poses, actions, colours and light are estimates."""
-PRESETS = {"light": REAL.shrunk(LIGHT_SHARE), "real": REAL}
-"""Presets by name."""
+PRESETS = {"light": _preset(1.0 / 3.0), "real": _preset(1.0)}
+"""Presets by name; ``"light"`` has a third of the deviations of ``"real"``."""
+
+
+def json_ranges(value: Any, is_open_loop: bool) -> Any:
+    """Return a valid value of the parameter ``randomization`` as None, a preset's name or a dict."""
+    made = Randomization.of(value, is_open_loop)
+    return value if value is None or isinstance(value, str) else made.varied

@@ -2,7 +2,6 @@
 
 import zlib
 from collections.abc import Mapping, Sequence
-from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,10 +12,13 @@ from bulletarm_gym.simulation import Camera
 
 HOLE = 4
 """Side (pixels) of the squares without a measurement."""
-QUANTILES = 65536
-"""Number of values of the normal noise. A table is faster than the generation of normal numbers."""
+ERRORS = ("depth_noise", "depth_step", "depth_missing", "depth_edges")
+"""Sampled quantities of the errors."""
 
 Depths = NDArray[np.float32]
+
+QUANTILES: Depths = ndtri((np.arange(4096) + 0.5) / 4096).astype(np.float32)
+"""Equally probable values of the standard normal distribution; faster than generated normal numbers."""
 
 
 class DepthNoise:
@@ -27,15 +29,10 @@ class DepthNoise:
     """
 
     def __init__(self, values: Mapping[str, float], moment: Sequence[int]) -> None:
-        self._moment = tuple(moment)
-        self._missing = values.get("depth_missing", 0.0)
-        errors = (values.get(f"depth_{name}", 0.0) for name in ("noise", "step", "edges"))
-        self._noise, self._step, self._edges = errors
-
-    @property
-    def is_off(self) -> bool:
+        self._errors = [np.float32(values.get(name, 0.0)) for name in ERRORS]
+        self._moment = moment
+        self.is_off = not any(self._errors)
         """Whether measured and true distances are equal."""
-        return not (self._noise or self._step or self._missing or self._edges)
 
     def __call__(self, distances: NDArray[np.floating], camera: Camera | None = None) -> NDArray[np.floating]:
         """Return measured distances (height, width; m) for the true ones.
@@ -44,57 +41,52 @@ class DepthNoise:
         """
         if self.is_off:
             return distances
-        rng = np.random.default_rng((*self._moment, zlib.crc32(repr(camera).encode())))
-        rows, columns = distances.shape
-        squares = (-(-rows // HOLE), -(-columns // HOLE))
-        holes = rng.random(squares, np.float32) < self._missing
-        random = rng.integers(2**32, size=distances.shape, dtype=np.uint32)
-        depths = np.asarray(distances, np.float32)
-        return _measure(depths, random, holes, _normal_quantiles(), self._noise, self._step, self._edges)
+        sequence = np.random.SeedSequence((*self._moment, zlib.crc32(repr(camera).encode())))
+        seed = sequence.generate_state(1, np.uint64)[0]
+        return _measure(np.asarray(distances, np.float32), seed, *self._errors)
 
 
 NO_NOISE = DepthNoise({}, ())
 """Depth images without errors."""
 
 
-@cache
-def _normal_quantiles() -> Depths:
-    """Return equally probable values of the standard normal distribution, (QUANTILES,)."""
-    quantiles: Depths = ndtri((np.arange(QUANTILES) + 0.5) / QUANTILES).astype(np.float32)
-    return quantiles
+@compiled
+def _random_bits(seed: np.uint64, number: int) -> np.uint64:
+    """Return a number of the random sequence of a seed (SplitMix64, Steele et al. 2014)."""
+    bits = seed + np.uint64(number) * np.uint64(0x9E3779B97F4A7C15)
+    bits = (bits ^ (bits >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    bits = (bits ^ (bits >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return bits ^ (bits >> np.uint64(31))
 
 
 @compiled
 def _measure(
     depths: Depths,
-    random: NDArray[np.uint32],
-    holes: NDArray[np.bool_],
-    quantiles: Depths,
-    noise: float,
-    step: float,
-    edges: float,
+    seed: np.uint64,
+    noise: np.float32,
+    step: np.float32,
+    missing: np.float32,
+    edges: np.float32,
 ) -> Depths:
-    """Return measured depths (m); see :class:`~bulletarm_gym.randomization.Randomization` for the errors.
-
-    :param random: (rows, columns) random numbers of 32 bits: 16 for the adjacent pixel, 16 for the noise
-    :param holes: squares without a measurement
-    """
+    """Return measured depths (m); see :class:`~bulletarm_gym.randomization.Randomization` for the errors."""
     rows, columns = depths.shape
-    measured, limit, deviation = np.empty_like(depths), np.int64(edges * QUANTILES), np.float32(noise)
+    measured, one, limit = np.empty_like(depths), np.float32(1.0), np.int64(edges * 65536)
     for row in range(rows):
         for column in range(columns):
-            number, depth = random[row, column], depths[row, column]
-            chance = np.int64(number >> 16)
-            if chance < limit:
-                change, along = 2 * ((chance >> 1) & 1) - 1, chance & 1
-                side = min(max(column + change * (1 - along), 0), columns - 1)
-                depth = depths[min(max(row + change * along, 0), rows - 1), side]
-            measured[row, column] = depth + deviation * depth * depth * quantiles[number & (QUANTILES - 1)]
-    if step > 0.0:
-        # Cameras measure disparities, the inverse of distances, at even steps (Khoshelham 2012).
-        measured = (1.0 / (np.maximum(np.rint(1.0 / (step * measured)), 1.0) * step)).astype(np.float32)
-    for row, square in np.argwhere(holes):
-        for line in range(HOLE * row, min(HOLE * (row + 1), rows)):
-            for column in range(max(HOLE * square, 1), min(HOLE * (square + 1), columns)):
-                measured[line, column] = measured[line, column - 1]
+            bits = np.int64(_random_bits(seed, row * columns + column) >> np.uint64(1))
+            above, left = row, column
+            if bits >> 47 < limit:  # the depth of the pixel above, below, left or right
+                change = bits & 2
+                above += (change - 1) * (bits & 1)
+                left += (change - 1) * (1 - (bits & 1))
+            depth = depths[min(max(above, 0), rows - 1), min(max(left, 0), columns - 1)]
+            measured[row, column] = depth + noise * depth * depth * QUANTILES[(bits >> 2) & 4095]
+    if step > 0.0:  # cameras measure disparities, the inverse of distances, at even steps
+        measured = one / (np.maximum(np.rint(one / (step * measured)), one) * step)
+    for top in range(0, rows, HOLE):
+        for left in range(0, columns, HOLE):
+            bits = np.int64(_random_bits(~seed, top * columns + left) >> np.uint64(1))
+            if bits >> 47 < missing * 65536:
+                for row in range(top, min(top + HOLE, rows)):
+                    measured[row, left : left + HOLE] = measured[row, max(left - 1, 0)]
     return measured

@@ -10,13 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bulletarm_gym.config import ORTHOGRAPHIC
-from bulletarm_gym.geometry import FloatArray, Pose, Rectangle, as_rotvec, matrix
+from bulletarm_gym.geometry import FloatArray, Pose, Rectangle, matrix
 from bulletarm_gym.observations.cameras import SIDE_HEIGHT, SIDE_PIXELS, side_cameras
 from bulletarm_gym.observations.depth_noise import NO_NOISE, DepthNoise
 from bulletarm_gym.observations.rasterizer import Labels, Window, ZBuffer, project_points, rectangle_mask
 from bulletarm_gym.scene import Scene
 from bulletarm_gym.simulation import Body, Camera
-from bulletarm_gym.simulation.shapes import ORIGIN, Colour
+from bulletarm_gym.simulation.shapes import Colour
+from bulletarm_gym.simulation.state import NOMINAL, Optics
 
 MAX_HEIGHT = 0.4
 """Largest value (m) of a heightmap or in-hand image."""
@@ -128,9 +129,7 @@ class HeightRenderer:
         :param noise: errors of the depths
         """
         if self._config.view == ORTHOGRAPHIC:
-            heights = self._draw(
-                self._present(without) & ~self._marks, window, error=self._world.optics.error
-            )
+            heights = self._draw(self._present(without) & ~self._marks, window, optics=self._world.optics)
             return heights if noise.is_off else SIDE_HEIGHT - noise(SIDE_HEIGHT - heights)
         cameras = side_cameras(self._config, SIDE_PIXELS)
         cloud = np.concatenate([camera.points(self._world, [self._arm], noise) for camera in cameras])
@@ -149,7 +148,7 @@ class HeightRenderer:
         """
         labels = np.zeros((window.size, window.size), np.int16)
         for layer in (self._marks, ~self._marks):
-            self._draw(self._present(without) & layer, window, labels, self._world.optics.error)
+            self._draw(self._present(without) & layer, window, labels, self._world.optics)
         return labels
 
     @property
@@ -174,20 +173,14 @@ class HeightRenderer:
         visible: NDArray[np.bool_],
         window: Window,
         labels: Labels | None = None,
-        error: Pose = ORIGIN,
+        optics: Optics = NOMINAL,
     ) -> NDArray[np.float32]:
-        """Draw meshes.
-
-        :param error: calibration error, of which heights show the translation and the rotation about z
-        """
         positions, rotations = self._poses()
-        if error is ORIGIN:
+        if optics == NOMINAL:
             return self.draw(positions, rotations, visible, window, labels)
-        shift, (_, _, yaw) = error.position, as_rotvec(error.orientation)
-        rotation = matrix(Pose.planar(0.0, 0.0, 0.0, yaw))
-        centre = np.array([*window.centre, 0.0])
-        positions = (positions - centre) @ rotation.T + centre + (shift[0], shift[1], 0.0)
-        return self.draw(positions, rotation @ rotations, visible, window, labels) + np.float32(shift[2])
+        rotation, (x, y, z), centre = optics.yaw_error, optics.position, np.array([*window.centre, 0.0])
+        positions = (positions - centre) @ rotation.T + (centre + (x, y, 0.0))
+        return self.draw(positions, rotation @ rotations, visible, window, labels) + np.float32(z)
 
     def _poses(self) -> tuple[FloatArray, FloatArray]:
         """Return positions (n, 3) and rotations (n, 3, 3) of the meshes; poses that are the same are kept."""

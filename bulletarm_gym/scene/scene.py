@@ -12,29 +12,18 @@ import numpy as np
 
 from bulletarm_gym.config import MAX_ROTATION, MAX_TRANSLATION, EnvConfig
 from bulletarm_gym.config_checks import ROUNDING
-from bulletarm_gym.geometry import FloatArray, Pose, Vector, from_rotvec, matrix
+from bulletarm_gym.geometry import FloatArray, Pose, Vector, matrix
 from bulletarm_gym.robots import Robot, RobotModel
 from bulletarm_gym.scene.stability import CREEP_SPEED, is_stable, settle
 from bulletarm_gym.simulation import Body, BodySpec, World
-from bulletarm_gym.simulation.motion import set_resistance_factor
-from bulletarm_gym.simulation.shapes import ORIGIN
-from bulletarm_gym.simulation.state import (
-    NOMINAL,
-    PHYSICS_MODES,
-    REST_SPEED,
-    STILL,
-    Optics,
-    Properties,
-    Twist,
-)
+from bulletarm_gym.simulation.loading import set_resistance
+from bulletarm_gym.simulation.state import PHYSICS_MODES, REST_SPEED, STILL, Optics, Properties, Twist
 from bulletarm_gym.surfaces import Surface
 
 T = TypeVar("T")
 
 SETTLE_LIMIT = 240
 """Maximum number of simulation steps (1 s) for loose bodies to come to rest."""
-VECTORS = ("camera_position", "camera_rotation", "light_direction")
-"""Sampled quantities with three components."""
 MAX_BODIES = 120
 """Maximum number of loaded variants if sizes are sampled; every step costs time for each pair of bodies."""
 GOLDEN = (math.sqrt(5.0) - 1.0) / 2.0
@@ -322,17 +311,20 @@ class Scene:
             return
         self.sampled = values
         self.robot.set_force_factor(values.get("gripper_force", 1.0))
-        set_resistance_factor(self.world, values.get("joint_resistance", 1.0))
-        position, rotation, light = (_vector(values, name) for name in VECTORS)
-        error = Pose(position, from_rotvec(rotation)) if any(position + rotation) else ORIGIN
-        optics = Optics(error, light, values.get("light_brightness", 1.0))
-        self.world.optics = NOMINAL if optics == NOMINAL else optics
+        for body in self.world.bodies:
+            set_resistance(self.world.client, body.id, body.spec, values.get("joint_resistance", 1.0))
+        self.world.optics = Optics(
+            _vector(values, "camera_position"),
+            _vector(values, "camera_rotation"),
+            _vector(values, "light_direction"),
+            values.get("light_brightness", 1.0),
+        )
 
     def randomize(self, rng: np.random.Generator) -> None:
         """Change the properties of all bodies by the sampled values; each body has a colour of its own."""
         values, world = self.sampled, self.world
-        objects = [(obj.body, "object") for obj in self._objects.values()]
-        for body, kind in [*objects, *((body, "surface") for body in self.surface.bodies)]:
+        kinds = {"object": [obj.body for obj in self.all_objects], "surface": self.surface.bodies}
+        for kind, body in ((kind, body) for kind, bodies in kinds.items() for body in bodies):
             before = world.get_properties(body)
             shift = values.get("colour", 0.0) * rng.uniform(-1.0, 1.0, 3)
             colour = (*(before.colour[:3] + shift).clip(0.0, 1.0), before.colour[3])

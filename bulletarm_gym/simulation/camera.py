@@ -2,13 +2,13 @@
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bulletarm_gym.geometry import FloatArray, Pose, Vector, matrix
+from bulletarm_gym.geometry import FloatArray, Vector
 from bulletarm_gym.simulation.state import NOMINAL, Body
 from bulletarm_gym.simulation.world import World
 
@@ -16,6 +16,8 @@ LIGHT = (0.6, -0.9, 1.6)
 """Direction to the light (world)."""
 VERTICAL = 1e-3
 """Slope from the vertical (m per metre) below which the optical axis is vertical."""
+OPENGL_AXES = np.diag([1.0, -1.0, -1.0, 1.0])
+"""Transformation (4, 4) from the camera frame to that of OpenGL: x right, y up, z backward."""
 
 Measure = Callable[[Any, "Camera"], Any]
 """Function of distances (height, width; m) and a camera that returns the measured distances."""
@@ -108,13 +110,6 @@ class Camera:
         column, row, scale = self.intrinsics @ (self.extrinsics @ [*point, 1.0])[:3]
         return float(column / scale), float(row / scale)
 
-    def moved(self, change: Pose) -> "Camera":
-        """Return the camera moved by a pose (m) in its own frame."""
-        axes = self.extrinsics[:3, :3].T @ matrix(change)
-        eye = np.add(self.eye, self.extrinsics[:3, :3].T @ change.position)
-        target = eye + axes[:, 2] * math.dist(self.eye, self.target)
-        return replace(self, eye=_vector(eye), target=_vector(target), up=_vector(-axes[:, 1]))
-
     @property
     def _up(self) -> Vector:
         if self.up is not None:
@@ -145,23 +140,21 @@ class Camera:
 
     def _render(self, world: World, shadow: bool = False) -> tuple[Any, ...]:
         client, optics = world.client, world.optics
-        actual = self if optics is NOMINAL else self.moved(optics.error)
+        view, light = client.computeViewMatrix(self.eye, self.target, self._up), {}
+        if optics != NOMINAL:
+            view = (OPENGL_AXES @ optics.camera_error @ self.extrinsics).T.ravel().tolist()
+            light = {"lightColor": (optics.brightness,) * 3}
         image: tuple[Any, ...] = client.getCameraImage(
             self.width,
             self.height,
-            client.computeViewMatrix(actual.eye, actual.target, actual._up),
+            view,
             self._projection(world),
-            **({} if optics is NOMINAL else {"lightColor": (optics.brightness,) * 3}),
+            **light,
             lightDirection=[default + change for default, change in zip(LIGHT, optics.light, strict=True)],
             shadow=int(shadow),
             renderer=client.ER_TINY_RENDERER,
         )
         return image
-
-
-def _vector(values: FloatArray) -> Vector:
-    x, y, z = values.tolist()
-    return (x, y, z)
 
 
 Segment = tuple[Vector, Vector]

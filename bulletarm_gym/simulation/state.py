@@ -2,10 +2,13 @@
 
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, NamedTuple
 
-from bulletarm_gym.geometry import Pose, Vector
-from bulletarm_gym.simulation.shapes import ORIGIN, BodySpec, Colour
+import numpy as np
+
+from bulletarm_gym.geometry import FloatArray, Pose, Vector, from_rotvec, matrix
+from bulletarm_gym.simulation.shapes import BodySpec, Colour
 
 Twist = tuple[Vector, Vector]
 """Linear (m/s) and angular (rad/s) velocity."""
@@ -40,14 +43,27 @@ PHYSICS_MODES = {"fast": Physics(50, 0.0, 1.0), "slow": Physics(200, 0.04, 2.0)}
 class Optics:
     """Light of rendered images and calibration error of all cameras.
 
-    :param error: pose of each camera relative to its nominal pose, in the frame of the camera
+    :param position: error (m) of the position of each camera, in its own frame
+    :param rotation: rotation vector (rad) of the error, in the frame of the camera
     :param light: change of the direction to the light (world)
     :param brightness: factor on the brightness of the light
     """
 
-    error: Pose = ORIGIN
+    position: Vector = (0.0, 0.0, 0.0)
+    rotation: Vector = (0.0, 0.0, 0.0)
     light: Vector = (0.0, 0.0, 0.0)
     brightness: float = 1.0
+
+    @cached_property
+    def camera_error(self) -> FloatArray:
+        """Transformation (4, 4) from nominal to actual camera coordinates (m)."""
+        pose = Pose(self.position, from_rotvec(self.rotation)).inverse()
+        return np.vstack([np.column_stack([matrix(pose), pose.position]), [0.0, 0.0, 0.0, 1.0]])
+
+    @cached_property
+    def yaw_error(self) -> FloatArray:
+        """Rotation matrix (3, 3) about the vertical, which orthographic heightmaps show."""
+        return matrix(Pose.planar(0.0, 0.0, 0.0, self.rotation[2]))
 
 
 NOMINAL = Optics()

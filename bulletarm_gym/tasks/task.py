@@ -312,15 +312,20 @@ def checked_slots(slots: Any, task: Task) -> Sequence[ObjectSlot]:
     return slots
 
 
-def checked_predicates(predicates: Any, task: Task) -> dict[str, bool]:
-    """Return the predicates of a task's ``evaluate()`` as bools.
+def evaluated(task: Task, scene: Scene, ignored: bool) -> dict[str, bool]:
+    """Return the predicates of a task and the environment; ``is_success`` is success in a valid scene.
 
+    :param ignored: whether the last action changed nothing
     :raises ValueError: ``"success"`` is missing, or a name is one of the environment's own
     """
+    predicates: Any = task.evaluate(scene)
     if not isinstance(predicates, Mapping) or "success" not in predicates or not INFO.isdisjoint(predicates):
         must = f"a dict with 'success' and without {', '.join(map(repr, sorted(INFO)))}"
         raise ValueError(f"evaluate() of {type(task).__name__} must return {must}, got {predicates!r}")
-    return {name: bool(value) for name, value in predicates.items()}
+    values = {name: bool(value) for name, value in predicates.items()}
+    is_valid = bool(task.is_valid(scene))
+    success = values.pop("success") and is_valid
+    return {"is_success": success, "is_valid": is_valid, "ignored": ignored, **values}
 
 
 def finite_reward(value: Any, reward: Callable[..., Any]) -> float:
