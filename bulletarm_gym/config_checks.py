@@ -70,10 +70,10 @@ def _floats(*shape: int) -> Callable[[Any], Any]:
     """Return a conversion of array-likes of finite numbers to lists."""
 
     def convert(value: Any) -> Any:
-        array = np.array(value, np.float64)
-        if array.shape != shape or not np.isfinite(array).all():
+        array = np.asarray(value)
+        if array.dtype.kind not in "iuf" or array.shape != shape or not np.isfinite(array).all():
             raise ValueError
-        return array.tolist()
+        return array.astype(np.float64).tolist()
 
     return convert
 

@@ -15,8 +15,10 @@ from bulletarm_gym.randomization import NAMES, Randomization
 from bulletarm_gym.scene import Scene
 from bulletarm_gym.tasks import Task
 
-ARRANGEMENT, AFTER_ACTION, PLAN, RANDOMIZATION, ACTUATION, SENSING, COLOURS = range(7)
+ARRANGEMENT, AFTER_ACTION, PLAN, RANDOMIZATION, COLOURS, NOISE = range(6)
 """Independent streams of an episode's random numbers."""
+BLOCK = 32
+"""Number of steps whose noise is sampled at once, because making a generator takes long."""
 
 Narrowed = tuple[tuple[str, Any], ...]
 Sampled = tuple[tuple[str, float], ...]
@@ -34,12 +36,13 @@ class Episode:
         self._task, self._scene, self._control = task, scene, control
         self._limits = self._ranges(scene.config.randomization)
         self._slots = [obj.slot for obj in scene.all_objects]
-        self._opening = np.array([float(name == "p") for name in control.sequence])
+        self._start = [float(name == "p") for name in control.sequence]  # at rest, with an open gripper
         self.seed: int | None = None
         self.steps, self.ended = 0, False
         self.narrowed: Narrowed = ()
         self.sampled: Sampled = ()
         self.last_action: tuple[float, ...] = ()
+        self._noise_of: tuple[int | None, int] = (None, 0)
         self.info: dict[str, float] = {}
         """Sampled values as entries of ``info``."""
 
@@ -48,12 +51,20 @@ class Episode:
         assert self.seed is not None
         return np.random.default_rng((self.seed, self.steps if step is None else step, stream))
 
+    def _noise(self) -> tuple[int, list[float]]:
+        """Return the seed of the depth noise and standard normal numbers for the action of this step."""
+        block, number = divmod(self.steps, BLOCK)
+        if self._noise_of != (self.seed, block):
+            rng, self._noise_of = self.rng(NOISE, block), (self.seed, block)
+            seeds = rng.integers(np.iinfo(np.int64).max, size=BLOCK).tolist()
+            errors = rng.standard_normal((BLOCK, len(self._control.sequence))).tolist()
+            self._noises = list(zip(seeds, errors, strict=True))
+        return self._noises[number]
+
     @property
-    def noise(self) -> DepthNoise:
+    def depth_noise(self) -> DepthNoise:
         """Errors of depth cameras at the current step."""
-        if not self.sampled:
-            return NO_NOISE
-        return DepthNoise(self._scene.sampled, (self.seed or 0, self.steps, SENSING))
+        return DepthNoise(self._scene.sampled, self._noise()[0]) if self.sampled else NO_NOISE
 
     def checked(self, options: Mapping[str, Any]) -> Narrowed:
         """Return names and values of the parameters that options of a reset narrow.
@@ -129,8 +140,8 @@ class Episode:
         delay, noise = (self._scene.sampled.get(f"action_{name}", 0.0) for name in ("delay", "noise"))
         if not (delay or noise):
             return action
-        numbers = np.array(self._control.numbers(action))
-        before = np.array(self.last_action or self._opening)  # at the start, an open gripper at rest
-        self.last_action = tuple(numbers.tolist()) if delay else ()
-        errors = noise * self.rng(ACTUATION).standard_normal(len(numbers)) * (1.0 - self._opening)
-        return (1.0 - delay) * numbers + delay * before + errors
+        numbers, before = self._control.numbers(action), self.last_action or self._start
+        self.last_action = tuple(numbers) if delay else ()
+        numbers = [(1.0 - delay) * n + delay * last for n, last in zip(numbers, before, strict=True)]
+        errors = zip(numbers, self._noise()[1], self._control.sequence, strict=True)
+        return [n + noise * error * (name != "p") for n, error, name in errors]

@@ -14,7 +14,7 @@ from gymnasium.wrappers.utils import rescale_box
 from numpy.typing import NDArray
 from PIL import Image
 
-from bulletarm_gym.config_checks import check_argument, integer, optional
+from bulletarm_gym.config_checks import check_argument, integer, mapping, optional
 from bulletarm_gym.registry import time_limit_spec
 
 WHITE = 255
@@ -152,18 +152,23 @@ class ResetOptions(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstructorArgs)
     def __init__(self, env: gymnasium.Env[Any, Any], options: Mapping[str, Any] | None = None) -> None:
         RecordConstructorArgs.__init__(self, options=options)
         gymnasium.Wrapper.__init__(self, env)
-        self.set_reset_options(options or {})
+        self.set_reset_options({} if options is None else options)
 
     def set_reset_options(self, options: Mapping[str, Any]) -> None:
-        """Replace the options from the next reset on."""
-        self._options = dict(options)
+        """Replace the options from the next reset on.
+
+        :raises ValueError: they are not a dict
+        """
+        self._options = dict(check_argument("options", options, mapping))
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
         """Begin an episode with the options of this wrapper and passed ones; a state replaces all others."""
         given = options or {}
-        return self.env.reset(seed=seed, options=given if "state" in given else {**self._options, **given})
+        if isinstance(given, Mapping) and "state" not in given:
+            given = {**self._options, **given}
+        return self.env.reset(seed=seed, options=given)
 
 
 Wrapper = gymnasium.Wrapper[Any, Any, Any, Any]

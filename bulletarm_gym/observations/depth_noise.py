@@ -1,7 +1,7 @@
 """Errors of depth cameras: noise, resolution, missing pixels and ragged edges."""
 
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,31 +22,30 @@ QUANTILES: Depths = ndtri((np.arange(4096) + 0.5) / 4096).astype(np.float32)
 
 
 class DepthNoise:
-    """Errors of depth images, a function of sampled values, moment and camera.
+    """Errors of depth images, a function of sampled values, seed and camera.
 
     :param values: sampled values by key, see :class:`~bulletarm_gym.randomization.Randomization`
-    :param moment: seed of the episode, number of steps, and other integers that identify the moment
+    :param seed: integer from 0 to 2**63 - 1 that identifies the episode and the step
     """
 
-    def __init__(self, values: Mapping[str, float], moment: Sequence[int]) -> None:
-        self._errors = [np.float32(values.get(name, 0.0)) for name in ERRORS]
-        self._moment = moment
-        self.is_off = not any(self._errors)
+    def __init__(self, values: Mapping[str, float], seed: int) -> None:
+        errors = [values.get(name, 0.0) for name in ERRORS]
+        self._errors, self._seed = np.array(errors, np.float32), seed
+        self.is_off = not any(errors)
         """Whether measured and true distances are equal."""
 
     def __call__(self, distances: NDArray[np.floating], camera: Camera | None = None) -> NDArray[np.floating]:
         """Return measured distances (height, width; m) for the true ones.
 
-        :param camera: the camera; each camera has other errors at the same moment
+        :param camera: the camera; each camera has other errors with the same seed
         """
         if self.is_off:
             return distances
-        sequence = np.random.SeedSequence((*self._moment, zlib.crc32(repr(camera).encode())))
-        seed = sequence.generate_state(1, np.uint64)[0]
-        return _measure(np.asarray(distances, np.float32), seed, *self._errors)
+        number = zlib.crc32(repr(camera).encode())
+        return _measure(np.asarray(distances, np.float32), self._seed, number, self._errors)
 
 
-NO_NOISE = DepthNoise({}, ())
+NO_NOISE = DepthNoise({}, 0)
 """Depth images without errors."""
 
 
@@ -60,22 +59,21 @@ def _random_bits(seed: np.uint64, number: int) -> np.uint64:
 
 
 @compiled
-def _measure(
-    depths: Depths,
-    seed: np.uint64,
-    noise: np.float32,
-    step: np.float32,
-    missing: np.float32,
-    edges: np.float32,
-) -> Depths:
-    """Return measured depths (m); see :class:`~bulletarm_gym.randomization.Randomization` for the errors."""
+def _measure(depths: Depths, seed: int, camera: int, errors: Depths) -> Depths:
+    """Return measured depths (m).
+
+    :param camera: number of the camera
+    :param errors: values of :data:`ERRORS`
+    """
     rows, columns = depths.shape
-    measured, one, limit = np.empty_like(depths), np.float32(1.0), np.int64(edges * 65536)
+    key = _random_bits(np.uint64(seed), camera)
+    noise, step, missing, edges = errors[0], errors[1], errors[2] * 65536, errors[3] * 65536
+    measured, one = np.empty_like(depths), np.float32(1.0)
     for row in range(rows):
         for column in range(columns):
-            bits = np.int64(_random_bits(seed, row * columns + column) >> np.uint64(1))
+            bits = np.int64(_random_bits(key, row * columns + column) >> np.uint64(1))
             above, left = row, column
-            if bits >> 47 < limit:  # the depth of the pixel above, below, left or right
+            if bits >> 47 < edges:  # the depth of the pixel above, below, left or right
                 change = bits & 2
                 above += (change - 1) * (bits & 1)
                 left += (change - 1) * (1 - (bits & 1))
@@ -85,8 +83,8 @@ def _measure(
         measured = one / (np.maximum(np.rint(one / (step * measured)), one) * step)
     for top in range(0, rows, HOLE):
         for left in range(0, columns, HOLE):
-            bits = np.int64(_random_bits(~seed, top * columns + left) >> np.uint64(1))
-            if bits >> 47 < missing * 65536:
+            bits = np.int64(_random_bits(~key, top * columns + left) >> np.uint64(1))
+            if bits >> 47 < missing:
                 for row in range(top, min(top + HOLE, rows)):
                     measured[row, left : left + HOLE] = measured[row, max(left - 1, 0)]
     return measured

@@ -176,11 +176,12 @@ class HeightRenderer:
         optics: Optics = NOMINAL,
     ) -> NDArray[np.float32]:
         positions, rotations = self._poses()
-        if optics == NOMINAL:
+        if not any(optics.position + optics.rotation):
             return self.draw(positions, rotations, visible, window, labels)
-        rotation, (x, y, z), centre = optics.yaw_error, optics.position, np.array([*window.centre, 0.0])
-        positions = (positions - centre) @ rotation.T + (centre + (x, y, 0.0))
-        return self.draw(positions, rotation @ rotations, visible, window, labels) + np.float32(z)
+        rotation, (x, y, z) = optics.yaw_error, optics.position
+        positions = (positions - (*window.centre, 0.0)) @ rotation.T
+        shifted = window._replace(centre=(-x, -y))
+        return self.draw(positions, rotation @ rotations, visible, shifted, labels) + np.float32(z)
 
     def _poses(self) -> tuple[FloatArray, FloatArray]:
         """Return positions (n, 3) and rotations (n, 3, 3) of the meshes; poses that are the same are kept."""

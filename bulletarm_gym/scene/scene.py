@@ -313,12 +313,9 @@ class Scene:
         self.robot.set_force_factor(values.get("gripper_force", 1.0))
         for body in self.world.bodies:
             set_resistance(self.world.client, body.id, body.spec, values.get("joint_resistance", 1.0))
-        self.world.optics = Optics(
-            _vector(values, "camera_position"),
-            _vector(values, "camera_rotation"),
-            _vector(values, "light_direction"),
-            values.get("light_brightness", 1.0),
-        )
+        names = ("camera_position", "camera_rotation", "light_direction")
+        vectors = [tuple(values.get(f"{name}_{axis}", 0.0) for axis in "xyz") for name in names]
+        self.world.optics = Optics(*vectors, values.get("light_brightness", 1.0))
 
     def randomize(self, rng: np.random.Generator) -> None:
         """Change the properties of all bodies by the sampled values; each body has a colour of its own."""
@@ -356,9 +353,3 @@ class Scene:
         """Set the present variant of each slot; the poses of bodies do not change."""
         for obj, variant in zip(self._objects.values(), variants, strict=True):
             obj.variant = variant
-
-
-def _vector(values: Mapping[str, float], name: str) -> Vector:
-    """Return the three components of a sampled quantity, by default zeros."""
-    x, y, z = (values.get(f"{name}_{axis}", 0.0) for axis in "xyz")
-    return (x, y, z)

@@ -49,16 +49,19 @@ class Optics:
     :param brightness: factor on the brightness of the light
     """
 
-    position: Vector = (0.0, 0.0, 0.0)
-    rotation: Vector = (0.0, 0.0, 0.0)
-    light: Vector = (0.0, 0.0, 0.0)
+    position: tuple[float, ...] = (0.0, 0.0, 0.0)
+    rotation: tuple[float, ...] = (0.0, 0.0, 0.0)
+    light: tuple[float, ...] = (0.0, 0.0, 0.0)
     brightness: float = 1.0
 
     @cached_property
     def camera_error(self) -> FloatArray:
         """Transformation (4, 4) from nominal to actual camera coordinates (m)."""
-        pose = Pose(self.position, from_rotvec(self.rotation)).inverse()
-        return np.vstack([np.column_stack([matrix(pose), pose.position]), [0.0, 0.0, 0.0, 1.0]])
+        error = np.eye(4)
+        error[:3, :3] = matrix(Pose((0.0, 0.0, 0.0), from_rotvec(self.rotation)))
+        error[:3, 3] = self.position
+        inverse: FloatArray = np.linalg.inv(error)
+        return inverse
 
     @cached_property
     def yaw_error(self) -> FloatArray:

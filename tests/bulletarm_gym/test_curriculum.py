@@ -53,6 +53,21 @@ def test_scales_are_narrowed_for_one_episode(make: Make) -> None:
     assert min(wide) < 0.7 and max(wide) > 0.9
 
 
+def test_randomization_is_narrowed_by_arrays(make: Make) -> None:
+    env = make(PICKING, randomization={"object_mass": [0.5, 2.0]}, obs_size=32)
+    _, info = env.reset(seed=0, options={"randomization": {"object_mass": np.array([0.6, 0.6])}})
+    assert info["randomization/object_mass"] == 0.6
+
+
+def test_reset_options_rejects_other_values(make: Make) -> None:
+    env = ResetOptions(make(PICKING, **SIZES), {"num_objects": 1})
+    wrong: Any = 3
+    with pytest.raises(ValueError, match="options must be a dict, got 3"):
+        env.set_reset_options(wrong)
+    with pytest.raises(ValueError, match="options must be None or a dict with .*got 3"):
+        env.reset(options=wrong)
+
+
 def test_narrowing_to_the_range_of_the_environment_changes_nothing(make: Make) -> None:
     env = make(PICKING, **SIZES)
     expected = [digest(*env.reset(seed=3)), digest(*env.reset())]
