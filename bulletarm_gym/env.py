@@ -251,9 +251,7 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
     def look(self) -> View:
         """Return the current view of the scene from above."""
         self.scene.world.check_open()
-        return View(
-            self.scene, self.control.frame(), self.task.overlays(self.scene), self._episode.depth_noise
-        )
+        return View(self.scene, self.control.frame(), self.task.overlays(self.scene), self._episode.measure)
 
     def decode_action(self, action: ArrayLike) -> Any:
         """Return an action in metres and radians: a ``DeltaMove``, a ``PickPlace``, or the control's own."""

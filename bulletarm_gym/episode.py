@@ -2,17 +2,19 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from bulletarm_gym.config import OPEN_LOOP
-from bulletarm_gym.config_checks import Refused, check_argument, choice, scale_range
+from bulletarm_gym.config_checks import Refused, check_argument, choice, interval
 from bulletarm_gym.control import Control
-from bulletarm_gym.observations import NO_NOISE, DepthNoise
+from bulletarm_gym.observations.depth_noise import ERRORS, measured_depths
 from bulletarm_gym.randomization import NAMES, Randomization
 from bulletarm_gym.scene import Scene
+from bulletarm_gym.simulation.camera import Measure
 from bulletarm_gym.tasks import Task
 
 ARRANGEMENT, AFTER_ACTION, PLAN, RANDOMIZATION, COLOURS, NOISE = range(6)
@@ -62,9 +64,11 @@ class Episode:
         return self._noises[number]
 
     @property
-    def depth_noise(self) -> DepthNoise:
-        """Errors of depth cameras at the current step."""
-        return DepthNoise(self._scene.sampled, self._noise()[0]) if self.sampled else NO_NOISE
+    def measure(self) -> Measure | None:
+        """Errors of depth cameras at the current step, or None without errors."""
+        values = self._scene.sampled
+        is_noisy = any(values.get(name) for name in ERRORS)
+        return partial(measured_depths, values, self._noise()[0]) if is_noisy else None
 
     def checked(self, options: Mapping[str, Any]) -> Narrowed:
         """Return names and values of the parameters that options of a reset narrow.
@@ -84,9 +88,7 @@ class Episode:
         return tuple((n, value) for n, value in chosen.items() if value != getattr(config, n))
 
     def _check_scales(self, value: Any) -> list[float]:
-        (low, high), (first, last) = self._scene.config.object_scale_range, scale_range(value)
-        if not low <= first <= last <= high:
-            raise Refused(f"a number or [low, high] within {[low, high]}")
+        first, last = interval(*self._scene.config.object_scale_range)(value)
         for obj in self._scene.all_objects:
             if not obj.fitting(first, last):
                 scales = sorted({obj.slot.scales[index] for index in obj.choices})
@@ -96,10 +98,7 @@ class Episode:
     def _check_randomization(self, value: Any) -> Any:
         ranges = self._ranges({**self._limits.varied, **value} if isinstance(value, Mapping) else value)
         for name in NAMES:
-            (low, high), (first, last) = getattr(self._limits, name), getattr(ranges, name)
-            if not low <= first <= last <= high:
-                must = f"within the ranges of the environment, that of {name} within {[low, high]}"
-                raise Refused(must)
+            check_argument(name, list(getattr(ranges, name)), interval(*getattr(self._limits, name)))
         return self._scene.config.randomization if ranges == self._limits else ranges.varied
 
     def _ranges(self, value: Any) -> Randomization:
@@ -107,10 +106,9 @@ class Episode:
 
     def begin(self, narrowed: Narrowed) -> None:
         """Sample the values of an episode with narrowed parameters, before its objects are arranged."""
-        sampled: dict[str, float] = {}
-        if self._limits.varied:
-            chosen = dict(narrowed).get("randomization", self._scene.config.randomization)
-            sampled = self._ranges(chosen).sample(self.rng(RANDOMIZATION), list(self._limits.varied))
+        ranges = self._ranges(dict(narrowed).get("randomization", self._scene.config.randomization))
+        names = list(self._limits.varied)
+        sampled = ranges.sample(self.rng(RANDOMIZATION), names) if names else {}
         self.set(narrowed, tuple(sampled.items()), ())
 
     def randomize(self) -> None:

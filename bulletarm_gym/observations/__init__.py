@@ -1,7 +1,6 @@
 """Observations: views of the scene, the sensors that read them, and cameras."""
 
 from bulletarm_gym.observations.camera_sensors import Rgb
-from bulletarm_gym.observations.depth_noise import NO_NOISE, DepthNoise
 from bulletarm_gym.observations.observer import SENSORS, Observer
 from bulletarm_gym.observations.rasterizer import Window
 from bulletarm_gym.observations.sensor import Sensor, State
@@ -17,9 +16,7 @@ from bulletarm_gym.observations.view import (
 
 __all__ = [
     "MAX_HEIGHT",
-    "NO_NOISE",
     "SENSORS",
-    "DepthNoise",
     "ElevationMap",
     "Frame",
     "HeightRenderer",

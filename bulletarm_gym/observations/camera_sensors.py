@@ -118,7 +118,9 @@ class Depth(CameraSensor):
     def read(self, view: View) -> NDArray[np.float32]:
         """Return the distances (m)."""
         camera = replace(self.camera, shadow=False)
-        return view.noise(view.images(camera)[1], camera)[None].clip(0.0, camera.far)
+        distances = view.images(camera)[1]
+        measured = view.measure(distances, camera) if view.measure else distances
+        return measured[None].clip(0.0, camera.far)
 
 
 class PointCloud(Sensor):
@@ -155,7 +157,7 @@ class PointCloud(Sensor):
         world, robot, frame = self.scene.world, self.scene.robot, view.frame
         grasped = [robot.held] if frame.hides_grasped and robot.held is not None else []
         hidden = [robot.body, world.ground, *grasped]
-        points = np.concatenate([camera.points(world, hidden, view.noise) for camera in self._cameras])
+        points = np.concatenate([camera.points(world, hidden, view.measure) for camera in self._cameras])
         points -= frame.origin.position
         points = points[(np.abs(points[:, :2]) <= frame.extent / 2.0).all(axis=1)]
         reading = np.zeros((self._count, 3), np.float32)

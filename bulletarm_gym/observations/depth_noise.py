@@ -21,32 +21,18 @@ QUANTILES: Depths = ndtri((np.arange(4096) + 0.5) / 4096).astype(np.float32)
 """Equally probable values of the standard normal distribution; faster than generated normal numbers."""
 
 
-class DepthNoise:
-    """Errors of depth images, a function of sampled values, seed and camera.
+def measured_depths(
+    values: Mapping[str, float], seed: int, distances: NDArray[np.floating], camera: Camera | None = None
+) -> Depths:
+    """Return measured distances (height, width; m) for the true ones.
 
     :param values: sampled values by key, see :class:`~bulletarm_gym.randomization.Randomization`
     :param seed: integer from 0 to 2**63 - 1 that identifies the episode and the step
+    :param camera: the camera; each camera has other errors with the same seed
     """
-
-    def __init__(self, values: Mapping[str, float], seed: int) -> None:
-        errors = [values.get(name, 0.0) for name in ERRORS]
-        self._errors, self._seed = np.array(errors, np.float32), seed
-        self.is_off = not any(errors)
-        """Whether measured and true distances are equal."""
-
-    def __call__(self, distances: NDArray[np.floating], camera: Camera | None = None) -> NDArray[np.floating]:
-        """Return measured distances (height, width; m) for the true ones.
-
-        :param camera: the camera; each camera has other errors with the same seed
-        """
-        if self.is_off:
-            return distances
-        number = zlib.crc32(repr(camera).encode())
-        return _measure(np.asarray(distances, np.float32), self._seed, number, self._errors)
-
-
-NO_NOISE = DepthNoise({}, 0)
-"""Depth images without errors."""
+    errors = np.array([values.get(name, 0.0) for name in ERRORS], np.float32)
+    number = zlib.crc32(repr(camera).encode())
+    return _measure(np.asarray(distances, np.float32), seed, number, errors)
 
 
 @compiled

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from bulletarm_gym.config import ORTHOGRAPHIC
 from bulletarm_gym.geometry import FloatArray, Pose, Rectangle, matrix
 from bulletarm_gym.observations.cameras import SIDE_HEIGHT, SIDE_PIXELS, side_cameras
-from bulletarm_gym.observations.depth_noise import NO_NOISE, DepthNoise
 from bulletarm_gym.observations.rasterizer import Labels, Window, ZBuffer, project_points, rectangle_mask
 from bulletarm_gym.scene import Scene
 from bulletarm_gym.simulation import Body, Camera
+from bulletarm_gym.simulation.camera import Measure
 from bulletarm_gym.simulation.shapes import Colour
 from bulletarm_gym.simulation.state import NOMINAL, Optics
 
@@ -121,18 +121,18 @@ class HeightRenderer:
         return scene.cached(cls)
 
     def heights(
-        self, window: Window, without: Body | None = None, noise: DepthNoise = NO_NOISE
+        self, window: Window, without: Body | None = None, measure: Measure | None = None
     ) -> NDArray[np.float32]:
         """Return the height (m) of the highest surface over each pixel, (size, size), in the configured view.
 
         :param without: body that the orthographic view omits
-        :param noise: errors of the depths
+        :param measure: errors of the cameras, by default none
         """
         if self._config.view == ORTHOGRAPHIC:
             heights = self._draw(self._present(without) & ~self._marks, window, optics=self._world.optics)
-            return heights if noise.is_off else SIDE_HEIGHT - noise(SIDE_HEIGHT - heights)
+            return heights if measure is None else SIDE_HEIGHT - measure(SIDE_HEIGHT - heights)
         cameras = side_cameras(self._config, SIDE_PIXELS)
-        cloud = np.concatenate([camera.points(self._world, [self._arm], noise) for camera in cameras])
+        cloud = np.concatenate([camera.points(self._world, [self._arm], measure) for camera in cameras])
         return project_points(cloud, window, self._config.workspace[2][1])
 
     def heights_of(self, bodies: Sequence[Body], window: Window) -> NDArray[np.float32]:
@@ -203,14 +203,18 @@ class View:
     :param scene: scene that is shown
     :param frame: square that is shown
     :param overlays: overlays of the heightmap
-    :param noise: errors of depth cameras
+    :param measure: errors of depth cameras, by default none
     """
 
     def __init__(
-        self, scene: Scene, frame: Frame, overlays: Sequence[Overlay] = (), noise: DepthNoise = NO_NOISE
+        self,
+        scene: Scene,
+        frame: Frame,
+        overlays: Sequence[Overlay] = (),
+        measure: Measure | None = None,
     ) -> None:
         self._scene = scene
-        self.noise = noise
+        self.measure = measure
         self.frame = frame
         self.window = Window(frame.centre, frame.extent, scene.config.obs_size)
         self.overlays = tuple(overlays)
@@ -234,7 +238,7 @@ class View:
     @cached_property
     def heights(self) -> Heights:
         """Heights (m), (size, size), above the world's z = 0; read-only."""
-        return HeightRenderer.of(self._scene).heights(self.window, self._hidden, self.noise)
+        return HeightRenderer.of(self._scene).heights(self.window, self._hidden, self.measure)
 
     @cached_property
     def labels(self) -> Labels:

@@ -2,7 +2,6 @@
 
 import math
 import sys
-from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import wraps
@@ -288,12 +287,12 @@ class Scene:
         :param scale_range: lowest and highest scale
         :param slots: slots of the task, which may be fewer than the loaded ones of each name or kind
         """
-        wanted = Counter(slot.kind or slot.name for slot in slots)
+        kinds = [slot.kind or slot.name for slot in slots]
         self._used = []
         for obj in self._objects.values():
-            kind = obj.slot.kind or obj.slot.name
-            self._used += [obj] * min(wanted[kind], 1)
-            wanted[kind] -= 1
+            if (kind := obj.slot.kind or obj.slot.name) in kinds:
+                kinds.remove(kind)
+                self._used.append(obj)
         self._fitting = {name: obj.fitting(*scale_range) for name, obj in self._objects.items()}
 
     def set_surface_properties(self, **changes: Any) -> None:

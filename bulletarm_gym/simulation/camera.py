@@ -19,7 +19,7 @@ VERTICAL = 1e-3
 OPENGL_AXES = np.diag([1.0, -1.0, -1.0, 1.0])
 """Transformation (4, 4) from the camera frame to that of OpenGL: x right, y up, z backward."""
 
-Measure = Callable[[Any, "Camera"], Any]
+Measure = Callable[..., Any]
 """Function of distances (height, width; m) and a camera that returns the measured distances."""
 
 
@@ -87,15 +87,13 @@ class Camera:
         """Return distances (m) along the optical axis, (height, width)."""
         return self._distances(self._render(world)).astype(np.float32)
 
-    def points(
-        self, world: World, without: Sequence[Body], measure: Measure = lambda distances, _: distances
-    ) -> FloatArray:
+    def points(self, world: World, without: Sequence[Body], measure: Measure | None = None) -> FloatArray:
         """Return the visible points (n, 3) in the world (m), without the points on some bodies.
 
-        :param measure: function that returns measured distances (m) for the true ones
+        :param measure: errors of the camera, by default none
         """
         image = self._render(world)
-        distances = measure(self._distances(image), self)
+        distances = self._distances(image) if measure is None else measure(self._distances(image), self)
         shown = np.asarray(image[4]).reshape(distances.shape)
         visible = ~np.isin(shown, [body.id for body in without]) & (distances < self.far * 0.99)
         rows, columns = np.nonzero(visible)

@@ -282,10 +282,8 @@ def checked_options(options: Mapping[str, Any] | None, task: Task) -> dict[str, 
         or not isinstance(given.get("new_scene", False), bool)
         or given.get("start", "goal") != "goal"
     ):
-        others = ", ".join(f'"{name}"' for name in NARROWED)
-        must = (
-            f'None or a dict with "new_scene": True or False, "start": "goal" and {others}, or with "state"'
-        )
+        values = ('"new_scene": True or False', '"start": "goal"', *map(repr, NARROWED))
+        must = f'None or a dict with {", ".join(values)}, or with "state"'
         raise ValueError(f"options must be {must}, got {options!r}")
     if "start" in given and not task.has_goal_structure:
         must = f"without a start, as {type(task).__name__} has no arrange_goal()"

@@ -64,7 +64,7 @@ def test_reset_options_rejects_other_values(make: Make) -> None:
     wrong: Any = 3
     with pytest.raises(ValueError, match="options must be a dict, got 3"):
         env.set_reset_options(wrong)
-    with pytest.raises(ValueError, match="options must be None or a dict with .*got 3"):
+    with pytest.raises(ValueError, match=r"options must be None or a dict with .*got 3"):
         env.reset(options=wrong)
 
 
@@ -134,14 +134,14 @@ def test_clutter_is_kept_while_the_number_is_the_same(make: Make) -> None:
     [
         (
             {"object_scale_range": [0.5, 0.7]},
-            r"object_scale_range must be .* within \[0\.6, 1\.0\].*got \[0\.5",
+            r"object_scale_range must be .* from 0\.6 to 1, got \[0\.5",
         ),
-        ({"object_scale_range": "small"}, "object_scale_range must be a positive number or .*got 'small'"),
+        ({"object_scale_range": "small"}, "object_scale_range must be a number or .*got 'small'"),
         ({"object_scale_range": 0.71}, r"object_scale_range must be .* 'cube', one of \[0\.6, .*got 0\.71"),
         ({"num_objects": 2}, "num_objects must be one of 1, got 2"),
         (
             {"randomization": {"object_mass": 1.1}},
-            r"randomization must be .* object_mass within \[1.0, 1.0\], got \{'object_m",
+            r"object_mass must be a number or .*, from 1 to 1, got \[1\.1, 1\.1\]",
         ),
         ({"randomization": "heavy"}, "randomization must be None, 'light', 'real'.*got 'heavy'"),
         ({"reward": None}, "options must be None or a dict with .*num_objects.*got {'reward'"),

@@ -5,6 +5,7 @@ import pickle
 import re
 from collections.abc import Callable
 from dataclasses import fields
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,7 @@ from rollouts import TYPICAL, advance, digest, is_open_loop, make_env, transcrip
 import bulletarm_gym
 from bulletarm_gym.demonstrations import json_state
 from bulletarm_gym.env import ManipulationEnv
-from bulletarm_gym.observations import DepthNoise
+from bulletarm_gym.observations.depth_noise import measured_depths
 from bulletarm_gym.randomization import NAMES, PRESETS, Randomization
 
 Make = Callable[..., ManipulationEnv]
@@ -38,7 +39,9 @@ def values_of(info: dict[str, Any]) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize("name", NAMES)
-@pytest.mark.parametrize("value", [[2.0, -2.0], [0.0, 99.0], float("nan"), "much", ["1", "1"], [1.0], None], ids=str)
+@pytest.mark.parametrize(
+    "value", [[2.0, -2.0], [0.0, 99.0], float("nan"), "much", ["1", "1"], [1.0], None], ids=str
+)
 def test_invalid_range_is_rejected_by_name(name: str, value: Any) -> None:
     with pytest.raises(ValueError, match=rf"^{name} must be a number or \[low, high\], from .*, got "):
         Randomization(**{name: value})
@@ -185,7 +188,7 @@ EDGE = np.where(np.arange(64) < 32, 0.8, 0.9).astype(np.float32) * np.ones((64, 
 
 
 def test_depth_noise_grows_with_the_square_of_the_distance() -> None:
-    noise = DepthNoise({"depth_noise": 0.002}, 0)
+    noise = partial(measured_depths, {"depth_noise": 0.002}, 0)
     for distance in (0.5, 1.0, 2.0):
         errors = noise(np.full((128, 128), distance, np.float32)) - distance
         assert errors.std() == pytest.approx(0.002 * distance**2, rel=0.05)
@@ -193,20 +196,22 @@ def test_depth_noise_grows_with_the_square_of_the_distance() -> None:
 
 
 def test_depth_step_limits_the_measurable_depths() -> None:
-    depths = DepthNoise({"depth_step": 0.01}, 0)(np.linspace(0.9, 1.1, 64, dtype=np.float32)[None])
+    depths = partial(measured_depths, {"depth_step": 0.01}, 0)(
+        np.linspace(0.9, 1.1, 64, dtype=np.float32)[None]
+    )
     found = np.unique(depths)
     assert 15 < len(found) < 25 and np.diff(found).min() == pytest.approx(0.0085, abs=1e-3)
 
 
 def test_missing_pixels_have_the_depth_to_their_left() -> None:
     ramp = np.arange(64, dtype=np.float32) * np.ones((64, 1), np.float32) + 1.0
-    depths = DepthNoise({"depth_missing": 0.2}, 0)(ramp)
+    depths = partial(measured_depths, {"depth_missing": 0.2}, 0)(ramp)
     assert 0.1 < (depths != ramp).mean() < 0.25
     assert (depths <= ramp).all() and (depths[:, 0] == 1.0).all()
 
 
 def test_edges_are_ragged_and_planes_are_not() -> None:
-    noise = DepthNoise({"depth_edges": 0.5}, 0)
+    noise = partial(measured_depths, {"depth_edges": 0.5}, 0)
     assert (noise(FLAT) == FLAT).all()
     changed = (noise(EDGE) != EDGE).any(axis=0)
     assert changed[31:33].all() and not changed[:31].any() and not changed[33:].any()
@@ -217,7 +222,7 @@ def test_errors_differ_between_seeds_and_cameras(make: Make) -> None:
     env.reset(seed=0)
     camera = env.cameras["render"].camera
     values = {"depth_noise": 0.01}
-    images = [DepthNoise(values, seed)(FLAT, eye) for seed in (0, 1) for eye in (None, camera)]
+    images = [measured_depths(values, seed, FLAT, eye) for seed in (0, 1) for eye in (None, camera)]
     assert len({image.tobytes() for image in images}) == 4
     first, again = env.observe(), env.observe()
     assert digest(first) == digest(again)
