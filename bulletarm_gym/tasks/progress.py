@@ -7,7 +7,7 @@ from itertools import islice, pairwise
 import numpy as np
 
 from bulletarm_gym.config import CLOSE_LOOP
-from bulletarm_gym.experts import Waypoint
+from bulletarm_gym.experts import CLOSED, Waypoint
 from bulletarm_gym.experts.approach import Tracker, rotates
 from bulletarm_gym.geometry import Pose, wrap_angle
 from bulletarm_gym.observations import View
@@ -27,9 +27,9 @@ class Progress:
     """Progress of a task, from 0 to 1, a function of the state alone.
 
     It is the number of finished parts and the progress within the next part, relative to the number of parts.
-    A part has one half before the grasp and one after it. Within a half the progress decreases exponentially
-    with the length of the expert's remaining path. A part without a grasp has only the second half. Open-loop
-    actions have no path.
+    A part with a grasp has one half before and one after it. The progress within a half, or within a part
+    without a grasp, decreases exponentially with the length of the expert's remaining path. Open-loop actions
+    have no path.
 
     :param scene: scene of the task
     :param tracker: tracker of the task's plans
@@ -54,13 +54,20 @@ class Progress:
     def _compute(self) -> float:
         scene, rng = self._scene, self._make_rng()
         finished, parts = self._task.parts(scene, rng)
-        is_grasped, near = not is_empty(scene), 0.0
+        share = 0.0 if is_empty(scene) else 0.5
         if scene.config.control == CLOSE_LOOP:
             path = self._tracker.path(iter(self._task.plan(scene, rng) or ()))
-            plan = list(islice(path, MAX_WAYPOINTS))
-            is_grasped = is_grasped or not _grasps(plan)
-            near = math.exp(-_length(scene, plan) / DECAY)
-        return min(1.0, (finished + (is_grasped + near) / 2.0) / parts)
+            share = _share(scene, list(islice(path, MAX_WAYPOINTS)))
+        return min(1.0, (finished + share) / parts)
+
+
+def _share(scene: Scene, plan: list[Waypoint]) -> float:
+    """Return the progress within a part."""
+    near = math.exp(-_length(scene, plan) / DECAY)
+    if _grasps(plan):
+        return near / 2.0
+    is_carried = not is_empty(scene) and plan[0].gripper == CLOSED
+    return (1.0 + near) / 2.0 if is_carried else near
 
 
 def _grasps(plan: list[Waypoint]) -> bool:
