@@ -147,7 +147,7 @@ class GoalObservation(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstructorAr
     episode continues after success, so that relabelled transitions have correct rewards and ends. It
     terminates if the scene is invalid, and is truncated after ``max_steps``.
 
-    :param env: environment that observes vectors, such as ``observation="state"``, and whose task defines
+    :param env: environment that observes vectors, such as ``joint_state``, and whose task defines
         :meth:`~bulletarm_gym.tasks.Task.goals`: Block Reaching, Block Pushing, Block Pulling, Block Stacking
     :raises ValueError: ``env`` observes images, or the task has no goals
     """
@@ -155,12 +155,13 @@ class GoalObservation(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstructorAr
     def __init__(self, env: gymnasium.Env[Any, Any]) -> None:
         RecordConstructorArgs.__init__(self)
         super().__init__(env)
-        self._core: Any = env.unwrapped
+        core: Any = env.unwrapped
+        self._core = core
         self._inner = env.observation_space
         parts = self._inner.values() if isinstance(self._inner, spaces.Dict) else [self._inner]
         if not all(isinstance(space, spaces.Box) and len(space.shape) == 1 for space in parts):
-            raise ValueError(f"env must observe vectors, got {self._inner}. Use observation='state'.")
-        achieved, _ = self._core.task.goals(self._core.scene)
+            raise ValueError(f"env must observe vectors, got {self._inner}. Use 'joint_state'.")
+        achieved, _ = core.task.goals(core.scene)
         goal = spaces.Box(-np.inf, np.inf, achieved.shape, np.float64)
         observation = spaces.flatten_space(self._inner)
         self.observation_space = spaces.Dict(observation=observation, achieved_goal=goal, desired_goal=goal)
@@ -202,7 +203,7 @@ class GoalObservation(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstructorAr
     def _observed(self, observation: Any) -> dict[str, NDArray[Any]]:
         achieved, desired = self._core.task.goals(self._core.scene)
         flat = spaces.flatten(self._inner, observation)
-        return {"observation": flat, "achieved_goal": achieved, "desired_goal": desired}  # type: ignore
+        return {"observation": flat, "achieved_goal": achieved, "desired_goal": desired}
 
     def _continue(self) -> bool:
         """Continue the episode after its end; return False at the limit of steps."""
